@@ -1,0 +1,17 @@
+#pragma once
+
+#include <string>
+
+#include "odmc/model/vehicle.h"
+
+namespace odmc {
+
+/// Reads a vehicle file (schema in the README).
+/// @throws std::invalid_argument with a sentence that names file and key: unknown keys, wrong types,
+///   missing keys, non-positive masses, NaN, duplicate rotors, unknown effects or parameters.
+Vehicle LoadVehicle(const std::string& file);
+
+/// The same from YAML text; `file` only names the source in errors.
+Vehicle ParseVehicle(const std::string& text, const std::string& file);
+
+}  // namespace odmc

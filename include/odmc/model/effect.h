@@ -1,0 +1,107 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "odmc/model/body_properties.h"
+#include "odmc/model/flight_state.h"
+#include "odmc/model/parameter.h"
+#include "odmc/model/wrench.h"
+
+namespace odmc {
+
+/// Values of one effect's parameters, own ones first, then borrowed ones [their units].
+using ParameterValues = Eigen::Ref<const Eigen::VectorXd>;
+
+/// Derivative of BodyProperties with respect to one effect's parameters (28×n).
+using BodyPropertyJacobian =
+    Eigen::Matrix<double, kNumBodyPropertyRows, Eigen::Dynamic, 0, kNumBodyPropertyRows,
+                  kMaxEffectParameters>;
+
+/// What an effect is, in words: printed by `--help`, the report and the documentation.
+struct EffectDescription {
+  std::string name;        ///< as in YAML, "drag"
+  std::string title;       ///< "Linear drag"
+  std::string formula;     ///< plain text, "f = diag(d) v_AB_B at Bcm"
+  std::string source;      ///< "model.md 2; paper Eq. (1)"
+  std::string validity;    ///< where it stops being true
+};
+
+/// One physical effect: reads the flight state and adds its wrench on the body, or shapes the body
+/// itself. Holds no estimate; the values of its parameters are passed in.
+class Effect {
+ public:
+  virtual ~Effect() = default;
+
+  const EffectDescription& description() const { return description_; }
+  const std::string& name() const { return description_.name; }
+
+  /// Name, unit, start value and prior of each own parameter, in order.
+  const std::vector<ParameterSpec>& parameters() const { return parameters_; }
+
+  /// Full names ("thrust.k_f") of other effects' parameters this effect reads. Their values follow
+  /// the own ones; where such an effect is absent, its prior value is used.
+  const std::vector<std::string>& borrowed() const { return borrowed_; }
+
+  /// Own and borrowed parameters together.
+  int num_values() const { return static_cast<int>(parameters_.size() + borrowed_.size()); }
+
+  /// True if the effect adds forces or couples (false if it only shapes the body).
+  virtual bool adds_wrench() const { return true; }
+
+  /// Adds this effect's forces (with the point they act at) and couples, in B, to `wrench`. If `J`
+  /// is given, adds to its state derivatives and sets `J->d_parameters` (9×num_values()).
+  /// @pre values.size() == num_values()
+  void AddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
+                 WrenchJacobians* J = nullptr) const;
+
+  /// Changes what it shapes in `body`. If `J` is given, sets it (28×num_values()).
+  /// @pre values.size() == num_values()
+  void Shape(const ParameterValues& values, BodyProperties* body,
+             BodyPropertyJacobian* J = nullptr) const;
+
+ protected:
+  Effect(const Vehicle& vehicle, EffectDescription description,
+         std::vector<ParameterSpec> parameters, std::vector<std::string> borrowed = {});
+
+  const Vehicle& vehicle() const { return vehicle_; }
+
+ private:
+  virtual void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
+                           WrenchJacobians* J) const;
+  virtual void DoShape(const ParameterValues& values, BodyProperties* body,
+                       BodyPropertyJacobian* J) const;
+
+  Vehicle vehicle_;
+  EffectDescription description_;
+  std::vector<ParameterSpec> parameters_;
+  std::vector<std::string> borrowed_;
+};
+
+/// Names and constructors of every effect. Filled by one explicit function, RegisterAllEffects().
+class EffectRegistry {
+ public:
+  using Factory = std::function<std::unique_ptr<Effect>(const Vehicle&)>;
+
+  void Add(const std::string& name, Factory factory);
+  bool Has(const std::string& name) const;
+  /// @throws std::invalid_argument naming the effect and the known ones if it is unknown.
+  std::unique_ptr<Effect> Make(const std::string& name, const Vehicle& vehicle) const;
+  /// In the order of registration.
+  const std::vector<std::string>& names() const { return names_; }
+
+  /// The registry with every effect of this package (effects/register.cpp).
+  static const EffectRegistry& Default();
+
+ private:
+  std::vector<std::string> names_;
+  std::vector<Factory> factories_;
+};
+
+/// Registers every effect of this package: one line each. Defined in effects/register.cpp.
+void RegisterAllEffects(EffectRegistry* registry);
+
+}  // namespace odmc

@@ -1,0 +1,30 @@
+#pragma once
+
+#include <string>
+
+namespace odmc {
+
+/// How the optimiser sees a parameter.
+enum class ParameterTransform {
+  kLinear,  ///< value = scale * eta
+  kLog,     ///< value = scale * exp(eta): stays positive (model.md section 7, Scaling)
+};
+
+/// What sign a coefficient must have to make physical sense.
+enum class PhysicalSign { kAny, kPositive, kNegative };
+
+/// Name, unit and prior of one parameter; the only list that files, messages, plots and
+/// documentation read.
+struct ParameterSpec {
+  std::string name;         ///< short name within its effect, as "k_f"
+  std::string unit;         ///< SI unit as text, as "N s^2"
+  std::string description;  ///< one line for documentation
+  double prior_value = 0.0;
+  double prior_sigma = 1.0;  ///< in the parameter's unit (also for kLog)
+  double scale = 1.0;        ///< natural size, > 0; for kLog the nominal value
+  ParameterTransform transform = ParameterTransform::kLinear;
+  PhysicalSign sign = PhysicalSign::kAny;
+  bool frozen_by_default = false;
+};
+
+}  // namespace odmc

@@ -1,0 +1,38 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "odmc/model/vehicle.h"
+
+namespace odmc {
+
+/// One parameter of an estimate, as files and messages show it.
+struct ParameterEstimate {
+  std::string full_name;     ///< "thrust.k_f"
+  std::string unit;          ///< SI
+  double value = 0.0;
+  double sigma = 0.0;        ///< 0 where frozen
+  bool estimated = false;    ///< false: frozen at value
+  bool observable = false;   ///< the flight says more about it than its prior did
+};
+
+/// A calibrated model: everything that evaluate, nodes and simulator need to rebuild it.
+struct ParameterSet {
+  std::vector<std::string> effects;
+  std::vector<ParameterEstimate> parameters;
+  /// Covariance of all `parameters` in their units (n×n), zero rows where frozen. May be empty.
+  Eigen::MatrixXd covariance;
+  /// Where the values come from: tool, version, flight, vehicle, date, ... in text.
+  std::map<std::string, std::string> provenance;
+
+  const ParameterEstimate* Find(const std::string& full_name) const;
+};
+
+/// Puts the set's effects and values into `vehicle`: they become the model's effects, start values,
+/// centres of the priors and (where positive) the priors' sigmas.
+void ApplyParameters(const ParameterSet& set, Vehicle* vehicle);
+
+}  // namespace odmc

@@ -1,0 +1,40 @@
+#include "odmc/effects/effects.h"
+#include "odmc/math/so3.h"
+
+namespace odmc {
+namespace {
+
+/// Direction of gravity in the odometry's world: g_W = -g R_G e3, R_G = Exp((x, y, 0)). Two degrees
+/// of freedom, since a turn about e3 changes nothing.            model.md sections 1 and 7
+class Gravity final : public Effect {
+ public:
+  explicit Gravity(const Vehicle& vehicle)
+      : Effect(vehicle,
+               {"gravity", "Gravity direction", "g_W = -g Exp((x, y, 0)) e3",
+                "model.md sections 1, 6.5 and 7; paper Eq. (1)",
+                "one with odometry roll and pitch extrinsics while the heading is constant"},
+               {{"x", "rad", "turn of the vertical about world x", 0.0, 0.05, 0.05},
+                {"y", "rad", "turn of the vertical about world y", 0.0, 0.05, 0.05}}) {}
+
+  bool adds_wrench() const override { return false; }
+
+ private:
+  void DoShape(const ParameterValues& values, BodyProperties* body,
+               BodyPropertyJacobian* J) const override {
+    const Eigen::Vector3d turn(values[0], values[1], 0.0);
+    const Eigen::Matrix3d R_G = Exp(turn).toRotationMatrix();
+    const Eigen::Vector3d nominal_W = body->g_W;
+    body->g_W = R_G * nominal_W;
+    if (J == nullptr) return;
+    J->block<3, 2>(kRowGravity, 0) =
+        (-R_G * Hat(nominal_W) * RightJacobian(turn)).leftCols<2>();
+  }
+};
+
+}  // namespace
+
+std::unique_ptr<Effect> MakeGravity(const Vehicle& vehicle) {
+  return std::make_unique<Gravity>(vehicle);
+}
+
+}  // namespace odmc

@@ -1,0 +1,39 @@
+#include "odmc/effects/effects.h"
+
+namespace odmc {
+namespace {
+
+/// Principal inertia about Bcm, in body axes; always positive.   model.md section 2, paper Eq. (1)
+class Inertia final : public Effect {
+ public:
+  explicit Inertia(const Vehicle& vehicle)
+      : Effect(vehicle,
+               {"inertia", "Inertia", "I dw/dt = tau - w x I w, I = diag(x, y, z)",
+                "model.md sections 2, 4.4 and 9; paper Eq. (1)",
+                "needs angular acceleration: hover and straight flight do not show it"},
+               {Axis(0, vehicle), Axis(1, vehicle), Axis(2, vehicle)}) {}
+
+  bool adds_wrench() const override { return false; }
+
+ private:
+  static ParameterSpec Axis(int axis, const Vehicle& vehicle) {
+    const std::string letter(1, "xyz"[axis]);
+    const double nominal = vehicle.inertia_kg_m2[axis];
+    return {letter, "kg m^2", "inertia about the centre of gravity, body " + letter, nominal,
+            0.4 * nominal, nominal, ParameterTransform::kLog, PhysicalSign::kPositive};
+  }
+
+  void DoShape(const ParameterValues& values, BodyProperties* body,
+               BodyPropertyJacobian* J) const override {
+    body->I_BBcm_B.diagonal() = values.head<3>();
+    if (J != nullptr) J->block<3, 3>(kRowInertia, 0).setIdentity();
+  }
+};
+
+}  // namespace
+
+std::unique_ptr<Effect> MakeInertia(const Vehicle& vehicle) {
+  return std::make_unique<Inertia>(vehicle);
+}
+
+}  // namespace odmc

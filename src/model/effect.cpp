@@ -1,0 +1,92 @@
+#include "odmc/model/effect.h"
+
+#include <algorithm>
+#include <cassert>
+#include <stdexcept>
+#include <utility>
+
+namespace odmc {
+
+RotorState RotorState::Steady(const RotorVector& speed_rad_s) {
+  RotorState state;
+  state.speed = speed_rad_s;
+  state.speed_squared = speed_rad_s.array().square().matrix();
+  state.acceleration = RotorVector::Zero(speed_rad_s.size());
+  state.speed_squared_rate = RotorVector::Zero(speed_rad_s.size());
+  return state;
+}
+
+BodyProperties BodyProperties::Nominal(const Vehicle& vehicle) {
+  BodyProperties body;
+  body.mass = vehicle.mass_kg;
+  body.I_BBcm_B = vehicle.inertia_kg_m2.asDiagonal();
+  body.g_W = Eigen::Vector3d(0.0, 0.0, -vehicle.gravity_m_s2);
+  body.p_BS = vehicle.odometry.p_BS;
+  body.R_BS = vehicle.odometry.q_BS.toRotationMatrix();
+  if (vehicle.imu) {
+    body.p_BI = vehicle.imu->p_BS;
+    body.R_BI = vehicle.imu->q_BS.toRotationMatrix();
+  }
+  return body;
+}
+
+Effect::Effect(const Vehicle& vehicle, EffectDescription description,
+               std::vector<ParameterSpec> parameters, std::vector<std::string> borrowed)
+    : vehicle_(vehicle),
+      description_(std::move(description)),
+      parameters_(std::move(parameters)),
+      borrowed_(std::move(borrowed)) {
+  assert(num_values() <= kMaxEffectParameters);
+}
+
+void Effect::AddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
+                       WrenchJacobians* J) const {
+  assert(values.size() == num_values());
+  if (J != nullptr) J->d_parameters.setZero(9, num_values());
+  DoAddWrench(state, values, wrench, J);
+}
+
+void Effect::Shape(const ParameterValues& values, BodyProperties* body,
+                   BodyPropertyJacobian* J) const {
+  assert(values.size() == num_values());
+  if (J != nullptr) J->setZero(kNumBodyPropertyRows, num_values());
+  DoShape(values, body, J);
+}
+
+void Effect::DoAddWrench(const FlightState& /*state*/, const ParameterValues& /*values*/,
+                         Wrench* /*wrench*/, WrenchJacobians* /*J*/) const {}
+
+void Effect::DoShape(const ParameterValues& /*values*/, BodyProperties* /*body*/,
+                     BodyPropertyJacobian* /*J*/) const {}
+
+void EffectRegistry::Add(const std::string& name, Factory factory) {
+  if (Has(name)) throw std::invalid_argument("effect '" + name + "' is registered twice");
+  names_.push_back(name);
+  factories_.push_back(std::move(factory));
+}
+
+bool EffectRegistry::Has(const std::string& name) const {
+  return std::find(names_.begin(), names_.end(), name) != names_.end();
+}
+
+std::unique_ptr<Effect> EffectRegistry::Make(const std::string& name,
+                                             const Vehicle& vehicle) const {
+  const auto it = std::find(names_.begin(), names_.end(), name);
+  if (it == names_.end()) {
+    std::string known;
+    for (const std::string& n : names_) known += (known.empty() ? "" : ", ") + n;
+    throw std::invalid_argument("unknown effect '" + name + "'; known are: " + known);
+  }
+  return factories_[it - names_.begin()](vehicle);
+}
+
+const EffectRegistry& EffectRegistry::Default() {
+  static const EffectRegistry registry = [] {
+    EffectRegistry r;
+    RegisterAllEffects(&r);
+    return r;
+  }();
+  return registry;
+}
+
+}  // namespace odmc
