@@ -12,10 +12,13 @@ enum class PoseSource {
   kMocap,  ///< NAME_mocap.csv beside it: pose only
 };
 
-/// Reads a flight in the CSV form of the data README: columns by header name in any order. A sibling
-/// NAME_rotor.csv replaces the rotor columns; NAME_mocap.csv replaces pose and velocity with
-/// PoseSource::kMocap (body rates stay). Columns it does not know are named once in the log's
-/// warnings and ignored. Rows that are not finite or step back in time are dropped and counted.
+/// Reads a flight in the CSV form of the data README: columns by header name in any order. A
+/// sibling NAME_rotor.csv replaces the rotor columns; NAME_mocap.csv replaces pose and velocity
+/// with PoseSource::kMocap (body rates stay, on their own stamps: they become the IMU's gyro unless
+/// the file has one). Columns it does not know are named once in the log's warnings and ignored.
+/// Rows without a finite t, p, q, short rows and rows that step back in time are dropped and
+/// counted; an empty or nan cell elsewhere drops just that stream's sample. No stream is
+/// interpolated: each keeps its own stamps.
 ///
 /// `w` columns are body rates of the odometry; `a` columns are an accelerometer at Bo along B; `g`
 /// columns are a raw gyro, and then `a` is raw too, both in the IMU frame of the vehicle file.
@@ -25,5 +28,18 @@ enum class PoseSource {
 /// @throws std::invalid_argument naming file, line and column: missing columns, nothing usable,
 ///   numbers that cannot be read, quaternions that are not unit.
 FlightLog ReadFlightCsv(const std::string& file, int num_rotors, PoseSource pose);
+
+/// Writes a flight in the CSV form of the data README, one row per odometry stamp, numbers with all
+/// their digits. Columns: t, p, q and, where the flight has them, v, w, a, g, rotorN (or
+/// rotor_rms), vbat. Streams with the odometry's stamps are written as they are and read back
+/// bit-equal. Rotor speeds with other stamps go to the sibling NAME_rotor.csv as they are (else an
+/// old sibling is removed, since readers would prefer it). The form has no place for an IMU or
+/// battery with other stamps: these are interpolated linearly to the odometry's, and cells outside
+/// stay empty; a bag keeps them exactly.
+/// @throws std::runtime_error if a file cannot be written, std::invalid_argument without odometry.
+void WriteFlightCsv(const FlightLog& log, const std::string& file);
+
+/// "path/NAME.csv" -> "path/NAME" + suffix, as in "path/NAME_rotor.csv".
+std::string SiblingFile(const std::string& file, const std::string& suffix);
 
 }  // namespace odmc

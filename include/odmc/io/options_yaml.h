@@ -6,8 +6,8 @@
 namespace odmc {
 
 /// Reads keys into an options struct through its Visit(); refuses keys nobody asked for. Works for
-/// every struct with `template <class V> void Visit(V* v)` that calls `v->Field("key", &member)` for
-/// double, int, bool, std::string and Eigen::Vector3d members.
+/// every struct with `template <class V> void Visit(V* v)` that calls `v->Field("key", &member)`
+/// for double, int, bool, std::string and Eigen::Vector3d members.
 /// @throws std::invalid_argument with a sentence that names file and key.
 template <typename Options>
 void LoadOptions(const std::string& file, Options* options);

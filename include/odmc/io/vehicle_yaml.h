@@ -7,7 +7,8 @@
 namespace odmc {
 
 /// Reads a vehicle file (schema in the README).
-/// @throws std::invalid_argument with a sentence that names file and key: unknown keys, wrong types,
+/// @throws std::invalid_argument with a sentence that names file and key: unknown keys, wrong
+/// types,
 ///   missing keys, non-positive masses, NaN, duplicate rotors, unknown effects or parameters.
 Vehicle LoadVehicle(const std::string& file);
 

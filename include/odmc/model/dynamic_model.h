@@ -28,7 +28,8 @@ struct EffectWrench {
 constexpr int kMaxModelParameters = 96;
 
 /// All parameters of a model, physical values in SI, in the order of DynamicModel::parameters().
-using ModelValues = Eigen::VectorXd;
+/// Never allocates.
+using ModelValues = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxModelParameters, 1>;
 
 /// Derivative of a wrench about Bcm: rows f_B, tau_Bcm_B (6).
 struct ModelWrenchJacobians {

@@ -8,8 +8,10 @@
 
 namespace odmc {
 
-/// Topics of a bag, by role: odometry, pose, imu, rotor_speeds, joint_states, battery_state. Where a
-/// role has no entry, the one topic of a fitting type whose name ends in the role's is taken.
+/// Topics of a bag, by role: odometry, pose, imu, rotor_speeds, joint_states, battery_state. Where
+/// a role has no entry, the one topic of a fitting type whose name ends in the role's is taken,
+/// else the one topic of that type; several are an error that names them and the flag `--topic
+/// ROLE:=/name`.
 using TopicMap = std::map<std::string, std::string>;
 
 /// How the messages of a bag are to be read; the node's parameters of the same names.
@@ -20,16 +22,28 @@ struct BagOptions {
   int pole_pairs = 7;                      ///< for erpm
 };
 
-/// Reads a flight from a rosbag; needs no master. Stamps are header stamps.
+/// Reads a flight from a rosbag; needs no master. Stamps are header stamps. `pose` serves where
+/// there is no odometry or only `pose` is mapped; `joint_states` where there is no rotor_speeds or
+/// only joint_states is mapped. Twist covariance[0] = -1 marks an odometry without velocity, [21] =
+/// -1 one without body rates, Imu covariances as in REP-145. The frame of the velocity is found as
+/// twist_frame.h says.
 /// @throws std::invalid_argument naming file and topic: not a bag, truncated, no odometry, no rotor
 ///   speeds, twist that fits neither frame.
 FlightLog ReadFlightBag(const std::string& file, int num_rotors, const BagOptions& options);
 
-/// Reads .bag or .csv by its ending.
+/// Reads .bag or .csv by its ending. PoseSource::kMocap takes a bag's `pose` topic.
 FlightLog ReadFlight(const std::string& file, int num_rotors, PoseSource pose,
                      const BagOptions& options);
 
-/// Writes a flight as a bag with the topics odometry, imu, rotor_speeds, battery_state.
+/// Writes a flight as a bag with the topics /odometry, /imu, /rotor_speeds, /battery_state.
+///
+/// ReadFlightBag() gives the same flight back: stamps and doubles to the last bit, voltages to the
+/// seven digits of the message's single precision. Two choices serve this. ROS stamps can't be 0 or
+/// negative, so a flight that starts before 1 s is moved by whole seconds, and the shift is kept in
+/// the topic /stamp_shift (std_msgs/Int64, nanoseconds), which only the reader uses: players and
+/// nodes see a flight with the same spacing. Velocity is written in the world frame, declared by
+/// child_frame_id = frame_id, since turning it would round it.
+/// @throws std::runtime_error if the file cannot be written
 void WriteFlightBag(const FlightLog& log, const std::string& file);
 
 }  // namespace odmc

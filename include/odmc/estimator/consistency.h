@@ -1,0 +1,46 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+namespace odmc {
+
+/// How much larger the parameters' errors are than white noise would make them. Residuals of a model
+/// that lacks something are serially correlated, and an inverse information that ignores this is too
+/// small by a factor of 3 to 10 (model.md section 5). Here the scores Jᵀr of the factors that left the
+/// window are summed over blocks of time; the spread of the block sums, mapped through the information,
+/// is the variance the estimate really has (a sandwich estimate with batch means). Holds for any cause:
+/// correlation, wrong noise sizes, robust losses. Memory is bounded: blocks merge as the flight grows.
+class Consistency {
+ public:
+  explicit Consistency(int num_parameters) : n_(num_parameters) {}
+
+  /// One interval's score at the estimate `eta`.
+  void Add(double dt, const Eigen::VectorXd& score, const Eigen::VectorXd& eta);
+
+  /// True when a block is full: CloseBlock() is then due.
+  bool BlockIsFull() const { return block_s_ >= block_length_s_; }
+
+  /// Ends the block; `left` is the information of everything that has left the window so far (n×n).
+  void CloseBlock(const Eigen::MatrixXd& left);
+
+  /// Factor on each parameter's standard deviation (n), >= 1.
+  /// @param eta present estimate; @param covariance inverse of its information (n×n)
+  Eigen::VectorXd Inflation(const Eigen::VectorXd& eta, const Eigen::MatrixXd& covariance) const;
+
+ private:
+  struct Block {
+    Eigen::VectorXd score, eta;
+    Eigen::MatrixXd information;
+    double length_s;
+  };
+
+  int n_;
+  double block_length_s_ = 0.25;
+  double block_s_ = 0.0;
+  Eigen::VectorXd score_, eta_sum_;
+  Eigen::MatrixXd left_;
+  std::vector<Block> blocks_;
+};
+
+}  // namespace odmc

@@ -1,0 +1,144 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "odmc/estimator/consistency.h"
+#include "odmc/estimator/noise_estimation.h"
+#include "odmc/estimator/options.h"
+#include "odmc/model/parameter_set.h"
+#include "odmc/preintegration/imu_interval.h"
+#include "odmc/preintegration/rotor_interval.h"
+#include "odmc/sensing/synchroniser.h"
+#include "odmc/window/parameter_information.h"
+#include "odmc/window/window.h"
+
+namespace odmc {
+
+/// Wall and CPU time of one update [ms].
+struct UpdateTiming {
+  double wall_ms = 0.0;
+  double cpu_ms = 0.0;
+  int states = 0;            ///< in the window
+  bool window_full = false;  ///< the window had reached its length
+};
+
+/// Where the estimate stands after one update. Immutable; safe to hand to another thread.
+struct Snapshot {
+  Stamp stamp = 0;          ///< of the newest keyframe
+  double time_s = 0.0;      ///< since the first keyframe
+  bool airborne = false;
+  State state;              ///< newest keyframe, sensor frame S
+  BodyProperties body;      ///< at the estimate: mounts, centre of mass, gravity
+  ModelValues values;       ///< of the model's parameters
+  Eigen::VectorXd sigma;    ///< of each, 0 where frozen; inflated for serial correlation
+  std::vector<bool> observable;
+  std::vector<std::string> unobservable;  ///< directions nobody measured, in words
+  Eigen::MatrixXd covariance;             ///< of all parameters, 0 where frozen
+  SolveReport solve;
+  UpdateTiming timing;
+  Eigen::Vector3d residual_force_B = Eigen::Vector3d::Zero();    ///< newest interval [N]
+  Eigen::Vector3d residual_torque_B = Eigen::Vector3d::Zero();   ///< newest interval [N m]
+  double residual_force_rms_N = 0.0;      ///< over the window, all axes
+  double residual_torque_rms_Nm = 0.0;    ///< over the window, all axes
+  double battery_voltage_V = 0.0;
+};
+
+/// What happened so far, in numbers.
+struct EstimatorCounters {
+  long keyframes = 0;          ///< that entered the window
+  long ground_keyframes = 0;   ///< left out because the vehicle stood on the ground
+  long chains = 0;             ///< chains of states: 1 plus the gaps
+  long gaps = 0;               ///< holes in a stream, missing rotor speeds
+  long jumps = 0;              ///< odometry that moved without velocity
+  long refused_updates = 0;    ///< solves that were not usable
+  double on_ground_s = 0.0;
+  double airborne_s = 0.0;
+};
+
+/// The pipeline in one object: samples go in, snapshots come out. Runs the same offline and live.
+/// Thread-compatible: one thread owns it.
+class Estimator {
+ public:
+  /// @param model must outlive the estimator
+  /// @throws std::invalid_argument if the options are not valid
+  Estimator(const DynamicModel* model, const EstimatorOptions& options, bool with_torque);
+  ~Estimator();
+
+  void Add(const OdometrySample& sample);
+  void Add(const ImuSample& sample);
+  void Add(const RotorSample& sample);
+  void Add(const BatterySample& sample);
+  void Finish();
+
+  /// Processes at most one keyframe. @returns a snapshot if one was processed while airborne
+  std::optional<Snapshot> Step();
+
+  /// True if the last Step() consumed a keyframe, airborne or not: there may be more.
+  bool made_progress() const { return made_progress_; }
+
+  /// Forgets samples and states, keeps what was learned about the parameters (a new flight or a clock
+  /// that stepped back).
+  void RestartChain();
+
+  const EstimatorCounters& counters() const { return counters_; }
+  const SynchroniserCounters& stream_counters() const { return synchroniser_.counters(); }
+  const std::string& waiting_for() const { return synchroniser_.waiting_for(); }
+  bool airborne() const { return ground_.airborne(); }
+  const DynamicModel& model() const { return *model_; }
+  const EstimatorOptions& options() const { return options_; }
+  const InertiaGate& inertia_gate() const { return inertia_gate_; }
+  OdometryNoise odometry_noise() const { return odometry_noise_.Noise(); }
+
+  /// The estimate as a parameter set, for files and messages.
+  static ParameterSet ToParameterSet(const DynamicModel& model, const Snapshot& snapshot);
+
+ private:
+  struct Interval;  // what lies between two keyframes
+
+  bool CheckGround(const OdometrySample& sample);
+  std::optional<Interval> ReadInterval(const OdometrySample& sample);
+  State InitialState(const OdometrySample& sample, const Interval* interval) const;
+  std::int64_t CurrentBias(Stamp stamp, bool has_imu);
+  void AddKeyframe(const OdometrySample& sample, const std::optional<Interval>& interval);
+  void AddIntervalFactors(const Interval& interval, std::int64_t id);
+  DynamicsNoise NoiseOf(const Interval& interval) const;
+  Snapshot TakeSnapshot(const OdometrySample& sample, const SolveReport& report);
+  void FillResiduals(Snapshot* snapshot) const;
+  void MarginalizeOld();
+  void RefreshConsistency(const Eigen::MatrixXd& covariance);
+
+  const DynamicModel* model_;
+  EstimatorOptions options_;
+  bool with_torque_;
+  DynamicsForm form_;
+  ParameterLayout layout_;
+  Synchroniser synchroniser_;
+  GroundGate ground_;
+  InertiaGate inertia_gate_;
+  OdometryNoiseEstimator odometry_noise_;
+  DifferenceNoise rotor_noise_;
+  ProcessNoiseEstimator process_noise_;
+  Window window_;
+  std::unique_ptr<WindowSolver> solver_;
+  std::unique_ptr<ceres::LossFunction> loss_;
+  ParameterInformation information_;
+  Consistency consistency_;
+  Eigen::VectorXd inflation_;
+  Eigen::VectorXd sigma_eta_;              // of the last update, not inflated
+  std::vector<std::string> unobservable_;
+  EstimatorCounters counters_;
+  std::optional<OdometrySample> last_;     // newest keyframe's odometry
+  std::optional<OdometrySample> before_last_;
+  bool last_in_window_ = false;
+  std::optional<Stamp> first_stamp_;
+  std::optional<Stamp> bias_since_;
+  std::vector<Factor> pending_;            // of a bias whose first keyframe is about to come
+  Stamp noise_ready_ = 0;
+  bool made_progress_ = false;
+};
+
+}  // namespace odmc

@@ -1,0 +1,70 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <deque>
+#include <vector>
+
+#include "odmc/factors/dynamics_factor.h"
+#include "odmc/factors/state_factors.h"
+#include "odmc/sensing/samples.h"
+
+namespace odmc {
+
+/// White noise of a sampled signal from its third differences, which motion hardly enters: robust
+/// median over the newest samples. Smoothed sources come out small; callers set a floor.
+class DifferenceNoise {
+ public:
+  explicit DifferenceNoise(int capacity = 200) : capacity_(capacity) {}
+
+  /// Adds one sample (channels×1); a spacing far from the last one starts a new run of four.
+  void Add(double time_s, const Eigen::VectorXd& sample);
+
+  /// Standard deviation of one sample, all channels together; 0 before 20 differences are there.
+  double Sigma() const;
+
+ private:
+  int capacity_;
+  std::deque<double> times_;
+  std::deque<Eigen::VectorXd> run_;         // the newest four samples
+  std::deque<Eigen::VectorXd> differences_;
+};
+
+/// Noise of the odometry, channel by channel, measured on the stream itself unless configured.
+class OdometryNoiseEstimator {
+ public:
+  /// @param configured values > 0 are taken as they are, 0 means "measure it"
+  explicit OdometryNoiseEstimator(const OdometryNoise& configured);
+  void Add(const OdometrySample& sample);
+  OdometryNoise Noise() const;
+
+ private:
+  OdometryNoise configured_;
+  DifferenceNoise position_, attitude_, velocity_, rate_;
+  Eigen::Quaterniond reference_;
+  bool has_reference_ = false;
+};
+
+/// Size of what the model does not explain, as a density: the RMS over blocks of 0.1 s of the force and
+/// torque residual, times the root of the block length. Follows the flight over a few seconds; never
+/// below the floor of sensor-grade turbulence (model.md section 9's simulated values).
+class ProcessNoiseEstimator {
+ public:
+  /// @param weight_N, arm_m, scale the floor and the start value to the vehicle
+  ProcessNoiseEstimator(double weight_N, double arm_m, double floor_scale);
+
+  /// Post-fit residual of one interval: mean force and torque over it.
+  void Add(double dt, const Eigen::Vector3d& force_N, const Eigen::Vector3d& torque_Nm);
+
+  /// Standard deviation of the mean force over `dt` per axis [N], and of the torque [N m].
+  Eigen::Vector3d ForceSigma(double dt) const;
+  Eigen::Vector3d TorqueSigma(double dt) const;
+
+ private:
+  using Vector6d = Eigen::Matrix<double, 6, 1>;
+  Vector6d floor_, variance_;  // densities squared
+  Vector6d sum_ = Vector6d::Zero();
+  double block_s_ = 0.0;
+};
+
+}  // namespace odmc

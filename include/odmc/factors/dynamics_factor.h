@@ -1,0 +1,94 @@
+#pragma once
+
+#include <ceres/cost_function.h>
+
+#include <Eigen/Core>
+
+#include "odmc/factors/interval_model.h"
+#include "odmc/factors/parameter_layout.h"
+
+namespace odmc {
+
+/// Rows of DynamicsResidual().
+enum DynamicsRow : int { kRowPosition = 0, kRowVelocity = 3, kRowAngular = 6, kNumDynamicsRows = 9 };
+
+/// Derivatives of DynamicsResidual().
+struct DynamicsJacobians {
+  Eigen::Matrix<double, kNumDynamicsRows, kStateTangentSize> d_state0, d_state1;
+  ValueJacobian<kNumDynamicsRows> d_values;  ///< with respect to physical values
+  ValueJacobian<3> d_inertia;                ///< of the inertia's diagonal, for the whitening
+};
+
+/// Residual of the equations of motion over one interval (9×1):
+///
+///   e_p      position, Form E only (zero for Form M, where KinematicFactor has it)     [N s²]
+///   e_v      m B_mᵀ (V_1 - V_0 - Δt g) - Δt F                                          [N s]
+///   e_alpha  I⁻¹ (I (w_1 - w_0) + Δt w_m × I w_m - Δt τ), normalised                   [rad/s]
+///
+/// in B at the evaluation point. V is the velocity of the centre of mass, F and τ the model's force
+/// and torque about it.                   model.md 4.1, 4.2, 4.4 and 6; paper Eq. (19), corrected
+/// @param inertia if given, the diagonal of the inertia used [kg m²]
+Eigen::Matrix<double, kNumDynamicsRows, 1> DynamicsResidual(
+    const DynamicsMeasurement& measurement, const State& state0, const State& state1,
+    const DynamicModel& model, const ModelValues& values, Eigen::Vector3d* inertia = nullptr,
+    DynamicsJacobians* J = nullptr);
+
+/// Covariance of (e_p, e_v) of Form E per axis and unit force variance (2×2): white force noise
+/// integrated over the interval.       model.md section 5 (the paper's 1/4 for 1/3 is singular)
+Eigen::Matrix2d EulerTranslationCovariance(double dt);
+
+/// Errors of one interval, as means over it (one standard deviation).               model.md section 5
+struct DynamicsNoise {
+  Eigen::Vector3d force_N = Eigen::Vector3d::Constant(0.1);         ///< not in the model, body axes
+  Eigen::Vector3d torque_Nm = Eigen::Vector3d::Constant(0.002);     ///< not in the model, body axes
+  double rotor_force_N = 0.0;                                       ///< from rotor-speed noise
+  Eigen::Vector3d rotor_torque_Nm = Eigen::Vector3d::Zero();        ///< from rotor-speed noise
+  Eigen::Vector3d nominal_inertia = Eigen::Vector3d::Constant(0.01);  ///< turns torque_Nm to rad/s²
+};
+
+/// Ceres view of DynamicsResidual().
+///
+///   block    size  meaning
+///   0, 1     13    states at the ends, on StateManifold
+///   2, ...   n     the layout's blocks, one per effect with estimated parameters
+///
+/// Residual: e_v, e_alpha (6), or e_v alone (3) without single rotor speeds; Form E has e_p before
+/// them. Whitened: e_v by the force errors; e_alpha by a standard deviation that is fixed in rad/s
+/// for the unmodelled torque (model.md section 9), and that takes the rotor-speed noise through the
+/// live inertia,  σ_α² = Δt² (σ_τ²/I_0² + σ_rotor²/I²). The second part makes the fit that of a line
+/// with errors in both coordinates (Deming): without it noise in the torque regressor pulls the
+/// inertia up.
+class DynamicsFactor final : public ceres::CostFunction {
+ public:
+  /// `model` and `layout` must outlive the factor. @throws std::invalid_argument if dt <= 0.
+  DynamicsFactor(const DynamicsMeasurement& measurement, const DynamicsNoise& noise,
+                 bool with_torque, const DynamicModel* model, const ParameterLayout* layout);
+
+  bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override;
+
+  /// DynamicsResidual() at the blocks, in its own units. @returns false if it is not finite
+  bool UnwhitenedResidual(double const* const* blocks,
+                          Eigen::Matrix<double, kNumDynamicsRows, 1>* e) const;
+
+  const DynamicsMeasurement& measurement() const { return measurement_; }
+  const DynamicsNoise& noise() const { return noise_; }
+  bool with_torque() const { return with_torque_; }
+
+  /// First row of e_v in the residual.
+  int velocity_row() const { return measurement_.form == DynamicsForm::kEuler ? 3 : 0; }
+
+ private:
+  DynamicsMeasurement measurement_;
+  DynamicsNoise noise_;
+  bool with_torque_;
+  const DynamicModel* model_;
+  const ParameterLayout* layout_;
+};
+
+/// Scales physical derivatives by the layout's chain factors and writes them block by block to Ceres'
+/// arrays, from `jacobians[0]` on.
+void WriteParameterJacobians(const ParameterLayout& layout, const ModelValues& values,
+                             const Eigen::Ref<const Eigen::MatrixXd>& d_values,
+                             double** jacobians);
+
+}  // namespace odmc

@@ -1,0 +1,70 @@
+#pragma once
+
+#include <deque>
+#include <optional>
+#include <string>
+
+#include "odmc/sensing/samples.h"
+
+namespace odmc {
+
+/// What the synchroniser refused or lost.
+struct SynchroniserCounters {
+  long not_finite = 0;     ///< samples with NaN or infinity, or a quaternion far from unit
+  long out_of_order = 0;   ///< stamps that step back or repeat
+  long repeated_pose = 0;  ///< poses identical to the one before (a stalled source)
+  long uncovered = 0;      ///< keyframes let go without rotor speeds or IMU because those stayed away
+};
+
+/// Merges the streams by stamp and picks keyframes from the odometry. Knows which stream it waits for.
+/// Thread-compatible: its owner guards it.
+class Synchroniser {
+ public:
+  /// @param keyframe_rate_hz at most this many keyframes a second
+  /// @param patience_s how far odometry may run ahead of a silent stream before going on without it
+  Synchroniser(double keyframe_rate_hz, double patience_s);
+
+  void Add(const OdometrySample& sample);
+  void Add(const ImuSample& sample);
+  void Add(const RotorSample& sample);
+  void Add(const BatterySample& sample);
+
+  /// Says that no more samples will come: what is left is handed out without waiting.
+  void Finish() { finished_ = true; }
+
+  /// The next keyframe's odometry, once every stream has reached it; empty while waiting.
+  std::optional<OdometrySample> NextKeyframe();
+
+  /// Name of the stream the next keyframe waits for; empty if none.
+  const std::string& waiting_for() const { return waiting_for_; }
+
+  const std::deque<RotorSample>& rotors() const { return rotors_; }
+  const std::deque<ImuSample>& imu() const { return imu_; }
+  double battery_voltage_V() const { return battery_voltage_V_; }
+  const SynchroniserCounters& counters() const { return counters_; }
+  Stamp newest_odometry() const { return last_odometry_ ? last_odometry_->stamp : 0; }
+
+  /// Forgets samples older than needed after keyframe `stamp`.
+  void Trim(Stamp stamp);
+
+  /// Forgets everything; the next samples may start at any stamp.
+  void Clear();
+
+ private:
+  bool Covered(Stamp stamp);
+  bool IsDue(const OdometrySample& sample) const;
+
+  double period_s_, patience_s_;
+  std::deque<OdometrySample> odometry_;
+  std::deque<RotorSample> rotors_;
+  std::deque<ImuSample> imu_;
+  double battery_voltage_V_ = 0.0;
+  std::optional<OdometrySample> last_odometry_;
+  std::optional<Stamp> last_keyframe_;
+  double spacing_s_ = 0.0;  // running odometry period
+  bool finished_ = false;
+  std::string waiting_for_;
+  SynchroniserCounters counters_;
+};
+
+}  // namespace odmc

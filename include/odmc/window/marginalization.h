@@ -1,0 +1,38 @@
+#pragma once
+
+#include <Eigen/Core>
+
+#include "odmc/window/window.h"
+
+namespace odmc {
+
+/// Linear least-squares system |b + [E R] x|² with the columns to eliminate first.
+struct LinearSystem {
+  Eigen::MatrixXd A;         ///< rows × (eliminated + remaining)
+  Eigen::VectorXd b;
+  int num_eliminated = 0;
+};
+
+/// Square-root elimination: what the system says about the remaining columns. Rank-revealing twice:
+/// eliminated directions nobody measured take no rows with them, and the result has as many rows as
+/// it has information (rank), at most the number of remaining columns. Squares no condition number.
+/// @param tolerance relative size below which a diagonal of R counts as zero
+LinearSystem Eliminate(const LinearSystem& system, double tolerance = 1e-10);
+
+/// What left the window with one keyframe, for statistics.
+struct LeavingFactors {
+  /// Sum of Jᵀ r over the leaving factors that touch parameters, with respect to eta (n).
+  Eigen::VectorXd score;
+  /// Whitened residual of the leaving dynamics factor, before the loss (3, 6 or 9); empty without one.
+  Eigen::VectorXd dynamics_residual;
+};
+
+/// Takes the oldest keyframe (and its bias, if no other keyframe has it) out of the window and puts
+/// what it said into the prior: linearize → eliminate → make prior. Jacobians are taken at the points
+/// the prior already has; parameters the prior touches keep their point until they have moved by more
+/// than `relinearize` (per entry of eta), when the prior is moved as a whole.
+/// @returns false if a factor could not be evaluated: the keyframe then leaves without a trace
+bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
+                       LeavingFactors* leaving = nullptr);
+
+}  // namespace odmc

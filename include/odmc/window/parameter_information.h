@@ -1,0 +1,40 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "odmc/window/window.h"
+
+namespace odmc {
+
+/// Information (inverse covariance) of the parameters alone, all states of the window and the prior
+/// taken into account: the chain of states is eliminated oldest first, and what an elimination hands to
+/// the next keyframe is kept. An update redoes only the newest `fresh` keyframes and those the kept
+/// part no longer fits; the whole chain when parameters moved by more than `relinearize`.
+class ParameterInformation {
+ public:
+  /// @param fresh number of newest keyframes that are redone at every call
+  explicit ParameterInformation(int fresh = 20) : fresh_(fresh) {}
+
+  /// @returns the n×n information with respect to eta at the window's present estimate
+  const Eigen::MatrixXd& Update(const Window& window, const Eigen::VectorXd& relinearize);
+
+ private:
+  /// What all keyframes before one say about it and the border (its bias window, parameters).
+  struct Message {
+    std::int64_t id = -1;
+    Eigen::MatrixXd H;  // [state (12), border]
+  };
+
+  bool Reusable(const Window& window, const Eigen::VectorXd& relinearize) const;
+  int BorderColumn(std::int64_t bias) const;
+
+  int fresh_;
+  std::vector<Message> messages_;
+  std::int64_t first_bias_ = -1;
+  int num_biases_ = -1;
+  Eigen::VectorXd eta_;
+  Eigen::MatrixXd information_;
+};
+
+}  // namespace odmc

@@ -1,0 +1,156 @@
+#pragma once
+
+#include <ceres/cost_function.h>
+#include <ceres/loss_function.h>
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "odmc/factors/manifolds.h"
+#include "odmc/factors/parameter_layout.h"
+#include "odmc/factors/state.h"
+
+namespace odmc {
+
+/// What a factor says, so that others can find the ones they need.
+enum class FactorKind {
+  kOdometry,
+  kKinematic,
+  kDynamics,
+  kAccelerometer,
+  kGyro,
+  kGyroPreintegration,
+  kBiasPrior,
+  kBiasWalk
+};
+
+/// A cost function and the variables it touches. Its blocks are, in order: state0, state1, bias0,
+/// bias1 (those that are set), then every parameter block if `parameters`.
+struct Factor {
+  FactorKind kind;
+  std::unique_ptr<ceres::CostFunction> cost;
+  const ceres::LossFunction* loss = nullptr;  ///< not owned; null: none
+  std::int64_t state0 = -1, state1 = -1;      ///< keyframe ids
+  std::int64_t bias0 = -1, bias1 = -1;        ///< bias ids
+  bool parameters = false;
+};
+
+/// One state in the window. Owns the factors whose oldest state it is.
+struct Keyframe {
+  std::int64_t id = 0;
+  Stamp stamp = 0;
+  std::array<double, kStateSize> x;
+  std::int64_t bias = -1;  ///< bias in force at this keyframe, -1 without IMU
+  bool linked = false;     ///< false: starts a chain (nothing ties it to the keyframe before)
+  bool in_prior = false;   ///< the prior touches it; `x_lin` is then its linearization point
+  std::array<double, kStateSize> x_lin;
+  std::vector<Factor> factors;
+};
+
+/// One IMU bias (gyro, accelerometer) in force over a few keyframes.
+struct Bias {
+  std::int64_t id = 0;
+  std::array<double, 6> x;
+  bool in_prior = false;
+  std::array<double, 6> x_lin;
+};
+
+/// What the states that left, and the priors of the parameters, say about what remains, in square-root
+/// form: residual = b + A d, with d the stacked differences to the linearization points of
+/// [oldest keyframe (12), its bias (6), parameters (n)], those that are set.
+struct Prior {
+  bool has_state = false;
+  bool has_bias = false;
+  Eigen::MatrixXd A;
+  Eigen::VectorXd b;
+  ParameterVector eta_lin;  ///< linearization point of the parameters
+
+  int state_columns() const { return has_state ? kStateTangentSize : 0; }
+  int bias_columns() const { return has_bias ? 6 : 0; }
+};
+
+/// States, factors and prior of the sliding window: what it holds, not how it is solved.
+/// Thread-compatible.
+class Window {
+ public:
+  /// @param layout must outlive the window
+  explicit Window(const ParameterLayout* layout);
+
+  /// Appends a keyframe. @returns its id
+  std::int64_t AddKeyframe(Stamp stamp, const State& initial, bool linked, std::int64_t bias);
+
+  /// Appends a bias. @returns its id
+  std::int64_t AddBias(const Eigen::Matrix<double, 6, 1>& initial);
+
+  /// Adds a factor; it belongs to its oldest keyframe, a factor of biases only to the newest one.
+  /// @pre its variables are in the window
+  void AddFactor(Factor factor);
+
+  const ParameterLayout& layout() const { return *layout_; }
+  std::deque<Keyframe>& keyframes() { return keyframes_; }
+  const std::deque<Keyframe>& keyframes() const { return keyframes_; }
+  std::deque<Bias>& biases() { return biases_; }
+  const std::deque<Bias>& biases() const { return biases_; }
+  Keyframe& keyframe(std::int64_t id) { return keyframes_[id - keyframes_.front().id]; }
+  Bias& bias(std::int64_t id) { return biases_[id - biases_.front().id]; }
+  const Keyframe& keyframe(std::int64_t id) const { return keyframes_[id - keyframes_.front().id]; }
+  const Bias& bias(std::int64_t id) const { return biases_[id - biases_.front().id]; }
+
+  /// The estimated parameters, optimiser's units; one block per effect lies contiguously.
+  ParameterVector& eta() { return eta_; }
+  const ParameterVector& eta() const { return eta_; }
+  ModelValues values() const { return layout_->DecodeFlat(eta_.data()); }
+
+  Prior& prior() { return prior_; }
+  const Prior& prior() const { return prior_; }
+
+  /// Pointers to a factor's blocks at the current estimate, or at the linearization points of what the
+  /// prior touches.
+  std::vector<const double*> Blocks(const Factor& factor, bool at_linearization) const;
+  /// Pointers to change them.
+  std::vector<double*> MutableBlocks(const Factor& factor);
+  std::vector<double*> PriorBlocks();
+
+ private:
+  const ParameterLayout* layout_;
+  std::deque<Keyframe> keyframes_;
+  std::deque<Bias> biases_;
+  ParameterVector eta_;
+  Prior prior_;
+  std::int64_t next_keyframe_ = 0, next_bias_ = 0;
+};
+
+/// A factor's residual and minimal Jacobian at one point, whitened and with the robust loss applied
+/// (as Ceres does, first order). Columns: state0, state1 (12 each), bias0, bias1 (6), parameters (n).
+struct LinearFactor {
+  Eigen::VectorXd r;
+  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic> J;
+  int state0 = -1, state1 = -1, bias0 = -1, bias1 = -1, parameters = -1;  ///< first columns, or -1
+};
+
+/// Linearizes `factor`. With `first_estimates`, Jacobians are taken at the linearization points of
+/// what the prior touches and the residual at the current estimate.
+/// @returns false if it cannot be evaluated
+bool Linearize(const Window& window, const Factor& factor, bool first_estimates,
+               LinearFactor* linear);
+
+/// Ceres view of a Prior, with blocks state (13), bias (6), parameter blocks, those that are set.
+class MarginalizationFactor final : public ceres::CostFunction {
+ public:
+  /// `window` must outlive the factor and keep its prior meanwhile.
+  explicit MarginalizationFactor(const Window* window);
+  bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override;
+
+ private:
+  const Window* window_;
+};
+
+/// Residual of the window's prior at its current estimate, and its Jacobian is prior().A.
+Eigen::VectorXd PriorResidual(const Window& window);
+
+}  // namespace odmc

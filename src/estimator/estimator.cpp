@@ -1,0 +1,602 @@
+#include "odmc/estimator/estimator.h"
+
+#include <ctime>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <stdexcept>
+
+#include "odmc/factors/imu_factors.h"
+#include "odmc/math/so3.h"
+#include "odmc/window/marginalization.h"
+
+namespace odmc {
+
+using Eigen::Vector3d;
+
+namespace {
+
+constexpr double kObservableShare = 0.5;  // of the prior's sigma
+constexpr double kNoiseWarmUp_s = 0.3;    // of odometry before the first keyframe
+
+double ThreadCpuSeconds() {
+  timespec now;
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+}
+
+/// Times one update on both clocks.
+class UpdateTimer {
+ public:
+  UpdateTimer() : wall_(std::chrono::steady_clock::now()), cpu_(ThreadCpuSeconds()) {}
+  double WallMs() const {
+    return 1e3 *
+           std::chrono::duration<double>(std::chrono::steady_clock::now() - wall_).count();
+  }
+  double CpuMs() const { return 1e3 * (ThreadCpuSeconds() - cpu_); }
+
+ private:
+  std::chrono::steady_clock::time_point wall_;
+  double cpu_;
+};
+
+OdometryNoise Configured(const EstimatorOptions& options) {
+  return {options.position_noise_m, options.attitude_noise_rad, options.velocity_noise_m_s,
+          options.rate_noise_rad_s};
+}
+
+Vector3d PriorInertia(const DynamicModel& model) {
+  Vector3d inertia = model.vehicle().inertia_kg_m2;
+  for (int i = 0; i < 3; ++i) {
+    const int k = model.IndexOf(std::string("inertia.") + "xyz"[i]);
+    if (k >= 0) inertia[i] = model.parameters()[k].spec.prior_value;
+  }
+  return inertia;
+}
+
+/// "0.8 imu.pz - 0.6 centre_of_gravity.z": the entries that make up most of a direction.
+std::string Words(const DynamicModel& model, const ParameterLayout& layout,
+                  const Eigen::VectorXd& direction) {
+  std::string text;
+  for (int i = 0; i < direction.size(); ++i) {
+    if (std::abs(direction[i]) < 0.3) continue;
+    const bool minus = direction[i] < 0.0;
+    text += text.empty() ? (minus ? "-" : "") : (minus ? " - " : " + ");
+    text += model.parameters()[layout.model_index(i)].full_name;
+  }
+  return text;
+}
+
+}  // namespace
+
+/// Everything measured between the last keyframe and a new one.
+struct Estimator::Interval {
+  double dt = 0.0;
+  RotorInterval rotors;
+  std::optional<ImuInterval> imu;
+};
+
+bool EstimatorOptions::IsValid(std::string* error) const {
+  const auto fail = [error](const char* what) {
+    if (error != nullptr) *error = what;
+    return false;
+  };
+  if (!(window_s > 0.0 && window_s <= 60.0)) return fail("window_s must be in (0, 60]");
+  if (!(keyframe_rate_hz >= 5.0 && keyframe_rate_hz <= 1000.0)) {
+    return fail("keyframe_rate_hz must be in [5, 1000]");
+  }
+  if (window_s * keyframe_rate_hz < 3.0) return fail("window_s must hold at least 3 keyframes");
+  if (dynamics_form != "midpoint" && dynamics_form != "euler") {
+    return fail("dynamics_form must be midpoint or euler");
+  }
+  if (!(huber_width >= 0.0)) return fail("huber_width must not be negative");
+  if (!(max_gap_s > 0.0)) return fail("max_gap_s must be positive");
+  if (!(patience_s > 0.0)) return fail("patience_s must be positive");
+  if (max_iterations < 1) return fail("max_iterations must be at least 1");
+  if (!(max_update_time_s > 0.0)) return fail("max_update_time_s must be positive");
+  if (num_threads < 1) return fail("num_threads must be at least 1");
+  if (!(process_noise_floor > 0.0)) return fail("process_noise_floor must be positive");
+  if (!(kinematic_position_m > 0.0 && kinematic_rotation_rad > 0.0)) {
+    return fail("kinematic_position_m and kinematic_rotation_rad must be positive");
+  }
+  if (!(gyro_noise_rad_s > 0.0 && accelerometer_noise_m_s2 > 0.0 && bias_interval_s > 0.0 &&
+        gyro_bias_sigma_rad_s > 0.0 && accelerometer_bias_sigma_m_s2 > 0.0 &&
+        gyro_bias_walk > 0.0 && accelerometer_bias_walk > 0.0)) {
+    return fail("IMU noise, bias_interval_s, bias sigmas and walks must be positive");
+  }
+  return true;
+}
+
+Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options, bool with_torque)
+    : model_(model),
+      options_(options),
+      with_torque_(with_torque),
+      form_(options.dynamics_form == "euler" ? DynamicsForm::kEuler : DynamicsForm::kMidpoint),
+      layout_(*model, model->InitialValues()),
+      synchroniser_(options.keyframe_rate_hz, options.patience_s),
+      ground_(options.ground),
+      inertia_gate_(model->vehicle(), options.inertia_gate_r_squared),
+      odometry_noise_(Configured(options)),
+      process_noise_(model->vehicle().mass_kg * model->vehicle().gravity_m_s2,
+                     model->vehicle().ArmLength(), options.process_noise_floor),
+      window_(&layout_),
+      solver_(std::make_unique<CeresWindowSolver>()),
+      consistency_(layout_.num_estimated()),
+      inflation_(Eigen::VectorXd::Ones(layout_.num_estimated())),
+      sigma_eta_(layout_.num_estimated()) {
+  std::string error;
+  if (!options.IsValid(&error)) throw std::invalid_argument(error);
+  if (options.huber_width > 0.0) {
+    loss_ = std::make_unique<ceres::HuberLoss>(options.huber_width);
+  }
+  for (int i = 0; i < layout_.num_estimated(); ++i) sigma_eta_[i] = layout_.PriorSigma(i);
+}
+
+Estimator::~Estimator() = default;
+
+void Estimator::Add(const OdometrySample& sample) {
+  synchroniser_.Add(sample);
+  if (sample.p_WS.allFinite() && sample.q_WS.coeffs().allFinite()) odometry_noise_.Add(sample);
+  if (noise_ready_ == 0) noise_ready_ = sample.stamp + FromSeconds(kNoiseWarmUp_s);
+}
+
+void Estimator::Add(const ImuSample& sample) { synchroniser_.Add(sample); }
+
+void Estimator::Add(const RotorSample& sample) {
+  synchroniser_.Add(sample);
+  if (sample.speed.allFinite()) rotor_noise_.Add(ToSeconds(sample.stamp), sample.speed);
+}
+
+void Estimator::Add(const BatterySample& sample) { synchroniser_.Add(sample); }
+
+void Estimator::Finish() {
+  synchroniser_.Finish();
+  noise_ready_ = -1;
+}
+
+void Estimator::RestartChain() {
+  synchroniser_.Clear();
+  ground_.Reset();
+  inertia_gate_.Break();
+  last_.reset();
+  before_last_.reset();
+  last_in_window_ = false;
+  while (!window_.keyframes().empty()) {
+    MarginalizeOldest(&window_, sigma_eta_);
+  }
+  window_.biases().clear();
+  bias_since_.reset();
+  noise_ready_ = 0;
+}
+
+std::optional<Snapshot> Estimator::Step() {
+  made_progress_ = false;
+  // The first keyframe waits until the odometry's noise is known.
+  if (!last_ && noise_ready_ > 0 && synchroniser_.newest_odometry() < noise_ready_) {
+    return std::nullopt;
+  }
+  const std::optional<OdometrySample> sample = synchroniser_.NextKeyframe();
+  if (!sample) return std::nullopt;
+  made_progress_ = true;
+  if (!first_stamp_) first_stamp_ = sample->stamp;
+
+  const UpdateTimer timer;
+  const bool airborne = CheckGround(*sample);
+  std::optional<Snapshot> snapshot;
+  if (airborne) {
+    const std::optional<Interval> interval = ReadInterval(*sample);
+    AddKeyframe(*sample, interval);
+    SolverOptions solver_options;
+    solver_options.max_iterations =
+        counters_.airborne_s < 1.0 ? std::max(10, options_.max_iterations) : options_.max_iterations;
+    solver_options.max_time_s =
+        counters_.airborne_s < 1.0 ? 10.0 * options_.max_update_time_s : options_.max_update_time_s;
+    solver_options.function_tolerance = options_.function_tolerance;
+    solver_options.num_threads = options_.num_threads;
+    const SolveReport report = solver_->Solve(&window_, solver_options);
+    if (!report.usable) ++counters_.refused_updates;
+    snapshot = TakeSnapshot(*sample, report);
+    const double span =
+        ToSeconds(window_.keyframes().back().stamp - window_.keyframes().front().stamp);
+    snapshot->timing.window_full = span >= options_.window_s - 1.5 / options_.keyframe_rate_hz;
+    snapshot->timing.states = static_cast<int>(window_.keyframes().size());
+    MarginalizeOld();
+    snapshot->timing.wall_ms = timer.WallMs();
+    snapshot->timing.cpu_ms = timer.CpuMs();
+  } else {
+    ++counters_.ground_keyframes;
+    last_in_window_ = false;
+    inertia_gate_.Break();
+  }
+  before_last_ = last_;
+  last_ = sample;
+  synchroniser_.Trim(sample->stamp);
+  return snapshot;
+}
+
+bool Estimator::CheckGround(const OdometrySample& sample) {
+  // Without rotor speeds there is nothing to tell by: stay as it was.
+  double speed_m_s = 0.0;
+  const double dt = last_ ? ToSeconds(sample.stamp - last_->stamp) : 0.0;
+  if (sample.v_WS) {
+    speed_m_s = sample.v_WS->norm();
+  } else if (last_ && dt > 0.0) {
+    // Half the speed that pose noise alone would show is not motion.
+    const double noise = 2.0 * odometry_noise_.Noise().position_m / dt;
+    speed_m_s = std::max(0.0, (sample.p_WS - last_->p_WS).norm() / dt - noise);
+  }
+  bool airborne = ground_.airborne();
+  if (!synchroniser_.rotors().empty()) {
+    const auto& rotors = synchroniser_.rotors();
+    auto it = std::lower_bound(
+        rotors.begin(), rotors.end(), sample.stamp,
+        [](const RotorSample& s, Stamp stamp) { return s.stamp < stamp; });
+    if (it == rotors.end()) --it;
+    const RotorState rotor_state = RotorState::Steady(it->speed);
+    FlightState hover;
+    hover.rotors = rotor_state;
+    Vector3d force, torque;
+    model_->EvaluateWrench(hover, window_.values(), Vector3d::Zero(), &force, &torque);
+    const double weight = model_->vehicle().mass_kg * model_->vehicle().gravity_m_s2;
+    airborne = ground_.Update(sample.stamp, sample.p_WS, speed_m_s, force.z() / weight);
+  }
+  if (dt > 0.0 && dt < 1.0) (airborne ? counters_.airborne_s : counters_.on_ground_s) += dt;
+  return airborne;
+}
+
+std::optional<Estimator::Interval> Estimator::ReadInterval(const OdometrySample& sample) {
+  if (!last_ || !last_in_window_) return std::nullopt;
+  Interval interval;
+  interval.dt = ToSeconds(sample.stamp - last_->stamp);
+  if (interval.dt > options_.max_gap_s) {
+    ++counters_.gaps;
+    return std::nullopt;
+  }
+  const auto rotors =
+      ReduceRotors(synchroniser_.rotors(), last_->stamp, sample.stamp, options_.max_gap_s);
+  if (!rotors) {
+    ++counters_.gaps;
+    return std::nullopt;
+  }
+  interval.rotors = *rotors;
+
+  // A pose that moves without velocity is a relabelled marker or a loop closure, not flight.
+  const OdometryNoise noise = odometry_noise_.Noise();
+  double step_m = 0.0, allowed_m = 0.0;
+  if (sample.v_WS && last_->v_WS) {
+    step_m = (sample.p_WS - last_->p_WS - 0.5 * interval.dt * (*sample.v_WS + *last_->v_WS)).norm();
+    allowed_m = 0.01 + 8.0 * noise.position_m + interval.dt * (0.5 + 8.0 * noise.velocity_m_s);
+  } else if (before_last_) {
+    const double dt0 = ToSeconds(last_->stamp - before_last_->stamp);
+    const Vector3d v0 = (last_->p_WS - before_last_->p_WS) / dt0;
+    step_m = (sample.p_WS - last_->p_WS - interval.dt * v0).norm();
+    allowed_m = 0.005 + 10.0 * noise.position_m * (1.0 + interval.dt / dt0) +
+                40.0 * interval.dt * std::max(interval.dt, dt0);
+  }
+  if (step_m > allowed_m) {
+    ++counters_.jumps;
+    return std::nullopt;
+  }
+  if (!synchroniser_.imu().empty()) {
+    Vector3d bias = Vector3d::Zero();
+    if (!window_.biases().empty()) {
+      bias = Eigen::Map<const Vector3d>(window_.biases().back().x.data());
+    }
+    interval.imu = PreintegrateImu(synchroniser_.imu(), last_->stamp, sample.stamp, bias,
+                                   options_.max_gap_s);
+  }
+  return interval;
+}
+
+State Estimator::InitialState(const OdometrySample& sample, const Interval* interval) const {
+  State state;
+  state.p_WS = sample.p_WS;
+  state.q_WS = sample.q_WS;
+  const State before =
+      interval != nullptr ? State::FromBlock(window_.keyframes().back().x.data()) : State();
+  if (sample.v_WS) {
+    state.v_WS = *sample.v_WS;
+  } else if (interval != nullptr) {
+    state.v_WS = (sample.p_WS - last_->p_WS) / interval->dt;
+  }
+  if (sample.w_WS_S) {
+    state.w_WS_S = *sample.w_WS_S;
+  } else if (interval != nullptr) {
+    state.w_WS_S = Log(before.q_WS.conjugate() * sample.q_WS) / interval->dt;
+  }
+  return state;
+}
+
+std::int64_t Estimator::CurrentBias(Stamp stamp, bool has_imu) {
+  if (!has_imu) return -1;
+  const bool due =
+      !bias_since_ || ToSeconds(stamp - *bias_since_) >= options_.bias_interval_s;
+  if (!due && !window_.biases().empty()) return window_.biases().back().id;
+  Eigen::Matrix<double, 6, 1> initial = Eigen::Matrix<double, 6, 1>::Zero();
+  const bool first = window_.biases().empty();
+  if (!first) initial = Eigen::Map<const Eigen::Matrix<double, 6, 1>>(window_.biases().back().x.data());
+  const std::int64_t id = window_.AddBias(initial);
+  Eigen::Matrix<double, 6, 1> sigma;
+  if (first) {
+    sigma << Vector3d::Constant(options_.gyro_bias_sigma_rad_s),
+        Vector3d::Constant(options_.accelerometer_bias_sigma_m_s2);
+    Factor factor;
+    factor.kind = FactorKind::kBiasPrior;
+    factor.cost = std::make_unique<BlockPriorFactor>(initial, sigma);
+    factor.bias0 = id;
+    pending_.push_back(std::move(factor));
+  } else {
+    const double root_s = std::sqrt(options_.bias_interval_s);
+    sigma << Vector3d::Constant(options_.gyro_bias_walk * root_s),
+        Vector3d::Constant(options_.accelerometer_bias_walk * root_s);
+    Factor factor;
+    factor.kind = FactorKind::kBiasWalk;
+    factor.cost = std::make_unique<BiasWalkFactor>(sigma);
+    factor.bias0 = id - 1;
+    factor.bias1 = id;
+    // Belongs to the last keyframe with the old bias, which leaves together with it.
+    window_.AddFactor(std::move(factor));
+  }
+  bias_since_ = stamp;
+  return id;
+}
+
+void Estimator::AddKeyframe(const OdometrySample& sample, const std::optional<Interval>& interval) {
+  const bool has_imu = !synchroniser_.imu().empty();
+  const std::int64_t bias = CurrentBias(sample.stamp, has_imu);
+  const State initial = InitialState(sample, interval ? &*interval : nullptr);
+  const std::int64_t id = window_.AddKeyframe(sample.stamp, initial, interval.has_value(), bias);
+  for (Factor& factor : pending_) window_.AddFactor(std::move(factor));
+  pending_.clear();
+  ++counters_.keyframes;
+  if (!interval) {
+    ++counters_.chains;
+    inertia_gate_.Break();
+  }
+  last_in_window_ = true;
+
+  const bool with_gyro = interval && interval->imu && interval->imu->has_gyro;
+  Factor odometry;
+  odometry.kind = FactorKind::kOdometry;
+  odometry.cost =
+      std::make_unique<OdometryFactor>(sample, odometry_noise_.Noise(), !with_gyro);
+  odometry.state0 = id;
+  window_.AddFactor(std::move(odometry));
+  if (interval) AddIntervalFactors(*interval, id);
+}
+
+DynamicsNoise Estimator::NoiseOf(const Interval& interval) const {
+  const Vehicle& vehicle = model_->vehicle();
+  DynamicsNoise noise;
+  noise.force_N = process_noise_.ForceSigma(interval.dt);
+  noise.torque_Nm = process_noise_.TorqueSigma(interval.dt);
+  noise.nominal_inertia = PriorInertia(*model_);
+  const double sigma_speed = options_.rotor_speed_noise_rad_s > 0.0
+                                 ? options_.rotor_speed_noise_rad_s
+                                 : rotor_noise_.Sigma();
+  // d(k_f Ω²) = 2 k_f Ω dΩ, averaged over the samples of the interval.       model.md section 5
+  const ModelValues values = window_.values();
+  const int k_f = model_->IndexOf("thrust.k_f"), k_m = model_->IndexOf("rotor_torque.k_m");
+  const double per_sample = sigma_speed / std::sqrt(static_cast<double>(interval.rotors.num_samples));
+  double force_variance = 0.0;
+  Vector3d torque_variance = Vector3d::Zero();
+  for (int j = 0; j < vehicle.num_rotors(); ++j) {
+    const double slope = 2.0 * interval.rotors.mean.speed[j] * per_sample;
+    const double force = k_f >= 0 ? values[k_f] * slope : 0.0;
+    const double couple = k_m >= 0 ? values[k_m] * slope : 0.0;
+    force_variance += force * force;
+    const Vector3d& p_BP = vehicle.rotors[j].p_BP;
+    torque_variance +=
+        Vector3d(p_BP.y() * force, p_BP.x() * force, couple).array().square().matrix();
+  }
+  noise.rotor_force_N = std::sqrt(force_variance);
+  noise.rotor_torque_Nm = torque_variance.cwiseSqrt();
+  return noise;
+}
+
+void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
+  const auto add = [&](FactorKind kind, std::unique_ptr<ceres::CostFunction> cost, bool two_states,
+                       bool bias, bool parameters) {
+    Factor factor;
+    factor.kind = kind;
+    factor.cost = std::move(cost);
+    factor.state0 = two_states ? id - 1 : id;
+    factor.state1 = two_states ? id : -1;
+    factor.bias0 = bias ? window_.keyframe(id - 1).bias : -1;
+    factor.parameters = parameters;
+    if (kind == FactorKind::kDynamics || kind == FactorKind::kAccelerometer) {
+      factor.loss = loss_.get();
+    }
+    window_.AddFactor(std::move(factor));
+  };
+  const bool with_gyro = interval.imu && interval.imu->has_gyro;
+  const bool has_bias = window_.keyframe(id - 1).bias >= 0;
+  add(FactorKind::kKinematic,
+      std::make_unique<KinematicFactor>(interval.dt, form_, options_.kinematic_position_m,
+                                        options_.kinematic_rotation_rad,
+                                        !(with_gyro && has_bias)),
+      true, false, false);
+
+  DynamicsMeasurement measurement;
+  measurement.dt = interval.dt;
+  measurement.time_s =
+      ToSeconds(window_.keyframe(id).stamp - *first_stamp_) - 0.5 * interval.dt;
+  measurement.rotors = form_ == DynamicsForm::kEuler ? interval.rotors.start : interval.rotors.mean;
+  measurement.form = form_;
+  measurement.fixed_inertia = PriorInertia(*model_);
+  const State& s0 = State::FromBlock(window_.keyframe(id - 1).x.data());
+  const State& s1 = State::FromBlock(window_.keyframe(id).x.data());
+  const Eigen::Matrix3d R_BS = model_->Properties(window_.values()).R_BS;
+  if (with_torque_) {
+    inertia_gate_.Add(interval.dt, R_BS * s0.w_WS_S, R_BS * s1.w_WS_S,
+                      interval.rotors.mean.speed_squared);
+    for (int i = 0; i < 3; ++i) measurement.inertia_fixed[i] = !inertia_gate_.IsOpen(i);
+    if (options_.inertia_gate_r_squared <= 0.0) measurement.inertia_fixed = {false, false, false};
+  }
+  const DynamicsNoise noise = NoiseOf(interval);
+  add(FactorKind::kDynamics,
+      std::make_unique<DynamicsFactor>(measurement, noise, with_torque_, model_, &layout_), true,
+      false, true);
+  if (!interval.imu || !has_bias) return;
+
+  ImuNoise imu_noise;
+  imu_noise.gyro_rad_s = options_.gyro_noise_rad_s;
+  imu_noise.specific_force_m_s2 = options_.accelerometer_noise_m_s2;
+  imu_noise.preintegration_rad =
+      std::hypot(options_.gyro_noise_rad_s * interval.dt /
+                     std::sqrt(static_cast<double>(interval.imu->num_samples)),
+                 0.2 * options_.kinematic_rotation_rad);
+  if (with_gyro) {
+    add(FactorKind::kGyroPreintegration,
+        std::make_unique<GyroPreintegrationFactor>(*interval.imu, imu_noise, model_, &layout_),
+        true, true, true);
+    Factor gyro;
+    gyro.kind = FactorKind::kGyro;
+    gyro.cost = std::make_unique<GyroFactor>(interval.imu->gyro_at_end, imu_noise, model_, &layout_);
+    gyro.state0 = id;
+    gyro.bias0 = window_.keyframe(id).bias;
+    gyro.parameters = true;
+    window_.AddFactor(std::move(gyro));
+  }
+  if (interval.imu->has_accelerometer) {
+    const Vector3d sigma =
+        ((noise.force_N / model_->vehicle().mass_kg).array().square() +
+         imu_noise.specific_force_m_s2 * imu_noise.specific_force_m_s2)
+            .sqrt();
+    add(FactorKind::kAccelerometer,
+        std::make_unique<AccelerometerFactor>(measurement, interval.imu->mean_specific_force, sigma,
+                                              model_, &layout_),
+        true, true, true);
+  }
+}
+
+Snapshot Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport& report) {
+  Snapshot snapshot;
+  snapshot.stamp = sample.stamp;
+  snapshot.time_s = ToSeconds(sample.stamp - *first_stamp_);
+  snapshot.airborne = true;
+  snapshot.state = State::FromBlock(window_.keyframes().back().x.data());
+  snapshot.values = window_.values();
+  snapshot.body = model_->Properties(snapshot.values);
+  snapshot.solve = report;
+  snapshot.battery_voltage_V = synchroniser_.battery_voltage_V();
+
+  const int n = layout_.num_estimated();
+  const Eigen::MatrixXd information = information_.Update(window_, 0.3 * sigma_eta_);
+  const Eigen::MatrixXd covariance =
+      information.ldlt().solve(Eigen::MatrixXd::Identity(n, n));
+  if (covariance.allFinite() && (covariance.diagonal().array() > 0.0).all()) {
+    sigma_eta_ = covariance.diagonal().cwiseSqrt();
+  }
+  if (consistency_.BlockIsFull()) RefreshConsistency(covariance);
+
+  const int m = model_->num_parameters();
+  snapshot.sigma = Eigen::VectorXd::Zero(m);
+  snapshot.covariance = Eigen::MatrixXd::Zero(m, m);
+  snapshot.observable.assign(m, false);
+  const ParameterVector chain = layout_.ChainFactors(snapshot.values);
+  for (int i = 0; i < n; ++i) {
+    const int k = layout_.model_index(i);
+    const double sigma = sigma_eta_[i] * inflation_[i];
+    snapshot.sigma[k] = sigma * std::abs(chain[i]);
+    snapshot.observable[k] = sigma < kObservableShare * layout_.PriorSigma(i);
+    for (int j = 0; j < n; ++j) {
+      snapshot.covariance(k, layout_.model_index(j)) =
+          covariance(i, j) * inflation_[i] * inflation_[j] * chain[i] * chain[j];
+    }
+  }
+  snapshot.unobservable = unobservable_;
+  FillResiduals(&snapshot);
+  return snapshot;
+}
+
+void Estimator::RefreshConsistency(const Eigen::MatrixXd& covariance) {
+  // Information of everything that left: the prior's, its state and bias eliminated.
+  const Prior& prior = window_.prior();
+  const int n = layout_.num_estimated();
+  LinearSystem system{prior.A, prior.b, static_cast<int>(prior.A.cols()) - n};
+  const LinearSystem left = Eliminate(system);
+  consistency_.CloseBlock(left.A.transpose() * left.A);
+  inflation_ = consistency_.Inflation(window_.eta(), covariance);
+
+  // Directions about which the flight says less than the priors, in units of the priors' sigmas.
+  Eigen::VectorXd prior_sigma(n);
+  for (int i = 0; i < n; ++i) prior_sigma[i] = layout_.PriorSigma(i);
+  const Eigen::VectorXd inverse = prior_sigma.cwiseInverse();
+  const Eigen::MatrixXd posterior = inverse.asDiagonal() * covariance * inverse.asDiagonal();
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(posterior);
+  unobservable_.clear();
+  for (int i = 0; i < n; ++i) {
+    if (eigen.eigenvalues()[i] > kObservableShare) {
+      unobservable_.push_back(Words(*model_, layout_, eigen.eigenvectors().col(i)));
+    }
+  }
+}
+
+void Estimator::FillResiduals(Snapshot* snapshot) const {
+  double force = 0.0, torque = 0.0;
+  int count = 0;
+  const Eigen::Matrix3d& I = snapshot->body.I_BBcm_B;
+  for (const Keyframe& keyframe : window_.keyframes()) {
+    for (const Factor& factor : keyframe.factors) {
+      if (factor.kind != FactorKind::kDynamics) continue;
+      const auto& dynamics = static_cast<const DynamicsFactor&>(*factor.cost);
+      const auto blocks = window_.Blocks(factor, false);
+      Eigen::Matrix<double, 9, 1> e = Eigen::Matrix<double, 9, 1>::Zero();
+      if (!dynamics.UnwhitenedResidual(blocks.data(), &e)) continue;
+      const double dt = dynamics.measurement().dt;
+      snapshot->residual_force_B = e.segment<3>(kRowVelocity) / dt;
+      snapshot->residual_torque_B = I * e.segment<3>(kRowAngular) / dt;
+      force += snapshot->residual_force_B.squaredNorm();
+      torque += snapshot->residual_torque_B.squaredNorm();
+      ++count;
+    }
+  }
+  if (count == 0) return;
+  snapshot->residual_force_rms_N = std::sqrt(force / (3.0 * count));
+  snapshot->residual_torque_rms_Nm = with_torque_ ? std::sqrt(torque / (3.0 * count)) : 0.0;
+  if (!with_torque_) snapshot->residual_torque_B.setZero();
+}
+
+void Estimator::MarginalizeOld() {
+  auto& keyframes = window_.keyframes();
+  while (keyframes.size() > 2 &&
+         ToSeconds(keyframes.back().stamp - keyframes.front().stamp) >=
+             options_.window_s - 0.5 / options_.keyframe_rate_hz) {
+    const Factor* dynamics = nullptr;
+    for (const Factor& factor : keyframes.front().factors) {
+      if (factor.kind == FactorKind::kDynamics) dynamics = &factor;
+    }
+    double dt = 0.0;
+    if (dynamics != nullptr) {
+      const auto& cost = static_cast<const DynamicsFactor&>(*dynamics->cost);
+      Eigen::Matrix<double, 9, 1> e;
+      dt = cost.measurement().dt;
+      if (cost.UnwhitenedResidual(window_.Blocks(*dynamics, false).data(), &e)) {
+        process_noise_.Add(
+            dt, e.segment<3>(kRowVelocity) / dt,
+            cost.noise().nominal_inertia.cwiseProduct(e.segment<3>(kRowAngular)) / dt);
+      }
+    }
+    LeavingFactors leaving;
+    MarginalizeOldest(&window_, sigma_eta_, &leaving);
+    if (dt > 0.0) consistency_.Add(dt, leaving.score, window_.eta());
+  }
+}
+
+ParameterSet Estimator::ToParameterSet(const DynamicModel& model, const Snapshot& snapshot) {
+  ParameterSet set;
+  set.effects = model.effect_names();
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    const ModelParameter& p = model.parameters()[i];
+    set.parameters.push_back({p.full_name, p.spec.unit, snapshot.values[i], snapshot.sigma[i],
+                              p.estimated, static_cast<bool>(snapshot.observable[i])});
+  }
+  set.covariance = snapshot.covariance;
+  return set;
+}
+
+}  // namespace odmc

@@ -1,0 +1,114 @@
+#include "odmc/estimator/noise_estimation.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "odmc/math/so3.h"
+#include "odmc/math/statistics.h"
+
+namespace odmc {
+namespace {
+
+constexpr double kBlock_s = 0.1;       // block over which residuals are averaged
+constexpr double kMemory_s = 3.0;      // how far back the process noise looks
+constexpr int kEnoughDifferences = 20;
+
+struct Range {
+  double low, high;
+};
+// What any odometry can be: outside these the difference measures motion or a quantisation step.
+constexpr Range kPosition{2e-4, 0.5}, kAttitude{2e-4, 0.1}, kVelocity{2e-3, 0.5}, kRate{2e-3, 0.3};
+
+double Choose(double configured, const DifferenceNoise& measured, Range range) {
+  if (configured > 0.0) return configured;
+  return std::clamp(measured.Sigma(), range.low, range.high);
+}
+
+}  // namespace
+
+void DifferenceNoise::Add(double time_s, const Eigen::VectorXd& sample) {
+  if (times_.size() >= 2) {
+    const double dt = times_.back() - times_[times_.size() - 2];
+    const double now = time_s - times_.back();
+    if (now < 0.5 * dt || now > 1.5 * dt) {
+      times_.clear();
+      run_.clear();
+    }
+  }
+  times_.push_back(time_s);
+  run_.push_back(sample);
+  if (run_.size() < 4) return;
+  differences_.push_back(run_[3] - 3.0 * run_[2] + 3.0 * run_[1] - run_[0]);
+  run_.pop_front();
+  times_.pop_front();
+  if (static_cast<int>(differences_.size()) > capacity_) differences_.pop_front();
+}
+
+double DifferenceNoise::Sigma() const {
+  if (static_cast<int>(differences_.size()) < kEnoughDifferences) return 0.0;
+  std::vector<double> all;
+  for (const Eigen::VectorXd& d : differences_) {
+    for (int i = 0; i < d.size(); ++i) all.push_back(d[i]);
+  }
+  return RobustSigma(std::move(all)) / std::sqrt(20.0);  // 1 + 9 + 9 + 1
+}
+
+OdometryNoiseEstimator::OdometryNoiseEstimator(const OdometryNoise& configured)
+    : configured_(configured) {}
+
+void OdometryNoiseEstimator::Add(const OdometrySample& sample) {
+  const double t = ToSeconds(sample.stamp);
+  if (!has_reference_ || sample.q_WS.angularDistance(reference_) > 0.5) {
+    // Rotation vectors are differenced about a nearby reference, where they are nearly linear.
+    reference_ = sample.q_WS;
+    has_reference_ = true;
+    attitude_.Add(-1.0, Eigen::Vector3d::Zero());  // an impossible spacing starts a new run
+  }
+  position_.Add(t, sample.p_WS);
+  attitude_.Add(t, Log(reference_.conjugate() * sample.q_WS));
+  if (sample.v_WS) velocity_.Add(t, *sample.v_WS);
+  if (sample.w_WS_S) rate_.Add(t, *sample.w_WS_S);
+}
+
+OdometryNoise OdometryNoiseEstimator::Noise() const {
+  OdometryNoise noise;
+  noise.position_m = Choose(configured_.position_m, position_, kPosition);
+  noise.attitude_rad = Choose(configured_.attitude_rad, attitude_, kAttitude);
+  noise.velocity_m_s = Choose(configured_.velocity_m_s, velocity_, kVelocity);
+  noise.rate_rad_s = Choose(configured_.rate_rad_s, rate_, kRate);
+  return noise;
+}
+
+ProcessNoiseEstimator::ProcessNoiseEstimator(double weight_N, double arm_m, double floor_scale) {
+  // 0.05 N and 1 mN m as means over 10 ms for a vehicle of 7.36 N and 0.145 m (model.md section 9).
+  const double force = floor_scale * 6.8e-4 * weight_N;
+  const double torque = floor_scale * 9.4e-5 * weight_N * arm_m;
+  floor_ << Eigen::Vector3d::Constant(force * force), Eigen::Vector3d::Constant(torque * torque);
+  variance_ = 100.0 * floor_;  // cautious until the flight has shown its residual
+}
+
+void ProcessNoiseEstimator::Add(double dt, const Eigen::Vector3d& force_N,
+                                const Eigen::Vector3d& torque_Nm) {
+  sum_.head<3>() += dt * force_N;
+  sum_.tail<3>() += dt * torque_Nm;
+  block_s_ += dt;
+  if (block_s_ < kBlock_s) return;
+  const double gain = block_s_ / kMemory_s;
+  for (int i = 0; i < 6; ++i) {
+    // Density squared of this block; one wild block counts as three sigma.
+    const double seen = std::min(sum_[i] * sum_[i] / block_s_, 9.0 * variance_[i]);
+    variance_[i] = std::max(floor_[i], variance_[i] + gain * (seen - variance_[i]));
+  }
+  sum_.setZero();
+  block_s_ = 0.0;
+}
+
+Eigen::Vector3d ProcessNoiseEstimator::ForceSigma(double dt) const {
+  return (variance_.head<3>() / dt).cwiseSqrt();
+}
+
+Eigen::Vector3d ProcessNoiseEstimator::TorqueSigma(double dt) const {
+  return (variance_.tail<3>() / dt).cwiseSqrt();
+}
+
+}  // namespace odmc

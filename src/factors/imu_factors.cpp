@@ -1,0 +1,171 @@
+#include "odmc/factors/imu_factors.h"
+
+#include "odmc/factors/dynamics_factor.h"
+#include "odmc/factors/manifolds.h"
+#include "odmc/math/so3.h"
+
+namespace odmc {
+
+using Eigen::Matrix3d;
+using Eigen::Vector3d;
+
+namespace {
+
+using StateBlock = Eigen::Matrix<double, 3, kStateTangentSize>;
+using BiasBlock = Eigen::Matrix<double, 3, kBiasSize>;
+
+/// Sizes of the blocks of a factor with `states` states, one bias and the layout's blocks.
+void SetBlockSizes(int states, const ParameterLayout& layout, std::vector<int32_t>* sizes) {
+  sizes->assign(states, kStateSize);
+  sizes->push_back(kBiasSize);
+  for (const auto& block : layout.blocks()) sizes->push_back(block.size);
+}
+
+void WriteMount(const ParameterLayout& layout, const ModelValues& values,
+                const Eigen::Matrix<double, 3, kNumBodyPropertyRows>& d_body_rows,
+                const BodyPropertiesJacobian& d_body, double weight, double** jacobians) {
+  const ValueJacobian<3> d_values = weight * d_body_rows * d_body;
+  WriteParameterJacobians(layout, values, d_values, jacobians);
+}
+
+}  // namespace
+
+GyroPreintegrationFactor::GyroPreintegrationFactor(const ImuInterval& interval,
+                                                   const ImuNoise& noise,
+                                                   const DynamicModel* model,
+                                                   const ParameterLayout* layout)
+    : interval_(interval), noise_(noise), model_(model), layout_(layout) {
+  set_num_residuals(3);
+  SetBlockSizes(2, *layout, mutable_parameter_block_sizes());
+}
+
+bool GyroPreintegrationFactor::Evaluate(double const* const* blocks, double* residual,
+                                        double** jacobians) const {
+  const State s0 = State::FromBlock(blocks[0]), s1 = State::FromBlock(blocks[1]);
+  const Vector3d bias = Eigen::Map<const Vector3d>(blocks[2]);
+  const ModelValues values = layout_->Decode(blocks + 3);
+  BodyPropertiesJacobian d_body;
+  const BodyProperties body = model_->Properties(values, &d_body);
+  const Matrix3d R_SI = body.R_BS.transpose() * body.R_BI;
+  const Vector3d correction = interval_.d_bias * (bias - interval_.bias_lin);
+  const Matrix3d delta = (interval_.delta_q * Exp(correction)).toRotationMatrix();
+  const Matrix3d R_S0S1 = (s0.q_WS.conjugate() * s1.q_WS).toRotationMatrix();
+  const Matrix3d error = delta.transpose() * R_SI.transpose() * R_S0S1 * R_SI;
+  const Vector3d e = Log(Eigen::Quaterniond(error));
+  const double weight = 1.0 / noise_.preintegration_rad;
+  Eigen::Map<Vector3d>(residual + 0) = weight * e;
+  if (jacobians == nullptr) return e.allFinite();
+
+  const Matrix3d J_r = RightJacobianInverse(e);
+  // error = ... Exp: right perturbations of R_WI1 enter as they are, those of R_WI0 through R_I1I0.
+  const Matrix3d R_I1I0 = (R_SI.transpose() * R_S0S1 * R_SI).transpose();
+  const Matrix3d d_theta_I1 = weight * J_r;
+  const Matrix3d d_theta_I0 = -weight * J_r * R_I1I0;
+  const Matrix3d d_bias =
+      -weight * J_r * error.transpose() * RightJacobian(correction) * interval_.d_bias;
+  // R_WI = R_WS R_BSᵀ R_BI: theta_I = R_SIᵀ theta_S - R_BIᵀ R_BS theta_BS + theta_BI.
+  StateBlock J0 = StateBlock::Zero(), J1 = StateBlock::Zero();
+  J0.middleCols<3>(kTangentRotation) = d_theta_I0 * R_SI.transpose();
+  J1.middleCols<3>(kTangentRotation) = d_theta_I1 * R_SI.transpose();
+  if (jacobians[0] != nullptr) WriteJacobian(StateManifold::Lift(J0, blocks[0]), jacobians[0]);
+  if (jacobians[1] != nullptr) WriteJacobian(StateManifold::Lift(J1, blocks[1]), jacobians[1]);
+  BiasBlock J_bias = BiasBlock::Zero();
+  J_bias.leftCols<3>() = d_bias;
+  WriteJacobian(J_bias, jacobians[2]);
+  Eigen::Matrix<double, 3, kNumBodyPropertyRows> rows;
+  rows.setZero();
+  rows.middleCols<3>(kRowOdometryRotation) = -(d_theta_I0 + d_theta_I1) * R_SI.transpose();
+  rows.middleCols<3>(kRowImuRotation) = d_theta_I0 + d_theta_I1;
+  WriteMount(*layout_, values, rows, d_body, 1.0, jacobians + 3);
+  return e.allFinite();
+}
+
+GyroFactor::GyroFactor(const Eigen::Vector3d& gyro_I, const ImuNoise& noise,
+                       const DynamicModel* model, const ParameterLayout* layout)
+    : gyro_I_(gyro_I), noise_(noise), model_(model), layout_(layout) {
+  set_num_residuals(3);
+  SetBlockSizes(1, *layout, mutable_parameter_block_sizes());
+}
+
+bool GyroFactor::Evaluate(double const* const* blocks, double* residual,
+                          double** jacobians) const {
+  const State state = State::FromBlock(blocks[0]);
+  const Vector3d bias = Eigen::Map<const Vector3d>(blocks[1]);
+  const ModelValues values = layout_->Decode(blocks + 2);
+  BodyPropertiesJacobian d_body;
+  const BodyProperties body = model_->Properties(values, &d_body);
+  const Matrix3d R_IB = body.R_BI.transpose();
+  const Vector3d w_B = body.R_BS * state.w_WS_S;
+  const double weight = 1.0 / noise_.gyro_rad_s;
+  const Vector3d e = R_IB * w_B + bias - gyro_I_;
+  Eigen::Map<Vector3d>(residual + 0) = weight * e;
+  if (jacobians == nullptr) return e.allFinite();
+
+  StateBlock J = StateBlock::Zero();
+  J.middleCols<3>(kTangentRate) = weight * R_IB * body.R_BS;
+  if (jacobians[0] != nullptr) WriteJacobian(StateManifold::Lift(J, blocks[0]), jacobians[0]);
+  BiasBlock J_bias = BiasBlock::Zero();
+  J_bias.leftCols<3>() = weight * Matrix3d::Identity();
+  WriteJacobian(J_bias, jacobians[1]);
+  Eigen::Matrix<double, 3, kNumBodyPropertyRows> rows;
+  rows.setZero();
+  rows.middleCols<3>(kRowOdometryRotation) = -R_IB * body.R_BS * Hat(state.w_WS_S);
+  rows.middleCols<3>(kRowImuRotation) = Hat(R_IB * w_B);
+  WriteMount(*layout_, values, rows, d_body, weight, jacobians + 2);
+  return e.allFinite();
+}
+
+AccelerometerFactor::AccelerometerFactor(const DynamicsMeasurement& measurement,
+                                         const Eigen::Vector3d& specific_force_I,
+                                         const Eigen::Vector3d& sigma, const DynamicModel* model,
+                                         const ParameterLayout* layout)
+    : measurement_(measurement),
+      specific_force_I_(specific_force_I),
+      sigma_(sigma),
+      model_(model),
+      layout_(layout) {
+  set_num_residuals(3);
+  SetBlockSizes(2, *layout, mutable_parameter_block_sizes());
+}
+
+bool AccelerometerFactor::Evaluate(double const* const* blocks, double* residual,
+                                   double** jacobians) const {
+  const Vector3d bias = Eigen::Map<const Vector3d>(blocks[2] + 3);
+  const ModelValues values = layout_->Decode(blocks + 3);
+  const IntervalModel k(measurement_, State::FromBlock(blocks[0]), State::FromBlock(blocks[1]),
+                        *model_, values, jacobians != nullptr);
+  const double dt = measurement_.dt;
+  const Matrix3d R_IB = k.body.R_BI.transpose();
+  const Vector3d r = k.body.p_BI - k.body.p_BBcm;
+  const Vector3d& w = k.flight.w_WB_B;
+  const Vector3d w_dot = (k.m1.w_WB_B - k.m0.w_WB_B) / dt;
+  const Vector3d a_B = k.F_B / k.body.mass - w_dot.cross(r) - w.cross(w.cross(r));
+  const Vector3d e = R_IB * a_B + bias - specific_force_I_;
+  Eigen::Map<Vector3d>(residual + 0) = e.cwiseQuotient(sigma_);
+  if (jacobians == nullptr) return e.allFinite();
+
+  const Matrix3d W = sigma_.cwiseInverse().asDiagonal();
+  const Matrix3d WR = W * R_IB;
+  IntervalDerivatives<3> D;
+  D.d_wrench.leftCols<3>() = WR / k.body.mass;
+  D.d_rate = WR * (Hat(w.cross(r)) + Hat(w) * Hat(r));
+  D.d_motion0.middleCols<3>(kMotionRate) = -WR * Hat(r) / dt;
+  D.d_motion1.middleCols<3>(kMotionRate) = WR * Hat(r) / dt;
+  const Matrix3d d_r = -WR * (Hat(w_dot) + Hat(w) * Hat(w));
+  D.d_body.middleCols<3>(kRowImuPosition) = d_r;
+  D.d_body.middleCols<3>(kRowCom) = -d_r;
+  D.d_body.middleCols<3>(kRowImuRotation) = W * Hat(R_IB * a_B);
+  D.d_body.col(kRowMass) = -WR * k.F_B / (k.body.mass * k.body.mass);
+  StateBlock J0, J1;
+  ValueJacobian<3> d_values;
+  AssembleJacobians(k, D, &J0, &J1, &d_values);
+  if (jacobians[0] != nullptr) WriteJacobian(StateManifold::Lift(J0, blocks[0]), jacobians[0]);
+  if (jacobians[1] != nullptr) WriteJacobian(StateManifold::Lift(J1, blocks[1]), jacobians[1]);
+  BiasBlock J_bias = BiasBlock::Zero();
+  J_bias.rightCols<3>() = W;
+  WriteJacobian(J_bias, jacobians[2]);
+  WriteParameterJacobians(*layout_, values, d_values, jacobians + 3);
+  return e.allFinite();
+}
+
+}  // namespace odmc

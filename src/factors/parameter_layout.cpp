@@ -1,0 +1,66 @@
+#include "odmc/factors/parameter_layout.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace odmc {
+
+ParameterLayout::ParameterLayout(const DynamicModel& model, const ModelValues& values)
+    : base_(values) {
+  const auto& parameters = model.parameters();
+  for (int k = 0; k < model.num_parameters(); ++k) {
+    const ModelParameter& p = parameters[k];
+    if (!p.estimated) continue;
+    const int i = num_estimated();
+    if (blocks_.empty() || blocks_.back().effect != p.effect) blocks_.push_back({p.effect, i, 0});
+    ++blocks_.back().size;
+    model_index_.push_back(k);
+    scale_.push_back(p.spec.scale);
+    is_log_.push_back(p.spec.transform == ParameterTransform::kLog);
+    prior_centre_.push_back(ToEta(i, p.spec.prior_value));
+    prior_sigma_.push_back(is_log_[i] ? p.spec.prior_sigma / p.spec.prior_value
+                                      : p.spec.prior_sigma / p.spec.scale);
+  }
+}
+
+double ParameterLayout::ToEta(int i, double value) const {
+  return is_log_[i] ? std::log(value / scale_[i]) : value / scale_[i];
+}
+
+double ParameterLayout::ToValue(int i, double eta) const {
+  // e^±20 is beyond any physical range; the bound keeps a wild step finite.
+  return scale_[i] * (is_log_[i] ? std::exp(std::clamp(eta, -20.0, 20.0)) : eta);
+}
+
+ParameterVector ParameterLayout::Encode(const ModelValues& values) const {
+  ParameterVector eta(num_estimated());
+  for (int i = 0; i < num_estimated(); ++i) eta[i] = ToEta(i, values[model_index_[i]]);
+  return eta;
+}
+
+ModelValues ParameterLayout::Decode(double const* const* blocks) const {
+  ModelValues values = base_;
+  for (size_t b = 0; b < blocks_.size(); ++b) {
+    for (int k = 0; k < blocks_[b].size; ++k) {
+      const int i = blocks_[b].first + k;
+      values[model_index_[i]] = ToValue(i, blocks[b][k]);
+    }
+  }
+  return values;
+}
+
+ModelValues ParameterLayout::DecodeFlat(const double* eta) const {
+  ModelValues values = base_;
+  for (int i = 0; i < num_estimated(); ++i) values[model_index_[i]] = ToValue(i, eta[i]);
+  return values;
+}
+
+ParameterVector ParameterLayout::ChainFactors(const ModelValues& values) const {
+  ParameterVector factors(num_estimated());
+  for (int i = 0; i < num_estimated(); ++i) {
+    factors[i] = is_log_[i] ? values[model_index_[i]] : scale_[i];
+  }
+  return factors;
+}
+
+}  // namespace odmc

@@ -1,0 +1,646 @@
+#include "odmc/io/flight_csv.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdio>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <map>
+#include <set>
+#include <stdexcept>
+#include <string_view>
+#include <utility>
+
+#include "odmc/io/number_text.h"
+#include "odmc/sensing/flight_checks.h"
+#include "yaml_reader.h"
+
+namespace odmc {
+namespace {
+
+using Strings = std::vector<std::string>;
+
+const Strings kTime = {"t"};
+const Strings kPosition = {"px", "py", "pz"};
+const Strings kAttitude = {"qw", "qx", "qy", "qz"};
+const Strings kVelocity = {"vx", "vy", "vz"};
+const Strings kBodyRates = {"wx", "wy", "wz"};
+const Strings kAccelerometer = {"ax", "ay", "az"};
+const Strings kGyro = {"gx", "gy", "gz"};
+const Strings kBattery = {"vbat"};
+const Strings kRotorRms = {"rotor_rms"};
+
+Strings RotorColumns(int num_rotors) {
+  Strings names;
+  for (int j = 1; j <= num_rotors; ++j) names.push_back("rotor" + std::to_string(j));
+  return names;
+}
+
+Strings Concatenate(std::initializer_list<Strings> lists) {
+  Strings all;
+  for (const Strings& list : lists) all.insert(all.end(), list.begin(), list.end());
+  return all;
+}
+
+// ---- Reading: text to a table of numbers -------------------------------------------------------
+
+std::string_view Unquoted(std::string_view cell) {
+  const auto is_wrapping = [](char c) { return c == ' ' || c == '\t' || c == '\r' || c == '"'; };
+  while (!cell.empty() && is_wrapping(cell.front())) cell.remove_prefix(1);
+  while (!cell.empty() && is_wrapping(cell.back())) cell.remove_suffix(1);
+  return cell;
+}
+
+/// Cuts the first cell off a line.
+std::string_view NextCell(std::string_view* line) {
+  const size_t comma = line->find(',');
+  const std::string_view cell = line->substr(0, comma);
+  line->remove_prefix(comma == std::string_view::npos ? line->size() : comma + 1);
+  return cell;
+}
+
+/// Cuts the first line, without its end, off a text.
+std::string_view NextLine(std::string_view* text) {
+  const size_t end = text->find('\n');
+  std::string_view line = text->substr(0, end);
+  text->remove_prefix(end == std::string_view::npos ? text->size() : end + 1);
+  if (!line.empty() && line.back() == '\r') line.remove_suffix(1);
+  return line;
+}
+
+Strings SplitHeader(std::string_view line) {
+  Strings names;
+  const size_t cells = 1 + static_cast<size_t>(std::count(line.begin(), line.end(), ','));
+  for (size_t i = 0; i < cells; ++i) names.emplace_back(Unquoted(NextCell(&line)));
+  return names;
+}
+
+/// Nanoseconds of seconds in plain decimals, exactly: a double of seconds since 1970 is 0.2 µs off.
+/// @returns false for any other notation.
+bool ParsePlainSeconds(std::string_view text, Stamp* stamp) {
+  const bool negative = !text.empty() && text.front() == '-';
+  if (negative) text.remove_prefix(1);
+  const size_t point = std::min(text.find('.'), text.size());
+  if (point == 0 || point > 10 || text.size() > point + 10) return false;
+  Stamp value = 0;
+  int decimals = 0;
+  for (size_t i = 0; i < text.size(); ++i) {
+    if (i == point) continue;
+    if (text[i] < '0' || text[i] > '9') return false;
+    value = 10 * value + (text[i] - '0');
+    if (i > point) ++decimals;
+  }
+  for (; decimals < 9; ++decimals) value *= 10;
+  *stamp = negative ? -value : value;
+  return true;
+}
+
+constexpr double kLatest_s = 9e9;  // what int64 nanoseconds hold
+
+/// Rows of the wanted columns of one CSV file, in time order.
+class Table {
+ public:
+  /// Reads the columns of `wanted` that the file has; the names of others go to unknown().
+  Table(const std::string& file, const Strings& wanted, FlightLog* log);
+
+  const std::string& file() const { return file_; }
+  size_t size() const { return stamps_.size(); }
+  Stamp stamp(size_t row) const { return stamps_[row]; }
+  std::string Where(size_t row) const { return "line " + std::to_string(lines_[row]); }
+  const Strings& unknown() const { return unknown_; }
+
+  bool HasAll(const Strings& names) const { return CountOf(names) == names.size(); }
+  bool HasAny(const Strings& names) const { return CountOf(names) > 0; }
+  /// Refuses a file that has only some columns of a group.
+  void CheckAllOrNone(const Strings& names) const;
+  /// @throws std::invalid_argument naming those that are missing
+  void Require(const Strings& names) const;
+
+  /// Columns by name, to read rows with.
+  template <int N>
+  struct Group {
+    std::array<const std::vector<double>*, N> columns;
+    bool IsFinite(size_t row) const {
+      return std::all_of(columns.begin(), columns.end(),
+                         [row](const auto* c) { return std::isfinite((*c)[row]); });
+    }
+    double operator()(int i, size_t row) const { return (*columns[i])[row]; }
+  };
+  template <int N>
+  Group<N> Columns(const Strings& names) const {
+    Group<N> group;
+    for (int i = 0; i < N; ++i) group.columns[i] = &values_.at(names[i]);
+    return group;
+  }
+  const std::vector<double>& Column(const std::string& name) const { return values_.at(name); }
+
+ private:
+  size_t CountOf(const Strings& names) const {
+    return std::count_if(names.begin(), names.end(),
+                         [&](const std::string& n) { return values_.count(n) > 0; });
+  }
+  void ReadHeader(std::string_view line, const Strings& wanted);
+  void ReadRow(std::string_view line, long number);
+  void CheckSteps() const;
+  [[noreturn]] void Fail(const std::string& what) const {
+    throw std::invalid_argument(file_ + ": " + what);
+  }
+
+  std::string file_;
+  std::map<std::string, std::vector<double>> values_;
+  std::vector<Stamp> stamps_;
+  std::vector<long> lines_;
+  Strings header_, unknown_;
+  std::vector<std::vector<double>*> targets_;  // by column of the file, null where not wanted
+  std::vector<double> row_;
+  size_t time_column_ = 0;
+  Refusals short_rows_, no_time_, out_of_order_;
+};
+
+Table::Table(const std::string& file, const Strings& wanted, FlightLog* log) : file_(file) {
+  const std::string content = ReadText(file);
+  std::string_view text = content;
+  if (text.substr(0, 3) == "\xEF\xBB\xBF") text.remove_prefix(3);  // byte order mark
+  if (text.find_first_not_of(" \t\r\n") == std::string_view::npos) Fail("is empty");
+  ReadHeader(NextLine(&text), wanted);
+  for (long number = 2; !text.empty(); ++number) {
+    const std::string_view line = NextLine(&text);
+    if (line.find_first_not_of(" \t") != std::string_view::npos) ReadRow(line, number);
+  }
+  const auto rows = static_cast<size_t>(out_of_order_.count) + size();
+  if (rows == 0) Fail("has a header but no usable row");
+  if (2 * size() < rows) {
+    Fail("column t steps back or repeats in " + std::to_string(out_of_order_.count) + " of " +
+         std::to_string(rows) + " rows (first: " + out_of_order_.first + ")");
+  }
+  CheckSteps();
+  short_rows_.Report(log->file, "rows that do not have as many cells as the header", log);
+  no_time_.Report(log->file, "rows without a finite t", log);
+  out_of_order_.Report(log->file, "rows whose t steps back or repeats", log);
+}
+
+void Table::ReadHeader(std::string_view line, const Strings& wanted) {
+  header_ = SplitHeader(line);
+  if (header_.size() == 1 && header_[0].find_first_of(";\t") != std::string::npos) {
+    Fail("line 1: columns must be separated by commas");
+  }
+  if (std::find(header_.begin(), header_.end(), "t") == header_.end()) {
+    Fail("column t is missing; found are: " + JoinNames(header_));
+  }
+  for (size_t i = 0; i < header_.size(); ++i) {
+    const std::string& name = header_[i];
+    if (std::count(header_.begin(), header_.end(), name) > 1 && !name.empty()) {
+      Fail("line 1: column " + name + " is there twice");
+    }
+    const bool is_wanted = std::find(wanted.begin(), wanted.end(), name) != wanted.end();
+    if (name == "t") time_column_ = i;
+    if (!is_wanted && !name.empty()) unknown_.push_back(name);
+    targets_.push_back(is_wanted ? &values_[name] : nullptr);
+  }
+  row_.resize(header_.size());
+}
+
+void Table::ReadRow(std::string_view line, long number) {
+  const auto cells = static_cast<size_t>(std::count(line.begin(), line.end(), ',')) + 1;
+  if (cells != header_.size()) {  // cut off while writing: even its last number may be
+    short_rows_.Add("line " + std::to_string(number));
+    return;
+  }
+  Stamp stamp = 0;
+  bool is_exact = false;
+  for (size_t i = 0; i < header_.size(); ++i) {
+    const std::string_view raw = NextCell(&line);
+    if (targets_[i] == nullptr) continue;
+    const std::string_view cell = Unquoted(raw);
+    row_[i] = std::numeric_limits<double>::quiet_NaN();
+    if (!cell.empty() && !ParseNumber(cell, &row_[i])) {
+      throw std::invalid_argument(file_ + ":" + std::to_string(number) + ": column " + header_[i] +
+                                  ": '" + std::string(cell) + "' is not a number");
+    }
+    if (i == time_column_) is_exact = ParsePlainSeconds(cell, &stamp);
+  }
+  const double t = row_[time_column_];
+  if (!(std::abs(t) < kLatest_s)) {
+    no_time_.Add("line " + std::to_string(number));
+    return;
+  }
+  if (!is_exact) stamp = FromSeconds(t);
+  if (!stamps_.empty() && stamp <= stamps_.back()) {
+    out_of_order_.Add("line " + std::to_string(number) + ", t " + FormatNumber(t));
+    return;
+  }
+  stamps_.push_back(stamp);
+  lines_.push_back(number);
+  for (size_t i = 0; i < targets_.size(); ++i) {
+    if (targets_[i] != nullptr) targets_[i]->push_back(row_[i]);
+  }
+}
+
+/// Milliseconds or ticks in place of seconds are not a flight.
+void Table::CheckSteps() const {
+  if (size() < 3) return;
+  std::vector<Stamp> steps;
+  for (size_t i = 1; i < size(); ++i) steps.push_back(stamps_[i] - stamps_[i - 1]);
+  std::nth_element(steps.begin(), steps.begin() + steps.size() / 2, steps.end());
+  const double step = ToSeconds(steps[steps.size() / 2]);
+  if (step > 1.0) Fail("column t steps by " + FormatNumber(step) + " s; is it in seconds?");
+}
+
+void Table::CheckAllOrNone(const Strings& names) const {
+  if (HasAny(names)) Require(names);
+}
+
+void Table::Require(const Strings& names) const {
+  Strings missing;
+  for (const std::string& name : names) {
+    if (values_.count(name) == 0) missing.push_back(name);
+  }
+  if (missing.empty()) return;
+  Fail(std::string(missing.size() == 1 ? "column " : "columns ") + JoinNames(missing) +
+       (missing.size() == 1 ? " is" : " are") + " missing; found are: " + JoinNames(header_));
+}
+
+// ---- Reading: table to samples -----------------------------------------------------------------
+
+/// Three columns of an optional stream, where the file has them.
+class OptionalVector {
+ public:
+  OptionalVector(const Table& table, const Strings& names) : table_(table), name_(names[0]) {
+    table.CheckAllOrNone(names);
+    if (table.HasAll(names)) columns_ = table.Columns<3>(names);
+  }
+  bool present() const { return columns_.has_value(); }
+  std::optional<Eigen::Vector3d> At(size_t row) {
+    if (!columns_) return std::nullopt;
+    if (!columns_->IsFinite(row)) {
+      refusals_.Add(table_.Where(row));
+      return std::nullopt;
+    }
+    return Eigen::Vector3d((*columns_)(0, row), (*columns_)(1, row), (*columns_)(2, row));
+  }
+  void Report(FlightLog* log) const {
+    refusals_.Report(log->file, "samples of " + name_ + " and its neighbours that are not finite",
+                     log);
+  }
+
+ private:
+  const Table& table_;
+  std::string name_;
+  std::optional<Table::Group<3>> columns_;
+  Refusals refusals_;
+};
+
+/// Poses of a table, with the twist where `with_twist` and the table has it.
+std::vector<OdometrySample> ReadOdometry(const Table& table, bool with_twist, FlightLog* log) {
+  table.Require(Concatenate({kPosition, kAttitude}));
+  const auto p = table.Columns<3>(kPosition);
+  const auto q = table.Columns<4>(kAttitude);
+  OptionalVector v(table, kVelocity), w(table, kBodyRates);
+  std::vector<OdometrySample> samples;
+  samples.reserve(table.size());
+  Refusals refusals;
+  for (size_t i = 0; i < table.size(); ++i) {
+    if (!p.IsFinite(i) || !q.IsFinite(i)) {
+      refusals.Add(table.Where(i));
+      continue;
+    }
+    OdometrySample sample;
+    sample.stamp = table.stamp(i);
+    sample.p_WS << p(0, i), p(1, i), p(2, i);
+    sample.q_WS = Eigen::Quaterniond(q(0, i), q(1, i), q(2, i), q(3, i));
+    if (with_twist) {
+      sample.v_WS = v.At(i);
+      sample.w_WS_S = w.At(i);
+    }
+    samples.push_back(sample);
+  }
+  refusals.Report(log->file, "rows whose pose is not finite", log);
+  v.Report(log);
+  w.Report(log);
+  if (samples.empty()) throw std::invalid_argument(table.file() + ": no row has a finite pose");
+  NormaliseAttitudes(table.file(), &samples, log);
+  return samples;
+}
+
+/// A row whose pose is not usable is refused whole; these are the rows that stay.
+std::vector<size_t> UsableRows(const Table& table) {
+  const auto p = table.Columns<3>(kPosition);
+  const auto q = table.Columns<4>(kAttitude);
+  std::vector<size_t> rows;
+  rows.reserve(table.size());
+  for (size_t i = 0; i < table.size(); ++i) {
+    if (p.IsFinite(i) && q.IsFinite(i)) rows.push_back(i);
+  }
+  return rows;
+}
+
+std::vector<size_t> AllRows(const Table& table) {
+  std::vector<size_t> rows(table.size());
+  for (size_t i = 0; i < rows.size(); ++i) rows[i] = i;
+  return rows;
+}
+
+void ReadImu(const Table& table, const std::vector<size_t>& rows, FlightLog* log) {
+  OptionalVector a(table, kAccelerometer), g(table, kGyro);
+  if (!a.present() && !g.present()) return;
+  log->imu.reserve(rows.size());
+  for (const size_t i : rows) {
+    const ImuSample sample{table.stamp(i), g.At(i), a.At(i)};
+    if (sample.gyro_I || sample.specific_force_I) log->imu.push_back(sample);
+  }
+  a.Report(log);
+  g.Report(log);
+}
+
+void ReadBattery(const Table& table, const std::vector<size_t>& rows, FlightLog* log) {
+  if (!table.HasAll(kBattery)) return;
+  const std::vector<double>& voltage = table.Column("vbat");
+  Refusals refusals;
+  for (const size_t i : rows) {
+    if (std::isfinite(voltage[i])) {
+      log->battery.push_back({table.stamp(i), voltage[i]});
+    } else {
+      refusals.Add(table.Where(i));
+    }
+  }
+  refusals.Report(log->file, "samples of vbat that are not finite", log);
+}
+
+/// The rotors' columns: one each or, where single ones are missing, the RMS for all.
+std::vector<const std::vector<double>*> RotorData(const Table& table, int num_rotors,
+                                                  FlightLog* log) {
+  const Strings names = RotorColumns(num_rotors);
+  std::vector<const std::vector<double>*> columns;
+  log->rotor_rms_only = !table.HasAll(names) && table.HasAll(kRotorRms);
+  if (!log->rotor_rms_only) table.Require(names);
+  for (const std::string& name : names) {
+    columns.push_back(&table.Column(log->rotor_rms_only ? kRotorRms[0] : name));
+  }
+  return columns;
+}
+
+void RefuseMoreRotors(const Table& table, int num_rotors) {
+  const std::string next = "rotor" + std::to_string(num_rotors + 1);
+  const Strings& unknown = table.unknown();
+  if (std::find(unknown.begin(), unknown.end(), next) == unknown.end()) return;
+  throw std::invalid_argument(table.file() + ": has a column " + next + ", but the vehicle has " +
+                              std::to_string(num_rotors) + " rotors");
+}
+
+void ReadRotors(const Table& table, const std::vector<size_t>& rows, int num_rotors,
+                FlightLog* log) {
+  RefuseMoreRotors(table, num_rotors);
+  const auto columns = RotorData(table, num_rotors, log);
+  log->rotors.reserve(rows.size());
+  Refusals refusals;
+  for (const size_t i : rows) {
+    RotorSample sample;
+    sample.stamp = table.stamp(i);
+    sample.speed.resize(num_rotors);
+    for (int j = 0; j < num_rotors; ++j) sample.speed[j] = (*columns[j])[i];
+    if (sample.speed.allFinite()) {
+      log->rotors.push_back(sample);
+    } else {
+      refusals.Add(table.Where(i));
+    }
+  }
+  refusals.Report(log->file, "rotor samples that are not finite", log);
+  if (log->rotors.empty()) throw std::invalid_argument(table.file() + ": no usable rotor speeds");
+}
+
+void WarnOfUnknown(const Strings& unknown, const std::string& file, FlightLog* log) {
+  if (!unknown.empty()) {
+    log->warnings.push_back(file + ": unknown columns ignored: " + JoinNames(unknown));
+  }
+}
+
+std::string FileName(const std::string& file) {
+  return std::filesystem::path(file).filename().string();
+}
+
+// ---- Writing -----------------------------------------------------------------------------------
+
+/// Seconds with all nine decimals, exactly.
+std::string FormatStamp(Stamp stamp) {
+  const bool negative = stamp < 0;
+  const auto magnitude = static_cast<unsigned long long>(negative ? -stamp : stamp);
+  char text[40];
+  std::snprintf(text, sizeof text, "%s%llu.%09llu", negative ? "-" : "", magnitude / 1000000000ULL,
+                magnitude % 1000000000ULL);
+  return text;
+}
+
+/// Columns of numbers at given stamps; nan is an empty cell.
+class TableWriter {
+ public:
+  explicit TableWriter(std::vector<Stamp> stamps) : stamps_(std::move(stamps)) {}
+
+  void Add(const std::string& name, std::vector<double> values) {
+    names_.push_back(name);
+    values_.push_back(std::move(values));
+  }
+
+  void Write(const std::string& file) const {
+    std::string text = "t," + JoinNames(names_);
+    text.erase(std::remove(text.begin(), text.end(), ' '), text.end());
+    for (size_t i = 0; i < stamps_.size(); ++i) {
+      text += "\n" + FormatStamp(stamps_[i]);
+      for (const auto& column : values_) {
+        text += std::isnan(column[i]) ? "," : "," + FormatNumber(column[i]);
+      }
+    }
+    std::ofstream out(file, std::ios::binary);
+    out << text << "\n";
+    out.close();
+    if (!out) throw std::runtime_error(file + ": cannot be written");
+  }
+
+ private:
+  std::vector<Stamp> stamps_;
+  Strings names_;
+  std::vector<std::vector<double>> values_;
+};
+
+constexpr double kNoValue = std::numeric_limits<double>::quiet_NaN();
+
+/// Values of one stream at other stamps: as they are where the stamps agree, else linear between
+/// neighbours, nothing outside.
+class Resampled {
+ public:
+  void Add(Stamp stamp, double value) {
+    stamps_.push_back(stamp);
+    values_.push_back(value);
+  }
+  bool empty() const { return stamps_.empty(); }
+  double At(Stamp stamp) const {
+    const auto next = std::lower_bound(stamps_.begin(), stamps_.end(), stamp);
+    if (next == stamps_.end()) return kNoValue;
+    const size_t i = next - stamps_.begin();
+    if (*next == stamp) return values_[i];
+    if (i == 0) return kNoValue;
+    const double share = static_cast<double>(stamp - stamps_[i - 1]) /
+                         static_cast<double>(stamps_[i] - stamps_[i - 1]);
+    return values_[i - 1] + share * (values_[i] - values_[i - 1]);
+  }
+  std::vector<double> At(const std::vector<Stamp>& stamps) const {
+    std::vector<double> values;
+    for (const Stamp stamp : stamps) values.push_back(At(stamp));
+    return values;
+  }
+
+ private:
+  std::vector<Stamp> stamps_;
+  std::vector<double> values_;
+};
+
+/// Adds three columns of what `get` takes from each sample (an optional vector), if any has it.
+template <typename Sample, typename Get>
+void AddVector(const Strings& names, const std::vector<Sample>& samples, Get get,
+               const std::vector<Stamp>& stamps, bool resample, TableWriter* table) {
+  for (int axis = 0; axis < 3; ++axis) {
+    Resampled stream;
+    std::map<Stamp, double> exact;
+    for (const Sample& sample : samples) {
+      const std::optional<Eigen::Vector3d> vector = get(sample);
+      if (!vector) continue;
+      stream.Add(sample.stamp, (*vector)[axis]);
+      if (!resample) exact[sample.stamp] = (*vector)[axis];
+    }
+    if (stream.empty()) return;
+    std::vector<double> values = stream.At(stamps);
+    // A gap among shared stamps stays a gap.
+    for (size_t i = 0; !resample && i < stamps.size(); ++i) {
+      if (exact.count(stamps[i]) == 0) values[i] = kNoValue;
+    }
+    table->Add(names[axis], std::move(values));
+  }
+}
+
+template <typename Sample>
+std::vector<Stamp> StampsOf(const std::vector<Sample>& samples) {
+  std::vector<Stamp> stamps;
+  for (const Sample& sample : samples) stamps.push_back(sample.stamp);
+  return stamps;
+}
+
+/// True if every stamp of `part` is one of `all`.
+bool IsSubset(const std::vector<Stamp>& part, const std::vector<Stamp>& all) {
+  return std::includes(all.begin(), all.end(), part.begin(), part.end());
+}
+
+void AddOdometry(const FlightLog& log, const std::vector<Stamp>& stamps, TableWriter* table) {
+  const auto add = [&](const std::string& name, auto get) {
+    std::vector<double> values;
+    for (const OdometrySample& sample : log.odometry) values.push_back(get(sample));
+    table->Add(name, std::move(values));
+  };
+  for (int i = 0; i < 3; ++i) {
+    add(kPosition[i], [i](const OdometrySample& s) { return s.p_WS[i]; });
+  }
+  add("qw", [](const OdometrySample& s) { return s.q_WS.w(); });
+  add("qx", [](const OdometrySample& s) { return s.q_WS.x(); });
+  add("qy", [](const OdometrySample& s) { return s.q_WS.y(); });
+  add("qz", [](const OdometrySample& s) { return s.q_WS.z(); });
+  AddVector(
+      kVelocity, log.odometry, [](const OdometrySample& s) { return s.v_WS; }, stamps, false,
+      table);
+  AddVector(
+      kBodyRates, log.odometry, [](const OdometrySample& s) { return s.w_WS_S; }, stamps, false,
+      table);
+}
+
+void AddImu(const FlightLog& log, const std::vector<Stamp>& stamps, TableWriter* table) {
+  const bool resample = !IsSubset(StampsOf(log.imu), stamps);
+  AddVector(
+      kAccelerometer, log.imu, [](const ImuSample& s) { return s.specific_force_I; }, stamps,
+      resample, table);
+  AddVector(
+      kGyro, log.imu, [](const ImuSample& s) { return s.gyro_I; }, stamps, resample, table);
+}
+
+void AddRotors(const FlightLog& log, const std::vector<Stamp>& stamps, TableWriter* table) {
+  std::map<Stamp, const RotorSample*> by_stamp;
+  for (const RotorSample& sample : log.rotors) by_stamp[sample.stamp] = &sample;
+  const auto num_rotors = static_cast<int>(log.rotors.empty() ? 0 : log.rotors[0].speed.size());
+  const Strings names = log.rotor_rms_only ? kRotorRms : RotorColumns(num_rotors);
+  for (size_t j = 0; j < names.size() && num_rotors > 0; ++j) {
+    std::vector<double> values;
+    for (const Stamp stamp : stamps) {
+      const auto it = by_stamp.find(stamp);
+      values.push_back(it == by_stamp.end() ? kNoValue : it->second->speed[static_cast<int>(j)]);
+    }
+    table->Add(names[j], std::move(values));
+  }
+}
+
+void AddBattery(const FlightLog& log, const std::vector<Stamp>& stamps, TableWriter* table) {
+  Resampled voltage;
+  for (const BatterySample& sample : log.battery) voltage.Add(sample.stamp, sample.voltage_V);
+  if (!voltage.empty()) table->Add("vbat", voltage.At(stamps));
+}
+
+}  // namespace
+
+std::string SiblingFile(const std::string& file, const std::string& suffix) {
+  const std::filesystem::path path(file);
+  return (path.parent_path() / (path.stem().string() + suffix)).string();
+}
+
+FlightLog ReadFlightCsv(const std::string& file, int num_rotors, PoseSource pose) {
+  FlightLog log;
+  log.file = FileName(file);
+  const Strings rotors = Concatenate({RotorColumns(num_rotors), kRotorRms});
+  const Table table(file,
+                    Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates, kAccelerometer,
+                                 kGyro, kBattery, rotors}),
+                    &log);
+  WarnOfUnknown(table.unknown(), log.file, &log);
+  log.odometry = ReadOdometry(table, true, &log);
+  const std::vector<size_t> rows = UsableRows(table);
+  ReadImu(table, rows, &log);
+  ReadBattery(table, rows, &log);
+
+  const std::string rotor_file = SiblingFile(file, "_rotor.csv");
+  if (std::filesystem::exists(rotor_file)) {
+    const Table rotor_table(rotor_file, Concatenate({kTime, rotors}), &log);
+    WarnOfUnknown(rotor_table.unknown(), FileName(rotor_file), &log);
+    ReadRotors(rotor_table, AllRows(rotor_table), num_rotors, &log);
+  } else {
+    ReadRotors(table, rows, num_rotors, &log);
+  }
+  TakeSpeedMagnitudes(log.file, &log);
+  WarnOfDeadRotors(log.file, &log);
+
+  if (pose == PoseSource::kMocap) {
+    const std::string mocap_file = SiblingFile(file, "_mocap.csv");
+    const Table mocap(mocap_file, Concatenate({kTime, kPosition, kAttitude}), &log);
+    WarnOfUnknown(mocap.unknown(), FileName(mocap_file), &log);
+    UseMocapPoses(ReadOdometry(mocap, false, &log), &log);
+  }
+  return log;
+}
+
+void WriteFlightCsv(const FlightLog& log, const std::string& file) {
+  if (log.odometry.empty()) throw std::invalid_argument(file + ": the flight has no odometry");
+  const std::vector<Stamp> stamps = StampsOf(log.odometry);
+  TableWriter table(stamps);
+  AddOdometry(log, stamps, &table);
+  AddImu(log, stamps, &table);
+  const std::vector<Stamp> rotor_stamps = StampsOf(log.rotors);
+  const std::string rotor_file = SiblingFile(file, "_rotor.csv");
+  if (IsSubset(rotor_stamps, stamps)) {
+    AddRotors(log, stamps, &table);
+    std::filesystem::remove(rotor_file);
+  } else {
+    TableWriter rotor_table(rotor_stamps);
+    AddRotors(log, rotor_stamps, &rotor_table);
+    rotor_table.Write(rotor_file);
+  }
+  AddBattery(log, stamps, &table);
+  table.Write(file);
+}
+
+}  // namespace odmc

@@ -1,0 +1,202 @@
+#include "odmc/io/parameters_yaml.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <stdexcept>
+
+#include "odmc/io/number_text.h"
+#include "odmc/model/effect.h"
+#include "yaml_reader.h"
+
+namespace odmc {
+namespace {
+
+/// What the registry says about a parameter, for names, units and default states.
+std::map<std::string, ParameterSpec> KnownParameters() {
+  const Vehicle vehicle;  // names and units do not depend on it
+  std::map<std::string, ParameterSpec> specs;
+  for (const std::string& effect : EffectRegistry::Default().names()) {
+    const auto made = EffectRegistry::Default().Make(effect, vehicle);
+    for (const ParameterSpec& spec : made->parameters()) {
+      specs[effect + "." + spec.name] = spec;
+    }
+  }
+  return specs;
+}
+
+// ---- Reading -----------------------------------------------------------------------------------
+
+std::vector<std::string> ReadEffects(const YamlValue& value) {
+  std::vector<std::string> effects;
+  const std::vector<std::string>& known = EffectRegistry::Default().names();
+  for (const YamlValue& item : value.Items()) {
+    effects.push_back(item.OneOf(known));
+    if (std::count(effects.begin(), effects.end(), effects.back()) > 1) {
+      item.Fail("effect '" + effects.back() + "' is listed twice");
+    }
+  }
+  return effects;
+}
+
+ParameterEstimate ReadEstimate(const std::string& name, const YamlValue& value,
+                               const ParameterSpec& spec) {
+  value.AllowKeys({"value", "sigma", "unit", "state", "observable"});
+  ParameterEstimate p;
+  p.full_name = name;
+  p.unit = spec.unit;
+  p.estimated = !spec.frozen_by_default;
+  p.value = value.Get("value").Number();
+  if (const auto sigma = value.Find("sigma")) p.sigma = sigma->Number();
+  if (p.sigma < 0.0) value.Get("sigma").Fail("must not be negative");
+  if (const auto unit = value.Find("unit")) {
+    if (unit->Text() != spec.unit) {
+      unit->Fail("is '" + unit->Text() + "'; this program keeps " + name + " in '" + spec.unit +
+                 "'");
+    }
+  }
+  if (const auto state = value.Find("state")) {
+    p.estimated = state->OneOf({"estimated", "frozen"}) == "estimated";
+  }
+  if (const auto observable = value.Find("observable")) p.observable = observable->Bool();
+  if (spec.transform == ParameterTransform::kLog && !(p.value > 0.0)) {
+    value.Get("value").Fail("must be positive, not " + FormatNumber(p.value));
+  }
+  return p;
+}
+
+void ReadEstimates(const YamlValue& value, ParameterSet* set) {
+  const std::map<std::string, ParameterSpec> specs = KnownParameters();
+  std::vector<std::string> names;
+  for (const auto& [name, spec] : specs) names.push_back(name);
+  value.AllowKeys(names);
+  for (const auto& [name, entry] : value.Entries()) {
+    set->parameters.push_back(ReadEstimate(name, entry, specs.at(name)));
+  }
+}
+
+/// Index in `set.parameters` of every row of the file's matrix.
+std::vector<int> ReadOrder(const YamlValue& value, const ParameterSet& set) {
+  std::vector<int> order;
+  for (const YamlValue& item : value.Items()) {
+    const ParameterEstimate* p = set.Find(item.Text());
+    if (p == nullptr) item.Fail("'" + item.Text() + "' is not among the parameters");
+    order.push_back(static_cast<int>(p - set.parameters.data()));
+    if (std::count(order.begin(), order.end(), order.back()) > 1) item.Fail("is listed twice");
+  }
+  if (order.size() != set.parameters.size()) value.Fail("must name every parameter once");
+  return order;
+}
+
+Eigen::MatrixXd ReadCovariance(const YamlValue& value, const ParameterSet& set) {
+  value.AllowKeys({"order", "matrix"});
+  const std::vector<int> order = ReadOrder(value.Get("order"), set);
+  const YamlValue matrix = value.Get("matrix");
+  const std::vector<YamlValue> rows = matrix.Items();
+  if (rows.size() != order.size()) matrix.Fail("must have one row per entry of order");
+  Eigen::MatrixXd covariance(order.size(), order.size());
+  for (size_t i = 0; i < rows.size(); ++i) {
+    const std::vector<double> row = rows[i].Numbers();
+    if (row.size() != order.size()) rows[i].Fail("must have one number per entry of order");
+    for (size_t j = 0; j < row.size(); ++j) covariance(order[i], order[j]) = row[j];
+  }
+  const double asymmetry = (covariance - covariance.transpose()).cwiseAbs().maxCoeff();
+  if (asymmetry > 1e-9 * covariance.cwiseAbs().maxCoeff()) matrix.Fail("is not symmetric");
+  if (covariance.diagonal().minCoeff() < 0.0) matrix.Fail("has a negative variance");
+  return covariance;
+}
+
+// ---- Writing -----------------------------------------------------------------------------------
+
+/// Text in double quotes, for any content.
+std::string Quoted(const std::string& text) {
+  std::string quoted = "\"";
+  for (const char c : text) {
+    if (c == '"' || c == '\\') {
+      quoted += std::string("\\") + c;
+    } else if (c == '\n') {
+      quoted += "\\n";
+    } else if (static_cast<unsigned char>(c) < 0x20) {
+      char escape[8];
+      std::snprintf(escape, sizeof escape, "\\x%02x", static_cast<unsigned>(c));
+      quoted += escape;
+    } else {
+      quoted += c;
+    }
+  }
+  return quoted + "\"";
+}
+
+std::string Finite(double value, const std::string& key) {
+  if (!std::isfinite(value)) throw std::invalid_argument(key + " is not finite, will not be saved");
+  return FormatYamlNumber(value);
+}
+
+std::string FormatEstimate(const ParameterEstimate& p) {
+  return "  " + p.full_name + ": {value: " + Finite(p.value, p.full_name + ".value") +
+         ", sigma: " + Finite(p.sigma, p.full_name + ".sigma") + ", unit: " + Quoted(p.unit) +
+         ", state: " + (p.estimated ? "estimated" : "frozen") +
+         ", observable: " + (p.observable ? "true" : "false") + "}\n";
+}
+
+std::string FormatCovariance(const ParameterSet& set) {
+  const auto n = static_cast<Eigen::Index>(set.parameters.size());
+  if (set.covariance.rows() != n || set.covariance.cols() != n) {
+    throw std::invalid_argument("covariance must have one row and column per parameter");
+  }
+  std::vector<std::string> names;
+  for (const ParameterEstimate& p : set.parameters) names.push_back(p.full_name);
+  std::string text = "covariance:\n  order: [" + JoinNames(names) + "]\n  matrix:\n";
+  for (Eigen::Index i = 0; i < n; ++i) {
+    std::vector<std::string> row;
+    for (Eigen::Index j = 0; j < n; ++j) {
+      row.push_back(Finite(set.covariance(i, j), "covariance of " + names[i] + ", " + names[j]));
+    }
+    text += "    - [" + JoinNames(row) + "]\n";
+  }
+  return text;
+}
+
+}  // namespace
+
+ParameterSet ParseParameters(const std::string& text, const std::string& file) {
+  const YamlValue root = YamlValue::Parse(text, file);
+  root.AllowKeys({"effects", "parameters", "covariance", "provenance"});
+  ParameterSet set;
+  set.effects = ReadEffects(root.Get("effects"));
+  ReadEstimates(root.Get("parameters"), &set);
+  if (const auto covariance = root.Find("covariance")) {
+    set.covariance = ReadCovariance(*covariance, set);
+  }
+  if (const auto provenance = root.Find("provenance")) {
+    for (const auto& [key, value] : provenance->Entries()) set.provenance[key] = value.Text();
+  }
+  return set;
+}
+
+ParameterSet LoadParameters(const std::string& file) {
+  return ParseParameters(ReadText(file), file);
+}
+
+std::string FormatParameters(const ParameterSet& set) {
+  std::string text = "# Dynamic model of a vehicle: SI units, sigma is one standard deviation.\n";
+  text += "effects: [" + JoinNames(set.effects) + "]\n";
+  text += set.parameters.empty() ? "parameters: {}\n" : "parameters:\n";
+  for (const ParameterEstimate& p : set.parameters) text += FormatEstimate(p);
+  if (set.covariance.size() > 0) text += FormatCovariance(set);
+  if (!set.provenance.empty()) text += "provenance:\n";
+  for (const auto& [key, value] : set.provenance)
+    text += "  " + Quoted(key) + ": " + Quoted(value) + "\n";
+  return text;
+}
+
+void SaveParameters(const ParameterSet& set, const std::string& file) {
+  const std::string text = FormatParameters(set);
+  std::ofstream out(file, std::ios::binary);
+  out << text;
+  out.close();
+  if (!out) throw std::runtime_error(file + ": cannot be written");
+}
+
+}  // namespace odmc

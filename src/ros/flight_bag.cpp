@@ -1,0 +1,661 @@
+#include "odmc/ros/flight_bag.h"
+
+#include <geometry_msgs/PoseStamped.h>
+#include <nav_msgs/Odometry.h>
+#include <rosbag/bag.h>
+#include <rosbag/view.h>
+#include <sensor_msgs/BatteryState.h>
+#include <sensor_msgs/Imu.h>
+#include <sensor_msgs/JointState.h>
+#include <std_msgs/Int64.h>
+
+#include <algorithm>
+#include <array>
+#include <cctype>
+#include <charconv>
+#include <cmath>
+#include <filesystem>
+#include <functional>
+#include <limits>
+#include <set>
+#include <stdexcept>
+#include <utility>
+#include <vector>
+
+#include "odmc/RotorSpeeds.h"
+#include "odmc/sensing/flight_checks.h"
+#include "odmc/sensing/twist_frame.h"
+
+namespace odmc {
+namespace {
+
+constexpr Stamp kSecond = 1000000000;
+constexpr char kShiftTopic[] = "/stamp_shift";
+constexpr char kWorldFrame[] = "world";
+
+[[noreturn]] void Fail(const std::string& file, const std::string& what) {
+  throw std::invalid_argument(file + ": " + what);
+}
+
+// ---- Stamps and topics -------------------------------------------------------------------------
+
+Stamp FromRos(const ros::Time& time) {
+  return static_cast<Stamp>(time.sec) * kSecond + static_cast<Stamp>(time.nsec);
+}
+
+ros::Time ToRos(Stamp stamp) {
+  if (stamp < 0 || stamp / kSecond > std::numeric_limits<std::uint32_t>::max()) {
+    throw std::invalid_argument("a stamp of " + std::to_string(ToSeconds(stamp)) +
+                                " s does not fit a ROS message");
+  }
+  return ros::Time(static_cast<std::uint32_t>(stamp / kSecond),
+                   static_cast<std::uint32_t>(stamp % kSecond));
+}
+
+struct Role {
+  std::string name;
+  std::string type;  ///< message type as bags name it
+};
+
+const std::vector<Role>& Roles() {
+  static const std::vector<Role> roles = {{"odometry", "nav_msgs/Odometry"},
+                                          {"pose", "geometry_msgs/PoseStamped"},
+                                          {"imu", "sensor_msgs/Imu"},
+                                          {"rotor_speeds", "odmc/RotorSpeeds"},
+                                          {"joint_states", "sensor_msgs/JointState"},
+                                          {"battery_state", "sensor_msgs/BatteryState"}};
+  return roles;
+}
+
+std::string Join(const std::set<std::string>& names) {
+  std::string text;
+  for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
+  return text;
+}
+
+/// "/a/b" and "a/b" name the same topic in a bag.
+std::string WithSlash(const std::string& topic) {
+  return !topic.empty() && topic[0] == '/' ? topic : "/" + topic;
+}
+
+bool EndsIn(const std::string& topic, const std::string& role) {
+  const std::string name = WithSlash(topic), end = "/" + role;
+  return name.size() >= end.size() && name.compare(name.size() - end.size(), end.size(), end) == 0;
+}
+
+/// An open bag with its topics and the way they serve the roles.
+class BagSource {
+ public:
+  BagSource(const std::string& file, const BagOptions& options);
+
+  const std::string& file() const { return file_; }
+  rosbag::Bag& bag() { return bag_; }
+
+  /// Topic of a role; empty where the bag has none.
+  std::string TopicOf(const std::string& role) const;
+
+  /// Every message of a topic, in the order of recording.
+  template <typename Message>
+  std::vector<typename Message::ConstPtr> Read(const std::string& topic);
+
+  /// Types of all topics, for errors.
+  std::string Contents() const;
+
+ private:
+  void CheckMap() const;
+
+  std::string file_;
+  const BagOptions& options_;
+  rosbag::Bag bag_;
+  std::map<std::string, std::string> types_;  // by topic
+};
+
+BagSource::BagSource(const std::string& file, const BagOptions& options)
+    : file_(file), options_(options) {
+  if (!std::filesystem::is_regular_file(file)) Fail(file, "cannot be opened");
+  try {
+    bag_.open(file, rosbag::bagmode::Read);
+  } catch (const rosbag::BagUnindexedException&) {
+    Fail(file,
+         "has no index: recording was cut off or the file is truncated; "
+         "`rosbag reindex` rescues what is there");
+  } catch (const rosbag::BagException& e) {
+    Fail(file, std::string("is not a bag or truncated: ") + e.what());
+  }
+  rosbag::View view(bag_);
+  for (const rosbag::ConnectionInfo* info : view.getConnections()) {
+    types_[info->topic] = info->datatype;
+  }
+  CheckMap();
+}
+
+std::string BagSource::Contents() const {
+  std::set<std::string> topics;
+  for (const auto& [topic, type] : types_) topics.insert(topic + " (" + type + ")");
+  return topics.empty() ? "the bag is empty" : "the bag has " + Join(topics);
+}
+
+void BagSource::CheckMap() const {
+  for (const auto& [name, topic] : options_.topics) {
+    const auto role = std::find_if(Roles().begin(), Roles().end(),
+                                   [&, key = name](const Role& r) { return r.name == key; });
+    if (role == Roles().end()) {
+      std::set<std::string> known;
+      for (const Role& r : Roles()) known.insert(r.name);
+      Fail(file_, "unknown topic role '" + name + "'; known are: " + Join(known));
+    }
+    const std::string found = TopicOf(name);
+    if (types_.at(found) != role->type) {
+      Fail(file_, "topic " + found + " is a " + types_.at(found) + ", but " + name + " must be a " +
+                      role->type);
+    }
+  }
+}
+
+std::string BagSource::TopicOf(const std::string& role) const {
+  const auto mapped = options_.topics.find(role);
+  if (mapped != options_.topics.end()) {
+    for (const auto& [topic, type] : types_) {
+      if (WithSlash(topic) == WithSlash(mapped->second)) return topic;
+    }
+    Fail(file_, "has no topic " + mapped->second + " for " + role + "; " + Contents());
+  }
+  std::set<std::string> fitting, named;
+  for (const Role& r : Roles()) {
+    for (const auto& [topic, type] : types_) {
+      if (r.name != role || type != r.type) continue;
+      fitting.insert(topic);
+      if (EndsIn(topic, role)) named.insert(topic);
+    }
+  }
+  const std::set<std::string>& candidates = named.empty() ? fitting : named;
+  if (candidates.empty()) return "";
+  if (candidates.size() > 1) {
+    Fail(file_, "several topics could be " + role + ": " + Join(candidates) +
+                    "; choose with --topic " + role + ":=" + *candidates.begin());
+  }
+  return *candidates.begin();
+}
+
+template <typename Message>
+std::vector<typename Message::ConstPtr> BagSource::Read(const std::string& topic) {
+  std::vector<typename Message::ConstPtr> messages;
+  rosbag::View view(bag_, rosbag::TopicQuery(topic));
+  messages.reserve(view.size());
+  for (const rosbag::MessageInstance& instance : view) {
+    const auto message = instance.instantiate<Message>();
+    if (message == nullptr) {
+      Fail(file_, "topic " + topic + " holds another version of " + types_.at(topic) +
+                      " (its definition differs)");
+    }
+    messages.push_back(message);
+  }
+  return messages;
+}
+
+// ---- Messages to samples -----------------------------------------------------------------------
+
+Eigen::Vector3d ToEigen(const geometry_msgs::Vector3& v) { return {v.x, v.y, v.z}; }
+Eigen::Vector3d ToEigen(const geometry_msgs::Point& p) { return {p.x, p.y, p.z}; }
+Eigen::Quaterniond ToEigen(const geometry_msgs::Quaternion& q) {
+  return Eigen::Quaterniond(q.w, q.x, q.y, q.z);
+}
+
+OdometrySample PoseSample(const std_msgs::Header& header, const geometry_msgs::Pose& pose) {
+  OdometrySample sample;
+  sample.stamp = FromRos(header.stamp);
+  sample.p_WS = ToEigen(pose.position);
+  sample.q_WS = ToEigen(pose.orientation);
+  return sample;
+}
+
+/// Drops samples that `is_finite` refuses, and those whose header carries no stamp.
+template <typename Sample, typename Test>
+void KeepFinite(const std::string& source, std::vector<Sample>* samples, Test is_finite,
+                FlightLog* log) {
+  Refusals not_finite, no_stamp;
+  std::vector<Sample> kept;
+  kept.reserve(samples->size());
+  for (const Sample& sample : *samples) {
+    if (sample.stamp == 0) {
+      no_stamp.Add("message " + std::to_string(&sample - samples->data()));
+    } else if (!is_finite(sample)) {
+      not_finite.Add("message " + std::to_string(&sample - samples->data()));
+    } else {
+      kept.push_back(sample);
+    }
+  }
+  no_stamp.Report(source, "messages whose header has no stamp", log);
+  not_finite.Report(source, "messages that are not finite", log);
+  *samples = std::move(kept);
+}
+
+/// Twist of an odometry message before its frame is known.
+struct RawTwist {
+  Stamp stamp;
+  std::optional<Eigen::Vector3d> linear;
+};
+
+/// True if `twist` is filled. Absent twist is marked by -1 as its first variance (as REP-145 has it
+/// for IMUs).
+bool HasLinear(const nav_msgs::Odometry& m) { return m.twist.covariance[0] != -1.0; }
+bool HasAngular(const nav_msgs::Odometry& m) { return m.twist.covariance[21] != -1.0; }
+
+using OdometryMessages = std::vector<nav_msgs::Odometry::ConstPtr>;
+
+/// Sources that know no twist leave zeros, without a mark: a vehicle that moved shows it.
+bool IsLinearFilled(const OdometryMessages& messages) {
+  double path = 0.0;
+  for (const auto& m : messages) {
+    const Eigen::Vector3d v = ToEigen(m->twist.twist.linear);
+    if (!HasLinear(*m)) continue;
+    if (v != Eigen::Vector3d::Zero()) return true;
+    path = std::max(
+        path,
+        (ToEigen(m->pose.pose.position) - ToEigen(messages.front()->pose.pose.position)).norm());
+  }
+  return path < 0.1;
+}
+
+bool IsAngularFilled(const OdometryMessages& messages) {
+  double turn = 0.0;
+  for (const auto& m : messages) {
+    if (!HasAngular(*m)) continue;
+    if (ToEigen(m->twist.twist.angular) != Eigen::Vector3d::Zero()) return true;
+    turn = std::max(turn, ToEigen(m->pose.pose.orientation)
+                              .angularDistance(ToEigen(messages.front()->pose.pose.orientation)));
+  }
+  return turn < 0.1;
+}
+
+/// The frame of the linear twist: as told, or found from the motion.
+TwistFrame FindTwistFrame(const std::string& source, const OdometryMessages& messages,
+                          const std::string& wanted, FlightLog* log) {
+  if (wanted == "body") return TwistFrame::kBody;
+  if (wanted == "world") return TwistFrame::kWorld;
+  TwistFrameDetector detector;
+  for (const auto& m : messages) {
+    if (!HasLinear(*m)) continue;
+    detector.AddSample(FromRos(m->header.stamp), ToEigen(m->pose.pose.position),
+                       ToEigen(m->pose.pose.orientation).normalized(),
+                       ToEigen(m->twist.twist.linear));
+    if (detector.decided()) break;
+  }
+  const TwistFrameDecision& decision = detector.decision();
+  if (decision.frame == TwistFrame::kNeither) {
+    Fail(source, "the twist fits neither frame: " + decision.Describe() +
+                     "; state twist_frame if the position is at fault");
+  }
+  const nav_msgs::Odometry& first = *messages.front();
+  const TwistFrame frame =
+      ResolveTwistFrame(decision.frame, first.header.frame_id, first.child_frame_id);
+  if (decision.frame == TwistFrame::kUndecided && decision.moving_s > 1.0) {
+    log->warnings.push_back(source +
+                            ": the motion does not tell the frame of the twist, took the " +
+                            (frame == TwistFrame::kWorld ? "world" : "body") +
+                            " frame, as the message says: " + decision.Describe());
+  }
+  return frame;
+}
+
+bool IsFinite(const OdometrySample& s) {
+  return s.p_WS.allFinite() && s.q_WS.coeffs().allFinite() && (!s.v_WS || s.v_WS->allFinite()) &&
+         (!s.w_WS_S || s.w_WS_S->allFinite());
+}
+
+/// Puts samples in order and makes them sound.
+void FinishOdometry(const std::string& source, std::vector<OdometrySample>* samples,
+                    FlightLog* log) {
+  KeepFinite(source, samples, IsFinite, log);
+  KeepForward(source, samples, log);
+  NormaliseAttitudes(source, samples, log);
+  if (samples->empty()) Fail(source, "no usable message");
+}
+
+std::vector<OdometrySample> ReadOdometry(BagSource* bag, const std::string& topic,
+                                         const BagOptions& options, FlightLog* log) {
+  const OdometryMessages messages = bag->Read<nav_msgs::Odometry>(topic);
+  const std::string source = bag->file() + ": " + topic;
+  if (messages.empty()) Fail(source, "no message");
+  const bool has_linear = IsLinearFilled(messages), has_angular = IsAngularFilled(messages);
+  if (!has_linear) log->warnings.push_back(source + ": linear twist is all zero, not used");
+  if (!has_angular) log->warnings.push_back(source + ": angular twist is all zero, not used");
+  const TwistFrame frame =
+      has_linear ? FindTwistFrame(source, messages, options.twist_frame, log) : TwistFrame::kBody;
+  std::vector<OdometrySample> samples;
+  samples.reserve(messages.size());
+  for (const auto& m : messages) {
+    OdometrySample sample = PoseSample(m->header, m->pose.pose);
+    if (has_linear && HasLinear(*m)) {
+      const Eigen::Vector3d linear = ToEigen(m->twist.twist.linear);
+      sample.v_WS = frame == TwistFrame::kWorld ? linear : sample.q_WS.normalized() * linear;
+    }
+    if (has_angular && HasAngular(*m)) sample.w_WS_S = ToEigen(m->twist.twist.angular);
+    samples.push_back(sample);
+  }
+  FinishOdometry(source, &samples, log);
+  return samples;
+}
+
+std::vector<OdometrySample> ReadPoses(BagSource* bag, const std::string& topic, FlightLog* log) {
+  std::vector<OdometrySample> samples;
+  for (const auto& m : bag->Read<geometry_msgs::PoseStamped>(topic)) {
+    samples.push_back(PoseSample(m->header, m->pose));
+  }
+  FinishOdometry(bag->file() + ": " + topic, &samples, log);
+  return samples;
+}
+
+bool IsFinite(const ImuSample& s) {
+  return (s.gyro_I || s.specific_force_I) && (!s.gyro_I || s.gyro_I->allFinite()) &&
+         (!s.specific_force_I || s.specific_force_I->allFinite());
+}
+
+void ReadImu(BagSource* bag, FlightLog* log) {
+  const std::string topic = bag->TopicOf("imu");
+  if (topic.empty()) return;
+  for (const auto& m : bag->Read<sensor_msgs::Imu>(topic)) {
+    ImuSample sample;
+    sample.stamp = FromRos(m->header.stamp);
+    // REP-145: -1 as the first variance says that the sensor has no such part.
+    if (m->angular_velocity_covariance[0] != -1.0) sample.gyro_I = ToEigen(m->angular_velocity);
+    if (m->linear_acceleration_covariance[0] != -1.0) {
+      sample.specific_force_I = ToEigen(m->linear_acceleration);
+    }
+    log->imu.push_back(sample);
+  }
+  const std::string source = bag->file() + ": " + topic;
+  KeepFinite(
+      source, &log->imu, [](const ImuSample& s) { return IsFinite(s); }, log);
+  KeepForward(source, &log->imu, log);
+}
+
+/// Factor that takes the speeds of joint_states to rad/s.
+double RotorSpeedScale(const std::string& file, const BagOptions& options) {
+  const double rpm = M_PI / 30.0;
+  if (options.rotor_speed_unit == "rad_s") return 1.0;
+  if (options.rotor_speed_unit == "rpm") return rpm;
+  if (options.rotor_speed_unit != "erpm") {
+    Fail(file,
+         "rotor_speed_unit must be rad_s, rpm or erpm, not '" + options.rotor_speed_unit + "'");
+  }
+  if (options.pole_pairs < 1) Fail(file, "pole_pairs must be at least 1");
+  return rpm / options.pole_pairs;
+}
+
+RotorSample MakeRotorSample(const std::string& source, const ros::Time& stamp,
+                            const std::vector<double>& speeds, double scale, int num_rotors) {
+  if (static_cast<int>(speeds.size()) != num_rotors) {
+    Fail(source, "has " + std::to_string(speeds.size()) + " speeds, the vehicle has " +
+                     std::to_string(num_rotors) + " rotors");
+  }
+  RotorSample sample;
+  sample.stamp = FromRos(stamp);
+  sample.speed = scale * Eigen::Map<const Eigen::VectorXd>(speeds.data(), num_rotors);
+  return sample;
+}
+
+void ReadRotors(BagSource* bag, int num_rotors, const BagOptions& options, FlightLog* log) {
+  const double scale = RotorSpeedScale(bag->file(), options);
+  // A mapped joint_states says which of the two the user means.
+  std::string topic = options.topics.count("joint_states") > 0 ? "" : bag->TopicOf("rotor_speeds");
+  const std::string joint_topic = topic.empty() ? bag->TopicOf("joint_states") : "";
+  const std::string source = bag->file() + ": " + topic + joint_topic;
+  if (!topic.empty()) {
+    for (const auto& m : bag->Read<odmc::RotorSpeeds>(topic)) {
+      log->rotors.push_back(
+          MakeRotorSample(source, m->header.stamp, m->angular_velocity_rad_s, 1.0, num_rotors));
+      log->rotor_rms_only = log->rotor_rms_only || m->rms_only;
+    }
+  } else if (!joint_topic.empty()) {
+    for (const auto& m : bag->Read<sensor_msgs::JointState>(joint_topic)) {
+      log->rotors.push_back(
+          MakeRotorSample(source, m->header.stamp, m->velocity, scale, num_rotors));
+    }
+  } else {
+    Fail(bag->file(),
+         "no rotor speeds (odmc/RotorSpeeds or sensor_msgs/JointState); " + bag->Contents());
+  }
+  KeepFinite(
+      source, &log->rotors, [](const RotorSample& s) { return s.speed.allFinite(); }, log);
+  KeepForward(source, &log->rotors, log);
+  if (log->rotors.empty()) Fail(source, "no usable rotor speeds");
+  TakeSpeedMagnitudes(source, log);
+  WarnOfDeadRotors(source, log);
+}
+
+/// The message has single precision. Its shortest decimals give back what was measured: 3.784 V,
+/// and not 3.78399991989135742.
+double FromFloat(float value) {
+  std::array<char, 32> text;
+  const auto end = std::to_chars(text.data(), text.data() + text.size(), value).ptr;
+  double result = value;
+  std::from_chars(text.data(), end, result);
+  return result;
+}
+
+void ReadBattery(BagSource* bag, FlightLog* log) {
+  const std::string topic = bag->TopicOf("battery_state");
+  if (topic.empty()) return;
+  for (const auto& m : bag->Read<sensor_msgs::BatteryState>(topic)) {
+    log->battery.push_back({FromRos(m->header.stamp), FromFloat(m->voltage)});
+  }
+  const std::string source = bag->file() + ": " + topic;
+  KeepFinite(
+      source, &log->battery, [](const BatterySample& s) { return std::isfinite(s.voltage_V); },
+      log);
+  KeepForward(source, &log->battery, log);
+}
+
+template <typename Sample>
+void Shift(Stamp shift, std::vector<Sample>* samples) {
+  for (Sample& sample : *samples) sample.stamp += shift;
+}
+
+void ShiftAll(Stamp shift, FlightLog* log) {
+  Shift(shift, &log->odometry);
+  Shift(shift, &log->imu);
+  Shift(shift, &log->rotors);
+  Shift(shift, &log->battery);
+}
+
+/// How far WriteFlightBag() moved the stamps; 0 for other bags.
+Stamp ReadShift(BagSource* bag) {
+  rosbag::View view(bag->bag(), rosbag::TopicQuery(std::string(kShiftTopic)));
+  for (const rosbag::MessageInstance& instance : view) {
+    if (const auto m = instance.instantiate<std_msgs::Int64>()) return m->data;
+  }
+  return 0;
+}
+
+FlightLog ReadOpenBag(BagSource* bag, int num_rotors, PoseSource pose, const BagOptions& options) {
+  FlightLog log;
+  log.file = std::filesystem::path(bag->file()).filename().string();
+  const bool poses_mapped =
+      options.topics.count("pose") > 0 && options.topics.count("odometry") == 0;
+  const std::string odometry_topic = poses_mapped ? "" : bag->TopicOf("odometry");
+  const bool needs_poses = odometry_topic.empty() || pose == PoseSource::kMocap;
+  const std::string pose_topic = needs_poses ? bag->TopicOf("pose") : "";
+  if (needs_poses && pose_topic.empty()) {
+    Fail(bag->file(),
+         "no odometry (nav_msgs/Odometry or geometry_msgs/PoseStamped); " + bag->Contents());
+  }
+  ReadImu(bag, &log);
+  if (!odometry_topic.empty()) log.odometry = ReadOdometry(bag, odometry_topic, options, &log);
+  if (needs_poses) UseMocapPoses(ReadPoses(bag, pose_topic, &log), &log);
+  ReadRotors(bag, num_rotors, options, &log);
+  ReadBattery(bag, &log);
+  ShiftAll(-ReadShift(bag), &log);
+  return log;
+}
+
+FlightLog ReadBag(const std::string& file, int num_rotors, PoseSource pose,
+                  const BagOptions& options) {
+  if (options.twist_frame != "auto" && options.twist_frame != "body" &&
+      options.twist_frame != "world") {
+    Fail(file, "twist_frame must be auto, body or world, not '" + options.twist_frame + "'");
+  }
+  try {
+    BagSource bag(file, options);
+    return ReadOpenBag(&bag, num_rotors, pose, options);
+  } catch (const std::invalid_argument&) {
+    throw;
+  } catch (const std::exception& e) {
+    // A damaged chunk or record shows as any of a dozen exceptions of rosbag and its libraries.
+    Fail(file, std::string("is damaged or truncated: ") + e.what());
+  }
+}
+
+// ---- Samples to messages -----------------------------------------------------------------------
+
+geometry_msgs::Vector3 ToVector3(const Eigen::Vector3d& v) {
+  geometry_msgs::Vector3 m;
+  m.x = v.x();
+  m.y = v.y();
+  m.z = v.z();
+  return m;
+}
+
+void SetHeader(Stamp stamp, const std::string& frame, std_msgs::Header* header) {
+  header->stamp = ToRos(stamp);
+  header->frame_id = frame;
+}
+
+/// The velocity stays in the world, since turning it into the body would change its last bits; the
+/// child_frame_id says so (ResolveTwistFrame()). Body rates are in the odometry's own frame.
+nav_msgs::Odometry ToMessage(const OdometrySample& sample, Stamp stamp) {
+  nav_msgs::Odometry m;
+  SetHeader(stamp, kWorldFrame, &m.header);
+  m.child_frame_id = kWorldFrame;
+  m.pose.pose.position.x = sample.p_WS.x();
+  m.pose.pose.position.y = sample.p_WS.y();
+  m.pose.pose.position.z = sample.p_WS.z();
+  m.pose.pose.orientation.x = sample.q_WS.x();
+  m.pose.pose.orientation.y = sample.q_WS.y();
+  m.pose.pose.orientation.z = sample.q_WS.z();
+  m.pose.pose.orientation.w = sample.q_WS.w();
+  if (sample.v_WS) m.twist.twist.linear = ToVector3(*sample.v_WS);
+  if (sample.w_WS_S) m.twist.twist.angular = ToVector3(*sample.w_WS_S);
+  if (!sample.v_WS) m.twist.covariance[0] = -1.0;
+  if (!sample.w_WS_S) m.twist.covariance[21] = -1.0;
+  return m;
+}
+
+sensor_msgs::Imu ToMessage(const ImuSample& sample, Stamp stamp) {
+  sensor_msgs::Imu m;
+  SetHeader(stamp, "imu_link", &m.header);
+  m.orientation.w = 1.0;
+  m.orientation_covariance[0] = -1.0;
+  if (sample.gyro_I) m.angular_velocity = ToVector3(*sample.gyro_I);
+  if (sample.specific_force_I) m.linear_acceleration = ToVector3(*sample.specific_force_I);
+  if (!sample.gyro_I) m.angular_velocity_covariance[0] = -1.0;
+  if (!sample.specific_force_I) m.linear_acceleration_covariance[0] = -1.0;
+  return m;
+}
+
+odmc::RotorSpeeds ToMessage(const RotorSample& sample, bool rms_only, Stamp stamp) {
+  odmc::RotorSpeeds m;
+  SetHeader(stamp, "base_link", &m.header);
+  m.angular_velocity_rad_s.assign(sample.speed.data(), sample.speed.data() + sample.speed.size());
+  m.rms_only = rms_only;
+  return m;
+}
+
+template <typename Sample>
+void LowerTo(const std::vector<Sample>& samples, Stamp* earliest) {
+  for (const Sample& sample : samples) *earliest = std::min(*earliest, sample.stamp);
+}
+
+sensor_msgs::BatteryState ToMessage(const BatterySample& sample, Stamp stamp) {
+  constexpr float kUnknown = std::numeric_limits<float>::quiet_NaN();  // as the message asks for
+  sensor_msgs::BatteryState m;
+  SetHeader(stamp, "base_link", &m.header);
+  m.voltage = static_cast<float>(sample.voltage_V);
+  m.current = m.charge = m.capacity = m.design_capacity = m.percentage = kUnknown;
+  m.present = 1;
+  return m;
+}
+
+/// Messages in the order of their stamps, whatever the stream: bags play back best so.
+class OrderedWriter {
+ public:
+  explicit OrderedWriter(rosbag::Bag* bag) : bag_(bag) {}
+
+  template <typename Sample, typename Convert>
+  void Add(const std::string& topic, const std::vector<Sample>& samples, Stamp shift,
+           Convert convert) {
+    for (const Sample& sample : samples) {
+      const Stamp stamp = sample.stamp + shift;
+      writes_.push_back({stamp, [this, topic, &sample, stamp, convert] {
+                           bag_->write(topic, ToRos(stamp), convert(sample, stamp));
+                         }});
+    }
+  }
+
+  void WriteAll() {
+    std::stable_sort(writes_.begin(), writes_.end(),
+                     [](const auto& a, const auto& b) { return a.first < b.first; });
+    for (const auto& write : writes_) write.second();
+  }
+
+ private:
+  rosbag::Bag* bag_;
+  std::vector<std::pair<Stamp, std::function<void()>>> writes_;
+};
+
+/// Whole seconds that move every stamp to 1 s or later.
+Stamp ShiftFor(const FlightLog& log) {
+  Stamp earliest = kSecond;
+  LowerTo(log.odometry, &earliest);
+  LowerTo(log.imu, &earliest);
+  LowerTo(log.rotors, &earliest);
+  LowerTo(log.battery, &earliest);
+  return (2 * kSecond - 1 - earliest) / kSecond * kSecond;
+}
+
+std::string LowerEnding(const std::string& file) {
+  std::string ending = std::filesystem::path(file).extension().string();
+  for (char& c : ending) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  return ending;
+}
+
+}  // namespace
+
+FlightLog ReadFlightBag(const std::string& file, int num_rotors, const BagOptions& options) {
+  return ReadBag(file, num_rotors, PoseSource::kEkf, options);
+}
+
+FlightLog ReadFlight(const std::string& file, int num_rotors, PoseSource pose,
+                     const BagOptions& options) {
+  const std::string ending = LowerEnding(file);
+  if (ending == ".csv") return ReadFlightCsv(file, num_rotors, pose);
+  if (ending == ".bag") return ReadBag(file, num_rotors, pose, options);
+  Fail(file, "a flight is a .bag or .csv file");
+}
+
+void WriteFlightBag(const FlightLog& log, const std::string& file) {
+  rosbag::Bag bag;
+  try {
+    bag.open(file, rosbag::bagmode::Write);
+  } catch (const rosbag::BagException& e) {
+    throw std::runtime_error(file + ": cannot be written: " + e.what());
+  }
+  const Stamp shift = ShiftFor(log);
+  if (shift != 0) {
+    std_msgs::Int64 message;
+    message.data = shift;
+    bag.write(kShiftTopic, ToRos(kSecond), message);
+  }
+  const auto convert = [](const auto& sample, Stamp stamp) { return ToMessage(sample, stamp); };
+  OrderedWriter writer(&bag);
+  writer.Add("/odometry", log.odometry, shift, convert);
+  writer.Add("/imu", log.imu, shift, convert);
+  writer.Add("/rotor_speeds", log.rotors, shift, [&](const RotorSample& sample, Stamp stamp) {
+    return ToMessage(sample, log.rotor_rms_only, stamp);
+  });
+  writer.Add("/battery_state", log.battery, shift, convert);
+  writer.WriteAll();
+  bag.close();
+}
+
+}  // namespace odmc

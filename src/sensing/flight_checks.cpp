@@ -1,0 +1,196 @@
+#include "odmc/sensing/flight_checks.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <stdexcept>
+#include <utility>
+
+namespace odmc {
+namespace {
+
+constexpr double kNormTolerance = 0.05;
+constexpr double kTurning_rad_s = 20.0;  // slower ones may rightly read zero
+constexpr double kStuck_s = 0.5;         // longer than any filter or slow update holds a value
+constexpr double kDeadShare = 0.05;      // single missed readings are not worth a warning
+
+std::string AtSeconds(Stamp stamp) {
+  char text[40];
+  std::snprintf(text, sizeof text, "at %.3f s", ToSeconds(stamp));
+  return text;
+}
+
+/// Median of all rotors but `skip`.
+double MedianOfOthers(const RotorVector& speed, Eigen::Index skip) {
+  std::vector<double> others;
+  for (Eigen::Index j = 0; j < speed.size(); ++j) {
+    if (j != skip) others.push_back(speed[j]);
+  }
+  std::nth_element(others.begin(), others.begin() + others.size() / 2, others.end());
+  return others[others.size() / 2];
+}
+
+bool OthersChanged(const RotorVector& a, const RotorVector& b, Eigen::Index skip) {
+  for (Eigen::Index j = 0; j < a.size(); ++j) {
+    if (j != skip && a[j] != b[j]) return true;
+  }
+  return false;
+}
+
+/// How many samples of rotor `j` repeat one value for kStuck_s while others change.
+long CountStuck(const std::vector<RotorSample>& rotors, Eigen::Index j) {
+  long stuck = 0;
+  size_t begin = 0;
+  bool others_change = false;
+  for (size_t i = 1; i <= rotors.size(); ++i) {
+    if (i < rotors.size() && rotors[i].speed[j] == rotors[begin].speed[j]) {
+      others_change = others_change || OthersChanged(rotors[i].speed, rotors[i - 1].speed, j);
+      continue;
+    }
+    const bool turns = rotors[begin].speed[j] >= kTurning_rad_s;  // zero is counted apart
+    if (turns && others_change &&
+        ToSeconds(rotors[i - 1].stamp - rotors[begin].stamp) >= kStuck_s) {
+      stuck += static_cast<long>(i - begin);
+    }
+    begin = i;
+    others_change = false;
+  }
+  return stuck;
+}
+
+struct DeadCount {
+  long turning = 0;  ///< samples in which the other rotors turn
+  long zero = 0;     ///< of these, samples in which this one reads (almost) zero
+};
+
+DeadCount CountZero(const std::vector<RotorSample>& rotors, Eigen::Index j) {
+  DeadCount count;
+  for (const RotorSample& sample : rotors) {
+    const double others = MedianOfOthers(sample.speed, j);
+    if (others < kTurning_rad_s) continue;
+    ++count.turning;
+    if (sample.speed[j] < 0.02 * others) ++count.zero;
+  }
+  return count;
+}
+
+void WarnIfShare(const std::string& source, Eigen::Index j, long bad, long all,
+                 const std::string& what, FlightLog* log) {
+  const double share = all > 0 ? static_cast<double>(bad) / static_cast<double>(all) : 0.0;
+  if (share < kDeadShare) return;
+  char text[200];
+  std::snprintf(text, sizeof text,
+                "rotor%d %s in %.0f %% of the samples while the others turn: its sensor or the "
+                "rotor is dead, and what is estimated from this flight is wrong",
+                static_cast<int>(j) + 1, what.c_str(), 100.0 * share);
+  log->warnings.push_back(source + ": " + text);
+}
+
+}  // namespace
+
+void Refusals::Report(const std::string& source, const std::string& what, FlightLog* log) const {
+  if (count == 0) return;
+  log->dropped += count;
+  log->warnings.push_back(source + ": dropped " + std::to_string(count) + " " + what +
+                          " (first: " + first + ")");
+}
+
+template <typename Sample>
+void KeepForward(const std::string& source, std::vector<Sample>* samples, FlightLog* log) {
+  std::vector<Sample> kept;
+  kept.reserve(samples->size());
+  Refusals refusals;
+  for (const Sample& sample : *samples) {
+    if (kept.empty() || sample.stamp > kept.back().stamp) {
+      kept.push_back(sample);
+    } else {
+      refusals.Add(AtSeconds(sample.stamp));
+    }
+  }
+  if (2 * kept.size() < samples->size()) {
+    throw std::invalid_argument(
+        source + ": stamps step back or repeat in " + std::to_string(refusals.count) + " of " +
+        std::to_string(samples->size()) + " samples (first: " + refusals.first + ")");
+  }
+  refusals.Report(source, "samples whose stamp steps back or repeats", log);
+  *samples = std::move(kept);
+}
+
+template void KeepForward(const std::string&, std::vector<OdometrySample>*, FlightLog*);
+template void KeepForward(const std::string&, std::vector<ImuSample>*, FlightLog*);
+template void KeepForward(const std::string&, std::vector<RotorSample>*, FlightLog*);
+template void KeepForward(const std::string&, std::vector<BatterySample>*, FlightLog*);
+
+void NormaliseAttitudes(const std::string& source, std::vector<OdometrySample>* samples,
+                        FlightLog* log) {
+  std::vector<OdometrySample> kept;
+  kept.reserve(samples->size());
+  Refusals refusals;
+  for (OdometrySample sample : *samples) {
+    const double norm = sample.q_WS.norm();
+    if (!(std::abs(norm - 1.0) <= kNormTolerance)) {
+      refusals.Add(AtSeconds(sample.stamp) + ", norm " + std::to_string(norm));
+      continue;
+    }
+    if (std::abs(sample.q_WS.squaredNorm() - 1.0) > 2e-15) sample.q_WS.normalize();
+    if (!kept.empty() && kept.back().q_WS.dot(sample.q_WS) < 0.0) {
+      sample.q_WS.coeffs() = -sample.q_WS.coeffs();
+    }
+    kept.push_back(sample);
+  }
+  if (2 * kept.size() < samples->size()) {
+    throw std::invalid_argument(
+        source + ": the quaternions are not unit: " + std::to_string(refusals.count) + " of " +
+        std::to_string(samples->size()) + " are off by more than 5 % (first: " + refusals.first +
+        "); is their order qw, qx, qy, qz?");
+  }
+  refusals.Report(source, "samples whose quaternion is not unit", log);
+  *samples = std::move(kept);
+}
+
+void TakeSpeedMagnitudes(const std::string& source, FlightLog* log) {
+  long negative = 0;
+  for (RotorSample& sample : log->rotors) {
+    if ((sample.speed.array() >= 0.0).all()) continue;
+    sample.speed = sample.speed.cwiseAbs();
+    ++negative;
+  }
+  if (negative == 0) return;
+  log->warnings.push_back(source + ": " + std::to_string(negative) +
+                          " samples have negative rotor speeds; their magnitude is used, the "
+                          "direction of turning comes from the vehicle file");
+}
+
+void WarnOfDeadRotors(const std::string& source, FlightLog* log) {
+  if (log->rotor_rms_only || log->rotors.empty() || log->rotors.front().speed.size() < 2) return;
+  for (Eigen::Index j = 0; j < log->rotors.front().speed.size(); ++j) {
+    const DeadCount count = CountZero(log->rotors, j);
+    WarnIfShare(source, j, count.zero, count.turning, "reads zero", log);
+    WarnIfShare(source, j, CountStuck(log->rotors, j), static_cast<long>(log->rotors.size()),
+                "is stuck at one value", log);
+  }
+}
+
+void UseMocapPoses(std::vector<OdometrySample> mocap, FlightLog* log) {
+  const bool has_gyro = std::any_of(log->imu.begin(), log->imu.end(),
+                                    [](const ImuSample& s) { return s.gyro_I.has_value(); });
+  if (!has_gyro) {
+    // Both streams come from the same rows where they share a stamp: one pass pairs them.
+    std::vector<ImuSample> merged;
+    size_t i = 0;
+    for (const OdometrySample& odometry : log->odometry) {
+      while (i < log->imu.size() && log->imu[i].stamp < odometry.stamp)
+        merged.push_back(log->imu[i++]);
+      ImuSample sample;
+      sample.stamp = odometry.stamp;
+      if (i < log->imu.size() && log->imu[i].stamp == odometry.stamp) sample = log->imu[i++];
+      sample.gyro_I = odometry.w_WS_S;
+      if (sample.gyro_I || sample.specific_force_I) merged.push_back(sample);
+    }
+    merged.insert(merged.end(), log->imu.begin() + static_cast<long>(i), log->imu.end());
+    log->imu = std::move(merged);
+  }
+  log->odometry = std::move(mocap);
+}
+
+}  // namespace odmc

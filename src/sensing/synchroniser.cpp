@@ -1,0 +1,132 @@
+#include "odmc/sensing/synchroniser.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace odmc {
+namespace {
+
+bool IsFinite(const std::optional<Eigen::Vector3d>& v) { return !v || v->allFinite(); }
+
+bool IsSound(const OdometrySample& s) {
+  return s.p_WS.allFinite() && s.q_WS.coeffs().allFinite() &&
+         std::abs(s.q_WS.norm() - 1.0) < 0.05 && IsFinite(s.v_WS) && IsFinite(s.w_WS_S);
+}
+
+bool IsSame(const OdometrySample& a, const OdometrySample& b) {
+  return a.p_WS == b.p_WS && a.q_WS.coeffs() == b.q_WS.coeffs() && a.v_WS == b.v_WS &&
+         a.w_WS_S == b.w_WS_S;
+}
+
+/// Appends in order; counts what steps back.
+template <typename Sample>
+void Append(const Sample& sample, std::deque<Sample>* queue, SynchroniserCounters* counters) {
+  if (!queue->empty() && sample.stamp <= queue->back().stamp) {
+    ++counters->out_of_order;
+    return;
+  }
+  queue->push_back(sample);
+}
+
+template <typename Sample>
+void DropBefore(Stamp stamp, std::deque<Sample>* queue) {
+  while (queue->size() > 2 && (*queue)[1].stamp < stamp) queue->pop_front();
+}
+
+}  // namespace
+
+Synchroniser::Synchroniser(double keyframe_rate_hz, double patience_s)
+    : period_s_(1.0 / keyframe_rate_hz), patience_s_(patience_s) {}
+
+void Synchroniser::Add(const OdometrySample& sample) {
+  if (!IsSound(sample)) {
+    ++counters_.not_finite;
+    return;
+  }
+  if (last_odometry_) {
+    if (sample.stamp <= last_odometry_->stamp) {
+      ++counters_.out_of_order;
+      return;
+    }
+    if (IsSame(sample, *last_odometry_)) {
+      ++counters_.repeated_pose;
+      return;
+    }
+    const double dt = ToSeconds(sample.stamp - last_odometry_->stamp);
+    // A slow mean that ignores holes: it only says how fine keyframes can be picked.
+    if (spacing_s_ == 0.0) spacing_s_ = dt;
+    spacing_s_ += 0.05 * (std::min(dt, 2.0 * spacing_s_) - spacing_s_);
+  }
+  last_odometry_ = sample;
+  last_odometry_->q_WS.normalize();
+  odometry_.push_back(*last_odometry_);
+}
+
+void Synchroniser::Add(const ImuSample& sample) {
+  if (!IsFinite(sample.gyro_I) || !IsFinite(sample.specific_force_I)) {
+    ++counters_.not_finite;
+    return;
+  }
+  Append(sample, &imu_, &counters_);
+}
+
+void Synchroniser::Add(const RotorSample& sample) {
+  if (!sample.speed.allFinite() || (sample.speed.array() < 0.0).any()) {
+    ++counters_.not_finite;
+    return;
+  }
+  Append(sample, &rotors_, &counters_);
+}
+
+void Synchroniser::Add(const BatterySample& sample) {
+  if (std::isfinite(sample.voltage_V)) battery_voltage_V_ = sample.voltage_V;
+}
+
+bool Synchroniser::IsDue(const OdometrySample& sample) const {
+  if (!last_keyframe_) return true;
+  return ToSeconds(sample.stamp - *last_keyframe_) >= period_s_ - 0.5 * spacing_s_;
+}
+
+bool Synchroniser::Covered(Stamp stamp) {
+  waiting_for_.clear();
+  if (rotors_.empty() || rotors_.back().stamp < stamp) waiting_for_ = "rotor_speeds";
+  if (waiting_for_.empty() && !imu_.empty() && imu_.back().stamp < stamp) waiting_for_ = "imu";
+  if (waiting_for_.empty()) return true;
+  if (!finished_ && ToSeconds(last_odometry_->stamp - stamp) < patience_s_) return false;
+  ++counters_.uncovered;
+  return true;
+}
+
+std::optional<OdometrySample> Synchroniser::NextKeyframe() {
+  while (!odometry_.empty()) {
+    const OdometrySample sample = odometry_.front();
+    if (!IsDue(sample)) {
+      odometry_.pop_front();
+      continue;
+    }
+    if (!Covered(sample.stamp)) return std::nullopt;
+    odometry_.pop_front();
+    last_keyframe_ = sample.stamp;
+    return sample;
+  }
+  waiting_for_ = "odometry";
+  return std::nullopt;
+}
+
+void Synchroniser::Trim(Stamp stamp) {
+  DropBefore(stamp, &rotors_);
+  DropBefore(stamp, &imu_);
+}
+
+void Synchroniser::Clear() {
+  odometry_.clear();
+  rotors_.clear();
+  imu_.clear();
+  last_odometry_.reset();
+  last_keyframe_.reset();
+  spacing_s_ = 0.0;
+  finished_ = false;
+  waiting_for_.clear();
+}
+
+}  // namespace odmc

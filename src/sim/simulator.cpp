@@ -1,0 +1,359 @@
+#include "odmc/sim/simulator.h"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <utility>
+
+#include "odmc/math/so3.h"
+#include "odmc/sim/gaussian.h"
+#include "odmc/sim/rigid_body.h"
+#include "odmc/sim/tracking_controller.h"
+#include "odmc/sim/trajectory.h"
+
+namespace odmc {
+namespace {
+
+constexpr double kControlPeriod_s = 0.0025;  // longest
+constexpr double kDisturbancePeriod_s = 0.01;
+constexpr double kLostDistance_m = 5.0;           // from the reference: the pilot has lost it
+constexpr double kSpoolThrustOverHover = 0.9;     // on the ground, at the end of spooling up
+constexpr double kNominalWeight_N = 0.75 * 9.81;  // of the vehicle of model.md section 8
+constexpr double kNominalArm_m = 0.14534;
+
+// One stream of random numbers each, so that none depends on another.
+enum Stream : int { kDisturbance = 1, kFeedback, kOdometry, kRotors, kImu };
+
+bool Fail(std::string* error, const std::string& what) {
+  if (error != nullptr) *error = what;
+  return false;
+}
+
+// Whole pieces of at most `longest` that make up `whole`.
+int PiecesOf(double whole, double longest) {
+  return std::max(1, static_cast<int>(std::ceil(whole / longest - 1e-6)));
+}
+
+// The world outside the model: white force and torque, held over kDisturbancePeriod_s.
+class Disturbance {
+ public:
+  Disturbance(const Vehicle& vehicle, const SimulationNoise& noise, int seed)
+      : random_(seed, kDisturbance) {
+    const double weight = vehicle.mass_kg * vehicle.gravity_m_s2 / kNominalWeight_N;
+    force_ = noise.force_N * weight;
+    torque_ = noise.torque_Nm * weight * vehicle.ArmLength() / kNominalArm_m;
+  }
+
+  // Wrench from `time_s` on; to be asked in the order of time.
+  const BodyWrench& At(double time_s) {
+    const long period = static_cast<long>(std::floor(time_s / kDisturbancePeriod_s + 1e-6));
+    for (; period_ < period; ++period_) {
+      wrench_.f_B = force_ * random_.Next3();
+      wrench_.tau_Bcm_B = torque_ * random_.Next3();
+    }
+    return wrench_;
+  }
+
+ private:
+  Gaussian random_;
+  double force_, torque_;
+  long period_ = -1;
+  BodyWrench wrench_;
+};
+
+// The vehicle, its pilot and the world, advanced in control periods.
+class ClosedLoop {
+ public:
+  ClosedLoop(const RigidBody& body, const SimulationOptions& options, const SimulationNoise& noise)
+      : body_(body),
+        pilot_(body),
+        trajectory_(options.trajectory, options.ground_s),
+        ground_s_(options.ground_s),
+        feedback_rate_(noise.feedback_rate_rad_s),
+        disturbance_(body.model().vehicle(), noise, options.seed),
+        feedback_(options.seed, kFeedback),
+        on_ground_(options.ground_s > 0.0) {
+    const FlatReference start = trajectory_.At(0.0);
+    state_.p_WB = start.p_WB;
+    state_.q_WB = FlatAttitudeOf(start, body.properties().g_W).q_WB;
+    state_.rotor_speed = pilot_.HoverSpeeds();
+    if (on_ground_) state_.rotor_speed.setZero();
+    command_ = state_.rotor_speed;
+  }
+
+  // Chooses what the rotors are told from `time_s` on, and lets go of the ground.
+  void Control(double time_s) {
+    RigidBodyState seen = state_;
+    seen.w_WB_B += feedback_rate_ * feedback_.Next3();
+    if (time_s < ground_s_) {
+      command_ = std::sqrt(kSpoolThrustOverHover) * time_s / ground_s_ * pilot_.HoverSpeeds();
+      return;
+    }
+    const FlatReference reference = trajectory_.At(time_s);
+    CheckFollows(time_s, reference);
+    command_ = pilot_.Command(time_s, seen, reference);
+    if (on_ground_) on_ground_ = !LiftsOff(time_s);
+  }
+
+  void Step(double time_s, double step_s) {
+    if (on_ground_) {
+      state_.rotor_speed = body_.motor().After(state_.rotor_speed, command_, step_s);
+    } else {
+      state_ = body_.Step(time_s, state_, command_, disturbance_.At(time_s), step_s);
+    }
+  }
+
+  TruthSample Sample(Stamp stamp) {
+    const double time_s = ToSeconds(stamp);
+    const BodyWrench model = body_.WrenchOf(body_.FlightStateOf(time_s, state_, command_));
+    const BodyWrench external = on_ground_ ? GroundReaction(model) : disturbance_.At(time_s);
+    const BodyWrench total = {model.f_B + external.f_B, model.tau_Bcm_B + external.tau_Bcm_B};
+    TruthSample sample;
+    sample.stamp = stamp;
+    sample.on_ground = on_ground_;
+    sample.p_WB = state_.p_WB;
+    sample.q_WB = state_.q_WB;
+    sample.v_WB = state_.v_WB;
+    sample.w_WB_B = state_.w_WB_B;
+    sample.dw_WB_B = body_.RateOf(state_, total).d_w_WB_B;
+    sample.rotor_speed = state_.rotor_speed;
+    sample.rotor_speed_cmd = command_;
+    sample.f_B = total.f_B;
+    sample.tau_Bcm_B = total.tau_Bcm_B;
+    sample.external_f_B = external.f_B;
+    sample.external_tau_Bcm_B = external.tau_Bcm_B;
+    return sample;
+  }
+
+ private:
+  // What the ground does to a vehicle that rests on it: it bears what thrust does not.
+  BodyWrench GroundReaction(const BodyWrench& model) const {
+    const BodyProperties& properties = body_.properties();
+    const Eigen::Vector3d g_B = state_.q_WB.conjugate() * properties.g_W;
+    return {-properties.mass * g_B - model.f_B, -model.tau_Bcm_B};
+  }
+
+  bool LiftsOff(double time_s) const {
+    const BodyWrench model = body_.WrenchOf(body_.FlightStateOf(time_s, state_, command_));
+    const Eigen::Vector3d ground_W = state_.q_WB * GroundReaction(model).f_B;
+    return ground_W.z() < 0.0;
+  }
+
+  void CheckFollows(double time_s, const FlatReference& reference) const {
+    const double distance = (state_.p_WB - reference.p_WB).norm();
+    if (distance < kLostDistance_m) return;  // false for NaN, too
+    throw std::runtime_error("the vehicle can't follow the trajectory '" + trajectory_.name() +
+                             "' with these parameters: lost after " + std::to_string(time_s) +
+                             " s of simulated flight");
+  }
+
+  const RigidBody& body_;
+  TrackingController pilot_;
+  Trajectory trajectory_;
+  double ground_s_;
+  double feedback_rate_;
+  Disturbance disturbance_;
+  Gaussian feedback_;
+  bool on_ground_;
+  RigidBodyState state_;
+  RotorVector command_;
+};
+
+std::vector<TruthSample> Fly(const RigidBody& body, const SimulationOptions& options,
+                             const SimulationNoise& noise) {
+  const Stamp period = static_cast<Stamp>(std::llround(1e9 / options.log_rate_hz));
+  const double period_s = ToSeconds(period);
+  const int num_controls = PiecesOf(period_s, kControlPeriod_s);
+  const int num_steps = PiecesOf(period_s / num_controls, options.step_s);
+  const double step_s = period_s / num_controls / num_steps;
+  const long num_samples = std::lround(options.duration_s / period_s) + 1;
+
+  ClosedLoop loop(body, options, noise);
+  std::vector<TruthSample> truth;
+  truth.reserve(static_cast<size_t>(num_samples));
+  for (long k = 0; k < num_samples; ++k) {
+    const Stamp stamp = k * period;
+    for (int i = 0; i < num_controls * num_steps; ++i) {
+      const double time_s = ToSeconds(stamp) + i * step_s;
+      if (i % num_steps == 0) loop.Control(time_s);
+      if (i == 0) truth.push_back(loop.Sample(stamp));
+      loop.Step(time_s, step_s);
+    }
+  }
+  return truth;
+}
+
+// Pose and twist of the sensor frame S of a vehicle at `truth`.
+OdometrySample OdometryOf(const TruthSample& truth, const BodyProperties& properties) {
+  const Eigen::Quaterniond q_BS(properties.R_BS);
+  OdometrySample sample;
+  sample.stamp = truth.stamp;
+  sample.p_WS = truth.p_WB + truth.q_WB * properties.p_BS;
+  sample.q_WS = (truth.q_WB * q_BS).normalized();
+  sample.v_WS = truth.v_WB + truth.q_WB * truth.w_WB_B.cross(properties.p_BS);
+  sample.w_WS_S = properties.R_BS.transpose() * truth.w_WB_B;
+  return sample;
+}
+
+// What an IMU at frame I feels.                                              model.md Eq. (C)
+ImuSample ImuOf(const TruthSample& truth, const BodyProperties& properties) {
+  const Eigen::Vector3d p_BcmI_B = properties.p_BI - properties.p_BBcm;
+  const Eigen::Vector3d& w = truth.w_WB_B;
+  const Eigen::Vector3d specific_force_B =
+      truth.f_B / properties.mass + truth.dw_WB_B.cross(p_BcmI_B) + w.cross(w.cross(p_BcmI_B));
+  ImuSample sample;
+  sample.stamp = truth.stamp;
+  sample.gyro_I = properties.R_BI.transpose() * w;
+  sample.specific_force_I = properties.R_BI.transpose() * specific_force_B;
+  return sample;
+}
+
+std::vector<OdometrySample> RecordOdometry(const std::vector<TruthSample>& truth,
+                                           const BodyProperties& properties,
+                                           const SimulationNoise& noise, int seed) {
+  Gaussian random(seed, kOdometry);
+  std::vector<OdometrySample> samples;
+  samples.reserve(truth.size());
+  for (const TruthSample& at : truth) {
+    OdometrySample sample = OdometryOf(at, properties);
+    sample.p_WS += noise.position_m * random.Next3();
+    sample.q_WS = (sample.q_WS * Exp(noise.attitude_rad * random.Next3())).normalized();
+    *sample.v_WS += noise.velocity_m_s * random.Next3();
+    *sample.w_WS_S += noise.rate_rad_s * random.Next3();
+    samples.push_back(sample);
+  }
+  return samples;
+}
+
+// True speeds `delay_s` before sample `k`, between samples on a straight line.
+RotorVector SpeedBefore(const std::vector<TruthSample>& truth, size_t k, double delay_s) {
+  const double back = truth.size() < 2 ? 0.0 : delay_s / ToSeconds(truth[1].stamp);
+  const double at = std::max(0.0, static_cast<double>(k) - back);
+  const size_t low = static_cast<size_t>(at);
+  const size_t high = std::min(low + 1, truth.size() - 1);
+  const double share = at - static_cast<double>(low);
+  return (1.0 - share) * truth[low].rotor_speed + share * truth[high].rotor_speed;
+}
+
+std::vector<RotorSample> RecordRotors(const std::vector<TruthSample>& truth,
+                                      const SimulationNoise& noise, int seed) {
+  Gaussian random(seed, kRotors);
+  std::vector<RotorSample> samples;
+  samples.reserve(truth.size());
+  for (size_t k = 0; k < truth.size(); ++k) {
+    RotorVector speed = SpeedBefore(truth, k, noise.rotor_delay_s);
+    for (int j = 0; j < speed.size(); ++j) {
+      // A rotor at rest is seen to rest.
+      const double error = noise.rotor_speed_rad_s * random.Next();
+      if (speed[j] > 0.0) speed[j] = std::max(0.0, speed[j] + error);
+    }
+    samples.push_back({truth[k].stamp, speed});
+  }
+  return samples;
+}
+
+std::vector<ImuSample> RecordImu(const std::vector<TruthSample>& truth,
+                                 const BodyProperties& properties, const SimulationNoise& noise,
+                                 const SimulationOptions& options) {
+  Gaussian random(options.seed, kImu);
+  const double root_rate = std::sqrt(options.log_rate_hz);
+  std::vector<ImuSample> samples;
+  samples.reserve(truth.size());
+  for (const TruthSample& at : truth) {
+    ImuSample sample = ImuOf(at, properties);
+    *sample.gyro_I += noise.gyro_bias + noise.gyro_noise_density * root_rate * random.Next3();
+    *sample.specific_force_I +=
+        noise.accelerometer_bias + noise.accelerometer_noise_density * root_rate * random.Next3();
+    samples.push_back(sample);
+  }
+  return samples;
+}
+
+std::vector<BatterySample> RecordBattery(const std::vector<TruthSample>& truth,
+                                         const SimulationNoise& noise) {
+  std::vector<BatterySample> samples;
+  samples.reserve(truth.size());
+  for (const TruthSample& at : truth) {
+    const double voltage = noise.battery_start_V + noise.battery_slope_V_s * ToSeconds(at.stamp);
+    samples.push_back({at.stamp, std::max(0.0, voltage)});
+  }
+  return samples;
+}
+
+}  // namespace
+
+bool SimulationOptions::IsValid(std::string* error) const {
+  const std::vector<std::string>& names = Trajectory::Names();
+  if (std::find(names.begin(), names.end(), trajectory) == names.end()) {
+    return Fail(error,
+                "trajectory must be one of hover, octo, circle, vertical, yaw, aggressive, "
+                "not '" +
+                    trajectory + "'");
+  }
+  if (!(duration_s > 0.0 && duration_s <= 3600.0)) {
+    return Fail(error, "duration_s must be above 0 and at most 3600 seconds");
+  }
+  if (!(step_s > 0.0 && step_s <= 0.001)) {
+    return Fail(error, "step_s must be above 0 and at most 0.001 seconds");
+  }
+  if (!(log_rate_hz >= 1.0 && log_rate_hz <= 1000.0)) {
+    return Fail(error, "log_rate_hz must be 1 to 1000");
+  }
+  if (!(ground_s >= 0.0 && ground_s < duration_s)) {
+    return Fail(error, "ground_s must be at least 0 and less than duration_s");
+  }
+  return true;
+}
+
+SimulationNoise SimulationNoise::None() {
+  SimulationNoise none;
+  none.position_m = none.attitude_rad = none.velocity_m_s = none.rate_rad_s = 0.0;
+  none.rotor_speed_rad_s = none.force_N = none.torque_Nm = none.feedback_rate_rad_s = 0.0;
+  return none;
+}
+
+bool SimulationNoise::IsValid(std::string* error) const {
+  const std::pair<const char*, double> values[] = {
+      {"position_m", position_m},
+      {"attitude_rad", attitude_rad},
+      {"velocity_m_s", velocity_m_s},
+      {"rate_rad_s", rate_rad_s},
+      {"rotor_speed_rad_s", rotor_speed_rad_s},
+      {"force_N", force_N},
+      {"torque_Nm", torque_Nm},
+      {"feedback_rate_rad_s", feedback_rate_rad_s},
+      {"gyro_noise_density", gyro_noise_density},
+      {"accelerometer_noise_density", accelerometer_noise_density},
+      {"rotor_delay_s", rotor_delay_s},
+      {"battery_start_V", battery_start_V},
+  };
+  for (const auto& [key, value] : values) {
+    if (!(value >= 0.0) || !std::isfinite(value)) {
+      return Fail(error, std::string(key) + " must be a number of at least 0");
+    }
+  }
+  if (!gyro_bias.allFinite()) return Fail(error, "gyro_bias is not finite");
+  if (!accelerometer_bias.allFinite()) return Fail(error, "accelerometer_bias is not finite");
+  if (!std::isfinite(battery_slope_V_s)) return Fail(error, "battery_slope_V_s is not finite");
+  return true;
+}
+
+SimulatedFlight Simulate(const DynamicModel& model, const ModelValues& truth,
+                         const SimulationOptions& options, const SimulationNoise& noise) {
+  std::string error;
+  if (!options.IsValid(&error) || !noise.IsValid(&error)) throw std::invalid_argument(error);
+  if (truth.size() != model.num_parameters() || !truth.allFinite()) {
+    throw std::invalid_argument("the true values must be one finite number per model parameter");
+  }
+  const RigidBody body(model, truth);
+  SimulatedFlight flight;
+  flight.truth = Fly(body, options, noise);
+  flight.log.file = options.trajectory;
+  flight.log.odometry = RecordOdometry(flight.truth, body.properties(), noise, options.seed);
+  flight.log.rotors = RecordRotors(flight.truth, noise, options.seed);
+  flight.log.battery = RecordBattery(flight.truth, noise);
+  if (noise.imu) flight.log.imu = RecordImu(flight.truth, body.properties(), noise, options);
+  return flight;
+}
+
+}  // namespace odmc

@@ -1,0 +1,220 @@
+#include "odmc/window/marginalization.h"
+
+#include <Eigen/QR>
+#include <algorithm>
+#include <vector>
+
+namespace odmc {
+namespace {
+
+/// Columns of the joint system: [oldest state, leaving bias | next state, kept bias, parameters].
+struct Columns {
+  int leaving_bias = -1, next_state = -1, kept_bias = -1, parameters = -1;
+  int num_eliminated = 0, total = 0;
+};
+
+Columns LayOut(const Window& window) {
+  Columns c;
+  const auto& keyframes = window.keyframes();
+  const Keyframe& oldest = keyframes.front();
+  const bool has_next = keyframes.size() > 1;
+  const std::int64_t next_bias = has_next ? keyframes[1].bias : -1;
+  int column = kStateTangentSize;
+  if (oldest.bias >= 0 && oldest.bias != next_bias) {
+    c.leaving_bias = column;
+    column += 6;
+  }
+  c.num_eliminated = column;
+  if (has_next) {
+    c.next_state = column;
+    column += kStateTangentSize;
+  }
+  if (next_bias >= 0) {
+    c.kept_bias = column;
+    column += 6;
+  }
+  c.parameters = column;
+  c.total = column + window.layout().num_estimated();
+  return c;
+}
+
+/// First column of a bias in the joint system.
+int BiasColumn(const Columns& c, const Window& window, std::int64_t id) {
+  return id == window.keyframes().front().bias && c.leaving_bias >= 0 ? c.leaving_bias
+                                                                      : c.kept_bias;
+}
+
+/// Writes a linear factor's rows into the joint system from `row` on, with differences counted from
+/// the linearization points: residual(x_lin) = r(x) - J (x ⊖ x_lin).
+void Stack(const Window& window, const Factor& factor, const LinearFactor& linear,
+           const Columns& c, int row, LinearSystem* system) {
+  const int rows = static_cast<int>(linear.r.size());
+  system->b.segment(row, rows) = linear.r;
+  const auto put = [&](int from, int size, int to, const Eigen::VectorXd& offset) {
+    if (from < 0) return;
+    const auto block = linear.J.middleCols(from, size);
+    system->A.block(row, to, rows, size) += block;
+    if (offset.size() > 0) system->b.segment(row, rows) -= block * offset;
+  };
+  const auto state = [&](std::int64_t id, int from) {
+    if (id < 0) return;
+    const Keyframe& k = window.keyframe(id);
+    Eigen::VectorXd offset;
+    if (k.in_prior) {
+      offset.resize(kStateTangentSize);
+      StateManifold().Minus(k.x.data(), k.x_lin.data(), offset.data());
+    }
+    put(from, kStateTangentSize, id == window.keyframes().front().id ? 0 : c.next_state, offset);
+  };
+  const auto bias = [&](std::int64_t id, int from) {
+    if (id < 0) return;
+    const Bias& b = window.bias(id);
+    Eigen::VectorXd offset;
+    if (b.in_prior) {
+      offset.resize(6);
+      for (int i = 0; i < 6; ++i) offset[i] = b.x[i] - b.x_lin[i];
+    }
+    put(from, 6, BiasColumn(c, window, id), offset);
+  };
+  state(factor.state0, linear.state0);
+  state(factor.state1, linear.state1);
+  bias(factor.bias0, linear.bias0);
+  bias(factor.bias1, linear.bias1);
+  put(linear.parameters, window.layout().num_estimated(), c.parameters,
+      window.eta() - window.prior().eta_lin);
+}
+
+/// Moves the prior's linearization point of the parameters: the same affine function elsewhere.
+void MoveParameterPoint(Window* window, const Eigen::VectorXd& threshold) {
+  Prior& prior = window->prior();
+  const Eigen::VectorXd moved = window->eta() - prior.eta_lin;
+  if ((moved.array().abs() <= threshold.array()).all()) return;
+  prior.b += prior.A.rightCols(moved.size()) * moved;
+  prior.eta_lin = window->eta();
+}
+
+void Observe(const Window& window, const Factor& factor, LeavingFactors* leaving) {
+  LinearFactor linear;
+  if (!factor.parameters || !Linearize(window, factor, false, &linear)) return;
+  leaving->score += linear.J.rightCols(leaving->score.size()).transpose() * linear.r;
+  if (factor.kind != FactorKind::kDynamics) return;
+  leaving->dynamics_residual.resize(factor.cost->num_residuals());
+  const auto blocks = window.Blocks(factor, false);
+  factor.cost->Evaluate(blocks.data(), leaving->dynamics_residual.data(), nullptr);
+}
+
+}  // namespace
+
+LinearSystem Eliminate(const LinearSystem& system, double tolerance) {
+  const int e = system.num_eliminated;
+  const int n = static_cast<int>(system.A.cols()) - e;
+  LinearSystem result;
+  if (system.A.rows() == 0) {
+    result.A.resize(0, n);
+    result.b.resize(0);
+    return result;
+  }
+  // Rotate the eliminated columns into a triangle; rows below its rank know only the remaining ones.
+  Eigen::ColPivHouseholderQR<Eigen::MatrixXd> eliminated(system.A.leftCols(e));
+  eliminated.setThreshold(tolerance);
+  const int rank = static_cast<int>(eliminated.rank());
+  Eigen::MatrixXd rest(system.A.rows(), n + 1);
+  rest << system.A.rightCols(n), system.b;
+  rest.applyOnTheLeft(eliminated.householderQ().adjoint());
+  const int rows = static_cast<int>(rest.rows()) - rank;
+
+  // Compress them to as many rows as they have information.
+  Eigen::ColPivHouseholderQR<Eigen::MatrixXd> remaining(rest.bottomLeftCorner(rows, n));
+  remaining.setThreshold(tolerance);
+  const int kept = static_cast<int>(remaining.rank());
+  Eigen::VectorXd right = rest.bottomRightCorner(rows, 1);
+  right.applyOnTheLeft(remaining.householderQ().adjoint());
+  const Eigen::MatrixXd R = remaining.matrixR().topRows(kept).template triangularView<Eigen::Upper>();
+  result.A = R * remaining.colsPermutation().transpose();
+  result.b = right.head(kept);
+  return result;
+}
+
+bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
+                       LeavingFactors* leaving) {
+  MoveParameterPoint(window, relinearize);
+  const Columns c = LayOut(*window);
+  Keyframe& oldest = window->keyframes().front();
+  const Prior& old = window->prior();
+  if (leaving != nullptr) {
+    leaving->score = Eigen::VectorXd::Zero(window->layout().num_estimated());
+    leaving->dynamics_residual.resize(0);
+    for (const Factor& factor : oldest.factors) Observe(*window, factor, leaving);
+  }
+
+  int rows = static_cast<int>(old.b.size());
+  for (const Factor& factor : oldest.factors) rows += factor.cost->num_residuals();
+  LinearSystem system;
+  system.A = Eigen::MatrixXd::Zero(rows, c.total);
+  system.b = Eigen::VectorXd::Zero(rows);
+  system.num_eliminated = c.num_eliminated;
+  const int prior_rows = static_cast<int>(old.b.size());
+  system.b.head(prior_rows) = old.b;
+  if (old.has_state) {
+    system.A.topLeftCorner(prior_rows, kStateTangentSize) = old.A.leftCols<kStateTangentSize>();
+  }
+  if (old.has_bias) {
+    system.A.block(0, BiasColumn(c, *window, oldest.bias), prior_rows, 6) =
+        old.A.middleCols<6>(old.state_columns());
+  }
+  const int n = window->layout().num_estimated();
+  system.A.block(0, c.parameters, prior_rows, n) = old.A.rightCols(n);
+
+  bool sound = true;
+  bool links_next = false, links_bias = false;
+  int row = prior_rows;
+  for (const Factor& factor : oldest.factors) {
+    LinearFactor linear;
+    if (!Linearize(*window, factor, true, &linear)) {
+      sound = false;
+      continue;
+    }
+    Stack(*window, factor, linear, c, row, &system);
+    row += static_cast<int>(linear.r.size());
+    links_next = links_next || factor.state1 >= 0;
+    links_bias = links_bias || factor.bias0 >= 0;
+  }
+
+  LinearSystem remaining = Eliminate(system);
+  const bool has_next = c.next_state >= 0 && links_next;
+  const bool has_bias = c.kept_bias >= 0 && (links_bias || old.has_bias);
+  Prior prior;
+  prior.has_state = has_next;
+  prior.has_bias = has_bias;
+  prior.eta_lin = old.eta_lin;
+  prior.b = remaining.b;
+  prior.A.resize(remaining.A.rows(), prior.state_columns() + prior.bias_columns() + n);
+  int from = 0;
+  if (c.next_state >= 0) {
+    if (has_next) prior.A.leftCols<kStateTangentSize>() = remaining.A.leftCols<kStateTangentSize>();
+    from += kStateTangentSize;
+  }
+  if (c.kept_bias >= 0) {
+    if (has_bias) {
+      prior.A.middleCols<6>(prior.state_columns()) = remaining.A.middleCols<6>(from);
+    }
+  }
+  prior.A.rightCols(n) = remaining.A.rightCols(n);
+
+  if (c.leaving_bias >= 0 && !window->biases().empty()) window->biases().pop_front();
+  window->keyframes().pop_front();
+  if (has_next) {
+    Keyframe& next = window->keyframes().front();
+    if (!next.in_prior) next.x_lin = next.x;
+    next.in_prior = true;
+  }
+  if (has_bias) {
+    Bias& kept = window->bias(window->keyframes().front().bias);
+    if (!kept.in_prior) kept.x_lin = kept.x;
+    kept.in_prior = true;
+  }
+  window->prior() = std::move(prior);
+  return sound;
+}
+
+}  // namespace odmc

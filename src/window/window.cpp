@@ -1,0 +1,207 @@
+#include "odmc/window/window.h"
+
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+
+#include "odmc/math/so3.h"
+
+namespace odmc {
+
+Window::Window(const ParameterLayout* layout) : layout_(layout), eta_(layout->num_estimated()) {
+  const int n = layout->num_estimated();
+  prior_.A = Eigen::MatrixXd::Zero(n, n);
+  prior_.b = Eigen::VectorXd::Zero(n);
+  for (int i = 0; i < n; ++i) {
+    eta_[i] = layout->PriorCentre(i);
+    prior_.A(i, i) = 1.0 / layout->PriorSigma(i);
+  }
+  prior_.eta_lin = eta_;
+}
+
+std::int64_t Window::AddKeyframe(Stamp stamp, const State& initial, bool linked,
+                                 std::int64_t bias) {
+  Keyframe keyframe;
+  keyframe.id = next_keyframe_++;
+  keyframe.stamp = stamp;
+  keyframe.bias = bias;
+  keyframe.linked = linked;
+  initial.ToBlock(keyframe.x.data());
+  keyframe.x_lin = keyframe.x;
+  keyframes_.push_back(std::move(keyframe));
+  return keyframes_.back().id;
+}
+
+std::int64_t Window::AddBias(const Eigen::Matrix<double, 6, 1>& initial) {
+  Bias bias;
+  bias.id = next_bias_++;
+  std::copy(initial.data(), initial.data() + 6, bias.x.begin());
+  bias.x_lin = bias.x;
+  biases_.push_back(bias);
+  return bias.id;
+}
+
+void Window::AddFactor(Factor factor) {
+  const std::int64_t owner = factor.state0 >= 0 ? factor.state0 : keyframes_.back().id;
+  keyframe(owner).factors.push_back(std::move(factor));
+}
+
+std::vector<const double*> Window::Blocks(const Factor& factor, bool at_linearization) const {
+  std::vector<const double*> blocks;
+  blocks.reserve(4 + layout_->blocks().size());
+  for (const std::int64_t id : {factor.state0, factor.state1}) {
+    if (id < 0) continue;
+    const Keyframe& k = keyframe(id);
+    blocks.push_back(at_linearization && k.in_prior ? k.x_lin.data() : k.x.data());
+  }
+  for (const std::int64_t id : {factor.bias0, factor.bias1}) {
+    if (id < 0) continue;
+    const Bias& b = bias(id);
+    blocks.push_back(at_linearization && b.in_prior ? b.x_lin.data() : b.x.data());
+  }
+  if (!factor.parameters) return blocks;
+  const double* eta = at_linearization ? prior_.eta_lin.data() : eta_.data();
+  for (const auto& block : layout_->blocks()) blocks.push_back(eta + block.first);
+  return blocks;
+}
+
+std::vector<double*> Window::MutableBlocks(const Factor& factor) {
+  std::vector<double*> blocks;
+  for (const double* block : Blocks(factor, false)) blocks.push_back(const_cast<double*>(block));
+  return blocks;
+}
+
+std::vector<double*> Window::PriorBlocks() {
+  std::vector<double*> blocks;
+  if (prior_.has_state) blocks.push_back(keyframes_.front().x.data());
+  if (prior_.has_bias) blocks.push_back(bias(keyframes_.front().bias).x.data());
+  for (const auto& block : layout_->blocks()) blocks.push_back(eta_.data() + block.first);
+  return blocks;
+}
+
+bool Linearize(const Window& window, const Factor& factor, bool first_estimates,
+               LinearFactor* linear) {
+  const auto& cost = *factor.cost;
+  const int rows = cost.num_residuals();
+  const auto& sizes = cost.parameter_block_sizes();
+  const std::vector<const double*> blocks = window.Blocks(factor, false);
+  const std::vector<const double*> points = window.Blocks(factor, first_estimates);
+
+  using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  // Ambient Jacobians, one after the other in one buffer.
+  size_t total = 0;
+  for (const int size : sizes) total += static_cast<size_t>(rows) * size;
+  thread_local std::vector<double> buffer;
+  if (buffer.size() < total) buffer.resize(total);
+  thread_local std::vector<double*> jacobians;
+  jacobians.clear();
+  double* next = buffer.data();
+  for (const int size : sizes) {
+    jacobians.push_back(next);
+    next += static_cast<size_t>(rows) * size;
+  }
+  linear->r.resize(rows);
+  if (!cost.Evaluate(points.data(), linear->r.data(), jacobians.data())) return false;
+  if (first_estimates && points != blocks &&
+      !cost.Evaluate(blocks.data(), linear->r.data(), nullptr)) {
+    return false;
+  }
+
+  int columns = 0;
+  const auto take = [&columns](bool present, int size) {
+    const int first = present ? columns : -1;
+    if (present) columns += size;
+    return first;
+  };
+  linear->state0 = take(factor.state0 >= 0, kStateTangentSize);
+  linear->state1 = take(factor.state1 >= 0, kStateTangentSize);
+  linear->bias0 = take(factor.bias0 >= 0, 6);
+  linear->bias1 = take(factor.bias1 >= 0, 6);
+  linear->parameters = take(factor.parameters, window.layout().num_estimated());
+  linear->J.resize(rows, columns);
+  int column = 0;
+  for (size_t i = 0; i < sizes.size(); ++i) {
+    const Eigen::Map<const RowMajor> ambient(jacobians[i], rows, sizes[i]);
+    if (sizes[i] == kStateSize) {  // only states have this size, and they come first
+      Eigen::Matrix<double, 13, 12, Eigen::RowMajor> plus;
+      StateManifold().PlusJacobian(points[i], plus.data());
+      linear->J.middleCols<3>(column) = ambient.leftCols<3>();
+      linear->J.middleCols<3>(column + 3).noalias() =
+          ambient.middleCols<4>(3) * plus.block<4, 3>(3, 3);
+      linear->J.middleCols<6>(column + 6) = ambient.rightCols<6>();
+      column += kStateTangentSize;
+    } else {
+      linear->J.middleCols(column, sizes[i]) = ambient;
+      column += sizes[i];
+    }
+  }
+  if (factor.loss != nullptr) {
+    double rho[3];
+    factor.loss->Evaluate(linear->r.squaredNorm(), rho);
+    const double weight = std::sqrt(rho[1]);
+    linear->r *= weight;
+    linear->J *= weight;
+  }
+  return linear->r.allFinite() && linear->J.allFinite();
+}
+
+Eigen::VectorXd PriorResidual(const Window& window) {
+  const Prior& prior = window.prior();
+  const int n = window.layout().num_estimated();
+  Eigen::VectorXd d(prior.state_columns() + prior.bias_columns() + n);
+  if (prior.has_state) {
+    const Keyframe& oldest = window.keyframes().front();
+    StateManifold().Minus(oldest.x.data(), oldest.x_lin.data(), d.data());
+  }
+  if (prior.has_bias) {
+    const Bias& bias = window.bias(window.keyframes().front().bias);
+    for (int i = 0; i < 6; ++i) d[prior.state_columns() + i] = bias.x[i] - bias.x_lin[i];
+  }
+  d.tail(n) = window.eta() - prior.eta_lin;
+  return prior.b + prior.A * d;
+}
+
+MarginalizationFactor::MarginalizationFactor(const Window* window) : window_(window) {
+  const Prior& prior = window->prior();
+  set_num_residuals(static_cast<int>(prior.b.size()));
+  if (prior.has_state) mutable_parameter_block_sizes()->push_back(kStateSize);
+  if (prior.has_bias) mutable_parameter_block_sizes()->push_back(6);
+  for (const auto& block : window->layout().blocks()) {
+    mutable_parameter_block_sizes()->push_back(block.size);
+  }
+}
+
+bool MarginalizationFactor::Evaluate(double const* const* blocks, double* residual,
+                                     double** jacobians) const {
+  const Prior& prior = window_->prior();
+  const auto& layout = window_->layout();
+  Eigen::VectorXd d(prior.A.cols());
+  int block = 0, column = 0;
+  if (prior.has_state) {
+    const Keyframe& oldest = window_->keyframes().front();
+    StateManifold().Minus(blocks[0], oldest.x_lin.data(), d.data());
+    if (jacobians != nullptr && jacobians[0] != nullptr) {
+      // d(Minus)/dx at x, through the inverse right Jacobian where x has left x_lin.
+      Eigen::MatrixXd minimal = prior.A.leftCols<kStateTangentSize>();
+      Eigen::Vector3d theta = d.segment<3>(3);
+      minimal.middleCols<3>(3) = (minimal.middleCols<3>(3) * RightJacobianInverse(theta)).eval();
+      WriteJacobian(StateManifold::Lift(minimal, blocks[0]), jacobians[0]);
+    }
+    ++block;
+    column = kStateTangentSize;
+  }
+  const auto euclidean = [&](int size, const double* lin) {
+    for (int i = 0; i < size; ++i) d[column + i] = blocks[block][i] - lin[i];
+    if (jacobians != nullptr) WriteJacobian(prior.A.middleCols(column, size), jacobians[block]);
+    ++block;
+    column += size;
+  };
+  if (prior.has_bias) {
+    euclidean(6, window_->bias(window_->keyframes().front().bias).x_lin.data());
+  }
+  for (const auto& b : layout.blocks()) euclidean(b.size, prior.eta_lin.data() + b.first);
+  Eigen::Map<Eigen::VectorXd>(residual, prior.b.size()) = prior.b + prior.A * d;
+  return true;
+}
+
+}  // namespace odmc

@@ -1,0 +1,570 @@
+"""Tests of the converters: run with /usr/bin/python3 -m unittest discover -s test/scripts."""
+
+import csv
+import math
+import os
+import random
+import subprocess
+import sys
+import tempfile
+import unittest
+from typing import Callable, Dict, List
+
+ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.realpath(__file__))))
+SCRIPTS = os.path.join(ROOT, 'scripts')
+DATA = os.path.join(ROOT, 'test', 'data')
+sys.path[:0] = [SCRIPTS, DATA]
+
+import make_samples as samples  # noqa: E402
+import odmc_flight as of  # noqa: E402
+
+Row = Dict[str, object]
+
+
+def read_rows(path: str) -> List[Dict[str, str]]:
+    """Rows of a CSV file by name."""
+    with open(path, encoding='utf-8', newline='') as file:
+        return list(csv.DictReader(file))
+
+
+def messages(path: str, topic: str) -> List:
+    """All messages of a topic."""
+    return list(of.read_topic(path, topic))
+
+
+class ConverterTest(unittest.TestCase):
+    """A folder of its own for each test, and ways to run the tools in it."""
+
+    def setUp(self) -> None:
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = folder.name
+
+    def path(self, name: str) -> str:
+        """A file in the test's folder."""
+        return os.path.join(self.folder, name)
+
+    def write(self, name: str, rows: List[Row]) -> str:
+        """Writes rows, returns the path."""
+        samples.write_rows(self.path(name), rows)
+        return self.path(name)
+
+    def run_tool(self, tool: str, *arguments: str) -> subprocess.CompletedProcess:
+        """Runs a tool as a user does, without a sourced setup.bash."""
+        environment = {'PATH': '/usr/bin:/bin', 'HOME': self.folder}
+        return subprocess.run([os.path.join(SCRIPTS, tool), *arguments], env=environment, text=True,
+                              capture_output=True, check=False, timeout=60)
+
+    def convert(self, tool: str, *arguments: str) -> str:
+        """Runs a tool that must succeed; returns what it said on stderr."""
+        result = self.run_tool(tool, *arguments)
+        self.assertEqual(result.returncode, 0, result.stderr)
+        return result.stderr
+
+    def refused(self, tool: str, *arguments: str) -> str:
+        """Runs a tool that must refuse its input and leave no output; returns the error."""
+        result = self.run_tool(tool, *arguments)
+        self.assertEqual(result.returncode, 1, result.stdout + result.stderr)
+        self.assertIn('error: ', result.stderr)
+        self.assertNotIn('Traceback', result.stderr)
+        self.assertFalse(os.path.exists(arguments[1]))
+        self.assertFalse(os.path.exists(arguments[1] + '.part'))
+        return result.stderr
+
+    def assert_same_numbers(self, expected: List[Dict[str, str]], found: List[Dict[str, str]],
+                            columns: List[str]) -> None:
+        """Every number equal to the last bit."""
+        self.assertEqual(len(expected), len(found))
+        for a, b in zip(expected, found):
+            for name in columns:
+                self.assertEqual(float(a[name]), float(b[name]), f'{name} at t = {a["t"]}')
+
+    def assert_vectors(self, found: List[float], expected: List[float], tolerance: float) -> None:
+        """Equal within a tolerance."""
+        for a, b in zip(found, expected):
+            self.assertAlmostEqual(a, b, delta=tolerance)
+
+
+class UsageTest(ConverterTest):
+    """Help and exit status."""
+
+    TOOLS = ('csv_to_bag', 'bag_to_csv', 'neurobem_to_bag', 'blackbird_to_bag')
+
+    def test_help_explains_and_succeeds(self) -> None:
+        for tool in self.TOOLS:
+            result = self.run_tool(tool, '--help')
+            self.assertEqual(result.returncode, 0)
+            self.assertIn('usage:', result.stdout)
+
+    def test_wrong_usage_ends_with_2(self) -> None:
+        for tool in self.TOOLS:
+            self.assertEqual(self.run_tool(tool).returncode, 2)
+            self.assertEqual(self.run_tool(tool, 'a', 'b', '--no-such-option').returncode, 2)
+
+    def test_absent_file_ends_with_1(self) -> None:
+        for tool in self.TOOLS:
+            self.assertIn('absent', self.refused(tool, self.path('absent'), self.path('out')))
+
+    def test_message_made_from_its_definition_is_the_generated_one(self) -> None:
+        self.assertEqual(of.dynamic_rotor_speeds_class()._md5sum,
+                         '81ebd3d664f7b07f09a48c81425856ba')
+
+
+class RoundTripTest(ConverterTest):
+    """csv_to_bag followed by bag_to_csv."""
+
+    def round_trip(self, source: str, *to_bag: str) -> List[Dict[str, str]]:
+        """The rows that come back."""
+        self.convert('csv_to_bag', source, self.path('f.bag'), *to_bag)
+        self.convert('bag_to_csv', self.path('f.bag'), self.path('back.csv'), '--zero', '1')
+        return read_rows(self.path('back.csv'))
+
+    def test_gives_every_number_back(self) -> None:
+        source = os.path.join(DATA, 'flight_sample.csv')
+        expected = read_rows(source)
+        self.assert_same_numbers(expected, self.round_trip(source), list(expected[0]))
+        self.assertFalse(os.path.exists(self.path('back_rotor.csv')))
+
+    def test_raw_gyro_and_rms_come_back(self) -> None:
+        rows = samples.flight_rows(20, 50.0)
+        for row in rows:
+            for i, axis in enumerate('xyz'):
+                row['g' + axis] = row.pop('w' + axis)
+            row['rotor_rms'] = row['rotor1']
+            for i in range(1, 5):
+                del row[f'rotor{i}']
+        source = self.write('raw.csv', rows)
+        expected = read_rows(source)
+        self.assert_same_numbers(expected, self.round_trip(source), list(expected[0]))
+        speeds = messages(self.path('f.bag'), 'rotor_speeds')[3]
+        self.assertTrue(speeds.rms_only)
+        self.assertEqual(list(speeds.angular_velocity_rad_s), [float(rows[3]['rotor_rms'])] * 4)
+        self.assertEqual(messages(self.path('f.bag'), 'imu')[0].header.frame_id, 'imu_link')
+
+    def test_columns_in_any_order(self) -> None:
+        rows = samples.flight_rows(20, 50.0)
+        names = list(rows[0])
+        random.Random(3).shuffle(names)
+        source = self.write('shuffled.csv', [{name: row[name] for name in names} for row in rows])
+        expected = read_rows(source)
+        self.assert_same_numbers(expected, self.round_trip(source), names)
+
+    def test_rotor_file_replaces_columns_and_comes_back(self) -> None:
+        source = self.write('f.csv', samples.flight_rows(20, 50.0))
+        rotor = [{'t': f'{i / 30.0:.6f}', **{f'rotor{k}': 700 + i + k for k in range(1, 5)}}
+                 for i in range(12)]
+        self.write('f_rotor.csv', rotor)
+        self.round_trip(source)
+        back = read_rows(self.path('back_rotor.csv'))
+        self.assert_same_numbers(read_rows(self.path('f_rotor.csv')), back, list(rotor[0]))
+
+    def test_stale_rotor_file_is_removed(self) -> None:
+        self.write('back_rotor.csv', [{'t': 0, 'rotor1': 1}])
+        self.round_trip(os.path.join(DATA, 'flight_sample.csv'))
+        self.assertFalse(os.path.exists(self.path('back_rotor.csv')))
+
+    def test_mocap_gives_poses_and_moves_rates_to_the_imu(self) -> None:
+        rows = samples.flight_rows(20, 50.0)
+        source = self.write('f.csv', rows)
+        poses = [{'t': f'{i / 20.0 + 0.003:.6f}', 'px': 0.1 * i, 'py': 0, 'pz': 1, 'qw': 1, 'qx': 0,
+                  'qy': 0, 'qz': 0} for i in range(6)]
+        self.write('f_mocap.csv', poses)
+        self.convert('csv_to_bag', source, self.path('f.bag'), '--pose', 'mocap')
+        odometry = messages(self.path('f.bag'), 'odometry')
+        self.assertEqual([m.pose.pose.position.x for m in odometry], [0.1 * i for i in range(6)])
+        self.assertEqual({(m.twist.covariance[0], m.twist.covariance[21]) for m in odometry},
+                         {(-1.0, -1.0)})
+        imu = messages(self.path('f.bag'), 'imu')
+        self.assertEqual([m.angular_velocity.x for m in imu], [float(row['wx']) for row in rows])
+
+    def test_missing_values_stay_missing(self) -> None:
+        rows = samples.flight_rows(20, 50.0)
+        rows[4]['vx'], rows[5]['wz'], rows[6]['ay'] = '', 'nan', ''
+        rows[7]['vbat'] = rows[8]['rotor2'] = ''
+        back = self.round_trip(self.write('holes.csv', rows))
+        self.assertEqual([back[4]['vx'], back[4]['vy'], back[5]['wz'], back[6]['ay']], [''] * 4)
+        self.assertEqual([back[7]['vbat'], back[8]['rotor2']], ['', ''])
+        self.assertEqual(float(back[9]['rotor2']), float(rows[9]['rotor2']))
+
+
+class CsvToBagTest(ConverterTest):
+    """Marks, stamps and broken files."""
+
+    def edited(self, edit: Callable[[List[Row]], object]) -> str:
+        """A flight with an error in it."""
+        rows = samples.flight_rows(20, 50.0)
+        edit(rows)
+        return self.write('edited.csv', rows)
+
+    def test_twist_is_in_the_body(self) -> None:
+        self.convert('csv_to_bag', os.path.join(DATA, 'flight_sample.csv'), self.path('f.bag'))
+        message = messages(self.path('f.bag'), 'odometry')[10]
+        self.assertEqual(message.child_frame_id, 'base_link')
+        t = 10 / 40.0
+        self.assert_vectors(of.get_xyz(message.twist.twist.linear),
+                            of.to_body(samples.attitude(t), samples.velocity(t)), 1e-7)
+
+    def test_absences_are_marked(self) -> None:
+        rows = [{name: value for name, value in row.items() if name[0] not in 'vwp' or name in
+                 ('px', 'py', 'pz')} for row in samples.flight_rows(10, 50.0)]
+        self.convert('csv_to_bag', self.write('f.csv', rows), self.path('f.bag'))
+        odometry = messages(self.path('f.bag'), 'odometry')[0]
+        self.assertEqual([odometry.twist.covariance[0], odometry.twist.covariance[21]], [-1, -1])
+        imu = messages(self.path('f.bag'), 'imu')[0]
+        self.assertEqual(imu.orientation_covariance[0], -1)
+        self.assertEqual(imu.angular_velocity_covariance[0], -1)
+        self.assertEqual(imu.linear_acceleration_covariance[0], 0)
+        self.assertEqual(imu.header.frame_id, 'base_link')
+
+    def test_stamps_keep_nanoseconds(self) -> None:
+        source = self.edited(lambda rows: rows[3].update(t='0.060000001'))
+        self.convert('csv_to_bag', source, self.path('f.bag'), '--start-time', '1500000000')
+        stamps = [m.header.stamp.to_nsec() for m in messages(self.path('f.bag'), 'odometry')]
+        self.assertEqual(stamps[3] - stamps[0], 60000001)
+        self.assertEqual(stamps[0], 1500000000 * 10**9)
+
+    def test_unknown_columns_are_named_once(self) -> None:
+        source = self.edited(lambda rows: [row.update(mystery=1) for row in rows])
+        said = self.convert('csv_to_bag', source, self.path('f.bag'))
+        self.assertEqual(said.count('mystery'), 1)
+
+    def test_missing_column_is_named(self) -> None:
+        error = self.refused('csv_to_bag', self.edited(lambda rows: [r.pop('qy') for r in rows]),
+                             self.path('f.bag'))
+        self.assertIn("edited.csv:1: missing column 'qy'", error)
+
+    def test_part_of_a_group_is_refused(self) -> None:
+        error = self.refused('csv_to_bag', self.edited(lambda rows: [r.pop('vz') for r in rows]),
+                             self.path('f.bag'))
+        self.assertIn("'vz'", error)
+
+    def test_text_in_a_number_names_line_and_column(self) -> None:
+        error = self.refused('csv_to_bag', self.edited(lambda rows: rows[2].update(ay='x1')),
+                             self.path('f.bag'))
+        self.assertIn("edited.csv:4: column 'ay': cannot read 'x1'", error)
+
+    def test_truncated_file_loses_its_last_row_with_a_warning(self) -> None:
+        source = self.edited(lambda rows: None)
+        with open(source, encoding='utf-8') as file:
+            text = file.read()
+        with open(source, 'w', encoding='utf-8') as file:
+            file.write(text[:-100])
+        said = self.convert('csv_to_bag', source, self.path('f.bag'))
+        self.assertIn('1 rows of', said)
+        self.assertIn('line 21', said)
+        self.assertEqual(len(messages(self.path('f.bag'), 'odometry')), 19)
+
+    def test_steps_back_in_time_are_counted(self) -> None:
+        source = self.edited(lambda rows: rows[5].update(t='0.01'))
+        self.assertIn('1 rows of', self.convert('csv_to_bag', source, self.path('f.bag')))
+
+    def test_swapped_quaternion_norm_is_refused(self) -> None:
+        source = self.edited(lambda rows: [row.update(qw=2.0) for row in rows])
+        self.assertIn('not unit', self.refused('csv_to_bag', source, self.path('f.bag')))
+
+    def test_empty_and_foreign_files_are_refused(self) -> None:
+        for name, content in (('empty.csv', b''), ('binary.csv', bytes(range(128, 256)) * 9),
+                              ('header.csv', b't,px,py,pz,qw,qx,qy,qz,rotor1\n')):
+            with open(self.path(name), 'wb') as file:
+                file.write(content)
+            self.assertIn(name, self.refused('csv_to_bag', self.path(name), self.path('f.bag')))
+
+
+class BagToCsvTest(ConverterTest):
+    """Frames and broken bags."""
+
+    def test_world_twist_is_found(self) -> None:
+        self.convert('csv_to_bag', os.path.join(DATA, 'flight_sample.csv'), self.path('f.bag'))
+        self.turn_twist(lambda m, q: of.to_world(q, of.get_xyz(m)))
+        self.convert('bag_to_csv', self.path('turned.bag'), self.path('back.csv'))
+        expected = read_rows(os.path.join(DATA, 'flight_sample.csv'))
+        self.assert_same_numbers(expected, read_rows(self.path('back.csv')), ['vx', 'vy', 'vz'])
+
+    def test_twist_of_no_frame_is_refused_with_residuals(self) -> None:
+        self.convert('csv_to_bag', os.path.join(DATA, 'flight_sample.csv'), self.path('f.bag'))
+        self.turn_twist(lambda m, q: [m.y, -m.z, m.x])
+        error = self.refused('bag_to_csv', self.path('turned.bag'), self.path('back.csv'))
+        self.assertIn('velocity frame', error)
+        self.assertRegex(error, r'body: \d.*world: \d')
+
+    def turn_twist(self, turn: Callable) -> None:
+        """Writes turned.bag with every linear twist changed."""
+        import rosbag
+        with rosbag.Bag(self.path('turned.bag'), 'w') as bag:
+            for topic in ('odometry', 'rotor_speeds'):
+                for message in messages(self.path('f.bag'), topic):
+                    if topic == 'odometry':
+                        q = of.get_quaternion(message.pose.pose.orientation)
+                        of.set_xyz(message.twist.twist.linear,
+                                   turn(message.twist.twist.linear, q))
+                    bag.write(topic, message, message.header.stamp)
+
+    def test_truncated_bag_is_refused(self) -> None:
+        self.convert('csv_to_bag', os.path.join(DATA, 'flight_sample.csv'), self.path('f.bag'))
+        with open(self.path('f.bag'), 'rb') as file:
+            content = file.read()
+        for name, size in (('half.bag', len(content) // 2), ('tail.bag', len(content) - 40),
+                           ('none.bag', 0), ('head.bag', 20)):
+            with open(self.path(name), 'wb') as file:
+                file.write(content[:size])
+            self.assertIn(name, self.refused('bag_to_csv', self.path(name), self.path('o.csv')))
+
+    def test_bag_without_poses_names_its_topics(self) -> None:
+        samples.write_blackbird_bag(self.path('f.bag'), {'/blackbird/imu': [
+            samples.imu_message(0.1)]})
+        error = self.refused('bag_to_csv', self.path('f.bag'), self.path('o.csv'))
+        self.assertIn('/blackbird/imu', error)
+
+
+class NeurobemTest(ConverterTest):
+    """The NeuroBEM data set's own CSV."""
+
+    SAMPLE = os.path.join(DATA, 'neurobem_sample.csv')
+
+    def edited(self, edit: Callable[[Row], object]) -> str:
+        """The sample with every row changed."""
+        rows: List[Row] = [dict(row) for row in read_rows(self.SAMPLE)]
+        for row in rows:
+            edit(row)
+        return self.write('edited.csv', rows)
+
+    def assert_flight(self, bag: str) -> None:
+        """The bag holds the sample's flight."""
+        odometry, rotors = messages(bag, 'odometry'), messages(bag, 'rotor_speeds')
+        self.assertEqual((len(odometry), len(rotors)), (40, 40))
+        for i in (0, 17, 39):
+            t, m = i / 40.0, odometry[i]
+            self.assertEqual(m.header.stamp.to_nsec(), 10**9 + i * 25000000)
+            self.assert_vectors(of.get_xyz(m.pose.pose.position), samples.position(t), 1e-5)
+            self.assert_vectors(of.get_quaternion(m.pose.pose.orientation), samples.attitude(t),
+                                1e-5)
+            self.assert_vectors(of.get_xyz(m.twist.twist.linear),
+                                of.to_body(samples.attitude(t), samples.velocity(t)), 2e-5)
+            self.assert_vectors(of.get_xyz(m.twist.twist.angular), samples.body_rates(t), 2e-5)
+            self.assert_vectors(rotors[i].angular_velocity_rad_s,
+                                [samples.rotor_speed(t, k) for k in range(1, 5)], 0.01)
+
+    def test_sample_is_read(self) -> None:
+        said = self.convert('neurobem_to_bag', self.SAMPLE, self.path('f.bag'))
+        self.assertEqual(said, '')
+        self.assert_flight(self.path('f.bag'))
+        self.assertEqual(len(messages(self.path('f.bag'), 'battery_state')), 40)
+
+    def test_columns_in_any_order(self) -> None:
+        rows = read_rows(self.SAMPLE)
+        names = list(rows[0])
+        random.Random(5).shuffle(names)
+        source = self.write('shuffled.csv', [{name: row[name] for name in names} for row in rows])
+        self.convert('neurobem_to_bag', source, self.path('f.bag'))
+        self.assert_flight(self.path('f.bag'))
+
+    def test_swapped_quaternion_order_is_detected(self) -> None:
+        def swap(row: Row) -> None:
+            row['quat x'], row['quat y'], row['quat z'], row['quat w'] = (
+                row['quat w'], row['quat x'], row['quat y'], row['quat z'])
+        said = self.convert('neurobem_to_bag', self.edited(swap), self.path('f.bag'))
+        self.assertIn('w first where x is named', said)
+        self.assert_flight(self.path('f.bag'))
+
+    def test_conjugated_quaternion_is_detected(self) -> None:
+        said = self.convert('neurobem_to_bag', self.edited(
+            lambda row: row.update({'quat w': -float(row['quat w'])})), self.path('f.bag'))
+        self.assertIn('conjugated', said)
+
+    def test_world_velocity_is_detected(self) -> None:
+        def turn(row: Row) -> None:
+            v = samples.velocity(float(row['t']))
+            row.update({f'vel {axis}': value for axis, value in zip('xyz', v)})
+        said = self.convert('neurobem_to_bag', self.edited(turn), self.path('f.bag'))
+        self.assertIn('world frame', said)
+        self.assert_flight(self.path('f.bag'))
+
+    def test_velocity_of_no_frame_is_refused(self) -> None:
+        error = self.refused('neurobem_to_bag', self.edited(
+            lambda row: row.update({'vel x': row['vel y'], 'vel y': row['vel x']})),
+            self.path('f.bag'))
+        self.assertIn('velocity frame: nothing fits', error)
+        self.assertRegex(error, r'body: \d.*world: \d')
+
+    def test_rates_that_fit_no_order_are_refused(self) -> None:
+        error = self.refused('neurobem_to_bag', self.edited(
+            lambda row: row.update({'ang vel x': row['ang vel y'], 'ang vel y': row['ang vel z'],
+                                    'ang vel z': row['ang vel x']})), self.path('f.bag'))
+        self.assertIn('quaternion order: nothing fits', error)
+
+    def test_world_with_z_down_is_refused(self) -> None:
+        def turn(row: Row) -> None:
+            half_turn = of.multiply((0.0, 1.0, 0.0, 0.0),
+                                    [float(row[f'quat {axis}']) for axis in 'wxyz'])
+            row.update({f'quat {axis}': value for axis, value in zip('wxyz', half_turn)})
+            row.update({f'pos {axis}': -float(row[f'pos {axis}']) for axis in 'yz'})
+        self.assertIn('not z up', self.refused('neurobem_to_bag', self.edited(turn),
+                                               self.path('f.bag')))
+
+    def test_missing_columns_are_named(self) -> None:
+        for name in ('t', 'quat w', 'mot 3', 'vel z'):
+            error = self.refused('neurobem_to_bag', self.edited(lambda row: row.pop(name)),
+                                 self.path('f.bag'))
+            self.assertIn(f"'{name}'", error)
+
+    def test_truncated_file_loses_its_last_row_with_a_warning(self) -> None:
+        with open(self.SAMPLE, encoding='utf-8') as file:
+            text = file.read()
+        with open(self.path('cut.csv'), 'w', encoding='utf-8') as file:
+            file.write(text[:-60])
+        said = self.convert('neurobem_to_bag', self.path('cut.csv'), self.path('f.bag'))
+        self.assertIn('cut.csv left out', said)
+        self.assertEqual(len(messages(self.path('f.bag'), 'odometry')), 39)
+
+    def test_accelerometer_on_request_and_only_if_it_is_one(self) -> None:
+        self.convert('neurobem_to_bag', self.SAMPLE, self.path('f.bag'), '--accelerometer')
+        self.assertEqual(len(messages(self.path('f.bag'), 'imu')), 40)
+        other = self.edited(lambda row: row.update({'acc z': float(row['acc z']) - 9.81}))
+        error = self.refused('neurobem_to_bag', other, self.path('g.bag'), '--accelerometer')
+        self.assertIn('acc: nothing fits', error)
+
+
+class BlackbirdTest(ConverterTest):
+    """The Blackbird data set's own bags and exports."""
+
+    def setUp(self) -> None:
+        super().setUp()
+        self.messages = samples.blackbird_messages()
+
+    def bag(self) -> str:
+        """A bag as the data set has them."""
+        samples.write_blackbird_bag(self.path('source.bag'), self.messages)
+        return self.path('source.bag')
+
+    def assert_flight(self, bag: str) -> None:
+        """The bag holds the sample's flight in ENU and FLU."""
+        odometry, imu = messages(bag, 'odometry'), messages(bag, 'imu')
+        self.assertEqual(len(odometry), 40)
+        for i in (0, 21, 39):
+            t, m = i / 40.0, odometry[i]
+            self.assert_vectors(of.get_xyz(m.pose.pose.position), samples.position(t), 1e-5)
+            q = of.get_quaternion(m.pose.pose.orientation)
+            sign = math.copysign(1.0, q[0])
+            self.assert_vectors([sign * x for x in q], samples.attitude(t), 1e-5)
+            self.assertEqual([m.twist.covariance[0], m.twist.covariance[21]], [-1, -1])
+            if imu:
+                self.assert_vectors(of.get_xyz(imu[i].angular_velocity), samples.body_rates(t), 1e-4)
+                self.assert_vectors(of.get_xyz(imu[i].linear_acceleration),
+                                    samples.specific_force(t), 1e-4)
+        for m in messages(bag, 'rotor_speeds'):
+            t = (m.header.stamp.to_nsec() - samples.START_S * 10**9) * 1e-9
+            self.assert_vectors(m.angular_velocity_rad_s,
+                                [samples.rotor_speed(t, k) for k in range(1, 5)], 1e-3)
+
+    def test_bag_is_read(self) -> None:
+        self.convert('blackbird_to_bag', self.bag(), self.path('f.bag'))
+        self.assert_flight(self.path('f.bag'))
+        commands = messages(self.path('f.bag'), 'motor_command')
+        self.assertEqual(list(commands[0].position), [1210, 1220, 1230, 1240])
+        self.assertEqual(len(messages(self.path('f.bag'), 'rotor_speeds')), 28)
+
+    def test_exports_give_the_same_as_the_bag(self) -> None:
+        self.convert('blackbird_to_bag', self.bag(), self.path('a.bag'))
+        self.convert('blackbird_to_bag', os.path.join(DATA, 'blackbird'), self.path('b.bag'))
+        self.assert_flight(self.path('b.bag'))
+        for topic in ('odometry', 'imu', 'rotor_speeds', 'motor_command'):
+            a, b = messages(self.path('a.bag'), topic), messages(self.path('b.bag'), topic)
+            for first, second in zip(a, b):
+                first.header.seq = second.header.seq = 0
+            self.assertEqual(a, b)
+
+    def test_ground_truth_file_stands_in_for_the_state(self) -> None:
+        folder = self.path('export')
+        samples.write_blackbird_exports(folder, self.messages)
+        os.remove(os.path.join(folder, 'blackbird_slash_state.csv'))
+        truth = os.path.join(folder, 'groundTruthPoses.csv')
+        samples.write_ground_truth(truth, self.messages)
+        self.convert('blackbird_to_bag', folder, self.path('f.bag'))
+        self.assert_flight(self.path('f.bag'))
+        with open(truth, encoding='utf-8') as file:
+            rows = [line.strip().split(',') for line in file]
+        with open(truth, 'w', encoding='utf-8') as file:  # with a header, in another order
+            file.write('# timestamp, qw, qx, qy, qz, x, y, z\n')
+            file.writelines(','.join([r[0], *r[4:], *r[1:4]]) + '\n' for r in rows)
+        self.convert('blackbird_to_bag', folder, self.path('g.bag'))
+        self.assert_flight(self.path('g.bag'))
+
+    def test_swapped_quaternion_order_is_detected(self) -> None:
+        for message in self.messages['/blackbird/state']:
+            o = message.pose.orientation
+            o.x, o.y, o.z, o.w = o.w, o.x, o.y, o.z
+        said = self.convert('blackbird_to_bag', self.bag(), self.path('f.bag'))
+        self.assertIn('w first where x is named', said)
+        self.assert_flight(self.path('f.bag'))
+
+    def test_other_yaw_of_the_imu_is_detected(self) -> None:
+        for message in self.messages['/blackbird/imu']:
+            for v in (message.angular_velocity, message.linear_acceleration):
+                v.x, v.y = -v.x, -v.y
+        said = self.convert('blackbird_to_bag', self.bag(), self.path('f.bag'))
+        self.assertIn('IMU yawed 270 deg', said)
+        self.assert_flight(self.path('f.bag'))
+
+    def test_poses_that_are_not_ned_are_refused(self) -> None:
+        for i, message in enumerate(self.messages['/blackbird/state']):
+            q = samples.attitude(i / 40.0)
+            message.pose.orientation.w = q[0]
+            of.set_xyz(message.pose.orientation, q[1:])
+        for message in self.messages['/blackbird/imu']:  # the same turn, so that rates agree
+            for v in (message.angular_velocity, message.linear_acceleration):
+                v.x, v.y, v.z = -v.x, v.y, -v.z
+        self.assertIn('not NED', self.refused('blackbird_to_bag', self.bag(), self.path('f.bag')))
+
+    def test_gyro_in_degrees_is_refused_with_residuals(self) -> None:
+        for message in self.messages['/blackbird/imu']:
+            w = of.get_xyz(message.angular_velocity)
+            of.set_xyz(message.angular_velocity, [math.degrees(x) for x in w])
+        error = self.refused('blackbird_to_bag', self.bag(), self.path('f.bag'))
+        self.assertIn('attitude against gyro: nothing fits', error)
+
+    def test_rotor_stamps_far_apart_are_left_out_and_counted(self) -> None:
+        import genpy
+        for i in (5, 6):
+            message = self.messages['/blackbird/rotor_rpm'][i]
+            message.sample_stamp[2] = message.sample_stamp[2] - genpy.Duration(0, 20000000)
+            message.rpm[2] = samples.rotor_speed(i / 30.0 - 0.023, 3) * 30.0 / math.pi
+        said = self.convert('blackbird_to_bag', self.bag(), self.path('f.bag'))
+        self.assertIn('2 rotor messages left out: their stamps differ by more than 10 ms', said)
+        self.assert_flight(self.path('f.bag'))
+        self.assertEqual(len(messages(self.path('f.bag'), 'rotor_speeds')), 26)
+
+    def test_flight_without_imu_is_read(self) -> None:
+        del self.messages['/blackbird/imu']
+        said = self.convert('blackbird_to_bag', self.bag(), self.path('f.bag'))
+        self.assertIn('no IMU', said)
+        self.assertEqual(len(messages(self.path('f.bag'), 'odometry')), 40)
+
+    def test_missing_streams_and_columns_are_named(self) -> None:
+        del self.messages['/blackbird/rotor_rpm']
+        self.assertIn('/blackbird/rotor_rpm', self.refused('blackbird_to_bag', self.bag(),
+                                                           self.path('f.bag')))
+        folder = self.path('export')
+        samples.write_blackbird_exports(folder, samples.blackbird_messages())
+        path = os.path.join(folder, 'blackbird_slash_imu.csv')
+        with open(path, encoding='utf-8') as file:
+            text = file.read()
+        with open(path, 'w', encoding='utf-8') as file:
+            file.write(text.replace('angular_velocity,x', 'angular_velocity,lost'))
+        error = self.refused('blackbird_to_bag', folder, self.path('f.bag'))
+        self.assertIn("missing column 'angular_velocity.x'", error)
+
+    def test_truncated_export_loses_its_last_row_with_a_warning(self) -> None:
+        folder = self.path('export')
+        samples.write_blackbird_exports(folder, self.messages)
+        path = os.path.join(folder, 'blackbird_slash_state.csv')
+        with open(path, encoding='utf-8') as file:
+            text = file.read()
+        with open(path, 'w', encoding='utf-8') as file:
+            file.write(text[:-60])
+        said = self.convert('blackbird_to_bag', folder, self.path('f.bag'))
+        self.assertIn('blackbird_slash_state.csv left out', said)
+        self.assertEqual(len(messages(self.path('f.bag'), 'odometry')), 39)
+
+
+if __name__ == '__main__':
+    unittest.main()
