@@ -44,6 +44,15 @@ void Consistency::CloseBlock(const Eigen::MatrixXd& left) {
   block_length_s_ *= 2.0;
 }
 
+void Consistency::Scale(double factor) {
+  for (Block& block : blocks_) {
+    block.score *= factor;
+    block.information *= factor;
+  }
+  if (score_.size() > 0) score_ *= factor;
+  if (left_.size() > 0) left_ *= factor;
+}
+
 Eigen::VectorXd Consistency::Inflation(const Eigen::VectorXd& eta,
                                        const Eigen::MatrixXd& covariance) const {
   Eigen::VectorXd inflation = Eigen::VectorXd::Ones(n_);

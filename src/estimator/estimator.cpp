@@ -536,29 +536,27 @@ void Estimator::RefreshConsistency(const Eigen::MatrixXd& covariance) {
   }
 }
 
-void Estimator::FillResiduals(Snapshot* snapshot) const {
-  double force = 0.0, torque = 0.0;
-  int count = 0;
-  const Eigen::Matrix3d& I = snapshot->body.I_BBcm_B;
-  for (const Keyframe& keyframe : window_.keyframes()) {
-    for (const Factor& factor : keyframe.factors) {
-      if (factor.kind != FactorKind::kDynamics) continue;
-      const auto& dynamics = static_cast<const DynamicsFactor&>(*factor.cost);
-      const auto blocks = window_.Blocks(factor, false);
-      Eigen::Matrix<double, 9, 1> e = Eigen::Matrix<double, 9, 1>::Zero();
-      if (!dynamics.UnwhitenedResidual(blocks.data(), &e)) continue;
-      const double dt = dynamics.measurement().dt;
-      snapshot->residual_force_B = e.segment<3>(kRowVelocity) / dt;
-      snapshot->residual_torque_B = I * e.segment<3>(kRowAngular) / dt;
-      force += snapshot->residual_force_B.squaredNorm();
-      torque += snapshot->residual_torque_B.squaredNorm();
-      ++count;
+void Estimator::FillResiduals(Snapshot* snapshot) {
+  const auto& keyframes = window_.keyframes();
+  if (keyframes.size() < 2) return;
+  for (const Factor& factor : keyframes[keyframes.size() - 2].factors) {
+    if (factor.kind != FactorKind::kDynamics) continue;
+    const auto& dynamics = static_cast<const DynamicsFactor&>(*factor.cost);
+    Eigen::Matrix<double, kNumDynamicsRows, 1> e;
+    if (!dynamics.UnwhitenedResidual(window_.Blocks(factor, false).data(), &e)) continue;
+    const double dt = dynamics.measurement().dt;
+    snapshot->residual_force_B = e.segment<3>(kRowVelocity) / dt;
+    if (with_torque_) {
+      snapshot->residual_torque_B = snapshot->body.I_BBcm_B * e.segment<3>(kRowAngular) / dt;
     }
+    const double gain = std::min(1.0, dt / options_.window_s);
+    residual_force_power_ +=
+        gain * (snapshot->residual_force_B.squaredNorm() / 3.0 - residual_force_power_);
+    residual_torque_power_ +=
+        gain * (snapshot->residual_torque_B.squaredNorm() / 3.0 - residual_torque_power_);
   }
-  if (count == 0) return;
-  snapshot->residual_force_rms_N = std::sqrt(force / (3.0 * count));
-  snapshot->residual_torque_rms_Nm = with_torque_ ? std::sqrt(torque / (3.0 * count)) : 0.0;
-  if (!with_torque_) snapshot->residual_torque_B.setZero();
+  snapshot->residual_force_rms_N = std::sqrt(residual_force_power_);
+  snapshot->residual_torque_rms_Nm = std::sqrt(residual_torque_power_);
 }
 
 void Estimator::MarginalizeOld() {
@@ -576,9 +574,17 @@ void Estimator::MarginalizeOld() {
       Eigen::Matrix<double, 9, 1> e;
       dt = cost.measurement().dt;
       if (cost.UnwhitenedResidual(window_.Blocks(*dynamics, false).data(), &e)) {
-        process_noise_.Add(
+        const double scale = process_noise_.Add(
             dt, e.segment<3>(kRowVelocity) / dt,
-            cost.noise().nominal_inertia.cwiseProduct(e.segment<3>(kRowAngular)) / dt);
+            cost.noise().nominal_inertia.cwiseProduct(e.segment<3>(kRowAngular)) / dt,
+            with_torque_);
+        if (scale != 1.0) {
+          // All flight time weighs with the noise known now.
+          window_.prior().A *= std::sqrt(scale);
+          window_.prior().b *= std::sqrt(scale);
+          information_.Scale(scale);
+          consistency_.Scale(scale);
+        }
       }
     }
     LeavingFactors leaving;

@@ -10,7 +10,9 @@ namespace odmc {
 namespace {
 
 constexpr double kBlock_s = 0.1;       // block over which residuals are averaged
-constexpr double kMemory_s = 3.0;      // how far back the process noise looks
+constexpr double kMemory_s = 60.0;     // how far back the process noise looks
+constexpr double kStartWeight_s = 0.5; // what the start value counts against flight time
+constexpr int kLookEvery = 25;         // samples between two medians
 constexpr int kEnoughDifferences = 20;
 
 struct Range {
@@ -42,15 +44,19 @@ void DifferenceNoise::Add(double time_s, const Eigen::VectorXd& sample) {
   run_.pop_front();
   times_.pop_front();
   if (static_cast<int>(differences_.size()) > capacity_) differences_.pop_front();
+  ++since_look_;
 }
 
 double DifferenceNoise::Sigma() const {
   if (static_cast<int>(differences_.size()) < kEnoughDifferences) return 0.0;
+  if (since_look_ < kLookEvery) return sigma_;
+  since_look_ = 0;
   std::vector<double> all;
   for (const Eigen::VectorXd& d : differences_) {
     for (int i = 0; i < d.size(); ++i) all.push_back(d[i]);
   }
-  return RobustSigma(std::move(all)) / std::sqrt(20.0);  // 1 + 9 + 9 + 1
+  sigma_ = RobustSigma(std::move(all)) / std::sqrt(20.0);  // 1 + 9 + 9 + 1
+  return sigma_;
 }
 
 OdometryNoiseEstimator::OdometryNoiseEstimator(const OdometryNoise& configured)
@@ -85,22 +91,29 @@ ProcessNoiseEstimator::ProcessNoiseEstimator(double weight_N, double arm_m, doub
   const double torque = floor_scale * 9.4e-5 * weight_N * arm_m;
   floor_ << Eigen::Vector3d::Constant(force * force), Eigen::Vector3d::Constant(torque * torque);
   variance_ = 100.0 * floor_;  // cautious until the flight has shown its residual
+  seen_s_ = kStartWeight_s;
 }
 
-void ProcessNoiseEstimator::Add(double dt, const Eigen::Vector3d& force_N,
-                                const Eigen::Vector3d& torque_Nm) {
+double ProcessNoiseEstimator::Add(double dt, const Eigen::Vector3d& force_N,
+                                  const Eigen::Vector3d& torque_Nm, bool with_torque) {
   sum_.head<3>() += dt * force_N;
   sum_.tail<3>() += dt * torque_Nm;
   block_s_ += dt;
-  if (block_s_ < kBlock_s) return;
-  const double gain = block_s_ / kMemory_s;
-  for (int i = 0; i < 6; ++i) {
-    // Density squared of this block; one wild block counts as three sigma.
-    const double seen = std::min(sum_[i] * sum_[i] / block_s_, 9.0 * variance_[i]);
-    variance_[i] = std::max(floor_[i], variance_[i] + gain * (seen - variance_[i]));
+  if (block_s_ < kBlock_s) return 1.0;
+  seen_s_ = std::min(kMemory_s, seen_s_ + block_s_);
+  const double gain = block_s_ / seen_s_;
+  const int axes = with_torque ? 6 : 3;
+  double log_scale = 0.0;
+  for (int i = 0; i < axes; ++i) {
+    // Density squared of this block; one wild block counts as five sigma.
+    const double seen = std::min(sum_[i] * sum_[i] / block_s_, 25.0 * variance_[i]);
+    const double updated = std::max(floor_[i], variance_[i] + gain * (seen - variance_[i]));
+    log_scale += std::log(variance_[i] / updated) / axes;
+    variance_[i] = updated;
   }
   sum_.setZero();
   block_s_ = 0.0;
+  return std::exp(log_scale);
 }
 
 Eigen::Vector3d ProcessNoiseEstimator::ForceSigma(double dt) const {

@@ -100,13 +100,12 @@ DynamicsFactor::DynamicsFactor(const DynamicsMeasurement& measurement, const Dyn
       layout_(layout) {
   if (!(measurement.dt > 0.0)) throw std::invalid_argument("DynamicsFactor: dt must be positive");
   set_num_residuals(velocity_row() + 3 + (with_torque ? 3 : 0));
-  mutable_parameter_block_sizes()->assign(2, kStateSize);
-  for (const auto& block : layout->blocks()) mutable_parameter_block_sizes()->push_back(block.size);
+  *mutable_parameter_block_sizes() = BlockSizes(2, false, *layout);
 }
 
 bool DynamicsFactor::Evaluate(double const* const* blocks, double* residual_out,
                               double** jacobians) const {
-  const ModelValues values = layout_->Decode(blocks + 2);
+  const ModelValues values = layout_->Decode(layout_->num_estimated() > 0 ? blocks[2] : nullptr);
   DynamicsJacobians J;
   Vector3d inertia;
   Eigen::Matrix<double, 9, 1> e =
@@ -153,7 +152,10 @@ bool DynamicsFactor::Evaluate(double const* const* blocks, double* residual_out,
       d_values.row(kRowAngular + i) +=
           whitened[kRowAngular + i] * d_log_weight_d_inertia[i] * J.d_inertia.row(i);
     }
-    WriteParameterJacobians(*layout_, values, d_values.middleRows(first_row, rows), jacobians + 2);
+    if (layout_->num_estimated() > 0) {
+      const ValueJacobian<Eigen::Dynamic> kept = d_values.middleRows(first_row, rows);
+      WriteParameterJacobian<Eigen::Dynamic>(*layout_, values, kept, jacobians[2]);
+    }
   }
   return whitened.allFinite();
 }
@@ -161,24 +163,15 @@ bool DynamicsFactor::Evaluate(double const* const* blocks, double* residual_out,
 bool DynamicsFactor::UnwhitenedResidual(double const* const* blocks,
                                         Eigen::Matrix<double, kNumDynamicsRows, 1>* e) const {
   *e = DynamicsResidual(measurement_, State::FromBlock(blocks[0]), State::FromBlock(blocks[1]),
-                        *model_, layout_->Decode(blocks + 2));
+                        *model_, layout_->Decode(layout_->num_estimated() > 0 ? blocks[2] : nullptr));
   return e->allFinite();
 }
 
-void WriteParameterJacobians(const ParameterLayout& layout, const ModelValues& values,
-                             const Eigen::Ref<const Eigen::MatrixXd>& d_values,
-                             double** jacobians) {
-  const ParameterVector chain = layout.ChainFactors(values);
-  for (size_t b = 0; b < layout.blocks().size(); ++b) {
-    if (jacobians[b] == nullptr) continue;
-    const ParameterLayout::Block& block = layout.blocks()[b];
-    Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>> out(
-        jacobians[b], d_values.rows(), block.size);
-    for (int k = 0; k < block.size; ++k) {
-      const int i = block.first + k;
-      out.col(k) = chain[i] * d_values.col(layout.model_index(i));
-    }
-  }
+std::vector<int32_t> BlockSizes(int states, bool bias, const ParameterLayout& layout) {
+  std::vector<int32_t> sizes(states, kStateSize);
+  if (bias) sizes.push_back(6);
+  if (layout.num_estimated() > 0) sizes.push_back(layout.num_estimated());
+  return sizes;
 }
 
 }  // namespace odmc

@@ -14,18 +14,17 @@ namespace {
 using StateBlock = Eigen::Matrix<double, 3, kStateTangentSize>;
 using BiasBlock = Eigen::Matrix<double, 3, kBiasSize>;
 
-/// Sizes of the blocks of a factor with `states` states, one bias and the layout's blocks.
-void SetBlockSizes(int states, const ParameterLayout& layout, std::vector<int32_t>* sizes) {
-  sizes->assign(states, kStateSize);
-  sizes->push_back(kBiasSize);
-  for (const auto& block : layout.blocks()) sizes->push_back(block.size);
+/// The eta block, or null where nothing is estimated and there is none.
+const double* Eta(const ParameterLayout& layout, double const* const* block) {
+  return layout.num_estimated() > 0 ? block[0] : nullptr;
 }
 
 void WriteMount(const ParameterLayout& layout, const ModelValues& values,
                 const Eigen::Matrix<double, 3, kNumBodyPropertyRows>& d_body_rows,
                 const BodyPropertiesJacobian& d_body, double weight, double** jacobians) {
+  if (layout.num_estimated() == 0) return;
   const ValueJacobian<3> d_values = weight * d_body_rows * d_body;
-  WriteParameterJacobians(layout, values, d_values, jacobians);
+  WriteParameterJacobian<3>(layout, values, d_values, jacobians[0]);
 }
 
 }  // namespace
@@ -36,14 +35,14 @@ GyroPreintegrationFactor::GyroPreintegrationFactor(const ImuInterval& interval,
                                                    const ParameterLayout* layout)
     : interval_(interval), noise_(noise), model_(model), layout_(layout) {
   set_num_residuals(3);
-  SetBlockSizes(2, *layout, mutable_parameter_block_sizes());
+  *mutable_parameter_block_sizes() = BlockSizes(2, true, *layout);
 }
 
 bool GyroPreintegrationFactor::Evaluate(double const* const* blocks, double* residual,
                                         double** jacobians) const {
   const State s0 = State::FromBlock(blocks[0]), s1 = State::FromBlock(blocks[1]);
   const Vector3d bias = Eigen::Map<const Vector3d>(blocks[2]);
-  const ModelValues values = layout_->Decode(blocks + 3);
+  const ModelValues values = layout_->Decode(Eta(*layout_, blocks + 3));
   BodyPropertiesJacobian d_body;
   const BodyProperties body = model_->Properties(values, &d_body);
   const Matrix3d R_SI = body.R_BS.transpose() * body.R_BI;
@@ -84,14 +83,14 @@ GyroFactor::GyroFactor(const Eigen::Vector3d& gyro_I, const ImuNoise& noise,
                        const DynamicModel* model, const ParameterLayout* layout)
     : gyro_I_(gyro_I), noise_(noise), model_(model), layout_(layout) {
   set_num_residuals(3);
-  SetBlockSizes(1, *layout, mutable_parameter_block_sizes());
+  *mutable_parameter_block_sizes() = BlockSizes(1, true, *layout);
 }
 
 bool GyroFactor::Evaluate(double const* const* blocks, double* residual,
                           double** jacobians) const {
   const State state = State::FromBlock(blocks[0]);
   const Vector3d bias = Eigen::Map<const Vector3d>(blocks[1]);
-  const ModelValues values = layout_->Decode(blocks + 2);
+  const ModelValues values = layout_->Decode(Eta(*layout_, blocks + 2));
   BodyPropertiesJacobian d_body;
   const BodyProperties body = model_->Properties(values, &d_body);
   const Matrix3d R_IB = body.R_BI.transpose();
@@ -125,13 +124,13 @@ AccelerometerFactor::AccelerometerFactor(const DynamicsMeasurement& measurement,
       model_(model),
       layout_(layout) {
   set_num_residuals(3);
-  SetBlockSizes(2, *layout, mutable_parameter_block_sizes());
+  *mutable_parameter_block_sizes() = BlockSizes(2, true, *layout);
 }
 
 bool AccelerometerFactor::Evaluate(double const* const* blocks, double* residual,
                                    double** jacobians) const {
   const Vector3d bias = Eigen::Map<const Vector3d>(blocks[2] + 3);
-  const ModelValues values = layout_->Decode(blocks + 3);
+  const ModelValues values = layout_->Decode(Eta(*layout_, blocks + 3));
   const IntervalModel k(measurement_, State::FromBlock(blocks[0]), State::FromBlock(blocks[1]),
                         *model_, values, jacobians != nullptr);
   const double dt = measurement_.dt;
@@ -164,7 +163,9 @@ bool AccelerometerFactor::Evaluate(double const* const* blocks, double* residual
   BiasBlock J_bias = BiasBlock::Zero();
   J_bias.rightCols<3>() = W;
   WriteJacobian(J_bias, jacobians[2]);
-  WriteParameterJacobians(*layout_, values, d_values, jacobians + 3);
+  if (layout_->num_estimated() > 0) {
+    WriteParameterJacobian<3>(*layout_, values, d_values, jacobians[3]);
+  }
   return e.allFinite();
 }
 

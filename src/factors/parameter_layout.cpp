@@ -12,8 +12,6 @@ ParameterLayout::ParameterLayout(const DynamicModel& model, const ModelValues& v
     const ModelParameter& p = parameters[k];
     if (!p.estimated) continue;
     const int i = num_estimated();
-    if (blocks_.empty() || blocks_.back().effect != p.effect) blocks_.push_back({p.effect, i, 0});
-    ++blocks_.back().size;
     model_index_.push_back(k);
     scale_.push_back(p.spec.scale);
     is_log_.push_back(p.spec.transform == ParameterTransform::kLog);
@@ -38,18 +36,7 @@ ParameterVector ParameterLayout::Encode(const ModelValues& values) const {
   return eta;
 }
 
-ModelValues ParameterLayout::Decode(double const* const* blocks) const {
-  ModelValues values = base_;
-  for (size_t b = 0; b < blocks_.size(); ++b) {
-    for (int k = 0; k < blocks_[b].size; ++k) {
-      const int i = blocks_[b].first + k;
-      values[model_index_[i]] = ToValue(i, blocks[b][k]);
-    }
-  }
-  return values;
-}
-
-ModelValues ParameterLayout::DecodeFlat(const double* eta) const {
+ModelValues ParameterLayout::Decode(const double* eta) const {
   ModelValues values = base_;
   for (int i = 0; i < num_estimated(); ++i) values[model_index_[i]] = ToValue(i, eta[i]);
   return values;

@@ -100,6 +100,10 @@ bool ParsePlainSeconds(std::string_view text, Stamp* stamp) {
 
 constexpr double kLatest_s = 9e9;  // what int64 nanoseconds hold
 
+std::string FileName(const std::string& file) {
+  return std::filesystem::path(file).filename().string();
+}
+
 /// Rows of the wanted columns of one CSV file, in time order.
 class Table {
  public:
@@ -107,6 +111,7 @@ class Table {
   Table(const std::string& file, const Strings& wanted, FlightLog* log);
 
   const std::string& file() const { return file_; }
+  std::string name() const { return FileName(file_); }  ///< for warnings
   size_t size() const { return stamps_.size(); }
   Stamp stamp(size_t row) const { return stamps_[row]; }
   std::string Where(size_t row) const { return "line " + std::to_string(lines_[row]); }
@@ -177,9 +182,9 @@ Table::Table(const std::string& file, const Strings& wanted, FlightLog* log) : f
          std::to_string(rows) + " rows (first: " + out_of_order_.first + ")");
   }
   CheckSteps();
-  short_rows_.Report(log->file, "rows that do not have as many cells as the header", log);
-  no_time_.Report(log->file, "rows without a finite t", log);
-  out_of_order_.Report(log->file, "rows whose t steps back or repeats", log);
+  short_rows_.Report(name(), "rows that do not have as many cells as the header", log);
+  no_time_.Report(name(), "rows without a finite t", log);
+  out_of_order_.Report(name(), "rows whose t steps back or repeats", log);
 }
 
 void Table::ReadHeader(std::string_view line, const Strings& wanted) {
@@ -282,8 +287,8 @@ class OptionalVector {
     return Eigen::Vector3d((*columns_)(0, row), (*columns_)(1, row), (*columns_)(2, row));
   }
   void Report(FlightLog* log) const {
-    refusals_.Report(log->file, "samples of " + name_ + " and its neighbours that are not finite",
-                     log);
+    refusals_.Report(table_.name(),
+                     "samples of " + name_ + " and its neighbours that are not finite", log);
   }
 
  private:
@@ -317,7 +322,7 @@ std::vector<OdometrySample> ReadOdometry(const Table& table, bool with_twist, Fl
     }
     samples.push_back(sample);
   }
-  refusals.Report(log->file, "rows whose pose is not finite", log);
+  refusals.Report(table.name(), "rows whose pose is not finite", log);
   v.Report(log);
   w.Report(log);
   if (samples.empty()) throw std::invalid_argument(table.file() + ": no row has a finite pose");
@@ -366,7 +371,7 @@ void ReadBattery(const Table& table, const std::vector<size_t>& rows, FlightLog*
       refusals.Add(table.Where(i));
     }
   }
-  refusals.Report(log->file, "samples of vbat that are not finite", log);
+  refusals.Report(table.name(), "samples of vbat that are not finite", log);
 }
 
 /// The rotors' columns: one each or, where single ones are missing, the RMS for all.
@@ -407,7 +412,7 @@ void ReadRotors(const Table& table, const std::vector<size_t>& rows, int num_rot
       refusals.Add(table.Where(i));
     }
   }
-  refusals.Report(log->file, "rotor samples that are not finite", log);
+  refusals.Report(table.name(), "rotor samples that are not finite", log);
   if (log->rotors.empty()) throw std::invalid_argument(table.file() + ": no usable rotor speeds");
 }
 
@@ -415,10 +420,6 @@ void WarnOfUnknown(const Strings& unknown, const std::string& file, FlightLog* l
   if (!unknown.empty()) {
     log->warnings.push_back(file + ": unknown columns ignored: " + JoinNames(unknown));
   }
-}
-
-std::string FileName(const std::string& file) {
-  return std::filesystem::path(file).filename().string();
 }
 
 // ---- Writing -----------------------------------------------------------------------------------

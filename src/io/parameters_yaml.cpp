@@ -6,25 +6,13 @@
 #include <fstream>
 #include <stdexcept>
 
+#include "known_parameters.h"
 #include "odmc/io/number_text.h"
 #include "odmc/model/effect.h"
 #include "yaml_reader.h"
 
 namespace odmc {
 namespace {
-
-/// What the registry says about a parameter, for names, units and default states.
-std::map<std::string, ParameterSpec> KnownParameters() {
-  const Vehicle vehicle;  // names and units do not depend on it
-  std::map<std::string, ParameterSpec> specs;
-  for (const std::string& effect : EffectRegistry::Default().names()) {
-    const auto made = EffectRegistry::Default().Make(effect, vehicle);
-    for (const ParameterSpec& spec : made->parameters()) {
-      specs[effect + "." + spec.name] = spec;
-    }
-  }
-  return specs;
-}
 
 // ---- Reading -----------------------------------------------------------------------------------
 
@@ -67,10 +55,8 @@ ParameterEstimate ReadEstimate(const std::string& name, const YamlValue& value,
 }
 
 void ReadEstimates(const YamlValue& value, ParameterSet* set) {
-  const std::map<std::string, ParameterSpec> specs = KnownParameters();
-  std::vector<std::string> names;
-  for (const auto& [name, spec] : specs) names.push_back(name);
-  value.AllowKeys(names);
+  const std::map<std::string, ParameterSpec> specs = KnownParameters(Vehicle());
+  value.AllowKeys(NamesOf(specs));
   for (const auto& [name, entry] : value.Entries()) {
     set->parameters.push_back(ReadEstimate(name, entry, specs.at(name)));
   }

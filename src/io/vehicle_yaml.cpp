@@ -4,6 +4,7 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "known_parameters.h"
 #include "odmc/io/number_text.h"
 #include "odmc/model/effect.h"
 #include "yaml_reader.h"
@@ -171,18 +172,6 @@ void CheckSetting(const YamlValue& value, const std::string& name, const Paramet
   }
 }
 
-/// Specs of every parameter that any effect has for this vehicle, by full name.
-std::map<std::string, ParameterSpec> KnownParameters(const Vehicle& vehicle) {
-  std::map<std::string, ParameterSpec> specs;
-  for (const std::string& effect : EffectRegistry::Default().names()) {
-    const auto made = EffectRegistry::Default().Make(effect, vehicle);
-    for (const ParameterSpec& spec : made->parameters()) {
-      specs[effect + "." + spec.name] = spec;
-    }
-  }
-  return specs;
-}
-
 /// A pose that is the body's by definition has nothing to estimate.
 void RefuseFixedExtrinsic(const YamlValue& value, const std::string& name, const Vehicle& vehicle) {
   const bool odometry = name.rfind("odometry_extrinsics.", 0) == 0;
@@ -196,9 +185,7 @@ void RefuseFixedExtrinsic(const YamlValue& value, const std::string& name, const
 
 void ReadParameters(const YamlValue& value, Vehicle* vehicle) {
   const std::map<std::string, ParameterSpec> specs = KnownParameters(*vehicle);
-  std::vector<std::string> names;
-  for (const auto& [name, spec] : specs) names.push_back(name);
-  value.AllowKeys(names);
+  value.AllowKeys(NamesOf(specs));
   for (const auto& [name, entry] : value.Entries()) {
     vehicle->parameters[name] = ReadSetting(entry);
     CheckSetting(entry, name, specs.at(name), *vehicle);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <fstream>
 #include <iterator>
 #include <numeric>
@@ -59,10 +60,10 @@ std::string JoinNames(const std::vector<std::string>& names) {
 }
 
 std::string ReadText(const std::string& file) {
+  if (std::filesystem::is_directory(file)) throw std::invalid_argument(file + ": is a folder");
   std::ifstream in(file, std::ios::binary);
   if (!in) throw std::invalid_argument(file + ": cannot be opened");
   std::string text((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
-  if (in.bad()) throw std::invalid_argument(file + ": cannot be read");  // a directory, say
   return text;
 }
 

@@ -12,6 +12,7 @@ namespace {
 constexpr double kNormTolerance = 0.05;
 constexpr double kTurning_rad_s = 20.0;  // slower ones may rightly read zero
 constexpr double kStuck_s = 0.5;         // longer than any filter or slow update holds a value
+constexpr int kChanges = 10;             // of the others, meanwhile
 constexpr double kDeadShare = 0.05;      // single missed readings are not worth a warning
 
 std::string AtSeconds(Stamp stamp) {
@@ -41,19 +42,19 @@ bool OthersChanged(const RotorVector& a, const RotorVector& b, Eigen::Index skip
 long CountStuck(const std::vector<RotorSample>& rotors, Eigen::Index j) {
   long stuck = 0;
   size_t begin = 0;
-  bool others_change = false;
+  int changes = 0;
   for (size_t i = 1; i <= rotors.size(); ++i) {
     if (i < rotors.size() && rotors[i].speed[j] == rotors[begin].speed[j]) {
-      others_change = others_change || OthersChanged(rotors[i].speed, rotors[i - 1].speed, j);
+      if (OthersChanged(rotors[i].speed, rotors[i - 1].speed, j)) ++changes;
       continue;
     }
     const bool turns = rotors[begin].speed[j] >= kTurning_rad_s;  // zero is counted apart
-    if (turns && others_change &&
+    if (turns && changes >= kChanges &&
         ToSeconds(rotors[i - 1].stamp - rotors[begin].stamp) >= kStuck_s) {
       stuck += static_cast<long>(i - begin);
     }
     begin = i;
-    others_change = false;
+    changes = 0;
   }
   return stuck;
 }

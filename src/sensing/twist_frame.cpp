@@ -11,7 +11,7 @@ constexpr double kStretch_s = 0.3;  // long enough that position noise of 1 cm i
 constexpr double kLongestGap_s = 0.25;
 constexpr double kMotion_m_s = 0.3;  // slower stretches say little about either frame
 constexpr double kEnoughToDecide_s = 1.0;
-constexpr double kEnoughToRefuse_s = 3.0;
+constexpr double kEnoughToRefuse_s = 2.0;
 // Residuals over the RMS speed: a right frame leaves a few per cent, a wrong one about 1.
 constexpr double kFits = 0.4;
 constexpr double kClearlyBetter = 0.6;  // best over other

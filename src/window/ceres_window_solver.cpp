@@ -1,6 +1,7 @@
 #include <ceres/problem.h>
 #include <ceres/solver.h>
 
+#include "odmc/factors/state_factors.h"
 #include "odmc/window/window_solver.h"
 
 namespace odmc {
@@ -26,6 +27,13 @@ SolveReport CeresWindowSolver::Solve(Window* window, const SolverOptions& option
   if (prior.num_residuals() > 0) {
     problem.AddResidualBlock(const_cast<MarginalizationFactor*>(&prior), nullptr,
                              window->PriorBlocks());
+  }
+  // The parameters' own priors stay outside the marginal prior, so that either can be rescaled.
+  std::unique_ptr<BlockPriorFactor> parameter_prior;
+  if (window->eta().size() > 0) {
+    parameter_prior =
+        std::make_unique<BlockPriorFactor>(window->parameter_centre(), window->parameter_sigma());
+    problem.AddResidualBlock(parameter_prior.get(), nullptr, window->eta().data());
   }
   for (Keyframe& keyframe : window->keyframes()) {
     for (Factor& factor : keyframe.factors) {

@@ -122,6 +122,11 @@ LinearSystem Eliminate(const LinearSystem& system, double tolerance) {
   rest << system.A.rightCols(n), system.b;
   rest.applyOnTheLeft(eliminated.householderQ().adjoint());
   const int rows = static_cast<int>(rest.rows()) - rank;
+  if (rows == 0) {
+    result.A.resize(0, n);
+    result.b.resize(0);
+    return result;
+  }
 
   // Compress them to as many rows as they have information.
   Eigen::ColPivHouseholderQR<Eigen::MatrixXd> remaining(rest.bottomLeftCorner(rows, n));

@@ -35,6 +35,10 @@ bool ParameterInformation::Reusable(const Window& window,
   return ((window.eta() - eta_).array().abs() <= relinearize.array()).all();
 }
 
+void ParameterInformation::Scale(double factor) {
+  for (Message& message : messages_) message.H *= factor;
+}
+
 const Eigen::MatrixXd& ParameterInformation::Update(const Window& window,
                                                     const Eigen::VectorXd& relinearize) {
   const auto& keyframes = window.keyframes();
@@ -112,6 +116,7 @@ const Eigen::MatrixXd& ParameterInformation::Update(const Window& window,
   Eigen::MatrixXd rest = H.bottomRightCorner(border, border);
   information_ = num_biases_ > 0 ? Marginal(rest, 6 * num_biases_) : rest;
   information_ = 0.5 * (information_ + information_.transpose()).eval();
+  information_.diagonal() += window.parameter_sigma().cwiseAbs2().cwiseInverse();
   return information_;
 }
 

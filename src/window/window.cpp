@@ -10,12 +10,15 @@ namespace odmc {
 
 Window::Window(const ParameterLayout* layout) : layout_(layout), eta_(layout->num_estimated()) {
   const int n = layout->num_estimated();
-  prior_.A = Eigen::MatrixXd::Zero(n, n);
-  prior_.b = Eigen::VectorXd::Zero(n);
+  parameter_centre_.resize(n);
+  parameter_sigma_.resize(n);
   for (int i = 0; i < n; ++i) {
-    eta_[i] = layout->PriorCentre(i);
-    prior_.A(i, i) = 1.0 / layout->PriorSigma(i);
+    parameter_centre_[i] = layout->PriorCentre(i);
+    parameter_sigma_[i] = layout->PriorSigma(i);
   }
+  eta_ = parameter_centre_;
+  prior_.A.resize(0, n);
+  prior_.b.resize(0);
   prior_.eta_lin = eta_;
 }
 
@@ -48,7 +51,7 @@ void Window::AddFactor(Factor factor) {
 
 std::vector<const double*> Window::Blocks(const Factor& factor, bool at_linearization) const {
   std::vector<const double*> blocks;
-  blocks.reserve(4 + layout_->blocks().size());
+  blocks.reserve(4);
   for (const std::int64_t id : {factor.state0, factor.state1}) {
     if (id < 0) continue;
     const Keyframe& k = keyframe(id);
@@ -59,9 +62,9 @@ std::vector<const double*> Window::Blocks(const Factor& factor, bool at_lineariz
     const Bias& b = bias(id);
     blocks.push_back(at_linearization && b.in_prior ? b.x_lin.data() : b.x.data());
   }
-  if (!factor.parameters) return blocks;
-  const double* eta = at_linearization ? prior_.eta_lin.data() : eta_.data();
-  for (const auto& block : layout_->blocks()) blocks.push_back(eta + block.first);
+  if (factor.parameters && eta_.size() > 0) {
+    blocks.push_back(at_linearization ? prior_.eta_lin.data() : eta_.data());
+  }
   return blocks;
 }
 
@@ -75,7 +78,7 @@ std::vector<double*> Window::PriorBlocks() {
   std::vector<double*> blocks;
   if (prior_.has_state) blocks.push_back(keyframes_.front().x.data());
   if (prior_.has_bias) blocks.push_back(bias(keyframes_.front().bias).x.data());
-  for (const auto& block : layout_->blocks()) blocks.push_back(eta_.data() + block.first);
+  if (eta_.size() > 0) blocks.push_back(eta_.data());
   return blocks;
 }
 
@@ -117,12 +120,14 @@ bool Linearize(const Window& window, const Factor& factor, bool first_estimates,
   linear->state1 = take(factor.state1 >= 0, kStateTangentSize);
   linear->bias0 = take(factor.bias0 >= 0, 6);
   linear->bias1 = take(factor.bias1 >= 0, 6);
-  linear->parameters = take(factor.parameters, window.layout().num_estimated());
+  const int n = window.layout().num_estimated();
+  linear->parameters = take(factor.parameters && n > 0, n);
   linear->J.resize(rows, columns);
+  const int num_states = (factor.state0 >= 0 ? 1 : 0) + (factor.state1 >= 0 ? 1 : 0);
   int column = 0;
   for (size_t i = 0; i < sizes.size(); ++i) {
     const Eigen::Map<const RowMajor> ambient(jacobians[i], rows, sizes[i]);
-    if (sizes[i] == kStateSize) {  // only states have this size, and they come first
+    if (static_cast<int>(i) < num_states) {
       Eigen::Matrix<double, 13, 12, Eigen::RowMajor> plus;
       StateManifold().PlusJacobian(points[i], plus.data());
       linear->J.middleCols<3>(column) = ambient.leftCols<3>();
@@ -166,15 +171,13 @@ MarginalizationFactor::MarginalizationFactor(const Window* window) : window_(win
   set_num_residuals(static_cast<int>(prior.b.size()));
   if (prior.has_state) mutable_parameter_block_sizes()->push_back(kStateSize);
   if (prior.has_bias) mutable_parameter_block_sizes()->push_back(6);
-  for (const auto& block : window->layout().blocks()) {
-    mutable_parameter_block_sizes()->push_back(block.size);
-  }
+  const int n = window->layout().num_estimated();
+  if (n > 0) mutable_parameter_block_sizes()->push_back(n);
 }
 
 bool MarginalizationFactor::Evaluate(double const* const* blocks, double* residual,
                                      double** jacobians) const {
   const Prior& prior = window_->prior();
-  const auto& layout = window_->layout();
   Eigen::VectorXd d(prior.A.cols());
   int block = 0, column = 0;
   if (prior.has_state) {
@@ -199,7 +202,9 @@ bool MarginalizationFactor::Evaluate(double const* const* blocks, double* residu
   if (prior.has_bias) {
     euclidean(6, window_->bias(window_->keyframes().front().bias).x_lin.data());
   }
-  for (const auto& b : layout.blocks()) euclidean(b.size, prior.eta_lin.data() + b.first);
+  if (prior.eta_lin.size() > 0) {
+    euclidean(static_cast<int>(prior.eta_lin.size()), prior.eta_lin.data());
+  }
   Eigen::Map<Eigen::VectorXd>(residual, prior.b.size()) = prior.b + prior.A * d;
   return true;
 }

@@ -70,7 +70,7 @@ TEST(ParametersYaml, NumbersAreFloatsForYaml11) {
     EXPECT_EQ(std::signbit(back), std::signbit(value));
   }
   EXPECT_EQ(FormatYamlNumber(1e-6), "1.0e-06");
-  EXPECT_EQ(FormatYamlNumber(1.4999999999999999e-6), "1.5e-06");
+  EXPECT_EQ(FormatYamlNumber(1.5e-6), "1.5e-06");
 }
 
 TEST(ParametersYaml, NumbersInQuotesAreRead) {

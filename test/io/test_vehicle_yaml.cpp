@@ -1,6 +1,9 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <filesystem>
+#include <fstream>
+#include <regex>
 
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/model/dynamic_model.h"
@@ -230,6 +233,24 @@ TEST(VehicleYaml, EveryShippedVehicleLoadsAndMakesAModel) {
     EXPECT_EQ(vehicle.name, std::filesystem::path(file).stem().string());
     const DynamicModel model(vehicle, vehicle.effects);
     EXPECT_GE(model.IndexOf("thrust.k_f"), 0);
+  }
+}
+
+// What PyYAML and rosparam would load as text: an exponent without a point before it or without its
+// sign.
+TEST(VehicleYaml, ShippedNumbersAreFloatsForYaml11) {
+  const std::regex trap("(^|[^0-9.])([0-9]+[eE][-+]?[0-9]+|[0-9]*\\.[0-9]*[eE][0-9]+)");
+  for (const char* number : {" 1e-6", "[5e-06", " 1.0e6", " 1e+20"}) {
+    EXPECT_TRUE(std::regex_search(number, trap)) << number;
+  }
+  for (const char* number : {" 1.0e-06", "[16.57e-06,", " 1.0e+20", " 0.0025"}) {
+    EXPECT_FALSE(std::regex_search(number, trap)) << number;
+  }
+  for (const std::string& file : ShippedVehicles()) {
+    std::ifstream in(file);
+    for (std::string line; std::getline(in, line);) {
+      EXPECT_FALSE(std::regex_search(line.substr(0, line.find('#')), trap)) << file << ": " << line;
+    }
   }
 }
 

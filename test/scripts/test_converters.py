@@ -287,7 +287,18 @@ class BagToCsvTest(ConverterTest):
         self.assertIn('velocity frame', error)
         self.assertRegex(error, r'body: \d.*world: \d')
 
-    def turn_twist(self, turn: Callable) -> None:
+    def test_declared_frame_is_taken_where_the_motion_does_not_tell(self) -> None:
+        rows = samples.flight_rows(20, 50.0)
+        for row in rows:  # hovering, a little velocity left by the estimator
+            row.update(px=0, py=0, pz=1, qw=0, qx=0, qy=0, qz=1, vx=0.003, vy=0.001, vz=0)
+        self.convert('csv_to_bag', self.write('hover.csv', rows), self.path('f.bag'))
+        self.convert('bag_to_csv', self.path('f.bag'), self.path('back.csv'))
+        self.assertEqual(float(read_rows(self.path('back.csv'))[5]['vx']), 0.003)
+        self.turn_twist(lambda m, q: of.to_world(q, of.get_xyz(m)), 'world')
+        self.convert('bag_to_csv', self.path('turned.bag'), self.path('back.csv'))
+        self.assertEqual(float(read_rows(self.path('back.csv'))[5]['vx']), 0.003)
+
+    def turn_twist(self, turn: Callable, child_frame: str = 'base_link') -> None:
         """Writes turned.bag with every linear twist changed."""
         import rosbag
         with rosbag.Bag(self.path('turned.bag'), 'w') as bag:
@@ -297,6 +308,7 @@ class BagToCsvTest(ConverterTest):
                         q = of.get_quaternion(message.pose.pose.orientation)
                         of.set_xyz(message.twist.twist.linear,
                                    turn(message.twist.twist.linear, q))
+                        message.child_frame_id = child_frame
                     bag.write(topic, message, message.header.stamp)
 
     def test_truncated_bag_is_refused(self) -> None:

@@ -24,6 +24,9 @@ class Consistency {
   /// Ends the block; `left` is the information of everything that has left the window so far (n×n).
   void CloseBlock(const Eigen::MatrixXd& left);
 
+  /// Scales everything so far, when the information of the past is scaled by `factor`.
+  void Scale(double factor);
+
   /// Factor on each parameter's standard deviation (n), >= 1.
   /// @param eta present estimate; @param covariance inverse of its information (n×n)
   Eigen::VectorXd Inflation(const Eigen::VectorXd& eta, const Eigen::MatrixXd& covariance) const;

@@ -42,8 +42,8 @@ struct Snapshot {
   UpdateTiming timing;
   Eigen::Vector3d residual_force_B = Eigen::Vector3d::Zero();    ///< newest interval [N]
   Eigen::Vector3d residual_torque_B = Eigen::Vector3d::Zero();   ///< newest interval [N m]
-  double residual_force_rms_N = 0.0;      ///< over the window, all axes
-  double residual_torque_rms_Nm = 0.0;    ///< over the window, all axes
+  double residual_force_rms_N = 0.0;      ///< running, about a window long, all axes
+  double residual_torque_rms_Nm = 0.0;    ///< running, about a window long, all axes
   double battery_voltage_V = 0.0;
 };
 
@@ -107,7 +107,7 @@ class Estimator {
   void AddIntervalFactors(const Interval& interval, std::int64_t id);
   DynamicsNoise NoiseOf(const Interval& interval) const;
   Snapshot TakeSnapshot(const OdometrySample& sample, const SolveReport& report);
-  void FillResiduals(Snapshot* snapshot) const;
+  void FillResiduals(Snapshot* snapshot);
   void MarginalizeOld();
   void RefreshConsistency(const Eigen::MatrixXd& covariance);
 
@@ -130,6 +130,7 @@ class Estimator {
   Eigen::VectorXd inflation_;
   Eigen::VectorXd sigma_eta_;              // of the last update, not inflated
   std::vector<std::string> unobservable_;
+  double residual_force_power_ = 0.0, residual_torque_power_ = 0.0;  // running mean squares
   EstimatorCounters counters_;
   std::optional<OdometrySample> last_;     // newest keyframe's odometry
   std::optional<OdometrySample> before_last_;

@@ -25,6 +25,8 @@ class DifferenceNoise {
 
  private:
   int capacity_;
+  mutable double sigma_ = 0.0;   // of the last look, refreshed every few samples
+  mutable int since_look_ = 1 << 20;
   std::deque<double> times_;
   std::deque<Eigen::VectorXd> run_;         // the newest four samples
   std::deque<Eigen::VectorXd> differences_;
@@ -46,15 +48,20 @@ class OdometryNoiseEstimator {
 };
 
 /// Size of what the model does not explain, as a density: the RMS over blocks of 0.1 s of the force and
-/// torque residual, times the root of the block length. Follows the flight over a few seconds; never
-/// below the floor of sensor-grade turbulence (model.md section 9's simulated values).
+/// torque residual, times the root of the block length. One size per axis for the whole flight so far
+/// (up to a memory of a minute), so that every second of flight weighs the same in the fit: a size that
+/// followed the flight closely would let its calm parts decide. Never below a floor (model.md section
+/// 9's simulated values), and starts well above it until the flight has shown its residual.
 class ProcessNoiseEstimator {
  public:
   /// @param weight_N, arm_m, scale the floor and the start value to the vehicle
   ProcessNoiseEstimator(double weight_N, double arm_m, double floor_scale);
 
   /// Post-fit residual of one interval: mean force and torque over it.
-  void Add(double dt, const Eigen::Vector3d& force_N, const Eigen::Vector3d& torque_Nm);
+  /// @returns by how much the information of everything before should be scaled, so that it counts
+  ///   with the new sizes too (1 within a block)
+  double Add(double dt, const Eigen::Vector3d& force_N, const Eigen::Vector3d& torque_Nm,
+             bool with_torque);
 
   /// Standard deviation of the mean force over `dt` per axis [N], and of the torque [N m].
   Eigen::Vector3d ForceSigma(double dt) const;
@@ -65,6 +72,7 @@ class ProcessNoiseEstimator {
   Vector6d floor_, variance_;  // densities squared
   Vector6d sum_ = Vector6d::Zero();
   double block_s_ = 0.0;
+  double seen_s_;  // flight time behind `variance_`
 };
 
 }  // namespace odmc

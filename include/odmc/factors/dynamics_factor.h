@@ -3,6 +3,7 @@
 #include <ceres/cost_function.h>
 
 #include <Eigen/Core>
+#include <vector>
 
 #include "odmc/factors/interval_model.h"
 #include "odmc/factors/parameter_layout.h"
@@ -50,7 +51,7 @@ struct DynamicsNoise {
 ///
 ///   block    size  meaning
 ///   0, 1     13    states at the ends, on StateManifold
-///   2, ...   n     the layout's blocks, one per effect with estimated parameters
+///   2        n     the layout's eta, left out if nothing is estimated
 ///
 /// Residual: e_v, e_alpha (6), or e_v alone (3) without single rotor speeds; Form E has e_p before
 /// them. Whitened: e_v by the force errors; e_alpha by a standard deviation that is fixed in rad/s
@@ -85,10 +86,21 @@ class DynamicsFactor final : public ceres::CostFunction {
   const ParameterLayout* layout_;
 };
 
-/// Scales physical derivatives by the layout's chain factors and writes them block by block to Ceres'
-/// arrays, from `jacobians[0]` on.
-void WriteParameterJacobians(const ParameterLayout& layout, const ModelValues& values,
-                             const Eigen::Ref<const Eigen::MatrixXd>& d_values,
-                             double** jacobians);
+/// Sizes of a factor's blocks: `states` states, a bias if `bias`, eta if anything is estimated.
+std::vector<int32_t> BlockSizes(int states, bool bias, const ParameterLayout& layout);
+
+/// Takes derivatives with respect to physical values to eta and writes them to Ceres' array `out`,
+/// which may be null.
+template <int N>
+void WriteParameterJacobian(const ParameterLayout& layout, const ModelValues& values,
+                            const ValueJacobian<N>& d_values, double* out) {
+  if (out == nullptr) return;
+  const ParameterVector chain = layout.ChainFactors(values);
+  Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>> J(
+      out, d_values.rows(), layout.num_estimated());
+  for (int i = 0; i < layout.num_estimated(); ++i) {
+    J.col(i) = chain[i] * d_values.col(layout.model_index(i));
+  }
+}
 
 }  // namespace odmc

@@ -23,7 +23,7 @@ struct ImuNoise {
 /// e_theta by the gyro: Log(ΔR(b)ᵀ R_WI0ᵀ R_WI1), the rotation between two keyframes against the
 /// integrated gyro, in the IMU frame (3×1) [rad].                         model.md 4.2 (e_theta)
 ///
-///   blocks 0, 1: states (13); 2: bias (6); then the layout's blocks
+///   blocks 0, 1: states (13); 2: bias (6); 3: the layout's eta
 class GyroPreintegrationFactor final : public ceres::CostFunction {
  public:
   GyroPreintegrationFactor(const ImuInterval& interval, const ImuNoise& noise,
@@ -39,7 +39,7 @@ class GyroPreintegrationFactor final : public ceres::CostFunction {
 
 /// Gyro at one keyframe: R_BIᵀ R_BS w_WS_S + b_g - ŵ (3×1) [rad/s].          model.md 4.2, remarks
 ///
-///   block 0: state (13); 1: bias (6); then the layout's blocks
+///   block 0: state (13); 1: bias (6); 2: the layout's eta
 class GyroFactor final : public ceres::CostFunction {
  public:
   GyroFactor(const Eigen::Vector3d& gyro_I, const ImuNoise& noise, const DynamicModel* model,
@@ -59,7 +59,7 @@ class GyroFactor final : public ceres::CostFunction {
 ///
 /// at the middle of the interval.                                            model.md Eq. (C)
 ///
-///   blocks 0, 1: states (13); 2: bias (6); then the layout's blocks
+///   blocks 0, 1: states (13); 2: bias (6); 3: the layout's eta
 class AccelerometerFactor final : public ceres::CostFunction {
  public:
   AccelerometerFactor(const DynamicsMeasurement& measurement,

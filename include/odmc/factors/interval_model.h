@@ -59,7 +59,8 @@ BodyMotion MotionOfBody(const State& state, const BodyProperties& body,
 
 /// Derivative with respect to all values of a model.
 template <int N>
-using ValueJacobian = Eigen::Matrix<double, N, Eigen::Dynamic, 0, N, kMaxModelParameters>;
+using ValueJacobian = Eigen::Matrix<double, N, Eigen::Dynamic, 0, (N > 0 ? N : 9),
+                                    kMaxModelParameters>;
 
 /// The model over one interval: motion at both ends and, at the point where the form evaluates the
 /// equations (the middle, or keyframe 0), attitude, flight state, force and torque.

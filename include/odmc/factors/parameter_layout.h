@@ -1,6 +1,5 @@
 #pragma once
 
-#include <string>
 #include <vector>
 
 #include "odmc/model/dynamic_model.h"
@@ -10,21 +9,15 @@ namespace odmc {
 /// Small vector of the optimiser's parameters that never allocates.
 using ParameterVector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxModelParameters, 1>;
 
-/// How the model's estimated parameters lie in the optimiser: one block per effect, only estimated
-/// entries, scaled so that they are of order one (model.md section 7). Frozen parameters keep the
-/// value they had when the layout was made.
+/// How the model's estimated parameters lie in the optimiser: one block `eta` of only the estimated
+/// entries, scaled so that they are of order one (model.md section 7). One block for all keeps the
+/// window's normal equations in few large pieces. Frozen parameters keep the value they had when the
+/// layout was made.
 class ParameterLayout {
  public:
-  struct Block {
-    std::string effect;
-    int first = 0;  ///< in the flat vector eta
-    int size = 0;
-  };
-
   /// @param values model values to start from: start of the estimated ones, value of the frozen ones
   ParameterLayout(const DynamicModel& model, const ModelValues& values);
 
-  const std::vector<Block>& blocks() const { return blocks_; }
   int num_estimated() const { return static_cast<int>(model_index_.size()); }
   /// Index in DynamicModel::parameters() of entry `i` of eta.
   int model_index(int i) const { return model_index_[i]; }
@@ -32,10 +25,8 @@ class ParameterLayout {
   /// eta of model values (only its estimated entries are read).
   ParameterVector Encode(const ModelValues& values) const;
 
-  /// Model values at eta, given block by block.
-  ModelValues Decode(double const* const* blocks) const;
-  /// Model values at flat eta.
-  ModelValues DecodeFlat(const double* eta) const;
+  /// Model values at eta (num_estimated() numbers; null if there are none).
+  ModelValues Decode(const double* eta) const;
 
   /// d value / d eta of each entry at model values.
   ParameterVector ChainFactors(const ModelValues& values) const;
@@ -48,7 +39,6 @@ class ParameterLayout {
   double ToEta(int i, double value) const;
   double ToValue(int i, double eta) const;
 
-  std::vector<Block> blocks_;
   std::vector<int> model_index_;
   std::vector<double> scale_;
   std::vector<bool> is_log_;

@@ -14,9 +14,13 @@ namespace odmc {
 class ParameterInformation {
  public:
   /// @param fresh number of newest keyframes that are redone at every call
-  explicit ParameterInformation(int fresh = 20) : fresh_(fresh) {}
+  explicit ParameterInformation(int fresh = 12) : fresh_(fresh) {}
 
-  /// @returns the n×n information with respect to eta at the window's present estimate
+  /// Scales what is kept, when the window's prior is scaled by the root of `factor`.
+  void Scale(double factor);
+
+  /// @returns the n×n information with respect to eta at the window's present estimate, with the
+  ///   parameters' own priors
   const Eigen::MatrixXd& Update(const Window& window, const Eigen::VectorXd& relinearize);
 
  private:

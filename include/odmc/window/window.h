@@ -30,7 +30,7 @@ enum class FactorKind {
 };
 
 /// A cost function and the variables it touches. Its blocks are, in order: state0, state1, bias0,
-/// bias1 (those that are set), then every parameter block if `parameters`.
+/// bias1 (those that are set), then eta if `parameters`.
 struct Factor {
   FactorKind kind;
   std::unique_ptr<ceres::CostFunction> cost;
@@ -60,8 +60,7 @@ struct Bias {
   std::array<double, 6> x_lin;
 };
 
-/// What the states that left, and the priors of the parameters, say about what remains, in square-root
-/// form: residual = b + A d, with d the stacked differences to the linearization points of
+/// What the states that left say about what remains, in square-root form: residual = b + A d, with d the stacked differences to the linearization points of
 /// [oldest keyframe (12), its bias (6), parameters (n)], those that are set.
 struct Prior {
   bool has_state = false;
@@ -101,10 +100,14 @@ class Window {
   const Keyframe& keyframe(std::int64_t id) const { return keyframes_[id - keyframes_.front().id]; }
   const Bias& bias(std::int64_t id) const { return biases_[id - biases_.front().id]; }
 
-  /// The estimated parameters, optimiser's units; one block per effect lies contiguously.
+  /// The estimated parameters in the optimiser's units.
   ParameterVector& eta() { return eta_; }
   const ParameterVector& eta() const { return eta_; }
-  ModelValues values() const { return layout_->DecodeFlat(eta_.data()); }
+  ModelValues values() const { return layout_->Decode(eta_.data()); }
+
+  /// Prior of each parameter apart from what the flight said: centre and sigma, in eta.
+  const Eigen::VectorXd& parameter_centre() const { return parameter_centre_; }
+  const Eigen::VectorXd& parameter_sigma() const { return parameter_sigma_; }
 
   Prior& prior() { return prior_; }
   const Prior& prior() const { return prior_; }
@@ -121,6 +124,7 @@ class Window {
   std::deque<Keyframe> keyframes_;
   std::deque<Bias> biases_;
   ParameterVector eta_;
+  Eigen::VectorXd parameter_centre_, parameter_sigma_;
   Prior prior_;
   std::int64_t next_keyframe_ = 0, next_bias_ = 0;
 };
@@ -139,7 +143,7 @@ struct LinearFactor {
 bool Linearize(const Window& window, const Factor& factor, bool first_estimates,
                LinearFactor* linear);
 
-/// Ceres view of a Prior, with blocks state (13), bias (6), parameter blocks, those that are set.
+/// Ceres view of a Prior, with blocks state (13), bias (6), eta (n), those that are set.
 class MarginalizationFactor final : public ceres::CostFunction {
  public:
   /// `window` must outlive the factor and keep its prior meanwhile.

@@ -19,9 +19,9 @@ struct SolveReport {
 
 /// Bounds of one solve.
 struct SolverOptions {
-  int max_iterations = 3;              ///< per update, >= 1
+  int max_iterations = 2;              ///< per update, >= 1
   double max_time_s = 0.008;           ///< per update, > 0
-  double function_tolerance = 1e-4;    ///< relative change of cost that ends a solve
+  double function_tolerance = 1e-6;    ///< relative change of cost that ends a solve
   int num_threads = 1;                 ///< for factor evaluation, >= 1
 };
 

@@ -1,0 +1,37 @@
+#pragma once
+
+#include <functional>
+#include <utility>
+#include <vector>
+
+#include "odmc/estimator/estimator.h"
+
+namespace odmc {
+
+/// One line of the history: the estimate after one update.
+struct HistoryRow {
+  double t_s = 0.0;
+  ModelValues values;
+  Eigen::VectorXd sigma;
+};
+
+/// What one pass of the estimator over a flight left behind.
+struct ReplayResult {
+  std::optional<Snapshot> last;         ///< empty if the vehicle never flew
+  std::vector<HistoryRow> history;      ///< one per update
+  std::vector<std::pair<double, UpdateTiming>> timing;  ///< flight time [s], every update
+  std::vector<std::pair<Stamp, Stamp>> ground_spans;    ///< while standing
+  double first_airborne_s = 0.0;        ///< flight time of the first update
+  EstimatorCounters counters;
+  SynchroniserCounters stream_counters;
+};
+
+/// Feeds a recorded flight to the estimator in the order of stamps, causally, as fast as it goes.
+/// @param progress called with the share done (0 to 1), may be empty
+ReplayResult Replay(const FlightLog& log, Estimator* estimator,
+                    const std::function<void(double)>& progress = {});
+
+/// Cuts every stream to [start_s, end_s] after the first odometry sample; end_s <= 0: no end.
+void CutFlight(double start_s, double end_s, FlightLog* log);
+
+}  // namespace odmc

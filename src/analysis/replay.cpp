@@ -1,0 +1,99 @@
+#include "odmc/analysis/replay.h"
+
+#include <algorithm>
+#include <limits>
+
+namespace odmc {
+namespace {
+
+template <typename Sample>
+void FeedUntil(const std::vector<Sample>& samples, Stamp stamp, size_t* next,
+               Estimator* estimator) {
+  while (*next < samples.size() && samples[*next].stamp <= stamp) {
+    estimator->Add(samples[(*next)++]);
+  }
+}
+
+template <typename Sample>
+void Cut(Stamp from, Stamp to, std::vector<Sample>* samples) {
+  samples->erase(std::remove_if(samples->begin(), samples->end(),
+                                [=](const Sample& s) { return s.stamp < from || s.stamp > to; }),
+                 samples->end());
+}
+
+/// Collects what the estimator says, update by update.
+class Recorder {
+ public:
+  Recorder(Estimator* estimator, ReplayResult* result) : estimator_(estimator), result_(result) {}
+
+  void Drain(Stamp newest) {
+    while (true) {
+      const std::optional<Snapshot> snapshot = estimator_->Step();
+      if (!estimator_->made_progress()) return;
+      Ground(newest, snapshot.has_value());
+      if (!snapshot) continue;
+      if (result_->history.empty()) result_->first_airborne_s = snapshot->time_s;
+      result_->history.push_back({snapshot->time_s, snapshot->values, snapshot->sigma});
+      result_->timing.emplace_back(snapshot->time_s, snapshot->timing);
+      result_->last = snapshot;
+    }
+  }
+
+ private:
+  void Ground(Stamp stamp, bool airborne) {
+    auto& spans = result_->ground_spans;
+    if (airborne) {
+      standing_ = false;
+    } else if (standing_) {
+      spans.back().second = stamp;
+    } else {
+      spans.emplace_back(stamp, stamp);
+      standing_ = true;
+    }
+  }
+
+  Estimator* estimator_;
+  ReplayResult* result_;
+  bool standing_ = false;
+};
+
+}  // namespace
+
+ReplayResult Replay(const FlightLog& log, Estimator* estimator,
+                    const std::function<void(double)>& progress) {
+  ReplayResult result;
+  Recorder recorder(estimator, &result);
+  size_t imu = 0, rotors = 0, battery = 0;
+  for (size_t i = 0; i < log.odometry.size(); ++i) {
+    const Stamp stamp = log.odometry[i].stamp;
+    FeedUntil(log.rotors, stamp, &rotors, estimator);
+    FeedUntil(log.imu, stamp, &imu, estimator);
+    FeedUntil(log.battery, stamp, &battery, estimator);
+    estimator->Add(log.odometry[i]);
+    recorder.Drain(stamp);
+    if (progress && i % 64 == 0) {
+      progress(static_cast<double>(i) / static_cast<double>(log.odometry.size()));
+    }
+  }
+  FeedUntil(log.rotors, std::numeric_limits<Stamp>::max(), &rotors, estimator);
+  FeedUntil(log.imu, std::numeric_limits<Stamp>::max(), &imu, estimator);
+  estimator->Finish();
+  if (!log.odometry.empty()) recorder.Drain(log.odometry.back().stamp);
+  if (progress) progress(1.0);
+  result.counters = estimator->counters();
+  result.stream_counters = estimator->stream_counters();
+  return result;
+}
+
+void CutFlight(double start_s, double end_s, FlightLog* log) {
+  if (log->odometry.empty()) return;
+  const Stamp zero = log->odometry.front().stamp;
+  const Stamp from = start_s > 0.0 ? zero + FromSeconds(start_s) : std::numeric_limits<Stamp>::min();
+  const Stamp to = end_s > 0.0 ? zero + FromSeconds(end_s) : std::numeric_limits<Stamp>::max();
+  Cut(from, to, &log->odometry);
+  Cut(from, to, &log->imu);
+  Cut(from, to, &log->rotors);
+  Cut(from, to, &log->battery);
+}
+
+}  // namespace odmc
