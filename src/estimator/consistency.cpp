@@ -44,13 +44,14 @@ void Consistency::CloseBlock(const Eigen::MatrixXd& left) {
   block_length_s_ *= 2.0;
 }
 
-void Consistency::Scale(double factor) {
+void Consistency::Rescale(const Eigen::VectorXd& scale) {
+  const Eigen::VectorXd root = scale.cwiseSqrt();
   for (Block& block : blocks_) {
-    block.score *= factor;
-    block.information *= factor;
+    block.score = block.score.cwiseProduct(scale);
+    block.information = root.asDiagonal() * block.information * root.asDiagonal();
   }
-  if (score_.size() > 0) score_ *= factor;
-  if (left_.size() > 0) left_ *= factor;
+  if (score_.size() > 0) score_ = score_.cwiseProduct(scale).eval();
+  if (left_.size() > 0) left_ = (root.asDiagonal() * left_ * root.asDiagonal()).eval();
 }
 
 Eigen::VectorXd Consistency::Inflation(const Eigen::VectorXd& eta,

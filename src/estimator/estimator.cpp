@@ -126,7 +126,9 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
       solver_(std::make_unique<CeresWindowSolver>()),
       consistency_(layout_.num_estimated()),
       inflation_(Eigen::VectorXd::Ones(layout_.num_estimated())),
-      sigma_eta_(layout_.num_estimated()) {
+      sigma_eta_(layout_.num_estimated()),
+      force_information_(Eigen::VectorXd::Zero(layout_.num_estimated())),
+      torque_information_(Eigen::VectorXd::Zero(layout_.num_estimated())) {
   std::string error;
   if (!options.IsValid(&error)) throw std::invalid_argument(error);
   if (options.huber_width > 0.0) {
@@ -196,6 +198,7 @@ std::optional<Snapshot> Estimator::Step() {
         counters_.airborne_s < 1.0 ? 10.0 * options_.max_update_time_s : options_.max_update_time_s;
     solver_options.function_tolerance = options_.function_tolerance;
     solver_options.num_threads = options_.num_threads;
+    MoveAnchors();
     const SolveReport report = solver_->Solve(&window_, solver_options);
     if (!report.usable) ++counters_.refused_updates;
     snapshot = TakeSnapshot(*sample, report);
@@ -215,6 +218,18 @@ std::optional<Snapshot> Estimator::Step() {
   last_ = sample;
   synchroniser_.Trim(sample->stamp);
   return snapshot;
+}
+
+void Estimator::MoveAnchors() {
+  const int k_f = model_->IndexOf("thrust.k_f");
+  if (k_f < 0 || !with_torque_) return;
+  const double value = window_.values()[k_f];
+  for (Keyframe& keyframe : window_.keyframes()) {
+    for (Factor& factor : keyframe.factors) {
+      if (factor.kind != FactorKind::kDynamics) continue;
+      static_cast<DynamicsFactor&>(*factor.cost).SetAnchor(value);
+    }
+  }
 }
 
 bool Estimator::CheckGround(const OdometrySample& sample) {
@@ -427,6 +442,12 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
   measurement.rotors = form_ == DynamicsForm::kEuler ? interval.rotors.start : interval.rotors.mean;
   measurement.form = form_;
   measurement.fixed_inertia = PriorInertia(*model_);
+  if (with_torque_) {
+    measurement.anchor_index = model_->IndexOf("thrust.k_f");
+    if (measurement.anchor_index >= 0) {
+      measurement.anchor_value = window_.values()[measurement.anchor_index];
+    }
+  }
   const State& s0 = State::FromBlock(window_.keyframe(id - 1).x.data());
   const State& s1 = State::FromBlock(window_.keyframe(id).x.data());
   const Eigen::Matrix3d R_BS = model_->Properties(window_.values()).R_BS;
@@ -564,33 +585,43 @@ void Estimator::MarginalizeOld() {
   while (keyframes.size() > 2 &&
          ToSeconds(keyframes.back().stamp - keyframes.front().stamp) >=
              options_.window_s - 0.5 / options_.keyframe_rate_hz) {
-    const Factor* dynamics = nullptr;
-    for (const Factor& factor : keyframes.front().factors) {
-      if (factor.kind == FactorKind::kDynamics) dynamics = &factor;
-    }
-    double dt = 0.0;
-    if (dynamics != nullptr) {
-      const auto& cost = static_cast<const DynamicsFactor&>(*dynamics->cost);
-      Eigen::Matrix<double, 9, 1> e;
-      dt = cost.measurement().dt;
-      if (cost.UnwhitenedResidual(window_.Blocks(*dynamics, false).data(), &e)) {
-        const double scale = process_noise_.Add(
-            dt, e.segment<3>(kRowVelocity) / dt,
-            cost.noise().nominal_inertia.cwiseProduct(e.segment<3>(kRowAngular)) / dt,
-            with_torque_);
-        if (scale != 1.0) {
-          // All flight time weighs with the noise known now.
-          window_.prior().A *= std::sqrt(scale);
-          window_.prior().b *= std::sqrt(scale);
-          information_.Scale(scale);
-          consistency_.Scale(scale);
-        }
-      }
-    }
+    const double dt = ObserveLeaving(keyframes.front());
     LeavingFactors leaving;
     MarginalizeOldest(&window_, sigma_eta_, &leaving);
-    if (dt > 0.0) consistency_.Add(dt, leaving.score, window_.eta());
+    if (dt == 0.0) continue;
+    consistency_.Add(dt, leaving.score, window_.eta());
+    force_information_ += leaving.force_information;
+    torque_information_ += leaving.torque_information;
   }
+}
+
+double Estimator::ObserveLeaving(const Keyframe& keyframe) {
+  for (const Factor& factor : keyframe.factors) {
+    if (factor.kind != FactorKind::kDynamics) continue;
+    const auto& cost = static_cast<const DynamicsFactor&>(*factor.cost);
+    Eigen::Matrix<double, kNumDynamicsRows, 1> e;
+    const double dt = cost.measurement().dt;
+    if (!cost.UnwhitenedResidual(window_.Blocks(factor, false).data(), &e)) return dt;
+    const auto change = process_noise_.Add(
+        dt, e.segment<3>(kRowVelocity) / dt,
+        cost.noise().nominal_inertia.cwiseProduct(e.segment<3>(kRowAngular)) / dt, with_torque_);
+    if (change) RescalePast(change->force, change->torque);
+    return dt;
+  }
+  return 0.0;
+}
+
+void Estimator::RescalePast(double force, double torque) {
+  // Each parameter by what has informed it: the force rows, the torque rows, or both.
+  const Eigen::VectorXd total = (force_information_ + torque_information_).cwiseMax(1e-300);
+  const Eigen::VectorXd share = force_information_.cwiseQuotient(total);
+  const Eigen::VectorXd scale =
+      (share * std::log(force) + (Eigen::VectorXd::Ones(share.size()) - share) * std::log(torque))
+          .array()
+          .exp();
+  RescalePrior(scale, &window_.prior());
+  information_.Rescale(scale);
+  consistency_.Rescale(scale);
 }
 
 ParameterSet Estimator::ToParameterSet(const DynamicModel& model, const Snapshot& snapshot) {

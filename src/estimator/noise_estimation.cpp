@@ -11,7 +11,8 @@ namespace {
 
 constexpr double kBlock_s = 0.1;       // block over which residuals are averaged
 constexpr double kMemory_s = 60.0;     // how far back the process noise looks
-constexpr double kStartWeight_s = 0.5; // what the start value counts against flight time
+constexpr double kThrustAxisShape = 2.0;
+constexpr double kYawAxisShape = 2.0;
 constexpr int kLookEvery = 25;         // samples between two medians
 constexpr int kEnoughDifferences = 20;
 
@@ -89,39 +90,47 @@ ProcessNoiseEstimator::ProcessNoiseEstimator(double weight_N, double arm_m, doub
   // 0.05 N and 1 mN m as means over 10 ms for a vehicle of 7.36 N and 0.145 m (model.md section 9).
   const double force = floor_scale * 6.8e-4 * weight_N;
   const double torque = floor_scale * 9.4e-5 * weight_N * arm_m;
-  floor_ << Eigen::Vector3d::Constant(force * force), Eigen::Vector3d::Constant(torque * torque);
-  variance_ = 100.0 * floor_;  // cautious until the flight has shown its residual
-  seen_s_ = kStartWeight_s;
+  // Thrust carries most of what a model lacks, and yaw is what rotors accelerating spoil.
+  floor_ << force, force, kThrustAxisShape * force, torque, torque, kYawAxisShape * torque;
 }
 
-double ProcessNoiseEstimator::Add(double dt, const Eigen::Vector3d& force_N,
-                                  const Eigen::Vector3d& torque_Nm, bool with_torque) {
+double ProcessNoiseEstimator::ForceScale() const {
+  return std::max(1.0, std::sqrt(force_level_));
+}
+
+double ProcessNoiseEstimator::TorqueScale() const {
+  return std::max(1.0, std::sqrt(torque_level_));
+}
+
+std::optional<ProcessNoiseEstimator::Change> ProcessNoiseEstimator::Add(
+    double dt, const Eigen::Vector3d& force_N, const Eigen::Vector3d& torque_Nm,
+    bool with_torque) {
   sum_.head<3>() += dt * force_N;
   sum_.tail<3>() += dt * torque_Nm;
   block_s_ += dt;
-  if (block_s_ < kBlock_s) return 1.0;
+  if (block_s_ < kBlock_s) return std::nullopt;
+  const double force_before = ForceScale(), torque_before = TorqueScale();
   seen_s_ = std::min(kMemory_s, seen_s_ + block_s_);
   const double gain = block_s_ / seen_s_;
-  const int axes = with_torque ? 6 : 3;
-  double log_scale = 0.0;
-  for (int i = 0; i < axes; ++i) {
-    // Density squared of this block; one wild block counts as five sigma.
-    const double seen = std::min(sum_[i] * sum_[i] / block_s_, 25.0 * variance_[i]);
-    const double updated = std::max(floor_[i], variance_[i] + gain * (seen - variance_[i]));
-    log_scale += std::log(variance_[i] / updated) / axes;
-    variance_[i] = updated;
-  }
+  // Densities of this block in units of the floor; one wild block counts as five sigma.
+  const Vector6d level = (sum_.cwiseQuotient(floor_)).cwiseAbs2() / block_s_;
+  const auto follow = [gain](double seen, double* average) {
+    *average += gain * (std::min(seen, 25.0 * *average) - *average);
+  };
+  follow(level.head<3>().mean(), &force_level_);
+  if (with_torque) follow(level.tail<3>().mean(), &torque_level_);
   sum_.setZero();
   block_s_ = 0.0;
-  return std::exp(log_scale);
+  const double force = force_before / ForceScale(), torque = torque_before / TorqueScale();
+  return Change{force * force, torque * torque};
 }
 
 Eigen::Vector3d ProcessNoiseEstimator::ForceSigma(double dt) const {
-  return (variance_.head<3>() / dt).cwiseSqrt();
+  return ForceScale() / std::sqrt(dt) * floor_.head<3>();
 }
 
 Eigen::Vector3d ProcessNoiseEstimator::TorqueSigma(double dt) const {
-  return (variance_.tail<3>() / dt).cwiseSqrt();
+  return TorqueScale() / std::sqrt(dt) * floor_.tail<3>();
 }
 
 }  // namespace odmc

@@ -13,40 +13,98 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
-/// Derivatives of the nine rows with respect to the interval's pieces.           model.md section 6
-IntervalDerivatives<kNumDynamicsRows> RowDerivatives(const DynamicsMeasurement& measurement,
-                                                     const IntervalModel& k,
-                                                     const Matrix3d& I_inverse, const Vector3d& f,
-                                                     const Vector3d& a_p,
-                                                     const Vector3d& e_alpha) {
+/// First rows of e_v and e_alpha where N rows are evaluated: 9 with e_p, 6 without.
+template <int N>
+constexpr int kVelocityRow = N - 6;
+template <int N>
+constexpr int kAngularRow = N - 3;
+
+template <int N>
+struct Derivatives {
+  Eigen::Matrix<double, N, kStateTangentSize> d_state0, d_state1;
+  ValueJacobian<N> d_values;
+  ValueJacobian<3> d_inertia;
+};
+
+/// What the residual is made of, besides the interval's model.
+struct Terms {
+  Matrix3d I_inverse;
+  Vector3d f, a_p, e_alpha;
+};
+
+/// Derivatives of the rows with respect to the interval's pieces.                model.md section 6
+template <int N>
+IntervalDerivatives<N> RowDerivatives(const DynamicsMeasurement& measurement,
+                                      const IntervalModel& k, const Terms& terms) {
+  constexpr int v = kVelocityRow<N>, a = kAngularRow<N>;
   const double dt = measurement.dt;
   const double m = k.body.mass;
   const Vector3d& w = k.flight.w_WB_B;
   const Matrix3d& I = k.body.I_BBcm_B;
-  IntervalDerivatives<kNumDynamicsRows> D;
-  D.d_wrench.block<3, 3>(kRowVelocity, 0) = -dt * Matrix3d::Identity();
-  D.d_wrench.block<3, 3>(kRowAngular, 3) = -dt * I_inverse;
-  D.d_theta.middleRows<3>(kRowVelocity) = m * Hat(f);
-  D.d_rate.middleRows<3>(kRowAngular) = dt * I_inverse * (Hat(w) * I - Hat(I * w));
-  D.d_motion0.block<3, 3>(kRowVelocity, kMotionComVelocity) = -m * k.R_BW;
-  D.d_motion1.block<3, 3>(kRowVelocity, kMotionComVelocity) = m * k.R_BW;
-  D.d_motion0.block<3, 3>(kRowAngular, kMotionRate) = -Matrix3d::Identity();
-  D.d_motion1.block<3, 3>(kRowAngular, kMotionRate) = Matrix3d::Identity();
-  D.d_body.block<3, 1>(kRowVelocity, kRowMass) = f;
-  D.d_body.block<3, 3>(kRowVelocity, kRowGravity) = -m * dt * k.R_BW;
+  const Matrix3d mR = m * k.R_BW;
+  IntervalDerivatives<N> D;
+  D.d_wrench.template block<3, 3>(v, 0) = -dt * Matrix3d::Identity();
+  D.d_wrench.template block<3, 3>(a, 3) = -dt * terms.I_inverse;
+  D.d_theta.template middleRows<3>(v) = m * Hat(terms.f);
+  D.d_rate.template middleRows<3>(a) = dt * terms.I_inverse * (Hat(w) * I - Hat(I * w));
+  D.d_motion0.template block<3, 3>(v, kMotionComVelocity) = -mR;
+  D.d_motion1.template block<3, 3>(v, kMotionComVelocity) = mR;
+  D.d_motion0.template block<3, 3>(a, kMotionRate) = -Matrix3d::Identity();
+  D.d_motion1.template block<3, 3>(a, kMotionRate) = Matrix3d::Identity();
+  D.d_body.template block<3, 1>(v, kRowMass) = terms.f;
+  D.d_body.template block<3, 3>(v, kRowGravity) = -dt * mR;
   const Vector3d dw = k.m1.w_WB_B - k.m0.w_WB_B;
-  D.d_body.block<3, 6>(kRowAngular, kRowInertia) =
-      I_inverse * (InertiaProductDerivative(dw) + dt * Hat(w) * InertiaProductDerivative(w) -
-                   InertiaProductDerivative(e_alpha));
-  if (measurement.form != DynamicsForm::kEuler) return D;
-  D.d_wrench.block<3, 3>(kRowPosition, 0) = -0.5 * dt * dt * Matrix3d::Identity();
-  D.d_theta.middleRows<3>(kRowPosition) = m * Hat(a_p);
-  D.d_motion0.block<3, 3>(kRowPosition, kMotionComPosition) = -m * k.R_BW;
-  D.d_motion1.block<3, 3>(kRowPosition, kMotionComPosition) = m * k.R_BW;
-  D.d_motion0.block<3, 3>(kRowPosition, kMotionComVelocity) = -m * dt * k.R_BW;
-  D.d_body.block<3, 1>(kRowPosition, kRowMass) = a_p;
-  D.d_body.block<3, 3>(kRowPosition, kRowGravity) = -0.5 * m * dt * dt * k.R_BW;
+  D.d_body.template block<3, 6>(a, kRowInertia) =
+      terms.I_inverse * (InertiaProductDerivative(dw) + dt * Hat(w) * InertiaProductDerivative(w) -
+                         InertiaProductDerivative(terms.e_alpha));
+  if constexpr (N == 9) {
+    if (measurement.form == DynamicsForm::kEuler) {
+      D.d_wrench.template block<3, 3>(0, 0) = -0.5 * dt * dt * Matrix3d::Identity();
+      D.d_theta.template middleRows<3>(0) = m * Hat(terms.a_p);
+      D.d_motion0.template block<3, 3>(0, kMotionComPosition) = -mR;
+      D.d_motion1.template block<3, 3>(0, kMotionComPosition) = mR;
+      D.d_motion0.template block<3, 3>(0, kMotionComVelocity) = -dt * mR;
+      D.d_body.template block<3, 1>(0, kRowMass) = terms.a_p;
+      D.d_body.template block<3, 3>(0, kRowGravity) = -0.5 * dt * dt * mR;
+    }
+  }
   return D;
+}
+
+/// The residual's rows (9 with e_p, 6 without) and, on request, their derivatives.
+template <int N>
+Eigen::Matrix<double, N, 1> EvaluateRows(const DynamicsMeasurement& measurement,
+                                         const State& state0, const State& state1,
+                                         const DynamicModel& model, const ModelValues& values,
+                                         Vector3d* inertia, Derivatives<N>* J) {
+  const double dt = measurement.dt;
+  const IntervalModel k(measurement, state0, state1, model, values, J != nullptr);
+  const double m = k.body.mass;
+  const Matrix3d& I = k.body.I_BBcm_B;
+  const Vector3d& g_W = k.body.g_W;
+  const Vector3d& w = k.flight.w_WB_B;
+  Terms terms;
+  terms.I_inverse = I.inverse();
+  terms.f = k.R_BW * (k.m1.v_WBcm - k.m0.v_WBcm - dt * g_W);
+  terms.a_p = k.R_BW * (k.m1.p_WBcm - k.m0.p_WBcm - dt * k.m0.v_WBcm - 0.5 * dt * dt * g_W);
+  terms.e_alpha =
+      k.m1.w_WB_B - k.m0.w_WB_B + terms.I_inverse * (dt * w.cross(I * w) - dt * k.tau_B);
+
+  Eigen::Matrix<double, N, 1> e = Eigen::Matrix<double, N, 1>::Zero();
+  if constexpr (N == 9) {
+    if (measurement.form == DynamicsForm::kEuler) {
+      e.template head<3>() = m * terms.a_p - 0.5 * dt * dt * k.F_B;
+    }
+  }
+  e.template segment<3>(kVelocityRow<N>) = m * terms.f - dt * k.F_B;
+  e.template segment<3>(kAngularRow<N>) = terms.e_alpha;
+  if (inertia != nullptr) *inertia = I.diagonal();
+  if (J != nullptr) {
+    AssembleJacobians(k, RowDerivatives<N>(measurement, k, terms), &J->d_state0, &J->d_state1,
+                      &J->d_values);
+    J->d_inertia = k.d_body.middleRows<3>(kRowInertia);
+  }
+  return e;
 }
 
 }  // namespace
@@ -55,32 +113,15 @@ Eigen::Matrix<double, kNumDynamicsRows, 1> DynamicsResidual(
     const DynamicsMeasurement& measurement, const State& state0, const State& state1,
     const DynamicModel& model, const ModelValues& values, Vector3d* inertia,
     DynamicsJacobians* J) {
-  const double dt = measurement.dt;
-  const IntervalModel k(measurement, state0, state1, model, values, J != nullptr);
-  const double m = k.body.mass;
-  const Matrix3d& I = k.body.I_BBcm_B;
-  const Matrix3d I_inverse = I.inverse();
-  const Vector3d& g_W = k.body.g_W;
-  const Vector3d& w = k.flight.w_WB_B;
-  const Vector3d dw = k.m1.w_WB_B - k.m0.w_WB_B;
-  const Vector3d f = k.R_BW * (k.m1.v_WBcm - k.m0.v_WBcm - dt * g_W);
-  const Vector3d a_p =
-      k.R_BW * (k.m1.p_WBcm - k.m0.p_WBcm - dt * k.m0.v_WBcm - 0.5 * dt * dt * g_W);
-  const Vector3d e_alpha = dw + I_inverse * (dt * w.cross(I * w) - dt * k.tau_B);
-
-  Eigen::Matrix<double, kNumDynamicsRows, 1> e;
-  e.setZero();
-  if (measurement.form == DynamicsForm::kEuler) {
-    e.segment<3>(kRowPosition) = m * a_p - 0.5 * dt * dt * k.F_B;
+  if (J == nullptr) {
+    return EvaluateRows<9>(measurement, state0, state1, model, values, inertia, nullptr);
   }
-  e.segment<3>(kRowVelocity) = m * f - dt * k.F_B;
-  e.segment<3>(kRowAngular) = e_alpha;
-  if (inertia != nullptr) *inertia = I.diagonal();
-  if (J != nullptr) {
-    AssembleJacobians(k, RowDerivatives(measurement, k, I_inverse, f, a_p, e_alpha), &J->d_state0,
-                      &J->d_state1, &J->d_values);
-    J->d_inertia = k.d_body.middleRows<3>(kRowInertia);
-  }
+  Derivatives<9> D;
+  const auto e = EvaluateRows<9>(measurement, state0, state1, model, values, inertia, &D);
+  J->d_state0 = D.d_state0;
+  J->d_state1 = D.d_state1;
+  J->d_values = D.d_values;
+  J->d_inertia = D.d_inertia;
   return e;
 }
 
@@ -103,61 +144,78 @@ DynamicsFactor::DynamicsFactor(const DynamicsMeasurement& measurement, const Dyn
   *mutable_parameter_block_sizes() = BlockSizes(2, false, *layout);
 }
 
-bool DynamicsFactor::Evaluate(double const* const* blocks, double* residual_out,
+bool DynamicsFactor::Evaluate(double const* const* blocks, double* residual,
                               double** jacobians) const {
-  const ModelValues values = layout_->Decode(layout_->num_estimated() > 0 ? blocks[2] : nullptr);
-  DynamicsJacobians J;
+  return measurement_.form == DynamicsForm::kEuler ? EvaluateForm<9>(blocks, residual, jacobians)
+                                                   : EvaluateForm<6>(blocks, residual, jacobians);
+}
+
+Vector3d DynamicsFactor::ForceSigma() const {
+  const Vector3d rotor(0.0, 0.0, noise_.rotor_force_N);
+  return (noise_.force_N.array().square() + rotor.array().square()).sqrt();
+}
+
+template <int N>
+bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_out,
+                                  double** jacobians) const {
+  constexpr int v = kVelocityRow<N>, a = kAngularRow<N>;
+  const int rows = num_residuals();
+  const bool with_values = layout_->num_estimated() > 0;
+  const ModelValues values = layout_->Decode(with_values ? blocks[2] : nullptr);
+  Derivatives<N> J;
   Vector3d inertia;
-  Eigen::Matrix<double, 9, 1> e =
-      DynamicsResidual(measurement_, State::FromBlock(blocks[0]), State::FromBlock(blocks[1]),
-                       *model_, values, &inertia, jacobians != nullptr ? &J : nullptr);
+  Eigen::Matrix<double, N, 1> e = EvaluateRows<N>(
+      measurement_, State::FromBlock(blocks[0]), State::FromBlock(blocks[1]), *model_, values,
+      &inertia, jacobians != nullptr ? &J : nullptr);
+
+  // Whitening: one weight a row; Form E also decorrelates e_v from e_p.
   const double dt = measurement_.dt;
-  Eigen::Matrix<double, 9, 9> W = Eigen::Matrix<double, 9, 9>::Zero();
-  const Vector3d rotor_force(0.0, 0.0, noise_.rotor_force_N);
-  const Vector3d force_sigma =
-      (noise_.force_N.array().square() + rotor_force.array().square()).sqrt();
-  if (measurement_.form == DynamicsForm::kEuler) {
-    const Eigen::Matrix2d sqrt_info =
-        EulerTranslationCovariance(dt).llt().matrixL().solve(Eigen::Matrix2d::Identity());
-    for (int i = 0; i < 3; ++i) {
-      W(kRowPosition + i, kRowPosition + i) = sqrt_info(0, 0) / force_sigma[i];
-      W(kRowVelocity + i, kRowPosition + i) = sqrt_info(1, 0) / force_sigma[i];
-      W(kRowVelocity + i, kRowVelocity + i) = sqrt_info(1, 1) / force_sigma[i];
-    }
-  } else {
-    for (int i = 0; i < 3; ++i) W(kRowVelocity + i, kRowVelocity + i) = 1.0 / (dt * force_sigma[i]);
-  }
+  const Vector3d force_sigma = ForceSigma();
+  Eigen::Matrix<double, N, 1> weight;
   Vector3d d_log_weight_d_inertia;
   for (int i = 0; i < 3; ++i) {
+    weight[v + i] = 1.0 / (dt * force_sigma[i]);
     const double fixed = noise_.torque_Nm[i] / noise_.nominal_inertia[i];
     const double rotor = noise_.rotor_torque_Nm[i] / inertia[i];
     const double variance = fixed * fixed + rotor * rotor;
-    W(kRowAngular + i, kRowAngular + i) = 1.0 / (dt * std::sqrt(variance));
+    weight[a + i] = 1.0 / (dt * std::sqrt(variance));
     d_log_weight_d_inertia[i] = rotor * rotor / (variance * inertia[i]);
   }
-
-  const int first_row = 3 - velocity_row();
-  const int rows = num_residuals();
-  const Eigen::Matrix<double, 9, 1> whitened = W * e;
-  Eigen::Map<Eigen::VectorXd>(residual_out, rows) = whitened.segment(first_row, rows);
-  if (jacobians != nullptr) {
-    for (int k = 0; k < 2; ++k) {
-      if (jacobians[k] == nullptr) continue;
-      const Eigen::Matrix<double, 9, kStateSize> lifted =
-          StateManifold::Lift(W * (k == 0 ? J.d_state0 : J.d_state1), blocks[k]);
-      WriteJacobian(lifted.middleRows(first_row, rows), jacobians[k]);
-    }
-    ValueJacobian<9> d_values = W * J.d_values;
-    for (int i = 0; i < 3; ++i) {
-      d_values.row(kRowAngular + i) +=
-          whitened[kRowAngular + i] * d_log_weight_d_inertia[i] * J.d_inertia.row(i);
-    }
-    if (layout_->num_estimated() > 0) {
-      const ValueJacobian<Eigen::Dynamic> kept = d_values.middleRows(first_row, rows);
-      WriteParameterJacobian<Eigen::Dynamic>(*layout_, values, kept, jacobians[2]);
-    }
+  Eigen::Matrix2d sqrt_info;
+  if constexpr (N == 9) {
+    sqrt_info = EulerTranslationCovariance(dt).llt().matrixL().solve(Eigen::Matrix2d::Identity());
   }
-  return whitened.allFinite();
+  const auto whiten = [&](auto* m) {
+    m->template bottomRows<3>() = weight.template tail<3>().asDiagonal() * m->template bottomRows<3>();
+    if constexpr (N == 9) {
+      const auto scale = force_sigma.cwiseInverse().asDiagonal();
+      m->template middleRows<3>(v) =
+          (scale * (sqrt_info(1, 0) * m->template topRows<3>() +
+                    sqrt_info(1, 1) * m->template middleRows<3>(v)))
+              .eval();
+      m->template topRows<3>() = (scale * (sqrt_info(0, 0) * m->template topRows<3>())).eval();
+    } else {
+      m->template topRows<3>() = weight.template head<3>().asDiagonal() * m->template topRows<3>();
+    }
+  };
+  whiten(&e);
+  Eigen::Map<Eigen::VectorXd>(residual_out, rows) = e.head(rows);
+  if (jacobians == nullptr) return e.allFinite();
+  for (int k = 0; k < 2; ++k) {
+    if (jacobians[k] == nullptr) continue;
+    auto& d_state = k == 0 ? J.d_state0 : J.d_state1;
+    whiten(&d_state);
+    WriteJacobian(StateManifold::Lift(d_state, blocks[k]).topRows(rows), jacobians[k]);
+  }
+  if (!with_values || jacobians[2] == nullptr) return e.allFinite();
+  whiten(&J.d_values);
+  // The weight of e_alpha depends on the live inertia.
+  for (int i = 0; i < 3; ++i) {
+    J.d_values.row(a + i) += e[a + i] * d_log_weight_d_inertia[i] * J.d_inertia.row(i);
+  }
+  const ValueJacobian<Eigen::Dynamic> kept = J.d_values.topRows(rows);
+  WriteParameterJacobian<Eigen::Dynamic>(*layout_, values, kept, jacobians[2]);
+  return e.allFinite();
 }
 
 bool DynamicsFactor::UnwhitenedResidual(double const* const* blocks,

@@ -90,6 +90,18 @@ IntervalModel::IntervalModel(const DynamicsMeasurement& measurement, const State
   flight.w_WB_B = w0 * m0.w_WB_B + w1 * m1.w_WB_B;
   flight.rotors = measurement.rotors;
   model.EvaluateWrench(flight, values, body.p_BBcm, &F_B, &tau_B, jacobians ? &d_wrench : nullptr);
+  if (measurement.anchor_index < 0) return;
+  ModelValues anchored = values;
+  anchored[measurement.anchor_index] = measurement.anchor_value;
+  Vector3d unused;
+  ModelWrenchJacobians d_anchored;
+  model.EvaluateWrench(flight, anchored, body.p_BBcm, &unused, &tau_B,
+                       jacobians ? &d_anchored : nullptr);
+  if (!jacobians) return;
+  d_wrench.d_state.bottomRows<3>() = d_anchored.d_state.bottomRows<3>();
+  d_wrench.d_p_BBcm.bottomRows<3>() = d_anchored.d_p_BBcm.bottomRows<3>();
+  d_wrench.d_values.bottomRows<3>() = d_anchored.d_values.bottomRows<3>();
+  d_wrench.d_values.block<3, 1>(3, measurement.anchor_index).setZero();
 }
 
 Eigen::Matrix<double, 3, 6> InertiaProductDerivative(const Eigen::Vector3d& a) {

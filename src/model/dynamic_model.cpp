@@ -108,6 +108,7 @@ BodyProperties DynamicModel::Properties(const ModelValues& values,
   if (J != nullptr) J->setZero(kNumBodyPropertyRows, num_parameters());
   BodyPropertyJacobian own;
   for (int i = 0; i < num_effects(); ++i) {
+    if (!effects_[i]->shapes_body()) continue;
     effects_[i]->Shape(ValuesOf(i, values), &body, J != nullptr ? &own : nullptr);
     if (J == nullptr) continue;
     const int num_own = static_cast<int>(effects_[i]->parameters().size());

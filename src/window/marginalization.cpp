@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <vector>
 
+#include "odmc/factors/dynamics_factor.h"
+
 namespace odmc {
 namespace {
 
@@ -98,6 +100,12 @@ void Observe(const Window& window, const Factor& factor, LeavingFactors* leaving
   if (!factor.parameters || !Linearize(window, factor, false, &linear)) return;
   leaving->score += linear.J.rightCols(leaving->score.size()).transpose() * linear.r;
   if (factor.kind != FactorKind::kDynamics) return;
+  const auto& dynamics = static_cast<const DynamicsFactor&>(*factor.cost);
+  const auto squares = linear.J.rightCols(leaving->score.size()).cwiseAbs2().eval();
+  const int torque_rows = dynamics.with_torque() ? 3 : 0;
+  leaving->torque_information = squares.bottomRows(torque_rows).colwise().sum();
+  leaving->force_information =
+      squares.topRows(squares.rows() - torque_rows).colwise().sum();
   leaving->dynamics_residual.resize(factor.cost->num_residuals());
   const auto blocks = window.Blocks(factor, false);
   factor.cost->Evaluate(blocks.data(), leaving->dynamics_residual.data(), nullptr);
@@ -140,6 +148,15 @@ LinearSystem Eliminate(const LinearSystem& system, double tolerance) {
   return result;
 }
 
+void RescalePrior(const Eigen::VectorXd& scale, Prior* prior) {
+  if (prior->b.size() == 0) return;
+  const int n = static_cast<int>(scale.size());
+  const Eigen::VectorXd optimum = -prior->A.completeOrthogonalDecomposition().solve(prior->b);
+  const Eigen::VectorXd rest = prior->b + prior->A * optimum;
+  prior->A.rightCols(n) *= scale.cwiseSqrt().asDiagonal();
+  prior->b = rest - prior->A * optimum;
+}
+
 bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
                        LeavingFactors* leaving) {
   MoveParameterPoint(window, relinearize);
@@ -148,6 +165,7 @@ bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
   const Prior& old = window->prior();
   if (leaving != nullptr) {
     leaving->score = Eigen::VectorXd::Zero(window->layout().num_estimated());
+    leaving->force_information = leaving->torque_information = leaving->score;
     leaving->dynamics_residual.resize(0);
     for (const Factor& factor : oldest.factors) Observe(*window, factor, leaving);
   }

@@ -35,8 +35,12 @@ bool ParameterInformation::Reusable(const Window& window,
   return ((window.eta() - eta_).array().abs() <= relinearize.array()).all();
 }
 
-void ParameterInformation::Scale(double factor) {
-  for (Message& message : messages_) message.H *= factor;
+void ParameterInformation::Rescale(const Eigen::VectorXd& scale) {
+  const Eigen::VectorXd root = scale.cwiseSqrt();
+  for (Message& message : messages_) {
+    message.H.rightCols(root.size()) *= root.asDiagonal();
+    message.H.bottomRows(root.size()) = root.asDiagonal() * message.H.bottomRows(root.size());
+  }
 }
 
 const Eigen::MatrixXd& ParameterInformation::Update(const Window& window,

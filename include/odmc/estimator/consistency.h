@@ -24,8 +24,8 @@ class Consistency {
   /// Ends the block; `left` is the information of everything that has left the window so far (n×n).
   void CloseBlock(const Eigen::MatrixXd& left);
 
-  /// Scales everything so far, when the information of the past is scaled by `factor`.
-  void Scale(double factor);
+  /// Scales everything so far, as RescalePrior() does.
+  void Rescale(const Eigen::VectorXd& scale);
 
   /// Factor on each parameter's standard deviation (n), >= 1.
   /// @param eta present estimate; @param covariance inverse of its information (n×n)

@@ -99,6 +99,7 @@ class Estimator {
  private:
   struct Interval;  // what lies between two keyframes
 
+  void MoveAnchors();
   bool CheckGround(const OdometrySample& sample);
   std::optional<Interval> ReadInterval(const OdometrySample& sample);
   State InitialState(const OdometrySample& sample, const Interval* interval) const;
@@ -109,6 +110,8 @@ class Estimator {
   Snapshot TakeSnapshot(const OdometrySample& sample, const SolveReport& report);
   void FillResiduals(Snapshot* snapshot);
   void MarginalizeOld();
+  double ObserveLeaving(const Keyframe& keyframe);
+  void RescalePast(double force, double torque);
   void RefreshConsistency(const Eigen::MatrixXd& covariance);
 
   const DynamicModel* model_;
@@ -129,6 +132,7 @@ class Estimator {
   Consistency consistency_;
   Eigen::VectorXd inflation_;
   Eigen::VectorXd sigma_eta_;              // of the last update, not inflated
+  Eigen::VectorXd force_information_, torque_information_;  // what has informed each parameter
   std::vector<std::string> unobservable_;
   double residual_force_power_ = 0.0, residual_torque_power_ = 0.0;  // running mean squares
   EstimatorCounters counters_;

@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <array>
 #include <deque>
+#include <optional>
 #include <vector>
 
 #include "odmc/factors/dynamics_factor.h"
@@ -48,20 +49,24 @@ class OdometryNoiseEstimator {
 };
 
 /// Size of what the model does not explain, as a density: the RMS over blocks of 0.1 s of the force and
-/// torque residual, times the root of the block length. One size per axis for the whole flight so far
-/// (up to a memory of a minute), so that every second of flight weighs the same in the fit: a size that
-/// followed the flight closely would let its calm parts decide. Never below a floor (model.md section
-/// 9's simulated values), and starts well above it until the flight has shown its residual.
+/// torque residual, times the root of the block length. The axes of each keep fixed proportions, and one
+/// scale for force and one for torque hold for the whole flight so far (up to a memory of a minute), so
+/// that every second of flight weighs the same in the fit: a size that followed the flight closely
+/// would let its calm parts decide. Both are at least 1 (model.md section 9's simulated vehicle), and
+/// start well above it until the flight has shown its residual.
 class ProcessNoiseEstimator {
  public:
   /// @param weight_N, arm_m, scale the floor and the start value to the vehicle
   ProcessNoiseEstimator(double weight_N, double arm_m, double floor_scale);
 
   /// Post-fit residual of one interval: mean force and torque over it.
-  /// @returns by how much the information of everything before should be scaled, so that it counts
-  ///   with the new sizes too (1 within a block)
-  double Add(double dt, const Eigen::Vector3d& force_N, const Eigen::Vector3d& torque_Nm,
-             bool with_torque);
+  /// @returns by how much the information of forces and of torques before should be scaled, so that
+  ///   they count with the new sizes too; empty within a block
+  struct Change {
+    double force = 1.0, torque = 1.0;
+  };
+  std::optional<Change> Add(double dt, const Eigen::Vector3d& force_N,
+                            const Eigen::Vector3d& torque_Nm, bool with_torque);
 
   /// Standard deviation of the mean force over `dt` per axis [N], and of the torque [N m].
   Eigen::Vector3d ForceSigma(double dt) const;
@@ -69,10 +74,16 @@ class ProcessNoiseEstimator {
 
  private:
   using Vector6d = Eigen::Matrix<double, 6, 1>;
-  Vector6d floor_, variance_;  // densities squared
+
+  /// Present scales on the floor.
+  double ForceScale() const;
+  double TorqueScale() const;
+
+  Vector6d floor_;  // densities [N sqrt(s)], [N m sqrt(s)]
+  double force_level_ = 100.0, torque_level_ = 100.0;  // mean squares in units of the floor
+  double seen_s_ = 1.0;  // flight time behind the levels; the start values count as a second
   Vector6d sum_ = Vector6d::Zero();
   double block_s_ = 0.0;
-  double seen_s_;  // flight time behind `variance_`
 };
 
 }  // namespace odmc

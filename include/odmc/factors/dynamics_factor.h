@@ -67,6 +67,9 @@ class DynamicsFactor final : public ceres::CostFunction {
 
   bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override;
 
+  /// Moves the thrust coefficient the torque equation uses; between solves only.
+  void SetAnchor(double thrust_coefficient) { measurement_.anchor_value = thrust_coefficient; }
+
   /// DynamicsResidual() at the blocks, in its own units. @returns false if it is not finite
   bool UnwhitenedResidual(double const* const* blocks,
                           Eigen::Matrix<double, kNumDynamicsRows, 1>* e) const;
@@ -79,6 +82,10 @@ class DynamicsFactor final : public ceres::CostFunction {
   int velocity_row() const { return measurement_.form == DynamicsForm::kEuler ? 3 : 0; }
 
  private:
+  template <int N>
+  bool EvaluateForm(double const* const* blocks, double* residual, double** jacobians) const;
+  Eigen::Vector3d ForceSigma() const;
+
   DynamicsMeasurement measurement_;
   DynamicsNoise noise_;
   bool with_torque_;

@@ -24,6 +24,12 @@ struct DynamicsMeasurement {
   /// tell it from the rest (see InertiaGate).
   std::array<bool, 3> inertia_fixed = {false, false, false};
   Eigen::Vector3d fixed_inertia = Eigen::Vector3d::Zero();  ///< [kg m²]
+  /// Index of the thrust coefficient in the model's values, or -1. Where set, the torque takes it at
+  /// `anchor_value` instead of the value given, so that only the force equation informs it. With
+  /// inertia, k_f and k_m free the torque equation is homogeneous and is satisfied best by vanishing
+  /// coefficients; what the torque does not explain must not bend k_f that way.
+  int anchor_index = -1;
+  double anchor_value = 0.0;
 };
 
 /// Motion of the body at one keyframe, from the state of S and the mount.            model.md 6.1

@@ -51,6 +51,8 @@ class Effect {
 
   /// True if the effect adds forces or couples (false if it only shapes the body).
   virtual bool adds_wrench() const { return true; }
+  /// True if the effect shapes the body.
+  virtual bool shapes_body() const { return !adds_wrench(); }
 
   /// Adds this effect's forces (with the point they act at) and couples, in B, to `wrench`. If `J`
   /// is given, adds to its state derivatives and sets `J->d_parameters` (9×num_values()).

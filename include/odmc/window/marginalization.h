@@ -25,6 +25,8 @@ struct LeavingFactors {
   Eigen::VectorXd score;
   /// Whitened residual of the leaving dynamics factor, before the loss (3, 6 or 9); empty without one.
   Eigen::VectorXd dynamics_residual;
+  /// Squared whitened derivatives of the leaving dynamics factor's force and torque rows (n each).
+  Eigen::VectorXd force_information, torque_information;
 };
 
 /// Takes the oldest keyframe (and its bias, if no other keyframe has it) out of the window and puts
@@ -34,5 +36,10 @@ struct LeavingFactors {
 /// @returns false if a factor could not be evaluated: the keyframe then leaves without a trace
 bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
                        LeavingFactors* leaving = nullptr);
+
+/// Scales what the prior says about each parameter, by `scale` on its information (n, > 0), where it
+/// says it: the prior's own optimum stays. Used when the noise of everything that left turns out to be
+/// larger or smaller than thought.
+void RescalePrior(const Eigen::VectorXd& scale, Prior* prior);
 
 }  // namespace odmc

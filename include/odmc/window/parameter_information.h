@@ -16,8 +16,8 @@ class ParameterInformation {
   /// @param fresh number of newest keyframes that are redone at every call
   explicit ParameterInformation(int fresh = 12) : fresh_(fresh) {}
 
-  /// Scales what is kept, when the window's prior is scaled by the root of `factor`.
-  void Scale(double factor);
+  /// Scales what is kept, as RescalePrior() does.
+  void Rescale(const Eigen::VectorXd& scale);
 
   /// @returns the n×n information with respect to eta at the window's present estimate, with the
   ///   parameters' own priors

@@ -1,0 +1,82 @@
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "odmc/analysis/prediction.h"
+#include "odmc/analysis/replay.h"
+
+namespace odmc {
+
+/// The recording in numbers.
+struct FlightFigures {
+  std::string file;
+  double duration_s = 0.0;
+  double on_ground_s = 0.0;
+  long keyframes = 0;  ///< airborne ones
+  long dropped = 0;    ///< samples refused: not finite, out of order
+};
+
+/// Time of one update [ms]; empty where no update counts.
+struct TimingFigures {
+  std::optional<double> median, p95, p99, max;
+  long updates = 0;
+};
+
+/// A calibrated flight, with everything its report shows.
+struct Calibration {
+  FlightFigures flight;
+  ParameterSet parameters;
+  ReplayResult replay;
+  Prediction prediction;
+  std::vector<std::optional<double>> convergence_s;  ///< per parameter
+  TimingFigures wall, cpu;
+  int states_in_window = 0;
+  int threads = 1;
+  double start_s = 0.0;  ///< of the replay's clock, after the first odometry sample
+  std::vector<std::string> warnings;
+};
+
+/// A flight predicted with fixed parameters.
+struct Evaluation {
+  FlightFigures flight;
+  Prediction prediction;
+  std::vector<std::string> warnings;
+};
+
+/// Runs the estimator over a flight, then predicts the flight with what it found.
+/// @param file_vehicle the vehicle file as it is (nominal inertia and mounts)
+/// @param progress called with the share done (0 to 1), may be empty
+/// @throws std::invalid_argument if the flight never leaves the ground or nothing is to be
+/// estimated
+Calibration Calibrate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
+                      const EstimatorOptions& options,
+                      const std::function<void(double)>& progress = {});
+
+/// Predicts a flight with `parameters` as they are; no fitting.
+Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
+                    const ParameterSet& parameters);
+
+/// From the first airborne sample until the parameter stays within the larger of 5 % of its final
+/// value and its final sigma [s]; empty where not observable.
+std::vector<std::optional<double>> Convergence(const std::vector<HistoryRow>& history,
+                                               const std::vector<bool>& observable);
+
+/// Updates with the window full, the first 2 s after take-off left out.
+/// @param clock member of UpdateTiming, wall_ms or cpu_ms
+TimingFigures SummariseTiming(const ReplayResult& replay, double UpdateTiming::*clock);
+
+/// Median number of states in the window of these updates.
+int StatesInWindow(const ReplayResult& replay);
+
+/// What a reader of the figures must know: coefficients of unphysical sign (beyond one sigma),
+/// inertia over nominal outside 0.5 to 2, rotor torque gain outside 0.85 to 1.15, torque worse than
+/// predicting zero.
+/// @param sigma num_parameters()×1, 0 where frozen
+std::vector<std::string> ModelWarnings(const DynamicModel& model, const ModelValues& values,
+                                       const Eigen::VectorXd& sigma,
+                                       const PredictionFigures& figures);
+
+}  // namespace odmc

@@ -1,0 +1,55 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "odmc/analysis/benchmark.h"
+#include "odmc/analysis/calibration.h"
+#include "odmc/analysis/recovery.h"
+
+namespace odmc {
+
+/// \file
+/// What the tools found, as report.json, CSV files and text tables. What can't be had is null or an
+/// empty cell, never NaN.
+
+// ---- report.json -------------------------------------------------------------------------------
+
+std::string CalibrationReport(const Calibration& calibration, const DynamicModel& model);
+std::string EvaluationReport(const Evaluation& evaluation, const DynamicModel& model);
+std::string RecoveryReport(const Recovery& recovery, const RecoveryOptions& options,
+                           const Vehicle& vehicle);
+std::string BenchmarkReport(const std::vector<BenchmarkRow>& rows, const FlightLog& log,
+                            const Vehicle& vehicle);
+
+// ---- Tables for a terminal ---------------------------------------------------------------------
+
+std::string CalibrationTable(const Calibration& calibration);
+std::string EvaluationTable(const Evaluation& evaluation);
+std::string RecoveryTable(const Recovery& recovery);
+std::string BenchmarkTable(const std::vector<BenchmarkRow>& rows);
+
+// ---- CSV files; all throw std::runtime_error if the file cannot be written ---------------------
+
+/// t_s, airborne, NAME and NAME_sigma of every parameter after each update; two rows per stand on
+/// the ground hold what was known.
+void WriteHistory(const Calibration& calibration, const FlightLog& log, const DynamicModel& model,
+                  const std::string& file);
+
+/// t_s, speed_m_s, measured_ and predicted_ force_x_N.., torque_x_Nm..,
+/// angular_acceleration_x_rad_s2.., EFFECT_force_x_N.., EFFECT_torque_x_Nm.. (about Bcm, axes of
+/// the model's body frame).
+/// @param with_torque false leaves torques and angular accelerations empty
+void WritePrediction(const Prediction& prediction, bool with_torque, const std::string& file);
+
+/// t_s, wall_ms, cpu_ms, states of every update.
+void WriteTiming(const Calibration& calibration, const std::string& file);
+
+/// The simulator's truth: t, on_ground, p, q, v (W), w, dw (B), speeds and commands of the rotors,
+/// force, torque, and the share of both that the model does not make.
+void WriteTruth(const SimulatedFlight& flight, const std::string& file);
+
+/// Writes a text to a file.
+void WriteText(const std::string& text, const std::string& file);
+
+}  // namespace odmc

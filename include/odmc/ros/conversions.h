@@ -1,0 +1,91 @@
+#pragma once
+
+#include <geometry_msgs/Pose.h>
+#include <geometry_msgs/PoseStamped.h>
+#include <geometry_msgs/TransformStamped.h>
+#include <geometry_msgs/WrenchStamped.h>
+#include <nav_msgs/Odometry.h>
+#include <ros/time.h>
+#include <sensor_msgs/BatteryState.h>
+#include <sensor_msgs/Imu.h>
+#include <sensor_msgs/JointState.h>
+
+#include <optional>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "odmc/DynamicParameters.h"
+#include "odmc/RotorSpeeds.h"
+#include "odmc/estimator/estimator.h"
+#include "odmc/sensing/samples.h"
+
+namespace odmc {
+
+/// \file
+/// Messages to the core's samples and back. What a message does not say (the frame of its twist, the
+/// mount of its sensor) is kept beside the sample until somebody knows.
+
+Stamp FromRos(const ros::Time& time);
+/// @throws std::invalid_argument if ROS cannot express the stamp
+ros::Time ToRos(Stamp stamp);
+
+/// An odometry or pose message. `sample.v_WS` stays empty: its frame is not known yet.
+struct OdometryInput {
+  OdometrySample sample;
+  std::optional<Eigen::Vector3d> linear;  ///< twist as received [m/s]
+  std::string frame_id, child_frame_id;
+  bool is_pose = false;  ///< came as geometry_msgs/PoseStamped
+};
+
+struct ImuInput {
+  ImuSample sample;
+  std::string frame_id;
+};
+
+struct RotorInput {
+  RotorSample sample;
+  bool rms_only = false;
+  bool from_joints = false;  ///< came as sensor_msgs/JointState
+};
+
+/// One message of any stream.
+using InputSample = std::variant<OdometryInput, ImuInput, RotorInput, BatterySample>;
+
+/// Each returns nothing for a message without a stamp, with numbers that are not finite or an
+/// attitude that is not unit. Covariances of -1 mark missing parts, as in flight_bag.h.
+std::optional<OdometryInput> ToInput(const nav_msgs::Odometry& message);
+std::optional<OdometryInput> ToInput(const geometry_msgs::PoseStamped& message);
+std::optional<ImuInput> ToInput(const sensor_msgs::Imu& message);
+std::optional<BatterySample> ToInput(const sensor_msgs::BatteryState& message);
+/// Nothing also where the message has not one speed per rotor. Speeds lose their sign.
+std::optional<RotorInput> ToInput(const RotorSpeeds& message, int num_rotors);
+/// @param scale takes the joints' velocity to rad/s, see RotorSpeedScale()
+std::optional<RotorInput> ToInput(const sensor_msgs::JointState& message, int num_rotors,
+                                  double scale);
+
+/// Factor that takes a speed in `unit` (rad_s, rpm, erpm) to rad/s.
+/// @throws std::invalid_argument for other units or pole pairs below 1
+double RotorSpeedScale(const std::string& unit, int pole_pairs);
+
+/// False if anything that is published of a snapshot is not a finite number.
+bool IsFinite(const Snapshot& snapshot);
+
+/// The estimate as a message; residuals, timing and battery included.
+DynamicParameters ToMessage(const DynamicModel& model, const Snapshot& snapshot,
+                            const std::string& body_frame);
+
+/// Pose and twist of the body (not of the sensor), twist in the body frame.
+nav_msgs::Odometry BodyOdometry(const Snapshot& snapshot, const std::string& world_frame,
+                                const std::string& body_frame);
+
+/// What the model does not explain in the newest interval, in the body frame.
+geometry_msgs::WrenchStamped ResidualWrench(const Snapshot& snapshot,
+                                            const std::string& body_frame);
+
+/// `parent` to `child` with the pose (p, R) of the child in the parent.
+geometry_msgs::TransformStamped ToTransform(Stamp stamp, const std::string& parent,
+                                            const std::string& child, const Eigen::Vector3d& p,
+                                            const Eigen::Matrix3d& R);
+
+}  // namespace odmc

@@ -1,0 +1,171 @@
+#pragma once
+
+#include <ros/node_handle.h>
+#include <ros/publisher.h>
+#include <ros/subscriber.h>
+#include <tf2_ros/buffer.h>
+#include <tf2_ros/transform_broadcaster.h>
+#include <tf2_ros/transform_listener.h>
+
+#include <array>
+#include <chrono>
+#include <condition_variable>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "odmc/estimator/estimator.h"
+#include "odmc/ros/acceptance.h"
+#include "odmc/ros/live_image.h"
+#include "odmc/ros/node_status.h"
+#include "odmc/ros/sample_intake.h"
+
+namespace odmc {
+
+/// Private parameters of estimator_node, besides those of EstimatorOptions.
+struct EstimatorNodeOptions {
+  std::string vehicle_file;     ///< vehicle YAML; empty: the URDF in robot_description
+  std::string config;           ///< YAML of EstimatorOptions; empty: defaults
+  std::string parameters_file;  ///< start values and priors from an earlier calibration
+  double rotor_radius_m = 0.0;  ///< for a URDF whose propellers have no simple shape [m]
+  std::string body_frame = "base_link";
+  std::string twist_frame = "auto";        ///< auto | body | world
+  std::string rotor_speed_unit = "rad_s";  ///< of joint_states: rad_s | rpm | erpm
+  int pole_pairs = 7;                      ///< for erpm
+  std::string on_time_reset = "restart";   ///< restart | stop, where the clock steps back
+  double publish_rate_hz = 20.0;           ///< of `parameters`, at most [Hz], > 0
+  bool live_image = false;                 ///< draw also while nobody listens
+  std::string output_dir;                  ///< parameters.yaml goes there at the end; empty: none
+  int queue_size = 20000;                  ///< samples waiting for the estimator, at most
+  AcceptanceOptions acceptance;
+
+  template <typename Visitor>
+  void Visit(Visitor* v) {
+    v->Field("vehicle_file", &vehicle_file);
+    v->Field("config", &config);
+    v->Field("parameters_file", &parameters_file);
+    v->Field("rotor_radius_m", &rotor_radius_m);
+    v->Field("body_frame", &body_frame);
+    v->Field("twist_frame", &twist_frame);
+    v->Field("rotor_speed_unit", &rotor_speed_unit);
+    v->Field("pole_pairs", &pole_pairs);
+    v->Field("on_time_reset", &on_time_reset);
+    v->Field("publish_rate_hz", &publish_rate_hz);
+    v->Field("live_image", &live_image);
+    v->Field("output_dir", &output_dir);
+    v->Field("queue_size", &queue_size);
+    acceptance.Visit(v);
+  }
+
+  bool IsValid(std::string* error) const;
+};
+
+/// Everything the node reads before it starts.
+struct EstimatorNodeSetup {
+  EstimatorNodeOptions options;
+  EstimatorOptions estimator;
+  Vehicle vehicle;
+  bool odometry_mount_known = false;  ///< the vehicle file says where the odometry's sensor sits
+};
+
+/// Reads private parameters, configuration and vehicle.
+/// @throws std::invalid_argument with a sentence for the user
+EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
+                                          const ros::NodeHandle& private_node);
+
+/// The estimator on ROS. Callbacks convert and push on a bounded queue, nothing else; one thread
+/// owns the estimator and publishes what it finds; another one reports once in a while. The
+/// destructor works off what is queued (for at most two seconds) and writes the result.
+class EstimatorNode {
+ public:
+  EstimatorNode(const ros::NodeHandle& node, EstimatorNodeSetup setup);
+  ~EstimatorNode();
+  EstimatorNode(const EstimatorNode&) = delete;
+  EstimatorNode& operator=(const EstimatorNode&) = delete;
+
+ private:
+  using Clock = std::chrono::steady_clock;
+
+  // ROS threads.
+  template <typename Message>
+  void Subscribe(const std::string& topic, InputStream stream);
+  template <typename Message>
+  std::optional<InputSample> Convert(const Message& message) const;
+  void Push(InputStream stream, std::optional<InputSample> input);
+
+  // Estimator thread.
+  void RunEstimator();
+  bool WaitForInput(std::deque<InputSample>* batch);
+  void Take(InputSample input);
+  void OnClockStepBack();
+  bool TryStart();
+  bool ResolveMounts();
+  std::optional<SensorMount> LookUpMount(const std::string& sensor_frame);
+  void Start();
+  void Feed(const Sample& sample);
+  void StepWhileThereIsMore();
+  void OnSnapshot(Snapshot snapshot);
+  void PublishEstimate(const Snapshot& snapshot);
+  void PublishParameters(const Snapshot& snapshot);
+  void PublishTransforms(const Snapshot& snapshot);
+  void ShareStatus();
+  void ShareSnapshot(const Snapshot& snapshot, NodeStatus* status) const;
+  std::string TwistText() const;
+  void Finish();
+  void Save() const;
+  void Warn(const std::string& sentence);
+
+  // Reporting thread.
+  void RunReporting();
+  NodeStatus Status();
+  void PublishDiagnostics(const std::array<StreamStatus, kNumInputStreams>& streams,
+                          const std::array<StreamStatus, kNumInputStreams>& before, size_t queued,
+                          double seconds);
+  void PublishLiveImage();
+
+  // Set once in the constructor. The estimator thread completes the mounts of setup_.vehicle; of
+  // the vehicle the others read only name and rotors.
+  EstimatorNodeSetup setup_;
+  double joint_scale_ = 1.0;
+  ros::NodeHandle node_;
+  ros::Publisher parameters_publisher_, accepted_publisher_, state_publisher_, wrench_publisher_,
+      diagnostics_publisher_, image_publisher_;
+  tf2_ros::Buffer tf_buffer_;
+  std::unique_ptr<tf2_ros::TransformListener> tf_listener_;
+  std::vector<ros::Subscriber> subscribers_;
+
+  // Guarded by queue_mutex_.
+  std::mutex queue_mutex_;
+  std::condition_variable queue_changed_, reporting_wakes_;
+  std::deque<InputSample> queue_;
+  std::array<StreamStatus, kNumInputStreams> streams_;
+  bool stopping_ = false;
+
+  // Owned by the estimator thread.
+  SampleIntake intake_;
+  std::unique_ptr<DynamicModel> model_;  // immutable; others get it by status_
+  std::unique_ptr<Estimator> estimator_;
+  Acceptance acceptance_;
+  tf2_ros::TransformBroadcaster tf_broadcaster_;
+  std::optional<Clock::time_point> waiting_for_tf_since_;
+  bool stopped_by_clock_ = false, ignores_imu_ = false;
+  std::optional<Snapshot> last_;
+  bool last_is_published_ = false;
+  Clock::time_point parameters_published_, accepted_published_, status_shared_;
+  std::deque<double> update_ms_;
+  long not_finite_ = 0;
+
+  // Guarded by status_mutex_.
+  std::mutex status_mutex_;
+  NodeStatus status_;
+  LiveHistory history_;
+
+  // Started last, joined first.
+  std::thread estimator_thread_, reporting_thread_;
+};
+
+}  // namespace odmc

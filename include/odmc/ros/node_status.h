@@ -1,0 +1,60 @@
+#pragma once
+
+#include <diagnostic_msgs/DiagnosticStatus.h>
+
+#include <array>
+#include <chrono>
+#include <string>
+#include <vector>
+
+#include "odmc/estimator/estimator.h"
+
+namespace odmc {
+
+/// Topics of estimator_node.
+enum class InputStream { kOdometry, kPose, kImu, kRotorSpeeds, kJointStates, kBatteryState };
+constexpr int kNumInputStreams = 6;
+const char* NameOf(InputStream stream);
+
+/// How one topic comes in.
+struct StreamStatus {
+  long received = 0;
+  long refused = 0;     ///< not finite, no stamp, wrong number of rotors
+  long overflowed = 0;  ///< lost because the queue was full
+};
+
+/// What the estimator thread tells the others.
+struct NodeStatus {
+  std::string fatal;        ///< a sentence if nothing is estimated any more; else empty
+  std::string waiting_for;  ///< a stream or a condition; empty if running
+  std::vector<std::string> warnings;    ///< of the set-up, they stay
+  std::vector<std::string> unphysical;  ///< of the newest estimate
+  std::string twist;                    ///< verdict on the frame of the twist
+  const DynamicModel* model = nullptr;  ///< immutable once here
+  bool airborne = false, accepted = false, has_estimate = false;
+  std::vector<std::string> not_accepted_because;
+  std::vector<std::string> unobservable;
+  std::vector<bool> observable;
+  EstimatorCounters counters;
+  SynchroniserCounters stream_counters;
+  OdometryNoise noise;
+  double update_ms_median = 0.0, update_ms_p99 = 0.0;
+  double residual_force_rms_N = 0.0, residual_torque_rms_Nm = 0.0, battery_voltage_V = 0.0;
+  double time_s = 0.0;
+  int states_in_window = 0;
+  long forgotten = 0, stale = 0, clock_resets = 0, not_finite = 0;
+  size_t queued = 0;
+};
+
+/// The estimator's diagnostic: level, one sentence, all numbers.
+diagnostic_msgs::DiagnosticStatus EstimatorDiagnostic(const NodeStatus& status,
+                                                      const std::string& name);
+
+/// The inputs' diagnostic: rate of each stream since the last report and what was lost.
+/// @param before the streams at the last report, `seconds` ago
+diagnostic_msgs::DiagnosticStatus InputDiagnostic(
+    const std::array<StreamStatus, kNumInputStreams>& streams,
+    const std::array<StreamStatus, kNumInputStreams>& before, double seconds,
+    const std::string& name);
+
+}  // namespace odmc

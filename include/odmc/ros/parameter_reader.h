@@ -1,0 +1,36 @@
+#pragma once
+
+#include <ros/node_handle.h>
+
+#include <string>
+#include <vector>
+
+namespace odmc {
+
+/// Visitor that fills the fields of an options struct from a node's private ROS parameters; keys
+/// that are not set keep their value. Numbers may come as text: rosparam reads YAML 1.1, where
+/// 1e-6 (without a point) is text, and roscpp would silently take the default.
+class ParameterReader {
+ public:
+  /// @param node private handle, ros::NodeHandle("~")
+  explicit ParameterReader(const ros::NodeHandle& node) : node_(node) {}
+
+  /// Each throws std::invalid_argument with a sentence that names the parameter.
+  void Field(const std::string& key, double* value);
+  void Field(const std::string& key, int* value);
+  void Field(const std::string& key, bool* value);
+  void Field(const std::string& key, std::string* value);
+
+  /// Refuses parameters in the node's own namespace that no Field() asked for, mostly typing
+  /// mistakes.
+  /// @throws std::invalid_argument
+  void CheckAllRead() const;
+
+ private:
+  [[noreturn]] void Fail(const std::string& key, const std::string& what) const;
+
+  ros::NodeHandle node_;
+  std::vector<std::string> known_;
+};
+
+}  // namespace odmc

@@ -1,0 +1,212 @@
+#include "odmc/analysis/calibration.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <stdexcept>
+
+#include "odmc/analysis/ground_spans.h"
+#include "odmc/math/statistics.h"
+
+namespace odmc {
+namespace {
+
+constexpr double kSettling_s = 2.0;       // left out of the timing
+constexpr double kConvergedShare = 0.05;  // of the final value
+constexpr double kInertiaLow = 0.5, kInertiaHigh = 2.0;
+constexpr double kGainLow = 0.85, kGainHigh = 1.15;
+
+std::string Text(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.3g", value);
+  return text;
+}
+
+double DurationOf(const FlightLog& log) {
+  return log.odometry.empty() ? 0.0
+                              : ToSeconds(log.odometry.back().stamp - log.odometry.front().stamp);
+}
+
+bool Counts(const std::pair<double, UpdateTiming>& update, const ReplayResult& replay) {
+  return update.second.window_full && update.first >= replay.first_airborne_s + kSettling_s;
+}
+
+/// "x 0.4, z 1.2" of the axes where `wrong` holds; empty if none.
+template <typename Wrong>
+std::string Axes(const PredictionFigures::Axes& figure, Wrong wrong) {
+  std::string text;
+  for (int i = 0; figure && i < 3; ++i) {
+    if (!wrong(i)) continue;
+    text += (text.empty() ? "" : ", ") + std::string(1, "xyz"[i]) + " " + Text((*figure)[i]);
+  }
+  return text;
+}
+
+void WarnOutside(const PredictionFigures::Axes& figure, double low, double high,
+                 const std::string& what, std::vector<std::string>* warnings) {
+  const std::string axes =
+      Axes(figure, [&](int i) { return (*figure)[i] < low || (*figure)[i] > high; });
+  if (axes.empty()) return;
+  warnings->push_back(what + " is outside " + Text(low) + " to " + Text(high) + ": " + axes);
+}
+
+void WarnCount(long count, const std::string& one, const std::string& many,
+               std::vector<std::string>* warnings) {
+  if (count > 0) warnings->push_back(std::to_string(count) + " " + (count == 1 ? one : many));
+}
+
+std::vector<std::string> FlightWarnings(const FlightLog& log, const ReplayResult& replay) {
+  std::vector<std::string> warnings = log.warnings;
+  const EstimatorCounters& c = replay.counters;
+  const SynchroniserCounters& s = replay.stream_counters;
+  WarnCount(s.not_finite, "sample was not finite and was dropped",
+            "samples were not finite and were dropped", &warnings);
+  WarnCount(s.out_of_order, "sample stepped back in time and was dropped",
+            "samples stepped back in time and were dropped", &warnings);
+  WarnCount(s.repeated_pose, "pose repeated the one before and was dropped",
+            "poses repeated the one before and were dropped", &warnings);
+  WarnCount(c.gaps, "gap in the streams started a new chain of states",
+            "gaps in the streams started new chains of states", &warnings);
+  WarnCount(c.jumps, "jump of the odometry was taken as a gap",
+            "jumps of the odometry were taken as gaps", &warnings);
+  WarnCount(c.refused_updates, "update was not usable and was refused",
+            "updates were not usable and were refused", &warnings);
+  return warnings;
+}
+
+void Append(const std::vector<std::string>& more, std::vector<std::string>* all) {
+  all->insert(all->end(), more.begin(), more.end());
+}
+
+}  // namespace
+
+Calibration Calibrate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
+                      const EstimatorOptions& options,
+                      const std::function<void(double)>& progress) {
+  const auto& parameters = model.parameters();
+  if (std::none_of(parameters.begin(), parameters.end(),
+                   [](const auto& p) { return p.estimated; })) {
+    throw std::invalid_argument("every parameter is frozen: there is nothing to estimate");
+  }
+  Estimator estimator(&model, options, !log.rotor_rms_only);
+  Calibration result;
+  result.replay = Replay(log, &estimator, progress);
+  const ReplayResult& replay = result.replay;
+  if (!replay.last) {
+    throw std::invalid_argument(
+        log.file + ": never airborne: thrust stays below " +
+        Text(options.ground.landed_thrust_ratio) +
+        " of the weight or the vehicle does not rise; check thrust.k_f, mass_kg and the unit of "
+        "the rotor speeds");
+  }
+  const Snapshot& last = *replay.last;
+  const SynchroniserCounters& streams = replay.stream_counters;
+  result.flight = {log.file, DurationOf(log), replay.counters.on_ground_s,
+                   replay.counters.keyframes,
+                   log.dropped + streams.not_finite + streams.out_of_order};
+  result.parameters = Estimator::ToParameterSet(model, last);
+  result.prediction = Predict(log, file_vehicle, model, last.values, replay.ground_spans);
+  result.convergence_s = Convergence(replay.history, last.observable);
+  result.wall = SummariseTiming(replay, &UpdateTiming::wall_ms);
+  result.cpu = SummariseTiming(replay, &UpdateTiming::cpu_ms);
+  result.states_in_window = StatesInWindow(replay);
+  result.threads = options.num_threads;
+  result.start_s = ToSeconds(last.stamp - log.odometry.front().stamp) - last.time_s;
+  result.warnings = FlightWarnings(log, replay);
+  Append(ModelWarnings(model, last.values, last.sigma, result.prediction.figures),
+         &result.warnings);
+  return result;
+}
+
+Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
+                    const ParameterSet& parameters) {
+  const ModelValues values = model.InitialValues();
+  Eigen::VectorXd sigma = Eigen::VectorXd::Zero(model.num_parameters());
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    const ParameterEstimate* p = parameters.Find(model.parameters()[i].full_name);
+    if (p != nullptr) sigma[i] = p->sigma;
+  }
+  const GroundSpans ground = FindGroundSpans(log, model, values);
+  Evaluation result;
+  result.flight = {log.file, DurationOf(log), ground.on_ground_s, ground.airborne_keyframes,
+                   log.dropped};
+  result.prediction = Predict(log, file_vehicle, model, values, ground.spans);
+  result.warnings = log.warnings;
+  if (result.prediction.samples.empty()) {
+    result.warnings.push_back(
+        "no sample could be predicted: the vehicle never flies, or no stretch of 0.1 s is whole");
+  }
+  Append(ModelWarnings(model, values, sigma, result.prediction.figures), &result.warnings);
+  return result;
+}
+
+std::vector<std::optional<double>> Convergence(const std::vector<HistoryRow>& history,
+                                               const std::vector<bool>& observable) {
+  std::vector<std::optional<double>> result(observable.size());
+  if (history.empty()) return result;
+  const HistoryRow& last = history.back();
+  for (size_t i = 0; i < observable.size(); ++i) {
+    if (!observable[i]) continue;
+    const auto k = static_cast<Eigen::Index>(i);
+    const double limit = std::max(kConvergedShare * std::abs(last.values[k]), last.sigma[k]);
+    double since_s = last.t_s;
+    for (auto row = history.rbegin(); row != history.rend(); ++row) {
+      if (!(std::abs(row->values[k] - last.values[k]) <= limit)) break;
+      since_s = row->t_s;
+    }
+    result[i] = since_s - history.front().t_s;
+  }
+  return result;
+}
+
+TimingFigures SummariseTiming(const ReplayResult& replay, double UpdateTiming::*clock) {
+  std::vector<double> times;
+  for (const auto& update : replay.timing) {
+    if (Counts(update, replay)) times.push_back(update.second.*clock);
+  }
+  TimingFigures figures;
+  figures.updates = static_cast<long>(times.size());
+  if (times.empty()) return figures;
+  figures.median = Median(times);
+  figures.p95 = Quantile(times, 0.95);
+  figures.p99 = Quantile(times, 0.99);
+  figures.max = *std::max_element(times.begin(), times.end());
+  return figures;
+}
+
+int StatesInWindow(const ReplayResult& replay) {
+  std::vector<double> states;
+  for (const auto& update : replay.timing) {
+    if (Counts(update, replay)) states.push_back(update.second.states);
+  }
+  return static_cast<int>(std::lround(Median(states)));
+}
+
+std::vector<std::string> ModelWarnings(const DynamicModel& model, const ModelValues& values,
+                                       const Eigen::VectorXd& sigma,
+                                       const PredictionFigures& figures) {
+  std::vector<std::string> warnings;
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    const ModelParameter& p = model.parameters()[i];
+    const double sign = p.spec.sign == PhysicalSign::kPositive   ? 1.0
+                        : p.spec.sign == PhysicalSign::kNegative ? -1.0
+                                                                 : 0.0;
+    if (sign * values[i] < -sigma[i]) {
+      warnings.push_back(p.full_name + " = " + Text(values[i]) + " " + p.spec.unit +
+                         " has an unphysical sign" + (sign < 0.0 ? " (it feeds energy in)" : ""));
+    }
+  }
+  WarnOutside(figures.inertia_over_nominal, kInertiaLow, kInertiaHigh, "inertia over nominal",
+              &warnings);
+  WarnOutside(figures.rotor_torque_gain, kGainLow, kGainHigh, "rotor torque gain", &warnings);
+  const auto& torque = figures.torque_rmse_Nm;
+  const auto& zero = figures.zero_torque_rmse_Nm;
+  const std::string axes = Axes(torque, [&](int i) { return zero && (*torque)[i] > (*zero)[i]; });
+  if (!axes.empty()) {
+    warnings.push_back("the model's torque is worse than predicting zero: RMSE in N m " + axes +
+                       " against " + Axes(zero, [&](int i) { return (*torque)[i] > (*zero)[i]; }));
+  }
+  return warnings;
+}
+
+}  // namespace odmc

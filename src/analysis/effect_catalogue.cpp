@@ -1,0 +1,75 @@
+#include "odmc/analysis/effect_catalogue.h"
+
+#include <algorithm>
+#include <cstdio>
+
+#include "odmc/model/dynamic_model.h"
+
+namespace odmc {
+namespace {
+
+std::string Text(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.3g", value);
+  return text;
+}
+
+std::string SignOf(PhysicalSign sign) {
+  if (sign == PhysicalSign::kAny) return "any";
+  return sign == PhysicalSign::kPositive ? "> 0" : "< 0";
+}
+
+std::string StateOf(const ModelParameter& parameter) {
+  return parameter.estimated ? "estimated" : "frozen";
+}
+
+/// A bar would end the cell.
+std::string Cell(std::string text) {
+  for (size_t at = text.find('|'); at != std::string::npos; at = text.find('|', at + 2)) {
+    text.replace(at, 1, "\\|");
+  }
+  return text;
+}
+
+DynamicModel WholeModel(const Vehicle& vehicle) {
+  return DynamicModel(vehicle, EffectRegistry::Default().names());
+}
+
+}  // namespace
+
+std::string CatalogueText(const Vehicle& vehicle) {
+  const DynamicModel model = WholeModel(vehicle);
+  std::string text;
+  for (int i = 0; i < model.num_effects(); ++i) {
+    const EffectDescription& d = model.effect(i).description();
+    text += (i > 0 ? "\n" : "") + d.name + ": " + d.title + "\n  " + d.formula +
+            "\n  source: " + d.source + "\n  limits: " + d.validity + "\n";
+    for (const ModelParameter& p : model.parameters()) {
+      if (p.effect != d.name) continue;
+      text += "    " + p.full_name + " [" + p.spec.unit + "]  " + p.spec.description + "; prior " +
+              Text(p.spec.prior_value) + " +- " + Text(p.spec.prior_sigma) + ", sign " +
+              SignOf(p.spec.sign) + ", " + StateOf(p) + "\n";
+    }
+  }
+  return text;
+}
+
+std::string CatalogueMarkdown(const Vehicle& vehicle) {
+  const DynamicModel model = WholeModel(vehicle);
+  std::string text = "| Effect | What | Formula | Source | Limits |\n|---|---|---|---|---|\n";
+  for (int i = 0; i < model.num_effects(); ++i) {
+    const EffectDescription& d = model.effect(i).description();
+    text += "| `" + d.name + "` | " + Cell(d.title) + " | `" + Cell(d.formula) + "` | " +
+            Cell(d.source) + " | " + Cell(d.validity) + " |\n";
+  }
+  text += "\n| Parameter | Unit | Meaning | Sign | Prior (" + Cell(vehicle.name) +
+          ") | By default |\n|---|---|---|---|---|---|\n";
+  for (const ModelParameter& p : model.parameters()) {
+    text += "| `" + p.full_name + "` | " + Cell(p.spec.unit) + " | " + Cell(p.spec.description) +
+            " | " + SignOf(p.spec.sign) + " | " + Text(p.spec.prior_value) + " ± " +
+            Text(p.spec.prior_sigma) + " | " + StateOf(p) + " |\n";
+  }
+  return text;
+}
+
+}  // namespace odmc

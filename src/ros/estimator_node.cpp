@@ -1,0 +1,598 @@
+#include "odmc/ros/estimator_node.h"
+
+#include <diagnostic_msgs/DiagnosticArray.h>
+#include <ros/console.h>
+#include <ros/init.h>
+#include <sensor_msgs/Image.h>
+#include <sensor_msgs/image_encodings.h>
+#include <yaml-cpp/yaml.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <ctime>
+#include <filesystem>
+#include <stdexcept>
+#include <utility>
+
+#include "odmc/io/options_yaml.h"
+#include "odmc/io/parameters_yaml.h"
+#include "odmc/io/vehicle_yaml.h"
+#include "odmc/math/statistics.h"
+#include "odmc/ros/conversions.h"
+#include "odmc/ros/parameter_reader.h"
+#include "odmc/ros/urdf_vehicle.h"
+
+namespace odmc {
+namespace {
+
+constexpr std::chrono::milliseconds kIdle(100);
+constexpr std::chrono::milliseconds kReportPeriod(500);  // image; diagnostics every other time
+constexpr std::chrono::milliseconds kStatusPeriod(100);
+constexpr std::chrono::seconds kAcceptedPeriod(1);
+constexpr std::chrono::seconds kTfPatience(2);
+constexpr std::chrono::seconds kFinishPatience(2);
+constexpr size_t kTimedUpdates = 1000;  // the percentiles look back this far
+constexpr char kCalibrated[] = "_calibrated";
+
+/// Date and time in ISO 8601, UTC.
+std::string Now() {
+  const std::time_t now = std::time(nullptr);
+  std::tm parts{};
+  gmtime_r(&now, &parts);
+  char text[32];
+  std::strftime(text, sizeof text, "%Y-%m-%dT%H:%M:%SZ", &parts);
+  return text;
+}
+
+double Percentile(const std::deque<double>& values, double share) {
+  if (values.empty()) return 0.0;
+  std::vector<double> sorted(values.begin(), values.end());
+  const auto index = static_cast<std::ptrdiff_t>(share * static_cast<double>(sorted.size() - 1));
+  std::nth_element(sorted.begin(), sorted.begin() + index, sorted.end());
+  return sorted[index];
+}
+
+bool FileHasKey(const std::string& file, const std::string& key) {
+  return YAML::LoadFile(file)[key].IsDefined();
+}
+
+/// An estimated mount's effect has a parameter that is not frozen.
+bool IsEstimated(const DynamicModel& model, const std::string& effect) {
+  return std::any_of(model.parameters().begin(), model.parameters().end(),
+                     [&](const ModelParameter& p) { return p.effect == effect && p.estimated; });
+}
+
+sensor_msgs::Image ToMessage(const cv::Mat& image) {
+  sensor_msgs::Image m;
+  m.header.stamp = ros::Time::now();
+  m.height = static_cast<std::uint32_t>(image.rows);
+  m.width = static_cast<std::uint32_t>(image.cols);
+  m.encoding = sensor_msgs::image_encodings::BGR8;
+  m.step = static_cast<std::uint32_t>(image.cols * image.elemSize());
+  m.data.assign(image.datastart, image.dataend);
+  return m;
+}
+
+Vehicle ReadVehicle(const EstimatorNodeOptions& options, const ros::NodeHandle& node) {
+  if (!options.vehicle_file.empty()) return LoadVehicle(options.vehicle_file);
+  std::string urdf, name;
+  if (!node.searchParam("robot_description", name) || !node.getParam(name, urdf)) {
+    throw std::invalid_argument(
+        "no vehicle: set the parameter vehicle_file to a vehicle YAML or give a URDF in "
+        "robot_description");
+  }
+  return VehicleFromUrdf(urdf, options.rotor_radius_m);
+}
+
+}  // namespace
+
+// ---- Set-up ------------------------------------------------------------------------------------
+
+bool EstimatorNodeOptions::IsValid(std::string* error) const {
+  const auto fail = [error](const std::string& what) {
+    if (error != nullptr) *error = what;
+    return false;
+  };
+  if (twist_frame != "auto" && twist_frame != "body" && twist_frame != "world") {
+    return fail("twist_frame must be auto, body or world, not '" + twist_frame + "'");
+  }
+  if (on_time_reset != "restart" && on_time_reset != "stop") {
+    return fail("on_time_reset must be restart or stop, not '" + on_time_reset + "'");
+  }
+  if (!(publish_rate_hz > 0.0)) return fail("publish_rate_hz must be positive");
+  if (queue_size < 100) return fail("queue_size must be at least 100");
+  if (rotor_radius_m < 0.0) return fail("rotor_radius_m must not be negative");
+  if (body_frame.empty()) return fail("body_frame must not be empty");
+  return acceptance.IsValid(error);
+}
+
+EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
+                                          const ros::NodeHandle& private_node) {
+  EstimatorNodeSetup setup;
+  ParameterReader reader(private_node);
+  setup.options.Visit(&reader);
+  if (!setup.options.config.empty()) LoadOptions(setup.options.config, &setup.estimator);
+  setup.estimator.Visit(&reader);
+  reader.CheckAllRead();
+  std::string error;
+  if (!setup.options.IsValid(&error) || !setup.estimator.IsValid(&error)) {
+    throw std::invalid_argument(private_node.getNamespace() + ": " + error);
+  }
+  RotorSpeedScale(setup.options.rotor_speed_unit, setup.options.pole_pairs);  // refuses nonsense
+  setup.vehicle = ReadVehicle(setup.options, public_node);
+  setup.odometry_mount_known = !setup.options.vehicle_file.empty() &&
+                               FileHasKey(setup.options.vehicle_file, "odometry");
+  if (!setup.options.parameters_file.empty()) {
+    ApplyParameters(LoadParameters(setup.options.parameters_file), &setup.vehicle);
+  }
+  if (!setup.options.output_dir.empty()) {
+    std::error_code failed;
+    std::filesystem::create_directories(setup.options.output_dir, failed);
+    if (failed) {
+      throw std::invalid_argument("output_dir " + setup.options.output_dir +
+                                  " cannot be made: " + failed.message());
+    }
+  }
+  return setup;
+}
+
+EstimatorNode::EstimatorNode(const ros::NodeHandle& node, EstimatorNodeSetup setup)
+    : setup_(std::move(setup)),
+      joint_scale_(RotorSpeedScale(setup_.options.rotor_speed_unit, setup_.options.pole_pairs)),
+      node_(node),
+      intake_(setup_.options.twist_frame),
+      acceptance_(setup_.options.acceptance) {
+  parameters_publisher_ = node_.advertise<DynamicParameters>("parameters", 10);
+  accepted_publisher_ = node_.advertise<DynamicParameters>("parameters_accepted", 1, true);
+  state_publisher_ = node_.advertise<nav_msgs::Odometry>("state", 10);
+  wrench_publisher_ = node_.advertise<geometry_msgs::WrenchStamped>("residual_wrench", 10);
+  diagnostics_publisher_ = node_.advertise<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10);
+  image_publisher_ = node_.advertise<sensor_msgs::Image>("live_image", 1);
+  tf_listener_ = std::make_unique<tf2_ros::TransformListener>(tf_buffer_);
+  status_.waiting_for = intake_.WaitingFor();
+  estimator_thread_ = std::thread(&EstimatorNode::RunEstimator, this);
+  reporting_thread_ = std::thread(&EstimatorNode::RunReporting, this);
+  Subscribe<nav_msgs::Odometry>("odometry", InputStream::kOdometry);
+  Subscribe<geometry_msgs::PoseStamped>("pose", InputStream::kPose);
+  Subscribe<sensor_msgs::Imu>("imu", InputStream::kImu);
+  Subscribe<RotorSpeeds>("rotor_speeds", InputStream::kRotorSpeeds);
+  Subscribe<sensor_msgs::JointState>("joint_states", InputStream::kJointStates);
+  Subscribe<sensor_msgs::BatteryState>("battery_state", InputStream::kBatteryState);
+}
+
+EstimatorNode::~EstimatorNode() {
+  for (ros::Subscriber& subscriber : subscribers_) subscriber.shutdown();
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    stopping_ = true;
+  }
+  queue_changed_.notify_all();
+  reporting_wakes_.notify_all();
+  estimator_thread_.join();
+  reporting_thread_.join();
+}
+
+// ---- ROS threads -------------------------------------------------------------------------------
+
+template <typename Message>
+std::optional<InputSample> EstimatorNode::Convert(const Message& message) const {
+  const auto wrap = [](auto input) -> std::optional<InputSample> {
+    if (!input) return std::nullopt;
+    return InputSample(*std::move(input));
+  };
+  if constexpr (std::is_same_v<Message, RotorSpeeds>) {
+    return wrap(ToInput(message, setup_.vehicle.num_rotors()));
+  } else if constexpr (std::is_same_v<Message, sensor_msgs::JointState>) {
+    return wrap(ToInput(message, setup_.vehicle.num_rotors(), joint_scale_));
+  } else {
+    return wrap(ToInput(message));
+  }
+}
+
+template <typename Message>
+void EstimatorNode::Subscribe(const std::string& topic, InputStream stream) {
+  const boost::function<void(const typename Message::ConstPtr&)> callback =
+      [this, stream](const typename Message::ConstPtr& message) {
+        Push(stream, Convert(*message));
+      };
+  subscribers_.push_back(node_.subscribe<Message>(topic, 2000, callback, ros::VoidConstPtr(),
+                                                  ros::TransportHints().tcpNoDelay()));
+}
+
+void EstimatorNode::Push(InputStream stream, std::optional<InputSample> input) {
+  const std::lock_guard<std::mutex> lock(queue_mutex_);
+  StreamStatus& status = streams_[static_cast<size_t>(stream)];
+  ++status.received;
+  if (!input) {
+    ++status.refused;
+  } else if (queue_.size() >= static_cast<size_t>(setup_.options.queue_size)) {
+    ++status.overflowed;
+  } else {
+    queue_.push_back(*std::move(input));
+    queue_changed_.notify_one();
+  }
+}
+
+// ---- Estimator thread --------------------------------------------------------------------------
+
+void EstimatorNode::RunEstimator() {
+  try {
+    std::deque<InputSample> batch;
+    while (WaitForInput(&batch)) {
+      while (!batch.empty()) {
+        Take(std::move(batch.front()));
+        batch.pop_front();
+      }
+      // What the throttle held back is still news once nothing more comes.
+      if (last_) PublishParameters(*last_);
+      ShareStatus();
+    }
+    Finish();
+  } catch (const std::exception& e) {
+    ROS_FATAL("the estimator stopped: %s", e.what());
+    const std::lock_guard<std::mutex> lock(status_mutex_);
+    status_.fatal = std::string("the estimator stopped: ") + e.what();
+  }
+}
+
+bool EstimatorNode::WaitForInput(std::deque<InputSample>* batch) {
+  std::unique_lock<std::mutex> lock(queue_mutex_);
+  queue_changed_.wait_for(lock, kIdle, [this] { return stopping_ || !queue_.empty(); });
+  if (stopping_) return false;
+  // A few at a time: a long batch would hide the queue's length and delay the end.
+  const size_t count = std::min<size_t>(queue_.size(), 100);
+  std::move(queue_.begin(), queue_.begin() + static_cast<std::ptrdiff_t>(count),
+            std::back_inserter(*batch));
+  queue_.erase(queue_.begin(), queue_.begin() + static_cast<std::ptrdiff_t>(count));
+  return true;
+}
+
+void EstimatorNode::Take(InputSample input) {
+  if (stopped_by_clock_) return;
+  if (!intake_.Push(std::move(input))) OnClockStepBack();
+  if (stopped_by_clock_) return;
+  if (intake_.phase() == IntakePhase::kHolding && !(intake_.decided() && TryStart())) return;
+  for (const Sample& sample : intake_.Take()) Feed(sample);
+}
+
+void EstimatorNode::OnClockStepBack() {
+  const bool stop = setup_.options.on_time_reset == "stop";
+  ROS_WARN("the clock stepped back: %s", stop ? "the estimate stops here (on_time_reset: stop)"
+                                              : "starting a new chain, parameters are kept");
+  if (stop) {
+    stopped_by_clock_ = true;
+    const std::lock_guard<std::mutex> lock(status_mutex_);
+    status_.fatal = "the clock stepped back and on_time_reset is stop";
+  } else if (estimator_) {
+    estimator_->RestartChain();
+    acceptance_.Reset();
+    const std::lock_guard<std::mutex> lock(status_mutex_);
+    history_.Clear();  // its time axis would run backwards
+  }
+}
+
+bool EstimatorNode::TryStart() {
+  if (!ResolveMounts()) return false;
+  Start();
+  return true;
+}
+
+bool EstimatorNode::ResolveMounts() {
+  const Clock::time_point now = Clock::now();
+  if (!waiting_for_tf_since_) waiting_for_tf_since_ = now;
+  const bool patient = now - *waiting_for_tf_since_ < kTfPatience;
+  Vehicle& vehicle = setup_.vehicle;
+  const std::string& odometry_frame = intake_.sensor_frame_id();
+  std::optional<SensorMount> odometry, imu;
+  const bool needs_odometry = !setup_.odometry_mount_known && !odometry_frame.empty();
+  const bool needs_imu = !vehicle.imu && intake_.imu_frame_id();
+  if (needs_odometry) odometry = LookUpMount(odometry_frame);
+  if (needs_imu) imu = LookUpMount(*intake_.imu_frame_id());
+  if (patient && ((needs_odometry && !odometry) || (needs_imu && !imu))) return false;
+  if (odometry) {
+    odometry->estimate = vehicle.odometry.estimate;
+    vehicle.odometry = *odometry;
+  } else if (needs_odometry) {
+    Warn("tf has no transform from " + setup_.options.body_frame + " to " + odometry_frame +
+         " and the vehicle file says nothing: took the odometry's pose for the body's");
+  }
+  if (imu) {
+    vehicle.imu = imu;
+  } else if (needs_imu) {
+    Warn("tf has no transform from " + setup_.options.body_frame + " to " +
+         *intake_.imu_frame_id() + " and the vehicle file says nothing: took the IMU to be along "
+         "the body at its origin");
+  }
+  ignores_imu_ = !vehicle.imu && !intake_.imu_frame_id();
+  return true;
+}
+
+std::optional<SensorMount> EstimatorNode::LookUpMount(const std::string& sensor_frame) {
+  SensorMount mount;
+  if (sensor_frame == setup_.options.body_frame || sensor_frame.empty()) return mount;
+  try {
+    const geometry_msgs::TransformStamped m =
+        tf_buffer_.lookupTransform(setup_.options.body_frame, sensor_frame, ros::Time(0));
+    const auto& p = m.transform.translation;
+    const auto& q = m.transform.rotation;
+    mount.p_BS = Eigen::Vector3d(p.x, p.y, p.z);
+    mount.q_BS = Eigen::Quaterniond(q.w, q.x, q.y, q.z).normalized();
+    return mount;
+  } catch (const tf2::TransformException&) {
+    return std::nullopt;
+  }
+}
+
+void EstimatorNode::Start() {
+  model_ = std::make_unique<DynamicModel>(setup_.vehicle, setup_.vehicle.effects);
+  estimator_ =
+      std::make_unique<Estimator>(model_.get(), setup_.estimator, !intake_.rms_only());
+  if (intake_.rms_only()) {
+    Warn("rotor speeds are root mean squares: force is estimated, torque is not");
+  }
+  if (!intake_.uses_pose() && !intake_.has_velocity()) Warn("the odometry has no linear twist");
+  if (!intake_.uses_pose() && !intake_.has_rates()) Warn("the odometry has no angular twist");
+  intake_.Release();
+  ROS_INFO("estimating %s from %s%s", setup_.vehicle.name.c_str(),
+           intake_.uses_pose() ? "poses" : "odometry",
+           intake_.frame() == TwistFrame::kWorld ? ", twist in the world frame" : "");
+}
+
+void EstimatorNode::Feed(const Sample& sample) {
+  if (const auto* imu = std::get_if<ImuSample>(&sample)) {
+    if (ignores_imu_) return;  // it came after the model was made: its mount is not known
+    estimator_->Add(*imu);
+  } else {
+    std::visit([this](const auto& s) { estimator_->Add(s); }, sample);
+  }
+  StepWhileThereIsMore();
+}
+
+void EstimatorNode::StepWhileThereIsMore() {
+  while (true) {
+    std::optional<Snapshot> snapshot = estimator_->Step();
+    if (!estimator_->made_progress()) return;
+    if (snapshot) {
+      OnSnapshot(*std::move(snapshot));
+    } else if (last_) {
+      last_->airborne = false;  // what was learned in the air still stands
+      PublishParameters(*last_);
+    }
+    ShareStatus();
+  }
+}
+
+void EstimatorNode::OnSnapshot(Snapshot snapshot) {
+  if (!IsFinite(snapshot)) {
+    ++not_finite_;
+    ROS_ERROR_THROTTLE(1.0, "the estimate is not finite and is not published");
+    return;
+  }
+  update_ms_.push_back(snapshot.timing.wall_ms);
+  if (update_ms_.size() > kTimedUpdates) update_ms_.pop_front();
+  acceptance_.Update(*model_, snapshot);
+  {
+    const std::lock_guard<std::mutex> lock(status_mutex_);
+    history_.Add(snapshot);
+  }
+  last_ = std::move(snapshot);
+  last_is_published_ = false;
+  if (ros::ok()) PublishEstimate(*last_);
+}
+
+void EstimatorNode::PublishEstimate(const Snapshot& snapshot) {
+  const std::string& body_frame = setup_.options.body_frame;
+  state_publisher_.publish(BodyOdometry(snapshot, intake_.frame_id(), body_frame));
+  wrench_publisher_.publish(ResidualWrench(snapshot, body_frame));
+  PublishParameters(snapshot);
+}
+
+void EstimatorNode::PublishParameters(const Snapshot& snapshot) {
+  const Clock::time_point time = Clock::now();
+  const std::chrono::duration<double> period(1.0 / setup_.options.publish_rate_hz);
+  const bool is_news = !last_is_published_ || !snapshot.airborne;
+  if (!ros::ok() || !is_news || time - parameters_published_ < period) return;
+  parameters_published_ = time;
+  last_is_published_ = true;
+  DynamicParameters message = odmc::ToMessage(*model_, snapshot, setup_.options.body_frame);
+  message.accepted = acceptance_.accepted();
+  parameters_publisher_.publish(message);
+  PublishTransforms(snapshot);
+  if (message.accepted && snapshot.airborne && time - accepted_published_ >= kAcceptedPeriod) {
+    accepted_published_ = time;
+    accepted_publisher_.publish(message);
+  }
+}
+
+void EstimatorNode::PublishTransforms(const Snapshot& snapshot) {
+  const std::string& body_frame = setup_.options.body_frame;
+  std::vector<geometry_msgs::TransformStamped> transforms;
+  if (IsEstimated(*model_, "odometry_extrinsics")) {
+    const std::string& frame = intake_.sensor_frame_id();
+    transforms.push_back(ToTransform(snapshot.stamp, body_frame,
+                                     (frame.empty() ? "odometry" : frame) + kCalibrated,
+                                     snapshot.body.p_BS, snapshot.body.R_BS));
+  }
+  if (IsEstimated(*model_, "imu_extrinsics")) {
+    const std::string frame = intake_.imu_frame_id().value_or("");
+    transforms.push_back(ToTransform(snapshot.stamp, body_frame,
+                                     (frame.empty() ? "imu" : frame) + kCalibrated,
+                                     snapshot.body.p_BI, snapshot.body.R_BI));
+  }
+  if (!transforms.empty()) tf_broadcaster_.sendTransform(transforms);
+}
+
+void EstimatorNode::Warn(const std::string& sentence) {
+  ROS_WARN("%s", sentence.c_str());
+  const std::lock_guard<std::mutex> lock(status_mutex_);
+  status_.warnings.push_back(sentence);
+}
+
+void EstimatorNode::ShareStatus() {
+  const Clock::time_point now = Clock::now();
+  if (now - status_shared_ < kStatusPeriod) return;
+  status_shared_ = now;
+  const std::lock_guard<std::mutex> lock(status_mutex_);
+  NodeStatus& s = status_;
+  s.clock_resets = intake_.resets();
+  s.stale = intake_.stale();
+  s.forgotten = intake_.forgotten();
+  s.not_finite = not_finite_;
+  s.waiting_for = intake_.WaitingFor();
+  if (intake_.phase() == IntakePhase::kRefused) {
+    s.fatal = "the twist of the odometry fits neither frame: " + intake_.twist().Describe() +
+              "; state twist_frame if the position is at fault";
+    ROS_ERROR_ONCE("%s", s.fatal.c_str());
+  }
+  if (intake_.twist().moving_s > 0.0) s.twist = TwistText();
+  if (!estimator_) return;
+  s.model = model_.get();
+  s.waiting_for = estimator_->waiting_for();
+  s.airborne = estimator_->airborne();
+  s.counters = estimator_->counters();
+  s.stream_counters = estimator_->stream_counters();
+  s.noise = estimator_->odometry_noise();
+  s.accepted = acceptance_.accepted();
+  s.not_accepted_because = acceptance_.reasons();
+  s.has_estimate = last_.has_value();
+  if (last_) ShareSnapshot(*last_, &s);
+}
+
+void EstimatorNode::ShareSnapshot(const Snapshot& snapshot, NodeStatus* s) const {
+  s->unphysical = UnphysicalValues(*model_, snapshot);
+  s->unobservable = snapshot.unobservable;
+  s->observable = snapshot.observable;
+  s->time_s = snapshot.time_s;
+  s->states_in_window = snapshot.timing.states;
+  s->residual_force_rms_N = snapshot.residual_force_rms_N;
+  s->residual_torque_rms_Nm = snapshot.residual_torque_rms_Nm;
+  s->battery_voltage_V = snapshot.battery_voltage_V;
+  s->update_ms_median = Percentile(update_ms_, 0.5);
+  s->update_ms_p99 = Percentile(update_ms_, 0.99);
+}
+
+std::string EstimatorNode::TwistText() const {
+  const std::string verdict = intake_.frame() == TwistFrame::kWorld    ? "world: "
+                              : intake_.frame() == TwistFrame::kBody   ? "body: "
+                              : intake_.frame() == TwistFrame::kNeither ? "neither: "
+                                                                         : "undecided: ";
+  return verdict + intake_.twist().Describe();
+}
+
+void EstimatorNode::Finish() {
+  const Clock::time_point give_up = Clock::now() + kFinishPatience;
+  std::deque<InputSample> rest;
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    rest.swap(queue_);
+  }
+  while (!rest.empty() && Clock::now() < give_up) {
+    Take(std::move(rest.front()));
+    rest.pop_front();
+  }
+  if (estimator_ && rest.empty() && !stopped_by_clock_) {
+    estimator_->Finish();
+    StepWhileThereIsMore();
+  }
+  Save();
+}
+
+void EstimatorNode::Save() const {
+  if (setup_.options.output_dir.empty()) return;
+  if (!last_) {
+    ROS_WARN("nothing was estimated, no parameters.yaml is written");
+    return;
+  }
+  ParameterSet set = Estimator::ToParameterSet(*model_, *last_);
+  set.provenance["tool"] = "estimator_node";
+  set.provenance["version"] = ODMC_VERSION;
+  set.provenance["date"] = Now();
+  set.provenance["vehicle"] = setup_.vehicle.name;
+  set.provenance["vehicle_file"] = setup_.options.vehicle_file.empty()
+                                       ? "robot_description"
+                                       : setup_.options.vehicle_file;
+  set.provenance["airborne_s"] = std::to_string(estimator_->counters().airborne_s);
+  set.provenance["keyframes"] = std::to_string(estimator_->counters().keyframes);
+  set.provenance["newest_stamp_ns"] = std::to_string(last_->stamp);
+  set.provenance["accepted"] = acceptance_.accepted() ? "true" : "false";
+  const std::string file =
+      (std::filesystem::path(setup_.options.output_dir) / "parameters.yaml").string();
+  SaveParameters(set, file);
+  ROS_INFO("wrote %s", file.c_str());
+}
+
+// ---- Reporting thread --------------------------------------------------------------------------
+
+void EstimatorNode::RunReporting() {
+  Clock::time_point last_report = Clock::now();
+  std::array<StreamStatus, kNumInputStreams> before = {};
+  for (bool odd = false;; odd = !odd) {
+    std::array<StreamStatus, kNumInputStreams> streams;
+    size_t queued = 0;
+    {
+      std::unique_lock<std::mutex> lock(queue_mutex_);
+      const auto due = Clock::now() + kReportPeriod;
+      if (reporting_wakes_.wait_until(lock, due, [this] { return stopping_; })) return;
+      streams = streams_;
+      queued = queue_.size();
+    }
+    PublishLiveImage();
+    if (!odd) continue;
+    const Clock::time_point now = Clock::now();
+    PublishDiagnostics(streams, before, queued,
+                       std::chrono::duration<double>(now - last_report).count());
+    before = streams;
+    last_report = now;
+  }
+}
+
+NodeStatus EstimatorNode::Status() {
+  const std::lock_guard<std::mutex> lock(status_mutex_);
+  return status_;
+}
+
+void EstimatorNode::PublishDiagnostics(const std::array<StreamStatus, kNumInputStreams>& streams,
+                                       const std::array<StreamStatus, kNumInputStreams>& before,
+                                       size_t queued, double seconds) {
+  if (!ros::ok()) return;
+  NodeStatus status = Status();
+  status.queued = queued;
+  diagnostic_msgs::DiagnosticArray message;
+  message.header.stamp = ros::Time::now();
+  const std::string name = ros::this_node::getName();
+  message.status.push_back(EstimatorDiagnostic(status, name + ": estimator"));
+  message.status.push_back(InputDiagnostic(streams, before, seconds, name + ": inputs"));
+  diagnostics_publisher_.publish(message);
+}
+
+void EstimatorNode::PublishLiveImage() {
+  if (!ros::ok()) return;
+  if (!setup_.options.live_image && image_publisher_.getNumSubscribers() == 0) return;
+  const NodeStatus status = Status();
+  if (status.model == nullptr) return;
+  LiveHistory history;
+  {
+    const std::lock_guard<std::mutex> lock(status_mutex_);
+    history = history_;
+  }
+  LiveImageTexts texts;
+  texts.title = setup_.vehicle.name;
+  texts.good = status.accepted;
+  texts.status = !status.fatal.empty() ? "stopped"
+                 : !status.airborne    ? "on the ground"
+                 : status.accepted     ? "airborne, accepted"
+                                       : "airborne";
+  char details[160];
+  std::snprintf(details, sizeof details,
+                "%.1f s   residual %.3g N, %.2g N m   update %.1f ms (p99 %.1f)", status.time_s,
+                status.residual_force_rms_N, status.residual_torque_rms_Nm,
+                status.update_ms_median, status.update_ms_p99);
+  texts.details = details;
+  texts.warnings = status.unphysical;
+  texts.warnings.insert(texts.warnings.end(), status.warnings.begin(), status.warnings.end());
+  image_publisher_.publish(
+      ToMessage(DrawLiveImage(*status.model, history, status.observable, texts)));
+}
+
+}  // namespace odmc

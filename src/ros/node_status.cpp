@@ -1,0 +1,142 @@
+#include "odmc/ros/node_status.h"
+
+#include <diagnostic_msgs/KeyValue.h>
+
+#include <cstdio>
+
+namespace odmc {
+namespace {
+
+using diagnostic_msgs::DiagnosticStatus;
+
+void Put(const std::string& key, const std::string& value, DiagnosticStatus* status) {
+  diagnostic_msgs::KeyValue pair;
+  pair.key = key;
+  pair.value = value;
+  status->values.push_back(pair);
+}
+
+void Put(const std::string& key, double value, DiagnosticStatus* status) {
+  char text[40];
+  std::snprintf(text, sizeof text, "%.4g", value);
+  Put(key, std::string(text), status);
+}
+
+void Put(const std::string& key, long value, DiagnosticStatus* status) {
+  Put(key, std::to_string(value), status);
+}
+
+void Put(const std::string& key, bool value, DiagnosticStatus* status) {
+  Put(key, std::string(value ? "true" : "false"), status);
+}
+
+std::string Join(const std::vector<std::string>& sentences) {
+  std::string text;
+  for (const std::string& sentence : sentences) text += (text.empty() ? "" : "; ") + sentence;
+  return text;
+}
+
+void SetLevel(const NodeStatus& s, DiagnosticStatus* status) {
+  const auto set = [status](std::uint8_t level, const std::string& message) {
+    status->level = level;
+    status->message = message;
+  };
+  if (!s.fatal.empty()) return set(DiagnosticStatus::ERROR, s.fatal);
+  if (s.not_finite > 0) {
+    return set(DiagnosticStatus::ERROR, "the estimate was not finite and was not published");
+  }
+  if (!s.unphysical.empty()) return set(DiagnosticStatus::WARN, Join(s.unphysical));
+  if (!s.warnings.empty()) return set(DiagnosticStatus::WARN, Join(s.warnings));
+  if (!s.waiting_for.empty() && !s.airborne) {
+    return set(DiagnosticStatus::OK, "waiting for " + s.waiting_for);
+  }
+  if (!s.airborne) return set(DiagnosticStatus::OK, "on the ground");
+  set(DiagnosticStatus::OK, s.accepted ? "estimating, accepted" : "estimating");
+}
+
+void PutCounters(const NodeStatus& s, DiagnosticStatus* status) {
+  Put("keyframes", s.counters.keyframes, status);
+  Put("ground_keyframes", s.counters.ground_keyframes, status);
+  Put("airborne_s", s.counters.airborne_s, status);
+  Put("on_ground_s", s.counters.on_ground_s, status);
+  Put("gaps", s.counters.gaps, status);
+  Put("jumps", s.counters.jumps, status);
+  Put("chains", s.counters.chains, status);
+  Put("refused_updates", s.counters.refused_updates, status);
+  Put("dropped_not_finite", s.stream_counters.not_finite, status);
+  Put("dropped_out_of_order", s.stream_counters.out_of_order, status);
+  Put("dropped_repeated_pose", s.stream_counters.repeated_pose, status);
+  Put("uncovered_keyframes", s.stream_counters.uncovered, status);
+  Put("clock_resets", s.clock_resets, status);
+  Put("dropped_of_old_clock", s.stale, status);
+  Put("forgotten_while_standing", s.forgotten, status);
+  Put("not_finite_estimates", s.not_finite, status);
+  Put("queued", static_cast<long>(s.queued), status);
+}
+
+}  // namespace
+
+const char* NameOf(InputStream stream) {
+  constexpr std::array<const char*, kNumInputStreams> kNames = {
+      "odometry", "pose", "imu", "rotor_speeds", "joint_states", "battery_state"};
+  return kNames[static_cast<size_t>(stream)];
+}
+
+DiagnosticStatus EstimatorDiagnostic(const NodeStatus& s, const std::string& name) {
+  DiagnosticStatus status;
+  status.name = name;
+  status.hardware_id = s.model != nullptr ? s.model->vehicle().name : "";
+  SetLevel(s, &status);
+  Put("waiting_for", s.waiting_for, &status);
+  Put("airborne", s.airborne, &status);
+  Put("on_ground", s.has_estimate && !s.airborne, &status);
+  Put("accepted", s.accepted, &status);
+  Put("not_accepted_because", Join(s.not_accepted_because), &status);
+  Put("unobservable", Join(s.unobservable), &status);
+  Put("warnings", Join(s.warnings), &status);
+  Put("unphysical", Join(s.unphysical), &status);
+  Put("twist_frame", s.twist, &status);
+  PutCounters(s, &status);
+  Put("states_in_window", static_cast<long>(s.states_in_window), &status);
+  Put("update_ms_median", s.update_ms_median, &status);
+  Put("update_ms_p99", s.update_ms_p99, &status);
+  Put("position_noise_m", s.noise.position_m, &status);
+  Put("attitude_noise_rad", s.noise.attitude_rad, &status);
+  Put("velocity_noise_m_s", s.noise.velocity_m_s, &status);
+  Put("rate_noise_rad_s", s.noise.rate_rad_s, &status);
+  Put("residual_force_N", s.residual_force_rms_N, &status);
+  Put("residual_torque_Nm", s.residual_torque_rms_Nm, &status);
+  Put("battery_voltage_V", s.battery_voltage_V, &status);
+  return status;
+}
+
+DiagnosticStatus InputDiagnostic(const std::array<StreamStatus, kNumInputStreams>& streams,
+                                 const std::array<StreamStatus, kNumInputStreams>& before,
+                                 double seconds, const std::string& name) {
+  DiagnosticStatus status;
+  status.name = name;
+  status.level = DiagnosticStatus::OK;
+  status.message = "receiving";
+  long received = 0;
+  for (int i = 0; i < kNumInputStreams; ++i) {
+    const StreamStatus& s = streams[i];
+    const std::string stream = NameOf(static_cast<InputStream>(i));
+    received += s.received;
+    Put(stream + "_rate_hz", static_cast<double>(s.received - before[i].received) / seconds,
+        &status);
+    Put(stream + "_received", s.received, &status);
+    Put(stream + "_refused", s.refused, &status);
+    Put(stream + "_overflowed", s.overflowed, &status);
+    if (s.overflowed > before[i].overflowed) {
+      status.level = DiagnosticStatus::WARN;
+      status.message = stream + ": samples lost, the estimator does not keep up";
+    } else if (s.refused > before[i].refused) {
+      status.level = DiagnosticStatus::WARN;
+      status.message = stream + ": samples refused (no stamp, not finite, wrong number of rotors)";
+    }
+  }
+  if (received == 0) status.message = "nothing received yet";
+  return status;
+}
+
+}  // namespace odmc

@@ -1,0 +1,104 @@
+#include "odmc/ros/parameter_reader.h"
+
+#include <XmlRpcValue.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <optional>
+#include <stdexcept>
+
+#include "odmc/io/number_text.h"
+
+namespace odmc {
+namespace {
+
+using XmlRpc::XmlRpcValue;
+
+/// A number however it is spelled; text counts if all of it is a number.
+std::optional<double> NumberOf(XmlRpcValue value) {
+  switch (value.getType()) {
+    case XmlRpcValue::TypeDouble:
+      return static_cast<double>(value);
+    case XmlRpcValue::TypeInt:
+      return static_cast<int>(value);
+    case XmlRpcValue::TypeString: {
+      double number = 0.0;
+      if (ParseNumber(static_cast<std::string>(value), &number)) return number;
+      return std::nullopt;
+    }
+    default:
+      return std::nullopt;
+  }
+}
+
+std::string Quoted(const XmlRpcValue& value) {
+  return value.getType() == XmlRpcValue::TypeString ? "'" + std::string(value) + "'"
+                                                    : value.toXml();
+}
+
+}  // namespace
+
+void ParameterReader::Fail(const std::string& key, const std::string& what) const {
+  throw std::invalid_argument("parameter " + node_.resolveName(key) + " " + what);
+}
+
+void ParameterReader::Field(const std::string& key, double* value) {
+  known_.push_back(key);
+  XmlRpcValue raw;
+  if (!node_.getParam(key, raw)) return;
+  const std::optional<double> number = NumberOf(raw);
+  if (!number || !std::isfinite(*number)) Fail(key, "must be a number, not " + Quoted(raw));
+  *value = *number;
+}
+
+void ParameterReader::Field(const std::string& key, int* value) {
+  known_.push_back(key);
+  XmlRpcValue raw;
+  if (!node_.getParam(key, raw)) return;
+  const std::optional<double> number = NumberOf(raw);
+  constexpr double kLargest = std::numeric_limits<int>::max();
+  if (!number || std::floor(*number) != *number || std::abs(*number) > kLargest) {
+    Fail(key, "must be a whole number, not " + Quoted(raw));
+  }
+  *value = static_cast<int>(*number);
+}
+
+void ParameterReader::Field(const std::string& key, bool* value) {
+  known_.push_back(key);
+  XmlRpcValue raw;
+  if (!node_.getParam(key, raw)) return;
+  if (raw.getType() == XmlRpcValue::TypeBoolean) {
+    *value = static_cast<bool>(raw);
+  } else if (raw.getType() == XmlRpcValue::TypeString &&
+             (std::string(raw) == "true" || std::string(raw) == "false")) {
+    *value = std::string(raw) == "true";
+  } else {
+    Fail(key, "must be true or false, not " + Quoted(raw));
+  }
+}
+
+void ParameterReader::Field(const std::string& key, std::string* value) {
+  known_.push_back(key);
+  XmlRpcValue raw;
+  if (!node_.getParam(key, raw)) return;
+  if (raw.getType() != XmlRpcValue::TypeString) Fail(key, "must be text, not " + Quoted(raw));
+  *value = std::string(raw);
+}
+
+void ParameterReader::CheckAllRead() const {
+  std::vector<std::string> names;
+  if (!node_.getParamNames(names)) return;
+  const std::string own = node_.getNamespace() + "/";
+  for (const std::string& name : names) {
+    if (name.compare(0, own.size(), own) != 0) continue;
+    std::string key = name.substr(own.size());
+    key = key.substr(0, key.find('/'));
+    if (std::find(known_.begin(), known_.end(), key) != known_.end()) continue;
+    std::string list;
+    for (const std::string& known : known_) list += (list.empty() ? "" : ", ") + known;
+    Fail(key, "is not known, a typing mistake? Known are: " + list);
+  }
+}
+
+}  // namespace odmc

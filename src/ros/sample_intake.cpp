@@ -1,0 +1,200 @@
+#include "odmc/ros/sample_intake.h"
+
+#include <algorithm>
+#include <utility>
+
+namespace odmc {
+namespace {
+
+constexpr double kSettle_s = 1.0;     // for all streams to show up
+constexpr double kHold_s = 60.0;      // of samples at most while standing still
+constexpr double kStepBack_s = 0.5;   // less is a late sample
+constexpr double kMoved_m = 0.1;      // so far with a twist of zeros: the source has no twist
+constexpr double kTurned_rad = 0.1;
+
+enum StreamIndex { kOdometry, kPose, kImu, kRotors, kJoints, kBattery };
+
+Stamp StampOf(const InputSample& input) {
+  if (const auto* o = std::get_if<OdometryInput>(&input)) return o->sample.stamp;
+  if (const auto* i = std::get_if<ImuInput>(&input)) return i->sample.stamp;
+  if (const auto* r = std::get_if<RotorInput>(&input)) return r->sample.stamp;
+  return std::get<BatterySample>(input).stamp;
+}
+
+}  // namespace
+
+int SampleIntake::StreamOf(const InputSample& input) {
+  if (const auto* o = std::get_if<OdometryInput>(&input)) return o->is_pose ? kPose : kOdometry;
+  if (std::holds_alternative<ImuInput>(input)) return kImu;
+  if (const auto* r = std::get_if<RotorInput>(&input)) return r->from_joints ? kJoints : kRotors;
+  return kBattery;
+}
+
+bool SampleIntake::Push(InputSample input) {
+  if (phase_ == IntakePhase::kRefused) return true;
+  const Clock clock = CheckClock(StreamOf(input), StampOf(input));
+  if (clock == Clock::kStale) return true;
+  if (clock == Clock::kBack) {
+    held_.clear();
+    ready_.clear();
+  }
+  if (phase_ == IntakePhase::kFlowing) {
+    Pass(input);
+  } else {
+    Observe(input);
+    held_.push_back(std::move(input));
+    Forget();
+    Decide();
+  }
+  return clock != Clock::kBack;
+}
+
+std::vector<Sample> SampleIntake::Take() { return std::exchange(ready_, {}); }
+
+// ---- The clock ---------------------------------------------------------------------------------
+
+SampleIntake::Clock SampleIntake::CheckClock(int stream, Stamp stamp) {
+  // Streams reach us at different moments: of those that did not step back yet, some samples of the
+  // old time still come.
+  if (middle_) {
+    if (stream == back_stream_ && stamp > *middle_) {
+      middle_.reset();
+    } else if (stamp > *middle_) {
+      ++stale_;
+      return Clock::kStale;
+    }
+  }
+  std::optional<Stamp>& last = last_[stream];
+  if (last && ToSeconds(*last - stamp) > kStepBack_s) {
+    middle_ = stamp + (*last - stamp) / 2;
+    back_stream_ = stream;
+    ++resets_;
+    first_.fill(std::nullopt);
+    last_.fill(std::nullopt);
+    first_odometry_.reset();
+    first_[stream] = last_[stream] = stamp;
+    return Clock::kBack;
+  }
+  if (!first_[stream]) first_[stream] = stamp;
+  last = std::max(stamp, last.value_or(stamp));
+  return Clock::kForward;
+}
+
+// ---- Deciding ----------------------------------------------------------------------------------
+
+void SampleIntake::Observe(const InputSample& input) {
+  if (const auto* odometry = std::get_if<OdometryInput>(&input)) {
+    if (!odometry->is_pose) ObserveOdometry(*odometry);
+  } else if (const auto* imu = std::get_if<ImuInput>(&input)) {
+    if (!imu_frame_id_) imu_frame_id_ = imu->frame_id;
+  } else if (const auto* rotors = std::get_if<RotorInput>(&input)) {
+    rms_only_ = rms_only_ || rotors->rms_only;
+  }
+}
+
+void SampleIntake::ObserveOdometry(const OdometryInput& input) {
+  const OdometrySample& sample = input.sample;
+  if (!first_odometry_) {
+    first_odometry_ = sample;
+    frame_id_ = input.frame_id;
+    child_frame_id_ = input.child_frame_id;
+  }
+  moved_m_ = std::max(moved_m_, (sample.p_WS - first_odometry_->p_WS).norm());
+  turned_rad_ = std::max(turned_rad_, sample.q_WS.angularDistance(first_odometry_->q_WS));
+  saw_linear_ = saw_linear_ || input.linear;
+  saw_angular_ = saw_angular_ || sample.w_WS_S;
+  if (input.linear) {
+    has_nonzero_linear_ = has_nonzero_linear_ || !input.linear->isZero(0.0);
+    detector_.AddSample(sample.stamp, sample.p_WS, sample.q_WS, *input.linear);
+  }
+  if (sample.w_WS_S) has_nonzero_angular_ = has_nonzero_angular_ || !sample.w_WS_S->isZero(0.0);
+}
+
+void SampleIntake::Decide() {
+  if (decided_) return;
+  const auto seen_for = [this](int stream) {
+    return first_[stream] ? ToSeconds(*last_[stream] - *first_[stream]) : -1.0;
+  };
+  const double poses_s = std::max(seen_for(kOdometry), seen_for(kPose));
+  const double rotors_s = std::max(seen_for(kRotors), seen_for(kJoints));
+  if (poses_s < kSettle_s || rotors_s < kSettle_s) return;
+  use_pose_ = !first_[kOdometry];
+  use_joints_ = !first_[kRotors];
+  if (!use_pose_ && !TwistIsKnown()) return;
+  decided_ = true;
+  // A child frame that names the pose's own frame declares a twist in the world, not a sensor.
+  if (child_frame_id_ != frame_id_) sensor_frame_id_ = child_frame_id_;
+}
+
+bool SampleIntake::TwistIsKnown() {
+  const bool linear_known = !saw_linear_ || has_nonzero_linear_ || moved_m_ > kMoved_m;
+  const bool angular_known = !saw_angular_ || has_nonzero_angular_ || turned_rad_ > kTurned_rad;
+  if (!linear_known || !angular_known) return false;
+  has_linear_ = has_nonzero_linear_;
+  has_angular_ = has_nonzero_angular_;
+  if (!has_linear_) return true;
+  if (twist_frame_ != "auto") {
+    frame_ = twist_frame_ == "world" ? TwistFrame::kWorld : TwistFrame::kBody;
+    return true;
+  }
+  frame_ = detector_.decision().frame;
+  if (frame_ == TwistFrame::kNeither) {
+    phase_ = IntakePhase::kRefused;
+    held_.clear();
+  }
+  return frame_ == TwistFrame::kBody || frame_ == TwistFrame::kWorld;
+}
+
+std::string SampleIntake::WaitingFor() const {
+  if (phase_ != IntakePhase::kHolding || decided_) return "";
+  if (!first_[kOdometry] && !first_[kPose]) return "odometry or pose";
+  if (!first_[kRotors] && !first_[kJoints]) return "rotor_speeds or joint_states";
+  if (first_[kOdometry] && saw_linear_ && has_nonzero_linear_ && twist_frame_ == "auto" &&
+      !detector_.decided()) {
+    return "motion that tells the frame of the twist (or say so: twist_frame)";
+  }
+  return "the first second of samples and motion";
+}
+
+void SampleIntake::Forget() {
+  const Stamp newest = StampOf(held_.back());
+  while (ToSeconds(newest - StampOf(held_.front())) > kHold_s) {
+    held_.pop_front();
+    ++forgotten_;
+  }
+}
+
+// ---- Passing -----------------------------------------------------------------------------------
+
+void SampleIntake::Release() {
+  phase_ = IntakePhase::kFlowing;
+  // The order in which a recorded flight is fed: rotors and IMU up to an odometry, then it.
+  const auto is_before = [](const InputSample& a, const InputSample& b) {
+    if (StampOf(a) != StampOf(b)) return StampOf(a) < StampOf(b);
+    return b.index() == 0 && a.index() != 0;
+  };
+  std::stable_sort(held_.begin(), held_.end(), is_before);
+  for (const InputSample& input : held_) Pass(input);
+  held_.clear();
+}
+
+void SampleIntake::Pass(const InputSample& input) {
+  if (const auto* odometry = std::get_if<OdometryInput>(&input)) {
+    if (odometry->is_pose != use_pose_) return;
+    OdometrySample sample = odometry->sample;
+    if (odometry->linear && has_linear_) {
+      sample.v_WS = frame_ == TwistFrame::kWorld ? *odometry->linear
+                                                 : Eigen::Vector3d(sample.q_WS * *odometry->linear);
+    }
+    if (!has_angular_) sample.w_WS_S.reset();
+    ready_.push_back(sample);
+  } else if (const auto* imu = std::get_if<ImuInput>(&input)) {
+    ready_.push_back(imu->sample);
+  } else if (const auto* rotors = std::get_if<RotorInput>(&input)) {
+    if (rotors->from_joints == use_joints_) ready_.push_back(rotors->sample);
+  } else {
+    ready_.push_back(std::get<BatterySample>(input));
+  }
+}
+
+}  // namespace odmc

@@ -1,0 +1,39 @@
+#include <iostream>
+
+#include "odmc/analysis/report.h"
+#include "odmc/io/parameters_yaml.h"
+#include "odmc/io/vehicle_yaml.h"
+#include "tool_support.h"
+
+int main(int argc, char** argv) {
+  using namespace odmc;
+  CLI::App app(
+      "Predicts force and torque on a recorded flight with fixed parameters; no fitting.\n"
+      "Writes prediction.csv, report.json, report.html.");
+  tools::FlightArguments flight;
+  std::string vehicle_file, parameters_file, folder;
+  bool no_report = false;
+  flight.AddTo(&app);
+  app.add_option("--vehicle", vehicle_file, "vehicle description, YAML")
+      ->required()
+      ->type_name("FILE");
+  app.add_option("--parameters", parameters_file, "parameters.yaml as calibrate writes it")
+      ->required()
+      ->type_name("FILE");
+  tools::AddFolder(&app, &folder, &no_report);
+  app.footer("Exit status: 0 success, 1 bad input, 2 usage.");
+  return tools::Run(&app, argc, argv, [&] {
+    const Vehicle file_vehicle = LoadVehicle(vehicle_file);
+    const ParameterSet parameters = LoadParameters(parameters_file);
+    Vehicle vehicle = file_vehicle;
+    ApplyParameters(parameters, &vehicle);
+    const DynamicModel model(vehicle, vehicle.effects);
+    const FlightLog log = flight.Read(vehicle.num_rotors());
+    tools::MakeFolder(folder);
+    Evaluation result = Evaluate(log, file_vehicle, model, parameters);
+    WritePrediction(result.prediction, !log.rotor_rms_only, tools::In(folder, "prediction.csv"));
+    WriteText(EvaluationReport(result, model), tools::In(folder, "report.json"));
+    std::cout << EvaluationTable(result);
+    if (!no_report) tools::RenderReport(folder);
+  });
+}

@@ -1,0 +1,328 @@
+#include "tool_support.h"
+
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <iostream>
+
+#include "odmc/io/number_text.h"
+#include "odmc/io/options_yaml.h"
+#include "odmc/io/parameters_yaml.h"
+#include "odmc/sim/trajectory.h"
+
+namespace odmc::tools {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr char kPython[] = "/usr/bin/python3";
+
+std::string OneLine(std::string text) {
+  while (!text.empty() && text.back() == '\n') text.pop_back();
+  std::replace(text.begin(), text.end(), '\n', ' ');
+  return text;
+}
+
+int Fail(const std::string& text, int status) {
+  std::cerr << "error: " << OneLine(text) << "\n";
+  return status;
+}
+
+/// Visitor that sets one field from text.
+class OptionSetter {
+ public:
+  OptionSetter(std::string key, std::string text) : key_(std::move(key)), text_(std::move(text)) {}
+
+  void Field(const std::string& key, double* value) {
+    if (Takes(key) && !ParseNumber(text_, value)) Refuse("a number");
+  }
+  void Field(const std::string& key, int* value) {
+    if (!Takes(key)) return;
+    double number = 0.0;
+    if (!ParseNumber(text_, &number) || number != static_cast<int>(number)) Refuse("an integer");
+    *value = static_cast<int>(number);
+  }
+  void Field(const std::string& key, bool* value) {
+    if (!Takes(key)) return;
+    if (text_ != "true" && text_ != "false") Refuse("true or false");
+    *value = text_ == "true";
+  }
+  void Field(const std::string& key, std::string* value) {
+    if (Takes(key)) *value = text_;
+  }
+
+  bool found() const { return found_; }
+
+ private:
+  bool Takes(const std::string& key) {
+    found_ = found_ || key == key_;
+    return key == key_;
+  }
+  [[noreturn]] void Refuse(const std::string& wanted) const {
+    throw UsageError("--set " + key_ + ": expected " + wanted + ", not '" + text_ + "'");
+  }
+
+  std::string key_, text_;
+  bool found_ = false;
+};
+
+/// "left:=right" or "left=right".
+std::pair<std::string, std::string> Split(const std::string& text, const std::string& separator,
+                                          const std::string& option) {
+  const size_t at = text.find(separator);
+  if (at == std::string::npos || at == 0 || at + separator.size() == text.size()) {
+    throw UsageError(option + " '" + text + "': expected NAME" + separator + "VALUE");
+  }
+  return {text.substr(0, at), text.substr(at + separator.size())};
+}
+
+/// Effects, and their parameters' full names.
+std::vector<std::string> EffectAndParameterNames() {
+  std::vector<std::string> names = EffectRegistry::Default().names();
+  const DynamicModel all(NominalVehicle(), EffectRegistry::Default().names());
+  for (const ModelParameter& p : all.parameters()) names.push_back(p.full_name);
+  return names;
+}
+
+/// Where the package keeps a script: installed beside or near the tool, or in the source tree.
+std::string FindScript(const std::string& name) {
+  std::error_code ignored;
+  const fs::path folder = fs::read_symlink("/proc/self/exe", ignored).parent_path();
+  for (const fs::path& path : {folder / name, folder / "../../share/odmc/scripts" / name,
+                               fs::path(ODMC_SOURCE_DIR) / "scripts" / name}) {
+    if (fs::is_regular_file(path, ignored)) return path.string();
+  }
+  return "";
+}
+
+}  // namespace
+
+int Run(CLI::App* app, int argc, char** argv, const std::function<void()>& tool) {
+  try {
+    app->parse(argc, argv);
+    tool();
+    return 0;
+  } catch (const CLI::ParseError& e) {
+    if (e.get_exit_code() == 0) return app->exit(e);  // --help
+    return Fail(std::string(e.what()) + " (--help explains all)", 2);
+  } catch (const UsageError& e) {
+    return Fail(std::string(e.what()) + " (--help explains all)", 2);
+  } catch (const std::bad_alloc&) {
+    return Fail("out of memory", 1);
+  } catch (const std::exception& e) {
+    return Fail(e.what(), 1);
+  }
+}
+
+ProgressBar::ProgressBar(std::string label)
+    : label_(std::move(label)), on_terminal_(isatty(STDERR_FILENO) != 0) {}
+
+ProgressBar::~ProgressBar() {
+  if (on_terminal_ && percent_ >= 0) std::cerr << "\r\033[K" << std::flush;
+}
+
+void ProgressBar::Show(double share) {
+  constexpr int kWidth = 40;
+  const int percent = static_cast<int>(100.0 * std::clamp(share, 0.0, 1.0));
+  if (!on_terminal_ || percent == percent_) return;
+  percent_ = percent;
+  const int done = kWidth * percent / 100;
+  std::cerr << "\r" << label_ << " [" << std::string(done, '#') << std::string(kWidth - done, '.')
+            << "] " << percent << " %" << std::flush;
+}
+
+std::function<void(double)> ProgressBar::Callback() {
+  return [this](double share) { Show(share); };
+}
+
+void FlightArguments::AddTo(CLI::App* app, bool required) {
+  app->add_option("FLIGHT", file, "recorded flight: a rosbag (.bag) or a CSV file (.csv)")
+      ->required(required);
+  app->add_option("--start", start_s, "leave out what comes before this time [s]")
+      ->check(CLI::NonNegativeNumber);
+  app->add_option("--end", end_s,
+                  "leave out what comes after this time since the recording's start [s]")
+      ->check(CLI::PositiveNumber);
+  const std::map<std::string, PoseSource> poses = {{"ekf", PoseSource::kEkf},
+                                                   {"mocap", PoseSource::kMocap}};
+  app->add_option("--pose", pose,
+                  "ekf: the recording's odometry; mocap: NAME_mocap.csv beside the CSV, or the "
+                  "bag's pose topic")
+      ->transform(CLI::CheckedTransformer(poses).description(""))
+      ->type_name("ekf|mocap");
+  app->add_option("--topic", topics,
+                  "topic of a bag by role, as odometry:=/vio/odom; roles: odometry, pose, imu, "
+                  "rotor_speeds, joint_states, battery_state; may be given several times")
+      ->type_name("NAME:=/topic");
+  app->add_option("--twist-frame", bag.twist_frame,
+                  "frame of the bag's linear twist; auto finds it from d(position)/dt")
+      ->check(CLI::IsMember({"auto", "body", "world"}).description(""))
+      ->type_name("auto|body|world");
+  app->add_option("--rotor-speed-unit", bag.rotor_speed_unit, "unit of joint_states' velocity")
+      ->check(CLI::IsMember({"rad_s", "rpm", "erpm"}).description(""))
+      ->type_name("rad_s|rpm|erpm");
+  app->add_option("--pole-pairs", bag.pole_pairs, "of the motors, for erpm")
+      ->check(CLI::PositiveNumber);
+}
+
+FlightLog FlightArguments::Read(int num_rotors) const {
+  if (end_s > 0.0 && end_s <= start_s) throw UsageError("--end must lie after --start");
+  BagOptions options = bag;
+  const std::vector<std::string> roles = {"odometry",     "pose",         "imu",
+                                          "rotor_speeds", "joint_states", "battery_state"};
+  for (const std::string& text : topics) {
+    const auto [role, topic] = Split(text, ":=", "--topic");
+    if (std::find(roles.begin(), roles.end(), role) == roles.end()) {
+      throw UsageError("--topic " + text + ": there is no role '" + role + "'");
+    }
+    options.topics[role] = topic;
+  }
+  FlightLog log = ReadFlight(file, num_rotors, pose, options);
+  CutFlight(start_s, end_s, &log);
+  if (log.odometry.size() < 2 || log.rotors.empty()) {
+    throw std::invalid_argument(file + ": no odometry or rotor speeds between --start and --end");
+  }
+  return log;
+}
+
+void ModelArguments::AddTo(CLI::App* app) {
+  const CLI::Validator effect = CLI::IsMember(EffectRegistry::Default().names()).description("");
+  const CLI::Validator parameter = CLI::IsMember(EffectAndParameterNames()).description("");
+  auto* effects = app->add_option("--effects", choice.effects,
+                                  "the model's effects, replaces the files' list; list_effects "
+                                  "shows all")
+                      ->delimiter(',')
+                      ->check(effect)
+                      ->type_name("a,b");
+  app->add_option("--without", choice.without, "effects to leave out of the files' list")
+      ->delimiter(',')
+      ->check(effect)
+      ->type_name("a,b")
+      ->excludes(effects);
+  app->add_option("--free", choice.free, "estimate these: full names (thrust.k_f) or effects")
+      ->delimiter(',')
+      ->check(parameter)
+      ->type_name("a,b");
+  app->add_option("--freeze", choice.freeze, "hold these: full names (rotor_torque.k_m) or effects")
+      ->delimiter(',')
+      ->check(parameter)
+      ->type_name("a,b");
+}
+
+void ModelArguments::AddParametersTo(CLI::App* app, const std::string& help) {
+  app->add_option("--parameters", parameters_file, help)->type_name("FILE");
+}
+
+Vehicle ModelArguments::Configure(const Vehicle& file_vehicle) {
+  if (!parameters_file.empty()) choice.parameters = LoadParameters(parameters_file);
+  return odmc::Configure(file_vehicle, choice);
+}
+
+void EstimatorArguments::AddTo(CLI::App* app, bool with_window) {
+  app->add_option("--config", config_file, "estimator options, YAML")->type_name("FILE");
+  app->add_option("--keyframe-rate", keyframe_rate_hz, "at most this many keyframes a second [Hz]")
+      ->check(CLI::PositiveNumber);
+  if (with_window) {
+    app->add_option("--window", window_s, "length of the sliding window [s]")
+        ->check(CLI::PositiveNumber);
+  }
+  app->add_option("--threads", threads, "threads that evaluate factors")
+      ->check(CLI::PositiveNumber);
+  app->add_option("--set", settings,
+                  "any option of the estimator, see below; may be given several "
+                  "times")
+      ->type_name("KEY=VALUE");
+  app->footer("Estimator options (--config FILE or --set KEY=VALUE) with their defaults:\n" +
+              FormatOptions(EstimatorOptions()) +
+              "\nExit status: 0 success, 1 bad input, 2 usage.");
+}
+
+EstimatorOptions EstimatorArguments::Read() const {
+  EstimatorOptions options;
+  if (!config_file.empty()) LoadOptions(config_file, &options);
+  if (keyframe_rate_hz > 0.0) options.keyframe_rate_hz = keyframe_rate_hz;
+  if (window_s > 0.0) options.window_s = window_s;
+  if (threads > 0) options.num_threads = threads;
+  for (const std::string& text : settings) {
+    const auto [key, value] = Split(text, "=", "--set");
+    OptionSetter setter(key, value);
+    options.Visit(&setter);
+    if (!setter.found()) throw UsageError("--set " + text + ": there is no option '" + key + "'");
+  }
+  std::string error;
+  if (!options.IsValid(&error)) throw UsageError(error);
+  return options;
+}
+
+std::string DescribeChanges(const EstimatorOptions& options) {
+  std::istringstream now(FormatOptions(options)), before(FormatOptions(EstimatorOptions()));
+  std::string line, default_line, text;
+  while (std::getline(now, line) && std::getline(before, default_line)) {
+    if (line != default_line) text += (text.empty() ? "" : ", ") + line;
+  }
+  return text.empty() ? "defaults" : text;
+}
+
+void AddFolder(CLI::App* app, std::string* folder, bool* no_report) {
+  app->add_option("--out", *folder, "folder for the results; made where missing, files overwritten")
+      ->required()
+      ->type_name("DIR");
+  if (no_report != nullptr) app->add_flag("--no-report", *no_report, "do not draw report.html");
+}
+
+void MakeFolder(const std::string& folder) {
+  std::error_code error;
+  fs::create_directories(folder, error);
+  if (!fs::is_directory(folder)) throw std::runtime_error(folder + ": cannot be made a folder");
+}
+
+std::string In(const std::string& folder, const std::string& name) {
+  return (fs::path(folder) / name).string();
+}
+
+void RenderReport(const std::string& folder) {
+  const auto warn = [&](const std::string& why) {
+    std::cerr << "warning: " << In(folder, "report.html") << " was not drawn: " << why << "\n";
+  };
+  const std::string script = FindScript("render_report");
+  if (script.empty()) return warn("render_report is not installed");
+  std::cout << std::flush;
+  const pid_t child = fork();
+  if (child < 0) return warn("no process to be had");
+  if (child == 0) {
+    execl(kPython, kPython, script.c_str(), folder.c_str(), static_cast<char*>(nullptr));
+    _exit(127);
+  }
+  int status = 0;
+  while (waitpid(child, &status, 0) < 0 && errno == EINTR) {
+  }
+  if (!WIFEXITED(status) || WEXITSTATUS(status) != 0) warn(script + " failed");
+}
+
+Vehicle NominalVehicle() {
+  constexpr double kX = 0.095, kY = 0.11, kRadius = 0.0635;
+  Vehicle vehicle;
+  vehicle.name = "nominal";
+  vehicle.mass_kg = 0.75;
+  vehicle.inertia_kg_m2 = {2.5e-3, 2.1e-3, 4.3e-3};
+  vehicle.rotors = {{{kX, -kY, 0.0}, 1.0, kRadius},
+                    {{kX, kY, 0.0}, -1.0, kRadius},
+                    {{-kX, kY, 0.0}, 1.0, kRadius},
+                    {{-kX, -kY, 0.0}, -1.0, kRadius}};
+  vehicle.effects = {"thrust", "rotor_torque",      "drag",    "viscous_torque",
+                     "hvt",    "centre_of_gravity", "inertia", "gravity"};
+  return vehicle;
+}
+
+SimulationNoise ReadNoise(const std::string& name) {
+  if (name == "none") return SimulationNoise::None();
+  SimulationNoise noise;
+  if (name != "default") LoadOptions(name, &noise);
+  return noise;
+}
+
+}  // namespace odmc::tools

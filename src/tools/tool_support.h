@@ -1,0 +1,104 @@
+#pragma once
+
+#include <CLI/CLI.hpp>
+#include <functional>
+#include <map>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "odmc/analysis/model_choice.h"
+#include "odmc/estimator/options.h"
+#include "odmc/ros/flight_bag.h"
+#include "odmc/sim/simulator.h"
+
+namespace odmc::tools {
+
+/// A command line that makes no sense: exit status 2.
+class UsageError : public std::invalid_argument {
+ public:
+  using std::invalid_argument::invalid_argument;
+};
+
+/// Parses the command line, runs the tool, and turns what it throws into one sentence on stderr.
+/// @returns exit status: 0 success, 1 bad input, 2 usage
+int Run(CLI::App* app, int argc, char** argv, const std::function<void()>& tool);
+
+/// Shows the share done on stderr, on a terminal only; clears its line at the end.
+class ProgressBar {
+ public:
+  explicit ProgressBar(std::string label);
+  ~ProgressBar();
+  void Show(double share);
+  /// Calls Show().
+  std::function<void(double)> Callback();
+
+ private:
+  std::string label_;
+  bool on_terminal_;
+  int percent_ = -1;
+};
+
+/// FLIGHT and how to read it.
+struct FlightArguments {
+  std::string file;
+  double start_s = 0.0, end_s = 0.0;
+  PoseSource pose = PoseSource::kEkf;
+  std::vector<std::string> topics;
+  BagOptions bag;
+
+  /// Adds FLIGHT, --start, --end, --pose, --topic, --twist-frame, --rotor-speed-unit, --pole-pairs.
+  /// @param required false where the tool can do without a flight
+  void AddTo(CLI::App* app, bool required = true);
+  /// @throws std::invalid_argument, UsageError
+  FlightLog Read(int num_rotors) const;
+};
+
+/// Which effects and parameters.
+struct ModelArguments {
+  ModelChoice choice;
+  std::string parameters_file;
+
+  /// Adds --effects, --without, --free, --freeze.
+  void AddTo(CLI::App* app);
+  /// Adds --parameters with this help text.
+  void AddParametersTo(CLI::App* app, const std::string& help);
+  /// The vehicle with all of it.
+  Vehicle Configure(const Vehicle& file_vehicle);
+};
+
+/// Options of the estimator.
+struct EstimatorArguments {
+  std::string config_file;
+  double keyframe_rate_hz = 0.0, window_s = 0.0;
+  int threads = 0;
+  std::vector<std::string> settings;
+
+  /// Adds --config, --keyframe-rate, --window, --threads, --set.
+  /// @param with_window false where the tool itself sets the window
+  void AddTo(CLI::App* app, bool with_window = true);
+  EstimatorOptions Read() const;
+};
+
+/// Every option of the estimator that is not at its default, "key value, ..."; else "defaults".
+std::string DescribeChanges(const EstimatorOptions& options);
+
+/// Adds the required --out DIR; --no-report too if `no_report` is given.
+void AddFolder(CLI::App* app, std::string* folder, bool* no_report = nullptr);
+
+/// Makes a folder with its parents where missing.
+void MakeFolder(const std::string& folder);
+
+/// A file in `folder`.
+std::string In(const std::string& folder, const std::string& name);
+
+/// Runs scripts/render_report on a folder; what goes wrong is a warning on stderr.
+void RenderReport(const std::string& folder);
+
+/// The vehicle of model.md section 8, where no file is given.
+Vehicle NominalVehicle();
+
+/// none, default, or a YAML file of SimulationNoise.
+SimulationNoise ReadNoise(const std::string& name);
+
+}  // namespace odmc::tools

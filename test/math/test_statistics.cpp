@@ -1,0 +1,50 @@
+#include "odmc/math/statistics.h"
+
+#include <gtest/gtest.h>
+
+#include <vector>
+
+#include "support/jacobian_check.h"
+
+namespace odmc {
+namespace test {
+namespace {
+
+TEST(Statistics, MedianOfAnOddSampleIsItsMiddle) { EXPECT_EQ(Median({5.0, -1.0, 3.0}), 3.0); }
+
+TEST(Statistics, MedianOfAnEvenSampleIsTheMeanOfTheMiddleTwo) {
+  EXPECT_EQ(Median({4.0, 1.0, 2.0, 100.0}), 3.0);
+}
+
+TEST(Statistics, EmptySamplesGiveZero) {
+  EXPECT_EQ(Median({}), 0.0);
+  EXPECT_EQ(Quantile({}, 0.9), 0.0);
+  EXPECT_EQ(RobustSigma({}), 0.0);
+}
+
+TEST(Statistics, QuantilesInterpolateAndReachTheEnds) {
+  const std::vector<double> sample = {30.0, 10.0, 20.0, 40.0, 50.0};
+  EXPECT_EQ(Quantile(sample, 0.0), 10.0);
+  EXPECT_EQ(Quantile(sample, 1.0), 50.0);
+  EXPECT_DOUBLE_EQ(Quantile(sample, 0.25), 20.0);
+  EXPECT_DOUBLE_EQ(Quantile(sample, 0.95), 48.0);
+  EXPECT_EQ(Quantile({7.0}, 0.3), 7.0);
+}
+
+TEST(Statistics, RobustSigmaIsThatOfAGaussian) {
+  Random random(9);
+  std::vector<double> sample(20000);
+  for (double& x : sample) x = 0.3 * random.Normal();
+  EXPECT_NEAR(RobustSigma(sample), 0.3, 0.01);
+}
+
+TEST(Statistics, RobustSigmaIgnoresATenthOfOutliers) {
+  Random random(9);
+  std::vector<double> sample(20000);
+  for (size_t i = 0; i < sample.size(); ++i) sample[i] = (i % 10 == 0 ? 1e6 : 0.3) * random.Normal();
+  EXPECT_NEAR(RobustSigma(sample), 0.3, 0.06);
+}
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc
