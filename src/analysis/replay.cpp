@@ -26,11 +26,11 @@ class Recorder {
  public:
   Recorder(Estimator* estimator, ReplayResult* result) : estimator_(estimator), result_(result) {}
 
-  void Drain(Stamp newest) {
+  void Drain() {
     while (true) {
       const std::optional<Snapshot> snapshot = estimator_->Step();
       if (!estimator_->made_progress()) return;
-      Ground(newest, snapshot.has_value());
+      Ground(estimator_->last_keyframe_stamp(), snapshot.has_value());
       if (!snapshot) continue;
       if (result_->history.empty()) result_->first_airborne_s = snapshot->time_s;
       result_->history.push_back({snapshot->time_s, snapshot->values, snapshot->sigma});
@@ -70,7 +70,7 @@ ReplayResult Replay(const FlightLog& log, Estimator* estimator,
     FeedUntil(log.imu, stamp, &imu, estimator);
     FeedUntil(log.battery, stamp, &battery, estimator);
     estimator->Add(log.odometry[i]);
-    recorder.Drain(stamp);
+    recorder.Drain();
     if (progress && i % 64 == 0) {
       progress(static_cast<double>(i) / static_cast<double>(log.odometry.size()));
     }
@@ -78,7 +78,7 @@ ReplayResult Replay(const FlightLog& log, Estimator* estimator,
   FeedUntil(log.rotors, std::numeric_limits<Stamp>::max(), &rotors, estimator);
   FeedUntil(log.imu, std::numeric_limits<Stamp>::max(), &imu, estimator);
   estimator->Finish();
-  if (!log.odometry.empty()) recorder.Drain(log.odometry.back().stamp);
+  recorder.Drain();
   if (progress) progress(1.0);
   result.counters = estimator->counters();
   result.stream_counters = estimator->stream_counters();

@@ -278,20 +278,7 @@ std::optional<Estimator::Interval> Estimator::ReadInterval(const OdometrySample&
   }
   interval.rotors = *rotors;
 
-  // A pose that moves without velocity is a relabelled marker or a loop closure, not flight.
-  const OdometryNoise noise = odometry_noise_.Noise();
-  double step_m = 0.0, allowed_m = 0.0;
-  if (sample.v_WS && last_->v_WS) {
-    step_m = (sample.p_WS - last_->p_WS - 0.5 * interval.dt * (*sample.v_WS + *last_->v_WS)).norm();
-    allowed_m = 0.01 + 8.0 * noise.position_m + interval.dt * (0.5 + 8.0 * noise.velocity_m_s);
-  } else if (before_last_) {
-    const double dt0 = ToSeconds(last_->stamp - before_last_->stamp);
-    const Vector3d v0 = (last_->p_WS - before_last_->p_WS) / dt0;
-    step_m = (sample.p_WS - last_->p_WS - interval.dt * v0).norm();
-    allowed_m = 0.005 + 10.0 * noise.position_m * (1.0 + interval.dt / dt0) +
-                40.0 * interval.dt * std::max(interval.dt, dt0);
-  }
-  if (step_m > allowed_m) {
+  if (IsJump(sample, interval.dt)) {
     ++counters_.jumps;
     return std::nullopt;
   }
@@ -304,6 +291,28 @@ std::optional<Estimator::Interval> Estimator::ReadInterval(const OdometrySample&
                                    options_.max_gap_s);
   }
   return interval;
+}
+
+/// A pose that moves without velocity is a relabelled marker or a loop closure, not flight.
+bool Estimator::IsJump(const OdometrySample& sample, double dt) const {
+  const OdometryNoise noise = odometry_noise_.Noise();
+  if (sample.v_WS && last_->v_WS) {
+    const Vector3d step =
+        sample.p_WS - last_->p_WS - 0.5 * dt * (*sample.v_WS + *last_->v_WS);
+    return step.norm() >
+           0.01 + 8.0 * noise.position_m + dt * (0.5 + 8.0 * noise.velocity_m_s);
+  }
+  if (!before_last_) return false;
+  const double dt0 = ToSeconds(last_->stamp - before_last_->stamp);
+  if (!(dt0 > 0.0) || dt0 > options_.max_gap_s) return false;
+  // Without velocities: what no vehicle can accelerate, 40 m/s² and 300 rad/s².
+  const double wider = dt * std::max(dt, dt0);
+  const double share = dt / dt0;
+  const Vector3d step = sample.p_WS - last_->p_WS - share * (last_->p_WS - before_last_->p_WS);
+  const Vector3d turn = Log(last_->q_WS.conjugate() * sample.q_WS) -
+                        share * Log(before_last_->q_WS.conjugate() * last_->q_WS);
+  return step.norm() > 0.002 + 8.0 * noise.position_m * (1.0 + share) + 40.0 * wider ||
+         turn.norm() > 0.01 + 8.0 * noise.attitude_rad * (1.0 + share) + 300.0 * wider;
 }
 
 State Estimator::InitialState(const OdometrySample& sample, const Interval* interval) const {

@@ -21,6 +21,7 @@ int main(int argc, char** argv) {
   app.add_option("--vehicle", vehicle_file, "vehicle description, YAML; needed with FLIGHT")
       ->type_name("FILE");
   app.add_option("--windows", windows_s, "lengths of the sliding window [s]")
+      ->capture_default_str()
       ->delimiter(',')
       ->check(CLI::PositiveNumber)
       ->type_name("a,b");
@@ -39,11 +40,8 @@ int main(int argc, char** argv) {
     const FlightLog log = simulated ? Simulate(model, DefaultTruth(model), simulation).log
                                     : flight.Read(vehicle.num_rotors());
     tools::MakeFolder(folder);
-    std::vector<BenchmarkRow> rows;
-    {
-      tools::ProgressBar bar("benchmark");
-      rows = Benchmark(log, model, options, windows_s, bar.Callback());
-    }
+    tools::ProgressBar bar("benchmark");
+    const auto rows = Benchmark(log, model, options, windows_s, bar.Callback());
     WriteText(BenchmarkReport(rows, log, vehicle), tools::In(folder, "report.json"));
     std::cout << BenchmarkTable(rows);
   });

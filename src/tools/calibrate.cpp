@@ -1,8 +1,6 @@
 #include <iostream>
 
 #include "odmc/analysis/report.h"
-#include "odmc/io/number_text.h"
-#include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "tool_support.h"
 
@@ -19,9 +17,7 @@ int main(int argc, char** argv) {
   int seed = 1;
   bool no_report = false;
   flight.AddTo(&app);
-  app.add_option("--vehicle", vehicle_file, "vehicle description, YAML")
-      ->required()
-      ->type_name("FILE");
+  tools::AddVehicle(&app, &vehicle_file);
   tools::AddFolder(&app, &folder, &no_report);
   model_arguments.AddParametersTo(&app, "parameters.yaml with effects, start values and priors");
   model_arguments.AddTo(&app);
@@ -29,7 +25,9 @@ int main(int argc, char** argv) {
   app.add_option("--position-noise", noise_m,
                  "adds white Gaussian noise to every odometry position, sigma per axis [m]")
       ->check(CLI::NonNegativeNumber);
-  app.add_option("--seed", seed, "of the position noise")->check(CLI::NonNegativeNumber);
+  app.add_option("--seed", seed, "of the position noise")
+      ->capture_default_str()
+      ->check(CLI::NonNegativeNumber);
   return tools::Run(&app, argc, argv, [&] {
     const Vehicle file_vehicle = LoadVehicle(vehicle_file);
     const EstimatorOptions options = estimator.Read();
@@ -40,17 +38,10 @@ int main(int argc, char** argv) {
     tools::MakeFolder(folder);
     tools::ProgressBar bar(log.file);
     Calibration result = Calibrate(log, file_vehicle, model, options, bar.Callback());
-    result.parameters.provenance = {{"tool", "calibrate"},
-                                    {"version", ODMC_VERSION},
-                                    {"flight", log.file},
-                                    {"vehicle", vehicle.name},
-                                    {"mass_kg", FormatNumber(vehicle.mass_kg)},
-                                    {"estimator_options", tools::DescribeChanges(options)}};
-    SaveParameters(result.parameters, tools::In(folder, "parameters.yaml"));
-    WriteHistory(result, log, model, tools::In(folder, "history.csv"));
-    WritePrediction(result.prediction, !log.rotor_rms_only, tools::In(folder, "prediction.csv"));
-    WriteTiming(result, tools::In(folder, "timing.csv"));
-    WriteText(CalibrationReport(result, model), tools::In(folder, "report.json"));
+    result.parameters.provenance = tools::Provenance(
+        "calibrate", vehicle,
+        {{"flight", log.file}, {"estimator_options", tools::DescribeChanges(options)}});
+    tools::WriteCalibration(result, log, model, folder);
     std::cout << CalibrationTable(result);
     if (!no_report) tools::RenderReport(folder);
   });

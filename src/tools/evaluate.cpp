@@ -14,14 +14,12 @@ int main(int argc, char** argv) {
   std::string vehicle_file, parameters_file, folder;
   bool no_report = false;
   flight.AddTo(&app);
-  app.add_option("--vehicle", vehicle_file, "vehicle description, YAML")
-      ->required()
-      ->type_name("FILE");
+  tools::AddVehicle(&app, &vehicle_file);
   app.add_option("--parameters", parameters_file, "parameters.yaml as calibrate writes it")
       ->required()
       ->type_name("FILE");
   tools::AddFolder(&app, &folder, &no_report);
-  app.footer("Exit status: 0 success, 1 bad input, 2 usage.");
+  tools::AddExitStatus(&app);
   return tools::Run(&app, argc, argv, [&] {
     const Vehicle file_vehicle = LoadVehicle(vehicle_file);
     const ParameterSet parameters = LoadParameters(parameters_file);

@@ -13,7 +13,7 @@ int main(int argc, char** argv) {
   app.add_option("--vehicle", vehicle_file,
                  "vehicle description, YAML, for the priors; default: a 0.75 kg quadrotor")
       ->type_name("FILE");
-  app.footer("Exit status: 0 success, 1 bad input, 2 usage.");
+  tools::AddExitStatus(&app);
   return tools::Run(&app, argc, argv, [&] {
     const Vehicle vehicle =
         vehicle_file.empty() ? tools::NominalVehicle() : LoadVehicle(vehicle_file);

@@ -2,7 +2,6 @@
 
 #include "odmc/analysis/report.h"
 #include "odmc/io/vehicle_yaml.h"
-#include "odmc/sim/trajectory.h"
 #include "tool_support.h"
 
 int main(int argc, char** argv) {
@@ -16,23 +15,18 @@ int main(int argc, char** argv) {
   RecoveryOptions options;
   std::string vehicle_file, folder, noise = "default";
   bool no_report = false;
-  app.add_option("--vehicle", vehicle_file, "vehicle description, YAML")
-      ->required()
-      ->type_name("FILE");
-  app.add_option("--trajectory", options.simulation.trajectory,
-                 "hover, octo, circle, vertical, yaw, aggressive")
-      ->required()
-      ->check(CLI::IsMember(Trajectory::Names()).description(""))
-      ->type_name("NAME");
+  tools::AddVehicle(&app, &vehicle_file);
+  tools::AddTrajectory(&app, &options.simulation);
   app.add_option("--seeds", options.seeds, "number of flights")
       ->required()
       ->check(CLI::PositiveNumber);
-  app.add_option("--jobs", options.jobs, "flights at a time")->check(CLI::PositiveNumber);
-  tools::AddFolder(&app, &folder, &no_report);
-  app.add_option("--duration", options.simulation.duration_s, "of each flight [s]")
+  app.add_option("--jobs", options.jobs, "flights at a time")
+      ->capture_default_str()
       ->check(CLI::PositiveNumber);
-  app.add_option("--seed", options.simulation.seed, "of the first flight");
-  app.add_option("--noise", noise, "none, default (model.md section 9), or a YAML file");
+  tools::AddFolder(&app, &folder, &no_report);
+  app.add_option("--seed", options.simulation.seed, "of the first flight")->capture_default_str();
+  app.add_option("--noise", noise, "none, default (model.md section 9), or a YAML file")
+      ->capture_default_str();
   app.add_option("--start-thrust-factor", options.start_thrust_factor,
                  "k_f starts at this times the truth")
       ->check(CLI::PositiveNumber);

@@ -3,7 +3,6 @@
 #include "odmc/analysis/report.h"
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
-#include "odmc/sim/trajectory.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "tool_support.h"
 
@@ -15,27 +14,20 @@ int main(int argc, char** argv) {
   tools::ModelArguments model_arguments;
   SimulationOptions options;
   std::string vehicle_file, file, noise = "default";
-  app.add_option("--vehicle", vehicle_file, "vehicle description, YAML")
-      ->required()
-      ->type_name("FILE");
-  app.add_option("--trajectory", options.trajectory,
-                 "hover, octo, circle, vertical, yaw, aggressive")
-      ->required()
-      ->check(CLI::IsMember(Trajectory::Names()).description(""))
-      ->type_name("NAME");
+  tools::AddVehicle(&app, &vehicle_file);
+  tools::AddTrajectory(&app, &options);
   app.add_option("--out", file, "flight to write, .bag or .csv")->required()->type_name("FILE");
   app.add_option("--seed", options.seed, "of all randomness")->required();
-  app.add_option("--duration", options.duration_s, "of the whole log [s]")
-      ->check(CLI::PositiveNumber);
   model_arguments.AddParametersTo(&app, "true parameters; default: scaled to the vehicle's size");
   model_arguments.AddTo(&app);
   app.add_option("--noise", noise, "none, default (model.md section 9), or a YAML file")
-      ->type_name("none|default|FILE");
+      ->type_name("none|default|FILE")
+      ->capture_default_str();
   app.add_option("--ground-s", options.ground_s, "time on the ground before take-off [s]")
       ->check(CLI::NonNegativeNumber);
   app.add_option("--log-rate", options.log_rate_hz, "of every stream [Hz]")
       ->check(CLI::Range(1.0, 1000.0));
-  app.footer("Exit status: 0 success, 1 bad input, 2 usage.");
+  tools::AddExitStatus(&app);
   return tools::Run(&app, argc, argv, [&] {
     const std::filesystem::path path(file);
     const bool bag = path.extension() == ".bag";
@@ -48,11 +40,9 @@ int main(int argc, char** argv) {
     if (path.has_parent_path()) tools::MakeFolder(path.parent_path().string());
     bag ? WriteFlightBag(flight.log, file) : WriteFlightCsv(flight.log, file);
     ParameterSet set = ExactParameters(model, truth);
-    set.provenance = {{"tool", "simulate"},
-                      {"version", ODMC_VERSION},
-                      {"vehicle", vehicle.name},
-                      {"trajectory", options.trajectory},
-                      {"seed", std::to_string(options.seed)}};
+    set.provenance = tools::Provenance(
+        "simulate", vehicle,
+        {{"trajectory", options.trajectory}, {"seed", std::to_string(options.seed)}});
     const std::string stem = (path.parent_path() / path.stem()).string();
     SaveParameters(set, stem + "_truth.yaml");
     WriteTruth(flight, stem + "_truth.csv");

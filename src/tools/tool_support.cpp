@@ -9,6 +9,7 @@
 #include <filesystem>
 #include <iostream>
 
+#include "odmc/analysis/report.h"
 #include "odmc/io/number_text.h"
 #include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
@@ -19,6 +20,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr char kExitStatus[] = "Exit status: 0 success, 1 bad input, 2 usage.";
 constexpr char kPython[] = "/usr/bin/python3";
 
 std::string OneLine(std::string text) {
@@ -122,7 +124,7 @@ ProgressBar::ProgressBar(std::string label)
     : label_(std::move(label)), on_terminal_(isatty(STDERR_FILENO) != 0) {}
 
 ProgressBar::~ProgressBar() {
-  if (on_terminal_ && percent_ >= 0) std::cerr << "\r\033[K" << std::flush;
+  if (on_terminal_ && percent_ >= 0 && percent_ < 100) std::cerr << "\r\033[K" << std::flush;
 }
 
 void ProgressBar::Show(double share) {
@@ -130,6 +132,10 @@ void ProgressBar::Show(double share) {
   const int percent = static_cast<int>(100.0 * std::clamp(share, 0.0, 1.0));
   if (!on_terminal_ || percent == percent_) return;
   percent_ = percent;
+  if (percent == 100) {
+    std::cerr << "\r\033[K" << std::flush;
+    return;
+  }
   const int done = kWidth * percent / 100;
   std::cerr << "\r" << label_ << " [" << std::string(done, '#') << std::string(kWidth - done, '.')
             << "] " << percent << " %" << std::flush;
@@ -161,11 +167,14 @@ void FlightArguments::AddTo(CLI::App* app, bool required) {
   app->add_option("--twist-frame", bag.twist_frame,
                   "frame of the bag's linear twist; auto finds it from d(position)/dt")
       ->check(CLI::IsMember({"auto", "body", "world"}).description(""))
-      ->type_name("auto|body|world");
+      ->type_name("auto|body|world")
+      ->capture_default_str();
   app->add_option("--rotor-speed-unit", bag.rotor_speed_unit, "unit of joint_states' velocity")
       ->check(CLI::IsMember({"rad_s", "rpm", "erpm"}).description(""))
-      ->type_name("rad_s|rpm|erpm");
+      ->type_name("rad_s|rpm|erpm")
+      ->capture_default_str();
   app->add_option("--pole-pairs", bag.pole_pairs, "of the motors, for erpm")
+      ->capture_default_str()
       ->check(CLI::PositiveNumber);
 }
 
@@ -237,8 +246,7 @@ void EstimatorArguments::AddTo(CLI::App* app, bool with_window) {
                   "times")
       ->type_name("KEY=VALUE");
   app->footer("Estimator options (--config FILE or --set KEY=VALUE) with their defaults:\n" +
-              FormatOptions(EstimatorOptions()) +
-              "\nExit status: 0 success, 1 bad input, 2 usage.");
+              FormatOptions(EstimatorOptions()) + "\n" + kExitStatus);
 }
 
 EstimatorOptions EstimatorArguments::Read() const {
@@ -267,6 +275,23 @@ std::string DescribeChanges(const EstimatorOptions& options) {
   return text.empty() ? "defaults" : text;
 }
 
+void AddVehicle(CLI::App* app, std::string* file) {
+  app->add_option("--vehicle", *file, "vehicle description, YAML")->required()->type_name("FILE");
+}
+
+void AddTrajectory(CLI::App* app, SimulationOptions* options) {
+  app->add_option("--trajectory", options->trajectory,
+                  "hover, octo, circle, vertical, yaw, aggressive")
+      ->required()
+      ->check(CLI::IsMember(Trajectory::Names()).description(""))
+      ->type_name("NAME");
+  app->add_option("--duration", options->duration_s, "of a whole flight [s]")
+      ->capture_default_str()
+      ->check(CLI::PositiveNumber);
+}
+
+void AddExitStatus(CLI::App* app) { app->footer(kExitStatus); }
+
 void AddFolder(CLI::App* app, std::string* folder, bool* no_report) {
   app->add_option("--out", *folder, "folder for the results; made where missing, files overwritten")
       ->required()
@@ -282,6 +307,24 @@ void MakeFolder(const std::string& folder) {
 
 std::string In(const std::string& folder, const std::string& name) {
   return (fs::path(folder) / name).string();
+}
+
+void WriteCalibration(const Calibration& calibration, const FlightLog& log,
+                      const DynamicModel& model, const std::string& folder) {
+  SaveParameters(calibration.parameters, In(folder, "parameters.yaml"));
+  WriteHistory(calibration, log, model, In(folder, "history.csv"));
+  WritePrediction(calibration.prediction, !log.rotor_rms_only, In(folder, "prediction.csv"));
+  WriteTiming(calibration, In(folder, "timing.csv"));
+  WriteText(CalibrationReport(calibration, model), In(folder, "report.json"));
+}
+
+std::map<std::string, std::string> Provenance(const std::string& tool, const Vehicle& vehicle,
+                                              std::map<std::string, std::string> more) {
+  more["tool"] = tool;
+  more["version"] = ODMC_VERSION;
+  more["vehicle"] = vehicle.name;
+  more["mass_kg"] = FormatNumber(vehicle.mass_kg);
+  return more;
 }
 
 void RenderReport(const std::string& folder) {

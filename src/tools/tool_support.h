@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "odmc/analysis/calibration.h"
 #include "odmc/analysis/model_choice.h"
 #include "odmc/estimator/options.h"
 #include "odmc/ros/flight_bag.h"
@@ -24,7 +25,7 @@ class UsageError : public std::invalid_argument {
 /// @returns exit status: 0 success, 1 bad input, 2 usage
 int Run(CLI::App* app, int argc, char** argv, const std::function<void()>& tool);
 
-/// Shows the share done on stderr, on a terminal only; clears its line at the end.
+/// Shows the share done on stderr, on a terminal only; clears its line when all is done.
 class ProgressBar {
  public:
   explicit ProgressBar(std::string label);
@@ -83,6 +84,15 @@ struct EstimatorArguments {
 /// Every option of the estimator that is not at its default, "key value, ..."; else "defaults".
 std::string DescribeChanges(const EstimatorOptions& options);
 
+/// Adds the required --vehicle FILE.
+void AddVehicle(CLI::App* app, std::string* file);
+
+/// Adds the required --trajectory NAME, and --duration.
+void AddTrajectory(CLI::App* app, SimulationOptions* options);
+
+/// Says what the exit status means at the end of --help.
+void AddExitStatus(CLI::App* app);
+
 /// Adds the required --out DIR; --no-report too if `no_report` is given.
 void AddFolder(CLI::App* app, std::string* folder, bool* no_report = nullptr);
 
@@ -91,6 +101,14 @@ void MakeFolder(const std::string& folder);
 
 /// A file in `folder`.
 std::string In(const std::string& folder, const std::string& name);
+
+/// Writes everything calibrate leaves in its folder but report.html.
+void WriteCalibration(const Calibration& calibration, const FlightLog& log,
+                      const DynamicModel& model, const std::string& folder);
+
+/// Where a parameter set comes from: tool, version, vehicle, and more.
+std::map<std::string, std::string> Provenance(const std::string& tool, const Vehicle& vehicle,
+                                              std::map<std::string, std::string> more);
 
 /// Runs scripts/render_report on a folder; what goes wrong is a warning on stderr.
 void RenderReport(const std::string& folder);

@@ -80,6 +80,9 @@ class Estimator {
   /// True if the last Step() consumed a keyframe, airborne or not: there may be more.
   bool made_progress() const { return made_progress_; }
 
+  /// Stamp of the keyframe the last Step() consumed.
+  Stamp last_keyframe_stamp() const { return last_ ? last_->stamp : 0; }
+
   /// Forgets samples and states, keeps what was learned about the parameters (a new flight or a clock
   /// that stepped back).
   void RestartChain();
@@ -102,6 +105,7 @@ class Estimator {
   void MoveAnchors();
   bool CheckGround(const OdometrySample& sample);
   std::optional<Interval> ReadInterval(const OdometrySample& sample);
+  bool IsJump(const OdometrySample& sample, double dt) const;
   State InitialState(const OdometrySample& sample, const Interval* interval) const;
   std::int64_t CurrentBias(Stamp stamp, bool has_imu);
   void AddKeyframe(const OdometrySample& sample, const std::optional<Interval>& interval);

@@ -1,0 +1,195 @@
+#include <gtest/gtest.h>
+
+#include "odmc/analysis/ground_spans.h"
+#include "odmc/analysis/prediction.h"
+#include "odmc/math/so3.h"
+#include "odmc/sim/simulator.h"
+#include "odmc/sim/truth_vehicle.h"
+#include "support/test_vehicle.h"
+
+namespace odmc {
+namespace {
+
+using Eigen::Vector3d;
+
+/// An exact flight of the nominal vehicle with the sensor at some place.
+struct Flight {
+  Vehicle vehicle;
+  DynamicModel model;
+  ModelValues truth;
+  FlightLog log;
+};
+
+Flight Fly(const SensorMount& odometry, double ground_s = 0.0) {
+  Vehicle vehicle = test::NominalVehicle();
+  vehicle.odometry = odometry;
+  DynamicModel model(vehicle, vehicle.effects);
+  const ModelValues truth = DefaultTruth(model);
+  SimulationOptions options;
+  options.trajectory = "aggressive";
+  options.duration_s = 8.0;
+  options.ground_s = ground_s;
+  FlightLog log = Simulate(model, truth, options, SimulationNoise::None()).log;
+  return {vehicle, std::move(model), truth, std::move(log)};
+}
+
+SensorMount Displaced() {
+  SensorMount mount;
+  mount.p_BS = Vector3d(0.05, -0.03, 0.08);
+  mount.q_BS = Exp(Vector3d(0.1, -0.2, 0.7));
+  return mount;
+}
+
+/// RMSE as a share of predicting zero, worst axis.
+double ForceShare(const PredictionFigures& f) {
+  return f.force_rmse_N->cwiseQuotient(*f.zero_force_rmse_N).maxCoeff();
+}
+double TorqueShare(const PredictionFigures& f) {
+  return f.torque_rmse_Nm->cwiseQuotient(*f.zero_torque_rmse_Nm).maxCoeff();
+}
+
+void ExpectExact(const PredictionFigures& f) {
+  ASSERT_TRUE(f.torque_rmse_Nm.has_value());
+  EXPECT_LT(ForceShare(f), 1e-3);
+  EXPECT_LT(TorqueShare(f), 2e-3);
+  EXPECT_LT((*f.rotor_torque_gain - Vector3d::Ones()).cwiseAbs().maxCoeff(), 1e-3);
+  EXPECT_GT(f.force_explained->minCoeff(), 0.9999);
+}
+
+TEST(Predict, IsExactAtTheTruth) {
+  const Flight flight = Fly({});
+  ExpectExact(Predict(flight.log, flight.vehicle, flight.model, flight.truth, {}).figures);
+}
+
+TEST(Predict, IsExactWithADisplacedAndTiltedSensor) {
+  const Flight flight = Fly(Displaced());
+  ExpectExact(Predict(flight.log, flight.vehicle, flight.model, flight.truth, {}).figures);
+}
+
+TEST(Predict, TakesEstimatedExtrinsicsIntoThePredictionOnly) {
+  const Flight flight = Fly(Displaced());
+  // The file knows nothing of the mount; the estimate has it.
+  Vehicle file = flight.vehicle;
+  file.odometry = SensorMount();
+  std::vector<std::string> effects = file.effects;
+  effects.push_back("odometry_extrinsics");
+  const DynamicModel model(file, effects);
+  ModelValues values = model.InitialValues();
+  values.head(flight.truth.size()) = flight.truth;
+  const Prediction blind = Predict(flight.log, file, model, values, {});
+  const int p = model.IndexOf("odometry_extrinsics.px");
+  values.segment<3>(p) = Displaced().p_BS;
+  values.segment<3>(p + 3) = Log(Displaced().q_BS);
+  const Prediction seeing = Predict(flight.log, file, model, values, {});
+  EXPECT_LT(ForceShare(seeing.figures), 0.01);
+  EXPECT_GT(ForceShare(blind.figures), 0.1);
+  for (size_t i = 0; i < seeing.samples.size(); i += 100) {
+    EXPECT_EQ(seeing.samples[i].measured_force, blind.samples[i].measured_force);
+  }
+}
+
+TEST(Predict, IsWorseWithWrongParameters) {
+  const Flight flight = Fly({});
+  const auto shares = [&](const char* name, double factor) {
+    ModelValues values = flight.truth;
+    values[flight.model.IndexOf(name)] *= factor;
+    const auto f = Predict(flight.log, flight.vehicle, flight.model, values, {}).figures;
+    return std::make_pair(ForceShare(f), TorqueShare(f));
+  };
+  EXPECT_GT(shares("thrust.k_f", 1.2).first, 0.1);
+  EXPECT_GT(shares("drag.d_x", 2.0).first, 0.05);
+  EXPECT_GT(shares("centre_of_gravity.x", 0.0).second, 0.1);
+  EXPECT_GT(shares("viscous_torque.b_x", 3.0).second, 0.1);
+}
+
+TEST(Predict, DoesNotLetTheInertiaMakeItsOwnTorqueFigure) {
+  const Flight flight = Fly({});
+  ModelValues values = flight.truth;
+  values[flight.model.IndexOf("inertia.x")] *= 3.0;
+  const auto truth = Predict(flight.log, flight.vehicle, flight.model, flight.truth, {}).figures;
+  const auto wrong = Predict(flight.log, flight.vehicle, flight.model, values, {}).figures;
+  EXPECT_EQ(truth.torque_rmse_Nm->x(), wrong.torque_rmse_Nm->x());
+  EXPECT_EQ(truth.zero_torque_rmse_Nm->x(), wrong.zero_torque_rmse_Nm->x());
+  EXPECT_NEAR(wrong.inertia_over_nominal->x(), 3.0, 1e-12);
+  EXPECT_GT(wrong.angular_acceleration_rmse_rad_s2->x(),
+            10.0 * truth.angular_acceleration_rmse_rad_s2->x());
+}
+
+TEST(Predict, FindsTheFactorOnTheRotorTorque) {
+  const Flight flight = Fly({});
+  Vehicle vehicle = flight.vehicle;
+  vehicle.inertia_kg_m2 *= 2.0;  // the file overstates it: measured torque doubles
+  ModelValues values = flight.truth;
+  const auto f = Predict(flight.log, vehicle, flight.model, values, {}).figures;
+  EXPECT_LT(f.inertia_over_nominal->x(), 0.51);
+  EXPECT_GT((*f.rotor_torque_gain - Vector3d::Ones()).cwiseAbs().maxCoeff(), 0.05);
+}
+
+TEST(Predict, DoesWithoutVelocityAndRates) {
+  Flight flight = Fly(Displaced());
+  for (OdometrySample& s : flight.log.odometry) {
+    s.v_WS.reset();
+    s.w_WS_S.reset();
+  }
+  const auto f = Predict(flight.log, flight.vehicle, flight.model, flight.truth, {}).figures;
+  EXPECT_LT(ForceShare(f), 0.03);
+  EXPECT_GT(f.samples, 1000);
+}
+
+TEST(Predict, LeavesOutSamplesNearGapsAndCountsThem) {
+  Flight flight = Fly({});
+  const auto whole = Predict(flight.log, flight.vehicle, flight.model, flight.truth, {}).figures;
+  auto& odometry = flight.log.odometry;
+  odometry.erase(odometry.begin() + 1000, odometry.begin() + 1400);  // one second
+  const auto f = Predict(flight.log, flight.vehicle, flight.model, flight.truth, {}).figures;
+  EXPECT_EQ(whole.left_out_gaps, 0);
+  EXPECT_GT(f.left_out_gaps, 30);
+  EXPECT_LT(f.left_out_gaps, 60);
+  EXPECT_EQ(f.samples + f.left_out_gaps + 400, whole.samples);
+  ExpectExact(f);
+}
+
+TEST(Predict, LeavesOutSamplesWithoutRotorSpeeds) {
+  Flight flight = Fly({});
+  auto& rotors = flight.log.rotors;
+  rotors.erase(rotors.begin() + 1000, rotors.begin() + 1400);
+  const auto f = Predict(flight.log, flight.vehicle, flight.model, flight.truth, {}).figures;
+  EXPECT_GT(f.left_out_gaps, 400);
+  ExpectExact(f);
+}
+
+TEST(Predict, HasNoTorqueWhereOnlyTheRmsSpeedIsKnown) {
+  Flight flight = Fly({});
+  flight.log.rotor_rms_only = true;
+  for (RotorSample& s : flight.log.rotors) {
+    s.speed.setConstant(std::sqrt(s.speed.squaredNorm() / static_cast<double>(s.speed.size())));
+  }
+  const auto f = Predict(flight.log, flight.vehicle, flight.model, flight.truth, {}).figures;
+  EXPECT_LT(ForceShare(f), 0.01);
+  EXPECT_FALSE(f.torque_rmse_Nm.has_value());
+  EXPECT_FALSE(f.rotor_torque_gain.has_value());
+}
+
+TEST(Predict, HasNothingForAnEmptyFlight) {
+  const Flight flight = Fly({});
+  const Prediction p = Predict({}, flight.vehicle, flight.model, flight.truth, {});
+  EXPECT_EQ(p.figures.samples, 0);
+  EXPECT_FALSE(p.figures.force_rmse_N.has_value());
+}
+
+TEST(FindGroundSpans, FindsTheStandBeforeTakeOff) {
+  const Flight flight = Fly({}, 2.0);
+  const GroundSpans ground = FindGroundSpans(flight.log, flight.model, flight.truth);
+  ASSERT_EQ(ground.spans.size(), 1u);
+  EXPECT_EQ(ground.spans[0].first, flight.log.odometry.front().stamp);
+  EXPECT_NEAR(ToSeconds(ground.spans[0].second - ground.spans[0].first), 2.5, 0.5);
+  EXPECT_GT(ground.on_ground_s, 0.0);
+  EXPECT_GT(ground.airborne_keyframes, 450);
+  const auto f =
+      Predict(flight.log, flight.vehicle, flight.model, flight.truth, ground.spans).figures;
+  EXPECT_GT(f.left_out_ground, 500);
+  EXPECT_LT(ForceShare(f), 0.05);
+}
+
+}  // namespace
+}  // namespace odmc

@@ -1,0 +1,122 @@
+// Makes the bag a rostest plays and prints what has to come out of it, as JSON.
+//
+//   make_test_bag OUT.bag SECONDS plain    topics as WriteFlightBag() writes them
+//   make_test_bag OUT.bag SECONDS frames   odometry thrice: /in_body, /in_world, /in_neither
+
+#include <nav_msgs/Odometry.h>
+#include <rosbag/bag.h>
+#include <rosbag/view.h>
+
+#include <cstdio>
+#include <cstdlib>
+#include <exception>
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "odmc/analysis/replay.h"
+#include "odmc/io/vehicle_yaml.h"
+#include "odmc/ros/flight_bag.h"
+#include "odmc/sim/simulator.h"
+#include "odmc/sim/truth_vehicle.h"
+
+namespace odmc {
+namespace {
+
+const std::string kFolder = ODMC_SOURCE_DIR;
+
+using Json = nlohmann::json;
+
+Json ByName(const DynamicModel& model, const ModelValues& values) {
+  Json json;
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    json[model.parameters()[i].full_name] = values[i];
+  }
+  return json;
+}
+
+/// What the offline estimator says of the bag, with the node's options in the rostests.
+Json Offline(const std::string& bag) {
+  const Vehicle vehicle = LoadVehicle(kFolder + "/test/ros/test_quad.yaml");
+  const DynamicModel model(vehicle, vehicle.effects);
+  EstimatorOptions options;
+  options.max_update_time_s = 1.0;
+  Estimator estimator(&model, options, true);
+  const FlightLog log = ReadFlightBag(bag, vehicle.num_rotors(), BagOptions());
+  const ReplayResult result = Replay(log, &estimator);
+  const ParameterSet set = Estimator::ToParameterSet(model, result.last.value());
+  Json json;
+  for (const ParameterEstimate& p : set.parameters) {
+    json[p.full_name] = {{"value", p.value}, {"sigma", p.sigma}, {"unit", p.unit},
+                         {"observable", p.observable}};
+  }
+  return json;
+}
+
+geometry_msgs::Vector3 ToVector3(const Eigen::Vector3d& v) {
+  geometry_msgs::Vector3 m;
+  m.x = v.x();
+  m.y = v.y();
+  m.z = v.z();
+  return m;
+}
+
+/// The odometry of `from` with its velocity in the body, in the world, and in no frame at all. The
+/// messages declare the other frame: only the motion tells.
+void WriteFrames(const std::string& from, const std::string& to) {
+  rosbag::Bag in(from, rosbag::bagmode::Read), out(to, rosbag::bagmode::Write);
+  for (const rosbag::MessageInstance& m : rosbag::View(in)) {
+    const auto odometry = m.instantiate<nav_msgs::Odometry>();
+    if (odometry == nullptr) {
+      out.write(m.getTopic(), m.getTime(), m);
+      continue;
+    }
+    const auto& v = odometry->twist.twist.linear;
+    const auto& q = odometry->pose.pose.orientation;
+    const Eigen::Vector3d v_W(v.x, v.y, v.z);
+    const Eigen::Quaterniond q_WB(q.w, q.x, q.y, q.z);
+    nav_msgs::Odometry message = *odometry;
+    out.write("/in_neither/odometry", m.getTime(), [&] {
+      message.twist.twist.linear = ToVector3({v_W.z(), -v_W.x(), v_W.y()});
+      return message;
+    }());
+    message.twist.twist.linear = ToVector3(q_WB.conjugate() * v_W);
+    out.write("/in_body/odometry", m.getTime(), message);
+    message.child_frame_id = "base_link";
+    message.twist.twist.linear = ToVector3(v_W);
+    out.write("/in_world/odometry", m.getTime(), message);
+  }
+}
+
+void Run(const std::string& file, double duration_s, const std::string& kind) {
+  const Vehicle vehicle = LoadVehicle(kFolder + "/config/vehicles/generic.yaml");
+  const DynamicModel model(vehicle, vehicle.effects);
+  const ModelValues truth = DefaultTruth(model);
+  SimulationOptions options;
+  options.duration_s = duration_s;
+  options.log_rate_hz = 200.0;
+  const SimulatedFlight flight = Simulate(model, truth, options);
+  Json json = {{"truth", ByName(model, truth)}};
+  if (kind == "frames") {
+    WriteFlightBag(flight.log, file + ".plain");
+    WriteFrames(file + ".plain", file);
+    std::remove((file + ".plain").c_str());
+  } else {
+    WriteFlightBag(flight.log, file);
+    json["offline"] = Offline(file);
+  }
+  std::printf("%s\n", json.dump(2).c_str());
+}
+
+}  // namespace
+}  // namespace odmc
+
+int main(int argc, char** argv) {
+  try {
+    if (argc != 4) throw std::invalid_argument("usage: make_test_bag OUT.bag SECONDS plain|frames");
+    odmc::Run(argv[1], std::atof(argv[2]), argv[3]);
+  } catch (const std::exception& e) {
+    std::fprintf(stderr, "make_test_bag: %s\n", e.what());
+    return 1;
+  }
+  return 0;
+}

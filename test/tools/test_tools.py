@@ -1,0 +1,240 @@
+"""Tests of the command-line tools: test_tools.py FOLDER_OF_TOOLS."""
+
+import csv
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import unittest
+from typing import Any, Dict, List
+
+ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.realpath(__file__))))
+TOOLS = os.path.join(ROOT, 'build', 'devel', 'lib', 'odmc')
+VEHICLE = os.path.join(ROOT, 'config', 'vehicles', 'generic.yaml')
+NAMES = ('benchmark', 'calibrate', 'evaluate', 'list_effects', 'recovery', 'simulate')
+
+
+def run(tool: str, *arguments: str) -> subprocess.CompletedProcess:
+    """Runs a tool, output as text."""
+    return subprocess.run([os.path.join(TOOLS, tool), *arguments], capture_output=True, text=True,
+                          check=False, timeout=600)
+
+
+def read_json(*path: str) -> Dict[str, Any]:
+    """A JSON file, without NaN."""
+    def refuse(text: str) -> None:
+        raise AssertionError(f'{text} in {path}')
+    with open(os.path.join(*path), encoding='utf-8') as file:
+        return json.load(file, parse_constant=refuse)
+
+
+def read_table(*path: str) -> List[Dict[str, str]]:
+    """Rows of a CSV file."""
+    with open(os.path.join(*path), encoding='utf-8') as file:
+        return list(csv.DictReader(file))
+
+
+class ToolsTest(unittest.TestCase):
+    """One short simulated flight, as a bag and as CSV, for all."""
+
+    folder: tempfile.TemporaryDirectory
+
+    @classmethod
+    def setUpClass(cls) -> None:
+        cls.folder = tempfile.TemporaryDirectory()
+        for name in ('flight.bag', 'flight.csv'):
+            done = run('simulate', '--vehicle', VEHICLE, '--trajectory', 'octo', '--out',
+                       cls.path('new/folder', name), '--seed', '3', '--duration', '7')
+            assert done.returncode == 0, done.stderr
+
+    @classmethod
+    def tearDownClass(cls) -> None:
+        cls.folder.cleanup()
+
+    @classmethod
+    def path(cls, *names: str) -> str:
+        """A file in the test's folder."""
+        return os.path.join(cls.folder.name, *names)
+
+    @classmethod
+    def flight(cls, ending: str = 'csv') -> str:
+        """The simulated flight."""
+        return cls.path('new/folder', f'flight.{ending}')
+
+    def write(self, name: str, text: str) -> str:
+        """A file with this text."""
+        with open(self.path(name), 'w', encoding='utf-8') as file:
+            file.write(text)
+        return self.path(name)
+
+    def expect(self, status: int, what: str, tool: str, *arguments: str) -> None:
+        """The exit status, and one sentence on stderr that says what."""
+        done = run(tool, *arguments)
+        self.assertEqual(done.returncode, status, done.stderr)
+        self.assertIn(what, done.stderr)
+        self.assertEqual(len(done.stderr.strip().splitlines()), 1, done.stderr)
+        self.assertTrue(done.stderr.startswith('error: '), done.stderr)
+
+    def test_help_explains_all(self) -> None:
+        for name in NAMES:
+            done = run(name, '--help')
+            self.assertEqual(done.returncode, 0, name)
+            self.assertIn('Exit status', done.stdout, name)
+            self.assertEqual(done.stderr, '', name)
+
+    def test_usage_ends_with_status_two(self) -> None:
+        out = ('--out', self.path('out'))
+        vehicle = ('--vehicle', VEHICLE)
+        self.expect(2, '--vehicle', 'calibrate', self.flight(), *out)
+        self.expect(2, 'FLIGHT', 'calibrate', *vehicle, *out)
+        common = (self.flight(), *vehicle, *out)
+        self.expect(2, '--nonsense', 'calibrate', *common, '--nonsense')
+        self.expect(2, 'magic', 'calibrate', *common, '--effects', 'thrust,magic')
+        self.expect(2, 'excludes', 'calibrate', *common, '--effects', 'drag', '--without', 'drag')
+        self.expect(2, 'windw_s', 'calibrate', *common, '--set', 'windw_s=1')
+        self.expect(2, 'a number', 'calibrate', *common, '--set', 'window_s=long')
+        self.expect(2, 'window_s', 'calibrate', *common, '--set', 'window_s=-1')
+        self.expect(2, 'odo', 'calibrate', *common, '--topic', 'odo:=/x')
+        self.expect(2, '--end', 'calibrate', *common, '--start', '5', '--end', '4')
+        self.expect(2, '.bag or .csv', 'simulate', *vehicle, '--trajectory', 'octo', '--seed', '1',
+                    '--out', self.path('x.txt'))
+        self.expect(2, 'zigzag', 'simulate', *vehicle, '--trajectory', 'zigzag', '--seed', '1',
+                    '--out', self.path('x.csv'))
+        self.expect(2, '--vehicle', 'benchmark', self.flight(), *out)
+
+    def test_bad_input_ends_with_status_one(self) -> None:
+        out = ('--out', self.path('out'), '--no-report')
+        self.expect(1, 'missing.csv', 'calibrate', self.path('missing.csv'), '--vehicle', VEHICLE,
+                    *out)
+        self.expect(1, 'missing.yaml', 'calibrate', self.flight(), '--vehicle',
+                    self.path('missing.yaml'), *out)
+        self.expect(1, 'empty.csv', 'calibrate', self.write('empty.csv', ''), '--vehicle', VEHICLE,
+                    *out)
+        with open(self.flight('bag'), 'rb') as bag:
+            start = bag.read(20000)
+        with open(self.path('short.bag'), 'wb') as bag:
+            bag.write(start)
+        self.expect(1, 'short.bag', 'calibrate', self.path('short.bag'), '--vehicle', VEHICLE, *out)
+        self.expect(1, 'nothing to estimate', 'calibrate', self.flight(), '--vehicle', VEHICLE,
+                    '--parameters', self.path('new/folder/flight_truth.yaml'), *out)
+        self.expect(1, 'between --start and --end', 'calibrate', self.flight(), '--vehicle',
+                    VEHICLE, '--start', '100', *out)
+        blocked = self.write('file', 'not a folder')
+        self.expect(1, 'folder', 'calibrate', self.flight(), '--vehicle', VEHICLE, '--out', blocked)
+
+    def test_never_flying_is_said(self) -> None:
+        rows = ['t,px,py,pz,qw,qx,qy,qz,rotor1,rotor2,rotor3,rotor4']
+        rows += [f'{i * 0.01:.2f},{1e-4 * (i % 3)},0,0,1,0,0,0,10,10,10,10' for i in range(300)]
+        flight = self.write('standing.csv', '\n'.join(rows) + '\n')
+        self.expect(1, 'never airborne', 'calibrate', flight, '--vehicle', VEHICLE, '--out',
+                    self.path('out'))
+        done = run('evaluate', flight, '--vehicle', VEHICLE, '--parameters',
+                   self.path('new/folder/flight_truth.yaml'), '--out', self.path('standing'),
+                   '--no-report')
+        self.assertEqual(done.returncode, 0, done.stderr)
+        report = read_json(self.path('standing'), 'report.json')
+        self.assertIsNone(report['prediction']['force_rmse_N'])
+        self.assertTrue(report['warnings'])
+
+    def test_bag_and_csv_calibrate_to_the_same(self) -> None:
+        reports = []
+        for ending in ('bag', 'csv'):
+            done = run('calibrate', self.flight(ending), '--vehicle', VEHICLE, '--out',
+                       self.path(ending, 'deep'), '--no-report', '--set', 'max_update_time_s=10')
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertEqual(done.stderr, '')
+            reports.append(read_json(self.path(ending, 'deep'), 'report.json'))
+        bag, table = (report['parameters'] for report in reports)
+        self.assertEqual(list(bag), list(table))
+        for name, entry in bag.items():
+            for key in ('value', 'sigma'):
+                self.assertLessEqual(abs(entry[key] - table[name][key]),
+                                     1e-6 * (abs(entry['value']) + entry['sigma']), name)
+
+    def test_calibrate_evaluate_and_report(self) -> None:
+        out = self.path('whole')
+        done = run('calibrate', self.flight(), '--vehicle', VEHICLE, '--out', out)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertEqual(done.stderr, '')
+        self.assertIn('rotor torque gain', done.stdout)
+        self.assertIn('inertia over nominal', done.stdout)
+        self.assertEqual(set(os.listdir(out)),
+                         {'history.csv', 'parameters.yaml', 'prediction.csv', 'report.html',
+                          'report.json', 'timing.csv'})
+        report = read_json(out, 'report.json')
+        self.assertEqual(set(report['flight']),
+                         {'file', 'duration_s', 'on_ground_s', 'keyframes', 'dropped'})
+        self.assertEqual(set(report['parameters']), set(report['convergence_s']))
+        thrust = report['parameters']['thrust.k_f']
+        self.assertEqual((thrust['state'], thrust['observable']), ('estimated', True))
+        self.assertAlmostEqual(thrust['value'] / 1.5e-6, 1.0, delta=0.02)
+        self.assertEqual(report['parameters']['rotor_torque.k_m']['state'], 'frozen')
+        self.assertIsNone(report['convergence_s']['rotor_torque.k_m'])
+        self.assertEqual(report['timing_ms']['threads'], 1)
+        self.assertGreater(report['timing_ms']['updates'], 100)
+        history = read_table(out, 'history.csv')
+        self.assertAlmostEqual(float(history[-1]['thrust.k_f']), thrust['value'],
+                               delta=1e-8 * thrust['value'])
+        self.check_evaluation(out, report)
+
+    def check_evaluation(self, out: str, report: Dict[str, Any]) -> None:
+        """Evaluating the same flight with the result gives the same figures."""
+        done = run('evaluate', self.flight(), '--vehicle', VEHICLE, '--parameters',
+                   os.path.join(out, 'parameters.yaml'), '--out', self.path('evaluated'))
+        self.assertEqual(done.returncode, 0, done.stderr)
+        again = read_json(self.path('evaluated'), 'report.json')
+        self.assertEqual(set(again['flight']), set(report['flight']))
+        for key, values in report['prediction'].items():
+            for one, other in zip(values, again['prediction'][key]):
+                self.assertTrue(math.isclose(one, other, rel_tol=1e-9, abs_tol=1e-12), key)
+        self.assertTrue(os.path.isfile(self.path('evaluated', 'report.html')))
+
+    def test_simulation_has_its_truth_beside_it(self) -> None:
+        truth = read_table(self.path('new/folder'), 'flight_truth.csv')
+        flight = read_table(self.flight())
+        self.assertEqual(len(truth), len(flight))
+        self.assertAlmostEqual(float(truth[-1]['px']), float(flight[-1]['px']), delta=0.1)
+        again = self.path('again.csv')
+        done = run('simulate', '--vehicle', VEHICLE, '--trajectory', 'octo', '--out', again,
+                   '--seed', '3', '--duration', '7', '--parameters',
+                   self.path('new/folder/flight_truth.yaml'))
+        self.assertEqual(done.returncode, 0, done.stderr)
+        with open(again, encoding='utf-8') as one, open(self.flight(), encoding='utf-8') as other:
+            self.assertEqual(one.read(), other.read())
+
+    def test_recovery_reports_every_parameter(self) -> None:
+        done = run('recovery', '--vehicle', VEHICLE, '--trajectory', 'octo', '--seeds', '2',
+                   '--jobs', '2', '--duration', '4', '--out', self.path('recovery'), '--effects',
+                   'thrust,drag,rotor_torque', '--no-report', '--start-thrust-factor', '2')
+        self.assertEqual(done.returncode, 0, done.stderr)
+        recovery = read_json(self.path('recovery'), 'report.json')['recovery']
+        self.assertEqual((recovery['trajectory'], recovery['seeds']), ('octo', 2))
+        self.assertEqual(set(recovery['parameters']),
+                         {'thrust.k_f', 'drag.d_x', 'drag.d_y', 'drag.d_z'})
+        for entry in recovery['parameters'].values():
+            self.assertLessEqual({'median_error', 'median_relative_error',
+                                  'median_error_over_sigma', 'coverage_3sigma'}, set(entry))
+
+    def test_benchmark_measures_each_window(self) -> None:
+        done = run('benchmark', '--windows', '0.2,0.4', '--duration', '4', '--out',
+                   self.path('benchmark'))
+        self.assertEqual(done.returncode, 0, done.stderr)
+        rows = read_json(self.path('benchmark'), 'report.json')['benchmark']
+        self.assertEqual([row['window_s'] for row in rows], [0.2, 0.4])
+        self.assertLess(rows[0]['timing_ms']['states_in_window'],
+                        rows[1]['timing_ms']['states_in_window'])
+
+    def test_catalogue_names_every_effect(self) -> None:
+        for flags in ((), ('--markdown',)):
+            done = run('list_effects', *flags)
+            self.assertEqual(done.returncode, 0)
+            for name in ('thrust.k_f', 'hvt.k_h', 'imu_extrinsics.rz', 'gravity.x'):
+                self.assertIn(name, done.stdout)
+
+
+if __name__ == '__main__':
+    if len(sys.argv) > 1 and os.path.isdir(sys.argv[1]):
+        TOOLS = sys.argv.pop(1)
+    unittest.main()
