@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "odmc/analysis/ground_spans.h"
+#include "odmc/io/number_text.h"
 #include "odmc/math/statistics.h"
 
 namespace odmc {
@@ -74,14 +75,25 @@ std::vector<std::string> FlightWarnings(const FlightLog& log, const ReplayResult
   return warnings;
 }
 
+/// Forces scale with the mass, so parameters belong to the mass they were fitted with.
+void WarnOfOtherMass(const ParameterSet& parameters, const Vehicle& vehicle,
+                     std::vector<std::string>* warnings) {
+  const auto fitted = parameters.provenance.find("mass_kg");
+  double mass_kg = 0.0;
+  if (fitted == parameters.provenance.end() || !ParseNumber(fitted->second, &mass_kg)) return;
+  if (std::abs(mass_kg - vehicle.mass_kg) < 1e-6 * vehicle.mass_kg) return;
+  warnings->push_back("the parameters belong to a mass of " + Text(mass_kg) +
+                      " kg, the vehicle file says " + Text(vehicle.mass_kg) + " kg");
+}
+
 void Append(const std::vector<std::string>& more, std::vector<std::string>* all) {
   all->insert(all->end(), more.begin(), more.end());
 }
 
 }  // namespace
 
-Calibration Calibrate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
-                      const EstimatorOptions& options,
+Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Vehicle& file_vehicle,
+                      const DynamicModel& model, const EstimatorOptions& options,
                       const std::function<void(double)>& progress) {
   const auto& parameters = model.parameters();
   if (std::none_of(parameters.begin(), parameters.end(),
@@ -105,7 +117,7 @@ Calibration Calibrate(const FlightLog& log, const Vehicle& file_vehicle, const D
                    replay.counters.keyframes,
                    log.dropped + streams.not_finite + streams.out_of_order};
   result.parameters = Estimator::ToParameterSet(model, last);
-  result.prediction = Predict(log, file_vehicle, model, last.values, replay.ground_spans);
+  result.prediction = Predict(recording, file_vehicle, model, last.values, replay.ground_spans);
   result.convergence_s = Convergence(replay.history, last.observable);
   result.wall = SummariseTiming(replay, &UpdateTiming::wall_ms);
   result.cpu = SummariseTiming(replay, &UpdateTiming::cpu_ms);
@@ -132,6 +144,7 @@ Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const Dyn
                    log.dropped};
   result.prediction = Predict(log, file_vehicle, model, values, ground.spans);
   result.warnings = log.warnings;
+  WarnOfOtherMass(parameters, file_vehicle, &result.warnings);
   if (result.prediction.samples.empty()) {
     result.warnings.push_back(
         "no sample could be predicted: the vehicle never flies, or no stretch of 0.1 s is whole");

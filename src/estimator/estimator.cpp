@@ -192,15 +192,17 @@ std::optional<Snapshot> Estimator::Step() {
     const std::optional<Interval> interval = ReadInterval(*sample);
     AddKeyframe(*sample, interval);
     SolverOptions solver_options;
-    solver_options.max_iterations =
-        counters_.airborne_s < 1.0 ? std::max(10, options_.max_iterations) : options_.max_iterations;
-    solver_options.max_time_s =
-        counters_.airborne_s < 1.0 ? 10.0 * options_.max_update_time_s : options_.max_update_time_s;
+    // One step an update follows the flight; the first second and a refused step need more.
+    const bool settling = counters_.airborne_s < 1.0;
+    const int least = settling ? 10 : (needs_more_iterations_ ? 6 : 1);
+    solver_options.max_iterations = std::max(least, options_.max_iterations);
+    solver_options.max_time_s = (settling ? 10.0 : 1.0) * options_.max_update_time_s;
     solver_options.function_tolerance = options_.function_tolerance;
     solver_options.num_threads = options_.num_threads;
     MoveAnchors();
     const SolveReport report = solver_->Solve(&window_, solver_options);
     if (!report.usable) ++counters_.refused_updates;
+    needs_more_iterations_ = !report.improved && !report.converged;
     snapshot = TakeSnapshot(*sample, report);
     const double span =
         ToSeconds(window_.keyframes().back().stamp - window_.keyframes().front().stamp);

@@ -32,8 +32,9 @@ int main(int argc, char** argv) {
     }
   }
   ros::init(argc, argv, "estimator_node");
+  // Outside of `try`: the last handle takes the log with it.
+  const ros::NodeHandle node, private_node("~");
   try {
-    const ros::NodeHandle node, private_node("~");
     const odmc::EstimatorNode estimator(node, odmc::ReadEstimatorNodeSetup(node, private_node));
     ros::spin();
   } catch (const std::exception& e) {

@@ -10,6 +10,7 @@ namespace {
 
 constexpr int kWidth = 1280, kHeight = 800, kHeader = 58, kFooter = 26, kMargin = 10;
 constexpr double kBandSigmas = 3.0;
+constexpr double kResidual_s = 10.0;  // of residuals shown
 
 const cv::Scalar kPaper(250, 250, 250), kPanel(255, 255, 255), kInk(45, 40, 38), kSoft(125, 120, 115),
     kGrid(232, 229, 226), kGood(80, 145, 40), kBad(40, 60, 200);
@@ -26,6 +27,7 @@ struct Curve {
 
 struct Panel {
   std::string title, unit;
+  std::vector<double> t;
   std::vector<Curve> curves;
 };
 
@@ -107,7 +109,7 @@ cv::Point SubPixel(double x, double y) {
 int ExponentOf(const Range& range) {
   const double size = std::max(std::abs(range.low), std::abs(range.high));
   const double exponent = std::floor(std::log10(std::max(size, 1e-30)));
-  if (exponent >= -2.0 && exponent < 4.0) return 0;
+  if (exponent >= -1.0 && exponent < 4.0) return 0;
   return 3 * static_cast<int>(std::floor(exponent / 3.0));
 }
 
@@ -165,14 +167,16 @@ void DrawLine(cv::Mat* image, const Axes& axes, const std::vector<double>& t, co
   cv::polylines(inside, points, false, colour, width, cv::LINE_AA, 4);
 }
 
-/// "x 1.49 +- 0.01" in the colour of its curve, right aligned above the panel; the sigma is left
-/// out where three of them have to share the line.
+/// "x 1.49 +-0.01", with the decimals that sigma gives a meaning; only the name without sigma.
 std::string Label(const Curve& curve, double unit) {
   const std::string name = curve.name.empty() ? "" : curve.name + " ";
-  if (curve.value.empty()) return name;
-  std::string text = name + Number(curve.value.back() / unit, "%.4g");
-  if (curve.sigma.empty()) return name;
-  return text + " +-" + Number(curve.sigma.back() / unit, "%.1g");
+  if (curve.value.empty() || curve.sigma.empty()) return name;
+  const double sigma = std::max(curve.sigma.back() / unit, 1e-5);
+  const int decimals = std::max(0, 1 - static_cast<int>(std::floor(std::log10(sigma))));
+  char text[60];
+  std::snprintf(text, sizeof text, "%.*f +-%.*f", decimals, curve.value.back() / unit, decimals,
+                sigma);
+  return name + text;
 }
 
 void DrawLabels(cv::Mat* image, const cv::Rect& box, const Panel& panel, double unit) {
@@ -186,8 +190,8 @@ void DrawLabels(cv::Mat* image, const cv::Rect& box, const Panel& panel, double 
   }
 }
 
-void DrawPanel(cv::Mat* image, const cv::Rect& frame, const Panel& panel,
-               const std::vector<double>& t) {
+void DrawPanel(cv::Mat* image, const cv::Rect& frame, const Panel& panel) {
+  const std::vector<double>& t = panel.t;
   cv::rectangle(*image, frame, kPanel, cv::FILLED);
   cv::rectangle(*image, frame, kGrid, 1);
   Axes axes;
@@ -222,6 +226,8 @@ int AxisOf(const std::string& name) {
 std::vector<Panel> ParameterPanels(const DynamicModel& model, const LiveHistory& history,
                                    const std::vector<bool>& observable) {
   std::vector<Panel> panels;
+  std::vector<double> t;
+  for (const LiveHistory::Entry& entry : history.entries()) t.push_back(entry.t_s);
   std::string group;
   for (int k = 0; k < model.num_parameters(); ++k) {
     const ModelParameter& p = model.parameters()[k];
@@ -230,7 +236,7 @@ std::vector<Panel> ParameterPanels(const DynamicModel& model, const LiveHistory&
     const std::string key = p.effect + "/" + p.spec.unit + (axis < 0 ? p.spec.name : "");
     if (key != group || panels.back().curves.size() == kColours.size()) {
       group = key;
-      panels.push_back({axis < 0 ? p.full_name : p.effect, p.spec.unit, {}});
+      panels.push_back({axis < 0 ? p.full_name : p.effect, p.spec.unit, t, {}});
     }
     Curve curve;
     curve.name = axis < 0 ? "" : std::string(1, p.spec.name.back());
@@ -246,14 +252,15 @@ std::vector<Panel> ParameterPanels(const DynamicModel& model, const LiveHistory&
 }
 
 Panel ResidualPanel(const LiveHistory& history, const std::string& title, const std::string& unit,
-                    Eigen::Vector3d LiveHistory::Entry::*member) {
-  Panel panel{title, unit, {}};
+                    Eigen::Vector3d LiveHistory::Residual::*member) {
+  Panel panel{title, unit, {}, {}};
+  for (const LiveHistory::Residual& residual : history.residuals()) panel.t.push_back(residual.t_s);
   for (int i = 0; i < 3; ++i) {
     Curve curve;
     curve.name = std::string(1, "xyz"[i]);
     curve.colour = kColours[i];
-    for (const LiveHistory::Entry& entry : history.entries()) {
-      curve.value.push_back((entry.*member)[i]);
+    for (const LiveHistory::Residual& residual : history.residuals()) {
+      curve.value.push_back((residual.*member)[i]);
     }
     panel.curves.push_back(std::move(curve));
   }
@@ -270,7 +277,7 @@ void DrawHeader(cv::Mat* image, const LiveImageTexts& texts) {
 void DrawFooter(cv::Mat* image, const LiveImageTexts& texts) {
   const int row = kHeight - 10;
   if (texts.warnings.empty()) {
-    Write(image, "bands: 3 sigma; faint: the flight says little more than the prior",
+    Write(image, "time in s; bands: 3 sigma; faint: the flight says little more than the prior",
           {kMargin + 4, row}, 0.4, kSoft);
     return;
   }
@@ -284,15 +291,10 @@ void DrawFooter(cv::Mat* image, const LiveImageTexts& texts) {
 }  // namespace
 
 void LiveHistory::Add(const Snapshot& snapshot) {
-  force_sum_ += snapshot.residual_force_B;
-  torque_sum_ += snapshot.residual_torque_B;
-  ++count_;
+  residuals_.push_back({snapshot.time_s, snapshot.residual_force_B, snapshot.residual_torque_B});
+  while (snapshot.time_s - residuals_.front().t_s > kResidual_s) residuals_.pop_front();
   if (!entries_.empty() && snapshot.time_s - entries_.back().t_s < spacing_s_) return;
-  entries_.push_back({snapshot.time_s, snapshot.values, snapshot.sigma, force_sum_ / count_,
-                      torque_sum_ / count_});
-  force_sum_.setZero();
-  torque_sum_.setZero();
-  count_ = 0;
+  entries_.push_back({snapshot.time_s, snapshot.values, snapshot.sigma});
   if (entries_.size() < kMost) return;
   for (size_t i = 0; 2 * i < entries_.size(); ++i) entries_[i] = entries_[2 * i];
   entries_.resize(entries_.size() / 2);
@@ -306,11 +308,9 @@ cv::Mat DrawLiveImage(const DynamicModel& model, const LiveHistory& history,
   cv::Mat image(kHeight, kWidth, CV_8UC3, kPaper);
   std::vector<Panel> panels = ParameterPanels(model, history, observable);
   panels.push_back(ResidualPanel(history, "residual force", "N",
-                                 &LiveHistory::Entry::residual_force_B));
+                                 &LiveHistory::Residual::force_B));
   panels.push_back(ResidualPanel(history, "residual torque", "N m",
-                                 &LiveHistory::Entry::residual_torque_B));
-  std::vector<double> t;
-  for (const LiveHistory::Entry& entry : history.entries()) t.push_back(entry.t_s);
+                                 &LiveHistory::Residual::torque_B));
 
   const int count = static_cast<int>(panels.size());
   const int columns = count <= 4 ? 2 : count <= 9 ? 3 : 4;
@@ -320,7 +320,7 @@ cv::Mat DrawLiveImage(const DynamicModel& model, const LiveHistory& history,
   for (int i = 0; i < count; ++i) {
     const cv::Rect frame(kMargin + (i % columns) * width, kHeader + (i / columns) * height,
                          width - kMargin, height - kMargin);
-    DrawPanel(&image, frame, panels[i], t);
+    DrawPanel(&image, frame, panels[i]);
   }
   DrawHeader(&image, texts);
   DrawFooter(&image, texts);

@@ -23,6 +23,7 @@ int main(int argc, char** argv) {
   app.add_option("--windows", windows_s, "lengths of the sliding window [s]")
       ->capture_default_str()
       ->delimiter(',')
+      ->allow_extra_args(false)
       ->check(CLI::PositiveNumber)
       ->type_name("a,b");
   app.add_option("--duration", simulation.duration_s, "of the simulated flight [s]")

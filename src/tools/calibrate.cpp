@@ -23,7 +23,8 @@ int main(int argc, char** argv) {
   model_arguments.AddTo(&app);
   estimator.AddTo(&app);
   app.add_option("--position-noise", noise_m,
-                 "adds white Gaussian noise to every odometry position, sigma per axis [m]")
+                 "adds white Gaussian noise to every odometry position the estimator sees, sigma "
+                 "per axis [m]")
       ->check(CLI::NonNegativeNumber);
   app.add_option("--seed", seed, "of the position noise")
       ->capture_default_str()
@@ -33,11 +34,12 @@ int main(int argc, char** argv) {
     const EstimatorOptions options = estimator.Read();
     const Vehicle vehicle = model_arguments.Configure(file_vehicle);
     const DynamicModel model(vehicle, vehicle.effects);
-    FlightLog log = flight.Read(vehicle.num_rotors());
+    const FlightLog recording = flight.Read(vehicle.num_rotors());
+    FlightLog log = recording;
     if (noise_m > 0.0) AddPositionNoise(noise_m, seed, &log);
     tools::MakeFolder(folder);
     tools::ProgressBar bar(log.file);
-    Calibration result = Calibrate(log, file_vehicle, model, options, bar.Callback());
+    Calibration result = Calibrate(log, recording, file_vehicle, model, options, bar.Callback());
     result.parameters.provenance = tools::Provenance(
         "calibrate", vehicle,
         {{"flight", log.file}, {"estimator_options", tools::DescribeChanges(options)}});

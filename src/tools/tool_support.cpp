@@ -163,6 +163,7 @@ void FlightArguments::AddTo(CLI::App* app, bool required) {
   app->add_option("--topic", topics,
                   "topic of a bag by role, as odometry:=/vio/odom; roles: odometry, pose, imu, "
                   "rotor_speeds, joint_states, battery_state; may be given several times")
+      ->allow_extra_args(false)
       ->type_name("NAME:=/topic");
   app->add_option("--twist-frame", bag.twist_frame,
                   "frame of the bag's linear twist; auto finds it from d(position)/dt")
@@ -205,19 +206,23 @@ void ModelArguments::AddTo(CLI::App* app) {
                                   "the model's effects, replaces the files' list; list_effects "
                                   "shows all")
                       ->delimiter(',')
+                      ->allow_extra_args(false)
                       ->check(effect)
                       ->type_name("a,b");
   app->add_option("--without", choice.without, "effects to leave out of the files' list")
       ->delimiter(',')
+      ->allow_extra_args(false)
       ->check(effect)
       ->type_name("a,b")
       ->excludes(effects);
   app->add_option("--free", choice.free, "estimate these: full names (thrust.k_f) or effects")
       ->delimiter(',')
+      ->allow_extra_args(false)
       ->check(parameter)
       ->type_name("a,b");
   app->add_option("--freeze", choice.freeze, "hold these: full names (rotor_torque.k_m) or effects")
       ->delimiter(',')
+      ->allow_extra_args(false)
       ->check(parameter)
       ->type_name("a,b");
 }
@@ -244,6 +249,7 @@ void EstimatorArguments::AddTo(CLI::App* app, bool with_window) {
   app->add_option("--set", settings,
                   "any option of the estimator, see below; may be given several "
                   "times")
+      ->allow_extra_args(false)
       ->type_name("KEY=VALUE");
   app->footer("Estimator options (--config FILE or --set KEY=VALUE) with their defaults:\n" +
               FormatOptions(EstimatorOptions()) + "\n" + kExitStatus);

@@ -477,6 +477,8 @@ class Corrupted final : public ceres::CostFunction {
 /// Plants one error into every part of the Jacobian that is not zero and counts those found.
 void PlantEverywhere(Kind kind, int* planted, int* missed) {
   const Case c = MakeCase(kind, Freedom::kAll, 7);
+  EXPECT_LT(CompareWithTwin(*c.cost, c.at, c.twin_residual).jacobian, kJacobianTolerance)
+      << "before anything is planted";
   const BlockJets jets = Seed(c.at);
   const twin::VX<Jet> expected = c.twin_residual(jets);
   const std::vector<int> tangent = TangentSizes(c.at);

@@ -155,7 +155,8 @@ class ToolsTest(unittest.TestCase):
 
     def test_calibrate_evaluate_and_report(self) -> None:
         out = self.path('whole')
-        done = run('calibrate', self.flight(), '--vehicle', VEHICLE, '--out', out)
+        done = run('calibrate', '--vehicle', VEHICLE, '--out', out, '--freeze', 'inertia.z',
+                   self.flight())
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertEqual(done.stderr, '')
         self.assertIn('rotor torque gain', done.stdout)
@@ -171,6 +172,7 @@ class ToolsTest(unittest.TestCase):
         self.assertEqual((thrust['state'], thrust['observable']), ('estimated', True))
         self.assertAlmostEqual(thrust['value'] / 1.5e-6, 1.0, delta=0.02)
         self.assertEqual(report['parameters']['rotor_torque.k_m']['state'], 'frozen')
+        self.assertEqual(report['parameters']['inertia.z']['state'], 'frozen')
         self.assertIsNone(report['convergence_s']['rotor_torque.k_m'])
         self.assertEqual(report['timing_ms']['threads'], 1)
         self.assertGreater(report['timing_ms']['updates'], 100)

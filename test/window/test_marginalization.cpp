@@ -215,7 +215,6 @@ TEST_F(Marginalization, LeavesUnobservableDirectionsFree) {
   options.unseen_parameters = Random(8).NextVector(layout_.num_estimated());
   Window window(&layout_);
   LinearWindowMaker(&window, options, 21).Fill();
-  CeresWindowSolver solver;
   Random random(22);
   for (int i = 0; i < 8; ++i) {
     // Where the estimate wanders must not matter.
@@ -334,6 +333,26 @@ TEST_F(Marginalization, ScoreIsTheGradientOfTheLeavingParameterFactors) {
   EXPECT_LT((leaving.dynamics_residual - residual).norm(), 1e-12);
 }
 
+TEST_F(Marginalization, RescaledPriorKeepsItsOptimumAndScalesItsInformation) {
+  Window window(&layout_);
+  LinearWindowMaker(&window, LinearWindowOptions(), 27).Fill();
+  for (int i = 0; i < 3; ++i) ASSERT_TRUE(MarginalizeOldest(&window, Threshold(kNever)));
+  Prior& prior = window.prior();
+  const MatrixXd H = prior.A.transpose() * prior.A;
+  const VectorXd optimum = -prior.A.completeOrthogonalDecomposition().solve(prior.b);
+  const double cost = (prior.b + prior.A * optimum).norm();
+  VectorXd scale(4);
+  scale << 0.5, 1.0, 2.0, 4.0;
+  RescalePrior(scale, &prior);
+  VectorXd root = VectorXd::Ones(16);
+  root.tail(4) = scale.cwiseSqrt();
+  EXPECT_LT((prior.A.transpose() * prior.A - root.asDiagonal() * H * root.asDiagonal()).norm(),
+            kExact * H.norm());
+  const VectorXd gradient = prior.A.transpose() * (prior.b + prior.A * optimum);
+  EXPECT_LT(gradient.norm(), kExact * H.norm());
+  EXPECT_NEAR((prior.b + prior.A * optimum).norm(), cost, kExact);
+}
+
 // ---- Nonlinear factors -------------------------------------------------------------------------
 
 /// A few keyframes of flight with odometry, kinematics and dynamics.
@@ -361,6 +380,13 @@ class FlightWindow : public testing::Test {
         z.w_WS_S = s.w_WS_S + random.Next3(0.01);
         Add(window, FactorKind::kOdometry,
             std::make_unique<OdometryFactor>(z, OdometryNoise(), true), id, -1, false);
+      } else {
+        // Attitude, velocity and rates only.
+        Eigen::MatrixXd M = 100.0 * random.NextMatrix(9, 12);
+        M.leftCols<3>().setZero();
+        Add(window, FactorKind::kOdometry,
+            std::make_unique<LinearCost>(random.NextVector(9), std::vector<Eigen::MatrixXd>{M}, 1),
+            id, -1, false);
       }
       if (k > 0) {
         Add(window, FactorKind::kKinematic,
@@ -466,7 +492,6 @@ TEST_F(MarginalizationOfFlight, TakesJacobiansWhereThePriorHasThem) {
 TEST_F(MarginalizationOfFlight, GainsNothingAboutThePlaceWithoutPositions) {
   Window window(&layout_);
   Fill(&window, false, 10);
-  CeresWindowSolver solver;
   const VectorXd threshold = VectorXd::Constant(layout_.num_estimated(), 0.1);
   Random random(53);
   for (int i = 0; i < 7; ++i) {
@@ -479,6 +504,7 @@ TEST_F(MarginalizationOfFlight, GainsNothingAboutThePlaceWithoutPositions) {
     const MatrixXd& A = window.prior().A;
     ASSERT_GT(A.rows(), 0);
     EXPECT_LT(A.leftCols(3).norm(), 1e-9 * A.norm());
+    EXPECT_GT(A.middleCols(6, 3).norm(), 1e-3 * A.norm());
   }
 }
 

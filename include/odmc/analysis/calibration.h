@@ -46,12 +46,15 @@ struct Evaluation {
   std::vector<std::string> warnings;
 };
 
-/// Runs the estimator over a flight, then predicts the flight with what it found.
+/// Runs the estimator over `log`, then predicts `recording` with what it found.
+/// @param recording the flight as recorded: `log` itself, unless noise was added to what the
+///   estimator sees; the measured force must not show that noise
 /// @param file_vehicle the vehicle file as it is (nominal inertia and mounts)
 /// @param progress called with the share done (0 to 1), may be empty
 /// @throws std::invalid_argument if the flight never leaves the ground or nothing is to be
 /// estimated
-Calibration Calibrate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
+Calibration Calibrate(const FlightLog& log, const FlightLog& recording,
+                      const Vehicle& file_vehicle, const DynamicModel& model,
                       const EstimatorOptions& options,
                       const std::function<void(double)>& progress = {});
 

@@ -148,6 +148,7 @@ class Estimator {
   std::vector<Factor> pending_;            // of a bias whose first keyframe is about to come
   Stamp noise_ready_ = 0;
   bool made_progress_ = false;
+  bool needs_more_iterations_ = false;  // the last solve took no step
 };
 
 }  // namespace odmc

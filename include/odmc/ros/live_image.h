@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <deque>
 #include <opencv2/core.hpp>
 #include <string>
 #include <vector>
@@ -17,20 +18,24 @@ class LiveHistory {
     double t_s;
     ModelValues values;
     Eigen::VectorXd sigma;
-    Eigen::Vector3d residual_force_B, residual_torque_B;  ///< mean over the entry's time [N, N m]
+  };
+  /// What the model did not explain, of the last seconds.
+  struct Residual {
+    double t_s;
+    Eigen::Vector3d force_B, torque_B;  ///< [N], [N m]
   };
 
   void Add(const Snapshot& snapshot);
   void Clear();
   const std::vector<Entry>& entries() const { return entries_; }
+  const std::deque<Residual>& residuals() const { return residuals_; }
 
  private:
   static constexpr size_t kMost = 600;
 
   std::vector<Entry> entries_;
   double spacing_s_ = 0.05;
-  Eigen::Vector3d force_sum_ = Eigen::Vector3d::Zero(), torque_sum_ = Eigen::Vector3d::Zero();
-  int count_ = 0;
+  std::deque<Residual> residuals_;
 };
 
 /// The words around the curves.

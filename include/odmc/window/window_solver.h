@@ -12,6 +12,7 @@ struct SolveReport {
   bool usable = false;        ///< false: the window was left as it was
   bool converged = false;     ///< false: stopped by the iteration or time bound
   int iterations = 0;
+  bool improved = false;      ///< at least one step was taken
   double initial_cost = 0.0;  ///< half the sum of squares, robust losses applied
   double final_cost = 0.0;
   std::string message;        ///< why it is not usable
@@ -19,7 +20,7 @@ struct SolveReport {
 
 /// Bounds of one solve.
 struct SolverOptions {
-  int max_iterations = 2;              ///< per update, >= 1
+  int max_iterations = 1;              ///< per update, >= 1
   double max_time_s = 0.008;           ///< per update, > 0
   double function_tolerance = 1e-6;    ///< relative change of cost that ends a solve
   int num_threads = 1;                 ///< for factor evaluation, >= 1

@@ -1,0 +1,129 @@
+#include "odmc/estimator/consistency.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/LU>
+
+#include <cmath>
+#include <cstdio>
+
+#include "odmc/math/statistics.h"
+#include "support/jacobian_check.h"
+
+namespace odmc {
+namespace test {
+namespace {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+constexpr double kDt = 0.01;
+constexpr double kInformation = 4.0;  // of one interval
+
+struct Run {
+  double inflation = 1.0;  ///< the factor found
+  double error = 0.0;      ///< of the estimate, over the sigma of white noise
+};
+
+/// Estimates one number from `seconds` of readings with unit AR(1) noise taken for white.
+Run Estimate(double rho, double seconds, unsigned seed, double scale_half_way = 1.0) {
+  Random random(seed);
+  Consistency consistency(1);
+  const double root = std::sqrt(kInformation);
+  const int n = static_cast<int>(seconds / kDt);
+  double noise = random.Normal(), left = 0.0, sum = 0.0;
+  for (int i = 0; i < n; ++i) {
+    noise = rho * noise + std::sqrt(1.0 - rho * rho) * random.Normal();
+    // Reading y = 0 + noise / root; score at the running estimate.
+    const double eta = left > 0.0 ? sum / left : 0.0;
+    sum += root * noise;
+    left += kInformation;
+    const VectorXd score = VectorXd::Constant(1, kInformation * eta - root * noise);
+    consistency.Add(kDt, score, VectorXd::Constant(1, eta));
+    if (consistency.BlockIsFull()) {
+      consistency.CloseBlock(MatrixXd::Constant(1, 1, left));
+    }
+    if (i == n / 2 && scale_half_way != 1.0) {
+      consistency.Rescale(VectorXd::Constant(1, scale_half_way));
+      left *= scale_half_way;
+      sum *= scale_half_way;
+    }
+  }
+  const double eta = sum / left;
+  const VectorXd inflation = consistency.Inflation(VectorXd::Constant(1, eta),
+                                                   MatrixXd::Constant(1, 1, 1.0 / left));
+  return {inflation[0], eta * std::sqrt(left)};
+}
+
+double MedianInflation(double rho, double seconds, int runs, double* error_rms = nullptr) {
+  std::vector<double> factors;
+  double sum = 0.0;
+  for (int i = 0; i < runs; ++i) {
+    const Run run = Estimate(rho, seconds, 100 + static_cast<unsigned>(i));
+    factors.push_back(run.inflation);
+    sum += run.error * run.error;
+  }
+  if (error_rms != nullptr) *error_rms = std::sqrt(sum / runs);
+  return Median(factors);
+}
+
+TEST(Consistency, LeavesWhiteScoresAlmostAlone) {
+  for (const double seconds : {10.0, 30.0, 100.0}) {
+    const double factor = MedianInflation(0.0, seconds, 100);
+    std::printf("white, %.0f s: factor %.2f\n", seconds, factor);
+    EXPECT_GE(factor, 1.0);
+    EXPECT_LT(factor, 1.25);
+  }
+}
+
+TEST(Consistency, FindsTheFactorOfCorrelatedScores) {
+  const double rho = 0.9, expected = std::sqrt((1.0 + rho) / (1.0 - rho));
+  double error_rms = 0.0;
+  const double factor = MedianInflation(rho, 60.0, 100, &error_rms);
+  std::printf("rho 0.9: factor %.2f, expected %.2f, errors are %.2f sigma\n", factor, expected,
+              error_rms);
+  EXPECT_NEAR(factor / expected, 1.0, 0.3);
+  EXPECT_NEAR(factor / error_rms, 1.0, 0.3);  // what the estimate's errors really are
+}
+
+TEST(Consistency, NeverMakesSigmasSmaller) {
+  EXPECT_EQ(Consistency(3).Inflation(VectorXd::Zero(3), MatrixXd::Identity(3, 3)),
+            VectorXd::Ones(3));
+  for (unsigned i = 0; i < 20; ++i) EXPECT_GE(Estimate(-0.5, 30.0, i).inflation, 1.0);
+}
+
+TEST(Consistency, KeepsItsMemoryBoundedOverALongFlight) {
+  // 640 s: blocks merge five times and still give the same answer.
+  const double rho = 0.9, expected = std::sqrt((1.0 + rho) / (1.0 - rho));
+  EXPECT_NEAR(MedianInflation(rho, 640.0, 10) / expected, 1.0, 0.3);
+}
+
+TEST(Consistency, FollowsAScaleOfThePast) {
+  // All readings before half-way count for half: scores and information together.
+  std::vector<double> factors;
+  for (unsigned i = 0; i < 50; ++i) factors.push_back(Estimate(0.9, 60.0, i, 0.5).inflation);
+  EXPECT_GT(Median(factors), 2.2);
+  EXPECT_LT(Median(factors), 5.7);
+}
+
+TEST(Consistency, TreatsEachParameterByItself) {
+  Random random(5);
+  Consistency consistency(2);
+  double noise = 0.0;
+  MatrixXd left = MatrixXd::Zero(2, 2);
+  for (int i = 0; i < 6000; ++i) {
+    noise = 0.9 * noise + std::sqrt(0.19) * random.Normal();
+    VectorXd score(2);
+    score << noise, random.Normal();
+    left += MatrixXd::Identity(2, 2);
+    consistency.Add(kDt, score, VectorXd::Zero(2));
+    if (consistency.BlockIsFull()) consistency.CloseBlock(left);
+  }
+  const VectorXd inflation = consistency.Inflation(VectorXd::Zero(2), left.inverse());
+  EXPECT_GT(inflation[0], 3.0);
+  EXPECT_LT(inflation[1], 1.5);
+}
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc

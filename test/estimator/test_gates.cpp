@@ -1,0 +1,195 @@
+#include "odmc/estimator/gates.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "odmc/sim/simulator.h"
+#include "odmc/sim/truth_vehicle.h"
+#include "support/jacobian_check.h"
+#include "support/test_vehicle.h"
+
+namespace odmc {
+namespace test {
+namespace {
+
+using Eigen::Vector3d;
+
+// ---- GroundGate --------------------------------------------------------------------------------
+
+class GroundGateTest : public testing::Test {
+ protected:
+  /// Feeds one state for `duration_s` at 100 Hz. @returns what the gate says at the end
+  bool Hold(double duration_s, double height, double speed, double thrust_ratio) {
+    bool airborne = gate_.airborne();
+    for (int i = 0; i < static_cast<int>(std::lround(duration_s * 100.0)); ++i) {
+      airborne = gate_.Update(FromSeconds(time_s_), {0.0, 0.0, height}, speed, thrust_ratio);
+      time_s_ += 0.01;
+    }
+    return airborne;
+  }
+
+  GroundGate gate_{GroundGateOptions()};
+  double time_s_ = 10.0;
+};
+
+TEST_F(GroundGateTest, StandsWhereTheFlightStartsWithoutThrust) {
+  EXPECT_FALSE(Hold(1.0, 0.05, 0.0, 0.0));
+  EXPECT_FALSE(Hold(1.0, 0.05, 0.0, 0.3));  // idling
+}
+
+TEST_F(GroundGateTest, FliesWhereTheRecordingStartsInTheAir) {
+  EXPECT_TRUE(Hold(0.01, 2.0, 3.0, 1.0));
+}
+
+TEST_F(GroundGateTest, SeesTheTakeOffByHeight) {
+  Hold(1.0, 0.05, 0.0, 0.1);
+  EXPECT_FALSE(Hold(0.5, 0.05, 0.0, 0.95));  // thrust alone is not flight
+  EXPECT_FALSE(Hold(0.1, 0.10, 0.2, 1.05));
+  EXPECT_TRUE(Hold(0.01, 0.16, 0.2, 1.05));
+}
+
+TEST_F(GroundGateTest, SeesAFastTakeOffBySpeed) {
+  Hold(1.0, 0.05, 0.0, 0.1);
+  EXPECT_TRUE(Hold(0.01, 0.08, 0.6, 1.3));
+}
+
+TEST_F(GroundGateTest, IsNotFooledByAVehicleCarriedByHand) {
+  Hold(1.0, 0.05, 0.0, 0.0);
+  EXPECT_FALSE(Hold(1.0, 1.0, 1.0, 0.0));
+}
+
+TEST_F(GroundGateTest, SeesTheLandingOnceItsSignsLast) {
+  Hold(1.0, 1.0, 2.0, 1.0);
+  EXPECT_TRUE(Hold(0.15, 0.05, 0.05, 0.2));
+  EXPECT_FALSE(Hold(0.15, 0.05, 0.05, 0.2));
+}
+
+TEST_F(GroundGateTest, KeepsFlyingThroughLowThrustAtSpeed) {
+  Hold(1.0, 3.0, 2.0, 1.0);
+  EXPECT_TRUE(Hold(1.0, 2.0, 4.0, 0.1));  // a dive
+}
+
+TEST_F(GroundGateTest, KeepsFlyingThroughAShortSlowMoment) {
+  Hold(1.0, 3.0, 2.0, 1.0);
+  for (int i = 0; i < 5; ++i) {
+    EXPECT_TRUE(Hold(0.1, 3.0, 0.1, 0.3));
+    EXPECT_TRUE(Hold(0.02, 3.0, 0.1, 0.8));
+  }
+}
+
+TEST_F(GroundGateTest, TakesOffAgainFromWhereItLanded) {
+  Hold(1.0, 0.0, 0.0, 0.0);
+  Hold(1.0, 2.0, 1.0, 1.0);
+  EXPECT_FALSE(Hold(1.0, 1.0, 0.0, 0.1));   // on a table
+  EXPECT_FALSE(Hold(0.5, 1.05, 0.1, 1.0));
+  EXPECT_TRUE(Hold(0.1, 1.2, 0.2, 1.05));
+}
+
+TEST_F(GroundGateTest, ForgetsAllOnReset) {
+  Hold(1.0, 2.0, 1.0, 1.0);
+  gate_.Reset();
+  EXPECT_FALSE(gate_.airborne());
+  EXPECT_FALSE(Hold(0.1, 2.0, 0.0, 0.0));
+}
+
+// ---- InertiaGate -------------------------------------------------------------------------------
+
+void FeedFlight(const SimulatedFlight& flight, InertiaGate* gate) {
+  constexpr size_t kStride = 4;
+  for (size_t k = 0; k + kStride < flight.truth.size(); k += kStride) {
+    const auto& a = flight.truth[k];
+    const auto& b = flight.truth[k + kStride];
+    RotorVector squared = 0.5 * (a.rotor_speed.cwiseAbs2() + b.rotor_speed.cwiseAbs2());
+    for (size_t i = 1; i < kStride; ++i) squared += flight.truth[k + i].rotor_speed.cwiseAbs2();
+    squared /= static_cast<double>(kStride);
+    gate->Add(ToSeconds(b.stamp - a.stamp), a.w_WB_B, b.w_WB_B, squared);
+  }
+}
+
+TEST(InertiaGate, OpensOnCleanFlight) {
+  const Vehicle vehicle = NominalVehicle();
+  const DynamicModel model(vehicle, vehicle.effects);
+  SimulationOptions options;
+  options.trajectory = "aggressive";
+  options.duration_s = 10.0;
+  SimulationNoise noise = SimulationNoise::None();
+  noise.feedback_rate_rad_s = 0.01;
+  InertiaGate gate(vehicle);
+  FeedFlight(Simulate(model, DefaultTruth(model), options, noise), &gate);
+  for (int axis = 0; axis < 3; ++axis) {
+    EXPECT_TRUE(gate.IsOpen(axis)) << axis << ", r^2 " << gate.RSquared(axis);
+    EXPECT_GT(gate.RSquared(axis), 0.9) << axis;
+  }
+}
+
+/// Feeds `seconds` of rates driven by the rotors' roll torque `rotor` and a disturbance `air`,
+/// for inertia 0.0025 kg m², with rates read to `noise`.
+void FeedRoll(double seconds, double rotor, double air, bool fights, InertiaGate* gate) {
+  constexpr double kDt = 0.01, kInertia = 2.5e-3, kThrust = 1.5e-6, kArm = 0.11;
+  Random random(61);
+  double disturbance = 0.0, free = 0.0, w = 0.0;
+  for (int i = 0; i < static_cast<int>(seconds / kDt); ++i) {
+    disturbance = 0.9 * disturbance + air * random.Normal();
+    free = 0.9 * free + rotor * random.Normal();
+    const double torque = free - (fights ? disturbance : 0.0);
+    const double next = 0.98 * w + kDt * (torque + disturbance) / kInertia;
+    const double half = 0.25 * torque / (kThrust * kArm);  // left up, right down
+    RotorVector squared(4);
+    squared << 1.2e6 - half, 1.2e6 + half, 1.2e6 + half, 1.2e6 - half;
+    gate->Add(kDt, {w + 0.002 * random.Normal(), 0.0, 0.0},
+              {next + 0.002 * random.Normal(), 0.0, 0.0}, squared);
+    w = next;
+  }
+}
+
+TEST(InertiaGate, OpensWhereRotorsDriveTheRates) {
+  InertiaGate gate(NominalVehicle());
+  FeedRoll(10.0, 0.003, 0.0, false, &gate);
+  EXPECT_TRUE(gate.IsOpen(0)) << gate.RSquared(0);
+}
+
+TEST(InertiaGate, StaysShutWhereRotorsFightADisturbance) {
+  InertiaGate gate(NominalVehicle());
+  FeedRoll(20.0, 0.0003, 0.003, true, &gate);
+  EXPECT_FALSE(gate.IsOpen(0)) << gate.RSquared(0);
+  EXPECT_LT(gate.RSquared(0), 0.3);
+}
+
+TEST(InertiaGate, StaysShutWhereTheDisturbanceDrivesTheRates) {
+  InertiaGate gate(NominalVehicle());
+  FeedRoll(20.0, 0.0005, 0.003, false, &gate);
+  EXPECT_FALSE(gate.IsOpen(0)) << gate.RSquared(0);
+}
+
+TEST(InertiaGate, ShutsAgainWhenADisturbanceTakesOver) {
+  InertiaGate gate(NominalVehicle());
+  FeedRoll(5.0, 0.002, 0.0, false, &gate);
+  ASSERT_TRUE(gate.IsOpen(0));
+  FeedRoll(60.0, 0.0002, 0.006, true, &gate);
+  EXPECT_FALSE(gate.IsOpen(0)) << gate.RSquared(0);
+}
+
+TEST(InertiaGate, SaysNothingInTheFirstSecondOrWithoutMotion) {
+  InertiaGate gate(NominalVehicle());
+  FeedRoll(0.9, 0.003, 0.0, false, &gate);
+  EXPECT_FALSE(gate.IsOpen(0));
+  InertiaGate still(NominalVehicle());
+  for (int i = 0; i < 500; ++i) {
+    still.Add(0.01, Vector3d::Zero(), Vector3d::Zero(), RotorVector::Constant(4, 1.2e6));
+  }
+  for (int axis = 0; axis < 3; ++axis) EXPECT_FALSE(still.IsOpen(axis));
+}
+
+TEST(InertiaGate, StaysShutWhereAccelerationOpposesTheTorque) {
+  Vehicle mirrored = NominalVehicle();
+  for (Rotor& rotor : mirrored.rotors) rotor.p_BP.y() *= -1.0;
+  InertiaGate wrong(mirrored);
+  FeedRoll(10.0, 0.003, 0.0, false, &wrong);
+  EXPECT_FALSE(wrong.IsOpen(0));
+  EXPECT_EQ(wrong.RSquared(0), 0.0);
+}
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc

@@ -1,0 +1,73 @@
+#!/usr/bin/env python3
+"""Start, feed, end half-way; and starts that must be refused."""
+
+import math
+import subprocess
+import sys
+import time
+
+import rospy
+import rostest
+import yaml
+
+import node_harness
+from odmc.msg import DynamicParameters
+
+
+class ShutdownTest(node_harness.NodeTest):
+    def test_ends_cleanly_half_way(self):
+        bag, _ = self.make_bag(8)
+        parameters = node_harness.Collector("/parameters", DynamicParameters)
+        node = self.start_node("estimator", "_output_dir:=" + self.file("out/deep"))
+        self.wait_for_node("/parameters")
+        player = self.play(bag, wait=False)
+        self.assertTrue(node_harness.wait_until(lambda: len(parameters) > 20, 20.0))
+        begin = time.time()
+        self.assertEqual(self.end(node), 0)
+        self.assertLess(time.time() - begin, 4.0)
+        self.end(player)
+        self.check_parameters(parameters.messages)
+        with open(self.file("out/deep/parameters.yaml"), encoding="utf-8") as file:
+            saved = yaml.safe_load(file)
+        for name, parameter in saved["parameters"].items():
+            self.assertTrue(math.isfinite(parameter["value"]), name)
+            self.assertIsInstance(parameter["sigma"], float, name)
+
+    def test_ends_before_anything_came(self):
+        node = self.start_node("idle", "__ns:=idle")
+        self.wait_for_node("/idle/parameters")
+        self.assertEqual(self.end(node), 0)
+
+    def refusal(self, *arguments, vehicle=node_harness.VEHICLE):
+        """What a node says that does not start."""
+        find = ["catkin_find", "--first-only", "--libexec", "odmc", "estimator_node"]
+        program = subprocess.check_output(find, text=True).strip()
+        command = [program, "__name:=refused", "_vehicle_file:=" + vehicle, *arguments]
+        result = subprocess.run(command, stderr=subprocess.STDOUT, stdout=subprocess.PIPE,
+                                timeout=20, text=True, check=False)
+        rospy.delete_param("/refused")
+        self.assertEqual(result.returncode, 1, result.stdout)
+        return result.stdout
+
+    def test_refuses_what_it_does_not_understand(self):
+        said = self.refusal("_windw_s:=1.0")
+        self.assertIn("/refused/windw_s is not known", said)
+        self.assertIn("window_s", said)
+        self.assertIn("window_s must be a number, not 'long'", self.refusal("_window_s:=long"))
+        self.assertIn("window_s must be in", self.refusal("_window_s:=-1"))
+        self.assertIn("twist_frame must be auto", self.refusal("_twist_frame:=wrld"))
+        self.assertIn("on_time_reset must be", self.refusal("_on_time_reset:=reset"))
+        self.assertIn("nowhere.yaml", self.refusal(vehicle="/nowhere.yaml"))
+        self.assertIn("no vehicle", self.refusal(vehicle=""))
+
+    def test_takes_numbers_that_yaml_1_1_reads_as_text(self):
+        rospy.set_param("/exponent/function_tolerance", "1e-6")
+        rospy.set_param("/exponent/max_iterations", "2")
+        node = self.start_node("exponent", "parameters:=exponent_parameters")
+        self.wait_for_node("/exponent_parameters")
+        self.assertEqual(self.end(node), 0)
+
+
+if __name__ == "__main__":
+    rospy.init_node("shutdown_test", disable_rostime=True)
+    rostest.rosrun("odmc", "shutdown_test", ShutdownTest, sys.argv)

@@ -1,0 +1,296 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdlib>
+#include <fstream>
+#include <limits>
+
+#include "odmc/ros/acceptance.h"
+#include "odmc/ros/conversions.h"
+#include "odmc/ros/live_image.h"
+#include "odmc/ros/sample_intake.h"
+#include "odmc/ros/urdf_vehicle.h"
+#include "odmc/sim/truth_vehicle.h"
+#include "support/error_text.h"
+#include "support/test_vehicle.h"
+
+namespace odmc {
+namespace {
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+
+// ---- Conversions -------------------------------------------------------------------------------
+
+nav_msgs::Odometry OdometryAt(double t_s, double x, double speed) {
+  nav_msgs::Odometry m;
+  m.header.stamp = ros::Time(t_s);
+  m.header.frame_id = "world";
+  m.child_frame_id = "base_link";
+  m.pose.pose.position.x = x;
+  m.pose.pose.orientation.z = m.pose.pose.orientation.w = std::sqrt(0.5);  // heads along y
+  m.twist.twist.linear.x = speed;
+  m.twist.twist.angular.z = 0.001;
+  return m;
+}
+
+RotorSpeeds RotorsAt(double t_s) {
+  RotorSpeeds m;
+  m.header.stamp = ros::Time(t_s);
+  m.angular_velocity_rad_s = {-900.0, 901.0, -902.0, 903.0};
+  return m;
+}
+
+TEST(Conversions, RefuseWhatIsNotSound) {
+  nav_msgs::Odometry m = OdometryAt(1.0, 0.0, 0.0);
+  EXPECT_TRUE(ToInput(m));
+  m.pose.pose.position.y = kNan;
+  EXPECT_FALSE(ToInput(m));
+  m = OdometryAt(1.0, 0.0, kNan);
+  EXPECT_FALSE(ToInput(m));
+  m = OdometryAt(1.0, 0.0, 0.0);
+  m.pose.pose.orientation = geometry_msgs::Quaternion();  // all zero
+  EXPECT_FALSE(ToInput(m));
+  EXPECT_FALSE(ToInput(OdometryAt(0.0, 0.0, 0.0))) << "no stamp";
+}
+
+TEST(Conversions, RotorSpeedsComeInAnyUnitAndWithoutSign) {
+  EXPECT_EQ(ToInput(RotorsAt(1.0), 4)->sample.speed[0], 900.0);
+  EXPECT_FALSE(ToInput(RotorsAt(1.0), 6)) << "another number of rotors";
+  EXPECT_NEAR(RotorSpeedScale("rpm", 7) * 60.0, 2.0 * M_PI, 1e-12);
+  EXPECT_NEAR(RotorSpeedScale("erpm", 7) * 7.0 * 60.0, 2.0 * M_PI, 1e-12);
+  ODMC_EXPECT_ERROR(RotorSpeedScale("hz", 7), "must be rad_s, rpm or erpm");
+}
+
+TEST(Conversions, BodyMovesWithItsSensorLessTheLeverArm) {
+  Snapshot snapshot;
+  snapshot.stamp = FromSeconds(1.0);
+  snapshot.body.p_BS = {1.0, 0.0, 0.0};
+  snapshot.state.p_WS = {1.0, 0.0, 2.0};
+  snapshot.state.v_WS = {0.0, 2.0, 0.0};
+  snapshot.state.w_WS_S = {0.0, 0.0, 2.0};  // So circles about Bo, which stands
+  const nav_msgs::Odometry m = BodyOdometry(snapshot, "world", "base_link");
+  EXPECT_NEAR(m.pose.pose.position.x, 0.0, 1e-12);
+  EXPECT_NEAR(m.twist.twist.linear.y, 0.0, 1e-12);
+  EXPECT_NEAR(m.twist.twist.angular.z, 2.0, 1e-12);
+}
+
+// ---- Intake ------------------------------------------------------------------------------------
+
+/// Feeds a flight along world x, heading along y, as messages at 100 Hz.
+class Intake : public ::testing::Test {
+ protected:
+  explicit Intake(const std::string& twist_frame = "auto") : intake_(twist_frame) {}
+
+  /// The twist is along x like the motion, so in the world.
+  void Fly(double from_s, double to_s, double metres_per_s) {
+    for (double t = from_s; t < to_s - 1e-6; t += 0.01) {
+      const nav_msgs::Odometry m = OdometryAt(t, x_ += 0.01 * metres_per_s, metres_per_s);
+      ++pushed_;
+      EXPECT_TRUE(intake_.Push(*ToInput(m)));
+      EXPECT_TRUE(intake_.Push(*ToInput(RotorsAt(t), 4)));
+    }
+  }
+
+  SampleIntake intake_;
+  int pushed_ = 0;
+  double x_ = 0.0;
+};
+
+TEST_F(Intake, HoldsEverySampleUntilTheFrameIsKnown) {
+  Fly(1.0, 3.0, 0.0);
+  EXPECT_FALSE(intake_.decided()) << "standing still tells nothing";
+  EXPECT_TRUE(intake_.Take().empty());
+  Fly(3.0, 6.0, 1.0);
+  ASSERT_TRUE(intake_.decided());
+  EXPECT_EQ(intake_.frame(), TwistFrame::kWorld);
+  intake_.Release();
+  const std::vector<Sample> samples = intake_.Take();
+  EXPECT_EQ(samples.size(), static_cast<size_t>(2 * pushed_));
+  EXPECT_TRUE(std::holds_alternative<RotorSample>(samples.front())) << "rotors before odometry";
+}
+
+TEST_F(Intake, TakesAMissingTwistForWhatItIs) {
+  for (double t = 1.0; t < 4.0; t += 0.01) {
+    nav_msgs::Odometry m = OdometryAt(t, t, 0.0);
+    m.twist = geometry_msgs::TwistWithCovariance();
+    m.pose.pose.orientation.z = std::sin(0.1 * t);
+    m.pose.pose.orientation.w = std::cos(0.1 * t);
+    intake_.Push(*ToInput(m));
+    intake_.Push(*ToInput(RotorsAt(t), 4));
+  }
+  ASSERT_TRUE(intake_.decided());
+  EXPECT_FALSE(intake_.has_velocity());
+  EXPECT_FALSE(intake_.has_rates());
+}
+
+TEST_F(Intake, SeesTheClockStepBackOnceForAllStreams) {
+  Fly(10.0, 13.0, 1.0);
+  EXPECT_TRUE(intake_.Push(*ToInput(OdometryAt(12.8, 0.0, 1.0)))) << "0.2 s is only late";
+  EXPECT_FALSE(intake_.Push(*ToInput(OdometryAt(1.0, 0.0, 1.0))));
+  EXPECT_TRUE(intake_.Push(*ToInput(RotorsAt(13.01), 4)));  // still of the old time
+  EXPECT_EQ(intake_.stale(), 1);
+  EXPECT_TRUE(intake_.Push(*ToInput(RotorsAt(1.0), 4)));
+  EXPECT_EQ(intake_.resets(), 1);
+}
+
+TEST_F(Intake, ForgetsTheOldestAfterAMinuteOfStanding) {
+  Fly(1.0, 63.0, 0.0);
+  EXPECT_NEAR(static_cast<double>(intake_.forgotten()), 2.0 * 200.0, 250.0);
+}
+
+// ---- Acceptance --------------------------------------------------------------------------------
+
+class AcceptanceTest : public ::testing::Test {
+ protected:
+  AcceptanceTest() : model_(test::NominalVehicle(), test::PaperEffects()) {
+    snapshot_.values = DefaultTruth(model_);
+    snapshot_.body = model_.Properties(snapshot_.values);
+    snapshot_.sigma = 0.01 * snapshot_.values.cwiseAbs();
+    snapshot_.observable.assign(model_.num_parameters(), true);
+  }
+
+  /// Half a second later.
+  bool Update() {
+    snapshot_.stamp += FromSeconds(0.5);
+    return acceptance_.Update(model_, snapshot_);
+  }
+  double& Value(const std::string& name) { return snapshot_.values[model_.IndexOf(name)]; }
+
+  DynamicModel model_;
+  Snapshot snapshot_;
+  Acceptance acceptance_{AcceptanceOptions()};
+};
+
+TEST_F(AcceptanceTest, AGoodEstimateHasToLast) {
+  EXPECT_FALSE(Update());
+  EXPECT_FALSE(Update());
+  EXPECT_TRUE(Update());
+  snapshot_.sigma[model_.IndexOf("thrust.k_f")] *= 10.0;
+  EXPECT_FALSE(Update());
+  EXPECT_EQ(acceptance_.reasons().size(), 1u);
+}
+
+TEST_F(AcceptanceTest, AWrongSignIsNeverAccepted) {
+  Value("drag.d_x") *= -1.0;
+  for (int i = 0; i < 4; ++i) EXPECT_FALSE(Update());
+  EXPECT_TRUE(testing_support::Contains(acceptance_.reasons().front(), "feeds energy in"));
+}
+
+TEST_F(AcceptanceTest, UnobservedParametersDoNotStandInTheWayButThrustDoes) {
+  const int b_z = model_.IndexOf("viscous_torque.b_z");
+  snapshot_.sigma[b_z] = 1e3;
+  snapshot_.observable[b_z] = false;
+  Update();
+  Update();
+  EXPECT_TRUE(Update());
+  snapshot_.observable[model_.IndexOf("thrust.k_f")] = false;
+  EXPECT_FALSE(Update());
+}
+
+TEST_F(AcceptanceTest, NothingThatIsNotFiniteIsPublished) {
+  snapshot_.covariance = Eigen::MatrixXd::Zero(2, 2);
+  EXPECT_TRUE(IsFinite(snapshot_));
+  snapshot_.covariance(0, 1) = kNan;
+  EXPECT_FALSE(IsFinite(snapshot_));
+}
+
+// ---- URDF --------------------------------------------------------------------------------------
+
+std::string RotorText(int number, const std::string& xyz, const std::string& axis) {
+  const std::string n = std::to_string(number);
+  return "<link name='rotor_" + n +
+         "'><inertial><mass value='0.01'/><inertia ixx='1e-6' iyy='1e-6' izz='2e-6' ixy='0' "
+         "ixz='0' iyz='0'/></inertial><visual><geometry><cylinder radius='0.07' "
+         "length='0.01'/></geometry></visual></link>"
+         "<joint name='rotor_" +
+         n + "_joint' type='continuous'><origin xyz='" + xyz +
+         "'/><parent link='base_link'/><child link='rotor_" + n + "'/><axis xyz='" + axis +
+         "'/></joint>";
+}
+
+std::string Quad(const std::string& clockwise_axis) {
+  return "<robot name='quad'><link name='base_link'><inertial><origin xyz='0 0 0.01'/>"
+         "<mass value='0.71'/><inertia ixx='2e-3' iyy='2.5e-3' izz='4e-3' ixy='0' ixz='0' "
+         "iyz='0'/></inertial></link>" +
+         RotorText(2, "-0.1 -0.1 0.02", "0 0 1") + RotorText(0, "0.1 -0.1 0.02", "0 0 1") +
+         RotorText(1, "-0.1 0.1 0.02", clockwise_axis) +
+         RotorText(3, "0.1 0.1 0.02", clockwise_axis) +
+         "<link name='imu_link'/><joint name='imu' type='fixed'><origin xyz='0.03 0 0' rpy='0 0 "
+         "1.5707963267948966'/><parent link='base_link'/><child link='imu_link'/></joint></robot>";
+}
+
+TEST(UrdfVehicle, TakesMassRotorsAndImuFromTheLinks) {
+  const Vehicle vehicle = VehicleFromUrdf(Quad("0 0 -1"));
+  EXPECT_EQ(vehicle.name, "quad");
+  EXPECT_NEAR(vehicle.mass_kg, 0.75, 1e-12);
+  ASSERT_EQ(vehicle.num_rotors(), 4);
+  EXPECT_EQ(vehicle.rotors[0].p_BP, Eigen::Vector3d(0.1, -0.1, 0.02)) << "in the order of N";
+  EXPECT_EQ(vehicle.rotors[0].spin, -1.0) << "axis up is counter-clockwise";
+  EXPECT_EQ(vehicle.rotors[1].spin, 1.0);
+  EXPECT_EQ(vehicle.rotors[1].radius_m, 0.07);
+  // By hand: Bcm at z = (0.71 0.01 + 0.04 0.02) / 0.75.
+  const double z = (0.71 * 0.01 + 0.04 * 0.02) / 0.75;
+  EXPECT_NEAR(*vehicle.parameters.at("centre_of_gravity.z").value, z, 1e-12);
+  const double ixx = 2e-3 + 0.71 * std::pow(0.01 - z, 2) +
+                     4.0 * (1e-6 + 0.01 * (0.01 + std::pow(0.02 - z, 2)));
+  EXPECT_NEAR(vehicle.inertia_kg_m2.x(), ixx, 1e-12);
+  ASSERT_TRUE(vehicle.imu.has_value());
+  EXPECT_NEAR(vehicle.imu->p_BS.x(), 0.03, 1e-12);
+  EXPECT_NEAR((vehicle.imu->q_BS * Eigen::Vector3d::UnitX()).y(), 1.0, 1e-9);
+}
+
+TEST(UrdfVehicle, SaysWhatIsMissing) {
+  ODMC_EXPECT_ERROR(VehicleFromUrdf(Quad("0 0 1")), "turn about the same axis");
+  ODMC_EXPECT_ERROR(VehicleFromUrdf("<robot name='a'><link name='base_link'/></robot>"),
+                    "no link has a mass");
+  ODMC_EXPECT_ERROR(VehicleFromUrdf("nonsense"), "is not a URDF");
+}
+
+// ---- Live image --------------------------------------------------------------------------------
+
+/// For people: ODMC_LIVE_IMAGE=/tmp/live.ppm test_node_parts --gtest_filter='LiveImage*'
+void WritePpm(const cv::Mat& image, const std::string& file) {
+  std::ofstream out(file, std::ios::binary);
+  out << "P6 " << image.cols << " " << image.rows << " 255\n";
+  for (auto pixel = image.begin<cv::Vec3b>(); pixel != image.end<cv::Vec3b>(); ++pixel) {
+    out << (*pixel)[2] << (*pixel)[1] << (*pixel)[0];
+  }
+}
+
+TEST(LiveImage, ShowsParametersAndResidualsAndStaysBounded) {
+  const DynamicModel model(test::NominalVehicle(), test::PaperEffects());
+  const ModelValues truth = DefaultTruth(model);
+  LiveHistory history;
+  std::vector<bool> observable(model.num_parameters(), true);
+  observable[model.IndexOf("centre_of_gravity.z")] = false;
+  for (int k = 0; k < 6000; ++k) {
+    const double t = 0.01 * k, settle = std::exp(-t / 4.0);
+    Snapshot snapshot;
+    snapshot.time_s = t;
+    snapshot.values = truth;
+    snapshot.sigma = Eigen::VectorXd::Zero(model.num_parameters());
+    for (int i = 0; i < model.num_parameters(); ++i) {
+      const double size = model.parameters()[i].spec.scale;
+      snapshot.values[i] += size * settle * std::cos(1.1 * t + i);
+      snapshot.sigma[i] = 0.4 * size * (0.05 + settle);
+    }
+    snapshot.residual_force_B = 0.3 * Eigen::Vector3d(std::sin(9 * t), std::cos(7 * t), -0.4);
+    snapshot.residual_torque_B = 4e-3 * Eigen::Vector3d(std::cos(8 * t), std::sin(6 * t), 0.1);
+    history.Add(snapshot);
+  }
+  EXPECT_LT(history.entries().size(), 601u);
+  EXPECT_GT(history.entries().size(), 250u);
+  const LiveImageTexts texts{"generic", "airborne, accepted", true,
+                             "60.0 s   residual 0.21 N, 0.003 N m   update 4.1 ms (p99 6.0)", {}};
+  const cv::Mat image = DrawLiveImage(model, history, observable, texts);
+  EXPECT_EQ(image.cols, 1280);
+  EXPECT_EQ(image.rows, 800);
+  cv::Scalar mean, deviation;
+  cv::meanStdDev(image, mean, deviation);
+  EXPECT_GT(deviation[0], 5.0) << "something is drawn";
+  if (const char* file = std::getenv("ODMC_LIVE_IMAGE")) WritePpm(image, file);
+  EXPECT_FALSE(DrawLiveImage(model, LiveHistory(), {}, texts).empty()) << "before the first update";
+}
+
+}  // namespace
+}  // namespace odmc
