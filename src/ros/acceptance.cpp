@@ -9,7 +9,7 @@ namespace {
 
 constexpr double kLeastInertiaRatio = 0.2, kMostInertiaRatio = 5.0;  // over nominal
 constexpr double kShareOfPrior = 2.0;  // 10 % of the prior's sigma where 5 % of the value is asked
-constexpr double kMostTilt = 0.35;                                   // of gravity [rad]
+constexpr double kMostTilt = 0.35;     // of gravity [rad]
 
 std::string Text(const char* format, double a, double b) {
   char text[160];
@@ -37,9 +37,9 @@ void CheckInertia(const DynamicModel& model, const Snapshot& snapshot,
   const Eigen::Vector3d ratio = inertia.cwiseQuotient(model.vehicle().inertia_kg_m2);
   for (int i = 0; i < 3; ++i) {
     if (ratio[i] >= kLeastInertiaRatio && ratio[i] <= kMostInertiaRatio) continue;
-    sentences->push_back(std::string("inertia.") + "xyz"[i] +
-                         Text(" is %.2f times the nominal %.3g kg m^2", ratio[i],
-                              model.vehicle().inertia_kg_m2[i]));
+    sentences->push_back(
+        std::string("inertia.") + "xyz"[i] +
+        Text(" is %.2f times the nominal %.3g kg m^2", ratio[i], model.vehicle().inertia_kg_m2[i]));
   }
   // Within what its own uncertainty allows (10 %), no moment exceeds the sum of the others.
   const double largest = inertia.maxCoeff();
@@ -53,8 +53,8 @@ void CheckGeometry(const DynamicModel& model, const Snapshot& snapshot,
                    std::vector<std::string>* sentences) {
   const double offset = snapshot.body.p_BBcm.norm(), arm = model.vehicle().ArmLength();
   if (offset > arm) {
-    sentences->push_back(
-        Text("centre_of_gravity: %.3f m from the origin, outside the rotors (%.3f m)", offset, arm));
+    sentences->push_back(Text(
+        "centre_of_gravity: %.3f m from the origin, outside the rotors (%.3f m)", offset, arm));
   }
   const Eigen::Vector3d& g_W = snapshot.body.g_W;
   const double tilt = std::atan2(g_W.head<2>().norm(), -g_W.z());
@@ -78,9 +78,9 @@ std::vector<std::string> UnphysicalValues(const DynamicModel& model, const Snaps
   for (int i = 0; i < model.num_parameters(); ++i) {
     const ModelParameter& p = model.parameters()[i];
     if (!HasWrongSign(p.spec.sign, snapshot.values[i], snapshot.sigma[i])) continue;
-    sentences.push_back(p.full_name + Text(" = %.3g +- %.2g", snapshot.values[i],
-                                           snapshot.sigma[i]) +
-                        " " + p.spec.unit +
+    sentences.push_back(p.full_name +
+                        Text(" = %.3g +- %.2g", snapshot.values[i], snapshot.sigma[i]) + " " +
+                        p.spec.unit +
                         (p.spec.sign == PhysicalSign::kNegative ? ": positive, feeds energy in"
                                                                 : ": negative, unphysical"));
   }

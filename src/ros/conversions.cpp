@@ -144,8 +144,7 @@ std::optional<RotorInput> ToInput(const RotorSpeeds& message, int num_rotors) {
 
 std::optional<RotorInput> ToInput(const sensor_msgs::JointState& message, int num_rotors,
                                   double scale) {
-  std::optional<RotorInput> input =
-      SpeedInput(message.header, message.velocity, num_rotors, scale);
+  std::optional<RotorInput> input = SpeedInput(message.header, message.velocity, num_rotors, scale);
   if (input) input->from_joints = true;
   return input;
 }

@@ -121,8 +121,8 @@ EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
   }
   RotorSpeedScale(setup.options.rotor_speed_unit, setup.options.pole_pairs);  // refuses nonsense
   setup.vehicle = ReadVehicle(setup.options, public_node);
-  setup.odometry_mount_known = !setup.options.vehicle_file.empty() &&
-                               FileHasKey(setup.options.vehicle_file, "odometry");
+  setup.odometry_mount_known =
+      !setup.options.vehicle_file.empty() && FileHasKey(setup.options.vehicle_file, "odometry");
   if (!setup.options.parameters_file.empty()) {
     ApplyParameters(LoadParameters(setup.options.parameters_file), &setup.vehicle);
   }
@@ -301,7 +301,8 @@ bool EstimatorNode::ResolveMounts() {
     vehicle.imu = imu;
   } else if (needs_imu) {
     Warn("tf has no transform from " + setup_.options.body_frame + " to " +
-         *intake_.imu_frame_id() + " and the vehicle file says nothing: took the IMU to be along "
+         *intake_.imu_frame_id() +
+         " and the vehicle file says nothing: took the IMU to be along "
          "the body at its origin");
   }
   ignores_imu_ = !vehicle.imu && !intake_.imu_frame_id();
@@ -326,8 +327,7 @@ std::optional<SensorMount> EstimatorNode::LookUpMount(const std::string& sensor_
 
 void EstimatorNode::Start() {
   model_ = std::make_unique<DynamicModel>(setup_.vehicle, setup_.vehicle.effects);
-  estimator_ =
-      std::make_unique<Estimator>(model_.get(), setup_.estimator, !intake_.rms_only());
+  estimator_ = std::make_unique<Estimator>(model_.get(), setup_.estimator, !intake_.rms_only());
   if (intake_.rms_only()) {
     Warn("rotor speeds are root mean squares: force is estimated, torque is not");
   }
@@ -473,10 +473,10 @@ void EstimatorNode::ShareSnapshot(const Snapshot& snapshot, NodeStatus* s) const
 }
 
 std::string EstimatorNode::TwistText() const {
-  const std::string verdict = intake_.frame() == TwistFrame::kWorld    ? "world: "
-                              : intake_.frame() == TwistFrame::kBody   ? "body: "
+  const std::string verdict = intake_.frame() == TwistFrame::kWorld     ? "world: "
+                              : intake_.frame() == TwistFrame::kBody    ? "body: "
                               : intake_.frame() == TwistFrame::kNeither ? "neither: "
-                                                                         : "undecided: ";
+                                                                        : "undecided: ";
   return verdict + intake_.twist().Describe();
 }
 
@@ -509,9 +509,8 @@ void EstimatorNode::Save() const {
   set.provenance["version"] = ODMC_VERSION;
   set.provenance["date"] = Now();
   set.provenance["vehicle"] = setup_.vehicle.name;
-  set.provenance["vehicle_file"] = setup_.options.vehicle_file.empty()
-                                       ? "robot_description"
-                                       : setup_.options.vehicle_file;
+  set.provenance["vehicle_file"] =
+      setup_.options.vehicle_file.empty() ? "robot_description" : setup_.options.vehicle_file;
   set.provenance["airborne_s"] = std::to_string(estimator_->counters().airborne_s);
   set.provenance["keyframes"] = std::to_string(estimator_->counters().keyframes);
   set.provenance["newest_stamp_ns"] = std::to_string(last_->stamp);
@@ -586,8 +585,8 @@ void EstimatorNode::PublishLiveImage() {
   char details[160];
   std::snprintf(details, sizeof details,
                 "%.1f s   residual %.3g N, %.2g N m   update %.1f ms (p99 %.1f)", status.time_s,
-                status.residual_force_rms_N, status.residual_torque_rms_Nm,
-                status.update_ms_median, status.update_ms_p99);
+                status.residual_force_rms_N, status.residual_torque_rms_Nm, status.update_ms_median,
+                status.update_ms_p99);
   texts.details = details;
   texts.warnings = status.unphysical;
   texts.warnings.insert(texts.warnings.end(), status.warnings.begin(), status.warnings.end());

@@ -12,8 +12,8 @@ constexpr int kWidth = 1280, kHeight = 800, kHeader = 58, kFooter = 26, kMargin 
 constexpr double kBandSigmas = 3.0;
 constexpr double kResidual_s = 10.0;  // of residuals shown
 
-const cv::Scalar kPaper(250, 250, 250), kPanel(255, 255, 255), kInk(45, 40, 38), kSoft(125, 120, 115),
-    kGrid(232, 229, 226), kGood(80, 145, 40), kBad(40, 60, 200);
+const cv::Scalar kPaper(250, 250, 250), kPanel(255, 255, 255), kInk(45, 40, 38),
+    kSoft(125, 120, 115), kGrid(232, 229, 226), kGood(80, 145, 40), kBad(40, 60, 200);
 // Red, green, blue for x, y, z, in BGR and dark enough for white.
 const std::vector<cv::Scalar> kColours = {{60, 60, 205}, {70, 145, 40}, {200, 110, 30}};
 
@@ -168,25 +168,37 @@ void DrawLine(cv::Mat* image, const Axes& axes, const std::vector<double>& t, co
 }
 
 /// "x 1.49 +-0.01", with the decimals that sigma gives a meaning; only the name without sigma.
-std::string Label(const Curve& curve, double unit) {
+std::string Label(const Curve& curve, double unit, bool with_sigma) {
   const std::string name = curve.name.empty() ? "" : curve.name + " ";
   if (curve.value.empty() || curve.sigma.empty()) return name;
   const double sigma = std::max(curve.sigma.back() / unit, 1e-5);
-  const int decimals = std::max(0, 1 - static_cast<int>(std::floor(std::log10(sigma))));
-  char text[60];
-  std::snprintf(text, sizeof text, "%.*f +-%.*f", decimals, curve.value.back() / unit, decimals,
-                sigma);
-  return name + text;
+  const int decimals = std::max(0, -static_cast<int>(std::floor(std::log10(sigma))));
+  char value[30], spread[30];
+  std::snprintf(value, sizeof value, "%.*f", decimals, curve.value.back() / unit);
+  std::snprintf(spread, sizeof spread, " +-%.*f", decimals, sigma);
+  return name + value + (with_sigma ? spread : "");
 }
 
+std::vector<std::string> Labels(const Panel& panel, double unit, bool with_sigma) {
+  std::vector<std::string> labels;
+  for (const Curve& curve : panel.curves) labels.push_back(Label(curve, unit, with_sigma));
+  return labels;
+}
+
+/// Values in the colours of their curves above the panel; sigmas if there is room.
 void DrawLabels(cv::Mat* image, const cv::Rect& box, const Panel& panel, double unit) {
+  constexpr int kSpace = 9;
+  std::vector<std::string> labels = Labels(panel, unit, true);
+  int width = -kSpace;
+  for (const std::string& label : labels) width += WidthOf(label, 0.36) + kSpace;
+  if (width > box.width) labels = Labels(panel, unit, false);
   int x = box.x;
-  for (const Curve& curve : panel.curves) {
+  for (size_t i = 0; i < labels.size(); ++i) {
+    const Curve& curve = panel.curves[i];
     const cv::Scalar colour =
         curve.faint ? cv::Scalar(0.5 * curve.colour + 0.5 * kPanel) : curve.colour;
-    const std::string text = Label(curve, unit);
-    Write(image, text, {x, box.y - 7}, 0.36, colour);
-    x += WidthOf(text, 0.36) + 9;
+    Write(image, labels[i], {x, box.y - 7}, 0.36, colour);
+    x += WidthOf(labels[i], 0.36) + kSpace;
   }
 }
 
@@ -307,10 +319,9 @@ cv::Mat DrawLiveImage(const DynamicModel& model, const LiveHistory& history,
                       const std::vector<bool>& observable, const LiveImageTexts& texts) {
   cv::Mat image(kHeight, kWidth, CV_8UC3, kPaper);
   std::vector<Panel> panels = ParameterPanels(model, history, observable);
-  panels.push_back(ResidualPanel(history, "residual force", "N",
-                                 &LiveHistory::Residual::force_B));
-  panels.push_back(ResidualPanel(history, "residual torque", "N m",
-                                 &LiveHistory::Residual::torque_B));
+  panels.push_back(ResidualPanel(history, "residual force", "N", &LiveHistory::Residual::force_B));
+  panels.push_back(
+      ResidualPanel(history, "residual torque", "N m", &LiveHistory::Residual::torque_B));
 
   const int count = static_cast<int>(panels.size());
   const int columns = count <= 4 ? 2 : count <= 9 ? 3 : 4;

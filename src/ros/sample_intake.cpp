@@ -6,10 +6,10 @@
 namespace odmc {
 namespace {
 
-constexpr double kSettle_s = 1.0;     // for all streams to show up
-constexpr double kHold_s = 60.0;      // of samples at most while standing still
-constexpr double kStepBack_s = 0.5;   // less is a late sample
-constexpr double kMoved_m = 0.1;      // so far with a twist of zeros: the source has no twist
+constexpr double kSettle_s = 1.0;    // for all streams to show up
+constexpr double kHold_s = 60.0;     // of samples at most while standing still
+constexpr double kStepBack_s = 0.5;  // less is a late sample
+constexpr double kMoved_m = 0.1;     // so far with a twist of zeros: the source has no twist
 constexpr double kTurned_rad = 0.1;
 
 enum StreamIndex { kOdometry, kPose, kImu, kRotors, kJoints, kBattery };

@@ -178,8 +178,8 @@ std::string List(const Vector3d& v) {
 std::string MountText(const Isometry3d& X_BS) {
   const Eigen::Quaterniond q(X_BS.linear());
   return "{frame: sensor, p_BS_m: " + List(X_BS.translation()) + ", q_BS_xyzw: [" +
-         FormatYamlNumber(q.x()) + ", " + FormatYamlNumber(q.y()) + ", " +
-         FormatYamlNumber(q.z()) + ", " + FormatYamlNumber(q.w()) + "]}";
+         FormatYamlNumber(q.x()) + ", " + FormatYamlNumber(q.y()) + ", " + FormatYamlNumber(q.z()) +
+         ", " + FormatYamlNumber(q.w()) + "]}";
 }
 
 std::string CentreText(const Vector3d& p_BBcm) {

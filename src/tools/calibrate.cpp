@@ -40,9 +40,11 @@ int main(int argc, char** argv) {
     tools::MakeFolder(folder);
     tools::ProgressBar bar(log.file);
     Calibration result = Calibrate(log, recording, file_vehicle, model, options, bar.Callback());
-    result.parameters.provenance = tools::Provenance(
-        "calibrate", vehicle,
-        {{"flight", log.file}, {"estimator_options", tools::DescribeChanges(options)}});
+    result.parameters.provenance =
+        tools::Provenance("calibrate", vehicle,
+                          {{"flight", log.file},
+                           {"position_noise_m", std::to_string(noise_m)},
+                           {"estimator_options", tools::DescribeChanges(options)}});
     tools::WriteCalibration(result, log, model, folder);
     std::cout << CalibrationTable(result);
     if (!no_report) tools::RenderReport(folder);

@@ -46,8 +46,8 @@ Json Offline(const std::string& bag) {
   const ParameterSet set = Estimator::ToParameterSet(model, result.last.value());
   Json json;
   for (const ParameterEstimate& p : set.parameters) {
-    json[p.full_name] = {{"value", p.value}, {"sigma", p.sigma}, {"unit", p.unit},
-                         {"observable", p.observable}};
+    json[p.full_name] = {
+        {"value", p.value}, {"sigma", p.sigma}, {"unit", p.unit}, {"observable", p.observable}};
   }
   return json;
 }

@@ -231,8 +231,8 @@ TEST(UrdfVehicle, TakesMassRotorsAndImuFromTheLinks) {
   // By hand: Bcm at z = (0.71 0.01 + 0.04 0.02) / 0.75.
   const double z = (0.71 * 0.01 + 0.04 * 0.02) / 0.75;
   EXPECT_NEAR(*vehicle.parameters.at("centre_of_gravity.z").value, z, 1e-12);
-  const double ixx = 2e-3 + 0.71 * std::pow(0.01 - z, 2) +
-                     4.0 * (1e-6 + 0.01 * (0.01 + std::pow(0.02 - z, 2)));
+  const double ixx =
+      2e-3 + 0.71 * std::pow(0.01 - z, 2) + 4.0 * (1e-6 + 0.01 * (0.01 + std::pow(0.02 - z, 2)));
   EXPECT_NEAR(vehicle.inertia_kg_m2.x(), ixx, 1e-12);
   ASSERT_TRUE(vehicle.imu.has_value());
   EXPECT_NEAR(vehicle.imu->p_BS.x(), 0.03, 1e-12);
@@ -280,8 +280,11 @@ TEST(LiveImage, ShowsParametersAndResidualsAndStaysBounded) {
   }
   EXPECT_LT(history.entries().size(), 601u);
   EXPECT_GT(history.entries().size(), 250u);
-  const LiveImageTexts texts{"generic", "airborne, accepted", true,
-                             "60.0 s   residual 0.21 N, 0.003 N m   update 4.1 ms (p99 6.0)", {}};
+  const LiveImageTexts texts{"generic",
+                             "airborne, accepted",
+                             true,
+                             "60.0 s   residual 0.21 N, 0.003 N m   update 4.1 ms (p99 6.0)",
+                             {}};
   const cv::Mat image = DrawLiveImage(model, history, observable, texts);
   EXPECT_EQ(image.cols, 1280);
   EXPECT_EQ(image.rows, 800);

@@ -5,20 +5,26 @@
 #include "odmc/model/effect.h"
 
 /// \file
-/// Constructors of every effect, one source file each. To add an effect: write src/effects/NAME.cpp,
-/// declare its constructor here and register it in src/effects/register.cpp.
+/// The catalogue: every effect of this package by name, with its constructor. To add one, write
+/// src/effects/NAME.cpp (and name it in CMakeLists.txt) and add its line here; estimator, simulator,
+/// evaluation, reports and `list_effects` then know it.
+
+#define ODMC_EFFECTS(X)                             \
+  X(thrust, MakeThrust)                             \
+  X(rotor_torque, MakeRotorTorque)                  \
+  X(drag, MakeDrag)                                 \
+  X(viscous_torque, MakeViscousTorque)              \
+  X(hvt, MakeHvt)                                   \
+  X(centre_of_gravity, MakeCentreOfGravity)         \
+  X(inertia, MakeInertia)                           \
+  X(gravity, MakeGravity)                           \
+  X(odometry_extrinsics, MakeOdometryExtrinsics)    \
+  X(imu_extrinsics, MakeImuExtrinsics)
 
 namespace odmc {
 
-std::unique_ptr<Effect> MakeThrust(const Vehicle& vehicle);
-std::unique_ptr<Effect> MakeRotorTorque(const Vehicle& vehicle);
-std::unique_ptr<Effect> MakeDrag(const Vehicle& vehicle);
-std::unique_ptr<Effect> MakeViscousTorque(const Vehicle& vehicle);
-std::unique_ptr<Effect> MakeHvt(const Vehicle& vehicle);
-std::unique_ptr<Effect> MakeCentreOfGravity(const Vehicle& vehicle);
-std::unique_ptr<Effect> MakeInertia(const Vehicle& vehicle);
-std::unique_ptr<Effect> MakeGravity(const Vehicle& vehicle);
-std::unique_ptr<Effect> MakeOdometryExtrinsics(const Vehicle& vehicle);
-std::unique_ptr<Effect> MakeImuExtrinsics(const Vehicle& vehicle);
+#define ODMC_DECLARE_EFFECT(name, make) std::unique_ptr<Effect> make(const Vehicle& vehicle);
+ODMC_EFFECTS(ODMC_DECLARE_EFFECT)
+#undef ODMC_DECLARE_EFFECT
 
 }  // namespace odmc

@@ -23,8 +23,8 @@
 namespace odmc {
 
 /// \file
-/// Messages to the core's samples and back. What a message does not say (the frame of its twist, the
-/// mount of its sensor) is kept beside the sample until somebody knows.
+/// Messages to the core's samples and back. What a message does not say (the frame of its twist,
+/// the mount of its sensor) is kept beside the sample until somebody knows.
 
 Stamp FromRos(const ros::Time& time);
 /// @throws std::invalid_argument if ROS cannot express the stamp

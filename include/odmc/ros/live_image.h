@@ -40,10 +40,10 @@ class LiveHistory {
 
 /// The words around the curves.
 struct LiveImageTexts {
-  std::string title;                ///< vehicle
-  std::string status;               ///< "airborne", "on the ground", ...
-  bool good = false;                ///< colours the status
-  std::string details;              ///< one line: timing, residuals
+  std::string title;    ///< vehicle
+  std::string status;   ///< "airborne", "on the ground", ...
+  bool good = false;    ///< colours the status
+  std::string details;  ///< one line: timing, residuals
   std::vector<std::string> warnings;
 };
 

@@ -25,8 +25,8 @@ struct StreamStatus {
 
 /// What the estimator thread tells the others.
 struct NodeStatus {
-  std::string fatal;        ///< a sentence if nothing is estimated any more; else empty
-  std::string waiting_for;  ///< a stream or a condition; empty if running
+  std::string fatal;                    ///< a sentence if nothing is estimated any more; else empty
+  std::string waiting_for;              ///< a stream or a condition; empty if running
   std::vector<std::string> warnings;    ///< of the set-up, they stay
   std::vector<std::string> unphysical;  ///< of the newest estimate
   std::string twist;                    ///< verdict on the frame of the twist

@@ -25,7 +25,8 @@ enum class IntakePhase {
 
 /// Live counterpart of ReadFlightBag(): finds out what the streams mean before any sample reaches
 /// the estimator, and loses none meanwhile. Decides
-///  - which of `odometry` and `pose`, of `rotor_speeds` and `joint_states` to use (the first of each
+///  - which of `odometry` and `pose`, of `rotor_speeds` and `joint_states` to use (the first of
+///  each
 ///    pair wins if it shows up within settle_s of the other),
 ///  - whether the odometry has velocity and body rates at all (some sources leave zeros),
 ///  - in which frame the velocity is (twist_frame.h).
@@ -36,7 +37,8 @@ class SampleIntake {
   /// @param twist_frame auto | body | world
   explicit SampleIntake(const std::string& twist_frame) : twist_frame_(twist_frame) {}
 
-  /// @returns false if the clock stepped back at this sample: what was held is gone, and the chain of
+  /// @returns false if the clock stepped back at this sample: what was held is gone, and the chain
+  /// of
   ///   states ends here
   bool Push(InputSample input);
 
@@ -63,8 +65,8 @@ class SampleIntake {
   const std::string& sensor_frame_id() const { return sensor_frame_id_; }
   /// Frame of the IMU; nothing if no IMU has been seen.
   const std::optional<std::string>& imu_frame_id() const { return imu_frame_id_; }
-  long forgotten() const { return forgotten_; }   ///< held longer than hold_s, standing still
-  long stale() const { return stale_; }           ///< from before a clock that stepped back
+  long forgotten() const { return forgotten_; }  ///< held longer than hold_s, standing still
+  long stale() const { return stale_; }          ///< from before a clock that stepped back
   long resets() const { return resets_; }
 
  private:

@@ -13,7 +13,8 @@ namespace odmc {
 ///    order of N, which is that of the measured speeds; hub position is the joint's origin;
 ///  - a rotor turns positively about its joint's axis: axis 0 0 1 is counter-clockwise seen from
 ///    above, 0 0 -1 clockwise;
-///  - the propeller's radius is the largest horizontal half size of the child link's cylinder, sphere
+///  - the propeller's radius is the largest horizontal half size of the child link's cylinder,
+///  sphere
 ///    or box (visual or collision);
 ///  - the link imu_link, if there is one, is the IMU's frame.
 /// The model is the default one of vehicle files.
