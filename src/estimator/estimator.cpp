@@ -260,7 +260,11 @@ bool Estimator::CheckGround(const OdometrySample& sample) {
     const double weight = model_->vehicle().mass_kg * model_->vehicle().gravity_m_s2;
     airborne = ground_.Update(sample.stamp, sample.p_WS, speed_m_s, force.z() / weight);
   }
-  if (dt > 0.0 && dt < 1.0) (airborne ? counters_.airborne_s : counters_.on_ground_s) += dt;
+  if (airborne) {
+    if (dt < 1.0) counters_.airborne_s += dt;  // not over a hole in the recording
+  } else {
+    counters_.on_ground_s += dt;
+  }
   return airborne;
 }
 

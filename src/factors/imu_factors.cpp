@@ -135,7 +135,7 @@ bool AccelerometerFactor::Evaluate(double const* const* blocks, double* residual
                         *model_, values, jacobians != nullptr);
   const double dt = measurement_.dt;
   const Matrix3d R_IB = k.body.R_BI.transpose();
-  const Vector3d r = k.body.p_BI - k.body.p_BBcm;
+  const Vector3d r = k.body.p_BBcm - k.body.p_BI;
   const Vector3d& w = k.flight.w_WB_B;
   const Vector3d w_dot = (k.m1.w_WB_B - k.m0.w_WB_B) / dt;
   const Vector3d a_B = k.F_B / k.body.mass - w_dot.cross(r) - w.cross(w.cross(r));
@@ -151,8 +151,8 @@ bool AccelerometerFactor::Evaluate(double const* const* blocks, double* residual
   D.d_motion0.middleCols<3>(kMotionRate) = -WR * Hat(r) / dt;
   D.d_motion1.middleCols<3>(kMotionRate) = WR * Hat(r) / dt;
   const Matrix3d d_r = -WR * (Hat(w_dot) + Hat(w) * Hat(w));
-  D.d_body.middleCols<3>(kRowImuPosition) = d_r;
-  D.d_body.middleCols<3>(kRowCom) = -d_r;
+  D.d_body.middleCols<3>(kRowImuPosition) = -d_r;
+  D.d_body.middleCols<3>(kRowCom) = d_r;
   D.d_body.middleCols<3>(kRowImuRotation) = W * Hat(R_IB * a_B);
   D.d_body.col(kRowMass) = -WR * k.F_B / (k.body.mass * k.body.mass);
   StateBlock J0, J1;

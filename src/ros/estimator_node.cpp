@@ -12,6 +12,7 @@
 #include <cstdio>
 #include <ctime>
 #include <filesystem>
+#include <iterator>
 #include <stdexcept>
 #include <utility>
 
@@ -32,6 +33,7 @@ constexpr std::chrono::milliseconds kStatusPeriod(100);
 constexpr std::chrono::seconds kAcceptedPeriod(1);
 constexpr std::chrono::seconds kTfPatience(2);
 constexpr std::chrono::seconds kFinishPatience(2);
+constexpr size_t kBatch = 300;          // samples taken from the queue at once
 constexpr size_t kTimedUpdates = 1000;  // the percentiles look back this far
 constexpr char kCalibrated[] = "_calibrated";
 
@@ -220,10 +222,7 @@ void EstimatorNode::RunEstimator() {
   try {
     std::deque<InputSample> batch;
     while (WaitForInput(&batch)) {
-      while (!batch.empty()) {
-        Take(std::move(batch.front()));
-        batch.pop_front();
-      }
+      Process(&batch);
       // What the throttle held back is still news once nothing more comes.
       if (last_) PublishParameters(*last_);
       ShareStatus();
@@ -237,22 +236,32 @@ void EstimatorNode::RunEstimator() {
 }
 
 bool EstimatorNode::WaitForInput(std::deque<InputSample>* batch) {
-  std::unique_lock<std::mutex> lock(queue_mutex_);
-  queue_changed_.wait_for(lock, kIdle, [this] { return stopping_ || !queue_.empty(); });
-  if (stopping_) return false;
-  // A few at a time: a long batch would hide the queue's length and delay the end.
-  const size_t count = std::min<size_t>(queue_.size(), 100);
-  std::move(queue_.begin(), queue_.begin() + static_cast<std::ptrdiff_t>(count),
-            std::back_inserter(*batch));
-  queue_.erase(queue_.begin(), queue_.begin() + static_cast<std::ptrdiff_t>(count));
+  {
+    std::unique_lock<std::mutex> lock(queue_mutex_);
+    queue_changed_.wait_for(lock, kIdle, [this] { return stopping_ || !queue_.empty(); });
+    if (stopping_) return false;
+  }
+  TakeBatch(batch);
   return true;
 }
 
-void EstimatorNode::Take(InputSample input) {
-  if (stopped_by_clock_) return;
-  if (!intake_.Push(std::move(input))) OnClockStepBack();
-  if (stopped_by_clock_) return;
-  if (intake_.phase() == IntakePhase::kHolding && !(intake_.decided() && TryStart())) return;
+bool EstimatorNode::TakeBatch(std::deque<InputSample>* batch) {
+  const std::lock_guard<std::mutex> lock(queue_mutex_);
+  // Not all at once: a long batch would hide the queue's length and delay the end.
+  const auto end = queue_.begin() + static_cast<std::ptrdiff_t>(std::min(queue_.size(), kBatch));
+  batch->assign(std::make_move_iterator(queue_.begin()), std::make_move_iterator(end));
+  queue_.erase(queue_.begin(), end);
+  return !batch->empty();
+}
+
+void EstimatorNode::Process(std::deque<InputSample>* batch) {
+  for (InputSample& input : *batch) {
+    if (stopped_by_clock_) break;
+    if (!intake_.Push(std::move(input))) OnClockStepBack();
+    if (intake_.phase() == IntakePhase::kHolding && intake_.decided()) TryStart();
+  }
+  batch->clear();
+  if (!estimator_ || stopped_by_clock_) return;
   for (const Sample& sample : intake_.Take()) Feed(sample);
 }
 
@@ -272,10 +281,8 @@ void EstimatorNode::OnClockStepBack() {
   }
 }
 
-bool EstimatorNode::TryStart() {
-  if (!ResolveMounts()) return false;
-  Start();
-  return true;
+void EstimatorNode::TryStart() {
+  if (ResolveMounts()) Start();
 }
 
 bool EstimatorNode::ResolveMounts() {
@@ -482,16 +489,9 @@ std::string EstimatorNode::TwistText() const {
 
 void EstimatorNode::Finish() {
   const Clock::time_point give_up = Clock::now() + kFinishPatience;
-  std::deque<InputSample> rest;
-  {
-    const std::lock_guard<std::mutex> lock(queue_mutex_);
-    rest.swap(queue_);
-  }
-  while (!rest.empty() && Clock::now() < give_up) {
-    Take(std::move(rest.front()));
-    rest.pop_front();
-  }
-  if (estimator_ && rest.empty() && !stopped_by_clock_) {
+  std::deque<InputSample> batch;
+  while (TakeBatch(&batch) && Clock::now() < give_up) Process(&batch);
+  if (estimator_ && batch.empty() && !stopped_by_clock_) {
     estimator_->Finish();
     StepWhileThereIsMore();
   }

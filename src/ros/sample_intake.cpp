@@ -21,6 +21,16 @@ Stamp StampOf(const InputSample& input) {
   return std::get<BatterySample>(input).stamp;
 }
 
+/// The order in which a recorded flight is fed: rotors and IMU up to an odometry, then it.
+bool IsBefore(const Sample& a, const Sample& b) {
+  const auto stamp_of = [](const Sample& sample) {
+    return std::visit([](const auto& s) { return s.stamp; }, sample);
+  };
+  const Stamp stamp_a = stamp_of(a), stamp_b = stamp_of(b);
+  if (stamp_a != stamp_b) return stamp_a < stamp_b;
+  return std::holds_alternative<OdometrySample>(b) && !std::holds_alternative<OdometrySample>(a);
+}
+
 }  // namespace
 
 int SampleIntake::StreamOf(const InputSample& input) {
@@ -49,7 +59,10 @@ bool SampleIntake::Push(InputSample input) {
   return clock != Clock::kBack;
 }
 
-std::vector<Sample> SampleIntake::Take() { return std::exchange(ready_, {}); }
+std::vector<Sample> SampleIntake::Take() {
+  std::stable_sort(ready_.begin(), ready_.end(), IsBefore);
+  return std::exchange(ready_, {});
+}
 
 // ---- The clock ---------------------------------------------------------------------------------
 
@@ -168,12 +181,6 @@ void SampleIntake::Forget() {
 
 void SampleIntake::Release() {
   phase_ = IntakePhase::kFlowing;
-  // The order in which a recorded flight is fed: rotors and IMU up to an odometry, then it.
-  const auto is_before = [](const InputSample& a, const InputSample& b) {
-    if (StampOf(a) != StampOf(b)) return StampOf(a) < StampOf(b);
-    return b.index() == 0 && a.index() != 0;
-  };
-  std::stable_sort(held_.begin(), held_.end(), is_before);
   for (const InputSample& input : held_) Pass(input);
   held_.clear();
 }

@@ -1,12 +1,10 @@
-#include "odmc/estimator/consistency.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/LU>
-
 #include <cmath>
 #include <cstdio>
 
+#include "odmc/estimator/consistency.h"
 #include "odmc/math/statistics.h"
 #include "support/jacobian_check.h"
 
@@ -50,8 +48,8 @@ Run Estimate(double rho, double seconds, unsigned seed, double scale_half_way = 
     }
   }
   const double eta = sum / left;
-  const VectorXd inflation = consistency.Inflation(VectorXd::Constant(1, eta),
-                                                   MatrixXd::Constant(1, 1, 1.0 / left));
+  const VectorXd inflation =
+      consistency.Inflation(VectorXd::Constant(1, eta), MatrixXd::Constant(1, 1, 1.0 / left));
   return {inflation[0], eta * std::sqrt(left)};
 }
 

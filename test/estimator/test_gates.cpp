@@ -1,9 +1,8 @@
-#include "odmc/estimator/gates.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 
+#include "odmc/estimator/gates.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "support/jacobian_check.h"
@@ -81,7 +80,7 @@ TEST_F(GroundGateTest, KeepsFlyingThroughAShortSlowMoment) {
 TEST_F(GroundGateTest, TakesOffAgainFromWhereItLanded) {
   Hold(1.0, 0.0, 0.0, 0.0);
   Hold(1.0, 2.0, 1.0, 1.0);
-  EXPECT_FALSE(Hold(1.0, 1.0, 0.0, 0.1));   // on a table
+  EXPECT_FALSE(Hold(1.0, 1.0, 0.0, 0.1));  // on a table
   EXPECT_FALSE(Hold(0.5, 1.05, 0.1, 1.0));
   EXPECT_TRUE(Hold(0.1, 1.2, 0.2, 1.05));
 }

@@ -243,8 +243,8 @@ Batch SolveBatch(const Flight& flight, double torque_scale, bool torque_units) {
     window.AddFactor(std::move(factor));
   };
   for (size_t k = 0; k < flight.size(); k += kStride) {
-    const std::int64_t id = window.AddKeyframe(flight.flight.log.odometry[k].stamp,
-                                               flight.StateAt(k), k > 0, -1);
+    const std::int64_t id =
+        window.AddKeyframe(flight.flight.log.odometry[k].stamp, flight.StateAt(k), k > 0, -1);
     add(FactorKind::kOdometry,
         std::make_unique<OdometryFactor>(flight.flight.log.odometry[k], odometry_noise, true), id,
         -1, false);
@@ -258,12 +258,12 @@ Batch SolveBatch(const Flight& flight, double torque_scale, bool torque_units) {
     noise.torque_Nm = Vector3d::Constant(torque_scale * recorded.torque_Nm);
     noise.nominal_inertia = flight.vehicle.inertia_kg_m2;
     // Rotor-speed noise of the mean over four samples, through thrust and arm.
-    const double per_rotor = 2.0 * 1.5e-6 * z.rotors.speed.mean() * recorded.rotor_speed_rad_s / 2.0;
+    const double per_rotor =
+        2.0 * 1.5e-6 * z.rotors.speed.mean() * recorded.rotor_speed_rad_s / 2.0;
     noise.rotor_force_N = 2.0 * per_rotor;
     noise.rotor_torque_Nm = per_rotor * Vector3d(2.0 * 0.11, 2.0 * 0.095, 2.0 * 0.014);
     if (torque_units) noise.rotor_torque_Nm.setZero();
-    auto dynamics =
-        std::make_unique<DynamicsFactor>(z, noise, true, &flight.model, &layout);
+    auto dynamics = std::make_unique<DynamicsFactor>(z, noise, true, &flight.model, &layout);
     std::unique_ptr<ceres::CostFunction> cost;
     if (torque_units) {
       cost = std::make_unique<TorqueUnitFactor>(std::move(dynamics), flight.model, layout);
@@ -283,7 +283,8 @@ Batch SolveBatch(const Flight& flight, double torque_scale, bool torque_units) {
   return batch;
 }
 
-// model.md section 13, test 10: the artefact of section 9 is absent from e_alpha, present in e_omega.
+// model.md section 13, test 10: the artefact of section 9 is absent from e_alpha, present in
+// e_omega.
 TEST(NormalisedResidual, InertiaStaysWhenTheTorqueCovarianceGrowsTenfold) {
   const Flight flight("aggressive", 12.0, SimulationNoise());
   const Batch once = SolveBatch(flight, 1.0, false);
@@ -296,8 +297,9 @@ TEST(NormalisedResidual, InertiaStaysWhenTheTorqueCovarianceGrowsTenfold) {
     const double error = once.values[k] / flight.truth[k] - 1.0;
     const double shift = tenfold.values[k] / once.values[k] - 1.0;
     const double paper_error = paper.values[k] / flight.truth[k] - 1.0;
-    std::printf("inertia.%c: error %+.2f %%, moves by %+.2f %%; in torque units it is off by %+.1f %%\n",
-                "xyz"[axis], 100.0 * error, 100.0 * shift, 100.0 * paper_error);
+    std::printf(
+        "inertia.%c: error %+.2f %%, moves by %+.2f %%; in torque units it is off by %+.1f %%\n",
+        "xyz"[axis], 100.0 * error, 100.0 * shift, 100.0 * paper_error);
     EXPECT_LT(std::abs(error), 0.06);
     EXPECT_LT(std::abs(shift), 0.03);
     EXPECT_LT(paper_error, -0.05);

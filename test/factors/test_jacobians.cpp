@@ -50,8 +50,8 @@ DynamicModel MakeModel(Freedom freedom) {
   Vehicle vehicle = TurnedVehicle();
   const DynamicModel named(vehicle, Effects());
   const std::vector<std::string> frozen = {
-      "rotor_torque.k_m",       "drag.d_y",     "inertia.y",           "gravity.x",
-      "odometry_extrinsics.rz", "hvt.k_h",      "imu_extrinsics.px",   "centre_of_gravity.z"};
+      "rotor_torque.k_m",       "drag.d_y", "inertia.y",         "gravity.x",
+      "odometry_extrinsics.rz", "hvt.k_h",  "imu_extrinsics.px", "centre_of_gravity.z"};
   for (const ModelParameter& p : named.parameters()) {
     const bool is_frozen = std::count(frozen.begin(), frozen.end(), p.full_name) > 0;
     vehicle.parameters[p.full_name].estimated =
@@ -283,8 +283,7 @@ Case MakeAccelerometer(std::shared_ptr<Setting> s) {
   const Vector3d sigma(0.2, 0.3, 0.5);
   Case c;
   c.setting = s;
-  c.cost =
-      std::make_unique<AccelerometerFactor>(s->measurement, z, sigma, &s->model, &s->layout);
+  c.cost = std::make_unique<AccelerometerFactor>(s->measurement, z, sigma, &s->model, &s->layout);
   c.at = s->With(2, true, true);
   c.twin_residual = [s, z, sigma](const BlockJets& x) {
     return twin::Accelerometer<Jet>(s->measurement, z, sigma, s->model.vehicle(), x.x[0], x.x[1],
@@ -295,8 +294,8 @@ Case MakeAccelerometer(std::shared_ptr<Setting> s) {
 
 Case MakePrior(std::shared_ptr<Setting> s, bool parameters) {
   const int n = parameters ? s->layout.num_estimated() : 6;
-  const Eigen::VectorXd mean = s->random.NextVector(n), sigma =
-      (s->random.NextVector(n, 0.5).array() + 1.0).matrix();
+  const Eigen::VectorXd mean = s->random.NextVector(n),
+                        sigma = (s->random.NextVector(n, 0.5).array() + 1.0).matrix();
   Case c;
   c.setting = s;
   c.cost = std::make_unique<BlockPriorFactor>(mean, sigma);
@@ -363,25 +362,44 @@ Case MakeCase(Kind kind, Freedom freedom, unsigned seed) {
   const auto s = std::make_shared<Setting>(freedom, seed);
   constexpr auto kM = DynamicsForm::kMidpoint, kE = DynamicsForm::kEuler;
   switch (kind) {
-    case Kind::kDynamicsMidpoint: return MakeDynamics(s, kM, true, false);
-    case Kind::kDynamicsMidpointForceOnly: return MakeDynamics(s, kM, false, false);
-    case Kind::kDynamicsMidpointInertiaFixed: return MakeDynamics(s, kM, true, true);
-    case Kind::kDynamicsEuler: return MakeDynamics(s, kE, true, false);
-    case Kind::kDynamicsEulerForceOnly: return MakeDynamics(s, kE, false, false);
-    case Kind::kKinematic: return MakeKinematic(s, kM, true);
-    case Kind::kKinematicWithoutRotation: return MakeKinematic(s, kM, false);
-    case Kind::kKinematicEuler: return MakeKinematic(s, kE, true);
-    case Kind::kOdometry: return MakeOdometry(s, true, true);
-    case Kind::kOdometryVelocityOnly: return MakeOdometry(s, true, false);
-    case Kind::kOdometryPoseOnly: return MakeOdometry(s, false, false);
-    case Kind::kGyroPreintegration: return MakeGyroPreintegration(s);
-    case Kind::kGyro: return MakeGyro(s);
-    case Kind::kAccelerometer: return MakeAccelerometer(s);
-    case Kind::kParameterPrior: return MakePrior(s, true);
-    case Kind::kBiasPrior: return MakePrior(s, false);
-    case Kind::kBiasWalk: return MakeWalk(s);
-    case Kind::kMarginal: return MakeMarginal(s, true);
-    case Kind::kMarginalWithoutBias: return MakeMarginal(s, false);
+    case Kind::kDynamicsMidpoint:
+      return MakeDynamics(s, kM, true, false);
+    case Kind::kDynamicsMidpointForceOnly:
+      return MakeDynamics(s, kM, false, false);
+    case Kind::kDynamicsMidpointInertiaFixed:
+      return MakeDynamics(s, kM, true, true);
+    case Kind::kDynamicsEuler:
+      return MakeDynamics(s, kE, true, false);
+    case Kind::kDynamicsEulerForceOnly:
+      return MakeDynamics(s, kE, false, false);
+    case Kind::kKinematic:
+      return MakeKinematic(s, kM, true);
+    case Kind::kKinematicWithoutRotation:
+      return MakeKinematic(s, kM, false);
+    case Kind::kKinematicEuler:
+      return MakeKinematic(s, kE, true);
+    case Kind::kOdometry:
+      return MakeOdometry(s, true, true);
+    case Kind::kOdometryVelocityOnly:
+      return MakeOdometry(s, true, false);
+    case Kind::kOdometryPoseOnly:
+      return MakeOdometry(s, false, false);
+    case Kind::kGyroPreintegration:
+      return MakeGyroPreintegration(s);
+    case Kind::kGyro:
+      return MakeGyro(s);
+    case Kind::kAccelerometer:
+      return MakeAccelerometer(s);
+    case Kind::kParameterPrior:
+      return MakePrior(s, true);
+    case Kind::kBiasPrior:
+      return MakePrior(s, false);
+    case Kind::kBiasWalk:
+      return MakeWalk(s);
+    case Kind::kMarginal:
+      return MakeMarginal(s, true);
+    case Kind::kMarginalWithoutBias:
+      return MakeMarginal(s, false);
   }
   return {};
 }
@@ -503,8 +521,8 @@ void PlantEverywhere(Kind kind, int* planted, int* missed) {
         const int width = rotation ? 4 : step;
         // Parts this far below their block are zeros of the model, not terms.
         if (norm(row, first + column, step) <= 1e-9 * whole) continue;
-        for (const auto slip : {Corrupted::Slip::kFlip, Corrupted::Slip::kZero,
-                                Corrupted::Slip::kTranspose}) {
+        for (const auto slip :
+             {Corrupted::Slip::kFlip, Corrupted::Slip::kZero, Corrupted::Slip::kTranspose}) {
           if (slip == Corrupted::Slip::kTranspose) {
             // A diagonal block is its own transpose.
             const bool generic = kind == Kind::kDynamicsMidpoint && !rotation && width == 3;

@@ -1,10 +1,9 @@
-#include "odmc/math/savitzky_golay.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <vector>
 
+#include "odmc/math/savitzky_golay.h"
 #include "support/jacobian_check.h"
 
 namespace odmc {
@@ -89,7 +88,7 @@ TEST(SavitzkyGolay, CoefficientsOfTheValueAddUpToOneAndOfTheDerivativeToZero) {
 }
 
 TEST(SavitzkyGolay, TakesTheOddCountNearestToTheWidth) {
-  EXPECT_EQ(SavitzkyGolay::NearestOddCount(0.1, 0.01), 11);   // 10: as near to 9, the longer wins
+  EXPECT_EQ(SavitzkyGolay::NearestOddCount(0.1, 0.01), 11);    // 10: as near to 9, the longer wins
   EXPECT_EQ(SavitzkyGolay::NearestOddCount(0.1, 0.0025), 41);  // 40
   EXPECT_EQ(SavitzkyGolay::NearestOddCount(0.1, 0.1 / 9.2), 9);
   EXPECT_EQ(SavitzkyGolay::NearestOddCount(0.1, 0.1 / 10.8), 11);

@@ -1,10 +1,9 @@
-#include "odmc/math/so3.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <vector>
 
+#include "odmc/math/so3.h"
 #include "support/jacobian_check.h"
 
 namespace odmc {
@@ -16,7 +15,8 @@ using Eigen::Vector3d;
 
 constexpr double kPi = 3.14159265358979323846;
 
-/// Rotation vectors over all sizes: zero, tiny, on both sides of the series' bound, generic, near pi.
+/// Rotation vectors over all sizes: zero, tiny, on both sides of the series' bound, generic, near
+/// pi.
 std::vector<Vector3d> Turns() {
   Random random(1);
   std::vector<Vector3d> turns = {Vector3d::Zero()};

@@ -1,9 +1,8 @@
-#include "odmc/math/statistics.h"
-
 #include <gtest/gtest.h>
 
 #include <vector>
 
+#include "odmc/math/statistics.h"
 #include "support/jacobian_check.h"
 
 namespace odmc {
@@ -41,7 +40,8 @@ TEST(Statistics, RobustSigmaIsThatOfAGaussian) {
 TEST(Statistics, RobustSigmaIgnoresATenthOfOutliers) {
   Random random(9);
   std::vector<double> sample(20000);
-  for (size_t i = 0; i < sample.size(); ++i) sample[i] = (i % 10 == 0 ? 1e6 : 0.3) * random.Normal();
+  for (size_t i = 0; i < sample.size(); ++i)
+    sample[i] = (i % 10 == 0 ? 1e6 : 0.3) * random.Normal();
   EXPECT_NEAR(RobustSigma(sample), 0.3, 0.06);
 }
 

@@ -36,8 +36,7 @@ FlightState RandomFlight(const Vehicle& vehicle, Random* random) {
   flight.rotors = RotorState::Steady(speed);
   for (int j = 0; j < speed.size(); ++j) {
     flight.rotors.acceleration[j] = random->Next(2000.0);
-    flight.rotors.speed_squared_rate[j] =
-        2.0 * speed[j] * flight.rotors.acceleration[j];
+    flight.rotors.speed_squared_rate[j] = 2.0 * speed[j] * flight.rotors.acceleration[j];
   }
   return flight;
 }
@@ -157,9 +156,9 @@ TEST_P(EveryEffect, ShapesTheBodyAsItsDerivativesSay) {
       ModelValues plus = values, minus = values;
       plus[k] += step;
       minus[k] -= step;
-      const Eigen::VectorXd slope = (RowsOf(model_.Properties(plus), at) -
-                                     RowsOf(model_.Properties(minus), at)) /
-                                    (2.0 * step);
+      const Eigen::VectorXd slope =
+          (RowsOf(model_.Properties(plus), at) - RowsOf(model_.Properties(minus), at)) /
+          (2.0 * step);
       const Eigen::VectorXd column = J.col(k);
       EXPECT_LT((column - slope).norm(), 1e-5 * std::max(1e-3, slope.norm()))
           << model_.parameters()[k].full_name;
@@ -189,7 +188,8 @@ TEST_P(EveryEffect, DescribesItselfWithFormulaAndSource) {
 }
 
 TEST_P(EveryEffect, AnswersTheSameInATurnedScene) {
-  // Whatever the heading, a vehicle that sees the same air and rates in its own axes feels the same.
+  // Whatever the heading, a vehicle that sees the same air and rates in its own axes feels the
+  // same.
   Random random(23);
   FlightState flight = RandomFlight(vehicle_, &random);
   const ModelValues values = RandomOwnValues(model_, &random);
@@ -207,9 +207,9 @@ INSTANTIATE_TEST_SUITE_P(Registered, EveryEffect,
 TEST(EffectRegistry, HasEveryEffectOfTheIssueOnce) {
   const auto& names = EffectRegistry::Default().names();
   EXPECT_EQ(std::set<std::string>(names.begin(), names.end()).size(), names.size());
-  for (const char* name : {"thrust", "rotor_torque", "drag", "viscous_torque", "hvt",
-                           "centre_of_gravity", "inertia", "gravity", "odometry_extrinsics",
-                           "imu_extrinsics"}) {
+  for (const char* name :
+       {"thrust", "rotor_torque", "drag", "viscous_torque", "hvt", "centre_of_gravity", "inertia",
+        "gravity", "odometry_extrinsics", "imu_extrinsics"}) {
     EXPECT_TRUE(EffectRegistry::Default().Has(name)) << name;
   }
 }
@@ -264,8 +264,8 @@ TEST(Thrust, HoverWithTheCentreOfGravityAheadNeedsFasterFrontRotors) {
   const double front = 0.25 * weight * (1.0 + c.x() / half) / k_f;
   const double rear = 0.25 * weight * (1.0 - c.x() / half) / k_f;
   ASSERT_GT(front, rear);
-  const Rest hover = AtRest(
-      Speeds(std::sqrt(front), std::sqrt(front), std::sqrt(rear), std::sqrt(rear)), c);
+  const Rest hover =
+      AtRest(Speeds(std::sqrt(front), std::sqrt(front), std::sqrt(rear), std::sqrt(rear)), c);
   EXPECT_LT(hover.tau.norm(), 1e-12);
   EXPECT_NEAR(hover.f.z(), weight, 1e-12);
 }
@@ -409,13 +409,13 @@ TEST(DynamicsResidual, PureRotationAboutTheCentreOfGravityLeavesNoForceResidual)
   EXPECT_LT(e.segment<3>(kRowVelocity).norm(), 1e-9);
   EXPECT_LT(e.segment<3>(kRowAngular).norm(), 1e-12);
   // With the lever to the geometric centre, q = l, it does not vanish: m |w|^2 |c_xy| dt.
-  const auto e_centre = DynamicsResidual(measurement, spin.s0, spin.s1, model,
-                                         ModelValues(ModelValues::Zero(3)));
+  const auto e_centre =
+      DynamicsResidual(measurement, spin.s0, spin.s1, model, ModelValues(ModelValues::Zero(3)));
   EXPECT_NEAR(e_centre.segment<3>(kRowVelocity).norm(),
               0.75 * 25.0 * c.head<2>().norm() * measurement.dt, 1e-5);
   // A wrong sign of c doubles it.
-  const auto e_mirrored = DynamicsResidual(measurement, spin.s0, spin.s1, model,
-                                           ModelValues(ModelValues(-values)));
+  const auto e_mirrored =
+      DynamicsResidual(measurement, spin.s0, spin.s1, model, ModelValues(ModelValues(-values)));
   EXPECT_NEAR(e_mirrored.segment<3>(kRowVelocity).norm(),
               2.0 * e_centre.segment<3>(kRowVelocity).norm(), 1e-5);
 }
@@ -454,8 +454,7 @@ TEST(DynamicsResidual, ScalesWithMassAndEveryCoefficientExceptWhereNormalised) {
   for (const auto form : {DynamicsForm::kMidpoint, DynamicsForm::kEuler}) {
     RandomInterval interval(vehicle, 41);
     interval.measurement.form = form;
-    const auto e =
-        DynamicsResidual(interval.measurement, interval.s0, interval.s1, model, values);
+    const auto e = DynamicsResidual(interval.measurement, interval.s0, interval.s1, model, values);
     const auto e_scaled =
         DynamicsResidual(interval.measurement, interval.s0, interval.s1, heavy, scaled);
     EXPECT_LT((e_scaled - 1.1 * e).head<6>().norm(), 1e-12 * e.head<6>().norm());
@@ -473,7 +472,8 @@ TEST(DynamicsResidual, TorqueMovesWithTheCentreOfGravityAsInModelMd64) {
   Vector3d inertia;
   DynamicsResidual(interval.measurement, interval.s0, interval.s1, model, values, &inertia, &J);
   const int first = model.IndexOf("centre_of_gravity.x");
-  const Eigen::Matrix3d d_e_omega = inertia.asDiagonal() * J.d_values.block<3, 3>(kRowAngular, first);
+  const Eigen::Matrix3d d_e_omega =
+      inertia.asDiagonal() * J.d_values.block<3, 3>(kRowAngular, first);
   const double thrust =
       values[model.IndexOf("thrust.k_f")] * interval.measurement.rotors.speed_squared.sum();
   const Eigen::Matrix3d expected = -interval.measurement.dt * thrust * Hat(Vector3d::UnitZ());

@@ -1,11 +1,10 @@
-#include "odmc/preintegration/imu_interval.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <deque>
 
 #include "odmc/math/so3.h"
+#include "odmc/preintegration/imu_interval.h"
 
 namespace odmc {
 namespace test {

@@ -1,9 +1,9 @@
-#include "odmc/preintegration/rotor_interval.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <deque>
+
+#include "odmc/preintegration/rotor_interval.h"
 
 namespace odmc {
 namespace test {

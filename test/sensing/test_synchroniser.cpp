@@ -1,10 +1,10 @@
-#include "odmc/sensing/synchroniser.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <limits>
 #include <vector>
+
+#include "odmc/sensing/synchroniser.h"
 
 namespace odmc {
 namespace test {
@@ -37,7 +37,8 @@ std::vector<double> KeyframesAt(double rate_hz, double jitter_s = 0.0) {
   synchroniser.Add(Rotors(0.9));
   synchroniser.Add(Rotors(3.0));
   std::vector<double> stamps;
-  while (const auto keyframe = synchroniser.NextKeyframe()) stamps.push_back(ToSeconds(keyframe->stamp));
+  while (const auto keyframe = synchroniser.NextKeyframe())
+    stamps.push_back(ToSeconds(keyframe->stamp));
   return stamps;
 }
 
@@ -91,7 +92,7 @@ TEST(Synchroniser, CountsWhatComesOutOfOrderAndLeavesItOut) {
   synchroniser.Add(Odometry(1.02));
   synchroniser.Add(Odometry(1.01));  // steps back
   synchroniser.Add(Rotors(1.00));
-  synchroniser.Add(Rotors(1.00));    // repeats
+  synchroniser.Add(Rotors(1.00));  // repeats
   synchroniser.Add(Rotors(1.05));
   synchroniser.Add(Imu(1.00));
   synchroniser.Add(Imu(0.99));

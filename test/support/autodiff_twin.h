@@ -13,8 +13,8 @@
 #include "odmc/window/window.h"
 
 /// \file
-/// Every residual a second time, written from model.md in its own notation and for any scalar, to be
-/// differentiated automatically. Shares data with the package, and no formula.
+/// Every residual a second time, written from model.md in its own notation and for any scalar, to
+/// be differentiated automatically. Shares data with the package, and no formula.
 namespace odmc {
 namespace test {
 namespace twin {
@@ -138,11 +138,11 @@ struct Interval {
 };
 
 template <typename T>
-Interval<T> IntervalOf(const DynamicsMeasurement& z, const Vehicle& vehicle,
-                       const Motion<T>& x0, const Motion<T>& x1, const Parameters<T>& a) {
+Interval<T> IntervalOf(const DynamicsMeasurement& z, const Vehicle& vehicle, const Motion<T>& x0,
+                       const Motion<T>& x1, const Parameters<T>& a) {
   const bool euler = z.form == DynamicsForm::kEuler;
-  const Q4<T> E = Exp(a.r_BS).conjugate();      // R_b^I
-  const V3<T> ell = -(E * a.p_BS);              // p_b^I
+  const Q4<T> E = Exp(a.r_BS).conjugate();  // R_b^I
+  const V3<T> ell = -(E * a.p_BS);          // p_b^I
   const V3<T> q = ell + E * a.c;
   Interval<T> k;
   Q4<T> B[2];
@@ -205,7 +205,8 @@ VX<T> Dynamics(const DynamicsMeasurement& z, const Vehicle& vehicle, const Motio
   e.template segment<3>(3) =
       (k.B.transpose() * V3<T>(k.V[1] - k.V[0] + up * (g * dt))) * m - k.F * dt;
   const V3<T> momentum = I.cwiseProduct(k.w_point);
-  const V3<T> e_omega = I.cwiseProduct(k.w[1] - k.w[0]) + k.w_point.cross(momentum) * dt - k.tau * dt;
+  const V3<T> e_omega =
+      I.cwiseProduct(k.w[1] - k.w[0]) + k.w_point.cross(momentum) * dt - k.tau * dt;
   e.template segment<3>(6) = e_omega.cwiseQuotient(I);
   return e;
 }
@@ -251,13 +252,13 @@ VX<T> Kinematic(double dt, DynamicsForm form, double sigma_position, double sigm
   VX<T> r((euler ? 0 : 3) + (with_rotation ? 3 : 0));
   int row = 0;
   if (!euler) {
-    r.template segment<3>(0) =
-        (x1.p - x0.p - (x0.v + x1.v) * T(0.5 * dt)) / T(sigma_position);
+    r.template segment<3>(0) = (x1.p - x0.p - (x0.v + x1.v) * T(0.5 * dt)) / T(sigma_position);
     row = 3;
   }
   if (with_rotation) {
     const V3<T> turn = Log<T>(x0.q.conjugate() * x1.q);
-    const V3<T> swept = euler ? V3<T>(x0.omega * T(dt)) : V3<T>((x0.omega + x1.omega) * T(0.5 * dt));
+    const V3<T> swept =
+        euler ? V3<T>(x0.omega * T(dt)) : V3<T>((x0.omega + x1.omega) * T(0.5 * dt));
     r.template segment<3>(row) = (turn - swept) / T(sigma_rotation);
   }
   return r;
@@ -269,8 +270,7 @@ VX<T> Odometry(const OdometrySample& z, const OdometryNoise& noise, bool with_ra
   const bool rate = with_rate && z.w_WS_S.has_value();
   VX<T> r(6 + (z.v_WS ? 3 : 0) + (rate ? 3 : 0));
   r.template segment<3>(0) = (x.p - z.p_WS.cast<T>()) / T(noise.position_m);
-  r.template segment<3>(3) =
-      Log<T>(z.q_WS.cast<T>().conjugate() * x.q) / T(noise.attitude_rad);
+  r.template segment<3>(3) = Log<T>(z.q_WS.cast<T>().conjugate() * x.q) / T(noise.attitude_rad);
   int row = 6;
   if (z.v_WS) {
     r.template segment<3>(row) = (x.v - z.v_WS->cast<T>()) / T(noise.velocity_m_s);
@@ -310,8 +310,8 @@ VX<T> Accelerometer(const DynamicsMeasurement& z, const Eigen::Vector3d& reading
   const V3<T> q = E * V3<T>(a.c - a.p_BI);
   const V3<T> omega = E * k.w_point;
   const V3<T> omega_dot = E * V3<T>((k.w[1] - k.w[0]) / T(z.dt));
-  const V3<T> felt = E * V3<T>(k.F / T(vehicle.mass_kg)) - omega_dot.cross(q) -
-                     omega.cross(V3<T>(omega.cross(q)));
+  const V3<T> felt =
+      E * V3<T>(k.F / T(vehicle.mass_kg)) - omega_dot.cross(q) - omega.cross(V3<T>(omega.cross(q)));
   const V3<T> e = felt + bias.template tail<3>() - reading.cast<T>();
   return e.cwiseQuotient(sigma.cast<T>());
 }

@@ -67,11 +67,11 @@ inline DynamicModel FourParameterModel() { return DynamicModel(NominalVehicle(),
 /// How a window of linear factors is made.
 struct LinearWindowOptions {
   int keyframes = 6;
-  int keyframes_per_bias = 0;        ///< 0: no biases
-  int unlinked = -1;                 ///< index of a keyframe that starts a new chain
-  bool position_seen = true;         ///< false: only differences of positions enter
-  Eigen::VectorXd unseen_parameters; ///< a direction of eta no factor sees; empty: none
-  bool with_rotation = true;         ///< a prior on each rotation, centred where it is
+  int keyframes_per_bias = 0;         ///< 0: no biases
+  int unlinked = -1;                  ///< index of a keyframe that starts a new chain
+  bool position_seen = true;          ///< false: only differences of positions enter
+  Eigen::VectorXd unseen_parameters;  ///< a direction of eta no factor sees; empty: none
+  bool with_rotation = true;          ///< a prior on each rotation, centred where it is
 };
 
 /// Adds keyframes with linear factors to `window` (of an n-parameter layout).
@@ -139,8 +139,8 @@ class LinearWindowMaker {
       }
       M.push_back(m);
     }
-    Add(kind, std::make_unique<LinearCost>(random_.NextVector(rows), M,
-                                           static_cast<int>(states.size())),
+    Add(kind,
+        std::make_unique<LinearCost>(random_.NextVector(rows), M, static_cast<int>(states.size())),
         states, biases, parameters);
   }
 
@@ -173,8 +173,8 @@ class LinearWindowMaker {
   std::int64_t bias_ = -1;
 };
 
-/// Normal equations of a whole window at its present estimate: |r + J d|², columns named by what they
-/// belong to. Does not hold the parameters' own priors.
+/// Normal equations of a whole window at its present estimate: |r + J d|², columns named by what
+/// they belong to. Does not hold the parameters' own priors.
 struct Normal {
   Eigen::MatrixXd H;
   Eigen::VectorXd g;
@@ -205,8 +205,7 @@ inline Normal DenseNormal(const Window& window) {
       column = 12;
     }
     if (prior.has_bias) {
-      J.middleCols(bias_column(window.keyframes().front().bias), 6) =
-          prior.A.middleCols(column, 6);
+      J.middleCols(bias_column(window.keyframes().front().bias), 6) = prior.A.middleCols(column, 6);
       column += 6;
     }
     J.rightCols(n) = prior.A.rightCols(n);

@@ -1,5 +1,3 @@
-#include "odmc/window/marginalization.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/LU>
@@ -8,6 +6,7 @@
 
 #include "odmc/factors/dynamics_factor.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "odmc/window/marginalization.h"
 #include "odmc/window/window_solver.h"
 #include "support/linear_window.h"
 
@@ -21,9 +20,7 @@ using Eigen::VectorXd;
 constexpr double kExact = 1e-9;
 constexpr double kNever = std::numeric_limits<double>::infinity();
 
-Normal NormalOf(const LinearSystem& s) {
-  return {s.A.transpose() * s.A, s.A.transpose() * s.b};
-}
+Normal NormalOf(const LinearSystem& s) { return {s.A.transpose() * s.A, s.A.transpose() * s.b}; }
 
 Normal SchurOf(const LinearSystem& s) {
   std::vector<int> keep;
@@ -68,7 +65,7 @@ TEST(Eliminate, DoesNotSquareTheConditionNumber) {
 TEST(Eliminate, TakesNoRowsWithEliminatedDirectionsNobodyMeasured) {
   Random random(4);
   LinearSystem s{random.NextMatrix(20, 14), random.NextVector(20), 8};
-  s.A.col(2).setZero();                      // never measured
+  s.A.col(2).setZero();                        // never measured
   s.A.col(5) = s.A.col(1) - 2.0 * s.A.col(3);  // only in combination
   EXPECT_LT(Difference(SchurOf(s), NormalOf(Eliminate(s))), kExact);
 }

@@ -1,10 +1,9 @@
-#include "odmc/window/parameter_information.h"
-
 #include <gtest/gtest.h>
 
 #include <limits>
 
 #include "odmc/window/marginalization.h"
+#include "odmc/window/parameter_information.h"
 #include "support/linear_window.h"
 
 namespace odmc {

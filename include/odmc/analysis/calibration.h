@@ -53,9 +53,8 @@ struct Evaluation {
 /// @param progress called with the share done (0 to 1), may be empty
 /// @throws std::invalid_argument if the flight never leaves the ground or nothing is to be
 /// estimated
-Calibration Calibrate(const FlightLog& log, const FlightLog& recording,
-                      const Vehicle& file_vehicle, const DynamicModel& model,
-                      const EstimatorOptions& options,
+Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Vehicle& file_vehicle,
+                      const DynamicModel& model, const EstimatorOptions& options,
                       const std::function<void(double)>& progress = {});
 
 /// Predicts a flight with `parameters` as they are; no fitting.

@@ -55,7 +55,7 @@ class GyroFactor final : public ceres::CostFunction {
 
 /// Mean specific force over one interval against the model's (3×1) [m/s²]:
 ///
-///   R_BIᵀ (F/m - ẇ × r - w × (w × r)) + b_a - â,   r = p_BI - p_BBcm, ẇ = (w_1 - w_0)/Δt
+///   R_BIᵀ (F/m - ẇ × r - w × (w × r)) + b_a - â,   r = p_BBcm - p_BI, ẇ = (w_1 - w_0)/Δt
 ///
 /// at the middle of the interval.                                            model.md Eq. (C)
 ///

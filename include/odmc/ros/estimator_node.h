@@ -100,9 +100,10 @@ class EstimatorNode {
   // Estimator thread.
   void RunEstimator();
   bool WaitForInput(std::deque<InputSample>* batch);
-  void Take(InputSample input);
+  bool TakeBatch(std::deque<InputSample>* batch);
+  void Process(std::deque<InputSample>* batch);
   void OnClockStepBack();
-  bool TryStart();
+  void TryStart();
   bool ResolveMounts();
   std::optional<SensorMount> LookUpMount(const std::string& sensor_frame);
   void Start();

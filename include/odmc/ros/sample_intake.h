@@ -45,10 +45,11 @@ class SampleIntake {
   /// True while holding, once everything is known that Release() needs.
   bool decided() const { return decided_; }
 
-  /// Starts the flow with what was held, in the order of stamps.  @pre decided()
+  /// Starts the flow with what was held.  @pre decided()
   void Release();
 
-  /// Samples ready for the estimator.
+  /// Samples ready for the estimator, in the order of stamps: after a stall of the machine one
+  /// topic's backlog comes whole before another's.
   std::vector<Sample> Take();
 
   IntakePhase phase() const { return phase_; }

@@ -33,7 +33,7 @@ struct LeavingFactors {
 /// what it said into the prior: linearize → eliminate → make prior. Jacobians are taken at the points
 /// the prior already has; parameters the prior touches keep their point until they have moved by more
 /// than `relinearize` (per entry of eta), when the prior is moved as a whole.
-/// @returns false if a factor could not be evaluated: the keyframe then leaves without a trace
+/// @returns false if a factor could not be evaluated; what that factor said is lost, the rest is kept
 bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
                        LeavingFactors* leaving = nullptr);
 
