@@ -10,11 +10,10 @@ using Eigen::Vector3d;
 
 }  // namespace
 
-BodyMotion MotionOfBody(const State& state, const BodyProperties& body, BodyMotionJacobians* J) {
+BodyMotion MotionOfBody(const State& state, const BodyProperties& body) {
   BodyMotion motion;
-  const Matrix3d& Q = body.R_BS;
-  motion.R_WB = state.q_WS.toRotationMatrix() * Q.transpose();
-  motion.w_WB_B = Q * state.w_WS_S;
+  motion.R_WB = state.q_WS.toRotationMatrix() * body.R_BS.transpose();
+  motion.w_WB_B = body.R_BS * state.w_WS_S;
   const Matrix3d& R = motion.R_WB;
   const Vector3d& w = motion.w_WB_B;
   const Vector3d p_SB = -body.p_BS;  // from So to Bo, in B
@@ -23,39 +22,6 @@ BodyMotion MotionOfBody(const State& state, const BodyProperties& body, BodyMoti
   motion.v_WBcm = state.v_WS + R * w.cross(p_SBcm);
   motion.p_WB = state.p_WS + R * p_SB;
   motion.p_WBcm = state.p_WS + R * p_SBcm;
-  if (J == nullptr) return motion;
-
-  // First with respect to theta_B and w_B, then carried to theta_S, w_S and theta_BS.
-  J->d_state.setZero();
-  J->d_mount.setZero();
-  const Matrix3d d_w_d_mount = -Q * Hat(state.w_WS_S);
-  J->d_state.block<3, 3>(kMotionRotation, kTangentRotation) = Q;
-  J->d_mount.block<3, 3>(kMotionRotation, 3) = -Q;
-  J->d_state.block<3, 3>(kMotionRate, kTangentRate) = Q;
-  J->d_mount.block<3, 3>(kMotionRate, 3) = d_w_d_mount;
-  const auto velocity = [&](int row, const Vector3d& arm, bool to_com) {
-    const Matrix3d d_theta_B = -R * Hat(w.cross(arm));
-    const Matrix3d d_w_B = -R * Hat(arm);
-    const Matrix3d d_arm = R * Hat(w);
-    J->d_state.block<3, 3>(row, kTangentVelocity).setIdentity();
-    J->d_state.block<3, 3>(row, kTangentRotation) = d_theta_B * Q;
-    J->d_state.block<3, 3>(row, kTangentRate) = d_w_B * Q;
-    J->d_mount.block<3, 3>(row, 0) = -d_arm;
-    J->d_mount.block<3, 3>(row, 3) = -d_theta_B * Q + d_w_B * d_w_d_mount;
-    if (to_com) J->d_mount.block<3, 3>(row, 6) = d_arm;
-  };
-  const auto position = [&](int row, const Vector3d& arm, bool to_com) {
-    const Matrix3d d_theta_B = -R * Hat(arm);
-    J->d_state.block<3, 3>(row, kTangentPosition).setIdentity();
-    J->d_state.block<3, 3>(row, kTangentRotation) = d_theta_B * Q;
-    J->d_mount.block<3, 3>(row, 0) = -R;
-    J->d_mount.block<3, 3>(row, 3) = -d_theta_B * Q;
-    if (to_com) J->d_mount.block<3, 3>(row, 6) = R;
-  };
-  velocity(kMotionVelocity, p_SB, false);
-  velocity(kMotionComVelocity, p_SBcm, true);
-  position(kMotionPosition, p_SB, false);
-  position(kMotionComPosition, p_SBcm, true);
   return motion;
 }
 
@@ -69,8 +35,11 @@ IntervalModel::IntervalModel(const DynamicsMeasurement& measurement, const State
     body.I_BBcm_B(i, i) = measurement.fixed_inertia[i];
     if (jacobians) d_body.row(kRowInertia + i).setZero();
   }
-  m0 = MotionOfBody(state0, body, jacobians ? &d_m0 : nullptr);
-  m1 = MotionOfBody(state1, body, jacobians ? &d_m1 : nullptr);
+  shaped = &model.shaped_columns();
+  w0_S = state0.w_WS_S;
+  w1_S = state1.w_WS_S;
+  m0 = MotionOfBody(state0, body);
+  m1 = MotionOfBody(state1, body);
   const bool midpoint = measurement.form == DynamicsForm::kMidpoint;
   w0 = midpoint ? 0.5 : 1.0;
   w1 = 1.0 - w0;

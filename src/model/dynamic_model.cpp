@@ -73,6 +73,23 @@ DynamicModel::DynamicModel(const Vehicle& vehicle, const std::vector<std::string
     borrowed_index_.push_back(index);
     borrowed_default_.push_back(fallback);
   }
+  FindShapedColumns();
+}
+
+void DynamicModel::FindShapedColumns() {
+  std::vector<bool> shaped(num_parameters(), false);
+  for (int i = 0; i < num_effects(); ++i) {
+    if (!effects_[i]->shapes_body()) continue;
+    for (size_t k = 0; k < effects_[i]->parameters().size(); ++k) shaped[first_[i] + k] = true;
+    for (const int lender : borrowed_index_[i]) {
+      if (lender >= 0) shaped[lender] = true;
+    }
+  }
+  for (int k = 0; k < num_parameters(); ++k) {
+    if (!shaped[k]) continue;
+    if (k == 0 || !shaped[k - 1]) shaped_columns_.push_back({k, 0});
+    ++shaped_columns_.back().count;
+  }
 }
 
 int DynamicModel::IndexOf(const std::string& full_name) const {

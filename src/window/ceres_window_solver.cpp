@@ -1,11 +1,59 @@
+#include <ceres/evaluation_callback.h>
 #include <ceres/ordered_groups.h>
 #include <ceres/problem.h>
 #include <ceres/solver.h>
+
+#include <algorithm>
+#include <deque>
+#include <memory>
 
 #include "odmc/factors/state_factors.h"
 #include "odmc/window/window_solver.h"
 
 namespace odmc {
+namespace {
+
+/// Ceres evaluates all Jacobians once more after the last step it may take, only to look at the
+/// gradient. That is a fifth of an update. This counts the evaluations and says when the rest of the
+/// solve has no use for Jacobians.
+class JacobianBudget final : public ceres::EvaluationCallback {
+ public:
+  explicit JacobianBudget(int evaluations) : left_(evaluations) {}
+  void PrepareForEvaluation(bool evaluate_jacobians, bool /*new_point*/) override {
+    if (evaluate_jacobians && left_-- <= 0) spent_ = true;
+  }
+  bool spent() const { return spent_; }
+
+ private:
+  int left_;
+  bool spent_ = false;
+};
+
+/// Forwards to a factor's cost function; zero Jacobians once the budget is spent.
+class BudgetedCost final : public ceres::CostFunction {
+ public:
+  BudgetedCost(const ceres::CostFunction* cost, const JacobianBudget* budget)
+      : cost_(cost), budget_(budget) {
+    set_num_residuals(cost->num_residuals());
+    *mutable_parameter_block_sizes() = cost->parameter_block_sizes();
+  }
+  bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override {
+    if (jacobians == nullptr || !budget_->spent()) {
+      return cost_->Evaluate(blocks, residual, jacobians);
+    }
+    for (size_t i = 0; i < parameter_block_sizes().size(); ++i) {
+      if (jacobians[i] == nullptr) continue;
+      std::fill_n(jacobians[i], num_residuals() * parameter_block_sizes()[i], 0.0);
+    }
+    return cost_->Evaluate(blocks, residual, nullptr);
+  }
+
+ private:
+  const ceres::CostFunction* cost_;
+  const JacobianBudget* budget_;
+};
+
+}  // namespace
 
 struct CeresWindowSolver::Impl {
   StateManifold state_manifold;
@@ -20,7 +68,10 @@ SolveReport CeresWindowSolver::Solve(Window* window, const SolverOptions& option
   problem_options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   problem_options.manifold_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   problem_options.disable_all_safety_checks = true;
+  JacobianBudget budget(options.max_iterations);
+  problem_options.evaluation_callback = &budget;
   ceres::Problem problem(problem_options);
+  std::deque<BudgetedCost> costs;
   for (Keyframe& keyframe : window->keyframes()) {
     problem.AddParameterBlock(keyframe.x.data(), kStateSize, &impl_->state_manifold);
   }
@@ -38,7 +89,8 @@ SolveReport CeresWindowSolver::Solve(Window* window, const SolverOptions& option
   }
   for (Keyframe& keyframe : window->keyframes()) {
     for (Factor& factor : keyframe.factors) {
-      problem.AddResidualBlock(factor.cost.get(), const_cast<ceres::LossFunction*>(factor.loss),
+      costs.emplace_back(factor.cost.get(), &budget);
+      problem.AddResidualBlock(&costs.back(), const_cast<ceres::LossFunction*>(factor.loss),
                                window->MutableBlocks(factor));
     }
   }

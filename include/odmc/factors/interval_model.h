@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <array>
+#include <vector>
 
 #include "odmc/factors/state.h"
 #include "odmc/model/dynamic_model.h"
@@ -53,15 +54,8 @@ enum BodyMotionRow : int {
   kNumMotionRows = 18,
 };
 
-/// Derivatives of BodyMotion.
-struct BodyMotionJacobians {
-  Eigen::Matrix<double, kNumMotionRows, kStateTangentSize> d_state;
-  Eigen::Matrix<double, kNumMotionRows, 9> d_mount;  ///< p_BS, theta_BS, p_BBcm
-};
-
 /// Takes the sensor's motion to the body's.                        model.md 6.1, paper Eq. (20)
-BodyMotion MotionOfBody(const State& state, const BodyProperties& body,
-                        BodyMotionJacobians* J = nullptr);
+BodyMotion MotionOfBody(const State& state, const BodyProperties& body);
 
 /// Derivative with respect to all values of a model.
 template <int N>
@@ -84,7 +78,8 @@ struct IntervalModel {
 
   // Derivatives, filled on request.
   BodyPropertiesJacobian d_body;
-  BodyMotionJacobians d_m0, d_m1;
+  const std::vector<DynamicModel::ColumnRange>* shaped;  ///< columns of d_body that are not zero
+  Eigen::Vector3d w0_S, w1_S;                     ///< rates of the states, in S
   Eigen::Matrix3d A0, A1;  ///< d theta at the point / d theta_B at either end (model.md 6.2)
   ModelWrenchJacobians d_wrench;
 };
@@ -103,6 +98,43 @@ struct IntervalDerivatives {
   Eigen::Matrix<double, N, kNumBodyPropertyRows> d_body =
       Eigen::Matrix<double, N, kNumBodyPropertyRows>::Zero();
 };
+
+/// Derivatives of a residual by one keyframe's motion, carried to the state's tangent (N×12), and
+/// added to those by the mount: p_BS, theta_BS, p_BBcm (N×3 each).                  model.md 6.1
+template <int N>
+void CarryToState(const Eigen::Matrix<double, N, kNumMotionRows>& d_motion,
+                  const BodyMotion& motion, const BodyProperties& body,
+                  const Eigen::Vector3d& w_WS_S,
+                  Eigen::Matrix<double, N, kStateTangentSize>* d_state,
+                  Eigen::Matrix<double, N, kNumBodyPropertyRows>* d_body) {
+  using Block = Eigen::Matrix<double, N, 3>;
+  const Eigen::Matrix3d& Q = body.R_BS;
+  const Eigen::Vector3d& w = motion.w_WB_B;
+  const Eigen::Vector3d arm = -body.p_BS, com_arm = body.p_BBcm - body.p_BS;
+  // Of world vectors, written in B.
+  const Block d_v = d_motion.template middleCols<3>(kMotionVelocity) * motion.R_WB;
+  const Block d_v_com = d_motion.template middleCols<3>(kMotionComVelocity) * motion.R_WB;
+  const Block d_p = d_motion.template middleCols<3>(kMotionPosition) * motion.R_WB;
+  const Block d_p_com = d_motion.template middleCols<3>(kMotionComPosition) * motion.R_WB;
+  const Block d_theta_B = d_motion.template middleCols<3>(kMotionRotation) -
+                          d_v * Hat(w.cross(arm)) - d_v_com * Hat(w.cross(com_arm)) -
+                          d_p * Hat(arm) - d_p_com * Hat(com_arm);
+  const Block d_w_B =
+      d_motion.template middleCols<3>(kMotionRate) - d_v * Hat(arm) - d_v_com * Hat(com_arm);
+  const Eigen::Matrix3d w_hat = Hat(w);
+  d_state->template middleCols<3>(kTangentPosition) =
+      d_motion.template middleCols<3>(kMotionPosition) +
+      d_motion.template middleCols<3>(kMotionComPosition);
+  d_state->template middleCols<3>(kTangentVelocity) =
+      d_motion.template middleCols<3>(kMotionVelocity) +
+      d_motion.template middleCols<3>(kMotionComVelocity);
+  const Block d_theta = d_theta_B * Q, d_w = d_w_B * Q;
+  d_state->template middleCols<3>(kTangentRotation) = d_theta;
+  d_state->template middleCols<3>(kTangentRate) = d_w;
+  d_body->template middleCols<3>(kRowOdometryPosition) -= (d_v + d_v_com) * w_hat + d_p + d_p_com;
+  d_body->template middleCols<3>(kRowOdometryRotation) -= d_theta + d_w * Hat(w_WS_S);
+  d_body->template middleCols<3>(kRowCom) += d_v_com * w_hat + d_p_com;
+}
 
 /// Derivatives with respect to both states' tangents (N×12) and all values (N×num_parameters()).
 template <int N>
@@ -127,18 +159,15 @@ void AssembleJacobians(const IntervalModel& interval, IntervalDerivatives<N> D,
   };
   carry(interval.A0, interval.w0, &D.d_motion0);
   carry(interval.A1, interval.w1, &D.d_motion1);
-  d_state0->noalias() = D.d_motion0 * interval.d_m0.d_state;
-  d_state1->noalias() = D.d_motion1 * interval.d_m1.d_state;
-
-  Eigen::Matrix<double, N, 9> d_mount = D.d_motion0 * interval.d_m0.d_mount;
-  d_mount.noalias() += D.d_motion1 * interval.d_m1.d_mount;
-  D.d_body.template middleCols<3>(kRowOdometryPosition) += d_mount.template leftCols<3>();
-  D.d_body.template middleCols<3>(kRowOdometryRotation) += d_mount.template middleCols<3>(3);
-  D.d_body.template middleCols<3>(kRowCom) +=
-      d_mount.template rightCols<3>() + D.d_wrench * interval.d_wrench.d_p_BBcm;
+  CarryToState(D.d_motion0, interval.m0, interval.body, interval.w0_S, d_state0, &D.d_body);
+  CarryToState(D.d_motion1, interval.m1, interval.body, interval.w1_S, d_state1, &D.d_body);
+  D.d_body.template middleCols<3>(kRowCom) += D.d_wrench * interval.d_wrench.d_p_BBcm;
   D.d_body.template middleCols<3>(kRowWind) -= d_air_W;
-  *d_values = D.d_body * interval.d_body;
-  d_values->noalias() += D.d_wrench * interval.d_wrench.d_values;
+  *d_values = (D.d_wrench * interval.d_wrench.d_values).eval();
+  for (const DynamicModel::ColumnRange& range : *interval.shaped) {
+    d_values->middleCols(range.first, range.count).noalias() +=
+        D.d_body * interval.d_body.middleCols(range.first, range.count);
+  }
 }
 
 /// Derivative of I a with respect to (xx, yy, zz, xy, xz, yz) (3×6).                model.md 12.14

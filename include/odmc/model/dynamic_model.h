@@ -52,6 +52,13 @@ class DynamicModel {
   DynamicModel(const Vehicle& vehicle, const std::vector<std::string>& effects,
                const EffectRegistry& registry = EffectRegistry::Default());
 
+  /// A run of parameters.
+  struct ColumnRange {
+    int first = 0, count = 0;
+  };
+  /// The parameters that shape the body: the columns of Properties()' derivative that are not zero.
+  const std::vector<ColumnRange>& shaped_columns() const { return shaped_columns_; }
+
   const Vehicle& vehicle() const { return vehicle_; }
   const std::vector<std::string>& effect_names() const { return effect_names_; }
   const Effect& effect(int i) const { return *effects_[i]; }
@@ -80,6 +87,7 @@ class DynamicModel {
                                             const Eigen::Vector3d& p_BBcm) const;
 
  private:
+  void FindShapedColumns();
   Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxEffectParameters, 1> ValuesOf(
       int i, const ModelValues& values) const;
 
@@ -87,6 +95,7 @@ class DynamicModel {
   std::vector<std::string> effect_names_;
   std::vector<std::unique_ptr<Effect>> effects_;
   std::vector<int> first_;
+  std::vector<ColumnRange> shaped_columns_;
   std::vector<std::vector<int>> borrowed_index_;      // -1 where the lender is absent
   std::vector<std::vector<double>> borrowed_default_;
   std::vector<ModelParameter> parameters_;
