@@ -8,7 +8,8 @@ from typing import List, Tuple
 
 def counts(name: str, text: str, status: int) -> Tuple[int, int, List[str]]:
     """Figures of one log; a suite that died without closing lines counts as one failure."""
-    skipped = re.findall(r'^\[  SKIPPED \] (\S+?),? ', text, flags=re.MULTILINE)
+    text = re.sub(r'\x1b\[[0-9;]*m', '', text)  # colours
+    skipped = re.findall(r'^\[  SKIPPED \] ([^\d\s]\S*?) \(', text, flags=re.MULTILINE)
     skipped = sorted(set(skipped))
     if re.search(r'\[==========\] .* ran\.', text):  # gtest
         passed = sum(int(n) for n in re.findall(r'\[  PASSED  \] (\d+) tests?', text))

@@ -103,7 +103,7 @@ SolveReport CeresWindowSolver::Solve(Window* window, const SolverOptions& option
   solver_options.num_threads = options.num_threads;
   solver_options.logging_type = ceres::SILENT;
   solver_options.initial_trust_region_radius = 1e6;
-  solver_options.jacobi_scaling = true;
+  solver_options.jacobi_scaling = false;  // eta and states are of order one already
   // Oldest state first, parameters last: the order in which a chain with a border fills least.
   auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
   int group = 0;

@@ -451,13 +451,13 @@ TEST_P(FactorJacobians, AgreeWithAutomaticDifferentiationWithEverythingEstimated
 }
 
 TEST_P(FactorJacobians, AgreeWithAutomaticDifferentiationWithSomeParametersFrozen) {
-  if (!TouchesParameters(GetParam())) GTEST_SKIP() << "has no parameters";
+  if (!TouchesParameters(GetParam())) return;  // nothing to freeze
   Check(Freedom::kPartly);
 }
 
 TEST_P(FactorJacobians, AgreeWithAutomaticDifferentiationWithoutParameters) {
   if (!TouchesParameters(GetParam()) || GetParam() == Kind::kParameterPrior) {
-    GTEST_SKIP() << "has no parameters";
+    return;  // nothing to free
   }
   Check(Freedom::kNone);
 }
