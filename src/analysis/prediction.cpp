@@ -68,8 +68,8 @@ Channels Collect(const FlightLog& log, int num_rotors) {
 /// Smoothed motion of the sensor at one sample.
 struct Motion {
   Matrix3d R_WS;
-  Vector3d v_WS, a_WS;        // velocity and acceleration of So in W
-  Vector3d w_S, w_dot_S;      // angular rate and acceleration in S
+  Vector3d v_WS, a_WS;    // velocity and acceleration of So in W
+  Vector3d w_S, w_dot_S;  // angular rate and acceleration in S
 };
 
 Motion MotionAt(const Channels& c, const LocalPolynomial& fit) {

@@ -88,7 +88,8 @@ ReplayResult Replay(const FlightLog& log, Estimator* estimator,
 void CutFlight(double start_s, double end_s, FlightLog* log) {
   if (log->odometry.empty()) return;
   const Stamp zero = log->odometry.front().stamp;
-  const Stamp from = start_s > 0.0 ? zero + FromSeconds(start_s) : std::numeric_limits<Stamp>::min();
+  const Stamp from =
+      start_s > 0.0 ? zero + FromSeconds(start_s) : std::numeric_limits<Stamp>::min();
   const Stamp to = end_s > 0.0 ? zero + FromSeconds(end_s) : std::numeric_limits<Stamp>::max();
   Cut(from, to, &log->odometry);
   Cut(from, to, &log->imu);

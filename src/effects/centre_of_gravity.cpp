@@ -3,7 +3,8 @@
 namespace odmc {
 namespace {
 
-/// Moves the point torques are taken about: p_BBcm. Adds no force.  model.md section 2, paper (7-10)
+/// Moves the point torques are taken about: p_BBcm. Adds no force.  model.md section 2, paper
+/// (7-10)
 class CentreOfGravity final : public Effect {
  public:
   explicit CentreOfGravity(const Vehicle& vehicle)
@@ -17,8 +18,12 @@ class CentreOfGravity final : public Effect {
 
  private:
   static ParameterSpec Axis(const std::string& name, const Vehicle& vehicle) {
-    return {name, "m", "centre of gravity from the rotor centre, body " + name, 0.0,
-            0.2 * vehicle.ArmLength(), 0.05 * vehicle.ArmLength()};
+    return {name,
+            "m",
+            "centre of gravity from the rotor centre, body " + name,
+            0.0,
+            0.2 * vehicle.ArmLength(),
+            0.05 * vehicle.ArmLength()};
   }
 
   void DoShape(const ParameterValues& values, BodyProperties* body,

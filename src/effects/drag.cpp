@@ -17,8 +17,14 @@ class Drag final : public Effect {
  private:
   static ParameterSpec Axis(const std::string& name, const Vehicle& vehicle) {
     // Multirotors decelerate at 0.2 to 0.5 m/s² per m/s, whatever their size.
-    return {name, "N s/m", "drag along body " + name.substr(2), 0.0, 1.0 * vehicle.mass_kg,
-            0.3 * vehicle.mass_kg, ParameterTransform::kLinear, PhysicalSign::kNegative};
+    return {name,
+            "N s/m",
+            "drag along body " + name.substr(2),
+            0.0,
+            1.0 * vehicle.mass_kg,
+            0.3 * vehicle.mass_kg,
+            ParameterTransform::kLinear,
+            PhysicalSign::kNegative};
   }
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,

@@ -7,7 +7,8 @@ namespace {
 enum class Sensor { kOdometry, kImu };
 
 /// Pose of a sensor's own frame S in the body: p_BS and R_BS = Exp((rx, ry, rz)). The prior is the
-/// vehicle file's pose.                                       model.md sections 1 and 6.4, paper (20)
+/// vehicle file's pose.                                       model.md sections 1 and 6.4, paper
+/// (20)
 class Extrinsics final : public Effect {
  public:
   Extrinsics(const Vehicle& vehicle, Sensor sensor)
@@ -25,8 +26,8 @@ class Extrinsics final : public Effect {
   }
 
   static std::vector<ParameterSpec> Parameters(const Vehicle& vehicle, Sensor sensor) {
-    const SensorMount mount = sensor == Sensor::kOdometry ? vehicle.odometry
-                                                          : vehicle.imu.value_or(SensorMount());
+    const SensorMount mount =
+        sensor == Sensor::kOdometry ? vehicle.odometry : vehicle.imu.value_or(SensorMount());
     const Eigen::Vector3d rotation = Log(mount.q_BS.normalized());
     const double length = 0.3 * vehicle.ArmLength();
     std::vector<ParameterSpec> specs;

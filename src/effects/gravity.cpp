@@ -26,8 +26,7 @@ class Gravity final : public Effect {
     const Eigen::Vector3d nominal_W = body->g_W;
     body->g_W = R_G * nominal_W;
     if (J == nullptr) return;
-    J->block<3, 2>(kRowGravity, 0) =
-        (-R_G * Hat(nominal_W) * RightJacobian(turn)).leftCols<2>();
+    J->block<3, 2>(kRowGravity, 0) = (-R_G * Hat(nominal_W) * RightJacobian(turn)).leftCols<2>();
   }
 };
 

@@ -19,8 +19,14 @@ class Inertia final : public Effect {
   static ParameterSpec Axis(int axis, const Vehicle& vehicle) {
     const std::string letter(1, "xyz"[axis]);
     const double nominal = vehicle.inertia_kg_m2[axis];
-    return {letter, "kg m^2", "inertia about the centre of gravity, body " + letter, nominal,
-            0.4 * nominal, nominal, ParameterTransform::kLog, PhysicalSign::kPositive};
+    return {letter,
+            "kg m^2",
+            "inertia about the centre of gravity, body " + letter,
+            nominal,
+            0.4 * nominal,
+            nominal,
+            ParameterTransform::kLog,
+            PhysicalSign::kPositive};
   }
 
   void DoShape(const ParameterValues& values, BodyProperties* body,

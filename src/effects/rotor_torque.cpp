@@ -25,8 +25,9 @@ class RotorTorque final : public Effect {
                            ? *it->second.value
                            : thrust->parameters().front().prior_value;
     const double guess = 0.2 * radius * k_f;
-    return {"k_m", "N m s^2", "torque coefficient of one rotor", guess, 0.3 * guess, guess,
-            ParameterTransform::kLog, PhysicalSign::kPositive, true};
+    return {"k_m",       "N m s^2", "torque coefficient of one rotor", guess,
+            0.3 * guess, guess,     ParameterTransform::kLog,          PhysicalSign::kPositive,
+            true};
   }
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,

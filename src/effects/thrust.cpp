@@ -24,8 +24,8 @@ class Thrust final : public Effect {
     const double hover_speed = 60.0 / radius;
     const double guess = vehicle.mass_kg * vehicle.gravity_m_s2 /
                          (std::max(1, vehicle.num_rotors()) * hover_speed * hover_speed);
-    return {"k_f", "N s^2",  "thrust coefficient of one rotor", guess, guess, guess,
-            ParameterTransform::kLog, PhysicalSign::kPositive};
+    return {"k_f", "N s^2", "thrust coefficient of one rotor", guess,
+            guess, guess,   ParameterTransform::kLog,          PhysicalSign::kPositive};
   }
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,

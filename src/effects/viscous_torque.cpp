@@ -17,8 +17,14 @@ class ViscousTorque final : public Effect {
   static ParameterSpec Axis(int axis, const Vehicle& vehicle) {
     const std::string letter(1, "xyz"[axis]);
     const double inertia = vehicle.inertia_kg_m2[axis];
-    return {"b_" + letter, "N m s", "angular damping about body " + letter, 0.0, 20.0 * inertia,
-            inertia, ParameterTransform::kLinear, PhysicalSign::kNegative};
+    return {"b_" + letter,
+            "N m s",
+            "angular damping about body " + letter,
+            0.0,
+            20.0 * inertia,
+            inertia,
+            ParameterTransform::kLinear,
+            PhysicalSign::kNegative};
   }
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,

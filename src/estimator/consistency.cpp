@@ -7,7 +7,7 @@ namespace odmc {
 namespace {
 
 constexpr int kMaxBlocks = 128;
-constexpr int kMinGroups = 8;    // fewer block sums than this say nothing about a variance
+constexpr int kMinGroups = 8;         // fewer block sums than this say nothing about a variance
 constexpr double kPriorGroups = 8.0;  // weight of "white" against a small sample of block sums
 
 }  // namespace
@@ -24,8 +24,8 @@ void Consistency::Add(double dt, const Eigen::VectorXd& score, const Eigen::Vect
 
 void Consistency::CloseBlock(const Eigen::MatrixXd& left) {
   if (left_.size() == 0) left_ = Eigen::MatrixXd::Zero(n_, n_);
-  // The first block's share of the information includes the prior; its score at the prior's centre is
-  // zero there, and elsewhere the linear correction below accounts for it.
+  // The first block's share of the information includes the prior; its score at the prior's centre
+  // is zero there, and elsewhere the linear correction below accounts for it.
   blocks_.push_back({score_, eta_sum_ / block_s_, left - left_, block_s_});
   left_ = left;
   block_s_ = 0.0;
@@ -36,9 +36,9 @@ void Consistency::CloseBlock(const Eigen::MatrixXd& left) {
     const double length = a.length_s + b.length_s;
     // Scores of both halves at one common estimate.
     const Eigen::VectorXd eta = (a.length_s * a.eta + b.length_s * b.eta) / length;
-    merged.push_back({a.score + a.information * (eta - a.eta) + b.score +
-                          b.information * (eta - b.eta),
-                      eta, a.information + b.information, length});
+    merged.push_back(
+        {a.score + a.information * (eta - a.eta) + b.score + b.information * (eta - b.eta), eta,
+         a.information + b.information, length});
   }
   blocks_ = std::move(merged);
   block_length_s_ *= 2.0;

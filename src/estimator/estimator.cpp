@@ -1,12 +1,11 @@
 #include "odmc/estimator/estimator.h"
 
-#include <ctime>
-
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <ctime>
 #include <stdexcept>
 
 #include "odmc/factors/imu_factors.h"
@@ -33,8 +32,7 @@ class UpdateTimer {
  public:
   UpdateTimer() : wall_(std::chrono::steady_clock::now()), cpu_(ThreadCpuSeconds()) {}
   double WallMs() const {
-    return 1e3 *
-           std::chrono::duration<double>(std::chrono::steady_clock::now() - wall_).count();
+    return 1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - wall_).count();
   }
   double CpuMs() const { return 1e3 * (ThreadCpuSeconds() - cpu_); }
 
@@ -248,9 +246,8 @@ bool Estimator::CheckGround(const OdometrySample& sample) {
   bool airborne = ground_.airborne();
   if (!synchroniser_.rotors().empty()) {
     const auto& rotors = synchroniser_.rotors();
-    auto it = std::lower_bound(
-        rotors.begin(), rotors.end(), sample.stamp,
-        [](const RotorSample& s, Stamp stamp) { return s.stamp < stamp; });
+    auto it = std::lower_bound(rotors.begin(), rotors.end(), sample.stamp,
+                               [](const RotorSample& s, Stamp stamp) { return s.stamp < stamp; });
     if (it == rotors.end()) --it;
     const RotorState rotor_state = RotorState::Steady(it->speed);
     FlightState hover;
@@ -293,8 +290,8 @@ std::optional<Estimator::Interval> Estimator::ReadInterval(const OdometrySample&
     if (!window_.biases().empty()) {
       bias = Eigen::Map<const Vector3d>(window_.biases().back().x.data());
     }
-    interval.imu = PreintegrateImu(synchroniser_.imu(), last_->stamp, sample.stamp, bias,
-                                   options_.max_gap_s);
+    interval.imu =
+        PreintegrateImu(synchroniser_.imu(), last_->stamp, sample.stamp, bias, options_.max_gap_s);
   }
   return interval;
 }
@@ -303,10 +300,8 @@ std::optional<Estimator::Interval> Estimator::ReadInterval(const OdometrySample&
 bool Estimator::IsJump(const OdometrySample& sample, double dt) const {
   const OdometryNoise noise = odometry_noise_.Noise();
   if (sample.v_WS && last_->v_WS) {
-    const Vector3d step =
-        sample.p_WS - last_->p_WS - 0.5 * dt * (*sample.v_WS + *last_->v_WS);
-    return step.norm() >
-           0.01 + 8.0 * noise.position_m + dt * (0.5 + 8.0 * noise.velocity_m_s);
+    const Vector3d step = sample.p_WS - last_->p_WS - 0.5 * dt * (*sample.v_WS + *last_->v_WS);
+    return step.norm() > 0.01 + 8.0 * noise.position_m + dt * (0.5 + 8.0 * noise.velocity_m_s);
   }
   if (!before_last_) return false;
   const double dt0 = ToSeconds(last_->stamp - before_last_->stamp);
@@ -342,12 +337,12 @@ State Estimator::InitialState(const OdometrySample& sample, const Interval* inte
 
 std::int64_t Estimator::CurrentBias(Stamp stamp, bool has_imu) {
   if (!has_imu) return -1;
-  const bool due =
-      !bias_since_ || ToSeconds(stamp - *bias_since_) >= options_.bias_interval_s;
+  const bool due = !bias_since_ || ToSeconds(stamp - *bias_since_) >= options_.bias_interval_s;
   if (!due && !window_.biases().empty()) return window_.biases().back().id;
   Eigen::Matrix<double, 6, 1> initial = Eigen::Matrix<double, 6, 1>::Zero();
   const bool first = window_.biases().empty();
-  if (!first) initial = Eigen::Map<const Eigen::Matrix<double, 6, 1>>(window_.biases().back().x.data());
+  if (!first)
+    initial = Eigen::Map<const Eigen::Matrix<double, 6, 1>>(window_.biases().back().x.data());
   const std::int64_t id = window_.AddBias(initial);
   Eigen::Matrix<double, 6, 1> sigma;
   if (first) {
@@ -391,8 +386,7 @@ void Estimator::AddKeyframe(const OdometrySample& sample, const std::optional<In
   const bool with_gyro = interval && interval->imu && interval->imu->has_gyro;
   Factor odometry;
   odometry.kind = FactorKind::kOdometry;
-  odometry.cost =
-      std::make_unique<OdometryFactor>(sample, odometry_noise_.Noise(), !with_gyro);
+  odometry.cost = std::make_unique<OdometryFactor>(sample, odometry_noise_.Noise(), !with_gyro);
   odometry.state0 = id;
   window_.AddFactor(std::move(odometry));
   if (interval) AddIntervalFactors(*interval, id);
@@ -410,7 +404,8 @@ DynamicsNoise Estimator::NoiseOf(const Interval& interval) const {
   // d(k_f Ω²) = 2 k_f Ω dΩ, averaged over the samples of the interval.       model.md section 5
   const ModelValues values = window_.values();
   const int k_f = model_->IndexOf("thrust.k_f"), k_m = model_->IndexOf("rotor_torque.k_m");
-  const double per_sample = sigma_speed / std::sqrt(static_cast<double>(interval.rotors.num_samples));
+  const double per_sample =
+      sigma_speed / std::sqrt(static_cast<double>(interval.rotors.num_samples));
   double force_variance = 0.0;
   Vector3d torque_variance = Vector3d::Zero();
   for (int j = 0; j < vehicle.num_rotors(); ++j) {
@@ -446,14 +441,12 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
   const bool has_bias = window_.keyframe(id - 1).bias >= 0;
   add(FactorKind::kKinematic,
       std::make_unique<KinematicFactor>(interval.dt, form_, options_.kinematic_position_m,
-                                        options_.kinematic_rotation_rad,
-                                        !(with_gyro && has_bias)),
+                                        options_.kinematic_rotation_rad, !(with_gyro && has_bias)),
       true, false, false);
 
   DynamicsMeasurement measurement;
   measurement.dt = interval.dt;
-  measurement.time_s =
-      ToSeconds(window_.keyframe(id).stamp - *first_stamp_) - 0.5 * interval.dt;
+  measurement.time_s = ToSeconds(window_.keyframe(id).stamp - *first_stamp_) - 0.5 * interval.dt;
   measurement.rotors = form_ == DynamicsForm::kEuler ? interval.rotors.start : interval.rotors.mean;
   measurement.form = form_;
   measurement.fixed_inertia = PriorInertia(*model_);
@@ -491,17 +484,17 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
         true, true, true);
     Factor gyro;
     gyro.kind = FactorKind::kGyro;
-    gyro.cost = std::make_unique<GyroFactor>(interval.imu->gyro_at_end, imu_noise, model_, &layout_);
+    gyro.cost =
+        std::make_unique<GyroFactor>(interval.imu->gyro_at_end, imu_noise, model_, &layout_);
     gyro.state0 = id;
     gyro.bias0 = window_.keyframe(id).bias;
     gyro.parameters = true;
     window_.AddFactor(std::move(gyro));
   }
   if (interval.imu->has_accelerometer) {
-    const Vector3d sigma =
-        ((noise.force_N / model_->vehicle().mass_kg).array().square() +
-         imu_noise.specific_force_m_s2 * imu_noise.specific_force_m_s2)
-            .sqrt();
+    const Vector3d sigma = ((noise.force_N / model_->vehicle().mass_kg).array().square() +
+                            imu_noise.specific_force_m_s2 * imu_noise.specific_force_m_s2)
+                               .sqrt();
     add(FactorKind::kAccelerometer,
         std::make_unique<AccelerometerFactor>(measurement, interval.imu->mean_specific_force, sigma,
                                               model_, &layout_),
@@ -522,8 +515,7 @@ Snapshot Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport
 
   const int n = layout_.num_estimated();
   const Eigen::MatrixXd information = information_.Update(window_, 0.3 * sigma_eta_);
-  const Eigen::MatrixXd covariance =
-      information.ldlt().solve(Eigen::MatrixXd::Identity(n, n));
+  const Eigen::MatrixXd covariance = information.ldlt().solve(Eigen::MatrixXd::Identity(n, n));
   if (covariance.allFinite() && (covariance.diagonal().array() > 0.0).all()) {
     sigma_eta_ = covariance.diagonal().cwiseSqrt();
   }
@@ -597,9 +589,8 @@ void Estimator::FillResiduals(Snapshot* snapshot) {
 
 void Estimator::MarginalizeOld() {
   auto& keyframes = window_.keyframes();
-  while (keyframes.size() > 2 &&
-         ToSeconds(keyframes.back().stamp - keyframes.front().stamp) >=
-             options_.window_s - 0.5 / options_.keyframe_rate_hz) {
+  while (keyframes.size() > 2 && ToSeconds(keyframes.back().stamp - keyframes.front().stamp) >=
+                                     options_.window_s - 0.5 / options_.keyframe_rate_hz) {
     const double dt = ObserveLeaving(keyframes.front());
     LeavingFactors leaving;
     MarginalizeOldest(&window_, sigma_eta_, &leaving);

@@ -93,9 +93,9 @@ double InertiaGate::RSquared(int axis) const {
   const Eigen::Matrix4d C = scale.asDiagonal() * G * scale.asDiagonal();
   Eigen::Matrix2d given = C.bottomRightCorner<2, 2>();
   given.diagonal().array() += 1e-9;
-  const Eigen::Matrix2d S = C.topLeftCorner<2, 2>() -
-                            C.topRightCorner<2, 2>() *
-                                given.ldlt().solve(C.bottomLeftCorner<2, 2>());
+  const Eigen::Matrix2d S =
+      C.topLeftCorner<2, 2>() -
+      C.topRightCorner<2, 2>() * given.ldlt().solve(C.bottomLeftCorner<2, 2>());
   if (S(0, 0) <= 0.0 || S(1, 1) <= 0.0 || S(0, 1) <= 0.0) return 0.0;  // wrong sign: no inertia
   return std::min(1.0, S(0, 1) * S(0, 1) / (S(0, 0) * S(1, 1)));
 }

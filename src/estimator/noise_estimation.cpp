@@ -9,11 +9,11 @@
 namespace odmc {
 namespace {
 
-constexpr double kBlock_s = 0.1;       // block over which residuals are averaged
-constexpr double kMemory_s = 60.0;     // how far back the process noise looks
+constexpr double kBlock_s = 0.1;    // block over which residuals are averaged
+constexpr double kMemory_s = 60.0;  // how far back the process noise looks
 constexpr double kThrustAxisShape = 2.0;
 constexpr double kYawAxisShape = 2.0;
-constexpr int kLookEvery = 25;         // samples between two medians
+constexpr int kLookEvery = 25;  // samples between two medians
 constexpr int kEnoughDifferences = 20;
 
 struct Range {
@@ -94,17 +94,14 @@ ProcessNoiseEstimator::ProcessNoiseEstimator(double weight_N, double arm_m, doub
   floor_ << force, force, kThrustAxisShape * force, torque, torque, kYawAxisShape * torque;
 }
 
-double ProcessNoiseEstimator::ForceScale() const {
-  return std::max(1.0, std::sqrt(force_level_));
-}
+double ProcessNoiseEstimator::ForceScale() const { return std::max(1.0, std::sqrt(force_level_)); }
 
 double ProcessNoiseEstimator::TorqueScale() const {
   return std::max(1.0, std::sqrt(torque_level_));
 }
 
 std::optional<ProcessNoiseEstimator::Change> ProcessNoiseEstimator::Add(
-    double dt, const Eigen::Vector3d& force_N, const Eigen::Vector3d& torque_Nm,
-    bool with_torque) {
+    double dt, const Eigen::Vector3d& force_N, const Eigen::Vector3d& torque_Nm, bool with_torque) {
   sum_.head<3>() += dt * force_N;
   sum_.tail<3>() += dt * torque_Nm;
   block_s_ += dt;

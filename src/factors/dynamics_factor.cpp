@@ -111,8 +111,7 @@ Eigen::Matrix<double, N, 1> EvaluateRows(const DynamicsMeasurement& measurement,
 
 Eigen::Matrix<double, kNumDynamicsRows, 1> DynamicsResidual(
     const DynamicsMeasurement& measurement, const State& state0, const State& state1,
-    const DynamicModel& model, const ModelValues& values, Vector3d* inertia,
-    DynamicsJacobians* J) {
+    const DynamicModel& model, const ModelValues& values, Vector3d* inertia, DynamicsJacobians* J) {
   if (J == nullptr) {
     return EvaluateRows<9>(measurement, state0, state1, model, values, inertia, nullptr);
   }
@@ -164,9 +163,9 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
   const ModelValues values = layout_->Decode(with_values ? blocks[2] : nullptr);
   Derivatives<N> J;
   Vector3d inertia;
-  Eigen::Matrix<double, N, 1> e = EvaluateRows<N>(
-      measurement_, State::FromBlock(blocks[0]), State::FromBlock(blocks[1]), *model_, values,
-      &inertia, jacobians != nullptr ? &J : nullptr);
+  Eigen::Matrix<double, N, 1> e =
+      EvaluateRows<N>(measurement_, State::FromBlock(blocks[0]), State::FromBlock(blocks[1]),
+                      *model_, values, &inertia, jacobians != nullptr ? &J : nullptr);
 
   // Whitening: one weight a row; Form E also decorrelates e_v from e_p.
   const double dt = measurement_.dt;
@@ -186,13 +185,13 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
     sqrt_info = EulerTranslationCovariance(dt).llt().matrixL().solve(Eigen::Matrix2d::Identity());
   }
   const auto whiten = [&](auto* m) {
-    m->template bottomRows<3>() = weight.template tail<3>().asDiagonal() * m->template bottomRows<3>();
+    m->template bottomRows<3>() =
+        weight.template tail<3>().asDiagonal() * m->template bottomRows<3>();
     if constexpr (N == 9) {
       const auto scale = force_sigma.cwiseInverse().asDiagonal();
-      m->template middleRows<3>(v) =
-          (scale * (sqrt_info(1, 0) * m->template topRows<3>() +
-                    sqrt_info(1, 1) * m->template middleRows<3>(v)))
-              .eval();
+      m->template middleRows<3>(v) = (scale * (sqrt_info(1, 0) * m->template topRows<3>() +
+                                               sqrt_info(1, 1) * m->template middleRows<3>(v)))
+                                         .eval();
       m->template topRows<3>() = (scale * (sqrt_info(0, 0) * m->template topRows<3>())).eval();
     } else {
       m->template topRows<3>() = weight.template head<3>().asDiagonal() * m->template topRows<3>();
@@ -221,7 +220,8 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
 bool DynamicsFactor::UnwhitenedResidual(double const* const* blocks,
                                         Eigen::Matrix<double, kNumDynamicsRows, 1>* e) const {
   *e = DynamicsResidual(measurement_, State::FromBlock(blocks[0]), State::FromBlock(blocks[1]),
-                        *model_, layout_->Decode(layout_->num_estimated() > 0 ? blocks[2] : nullptr));
+                        *model_,
+                        layout_->Decode(layout_->num_estimated() > 0 ? blocks[2] : nullptr));
   return e->allFinite();
 }
 

@@ -30,8 +30,7 @@ void WriteMount(const ParameterLayout& layout, const ModelValues& values,
 }  // namespace
 
 GyroPreintegrationFactor::GyroPreintegrationFactor(const ImuInterval& interval,
-                                                   const ImuNoise& noise,
-                                                   const DynamicModel* model,
+                                                   const ImuNoise& noise, const DynamicModel* model,
                                                    const ParameterLayout* layout)
     : interval_(interval), noise_(noise), model_(model), layout_(layout) {
   set_num_residuals(3);
@@ -86,8 +85,7 @@ GyroFactor::GyroFactor(const Eigen::Vector3d& gyro_I, const ImuNoise& noise,
   *mutable_parameter_block_sizes() = BlockSizes(1, true, *layout);
 }
 
-bool GyroFactor::Evaluate(double const* const* blocks, double* residual,
-                          double** jacobians) const {
+bool GyroFactor::Evaluate(double const* const* blocks, double* residual, double** jacobians) const {
   const State state = State::FromBlock(blocks[0]);
   const Vector3d bias = Eigen::Map<const Vector3d>(blocks[1]);
   const ModelValues values = layout_->Decode(Eta(*layout_, blocks + 2));

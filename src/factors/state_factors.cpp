@@ -18,7 +18,8 @@ void WriteStateJacobian(const Eigen::Matrix<double, Eigen::Dynamic, kStateTangen
                         const double* state, double* out) {
   Eigen::Map<RowMajor> J(out, minimal.rows(), kStateSize);
   J.leftCols<3>() = minimal.template leftCols<3>();
-  J.middleCols<4>(3).noalias() = minimal.template middleCols<3>(3) * RotationManifold::Lift(state + 3);
+  J.middleCols<4>(3).noalias() =
+      minimal.template middleCols<3>(3) * RotationManifold::Lift(state + 3);
   J.rightCols<6>() = minimal.template rightCols<6>();
 }
 

@@ -8,8 +8,7 @@ namespace odmc {
 namespace {
 
 /// The spec of `effect`'s parameter after the vehicle file had its say.
-ModelParameter Configured(const Effect& effect, const ParameterSpec& spec,
-                          const Vehicle& vehicle) {
+ModelParameter Configured(const Effect& effect, const ParameterSpec& spec, const Vehicle& vehicle) {
   ModelParameter p;
   p.full_name = effect.name() + "." + spec.name;
   p.effect = effect.name();
@@ -155,7 +154,8 @@ void DynamicModel::EvaluateWrench(const FlightState& state, const ModelValues& v
   }
   for (int i = 0; i < num_effects(); ++i) {
     if (!effects_[i]->adds_wrench()) continue;
-    effects_[i]->AddWrench(state, ValuesOf(i, values), &wrench, J != nullptr ? &jacobians : nullptr);
+    effects_[i]->AddWrench(state, ValuesOf(i, values), &wrench,
+                           J != nullptr ? &jacobians : nullptr);
     if (J == nullptr) continue;
     const int num_own = static_cast<int>(effects_[i]->parameters().size());
     J->d_values.middleCols(first_[i], num_own).noalias() +=

@@ -20,8 +20,8 @@ Vector3d Interpolate(const Vector3d& a, const Vector3d& b, const ImuSample& firs
 void IntegrateGyro(const Vector3d& w, double dt, ImuInterval* interval) {
   const Vector3d turn = w * dt;
   const Eigen::Quaterniond step = Exp(turn);
-  interval->d_bias = step.toRotationMatrix().transpose() * interval->d_bias -
-                     RightJacobian(turn) * dt;
+  interval->d_bias =
+      step.toRotationMatrix().transpose() * interval->d_bias - RightJacobian(turn) * dt;
   interval->delta_q = (interval->delta_q * step).normalized();
 }
 

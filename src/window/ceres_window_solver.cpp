@@ -14,8 +14,8 @@ namespace odmc {
 namespace {
 
 /// Ceres evaluates all Jacobians once more after the last step it may take, only to look at the
-/// gradient. That is a fifth of an update. This counts the evaluations and says when the rest of the
-/// solve has no use for Jacobians.
+/// gradient. That is a fifth of an update. This counts the evaluations and says when the rest of
+/// the solve has no use for Jacobians.
 class JacobianBudget final : public ceres::EvaluationCallback {
  public:
   explicit JacobianBudget(int evaluations) : left_(evaluations) {}

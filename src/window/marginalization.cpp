@@ -48,8 +48,8 @@ int BiasColumn(const Columns& c, const Window& window, std::int64_t id) {
 
 /// Writes a linear factor's rows into the joint system from `row` on, with differences counted from
 /// the linearization points: residual(x_lin) = r(x) - J (x ⊖ x_lin).
-void Stack(const Window& window, const Factor& factor, const LinearFactor& linear,
-           const Columns& c, int row, LinearSystem* system) {
+void Stack(const Window& window, const Factor& factor, const LinearFactor& linear, const Columns& c,
+           int row, LinearSystem* system) {
   const int rows = static_cast<int>(linear.r.size());
   system->b.segment(row, rows) = linear.r;
   const auto put = [&](int from, int size, int to, const Eigen::VectorXd& offset) {
@@ -104,8 +104,7 @@ void Observe(const Window& window, const Factor& factor, LeavingFactors* leaving
   const auto squares = linear.J.rightCols(leaving->score.size()).cwiseAbs2().eval();
   const int torque_rows = dynamics.with_torque() ? 3 : 0;
   leaving->torque_information = squares.bottomRows(torque_rows).colwise().sum();
-  leaving->force_information =
-      squares.topRows(squares.rows() - torque_rows).colwise().sum();
+  leaving->force_information = squares.topRows(squares.rows() - torque_rows).colwise().sum();
   leaving->dynamics_residual.resize(factor.cost->num_residuals());
   const auto blocks = window.Blocks(factor, false);
   factor.cost->Evaluate(blocks.data(), leaving->dynamics_residual.data(), nullptr);
@@ -122,7 +121,8 @@ LinearSystem Eliminate(const LinearSystem& system, double tolerance) {
     result.b.resize(0);
     return result;
   }
-  // Rotate the eliminated columns into a triangle; rows below its rank know only the remaining ones.
+  // Rotate the eliminated columns into a triangle; rows below its rank know only the remaining
+  // ones.
   Eigen::ColPivHouseholderQR<Eigen::MatrixXd> eliminated(system.A.leftCols(e));
   eliminated.setThreshold(tolerance);
   const int rank = static_cast<int>(eliminated.rank());
@@ -142,7 +142,8 @@ LinearSystem Eliminate(const LinearSystem& system, double tolerance) {
   const int kept = static_cast<int>(remaining.rank());
   Eigen::VectorXd right = rest.bottomRightCorner(rows, 1);
   right.applyOnTheLeft(remaining.householderQ().adjoint());
-  const Eigen::MatrixXd R = remaining.matrixR().topRows(kept).template triangularView<Eigen::Upper>();
+  const Eigen::MatrixXd R =
+      remaining.matrixR().topRows(kept).template triangularView<Eigen::Upper>();
   result.A = R * remaining.colsPermutation().transpose();
   result.b = right.head(kept);
   return result;

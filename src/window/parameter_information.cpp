@@ -8,8 +8,9 @@ namespace {
 
 constexpr int kState = kStateTangentSize;
 
-/// Marginal of the trailing columns of a symmetric positive matrix, the first `e` eliminated. A tiny
-/// ridge keeps directions that nobody measured from failing; they carry no information either way.
+/// Marginal of the trailing columns of a symmetric positive matrix, the first `e` eliminated. A
+/// tiny ridge keeps directions that nobody measured from failing; they carry no information either
+/// way.
 Eigen::MatrixXd Marginal(const Eigen::MatrixXd& H, int e) {
   const int n = static_cast<int>(H.cols()) - e;
   Eigen::MatrixXd head = H.topLeftCorner(e, e);
@@ -60,11 +61,10 @@ const Eigen::MatrixXd& ParameterInformation::Update(const Window& window,
   // Where to start: the newest kept message that is old enough, else the prior.
   std::int64_t start = keyframes.empty() ? 0 : keyframes.front().id;
   const std::int64_t newest = keyframes.empty() ? -1 : keyframes.back().id;
-  messages_.erase(std::remove_if(messages_.begin(), messages_.end(),
-                                 [&](const Message& m) {
-                                   return m.id < start || m.id > newest - fresh_;
-                                 }),
-                  messages_.end());
+  messages_.erase(
+      std::remove_if(messages_.begin(), messages_.end(),
+                     [&](const Message& m) { return m.id < start || m.id > newest - fresh_; }),
+      messages_.end());
   if (!messages_.empty()) {
     start = messages_.back().id;
     H = messages_.back().H;

@@ -14,11 +14,11 @@ namespace odmc {
 struct PredictionSample {
   double t_s = 0.0;
   double speed_m_s = 0.0;
-  Eigen::Vector3d measured_force, predicted_force;                 ///< [N]
-  Eigen::Vector3d measured_torque, predicted_torque;               ///< [N m]
+  Eigen::Vector3d measured_force, predicted_force;                                ///< [N]
+  Eigen::Vector3d measured_torque, predicted_torque;                              ///< [N m]
   Eigen::Vector3d measured_angular_acceleration, predicted_angular_acceleration;  ///< [rad/s²]
-  Eigen::Vector3d rotor_torque;         ///< share of the rotors' thrust and reaction in the torque
-  std::vector<EffectWrench> effects;    ///< one entry per effect that adds a wrench
+  Eigen::Vector3d rotor_torque;       ///< share of the rotors' thrust and reaction in the torque
+  std::vector<EffectWrench> effects;  ///< one entry per effect that adds a wrench
 };
 
 /// Figures of one axis each; empty where they cannot be had.
@@ -26,22 +26,22 @@ struct PredictionFigures {
   using Axes = std::optional<Eigen::Vector3d>;
   Axes force_rmse_N, zero_force_rmse_N, force_explained;
   Axes torque_rmse_Nm, zero_torque_rmse_Nm, torque_explained;
-  Axes rotor_torque_gain;                   ///< factor on the rotor torque that would fit best
-  Axes angular_acceleration_rmse_rad_s2;    ///< with the estimated inertia
+  Axes rotor_torque_gain;                 ///< factor on the rotor torque that would fit best
+  Axes angular_acceleration_rmse_rad_s2;  ///< with the estimated inertia
   Axes inertia_over_nominal;
-  long samples = 0;           ///< that count
-  long left_out_gaps = 0;     ///< within one filter window of a gap
-  long left_out_ground = 0;   ///< on the ground
+  long samples = 0;          ///< that count
+  long left_out_gaps = 0;    ///< within one filter window of a gap
+  long left_out_ground = 0;  ///< on the ground
 };
 
 /// Force and torque that `values` predict on a flight, against those its motion shows.
 ///
-/// Measured force = m R^T (dv/dt + g e3), measured torque = I0 dw/dt + w × I0 w, with R, v, w of the
-/// body origin taken from the recording and the vehicle file only and I0 the vehicle file's inertia.
-/// All derivatives and the model's inputs go through one Savitzky-Golay filter (order 3, odd count
-/// nearest 0.1 s). Missing velocity: derivatives of position; missing rates: of the quaternion. Every
-/// estimated quantity enters the predicted side: gravity direction, extrinsics and centre of gravity
-/// turn and shift the prediction to the point and axes the measurement is in.
+/// Measured force = m R^T (dv/dt + g e3), measured torque = I0 dw/dt + w × I0 w, with R, v, w of
+/// the body origin taken from the recording and the vehicle file only and I0 the vehicle file's
+/// inertia. All derivatives and the model's inputs go through one Savitzky-Golay filter (order 3,
+/// odd count nearest 0.1 s). Missing velocity: derivatives of position; missing rates: of the
+/// quaternion. Every estimated quantity enters the predicted side: gravity direction, extrinsics
+/// and centre of gravity turn and shift the prediction to the point and axes the measurement is in.
 struct Prediction {
   std::vector<PredictionSample> samples;
   PredictionFigures figures;

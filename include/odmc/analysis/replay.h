@@ -17,11 +17,11 @@ struct HistoryRow {
 
 /// What one pass of the estimator over a flight left behind.
 struct ReplayResult {
-  std::optional<Snapshot> last;         ///< empty if the vehicle never flew
-  std::vector<HistoryRow> history;      ///< one per update
+  std::optional<Snapshot> last;                         ///< empty if the vehicle never flew
+  std::vector<HistoryRow> history;                      ///< one per update
   std::vector<std::pair<double, UpdateTiming>> timing;  ///< flight time [s], every update
   std::vector<std::pair<Stamp, Stamp>> ground_spans;    ///< while standing
-  double first_airborne_s = 0.0;        ///< flight time of the first update
+  double first_airborne_s = 0.0;                        ///< flight time of the first update
   EstimatorCounters counters;
   SynchroniserCounters stream_counters;
 };

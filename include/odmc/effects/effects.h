@@ -6,19 +6,19 @@
 
 /// \file
 /// The catalogue: every effect of this package by name, with its constructor. To add one, write
-/// src/effects/NAME.cpp (and name it in CMakeLists.txt) and add its line here; estimator, simulator,
-/// evaluation, reports and `list_effects` then know it.
+/// src/effects/NAME.cpp (and name it in CMakeLists.txt) and add its line here; estimator,
+/// simulator, evaluation, reports and `list_effects` then know it.
 
-#define ODMC_EFFECTS(X)                             \
-  X(thrust, MakeThrust)                             \
-  X(rotor_torque, MakeRotorTorque)                  \
-  X(drag, MakeDrag)                                 \
-  X(viscous_torque, MakeViscousTorque)              \
-  X(hvt, MakeHvt)                                   \
-  X(centre_of_gravity, MakeCentreOfGravity)         \
-  X(inertia, MakeInertia)                           \
-  X(gravity, MakeGravity)                           \
-  X(odometry_extrinsics, MakeOdometryExtrinsics)    \
+#define ODMC_EFFECTS(X)                          \
+  X(thrust, MakeThrust)                          \
+  X(rotor_torque, MakeRotorTorque)               \
+  X(drag, MakeDrag)                              \
+  X(viscous_torque, MakeViscousTorque)           \
+  X(hvt, MakeHvt)                                \
+  X(centre_of_gravity, MakeCentreOfGravity)      \
+  X(inertia, MakeInertia)                        \
+  X(gravity, MakeGravity)                        \
+  X(odometry_extrinsics, MakeOdometryExtrinsics) \
   X(imu_extrinsics, MakeImuExtrinsics)
 
 namespace odmc {

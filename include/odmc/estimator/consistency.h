@@ -5,12 +5,13 @@
 
 namespace odmc {
 
-/// How much larger the parameters' errors are than white noise would make them. Residuals of a model
-/// that lacks something are serially correlated, and an inverse information that ignores this is too
-/// small by a factor of 3 to 10 (model.md section 5). Here the scores Jᵀr of the factors that left the
-/// window are summed over blocks of time; the spread of the block sums, mapped through the information,
-/// is the variance the estimate really has (a sandwich estimate with batch means). Holds for any cause:
-/// correlation, wrong noise sizes, robust losses. Memory is bounded: blocks merge as the flight grows.
+/// How much larger the parameters' errors are than white noise would make them. Residuals of a
+/// model that lacks something are serially correlated, and an inverse information that ignores this
+/// is too small by a factor of 3 to 10 (model.md section 5). Here the scores Jᵀr of the factors
+/// that left the window are summed over blocks of time; the spread of the block sums, mapped
+/// through the information, is the variance the estimate really has (a sandwich estimate with batch
+/// means). Holds for any cause: correlation, wrong noise sizes, robust losses. Memory is bounded:
+/// blocks merge as the flight grows.
 class Consistency {
  public:
   explicit Consistency(int num_parameters) : n_(num_parameters) {}

@@ -28,33 +28,33 @@ struct UpdateTiming {
 
 /// Where the estimate stands after one update. Immutable; safe to hand to another thread.
 struct Snapshot {
-  Stamp stamp = 0;          ///< of the newest keyframe
-  double time_s = 0.0;      ///< since the first keyframe
+  Stamp stamp = 0;      ///< of the newest keyframe
+  double time_s = 0.0;  ///< since the first keyframe
   bool airborne = false;
-  State state;              ///< newest keyframe, sensor frame S
-  BodyProperties body;      ///< at the estimate: mounts, centre of mass, gravity
-  ModelValues values;       ///< of the model's parameters
-  Eigen::VectorXd sigma;    ///< of each, 0 where frozen; inflated for serial correlation
+  State state;            ///< newest keyframe, sensor frame S
+  BodyProperties body;    ///< at the estimate: mounts, centre of mass, gravity
+  ModelValues values;     ///< of the model's parameters
+  Eigen::VectorXd sigma;  ///< of each, 0 where frozen; inflated for serial correlation
   std::vector<bool> observable;
   std::vector<std::string> unobservable;  ///< directions nobody measured, in words
   Eigen::MatrixXd covariance;             ///< of all parameters, 0 where frozen
   SolveReport solve;
   UpdateTiming timing;
-  Eigen::Vector3d residual_force_B = Eigen::Vector3d::Zero();    ///< newest interval [N]
-  Eigen::Vector3d residual_torque_B = Eigen::Vector3d::Zero();   ///< newest interval [N m]
-  double residual_force_rms_N = 0.0;      ///< running, about a window long, all axes
-  double residual_torque_rms_Nm = 0.0;    ///< running, about a window long, all axes
+  Eigen::Vector3d residual_force_B = Eigen::Vector3d::Zero();   ///< newest interval [N]
+  Eigen::Vector3d residual_torque_B = Eigen::Vector3d::Zero();  ///< newest interval [N m]
+  double residual_force_rms_N = 0.0;    ///< running, about a window long, all axes
+  double residual_torque_rms_Nm = 0.0;  ///< running, about a window long, all axes
   double battery_voltage_V = 0.0;
 };
 
 /// What happened so far, in numbers.
 struct EstimatorCounters {
-  long keyframes = 0;          ///< that entered the window
-  long ground_keyframes = 0;   ///< left out because the vehicle stood on the ground
-  long chains = 0;             ///< chains of states: 1 plus the gaps
-  long gaps = 0;               ///< holes in a stream, missing rotor speeds
-  long jumps = 0;              ///< odometry that moved without velocity
-  long refused_updates = 0;    ///< solves that were not usable
+  long keyframes = 0;         ///< that entered the window
+  long ground_keyframes = 0;  ///< left out because the vehicle stood on the ground
+  long chains = 0;            ///< chains of states: 1 plus the gaps
+  long gaps = 0;              ///< holes in a stream, missing rotor speeds
+  long jumps = 0;             ///< odometry that moved without velocity
+  long refused_updates = 0;   ///< solves that were not usable
   double on_ground_s = 0.0;
   double airborne_s = 0.0;
 };
@@ -83,8 +83,8 @@ class Estimator {
   /// Stamp of the keyframe the last Step() consumed.
   Stamp last_keyframe_stamp() const { return last_ ? last_->stamp : 0; }
 
-  /// Forgets samples and states, keeps what was learned about the parameters (a new flight or a clock
-  /// that stepped back).
+  /// Forgets samples and states, keeps what was learned about the parameters (a new flight or a
+  /// clock that stepped back).
   void RestartChain();
 
   const EstimatorCounters& counters() const { return counters_; }
@@ -135,17 +135,17 @@ class Estimator {
   ParameterInformation information_;
   Consistency consistency_;
   Eigen::VectorXd inflation_;
-  Eigen::VectorXd sigma_eta_;              // of the last update, not inflated
+  Eigen::VectorXd sigma_eta_;                               // of the last update, not inflated
   Eigen::VectorXd force_information_, torque_information_;  // what has informed each parameter
   std::vector<std::string> unobservable_;
   double residual_force_power_ = 0.0, residual_torque_power_ = 0.0;  // running mean squares
   EstimatorCounters counters_;
-  std::optional<OdometrySample> last_;     // newest keyframe's odometry
+  std::optional<OdometrySample> last_;  // newest keyframe's odometry
   std::optional<OdometrySample> before_last_;
   bool last_in_window_ = false;
   std::optional<Stamp> first_stamp_;
   std::optional<Stamp> bias_since_;
-  std::vector<Factor> pending_;            // of a bias whose first keyframe is about to come
+  std::vector<Factor> pending_;  // of a bias whose first keyframe is about to come
   Stamp noise_ready_ = 0;
   bool made_progress_ = false;
   bool needs_more_iterations_ = false;  // the last solve took no step

@@ -14,7 +14,7 @@ struct GroundGateOptions {
   double take_off_speed_m_s = 0.5;   ///< speed that counts as flying, with thrust
   double landed_thrust_ratio = 0.4;  ///< thrust over weight below which a slow vehicle stands
   double landed_speed_m_s = 0.3;
-  double confirm_s = 0.2;            ///< how long the signs of a landing must last
+  double confirm_s = 0.2;  ///< how long the signs of a landing must last
 
   template <typename Visitor>
   void Visit(Visitor* v) {
@@ -47,18 +47,18 @@ class GroundGate {
   bool quiet_ = false;
 };
 
-/// Tells per axis whether the flight shows the inertia at all. Regresses the angular acceleration on
-/// the rotor torque (differences over 50 ms, damping and a torque in proportion to thrust taken out):
-/// regressed the other way round it gives 1/r² times the inertia, so below r² = 0.5 two honest
-/// procedures differ by more than two (closed-loop flight through unsteady air does that: the rotors
-/// fight a disturbance, and their torque goes with minus the disturbance instead of the acceleration).
-/// The inertia then stays at its prior.
+/// Tells per axis whether the flight shows the inertia at all. Regresses the angular acceleration
+/// on the rotor torque (differences over 50 ms, damping and a torque in proportion to thrust taken
+/// out): regressed the other way round it gives 1/r² times the inertia, so below r² = 0.5 two
+/// honest procedures differ by more than two (closed-loop flight through unsteady air does that:
+/// the rotors fight a disturbance, and their torque goes with minus the disturbance instead of the
+/// acceleration). The inertia then stays at its prior.
 class InertiaGate {
  public:
   explicit InertiaGate(const Vehicle& vehicle, double min_r_squared = 0.5);
 
-  /// One interval of dt seconds with rates before and after [rad/s, body axes] and mean squared rotor
-  /// speeds [rad²/s²].
+  /// One interval of dt seconds with rates before and after [rad/s, body axes] and mean squared
+  /// rotor speeds [rad²/s²].
   void Add(double dt, const Eigen::Vector3d& w0, const Eigen::Vector3d& w1,
            const RotorVector& speed_squared);
 

@@ -26,10 +26,10 @@ class DifferenceNoise {
 
  private:
   int capacity_;
-  mutable double sigma_ = 0.0;   // of the last look, refreshed every few samples
+  mutable double sigma_ = 0.0;  // of the last look, refreshed every few samples
   mutable int since_look_ = 1 << 20;
   std::deque<double> times_;
-  std::deque<Eigen::VectorXd> run_;         // the newest four samples
+  std::deque<Eigen::VectorXd> run_;  // the newest four samples
   std::deque<Eigen::VectorXd> differences_;
 };
 
@@ -48,12 +48,12 @@ class OdometryNoiseEstimator {
   bool has_reference_ = false;
 };
 
-/// Size of what the model does not explain, as a density: the RMS over blocks of 0.1 s of the force and
-/// torque residual, times the root of the block length. The axes of each keep fixed proportions, and one
-/// scale for force and one for torque hold for the whole flight so far (up to a memory of a minute), so
-/// that every second of flight weighs the same in the fit: a size that followed the flight closely
-/// would let its calm parts decide. Both are at least 1 (model.md section 9's simulated vehicle), and
-/// start well above it until the flight has shown its residual.
+/// Size of what the model does not explain, as a density: the RMS over blocks of 0.1 s of the force
+/// and torque residual, times the root of the block length. The axes of each keep fixed
+/// proportions, and one scale for force and one for torque hold for the whole flight so far (up to
+/// a memory of a minute), so that every second of flight weighs the same in the fit: a size that
+/// followed the flight closely would let its calm parts decide. Both are at least 1 (model.md
+/// section 9's simulated vehicle), and start well above it until the flight has shown its residual.
 class ProcessNoiseEstimator {
  public:
   /// @param weight_N, arm_m, scale the floor and the start value to the vehicle
@@ -79,7 +79,7 @@ class ProcessNoiseEstimator {
   double ForceScale() const;
   double TorqueScale() const;
 
-  Vector6d floor_;  // densities [N sqrt(s)], [N m sqrt(s)]
+  Vector6d floor_;                                     // densities [N sqrt(s)], [N m sqrt(s)]
   double force_level_ = 100.0, torque_level_ = 100.0;  // mean squares in units of the floor
   double seen_s_ = 1.0;  // flight time behind the levels; the start values count as a second
   Vector6d sum_ = Vector6d::Zero();

@@ -9,17 +9,17 @@ namespace odmc {
 
 /// Options of the estimator; config/estimator.yaml documents every key.
 struct EstimatorOptions {
-  double window_s = 1.0;            ///< length of the sliding window [s], > 0
-  double keyframe_rate_hz = 100.0;  ///< at most this many keyframes a second, > 0
+  double window_s = 1.0;                   ///< length of the sliding window [s], > 0
+  double keyframe_rate_hz = 100.0;         ///< at most this many keyframes a second, > 0
   std::string dynamics_form = "midpoint";  ///< midpoint | euler (the paper's, corrected)
-  double huber_width = 6.0;         ///< of the whitened dynamics residual [-]; 0: no robust loss
-  double max_gap_s = 0.06;          ///< a longer hole in a stream starts a new chain of states [s]
-  double patience_s = 0.3;          ///< how long a silent stream is waited for [s]
+  double huber_width = 6.0;  ///< of the whitened dynamics residual [-]; 0: no robust loss
+  double max_gap_s = 0.06;   ///< a longer hole in a stream starts a new chain of states [s]
+  double patience_s = 0.3;   ///< how long a silent stream is waited for [s]
 
-  int max_iterations = 1;           ///< solver iterations per update, >= 1
-  double max_update_time_s = 0.008; ///< bound on one solve [s]
-  double function_tolerance = 1e-6; ///< relative change of cost that ends a solve
-  int num_threads = 1;              ///< for factor evaluation
+  int max_iterations = 1;            ///< solver iterations per update, >= 1
+  double max_update_time_s = 0.008;  ///< bound on one solve [s]
+  double function_tolerance = 1e-6;  ///< relative change of cost that ends a solve
+  int num_threads = 1;               ///< for factor evaluation
 
   // Odometry noise per sample; 0: measured on the stream.
   double position_noise_m = 0.0;
@@ -31,15 +31,15 @@ struct EstimatorOptions {
   double kinematic_position_m = 5e-4;    ///< floor of e_k: jitter of the odometry [m]
   double kinematic_rotation_rad = 5e-4;  ///< floor of e_theta [rad]
 
-  double gyro_noise_rad_s = 0.01;             ///< one gyro sample
-  double accelerometer_noise_m_s2 = 0.3;      ///< mean specific force over a keyframe interval
-  double bias_interval_s = 1.0;               ///< one pair of biases per this time
-  double gyro_bias_sigma_rad_s = 0.05;        ///< prior
-  double accelerometer_bias_sigma_m_s2 = 0.3; ///< prior
-  double gyro_bias_walk = 0.002;              ///< [rad/s/sqrt(s)]
-  double accelerometer_bias_walk = 0.02;      ///< [m/s^2/sqrt(s)]
+  double gyro_noise_rad_s = 0.01;              ///< one gyro sample
+  double accelerometer_noise_m_s2 = 0.3;       ///< mean specific force over a keyframe interval
+  double bias_interval_s = 1.0;                ///< one pair of biases per this time
+  double gyro_bias_sigma_rad_s = 0.05;         ///< prior
+  double accelerometer_bias_sigma_m_s2 = 0.3;  ///< prior
+  double gyro_bias_walk = 0.002;               ///< [rad/s/sqrt(s)]
+  double accelerometer_bias_walk = 0.02;       ///< [m/s^2/sqrt(s)]
 
-  double inertia_gate_r_squared = 0.5;   ///< see InertiaGate; 0 always lets the inertia free
+  double inertia_gate_r_squared = 0.5;  ///< see InertiaGate; 0 always lets the inertia free
   GroundGateOptions ground;
 
   template <typename Visitor>

@@ -11,7 +11,12 @@
 namespace odmc {
 
 /// Rows of DynamicsResidual().
-enum DynamicsRow : int { kRowPosition = 0, kRowVelocity = 3, kRowAngular = 6, kNumDynamicsRows = 9 };
+enum DynamicsRow : int {
+  kRowPosition = 0,
+  kRowVelocity = 3,
+  kRowAngular = 6,
+  kNumDynamicsRows = 9
+};
 
 /// Derivatives of DynamicsResidual().
 struct DynamicsJacobians {
@@ -38,12 +43,13 @@ Eigen::Matrix<double, kNumDynamicsRows, 1> DynamicsResidual(
 /// integrated over the interval.       model.md section 5 (the paper's 1/4 for 1/3 is singular)
 Eigen::Matrix2d EulerTranslationCovariance(double dt);
 
-/// Errors of one interval, as means over it (one standard deviation).               model.md section 5
+/// Errors of one interval, as means over it (one standard deviation).               model.md
+/// section 5
 struct DynamicsNoise {
-  Eigen::Vector3d force_N = Eigen::Vector3d::Constant(0.1);         ///< not in the model, body axes
-  Eigen::Vector3d torque_Nm = Eigen::Vector3d::Constant(0.002);     ///< not in the model, body axes
-  double rotor_force_N = 0.0;                                       ///< from rotor-speed noise
-  Eigen::Vector3d rotor_torque_Nm = Eigen::Vector3d::Zero();        ///< from rotor-speed noise
+  Eigen::Vector3d force_N = Eigen::Vector3d::Constant(0.1);      ///< not in the model, body axes
+  Eigen::Vector3d torque_Nm = Eigen::Vector3d::Constant(0.002);  ///< not in the model, body axes
+  double rotor_force_N = 0.0;                                    ///< from rotor-speed noise
+  Eigen::Vector3d rotor_torque_Nm = Eigen::Vector3d::Zero();     ///< from rotor-speed noise
   Eigen::Vector3d nominal_inertia = Eigen::Vector3d::Constant(0.01);  ///< turns torque_Nm to rad/s²
 };
 
@@ -56,9 +62,9 @@ struct DynamicsNoise {
 /// Residual: e_v, e_alpha (6), or e_v alone (3) without single rotor speeds; Form E has e_p before
 /// them. Whitened: e_v by the force errors; e_alpha by a standard deviation that is fixed in rad/s
 /// for the unmodelled torque (model.md section 9), and that takes the rotor-speed noise through the
-/// live inertia,  σ_α² = Δt² (σ_τ²/I_0² + σ_rotor²/I²). The second part makes the fit that of a line
-/// with errors in both coordinates (Deming): without it noise in the torque regressor pulls the
-/// inertia up.
+/// live inertia,  σ_α² = Δt² (σ_τ²/I_0² + σ_rotor²/I²). The second part makes the fit that of a
+/// line with errors in both coordinates (Deming): without it noise in the torque regressor pulls
+/// the inertia up.
 class DynamicsFactor final : public ceres::CostFunction {
  public:
   /// `model` and `layout` must outlive the factor. @throws std::invalid_argument if dt <= 0.

@@ -15,9 +15,9 @@ constexpr int kBiasSize = 6;
 
 /// Standard deviations of the IMU, per keyframe.
 struct ImuNoise {
-  double gyro_rad_s = 0.01;             ///< of one gyro sample
-  double preintegration_rad = 2e-4;     ///< of the rotation over one interval
-  double specific_force_m_s2 = 0.3;     ///< of the mean specific force over one interval
+  double gyro_rad_s = 0.01;          ///< of one gyro sample
+  double preintegration_rad = 2e-4;  ///< of the rotation over one interval
+  double specific_force_m_s2 = 0.3;  ///< of the mean specific force over one interval
 };
 
 /// e_theta by the gyro: Log(ΔR(b)ᵀ R_WI0ᵀ R_WI1), the rotation between two keyframes against the

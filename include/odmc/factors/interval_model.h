@@ -21,14 +21,14 @@ struct DynamicsMeasurement {
   double time_s = 0.0;  ///< of its middle, since the flight's start
   RotorState rotors;    ///< means over the interval (Form M), values at its start (Form E)
   DynamicsForm form = DynamicsForm::kMidpoint;
-  /// Axes whose inertia is held at `fixed_inertia` whatever the values say, because the flight cannot
-  /// tell it from the rest (see InertiaGate).
+  /// Axes whose inertia is held at `fixed_inertia` whatever the values say, because the flight
+  /// cannot tell it from the rest (see InertiaGate).
   std::array<bool, 3> inertia_fixed = {false, false, false};
   Eigen::Vector3d fixed_inertia = Eigen::Vector3d::Zero();  ///< [kg m²]
-  /// Index of the thrust coefficient in the model's values, or -1. Where set, the torque takes it at
-  /// `anchor_value` instead of the value given, so that only the force equation informs it. With
-  /// inertia, k_f and k_m free the torque equation is homogeneous and is satisfied best by vanishing
-  /// coefficients; what the torque does not explain must not bend k_f that way.
+  /// Index of the thrust coefficient in the model's values, or -1. Where set, the torque takes it
+  /// at `anchor_value` instead of the value given, so that only the force equation informs it. With
+  /// inertia, k_f and k_m free the torque equation is homogeneous and is satisfied best by
+  /// vanishing coefficients; what the torque does not explain must not bend k_f that way.
   int anchor_index = -1;
   double anchor_value = 0.0;
 };
@@ -59,8 +59,8 @@ BodyMotion MotionOfBody(const State& state, const BodyProperties& body);
 
 /// Derivative with respect to all values of a model.
 template <int N>
-using ValueJacobian = Eigen::Matrix<double, N, Eigen::Dynamic, 0, (N > 0 ? N : 9),
-                                    kMaxModelParameters>;
+using ValueJacobian =
+    Eigen::Matrix<double, N, Eigen::Dynamic, 0, (N > 0 ? N : 9), kMaxModelParameters>;
 
 /// The model over one interval: motion at both ends and, at the point where the form evaluates the
 /// equations (the middle, or keyframe 0), attitude, flight state, force and torque.
@@ -70,8 +70,8 @@ struct IntervalModel {
 
   BodyProperties body;
   BodyMotion m0, m1;
-  Eigen::Matrix3d R_BW;   ///< at the evaluation point
-  double w0, w1;          ///< weights of the keyframes in velocities and rates
+  Eigen::Matrix3d R_BW;  ///< at the evaluation point
+  double w0, w1;         ///< weights of the keyframes in velocities and rates
   FlightState flight;
   Eigen::Vector3d F_B;    ///< [N]
   Eigen::Vector3d tau_B;  ///< about the centre of mass [N m]
@@ -79,7 +79,7 @@ struct IntervalModel {
   // Derivatives, filled on request.
   BodyPropertiesJacobian d_body;
   const std::vector<DynamicModel::ColumnRange>* shaped;  ///< columns of d_body that are not zero
-  Eigen::Vector3d w0_S, w1_S;                     ///< rates of the states, in S
+  Eigen::Vector3d w0_S, w1_S;                            ///< rates of the states, in S
   Eigen::Matrix3d A0, A1;  ///< d theta at the point / d theta_B at either end (model.md 6.2)
   ModelWrenchJacobians d_wrench;
 };
@@ -145,8 +145,7 @@ void AssembleJacobians(const IntervalModel& interval, IntervalDerivatives<N> D,
   using Block = Eigen::Matrix<double, N, 3>;
   const auto& d_flight = interval.d_wrench.d_state;
   const Block d_air = D.d_wrench * d_flight.template middleCols<3>(kColumnAirVelocity);
-  const Block d_rate =
-      D.d_rate + D.d_wrench * d_flight.template middleCols<3>(kColumnAngularRate);
+  const Block d_rate = D.d_rate + D.d_wrench * d_flight.template middleCols<3>(kColumnAngularRate);
   const Block d_position = D.d_wrench * d_flight.template middleCols<3>(kColumnPosition);
   const Block d_theta = D.d_theta + D.d_wrench * d_flight.template middleCols<3>(kColumnAttitude) +
                         d_air * Hat(interval.flight.v_AB_B);

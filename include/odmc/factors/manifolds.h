@@ -7,8 +7,8 @@
 namespace odmc {
 
 /// Unit quaternion (x, y, z, w) with the right perturbation q Exp(theta), theta the full rotation
-/// vector in the body frame [rad]. Ceres' own EigenQuaternionManifold turns on the left by twice the
-/// vector; Jacobians for one are wrong for the other.                        model.md section 7
+/// vector in the body frame [rad]. Ceres' own EigenQuaternionManifold turns on the left by twice
+/// the vector; Jacobians for one are wrong for the other.                        model.md section 7
 class RotationManifold final : public ceres::Manifold {
  public:
   int AmbientSize() const override { return 4; }

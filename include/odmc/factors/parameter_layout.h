@@ -11,11 +11,12 @@ using ParameterVector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxModelPar
 
 /// How the model's estimated parameters lie in the optimiser: one block `eta` of only the estimated
 /// entries, scaled so that they are of order one (model.md section 7). One block for all keeps the
-/// window's normal equations in few large pieces. Frozen parameters keep the value they had when the
-/// layout was made.
+/// window's normal equations in few large pieces. Frozen parameters keep the value they had when
+/// the layout was made.
 class ParameterLayout {
  public:
-  /// @param values model values to start from: start of the estimated ones, value of the frozen ones
+  /// @param values model values to start from: start of the estimated ones, value of the frozen
+  /// ones
   ParameterLayout(const DynamicModel& model, const ModelValues& values);
 
   int num_estimated() const { return static_cast<int>(model_index_.size()); }

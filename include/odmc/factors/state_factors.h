@@ -27,7 +27,8 @@ struct OdometryNoise {
 /// Residual, whitened: p - p̂, Log(q̂⁻¹ q), then v - v̂ and w - ŵ where measured (6, 9 or 12).
 class OdometryFactor final : public ceres::CostFunction {
  public:
-  /// @param with_rate false leaves out body rates even where measured (an IMU's gyro serves instead)
+  /// @param with_rate false leaves out body rates even where measured (an IMU's gyro serves
+  /// instead)
   OdometryFactor(const OdometrySample& sample, const OdometryNoise& noise, bool with_rate);
   bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override;
 
@@ -42,9 +43,9 @@ class OdometryFactor final : public ceres::CostFunction {
 ///   e_k      p_1 - p_0 - Δt/2 (v_0 + v_1)                                  [m]
 ///   e_theta  Log(R_0ᵀ R_1) - Δt/2 (w_0 + w_1)                              [rad]
 ///
-/// of the sensor S (model.md 4.2 writes e_k at the centre of mass; at S it has no parameters, and the
-/// two differ by the trapezoid error of the lever arm's motion only). With Form::kEuler only e_theta
-/// with w_0 remains (3×1), since DynamicsFactor then has the position.        model.md 4.1, 4.2
+/// of the sensor S (model.md 4.2 writes e_k at the centre of mass; at S it has no parameters, and
+/// the two differ by the trapezoid error of the lever arm's motion only). With Form::kEuler only
+/// e_theta with w_0 remains (3×1), since DynamicsFactor then has the position. model.md 4.1, 4.2
 ///
 ///   blocks 0, 1: states (13)
 class KinematicFactor final : public ceres::CostFunction {

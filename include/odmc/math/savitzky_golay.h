@@ -7,13 +7,14 @@ namespace odmc {
 
 /// Value and derivatives of a signal at one sample, from a cubic fitted to the samples around it.
 struct LocalPolynomial {
-  Eigen::VectorXd value;    ///< channels×1
-  Eigen::VectorXd first;    ///< per second
-  Eigen::VectorXd second;   ///< per second squared
+  Eigen::VectorXd value;   ///< channels×1
+  Eigen::VectorXd first;   ///< per second
+  Eigen::VectorXd second;  ///< per second squared
 };
 
-/// Savitzky-Golay filter of order 3 over an odd number of samples. Fits the cubic on the samples' own
-/// stamps, so it equals the textbook filter where they are even and stays right where they jitter.
+/// Savitzky-Golay filter of order 3 over an odd number of samples. Fits the cubic on the samples'
+/// own stamps, so it equals the textbook filter where they are even and stays right where they
+/// jitter.
 class SavitzkyGolay {
  public:
   static constexpr int kOrder = 3;

@@ -20,7 +20,7 @@ struct ModelParameter {
 /// Force and torque of the model and of one effect, for reports.
 struct EffectWrench {
   std::string effect;
-  Eigen::Vector3d f_B;      ///< [N]
+  Eigen::Vector3d f_B;        ///< [N]
   Eigen::Vector3d tau_Bcm_B;  ///< [N m]
 };
 
@@ -74,7 +74,8 @@ class DynamicModel {
   /// The prior values of all parameters.
   ModelValues InitialValues() const;
 
-  /// The body, gravity, air and mounts at `values`; if `J` is given, it becomes 28×num_parameters().
+  /// The body, gravity, air and mounts at `values`; if `J` is given, it becomes
+  /// 28×num_parameters().
   BodyProperties Properties(const ModelValues& values, BodyPropertiesJacobian* J = nullptr) const;
 
   /// Force on the body and torque about the centre of mass `p_BBcm`, in B.      model.md Eq. (A)
@@ -96,7 +97,7 @@ class DynamicModel {
   std::vector<std::unique_ptr<Effect>> effects_;
   std::vector<int> first_;
   std::vector<ColumnRange> shaped_columns_;
-  std::vector<std::vector<int>> borrowed_index_;      // -1 where the lender is absent
+  std::vector<std::vector<int>> borrowed_index_;  // -1 where the lender is absent
   std::vector<std::vector<double>> borrowed_default_;
   std::vector<ModelParameter> parameters_;
 };

@@ -17,17 +17,16 @@ namespace odmc {
 using ParameterValues = Eigen::Ref<const Eigen::VectorXd>;
 
 /// Derivative of BodyProperties with respect to one effect's parameters (28×n).
-using BodyPropertyJacobian =
-    Eigen::Matrix<double, kNumBodyPropertyRows, Eigen::Dynamic, 0, kNumBodyPropertyRows,
-                  kMaxEffectParameters>;
+using BodyPropertyJacobian = Eigen::Matrix<double, kNumBodyPropertyRows, Eigen::Dynamic, 0,
+                                           kNumBodyPropertyRows, kMaxEffectParameters>;
 
 /// What an effect is, in words: printed by `--help`, the report and the documentation.
 struct EffectDescription {
-  std::string name;        ///< as in YAML, "drag"
-  std::string title;       ///< "Linear drag"
-  std::string formula;     ///< plain text, "f = diag(d) v_AB_B at Bcm"
-  std::string source;      ///< "model.md 2; paper Eq. (1)"
-  std::string validity;    ///< where it stops being true
+  std::string name;      ///< as in YAML, "drag"
+  std::string title;     ///< "Linear drag"
+  std::string formula;   ///< plain text, "f = diag(d) v_AB_B at Bcm"
+  std::string source;    ///< "model.md 2; paper Eq. (1)"
+  std::string validity;  ///< where it stops being true
 };
 
 /// One physical effect: reads the flight state and adds its wrench on the body, or shapes the body

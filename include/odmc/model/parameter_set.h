@@ -11,12 +11,12 @@ namespace odmc {
 
 /// One parameter of an estimate, as files and messages show it.
 struct ParameterEstimate {
-  std::string full_name;     ///< "thrust.k_f"
-  std::string unit;          ///< SI
+  std::string full_name;  ///< "thrust.k_f"
+  std::string unit;       ///< SI
   double value = 0.0;
-  double sigma = 0.0;        ///< 0 where frozen
-  bool estimated = false;    ///< false: frozen at value
-  bool observable = false;   ///< the flight says more about it than its prior did
+  double sigma = 0.0;       ///< 0 where frozen
+  bool estimated = false;   ///< false: frozen at value
+  bool observable = false;  ///< the flight says more about it than its prior did
 };
 
 /// A calibrated model: everything that evaluate, nodes and simulator need to rebuild it.

@@ -25,16 +25,16 @@ struct Rotor {
 
 /// Where a sensor sits: pose of the sensor's own frame S in the body frame B.
 struct SensorMount {
-  Eigen::Vector3d p_BS = Eigen::Vector3d::Zero();                   ///< from Bo, in B [m]
-  Eigen::Quaterniond q_BS = Eigen::Quaterniond::Identity();         ///< takes vectors from S to B
-  bool estimate = false;                                            ///< free the 6 extrinsics
+  Eigen::Vector3d p_BS = Eigen::Vector3d::Zero();            ///< from Bo, in B [m]
+  Eigen::Quaterniond q_BS = Eigen::Quaterniond::Identity();  ///< takes vectors from S to B
+  bool estimate = false;                                     ///< free the 6 extrinsics
 };
 
 /// What a vehicle file or a parameter file says about one parameter.
 struct ParameterSetting {
-  std::optional<double> value;     ///< start value and centre of the prior, in the parameter's unit
-  std::optional<double> sigma;     ///< sigma of the prior, in the parameter's unit
-  std::optional<bool> estimated;   ///< false: frozen at its value
+  std::optional<double> value;    ///< start value and centre of the prior, in the parameter's unit
+  std::optional<double> sigma;    ///< sigma of the prior, in the parameter's unit
+  std::optional<bool> estimated;  ///< false: frozen at its value
 };
 
 /// A vehicle as its YAML file describes it: what is weighed, measured or known beforehand.

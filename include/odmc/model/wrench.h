@@ -32,10 +32,10 @@ struct Wrench {
 
 /// Columns of WrenchJacobians::d_state: the flight state an effect looks at.
 enum FlightStateColumn : int {
-  kColumnAirVelocity = 0,   ///< v_AB_B
-  kColumnAngularRate = 3,   ///< w_WB_B
-  kColumnAttitude = 6,      ///< theta of R_WB Exp(theta), with v_AB_B held
-  kColumnPosition = 9,      ///< p_WB
+  kColumnAirVelocity = 0,  ///< v_AB_B
+  kColumnAngularRate = 3,  ///< w_WB_B
+  kColumnAttitude = 6,     ///< theta of R_WB Exp(theta), with v_AB_B held
+  kColumnPosition = 9,     ///< p_WB
   kNumFlightStateColumns = 12,
 };
 

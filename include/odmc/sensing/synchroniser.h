@@ -13,11 +13,11 @@ struct SynchroniserCounters {
   long not_finite = 0;     ///< samples with NaN or infinity, or a quaternion far from unit
   long out_of_order = 0;   ///< stamps that step back or repeat
   long repeated_pose = 0;  ///< poses identical to the one before (a stalled source)
-  long uncovered = 0;      ///< keyframes let go without rotor speeds or IMU because those stayed away
+  long uncovered = 0;  ///< keyframes let go without rotor speeds or IMU because those stayed away
 };
 
-/// Merges the streams by stamp and picks keyframes from the odometry. Knows which stream it waits for.
-/// Thread-compatible: its owner guards it.
+/// Merges the streams by stamp and picks keyframes from the odometry. Knows which stream it waits
+/// for. Thread-compatible: its owner guards it.
 class Synchroniser {
  public:
   /// @param keyframe_rate_hz at most this many keyframes a second

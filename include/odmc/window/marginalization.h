@@ -8,7 +8,7 @@ namespace odmc {
 
 /// Linear least-squares system |b + [E R] x|² with the columns to eliminate first.
 struct LinearSystem {
-  Eigen::MatrixXd A;         ///< rows × (eliminated + remaining)
+  Eigen::MatrixXd A;  ///< rows × (eliminated + remaining)
   Eigen::VectorXd b;
   int num_eliminated = 0;
 };
@@ -23,23 +23,25 @@ LinearSystem Eliminate(const LinearSystem& system, double tolerance = 1e-10);
 struct LeavingFactors {
   /// Sum of Jᵀ r over the leaving factors that touch parameters, with respect to eta (n).
   Eigen::VectorXd score;
-  /// Whitened residual of the leaving dynamics factor, before the loss (3, 6 or 9); empty without one.
+  /// Whitened residual of the leaving dynamics factor, before the loss (3, 6 or 9); empty without
+  /// one.
   Eigen::VectorXd dynamics_residual;
   /// Squared whitened derivatives of the leaving dynamics factor's force and torque rows (n each).
   Eigen::VectorXd force_information, torque_information;
 };
 
 /// Takes the oldest keyframe (and its bias, if no other keyframe has it) out of the window and puts
-/// what it said into the prior: linearize → eliminate → make prior. Jacobians are taken at the points
-/// the prior already has; parameters the prior touches keep their point until they have moved by more
-/// than `relinearize` (per entry of eta), when the prior is moved as a whole.
-/// @returns false if a factor could not be evaluated; what that factor said is lost, the rest is kept
+/// what it said into the prior: linearize → eliminate → make prior. Jacobians are taken at the
+/// points the prior already has; parameters the prior touches keep their point until they have
+/// moved by more than `relinearize` (per entry of eta), when the prior is moved as a whole.
+/// @returns false if a factor could not be evaluated; what that factor said is lost, the rest is
+/// kept
 bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
                        LeavingFactors* leaving = nullptr);
 
-/// Scales what the prior says about each parameter, by `scale` on its information (n, > 0), where it
-/// says it: the prior's own optimum stays. Used when the noise of everything that left turns out to be
-/// larger or smaller than thought.
+/// Scales what the prior says about each parameter, by `scale` on its information (n, > 0), where
+/// it says it: the prior's own optimum stays. Used when the noise of everything that left turns out
+/// to be larger or smaller than thought.
 void RescalePrior(const Eigen::VectorXd& scale, Prior* prior);
 
 }  // namespace odmc

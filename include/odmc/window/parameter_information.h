@@ -8,9 +8,9 @@
 namespace odmc {
 
 /// Information (inverse covariance) of the parameters alone, all states of the window and the prior
-/// taken into account: the chain of states is eliminated oldest first, and what an elimination hands to
-/// the next keyframe is kept. An update redoes only the newest `fresh` keyframes and those the kept
-/// part no longer fits; the whole chain when parameters moved by more than `relinearize`.
+/// taken into account: the chain of states is eliminated oldest first, and what an elimination
+/// hands to the next keyframe is kept. An update redoes only the newest `fresh` keyframes and those
+/// the kept part no longer fits; the whole chain when parameters moved by more than `relinearize`.
 class ParameterInformation {
  public:
   /// @param fresh number of newest keyframes that are redone at every call

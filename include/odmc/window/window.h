@@ -60,8 +60,9 @@ struct Bias {
   std::array<double, 6> x_lin;
 };
 
-/// What the states that left say about what remains, in square-root form: residual = b + A d, with d the stacked differences to the linearization points of
-/// [oldest keyframe (12), its bias (6), parameters (n)], those that are set.
+/// What the states that left say about what remains, in square-root form: residual = b + A d, with
+/// d the stacked differences to the linearization points of [oldest keyframe (12), its bias (6),
+/// parameters (n)], those that are set.
 struct Prior {
   bool has_state = false;
   bool has_bias = false;
@@ -112,8 +113,8 @@ class Window {
   Prior& prior() { return prior_; }
   const Prior& prior() const { return prior_; }
 
-  /// Pointers to a factor's blocks at the current estimate, or at the linearization points of what the
-  /// prior touches.
+  /// Pointers to a factor's blocks at the current estimate, or at the linearization points of what
+  /// the prior touches.
   std::vector<const double*> Blocks(const Factor& factor, bool at_linearization) const;
   /// Pointers to change them.
   std::vector<double*> MutableBlocks(const Factor& factor);
@@ -130,7 +131,8 @@ class Window {
 };
 
 /// A factor's residual and minimal Jacobian at one point, whitened and with the robust loss applied
-/// (as Ceres does, first order). Columns: state0, state1 (12 each), bias0, bias1 (6), parameters (n).
+/// (as Ceres does, first order). Columns: state0, state1 (12 each), bias0, bias1 (6), parameters
+/// (n).
 struct LinearFactor {
   Eigen::VectorXd r;
   Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic> J;

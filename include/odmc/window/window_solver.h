@@ -9,21 +9,21 @@ namespace odmc {
 
 /// How one solve of the window went.
 struct SolveReport {
-  bool usable = false;        ///< false: the window was left as it was
-  bool converged = false;     ///< false: stopped by the iteration or time bound
+  bool usable = false;     ///< false: the window was left as it was
+  bool converged = false;  ///< false: stopped by the iteration or time bound
   int iterations = 0;
   bool improved = false;      ///< at least one step was taken
   double initial_cost = 0.0;  ///< half the sum of squares, robust losses applied
   double final_cost = 0.0;
-  std::string message;        ///< why it is not usable
+  std::string message;  ///< why it is not usable
 };
 
 /// Bounds of one solve.
 struct SolverOptions {
-  int max_iterations = 1;              ///< per update, >= 1
-  double max_time_s = 0.008;           ///< per update, > 0
-  double function_tolerance = 1e-6;    ///< relative change of cost that ends a solve
-  int num_threads = 1;                 ///< for factor evaluation, >= 1
+  int max_iterations = 1;            ///< per update, >= 1
+  double max_time_s = 0.008;         ///< per update, > 0
+  double function_tolerance = 1e-6;  ///< relative change of cost that ends a solve
+  int num_threads = 1;               ///< for factor evaluation, >= 1
 };
 
 /// Moves the window's states and parameters to the least-squares optimum of its factors and prior,

@@ -1,0 +1,179 @@
+// Simulated flights of known truth: does it come back, within its sigma, from wrong starts, and
+// from whatever sensors there are?
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <optional>
+
+#include "odmc/analysis/recovery.h"
+#include "odmc/analysis/replay.h"
+#include "odmc/sim/truth_vehicle.h"
+#include "support/test_vehicle.h"
+
+namespace odmc {
+namespace {
+
+EstimatorOptions Patient() {
+  EstimatorOptions options;
+  options.max_update_time_s = 10.0;  // the same result on a loaded machine
+  return options;
+}
+
+struct Flight {
+  std::optional<DynamicModel> model;
+  ModelValues truth;
+  FlightLog log;
+};
+
+Flight Fly(const Vehicle& vehicle, double duration_s, SimulationNoise noise = {},
+           double ground_s = 0.0) {
+  Flight flight;
+  flight.model.emplace(vehicle, vehicle.effects);
+  flight.truth = DefaultTruth(*flight.model);
+  SimulationOptions options;
+  options.duration_s = duration_s;
+  options.ground_s = ground_s;
+  flight.log = Simulate(*flight.model, flight.truth, options, noise).log;
+  return flight;
+}
+
+ReplayResult Estimate(const Flight& flight, const EstimatorOptions& options = Patient()) {
+  Estimator estimator(&*flight.model, options, true);
+  return Replay(flight.log, &estimator);
+}
+
+void ExpectNear(const Flight& flight, const ReplayResult& result, const std::string& name,
+                double relative) {
+  const int k = flight.model->IndexOf(name);
+  ASSERT_TRUE(result.last);
+  EXPECT_NEAR(result.last->values[k], flight.truth[k], relative * std::abs(flight.truth[k]))
+      << name;
+}
+
+Vehicle FreeVehicle() { return RecoveryVehicle(test::NominalVehicle()); }
+
+TEST(Recovery, TruthComesBackFromWrongStartsInThreeFlights) {
+  RecoveryOptions options;
+  options.simulation.duration_s = 20.0;
+  options.estimator = Patient();
+  options.seeds = 3;
+  options.jobs = 2;
+  const Recovery recovery = Recover(FreeVehicle(), options);
+  EXPECT_GE(recovery.pooled_coverage_3sigma, 0.95);
+  const std::map<std::string, double> relative = {
+      {"thrust.k_f", 0.005}, {"inertia.x", 0.08}, {"inertia.y", 0.08}, {"inertia.z", 0.05},
+      {"drag.d_x", 0.05},    {"drag.d_y", 0.05},  {"drag.d_z", 0.05},  {"hvt.k_h", 0.15}};
+  const std::map<std::string, double> absolute = {{"centre_of_gravity.x", 5e-4},
+                                                  {"centre_of_gravity.y", 5e-4},
+                                                  {"gravity.x", 0.2 * M_PI / 180.0},
+                                                  {"gravity.y", 0.2 * M_PI / 180.0}};
+  int checked = 0;
+  for (const ParameterRecovery& p : recovery.parameters) {
+    if (relative.count(p.full_name) > 0) {
+      ASSERT_TRUE(p.median_relative_error) << p.full_name;
+      EXPECT_LT(*p.median_relative_error, relative.at(p.full_name)) << p.full_name;
+      ++checked;
+    }
+    if (absolute.count(p.full_name) > 0) {
+      EXPECT_LT(p.median_error, absolute.at(p.full_name)) << p.full_name;
+      ++checked;
+    }
+  }
+  EXPECT_EQ(checked, 12);
+}
+
+TEST(Recovery, StartOfTheThrustCoefficientDoesNotMatter) {
+  for (const double factor : {0.5, 2.0}) {
+    RecoveryOptions options;
+    options.simulation.duration_s = 10.0;
+    options.estimator = Patient();
+    options.seeds = 1;
+    options.start_thrust_factor = factor;
+    for (const ParameterRecovery& p : Recover(FreeVehicle(), options).parameters) {
+      if (p.full_name != "thrust.k_f") continue;
+      EXPECT_LT(*p.median_relative_error, 0.005) << factor;
+    }
+  }
+}
+
+TEST(Estimator, UsesAnImuWhereverItSits) {
+  Vehicle vehicle = FreeVehicle();
+  SensorMount imu;
+  imu.p_BS = {0.04, -0.03, 0.02};
+  imu.q_BS = Eigen::Quaterniond(Eigen::AngleAxisd(0.5 * M_PI, Eigen::Vector3d::UnitZ()));
+  vehicle.imu = imu;
+  SimulationNoise noise;
+  noise.imu = true;
+  noise.gyro_noise_density = 5e-4;
+  noise.accelerometer_noise_density = 5e-3;
+  noise.gyro_bias = {0.02, -0.01, 0.015};
+  noise.accelerometer_bias = {0.1, -0.05, 0.08};
+  Flight flight = Fly(vehicle, 15.0, noise);
+  for (OdometrySample& sample : flight.log.odometry) sample.w_WS_S.reset();
+  const ReplayResult result = Estimate(flight);
+  ExpectNear(flight, result, "thrust.k_f", 0.01);
+  ExpectNear(flight, result, "inertia.x", 0.08);
+  ExpectNear(flight, result, "inertia.y", 0.08);
+  ExpectNear(flight, result, "drag.d_x", 0.05);
+}
+
+TEST(Estimator, WorksFromPosesAlone) {
+  SimulationNoise noise;
+  noise.position_m = 5e-4;
+  noise.attitude_rad = 1e-3;
+  Flight flight = Fly(FreeVehicle(), 15.0, noise);
+  for (OdometrySample& sample : flight.log.odometry) {
+    sample.w_WS_S.reset();
+    sample.v_WS.reset();
+  }
+  const ReplayResult result = Estimate(flight);
+  ExpectNear(flight, result, "thrust.k_f", 0.01);
+  ExpectNear(flight, result, "drag.d_x", 0.08);
+}
+
+TEST(Estimator, LearnsNothingOnTheGroundAndCountsTheTime) {
+  Flight flight = Fly(FreeVehicle(), 6.0, {}, 3.0);
+  flight.log.odometry.erase(
+      std::remove_if(flight.log.odometry.begin(), flight.log.odometry.end(),
+                     [](const OdometrySample& s) { return ToSeconds(s.stamp) > 2.5; }),
+      flight.log.odometry.end());
+  const ReplayResult result = Estimate(flight);
+  EXPECT_FALSE(result.last) << "an update while standing";
+  EXPECT_GT(result.counters.on_ground_s, 2.0);
+}
+
+TEST(Estimator, SurvivesGapsAndNumbersThatAreNotFinite) {
+  Flight flight = Fly(FreeVehicle(), 12.0);
+  auto& odometry = flight.log.odometry;
+  odometry.erase(odometry.begin() + 2000, odometry.begin() + 2300);
+  odometry[1000].p_WS.x() = std::numeric_limits<double>::quiet_NaN();
+  flight.log.rotors[1500].speed[2] = std::numeric_limits<double>::infinity();
+  auto& rotors = flight.log.rotors;
+  rotors.erase(rotors.begin() + 3000, rotors.begin() + 3100);
+  const ReplayResult result = Estimate(flight);
+  EXPECT_GE(result.counters.gaps, 2);
+  EXPECT_EQ(result.stream_counters.not_finite, 2);
+  ExpectNear(flight, result, "thrust.k_f", 0.005);
+  for (const HistoryRow& row : result.history) {
+    ASSERT_TRUE(row.values.allFinite() && row.sigma.allFinite());
+  }
+}
+
+TEST(Estimator, EulerFormIsCloseButWorseInDrag) {
+  const Flight flight = Fly(FreeVehicle(), 15.0);
+  EstimatorOptions euler = Patient();
+  euler.dynamics_form = "euler";
+  const ReplayResult midpoint = Estimate(flight), other = Estimate(flight, euler);
+  ExpectNear(flight, other, "thrust.k_f", 0.01);
+  const int d_x = flight.model->IndexOf("drag.d_x");
+  const double truth = flight.truth[d_x];
+  EXPECT_LT(std::abs(midpoint.last->values[d_x] - truth),
+            std::abs(other.last->values[d_x] - truth));
+}
+
+}  // namespace
+}  // namespace odmc
