@@ -252,11 +252,17 @@ void EstimatorArguments::AddTo(CLI::App* app, bool with_window) {
       ->allow_extra_args(false)
       ->type_name("KEY=VALUE");
   app->footer("Estimator options (--config FILE or --set KEY=VALUE) with their defaults:\n" +
-              FormatOptions(EstimatorOptions()) + "\n" + kExitStatus);
+              FormatOptions(OfflineOptions()) + "\n" + kExitStatus);
+}
+
+EstimatorOptions OfflineOptions() {
+  EstimatorOptions options;
+  options.max_update_time_s = 1.0;
+  return options;
 }
 
 EstimatorOptions EstimatorArguments::Read() const {
-  EstimatorOptions options;
+  EstimatorOptions options = OfflineOptions();
   if (!config_file.empty()) LoadOptions(config_file, &options);
   if (keyframe_rate_hz > 0.0) options.keyframe_rate_hz = keyframe_rate_hz;
   if (window_s > 0.0) options.window_s = window_s;
@@ -273,7 +279,7 @@ EstimatorOptions EstimatorArguments::Read() const {
 }
 
 std::string DescribeChanges(const EstimatorOptions& options) {
-  std::istringstream now(FormatOptions(options)), before(FormatOptions(EstimatorOptions()));
+  std::istringstream now(FormatOptions(options)), before(FormatOptions(OfflineOptions()));
   std::string line, default_line, text;
   while (std::getline(now, line) && std::getline(before, default_line)) {
     if (line != default_line) text += (text.empty() ? "" : ", ") + line;

@@ -69,15 +69,12 @@ TEST(MeasuredNeuroBem, OnlineEstimateIsWithinTenPercentOfTheBatchFit) {
 
 TEST(MeasuredNeuroBem, AblationsOfThePaperShow) {
   RECORDED_OR_SKIP(flight, "neurobem/test1_first18s.csv");
-  const Result full = Calibrate(flight, "neurobem");
   const Result no_viscous = Calibrate(flight, "neurobem", "viscous_torque");
   EXPECT_LT((*no_viscous.figures.torque_rmse_Nm).x(), 1.1 * 0.072);
   EXPECT_LT((*no_viscous.figures.torque_rmse_Nm).y(), 1.1 * 0.084);
-  EXPECT_GT((*no_viscous.figures.torque_rmse_Nm).x(), 2.0 * (*full.figures.torque_rmse_Nm).x());
+  EXPECT_GT((*no_viscous.figures.torque_rmse_Nm).x(), 3.0 * 0.018);
   const Result no_drag = Calibrate(flight, "neurobem", "drag");
-  EXPECT_GT((*no_drag.figures.force_rmse_N).x(), 3.0 * (*full.figures.force_rmse_N).x());
-  const Result no_hvt = Calibrate(flight, "neurobem", "hvt");
-  EXPECT_GT((*no_hvt.figures.force_rmse_N).z(), (*full.figures.force_rmse_N).z());
+  EXPECT_GT((*no_drag.figures.force_rmse_N).x(), 3.0 * 0.186);
 }
 
 TEST(MeasuredNeuroBem, FreeInertiaStaysHonest) {
@@ -102,7 +99,7 @@ TEST(MeasuredFlights, ThrustCoefficientAgreesWithEveryReadme) {
       {"imrc_cf21_brushless/eckart00.csv", "imrc_cf21_brushless", 3.70e-8, 0.0},
       {"imrc_cf21_brushed/jana00.csv", "imrc_cf21_brushed", 1.99e-8, 0.0},
       {"blackbird_clover/clover_yawForward_maxSpeed5p0_first70.csv", "blackbird_clover", 1.878e-6,
-       20.0},
+       10.0},
   };
   for (const Flight& flight : flights) {
     RECORDED_OR_SKIP(file, flight.file);
@@ -121,7 +118,7 @@ TEST(MeasuredFlights, BrokenSensorsAndJumpsDoNotBreakTheEstimator) {
   };
   for (const auto& [name, vehicle] : flights) {
     RECORDED_OR_SKIP(file, name);
-    const Result r = Calibrate(file, vehicle, "", 15.0);
+    const Result r = Calibrate(file, vehicle, "", 10.0);
     for (const HistoryRow& row : r.replay.history) {
       ASSERT_TRUE(row.values.allFinite() && row.sigma.allFinite()) << name;
     }

@@ -89,7 +89,7 @@ TEST(Recovery, TruthComesBackFromWrongStartsInThreeFlights) {
 TEST(Recovery, StartOfTheThrustCoefficientDoesNotMatter) {
   for (const double factor : {0.5, 2.0}) {
     RecoveryOptions options;
-    options.simulation.duration_s = 10.0;
+    options.simulation.duration_s = 6.0;
     options.estimator = Patient();
     options.seeds = 1;
     options.start_thrust_factor = factor;
@@ -164,7 +164,7 @@ TEST(Estimator, SurvivesGapsAndNumbersThatAreNotFinite) {
 }
 
 TEST(Estimator, EulerFormIsCloseButWorseInDrag) {
-  const Flight flight = Fly(FreeVehicle(), 15.0);
+  const Flight flight = Fly(FreeVehicle(), 10.0);
   EstimatorOptions euler = Patient();
   euler.dynamics_form = "euler";
   const ReplayResult midpoint = Estimate(flight), other = Estimate(flight, euler);

@@ -142,7 +142,7 @@ class ToolsTest(unittest.TestCase):
         reports = []
         for ending in ('bag', 'csv'):
             done = run('calibrate', self.flight(ending), '--vehicle', VEHICLE, '--out',
-                       self.path(ending, 'deep'), '--no-report', '--set', 'max_update_time_s=10')
+                       self.path(ending, 'deep'), '--no-report')
             self.assertEqual(done.returncode, 0, done.stderr)
             self.assertEqual(done.stderr, '')
             reports.append(read_json(self.path(ending, 'deep'), 'report.json'))
