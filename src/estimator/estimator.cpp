@@ -204,7 +204,7 @@ std::optional<Snapshot> Estimator::Step() {
     snapshot = TakeSnapshot(*sample, report);
     const double span =
         ToSeconds(window_.keyframes().back().stamp - window_.keyframes().front().stamp);
-    snapshot->timing.window_full = span >= options_.window_s - 1.5 / options_.keyframe_rate_hz;
+    snapshot->timing.window_full = span >= options_.window_s - 2.5 / options_.keyframe_rate_hz;
     snapshot->timing.states = static_cast<int>(window_.keyframes().size());
     MarginalizeOld();
     snapshot->timing.wall_ms = timer.WallMs();
@@ -590,7 +590,7 @@ void Estimator::FillResiduals(Snapshot* snapshot) {
 void Estimator::MarginalizeOld() {
   auto& keyframes = window_.keyframes();
   while (keyframes.size() > 2 && ToSeconds(keyframes.back().stamp - keyframes.front().stamp) >=
-                                     options_.window_s - 0.5 / options_.keyframe_rate_hz) {
+                                     options_.window_s - 1.5 / options_.keyframe_rate_hz) {
     const double dt = ObserveLeaving(keyframes.front());
     LeavingFactors leaving;
     MarginalizeOldest(&window_, sigma_eta_, &leaving);

@@ -60,6 +60,10 @@ IntervalModel::IntervalModel(const DynamicsMeasurement& measurement, const State
   flight.rotors = measurement.rotors;
   model.EvaluateWrench(flight, values, body.p_BBcm, &F_B, &tau_B, jacobians ? &d_wrench : nullptr);
   if (measurement.anchor_index < 0) return;
+  if (values[measurement.anchor_index] == measurement.anchor_value) {
+    if (jacobians) d_wrench.d_values.block<3, 1>(3, measurement.anchor_index).setZero();
+    return;
+  }
   ModelValues anchored = values;
   anchored[measurement.anchor_index] = measurement.anchor_value;
   Vector3d unused;

@@ -81,7 +81,7 @@ class ProcessNoiseEstimator {
 
   Vector6d floor_;                                     // densities [N sqrt(s)], [N m sqrt(s)]
   double force_level_ = 100.0, torque_level_ = 100.0;  // mean squares in units of the floor
-  double seen_s_ = 1.0;  // flight time behind the levels; the start values count as a second
+  double seen_s_ = 0.25;  // flight time behind the levels; what the start values count for
   Vector6d sum_ = Vector6d::Zero();
   double block_s_ = 0.0;
 };

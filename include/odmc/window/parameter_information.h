@@ -14,7 +14,7 @@ namespace odmc {
 class ParameterInformation {
  public:
   /// @param fresh number of newest keyframes that are redone at every call
-  explicit ParameterInformation(int fresh = 5) : fresh_(fresh) {}
+  explicit ParameterInformation(int fresh = 3) : fresh_(fresh) {}
 
   /// Scales what is kept, as RescalePrior() does.
   void Rescale(const Eigen::VectorXd& scale);
