@@ -7,6 +7,7 @@ namespace odmc {
 namespace {
 
 constexpr int kMaxBlocks = 128;
+constexpr double kLeastInflation = 0.5;
 constexpr int kMinGroups = 8;         // fewer block sums than this say nothing about a variance
 constexpr double kPriorGroups = 8.0;  // weight of "white" against a small sample of block sums
 
@@ -56,7 +57,9 @@ void Consistency::Rescale(const Eigen::VectorXd& scale) {
 
 Eigen::VectorXd Consistency::Inflation(const Eigen::VectorXd& eta,
                                        const Eigen::MatrixXd& covariance) const {
-  Eigen::VectorXd inflation = Eigen::VectorXd::Ones(n_);
+  // Until there are enough blocks to judge by, the white value; then whatever they show.
+  const bool enough = blocks_.size() > kMinGroups;
+  Eigen::VectorXd inflation = Eigen::VectorXd::Constant(n_, enough ? kLeastInflation : 1.0);
   std::vector<Eigen::VectorXd> steps;  // each block's pull on the estimate
   for (size_t k = 1; k < blocks_.size(); ++k) {
     const Block& b = blocks_[k];

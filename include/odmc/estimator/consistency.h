@@ -28,7 +28,8 @@ class Consistency {
   /// Scales everything so far, as RescalePrior() does.
   void Rescale(const Eigen::VectorXd& scale);
 
-  /// Factor on each parameter's standard deviation (n), >= 1.
+  /// Factor on each parameter's standard deviation (n), >= 0.5: below 1 where the
+  /// assumed noise was larger than the flight's.
   /// @param eta present estimate; @param covariance inverse of its information (n×n)
   Eigen::VectorXd Inflation(const Eigen::VectorXd& eta, const Eigen::MatrixXd& covariance) const;
 
