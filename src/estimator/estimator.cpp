@@ -608,9 +608,14 @@ double Estimator::ObserveLeaving(const Keyframe& keyframe) {
     Eigen::Matrix<double, kNumDynamicsRows, 1> e;
     const double dt = cost.measurement().dt;
     if (!cost.UnwhitenedResidual(window_.Blocks(factor, false).data(), &e)) return dt;
-    const auto change = process_noise_.Add(
-        dt, e.segment<3>(kRowVelocity) / dt,
-        cost.noise().nominal_inertia.cwiseProduct(e.segment<3>(kRowAngular)) / dt, with_torque_);
+    const DynamicsNoise& noise = cost.noise();
+    IntervalResidual residual;
+    residual.dt = dt;
+    residual.force_N = e.segment<3>(kRowVelocity) / dt;
+    residual.torque_Nm = noise.nominal_inertia.cwiseProduct(e.segment<3>(kRowAngular)) / dt;
+    residual.rotor_force_N.z() = noise.rotor_force_N;
+    residual.rotor_torque_Nm = noise.rotor_torque_Nm;
+    const auto change = process_noise_.Add(residual, with_torque_);
     if (change) RescalePast(change->force, change->torque);
     return dt;
   }

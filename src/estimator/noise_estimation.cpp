@@ -13,6 +13,11 @@ constexpr double kBlock_s = 0.1;    // block over which residuals are averaged
 constexpr double kMemory_s = 60.0;  // how far back the process noise looks
 constexpr double kThrustAxisShape = 2.0;
 constexpr double kYawAxisShape = 2.0;
+// Until residuals mean something the levels start high; that fades quickly, because inertia is
+// corrected for rotor noise by its share in the whole (DynamicsFactor).
+constexpr double kStartLevel = 100.0;
+constexpr double kStartCounts_s = 0.25;  // flight time the start level counts for
+constexpr double kStartFades_s = 0.5;
 constexpr int kLookEvery = 25;  // samples between two medians
 constexpr int kEnoughDifferences = 20;
 
@@ -94,32 +99,46 @@ ProcessNoiseEstimator::ProcessNoiseEstimator(double weight_N, double arm_m, doub
   floor_ << force, force, kThrustAxisShape * force, torque, torque, kYawAxisShape * torque;
 }
 
-double ProcessNoiseEstimator::ForceScale() const { return std::max(1.0, std::sqrt(force_level_)); }
+double ProcessNoiseEstimator::ForceScale() const {
+  return std::sqrt(std::max(1.0, WithStart(force_level_)));
+}
 
 double ProcessNoiseEstimator::TorqueScale() const {
-  return std::max(1.0, std::sqrt(torque_level_));
+  return std::sqrt(std::max(1.0, WithStart(torque_level_)));
 }
 
 std::optional<ProcessNoiseEstimator::Change> ProcessNoiseEstimator::Add(
-    double dt, const Eigen::Vector3d& force_N, const Eigen::Vector3d& torque_Nm, bool with_torque) {
-  sum_.head<3>() += dt * force_N;
-  sum_.tail<3>() += dt * torque_Nm;
+    const IntervalResidual& residual, bool with_torque) {
+  const double dt = residual.dt;
+  sum_.head<3>() += dt * residual.force_N;
+  sum_.tail<3>() += dt * residual.torque_Nm;
+  rotor_variance_.head<3>() += (dt * residual.rotor_force_N).cwiseAbs2();
+  rotor_variance_.tail<3>() += (dt * residual.rotor_torque_Nm).cwiseAbs2();
   block_s_ += dt;
   if (block_s_ < kBlock_s) return std::nullopt;
   const double force_before = ForceScale(), torque_before = TorqueScale();
+  flown_s_ += block_s_;
   seen_s_ = std::min(kMemory_s, seen_s_ + block_s_);
   const double gain = block_s_ / seen_s_;
-  // Densities of this block in units of the floor; one wild block counts as five sigma.
-  const Vector6d level = (sum_.cwiseQuotient(floor_)).cwiseAbs2() / block_s_;
-  const auto follow = [gain](double seen, double* average) {
-    *average += gain * (std::min(seen, 25.0 * *average) - *average);
+  // Densities of this block in units of the floor, without what rotor noise put there; one wild
+  // block counts as five sigma.
+  const Vector6d level =
+      (sum_.cwiseAbs2() - rotor_variance_).cwiseQuotient(floor_.cwiseAbs2()) / block_s_;
+  const auto follow = [&](double seen, double* average) {
+    *average += gain * (std::min(seen, 25.0 * WithStart(*average)) - *average);
   };
   follow(level.head<3>().mean(), &force_level_);
   if (with_torque) follow(level.tail<3>().mean(), &torque_level_);
   sum_.setZero();
+  rotor_variance_.setZero();
   block_s_ = 0.0;
   const double force = force_before / ForceScale(), torque = torque_before / TorqueScale();
   return Change{force * force, torque * torque};
+}
+
+double ProcessNoiseEstimator::WithStart(double level) const {
+  const double start_s = kStartCounts_s * std::exp(-flown_s_ / kStartFades_s);
+  return (start_s * kStartLevel + seen_s_ * level) / (start_s + seen_s_);
 }
 
 Eigen::Vector3d ProcessNoiseEstimator::ForceSigma(double dt) const {

@@ -48,6 +48,16 @@ class OdometryNoiseEstimator {
   bool has_reference_ = false;
 };
 
+/// What the model left unexplained over one interval, and how much of it rotor-speed noise puts
+/// there.
+struct IntervalResidual {
+  double dt = 0.0;                                            ///< [s], > 0
+  Eigen::Vector3d force_N = Eigen::Vector3d::Zero();          ///< mean over the interval, in B
+  Eigen::Vector3d torque_Nm = Eigen::Vector3d::Zero();        ///< the same about Bcm
+  Eigen::Vector3d rotor_force_N = Eigen::Vector3d::Zero();    ///< its standard deviation
+  Eigen::Vector3d rotor_torque_Nm = Eigen::Vector3d::Zero();  ///< the same
+};
+
 /// Size of what the model does not explain, as a density: the RMS over blocks of 0.1 s of the force
 /// and torque residual, times the root of the block length. The axes of each keep fixed
 /// proportions, and one scale for force and one for torque hold for the whole flight so far (up to
@@ -59,14 +69,13 @@ class ProcessNoiseEstimator {
   /// @param weight_N, arm_m, scale the floor and the start value to the vehicle
   ProcessNoiseEstimator(double weight_N, double arm_m, double floor_scale);
 
-  /// Post-fit residual of one interval: mean force and torque over it.
+  /// Takes the post-fit residual of one interval.
   /// @returns by how much the information of forces and of torques before should be scaled, so that
   ///   they count with the new sizes too; empty within a block
   struct Change {
     double force = 1.0, torque = 1.0;
   };
-  std::optional<Change> Add(double dt, const Eigen::Vector3d& force_N,
-                            const Eigen::Vector3d& torque_Nm, bool with_torque);
+  std::optional<Change> Add(const IntervalResidual& residual, bool with_torque);
 
   /// Standard deviation of the mean force over `dt` per axis [N], and of the torque [N m].
   Eigen::Vector3d ForceSigma(double dt) const;
@@ -75,14 +84,17 @@ class ProcessNoiseEstimator {
  private:
   using Vector6d = Eigen::Matrix<double, 6, 1>;
 
+  /// A level, with the start level as far as it still counts.
+  double WithStart(double level) const;
   /// Present scales on the floor.
   double ForceScale() const;
   double TorqueScale() const;
 
   Vector6d floor_;                                     // densities [N sqrt(s)], [N m sqrt(s)]
-  double force_level_ = 100.0, torque_level_ = 100.0;  // mean squares in units of the floor
-  double seen_s_ = 0.25;  // flight time behind the levels; what the start values count for
-  Vector6d sum_ = Vector6d::Zero();
+  double force_level_ = 0.0, torque_level_ = 0.0;  // mean squares seen, in units of the floor
+  double seen_s_ = 0.0;                            // flight time behind them
+  double flown_s_ = 0.0;                           // the same, without an upper limit
+  Vector6d sum_ = Vector6d::Zero(), rotor_variance_ = Vector6d::Zero();
   double block_s_ = 0.0;
 };
 
