@@ -221,15 +221,24 @@ std::optional<Snapshot> Estimator::Step() {
 }
 
 void Estimator::MoveAnchors() {
+  if (!with_torque_) return;
   const int k_f = model_->IndexOf("thrust.k_f");
-  if (k_f < 0 || !with_torque_) return;
-  const double value = window_.values()[k_f];
+  const double thrust_coefficient = k_f >= 0 ? window_.values()[k_f] : 0.0;
   for (Keyframe& keyframe : window_.keyframes()) {
     for (Factor& factor : keyframe.factors) {
       if (factor.kind != FactorKind::kDynamics) continue;
-      static_cast<DynamicsFactor&>(*factor.cost).SetAnchor(value);
+      auto& dynamics = static_cast<DynamicsFactor&>(*factor.cost);
+      if (k_f >= 0) dynamics.SetAnchor(thrust_coefficient);
+      // What was added before the gate opened must not hold on to the start value.
+      for (int i = 0; i < 3; ++i) {
+        if (InertiaIsFree(i)) dynamics.FreeInertia(i);
+      }
     }
   }
+}
+
+bool Estimator::InertiaIsFree(int axis) const {
+  return options_.inertia_gate_r_squared <= 0.0 || inertia_gate_.IsOpen(axis);
 }
 
 bool Estimator::CheckGround(const OdometrySample& sample) {
@@ -397,7 +406,7 @@ DynamicsNoise Estimator::NoiseOf(const Interval& interval) const {
   DynamicsNoise noise;
   noise.force_N = process_noise_.ForceSigma(interval.dt);
   noise.torque_Nm = process_noise_.TorqueSigma(interval.dt);
-  noise.nominal_inertia = PriorInertia(*model_);
+  noise.nominal_inertia = model_->Properties(window_.values()).I_BBcm_B.diagonal();
   const double sigma_speed = options_.rotor_speed_noise_rad_s > 0.0
                                  ? options_.rotor_speed_noise_rad_s
                                  : rotor_noise_.Sigma();
@@ -462,8 +471,7 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
   if (with_torque_) {
     inertia_gate_.Add(interval.dt, R_BS * s0.w_WS_S, R_BS * s1.w_WS_S,
                       interval.rotors.mean.speed_squared);
-    for (int i = 0; i < 3; ++i) measurement.inertia_fixed[i] = !inertia_gate_.IsOpen(i);
-    if (options_.inertia_gate_r_squared <= 0.0) measurement.inertia_fixed = {false, false, false};
+    for (int i = 0; i < 3; ++i) measurement.inertia_fixed[i] = !InertiaIsFree(i);
   }
   const DynamicsNoise noise = NoiseOf(interval);
   add(FactorKind::kDynamics,

@@ -103,6 +103,7 @@ class Estimator {
   struct Interval;  // what lies between two keyframes
 
   void MoveAnchors();
+  bool InertiaIsFree(int axis) const;
   bool CheckGround(const OdometrySample& sample);
   std::optional<Interval> ReadInterval(const OdometrySample& sample);
   bool IsJump(const OdometrySample& sample, double dt) const;

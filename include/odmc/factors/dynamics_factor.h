@@ -76,6 +76,9 @@ class DynamicsFactor final : public ceres::CostFunction {
   /// Moves the thrust coefficient the torque equation uses; between solves only.
   void SetAnchor(double thrust_coefficient) { measurement_.anchor_value = thrust_coefficient; }
 
+  /// Lets the inertia about axis `i` free for good: the flight shows it.
+  void FreeInertia(int i) { measurement_.inertia_fixed[i] = false; }
+
   /// DynamicsResidual() at the blocks, in its own units. @returns false if it is not finite
   bool UnwhitenedResidual(double const* const* blocks,
                           Eigen::Matrix<double, kNumDynamicsRows, 1>* e) const;
