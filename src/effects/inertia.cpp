@@ -31,7 +31,7 @@ class Inertia final : public Effect {
 
   void DoShape(const ParameterValues& values, BodyProperties* body,
                BodyPropertyJacobian* J) const override {
-    body->I_BBcm_B.diagonal() = values.head<3>();
+    body->I_BBcm_B.diagonal() += values.head<3>() - vehicle().inertia_kg_m2;
     if (J != nullptr) J->block<3, 3>(kRowInertia, 0).setIdentity();
   }
 };

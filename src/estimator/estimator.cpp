@@ -117,6 +117,7 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
       synchroniser_(options.keyframe_rate_hz, options.patience_s),
       ground_(options.ground),
       inertia_gate_(model->vehicle(), options.inertia_gate_r_squared),
+      load_(*model),
       odometry_noise_(Configured(options)),
       process_noise_(model->vehicle().mass_kg * model->vehicle().gravity_m_s2,
                      model->vehicle().ArmLength(), options.process_noise_floor),
@@ -161,6 +162,7 @@ void Estimator::RestartChain() {
   synchroniser_.Clear();
   ground_.Reset();
   inertia_gate_.Break();
+  load_.Reset();
   last_.reset();
   before_last_.reset();
   last_in_window_ = false;
@@ -186,7 +188,11 @@ std::optional<Snapshot> Estimator::Step() {
   const UpdateTimer timer;
   const bool airborne = CheckGround(*sample);
   std::optional<Snapshot> snapshot;
-  if (airborne) {
+  if (airborne && is_held_out_ && is_held_out_(sample->stamp)) {
+    FollowLoad(*sample);
+    last_in_window_ = false;
+    inertia_gate_.Break();
+  } else if (airborne) {
     const std::optional<Interval> interval = ReadInterval(*sample);
     AddKeyframe(*sample, interval);
     SolverOptions solver_options;
@@ -218,6 +224,12 @@ std::optional<Snapshot> Estimator::Step() {
   last_ = sample;
   synchroniser_.Trim(sample->stamp);
   return snapshot;
+}
+
+void Estimator::FollowLoad(const OdometrySample& sample) {
+  if (!last_ || !sample.v_WS || !last_->v_WS) return;
+  const double dt = ToSeconds(sample.stamp - last_->stamp);
+  if (dt <= options_.max_gap_s) load_.Advance(*last_->v_WS, *sample.v_WS, dt, window_.values());
 }
 
 void Estimator::MoveAnchors() {
@@ -389,6 +401,8 @@ void Estimator::AddKeyframe(const OdometrySample& sample, const std::optional<In
   if (!interval) {
     ++counters_.chains;
     inertia_gate_.Break();
+    const bool hole = last_ && ToSeconds(sample.stamp - last_->stamp) > options_.max_gap_s;
+    if (!last_ || hole) load_.Reset();
   }
   last_in_window_ = true;
 
@@ -455,6 +469,9 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
 
   DynamicsMeasurement measurement;
   measurement.dt = interval.dt;
+  measurement.load_pull_W = load_.Advance(State::FromBlock(window_.keyframe(id - 1).x.data()).v_WS,
+                                          State::FromBlock(window_.keyframe(id).x.data()).v_WS,
+                                          interval.dt, window_.values());
   measurement.time_s = ToSeconds(window_.keyframe(id).stamp - *first_stamp_) - 0.5 * interval.dt;
   measurement.rotors = form_ == DynamicsForm::kEuler ? interval.rotors.start : interval.rotors.mean;
   measurement.form = form_;
@@ -602,11 +619,26 @@ void Estimator::MarginalizeOld() {
     const double dt = ObserveLeaving(keyframes.front());
     LeavingFactors leaving;
     MarginalizeOldest(&window_, sigma_eta_, &leaving);
+    LetVary(dt > 0.0 ? dt : 1.0 / options_.keyframe_rate_hz);
     if (dt == 0.0) continue;
     consistency_.Add(dt, leaving.score, window_.eta());
     force_information_ += leaving.force_information;
     torque_information_ += leaving.torque_information;
   }
+}
+
+void Estimator::LetVary(double dt) {
+  const ModelValues values = window_.values();
+  const ParameterVector chain = layout_.ChainFactors(values);
+  for (const DynamicModel::ProcessParameter& p : model_->processes()) {
+    for (int i = 0; i < layout_.num_estimated(); ++i) {
+      if (layout_.model_index(i) != p.index) continue;
+      const double sigma = values[p.sigma] / chain[i];
+      DiffusePrior(i, 2.0 * sigma * sigma * dt / values[p.time_constant], &window_.prior());
+    }
+  }
+  // What it keeps does not know of the variation.
+  if (!model_->processes().empty()) information_ = ParameterInformation();
 }
 
 double Estimator::ObserveLeaving(const Keyframe& keyframe) {

@@ -29,7 +29,7 @@ IntervalModel::IntervalModel(const DynamicsMeasurement& measurement, const State
                              const State& state1, const DynamicModel& model,
                              const ModelValues& values, bool jacobians)
     : A0(Matrix3d::Identity()), A1(Matrix3d::Zero()) {
-  body = model.Properties(values, jacobians ? &d_body : nullptr);
+  body = model.Properties(values, jacobians ? &d_body : nullptr, measurement.time_s);
   for (int i = 0; i < 3; ++i) {
     if (!measurement.inertia_fixed[i]) continue;
     body.I_BBcm_B(i, i) = measurement.fixed_inertia[i];
@@ -58,6 +58,7 @@ IntervalModel::IntervalModel(const DynamicsMeasurement& measurement, const State
   flight.v_AB_B = R_BW * (w0 * m0.v_WB + w1 * m1.v_WB - body.wind_W);
   flight.w_WB_B = w0 * m0.w_WB_B + w1 * m1.w_WB_B;
   flight.rotors = measurement.rotors;
+  flight.load_pull_W = measurement.load_pull_W;
   model.EvaluateWrench(flight, values, body.p_BBcm, &F_B, &tau_B, jacobians ? &d_wrench : nullptr);
   if (measurement.anchor_index < 0) return;
   if (values[measurement.anchor_index] == measurement.anchor_value) {

@@ -73,6 +73,16 @@ DynamicModel::DynamicModel(const Vehicle& vehicle, const std::vector<std::string
     borrowed_default_.push_back(fallback);
   }
   FindShapedColumns();
+  for (int i = 0; i < num_effects(); ++i) {
+    varies_ = varies_ || effects_[i]->depends_on_time();
+    for (const ParameterSpec& spec : effects_[i]->parameters()) {
+      if (spec.process_sigma.empty()) continue;
+      const std::string prefix = effects_[i]->name() + ".";
+      processes_.push_back({IndexOf(prefix + spec.name), IndexOf(prefix + spec.process_sigma),
+                            IndexOf(prefix + spec.process_time_constant)});
+      varies_ = true;
+    }
+  }
 }
 
 void DynamicModel::FindShapedColumns() {
@@ -118,14 +128,14 @@ Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxEffectParameters, 1> DynamicMode
 }
 
 BodyProperties DynamicModel::Properties(const ModelValues& values,
-                                        BodyPropertiesJacobian* J) const {
+                                        BodyPropertiesJacobian* J, double time_s) const {
   assert(values.size() == num_parameters());
   BodyProperties body = BodyProperties::Nominal(vehicle_);
   if (J != nullptr) J->setZero(kNumBodyPropertyRows, num_parameters());
   BodyPropertyJacobian own;
   for (int i = 0; i < num_effects(); ++i) {
     if (!effects_[i]->shapes_body()) continue;
-    effects_[i]->Shape(ValuesOf(i, values), &body, J != nullptr ? &own : nullptr);
+    effects_[i]->Shape(time_s, ValuesOf(i, values), &body, J != nullptr ? &own : nullptr);
     if (J == nullptr) continue;
     const int num_own = static_cast<int>(effects_[i]->parameters().size());
     J->middleCols(first_[i], num_own) += own.leftCols(num_own);

@@ -46,11 +46,11 @@ void Effect::AddWrench(const FlightState& state, const ParameterValues& values, 
   DoAddWrench(state, values, wrench, J);
 }
 
-void Effect::Shape(const ParameterValues& values, BodyProperties* body,
+void Effect::Shape(double time_s, const ParameterValues& values, BodyProperties* body,
                    BodyPropertyJacobian* J) const {
   assert(values.size() == num_values());
   if (J != nullptr) J->setZero(kNumBodyPropertyRows, num_values());
-  DoShape(values, body, J);
+  DoShapeAt(time_s, values, body, J);
 }
 
 void Effect::DoAddWrench(const FlightState& /*state*/, const ParameterValues& /*values*/,
@@ -58,6 +58,11 @@ void Effect::DoAddWrench(const FlightState& /*state*/, const ParameterValues& /*
 
 void Effect::DoShape(const ParameterValues& /*values*/, BodyProperties* /*body*/,
                      BodyPropertyJacobian* /*J*/) const {}
+
+void Effect::DoShapeAt(double /*time_s*/, const ParameterValues& values, BodyProperties* body,
+                       BodyPropertyJacobian* J) const {
+  DoShape(values, body, J);
+}
 
 void EffectRegistry::Add(const std::string& name, Factory factory) {
   if (Has(name)) throw std::invalid_argument("effect '" + name + "' is registered twice");

@@ -25,6 +25,7 @@ RigidBodyState Along(const RigidBodyState& state, const RigidBodyRate& rate, dou
   moved.q_WB.coeffs() = state.q_WB.coeffs() + dt * rate.d_q_WB;
   moved.v_WB = state.v_WB + dt * rate.d_v_WB;
   moved.w_WB_B = state.w_WB_B + dt * rate.d_w_WB_B;
+  moved.load_pull_W = state.load_pull_W;
   return moved;
 }
 
@@ -45,9 +46,15 @@ RotorState MotorLag::At(const RotorVector& speed, const RotorVector& speed_cmd) 
 RigidBody::RigidBody(const DynamicModel& model, const ModelValues& values, const MotorLag& motor)
     : model_(&model),
       values_(values),
-      properties_(model.Properties(values)),
+      properties_(model.Properties(values, nullptr, 0.0)),
       I_inverse_(properties_.I_BBcm_B.inverse()),
       motor_(motor) {}
+
+void RigidBody::Vary(const ModelValues& values, double time_s) {
+  values_ = values;
+  properties_ = model_->Properties(values, nullptr, time_s);
+  I_inverse_ = properties_.I_BBcm_B.inverse();
+}
 
 FlightState RigidBody::FlightStateOf(double time_s, const RigidBodyState& state,
                                      const RotorVector& speed_cmd) const {
@@ -58,6 +65,7 @@ FlightState RigidBody::FlightStateOf(double time_s, const RigidBodyState& state,
   flight.v_AB_B = flight.R_WB.transpose() * (state.v_WB - properties_.wind_W);
   flight.w_WB_B = state.w_WB_B;
   flight.rotors = motor_.At(state.rotor_speed, speed_cmd);
+  flight.load_pull_W = state.load_pull_W;
   return flight;
 }
 

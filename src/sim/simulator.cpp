@@ -2,10 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <stdexcept>
 #include <utility>
 
 #include "odmc/math/so3.h"
+#include "odmc/model/pendulum.h"
 #include "odmc/sim/gaussian.h"
 #include "odmc/sim/rigid_body.h"
 #include "odmc/sim/tracking_controller.h"
@@ -22,7 +24,7 @@ constexpr double kNominalWeight_N = 0.75 * 9.81;  // of the vehicle of model.md 
 constexpr double kNominalArm_m = 0.14534;
 
 // One stream of random numbers each, so that none depends on another.
-enum Stream : int { kDisturbance = 1, kFeedback, kOdometry, kRotors, kImu };
+enum Stream : int { kDisturbance = 1, kFeedback, kOdometry, kRotors, kImu, kProcess };
 
 bool Fail(std::string* error, const std::string& what) {
   if (error != nullptr) *error = what;
@@ -61,11 +63,53 @@ class Disturbance {
   BodyWrench wrench_;
 };
 
+// Parameters that vary in flight, as first-order Gauss-Markov processes, and the body that varies
+// with them and with time; renewed every kDisturbancePeriod_s.
+class Variation {
+ public:
+  Variation(const DynamicModel& model, const ModelValues& values, int seed)
+      : model_(model), values_(values), random_(seed, kProcess) {}
+
+  // Brings `body` to `time_s`; to be asked in the order of time.
+  void Apply(double time_s, RigidBody* body) {
+    const long period = static_cast<long>(std::floor(time_s / kDisturbancePeriod_s + 1e-6));
+    if (!model_.varies() || period == period_) return;
+    for (; period_ < period; ++period_) {
+      for (const DynamicModel::ProcessParameter& p : model_.processes()) {
+        const bool first = period_ < 0;
+        const double decay =
+            first ? 0.0 : std::exp(-kDisturbancePeriod_s / values_[p.time_constant]);
+        values_[p.index] = decay * values_[p.index] +
+                           values_[p.sigma] * std::sqrt(1.0 - decay * decay) * random_.Next();
+      }
+    }
+    body->Vary(values_, time_s);
+  }
+
+ private:
+  const DynamicModel& model_;
+  ModelValues values_;
+  Gaussian random_;
+  long period_ = -1;
+};
+
+// The load below the vehicle, if the model has one.
+std::optional<Pendulum> LoadOf(const DynamicModel& model, const ModelValues& values) {
+  const int length = model.IndexOf("suspended_load.length");
+  const int damping = model.IndexOf("suspended_load.damping");
+  if (length < 0) return std::nullopt;
+  return Pendulum(values[length], values[damping], model.vehicle().gravity_m_s2);
+}
+
 // The vehicle, its pilot and the world, advanced in control periods.
 class ClosedLoop {
  public:
-  ClosedLoop(const RigidBody& body, const SimulationOptions& options, const SimulationNoise& noise)
+  ClosedLoop(const RigidBody& body, const ModelValues& values, const SimulationOptions& options,
+             const SimulationNoise& noise, const Unmodelled& unmodelled)
       : body_(body),
+        variation_(body.model(), values, options.seed),
+        load_(LoadOf(body.model(), values)),
+        unmodelled_(unmodelled),
         pilot_(body),
         trajectory_(options.trajectory, options.ground_s),
         ground_s_(options.ground_s),
@@ -98,15 +142,25 @@ class ClosedLoop {
   void Step(double time_s, double step_s) {
     if (on_ground_) {
       state_.rotor_speed = body_.motor().After(state_.rotor_speed, command_, step_s);
-    } else {
-      state_ = body_.Step(time_s, state_, command_, disturbance_.At(time_s), step_s);
+      return;
     }
+    variation_.Apply(time_s, &body_);
+    const BodyWrench external = ExternalAt(time_s);
+    if (load_) {
+      // The cable pulls with the acceleration of a step ago, which is half a millisecond old.
+      const BodyWrench model = body_.WrenchOf(body_.FlightStateOf(time_s, state_, command_));
+      const BodyWrench total = {model.f_B + external.f_B, model.tau_Bcm_B + external.tau_Bcm_B};
+      const Eigen::Vector3d acceleration_W = body_.RateOf(state_, total).d_v_WB;
+      state_.load_pull_W = load_->Pull(acceleration_W);
+      load_->Advance(acceleration_W, step_s);
+    }
+    state_ = body_.Step(time_s, state_, command_, external, step_s);
   }
 
   TruthSample Sample(Stamp stamp) {
     const double time_s = ToSeconds(stamp);
     const BodyWrench model = body_.WrenchOf(body_.FlightStateOf(time_s, state_, command_));
-    const BodyWrench external = on_ground_ ? GroundReaction(model) : disturbance_.At(time_s);
+    const BodyWrench external = on_ground_ ? GroundReaction(model) : ExternalAt(time_s);
     const BodyWrench total = {model.f_B + external.f_B, model.tau_Bcm_B + external.tau_Bcm_B};
     TruthSample sample;
     sample.stamp = stamp;
@@ -126,6 +180,15 @@ class ClosedLoop {
   }
 
  private:
+  // White noise, and what nobody's model knows.
+  BodyWrench ExternalAt(double time_s) {
+    BodyWrench wrench = disturbance_.At(time_s);
+    if (!unmodelled_) return wrench;
+    const BodyWrench more =
+        unmodelled_(body_.FlightStateOf(time_s, state_, command_));
+    return {wrench.f_B + more.f_B, wrench.tau_Bcm_B + more.tau_Bcm_B};
+  }
+
   // What the ground does to a vehicle that rests on it: it bears what thrust does not.
   BodyWrench GroundReaction(const BodyWrench& model) const {
     const BodyProperties& properties = body_.properties();
@@ -147,7 +210,10 @@ class ClosedLoop {
                              " s of simulated flight");
   }
 
-  const RigidBody& body_;
+  RigidBody body_;
+  Variation variation_;
+  std::optional<Pendulum> load_;
+  const Unmodelled& unmodelled_;
   TrackingController pilot_;
   Trajectory trajectory_;
   double ground_s_;
@@ -159,8 +225,9 @@ class ClosedLoop {
   RotorVector command_;
 };
 
-std::vector<TruthSample> Fly(const RigidBody& body, const SimulationOptions& options,
-                             const SimulationNoise& noise) {
+std::vector<TruthSample> Fly(const RigidBody& body, const ModelValues& truth_values,
+                             const SimulationOptions& options, const SimulationNoise& noise,
+                             const Unmodelled& unmodelled) {
   const Stamp period = static_cast<Stamp>(std::llround(1e9 / options.log_rate_hz));
   const double period_s = ToSeconds(period);
   const int num_controls = PiecesOf(period_s, kControlPeriod_s);
@@ -168,7 +235,7 @@ std::vector<TruthSample> Fly(const RigidBody& body, const SimulationOptions& opt
   const double step_s = period_s / num_controls / num_steps;
   const long num_samples = std::lround(options.duration_s / period_s) + 1;
 
-  ClosedLoop loop(body, options, noise);
+  ClosedLoop loop(body, truth_values, options, noise, unmodelled);
   std::vector<TruthSample> truth;
   truth.reserve(static_cast<size_t>(num_samples));
   for (long k = 0; k < num_samples; ++k) {
@@ -339,7 +406,8 @@ bool SimulationNoise::IsValid(std::string* error) const {
 }
 
 SimulatedFlight Simulate(const DynamicModel& model, const ModelValues& truth,
-                         const SimulationOptions& options, const SimulationNoise& noise) {
+                         const SimulationOptions& options, const SimulationNoise& noise,
+                         const Unmodelled& unmodelled) {
   std::string error;
   if (!options.IsValid(&error) || !noise.IsValid(&error)) throw std::invalid_argument(error);
   if (truth.size() != model.num_parameters() || !truth.allFinite()) {
@@ -347,7 +415,7 @@ SimulatedFlight Simulate(const DynamicModel& model, const ModelValues& truth,
   }
   const RigidBody body(model, truth);
   SimulatedFlight flight;
-  flight.truth = Fly(body, options, noise);
+  flight.truth = Fly(body, truth, options, noise, unmodelled);
   flight.log.file = options.trajectory;
   flight.log.odometry = RecordOdometry(flight.truth, body.properties(), noise, options.seed);
   flight.log.rotors = RecordRotors(flight.truth, noise, options.seed);

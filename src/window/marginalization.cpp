@@ -2,6 +2,7 @@
 
 #include <Eigen/QR>
 #include <algorithm>
+#include <cmath>
 #include <vector>
 
 #include "odmc/factors/dynamics_factor.h"
@@ -156,6 +157,17 @@ void RescalePrior(const Eigen::VectorXd& scale, Prior* prior) {
   const Eigen::VectorXd rest = prior->b + prior->A * optimum;
   prior->A.rightCols(n) *= scale.cwiseSqrt().asDiagonal();
   prior->b = rest - prior->A * optimum;
+}
+
+void DiffusePrior(int index, double variance, Prior* prior) {
+  if (prior->b.size() == 0) return;
+  // Information (A^T A)^-1 + variance e e^T, inverted by Woodbury, as a factor on the left of A.
+  const Eigen::VectorXd v = prior->A.col(prior->state_columns() + prior->bias_columns() + index);
+  const double square = v.squaredNorm();
+  if (!(square * variance > 0.0)) return;
+  const double gain = (1.0 - 1.0 / std::sqrt(1.0 + variance * square)) / square;
+  prior->A -= gain * v * (v.transpose() * prior->A).eval();
+  prior->b -= gain * v * v.dot(prior->b);
 }
 
 bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,

@@ -1,10 +1,12 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "odmc/analysis/flight_motion.h"
 #include "odmc/model/dynamic_model.h"
 #include "odmc/sensing/samples.h"
 
@@ -47,10 +49,26 @@ struct Prediction {
   PredictionFigures figures;
 };
 
+/// Puts the values that varied in flight at their size at one flight time [s].
+using ValueVariation = std::function<void(double t_s, ModelValues* values)>;
+
 /// @param file_vehicle the vehicle file as it is (nominal inertia and mounts)
-/// @param airborne true for stamps that count; null: all
+/// @param ground_spans stamps that do not count
+/// @param vary for models with parameters that vary; empty: all values hold throughout
 Prediction Predict(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
                    const ModelValues& values,
-                   const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
+                   const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
+                   const ValueVariation& vary = {});
+
+/// Measured and predicted at one sample.
+/// @param with_effects also the wrench of every effect, and what the rotors alone do
+PredictionSample PredictSample(const FilteredMotion& motion, const Eigen::Vector3d& load_pull_W,
+                               const Vehicle& file_vehicle, const DynamicModel& model,
+                               const ModelValues& values, bool with_effects);
+
+/// Figures of some samples of a prediction; those left out are not counted.
+PredictionFigures SummarisePrediction(const std::vector<PredictionSample>& samples,
+                                      bool with_torque, const Vehicle& vehicle,
+                                      const DynamicModel& model, const ModelValues& values);
 
 }  // namespace odmc

@@ -19,7 +19,27 @@
   X(inertia, MakeInertia)                        \
   X(gravity, MakeGravity)                        \
   X(odometry_extrinsics, MakeOdometryExtrinsics) \
-  X(imu_extrinsics, MakeImuExtrinsics)
+  X(imu_extrinsics, MakeImuExtrinsics)           \
+  X(rotor_drag, MakeRotorDrag)                   \
+  X(quadratic_drag, MakeQuadraticDrag)           \
+  X(axial_inflow, MakeAxialInflow)               \
+  X(rotor_hvt, MakeRotorHvt)                     \
+  X(anisotropic_hvt, MakeAnisotropicHvt)         \
+  X(hub_moment, MakeHubMoment)                   \
+  X(rotor_gyroscopic, MakeRotorGyroscopic)       \
+  X(rotor_reaction, MakeRotorReaction)           \
+  X(rotor_asymmetry, MakeRotorAsymmetry)         \
+  X(pressure_centre, MakePressureCentre)         \
+  X(rotor_tilt, MakeRotorTilt)                   \
+  X(wind, MakeWind)                              \
+  X(gust, MakeGust)                              \
+  X(thrust_drift, MakeThrustDrift)               \
+  X(ground_effect, MakeGroundEffect)             \
+  X(products_of_inertia, MakeProductsOfInertia)  \
+  X(mass_change, MakeMassChange)                 \
+  X(rotor_delay, MakeRotorDelay)                 \
+  X(suspended_load, MakeSuspendedLoad)           \
+  X(rotor_level, MakeRotorLevel)
 
 namespace odmc {
 

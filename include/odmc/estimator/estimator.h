@@ -1,12 +1,14 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "odmc/estimator/consistency.h"
+#include "odmc/estimator/load_observer.h"
 #include "odmc/estimator/noise_estimation.h"
 #include "odmc/estimator/options.h"
 #include "odmc/model/parameter_set.h"
@@ -93,6 +95,10 @@ class Estimator {
   bool airborne() const { return ground_.airborne(); }
   const DynamicModel& model() const { return *model_; }
   const EstimatorOptions& options() const { return options_; }
+  /// Keyframes for whose stamp this is true teach the estimate nothing: what is judged on them has
+  /// not seen them.
+  void SetHeldOut(std::function<bool(Stamp)> is_held_out) { is_held_out_ = std::move(is_held_out); }
+
   const InertiaGate& inertia_gate() const { return inertia_gate_; }
   OdometryNoise odometry_noise() const { return odometry_noise_.Noise(); }
 
@@ -104,6 +110,9 @@ class Estimator {
 
   void MoveAnchors();
   bool InertiaIsFree(int axis) const;
+  void FollowLoad(const OdometrySample& sample);
+  /// Parameters that vary may have moved by what they do in `dt`.
+  void LetVary(double dt);
   bool CheckGround(const OdometrySample& sample);
   std::optional<Interval> ReadInterval(const OdometrySample& sample);
   bool IsJump(const OdometrySample& sample, double dt) const;
@@ -127,6 +136,8 @@ class Estimator {
   Synchroniser synchroniser_;
   GroundGate ground_;
   InertiaGate inertia_gate_;
+  LoadObserver load_;
+  std::function<bool(Stamp)> is_held_out_;
   OdometryNoiseEstimator odometry_noise_;
   DifferenceNoise rotor_noise_;
   ProcessNoiseEstimator process_noise_;

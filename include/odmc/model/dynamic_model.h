@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <limits>
 #include <memory>
 #include <string>
 #include <vector>
@@ -74,9 +75,21 @@ class DynamicModel {
   /// The prior values of all parameters.
   ModelValues InitialValues() const;
 
-  /// The body, gravity, air and mounts at `values`; if `J` is given, it becomes
-  /// 28×num_parameters().
-  BodyProperties Properties(const ModelValues& values, BodyPropertiesJacobian* J = nullptr) const;
+  /// The body, gravity, air and mounts at `values`, `time_s` after the flight's start (by default
+  /// at its end); if `J` is given, it becomes 28×num_parameters().
+  BodyProperties Properties(const ModelValues& values, BodyPropertiesJacobian* J = nullptr,
+                            double time_s = std::numeric_limits<double>::infinity()) const;
+
+  /// True if the body changes with time or a parameter varies as a process.
+  bool varies() const { return varies_; }
+
+  /// A parameter that varies as a first-order Gauss-Markov process about zero.
+  struct ProcessParameter {
+    int index;          ///< in parameters()
+    int sigma;          ///< index of its standard deviation
+    int time_constant;  ///< index of its correlation time [s]
+  };
+  const std::vector<ProcessParameter>& processes() const { return processes_; }
 
   /// Force on the body and torque about the centre of mass `p_BBcm`, in B.      model.md Eq. (A)
   void EvaluateWrench(const FlightState& state, const ModelValues& values,
@@ -97,6 +110,8 @@ class DynamicModel {
   std::vector<std::unique_ptr<Effect>> effects_;
   std::vector<int> first_;
   std::vector<ColumnRange> shaped_columns_;
+  std::vector<ProcessParameter> processes_;
+  bool varies_ = false;
   std::vector<std::vector<int>> borrowed_index_;  // -1 where the lender is absent
   std::vector<std::vector<double>> borrowed_default_;
   std::vector<ModelParameter> parameters_;

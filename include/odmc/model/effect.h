@@ -52,6 +52,8 @@ class Effect {
   virtual bool adds_wrench() const { return true; }
   /// True if the effect shapes the body.
   virtual bool shapes_body() const { return !adds_wrench(); }
+  /// True if the body it shapes changes with time.
+  virtual bool depends_on_time() const { return false; }
 
   /// Adds this effect's forces (with the point they act at) and couples, in B, to `wrench`. If `J`
   /// is given, adds to its state derivatives and sets `J->d_parameters` (9×num_values()).
@@ -59,9 +61,10 @@ class Effect {
   void AddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
                  WrenchJacobians* J = nullptr) const;
 
-  /// Changes what it shapes in `body`. If `J` is given, sets it (28×num_values()).
+  /// Changes what it shapes in `body`, `time_s` after the flight's start. If `J` is given, sets it
+  /// (28×num_values()).
   /// @pre values.size() == num_values()
-  void Shape(const ParameterValues& values, BodyProperties* body,
+  void Shape(double time_s, const ParameterValues& values, BodyProperties* body,
              BodyPropertyJacobian* J = nullptr) const;
 
  protected:
@@ -75,6 +78,9 @@ class Effect {
                            WrenchJacobians* J) const;
   virtual void DoShape(const ParameterValues& values, BodyProperties* body,
                        BodyPropertyJacobian* J) const;
+  /// For effects that depend on time; calls DoShape() for the others.
+  virtual void DoShapeAt(double time_s, const ParameterValues& values, BodyProperties* body,
+                         BodyPropertyJacobian* J) const;
 
   Vehicle vehicle_;
   EffectDescription description_;

@@ -25,6 +25,10 @@ struct ParameterSpec {
   ParameterTransform transform = ParameterTransform::kLinear;
   PhysicalSign sign = PhysicalSign::kAny;
   bool frozen_by_default = false;
+  /// Set for a parameter that varies in flight as a first-order Gauss-Markov process about zero:
+  /// names, within the effect, of the parameters that hold its standard deviation and correlation
+  /// time [s]. Estimator and simulator let it vary.
+  std::string process_sigma = {}, process_time_constant = {};
 };
 
 }  // namespace odmc

@@ -14,6 +14,8 @@ struct RigidBodyState {
   Eigen::Vector3d v_WB = Eigen::Vector3d::Zero();            ///< of Bo, in W [m/s]
   Eigen::Vector3d w_WB_B = Eigen::Vector3d::Zero();          ///< [rad/s]
   RotorVector rotor_speed;                                   ///< >= 0 [rad/s]
+  /// Pull of a suspended load per unit of load, in W [m/s²]; its user moves it, see Pendulum.
+  Eigen::Vector3d load_pull_W = Eigen::Vector3d(0.0, 0.0, -9.81);
 };
 
 /// Force and torque about Bcm, both in B.
@@ -53,6 +55,9 @@ class RigidBody {
   const DynamicModel& model() const { return *model_; }
   const BodyProperties& properties() const { return properties_; }
   const MotorLag& motor() const { return motor_; }
+
+  /// Flies on with other values, and with the body of the instant `time_s`.
+  void Vary(const ModelValues& values, double time_s);
 
   /// What effects see of `state` while the rotors are told `speed_cmd`.
   FlightState FlightStateOf(double time_s, const RigidBodyState& state,

@@ -2,11 +2,13 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <functional>
 #include <string>
 #include <vector>
 
 #include "odmc/model/dynamic_model.h"
 #include "odmc/sensing/samples.h"
+#include "odmc/sim/rigid_body.h"
 
 namespace odmc {
 
@@ -111,13 +113,18 @@ struct SimulatedFlight {
   std::vector<TruthSample> truth;
 };
 
+/// Force and torque about Bcm, in B, that no model knows, at one flight state; empty: none.
+using Unmodelled = std::function<BodyWrench(const FlightState&)>;
+
 /// Flies `model` at the values `truth` along a trajectory in closed loop and records it with the
 /// vehicle's sensors at their true places. The same arguments give the same flight, and the noise
-/// of one sensor does not change that of another.
+/// of one sensor does not change that of another. Parameters that vary (gusts) do so from `truth` on;
+/// a suspended load swings.
 /// @param truth physical values, model.num_parameters()×1
 /// @throws std::invalid_argument for options that are not valid; std::runtime_error if the vehicle
 ///   can't follow, naming time and trajectory
 SimulatedFlight Simulate(const DynamicModel& model, const ModelValues& truth,
-                         const SimulationOptions& options, const SimulationNoise& noise = {});
+                         const SimulationOptions& options, const SimulationNoise& noise = {},
+                         const Unmodelled& unmodelled = {});
 
 }  // namespace odmc

@@ -44,4 +44,8 @@ bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
 /// to be larger or smaller than thought.
 void RescalePrior(const Eigen::VectorXd& scale, Prior* prior);
 
+/// Lets parameter `index` of eta have moved by a random step of this variance since the prior was
+/// made: what the prior says about it fades, its optimum stays.
+void DiffusePrior(int index, double variance, Prior* prior);
+
 }  // namespace odmc

@@ -1,0 +1,26 @@
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "odmc/analysis/flight_motion.h"
+#include "odmc/model/vehicle.h"
+
+namespace odmc {
+
+/// One way to try an effect: with these frozen parameters (full names).
+struct Candidate {
+  std::string effect;
+  std::map<std::string, double> settings;
+};
+
+/// Every effect of the catalogue that `vehicle`'s model lacks and that may be added to it, with the
+/// values to try for what cannot be estimated: when a mass changed, how long a cable is, where the
+/// ground is.
+std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion& flight);
+
+/// What manoeuvre tells two effects apart; empty where none is known.
+std::string TellingManoeuvre(const std::string& effect, const std::string& alternative);
+
+}  // namespace odmc

@@ -1,0 +1,98 @@
+#pragma once
+
+#include <array>
+#include <functional>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "odmc/analysis/calibration.h"
+#include "odmc/attribution/spectrum.h"
+#include "odmc/estimator/options.h"
+
+namespace odmc {
+
+/// How the loop is closed. All thresholds are in nats of cross-validated log-likelihood or shares.
+struct CloseLoopOptions {
+  EstimatorOptions estimator;
+  double block_s = 2.5;      ///< length of a block of time
+  int hold_out_every = 4;    ///< one block of this many is neither chosen nor fitted on
+  double least_score = 8.0;  ///< an effect must gain this much
+  double least_share_of_first = 0.03;  ///< a further effect must gain this share of those before
+  double close_score = 4.0;            ///< candidates this close to the best are alternatives
+  double close_share = 0.05;           ///< or within this share of its score
+  double least_explained = 0.25;       ///< of the structured variance, for the verdict "effect"
+  double whiteness_p = 1e-5;           ///< below it a residual is structured
+  double least_structured = 0.05;      ///< share of variance, for the verdict "unexplained"
+  int most_effects = 6;
+};
+
+enum class Verdict { kEffect, kNone, kUnexplained };
+std::string ToString(Verdict verdict);
+
+/// A candidate's case on a flight.
+struct RankedEffect {
+  std::string name;
+  double score = 0.0;                      ///< gain in cross-validated log-likelihood
+  bool sound = true;                       ///< signs, sizes and significance make physical sense
+  std::string objection;                   ///< if not sound: why
+  std::map<std::string, double> settings;  ///< frozen parameters it was tried with, full names
+  std::vector<ParameterEstimate> parameters;
+};
+
+/// An effect that earned its place.
+struct AddedEffect {
+  RankedEffect effect;
+  std::vector<std::string> alternatives;  ///< that explain the same on this flight
+  std::string manoeuvre;                  ///< what would tell them apart
+};
+
+/// Structure of one channel of the residual.
+struct ChannelStructure {
+  std::string name, unit;
+  double rmse = 0.0;
+  Whiteness whiteness;
+  std::vector<double> autocorrelation;       ///< at lags of 40 ms
+  std::map<std::string, double> dependence;  ///< share of variance by a quadratic in each quantity
+};
+
+/// One sample for pictures: the residual before and after.
+struct LoopSample {
+  double t_s;
+  bool held_out;
+  double speed_m_s;
+  std::array<double, 6> before, after;  ///< measured minus predicted [N, N m]
+};
+
+struct ClosedLoop {
+  Verdict verdict = Verdict::kNone;
+  FlightFigures flight;
+  std::vector<AddedEffect> effects;
+  std::vector<RankedEffect> ranking;  ///< of the first choice, best first
+  std::vector<ChannelStructure> structure;
+  double structured_share = 0.0;  ///< of the most structured channel
+  double whiteness_p = 1.0;       ///< smallest of the channels, times their number
+  PredictionFigures before, after;            ///< on blocks held out
+  std::vector<LoopSample> samples;
+  ParameterSet declared_parameters;   ///< of the model as declared
+  ParameterSet parameters;            ///< of the model as extended (as declared without an effect)
+  std::vector<std::string> effect_names;  ///< of that model
+  std::string where;                  ///< words on where the unexplained part lives
+  std::vector<std::string> warnings;
+};
+
+/// Holds a thrust coefficient that is known to 5 % (from an earlier, unloaded flight) as it is: mass
+/// can then be found.
+void HoldKnownThrust(Vehicle* vehicle);
+
+/// Calibrates `vehicle`'s model on a flight, finds what it leaves unexplained, traces it to an effect
+/// of the catalogue, adds that and says what it changed. `progress` gets the share done.
+/// @param file_vehicle the vehicle file as it is: measured forces and torques come from it
+/// @param vehicle with the configured effects and parameters
+/// @throws std::invalid_argument where the flight cannot be calibrated
+ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& vehicle,
+                     const CloseLoopOptions& options,
+                     const std::function<void(double)>& progress = {});
+
+}  // namespace odmc

@@ -1,0 +1,22 @@
+#pragma once
+
+#include "odmc/attribution/residual.h"
+
+namespace odmc {
+
+/// Is a slowly varying force residual the wind acting on the vehicle's drag? Compares, by a Kalman
+/// filter's likelihood, a first-order Gauss-Markov wind seen through the model's drag with a force of
+/// the same kind fixed in the world and one fixed in the body, and with noise alone.
+struct GustTest {
+  double gain = 0.0;           ///< of gusts over noise alone [nats]
+  double over_others = 0.0;    ///< of gusts over the better of the two free forces [nats]
+  double sigma_m_s = 0.0;      ///< best standard deviation of the gusts
+  double time_constant_s = 0;  ///< best correlation time
+};
+
+/// @param residual force residual in columns 0 to 2 (N×6)
+/// @param d_wind derivative of the predicted force by the wind along world x, y, z (N×6 each)
+GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
+                   const std::array<ResidualModel::Wrenches, 3>& d_wind);
+
+}  // namespace odmc

@@ -1,0 +1,41 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <vector>
+
+namespace odmc {
+
+/// Force and torque channels of a residual wrench.
+constexpr int kNumChannels = 6;
+
+/// A residual wrench with its derivatives by the parameters that may explain it, at equally spaced
+/// samples. Rows are samples; `next[i]` is true if sample i follows sample i-1 without a gap.
+struct WrenchRegression {
+  Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> y;         ///< N×6 [N, N m]
+  std::array<Eigen::MatrixXd, kNumChannels> columns;             ///< N×n each
+  Eigen::VectorXd prior_offset;                                  ///< n: prior minus present value
+  Eigen::VectorXd prior_sigma;                                   ///< n
+  std::vector<bool> next;                                        ///< N
+  std::vector<int> block;                                        ///< N: block of time
+  std::vector<bool> used;                                        ///< N: false for blocks held out
+  int num_channels = kNumChannels;                               ///< 3 without torque
+};
+
+/// A regression fitted by least squares with serially correlated noise.
+struct WrenchFit {
+  Eigen::VectorXd step;        ///< n: change of the parameters
+  Eigen::MatrixXd covariance;  ///< n×n
+  /// Log-likelihood of the samples in use, each block of time predicted by a fit to the others.
+  double cross_validated = 0.0;
+  Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> residual;  ///< N×6, all samples
+  std::array<double, kNumChannels> innovation_variance{};
+  std::array<double, kNumChannels> effective_samples{};  ///< of white noise with the same mean
+};
+
+/// Fits with noise that is autoregressive in each channel (order 8 at 25 Hz covers the filter's
+/// 0.1 s and more), its coefficients from the fit's own residual, iterated.
+/// @pre y and columns have the same number of rows, at least 100 in use
+WrenchFit FitWrench(const WrenchRegression& regression);
+
+}  // namespace odmc

@@ -1,0 +1,70 @@
+#pragma once
+
+#include <utility>
+#include <vector>
+
+#include "odmc/analysis/prediction.h"
+#include "odmc/attribution/regression.h"
+
+namespace odmc {
+
+/// A flight thinned to equally spaced samples near 25 Hz (the filter's bandwidth leaves nothing
+/// above), cut into blocks of time of which some are held out.
+class ThinnedFlight {
+ public:
+  static constexpr double kStep_s = 0.04;
+
+  /// @param hold_out_every one block of this many is held out; the last but one of each group
+  ThinnedFlight(FlightMotion flight, double block_s, int hold_out_every);
+
+  int size() const { return static_cast<int>(index_.size()); }
+  const FlightMotion& motion() const { return flight_; }
+  const FilteredMotion& sample(int i) const { return flight_.samples[index_[i]]; }
+  size_t index(int i) const { return index_[i]; }
+  bool next(int i) const { return next_[i]; }
+  int block(int i) const { return BlockAt(sample(i).t_s); }
+  bool held_out(int i) const { return IsHeldOut(sample(i).t_s); }
+  double step_s() const { return step_s_; }
+
+  int BlockAt(double t_s) const { return static_cast<int>(t_s / block_s_); }
+  bool IsHeldOut(double t_s) const;
+  /// Spans of flight time held out [s].
+  std::vector<std::pair<double, double>> HeldOutSpans() const;
+
+  /// A channel of a residual as runs without gaps.
+  std::vector<std::vector<double>> Runs(const Eigen::VectorXd& channel) const;
+
+ private:
+  FlightMotion flight_;
+  double block_s_, step_s_;
+  int hold_out_every_;
+  std::vector<size_t> index_;
+  std::vector<bool> next_;
+};
+
+/// Residual wrench of a model over a flight, and its derivatives. Channels: force in the body axes
+/// of the vehicle file [N], and torque as the file's inertia times what angular acceleration the
+/// model misses [N m] (so that no estimate of inertia shrinks it).
+class ResidualModel {
+ public:
+  ResidualModel(const ThinnedFlight* flight, const Vehicle* file_vehicle, bool with_torque);
+
+  using Wrenches = Eigen::Matrix<double, Eigen::Dynamic, kNumChannels>;
+
+  /// Measured minus predicted (N×6).
+  Wrenches Residual(const DynamicModel& model, const ModelValues& values) const;
+
+  /// Derivative of the prediction by parameter `index` (N×6), by central differences. The thrust
+  /// coefficient's share in the torque is left out: the force alone anchors it.
+  Wrenches Derivative(const DynamicModel& model, const ModelValues& values, int index) const;
+
+  const ThinnedFlight& flight() const { return *flight_; }
+  int num_channels() const { return with_torque_ ? kNumChannels : 3; }
+
+ private:
+  const ThinnedFlight* flight_;
+  const Vehicle* file_vehicle_;
+  bool with_torque_;
+};
+
+}  // namespace odmc

@@ -1,0 +1,26 @@
+#pragma once
+
+#include <vector>
+
+namespace odmc {
+
+/// What the spectrum of a residual says: how much of it is structured, and how surely.
+struct Whiteness {
+  double p = 1.0;                 ///< chance of this much structure in unstructured noise
+  double structured_share = 0.0;  ///< of the variance, 0 to 1
+  double peak_Hz = 0.0;           ///< where the structure is strongest
+};
+
+/// Tests a residual against unstructured noise. Noise of a differentiated measurement has the
+/// spectrum a + b f² (a: white force or torque, b: white noise of the velocity or rate); structure is
+/// what a low-pass spectrum c/(1 + (f/f_c)²) or a line explains on top, by Whittle's likelihood.
+/// @param runs equally spaced stretches of the residual; short ones are left out
+/// @param rate_Hz samples a second
+/// @param highest_Hz frequencies above it are not looked at (the filter's edge)
+Whiteness TestWhiteness(const std::vector<std::vector<double>>& runs, double rate_Hz,
+                        double highest_Hz);
+
+/// Autocorrelation of a residual at lags 0, 1, ... count-1 samples, within the runs.
+std::vector<double> Autocorrelation(const std::vector<std::vector<double>>& runs, int count);
+
+}  // namespace odmc

@@ -1,0 +1,596 @@
+#include "odmc/attribution/close_loop.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <iterator>
+#include <set>
+#include <stdexcept>
+
+#include "odmc/attribution/candidates.h"
+#include "odmc/attribution/gust_test.h"
+#include "odmc/attribution/residual.h"
+
+namespace odmc {
+namespace {
+
+constexpr double kHighest_Hz = 7.0;       // edge of the filter
+constexpr double kSignificant = 3.0;      // sigmas of at least one coefficient
+constexpr double kSignSigmas = 2.0;       // a wrong sign by this many is an objection
+constexpr double kTooLarge = 5.0;         // natural sizes (prior sigmas) beyond which too
+constexpr int kRounds = 2;                // of linearization
+constexpr int kCorrelationLags = 26;      // of 40 ms: one second
+constexpr double kKnownThrustShare = 0.05;
+const char* const kChannelNames[] = {"force_x", "force_y", "force_z",
+                                     "torque_x", "torque_y", "torque_z"};
+
+std::string Text(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.3g", value);
+  return text;
+}
+
+Vehicle With(const Vehicle& vehicle, const Candidate& candidate) {
+  Vehicle extended = vehicle;
+  extended.effects.push_back(candidate.effect);
+  for (const auto& [name, value] : candidate.settings) {
+    extended.parameters[name].value = value;
+    extended.parameters[name].estimated = false;
+  }
+  return extended;
+}
+
+/// A model with the values and columns of what it lets free.
+struct Stage {
+  Vehicle vehicle;
+  std::map<std::string, double> values;  // by full name
+  std::vector<std::string> held;         // full names not to be refitted
+};
+
+ModelValues ValuesOf(const DynamicModel& model, const std::map<std::string, double>& known) {
+  ModelValues values = model.InitialValues();
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    const auto it = known.find(model.parameters()[i].full_name);
+    if (it != known.end()) values[i] = it->second;
+  }
+  return values;
+}
+
+/// Regression of the residual of a model on what it lets free.
+class Regressor {
+ public:
+  Regressor(const ResidualModel* residual, const Stage& stage) : residual_(residual) {
+    const DynamicModel model(stage.vehicle, stage.vehicle.effects);
+    const ModelValues values = ValuesOf(model, stage.values);
+    const ThinnedFlight& flight = residual->flight();
+    base_.num_channels = residual->num_channels();
+    base_.y = residual->Residual(model, values);
+    for (int i = 0; i < flight.size(); ++i) {
+      base_.next.push_back(flight.next(i));
+      base_.block.push_back(flight.block(i));
+      base_.used.push_back(!flight.held_out(i));
+    }
+    for (int k = 0; k < model.num_parameters(); ++k) {
+      const std::string& name = model.parameters()[k].full_name;
+      const bool held =
+          std::find(stage.held.begin(), stage.held.end(), name) != stage.held.end();
+      if (model.parameters()[k].estimated && !held) AddColumn(model, values, k, &base_);
+    }
+    num_base_ = static_cast<int>(base_.prior_sigma.size());
+    base_names_ = names_;
+  }
+
+  struct Result {
+    WrenchFit fit;
+    std::vector<std::string> names;
+    std::map<std::string, double> values;  // of what was let free, after the fit
+  };
+
+  Result FitBase(const Stage& stage) const { return Finish(base_, names_, stage); }
+
+  /// Fits with a candidate on top, linearized again about what came out.
+  Result FitWith(const Stage& stage, const Candidate& candidate) {
+    const Vehicle extended = With(stage.vehicle, candidate);
+    const DynamicModel model(extended, extended.effects);
+    std::map<std::string, double> start = stage.values;
+    Result result;
+    for (int round = 0; round < kRounds; ++round) {
+      // Base columns stay where they are; the candidate's follow its estimate.
+      ModelValues values = ValuesOf(model, stage.values);
+      for (int k = 0; k < model.num_parameters(); ++k) {
+        if (model.parameters()[k].effect == candidate.effect && round > 0) {
+          const auto it = result.values.find(model.parameters()[k].full_name);
+          if (it != result.values.end()) values[k] = it->second;
+        }
+      }
+      WrenchRegression regression = base_;
+      names_ = base_names_;
+      regression.y = residual_->Residual(model, values);
+      std::map<std::string, double> about = stage.values;
+      for (int k = 0; k < model.num_parameters(); ++k) {
+        const ModelParameter& p = model.parameters()[k];
+        if (p.effect != candidate.effect) continue;
+        about[p.full_name] = values[k];
+        if (p.estimated) AddColumn(model, values, k, &regression);
+      }
+      Stage at = stage;
+      at.values = about;
+      result = Finish(regression, names_, at);
+      names_ = base_names_;
+    }
+    return result;
+  }
+
+ private:
+  void AddColumn(const DynamicModel& model, const ModelValues& values, int k,
+                 WrenchRegression* regression) {
+    const ResidualModel::Wrenches column = residual_->Derivative(model, values, k);
+    const int n = static_cast<int>(regression->prior_sigma.size());
+    for (int c = 0; c < kNumChannels; ++c) {
+      regression->columns[c].conservativeResize(column.rows(), n + 1);
+      regression->columns[c].col(n) = column.col(c);
+    }
+    regression->prior_sigma.conservativeResize(n + 1);
+    regression->prior_offset.conservativeResize(n + 1);
+    regression->prior_sigma[n] = model.parameters()[k].spec.prior_sigma;
+    regression->prior_offset[n] = model.parameters()[k].spec.prior_value - values[k];
+    names_.push_back(model.parameters()[k].full_name);
+  }
+
+  Result Finish(const WrenchRegression& regression, const std::vector<std::string>& names,
+                const Stage& stage) const {
+    Result result;
+    result.fit = FitWrench(regression);
+    result.names = names;
+    result.values = stage.values;
+    for (size_t i = 0; i < names.size(); ++i) {
+      result.values[names[i]] += result.fit.step[static_cast<Eigen::Index>(i)];
+    }
+    return result;
+  }
+
+  const ResidualModel* residual_;
+  WrenchRegression base_;
+  int num_base_ = 0;
+  std::vector<std::string> names_, base_names_;
+};
+
+/// Fills in a candidate's parameters, and what speaks against them.
+RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regressor::Result& result,
+                   double base_score) {
+  RankedEffect ranked;
+  ranked.name = candidate.effect;
+  ranked.settings = candidate.settings;
+  ranked.score = result.fit.cross_validated - base_score;
+  const Vehicle extended = With(stage.vehicle, candidate);
+  const DynamicModel model(extended, extended.effects);
+  bool significant = false;
+  for (size_t i = 0; i < result.names.size(); ++i) {
+    const int k = model.IndexOf(result.names[i]);
+    const ModelParameter& p = model.parameters()[k];
+    if (p.effect != candidate.effect) continue;
+    const double value = result.values.at(p.full_name);
+    const auto at = static_cast<Eigen::Index>(i);
+    const double sigma = std::sqrt(std::max(0.0, result.fit.covariance(at, at)));
+    ranked.parameters.push_back({p.full_name, p.spec.unit, value, sigma, true,
+                                 sigma < 0.5 * p.spec.prior_sigma});
+    significant = significant || std::abs(value) > kSignificant * sigma;
+    const double sign = p.spec.sign == PhysicalSign::kPositive   ? 1.0
+                        : p.spec.sign == PhysicalSign::kNegative ? -1.0
+                                                                 : 0.0;
+    if (sign * value < -kSignSigmas * sigma) {
+      ranked.sound = false;
+      ranked.objection = p.full_name + " = " + Text(value) + " has an unphysical sign";
+    } else if (std::abs(value - p.spec.prior_value) > kTooLarge * p.spec.prior_sigma) {
+      ranked.sound = false;
+      ranked.objection = p.full_name + " = " + Text(value) + " is too large";
+    }
+  }
+  for (const auto& [name, value] : candidate.settings) {
+    const int k = model.IndexOf(name);
+    ranked.parameters.push_back(
+        {name, model.parameters()[k].spec.unit, value, 0.0, false, false});
+  }
+  if (ranked.sound && !significant) {
+    ranked.sound = false;
+    ranked.objection = "no coefficient differs from zero by three sigma";
+  }
+  return ranked;
+}
+
+/// Every candidate at its best setting, best first; fits of the sound ones in `fits`.
+std::vector<RankedEffect> RankAll(const Stage& stage, const std::vector<Candidate>& candidates,
+                                  Regressor* regressor, double base_score,
+                                  std::map<std::string, Regressor::Result>* fits) {
+  std::map<std::string, RankedEffect> best;
+  for (const Candidate& candidate : candidates) {
+    const std::vector<std::string>& have = stage.vehicle.effects;
+    if (std::find(have.begin(), have.end(), candidate.effect) != have.end()) continue;
+    Regressor::Result result = regressor->FitWith(stage, candidate);
+    if (!std::isfinite(result.fit.cross_validated)) continue;
+    const RankedEffect ranked = Judge(stage, candidate, result, base_score);
+    const auto it = best.find(candidate.effect);
+    const bool better = it == best.end() ||
+                        std::make_pair(ranked.sound, ranked.score) >
+                            std::make_pair(it->second.sound, it->second.score);
+    if (!better) continue;
+    best[candidate.effect] = ranked;
+    (*fits)[candidate.effect] = std::move(result);
+  }
+  std::vector<RankedEffect> ranking;
+  for (const auto& entry : best) ranking.push_back(entry.second);
+  std::sort(ranking.begin(), ranking.end(), [](const RankedEffect& a, const RankedEffect& b) {
+    return std::make_pair(a.sound, a.score) > std::make_pair(b.sound, b.score);
+  });
+  return ranking;
+}
+
+std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
+                                        const ResidualModel::Wrenches& residual,
+                                        int num_channels) {
+  std::vector<ChannelStructure> all;
+  const double rate_Hz = 1.0 / flight.step_s();
+  for (int c = 0; c < num_channels; ++c) {
+    ChannelStructure channel;
+    channel.name = kChannelNames[c];
+    channel.unit = c < 3 ? "N" : "N m";
+    const Eigen::VectorXd y = residual.col(c);
+    channel.rmse = std::sqrt(y.squaredNorm() / std::max<Eigen::Index>(1, y.size()));
+    const auto runs = flight.Runs(y);
+    channel.whiteness = TestWhiteness(runs, rate_Hz, std::min(kHighest_Hz, 0.4 * rate_Hz));
+    channel.autocorrelation = Autocorrelation(runs, kCorrelationLags);
+    const auto share = [&](auto quantity) {
+      Eigen::MatrixXd A(y.size(), 3);
+      for (int i = 0; i < flight.size(); ++i) {
+        const double x = quantity(flight.sample(i));
+        A.row(i) << 1.0, x, x * x;
+      }
+      Eigen::Vector3d size = A.cwiseAbs().colwise().maxCoeff().cwiseMax(1e-12);
+      A = A * size.cwiseInverse().asDiagonal();
+      const Eigen::Matrix3d H = A.transpose() * A + 1e-9 * Eigen::Matrix3d::Identity();
+      const Eigen::VectorXd rest = y - A * H.ldlt().solve(A.transpose() * y);
+      const double variance = (y.array() - y.mean()).matrix().squaredNorm();
+      return variance > 0.0 ? std::max(0.0, 1.0 - rest.squaredNorm() / variance) : 0.0;
+    };
+    channel.dependence = {
+        {"speed", share([](const FilteredMotion& m) { return m.v_WS.norm(); })},
+        {"forward_speed",
+         share([](const FilteredMotion& m) { return (m.R_WS.transpose() * m.v_WS).x(); })},
+        {"side_speed",
+         share([](const FilteredMotion& m) { return (m.R_WS.transpose() * m.v_WS).y(); })},
+        {"axial_speed",
+         share([](const FilteredMotion& m) { return (m.R_WS.transpose() * m.v_WS).z(); })},
+        {"roll_rate", share([](const FilteredMotion& m) { return m.w_S.x(); })},
+        {"pitch_rate", share([](const FilteredMotion& m) { return m.w_S.y(); })},
+        {"yaw_rate", share([](const FilteredMotion& m) { return m.w_S.z(); })},
+        {"thrust", share([](const FilteredMotion& m) { return m.rotors.speed_squared.sum(); })},
+        {"height", share([](const FilteredMotion& m) { return m.p_WS.z(); })},
+        {"time", share([](const FilteredMotion& m) { return m.t_s; })},
+    };
+    all.push_back(std::move(channel));
+  }
+  return all;
+}
+
+/// Largest share of a channel's structured variance that a fit explains.
+double ExplainedStructure(const std::vector<ChannelStructure>& structure,
+                          const ResidualModel::Wrenches& before,
+                          const ResidualModel::Wrenches& after) {
+  double best = 0.0;
+  for (size_t c = 0; c < structure.size(); ++c) {
+    const auto column = static_cast<Eigen::Index>(c);
+    const double was = before.col(column).squaredNorm(), is = after.col(column).squaredNorm();
+    if (!(was > 0.0)) continue;
+    const double drop = 1.0 - is / was;
+    const double share = std::max(0.02, structure[c].whiteness.structured_share);
+    // A channel with little structure says little.
+    if (drop > 0.02) best = std::max(best, drop / share);
+  }
+  return best;
+}
+
+std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedFlight& flight,
+                  const ResidualModel::Wrenches& residual) {
+  if (structure.empty()) return "";
+  const auto worst = std::min_element(structure.begin(), structure.end(), [](auto& a, auto& b) {
+    return std::make_pair(a.whiteness.p, -a.whiteness.structured_share) <
+           std::make_pair(b.whiteness.p, -b.whiteness.structured_share);
+  });
+  const auto c = static_cast<Eigen::Index>(worst - structure.begin());
+  std::map<int, std::pair<double, int>> power;
+  for (int i = 0; i < flight.size(); ++i) {
+    power[flight.block(i)].first += residual(i, c) * residual(i, c);
+    ++power[flight.block(i)].second;
+  }
+  int block = 0;
+  double most = 0.0;
+  for (const auto& [b, sum] : power) {
+    if (sum.first / sum.second > most) {
+      most = sum.first / sum.second;
+      block = b;
+    }
+  }
+  const auto quantity =
+      std::max_element(worst->dependence.begin(), worst->dependence.end(),
+                       [](auto& a, auto& b) { return a.second < b.second; });
+  std::string text = worst->name + ", strongest near " + Text(worst->whiteness.peak_Hz) + " Hz and in ";
+  for (const auto& span : {std::make_pair(block, most)}) {
+    text += "block " + std::to_string(span.first) + " (RMS " + Text(std::sqrt(span.second)) + " " +
+            worst->unit + ")";
+  }
+  return text + "; of the quantities it lines up best with " + quantity->first + " (" +
+         Text(100.0 * quantity->second) + " % of its variance)";
+}
+
+/// One pass of the online estimator, blocks held out, with its prediction of everything.
+struct Pass {
+  ReplayResult replay;
+  ParameterSet parameters;
+  Prediction prediction;
+  PredictionFigures held_out;
+};
+
+Pass Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
+         const EstimatorOptions& options, const CloseLoopOptions& loop,
+         const std::function<void(double)>& progress) {
+  Pass pass;
+  const bool with_torque = !log.rotor_rms_only;
+  Estimator estimator(&model, options, with_torque);
+  const auto is_held_out = [&](double t_s) {
+    return loop.hold_out_every > 1 &&
+           static_cast<int>(t_s / loop.block_s) % loop.hold_out_every == loop.hold_out_every - 2;
+  };
+  const Stamp first = log.odometry.empty() ? 0 : log.odometry.front().stamp;
+  const bool varies = !model.processes().empty();
+  if (!varies) {
+    estimator.SetHeldOut([=](Stamp stamp) { return is_held_out(ToSeconds(stamp - first)); });
+  }
+  pass.replay = Replay(log, &estimator, progress);
+  if (!pass.replay.last) throw std::invalid_argument(log.file + ": never airborne");
+  pass.parameters = Estimator::ToParameterSet(model, *pass.replay.last);
+  ValueVariation vary;
+  if (varies) {
+    // What varies is predicted from before the sample's own filter window.
+    constexpr double kAhead_s = 0.1;
+    const auto& history = pass.replay.history;
+    const double offset = ToSeconds(pass.replay.last->stamp - first) - pass.replay.last->time_s;
+    vary = [&history, &model, offset](double t_s, ModelValues* values) {
+      auto it = std::upper_bound(
+          history.begin(), history.end(), t_s - offset - kAhead_s,
+          [](double t, const HistoryRow& row) { return t < row.t_s; });
+      for (const DynamicModel::ProcessParameter& p : model.processes()) {
+        (*values)[p.index] = it == history.begin() ? 0.0 : std::prev(it)->values[p.index];
+      }
+    };
+  }
+  pass.prediction = Predict(log, file_vehicle, model, pass.replay.last->values,
+                            pass.replay.ground_spans, vary);
+  std::vector<PredictionSample> unseen;
+  for (const PredictionSample& s : pass.prediction.samples) {
+    if (is_held_out(s.t_s)) unseen.push_back(s);
+  }
+  pass.held_out =
+      SummarisePrediction(unseen, with_torque, file_vehicle, model, pass.replay.last->values);
+  return pass;
+}
+
+/// Sum over the channels of the log of after over before.
+double LogChange(const PredictionFigures& before, const PredictionFigures& after) {
+  double sum = 0.0;
+  const auto add = [&sum](const PredictionFigures::Axes& b, const PredictionFigures::Axes& a) {
+    if (!a || !b) return;
+    for (int i = 0; i < 3; ++i) sum += std::log((*a)[i] / (*b)[i]);
+  };
+  add(before.force_rmse_N, after.force_rmse_N);
+  add(before.torque_rmse_Nm, after.torque_rmse_Nm);
+  return sum;
+}
+
+}  // namespace
+
+std::string ToString(Verdict verdict) {
+  switch (verdict) {
+    case Verdict::kEffect:
+      return "effect";
+    case Verdict::kUnexplained:
+      return "unexplained";
+    default:
+      return "none";
+  }
+}
+
+void HoldKnownThrust(Vehicle* vehicle) {
+  const auto it = vehicle->parameters.find("thrust.k_f");
+  if (it == vehicle->parameters.end() || !it->second.value || !it->second.sigma) return;
+  if (*it->second.sigma < kKnownThrustShare * *it->second.value) it->second.estimated = false;
+}
+
+ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& vehicle,
+                     const CloseLoopOptions& options, const std::function<void(double)>& progress) {
+  const auto part = [&](double from, double to) {
+    return [&progress, from, to](double share) {
+      if (progress) progress(from + share * (to - from));
+    };
+  };
+  ClosedLoop result;
+  const bool with_torque = !log.rotor_rms_only;
+  const DynamicModel declared(vehicle, vehicle.effects);
+  const Pass before = Run(log, file_vehicle, declared, options.estimator, options, part(0.0, 0.4));
+  const ReplayResult& replay = before.replay;
+  result.declared_parameters = result.parameters = before.parameters;
+  result.effect_names = vehicle.effects;
+  result.before = result.after = before.held_out;
+  result.warnings = log.warnings;
+  result.flight.file = log.file;
+  result.flight.duration_s =
+      ToSeconds(log.odometry.back().stamp - log.odometry.front().stamp);
+  result.flight.on_ground_s = replay.counters.on_ground_s;
+  result.flight.keyframes = replay.counters.keyframes;
+  result.flight.dropped =
+      log.dropped + replay.stream_counters.not_finite + replay.stream_counters.out_of_order;
+
+  const auto fill_samples = [&](const Prediction& after) {
+    const size_t n = std::min(before.prediction.samples.size(), after.samples.size());
+    for (size_t i = 0; i < n; ++i) {
+      const PredictionSample &b = before.prediction.samples[i], &a = after.samples[i];
+      LoopSample sample{b.t_s, false, b.speed_m_s, {}, {}};
+      sample.held_out = options.hold_out_every > 1 &&
+                        static_cast<int>(b.t_s / options.block_s) % options.hold_out_every ==
+                            options.hold_out_every - 2;
+      for (int k = 0; k < 3; ++k) {
+        sample.before[k] = b.measured_force[k] - b.predicted_force[k];
+        sample.before[k + 3] = b.measured_torque[k] - b.predicted_torque[k];
+        sample.after[k] = a.measured_force[k] - a.predicted_force[k];
+        sample.after[k + 3] = a.measured_torque[k] - a.predicted_torque[k];
+      }
+      result.samples.push_back(sample);
+    }
+  };
+
+  const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), replay.ground_spans),
+                             options.block_s, options.hold_out_every);
+  int in_use = 0;
+  for (int i = 0; i < flight.size(); ++i) in_use += flight.held_out(i) ? 0 : 1;
+  if (in_use < 100) {
+    result.warnings.push_back("too little flight to look for effects: " + std::to_string(in_use) +
+                              " samples of 40 ms, at least 100 are needed");
+    fill_samples(before.prediction);
+    return result;
+  }
+  const ResidualModel residual(&flight, &file_vehicle, with_torque);
+  Stage stage;
+  stage.vehicle = vehicle;
+  for (int i = 0; i < declared.num_parameters(); ++i) {
+    const std::string& name = declared.parameters()[i].full_name;
+    stage.values[name] = replay.last->values[i];
+    // An inertia the flight does not show must not soak up the torque.
+    if (declared.parameters()[i].effect == "inertia" && !replay.last->observable[i]) {
+      stage.held.push_back(name);
+    }
+  }
+
+  const std::vector<Candidate> candidates = CandidatesFor(vehicle, flight.motion());
+  ResidualModel::Wrenches unexplained, first_residual;
+  double scores = 0.0;
+  std::vector<AddedEffect> added;
+  for (int step = 0; step <= options.most_effects; ++step) {
+    Regressor regressor(&residual, stage);
+    const Regressor::Result base = regressor.FitBase(stage);
+    unexplained = base.fit.residual;
+    if (step == 0) first_residual = unexplained;
+    if (step == options.most_effects) break;
+    std::map<std::string, Regressor::Result> fits;
+    const std::vector<RankedEffect> ranking =
+        RankAll(stage, candidates, &regressor, base.fit.cross_validated, &fits);
+    if (step == 0) result.ranking = ranking;
+    if (progress) progress(0.4 + 0.2 * (step + 1) / options.most_effects);
+    if (ranking.empty() || !ranking.front().sound) break;
+    const RankedEffect& best = ranking.front();
+    const double least =
+        step == 0 ? options.least_score
+                  : std::max(1.25 * options.least_score, options.least_share_of_first * scores);
+    if (best.score < least) break;
+    AddedEffect effect;
+    effect.effect = best;
+    const double close = std::max(options.close_score, options.close_share * best.score);
+    for (size_t i = 1; i < ranking.size(); ++i) {
+      if (!ranking[i].sound || ranking[i].score < best.score - close) continue;
+      effect.alternatives.push_back(ranking[i].name);
+      if (effect.manoeuvre.empty()) {
+        effect.manoeuvre = TellingManoeuvre(best.name, ranking[i].name);
+      }
+    }
+    added.push_back(effect);
+    scores += best.score;
+    Candidate chosen{best.name, best.settings};
+    stage.vehicle = With(stage.vehicle, chosen);
+    for (const auto& [name, value] : fits[best.name].values) stage.values[name] = value;
+  }
+
+  result.structure = Structure(flight, first_residual, residual.num_channels());
+  for (const ChannelStructure& channel : result.structure) {
+    result.structured_share =
+        std::max(result.structured_share, channel.whiteness.structured_share);
+    result.whiteness_p =
+        std::min(result.whiteness_p,
+                 std::min(1.0, channel.whiteness.p * static_cast<double>(result.structure.size())));
+  }
+  bool structured = false;
+  for (const ChannelStructure& channel : result.structure) {
+    structured = structured || (channel.whiteness.p < options.whiteness_p &&
+                                channel.whiteness.structured_share > options.least_structured);
+  }
+
+  // Gusts vary: no fixed regressor shows them.
+  Vehicle airy = stage.vehicle;
+  const bool has_wind = std::find(airy.effects.begin(), airy.effects.end(), "wind") != airy.effects.end();
+  const bool has_gust = std::find(airy.effects.begin(), airy.effects.end(), "gust") != airy.effects.end();
+  if (!has_gust && structured) {
+    if (!has_wind) airy.effects.push_back("wind");
+    const DynamicModel model(airy, airy.effects);
+    const ModelValues values = ValuesOf(model, stage.values);
+    std::array<ResidualModel::Wrenches, 3> d_wind;
+    for (int k = 0; k < 3; ++k) {
+      d_wind[k] = residual.Derivative(model, values, model.IndexOf(std::string("wind.w_") + "xyz"[k]));
+    }
+    const GustTest gust = TestGusts(flight, unexplained, d_wind);
+    RankedEffect ranked;
+    ranked.name = "gust";
+    ranked.score = gust.gain;
+    ranked.settings = {{"gust.sigma", std::max(0.1, gust.sigma_m_s)},
+                       {"gust.time_constant", std::max(0.1, gust.time_constant_s)}};
+    for (const auto& [name, value] : ranked.settings) {
+      ranked.parameters.push_back(
+          {name, name == "gust.sigma" ? "m/s" : "s", value, 0.0, false, false});
+    }
+    ranked.sound = gust.over_others > -1.0 && gust.sigma_m_s < 8.0;
+    if (!ranked.sound) {
+      ranked.objection = "a force free of the drag explains it better by " +
+                         Text(-gust.over_others) + " nats";
+    }
+    const double least = std::max(3.0 * options.least_score, 0.5 * scores);
+    if (ranked.sound && gust.gain > least) added.push_back({ranked, {}, ""});
+    result.ranking.push_back(ranked);
+  }
+
+  if (!added.empty()) {
+    const bool gust_only = added.size() == 1 && added.front().effect.name == "gust";
+    const bool explains = gust_only || ExplainedStructure(result.structure, first_residual,
+                                                          unexplained) >= options.least_explained;
+    if (explains) result.verdict = Verdict::kEffect;
+  }
+  if (result.verdict != Verdict::kEffect && structured) result.verdict = Verdict::kUnexplained;
+
+  if (result.verdict == Verdict::kEffect) {
+    Vehicle extended = vehicle;
+    for (const AddedEffect& effect : added) {
+      extended = With(extended, {effect.effect.name, effect.effect.settings});
+    }
+    const DynamicModel model(extended, extended.effects);
+    const Pass after = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
+    if (LogChange(before.held_out, after.held_out) < 0.0) {
+      result.after = after.held_out;
+      result.parameters = after.parameters;
+      result.effect_names = extended.effects;
+      for (AddedEffect& effect : added) {
+        for (ParameterEstimate& p : effect.effect.parameters) {
+          const ParameterEstimate* online = after.parameters.Find(p.full_name);
+          if (online != nullptr) p = *online;
+        }
+      }
+      result.effects = added;
+      fill_samples(after.prediction);
+      return result;
+    }
+    result.warnings.push_back(added.front().effect.name +
+                              " was chosen, but did not predict blocks held out any better");
+    result.verdict = structured ? Verdict::kUnexplained : Verdict::kNone;
+  }
+  if (result.verdict == Verdict::kUnexplained) {
+    result.where = Where(result.structure, flight, first_residual);
+  }
+  fill_samples(before.prediction);
+  return result;
+}
+
+}  // namespace odmc

@@ -1,0 +1,155 @@
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <stdexcept>
+
+#include "odmc/attribution/close_loop_report.h"
+
+namespace odmc {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+Json Number(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
+
+Json Axes(const PredictionFigures::Axes& value) {
+  if (!value) return nullptr;
+  return Json::array({Number(value->x()), Number(value->y()), Number(value->z())});
+}
+
+Json ParametersJson(const std::vector<ParameterEstimate>& parameters) {
+  Json json = Json::object();
+  for (const ParameterEstimate& p : parameters) {
+    json[p.full_name] = {{"value", Number(p.value)},
+                         {"sigma", Number(p.sigma)},
+                         {"unit", p.unit},
+                         {"state", p.estimated ? "estimated" : "frozen"}};
+  }
+  return json;
+}
+
+std::string Row(const char* name, const PredictionFigures::Axes& before,
+                const PredictionFigures::Axes& after) {
+  if (!before || !after) return "";
+  char line[160];
+  std::string text;
+  for (int i = 0; i < 3; ++i) {
+    std::snprintf(line, sizeof line, "%-12s %c %12.5f %12.5f %12.3f\n", i == 0 ? name : "", "xyz"[i],
+                  (*before)[i], (*after)[i], (*after)[i] / (*before)[i]);
+    text += line;
+  }
+  return text;
+}
+
+}  // namespace
+
+std::string CloseLoopReport(const ClosedLoop& loop) {
+  Json json;
+  json["flight"] = loop.flight.file;
+  json["flight_info"] = {{"duration_s", Number(loop.flight.duration_s)},
+                         {"on_ground_s", Number(loop.flight.on_ground_s)},
+                         {"keyframes", loop.flight.keyframes},
+                         {"dropped", loop.flight.dropped}};
+  json["verdict"] = ToString(loop.verdict);
+  json["effects"] = Json::array();
+  for (const AddedEffect& added : loop.effects) {
+    Json effect = {{"name", added.effect.name},
+                   {"score", Number(added.effect.score)},
+                   {"alternatives", added.alternatives},
+                   {"parameters", ParametersJson(added.effect.parameters)}};
+    if (!added.manoeuvre.empty()) effect["told_apart_by"] = added.manoeuvre;
+    json["effects"].push_back(effect);
+  }
+  json["ranking"] = Json::array();
+  for (const RankedEffect& ranked : loop.ranking) {
+    Json entry = {{"name", ranked.name}, {"score", Number(ranked.score)}, {"sound", ranked.sound}};
+    if (!ranked.objection.empty()) entry["objection"] = ranked.objection;
+    entry["parameters"] = ParametersJson(ranked.parameters);
+    json["ranking"].push_back(entry);
+  }
+  json["force_rmse_before"] = Axes(loop.before.force_rmse_N);
+  json["force_rmse_after"] = Axes(loop.after.force_rmse_N);
+  json["torque_rmse_before"] = Axes(loop.before.torque_rmse_Nm);
+  json["torque_rmse_after"] = Axes(loop.after.torque_rmse_Nm);
+  json["rotor_torque_gain"] = Axes(loop.after.rotor_torque_gain);
+  json["inertia_over_nominal"] = Axes(loop.after.inertia_over_nominal);
+  json["held_out"] = true;
+  Json channels = Json::object();
+  for (const ChannelStructure& channel : loop.structure) {
+    Json dependence = Json::object();
+    for (const auto& [name, share] : channel.dependence) dependence[name] = Number(share);
+    channels[channel.name] = {{"rmse", Number(channel.rmse)},
+                              {"unit", channel.unit},
+                              {"structured_share", Number(channel.whiteness.structured_share)},
+                              {"whiteness_p", Number(channel.whiteness.p)},
+                              {"peak_Hz", Number(channel.whiteness.peak_Hz)},
+                              {"autocorrelation_40ms", channel.autocorrelation},
+                              {"dependence", dependence}};
+  }
+  json["residual"] = {{"structured_share", Number(loop.structured_share)},
+                      {"whiteness_p", Number(loop.whiteness_p)},
+                      {"channels", channels}};
+  if (!loop.where.empty()) json["residual"]["where"] = loop.where;
+  json["model"] = loop.effect_names;
+  json["parameters"] = ParametersJson(loop.parameters.parameters);
+  json["warnings"] = loop.warnings;
+  return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+std::string CloseLoopTable(const ClosedLoop& loop) {
+  std::string text = "verdict: " + ToString(loop.verdict) + "\n";
+  for (const AddedEffect& added : loop.effects) {
+    char score[32];
+    std::snprintf(score, sizeof score, "%.1f", added.effect.score);
+    text += "  " + added.effect.name + " (gain " + score + " nats)";
+    for (size_t i = 0; i < added.alternatives.size(); ++i) {
+      text += (i == 0 ? ", not told from " : ", ") + added.alternatives[i];
+    }
+    text += "\n";
+    for (const ParameterEstimate& p : added.effect.parameters) {
+      char line[160];
+      std::snprintf(line, sizeof line, "    %-28s %12.5g +- %-10.3g %s\n", p.full_name.c_str(),
+                    p.value, p.sigma, p.unit.c_str());
+      text += line;
+    }
+    if (!added.manoeuvre.empty()) text += "    would be told apart by: " + added.manoeuvre + "\n";
+  }
+  if (!loop.where.empty()) text += "  where: " + loop.where + "\n";
+  char line[160];
+  std::snprintf(line, sizeof line, "structured share of the residual %.2f, whiteness p %.2g\n",
+                loop.structured_share, loop.whiteness_p);
+  text += line;
+  text += "RMSE on blocks held out     before        after  after/before\n";
+  text += Row("force [N]", loop.before.force_rmse_N, loop.after.force_rmse_N);
+  text += Row("torque [N m]", loop.before.torque_rmse_Nm, loop.after.torque_rmse_Nm);
+  for (const std::string& warning : loop.warnings) text += "warning: " + warning + "\n";
+  return text;
+}
+
+void WriteLoopSamples(const ClosedLoop& loop, const std::string& file) {
+  std::ofstream out(file);
+  out << "t_s,held_out,speed_m_s";
+  for (const char* when : {"before", "after"}) {
+    for (const char* channel :
+         {"force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm"}) {
+      out << ',' << when << '_' << channel;
+    }
+  }
+  out << '\n';
+  char number[32];
+  for (const LoopSample& s : loop.samples) {
+    std::snprintf(number, sizeof number, "%.6f", s.t_s);
+    out << number << ',' << (s.held_out ? 1 : 0) << ',' << s.speed_m_s;
+    for (const auto* values : {&s.before, &s.after}) {
+      for (const double v : *values) {
+        out << ',';
+        if (std::isfinite(v)) out << v;
+      }
+    }
+    out << '\n';
+  }
+  if (!out.flush()) throw std::runtime_error("cannot write " + file);
+}
+
+}  // namespace odmc

@@ -1,0 +1,158 @@
+#include "odmc/attribution/regression.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+namespace odmc {
+namespace {
+
+constexpr int kOrder = 8;  // of the noise
+constexpr int kRounds = 3;
+constexpr int kFolds = 6;
+constexpr double kWildSigmas = 5.0;  // innovations beyond count as this many
+
+using Channel = Eigen::MatrixXd;  // whitened: rows × (n + 1), the last column is y
+
+struct Noise {
+  Eigen::VectorXd coefficients = Eigen::VectorXd::Zero(kOrder);
+  double variance = 1.0;
+};
+
+/// Samples whose `kOrder` predecessors are there and in use.
+std::vector<int> RowsInUse(const WrenchRegression& r) {
+  std::vector<int> rows;
+  int run = 0;
+  for (int i = 0; i < r.y.rows(); ++i) {
+    run = r.used[i] ? (r.next[i] ? run + 1 : 1) : 0;
+    if (run > kOrder) rows.push_back(i);
+  }
+  return rows;
+}
+
+/// Autoregressive noise of a residual, by least squares.
+Noise FitNoise(const Eigen::VectorXd& e, const std::vector<int>& rows) {
+  Eigen::MatrixXd A = Eigen::MatrixXd::Zero(kOrder, kOrder);
+  Eigen::VectorXd b = Eigen::VectorXd::Zero(kOrder);
+  for (const int i : rows) {
+    Eigen::VectorXd past(kOrder);
+    for (int k = 0; k < kOrder; ++k) past[k] = e[i - 1 - k];
+    A += past * past.transpose();
+    b += e[i] * past;
+  }
+  A.diagonal().array() += 1e-3 * A.diagonal().maxCoeff() + 1e-300;
+  Noise noise;
+  noise.coefficients = A.ldlt().solve(b);
+  std::vector<double> squares;
+  for (const int i : rows) {
+    double innovation = e[i];
+    for (int k = 0; k < kOrder; ++k) innovation -= noise.coefficients[k] * e[i - 1 - k];
+    squares.push_back(innovation * innovation);
+  }
+  double sum = 0.0;
+  for (const double s : squares) sum += s;
+  noise.variance = std::max(sum / static_cast<double>(rows.size()), 1e-300);
+  return noise;
+}
+
+/// Rows of one channel with the noise's correlation and size taken out.
+Channel Whiten(const WrenchRegression& r, int channel, const Noise& noise,
+               const std::vector<int>& rows) {
+  const int n = static_cast<int>(r.prior_sigma.size());
+  Channel white(static_cast<int>(rows.size()), n + 1);
+  const double scale = 1.0 / std::sqrt(noise.variance);
+  for (size_t k = 0; k < rows.size(); ++k) {
+    const int i = rows[k];
+    white.row(k).head(n) = r.columns[channel].row(i);
+    white(k, n) = r.y(i, channel);
+    for (int lag = 0; lag < kOrder; ++lag) {
+      white.row(k).head(n) -= noise.coefficients[lag] * r.columns[channel].row(i - 1 - lag);
+      white(k, n) -= noise.coefficients[lag] * r.y(i - 1 - lag, channel);
+    }
+    white.row(k) *= scale;
+  }
+  return white;
+}
+
+}  // namespace
+
+WrenchFit FitWrench(const WrenchRegression& r) {
+  const int n = static_cast<int>(r.prior_sigma.size());
+  const std::vector<int> rows = RowsInUse(r);
+  WrenchFit fit;
+  fit.step = Eigen::VectorXd::Zero(n);
+  fit.residual = r.y;
+  // Blocks in use, in the order of time; block b belongs to fold b mod kFolds.
+  std::map<int, int> fold_of;
+  for (const int i : rows) fold_of.emplace(r.block[i], 0);
+  int count = 0;
+  for (auto& entry : fold_of) entry.second = count++ % kFolds;
+
+  const Eigen::VectorXd prior = r.prior_sigma.cwiseAbs2().cwiseInverse();
+  std::array<Channel, kNumChannels> white;
+  std::array<Noise, kNumChannels> noise;
+  std::array<Eigen::MatrixXd, kFolds> grams;
+  Eigen::MatrixXd total;
+  for (int round = 0; round < kRounds; ++round) {
+    for (Eigen::MatrixXd& gram : grams) gram.setZero(n + 1, n + 1);
+    for (int c = 0; c < r.num_channels; ++c) {
+      noise[c] = FitNoise(fit.residual.col(c), rows);
+      white[c] = Whiten(r, c, noise[c], rows);
+      // Wild samples pull no harder than kWildSigmas.
+      for (size_t k = 0; k < rows.size(); ++k) {
+        const double e = white[c](k, n) - white[c].row(k).head(n).dot(fit.step);
+        if (std::abs(e) > kWildSigmas) white[c].row(k) *= std::sqrt(kWildSigmas / std::abs(e));
+      }
+      for (int f = 0; f < kFolds; ++f) {
+        Channel part(white[c].rows(), n + 1);
+        int m = 0;
+        for (size_t k = 0; k < rows.size(); ++k) {
+          if (fold_of[r.block[rows[k]]] == f) part.row(m++) = white[c].row(k);
+        }
+        grams[f].noalias() += part.topRows(m).transpose() * part.topRows(m);
+      }
+    }
+    total.setZero(n + 1, n + 1);
+    for (const Eigen::MatrixXd& gram : grams) total += gram;
+    Eigen::MatrixXd H = total.topLeftCorner(n, n);
+    H.diagonal() += prior;
+    const Eigen::LDLT<Eigen::MatrixXd> ldlt(H);
+    fit.step = ldlt.solve(total.col(n).head(n) + prior.cwiseProduct(r.prior_offset));
+    fit.covariance = ldlt.solve(Eigen::MatrixXd::Identity(n, n));
+    for (int c = 0; c < r.num_channels; ++c) {
+      fit.residual.col(c) = r.y.col(c) - r.columns[c] * fit.step;
+    }
+  }
+
+  // Each fold predicted by the others.
+  std::array<double, kNumChannels> squares{};
+  for (int f = 0; f < kFolds; ++f) {
+    Eigen::MatrixXd H = (total - grams[f]).topLeftCorner(n, n);
+    H.diagonal() += prior;
+    const Eigen::VectorXd step =
+        H.ldlt().solve((total - grams[f]).col(n).head(n) + prior.cwiseProduct(r.prior_offset));
+    for (int c = 0; c < r.num_channels; ++c) {
+      for (size_t k = 0; k < rows.size(); ++k) {
+        if (fold_of[r.block[rows[k]]] != f) continue;
+        const double e = white[c](k, n) - white[c].row(k).head(n).dot(step);
+        squares[c] += e * e;
+      }
+    }
+  }
+  const double samples = static_cast<double>(rows.size());
+  for (int c = 0; c < r.num_channels; ++c) {
+    const double variance = noise[c].variance * squares[c] / samples;
+    fit.innovation_variance[c] = variance;
+    fit.cross_validated -= 0.5 * samples * std::log(variance);
+    // Spectral density at zero against variance.
+    const double gain = 1.0 - noise[c].coefficients.sum();
+    const double power = fit.residual.col(c).squaredNorm() /
+                         static_cast<double>(std::max<Eigen::Index>(1, fit.residual.rows()));
+    const double density = noise[c].variance / std::max(gain * gain, 1e-6);
+    fit.effective_samples[c] = std::min(samples, samples * power / density);
+  }
+  return fit;
+}
+
+}  // namespace odmc

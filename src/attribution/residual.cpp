@@ -1,0 +1,86 @@
+#include "odmc/attribution/residual.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace odmc {
+
+ThinnedFlight::ThinnedFlight(FlightMotion flight, double block_s, int hold_out_every)
+    : flight_(std::move(flight)), block_s_(block_s), hold_out_every_(hold_out_every) {
+  const int stride =
+      flight_.step_s > 0.0
+          ? std::max(1, static_cast<int>(std::lround(kStep_s / flight_.step_s)))
+          : 1;
+  step_s_ = stride * flight_.step_s;
+  int run = 0;
+  for (size_t i = 0; i < flight_.samples.size(); ++i) {
+    run = flight_.samples[i].follows ? run + 1 : 0;
+    if (run % stride != 0) continue;
+    index_.push_back(i);
+    next_.push_back(run > 0);
+  }
+}
+
+bool ThinnedFlight::IsHeldOut(double t_s) const {
+  return hold_out_every_ > 1 && BlockAt(t_s) % hold_out_every_ == hold_out_every_ - 2;
+}
+
+std::vector<std::pair<double, double>> ThinnedFlight::HeldOutSpans() const {
+  std::vector<std::pair<double, double>> spans;
+  if (flight_.samples.empty() || hold_out_every_ <= 1) return spans;
+  const int last = BlockAt(flight_.samples.back().t_s);
+  for (int b = hold_out_every_ - 2; b <= last; b += hold_out_every_) {
+    spans.emplace_back(b * block_s_, (b + 1) * block_s_);
+  }
+  return spans;
+}
+
+std::vector<std::vector<double>> ThinnedFlight::Runs(const Eigen::VectorXd& channel) const {
+  std::vector<std::vector<double>> runs;
+  for (int i = 0; i < size(); ++i) {
+    if (!next_[i]) runs.emplace_back();
+    runs.back().push_back(channel[i]);
+  }
+  return runs;
+}
+
+ResidualModel::ResidualModel(const ThinnedFlight* flight, const Vehicle* file_vehicle,
+                             bool with_torque)
+    : flight_(flight), file_vehicle_(file_vehicle), with_torque_(with_torque) {}
+
+ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
+                                                const ModelValues& values) const {
+  Wrenches residual(flight_->size(), kNumChannels);
+  std::vector<Eigen::Vector3d> pulls;
+  if (model.IndexOf("suspended_load.length") >= 0) {
+    pulls = LoadPulls(flight_->motion(), model, values);
+  }
+  const Eigen::Vector3d hanging(0.0, 0.0, -file_vehicle_->gravity_m_s2);
+  for (int i = 0; i < flight_->size(); ++i) {
+    const Eigen::Vector3d& pull = pulls.empty() ? hanging : pulls[flight_->index(i)];
+    const PredictionSample s =
+        PredictSample(flight_->sample(i), pull, *file_vehicle_, model, values, false);
+    residual.row(i).head<3>() = s.measured_force - s.predicted_force;
+    residual.row(i).tail<3>() = file_vehicle_->inertia_kg_m2.cwiseProduct(
+        s.measured_angular_acceleration - s.predicted_angular_acceleration);
+  }
+  if (!with_torque_) residual.rightCols<3>().setZero();
+  return residual;
+}
+
+ResidualModel::Wrenches ResidualModel::Derivative(const DynamicModel& model,
+                                                  const ModelValues& values, int index) const {
+  const ModelParameter& parameter = model.parameters()[index];
+  const double step =
+      parameter.spec.transform == ParameterTransform::kLog
+          ? 1e-3 * values[index]
+          : 1e-3 * std::max(std::abs(values[index]), parameter.spec.scale);
+  ModelValues up = values, down = values;
+  up[index] += step;
+  down[index] -= step;
+  Wrenches derivative = (Residual(model, down) - Residual(model, up)) / (2.0 * step);
+  if (parameter.full_name == "thrust.k_f") derivative.rightCols<3>().setZero();
+  return derivative;
+}
+
+}  // namespace odmc

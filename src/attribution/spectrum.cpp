@@ -1,0 +1,139 @@
+#include "odmc/attribution/spectrum.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace odmc {
+namespace {
+
+constexpr int kShortestRun = 50;  // samples
+constexpr int kIterations = 300;
+constexpr double kPi = 3.14159265358979323846;
+// Corner frequencies of structure, in Hz.
+constexpr double kCorners_Hz[] = {0.05, 0.15, 0.5, 1.5};
+
+struct Bin {
+  double frequency_Hz, power;
+};
+
+std::vector<Bin> Periodogram(const std::vector<std::vector<double>>& runs, double rate_Hz,
+                             double highest_Hz) {
+  std::vector<Bin> bins;
+  for (const std::vector<double>& run : runs) {
+    const int n = static_cast<int>(run.size());
+    if (n < kShortestRun) continue;
+    for (int k = 1; 2 * k < n; ++k) {
+      const double f = k * rate_Hz / n;
+      if (f > highest_Hz) break;
+      double re = 0.0, im = 0.0;
+      const double step = 2.0 * kPi * k / n;
+      for (int i = 0; i < n; ++i) {
+        re += run[i] * std::cos(step * i);
+        im += run[i] * std::sin(step * i);
+      }
+      bins.push_back({f, (re * re + im * im) / n});
+    }
+  }
+  return bins;
+}
+
+/// Whittle's likelihood of a sum of given spectra, at its best weights.
+struct Fit {
+  std::vector<double> weights;
+  double log_likelihood = 0.0;
+};
+
+Fit FitSpectrum(const std::vector<Bin>& bins, const std::vector<std::vector<double>>& shapes) {
+  const size_t count = shapes.size();
+  double mean = 0.0;
+  for (const Bin& bin : bins) mean += bin.power / static_cast<double>(bins.size());
+  Fit fit;
+  for (size_t j = 0; j < count; ++j) {
+    double size = 0.0;
+    for (const double s : shapes[j]) size += s / static_cast<double>(bins.size());
+    fit.weights.push_back(mean / (size * static_cast<double>(count)));
+  }
+  std::vector<double> total(bins.size());
+  const auto evaluate = [&] {
+    for (size_t i = 0; i < bins.size(); ++i) {
+      total[i] = 1e-300;
+      for (size_t j = 0; j < count; ++j) total[i] += fit.weights[j] * shapes[j][i];
+    }
+  };
+  for (int iteration = 0; iteration < kIterations; ++iteration) {
+    evaluate();
+    for (size_t j = 0; j < count; ++j) {
+      double up = 0.0, down = 1e-300;
+      for (size_t i = 0; i < bins.size(); ++i) {
+        up += shapes[j][i] * bins[i].power / (total[i] * total[i]);
+        down += shapes[j][i] / total[i];
+      }
+      fit.weights[j] *= std::sqrt(up / down);  // never increases the divergence
+    }
+  }
+  evaluate();
+  for (size_t i = 0; i < bins.size(); ++i) {
+    fit.log_likelihood -= std::log(total[i]) + bins[i].power / total[i];
+  }
+  return fit;
+}
+
+}  // namespace
+
+Whiteness TestWhiteness(const std::vector<std::vector<double>>& runs, double rate_Hz,
+                        double highest_Hz) {
+  Whiteness result;
+  const std::vector<Bin> bins = Periodogram(runs, rate_Hz, highest_Hz);
+  if (bins.size() < 20) return result;
+  std::vector<double> white(bins.size(), 1.0), blue;
+  for (const Bin& bin : bins) blue.push_back(bin.frequency_Hz * bin.frequency_Hz);
+  const Fit null = FitSpectrum(bins, {white, blue});
+  std::vector<std::vector<double>> shapes = {white, blue};
+  for (const double corner : kCorners_Hz) {
+    std::vector<double> red;
+    for (const Bin& bin : bins) {
+      const double x = bin.frequency_Hz / corner;
+      red.push_back(1.0 / (1.0 + x * x));
+    }
+    shapes.push_back(red);
+  }
+  const Fit full = FitSpectrum(bins, shapes);
+  const double gain = std::max(0.0, full.log_likelihood - null.log_likelihood);
+  double structured = 0.0, all = 0.0, highest = 0.0, peak = 0.0;
+  for (size_t i = 0; i < bins.size(); ++i) {
+    double red = 0.0;
+    for (size_t j = 2; j < shapes.size(); ++j) red += full.weights[j] * shapes[j][i];
+    const double noise = full.weights[0] + full.weights[1] * blue[i];
+    structured += red;
+    all += red + noise;
+    const double level = null.weights[0] + null.weights[1] * blue[i] + 1e-300;
+    if (bins[i].power / level > highest) {
+      highest = bins[i].power / level;
+      peak = bins[i].frequency_Hz;
+    }
+  }
+  // Two degrees of freedom for a low-pass part; a line among this many bins.
+  const double p_low = std::exp(-gain);
+  const double p_line = -std::expm1(static_cast<double>(bins.size()) *
+                                    std::log1p(-std::exp(-std::min(700.0, highest))));
+  result.p = std::min(1.0, 2.0 * std::min(p_low, p_line));
+  result.structured_share = structured / all;
+  result.peak_Hz = peak;
+  return result;
+}
+
+std::vector<double> Autocorrelation(const std::vector<std::vector<double>>& runs, int count) {
+  std::vector<double> sum(count, 0.0);
+  for (const std::vector<double>& run : runs) {
+    for (size_t i = 0; i < run.size(); ++i) {
+      for (int lag = 0; lag < count && i + lag < run.size(); ++lag) {
+        sum[lag] += run[i] * run[i + lag];
+      }
+    }
+  }
+  const double power = sum.empty() || sum[0] <= 0.0 ? 1.0 : sum[0];
+  for (double& s : sum) s /= power;
+  return sum;
+}
+
+}  // namespace odmc

@@ -1,0 +1,43 @@
+#include "odmc/effects/effects.h"
+#include "rotor_air.h"
+
+namespace odmc {
+namespace {
+
+/// Wind that comes and goes: the same, with W a first-order Gauss-Markov process of standard
+/// deviation `sigma` and correlation time `time_constant`.              model.md 12.11
+class Gust final : public Effect {
+ public:
+  explicit Gust(const Vehicle& vehicle)
+      : Effect(vehicle,
+               {"gust", "Gusts", "v_AB_B = R_WB^T (v_WB - W), dW/dt = -W/T + white noise",
+                "model.md 12.11; Dryden's first-order form",
+                "the estimate is the wind of the present window; seen only through the drag"},
+               {Varying("x"), Varying("y"), Varying("z"),
+                {"sigma", "m/s", "standard deviation of the gusts per axis", 1.0, 1.0, 1.0,
+                 ParameterTransform::kLog, PhysicalSign::kPositive, true},
+                {"time_constant", "s", "correlation time of the gusts", 2.0, 2.0, 2.0,
+                 ParameterTransform::kLog, PhysicalSign::kPositive, true}}) {}
+
+  bool adds_wrench() const override { return false; }
+
+ private:
+  static ParameterSpec Varying(const std::string& axis) {
+    ParameterSpec spec = WindSpec(axis);
+    spec.process_sigma = "sigma";
+    spec.process_time_constant = "time_constant";
+    return spec;
+  }
+
+  void DoShape(const ParameterValues& values, BodyProperties* body,
+               BodyPropertyJacobian* J) const override {
+    body->wind_W += values.head<3>();
+    if (J != nullptr) J->block<3, 3>(kRowWind, 0).setIdentity();
+  }
+};
+
+}  // namespace
+
+std::unique_ptr<Effect> MakeGust(const Vehicle& vehicle) { return std::make_unique<Gust>(vehicle); }
+
+}  // namespace odmc

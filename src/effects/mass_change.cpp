@@ -1,0 +1,81 @@
+#include "odmc/effects/effects.h"
+
+namespace odmc {
+namespace {
+
+/// A load m_L at ξ from the instant `from` on: mass, centre of mass and inertia of both together.
+/// With s = ξ - c and the reduced mass μ = m m_L/(m + m_L): c' = c + m_L/(m + m_L) s,
+/// I' = I + μ (|s|² 1 - s sᵀ).                                           model.md 12.15
+class MassChange final : public Effect {
+ public:
+  explicit MassChange(const Vehicle& vehicle)
+      : Effect(vehicle,
+               {"mass_change", "Change of mass",
+                "m' = m + m_L, c' = c + m_L/m' s, I' = I + m m_L/m' (|s|^2 1 - s s^T), s = xi - c, "
+                "from t = from on",
+                "model.md 12.15",
+                "needs a known k_f, or a change in flight; never free the whole flight's mass "
+                "together with k_f"},
+               {{"mass", "kg", "added mass, negative for a loss", 0.0, 0.5 * vehicle.mass_kg,
+                 0.1 * vehicle.mass_kg},
+                Place("x", vehicle),
+                Place("y", vehicle),
+                Place("z", vehicle),
+                {"from", "s", "when it is added, since the recording's start", 0.0, 1.0, 1.0,
+                 ParameterTransform::kLinear, PhysicalSign::kAny, true}},
+               {"centre_of_gravity.x", "centre_of_gravity.y", "centre_of_gravity.z"}) {}
+
+  bool adds_wrench() const override { return false; }
+  bool depends_on_time() const override { return true; }
+
+ private:
+  static ParameterSpec Place(const std::string& axis, const Vehicle& vehicle) {
+    return {axis,
+            "m",
+            "place of the added mass, body " + axis,
+            0.0,
+            0.3 * vehicle.ArmLength(),
+            0.1 * vehicle.ArmLength()};
+  }
+
+  void DoShapeAt(double time_s, const ParameterValues& values, BodyProperties* body,
+                 BodyPropertyJacobian* J) const override {
+    if (time_s < values[4]) return;
+    const double m = vehicle().mass_kg, added = values[0];
+    const double total = m + added;
+    const Eigen::Vector3d s = values.segment<3>(1) - values.segment<3>(5);
+    const double share = added / total, reduced = m * share;
+    const Eigen::Matrix3d spread =
+        s.squaredNorm() * Eigen::Matrix3d::Identity() - s * s.transpose();
+    body->mass += added;
+    body->p_BBcm += share * s;
+    body->I_BBcm_B += reduced * spread;
+    if (J == nullptr) return;
+    const auto rows = [](const Eigen::Matrix3d& a) {
+      Eigen::Matrix<double, 6, 1> r;
+      r << a(0, 0), a(1, 1), a(2, 2), a(0, 1), a(0, 2), a(1, 2);
+      return r;
+    };
+    const double d_share = m / (total * total);
+    (*J)(kRowMass, 0) = 1.0;
+    J->block<3, 1>(kRowCom, 0) = d_share * s;
+    J->block<6, 1>(kRowInertia, 0) = m * d_share * rows(spread);
+    for (int i = 0; i < 3; ++i) {
+      const Eigen::Vector3d ds = Eigen::Vector3d::Unit(i);
+      const Eigen::Matrix3d d_spread = 2.0 * s[i] * Eigen::Matrix3d::Identity() -
+                                       ds * s.transpose() - s * ds.transpose();
+      for (const auto& [column, sign] : {std::pair<int, double>{1 + i, 1.0}, {5 + i, -1.0}}) {
+        J->block<3, 1>(kRowCom, column) = sign * share * ds;
+        J->block<6, 1>(kRowInertia, column) = sign * reduced * rows(d_spread);
+      }
+    }
+  }
+};
+
+}  // namespace
+
+std::unique_ptr<Effect> MakeMassChange(const Vehicle& vehicle) {
+  return std::make_unique<MassChange>(vehicle);
+}
+
+}  // namespace odmc

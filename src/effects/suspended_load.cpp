@@ -1,0 +1,60 @@
+#include "odmc/effects/effects.h"
+
+namespace odmc {
+namespace {
+
+/// A load on a cable: f = m_L R^T π at ξ, π the cable's pull per unit of load, from a pendulum that
+/// the measured motion drives (Pendulum).                              model.md 12.17
+class SuspendedLoad final : public Effect {
+ public:
+  explicit SuspendedLoad(const Vehicle& vehicle)
+      : Effect(vehicle,
+               {"suspended_load", "Suspended load",
+                "f = m_L R_WB^T pull at xi; pull = (l |dzeta/dt|^2 - zeta.(a + g e3)) zeta, zeta a "
+                "pendulum of length l driven by the vehicle's motion",
+                "model.md 12.17; Sreenath, Lee and Kumar 2013",
+                "taut cable; length and damping are frozen, the pendulum runs outside the window"},
+               {{"mass", "kg", "mass of the load", 0.0, 0.5 * vehicle.mass_kg,
+                 0.1 * vehicle.mass_kg, ParameterTransform::kLinear, PhysicalSign::kPositive},
+                {"length", "m", "length of the cable, to the load's centre", 0.5, 0.5, 0.5,
+                 ParameterTransform::kLog, PhysicalSign::kPositive, true},
+                {"damping", "1", "damping ratio of the swing", 0.03, 0.03, 0.03,
+                 ParameterTransform::kLog, PhysicalSign::kPositive, true},
+                Place("x", vehicle),
+                Place("y", vehicle),
+                Place("z", vehicle)}) {}
+
+ private:
+  static ParameterSpec Place(const std::string& axis, const Vehicle& vehicle) {
+    return {axis,
+            "m",
+            "where the cable is fixed, body " + axis,
+            0.0,
+            0.2 * vehicle.ArmLength(),
+            0.1 * vehicle.ArmLength(),
+            ParameterTransform::kLinear,
+            PhysicalSign::kAny,
+            true};
+  }
+
+  void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
+                   WrenchJacobians* J) const override {
+    const Eigen::Vector3d p_BP = values.segment<3>(3);
+    const Eigen::Vector3d pull_B = state.R_WB.transpose() * state.load_pull_W;
+    wrench->AddForceAt(p_BP, values[0] * pull_B);
+    if (J == nullptr) return;
+    J->AddForceAt(p_BP, kColumnAttitude, values[0] * Hat(pull_B));
+    J->AddForceAtParameter(p_BP, 0, pull_B);
+    for (int i = 0; i < 3; ++i) {
+      J->AddCoupleParameter(3 + i, values[0] * Eigen::Vector3d::Unit(i).cross(pull_B));
+    }
+  }
+};
+
+}  // namespace
+
+std::unique_ptr<Effect> MakeSuspendedLoad(const Vehicle& vehicle) {
+  return std::make_unique<SuspendedLoad>(vehicle);
+}
+
+}  // namespace odmc

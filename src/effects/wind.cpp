@@ -1,0 +1,31 @@
+#include "odmc/effects/effects.h"
+#include "rotor_air.h"
+
+namespace odmc {
+namespace {
+
+/// Constant wind: v_AB_B = R^T (v - W) in every effect that looks at the air.  model.md 12.11
+class Wind final : public Effect {
+ public:
+  explicit Wind(const Vehicle& vehicle)
+      : Effect(vehicle,
+               {"wind", "Constant wind", "v_AB_B = R_WB^T (v_WB - W), W constant",
+                "model.md 12.11; Shastry and Paley 2021",
+                "one with a tilt of gravity unless drag depends on attitude or speed; indoors zero"},
+               {WindSpec("x"), WindSpec("y"), WindSpec("z")}) {}
+
+  bool adds_wrench() const override { return false; }
+
+ private:
+  void DoShape(const ParameterValues& values, BodyProperties* body,
+               BodyPropertyJacobian* J) const override {
+    body->wind_W += values.head<3>();
+    if (J != nullptr) J->block<3, 3>(kRowWind, 0).setIdentity();
+  }
+};
+
+}  // namespace
+
+std::unique_ptr<Effect> MakeWind(const Vehicle& vehicle) { return std::make_unique<Wind>(vehicle); }
+
+}  // namespace odmc

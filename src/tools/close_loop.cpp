@@ -1,0 +1,53 @@
+#include <iostream>
+
+#include "odmc/analysis/report.h"
+#include "odmc/attribution/close_loop_report.h"
+#include "odmc/io/parameters_yaml.h"
+#include "odmc/io/vehicle_yaml.h"
+#include "tool_support.h"
+
+int main(int argc, char** argv) {
+  using namespace odmc;
+  CLI::App app(
+      "Closes the loop on a recorded flight: calibrates the declared model, traces what it leaves\n"
+      "unexplained to a physical effect it lacks, adds that effect, and reports the error before\n"
+      "and after on blocks of time that neither the choice nor the fit has seen.\n"
+      "Writes report.json, residual.csv, parameters.yaml (of the extended model), report.html.\n"
+      "With --parameters a thrust coefficient known to 5 % is held, so that a change of mass shows.");
+  tools::FlightArguments flight;
+  tools::ModelArguments model_arguments;
+  tools::EstimatorArguments estimator;
+  std::string vehicle_file, folder;
+  bool no_report = false;
+  CloseLoopOptions options;
+  flight.AddTo(&app);
+  tools::AddVehicle(&app, &vehicle_file);
+  tools::AddFolder(&app, &folder, &no_report);
+  model_arguments.AddParametersTo(&app, "parameters.yaml with effects, start values and priors");
+  model_arguments.AddTo(&app);
+  estimator.AddTo(&app);
+  app.add_option("--block", options.block_s, "length of a block of time [s]")
+      ->capture_default_str()
+      ->check(CLI::PositiveNumber);
+  app.add_option("--most-effects", options.most_effects, "add at most this many effects")
+      ->capture_default_str()
+      ->check(CLI::NonNegativeNumber);
+  return tools::Run(&app, argc, argv, [&] {
+    const Vehicle file_vehicle = LoadVehicle(vehicle_file);
+    options.estimator = estimator.Read();
+    Vehicle vehicle = model_arguments.Configure(file_vehicle);
+    if (!model_arguments.parameters_file.empty()) HoldKnownThrust(&vehicle);
+    const FlightLog log = flight.Read(vehicle.num_rotors());
+    tools::MakeFolder(folder);
+    tools::ProgressBar bar(log.file);
+    ClosedLoop loop = CloseLoop(log, file_vehicle, vehicle, options, bar.Callback());
+    loop.parameters.provenance = tools::Provenance(
+        "close_loop", vehicle,
+        {{"flight", log.file}, {"estimator_options", tools::DescribeChanges(options.estimator)}});
+    WriteText(CloseLoopReport(loop), tools::In(folder, "report.json"));
+    WriteLoopSamples(loop, tools::In(folder, "residual.csv"));
+    SaveParameters(loop.parameters, tools::In(folder, "parameters.yaml"));
+    std::cout << CloseLoopTable(loop);
+    if (!no_report) tools::RenderReport(folder);
+  });
+}
