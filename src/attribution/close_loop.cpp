@@ -18,6 +18,9 @@ constexpr double kHighest_Hz = 7.0;       // edge of the filter
 constexpr double kSignificant = 3.0;      // sigmas of at least one coefficient
 constexpr double kSignSigmas = 2.0;       // a wrong sign by this many is an objection
 constexpr double kTooLarge = 5.0;         // natural sizes (prior sigmas) beyond which too
+constexpr double kBetter = 0.975;         // on some channel, out of sample
+constexpr double kWorse = 1.05;           // on any channel, out of sample
+constexpr double kWorseOnline = 1.15;     // the same for the online estimator
 constexpr int kRounds = 2;                // of linearization
 constexpr int kCorrelationLags = 26;      // of 40 ms: one second
 constexpr double kKnownThrustShare = 0.05;
@@ -144,7 +147,7 @@ class Regressor {
     result.names = names;
     result.values = stage.values;
     for (size_t i = 0; i < names.size(); ++i) {
-      result.values[names[i]] += result.fit.step[static_cast<Eigen::Index>(i)];
+      result.values[names[i]] += result.fit.plain_step[static_cast<Eigen::Index>(i)];
     }
     return result;
   }
@@ -155,13 +158,39 @@ class Regressor {
   std::vector<std::string> names_, base_names_;
 };
 
+/// Rotors answer disturbances through the controller, so that a little of any torque noise lines up
+/// with their acceleration: sizes that this alone can make count for nothing.
+bool IsNegligible(const RankedEffect& ranked) {
+  constexpr double kDelay_s = 0.0015;
+  if (ranked.name != "rotor_delay") return false;
+  for (const ParameterEstimate& p : ranked.parameters) {
+    if (std::abs(p.value) > kDelay_s) return false;
+  }
+  return true;
+}
+
 /// Fills in a candidate's parameters, and what speaks against them.
 RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regressor::Result& result,
-                   double base_score) {
+                   const WrenchFit& base, int num_channels) {
   RankedEffect ranked;
   ranked.name = candidate.effect;
   ranked.settings = candidate.settings;
-  ranked.score = result.fit.cross_validated - base_score;
+  ranked.score = result.fit.cross_validated - base.cross_validated;
+  double best = 1.0;
+  for (int c = 0; c < num_channels; ++c) {
+    const double change =
+        std::sqrt(result.fit.plain_mean_square[c] / base.plain_mean_square[c]);
+    best = std::min(best, change);
+    if (change > kWorse) {
+      ranked.sound = false;
+      ranked.objection = std::string("makes ") + kChannelNames[c] + " worse by " +
+                         Text(100.0 * (change - 1.0)) + " %";
+    }
+  }
+  if (ranked.sound && best > kBetter) {
+    ranked.sound = false;
+    ranked.objection = "makes no channel better";
+  }
   const Vehicle extended = With(stage.vehicle, candidate);
   const DynamicModel model(extended, extended.effects);
   bool significant = false;
@@ -191,6 +220,10 @@ RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regress
     ranked.parameters.push_back(
         {name, model.parameters()[k].spec.unit, value, 0.0, false, false});
   }
+  if (ranked.sound && IsNegligible(ranked)) {
+    ranked.sound = false;
+    ranked.objection = "is too small to matter, and no larger than feedback can feign";
+  }
   if (ranked.sound && !significant) {
     ranked.sound = false;
     ranked.objection = "no coefficient differs from zero by three sigma";
@@ -200,7 +233,7 @@ RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regress
 
 /// Every candidate at its best setting, best first; fits of the sound ones in `fits`.
 std::vector<RankedEffect> RankAll(const Stage& stage, const std::vector<Candidate>& candidates,
-                                  Regressor* regressor, double base_score,
+                                  Regressor* regressor, const WrenchFit& base, int num_channels,
                                   std::map<std::string, Regressor::Result>* fits) {
   std::map<std::string, RankedEffect> best;
   for (const Candidate& candidate : candidates) {
@@ -208,7 +241,7 @@ std::vector<RankedEffect> RankAll(const Stage& stage, const std::vector<Candidat
     if (std::find(have.begin(), have.end(), candidate.effect) != have.end()) continue;
     Regressor::Result result = regressor->FitWith(stage, candidate);
     if (!std::isfinite(result.fit.cross_validated)) continue;
-    const RankedEffect ranked = Judge(stage, candidate, result, base_score);
+    const RankedEffect ranked = Judge(stage, candidate, result, base, num_channels);
     const auto it = best.find(candidate.effect);
     const bool better = it == best.end() ||
                         std::make_pair(ranked.sound, ranked.score) >
@@ -374,16 +407,20 @@ Pass Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& 
   return pass;
 }
 
-/// Sum over the channels of the log of after over before.
-double LogChange(const PredictionFigures& before, const PredictionFigures& after) {
-  double sum = 0.0;
-  const auto add = [&sum](const PredictionFigures::Axes& b, const PredictionFigures::Axes& a) {
+/// True if some channel is better and none is clearly worse.
+bool IsBetter(const PredictionFigures& before, const PredictionFigures& after) {
+  double sum = 0.0, worst = 0.0;
+  const auto add = [&](const PredictionFigures::Axes& b, const PredictionFigures::Axes& a) {
     if (!a || !b) return;
-    for (int i = 0; i < 3; ++i) sum += std::log((*a)[i] / (*b)[i]);
+    for (int i = 0; i < 3; ++i) {
+      const double change = (*a)[i] / (*b)[i];
+      sum += std::log(change);
+      worst = std::max(worst, change);
+    }
   };
   add(before.force_rmse_N, after.force_rmse_N);
   add(before.torque_rmse_Nm, after.torque_rmse_Nm);
-  return sum;
+  return sum < 0.0 && worst < kWorseOnline;
 }
 
 }  // namespace
@@ -469,19 +506,29 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     }
   }
 
-  const std::vector<Candidate> candidates = CandidatesFor(vehicle, flight.motion());
+  std::vector<Candidate> candidates = CandidatesFor(vehicle, flight.motion());
+  // A mass over the whole flight is one with the thrust coefficient.
+  const int k_f = declared.IndexOf("thrust.k_f");
+  if (k_f >= 0 && declared.parameters()[k_f].estimated) {
+    candidates.erase(std::remove_if(candidates.begin(), candidates.end(),
+                                    [](const Candidate& c) {
+                                      const auto from = c.settings.find("mass_change.from");
+                                      return from != c.settings.end() && from->second <= 0.0;
+                                    }),
+                     candidates.end());
+  }
   ResidualModel::Wrenches unexplained, first_residual;
   double scores = 0.0;
   std::vector<AddedEffect> added;
   for (int step = 0; step <= options.most_effects; ++step) {
     Regressor regressor(&residual, stage);
     const Regressor::Result base = regressor.FitBase(stage);
-    unexplained = base.fit.residual;
+    unexplained = base.fit.plain_residual;
     if (step == 0) first_residual = unexplained;
     if (step == options.most_effects) break;
     std::map<std::string, Regressor::Result> fits;
     const std::vector<RankedEffect> ranking =
-        RankAll(stage, candidates, &regressor, base.fit.cross_validated, &fits);
+        RankAll(stage, candidates, &regressor, base.fit, residual.num_channels(), &fits);
     if (step == 0) result.ranking = ranking;
     if (progress) progress(0.4 + 0.2 * (step + 1) / options.most_effects);
     if (ranking.empty() || !ranking.front().sound) break;
@@ -561,14 +608,14 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   }
   if (result.verdict != Verdict::kEffect && structured) result.verdict = Verdict::kUnexplained;
 
-  if (result.verdict == Verdict::kEffect) {
+  while (result.verdict == Verdict::kEffect && !added.empty()) {
     Vehicle extended = vehicle;
     for (const AddedEffect& effect : added) {
       extended = With(extended, {effect.effect.name, effect.effect.settings});
     }
     const DynamicModel model(extended, extended.effects);
     const Pass after = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
-    if (LogChange(before.held_out, after.held_out) < 0.0) {
+    if (IsBetter(before.held_out, after.held_out)) {
       result.after = after.held_out;
       result.parameters = after.parameters;
       result.effect_names = extended.effects;
@@ -582,8 +629,11 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
       fill_samples(after.prediction);
       return result;
     }
-    result.warnings.push_back(added.front().effect.name +
+    result.warnings.push_back(added.back().effect.name +
                               " was chosen, but did not predict blocks held out any better");
+    added.pop_back();
+  }
+  if (result.verdict == Verdict::kEffect) {
     result.verdict = structured ? Verdict::kUnexplained : Verdict::kNone;
   }
   if (result.verdict == Verdict::kUnexplained) {

@@ -75,6 +75,67 @@ Channel Whiten(const WrenchRegression& r, int channel, const Noise& noise,
   return white;
 }
 
+/// Fits with white noise, the size of each channel from the fit itself; leaves one fold out at a
+/// time.
+void PlainCrossValidation(const WrenchRegression& r, const std::vector<int>& rows,
+                          const std::map<int, int>& fold_of, const Eigen::VectorXd& prior,
+                          WrenchFit* fit) {
+  const int n = static_cast<int>(r.prior_sigma.size());
+  std::array<std::array<Eigen::MatrixXd, kNumChannels>, kFolds> grams;
+  for (int c = 0; c < r.num_channels; ++c) {
+    std::array<Eigen::MatrixXd, kFolds> part;
+    std::array<int, kFolds> count{};
+    for (auto& p : part) p.resize(static_cast<int>(rows.size()), n + 1);
+    for (const int i : rows) {
+      const int f = fold_of.at(r.block[i]);
+      part[f].row(count[f]) << r.columns[c].row(i), r.y(i, c);
+      ++count[f];
+    }
+    for (int f = 0; f < kFolds; ++f) {
+      grams[f][c] = part[f].topRows(count[f]).transpose() * part[f].topRows(count[f]);
+    }
+  }
+  const double samples = static_cast<double>(rows.size());
+  std::array<double, kNumChannels> variance{};
+  Eigen::VectorXd step = Eigen::VectorXd::Zero(n);
+  const auto square = [&](const Eigen::MatrixXd& gram, const Eigen::VectorXd& at) {
+    return gram(n, n) - 2.0 * at.dot(gram.col(n).head(n)) +
+           at.dot(gram.topLeftCorner(n, n) * at);
+  };
+  const auto fit_to = [&](int left_out) {
+    Eigen::MatrixXd H = Eigen::MatrixXd::Zero(n, n);
+    Eigen::VectorXd g = prior.cwiseProduct(r.prior_offset);
+    for (int f = 0; f < kFolds; ++f) {
+      if (f == left_out) continue;
+      for (int c = 0; c < r.num_channels; ++c) {
+        H += grams[f][c].topLeftCorner(n, n) / variance[c];
+        g += grams[f][c].col(n).head(n) / variance[c];
+      }
+    }
+    H.diagonal() += prior;
+    return Eigen::VectorXd(H.ldlt().solve(g));
+  };
+  for (int round = 0; round < kRounds; ++round) {
+    for (int c = 0; c < r.num_channels; ++c) {
+      double sum = 0.0;
+      for (int f = 0; f < kFolds; ++f) sum += square(grams[f][c], step);
+      variance[c] = std::max(sum / samples, 1e-300);
+    }
+    step = fit_to(-1);
+  }
+  for (int f = 0; f < kFolds; ++f) {
+    const Eigen::VectorXd without = fit_to(f);
+    for (int c = 0; c < r.num_channels; ++c) {
+      fit->plain_mean_square[c] += std::max(0.0, square(grams[f][c], without)) / samples;
+    }
+  }
+  fit->plain_step = step;
+  fit->plain_residual = r.y;
+  for (int c = 0; c < r.num_channels; ++c) {
+    fit->plain_residual.col(c) = r.y.col(c) - r.columns[c] * step;
+  }
+}
+
 }  // namespace
 
 WrenchFit FitWrench(const WrenchRegression& r) {
@@ -140,6 +201,7 @@ WrenchFit FitWrench(const WrenchRegression& r) {
       }
     }
   }
+  PlainCrossValidation(r, rows, fold_of, prior, &fit);
   const double samples = static_cast<double>(rows.size());
   for (int c = 0; c < r.num_channels; ++c) {
     const double variance = noise[c].variance * squares[c] / samples;

@@ -79,7 +79,7 @@ ResidualModel::Wrenches ResidualModel::Derivative(const DynamicModel& model,
   up[index] += step;
   down[index] -= step;
   Wrenches derivative = (Residual(model, down) - Residual(model, up)) / (2.0 * step);
-  if (parameter.full_name == "thrust.k_f") derivative.rightCols<3>().setZero();
+  if (parameter.full_name == "thrust.k_f" || parameter.full_name == "thrust_drift.rate") derivative.rightCols<3>().setZero();
   return derivative;
 }
 

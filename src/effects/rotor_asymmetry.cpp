@@ -3,14 +3,14 @@
 namespace odmc {
 namespace {
 
-/// Rotors that differ: f_j = k_f δ_j Ω_j² e3 on top of thrust, as from a damaged propeller. The mean
-/// of δ is k_f's; the priors share it out.                             model.md 12.8
+/// Rotors that differ: f_j = k_f (δ_j - mean δ) Ω_j² e3 on top of thrust, as from a damaged
+/// propeller. The mean is k_f's own.                                   model.md 12.8
 class RotorAsymmetry final : public Effect {
  public:
   explicit RotorAsymmetry(const Vehicle& vehicle)
       : Effect(vehicle,
                {"rotor_asymmetry", "Thrust differs from rotor to rotor",
-                "f_j = k_f delta_j Omega_j^2 e3 at hub j", "model.md 12.8",
+                "f_j = k_f (delta_j - mean(delta)) Omega_j^2 e3 at hub j", "model.md 12.8",
                 "in steady hover one with the centre of gravity; needs manoeuvres"},
                Deltas(vehicle), {"thrust.k_f"}) {}
 
@@ -27,14 +27,16 @@ class RotorAsymmetry final : public Effect {
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
                    WrenchJacobians* J) const override {
     const int n = vehicle().num_rotors();
-    const double k_f = values[n];
+    const double k_f = values[n], mean = values.head(n).mean();
     for (int j = 0; j < n; ++j) {
       const Eigen::Vector3d& p_BP = vehicle().rotors[j].p_BP;
       const Eigen::Vector3d square = state.rotors.speed_squared[j] * Eigen::Vector3d::UnitZ();
-      wrench->AddForceAt(p_BP, k_f * values[j] * square);
+      wrench->AddForceAt(p_BP, k_f * (values[j] - mean) * square);
       if (J == nullptr) continue;
-      J->AddForceAtParameter(p_BP, j, k_f * square);
-      J->AddForceAtParameter(p_BP, n, values[j] * square);
+      for (int i = 0; i < n; ++i) {
+        J->AddForceAtParameter(p_BP, i, k_f * ((i == j ? 1.0 : 0.0) - 1.0 / n) * square);
+      }
+      J->AddForceAtParameter(p_BP, n, (values[j] - mean) * square);
     }
   }
 };

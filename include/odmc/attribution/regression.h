@@ -28,6 +28,11 @@ struct WrenchFit {
   Eigen::MatrixXd covariance;  ///< n×n
   /// Log-likelihood of the samples in use, each block of time predicted by a fit to the others.
   double cross_validated = 0.0;
+  /// Mean square of the samples in use, each block predicted by a plain fit (white noise of each
+  /// channel's size) to the others: what the estimator would do.
+  std::array<double, kNumChannels> plain_mean_square{};
+  Eigen::VectorXd plain_step;  ///< n: of the plain fit
+  Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> plain_residual;  ///< N×6
   Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> residual;  ///< N×6, all samples
   std::array<double, kNumChannels> innovation_variance{};
   std::array<double, kNumChannels> effective_samples{};  ///< of white noise with the same mean

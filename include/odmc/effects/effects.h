@@ -39,6 +39,8 @@
   X(mass_change, MakeMassChange)                 \
   X(rotor_delay, MakeRotorDelay)                 \
   X(suspended_load, MakeSuspendedLoad)           \
+  X(anisotropic_hub_moment, MakeAnisotropicHubMoment) \
+  X(skewed_inflow, MakeSkewedInflow)             \
   X(rotor_level, MakeRotorLevel)
 
 namespace odmc {

@@ -1,0 +1,465 @@
+#include "odmc/attribution/undeclared.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <map>
+#include <memory>
+#include <stdexcept>
+
+#include "odmc/analysis/model_choice.h"
+#include "odmc/attribution/residual.h"
+#include "odmc/math/so3.h"
+#include "odmc/sim/gaussian.h"
+#include "odmc/sim/truth_vehicle.h"
+
+namespace odmc {
+namespace {
+
+using Eigen::Vector3d;
+
+constexpr double kDuration_s = 24.0;
+constexpr double kLogRate_Hz = 250.0;
+constexpr double kAbsurd = 6.0;      // natural sizes (prior sigmas) no effect should need
+constexpr double kNotExcited = 0.015;  // share below which an effect does not show
+constexpr int kVehicleStream = 201, kNoiseStream = 202, kUnknownStream = 203;
+
+const std::vector<std::string> kBase = {"thrust", "rotor_torque",      "drag",    "viscous_torque",
+                                        "hvt",    "centre_of_gravity", "inertia", "gravity"};
+
+/// Effects with trajectories that show them, best first.
+struct Excited {
+  const char* effect;
+  std::vector<std::string> trajectories;
+};
+
+const std::vector<Excited>& Catalogue() {
+  static const std::vector<Excited> list = {
+      {"rotor_drag", {"aggressive", "octo"}},
+      {"quadratic_drag", {"aggressive", "octo"}},
+      {"axial_inflow", {"aggressive", "octo", "vertical"}},
+      {"rotor_hvt", {"aggressive", "octo"}},
+      {"anisotropic_hvt", {"octo", "aggressive"}},
+      {"hub_moment", {"octo", "circle", "aggressive"}},
+      {"rotor_gyroscopic", {"aggressive", "octo"}},
+      {"rotor_reaction", {"yaw", "aggressive", "octo"}},
+      {"rotor_asymmetry", {"aggressive", "octo", "vertical"}},
+      {"pressure_centre", {"octo", "aggressive", "circle"}},
+      {"rotor_tilt", {"octo", "vertical", "aggressive"}},
+      {"wind", {"aggressive", "octo"}},
+      {"gust", {"octo", "circle", "vertical"}},
+      {"thrust_drift", {"octo", "vertical", "circle"}},
+      {"ground_effect", {"vertical", "octo"}},
+      {"products_of_inertia", {"aggressive", "octo"}},
+      {"mass_change", {"octo", "vertical", "circle"}},
+      {"rotor_delay", {"aggressive", "octo", "vertical"}},
+      {"suspended_load", {"octo", "aggressive", "circle"}},
+  };
+  return list;
+}
+
+/// Effects that a trajectory leaves alone.
+const std::vector<std::pair<std::string, std::string>> kHidden = {
+    {"quadratic_drag", "hover"},   {"rotor_hvt", "vertical"},   {"anisotropic_hvt", "hover"},
+    {"hub_moment", "hover"},       {"rotor_gyroscopic", "hover"}, {"products_of_inertia", "hover"},
+    {"rotor_drag", "hover"},       {"axial_inflow", "hover"},   {"rotor_delay", "hover"},
+    {"pressure_centre", "yaw"},    {"rotor_asymmetry", "hover"}, {"wind", "hover"},
+    {"rotor_reaction", "hover"},   {"quadratic_drag", "yaw"},   {"anisotropic_hvt", "vertical"},
+};
+
+Vehicle Made(const std::string& name, double mass, Vector3d inertia, double x, double y, double z,
+             double radius, double k_f, bool plus) {
+  Vehicle v;
+  v.name = name;
+  v.mass_kg = mass;
+  v.inertia_kg_m2 = inertia;
+  if (plus) {
+    const double a = std::hypot(x, y);
+    v.rotors = {{{a, 0.0, z}, 1.0, radius},
+                {{0.0, -a, z}, -1.0, radius},
+                {{-a, 0.0, z}, 1.0, radius},
+                {{0.0, a, z}, -1.0, radius}};
+  } else {
+    v.rotors = {{{x, y, z}, 1.0, radius},
+                {{x, -y, z}, -1.0, radius},
+                {{-x, -y, z}, 1.0, radius},
+                {{-x, y, z}, -1.0, radius}};
+  }
+  v.effects = kBase;
+  v.parameters["thrust.k_f"] = {k_f, 0.3 * k_f, true};
+  v.parameters["rotor_torque.k_m"] = {0.2 * radius * k_f, 0.06 * radius * k_f, false};
+  return v;
+}
+
+/// The declared vehicle's true parameters: the usual ones, each a little off.
+ModelValues TrueValues(const DynamicModel& model, Gaussian* random) {
+  ModelValues truth = DefaultTruth(model);
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    const ModelParameter& p = model.parameters()[i];
+    if (!p.estimated) continue;
+    truth[i] *= 1.0 + std::clamp(0.08 * random->Next(), -0.2, 0.2);
+    if (p.effect == "gravity") truth[i] = 0.01 * random->Next();
+  }
+  return truth;
+}
+
+/// An effect's parameters at a natural size, with signs and a shape drawn at random.
+std::map<std::string, double> DrawEffect(const std::string& name, const Vehicle& vehicle,
+                                         Gaussian* random) {
+  Vehicle with = vehicle;
+  with.effects.push_back(name);
+  const DynamicModel model(with, with.effects);
+  std::map<std::string, double> values;
+  for (const ModelParameter& p : model.parameters()) {
+    if (p.effect != name) continue;
+    double value = p.spec.prior_value;
+    if (p.estimated) {
+      const double size = p.spec.prior_sigma * (0.3 + 0.4 * std::abs(random->Next()));
+      const double sign = p.spec.sign == PhysicalSign::kPositive   ? 1.0
+                          : p.spec.sign == PhysicalSign::kNegative ? -1.0
+                          : random->Next() > 0.0                   ? 1.0
+                                                                   : -1.0;
+      value = sign * size;
+    }
+    values[p.full_name] = value;
+  }
+  const auto set = [&values](const std::string& key, double value) { values[key] = value; };
+  if (name == "rotor_asymmetry") {  // one damaged rotor
+    const int damaged = 1 + static_cast<int>(std::abs(random->Next()) * 7.0) % 4;
+    for (int j = 1; j <= 4; ++j) {
+      set("rotor_asymmetry.delta_" + std::to_string(j), j == damaged ? -0.1 : 0.0);
+    }
+  } else if (name == "rotor_tilt") {  // axes that lean along their circle: a yaw torque by thrust
+    for (int j = 1; j <= 4; ++j) {
+      const Vector3d& r = vehicle.rotors[j - 1].p_BP;
+      const double lean = 0.01 + 0.01 * random->Next();
+      set("rotor_tilt.alpha_" + std::to_string(j) + "x", -lean * r.y() / r.norm());
+      set("rotor_tilt.alpha_" + std::to_string(j) + "y", lean * r.x() / r.norm());
+    }
+  } else if (name == "mass_change") {
+    set("mass_change.mass", (random->Next() > 0.0 ? 0.1 : -0.08) * vehicle.mass_kg);
+    set("mass_change.from", 8.0 + 4.0 * std::min(1.0, std::abs(random->Next())));
+    set("mass_change.z", -0.1 * vehicle.ArmLength());
+  } else if (name == "suspended_load") {
+    set("suspended_load.mass", 0.1 * vehicle.mass_kg);
+    set("suspended_load.length", 0.3 + 0.5 * std::min(1.0, std::abs(random->Next())));
+    set("suspended_load.damping", 0.02 + 0.03 * std::min(1.0, std::abs(random->Next())));
+  } else if (name == "gust") {
+    for (const char* axis : {"x", "y", "z"}) set(std::string("gust.w_") + axis, 0.0);
+    set("gust.sigma", 1.0);
+    set("gust.time_constant", 1.0 + 1.5 * std::min(1.0, std::abs(random->Next())));
+  } else if (name == "ground_effect") {
+    set("ground_effect.k_ge", 1.5);
+    set("ground_effect.z_0", 0.0);
+  } else if (name == "wind") {
+    set("wind.w_z", 0.1 * values["wind.w_z"]);
+  } else if (name == "rotor_delay") {
+    set("rotor_delay.delay", std::abs(values["rotor_delay.delay"]));
+  }
+  return values;
+}
+
+/// The parameters whose size scales the effect.
+bool ScalesEffect(const std::string& full_name) {
+  if (full_name.rfind("mass_change", 0) == 0) return full_name == "mass_change.mass";
+  if (full_name.rfind("suspended_load", 0) == 0) return full_name == "suspended_load.mass";
+  if (full_name.rfind("gust", 0) == 0) return full_name == "gust.sigma";
+  return full_name != "ground_effect.z_0";
+}
+
+/// A disturbance outside every catalogue, of unit size in units of weight and weight times arm.
+Unmodelled DrawUnknown(const Vehicle& vehicle, double scale, int seed) {
+  auto random = std::make_shared<Gaussian>(seed, kUnknownStream);
+  const double force = scale * vehicle.mass_kg * vehicle.gravity_m_s2;
+  const double torque = force * vehicle.ArmLength();
+  const int kind = seed % 6;
+  const Vector3d direction = random->Next3().normalized();
+  const double phase = random->Next();
+  const double frequency = 0.4 + 1.2 * std::min(1.5, std::abs(random->Next()));
+  std::vector<Vector3d> waves, angles;
+  for (int i = 0; i < 24; ++i) {
+    waves.push_back(random->Next3());
+    angles.push_back(3.0 * random->Next3());
+  }
+  // A sum of waves with a first-order spectrum.
+  const auto wander = [waves, angles](double t) {
+    Vector3d sum = Vector3d::Zero();
+    for (size_t i = 0; i < waves.size(); ++i) {
+      const double f = 0.06 * std::pow(1.18, static_cast<double>(i));
+      const double weight = std::sqrt(f) / (1.0 + f / 0.3);
+      for (int k = 0; k < 3; ++k) {
+        sum[k] += weight * waves[i][k] * std::sin(6.2832 * f * t + angles[i][k]);
+      }
+    }
+    return sum;
+  };
+  return [=](const FlightState& s) {
+    BodyWrench w;
+    const double t = s.time_s;
+    switch (kind) {
+      case 0:  // something on board that shakes
+        w.f_B = force * std::sin(6.2832 * frequency * t + phase) * direction;
+        break;
+      case 1:  // a torque that wanders
+        w.tau_Bcm_B = torque * wander(t);
+        break;
+      case 2: {  // knocks
+        const double at = std::fmod(t + 1.3 + phase, 3.7);
+        const int which = static_cast<int>((t + 1.3 + phase) / 3.7);
+        if (at < 0.8) {
+          w.f_B = 3.0 * force * std::sin(3.1416 * at / 0.8) * waves[which % 24].normalized();
+        }
+        break;
+      }
+      case 3: {  // jets of air at places in the room
+        const Vector3d p = s.p_WB;
+        const double size = std::sin(4.0 * p.x() + phase) * std::cos(5.0 * p.y() - phase);
+        w.f_B = 2.0 * force * size * (s.R_WB.transpose() * direction);
+        break;
+      }
+      case 4:  // a tether that drags about the body
+        w.f_B = force * wander(t).cwiseProduct(Vector3d(1.0, 0.3, 1.5));
+        break;
+      default:  // a loose part that rattles about the yaw and roll axes
+        w.tau_Bcm_B = torque * std::sin(6.2832 * frequency * t + phase) *
+                      Vector3d(0.7, 0.0, 0.7) *
+                      (std::sin(0.9 * t + phase) > 0.0 ? 1.0 : 0.2);
+        break;
+    }
+    return w;
+  };
+}
+
+/// Variance per channel of the declared model's residual, its parameters fitted to it.
+Eigen::Matrix<double, kNumChannels, 1> FittedVariance(const FlightLog& log, const Vehicle& vehicle,
+                                                      const DynamicModel& model,
+                                                      const ModelValues& values) {
+  const ThinnedFlight flight(FilterFlight(log, vehicle.num_rotors(), {}), 2.5, 1);
+  const ResidualModel residual(&flight, &vehicle, true);
+  const ResidualModel::Wrenches y = residual.Residual(model, values);
+  std::vector<ResidualModel::Wrenches> columns;
+  for (int k = 0; k < model.num_parameters(); ++k) {
+    if (model.parameters()[k].estimated) columns.push_back(residual.Derivative(model, values, k));
+  }
+  const int n = static_cast<int>(columns.size());
+  Eigen::Matrix<double, kNumChannels, 1> size =
+      (y.colwise().squaredNorm() / y.rows()).transpose().cwiseMax(1e-18);
+  Eigen::MatrixXd H = Eigen::MatrixXd::Zero(n, n);
+  Eigen::VectorXd g = Eigen::VectorXd::Zero(n);
+  for (int a = 0; a < n; ++a) {
+    for (int c = 0; c < kNumChannels; ++c) g[a] += columns[a].col(c).dot(y.col(c)) / size[c];
+    for (int b = 0; b < n; ++b) {
+      for (int c = 0; c < kNumChannels; ++c) {
+        H(a, b) += columns[a].col(c).dot(columns[b].col(c)) / size[c];
+      }
+    }
+  }
+  const Eigen::VectorXd scale = H.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
+  H = scale.asDiagonal() * H * scale.asDiagonal();
+  H.diagonal().array() += 1e-8;
+  const Eigen::VectorXd step = scale.asDiagonal() * H.ldlt().solve(scale.asDiagonal() * g);
+  ResidualModel::Wrenches rest = y;
+  for (int a = 0; a < n; ++a) rest -= step[a] * columns[a];
+  return (rest.colwise().squaredNorm() / rest.rows()).transpose();
+}
+
+}  // namespace
+
+std::vector<Vehicle> UndeclaredVehicles() {
+  return {
+      Made("five_inch", 0.75, {2.5e-3, 2.1e-3, 4.3e-3}, 0.095, 0.11, 0.0, 0.0635, 1.5e-6, false),
+      Made("seven_inch", 1.6, {9.0e-3, 1.1e-2, 1.8e-2}, 0.14, 0.12, 0.02, 0.089, 5.5e-6, false),
+      Made("three_inch", 0.25, {2.6e-4, 2.4e-4, 4.5e-4}, 0.055, 0.055, 0.01, 0.038, 2.6e-7, false),
+      Made("plus", 1.0, {5.5e-3, 5.0e-3, 9.5e-3}, 0.12, 0.12, 0.015, 0.0635, 2.2e-6, true),
+  };
+}
+
+std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
+  struct Level {
+    const char* name;
+    double share;
+  };
+  const Level levels[] = {{"strong", 0.8}, {"medium", 0.3}, {"weak", 0.08}};
+  const std::vector<std::string> flown = {"octo", "aggressive", "circle", "vertical", "yaw"};
+  const int nothing = (flights * 5 + 15) / 16, hidden = (flights * 3 + 31) / 32,
+            unknown = (flights + 7) / 8, two = (flights + 15) / 16;
+  const auto& catalogue = Catalogue();
+  const int num = static_cast<int>(catalogue.size());
+  std::vector<UndeclaredPlan> plans;
+  for (int i = 0; i < flights; ++i) {
+    UndeclaredPlan plan;
+    plan.number = i;
+    plan.seed = seed * 1000 + i;
+    plan.vehicle = (i + i / 4) % 4;
+    if (i < nothing) {
+      plan.trajectory = flown[i % flown.size()];
+    } else if (i < nothing + hidden) {
+      const auto& [effect, trajectory] = kHidden[(i - nothing) % kHidden.size()];
+      plan.kind = Undeclared::kNotExcited;
+      plan.effects = {effect};
+      plan.trajectory = trajectory;
+    } else if (i < nothing + hidden + unknown) {
+      plan.kind = Undeclared::kUnknown;
+      plan.trajectory = flown[i % flown.size()];
+      const int k = (i - nothing - hidden) % 2;
+      plan.strength = levels[k].name;
+      plan.share = levels[k].share;
+    } else if (i < nothing + hidden + unknown + two) {
+      const int k = i - nothing - hidden - unknown;
+      plan.kind = Undeclared::kTwoEffects;
+      const Excited& a = catalogue[(5 * k + seed) % num];
+      const Excited& b = catalogue[(5 * k + 7 + seed) % num];
+      plan.effects = {a.effect, b.effect};
+      plan.trajectory = a.trajectories.front();
+      plan.strength = "strong";
+      plan.share = 0.8;
+    } else {
+      const int k = i - nothing - hidden - unknown - two;
+      const Excited& a = catalogue[k % num];
+      plan.kind = Undeclared::kOneEffect;
+      plan.effects = {a.effect};
+      plan.trajectory = a.trajectories[(k / num) % a.trajectories.size()];
+      const Level& level = levels[(k / num + k) % 3];
+      plan.strength = level.name;
+      plan.share = level.share;
+    }
+    plans.push_back(plan);
+  }
+  return plans;
+}
+
+UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan) {
+  UndeclaredFlight flight;
+  flight.plan = plan;
+  flight.declared = UndeclaredVehicles().at(plan.vehicle);
+  const Vehicle& vehicle = flight.declared;
+  Gaussian random(plan.seed, kVehicleStream), noise_random(plan.seed, kNoiseStream);
+  const DynamicModel declared(vehicle, vehicle.effects);
+  const ModelValues base = TrueValues(declared, &random);
+
+  SimulationNoise noise;
+  const auto around = [&noise_random](double size) {
+    return size * std::exp(0.3 * noise_random.Next());
+  };
+  noise.position_m = around(0.005);
+  noise.attitude_rad = around(0.002);
+  noise.velocity_m_s = around(0.02);
+  noise.rate_rad_s = around(0.01);
+  noise.rotor_speed_rad_s =
+      around(0.002 * std::sqrt(vehicle.mass_kg * vehicle.gravity_m_s2 / 4.0 /
+                               *vehicle.parameters.at("thrust.k_f").value));
+  noise.force_N = around(0.05);
+  noise.torque_Nm = around(0.001);
+  SimulationOptions options;
+  options.duration_s = kDuration_s;
+  options.log_rate_hz = kLogRate_Hz;
+  options.seed = plan.seed;
+  options.trajectory = plan.trajectory;
+
+  // Truth with the effects at a natural size.
+  Vehicle with = vehicle;
+  std::map<std::string, double> drawn;
+  for (const std::string& name : plan.effects) {
+    with.effects.push_back(name);
+    for (const auto& entry : DrawEffect(name, vehicle, &random)) drawn.insert(entry);
+  }
+  const DynamicModel model(with, with.effects);
+  const auto truth_at = [&](const std::vector<double>& scales) {
+    ModelValues truth = model.InitialValues();
+    for (int i = 0; i < declared.num_parameters(); ++i) {
+      truth[model.IndexOf(declared.parameters()[i].full_name)] = base[i];
+    }
+    for (const auto& [name, value] : drawn) {
+      double scale = 1.0;
+      for (size_t e = 0; e < plan.effects.size(); ++e) {
+        if (name.rfind(plan.effects[e] + ".", 0) == 0 && ScalesEffect(name)) scale = scales[e];
+      }
+      truth[model.IndexOf(name)] = scale * value;
+    }
+    return truth;
+  };
+  const auto variance = [&](const FlightLog& log) {
+    return FittedVariance(log, vehicle, declared, base);
+  };
+  std::vector<double> scales(plan.effects.size(), 1.0);
+  double unknown_scale = 0.02;
+  const bool sized = plan.share > 0.0;
+  const auto simulate = [&](bool noisy, const std::vector<double>& at, double unknown) {
+    Unmodelled extra;
+    if (plan.kind == Undeclared::kUnknown && unknown > 0.0) {
+      extra = DrawUnknown(vehicle, unknown, plan.seed);
+    }
+    return Simulate(model, truth_at(at), options, noisy ? noise : SimulationNoise::None(), extra);
+  };
+  if (sized) {
+    const std::vector<double> off(plan.effects.size(), 0.0);
+    const auto floor = variance(simulate(true, off, 0.0).log);
+    for (int round = 0; round < 2; ++round) {
+      if (plan.kind == Undeclared::kUnknown) {
+        const auto effect = variance(simulate(false, off, unknown_scale).log);
+        const double ratio = effect.cwiseQuotient(floor).maxCoeff();
+        unknown_scale *= std::sqrt(plan.share / (1.0 - plan.share) / ratio);
+        continue;
+      }
+      for (size_t e = 0; e < scales.size(); ++e) {
+        std::vector<double> one = off;
+        one[e] = scales[e];
+        const auto effect = variance(simulate(false, one, 0.0).log);
+        const double ratio = effect.cwiseQuotient(floor).maxCoeff();
+        // Of two effects the second makes up half as much.
+        const double wanted = plan.share / (1.0 - plan.share) * (e == 0 ? 1.0 : 0.5);
+        scales[e] = std::min(kAbsurd, scales[e] * std::sqrt(wanted / std::max(ratio, 1e-9)));
+      }
+    }
+  }
+  const SimulatedFlight flown = simulate(true, scales, sized ? unknown_scale : 0.0);
+  flight.log = flown.log;
+  flight.truth = ExactParameters(model, truth_at(scales));
+
+  const std::vector<double> off(plan.effects.size(), 0.0);
+  const auto total = variance(flown.log);
+  const auto alone = variance(simulate(false, scales, sized ? unknown_scale : 0.0).log);
+  for (int c = 0; c < kNumChannels; ++c) {
+    flight.axis_share.push_back(std::min(1.0, alone[c] / std::max(total[c], 1e-300)));
+  }
+  flight.share = *std::max_element(flight.axis_share.begin(), flight.axis_share.end());
+  if (plan.kind == Undeclared::kNothing) flight.share = 0.0;
+  if (plan.kind == Undeclared::kUnknown) {
+    flight.right_answer = "unexplained";
+  } else if (plan.effects.empty() || flight.share < kNotExcited) {
+    flight.right_answer = "none";
+  } else {
+    flight.right_answer = "effect";
+  }
+  return flight;
+}
+
+std::string FormatVehicle(const Vehicle& v) {
+  char line[256];
+  std::string text = "name: " + v.name + "\n";
+  std::snprintf(line, sizeof line, "mass_kg: %.9g\ngravity_m_s2: %.9g\n", v.mass_kg,
+                v.gravity_m_s2);
+  text += line;
+  std::snprintf(line, sizeof line, "inertia_kg_m2: [%.9e, %.9e, %.9e]\nrotors:\n",
+                v.inertia_kg_m2.x(), v.inertia_kg_m2.y(), v.inertia_kg_m2.z());
+  text += line;
+  for (const Rotor& r : v.rotors) {
+    std::snprintf(line, sizeof line,
+                  "  - {position_m: [%.9g, %.9g, %.9g], spin: %s, radius_m: %.9g}\n", r.p_BP.x(),
+                  r.p_BP.y(), r.p_BP.z(), r.spin > 0.0 ? "cw" : "ccw", r.radius_m);
+    text += line;
+  }
+  text += "odometry: {frame: body}\neffects: [";
+  for (size_t i = 0; i < v.effects.size(); ++i) text += (i == 0 ? "" : ", ") + v.effects[i];
+  text += "]\nparameters:\n";
+  for (const auto& [name, p] : v.parameters) {
+    std::snprintf(line, sizeof line, "  %s: {value: %.9e, sigma: %.9e, state: %s}\n", name.c_str(),
+                  p.value.value_or(0.0), p.sigma.value_or(1.0),
+                  p.estimated.value_or(true) ? "estimated" : "frozen");
+    text += line;
+  }
+  return text;
+}
+
+}  // namespace odmc
