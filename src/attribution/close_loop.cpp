@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdio>
 #include <iterator>
+#include <memory>
 #include <set>
 #include <stdexcept>
 
@@ -89,7 +90,30 @@ class Regressor {
     std::map<std::string, double> values;  // of what was let free, after the fit
   };
 
-  Result FitBase(const Stage& stage) const { return Finish(base_, names_, stage); }
+  Result FitBase(const Stage& stage) {
+    Result result = Finish(base_, names_, stage);
+    quick_ = std::make_unique<QuickGain>(base_, result.fit);
+    return result;
+  }
+
+  /// What a candidate could gain at most, seen quickly. @pre FitBase() was called
+  double Promise(const Stage& stage, const Candidate& candidate) const {
+    const Vehicle extended = With(stage.vehicle, candidate);
+    const DynamicModel model(extended, extended.effects);
+    const ModelValues values = ValuesOf(model, stage.values);
+    std::array<Eigen::MatrixXd, kNumChannels> columns;
+    for (int k = 0; k < model.num_parameters(); ++k) {
+      const ModelParameter& p = model.parameters()[k];
+      if (p.effect != candidate.effect || !p.estimated) continue;
+      const ResidualModel::Wrenches column = residual_->Derivative(model, values, k);
+      if (column.squaredNorm() == 0.0) continue;
+      for (int c = 0; c < kNumChannels; ++c) {
+        columns[c].conservativeResize(column.rows(), columns[c].cols() + 1);
+        columns[c].rightCols<1>() = column.col(c);
+      }
+    }
+    return columns[0].cols() == 0 ? 0.0 : quick_->Of(columns);
+  }
 
   /// Fits with a candidate on top, linearized again about what came out.
   Result FitWith(const Stage& stage, const Candidate& candidate) {
@@ -97,7 +121,9 @@ class Regressor {
     const DynamicModel model(extended, extended.effects);
     std::map<std::string, double> start = stage.values;
     Result result;
-    for (int round = 0; round < kRounds; ++round) {
+    // Only where a parameter scales what another one does, the columns depend on the estimate.
+    const bool bilinear = candidate.effect == "mass_change" || candidate.effect == "wind";
+    for (int round = 0; round < (bilinear ? kRounds : 1); ++round) {
       // Base columns stay where they are; the candidate's follow its estimate.
       ModelValues values = ValuesOf(model, stage.values);
       for (int k = 0; k < model.num_parameters(); ++k) {
@@ -153,6 +179,7 @@ class Regressor {
   }
 
   const ResidualModel* residual_;
+  std::unique_ptr<QuickGain> quick_;
   WrenchRegression base_;
   int num_base_ = 0;
   std::vector<std::string> names_, base_names_;
@@ -163,10 +190,8 @@ class Regressor {
 bool IsNegligible(const RankedEffect& ranked) {
   constexpr double kDelay_s = 0.0015;
   if (ranked.name != "rotor_delay") return false;
-  for (const ParameterEstimate& p : ranked.parameters) {
-    if (std::abs(p.value) > kDelay_s) return false;
-  }
-  return true;
+  return std::all_of(ranked.parameters.begin(), ranked.parameters.end(),
+                     [](const ParameterEstimate& p) { return std::abs(p.value) < kDelay_s; });
 }
 
 /// Fills in a candidate's parameters, and what speaks against them.
@@ -236,17 +261,23 @@ std::vector<RankedEffect> RankAll(const Stage& stage, const std::vector<Candidat
                                   Regressor* regressor, const WrenchFit& base, int num_channels,
                                   std::map<std::string, Regressor::Result>* fits) {
   std::map<std::string, RankedEffect> best;
+  // Of an effect with several settings, the most promising one is fitted.
+  std::map<std::string, std::pair<double, const Candidate*>> promising;
   for (const Candidate& candidate : candidates) {
     const std::vector<std::string>& have = stage.vehicle.effects;
     if (std::find(have.begin(), have.end(), candidate.effect) != have.end()) continue;
+    const double promise =
+        candidate.settings.empty() ? 0.0 : regressor->Promise(stage, candidate);
+    const auto it = promising.find(candidate.effect);
+    if (it == promising.end() || promise > it->second.first) {
+      promising[candidate.effect] = {promise, &candidate};
+    }
+  }
+  for (const auto& entry : promising) {
+    const Candidate& candidate = *entry.second.second;
     Regressor::Result result = regressor->FitWith(stage, candidate);
     if (!std::isfinite(result.fit.cross_validated)) continue;
     const RankedEffect ranked = Judge(stage, candidate, result, base, num_channels);
-    const auto it = best.find(candidate.effect);
-    const bool better = it == best.end() ||
-                        std::make_pair(ranked.sound, ranked.score) >
-                            std::make_pair(it->second.sound, it->second.score);
-    if (!better) continue;
     best[candidate.effect] = ranked;
     (*fits)[candidate.effect] = std::move(result);
   }
@@ -405,6 +436,19 @@ Pass Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& 
   pass.held_out =
       SummarisePrediction(unseen, with_torque, file_vehicle, model, pass.replay.last->values);
   return pass;
+}
+
+/// True if an estimate of the effect differs from zero and matters.
+bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online) {
+  RankedEffect estimate = effect;
+  bool significant = false;
+  for (ParameterEstimate& p : estimate.parameters) {
+    const ParameterEstimate* found = online.Find(p.full_name);
+    if (found == nullptr || !found->estimated) continue;
+    p = *found;
+    significant = significant || std::abs(p.value) > kSignificant * p.sigma;
+  }
+  return significant && !IsNegligible(estimate);
 }
 
 /// True if some channel is better and none is clearly worse.
@@ -615,6 +659,16 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     }
     const DynamicModel model(extended, extended.effects);
     const Pass after = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
+    // What the online estimator does not confirm goes again.
+    const auto faded = std::find_if(added.begin(), added.end(), [&](const AddedEffect& effect) {
+      return effect.effect.name != "gust" && !IsConfirmed(effect.effect, after.parameters);
+    });
+    if (faded != added.end()) {
+      result.warnings.push_back(faded->effect.name +
+                                " was chosen, but the online estimate does not confirm it");
+      added.erase(faded);
+      continue;
+    }
     if (IsBetter(before.held_out, after.held_out)) {
       result.after = after.held_out;
       result.parameters = after.parameters;

@@ -1,6 +1,7 @@
 #include "odmc/attribution/regression.h"
 
 #include <Eigen/Cholesky>
+#include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -202,6 +203,7 @@ WrenchFit FitWrench(const WrenchRegression& r) {
     }
   }
   PlainCrossValidation(r, rows, fold_of, prior, &fit);
+  for (int c = 0; c < kNumChannels; ++c) fit.noise_coefficients[c] = noise[c].coefficients;
   const double samples = static_cast<double>(rows.size());
   for (int c = 0; c < r.num_channels; ++c) {
     const double variance = noise[c].variance * squares[c] / samples;
@@ -215,6 +217,53 @@ WrenchFit FitWrench(const WrenchRegression& r) {
     fit.effective_samples[c] = std::min(samples, samples * power / density);
   }
   return fit;
+}
+
+QuickGain::QuickGain(const WrenchRegression& base, const WrenchFit& fit)
+    : num_channels_(base.num_channels),
+      rows_(RowsInUse(base)),
+      coefficients_(fit.noise_coefficients) {
+  for (int c = 0; c < num_channels_; ++c) {
+    sigma_[c] = std::sqrt(std::max(fit.innovation_variance[c], 1e-300));
+  }
+  const int n = static_cast<int>(base.prior_sigma.size());
+  std::array<Eigen::MatrixXd, kNumChannels> y;
+  for (int c = 0; c < kNumChannels; ++c) y[c] = fit.residual.col(c);
+  rest_ = Whitened(y);
+  Q_ = Eigen::MatrixXd::Zero(rest_.size(), n);
+  if (n == 0) return;
+  Eigen::MatrixXd A = Whitened(base.columns);
+  for (int k = 0; k < n; ++k) A.col(k) /= std::max(A.col(k).norm(), 1e-300);
+  const Eigen::HouseholderQR<Eigen::MatrixXd> qr(A);
+  Q_ = qr.householderQ() * Eigen::MatrixXd::Identity(A.rows(), n);
+  rest_ -= Q_ * (Q_.transpose() * rest_);
+}
+
+Eigen::MatrixXd QuickGain::Whitened(
+    const std::array<Eigen::MatrixXd, kNumChannels>& columns) const {
+  const auto count = static_cast<Eigen::Index>(rows_.size());
+  Eigen::MatrixXd white(count * num_channels_, columns[0].cols());
+  for (int c = 0; c < num_channels_; ++c) {
+    for (Eigen::Index k = 0; k < count; ++k) {
+      const int i = rows_[k];
+      auto row = white.row(c * count + k);
+      row = columns[c].row(i);
+      for (int lag = 0; lag < kOrder; ++lag) {
+        row -= coefficients_[c][lag] * columns[c].row(i - 1 - lag);
+      }
+      row /= sigma_[c];
+    }
+  }
+  return white;
+}
+
+double QuickGain::Of(const std::array<Eigen::MatrixXd, kNumChannels>& columns) const {
+  Eigen::MatrixXd X = Whitened(columns);
+  X -= Q_ * (Q_.transpose() * X).eval();
+  Eigen::MatrixXd H = X.transpose() * X;
+  H.diagonal().array() += 1e-9 * H.diagonal().maxCoeff() + 1e-300;
+  const Eigen::VectorXd g = X.transpose() * rest_;
+  return 0.5 * g.dot(H.ldlt().solve(g));
 }
 
 }  // namespace odmc

@@ -35,7 +35,29 @@ struct WrenchFit {
   Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> plain_residual;  ///< N×6
   Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> residual;  ///< N×6, all samples
   std::array<double, kNumChannels> innovation_variance{};
+  std::array<Eigen::VectorXd, kNumChannels> noise_coefficients;  ///< of the autoregression
   std::array<double, kNumChannels> effective_samples{};  ///< of white noise with the same mean
+};
+
+/// Quick look at candidates for a regression: how much likelihood columns would gain on top of it,
+/// with the noise of its own fit and without refitting that.
+class QuickGain {
+ public:
+  /// @param fit of `base`
+  QuickGain(const WrenchRegression& base, const WrenchFit& fit);
+
+  /// Gain of these columns (N×k each channel) in nats, at most.
+  double Of(const std::array<Eigen::MatrixXd, kNumChannels>& columns) const;
+
+ private:
+  Eigen::MatrixXd Whitened(const std::array<Eigen::MatrixXd, kNumChannels>& columns) const;
+
+  int num_channels_;
+  std::vector<int> rows_;
+  std::array<Eigen::VectorXd, kNumChannels> coefficients_;
+  std::array<double, kNumChannels> sigma_{};
+  Eigen::MatrixXd Q_;  // of the base's columns
+  Eigen::VectorXd rest_;
 };
 
 /// Fits with noise that is autoregressive in each channel (order 8 at 25 Hz covers the filter's
