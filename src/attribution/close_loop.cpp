@@ -21,7 +21,10 @@ constexpr double kSignSigmas = 2.0;       // a wrong sign by this many is an obj
 constexpr double kTooLarge = 5.0;         // natural sizes (prior sigmas) beyond which too
 constexpr double kBetter = 0.975;         // on some channel, out of sample
 constexpr double kWorse = 1.05;           // on any channel, out of sample
-constexpr double kWorseOnline = 1.15;     // the same for the online estimator
+constexpr double kWorseOnline = 1.06;     // the same for the online estimator
+constexpr double kTie = 3.0;              // nats by which a free force may explain better than gusts
+constexpr double kTieShare = 0.01;        // or this share of the gain: they differ little
+constexpr double kOneSided = 0.9;         // share of the wind's variance along one line
 constexpr int kRounds = 2;                // of linearization
 constexpr int kCorrelationLags = 26;      // of 40 ms: one second
 constexpr double kKnownThrustShare = 0.05;
@@ -185,10 +188,21 @@ class Regressor {
   std::vector<std::string> names_, base_names_;
 };
 
+/// True if parameters differ from zero together by kSignificant sigmas (Wald's test; the limit grows
+/// with their number).
+bool IsSignificant(const Eigen::VectorXd& estimate, const Eigen::MatrixXd& covariance) {
+  const auto n = static_cast<double>(estimate.size());
+  if (estimate.size() == 0) return false;
+  Eigen::MatrixXd C = covariance;
+  C.diagonal() *= 1.0 + 1e-9;
+  const double square = estimate.dot(C.ldlt().solve(estimate));
+  return square > kSignificant * kSignificant + 2.0 * (n - 1.0);
+}
+
 /// Rotors answer disturbances through the controller, so that a little of any torque noise lines up
 /// with their acceleration: sizes that this alone can make count for nothing.
 bool IsNegligible(const RankedEffect& ranked) {
-  constexpr double kDelay_s = 0.0015;
+  constexpr double kDelay_s = 0.003;
   if (ranked.name != "rotor_delay") return false;
   return std::all_of(ranked.parameters.begin(), ranked.parameters.end(),
                      [](const ParameterEstimate& p) { return std::abs(p.value) < kDelay_s; });
@@ -218,7 +232,8 @@ RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regress
   }
   const Vehicle extended = With(stage.vehicle, candidate);
   const DynamicModel model(extended, extended.effects);
-  bool significant = false;
+  std::vector<Eigen::Index> own;
+  Eigen::VectorXd estimate(0);
   for (size_t i = 0; i < result.names.size(); ++i) {
     const int k = model.IndexOf(result.names[i]);
     const ModelParameter& p = model.parameters()[k];
@@ -228,7 +243,9 @@ RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regress
     const double sigma = std::sqrt(std::max(0.0, result.fit.covariance(at, at)));
     ranked.parameters.push_back({p.full_name, p.spec.unit, value, sigma, true,
                                  sigma < 0.5 * p.spec.prior_sigma});
-    significant = significant || std::abs(value) > kSignificant * sigma;
+    own.push_back(at);
+    estimate.conservativeResize(estimate.size() + 1);
+    estimate[estimate.size() - 1] = value - p.spec.prior_value;
     const double sign = p.spec.sign == PhysicalSign::kPositive   ? 1.0
                         : p.spec.sign == PhysicalSign::kNegative ? -1.0
                                                                  : 0.0;
@@ -245,13 +262,20 @@ RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regress
     ranked.parameters.push_back(
         {name, model.parameters()[k].spec.unit, value, 0.0, false, false});
   }
+  Eigen::MatrixXd covariance(estimate.size(), estimate.size());
+  for (Eigen::Index a = 0; a < estimate.size(); ++a) {
+    for (Eigen::Index b = 0; b < estimate.size(); ++b) {
+      covariance(a, b) = result.fit.covariance(own[a], own[b]);
+    }
+  }
+  const bool significant = IsSignificant(estimate, covariance);
   if (ranked.sound && IsNegligible(ranked)) {
     ranked.sound = false;
     ranked.objection = "is too small to matter, and no larger than feedback can feign";
   }
   if (ranked.sound && !significant) {
     ranked.sound = false;
-    ranked.objection = "no coefficient differs from zero by three sigma";
+    ranked.objection = "its coefficients do not differ from zero by three sigma";
   }
   return ranked;
 }
@@ -336,21 +360,20 @@ std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
   return all;
 }
 
-/// Largest share of a channel's structured variance that a fit explains.
-double ExplainedStructure(const std::vector<ChannelStructure>& structure,
-                          const ResidualModel::Wrenches& before,
-                          const ResidualModel::Wrenches& after) {
+/// Largest share of a structured channel's structured variance that a fit explains; 1 if no channel
+/// is structured.
+double ExplainedStructure(const std::vector<ChannelStructure>& before,
+                          const std::vector<ChannelStructure>& after, double whiteness_p) {
   double best = 0.0;
-  for (size_t c = 0; c < structure.size(); ++c) {
-    const auto column = static_cast<Eigen::Index>(c);
-    const double was = before.col(column).squaredNorm(), is = after.col(column).squaredNorm();
-    if (!(was > 0.0)) continue;
-    const double drop = 1.0 - is / was;
-    const double share = std::max(0.02, structure[c].whiteness.structured_share);
-    // A channel with little structure says little.
-    if (drop > 0.02) best = std::max(best, drop / share);
+  bool any = false;
+  for (size_t c = 0; c < before.size(); ++c) {
+    if (before[c].whiteness.p >= whiteness_p) continue;
+    any = true;
+    const double was = before[c].whiteness.structured_share * before[c].rmse * before[c].rmse;
+    const double is = after[c].whiteness.structured_share * after[c].rmse * after[c].rmse;
+    if (was > 0.0) best = std::max(best, 1.0 - is / was);
   }
-  return best;
+  return any ? best : 1.0;
 }
 
 std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedFlight& flight,
@@ -441,14 +464,34 @@ Pass Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& 
 /// True if an estimate of the effect differs from zero and matters.
 bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online) {
   RankedEffect estimate = effect;
-  bool significant = false;
+  std::vector<Eigen::Index> own;
   for (ParameterEstimate& p : estimate.parameters) {
     const ParameterEstimate* found = online.Find(p.full_name);
     if (found == nullptr || !found->estimated) continue;
     p = *found;
-    significant = significant || std::abs(p.value) > kSignificant * p.sigma;
+    own.push_back(found - online.parameters.data());
   }
-  return significant && !IsNegligible(estimate);
+  const auto n = static_cast<Eigen::Index>(own.size());
+  Eigen::VectorXd values(n);
+  Eigen::MatrixXd covariance(n, n);
+  for (Eigen::Index a = 0; a < n; ++a) {
+    values[a] = online.parameters[own[a]].value;
+    for (Eigen::Index b = 0; b < n; ++b) covariance(a, b) = online.covariance(own[a], own[b]);
+  }
+  return IsSignificant(values, covariance) && !IsNegligible(estimate);
+}
+
+/// "force after/before 1.00 1.01 0.98, torque 1.00 0.97 1.02".
+std::string ChangeText(const PredictionFigures& before, const PredictionFigures& after) {
+  const auto axes = [](const PredictionFigures::Axes& b, const PredictionFigures::Axes& a) {
+    std::string text;
+    if (!a || !b) return std::string(" unknown");
+    for (int i = 0; i < 3; ++i) text += " " + Text((*a)[i] / (*b)[i]);
+    return text;
+  };
+  return "after/before: force" + axes(before.force_rmse_N, after.force_rmse_N) +
+         ", angular acceleration" +
+         axes(before.angular_acceleration_rmse_rad_s2, after.angular_acceleration_rmse_rad_s2);
 }
 
 /// True if some channel is better and none is clearly worse.
@@ -463,7 +506,8 @@ bool IsBetter(const PredictionFigures& before, const PredictionFigures& after) {
     }
   };
   add(before.force_rmse_N, after.force_rmse_N);
-  add(before.torque_rmse_Nm, after.torque_rmse_Nm);
+  // Not the torque, which holds the file's inertia against a model that has found a better one.
+  add(before.angular_acceleration_rmse_rad_s2, after.angular_acceleration_rmse_rad_s2);
   return sum < 0.0 && worst < kWorseOnline;
 }
 
@@ -544,10 +588,6 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   for (int i = 0; i < declared.num_parameters(); ++i) {
     const std::string& name = declared.parameters()[i].full_name;
     stage.values[name] = replay.last->values[i];
-    // An inertia the flight does not show must not soak up the torque.
-    if (declared.parameters()[i].effect == "inertia" && !replay.last->observable[i]) {
-      stage.held.push_back(name);
-    }
   }
 
   std::vector<Candidate> candidates = CandidatesFor(vehicle, flight.motion());
@@ -634,8 +674,11 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
       ranked.parameters.push_back(
           {name, name == "gust.sigma" ? "m/s" : "s", value, 0.0, false, false});
     }
-    ranked.sound = gust.over_others > -1.0 && gust.sigma_m_s < 8.0;
-    if (!ranked.sound) {
+    ranked.sound = gust.over_others > -kTie - kTieShare * gust.gain && gust.sigma_m_s < 8.0 &&
+                   gust.one_sidedness < kOneSided;
+    if (gust.one_sidedness >= kOneSided) {
+      ranked.objection = "it would blow along one line only";
+    } else if (!ranked.sound) {
       ranked.objection = "a force free of the drag explains it better by " +
                          Text(-gust.over_others) + " nats";
     }
@@ -646,8 +689,10 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
 
   if (!added.empty()) {
     const bool gust_only = added.size() == 1 && added.front().effect.name == "gust";
-    const bool explains = gust_only || ExplainedStructure(result.structure, first_residual,
-                                                          unexplained) >= options.least_explained;
+    const bool explains = gust_only || ExplainedStructure(result.structure,
+                                              Structure(flight, unexplained,
+                                                        residual.num_channels()),
+                                              options.whiteness_p) >= options.least_explained;
     if (explains) result.verdict = Verdict::kEffect;
   }
   if (result.verdict != Verdict::kEffect && structured) result.verdict = Verdict::kUnexplained;
@@ -684,7 +729,8 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
       return result;
     }
     result.warnings.push_back(added.back().effect.name +
-                              " was chosen, but did not predict blocks held out any better");
+                              " was chosen, but did not predict blocks held out any better (" +
+                              ChangeText(before.held_out, after.held_out) + ")");
     added.pop_back();
   }
   if (result.verdict == Verdict::kEffect) {

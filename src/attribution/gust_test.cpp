@@ -1,5 +1,6 @@
 #include "odmc/attribution/gust_test.h"
 
+#include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
@@ -12,13 +13,13 @@ using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
 constexpr double kTimeConstants_s[] = {0.3, 0.7, 1.5, 3.0, 6.0};
-constexpr double kSizes[] = {0.25, 0.5, 1.0, 2.0};
+constexpr double kSizes[] = {0.35, 0.6, 1.0, 1.6, 2.5};
 
 /// Log-likelihood of the residual as white noise plus H_i x, x a first-order process of standard
 /// deviation `sigma` and correlation time `time_constant_s`.
 double Likelihood(const ThinnedFlight& flight, const ResidualModel::Wrenches& y,
                   const std::vector<Matrix3d>& H, const Vector3d& noise_variance, double sigma,
-                  double time_constant_s) {
+                  double time_constant_s, Matrix3d* second_moment = nullptr) {
   Vector3d x = Vector3d::Zero();
   Matrix3d P = sigma * sigma * Matrix3d::Identity();
   const Matrix3d noise = noise_variance.asDiagonal();
@@ -36,6 +37,7 @@ double Likelihood(const ThinnedFlight& flight, const ResidualModel::Wrenches& y,
     const Matrix3d K = P * H[i].transpose() * S_inverse;
     x += K * e;
     P = ((Matrix3d::Identity() - K * H[i]) * P).eval();
+    if (second_moment != nullptr) *second_moment += x * x.transpose();
   }
   return sum;
 }
@@ -89,6 +91,10 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   const Best free_world = Search(flight, residual, world, white, natural);
   const Best free_body = Search(flight, residual, body, white, natural);
   const double none = Likelihood(flight, residual, body, total, 0.0, 1.0);
+  Matrix3d moment = Matrix3d::Zero();
+  Likelihood(flight, residual, wind, white, gust.sigma, gust.time_constant_s, &moment);
+  const Vector3d spread = Eigen::SelfAdjointEigenSolver<Matrix3d>(moment).eigenvalues();
+  test.one_sidedness = spread.sum() > 0.0 ? spread[2] / spread.sum() : 1.0;
   test.gain = gust.likelihood - none;
   test.over_others = gust.likelihood - std::max(free_world.likelihood, free_body.likelihood);
   test.sigma_m_s = gust.sigma;

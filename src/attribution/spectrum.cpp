@@ -100,10 +100,14 @@ Whiteness TestWhiteness(const std::vector<std::vector<double>>& runs, double rat
   const Fit full = FitSpectrum(bins, shapes);
   const double gain = std::max(0.0, full.log_likelihood - null.log_likelihood);
   double structured = 0.0, all = 0.0, highest = 0.0, peak = 0.0;
+  // A line stands out of all bins by more than chance allows once in ten thousand.
+  const double line = std::log(1e4 * static_cast<double>(bins.size()));
   for (size_t i = 0; i < bins.size(); ++i) {
     double red = 0.0;
     for (size_t j = 2; j < shapes.size(); ++j) red += full.weights[j] * shapes[j][i];
     const double noise = full.weights[0] + full.weights[1] * blue[i];
+    const double excess = bins[i].power - (red + noise);
+    if (bins[i].power > line * (red + noise)) red += excess;
     structured += red;
     all += red + noise;
     const double level = null.weights[0] + null.weights[1] * blue[i] + 1e-300;

@@ -22,7 +22,7 @@ struct CloseLoopOptions {
   double least_share_of_first = 0.03;  ///< a further effect must gain this share of those before
   double close_score = 4.0;            ///< candidates this close to the best are alternatives
   double close_share = 0.05;           ///< or within this share of its score
-  double least_explained = 0.25;       ///< of the structured variance, for the verdict "effect"
+  double least_explained = 0.5;       ///< of the structured variance, for the verdict "effect"
   double whiteness_p = 1e-5;           ///< below it a residual is structured
   double least_structured = 0.05;      ///< share of variance, for the verdict "unexplained"
   int most_effects = 6;

@@ -12,6 +12,7 @@ struct GustTest {
   double over_others = 0.0;    ///< of gusts over the better of the two free forces [nats]
   double sigma_m_s = 0.0;      ///< best standard deviation of the gusts
   double time_constant_s = 0;  ///< best correlation time
+  double one_sidedness = 1.0;  ///< share of the estimated wind's variance along its main line
 };
 
 /// @param residual force residual in columns 0 to 2 (N×6)
