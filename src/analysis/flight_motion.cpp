@@ -16,7 +16,14 @@ using Eigen::Vector3d;
 constexpr double kFilterWidth_s = 0.1;
 
 /// Rows of the matrix of filtered channels.
-enum Channel : int { kPosition = 0, kQuaternion = 3, kVelocity = 7, kRate = 10, kRotors = 13 };
+enum Channel : int {
+  kPosition = 0,
+  kQuaternion = 3,
+  kVelocity = 7,
+  kRate = 10,
+  kForce = 13,
+  kRotors = 16
+};
 
 /// The recording as one matrix at the odometry's stamps: one column a sample.
 struct Channels {
@@ -25,6 +32,7 @@ struct Channels {
   Eigen::MatrixXd data;
   std::vector<bool> covered;  // rotor speeds are there
   bool has_velocity = true, has_rate = true;
+  std::vector<bool> felt;  // the accelerometer is there
 };
 
 Channels Collect(const FlightLog& log, int num_rotors) {
@@ -32,6 +40,8 @@ Channels Collect(const FlightLog& log, int num_rotors) {
   const int n = static_cast<int>(log.odometry.size());
   c.data = Eigen::MatrixXd::Zero(kRotors + num_rotors, n);
   c.covered.assign(n, false);
+  c.felt.assign(n, false);
+  size_t m = 0;
   Eigen::Quaterniond last = Eigen::Quaterniond::Identity();
   size_t r = 0;
   for (int i = 0; i < n; ++i) {
@@ -47,6 +57,21 @@ Channels Collect(const FlightLog& log, int num_rotors) {
     c.has_rate = c.has_rate && s.w_WS_S.has_value();
     if (s.v_WS) c.data.block<3, 1>(kVelocity, i) = *s.v_WS;
     if (s.w_WS_S) c.data.block<3, 1>(kRate, i) = *s.w_WS_S;
+    // The accelerometer, linearly between its samples.
+    while (m + 1 < log.imu.size() && log.imu[m + 1].stamp <= s.stamp) ++m;
+    if (m < log.imu.size() && log.imu[m].stamp <= s.stamp && log.imu[m].specific_force_I) {
+      const ImuSample& a = log.imu[m];
+      if (a.stamp == s.stamp) {
+        c.data.block<3, 1>(kForce, i) = *a.specific_force_I;
+        c.felt[i] = true;
+      } else if (m + 1 < log.imu.size() && log.imu[m + 1].specific_force_I) {
+        const ImuSample& b = log.imu[m + 1];
+        const double span = ToSeconds(b.stamp - a.stamp);
+        const double x = ToSeconds(s.stamp - a.stamp) / span;
+        c.felt[i] = span < 0.5 * kFilterWidth_s;
+        c.data.block<3, 1>(kForce, i) = (1.0 - x) * *a.specific_force_I + x * *b.specific_force_I;
+      }
+    }
     while (r + 1 < log.rotors.size() && log.rotors[r + 1].stamp <= s.stamp) ++r;
     if (log.rotors.empty() || log.rotors[r].stamp > s.stamp) continue;
     RotorVector squared = log.rotors[r].speed.array().square();
@@ -128,6 +153,9 @@ FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
     motion.rotors.speed_squared_rate = fit.first.tail(num_rotors);
     motion.rotors.acceleration =
         motion.rotors.speed_squared_rate.cwiseQuotient((2.0 * motion.rotors.speed).cwiseMax(1.0));
+    bool felt = true;
+    for (int k = i - half; k <= i + half; ++k) felt = felt && c.felt[k];
+    if (felt) motion.specific_force_I = fit.value.segment<3>(kForce);
     motion.follows = previous == i - 1;
     previous = i;
     flight.samples.push_back(motion);

@@ -19,6 +19,21 @@ Vector3d RotorTorque(const std::vector<EffectWrench>& effects) {
   return torque;
 }
 
+/// What the model sees of a sample.
+FlightState FlightStateOf(const FilteredMotion& motion, const Vector3d& load_pull_W,
+                          const BodyProperties& body) {
+  FlightState flight;
+  flight.time_s = motion.t_s;
+  flight.R_WB = motion.R_WS * body.R_BS.transpose();
+  flight.w_WB_B = body.R_BS * motion.w_S;
+  flight.p_WB = motion.p_WS - flight.R_WB * body.p_BS;
+  const Vector3d v_WB = motion.v_WS - flight.R_WB * flight.w_WB_B.cross(body.p_BS);
+  flight.v_AB_B = flight.R_WB.transpose() * (v_WB - body.wind_W);
+  flight.rotors = motion.rotors;
+  flight.load_pull_W = load_pull_W;
+  return flight;
+}
+
 /// Means over samples, axis by axis.
 struct AxisSums {
   Vector3d error2 = Vector3d::Zero(), value = Vector3d::Zero(), value2 = Vector3d::Zero();
@@ -57,17 +72,10 @@ PredictionSample PredictSample(const FilteredMotion& motion, const Vector3d& loa
 
   // Predicted: the model in its own body frame B, then taken to F.
   const BodyProperties body = model.Properties(values, nullptr, motion.t_s);
-  const Matrix3d R_WB = motion.R_WS * body.R_BS.transpose();
-  const Vector3d w_B = body.R_BS * motion.w_S, w_dot_B = body.R_BS * motion.w_dot_S;
-  FlightState flight;
-  flight.time_s = motion.t_s;
-  flight.R_WB = R_WB;
-  flight.p_WB = motion.p_WS - R_WB * body.p_BS;
-  flight.w_WB_B = w_B;
-  const Vector3d v_WB = motion.v_WS - R_WB * w_B.cross(body.p_BS);
-  flight.v_AB_B = R_WB.transpose() * (v_WB - body.wind_W);
-  flight.rotors = motion.rotors;
-  flight.load_pull_W = load_pull_W;
+  const FlightState flight = FlightStateOf(motion, load_pull_W, body);
+  const Matrix3d& R_WB = flight.R_WB;
+  const Vector3d& w_B = flight.w_WB_B;
+  const Vector3d w_dot_B = body.R_BS * motion.w_dot_S;
   Vector3d F, tau;
   model.EvaluateWrench(flight, values, body.p_BBcm, &F, &tau);
 
@@ -88,6 +96,18 @@ PredictionSample PredictSample(const FilteredMotion& motion, const Vector3d& loa
   out.effects = model.EvaluateEffects(flight, values, body.p_BBcm);
   out.rotor_torque = R_FB * RotorTorque(out.effects);
   return out;
+}
+
+Vector3d PredictSpecificForce(const FilteredMotion& motion, const Vector3d& load_pull_W,
+                              const DynamicModel& model, const ModelValues& values) {
+  const BodyProperties body = model.Properties(values, nullptr, motion.t_s);
+  const FlightState flight = FlightStateOf(motion, load_pull_W, body);
+  Vector3d F, tau;
+  model.EvaluateWrench(flight, values, body.p_BBcm, &F, &tau);
+  const Vector3d& w = flight.w_WB_B;
+  const Vector3d arm = body.p_BI - body.p_BBcm;
+  const Vector3d swing = (body.R_BS * motion.w_dot_S).cross(arm) + w.cross(w.cross(arm));
+  return body.R_BI.transpose() * (F / body.mass + swing);
 }
 
 PredictionFigures SummarisePrediction(const std::vector<PredictionSample>& samples,

@@ -22,12 +22,14 @@ constexpr double kTooLarge = 5.0;         // natural sizes (prior sigmas) beyond
 constexpr double kBetter = 0.975;         // on some channel, out of sample
 constexpr double kWorse = 1.05;           // on any channel, out of sample
 constexpr double kWorseOnline = 1.06;     // the same for the online estimator
+constexpr double kOvershadows = 5.0;
 constexpr double kTie = 3.0;              // nats by which a free force may explain better than gusts
 constexpr double kTieShare = 0.01;        // or this share of the gain: they differ little
 constexpr double kOneSided = 0.9;         // share of the wind's variance along one line
 constexpr int kRounds = 2;                // of linearization
 constexpr int kCorrelationLags = 26;      // of 40 ms: one second
 constexpr double kKnownThrustShare = 0.05;
+const char* const kBiasName = "accelerometer bias";
 const char* const kChannelNames[] = {"force_x", "force_y", "force_z",
                                      "torque_x", "torque_y", "torque_z"};
 
@@ -83,7 +85,7 @@ class Regressor {
           std::find(stage.held.begin(), stage.held.end(), name) != stage.held.end();
       if (model.parameters()[k].estimated && !held) AddColumn(model, values, k, &base_);
     }
-    num_base_ = static_cast<int>(base_.prior_sigma.size());
+    if (residual->from_accelerometer()) AddBiases(stage.vehicle.mass_kg);
     base_names_ = names_;
   }
 
@@ -154,6 +156,23 @@ class Regressor {
   }
 
  private:
+  /// The accelerometer's bias, along each axis.
+  void AddBiases(double mass_kg) {
+    constexpr double kBias_m_s2 = 0.3;
+    for (int axis = 0; axis < 3; ++axis) {
+      const auto n = base_.prior_sigma.size();
+      for (int c = 0; c < kNumChannels; ++c) {
+        base_.columns[c].conservativeResize(base_.y.rows(), n + 1);
+        base_.columns[c].col(n).setConstant(c == axis ? 1.0 : 0.0);
+      }
+      base_.prior_sigma.conservativeResize(n + 1);
+      base_.prior_offset.conservativeResize(n + 1);
+      base_.prior_sigma[n] = kBias_m_s2 * mass_kg;
+      base_.prior_offset[n] = 0.0;
+      names_.push_back(kBiasName);
+    }
+  }
+
   void AddColumn(const DynamicModel& model, const ModelValues& values, int k,
                  WrenchRegression* regression) {
     const ResidualModel::Wrenches column = residual_->Derivative(model, values, k);
@@ -176,6 +195,7 @@ class Regressor {
     result.names = names;
     result.values = stage.values;
     for (size_t i = 0; i < names.size(); ++i) {
+      if (names[i] == kBiasName) continue;
       result.values[names[i]] += result.fit.plain_step[static_cast<Eigen::Index>(i)];
     }
     return result;
@@ -184,7 +204,6 @@ class Regressor {
   const ResidualModel* residual_;
   std::unique_ptr<QuickGain> quick_;
   WrenchRegression base_;
-  int num_base_ = 0;
   std::vector<std::string> names_, base_names_;
 };
 
@@ -236,6 +255,7 @@ RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regress
   Eigen::VectorXd estimate(0);
   for (size_t i = 0; i < result.names.size(); ++i) {
     const int k = model.IndexOf(result.names[i]);
+    if (k < 0) continue;  // a bias
     const ModelParameter& p = model.parameters()[k];
     if (p.effect != candidate.effect) continue;
     const double value = result.values.at(p.full_name);
@@ -481,6 +501,24 @@ bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online) {
   return IsSignificant(values, covariance) && !IsNegligible(estimate);
 }
 
+/// RMSE of the accelerometer's force on blocks held out; empty without an accelerometer.
+PredictionFigures::Axes HeldOutForce(const ResidualModel& residual, const DynamicModel& model,
+                                     const Snapshot& last) {
+  if (!residual.from_accelerometer()) return std::nullopt;
+  const ResidualModel::Wrenches y = residual.Residual(model, last.values);
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero(), mean = sum;
+  double count = 0.0;
+  for (int i = 0; i < residual.flight().size(); ++i) {
+    if (!residual.flight().held_out(i)) continue;
+    mean += y.row(i).head<3>().transpose();
+    sum += y.row(i).head<3>().transpose().cwiseAbs2();
+    count += 1.0;
+  }
+  if (count < 10.0) return std::nullopt;
+  mean /= count;  // the accelerometer's bias
+  return Eigen::Vector3d((sum / count - mean.cwiseAbs2()).cwiseMax(0.0).cwiseSqrt());
+}
+
 /// "force after/before 1.00 1.01 0.98, torque 1.00 0.97 1.02".
 std::string ChangeText(const PredictionFigures& before, const PredictionFigures& after) {
   const auto axes = [](const PredictionFigures::Axes& b, const PredictionFigures::Axes& a) {
@@ -683,13 +721,17 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
                          Text(-gust.over_others) + " nats";
     }
     const double least = std::max(3.0 * options.least_score, 0.5 * scores);
-    if (ranked.sound && gust.gain > least) added.push_back({ranked, {}, ""});
+    if (ranked.sound && gust.gain > least) {
+      // What was found beside a much larger gust is its shadow.
+      if (gust.gain > kOvershadows * scores) added.clear();
+      added.push_back({ranked, {}, ""});
+    }
     result.ranking.push_back(ranked);
   }
 
   if (!added.empty()) {
-    const bool gust_only = added.size() == 1 && added.front().effect.name == "gust";
-    const bool explains = gust_only || ExplainedStructure(result.structure,
+    const bool with_gust = added.back().effect.name == "gust";
+    const bool explains = with_gust || ExplainedStructure(result.structure,
                                               Structure(flight, unexplained,
                                                         residual.num_channels()),
                                               options.whiteness_p) >= options.least_explained;
@@ -714,7 +756,14 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
       added.erase(faded);
       continue;
     }
-    if (IsBetter(before.held_out, after.held_out)) {
+    result.accelerometer_before = HeldOutForce(residual, declared, *replay.last);
+    result.accelerometer_after = HeldOutForce(residual, model, *after.replay.last);
+    PredictionFigures was = before.held_out, is = after.held_out;
+    if (result.accelerometer_before && result.accelerometer_after) {
+      was.force_rmse_N = result.accelerometer_before;
+      is.force_rmse_N = result.accelerometer_after;
+    }
+    if (IsBetter(was, is)) {
       result.after = after.held_out;
       result.parameters = after.parameters;
       result.effect_names = extended.effects;
@@ -730,7 +779,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     }
     result.warnings.push_back(added.back().effect.name +
                               " was chosen, but did not predict blocks held out any better (" +
-                              ChangeText(before.held_out, after.held_out) + ")");
+                              ChangeText(was, is) + ")");
     added.pop_back();
   }
   if (result.verdict == Verdict::kEffect) {

@@ -72,6 +72,10 @@ std::string CloseLoopReport(const ClosedLoop& loop) {
   json["force_rmse_after"] = Axes(loop.after.force_rmse_N);
   json["torque_rmse_before"] = Axes(loop.before.torque_rmse_Nm);
   json["torque_rmse_after"] = Axes(loop.after.torque_rmse_Nm);
+  if (loop.accelerometer_before) {
+    json["accelerometer_force_rmse_before"] = Axes(loop.accelerometer_before);
+    json["accelerometer_force_rmse_after"] = Axes(loop.accelerometer_after);
+  }
   json["rotor_torque_gain"] = Axes(loop.after.rotor_torque_gain);
   json["inertia_over_nominal"] = Axes(loop.after.inertia_over_nominal);
   json["held_out"] = true;
@@ -123,6 +127,7 @@ std::string CloseLoopTable(const ClosedLoop& loop) {
   text += "RMSE on blocks held out     before        after  after/before\n";
   text += Row("force [N]", loop.before.force_rmse_N, loop.after.force_rmse_N);
   text += Row("torque [N m]", loop.before.torque_rmse_Nm, loop.after.torque_rmse_Nm);
+  text += Row("by IMU [N]", loop.accelerometer_before, loop.accelerometer_after);
   for (const std::string& warning : loop.warnings) text += "warning: " + warning + "\n";
   return text;
 }

@@ -46,7 +46,12 @@ std::vector<std::vector<double>> ThinnedFlight::Runs(const Eigen::VectorXd& chan
 
 ResidualModel::ResidualModel(const ThinnedFlight* flight, const Vehicle* file_vehicle,
                              bool with_torque)
-    : flight_(flight), file_vehicle_(file_vehicle), with_torque_(with_torque) {}
+    : flight_(flight), file_vehicle_(file_vehicle), with_torque_(with_torque) {
+  from_accelerometer_ = flight->size() > 0;
+  for (int i = 0; i < flight->size(); ++i) {
+    from_accelerometer_ = from_accelerometer_ && flight->sample(i).specific_force_I.has_value();
+  }
+}
 
 ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
                                                 const ModelValues& values) const {
@@ -61,6 +66,12 @@ ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
     const PredictionSample s =
         PredictSample(flight_->sample(i), pull, *file_vehicle_, model, values, false);
     residual.row(i).head<3>() = s.measured_force - s.predicted_force;
+    if (from_accelerometer_) {
+      residual.row(i).head<3>() =
+          file_vehicle_->mass_kg *
+          (*flight_->sample(i).specific_force_I -
+           PredictSpecificForce(flight_->sample(i), pull, model, values));
+    }
     residual.row(i).tail<3>() = file_vehicle_->inertia_kg_m2.cwiseProduct(
         s.measured_angular_acceleration - s.predicted_angular_acceleration);
   }

@@ -350,6 +350,26 @@ TEST_F(Marginalization, RescaledPriorKeepsItsOptimumAndScalesItsInformation) {
   EXPECT_NEAR((prior.b + prior.A * optimum).norm(), cost, kExact);
 }
 
+TEST_F(Marginalization, DiffusedPriorForgetsOneParameterAndKeepsItsOptimum) {
+  Window window(&layout_);
+  LinearWindowMaker(&window, LinearWindowOptions(), 28).Fill();
+  for (int i = 0; i < 3; ++i) ASSERT_TRUE(MarginalizeOldest(&window, Threshold(kNever)));
+  Prior& prior = window.prior();
+  const MatrixXd H = prior.A.transpose() * prior.A;
+  const VectorXd optimum = -prior.A.completeOrthogonalDecomposition().solve(prior.b);
+  constexpr double kVariance = 0.7;
+  constexpr int kIndex = 2;
+  DiffusePrior(kIndex, kVariance, &prior);
+  // Information of the sum of the old variable and an independent step.
+  const auto column = prior.A.cols() - 4 + kIndex;
+  const VectorXd h = H.col(column);
+  const MatrixXd expected =
+      H - h * h.transpose() / (1.0 / kVariance + H(column, column));
+  EXPECT_LT((prior.A.transpose() * prior.A - expected).norm(), kExact * H.norm());
+  const VectorXd gradient = prior.A.transpose() * (prior.b + prior.A * optimum);
+  EXPECT_LT(gradient.norm(), kExact * H.norm());
+}
+
 // ---- Nonlinear factors -------------------------------------------------------------------------
 
 /// A few keyframes of flight with odometry, kinematics and dynamics.

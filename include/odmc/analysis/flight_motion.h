@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -18,6 +19,7 @@ struct FilteredMotion {
   Eigen::Vector3d v_WS, a_WS;     ///< velocity and acceleration of So in W [m/s, m/s²]
   Eigen::Vector3d w_S, w_dot_S;   ///< angular rate and acceleration in S [rad/s, rad/s²]
   RotorState rotors;
+  std::optional<Eigen::Vector3d> specific_force_I;  ///< of the accelerometer, if any [m/s²]
   bool follows = false;  ///< the sample before it is the recording's sample before it
 };
 

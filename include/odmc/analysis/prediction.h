@@ -66,6 +66,12 @@ PredictionSample PredictSample(const FilteredMotion& motion, const Eigen::Vector
                                const Vehicle& file_vehicle, const DynamicModel& model,
                                const ModelValues& values, bool with_effects);
 
+/// Specific force an accelerometer at the model's IMU mount feels, in its axes [m/s²].
+///                                                                       model.md Eq. (C)
+Eigen::Vector3d PredictSpecificForce(const FilteredMotion& motion,
+                                     const Eigen::Vector3d& load_pull_W, const DynamicModel& model,
+                                     const ModelValues& values);
+
 /// Figures of some samples of a prediction; those left out are not counted.
 PredictionFigures SummarisePrediction(const std::vector<PredictionSample>& samples,
                                       bool with_torque, const Vehicle& vehicle,

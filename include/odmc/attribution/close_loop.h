@@ -74,6 +74,8 @@ struct ClosedLoop {
   double structured_share = 0.0;  ///< of the most structured channel
   double whiteness_p = 1.0;       ///< smallest of the channels, times their number
   PredictionFigures before, after;            ///< on blocks held out
+  /// Force by the accelerometer instead, its mean taken off; empty without one.
+  PredictionFigures::Axes accelerometer_before, accelerometer_after;
   std::vector<LoopSample> samples;
   ParameterSet declared_parameters;   ///< of the model as declared
   ParameterSet parameters;            ///< of the model as extended (as declared without an effect)

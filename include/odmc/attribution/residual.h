@@ -59,12 +59,15 @@ class ResidualModel {
   Wrenches Derivative(const DynamicModel& model, const ModelValues& values, int index) const;
 
   const ThinnedFlight& flight() const { return *flight_; }
+  /// True if the force is the accelerometer's (it feels what an onboard filter's velocity smooths
+  /// away); false if it is the velocity's derivative.
+  bool from_accelerometer() const { return from_accelerometer_; }
   int num_channels() const { return with_torque_ ? kNumChannels : 3; }
 
  private:
   const ThinnedFlight* flight_;
   const Vehicle* file_vehicle_;
-  bool with_torque_;
+  bool with_torque_, from_accelerometer_;
 };
 
 }  // namespace odmc

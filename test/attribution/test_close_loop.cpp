@@ -1,0 +1,119 @@
+#include "odmc/attribution/close_loop.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include "odmc/attribution/close_loop_report.h"
+#include "odmc/attribution/undeclared.h"
+#include "odmc/io/vehicle_yaml.h"
+#include "odmc/model/effect.h"
+
+namespace odmc {
+namespace test {
+namespace {
+
+UndeclaredPlan Plan(Undeclared kind, const std::vector<std::string>& effects, double share,
+                    const std::string& trajectory, int vehicle, int seed) {
+  UndeclaredPlan plan;
+  plan.kind = kind;
+  plan.effects = effects;
+  plan.share = share;
+  plan.strength = "strong";
+  plan.trajectory = trajectory;
+  plan.vehicle = vehicle;
+  plan.seed = seed;
+  return plan;
+}
+
+ClosedLoop Close(const UndeclaredFlight& flight) {
+  return CloseLoop(flight.log, flight.declared, flight.declared, CloseLoopOptions());
+}
+
+bool Names(const AddedEffect& added, const std::string& effect) {
+  return added.effect.name == effect ||
+         std::find(added.alternatives.begin(), added.alternatives.end(), effect) !=
+             added.alternatives.end();
+}
+
+TEST(CloseLoop, SaysNoneWhenTheModelIsTheTruth) {
+  for (const char* trajectory : {"octo", "circle"}) {
+    const ClosedLoop loop =
+        Close(MakeUndeclared(Plan(Undeclared::kNothing, {}, 0.0, trajectory, 0, 11)));
+    EXPECT_EQ(loop.verdict, Verdict::kNone) << trajectory << "\n" << CloseLoopTable(loop);
+    EXPECT_TRUE(loop.effects.empty());
+    EXPECT_EQ(*loop.before.force_rmse_N, *loop.after.force_rmse_N);
+  }
+}
+
+TEST(CloseLoop, FindsAddsAndMeasuresAMissingEffect) {
+  const UndeclaredFlight flight =
+      MakeUndeclared(Plan(Undeclared::kOneEffect, {"quadratic_drag"}, 0.8, "aggressive", 1, 12));
+  EXPECT_NEAR(flight.share, 0.8, 0.08);
+  const ClosedLoop loop = Close(flight);
+  ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
+  EXPECT_TRUE(Names(loop.effects.front(), "quadratic_drag")) << CloseLoopTable(loop);
+  // The online estimate of what was added is the truth.
+  const ParameterEstimate* c_q = loop.parameters.Find("quadratic_drag.c_q");
+  ASSERT_NE(c_q, nullptr);
+  const double truth = flight.truth.Find("quadratic_drag.c_q")->value;
+  EXPECT_NEAR(c_q->value, truth, 0.1 * truth);
+  const Eigen::Vector3d before = *loop.before.force_rmse_N, after = *loop.after.force_rmse_N;
+  EXPECT_LT(after.minCoeff() / before.maxCoeff(), 0.8);
+  EXPECT_NE(std::find(loop.effect_names.begin(), loop.effect_names.end(), "quadratic_drag"),
+            loop.effect_names.end());
+  EXPECT_NE(CloseLoopReport(loop).find("\"verdict\": \"effect\""), std::string::npos);
+}
+
+TEST(CloseLoop, CallsAnUnknownTorqueUnexplainedAndSaysWhere) {
+  const ClosedLoop loop =
+      Close(MakeUndeclared(Plan(Undeclared::kUnknown, {}, 0.8, "circle", 0, 606)));  // it shakes
+  EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
+  EXPECT_FALSE(loop.where.empty());
+  EXPECT_TRUE(loop.effects.empty());
+}
+
+TEST(Undeclared, PlansHoldEveryEffectAndEnoughOfEachKind) {
+  const std::vector<UndeclaredPlan> plans = PlanUndeclared(1, 160);
+  int nothing = 0, hidden = 0, unknown = 0, two = 0;
+  std::set<std::string> acting;
+  for (const UndeclaredPlan& plan : plans) {
+    nothing += plan.kind == Undeclared::kNothing;
+    hidden += plan.kind == Undeclared::kNotExcited;
+    unknown += plan.kind == Undeclared::kUnknown;
+    two += plan.kind == Undeclared::kTwoEffects;
+    if (plan.kind == Undeclared::kOneEffect) acting.insert(plan.effects.begin(), plan.effects.end());
+  }
+  EXPECT_GE(nothing, 50);
+  EXPECT_GE(hidden, 15);
+  EXPECT_GE(unknown, 20);
+  EXPECT_GE(two, 10);
+  for (const std::string& name : EffectRegistry::Default().names()) {
+    const std::set<std::string> others = {
+        "thrust", "rotor_torque", "drag", "viscous_torque", "hvt", "centre_of_gravity", "inertia",
+        "gravity", "odometry_extrinsics", "imu_extrinsics", "rotor_level",
+        // found on recorded flights; on simulated ones their truth would be themselves
+        "skewed_inflow", "anisotropic_hub_moment"};
+    if (others.count(name) == 0) EXPECT_EQ(acting.count(name), 1u) << name;
+  }
+}
+
+TEST(Undeclared, VehiclesReadBack) {
+  for (const Vehicle& vehicle : UndeclaredVehicles()) {
+    const Vehicle back = ParseVehicle(FormatVehicle(vehicle), vehicle.name);
+    EXPECT_EQ(back.name, vehicle.name);
+    EXPECT_NEAR(back.mass_kg, vehicle.mass_kg, 1e-9);
+    EXPECT_EQ(back.effects, vehicle.effects);
+    ASSERT_EQ(back.num_rotors(), vehicle.num_rotors());
+    for (int j = 0; j < back.num_rotors(); ++j) {
+      EXPECT_LT((back.rotors[j].p_BP - vehicle.rotors[j].p_BP).norm(), 1e-8);
+      EXPECT_EQ(back.rotors[j].spin, vehicle.rotors[j].spin);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc

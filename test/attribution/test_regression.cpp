@@ -1,0 +1,82 @@
+#include "odmc/attribution/regression.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "odmc/sim/gaussian.h"
+
+namespace odmc {
+namespace test {
+namespace {
+
+constexpr int kSamples = 500;
+
+/// Force x = truth * column + first-order noise; the other channels are white noise.
+WrenchRegression Made(double truth, double decay, int num_columns, int seed) {
+  Gaussian random(seed, 7);
+  WrenchRegression r;
+  r.y.resize(kSamples, kNumChannels);
+  for (Eigen::MatrixXd& c : r.columns) c.setZero(kSamples, num_columns);
+  double noise = 0.0;
+  for (int i = 0; i < kSamples; ++i) {
+    noise = decay * noise + std::sqrt(1.0 - decay * decay) * random.Next();
+    for (int c = 0; c < kNumChannels; ++c) r.y(i, c) = random.Next();
+    for (int k = 0; k < num_columns; ++k) {
+      r.columns[0](i, k) = std::sin(0.05 * (k + 1) * i + k);
+    }
+    r.y(i, 0) = noise + (num_columns > 0 ? truth * r.columns[0](i, 0) : 0.0);
+    r.next.push_back(i > 0);
+    r.block.push_back(i / 60);
+    r.used.push_back(r.block.back() % 4 != 2);
+  }
+  r.prior_offset.setZero(num_columns);
+  r.prior_sigma.setConstant(num_columns, 100.0);
+  return r;
+}
+
+TEST(FitWrench, FindsACoefficientWithinItsSigmaInCorrelatedNoise) {
+  int inside = 0;
+  for (int seed = 0; seed < 40; ++seed) {
+    const WrenchFit fit = FitWrench(Made(0.7, 0.9, 1, seed));
+    const double sigma = std::sqrt(fit.covariance(0, 0));
+    inside += std::abs(fit.step[0] - 0.7) < 2.0 * sigma ? 1 : 0;
+    EXPECT_LT(std::abs(fit.step[0] - 0.7), 5.0 * sigma);
+  }
+  EXPECT_GE(inside, 34);  // of 40, 38 expected
+}
+
+TEST(FitWrench, RealColumnsGainAndIdleOnesLose) {
+  double idle = 0.0;
+  for (int seed = 0; seed < 20; ++seed) {
+    const WrenchRegression none = Made(0.0, 0.9, 0, seed);
+    WrenchRegression one = Made(0.0, 0.9, 1, seed);
+    one.y = none.y;
+    idle += FitWrench(one).cross_validated - FitWrench(none).cross_validated;
+    WrenchRegression base = Made(1.5, 0.9, 1, seed);
+    WrenchRegression without = base;
+    for (Eigen::MatrixXd& c : without.columns) c.resize(kSamples, 0);
+    without.prior_offset.resize(0);
+    without.prior_sigma.resize(0);
+    const WrenchFit with_fit = FitWrench(base), without_fit = FitWrench(without);
+    EXPECT_GT(with_fit.cross_validated - without_fit.cross_validated, 8.0);
+    EXPECT_LT(with_fit.plain_mean_square[0], without_fit.plain_mean_square[0]);
+    EXPECT_NEAR(with_fit.plain_mean_square[3], without_fit.plain_mean_square[3], 1e-9);
+    const QuickGain quick(without, without_fit);
+    EXPECT_GT(quick.Of(base.columns), 8.0);
+  }
+  EXPECT_LT(idle / 20.0, 0.5);
+}
+
+TEST(FitWrench, HeldOutSamplesTeachNothing) {
+  WrenchRegression r = Made(0.7, 0.5, 1, 3);
+  const double before = FitWrench(r).step[0];
+  for (int i = 0; i < kSamples; ++i) {
+    if (!r.used[i]) r.y(i, 0) += 100.0;
+  }
+  EXPECT_NEAR(FitWrench(r).step[0], before, 1e-12);
+}
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc

@@ -1,0 +1,51 @@
+#include "odmc/model/pendulum.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+namespace odmc {
+namespace test {
+namespace {
+
+using Eigen::Vector3d;
+
+constexpr double kGravity = 9.81;
+
+TEST(Pendulum, HangsStillWithItsWeight) {
+  Pendulum pendulum(0.5, 0.0, kGravity);
+  for (int i = 0; i < 100; ++i) pendulum.Advance(Vector3d::Zero(), 0.01);
+  EXPECT_LT((pendulum.Pull(Vector3d::Zero()) - Vector3d(0.0, 0.0, -kGravity)).norm(), 1e-9);
+  // Lifted at 2 m/s² it weighs more; in free fall the cable is slack.
+  EXPECT_NEAR(pendulum.Pull({0.0, 0.0, 2.0}).z(), -kGravity - 2.0, 1e-9);
+  EXPECT_EQ(pendulum.Pull({0.0, 0.0, -12.0}).norm(), 0.0);
+}
+
+TEST(Pendulum, SwingsWithThePeriodOfItsLength) {
+  Pendulum pendulum(0.6, 0.0, kGravity);
+  for (int i = 0; i < 10; ++i) pendulum.Advance({1.0, 0.0, 0.0}, 0.002);  // a knock
+  double t = 0.0, last = pendulum.direction_W().x();
+  std::vector<double> crossings;
+  while (crossings.size() < 5) {
+    pendulum.Advance(Vector3d::Zero(), 0.002);
+    t += 0.002;
+    const double now = pendulum.direction_W().x();
+    if (last < 0.0 && now >= 0.0) crossings.push_back(t);
+    last = now;
+  }
+  const double period = (crossings.back() - crossings.front()) / 4.0;
+  EXPECT_NEAR(period, 2.0 * 3.14159265 * std::sqrt(0.6 / kGravity), 0.01);
+}
+
+TEST(Pendulum, TrailsASteadyAcceleration) {
+  Pendulum pendulum(0.4, 0.3, kGravity);
+  const Vector3d a(3.0, -1.0, 0.0);
+  for (int i = 0; i < 4000; ++i) pendulum.Advance(a, 0.005);
+  const Vector3d expected = -(a + kGravity * Vector3d::UnitZ()).normalized();
+  EXPECT_LT((pendulum.direction_W() - expected).norm(), 1e-3);
+  EXPECT_NEAR(pendulum.Pull(a).norm(), (a + kGravity * Vector3d::UnitZ()).norm(), 1e-2);
+}
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc
