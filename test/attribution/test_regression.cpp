@@ -53,7 +53,7 @@ TEST(FitWrench, RealColumnsGainAndIdleOnesLose) {
     WrenchRegression one = Made(0.0, 0.9, 1, seed);
     one.y = none.y;
     idle += FitWrench(one).cross_validated - FitWrench(none).cross_validated;
-    WrenchRegression base = Made(1.5, 0.9, 1, seed);
+    WrenchRegression base = Made(6.0, 0.9, 1, seed);
     WrenchRegression without = base;
     for (Eigen::MatrixXd& c : without.columns) c.resize(kSamples, 0);
     without.prior_offset.resize(0);
