@@ -14,7 +14,7 @@ const char* const kNever[] = {"thrust",     "rotor_torque",        "inertia",
                               "rotor_level", "odometry_extrinsics", "imu_extrinsics",
                               "gust"};
 constexpr double kMassStep_s = 1.0;
-constexpr double kCableRatio = 1.25;  // from one length to the next
+constexpr double kCableRatio = 1.15;  // from one length to the next
 
 bool IsListed(const std::vector<std::string>& names, const std::string& name) {
   return std::find(names.begin(), names.end(), name) != names.end();
@@ -31,16 +31,19 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
                                    [&](const char* other) { return name == other; });
     if (never || IsListed(vehicle.effects, name)) continue;
     if (name == "mass_change") {
-      candidates.push_back({name, {{"mass_change.from", 0.0}}});
+      const std::map<std::string, double> some = {{"mass_change.mass", 0.05 * vehicle.mass_kg}};
+      candidates.push_back({name, {{"mass_change.from", 0.0}}, some});
       for (double t = start_s + 2.0; t < end_s - 2.0; t += kMassStep_s) {
-        candidates.push_back({name, {{"mass_change.from", t}}});
+        candidates.push_back({name, {{"mass_change.from", t}}, some});
       }
     } else if (name == "suspended_load") {
       const double arm = vehicle.ArmLength();
       for (double l = std::max(0.08, arm); l < 2.6; l *= kCableRatio) {
         for (const double damping : {0.02, 0.1}) {
           candidates.push_back(
-              {name, {{"suspended_load.length", l}, {"suspended_load.damping", damping}}});
+              {name,
+               {{"suspended_load.length", l}, {"suspended_load.damping", damping}},
+               {{"suspended_load.mass", 0.05 * vehicle.mass_kg}}});
         }
       }
     } else if (name == "ground_effect") {

@@ -12,6 +12,7 @@ namespace {
 constexpr int kOrder = 8;  // of the noise
 constexpr int kRounds = 3;
 constexpr int kFolds = 6;
+constexpr double kLargestLeverage = 1.0;
 constexpr double kWildSigmas = 5.0;  // innovations beyond count as this many
 
 using Channel = Eigen::MatrixXd;  // whitened: rows × (n + 1), the last column is y
@@ -76,9 +77,8 @@ Channel Whiten(const WrenchRegression& r, int channel, const Noise& noise,
   return white;
 }
 
-/// Fits with white noise, the size of each channel from the fit itself; leaves one fold out at a
-/// time.
-void PlainCrossValidation(const WrenchRegression& r, const std::vector<int>& rows,
+/// Fits with white noise, the size of each channel from the fit itself.
+void FitPlainly(const WrenchRegression& r, const std::vector<int>& rows,
                           const std::map<int, int>& fold_of, const Eigen::VectorXd& prior,
                           WrenchFit* fit) {
   const int n = static_cast<int>(r.prior_sigma.size());
@@ -103,11 +103,10 @@ void PlainCrossValidation(const WrenchRegression& r, const std::vector<int>& row
     return gram(n, n) - 2.0 * at.dot(gram.col(n).head(n)) +
            at.dot(gram.topLeftCorner(n, n) * at);
   };
-  const auto fit_to = [&](int left_out) {
+  const auto solve = [&] {
     Eigen::MatrixXd H = Eigen::MatrixXd::Zero(n, n);
     Eigen::VectorXd g = prior.cwiseProduct(r.prior_offset);
     for (int f = 0; f < kFolds; ++f) {
-      if (f == left_out) continue;
       for (int c = 0; c < r.num_channels; ++c) {
         H += grams[f][c].topLeftCorner(n, n) / variance[c];
         g += grams[f][c].col(n).head(n) / variance[c];
@@ -122,12 +121,11 @@ void PlainCrossValidation(const WrenchRegression& r, const std::vector<int>& row
       for (int f = 0; f < kFolds; ++f) sum += square(grams[f][c], step);
       variance[c] = std::max(sum / samples, 1e-300);
     }
-    step = fit_to(-1);
+    step = solve();
   }
-  for (int f = 0; f < kFolds; ++f) {
-    const Eigen::VectorXd without = fit_to(f);
-    for (int c = 0; c < r.num_channels; ++c) {
-      fit->plain_mean_square[c] += std::max(0.0, square(grams[f][c], without)) / samples;
+  for (int c = 0; c < r.num_channels; ++c) {
+    for (int f = 0; f < kFolds; ++f) {
+      fit->plain_mean_square[c] += std::max(0.0, square(grams[f][c], step)) / samples;
     }
   }
   fit->plain_step = step;
@@ -188,27 +186,31 @@ WrenchFit FitWrench(const WrenchRegression& r) {
   }
 
   // Each fold predicted by the others.
-  std::array<double, kNumChannels> squares{};
+  const auto count_rows = static_cast<Eigen::Index>(rows.size());
+  fit.predicted_innovation = Eigen::MatrixXd::Zero(count_rows, r.num_channels);
+  fit.leverage = fit.predicted_innovation;
   for (int f = 0; f < kFolds; ++f) {
     Eigen::MatrixXd H = (total - grams[f]).topLeftCorner(n, n);
     H.diagonal() += prior;
+    const Eigen::LDLT<Eigen::MatrixXd> ldlt(H);
     const Eigen::VectorXd step =
-        H.ldlt().solve((total - grams[f]).col(n).head(n) + prior.cwiseProduct(r.prior_offset));
+        ldlt.solve((total - grams[f]).col(n).head(n) + prior.cwiseProduct(r.prior_offset));
+    const Eigen::MatrixXd covariance = ldlt.solve(Eigen::MatrixXd::Identity(n, n));
     for (int c = 0; c < r.num_channels; ++c) {
-      for (size_t k = 0; k < rows.size(); ++k) {
+      for (Eigen::Index k = 0; k < count_rows; ++k) {
         if (fold_of[r.block[rows[k]]] != f) continue;
-        const double e = white[c](k, n) - white[c].row(k).head(n).dot(step);
-        squares[c] += e * e;
+        const Eigen::VectorXd x = white[c].row(k).head(n);
+        fit.predicted_innovation(k, c) =
+            (white[c](k, n) - x.dot(step)) * std::sqrt(noise[c].variance);
+        fit.leverage(k, c) = x.dot(covariance * x);
       }
     }
   }
-  PlainCrossValidation(r, rows, fold_of, prior, &fit);
+  FitPlainly(r, rows, fold_of, prior, &fit);
   for (int c = 0; c < kNumChannels; ++c) fit.noise_coefficients[c] = noise[c].coefficients;
   const double samples = static_cast<double>(rows.size());
   for (int c = 0; c < r.num_channels; ++c) {
-    const double variance = noise[c].variance * squares[c] / samples;
-    fit.innovation_variance[c] = variance;
-    fit.cross_validated -= 0.5 * samples * std::log(variance);
+    fit.innovation_variance[c] = noise[c].variance;
     // Spectral density at zero against variance.
     const double gain = 1.0 - noise[c].coefficients.sum();
     const double power = fit.residual.col(c).squaredNorm() /
@@ -217,6 +219,21 @@ WrenchFit FitWrench(const WrenchRegression& r) {
     fit.effective_samples[c] = std::min(samples, samples * power / density);
   }
   return fit;
+}
+
+double CrossValidatedGain(const WrenchFit& base, const WrenchFit& fit) {
+  double gain = 0.0;
+  for (Eigen::Index c = 0; c < base.leverage.cols(); ++c) {
+    double was = 0.0, is = 0.0, count = 0.0;
+    for (Eigen::Index k = 0; k < base.leverage.rows(); ++k) {
+      if (base.leverage(k, c) > kLargestLeverage || fit.leverage(k, c) > kLargestLeverage) continue;
+      was += base.predicted_innovation(k, c) * base.predicted_innovation(k, c);
+      is += fit.predicted_innovation(k, c) * fit.predicted_innovation(k, c);
+      count += 1.0;
+    }
+    if (is > 0.0 && was > 0.0) gain += 0.5 * count * std::log(was / is);
+  }
+  return gain;
 }
 
 QuickGain::QuickGain(const WrenchRegression& base, const WrenchFit& fit)

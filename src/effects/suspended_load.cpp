@@ -20,12 +20,12 @@ class SuspendedLoad final : public Effect {
                  ParameterTransform::kLog, PhysicalSign::kPositive, true},
                 {"damping", "1", "damping ratio of the swing", 0.03, 0.03, 0.03,
                  ParameterTransform::kLog, PhysicalSign::kPositive, true},
-                Place("x", vehicle),
-                Place("y", vehicle),
-                Place("z", vehicle)}) {}
+                Place("x", vehicle, true),
+                Place("y", vehicle, true),
+                Place("z", vehicle, false)}) {}
 
  private:
-  static ParameterSpec Place(const std::string& axis, const Vehicle& vehicle) {
+  static ParameterSpec Place(const std::string& axis, const Vehicle& vehicle, bool frozen) {
     return {axis,
             "m",
             "where the cable is fixed, body " + axis,
@@ -34,7 +34,7 @@ class SuspendedLoad final : public Effect {
             0.1 * vehicle.ArmLength(),
             ParameterTransform::kLinear,
             PhysicalSign::kAny,
-            true};
+            frozen};
   }
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,

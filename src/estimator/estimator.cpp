@@ -188,8 +188,8 @@ std::optional<Snapshot> Estimator::Step() {
   const UpdateTimer timer;
   const bool airborne = CheckGround(*sample);
   std::optional<Snapshot> snapshot;
+  FollowLoad(*sample);
   if (airborne && is_held_out_ && is_held_out_(sample->stamp)) {
-    FollowLoad(*sample);
     last_in_window_ = false;
     inertia_gate_.Break();
   } else if (airborne) {
@@ -227,9 +227,14 @@ std::optional<Snapshot> Estimator::Step() {
 }
 
 void Estimator::FollowLoad(const OdometrySample& sample) {
+  // Differences of one and the same velocity, so that its noise does not add up.
   if (!last_ || !sample.v_WS || !last_->v_WS) return;
   const double dt = ToSeconds(sample.stamp - last_->stamp);
-  if (dt <= options_.max_gap_s) load_.Advance(*last_->v_WS, *sample.v_WS, dt, window_.values());
+  if (dt > options_.max_gap_s) {
+    load_.Reset();
+    return;
+  }
+  load_pull_W_ = load_.Advance(*last_->v_WS, *sample.v_WS, dt, window_.values());
 }
 
 void Estimator::MoveAnchors() {
@@ -401,8 +406,6 @@ void Estimator::AddKeyframe(const OdometrySample& sample, const std::optional<In
   if (!interval) {
     ++counters_.chains;
     inertia_gate_.Break();
-    const bool hole = last_ && ToSeconds(sample.stamp - last_->stamp) > options_.max_gap_s;
-    if (!last_ || hole) load_.Reset();
   }
   last_in_window_ = true;
 
@@ -469,9 +472,7 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
 
   DynamicsMeasurement measurement;
   measurement.dt = interval.dt;
-  measurement.load_pull_W = load_.Advance(State::FromBlock(window_.keyframe(id - 1).x.data()).v_WS,
-                                          State::FromBlock(window_.keyframe(id).x.data()).v_WS,
-                                          interval.dt, window_.values());
+  measurement.load_pull_W = load_pull_W_;
   measurement.time_s = ToSeconds(window_.keyframe(id).stamp - *first_stamp_) - 0.5 * interval.dt;
   measurement.rotors = form_ == DynamicsForm::kEuler ? interval.rotors.start : interval.rotors.mean;
   measurement.form = form_;

@@ -52,14 +52,14 @@ TEST(FitWrench, RealColumnsGainAndIdleOnesLose) {
     const WrenchRegression none = Made(0.0, 0.9, 0, seed);
     WrenchRegression one = Made(0.0, 0.9, 1, seed);
     one.y = none.y;
-    idle += FitWrench(one).cross_validated - FitWrench(none).cross_validated;
+    idle += CrossValidatedGain(FitWrench(none), FitWrench(one));
     WrenchRegression base = Made(4.0, 0.9, 1, seed);
     WrenchRegression without = base;
     for (Eigen::MatrixXd& c : without.columns) c.resize(kSamples, 0);
     without.prior_offset.resize(0);
     without.prior_sigma.resize(0);
     const WrenchFit with_fit = FitWrench(base), without_fit = FitWrench(without);
-    EXPECT_GT(with_fit.cross_validated - without_fit.cross_validated, 8.0);
+    EXPECT_GT(CrossValidatedGain(without_fit, with_fit), 8.0);
     EXPECT_LT(with_fit.plain_mean_square[0], without_fit.plain_mean_square[0]);
     EXPECT_NEAR(with_fit.plain_mean_square[3], without_fit.plain_mean_square[3], 1e-9);
     const QuickGain quick(without, without_fit);

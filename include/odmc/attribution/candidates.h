@@ -13,6 +13,8 @@ namespace odmc {
 struct Candidate {
   std::string effect;
   std::map<std::string, double> settings;
+  /// Where to linearize first, for parameters that do nothing at zero (a place of no mass).
+  std::map<std::string, double> start = {};
 };
 
 /// Every effect of the catalogue that `vehicle`'s model lacks and that may be added to it, with the

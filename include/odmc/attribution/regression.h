@@ -26,10 +26,12 @@ struct WrenchRegression {
 struct WrenchFit {
   Eigen::VectorXd step;        ///< n: change of the parameters
   Eigen::MatrixXd covariance;  ///< n×n
-  /// Log-likelihood of the samples in use, each block of time predicted by a fit to the others.
-  double cross_validated = 0.0;
-  /// Mean square of the samples in use, each block predicted by a plain fit (white noise of each
-  /// channel's size) to the others: what the estimator would do.
+  /// Innovations of the samples in use, each block of time predicted by a fit to the others, and the
+  /// variance of that prediction from the fit's own uncertainty, in units of the innovation's (rows in
+  /// use × channels).
+  Eigen::MatrixXd predicted_innovation, leverage;
+  /// Mean square of the samples in use with a plain fit (white noise of each channel's size): what
+  /// the estimator would do.
   std::array<double, kNumChannels> plain_mean_square{};
   Eigen::VectorXd plain_step;  ///< n: of the plain fit
   Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> plain_residual;  ///< N×6
@@ -38,6 +40,11 @@ struct WrenchFit {
   std::array<Eigen::VectorXd, kNumChannels> noise_coefficients;  ///< of the autoregression
   std::array<double, kNumChannels> effective_samples{};  ///< of white noise with the same mean
 };
+
+/// Gain of one fit over another in log-likelihood, each block of time predicted by fits to the others.
+/// Samples that either fit could only extrapolate to (leverage above 1) do not count: where a few
+/// transients alone tell parameters apart, leaving them out says nothing about the model.
+double CrossValidatedGain(const WrenchFit& base, const WrenchFit& fit);
 
 /// Quick look at candidates for a regression: how much likelihood columns would gain on top of it,
 /// with the noise of its own fit and without refitting that.
