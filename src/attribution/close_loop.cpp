@@ -22,6 +22,7 @@ constexpr double kTooLarge = 5.0;         // natural sizes (prior sigmas) beyond
 constexpr double kBetter = 0.975;         // on some channel, out of sample
 constexpr double kWorse = 1.12;           // on any channel, out of sample
 constexpr double kWorseOnline = 1.06;     // the same for the online estimator
+constexpr double kFoldBlock_s = 1.0;  // of cross-validation: a manoeuvre spans more than one
 constexpr double kStart_s = 1.0;  // the start's transients are quicker than the filter
 constexpr double kStray = 2.0;
 constexpr double kOvershadows = 5.0;
@@ -78,7 +79,7 @@ class Regressor {
     base_.y = residual->Residual(model, values);
     for (int i = 0; i < flight.size(); ++i) {
       base_.next.push_back(flight.next(i));
-      base_.block.push_back(flight.block(i));
+      base_.block.push_back(static_cast<int>(flight.sample(i).t_s / kFoldBlock_s));
       const bool starting = flight.sample(i).t_s < flight.sample(0).t_s + kStart_s;
       base_.used.push_back(!flight.held_out(i) && !starting);
     }
