@@ -18,9 +18,9 @@ namespace {
 constexpr double kHighest_Hz = 7.0;       // edge of the filter
 constexpr double kSignificant = 3.0;      // sigmas of at least one coefficient
 constexpr double kSignSigmas = 2.0;       // a wrong sign by this many is an objection
-constexpr double kTooLarge = 5.0;         // natural sizes (prior sigmas) beyond which too
+constexpr double kTooLarge = 4.0;         // natural sizes (prior sigmas) beyond which too
 constexpr double kBetter = 0.975;         // on some channel, out of sample
-constexpr double kWorse = 1.12;           // on any channel, out of sample
+constexpr double kWorse = 1.06;           // on any channel, out of sample
 constexpr double kWorseOnline = 1.06;     // the same for the online estimator
 constexpr double kFoldBlock_s = 1.0;  // of cross-validation: a manoeuvre spans more than one
 constexpr double kStart_s = 1.0;  // the start's transients are quicker than the filter
@@ -500,14 +500,25 @@ Pass Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& 
   return pass;
 }
 
+int EffectIndex(const DynamicModel& model, const std::string& name) {
+  const std::vector<std::string>& names = model.effect_names();
+  return static_cast<int>(std::find(names.begin(), names.end(), name) - names.begin());
+}
+
 /// True if an estimate of the effect differs from zero and matters.
-bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online) {
+bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model) {
   RankedEffect estimate = effect;
   std::vector<Eigen::Index> own;
   for (ParameterEstimate& p : estimate.parameters) {
     const ParameterEstimate* found = online.Find(p.full_name);
     if (found == nullptr || !found->estimated) continue;
     p = *found;
+    // The warm start is no prior: natural sizes are about zero.
+    const Effect& catalogue = model.effect(EffectIndex(model, effect.name));
+    for (const ParameterSpec& spec : catalogue.parameters()) {
+      if (effect.name + "." + spec.name != p.full_name) continue;
+      if (std::abs(p.value - spec.prior_value) > kTooLarge * spec.prior_sigma) return false;
+    }
     own.push_back(found - online.parameters.data());
   }
   const auto n = static_cast<Eigen::Index>(own.size());
@@ -709,6 +720,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
                                 channel.whiteness.structured_share > options.least_structured);
   }
 
+  std::vector<AddedEffect> shadows;  // come back if gusts do not hold
   // Gusts vary: no fixed regressor shows them.
   Vehicle airy = stage.vehicle;
   const bool has_wind = std::find(airy.effects.begin(), airy.effects.end(), "wind") != airy.effects.end();
@@ -742,7 +754,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     const double least = std::max(3.0 * options.least_score, 0.5 * scores);
     if (ranked.sound && gust.gain > least) {
       // What was found beside a much larger gust is its shadow.
-      if (gust.gain > kOvershadows * scores) added.clear();
+      if (gust.gain > kOvershadows * scores) shadows.swap(added);
       added.push_back({ranked, {}, ""});
     }
     result.ranking.push_back(ranked);
@@ -770,7 +782,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     const Pass after = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
     // What the online estimator does not confirm goes again.
     const auto faded = std::find_if(added.begin(), added.end(), [&](const AddedEffect& effect) {
-      return effect.effect.name != "gust" && !IsConfirmed(effect.effect, after.parameters);
+      return effect.effect.name != "gust" && !IsConfirmed(effect.effect, after.parameters, model);
     });
     if (faded != added.end()) {
       result.warnings.push_back(faded->effect.name +
@@ -802,7 +814,9 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     result.warnings.push_back(added.back().effect.name +
                               " was chosen, but did not predict blocks held out any better (" +
                               ChangeText(was, is) + ")");
+    const bool was_gust = added.back().effect.name == "gust";
     added.pop_back();
+    if (was_gust && added.empty()) added.swap(shadows);
   }
   if (result.verdict == Verdict::kEffect) {
     result.verdict = structured ? Verdict::kUnexplained : Verdict::kNone;

@@ -77,7 +77,8 @@ Channel Whiten(const WrenchRegression& r, int channel, const Noise& noise,
   return white;
 }
 
-/// Fits with white noise, the size of each channel from the fit itself.
+/// Fits with white noise, the size of each channel from the fit itself; for the mean squares, leaves
+/// one fold out at a time.
 void FitPlainly(const WrenchRegression& r, const std::vector<int>& rows,
                           const std::map<int, int>& fold_of, const Eigen::VectorXd& prior,
                           WrenchFit* fit) {
@@ -103,10 +104,11 @@ void FitPlainly(const WrenchRegression& r, const std::vector<int>& rows,
     return gram(n, n) - 2.0 * at.dot(gram.col(n).head(n)) +
            at.dot(gram.topLeftCorner(n, n) * at);
   };
-  const auto solve = [&] {
+  const auto solve = [&](int left_out) {
     Eigen::MatrixXd H = Eigen::MatrixXd::Zero(n, n);
     Eigen::VectorXd g = prior.cwiseProduct(r.prior_offset);
     for (int f = 0; f < kFolds; ++f) {
+      if (f == left_out) continue;
       for (int c = 0; c < r.num_channels; ++c) {
         H += grams[f][c].topLeftCorner(n, n) / variance[c];
         g += grams[f][c].col(n).head(n) / variance[c];
@@ -121,11 +123,12 @@ void FitPlainly(const WrenchRegression& r, const std::vector<int>& rows,
       for (int f = 0; f < kFolds; ++f) sum += square(grams[f][c], step);
       variance[c] = std::max(sum / samples, 1e-300);
     }
-    step = solve();
+    step = solve(-1);
   }
-  for (int c = 0; c < r.num_channels; ++c) {
-    for (int f = 0; f < kFolds; ++f) {
-      fit->plain_mean_square[c] += std::max(0.0, square(grams[f][c], step)) / samples;
+  for (int f = 0; f < kFolds; ++f) {
+    const Eigen::VectorXd without = solve(f);
+    for (int c = 0; c < r.num_channels; ++c) {
+      fit->plain_mean_square[c] += std::max(0.0, square(grams[f][c], without)) / samples;
     }
   }
   fit->plain_step = step;

@@ -30,8 +30,8 @@ struct WrenchFit {
   /// variance of that prediction from the fit's own uncertainty, in units of the innovation's (rows in
   /// use × channels).
   Eigen::MatrixXd predicted_innovation, leverage;
-  /// Mean square of the samples in use with a plain fit (white noise of each channel's size): what
-  /// the estimator would do.
+  /// Mean square of the samples in use, each block predicted by a plain fit (white noise of each
+  /// channel's size) to the others: what the estimator would do.
   std::array<double, kNumChannels> plain_mean_square{};
   Eigen::VectorXd plain_step;  ///< n: of the plain fit
   Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> plain_residual;  ///< N×6
