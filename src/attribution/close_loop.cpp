@@ -21,9 +21,9 @@ constexpr double kSignSigmas = 2.0;       // a wrong sign by this many is an obj
 constexpr double kTooLarge = 4.0;         // natural sizes (prior sigmas) beyond which too
 constexpr double kBetter = 0.975;         // on some channel, out of sample
 constexpr double kWorse = 1.06;           // on any channel, out of sample
+constexpr double kBetterOnline = 0.985;   // on some channel
 constexpr double kWorseOnline = 1.06;     // the same for the online estimator
 constexpr double kFoldBlock_s = 1.0;  // of cross-validation: a manoeuvre spans more than one
-constexpr double kStart_s = 1.0;  // the start's transients are quicker than the filter
 constexpr double kStray = 2.0;
 constexpr double kOvershadows = 5.0;
 constexpr double kTie = 3.0;              // nats by which a free force may explain better than gusts
@@ -80,8 +80,7 @@ class Regressor {
     for (int i = 0; i < flight.size(); ++i) {
       base_.next.push_back(flight.next(i));
       base_.block.push_back(static_cast<int>(flight.sample(i).t_s / kFoldBlock_s));
-      const bool starting = flight.sample(i).t_s < flight.sample(0).t_s + kStart_s;
-      base_.used.push_back(!flight.held_out(i) && !starting);
+      base_.used.push_back(!flight.held_out(i));
     }
     for (int k = 0; k < model.num_parameters(); ++k) {
       const std::string& name = model.parameters()[k].full_name;
@@ -518,6 +517,9 @@ bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online, const D
     for (const ParameterSpec& spec : catalogue.parameters()) {
       if (effect.name + "." + spec.name != p.full_name) continue;
       if (std::abs(p.value - spec.prior_value) > kTooLarge * spec.prior_sigma) return false;
+      const bool wrong = (spec.sign == PhysicalSign::kPositive && p.value < 0.0) ||
+                         (spec.sign == PhysicalSign::kNegative && p.value > 0.0);
+      if (wrong) return false;
     }
     own.push_back(found - online.parameters.data());
   }
@@ -564,19 +566,20 @@ std::string ChangeText(const PredictionFigures& before, const PredictionFigures&
 
 /// True if some channel is better and none is clearly worse.
 bool IsBetter(const PredictionFigures& before, const PredictionFigures& after) {
-  double sum = 0.0, worst = 0.0;
+  double sum = 0.0, worst = 0.0, best = 1.0;
   const auto add = [&](const PredictionFigures::Axes& b, const PredictionFigures::Axes& a) {
     if (!a || !b) return;
     for (int i = 0; i < 3; ++i) {
       const double change = (*a)[i] / (*b)[i];
       sum += std::log(change);
       worst = std::max(worst, change);
+      best = std::min(best, change);
     }
   };
   add(before.force_rmse_N, after.force_rmse_N);
   // Not the torque, which holds the file's inertia against a model that has found a better one.
   add(before.angular_acceleration_rmse_rad_s2, after.angular_acceleration_rmse_rad_s2);
-  return sum < 0.0 && worst < kWorseOnline;
+  return sum < 0.0 && worst < kWorseOnline && best < kBetterOnline;
 }
 
 }  // namespace

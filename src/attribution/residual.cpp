@@ -4,6 +4,11 @@
 #include <cmath>
 
 namespace odmc {
+namespace {
+
+constexpr double kStart_s = 1.0;
+
+}  // namespace
 
 ThinnedFlight::ThinnedFlight(FlightMotion flight, double block_s, int hold_out_every)
     : flight_(std::move(flight)), block_s_(block_s), hold_out_every_(hold_out_every) {
@@ -14,7 +19,9 @@ ThinnedFlight::ThinnedFlight(FlightMotion flight, double block_s, int hold_out_e
   step_s_ = stride * flight_.step_s;
   int run = 0;
   for (size_t i = 0; i < flight_.samples.size(); ++i) {
-    run = flight_.samples[i].follows ? run + 1 : 0;
+    // The start's transients are quicker than the filter.
+    if (flight_.samples[i].t_s < flight_.samples.front().t_s + kStart_s) continue;
+    run = flight_.samples[i].follows && !index_.empty() ? run + 1 : 0;
     if (run % stride != 0) continue;
     index_.push_back(i);
     next_.push_back(run > 0);
