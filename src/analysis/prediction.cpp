@@ -3,7 +3,6 @@
 #include <Eigen/LU>
 #include <algorithm>
 
-
 namespace odmc {
 namespace {
 

@@ -10,7 +10,7 @@ namespace {
 
 // Not candidates: the base of every model, what turns the frame, what replaces other effects, and
 // what needs a test of its own (gust).
-const char* const kNever[] = {"thrust",     "rotor_torque",        "inertia",
+const char* const kNever[] = {"thrust",      "rotor_torque",        "inertia",
                               "rotor_level", "odometry_extrinsics", "imu_extrinsics",
                               "gust"};
 constexpr double kMassStep_s = 1.0;
@@ -40,10 +40,9 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
       const double arm = vehicle.ArmLength();
       for (double l = std::max(0.08, arm); l < 2.6; l *= kCableRatio) {
         for (const double damping : {0.02, 0.1}) {
-          candidates.push_back(
-              {name,
-               {{"suspended_load.length", l}, {"suspended_load.damping", damping}},
-               {{"suspended_load.mass", 0.05 * vehicle.mass_kg}}});
+          candidates.push_back({name,
+                                {{"suspended_load.length", l}, {"suspended_load.damping", damping}},
+                                {{"suspended_load.mass", 0.05 * vehicle.mass_kg}}});
         }
       }
     } else if (name == "ground_effect") {

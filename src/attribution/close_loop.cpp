@@ -15,25 +15,25 @@
 namespace odmc {
 namespace {
 
-constexpr double kHighest_Hz = 7.0;       // edge of the filter
-constexpr double kSignificant = 3.0;      // sigmas of at least one coefficient
-constexpr double kSignSigmas = 2.0;       // a wrong sign by this many is an objection
-constexpr double kTooLarge = 4.0;         // natural sizes (prior sigmas) beyond which too
-constexpr double kBetter = 0.975;         // on some channel, out of sample
-constexpr double kWorse = 1.06;           // on any channel, out of sample
-constexpr double kBetterOnline = 0.985;   // on some channel
-constexpr double kWorseOnline = 1.06;     // the same for the online estimator
-constexpr double kFoldBlock_s = 1.0;  // of cross-validation: a manoeuvre spans more than one
+constexpr double kHighest_Hz = 7.0;      // edge of the filter
+constexpr double kSignificant = 3.0;     // sigmas of at least one coefficient
+constexpr double kSignSigmas = 2.0;      // a wrong sign by this many is an objection
+constexpr double kTooLarge = 4.0;        // natural sizes (prior sigmas) beyond which too
+constexpr double kBetter = 0.975;        // on some channel, out of sample
+constexpr double kWorse = 1.06;          // on any channel, out of sample
+constexpr double kBetterOnline = 0.985;  // on some channel
+constexpr double kWorseOnline = 1.06;    // the same for the online estimator
+constexpr double kFoldBlock_s = 1.0;     // of cross-validation: a manoeuvre spans more than one
 constexpr double kStray = 2.0;
 constexpr double kOvershadows = 5.0;
-constexpr double kTie = 3.0;              // nats by which a free force may explain better than gusts
-constexpr double kTieShare = 0.01;        // or this share of the gain: they differ little
-constexpr double kOneSided = 0.9;         // share of the wind's variance along one line
-constexpr int kRounds = 3;                // of linearization
-constexpr int kCorrelationLags = 26;      // of 40 ms: one second
+constexpr double kTie = 3.0;          // nats by which a free force may explain better than gusts
+constexpr double kTieShare = 0.01;    // or this share of the gain: they differ little
+constexpr double kOneSided = 0.9;     // share of the wind's variance along one line
+constexpr int kRounds = 3;            // of linearization
+constexpr int kCorrelationLags = 26;  // of 40 ms: one second
 constexpr double kKnownThrustShare = 0.05;
 const char* const kBiasName = "accelerometer bias";
-const char* const kChannelNames[] = {"force_x", "force_y", "force_z",
+const char* const kChannelNames[] = {"force_x",  "force_y",  "force_z",
                                      "torque_x", "torque_y", "torque_z"};
 
 std::string Text(double value) {
@@ -84,8 +84,7 @@ class Regressor {
     }
     for (int k = 0; k < model.num_parameters(); ++k) {
       const std::string& name = model.parameters()[k].full_name;
-      const bool held =
-          std::find(stage.held.begin(), stage.held.end(), name) != stage.held.end();
+      const bool held = std::find(stage.held.begin(), stage.held.end(), name) != stage.held.end();
       if (model.parameters()[k].estimated && !held) AddColumn(model, values, k, &base_);
     }
     if (residual->from_accelerometer()) AddBiases(stage.vehicle.mass_kg, &base_);
@@ -199,9 +198,8 @@ class Regressor {
     // Priors of files are wide. What a few transients tell apart must not run off where a fold
     // leaves these out, so no parameter strays far from what it is and what is natural for it.
     const ParameterSpec& spec = model.parameters()[k].spec;
-    regression->prior_sigma[n] =
-        std::min(spec.prior_sigma,
-                 std::max(kStray * std::abs(values[k] - spec.prior_value), spec.scale));
+    regression->prior_sigma[n] = std::min(
+        spec.prior_sigma, std::max(kStray * std::abs(values[k] - spec.prior_value), spec.scale));
     regression->prior_offset[n] = model.parameters()[k].spec.prior_value - values[k];
     names_.push_back(model.parameters()[k].full_name);
   }
@@ -225,8 +223,8 @@ class Regressor {
   std::vector<std::string> names_, base_names_;
 };
 
-/// True if parameters differ from zero together by kSignificant sigmas (Wald's test; the limit grows
-/// with their number).
+/// True if parameters differ from zero together by kSignificant sigmas (Wald's test; the limit
+/// grows with their number).
 bool IsSignificant(const Eigen::VectorXd& estimate, const Eigen::MatrixXd& covariance) {
   const auto n = static_cast<double>(estimate.size());
   if (estimate.size() == 0) return false;
@@ -254,8 +252,7 @@ RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regress
   ranked.score = CrossValidatedGain(base, result.fit);
   double best = 1.0;
   for (int c = 0; c < num_channels; ++c) {
-    const double change =
-        std::sqrt(result.fit.plain_mean_square[c] / base.plain_mean_square[c]);
+    const double change = std::sqrt(result.fit.plain_mean_square[c] / base.plain_mean_square[c]);
     best = std::min(best, change);
     if (change > kWorse) {
       ranked.sound = false;
@@ -279,8 +276,8 @@ RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regress
     const double value = result.values.at(p.full_name);
     const auto at = static_cast<Eigen::Index>(i);
     const double sigma = std::sqrt(std::max(0.0, result.fit.covariance(at, at)));
-    ranked.parameters.push_back({p.full_name, p.spec.unit, value, sigma, true,
-                                 sigma < 0.5 * p.spec.prior_sigma});
+    ranked.parameters.push_back(
+        {p.full_name, p.spec.unit, value, sigma, true, sigma < 0.5 * p.spec.prior_sigma});
     own.push_back(at);
     estimate.conservativeResize(estimate.size() + 1);
     estimate[estimate.size() - 1] = value - p.spec.prior_value;
@@ -297,8 +294,7 @@ RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regress
   }
   for (const auto& [name, value] : candidate.settings) {
     const int k = model.IndexOf(name);
-    ranked.parameters.push_back(
-        {name, model.parameters()[k].spec.unit, value, 0.0, false, false});
+    ranked.parameters.push_back({name, model.parameters()[k].spec.unit, value, 0.0, false, false});
   }
   Eigen::MatrixXd covariance(estimate.size(), estimate.size());
   for (Eigen::Index a = 0; a < estimate.size(); ++a) {
@@ -328,8 +324,7 @@ std::vector<RankedEffect> RankAll(const Stage& stage, const std::vector<Candidat
   for (const Candidate& candidate : candidates) {
     const std::vector<std::string>& have = stage.vehicle.effects;
     if (std::find(have.begin(), have.end(), candidate.effect) != have.end()) continue;
-    const double promise =
-        candidate.settings.empty() ? 0.0 : regressor->Promise(stage, candidate);
+    const double promise = candidate.settings.empty() ? 0.0 : regressor->Promise(stage, candidate);
     const auto it = promising.find(candidate.effect);
     if (it == promising.end() || promise > it->second.first) {
       promising[candidate.effect] = {promise, &candidate};
@@ -352,8 +347,7 @@ std::vector<RankedEffect> RankAll(const Stage& stage, const std::vector<Candidat
 }
 
 std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
-                                        const ResidualModel::Wrenches& residual,
-                                        int num_channels) {
+                                        const ResidualModel::Wrenches& residual, int num_channels) {
   std::vector<ChannelStructure> all;
   const double rate_Hz = 1.0 / flight.step_s();
   for (int c = 0; c < num_channels; ++c) {
@@ -435,10 +429,10 @@ std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedF
       block = b;
     }
   }
-  const auto quantity =
-      std::max_element(worst->dependence.begin(), worst->dependence.end(),
-                       [](auto& a, auto& b) { return a.second < b.second; });
-  std::string text = worst->name + ", strongest near " + Text(worst->whiteness.peak_Hz) + " Hz and in ";
+  const auto quantity = std::max_element(worst->dependence.begin(), worst->dependence.end(),
+                                         [](auto& a, auto& b) { return a.second < b.second; });
+  std::string text =
+      worst->name + ", strongest near " + Text(worst->whiteness.peak_Hz) + " Hz and in ";
   for (const auto& span : {std::make_pair(block, most)}) {
     text += "block " + std::to_string(span.first) + " (RMS " + Text(std::sqrt(span.second)) + " " +
             worst->unit + ")";
@@ -480,16 +474,15 @@ Pass Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& 
     const auto& history = pass.replay.history;
     const double offset = ToSeconds(pass.replay.last->stamp - first) - pass.replay.last->time_s;
     vary = [&history, &model, offset](double t_s, ModelValues* values) {
-      auto it = std::upper_bound(
-          history.begin(), history.end(), t_s - offset - kAhead_s,
-          [](double t, const HistoryRow& row) { return t < row.t_s; });
+      auto it = std::upper_bound(history.begin(), history.end(), t_s - offset - kAhead_s,
+                                 [](double t, const HistoryRow& row) { return t < row.t_s; });
       for (const DynamicModel::ProcessParameter& p : model.processes()) {
         (*values)[p.index] = it == history.begin() ? 0.0 : std::prev(it)->values[p.index];
       }
     };
   }
-  pass.prediction = Predict(log, file_vehicle, model, pass.replay.last->values,
-                            pass.replay.ground_spans, vary);
+  pass.prediction =
+      Predict(log, file_vehicle, model, pass.replay.last->values, pass.replay.ground_spans, vary);
   std::vector<PredictionSample> unseen;
   for (const PredictionSample& s : pass.prediction.samples) {
     if (is_held_out(s.t_s)) unseen.push_back(s);
@@ -505,7 +498,8 @@ int EffectIndex(const DynamicModel& model, const std::string& name) {
 }
 
 /// True if an estimate of the effect differs from zero and matters.
-bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model) {
+bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online,
+                 const DynamicModel& model) {
   RankedEffect estimate = effect;
   std::vector<Eigen::Index> own;
   for (ParameterEstimate& p : estimate.parameters) {
@@ -618,8 +612,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   result.before = result.after = before.held_out;
   result.warnings = log.warnings;
   result.flight.file = log.file;
-  result.flight.duration_s =
-      ToSeconds(log.odometry.back().stamp - log.odometry.front().stamp);
+  result.flight.duration_s = ToSeconds(log.odometry.back().stamp - log.odometry.front().stamp);
   result.flight.on_ground_s = replay.counters.on_ground_s;
   result.flight.keyframes = replay.counters.keyframes;
   result.flight.dropped =
@@ -711,8 +704,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
 
   result.structure = Structure(flight, first_residual, residual.num_channels());
   for (const ChannelStructure& channel : result.structure) {
-    result.structured_share =
-        std::max(result.structured_share, channel.whiteness.structured_share);
+    result.structured_share = std::max(result.structured_share, channel.whiteness.structured_share);
     result.whiteness_p =
         std::min(result.whiteness_p,
                  std::min(1.0, channel.whiteness.p * static_cast<double>(result.structure.size())));
@@ -726,15 +718,18 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   std::vector<AddedEffect> shadows;  // come back if gusts do not hold
   // Gusts vary: no fixed regressor shows them.
   Vehicle airy = stage.vehicle;
-  const bool has_wind = std::find(airy.effects.begin(), airy.effects.end(), "wind") != airy.effects.end();
-  const bool has_gust = std::find(airy.effects.begin(), airy.effects.end(), "gust") != airy.effects.end();
+  const bool has_wind =
+      std::find(airy.effects.begin(), airy.effects.end(), "wind") != airy.effects.end();
+  const bool has_gust =
+      std::find(airy.effects.begin(), airy.effects.end(), "gust") != airy.effects.end();
   if (!has_gust && structured) {
     if (!has_wind) airy.effects.push_back("wind");
     const DynamicModel model(airy, airy.effects);
     const ModelValues values = ValuesOf(model, stage.values);
     std::array<ResidualModel::Wrenches, 3> d_wind;
     for (int k = 0; k < 3; ++k) {
-      d_wind[k] = residual.Derivative(model, values, model.IndexOf(std::string("wind.w_") + "xyz"[k]));
+      d_wind[k] =
+          residual.Derivative(model, values, model.IndexOf(std::string("wind.w_") + "xyz"[k]));
     }
     const GustTest gust = TestGusts(flight, unexplained, d_wind);
     RankedEffect ranked;
@@ -751,8 +746,8 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     if (gust.one_sidedness >= kOneSided) {
       ranked.objection = "it would blow along one line only";
     } else if (!ranked.sound) {
-      ranked.objection = "a force free of the drag explains it better by " +
-                         Text(-gust.over_others) + " nats";
+      ranked.objection =
+          "a force free of the drag explains it better by " + Text(-gust.over_others) + " nats";
     }
     const double least = std::max(3.0 * options.least_score, 0.5 * scores);
     if (ranked.sound && gust.gain > least) {
@@ -765,10 +760,10 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
 
   if (!added.empty()) {
     const bool with_gust = added.back().effect.name == "gust";
-    const bool explains = with_gust || ExplainedStructure(result.structure,
-                                              Structure(flight, unexplained,
-                                                        residual.num_channels()),
-                                              options.whiteness_p) >= options.least_explained;
+    const bool explains =
+        with_gust || ExplainedStructure(result.structure,
+                                        Structure(flight, unexplained, residual.num_channels()),
+                                        options.whiteness_p) >= options.least_explained;
     if (explains) result.verdict = Verdict::kEffect;
   }
   if (result.verdict != Verdict::kEffect && structured) result.verdict = Verdict::kUnexplained;

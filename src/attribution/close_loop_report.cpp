@@ -1,10 +1,10 @@
+#include "odmc/attribution/close_loop_report.h"
+
 #include <cmath>
 #include <cstdio>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <stdexcept>
-
-#include "odmc/attribution/close_loop_report.h"
 
 namespace odmc {
 namespace {
@@ -35,8 +35,8 @@ std::string Row(const char* name, const PredictionFigures::Axes& before,
   char line[160];
   std::string text;
   for (int i = 0; i < 3; ++i) {
-    std::snprintf(line, sizeof line, "%-12s %c %12.5f %12.5f %12.3f\n", i == 0 ? name : "", "xyz"[i],
-                  (*before)[i], (*after)[i], (*after)[i] / (*before)[i]);
+    std::snprintf(line, sizeof line, "%-12s %c %12.5f %12.5f %12.3f\n", i == 0 ? name : "",
+                  "xyz"[i], (*before)[i], (*after)[i], (*after)[i] / (*before)[i]);
     text += line;
   }
   return text;

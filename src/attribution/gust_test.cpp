@@ -25,8 +25,7 @@ double Likelihood(const ThinnedFlight& flight, const ResidualModel::Wrenches& y,
   const Matrix3d noise = noise_variance.asDiagonal();
   double sum = 0.0;
   for (int i = 0; i < flight.size(); ++i) {
-    const double dt =
-        i == 0 ? 0.0 : std::max(0.0, flight.sample(i).t_s - flight.sample(i - 1).t_s);
+    const double dt = i == 0 ? 0.0 : std::max(0.0, flight.sample(i).t_s - flight.sample(i - 1).t_s);
     const double decay = std::exp(-dt / time_constant_s);
     x *= decay;
     P = decay * decay * P + (1.0 - decay * decay) * sigma * sigma * Matrix3d::Identity();

@@ -77,11 +77,10 @@ Channel Whiten(const WrenchRegression& r, int channel, const Noise& noise,
   return white;
 }
 
-/// Fits with white noise, the size of each channel from the fit itself; for the mean squares, leaves
-/// one fold out at a time.
+/// Fits with white noise, the size of each channel from the fit itself; for the mean squares,
+/// leaves one fold out at a time.
 void FitPlainly(const WrenchRegression& r, const std::vector<int>& rows,
-                          const std::map<int, int>& fold_of, const Eigen::VectorXd& prior,
-                          WrenchFit* fit) {
+                const std::map<int, int>& fold_of, const Eigen::VectorXd& prior, WrenchFit* fit) {
   const int n = static_cast<int>(r.prior_sigma.size());
   std::array<std::array<Eigen::MatrixXd, kNumChannels>, kFolds> grams;
   for (int c = 0; c < r.num_channels; ++c) {
@@ -101,8 +100,7 @@ void FitPlainly(const WrenchRegression& r, const std::vector<int>& rows,
   std::array<double, kNumChannels> variance{};
   Eigen::VectorXd step = Eigen::VectorXd::Zero(n);
   const auto square = [&](const Eigen::MatrixXd& gram, const Eigen::VectorXd& at) {
-    return gram(n, n) - 2.0 * at.dot(gram.col(n).head(n)) +
-           at.dot(gram.topLeftCorner(n, n) * at);
+    return gram(n, n) - 2.0 * at.dot(gram.col(n).head(n)) + at.dot(gram.topLeftCorner(n, n) * at);
   };
   const auto solve = [&](int left_out) {
     Eigen::MatrixXd H = Eigen::MatrixXd::Zero(n, n);

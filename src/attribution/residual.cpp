@@ -12,10 +12,9 @@ constexpr double kStart_s = 1.0;
 
 ThinnedFlight::ThinnedFlight(FlightMotion flight, double block_s, int hold_out_every)
     : flight_(std::move(flight)), block_s_(block_s), hold_out_every_(hold_out_every) {
-  const int stride =
-      flight_.step_s > 0.0
-          ? std::max(1, static_cast<int>(std::lround(kStep_s / flight_.step_s)))
-          : 1;
+  const int stride = flight_.step_s > 0.0
+                         ? std::max(1, static_cast<int>(std::lround(kStep_s / flight_.step_s)))
+                         : 1;
   step_s_ = stride * flight_.step_s;
   int run = 0;
   for (size_t i = 0; i < flight_.samples.size(); ++i) {
@@ -75,9 +74,8 @@ ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
     residual.row(i).head<3>() = s.measured_force - s.predicted_force;
     if (from_accelerometer_) {
       residual.row(i).head<3>() =
-          file_vehicle_->mass_kg *
-          (*flight_->sample(i).specific_force_I -
-           PredictSpecificForce(flight_->sample(i), pull, model, values));
+          file_vehicle_->mass_kg * (*flight_->sample(i).specific_force_I -
+                                    PredictSpecificForce(flight_->sample(i), pull, model, values));
     }
     residual.row(i).tail<3>() = file_vehicle_->inertia_kg_m2.cwiseProduct(
         s.measured_angular_acceleration - s.predicted_angular_acceleration);
@@ -89,15 +87,15 @@ ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
 ResidualModel::Wrenches ResidualModel::Derivative(const DynamicModel& model,
                                                   const ModelValues& values, int index) const {
   const ModelParameter& parameter = model.parameters()[index];
-  const double step =
-      parameter.spec.transform == ParameterTransform::kLog
-          ? 1e-3 * values[index]
-          : 1e-3 * std::max(std::abs(values[index]), parameter.spec.scale);
+  const double step = parameter.spec.transform == ParameterTransform::kLog
+                          ? 1e-3 * values[index]
+                          : 1e-3 * std::max(std::abs(values[index]), parameter.spec.scale);
   ModelValues up = values, down = values;
   up[index] += step;
   down[index] -= step;
   Wrenches derivative = (Residual(model, down) - Residual(model, up)) / (2.0 * step);
-  if (parameter.full_name == "thrust.k_f" || parameter.full_name == "thrust_drift.rate") derivative.rightCols<3>().setZero();
+  if (parameter.full_name == "thrust.k_f" || parameter.full_name == "thrust_drift.rate")
+    derivative.rightCols<3>().setZero();
   return derivative;
 }
 

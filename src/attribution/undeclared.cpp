@@ -21,7 +21,7 @@ using Eigen::Vector3d;
 
 constexpr double kDuration_s = 24.0;
 constexpr double kLogRate_Hz = 250.0;
-constexpr double kAbsurd = 6.0;      // natural sizes (prior sigmas) no effect should need
+constexpr double kAbsurd = 6.0;        // natural sizes (prior sigmas) no effect should need
 constexpr double kNotExcited = 0.015;  // share below which an effect does not show
 constexpr int kVehicleStream = 201, kNoiseStream = 202, kUnknownStream = 203;
 
@@ -61,11 +61,11 @@ const std::vector<Excited>& Catalogue() {
 
 /// Effects that a trajectory leaves alone.
 const std::vector<std::pair<std::string, std::string>> kHidden = {
-    {"quadratic_drag", "hover"},   {"rotor_hvt", "vertical"},   {"anisotropic_hvt", "hover"},
-    {"hub_moment", "hover"},       {"rotor_gyroscopic", "hover"}, {"products_of_inertia", "hover"},
-    {"rotor_drag", "hover"},       {"axial_inflow", "hover"},   {"rotor_delay", "hover"},
-    {"pressure_centre", "yaw"},    {"rotor_asymmetry", "hover"}, {"wind", "hover"},
-    {"rotor_reaction", "hover"},   {"quadratic_drag", "yaw"},   {"anisotropic_hvt", "vertical"},
+    {"quadratic_drag", "hover"}, {"rotor_hvt", "vertical"},     {"anisotropic_hvt", "hover"},
+    {"hub_moment", "hover"},     {"rotor_gyroscopic", "hover"}, {"products_of_inertia", "hover"},
+    {"rotor_drag", "hover"},     {"axial_inflow", "hover"},     {"rotor_delay", "hover"},
+    {"pressure_centre", "yaw"},  {"rotor_asymmetry", "hover"},  {"wind", "hover"},
+    {"rotor_reaction", "hover"}, {"quadratic_drag", "yaw"},     {"anisotropic_hvt", "vertical"},
 };
 
 Vehicle Made(const std::string& name, double mass, Vector3d inertia, double x, double y, double z,
@@ -222,8 +222,7 @@ Unmodelled DrawUnknown(const Vehicle& vehicle, double scale, int seed) {
         w.f_B = force * wander(t).cwiseProduct(Vector3d(1.0, 0.3, 1.5));
         break;
       default:  // a loose part that rattles about the yaw and roll axes
-        w.tau_Bcm_B = torque * std::sin(6.2832 * frequency * t + phase) *
-                      Vector3d(0.7, 0.0, 0.7) *
+        w.tau_Bcm_B = torque * std::sin(6.2832 * frequency * t + phase) * Vector3d(0.7, 0.0, 0.7) *
                       (std::sin(0.9 * t + phase) > 0.0 ? 1.0 : 0.2);
         break;
     }
@@ -346,9 +345,8 @@ UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan) {
   noise.attitude_rad = around(0.002);
   noise.velocity_m_s = around(0.02);
   noise.rate_rad_s = around(0.01);
-  noise.rotor_speed_rad_s =
-      around(0.002 * std::sqrt(vehicle.mass_kg * vehicle.gravity_m_s2 / 4.0 /
-                               *vehicle.parameters.at("thrust.k_f").value));
+  noise.rotor_speed_rad_s = around(0.002 * std::sqrt(vehicle.mass_kg * vehicle.gravity_m_s2 / 4.0 /
+                                                     *vehicle.parameters.at("thrust.k_f").value));
   noise.force_N = around(0.05);
   noise.torque_Nm = around(0.001);
   SimulationOptions options;

@@ -24,8 +24,8 @@ class AnisotropicHubMoment final : public Effect {
                             const Vehicle& vehicle) {
     const double sum = std::max(1, vehicle.num_rotors()) * HoverSpeed(vehicle);
     const double natural = 0.3 * vehicle.mass_kg / sum * 0.2 * vehicle.ArmLength();
-    return {name, "N s^2", "moment per rotor speed and air speed, " + about, 0.0, 10.0 * natural,
-            natural};
+    return {name, "N s^2",        "moment per rotor speed and air speed, " + about,
+            0.0,  10.0 * natural, natural};
   }
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,

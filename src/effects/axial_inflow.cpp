@@ -8,13 +8,12 @@ namespace {
 class AxialInflow final : public Effect {
  public:
   explicit AxialInflow(const Vehicle& vehicle)
-      : Effect(vehicle,
-               {"axial_inflow", "Thrust loss with axial inflow",
-                "f_j = -k_z Omega_j u_jz e3 at hub j",
-                "model.md 12.3; Leishman; Hoffmann et al. 2007; Huang et al. 2009",
-                "climb and moderate descent; not in the vortex ring state"},
-               {HubDampingSpec("k_z", "thrust loss per rotor speed and axial air speed", vehicle)}) {
-  }
+      : Effect(
+            vehicle,
+            {"axial_inflow", "Thrust loss with axial inflow", "f_j = -k_z Omega_j u_jz e3 at hub j",
+             "model.md 12.3; Leishman; Hoffmann et al. 2007; Huang et al. 2009",
+             "climb and moderate descent; not in the vortex ring state"},
+            {HubDampingSpec("k_z", "thrust loss per rotor speed and axial air speed", vehicle)}) {}
 
  private:
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,

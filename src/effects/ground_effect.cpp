@@ -11,16 +11,17 @@ namespace {
 class GroundEffect final : public Effect {
  public:
   explicit GroundEffect(const Vehicle& vehicle)
-      : Effect(vehicle,
-               {"ground_effect", "Ground effect",
-                "f_j = k_ge k_f Omega_j^2 (R/(4 h_j))^2 e3 at hub j, h_j = height of hub j above z_0",
-                "model.md 12.13; Cheeseman and Bennett 1955; Sanchez-Cuevas et al. 2017",
-                "hub heights above one radius; nothing is left of it above four radii"},
-               {{"k_ge", "1", "size relative to a single rotor's theory", 0.0, 5.0, 1.0,
-                 ParameterTransform::kLinear, PhysicalSign::kPositive},
-                {"z_0", "m", "height of the ground in the odometry's world", 0.0, 0.5, 0.1,
-                 ParameterTransform::kLinear, PhysicalSign::kAny, true}},
-               {"thrust.k_f"}) {}
+      : Effect(
+            vehicle,
+            {"ground_effect", "Ground effect",
+             "f_j = k_ge k_f Omega_j^2 (R/(4 h_j))^2 e3 at hub j, h_j = height of hub j above z_0",
+             "model.md 12.13; Cheeseman and Bennett 1955; Sanchez-Cuevas et al. 2017",
+             "hub heights above one radius; nothing is left of it above four radii"},
+            {{"k_ge", "1", "size relative to a single rotor's theory", 0.0, 5.0, 1.0,
+              ParameterTransform::kLinear, PhysicalSign::kPositive},
+             {"z_0", "m", "height of the ground in the odometry's world", 0.0, 0.5, 0.1,
+              ParameterTransform::kLinear, PhysicalSign::kAny, true}},
+            {"thrust.k_f"}) {}
 
  private:
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,

@@ -62,8 +62,8 @@ class MassChange final : public Effect {
     J->block<6, 1>(kRowInertia, 0) = m * d_share * rows(spread);
     for (int i = 0; i < 3; ++i) {
       const Eigen::Vector3d ds = Eigen::Vector3d::Unit(i);
-      const Eigen::Matrix3d d_spread = 2.0 * s[i] * Eigen::Matrix3d::Identity() -
-                                       ds * s.transpose() - s * ds.transpose();
+      const Eigen::Matrix3d d_spread =
+          2.0 * s[i] * Eigen::Matrix3d::Identity() - ds * s.transpose() - s * ds.transpose();
       for (const auto& [column, sign] : {std::pair<int, double>{1 + i, 1.0}, {5 + i, -1.0}}) {
         J->block<3, 1>(kRowCom, column) = sign * share * ds;
         J->block<6, 1>(kRowInertia, column) = sign * reduced * rows(d_spread);

@@ -19,8 +19,8 @@ class ProductsOfInertia final : public Effect {
  private:
   static ParameterSpec Product(const std::string& name, int a, int b, const Vehicle& vehicle) {
     const double natural = std::min(vehicle.inertia_kg_m2[a], vehicle.inertia_kg_m2[b]);
-    return {name, "kg m^2", "entry " + name + " of the inertia matrix", 0.0, 0.2 * natural,
-            0.1 * natural};
+    return {name, "kg m^2",      "entry " + name + " of the inertia matrix",
+            0.0,  0.2 * natural, 0.1 * natural};
   }
 
   void DoShape(const ParameterValues& values, BodyProperties* body,

@@ -106,8 +106,14 @@ ParameterSpec RotorInertiaSpec(const Vehicle& vehicle) {
   // A blade pair of 2 % of the vehicle's mass per rotor, spread evenly over the radius.
   const double radius = vehicle.rotors.empty() ? 0.1 : vehicle.rotors.front().radius_m;
   const double guess = 0.01 * vehicle.mass_kg * radius * radius / 3.0;
-  return {"J_r",       "kg m^2", "inertia of one rotor about its axis, bell included", 0.0,
-          5.0 * guess, guess,    ParameterTransform::kLinear, PhysicalSign::kPositive};
+  return {"J_r",
+          "kg m^2",
+          "inertia of one rotor about its axis, bell included",
+          0.0,
+          5.0 * guess,
+          guess,
+          ParameterTransform::kLinear,
+          PhysicalSign::kPositive};
 }
 
 }  // namespace odmc

@@ -29,8 +29,8 @@ void AddHubDamping(const FlightState& state, const Vehicle& vehicle, double k,
 void AddHubLift(const FlightState& state, const Vehicle& vehicle, double k, int index,
                 Wrench* wrench, WrenchJacobians* J);
 
-/// Adds the couples J_r Σ s_j Ω_j (w × e3) and J_r Σ s_j dΩ_j/dt e3, those asked for; the inertia of
-/// one rotor is parameter `index`.                                      model.md 12.6 and 12.7
+/// Adds the couples J_r Σ s_j Ω_j (w × e3) and J_r Σ s_j dΩ_j/dt e3, those asked for; the inertia
+/// of one rotor is parameter `index`.                                      model.md 12.6 and 12.7
 void AddRotorMomentum(const FlightState& state, const Vehicle& vehicle, double inertia, int index,
                       bool gyroscopic, bool reaction, Wrench* wrench, WrenchJacobians* J);
 

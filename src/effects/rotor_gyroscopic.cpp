@@ -4,12 +4,13 @@
 namespace odmc {
 namespace {
 
-/// Angular momentum of the rotors, turned with the body: τ = J_r Σ s Ω (w × e3).        model.md 12.6
+/// Angular momentum of the rotors, turned with the body: τ = J_r Σ s Ω (w × e3). model.md 12.6
 class RotorGyroscopic final : public Effect {
  public:
   explicit RotorGyroscopic(const Vehicle& vehicle)
       : Effect(vehicle,
-               {"rotor_gyroscopic", "Gyroscopic torque of the rotors", "tau = J_r sum(s Omega) (w x e3)", "model.md 12.6",
+               {"rotor_gyroscopic", "Gyroscopic torque of the rotors",
+                "tau = J_r sum(s Omega) (w x e3)", "model.md 12.6",
                 "vanishes while the spins balance: needs rates together with a yaw torque"},
                {RotorInertiaSpec(vehicle)}) {}
 

@@ -9,7 +9,8 @@ class RotorReaction final : public Effect {
  public:
   explicit RotorReaction(const Vehicle& vehicle)
       : Effect(vehicle,
-               {"rotor_reaction", "Reaction to rotor acceleration", "tau = J_r sum(s dOmega/dt) e3", "model.md 12.7",
+               {"rotor_reaction", "Reaction to rotor acceleration", "tau = J_r sum(s dOmega/dt) e3",
+                "model.md 12.7",
                 "shares a scale with k_m and I_z; needs rotor speeds that change quickly"},
                {RotorInertiaSpec(vehicle)}) {}
 

@@ -3,8 +3,8 @@
 namespace odmc {
 namespace {
 
-/// Rotor axes that lean: n_j = (α_jx, α_jy, 1), f_j = k_f Ω_j² n_j, couple s_j k_m Ω_j² n_j; only what
-/// the lean adds. Modes that other parameters make too are left to the priors.    model.md 12.10
+/// Rotor axes that lean: n_j = (α_jx, α_jy, 1), f_j = k_f Ω_j² n_j, couple s_j k_m Ω_j² n_j; only
+/// what the lean adds. Modes that other parameters make too are left to the priors. model.md 12.10
 class RotorTilt final : public Effect {
  public:
   explicit RotorTilt(const Vehicle& vehicle)

@@ -7,8 +7,8 @@ namespace {
 /// Thrust that tells forward from backward and left from right flight: the air meets the rotors
 /// along an axis that leans against theirs (rotors above an airframe that is not the same on both
 /// sides, wakes of neighbours): f_j = -Ω_j (k_x u_jx + k_y u_jy) e3 at hub j. The first odd term of
-/// thrust in the in-plane air speed; blade-element theory of a rotor alone has only even ones. Found
-/// on recorded flights, docs/closing_the_loop.md.
+/// thrust in the in-plane air speed; blade-element theory of a rotor alone has only even ones.
+/// Found on recorded flights, docs/closing_the_loop.md.
 class SkewedInflow final : public Effect {
  public:
   explicit SkewedInflow(const Vehicle& vehicle)

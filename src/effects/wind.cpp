@@ -8,11 +8,12 @@ namespace {
 class Wind final : public Effect {
  public:
   explicit Wind(const Vehicle& vehicle)
-      : Effect(vehicle,
-               {"wind", "Constant wind", "v_AB_B = R_WB^T (v_WB - W), W constant",
-                "model.md 12.11; Shastry and Paley 2021",
-                "one with a tilt of gravity unless drag depends on attitude or speed; indoors zero"},
-               {WindSpec("x"), WindSpec("y"), WindSpec("z")}) {}
+      : Effect(
+            vehicle,
+            {"wind", "Constant wind", "v_AB_B = R_WB^T (v_WB - W), W constant",
+             "model.md 12.11; Shastry and Paley 2021",
+             "one with a tilt of gravity unless drag depends on attitude or speed; indoors zero"},
+            {WindSpec("x"), WindSpec("y"), WindSpec("z")}) {}
 
   bool adds_wrench() const override { return false; }
 

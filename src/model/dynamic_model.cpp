@@ -127,8 +127,8 @@ Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxEffectParameters, 1> DynamicMode
   return own;
 }
 
-BodyProperties DynamicModel::Properties(const ModelValues& values,
-                                        BodyPropertiesJacobian* J, double time_s) const {
+BodyProperties DynamicModel::Properties(const ModelValues& values, BodyPropertiesJacobian* J,
+                                        double time_s) const {
   assert(values.size() == num_parameters());
   BodyProperties body = BodyProperties::Nominal(vehicle_);
   if (J != nullptr) J->setZero(kNumBodyPropertyRows, num_parameters());

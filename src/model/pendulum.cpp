@@ -17,8 +17,7 @@ void Pendulum::Advance(const Eigen::Vector3d& acceleration_W, double dt) {
   const int steps = std::max(1, static_cast<int>(std::ceil(dt / kLongestStep_s - 1e-9)));
   const double h = dt / steps;
   const double decay = 2.0 * damping_ * std::sqrt(gravity_ / length_);
-  const Eigen::Vector3d drive =
-      (acceleration_W + gravity_ * Eigen::Vector3d::UnitZ()) / length_;
+  const Eigen::Vector3d drive = (acceleration_W + gravity_ * Eigen::Vector3d::UnitZ()) / length_;
   for (int i = 0; i < steps; ++i) {
     const Eigen::Vector3d across = drive - zeta_.dot(drive) * zeta_;
     d_zeta_ -= h * (across + decay * d_zeta_);

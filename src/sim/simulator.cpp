@@ -184,8 +184,7 @@ class ClosedLoop {
   BodyWrench ExternalAt(double time_s) {
     BodyWrench wrench = disturbance_.At(time_s);
     if (!unmodelled_) return wrench;
-    const BodyWrench more =
-        unmodelled_(body_.FlightStateOf(time_s, state_, command_));
+    const BodyWrench more = unmodelled_(body_.FlightStateOf(time_s, state_, command_));
     return {wrench.f_B + more.f_B, wrench.tau_Bcm_B + more.tau_Bcm_B};
   }
 

@@ -13,7 +13,8 @@ int main(int argc, char** argv) {
       "unexplained to a physical effect it lacks, adds that effect, and reports the error before\n"
       "and after on blocks of time that neither the choice nor the fit has seen.\n"
       "Writes report.json, residual.csv, parameters.yaml (of the extended model), report.html.\n"
-      "With --parameters a thrust coefficient known to 5 % is held, so that a change of mass shows.");
+      "With --parameters a thrust coefficient known to 5 % is held, so that a change of mass "
+      "shows.");
   tools::FlightArguments flight;
   tools::ModelArguments model_arguments;
   tools::EstimatorArguments estimator;

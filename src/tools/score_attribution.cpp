@@ -45,15 +45,17 @@ bool Contains(const Json& list, const std::string& name) {
 int main(int argc, char** argv) {
   using namespace odmc;
   CLI::App app(
-      "Runs close_loop on every flight of a folder made by simulate_undeclared and scores it against\n"
+      "Runs close_loop on every flight of a folder made by simulate_undeclared and scores it "
+      "against\n"
       "the answer key. Writes DIR/results/flight_NNN.json, DIR/score.json.");
   std::string folder;
   int jobs = 1;
   bool rescore = false;
   tools::EstimatorArguments estimator;
   app.add_option("DIR", folder, "folder of the set")->required();
-  app.add_option("--jobs", jobs, "flights at a time")->capture_default_str()->check(
-      CLI::PositiveNumber);
+  app.add_option("--jobs", jobs, "flights at a time")
+      ->capture_default_str()
+      ->check(CLI::PositiveNumber);
   app.add_flag("--rescore", rescore, "use the results that are there");
   estimator.AddTo(&app);
   return tools::Run(&app, argc, argv, [&] {

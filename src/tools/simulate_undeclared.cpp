@@ -42,7 +42,8 @@ int main(int argc, char** argv) {
   using namespace odmc;
   CLI::App app(
       "Simulates flights in which something acts that the declared model lacks.\n"
-      "Writes DIR/input/ (flight_NNN.csv, vehicle_*.yaml, manifest.json) and, outside it, the answer\n"
+      "Writes DIR/input/ (flight_NNN.csv, vehicle_*.yaml, manifest.json) and, outside it, the "
+      "answer\n"
       "key DIR/truth.json.");
   int seed = 0, flights = 160, jobs = 1;
   std::string folder;
@@ -50,8 +51,9 @@ int main(int argc, char** argv) {
   app.add_option("--flights", flights, "number of flights")
       ->capture_default_str()
       ->check(CLI::PositiveNumber);
-  app.add_option("--jobs", jobs, "flights at a time")->capture_default_str()->check(
-      CLI::PositiveNumber);
+  app.add_option("--jobs", jobs, "flights at a time")
+      ->capture_default_str()
+      ->check(CLI::PositiveNumber);
   tools::AddFolder(&app, &folder);
   tools::AddExitStatus(&app);
   return tools::Run(&app, argc, argv, [&] {

@@ -81,8 +81,8 @@ struct EstimatorArguments {
   EstimatorOptions Read() const;
 };
 
-/// The estimator's defaults for the tools: no solve is cut short by the clock, so that a flight gives
-/// the same numbers on any machine, loaded or not.
+/// The estimator's defaults for the tools: no solve is cut short by the clock, so that a flight
+/// gives the same numbers on any machine, loaded or not.
 EstimatorOptions OfflineOptions();
 
 /// Every option of the estimator that is not at its default, "key value, ..."; else "defaults".

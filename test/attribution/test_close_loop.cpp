@@ -1,11 +1,10 @@
-#include "odmc/attribution/close_loop.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
 #include <set>
 
+#include "odmc/attribution/close_loop.h"
 #include "odmc/attribution/close_loop_report.h"
 #include "odmc/attribution/undeclared.h"
 #include "odmc/io/vehicle_yaml.h"
@@ -84,7 +83,8 @@ TEST(Undeclared, PlansHoldEveryEffectAndEnoughOfEachKind) {
     hidden += plan.kind == Undeclared::kNotExcited;
     unknown += plan.kind == Undeclared::kUnknown;
     two += plan.kind == Undeclared::kTwoEffects;
-    if (plan.kind == Undeclared::kOneEffect) acting.insert(plan.effects.begin(), plan.effects.end());
+    if (plan.kind == Undeclared::kOneEffect)
+      acting.insert(plan.effects.begin(), plan.effects.end());
   }
   EXPECT_GE(nothing, 50);
   EXPECT_GE(hidden, 15);

@@ -1,9 +1,8 @@
-#include "odmc/attribution/regression.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 
+#include "odmc/attribution/regression.h"
 #include "odmc/sim/gaussian.h"
 
 namespace odmc {

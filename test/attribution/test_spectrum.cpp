@@ -1,9 +1,8 @@
-#include "odmc/attribution/spectrum.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 
+#include "odmc/attribution/spectrum.h"
 #include "odmc/sim/gaussian.h"
 
 namespace odmc {

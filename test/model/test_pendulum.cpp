@@ -1,8 +1,8 @@
-#include "odmc/model/pendulum.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
+
+#include "odmc/model/pendulum.h"
 
 namespace odmc {
 namespace test {

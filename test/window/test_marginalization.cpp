@@ -363,8 +363,7 @@ TEST_F(Marginalization, DiffusedPriorForgetsOneParameterAndKeepsItsOptimum) {
   // Information of the sum of the old variable and an independent step.
   const auto column = prior.A.cols() - 4 + kIndex;
   const VectorXd h = H.col(column);
-  const MatrixXd expected =
-      H - h * h.transpose() / (1.0 / kVariance + H(column, column));
+  const MatrixXd expected = H - h * h.transpose() / (1.0 / kVariance + H(column, column));
   EXPECT_LT((prior.A.transpose() * prior.A - expected).norm(), kExact * H.norm());
   const VectorXd gradient = prior.A.transpose() * (prior.b + prior.A * optimum);
   EXPECT_LT(gradient.norm(), kExact * H.norm());

@@ -15,9 +15,9 @@ namespace odmc {
 struct FilteredMotion {
   double t_s = 0.0;  ///< since the first odometry sample
   Eigen::Matrix3d R_WS;
-  Eigen::Vector3d p_WS;           ///< [m]
-  Eigen::Vector3d v_WS, a_WS;     ///< velocity and acceleration of So in W [m/s, m/s²]
-  Eigen::Vector3d w_S, w_dot_S;   ///< angular rate and acceleration in S [rad/s, rad/s²]
+  Eigen::Vector3d p_WS;          ///< [m]
+  Eigen::Vector3d v_WS, a_WS;    ///< velocity and acceleration of So in W [m/s, m/s²]
+  Eigen::Vector3d w_S, w_dot_S;  ///< angular rate and acceleration in S [rad/s, rad/s²]
   RotorState rotors;
   std::optional<Eigen::Vector3d> specific_force_I;  ///< of the accelerometer, if any [m/s²]
   bool follows = false;  ///< the sample before it is the recording's sample before it

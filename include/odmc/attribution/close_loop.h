@@ -16,13 +16,13 @@ namespace odmc {
 /// How the loop is closed. All thresholds are in nats of cross-validated log-likelihood or shares.
 struct CloseLoopOptions {
   EstimatorOptions estimator;
-  double block_s = 2.5;      ///< length of a block of time
-  int hold_out_every = 4;    ///< one block of this many is neither chosen nor fitted on
-  double least_score = 8.0;  ///< an effect must gain this much
+  double block_s = 2.5;                ///< length of a block of time
+  int hold_out_every = 4;              ///< one block of this many is neither chosen nor fitted on
+  double least_score = 8.0;            ///< an effect must gain this much
   double least_share_of_first = 0.03;  ///< a further effect must gain this share of those before
   double close_score = 4.0;            ///< candidates this close to the best are alternatives
   double close_share = 0.05;           ///< or within this share of its score
-  double least_explained = 0.5;       ///< of the structured variance, for the verdict "effect"
+  double least_explained = 0.5;        ///< of the structured variance, for the verdict "effect"
   double whiteness_p = 1e-5;           ///< below it a residual is structured
   double least_structured = 0.05;      ///< share of variance, for the verdict "unexplained"
   int most_effects = 6;
@@ -71,25 +71,25 @@ struct ClosedLoop {
   std::vector<AddedEffect> effects;
   std::vector<RankedEffect> ranking;  ///< of the first choice, best first
   std::vector<ChannelStructure> structure;
-  double structured_share = 0.0;  ///< of the most structured channel
-  double whiteness_p = 1.0;       ///< smallest of the channels, times their number
-  PredictionFigures before, after;            ///< on blocks held out
+  double structured_share = 0.0;    ///< of the most structured channel
+  double whiteness_p = 1.0;         ///< smallest of the channels, times their number
+  PredictionFigures before, after;  ///< on blocks held out
   /// Force by the accelerometer instead, its mean taken off; empty without one.
   PredictionFigures::Axes accelerometer_before, accelerometer_after;
   std::vector<LoopSample> samples;
-  ParameterSet declared_parameters;   ///< of the model as declared
-  ParameterSet parameters;            ///< of the model as extended (as declared without an effect)
+  ParameterSet declared_parameters;  ///< of the model as declared
+  ParameterSet parameters;           ///< of the model as extended (as declared without an effect)
   std::vector<std::string> effect_names;  ///< of that model
-  std::string where;                  ///< words on where the unexplained part lives
+  std::string where;                      ///< words on where the unexplained part lives
   std::vector<std::string> warnings;
 };
 
-/// Holds a thrust coefficient that is known to 5 % (from an earlier, unloaded flight) as it is: mass
-/// can then be found.
+/// Holds a thrust coefficient that is known to 5 % (from an earlier, unloaded flight) as it is:
+/// mass can then be found.
 void HoldKnownThrust(Vehicle* vehicle);
 
-/// Calibrates `vehicle`'s model on a flight, finds what it leaves unexplained, traces it to an effect
-/// of the catalogue, adds that and says what it changed. `progress` gets the share done.
+/// Calibrates `vehicle`'s model on a flight, finds what it leaves unexplained, traces it to an
+/// effect of the catalogue, adds that and says what it changed. `progress` gets the share done.
 /// @param file_vehicle the vehicle file as it is: measured forces and torques come from it
 /// @param vehicle with the configured effects and parameters
 /// @throws std::invalid_argument where the flight cannot be calibrated

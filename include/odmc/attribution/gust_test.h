@@ -5,8 +5,8 @@
 namespace odmc {
 
 /// Is a slowly varying force residual the wind acting on the vehicle's drag? Compares, by a Kalman
-/// filter's likelihood, a first-order Gauss-Markov wind seen through the model's drag with a force of
-/// the same kind fixed in the world and one fixed in the body, and with noise alone.
+/// filter's likelihood, a first-order Gauss-Markov wind seen through the model's drag with a force
+/// of the same kind fixed in the world and one fixed in the body, and with noise alone.
 struct GustTest {
   double gain = 0.0;           ///< of gusts over noise alone [nats]
   double over_others = 0.0;    ///< of gusts over the better of the two free forces [nats]

@@ -12,8 +12,8 @@ struct Whiteness {
 };
 
 /// Tests a residual against unstructured noise. Noise of a differentiated measurement has the
-/// spectrum a + b f² (a: white force or torque, b: white noise of the velocity or rate); structure is
-/// what a low-pass spectrum c/(1 + (f/f_c)²) or a line explains on top, by Whittle's likelihood.
+/// spectrum a + b f² (a: white force or torque, b: white noise of the velocity or rate); structure
+/// is what a low-pass spectrum c/(1 + (f/f_c)²) or a line explains on top, by Whittle's likelihood.
 /// @param runs equally spaced stretches of the residual; short ones are left out
 /// @param rate_Hz samples a second
 /// @param highest_Hz frequencies above it are not looked at (the filter's edge)

@@ -25,8 +25,8 @@ struct UndeclaredPlan {
   Undeclared kind = Undeclared::kNothing;
   std::vector<std::string> effects;  ///< undeclared ones, the larger first
   std::string strength;              ///< strong, medium, weak; empty without
-  double share = 0.0;                ///< wanted share of the residual's variance on its largest axis
-  int vehicle = 0;                   ///< of UndeclaredVehicles()
+  double share = 0.0;  ///< wanted share of the residual's variance on its largest axis
+  int vehicle = 0;     ///< of UndeclaredVehicles()
   std::string trajectory;
   int seed = 0;
 };
@@ -42,8 +42,9 @@ struct UndeclaredFlight {
   std::string right_answer;        ///< effect, none, unexplained
 };
 
-/// The plan of a set: of `flights`, 5/16 with nothing, 3/32 with something not excited, 1/8 unknown,
-/// 1/16 with two effects, the rest with one, over all effects, vehicles and trajectories in turn.
+/// The plan of a set: of `flights`, 5/16 with nothing, 3/32 with something not excited, 1/8
+/// unknown, 1/16 with two effects, the rest with one, over all effects, vehicles and trajectories
+/// in turn.
 std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights);
 
 /// The vehicles of the set, as files declare them.
@@ -51,8 +52,8 @@ std::vector<Vehicle> UndeclaredVehicles();
 
 /// Simulates one flight of the plan: true parameters off the declared start values, realistic
 /// sensors, and the undeclared effect at the size that makes up its share of the variance of the
-/// declared model's residual (10 Hz, declared parameters fitted) on the largest axis. Where an effect
-/// would need an absurd size, another trajectory is taken.
+/// declared model's residual (10 Hz, declared parameters fitted) on the largest axis. Where an
+/// effect would need an absurd size, another trajectory is taken.
 UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan);
 
 /// Vehicle file text that LoadVehicle() reads back.

@@ -9,38 +9,38 @@
 /// src/effects/NAME.cpp (and name it in CMakeLists.txt) and add its line here; estimator,
 /// simulator, evaluation, reports and `list_effects` then know it.
 
-#define ODMC_EFFECTS(X)                          \
-  X(thrust, MakeThrust)                          \
-  X(rotor_torque, MakeRotorTorque)               \
-  X(drag, MakeDrag)                              \
-  X(viscous_torque, MakeViscousTorque)           \
-  X(hvt, MakeHvt)                                \
-  X(centre_of_gravity, MakeCentreOfGravity)      \
-  X(inertia, MakeInertia)                        \
-  X(gravity, MakeGravity)                        \
-  X(odometry_extrinsics, MakeOdometryExtrinsics) \
-  X(imu_extrinsics, MakeImuExtrinsics)           \
-  X(rotor_drag, MakeRotorDrag)                   \
-  X(quadratic_drag, MakeQuadraticDrag)           \
-  X(axial_inflow, MakeAxialInflow)               \
-  X(rotor_hvt, MakeRotorHvt)                     \
-  X(anisotropic_hvt, MakeAnisotropicHvt)         \
-  X(hub_moment, MakeHubMoment)                   \
-  X(rotor_gyroscopic, MakeRotorGyroscopic)       \
-  X(rotor_reaction, MakeRotorReaction)           \
-  X(rotor_asymmetry, MakeRotorAsymmetry)         \
-  X(pressure_centre, MakePressureCentre)         \
-  X(rotor_tilt, MakeRotorTilt)                   \
-  X(wind, MakeWind)                              \
-  X(gust, MakeGust)                              \
-  X(thrust_drift, MakeThrustDrift)               \
-  X(ground_effect, MakeGroundEffect)             \
-  X(products_of_inertia, MakeProductsOfInertia)  \
-  X(mass_change, MakeMassChange)                 \
-  X(rotor_delay, MakeRotorDelay)                 \
-  X(suspended_load, MakeSuspendedLoad)           \
+#define ODMC_EFFECTS(X)                               \
+  X(thrust, MakeThrust)                               \
+  X(rotor_torque, MakeRotorTorque)                    \
+  X(drag, MakeDrag)                                   \
+  X(viscous_torque, MakeViscousTorque)                \
+  X(hvt, MakeHvt)                                     \
+  X(centre_of_gravity, MakeCentreOfGravity)           \
+  X(inertia, MakeInertia)                             \
+  X(gravity, MakeGravity)                             \
+  X(odometry_extrinsics, MakeOdometryExtrinsics)      \
+  X(imu_extrinsics, MakeImuExtrinsics)                \
+  X(rotor_drag, MakeRotorDrag)                        \
+  X(quadratic_drag, MakeQuadraticDrag)                \
+  X(axial_inflow, MakeAxialInflow)                    \
+  X(rotor_hvt, MakeRotorHvt)                          \
+  X(anisotropic_hvt, MakeAnisotropicHvt)              \
+  X(hub_moment, MakeHubMoment)                        \
+  X(rotor_gyroscopic, MakeRotorGyroscopic)            \
+  X(rotor_reaction, MakeRotorReaction)                \
+  X(rotor_asymmetry, MakeRotorAsymmetry)              \
+  X(pressure_centre, MakePressureCentre)              \
+  X(rotor_tilt, MakeRotorTilt)                        \
+  X(wind, MakeWind)                                   \
+  X(gust, MakeGust)                                   \
+  X(thrust_drift, MakeThrustDrift)                    \
+  X(ground_effect, MakeGroundEffect)                  \
+  X(products_of_inertia, MakeProductsOfInertia)       \
+  X(mass_change, MakeMassChange)                      \
+  X(rotor_delay, MakeRotorDelay)                      \
+  X(suspended_load, MakeSuspendedLoad)                \
   X(anisotropic_hub_moment, MakeAnisotropicHubMoment) \
-  X(skewed_inflow, MakeSkewedInflow)             \
+  X(skewed_inflow, MakeSkewedInflow)                  \
   X(rotor_level, MakeRotorLevel)
 
 namespace odmc {

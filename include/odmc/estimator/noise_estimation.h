@@ -90,7 +90,7 @@ class ProcessNoiseEstimator {
   double ForceScale() const;
   double TorqueScale() const;
 
-  Vector6d floor_;                                     // densities [N sqrt(s)], [N m sqrt(s)]
+  Vector6d floor_;                                 // densities [N sqrt(s)], [N m sqrt(s)]
   double force_level_ = 0.0, torque_level_ = 0.0;  // mean squares seen, in units of the floor
   double seen_s_ = 0.0;                            // flight time behind them
   double flown_s_ = 0.0;                           // the same, without an upper limit
