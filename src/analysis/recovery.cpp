@@ -1,14 +1,11 @@
 #include "odmc/analysis/recovery.h"
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
-#include <exception>
-#include <mutex>
 #include <random>
 #include <stdexcept>
-#include <thread>
 
+#include "odmc/analysis/parallel.h"
 #include "odmc/analysis/replay.h"
 #include "odmc/math/statistics.h"
 #include "odmc/sim/truth_vehicle.h"
@@ -50,46 +47,6 @@ Outcome FlyAndCalibrate(const DynamicModel& truth_model, const ModelValues& trut
   if (!replay.last) throw std::runtime_error("the simulated vehicle never flies");
   return {replay.last->values, replay.last->sigma, replay.last->observable};
 }
-
-/// Works through 0..count-1 on several threads; rethrows the first failure.
-class Pool {
- public:
-  Pool(int count, std::function<void(int)> work, std::function<void(double)> progress)
-      : count_(count), work_(std::move(work)), progress_(std::move(progress)) {}
-
-  void Run(int jobs) {
-    std::vector<std::thread> threads;
-    for (int j = 0; j < std::min(jobs, count_); ++j) threads.emplace_back([this] { Work(); });
-    for (std::thread& thread : threads) thread.join();
-    if (failure_) std::rethrow_exception(failure_);
-  }
-
- private:
-  void Work() {
-    for (int i = next_++; i < count_; i = next_++) {
-      try {
-        work_(i);
-      } catch (...) {
-        const std::lock_guard<std::mutex> lock(mutex_);
-        if (!failure_) failure_ = std::current_exception();
-        next_ = count_;
-      }
-      const std::lock_guard<std::mutex> lock(mutex_);
-      ++done_;
-      if (progress_) progress_(static_cast<double>(done_) / count_);
-    }
-  }
-
-  // Set once in the constructor.
-  const int count_;
-  const std::function<void(int)> work_;
-  const std::function<void(double)> progress_;
-  std::atomic<int> next_{0};
-  std::mutex mutex_;
-  // Guarded by mutex_.
-  int done_ = 0;
-  std::exception_ptr failure_;
-};
 
 /// @param inside adds 1 for each flight with the truth inside three sigma
 ParameterRecovery Compare(const ModelParameter& parameter, int k, double truth,
@@ -156,10 +113,9 @@ Recovery Recover(const Vehicle& vehicle, const RecoveryOptions& options,
   const DynamicModel model(vehicle, vehicle.effects);
   const ModelValues truth = DefaultTruth(model);
   std::vector<Outcome> outcomes(options.seeds);
-  Pool pool(
-      options.seeds, [&](int i) { outcomes[i] = FlyAndCalibrate(model, truth, options, i); },
-      progress);
-  pool.Run(options.jobs);
+  ForEachOf(
+      options.seeds, options.jobs,
+      [&](int i) { outcomes[i] = FlyAndCalibrate(model, truth, options, i); }, progress);
   Recovery recovery;
   long inside = 0;
   for (int k = 0; k < model.num_parameters(); ++k) {

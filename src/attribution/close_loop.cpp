@@ -5,12 +5,10 @@
 #include <cstdio>
 #include <iterator>
 #include <memory>
-#include <set>
 #include <stdexcept>
 
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/gust_test.h"
-#include "odmc/attribution/residual.h"
 
 namespace odmc {
 namespace {
@@ -56,7 +54,6 @@ Vehicle With(const Vehicle& vehicle, const Candidate& candidate) {
 struct Stage {
   Vehicle vehicle;
   std::map<std::string, double> values;  // by full name
-  std::vector<std::string> held;         // full names not to be refitted
 };
 
 ModelValues ValuesOf(const DynamicModel& model, const std::map<std::string, double>& known) {
@@ -83,9 +80,7 @@ class Regressor {
       base_.used.push_back(!flight.held_out(i));
     }
     for (int k = 0; k < model.num_parameters(); ++k) {
-      const std::string& name = model.parameters()[k].full_name;
-      const bool held = std::find(stage.held.begin(), stage.held.end(), name) != stage.held.end();
-      if (model.parameters()[k].estimated && !held) AddColumn(model, values, k, &base_);
+      if (model.parameters()[k].estimated) AddColumn(model, values, k, &base_);
     }
     if (residual->from_accelerometer()) AddBiases(stage.vehicle.mass_kg, &base_);
     base_names_ = names_;
@@ -433,10 +428,8 @@ std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedF
                                          [](auto& a, auto& b) { return a.second < b.second; });
   std::string text =
       worst->name + ", strongest near " + Text(worst->whiteness.peak_Hz) + " Hz and in ";
-  for (const auto& span : {std::make_pair(block, most)}) {
-    text += "block " + std::to_string(span.first) + " (RMS " + Text(std::sqrt(span.second)) + " " +
-            worst->unit + ")";
-  }
+  text +=
+      "block " + std::to_string(block) + " (RMS " + Text(std::sqrt(most)) + " " + worst->unit + ")";
   return text + "; of the quantities it lines up best with " + quantity->first + " (" +
          Text(100.0 * quantity->second) + " % of its variance)";
 }
@@ -455,14 +448,11 @@ Pass Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& 
   Pass pass;
   const bool with_torque = !log.rotor_rms_only;
   Estimator estimator(&model, options, with_torque);
-  const auto is_held_out = [&](double t_s) {
-    return loop.hold_out_every > 1 &&
-           static_cast<int>(t_s / loop.block_s) % loop.hold_out_every == loop.hold_out_every - 2;
-  };
   const Stamp first = log.odometry.empty() ? 0 : log.odometry.front().stamp;
   const bool varies = !model.processes().empty();
   if (!varies) {
-    estimator.SetHeldOut([=](Stamp stamp) { return is_held_out(ToSeconds(stamp - first)); });
+    estimator.SetHeldOut(
+        [=](Stamp stamp) { return loop.blocks.IsHeldOut(ToSeconds(stamp - first)); });
   }
   pass.replay = Replay(log, &estimator, progress);
   if (!pass.replay.last) throw std::invalid_argument(log.file + ": never airborne");
@@ -485,7 +475,7 @@ Pass Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& 
       Predict(log, file_vehicle, model, pass.replay.last->values, pass.replay.ground_spans, vary);
   std::vector<PredictionSample> unseen;
   for (const PredictionSample& s : pass.prediction.samples) {
-    if (is_held_out(s.t_s)) unseen.push_back(s);
+    if (loop.blocks.IsHeldOut(s.t_s)) unseen.push_back(s);
   }
   pass.held_out =
       SummarisePrediction(unseen, with_torque, file_vehicle, model, pass.replay.last->values);
@@ -622,10 +612,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     const size_t n = std::min(before.prediction.samples.size(), after.samples.size());
     for (size_t i = 0; i < n; ++i) {
       const PredictionSample &b = before.prediction.samples[i], &a = after.samples[i];
-      LoopSample sample{b.t_s, false, b.speed_m_s, {}, {}};
-      sample.held_out = options.hold_out_every > 1 &&
-                        static_cast<int>(b.t_s / options.block_s) % options.hold_out_every ==
-                            options.hold_out_every - 2;
+      LoopSample sample{b.t_s, options.blocks.IsHeldOut(b.t_s), b.speed_m_s, {}, {}};
       for (int k = 0; k < 3; ++k) {
         sample.before[k] = b.measured_force[k] - b.predicted_force[k];
         sample.before[k + 3] = b.measured_torque[k] - b.predicted_torque[k];
@@ -637,7 +624,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   };
 
   const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), replay.ground_spans),
-                             options.block_s, options.hold_out_every);
+                             options.blocks);
   int in_use = 0;
   for (int i = 0; i < flight.size(); ++i) in_use += flight.held_out(i) ? 0 : 1;
   if (in_use < 100) {

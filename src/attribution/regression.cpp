@@ -209,16 +209,7 @@ WrenchFit FitWrench(const WrenchRegression& r) {
   }
   FitPlainly(r, rows, fold_of, prior, &fit);
   for (int c = 0; c < kNumChannels; ++c) fit.noise_coefficients[c] = noise[c].coefficients;
-  const double samples = static_cast<double>(rows.size());
-  for (int c = 0; c < r.num_channels; ++c) {
-    fit.innovation_variance[c] = noise[c].variance;
-    // Spectral density at zero against variance.
-    const double gain = 1.0 - noise[c].coefficients.sum();
-    const double power = fit.residual.col(c).squaredNorm() /
-                         static_cast<double>(std::max<Eigen::Index>(1, fit.residual.rows()));
-    const double density = noise[c].variance / std::max(gain * gain, 1e-6);
-    fit.effective_samples[c] = std::min(samples, samples * power / density);
-  }
+  for (int c = 0; c < r.num_channels; ++c) fit.innovation_variance[c] = noise[c].variance;
   return fit;
 }
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace odmc {
 namespace {
@@ -10,8 +11,8 @@ constexpr double kStart_s = 1.0;
 
 }  // namespace
 
-ThinnedFlight::ThinnedFlight(FlightMotion flight, double block_s, int hold_out_every)
-    : flight_(std::move(flight)), block_s_(block_s), hold_out_every_(hold_out_every) {
+ThinnedFlight::ThinnedFlight(FlightMotion flight, const BlockSplit& blocks)
+    : flight_(std::move(flight)), blocks_(blocks) {
   const int stride = flight_.step_s > 0.0
                          ? std::max(1, static_cast<int>(std::lround(kStep_s / flight_.step_s)))
                          : 1;
@@ -25,20 +26,6 @@ ThinnedFlight::ThinnedFlight(FlightMotion flight, double block_s, int hold_out_e
     index_.push_back(i);
     next_.push_back(run > 0);
   }
-}
-
-bool ThinnedFlight::IsHeldOut(double t_s) const {
-  return hold_out_every_ > 1 && BlockAt(t_s) % hold_out_every_ == hold_out_every_ - 2;
-}
-
-std::vector<std::pair<double, double>> ThinnedFlight::HeldOutSpans() const {
-  std::vector<std::pair<double, double>> spans;
-  if (flight_.samples.empty() || hold_out_every_ <= 1) return spans;
-  const int last = BlockAt(flight_.samples.back().t_s);
-  for (int b = hold_out_every_ - 2; b <= last; b += hold_out_every_) {
-    spans.emplace_back(b * block_s_, (b + 1) * block_s_);
-  }
-  return spans;
 }
 
 std::vector<std::vector<double>> ThinnedFlight::Runs(const Eigen::VectorXd& channel) const {

@@ -234,7 +234,7 @@ Unmodelled DrawUnknown(const Vehicle& vehicle, double scale, int seed) {
 Eigen::Matrix<double, kNumChannels, 1> FittedVariance(const FlightLog& log, const Vehicle& vehicle,
                                                       const DynamicModel& model,
                                                       const ModelValues& values) {
-  const ThinnedFlight flight(FilterFlight(log, vehicle.num_rotors(), {}), 2.5, 1);
+  const ThinnedFlight flight(FilterFlight(log, vehicle.num_rotors(), {}), {2.5, 1});
   const ResidualModel residual(&flight, &vehicle, true);
   const ResidualModel::Wrenches y = residual.Residual(model, values);
   std::vector<ResidualModel::Wrenches> columns;

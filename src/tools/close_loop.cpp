@@ -27,7 +27,7 @@ int main(int argc, char** argv) {
   model_arguments.AddParametersTo(&app, "parameters.yaml with effects, start values and priors");
   model_arguments.AddTo(&app);
   estimator.AddTo(&app);
-  app.add_option("--block", options.block_s, "length of a block of time [s]")
+  app.add_option("--block", options.blocks.block_s, "length of a block of time [s]")
       ->capture_default_str()
       ->check(CLI::PositiveNumber);
   app.add_option("--most-effects", options.most_effects, "add at most this many effects")

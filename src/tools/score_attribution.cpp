@@ -1,14 +1,12 @@
 #include <algorithm>
-#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <fstream>
 #include <iostream>
 #include <map>
-#include <mutex>
 #include <nlohmann/json.hpp>
-#include <thread>
 
+#include "odmc/analysis/parallel.h"
 #include "odmc/analysis/report.h"
 #include "odmc/attribution/close_loop_report.h"
 #include "odmc/io/flight_csv.h"
@@ -65,32 +63,17 @@ int main(int argc, char** argv) {
     CloseLoopOptions options;
     options.estimator = estimator.Read();
     tools::ProgressBar bar("close_loop");
-    std::atomic<size_t> next{0}, done{0};
-    std::mutex mutex;
-    std::exception_ptr failure;
     const auto start = std::chrono::steady_clock::now();
-    const auto work = [&] {
-      for (size_t i = next++; i < manifest.size() && !rescore; i = next++) {
-        try {
-          const Vehicle vehicle = LoadVehicle(tools::In(input, manifest[i]["vehicle"]));
-          const FlightLog log = ReadFlightCsv(tools::In(input, manifest[i]["file"]),
-                                              vehicle.num_rotors(), PoseSource::kEkf);
-          const ClosedLoop loop = CloseLoop(log, vehicle, vehicle, options);
-          WriteText(CloseLoopReport(loop),
-                    tools::In(results, std::string(manifest[i]["flight"]) + ".json"));
-        } catch (...) {
-          const std::lock_guard<std::mutex> lock(mutex);
-          if (!failure) failure = std::current_exception();
-          next = manifest.size();
-        }
-        const std::lock_guard<std::mutex> lock(mutex);
-        bar.Show(static_cast<double>(++done) / static_cast<double>(manifest.size()));
-      }
+    const auto close = [&](int i) {
+      const Vehicle vehicle = LoadVehicle(tools::In(input, manifest[i]["vehicle"]));
+      const FlightLog log = ReadFlightCsv(tools::In(input, manifest[i]["file"]),
+                                          vehicle.num_rotors(), PoseSource::kEkf);
+      const ClosedLoop loop = CloseLoop(log, vehicle, vehicle, options);
+      WriteText(CloseLoopReport(loop),
+                tools::In(results, std::string(manifest[i]["flight"]) + ".json"));
     };
-    std::vector<std::thread> threads;
-    for (int j = 0; j < jobs; ++j) threads.emplace_back(work);
-    for (std::thread& thread : threads) thread.join();
-    if (failure) std::rethrow_exception(failure);
+    const int flights = rescore ? 0 : static_cast<int>(manifest.size());
+    ForEachOf(flights, jobs, close, [&](double share) { bar.Show(share); });
     const double seconds =
         std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 

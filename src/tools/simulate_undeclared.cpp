@@ -1,10 +1,8 @@
-#include <atomic>
 #include <fstream>
 #include <iostream>
-#include <mutex>
 #include <nlohmann/json.hpp>
-#include <thread>
 
+#include "odmc/analysis/parallel.h"
 #include "odmc/analysis/report.h"
 #include "odmc/attribution/undeclared.h"
 #include "odmc/io/flight_csv.h"
@@ -65,44 +63,28 @@ int main(int argc, char** argv) {
     const std::vector<UndeclaredPlan> plans = PlanUndeclared(seed, flights);
     std::vector<Json> manifest(plans.size()), truth(plans.size());
     tools::ProgressBar bar("simulating");
-    std::atomic<size_t> next{0}, done{0};
-    std::mutex mutex;
-    std::exception_ptr failure;
-    const auto work = [&] {
-      for (size_t i = next++; i < plans.size(); i = next++) {
-        try {
-          const UndeclaredFlight made = MakeUndeclared(plans[i]);
-          const std::string name = FlightName(plans[i].number);
-          WriteFlightCsv(made.log, tools::In(input, name + ".csv"));
-          manifest[i] = {{"flight", name},
-                         {"file", name + ".csv"},
-                         {"vehicle", "vehicle_" + made.declared.name + ".yaml"}};
-          Json parameters = Json::object();
-          for (const ParameterEstimate& p : made.truth.parameters) {
-            parameters[p.full_name] = p.value;
-          }
-          truth[i] = {{"flight", name},
-                      {"kind", KindName(plans[i].kind)},
-                      {"right_answer", made.right_answer},
-                      {"effects", plans[i].effects},
-                      {"strength", plans[i].strength},
-                      {"share", made.share},
-                      {"axis_share", made.axis_share},
-                      {"trajectory", plans[i].trajectory},
-                      {"parameters", parameters}};
-        } catch (...) {
-          const std::lock_guard<std::mutex> lock(mutex);
-          if (!failure) failure = std::current_exception();
-          next = plans.size();
-        }
-        const std::lock_guard<std::mutex> lock(mutex);
-        bar.Show(static_cast<double>(++done) / static_cast<double>(plans.size()));
+    const auto make = [&](int i) {
+      const UndeclaredFlight made = MakeUndeclared(plans[i]);
+      const std::string name = FlightName(plans[i].number);
+      WriteFlightCsv(made.log, tools::In(input, name + ".csv"));
+      manifest[i] = {{"flight", name},
+                     {"file", name + ".csv"},
+                     {"vehicle", "vehicle_" + made.declared.name + ".yaml"}};
+      Json parameters = Json::object();
+      for (const ParameterEstimate& p : made.truth.parameters) {
+        parameters[p.full_name] = p.value;
       }
+      truth[i] = {{"flight", name},
+                  {"kind", KindName(plans[i].kind)},
+                  {"right_answer", made.right_answer},
+                  {"effects", plans[i].effects},
+                  {"strength", plans[i].strength},
+                  {"share", made.share},
+                  {"axis_share", made.axis_share},
+                  {"trajectory", plans[i].trajectory},
+                  {"parameters", parameters}};
     };
-    std::vector<std::thread> threads;
-    for (int j = 0; j < jobs; ++j) threads.emplace_back(work);
-    for (std::thread& thread : threads) thread.join();
-    if (failure) std::rethrow_exception(failure);
+    ForEachOf(static_cast<int>(plans.size()), jobs, make, [&](double share) { bar.Show(share); });
     WriteText(Json(manifest).dump(2) + "\n", tools::In(input, "manifest.json"));
     WriteText(Json(truth).dump(2) + "\n", tools::In(folder, "truth.json"));
     std::cout << plans.size() << " flights in " << input << "\n";

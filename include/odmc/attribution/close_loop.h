@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "odmc/analysis/calibration.h"
+#include "odmc/attribution/residual.h"
 #include "odmc/attribution/spectrum.h"
 #include "odmc/estimator/options.h"
 
@@ -16,8 +17,7 @@ namespace odmc {
 /// How the loop is closed. All thresholds are in nats of cross-validated log-likelihood or shares.
 struct CloseLoopOptions {
   EstimatorOptions estimator;
-  double block_s = 2.5;                ///< length of a block of time
-  int hold_out_every = 4;              ///< one block of this many is neither chosen nor fitted on
+  BlockSplit blocks;
   double least_score = 8.0;            ///< an effect must gain this much
   double least_share_of_first = 0.03;  ///< a further effect must gain this share of those before
   double close_score = 4.0;            ///< candidates this close to the best are alternatives

@@ -38,7 +38,6 @@ struct WrenchFit {
   Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> residual;        ///< N×6, all samples
   std::array<double, kNumChannels> innovation_variance{};
   std::array<Eigen::VectorXd, kNumChannels> noise_coefficients;  ///< of the autoregression
-  std::array<double, kNumChannels> effective_samples{};  ///< of white noise with the same mean
 };
 
 /// Gain of one fit over another in log-likelihood, each block of time predicted by fits to the

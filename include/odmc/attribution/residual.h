@@ -1,6 +1,5 @@
 #pragma once
 
-#include <utility>
 #include <vector>
 
 #include "odmc/analysis/prediction.h"
@@ -8,36 +7,41 @@
 
 namespace odmc {
 
+/// Cuts a flight into blocks of time, some of them held out: seen neither by choice nor by fit.
+struct BlockSplit {
+  double block_s = 2.5;
+  int hold_out_every = 4;  ///< one block of this many, the last but one; 1 or less: none
+
+  int BlockAt(double t_s) const { return static_cast<int>(t_s / block_s); }
+  bool IsHeldOut(double t_s) const {
+    return hold_out_every > 1 && BlockAt(t_s) % hold_out_every == hold_out_every - 2;
+  }
+};
+
 /// A flight thinned to equally spaced samples near 25 Hz (the filter's bandwidth leaves nothing
 /// above), cut into blocks of time of which some are held out.
 class ThinnedFlight {
  public:
   static constexpr double kStep_s = 0.04;
 
-  /// @param hold_out_every one block of this many is held out; the last but one of each group
-  ThinnedFlight(FlightMotion flight, double block_s, int hold_out_every);
+  ThinnedFlight(FlightMotion flight, const BlockSplit& blocks);
 
   int size() const { return static_cast<int>(index_.size()); }
   const FlightMotion& motion() const { return flight_; }
   const FilteredMotion& sample(int i) const { return flight_.samples[index_[i]]; }
   size_t index(int i) const { return index_[i]; }
   bool next(int i) const { return next_[i]; }
-  int block(int i) const { return BlockAt(sample(i).t_s); }
-  bool held_out(int i) const { return IsHeldOut(sample(i).t_s); }
+  int block(int i) const { return blocks_.BlockAt(sample(i).t_s); }
+  bool held_out(int i) const { return blocks_.IsHeldOut(sample(i).t_s); }
   double step_s() const { return step_s_; }
-
-  int BlockAt(double t_s) const { return static_cast<int>(t_s / block_s_); }
-  bool IsHeldOut(double t_s) const;
-  /// Spans of flight time held out [s].
-  std::vector<std::pair<double, double>> HeldOutSpans() const;
 
   /// A channel of a residual as runs without gaps.
   std::vector<std::vector<double>> Runs(const Eigen::VectorXd& channel) const;
 
  private:
   FlightMotion flight_;
-  double block_s_, step_s_;
-  int hold_out_every_;
+  BlockSplit blocks_;
+  double step_s_;
   std::vector<size_t> index_;
   std::vector<bool> next_;
 };

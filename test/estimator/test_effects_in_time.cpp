@@ -1,0 +1,161 @@
+// What changes in flight: blocks held out, a mass that is added, a load that swings, gusts.
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "odmc/analysis/replay.h"
+#include "odmc/sim/simulator.h"
+#include "odmc/sim/truth_vehicle.h"
+#include "support/test_vehicle.h"
+
+namespace odmc {
+namespace test {
+namespace {
+
+using Eigen::Vector3d;
+
+SimulationOptions Octo(double duration_s) {
+  SimulationOptions options;
+  options.trajectory = "octo";
+  options.duration_s = duration_s;
+  options.log_rate_hz = 200.0;
+  return options;
+}
+
+Vehicle With(const std::string& effect, const std::map<std::string, double>& frozen) {
+  Vehicle vehicle = NominalVehicle();
+  vehicle.effects.push_back(effect);
+  for (const auto& [name, value] : frozen) {
+    vehicle.parameters[name].value = value;
+    vehicle.parameters[name].estimated = false;
+  }
+  return vehicle;
+}
+
+ModelValues Truth(const DynamicModel& model, const std::map<std::string, double>& values) {
+  ModelValues truth = DefaultTruth(model);
+  for (const auto& [name, value] : values) truth[model.IndexOf(name)] = value;
+  return truth;
+}
+
+// ---- Blocks held out ---------------------------------------------------------------------------
+
+class HeldOut : public testing::Test {
+ protected:
+  static constexpr double kFrom_s = 8.0, kTo_s = 11.0;
+
+  /// Calibrates; rotor speeds 5 % too high well inside the block held out, if `corrupted`.
+  ReplayResult Calibrate(bool corrupted, bool held_out) {
+    FlightLog log = flight_.log;
+    for (RotorSample& sample : log.rotors) {
+      const double t = ToSeconds(sample.stamp - log.odometry.front().stamp);
+      if (corrupted && t > kFrom_s + 0.2 && t < kTo_s - 0.2) sample.speed *= 1.05;
+    }
+    Estimator estimator(&model_, EstimatorOptions(), true);
+    if (held_out) {
+      const Stamp first = log.odometry.front().stamp;
+      estimator.SetHeldOut([=](Stamp stamp) {
+        const double t = ToSeconds(stamp - first);
+        return t >= kFrom_s && t < kTo_s;
+      });
+    }
+    return Replay(log, &estimator);
+  }
+
+  const Vehicle vehicle_ = NominalVehicle();
+  const DynamicModel model_{vehicle_, vehicle_.effects};
+  const SimulatedFlight flight_ = Simulate(model_, DefaultTruth(model_), Octo(16.0));
+};
+
+TEST_F(HeldOut, TeachesNothing) {
+  const int k_f = model_.IndexOf("thrust.k_f");
+  const ReplayResult clean = Calibrate(false, true), spoilt = Calibrate(true, true);
+  const ReplayResult open = Calibrate(true, false);
+  ASSERT_TRUE(clean.last && spoilt.last && open.last);
+  const double sigma = clean.last->sigma[k_f];
+  EXPECT_NEAR(spoilt.last->values[k_f], clean.last->values[k_f], 0.2 * sigma);
+  // The same block does harm where it counts.
+  EXPECT_GT(std::abs(open.last->values[k_f] - clean.last->values[k_f]), 3.0 * sigma);
+}
+
+TEST_F(HeldOut, IsStillFlight) {
+  const ReplayResult replay = Calibrate(false, true);
+  EXPECT_EQ(replay.counters.on_ground_s, 0.0);
+  EXPECT_TRUE(replay.ground_spans.empty());
+}
+
+// ---- Effects that act in time ------------------------------------------------------------------
+
+TEST(MassChange, IsFoundFromItsInstantOn) {
+  const std::map<std::string, double> when = {{"mass_change.from", 10.0}};
+  const Vehicle vehicle = With("mass_change", when);
+  const DynamicModel model(vehicle, vehicle.effects);
+  const int mass = model.IndexOf("mass_change.mass");
+  const ModelValues truth = Truth(model, {{"mass_change.mass", 0.09}, {"mass_change.z", -0.03}});
+  const SimulatedFlight flight = Simulate(model, truth, Octo(20.0));
+  Estimator estimator(&model, EstimatorOptions(), true);
+  const ReplayResult replay = Replay(flight.log, &estimator);
+  ASSERT_TRUE(replay.last);
+  EXPECT_NEAR(replay.last->values[mass], 0.09, 0.002);
+  EXPECT_NEAR(replay.last->values[mass], 0.09, 4.0 * replay.last->sigma[mass]);
+  // Before it was added nothing is known of it.
+  for (const HistoryRow& row : replay.history) {
+    if (row.t_s < 9.9) {
+      EXPECT_GT(row.sigma[mass], 0.1) << row.t_s;
+    }
+  }
+}
+
+TEST(SuspendedLoad, IsWeighedWhileItSwings) {
+  const std::map<std::string, double> cable = {{"suspended_load.length", 0.6},
+                                               {"suspended_load.damping", 0.03}};
+  Vehicle vehicle = With("suspended_load", cable);
+  vehicle.parameters["thrust.k_f"].estimated = false;
+  const DynamicModel model(vehicle, vehicle.effects);
+  const int mass = model.IndexOf("suspended_load.mass");
+  const ModelValues truth = Truth(model, {{"suspended_load.mass", 0.08}});
+  const SimulatedFlight flight = Simulate(model, truth, Octo(20.0));
+  Estimator estimator(&model, EstimatorOptions(), true);
+  const ReplayResult replay = Replay(flight.log, &estimator);
+  ASSERT_TRUE(replay.last);
+  EXPECT_NEAR(replay.last->values[mass], 0.08, 0.008);
+}
+
+TEST(Gust, FollowsAWindThatVaries) {
+  constexpr double kSize_m_s = 2.0, kFrequency_rad_s = 0.8;
+  const Vehicle still = NominalVehicle();
+  const DynamicModel still_model(still, still.effects);
+  ModelValues truth = DefaultTruth(still_model);
+  Vector3d d;
+  for (int i = 0; i < 3; ++i) d[i] = truth[still_model.IndexOf(std::string("drag.d_") + "xyz"[i])];
+  // Wind along world x, as it acts on linear drag and on nothing else.
+  const auto wind = [](double t) {
+    return Vector3d(kSize_m_s * std::sin(kFrequency_rad_s * t), 0.0, 0.0);
+  };
+  const Unmodelled force = [&](const FlightState& s) {
+    BodyWrench w;
+    w.f_B = -d.cwiseProduct(s.R_WB.transpose() * wind(s.time_s));
+    return w;
+  };
+  truth[still_model.IndexOf("hvt.k_h")] = 0.0;
+  const SimulatedFlight flight = Simulate(still_model, truth, Octo(24.0), {}, force);
+  const Vehicle vehicle =
+      With("gust", {{"gust.sigma", 1.5}, {"gust.time_constant", 2.0}, {"hvt.k_h", 0.0}});
+  const DynamicModel model(vehicle, vehicle.effects);
+  Estimator estimator(&model, EstimatorOptions(), true);
+  const ReplayResult replay = Replay(flight.log, &estimator);
+  ASSERT_TRUE(replay.last);
+  const int w_x = model.IndexOf("gust.w_x");
+  double error = 0.0, size = 0.0;
+  for (const HistoryRow& row : replay.history) {
+    if (row.t_s < 10.0) continue;
+    error += std::pow(row.values[w_x] - wind(row.t_s).x(), 2);
+    size += wind(row.t_s).squaredNorm();
+  }
+  std::printf("wind: RMS error over RMS %.2f\n", std::sqrt(error / size));
+  EXPECT_LT(std::sqrt(error / size), 0.5);
+}
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc
