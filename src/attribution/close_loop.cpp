@@ -13,14 +13,15 @@
 namespace odmc {
 namespace {
 
-constexpr double kHighest_Hz = 7.0;      // edge of the filter
-constexpr double kSignificant = 3.0;     // sigmas of at least one coefficient
-constexpr double kSignSigmas = 2.0;      // a wrong sign by this many is an objection
-constexpr double kTooLarge = 4.0;        // natural sizes (prior sigmas) beyond which too
-constexpr double kBetter = 0.975;        // on some channel, out of sample
-constexpr double kWorse = 1.06;          // on any channel, out of sample
-constexpr double kBetterOnline = 0.985;  // on some channel
-constexpr double kWorseOnline = 1.06;    // the same for the online estimator
+constexpr double kHighest_Hz = 7.0;   // edge of the filter
+constexpr double kSignificant = 3.0;  // sigmas of at least one coefficient
+constexpr double kSignSigmas = 2.0;   // a wrong sign by this many is an objection
+constexpr double kTooLarge = 4.0;     // natural sizes (prior sigmas) beyond which too
+constexpr double kBetter = 0.975;     // on some channel, out of sample
+constexpr double kWorse = 1.06;       // on any channel, out of sample
+constexpr double kMuchWorse = 1.12;
+constexpr double kWorseShare = 0.5;      // or this share of what it makes the best channel better
+constexpr double kBetterOnline = 0.985;  // the same for the online estimator
 constexpr double kFoldBlock_s = 1.0;     // of cross-validation: a manoeuvre spans more than one
 constexpr double kStray = 2.0;
 constexpr double kOvershadows = 5.0;
@@ -48,6 +49,27 @@ Vehicle With(const Vehicle& vehicle, const Candidate& candidate) {
     extended.parameters[name].estimated = false;
   }
   return extended;
+}
+
+using Candidates = std::vector<Candidate>;  // tried together
+
+Vehicle With(const Vehicle& vehicle, const Candidates& candidates) {
+  Vehicle extended = vehicle;
+  for (const Candidate& candidate : candidates) extended = With(extended, candidate);
+  return extended;
+}
+
+bool Has(const Candidates& candidates, const std::string& effect) {
+  return std::any_of(candidates.begin(), candidates.end(),
+                     [&](const Candidate& c) { return c.effect == effect; });
+}
+
+/// True if the worst channel gets clearly worse: by more than a little, and by more than a share of
+/// what the best one gains or by much.
+bool IsClearlyWorse(double worst, double best) {
+  const double bearable =
+      std::min(std::log(kMuchWorse), std::max(std::log(kWorse), -kWorseShare * std::log(best)));
+  return std::log(worst) > bearable;
 }
 
 /// A model with the values and columns of what it lets free.
@@ -98,13 +120,14 @@ class Regressor {
     return result;
   }
 
-  /// What a candidate could gain at most, seen quickly. @pre FitBase() was called
-  double Promise(const Stage& stage, const Candidate& candidate) const {
+  /// The derivatives by a candidate's own parameters.
+  WrenchColumns ColumnsOf(const Stage& stage, const Candidate& candidate) const {
     const Vehicle extended = With(stage.vehicle, candidate);
     const DynamicModel model(extended, extended.effects);
     ModelValues values = ValuesOf(model, stage.values);
     for (const auto& [name, value] : candidate.start) values[model.IndexOf(name)] = value;
-    std::array<Eigen::MatrixXd, kNumChannels> columns;
+    WrenchColumns columns;
+    for (Eigen::MatrixXd& c : columns) c.resize(residual_->flight().size(), 0);
     for (int k = 0; k < model.num_parameters(); ++k) {
       const ModelParameter& p = model.parameters()[k];
       if (p.effect != candidate.effect || !p.estimated) continue;
@@ -115,18 +138,26 @@ class Regressor {
         columns[c].rightCols<1>() = column.col(c);
       }
     }
+    return columns;
+  }
+
+  /// What columns could gain at most, seen quickly. @pre FitBase() was called
+  double Promise(const WrenchColumns& columns) const {
     return columns[0].cols() == 0 ? 0.0 : quick_->Of(columns);
   }
 
-  /// Fits with a candidate on top, linearized again about what came out.
-  Result FitWith(const Stage& stage, const Candidate& candidate) {
-    const Vehicle extended = With(stage.vehicle, candidate);
+  /// Fits with candidates on top, linearized again about what came out.
+  Result FitWith(const Stage& stage, const Candidates& candidates) {
+    const Vehicle extended = With(stage.vehicle, candidates);
     const DynamicModel model(extended, extended.effects);
     Result result;
     // Only where a parameter scales what another one does, the columns depend on the estimate.
-    const bool bilinear = !candidate.start.empty() || candidate.effect == "wind";
+    bool bilinear = Has(candidates, "wind");
     std::map<std::string, double> about = stage.values;
-    for (const auto& [name, value] : candidate.start) about[name] = value;
+    for (const Candidate& candidate : candidates) {
+      bilinear = bilinear || !candidate.start.empty();
+      for (const auto& [name, value] : candidate.start) about[name] = value;
+    }
     for (int round = 0; round < (bilinear ? kRounds : 1); ++round) {
       const ModelValues values = ValuesOf(model, about);
       for (int k = 0; k < model.num_parameters(); ++k) {
@@ -139,8 +170,8 @@ class Regressor {
       regression.y = residual_->Residual(model, values);
       for (int k = 0; k < model.num_parameters(); ++k) {
         const ModelParameter& p = model.parameters()[k];
-        const bool own = p.effect == candidate.effect;
-        if (p.estimated && (own || round > 0)) AddColumn(model, values, k, &regression);
+        const bool own = Has(candidates, p.effect);
+        if (p.estimated && (own || round > 0)) AddColumn(model, values, k, &regression, own);
       }
       if (round > 0 && residual_->from_accelerometer()) {
         AddBiases(stage.vehicle.mass_kg, &regression);
@@ -181,7 +212,7 @@ class Regressor {
   }
 
   void AddColumn(const DynamicModel& model, const ModelValues& values, int k,
-                 WrenchRegression* regression) {
+                 WrenchRegression* regression, bool own = false) {
     const ResidualModel::Wrenches column = residual_->Derivative(model, values, k);
     const int n = static_cast<int>(regression->prior_sigma.size());
     for (int c = 0; c < kNumChannels; ++c) {
@@ -191,10 +222,10 @@ class Regressor {
     regression->prior_sigma.conservativeResize(n + 1);
     regression->prior_offset.conservativeResize(n + 1);
     // Priors of files are wide. What a few transients tell apart must not run off where a fold
-    // leaves these out, so no parameter strays far from what it is and what is natural for it.
+    // leaves these out, so no declared parameter strays far from what it is.
     const ParameterSpec& spec = model.parameters()[k].spec;
-    regression->prior_sigma[n] = std::min(
-        spec.prior_sigma, std::max(kStray * std::abs(values[k] - spec.prior_value), spec.scale));
+    const double stray = std::max(kStray * std::abs(values[k] - spec.prior_value), spec.scale);
+    regression->prior_sigma[n] = own ? spec.prior_sigma : std::min(spec.prior_sigma, stray);
     regression->prior_offset[n] = model.parameters()[k].spec.prior_value - values[k];
     names_.push_back(model.parameters()[k].full_name);
   }
@@ -238,28 +269,32 @@ bool IsNegligible(const RankedEffect& ranked) {
                      [](const ParameterEstimate& p) { return std::abs(p.value) < kDelay_s; });
 }
 
-/// Fills in a candidate's parameters, and what speaks against them.
-RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regressor::Result& result,
-                   const WrenchFit& base, int num_channels) {
+/// Fills in the parameters of one of the candidates of a fit, and what speaks against it.
+RankedEffect Judge(const Stage& stage, const Candidates& candidates, const Candidate& candidate,
+                   const Regressor::Result& result, const WrenchFit& base, int num_channels) {
   RankedEffect ranked;
   ranked.name = candidate.effect;
   ranked.settings = candidate.settings;
   ranked.score = CrossValidatedGain(base, result.fit);
-  double best = 1.0;
+  double best = 1.0, worst = 0.0;
+  int worst_channel = 0;
   for (int c = 0; c < num_channels; ++c) {
     const double change = std::sqrt(result.fit.plain_mean_square[c] / base.plain_mean_square[c]);
     best = std::min(best, change);
-    if (change > kWorse) {
-      ranked.sound = false;
-      ranked.objection = std::string("makes ") + kChannelNames[c] + " worse by " +
-                         Text(100.0 * (change - 1.0)) + " %";
+    if (change > worst) {
+      worst = change;
+      worst_channel = c;
     }
   }
-  if (ranked.sound && best > kBetter) {
+  if (IsClearlyWorse(worst, best)) {
+    ranked.sound = false;
+    ranked.objection = std::string("makes ") + kChannelNames[worst_channel] + " worse by " +
+                       Text(100.0 * (worst - 1.0)) + " %";
+  } else if (best > kBetter) {
     ranked.sound = false;
     ranked.objection = "makes no channel better";
   }
-  const Vehicle extended = With(stage.vehicle, candidate);
+  const Vehicle extended = With(stage.vehicle, candidates);
   const DynamicModel model(extended, extended.effects);
   std::vector<Eigen::Index> own;
   Eigen::VectorXd estimate(0);
@@ -309,36 +344,101 @@ RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regress
   return ranked;
 }
 
-/// Every candidate at its best setting, best first; fits of the sound ones in `fits`.
-std::vector<RankedEffect> RankAll(const Stage& stage, const std::vector<Candidate>& candidates,
-                                  Regressor* regressor, const WrenchFit& base, int num_channels,
-                                  std::map<std::string, Regressor::Result>* fits) {
-  std::map<std::string, RankedEffect> best;
+/// A candidate at its best setting, and what it did.
+struct Tried {
+  Candidate candidate;
+  WrenchColumns columns;
+  Regressor::Result result;
+  RankedEffect ranked;
+};
+
+/// Every candidate effect at its best setting, best first.
+std::vector<Tried> TryAll(const Stage& stage, const std::vector<Candidate>& candidates,
+                          Regressor* regressor, const WrenchFit& base, int num_channels) {
   // Of an effect with several settings, the most promising one is fitted.
-  std::map<std::string, std::pair<double, const Candidate*>> promising;
+  struct Promising {
+    double promise;
+    const Candidate* candidate;
+    WrenchColumns columns;
+  };
+  std::map<std::string, Promising> promising;
   for (const Candidate& candidate : candidates) {
     const std::vector<std::string>& have = stage.vehicle.effects;
     if (std::find(have.begin(), have.end(), candidate.effect) != have.end()) continue;
-    const double promise = candidate.settings.empty() ? 0.0 : regressor->Promise(stage, candidate);
+    WrenchColumns columns = regressor->ColumnsOf(stage, candidate);
+    const double promise = candidate.settings.empty() ? 0.0 : regressor->Promise(columns);
     const auto it = promising.find(candidate.effect);
-    if (it == promising.end() || promise > it->second.first) {
-      promising[candidate.effect] = {promise, &candidate};
+    if (it == promising.end() || promise > it->second.promise) {
+      promising[candidate.effect] = {promise, &candidate, std::move(columns)};
     }
   }
-  for (const auto& entry : promising) {
-    const Candidate& candidate = *entry.second.second;
-    Regressor::Result result = regressor->FitWith(stage, candidate);
-    if (!result.fit.step.allFinite()) continue;
-    const RankedEffect ranked = Judge(stage, candidate, result, base, num_channels);
-    best[candidate.effect] = ranked;
-    (*fits)[candidate.effect] = std::move(result);
+  std::vector<Tried> tried;
+  for (auto& entry : promising) {
+    Tried t{*entry.second.candidate, std::move(entry.second.columns), {}, {}};
+    t.result = regressor->FitWith(stage, {t.candidate});
+    if (!t.result.fit.step.allFinite()) continue;
+    t.ranked = Judge(stage, {t.candidate}, t.candidate, t.result, base, num_channels);
+    tried.push_back(std::move(t));
   }
-  std::vector<RankedEffect> ranking;
-  for (const auto& entry : best) ranking.push_back(entry.second);
-  std::sort(ranking.begin(), ranking.end(), [](const RankedEffect& a, const RankedEffect& b) {
-    return std::make_pair(a.sound, a.score) > std::make_pair(b.sound, b.score);
+  std::sort(tried.begin(), tried.end(), [](const Tried& a, const Tried& b) {
+    return std::make_pair(a.ranked.sound, a.ranked.score) >
+           std::make_pair(b.ranked.sound, b.ranked.score);
   });
-  return ranking;
+  return tried;
+}
+
+/// Two effects that only help together.
+struct Pair {
+  std::array<RankedEffect, 2> ranked;  // scores: what each adds to the other
+  Regressor::Result result;
+  double score = 0.0;
+};
+
+/// The best pair of which each part adds at least `least` nats to the other, if there is one.
+std::optional<Pair> TryPairs(const Stage& stage, const std::vector<Tried>& tried,
+                             Regressor* regressor, const WrenchFit& base, int num_channels,
+                             double least) {
+  constexpr size_t kFitted = 12;
+  struct Promising {
+    double promise;
+    size_t a, b;
+  };
+  std::vector<Promising> promising;
+  std::vector<double> alone;
+  alone.reserve(tried.size());
+  for (const Tried& t : tried) alone.push_back(regressor->Promise(t.columns));
+  for (size_t a = 0; a < tried.size(); ++a) {
+    for (size_t b = a + 1; b < tried.size(); ++b) {
+      WrenchColumns both = tried[a].columns;
+      for (int c = 0; c < kNumChannels; ++c) {
+        const Eigen::MatrixXd& second = tried[b].columns[c];
+        both[c].conservativeResize(Eigen::NoChange, both[c].cols() + second.cols());
+        both[c].rightCols(second.cols()) = second;
+      }
+      const double promise = regressor->Promise(both);
+      if (promise > least + std::max(alone[a], alone[b])) promising.push_back({promise, a, b});
+    }
+  }
+  std::sort(promising.begin(), promising.end(),
+            [](const Promising& a, const Promising& b) { return a.promise > b.promise; });
+  if (promising.size() > kFitted) promising.resize(kFitted);
+  std::optional<Pair> best;
+  for (const Promising& p : promising) {
+    const Tried &a = tried[p.a], &b = tried[p.b];
+    const Candidates both = {a.candidate, b.candidate};
+    Pair pair;
+    pair.result = regressor->FitWith(stage, both);
+    if (!pair.result.fit.step.allFinite()) continue;
+    pair.ranked = {Judge(stage, both, a.candidate, pair.result, base, num_channels),
+                   Judge(stage, both, b.candidate, pair.result, base, num_channels)};
+    pair.score = pair.ranked[0].score;
+    pair.ranked[0].score = pair.score - b.ranked.score;
+    pair.ranked[1].score = pair.score - a.ranked.score;
+    bool earned = true;
+    for (const RankedEffect& r : pair.ranked) earned = earned && r.sound && r.score >= least;
+    if (earned && (!best || pair.score > best->score)) best = std::move(pair);
+  }
+  return best;
 }
 
 std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
@@ -487,9 +587,10 @@ int EffectIndex(const DynamicModel& model, const std::string& name) {
   return static_cast<int>(std::find(names.begin(), names.end(), name) - names.begin());
 }
 
-/// True if an estimate of the effect differs from zero and matters.
-bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online,
-                 const DynamicModel& model) {
+/// What speaks against an effect in the online estimate; empty if that confirms it: it has a
+/// physical sign and size, differs from zero and matters.
+std::string Objection(const RankedEffect& effect, const ParameterSet& online,
+                      const DynamicModel& model) {
   RankedEffect estimate = effect;
   std::vector<Eigen::Index> own;
   for (ParameterEstimate& p : estimate.parameters) {
@@ -500,10 +601,12 @@ bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online,
     const Effect& catalogue = model.effect(EffectIndex(model, effect.name));
     for (const ParameterSpec& spec : catalogue.parameters()) {
       if (effect.name + "." + spec.name != p.full_name) continue;
-      if (std::abs(p.value - spec.prior_value) > kTooLarge * spec.prior_sigma) return false;
+      if (std::abs(p.value - spec.prior_value) > kTooLarge * spec.prior_sigma) {
+        return p.full_name + " = " + Text(p.value) + " is too large";
+      }
       const bool wrong = (spec.sign == PhysicalSign::kPositive && p.value < 0.0) ||
                          (spec.sign == PhysicalSign::kNegative && p.value > 0.0);
-      if (wrong) return false;
+      if (wrong) return p.full_name + " = " + Text(p.value) + " has an unphysical sign";
     }
     own.push_back(found - online.parameters.data());
   }
@@ -514,7 +617,8 @@ bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online,
     values[a] = online.parameters[own[a]].value;
     for (Eigen::Index b = 0; b < n; ++b) covariance(a, b) = online.covariance(own[a], own[b]);
   }
-  return IsSignificant(values, covariance) && !IsNegligible(estimate);
+  if (!IsSignificant(values, covariance)) return "does not differ from zero by three sigma";
+  return IsNegligible(estimate) ? "is no larger than feedback can feign" : "";
 }
 
 /// RMSE of the accelerometer's force on blocks held out; empty without an accelerometer.
@@ -563,7 +667,7 @@ bool IsBetter(const PredictionFigures& before, const PredictionFigures& after) {
   add(before.force_rmse_N, after.force_rmse_N);
   // Not the torque, which holds the file's inertia against a model that has found a better one.
   add(before.angular_acceleration_rmse_rad_s2, after.angular_acceleration_rmse_rad_s2);
-  return sum < 0.0 && worst < kWorseOnline && best < kBetterOnline;
+  return sum < 0.0 && !IsClearlyWorse(worst, best) && best < kBetterOnline;
 }
 
 }  // namespace
@@ -661,32 +765,53 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     unexplained = base.fit.plain_residual;
     if (step == 0) first_residual = unexplained;
     if (step == options.most_effects) break;
-    std::map<std::string, Regressor::Result> fits;
-    const std::vector<RankedEffect> ranking =
-        RankAll(stage, candidates, &regressor, base.fit, residual.num_channels(), &fits);
-    if (step == 0) result.ranking = ranking;
+    const std::vector<Tried> tried =
+        TryAll(stage, candidates, &regressor, base.fit, residual.num_channels());
+    if (step == 0) {
+      for (const Tried& t : tried) result.ranking.push_back(t.ranked);
+    }
+    if (std::getenv("ODMC_DEBUG")) {  // XXX
+      std::fprintf(stderr, "--- step %d\n", step);
+      for (const auto& t : tried) {
+        const auto& r = t.ranked;
+        std::fprintf(stderr, "%-24s %8.1f %d %s ", r.name.c_str(), r.score, r.sound,
+                     r.objection.c_str());
+        for (const auto& p : r.parameters) std::fprintf(stderr, " %.3g+-%.2g", p.value, p.sigma);
+        std::fprintf(stderr, "\n");
+      }
+    }
     if (progress) progress(0.4 + 0.2 * (step + 1) / options.most_effects);
-    if (ranking.empty() || !ranking.front().sound) break;
-    const RankedEffect& best = ranking.front();
     const double least =
         step == 0 ? options.least_score
                   : std::max(1.25 * options.least_score, options.least_share_of_first * scores);
-    if (best.score < least) break;
-    AddedEffect effect;
-    effect.effect = best;
-    const double close = std::max(options.close_score, options.close_share * best.score);
-    for (size_t i = 1; i < ranking.size(); ++i) {
-      if (!ranking[i].sound || ranking[i].score < best.score - close) continue;
-      effect.alternatives.push_back(ranking[i].name);
-      if (effect.manoeuvre.empty()) {
-        effect.manoeuvre = TellingManoeuvre(best.name, ranking[i].name);
+    if (!tried.empty() && tried.front().ranked.sound && tried.front().ranked.score >= least) {
+      const RankedEffect& best = tried.front().ranked;
+      AddedEffect effect;
+      effect.effect = best;
+      const double close = std::max(options.close_score, options.close_share * best.score);
+      for (size_t i = 1; i < tried.size(); ++i) {
+        const RankedEffect& other = tried[i].ranked;
+        if (!other.sound || other.score < best.score - close) continue;
+        effect.alternatives.push_back(other.name);
+        if (effect.manoeuvre.empty()) effect.manoeuvre = TellingManoeuvre(best.name, other.name);
       }
+      added.push_back(effect);
+      scores += best.score;
+      stage.vehicle = With(stage.vehicle, tried.front().candidate);
+      for (const auto& [name, value] : tried.front().result.values) stage.values[name] = value;
+      continue;
     }
-    added.push_back(effect);
-    scores += best.score;
-    Candidate chosen{best.name, best.settings};
-    stage.vehicle = With(stage.vehicle, chosen);
-    for (const auto& [name, value] : fits[best.name].values) stage.values[name] = value;
+    if (step + 2 > options.most_effects) break;
+    const std::optional<Pair> pair = TryPairs(stage, tried, &regressor, base.fit,
+                                              residual.num_channels(), 1.25 * options.least_score);
+    if (!pair || pair->score < 2.0 * least) break;
+    for (const RankedEffect& ranked : pair->ranked) {
+      added.push_back({ranked, {}, ""});
+      stage.vehicle = With(stage.vehicle, Candidate{ranked.name, ranked.settings, {}});
+    }
+    scores += pair->score;
+    ++step;
+    for (const auto& [name, value] : pair->result.values) stage.values[name] = value;
   }
 
   result.structure = Structure(flight, first_residual, residual.num_channels());
@@ -765,14 +890,17 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     }
     const DynamicModel model(extended, extended.effects);
     const Pass after = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
-    // What the online estimator does not confirm goes again.
-    const auto faded = std::find_if(added.begin(), added.end(), [&](const AddedEffect& effect) {
-      return effect.effect.name != "gust" && !IsConfirmed(effect.effect, after.parameters, model);
+    // What the online estimator does not confirm goes again, last first: it may have been what made
+    // the others fade.
+    const auto faded = std::find_if(added.rbegin(), added.rend(), [&](const AddedEffect& effect) {
+      return effect.effect.name != "gust" &&
+             !Objection(effect.effect, after.parameters, model).empty();
     });
-    if (faded != added.end()) {
+    if (faded != added.rend()) {
       result.warnings.push_back(faded->effect.name +
-                                " was chosen, but the online estimate does not confirm it");
-      added.erase(faded);
+                                " was chosen, but the online estimate does not confirm it: " +
+                                Objection(faded->effect, after.parameters, model));
+      added.erase(std::next(faded).base());
       continue;
     }
     result.accelerometer_before = HeldOutForce(residual, declared, *replay.last);
