@@ -398,9 +398,9 @@ struct Pair {
 std::optional<Pair> TryPairs(const Stage& stage, const std::vector<Tried>& tried,
                              Regressor* regressor, const WrenchFit& base, int num_channels,
                              double least) {
-  constexpr size_t kFitted = 12;
+  constexpr size_t kFitted = 12;  // pairs
   struct Promising {
-    double promise;
+    double together;  // more than each on its own
     size_t a, b;
   };
   std::vector<Promising> promising;
@@ -416,11 +416,12 @@ std::optional<Pair> TryPairs(const Stage& stage, const std::vector<Tried>& tried
         both[c].rightCols(second.cols()) = second;
       }
       const double promise = regressor->Promise(both);
-      if (promise > least + std::max(alone[a], alone[b])) promising.push_back({promise, a, b});
+      const double together = promise - alone[a] - alone[b];
+      if (together > least) promising.push_back({together, a, b});
     }
   }
   std::sort(promising.begin(), promising.end(),
-            [](const Promising& a, const Promising& b) { return a.promise > b.promise; });
+            [](const Promising& a, const Promising& b) { return a.together > b.together; });
   if (promising.size() > kFitted) promising.resize(kFitted);
   std::optional<Pair> best;
   for (const Promising& p : promising) {
@@ -435,7 +436,11 @@ std::optional<Pair> TryPairs(const Stage& stage, const std::vector<Tried>& tried
     pair.ranked[0].score = pair.score - b.ranked.score;
     pair.ranked[1].score = pair.score - a.ranked.score;
     bool earned = true;
-    for (const RankedEffect& r : pair.ranked) earned = earned && r.sound && r.score >= least;
+    for (const RankedEffect& r : pair.ranked) {
+      earned = earned && r.sound && r.score >= least;
+    }
+    // Together more than each on its own.
+    earned = earned && pair.score > a.ranked.score + b.ranked.score + least;
     if (earned && (!best || pair.score > best->score)) best = std::move(pair);
   }
   return best;
@@ -784,34 +789,41 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     const double least =
         step == 0 ? options.least_score
                   : std::max(1.25 * options.least_score, options.least_share_of_first * scores);
-    if (!tried.empty() && tried.front().ranked.sound && tried.front().ranked.score >= least) {
-      const RankedEffect& best = tried.front().ranked;
+    const RankedEffect* best = tried.empty() ? nullptr : &tried.front().ranked;
+    if (best != nullptr && (!best->sound || best->score < least)) best = nullptr;
+    std::optional<Pair> pair;
+    if (step + 2 <= options.most_effects) {
+      pair = TryPairs(stage, tried, &regressor, base.fit, residual.num_channels(),
+                      1.25 * options.least_score);
+    }
+    if (pair && pair->score < 2.0 * std::max(least, best != nullptr ? best->score : 0.0)) {
+      pair.reset();
+    }
+    if (pair) {
+      for (const RankedEffect& ranked : pair->ranked) {
+        added.push_back({ranked, {}, ""});
+        stage.vehicle = With(stage.vehicle, Candidate{ranked.name, ranked.settings, {}});
+      }
+      scores += pair->score;
+      ++step;
+      for (const auto& [name, value] : pair->result.values) stage.values[name] = value;
+    } else if (best != nullptr) {
       AddedEffect effect;
-      effect.effect = best;
-      const double close = std::max(options.close_score, options.close_share * best.score);
+      effect.effect = *best;
+      const double close = std::max(options.close_score, options.close_share * best->score);
       for (size_t i = 1; i < tried.size(); ++i) {
         const RankedEffect& other = tried[i].ranked;
-        if (!other.sound || other.score < best.score - close) continue;
+        if (!other.sound || other.score < best->score - close) continue;
         effect.alternatives.push_back(other.name);
-        if (effect.manoeuvre.empty()) effect.manoeuvre = TellingManoeuvre(best.name, other.name);
+        if (effect.manoeuvre.empty()) effect.manoeuvre = TellingManoeuvre(best->name, other.name);
       }
       added.push_back(effect);
-      scores += best.score;
+      scores += best->score;
       stage.vehicle = With(stage.vehicle, tried.front().candidate);
       for (const auto& [name, value] : tried.front().result.values) stage.values[name] = value;
-      continue;
+    } else {
+      break;
     }
-    if (step + 2 > options.most_effects) break;
-    const std::optional<Pair> pair = TryPairs(stage, tried, &regressor, base.fit,
-                                              residual.num_channels(), 1.25 * options.least_score);
-    if (!pair || pair->score < 2.0 * least) break;
-    for (const RankedEffect& ranked : pair->ranked) {
-      added.push_back({ranked, {}, ""});
-      stage.vehicle = With(stage.vehicle, Candidate{ranked.name, ranked.settings, {}});
-    }
-    scores += pair->score;
-    ++step;
-    for (const auto& [name, value] : pair->result.values) stage.values[name] = value;
   }
 
   result.structure = Structure(flight, first_residual, residual.num_channels());
