@@ -90,35 +90,20 @@ ModelValues ValuesOf(const DynamicModel& model, const std::map<std::string, doub
 /// Regression of the residual of a model on what it lets free.
 class Regressor {
  public:
-  Regressor(const ResidualModel* residual, const Stage& stage) : residual_(residual) {
-    const DynamicModel model(stage.vehicle, stage.vehicle.effects);
-    const ModelValues values = ValuesOf(model, stage.values);
-    const ThinnedFlight& flight = residual->flight();
-    base_.num_channels = residual->num_channels();
-    base_.y = residual->Residual(model, values);
-    for (int i = 0; i < flight.size(); ++i) {
-      base_.next.push_back(flight.next(i));
-      base_.block.push_back(static_cast<int>(flight.sample(i).t_s / kFoldBlock_s));
-      base_.used.push_back(!flight.held_out(i));
-    }
-    for (int k = 0; k < model.num_parameters(); ++k) {
-      if (model.parameters()[k].estimated) AddColumn(model, values, k, &base_);
-    }
-    if (residual->from_accelerometer()) AddBiases(stage.vehicle.mass_kg, &base_);
-    base_names_ = names_;
-  }
-
   struct Result {
     WrenchFit fit;
     std::vector<std::string> names;
     std::map<std::string, double> values;  // of what was let free, after the fit
   };
 
-  Result FitBase(const Stage& stage) {
-    Result result = Finish(base_, names_, stage);
-    quick_ = std::make_unique<QuickGain>(base_, result.fit);
-    return result;
+  /// Fits the base, and moves the stage's values there.
+  Regressor(const ResidualModel* residual, Stage* stage) : residual_(residual) {
+    base_ = Fit(*stage, {}, kRounds, &regression_);
+    stage->values = base_.values;
+    quick_ = std::make_unique<QuickGain>(regression_, base_.fit);
   }
+
+  const Result& base() const { return base_; }
 
   /// The derivatives by a candidate's own parameters.
   WrenchColumns ColumnsOf(const Stage& stage, const Candidate& candidate) const {
@@ -141,112 +126,113 @@ class Regressor {
     return columns;
   }
 
-  /// What columns could gain at most, seen quickly. @pre FitBase() was called
+  /// What columns could gain at most, seen quickly.
   double Promise(const WrenchColumns& columns) const {
     return columns[0].cols() == 0 ? 0.0 : quick_->Of(columns);
   }
 
-  /// Fits with candidates on top, linearized again about what came out.
-  Result FitWith(const Stage& stage, const Candidates& candidates) {
-    const Vehicle extended = With(stage.vehicle, candidates);
-    const DynamicModel model(extended, extended.effects);
-    Result result;
-    // Only where a parameter scales what another one does, the columns depend on the estimate.
-    bool bilinear = Has(candidates, "wind");
-    std::map<std::string, double> about = stage.values;
-    for (const Candidate& candidate : candidates) {
-      bilinear = bilinear || !candidate.start.empty();
-      for (const auto& [name, value] : candidate.start) about[name] = value;
-    }
-    for (int round = 0; round < (bilinear ? kRounds : 1); ++round) {
-      const ModelValues values = ValuesOf(model, about);
-      for (int k = 0; k < model.num_parameters(); ++k) {
-        about[model.parameters()[k].full_name] = values[k];
-      }
-      // The first time the base's columns are those without the candidate.
-      WrenchRegression regression = base_;
-      names_ = base_names_;
-      if (round > 0) Clear(&regression);
-      regression.y = residual_->Residual(model, values);
-      for (int k = 0; k < model.num_parameters(); ++k) {
-        const ModelParameter& p = model.parameters()[k];
-        const bool own = Has(candidates, p.effect);
-        if (p.estimated && (own || round > 0)) AddColumn(model, values, k, &regression, own);
-      }
-      if (round > 0 && residual_->from_accelerometer()) {
-        AddBiases(stage.vehicle.mass_kg, &regression);
-      }
-      Stage at = stage;
-      at.values = about;
-      result = Finish(regression, names_, at);
-      about = result.values;
-      names_ = base_names_;
-    }
-    return result;
+  /// Fits with candidates on top.
+  Result FitWith(const Stage& stage, const Candidates& candidates) const {
+    const bool bilinear = std::any_of(candidates.begin(), candidates.end(), [](const Candidate& c) {
+      return !c.start.empty() || c.effect == "wind";
+    });
+    WrenchRegression regression;
+    return Fit(stage, candidates, bilinear ? kRounds : kRounds - 1, &regression);
   }
 
  private:
-  /// The accelerometer's bias, along each axis.
-  void AddBiases(double mass_kg, WrenchRegression* regression) {
-    constexpr double kBias_m_s2 = 0.3;
-    for (int axis = 0; axis < 3; ++axis) {
-      const auto n = regression->prior_sigma.size();
-      for (int c = 0; c < kNumChannels; ++c) {
-        regression->columns[c].conservativeResize(regression->y.rows(), n + 1);
-        regression->columns[c].col(n).setConstant(c == axis ? 1.0 : 0.0);
-      }
-      regression->prior_sigma.conservativeResize(n + 1);
-      regression->prior_offset.conservativeResize(n + 1);
-      regression->prior_sigma[n] = kBias_m_s2 * mass_kg;
-      regression->prior_offset[n] = 0.0;
-      names_.push_back(kBiasName);
-    }
-  }
-
-  /// Takes all columns out, names too.
-  void Clear(WrenchRegression* regression) {
-    for (Eigen::MatrixXd& c : regression->columns) c.resize(regression->y.rows(), 0);
-    regression->prior_sigma.resize(0);
-    regression->prior_offset.resize(0);
-    names_.clear();
-  }
-
-  void AddColumn(const DynamicModel& model, const ModelValues& values, int k,
-                 WrenchRegression* regression, bool own = false) {
-    const ResidualModel::Wrenches column = residual_->Derivative(model, values, k);
-    const int n = static_cast<int>(regression->prior_sigma.size());
-    for (int c = 0; c < kNumChannels; ++c) {
-      regression->columns[c].conservativeResize(column.rows(), n + 1);
-      regression->columns[c].col(n) = column.col(c);
-    }
-    regression->prior_sigma.conservativeResize(n + 1);
-    regression->prior_offset.conservativeResize(n + 1);
-    // Priors of files are wide. What a few transients tell apart must not run off where a fold
-    // leaves these out, so no declared parameter strays far from what it is.
-    const ParameterSpec& spec = model.parameters()[k].spec;
-    const double stray = std::max(kStray * std::abs(values[k] - spec.prior_value), spec.scale);
-    regression->prior_sigma[n] = own ? spec.prior_sigma : std::min(spec.prior_sigma, stray);
-    regression->prior_offset[n] = model.parameters()[k].spec.prior_value - values[k];
-    names_.push_back(model.parameters()[k].full_name);
-  }
-
-  Result Finish(const WrenchRegression& regression, const std::vector<std::string>& names,
-                const Stage& stage) const {
+  /// Linearizes about what came out of the round before: what moments do is divided by an inertia
+  /// that is itself sought, and some parameters scale what others do.
+  Result Fit(const Stage& stage, const Candidates& candidates, int rounds,
+             WrenchRegression* regression) const {
+    const Vehicle extended = With(stage.vehicle, candidates);
+    const DynamicModel model(extended, extended.effects);
     Result result;
-    result.fit = FitWrench(regression);
-    result.names = names;
     result.values = stage.values;
-    for (size_t i = 0; i < names.size(); ++i) {
-      if (names[i] == kBiasName) continue;
-      result.values[names[i]] += result.fit.plain_step[static_cast<Eigen::Index>(i)];
+    for (const Candidate& candidate : candidates) {
+      for (const auto& [name, value] : candidate.start) result.values[name] = value;
+    }
+    for (int round = 0; round < rounds; ++round) {
+      const ModelValues values = ValuesOf(model, result.values);
+      result.names.clear();
+      *regression = Rows();
+      regression->y = residual_->Residual(model, values);
+      for (int k = 0; k < model.num_parameters(); ++k) {
+        const ModelParameter& p = model.parameters()[k];
+        result.values[p.full_name] = values[k];
+        if (!p.estimated) continue;
+        const ResidualModel::Wrenches column = residual_->Derivative(model, values, k);
+        WrenchColumns columns;
+        for (int c = 0; c < kNumChannels; ++c) columns[c] = column.col(c);
+        double sigma = p.spec.prior_sigma;
+        if (!Has(candidates, p.effect)) {
+          // Priors of files are wide. What a few transients tell apart must not run off where a
+          // fold leaves these out, so no declared parameter strays far from what it is.
+          const auto was = stage.values.find(p.full_name);
+          const double size = was == stage.values.end() ? 0.0 : was->second - p.spec.prior_value;
+          sigma = std::min(sigma, std::max(kStray * std::abs(size), p.spec.scale));
+        }
+        AddColumn(columns, sigma, p.spec.prior_value - values[k], regression);
+        result.names.push_back(p.full_name);
+      }
+      if (residual_->from_accelerometer()) AddBiases(stage.vehicle.mass_kg, regression, &result);
+      result.fit = FitWrench(*regression);
+      for (size_t i = 0; i < result.names.size(); ++i) {
+        const int k = model.IndexOf(result.names[i]);
+        if (k < 0) continue;  // a bias
+        const double step = result.fit.plain_step[static_cast<Eigen::Index>(i)];
+        double& value = result.values[result.names[i]];
+        const bool positive = model.parameters()[k].spec.transform == ParameterTransform::kLog;
+        value = positive ? value * std::exp(std::clamp(step / value, -1.0, 1.0)) : value + step;
+      }
     }
     return result;
   }
 
+  /// A regression of this flight without columns.
+  WrenchRegression Rows() const {
+    const ThinnedFlight& flight = residual_->flight();
+    WrenchRegression rows;
+    rows.num_channels = residual_->num_channels();
+    for (int i = 0; i < flight.size(); ++i) {
+      rows.next.push_back(flight.next(i));
+      rows.block.push_back(static_cast<int>(flight.sample(i).t_s / kFoldBlock_s));
+      rows.used.push_back(!flight.held_out(i));
+    }
+    for (Eigen::MatrixXd& c : rows.columns) c.resize(flight.size(), 0);
+    return rows;
+  }
+
+  /// The accelerometer's bias, along each axis.
+  void AddBiases(double mass_kg, WrenchRegression* regression, Result* result) const {
+    constexpr double kBias_m_s2 = 0.3;
+    for (int axis = 0; axis < 3; ++axis) {
+      WrenchColumns columns;
+      for (int c = 0; c < kNumChannels; ++c) {
+        columns[c] = Eigen::VectorXd::Constant(regression->y.rows(), c == axis ? 1.0 : 0.0);
+      }
+      AddColumn(columns, kBias_m_s2 * mass_kg, 0.0, regression);
+      result->names.push_back(kBiasName);
+    }
+  }
+
+  static void AddColumn(const WrenchColumns& column, double prior_sigma, double prior_offset,
+                        WrenchRegression* regression) {
+    const Eigen::Index n = regression->prior_sigma.size();
+    for (int c = 0; c < kNumChannels; ++c) {
+      regression->columns[c].conservativeResize(Eigen::NoChange, n + 1);
+      regression->columns[c].col(n) = column[c];
+    }
+    regression->prior_sigma.conservativeResize(n + 1);
+    regression->prior_offset.conservativeResize(n + 1);
+    regression->prior_sigma[n] = prior_sigma;
+    regression->prior_offset[n] = prior_offset;
+  }
+
   const ResidualModel* residual_;
+  WrenchRegression regression_;  // of the base
+  Result base_;
   std::unique_ptr<QuickGain> quick_;
-  WrenchRegression base_;
-  std::vector<std::string> names_, base_names_;
 };
 
 /// True if parameters differ from zero together by kSignificant sigmas (Wald's test; the limit
@@ -354,7 +340,7 @@ struct Tried {
 
 /// Every candidate effect at its best setting, best first.
 std::vector<Tried> TryAll(const Stage& stage, const std::vector<Candidate>& candidates,
-                          Regressor* regressor, const WrenchFit& base, int num_channels) {
+                          const Regressor& regressor, const WrenchFit& base, int num_channels) {
   // Of an effect with several settings, the most promising one is fitted.
   struct Promising {
     double promise;
@@ -365,8 +351,8 @@ std::vector<Tried> TryAll(const Stage& stage, const std::vector<Candidate>& cand
   for (const Candidate& candidate : candidates) {
     const std::vector<std::string>& have = stage.vehicle.effects;
     if (std::find(have.begin(), have.end(), candidate.effect) != have.end()) continue;
-    WrenchColumns columns = regressor->ColumnsOf(stage, candidate);
-    const double promise = candidate.settings.empty() ? 0.0 : regressor->Promise(columns);
+    WrenchColumns columns = regressor.ColumnsOf(stage, candidate);
+    const double promise = candidate.settings.empty() ? 0.0 : regressor.Promise(columns);
     const auto it = promising.find(candidate.effect);
     if (it == promising.end() || promise > it->second.promise) {
       promising[candidate.effect] = {promise, &candidate, std::move(columns)};
@@ -375,7 +361,7 @@ std::vector<Tried> TryAll(const Stage& stage, const std::vector<Candidate>& cand
   std::vector<Tried> tried;
   for (auto& entry : promising) {
     Tried t{*entry.second.candidate, std::move(entry.second.columns), {}, {}};
-    t.result = regressor->FitWith(stage, {t.candidate});
+    t.result = regressor.FitWith(stage, {t.candidate});
     if (!t.result.fit.step.allFinite()) continue;
     t.ranked = Judge(stage, {t.candidate}, t.candidate, t.result, base, num_channels);
     tried.push_back(std::move(t));
@@ -396,7 +382,7 @@ struct Pair {
 
 /// The best pair of which each part adds at least `least` nats to the other, if there is one.
 std::optional<Pair> TryPairs(const Stage& stage, const std::vector<Tried>& tried,
-                             Regressor* regressor, const WrenchFit& base, int num_channels,
+                             const Regressor& regressor, const WrenchFit& base, int num_channels,
                              double least) {
   constexpr size_t kFitted = 12;  // pairs
   struct Promising {
@@ -406,7 +392,7 @@ std::optional<Pair> TryPairs(const Stage& stage, const std::vector<Tried>& tried
   std::vector<Promising> promising;
   std::vector<double> alone;
   alone.reserve(tried.size());
-  for (const Tried& t : tried) alone.push_back(regressor->Promise(t.columns));
+  for (const Tried& t : tried) alone.push_back(regressor.Promise(t.columns));
   for (size_t a = 0; a < tried.size(); ++a) {
     for (size_t b = a + 1; b < tried.size(); ++b) {
       WrenchColumns both = tried[a].columns;
@@ -415,7 +401,7 @@ std::optional<Pair> TryPairs(const Stage& stage, const std::vector<Tried>& tried
         both[c].conservativeResize(Eigen::NoChange, both[c].cols() + second.cols());
         both[c].rightCols(second.cols()) = second;
       }
-      const double promise = regressor->Promise(both);
+      const double promise = regressor.Promise(both);
       const double together = promise - alone[a] - alone[b];
       if (together > least) promising.push_back({together, a, b});
     }
@@ -428,7 +414,7 @@ std::optional<Pair> TryPairs(const Stage& stage, const std::vector<Tried>& tried
     const Tried &a = tried[p.a], &b = tried[p.b];
     const Candidates both = {a.candidate, b.candidate};
     Pair pair;
-    pair.result = regressor->FitWith(stage, both);
+    pair.result = regressor.FitWith(stage, both);
     if (!pair.result.fit.step.allFinite()) continue;
     pair.ranked = {Judge(stage, both, a.candidate, pair.result, base, num_channels),
                    Judge(stage, both, b.candidate, pair.result, base, num_channels)};
@@ -765,13 +751,13 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   double scores = 0.0;
   std::vector<AddedEffect> added;
   for (int step = 0; step <= options.most_effects; ++step) {
-    Regressor regressor(&residual, stage);
-    const Regressor::Result base = regressor.FitBase(stage);
+    const Regressor regressor(&residual, &stage);
+    const Regressor::Result& base = regressor.base();
     unexplained = base.fit.plain_residual;
     if (step == 0) first_residual = unexplained;
     if (step == options.most_effects) break;
     const std::vector<Tried> tried =
-        TryAll(stage, candidates, &regressor, base.fit, residual.num_channels());
+        TryAll(stage, candidates, regressor, base.fit, residual.num_channels());
     if (step == 0) {
       for (const Tried& t : tried) result.ranking.push_back(t.ranked);
     }
@@ -793,7 +779,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     if (best != nullptr && (!best->sound || best->score < least)) best = nullptr;
     std::optional<Pair> pair;
     if (step + 2 <= options.most_effects) {
-      pair = TryPairs(stage, tried, &regressor, base.fit, residual.num_channels(),
+      pair = TryPairs(stage, tried, regressor, base.fit, residual.num_channels(),
                       1.25 * options.least_score);
     }
     if (pair && pair->score < 2.0 * std::max(least, best != nullptr ? best->score : 0.0)) {

@@ -187,9 +187,9 @@ WrenchFit FitWrench(const WrenchRegression& r) {
   }
 
   // Each fold predicted by the others.
-  const auto count_rows = static_cast<Eigen::Index>(rows.size());
-  fit.predicted_innovation = Eigen::MatrixXd::Zero(count_rows, r.num_channels);
-  fit.leverage = fit.predicted_innovation;
+  fit.rows = rows;
+  for (const int i : rows) fit.fold.push_back(fold_of[r.block[i]]);
+  fit.leverage = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(rows.size()), r.num_channels);
   for (int f = 0; f < kFolds; ++f) {
     Eigen::MatrixXd H = (total - grams[f]).topLeftCorner(n, n);
     H.diagonal() += prior;
@@ -197,12 +197,12 @@ WrenchFit FitWrench(const WrenchRegression& r) {
     const Eigen::VectorXd step =
         ldlt.solve((total - grams[f]).col(n).head(n) + prior.cwiseProduct(r.prior_offset));
     const Eigen::MatrixXd covariance = ldlt.solve(Eigen::MatrixXd::Identity(n, n));
+    fit.unseen_residual.emplace_back(r.y);
     for (int c = 0; c < r.num_channels; ++c) {
-      for (Eigen::Index k = 0; k < count_rows; ++k) {
-        if (fold_of[r.block[rows[k]]] != f) continue;
+      fit.unseen_residual[f].col(c) -= r.columns[c] * step;
+      for (size_t k = 0; k < rows.size(); ++k) {
+        if (fit.fold[k] != f) continue;
         const Eigen::VectorXd x = white[c].row(k).head(n);
-        fit.predicted_innovation(k, c) =
-            (white[c](k, n) - x.dot(step)) * std::sqrt(noise[c].variance);
         fit.leverage(k, c) = x.dot(covariance * x);
       }
     }
@@ -215,12 +215,20 @@ WrenchFit FitWrench(const WrenchRegression& r) {
 
 double CrossValidatedGain(const WrenchFit& base, const WrenchFit& fit) {
   double gain = 0.0;
-  for (Eigen::Index c = 0; c < base.leverage.cols(); ++c) {
+  for (Eigen::Index c = 0; c < fit.leverage.cols(); ++c) {
+    const auto innovation = [&](const WrenchFit& of, size_t k) {
+      const auto& e = of.unseen_residual[of.fold[k]];
+      double white = e(of.rows[k], c);
+      for (int lag = 0; lag < kOrder; ++lag) {
+        white -= fit.noise_coefficients[c][lag] * e(of.rows[k] - 1 - lag, c);
+      }
+      return white;
+    };
     double was = 0.0, is = 0.0, count = 0.0;
-    for (Eigen::Index k = 0; k < base.leverage.rows(); ++k) {
+    for (size_t k = 0; k < fit.rows.size(); ++k) {
       if (base.leverage(k, c) > kLargestLeverage || fit.leverage(k, c) > kLargestLeverage) continue;
-      was += base.predicted_innovation(k, c) * base.predicted_innovation(k, c);
-      is += fit.predicted_innovation(k, c) * fit.predicted_innovation(k, c);
+      was += std::pow(innovation(base, k), 2);
+      is += std::pow(innovation(fit, k), 2);
       count += 1.0;
     }
     if (is > 0.0 && was > 0.0) gain += 0.5 * count * std::log(was / is);

@@ -23,7 +23,7 @@ class RotorTilt final : public Effect {
     for (int j = 1; j <= vehicle.num_rotors(); ++j) {
       for (const char* axis : {"x", "y"}) {
         specs.push_back({"alpha_" + std::to_string(j) + axis, "rad",
-                         "lean of rotor " + std::to_string(j) + " towards body " + axis, 0.0, 0.05,
+                         "lean of rotor " + std::to_string(j) + " towards body " + axis, 0.0, 0.03,
                          0.02});
       }
     }

@@ -29,10 +29,13 @@ struct WrenchRegression {
 struct WrenchFit {
   Eigen::VectorXd step;        ///< n: change of the parameters
   Eigen::MatrixXd covariance;  ///< n×n
-  /// Innovations of the samples in use, each block of time predicted by a fit to the others, and
-  /// the variance of that prediction from the fit's own uncertainty, in units of the innovation's
-  /// (rows in use × channels).
-  Eigen::MatrixXd predicted_innovation, leverage;
+  /// Samples in use, the fold of each (folds are blocks of time), and the variance of its
+  /// prediction by a fit to the other folds from that fit's own uncertainty, in units of the
+  /// innovation's (samples in use × channels).
+  std::vector<int> rows, fold;
+  Eigen::MatrixXd leverage;
+  /// For each fold the residual (N×6) of a fit to the others.
+  std::vector<Eigen::Matrix<double, Eigen::Dynamic, kNumChannels>> unseen_residual;
   /// Mean square of the samples in use, each block predicted by a plain fit (white noise of each
   /// channel's size) to the others: what the estimator would do.
   std::array<double, kNumChannels> plain_mean_square{};
@@ -43,9 +46,12 @@ struct WrenchFit {
   std::array<Eigen::VectorXd, kNumChannels> noise_coefficients;  ///< of the autoregression
 };
 
-/// Gain of one fit over another in log-likelihood, each block of time predicted by fits to the
-/// others. Samples that either fit could only extrapolate to (leverage above 1) do not count: where
-/// a few transients alone tell parameters apart, leaving them out says nothing about the model.
+/// Gain of a fit over another of the same flight in log-likelihood, each block of time predicted by
+/// fits to the others. Both are seen through the noise that `fit` leaves: the noise of `base` has
+/// taken in what `fit` explains, and an inertia that is biased by what is missing damps the noise
+/// that rotor speeds bring. Samples that either could only extrapolate to (leverage above 1) do not
+/// count: where a few transients alone tell parameters apart, leaving them out says nothing about
+/// the model.
 double CrossValidatedGain(const WrenchFit& base, const WrenchFit& fit);
 
 /// Quick look at candidates for a regression: how much likelihood columns would gain on top of it,
