@@ -1,0 +1,113 @@
+#pragma once
+
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "odmc/attribution/candidates.h"
+#include "odmc/attribution/regression.h"
+#include "odmc/attribution/residual.h"
+#include "odmc/attribution/spectrum.h"
+#include "odmc/model/parameter_set.h"
+
+namespace odmc {
+
+/// A candidate's case on a flight.
+struct RankedEffect {
+  std::string name;
+  double score = 0.0;                      ///< gain in cross-validated log-likelihood
+  bool sound = true;                       ///< signs, sizes and significance make physical sense
+  std::string objection;                   ///< if not sound: why
+  std::map<std::string, double> settings;  ///< frozen parameters it was tried with, full names
+  std::vector<ParameterEstimate> parameters;
+};
+
+/// Structure of one channel of the residual.
+struct ChannelStructure {
+  std::string name, unit;
+  double rmse = 0.0;
+  Whiteness whiteness;
+  std::vector<double> autocorrelation;       ///< at lags of 40 ms
+  std::map<std::string, double> dependence;  ///< share of variance by a quadratic in each quantity
+};
+
+/// Natural sizes (prior sigmas) beyond which a coefficient is too large.
+constexpr double kTooLarge = 4.0;
+
+/// A model with the values and columns of what it lets free.
+struct Stage {
+  Vehicle vehicle;
+  std::map<std::string, double> values;  // by full name
+};
+
+/// The vehicle with a candidate added, what it was tried with frozen.
+Vehicle With(const Vehicle& vehicle, const Candidate& candidate);
+
+/// The model's initial values, but what is known.
+ModelValues ValuesOf(const DynamicModel& model, const std::map<std::string, double>& known);
+
+/// Regression of the residual of a model on what it lets free.
+class Regressor {
+ public:
+  Regressor(const ResidualModel* residual, const Stage& stage);
+
+  struct Result {
+    WrenchFit fit;
+    std::vector<std::string> names;
+    std::map<std::string, double> values;  // of what was let free, after the fit
+  };
+
+  Result FitBase(const Stage& stage);
+
+  /// What a candidate could gain at most, seen quickly. @pre FitBase() was called
+  double Promise(const Stage& stage, const Candidate& candidate) const;
+
+  /// Fits with a candidate on top, linearized again about what came out.
+  Result FitWith(const Stage& stage, const Candidate& candidate);
+
+ private:
+  /// The accelerometer's bias, along each axis.
+  void AddBiases(double mass_kg, WrenchRegression* regression);
+
+  /// Takes all columns out, names too.
+  void Clear(WrenchRegression* regression);
+
+  void AddColumn(const DynamicModel& model, const ModelValues& values, int k,
+                 WrenchRegression* regression);
+
+  Result Finish(const WrenchRegression& regression, const std::vector<std::string>& names,
+                const Stage& stage) const;
+
+  const ResidualModel* residual_;
+  std::unique_ptr<QuickGain> quick_;
+  WrenchRegression base_;
+  std::vector<std::string> names_, base_names_;
+};
+
+/// True if parameters differ from zero together by three sigmas (Wald's test; the limit grows with
+/// their number).
+bool IsSignificant(const Eigen::VectorXd& estimate, const Eigen::MatrixXd& covariance);
+
+/// Rotors answer disturbances through the controller, so that a little of any torque noise lines up
+/// with their acceleration: sizes that this alone can make count for nothing.
+bool IsNegligible(const RankedEffect& ranked);
+
+/// Every candidate at its best setting, best first; fits of all of them in `fits`.
+/// @param give_up asked between candidates; once true, the ranking is empty
+std::vector<RankedEffect> RankAll(const Stage& stage, const std::vector<Candidate>& candidates,
+                                  Regressor* regressor, const WrenchFit& base, int num_channels,
+                                  std::map<std::string, Regressor::Result>* fits,
+                                  const std::function<bool()>& give_up = {});
+
+/// Structure of every channel of a residual.
+std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
+                                        const ResidualModel::Wrenches& residual, int num_channels);
+
+/// Largest share of a structured channel's structured variance that a fit explains; 1 if no channel
+/// is structured.
+double ExplainedStructure(const std::vector<ChannelStructure>& before,
+                          const std::vector<ChannelStructure>& after, double whiteness_p);
+
+}  // namespace odmc

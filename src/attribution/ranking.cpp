@@ -1,0 +1,367 @@
+#include "odmc/attribution/ranking.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdio>
+#include <utility>
+
+namespace odmc {
+namespace {
+
+constexpr double kHighest_Hz = 7.0;   // edge of the filter
+constexpr double kSignificant = 3.0;  // sigmas of at least one coefficient
+constexpr double kSignSigmas = 2.0;   // a wrong sign by this many is an objection
+constexpr double kBetter = 0.975;     // on some channel, out of sample
+constexpr double kWorse = 1.06;       // on any channel, out of sample
+constexpr double kFoldBlock_s = 1.0;  // of cross-validation: a manoeuvre spans more than one
+constexpr double kStray = 2.0;
+constexpr int kRounds = 3;            // of linearization
+constexpr int kCorrelationLags = 26;  // of 40 ms: one second
+const char* const kBiasName = "accelerometer bias";
+const char* const kChannelNames[] = {"force_x",  "force_y",  "force_z",
+                                     "torque_x", "torque_y", "torque_z"};
+
+std::string Text(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.3g", value);
+  return text;
+}
+
+/// Fills in a candidate's parameters, and what speaks against them.
+RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regressor::Result& result,
+                   const WrenchFit& base, int num_channels) {
+  RankedEffect ranked;
+  ranked.name = candidate.effect;
+  ranked.settings = candidate.settings;
+  ranked.score = CrossValidatedGain(base, result.fit);
+  double best = 1.0;
+  for (int c = 0; c < num_channels; ++c) {
+    const double change = std::sqrt(result.fit.plain_mean_square[c] / base.plain_mean_square[c]);
+    best = std::min(best, change);
+    if (change > kWorse) {
+      ranked.sound = false;
+      ranked.objection = std::string("makes ") + kChannelNames[c] + " worse by " +
+                         Text(100.0 * (change - 1.0)) + " %";
+    }
+  }
+  if (ranked.sound && best > kBetter) {
+    ranked.sound = false;
+    ranked.objection = "makes no channel better";
+  }
+  const Vehicle extended = With(stage.vehicle, candidate);
+  const DynamicModel model(extended, extended.effects);
+  std::vector<Eigen::Index> own;
+  Eigen::VectorXd estimate(0);
+  for (size_t i = 0; i < result.names.size(); ++i) {
+    const int k = model.IndexOf(result.names[i]);
+    if (k < 0) continue;  // a bias
+    const ModelParameter& p = model.parameters()[k];
+    if (p.effect != candidate.effect) continue;
+    const double value = result.values.at(p.full_name);
+    const auto at = static_cast<Eigen::Index>(i);
+    const double sigma = std::sqrt(std::max(0.0, result.fit.covariance(at, at)));
+    ranked.parameters.push_back(
+        {p.full_name, p.spec.unit, value, sigma, true, sigma < 0.5 * p.spec.prior_sigma});
+    own.push_back(at);
+    estimate.conservativeResize(estimate.size() + 1);
+    estimate[estimate.size() - 1] = value - p.spec.prior_value;
+    const double sign = p.spec.sign == PhysicalSign::kPositive   ? 1.0
+                        : p.spec.sign == PhysicalSign::kNegative ? -1.0
+                                                                 : 0.0;
+    if (sign * value < -kSignSigmas * sigma) {
+      ranked.sound = false;
+      ranked.objection = p.full_name + " = " + Text(value) + " has an unphysical sign";
+    } else if (std::abs(value - p.spec.prior_value) > kTooLarge * p.spec.prior_sigma) {
+      ranked.sound = false;
+      ranked.objection = p.full_name + " = " + Text(value) + " is too large";
+    }
+  }
+  for (const auto& [name, value] : candidate.settings) {
+    const int k = model.IndexOf(name);
+    ranked.parameters.push_back({name, model.parameters()[k].spec.unit, value, 0.0, false, false});
+  }
+  Eigen::MatrixXd covariance(estimate.size(), estimate.size());
+  for (Eigen::Index a = 0; a < estimate.size(); ++a) {
+    for (Eigen::Index b = 0; b < estimate.size(); ++b) {
+      covariance(a, b) = result.fit.covariance(own[a], own[b]);
+    }
+  }
+  const bool significant = IsSignificant(estimate, covariance);
+  if (ranked.sound && IsNegligible(ranked)) {
+    ranked.sound = false;
+    ranked.objection = "is too small to matter, and no larger than feedback can feign";
+  }
+  if (ranked.sound && !significant) {
+    ranked.sound = false;
+    ranked.objection = "its coefficients do not differ from zero by three sigma";
+  }
+  return ranked;
+}
+
+}  // namespace
+
+Vehicle With(const Vehicle& vehicle, const Candidate& candidate) {
+  Vehicle extended = vehicle;
+  extended.effects.push_back(candidate.effect);
+  for (const auto& [name, value] : candidate.settings) {
+    extended.parameters[name].value = value;
+    extended.parameters[name].estimated = false;
+  }
+  return extended;
+}
+
+ModelValues ValuesOf(const DynamicModel& model, const std::map<std::string, double>& known) {
+  ModelValues values = model.InitialValues();
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    const auto it = known.find(model.parameters()[i].full_name);
+    if (it != known.end()) values[i] = it->second;
+  }
+  return values;
+}
+
+Regressor::Regressor(const ResidualModel* residual, const Stage& stage) : residual_(residual) {
+  const DynamicModel model(stage.vehicle, stage.vehicle.effects);
+  const ModelValues values = ValuesOf(model, stage.values);
+  const ThinnedFlight& flight = residual->flight();
+  base_.num_channels = residual->num_channels();
+  base_.y = residual->Residual(model, values);
+  for (int i = 0; i < flight.size(); ++i) {
+    base_.next.push_back(flight.next(i));
+    base_.block.push_back(static_cast<int>(flight.sample(i).t_s / kFoldBlock_s));
+    base_.used.push_back(!flight.held_out(i));
+  }
+  for (int k = 0; k < model.num_parameters(); ++k) {
+    if (model.parameters()[k].estimated) AddColumn(model, values, k, &base_);
+  }
+  if (residual->from_accelerometer()) AddBiases(stage.vehicle.mass_kg, &base_);
+  base_names_ = names_;
+}
+
+Regressor::Result Regressor::FitBase(const Stage& stage) {
+  Result result = Finish(base_, names_, stage);
+  quick_ = std::make_unique<QuickGain>(base_, result.fit);
+  return result;
+}
+
+double Regressor::Promise(const Stage& stage, const Candidate& candidate) const {
+  const Vehicle extended = With(stage.vehicle, candidate);
+  const DynamicModel model(extended, extended.effects);
+  ModelValues values = ValuesOf(model, stage.values);
+  for (const auto& [name, value] : candidate.start) values[model.IndexOf(name)] = value;
+  std::array<Eigen::MatrixXd, kNumChannels> columns;
+  for (int k = 0; k < model.num_parameters(); ++k) {
+    const ModelParameter& p = model.parameters()[k];
+    if (p.effect != candidate.effect || !p.estimated) continue;
+    const ResidualModel::Wrenches column = residual_->Derivative(model, values, k);
+    if (column.squaredNorm() == 0.0) continue;
+    for (int c = 0; c < kNumChannels; ++c) {
+      columns[c].conservativeResize(column.rows(), columns[c].cols() + 1);
+      columns[c].rightCols<1>() = column.col(c);
+    }
+  }
+  return columns[0].cols() == 0 ? 0.0 : quick_->Of(columns);
+}
+
+Regressor::Result Regressor::FitWith(const Stage& stage, const Candidate& candidate) {
+  const Vehicle extended = With(stage.vehicle, candidate);
+  const DynamicModel model(extended, extended.effects);
+  Result result;
+  // Only where a parameter scales what another one does, the columns depend on the estimate.
+  const bool bilinear = !candidate.start.empty() || candidate.effect == "wind";
+  std::map<std::string, double> about = stage.values;
+  for (const auto& [name, value] : candidate.start) about[name] = value;
+  for (int round = 0; round < (bilinear ? kRounds : 1); ++round) {
+    const ModelValues values = ValuesOf(model, about);
+    for (int k = 0; k < model.num_parameters(); ++k) {
+      about[model.parameters()[k].full_name] = values[k];
+    }
+    // The first time the base's columns are those without the candidate.
+    WrenchRegression regression = base_;
+    names_ = base_names_;
+    if (round > 0) Clear(&regression);
+    regression.y = residual_->Residual(model, values);
+    for (int k = 0; k < model.num_parameters(); ++k) {
+      const ModelParameter& p = model.parameters()[k];
+      const bool own = p.effect == candidate.effect;
+      if (p.estimated && (own || round > 0)) AddColumn(model, values, k, &regression);
+    }
+    if (round > 0 && residual_->from_accelerometer()) {
+      AddBiases(stage.vehicle.mass_kg, &regression);
+    }
+    Stage at = stage;
+    at.values = about;
+    result = Finish(regression, names_, at);
+    about = result.values;
+    names_ = base_names_;
+  }
+  return result;
+}
+
+void Regressor::AddBiases(double mass_kg, WrenchRegression* regression) {
+  constexpr double kBias_m_s2 = 0.3;
+  for (int axis = 0; axis < 3; ++axis) {
+    const auto n = regression->prior_sigma.size();
+    for (int c = 0; c < kNumChannels; ++c) {
+      regression->columns[c].conservativeResize(regression->y.rows(), n + 1);
+      regression->columns[c].col(n).setConstant(c == axis ? 1.0 : 0.0);
+    }
+    regression->prior_sigma.conservativeResize(n + 1);
+    regression->prior_offset.conservativeResize(n + 1);
+    regression->prior_sigma[n] = kBias_m_s2 * mass_kg;
+    regression->prior_offset[n] = 0.0;
+    names_.push_back(kBiasName);
+  }
+}
+
+void Regressor::Clear(WrenchRegression* regression) {
+  for (Eigen::MatrixXd& c : regression->columns) c.resize(regression->y.rows(), 0);
+  regression->prior_sigma.resize(0);
+  regression->prior_offset.resize(0);
+  names_.clear();
+}
+
+void Regressor::AddColumn(const DynamicModel& model, const ModelValues& values, int k,
+                          WrenchRegression* regression) {
+  const ResidualModel::Wrenches column = residual_->Derivative(model, values, k);
+  const int n = static_cast<int>(regression->prior_sigma.size());
+  for (int c = 0; c < kNumChannels; ++c) {
+    regression->columns[c].conservativeResize(column.rows(), n + 1);
+    regression->columns[c].col(n) = column.col(c);
+  }
+  regression->prior_sigma.conservativeResize(n + 1);
+  regression->prior_offset.conservativeResize(n + 1);
+  // Priors of files are wide. What a few transients tell apart must not run off where a fold
+  // leaves these out, so no parameter strays far from what it is and what is natural for it.
+  const ParameterSpec& spec = model.parameters()[k].spec;
+  regression->prior_sigma[n] = std::min(
+      spec.prior_sigma, std::max(kStray * std::abs(values[k] - spec.prior_value), spec.scale));
+  regression->prior_offset[n] = model.parameters()[k].spec.prior_value - values[k];
+  names_.push_back(model.parameters()[k].full_name);
+}
+
+Regressor::Result Regressor::Finish(const WrenchRegression& regression,
+                                    const std::vector<std::string>& names,
+                                    const Stage& stage) const {
+  Result result;
+  result.fit = FitWrench(regression);
+  result.names = names;
+  result.values = stage.values;
+  for (size_t i = 0; i < names.size(); ++i) {
+    if (names[i] == kBiasName) continue;
+    result.values[names[i]] += result.fit.plain_step[static_cast<Eigen::Index>(i)];
+  }
+  return result;
+}
+
+bool IsSignificant(const Eigen::VectorXd& estimate, const Eigen::MatrixXd& covariance) {
+  const auto n = static_cast<double>(estimate.size());
+  if (estimate.size() == 0) return false;
+  Eigen::MatrixXd C = covariance;
+  C.diagonal() *= 1.0 + 1e-9;
+  const double square = estimate.dot(C.ldlt().solve(estimate));
+  return square > kSignificant * kSignificant + 2.0 * (n - 1.0);
+}
+
+bool IsNegligible(const RankedEffect& ranked) {
+  constexpr double kDelay_s = 0.003;
+  if (ranked.name != "rotor_delay") return false;
+  return std::all_of(ranked.parameters.begin(), ranked.parameters.end(),
+                     [](const ParameterEstimate& p) { return std::abs(p.value) < kDelay_s; });
+}
+
+std::vector<RankedEffect> RankAll(const Stage& stage, const std::vector<Candidate>& candidates,
+                                  Regressor* regressor, const WrenchFit& base, int num_channels,
+                                  std::map<std::string, Regressor::Result>* fits,
+                                  const std::function<bool()>& give_up) {
+  std::map<std::string, RankedEffect> best;
+  // Of an effect with several settings, the most promising one is fitted.
+  std::map<std::string, std::pair<double, const Candidate*>> promising;
+  for (const Candidate& candidate : candidates) {
+    if (give_up && give_up()) return {};
+    const std::vector<std::string>& have = stage.vehicle.effects;
+    if (std::find(have.begin(), have.end(), candidate.effect) != have.end()) continue;
+    const double promise = candidate.settings.empty() ? 0.0 : regressor->Promise(stage, candidate);
+    const auto it = promising.find(candidate.effect);
+    if (it == promising.end() || promise > it->second.first) {
+      promising[candidate.effect] = {promise, &candidate};
+    }
+  }
+  for (const auto& entry : promising) {
+    if (give_up && give_up()) return {};
+    const Candidate& candidate = *entry.second.second;
+    Regressor::Result result = regressor->FitWith(stage, candidate);
+    if (!result.fit.step.allFinite()) continue;
+    const RankedEffect ranked = Judge(stage, candidate, result, base, num_channels);
+    best[candidate.effect] = ranked;
+    (*fits)[candidate.effect] = std::move(result);
+  }
+  std::vector<RankedEffect> ranking;
+  for (const auto& entry : best) ranking.push_back(entry.second);
+  std::sort(ranking.begin(), ranking.end(), [](const RankedEffect& a, const RankedEffect& b) {
+    return std::make_pair(a.sound, a.score) > std::make_pair(b.sound, b.score);
+  });
+  return ranking;
+}
+
+std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
+                                        const ResidualModel::Wrenches& residual, int num_channels) {
+  std::vector<ChannelStructure> all;
+  const double rate_Hz = 1.0 / flight.step_s();
+  for (int c = 0; c < num_channels; ++c) {
+    ChannelStructure channel;
+    channel.name = kChannelNames[c];
+    channel.unit = c < 3 ? "N" : "N m";
+    const Eigen::VectorXd y = residual.col(c);
+    channel.rmse = std::sqrt(y.squaredNorm() / std::max<Eigen::Index>(1, y.size()));
+    const auto runs = flight.Runs(y);
+    channel.whiteness = TestWhiteness(runs, rate_Hz, std::min(kHighest_Hz, 0.4 * rate_Hz));
+    channel.autocorrelation = Autocorrelation(runs, kCorrelationLags);
+    const auto share = [&](auto quantity) {
+      Eigen::MatrixXd A(y.size(), 3);
+      for (int i = 0; i < flight.size(); ++i) {
+        const double x = quantity(flight.sample(i));
+        A.row(i) << 1.0, x, x * x;
+      }
+      Eigen::Vector3d size = A.cwiseAbs().colwise().maxCoeff().cwiseMax(1e-12);
+      A = A * size.cwiseInverse().asDiagonal();
+      const Eigen::Matrix3d H = A.transpose() * A + 1e-9 * Eigen::Matrix3d::Identity();
+      const Eigen::VectorXd rest = y - A * H.ldlt().solve(A.transpose() * y);
+      const double variance = (y.array() - y.mean()).matrix().squaredNorm();
+      return variance > 0.0 ? std::max(0.0, 1.0 - rest.squaredNorm() / variance) : 0.0;
+    };
+    channel.dependence = {
+        {"speed", share([](const FilteredMotion& m) { return m.v_WS.norm(); })},
+        {"forward_speed",
+         share([](const FilteredMotion& m) { return (m.R_WS.transpose() * m.v_WS).x(); })},
+        {"side_speed",
+         share([](const FilteredMotion& m) { return (m.R_WS.transpose() * m.v_WS).y(); })},
+        {"axial_speed",
+         share([](const FilteredMotion& m) { return (m.R_WS.transpose() * m.v_WS).z(); })},
+        {"roll_rate", share([](const FilteredMotion& m) { return m.w_S.x(); })},
+        {"pitch_rate", share([](const FilteredMotion& m) { return m.w_S.y(); })},
+        {"yaw_rate", share([](const FilteredMotion& m) { return m.w_S.z(); })},
+        {"thrust", share([](const FilteredMotion& m) { return m.rotors.speed_squared.sum(); })},
+        {"height", share([](const FilteredMotion& m) { return m.p_WS.z(); })},
+        {"time", share([](const FilteredMotion& m) { return m.t_s; })},
+    };
+    all.push_back(std::move(channel));
+  }
+  return all;
+}
+
+double ExplainedStructure(const std::vector<ChannelStructure>& before,
+                          const std::vector<ChannelStructure>& after, double whiteness_p) {
+  double best = 0.0;
+  bool any = false;
+  for (size_t c = 0; c < before.size(); ++c) {
+    if (before[c].whiteness.p >= whiteness_p) continue;
+    any = true;
+    const double was = before[c].whiteness.structured_share * before[c].rmse * before[c].rmse;
+    const double is = after[c].whiteness.structured_share * after[c].rmse * after[c].rmse;
+    if (was > 0.0) best = std::max(best, 1.0 - is / was);
+  }
+  return any ? best : 1.0;
+}
+
+}  // namespace odmc
