@@ -41,7 +41,7 @@ void Append(const Sample& sample, std::vector<Sample>* kept) {
   if (IsSound(sample, *kept)) kept->push_back(sample);
 }
 
-bool IsFinite(const UnexplainedResidual& r) {
+bool IsFinite(const ResidualLook& r) {
   bool finite = std::isfinite(r.structured_share) && std::isfinite(r.whiteness_p) &&
                 r.force_rmse_N.allFinite() && r.torque_rmse_Nm.allFinite() &&
                 std::isfinite(r.explained_share);
@@ -55,7 +55,7 @@ bool IsFinite(const UnexplainedResidual& r) {
 
 /// Sizes and structure of the residual's channels.
 void Summarise(const std::vector<ChannelStructure>& channels, const CloseLoopOptions& decision,
-               UnexplainedResidual* found) {
+               ResidualLook* found) {
   for (size_t c = 0; c < channels.size(); ++c) {
     const Whiteness& whiteness = channels[c].whiteness;
     (c < 3 ? found->force_rmse_N[c] : found->torque_rmse_Nm[c - 3]) = channels[c].rmse;
@@ -221,13 +221,13 @@ ThinnedFlight ResidualWatch::Flight(Stamp start) const {
   return ThinnedFlight(std::move(motion), blocks);
 }
 
-std::optional<UnexplainedResidual> ResidualWatch::Look(const std::function<bool()>& give_up) {
+std::optional<ResidualLook> ResidualWatch::Look(const std::function<bool()>& give_up) {
   const std::optional<Estimate> estimate = TakeIn();
   if (!estimate) return std::nullopt;
   const ThinnedFlight flight = Flight(estimate->start);
   const double flight_s = flight.size() * flight.step_s();
   if (flight_s < kEnoughShare * options_.residual_watch_window_s) return std::nullopt;
-  UnexplainedResidual found = Examine(flight, *estimate, give_up);
+  ResidualLook found = Examine(flight, *estimate, give_up);
   if (!IsFinite(found) || (give_up && give_up())) return std::nullopt;
   found.flight_s = flight_s;
   found.stamp = log_.odometry.back().stamp;
@@ -240,12 +240,12 @@ std::optional<UnexplainedResidual> ResidualWatch::Look(const std::function<bool(
   return found;
 }
 
-UnexplainedResidual ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate& estimate,
-                                           const std::function<bool()>& give_up) {
+ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate& estimate,
+                                    const std::function<bool()>& give_up) {
   const DynamicModel& model = *estimate.model;
   const ResidualModel residual(&flight, &file_vehicle_, with_torque_);
   const int channels = residual.num_channels();
-  UnexplainedResidual found;
+  ResidualLook found;
   found.model = estimate.model;
   Stage stage;
   stage.vehicle = model.vehicle();
@@ -280,22 +280,22 @@ UnexplainedResidual ResidualWatch::Examine(const ThinnedFlight& flight, const Es
 
 // ---- Adding what was found ---------------------------------------------------------------------
 
-Vehicle Extend(const Vehicle& vehicle, const ParameterSet& present,
-               const UnexplainedResidual& found) {
-  if (!found.candidate) return vehicle;
-  Vehicle extended = With(vehicle, {found.candidate->name, found.candidate->settings});
+Vehicle WarmStarted(const Vehicle& extended, const ParameterSet& present,
+                    const ResidualLook& found) {
+  Vehicle warm = extended;
   for (const ParameterEstimate& p : present.parameters) {
-    ParameterSetting& setting = extended.parameters[p.full_name];
+    ParameterSetting& setting = warm.parameters[p.full_name];
     setting.value = p.value;
     setting.estimated = p.estimated;
     const auto refitted = found.refitted.find(p.full_name);
     const double moved = refitted == found.refitted.end() ? 0.0 : refitted->second - p.value;
     if (p.estimated && p.sigma > 0.0) setting.sigma = std::hypot(p.sigma, moved);
   }
+  if (!found.candidate) return warm;
   for (const ParameterEstimate& p : found.candidate->parameters) {
-    if (p.estimated) extended.parameters[p.full_name].value = p.value;
+    if (p.estimated) warm.parameters[p.full_name].value = p.value;
   }
-  return extended;
+  return warm;
 }
 
 }  // namespace odmc

@@ -1,11 +1,10 @@
-#include "odmc/attribution/residual_watch.h"
-
 #include <gtest/gtest.h>
 
 #include <chrono>
 #include <cmath>
 #include <limits>
 
+#include "odmc/attribution/residual_watch.h"
 #include "odmc/attribution/undeclared.h"
 #include "odmc/estimator/estimator.h"
 #include "support/error_text.h"
@@ -56,10 +55,10 @@ class Pilot {
   }
 
   /// As the node adds an effect in flight.
-  void Add(const UnexplainedResidual& found) {
+  void Add(const ResidualLook& found) {
     declared_ = With(declared_, {found.candidate->name, found.candidate->settings});
     const DynamicModel declared(declared_, declared_.effects);
-    const Vehicle warm = Extend(declared_, Estimator::ToParameterSet(*model_, *last_), found);
+    const Vehicle warm = WarmStarted(declared_, Estimator::ToParameterSet(*model_, *last_), found);
     auto model = std::make_shared<DynamicModel>(warm, warm.effects);
     auto estimator = std::make_unique<Estimator>(model.get(), estimator_options_, true);
     estimator->CarryOn(*estimator_, declared);
@@ -68,7 +67,7 @@ class Pilot {
     last_.reset();
   }
 
-  const std::vector<UnexplainedResidual>& looks() const { return looks_; }
+  const std::vector<ResidualLook>& looks() const { return looks_; }
   const Snapshot& last() const { return *last_; }
   const DynamicModel& model() const { return *model_; }
   const Estimator& estimator() const { return *estimator_; }
@@ -100,7 +99,7 @@ class Pilot {
   std::shared_ptr<const DynamicModel> model_;
   std::unique_ptr<Estimator> estimator_;
   std::optional<Snapshot> last_;
-  std::vector<UnexplainedResidual> looks_;
+  std::vector<ResidualLook> looks_;
   size_t at_ = 0, rotors_ = 0, imu_ = 0;
 };
 
@@ -110,7 +109,7 @@ ResidualWatchOptions Often() {
   return options;
 }
 
-std::string Text(const UnexplainedResidual& look) {
+std::string Text(const ResidualLook& look) {
   return "share " + std::to_string(look.structured_share) + " p " +
          std::to_string(look.whiteness_p) + " " + look.channel + " " +
          (look.candidate ? look.candidate->name + " " + std::to_string(look.candidate->score)
@@ -125,9 +124,9 @@ TEST(ResidualWatch, NamesTheMissingEffectWhileFlying) {
   pilot.FlyUntil(100.0);
   std::printf("%.1f s\n",
               std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count());
-  for (const UnexplainedResidual& look : pilot.looks()) std::printf("%s\n", Text(look).c_str());
+  for (const ResidualLook& look : pilot.looks()) std::printf("%s\n", Text(look).c_str());
   ASSERT_GE(pilot.looks().size(), 4u);
-  const UnexplainedResidual& last = pilot.looks().back();
+  const ResidualLook& last = pilot.looks().back();
   ASSERT_TRUE(last.candidate.has_value()) << Text(last);
   EXPECT_EQ(last.candidate->name, "quadratic_drag");
   EXPECT_TRUE(last.structured) << Text(last);

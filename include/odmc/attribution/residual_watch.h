@@ -35,7 +35,7 @@ struct ResidualWatchOptions {
 };
 
 /// What the newest seconds of a flight leave unexplained. All numbers are finite.
-struct UnexplainedResidual {
+struct ResidualLook {
   Stamp stamp = 0;        ///< newest odometry looked at
   double flight_s = 0.0;  ///< airborne time looked at [s]
   std::shared_ptr<const DynamicModel> model;
@@ -82,7 +82,7 @@ class ResidualWatch {
   /// Looks if it is time to, the vehicle flies, and enough of the flight is there; else empty.
   /// Takes seconds.
   /// @param give_up asked now and then; true ends the look without a result
-  std::optional<UnexplainedResidual> Look(const std::function<bool()>& give_up = {});
+  std::optional<ResidualLook> Look(const std::function<bool()>& give_up = {});
   /// Samples that are kept. Not while another thread looks.
   size_t size() const;
 
@@ -104,8 +104,8 @@ class ResidualWatch {
   void Keep(const Keyframe& keyframe);
   void ForgetBefore(Stamp stamp);
   ThinnedFlight Flight(Stamp start) const;
-  UnexplainedResidual Examine(const ThinnedFlight& flight, const Estimate& estimate,
-                              const std::function<bool()>& give_up);
+  ResidualLook Examine(const ThinnedFlight& flight, const Estimate& estimate,
+                       const std::function<bool()>& give_up);
 
   const Vehicle file_vehicle_;
   const ResidualWatchOptions options_;
@@ -128,12 +128,13 @@ class ResidualWatch {
   int in_a_row_ = 0;
 };
 
-/// The vehicle with the effect that was found, for an estimator that carries on. Declared
-/// parameters start where they are, with their present sigma, widened by what the effect moves them
+/// Start values and priors for an estimator that carries on with the effect that was found.
+/// Parameters start where they are, with their present sigma, widened by what the effect moves them
 /// (they have stood in for it); the effect's own start at what the look estimated, with the sigmas
-/// of the catalogue.
+/// of the vehicle file or the catalogue.
+/// @param extended the vehicle with the effect, see With()
 /// @param present the newest estimate of `found.model`
-Vehicle Extend(const Vehicle& vehicle, const ParameterSet& present,
-               const UnexplainedResidual& found);
+Vehicle WarmStarted(const Vehicle& extended, const ParameterSet& present,
+                    const ResidualLook& found);
 
 }  // namespace odmc
