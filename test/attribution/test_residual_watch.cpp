@@ -1,13 +1,13 @@
 #include <gtest/gtest.h>
 
-#include <chrono>
 #include <cmath>
 #include <limits>
 
 #include "odmc/attribution/residual_watch.h"
 #include "odmc/attribution/undeclared.h"
 #include "odmc/estimator/estimator.h"
-#include "support/error_text.h"
+#include "odmc/sim/gaussian.h"
+#include "support/test_vehicle.h"
 
 namespace odmc {
 namespace test {
@@ -117,24 +117,182 @@ std::string Text(const ResidualLook& look) {
          " explains " + std::to_string(look.explained_share);
 }
 
-TEST(ResidualWatch, NamesTheMissingEffectWhileFlying) {
+TEST(ResidualWatch, NamesTheMissingEffectAndTheEstimatorCarriesOnWithIt) {
   const UndeclaredFlight flight = Fly({"quadratic_drag"}, "aggressive", 12);
+  const double truth = flight.truth.Find("quadratic_drag.c_q")->value;
   Pilot pilot(flight, Often());
-  const auto began = std::chrono::steady_clock::now();
-  pilot.FlyUntil(100.0);
-  std::printf("%.1f s\n",
-              std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count());
-  for (const ResidualLook& look : pilot.looks()) std::printf("%s\n", Text(look).c_str());
-  ASSERT_GE(pilot.looks().size(), 4u);
-  const ResidualLook& last = pilot.looks().back();
-  ASSERT_TRUE(last.candidate.has_value()) << Text(last);
-  EXPECT_EQ(last.candidate->name, "quadratic_drag");
-  EXPECT_TRUE(last.structured) << Text(last);
-  EXPECT_GE(last.in_a_row, 3) << Text(last);
-  EXPECT_GT(last.structured_share, 0.3);
-  EXPECT_GT(last.explained_share, 0.5);
-  EXPECT_GT(last.force_rmse_N.minCoeff(), 0.0);
-  EXPECT_LE(last.flight_s, Often().residual_watch_window_s + 0.5);
+  pilot.FlyUntil(17.0);
+  ASSERT_GE(pilot.looks().size(), 3u);
+  const ResidualLook look = pilot.looks().back();
+  ASSERT_TRUE(look.candidate.has_value()) << Text(look);
+  EXPECT_EQ(look.candidate->name, "quadratic_drag") << Text(look);
+  EXPECT_GE(look.in_a_row, 3) << Text(look);
+  EXPECT_TRUE(look.structured) << Text(look);
+  EXPECT_GT(look.structured_share, 0.3) << Text(look);
+  EXPECT_GT(look.explained_share, 0.5) << Text(look);
+  EXPECT_GT(look.candidate->score, CloseLoopOptions().least_score);
+  EXPECT_NEAR(look.candidate->parameters.front().value, truth, 0.1 * truth);
+  EXPECT_GT(look.force_rmse_N.minCoeff(), 0.0);
+  EXPECT_GT(look.flight_s, 10.0);
+  EXPECT_LT(look.flight_s, Often().residual_watch_window_s);
+
+  // The drag stood in for it and is wrong by many sigmas now.
+  const Snapshot before = pilot.last();
+  const double d_x = flight.truth.Find("drag.d_x")->value;
+  const double was_wrong = std::abs(pilot.Value("drag.d_x") - d_x);
+  EXPECT_GT(was_wrong, 5.0 * pilot.Sigma("drag.d_x"));
+  const long keyframes = pilot.estimator().counters().keyframes;
+  pilot.Add(look);
+  pilot.FlyUntil(17.1);
+  EXPECT_GT(pilot.last().time_s, before.time_s) << "flight time goes on";
+  EXPECT_LT(pilot.last().time_s, before.time_s + 0.2) << "and at once";
+  EXPECT_GT(pilot.estimator().counters().keyframes, keyframes);
+  EXPECT_EQ(pilot.estimator().counters().gaps, 0);
+  EXPECT_TRUE(pilot.last().observable[pilot.model().IndexOf("thrust.k_f")]) << "what was learned";
+  pilot.FlyUntil(24.0);
+  EXPECT_NEAR(pilot.Value("quadratic_drag.c_q"), truth, 0.1 * truth);
+  EXPECT_TRUE(pilot.last().observable[pilot.model().IndexOf("quadratic_drag.c_q")]);
+  EXPECT_LT(std::abs(pilot.Value("drag.d_x") - d_x), 0.3 * was_wrong);
+  const ResidualLook& after = pilot.looks().back();
+  EXPECT_EQ(after.model->effect_names().back(), "quadratic_drag");
+  EXPECT_FALSE(after.candidate.has_value()) << Text(after);
+  EXPECT_LT(after.force_rmse_N.norm(), 0.7 * look.force_rmse_N.norm());
+}
+
+TEST(ResidualWatch, NamesNothingWhenTheModelIsTheTruth) {
+  for (const char* trajectory : {"octo", "aggressive"}) {
+    const UndeclaredFlight flight = Fly({}, trajectory, 11);
+    Pilot pilot(flight, Often());
+    pilot.FlyUntil(24.0);
+    EXPECT_GE(pilot.looks().size(), 5u);
+    for (const ResidualLook& look : pilot.looks()) {
+      EXPECT_FALSE(look.candidate.has_value()) << Text(look);
+      EXPECT_FALSE(look.structured) << Text(look);
+      EXPECT_EQ(look.in_a_row, 0);
+    }
+  }
+}
+
+TEST(ResidualWatch, WarmStartWidensWhatTheEffectMoves) {
+  ResidualLook look;
+  look.candidate = RankedEffect();
+  look.candidate->name = "quadratic_drag";
+  look.candidate->parameters = {{"quadratic_drag.c_q", "kg/m", 0.03, 0.001, true, true}};
+  look.refitted = {{"drag.d_x", -0.2}, {"thrust.k_f", 1.5e-6}};
+  ParameterSet present;
+  present.parameters = {{"drag.d_x", "N s/m", -0.5, 0.03, true, true},
+                        {"thrust.k_f", "N s^2", 1.5e-6, 2e-9, true, true},
+                        {"rotor_torque.k_m", "N m s^2", 2e-8, 0.0, false, false}};
+  const Vehicle warm = WarmStarted(With(NominalVehicle(), {"quadratic_drag", {}}), present, look);
+  EXPECT_EQ(warm.effects.back(), "quadratic_drag");
+  EXPECT_EQ(*warm.parameters.at("drag.d_x").value, -0.5) << "starts where it is";
+  EXPECT_NEAR(*warm.parameters.at("drag.d_x").sigma, std::hypot(0.03, 0.3), 1e-12);
+  EXPECT_NEAR(*warm.parameters.at("thrust.k_f").sigma, 2e-9, 1e-15);
+  EXPECT_FALSE(*warm.parameters.at("rotor_torque.k_m").estimated);
+  EXPECT_EQ(*warm.parameters.at("quadratic_drag.c_q").value, 0.03);
+  EXPECT_FALSE(warm.parameters.at("quadratic_drag.c_q").sigma) << "the catalogue's";
+}
+
+// ---- The buffer --------------------------------------------------------------------------------
+
+/// A watch that is fed with something like hover.
+class ResidualWatchBuffer : public ::testing::Test {
+ protected:
+  static constexpr double kRate_Hz = 100.0;
+
+  void Feed(ResidualWatch* watch, double from_s, double to_s, bool airborne = true) {
+    for (int i = static_cast<int>(from_s * kRate_Hz); i < static_cast<int>(to_s * kRate_Hz); ++i) {
+      const Stamp stamp = FromSeconds(i / kRate_Hz);
+      OdometrySample odometry;
+      odometry.stamp = stamp;
+      odometry.p_WS = {0.1 * std::sin(0.02 * i), 0.05 * std::cos(0.013 * i), 1.0};
+      odometry.v_WS = Eigen::Vector3d(0.2 * std::cos(0.02 * i), 0.0, 0.0) + Noise(0.02);
+      odometry.w_WS_S = Noise(0.01);
+      RotorSample rotors;
+      rotors.stamp = stamp;
+      rotors.speed = RotorVector::Constant(4, 1100.0) + RotorVector::Constant(4, Noise(2.0).x());
+      watch->Add(rotors);
+      watch->Add(odometry);
+      watch->SetAirborne(stamp, airborne);
+    }
+    watch->SetEstimate(model_, model_->InitialValues(), 0);
+  }
+
+  Eigen::Vector3d Noise(double sigma) {
+    return sigma * Eigen::Vector3d(random_.Next(), random_.Next(), random_.Next());
+  }
+
+  Gaussian random_{1, 0};
+  Vehicle vehicle_ = NominalVehicle();
+  std::shared_ptr<const DynamicModel> model_ =
+      std::make_shared<DynamicModel>(vehicle_, vehicle_.effects);
+};
+
+TEST_F(ResidualWatchBuffer, HoldsNoMoreThanItsWindow) {
+  ResidualWatch watch(vehicle_, ResidualWatchOptions(), true);
+  const auto most = static_cast<size_t>(3.0 * 21.0 * kRate_Hz);
+  Feed(&watch, 0.0, 120.0);  // nobody looks
+  EXPECT_LT(watch.size(), most);
+  ASSERT_TRUE(watch.Look().has_value());
+  Feed(&watch, 120.0, 126.0);
+  ASSERT_TRUE(watch.Look().has_value());
+  EXPECT_LT(watch.size(), most);
+}
+
+TEST_F(ResidualWatchBuffer, LooksOncePerPeriodAndOnlyWhileFlying) {
+  ResidualWatch watch(vehicle_, ResidualWatchOptions(), true);
+  Feed(&watch, 0.0, 8.0);
+  EXPECT_FALSE(watch.Look().has_value()) << "too little flight";
+  Feed(&watch, 8.0, 14.0);
+  const std::optional<ResidualLook> look = watch.Look();
+  ASSERT_TRUE(look.has_value());
+  EXPECT_NEAR(look->flight_s, 13.0, 0.3);  // less the first second
+  EXPECT_NEAR(ToSeconds(look->stamp), 14.0, 0.02);
+  EXPECT_FALSE(watch.Look().has_value()) << "it was just looked at";
+  Feed(&watch, 14.0, 20.0, false);
+  EXPECT_FALSE(watch.Look().has_value()) << "it stands";
+  Feed(&watch, 20.0, 28.0);
+  const std::optional<ResidualLook> again = watch.Look();
+  ASSERT_TRUE(again.has_value());
+  EXPECT_NEAR(again->flight_s, 13.0, 0.5) << "6 of the 20 s it stood, one is the filter's";
+}
+
+TEST_F(ResidualWatchBuffer, RefusesWhatIsNotSoundAndForgetsWhenTheClockStepsBack) {
+  ResidualWatch watch(vehicle_, ResidualWatchOptions(), true);
+  Feed(&watch, 100.0, 118.0);
+  OdometrySample bad;
+  bad.stamp = FromSeconds(118.001);
+  bad.p_WS.x() = std::numeric_limits<double>::quiet_NaN();
+  watch.Add(bad);
+  RotorSample late;
+  late.stamp = FromSeconds(110.0);
+  late.speed = RotorVector::Constant(4, 1e6);
+  watch.Add(late);
+  RotorSample wild;
+  wild.stamp = FromSeconds(118.002);
+  wild.speed = RotorVector::Constant(4, std::numeric_limits<double>::infinity());
+  watch.Add(wild);
+  const std::optional<ResidualLook> look = watch.Look();
+  ASSERT_TRUE(look.has_value());
+  EXPECT_LT(look->force_rmse_N.norm(), 20.0);
+  watch.Clear();
+  Feed(&watch, 0.0, 8.0);
+  EXPECT_FALSE(watch.Look().has_value()) << "of the old clock nothing counts";
+  Feed(&watch, 8.0, 16.0);
+  EXPECT_TRUE(watch.Look().has_value());
+}
+
+TEST_F(ResidualWatchBuffer, GivesUpWhenAskedAndIsOffAtPeriodZero) {
+  ResidualWatch watch(vehicle_, ResidualWatchOptions(), true);
+  Feed(&watch, 0.0, 16.0);
+  EXPECT_FALSE(watch.Look([] { return true; }).has_value());
+  ResidualWatchOptions options;
+  options.residual_watch_period_s = 0.0;
+  ResidualWatch off(vehicle_, options, true);
+  Feed(&off, 0.0, 30.0);
+  EXPECT_FALSE(off.Look().has_value());
+  options.residual_watch_window_s = 3.0;
+  EXPECT_THROW(ResidualWatch(vehicle_, options, true), std::invalid_argument);
 }
 
 }  // namespace
