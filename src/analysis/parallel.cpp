@@ -33,6 +33,7 @@ void ForEachOf(int count, int jobs, const std::function<void(int)>& work,
     }
   };
   std::vector<std::thread> threads;
+  threads.reserve(static_cast<size_t>(std::max(0, std::min(jobs, count))));
   for (int j = 0; j < std::min(jobs, count); ++j) threads.emplace_back(run);
   for (std::thread& thread : threads) thread.join();
   if (failure) std::rethrow_exception(failure);

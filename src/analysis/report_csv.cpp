@@ -18,7 +18,12 @@ class CsvFile {
 
   void Name(const std::string& name) { Cell(name); }
   void Names(const std::string& before, const std::string& letters, const std::string& after) {
-    for (const char letter : letters) Cell(before + letter + after);
+    for (const char letter : letters) {
+      std::string name = before;
+      name += letter;
+      name += after;
+      Cell(name);
+    }
   }
   void Number(double value) {
     if (!std::isfinite(value)) return Cell("");

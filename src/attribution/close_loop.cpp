@@ -12,8 +12,7 @@
 namespace odmc {
 namespace {
 
-constexpr double kBetterOnline = 0.985;  // on some channel
-constexpr double kWorseOnline = 1.06;    // the same for the online estimator
+constexpr double kBetterOnline = 0.985;  // on some channel, by the online estimator
 constexpr double kOvershadows = 5.0;
 constexpr double kTie = 3.0;        // nats by which a free force may explain better than gusts
 constexpr double kTieShare = 0.01;  // or this share of the gain: they differ little
@@ -110,9 +109,10 @@ int EffectIndex(const DynamicModel& model, const std::string& name) {
   return static_cast<int>(std::find(names.begin(), names.end(), name) - names.begin());
 }
 
-/// True if an estimate of the effect differs from zero and matters.
-bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online,
-                 const DynamicModel& model) {
+/// What speaks against an effect in the online estimate; empty if that confirms it: it has a
+/// physical sign and size, differs from zero and matters.
+std::string Objection(const RankedEffect& effect, const ParameterSet& online,
+                      const DynamicModel& model) {
   RankedEffect estimate = effect;
   std::vector<Eigen::Index> own;
   for (ParameterEstimate& p : estimate.parameters) {
@@ -123,10 +123,12 @@ bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online,
     const Effect& catalogue = model.effect(EffectIndex(model, effect.name));
     for (const ParameterSpec& spec : catalogue.parameters()) {
       if (effect.name + "." + spec.name != p.full_name) continue;
-      if (std::abs(p.value - spec.prior_value) > kTooLarge * spec.prior_sigma) return false;
+      if (std::abs(p.value - spec.prior_value) > kTooLarge * spec.prior_sigma) {
+        return p.full_name + " = " + Text(p.value) + " is too large";
+      }
       const bool wrong = (spec.sign == PhysicalSign::kPositive && p.value < 0.0) ||
                          (spec.sign == PhysicalSign::kNegative && p.value > 0.0);
-      if (wrong) return false;
+      if (wrong) return p.full_name + " = " + Text(p.value) + " has an unphysical sign";
     }
     own.push_back(found - online.parameters.data());
   }
@@ -137,7 +139,8 @@ bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online,
     values[a] = online.parameters[own[a]].value;
     for (Eigen::Index b = 0; b < n; ++b) covariance(a, b) = online.covariance(own[a], own[b]);
   }
-  return IsSignificant(values, covariance) && !IsNegligible(estimate);
+  if (!IsSignificant(values, covariance)) return "does not differ from zero by three sigma";
+  return IsNegligible(estimate) ? "is no larger than feedback can feign" : "";
 }
 
 /// RMSE of the accelerometer's force on blocks held out; empty without an accelerometer.
@@ -186,7 +189,7 @@ bool IsBetter(const PredictionFigures& before, const PredictionFigures& after) {
   add(before.force_rmse_N, after.force_rmse_N);
   // Not the torque, which holds the file's inertia against a model that has found a better one.
   add(before.angular_acceleration_rmse_rad_s2, after.angular_acceleration_rmse_rad_s2);
-  return sum < 0.0 && worst < kWorseOnline && best < kBetterOnline;
+  return sum < 0.0 && !IsClearlyWorse(worst, best) && best < kBetterOnline;
 }
 
 }  // namespace
@@ -284,32 +287,53 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     unexplained = base.fit.plain_residual;
     if (step == 0) first_residual = unexplained;
     if (step == options.most_effects) break;
-    std::map<std::string, Regressor::Result> fits;
-    const std::vector<RankedEffect> ranking =
-        RankAll(stage, candidates, &regressor, base.fit, residual.num_channels(), &fits);
-    if (step == 0) result.ranking = ranking;
+    const std::vector<Tried> tried =
+        TryAll(stage, candidates, &regressor, base.fit, residual.num_channels());
+    if (step == 0) {
+      for (const Tried& t : tried) result.ranking.push_back(t.ranked);
+    }
+    if (std::getenv("ODMC_DEBUG")) {  // XXX
+      std::fprintf(stderr, "--- step %d\n", step);
+      for (const auto& t : tried) {
+        const auto& r = t.ranked;
+        std::fprintf(stderr, "%-24s %8.1f %d %s ", r.name.c_str(), r.score, r.sound,
+                     r.objection.c_str());
+        for (const auto& p : r.parameters) std::fprintf(stderr, " %.3g+-%.2g", p.value, p.sigma);
+        std::fprintf(stderr, "\n");
+      }
+    }
     if (progress) progress(0.4 + 0.2 * (step + 1) / options.most_effects);
-    if (ranking.empty() || !ranking.front().sound) break;
-    const RankedEffect& best = ranking.front();
     const double least =
         step == 0 ? options.least_score
                   : std::max(1.25 * options.least_score, options.least_share_of_first * scores);
-    if (best.score < least) break;
-    AddedEffect effect;
-    effect.effect = best;
-    const double close = std::max(options.close_score, options.close_share * best.score);
-    for (size_t i = 1; i < ranking.size(); ++i) {
-      if (!ranking[i].sound || ranking[i].score < best.score - close) continue;
-      effect.alternatives.push_back(ranking[i].name);
-      if (effect.manoeuvre.empty()) {
-        effect.manoeuvre = TellingManoeuvre(best.name, ranking[i].name);
+    if (!tried.empty() && tried.front().ranked.sound && tried.front().ranked.score >= least) {
+      const RankedEffect& best = tried.front().ranked;
+      AddedEffect effect;
+      effect.effect = best;
+      const double close = std::max(options.close_score, options.close_share * best.score);
+      for (size_t i = 1; i < tried.size(); ++i) {
+        const RankedEffect& other = tried[i].ranked;
+        if (!other.sound || other.score < best.score - close) continue;
+        effect.alternatives.push_back(other.name);
+        if (effect.manoeuvre.empty()) effect.manoeuvre = TellingManoeuvre(best.name, other.name);
       }
+      added.push_back(effect);
+      scores += best.score;
+      stage.vehicle = With(stage.vehicle, tried.front().candidate);
+      for (const auto& [name, value] : tried.front().result.values) stage.values[name] = value;
+      continue;
     }
-    added.push_back(effect);
-    scores += best.score;
-    Candidate chosen{best.name, best.settings};
-    stage.vehicle = With(stage.vehicle, chosen);
-    for (const auto& [name, value] : fits[best.name].values) stage.values[name] = value;
+    if (step + 2 > options.most_effects) break;
+    const std::optional<Pair> pair = TryPairs(stage, tried, &regressor, base.fit,
+                                              residual.num_channels(), 1.25 * options.least_score);
+    if (!pair || pair->score < 2.0 * least) break;
+    for (const RankedEffect& ranked : pair->ranked) {
+      added.push_back({ranked, {}, ""});
+      stage.vehicle = With(stage.vehicle, Candidate{ranked.name, ranked.settings, {}});
+    }
+    scores += pair->score;
+    ++step;
+    for (const auto& [name, value] : pair->result.values) stage.values[name] = value;
   }
 
   result.structure = Structure(flight, first_residual, residual.num_channels());
@@ -388,14 +412,17 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     }
     const DynamicModel model(extended, extended.effects);
     const Pass after = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
-    // What the online estimator does not confirm goes again.
-    const auto faded = std::find_if(added.begin(), added.end(), [&](const AddedEffect& effect) {
-      return effect.effect.name != "gust" && !IsConfirmed(effect.effect, after.parameters, model);
+    // What the online estimator does not confirm goes again, last first: it may have been what made
+    // the others fade.
+    const auto faded = std::find_if(added.rbegin(), added.rend(), [&](const AddedEffect& effect) {
+      return effect.effect.name != "gust" &&
+             !Objection(effect.effect, after.parameters, model).empty();
     });
-    if (faded != added.end()) {
+    if (faded != added.rend()) {
       result.warnings.push_back(faded->effect.name +
-                                " was chosen, but the online estimate does not confirm it");
-      added.erase(faded);
+                                " was chosen, but the online estimate does not confirm it: " +
+                                Objection(faded->effect, after.parameters, model));
+      added.erase(std::next(faded).base());
       continue;
     }
     result.accelerometer_before = HeldOutForce(residual, declared, *replay.last);

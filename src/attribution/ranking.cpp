@@ -1,7 +1,6 @@
 #include "odmc/attribution/ranking.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstdio>
 #include <utility>
@@ -14,6 +13,8 @@ constexpr double kSignificant = 3.0;  // sigmas of at least one coefficient
 constexpr double kSignSigmas = 2.0;   // a wrong sign by this many is an objection
 constexpr double kBetter = 0.975;     // on some channel, out of sample
 constexpr double kWorse = 1.06;       // on any channel, out of sample
+constexpr double kMuchWorse = 1.12;
+constexpr double kWorseShare = 0.5;   // or this share of what it makes the best channel better
 constexpr double kFoldBlock_s = 1.0;  // of cross-validation: a manoeuvre spans more than one
 constexpr double kStray = 2.0;
 constexpr int kRounds = 3;            // of linearization
@@ -28,28 +29,37 @@ std::string Text(double value) {
   return text;
 }
 
-/// Fills in a candidate's parameters, and what speaks against them.
-RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regressor::Result& result,
-                   const WrenchFit& base, int num_channels) {
+bool Has(const Candidates& candidates, const std::string& effect) {
+  return std::any_of(candidates.begin(), candidates.end(),
+                     [&](const Candidate& c) { return c.effect == effect; });
+}
+
+/// Fills in the parameters of one of the candidates of a fit, and what speaks against it.
+RankedEffect Judge(const Stage& stage, const Candidates& candidates, const Candidate& candidate,
+                   const Regressor::Result& result, const WrenchFit& base, int num_channels) {
   RankedEffect ranked;
   ranked.name = candidate.effect;
   ranked.settings = candidate.settings;
   ranked.score = CrossValidatedGain(base, result.fit);
-  double best = 1.0;
+  double best = 1.0, worst = 0.0;
+  int worst_channel = 0;
   for (int c = 0; c < num_channels; ++c) {
     const double change = std::sqrt(result.fit.plain_mean_square[c] / base.plain_mean_square[c]);
     best = std::min(best, change);
-    if (change > kWorse) {
-      ranked.sound = false;
-      ranked.objection = std::string("makes ") + kChannelNames[c] + " worse by " +
-                         Text(100.0 * (change - 1.0)) + " %";
+    if (change > worst) {
+      worst = change;
+      worst_channel = c;
     }
   }
-  if (ranked.sound && best > kBetter) {
+  if (IsClearlyWorse(worst, best)) {
+    ranked.sound = false;
+    ranked.objection = std::string("makes ") + kChannelNames[worst_channel] + " worse by " +
+                       Text(100.0 * (worst - 1.0)) + " %";
+  } else if (best > kBetter) {
     ranked.sound = false;
     ranked.objection = "makes no channel better";
   }
-  const Vehicle extended = With(stage.vehicle, candidate);
+  const Vehicle extended = With(stage.vehicle, candidates);
   const DynamicModel model(extended, extended.effects);
   std::vector<Eigen::Index> own;
   Eigen::VectorXd estimate(0);
@@ -111,6 +121,18 @@ Vehicle With(const Vehicle& vehicle, const Candidate& candidate) {
   return extended;
 }
 
+Vehicle With(const Vehicle& vehicle, const Candidates& candidates) {
+  Vehicle extended = vehicle;
+  for (const Candidate& candidate : candidates) extended = With(extended, candidate);
+  return extended;
+}
+
+bool IsClearlyWorse(double worst, double best) {
+  const double bearable =
+      std::min(std::log(kMuchWorse), std::max(std::log(kWorse), -kWorseShare * std::log(best)));
+  return std::log(worst) > bearable;
+}
+
 ModelValues ValuesOf(const DynamicModel& model, const std::map<std::string, double>& known) {
   ModelValues values = model.InitialValues();
   for (int i = 0; i < model.num_parameters(); ++i) {
@@ -144,12 +166,13 @@ Regressor::Result Regressor::FitBase(const Stage& stage) {
   return result;
 }
 
-double Regressor::Promise(const Stage& stage, const Candidate& candidate) const {
+WrenchColumns Regressor::ColumnsOf(const Stage& stage, const Candidate& candidate) const {
   const Vehicle extended = With(stage.vehicle, candidate);
   const DynamicModel model(extended, extended.effects);
   ModelValues values = ValuesOf(model, stage.values);
   for (const auto& [name, value] : candidate.start) values[model.IndexOf(name)] = value;
-  std::array<Eigen::MatrixXd, kNumChannels> columns;
+  WrenchColumns columns;
+  for (Eigen::MatrixXd& c : columns) c.resize(residual_->flight().size(), 0);
   for (int k = 0; k < model.num_parameters(); ++k) {
     const ModelParameter& p = model.parameters()[k];
     if (p.effect != candidate.effect || !p.estimated) continue;
@@ -160,17 +183,24 @@ double Regressor::Promise(const Stage& stage, const Candidate& candidate) const 
       columns[c].rightCols<1>() = column.col(c);
     }
   }
+  return columns;
+}
+
+double Regressor::Promise(const WrenchColumns& columns) const {
   return columns[0].cols() == 0 ? 0.0 : quick_->Of(columns);
 }
 
-Regressor::Result Regressor::FitWith(const Stage& stage, const Candidate& candidate) {
-  const Vehicle extended = With(stage.vehicle, candidate);
+Regressor::Result Regressor::FitWith(const Stage& stage, const Candidates& candidates) {
+  const Vehicle extended = With(stage.vehicle, candidates);
   const DynamicModel model(extended, extended.effects);
   Result result;
   // Only where a parameter scales what another one does, the columns depend on the estimate.
-  const bool bilinear = !candidate.start.empty() || candidate.effect == "wind";
+  bool bilinear = Has(candidates, "wind");
   std::map<std::string, double> about = stage.values;
-  for (const auto& [name, value] : candidate.start) about[name] = value;
+  for (const Candidate& candidate : candidates) {
+    bilinear = bilinear || !candidate.start.empty();
+    for (const auto& [name, value] : candidate.start) about[name] = value;
+  }
   for (int round = 0; round < (bilinear ? kRounds : 1); ++round) {
     const ModelValues values = ValuesOf(model, about);
     for (int k = 0; k < model.num_parameters(); ++k) {
@@ -183,8 +213,8 @@ Regressor::Result Regressor::FitWith(const Stage& stage, const Candidate& candid
     regression.y = residual_->Residual(model, values);
     for (int k = 0; k < model.num_parameters(); ++k) {
       const ModelParameter& p = model.parameters()[k];
-      const bool own = p.effect == candidate.effect;
-      if (p.estimated && (own || round > 0)) AddColumn(model, values, k, &regression);
+      const bool own = Has(candidates, p.effect);
+      if (p.estimated && (own || round > 0)) AddColumn(model, values, k, &regression, own);
     }
     if (round > 0 && residual_->from_accelerometer()) {
       AddBiases(stage.vehicle.mass_kg, &regression);
@@ -222,7 +252,7 @@ void Regressor::Clear(WrenchRegression* regression) {
 }
 
 void Regressor::AddColumn(const DynamicModel& model, const ModelValues& values, int k,
-                          WrenchRegression* regression) {
+                          WrenchRegression* regression, bool own) {
   const ResidualModel::Wrenches column = residual_->Derivative(model, values, k);
   const int n = static_cast<int>(regression->prior_sigma.size());
   for (int c = 0; c < kNumChannels; ++c) {
@@ -232,10 +262,10 @@ void Regressor::AddColumn(const DynamicModel& model, const ModelValues& values, 
   regression->prior_sigma.conservativeResize(n + 1);
   regression->prior_offset.conservativeResize(n + 1);
   // Priors of files are wide. What a few transients tell apart must not run off where a fold
-  // leaves these out, so no parameter strays far from what it is and what is natural for it.
+  // leaves these out, so no declared parameter strays far from what it is.
   const ParameterSpec& spec = model.parameters()[k].spec;
-  regression->prior_sigma[n] = std::min(
-      spec.prior_sigma, std::max(kStray * std::abs(values[k] - spec.prior_value), spec.scale));
+  const double stray = std::max(kStray * std::abs(values[k] - spec.prior_value), spec.scale);
+  regression->prior_sigma[n] = own ? spec.prior_sigma : std::min(spec.prior_sigma, stray);
   regression->prior_offset[n] = model.parameters()[k].spec.prior_value - values[k];
   names_.push_back(model.parameters()[k].full_name);
 }
@@ -270,38 +300,87 @@ bool IsNegligible(const RankedEffect& ranked) {
                      [](const ParameterEstimate& p) { return std::abs(p.value) < kDelay_s; });
 }
 
-std::vector<RankedEffect> RankAll(const Stage& stage, const std::vector<Candidate>& candidates,
-                                  Regressor* regressor, const WrenchFit& base, int num_channels,
-                                  std::map<std::string, Regressor::Result>* fits,
-                                  const std::function<bool()>& give_up) {
-  std::map<std::string, RankedEffect> best;
+std::vector<Tried> TryAll(const Stage& stage, const std::vector<Candidate>& candidates,
+                          Regressor* regressor, const WrenchFit& base, int num_channels,
+                          const std::function<bool()>& give_up) {
   // Of an effect with several settings, the most promising one is fitted.
-  std::map<std::string, std::pair<double, const Candidate*>> promising;
+  struct Promising {
+    double promise;
+    const Candidate* candidate;
+    WrenchColumns columns;
+  };
+  std::map<std::string, Promising> promising;
   for (const Candidate& candidate : candidates) {
     if (give_up && give_up()) return {};
     const std::vector<std::string>& have = stage.vehicle.effects;
     if (std::find(have.begin(), have.end(), candidate.effect) != have.end()) continue;
-    const double promise = candidate.settings.empty() ? 0.0 : regressor->Promise(stage, candidate);
+    WrenchColumns columns = regressor->ColumnsOf(stage, candidate);
+    const double promise = candidate.settings.empty() ? 0.0 : regressor->Promise(columns);
     const auto it = promising.find(candidate.effect);
-    if (it == promising.end() || promise > it->second.first) {
-      promising[candidate.effect] = {promise, &candidate};
+    if (it == promising.end() || promise > it->second.promise) {
+      promising[candidate.effect] = {promise, &candidate, std::move(columns)};
     }
   }
-  for (const auto& entry : promising) {
+  std::vector<Tried> tried;
+  for (auto& entry : promising) {
     if (give_up && give_up()) return {};
-    const Candidate& candidate = *entry.second.second;
-    Regressor::Result result = regressor->FitWith(stage, candidate);
-    if (!result.fit.step.allFinite()) continue;
-    const RankedEffect ranked = Judge(stage, candidate, result, base, num_channels);
-    best[candidate.effect] = ranked;
-    (*fits)[candidate.effect] = std::move(result);
+    Tried t{*entry.second.candidate, std::move(entry.second.columns), {}, {}};
+    t.result = regressor->FitWith(stage, {t.candidate});
+    if (!t.result.fit.step.allFinite()) continue;
+    t.ranked = Judge(stage, {t.candidate}, t.candidate, t.result, base, num_channels);
+    tried.push_back(std::move(t));
   }
-  std::vector<RankedEffect> ranking;
-  for (const auto& entry : best) ranking.push_back(entry.second);
-  std::sort(ranking.begin(), ranking.end(), [](const RankedEffect& a, const RankedEffect& b) {
-    return std::make_pair(a.sound, a.score) > std::make_pair(b.sound, b.score);
+  std::sort(tried.begin(), tried.end(), [](const Tried& a, const Tried& b) {
+    return std::make_pair(a.ranked.sound, a.ranked.score) >
+           std::make_pair(b.ranked.sound, b.ranked.score);
   });
-  return ranking;
+  return tried;
+}
+
+std::optional<Pair> TryPairs(const Stage& stage, const std::vector<Tried>& tried,
+                             Regressor* regressor, const WrenchFit& base, int num_channels,
+                             double least) {
+  constexpr size_t kFitted = 12;
+  struct Promising {
+    double promise;
+    size_t a, b;
+  };
+  std::vector<Promising> promising;
+  std::vector<double> alone;
+  alone.reserve(tried.size());
+  for (const Tried& t : tried) alone.push_back(regressor->Promise(t.columns));
+  for (size_t a = 0; a < tried.size(); ++a) {
+    for (size_t b = a + 1; b < tried.size(); ++b) {
+      WrenchColumns both = tried[a].columns;
+      for (int c = 0; c < kNumChannels; ++c) {
+        const Eigen::MatrixXd& second = tried[b].columns[c];
+        both[c].conservativeResize(Eigen::NoChange, both[c].cols() + second.cols());
+        both[c].rightCols(second.cols()) = second;
+      }
+      const double promise = regressor->Promise(both);
+      if (promise > least + std::max(alone[a], alone[b])) promising.push_back({promise, a, b});
+    }
+  }
+  std::sort(promising.begin(), promising.end(),
+            [](const Promising& a, const Promising& b) { return a.promise > b.promise; });
+  if (promising.size() > kFitted) promising.resize(kFitted);
+  std::optional<Pair> best;
+  for (const Promising& p : promising) {
+    const Tried &a = tried[p.a], &b = tried[p.b];
+    const Candidates both = {a.candidate, b.candidate};
+    Pair pair;
+    pair.result = regressor->FitWith(stage, both);
+    if (!pair.result.fit.step.allFinite()) continue;
+    pair.ranked = {Judge(stage, both, a.candidate, pair.result, base, num_channels),
+                   Judge(stage, both, b.candidate, pair.result, base, num_channels)};
+    pair.score = pair.ranked[0].score;
+    pair.ranked[0].score = pair.score - b.ranked.score;
+    pair.ranked[1].score = pair.score - a.ranked.score;
+    bool earned = true;
+    for (const RankedEffect& r : pair.ranked) earned = earned && r.sound && r.score >= least;
+    if (earned && (!best || pair.score > best->score)) best = std::move(pair);
+  }
+  return best;
 }
 
 std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,

@@ -236,7 +236,7 @@ QuickGain::QuickGain(const WrenchRegression& base, const WrenchFit& fit)
     sigma_[c] = std::sqrt(std::max(fit.innovation_variance[c], 1e-300));
   }
   const int n = static_cast<int>(base.prior_sigma.size());
-  std::array<Eigen::MatrixXd, kNumChannels> y;
+  WrenchColumns y;
   for (int c = 0; c < kNumChannels; ++c) y[c] = fit.residual.col(c);
   rest_ = Whitened(y);
   Q_ = Eigen::MatrixXd::Zero(rest_.size(), n);
@@ -248,8 +248,7 @@ QuickGain::QuickGain(const WrenchRegression& base, const WrenchFit& fit)
   rest_ -= Q_ * (Q_.transpose() * rest_);
 }
 
-Eigen::MatrixXd QuickGain::Whitened(
-    const std::array<Eigen::MatrixXd, kNumChannels>& columns) const {
+Eigen::MatrixXd QuickGain::Whitened(const WrenchColumns& columns) const {
   const auto count = static_cast<Eigen::Index>(rows_.size());
   Eigen::MatrixXd white(count * num_channels_, columns[0].cols());
   for (int c = 0; c < num_channels_; ++c) {
@@ -266,7 +265,7 @@ Eigen::MatrixXd QuickGain::Whitened(
   return white;
 }
 
-double QuickGain::Of(const std::array<Eigen::MatrixXd, kNumChannels>& columns) const {
+double QuickGain::Of(const WrenchColumns& columns) const {
   Eigen::MatrixXd X = Whitened(columns);
   X -= Q_ * (Q_.transpose() * X).eval();
   Eigen::MatrixXd H = X.transpose() * X;

@@ -9,6 +9,7 @@ namespace odmc {
 namespace {
 
 constexpr double kEnoughShare = 0.5;  // of the window must be flight
+constexpr int kMostEffects = 3;       // that may explain it together
 constexpr double kMargin_s = 0.2;     // beside the window, for the filter
 
 /// Drops what is older than `stamp`.
@@ -73,7 +74,7 @@ void Summarise(const std::vector<ChannelStructure>& channels, const CloseLoopOpt
 
 /// As CloseLoop() tries them. A mass over the whole of what is seen is one with the thrust
 /// coefficient.
-std::vector<Candidate> Candidates(const DynamicModel& model, const ThinnedFlight& flight) {
+std::vector<Candidate> CandidatesOf(const DynamicModel& model, const ThinnedFlight& flight) {
   std::vector<Candidate> all = CandidatesFor(model.vehicle(), flight.motion());
   const int k_f = model.IndexOf("thrust.k_f");
   if (k_f < 0 || !model.parameters()[k_f].estimated) return all;
@@ -84,6 +85,18 @@ std::vector<Candidate> Candidates(const DynamicModel& model, const ThinnedFlight
                            }),
             all.end());
   return all;
+}
+
+/// Names the best candidate, and those that are as good.
+void Name(const std::vector<Tried>& tried, const CloseLoopOptions& decision, ResidualLook* found) {
+  const RankedEffect& best = tried.front().ranked;
+  found->candidate = best;
+  found->refitted = tried.front().result.values;
+  const double close = std::max(decision.close_score, decision.close_share * best.score);
+  for (size_t i = 1; i < tried.size(); ++i) {
+    const RankedEffect& other = tried[i].ranked;
+    if (other.sound && other.score >= best.score - close) found->alternatives.push_back(other.name);
+  }
 }
 
 }  // namespace
@@ -252,29 +265,39 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
   for (int i = 0; i < model.num_parameters(); ++i) {
     stage.values[model.parameters()[i].full_name] = estimate.values[i];
   }
-  Regressor regressor(&residual, stage);
-  const Regressor::Result base = regressor.FitBase(stage);
-  const std::vector<ChannelStructure> before = Structure(flight, base.fit.plain_residual, channels);
-  Summarise(before, decision_, &found);
-
-  std::map<std::string, Regressor::Result> fits;
-  const std::vector<RankedEffect> ranking =
-      RankAll(stage, Candidates(model, flight), &regressor, base.fit, channels, &fits, give_up);
-  if (ranking.empty()) return found;
-  const RankedEffect& best = ranking.front();
-  if (!best.sound || best.score < decision_.least_score) return found;
-  const Regressor::Result& fit = fits.at(best.name);
-  found.explained_share = ExplainedStructure(
-      before, Structure(flight, fit.fit.plain_residual, channels), decision_.whiteness_p);
-  if (found.explained_share < decision_.least_explained) return found;
-  found.candidate = best;
-  found.refitted = fit.values;
-  const double close = std::max(decision_.close_score, decision_.close_share * best.score);
-  for (size_t i = 1; i < ranking.size(); ++i) {
-    if (ranking[i].sound && ranking[i].score >= best.score - close) {
-      found.alternatives.push_back(ranking[i].name);
+  const std::vector<Candidate> candidates = CandidatesOf(model, flight);
+  std::vector<ChannelStructure> before;
+  double scores = 0.0;
+  for (int step = 0; step < kMostEffects; ++step) {
+    Regressor regressor(&residual, stage);
+    const Regressor::Result base = regressor.FitBase(stage);
+    if (step == 0) {
+      before = Structure(flight, base.fit.plain_residual, channels);
+      Summarise(before, decision_, &found);
     }
+    const std::vector<Tried> tried =
+        TryAll(stage, candidates, &regressor, base.fit, channels, give_up);
+    const double least =
+        step == 0 ? decision_.least_score
+                  : std::max(1.25 * decision_.least_score, decision_.least_share_of_first * scores);
+    if (tried.empty() || !tried.front().ranked.sound || tried.front().ranked.score < least) break;
+    const Tried& best = tried.front();
+    if (step == 0) {
+      Name(tried, decision_, &found);
+    } else {
+      found.beside.push_back(best.ranked.name);
+    }
+    found.explained_share = ExplainedStructure(
+        before, Structure(flight, best.result.fit.plain_residual, channels), decision_.whiteness_p);
+    if (found.explained_share >= decision_.least_explained) return found;
+    // As in CloseLoop(): what it lacks may be more than one effect.
+    scores += best.ranked.score;
+    stage.vehicle = With(stage.vehicle, best.candidate);
+    for (const auto& [name, value] : best.result.values) stage.values[name] = value;
   }
+  found.candidate.reset();
+  found.alternatives.clear();
+  found.beside.clear();
   return found;
 }
 

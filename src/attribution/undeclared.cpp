@@ -68,8 +68,8 @@ const std::vector<std::pair<std::string, std::string>> kHidden = {
     {"rotor_reaction", "hover"}, {"quadratic_drag", "yaw"},     {"anisotropic_hvt", "vertical"},
 };
 
-Vehicle Made(const std::string& name, double mass, Vector3d inertia, double x, double y, double z,
-             double radius, double k_f, bool plus) {
+Vehicle Made(const std::string& name, double mass, const Vector3d& inertia, double x, double y,
+             double z, double radius, double k_f, bool plus) {
   Vehicle v;
   v.name = name;
   v.mass_kg = mass;
@@ -390,20 +390,37 @@ UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan) {
     }
     return Simulate(model, truth_at(at), options, noisy ? noise : SimulationNoise::None(), extra);
   };
+  // What cannot be flown is made weaker.
+  const auto fly = [&](bool noisy) {
+    constexpr int kTries = 8;
+    for (int attempt = 1;; ++attempt) {
+      try {
+        return simulate(noisy, scales, sized ? unknown_scale : 0.0);
+      } catch (const std::runtime_error&) {
+        if (attempt == kTries) throw;
+        for (double& scale : scales) scale *= 0.7;
+        unknown_scale *= 0.7;
+      }
+    }
+  };
   if (sized) {
     const std::vector<double> off(plan.effects.size(), 0.0);
     const auto floor = variance(simulate(true, off, 0.0).log);
     for (int round = 0; round < 2; ++round) {
       if (plan.kind == Undeclared::kUnknown) {
-        const auto effect = variance(simulate(false, off, unknown_scale).log);
+        const auto effect = variance(fly(false).log);
         const double ratio = effect.cwiseQuotient(floor).maxCoeff();
         unknown_scale *= std::sqrt(plan.share / (1.0 - plan.share) / ratio);
         continue;
       }
       for (size_t e = 0; e < scales.size(); ++e) {
-        std::vector<double> one = off;
-        one[e] = scales[e];
-        const auto effect = variance(simulate(false, one, 0.0).log);
+        const std::vector<double> all = scales;
+        scales.assign(all.size(), 0.0);
+        scales[e] = all[e];
+        const auto effect = variance(fly(false).log);
+        const double flown = scales[e];
+        scales = all;
+        scales[e] = flown;
         const double ratio = effect.cwiseQuotient(floor).maxCoeff();
         // Of two effects the second makes up half as much.
         const double wanted = plan.share / (1.0 - plan.share) * (e == 0 ? 1.0 : 0.5);
@@ -411,7 +428,7 @@ UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan) {
       }
     }
   }
-  const SimulatedFlight flown = simulate(true, scales, sized ? unknown_scale : 0.0);
+  const SimulatedFlight flown = fly(true);
   flight.log = flown.log;
   flight.truth = ExactParameters(model, truth_at(scales));
 

@@ -31,6 +31,7 @@ class Extrinsics final : public Effect {
     const Eigen::Vector3d rotation = Log(mount.q_BS.normalized());
     const double length = 0.3 * vehicle.ArmLength();
     std::vector<ParameterSpec> specs;
+    specs.reserve(6);
     for (int i = 0; i < 3; ++i) {
       specs.push_back({std::string("p") + "xyz"[i], "m",
                        std::string("sensor position, body ") + "xyz"[i], mount.p_BS[i], length,

@@ -32,9 +32,9 @@ class RotorTilt final : public Effect {
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
                    WrenchJacobians* J) const override {
-    const int n = vehicle().num_rotors();
+    const Eigen::Index n = vehicle().num_rotors();
     const double k_f = values[2 * n], k_m = values[2 * n + 1];
-    for (int j = 0; j < n; ++j) {
+    for (Eigen::Index j = 0; j < n; ++j) {
       const Rotor& rotor = vehicle().rotors[j];
       const double square = state.rotors.speed_squared[j];
       const Eigen::Vector3d lean(values[2 * j], values[2 * j + 1], 0.0);

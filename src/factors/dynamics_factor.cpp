@@ -116,7 +116,7 @@ Eigen::Matrix<double, kNumDynamicsRows, 1> DynamicsResidual(
     return EvaluateRows<9>(measurement, state0, state1, model, values, inertia, nullptr);
   }
   Derivatives<9> D;
-  const auto e = EvaluateRows<9>(measurement, state0, state1, model, values, inertia, &D);
+  auto e = EvaluateRows<9>(measurement, state0, state1, model, values, inertia, &D);
   J->d_state0 = D.d_state0;
   J->d_state1 = D.d_state1;
   J->d_values = D.d_values;

@@ -229,6 +229,7 @@ UnexplainedResidual ToMessage(const ResidualLook& look, const std::string& body_
   for (const ParameterEstimate& p : look.candidate->parameters) {
     m.parameters.push_back(ToMessage(p));
   }
+  m.beside = look.beside;
   m.alternatives = look.alternatives;
   return m;
 }

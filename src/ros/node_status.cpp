@@ -122,9 +122,9 @@ DiagnosticStatus UnexplainedDiagnostic(const NodeStatus& s, const std::string& n
     return status;
   }
   const ResidualLook& r = *s.unexplained;
-  status.message = (!r.structured  ? "nothing to explain"
-                    : !r.candidate ? "structured, no effect of the catalogue explains it"
-                                   : r.candidate->name + " would explain it") +
+  status.message = (r.candidate    ? r.candidate->name + " would explain it"
+                    : r.structured ? "structured, no effect of the catalogue explains it"
+                                   : "nothing to explain") +
                    tail;
   Put("structured_share", r.structured_share, &status);
   Put("channel", r.channel, &status);
@@ -134,6 +134,7 @@ DiagnosticStatus UnexplainedDiagnostic(const NodeStatus& s, const std::string& n
   Put("candidate", r.candidate ? r.candidate->name : "", &status);
   Put("score_nats", r.candidate ? r.candidate->score : 0.0, &status);
   Put("explained_share", r.explained_share, &status);
+  Put("beside", Join(r.beside), &status);
   Put("alternatives", Join(r.alternatives), &status);
   Put("in_a_row", static_cast<long>(r.in_a_row), &status);
   Put("flight_s", r.flight_s, &status);

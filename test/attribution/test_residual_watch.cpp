@@ -56,7 +56,7 @@ class Pilot {
 
   /// As the node adds an effect in flight.
   void Add(const ResidualLook& found) {
-    declared_ = With(declared_, {found.candidate->name, found.candidate->settings});
+    declared_ = With(declared_, Candidate{found.candidate->name, found.candidate->settings});
     const DynamicModel declared(declared_, declared_.effects);
     const Vehicle warm = WarmStarted(declared_, Estimator::ToParameterSet(*model_, *last_), found);
     auto model = std::make_shared<DynamicModel>(warm, warm.effects);
@@ -183,7 +183,8 @@ TEST(ResidualWatch, WarmStartWidensWhatTheEffectMoves) {
   present.parameters = {{"drag.d_x", "N s/m", -0.5, 0.03, true, true},
                         {"thrust.k_f", "N s^2", 1.5e-6, 2e-9, true, true},
                         {"rotor_torque.k_m", "N m s^2", 2e-8, 0.0, false, false}};
-  const Vehicle warm = WarmStarted(With(NominalVehicle(), {"quadratic_drag", {}}), present, look);
+  const Vehicle warm =
+      WarmStarted(With(NominalVehicle(), Candidate{"quadratic_drag", {}}), present, look);
   EXPECT_EQ(warm.effects.back(), "quadratic_drag");
   EXPECT_EQ(*warm.parameters.at("drag.d_x").value, -0.5) << "starts where it is";
   EXPECT_NEAR(*warm.parameters.at("drag.d_x").sigma, std::hypot(0.03, 0.3), 1e-12);

@@ -1,8 +1,10 @@
 #pragma once
 
+#include <array>
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -36,14 +38,21 @@ struct ChannelStructure {
 /// Natural sizes (prior sigmas) beyond which a coefficient is too large.
 constexpr double kTooLarge = 4.0;
 
+using Candidates = std::vector<Candidate>;  // tried together
+
+/// The vehicle with candidates added, what they were tried with frozen.
+Vehicle With(const Vehicle& vehicle, const Candidate& candidate);
+Vehicle With(const Vehicle& vehicle, const Candidates& candidates);
+
+/// True if the worst channel gets clearly worse: by more than a little, and by more than a share of
+/// what the best one gains or by much.
+bool IsClearlyWorse(double worst, double best);
+
 /// A model with the values and columns of what it lets free.
 struct Stage {
   Vehicle vehicle;
   std::map<std::string, double> values;  // by full name
 };
-
-/// The vehicle with a candidate added, what it was tried with frozen.
-Vehicle With(const Vehicle& vehicle, const Candidate& candidate);
 
 /// The model's initial values, but what is known.
 ModelValues ValuesOf(const DynamicModel& model, const std::map<std::string, double>& known);
@@ -61,11 +70,14 @@ class Regressor {
 
   Result FitBase(const Stage& stage);
 
-  /// What a candidate could gain at most, seen quickly. @pre FitBase() was called
-  double Promise(const Stage& stage, const Candidate& candidate) const;
+  /// The derivatives by a candidate's own parameters.
+  WrenchColumns ColumnsOf(const Stage& stage, const Candidate& candidate) const;
 
-  /// Fits with a candidate on top, linearized again about what came out.
-  Result FitWith(const Stage& stage, const Candidate& candidate);
+  /// What columns could gain at most, seen quickly. @pre FitBase() was called
+  double Promise(const WrenchColumns& columns) const;
+
+  /// Fits with candidates on top, linearized again about what came out.
+  Result FitWith(const Stage& stage, const Candidates& candidates);
 
  private:
   /// The accelerometer's bias, along each axis.
@@ -75,7 +87,7 @@ class Regressor {
   void Clear(WrenchRegression* regression);
 
   void AddColumn(const DynamicModel& model, const ModelValues& values, int k,
-                 WrenchRegression* regression);
+                 WrenchRegression* regression, bool own = false);
 
   Result Finish(const WrenchRegression& regression, const std::vector<std::string>& names,
                 const Stage& stage) const;
@@ -86,20 +98,39 @@ class Regressor {
   std::vector<std::string> names_, base_names_;
 };
 
-/// True if parameters differ from zero together by three sigmas (Wald's test; the limit grows with
-/// their number).
+/// True if parameters differ from zero together by kSignificant sigmas (Wald's test; the limit
+/// grows with their number).
 bool IsSignificant(const Eigen::VectorXd& estimate, const Eigen::MatrixXd& covariance);
 
 /// Rotors answer disturbances through the controller, so that a little of any torque noise lines up
 /// with their acceleration: sizes that this alone can make count for nothing.
 bool IsNegligible(const RankedEffect& ranked);
 
-/// Every candidate at its best setting, best first; fits of all of them in `fits`.
-/// @param give_up asked between candidates; once true, the ranking is empty
-std::vector<RankedEffect> RankAll(const Stage& stage, const std::vector<Candidate>& candidates,
-                                  Regressor* regressor, const WrenchFit& base, int num_channels,
-                                  std::map<std::string, Regressor::Result>* fits,
-                                  const std::function<bool()>& give_up = {});
+/// A candidate at its best setting, and what it did.
+struct Tried {
+  Candidate candidate;
+  WrenchColumns columns;
+  Regressor::Result result;
+  RankedEffect ranked;
+};
+
+/// Every candidate effect at its best setting, best first.
+/// @param give_up asked between candidates; once true, nothing comes back
+std::vector<Tried> TryAll(const Stage& stage, const std::vector<Candidate>& candidates,
+                          Regressor* regressor, const WrenchFit& base, int num_channels,
+                          const std::function<bool()>& give_up = {});
+
+/// Two effects that only help together.
+struct Pair {
+  std::array<RankedEffect, 2> ranked;  // scores: what each adds to the other
+  Regressor::Result result;
+  double score = 0.0;
+};
+
+/// The best pair of which each part adds at least `least` nats to the other, if there is one.
+std::optional<Pair> TryPairs(const Stage& stage, const std::vector<Tried>& tried,
+                             Regressor* regressor, const WrenchFit& base, int num_channels,
+                             double least);
 
 /// Structure of every channel of a residual.
 std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,

@@ -9,11 +9,14 @@ namespace odmc {
 /// Force and torque channels of a residual wrench.
 constexpr int kNumChannels = 6;
 
+/// Derivatives of each channel (N×k).
+using WrenchColumns = std::array<Eigen::MatrixXd, kNumChannels>;
+
 /// A residual wrench with its derivatives by the parameters that may explain it, at equally spaced
 /// samples. Rows are samples; `next[i]` is true if sample i follows sample i-1 without a gap.
 struct WrenchRegression {
   Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> y;  ///< N×6 [N, N m]
-  std::array<Eigen::MatrixXd, kNumChannels> columns;      ///< N×n each
+  WrenchColumns columns;                                  ///< N×n each
   Eigen::VectorXd prior_offset;                           ///< n: prior minus present value
   Eigen::VectorXd prior_sigma;                            ///< n
   std::vector<bool> next;                                 ///< N
@@ -53,10 +56,10 @@ class QuickGain {
   QuickGain(const WrenchRegression& base, const WrenchFit& fit);
 
   /// Gain of these columns (N×k each channel) in nats, at most.
-  double Of(const std::array<Eigen::MatrixXd, kNumChannels>& columns) const;
+  double Of(const WrenchColumns& columns) const;
 
  private:
-  Eigen::MatrixXd Whitened(const std::array<Eigen::MatrixXd, kNumChannels>& columns) const;
+  Eigen::MatrixXd Whitened(const WrenchColumns& columns) const;
 
   int num_channels_;
   std::vector<int> rows_;
