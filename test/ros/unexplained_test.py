@@ -58,10 +58,11 @@ class UnexplainedTest(node_harness.NodeTest):
             print("%5.1f s: share %.2f of %s, p %.1e, %s (%.1f nats) explains %.2f" % (
                 look.flight_s, look.structured_share, look.channel, look.whiteness_p,
                 look.candidate or "-", look.score, look.explained_share))
-        last = looks[-1]
-        self.assertEqual(last.candidate, EFFECT)
-        self.assertTrue(last.structured)
-        self.assertGreaterEqual(last.in_a_row, 3)
+        naming = [look for look in looks if look.candidate == EFFECT]
+        self.assertGreaterEqual(len(naming), len(looks) - 1)
+        self.assertTrue(any(look.structured for look in naming))
+        self.assertGreaterEqual(max(look.in_a_row for look in naming), 3)
+        last = naming[-1]
         self.assertGreater(last.explained_share, 0.5)
         self.assertGreater(max(last.force_rmse_N), 0.02)
         self.assertEqual(last.header.frame_id, "base_link")
@@ -89,10 +90,14 @@ class UnexplainedTest(node_harness.NodeTest):
     def check_explained(self, looks):
         added = [look for look in looks if EFFECT in look.effects]
         self.assertGreater(len(added), 0, "nothing was looked at after it was added")
-        self.assertEqual(added[-1].added, [EFFECT])
-        self.assertNotEqual(added[-1].candidate, EFFECT)
-        before = max(look.structured_share for look in looks if EFFECT not in look.effects)
-        self.assertLess(added[-1].structured_share, 0.5 * before)
+        for look in added:
+            print("added: share %.2f of %s, p %.1e, %s" % (
+                look.structured_share, look.channel, look.whiteness_p, look.candidate or "-"))
+            self.assertEqual(look.added, [EFFECT])
+            self.assertNotEqual(look.candidate, EFFECT)
+        # Nothing is left to explain; what a few seconds' share is by chance, p says.
+        self.assertFalse(added[-1].structured)
+        self.assertEqual(added[-1].candidate, "")
 
 
 if __name__ == "__main__":
