@@ -306,34 +306,41 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     const double least =
         step == 0 ? options.least_score
                   : std::max(1.25 * options.least_score, options.least_share_of_first * scores);
-    if (!tried.empty() && tried.front().ranked.sound && tried.front().ranked.score >= least) {
-      const RankedEffect& best = tried.front().ranked;
+    const RankedEffect* best = tried.empty() ? nullptr : &tried.front().ranked;
+    if (best != nullptr && (!best->sound || best->score < least)) best = nullptr;
+    std::optional<Pair> pair;
+    if (step + 2 <= options.most_effects) {
+      pair = TryPairs(stage, tried, &regressor, base.fit, residual.num_channels(),
+                      1.25 * options.least_score);
+    }
+    if (pair && pair->score < 2.0 * std::max(least, best != nullptr ? best->score : 0.0)) {
+      pair.reset();
+    }
+    if (pair) {
+      for (const RankedEffect& ranked : pair->ranked) {
+        added.push_back({ranked, {}, ""});
+        stage.vehicle = With(stage.vehicle, Candidate{ranked.name, ranked.settings, {}});
+      }
+      scores += pair->score;
+      ++step;
+      for (const auto& [name, value] : pair->result.values) stage.values[name] = value;
+    } else if (best != nullptr) {
       AddedEffect effect;
-      effect.effect = best;
-      const double close = std::max(options.close_score, options.close_share * best.score);
+      effect.effect = *best;
+      const double close = std::max(options.close_score, options.close_share * best->score);
       for (size_t i = 1; i < tried.size(); ++i) {
         const RankedEffect& other = tried[i].ranked;
-        if (!other.sound || other.score < best.score - close) continue;
+        if (!other.sound || other.score < best->score - close) continue;
         effect.alternatives.push_back(other.name);
-        if (effect.manoeuvre.empty()) effect.manoeuvre = TellingManoeuvre(best.name, other.name);
+        if (effect.manoeuvre.empty()) effect.manoeuvre = TellingManoeuvre(best->name, other.name);
       }
       added.push_back(effect);
-      scores += best.score;
+      scores += best->score;
       stage.vehicle = With(stage.vehicle, tried.front().candidate);
       for (const auto& [name, value] : tried.front().result.values) stage.values[name] = value;
-      continue;
+    } else {
+      break;
     }
-    if (step + 2 > options.most_effects) break;
-    const std::optional<Pair> pair = TryPairs(stage, tried, &regressor, base.fit,
-                                              residual.num_channels(), 1.25 * options.least_score);
-    if (!pair || pair->score < 2.0 * least) break;
-    for (const RankedEffect& ranked : pair->ranked) {
-      added.push_back({ranked, {}, ""});
-      stage.vehicle = With(stage.vehicle, Candidate{ranked.name, ranked.settings, {}});
-    }
-    scores += pair->score;
-    ++step;
-    for (const auto& [name, value] : pair->result.values) stage.values[name] = value;
   }
 
   result.structure = Structure(flight, first_residual, residual.num_channels());

@@ -340,9 +340,9 @@ std::vector<Tried> TryAll(const Stage& stage, const std::vector<Candidate>& cand
 std::optional<Pair> TryPairs(const Stage& stage, const std::vector<Tried>& tried,
                              Regressor* regressor, const WrenchFit& base, int num_channels,
                              double least) {
-  constexpr size_t kFitted = 12;
+  constexpr size_t kFitted = 12;  // pairs
   struct Promising {
-    double promise;
+    double together;  // more than each on its own
     size_t a, b;
   };
   std::vector<Promising> promising;
@@ -358,11 +358,12 @@ std::optional<Pair> TryPairs(const Stage& stage, const std::vector<Tried>& tried
         both[c].rightCols(second.cols()) = second;
       }
       const double promise = regressor->Promise(both);
-      if (promise > least + std::max(alone[a], alone[b])) promising.push_back({promise, a, b});
+      const double together = promise - alone[a] - alone[b];
+      if (together > least) promising.push_back({together, a, b});
     }
   }
   std::sort(promising.begin(), promising.end(),
-            [](const Promising& a, const Promising& b) { return a.promise > b.promise; });
+            [](const Promising& a, const Promising& b) { return a.together > b.together; });
   if (promising.size() > kFitted) promising.resize(kFitted);
   std::optional<Pair> best;
   for (const Promising& p : promising) {
@@ -377,7 +378,11 @@ std::optional<Pair> TryPairs(const Stage& stage, const std::vector<Tried>& tried
     pair.ranked[0].score = pair.score - b.ranked.score;
     pair.ranked[1].score = pair.score - a.ranked.score;
     bool earned = true;
-    for (const RankedEffect& r : pair.ranked) earned = earned && r.sound && r.score >= least;
+    for (const RankedEffect& r : pair.ranked) {
+      earned = earned && r.sound && r.score >= least;
+    }
+    // Together more than each on its own.
+    earned = earned && pair.score > a.ranked.score + b.ranked.score + least;
     if (earned && (!best || pair.score > best->score)) best = std::move(pair);
   }
   return best;
