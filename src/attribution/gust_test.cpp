@@ -15,11 +15,13 @@ using Eigen::Vector3d;
 constexpr double kTimeConstants_s[] = {0.3, 0.7, 1.5, 3.0, 6.0};
 constexpr double kSizes[] = {0.35, 0.6, 1.0, 1.6, 2.5};
 
-/// Log-likelihood of the residual as white noise plus H_i x, x a first-order process of standard
-/// deviation `sigma` and correlation time `time_constant_s`.
-double Likelihood(const ThinnedFlight& flight, const ResidualModel::Wrenches& y,
-                  const std::vector<Matrix3d>& H, const Vector3d& noise_variance, double sigma,
-                  double time_constant_s, Matrix3d* second_moment = nullptr) {
+/// A first-order process x of standard deviation `sigma` and correlation time `time_constant_s`,
+/// seen as H_i x in white noise, by a Kalman filter.
+/// @param states estimates from all samples up to and with each one, may be null
+/// @returns the residual's log-likelihood
+double Follow(const ThinnedFlight& flight, const ResidualModel::Wrenches& y,
+              const std::vector<Matrix3d>& H, const Vector3d& noise_variance, double sigma,
+              double time_constant_s, std::vector<Vector3d>* states = nullptr) {
   Vector3d x = Vector3d::Zero();
   Matrix3d P = sigma * sigma * Matrix3d::Identity();
   const Matrix3d noise = noise_variance.asDiagonal();
@@ -36,9 +38,33 @@ double Likelihood(const ThinnedFlight& flight, const ResidualModel::Wrenches& y,
     const Matrix3d K = P * H[i].transpose() * S_inverse;
     x += K * e;
     P = ((Matrix3d::Identity() - K * H[i]) * P).eval();
-    if (second_moment != nullptr) *second_moment += x * x.transpose();
+    if (states != nullptr) states->push_back(x);
   }
   return sum;
+}
+
+/// How the force answers wind, at every sample.
+std::vector<Matrix3d> Response(int n, const std::array<ResidualModel::Wrenches, 3>& d_wind) {
+  std::vector<Matrix3d> H(n);
+  for (int i = 0; i < n; ++i) {
+    for (int k = 0; k < 3; ++k) H[i].col(k) = d_wind[k].row(i).head<3>().transpose();
+  }
+  return H;
+}
+
+/// Variance of the residual's white part: from differences of neighbours, where slow forces cancel.
+Vector3d WhiteVariance(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
+                       Vector3d* total) {
+  Vector3d white = Vector3d::Zero();
+  total->setZero();
+  int pairs = 0;
+  for (int i = 0; i < flight.size(); ++i) {
+    *total += residual.row(i).head<3>().transpose().cwiseAbs2() / flight.size();
+    if (!flight.next(i)) continue;
+    white += 0.5 * (residual.row(i) - residual.row(i - 1)).head<3>().transpose().cwiseAbs2();
+    ++pairs;
+  }
+  return (white / std::max(1, pairs)).cwiseMax(0.05 * *total).cwiseMax(1e-12);
 }
 
 struct Best {
@@ -52,7 +78,7 @@ Best Search(const ThinnedFlight& flight, const ResidualModel::Wrenches& y,
   for (const double time_constant_s : kTimeConstants_s) {
     for (const double size : kSizes) {
       const double sigma = size * natural;
-      const double likelihood = Likelihood(flight, y, H, noise, sigma, time_constant_s);
+      const double likelihood = Follow(flight, y, H, noise, sigma, time_constant_s);
       if (likelihood > best.likelihood) best = {likelihood, sigma, time_constant_s};
     }
   }
@@ -66,32 +92,26 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   GustTest test;
   const int n = flight.size();
   if (n < 100) return test;
-  std::vector<Matrix3d> wind(n), world(n), body(n, Matrix3d::Identity());
+  const std::vector<Matrix3d> wind = Response(n, d_wind);
+  std::vector<Matrix3d> world(n), body(n, Matrix3d::Identity());
   double response = 0.0;
   for (int i = 0; i < n; ++i) {
-    for (int k = 0; k < 3; ++k) wind[i].col(k) = d_wind[k].row(i).head<3>().transpose();
     world[i] = flight.sample(i).R_WS.transpose();
     response += wind[i].squaredNorm() / (3.0 * n);
   }
   response = std::sqrt(response);
   if (!(response > 0.0)) return test;
-  // White part: from differences of neighbours, where slow forces cancel.
-  Vector3d white = Vector3d::Zero(), total = Vector3d::Zero();
-  int pairs = 0;
-  for (int i = 0; i < n; ++i) {
-    total += residual.row(i).head<3>().transpose().cwiseAbs2() / n;
-    if (!flight.next(i)) continue;
-    white += 0.5 * (residual.row(i) - residual.row(i - 1)).head<3>().transpose().cwiseAbs2();
-    ++pairs;
-  }
-  white = (white / std::max(1, pairs)).cwiseMax(0.05 * total).cwiseMax(1e-12);
+  Vector3d total;
+  const Vector3d white = WhiteVariance(flight, residual, &total);
   const double natural = std::sqrt(std::max(1e-12, (total - white).cwiseMax(0.0).mean()));
   const Best gust = Search(flight, residual, wind, white, natural / response);
   const Best free_world = Search(flight, residual, world, white, natural);
   const Best free_body = Search(flight, residual, body, white, natural);
-  const double none = Likelihood(flight, residual, body, total, 0.0, 1.0);
+  const double none = Follow(flight, residual, body, total, 0.0, 1.0);
+  std::vector<Vector3d> states;
+  Follow(flight, residual, wind, white, gust.sigma, gust.time_constant_s, &states);
   Matrix3d moment = Matrix3d::Zero();
-  Likelihood(flight, residual, wind, white, gust.sigma, gust.time_constant_s, &moment);
+  for (const Vector3d& x : states) moment += x * x.transpose();
   const Vector3d spread = Eigen::SelfAdjointEigenSolver<Matrix3d>(moment).eigenvalues();
   test.one_sidedness = spread.sum() > 0.0 ? spread[2] / spread.sum() : 1.0;
   test.gain = gust.likelihood - none;
@@ -99,6 +119,22 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   test.sigma_m_s = gust.sigma;
   test.time_constant_s = gust.time_constant_s;
   return test;
+}
+
+std::vector<Vector3d> PredictGusts(const ThinnedFlight& flight,
+                                   const ResidualModel::Wrenches& residual,
+                                   const std::array<ResidualModel::Wrenches, 3>& d_wind,
+                                   double sigma_m_s, double time_constant_s, int ahead) {
+  const int n = flight.size();
+  std::vector<Vector3d> states, predicted(n, Vector3d::Zero());
+  Vector3d total;
+  const Vector3d white = WhiteVariance(flight, residual, &total);
+  Follow(flight, residual, Response(n, d_wind), white, sigma_m_s, time_constant_s, &states);
+  for (int i = ahead; i < n; ++i) {
+    const double dt = flight.sample(i).t_s - flight.sample(i - ahead).t_s;
+    predicted[i] = std::exp(-dt / time_constant_s) * states[i - ahead];
+  }
+  return predicted;
 }
 
 }  // namespace odmc

@@ -142,8 +142,6 @@ WrenchFit FitWrench(const WrenchRegression& r) {
   const int n = static_cast<int>(r.prior_sigma.size());
   const std::vector<int> rows = RowsInUse(r);
   WrenchFit fit;
-  fit.step = Eigen::VectorXd::Zero(n);
-  fit.residual = r.y;
   // Blocks in use, in the order of time; block b belongs to fold b mod kFolds.
   std::map<int, int> fold_of;
   for (const int i : rows) fold_of.emplace(r.block[i], 0);
@@ -151,6 +149,11 @@ WrenchFit FitWrench(const WrenchRegression& r) {
   for (auto& entry : fold_of) entry.second = count++ % kFolds;
 
   const Eigen::VectorXd prior = r.prior_sigma.cwiseAbs2().cwiseInverse();
+  FitPlainly(r, rows, fold_of, prior, &fit);
+  // From here, and not from y: strongly correlated noise would take in what columns explain that
+  // are not exact in time.
+  fit.residual = fit.plain_residual;
+  fit.step = fit.plain_step;
   std::array<Channel, kNumChannels> white;
   std::array<Noise, kNumChannels> noise;
   std::array<Eigen::MatrixXd, kFolds> grams;
@@ -207,7 +210,6 @@ WrenchFit FitWrench(const WrenchRegression& r) {
       }
     }
   }
-  FitPlainly(r, rows, fold_of, prior, &fit);
   for (int c = 0; c < kNumChannels; ++c) fit.noise_coefficients[c] = noise[c].coefficients;
   for (int c = 0; c < r.num_channels; ++c) fit.innovation_variance[c] = noise[c].variance;
   return fit;
@@ -236,16 +238,24 @@ double CrossValidatedGain(const WrenchFit& base, const WrenchFit& fit) {
   return gain;
 }
 
-QuickGain::QuickGain(const WrenchRegression& base, const WrenchFit& fit)
+QuickGain::QuickGain(const WrenchRegression& base, const WrenchFit& fit, bool serial)
     : num_channels_(base.num_channels),
       rows_(RowsInUse(base)),
       coefficients_(fit.noise_coefficients) {
   for (int c = 0; c < num_channels_; ++c) {
-    sigma_[c] = std::sqrt(std::max(fit.innovation_variance[c], 1e-300));
+    double variance = fit.innovation_variance[c];
+    if (!serial) {
+      coefficients_[c].setZero();
+      variance = fit.plain_residual.col(c).squaredNorm() /
+                 static_cast<double>(std::max<Eigen::Index>(1, fit.plain_residual.rows()));
+    }
+    sigma_[c] = std::sqrt(std::max(variance, 1e-300));
   }
   const int n = static_cast<int>(base.prior_sigma.size());
   WrenchColumns y;
-  for (int c = 0; c < kNumChannels; ++c) y[c] = fit.residual.col(c);
+  for (int c = 0; c < kNumChannels; ++c) {
+    y[c] = serial ? fit.residual.col(c) : fit.plain_residual.col(c);
+  }
   rest_ = Whitened(y);
   Q_ = Eigen::MatrixXd::Zero(rest_.size(), n);
   if (n == 0) return;

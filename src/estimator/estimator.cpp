@@ -55,6 +55,12 @@ Vector3d PriorInertia(const DynamicModel& model) {
   return inertia;
 }
 
+Eigen::VectorXd PriorSigmas(const ParameterLayout& layout) {
+  Eigen::VectorXd sigma(layout.num_estimated());
+  for (int i = 0; i < sigma.size(); ++i) sigma[i] = layout.PriorSigma(i);
+  return sigma;
+}
+
 /// "0.8 imu.pz - 0.6 centre_of_gravity.z": the entries that make up most of a direction.
 std::string Words(const DynamicModel& model, const ParameterLayout& layout,
                   const Eigen::VectorXd& direction) {
@@ -125,7 +131,8 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
       solver_(std::make_unique<CeresWindowSolver>()),
       consistency_(layout_.num_estimated()),
       inflation_(Eigen::VectorXd::Ones(layout_.num_estimated())),
-      sigma_eta_(layout_.num_estimated()),
+      prior_sigma_eta_(PriorSigmas(layout_)),
+      sigma_eta_(prior_sigma_eta_),
       force_information_(Eigen::VectorXd::Zero(layout_.num_estimated())),
       torque_information_(Eigen::VectorXd::Zero(layout_.num_estimated())) {
   std::string error;
@@ -133,7 +140,6 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
   if (options.huber_width > 0.0) {
     loss_ = std::make_unique<ceres::HuberLoss>(options.huber_width);
   }
-  for (int i = 0; i < layout_.num_estimated(); ++i) sigma_eta_[i] = layout_.PriorSigma(i);
 }
 
 Estimator::~Estimator() = default;
@@ -172,6 +178,24 @@ void Estimator::RestartChain() {
   window_.biases().clear();
   bias_since_.reset();
   noise_ready_ = 0;
+}
+
+void Estimator::CarryOn(const Estimator& before, const DynamicModel& declared) {
+  prior_sigma_eta_ = PriorSigmas(ParameterLayout(declared, declared.InitialValues()));
+  synchroniser_ = before.synchroniser_;
+  ground_ = before.ground_;
+  inertia_gate_ = before.inertia_gate_;
+  inertia_gate_.Break();
+  odometry_noise_ = before.odometry_noise_;
+  rotor_noise_ = before.rotor_noise_;
+  process_noise_ = before.process_noise_;
+  residual_force_power_ = before.residual_force_power_;
+  residual_torque_power_ = before.residual_torque_power_;
+  counters_ = before.counters_;
+  last_ = before.last_;
+  before_last_ = before.before_last_;
+  first_stamp_ = before.first_stamp_;
+  noise_ready_ = before.noise_ready_;
 }
 
 std::optional<Snapshot> Estimator::Step() {
@@ -556,7 +580,7 @@ Snapshot Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport
     const int k = layout_.model_index(i);
     const double sigma = sigma_eta_[i] * inflation_[i];
     snapshot.sigma[k] = sigma * std::abs(chain[i]);
-    snapshot.observable[k] = sigma < kObservableShare * layout_.PriorSigma(i);
+    snapshot.observable[k] = sigma < kObservableShare * prior_sigma_eta_[i];
     for (int j = 0; j < n; ++j) {
       snapshot.covariance(k, layout_.model_index(j)) =
           covariance(i, j) * inflation_[i] * inflation_[j] * chain[i] * chain[j];
@@ -575,11 +599,15 @@ void Estimator::RefreshConsistency(const Eigen::MatrixXd& covariance) {
   const LinearSystem left = Eliminate(system);
   consistency_.CloseBlock(left.A.transpose() * left.A);
   inflation_ = consistency_.Inflation(window_.eta(), covariance);
+  // Of what varies, the flight's scores say nothing about the present value.
+  for (const DynamicModel::ProcessParameter& p : model_->processes()) {
+    for (int i = 0; i < n; ++i) {
+      if (layout_.model_index(i) == p.index) inflation_[i] = 1.0;
+    }
+  }
 
   // Directions about which the flight says less than the priors, in units of the priors' sigmas.
-  Eigen::VectorXd prior_sigma(n);
-  for (int i = 0; i < n; ++i) prior_sigma[i] = layout_.PriorSigma(i);
-  const Eigen::VectorXd inverse = prior_sigma.cwiseInverse();
+  const Eigen::VectorXd inverse = prior_sigma_eta_.cwiseInverse();
   const Eigen::MatrixXd posterior = inverse.asDiagonal() * covariance * inverse.asDiagonal();
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(posterior);
   unobservable_.clear();

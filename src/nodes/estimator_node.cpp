@@ -18,8 +18,8 @@ constexpr char kHelp[] =
     "  roslaunch odmc estimator.launch vehicle:=NAME\n"
     "\n"
     "Subscribes odometry or pose, imu, rotor_speeds or joint_states, battery_state.\n"
-    "Publishes  parameters, parameters_accepted, state, residual_wrench, live_image,\n"
-    "           /diagnostics.\n"
+    "Publishes  parameters, parameters_accepted, state, residual_wrench, unexplained,\n"
+    "           live_image, /diagnostics.\n"
     "Parameters: see launch/estimator.launch and config/estimator.yaml.\n";
 
 }  // namespace

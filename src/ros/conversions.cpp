@@ -76,6 +76,17 @@ std::optional<RotorInput> SpeedInput(const std_msgs::Header& header,
   return input;
 }
 
+DynamicParameter ToMessage(const ParameterEstimate& p) {
+  DynamicParameter m;
+  m.name = p.full_name;
+  m.value = p.value;
+  m.sigma = p.sigma;
+  m.unit = p.unit;
+  m.state = p.estimated ? DynamicParameter::ESTIMATED : DynamicParameter::FROZEN;
+  m.observable = p.observable;
+  return m;
+}
+
 }  // namespace
 
 Stamp FromRos(const ros::Time& time) {
@@ -181,16 +192,7 @@ DynamicParameters ToMessage(const DynamicModel& model, const Snapshot& snapshot,
   m.vehicle = model.vehicle().name;
   const ParameterSet set = Estimator::ToParameterSet(model, snapshot);
   m.effects = set.effects;
-  for (const ParameterEstimate& p : set.parameters) {
-    DynamicParameter parameter;
-    parameter.name = p.full_name;
-    parameter.value = p.value;
-    parameter.sigma = p.sigma;
-    parameter.unit = p.unit;
-    parameter.state = p.estimated ? DynamicParameter::ESTIMATED : DynamicParameter::FROZEN;
-    parameter.observable = p.observable;
-    m.parameters.push_back(parameter);
-  }
+  for (const ParameterEstimate& p : set.parameters) m.parameters.push_back(ToMessage(p));
   // Symmetric, so the order of storage does not matter.
   m.covariance.assign(snapshot.covariance.data(),
                       snapshot.covariance.data() + snapshot.covariance.size());
@@ -201,6 +203,34 @@ DynamicParameters ToMessage(const DynamicModel& model, const Snapshot& snapshot,
   m.battery_voltage_V = snapshot.battery_voltage_V;
   m.states_in_window = static_cast<std::uint32_t>(snapshot.timing.states);
   m.update_ms = snapshot.timing.wall_ms;
+  return m;
+}
+
+UnexplainedResidual ToMessage(const ResidualLook& look, const std::string& body_frame,
+                              const std::vector<std::string>& added) {
+  UnexplainedResidual m;
+  m.header = MakeHeader(look.stamp, body_frame);
+  m.flight_s = look.flight_s;
+  m.effects = look.model->effect_names();
+  for (int i = 0; i < 3; ++i) {
+    m.force_rmse_N[i] = look.force_rmse_N[i];
+    m.torque_rmse_Nm[i] = look.torque_rmse_Nm[i];
+  }
+  m.structured_share = look.structured_share;
+  m.channel = look.channel;
+  m.whiteness_p = look.whiteness_p;
+  m.structured = look.structured;
+  m.in_a_row = static_cast<std::uint32_t>(look.in_a_row);
+  m.added = added;
+  if (!look.candidate) return m;
+  m.candidate = look.candidate->name;
+  m.score = look.candidate->score;
+  m.explained_share = look.explained_share;
+  for (const ParameterEstimate& p : look.candidate->parameters) {
+    m.parameters.push_back(ToMessage(p));
+  }
+  m.beside = look.beside;
+  m.alternatives = look.alternatives;
   return m;
 }
 

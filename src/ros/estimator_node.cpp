@@ -5,6 +5,9 @@
 #include <ros/init.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/image_encodings.h>
+#include <sys/resource.h>
+#include <sys/syscall.h>
+#include <unistd.h>
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
@@ -30,9 +33,11 @@ namespace {
 constexpr std::chrono::milliseconds kIdle(100);
 constexpr std::chrono::milliseconds kReportPeriod(500);  // image; diagnostics every other time
 constexpr std::chrono::milliseconds kStatusPeriod(100);
+constexpr std::chrono::milliseconds kWatchIdle(200);
 constexpr std::chrono::seconds kAcceptedPeriod(1);
 constexpr std::chrono::seconds kTfPatience(2);
 constexpr std::chrono::seconds kFinishPatience(2);
+constexpr int kWatchNiceness = 10;
 constexpr size_t kBatch = 300;          // samples taken from the queue at once
 constexpr size_t kTimedUpdates = 1000;  // the percentiles look back this far
 constexpr char kCalibrated[] = "_calibrated";
@@ -106,7 +111,12 @@ bool EstimatorNodeOptions::IsValid(std::string* error) const {
   if (queue_size < 100) return fail("queue_size must be at least 100");
   if (rotor_radius_m < 0.0) return fail("rotor_radius_m must not be negative");
   if (body_frame.empty()) return fail("body_frame must not be empty");
-  return acceptance.IsValid(error);
+  for (const std::string& effect : add_effects) {
+    if (!EffectRegistry::Default().Has(effect)) {
+      return fail("add_effects: there is no effect '" + effect + "' (see list_effects)");
+    }
+  }
+  return residual_watch.IsValid(error) && acceptance.IsValid(error);
 }
 
 EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
@@ -149,12 +159,16 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, EstimatorNodeSetup set
   accepted_publisher_ = node_.advertise<DynamicParameters>("parameters_accepted", 1, true);
   state_publisher_ = node_.advertise<nav_msgs::Odometry>("state", 10);
   wrench_publisher_ = node_.advertise<geometry_msgs::WrenchStamped>("residual_wrench", 10);
+  unexplained_publisher_ = node_.advertise<UnexplainedResidual>("unexplained", 10);
   diagnostics_publisher_ = node_.advertise<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10);
   image_publisher_ = node_.advertise<sensor_msgs::Image>("live_image", 1);
   tf_listener_ = std::make_unique<tf2_ros::TransformListener>(tf_buffer_);
   status_.waiting_for = intake_.WaitingFor();
+  const bool watches = setup_.options.residual_watch.residual_watch_period_s > 0.0;
+  status_.watches_residual = watches;
   estimator_thread_ = std::thread(&EstimatorNode::RunEstimator, this);
   reporting_thread_ = std::thread(&EstimatorNode::RunReporting, this);
+  if (watches) watching_thread_ = std::thread(&EstimatorNode::RunWatching, this);
   Subscribe<nav_msgs::Odometry>("odometry", InputStream::kOdometry);
   Subscribe<geometry_msgs::PoseStamped>("pose", InputStream::kPose);
   Subscribe<sensor_msgs::Imu>("imu", InputStream::kImu);
@@ -173,6 +187,7 @@ EstimatorNode::~EstimatorNode() {
   reporting_wakes_.notify_all();
   estimator_thread_.join();
   reporting_thread_.join();
+  if (watching_thread_.joinable()) watching_thread_.join();
 }
 
 // ---- ROS threads -------------------------------------------------------------------------------
@@ -223,6 +238,7 @@ void EstimatorNode::RunEstimator() {
     std::deque<InputSample> batch;
     while (WaitForInput(&batch)) {
       Process(&batch);
+      AddWhatWasFound();
       // What the throttle held back is still news once nothing more comes.
       if (last_) PublishParameters(*last_);
       ShareStatus();
@@ -276,6 +292,7 @@ void EstimatorNode::OnClockStepBack() {
   } else if (estimator_) {
     estimator_->RestartChain();
     acceptance_.Reset();
+    if (watch_) watch_->Clear();
     const std::lock_guard<std::mutex> lock(status_mutex_);
     history_.Clear();  // its time axis would run backwards
   }
@@ -333,8 +350,13 @@ std::optional<SensorMount> EstimatorNode::LookUpMount(const std::string& sensor_
 }
 
 void EstimatorNode::Start() {
-  model_ = std::make_unique<DynamicModel>(setup_.vehicle, setup_.vehicle.effects);
+  model_ = std::make_shared<DynamicModel>(setup_.vehicle, setup_.vehicle.effects);
   estimator_ = std::make_unique<Estimator>(model_.get(), setup_.estimator, !intake_.rms_only());
+  if (setup_.options.residual_watch.residual_watch_period_s > 0.0) {
+    const std::lock_guard<std::mutex> lock(watch_mutex_);
+    watch_ = std::make_shared<ResidualWatch>(setup_.vehicle, setup_.options.residual_watch,
+                                             !intake_.rms_only());
+  }
   if (intake_.rms_only()) {
     Warn("rotor speeds are root mean squares: force is estimated, torque is not");
   }
@@ -353,6 +375,7 @@ void EstimatorNode::Feed(const Sample& sample) {
   } else {
     std::visit([this](const auto& s) { estimator_->Add(s); }, sample);
   }
+  if (watch_) std::visit([this](const auto& s) { watch_->Add(s); }, sample);
   StepWhileThereIsMore();
 }
 
@@ -360,6 +383,7 @@ void EstimatorNode::StepWhileThereIsMore() {
   while (true) {
     std::optional<Snapshot> snapshot = estimator_->Step();
     if (!estimator_->made_progress()) return;
+    if (watch_) watch_->SetAirborne(estimator_->last_keyframe_stamp(), estimator_->airborne());
     if (snapshot) {
       OnSnapshot(*std::move(snapshot));
     } else if (last_) {
@@ -379,13 +403,53 @@ void EstimatorNode::OnSnapshot(Snapshot snapshot) {
   update_ms_.push_back(snapshot.timing.wall_ms);
   if (update_ms_.size() > kTimedUpdates) update_ms_.pop_front();
   acceptance_.Update(*model_, snapshot);
+  if (watch_) watch_->SetEstimate(model_, snapshot.values, estimator_->start());
   {
     const std::lock_guard<std::mutex> lock(status_mutex_);
+    if (status_.model != model_) {
+      // What is drawn belongs to one model.
+      status_.model = model_;
+      status_.observable = snapshot.observable;
+      history_.Clear();
+    }
     history_.Add(snapshot);
   }
+  last_model_ = model_;
   last_ = std::move(snapshot);
   last_is_published_ = false;
   if (ros::ok()) PublishEstimate(*last_);
+}
+
+void EstimatorNode::AddWhatWasFound() {
+  std::optional<ResidualLook> found;
+  {
+    const std::lock_guard<std::mutex> lock(watch_mutex_);
+    found.swap(to_be_added_);
+  }
+  if (!found || found->model != model_ || last_model_ != model_) return;
+  const std::string& name = found->candidate->name;
+  try {
+    const Vehicle extended = With(setup_.vehicle, Candidate{name, found->candidate->settings});
+    const Vehicle warm =
+        WarmStarted(extended, Estimator::ToParameterSet(*last_model_, *last_), *found);
+    auto model = std::make_shared<DynamicModel>(warm, warm.effects);
+    auto estimator =
+        std::make_unique<Estimator>(model.get(), setup_.estimator, !intake_.rms_only());
+    estimator->CarryOn(*estimator_, DynamicModel(extended, extended.effects));
+    estimator_ = std::move(estimator);
+    model_ = std::move(model);
+    setup_.vehicle.effects = extended.effects;
+    setup_.vehicle.parameters = extended.parameters;
+  } catch (const std::exception& e) {
+    ROS_ERROR("%s was found, but cannot be added: %s", name.c_str(), e.what());
+    return;
+  }
+  acceptance_.Reset();
+  added_effects_ += (added_effects_.empty() ? "" : ", ") + name;
+  ROS_WARN("added %s to the model in flight (add_effects): %.3g nats, found %d times in a row",
+           name.c_str(), found->candidate->score, found->in_a_row);
+  const std::lock_guard<std::mutex> lock(status_mutex_);
+  status_.added_effects.push_back(name);
 }
 
 void EstimatorNode::PublishEstimate(const Snapshot& snapshot) {
@@ -402,7 +466,7 @@ void EstimatorNode::PublishParameters(const Snapshot& snapshot) {
   if (!ros::ok() || !is_news || time - parameters_published_ < period) return;
   parameters_published_ = time;
   last_is_published_ = true;
-  DynamicParameters message = odmc::ToMessage(*model_, snapshot, setup_.options.body_frame);
+  DynamicParameters message = odmc::ToMessage(*last_model_, snapshot, setup_.options.body_frame);
   message.accepted = acceptance_.accepted();
   parameters_publisher_.publish(message);
   PublishTransforms(snapshot);
@@ -415,13 +479,13 @@ void EstimatorNode::PublishParameters(const Snapshot& snapshot) {
 void EstimatorNode::PublishTransforms(const Snapshot& snapshot) {
   const std::string& body_frame = setup_.options.body_frame;
   std::vector<geometry_msgs::TransformStamped> transforms;
-  if (IsEstimated(*model_, "odometry_extrinsics")) {
+  if (IsEstimated(*last_model_, "odometry_extrinsics")) {
     const std::string& frame = intake_.sensor_frame_id();
     transforms.push_back(ToTransform(snapshot.stamp, body_frame,
                                      (frame.empty() ? "odometry" : frame) + kCalibrated,
                                      snapshot.body.p_BS, snapshot.body.R_BS));
   }
-  if (IsEstimated(*model_, "imu_extrinsics")) {
+  if (IsEstimated(*last_model_, "imu_extrinsics")) {
     const std::string frame = intake_.imu_frame_id().value_or("");
     transforms.push_back(ToTransform(snapshot.stamp, body_frame,
                                      (frame.empty() ? "imu" : frame) + kCalibrated,
@@ -454,7 +518,7 @@ void EstimatorNode::ShareStatus() {
   }
   if (intake_.twist().moving_s > 0.0) s.twist = TwistText();
   if (!estimator_) return;
-  s.model = model_.get();
+  if (!s.model) s.model = model_;
   s.waiting_for = estimator_->waiting_for();
   s.airborne = estimator_->airborne();
   s.counters = estimator_->counters();
@@ -467,7 +531,7 @@ void EstimatorNode::ShareStatus() {
 }
 
 void EstimatorNode::ShareSnapshot(const Snapshot& snapshot, NodeStatus* s) const {
-  s->unphysical = UnphysicalValues(*model_, snapshot);
+  s->unphysical = UnphysicalValues(*last_model_, snapshot);
   s->unobservable = snapshot.unobservable;
   s->observable = snapshot.observable;
   s->time_s = snapshot.time_s;
@@ -504,7 +568,7 @@ void EstimatorNode::Save() const {
     ROS_WARN("nothing was estimated, no parameters.yaml is written");
     return;
   }
-  ParameterSet set = Estimator::ToParameterSet(*model_, *last_);
+  ParameterSet set = Estimator::ToParameterSet(*last_model_, *last_);
   set.provenance["tool"] = "estimator_node";
   set.provenance["version"] = ODMC_VERSION;
   set.provenance["date"] = Now();
@@ -514,11 +578,65 @@ void EstimatorNode::Save() const {
   set.provenance["airborne_s"] = std::to_string(estimator_->counters().airborne_s);
   set.provenance["keyframes"] = std::to_string(estimator_->counters().keyframes);
   set.provenance["newest_stamp_ns"] = std::to_string(last_->stamp);
+  if (!added_effects_.empty()) set.provenance["added_in_flight"] = added_effects_;
   set.provenance["accepted"] = acceptance_.accepted() ? "true" : "false";
   const std::string file =
       (std::filesystem::path(setup_.options.output_dir) / "parameters.yaml").string();
   SaveParameters(set, file);
   ROS_INFO("wrote %s", file.c_str());
+}
+
+// ---- Watching thread ---------------------------------------------------------------------------
+
+void EstimatorNode::RunWatching() {
+  // A look takes a second or so and can wait; the estimator can't.
+  setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), kWatchNiceness);
+  const auto is_stopping = [this] {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    return stopping_;
+  };
+  while (true) {
+    {
+      std::unique_lock<std::mutex> lock(queue_mutex_);
+      if (reporting_wakes_.wait_for(lock, kWatchIdle, [this] { return stopping_; })) return;
+    }
+    std::shared_ptr<ResidualWatch> watch;
+    {
+      const std::lock_guard<std::mutex> lock(watch_mutex_);
+      watch = watch_;
+    }
+    if (!watch) continue;
+    try {
+      const std::optional<ResidualLook> look = watch->Look(is_stopping);
+      if (look) OnLook(*look);
+    } catch (const std::exception& e) {
+      ROS_ERROR_THROTTLE(10.0, "the residual cannot be looked at: %s", e.what());
+    }
+  }
+}
+
+void EstimatorNode::OnLook(const ResidualLook& look) {
+  const EstimatorNodeOptions& options = setup_.options;
+  std::vector<std::string> added;
+  {
+    const std::lock_guard<std::mutex> lock(status_mutex_);
+    status_.unexplained = look;
+    added = status_.added_effects;
+  }
+  if (ros::ok()) unexplained_publisher_.publish(odmc::ToMessage(look, options.body_frame, added));
+  const int needed = options.residual_watch.residual_watch_confirmations;
+  if (look.in_a_row < needed) return;
+  const std::string& name = look.candidate->name;
+  const auto& may = options.add_effects;
+  const bool add = std::find(may.begin(), may.end(), name) != may.end();
+  if (look.in_a_row == needed) {
+    ROS_INFO("%.0f %% of the residual in %s is structure; %s would explain it (%.3g nats)%s",
+             100.0 * look.structured_share, look.channel.c_str(), name.c_str(),
+             look.candidate->score, add ? "" : "; it is not in add_effects");
+  }
+  if (!add) return;
+  const std::lock_guard<std::mutex> lock(watch_mutex_);
+  to_be_added_ = look;
 }
 
 // ---- Reporting thread --------------------------------------------------------------------------
@@ -561,6 +679,7 @@ void EstimatorNode::PublishDiagnostics(const std::array<StreamStatus, kNumInputS
   message.header.stamp = ros::Time::now();
   const std::string name = ros::this_node::getName();
   message.status.push_back(EstimatorDiagnostic(status, name + ": estimator"));
+  message.status.push_back(UnexplainedDiagnostic(status, name + ": unexplained"));
   message.status.push_back(InputDiagnostic(streams, before, seconds, name + ": inputs"));
   diagnostics_publisher_.publish(message);
 }
@@ -568,13 +687,14 @@ void EstimatorNode::PublishDiagnostics(const std::array<StreamStatus, kNumInputS
 void EstimatorNode::PublishLiveImage() {
   if (!ros::ok()) return;
   if (!setup_.options.live_image && image_publisher_.getNumSubscribers() == 0) return;
-  const NodeStatus status = Status();
-  if (status.model == nullptr) return;
+  NodeStatus status;
   LiveHistory history;
   {
     const std::lock_guard<std::mutex> lock(status_mutex_);
+    status = status_;
     history = history_;
   }
+  if (status.model == nullptr) return;
   LiveImageTexts texts;
   texts.title = setup_.vehicle.name;
   texts.good = status.accepted;

@@ -2,6 +2,7 @@
 
 #include <diagnostic_msgs/KeyValue.h>
 
+#include <cmath>
 #include <cstdio>
 
 namespace odmc {
@@ -107,6 +108,37 @@ DiagnosticStatus EstimatorDiagnostic(const NodeStatus& s, const std::string& nam
   Put("residual_force_N", s.residual_force_rms_N, &status);
   Put("residual_torque_Nm", s.residual_torque_rms_Nm, &status);
   Put("battery_voltage_V", s.battery_voltage_V, &status);
+  return status;
+}
+
+DiagnosticStatus UnexplainedDiagnostic(const NodeStatus& s, const std::string& name) {
+  DiagnosticStatus status;
+  status.name = name;
+  status.level = DiagnosticStatus::OK;
+  const std::string added = Join(s.added_effects);
+  const std::string tail = added.empty() ? "" : "; added in flight: " + added;
+  if (!s.unexplained) {
+    status.message = (s.watches_residual ? "too little flight yet" : "off") + tail;
+    return status;
+  }
+  const ResidualLook& r = *s.unexplained;
+  status.message = (r.candidate    ? r.candidate->name + " would explain it"
+                    : r.structured ? "structured, no effect of the catalogue explains it"
+                                   : "nothing to explain") +
+                   tail;
+  Put("structured_share", r.structured_share, &status);
+  Put("channel", r.channel, &status);
+  Put("whiteness_p", r.whiteness_p, &status);
+  Put("force_rmse_N", r.force_rmse_N.norm() / std::sqrt(3.0), &status);
+  Put("torque_rmse_Nm", r.torque_rmse_Nm.norm() / std::sqrt(3.0), &status);
+  Put("candidate", r.candidate ? r.candidate->name : "", &status);
+  Put("score_nats", r.candidate ? r.candidate->score : 0.0, &status);
+  Put("explained_share", r.explained_share, &status);
+  Put("beside", Join(r.beside), &status);
+  Put("alternatives", Join(r.alternatives), &status);
+  Put("in_a_row", static_cast<long>(r.in_a_row), &status);
+  Put("flight_s", r.flight_s, &status);
+  Put("added_effects", added, &status);
   return status;
 }
 

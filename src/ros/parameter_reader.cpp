@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 #include <optional>
+#include <sstream>
 #include <stdexcept>
 
 #include "odmc/io/number_text.h"
@@ -84,6 +85,31 @@ void ParameterReader::Field(const std::string& key, std::string* value) {
   if (!node_.getParam(key, raw)) return;
   if (raw.getType() != XmlRpcValue::TypeString) Fail(key, "must be text, not " + Quoted(raw));
   *value = std::string(raw);
+}
+
+void ParameterReader::Field(const std::string& key, std::vector<std::string>* value) {
+  known_.push_back(key);
+  XmlRpcValue raw;
+  if (!node_.getParam(key, raw)) return;
+  value->clear();
+  if (raw.getType() == XmlRpcValue::TypeString) {
+    std::istringstream items{std::string(raw)};
+    for (std::string item; std::getline(items, item, ',');) {
+      // A node's own command line hands lists over as text, brackets and all.
+      const size_t first = item.find_first_not_of(" [");
+      const size_t last = item.find_last_not_of(" ]");
+      if (first == std::string::npos || last == std::string::npos || last < first) continue;
+      value->push_back(item.substr(first, last - first + 1));
+    }
+    return;
+  }
+  if (raw.getType() != XmlRpcValue::TypeArray) Fail(key, "must be a list, not " + Quoted(raw));
+  for (int i = 0; i < raw.size(); ++i) {
+    if (raw[i].getType() != XmlRpcValue::TypeString) {
+      Fail(key, "must be a list of text, not " + Quoted(raw));
+    }
+    value->push_back(std::string(raw[i]));
+  }
 }
 
 void ParameterReader::CheckAllRead() const {

@@ -2,6 +2,7 @@
 //
 //   make_test_bag OUT.bag SECONDS plain    topics as WriteFlightBag() writes them
 //   make_test_bag OUT.bag SECONDS frames   odometry thrice: /in_body, /in_world, /in_neither
+//   make_test_bag OUT.bag SECONDS undeclared  as plain, with a quadratic drag no vehicle file has
 
 #include <nav_msgs/Odometry.h>
 #include <rosbag/bag.h>
@@ -23,6 +24,7 @@ namespace odmc {
 namespace {
 
 const std::string kFolder = ODMC_SOURCE_DIR;
+constexpr double kQuadraticDrag_kg_m = 0.05;
 
 using Json = nlohmann::json;
 
@@ -88,10 +90,14 @@ void WriteFrames(const std::string& from, const std::string& to) {
 }
 
 void Run(const std::string& file, double duration_s, const std::string& kind) {
-  const Vehicle vehicle = LoadVehicle(kFolder + "/config/vehicles/generic.yaml");
+  Vehicle vehicle = LoadVehicle(kFolder + "/config/vehicles/generic.yaml");
+  const bool undeclared = kind == "undeclared";
+  if (undeclared) vehicle.effects.push_back("quadratic_drag");
   const DynamicModel model(vehicle, vehicle.effects);
-  const ModelValues truth = DefaultTruth(model);
+  ModelValues truth = DefaultTruth(model);
+  if (undeclared) truth[model.IndexOf("quadratic_drag.c_q")] = kQuadraticDrag_kg_m;
   SimulationOptions options;
+  if (undeclared) options.trajectory = "aggressive";
   options.duration_s = duration_s;
   options.log_rate_hz = 200.0;
   const SimulatedFlight flight = Simulate(model, truth, options);
@@ -102,7 +108,7 @@ void Run(const std::string& file, double duration_s, const std::string& kind) {
     std::remove((file + ".plain").c_str());
   } else {
     WriteFlightBag(flight.log, file);
-    json["offline"] = Offline(file);
+    if (!undeclared) json["offline"] = Offline(file);
   }
   std::printf("%s\n", json.dump(2).c_str());
 }
@@ -112,7 +118,8 @@ void Run(const std::string& file, double duration_s, const std::string& kind) {
 
 int main(int argc, char** argv) {
   try {
-    if (argc != 4) throw std::invalid_argument("usage: make_test_bag OUT.bag SECONDS plain|frames");
+    if (argc != 4)
+      throw std::invalid_argument("usage: make_test_bag OUT.bag SECONDS plain|frames|undeclared");
     odmc::Run(argv[1], std::atof(argv[2]), argv[3]);
   } catch (const std::exception& e) {
     std::fprintf(stderr, "make_test_bag: %s\n", e.what());

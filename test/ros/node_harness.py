@@ -132,10 +132,10 @@ def diagnostics():
     return Collector("/diagnostics", diagnostic_msgs.msg.DiagnosticArray)
 
 
-def status_of(array, name):
-    """The estimator's diagnostic of one node, as (level, message, {key: value}); None if absent."""
+def status_of(array, name, part="estimator"):
+    """One diagnostic of one node, as (level, message, {key: value}); None if absent."""
     for status in array.status:
-        if status.name == name + ": estimator":
+        if status.name == name + ": " + part:
             return status.level, status.message, {v.key: v.value for v in status.values}
     return None
 
@@ -145,9 +145,9 @@ def level(status):
     return status[0] if isinstance(status[0], int) else status[0][0]
 
 
-def last_status(collector, name):
+def last_status(collector, name, part="estimator"):
     for array in reversed(collector.messages):
-        status = status_of(array, name)
+        status = status_of(array, name, part)
         if status is not None:
             return status
     return None

@@ -8,6 +8,7 @@
 #include "odmc/ros/acceptance.h"
 #include "odmc/ros/conversions.h"
 #include "odmc/ros/live_image.h"
+#include "odmc/ros/node_status.h"
 #include "odmc/ros/sample_intake.h"
 #include "odmc/ros/urdf_vehicle.h"
 #include "odmc/sim/truth_vehicle.h"
@@ -293,6 +294,71 @@ TEST(LiveImage, ShowsParametersAndResidualsAndStaysBounded) {
   EXPECT_GT(deviation[0], 5.0) << "something is drawn";
   if (const char* file = std::getenv("ODMC_LIVE_IMAGE")) WritePpm(image, file);
   EXPECT_FALSE(DrawLiveImage(model, LiveHistory(), {}, texts).empty()) << "before the first update";
+}
+
+// ---- What the model leaves unexplained ---------------------------------------------------------
+
+ResidualLook LookAtDrag() {
+  ResidualLook look;
+  look.stamp = 1500000000;
+  look.flight_s = 19.0;
+  look.model = std::make_shared<DynamicModel>(test::NominalVehicle(), test::PaperEffects());
+  look.structured_share = 0.4;
+  look.channel = "force_x";
+  look.whiteness_p = 1e-9;
+  look.structured = true;
+  look.force_rmse_N = {0.3, 0.2, 0.1};
+  look.candidate = RankedEffect();
+  look.candidate->name = "quadratic_drag";
+  look.candidate->score = 25.0;
+  look.candidate->parameters = {{"quadratic_drag.c_q", "kg/m", 0.03, 0.001, true, true}};
+  look.explained_share = 0.8;
+  look.alternatives = {"rotor_drag"};
+  look.in_a_row = 2;
+  return look;
+}
+
+std::string ValueOf(const diagnostic_msgs::DiagnosticStatus& status, const std::string& key) {
+  for (const auto& pair : status.values) {
+    if (pair.key == key) return pair.value;
+  }
+  return "absent";
+}
+
+TEST(Unexplained, MessageHoldsTheLook) {
+  const UnexplainedResidual m = ToMessage(LookAtDrag(), "base_link", {"wind"});
+  EXPECT_EQ(m.header.stamp, ros::Time(1.5));
+  EXPECT_EQ(m.header.frame_id, "base_link");
+  EXPECT_EQ(m.effects, test::PaperEffects());
+  EXPECT_EQ(m.force_rmse_N[2], 0.1);
+  EXPECT_EQ(m.candidate, "quadratic_drag");
+  ASSERT_EQ(m.parameters.size(), 1u);
+  EXPECT_EQ(m.parameters.front().unit, "kg/m");
+  EXPECT_EQ(m.added, std::vector<std::string>{"wind"});
+  ResidualLook nothing = LookAtDrag();
+  nothing.candidate.reset();
+  const UnexplainedResidual without = ToMessage(nothing, "base_link", {});
+  EXPECT_TRUE(without.candidate.empty());
+  EXPECT_EQ(without.score, 0.0);
+}
+
+TEST(Unexplained, DiagnosticSaysWhatWouldExplainIt) {
+  NodeStatus status;
+  EXPECT_EQ(UnexplainedDiagnostic(status, "n").message, "off");
+  status.watches_residual = true;
+  EXPECT_EQ(UnexplainedDiagnostic(status, "n").message, "too little flight yet");
+  status.unexplained = LookAtDrag();
+  status.added_effects = {"wind"};
+  const auto named = UnexplainedDiagnostic(status, "n");
+  EXPECT_EQ(named.message, "quadratic_drag would explain it; added in flight: wind");
+  EXPECT_EQ(ValueOf(named, "candidate"), "quadratic_drag");
+  EXPECT_EQ(ValueOf(named, "structured_share"), "0.4");
+  EXPECT_EQ(ValueOf(named, "added_effects"), "wind");
+  status.unexplained->candidate.reset();
+  EXPECT_NE(UnexplainedDiagnostic(status, "n").message.find("no effect of the catalogue"),
+            std::string::npos);
+  status.unexplained->structured = false;
+  EXPECT_EQ(UnexplainedDiagnostic(status, "n").message.find("nothing to explain"), 0u);
 }
 
 }  // namespace

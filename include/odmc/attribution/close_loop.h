@@ -8,8 +8,7 @@
 #include <vector>
 
 #include "odmc/analysis/calibration.h"
-#include "odmc/attribution/residual.h"
-#include "odmc/attribution/spectrum.h"
+#include "odmc/attribution/ranking.h"
 #include "odmc/estimator/options.h"
 
 namespace odmc {
@@ -31,30 +30,11 @@ struct CloseLoopOptions {
 enum class Verdict { kEffect, kNone, kUnexplained };
 std::string ToString(Verdict verdict);
 
-/// A candidate's case on a flight.
-struct RankedEffect {
-  std::string name;
-  double score = 0.0;                      ///< gain in cross-validated log-likelihood
-  bool sound = true;                       ///< signs, sizes and significance make physical sense
-  std::string objection;                   ///< if not sound: why
-  std::map<std::string, double> settings;  ///< frozen parameters it was tried with, full names
-  std::vector<ParameterEstimate> parameters;
-};
-
 /// An effect that earned its place.
 struct AddedEffect {
   RankedEffect effect;
   std::vector<std::string> alternatives;  ///< that explain the same on this flight
   std::string manoeuvre;                  ///< what would tell them apart
-};
-
-/// Structure of one channel of the residual.
-struct ChannelStructure {
-  std::string name, unit;
-  double rmse = 0.0;
-  Whiteness whiteness;
-  std::vector<double> autocorrelation;       ///< at lags of 40 ms
-  std::map<std::string, double> dependence;  ///< share of variance by a quadratic in each quantity
 };
 
 /// One sample for pictures: the residual before and after.

@@ -20,4 +20,12 @@ struct GustTest {
 GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
                    const std::array<ResidualModel::Wrenches, 3>& d_wind);
 
+/// Wind in the world at each sample [m/s], by a Kalman filter that has seen all but the last
+/// `ahead` samples before it.
+/// @param residual,d_wind as above, without gusts
+std::vector<Eigen::Vector3d> PredictGusts(const ThinnedFlight& flight,
+                                          const ResidualModel::Wrenches& residual,
+                                          const std::array<ResidualModel::Wrenches, 3>& d_wind,
+                                          double sigma_m_s, double time_constant_s, int ahead);
+
 }  // namespace odmc

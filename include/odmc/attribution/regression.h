@@ -59,7 +59,9 @@ double CrossValidatedGain(const WrenchFit& base, const WrenchFit& fit);
 class QuickGain {
  public:
   /// @param fit of `base`
-  QuickGain(const WrenchRegression& base, const WrenchFit& fit);
+  /// @param serial with the serial correlation of the fit's noise, which has taken in what is
+  ///   missing; otherwise as if it were white
+  QuickGain(const WrenchRegression& base, const WrenchFit& fit, bool serial = true);
 
   /// Gain of these columns (N×k each channel) in nats, at most.
   double Of(const WrenchColumns& columns) const;

@@ -89,6 +89,16 @@ class Estimator {
   /// clock that stepped back).
   void RestartChain();
 
+  /// Goes on where an estimator of the same vehicle with another model stands: samples, ground and
+  /// noise are taken over, flight time and counters go on; states and parameters start anew.
+  /// @param declared the model with the priors by which parameters count as observable (those of
+  ///   this estimator's model hold what `before` has learned); same parameters as the model
+  /// @pre nothing was added yet
+  void CarryOn(const Estimator& before, const DynamicModel& declared);
+
+  /// Stamp from which flight time counts; 0 before the first keyframe.
+  Stamp start() const { return first_stamp_.value_or(0); }
+
   const EstimatorCounters& counters() const { return counters_; }
   const SynchroniserCounters& stream_counters() const { return synchroniser_.counters(); }
   const std::string& waiting_for() const { return synchroniser_.waiting_for(); }
@@ -148,7 +158,8 @@ class Estimator {
   ParameterInformation information_;
   Consistency consistency_;
   Eigen::VectorXd inflation_;
-  Eigen::VectorXd sigma_eta_;                               // of the last update, not inflated
+  Eigen::VectorXd prior_sigma_eta_;  // by which parameters count as observable
+  Eigen::VectorXd sigma_eta_;        // of the last update, not inflated
   Eigen::VectorXd force_information_, torque_information_;  // what has informed each parameter
   std::vector<std::string> unobservable_;
   double residual_force_power_ = 0.0, residual_torque_power_ = 0.0;  // running mean squares

@@ -17,6 +17,8 @@
 
 #include "odmc/DynamicParameters.h"
 #include "odmc/RotorSpeeds.h"
+#include "odmc/UnexplainedResidual.h"
+#include "odmc/attribution/residual_watch.h"
 #include "odmc/estimator/estimator.h"
 #include "odmc/sensing/samples.h"
 
@@ -74,6 +76,11 @@ bool IsFinite(const Snapshot& snapshot);
 /// The estimate as a message; residuals, timing and battery included.
 DynamicParameters ToMessage(const DynamicModel& model, const Snapshot& snapshot,
                             const std::string& body_frame);
+
+/// A look at the residual as a message.
+/// @param added effects that were added in flight
+UnexplainedResidual ToMessage(const ResidualLook& look, const std::string& body_frame,
+                              const std::vector<std::string>& added);
 
 /// Pose and twist of the body (not of the sensor), twist in the body frame.
 nav_msgs::Odometry BodyOdometry(const Snapshot& snapshot, const std::string& world_frame,

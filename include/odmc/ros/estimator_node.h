@@ -18,6 +18,7 @@
 #include <thread>
 #include <vector>
 
+#include "odmc/attribution/residual_watch.h"
 #include "odmc/estimator/estimator.h"
 #include "odmc/ros/acceptance.h"
 #include "odmc/ros/live_image.h"
@@ -41,6 +42,10 @@ struct EstimatorNodeOptions {
   bool live_image = false;                 ///< draw also while nobody listens
   std::string output_dir;                  ///< parameters.yaml goes there at the end; empty: none
   int queue_size = 20000;                  ///< samples waiting for the estimator, at most
+  /// Effects the node may add to the model in flight once residual_watch_confirmations looks in a
+  /// row found them; empty: none.
+  std::vector<std::string> add_effects;
+  ResidualWatchOptions residual_watch;
   AcceptanceOptions acceptance;
 
   template <typename Visitor>
@@ -58,6 +63,8 @@ struct EstimatorNodeOptions {
     v->Field("live_image", &live_image);
     v->Field("output_dir", &output_dir);
     v->Field("queue_size", &queue_size);
+    v->Field("add_effects", &add_effects);
+    residual_watch.Visit(v);
     acceptance.Visit(v);
   }
 
@@ -78,8 +85,9 @@ EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
                                           const ros::NodeHandle& private_node);
 
 /// The estimator on ROS. Callbacks convert and push on a bounded queue, nothing else; one thread
-/// owns the estimator and publishes what it finds; another one reports once in a while. The
-/// destructor works off what is queued (for at most two seconds) and writes the result.
+/// owns the estimator and publishes what it finds; another one reports once in a while; a third
+/// one, of low priority, looks at what the model leaves unexplained. The destructor works off what
+/// is queued (for at most two seconds) and writes the result.
 class EstimatorNode {
  public:
   EstimatorNode(const ros::NodeHandle& node, EstimatorNodeSetup setup);
@@ -109,6 +117,7 @@ class EstimatorNode {
   void Start();
   void Feed(const Sample& sample);
   void StepWhileThereIsMore();
+  void AddWhatWasFound();
   void OnSnapshot(Snapshot snapshot);
   void PublishEstimate(const Snapshot& snapshot);
   void PublishParameters(const Snapshot& snapshot);
@@ -120,6 +129,10 @@ class EstimatorNode {
   void Save() const;
   void Warn(const std::string& sentence);
 
+  // Watching thread.
+  void RunWatching();
+  void OnLook(const ResidualLook& look);
+
   // Reporting thread.
   void RunReporting();
   NodeStatus Status();
@@ -128,13 +141,13 @@ class EstimatorNode {
                           double seconds);
   void PublishLiveImage();
 
-  // Set once in the constructor. The estimator thread completes the mounts of setup_.vehicle; of
-  // the vehicle the others read only name and rotors.
+  // Set once in the constructor. The estimator thread completes the mounts of setup_.vehicle and
+  // adds effects; of the vehicle the others read only name and rotors.
   EstimatorNodeSetup setup_;
   double joint_scale_ = 1.0;
   ros::NodeHandle node_;
   ros::Publisher parameters_publisher_, accepted_publisher_, state_publisher_, wrench_publisher_,
-      diagnostics_publisher_, image_publisher_;
+      unexplained_publisher_, diagnostics_publisher_, image_publisher_;
   tf2_ros::Buffer tf_buffer_;
   std::unique_ptr<tf2_ros::TransformListener> tf_listener_;
   std::vector<ros::Subscriber> subscribers_;
@@ -148,13 +161,15 @@ class EstimatorNode {
 
   // Owned by the estimator thread.
   SampleIntake intake_;
-  std::unique_ptr<DynamicModel> model_;  // immutable; others get it by status_
+  std::shared_ptr<const DynamicModel> model_;  // others get it by status_
   std::unique_ptr<Estimator> estimator_;
   Acceptance acceptance_;
   tf2_ros::TransformBroadcaster tf_broadcaster_;
   std::optional<Clock::time_point> waiting_for_tf_since_;
   bool stopped_by_clock_ = false, ignores_imu_ = false;
   std::optional<Snapshot> last_;
+  std::shared_ptr<const DynamicModel> last_model_;  // of last_
+  std::string added_effects_;
   bool last_is_published_ = false;
   Clock::time_point parameters_published_, accepted_published_, status_shared_;
   std::deque<double> update_ms_;
@@ -165,8 +180,13 @@ class EstimatorNode {
   NodeStatus status_;
   LiveHistory history_;
 
+  // Made by the estimator thread at the start, for the watching thread to look; null: off.
+  std::shared_ptr<ResidualWatch> watch_;     // guarded by watch_mutex_ while it is made
+  std::optional<ResidualLook> to_be_added_;  // guarded by watch_mutex_
+  std::mutex watch_mutex_;
+
   // Started last, joined first.
-  std::thread estimator_thread_, reporting_thread_;
+  std::thread estimator_thread_, reporting_thread_, watching_thread_;
 };
 
 }  // namespace odmc

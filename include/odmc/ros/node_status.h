@@ -4,9 +4,12 @@
 
 #include <array>
 #include <chrono>
+#include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
+#include "odmc/attribution/residual_watch.h"
 #include "odmc/estimator/estimator.h"
 
 namespace odmc {
@@ -30,7 +33,7 @@ struct NodeStatus {
   std::vector<std::string> warnings;    ///< of the set-up, they stay
   std::vector<std::string> unphysical;  ///< of the newest estimate
   std::string twist;                    ///< verdict on the frame of the twist
-  const DynamicModel* model = nullptr;  ///< immutable once here
+  std::shared_ptr<const DynamicModel> model;
   bool airborne = false, accepted = false, has_estimate = false;
   std::vector<std::string> not_accepted_because;
   std::vector<std::string> unobservable;
@@ -44,11 +47,18 @@ struct NodeStatus {
   int states_in_window = 0;
   long forgotten = 0, stale = 0, clock_resets = 0, not_finite = 0;
   size_t queued = 0;
+  bool watches_residual = false;
+  std::optional<ResidualLook> unexplained;  ///< the newest look
+  std::vector<std::string> added_effects;   ///< to the model, in flight
 };
 
 /// The estimator's diagnostic: level, one sentence, all numbers.
 diagnostic_msgs::DiagnosticStatus EstimatorDiagnostic(const NodeStatus& status,
                                                       const std::string& name);
+
+/// What the model leaves unexplained and what would explain it, as of the newest look.
+diagnostic_msgs::DiagnosticStatus UnexplainedDiagnostic(const NodeStatus& status,
+                                                        const std::string& name);
 
 /// The inputs' diagnostic: rate of each stream since the last report and what was lost.
 /// @param before the streams at the last report, `seconds` ago

@@ -20,6 +20,8 @@ class ParameterReader {
   void Field(const std::string& key, int* value);
   void Field(const std::string& key, bool* value);
   void Field(const std::string& key, std::string* value);
+  /// A list of text, or one text with commas between, in brackets or not.
+  void Field(const std::string& key, std::vector<std::string>* value);
 
   /// Refuses parameters in the node's own namespace that no Field() asked for, mostly typing
   /// mistakes.

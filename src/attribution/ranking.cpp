@@ -1,0 +1,482 @@
+#include "odmc/attribution/ranking.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <numeric>
+#include <set>
+#include <utility>
+
+namespace odmc {
+namespace {
+
+constexpr double kHighest_Hz = 7.0;   // edge of the filter
+constexpr double kSignificant = 3.0;  // sigmas of at least one coefficient
+constexpr double kSignSigmas = 2.0;   // a wrong sign by this many is an objection
+constexpr double kBetter = 0.975;     // on some channel, out of sample
+constexpr double kWorse = 1.06;       // on any channel, out of sample
+constexpr double kMuchWorse = 1.12;
+constexpr double kWorseShare = 0.5;   // or this share of what it makes the best channel better
+constexpr double kFoldBlock_s = 1.0;  // of cross-validation: a manoeuvre spans more than one
+constexpr double kStray = 2.0;
+constexpr size_t kFittedSettings = 3;
+constexpr double kSame = 2.0;         // nats, or
+constexpr double kSameShare = 0.01;   // this share of the gain: no reason for more parameters
+constexpr int kRounds = 3;            // of linearization
+constexpr int kCorrelationLags = 26;  // of 40 ms: one second
+const char* const kBiasName = "accelerometer bias";
+const char* const kChannelNames[] = {"force_x",  "force_y",  "force_z",
+                                     "torque_x", "torque_y", "torque_z"};
+
+std::string Text(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.3g", value);
+  return text;
+}
+
+bool Has(const Candidates& candidates, const std::string& effect) {
+  return std::any_of(candidates.begin(), candidates.end(),
+                     [&](const Candidate& c) { return c.effect == effect; });
+}
+
+/// Fills in the parameters of one of the candidates of a fit, and what speaks against it.
+RankedEffect Judge(const Stage& stage, const Candidates& candidates, const Candidate& candidate,
+                   const Regressor::Result& result, const WrenchFit& base, int num_channels) {
+  RankedEffect ranked;
+  ranked.name = candidate.effect;
+  ranked.settings = candidate.settings;
+  ranked.score = CrossValidatedGain(base, result.fit);
+  double best = 1.0, worst = 0.0;
+  int worst_channel = 0;
+  for (int c = 0; c < num_channels; ++c) {
+    const double change = std::sqrt(result.fit.plain_mean_square[c] / base.plain_mean_square[c]);
+    best = std::min(best, change);
+    if (change > worst) {
+      worst = change;
+      worst_channel = c;
+    }
+  }
+  if (IsClearlyWorse(worst, best)) {
+    ranked.sound = false;
+    ranked.objection = std::string("makes ") + kChannelNames[worst_channel] + " worse by " +
+                       Text(100.0 * (worst - 1.0)) + " %";
+  } else if (best > kBetter) {
+    ranked.sound = false;
+    ranked.objection = "makes no channel better";
+  }
+  const Vehicle extended = With(stage.vehicle, candidates);
+  const DynamicModel model(extended, extended.effects);
+  std::vector<Eigen::Index> own;
+  Eigen::VectorXd estimate(0);
+  for (size_t i = 0; i < result.names.size(); ++i) {
+    const int k = model.IndexOf(result.names[i]);
+    if (k < 0) continue;  // a bias
+    const ModelParameter& p = model.parameters()[k];
+    if (p.effect != candidate.effect) continue;
+    const double value = result.values.at(p.full_name);
+    const auto at = static_cast<Eigen::Index>(i);
+    const double sigma = std::sqrt(std::max(0.0, result.fit.covariance(at, at)));
+    ranked.parameters.push_back(
+        {p.full_name, p.spec.unit, value, sigma, true, sigma < 0.5 * p.spec.prior_sigma});
+    own.push_back(at);
+    estimate.conservativeResize(estimate.size() + 1);
+    estimate[estimate.size() - 1] = value - p.spec.prior_value;
+    const double sign = p.spec.sign == PhysicalSign::kPositive   ? 1.0
+                        : p.spec.sign == PhysicalSign::kNegative ? -1.0
+                                                                 : 0.0;
+    if (sign * value < -kSignSigmas * sigma) {
+      ranked.sound = false;
+      ranked.objection = p.full_name + " = " + Text(value) + " has an unphysical sign";
+    } else if (std::abs(value - p.spec.prior_value) > kTooLarge * p.spec.prior_sigma) {
+      ranked.sound = false;
+      ranked.objection = p.full_name + " = " + Text(value) + " is too large";
+    }
+  }
+  for (const auto& [name, value] : candidate.settings) {
+    const int k = model.IndexOf(name);
+    ranked.parameters.push_back({name, model.parameters()[k].spec.unit, value, 0.0, false, false});
+  }
+  Eigen::MatrixXd covariance(estimate.size(), estimate.size());
+  for (Eigen::Index a = 0; a < estimate.size(); ++a) {
+    for (Eigen::Index b = 0; b < estimate.size(); ++b) {
+      covariance(a, b) = result.fit.covariance(own[a], own[b]);
+    }
+  }
+  const bool significant = IsSignificant(estimate, covariance);
+  if (ranked.sound && IsNegligible(ranked)) {
+    ranked.sound = false;
+    ranked.objection = "is too small to matter, and no larger than feedback can feign";
+  }
+  if (ranked.sound && !significant) {
+    ranked.sound = false;
+    ranked.objection = "its coefficients do not differ from zero by three sigma";
+  }
+  return ranked;
+}
+
+/// Of sound candidates that explain the same, the one with the fewest parameters goes first.
+void PreferFewParameters(std::vector<Tried>* tried) {
+  if (tried->empty() || !tried->front().ranked.sound) return;
+  const double best = tried->front().ranked.score;
+  const double close = std::max(kSame, kSameShare * best);
+  const auto size = [](const Tried& t) { return t.columns[0].cols(); };
+  auto fewest = tried->begin();
+  for (auto it = tried->begin(); it != tried->end(); ++it) {
+    if (!it->ranked.sound || it->ranked.score < best - close) continue;
+    if (size(*it) < size(*fewest)) fewest = it;
+  }
+  std::rotate(tried->begin(), fewest, fewest + 1);
+}
+
+}  // namespace
+
+Vehicle With(const Vehicle& vehicle, const Candidate& candidate) {
+  Vehicle extended = vehicle;
+  extended.effects.push_back(candidate.effect);
+  for (const auto& [name, value] : candidate.settings) {
+    extended.parameters[name].value = value;
+    extended.parameters[name].estimated = false;
+  }
+  return extended;
+}
+
+Vehicle With(const Vehicle& vehicle, const Candidates& candidates) {
+  Vehicle extended = vehicle;
+  for (const Candidate& candidate : candidates) extended = With(extended, candidate);
+  return extended;
+}
+
+bool IsClearlyWorse(double worst, double best) {
+  const double bearable =
+      std::min(std::log(kMuchWorse), std::max(std::log(kWorse), -kWorseShare * std::log(best)));
+  return std::log(worst) > bearable;
+}
+
+ModelValues ValuesOf(const DynamicModel& model, const std::map<std::string, double>& known) {
+  ModelValues values = model.InitialValues();
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    const auto it = known.find(model.parameters()[i].full_name);
+    if (it != known.end()) values[i] = it->second;
+  }
+  return values;
+}
+
+Regressor::Regressor(const ResidualModel* residual, Stage* stage) : residual_(residual) {
+  base_ = Fit(*stage, {}, kRounds, &regression_);
+  stage->values = base_.values;
+  quick_ = std::make_unique<QuickGain>(regression_, base_.fit);
+  quick_white_ = std::make_unique<QuickGain>(regression_, base_.fit, false);
+}
+
+WrenchColumns Regressor::ColumnsOf(const Stage& stage, const Candidate& candidate) const {
+  const Vehicle extended = With(stage.vehicle, candidate);
+  const DynamicModel model(extended, extended.effects);
+  ModelValues values = ValuesOf(model, stage.values);
+  for (const auto& [name, value] : candidate.start) values[model.IndexOf(name)] = value;
+  WrenchColumns columns;
+  for (Eigen::MatrixXd& c : columns) c.resize(residual_->flight().size(), 0);
+  for (int k = 0; k < model.num_parameters(); ++k) {
+    const ModelParameter& p = model.parameters()[k];
+    if (p.effect != candidate.effect || !p.estimated) continue;
+    const ResidualModel::Wrenches column = residual_->Derivative(model, values, k);
+    if (column.squaredNorm() == 0.0) continue;
+    for (int c = 0; c < kNumChannels; ++c) {
+      columns[c].conservativeResize(column.rows(), columns[c].cols() + 1);
+      columns[c].rightCols<1>() = column.col(c);
+    }
+  }
+  return columns;
+}
+
+double Regressor::Promise(const WrenchColumns& columns, bool serial) const {
+  if (columns[0].cols() == 0) return 0.0;
+  return (serial ? quick_ : quick_white_)->Of(columns);
+}
+
+Regressor::Result Regressor::FitWith(const Stage& stage, const Candidates& candidates) const {
+  const bool bilinear = std::any_of(candidates.begin(), candidates.end(), [](const Candidate& c) {
+    return !c.start.empty() || c.effect == "wind";
+  });
+  WrenchRegression regression;
+  return Fit(stage, candidates, bilinear ? kRounds : kRounds - 1, &regression);
+}
+
+Regressor::Result Regressor::Fit(const Stage& stage, const Candidates& candidates, int rounds,
+                                 WrenchRegression* regression) const {
+  const Vehicle extended = With(stage.vehicle, candidates);
+  const DynamicModel model(extended, extended.effects);
+  Result result;
+  result.values = stage.values;
+  for (const Candidate& candidate : candidates) {
+    for (const auto& [name, value] : candidate.start) result.values[name] = value;
+  }
+  for (int round = 0; round < rounds; ++round) {
+    const ModelValues values = ValuesOf(model, result.values);
+    result.names.clear();
+    *regression = Rows();
+    regression->y = residual_->Residual(model, values);
+    for (int k = 0; k < model.num_parameters(); ++k) {
+      const ModelParameter& p = model.parameters()[k];
+      result.values[p.full_name] = values[k];
+      if (!p.estimated) continue;
+      const ResidualModel::Wrenches column = residual_->Derivative(model, values, k);
+      WrenchColumns columns;
+      for (int c = 0; c < kNumChannels; ++c) columns[c] = column.col(c);
+      double sigma = p.spec.prior_sigma;
+      if (!Has(candidates, p.effect)) {
+        // Priors of files are wide. What a few transients tell apart must not run off where a
+        // fold leaves these out, so no declared parameter strays far from what it is.
+        const auto was = stage.values.find(p.full_name);
+        const double size = was == stage.values.end() ? 0.0 : was->second - p.spec.prior_value;
+        sigma = std::min(sigma, std::max(kStray * std::abs(size), p.spec.scale));
+      }
+      AddColumn(columns, sigma, p.spec.prior_value - values[k], regression);
+      result.names.push_back(p.full_name);
+    }
+    if (residual_->from_accelerometer()) AddBiases(stage.vehicle.mass_kg, regression, &result);
+    result.fit = FitWrench(*regression);
+    for (size_t i = 0; i < result.names.size(); ++i) {
+      const int k = model.IndexOf(result.names[i]);
+      if (k < 0) continue;  // a bias
+      const double step = result.fit.plain_step[static_cast<Eigen::Index>(i)];
+      double& value = result.values[result.names[i]];
+      const bool positive = model.parameters()[k].spec.transform == ParameterTransform::kLog;
+      value = positive ? value * std::exp(std::clamp(step / value, -1.0, 1.0)) : value + step;
+    }
+  }
+  return result;
+}
+
+WrenchRegression Regressor::Rows() const {
+  const ThinnedFlight& flight = residual_->flight();
+  WrenchRegression rows;
+  rows.num_channels = residual_->num_channels();
+  for (int i = 0; i < flight.size(); ++i) {
+    rows.next.push_back(flight.next(i));
+    rows.block.push_back(static_cast<int>(flight.sample(i).t_s / kFoldBlock_s));
+    rows.used.push_back(!flight.held_out(i));
+  }
+  for (Eigen::MatrixXd& c : rows.columns) c.resize(flight.size(), 0);
+  return rows;
+}
+
+void Regressor::AddBiases(double mass_kg, WrenchRegression* regression, Result* result) const {
+  constexpr double kBias_m_s2 = 0.3;
+  for (int axis = 0; axis < 3; ++axis) {
+    WrenchColumns columns;
+    for (int c = 0; c < kNumChannels; ++c) {
+      columns[c] = Eigen::VectorXd::Constant(regression->y.rows(), c == axis ? 1.0 : 0.0);
+    }
+    AddColumn(columns, kBias_m_s2 * mass_kg, 0.0, regression);
+    result->names.push_back(kBiasName);
+  }
+}
+
+void Regressor::AddColumn(const WrenchColumns& column, double prior_sigma, double prior_offset,
+                          WrenchRegression* regression) {
+  const Eigen::Index n = regression->prior_sigma.size();
+  for (int c = 0; c < kNumChannels; ++c) {
+    regression->columns[c].conservativeResize(Eigen::NoChange, n + 1);
+    regression->columns[c].col(n) = column[c];
+  }
+  regression->prior_sigma.conservativeResize(n + 1);
+  regression->prior_offset.conservativeResize(n + 1);
+  regression->prior_sigma[n] = prior_sigma;
+  regression->prior_offset[n] = prior_offset;
+}
+
+bool IsSignificant(const Eigen::VectorXd& estimate, const Eigen::MatrixXd& covariance) {
+  const auto n = static_cast<double>(estimate.size());
+  if (estimate.size() == 0) return false;
+  Eigen::MatrixXd C = covariance;
+  C.diagonal() *= 1.0 + 1e-9;
+  const double square = estimate.dot(C.ldlt().solve(estimate));
+  return square > kSignificant * kSignificant + 2.0 * (n - 1.0);
+}
+
+bool IsNegligible(const RankedEffect& ranked) {
+  constexpr double kDelay_s = 0.003;
+  if (ranked.name != "rotor_delay") return false;
+  return std::all_of(ranked.parameters.begin(), ranked.parameters.end(),
+                     [](const ParameterEstimate& p) { return std::abs(p.value) < kDelay_s; });
+}
+
+std::vector<Tried> TryAll(const Stage& stage, const std::vector<Candidate>& candidates,
+                          const Regressor& regressor, const WrenchFit& base, int num_channels,
+                          const std::function<bool()>& give_up) {
+  struct Promising {
+    double serial, white;
+    const Candidate* candidate;
+    WrenchColumns columns;
+  };
+  std::map<std::string, std::vector<Promising>> settings;
+  for (const Candidate& candidate : candidates) {
+    if (give_up && give_up()) return {};
+    const std::vector<std::string>& have = stage.vehicle.effects;
+    if (std::find(have.begin(), have.end(), candidate.effect) != have.end()) continue;
+    Promising p{0.0, 0.0, &candidate, regressor.ColumnsOf(stage, candidate)};
+    if (!candidate.settings.empty()) {
+      p.serial = regressor.Promise(p.columns);
+      p.white = regressor.Promise(p.columns, false);
+    }
+    settings[candidate.effect].push_back(std::move(p));
+  }
+  std::vector<Tried> tried;
+  for (auto& entry : settings) {
+    // Of an effect with several settings, the most promising ones are fitted, by either measure.
+    std::vector<Promising>& of = entry.second;
+    std::set<size_t> chosen;
+    const auto choose = [&](double Promising::*by) {
+      std::vector<size_t> order(of.size());
+      std::iota(order.begin(), order.end(), size_t{0});
+      std::sort(order.begin(), order.end(),
+                [&](size_t a, size_t b) { return of[a].*by > of[b].*by; });
+      chosen.insert(order.begin(), order.begin() + std::min(order.size(), kFittedSettings));
+    };
+    choose(&Promising::serial);
+    choose(&Promising::white);
+    std::optional<Tried> best;
+    for (const size_t i : chosen) {
+      if (give_up && give_up()) return {};
+      Tried t{*of[i].candidate, std::move(of[i].columns), {}, {}};
+      t.result = regressor.FitWith(stage, {t.candidate});
+      if (!t.result.fit.step.allFinite()) continue;
+      t.ranked = Judge(stage, {t.candidate}, t.candidate, t.result, base, num_channels);
+      const auto worth = [](const Tried& x) {
+        return std::make_pair(x.ranked.sound, x.ranked.score);
+      };
+      if (!best || worth(t) > worth(*best)) best = std::move(t);
+    }
+    if (best) tried.push_back(std::move(*best));
+  }
+  std::sort(tried.begin(), tried.end(), [](const Tried& a, const Tried& b) {
+    return std::make_pair(a.ranked.sound, a.ranked.score) >
+           std::make_pair(b.ranked.sound, b.ranked.score);
+  });
+  PreferFewParameters(&tried);
+  if (std::getenv("ODMC_DEBUG")) {  // XXX
+    std::fprintf(stderr, "--- step\n");
+    for (const auto& t : tried) {
+      const auto& x = t.ranked;
+      std::fprintf(stderr, "%-24s %8.1f %d %s ", x.name.c_str(), x.score, x.sound,
+                   x.objection.c_str());
+      for (const auto& p : x.parameters) std::fprintf(stderr, " %.3g+-%.2g", p.value, p.sigma);
+      std::fprintf(stderr, "\n");
+    }
+  }
+  return tried;
+}
+
+std::optional<Pair> TryPairs(const Stage& stage, const std::vector<Tried>& tried,
+                             const Regressor& regressor, const WrenchFit& base, int num_channels,
+                             double least) {
+  constexpr size_t kFitted = 12;  // pairs
+  struct Promising {
+    double together;  // more than each on its own
+    size_t a, b;
+  };
+  std::vector<Promising> promising;
+  std::vector<double> alone;
+  alone.reserve(tried.size());
+  for (const Tried& t : tried) alone.push_back(regressor.Promise(t.columns));
+  for (size_t a = 0; a < tried.size(); ++a) {
+    for (size_t b = a + 1; b < tried.size(); ++b) {
+      WrenchColumns both = tried[a].columns;
+      for (int c = 0; c < kNumChannels; ++c) {
+        const Eigen::MatrixXd& second = tried[b].columns[c];
+        both[c].conservativeResize(Eigen::NoChange, both[c].cols() + second.cols());
+        both[c].rightCols(second.cols()) = second;
+      }
+      const double promise = regressor.Promise(both);
+      const double together = promise - alone[a] - alone[b];
+      if (together > least) promising.push_back({together, a, b});
+    }
+  }
+  std::sort(promising.begin(), promising.end(),
+            [](const Promising& a, const Promising& b) { return a.together > b.together; });
+  if (promising.size() > kFitted) promising.resize(kFitted);
+  std::optional<Pair> best;
+  for (const Promising& p : promising) {
+    const Tried &a = tried[p.a], &b = tried[p.b];
+    const Candidates both = {a.candidate, b.candidate};
+    Pair pair;
+    pair.result = regressor.FitWith(stage, both);
+    if (!pair.result.fit.step.allFinite()) continue;
+    pair.ranked = {Judge(stage, both, a.candidate, pair.result, base, num_channels),
+                   Judge(stage, both, b.candidate, pair.result, base, num_channels)};
+    pair.score = pair.ranked[0].score;
+    pair.ranked[0].score = pair.score - b.ranked.score;
+    pair.ranked[1].score = pair.score - a.ranked.score;
+    bool earned = true;
+    for (const RankedEffect& r : pair.ranked) {
+      earned = earned && r.sound && r.score >= least;
+    }
+    // Together more than each on its own.
+    earned = earned && pair.score > a.ranked.score + b.ranked.score + least;
+    if (earned && (!best || pair.score > best->score)) best = std::move(pair);
+  }
+  return best;
+}
+
+std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
+                                        const ResidualModel::Wrenches& residual, int num_channels) {
+  std::vector<ChannelStructure> all;
+  const double rate_Hz = 1.0 / flight.step_s();
+  for (int c = 0; c < num_channels; ++c) {
+    ChannelStructure channel;
+    channel.name = kChannelNames[c];
+    channel.unit = c < 3 ? "N" : "N m";
+    const Eigen::VectorXd y = residual.col(c);
+    channel.rmse = std::sqrt(y.squaredNorm() / std::max<Eigen::Index>(1, y.size()));
+    const auto runs = flight.Runs(y);
+    channel.whiteness = TestWhiteness(runs, rate_Hz, std::min(kHighest_Hz, 0.4 * rate_Hz));
+    channel.autocorrelation = Autocorrelation(runs, kCorrelationLags);
+    const auto share = [&](auto quantity) {
+      Eigen::MatrixXd A(y.size(), 3);
+      for (int i = 0; i < flight.size(); ++i) {
+        const double x = quantity(flight.sample(i));
+        A.row(i) << 1.0, x, x * x;
+      }
+      Eigen::Vector3d size = A.cwiseAbs().colwise().maxCoeff().cwiseMax(1e-12);
+      A = A * size.cwiseInverse().asDiagonal();
+      const Eigen::Matrix3d H = A.transpose() * A + 1e-9 * Eigen::Matrix3d::Identity();
+      const Eigen::VectorXd rest = y - A * H.ldlt().solve(A.transpose() * y);
+      const double variance = (y.array() - y.mean()).matrix().squaredNorm();
+      return variance > 0.0 ? std::max(0.0, 1.0 - rest.squaredNorm() / variance) : 0.0;
+    };
+    channel.dependence = {
+        {"speed", share([](const FilteredMotion& m) { return m.v_WS.norm(); })},
+        {"forward_speed",
+         share([](const FilteredMotion& m) { return (m.R_WS.transpose() * m.v_WS).x(); })},
+        {"side_speed",
+         share([](const FilteredMotion& m) { return (m.R_WS.transpose() * m.v_WS).y(); })},
+        {"axial_speed",
+         share([](const FilteredMotion& m) { return (m.R_WS.transpose() * m.v_WS).z(); })},
+        {"roll_rate", share([](const FilteredMotion& m) { return m.w_S.x(); })},
+        {"pitch_rate", share([](const FilteredMotion& m) { return m.w_S.y(); })},
+        {"yaw_rate", share([](const FilteredMotion& m) { return m.w_S.z(); })},
+        {"thrust", share([](const FilteredMotion& m) { return m.rotors.speed_squared.sum(); })},
+        {"height", share([](const FilteredMotion& m) { return m.p_WS.z(); })},
+        {"time", share([](const FilteredMotion& m) { return m.t_s; })},
+    };
+    all.push_back(std::move(channel));
+  }
+  return all;
+}
+
+double ExplainedStructure(const std::vector<ChannelStructure>& before,
+                          const std::vector<ChannelStructure>& after, double whiteness_p) {
+  double best = 0.0;
+  bool any = false;
+  for (size_t c = 0; c < before.size(); ++c) {
+    if (before[c].whiteness.p >= whiteness_p) continue;
+    any = true;
+    const double was = before[c].whiteness.structured_share * before[c].rmse * before[c].rmse;
+    const double is = after[c].whiteness.structured_share * after[c].rmse * after[c].rmse;
+    if (was > 0.0) best = std::max(best, 1.0 - is / was);
+  }
+  return any ? best : 1.0;
+}
+
+}  // namespace odmc

@@ -1,0 +1,324 @@
+#include "odmc/attribution/residual_watch.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+
+namespace odmc {
+namespace {
+
+constexpr double kEnoughShare = 0.5;  // of the window must be flight
+constexpr int kMostEffects = 3;       // that may explain it together
+constexpr double kMargin_s = 0.2;     // beside the window, for the filter
+
+/// Drops what is older than `stamp`.
+template <typename Sample>
+void DropBefore(Stamp stamp, std::vector<Sample>* samples) {
+  const auto first = std::find_if(samples->begin(), samples->end(),
+                                  [stamp](const Sample& s) { return s.stamp >= stamp; });
+  samples->erase(samples->begin(), first);
+}
+
+bool IsSound(const OdometrySample& s, const std::vector<OdometrySample>& kept) {
+  const bool finite = s.p_WS.allFinite() && s.q_WS.coeffs().allFinite() &&
+                      (!s.v_WS || s.v_WS->allFinite()) && (!s.w_WS_S || s.w_WS_S->allFinite());
+  // A pose that repeats is a source that stalls.
+  return finite && (kept.empty() || kept.back().p_WS != s.p_WS ||
+                    kept.back().q_WS.coeffs() != s.q_WS.coeffs());
+}
+
+bool IsSound(const ImuSample& s, const std::vector<ImuSample>&) {
+  return (!s.gyro_I || s.gyro_I->allFinite()) &&
+         (!s.specific_force_I || s.specific_force_I->allFinite());
+}
+
+bool IsSound(const RotorSample& s, const std::vector<RotorSample>&) { return s.speed.allFinite(); }
+
+/// Keeps a sample that is sound and newer than those kept.
+template <typename Sample>
+void Append(const Sample& sample, std::vector<Sample>* kept) {
+  if (!kept->empty() && sample.stamp <= kept->back().stamp) return;
+  if (IsSound(sample, *kept)) kept->push_back(sample);
+}
+
+bool IsFinite(const ResidualLook& r) {
+  bool finite = std::isfinite(r.structured_share) && std::isfinite(r.whiteness_p) &&
+                r.force_rmse_N.allFinite() && r.torque_rmse_Nm.allFinite() &&
+                std::isfinite(r.explained_share);
+  if (!r.candidate) return finite;
+  finite = finite && std::isfinite(r.candidate->score);
+  for (const ParameterEstimate& p : r.candidate->parameters) {
+    finite = finite && std::isfinite(p.value) && std::isfinite(p.sigma);
+  }
+  return finite;
+}
+
+/// Sizes and structure of the residual's channels.
+void Summarise(const std::vector<ChannelStructure>& channels, const CloseLoopOptions& decision,
+               ResidualLook* found) {
+  for (size_t c = 0; c < channels.size(); ++c) {
+    const Whiteness& whiteness = channels[c].whiteness;
+    (c < 3 ? found->force_rmse_N[c] : found->torque_rmse_Nm[c - 3]) = channels[c].rmse;
+    if (whiteness.structured_share >= found->structured_share) {
+      found->structured_share = whiteness.structured_share;
+      found->channel = channels[c].name;
+    }
+    const auto n = static_cast<double>(channels.size());
+    found->whiteness_p = std::min(found->whiteness_p, n * whiteness.p);
+    found->structured =
+        found->structured || (whiteness.p < decision.whiteness_p &&
+                              whiteness.structured_share > decision.least_structured);
+  }
+}
+
+/// As CloseLoop() tries them. A mass over the whole of what is seen is one with the thrust
+/// coefficient.
+std::vector<Candidate> CandidatesOf(const DynamicModel& model, const ThinnedFlight& flight) {
+  std::vector<Candidate> all = CandidatesFor(model.vehicle(), flight.motion());
+  const int k_f = model.IndexOf("thrust.k_f");
+  if (k_f < 0 || !model.parameters()[k_f].estimated) return all;
+  all.erase(std::remove_if(all.begin(), all.end(),
+                           [](const Candidate& c) {
+                             const auto from = c.settings.find("mass_change.from");
+                             return from != c.settings.end() && from->second <= 0.0;
+                           }),
+            all.end());
+  return all;
+}
+
+/// Names the best candidate, and those that are as good.
+void Name(const std::vector<Tried>& tried, const CloseLoopOptions& decision, ResidualLook* found) {
+  const RankedEffect& best = tried.front().ranked;
+  found->candidate = best;
+  found->refitted = tried.front().result.values;
+  const double close = std::max(decision.close_score, decision.close_share * best.score);
+  for (size_t i = 1; i < tried.size(); ++i) {
+    const RankedEffect& other = tried[i].ranked;
+    if (other.sound && other.score >= best.score - close) found->alternatives.push_back(other.name);
+  }
+}
+
+}  // namespace
+
+bool ResidualWatchOptions::IsValid(std::string* error) const {
+  const auto fail = [error](const char* what) {
+    if (error != nullptr) *error = what;
+    return false;
+  };
+  if (!(residual_watch_period_s >= 0.0))
+    return fail("residual_watch_period_s must not be negative");
+  if (!(residual_watch_window_s >= 10.0 && residual_watch_window_s <= 120.0)) {
+    return fail("residual_watch_window_s must be in [10, 120]");
+  }
+  if (residual_watch_confirmations < 1) {
+    return fail("residual_watch_confirmations must be at least 1");
+  }
+  return true;
+}
+
+ResidualWatch::ResidualWatch(const Vehicle& file_vehicle, const ResidualWatchOptions& options,
+                             bool with_torque)
+    : file_vehicle_(file_vehicle), options_(options), with_torque_(with_torque) {
+  std::string error;
+  if (!options.IsValid(&error)) throw std::invalid_argument(error);
+}
+
+// ---- The feeding thread ------------------------------------------------------------------------
+
+Stamp ResidualWatch::StampOf(const Item& item) {
+  return std::visit([](const auto& s) { return s.stamp; }, item);
+}
+
+void ResidualWatch::Put(Item item) {
+  const Stamp stamp = StampOf(item);
+  const Stamp oldest = stamp - FromSeconds(options_.residual_watch_window_s + kMargin_s);
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (!next_look_) next_look_ = stamp + FromSeconds(options_.residual_watch_period_s);
+  inbox_.push_back(std::move(item));
+  while (StampOf(inbox_.front()) < oldest) inbox_.pop_front();
+}
+
+void ResidualWatch::SetAirborne(Stamp keyframe, bool airborne) {
+  Put(Keyframe{keyframe, airborne});
+  const std::lock_guard<std::mutex> lock(mutex_);
+  airborne_ = airborne;
+}
+
+void ResidualWatch::SetEstimate(std::shared_ptr<const DynamicModel> model,
+                                const ModelValues& values, Stamp start) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  newest_estimate_ = Estimate{std::move(model), values, start};
+}
+
+void ResidualWatch::Clear() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  inbox_.clear();
+  next_look_.reset();
+  cleared_ = true;
+}
+
+// ---- The looking thread ------------------------------------------------------------------------
+
+std::optional<ResidualWatch::Estimate> ResidualWatch::TakeIn() {
+  std::deque<Item> items;
+  std::optional<Estimate> estimate;
+  bool cleared = false;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const bool due = options_.residual_watch_period_s > 0.0 && next_look_ && !inbox_.empty() &&
+                     StampOf(inbox_.back()) >= *next_look_;
+    if (!due || !airborne_ || !newest_estimate_) return std::nullopt;
+    next_look_ = StampOf(inbox_.back()) + FromSeconds(options_.residual_watch_period_s);
+    items.swap(inbox_);
+    std::swap(cleared, cleared_);
+    estimate = newest_estimate_;
+  }
+  if (cleared) {
+    log_ = FlightLog();
+    ground_spans_.clear();
+    last_keyframe_.reset();
+    last_candidate_.clear();
+  }
+  for (const Item& item : items) {
+    if (const auto* odometry = std::get_if<OdometrySample>(&item)) {
+      Append(*odometry, &log_.odometry);
+    } else if (const auto* imu = std::get_if<ImuSample>(&item)) {
+      Append(*imu, &log_.imu);
+    } else if (const auto* rotors = std::get_if<RotorSample>(&item)) {
+      Append(*rotors, &log_.rotors);
+    } else {
+      Keep(std::get<Keyframe>(item));
+    }
+  }
+  if (!log_.odometry.empty()) {
+    ForgetBefore(log_.odometry.back().stamp -
+                 FromSeconds(options_.residual_watch_window_s + kMargin_s));
+  }
+  return estimate;
+}
+
+void ResidualWatch::Keep(const Keyframe& keyframe) {
+  if (!keyframe.airborne) {
+    const bool stands = last_keyframe_ && !last_keyframe_->airborne && !ground_spans_.empty();
+    if (!stands) ground_spans_.emplace_back(keyframe.stamp, keyframe.stamp);
+    ground_spans_.back().second = keyframe.stamp;
+  }
+  last_keyframe_ = keyframe;
+}
+
+void ResidualWatch::ForgetBefore(Stamp stamp) {
+  DropBefore(stamp, &log_.odometry);
+  DropBefore(stamp, &log_.imu);
+  DropBefore(stamp, &log_.rotors);
+  ground_spans_.erase(std::remove_if(ground_spans_.begin(), ground_spans_.end(),
+                                     [stamp](const auto& span) { return span.second < stamp; }),
+                      ground_spans_.end());
+}
+
+size_t ResidualWatch::size() const {
+  return inbox_.size() + log_.odometry.size() + log_.imu.size() + log_.rotors.size();
+}
+
+ThinnedFlight ResidualWatch::Flight(Stamp start) const {
+  auto spans = ground_spans_;
+  // Nothing is known yet of what came after the last keyframe.
+  const Stamp known = last_keyframe_ ? last_keyframe_->stamp : 0;
+  spans.emplace_back(known + 1, std::numeric_limits<Stamp>::max());
+  FlightMotion motion = FilterFlight(log_, file_vehicle_.num_rotors(), spans);
+  const double offset_s =
+      log_.odometry.empty() ? 0.0 : ToSeconds(log_.odometry.front().stamp - start);
+  for (FilteredMotion& sample : motion.samples) sample.t_s += offset_s;
+  BlockSplit blocks;
+  blocks.hold_out_every = 0;
+  return ThinnedFlight(std::move(motion), blocks);
+}
+
+std::optional<ResidualLook> ResidualWatch::Look(const std::function<bool()>& give_up) {
+  const std::optional<Estimate> estimate = TakeIn();
+  if (!estimate) return std::nullopt;
+  const ThinnedFlight flight = Flight(estimate->start);
+  const double flight_s = flight.size() * flight.step_s();
+  if (flight_s < kEnoughShare * options_.residual_watch_window_s) return std::nullopt;
+  ResidualLook found = Examine(flight, *estimate, give_up);
+  if (!IsFinite(found) || (give_up && give_up())) return std::nullopt;
+  found.flight_s = flight_s;
+  found.stamp = log_.odometry.back().stamp;
+  const std::string name = found.candidate ? found.candidate->name : "";
+  const bool again = name == last_candidate_ && last_model_ == found.model;
+  in_a_row_ = name.empty() ? 0 : again ? in_a_row_ + 1 : 1;
+  last_candidate_ = name;
+  last_model_ = found.model;
+  found.in_a_row = in_a_row_;
+  return found;
+}
+
+ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate& estimate,
+                                    const std::function<bool()>& give_up) {
+  const DynamicModel& model = *estimate.model;
+  const ResidualModel residual(&flight, &file_vehicle_, with_torque_);
+  const int channels = residual.num_channels();
+  ResidualLook found;
+  found.model = estimate.model;
+  Stage stage;
+  stage.vehicle = model.vehicle();
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    stage.values[model.parameters()[i].full_name] = estimate.values[i];
+  }
+  const std::vector<Candidate> candidates = CandidatesOf(model, flight);
+  std::vector<ChannelStructure> before;
+  double scores = 0.0;
+  for (int step = 0; step < kMostEffects; ++step) {
+    const Regressor regressor(&residual, &stage);
+    const Regressor::Result& base = regressor.base();
+    if (step == 0) {
+      before = Structure(flight, base.fit.plain_residual, channels);
+      Summarise(before, decision_, &found);
+    }
+    const std::vector<Tried> tried =
+        TryAll(stage, candidates, regressor, base.fit, channels, give_up);
+    const double least =
+        step == 0 ? decision_.least_score
+                  : std::max(1.25 * decision_.least_score, decision_.least_share_of_first * scores);
+    if (tried.empty() || !tried.front().ranked.sound || tried.front().ranked.score < least) break;
+    const Tried& best = tried.front();
+    if (step == 0) {
+      Name(tried, decision_, &found);
+    } else {
+      found.beside.push_back(best.ranked.name);
+    }
+    found.explained_share = ExplainedStructure(
+        before, Structure(flight, best.result.fit.plain_residual, channels), decision_.whiteness_p);
+    if (found.explained_share >= decision_.least_explained) return found;
+    // As in CloseLoop(): what it lacks may be more than one effect.
+    scores += best.ranked.score;
+    stage.vehicle = With(stage.vehicle, best.candidate);
+    for (const auto& [name, value] : best.result.values) stage.values[name] = value;
+  }
+  found.candidate.reset();
+  found.alternatives.clear();
+  found.beside.clear();
+  return found;
+}
+
+// ---- Adding what was found ---------------------------------------------------------------------
+
+Vehicle WarmStarted(const Vehicle& extended, const ParameterSet& present,
+                    const ResidualLook& found) {
+  Vehicle warm = extended;
+  for (const ParameterEstimate& p : present.parameters) {
+    ParameterSetting& setting = warm.parameters[p.full_name];
+    setting.value = p.value;
+    setting.estimated = p.estimated;
+    const auto refitted = found.refitted.find(p.full_name);
+    const double moved = refitted == found.refitted.end() ? 0.0 : refitted->second - p.value;
+    if (p.estimated && p.sigma > 0.0) setting.sigma = std::hypot(p.sigma, moved);
+  }
+  if (!found.candidate) return warm;
+  for (const ParameterEstimate& p : found.candidate->parameters) {
+    if (p.estimated) warm.parameters[p.full_name].value = p.value;
+  }
+  return warm;
+}
+
+}  // namespace odmc
