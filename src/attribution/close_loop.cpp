@@ -27,6 +27,7 @@ constexpr double kOvershadows = 5.0;
 constexpr double kTie = 3.0;          // nats by which a free force may explain better than gusts
 constexpr double kTieShare = 0.01;    // or this share of the gain: they differ little
 constexpr double kOneSided = 0.9;     // share of the wind's variance along one line
+constexpr int kLeastSamples = 50;     // to look for effects in
 constexpr int kRounds = 3;            // of linearization
 constexpr int kCorrelationLags = 26;  // of 40 ms: one second
 constexpr double kKnownThrustShare = 0.05;
@@ -273,9 +274,11 @@ RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regress
     const double sigma = std::sqrt(std::max(0.0, result.fit.covariance(at, at)));
     ranked.parameters.push_back(
         {p.full_name, p.spec.unit, value, sigma, true, sigma < 0.5 * p.spec.prior_sigma});
-    own.push_back(at);
-    estimate.conservativeResize(estimate.size() + 1);
-    estimate[estimate.size() - 1] = value - p.spec.prior_value;
+    if (!p.spec.initial_state) {
+      own.push_back(at);
+      estimate.conservativeResize(estimate.size() + 1);
+      estimate[estimate.size() - 1] = value - p.spec.prior_value;
+    }
     const double sign = p.spec.sign == PhysicalSign::kPositive   ? 1.0
                         : p.spec.sign == PhysicalSign::kNegative ? -1.0
                                                                  : 0.0;
@@ -326,7 +329,9 @@ std::vector<RankedEffect> RankAll(const Stage& stage, const std::vector<Candidat
     }
   }
   for (const auto& entry : promising) {
-    const Candidate& candidate = *entry.second.second;
+    const Candidate candidate = Refined(*entry.second.second, [&](const Candidate& other) {
+      return regressor->Promise(stage, other);
+    });
     Regressor::Result result = regressor->FitWith(stage, candidate);
     if (!result.fit.step.allFinite()) continue;
     const RankedEffect ranked = Judge(stage, candidate, result, base, num_channels);
@@ -497,6 +502,7 @@ bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online,
     if (found == nullptr || !found->estimated) continue;
     p = *found;
     // The warm start is no prior: natural sizes are about zero.
+    bool initial_state = false;
     const Effect& catalogue = model.effect(EffectIndex(model, effect.name));
     for (const ParameterSpec& spec : catalogue.parameters()) {
       if (effect.name + "." + spec.name != p.full_name) continue;
@@ -504,8 +510,9 @@ bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online,
       const bool wrong = (spec.sign == PhysicalSign::kPositive && p.value < 0.0) ||
                          (spec.sign == PhysicalSign::kNegative && p.value > 0.0);
       if (wrong) return false;
+      initial_state = spec.initial_state;
     }
-    own.push_back(found - online.parameters.data());
+    if (!initial_state) own.push_back(found - online.parameters.data());
   }
   const auto n = static_cast<Eigen::Index>(own.size());
   Eigen::VectorXd values(n);
@@ -586,7 +593,11 @@ void HoldKnownThrust(Vehicle* vehicle) {
 }
 
 ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& vehicle,
-                     const CloseLoopOptions& options, const std::function<void(double)>& progress) {
+                     const CloseLoopOptions& given, const std::function<void(double)>& progress) {
+  CloseLoopOptions options = given;
+  if (!log.odometry.empty()) {
+    options.blocks.FitTo(ToSeconds(log.odometry.back().stamp - log.odometry.front().stamp));
+  }
   const auto part = [&](double from, double to) {
     return [&progress, from, to](double share) {
       if (progress) progress(from + share * (to - from));
@@ -627,9 +638,10 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
                              options.blocks);
   int in_use = 0;
   for (int i = 0; i < flight.size(); ++i) in_use += flight.held_out(i) ? 0 : 1;
-  if (in_use < 100) {
+  if (in_use < kLeastSamples) {
     result.warnings.push_back("too little flight to look for effects: " + std::to_string(in_use) +
-                              " samples of 40 ms, at least 100 are needed");
+                              " samples of 40 ms, at least " + std::to_string(kLeastSamples) +
+                              " are needed");
     fill_samples(before.prediction);
     return result;
   }
@@ -791,6 +803,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
           const ParameterEstimate* online = after.parameters.Find(p.full_name);
           if (online != nullptr) p = *online;
         }
+        effect.derived = DerivedFigures(vehicle, effect.effect.name, effect.effect.parameters);
       }
       result.effects = added;
       fill_samples(after.prediction);

@@ -44,8 +44,9 @@ struct RankedEffect {
 /// An effect that earned its place.
 struct AddedEffect {
   RankedEffect effect;
-  std::vector<std::string> alternatives;  ///< that explain the same on this flight
-  std::string manoeuvre;                  ///< what would tell them apart
+  std::vector<std::string> alternatives;        ///< that explain the same on this flight
+  std::string manoeuvre;                        ///< what would tell them apart
+  std::vector<ParameterEstimate> derived = {};  ///< DerivedFigures() of its online estimate
 };
 
 /// Structure of one channel of the residual.
