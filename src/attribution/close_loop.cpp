@@ -149,7 +149,10 @@ class Regressor {
       Stage at = stage;
       at.values = about;
       result = Finish(regression, names_, at);
-      about = result.values;
+      // Torque is explained best by an inertia without bounds: round upon round it would run off.
+      for (const auto& [name, value] : result.values) {
+        if (name.rfind("inertia.", 0) != 0) about[name] = value;
+      }
       names_ = base_names_;
     }
     return result;
@@ -250,7 +253,7 @@ RankedEffect Judge(const Stage& stage, const Candidate& candidate, const Regress
   for (int c = 0; c < num_channels; ++c) {
     const double change = std::sqrt(result.fit.plain_mean_square[c] / base.plain_mean_square[c]);
     best = std::min(best, change);
-    if (change > kWorse) {
+    if (change > kWorse && IsWorseThroughout(base, result.fit, c)) {
       ranked.sound = false;
       ranked.objection = std::string("makes ") + kChannelNames[c] + " worse by " +
                          Text(100.0 * (change - 1.0)) + " %";
@@ -524,6 +527,19 @@ bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online,
   return IsSignificant(values, covariance) && !IsNegligible(estimate);
 }
 
+/// What moves by itself is started near what the regression found of it. It is no evidence for the
+/// effect, and the first second of flight alone would lead the online estimate astray.
+void HoldInitialState(const RankedEffect& effect, Vehicle* vehicle) {
+  constexpr double kSigmas = 3.0;  // of the regression's
+  const DynamicModel model(*vehicle, vehicle->effects);
+  for (const ParameterEstimate& p : effect.parameters) {
+    const int k = model.IndexOf(p.full_name);
+    if (k < 0 || !model.parameters()[k].spec.initial_state || !(p.sigma > 0.0)) continue;
+    vehicle->parameters[p.full_name].sigma =
+        std::min(kSigmas * p.sigma, model.parameters()[k].spec.prior_sigma);
+  }
+}
+
 /// RMSE of the accelerometer's force on blocks held out; empty without an accelerometer.
 PredictionFigures::Axes HeldOutForce(const ResidualModel& residual, const DynamicModel& model,
                                      const Snapshot& last) {
@@ -555,6 +571,18 @@ std::string ChangeText(const PredictionFigures& before, const PredictionFigures&
          axes(before.angular_acceleration_rmse_rad_s2, after.angular_acceleration_rmse_rad_s2);
 }
 
+/// Angular acceleration of the axes along which the declared model predicts torque better than
+/// nothing does; the others' error says nothing about an effect.
+PredictionFigures::Axes TellingAcceleration(const PredictionFigures& declared,
+                                            const PredictionFigures& figures) {
+  PredictionFigures::Axes axes = figures.angular_acceleration_rmse_rad_s2;
+  if (!axes || !declared.torque_explained) return axes;
+  for (int i = 0; i < 3; ++i) {
+    if ((*declared.torque_explained)[i] < 0.0) (*axes)[i] = 1.0;
+  }
+  return axes;
+}
+
 /// True if some channel is better and none is clearly worse.
 bool IsBetter(const PredictionFigures& before, const PredictionFigures& after) {
   double sum = 0.0, worst = 0.0, best = 1.0;
@@ -569,7 +597,7 @@ bool IsBetter(const PredictionFigures& before, const PredictionFigures& after) {
   };
   add(before.force_rmse_N, after.force_rmse_N);
   // Not the torque, which holds the file's inertia against a model that has found a better one.
-  add(before.angular_acceleration_rmse_rad_s2, after.angular_acceleration_rmse_rad_s2);
+  add(TellingAcceleration(before, before), TellingAcceleration(before, after));
   return sum < 0.0 && worst < kWorseOnline && best < kBetterOnline;
 }
 
@@ -774,6 +802,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
       for (const ParameterEstimate& p : effect.effect.parameters) {
         if (p.estimated) extended.parameters[p.full_name].value = p.value;  // a warm start
       }
+      HoldInitialState(effect.effect, &extended);
     }
     const DynamicModel model(extended, extended.effects);
     const Pass after = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));

@@ -24,16 +24,16 @@ class SuspendedLoad final : public Effect {
                  ParameterTransform::kLog, PhysicalSign::kPositive, true},
                 {"damping", "1", "damping ratio of the swing", 0.03, 0.03, 0.03,
                  ParameterTransform::kLog, PhysicalSign::kPositive, true},
-                Place("x", vehicle),
-                Place("y", vehicle),
-                Place("z", vehicle),
+                Place("x", vehicle, true),
+                Place("y", vehicle, true),
+                Place("z", vehicle, false),
                 Start("swing_x", "zeta_x"),
                 Start("swing_y", "zeta_y"),
                 Start("swing_rate_x", "d zeta_x/dt over sqrt(g/l)"),
                 Start("swing_rate_y", "d zeta_y/dt over sqrt(g/l)")}) {}
 
  private:
-  static ParameterSpec Place(const std::string& axis, const Vehicle& vehicle) {
+  static ParameterSpec Place(const std::string& axis, const Vehicle& vehicle, bool frozen) {
     return {axis,
             "m",
             "where the cable is fixed, body " + axis,
@@ -41,7 +41,8 @@ class SuspendedLoad final : public Effect {
             0.2 * vehicle.ArmLength(),
             0.1 * vehicle.ArmLength(),
             ParameterTransform::kLinear,
-            PhysicalSign::kAny};
+            PhysicalSign::kAny,
+            frozen};
   }
 
   static ParameterSpec Start(const std::string& name, const std::string& what) {

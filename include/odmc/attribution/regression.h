@@ -33,6 +33,8 @@ struct WrenchFit {
   /// Mean square of the samples in use, each block predicted by a plain fit (white noise of each
   /// channel's size) to the others: what the estimator would do.
   std::array<double, kNumChannels> plain_mean_square{};
+  /// The same sums over the blocks of each fold, not yet divided by the number of samples.
+  std::vector<std::array<double, kNumChannels>> plain_fold_squares;
   Eigen::VectorXd plain_step;                                          ///< n: of the plain fit
   Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> plain_residual;  ///< N×6
   Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> residual;        ///< N×6, all samples
@@ -44,6 +46,10 @@ struct WrenchFit {
 /// others. Samples that either fit could only extrapolate to (leverage above 1) do not count: where
 /// a few transients alone tell parameters apart, leaving them out says nothing about the model.
 double CrossValidatedGain(const WrenchFit& base, const WrenchFit& fit);
+
+/// True if a channel's plain mean square is larger in `fit` by more than two standard errors, as
+/// the folds tell it: not because of a single stretch of time.
+bool IsWorseThroughout(const WrenchFit& base, const WrenchFit& fit, int channel);
 
 /// Quick look at candidates for a regression: how much likelihood columns would gain on top of it,
 /// with the noise of its own fit and without refitting that.
