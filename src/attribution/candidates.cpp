@@ -105,17 +105,24 @@ Candidate Refined(const Candidate& candidate,
 }
 
 std::vector<ParameterEstimate> DerivedFigures(const Vehicle& vehicle, const std::string& effect,
-                                              const std::vector<ParameterEstimate>& parameters) {
+                                              const ParameterSet& online) {
   constexpr double kTurn = 6.283185307179586;
   std::vector<ParameterEstimate> derived;
-  for (const ParameterEstimate& p : parameters) {
+  double mass_kg = vehicle.mass_kg;
+  for (const ParameterEstimate& p : online.parameters) {
+    if (p.full_name == "suspended_load.mass" || p.full_name == "mass_change.mass") {
+      mass_kg += p.value;
+    }
+  }
+  for (const ParameterEstimate& p : online.parameters) {
+    if (p.full_name.rfind(effect + ".", 0) != 0) continue;
     if (p.full_name == "suspended_load.length") {
       derived.push_back({"suspended_load.swing_frequency", "Hz",
                          std::sqrt(vehicle.gravity_m_s2 / p.value) / kTurn, 0.0, false, false});
     }
     if (p.full_name == "suspended_load.mass" || p.full_name == "mass_change.mass") {
-      derived.push_back({effect + ".total_mass", p.unit, vehicle.mass_kg + p.value, p.sigma,
-                         p.estimated, p.observable});
+      derived.push_back(
+          {effect + ".total_mass", p.unit, mass_kg, p.sigma, p.estimated, p.observable});
     }
   }
   return derived;

@@ -527,16 +527,20 @@ bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online,
   return IsSignificant(values, covariance) && !IsNegligible(estimate);
 }
 
-/// What moves by itself is started near what the regression found of it. It is no evidence for the
-/// effect, and the first second of flight alone would lead the online estimate astray.
+/// What moves by itself is started near what the regression found of it, and so is its place. They
+/// are no evidence for the effect, and the first second of flight alone would lead the online
+/// estimate astray.
 void HoldInitialState(const RankedEffect& effect, Vehicle* vehicle) {
   constexpr double kSigmas = 3.0;  // of the regression's
   const DynamicModel model(*vehicle, vehicle->effects);
+  const auto spec = [&model](const ParameterEstimate& p) -> const ParameterSpec& {
+    return model.parameters()[model.IndexOf(p.full_name)].spec;
+  };
+  const bool moves = std::any_of(effect.parameters.begin(), effect.parameters.end(),
+                                 [&](const ParameterEstimate& p) { return spec(p).initial_state; });
   for (const ParameterEstimate& p : effect.parameters) {
-    const int k = model.IndexOf(p.full_name);
-    if (k < 0 || !model.parameters()[k].spec.initial_state || !(p.sigma > 0.0)) continue;
-    vehicle->parameters[p.full_name].sigma =
-        std::min(kSigmas * p.sigma, model.parameters()[k].spec.prior_sigma);
+    if (!moves || !p.estimated || spec(p).sign != PhysicalSign::kAny) continue;
+    vehicle->parameters[p.full_name].sigma = std::min(kSigmas * p.sigma, spec(p).prior_sigma);
   }
 }
 
@@ -832,7 +836,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
           const ParameterEstimate* online = after.parameters.Find(p.full_name);
           if (online != nullptr) p = *online;
         }
-        effect.derived = DerivedFigures(vehicle, effect.effect.name, effect.effect.parameters);
+        effect.derived = DerivedFigures(vehicle, effect.effect.name, after.parameters);
       }
       result.effects = added;
       fill_samples(after.prediction);

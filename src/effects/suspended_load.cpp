@@ -15,9 +15,7 @@ class SuspendedLoad final : public Effect {
                 "f = m_L R_WB^T pull at xi; pull = (l |dzeta/dt|^2 - zeta.(a + g e3)) zeta, zeta a "
                 "pendulum of length l driven by the vehicle's motion",
                 "model.md 12.17; Sreenath, Lee and Kumar 2013",
-                "taut cable; length and damping are frozen, the pendulum runs outside the window; "
-                "what it swings "
-                "at the start enters to first order"},
+                "taut cable; driven outside the window; first order in the swing at the start"},
                {{"mass", "kg", "mass of the load", 0.0, 0.5 * vehicle.mass_kg,
                  0.1 * vehicle.mass_kg, ParameterTransform::kLinear, PhysicalSign::kPositive},
                 {"length", "m", "length of the cable, to the load's centre", 0.5, 0.5, 0.5,

@@ -158,7 +158,7 @@ TEST(LoadObserver, KnowsWhatAnotherSwingAtTheStartWouldDo) {
   const int first = model.IndexOf("suspended_load.swing_x");
   here.segment<4>(first) << 0.1, -0.05, 0.0, 0.1;
   const Swing change(0.001, 0.002, -0.002, 0.001);
-  there.segment<4>(first) += change;
+  there.segment<4>(first) = here.segment<4>(first) + change;
   LoadObserver observer(model, true), other(model, false);
   Vector3d v = Vector3d::Zero();
   double largest = 0.0;

@@ -29,9 +29,9 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
 Candidate Refined(const Candidate& candidate, const std::function<double(const Candidate&)>& score);
 
 /// What follows from an effect's parameters and says more than these: the frequency of a load's
-/// swing [Hz], the mass of the whole [kg].
+/// swing [Hz], the mass of the whole, all loads counted [kg].
 std::vector<ParameterEstimate> DerivedFigures(const Vehicle& vehicle, const std::string& effect,
-                                              const std::vector<ParameterEstimate>& parameters);
+                                              const ParameterSet& online);
 
 /// What manoeuvre tells two effects apart; empty where none is known.
 std::string TellingManoeuvre(const std::string& effect, const std::string& alternative);
