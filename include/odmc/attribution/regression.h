@@ -74,7 +74,7 @@ class QuickGain {
 
 /// Fits with noise that is autoregressive in each channel (order 8 at 25 Hz covers the filter's
 /// 0.1 s and more), its coefficients from the fit's own residual, iterated.
-/// @pre y and columns have the same number of rows, at least 100 in use
+/// @pre y and columns have the same number of rows, at least 50 in use
 WrenchFit FitWrench(const WrenchRegression& regression);
 
 }  // namespace odmc
