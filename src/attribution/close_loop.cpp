@@ -531,7 +531,7 @@ bool IsConfirmed(const RankedEffect& effect, const ParameterSet& online,
 /// are no evidence for the effect, and the first second of flight alone would lead the online
 /// estimate astray.
 void HoldInitialState(const RankedEffect& effect, Vehicle* vehicle) {
-  constexpr double kSigmas = 3.0;  // of the regression's
+  constexpr double kSigmas = 1.0;  // of the regression's
   const DynamicModel model(*vehicle, vehicle->effects);
   const auto spec = [&model](const ParameterEstimate& p) -> const ParameterSpec& {
     return model.parameters()[model.IndexOf(p.full_name)].spec;
