@@ -165,19 +165,18 @@ FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
 
 std::vector<Eigen::Vector3d> LoadPulls(const FlightMotion& flight, const DynamicModel& model,
                                        const ModelValues& values) {
-  LoadObserver load(model);
-  const Vector3d hanging(0.0, 0.0, -model.vehicle().gravity_m_s2);
+  LoadObserver load(model, false);
   std::vector<Vector3d> pulls;
   pulls.reserve(flight.samples.size());
-  for (size_t i = 0; i < flight.samples.size(); ++i) {
-    const FilteredMotion& now = flight.samples[i];
-    if (!now.follows) {
-      load.Reset();
-      pulls.push_back(hanging);
-      continue;
-    }
-    const FilteredMotion& before = flight.samples[i - 1];
-    pulls.push_back(load.Advance(before.v_WS, now.v_WS, now.t_s - before.t_s, values));
+  double t_s = 0.0;
+  Vector3d v_W = Vector3d::Zero();
+  for (const FilteredMotion& now : flight.samples) {
+    // The filter takes its first half window; before that the vehicle stood still or was on course.
+    if (pulls.empty()) v_W = now.v_WS - std::min(now.t_s, kFilterWidth_s) * now.a_WS;
+    // Through gaps with their mean acceleration, which leaves the velocity right.
+    pulls.push_back(load.Advance(v_W, now.v_WS, now.t_s - t_s, values).pull_W);
+    v_W = now.v_WS;
+    t_s = now.t_s;
   }
   return pulls;
 }

@@ -29,7 +29,7 @@ FlightState FlightStateOf(const FilteredMotion& motion, const Vector3d& load_pul
   const Vector3d v_WB = motion.v_WS - flight.R_WB * flight.w_WB_B.cross(body.p_BS);
   flight.v_AB_B = flight.R_WB.transpose() * (v_WB - body.wind_W);
   flight.rotors = motion.rotors;
-  flight.load_pull_W = load_pull_W;
+  flight.load.pull_W = load_pull_W;
   return flight;
 }
 

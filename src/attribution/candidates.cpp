@@ -14,7 +14,35 @@ const char* const kNever[] = {"thrust",      "rotor_torque",        "inertia",
                               "rotor_level", "odometry_extrinsics", "imu_extrinsics",
                               "gust"};
 constexpr double kMassStep_s = 1.0;
+constexpr double kShortest_s = 0.05;  // of its refinement
 constexpr double kCableRatio = 1.15;  // from one length to the next
+
+constexpr double kDampingRatio = 4.0;
+constexpr int kSections = 8;  // to 2 % of the bracket
+
+/// Where `score` is best for a positive x in [low, high], by golden section in log(x).
+double BestBetween(double low, double high, const std::function<double(double)>& score) {
+  const double share = 0.5 * (std::sqrt(5.0) - 1.0);
+  double a = std::log(low), b = std::log(high);
+  double x1 = b - share * (b - a), x2 = a + share * (b - a);
+  double s1 = score(std::exp(x1)), s2 = score(std::exp(x2));
+  for (int i = 0; i < kSections; ++i) {
+    if (s1 > s2) {
+      b = x2;
+      x2 = x1;
+      s2 = s1;
+      x1 = b - share * (b - a);
+      s1 = score(std::exp(x1));
+    } else {
+      a = x1;
+      x1 = x2;
+      s1 = s2;
+      x2 = a + share * (b - a);
+      s2 = score(std::exp(x2));
+    }
+  }
+  return std::exp(s1 > s2 ? x1 : x2);
+}
 
 bool IsListed(const std::vector<std::string>& names, const std::string& name) {
   return std::find(names.begin(), names.end(), name) != names.end();
@@ -58,6 +86,64 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
     }
   }
   return candidates;
+}
+
+Candidate Refined(const Candidate& candidate,
+                  const std::function<double(const Candidate&)>& score) {
+  Candidate best = candidate;
+  if (candidate.effect == "mass_change") {
+    // A step in time: finer and finer.
+    if (best.settings.at("mass_change.from") <= 0.0) return best;
+    double most = score(best);
+    for (double step = kMassStep_s / 2.0; step > kShortest_s; step /= 2.0) {
+      Candidate trial = best;
+      const double from = best.settings.at("mass_change.from");
+      for (const double at : {from - step, from + step}) {
+        trial.settings["mass_change.from"] = at;
+        const double value = score(trial);
+        if (value <= most) continue;
+        most = value;
+        best = trial;
+      }
+    }
+    return best;
+  }
+  if (candidate.effect != "suspended_load") return best;
+  const std::pair<const char*, double> ratios[] = {{"suspended_load.length", kCableRatio},
+                                                   {"suspended_load.damping", kDampingRatio}};
+  for (const auto& [name, ratio] : ratios) {
+    const double start = best.settings.at(name);
+    Candidate trial = best;
+    best.settings[name] = BestBetween(start / ratio, start * ratio, [&, key = name](double value) {
+      trial.settings[key] = value;
+      return score(trial);
+    });
+  }
+  return best;
+}
+
+std::vector<ParameterEstimate> DerivedFigures(const Vehicle& vehicle, const std::string& effect,
+                                              const ParameterSet& online) {
+  constexpr double kTurn = 6.283185307179586;
+  std::vector<ParameterEstimate> derived;
+  double mass_kg = vehicle.mass_kg;
+  for (const ParameterEstimate& p : online.parameters) {
+    if (p.full_name == "suspended_load.mass" || p.full_name == "mass_change.mass") {
+      mass_kg += p.value;
+    }
+  }
+  for (const ParameterEstimate& p : online.parameters) {
+    if (p.full_name.rfind(effect + ".", 0) != 0) continue;
+    if (p.full_name == "suspended_load.length") {
+      derived.push_back({"suspended_load.swing_frequency", "Hz",
+                         std::sqrt(vehicle.gravity_m_s2 / p.value) / kTurn, 0.0, false, false});
+    }
+    if (p.full_name == "suspended_load.mass" || p.full_name == "mass_change.mass") {
+      derived.push_back(
+          {effect + ".total_mass", p.unit, mass_kg, p.sigma, p.estimated, p.observable});
+    }
+  }
+  return derived;
 }
 
 std::string TellingManoeuvre(const std::string& effect, const std::string& alternative) {

@@ -12,6 +12,7 @@
 namespace odmc {
 namespace {
 
+constexpr int kLeastSamples = 50;        // to look for effects in
 constexpr double kBetterOnline = 0.985;  // on some channel, by the online estimator
 constexpr double kOvershadows = 5.0;
 constexpr double kTie = 3.0;        // nats by which a free force may explain better than gusts
@@ -149,8 +150,10 @@ std::string Objection(const RankedEffect& effect, const ParameterSet& online,
     p = *found;
     // The warm start is no prior: natural sizes are about zero.
     const Effect& catalogue = model.effect(EffectIndex(model, effect.name));
+    bool initial_state = false;
     for (const ParameterSpec& spec : catalogue.parameters()) {
       if (effect.name + "." + spec.name != p.full_name) continue;
+      initial_state = spec.initial_state;
       if (std::abs(p.value - spec.prior_value) > kTooLarge * spec.prior_sigma) {
         return p.full_name + " = " + Text(p.value) + " is too large";
       }
@@ -158,7 +161,7 @@ std::string Objection(const RankedEffect& effect, const ParameterSet& online,
                          (spec.sign == PhysicalSign::kNegative && p.value > 0.0);
       if (wrong) return p.full_name + " = " + Text(p.value) + " has an unphysical sign";
     }
-    own.push_back(found - online.parameters.data());
+    if (!initial_state) own.push_back(found - online.parameters.data());
   }
   const auto n = static_cast<Eigen::Index>(own.size());
   Eigen::VectorXd values(n);
@@ -169,6 +172,23 @@ std::string Objection(const RankedEffect& effect, const ParameterSet& online,
   }
   if (!IsSignificant(values, covariance)) return "does not differ from zero by three sigma";
   return IsNegligible(estimate) ? "is no larger than feedback can feign" : "";
+}
+
+/// What moves by itself is started near what the regression found of it, and so is its place. They
+/// are no evidence for the effect, and the first second of flight alone would lead the online
+/// estimate astray.
+void HoldInitialState(const RankedEffect& effect, Vehicle* vehicle) {
+  constexpr double kSigmas = 1.0;  // of the regression's
+  const DynamicModel model(*vehicle, vehicle->effects);
+  const auto spec = [&model](const ParameterEstimate& p) -> const ParameterSpec& {
+    return model.parameters()[model.IndexOf(p.full_name)].spec;
+  };
+  const bool moves = std::any_of(effect.parameters.begin(), effect.parameters.end(),
+                                 [&](const ParameterEstimate& p) { return spec(p).initial_state; });
+  for (const ParameterEstimate& p : effect.parameters) {
+    if (!moves || !p.estimated || spec(p).sign != PhysicalSign::kAny) continue;
+    vehicle->parameters[p.full_name].sigma = std::min(kSigmas * p.sigma, spec(p).prior_sigma);
+  }
 }
 
 /// RMSE of the accelerometer's force on blocks held out; empty without an accelerometer.
@@ -202,6 +222,19 @@ std::string ChangeText(const PredictionFigures& before, const PredictionFigures&
          axes(before.angular_acceleration_rmse_rad_s2, after.angular_acceleration_rmse_rad_s2);
 }
 
+/// Angular acceleration after a change. Along axes whose torque the declared model predicts worse
+/// than nothing does, a larger error says nothing against an effect.
+PredictionFigures::Axes TellingAcceleration(const PredictionFigures& before,
+                                            const PredictionFigures& after) {
+  PredictionFigures::Axes axes = after.angular_acceleration_rmse_rad_s2;
+  const PredictionFigures::Axes& was = before.angular_acceleration_rmse_rad_s2;
+  if (!axes || !was || !before.torque_explained) return axes;
+  for (int i = 0; i < 3; ++i) {
+    if ((*before.torque_explained)[i] < 0.0) (*axes)[i] = std::min((*axes)[i], (*was)[i]);
+  }
+  return axes;
+}
+
 /// True if some channel is better and none is clearly worse.
 bool IsBetter(const PredictionFigures& before, const PredictionFigures& after) {
   double sum = 0.0, worst = 0.0, best = 1.0;
@@ -216,7 +249,7 @@ bool IsBetter(const PredictionFigures& before, const PredictionFigures& after) {
   };
   add(before.force_rmse_N, after.force_rmse_N);
   // Not the torque, which holds the file's inertia against a model that has found a better one.
-  add(before.angular_acceleration_rmse_rad_s2, after.angular_acceleration_rmse_rad_s2);
+  add(before.angular_acceleration_rmse_rad_s2, TellingAcceleration(before, after));
   return sum < 0.0 && !IsClearlyWorse(worst, best) && best < kBetterOnline;
 }
 
@@ -240,7 +273,11 @@ void HoldKnownThrust(Vehicle* vehicle) {
 }
 
 ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& vehicle,
-                     const CloseLoopOptions& options, const std::function<void(double)>& progress) {
+                     const CloseLoopOptions& given, const std::function<void(double)>& progress) {
+  CloseLoopOptions options = given;
+  if (!log.odometry.empty()) {
+    options.blocks.FitTo(ToSeconds(log.odometry.back().stamp - log.odometry.front().stamp));
+  }
   const auto part = [&](double from, double to) {
     return [&progress, from, to](double share) {
       if (progress) progress(from + share * (to - from));
@@ -281,9 +318,10 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
                              options.blocks);
   int in_use = 0;
   for (int i = 0; i < flight.size(); ++i) in_use += flight.held_out(i) ? 0 : 1;
-  if (in_use < 100) {
+  if (in_use < kLeastSamples) {
     result.warnings.push_back("too little flight to look for effects: " + std::to_string(in_use) +
-                              " samples of 40 ms, at least 100 are needed");
+                              " samples of 40 ms, at least " + std::to_string(kLeastSamples) +
+                              " are needed");
     fill_samples(before.prediction);
     return result;
   }
@@ -436,6 +474,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
       for (const ParameterEstimate& p : effect.effect.parameters) {
         if (p.estimated) extended.parameters[p.full_name].value = p.value;  // a warm start
       }
+      HoldInitialState(effect.effect, &extended);
     }
     const DynamicModel model(extended, extended.effects);
     const Pass after = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
@@ -464,6 +503,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
       result.parameters = after.parameters;
       result.effect_names = extended.effects;
       for (AddedEffect& effect : added) {
+        effect.derived = DerivedFigures(vehicle, effect.effect.name, after.parameters);
         for (ParameterEstimate& p : effect.effect.parameters) {
           const ParameterEstimate* online = after.parameters.Find(p.full_name);
           if (online != nullptr) p = *online;

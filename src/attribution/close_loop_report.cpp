@@ -58,6 +58,7 @@ std::string CloseLoopReport(const ClosedLoop& loop) {
                    {"score", Number(added.effect.score)},
                    {"alternatives", added.alternatives},
                    {"parameters", ParametersJson(added.effect.parameters)}};
+    if (!added.derived.empty()) effect["derived"] = ParametersJson(added.derived);
     if (!added.manoeuvre.empty()) effect["told_apart_by"] = added.manoeuvre;
     json["effects"].push_back(effect);
   }
@@ -111,7 +112,9 @@ std::string CloseLoopTable(const ClosedLoop& loop) {
       text += (i == 0 ? ", not told from " : ", ") + added.alternatives[i];
     }
     text += "\n";
-    for (const ParameterEstimate& p : added.effect.parameters) {
+    std::vector<ParameterEstimate> rows = added.effect.parameters;
+    rows.insert(rows.end(), added.derived.begin(), added.derived.end());
+    for (const ParameterEstimate& p : rows) {
       char line[160];
       std::snprintf(line, sizeof line, "    %-28s %12.5g +- %-10.3g %s\n", p.full_name.c_str(),
                     p.value, p.sigma, p.unit.c_str());

@@ -57,7 +57,7 @@ RankedEffect Judge(const Stage& stage, const Candidates& candidates, const Candi
       worst_channel = c;
     }
   }
-  if (IsClearlyWorse(worst, best)) {
+  if (IsClearlyWorse(worst, best) && IsWorseThroughout(base, result.fit, worst_channel)) {
     ranked.sound = false;
     ranked.objection = std::string("makes ") + kChannelNames[worst_channel] + " worse by " +
                        Text(100.0 * (worst - 1.0)) + " %";
@@ -79,9 +79,11 @@ RankedEffect Judge(const Stage& stage, const Candidates& candidates, const Candi
     const double sigma = std::sqrt(std::max(0.0, result.fit.covariance(at, at)));
     ranked.parameters.push_back(
         {p.full_name, p.spec.unit, value, sigma, true, sigma < 0.5 * p.spec.prior_sigma});
-    own.push_back(at);
-    estimate.conservativeResize(estimate.size() + 1);
-    estimate[estimate.size() - 1] = value - p.spec.prior_value;
+    if (!p.spec.initial_state) {
+      own.push_back(at);
+      estimate.conservativeResize(estimate.size() + 1);
+      estimate[estimate.size() - 1] = value - p.spec.prior_value;
+    }
     const double sign = p.spec.sign == PhysicalSign::kPositive   ? 1.0
                         : p.spec.sign == PhysicalSign::kNegative ? -1.0
                                                                  : 0.0;
@@ -348,7 +350,20 @@ std::vector<Tried> TryAll(const Stage& stage, const std::vector<Candidate>& cand
       };
       if (!best || worth(t) > worth(*best)) best = std::move(t);
     }
-    if (best) tried.push_back(std::move(*best));
+    if (!best) continue;
+    const Candidate refined = Refined(best->candidate, [&](const Candidate& other) {
+      return regressor.Promise(regressor.ColumnsOf(stage, other), false);
+    });
+    if (refined.settings != best->candidate.settings) {
+      Tried t{refined, regressor.ColumnsOf(stage, refined), {}, {}};
+      t.result = regressor.FitWith(stage, {t.candidate});
+      t.ranked = Judge(stage, {t.candidate}, t.candidate, t.result, base, num_channels);
+      const bool finite = t.result.fit.step.allFinite();
+      if (finite && t.ranked.sound >= best->ranked.sound && t.ranked.score > best->ranked.score) {
+        best = std::move(t);
+      }
+    }
+    tried.push_back(std::move(*best));
   }
   std::sort(tried.begin(), tried.end(), [](const Tried& a, const Tried& b) {
     return std::make_pair(a.ranked.sound, a.ranked.score) >

@@ -123,10 +123,13 @@ void FitPlainly(const WrenchRegression& r, const std::vector<int>& rows,
     }
     step = solve(-1);
   }
+  fit->plain_fold_squares.assign(kFolds, {});
   for (int f = 0; f < kFolds; ++f) {
     const Eigen::VectorXd without = solve(f);
     for (int c = 0; c < r.num_channels; ++c) {
-      fit->plain_mean_square[c] += std::max(0.0, square(grams[f][c], without)) / samples;
+      const double sum = std::max(0.0, square(grams[f][c], without));
+      fit->plain_fold_squares[f][c] = sum;
+      fit->plain_mean_square[c] += sum / samples;
     }
   }
   fit->plain_step = step;
@@ -236,6 +239,23 @@ double CrossValidatedGain(const WrenchFit& base, const WrenchFit& fit) {
     if (is > 0.0 && was > 0.0) gain += 0.5 * count * std::log(was / is);
   }
   return gain;
+}
+
+bool IsWorseThroughout(const WrenchFit& base, const WrenchFit& fit, int channel) {
+  constexpr double kSigmas = 2.0;
+  std::vector<double> changes;
+  double sum = 0.0;
+  for (size_t f = 0; f < base.plain_fold_squares.size(); ++f) {
+    const double was = base.plain_fold_squares[f][channel], is = fit.plain_fold_squares[f][channel];
+    if (was == 0.0 && is == 0.0) continue;  // an empty fold
+    changes.push_back(is - was);
+    sum += is - was;
+  }
+  const double n = static_cast<double>(changes.size());
+  if (n < 2.0) return sum > 0.0;
+  double square = 0.0;
+  for (const double change : changes) square += (change - sum / n) * (change - sum / n);
+  return sum > kSigmas * std::sqrt(square * n / (n - 1.0));
 }
 
 QuickGain::QuickGain(const WrenchRegression& base, const WrenchFit& fit, bool serial)

@@ -3,6 +3,8 @@
 namespace odmc {
 namespace {
 
+constexpr int kFirstSwing = 6;  // of the parameters
+
 /// A load on a cable: f = m_L R^T π at ξ, π the cable's pull per unit of load, from a pendulum that
 /// the measured motion drives (Pendulum).                              model.md 12.17
 class SuspendedLoad final : public Effect {
@@ -13,7 +15,7 @@ class SuspendedLoad final : public Effect {
                 "f = m_L R_WB^T pull at xi; pull = (l |dzeta/dt|^2 - zeta.(a + g e3)) zeta, zeta a "
                 "pendulum of length l driven by the vehicle's motion",
                 "model.md 12.17; Sreenath, Lee and Kumar 2013",
-                "taut cable; length and damping are frozen, the pendulum runs outside the window"},
+                "taut cable; driven outside the window; first order in the swing at the start"},
                {{"mass", "kg", "mass of the load", 0.0, 0.5 * vehicle.mass_kg,
                  0.1 * vehicle.mass_kg, ParameterTransform::kLinear, PhysicalSign::kPositive},
                 {"length", "m", "length of the cable, to the load's centre", 0.5, 0.5, 0.5,
@@ -22,7 +24,11 @@ class SuspendedLoad final : public Effect {
                  ParameterTransform::kLog, PhysicalSign::kPositive, true},
                 Place("x", vehicle, true),
                 Place("y", vehicle, true),
-                Place("z", vehicle, false)}) {}
+                Place("z", vehicle, false),
+                Start("swing_x", "zeta_x"),
+                Start("swing_y", "zeta_y"),
+                Start("swing_rate_x", "d zeta_x/dt over sqrt(g/l)"),
+                Start("swing_rate_y", "d zeta_y/dt over sqrt(g/l)")}) {}
 
  private:
   static ParameterSpec Place(const std::string& axis, const Vehicle& vehicle, bool frozen) {
@@ -37,16 +43,31 @@ class SuspendedLoad final : public Effect {
             frozen};
   }
 
+  static ParameterSpec Start(const std::string& name, const std::string& what) {
+    constexpr double kNaturalSwing = 0.25;
+    ParameterSpec spec;
+    spec.name = name;
+    spec.unit = "1";
+    spec.description = "swing at the recording's start, in W: " + what;
+    spec.prior_sigma = spec.scale = kNaturalSwing;
+    spec.initial_state = true;
+    return spec;
+  }
+
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
                    WrenchJacobians* J) const override {
     const Eigen::Vector3d p_BP = values.segment<3>(3);
-    const Eigen::Vector3d pull_B = state.R_WB.transpose() * state.load_pull_W;
+    const Eigen::Matrix3d R_BW = state.R_WB.transpose();
+    const Eigen::Vector3d pull_B = R_BW * state.load.For(values.segment<4>(kFirstSwing));
     wrench->AddForceAt(p_BP, values[0] * pull_B);
     if (J == nullptr) return;
     J->AddForceAt(p_BP, kColumnAttitude, values[0] * Hat(pull_B));
     J->AddForceAtParameter(p_BP, 0, pull_B);
     for (int i = 0; i < 3; ++i) {
       J->AddCoupleParameter(3 + i, values[0] * Eigen::Vector3d::Unit(i).cross(pull_B));
+    }
+    for (int i = 0; i < 4; ++i) {
+      J->AddForceAtParameter(p_BP, kFirstSwing + i, values[0] * R_BW * state.load.d_swing.col(i));
     }
   }
 };

@@ -123,7 +123,7 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
       synchroniser_(options.keyframe_rate_hz, options.patience_s),
       ground_(options.ground),
       inertia_gate_(model->vehicle(), options.inertia_gate_r_squared),
-      load_(*model),
+      load_(*model, true),
       odometry_noise_(Configured(options)),
       process_noise_(model->vehicle().mass_kg * model->vehicle().gravity_m_s2,
                      model->vehicle().ArmLength(), options.process_noise_floor),
@@ -254,11 +254,7 @@ void Estimator::FollowLoad(const OdometrySample& sample) {
   // Differences of one and the same velocity, so that its noise does not add up.
   if (!last_ || !sample.v_WS || !last_->v_WS) return;
   const double dt = ToSeconds(sample.stamp - last_->stamp);
-  if (dt > options_.max_gap_s) {
-    load_.Reset();
-    return;
-  }
-  load_pull_W_ = load_.Advance(*last_->v_WS, *sample.v_WS, dt, window_.values());
+  load_pull_ = load_.Advance(*last_->v_WS, *sample.v_WS, dt, window_.values());
 }
 
 void Estimator::MoveAnchors() {
@@ -496,7 +492,7 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
 
   DynamicsMeasurement measurement;
   measurement.dt = interval.dt;
-  measurement.load_pull_W = load_pull_W_;
+  measurement.load = load_pull_;
   measurement.time_s = ToSeconds(window_.keyframe(id).stamp - *first_stamp_) - 0.5 * interval.dt;
   measurement.rotors = form_ == DynamicsForm::kEuler ? interval.rotors.start : interval.rotors.mean;
   measurement.form = form_;

@@ -8,28 +8,66 @@ namespace {
 // Differences of measured velocities are noisy. The swing integrates them and does not care; the
 // tension takes the vehicle's acceleration as it is and gets it smoothed.
 constexpr double kSmoothing_s = 0.05;
+constexpr double kNearby = 1e-4;       // of the swing
+constexpr double kForgotten_s = 20.0;  // a gap this long leaves nothing of the swing before it
 
 }  // namespace
 
-LoadObserver::LoadObserver(const DynamicModel& model)
+LoadObserver::LoadObserver(const DynamicModel& model, bool with_derivatives)
     : length_(model.IndexOf("suspended_load.length")),
       damping_(model.IndexOf("suspended_load.damping")),
-      gravity_(model.vehicle().gravity_m_s2) {}
+      swing_(model.IndexOf("suspended_load.swing_x")),
+      gravity_(model.vehicle().gravity_m_s2),
+      with_derivatives_(with_derivatives) {}
 
-Eigen::Vector3d LoadObserver::Advance(const Eigen::Vector3d& v0_W, const Eigen::Vector3d& v1_W,
-                                      double dt, const ModelValues& values) {
-  if (length_ < 0) return Eigen::Vector3d(0.0, 0.0, -gravity_);
-  const Eigen::Vector3d acceleration_W = (v1_W - v0_W) / dt;
-  if (!pendulum_) {
-    pendulum_.emplace(values[length_], values[damping_], gravity_);
-    smooth_acceleration_W_.setZero();
+LoadPull LoadObserver::Advance(const Eigen::Vector3d& v0_W, const Eigen::Vector3d& v1_W, double dt,
+                               const ModelValues& values) {
+  LoadPull pull;
+  pull.pull_W = Eigen::Vector3d(0.0, 0.0, -gravity_);
+  if (length_ < 0 || !(dt > 0.0)) return pull;
+  if (dt > kForgotten_s) {
+    Reset();
+    return pull;
   }
+  if (!pendulum_) Start(values);
+  const Eigen::Vector3d acceleration_W = (v1_W - v0_W) / dt;
   smooth_acceleration_W_ +=
       std::min(1.0, dt / kSmoothing_s) * (acceleration_W - smooth_acceleration_W_);
-  pendulum_->Advance(acceleration_W, 0.5 * dt);
-  const Eigen::Vector3d pull_W = pendulum_->Pull(smooth_acceleration_W_);
-  pendulum_->Advance(acceleration_W, 0.5 * dt);
-  return pull_W;
+  AdvanceAll(acceleration_W, 0.5 * dt);
+  pull.pull_W = pendulum_->Pull(smooth_acceleration_W_);
+  pull.swing = start_;
+  for (size_t i = 0; i < nearby_.size(); i += 2) {
+    pull.d_swing.col(static_cast<int>(i) / 2) =
+        (nearby_[i].Pull(smooth_acceleration_W_) - nearby_[i + 1].Pull(smooth_acceleration_W_)) /
+        (2.0 * kNearby);
+  }
+  AdvanceAll(acceleration_W, 0.5 * dt);
+  return pull;
+}
+
+void LoadObserver::Reset() {
+  is_first_recording_ = false;
+  pendulum_.reset();
+  nearby_.clear();
+}
+
+void LoadObserver::Start(const ModelValues& values) {
+  smooth_acceleration_W_.setZero();
+  start_ = is_first_recording_ ? Swing(values.segment<4>(swing_)) : Swing(Swing::Zero());
+  const auto with = [&](const Swing& swing) {
+    return Pendulum(values[length_], values[damping_], gravity_, swing);
+  };
+  pendulum_ = with(start_);
+  if (!with_derivatives_ || !is_first_recording_) return;
+  for (int i = 0; i < 4; ++i) {
+    nearby_.push_back(with(start_ + kNearby * Swing::Unit(i)));
+    nearby_.push_back(with(start_ - kNearby * Swing::Unit(i)));
+  }
+}
+
+void LoadObserver::AdvanceAll(const Eigen::Vector3d& acceleration_W, double dt) {
+  pendulum_->Advance(acceleration_W, dt);
+  for (Pendulum& pendulum : nearby_) pendulum.Advance(acceleration_W, dt);
 }
 
 }  // namespace odmc

@@ -58,7 +58,7 @@ IntervalModel::IntervalModel(const DynamicsMeasurement& measurement, const State
   flight.v_AB_B = R_BW * (w0 * m0.v_WB + w1 * m1.v_WB - body.wind_W);
   flight.w_WB_B = w0 * m0.w_WB_B + w1 * m1.w_WB_B;
   flight.rotors = measurement.rotors;
-  flight.load_pull_W = measurement.load_pull_W;
+  flight.load = measurement.load;
   model.EvaluateWrench(flight, values, body.p_BBcm, &F_B, &tau_B, jacobians ? &d_wrench : nullptr);
   if (measurement.anchor_index < 0) return;
   if (values[measurement.anchor_index] == measurement.anchor_value) {

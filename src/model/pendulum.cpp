@@ -7,11 +7,18 @@ namespace odmc {
 namespace {
 
 constexpr double kLongestStep_s = 0.005;
+constexpr double kWidestSwing = 0.9;  // the load stays below the vehicle
 
 }  // namespace
 
-Pendulum::Pendulum(double length_m, double damping_ratio, double gravity_m_s2)
-    : length_(length_m), damping_(damping_ratio), gravity_(gravity_m_s2) {}
+Pendulum::Pendulum(double length_m, double damping_ratio, double gravity_m_s2, const Swing& swing)
+    : length_(length_m), damping_(damping_ratio), gravity_(gravity_m_s2) {
+  Eigen::Vector2d across = swing.head<2>();
+  if (across.norm() > kWidestSwing) across *= kWidestSwing / across.norm();
+  zeta_ << across, -std::sqrt(1.0 - across.squaredNorm());
+  const Eigen::Vector2d rate = std::sqrt(gravity_ / length_) * swing.tail<2>();
+  d_zeta_ << rate, -across.dot(rate) / zeta_.z();  // normal to zeta
+}
 
 void Pendulum::Advance(const Eigen::Vector3d& acceleration_W, double dt) {
   const int steps = std::max(1, static_cast<int>(std::ceil(dt / kLongestStep_s - 1e-9)));

@@ -65,7 +65,7 @@ FlightState RigidBody::FlightStateOf(double time_s, const RigidBodyState& state,
   flight.v_AB_B = flight.R_WB.transpose() * (state.v_WB - properties_.wind_W);
   flight.w_WB_B = state.w_WB_B;
   flight.rotors = motor_.At(state.rotor_speed, speed_cmd);
-  flight.load_pull_W = state.load_pull_W;
+  flight.load.pull_W = state.load_pull_W;
   return flight;
 }
 

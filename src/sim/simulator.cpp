@@ -97,8 +97,10 @@ class Variation {
 std::optional<Pendulum> LoadOf(const DynamicModel& model, const ModelValues& values) {
   const int length = model.IndexOf("suspended_load.length");
   const int damping = model.IndexOf("suspended_load.damping");
+  const int swing = model.IndexOf("suspended_load.swing_x");
   if (length < 0) return std::nullopt;
-  return Pendulum(values[length], values[damping], model.vehicle().gravity_m_s2);
+  return Pendulum(values[length], values[damping], model.vehicle().gravity_m_s2,
+                  values.segment<4>(swing));
 }
 
 // The vehicle, its pilot and the world, advanced in control periods.

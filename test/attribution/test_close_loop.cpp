@@ -4,11 +4,15 @@
 #include <cmath>
 #include <set>
 
+#include "odmc/attribution/candidates.h"
 #include "odmc/attribution/close_loop.h"
 #include "odmc/attribution/close_loop_report.h"
 #include "odmc/attribution/undeclared.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/model/effect.h"
+#include "odmc/sim/simulator.h"
+#include "odmc/sim/truth_vehicle.h"
+#include "support/test_vehicle.h"
 
 namespace odmc {
 namespace test {
@@ -72,6 +76,68 @@ TEST(CloseLoop, CallsAnUnknownTorqueUnexplainedAndSaysWhere) {
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
   EXPECT_FALSE(loop.where.empty());
   EXPECT_TRUE(loop.effects.empty());
+}
+
+/// Nine seconds of a figure eight with a tenth of the vehicle's mass on a cable of 0.45 m; the
+/// thrust coefficient is known, the swing it starts with is not.
+ClosedLoop CloseWithLoad(double mass_share, const Swing& swing) {
+  Vehicle vehicle = NominalVehicle();
+  vehicle.imu = SensorMount();
+  vehicle.parameters["thrust.k_f"].estimated = false;
+  Vehicle loaded = vehicle;
+  loaded.effects.push_back("suspended_load");
+  const DynamicModel model(loaded, loaded.effects);
+  ModelValues truth = DefaultTruth(model);
+  truth[model.IndexOf("suspended_load.mass")] = mass_share * vehicle.mass_kg;
+  truth[model.IndexOf("suspended_load.length")] = 0.45;
+  truth[model.IndexOf("suspended_load.damping")] = 0.02;
+  truth.segment<4>(model.IndexOf("suspended_load.swing_x")) = swing;
+  vehicle.parameters["thrust.k_f"].value = truth[model.IndexOf("thrust.k_f")];
+  SimulationOptions options;
+  options.trajectory = "octo";
+  options.duration_s = 9.0;
+  options.log_rate_hz = 200.0;
+  SimulationNoise noise;
+  noise.velocity_m_s = 0.005;
+  noise.imu = true;
+  noise.accelerometer_noise_density = 0.002;
+  const SimulatedFlight flight = Simulate(model, truth, options, noise);
+  return CloseLoop(flight.log, vehicle, vehicle, CloseLoopOptions());
+}
+
+TEST(CloseLoop, FindsALoadThatSwingsFromTheStart) {
+  const ClosedLoop loop = CloseWithLoad(0.1, Swing(0.25, -0.1, -0.1, 0.2));
+  ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
+  EXPECT_EQ(loop.effects.front().effect.name, "suspended_load") << CloseLoopTable(loop);
+  const auto derived = [&](const std::string& name) {
+    for (const ParameterEstimate& p : loop.effects.front().derived) {
+      if (p.full_name == name) return p.value;
+    }
+    return 0.0;
+  };
+  EXPECT_NEAR(derived("suspended_load.swing_frequency"), std::sqrt(9.81 / 0.45) / 6.2832, 0.06);
+  const double whole = 1.1 * NominalVehicle().mass_kg;
+  EXPECT_NEAR(derived("suspended_load.total_mass"), whole, 0.02 * whole);
+  EXPECT_NE(CloseLoopReport(loop).find("swing_frequency"), std::string::npos);
+}
+
+TEST(CloseLoop, SeesNoLoadWhereNoneHangs) {
+  const ClosedLoop loop = CloseWithLoad(0.0, Swing::Zero());
+  EXPECT_EQ(loop.verdict, Verdict::kNone) << CloseLoopTable(loop);
+}
+
+// The score is best at 0.47 m and a damping ratio of 0.03, off the grid.
+TEST(Candidates, ALengthIsRefinedBetweenTheGridsValues) {
+  const Candidate start = {
+      "suspended_load", {{"suspended_load.length", 0.45}, {"suspended_load.damping", 0.02}}, {}};
+  const Candidate best = Refined(start, [](const Candidate& c) {
+    return -std::pow(std::log(c.settings.at("suspended_load.length") / 0.47), 2) -
+           std::pow(std::log(c.settings.at("suspended_load.damping") / 0.03), 2);
+  });
+  EXPECT_NEAR(best.settings.at("suspended_load.length"), 0.47, 0.005);
+  EXPECT_NEAR(best.settings.at("suspended_load.damping"), 0.03, 0.003);
+  const Candidate other = {"mass_change", {{"mass_change.from", 3.0}}, {}};
+  EXPECT_EQ(Refined(other, [](const Candidate&) { return 0.0; }).settings, other.settings);
 }
 
 TEST(Undeclared, PlansHoldEveryEffectAndEnoughOfEachKind) {

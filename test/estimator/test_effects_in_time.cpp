@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "odmc/analysis/replay.h"
+#include "odmc/estimator/load_observer.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "support/test_vehicle.h"
@@ -119,6 +120,65 @@ TEST(SuspendedLoad, IsWeighedWhileItSwings) {
   const ReplayResult replay = Replay(flight.log, &estimator);
   ASSERT_TRUE(replay.last);
   EXPECT_NEAR(replay.last->values[mass], 0.08, 0.008);
+}
+
+// It swings from the first sample on, by nobody's doing, and the start values know nothing of it.
+TEST(SuspendedLoad, IsWeighedThoughItSwungBefore) {
+  const std::map<std::string, double> cable = {{"suspended_load.length", 0.6},
+                                               {"suspended_load.damping", 0.02}};
+  Vehicle vehicle = With("suspended_load", cable);
+  vehicle.parameters["thrust.k_f"].estimated = false;
+  const DynamicModel model(vehicle, vehicle.effects);
+  const std::map<std::string, double> swing = {{"suspended_load.swing_x", 0.25},
+                                               {"suspended_load.swing_y", -0.1},
+                                               {"suspended_load.swing_rate_x", -0.1},
+                                               {"suspended_load.swing_rate_y", 0.2}};
+  std::map<std::string, double> load = swing;
+  load["suspended_load.mass"] = 0.08;
+  SimulationNoise noise;
+  noise.velocity_m_s = 0.005;
+  const SimulatedFlight flight = Simulate(model, Truth(model, load), Octo(10.0), noise);
+  Estimator estimator(&model, EstimatorOptions(), true);
+  const ReplayResult replay = Replay(flight.log, &estimator);
+  ASSERT_TRUE(replay.last);
+  EXPECT_NEAR(replay.last->values[model.IndexOf("suspended_load.mass")], 0.08, 0.008);
+  for (const auto& [name, value] : swing) {
+    const int k = model.IndexOf(name);
+    std::printf("%s %.3f (%.3f +- %.3f)\n", name.c_str(), value, replay.last->values[k],
+                replay.last->sigma[k]);
+    EXPECT_NEAR(replay.last->values[k], value, 0.08) << name;
+  }
+}
+
+// The derivative by the swing at the start is that of the whole driven motion.
+TEST(LoadObserver, KnowsWhatAnotherSwingAtTheStartWouldDo) {
+  const Vehicle vehicle = With("suspended_load", {{"suspended_load.length", 0.5}});
+  const DynamicModel model(vehicle, vehicle.effects);
+  ModelValues here = model.InitialValues(), there = here;
+  const int first = model.IndexOf("suspended_load.swing_x");
+  here.segment<4>(first) << 0.1, -0.05, 0.0, 0.1;
+  const Swing change(0.001, 0.002, -0.002, 0.001);
+  there.segment<4>(first) = here.segment<4>(first) + change;
+  LoadObserver observer(model, true), other(model, false);
+  Vector3d v = Vector3d::Zero();
+  double largest = 0.0;
+  for (int i = 0; i < 400; ++i) {
+    const double t = 0.01 * i;
+    const Vector3d next = v + 0.01 * Vector3d(2.0 * std::sin(3.0 * t), std::cos(2.0 * t), 0.0);
+    const LoadPull a = observer.Advance(v, next, 0.01, here);
+    const LoadPull b = other.Advance(v, next, 0.01, there);
+    const Swing started = there.segment<4>(first);
+    EXPECT_LT((a.For(started) - b.pull_W).norm(), 0.001) << t;
+    largest = std::max(largest, (a.pull_W - b.pull_W).norm());
+    EXPECT_EQ(b.d_swing.norm(), 0.0);
+    v = next;
+  }
+  EXPECT_GT(largest, 0.02);
+  // In a new recording nothing is known of the swing, and nothing is learned of the first one's.
+  observer.Reset();
+  const LoadPull fresh = observer.Advance(v, v, 0.01, here);
+  EXPECT_EQ(fresh.d_swing.norm(), 0.0);
+  EXPECT_LT((fresh.pull_W - Vector3d(0.0, 0.0, -9.81)).norm(), 1e-9);
 }
 
 TEST(Gust, FollowsAWindThatVaries) {

@@ -1,10 +1,12 @@
 #pragma once
 
+#include <functional>
 #include <map>
 #include <string>
 #include <vector>
 
 #include "odmc/analysis/flight_motion.h"
+#include "odmc/model/parameter_set.h"
 #include "odmc/model/vehicle.h"
 
 namespace odmc {
@@ -21,6 +23,15 @@ struct Candidate {
 /// values to try for what cannot be estimated: when a mass changed, how long a cable is, where the
 /// ground is.
 std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion& flight);
+
+/// The candidate with what its grid holds coarsely (a cable's length and damping) moved to where
+/// `score` is best between the grid's neighbours: golden section, one after the other.
+Candidate Refined(const Candidate& candidate, const std::function<double(const Candidate&)>& score);
+
+/// What follows from an effect's parameters and says more than these: the frequency of a load's
+/// swing [Hz], the mass of the whole, all loads counted [kg].
+std::vector<ParameterEstimate> DerivedFigures(const Vehicle& vehicle, const std::string& effect,
+                                              const ParameterSet& online);
 
 /// What manoeuvre tells two effects apart; empty where none is known.
 std::string TellingManoeuvre(const std::string& effect, const std::string& alternative);

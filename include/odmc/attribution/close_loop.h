@@ -33,8 +33,9 @@ std::string ToString(Verdict verdict);
 /// An effect that earned its place.
 struct AddedEffect {
   RankedEffect effect;
-  std::vector<std::string> alternatives;  ///< that explain the same on this flight
-  std::string manoeuvre;                  ///< what would tell them apart
+  std::vector<std::string> alternatives;        ///< that explain the same on this flight
+  std::string manoeuvre;                        ///< what would tell them apart
+  std::vector<ParameterEstimate> derived = {};  ///< DerivedFigures() of its online estimate
 };
 
 /// One sample for pictures: the residual before and after.

@@ -39,6 +39,8 @@ struct WrenchFit {
   /// Mean square of the samples in use, each block predicted by a plain fit (white noise of each
   /// channel's size) to the others: what the estimator would do.
   std::array<double, kNumChannels> plain_mean_square{};
+  /// The same sums over the blocks of each fold, not yet divided by the number of samples.
+  std::vector<std::array<double, kNumChannels>> plain_fold_squares;
   Eigen::VectorXd plain_step;                                          ///< n: of the plain fit
   Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> plain_residual;  ///< N×6
   Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> residual;        ///< N×6, all samples
@@ -53,6 +55,10 @@ struct WrenchFit {
 /// count: where a few transients alone tell parameters apart, leaving them out says nothing about
 /// the model.
 double CrossValidatedGain(const WrenchFit& base, const WrenchFit& fit);
+
+/// True if a channel's plain mean square is larger in `fit` by more than two standard errors, as
+/// the folds tell it: not because of a single stretch of time.
+bool IsWorseThroughout(const WrenchFit& base, const WrenchFit& fit, int channel);
 
 /// Quick look at candidates for a regression: how much likelihood columns would gain on top of it,
 /// with the noise of its own fit and without refitting that.
@@ -79,7 +85,7 @@ class QuickGain {
 
 /// Fits with noise that is autoregressive in each channel (order 8 at 25 Hz covers the filter's
 /// 0.1 s and more), its coefficients from the fit's own residual, iterated.
-/// @pre y and columns have the same number of rows, at least 100 in use
+/// @pre y and columns have the same number of rows, at least 50 in use
 WrenchFit FitWrench(const WrenchRegression& regression);
 
 }  // namespace odmc

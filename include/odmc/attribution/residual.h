@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <vector>
 
 #include "odmc/analysis/prediction.h"
@@ -11,6 +12,12 @@ namespace odmc {
 struct BlockSplit {
   double block_s = 2.5;
   int hold_out_every = 4;  ///< one block of this many, the last but one; 1 or less: none
+
+  /// Shorter blocks for a flight that is shorter than `hold_out_every` of them, so that one is held
+  /// out of its middle.
+  void FitTo(double duration_s) {
+    if (hold_out_every > 1) block_s = std::min(block_s, duration_s / hold_out_every);
+  }
 
   int BlockAt(double t_s) const { return static_cast<int>(t_s / block_s); }
   bool IsHeldOut(double t_s) const {

@@ -147,7 +147,7 @@ class Estimator {
   GroundGate ground_;
   InertiaGate inertia_gate_;
   LoadObserver load_;
-  Eigen::Vector3d load_pull_W_ = Eigen::Vector3d(0.0, 0.0, -9.81);  // over the newest interval
+  LoadPull load_pull_;  // over the newest interval
   std::function<bool(Stamp)> is_held_out_;
   OdometryNoiseEstimator odometry_noise_;
   DifferenceNoise rotor_noise_;

@@ -2,31 +2,40 @@
 
 #include <Eigen/Core>
 #include <optional>
+#include <vector>
 
 #include "odmc/model/dynamic_model.h"
 #include "odmc/model/pendulum.h"
 
 namespace odmc {
 
-/// Follows a suspended load by driving a pendulum with the vehicle's measured motion. Does nothing
-/// for a model without the effect suspended_load. The cable's length and damping are those of the
-/// first call after a reset.
+/// Follows a suspended load by driving a pendulum with the vehicle's measured motion, from the
+/// swing that the model's values give it at the start of the recording. Does nothing for a model
+/// without the effect suspended_load. The cable's length and damping are those of the first call.
 class LoadObserver {
  public:
-  explicit LoadObserver(const DynamicModel& model);
+  /// @param with_derivatives also find how the pull depends on the swing at the start
+  LoadObserver(const DynamicModel& model, bool with_derivatives);
 
   /// Over an interval of `dt` in which the velocity went from `v0_W` to `v1_W` [m/s].
-  /// @returns the cable's pull per unit of load in its middle, in W [m/s²]
-  Eigen::Vector3d Advance(const Eigen::Vector3d& v0_W, const Eigen::Vector3d& v1_W, double dt,
-                          const ModelValues& values);
+  /// @returns the cable's pull in the interval's middle
+  LoadPull Advance(const Eigen::Vector3d& v0_W, const Eigen::Vector3d& v1_W, double dt,
+                   const ModelValues& values);
 
-  /// The load hangs still again.
-  void Reset() { pendulum_.reset(); }
+  /// A new recording: how the load swings is not known, and taken to be not at all.
+  void Reset();
 
  private:
-  int length_, damping_;
+  void Start(const ModelValues& values);
+  void AdvanceAll(const Eigen::Vector3d& acceleration_W, double dt);
+
+  int length_, damping_, swing_;
   double gravity_;
+  bool with_derivatives_;
+  bool is_first_recording_ = true;
+  Swing start_ = Swing::Zero();
   std::optional<Pendulum> pendulum_;
+  std::vector<Pendulum> nearby_;  // started with a little more and a little less of each swing
   Eigen::Vector3d smooth_acceleration_W_ = Eigen::Vector3d::Zero();
 };
 

@@ -20,8 +20,7 @@ struct DynamicsMeasurement {
   double dt = 0.0;      ///< [s], > 0
   double time_s = 0.0;  ///< of its middle, since the flight's start
   RotorState rotors;    ///< means over the interval (Form M), values at its start (Form E)
-  /// Pull of a suspended load per unit of load at its middle, in W [m/s²]; see Pendulum.
-  Eigen::Vector3d load_pull_W = Eigen::Vector3d(0.0, 0.0, -9.81);
+  LoadPull load;        ///< of a suspended load, in the interval's middle
   DynamicsForm form = DynamicsForm::kMidpoint;
   /// Axes whose inertia is held at `fixed_inertia` whatever the values say, because the flight
   /// cannot tell it from the rest (see InertiaGate).

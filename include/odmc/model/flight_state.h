@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 
+#include "odmc/model/pendulum.h"
 #include "odmc/model/vehicle.h"
 
 namespace odmc {
@@ -25,8 +26,7 @@ struct FlightState {
   Eigen::Vector3d v_AB_B = Eigen::Vector3d::Zero();  ///< Bo relative to the air, in B [m/s]
   Eigen::Vector3d w_WB_B = Eigen::Vector3d::Zero();  ///< [rad/s]
   RotorState rotors;
-  /// Pull of a suspended load's cable per unit of load, in W [m/s²]; hanging still by default.
-  Eigen::Vector3d load_pull_W = Eigen::Vector3d(0.0, 0.0, -9.81);
+  LoadPull load;  ///< of a suspended load; see Pendulum
 };
 
 }  // namespace odmc

@@ -29,6 +29,9 @@ struct ParameterSpec {
   /// names, within the effect, of the parameters that hold its standard deviation and correlation
   /// time [s]. Estimator and simulator let it vary.
   std::string process_sigma = {}, process_time_constant = {};
+  /// Set for what moves by itself and starts a recording somehow: its value there says nothing
+  /// about the effect's size.
+  bool initial_state = false;
 };
 
 }  // namespace odmc
