@@ -469,6 +469,14 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
 
   while (result.verdict == Verdict::kEffect && !added.empty()) {
     Vehicle extended = vehicle;
+    // Everything starts where the fit (which has not seen the blocks held out) has brought it: what
+    // multiplies each other, as wind and drag, has more than one valley.
+    for (int i = 0; i < declared.num_parameters(); ++i) {
+      const ModelParameter& p = declared.parameters()[i];
+      if (!p.estimated || p.effect == "inertia") continue;
+      extended.parameters[p.full_name].value = stage.values.at(p.full_name);
+      extended.parameters[p.full_name].sigma = p.spec.prior_sigma;
+    }
     for (const AddedEffect& effect : added) {
       extended = With(extended, {effect.effect.name, effect.effect.settings});
       for (const ParameterEstimate& p : effect.effect.parameters) {

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <cstdlib>
 #include <numeric>
 #include <set>
 #include <utility>
@@ -243,8 +242,14 @@ Regressor::Result Regressor::Fit(const Stage& stage, const Candidates& candidate
       if (k < 0) continue;  // a bias
       const double step = result.fit.plain_step[static_cast<Eigen::Index>(i)];
       double& value = result.values[result.names[i]];
-      const bool positive = model.parameters()[k].spec.transform == ParameterTransform::kLog;
-      value = positive ? value * std::exp(std::clamp(step / value, -1.0, 1.0)) : value + step;
+      const ModelParameter& p = model.parameters()[k];
+      if (p.effect == "inertia") {
+        value /= std::clamp(1.0 - step / value, 0.3, 3.0);  // what is seen is linear in 1/I
+      } else if (p.spec.transform == ParameterTransform::kLog) {
+        value *= std::exp(std::clamp(step / value, -1.0, 1.0));
+      } else {
+        value += step;
+      }
     }
   }
   return result;
@@ -338,30 +343,36 @@ std::vector<Tried> TryAll(const Stage& stage, const std::vector<Candidate>& cand
     };
     choose(&Promising::serial);
     choose(&Promising::white);
+    const auto refined = [&](const Candidate& candidate) {
+      return Refined(candidate, [&](const Candidate& other) {
+        return regressor.Promise(regressor.ColumnsOf(stage, other), false);
+      });
+    };
     std::optional<Tried> best;
-    for (const size_t i : chosen) {
-      if (give_up && give_up()) return {};
-      Tried t{*of[i].candidate, std::move(of[i].columns), {}, {}};
-      t.result = regressor.FitWith(stage, {t.candidate});
-      if (!t.result.fit.step.allFinite()) continue;
-      t.ranked = Judge(stage, {t.candidate}, t.candidate, t.result, base, num_channels);
+    const auto fit = [&](const Candidate& candidate) {
+      Tried t{candidate, regressor.ColumnsOf(stage, candidate), {}, {}};
+      t.result = regressor.FitWith(stage, {candidate});
+      if (!t.result.fit.step.allFinite()) return;
+      t.ranked = Judge(stage, {candidate}, candidate, t.result, base, num_channels);
       const auto worth = [](const Tried& x) {
         return std::make_pair(x.ranked.sound, x.ranked.score);
       };
       if (!best || worth(t) > worth(*best)) best = std::move(t);
+    };
+    for (const size_t i : chosen) {
+      if (give_up && give_up()) return {};
+      fit(*of[i].candidate);
     }
     if (!best) continue;
-    const Candidate refined = Refined(best->candidate, [&](const Candidate& other) {
-      return regressor.Promise(regressor.ColumnsOf(stage, other), false);
-    });
-    if (refined.settings != best->candidate.settings) {
-      Tried t{refined, regressor.ColumnsOf(stage, refined), {}, {}};
-      t.result = regressor.FitWith(stage, {t.candidate});
-      t.ranked = Judge(stage, {t.candidate}, t.candidate, t.result, base, num_channels);
-      const bool finite = t.result.fit.step.allFinite();
-      if (finite && t.ranked.sound >= best->ranked.sound && t.ranked.score > best->ranked.score) {
-        best = std::move(t);
-      }
+    // Between the grid's settings, about the most promising and about the best.
+    const Candidate so_far = best->candidate;
+    const size_t most = static_cast<size_t>(
+        std::max_element(of.begin(), of.end(),
+                         [](const Promising& a, const Promising& b) { return a.white < b.white; }) -
+        of.begin());
+    for (const Candidate* from : {of[most].candidate, &so_far}) {
+      const Candidate between = refined(*from);
+      if (between.settings != from->settings) fit(between);
     }
     tried.push_back(std::move(*best));
   }
@@ -370,16 +381,6 @@ std::vector<Tried> TryAll(const Stage& stage, const std::vector<Candidate>& cand
            std::make_pair(b.ranked.sound, b.ranked.score);
   });
   PreferFewParameters(&tried);
-  if (std::getenv("ODMC_DEBUG")) {  // XXX
-    std::fprintf(stderr, "--- step\n");
-    for (const auto& t : tried) {
-      const auto& x = t.ranked;
-      std::fprintf(stderr, "%-24s %8.1f %d %s ", x.name.c_str(), x.score, x.sound,
-                   x.objection.c_str());
-      for (const auto& p : x.parameters) std::fprintf(stderr, " %.3g+-%.2g", p.value, p.sigma);
-      std::fprintf(stderr, "\n");
-    }
-  }
   return tried;
 }
 

@@ -21,7 +21,7 @@ using Eigen::Vector3d;
 
 constexpr double kDuration_s = 24.0;
 constexpr double kLogRate_Hz = 250.0;
-constexpr double kAbsurd = 6.0;        // natural sizes (prior sigmas) no effect should need
+constexpr double kAbsurd = 3.0;        // natural sizes (prior sigmas) no effect should need
 constexpr double kNotExcited = 0.015;  // share below which an effect does not show
 constexpr int kVehicleStream = 201, kNoiseStream = 202, kUnknownStream = 203;
 
