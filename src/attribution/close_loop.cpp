@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstdio>
 #include <iterator>
+#include <optional>
+#include <set>
 #include <stdexcept>
 
 #include "odmc/attribution/candidates.h"
@@ -12,6 +14,7 @@
 namespace odmc {
 namespace {
 
+constexpr int kMostRuns = 8;             // of the online estimator, with effects
 constexpr int kLeastSamples = 50;        // to look for effects in
 constexpr double kBetterOnline = 0.985;  // on some channel, by the online estimator
 constexpr double kOvershadows = 5.0;
@@ -253,6 +256,140 @@ bool IsBetter(const PredictionFigures& before, const PredictionFigures& after) {
   return sum < 0.0 && !IsClearlyWorse(worst, best) && best < kBetterOnline;
 }
 
+/// Effects that were added to the declared model.
+struct Choice {
+  Stage stage;  // with what was added, and the values of the joint fit
+  std::vector<AddedEffect> added;
+  double scores = 0.0;
+  ResidualModel::Wrenches residual;  // of the plain fit
+};
+
+/// What a choice leaves, and what would be added to it.
+struct Step {
+  Choice before;  // fitted
+  Choice after;   // with one effect more, or a pair; the same as before if nothing earns its place
+  std::vector<RankedEffect> ranking;
+};
+
+/// Finds the best candidate to add, or the best pair.
+Step ChooseNext(const ResidualModel& residual, const Choice& from,
+                const std::vector<Candidate>& candidates, const CloseLoopOptions& options) {
+  Step step;
+  step.before = from;
+  const int num_channels = residual.num_channels();
+  const Regressor regressor(&residual, &step.before.stage);
+  const Stage& stage = step.before.stage;
+  const WrenchFit& base = regressor.base().fit;
+  step.before.residual = base.plain_residual;
+  step.after = step.before;
+  const int room = options.most_effects - static_cast<int>(from.added.size());
+  const std::vector<Tried> tried = TryAll(stage, candidates, regressor, base, num_channels);
+  for (const Tried& t : tried) step.ranking.push_back(t.ranked);
+  const double least = options.LeastScore(from.added.empty(), from.scores);
+  const RankedEffect* best = tried.empty() || room < 1 ? nullptr : &tried.front().ranked;
+  if (best != nullptr && (!best->sound || best->score < least)) best = nullptr;
+  std::optional<Pair> pair;
+  if (room >= 2) {
+    pair = TryPairs(stage, tried, regressor, base, num_channels, options.LeastScore(false, 0.0));
+  }
+  if (pair && pair->score < 2.0 * std::max(least, best != nullptr ? best->score : 0.0)) {
+    pair.reset();
+  }
+  Choice& after = step.after;
+  const auto take = [&after](const Regressor::Result& result, double score) {
+    after.scores += score;
+    for (const auto& [name, value] : result.values) after.stage.values[name] = value;
+    after.residual = result.fit.plain_residual;
+  };
+  if (pair) {
+    for (const RankedEffect& ranked : pair->ranked) {
+      after.added.push_back({ranked, {}, "", {}});
+      after.stage.vehicle = With(after.stage.vehicle, Candidate{ranked.name, ranked.settings, {}});
+    }
+    take(pair->result, pair->score);
+  } else if (best != nullptr) {
+    AddedEffect effect;
+    effect.effect = *best;
+    const double close = std::max(options.close_score, options.close_share * best->score);
+    for (size_t i = 1; i < tried.size(); ++i) {
+      const RankedEffect& other = tried[i].ranked;
+      if (!other.sound || other.score < best->score - close) continue;
+      effect.alternatives.push_back(other.name);
+      if (effect.manoeuvre.empty()) effect.manoeuvre = TellingManoeuvre(best->name, other.name);
+    }
+    after.added.push_back(effect);
+    after.stage.vehicle = With(after.stage.vehicle, tried.front().candidate);
+    take(tried.front().result, best->score);
+  }
+  return step;
+}
+
+/// The case for gusts behind what a choice leaves; they vary, so that no fixed regressor shows
+/// them.
+RankedEffect RankGusts(const ResidualModel& residual, const Choice& choice) {
+  Vehicle airy = choice.stage.vehicle;
+  const bool has_wind =
+      std::find(airy.effects.begin(), airy.effects.end(), "wind") != airy.effects.end();
+  if (!has_wind) airy.effects.push_back("wind");
+  const DynamicModel model(airy, airy.effects);
+  const ModelValues values = ValuesOf(model, choice.stage.values);
+  const GustTest gust = TestGusts(residual.flight(), choice.residual,
+                                  WindDerivatives(residual, model, values, "wind"));
+  RankedEffect ranked;
+  ranked.name = "gust";
+  ranked.score = gust.gain;
+  ranked.settings = {{"gust.sigma", std::max(0.1, gust.sigma_m_s)},
+                     {"gust.time_constant", std::max(0.1, gust.time_constant_s)}};
+  for (const auto& [name, value] : ranked.settings) {
+    ranked.parameters.push_back(
+        {name, name == "gust.sigma" ? "m/s" : "s", value, 0.0, false, false});
+  }
+  ranked.sound = gust.over_others > -kTie - kTieShare * gust.gain && gust.sigma_m_s < 8.0 &&
+                 gust.one_sidedness < kOneSided;
+  if (gust.one_sidedness >= kOneSided) {
+    ranked.objection = "it would blow along one line only";
+  } else if (!ranked.sound) {
+    ranked.objection =
+        "a force free of the drag explains it better by " + Text(-gust.over_others) + " nats";
+  }
+  return ranked;
+}
+
+/// Fills in what share of the residual is structured, and how surely. @returns true if some is
+bool Summarise(const CloseLoopOptions& options, ClosedLoop* result) {
+  bool structured = false;
+  const auto n = static_cast<double>(result->structure.size());
+  for (const ChannelStructure& channel : result->structure) {
+    const Whiteness& whiteness = channel.whiteness;
+    result->structured_share = std::max(result->structured_share, whiteness.structured_share);
+    result->whiteness_p = std::min(result->whiteness_p, n * whiteness.p);
+    structured = structured || (whiteness.p < options.whiteness_p &&
+                                whiteness.structured_share > options.least_structured);
+  }
+  return structured;
+}
+
+/// The vehicle with what was added. Everything starts where the fit (which has not seen the blocks
+/// held out) has brought it: what multiplies each other, as wind and drag, has more than one
+/// valley.
+Vehicle Extended(const Vehicle& vehicle, const Choice& choice) {
+  Vehicle extended = vehicle;
+  const DynamicModel declared(vehicle, vehicle.effects);
+  for (const ModelParameter& p : declared.parameters()) {
+    if (!p.estimated || p.effect == "inertia") continue;
+    extended.parameters[p.full_name].value = choice.stage.values.at(p.full_name);
+    extended.parameters[p.full_name].sigma = p.spec.prior_sigma;
+  }
+  for (const AddedEffect& effect : choice.added) {
+    extended = With(extended, {effect.effect.name, effect.effect.settings});
+    for (const ParameterEstimate& p : effect.effect.parameters) {
+      if (p.estimated) extended.parameters[p.full_name].value = p.value;
+    }
+    HoldInitialState(effect.effect, &extended);
+  }
+  return extended;
+}
+
 }  // namespace
 
 std::string ToString(Verdict verdict) {
@@ -350,191 +487,130 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
                                     }),
                      candidates.end());
   }
-  ResidualModel::Wrenches unexplained, first_residual;
-  double scores = 0.0;
-  std::vector<AddedEffect> added;
-  for (int step = 0; step <= options.most_effects; ++step) {
-    const Regressor regressor(&residual, &stage);
-    const Regressor::Result& base = regressor.base();
-    unexplained = base.fit.plain_residual;
-    if (step == 0) first_residual = unexplained;
-    if (step == options.most_effects) break;
-    const std::vector<Tried> tried =
-        TryAll(stage, candidates, regressor, base.fit, residual.num_channels());
-    if (step == 0) {
-      for (const Tried& t : tried) result.ranking.push_back(t.ranked);
+  std::set<std::string> refused;  // by the online estimator
+  Choice accepted;
+  accepted.stage = stage;
+  Step step;
+  const auto choose = [&](const Choice& from) {
+    std::vector<Candidate> left;
+    std::copy_if(candidates.begin(), candidates.end(), std::back_inserter(left),
+                 [&](const Candidate& c) { return refused.count(c.effect) == 0; });
+    step = ChooseNext(residual, from, left, options);
+  };
+  const auto explains = [&](const Choice& choice) {
+    if (choice.added.empty()) return false;
+    for (const AddedEffect& effect : choice.added) {
+      if (effect.effect.name == "gust") return true;
     }
-    if (progress) progress(0.4 + 0.2 * (step + 1) / options.most_effects);
-    const double least =
-        step == 0 ? options.least_score
-                  : std::max(1.25 * options.least_score, options.least_share_of_first * scores);
-    const RankedEffect* best = tried.empty() ? nullptr : &tried.front().ranked;
-    if (best != nullptr && (!best->sound || best->score < least)) best = nullptr;
-    std::optional<Pair> pair;
-    if (step + 2 <= options.most_effects) {
-      pair = TryPairs(stage, tried, regressor, base.fit, residual.num_channels(),
-                      1.25 * options.least_score);
-    }
-    if (pair && pair->score < 2.0 * std::max(least, best != nullptr ? best->score : 0.0)) {
-      pair.reset();
-    }
-    if (pair) {
-      for (const RankedEffect& ranked : pair->ranked) {
-        added.push_back({ranked, {}, ""});
-        stage.vehicle = With(stage.vehicle, Candidate{ranked.name, ranked.settings, {}});
-      }
-      scores += pair->score;
-      ++step;
-      for (const auto& [name, value] : pair->result.values) stage.values[name] = value;
-    } else if (best != nullptr) {
-      AddedEffect effect;
-      effect.effect = *best;
-      const double close = std::max(options.close_score, options.close_share * best->score);
-      for (size_t i = 1; i < tried.size(); ++i) {
-        const RankedEffect& other = tried[i].ranked;
-        if (!other.sound || other.score < best->score - close) continue;
-        effect.alternatives.push_back(other.name);
-        if (effect.manoeuvre.empty()) effect.manoeuvre = TellingManoeuvre(best->name, other.name);
-      }
-      added.push_back(effect);
-      scores += best->score;
-      stage.vehicle = With(stage.vehicle, tried.front().candidate);
-      for (const auto& [name, value] : tried.front().result.values) stage.values[name] = value;
-    } else {
-      break;
-    }
-  }
+    return ExplainedStructure(result.structure,
+                              Structure(flight, choice.residual, residual.num_channels()),
+                              options.whiteness_p) >= options.least_explained;
+  };
+  choose(accepted);
+  result.ranking = step.ranking;
+  const ResidualModel::Wrenches declared_residual = step.before.residual;
+  result.structure = Structure(flight, declared_residual, residual.num_channels());
+  const bool structured = Summarise(options, &result);
 
-  result.structure = Structure(flight, first_residual, residual.num_channels());
-  for (const ChannelStructure& channel : result.structure) {
-    result.structured_share = std::max(result.structured_share, channel.whiteness.structured_share);
-    result.whiteness_p =
-        std::min(result.whiteness_p,
-                 std::min(1.0, channel.whiteness.p * static_cast<double>(result.structure.size())));
+  // What all that earns its place explains together, before the online estimator has its say.
+  const Step first = step;
+  Choice promised = first.after;
+  while (step.after.added.size() > step.before.added.size()) {
+    promised = step.after;
+    choose(promised);
   }
-  bool structured = false;
-  for (const ChannelStructure& channel : result.structure) {
-    structured = structured || (channel.whiteness.p < options.whiteness_p &&
-                                channel.whiteness.structured_share > options.least_structured);
-  }
-
-  std::vector<AddedEffect> shadows;  // come back if gusts do not hold
-  // Gusts vary: no fixed regressor shows them.
-  Vehicle airy = stage.vehicle;
-  const bool has_wind =
-      std::find(airy.effects.begin(), airy.effects.end(), "wind") != airy.effects.end();
   const bool has_gust =
-      std::find(airy.effects.begin(), airy.effects.end(), "gust") != airy.effects.end();
-  if (!has_gust && structured) {
-    if (!has_wind) airy.effects.push_back("wind");
-    const DynamicModel model(airy, airy.effects);
-    const ModelValues values = ValuesOf(model, stage.values);
-    const GustTest gust =
-        TestGusts(flight, unexplained, WindDerivatives(residual, model, values, "wind"));
-    RankedEffect ranked;
-    ranked.name = "gust";
-    ranked.score = gust.gain;
-    ranked.settings = {{"gust.sigma", std::max(0.1, gust.sigma_m_s)},
-                       {"gust.time_constant", std::max(0.1, gust.time_constant_s)}};
-    for (const auto& [name, value] : ranked.settings) {
-      ranked.parameters.push_back(
-          {name, name == "gust.sigma" ? "m/s" : "s", value, 0.0, false, false});
+      std::find(vehicle.effects.begin(), vehicle.effects.end(), "gust") != vehicle.effects.end();
+  const auto add_gust = [&](const Choice& to) -> std::optional<Choice> {
+    if (has_gust || !structured || refused.count("gust") > 0) return std::nullopt;
+    const RankedEffect gust = RankGusts(residual, to);
+    if (refused.empty() && to.added.size() == promised.added.size()) result.ranking.push_back(gust);
+    if (!gust.sound || gust.score < std::max(3.0 * options.least_score, 0.5 * to.scores)) {
+      return std::nullopt;
     }
-    ranked.sound = gust.over_others > -kTie - kTieShare * gust.gain && gust.sigma_m_s < 8.0 &&
-                   gust.one_sidedness < kOneSided;
-    if (gust.one_sidedness >= kOneSided) {
-      ranked.objection = "it would blow along one line only";
-    } else if (!ranked.sound) {
-      ranked.objection =
-          "a force free of the drag explains it better by " + Text(-gust.over_others) + " nats";
-    }
-    const double least = std::max(3.0 * options.least_score, 0.5 * scores);
-    if (ranked.sound && gust.gain > least) {
-      // What was found beside a much larger gust is its shadow.
-      if (gust.gain > kOvershadows * scores) shadows.swap(added);
-      added.push_back({ranked, {}, ""});
-    }
-    result.ranking.push_back(ranked);
-  }
+    Choice with = to;
+    with.added.push_back({gust, {}, "", {}});
+    with.scores += gust.score;
+    return with;
+  };
+  std::optional<Choice> gusty = add_gust(promised);
+  if (progress) progress(0.6);
 
-  if (!added.empty()) {
-    const bool with_gust = added.back().effect.name == "gust";
-    const bool explains =
-        with_gust || ExplainedStructure(result.structure,
-                                        Structure(flight, unexplained, residual.num_channels()),
-                                        options.whiteness_p) >= options.least_explained;
-    if (explains) result.verdict = Verdict::kEffect;
+  // One after the other: what the online estimator does not confirm is refused.
+  PredictionFigures best = before.held_out;
+  result.accelerometer_before = HeldOutForce(residual, declared, *replay.last);
+  if (result.accelerometer_before) best.force_rmse_N = result.accelerometer_before;
+  std::optional<Prediction> prediction;
+  step = first;
+  bool promising = explains(promised) || gusty;
+  if (gusty && gusty->added.back().effect.score > kOvershadows * promised.scores) {
+    // What was found beside a much larger gust is its shadow.
+    step.after = accepted;
+    step.after.added.push_back(gusty->added.back());
   }
-  if (result.verdict != Verdict::kEffect && structured) result.verdict = Verdict::kUnexplained;
-
-  while (result.verdict == Verdict::kEffect && !added.empty()) {
-    Vehicle extended = vehicle;
-    // Everything starts where the fit (which has not seen the blocks held out) has brought it: what
-    // multiplies each other, as wind and drag, has more than one valley.
-    for (int i = 0; i < declared.num_parameters(); ++i) {
-      const ModelParameter& p = declared.parameters()[i];
-      if (!p.estimated || p.effect == "inertia") continue;
-      extended.parameters[p.full_name].value = stage.values.at(p.full_name);
-      extended.parameters[p.full_name].sigma = p.spec.prior_sigma;
+  for (int run = 0; run < kMostRuns && promising; ++run) {
+    Choice trial = step.after;
+    if (trial.added.size() == accepted.added.size()) {
+      const std::optional<Choice> with = add_gust(step.before);
+      if (!with) break;
+      trial = *with;
     }
-    for (const AddedEffect& effect : added) {
-      extended = With(extended, {effect.effect.name, effect.effect.settings});
-      for (const ParameterEstimate& p : effect.effect.parameters) {
-        if (p.estimated) extended.parameters[p.full_name].value = p.value;  // a warm start
-      }
-      HoldInitialState(effect.effect, &extended);
-    }
+    const Vehicle extended = Extended(vehicle, trial);
     const DynamicModel model(extended, extended.effects);
     const Pass after = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
-    // What the online estimator does not confirm goes again, last first: it may have been what made
-    // the others fade.
-    const auto faded = std::find_if(added.rbegin(), added.rend(), [&](const AddedEffect& effect) {
-      return effect.effect.name != "gust" &&
-             !Objection(effect.effect, after.parameters, model).empty();
-    });
-    if (faded != added.rend()) {
-      result.warnings.push_back(faded->effect.name +
-                                " was chosen, but the online estimate does not confirm it: " +
-                                Objection(faded->effect, after.parameters, model));
-      added.erase(std::next(faded).base());
-      continue;
+    std::string objection;
+    for (const AddedEffect& effect : trial.added) {
+      if (effect.effect.name == "gust" || !objection.empty()) continue;
+      objection = Objection(effect.effect, after.parameters, model);
     }
-    result.accelerometer_before = HeldOutForce(residual, declared, *replay.last);
-    result.accelerometer_after = HeldOutForce(residual, model, *after.replay.last);
-    PredictionFigures was = before.held_out, is = after.held_out;
-    if (result.accelerometer_before && result.accelerometer_after) {
-      was.force_rmse_N = result.accelerometer_before;
-      is.force_rmse_N = result.accelerometer_after;
+    PredictionFigures figures = after.held_out;
+    const PredictionFigures::Axes accelerometer = HeldOutForce(residual, model, *after.replay.last);
+    if (accelerometer) figures.force_rmse_N = accelerometer;
+    if (objection.empty() && !IsBetter(best, figures)) {
+      objection = "blocks held out are predicted no better (" + ChangeText(best, figures) + ")";
     }
-    if (IsBetter(was, is)) {
+    if (!objection.empty()) {
+      for (size_t i = accepted.added.size(); i < trial.added.size(); ++i) {
+        const std::string& name = trial.added[i].effect.name;
+        refused.insert(name);
+        result.warnings.push_back(
+            name + " was chosen, but the online run does not confirm it: " + objection);
+      }
+      // A lone effect that is refused has no second: the next best would have no case of its own.
+      promising = !accepted.added.empty() || promised.added.size() > 1 || gusty;
+    } else {
+      accepted = trial;
+      best = figures;
       result.after = after.held_out;
+      result.accelerometer_after = accelerometer;
       result.parameters = after.parameters;
       result.effect_names = extended.effects;
-      for (AddedEffect& effect : added) {
-        effect.derived = DerivedFigures(vehicle, effect.effect.name, after.parameters);
-        for (ParameterEstimate& p : effect.effect.parameters) {
-          const ParameterEstimate* online = after.parameters.Find(p.full_name);
-          if (online != nullptr) p = *online;
-        }
-      }
-      result.effects = added;
-      fill_samples(after.prediction);
-      return result;
+      prediction = after.prediction;
     }
-    result.warnings.push_back(added.back().effect.name +
-                              " was chosen, but did not predict blocks held out any better (" +
-                              ChangeText(was, is) + ")");
-    const bool was_gust = added.back().effect.name == "gust";
-    added.pop_back();
-    if (was_gust && added.empty()) added.swap(shadows);
+    if (promising) choose(accepted);
   }
-  if (result.verdict == Verdict::kEffect) {
-    result.verdict = structured ? Verdict::kUnexplained : Verdict::kNone;
+  if (explains(accepted)) {
+    result.verdict = Verdict::kEffect;
+    result.effects = accepted.added;
+    for (AddedEffect& effect : result.effects) {
+      effect.derived = DerivedFigures(vehicle, effect.effect.name, result.parameters);
+      for (ParameterEstimate& p : effect.effect.parameters) {
+        const ParameterEstimate* online = result.parameters.Find(p.full_name);
+        if (online != nullptr) p = *online;
+      }
+    }
+  } else {
+    result.after = result.before;
+    result.accelerometer_after = result.accelerometer_before;
+    result.parameters = result.declared_parameters;
+    result.effect_names = vehicle.effects;
+    prediction.reset();
+    if (structured) {
+      result.verdict = Verdict::kUnexplained;
+      result.where = Where(result.structure, flight, declared_residual);
+    }
   }
-  if (result.verdict == Verdict::kUnexplained) {
-    result.where = Where(result.structure, flight, first_residual);
-  }
-  fill_samples(before.prediction);
+  fill_samples(prediction ? *prediction : before.prediction);
   return result;
 }
 

@@ -277,9 +277,7 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
     }
     const std::vector<Tried> tried =
         TryAll(stage, candidates, regressor, base.fit, channels, give_up);
-    const double least =
-        step == 0 ? decision_.least_score
-                  : std::max(1.25 * decision_.least_score, decision_.least_share_of_first * scores);
+    const double least = decision_.LeastScore(step == 0, scores);
     if (tried.empty() || !tried.front().ranked.sound || tried.front().ranked.score < least) break;
     const Tried& best = tried.front();
     if (step == 0) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <functional>
 #include <map>
@@ -25,6 +26,11 @@ struct CloseLoopOptions {
   double whiteness_p = 1e-5;           ///< below it a residual is structured
   double least_structured = 0.05;      ///< share of variance, for the verdict "unexplained"
   int most_effects = 6;
+
+  /// What the first effect must gain, or one beside others that have gained `scores` [nats].
+  double LeastScore(bool first, double scores) const {
+    return first ? least_score : std::max(1.25 * least_score, least_share_of_first * scores);
+  }
 };
 
 enum class Verdict { kEffect, kNone, kUnexplained };
