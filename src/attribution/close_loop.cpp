@@ -522,7 +522,10 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   const bool has_gust =
       std::find(vehicle.effects.begin(), vehicle.effects.end(), "gust") != vehicle.effects.end();
   const auto add_gust = [&](const Choice& to) -> std::optional<Choice> {
-    if (has_gust || !structured || refused.count("gust") > 0) return std::nullopt;
+    const bool gusty_already =
+        std::any_of(to.added.begin(), to.added.end(),
+                    [](const auto& effect) { return effect.effect.name == "gust"; });
+    if (has_gust || gusty_already || !structured || refused.count("gust") > 0) return std::nullopt;
     const RankedEffect gust = RankGusts(residual, to);
     if (refused.empty() && to.added.size() == promised.added.size()) result.ranking.push_back(gust);
     if (!gust.sound || gust.score < std::max(3.0 * options.least_score, 0.5 * to.scores)) {
