@@ -48,6 +48,13 @@ bool IsListed(const std::vector<std::string>& names, const std::string& name) {
   return std::find(names.begin(), names.end(), name) != names.end();
 }
 
+/// True if the model estimates the thrust coefficient: a mass over the whole flight is one with it.
+bool FitsThrust(const Vehicle& vehicle) {
+  const DynamicModel model(vehicle, vehicle.effects);
+  const int k_f = model.IndexOf("thrust.k_f");
+  return k_f >= 0 && model.parameters()[k_f].estimated;
+}
+
 }  // namespace
 
 std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion& flight) {
@@ -60,7 +67,7 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
     if (never || IsListed(vehicle.effects, name)) continue;
     if (name == "mass_change") {
       const std::map<std::string, double> some = {{"mass_change.mass", 0.05 * vehicle.mass_kg}};
-      candidates.push_back({name, {{"mass_change.from", 0.0}}, some});
+      if (!FitsThrust(vehicle)) candidates.push_back({name, {{"mass_change.from", 0.0}}, some});
       for (double t = start_s + 2.0; t < end_s - 2.0; t += kMassStep_s) {
         candidates.push_back({name, {{"mass_change.from", t}}, some});
       }

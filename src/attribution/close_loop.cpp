@@ -23,12 +23,6 @@ constexpr double kTieShare = 0.01;  // or this share of the gain: they differ li
 constexpr double kOneSided = 0.9;   // share of the wind's variance along one line
 constexpr double kKnownThrustShare = 0.05;
 
-std::string Text(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.3g", value);
-  return text;
-}
-
 std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedFlight& flight,
                   const ResidualModel::Wrenches& residual) {
   if (structure.empty()) return "";
@@ -115,18 +109,16 @@ Pass Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& 
   const bool with_torque = !log.rotor_rms_only;
   Estimator estimator(&model, options, with_torque);
   const Stamp first = log.odometry.empty() ? 0 : log.odometry.front().stamp;
-  const bool varies = !model.processes().empty();
-  if (!varies) {
-    estimator.SetHeldOut(
-        [=](Stamp stamp) { return loop.blocks.IsHeldOut(ToSeconds(stamp - first)); });
-  }
+  estimator.SetHeldOut(
+      [=](Stamp stamp) { return loop.blocks.IsHeldOut(ToSeconds(stamp - first)); });
   pass.replay = Replay(log, &estimator, progress);
   if (!pass.replay.last) throw std::invalid_argument(log.file + ": never airborne");
   pass.parameters = Estimator::ToParameterSet(model, *pass.replay.last);
   const ModelValues& values = pass.replay.last->values;
   const ValueVariation vary =
-      varies ? GustsOf(log, file_vehicle, model, values, pass.replay.ground_spans, with_torque)
-             : ValueVariation();
+      !model.processes().empty()
+          ? GustsOf(log, file_vehicle, model, values, pass.replay.ground_spans, with_torque)
+          : ValueVariation();
   pass.prediction = Predict(log, file_vehicle, model, values, pass.replay.ground_spans, vary);
   std::vector<PredictionSample> unseen;
   for (const PredictionSample& s : pass.prediction.samples) {
@@ -310,12 +302,9 @@ Step ChooseNext(const ResidualModel& residual, const Choice& from,
   } else if (best != nullptr) {
     AddedEffect effect;
     effect.effect = *best;
-    const double close = std::max(options.close_score, options.close_share * best->score);
-    for (size_t i = 1; i < tried.size(); ++i) {
-      const RankedEffect& other = tried[i].ranked;
-      if (!other.sound || other.score < best->score - close) continue;
-      effect.alternatives.push_back(other.name);
-      if (effect.manoeuvre.empty()) effect.manoeuvre = TellingManoeuvre(best->name, other.name);
+    effect.alternatives = Alternatives(tried, options);
+    for (const std::string& name : effect.alternatives) {
+      if (effect.manoeuvre.empty()) effect.manoeuvre = TellingManoeuvre(best->name, name);
     }
     after.added.push_back(effect);
     after.stage.vehicle = With(after.stage.vehicle, tried.front().candidate);
@@ -355,6 +344,52 @@ RankedEffect RankGusts(const ResidualModel& residual, const Choice& choice) {
   return ranked;
 }
 
+FlightFigures FlownFlight(const FlightLog& log, const ReplayResult& replay) {
+  FlightFigures figures;
+  figures.file = log.file;
+  figures.duration_s = ToSeconds(log.odometry.back().stamp - log.odometry.front().stamp);
+  figures.on_ground_s = replay.counters.on_ground_s;
+  figures.keyframes = replay.counters.keyframes;
+  figures.dropped =
+      log.dropped + replay.stream_counters.not_finite + replay.stream_counters.out_of_order;
+  return figures;
+}
+
+std::vector<LoopSample> Samples(const Prediction& before, const Prediction& after,
+                                const BlockSplit& blocks) {
+  std::vector<LoopSample> samples;
+  const size_t n = std::min(before.samples.size(), after.samples.size());
+  for (size_t i = 0; i < n; ++i) {
+    const PredictionSample &b = before.samples[i], &a = after.samples[i];
+    LoopSample sample{b.t_s, blocks.IsHeldOut(b.t_s), b.speed_m_s, {}, {}};
+    for (int k = 0; k < 3; ++k) {
+      sample.before[k] = b.measured_force[k] - b.predicted_force[k];
+      sample.before[k + 3] = b.measured_torque[k] - b.predicted_torque[k];
+      sample.after[k] = a.measured_force[k] - a.predicted_force[k];
+      sample.after[k + 3] = a.measured_torque[k] - a.predicted_torque[k];
+    }
+    samples.push_back(sample);
+  }
+  return samples;
+}
+
+/// Where everything starts: the declared model as the online estimator found it.
+Stage Declared(const Vehicle& vehicle, const DynamicModel& model, const Snapshot& last) {
+  Stage stage;
+  stage.vehicle = vehicle;
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    const std::string& name = model.parameters()[i].full_name;
+    stage.values[name] = last.values[i];
+    // An inertia that the flight does not show would only be made large, to damp what noise of the
+    // rotor speeds brings.
+    if (model.parameters()[i].effect == "inertia" && !last.observable[i]) {
+      stage.vehicle.parameters[name].value = last.values[i];
+      stage.vehicle.parameters[name].estimated = false;
+    }
+  }
+  return stage;
+}
+
 /// Fills in what share of the residual is structured, and how surely. @returns true if some is
 bool Summarise(const CloseLoopOptions& options, ClosedLoop* result) {
   bool structured = false;
@@ -363,8 +398,7 @@ bool Summarise(const CloseLoopOptions& options, ClosedLoop* result) {
     const Whiteness& whiteness = channel.whiteness;
     result->structured_share = std::max(result->structured_share, whiteness.structured_share);
     result->whiteness_p = std::min(result->whiteness_p, n * whiteness.p);
-    structured = structured || (whiteness.p < options.whiteness_p &&
-                                whiteness.structured_share > options.least_structured);
+    structured = structured || IsStructured(channel, options);
   }
   return structured;
 }
@@ -403,6 +437,23 @@ std::string ToString(Verdict verdict) {
   }
 }
 
+std::vector<std::string> Alternatives(const std::vector<Tried>& tried,
+                                      const CloseLoopOptions& options) {
+  std::vector<std::string> names;
+  const double best = tried.front().ranked.score;
+  const double close = std::max(options.close_score, options.close_share * best);
+  for (size_t i = 1; i < tried.size(); ++i) {
+    const RankedEffect& other = tried[i].ranked;
+    if (other.sound && other.score >= best - close) names.push_back(other.name);
+  }
+  return names;
+}
+
+bool IsStructured(const ChannelStructure& channel, const CloseLoopOptions& options) {
+  return channel.whiteness.p < options.whiteness_p &&
+         channel.whiteness.structured_share > options.least_structured;
+}
+
 void HoldKnownThrust(Vehicle* vehicle) {
   const auto it = vehicle->parameters.find("thrust.k_f");
   if (it == vehicle->parameters.end() || !it->second.value || !it->second.sigma) return;
@@ -429,27 +480,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   result.effect_names = vehicle.effects;
   result.before = result.after = before.held_out;
   result.warnings = log.warnings;
-  result.flight.file = log.file;
-  result.flight.duration_s = ToSeconds(log.odometry.back().stamp - log.odometry.front().stamp);
-  result.flight.on_ground_s = replay.counters.on_ground_s;
-  result.flight.keyframes = replay.counters.keyframes;
-  result.flight.dropped =
-      log.dropped + replay.stream_counters.not_finite + replay.stream_counters.out_of_order;
-
-  const auto fill_samples = [&](const Prediction& after) {
-    const size_t n = std::min(before.prediction.samples.size(), after.samples.size());
-    for (size_t i = 0; i < n; ++i) {
-      const PredictionSample &b = before.prediction.samples[i], &a = after.samples[i];
-      LoopSample sample{b.t_s, options.blocks.IsHeldOut(b.t_s), b.speed_m_s, {}, {}};
-      for (int k = 0; k < 3; ++k) {
-        sample.before[k] = b.measured_force[k] - b.predicted_force[k];
-        sample.before[k + 3] = b.measured_torque[k] - b.predicted_torque[k];
-        sample.after[k] = a.measured_force[k] - a.predicted_force[k];
-        sample.after[k + 3] = a.measured_torque[k] - a.predicted_torque[k];
-      }
-      result.samples.push_back(sample);
-    }
-  };
+  result.flight = FlownFlight(log, replay);
 
   const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), replay.ground_spans),
                              options.blocks);
@@ -459,37 +490,14 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     result.warnings.push_back("too little flight to look for effects: " + std::to_string(in_use) +
                               " samples of 40 ms, at least " + std::to_string(kLeastSamples) +
                               " are needed");
-    fill_samples(before.prediction);
+    result.samples = Samples(before.prediction, before.prediction, options.blocks);
     return result;
   }
   const ResidualModel residual(&flight, &file_vehicle, with_torque);
-  Stage stage;
-  stage.vehicle = vehicle;
-  for (int i = 0; i < declared.num_parameters(); ++i) {
-    const std::string& name = declared.parameters()[i].full_name;
-    stage.values[name] = replay.last->values[i];
-    // An inertia that the flight does not show would only be made large, to damp what noise of the
-    // rotor speeds brings.
-    if (declared.parameters()[i].effect == "inertia" && !replay.last->observable[i]) {
-      stage.vehicle.parameters[name].value = replay.last->values[i];
-      stage.vehicle.parameters[name].estimated = false;
-    }
-  }
-
-  std::vector<Candidate> candidates = CandidatesFor(vehicle, flight.motion());
-  // A mass over the whole flight is one with the thrust coefficient.
-  const int k_f = declared.IndexOf("thrust.k_f");
-  if (k_f >= 0 && declared.parameters()[k_f].estimated) {
-    candidates.erase(std::remove_if(candidates.begin(), candidates.end(),
-                                    [](const Candidate& c) {
-                                      const auto from = c.settings.find("mass_change.from");
-                                      return from != c.settings.end() && from->second <= 0.0;
-                                    }),
-                     candidates.end());
-  }
+  const std::vector<Candidate> candidates = CandidatesFor(vehicle, flight.motion());
   std::set<std::string> refused;  // by the online estimator
   Choice accepted;
-  accepted.stage = stage;
+  accepted.stage = Declared(vehicle, declared, *replay.last);
   Step step;
   const auto choose = [&](const Choice& from) {
     std::vector<Candidate> left;
@@ -613,7 +621,8 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
       result.where = Where(result.structure, flight, declared_residual);
     }
   }
-  fill_samples(prediction ? *prediction : before.prediction);
+  result.samples =
+      Samples(before.prediction, prediction ? *prediction : before.prediction, options.blocks);
   return result;
 }
 

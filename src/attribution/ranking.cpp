@@ -28,12 +28,6 @@ const char* const kBiasName = "accelerometer bias";
 const char* const kChannelNames[] = {"force_x",  "force_y",  "force_z",
                                      "torque_x", "torque_y", "torque_z"};
 
-std::string Text(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.3g", value);
-  return text;
-}
-
 bool Has(const Candidates& candidates, const std::string& effect) {
   return std::any_of(candidates.begin(), candidates.end(),
                      [&](const Candidate& c) { return c.effect == effect; });
@@ -131,6 +125,12 @@ void PreferFewParameters(std::vector<Tried>* tried) {
 }
 
 }  // namespace
+
+std::string Text(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.3g", value);
+  return text;
+}
 
 Vehicle With(const Vehicle& vehicle, const Candidate& candidate) {
   Vehicle extended = vehicle;

@@ -66,25 +66,8 @@ void Summarise(const std::vector<ChannelStructure>& channels, const CloseLoopOpt
     }
     const auto n = static_cast<double>(channels.size());
     found->whiteness_p = std::min(found->whiteness_p, n * whiteness.p);
-    found->structured =
-        found->structured || (whiteness.p < decision.whiteness_p &&
-                              whiteness.structured_share > decision.least_structured);
+    found->structured = found->structured || IsStructured(channels[c], decision);
   }
-}
-
-/// As CloseLoop() tries them. A mass over the whole of what is seen is one with the thrust
-/// coefficient.
-std::vector<Candidate> CandidatesOf(const DynamicModel& model, const ThinnedFlight& flight) {
-  std::vector<Candidate> all = CandidatesFor(model.vehicle(), flight.motion());
-  const int k_f = model.IndexOf("thrust.k_f");
-  if (k_f < 0 || !model.parameters()[k_f].estimated) return all;
-  all.erase(std::remove_if(all.begin(), all.end(),
-                           [](const Candidate& c) {
-                             const auto from = c.settings.find("mass_change.from");
-                             return from != c.settings.end() && from->second <= 0.0;
-                           }),
-            all.end());
-  return all;
 }
 
 /// Names the best candidate, and those that are as good.
@@ -92,11 +75,7 @@ void Name(const std::vector<Tried>& tried, const CloseLoopOptions& decision, Res
   const RankedEffect& best = tried.front().ranked;
   found->candidate = best;
   found->refitted = tried.front().result.values;
-  const double close = std::max(decision.close_score, decision.close_share * best.score);
-  for (size_t i = 1; i < tried.size(); ++i) {
-    const RankedEffect& other = tried[i].ranked;
-    if (other.sound && other.score >= best.score - close) found->alternatives.push_back(other.name);
-  }
+  found->alternatives = Alternatives(tried, decision);
 }
 
 }  // namespace
@@ -265,7 +244,7 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
   for (int i = 0; i < model.num_parameters(); ++i) {
     stage.values[model.parameters()[i].full_name] = estimate.values[i];
   }
-  const std::vector<Candidate> candidates = CandidatesOf(model, flight);
+  const std::vector<Candidate> candidates = CandidatesFor(model.vehicle(), flight.motion());
   std::vector<ChannelStructure> before;
   double scores = 0.0;
   for (int step = 0; step < kMostEffects; ++step) {

@@ -71,6 +71,13 @@ struct ClosedLoop {
   std::vector<std::string> warnings;
 };
 
+/// Names of the sound candidates that come close to the first.
+std::vector<std::string> Alternatives(const std::vector<Tried>& tried,
+                                      const CloseLoopOptions& options);
+
+/// True if a channel of the residual is more than noise.
+bool IsStructured(const ChannelStructure& channel, const CloseLoopOptions& options);
+
 /// Holds a thrust coefficient that is known to 5 % (from an earlier, unloaded flight) as it is:
 /// mass can then be found.
 void HoldKnownThrust(Vehicle* vehicle);

@@ -40,6 +40,9 @@ constexpr double kTooLarge = 4.0;
 
 using Candidates = std::vector<Candidate>;  // tried together
 
+/// A number in three digits, for sentences.
+std::string Text(double value);
+
 /// The vehicle with candidates added, what they were tried with frozen.
 Vehicle With(const Vehicle& vehicle, const Candidate& candidate);
 Vehicle With(const Vehicle& vehicle, const Candidates& candidates);
