@@ -695,7 +695,7 @@ void Estimator::RescalePast(double force, double torque) {
       (share * std::log(force) + (Eigen::VectorXd::Ones(share.size()) - share) * std::log(torque))
           .array()
           .exp();
-  RescalePrior(scale, &window_.prior());
+  RescalePrior(scale, &window_);
   information_.Rescale(scale);
   consistency_.Rescale(scale);
 }

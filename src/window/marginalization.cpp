@@ -10,6 +10,8 @@
 namespace odmc {
 namespace {
 
+constexpr double kLeastShare = 0.1;  // of the way to the prior's optimum
+
 /// Columns of the joint system: [oldest state, leaving bias | next state, kept bias, parameters].
 struct Columns {
   int leaving_bias = -1, next_state = -1, kept_bias = -1, parameters = -1;
@@ -150,13 +152,21 @@ LinearSystem Eliminate(const LinearSystem& system, double tolerance) {
   return result;
 }
 
-void RescalePrior(const Eigen::VectorXd& scale, Prior* prior) {
-  if (prior->b.size() == 0) return;
-  const int n = static_cast<int>(scale.size());
-  const Eigen::VectorXd optimum = -prior->A.completeOrthogonalDecomposition().solve(prior->b);
-  const Eigen::VectorXd rest = prior->b + prior->A * optimum;
-  prior->A.rightCols(n) *= scale.cwiseSqrt().asDiagonal();
-  prior->b = rest - prior->A * optimum;
+void RescalePrior(const Eigen::VectorXd& scale, Window* window) {
+  Prior& prior = window->prior();
+  if (prior.b.size() == 0) return;
+  const Eigen::VectorXd now = PriorOffset(*window);
+  const Eigen::VectorXd residual = prior.b + prior.A * now;
+  const Eigen::VectorXd step = -prior.A.completeOrthogonalDecomposition().solve(residual);
+  const Eigen::VectorXd fall = prior.A * step;
+  prior.A.rightCols(scale.size()) *= scale.cwiseSqrt().asDiagonal();
+  const Eigen::VectorXd scaled_fall = prior.A * step;
+  const double limit = 2.0 * std::max(1.0, scale.maxCoeff()) * residual.squaredNorm();
+  double share = 1.0;
+  while (share > 0.0 && (residual + share * (fall - scaled_fall)).squaredNorm() > limit) {
+    share = share > kLeastShare ? 0.5 * share : 0.0;
+  }
+  prior.b = residual + share * (fall - scaled_fall) - prior.A * now;
 }
 
 void DiffusePrior(int index, double variance, Prior* prior) {

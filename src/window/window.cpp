@@ -150,7 +150,7 @@ bool Linearize(const Window& window, const Factor& factor, bool first_estimates,
   return linear->r.allFinite() && linear->J.allFinite();
 }
 
-Eigen::VectorXd PriorResidual(const Window& window) {
+Eigen::VectorXd PriorOffset(const Window& window) {
   const Prior& prior = window.prior();
   const int n = window.layout().num_estimated();
   Eigen::VectorXd d(prior.state_columns() + prior.bias_columns() + n);
@@ -163,7 +163,11 @@ Eigen::VectorXd PriorResidual(const Window& window) {
     for (int i = 0; i < 6; ++i) d[prior.state_columns() + i] = bias.x[i] - bias.x_lin[i];
   }
   d.tail(n) = window.eta() - prior.eta_lin;
-  return prior.b + prior.A * d;
+  return d;
+}
+
+Eigen::VectorXd PriorResidual(const Window& window) {
+  return window.prior().b + window.prior().A * PriorOffset(window);
 }
 
 MarginalizationFactor::MarginalizationFactor(const Window* window) : window_(window) {

@@ -100,6 +100,28 @@ TEST(Recovery, StartOfTheThrustCoefficientDoesNotMatter) {
   }
 }
 
+/// Where the gates open and the window first fills, at a keyframe rate that is not the default.
+TEST(Recovery, NoFlightDivergesAtFewKeyframes) {
+  for (int seed = 1; seed <= 6; ++seed) {
+    Flight flight;
+    const Vehicle vehicle = FreeVehicle();
+    flight.model.emplace(vehicle, vehicle.effects);
+    flight.truth = DefaultTruth(*flight.model);
+    SimulationOptions simulation;
+    simulation.trajectory = "aggressive";
+    simulation.duration_s = 8.0;
+    simulation.seed = seed;
+    flight.log = Simulate(*flight.model, flight.truth, simulation, {}).log;
+    EstimatorOptions options = Patient();
+    options.keyframe_rate_hz = 40.0;
+    const ReplayResult result = Estimate(flight, options);
+    SCOPED_TRACE(seed);
+    for (const char* name : {"thrust.k_f", "inertia.x", "inertia.y", "inertia.z"}) {
+      ExpectNear(flight, result, name, 0.03);
+    }
+  }
+}
+
 TEST(Estimator, UsesAnImuWhereverItSits) {
   Vehicle vehicle = FreeVehicle();
   SensorMount imu;

@@ -340,7 +340,7 @@ TEST_F(Marginalization, RescaledPriorKeepsItsOptimumAndScalesItsInformation) {
   const double cost = (prior.b + prior.A * optimum).norm();
   VectorXd scale(4);
   scale << 0.5, 1.0, 2.0, 4.0;
-  RescalePrior(scale, &prior);
+  RescalePrior(scale, &window);
   VectorXd root = VectorXd::Ones(16);
   root.tail(4) = scale.cwiseSqrt();
   EXPECT_LT((prior.A.transpose() * prior.A - root.asDiagonal() * H * root.asDiagonal()).norm(),
@@ -348,6 +348,29 @@ TEST_F(Marginalization, RescaledPriorKeepsItsOptimumAndScalesItsInformation) {
   const VectorXd gradient = prior.A.transpose() * (prior.b + prior.A * optimum);
   EXPECT_LT(gradient.norm(), kExact * H.norm());
   EXPECT_NEAR((prior.b + prior.A * optimum).norm(), cost, kExact);
+}
+
+TEST_F(Marginalization, RescaledPriorDoesNotBelieveAnOptimumFarOut) {
+  Window window(&layout_);
+  LinearWindowMaker(&window, LinearWindowOptions(), 27).Fill();
+  for (int i = 0; i < 3; ++i) ASSERT_TRUE(MarginalizeOldest(&window, Threshold(kNever)));
+  // Two parameters whose sum is known well and whose difference hardly is, with an optimum far out.
+  Prior& prior = window.prior();
+  const auto columns = prior.A.cols();
+  prior.A = MatrixXd::Zero(3, columns);
+  prior.A(0, columns - 4) = prior.A(0, columns - 3) = 1e3;
+  prior.A(1, columns - 4) = 1e-5;
+  prior.A(1, columns - 3) = -1e-5;
+  prior.b = Eigen::Vector3d(0.3, 1.0, 2.0);
+  window.eta() = prior.eta_lin;
+  std::copy(window.keyframes().front().x_lin.begin(), window.keyframes().front().x_lin.end(),
+            window.keyframes().front().x.begin());
+  const double before = PriorResidual(window).norm();
+  VectorXd scale = VectorXd::Ones(4);
+  scale[0] = 0.5;
+  RescalePrior(scale, &window);
+  EXPECT_LT(PriorResidual(window).norm(), 2.0 * before);
+  EXPECT_NEAR(prior.A(0, columns - 4), 1e3 * std::sqrt(0.5), 1e-9);
 }
 
 TEST_F(Marginalization, DiffusedPriorForgetsOneParameterAndKeepsItsOptimum) {

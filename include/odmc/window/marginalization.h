@@ -42,7 +42,11 @@ bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
 /// Scales what the prior says about each parameter, by `scale` on its information (n, > 0), where
 /// it says it: the prior's own optimum stays. Used when the noise of everything that left turns out
 /// to be larger or smaller than thought.
-void RescalePrior(const Eigen::VectorXd& scale, Prior* prior);
+///
+/// Unequal scales turn the directions the prior hardly knows. Where its optimum lies far out along
+/// such a direction, keeping it would make the present estimate look absurd: then a point on the way
+/// from the estimate to the optimum stays, at worst the estimate itself.
+void RescalePrior(const Eigen::VectorXd& scale, Window* window);
 
 /// Lets parameter `index` of eta have moved by a random step of this variance since the prior was
 /// made: what the prior says about it fades, its optimum stays.

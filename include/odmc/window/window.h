@@ -156,6 +156,9 @@ class MarginalizationFactor final : public ceres::CostFunction {
   const Window* window_;
 };
 
+/// How far the current estimate is from where the prior was linearized, in the prior's columns.
+Eigen::VectorXd PriorOffset(const Window& window);
+
 /// Residual of the window's prior at its current estimate, and its Jacobian is prior().A.
 Eigen::VectorXd PriorResidual(const Window& window);
 
