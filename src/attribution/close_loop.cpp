@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <iterator>
 #include <optional>
+#include <map>
 #include <set>
 #include <stdexcept>
 
@@ -14,7 +15,7 @@
 namespace odmc {
 namespace {
 
-constexpr int kMostRuns = 8;             // of the online estimator, with effects
+constexpr int kMostRuns = 10;             // of the online estimator, with effects
 constexpr int kLeastSamples = 50;        // to look for effects in
 constexpr double kBetterOnline = 0.985;  // on some channel, by the online estimator
 constexpr double kOvershadows = 5.0;
@@ -373,23 +374,6 @@ std::vector<LoopSample> Samples(const Prediction& before, const Prediction& afte
   return samples;
 }
 
-/// Where everything starts: the declared model as the online estimator found it.
-Stage Declared(const Vehicle& vehicle, const DynamicModel& model, const Snapshot& last) {
-  Stage stage;
-  stage.vehicle = vehicle;
-  for (int i = 0; i < model.num_parameters(); ++i) {
-    const std::string& name = model.parameters()[i].full_name;
-    stage.values[name] = last.values[i];
-    // An inertia that the flight does not show would only be made large, to damp what noise of the
-    // rotor speeds brings.
-    if (model.parameters()[i].effect == "inertia" && !last.observable[i]) {
-      stage.vehicle.parameters[name].value = last.values[i];
-      stage.vehicle.parameters[name].estimated = false;
-    }
-  }
-  return stage;
-}
-
 /// Fills in what share of the residual is structured, and how surely. @returns true if some is
 bool Summarise(const CloseLoopOptions& options, ClosedLoop* result) {
   bool structured = false;
@@ -495,9 +479,9 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   }
   const ResidualModel residual(&flight, &file_vehicle, with_torque);
   const std::vector<Candidate> candidates = CandidatesFor(vehicle, flight.motion());
-  std::set<std::string> refused;  // by the online estimator
+  std::map<std::string, size_t> refused;  // by the online estimator, with so many effects accepted
   Choice accepted;
-  accepted.stage = Declared(vehicle, declared, *replay.last);
+  accepted.stage = StageOf(declared, replay.last->values, replay.last->observable, residual);
   Step step;
   const auto choose = [&](const Choice& from) {
     std::vector<Candidate> left;
@@ -544,6 +528,14 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     with.scores += gust.score;
     return with;
   };
+  // What was refused beside fewer effects may have its place beside more.
+  const auto reconsider = [&] {
+    const size_t before_them = refused.size();
+    for (auto it = refused.begin(); it != refused.end();) {
+      it = it->second < accepted.added.size() ? refused.erase(it) : std::next(it);
+    }
+    return refused.size() < before_them;
+  };
   std::optional<Choice> gusty = add_gust(promised);
   if (progress) progress(0.6);
 
@@ -560,6 +552,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     step.after.added.push_back(gusty->added.back());
   }
   for (int run = 0; run < kMostRuns && promising; ++run) {
+    if (step.after.added.size() == accepted.added.size() && reconsider()) choose(accepted);
     Choice trial = step.after;
     if (trial.added.size() == accepted.added.size()) {
       const std::optional<Choice> with = add_gust(step.before);
@@ -583,7 +576,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     if (!objection.empty()) {
       for (size_t i = accepted.added.size(); i < trial.added.size(); ++i) {
         const std::string& name = trial.added[i].effect.name;
-        refused.insert(name);
+        refused[name] = accepted.added.size();
         result.warnings.push_back(
             name + " was chosen, but the online run does not confirm it: " + objection);
       }

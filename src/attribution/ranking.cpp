@@ -22,7 +22,9 @@ constexpr double kStray = 2.0;
 constexpr size_t kFittedSettings = 3;
 constexpr double kSame = 2.0;         // nats, or
 constexpr double kSameShare = 0.01;   // this share of the gain: no reason for more parameters
-constexpr int kRounds = 3;            // of linearization
+constexpr int kRounds = 6;            // of linearization, at most
+constexpr double kConverged = 0.3;    // nats a round gains
+constexpr double kLeastShare = 0.05;  // of a step
 constexpr int kCorrelationLags = 26;  // of 40 ms: one second
 const char* const kBiasName = "accelerometer bias";
 const char* const kChannelNames[] = {"force_x",  "force_y",  "force_z",
@@ -154,6 +156,24 @@ bool IsClearlyWorse(double worst, double best) {
   return std::log(worst) > bearable;
 }
 
+Stage StageOf(const DynamicModel& model, const ModelValues& values,
+              const std::vector<bool>& observable, const ResidualModel& residual) {
+  Stage stage;
+  stage.vehicle = model.vehicle();
+  const std::array<bool, 3> shows = residual.ShowsInertia();
+  int axis = 0;
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    const ModelParameter& p = model.parameters()[i];
+    double& value = stage.values[p.full_name];
+    value = values[i];
+    if (p.effect != "inertia" || shows[axis++]) continue;
+    if (!observable[i]) value = p.spec.prior_value;
+    stage.vehicle.parameters[p.full_name].value = value;
+    stage.vehicle.parameters[p.full_name].estimated = false;
+  }
+  return stage;
+}
+
 ModelValues ValuesOf(const DynamicModel& model, const std::map<std::string, double>& known) {
   ModelValues values = model.InitialValues();
   for (int i = 0; i < model.num_parameters(); ++i) {
@@ -196,11 +216,8 @@ double Regressor::Promise(const WrenchColumns& columns, bool serial) const {
 }
 
 Regressor::Result Regressor::FitWith(const Stage& stage, const Candidates& candidates) const {
-  const bool bilinear = std::any_of(candidates.begin(), candidates.end(), [](const Candidate& c) {
-    return !c.start.empty() || c.effect == "wind";
-  });
   WrenchRegression regression;
-  return Fit(stage, candidates, bilinear ? kRounds : kRounds - 1, &regression);
+  return Fit(stage, candidates, kRounds, &regression);
 }
 
 Regressor::Result Regressor::Fit(const Stage& stage, const Candidates& candidates, int rounds,
@@ -237,11 +254,46 @@ Regressor::Result Regressor::Fit(const Stage& stage, const Candidates& candidate
     }
     if (residual_->from_accelerometer()) AddBiases(stage.vehicle.mass_kg, regression, &result);
     result.fit = FitWrench(*regression);
-    for (size_t i = 0; i < result.names.size(); ++i) {
-      const int k = model.IndexOf(result.names[i]);
+    if (Advance(model, *regression, &result) < kConverged) break;
+  }
+  return result;
+}
+
+double Regressor::Advance(const DynamicModel& model, const WrenchRegression& regression,
+                          Result* result) const {
+  std::vector<double> biases(kNumChannels, 0.0);
+  int axis = 0;
+  for (size_t i = 0; i < result->names.size(); ++i) {
+    if (result->names[i] != kBiasName) continue;
+    biases[axis++] = result->fit.plain_step[static_cast<Eigen::Index>(i)];
+  }
+  const auto cost = [&](const ResidualModel::Wrenches& y,
+                        const std::map<std::string, double>& values) {
+    double sum = 0.0;
+    for (int c = 0; c < regression.num_channels; ++c) {
+      double square = 0.0;
+      for (Eigen::Index i = 0; i < y.rows(); ++i) {
+        if (regression.used[i]) square += std::pow(y(i, c) - biases[c], 2);
+      }
+      sum += 0.5 * square / result->fit.plain_variance[c];
+    }
+    for (size_t i = 0; i < result->names.size(); ++i) {
+      const auto it = values.find(result->names[i]);
+      if (it == values.end()) continue;  // a bias
+      const auto at = static_cast<Eigen::Index>(i);
+      const double centre = result->values.at(it->first) + regression.prior_offset[at];
+      sum += 0.5 * std::pow((it->second - centre) / regression.prior_sigma[at], 2);
+    }
+    return sum;
+  };
+  const double before = cost(regression.y, result->values);
+  for (double share = 1.0; share > kLeastShare; share *= 0.5) {
+    std::map<std::string, double> values = result->values;
+    for (size_t i = 0; i < result->names.size(); ++i) {
+      const int k = model.IndexOf(result->names[i]);
       if (k < 0) continue;  // a bias
-      const double step = result.fit.plain_step[static_cast<Eigen::Index>(i)];
-      double& value = result.values[result.names[i]];
+      const double step = share * result->fit.plain_step[static_cast<Eigen::Index>(i)];
+      double& value = values[result->names[i]];
       const ModelParameter& p = model.parameters()[k];
       if (p.effect == "inertia") {
         value /= std::clamp(1.0 - step / value, 0.3, 3.0);  // what is seen is linear in 1/I
@@ -251,8 +303,13 @@ Regressor::Result Regressor::Fit(const Stage& stage, const Candidates& candidate
         value += step;
       }
     }
+    const double after = cost(residual_->Residual(model, ValuesOf(model, values)), values);
+    if (after < before) {
+      result->values = std::move(values);
+      return before - after;
+    }
   }
-  return result;
+  return 0.0;
 }
 
 WrenchRegression Regressor::Rows() const {

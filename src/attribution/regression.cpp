@@ -133,6 +133,7 @@ void FitPlainly(const WrenchRegression& r, const std::vector<int>& rows,
     }
   }
   fit->plain_step = step;
+  fit->plain_variance = variance;
   fit->plain_residual = r.y;
   for (int c = 0; c < r.num_channels; ++c) {
     fit->plain_residual.col(c) = r.y.col(c) - r.columns[c] * step;

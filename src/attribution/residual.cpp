@@ -4,10 +4,13 @@
 #include <cmath>
 #include <utility>
 
+#include "odmc/estimator/gates.h"
+
 namespace odmc {
 namespace {
 
 constexpr double kStart_s = 1.0;
+constexpr double kLeastRSquared = 0.5;  // of acceleration and rotor torque
 
 }  // namespace
 
@@ -84,6 +87,28 @@ ResidualModel::Wrenches ResidualModel::Derivative(const DynamicModel& model,
   if (parameter.full_name == "thrust.k_f" || parameter.full_name == "thrust_drift.rate")
     derivative.rightCols<3>().setZero();
   return derivative;
+}
+
+std::array<bool, 3> ResidualModel::ShowsInertia() const {
+  std::array<Eigen::Matrix4d, 3> grams;
+  grams.fill(Eigen::Matrix4d::Zero());
+  const Eigen::Matrix3d R_BS = file_vehicle_->odometry.q_BS.toRotationMatrix();
+  for (int i = 0; i < flight_->size(); ++i) {
+    const FilteredMotion& sample = flight_->sample(i);
+    const Eigen::Vector3d acceleration = R_BS * sample.w_dot_S, rate = R_BS * sample.w_S;
+    const Eigen::Vector3d torque =
+        RotorTorqueDirection(*file_vehicle_, sample.rotors.speed_squared);
+    const double thrust = sample.rotors.speed_squared.sum();
+    for (int axis = 0; axis < 3; ++axis) {
+      const Eigen::Vector4d z(acceleration[axis], torque[axis], rate[axis], thrust);
+      grams[axis] += z * z.transpose();
+    }
+  }
+  std::array<bool, 3> shows;
+  for (int axis = 0; axis < 3; ++axis) {
+    shows[axis] = with_torque_ && InertiaRSquared(grams[axis]) > kLeastRSquared;
+  }
+  return shows;
 }
 
 }  // namespace odmc

@@ -239,11 +239,8 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
   const int channels = residual.num_channels();
   ResidualLook found;
   found.model = estimate.model;
-  Stage stage;
-  stage.vehicle = model.vehicle();
-  for (int i = 0; i < model.num_parameters(); ++i) {
-    stage.values[model.parameters()[i].full_name] = estimate.values[i];
-  }
+  const std::vector<bool> all(model.num_parameters(), true);  // the estimate is the best there is
+  Stage stage = StageOf(model, estimate.values, all, residual);
   const std::vector<Candidate> candidates = CandidatesFor(model.vehicle(), flight.motion());
   std::vector<ChannelStructure> before;
   double scores = 0.0;

@@ -41,6 +41,15 @@ bool GroundGate::Update(Stamp stamp, const Eigen::Vector3d& p_WS, double speed_m
   return false;
 }
 
+Eigen::Vector3d RotorTorqueDirection(const Vehicle& vehicle, const RotorVector& speed_squared) {
+  Eigen::Vector3d torque = Eigen::Vector3d::Zero();
+  for (int j = 0; j < vehicle.num_rotors(); ++j) {
+    const Rotor& rotor = vehicle.rotors[j];
+    torque += speed_squared[j] * Eigen::Vector3d(rotor.p_BP.y(), -rotor.p_BP.x(), rotor.spin);
+  }
+  return torque;
+}
+
 InertiaGate::InertiaGate(const Vehicle& vehicle, double min_r_squared)
     : vehicle_(vehicle), min_r_squared_(min_r_squared) {
   gram_.fill(Eigen::Matrix4d::Zero());
@@ -58,12 +67,7 @@ void InertiaGate::Add(double dt, const Eigen::Vector3d& w0, const Eigen::Vector3
                       const RotorVector& speed_squared) {
   if (block_s_ == 0.0) first_w_ = w0;
   last_w_ = w1;
-  Eigen::Vector3d torque = Eigen::Vector3d::Zero();
-  for (int j = 0; j < vehicle_.num_rotors(); ++j) {
-    const Rotor& rotor = vehicle_.rotors[j];
-    torque += speed_squared[j] * Eigen::Vector3d(rotor.p_BP.y(), -rotor.p_BP.x(), rotor.spin);
-  }
-  torque_sum_ += dt * torque;
+  torque_sum_ += dt * RotorTorqueDirection(vehicle_, speed_squared);
   rate_sum_ += 0.5 * dt * (w0 + w1);
   thrust_sum_ += dt * speed_squared.sum();
   block_s_ += dt;
@@ -84,9 +88,8 @@ void InertiaGate::CloseBlock() {
   Break();
 }
 
-double InertiaGate::RSquared(int axis) const {
+double InertiaRSquared(const Eigen::Matrix4d& G) {
   // Residual second moments of (acceleration, torque) after regression on (rate, thrust).
-  const Eigen::Matrix4d& G = gram_[axis];
   Eigen::Vector4d scale = G.diagonal().cwiseSqrt();
   if (scale[0] <= 0.0 || scale[1] <= 0.0) return 0.0;
   scale = scale.cwiseMax(1e-300).cwiseInverse();

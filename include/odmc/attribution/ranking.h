@@ -57,6 +57,14 @@ struct Stage {
   std::map<std::string, double> values;  // by full name
 };
 
+/// A model as the online estimator found it. Only the estimator accounts for the noise of the rotor
+/// speeds, where a regression makes an inertia large, to damp it, and bends the others with it
+/// through the gyroscopic moment: about axes that the flight does not shake it is held, at the
+/// estimate or, where there is none, at its prior.
+/// @param observable per parameter of the model, of the estimate
+Stage StageOf(const DynamicModel& model, const ModelValues& values,
+              const std::vector<bool>& observable, const ResidualModel& residual);
+
 /// The model's initial values, but what is known.
 ModelValues ValuesOf(const DynamicModel& model, const std::map<std::string, double>& known);
 
@@ -88,6 +96,12 @@ class Regressor {
   /// that is itself sought, and some parameters scale what others do.
   Result Fit(const Stage& stage, const Candidates& candidates, int rounds,
              WrenchRegression* regression) const;
+
+  /// Moves the values along a fit's step, as far as the residual really shrinks (weights of one
+  /// inertia times another's, a product of parameters, bend the way).
+  /// @returns what that gained [nats]
+  double Advance(const DynamicModel& model, const WrenchRegression& regression,
+                 Result* result) const;
 
   /// A regression of this flight without columns.
   WrenchRegression Rows() const;

@@ -42,6 +42,7 @@ struct WrenchFit {
   /// The same sums over the blocks of each fold, not yet divided by the number of samples.
   std::vector<std::array<double, kNumChannels>> plain_fold_squares;
   Eigen::VectorXd plain_step;                                          ///< n: of the plain fit
+  std::array<double, kNumChannels> plain_variance{};                   ///< its noise
   Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> plain_residual;  ///< N×6
   Eigen::Matrix<double, Eigen::Dynamic, kNumChannels> residual;        ///< N×6, all samples
   std::array<double, kNumChannels> innovation_variance{};

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <vector>
 
 #include "odmc/analysis/prediction.h"
@@ -68,6 +69,10 @@ class ResidualModel {
   /// Derivative of the prediction by parameter `index` (N×6), by central differences. The thrust
   /// coefficient's share in the torque is left out: the force alone anchors it.
   Wrenches Derivative(const DynamicModel& model, const ModelValues& values, int index) const;
+
+  /// Per axis: true if rotor torque and angular acceleration go together clearly enough for a
+  /// regression to find the inertia. Below, noise of the rotor speeds would make it large.
+  std::array<bool, 3> ShowsInertia() const;
 
   const ThinnedFlight& flight() const { return *flight_; }
   /// True if the force is the accelerometer's (it feels what an onboard filter's velocity smooths

@@ -47,6 +47,15 @@ class GroundGate {
   bool quiet_ = false;
 };
 
+/// Squared partial correlation of angular acceleration and rotor torque, rate and thrust taken out.
+/// 0 where they go against each other.
+/// @param gram sum of z z^T, z = (acceleration, torque, rate, thrust) in any units
+double InertiaRSquared(const Eigen::Matrix4d& gram);
+
+/// Torque of the rotors about the body's origin per thrust coefficient; about z per torque
+/// coefficient [rad² m/s², rad²/s²].
+Eigen::Vector3d RotorTorqueDirection(const Vehicle& vehicle, const RotorVector& speed_squared);
+
 /// Tells per axis whether the flight shows the inertia at all. Regresses the angular acceleration
 /// on the rotor torque (differences over 50 ms, damping and a torque in proportion to thrust taken
 /// out): regressed the other way round it gives 1/r² times the inertia, so below r² = 0.5 two
@@ -67,7 +76,7 @@ class InertiaGate {
 
   bool IsOpen(int axis) const { return open_[axis]; }
   /// Squared partial correlation of angular acceleration and rotor torque so far.
-  double RSquared(int axis) const;
+  double RSquared(int axis) const { return InertiaRSquared(gram_[axis]); }
 
  private:
   void CloseBlock();
