@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "odmc/analysis/rotor_smoothing.h"
 #include "odmc/math/savitzky_golay.h"
 #include "odmc/math/so3.h"
 #include "odmc/math/statistics.h"
@@ -162,13 +161,6 @@ FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
     flight.samples.push_back(motion);
   }
   return flight;
-}
-
-FlightMotion FilterForRegression(const FlightLog& log, int num_rotors,
-                                 const std::vector<std::pair<Stamp, Stamp>>& ground_spans) {
-  FlightLog smooth = log;
-  smooth.rotors = SmoothRotorSpeeds(log.rotors);
-  return FilterFlight(smooth, num_rotors, ground_spans);
 }
 
 std::vector<Eigen::Vector3d> LoadPulls(const FlightMotion& flight, const DynamicModel& model,

@@ -466,8 +466,8 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   result.warnings = log.warnings;
   result.flight = FlownFlight(log, replay);
 
-  const ThinnedFlight flight(
-      FilterForRegression(log, file_vehicle.num_rotors(), replay.ground_spans), options.blocks);
+  const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), replay.ground_spans),
+                             options.blocks);
   int in_use = 0;
   for (int i = 0; i < flight.size(); ++i) in_use += flight.held_out(i) ? 0 : 1;
   if (in_use < kLeastSamples) {

@@ -204,7 +204,7 @@ ThinnedFlight ResidualWatch::Flight(Stamp start) const {
   // Nothing is known yet of what came after the last keyframe.
   const Stamp known = last_keyframe_ ? last_keyframe_->stamp : 0;
   spans.emplace_back(known + 1, std::numeric_limits<Stamp>::max());
-  FlightMotion motion = FilterForRegression(log_, file_vehicle_.num_rotors(), spans);
+  FlightMotion motion = FilterFlight(log_, file_vehicle_.num_rotors(), spans);
   const double offset_s =
       log_.odometry.empty() ? 0.0 : ToSeconds(log_.odometry.front().stamp - start);
   for (FilteredMotion& sample : motion.samples) sample.t_s += offset_s;

@@ -38,9 +38,7 @@ TEST(UndeclaredSet, IsAnsweredAsMeasured) {
   ForEachOf(kFlights, jobs, [&](int i) {
     flights[i] = MakeUndeclared(plans[i]);
     const Vehicle& vehicle = flights[i].declared;
-    CloseLoopOptions options;
-    options.estimator.keyframe_rate_hz = 50.0;  // as the README scores the large set
-    loops[i] = CloseLoop(flights[i].log, vehicle, vehicle, options);
+    loops[i] = CloseLoop(flights[i].log, vehicle, vehicle, CloseLoopOptions());
     flights[i].log = FlightLog();
   });
   int null_flights = 0, false_alarms = 0, unknown = 0, unexplained = 0, shown = 0, named = 0;

@@ -36,11 +36,6 @@ struct FlightMotion {
 FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
                           const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
 
-/// The same for a regression on the rotor speeds: these are first replaced by what they were to be
-/// expected, given all of them (see SmoothRotorSpeeds()).
-FlightMotion FilterForRegression(const FlightLog& log, int num_rotors,
-                                 const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
-
 /// Pull of a suspended load per unit of load at every sample, in W [m/s²]; hanging still without
 /// one. How it swings at the odometry's first sample is in the model's values.
 std::vector<Eigen::Vector3d> LoadPulls(const FlightMotion& flight, const DynamicModel& model,
