@@ -81,9 +81,15 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
         }
       }
     } else if (name == "ground_effect") {
-      double lowest = flight.samples.front().p_WS.z();
-      for (const FilteredMotion& m : flight.samples) lowest = std::min(lowest, m.p_WS.z());
+      std::vector<double> heights;
+      for (const FilteredMotion& m : flight.samples) heights.push_back(m.p_WS.z());
+      std::sort(heights.begin(), heights.end());
+      const double lowest = heights.front();
       const double radius = vehicle.rotors.front().radius_m;
+      // At one height the ground's share is one with the thrust coefficient, and ground that may
+      // lie anywhere only turns bank into torque.
+      const size_t tail = heights.size() / 20;
+      if (heights[heights.size() - 1 - tail] - heights[tail] < radius) continue;
       candidates.push_back({name, {{"ground_effect.z_0", 0.0}}});
       for (const double below : {1.5, 3.0}) {
         candidates.push_back({name, {{"ground_effect.z_0", lowest - below * radius}}});

@@ -4,8 +4,8 @@
 #include <cmath>
 #include <cstdio>
 #include <iterator>
-#include <optional>
 #include <map>
+#include <optional>
 #include <set>
 #include <stdexcept>
 
@@ -15,7 +15,7 @@
 namespace odmc {
 namespace {
 
-constexpr int kMostRuns = 10;             // of the online estimator, with effects
+constexpr int kMostRuns = 10;            // of the online estimator, with effects
 constexpr int kLeastSamples = 50;        // to look for effects in
 constexpr double kBetterOnline = 0.985;  // on some channel, by the online estimator
 constexpr double kOvershadows = 5.0;

@@ -303,7 +303,15 @@ double Regressor::Advance(const DynamicModel& model, const WrenchRegression& reg
         value += step;
       }
     }
-    const double after = cost(residual_->Residual(model, ValuesOf(model, values)), values);
+    ResidualModel::Wrenches y = residual_->Residual(model, ValuesOf(model, values));
+    // Torque says nothing of the thrust coefficient, here as in the derivatives.
+    std::map<std::string, double> anchored = values;
+    for (const char* name : {"thrust.k_f", "thrust_drift.rate"}) {
+      const auto was = result->values.find(name);
+      if (was != result->values.end()) anchored[name] = was->second;
+    }
+    y.rightCols<3>() = residual_->Residual(model, ValuesOf(model, anchored)).rightCols<3>();
+    const double after = cost(y, values);
     if (after < before) {
       result->values = std::move(values);
       return before - after;

@@ -44,8 +44,8 @@ bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
 /// to be larger or smaller than thought.
 ///
 /// Unequal scales turn the directions the prior hardly knows. Where its optimum lies far out along
-/// such a direction, keeping it would make the present estimate look absurd: then a point on the way
-/// from the estimate to the optimum stays, at worst the estimate itself.
+/// such a direction, keeping it would make the present estimate look absurd: then a point on the
+/// way from the estimate to the optimum stays, at worst the estimate itself.
 void RescalePrior(const Eigen::VectorXd& scale, Window* window);
 
 /// Lets parameter `index` of eta have moved by a random step of this variance since the prior was
