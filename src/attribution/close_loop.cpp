@@ -2,11 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <iterator>
 #include <map>
 #include <optional>
-#include <set>
 #include <stdexcept>
 
 #include "odmc/attribution/candidates.h"

@@ -306,9 +306,8 @@ double Regressor::Advance(const DynamicModel& model, const WrenchRegression& reg
     ResidualModel::Wrenches y = residual_->Residual(model, ValuesOf(model, values));
     // Torque says nothing of the thrust coefficient, here as in the derivatives.
     std::map<std::string, double> anchored = values;
-    for (const char* name : {"thrust.k_f", "thrust_drift.rate"}) {
-      const auto was = result->values.find(name);
-      if (was != result->values.end()) anchored[name] = was->second;
+    for (auto& [name, value] : anchored) {
+      if (IsAnchoredByForce(name)) value = result->values.at(name);
     }
     y.rightCols<3>() = residual_->Residual(model, ValuesOf(model, anchored)).rightCols<3>();
     const double after = cost(y, values);

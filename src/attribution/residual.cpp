@@ -40,6 +40,10 @@ std::vector<std::vector<double>> ThinnedFlight::Runs(const Eigen::VectorXd& chan
   return runs;
 }
 
+bool IsAnchoredByForce(const std::string& full_name) {
+  return full_name == "thrust.k_f" || full_name == "thrust_drift.rate";
+}
+
 ResidualModel::ResidualModel(const ThinnedFlight* flight, const Vehicle* file_vehicle,
                              bool with_torque)
     : flight_(flight), file_vehicle_(file_vehicle), with_torque_(with_torque) {
@@ -84,8 +88,7 @@ ResidualModel::Wrenches ResidualModel::Derivative(const DynamicModel& model,
   up[index] += step;
   down[index] -= step;
   Wrenches derivative = (Residual(model, down) - Residual(model, up)) / (2.0 * step);
-  if (parameter.full_name == "thrust.k_f" || parameter.full_name == "thrust_drift.rate")
-    derivative.rightCols<3>().setZero();
+  if (IsAnchoredByForce(parameter.full_name)) derivative.rightCols<3>().setZero();
   return derivative;
 }
 

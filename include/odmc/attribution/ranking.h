@@ -97,8 +97,8 @@ class Regressor {
   Result Fit(const Stage& stage, const Candidates& candidates, int rounds,
              WrenchRegression* regression) const;
 
-  /// Moves the values along a fit's step, as far as the residual really shrinks (weights of one
-  /// inertia times another's, a product of parameters, bend the way).
+  /// Moves the values along a fit's step, as far as the residual really shrinks: products of
+  /// parameters bend the way.
   /// @returns what that gained [nats]
   double Advance(const DynamicModel& model, const WrenchRegression& regression,
                  Result* result) const;

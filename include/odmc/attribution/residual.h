@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <string>
 #include <vector>
 
 #include "odmc/analysis/prediction.h"
@@ -54,6 +55,10 @@ class ThinnedFlight {
   std::vector<bool> next_;
 };
 
+/// True for parameters of which torque says nothing: the force alone anchors them (the homogeneous
+/// trap).
+bool IsAnchoredByForce(const std::string& full_name);
+
 /// Residual wrench of a model over a flight, and its derivatives. Channels: force in the body axes
 /// of the vehicle file [N], and torque as the file's inertia times what angular acceleration the
 /// model misses [N m] (so that no estimate of inertia shrinks it).
@@ -66,8 +71,8 @@ class ResidualModel {
   /// Measured minus predicted (N×6).
   Wrenches Residual(const DynamicModel& model, const ModelValues& values) const;
 
-  /// Derivative of the prediction by parameter `index` (N×6), by central differences. The thrust
-  /// coefficient's share in the torque is left out: the force alone anchors it.
+  /// Derivative of the prediction by parameter `index` (N×6), by central differences,
+  /// without torque where IsAnchoredByForce().
   Wrenches Derivative(const DynamicModel& model, const ModelValues& values, int index) const;
 
   /// Per axis: true if rotor torque and angular acceleration go together clearly enough for a
