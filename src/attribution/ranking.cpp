@@ -112,6 +112,22 @@ RankedEffect Judge(const Stage& stage, const Candidates& candidates, const Candi
   return ranked;
 }
 
+/// Holds at zero what has the wrong sign of the declared parameters. @returns true if there were
+/// any
+bool HoldUnphysical(const DynamicModel& model, const Candidates& candidates,
+                    std::map<std::string, double>* values, std::set<std::string>* held) {
+  const size_t before = held->size();
+  for (const ModelParameter& p : model.parameters()) {
+    if (!p.estimated || Has(candidates, p.effect)) continue;
+    double& value = values->at(p.full_name);
+    const bool wrong = (p.spec.sign == PhysicalSign::kPositive && value < 0.0) ||
+                       (p.spec.sign == PhysicalSign::kNegative && value > 0.0);
+    if (!wrong || !held->insert(p.full_name).second) continue;
+    value = 0.0;
+  }
+  return held->size() > before;
+}
+
 /// Of sound candidates that explain the same, the one with the fewest parameters goes first.
 void PreferFewParameters(std::vector<Tried>* tried) {
   if (tried->empty() || !tried->front().ranked.sound) return;
@@ -229,7 +245,8 @@ Regressor::Result Regressor::Fit(const Stage& stage, const Candidates& candidate
   for (const Candidate& candidate : candidates) {
     for (const auto& [name, value] : candidate.start) result.values[name] = value;
   }
-  for (int round = 0; round < rounds; ++round) {
+  std::set<std::string> held;
+  for (int round = 0;; ++round) {
     const ModelValues values = ValuesOf(model, result.values);
     result.names.clear();
     *regression = Rows();
@@ -237,7 +254,7 @@ Regressor::Result Regressor::Fit(const Stage& stage, const Candidates& candidate
     for (int k = 0; k < model.num_parameters(); ++k) {
       const ModelParameter& p = model.parameters()[k];
       result.values[p.full_name] = values[k];
-      if (!p.estimated) continue;
+      if (!p.estimated || held.count(p.full_name) > 0) continue;
       const ResidualModel::Wrenches column = residual_->Derivative(model, values, k);
       WrenchColumns columns;
       for (int c = 0; c < kNumChannels; ++c) columns[c] = column.col(c);
@@ -254,7 +271,9 @@ Regressor::Result Regressor::Fit(const Stage& stage, const Candidates& candidate
     }
     if (residual_->from_accelerometer()) AddBiases(stage.vehicle.mass_kg, regression, &result);
     result.fit = FitWrench(*regression);
-    if (Advance(model, *regression, &result) < kConverged) break;
+    const double gain = Advance(model, *regression, &result);
+    if (HoldUnphysical(model, candidates, &result.values, &held)) continue;
+    if (gain < kConverged || round + 1 >= rounds) break;
   }
   return result;
 }

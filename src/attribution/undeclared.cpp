@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <limits>
 #include <map>
 #include <memory>
 #include <stdexcept>
@@ -23,6 +24,10 @@ constexpr double kDuration_s = 24.0;
 constexpr double kLogRate_Hz = 250.0;
 constexpr double kAbsurd = 3.0;        // natural sizes (prior sigmas) no effect should need
 constexpr double kNotExcited = 0.015;  // share below which an effect does not show
+constexpr double kLeastShown = 0.7;    // of the planned share
+constexpr double kGroundBelow = 1.5;   // rotor radii below the lowest point flown
+constexpr int kSizings = 8;            // rounds, at most
+constexpr double kSized = 0.03;        // change of size (log) that ends them
 constexpr int kVehicleStream = 201, kNoiseStream = 202, kUnknownStream = 203;
 
 const std::vector<std::string> kBase = {"thrust", "rotor_torque",      "drag",    "viscous_torque",
@@ -43,8 +48,8 @@ const std::vector<Excited>& Catalogue() {
       {"anisotropic_hvt", {"octo", "aggressive"}},
       {"hub_moment", {"octo", "circle", "aggressive"}},
       {"rotor_gyroscopic", {"aggressive", "octo"}},
-      {"rotor_reaction", {"yaw", "aggressive", "octo"}},
-      {"rotor_asymmetry", {"aggressive", "octo", "vertical"}},
+      {"rotor_reaction", {"aggressive", "octo"}},
+      {"rotor_asymmetry", {"aggressive", "octo"}},
       {"pressure_centre", {"octo", "aggressive", "circle"}},
       {"rotor_tilt", {"octo", "vertical", "aggressive"}},
       {"wind", {"aggressive", "octo"}},
@@ -53,7 +58,7 @@ const std::vector<Excited>& Catalogue() {
       {"ground_effect", {"vertical", "octo"}},
       {"products_of_inertia", {"aggressive", "octo"}},
       {"mass_change", {"octo", "vertical", "circle"}},
-      {"rotor_delay", {"aggressive", "octo", "vertical"}},
+      {"rotor_delay", {"aggressive", "octo"}},
       {"suspended_load", {"octo", "aggressive", "circle"}},
   };
   return list;
@@ -151,7 +156,6 @@ std::map<std::string, double> DrawEffect(const std::string& name, const Vehicle&
     set("gust.time_constant", 1.0 + 1.5 * std::min(1.0, std::abs(random->Next())));
   } else if (name == "ground_effect") {
     set("ground_effect.k_ge", 1.5);
-    set("ground_effect.z_0", 0.0);
   } else if (name == "wind") {
     set("wind.w_z", 0.1 * values["wind.w_z"]);
   } else if (name == "rotor_delay") {
@@ -230,37 +234,75 @@ Unmodelled DrawUnknown(const Vehicle& vehicle, double scale, int seed) {
   };
 }
 
-/// Variance per channel of the declared model's residual, its parameters fitted to it.
-Eigen::Matrix<double, kNumChannels, 1> FittedVariance(const FlightLog& log, const Vehicle& vehicle,
-                                                      const DynamicModel& model,
-                                                      const ModelValues& values) {
+using ChannelVariance = Eigen::Matrix<double, kNumChannels, 1>;
+
+ChannelVariance VarianceOf(const ResidualModel::Wrenches& y) {
+  return (y.colwise().squaredNorm() / y.rows()).transpose();
+}
+
+/// Variance per channel of the declared model's residual, its parameters fitted to it as an
+/// estimator would: what the channels weigh comes from the sensors' noise (a flight without noise
+/// would weigh the best fitted channel most), and priors hold what the flight does not show.
+ChannelVariance FittedVariance(const FlightLog& log, const Vehicle& vehicle,
+                               const DynamicModel& model, const ModelValues& start,
+                               const ChannelVariance& noise) {
+  constexpr int kRounds = 6;
   const ThinnedFlight flight(FilterFlight(log, vehicle.num_rotors(), {}), {2.5, 1});
   const ResidualModel residual(&flight, &vehicle, true);
-  const ResidualModel::Wrenches y = residual.Residual(model, values);
-  std::vector<ResidualModel::Wrenches> columns;
+  const ChannelVariance weight = noise.cwiseMax(1e-18).cwiseInverse();
+  std::vector<int> free;
   for (int k = 0; k < model.num_parameters(); ++k) {
-    if (model.parameters()[k].estimated) columns.push_back(residual.Derivative(model, values, k));
+    if (model.parameters()[k].estimated) free.push_back(k);
   }
-  const int n = static_cast<int>(columns.size());
-  Eigen::Matrix<double, kNumChannels, 1> size =
-      (y.colwise().squaredNorm() / y.rows()).transpose().cwiseMax(1e-18);
-  Eigen::MatrixXd H = Eigen::MatrixXd::Zero(n, n);
-  Eigen::VectorXd g = Eigen::VectorXd::Zero(n);
-  for (int a = 0; a < n; ++a) {
-    for (int c = 0; c < kNumChannels; ++c) g[a] += columns[a].col(c).dot(y.col(c)) / size[c];
-    for (int b = 0; b < n; ++b) {
-      for (int c = 0; c < kNumChannels; ++c) {
-        H(a, b) += columns[a].col(c).dot(columns[b].col(c)) / size[c];
-      }
+  const auto n = static_cast<Eigen::Index>(free.size());
+  const ModelValues prior = model.InitialValues();
+  const auto cost = [&](const ResidualModel::Wrenches& y, const ModelValues& values) {
+    double sum = (y.colwise().squaredNorm() * weight)(0);
+    for (const int k : free) {
+      sum += std::pow((values[k] - prior[k]) / model.parameters()[k].spec.prior_sigma, 2);
     }
+    return sum;
+  };
+  ModelValues values = start;
+  ResidualModel::Wrenches y = residual.Residual(model, values);
+  for (int round = 0; round < kRounds; ++round) {
+    Eigen::MatrixXd H = Eigen::MatrixXd::Zero(n, n);
+    Eigen::VectorXd g = Eigen::VectorXd::Zero(n);
+    std::vector<ResidualModel::Wrenches> columns;
+    for (const int k : free) columns.push_back(residual.Derivative(model, values, k));
+    for (Eigen::Index a = 0; a < n; ++a) {
+      const double information = 1.0 / std::pow(model.parameters()[free[a]].spec.prior_sigma, 2);
+      g[a] = information * (prior[free[a]] - values[free[a]]);
+      H(a, a) = information;
+      const ResidualModel::Wrenches weighted = columns[a] * weight.asDiagonal();
+      g[a] += weighted.cwiseProduct(y).sum();
+      for (Eigen::Index b = 0; b < n; ++b) H(a, b) += weighted.cwiseProduct(columns[b]).sum();
+    }
+    const Eigen::VectorXd scale = H.diagonal().cwiseSqrt().cwiseInverse();
+    const Eigen::MatrixXd scaled = scale.asDiagonal() * H * scale.asDiagonal();
+    const Eigen::VectorXd step = scale.asDiagonal() * scaled.ldlt().solve(scale.cwiseProduct(g));
+    const double before = cost(y, values);
+    bool better = false;
+    for (double share = 1.0; share > 0.05 && !better; share *= 0.5) {
+      ModelValues tried = values;
+      bool sensible = true;
+      for (Eigen::Index a = 0; a < n; ++a) {
+        double& value = tried[free[a]];
+        value += share * step[a];
+        const bool positive =
+            model.parameters()[free[a]].spec.transform == ParameterTransform::kLog;
+        sensible = sensible && (!positive || value > 0.0);
+      }
+      if (!sensible) continue;
+      const ResidualModel::Wrenches rest = residual.Residual(model, tried);
+      better = cost(rest, tried) < before;
+      if (!better) continue;
+      values = tried;
+      y = rest;
+    }
+    if (!better) break;
   }
-  const Eigen::VectorXd scale = H.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
-  H = scale.asDiagonal() * H * scale.asDiagonal();
-  H.diagonal().array() += 1e-8;
-  const Eigen::VectorXd step = scale.asDiagonal() * H.ldlt().solve(scale.asDiagonal() * g);
-  ResidualModel::Wrenches rest = y;
-  for (int a = 0; a < n; ++a) rest -= step[a] * columns[a];
-  return (rest.colwise().squaredNorm() / rest.rows()).transpose();
+  return VarianceOf(y);
 }
 
 }  // namespace
@@ -328,7 +370,10 @@ std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
   return plans;
 }
 
-UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan) {
+namespace {
+
+/// One flight as planned, whatever that shows.
+UndeclaredFlight MakeAsPlanned(const UndeclaredPlan& plan) {
   UndeclaredFlight flight;
   flight.plan = plan;
   flight.declared = UndeclaredVehicles().at(plan.vehicle);
@@ -377,9 +422,7 @@ UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan) {
     }
     return truth;
   };
-  const auto variance = [&](const FlightLog& log) {
-    return FittedVariance(log, vehicle, declared, base);
-  };
+  const std::vector<double> off(plan.effects.size(), 0.0);
   std::vector<double> scales(plan.effects.size(), 1.0);
   double unknown_scale = 0.02;
   const bool sized = plan.share > 0.0;
@@ -389,6 +432,19 @@ UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan) {
       extra = DrawUnknown(vehicle, unknown, plan.seed);
     }
     return Simulate(model, truth_at(at), options, noisy ? noise : SimulationNoise::None(), extra);
+  };
+  // What the sensors' noise alone makes of the residual.
+  const FlightLog quiet = simulate(true, off, 0.0).log;
+  if (const auto ground = drawn.find("ground_effect.z_0"); ground != drawn.end()) {
+    double lowest = std::numeric_limits<double>::max();
+    for (const auto& sample : quiet.odometry) lowest = std::min(lowest, sample.p_WS.z());
+    ground->second = lowest - kGroundBelow * vehicle.rotors.front().radius_m;
+  }
+  const ThinnedFlight thinned(FilterFlight(quiet, vehicle.num_rotors(), {}), {2.5, 1});
+  const ChannelVariance noise_floor =
+      VarianceOf(ResidualModel(&thinned, &vehicle, true).Residual(declared, base));
+  const auto variance = [&](const FlightLog& log) {
+    return FittedVariance(log, vehicle, declared, base, noise_floor);
   };
   // What cannot be flown is made weaker.
   const auto fly = [&](bool noisy) {
@@ -403,49 +459,92 @@ UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan) {
       }
     }
   };
+  const ChannelVariance floor = variance(quiet);
   if (sized) {
-    const std::vector<double> off(plan.effects.size(), 0.0);
-    const auto floor = variance(simulate(true, off, 0.0).log);
-    for (int round = 0; round < 2; ++round) {
+    // What an effect makes of the residual grows with its size to some power, which the sizes flown
+    // tell: two, unless the fit bends.
+    struct Sizing {
+      double scale = 0.0, ratio = 0.0, power = 2.0;
+    };
+    std::vector<Sizing> sizings(std::max<size_t>(1, scales.size()));
+    const auto resize = [&](const ChannelVariance& noisy, double share, double most, Sizing* sizing,
+                            double* scale) {
+      const double ratio = std::max(noisy.cwiseQuotient(floor).maxCoeff() - 1.0, 1e-3);
+      const double wanted = share / (1.0 - plan.share);
+      if (sizing->scale > 0.0 && std::abs(std::log(*scale / sizing->scale)) > 1e-3) {
+        const double power = std::log(ratio / sizing->ratio) / std::log(*scale / sizing->scale);
+        sizing->power = std::clamp(power, 0.7, 4.0);
+      }
+      *sizing = {*scale, ratio, sizing->power};
+      const double factor = std::clamp(std::pow(wanted / ratio, 1.0 / sizing->power), 0.05, 20.0);
+      *scale = std::min(most, *scale * factor);
+      return std::abs(std::log(*scale / sizing->scale));
+    };
+    for (int round = 0; round < kSizings; ++round) {
+      double change = 0.0;
       if (plan.kind == Undeclared::kUnknown) {
-        const auto effect = variance(fly(false).log);
-        const double ratio = effect.cwiseQuotient(floor).maxCoeff();
-        unknown_scale *= std::sqrt(plan.share / (1.0 - plan.share) / ratio);
-        continue;
+        const ChannelVariance noisy = variance(fly(true).log);
+        change = resize(noisy, plan.share, kAbsurd, &sizings[0], &unknown_scale);
       }
       for (size_t e = 0; e < scales.size(); ++e) {
         const std::vector<double> all = scales;
         scales.assign(all.size(), 0.0);
         scales[e] = all[e];
-        const auto effect = variance(fly(false).log);
+        const ChannelVariance noisy = variance(fly(true).log);
         const double flown = scales[e];
         scales = all;
         scales[e] = flown;
-        const double ratio = effect.cwiseQuotient(floor).maxCoeff();
         // Of two effects the second makes up half as much.
-        const double wanted = plan.share / (1.0 - plan.share) * (e == 0 ? 1.0 : 0.5);
-        scales[e] = std::min(kAbsurd, scales[e] * std::sqrt(wanted / std::max(ratio, 1e-9)));
+        const double share = plan.share * (e == 0 ? 1.0 : 0.5);
+        change = std::max(change, resize(noisy, share, kAbsurd, &sizings[e], &scales[e]));
       }
+      if (change < kSized) break;
     }
+  }
+  if (plan.kind == Undeclared::kNotExcited) {
+    const auto shows = [&] {
+      const FlightLog still = simulate(false, scales, 0.0).log;
+      return variance(still).cwiseQuotient(floor).maxCoeff() > kNotExcited / 2.0;
+    };
+    for (int attempt = 0; attempt < kSizings && shows(); ++attempt) scales[0] *= 0.5;
   }
   const SimulatedFlight flown = fly(true);
   flight.log = flown.log;
   flight.truth = ExactParameters(model, truth_at(scales));
 
-  const std::vector<double> off(plan.effects.size(), 0.0);
-  const auto total = variance(flown.log);
-  const auto alone = variance(simulate(false, scales, sized ? unknown_scale : 0.0).log);
+  const ChannelVariance total = variance(flown.log);
+  // An effect at its natural size may be far smaller than what two flights differ by.
+  const ChannelVariance without =
+      sized ? floor : ChannelVariance(total - variance(simulate(false, scales, 0.0).log));
   for (int c = 0; c < kNumChannels; ++c) {
-    flight.axis_share.push_back(std::min(1.0, alone[c] / std::max(total[c], 1e-300)));
+    flight.axis_share.push_back(
+        std::clamp(1.0 - without[c] / std::max(total[c], 1e-300), 0.0, 1.0));
   }
   flight.share = *std::max_element(flight.axis_share.begin(), flight.axis_share.end());
   if (plan.kind == Undeclared::kNothing) flight.share = 0.0;
-  if (plan.kind == Undeclared::kUnknown) {
-    flight.right_answer = "unexplained";
-  } else if (plan.effects.empty() || flight.share < kNotExcited) {
+  if (plan.kind == Undeclared::kNothing || flight.share < kNotExcited) {
     flight.right_answer = "none";
   } else {
-    flight.right_answer = "effect";
+    flight.right_answer = plan.kind == Undeclared::kUnknown ? "unexplained" : "effect";
+  }
+  return flight;
+}
+
+}  // namespace
+
+UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan) {
+  UndeclaredFlight flight = MakeAsPlanned(plan);
+  if (plan.kind != Undeclared::kOneEffect) return flight;
+  // Where no sensible size shows as much as planned, on another trajectory it may.
+  for (const Excited& excited : Catalogue()) {
+    if (plan.effects.front() != excited.effect) continue;
+    for (const std::string& trajectory : excited.trajectories) {
+      if (flight.share > kLeastShown * plan.share) break;
+      UndeclaredPlan other = plan;
+      other.trajectory = trajectory;
+      UndeclaredFlight flown = MakeAsPlanned(other);
+      if (flown.share > flight.share) flight = std::move(flown);
+    }
   }
   return flight;
 }
