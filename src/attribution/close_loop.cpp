@@ -543,7 +543,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   if (result.accelerometer_before) best.force_rmse_N = result.accelerometer_before;
   std::optional<Prediction> prediction;
   step = first;
-  bool promising = explains(promised) || gusty;
+  bool promising = (explains(promised) || gusty) && result.whiteness_p < options.noise_p;
   if (gusty && gusty->added.back().effect.score > kOvershadows * promised.scores) {
     // What was found beside a much larger gust is its shadow.
     step.after = accepted;

@@ -73,6 +73,8 @@ std::string CloseLoopReport(const ClosedLoop& loop) {
   json["force_rmse_after"] = Axes(loop.after.force_rmse_N);
   json["torque_rmse_before"] = Axes(loop.before.torque_rmse_Nm);
   json["torque_rmse_after"] = Axes(loop.after.torque_rmse_Nm);
+  json["angular_acceleration_rmse_before"] = Axes(loop.before.angular_acceleration_rmse_rad_s2);
+  json["angular_acceleration_rmse_after"] = Axes(loop.after.angular_acceleration_rmse_rad_s2);
   if (loop.accelerometer_before) {
     json["accelerometer_force_rmse_before"] = Axes(loop.accelerometer_before);
     json["accelerometer_force_rmse_after"] = Axes(loop.accelerometer_after);

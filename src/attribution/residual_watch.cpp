@@ -250,6 +250,7 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
     if (step == 0) {
       before = Structure(flight, base.fit.plain_residual, channels);
       Summarise(before, decision_, &found);
+      if (found.whiteness_p > decision_.noise_p) return found;
     }
     const std::vector<Tried> tried =
         TryAll(stage, candidates, regressor, base.fit, channels, give_up);

@@ -11,7 +11,7 @@ class RotorDelay final : public Effect {
                {"rotor_delay", "Late rotor speeds",
                 "Omega_j^2 -> Omega_j^2 + delay d(Omega_j^2)/dt in thrust and reaction torque",
                 "model.md 12.16",
-                "first order: up to about half a keyframe interval; close to vertical drag"},
+                "first order: up to about half a keyframe interval; close to vertical drag", true},
                {{"delay", "s", "how late the rotor speeds are reported", 0.0, 0.03, 0.005,
                  ParameterTransform::kLinear, PhysicalSign::kPositive}},
                {"thrust.k_f", "rotor_torque.k_m"}) {}

@@ -11,7 +11,7 @@ class RotorReaction final : public Effect {
       : Effect(vehicle,
                {"rotor_reaction", "Reaction to rotor acceleration", "tau = J_r sum(s dOmega/dt) e3",
                 "model.md 12.7",
-                "shares a scale with k_m and I_z; needs rotor speeds that change quickly"},
+                "shares a scale with k_m and I_z; needs rotor speeds that change quickly", true},
                {RotorInertiaSpec(vehicle)}) {}
 
  private:

@@ -45,14 +45,14 @@ void Consistency::CloseBlock(const Eigen::MatrixXd& left) {
   block_length_s_ *= 2.0;
 }
 
-void Consistency::Rescale(const Eigen::VectorXd& scale) {
-  const Eigen::VectorXd root = scale.cwiseSqrt();
+void Consistency::Rescale(const Eigen::MatrixXd& root) {
+  const Eigen::MatrixXd scale = root * root;
   for (Block& block : blocks_) {
-    block.score = block.score.cwiseProduct(scale);
-    block.information = root.asDiagonal() * block.information * root.asDiagonal();
+    block.score = (scale * block.score).eval();
+    block.information = (root * block.information * root).eval();
   }
-  if (score_.size() > 0) score_ = score_.cwiseProduct(scale).eval();
-  if (left_.size() > 0) left_ = (root.asDiagonal() * left_ * root.asDiagonal()).eval();
+  if (score_.size() > 0) score_ = (scale * score_).eval();
+  if (left_.size() > 0) left_ = (root * left_ * root).eval();
 }
 
 Eigen::VectorXd Consistency::Inflation(const Eigen::VectorXd& eta,

@@ -465,6 +465,7 @@ DynamicsNoise Estimator::NoiseOf(const Interval& interval) const {
   }
   noise.rotor_force_N = std::sqrt(force_variance);
   noise.rotor_torque_Nm = torque_variance.cwiseSqrt();
+  noise.rotor_rate_rad_s2 = std::sqrt(2.0) * sigma_speed / interval.dt;  // of both ends
   return noise;
 }
 
@@ -695,9 +696,9 @@ void Estimator::RescalePast(double force, double torque) {
       (share * std::log(force) + (Eigen::VectorXd::Ones(share.size()) - share) * std::log(torque))
           .array()
           .exp();
-  RescalePrior(scale, &window_);
-  information_.Rescale(scale);
-  consistency_.Rescale(scale);
+  const Eigen::MatrixXd root = RescalePrior(scale, &window_);
+  information_.Rescale(root);
+  consistency_.Rescale(root);
 }
 
 ParameterSet Estimator::ToParameterSet(const DynamicModel& model, const Snapshot& snapshot) {

@@ -130,6 +130,51 @@ Eigen::Matrix2d EulerTranslationCovariance(double dt) {
   return P;
 }
 
+RotorRateNoise NoiseOfRotorRates(const DynamicsMeasurement& measurement, double sigma_rad_s2,
+                                 const DynamicModel& model, const ModelValues& values,
+                                 bool jacobians) {
+  RotorRateNoise noise;
+  if (jacobians) {
+    noise.d_force.setZero(3, values.size());
+    noise.d_torque.setZero(3, values.size());
+  }
+  if (!model.takes_rotor_rates() || sigma_rad_s2 <= 0.0) return noise;
+  FlightState still;
+  still.rotors = measurement.rotors;
+  still.rotors.acceleration.setZero();
+  still.rotors.speed_squared_rate.setZero();
+  // The wrench is linear in the rates; the torque takes its own thrust coefficient.
+  const auto add = [&](const ModelValues& at, int first, Vector3d* variance,
+                       ValueJacobian<3>* d_variance) {
+    const auto evaluate = [&](const FlightState& state, ModelWrenchJacobians* J) {
+      Eigen::Matrix<double, 6, 1> w;
+      Vector3d f, tau;
+      model.EvaluateWrench(state, at, Vector3d::Zero(), &f, &tau, J);
+      w << f, tau;
+      return Vector3d(w.segment<3>(first));
+    };
+    ModelWrenchJacobians J0, J;
+    const Vector3d without = evaluate(still, jacobians ? &J0 : nullptr);
+    for (int j = 0; j < still.rotors.speed.size(); ++j) {
+      FlightState noisy = still;
+      noisy.rotors.acceleration[j] = sigma_rad_s2;
+      noisy.rotors.speed_squared_rate[j] = 2.0 * still.rotors.speed[j] * sigma_rad_s2;
+      const Vector3d change = evaluate(noisy, jacobians ? &J : nullptr) - without;
+      *variance += change.cwiseAbs2();
+      if (!jacobians) continue;
+      *d_variance += 2.0 * change.asDiagonal() *
+                     (J.d_values.middleRows<3>(first) - J0.d_values.middleRows<3>(first));
+    }
+  };
+  add(values, 0, &noise.force_variance, &noise.d_force);
+  ModelValues anchored = values;
+  const int anchor = measurement.anchor_index;
+  if (anchor >= 0) anchored[anchor] = measurement.anchor_value;
+  add(anchored, 3, &noise.torque_variance, &noise.d_torque);
+  if (jacobians && anchor >= 0) noise.d_torque.col(anchor).setZero();
+  return noise;
+}
+
 DynamicsFactor::DynamicsFactor(const DynamicsMeasurement& measurement, const DynamicsNoise& noise,
                                bool with_torque, const DynamicModel* model,
                                const ParameterLayout* layout)
@@ -149,11 +194,6 @@ bool DynamicsFactor::Evaluate(double const* const* blocks, double* residual,
                                                    : EvaluateForm<6>(blocks, residual, jacobians);
 }
 
-Vector3d DynamicsFactor::ForceSigma() const {
-  const Vector3d rotor(0.0, 0.0, noise_.rotor_force_N);
-  return (noise_.force_N.array().square() + rotor.array().square()).sqrt();
-}
-
 template <int N>
 bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_out,
                                   double** jacobians) const {
@@ -169,16 +209,27 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
 
   // Whitening: one weight a row; Form E also decorrelates e_v from e_p.
   const double dt = measurement_.dt;
-  const Vector3d force_sigma = ForceSigma();
+  const bool rated = noise_.rotor_rate_rad_s2 > 0.0 && model_->takes_rotor_rates();
+  RotorRateNoise rates;
+  if (rated) {
+    rates = NoiseOfRotorRates(measurement_, noise_.rotor_rate_rad_s2, *model_, values,
+                              jacobians != nullptr);
+  }
+  const Vector3d rotor_force(0.0, 0.0, noise_.rotor_force_N);
+  const Vector3d force_variance =
+      noise_.force_N.cwiseAbs2() + rotor_force.cwiseAbs2() + rates.force_variance;
+  const Vector3d force_sigma = force_variance.cwiseSqrt();
   Eigen::Matrix<double, N, 1> weight;
-  Vector3d d_log_weight_d_inertia;
+  Vector3d torque_variance, d_log_weight_d_inertia;  // the variance in (rad/s²)²
   for (int i = 0; i < 3; ++i) {
     weight[v + i] = 1.0 / (dt * force_sigma[i]);
     const double fixed = noise_.torque_Nm[i] / noise_.nominal_inertia[i];
-    const double rotor = noise_.rotor_torque_Nm[i] / inertia[i];
-    const double variance = fixed * fixed + rotor * rotor;
-    weight[a + i] = 1.0 / (dt * std::sqrt(variance));
-    d_log_weight_d_inertia[i] = rotor * rotor / (variance * inertia[i]);
+    const double rotor =
+        (noise_.rotor_torque_Nm[i] * noise_.rotor_torque_Nm[i] + rates.torque_variance[i]) /
+        (inertia[i] * inertia[i]);
+    torque_variance[i] = fixed * fixed + rotor;
+    weight[a + i] = 1.0 / (dt * std::sqrt(torque_variance[i]));
+    d_log_weight_d_inertia[i] = rotor / (torque_variance[i] * inertia[i]);
   }
   Eigen::Matrix2d sqrt_info;
   if constexpr (N == 9) {
@@ -208,9 +259,15 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
   }
   if (!with_values || jacobians[2] == nullptr) return e.allFinite();
   whiten(&J.d_values);
-  // The weight of e_alpha depends on the live inertia.
+  // The weights depend on the live inertia, and on coefficients of rotor rates.
   for (int i = 0; i < 3; ++i) {
     J.d_values.row(a + i) += e[a + i] * d_log_weight_d_inertia[i] * J.d_inertia.row(i);
+    if (!rated) continue;
+    const double by_torque = -0.5 / (torque_variance[i] * inertia[i] * inertia[i]);
+    J.d_values.row(a + i) += e[a + i] * by_torque * rates.d_torque.row(i);
+    const double by_force = -0.5 / force_variance[i];
+    J.d_values.row(v + i) += e[v + i] * by_force * rates.d_force.row(i);
+    if constexpr (N == 9) J.d_values.row(i) += e[i] * by_force * rates.d_force.row(i);
   }
   const ValueJacobian<Eigen::Dynamic> kept = J.d_values.topRows(rows);
   WriteParameterJacobian<Eigen::Dynamic>(*layout_, values, kept, jacobians[2]);

@@ -75,6 +75,7 @@ DynamicModel::DynamicModel(const Vehicle& vehicle, const std::vector<std::string
   FindShapedColumns();
   for (int i = 0; i < num_effects(); ++i) {
     varies_ = varies_ || effects_[i]->depends_on_time();
+    takes_rotor_rates_ = takes_rotor_rates_ || effects_[i]->description().from_rotor_rates;
     for (const ParameterSpec& spec : effects_[i]->parameters()) {
       if (spec.process_sigma.empty()) continue;
       const std::string prefix = effects_[i]->name() + ".";

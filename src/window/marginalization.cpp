@@ -1,6 +1,7 @@
 #include "odmc/window/marginalization.h"
 
 #include <Eigen/QR>
+#include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -9,8 +10,6 @@
 
 namespace odmc {
 namespace {
-
-constexpr double kLeastShare = 0.1;  // of the way to the prior's optimum
 
 /// Columns of the joint system: [oldest state, leaving bias | next state, kept bias, parameters].
 struct Columns {
@@ -152,21 +151,35 @@ LinearSystem Eliminate(const LinearSystem& system, double tolerance) {
   return result;
 }
 
-void RescalePrior(const Eigen::VectorXd& scale, Window* window) {
+Eigen::MatrixXd RescalePrior(const Eigen::VectorXd& scale, Window* window) {
   Prior& prior = window->prior();
-  if (prior.b.size() == 0) return;
-  const Eigen::VectorXd now = PriorOffset(*window);
-  const Eigen::VectorXd residual = prior.b + prior.A * now;
-  const Eigen::VectorXd step = -prior.A.completeOrthogonalDecomposition().solve(residual);
-  const Eigen::VectorXd fall = prior.A * step;
-  prior.A.rightCols(scale.size()) *= scale.cwiseSqrt().asDiagonal();
-  const Eigen::VectorXd scaled_fall = prior.A * step;
-  const double limit = 2.0 * std::max(1.0, scale.maxCoeff()) * residual.squaredNorm();
-  double share = 1.0;
-  while (share > 0.0 && (residual + share * (fall - scaled_fall)).squaredNorm() > limit) {
-    share = share > kLeastShare ? 0.5 * share : 0.0;
+  const auto n = scale.size();
+  const auto rows = prior.b.size();
+  const auto others = prior.A.cols() - n;  // of the state and the bias
+  if (rows == 0) return scale.cwiseSqrt().asDiagonal();
+  // What it says of the state given the parameters stays; below that it says something of the
+  // parameters alone.
+  Eigen::Index rank = 0;
+  if (others > 0) {
+    const Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(prior.A.leftCols(others));
+    rank = qr.rank();
+    prior.A.applyOnTheLeft(qr.householderQ().adjoint());
+    prior.b.applyOnTheLeft(qr.householderQ().adjoint());
+    prior.A.bottomLeftCorner(rows - rank, others).setZero();
   }
-  prior.b = residual + share * (fall - scaled_fall) - prior.A * now;
+  const Eigen::MatrixXd alone = prior.A.bottomRightCorner(rows - rank, n);
+  if (alone.rows() == 0) return scale.cwiseSqrt().asDiagonal();
+  const Eigen::JacobiSVD<Eigen::MatrixXd> svd(alone, Eigen::ComputeThinU | Eigen::ComputeFullV);
+  const Eigen::VectorXd root =
+      (0.5 * svd.matrixV().cwiseAbs2().transpose() * scale.array().log().matrix()).array().exp();
+  const auto& U = svd.matrixU();
+  const auto more = (root.head(U.cols()).array() - 1.0).matrix();
+  const auto stretch = [&](auto block) {
+    block += (U * more.asDiagonal() * (U.transpose() * block)).eval();
+  };
+  stretch(prior.A.bottomRightCorner(rows - rank, n));
+  stretch(prior.b.tail(rows - rank));
+  return svd.matrixV() * root.asDiagonal() * svd.matrixV().transpose();
 }
 
 void DiffusePrior(int index, double variance, Prior* prior) {

@@ -36,11 +36,10 @@ bool ParameterInformation::Reusable(const Window& window,
   return ((window.eta() - eta_).array().abs() <= relinearize.array()).all();
 }
 
-void ParameterInformation::Rescale(const Eigen::VectorXd& scale) {
-  const Eigen::VectorXd root = scale.cwiseSqrt();
+void ParameterInformation::Rescale(const Eigen::MatrixXd& root) {
   for (Message& message : messages_) {
-    message.H.rightCols(root.size()) *= root.asDiagonal();
-    message.H.bottomRows(root.size()) = root.asDiagonal() * message.H.bottomRows(root.size());
+    message.H.rightCols(root.cols()) *= root;
+    message.H.bottomRows(root.cols()) = (root * message.H.bottomRows(root.cols())).eval();
   }
 }
 

@@ -42,7 +42,7 @@ Run Estimate(double rho, double seconds, unsigned seed, double scale_half_way = 
       consistency.CloseBlock(MatrixXd::Constant(1, 1, left));
     }
     if (i == n / 2 && scale_half_way != 1.0) {
-      consistency.Rescale(VectorXd::Constant(1, scale_half_way));
+      consistency.Rescale(MatrixXd::Constant(1, 1, std::sqrt(scale_half_way)));
       left *= scale_half_way;
       sum *= scale_half_way;
     }

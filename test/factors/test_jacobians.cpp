@@ -46,9 +46,12 @@ Vehicle TurnedVehicle() {
   return vehicle;
 }
 
-DynamicModel MakeModel(Freedom freedom) {
+/// @param rates with the effects that take rotor accelerations
+DynamicModel MakeModel(Freedom freedom, bool rates) {
   Vehicle vehicle = TurnedVehicle();
-  const DynamicModel named(vehicle, Effects());
+  std::vector<std::string> effects = Effects();
+  if (rates) effects.insert(effects.end(), {"rotor_delay", "rotor_reaction"});
+  const DynamicModel named(vehicle, effects);
   const std::vector<std::string> frozen = {
       "rotor_torque.k_m",       "drag.d_y", "inertia.y",         "gravity.x",
       "odometry_extrinsics.rz", "hvt.k_h",  "imu_extrinsics.px", "centre_of_gravity.z"};
@@ -57,7 +60,7 @@ DynamicModel MakeModel(Freedom freedom) {
     vehicle.parameters[p.full_name].estimated =
         freedom == Freedom::kAll || (freedom == Freedom::kPartly && !is_frozen);
   }
-  return DynamicModel(vehicle, Effects());
+  return DynamicModel(vehicle, effects);
 }
 
 /// Physical values around the nominal ones, every one different from zero.
@@ -96,9 +99,9 @@ RotorState RandomRotors(const Vehicle& vehicle, Random* random) {
 
 /// One random setting for every factor under test.
 struct Setting {
-  Setting(Freedom freedom, unsigned seed)
+  Setting(Freedom freedom, unsigned seed, bool rates = false)
       : random(seed),
-        model(MakeModel(freedom)),
+        model(MakeModel(freedom, rates)),
         start(RandomValues(model, &random)),
         layout(model, start) {
     dt = 0.01 + 0.01 * (random.Next() + 1.0);
@@ -111,6 +114,12 @@ struct Setting {
     at.eta = layout.Encode(values);
     measurement.dt = dt;
     measurement.rotors = RandomRotors(model.vehicle(), &random);
+    if (rates) {
+      measurement.rotors.acceleration = random.NextVector(model.vehicle().num_rotors(), 900.0);
+      measurement.rotors.speed_squared_rate =
+          2.1 * measurement.rotors.speed.cwiseProduct(measurement.rotors.acceleration);
+      noise.rotor_rate_rad_s2 = 180.0;
+    }
     noise.force_N = {0.11, 0.07, 0.23};
     noise.torque_Nm = {0.002, 0.003, 0.0015};
     noise.rotor_force_N = 0.05;
@@ -160,6 +169,8 @@ enum class Kind {
   kDynamicsMidpointInertiaFixed,
   kDynamicsEuler,
   kDynamicsEulerForceOnly,
+  kDynamicsMidpointRotorRates,
+  kDynamicsEulerRotorRates,
   kKinematic,
   kKinematicWithoutRotation,
   kKinematicEuler,
@@ -182,6 +193,8 @@ const char* NameOf(Kind kind) {
                                 "DynamicsMidpointInertiaFixed",
                                 "DynamicsEuler",
                                 "DynamicsEulerForceOnly",
+                                "DynamicsMidpointRotorRates",
+                                "DynamicsEulerRotorRates",
                                 "Kinematic",
                                 "KinematicWithoutRotation",
                                 "KinematicEuler",
@@ -359,7 +372,9 @@ Case MakeMarginal(std::shared_ptr<Setting> s, bool with_bias) {
 }
 
 Case MakeCase(Kind kind, Freedom freedom, unsigned seed) {
-  const auto s = std::make_shared<Setting>(freedom, seed);
+  const bool rates =
+      kind == Kind::kDynamicsMidpointRotorRates || kind == Kind::kDynamicsEulerRotorRates;
+  const auto s = std::make_shared<Setting>(freedom, seed, rates);
   constexpr auto kM = DynamicsForm::kMidpoint, kE = DynamicsForm::kEuler;
   switch (kind) {
     case Kind::kDynamicsMidpoint:
@@ -372,6 +387,10 @@ Case MakeCase(Kind kind, Freedom freedom, unsigned seed) {
       return MakeDynamics(s, kE, true, false);
     case Kind::kDynamicsEulerForceOnly:
       return MakeDynamics(s, kE, false, false);
+    case Kind::kDynamicsMidpointRotorRates:
+      return MakeDynamics(s, kM, true, false);
+    case Kind::kDynamicsEulerRotorRates:
+      return MakeDynamics(s, kE, true, false);
     case Kind::kKinematic:
       return MakeKinematic(s, kM, true);
     case Kind::kKinematicWithoutRotation:
@@ -409,6 +428,8 @@ constexpr Kind kKinds[] = {Kind::kDynamicsMidpoint,
                            Kind::kDynamicsMidpointInertiaFixed,
                            Kind::kDynamicsEuler,
                            Kind::kDynamicsEulerForceOnly,
+                           Kind::kDynamicsMidpointRotorRates,
+                           Kind::kDynamicsEulerRotorRates,
                            Kind::kKinematic,
                            Kind::kKinematicWithoutRotation,
                            Kind::kKinematicEuler,
@@ -425,7 +446,7 @@ constexpr Kind kKinds[] = {Kind::kDynamicsMidpoint,
                            Kind::kMarginalWithoutBias};
 
 bool TouchesParameters(Kind kind) {
-  return kind <= Kind::kDynamicsEulerForceOnly ||
+  return kind <= Kind::kDynamicsEulerRotorRates ||
          (kind >= Kind::kGyroPreintegration && kind <= Kind::kParameterPrior) ||
          kind >= Kind::kMarginal;
 }

@@ -68,6 +68,7 @@ struct Motion {
 template <typename T>
 struct Parameters {
   T k_f = T(0.0), k_m = T(0.0), k_h = T(0.0);
+  T delay = T(0.0), J_r = T(0.0);  // model.md 12.16, 12.7
   V3<T> d = V3<T>::Zero(), b = V3<T>::Zero(), c = V3<T>::Zero(), I = V3<T>::Zero();
   V3<T> gravity = V3<T>::Zero();  // third entry stays zero
   V3<T> p_BS = V3<T>::Zero(), r_BS = V3<T>::Zero(), p_BI = V3<T>::Zero(), r_BI = V3<T>::Zero();
@@ -93,6 +94,8 @@ Parameters<T> ParametersFrom(const DynamicModel& model, const VX<T>& values) {
   read("thrust.k_f", &out.k_f);
   read("rotor_torque.k_m", &out.k_m);
   read("hvt.k_h", &out.k_h);
+  read("rotor_delay.delay", &out.delay);
+  read("rotor_reaction.J_r", &out.J_r);
   read("gravity.x", &out.gravity[0]);
   read("gravity.y", &out.gravity[1]);
   for (int i = 0; i < 3; ++i) {
@@ -171,11 +174,13 @@ Interval<T> IntervalOf(const DynamicsMeasurement& z, const Vehicle& vehicle, con
   k.F = a.d.cwiseProduct(u) + e3 * (a.k_h * (u.x() * u.x() + u.y() * u.y()));
   k.tau = a.b.cwiseProduct(k.w_point);
   for (int j = 0; j < vehicle.num_rotors(); ++j) {
-    const T sigma = T(z.rotors.speed_squared[j]);
+    const T sigma = T(z.rotors.speed_squared[j]) + a.delay * T(z.rotors.speed_squared_rate[j]);
     const V3<T> f = e3 * (a.k_f * sigma);
     const V3<T> arm = vehicle.rotors[j].p_BP.cast<T>() - a.c;
+    const T spin(vehicle.rotors[j].spin);
     k.F += f;
-    k.tau += arm.cross(f) + e3 * (T(vehicle.rotors[j].spin) * a.k_m * sigma);
+    k.tau += arm.cross(f) + e3 * (spin * a.k_m * sigma);
+    k.tau += e3 * (spin * a.J_r * T(z.rotors.acceleration[j]));
   }
   return k;
 }
@@ -223,23 +228,37 @@ VX<T> WhitenedDynamics(const DynamicsMeasurement& z, const DynamicsNoise& noise,
   const bool euler = z.form == DynamicsForm::kEuler;
   const int velocity = euler ? 3 : 0;
   VX<T> r(velocity + 3 + (with_torque ? 3 : 0));
+  // Rotor accelerations with noise, rotor by rotor: along z, and about Bo.
+  T force_variance(0.0);
+  V3<T> torque_variance = V3<T>::Zero();
+  for (int j = 0; j < vehicle.num_rotors(); ++j) {
+    const Rotor& rotor = vehicle.rotors[j];
+    const double rate = noise.rotor_rate_rad_s2, square_rate = 2.0 * z.rotors.speed[j] * rate;
+    const T f = a.delay * a.k_f * T(square_rate);
+    const T couple = T(rotor.spin) * (a.delay * a.k_m * T(square_rate) + a.J_r * T(rate));
+    const V3<T> tau(T(rotor.p_BP.y()) * f, T(-rotor.p_BP.x()) * f, couple);
+    force_variance += f * f;
+    torque_variance += tau.cwiseProduct(tau);
+  }
   for (int i = 0; i < 3; ++i) {
     const double rotor = i == 2 ? noise.rotor_force_N : 0.0;
-    const double sigma = std::sqrt(noise.force_N[i] * noise.force_N[i] + rotor * rotor);
+    const T sigma = sqrt(T(noise.force_N[i] * noise.force_N[i] + rotor * rotor) +
+                         (i == 2 ? force_variance : T(0.0)));
     if (euler) {
       // L of [[dt^4/3, dt^3/2], [dt^3/2, dt^2]] by hand.
       const double L11 = z.dt * z.dt / std::sqrt(3.0), L21 = 0.5 * std::sqrt(3.0) * z.dt;
       const double L22 = 0.5 * z.dt;
-      const T first = e[i] / T(L11 * sigma);
+      const T first = e[i] / (T(L11) * sigma);
       r[i] = first;
-      r[3 + i] = (e[3 + i] / T(sigma) - first * T(L21)) / T(L22);
+      r[3 + i] = (e[3 + i] / sigma - first * T(L21)) / T(L22);
     } else {
-      r[i] = e[3 + i] / T(z.dt * sigma);
+      r[i] = e[3 + i] / (T(z.dt) * sigma);
     }
     if (!with_torque) continue;
     const double fixed = noise.torque_Nm[i] / noise.nominal_inertia[i];
-    const T live = T(noise.rotor_torque_Nm[i]) / I[i];
-    r[velocity + 3 + i] = e[6 + i] / (T(z.dt) * sqrt(T(fixed * fixed) + live * live));
+    const T live = (T(noise.rotor_torque_Nm[i] * noise.rotor_torque_Nm[i]) + torque_variance[i]) /
+                   (I[i] * I[i]);
+    r[velocity + 3 + i] = e[6 + i] / (T(z.dt) * sqrt(T(fixed * fixed) + live));
   }
   return r;
 }

@@ -330,47 +330,62 @@ TEST_F(Marginalization, ScoreIsTheGradientOfTheLeavingParameterFactors) {
   EXPECT_LT((leaving.dynamics_residual - residual).norm(), 1e-12);
 }
 
-TEST_F(Marginalization, RescaledPriorKeepsItsOptimumAndScalesItsInformation) {
+TEST_F(Marginalization, RescaledPriorKeepsItsOptimumAndWhatItSaysOfTheState) {
   Window window(&layout_);
   LinearWindowMaker(&window, LinearWindowOptions(), 27).Fill();
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(MarginalizeOldest(&window, Threshold(kNever)));
   Prior& prior = window.prior();
-  const MatrixXd H = prior.A.transpose() * prior.A;
+  const auto of_state = prior.A.cols() - 4;
+  const MatrixXd before = prior.A.transpose() * prior.A;
   const VectorXd optimum = -prior.A.completeOrthogonalDecomposition().solve(prior.b);
-  const double cost = (prior.b + prior.A * optimum).norm();
-  VectorXd scale(4);
-  scale << 0.5, 1.0, 2.0, 4.0;
-  RescalePrior(scale, &window);
-  VectorXd root = VectorXd::Ones(16);
-  root.tail(4) = scale.cwiseSqrt();
-  EXPECT_LT((prior.A.transpose() * prior.A - root.asDiagonal() * H * root.asDiagonal()).norm(),
-            kExact * H.norm());
+  const auto alone = [&](const MatrixXd& H) {
+    const MatrixXd across = H.topRightCorner(of_state, 4);
+    return MatrixXd(
+        H.bottomRightCorner(4, 4) -
+        across.transpose() *
+            H.topLeftCorner(of_state, of_state).completeOrthogonalDecomposition().solve(across));
+  };
+  constexpr double kScale = 0.4;
+  const MatrixXd root = RescalePrior(VectorXd::Constant(4, kScale), &window);
+  const MatrixXd after = prior.A.transpose() * prior.A;
+  EXPECT_LT((after.leftCols(of_state) - before.leftCols(of_state)).norm(), kExact * before.norm());
+  EXPECT_LT((alone(after) - kScale * alone(before)).norm(), kExact * before.norm());
+  EXPECT_LT((root - std::sqrt(kScale) * MatrixXd::Identity(4, 4)).norm(), kExact);
   const VectorXd gradient = prior.A.transpose() * (prior.b + prior.A * optimum);
-  EXPECT_LT(gradient.norm(), kExact * H.norm());
-  EXPECT_NEAR((prior.b + prior.A * optimum).norm(), cost, kExact);
+  EXPECT_LT(gradient.norm(), kExact * before.norm());
 }
 
-TEST_F(Marginalization, RescaledPriorDoesNotBelieveAnOptimumFarOut) {
+// A combination that nobody has seen, of parameters with different scales.
+TEST_F(Marginalization, RescaledPriorMakesNothingUp) {
   Window window(&layout_);
   LinearWindowMaker(&window, LinearWindowOptions(), 27).Fill();
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(MarginalizeOldest(&window, Threshold(kNever)));
-  // Two parameters whose sum is known well and whose difference hardly is, with an optimum far out.
   Prior& prior = window.prior();
   const auto columns = prior.A.cols();
   prior.A = MatrixXd::Zero(3, columns);
-  prior.A(0, columns - 4) = prior.A(0, columns - 3) = 1e3;
+  prior.A(0, columns - 4) = prior.A(0, columns - 3) = 1e3;  // their sum; the difference hardly
   prior.A(1, columns - 4) = 1e-5;
   prior.A(1, columns - 3) = -1e-5;
-  prior.b = Eigen::Vector3d(0.3, 1.0, 2.0);
+  prior.A(2, columns - 1) = 7.0;
+  prior.b = Eigen::Vector3d(0.3, 1.0, 2.0);  // an optimum far out
   window.eta() = prior.eta_lin;
   std::copy(window.keyframes().front().x_lin.begin(), window.keyframes().front().x_lin.end(),
             window.keyframes().front().x.begin());
   const double before = PriorResidual(window).norm();
-  VectorXd scale = VectorXd::Ones(4);
-  scale[0] = 0.5;
+  VectorXd scale(4);
+  scale << 0.25, 1.0, 3.0, 4.0;
+  for (int i = 0; i < 20; ++i) {
+    RescalePrior(scale, &window);
+    RescalePrior(scale.cwiseInverse(), &window);
+  }
   RescalePrior(scale, &window);
+  VectorXd difference = VectorXd::Zero(columns), sum = difference;
+  difference[columns - 4] = sum[columns - 4] = sum[columns - 3] = 1.0;
+  difference[columns - 3] = -1.0;
+  EXPECT_LT((prior.A * difference).norm(), 2.1e-5);
+  EXPECT_NEAR((prior.A * sum).norm(), 2e3 * std::pow(0.25, 0.25), 1e-6);  // geometric mean
+  EXPECT_NEAR(prior.A.col(columns - 1).norm(), 14.0, 1e-9);
   EXPECT_LT(PriorResidual(window).norm(), 2.0 * before);
-  EXPECT_NEAR(prior.A(0, columns - 4), 1e3 * std::sqrt(0.5), 1e-9);
 }
 
 TEST_F(Marginalization, DiffusedPriorForgetsOneParameterAndKeepsItsOptimum) {

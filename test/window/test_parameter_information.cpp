@@ -101,8 +101,7 @@ TEST_F(ParameterInformationTest, KeptPartsFollowAScaledPrior) {
   for (int i = 0; i < 15; ++i) MarginalizeOldest(&window, Threshold(0.1));
   information.Update(window, Threshold(0.1));
   const VectorXd scale = VectorXd::Constant(layout_.num_estimated(), 1.2);
-  RescalePrior(scale, &window);
-  information.Rescale(scale);
+  information.Rescale(RescalePrior(scale, &window));
   // A kept message over factors of the window scales them, too: the two agree up to their share.
   EXPECT_LT(Relative(Dense(window), information.Update(window, Threshold(0.1))), 0.25);
   // A whole redo, forced by parameters that moved, is exact.

@@ -24,6 +24,7 @@ struct CloseLoopOptions {
   double close_share = 0.05;           ///< or within this share of its score
   double least_explained = 0.5;        ///< of the structured variance, for the verdict "effect"
   double whiteness_p = 1e-5;           ///< below it a residual is structured
+  double noise_p = 1e-2;               ///< above it noise explains a residual: no effect is named
   double least_structured = 0.05;      ///< share of variance, for the verdict "unexplained"
   int most_effects = 6;
 

@@ -25,8 +25,8 @@ class Consistency {
   /// Ends the block; `left` is the information of everything that has left the window so far (n×n).
   void CloseBlock(const Eigen::MatrixXd& left);
 
-  /// Scales everything so far, as RescalePrior() does.
-  void Rescale(const Eigen::VectorXd& scale);
+  /// Scales everything so far by what RescalePrior() returns.
+  void Rescale(const Eigen::MatrixXd& root);
 
   /// Factor on each parameter's standard deviation (n), >= 0.5: below 1 where the
   /// assumed noise was larger than the flight's.

@@ -50,8 +50,21 @@ struct DynamicsNoise {
   Eigen::Vector3d torque_Nm = Eigen::Vector3d::Constant(0.002);  ///< not in the model, body axes
   double rotor_force_N = 0.0;                                    ///< from rotor-speed noise
   Eigen::Vector3d rotor_torque_Nm = Eigen::Vector3d::Zero();     ///< from rotor-speed noise
+  double rotor_rate_rad_s2 = 0.0;  ///< of each rotor's acceleration, from rotor-speed noise
   Eigen::Vector3d nominal_inertia = Eigen::Vector3d::Constant(0.01);  ///< turns torque_Nm to rad/s²
 };
+
+/// What noise of the rotors' accelerations does to the wrench, through effects that take them.
+struct RotorRateNoise {
+  Eigen::Vector3d force_variance = Eigen::Vector3d::Zero();   ///< body axes [N²]
+  Eigen::Vector3d torque_variance = Eigen::Vector3d::Zero();  ///< about Bo [N² m²]
+  ValueJacobian<3> d_force, d_torque;                         ///< by physical values, on request
+};
+
+/// @param sigma_rad_s2 of each rotor's acceleration, on its own
+RotorRateNoise NoiseOfRotorRates(const DynamicsMeasurement& measurement, double sigma_rad_s2,
+                                 const DynamicModel& model, const ModelValues& values,
+                                 bool jacobians);
 
 /// Ceres view of DynamicsResidual().
 ///
@@ -64,7 +77,8 @@ struct DynamicsNoise {
 /// for the unmodelled torque (model.md section 9), and that takes the rotor-speed noise through the
 /// live inertia,  σ_α² = Δt² (σ_τ²/I_0² + σ_rotor²/I²). The second part makes the fit that of a
 /// line with errors in both coordinates (Deming): without it noise in the torque regressor pulls
-/// the inertia up.
+/// the inertia up. Likewise the noise of rotor accelerations, through the live coefficients of
+/// effects that take them (NoiseOfRotorRates()), in both rows: without it these come out too small.
 class DynamicsFactor final : public ceres::CostFunction {
  public:
   /// `model` and `layout` must outlive the factor. @throws std::invalid_argument if dt <= 0.
@@ -93,7 +107,6 @@ class DynamicsFactor final : public ceres::CostFunction {
  private:
   template <int N>
   bool EvaluateForm(double const* const* blocks, double* residual, double** jacobians) const;
-  Eigen::Vector3d ForceSigma() const;
 
   DynamicsMeasurement measurement_;
   DynamicsNoise noise_;

@@ -83,6 +83,9 @@ class DynamicModel {
   /// True if the body changes with time or a parameter varies as a process.
   bool varies() const { return varies_; }
 
+  /// True if an effect takes the rates of the rotor speeds.
+  bool takes_rotor_rates() const { return takes_rotor_rates_; }
+
   /// A parameter that varies as a first-order Gauss-Markov process about zero.
   struct ProcessParameter {
     int index;          ///< in parameters()
@@ -111,6 +114,7 @@ class DynamicModel {
   std::vector<int> first_;
   std::vector<ColumnRange> shaped_columns_;
   std::vector<ProcessParameter> processes_;
+  bool takes_rotor_rates_ = false;
   bool varies_ = false;
   std::vector<std::vector<int>> borrowed_index_;  // -1 where the lender is absent
   std::vector<std::vector<double>> borrowed_default_;

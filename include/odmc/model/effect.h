@@ -27,6 +27,8 @@ struct EffectDescription {
   std::string formula;   ///< plain text, "f = diag(d) v_AB_B at Bcm"
   std::string source;    ///< "model.md 2; paper Eq. (1)"
   std::string validity;  ///< where it stops being true
+  /// Takes rotor speeds' rates, which are noisy: the dynamics factor accounts for it.
+  bool from_rotor_rates = false;
 };
 
 /// One physical effect: reads the flight state and adds its wrench on the body, or shapes the body

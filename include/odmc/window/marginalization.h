@@ -39,14 +39,16 @@ struct LeavingFactors {
 bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
                        LeavingFactors* leaving = nullptr);
 
-/// Scales what the prior says about each parameter, by `scale` on its information (n, > 0), where
-/// it says it: the prior's own optimum stays. Used when the noise of everything that left turns out
-/// to be larger or smaller than thought.
+/// Scales what the prior says about the parameters alone, by `scale` on the information about each
+/// (n, > 0); what it says about the state given the parameters stays, and so does its optimum. Used
+/// when the noise of everything that left turns out to be larger or smaller than thought.
 ///
-/// Unequal scales turn the directions the prior hardly knows. Where its optimum lies far out along
-/// such a direction, keeping it would make the present estimate look absurd: then a point on the
-/// way from the estimate to the optimum stays, at worst the estimate itself.
-void RescalePrior(const Eigen::VectorXd& scale, Window* window);
+/// Each direction of parameters that the prior knows (singular vector, of eta) is scaled by the
+/// weighted geometric mean of its parameters' scales. Directions must not turn: where force and
+/// torque know a combination together, scaling parameter by parameter would make up information
+/// about what nobody has seen.
+/// @returns the symmetric root of the scale (n×n), for others that keep information: T I T
+Eigen::MatrixXd RescalePrior(const Eigen::VectorXd& scale, Window* window);
 
 /// Lets parameter `index` of eta have moved by a random step of this variance since the prior was
 /// made: what the prior says about it fades, its optimum stays.

@@ -16,8 +16,8 @@ class ParameterInformation {
   /// @param fresh number of newest keyframes that are redone at every call
   explicit ParameterInformation(int fresh = 3) : fresh_(fresh) {}
 
-  /// Scales what is kept, as RescalePrior() does.
-  void Rescale(const Eigen::VectorXd& scale);
+  /// Scales what is kept by what RescalePrior() returns.
+  void Rescale(const Eigen::MatrixXd& root);
 
   /// @returns the n×n information with respect to eta at the window's present estimate, with the
   ///   parameters' own priors
