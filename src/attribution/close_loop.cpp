@@ -9,6 +9,7 @@
 
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/gust_test.h"
+#include "odmc/attribution/spectrum.h"
 
 namespace odmc {
 namespace {
@@ -501,6 +502,14 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   const ResidualModel::Wrenches declared_residual = step.before.residual;
   result.structure = Structure(flight, declared_residual, residual.num_channels());
   const bool structured = Summarise(options, &result);
+  const std::vector<std::vector<double>> runs = flight.Runs(declared_residual.col(0));
+  const bool judged = std::any_of(runs.begin(), runs.end(),
+                                  [](const auto& run) { return run.size() >= kShortestRun; });
+  if (!judged) {
+    result.warnings.push_back(
+        "no stretch without gaps is long enough to tell structure from noise: " +
+        Text(kShortestRun * flight.step_s()) + " s are needed");
+  }
 
   // What all that earns its place explains together, before the online estimator has its say.
   const Step first = step;

@@ -6,7 +6,6 @@
 namespace odmc {
 namespace {
 
-constexpr int kShortestRun = 50;  // samples
 constexpr int kIterations = 300;
 constexpr double kPi = 3.14159265358979323846;
 // Corner frequencies of structure, in Hz.

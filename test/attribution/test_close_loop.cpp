@@ -70,6 +70,23 @@ TEST(CloseLoop, FindsAddsAndMeasuresAMissingEffect) {
   EXPECT_NE(CloseLoopReport(loop).find("\"verdict\": \"effect\""), std::string::npos);
 }
 
+TEST(CloseLoop, SaysWhereGapsLeaveNothingToJudgeBy) {
+  UndeclaredFlight flight = MakeUndeclared(Plan(Undeclared::kNothing, {}, 0.0, "octo", 0, 11));
+  std::vector<OdometrySample>& odometry = flight.log.odometry;
+  const Stamp first = odometry.front().stamp;
+  odometry.erase(std::remove_if(odometry.begin(), odometry.end(),
+                                [&](const OdometrySample& s) {
+                                  return std::fmod(ToSeconds(s.stamp - first), 1.6) > 1.3;
+                                }),
+                 odometry.end());
+  const ClosedLoop loop = Close(flight);
+  EXPECT_EQ(loop.verdict, Verdict::kNone);
+  const bool said = std::any_of(
+      loop.warnings.begin(), loop.warnings.end(),
+      [](const std::string& w) { return w.find("no stretch without gaps") != std::string::npos; });
+  EXPECT_TRUE(said) << CloseLoopTable(loop);
+}
+
 TEST(CloseLoop, CallsAnUnknownTorqueUnexplainedAndSaysWhere) {
   const ClosedLoop loop =
       Close(MakeUndeclared(Plan(Undeclared::kUnknown, {}, 0.8, "circle", 0, 606)));  // it shakes

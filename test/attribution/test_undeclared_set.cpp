@@ -35,10 +35,12 @@ TEST(UndeclaredSet, IsAnsweredAsMeasured) {
   std::vector<UndeclaredFlight> flights(plans.size());
   std::vector<ClosedLoop> loops(plans.size());
   const int jobs = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
+  CloseLoopOptions options;
+  options.estimator.keyframe_rate_hz = 50.0;  // as good here as 100, in half the time
   ForEachOf(kFlights, jobs, [&](int i) {
     flights[i] = MakeUndeclared(plans[i]);
     const Vehicle& vehicle = flights[i].declared;
-    loops[i] = CloseLoop(flights[i].log, vehicle, vehicle, CloseLoopOptions());
+    loops[i] = CloseLoop(flights[i].log, vehicle, vehicle, options);
     flights[i].log = FlightLog();
   });
   int null_flights = 0, false_alarms = 0, unknown = 0, unexplained = 0, shown = 0, named = 0;

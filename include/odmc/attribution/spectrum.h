@@ -4,6 +4,9 @@
 
 namespace odmc {
 
+/// Samples without a gap that a stretch must have to be looked at.
+constexpr int kShortestRun = 50;
+
 /// What the spectrum of a residual says: how much of it is structured, and how surely.
 struct Whiteness {
   double p = 1.0;                 ///< chance of this much structure in unstructured noise
@@ -14,7 +17,7 @@ struct Whiteness {
 /// Tests a residual against unstructured noise. Noise of a differentiated measurement has the
 /// spectrum a + b f² (a: white force or torque, b: white noise of the velocity or rate); structure
 /// is what a low-pass spectrum c/(1 + (f/f_c)²) or a line explains on top, by Whittle's likelihood.
-/// @param runs equally spaced stretches of the residual; short ones are left out
+/// @param runs equally spaced stretches of the residual; short ones (kShortestRun) are left out
 /// @param rate_Hz samples a second
 /// @param highest_Hz frequencies above it are not looked at (the filter's edge)
 Whiteness TestWhiteness(const std::vector<std::vector<double>>& runs, double rate_Hz,
