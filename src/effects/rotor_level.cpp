@@ -15,7 +15,7 @@ class RotorLevel final : public Effect {
              "f_j = -Omega_j diag(k_d, k_d, k_z) u_j + k_h/4 (u_jx^2 + u_jy^2) e3 at hub j; tau = "
              "J_r (sum(s Omega) (w x e3) + sum(s dOmega/dt) e3)",
              "model.md 12.19",
-             "replaces drag, viscous_torque and hvt; lateral drag acts in the hub plane"},
+             "replaces drag, viscous_torque and hvt; lateral drag acts in the hub plane", true},
             {HubDampingSpec("k_d", "in-plane drag per rotor speed and air speed", vehicle),
              HubDampingSpec("k_z", "thrust loss per rotor speed and axial air speed", vehicle),
              LiftSpec("k_h", "extra thrust per squared horizontal air speed", vehicle),

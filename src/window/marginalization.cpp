@@ -172,8 +172,8 @@ Eigen::MatrixXd RescalePrior(const Eigen::VectorXd& scale, Window* window) {
   const Eigen::JacobiSVD<Eigen::MatrixXd> svd(alone, Eigen::ComputeThinU | Eigen::ComputeFullV);
   const Eigen::VectorXd root =
       (0.5 * svd.matrixV().cwiseAbs2().transpose() * scale.array().log().matrix()).array().exp();
-  const auto& U = svd.matrixU();
-  const auto more = (root.head(U.cols()).array() - 1.0).matrix();
+  const Eigen::MatrixXd& U = svd.matrixU();
+  const Eigen::VectorXd more = (root.head(U.cols()).array() - 1.0).matrix();
   const auto stretch = [&](auto block) {
     block += (U * more.asDiagonal() * (U.transpose() * block)).eval();
   };

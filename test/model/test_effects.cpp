@@ -190,6 +190,19 @@ TEST_P(EveryEffect, DescribesItselfWithFormulaAndSource) {
   }
 }
 
+TEST_P(EveryEffect, SaysWhetherItTakesRotorRates) {
+  Random random(23);
+  const ModelValues values = RandomOwnValues(model_, &random);
+  const FlightState moving = RandomFlight(vehicle_, &random);
+  FlightState steady = moving;
+  steady.rotors.acceleration.setZero();
+  steady.rotors.speed_squared_rate.setZero();
+  Vector3d f, tau, f_steady, tau_steady;
+  model_.EvaluateWrench(moving, values, Vector3d::Zero(), &f, &tau);
+  model_.EvaluateWrench(steady, values, Vector3d::Zero(), &f_steady, &tau_steady);
+  EXPECT_EQ(f != f_steady || tau != tau_steady, model_.takes_rotor_rates());
+}
+
 TEST_P(EveryEffect, AnswersTheSameInATurnedScene) {
   // Whatever the heading, a vehicle that sees the same air and rates in its own axes feels the
   // same.

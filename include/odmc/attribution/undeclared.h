@@ -52,9 +52,10 @@ std::vector<Vehicle> UndeclaredVehicles();
 
 /// Simulates one flight of the plan: true parameters off the declared start values, realistic
 /// sensors, and the undeclared effect at the size that makes up its share of the variance of the
-/// declared model's residual (10 Hz, declared parameters fitted) on the largest axis. An effect
-/// that would need an absurd size, or could not be flown, stays smaller; `share` says what it
-/// reached.
+/// declared model's residual (10 Hz, declared parameters fitted) on the largest axis: one minus the
+/// variance without it over that with it, the same noise in both. A single effect that would need
+/// an absurd size is flown on the trajectory that shows it best; what still shows less stays so,
+/// and `share` says what it reached.
 UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan);
 
 /// Vehicle file text that LoadVehicle() reads back.
