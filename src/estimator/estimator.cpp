@@ -46,6 +46,11 @@ OdometryNoise Configured(const EstimatorOptions& options) {
           options.rate_noise_rad_s};
 }
 
+std::unique_ptr<WindowSolver> MakeSolver(const std::string& name) {
+  if (name == "ceres") return std::make_unique<CeresWindowSolver>();
+  return std::make_unique<EliminationWindowSolver>();
+}
+
 Vector3d PriorInertia(const DynamicModel& model) {
   Vector3d inertia = model.vehicle().inertia_kg_m2;
   for (int i = 0; i < 3; ++i) {
@@ -96,6 +101,9 @@ bool EstimatorOptions::IsValid(std::string* error) const {
   if (dynamics_form != "midpoint" && dynamics_form != "euler") {
     return fail("dynamics_form must be midpoint or euler");
   }
+  if (solver != "elimination" && solver != "ceres") {
+    return fail("solver must be elimination or ceres");
+  }
   if (!(huber_width >= 0.0)) return fail("huber_width must not be negative");
   if (!(max_gap_s > 0.0)) return fail("max_gap_s must be positive");
   if (!(patience_s > 0.0)) return fail("patience_s must be positive");
@@ -128,7 +136,7 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
       process_noise_(model->vehicle().mass_kg * model->vehicle().gravity_m_s2,
                      model->vehicle().ArmLength(), options.process_noise_floor),
       window_(&layout_),
-      solver_(std::make_unique<CeresWindowSolver>()),
+      solver_(MakeSolver(options.solver)),
       consistency_(layout_.num_estimated()),
       inflation_(Eigen::VectorXd::Ones(layout_.num_estimated())),
       prior_sigma_eta_(PriorSigmas(layout_)),

@@ -7,51 +7,15 @@
 #include <vector>
 
 #include "odmc/factors/dynamics_factor.h"
+#include "odmc/window/front.h"
 
 namespace odmc {
 namespace {
 
-/// Columns of the joint system: [oldest state, leaving bias | next state, kept bias, parameters].
-struct Columns {
-  int leaving_bias = -1, next_state = -1, kept_bias = -1, parameters = -1;
-  int num_eliminated = 0, total = 0;
-};
-
-Columns LayOut(const Window& window) {
-  Columns c;
-  const auto& keyframes = window.keyframes();
-  const Keyframe& oldest = keyframes.front();
-  const bool has_next = keyframes.size() > 1;
-  const std::int64_t next_bias = has_next ? keyframes[1].bias : -1;
-  int column = kStateTangentSize;
-  if (oldest.bias >= 0 && oldest.bias != next_bias) {
-    c.leaving_bias = column;
-    column += 6;
-  }
-  c.num_eliminated = column;
-  if (has_next) {
-    c.next_state = column;
-    column += kStateTangentSize;
-  }
-  if (next_bias >= 0) {
-    c.kept_bias = column;
-    column += 6;
-  }
-  c.parameters = column;
-  c.total = column + window.layout().num_estimated();
-  return c;
-}
-
-/// First column of a bias in the joint system.
-int BiasColumn(const Columns& c, const Window& window, std::int64_t id) {
-  return id == window.keyframes().front().bias && c.leaving_bias >= 0 ? c.leaving_bias
-                                                                      : c.kept_bias;
-}
-
 /// Writes a linear factor's rows into the joint system from `row` on, with differences counted from
 /// the linearization points: residual(x_lin) = r(x) - J (x ⊖ x_lin).
-void Stack(const Window& window, const Factor& factor, const LinearFactor& linear, const Columns& c,
-           int row, LinearSystem* system) {
+void Stack(const Window& window, const Factor& factor, const LinearFactor& linear,
+           const FrontColumns& c, int row, LinearSystem* system) {
   const int rows = static_cast<int>(linear.r.size());
   system->b.segment(row, rows) = linear.r;
   const auto put = [&](int from, int size, int to, const Eigen::VectorXd& offset) {
@@ -68,7 +32,7 @@ void Stack(const Window& window, const Factor& factor, const LinearFactor& linea
       offset.resize(kStateTangentSize);
       StateManifold().Minus(k.x.data(), k.x_lin.data(), offset.data());
     }
-    put(from, kStateTangentSize, id == window.keyframes().front().id ? 0 : c.next_state, offset);
+    put(from, kStateTangentSize, c.StateColumn(id), offset);
   };
   const auto bias = [&](std::int64_t id, int from) {
     if (id < 0) return;
@@ -78,7 +42,7 @@ void Stack(const Window& window, const Factor& factor, const LinearFactor& linea
       offset.resize(6);
       for (int i = 0; i < 6; ++i) offset[i] = b.x[i] - b.x_lin[i];
     }
-    put(from, 6, BiasColumn(c, window, id), offset);
+    put(from, 6, c.BiasColumn(id), offset);
   };
   state(factor.state0, linear.state0);
   state(factor.state1, linear.state1);
@@ -196,8 +160,8 @@ void DiffusePrior(int index, double variance, Prior* prior) {
 bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
                        LeavingFactors* leaving) {
   MoveParameterPoint(window, relinearize);
-  const Columns c = LayOut(*window);
   Keyframe& oldest = window->keyframes().front();
+  const FrontColumns c(*window, oldest.id);
   const Prior& old = window->prior();
   if (leaving != nullptr) {
     leaving->score = Eigen::VectorXd::Zero(window->layout().num_estimated());
@@ -218,7 +182,7 @@ bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
     system.A.topLeftCorner(prior_rows, kStateTangentSize) = old.A.leftCols<kStateTangentSize>();
   }
   if (old.has_bias) {
-    system.A.block(0, BiasColumn(c, *window, oldest.bias), prior_rows, 6) =
+    system.A.block(0, c.BiasColumn(oldest.bias), prior_rows, 6) =
         old.A.middleCols<6>(old.state_columns());
   }
   const int n = window->layout().num_estimated();

@@ -7,6 +7,17 @@
 #include "odmc/math/so3.h"
 
 namespace odmc {
+namespace {
+
+/// A prior's columns of the state where its rotation has left the linearization point by `theta`:
+/// through the inverse right Jacobian.
+Eigen::MatrixXd StateColumnsAt(const Eigen::MatrixXd& A, const Eigen::Vector3d& theta) {
+  Eigen::MatrixXd columns = A.leftCols<kStateTangentSize>();
+  columns.middleCols<3>(kTangentRotation) *= RightJacobianInverse(theta);
+  return columns;
+}
+
+}  // namespace
 
 Window::Window(const ParameterLayout* layout) : layout_(layout), eta_(layout->num_estimated()) {
   const int n = layout->num_estimated();
@@ -140,14 +151,27 @@ bool Linearize(const Window& window, const Factor& factor, bool first_estimates,
       column += sizes[i];
     }
   }
+  linear->cost = 0.5 * linear->r.squaredNorm();
   if (factor.loss != nullptr) {
     double rho[3];
     factor.loss->Evaluate(linear->r.squaredNorm(), rho);
+    linear->cost = 0.5 * rho[0];
     const double weight = std::sqrt(rho[1]);
     linear->r *= weight;
     linear->J *= weight;
   }
   return linear->r.allFinite() && linear->J.allFinite();
+}
+
+std::optional<double> CostOf(const Window& window, const Factor& factor) {
+  thread_local Eigen::VectorXd r;
+  r.resize(factor.cost->num_residuals());
+  const std::vector<const double*> blocks = window.Blocks(factor, false);
+  if (!factor.cost->Evaluate(blocks.data(), r.data(), nullptr)) return std::nullopt;
+  double rho[3] = {r.squaredNorm(), 1.0, 0.0};
+  if (factor.loss != nullptr) factor.loss->Evaluate(r.squaredNorm(), rho);
+  if (!std::isfinite(rho[0])) return std::nullopt;
+  return 0.5 * rho[0];
 }
 
 Eigen::VectorXd PriorOffset(const Window& window) {
@@ -170,6 +194,10 @@ Eigen::VectorXd PriorResidual(const Window& window) {
   return window.prior().b + window.prior().A * PriorOffset(window);
 }
 
+Eigen::MatrixXd PriorStateJacobian(const Window& window) {
+  return StateColumnsAt(window.prior().A, PriorOffset(window).segment<3>(kTangentRotation));
+}
+
 MarginalizationFactor::MarginalizationFactor(const Window* window) : window_(window) {
   const Prior& prior = window->prior();
   set_num_residuals(static_cast<int>(prior.b.size()));
@@ -188,10 +216,7 @@ bool MarginalizationFactor::Evaluate(double const* const* blocks, double* residu
     const Keyframe& oldest = window_->keyframes().front();
     StateManifold().Minus(blocks[0], oldest.x_lin.data(), d.data());
     if (jacobians != nullptr && jacobians[0] != nullptr) {
-      // d(Minus)/dx at x, through the inverse right Jacobian where x has left x_lin.
-      Eigen::MatrixXd minimal = prior.A.leftCols<kStateTangentSize>();
-      Eigen::Vector3d theta = d.segment<3>(3);
-      minimal.middleCols<3>(3) = (minimal.middleCols<3>(3) * RightJacobianInverse(theta)).eval();
+      const Eigen::MatrixXd minimal = StateColumnsAt(prior.A, d.segment<3>(kTangentRotation));
       WriteJacobian(StateManifold::Lift(minimal, blocks[0]), jacobians[0]);
     }
     ++block;

@@ -16,10 +16,11 @@ struct EstimatorOptions {
   double max_gap_s = 0.06;   ///< a longer hole in a stream starts a new chain of states [s]
   double patience_s = 0.3;   ///< how long a silent stream is waited for [s]
 
-  int max_iterations = 1;            ///< solver iterations per update, >= 1
-  double max_update_time_s = 0.008;  ///< bound on one solve [s]
-  double function_tolerance = 1e-6;  ///< relative change of cost that ends a solve
-  int num_threads = 1;               ///< for factor evaluation
+  std::string solver = "elimination";  ///< elimination | ceres (the reference)
+  int max_iterations = 1;              ///< solver iterations per update, >= 1
+  double max_update_time_s = 0.008;    ///< bound on one solve [s]
+  double function_tolerance = 1e-6;    ///< relative change of cost that ends a solve
+  int num_threads = 1;                 ///< for Ceres' evaluation of factors
 
   // Odometry noise per sample; 0: measured on the stream.
   double position_noise_m = 0.0;
@@ -50,6 +51,7 @@ struct EstimatorOptions {
     v->Field("huber_width", &huber_width);
     v->Field("max_gap_s", &max_gap_s);
     v->Field("patience_s", &patience_s);
+    v->Field("solver", &solver);
     v->Field("max_iterations", &max_iterations);
     v->Field("max_update_time_s", &max_update_time_s);
     v->Field("function_tolerance", &function_tolerance);

@@ -24,19 +24,16 @@ class ParameterInformation {
   const Eigen::MatrixXd& Update(const Window& window, const Eigen::VectorXd& relinearize);
 
  private:
-  /// What all keyframes before one say about it and the border (its bias window, parameters).
+  /// What all keyframes before one say about it, its bias and the parameters (see front.h).
   struct Message {
     std::int64_t id = -1;
-    Eigen::MatrixXd H;  // [state (12), border]
+    Eigen::MatrixXd normal;
   };
 
   bool Reusable(const Window& window, const Eigen::VectorXd& relinearize) const;
-  int BorderColumn(std::int64_t bias) const;
 
   int fresh_;
   std::vector<Message> messages_;
-  std::int64_t first_bias_ = -1;
-  int num_biases_ = -1;
   Eigen::VectorXd eta_;
   Eigen::MatrixXd information_;
 };

@@ -136,6 +136,7 @@ class Window {
 struct LinearFactor {
   Eigen::VectorXd r;
   Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic> J;
+  double cost = 0.0;  ///< half the square of its residual, robust loss applied
   int state0 = -1, state1 = -1, bias0 = -1, bias1 = -1, parameters = -1;  ///< first columns, or -1
 };
 
@@ -144,6 +145,10 @@ struct LinearFactor {
 /// @returns false if it cannot be evaluated
 bool Linearize(const Window& window, const Factor& factor, bool first_estimates,
                LinearFactor* linear);
+
+/// Half the square of a factor's residual at the present estimate, robust loss applied; nothing if
+/// it cannot be evaluated.
+std::optional<double> CostOf(const Window& window, const Factor& factor);
 
 /// Ceres view of a Prior, with blocks state (13), bias (6), eta (n), those that are set.
 class MarginalizationFactor final : public ceres::CostFunction {
@@ -159,7 +164,12 @@ class MarginalizationFactor final : public ceres::CostFunction {
 /// How far the current estimate is from where the prior was linearized, in the prior's columns.
 Eigen::VectorXd PriorOffset(const Window& window);
 
-/// Residual of the window's prior at its current estimate, and its Jacobian is prior().A.
+/// Residual of the window's prior at its current estimate. Its Jacobian is prior().A, but for the
+/// state's columns, which are PriorStateJacobian().
 Eigen::VectorXd PriorResidual(const Window& window);
+
+/// Jacobian of the prior's residual by the oldest state at its current estimate (rows×12).
+/// @pre prior().has_state
+Eigen::MatrixXd PriorStateJacobian(const Window& window);
 
 }  // namespace odmc

@@ -23,7 +23,7 @@ struct SolverOptions {
   int max_iterations = 1;            ///< per update, >= 1
   double max_time_s = 0.008;         ///< per update, > 0
   double function_tolerance = 1e-6;  ///< relative change of cost that ends a solve
-  int num_threads = 1;               ///< for factor evaluation, >= 1
+  int num_threads = 1;               ///< for Ceres' evaluation of factors, >= 1
 };
 
 /// Moves the window's states and parameters to the least-squares optimum of its factors and prior,
@@ -35,7 +35,21 @@ class WindowSolver {
   virtual SolveReport Solve(Window* window, const SolverOptions& options) = 0;
 };
 
-/// Levenberg-Marquardt by Ceres with SuiteSparse's sparse Cholesky.
+/// Levenberg-Marquardt by eliminating the chain of states, oldest first and parameters last, in
+/// dense fronts. Takes the same steps as Ceres does, without building and analysing a sparse
+/// problem at every keyframe.
+class EliminationWindowSolver final : public WindowSolver {
+ public:
+  EliminationWindowSolver();
+  ~EliminationWindowSolver() override;
+  SolveReport Solve(Window* window, const SolverOptions& options) override;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// Levenberg-Marquardt by Ceres with SuiteSparse's sparse Cholesky: the reference.
 class CeresWindowSolver final : public WindowSolver {
  public:
   CeresWindowSolver();
