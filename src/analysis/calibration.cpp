@@ -201,12 +201,10 @@ std::vector<std::string> ModelWarnings(const DynamicModel& model, const ModelVal
   std::vector<std::string> warnings;
   for (int i = 0; i < model.num_parameters(); ++i) {
     const ModelParameter& p = model.parameters()[i];
-    const double sign = p.spec.sign == PhysicalSign::kPositive   ? 1.0
-                        : p.spec.sign == PhysicalSign::kNegative ? -1.0
-                                                                 : 0.0;
-    if (sign * values[i] < -sigma[i]) {
+    if (HasWrongSign(p.spec.sign, values[i], sigma[i])) {
+      const bool feeds = p.spec.sign == PhysicalSign::kNegative;
       warnings.push_back(p.full_name + " = " + Text(values[i]) + " " + p.spec.unit +
-                         " has an unphysical sign" + (sign < 0.0 ? " (it feeds energy in)" : ""));
+                         " has an unphysical sign" + (feeds ? " (it feeds energy in)" : ""));
     }
   }
   WarnOutside(figures.inertia_over_nominal, kInertiaLow, kInertiaHigh, "inertia over nominal",

@@ -52,19 +52,25 @@ std::vector<Matrix3d> Response(int n, const std::array<ResidualModel::Wrenches, 
   return H;
 }
 
-/// Variance of the residual's white part: from differences of neighbours, where slow forces cancel.
-Vector3d WhiteVariance(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
+/// Variance of the residual's quick part: what is left of its variance without the covariance of
+/// samples that share no filter window. (Not from differences of neighbours: the noise of a
+/// differentiated measurement turns its sign from one to the next.)
+Vector3d QuickVariance(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
                        Vector3d* total) {
-  Vector3d white = Vector3d::Zero();
+  constexpr int kFirstLag = 3, kLastLag = 6;  // of 40 ms; the filter's window is 0.1 s
+  Vector3d slow = Vector3d::Zero();
   total->setZero();
-  int pairs = 0;
+  int pairs = 0, run = 0;
   for (int i = 0; i < flight.size(); ++i) {
-    *total += residual.row(i).head<3>().transpose().cwiseAbs2() / flight.size();
-    if (!flight.next(i)) continue;
-    white += 0.5 * (residual.row(i) - residual.row(i - 1)).head<3>().transpose().cwiseAbs2();
-    ++pairs;
+    run = flight.next(i) ? run + 1 : 0;
+    const Vector3d y = residual.row(i).head<3>();
+    *total += y.cwiseAbs2() / flight.size();
+    for (int lag = kFirstLag; lag <= std::min(run, kLastLag); ++lag, ++pairs) {
+      slow += y.cwiseProduct(residual.row(i - lag).head<3>().transpose());
+    }
   }
-  return (white / std::max(1, pairs)).cwiseMax(0.05 * *total).cwiseMax(1e-12);
+  slow = (slow / std::max(1, pairs)).cwiseMax(0.0);
+  return (*total - slow).cwiseMax(0.05 * *total).cwiseMax(1e-12);
 }
 
 struct Best {
@@ -102,14 +108,14 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   response = std::sqrt(response);
   if (!(response > 0.0)) return test;
   Vector3d total;
-  const Vector3d white = WhiteVariance(flight, residual, &total);
-  const double natural = std::sqrt(std::max(1e-12, (total - white).cwiseMax(0.0).mean()));
-  const Best gust = Search(flight, residual, wind, white, natural / response);
-  const Best free_world = Search(flight, residual, world, white, natural);
-  const Best free_body = Search(flight, residual, body, white, natural);
+  const Vector3d quick = QuickVariance(flight, residual, &total);
+  const double natural = std::sqrt(std::max(1e-12, (total - quick).cwiseMax(0.0).mean()));
+  const Best gust = Search(flight, residual, wind, quick, natural / response);
+  const Best free_world = Search(flight, residual, world, quick, natural);
+  const Best free_body = Search(flight, residual, body, quick, natural);
   const double none = Follow(flight, residual, body, total, 0.0, 1.0);
   std::vector<Vector3d> states;
-  Follow(flight, residual, wind, white, gust.sigma, gust.time_constant_s, &states);
+  Follow(flight, residual, wind, quick, gust.sigma, gust.time_constant_s, &states);
   Matrix3d moment = Matrix3d::Zero();
   for (const Vector3d& x : states) moment += x * x.transpose();
   const Vector3d spread = Eigen::SelfAdjointEigenSolver<Matrix3d>(moment).eigenvalues();
@@ -128,8 +134,8 @@ std::vector<Vector3d> PredictGusts(const ThinnedFlight& flight,
   const int n = flight.size();
   std::vector<Vector3d> states, predicted(n, Vector3d::Zero());
   Vector3d total;
-  const Vector3d white = WhiteVariance(flight, residual, &total);
-  Follow(flight, residual, Response(n, d_wind), white, sigma_m_s, time_constant_s, &states);
+  const Vector3d quick = QuickVariance(flight, residual, &total);
+  Follow(flight, residual, Response(n, d_wind), quick, sigma_m_s, time_constant_s, &states);
   for (int i = ahead; i < n; ++i) {
     const double dt = flight.sample(i).t_s - flight.sample(i - ahead).t_s;
     predicted[i] = std::exp(-dt / time_constant_s) * states[i - ahead];

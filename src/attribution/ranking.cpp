@@ -79,10 +79,7 @@ RankedEffect Judge(const Stage& stage, const Candidates& candidates, const Candi
       estimate.conservativeResize(estimate.size() + 1);
       estimate[estimate.size() - 1] = value - p.spec.prior_value;
     }
-    const double sign = p.spec.sign == PhysicalSign::kPositive   ? 1.0
-                        : p.spec.sign == PhysicalSign::kNegative ? -1.0
-                                                                 : 0.0;
-    if (sign * value < -kSignSigmas * sigma) {
+    if (HasWrongSign(p.spec.sign, value, kSignSigmas * sigma)) {
       ranked.sound = false;
       ranked.objection = p.full_name + " = " + Text(value) + " has an unphysical sign";
     } else if (std::abs(value - p.spec.prior_value) > kTooLarge * p.spec.prior_sigma) {
@@ -120,9 +117,7 @@ bool HoldUnphysical(const DynamicModel& model, const Candidates& candidates,
   for (const ModelParameter& p : model.parameters()) {
     if (!p.estimated || Has(candidates, p.effect)) continue;
     double& value = values->at(p.full_name);
-    const bool wrong = (p.spec.sign == PhysicalSign::kPositive && value < 0.0) ||
-                       (p.spec.sign == PhysicalSign::kNegative && value > 0.0);
-    if (!wrong || !held->insert(p.full_name).second) continue;
+    if (!HasWrongSign(p.spec.sign, value) || !held->insert(p.full_name).second) continue;
     value = 0.0;
   }
   return held->size() > before;
@@ -565,13 +560,15 @@ std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
 }
 
 double ExplainedStructure(const std::vector<ChannelStructure>& before,
-                          const std::vector<ChannelStructure>& after, double whiteness_p) {
+                          const std::vector<ChannelStructure>& after, double whiteness_p,
+                          double noise_p) {
   double best = 0.0;
   bool any = false;
   for (size_t c = 0; c < before.size(); ++c) {
     if (before[c].whiteness.p >= whiteness_p) continue;
     any = true;
     const double was = before[c].whiteness.structured_share * before[c].rmse * before[c].rmse;
+    if (after[c].whiteness.p > noise_p) return 1.0;  // what remains is noise
     const double is = after[c].whiteness.structured_share * after[c].rmse * after[c].rmse;
     if (was > 0.0) best = std::max(best, 1.0 - is / was);
   }

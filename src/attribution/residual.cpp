@@ -11,11 +11,45 @@ namespace {
 
 constexpr double kStart_s = 1.0;
 constexpr double kLeastRSquared = 0.5;  // of acceleration and rotor torque
+constexpr double kRatesWindow_s = 0.25;
+
+/// Takes what is faster than 4 Hz out of the rotors' accelerations, by a Hann window within runs.
+/// Derivatives of measured speeds are mostly noise up there, and a noisy regressor makes its
+/// coefficient small and its case weak; what a coefficient is of the rest is the same.
+void SmoothRotorRates(FlightMotion* flight) {
+  std::vector<FilteredMotion>& samples = flight->samples;
+  if (samples.empty() || !(flight->step_s > 0.0)) return;
+  const int half = static_cast<int>(0.5 * kRatesWindow_s / flight->step_s);
+  std::vector<RotorState> smooth;
+  smooth.reserve(samples.size());
+  const auto n = static_cast<int>(samples.size());
+  for (int i = 0; i < n; ++i) {
+    RotorState sum = samples[i].rotors;
+    double weights = 1.0;
+    const auto add = [&](int k) {
+      const double weight = 0.5 + 0.5 * std::cos(M_PI * (k - i) / (half + 1.0));
+      weights += weight;
+      sum.acceleration += weight * samples[k].rotors.acceleration;
+      sum.speed_squared_rate += weight * samples[k].rotors.speed_squared_rate;
+    };
+    // As far to one side as to the other: no window leans.
+    for (int k = 1; k <= half && i - k >= 0 && i + k < n; ++k) {
+      if (!samples[i - k + 1].follows || !samples[i + k].follows) break;
+      add(i - k);
+      add(i + k);
+    }
+    sum.acceleration /= weights;
+    sum.speed_squared_rate /= weights;
+    smooth.push_back(sum);
+  }
+  for (int i = 0; i < n; ++i) samples[i].rotors = smooth[i];
+}
 
 }  // namespace
 
 ThinnedFlight::ThinnedFlight(FlightMotion flight, const BlockSplit& blocks)
     : flight_(std::move(flight)), blocks_(blocks) {
+  SmoothRotorRates(&flight_);
   const int stride = flight_.step_s > 0.0
                          ? std::max(1, static_cast<int>(std::lround(kStep_s / flight_.step_s)))
                          : 1;

@@ -262,8 +262,9 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
     } else {
       found.beside.push_back(best.ranked.name);
     }
-    found.explained_share = ExplainedStructure(
-        before, Structure(flight, best.result.fit.plain_residual, channels), decision_.whiteness_p);
+    found.explained_share =
+        ExplainedStructure(before, Structure(flight, best.result.fit.plain_residual, channels),
+                           decision_.whiteness_p, decision_.noise_p);
     if (found.explained_share >= decision_.least_explained) return found;
     // As in CloseLoop(): what it lacks may be more than one effect.
     scores += best.ranked.score;

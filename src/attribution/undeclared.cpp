@@ -30,6 +30,13 @@ constexpr int kSizings = 8;            // rounds, at most
 constexpr double kSized = 0.03;        // change of size (log) that ends them
 constexpr int kVehicleStream = 201, kNoiseStream = 202, kUnknownStream = 203;
 
+/// How strong an effect is: its share of the residual's variance.
+struct Level {
+  const char* name;
+  double share;
+};
+const Level kLevels[] = {{"strong", 0.8}, {"medium", 0.3}, {"weak", 0.08}};
+
 const std::vector<std::string> kBase = {"thrust", "rotor_torque",      "drag",    "viscous_torque",
                                         "hvt",    "centre_of_gravity", "inertia", "gravity"};
 
@@ -317,11 +324,6 @@ std::vector<Vehicle> UndeclaredVehicles() {
 }
 
 std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
-  struct Level {
-    const char* name;
-    double share;
-  };
-  const Level levels[] = {{"strong", 0.8}, {"medium", 0.3}, {"weak", 0.08}};
   const std::vector<std::string> flown = {"octo", "aggressive", "circle", "vertical", "yaw"};
   const int nothing = (flights * 5 + 15) / 16, hidden = (flights * 3 + 31) / 32,
             unknown = (flights + 7) / 8, two = (flights + 15) / 16;
@@ -344,8 +346,8 @@ std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
       plan.kind = Undeclared::kUnknown;
       plan.trajectory = flown[i % flown.size()];
       const int k = (i - nothing - hidden) % 2;
-      plan.strength = levels[k].name;
-      plan.share = levels[k].share;
+      plan.strength = kLevels[k].name;
+      plan.share = kLevels[k].share;
     } else if (i < nothing + hidden + unknown + two) {
       const int k = i - nothing - hidden - unknown;
       plan.kind = Undeclared::kTwoEffects;
@@ -361,7 +363,7 @@ std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
       plan.kind = Undeclared::kOneEffect;
       plan.effects = {a.effect};
       plan.trajectory = a.trajectories[(k / num) % a.trajectories.size()];
-      const Level& level = levels[(k / num + k) % 3];
+      const Level& level = kLevels[(k / num + k) % 3];
       plan.strength = level.name;
       plan.share = level.share;
     }
@@ -544,6 +546,14 @@ UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan) {
       other.trajectory = trajectory;
       UndeclaredFlight flown = MakeAsPlanned(other);
       if (flown.share > flight.share) flight = std::move(flown);
+    }
+  }
+  // What shows nowhere as much as planned is called what it is.
+  for (const Level& level : kLevels) {
+    if (level.share >= flight.plan.share) continue;
+    if (flight.share < std::sqrt(level.share * flight.plan.share)) {
+      flight.plan.strength = level.name;
+      flight.plan.share = level.share;
     }
   }
   return flight;

@@ -17,12 +17,6 @@ std::string Text(const char* format, double a, double b) {
   return text;
 }
 
-bool HasWrongSign(PhysicalSign sign, double value, double sigma) {
-  if (sign == PhysicalSign::kPositive) return value < -sigma;
-  if (sign == PhysicalSign::kNegative) return value > sigma;
-  return false;
-}
-
 /// Largest sigma to accept. A value that may be zero is judged against what was known before, too:
 /// its prior or its natural size.
 double SigmaLimit(const ParameterSpec& spec, double value, double share) {

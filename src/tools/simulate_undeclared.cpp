@@ -75,13 +75,13 @@ int main(int argc, char** argv) {
         parameters[p.full_name] = p.value;
       }
       truth[i] = {{"flight", name},
-                  {"kind", KindName(plans[i].kind)},
+                  {"kind", KindName(made.plan.kind)},
                   {"right_answer", made.right_answer},
-                  {"effects", plans[i].effects},
-                  {"strength", plans[i].strength},
+                  {"effects", made.plan.effects},
+                  {"strength", made.plan.strength},
                   {"share", made.share},
                   {"axis_share", made.axis_share},
-                  {"trajectory", plans[i].trajectory},
+                  {"trajectory", made.plan.trajectory},
                   {"parameters", parameters}};
     };
     ForEachOf(static_cast<int>(plans.size()), jobs, make, [&](double share) { bar.Show(share); });

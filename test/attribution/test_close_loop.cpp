@@ -70,6 +70,17 @@ TEST(CloseLoop, FindsAddsAndMeasuresAMissingEffect) {
   EXPECT_NE(CloseLoopReport(loop).find("\"verdict\": \"effect\""), std::string::npos);
 }
 
+// The delay brings the noise of rotor accelerations into the prediction, which above 4 Hz is worse
+// with it than without.
+TEST(CloseLoop, ConfirmsADelayInSpiteOfTheNoiseItBrings) {
+  UndeclaredPlan plan = Plan(Undeclared::kOneEffect, {"rotor_delay"}, 0.3, "octo", 3, 31131);
+  plan.strength = "medium";
+  const UndeclaredFlight flight = MakeUndeclared(plan);
+  const ClosedLoop loop = Close(flight);
+  ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
+  EXPECT_TRUE(Names(loop.effects.front(), "rotor_delay")) << CloseLoopTable(loop);
+}
+
 TEST(CloseLoop, SaysWhereGapsLeaveNothingToJudgeBy) {
   UndeclaredFlight flight = MakeUndeclared(Plan(Undeclared::kNothing, {}, 0.0, "octo", 0, 11));
   std::vector<OdometrySample>& odometry = flight.log.odometry;

@@ -23,8 +23,8 @@ struct CloseLoopOptions {
   double close_score = 4.0;            ///< candidates this close to the best are alternatives
   double close_share = 0.05;           ///< or within this share of its score
   double least_explained = 0.5;        ///< of the structured variance, for the verdict "effect"
-  double whiteness_p = 1e-5;           ///< below it a residual is structured
-  double noise_p = 1e-2;               ///< above it noise explains a residual: no effect is named
+  double whiteness_p = 1e-6;           ///< below it a residual is structured
+  double noise_p = 3e-3;               ///< above it noise explains a residual: no effect is named
   double least_structured = 0.05;      ///< share of variance, for the verdict "unexplained"
   int most_effects = 6;
 

@@ -156,9 +156,11 @@ std::optional<Pair> TryPairs(const Stage& stage, const std::vector<Tried>& tried
 std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
                                         const ResidualModel::Wrenches& residual, int num_channels);
 
-/// Largest share of a structured channel's structured variance that a fit explains; 1 if no channel
-/// is structured.
+/// Largest share of a structured channel's structured variance (p < whiteness_p) that a fit
+/// explains: all of it where noise accounts for what remains (p > noise_p). 1 if no channel is
+/// structured.
 double ExplainedStructure(const std::vector<ChannelStructure>& before,
-                          const std::vector<ChannelStructure>& after, double whiteness_p);
+                          const std::vector<ChannelStructure>& after, double whiteness_p,
+                          double noise_p);
 
 }  // namespace odmc

@@ -13,6 +13,12 @@ enum class ParameterTransform {
 /// What sign a coefficient must have to make physical sense.
 enum class PhysicalSign { kAny, kPositive, kNegative };
 
+/// True if `value` has the wrong sign by more than `tolerance` (>= 0, in its unit).
+inline bool HasWrongSign(PhysicalSign sign, double value, double tolerance = 0.0) {
+  return (sign == PhysicalSign::kPositive && value < -tolerance) ||
+         (sign == PhysicalSign::kNegative && value > tolerance);
+}
+
 /// Name, unit and prior of one parameter; the only list that files, messages, plots and
 /// documentation read.
 struct ParameterSpec {
