@@ -10,6 +10,7 @@
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/gust_test.h"
 #include "odmc/attribution/spectrum.h"
+#include "odmc/math/hann.h"
 
 namespace odmc {
 namespace {
@@ -110,7 +111,6 @@ struct HeldOut {
 
 /// A prediction's errors as measured values, smoothed by a Hann window within runs without gaps.
 std::vector<PredictionSample> SlowErrors(const std::vector<PredictionSample>& samples) {
-  constexpr double kWindow_s = 0.25;  // half as much passes at 4 Hz
   constexpr double kGap_s = 0.1;
   std::vector<PredictionSample> slow;
   for (size_t i = 0; i < samples.size(); ++i) {
@@ -122,9 +122,8 @@ std::vector<PredictionSample> SlowErrors(const std::vector<PredictionSample>& sa
             sum.rotor_torque = Eigen::Vector3d::Zero();
     double weights = 0.0;
     const auto add = [&](const PredictionSample& s) {
-      const double phase = (s.t_s - sum.t_s) / kWindow_s;
-      if (std::abs(phase) >= 0.5) return false;
-      const double weight = 0.5 + 0.5 * std::cos(2.0 * M_PI * phase);
+      const double weight = Hann((s.t_s - sum.t_s) / kRotorRatesWindow_s);
+      if (weight <= 0.0) return false;
       weights += weight;
       sum.measured_force += weight * (s.measured_force - s.predicted_force);
       sum.measured_torque += weight * (s.measured_torque - s.predicted_torque);

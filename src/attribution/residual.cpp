@@ -5,13 +5,13 @@
 #include <utility>
 
 #include "odmc/estimator/gates.h"
+#include "odmc/math/hann.h"
 
 namespace odmc {
 namespace {
 
 constexpr double kStart_s = 1.0;
 constexpr double kLeastRSquared = 0.5;  // of acceleration and rotor torque
-constexpr double kRatesWindow_s = 0.25;
 
 /// Takes what is faster than 4 Hz out of the rotors' accelerations, by a Hann window within runs.
 /// Derivatives of measured speeds are mostly noise up there, and a noisy regressor makes its
@@ -19,7 +19,6 @@ constexpr double kRatesWindow_s = 0.25;
 void SmoothRotorRates(FlightMotion* flight) {
   std::vector<FilteredMotion>& samples = flight->samples;
   if (samples.empty() || !(flight->step_s > 0.0)) return;
-  const int half = static_cast<int>(0.5 * kRatesWindow_s / flight->step_s);
   std::vector<RotorState> smooth;
   smooth.reserve(samples.size());
   const auto n = static_cast<int>(samples.size());
@@ -27,13 +26,14 @@ void SmoothRotorRates(FlightMotion* flight) {
     RotorState sum = samples[i].rotors;
     double weights = 1.0;
     const auto add = [&](int k) {
-      const double weight = 0.5 + 0.5 * std::cos(M_PI * (k - i) / (half + 1.0));
+      const double weight = Hann((samples[k].t_s - samples[i].t_s) / kRotorRatesWindow_s);
       weights += weight;
       sum.acceleration += weight * samples[k].rotors.acceleration;
       sum.speed_squared_rate += weight * samples[k].rotors.speed_squared_rate;
     };
     // As far to one side as to the other: no window leans.
-    for (int k = 1; k <= half && i - k >= 0 && i + k < n; ++k) {
+    for (int k = 1; 2.0 * k * flight->step_s < kRotorRatesWindow_s && i - k >= 0 && i + k < n;
+         ++k) {
       if (!samples[i - k + 1].follows || !samples[i + k].follows) break;
       add(i - k);
       add(i + k);

@@ -9,6 +9,7 @@
 #include <stdexcept>
 
 #include "odmc/factors/imu_factors.h"
+#include "odmc/math/hann.h"
 #include "odmc/math/so3.h"
 #include "odmc/window/marginalization.h"
 
@@ -137,6 +138,7 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
                      model->vehicle().ArmLength(), options.process_noise_floor),
       window_(&layout_),
       solver_(MakeSolver(options.solver)),
+      information_(NewInformation()),
       consistency_(layout_.num_estimated()),
       inflation_(Eigen::VectorXd::Ones(layout_.num_estimated())),
       prior_sigma_eta_(PriorSigmas(layout_)),
@@ -434,6 +436,7 @@ void Estimator::AddKeyframe(const OdometrySample& sample, const std::optional<In
   if (!interval) {
     ++counters_.chains;
     inertia_gate_.Break();
+    rotor_rates_.Restart();
   }
   last_in_window_ = true;
 
@@ -446,15 +449,18 @@ void Estimator::AddKeyframe(const OdometrySample& sample, const std::optional<In
   if (interval) AddIntervalFactors(*interval, id);
 }
 
+double Estimator::RotorSpeedNoise() const {
+  return options_.rotor_speed_noise_rad_s > 0.0 ? options_.rotor_speed_noise_rad_s
+                                                : rotor_noise_.Sigma();
+}
+
 DynamicsNoise Estimator::NoiseOf(const Interval& interval) const {
   const Vehicle& vehicle = model_->vehicle();
   DynamicsNoise noise;
   noise.force_N = process_noise_.ForceSigma(interval.dt);
   noise.torque_Nm = process_noise_.TorqueSigma(interval.dt);
   noise.nominal_inertia = model_->Properties(window_.values()).I_BBcm_B.diagonal();
-  const double sigma_speed = options_.rotor_speed_noise_rad_s > 0.0
-                                 ? options_.rotor_speed_noise_rad_s
-                                 : rotor_noise_.Sigma();
+  const double sigma_speed = RotorSpeedNoise();
   // d(k_f Ω²) = 2 k_f Ω dΩ, averaged over the samples of the interval.       model.md section 5
   const ModelValues values = window_.values();
   const int k_f = model_->IndexOf("thrust.k_f"), k_m = model_->IndexOf("rotor_torque.k_m");
@@ -524,7 +530,7 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
   add(FactorKind::kDynamics,
       std::make_unique<DynamicsFactor>(measurement, noise, with_torque_, model_, &layout_), true,
       false, true);
-  if (!interval.imu || !has_bias) return;
+  if (!interval.imu || !has_bias) return SmoothRotorRates(interval, id);
 
   ImuNoise imu_noise;
   imu_noise.gyro_rad_s = options_.gyro_noise_rad_s;
@@ -555,6 +561,33 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
                                               model_, &layout_),
         true, true, true);
   }
+  SmoothRotorRates(interval, id);
+}
+
+void Estimator::SmoothRotorRates(const Interval& interval, std::int64_t id) {
+  if (!model_->takes_rotor_rates()) return;
+  const double end_s = ToSeconds(window_.keyframe(id).stamp - *first_stamp_);
+  rotor_rates_.Add(id, end_s - 0.5 * interval.dt, interval.dt, interval.rotors.mean);
+  rotor_rates_.ForChanged([&](std::int64_t changed, const RotorRateSmoother::Rates& rates) {
+    if (changed - 1 < window_.keyframes().front().id) return;  // has left the window
+    for (Factor& factor : window_.keyframe(changed - 1).factors) {
+      if (factor.kind == FactorKind::kDynamics) {
+        static_cast<DynamicsFactor&>(*factor.cost)
+            .SetRotorRates(rates.acceleration, rates.speed_squared_rate,
+                           rates.noise * RotorSpeedNoise());
+      } else if (factor.kind == FactorKind::kAccelerometer) {
+        static_cast<AccelerometerFactor&>(*factor.cost)
+            .SetRotorRates(rates.acceleration, rates.speed_squared_rate);
+      }
+    }
+  });
+}
+
+ParameterInformation Estimator::NewInformation() const {
+  if (!model_->takes_rotor_rates()) return ParameterInformation();
+  // Intervals change until half a window has passed; what is kept must not hold the old ones.
+  const double changing = 0.5 * kRotorRatesWindow_s * options_.keyframe_rate_hz;
+  return ParameterInformation(3 + static_cast<int>(std::ceil(changing)));
 }
 
 Snapshot Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport& report) {
@@ -672,7 +705,7 @@ void Estimator::LetVary(double dt) {
     }
   }
   // What it keeps does not know of the variation.
-  if (!model_->processes().empty()) information_ = ParameterInformation();
+  if (!model_->processes().empty()) information_ = NewInformation();
 }
 
 double Estimator::ObserveLeaving(const Keyframe& keyframe) {

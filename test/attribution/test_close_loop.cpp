@@ -79,6 +79,8 @@ TEST(CloseLoop, ConfirmsADelayInSpiteOfTheNoiseItBrings) {
   const ClosedLoop loop = Close(flight);
   ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
   EXPECT_TRUE(Names(loop.effects.front(), "rotor_delay")) << CloseLoopTable(loop);
+  EXPECT_GT(loop.parameters.Find("rotor_delay.delay")->value,
+            0.6 * flight.truth.Find("rotor_delay.delay")->value);
 }
 
 TEST(CloseLoop, SaysWhereGapsLeaveNothingToJudgeBy) {

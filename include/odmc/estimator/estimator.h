@@ -14,6 +14,7 @@
 #include "odmc/model/parameter_set.h"
 #include "odmc/preintegration/imu_interval.h"
 #include "odmc/preintegration/rotor_interval.h"
+#include "odmc/preintegration/rotor_rate_smoother.h"
 #include "odmc/sensing/synchroniser.h"
 #include "odmc/window/parameter_information.h"
 #include "odmc/window/window.h"
@@ -131,6 +132,10 @@ class Estimator {
   void AddKeyframe(const OdometrySample& sample, const std::optional<Interval>& interval);
   void AddIntervalFactors(const Interval& interval, std::int64_t id);
   DynamicsNoise NoiseOf(const Interval& interval) const;
+  double RotorSpeedNoise() const;
+  /// Averages the rotors' accelerations of the newest intervals, as far as those after them go.
+  void SmoothRotorRates(const Interval& interval, std::int64_t id);
+  ParameterInformation NewInformation() const;
   Snapshot TakeSnapshot(const OdometrySample& sample, const SolveReport& report);
   void FillResiduals(Snapshot* snapshot);
   void MarginalizeOld();
@@ -151,6 +156,7 @@ class Estimator {
   std::function<bool(Stamp)> is_held_out_;
   OdometryNoiseEstimator odometry_noise_;
   DifferenceNoise rotor_noise_;
+  RotorRateSmoother rotor_rates_;
   ProcessNoiseEstimator process_noise_;
   Window window_;
   std::unique_ptr<WindowSolver> solver_;

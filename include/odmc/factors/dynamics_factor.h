@@ -90,6 +90,14 @@ class DynamicsFactor final : public ceres::CostFunction {
   /// Moves the thrust coefficient the torque equation uses; between solves only.
   void SetAnchor(double thrust_coefficient) { measurement_.anchor_value = thrust_coefficient; }
 
+  /// Puts the rotors' accelerations at better values, with their noise; between solves only.
+  void SetRotorRates(const RotorVector& acceleration, const RotorVector& speed_squared_rate,
+                     double sigma_rad_s2) {
+    measurement_.rotors.acceleration = acceleration;
+    measurement_.rotors.speed_squared_rate = speed_squared_rate;
+    noise_.rotor_rate_rad_s2 = sigma_rad_s2;
+  }
+
   /// Lets the inertia about axis `i` free for good: the flight shows it.
   void FreeInertia(int i) { measurement_.inertia_fixed[i] = false; }
 

@@ -67,6 +67,12 @@ class AccelerometerFactor final : public ceres::CostFunction {
                       const DynamicModel* model, const ParameterLayout* layout);
   bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override;
 
+  /// Puts the rotors' accelerations at better values; between solves only.
+  void SetRotorRates(const RotorVector& acceleration, const RotorVector& speed_squared_rate) {
+    measurement_.rotors.acceleration = acceleration;
+    measurement_.rotors.speed_squared_rate = speed_squared_rate;
+  }
+
  private:
   DynamicsMeasurement measurement_;
   Eigen::Vector3d specific_force_I_, sigma_;

@@ -1,0 +1,47 @@
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <functional>
+
+#include "odmc/model/flight_state.h"
+
+namespace odmc {
+
+/// Accelerations of the rotors over consecutive intervals, averaged by a Hann window about each.
+/// What noise of a speed adds to one interval it takes from the next: differences over single
+/// intervals are mostly noise, their average is not. The window has no phase, so an interval's
+/// average grows as those after it come in, as far to one side as to the other.
+class RotorRateSmoother {
+ public:
+  /// Of one interval.
+  struct Rates {
+    RotorVector acceleration;        ///< [rad/s²]
+    RotorVector speed_squared_rate;  ///< [rad²/s³]
+    double noise = 0.0;              ///< of an acceleration, per noise of a speed sample [1/s]
+  };
+
+  /// Forgets the intervals: the next one does not follow them.
+  void Restart() { intervals_.clear(); }
+
+  /// @param id anything that tells the interval
+  /// @param time_s of its middle, > that of the one before
+  /// @param dt its length [s], > 0
+  void Add(std::int64_t id, double time_s, double dt, const RotorState& mean);
+
+  /// Calls `use` with every interval whose average the newest one has changed, oldest first.
+  void ForChanged(const std::function<void(std::int64_t id, const Rates&)>& use) const;
+
+ private:
+  struct Interval {
+    std::int64_t id;
+    double time_s, dt;
+    RotorVector acceleration, speed_squared_rate;
+  };
+
+  Rates About(size_t middle) const;
+
+  std::deque<Interval> intervals_;
+};
+
+}  // namespace odmc

@@ -1,0 +1,54 @@
+#include "odmc/preintegration/rotor_rate_smoother.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "odmc/math/hann.h"
+
+namespace odmc {
+
+void RotorRateSmoother::Add(std::int64_t id, double time_s, double dt, const RotorState& mean) {
+  intervals_.push_back({id, time_s, dt, mean.acceleration, mean.speed_squared_rate});
+  // Half a window before those that may still change.
+  while (time_s - intervals_.front().time_s > 1.1 * kRotorRatesWindow_s) intervals_.pop_front();
+}
+
+RotorRateSmoother::Rates RotorRateSmoother::About(size_t middle) const {
+  const size_t room = std::min(middle, intervals_.size() - 1 - middle);
+  const auto weight = [&](size_t i) {
+    return Hann((intervals_[i].time_s - intervals_[middle].time_s) / kRotorRatesWindow_s);
+  };
+  size_t reach = 0;
+  while (reach < room && weight(middle - reach - 1) > 0.0 && weight(middle + reach + 1) > 0.0) {
+    ++reach;
+  }
+  Rates rates;
+  rates.acceleration.setZero(intervals_[middle].acceleration.size());
+  rates.speed_squared_rate = rates.acceleration;
+  double sum = 0.0, before = 0.0, square = 0.0;
+  for (size_t i = middle - reach; i <= middle + reach; ++i) {
+    const Interval& interval = intervals_[i];
+    const double w = weight(i);
+    sum += w;
+    rates.acceleration += w * interval.acceleration;
+    rates.speed_squared_rate += w * interval.speed_squared_rate;
+    // The speed at a boundary enters the intervals on both sides of it.
+    square += std::pow(before - w / interval.dt, 2);
+    before = w / interval.dt;
+  }
+  square += before * before;
+  rates.acceleration /= sum;
+  rates.speed_squared_rate /= sum;
+  rates.noise = std::sqrt(square) / sum;
+  return rates;
+}
+
+void RotorRateSmoother::ForChanged(
+    const std::function<void(std::int64_t id, const Rates&)>& use) const {
+  for (size_t i = 0; i < intervals_.size(); ++i) {
+    const double from_newest_s = intervals_.back().time_s - intervals_[i].time_s;
+    if (from_newest_s < 0.5 * kRotorRatesWindow_s) use(intervals_[i].id, About(i));
+  }
+}
+
+}  // namespace odmc
