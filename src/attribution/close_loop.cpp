@@ -495,7 +495,8 @@ std::vector<std::string> Alternatives(const std::vector<Tried>& tried,
   const double close = std::max(options.close_score, options.close_share * best);
   for (size_t i = 1; i < tried.size(); ++i) {
     const RankedEffect& other = tried[i].ranked;
-    if (other.sound && other.score >= best - close) names.push_back(other.name);
+    const bool close_by = other.sound && other.score >= best - close;
+    if (close_by || IsSpecialCase(tried[i], tried.front())) names.push_back(other.name);
   }
   return names;
 }

@@ -1,5 +1,7 @@
 #include "odmc/attribution/ranking.h"
 
+#include <Eigen/Cholesky>
+#include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -385,6 +387,44 @@ bool IsNegligible(const RankedEffect& ranked) {
   if (ranked.name != "rotor_delay") return false;
   return std::all_of(ranked.parameters.begin(), ranked.parameters.end(),
                      [](const ParameterEstimate& p) { return std::abs(p.value) < kDelay_s; });
+}
+
+bool IsSpecialCase(const Tried& special, const Tried& general) {
+  constexpr double kSpanned = 1e-4;  // of the norm may stick out
+  const Eigen::Index k = general.columns[0].cols(), rows = general.columns[0].rows();
+  if (special.columns[0].cols() == 0 || special.columns[0].cols() >= k) return false;
+  const auto stacked = [rows](const WrenchColumns& columns) {
+    Eigen::MatrixXd all(rows * kNumChannels, columns[0].cols());
+    for (int c = 0; c < kNumChannels; ++c) all.middleRows(c * rows, rows) = columns[c];
+    return all;
+  };
+  const Eigen::MatrixXd of_general = stacked(general.columns),
+                        of_special = stacked(special.columns);
+  const Eigen::MatrixXd M = of_general.colPivHouseholderQr().solve(of_special);
+  if ((of_special - of_general * M).norm() > kSpanned * of_special.norm()) return false;
+
+  // The general one's own parameters, natural size zero.
+  const Regressor::Result& result = general.result;
+  std::vector<Eigen::Index> own;
+  Eigen::VectorXd estimate(0);
+  for (size_t i = 0; i < result.names.size(); ++i) {
+    if (result.names[i].rfind(general.ranked.name + ".", 0) != 0) continue;
+    own.push_back(static_cast<Eigen::Index>(i));
+    estimate.conservativeResize(estimate.size() + 1);
+    estimate[estimate.size() - 1] = result.values.at(result.names[i]);
+  }
+  if (estimate.size() != k) return false;
+  Eigen::MatrixXd covariance(k, k);
+  for (Eigen::Index a = 0; a < k; ++a) {
+    for (Eigen::Index b = 0; b < k; ++b) covariance(a, b) = result.fit.covariance(own[a], own[b]);
+  }
+  const Eigen::LLT<Eigen::MatrixXd> llt(covariance);
+  if (llt.info() != Eigen::Success) return false;
+  const Eigen::VectorXd white = llt.matrixL().solve(estimate);
+  const Eigen::MatrixXd white_M = llt.matrixL().solve(M);
+  const Eigen::VectorXd rest = white - white_M * white_M.colPivHouseholderQr().solve(white);
+  const auto more = static_cast<double>(k - M.cols());
+  return rest.squaredNorm() <= kSignificant * kSignificant + 2.0 * (more - 1.0);
 }
 
 std::vector<Tried> TryAll(const Stage& stage, const std::vector<Candidate>& candidates,

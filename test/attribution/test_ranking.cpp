@@ -216,6 +216,26 @@ TEST(TryPairs, MakesNoPairOfAnEffectAndItsShadow) {
   EXPECT_EQ(tried.front().ranked.name, "quadratic_drag");
 }
 
+TEST(IsSpecialCase, KnowsIsotropyWhereTheEstimateAllowsIt) {
+  const auto judge = [](const std::string& effect, const std::map<std::string, double>& given,
+                        const std::string& special) {
+    const WithEffects flight = FlyWith({effect}, given);
+    std::vector<Tried> tried;
+    BestPair(flight, {"hub_moment", "anisotropic_hub_moment", "quadratic_drag"}, &tried);
+    const auto find = [&](const std::string& name) -> const Tried& {
+      return *std::find_if(tried.begin(), tried.end(),
+                           [&](const Tried& t) { return t.ranked.name == name; });
+    };
+    return IsSpecialCase(find(special), find("anisotropic_hub_moment"));
+  };
+  EXPECT_TRUE(judge("hub_moment", {{"hub_moment.k_beta", 4e-6}}, "hub_moment"));
+  EXPECT_FALSE(judge("anisotropic_hub_moment",
+                     {{"anisotropic_hub_moment.k_bx", 2e-6}, {"anisotropic_hub_moment.k_by", 6e-6}},
+                     "hub_moment"));
+  // Another effect, however few its parameters.
+  EXPECT_FALSE(judge("hub_moment", {{"hub_moment.k_beta", 4e-6}}, "quadratic_drag"));
+}
+
 TEST(MakeUndeclared, SharesAreWhatTheDeclaredModelLeaves) {
   struct Case {
     const char *effect, *trajectory;

@@ -72,7 +72,7 @@ struct ClosedLoop {
   std::vector<std::string> warnings;
 };
 
-/// Names of the sound candidates that come close to the first.
+/// Names of the sound candidates that come close to the first, and of its special cases.
 std::vector<std::string> Alternatives(const std::vector<Tried>& tried,
                                       const CloseLoopOptions& options);
 

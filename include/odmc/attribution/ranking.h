@@ -140,6 +140,12 @@ std::vector<Tried> TryAll(const Stage& stage, const std::vector<Candidate>& cand
                           const Regressor& regressor, const WrenchFit& base, int num_channels,
                           const std::function<bool()>& give_up = {});
 
+/// True if what `special` does is a special case of what `general` does (its derivatives lie in the
+/// span of the other's, as an isotropic coefficient's in that of one for each axis), and the
+/// general one's estimate does not speak against it (Wald's test). On this flight the two cannot be
+/// told apart, however much the score prefers the one.
+bool IsSpecialCase(const Tried& special, const Tried& general);
+
 /// Two effects that only help together.
 struct Pair {
   std::array<RankedEffect, 2> ranked;  // scores: what each adds to the other
