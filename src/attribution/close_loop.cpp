@@ -18,7 +18,8 @@ namespace {
 constexpr int kMostRuns = 10;            // of the online estimator, with effects
 constexpr int kLeastSamples = 50;        // to look for effects in
 constexpr double kBetterOnline = 0.985;  // on some channel, by the online estimator
-constexpr double kBearable = 1.12;       // on any channel, by noise that an effect brings
+constexpr double kSizeSigmas = 3.0;
+constexpr double kBearable = 1.12;  // on any channel, by noise that an effect brings
 constexpr double kOvershadows = 5.0;
 constexpr double kTie = 3.0;        // nats by which a free force may explain better than gusts
 constexpr double kTieShare = 0.01;  // or this share of the gain: they differ little
@@ -186,11 +187,14 @@ int EffectIndex(const DynamicModel& model, const std::string& name) {
 }
 
 /// What speaks against an effect in the online estimate; empty if that confirms it: it has a
-/// physical sign and size, differs from zero and matters.
+/// physical sign and size, differs from zero (so does its size, where that has a sign: a load of
+/// no mass is none wherever it hangs) and matters.
 std::string Objection(const RankedEffect& effect, const ParameterSet& online,
                       const DynamicModel& model) {
   RankedEffect estimate = effect;
   std::vector<Eigen::Index> own;
+  std::string of_no_size;  // a signed coefficient that may be zero, while no other is known not to
+  bool has_size = false;
   for (ParameterEstimate& p : estimate.parameters) {
     const ParameterEstimate* found = online.Find(p.full_name);
     if (found == nullptr || !found->estimated) continue;
@@ -204,8 +208,12 @@ std::string Objection(const RankedEffect& effect, const ParameterSet& online,
       if (std::abs(p.value - spec.prior_value) > kTooLarge * spec.prior_sigma) {
         return p.full_name + " = " + Text(p.value) + " is too large";
       }
-      if (HasWrongSign(spec.sign, p.value))
+      if (HasWrongSign(spec.sign, p.value)) {
         return p.full_name + " = " + Text(p.value) + " has an unphysical sign";
+      }
+      if (spec.sign == PhysicalSign::kAny) continue;
+      has_size = has_size || std::abs(p.value) > kSizeSigmas * p.sigma;
+      of_no_size = p.full_name + " = " + Text(p.value) + " +- " + Text(p.sigma) + " may be zero";
     }
     if (!initial_state) own.push_back(found - online.parameters.data());
   }
@@ -217,6 +225,7 @@ std::string Objection(const RankedEffect& effect, const ParameterSet& online,
     for (Eigen::Index b = 0; b < n; ++b) covariance(a, b) = online.covariance(own[a], own[b]);
   }
   if (!IsSignificant(values, covariance)) return "does not differ from zero by three sigma";
+  if (!has_size && !of_no_size.empty()) return of_no_size;
   return IsNegligible(estimate) ? "is no larger than feedback can feign" : "";
 }
 
