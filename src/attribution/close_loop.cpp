@@ -19,7 +19,6 @@ constexpr int kMostRuns = 10;            // of the online estimator, with effect
 constexpr int kLeastSamples = 50;        // to look for effects in
 constexpr double kBetterOnline = 0.985;  // on some channel, by the online estimator
 constexpr double kSizeSigmas = 3.0;
-constexpr double kBearable = 1.12;  // on any channel, by noise that an effect brings
 constexpr double kOvershadows = 5.0;
 constexpr double kTie = 3.0;        // nats by which a free force may explain better than gusts
 constexpr double kTieShare = 0.01;  // or this share of the gain: they differ little
@@ -318,11 +317,10 @@ struct Change {
 };
 
 /// True if blocks held out are predicted better, or, by effects of rotor accelerations, better
-/// without what is fast and not much worse with it.
+/// without what is fast: that part of their prediction is noise.
 bool IsBetter(const HeldOut& before, const HeldOut& after, bool takes_rotor_rates) {
-  const Change all(before.all, after.all);
-  if (all.IsBetter()) return true;
-  return takes_rotor_rates && all.worst < kBearable && Change(before.slow, after.slow).IsBetter();
+  return Change(before.all, after.all).IsBetter() ||
+         (takes_rotor_rates && Change(before.slow, after.slow).IsBetter());
 }
 
 /// Effects that were added to the declared model.
