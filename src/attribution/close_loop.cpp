@@ -11,6 +11,7 @@
 #include "odmc/attribution/gust_test.h"
 #include "odmc/attribution/spectrum.h"
 #include "odmc/math/hann.h"
+#include "odmc/preintegration/rotor_rate_smoother.h"
 
 namespace odmc {
 namespace {
@@ -216,14 +217,10 @@ std::string Objection(const RankedEffect& effect, const ParameterSet& online,
     }
     if (!initial_state) own.push_back(found - online.parameters.data());
   }
-  const auto n = static_cast<Eigen::Index>(own.size());
-  Eigen::VectorXd values(n);
-  Eigen::MatrixXd covariance(n, n);
-  for (Eigen::Index a = 0; a < n; ++a) {
-    values[a] = online.parameters[own[a]].value;
-    for (Eigen::Index b = 0; b < n; ++b) covariance(a, b) = online.covariance(own[a], own[b]);
-  }
-  if (!IsSignificant(values, covariance)) return "does not differ from zero by three sigma";
+  Eigen::VectorXd values(static_cast<Eigen::Index>(own.size()));
+  for (size_t i = 0; i < own.size(); ++i) values[i] = online.parameters[own[i]].value;
+  if (!IsSignificant(values, online.covariance(own, own)))
+    return "does not differ from zero by three sigma";
   if (!has_size && !of_no_size.empty()) return of_no_size;
   return IsNegligible(estimate) ? "is no larger than feedback can feign" : "";
 }

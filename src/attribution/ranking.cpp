@@ -93,13 +93,7 @@ RankedEffect Judge(const Stage& stage, const Candidates& candidates, const Candi
     const int k = model.IndexOf(name);
     ranked.parameters.push_back({name, model.parameters()[k].spec.unit, value, 0.0, false, false});
   }
-  Eigen::MatrixXd covariance(estimate.size(), estimate.size());
-  for (Eigen::Index a = 0; a < estimate.size(); ++a) {
-    for (Eigen::Index b = 0; b < estimate.size(); ++b) {
-      covariance(a, b) = result.fit.covariance(own[a], own[b]);
-    }
-  }
-  const bool significant = IsSignificant(estimate, covariance);
+  const bool significant = IsSignificant(estimate, result.fit.covariance(own, own));
   if (ranked.sound && IsNegligible(ranked)) {
     ranked.sound = false;
     ranked.objection = "is too small to matter, and no larger than feedback can feign";
@@ -414,11 +408,7 @@ bool IsSpecialCase(const Tried& special, const Tried& general) {
     estimate[estimate.size() - 1] = result.values.at(result.names[i]);
   }
   if (estimate.size() != k) return false;
-  Eigen::MatrixXd covariance(k, k);
-  for (Eigen::Index a = 0; a < k; ++a) {
-    for (Eigen::Index b = 0; b < k; ++b) covariance(a, b) = result.fit.covariance(own[a], own[b]);
-  }
-  const Eigen::LLT<Eigen::MatrixXd> llt(covariance);
+  const Eigen::LLT<Eigen::MatrixXd> llt(Eigen::MatrixXd(result.fit.covariance(own, own)));
   if (llt.info() != Eigen::Success) return false;
   const Eigen::VectorXd white = llt.matrixL().solve(estimate);
   const Eigen::MatrixXd white_M = llt.matrixL().solve(M);

@@ -6,6 +6,7 @@
 
 #include "odmc/estimator/gates.h"
 #include "odmc/math/hann.h"
+#include "odmc/preintegration/rotor_rate_smoother.h"
 
 namespace odmc {
 namespace {
@@ -18,25 +19,21 @@ constexpr double kLeastRSquared = 0.5;  // of acceleration and rotor torque
 /// coefficient small and its case weak; what a coefficient is of the rest is the same.
 void SmoothRotorRates(FlightMotion* flight) {
   std::vector<FilteredMotion>& samples = flight->samples;
-  if (samples.empty() || !(flight->step_s > 0.0)) return;
   std::vector<RotorState> smooth;
   smooth.reserve(samples.size());
   const auto n = static_cast<int>(samples.size());
   for (int i = 0; i < n; ++i) {
+    const auto time = [&](int k) { return samples[k].t_s; };
+    const int reach =
+        HannReach(i, n, kRotorRatesWindow_s, time, [&](int k) { return samples[k].follows; });
     RotorState sum = samples[i].rotors;
     double weights = 1.0;
-    const auto add = [&](int k) {
-      const double weight = Hann((samples[k].t_s - samples[i].t_s) / kRotorRatesWindow_s);
+    for (int k = i - reach; k <= i + reach; ++k) {
+      if (k == i) continue;
+      const double weight = Hann((time(k) - time(i)) / kRotorRatesWindow_s);
       weights += weight;
       sum.acceleration += weight * samples[k].rotors.acceleration;
       sum.speed_squared_rate += weight * samples[k].rotors.speed_squared_rate;
-    };
-    // As far to one side as to the other: no window leans.
-    for (int k = 1; 2.0 * k * flight->step_s < kRotorRatesWindow_s && i - k >= 0 && i + k < n;
-         ++k) {
-      if (!samples[i - k + 1].follows || !samples[i + k].follows) break;
-      add(i - k);
-      add(i + k);
     }
     sum.acceleration /= weights;
     sum.speed_squared_rate /= weights;

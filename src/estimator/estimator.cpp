@@ -9,7 +9,6 @@
 #include <stdexcept>
 
 #include "odmc/factors/imu_factors.h"
-#include "odmc/math/hann.h"
 #include "odmc/math/so3.h"
 #include "odmc/window/marginalization.h"
 
@@ -446,7 +445,9 @@ void Estimator::AddKeyframe(const OdometrySample& sample, const std::optional<In
   odometry.cost = std::make_unique<OdometryFactor>(sample, odometry_noise_.Noise(), !with_gyro);
   odometry.state0 = id;
   window_.AddFactor(std::move(odometry));
-  if (interval) AddIntervalFactors(*interval, id);
+  if (!interval) return;
+  AddIntervalFactors(*interval, id);
+  SmoothRotorRates(*interval, id);
 }
 
 double Estimator::RotorSpeedNoise() const {
@@ -530,7 +531,7 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
   add(FactorKind::kDynamics,
       std::make_unique<DynamicsFactor>(measurement, noise, with_torque_, model_, &layout_), true,
       false, true);
-  if (!interval.imu || !has_bias) return SmoothRotorRates(interval, id);
+  if (!interval.imu || !has_bias) return;
 
   ImuNoise imu_noise;
   imu_noise.gyro_rad_s = options_.gyro_noise_rad_s;
@@ -561,7 +562,6 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
                                               model_, &layout_),
         true, true, true);
   }
-  SmoothRotorRates(interval, id);
 }
 
 void Estimator::SmoothRotorRates(const Interval& interval, std::int64_t id) {

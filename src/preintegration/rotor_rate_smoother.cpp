@@ -1,6 +1,5 @@
 #include "odmc/preintegration/rotor_rate_smoother.h"
 
-#include <algorithm>
 #include <cmath>
 
 #include "odmc/math/hann.h"
@@ -13,22 +12,17 @@ void RotorRateSmoother::Add(std::int64_t id, double time_s, double dt, const Rot
   while (time_s - intervals_.front().time_s > 1.1 * kRotorRatesWindow_s) intervals_.pop_front();
 }
 
-RotorRateSmoother::Rates RotorRateSmoother::About(size_t middle) const {
-  const size_t room = std::min(middle, intervals_.size() - 1 - middle);
-  const auto weight = [&](size_t i) {
-    return Hann((intervals_[i].time_s - intervals_[middle].time_s) / kRotorRatesWindow_s);
-  };
-  size_t reach = 0;
-  while (reach < room && weight(middle - reach - 1) > 0.0 && weight(middle + reach + 1) > 0.0) {
-    ++reach;
-  }
+RotorRateSmoother::Rates RotorRateSmoother::About(int middle) const {
+  const auto time = [this](int i) { return intervals_[i].time_s; };
+  const int reach = HannReach(middle, static_cast<int>(intervals_.size()), kRotorRatesWindow_s,
+                              time, [](int) { return true; });
   Rates rates;
   rates.acceleration.setZero(intervals_[middle].acceleration.size());
   rates.speed_squared_rate = rates.acceleration;
   double sum = 0.0, before = 0.0, square = 0.0;
-  for (size_t i = middle - reach; i <= middle + reach; ++i) {
+  for (int i = middle - reach; i <= middle + reach; ++i) {
     const Interval& interval = intervals_[i];
-    const double w = weight(i);
+    const double w = Hann((time(i) - time(middle)) / kRotorRatesWindow_s);
     sum += w;
     rates.acceleration += w * interval.acceleration;
     rates.speed_squared_rate += w * interval.speed_squared_rate;
@@ -45,7 +39,7 @@ RotorRateSmoother::Rates RotorRateSmoother::About(size_t middle) const {
 
 void RotorRateSmoother::ForChanged(
     const std::function<void(std::int64_t id, const Rates&)>& use) const {
-  for (size_t i = 0; i < intervals_.size(); ++i) {
+  for (int i = 0; i < static_cast<int>(intervals_.size()); ++i) {
     const double from_newest_s = intervals_.back().time_s - intervals_[i].time_s;
     if (from_newest_s < 0.5 * kRotorRatesWindow_s) use(intervals_[i].id, About(i));
   }

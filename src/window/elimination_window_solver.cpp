@@ -15,8 +15,7 @@ namespace {
 
 // Bounds and rules of the trust region are those of Ceres.
 constexpr double kInitialRadius = 1e6;
-constexpr double kLeastDecrease =
-    1e-3;  // of the cost, as a share of what the linear model promises
+constexpr double kLeastDecrease = 1e-3;  // as a share of what the linear model promises
 constexpr double kLeastDiagonal = 1e-6, kLargestDiagonal = 1e32;
 constexpr double kGradientTolerance = 1e-10, kStepTolerance = 1e-8;
 constexpr double kLeastRadius = 1e-32, kLargestRadius = 1e16;

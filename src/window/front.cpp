@@ -58,7 +58,7 @@ void AddToFront(const Factor& factor, const LinearFactor& linear, const FrontCol
 void AddToFront(const Eigen::MatrixXd& message, const FrontColumns& columns,
                 Eigen::MatrixXd* front) {
   // The state, the bias where it lies in this front, parameters with the gradient behind.
-  const int rest = static_cast<int>(columns.total) - columns.parameters + 1;
+  const int rest = columns.total - columns.parameters + 1;
   const int bias = columns.bias >= 0 ? columns.BiasColumn(columns.bias) : -1;
   const auto add = [&](int from_row, int to_row, int rows, int from_col, int to_col, int cols) {
     front->block(to_row, to_col, rows, cols) += message.block(from_row, from_col, rows, cols);

@@ -32,15 +32,21 @@ Flown Filtered(const UndeclaredFlight& flight) {
   return {flight.declared, ThinnedFlight(FilterFlight(flight.log, rotors, {}), BlockSplit())};
 }
 
-/// A flight in which nothing acts that the model lacks.
-Flown Fly(const std::string& trajectory) {
+/// A flight on which one effect makes up `share` of the residual, none where it is empty.
+UndeclaredFlight Make(const std::string& effect, double share, const std::string& trajectory,
+                      int vehicle, int seed) {
   UndeclaredPlan plan;
-  plan.kind = Undeclared::kNothing;
+  plan.kind = effect.empty() ? Undeclared::kNothing : Undeclared::kOneEffect;
+  if (!effect.empty()) plan.effects = {effect};
+  plan.share = share;
   plan.trajectory = trajectory;
-  plan.vehicle = 0;
-  plan.seed = 31;
-  return Filtered(MakeUndeclared(plan));
+  plan.vehicle = vehicle;
+  plan.seed = seed;
+  return MakeUndeclared(plan);
 }
+
+/// A flight in which nothing acts that the model lacks.
+Flown Fly(const std::string& trajectory) { return Filtered(Make("", 0.0, trajectory, 0, 31)); }
 
 Stage DeclaredStage(const Vehicle& vehicle, const ParameterSet& known,
                     const ResidualModel& residual) {
@@ -96,12 +102,7 @@ TEST(Stage, HoldsAnInertiaThatTheFlightDoesNotShow) {
 // Torque noise turns the body, and seen through one filter the two line up: a fit would have the
 // air propel the rotation, and leave a residual that looks like structure.
 TEST(Regressor, FeignsNoPropulsionFromNoise) {
-  UndeclaredPlan plan;
-  plan.kind = Undeclared::kNothing;
-  plan.trajectory = "vertical";
-  plan.vehicle = 2;
-  plan.seed = 31008;
-  const UndeclaredFlight flight = MakeUndeclared(plan);
+  const UndeclaredFlight flight = Make("", 0.0, "vertical", 2, 31008);
   const Flown flown = Filtered(flight);
   const ResidualModel residual(&flown.flight, &flown.vehicle, true);
   Stage stage = DeclaredStage(flown.vehicle, flight.truth, residual);
@@ -121,15 +122,7 @@ TEST(Regressor, FeignsNoPropulsionFromNoise) {
 // regressor as they are, they halve the coefficient.
 TEST(Regressor, FindsWhatTakesRotorAccelerationsThroughTheirNoise) {
   for (const std::string effect : {"rotor_delay", "rotor_reaction"}) {
-    UndeclaredPlan plan;
-    plan.kind = Undeclared::kOneEffect;
-    plan.effects = {effect};
-    plan.trajectory = "octo";
-    plan.vehicle = 3;
-    plan.share = 0.5;
-    plan.strength = "strong";
-    plan.seed = 31131;
-    const UndeclaredFlight flight = MakeUndeclared(plan);
+    const UndeclaredFlight flight = Make(effect, 0.5, "octo", 3, 31131);
     const Flown flown = Filtered(flight);
     const ResidualModel residual(&flown.flight, &flown.vehicle, true);
     Stage stage = DeclaredStage(flown.vehicle, flight.truth, residual);
@@ -243,14 +236,7 @@ TEST(MakeUndeclared, SharesAreWhatTheDeclaredModelLeaves) {
   };
   for (const Case& c : {Case{"rotor_asymmetry", "octo", 1}, Case{"hub_moment", "circle", 2},
                         Case{"quadratic_drag", "aggressive", 0}}) {
-    UndeclaredPlan plan;
-    plan.kind = Undeclared::kOneEffect;
-    plan.effects = {c.effect};
-    plan.trajectory = c.trajectory;
-    plan.vehicle = c.vehicle;
-    plan.share = 0.5;
-    plan.seed = 31075;
-    const UndeclaredFlight flight = MakeUndeclared(plan);
+    const UndeclaredFlight flight = Make(c.effect, 0.5, c.trajectory, c.vehicle, 31075);
     EXPECT_NEAR(flight.share, 0.5, 0.05) << c.effect;
     const Flown flown = Filtered(flight);
     const ResidualModel residual(&flown.flight, &flown.vehicle, true);
@@ -271,6 +257,14 @@ TEST(MakeUndeclared, SharesAreWhatTheDeclaredModelLeaves) {
     }
     EXPECT_NEAR(most, 0.5, 0.1) << c.effect;
   }
+}
+
+// Flight 99 of seed 41: no sensible size of it shows a third of the residual on any trajectory.
+TEST(MakeUndeclared, CallsWhatShowsLessThanPlannedByItsRealStrength) {
+  const UndeclaredFlight flight = Make("anisotropic_hvt", 0.3, "octo", 3, 41099);
+  EXPECT_LT(flight.share, 0.1);
+  EXPECT_EQ(flight.plan.strength, "weak");
+  EXPECT_EQ(flight.plan.share, 0.08);
 }
 
 }  // namespace

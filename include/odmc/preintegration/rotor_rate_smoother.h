@@ -8,6 +8,10 @@
 
 namespace odmc {
 
+/// Width of the window by which accelerations of rotors are averaged [s]: above 4 Hz the derivative
+/// of measured speeds is mostly noise, and a noisy regressor makes its coefficient small.
+constexpr double kRotorRatesWindow_s = 0.25;
+
 /// Accelerations of the rotors over consecutive intervals, averaged by a Hann window about each.
 /// What noise of a speed adds to one interval it takes from the next: differences over single
 /// intervals are mostly noise, their average is not. The window has no phase, so an interval's
@@ -39,7 +43,7 @@ class RotorRateSmoother {
     RotorVector acceleration, speed_squared_rate;
   };
 
-  Rates About(size_t middle) const;
+  Rates About(int middle) const;
 
   std::deque<Interval> intervals_;
 };
