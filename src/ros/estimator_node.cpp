@@ -23,7 +23,9 @@
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/math/statistics.h"
+#include "odmc/model/plausibility.h"
 #include "odmc/ros/conversions.h"
+#include "odmc/ros/estimate_messages.h"
 #include "odmc/ros/parameter_reader.h"
 #include "odmc/ros/urdf_vehicle.h"
 
@@ -531,7 +533,7 @@ void EstimatorNode::ShareStatus() {
 }
 
 void EstimatorNode::ShareSnapshot(const Snapshot& snapshot, NodeStatus* s) const {
-  s->unphysical = UnphysicalValues(*last_model_, snapshot);
+  s->unphysical = UnphysicalValues(*last_model_, snapshot.values, snapshot.sigma);
   s->unobservable = snapshot.unobservable;
   s->observable = snapshot.observable;
   s->time_s = snapshot.time_s;

@@ -38,6 +38,19 @@ std::string Quoted(const XmlRpcValue& value) {
                                                     : value.toXml();
 }
 
+/// "[a, b]" or "a, b" as items: a node's own command line hands lists over as text.
+std::vector<std::string> Items(const std::string& text) {
+  std::vector<std::string> items;
+  std::istringstream stream(text);
+  for (std::string item; std::getline(stream, item, ',');) {
+    const size_t first = item.find_first_not_of(" [");
+    const size_t last = item.find_last_not_of(" ]");
+    if (first == std::string::npos || last == std::string::npos || last < first) continue;
+    items.push_back(item.substr(first, last - first + 1));
+  }
+  return items;
+}
+
 }  // namespace
 
 void ParameterReader::Fail(const std::string& key, const std::string& what) const {
@@ -91,24 +104,38 @@ void ParameterReader::Field(const std::string& key, std::vector<std::string>* va
   known_.push_back(key);
   XmlRpcValue raw;
   if (!node_.getParam(key, raw)) return;
-  value->clear();
   if (raw.getType() == XmlRpcValue::TypeString) {
-    std::istringstream items{std::string(raw)};
-    for (std::string item; std::getline(items, item, ',');) {
-      // A node's own command line hands lists over as text, brackets and all.
-      const size_t first = item.find_first_not_of(" [");
-      const size_t last = item.find_last_not_of(" ]");
-      if (first == std::string::npos || last == std::string::npos || last < first) continue;
-      value->push_back(item.substr(first, last - first + 1));
-    }
+    *value = Items(std::string(raw));
     return;
   }
+  value->clear();
   if (raw.getType() != XmlRpcValue::TypeArray) Fail(key, "must be a list, not " + Quoted(raw));
   for (int i = 0; i < raw.size(); ++i) {
     if (raw[i].getType() != XmlRpcValue::TypeString) {
       Fail(key, "must be a list of text, not " + Quoted(raw));
     }
     value->push_back(std::string(raw[i]));
+  }
+}
+
+void ParameterReader::Field(const std::string& key, Eigen::Vector3d* value) {
+  known_.push_back(key);
+  XmlRpcValue raw;
+  if (!node_.getParam(key, raw)) return;
+  if (raw.getType() == XmlRpcValue::TypeString) {
+    const std::vector<std::string> items = Items(std::string(raw));
+    XmlRpcValue list;
+    list.setSize(static_cast<int>(items.size()));
+    for (int i = 0; i < list.size(); ++i) list[i] = items[i];
+    raw = list;
+  }
+  if (raw.getType() != XmlRpcValue::TypeArray || raw.size() != 3) {
+    Fail(key, "must be a list of three numbers");
+  }
+  for (int i = 0; i < 3; ++i) {
+    const std::optional<double> number = NumberOf(raw[i]);
+    if (!number || !std::isfinite(*number)) Fail(key, "must hold numbers, not " + Quoted(raw[i]));
+    (*value)[i] = *number;
   }
 }
 

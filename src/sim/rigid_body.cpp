@@ -5,10 +5,6 @@
 namespace odmc {
 namespace {
 
-BodyWrench operator+(const BodyWrench& a, const BodyWrench& b) {
-  return {a.f_B + b.f_B, a.tau_Bcm_B + b.tau_Bcm_B};
-}
-
 RigidBodyRate operator+(const RigidBodyRate& a, const RigidBodyRate& b) {
   return {a.d_p_WB + b.d_p_WB, a.d_q_WB + b.d_q_WB, a.d_v_WB + b.d_v_WB, a.d_w_WB_B + b.d_w_WB_B};
 }
@@ -29,30 +25,73 @@ RigidBodyState Along(const RigidBodyState& state, const RigidBodyRate& rate, dou
   return moved;
 }
 
+// Parallel axes: inertia of both masses about their common centre.
+void AddPointMass(double mass, const Eigen::Vector3d& p_B, BodyProperties* body) {
+  const double total = body->mass + mass;
+  const Eigen::Vector3d r_B = p_B - body->p_BBcm;
+  body->I_BBcm_B += body->mass * mass / total *
+                    (r_B.squaredNorm() * Eigen::Matrix3d::Identity() - r_B * r_B.transpose());
+  body->p_BBcm += mass / total * r_B;
+  body->mass = total;
+}
+
 }  // namespace
 
+// With the motor model, (Omega_cmd - Omega) / (Omega + Omega_cmd + S1/S2) decays as
+// exp(-(S1 + 2 S2 Omega_cmd) t).
 RotorVector MotorLag::After(const RotorVector& speed, const RotorVector& speed_cmd,
                             double dt) const {
-  return speed_cmd + std::exp(-dt / time_constant_s) * (speed - speed_cmd);
+  if (S2 <= 0.0) return speed_cmd + std::exp(-dt / time_constant_s) * (speed - speed_cmd);
+  RotorVector after(speed.size());
+  for (int j = 0; j < speed.size(); ++j) {
+    const double far = speed_cmd[j] + S1 / S2;
+    const double decay = std::exp(-(S1 + 2.0 * S2 * speed_cmd[j]) * dt);
+    const double ratio = (speed_cmd[j] - speed[j]) / (speed[j] + far) * decay;
+    after[j] = (speed_cmd[j] - ratio * far) / (1.0 + ratio);
+  }
+  return after;
 }
 
 RotorState MotorLag::At(const RotorVector& speed, const RotorVector& speed_cmd) const {
   RotorState state = RotorState::Steady(speed);
-  state.acceleration = (speed_cmd - speed) / time_constant_s;
+  if (S2 > 0.0) {
+    state.acceleration =
+        ((speed_cmd - speed).array() * (S1 + S2 * (speed_cmd + speed).array())).matrix();
+  } else {
+    state.acceleration = (speed_cmd - speed) / time_constant_s;
+  }
   state.speed_squared_rate = 2.0 * speed.cwiseProduct(state.acceleration);
   return state;
 }
 
 RigidBody::RigidBody(const DynamicModel& model, const ModelValues& values, const MotorLag& motor)
-    : model_(&model),
-      values_(values),
-      properties_(model.Properties(values, nullptr, 0.0)),
-      I_inverse_(properties_.I_BBcm_B.inverse()),
-      motor_(motor) {}
+    : model_(&model), values_(values), motor_(motor) {
+  Shape();
+}
 
 void RigidBody::Vary(const ModelValues& values, double time_s) {
   values_ = values;
-  properties_ = model_->Properties(values, nullptr, time_s);
+  time_s_ = time_s;
+  Shape();
+}
+
+void RigidBody::Change(const BodyChange& change) {
+  change_ = change;
+  Shape();
+}
+
+void RigidBody::SetExtraWind(const Eigen::Vector3d& wind_W) {
+  extra_wind_W_ = wind_W;
+  properties_.wind_W = model_wind_W_ + extra_wind_W_;
+}
+
+void RigidBody::Shape() {
+  properties_ = model_->Properties(values_, nullptr, time_s_);
+  model_wind_W_ = properties_.wind_W;
+  properties_.wind_W += extra_wind_W_;
+  properties_.p_BBcm += change_.cog_shift_B;
+  p_BA_ = properties_.p_BBcm;
+  if (change_.payload_kg > 0.0) AddPointMass(change_.payload_kg, change_.payload_p_B, &properties_);
   I_inverse_ = properties_.I_BBcm_B.inverse();
 }
 
@@ -71,7 +110,10 @@ FlightState RigidBody::FlightStateOf(double time_s, const RigidBodyState& state,
 
 BodyWrench RigidBody::WrenchOf(const FlightState& state) const {
   BodyWrench wrench;
-  model_->EvaluateWrench(state, values_, properties_.p_BBcm, &wrench.f_B, &wrench.tau_Bcm_B);
+  model_->EvaluateWrench(state, values_, p_BA_, &wrench.f_B, &wrench.tau_Bcm_B);
+  if (change_.payload_kg > 0.0) {
+    wrench.tau_Bcm_B += (p_BA_ - properties_.p_BBcm).cross(wrench.f_B);
+  }
   return wrench;
 }
 

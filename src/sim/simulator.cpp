@@ -2,29 +2,24 @@
 
 #include <algorithm>
 #include <cmath>
-#include <optional>
 #include <stdexcept>
 #include <utility>
 
-#include "odmc/math/so3.h"
-#include "odmc/model/pendulum.h"
+#include "odmc/sim/disturbance.h"
 #include "odmc/sim/gaussian.h"
-#include "odmc/sim/rigid_body.h"
+#include "odmc/sim/hanging_load.h"
+#include "odmc/sim/random_streams.h"
+#include "odmc/sim/sensors.h"
 #include "odmc/sim/tracking_controller.h"
-#include "odmc/sim/trajectory.h"
+#include "odmc/trajectory/flatness.h"
+#include "odmc/trajectory/trajectory.h"
 
 namespace odmc {
 namespace {
 
-constexpr double kControlPeriod_s = 0.0025;  // longest
-constexpr double kDisturbancePeriod_s = 0.01;
-constexpr double kLostDistance_m = 5.0;           // from the reference: the pilot has lost it
-constexpr double kSpoolThrustOverHover = 0.9;     // on the ground, at the end of spooling up
-constexpr double kNominalWeight_N = 0.75 * 9.81;  // of the vehicle of model.md section 8
-constexpr double kNominalArm_m = 0.14534;
-
-// One stream of random numbers each, so that none depends on another.
-enum Stream : int { kDisturbance = 1, kFeedback, kOdometry, kRotors, kImu, kProcess };
+constexpr double kControlPeriod_s = 0.0025;    // longest
+constexpr double kLostDistance_m = 5.0;        // from the reference: the pilot has lost it
+constexpr double kSpoolThrustOverHover = 0.9;  // on the ground, at the end of spooling up
 
 bool Fail(std::string* error, const std::string& what) {
   if (error != nullptr) *error = what;
@@ -36,73 +31,6 @@ int PiecesOf(double whole, double longest) {
   return std::max(1, static_cast<int>(std::ceil(whole / longest - 1e-6)));
 }
 
-// The world outside the model: white force and torque, held over kDisturbancePeriod_s.
-class Disturbance {
- public:
-  Disturbance(const Vehicle& vehicle, const SimulationNoise& noise, int seed)
-      : random_(seed, kDisturbance) {
-    const double weight = vehicle.mass_kg * vehicle.gravity_m_s2 / kNominalWeight_N;
-    force_ = noise.force_N * weight;
-    torque_ = noise.torque_Nm * weight * vehicle.ArmLength() / kNominalArm_m;
-  }
-
-  // Wrench from `time_s` on; to be asked in the order of time.
-  const BodyWrench& At(double time_s) {
-    const long period = static_cast<long>(std::floor(time_s / kDisturbancePeriod_s + 1e-6));
-    for (; period_ < period; ++period_) {
-      wrench_.f_B = force_ * random_.Next3();
-      wrench_.tau_Bcm_B = torque_ * random_.Next3();
-    }
-    return wrench_;
-  }
-
- private:
-  Gaussian random_;
-  double force_, torque_;
-  long period_ = -1;
-  BodyWrench wrench_;
-};
-
-// Parameters that vary in flight, as first-order Gauss-Markov processes, and the body that varies
-// with them and with time; renewed every kDisturbancePeriod_s.
-class Variation {
- public:
-  Variation(const DynamicModel& model, const ModelValues& values, int seed)
-      : model_(model), values_(values), random_(seed, kProcess) {}
-
-  // Brings `body` to `time_s`; to be asked in the order of time.
-  void Apply(double time_s, RigidBody* body) {
-    const long period = static_cast<long>(std::floor(time_s / kDisturbancePeriod_s + 1e-6));
-    if (!model_.varies() || period == period_) return;
-    for (; period_ < period; ++period_) {
-      for (const DynamicModel::ProcessParameter& p : model_.processes()) {
-        const bool first = period_ < 0;
-        const double decay =
-            first ? 0.0 : std::exp(-kDisturbancePeriod_s / values_[p.time_constant]);
-        values_[p.index] = decay * values_[p.index] +
-                           values_[p.sigma] * std::sqrt(1.0 - decay * decay) * random_.Next();
-      }
-    }
-    body->Vary(values_, time_s);
-  }
-
- private:
-  const DynamicModel& model_;
-  ModelValues values_;
-  Gaussian random_;
-  long period_ = -1;
-};
-
-// The load below the vehicle, if the model has one.
-std::optional<Pendulum> LoadOf(const DynamicModel& model, const ModelValues& values) {
-  const int length = model.IndexOf("suspended_load.length");
-  const int damping = model.IndexOf("suspended_load.damping");
-  const int swing = model.IndexOf("suspended_load.swing_x");
-  if (length < 0) return std::nullopt;
-  return Pendulum(values[length], values[damping], model.vehicle().gravity_m_s2,
-                  values.segment<4>(swing));
-}
-
 // The vehicle, its pilot and the world, advanced in control periods.
 class ClosedLoop {
  public:
@@ -110,14 +38,14 @@ class ClosedLoop {
              const SimulationNoise& noise, const Unmodelled& unmodelled)
       : body_(body),
         variation_(body.model(), values, options.seed),
-        load_(LoadOf(body.model(), values)),
+        load_(body.model(), values),
         unmodelled_(unmodelled),
         pilot_(body),
         trajectory_(options.trajectory, options.ground_s),
         ground_s_(options.ground_s),
         feedback_rate_(noise.feedback_rate_rad_s),
-        disturbance_(body.model().vehicle(), noise, options.seed),
-        feedback_(options.seed, kFeedback),
+        disturbance_(body.model().vehicle(), noise.force_N, noise.torque_Nm, options.seed),
+        feedback_(options.seed, kFeedbackStream),
         on_ground_(options.ground_s > 0.0) {
     const FlatReference start = trajectory_.At(0.0);
     state_.p_WB = start.p_WB;
@@ -148,58 +76,36 @@ class ClosedLoop {
     }
     variation_.Apply(time_s, &body_);
     const BodyWrench external = ExternalAt(time_s);
-    if (load_) {
-      // The cable pulls with the acceleration of a step ago, which is half a millisecond old.
-      const BodyWrench model = body_.WrenchOf(body_.FlightStateOf(time_s, state_, command_));
-      const BodyWrench total = {model.f_B + external.f_B, model.tau_Bcm_B + external.tau_Bcm_B};
-      const Eigen::Vector3d acceleration_W = body_.RateOf(state_, total).d_v_WB;
-      state_.load_pull_W = load_->Pull(acceleration_W);
-      load_->Advance(acceleration_W, step_s);
-    }
+    load_.Swing(body_, time_s, command_, external, step_s, &state_);
     state_ = body_.Step(time_s, state_, command_, external, step_s);
   }
 
   TruthSample Sample(Stamp stamp) {
     const double time_s = ToSeconds(stamp);
-    const BodyWrench model = body_.WrenchOf(body_.FlightStateOf(time_s, state_, command_));
-    const BodyWrench external = on_ground_ ? GroundReaction(model) : ExternalAt(time_s);
-    const BodyWrench total = {model.f_B + external.f_B, model.tau_Bcm_B + external.tau_Bcm_B};
-    TruthSample sample;
-    sample.stamp = stamp;
+    const BodyWrench external = on_ground_ ? GroundReaction(time_s) : ExternalAt(time_s);
+    TruthSample sample = TruthOf(body_, stamp, state_, command_, external);
     sample.on_ground = on_ground_;
-    sample.p_WB = state_.p_WB;
-    sample.q_WB = state_.q_WB;
-    sample.v_WB = state_.v_WB;
-    sample.w_WB_B = state_.w_WB_B;
-    sample.dw_WB_B = body_.RateOf(state_, total).d_w_WB_B;
-    sample.rotor_speed = state_.rotor_speed;
-    sample.rotor_speed_cmd = command_;
-    sample.f_B = total.f_B;
-    sample.tau_Bcm_B = total.tau_Bcm_B;
-    sample.external_f_B = external.f_B;
-    sample.external_tau_Bcm_B = external.tau_Bcm_B;
     return sample;
   }
 
  private:
   // White noise, and what nobody's model knows.
   BodyWrench ExternalAt(double time_s) {
-    BodyWrench wrench = disturbance_.At(time_s);
+    const BodyWrench& wrench = disturbance_.At(time_s);
     if (!unmodelled_) return wrench;
-    const BodyWrench more = unmodelled_(body_.FlightStateOf(time_s, state_, command_));
-    return {wrench.f_B + more.f_B, wrench.tau_Bcm_B + more.tau_Bcm_B};
+    return wrench + unmodelled_(body_.FlightStateOf(time_s, state_, command_));
   }
 
   // What the ground does to a vehicle that rests on it: it bears what thrust does not.
-  BodyWrench GroundReaction(const BodyWrench& model) const {
+  BodyWrench GroundReaction(double time_s) const {
+    const BodyWrench model = body_.WrenchOf(body_.FlightStateOf(time_s, state_, command_));
     const BodyProperties& properties = body_.properties();
     const Eigen::Vector3d g_B = state_.q_WB.conjugate() * properties.g_W;
     return {-properties.mass * g_B - model.f_B, -model.tau_Bcm_B};
   }
 
   bool LiftsOff(double time_s) const {
-    const BodyWrench model = body_.WrenchOf(body_.FlightStateOf(time_s, state_, command_));
-    const Eigen::Vector3d ground_W = state_.q_WB * GroundReaction(model).f_B;
+    const Eigen::Vector3d ground_W = state_.q_WB * GroundReaction(time_s).f_B;
     return ground_W.z() < 0.0;
   }
 
@@ -213,7 +119,7 @@ class ClosedLoop {
 
   RigidBody body_;
   Variation variation_;
-  std::optional<Pendulum> load_;
+  HangingLoad load_;
   const Unmodelled& unmodelled_;
   TrackingController pilot_;
   Trajectory trajectory_;
@@ -251,43 +157,17 @@ std::vector<TruthSample> Fly(const RigidBody& body, const ModelValues& truth_val
   return truth;
 }
 
-// Pose and twist of the sensor frame S of a vehicle at `truth`.
-OdometrySample OdometryOf(const TruthSample& truth, const BodyProperties& properties) {
-  const Eigen::Quaterniond q_BS(properties.R_BS);
-  OdometrySample sample;
-  sample.stamp = truth.stamp;
-  sample.p_WS = truth.p_WB + truth.q_WB * properties.p_BS;
-  sample.q_WS = (truth.q_WB * q_BS).normalized();
-  sample.v_WS = truth.v_WB + truth.q_WB * truth.w_WB_B.cross(properties.p_BS);
-  sample.w_WS_S = properties.R_BS.transpose() * truth.w_WB_B;
-  return sample;
-}
-
-// What an IMU at frame I feels.                                              model.md Eq. (C)
-ImuSample ImuOf(const TruthSample& truth, const BodyProperties& properties) {
-  const Eigen::Vector3d p_BcmI_B = properties.p_BI - properties.p_BBcm;
-  const Eigen::Vector3d& w = truth.w_WB_B;
-  const Eigen::Vector3d specific_force_B =
-      truth.f_B / properties.mass + truth.dw_WB_B.cross(p_BcmI_B) + w.cross(w.cross(p_BcmI_B));
-  ImuSample sample;
-  sample.stamp = truth.stamp;
-  sample.gyro_I = properties.R_BI.transpose() * w;
-  sample.specific_force_I = properties.R_BI.transpose() * specific_force_B;
-  return sample;
-}
-
 std::vector<OdometrySample> RecordOdometry(const std::vector<TruthSample>& truth,
                                            const BodyProperties& properties,
                                            const SimulationNoise& noise, int seed) {
-  Gaussian random(seed, kOdometry);
+  const OdometryErrors size = {noise.position_m, noise.attitude_rad, noise.velocity_m_s,
+                              noise.rate_rad_s};
+  Gaussian random(seed, kOdometryStream);
   std::vector<OdometrySample> samples;
   samples.reserve(truth.size());
   for (const TruthSample& at : truth) {
     OdometrySample sample = OdometryOf(at, properties);
-    sample.p_WS += noise.position_m * random.Next3();
-    sample.q_WS = (sample.q_WS * Exp(noise.attitude_rad * random.Next3())).normalized();
-    *sample.v_WS += noise.velocity_m_s * random.Next3();
-    *sample.w_WS_S += noise.rate_rad_s * random.Next3();
+    AddNoise(size, &random, &sample);
     samples.push_back(sample);
   }
   return samples;
@@ -305,16 +185,12 @@ RotorVector SpeedBefore(const std::vector<TruthSample>& truth, size_t k, double 
 
 std::vector<RotorSample> RecordRotors(const std::vector<TruthSample>& truth,
                                       const SimulationNoise& noise, int seed) {
-  Gaussian random(seed, kRotors);
+  Gaussian random(seed, kRotorStream);
   std::vector<RotorSample> samples;
   samples.reserve(truth.size());
   for (size_t k = 0; k < truth.size(); ++k) {
     RotorVector speed = SpeedBefore(truth, k, noise.rotor_delay_s);
-    for (int j = 0; j < speed.size(); ++j) {
-      // A rotor at rest is seen to rest.
-      const double error = noise.rotor_speed_rad_s * random.Next();
-      if (speed[j] > 0.0) speed[j] = std::max(0.0, speed[j] + error);
-    }
+    AddNoise(noise.rotor_speed_rad_s, &random, &speed);
     samples.push_back({truth[k].stamp, speed});
   }
   return samples;
@@ -323,15 +199,16 @@ std::vector<RotorSample> RecordRotors(const std::vector<TruthSample>& truth,
 std::vector<ImuSample> RecordImu(const std::vector<TruthSample>& truth,
                                  const BodyProperties& properties, const SimulationNoise& noise,
                                  const SimulationOptions& options) {
-  Gaussian random(options.seed, kImu);
+  Gaussian random(options.seed, kImuStream);
   const double root_rate = std::sqrt(options.log_rate_hz);
+  const ImuNoise size = {noise.gyro_noise_density * root_rate,
+                         noise.accelerometer_noise_density * root_rate, noise.gyro_bias,
+                         noise.accelerometer_bias};
   std::vector<ImuSample> samples;
   samples.reserve(truth.size());
   for (const TruthSample& at : truth) {
     ImuSample sample = ImuOf(at, properties);
-    *sample.gyro_I += noise.gyro_bias + noise.gyro_noise_density * root_rate * random.Next3();
-    *sample.specific_force_I +=
-        noise.accelerometer_bias + noise.accelerometer_noise_density * root_rate * random.Next3();
+    AddNoise(size, &random, &sample);
     samples.push_back(sample);
   }
   return samples;

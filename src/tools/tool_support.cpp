@@ -13,7 +13,7 @@
 #include "odmc/io/number_text.h"
 #include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
-#include "odmc/sim/trajectory.h"
+#include "odmc/trajectory/trajectory.h"
 
 namespace odmc::tools {
 namespace {
@@ -90,10 +90,15 @@ std::vector<std::string> EffectAndParameterNames() {
   return names;
 }
 
+fs::path ExecutableFolder() {
+  std::error_code ignored;
+  return fs::read_symlink("/proc/self/exe", ignored).parent_path();
+}
+
 /// Where the package keeps a script: installed beside or near the tool, or in the source tree.
 std::string FindScript(const std::string& name) {
   std::error_code ignored;
-  const fs::path folder = fs::read_symlink("/proc/self/exe", ignored).parent_path();
+  const fs::path folder = ExecutableFolder();
   for (const fs::path& path : {folder / name, folder / "../../share/odmc/scripts" / name,
                                fs::path(ODMC_SOURCE_DIR) / "scripts" / name}) {
     if (fs::is_regular_file(path, ignored)) return path.string();
@@ -291,6 +296,17 @@ void AddVehicle(CLI::App* app, std::string* file) {
   app->add_option("--vehicle", *file, "vehicle description, YAML")->required()->type_name("FILE");
 }
 
+void AddDefaultVehicle(CLI::App* app, std::string* file) {
+  for (const fs::path& share :
+       {fs::path(ODMC_SOURCE_DIR), ExecutableFolder() / "../../share/odmc"}) {
+    *file = (share / "config/vehicles/generic.yaml").string();
+    std::error_code ignored;
+    if (fs::is_regular_file(*file, ignored)) break;
+  }
+  app->add_option("--vehicle", *file, "vehicle description, YAML [the generic one]")
+      ->type_name("FILE");
+}
+
 void AddTrajectory(CLI::App* app, SimulationOptions* options) {
   app->add_option("--trajectory", options->trajectory,
                   "hover, octo, circle, vertical, yaw, aggressive")
@@ -339,12 +355,12 @@ std::map<std::string, std::string> Provenance(const std::string& tool, const Veh
   return more;
 }
 
-void RenderReport(const std::string& folder) {
+void RenderReport(const std::string& folder, const std::string& script_name) {
   const auto warn = [&](const std::string& why) {
-    std::cerr << "warning: " << In(folder, "report.html") << " was not drawn: " << why << "\n";
+    std::cerr << "warning: the pictures of " << folder << " were not drawn: " << why << "\n";
   };
-  const std::string script = FindScript("render_report");
-  if (script.empty()) return warn("render_report is not installed");
+  const std::string script = FindScript(script_name);
+  if (script.empty()) return warn(script_name + " is not installed");
   std::cout << std::flush;
   const pid_t child = fork();
   if (child < 0) return warn("no process to be had");

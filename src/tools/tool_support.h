@@ -90,6 +90,8 @@ std::string DescribeChanges(const EstimatorOptions& options);
 
 /// Adds the required --vehicle FILE.
 void AddVehicle(CLI::App* app, std::string* file);
+/// Adds --vehicle FILE, by default the generic vehicle of this package.
+void AddDefaultVehicle(CLI::App* app, std::string* file);
 
 /// Adds the required --trajectory NAME, and --duration.
 void AddTrajectory(CLI::App* app, SimulationOptions* options);
@@ -114,8 +116,8 @@ void WriteCalibration(const Calibration& calibration, const FlightLog& log,
 std::map<std::string, std::string> Provenance(const std::string& tool, const Vehicle& vehicle,
                                               std::map<std::string, std::string> more);
 
-/// Runs scripts/render_report on a folder; what goes wrong is a warning on stderr.
-void RenderReport(const std::string& folder);
+/// Runs a script of scripts/ on a folder; what goes wrong is a warning on stderr.
+void RenderReport(const std::string& folder, const std::string& script_name = "render_report");
 
 /// The vehicle of model.md section 8, where no file is given.
 Vehicle NominalVehicle();

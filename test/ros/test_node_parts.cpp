@@ -5,8 +5,9 @@
 #include <fstream>
 #include <limits>
 
-#include "odmc/ros/acceptance.h"
+#include "odmc/estimator/acceptance.h"
 #include "odmc/ros/conversions.h"
+#include "odmc/ros/estimate_messages.h"
 #include "odmc/ros/live_image.h"
 #include "odmc/ros/node_status.h"
 #include "odmc/ros/sample_intake.h"

@@ -7,8 +7,9 @@
 #include "odmc/math/so3.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/tracking_controller.h"
-#include "odmc/sim/trajectory.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "odmc/trajectory/flatness.h"
+#include "odmc/trajectory/trajectory.h"
 #include "support/test_vehicle.h"
 
 namespace odmc {

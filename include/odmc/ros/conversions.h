@@ -1,25 +1,26 @@
 #pragma once
 
+#include <geometry_msgs/Point.h>
 #include <geometry_msgs/Pose.h>
 #include <geometry_msgs/PoseStamped.h>
+#include <geometry_msgs/Quaternion.h>
 #include <geometry_msgs/TransformStamped.h>
-#include <geometry_msgs/WrenchStamped.h>
+#include <geometry_msgs/Vector3.h>
 #include <nav_msgs/Odometry.h>
 #include <ros/time.h>
 #include <sensor_msgs/BatteryState.h>
 #include <sensor_msgs/Imu.h>
 #include <sensor_msgs/JointState.h>
+#include <std_msgs/Header.h>
 
 #include <optional>
 #include <string>
 #include <variant>
 #include <vector>
 
-#include "odmc/DynamicParameters.h"
+#include "odmc/DynamicParameter.h"
 #include "odmc/RotorSpeeds.h"
-#include "odmc/UnexplainedResidual.h"
-#include "odmc/attribution/residual_watch.h"
-#include "odmc/estimator/estimator.h"
+#include "odmc/model/parameter_set.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
@@ -31,6 +32,14 @@ namespace odmc {
 Stamp FromRos(const ros::Time& time);
 /// @throws std::invalid_argument if ROS cannot express the stamp
 ros::Time ToRos(Stamp stamp);
+
+Eigen::Vector3d ToEigen(const geometry_msgs::Vector3& v);
+Eigen::Vector3d ToEigen(const geometry_msgs::Point& p);
+geometry_msgs::Vector3 ToVector3(const Eigen::Vector3d& v);
+geometry_msgs::Point ToPoint(const Eigen::Vector3d& p);
+geometry_msgs::Quaternion ToQuaternion(const Eigen::Quaterniond& q);
+std_msgs::Header MakeHeader(Stamp stamp, const std::string& frame);
+DynamicParameter ToMessage(const ParameterEstimate& p);
 
 /// An odometry or pose message. `sample.v_WS` stays empty: its frame is not known yet.
 struct OdometryInput {
@@ -69,26 +78,6 @@ std::optional<RotorInput> ToInput(const sensor_msgs::JointState& message, int nu
 /// Factor that takes a speed in `unit` (rad_s, rpm, erpm) to rad/s.
 /// @throws std::invalid_argument for other units or pole pairs below 1
 double RotorSpeedScale(const std::string& unit, int pole_pairs);
-
-/// False if anything that is published of a snapshot is not a finite number.
-bool IsFinite(const Snapshot& snapshot);
-
-/// The estimate as a message; residuals, timing and battery included.
-DynamicParameters ToMessage(const DynamicModel& model, const Snapshot& snapshot,
-                            const std::string& body_frame);
-
-/// A look at the residual as a message.
-/// @param added effects that were added in flight
-UnexplainedResidual ToMessage(const ResidualLook& look, const std::string& body_frame,
-                              const std::vector<std::string>& added);
-
-/// Pose and twist of the body (not of the sensor), twist in the body frame.
-nav_msgs::Odometry BodyOdometry(const Snapshot& snapshot, const std::string& world_frame,
-                                const std::string& body_frame);
-
-/// What the model does not explain in the newest interval, in the body frame.
-geometry_msgs::WrenchStamped ResidualWrench(const Snapshot& snapshot,
-                                            const std::string& body_frame);
 
 /// `parent` to `child` with the pose (p, R) of the child in the parent.
 geometry_msgs::TransformStamped ToTransform(Stamp stamp, const std::string& parent,

@@ -20,7 +20,7 @@
 
 #include "odmc/attribution/residual_watch.h"
 #include "odmc/estimator/estimator.h"
-#include "odmc/ros/acceptance.h"
+#include "odmc/estimator/acceptance.h"
 #include "odmc/ros/live_image.h"
 #include "odmc/ros/node_status.h"
 #include "odmc/ros/sample_intake.h"

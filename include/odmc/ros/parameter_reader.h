@@ -2,6 +2,7 @@
 
 #include <ros/node_handle.h>
 
+#include <Eigen/Core>
 #include <string>
 #include <vector>
 
@@ -22,6 +23,8 @@ class ParameterReader {
   void Field(const std::string& key, std::string* value);
   /// A list of text, or one text with commas between, in brackets or not.
   void Field(const std::string& key, std::vector<std::string>* value);
+  /// Three numbers: a list, or one text with commas between, in brackets or not.
+  void Field(const std::string& key, Eigen::Vector3d* value);
 
   /// Refuses parameters in the node's own namespace that no Field() asked for, mostly typing
   /// mistakes.

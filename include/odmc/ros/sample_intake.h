@@ -4,7 +4,6 @@
 #include <deque>
 #include <optional>
 #include <string>
-#include <variant>
 #include <vector>
 
 #include "odmc/ros/conversions.h"
@@ -12,9 +11,6 @@
 #include "odmc/sensing/twist_frame.h"
 
 namespace odmc {
-
-/// What the estimator takes.
-using Sample = std::variant<OdometrySample, ImuSample, RotorSample, BatterySample>;
 
 /// Where a SampleIntake stands.
 enum class IntakePhase {

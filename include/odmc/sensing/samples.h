@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <variant>
 #include <vector>
 
 #include "odmc/model/vehicle.h"
@@ -45,6 +46,9 @@ struct BatterySample {
   Stamp stamp = 0;
   double voltage_V = 0.0;
 };
+
+/// One sample of any stream.
+using Sample = std::variant<OdometrySample, ImuSample, RotorSample, BatterySample>;
 
 /// A whole recorded flight in the core's own conventions, each stream sorted by stamp.
 struct FlightLog {

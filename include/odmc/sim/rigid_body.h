@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include "odmc/model/body_wrench.h"
 #include "odmc/model/dynamic_model.h"
 
 namespace odmc {
@@ -18,11 +19,10 @@ struct RigidBodyState {
   Eigen::Vector3d load_pull_W = Eigen::Vector3d(0.0, 0.0, -9.81);
 };
 
-/// Force and torque about Bcm, both in B.
-struct BodyWrench {
-  Eigen::Vector3d f_B = Eigen::Vector3d::Zero();        ///< [N]
-  Eigen::Vector3d tau_Bcm_B = Eigen::Vector3d::Zero();  ///< [N m]
-};
+/// Sum of two wrenches about the same point.
+inline BodyWrench operator+(const BodyWrench& a, const BodyWrench& b) {
+  return {a.f_B + b.f_B, a.tau_Bcm_B + b.tau_Bcm_B};
+}
 
 /// Rate of change of a RigidBodyState; the rotors have their closed form.
 struct RigidBodyRate {
@@ -32,10 +32,14 @@ struct RigidBodyRate {
   Eigen::Vector3d d_w_WB_B;
 };
 
-/// Rotors that follow a command with a first-order lag: dOmega/dt = (Omega_cmd - Omega) / T.
-/// Solved exactly, so that speed, its square and both rates are right at every instant.
+/// Rotors that follow a command, solved exactly, so that speed, its square and both rates are right
+/// at every instant. Either a first-order lag, dOmega/dt = (Omega_cmd - Omega) / T, or, where
+/// S2 > 0, a motor at the voltage whose steady speed is the command:
+///   dOmega/dt = S1 (Omega_cmd - Omega) + S2 (Omega_cmd² - Omega²)          model.md section 11
 struct MotorLag {
-  double time_constant_s = 0.025;  ///< > 0
+  double time_constant_s = 0.025;  ///< of the lag, > 0
+  double S1 = 0.0;                 ///< [1/s], > 0 where S2 > 0
+  double S2 = 0.0;                 ///< [1/rad]; 0: the lag
 
   /// Speeds `dt` after `speed` under a constant `speed_cmd` (n×1, rad/s).
   RotorVector After(const RotorVector& speed, const RotorVector& speed_cmd, double dt) const;
@@ -44,20 +48,39 @@ struct MotorLag {
   RotorState At(const RotorVector& speed, const RotorVector& speed_cmd) const;
 };
 
+/// What makes a vehicle another one than its model says: a point mass carried rigidly, and a centre
+/// of mass that moved without changing the inertia about it.
+struct BodyChange {
+  double payload_kg = 0.0;                                ///< 0: none
+  Eigen::Vector3d payload_p_B = Eigen::Vector3d::Zero();  ///< from Bo, in B [m]
+  Eigen::Vector3d cog_shift_B = Eigen::Vector3d::Zero();  ///< [m]
+};
+
 /// Exact flight of a DynamicModel at given values: Newton-Euler about Bcm, model.md Eq. (A),
 /// written for the body origin as Eq. (B), with full inertia, wind, motor lag and an external
-/// wrench. Knows no ground; contact is an external wrench or a phase its user holds. Immutable,
-/// thread-compatible; `model` must outlive it.
+/// wrench. Knows no ground; contact is an external wrench or a phase its user holds. A change of
+/// the body and an extra wind come on top of the model's. Air forces that act at the centre of mass
+/// move with it when it shifts; a payload leaves them where they were on the airframe.
+/// Thread-compatible; `model` must outlive it.
 class RigidBody {
  public:
   RigidBody(const DynamicModel& model, const ModelValues& values, const MotorLag& motor = {});
 
   const DynamicModel& model() const { return *model_; }
+  const ModelValues& values() const { return values_; }
+  /// Change and extra wind included.
   const BodyProperties& properties() const { return properties_; }
+  const BodyChange& change() const { return change_; }
   const MotorLag& motor() const { return motor_; }
 
   /// Flies on with other values, and with the body of the instant `time_s`.
   void Vary(const ModelValues& values, double time_s);
+
+  /// Flies on as a changed body: Bo keeps its velocity.
+  void Change(const BodyChange& change);
+
+  /// Flies on in air that moves, in W [m/s], relative to the model's own wind.
+  void SetExtraWind(const Eigen::Vector3d& wind_W);
 
   /// What effects see of `state` while the rotors are told `speed_cmd`.
   FlightState FlightStateOf(double time_s, const RigidBodyState& state,
@@ -75,9 +98,17 @@ class RigidBody {
                       const BodyWrench& external, double step_s) const;
 
  private:
+  // Puts the body of `time_s_` together.
+  void Shape();
+
   const DynamicModel* model_;
   ModelValues values_;
+  double time_s_ = 0.0;
+  BodyChange change_;
+  Eigen::Vector3d model_wind_W_;
+  Eigen::Vector3d extra_wind_W_ = Eigen::Vector3d::Zero();
   BodyProperties properties_;
+  Eigen::Vector3d p_BA_;  // where forces at the airframe's own centre of mass act
   Eigen::Matrix3d I_inverse_;
   MotorLag motor_;
 };

@@ -1,14 +1,13 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <Eigen/Geometry>
 #include <functional>
 #include <string>
 #include <vector>
 
 #include "odmc/model/dynamic_model.h"
 #include "odmc/sensing/samples.h"
-#include "odmc/sim/rigid_body.h"
+#include "odmc/sim/truth_sample.h"
 
 namespace odmc {
 
@@ -85,26 +84,6 @@ struct SimulationNoise {
 
   /// True if usable; otherwise false with a sentence for the user in `error`.
   bool IsValid(std::string* error) const;
-};
-
-/// What really happened at one stamp. Where the rotors' command or the disturbance steps at the
-/// stamp, accelerations and wrenches are those just after it.
-struct TruthSample {
-  Stamp stamp = 0;
-  bool on_ground = false;
-  Eigen::Vector3d p_WB = Eigen::Vector3d::Zero();  ///< Bo in W [m]
-  Eigen::Quaterniond q_WB = Eigen::Quaterniond::Identity();
-  Eigen::Vector3d v_WB = Eigen::Vector3d::Zero();     ///< of Bo, in W [m/s]
-  Eigen::Vector3d w_WB_B = Eigen::Vector3d::Zero();   ///< [rad/s]
-  Eigen::Vector3d dw_WB_B = Eigen::Vector3d::Zero();  ///< [rad/s²]
-  RotorVector rotor_speed;                            ///< [rad/s]
-  RotorVector rotor_speed_cmd;                        ///< [rad/s]
-  /// All forces but gravity, and their torque about Bcm, in B: model, disturbance and ground.
-  Eigen::Vector3d f_B = Eigen::Vector3d::Zero();        ///< [N]
-  Eigen::Vector3d tau_Bcm_B = Eigen::Vector3d::Zero();  ///< [N m]
-  /// The part of these that the model does not make.
-  Eigen::Vector3d external_f_B = Eigen::Vector3d::Zero();        ///< [N]
-  Eigen::Vector3d external_tau_Bcm_B = Eigen::Vector3d::Zero();  ///< [N m]
 };
 
 /// A recording and the truth beside it, at the same stamps: 0, then whole periods of the log rate.

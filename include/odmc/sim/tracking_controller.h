@@ -1,25 +1,12 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <Eigen/Geometry>
 
+#include "odmc/model/rotor_map.h"
 #include "odmc/sim/rigid_body.h"
-#include "odmc/sim/trajectory.h"
+#include "odmc/trajectory/flat_reference.h"
 
 namespace odmc {
-
-/// Attitude, rates and thrust that a flat output asks of a quadrotor without drag.
-struct FlatAttitude {
-  Eigen::Quaterniond q_WB = Eigen::Quaterniond::Identity();
-  Eigen::Vector3d w_WB_B = Eigen::Vector3d::Zero();   ///< [rad/s]
-  Eigen::Vector3d dw_WB_B = Eigen::Vector3d::Zero();  ///< [rad/s²]
-  double specific_thrust = 0.0;                       ///< along body z [m/s²]
-};
-
-/// Differential flatness: a turn by yaw about W z, then the shortest tilt that takes body z along
-/// a - g. Unlike a heading held in the horizontal plane this asks for no fast yaw at large tilt.
-/// @param g_W gravity (3×1) in W [m/s²]; a - g must not vanish nor point straight down
-FlatAttitude FlatAttitudeOf(const FlatReference& reference, const Eigen::Vector3d& g_W);
 
 /// Pilot of the simulator: geometric tracking on SE(3) with feedforward from the flat output, gains
 /// in accelerations so that vehicles of any size fly alike. It knows the true model: it takes the
@@ -40,7 +27,6 @@ class TrackingController {
 
  private:
   using Rows = Eigen::Matrix<double, 4, 1>;  // f_z, tau_x, tau_y, tau_z
-  using Map = Eigen::Matrix<double, 4, Eigen::Dynamic, 0, 4, kMaxRotors>;
   using InverseMap = Eigen::Matrix<double, Eigen::Dynamic, 4, 0, kMaxRotors, 4>;
 
   // Force and torque of the model at `state` that no steady rotor makes.
@@ -52,7 +38,7 @@ class TrackingController {
   RotorVector Allocate(const Rows& wrench) const;
 
   const RigidBody* body_;
-  Map map_;                           // of squared speeds to wrench
+  RotorMap map_;
   InverseMap inverse_;                // pseudo-inverse of map_
   double min_squared_, max_squared_;  // limits of the squared speed [rad²/s²]
 };

@@ -22,15 +22,11 @@ struct AcceptanceOptions {
   bool IsValid(std::string* error) const;
 };
 
-/// Sentences about values that no vehicle can have: a wrong sign by more than one sigma, an inertia
-/// that no body has or far from nominal, a centre of gravity outside the rotors, gravity far off
-/// vertical.
-std::vector<std::string> UnphysicalValues(const DynamicModel& model, const Snapshot& snapshot);
-
 /// Accepts an estimate once, for accept_hold_s without a break,
 ///  - every estimated and observable parameter has a sigma below accept_relative_sigma of its
-///  value,
-///    or, where the value may be zero, below twice that share of its prior sigma or natural size,
+///    value or, where
+///    the value may be zero, below twice that share of its prior
+///    sigma or natural size,
 ///  - k_f, without which no model is of use, is among them if the model estimates it,
 ///  - nothing is unphysical.
 /// Thread-compatible.

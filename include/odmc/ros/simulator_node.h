@@ -1,0 +1,159 @@
+#pragma once
+
+#include <diagnostic_msgs/DiagnosticStatus.h>
+#include <ros/node_handle.h>
+#include <ros/publisher.h>
+#include <ros/service_server.h>
+#include <ros/subscriber.h>
+#include <std_srvs/SetBool.h>
+#include <std_srvs/Trigger.h>
+#include <tf2_ros/static_transform_broadcaster.h>
+#include <tf2_ros/transform_broadcaster.h>
+
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "odmc/RotorSpeeds.h"
+#include "odmc/model/dynamic_model.h"
+#include "odmc/sim/world.h"
+#include "odmc/trajectory/trajectory.h"
+
+namespace odmc {
+
+/// Private parameters of simulator_node, besides those of WorldOptions.
+struct SimulatorNodeOptions {
+  std::string vehicle_file;  ///< vehicle YAML
+  std::string world_file;    ///< YAML of WorldOptions; empty: defaults
+  std::string truth_file;    ///< effects and true values, parameters.yaml; empty: DefaultTruth()
+  TrajectoryOptions trajectory;
+  int seed = 1;
+  double real_time_factor = 1.0;  ///< simulated over real time, > 0
+  bool publishes_clock = true;    ///< false: stamps are of the machine's clock
+  bool waits_for_controller = true;  ///< time starts when somebody takes odometry and sends commands
+  /// Time goes no further beyond the newest command, as long as commands come at all; 0: it does.
+  double command_lag_s = 0.02;
+  std::string world_frame = "world";
+  std::string body_frame = "base_link";
+
+  template <typename Visitor>
+  void Visit(Visitor* v) {
+    v->Field("vehicle_file", &vehicle_file);
+    v->Field("world_file", &world_file);
+    v->Field("truth_file", &truth_file);
+    v->Field("trajectory", &trajectory.name);
+    v->Field("ground_s", &trajectory.ground_s);
+    v->Field("top_speed_m_s", &trajectory.top_speed_m_s);
+    v->Field("duration_s", &trajectory.duration_s);
+    v->Field("seed", &seed);
+    v->Field("real_time_factor", &real_time_factor);
+    v->Field("publishes_clock", &publishes_clock);
+    v->Field("waits_for_controller", &waits_for_controller);
+    v->Field("command_lag_s", &command_lag_s);
+    v->Field("world_frame", &world_frame);
+    v->Field("body_frame", &body_frame);
+  }
+
+  /// True if usable; otherwise false with a sentence for the user in `error`.
+  bool IsValid(std::string* error) const;
+};
+
+/// Everything the node reads before it starts.
+struct SimulatorNodeSetup {
+  SimulatorNodeOptions options;
+  WorldOptions world;
+  Vehicle vehicle;  ///< as it truly is
+};
+
+/// Reads private parameters, world, vehicle and truth.
+/// @throws std::invalid_argument with a sentence for the user
+SimulatorNodeSetup ReadSimulatorNodeSetup(const ros::NodeHandle& private_node);
+
+/// A vehicle in its world, on ROS. One thread steps in real time and publishes what sensors
+/// deliver; where the machine is too slow, the clock slows down and no step is left out. Commands
+/// and services come in on ROS' threads.
+class SimulatorNode {
+ public:
+  /// @throws std::invalid_argument with a sentence for the user
+  SimulatorNode(const ros::NodeHandle& node, const ros::NodeHandle& private_node,
+                SimulatorNodeSetup setup);
+  ~SimulatorNode();
+  SimulatorNode(const SimulatorNode&) = delete;
+  SimulatorNode& operator=(const SimulatorNode&) = delete;
+
+ private:
+  using Clock = std::chrono::steady_clock;
+
+  // ROS threads.
+  void Advertise();
+  void Offer(const std::string& service,
+             std::string (*act)(const WorldOptions& sizes, World* world));
+  void OnCommand(const RotorSpeeds::ConstPtr& message);
+  bool OnPause(std_srvs::SetBool::Request& request, std_srvs::SetBool::Response& response);
+  WorldOptions Sizes() const;
+
+  // Stepping thread.
+  void Run();
+  bool MayStep();
+  bool HasController() const;
+  bool WaitForCommand();
+  void StepBatch();
+  void ObeyCommand();
+  void Pace();
+  void Publish();
+  void PublishSamples(const std::vector<Sample>& samples);
+  void PublishTruth(const TruthSample& truth, const Eigen::Vector3d& wind_W, Stamp now);
+  void PublishReference(Stamp now);
+  void PublishStart();
+  void PublishClock();
+  void PublishDiagnostics();
+  diagnostic_msgs::DiagnosticStatus Diagnostic(double factor);
+  ros::Time At(Stamp world_stamp) const;
+
+  // Set once in the constructor.
+  SimulatorNodeSetup setup_;
+  DynamicModel model_;
+  ModelValues truth_;
+  Trajectory trajectory_;
+  Stamp epoch_ = 0;  // of the world's time 0 on ROS
+  std::string truth_frame_, odometry_frame_, imu_frame_;
+  ros::NodeHandle node_, private_node_;
+  ros::Publisher clock_publisher_, odometry_publisher_, imu_publisher_, rotor_publisher_,
+      battery_publisher_, reference_publisher_, point_publisher_, path_publisher_,
+      truth_odometry_publisher_, truth_wrench_publisher_, truth_wind_publisher_,
+      truth_parameters_publisher_, diagnostics_publisher_;
+  ros::Subscriber command_subscriber_;
+  std::vector<ros::ServiceServer> services_;
+  tf2_ros::TransformBroadcaster tf_broadcaster_;
+  tf2_ros::StaticTransformBroadcaster static_tf_broadcaster_;
+
+  // Guarded by world_mutex_.
+  std::mutex world_mutex_;
+  World world_;
+
+  // Guarded by command_mutex_.
+  std::mutex command_mutex_;
+  std::condition_variable command_arrived_;
+  std::optional<RotorSample> command_;  // the newest, in the world's time
+  long commands_ = 0, commands_refused_ = 0;
+  bool stopping_ = false;
+
+  std::atomic<bool> paused_{false};
+
+  // Owned by the stepping thread.
+  bool started_ = false, locked_ = true, rotors_stopped_ = false;
+  Stamp obeyed_ = 0;
+  Clock::time_point pace_wall_, reported_wall_;
+  Stamp pace_time_ = 0, reported_time_ = 0;
+  long batches_ = 0, slow_downs_ = 0;
+
+  std::thread thread_;  // started last, joined first
+};
+
+}  // namespace odmc

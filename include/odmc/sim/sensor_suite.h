@@ -1,0 +1,102 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "odmc/sensing/samples.h"
+#include "odmc/sim/gaussian.h"
+#include "odmc/sim/sensors.h"
+#include "odmc/sim/world_options.h"
+
+namespace odmc {
+
+/// When a stream takes samples: from 0 on at a rate, each at the first step that reaches its time.
+class SampleClock {
+ public:
+  /// @param rate_hz 0: never
+  explicit SampleClock(double rate_hz) : rate_hz_(rate_hz) {}
+
+  /// True if a sample is due; to be asked once per step, in the order of time.
+  bool Tick(Stamp now);
+
+ private:
+  double rate_hz_;
+  long count_ = 0;
+  Stamp next_ = 0;
+};
+
+/// Speeds of the last steps.
+class RotorHistory {
+ public:
+  /// Keeps what it takes to look back by `delay_s`; before the start, speeds were as first told.
+  RotorHistory(double delay_s, double step_s);
+
+  /// Takes the speeds of the next step (n×1, rad/s).
+  void Push(const RotorVector& speed);
+
+  /// Speeds `delay_s` ago, between steps on a straight line.
+  RotorVector Delayed() const;
+
+ private:
+  const RotorVector& StepsAgo(long steps) const;
+
+  double steps_back_;
+  long count_ = 0;
+  std::vector<RotorVector> ring_;
+};
+
+/// What of an odometry is wrong for good: drift and jumps.
+struct OdometryOffset {
+  Eigen::Vector3d p_W = Eigen::Vector3d::Zero();  ///< [m]
+  double yaw = 0.0;                               ///< about the origin of W [rad]
+};
+
+/// The sensors of a World: each with its rate, its errors, its delay and its own random numbers.
+class SensorSuite {
+ public:
+  SensorSuite(const WorldOptions& options, int seed);
+
+  /// Takes what is due at `truth`; to be asked once per step.
+  /// @param truth a function without arguments that gives the TruthSample of this step
+  template <typename Truth>
+  void Sense(Stamp now, const RotorVector& rotor_speed, const BodyProperties& properties,
+             double voltage_V, const Truth& truth) {
+    history_.Push(rotor_speed);
+    const bool imu = imu_clock_.Tick(now), odometry = odometry_clock_.Tick(now);
+    if (imu || odometry) {
+      const TruthSample sample = truth();
+      if (imu) SenseImu(sample, properties);
+      if (odometry) SenseOdometry(sample, properties);
+    }
+    if (rotor_clock_.Tick(now)) SenseRotors(now);
+    if (battery_clock_.Tick(now)) arrived_.emplace_back(BatterySample{now, voltage_V});
+    Deliver(now);
+  }
+
+  /// Positions of the odometry are off by this from now on, in W [m].
+  void Jump(const Eigen::Vector3d& by_m) { offset_.p_W += by_m; }
+
+  /// What arrived since the last call.
+  std::vector<Sample> Take();
+
+ private:
+  void SenseImu(const TruthSample& truth, const BodyProperties& properties);
+  void SenseOdometry(const TruthSample& truth, const BodyProperties& properties);
+  void SenseRotors(Stamp now);
+  void Drift();
+  // Moves odometry that has been on its way for long enough.
+  void Deliver(Stamp now);
+
+  WorldOptions options_;
+  OdometryErrors odometry_noise_;
+  ImuNoise imu_noise_;
+  SampleClock odometry_clock_, imu_clock_, rotor_clock_, battery_clock_;
+  Gaussian odometry_random_, drift_random_, imu_random_, rotor_random_;
+  OdometryOffset offset_;
+  RotorHistory history_;
+  Stamp odometry_delay_;
+  std::vector<OdometrySample> on_the_way_;  // in the order of stamps
+  std::vector<Sample> arrived_;
+};
+
+}  // namespace odmc

@@ -1,0 +1,114 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "odmc/model/dynamic_model.h"
+#include "odmc/model/rotor_map.h"
+#include "odmc/sensing/samples.h"
+#include "odmc/sim/battery.h"
+#include "odmc/sim/disturbance.h"
+#include "odmc/sim/ground_contact.h"
+#include "odmc/sim/hanging_load.h"
+#include "odmc/sim/rigid_body.h"
+#include "odmc/sim/sensor_suite.h"
+#include "odmc/sim/truth_sample.h"
+#include "odmc/sim/turbulence.h"
+#include "odmc/sim/world_options.h"
+
+namespace odmc {
+
+/// A vehicle in its world, in lock-step with whoever flies it: told rotor speeds, it moves on by
+/// one step at a time and gives what its sensors deliver. The same arguments and calls give the
+/// same flight, and no sensor's errors hang on another's. Step() asks for no memory as long as
+/// samples are taken about once a second. Thread-compatible.
+class World {
+ public:
+  /// @param model the truth; must outlive the world
+  /// @param values of its parameters, model.num_parameters()×1
+  /// @throws std::invalid_argument for options or values that are not valid, and for a model whose
+  ///   rotors do not carry it
+  World(const DynamicModel& model, const ModelValues& values, const WorldOptions& options,
+        int seed);
+
+  /// Speeds to follow until the next command (n×1, rad/s), within what the motors can: 0 stops a
+  /// rotor, others are kept between idling and max_rotor_speed().
+  /// @throws std::invalid_argument for a wrong size or numbers that are not finite
+  void Command(const RotorVector& speed_cmd);
+
+  /// Moves on by one step.
+  void Step();
+
+  Stamp now() const { return now_; }
+
+  /// What is so now, just after whatever steps now. The wrench is about the centre of mass of all
+  /// that flies; ground, disturbance and damage are external. The command is as limited.
+  TruthSample Truth() const;
+
+  /// What arrived since the last call, in the order of arrival; of one instant, odometry last.
+  std::vector<Sample> TakeSamples() { return sensors_.Take(); }
+
+  bool touches_ground() const { return ground_.touches(); }
+  double max_rotor_speed() const { return max_speed_; }    ///< at the present voltage [rad/s]
+  double idle_rotor_speed() const { return idle_speed_; }  ///< [rad/s]
+  double battery_voltage_V() const { return battery_.voltage_V(); }
+  /// Mean wind, gusts and the model's own wind, in W [m/s].
+  const Eigen::Vector3d& wind_W() const { return body_.properties().wind_W; }
+  double mass() const { return body_.properties().mass; }  ///< payload included [kg]
+  /// Payload, shift and wind included.
+  const BodyProperties& properties() const { return body_.properties(); }
+  const WorldOptions& options() const { return options_; }
+
+  /// Speeds that balance the vehicle as it is now, payload and damage included, at rest in still
+  /// air (n×1, rad/s).
+  RotorVector HoverSpeeds() const;
+
+  /// Fixes a point mass at `p_B` (from Bo, in B [m]), in place of one that is there already.
+  /// @throws std::invalid_argument unless mass > 0 and both are finite
+  void AttachPayload(double mass_kg, const Eigen::Vector3d& p_B);
+  void DropPayload();
+  /// Adds to earlier shifts; the inertia about the centre of mass stays.
+  void ShiftCentreOfGravity(const Eigen::Vector3d& by_m);
+  /// From now on the rotor gives 1 - share of its thrust and reaction torque.
+  /// @param rotor from 0  @param share 0 to 1, else std::invalid_argument for both
+  void DamagePropeller(int rotor, double share);
+  /// New propellers.
+  void Repair();
+  /// Adds to earlier jumps.
+  void JumpOdometry(const Eigen::Vector3d& by_m);
+  void SetWind(const Eigen::Vector3d& mean_W);
+
+ private:
+  void Place();
+  void ChangeBody(const BodyChange& change);
+  void RunSchedule(Stamp before);
+  void BlowWind();
+  void LimitCommand();
+  double PowerOfRotors() const;
+  BodyWrench DamageWrench() const;
+  void Surround();
+  void Sense();
+
+  WorldOptions options_;
+  ModelValues values_;
+  RigidBody body_;
+  RotorMap map_;  // about the present centre of mass
+  double full_speed_ = 0.0, idle_speed_ = 0.0, max_speed_ = 0.0;
+  Battery battery_;
+  Turbulence turbulence_;
+  Disturbance disturbance_;
+  Variation variation_;
+  HangingLoad load_;
+  GroundContact ground_;
+  SensorSuite sensors_;
+  RotorVector lost_;  // share of each rotor's thrust that damage took
+  Eigen::Vector3d mean_wind_W_;
+
+  Stamp step_, now_ = 0;
+  double step_s_;
+  RigidBodyState state_;
+  RotorVector asked_, command_;  // as told, as limited
+  BodyWrench external_;          // at the present state
+};
+
+}  // namespace odmc

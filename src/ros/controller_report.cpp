@@ -1,0 +1,102 @@
+#include "odmc/ros/controller_report.h"
+
+#include <cstdint>
+
+#include "odmc/ros/conversions.h"
+#include "odmc/ros/diagnostic_values.h"
+
+namespace odmc {
+namespace {
+
+using diagnostic_msgs::DiagnosticStatus;
+
+void SetLevel(const ControllerReport& r, long refused_before, DiagnosticStatus* status) {
+  const auto set = [status](std::uint8_t level, const std::string& message) {
+    status->level = level;
+    status->message = message;
+  };
+  if (r.command.mode == ControlMode::kFailsafe) {
+    return set(DiagnosticStatus::ERROR, "failsafe: no odometry, level and sinking");
+  }
+  if (r.not_finite > 0) {
+    return set(DiagnosticStatus::ERROR, "a command was not finite and was not published");
+  }
+  if (!r.twist_warning.empty()) return set(DiagnosticStatus::WARN, r.twist_warning);
+  if (r.reference_lost) {
+    return set(DiagnosticStatus::WARN, "the reference has gone: its last place is held");
+  }
+  if (r.handover == HandoverState::kRolledBack) {
+    return set(DiagnosticStatus::WARN, "rolled back: " + r.last_transition);
+  }
+  if (r.handover == HandoverState::kHolding) {
+    return set(DiagnosticStatus::WARN, "the estimate is stale and held: " + r.last_transition);
+  }
+  if (RefusedInput(r) > refused_before) {
+    return set(DiagnosticStatus::WARN,
+               "input refused (not finite, no stamp, wrong number of rotors)");
+  }
+  if (!r.has_state) return set(DiagnosticStatus::OK, "waiting for odometry");
+  if (!r.has_reference) return set(DiagnosticStatus::OK, "waiting for a reference");
+  set(DiagnosticStatus::OK, NameOf(r.command.mode) + std::string(", ") + NameOf(r.handover));
+}
+
+void PutInput(const std::string& stream, const ControlInput& input, DiagnosticStatus* status) {
+  Put(stream + "_received", input.received, status);
+  Put(stream + "_refused", input.refused, status);
+}
+
+}  // namespace
+
+long RefusedInput(const ControllerReport& r) {
+  return r.odometry.refused + r.imu.refused + r.rotors.refused + r.references.refused +
+         r.estimates.refused;
+}
+
+ControllerStatus ToMessage(const ControllerReport& r, const std::string& body_frame) {
+  ControllerStatus m;
+  m.header = MakeHeader(r.command.stamp, body_frame);
+  m.mode = NameOf(r.command.mode);
+  m.handover_state = NameOf(r.handover);
+  m.handover_progress = r.progress;
+  m.estimate_stamp = ToRos(r.estimate_stamp);
+  m.indi = r.command.indi;
+  m.tracking_error_m = r.tracking_error_m;
+  m.tracking_rmse_m = r.tracking_rmse_m;
+  m.collective_thrust_N = r.command.collective_thrust_N;
+  m.thrust_change_N = r.command.allocation.thrust_change_N;
+  m.roll_pitch_share = r.command.allocation.roll_pitch_share;
+  m.yaw_share = r.command.allocation.yaw_share;
+  m.last_transition = r.last_transition;
+  return m;
+}
+
+DiagnosticStatus ControllerDiagnostic(const ControllerReport& r, long refused_before,
+                                      const std::string& name) {
+  DiagnosticStatus status;
+  status.name = name;
+  SetLevel(r, refused_before, &status);
+  Put("mode", NameOf(r.command.mode), &status);
+  Put("handover", NameOf(r.handover), &status);
+  Put("handover_progress", r.progress, &status);
+  Put("uses_estimate", r.uses_estimate, &status);
+  Put("last_transition", r.last_transition, &status);
+  Put("estimates_declined", r.estimates_declined, &status);
+  Put("tracking_error_m", r.tracking_error_m, &status);
+  Put("tracking_rmse_m", r.tracking_rmse_m, &status);
+  Put("indi", r.command.indi, &status);
+  Put("saturated", r.command.allocation.saturated(), &status);
+  Put("steps", r.steps, &status);
+  Put("late_steps", r.late_steps, &status);
+  Put("step_ms_max", r.step_ms_max, &status);
+  Put("odometry_jumps", r.odometry_jumps, &status);
+  Put("clock_resets", r.clock_resets, &status);
+  Put("not_finite_commands", r.not_finite, &status);
+  PutInput("odometry", r.odometry, &status);
+  PutInput("imu", r.imu, &status);
+  PutInput("rotor_speeds", r.rotors, &status);
+  PutInput("references", r.references, &status);
+  PutInput("estimates", r.estimates, &status);
+  return status;
+}
+
+}  // namespace odmc

@@ -1,0 +1,484 @@
+#include "odmc/ros/simulator_node.h"
+
+#include <diagnostic_msgs/DiagnosticArray.h>
+#include <geometry_msgs/Vector3Stamped.h>
+#include <ros/console.h>
+#include <ros/init.h>
+#include <rosgraph_msgs/Clock.h>
+
+#include <cmath>
+#include <cstdio>
+#include <stdexcept>
+#include <utility>
+
+#include "odmc/io/number_text.h"
+#include "odmc/io/options_yaml.h"
+#include "odmc/io/parameters_yaml.h"
+#include "odmc/io/vehicle_yaml.h"
+#include "odmc/ros/control_messages.h"
+#include "odmc/ros/conversions.h"
+#include "odmc/ros/diagnostic_values.h"
+#include "odmc/ros/parameter_reader.h"
+#include "odmc/sim/truth_vehicle.h"
+
+namespace odmc {
+namespace {
+
+constexpr double kBatch_s = 0.002;  // between two messages of the clock
+// Every so many batches:
+constexpr long kTruthBatches = 2, kPointBatches = 5, kTfBatches = 10;  // 250, 100, 50 Hz
+constexpr double kOldCommand_s = 0.25;                                 // rotors stop
+constexpr double kPathStep_s = 0.05;
+constexpr Stamp kStartOfClock = 1000000000;  // ROS takes 0 for "no stamp"
+constexpr std::chrono::milliseconds kIdle(20);
+constexpr std::chrono::milliseconds kLongestWait(500);  // for one command
+constexpr std::chrono::milliseconds kMostCatchingUp(20);
+constexpr double kSlow = 0.9;  // of the real-time factor asked for
+
+using std::chrono::duration;
+
+double ElapsedSeconds(std::chrono::steady_clock::time_point since) {
+  return duration<double>(std::chrono::steady_clock::now() - since).count();
+}
+
+bool IsBody(const SensorMount& mount) {
+  return mount.p_BS.isZero(0.0) && mount.q_BS.isApprox(Eigen::Quaterniond::Identity(), 0.0);
+}
+
+ModelValues TruthOf(const DynamicModel& model, const SimulatorNodeOptions& options) {
+  return options.truth_file.empty() ? DefaultTruth(model) : model.InitialValues();
+}
+
+std::string VectorText(const Eigen::Vector3d& v) {
+  char text[80];
+  std::snprintf(text, sizeof text, "(%.3g, %.3g, %.3g) m", v.x(), v.y(), v.z());
+  return text;
+}
+
+// ---- Services: each says what it did, or throws ------------------------------------------------
+
+std::string AttachPayload(const WorldOptions& sizes, World* world) {
+  if (!(sizes.payload_kg > 0.0)) throw std::invalid_argument("payload_kg must be set above 0");
+  world->AttachPayload(sizes.payload_kg, sizes.payload_p_B_m);
+  return FormatNumber(sizes.payload_kg) + " kg hang at " + VectorText(sizes.payload_p_B_m);
+}
+
+std::string DropPayload(const WorldOptions&, World* world) {
+  world->DropPayload();
+  return "the payload is off";
+}
+
+std::string ShiftCentreOfGravity(const WorldOptions& sizes, World* world) {
+  const Eigen::Vector3d& by_m = sizes.cog_shift_m;
+  if (by_m.isZero(0.0)) throw std::invalid_argument("cog_shift_m is zero: nothing to shift by");
+  world->ShiftCentreOfGravity(by_m);
+  return "the centre of gravity moved by " + VectorText(by_m);
+}
+
+std::string DamagePropeller(const WorldOptions& sizes, World* world) {
+  if (!(sizes.damage_share > 0.0)) throw std::invalid_argument("damage_share must be set above 0");
+  world->DamagePropeller(sizes.damage_rotor - 1, sizes.damage_share);
+  return "rotor " + std::to_string(sizes.damage_rotor) + " lost a share of " +
+         FormatNumber(sizes.damage_share);
+}
+
+std::string Repair(const WorldOptions&, World* world) {
+  world->Repair();
+  return "all propellers are new";
+}
+
+std::string JumpOdometry(const WorldOptions& sizes, World* world) {
+  const Eigen::Vector3d& by_m = sizes.jump_m;
+  if (by_m.isZero(0.0)) throw std::invalid_argument("jump_m is zero: nothing to jump by");
+  world->JumpOdometry(by_m);
+  return "the odometry jumped by " + VectorText(by_m);
+}
+
+}  // namespace
+
+// ---- Set-up ------------------------------------------------------------------------------------
+
+bool SimulatorNodeOptions::IsValid(std::string* error) const {
+  const auto fail = [error](const std::string& what) {
+    if (error != nullptr) *error = what;
+    return false;
+  };
+  if (vehicle_file.empty()) return fail("vehicle_file must name a vehicle YAML");
+  if (!(real_time_factor > 0.0)) return fail("real_time_factor must be positive");
+  if (!(command_lag_s >= 0.0)) return fail("command_lag_s must be positive, or 0 not to wait");
+  if (world_frame.empty() || body_frame.empty()) {
+    return fail("world_frame and body_frame must not be empty");
+  }
+  return trajectory.IsValid(error);
+}
+
+SimulatorNodeSetup ReadSimulatorNodeSetup(const ros::NodeHandle& private_node) {
+  SimulatorNodeSetup setup;
+  ParameterReader reader(private_node);
+  setup.options.Visit(&reader);
+  if (!setup.options.world_file.empty()) LoadOptions(setup.options.world_file, &setup.world);
+  setup.world.Visit(&reader);
+  reader.CheckAllRead();
+  std::string error;
+  const auto fail = [&] {
+    throw std::invalid_argument(private_node.getNamespace() + ": " + error);
+  };
+  if (!setup.options.IsValid(&error)) fail();
+  const TrajectoryOptions& trajectory = setup.options.trajectory;
+  if (trajectory.ground_s > 0.0 && setup.world.start_height_m > 0.0) {
+    error = "ground_s and start_height_m contradict each other: the flight starts on the ground or "
+            "in hover";
+    fail();
+  }
+  if (trajectory.ground_s == 0.0 && setup.world.start_height_m == 0.0) {
+    setup.world.start_height_m = Trajectory(trajectory).At(0.0).p_WB.z();
+  }
+  if (!setup.world.IsValid(&error)) fail();
+  setup.vehicle = LoadVehicle(setup.options.vehicle_file);
+  if (!setup.options.truth_file.empty()) {
+    ApplyParameters(LoadParameters(setup.options.truth_file), &setup.vehicle);
+  }
+  return setup;
+}
+
+SimulatorNode::SimulatorNode(const ros::NodeHandle& node, const ros::NodeHandle& private_node,
+                             SimulatorNodeSetup setup)
+    : setup_(std::move(setup)),
+      model_(setup_.vehicle, setup_.vehicle.effects),
+      truth_(TruthOf(model_, setup_.options)),
+      trajectory_(setup_.options.trajectory),
+      node_(node),
+      private_node_(private_node),
+      world_(model_, truth_, setup_.world, setup_.options.seed) {
+  const std::string& body_frame = setup_.options.body_frame;
+  epoch_ = setup_.options.publishes_clock ? kStartOfClock : FromRos(ros::Time(ros::WallTime::now().toSec()));
+  truth_frame_ = body_frame + "_truth";
+  odometry_frame_ = IsBody(setup_.vehicle.odometry) ? body_frame : "odometry_sensor";
+  imu_frame_ = setup_.vehicle.imu ? "imu_link" : body_frame;
+  Advertise();
+  PublishStart();
+  pace_wall_ = reported_wall_ = Clock::now();
+  thread_ = std::thread(&SimulatorNode::Run, this);
+}
+
+SimulatorNode::~SimulatorNode() {
+  {
+    const std::lock_guard<std::mutex> lock(command_mutex_);
+    stopping_ = true;
+  }
+  command_arrived_.notify_all();
+  thread_.join();
+}
+
+void SimulatorNode::Advertise() {
+  if (setup_.options.publishes_clock) {
+    clock_publisher_ = node_.advertise<rosgraph_msgs::Clock>("/clock", 10);
+  }
+  odometry_publisher_ = node_.advertise<nav_msgs::Odometry>("odometry", 100);
+  imu_publisher_ = node_.advertise<sensor_msgs::Imu>("imu", 500);
+  rotor_publisher_ = node_.advertise<RotorSpeeds>("rotor_speeds", 500);
+  battery_publisher_ = node_.advertise<sensor_msgs::BatteryState>("battery_state", 10);
+  reference_publisher_ = node_.advertise<FlatOutput>("reference", 10);
+  using Points = trajectory_msgs::MultiDOFJointTrajectory;
+  point_publisher_ = node_.advertise<Points>("command_trajectory", 10);
+  path_publisher_ = node_.advertise<Points>("planned_trajectory", 1, true);
+  truth_odometry_publisher_ = node_.advertise<nav_msgs::Odometry>("truth/odometry", 100);
+  truth_wrench_publisher_ = node_.advertise<geometry_msgs::WrenchStamped>("truth/wrench", 100);
+  truth_wind_publisher_ = node_.advertise<geometry_msgs::Vector3Stamped>("truth/wind", 100);
+  truth_parameters_publisher_ = node_.advertise<DynamicParameters>("truth/parameters", 1, true);
+  diagnostics_publisher_ = node_.advertise<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10);
+  command_subscriber_ =
+      node_.subscribe("command/rotor_speeds", 10, &SimulatorNode::OnCommand, this,
+                      ros::TransportHints().tcpNoDelay());
+
+  Offer("attach_payload", AttachPayload);
+  Offer("drop_payload", DropPayload);
+  Offer("shift_cog", ShiftCentreOfGravity);
+  Offer("damage_propeller", DamagePropeller);
+  Offer("repair", Repair);
+  Offer("jump_odometry", JumpOdometry);
+  services_.push_back(private_node_.advertiseService("pause", &SimulatorNode::OnPause, this));
+}
+
+// ---- ROS threads -------------------------------------------------------------------------------
+
+void SimulatorNode::Offer(const std::string& service,
+                          std::string (*act)(const WorldOptions& sizes, World* world)) {
+  const boost::function<bool(std_srvs::Trigger::Request&, std_srvs::Trigger::Response&)> callback =
+      [this, service, act](std_srvs::Trigger::Request&, std_srvs::Trigger::Response& answer) {
+        try {
+          const WorldOptions sizes = Sizes();
+          const std::lock_guard<std::mutex> lock(world_mutex_);
+          answer.message = act(sizes, &world_);
+          answer.success = true;
+          ROS_INFO("%s: %s", service.c_str(), answer.message.c_str());
+        } catch (const std::exception& e) {
+          answer.success = false;
+          answer.message = e.what();
+        }
+        return true;
+      };
+  services_.push_back(private_node_.advertiseService(service, callback));
+}
+
+// They may be set anew before each call.
+WorldOptions SimulatorNode::Sizes() const {
+  WorldOptions sizes = setup_.world;
+  ParameterReader reader(private_node_);
+  sizes.Visit(&reader);
+  return sizes;
+}
+
+bool SimulatorNode::OnPause(std_srvs::SetBool::Request& request,
+                            std_srvs::SetBool::Response& response) {
+  paused_ = request.data;
+  response.success = true;
+  response.message = request.data ? "time stands" : "time runs";
+  return true;
+}
+
+void SimulatorNode::OnCommand(const RotorSpeeds::ConstPtr& message) {
+  const std::optional<RotorInput> input = ToInput(*message, model_.vehicle().num_rotors());
+  {
+    const std::lock_guard<std::mutex> lock(command_mutex_);
+    if (input) {
+      ++commands_;
+      command_ = {input->sample.stamp - epoch_, input->sample.speed};
+    } else {
+      ++commands_refused_;
+    }
+  }
+  if (!input) {
+    ROS_WARN_THROTTLE(1.0, "a command was refused: it must have a stamp and one finite speed for "
+                           "each of %d rotors", model_.vehicle().num_rotors());
+  }
+  command_arrived_.notify_one();
+}
+
+// ---- Stepping thread ---------------------------------------------------------------------------
+
+void SimulatorNode::Run() {
+  try {
+    while (true) {
+      {
+        const std::lock_guard<std::mutex> lock(command_mutex_);
+        if (stopping_) return;
+      }
+      if (ElapsedSeconds(reported_wall_) >= 1.0) PublishDiagnostics();
+      if (!MayStep()) {
+        PublishClock();  // who comes now learns what time it is
+        std::this_thread::sleep_for(kIdle);
+        pace_wall_ = Clock::now();
+        continue;
+      }
+      if (!WaitForCommand()) continue;
+      StepBatch();
+      Publish();
+      Pace();
+    }
+  } catch (const std::exception& e) {
+    ROS_FATAL("the simulation stopped: %s", e.what());
+    ros::requestShutdown();
+  }
+}
+
+bool SimulatorNode::MayStep() {
+  if (paused_) return false;
+  if (started_ || !setup_.options.waits_for_controller) return true;
+  started_ = HasController();
+  if (started_) ROS_INFO("a controller is there: time starts");
+  return started_;
+}
+
+bool SimulatorNode::HasController() const {
+  return odometry_publisher_.getNumSubscribers() > 0 && command_subscriber_.getNumPublishers() > 0 &&
+         reference_publisher_.getNumSubscribers() + point_publisher_.getNumSubscribers() > 0;
+}
+
+// Returns false where it has waited and should look again at what else happened.
+bool SimulatorNode::WaitForCommand() {
+  const double lag_s = setup_.options.command_lag_s;
+  if (lag_s == 0.0) return true;
+  std::unique_lock<std::mutex> lock(command_mutex_);
+  if (!command_) return true;
+  const auto is_near = [&] {
+    return stopping_ || ToSeconds(world_.now() - command_->stamp) <= lag_s;
+  };
+  if (is_near()) {
+    locked_ = true;
+    return true;
+  }
+  if (!locked_) return true;
+  ++slow_downs_;
+  locked_ = command_arrived_.wait_for(lock, kLongestWait, is_near);
+  if (!locked_) ROS_WARN("no command for %.0f ms: time goes on without", 1e3 * lag_s);
+  return false;
+}
+
+void SimulatorNode::StepBatch() {
+  const std::lock_guard<std::mutex> lock(world_mutex_);
+  ObeyCommand();
+  const Stamp end = (batches_ + 1) * FromSeconds(kBatch_s);
+  while (world_.now() < end) world_.Step();
+  ++batches_;
+}
+
+void SimulatorNode::ObeyCommand() {
+  const std::lock_guard<std::mutex> lock(command_mutex_);
+  if (!command_) return;
+  const bool is_old = ToSeconds(world_.now() - command_->stamp) > kOldCommand_s;
+  if (is_old) {
+    if (rotors_stopped_) return;
+    world_.Command(RotorVector::Zero(command_->speed.size()));
+    ROS_WARN("the newest command is older than %.2f s: rotors stop", kOldCommand_s);
+  } else if (command_->stamp != obeyed_ || rotors_stopped_) {
+    obeyed_ = command_->stamp;
+    world_.Command(command_->speed);
+  }
+  rotors_stopped_ = is_old;
+}
+
+void SimulatorNode::Pace() {
+  const double ahead_s =
+      ToSeconds(world_.now() - pace_time_) / setup_.options.real_time_factor -
+      ElapsedSeconds(pace_wall_);
+  if (ahead_s > 0.0) std::this_thread::sleep_for(duration<double>(ahead_s));
+  if (ahead_s > -duration<double>(kMostCatchingUp).count()) return;
+  pace_wall_ = Clock::now();  // too slow: what was lost is not caught up
+  pace_time_ = world_.now();
+}
+
+ros::Time SimulatorNode::At(Stamp world_stamp) const { return ToRos(world_stamp + epoch_); }
+
+void SimulatorNode::PublishClock() {
+  if (!setup_.options.publishes_clock) return;
+  rosgraph_msgs::Clock clock;
+  clock.clock = At(world_.now());
+  clock_publisher_.publish(clock);
+}
+
+void SimulatorNode::Publish() {
+  std::vector<Sample> samples;
+  std::optional<TruthSample> truth;
+  Eigen::Vector3d wind_W;
+  {
+    const std::lock_guard<std::mutex> lock(world_mutex_);
+    samples = world_.TakeSamples();
+    if (batches_ % kTruthBatches == 0) truth = world_.Truth();
+    wind_W = world_.wind_W();
+  }
+  const Stamp now = world_.now();
+  PublishClock();
+  if (truth) {
+    PublishReference(now);
+    PublishTruth(*truth, wind_W, now);
+  }
+  PublishSamples(samples);
+}
+
+void SimulatorNode::PublishSamples(const std::vector<Sample>& samples) {
+  const SimulatorNodeOptions& options = setup_.options;
+  for (Sample sample : samples) {
+    std::visit([this](auto& s) { s.stamp += epoch_; }, sample);
+    if (const auto* odometry = std::get_if<OdometrySample>(&sample)) {
+      odometry_publisher_.publish(ToMessage(*odometry, options.world_frame, odometry_frame_));
+    } else if (const auto* imu = std::get_if<ImuSample>(&sample)) {
+      imu_publisher_.publish(ToMessage(*imu, imu_frame_));
+    } else if (const auto* rotors = std::get_if<RotorSample>(&sample)) {
+      rotor_publisher_.publish(ToMessage(*rotors));
+    } else {
+      battery_publisher_.publish(ToMessage(std::get<BatterySample>(sample)));
+    }
+  }
+}
+
+void SimulatorNode::PublishReference(Stamp now) {
+  const SimulatorNodeOptions& options = setup_.options;
+  const FlatReference reference = trajectory_.At(ToSeconds(now));
+  reference_publisher_.publish(ToMessage(reference, now + epoch_, options.world_frame));
+  if (batches_ % kPointBatches != 0 || reference.standing) return;
+  point_publisher_.publish(
+      ToMessage({{now + epoch_, reference}}, options.world_frame, options.body_frame));
+}
+
+void SimulatorNode::PublishTruth(const TruthSample& truth, const Eigen::Vector3d& wind_W,
+                                 Stamp now) {
+  const Stamp stamp = now + epoch_;
+  const std::string& world_frame = setup_.options.world_frame;
+  truth_odometry_publisher_.publish(TruthOdometry(truth, stamp, world_frame, truth_frame_));
+  truth_wrench_publisher_.publish(TruthWrench(truth, stamp, truth_frame_));
+  geometry_msgs::Vector3Stamped wind;
+  wind.header = MakeHeader(stamp, world_frame);
+  wind.vector = ToVector3(wind_W);
+  truth_wind_publisher_.publish(wind);
+  if (batches_ % kTfBatches != 0) return;
+  tf_broadcaster_.sendTransform(ToTransform(stamp, world_frame, truth_frame_, truth.p_WB,
+                                            truth.q_WB.toRotationMatrix()));
+}
+
+// What is published once.
+void SimulatorNode::PublishStart() {
+  const SimulatorNodeOptions& options = setup_.options;
+  truth_parameters_publisher_.publish(TruthParameters(model_, truth_, epoch_, truth_frame_));
+  std::vector<geometry_msgs::TransformStamped> mounts;
+  const auto add = [&](const std::string& frame, const SensorMount& mount) {
+    mounts.push_back(ToTransform(epoch_, options.body_frame, frame, mount.p_BS,
+                                 mount.q_BS.toRotationMatrix()));
+  };
+  if (odometry_frame_ != options.body_frame) add(odometry_frame_, setup_.vehicle.odometry);
+  if (setup_.vehicle.imu) add(imu_frame_, *setup_.vehicle.imu);
+  if (!mounts.empty()) static_tf_broadcaster_.sendTransform(mounts);
+  if (!std::isfinite(trajectory_.end_s())) return;
+  std::vector<TimedReference> path;
+  for (double t = options.trajectory.ground_s; t < trajectory_.end_s(); t += kPathStep_s) {
+    path.push_back({FromSeconds(t) + epoch_, trajectory_.At(t)});
+  }
+  path_publisher_.publish(ToMessage(path, options.world_frame, options.body_frame));
+}
+
+void SimulatorNode::PublishDiagnostics() {
+  const double real_s = ElapsedSeconds(reported_wall_);
+  const double factor = ToSeconds(world_.now() - reported_time_) / real_s;
+  reported_wall_ = Clock::now();
+  reported_time_ = world_.now();
+  diagnostic_msgs::DiagnosticArray message;
+  message.header.stamp = At(world_.now());
+  message.status.push_back(Diagnostic(factor));
+  if (ros::ok()) diagnostics_publisher_.publish(message);
+}
+
+diagnostic_msgs::DiagnosticStatus SimulatorNode::Diagnostic(double factor) {
+  using diagnostic_msgs::DiagnosticStatus;
+  DiagnosticStatus status;
+  status.name = ros::this_node::getName() + ": simulator";
+  status.hardware_id = setup_.vehicle.name;
+  const double asked = setup_.options.real_time_factor;
+  const bool waits = setup_.options.waits_for_controller && !started_;
+  const bool is_slow = !waits && !paused_ && factor < kSlow * asked;
+  status.level = rotors_stopped_ ? DiagnosticStatus::ERROR
+                 : is_slow       ? DiagnosticStatus::WARN
+                                 : DiagnosticStatus::OK;
+  status.message = rotors_stopped_ ? "no commands: rotors are stopped"
+                   : is_slow ? "the machine is too slow for the real-time factor asked for"
+                   : waits   ? "waiting for a controller"
+                   : paused_ ? "paused"
+                             : "running";
+  Put("real_time_factor", factor, &status);
+  Put("real_time_factor_asked", asked, &status);
+  Put("time_s", ToSeconds(world_.now()), &status);
+  Put("trajectory", trajectory_.name(), &status);
+  Put("waits_for_commands", slow_downs_, &status);
+  {
+    const std::lock_guard<std::mutex> lock(world_mutex_);
+    Put("on_ground", world_.touches_ground(), &status);
+    Put("mass_kg", world_.mass(), &status);
+    Put("battery_voltage_V", world_.battery_voltage_V(), &status);
+  }
+  const std::lock_guard<std::mutex> lock(command_mutex_);
+  Put("commands", commands_, &status);
+  Put("commands_refused", commands_refused_, &status);
+  if (command_) Put("command_age_s", ToSeconds(world_.now() - command_->stamp), &status);
+  return status;
+}
+
+}  // namespace odmc

@@ -1,0 +1,24 @@
+#include "odmc/sim/hanging_load.h"
+
+namespace odmc {
+
+HangingLoad::HangingLoad(const DynamicModel& model, const ModelValues& values) {
+  const int length = model.IndexOf("suspended_load.length");
+  const int damping = model.IndexOf("suspended_load.damping");
+  const int swing = model.IndexOf("suspended_load.swing_x");
+  if (length < 0) return;
+  pendulum_.emplace(values[length], values[damping], model.vehicle().gravity_m_s2,
+                    values.segment<4>(swing));
+}
+
+void HangingLoad::Swing(const RigidBody& body, double time_s, const RotorVector& speed_cmd,
+                        const BodyWrench& external, double step_s, RigidBodyState* state) {
+  if (!pendulum_) return;
+  // The cable pulls with the acceleration of a step ago, at most a millisecond old.
+  const BodyWrench total = body.WrenchOf(body.FlightStateOf(time_s, *state, speed_cmd)) + external;
+  const Eigen::Vector3d acceleration_W = body.RateOf(*state, total).d_v_WB;
+  state->load_pull_W = pendulum_->Pull(acceleration_W);
+  pendulum_->Advance(acceleration_W, step_s);
+}
+
+}  // namespace odmc

@@ -1,0 +1,261 @@
+#include "odmc/sim/world.h"
+
+#include <Eigen/QR>
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <string>
+
+namespace odmc {
+namespace {
+
+constexpr double kMotorEfficiency = 0.6;
+constexpr double kLeastAirspeed_m_s = 1.0;  // keeps turbulence alive in still air
+
+WorldOptions Checked(const WorldOptions& options, const DynamicModel& model) {
+  std::string error;
+  if (!options.IsValid(&error)) throw std::invalid_argument(error);
+  if (options.damage_rotor > model.vehicle().num_rotors()) {
+    throw std::invalid_argument("damage_rotor must be 1 to " +
+                                std::to_string(model.vehicle().num_rotors()));
+  }
+  return options;
+}
+
+const ModelValues& Checked(const ModelValues& values, const DynamicModel& model) {
+  if (values.size() == model.num_parameters() && values.allFinite()) return values;
+  throw std::invalid_argument("the true values must be one finite number per model parameter");
+}
+
+void CheckFinite(const Eigen::Vector3d& vector, const std::string& what) {
+  if (!vector.allFinite()) throw std::invalid_argument(what + " must be finite");
+}
+
+// Squared speed at which all rotors together carry the vehicle [rad²/s²].
+double HoverSquared(const RotorMap& map, const BodyProperties& body) {
+  const double thrust = map.row(0).sum();
+  if (thrust > 0.0) return body.mass * body.g_W.norm() / thrust;
+  throw std::invalid_argument("the rotors of the true model do not push up");
+}
+
+// The same axes as the mean wind's level part, z up; those of W where there is none.
+Eigen::Matrix3d WindAxes(const Eigen::Vector3d& wind_W) {
+  const double speed = wind_W.head<2>().norm();
+  Eigen::Matrix3d axes = Eigen::Matrix3d::Identity();
+  if (speed > 0.0) {
+    const Eigen::Vector2d along = wind_W.head<2>() / speed;
+    axes.topLeftCorner<2, 2>() << along.x(), -along.y(), along.y(), along.x();
+  }
+  return axes;
+}
+
+// Speed a motor settles at on a voltage: S0 v = S1 Omega + S2 Omega².      model.md section 11
+double SteadySpeed(const WorldOptions& options, double voltage_V) {
+  const double s1 = options.motor_S1, s2 = options.motor_S2;
+  const double drive = options.motor_S0 * voltage_V;
+  return 2.0 * drive / (s1 + std::sqrt(s1 * s1 + 4.0 * s2 * drive));
+}
+
+}  // namespace
+
+World::World(const DynamicModel& model, const ModelValues& values, const WorldOptions& options,
+             int seed)
+    : options_(Checked(options, model)),
+      values_(Checked(values, model)),
+      body_(model, values_, {options.motor_time_constant_s, options.motor_S1, options.motor_S2}),
+      map_(RotorMapAtRest(model, values_, body_.properties())),
+      battery_(options.battery_full_V, options.battery_empty_V, options.battery_capacity_As,
+               options.battery_resistance_ohm),
+      turbulence_(options.gust_m_s, options.gust_length_m, seed),
+      disturbance_(model.vehicle(), options.disturbance_force_N, options.disturbance_torque_Nm,
+                   seed),
+      variation_(model, values_, seed),
+      load_(model, values_),
+      ground_(model.vehicle(), body_.properties(),
+              {options.leg_height_m, options.ground_static_sink_m, options.ground_damping_ratio,
+               options.ground_friction}),
+      sensors_(options_, seed),
+      lost_(RotorVector::Zero(model.vehicle().num_rotors())),
+      mean_wind_W_(options.wind_m_s),
+      step_(FromSeconds(options.step_s)),
+      step_s_(ToSeconds(step_)) {
+  const double hover_squared = HoverSquared(map_, body_.properties());
+  full_speed_ = std::sqrt(options_.max_thrust_over_weight * hover_squared);
+  idle_speed_ = options_.idle_speed_share * std::sqrt(hover_squared);
+  Place();
+  Surround();
+  Sense();
+}
+
+// Standing, or hovering with body z against gravity.
+void World::Place() {
+  state_.rotor_speed = RotorVector::Zero(lost_.size());
+  if (options_.start_height_m > 0.0) {
+    state_.p_WB.z() = options_.start_height_m;
+    state_.q_WB.setFromTwoVectors(Eigen::Vector3d::UnitZ(), -body_.properties().g_W);
+    state_.rotor_speed = HoverSpeeds();
+  }
+  asked_ = state_.rotor_speed;
+}
+
+RotorVector World::HoverSpeeds() const {
+  const BodyProperties& body = body_.properties();
+  const RotorVector left = RotorVector::Ones(lost_.size()) - lost_;
+  Eigen::MatrixXd map = map_ * left.asDiagonal();
+  // Rows of one size, so that the rank does not hang on units.
+  const Eigen::Vector4d scale = map.rowwise().norm().cwiseMax(1e-300).cwiseInverse();
+  const Eigen::Vector4d lift(body.mass * body.g_W.norm(), 0.0, 0.0, 0.0);
+  map = scale.asDiagonal() * map;
+  const RotorVector squared = map.completeOrthogonalDecomposition().solve(scale.cwiseProduct(lift));
+  return squared.cwiseMax(0.0).cwiseSqrt();
+}
+
+void World::Command(const RotorVector& speed_cmd) {
+  if (speed_cmd.size() != lost_.size() || !speed_cmd.allFinite()) {
+    throw std::invalid_argument("a command must be one finite speed for each of " +
+                                std::to_string(lost_.size()) + " rotors");
+  }
+  asked_ = speed_cmd;
+  LimitCommand();
+}
+
+void World::LimitCommand() {
+  max_speed_ = full_speed_ * battery_.voltage_V() / options_.battery_full_V;
+  if (options_.motor_S0 > 0.0 && options_.motor_S2 > 0.0) {
+    max_speed_ = std::min(max_speed_, SteadySpeed(options_, battery_.voltage_V()));
+  }
+  command_ = asked_.cwiseMax(idle_speed_).cwiseMin(max_speed_);
+  for (int j = 0; j < asked_.size(); ++j) {
+    if (asked_[j] <= 0.0) command_[j] = 0.0;
+  }
+}
+
+void World::Step() {
+  const double time_s = ToSeconds(now_);
+  load_.Swing(body_, time_s, command_, external_, step_s_, &state_);
+  state_ = body_.Step(time_s, state_, command_, external_, step_s_);
+  battery_.Draw(PowerOfRotors(), step_s_);
+  if (options_.gust_m_s > 0.0) {
+    const double airspeed = (mean_wind_W_ - state_.v_WB).norm();
+    turbulence_.Advance(std::max(airspeed, kLeastAirspeed_m_s), step_s_);
+  }
+  const Stamp before = now_;
+  now_ += step_;
+  RunSchedule(before);
+  Surround();
+  Sense();
+}
+
+// What battery and air bring about at the present state.
+void World::Surround() {
+  const double time_s = ToSeconds(now_);
+  variation_.Apply(time_s, &body_);
+  BlowWind();
+  LimitCommand();
+  external_ =
+      ground_.Push(state_, body_.properties().p_BBcm) + disturbance_.At(time_s) + DamageWrench();
+}
+
+void World::BlowWind() {
+  body_.SetExtraWind(mean_wind_W_ + WindAxes(mean_wind_W_) * turbulence_.velocity());
+}
+
+// Electrical power that the reaction torques at these speeds ask for [W].
+double World::PowerOfRotors() const {
+  double power = 0.0;
+  for (int j = 0; j < lost_.size(); ++j) {
+    const double speed = state_.rotor_speed[j];
+    power += (1.0 - lost_[j]) * std::abs(map_(3, j)) * speed * speed * speed;
+  }
+  return power / kMotorEfficiency;
+}
+
+// Takes back what damaged propellers do not give.
+BodyWrench World::DamageWrench() const {
+  const RotorVector lost_squared = lost_.cwiseProduct(state_.rotor_speed.cwiseAbs2());
+  const Eigen::Vector4d rows = map_ * lost_squared;
+  return {{0.0, 0.0, -rows[0]}, -rows.tail<3>()};
+}
+
+void World::Sense() {
+  sensors_.Sense(now_, state_.rotor_speed, body_.properties(), battery_.voltage_V(),
+                 [this] { return Truth(); });
+}
+
+TruthSample World::Truth() const {
+  TruthSample truth = TruthOf(body_, now_, state_, command_, external_);
+  truth.on_ground = touches_ground();
+  return truth;
+}
+
+void World::RunSchedule(Stamp before) {
+  const auto is_due = [&](double time_s) {
+    const Stamp stamp = FromSeconds(time_s);
+    return stamp > before && stamp <= now_;
+  };
+  const WorldOptions& o = options_;
+  if (is_due(o.payload_attach_at_s)) AttachPayload(o.payload_kg, o.payload_p_B_m);
+  if (is_due(o.payload_drop_at_s)) DropPayload();
+  if (is_due(o.cog_shift_at_s)) ShiftCentreOfGravity(o.cog_shift_m);
+  if (is_due(o.damage_at_s)) DamagePropeller(o.damage_rotor - 1, o.damage_share);
+  if (is_due(o.jump_at_s)) JumpOdometry(o.jump_m);
+}
+
+void World::ChangeBody(const BodyChange& change) {
+  body_.Change(change);
+  map_ = RotorMapAtRest(body_.model(), values_, body_.properties());
+  Surround();
+}
+
+void World::AttachPayload(double mass_kg, const Eigen::Vector3d& p_B) {
+  if (!(mass_kg > 0.0) || !std::isfinite(mass_kg)) {
+    throw std::invalid_argument("a payload must have a positive mass");
+  }
+  CheckFinite(p_B, "the place of a payload");
+  BodyChange change = body_.change();
+  change.payload_kg = mass_kg;
+  change.payload_p_B = p_B;
+  ChangeBody(change);
+}
+
+void World::DropPayload() {
+  BodyChange change = body_.change();
+  change.payload_kg = 0.0;
+  ChangeBody(change);
+}
+
+void World::ShiftCentreOfGravity(const Eigen::Vector3d& by_m) {
+  CheckFinite(by_m, "a shift of the centre of gravity");
+  BodyChange change = body_.change();
+  change.cog_shift_B += by_m;
+  ChangeBody(change);
+}
+
+void World::DamagePropeller(int rotor, double share) {
+  if (rotor < 0 || rotor >= lost_.size()) {
+    throw std::invalid_argument("there is no rotor " + std::to_string(rotor));
+  }
+  if (!(share >= 0.0 && share <= 1.0)) {
+    throw std::invalid_argument("the share a propeller loses must be 0 to 1");
+  }
+  lost_[rotor] = share;
+  Surround();
+}
+
+void World::Repair() {
+  lost_.setZero();
+  Surround();
+}
+
+void World::JumpOdometry(const Eigen::Vector3d& by_m) {
+  CheckFinite(by_m, "a jump of the odometry");
+  sensors_.Jump(by_m);
+}
+
+void World::SetWind(const Eigen::Vector3d& mean_W) {
+  CheckFinite(mean_W, "the wind");
+  mean_wind_W_ = mean_W;
+  Surround();
+}
+
+}  // namespace odmc

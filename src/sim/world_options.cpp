@@ -1,0 +1,113 @@
+#include "odmc/sim/world_options.h"
+
+#include <limits>
+#include <sstream>
+#include <utility>
+
+namespace odmc {
+namespace {
+
+constexpr double kNoLimit = std::numeric_limits<double>::max();
+
+struct Range {
+  const char* key;
+  double value, low, high;
+};
+
+bool Fail(std::string* error, const std::string& what) {
+  if (error != nullptr) *error = what;
+  return false;
+}
+
+bool IsInside(const Range& range, std::string* error) {
+  if (range.value >= range.low && range.value <= range.high) return true;
+  std::ostringstream text;
+  text << range.key << " must be ";
+  if (range.high < kNoLimit) {
+    text << range.low << " to " << range.high;
+  } else {
+    text << "a number of at least " << range.low;
+  }
+  text << ", not " << range.value;
+  return Fail(error, text.str());
+}
+
+bool AreFinite(const WorldOptions& o, std::string* error) {
+  const std::pair<const char*, const Eigen::Vector3d*> vectors[] = {
+      {"wind_m_s", &o.wind_m_s},
+      {"jump_m", &o.jump_m},
+      {"gyro_bias_rad_s", &o.gyro_bias_rad_s},
+      {"accelerometer_bias_m_s2", &o.accelerometer_bias_m_s2},
+      {"payload_p_B_m", &o.payload_p_B_m},
+      {"cog_shift_m", &o.cog_shift_m},
+  };
+  for (const auto& [key, vector] : vectors) {
+    if (!vector->allFinite()) return Fail(error, std::string(key) + " is not finite");
+  }
+  return true;
+}
+
+}  // namespace
+
+bool WorldOptions::IsValid(std::string* error) const {
+  const double max_rate = 1.0 / step_s;
+  const Range ranges[] = {
+      {"step_s", step_s, 1e-5, 0.001},
+      {"motor_time_constant_s", motor_time_constant_s, 1e-4, 10.0},
+      {"max_thrust_over_weight", max_thrust_over_weight, 1.01, 100.0},
+      {"idle_speed_share", idle_speed_share, 0.0, 0.99},
+      {"motor_S0", motor_S0, 0.0, kNoLimit},
+      {"motor_S1", motor_S1, 0.0, kNoLimit},
+      {"motor_S2", motor_S2, 0.0, kNoLimit},
+      {"battery_empty_V", battery_empty_V, 0.1, kNoLimit},
+      {"battery_full_V", battery_full_V, battery_empty_V, kNoLimit},
+      {"battery_capacity_As", battery_capacity_As, 1.0, kNoLimit},
+      {"battery_resistance_ohm", battery_resistance_ohm, 0.0, 10.0},
+      {"gust_m_s", gust_m_s, 0.0, 50.0},
+      {"gust_length_m", gust_length_m, 1.0, kNoLimit},
+      {"disturbance_force_N", disturbance_force_N, 0.0, kNoLimit},
+      {"disturbance_torque_Nm", disturbance_torque_Nm, 0.0, kNoLimit},
+      {"leg_height_m", leg_height_m, 0.01, 10.0},
+      {"ground_static_sink_m", ground_static_sink_m, 0.001, 0.5 * leg_height_m},
+      {"ground_damping_ratio", ground_damping_ratio, 0.0, 1.0},
+      {"ground_friction", ground_friction, 0.0, 2.0},
+      {"start_height_m", start_height_m, 0.0, kNoLimit},
+      {"odometry_rate_hz", odometry_rate_hz, 0.0, max_rate},
+      {"position_noise_m", position_noise_m, 0.0, kNoLimit},
+      {"attitude_noise_rad", attitude_noise_rad, 0.0, 1.0},
+      {"velocity_noise_m_s", velocity_noise_m_s, 0.0, kNoLimit},
+      {"rate_noise_rad_s", rate_noise_rad_s, 0.0, kNoLimit},
+      {"odometry_delay_s", odometry_delay_s, 0.0, 1.0},
+      {"position_drift_m_sqrt_s", position_drift_m_sqrt_s, 0.0, kNoLimit},
+      {"yaw_drift_rad_sqrt_s", yaw_drift_rad_sqrt_s, 0.0, kNoLimit},
+      {"imu_rate_hz", imu_rate_hz, 0.0, max_rate},
+      {"gyro_noise_density", gyro_noise_density, 0.0, kNoLimit},
+      {"accelerometer_noise_density", accelerometer_noise_density, 0.0, kNoLimit},
+      {"rotor_rate_hz", rotor_rate_hz, 0.0, max_rate},
+      {"rotor_noise_rad_s", rotor_noise_rad_s, 0.0, kNoLimit},
+      {"rotor_quantum_rad_s", rotor_quantum_rad_s, 0.0, kNoLimit},
+      {"rotor_delay_s", rotor_delay_s, 0.0, 1.0},
+      {"battery_rate_hz", battery_rate_hz, 0.0, max_rate},
+      {"jump_at_s", jump_at_s, 0.0, kNoLimit},
+      {"payload_attach_at_s", payload_attach_at_s, 0.0, kNoLimit},
+      {"payload_drop_at_s", payload_drop_at_s, 0.0, kNoLimit},
+      {"payload_kg", payload_kg, 0.0, kNoLimit},
+      {"cog_shift_at_s", cog_shift_at_s, 0.0, kNoLimit},
+      {"damage_at_s", damage_at_s, 0.0, kNoLimit},
+      {"damage_rotor", static_cast<double>(damage_rotor), 1.0, kNoLimit},
+      {"damage_share", damage_share, 0.0, 1.0},
+  };
+  for (const Range& range : ranges) {
+    if (!IsInside(range, error)) return false;
+  }
+  if (!AreFinite(*this, error)) return false;
+  if (motor_S2 > 0.0 && motor_S1 <= 0.0) {
+    return Fail(error, "motor_S1 must be positive where motor_S2 is");
+  }
+  if (payload_attach_at_s > 0.0 && payload_kg <= 0.0) {
+    return Fail(error, "payload_kg must be positive where payload_attach_at_s is");
+  }
+  return true;
+}
+
+}  // namespace odmc
