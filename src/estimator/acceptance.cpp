@@ -1,14 +1,17 @@
 #include "odmc/estimator/acceptance.h"
 
+#include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <limits>
 
 #include "odmc/model/plausibility.h"
 
 namespace odmc {
 namespace {
 
+constexpr double kStaysSure = 1.5;     // times the limit: what was sure once does not come and go
 constexpr double kShareOfPrior = 2.0;  // 10 % of the prior's sigma where 5 % of the value is asked
 
 std::string Text(const char* format, double a, double b) {
@@ -25,6 +28,46 @@ double SigmaLimit(const ParameterSpec& spec, double value, double share) {
   return std::max(relative, kShareOfPrior * share * std::max(spec.prior_sigma, spec.scale));
 }
 
+// `snapshot` given that what is not sure has its prior value.
+Snapshot HeldBack(const DynamicModel& model, const Snapshot& snapshot,
+                  const std::vector<bool>& sure) {
+  std::vector<int> kept, held;
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    if (!model.parameters()[i].estimated) continue;
+    (sure[i] ? kept : held).push_back(i);
+  }
+  Snapshot usable = snapshot;
+  if (held.empty()) return usable;
+  Eigen::VectorXd shift(static_cast<Eigen::Index>(held.size()));
+  for (size_t k = 0; k < held.size(); ++k) {
+    const int i = held[k];
+    shift[static_cast<Eigen::Index>(k)] =
+        model.parameters()[i].spec.prior_value - snapshot.values[i];
+    usable.values[i] = model.parameters()[i].spec.prior_value;
+    usable.observable[i] = false;
+  }
+  // Correlations, so that units do not matter to the decomposition.
+  const Eigen::VectorXd size =
+      snapshot.covariance.diagonal().cwiseSqrt().cwiseMax(std::numeric_limits<double>::min());
+  const Eigen::VectorXd held_size = size(held);
+  const Eigen::MatrixXd held_inverse = held_size.cwiseInverse().asDiagonal();
+  const Eigen::MatrixXd among_held = held_inverse * snapshot.covariance(held, held) * held_inverse;
+  const Eigen::MatrixXd across = snapshot.covariance(kept, held) * held_inverse;
+  const Eigen::MatrixXd gain =
+      among_held.completeOrthogonalDecomposition().solve(across.transpose()).transpose();
+  const Eigen::VectorXd moved = gain * (held_inverse * shift);
+  const Eigen::MatrixXd left = snapshot.covariance(kept, kept) - gain * across.transpose();
+  for (size_t k = 0; k < kept.size(); ++k) {
+    const auto row = static_cast<Eigen::Index>(k);
+    usable.values[kept[k]] += moved[row];
+    usable.sigma[kept[k]] = std::sqrt(std::max(left(row, row), 0.0));
+  }
+  usable.covariance(kept, kept) = left;
+  usable.covariance(kept, held).setZero();
+  usable.covariance(held, kept).setZero();
+  return usable;
+}
+
 }  // namespace
 
 bool AcceptanceOptions::IsValid(std::string* error) const {
@@ -35,20 +78,37 @@ bool AcceptanceOptions::IsValid(std::string* error) const {
   return false;
 }
 
+std::string Acceptance::Objection(const ModelParameter& parameter, int index,
+                                  const Snapshot& snapshot) const {
+  const double value = snapshot.values[index], sigma = snapshot.sigma[index];
+  if (HasWrongSign(parameter.spec.sign, value, sigma)) {
+    return parameter.full_name + Text(" = %.3g +- %.2g", value, sigma) + " " + parameter.spec.unit +
+           " has the wrong sign";
+  }
+  const bool was_sure = index < static_cast<int>(sure_.size()) && sure_[index];
+  const double limit = (was_sure ? kStaysSure : 1.0) *
+                       SigmaLimit(parameter.spec, value, options_.accept_relative_sigma);
+  if (sigma <= limit) return "";
+  return parameter.full_name + Text(": sigma %.2g is above %.2g ", sigma, limit) +
+         parameter.spec.unit;
+}
+
 bool Acceptance::Update(const DynamicModel& model, const Snapshot& snapshot) {
-  reasons_ = UnphysicalValues(model, snapshot.values, snapshot.sigma);
-  const double share = options_.accept_relative_sigma;
+  reasons_.clear();
+  held_back_.clear();
+  std::vector<bool> sure(model.num_parameters(), true);
   for (int i = 0; i < model.num_parameters(); ++i) {
     const ModelParameter& p = model.parameters()[i];
     if (!p.estimated) continue;
-    if (!snapshot.observable[i]) {
-      if (p.full_name == "thrust.k_f") reasons_.push_back(p.full_name + " is not observable yet");
-      continue;
-    }
-    const double limit = SigmaLimit(p.spec, snapshot.values[i], share);
-    if (snapshot.sigma[i] <= limit) continue;
-    reasons_.push_back(p.full_name + Text(": sigma %.2g is above %.2g ", snapshot.sigma[i], limit) +
-                       p.spec.unit);
+    const std::string objection = Objection(p, i, snapshot);
+    if (objection.empty()) continue;
+    sure[i] = false;
+    (p.full_name == "thrust.k_f" ? reasons_ : held_back_).push_back(objection);
+  }
+  sure_ = sure;
+  usable_ = HeldBack(model, snapshot, sure);
+  for (const std::string& sentence : UnphysicalValues(model, usable_.values, usable_.sigma)) {
+    reasons_.push_back(sentence);
   }
   if (!reasons_.empty()) {
     good_since_.reset();
@@ -63,7 +123,10 @@ bool Acceptance::Update(const DynamicModel& model, const Snapshot& snapshot) {
 void Acceptance::Reset() {
   good_since_.reset();
   accepted_ = false;
+  sure_.clear();
   reasons_.clear();
+  held_back_.clear();
+  usable_ = Snapshot();
 }
 
 }  // namespace odmc

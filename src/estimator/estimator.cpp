@@ -18,8 +18,10 @@ using Eigen::Vector3d;
 
 namespace {
 
-constexpr double kObservableShare = 0.5;  // of the prior's sigma
-constexpr double kNoiseWarmUp_s = 0.3;    // of odometry before the first keyframe
+constexpr double kObservableShare = 0.5;   // of the prior's sigma
+constexpr double kNoiseWarmUp_s = 0.3;     // of odometry before the first keyframe
+constexpr double kChangeDelay_s = 0.15;    // age of the intervals that show a change
+constexpr double kSigmaAfterChange = 0.3;  // least sigma then, of the prior's
 
 double ThreadCpuSeconds() {
   timespec now;
@@ -135,6 +137,8 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
       odometry_noise_(Configured(options)),
       process_noise_(model->vehicle().mass_kg * model->vehicle().gravity_m_s2,
                      model->vehicle().ArmLength(), options.process_noise_floor),
+      change_detector_(model->vehicle().mass_kg * model->vehicle().gravity_m_s2,
+                       model->vehicle().inertia_kg_m2),
       window_(&layout_),
       solver_(MakeSolver(options.solver)),
       information_(NewInformation()),
@@ -222,9 +226,11 @@ std::optional<Snapshot> Estimator::Step() {
   const bool airborne = CheckGround(*sample);
   std::optional<Snapshot> snapshot;
   FollowLoad(*sample);
-  if (airborne && is_held_out_ && is_held_out_(sample->stamp)) {
+  const bool is_held_out = is_held_out_ && is_held_out_(sample->stamp);
+  if (airborne && (is_held_out || ground_.IsNear(sample->p_WS.z()))) {
     last_in_window_ = false;
     inertia_gate_.Break();
+    change_detector_.Break();
   } else if (airborne) {
     const std::optional<Interval> interval = ReadInterval(*sample);
     AddKeyframe(*sample, interval);
@@ -246,12 +252,14 @@ std::optional<Snapshot> Estimator::Step() {
     snapshot->timing.window_full = span >= options_.window_s - 2.5 / options_.keyframe_rate_hz;
     snapshot->timing.states = static_cast<int>(window_.keyframes().size());
     MarginalizeOld();
+    if (options_.detect_changes) LookForChange();
     snapshot->timing.wall_ms = timer.WallMs();
     snapshot->timing.cpu_ms = timer.CpuMs();
   } else {
     ++counters_.ground_keyframes;
     last_in_window_ = false;
     inertia_gate_.Break();
+    change_detector_.Break();
   }
   before_last_ = last_;
   last_ = sample;
@@ -677,6 +685,47 @@ void Estimator::FillResiduals(Snapshot* snapshot) {
   }
   snapshot->residual_force_rms_N = std::sqrt(residual_force_power_);
   snapshot->residual_torque_rms_Nm = std::sqrt(residual_torque_power_);
+}
+
+// The newest states still give way to a change; those a little older can't.
+void Estimator::LookForChange() {
+  const auto& keyframes = window_.keyframes();
+  const Stamp until = keyframes.back().stamp - FromSeconds(kChangeDelay_s);
+  for (const Keyframe& keyframe : keyframes) {
+    if (keyframe.stamp > until) return;
+    if (keyframe.stamp <= change_seen_) continue;
+    change_seen_ = keyframe.stamp;
+    for (const Factor& factor : keyframe.factors) {
+      if (factor.kind != FactorKind::kDynamics) continue;
+      const auto& dynamics = static_cast<const DynamicsFactor&>(*factor.cost);
+      Eigen::Matrix<double, kNumDynamicsRows, 1> e;
+      if (!dynamics.UnwhitenedResidual(window_.Blocks(factor, false).data(), &e)) continue;
+      const double dt = dynamics.measurement().dt;
+      const Eigen::Vector3d torque =
+          dynamics.noise().nominal_inertia.cwiseProduct(e.segment<3>(kRowAngular)) / dt;
+      if (!change_detector_.Add(dt, e.segment<3>(kRowVelocity) / dt, torque)) continue;
+      return LearnAnew();
+    }
+  }
+}
+
+// The chain ends here, so that no state spans the change; what was learned stays as it is, only
+// less certain.
+void Estimator::LearnAnew() {
+  ++counters_.changes;
+  while (!window_.keyframes().empty()) MarginalizeOldest(&window_, sigma_eta_);
+  window_.biases().clear();
+  bias_since_.reset();
+  last_in_window_ = false;
+  inertia_gate_.Break();
+  Eigen::VectorXd scale(sigma_eta_.size());
+  for (Eigen::Index i = 0; i < scale.size(); ++i) {
+    const double ratio = sigma_eta_[i] / (kSigmaAfterChange * prior_sigma_eta_[i]);
+    scale[i] = std::clamp(ratio * ratio, 1e-8, 1.0);
+  }
+  const Eigen::MatrixXd root = RescalePrior(scale, &window_);
+  information_.Rescale(root);
+  consistency_.Rescale(root);
 }
 
 void Estimator::MarginalizeOld() {

@@ -17,6 +17,7 @@ bool GroundGate::Update(Stamp stamp, const Eigen::Vector3d& p_WS, double speed_m
   if (!started_) {
     started_ = true;
     airborne_ = !weak;
+    stood_ = weak;
     ground_height_ = p_WS.z();
     return airborne_;
   }
@@ -37,6 +38,7 @@ bool GroundGate::Update(Stamp stamp, const Eigen::Vector3d& p_WS, double speed_m
   }
   if (ToSeconds(stamp - quiet_since_) < options_.confirm_s) return true;
   airborne_ = false;
+  stood_ = true;
   ground_height_ = p_WS.z();
   return false;
 }

@@ -14,7 +14,8 @@ namespace {
 
 constexpr double kLeftOut_s = 2.0;  // after take-off
 constexpr double kSample_s = 0.01;  // between TrackingSamples
-constexpr double kOffer_s = 0.2;    // between offers of an accepted estimate
+constexpr double kStep_s = 1e-3;
+constexpr double kOffer_s = 0.2;  // between offers of an accepted estimate
 constexpr double kMostTilt_rad = 2.0943951023931953;
 constexpr double kMostError_m = 2.0;
 constexpr double kClear_m = 0.15;  // above the stand: the ground should be out of reach
@@ -24,11 +25,18 @@ double MillisecondsSince(std::chrono::steady_clock::time_point start) {
       .count();
 }
 
+// The vehicle as the estimator starts from it.
+Vehicle Believed(const ClosedLoopSetup& setup) {
+  Vehicle vehicle = setup.vehicle;
+  if (setup.warm_start) ApplyParameters(*setup.warm_start, &vehicle);
+  return vehicle;
+}
+
 // The estimator as a node runs it: samples in, accepted estimates out.
 class EstimatorInLoop {
  public:
   explicit EstimatorInLoop(const ClosedLoopSetup& setup)
-      : model_(setup.vehicle, setup.vehicle.effects),
+      : model_(Believed(setup), setup.vehicle.effects),
         estimator_(&model_, setup.estimator, true),
         acceptance_(setup.acceptance) {}
 
@@ -48,7 +56,7 @@ class EstimatorInLoop {
     if (!last_ || !acceptance_.accepted() || !estimator_.airborne()) return std::nullopt;
     if (offered_ && ToSeconds(last_->stamp - *offered_) < kOffer_s) return std::nullopt;
     offered_ = last_->stamp;
-    return std::make_pair(last_->stamp, Estimator::ToParameterSet(model_, *last_));
+    return std::make_pair(last_->stamp, Estimator::ToParameterSet(model_, acceptance_.Usable()));
   }
 
  private:
@@ -69,6 +77,7 @@ class Loop {
         handover_(setup.handover, setup.vehicle),
         controller_(setup.controller, handover_.model()) {
     if (setup.estimates) estimator_.emplace(setup);
+    if (setup.warm_start) handover_.Offer(*setup.warm_start, FromSeconds(kStep_s), 0);
     const double duration_s = setup.trajectory.duration_s;
     path_end_s_ = duration_s > 0.0 ? trajectory_.start_s() + duration_s
                                    : std::numeric_limits<double>::infinity();

@@ -20,6 +20,7 @@ constexpr char kHelp[] =
     "Subscribes odometry or pose, imu, rotor_speeds or joint_states, battery_state.\n"
     "Publishes  parameters, parameters_accepted, state, residual_wrench, unexplained,\n"
     "           live_image, /diagnostics.\n"
+    "Services   ~reset, ~freeze, ~accept, ~save.\n"
     "Parameters: see launch/estimator.launch and config/estimator.yaml.\n";
 
 }  // namespace
@@ -35,7 +36,8 @@ int main(int argc, char** argv) {
   // Outside of `try`: the last handle takes the log with it.
   const ros::NodeHandle node, private_node("~");
   try {
-    const odmc::EstimatorNode estimator(node, odmc::ReadEstimatorNodeSetup(node, private_node));
+    const odmc::EstimatorNode estimator(node, private_node,
+                                        odmc::ReadEstimatorNodeSetup(node, private_node));
     ros::spin();
   } catch (const std::exception& e) {
     ROS_FATAL("%s", e.what());

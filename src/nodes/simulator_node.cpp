@@ -1,4 +1,5 @@
-// A vehicle in its simulated world, flown by whoever sends rotor speeds. See launch/simulation.launch.
+// A vehicle in its simulated world, flown by whoever sends rotor speeds. See
+// launch/simulation.launch.
 
 #include "odmc/ros/simulator_node.h"
 

@@ -21,9 +21,7 @@ bool IsFinite(const FlatReference& r) {
 /// swing-twist decomposition.
 double YawOf(const Eigen::Quaterniond& q_WB) { return 2.0 * std::atan2(q_WB.z(), q_WB.w()); }
 
-Stamp FromRos(const ros::Duration& duration) {
-  return static_cast<Stamp>(duration.toNSec());
-}
+Stamp FromRos(const ros::Duration& duration) { return static_cast<Stamp>(duration.toNSec()); }
 
 /// One point; nothing if it is not sound.
 std::optional<FlatReference> ToPointReference(

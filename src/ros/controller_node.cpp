@@ -1,1 +1,371 @@
+#include "odmc/ros/controller_node.h"
 
+#include <diagnostic_msgs/DiagnosticArray.h>
+#include <ros/console.h>
+#include <ros/this_node.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <stdexcept>
+#include <utility>
+
+#include "odmc/io/options_yaml.h"
+#include "odmc/io/parameters_yaml.h"
+#include "odmc/io/vehicle_yaml.h"
+#include "odmc/ros/control_messages.h"
+#include "odmc/ros/parameter_reader.h"
+
+namespace odmc {
+namespace {
+
+constexpr double kStepBack_s = 0.5;   // less is a late sample
+constexpr double kSameClock_s = 0.1;  // stamps this near to now are taken for now
+constexpr double kDue = 0.75;         // of the control period
+constexpr double kLate = 3.0;         // control periods
+constexpr double kImuPatience_s = 0.01;
+constexpr double kStatusPeriod_s = 0.02;
+
+Stamp Now() { return FromRos(ros::Time::now()); }
+
+}  // namespace
+
+// ---- Set-up ------------------------------------------------------------------------------------
+
+bool ControllerNodeOptions::IsValid(std::string* error) const {
+  const auto fail = [error](const std::string& what) {
+    if (error != nullptr) *error = what;
+    return false;
+  };
+  if (vehicle_file.empty()) return fail("vehicle_file must name a vehicle YAML");
+  if (!(control_rate_hz >= 50.0 && control_rate_hz <= 2000.0)) {
+    return fail("control_rate_hz must be 50 to 2000");
+  }
+  if (twist_frame != "auto" && twist_frame != "body" && twist_frame != "world") {
+    return fail("twist_frame must be body, world or auto, not '" + twist_frame + "'");
+  }
+  if (!(reference_timeout_s > 0.0)) return fail("reference_timeout_s must be positive");
+  if (body_frame.empty()) return fail("body_frame must not be empty");
+  return true;
+}
+
+ControllerNodeSetup ReadControllerNodeSetup(const ros::NodeHandle& private_node) {
+  ControllerNodeSetup setup;
+  ParameterReader reader(private_node);
+  setup.options.Visit(&reader);
+  if (!setup.options.config.empty()) LoadOptions(setup.options.config, &setup.config);
+  setup.config.Visit(&reader);
+  reader.CheckAllRead();
+  std::string error;
+  if (!setup.options.IsValid(&error) || !setup.config.IsValid(&error)) {
+    throw std::invalid_argument(private_node.getNamespace() + ": " + error);
+  }
+  setup.vehicle = LoadVehicle(setup.options.vehicle_file);
+  if (!setup.options.parameters_file.empty()) {
+    setup.saved = LoadParameters(setup.options.parameters_file);
+  }
+  return setup;
+}
+
+ControllerNode::ControllerNode(const ros::NodeHandle& node, const ros::NodeHandle& private_node,
+                               ControllerNodeSetup setup)
+    : setup_(std::move(setup)),
+      handover_(setup_.config.handover, setup_.vehicle),
+      controller_(setup_.config.controller, handover_.model()),
+      references_(setup_.options.reference_timeout_s),
+      node_(node) {
+  twist_.emplace();
+  report_.uses_estimate = setup_.options.use_estimate;
+  Subscribe();
+  Advertise(private_node);
+  const ros::Duration period(1.0 / setup_.options.control_rate_hz);
+  step_timer_ =
+      node_.createTimer(period, [this](const ros::TimerEvent&) { StepIfDue(Now(), false); });
+  report_timer_ = node_.createWallTimer(
+      ros::WallDuration(1.0), [this](const ros::WallTimerEvent&) { PublishDiagnostics(); });
+}
+
+void ControllerNode::Subscribe() {
+  const ros::TransportHints hints = ros::TransportHints().tcpNoDelay();
+  subscribers_ = {
+      node_.subscribe("odometry", 20, &ControllerNode::OnOdometry, this, hints),
+      node_.subscribe("imu", 50, &ControllerNode::OnImu, this, hints),
+      node_.subscribe("rotor_speeds", 50, &ControllerNode::OnRotors, this, hints),
+      node_.subscribe("reference", 20, &ControllerNode::OnReference, this, hints),
+      node_.subscribe("command_trajectory", 5, &ControllerNode::OnTrajectory, this, hints),
+      node_.subscribe("parameters_accepted", 5, &ControllerNode::OnAccepted, this, hints)};
+}
+
+void ControllerNode::Advertise(ros::NodeHandle private_node) {
+  rotor_publisher_ = node_.advertise<RotorSpeeds>("command/rotor_speeds", 10);
+  rate_publisher_ = node_.advertise<RateThrust>("command/rate_thrust", 10);
+  status_publisher_ = node_.advertise<ControllerStatus>("controller_status", 50);
+  diagnostics_publisher_ = node_.advertise<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10);
+  services_ = {
+      private_node.advertiseService("reset_parameters", &ControllerNode::OnResetParameters, this),
+      private_node.advertiseService("use_estimate", &ControllerNode::OnUseEstimate, this)};
+}
+
+// ---- Input -------------------------------------------------------------------------------------
+
+bool ControllerNode::Admit(Stamp stamp, Stamp* newest, ControlInput* input) {
+  const Stamp now = Now();
+  WatchClock(now);
+  // Also what is left of a time the clock has stepped back from.
+  if (ToSeconds(stamp - now) > kStepBack_s) {
+    if (now > 0) ++input->refused;
+    return false;
+  }
+  if (ToSeconds(*newest - stamp) > kStepBack_s) OnClockStepBack();
+  *newest = std::max(*newest, stamp);
+  return true;
+}
+
+void ControllerNode::WatchClock(Stamp now) {
+  if (ToSeconds(newest_now_ - now) > kStepBack_s) OnClockStepBack();
+  newest_now_ = std::max(newest_now_, now);
+}
+
+void ControllerNode::OnClockStepBack() {
+  ROS_WARN("the clock stepped back: state and estimate are forgotten");
+  ++report_.clock_resets;
+  controller_.Reset();
+  references_.Reset();
+  twist_.emplace();
+  newest_odometry_ = newest_imu_ = newest_rotors_ = newest_now_ = 0;
+  last_step_.reset();
+  last_status_.reset();
+  report_.twist_warning.clear();
+  BackToNominal(Now());
+}
+
+void ControllerNode::OnOdometry(const nav_msgs::Odometry::ConstPtr& message) {
+  ++report_.odometry.received;
+  const std::optional<OdometryInput> input = ToInput(*message);
+  if (!input || !input->linear) {
+    ++report_.odometry.refused;
+    ROS_WARN_THROTTLE(5.0, "an odometry was refused: no stamp, not finite, or without velocity");
+    return;
+  }
+  if (!Admit(input->sample.stamp, &newest_odometry_, &report_.odometry)) return;
+  OdometrySample sample = input->sample;
+  sample.v_WS = FrameOf(*input) == TwistFrame::kWorld
+                    ? *input->linear
+                    : Eigen::Vector3d(sample.q_WS * *input->linear);
+  controller_.Add(sample);
+}
+
+TwistFrame ControllerNode::FrameOf(const OdometryInput& input) {
+  const OdometrySample& sample = input.sample;
+  twist_->AddSample(sample.stamp, sample.p_WS, sample.q_WS, *input.linear);
+  const TwistFrame verdict = twist_->decision().frame;
+  const std::string& stated = setup_.options.twist_frame;
+  const TwistFrame used = stated == "world" ? TwistFrame::kWorld
+                          : stated == "body"
+                              ? TwistFrame::kBody
+                              : ResolveTwistFrame(verdict, input.frame_id, input.child_frame_id);
+  if (twist_->decided() && verdict != used && report_.twist_warning.empty()) {
+    report_.twist_warning = "the odometry's twist does not fit twist_frame " + stated + ": " +
+                            twist_->decision().Describe();
+    ROS_WARN("%s", report_.twist_warning.c_str());
+  }
+  return used;
+}
+
+void ControllerNode::OnImu(const sensor_msgs::Imu::ConstPtr& message) {
+  ++report_.imu.received;
+  const std::optional<ImuInput> input = ToInput(*message);
+  if (!input) {
+    ++report_.imu.refused;
+    return;
+  }
+  const Stamp stamp = input->sample.stamp;
+  const Stamp before = newest_imu_;
+  if (!Admit(stamp, &newest_imu_, &report_.imu) || stamp == before) return;
+  MeasureImuRate(stamp - before);
+  controller_.Add(input->sample);
+  const Stamp now = Now();
+  StepIfDue(std::abs(ToSeconds(now - stamp)) < kSameClock_s ? stamp : now, true);
+}
+
+void ControllerNode::MeasureImuRate(Stamp since_last) {
+  constexpr double kShare = 0.05;  // of each new sample
+  const double period_s = std::clamp(ToSeconds(since_last), 0.0, 1.0);
+  imu_period_s_ += kShare * (period_s - imu_period_s_);
+}
+
+void ControllerNode::OnRotors(const RotorSpeeds::ConstPtr& message) {
+  ++report_.rotors.received;
+  const std::optional<RotorInput> input = ToInput(*message, setup_.vehicle.num_rotors());
+  if (!input || input->rms_only) {
+    ++report_.rotors.refused;
+    return;
+  }
+  if (Admit(input->sample.stamp, &newest_rotors_, &report_.rotors)) controller_.Add(input->sample);
+}
+
+void ControllerNode::OnReference(const FlatOutput::ConstPtr& message) {
+  ++report_.references.received;
+  const std::optional<TimedReference> reference = ToReference(*message);
+  if (!reference) {
+    ++report_.references.refused;
+    ROS_WARN_THROTTLE(5.0, "a reference was refused: no stamp or not finite");
+    return;
+  }
+  Stamp newest = 0;  // a reference says nothing about the clock
+  if (Admit(reference->stamp, &newest, &report_.references)) references_.Add(*reference);
+}
+
+void ControllerNode::OnTrajectory(
+    const trajectory_msgs::MultiDOFJointTrajectory::ConstPtr& message) {
+  ++report_.references.received;
+  std::string error;
+  std::optional<std::vector<TimedReference>> points = ToReferences(*message, Now(), &error);
+  if (points) {
+    references_.Add(*std::move(points));
+  } else {
+    ++report_.references.refused;
+    ROS_WARN_THROTTLE(5.0, "refused: %s", error.c_str());
+  }
+}
+
+void ControllerNode::OnAccepted(const DynamicParameters::ConstPtr& message) {
+  ++report_.estimates.received;
+  const std::optional<ParameterSet> set = ToParameterSet(*message);
+  if (!set || message->vehicle != setup_.vehicle.name) {
+    ++report_.estimates.refused;
+    ROS_WARN_THROTTLE(
+        5.0, "an estimate was refused: %s",
+        set ? ("it is of the vehicle '" + message->vehicle + "', not '" + setup_.vehicle.name + "'")
+                  .c_str()
+            : "no stamp or not finite");
+    return;
+  }
+  if (report_.uses_estimate) handover_.Offer(*set, FromRos(message->header.stamp), Now());
+}
+
+bool ControllerNode::OnResetParameters(std_srvs::Trigger::Request&,
+                                       std_srvs::Trigger::Response& answer) {
+  BackToNominal(Now());
+  answer.success = true;
+  answer.message = report_.uses_estimate
+                       ? "back to the vehicle file; the next accepted estimate is followed again"
+                       : "back to the vehicle file";
+  return true;
+}
+
+bool ControllerNode::OnUseEstimate(std_srvs::SetBool::Request& request,
+                                   std_srvs::SetBool::Response& answer) {
+  report_.uses_estimate = request.data;
+  if (!request.data) BackToNominal(Now());
+  answer.success = true;
+  answer.message = request.data ? "accepted estimates are followed"
+                                : "back to the vehicle file; estimates are ignored";
+  return true;
+}
+
+void ControllerNode::BackToNominal(Stamp now) {
+  handover_.Reset(now);
+  controller_.SetModel(handover_.model(), handover_.values());
+}
+
+// ---- Control -----------------------------------------------------------------------------------
+
+void ControllerNode::StepIfDue(Stamp now, bool on_imu) {
+  WatchClock(now);
+  if (now <= 0) return;
+  const double period_s = 1.0 / setup_.options.control_rate_hz;
+  const double since_s = last_step_ ? ToSeconds(now - *last_step_) : 1.0;
+  const bool imu_drives =
+      imu_period_s_ < 1.25 * period_s && ToSeconds(now - newest_imu_) < kImuPatience_s;
+  const bool is_due =
+      since_s >= kDue * period_s && (on_imu || !imu_drives || since_s > kImuPatience_s);
+  if (!is_due) return;
+  if (last_step_ && since_s > kLate * period_s) ++report_.late_steps;
+  last_step_ = now;
+  Step(now);
+}
+
+void ControllerNode::Step(Stamp now) {
+  const auto start = std::chrono::steady_clock::now();
+  if (setup_.saved && report_.uses_estimate) {
+    handover_.Offer(*setup_.saved, now, now);
+    setup_.saved.reset();
+  }
+  const std::optional<FlatReference> reference = references_.At(now);
+  Track(now, reference);
+  if (handover_.Update(now, reference && !reference->standing && report_.has_state
+                                ? std::optional<double>(report_.tracking_error_m)
+                                : std::nullopt)) {
+    controller_.SetModel(handover_.model(), handover_.values());
+  }
+  PublishCommand(controller_.Update(now, reference));
+  const bool has_news = TakeEvents();
+  const bool is_due = !last_status_ || ToSeconds(now - *last_status_) >= kStatusPeriod_s;
+  if (has_news || is_due) PublishStatus(now);
+  const std::chrono::duration<double, std::milli> took = std::chrono::steady_clock::now() - start;
+  report_.step_ms_max = std::max(report_.step_ms_max, took.count());
+  ++report_.steps;
+}
+
+// How far the vehicle is from the reference, as the controller sees it.
+void ControllerNode::Track(Stamp now, const std::optional<FlatReference>& reference) {
+  const std::optional<BodyState> state = controller_.StateAt(now);
+  report_.has_state = state.has_value();
+  report_.has_reference = reference.has_value();
+  report_.reference_lost = references_.IsLost(now);
+  const bool tracks = state && reference && !reference->standing;
+  report_.tracking_error_m = tracks ? (state->p_WB - reference->p_WB).norm() : 0.0;
+}
+
+void ControllerNode::PublishCommand(const ControlCommand& command) {
+  if (!IsFinite(command)) {
+    ++report_.not_finite;
+    ROS_ERROR_THROTTLE(1.0, "a command is not finite and is not published");
+    return;
+  }
+  report_.command = command;
+  rotor_publisher_.publish(RotorCommand(command));
+  rate_publisher_.publish(RateThrustCommand(command, setup_.options.body_frame));
+}
+
+// Returns true if anything happened.
+bool ControllerNode::TakeEvents() {
+  const std::vector<HandoverEvent> events = handover_.TakeEvents();
+  for (const HandoverEvent& event : events) {
+    const bool is_transition = event.from != event.to;
+    report_.last_transition = is_transition ? std::string(NameOf(event.from)) + " to " +
+                                                  NameOf(event.to) + ": " + event.reason
+                                            : event.reason;
+    if (is_transition) {
+      ROS_INFO("parameters: %s", report_.last_transition.c_str());
+    } else {
+      ROS_INFO_THROTTLE(1.0, "parameters: %s", report_.last_transition.c_str());
+    }
+  }
+  return !events.empty();
+}
+
+void ControllerNode::PublishStatus(Stamp now) {
+  last_status_ = now;
+  report_.handover = handover_.state();
+  report_.progress = handover_.progress();
+  report_.estimate_stamp = handover_.estimate_stamp();
+  report_.tracking_rmse_m = handover_.tracking_rmse_m();
+  report_.estimates_declined = handover_.refused();
+  report_.odometry_jumps = controller_.jumps();
+  status_publisher_.publish(ToMessage(report_, setup_.options.body_frame));
+}
+
+void ControllerNode::PublishDiagnostics() {
+  diagnostic_msgs::DiagnosticArray message;
+  message.header.stamp = ros::Time::now();
+  message.status.push_back(
+      ControllerDiagnostic(report_, refused_before_, ros::this_node::getName() + ": controller"));
+  message.status.back().hardware_id = setup_.vehicle.name;
+  diagnostics_publisher_.publish(message);
+  refused_before_ = RefusedInput(report_);
+  report_.step_ms_max = 0.0;
+}
+
+}  // namespace odmc

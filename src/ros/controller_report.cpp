@@ -28,7 +28,7 @@ void SetLevel(const ControllerReport& r, long refused_before, DiagnosticStatus* 
   if (r.handover == HandoverState::kRolledBack) {
     return set(DiagnosticStatus::WARN, "rolled back: " + r.last_transition);
   }
-  if (r.handover == HandoverState::kHolding) {
+  if (r.handover == HandoverState::kHolding && r.command.mode != ControlMode::kIdle) {
     return set(DiagnosticStatus::WARN, "the estimate is stale and held: " + r.last_transition);
   }
   if (RefusedInput(r) > refused_before) {

@@ -25,6 +25,7 @@
 #include "odmc/math/statistics.h"
 #include "odmc/model/plausibility.h"
 #include "odmc/ros/conversions.h"
+#include "odmc/ros/diagnostic_values.h"
 #include "odmc/ros/estimate_messages.h"
 #include "odmc/ros/parameter_reader.h"
 #include "odmc/ros/urdf_vehicle.h"
@@ -36,7 +37,8 @@ constexpr std::chrono::milliseconds kIdle(100);
 constexpr std::chrono::milliseconds kReportPeriod(500);  // image; diagnostics every other time
 constexpr std::chrono::milliseconds kStatusPeriod(100);
 constexpr std::chrono::milliseconds kWatchIdle(200);
-constexpr std::chrono::seconds kAcceptedPeriod(1);
+constexpr std::chrono::milliseconds kAcceptedPeriod(500);
+constexpr std::chrono::seconds kAnswerPatience(5);
 constexpr std::chrono::seconds kTfPatience(2);
 constexpr std::chrono::seconds kFinishPatience(2);
 constexpr int kWatchNiceness = 10;
@@ -151,10 +153,13 @@ EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
   return setup;
 }
 
-EstimatorNode::EstimatorNode(const ros::NodeHandle& node, EstimatorNodeSetup setup)
+EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle& private_node,
+                             EstimatorNodeSetup setup)
     : setup_(std::move(setup)),
       joint_scale_(RotorSpeedScale(setup_.options.rotor_speed_unit, setup_.options.pole_pairs)),
       node_(node),
+      declared_effects_(setup_.vehicle.effects),
+      declared_parameters_(setup_.vehicle.parameters),
       intake_(setup_.options.twist_frame),
       acceptance_(setup_.options.acceptance) {
   parameters_publisher_ = node_.advertise<DynamicParameters>("parameters", 10);
@@ -177,6 +182,7 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, EstimatorNodeSetup set
   Subscribe<RotorSpeeds>("rotor_speeds", InputStream::kRotorSpeeds);
   Subscribe<sensor_msgs::JointState>("joint_states", InputStream::kJointStates);
   Subscribe<sensor_msgs::BatteryState>("battery_state", InputStream::kBatteryState);
+  Offer(private_node);
 }
 
 EstimatorNode::~EstimatorNode() {
@@ -233,12 +239,124 @@ void EstimatorNode::Push(InputStream stream, std::optional<InputSample> input) {
   }
 }
 
+void EstimatorNode::Offer(ros::NodeHandle private_node) {
+  using std_srvs::SetBool;
+  using std_srvs::Trigger;
+  const auto trigger = [&](const std::string& name, Answer (EstimatorNode::*act)()) {
+    const boost::function<bool(Trigger::Request&, Trigger::Response&)> callback =
+        [this, act](Trigger::Request&, Trigger::Response& response) {
+          const Answer answer = Ask([this, act] { return (this->*act)(); });
+          response.success = answer.first;
+          response.message = answer.second;
+          return true;
+        };
+    services_.push_back(private_node.advertiseService(name, callback));
+  };
+  trigger("reset", &EstimatorNode::Reset);
+  trigger("accept", &EstimatorNode::Accept);
+  trigger("save", &EstimatorNode::SaveNow);
+  const boost::function<bool(SetBool::Request&, SetBool::Response&)> freeze =
+      [this](SetBool::Request& request, SetBool::Response& response) {
+        const bool on = request.data;
+        const Answer answer = Ask([this, on] { return Freeze(on); });
+        response.success = answer.first;
+        response.message = answer.second;
+        return true;
+      };
+  services_.push_back(private_node.advertiseService("freeze", freeze));
+}
+
+// Has the estimator thread do it, between two batches of samples.
+EstimatorNode::Answer EstimatorNode::Ask(std::function<Answer()> act) {
+  std::packaged_task<Answer()> task(std::move(act));
+  std::future<Answer> answer = task.get_future();
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    requests_.push_back(std::move(task));
+  }
+  queue_changed_.notify_one();
+  if (answer.wait_for(kAnswerPatience) != std::future_status::ready) {
+    return {false, "the estimator does not answer"};
+  }
+  try {
+    return answer.get();
+  } catch (const std::exception& e) {
+    return {false, e.what()};
+  }
+}
+
 // ---- Estimator thread --------------------------------------------------------------------------
+
+void EstimatorNode::AnswerRequests() {
+  std::deque<std::packaged_task<Answer()>> requests;
+  {
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    requests.swap(requests_);
+  }
+  for (auto& request : requests) request();
+}
+
+EstimatorNode::Answer EstimatorNode::Reset() {
+  if (!estimator_) return {false, "nothing is estimated yet"};
+  setup_.vehicle.effects = declared_effects_;
+  setup_.vehicle.parameters = declared_parameters_;
+  MakeEstimator();
+  acceptance_.Reset();
+  last_.reset();
+  added_effects_.clear();
+  update_ms_.clear();
+  {
+    const std::lock_guard<std::mutex> lock(watch_mutex_);
+    to_be_added_.reset();
+  }
+  const std::lock_guard<std::mutex> lock(status_mutex_);
+  status_.model = model_;
+  status_.observable.clear();
+  status_.unphysical.clear();
+  status_.unobservable.clear();
+  status_.added_effects.clear();
+  status_.unexplained.reset();
+  history_.Clear();
+  ROS_INFO("reset: the estimator starts anew");
+  return {true, "the estimator starts anew"};
+}
+
+EstimatorNode::Answer EstimatorNode::Freeze(bool freeze) {
+  frozen_ = freeze;
+  HoldOut();
+  const std::lock_guard<std::mutex> lock(status_mutex_);
+  status_.frozen = freeze;
+  return {true, freeze ? "nothing more is learned" : "learning goes on"};
+}
+
+void EstimatorNode::HoldOut() {
+  if (!estimator_) return;
+  estimator_->SetHeldOut(frozen_ ? [](Stamp) { return true; } : std::function<bool(Stamp)>());
+}
+
+EstimatorNode::Answer EstimatorNode::Accept() {
+  const Snapshot& usable = acceptance_.Usable();
+  if (!last_ || usable.values.size() != last_->values.size()) {
+    return {false, "nothing is estimated yet"};
+  }
+  const std::vector<std::string> reasons =
+      UnphysicalValues(*last_model_, usable.values, usable.sigma);
+  if (!reasons.empty()) return {false, Join(reasons)};
+  PublishAccepted(*last_);
+  return {true, "the present estimate is published as accepted"};
+}
+
+EstimatorNode::Answer EstimatorNode::SaveNow() {
+  if (setup_.options.output_dir.empty()) return {false, "output_dir is not set"};
+  if (!last_) return {false, "nothing is estimated yet"};
+  return {true, Save()};
+}
 
 void EstimatorNode::RunEstimator() {
   try {
     std::deque<InputSample> batch;
     while (WaitForInput(&batch)) {
+      AnswerRequests();
       Process(&batch);
       AddWhatWasFound();
       // What the throttle held back is still news once nothing more comes.
@@ -256,7 +374,8 @@ void EstimatorNode::RunEstimator() {
 bool EstimatorNode::WaitForInput(std::deque<InputSample>* batch) {
   {
     std::unique_lock<std::mutex> lock(queue_mutex_);
-    queue_changed_.wait_for(lock, kIdle, [this] { return stopping_ || !queue_.empty(); });
+    queue_changed_.wait_for(lock, kIdle,
+                            [this] { return stopping_ || !queue_.empty() || !requests_.empty(); });
     if (stopping_) return false;
   }
   TakeBatch(batch);
@@ -351,14 +470,19 @@ std::optional<SensorMount> EstimatorNode::LookUpMount(const std::string& sensor_
   }
 }
 
-void EstimatorNode::Start() {
+void EstimatorNode::MakeEstimator() {
   model_ = std::make_shared<DynamicModel>(setup_.vehicle, setup_.vehicle.effects);
   estimator_ = std::make_unique<Estimator>(model_.get(), setup_.estimator, !intake_.rms_only());
+  HoldOut();
   if (setup_.options.residual_watch.residual_watch_period_s > 0.0) {
     const std::lock_guard<std::mutex> lock(watch_mutex_);
     watch_ = std::make_shared<ResidualWatch>(setup_.vehicle, setup_.options.residual_watch,
                                              !intake_.rms_only());
   }
+}
+
+void EstimatorNode::Start() {
+  MakeEstimator();
   if (intake_.rms_only()) {
     Warn("rotor speeds are root mean squares: force is estimated, torque is not");
   }
@@ -389,7 +513,12 @@ void EstimatorNode::StepWhileThereIsMore() {
     if (snapshot) {
       OnSnapshot(*std::move(snapshot));
     } else if (last_) {
-      last_->airborne = false;  // what was learned in the air still stands
+      // What was learned in the air still stands, on the ground and while frozen.
+      last_->airborne = estimator_->airborne();
+      if (last_->airborne) {
+        last_->stamp = estimator_->last_keyframe_stamp();
+        last_is_published_ = false;
+      }
       PublishParameters(*last_);
     }
     ShareStatus();
@@ -428,7 +557,7 @@ void EstimatorNode::AddWhatWasFound() {
     const std::lock_guard<std::mutex> lock(watch_mutex_);
     found.swap(to_be_added_);
   }
-  if (!found || found->model != model_ || last_model_ != model_) return;
+  if (!found || found->model != model_ || last_model_ != model_ || frozen_) return;
   const std::string& name = found->candidate->name;
   try {
     const Vehicle extended = With(setup_.vehicle, Candidate{name, found->candidate->settings});
@@ -440,6 +569,7 @@ void EstimatorNode::AddWhatWasFound() {
     estimator->CarryOn(*estimator_, DynamicModel(extended, extended.effects));
     estimator_ = std::move(estimator);
     model_ = std::move(model);
+    HoldOut();
     setup_.vehicle.effects = extended.effects;
     setup_.vehicle.parameters = extended.parameters;
   } catch (const std::exception& e) {
@@ -474,8 +604,19 @@ void EstimatorNode::PublishParameters(const Snapshot& snapshot) {
   PublishTransforms(snapshot);
   if (message.accepted && snapshot.airborne && time - accepted_published_ >= kAcceptedPeriod) {
     accepted_published_ = time;
-    accepted_publisher_.publish(message);
+    PublishAccepted(snapshot);
   }
+}
+
+// What of the estimate is fit for use, as of `snapshot`.
+void EstimatorNode::PublishAccepted(const Snapshot& snapshot) {
+  Snapshot usable = acceptance_.Usable();
+  usable.stamp = snapshot.stamp;
+  usable.airborne = snapshot.airborne;
+  if (!IsFinite(usable)) return;
+  DynamicParameters message = odmc::ToMessage(*last_model_, usable, setup_.options.body_frame);
+  message.accepted = true;
+  accepted_publisher_.publish(message);
 }
 
 void EstimatorNode::PublishTransforms(const Snapshot& snapshot) {
@@ -528,6 +669,7 @@ void EstimatorNode::ShareStatus() {
   s.noise = estimator_->odometry_noise();
   s.accepted = acceptance_.accepted();
   s.not_accepted_because = acceptance_.reasons();
+  s.held_back = acceptance_.held_back();
   s.has_estimate = last_.has_value();
   if (last_) ShareSnapshot(*last_, &s);
 }
@@ -561,15 +703,15 @@ void EstimatorNode::Finish() {
     estimator_->Finish();
     StepWhileThereIsMore();
   }
-  Save();
+  if (setup_.options.output_dir.empty()) return;
+  if (last_) {
+    Save();
+  } else {
+    ROS_WARN("nothing was estimated, no parameters.yaml is written");
+  }
 }
 
-void EstimatorNode::Save() const {
-  if (setup_.options.output_dir.empty()) return;
-  if (!last_) {
-    ROS_WARN("nothing was estimated, no parameters.yaml is written");
-    return;
-  }
+std::string EstimatorNode::Save() const {
   ParameterSet set = Estimator::ToParameterSet(*last_model_, *last_);
   set.provenance["tool"] = "estimator_node";
   set.provenance["version"] = ODMC_VERSION;
@@ -586,6 +728,7 @@ void EstimatorNode::Save() const {
       (std::filesystem::path(setup_.options.output_dir) / "parameters.yaml").string();
   SaveParameters(set, file);
   ROS_INFO("wrote %s", file.c_str());
+  return file;
 }
 
 // ---- Watching thread ---------------------------------------------------------------------------

@@ -24,7 +24,8 @@ void SetLevel(const NodeStatus& s, DiagnosticStatus* status) {
     return set(DiagnosticStatus::OK, "waiting for " + s.waiting_for);
   }
   if (!s.airborne) return set(DiagnosticStatus::OK, "on the ground");
-  set(DiagnosticStatus::OK, s.accepted ? "estimating, accepted" : "estimating");
+  const std::string doing = s.frozen ? "frozen" : "estimating";
+  set(DiagnosticStatus::OK, doing + (s.accepted ? ", accepted" : ""));
 }
 
 void PutCounters(const NodeStatus& s, DiagnosticStatus* status) {
@@ -64,7 +65,9 @@ DiagnosticStatus EstimatorDiagnostic(const NodeStatus& s, const std::string& nam
   Put("airborne", s.airborne, &status);
   Put("on_ground", s.has_estimate && !s.airborne, &status);
   Put("accepted", s.accepted, &status);
+  Put("frozen", s.frozen, &status);
   Put("not_accepted_because", Join(s.not_accepted_because), &status);
+  Put("held_back", Join(s.held_back), &status);
   Put("unobservable", Join(s.unobservable), &status);
   Put("warnings", Join(s.warnings), &status);
   Put("unphysical", Join(s.unphysical), &status);

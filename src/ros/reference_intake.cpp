@@ -95,8 +95,7 @@ bool ReferenceIntake::FollowsTrajectory(Stamp now) const {
 
 FlatReference ReferenceIntake::After(const TimedReference& point, Stamp now) const {
   const double age_s = ToSeconds(now - point.stamp);
-  const FlatReference moved =
-      MovedOn(point.reference, std::clamp(age_s, -kMovesOn_s, kMovesOn_s));
+  const FlatReference moved = MovedOn(point.reference, std::clamp(age_s, -kMovesOn_s, kMovesOn_s));
   return age_s > timeout_s_ ? Held(moved) : moved;
 }
 

@@ -77,6 +77,10 @@ std::string ShiftCentreOfGravity(const WorldOptions& sizes, World* world) {
 
 std::string DamagePropeller(const WorldOptions& sizes, World* world) {
   if (!(sizes.damage_share > 0.0)) throw std::invalid_argument("damage_share must be set above 0");
+  const auto rotors = static_cast<int>(world->HoverSpeeds().size());
+  if (sizes.damage_rotor < 1 || sizes.damage_rotor > rotors) {
+    throw std::invalid_argument("damage_rotor must be 1 to " + std::to_string(rotors));
+  }
   world->DamagePropeller(sizes.damage_rotor - 1, sizes.damage_share);
   return "rotor " + std::to_string(sizes.damage_rotor) + " lost a share of " +
          FormatNumber(sizes.damage_share);
@@ -126,8 +130,9 @@ SimulatorNodeSetup ReadSimulatorNodeSetup(const ros::NodeHandle& private_node) {
   if (!setup.options.IsValid(&error)) fail();
   const TrajectoryOptions& trajectory = setup.options.trajectory;
   if (trajectory.ground_s > 0.0 && setup.world.start_height_m > 0.0) {
-    error = "ground_s and start_height_m contradict each other: the flight starts on the ground or "
-            "in hover";
+    error =
+        "ground_s and start_height_m contradict each other: the flight starts on the ground or "
+        "in hover";
     fail();
   }
   if (trajectory.ground_s == 0.0 && setup.world.start_height_m == 0.0) {
@@ -151,7 +156,8 @@ SimulatorNode::SimulatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
       private_node_(private_node),
       world_(model_, truth_, setup_.world, setup_.options.seed) {
   const std::string& body_frame = setup_.options.body_frame;
-  epoch_ = setup_.options.publishes_clock ? kStartOfClock : FromRos(ros::Time(ros::WallTime::now().toSec()));
+  epoch_ = setup_.options.publishes_clock ? kStartOfClock
+                                          : FromRos(ros::Time(ros::WallTime::now().toSec()));
   truth_frame_ = body_frame + "_truth";
   odometry_frame_ = IsBody(setup_.vehicle.odometry) ? body_frame : "odometry_sensor";
   imu_frame_ = setup_.vehicle.imu ? "imu_link" : body_frame;
@@ -187,9 +193,8 @@ void SimulatorNode::Advertise() {
   truth_wind_publisher_ = node_.advertise<geometry_msgs::Vector3Stamped>("truth/wind", 100);
   truth_parameters_publisher_ = node_.advertise<DynamicParameters>("truth/parameters", 1, true);
   diagnostics_publisher_ = node_.advertise<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10);
-  command_subscriber_ =
-      node_.subscribe("command/rotor_speeds", 10, &SimulatorNode::OnCommand, this,
-                      ros::TransportHints().tcpNoDelay());
+  command_subscriber_ = node_.subscribe("command/rotor_speeds", 10, &SimulatorNode::OnCommand, this,
+                                        ros::TransportHints().tcpNoDelay());
 
   Offer("attach_payload", AttachPayload);
   Offer("drop_payload", DropPayload);
@@ -249,8 +254,10 @@ void SimulatorNode::OnCommand(const RotorSpeeds::ConstPtr& message) {
     }
   }
   if (!input) {
-    ROS_WARN_THROTTLE(1.0, "a command was refused: it must have a stamp and one finite speed for "
-                           "each of %d rotors", model_.vehicle().num_rotors());
+    ROS_WARN_THROTTLE(1.0,
+                      "a command was refused: it must have a stamp and one finite speed for "
+                      "each of %d rotors",
+                      model_.vehicle().num_rotors());
   }
   command_arrived_.notify_one();
 }
@@ -286,12 +293,15 @@ bool SimulatorNode::MayStep() {
   if (paused_) return false;
   if (started_ || !setup_.options.waits_for_controller) return true;
   started_ = HasController();
-  if (started_) ROS_INFO("a controller is there: time starts");
-  return started_;
+  if (!started_) return false;
+  ROS_INFO("a controller is there: time starts");
+  reported_wall_ = Clock::now();  // what was waited for is not slowness
+  return true;
 }
 
 bool SimulatorNode::HasController() const {
-  return odometry_publisher_.getNumSubscribers() > 0 && command_subscriber_.getNumPublishers() > 0 &&
+  return odometry_publisher_.getNumSubscribers() > 0 &&
+         command_subscriber_.getNumPublishers() > 0 &&
          reference_publisher_.getNumSubscribers() + point_publisher_.getNumSubscribers() > 0;
 }
 
@@ -339,9 +349,8 @@ void SimulatorNode::ObeyCommand() {
 }
 
 void SimulatorNode::Pace() {
-  const double ahead_s =
-      ToSeconds(world_.now() - pace_time_) / setup_.options.real_time_factor -
-      ElapsedSeconds(pace_wall_);
+  const double ahead_s = ToSeconds(world_.now() - pace_time_) / setup_.options.real_time_factor -
+                         ElapsedSeconds(pace_wall_);
   if (ahead_s > 0.0) std::this_thread::sleep_for(duration<double>(ahead_s));
   if (ahead_s > -duration<double>(kMostCatchingUp).count()) return;
   pace_wall_ = Clock::now();  // too slow: what was lost is not caught up
@@ -378,16 +387,20 @@ void SimulatorNode::Publish() {
 
 void SimulatorNode::PublishSamples(const std::vector<Sample>& samples) {
   const SimulatorNodeOptions& options = setup_.options;
-  for (Sample sample : samples) {
-    std::visit([this](auto& s) { s.stamp += epoch_; }, sample);
-    if (const auto* odometry = std::get_if<OdometrySample>(&sample)) {
-      odometry_publisher_.publish(ToMessage(*odometry, options.world_frame, odometry_frame_));
-    } else if (const auto* imu = std::get_if<ImuSample>(&sample)) {
-      imu_publisher_.publish(ToMessage(*imu, imu_frame_));
-    } else if (const auto* rotors = std::get_if<RotorSample>(&sample)) {
-      rotor_publisher_.publish(ToMessage(*rotors));
-    } else {
-      battery_publisher_.publish(ToMessage(std::get<BatterySample>(sample)));
+  // The IMU goes last: controllers step when it comes.
+  for (const bool imu_turn : {false, true}) {
+    for (Sample sample : samples) {
+      if (std::holds_alternative<ImuSample>(sample) != imu_turn) continue;
+      std::visit([this](auto& s) { s.stamp += epoch_; }, sample);
+      if (const auto* odometry = std::get_if<OdometrySample>(&sample)) {
+        odometry_publisher_.publish(ToMessage(*odometry, options.world_frame, odometry_frame_));
+      } else if (const auto* imu = std::get_if<ImuSample>(&sample)) {
+        imu_publisher_.publish(ToMessage(*imu, imu_frame_));
+      } else if (const auto* rotors = std::get_if<RotorSample>(&sample)) {
+        rotor_publisher_.publish(ToMessage(*rotors));
+      } else {
+        battery_publisher_.publish(ToMessage(std::get<BatterySample>(sample)));
+      }
     }
   }
 }
@@ -412,8 +425,8 @@ void SimulatorNode::PublishTruth(const TruthSample& truth, const Eigen::Vector3d
   wind.vector = ToVector3(wind_W);
   truth_wind_publisher_.publish(wind);
   if (batches_ % kTfBatches != 0) return;
-  tf_broadcaster_.sendTransform(ToTransform(stamp, world_frame, truth_frame_, truth.p_WB,
-                                            truth.q_WB.toRotationMatrix()));
+  tf_broadcaster_.sendTransform(
+      ToTransform(stamp, world_frame, truth_frame_, truth.p_WB, truth.q_WB.toRotationMatrix()));
 }
 
 // What is published once.
@@ -422,8 +435,8 @@ void SimulatorNode::PublishStart() {
   truth_parameters_publisher_.publish(TruthParameters(model_, truth_, epoch_, truth_frame_));
   std::vector<geometry_msgs::TransformStamped> mounts;
   const auto add = [&](const std::string& frame, const SensorMount& mount) {
-    mounts.push_back(ToTransform(epoch_, options.body_frame, frame, mount.p_BS,
-                                 mount.q_BS.toRotationMatrix()));
+    mounts.push_back(
+        ToTransform(epoch_, options.body_frame, frame, mount.p_BS, mount.q_BS.toRotationMatrix()));
   };
   if (odometry_frame_ != options.body_frame) add(odometry_frame_, setup_.vehicle.odometry);
   if (setup_.vehicle.imu) add(imu_frame_, *setup_.vehicle.imu);
@@ -459,10 +472,10 @@ diagnostic_msgs::DiagnosticStatus SimulatorNode::Diagnostic(double factor) {
                  : is_slow       ? DiagnosticStatus::WARN
                                  : DiagnosticStatus::OK;
   status.message = rotors_stopped_ ? "no commands: rotors are stopped"
-                   : is_slow ? "the machine is too slow for the real-time factor asked for"
-                   : waits   ? "waiting for a controller"
-                   : paused_ ? "paused"
-                             : "running";
+                   : is_slow       ? "the machine is too slow for the real-time factor asked for"
+                   : waits         ? "waiting for a controller"
+                   : paused_       ? "paused"
+                                   : "running";
   Put("real_time_factor", factor, &status);
   Put("real_time_factor_asked", asked, &status);
   Put("time_s", ToSeconds(world_.now()), &status);

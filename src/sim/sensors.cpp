@@ -36,7 +36,7 @@ void AddNoise(const OdometryErrors& noise, Gaussian* random, OdometrySample* sam
   *sample->w_WS_S += noise.rate_rad_s * random->Next3();
 }
 
-void AddNoise(const ImuNoise& noise, Gaussian* random, ImuSample* sample) {
+void AddNoise(const ImuErrors& noise, Gaussian* random, ImuSample* sample) {
   *sample->gyro_I += noise.gyro_bias + noise.gyro_rad_s * random->Next3();
   *sample->specific_force_I +=
       noise.accelerometer_bias + noise.accelerometer_m_s2 * random->Next3();

@@ -161,7 +161,7 @@ std::vector<OdometrySample> RecordOdometry(const std::vector<TruthSample>& truth
                                            const BodyProperties& properties,
                                            const SimulationNoise& noise, int seed) {
   const OdometryErrors size = {noise.position_m, noise.attitude_rad, noise.velocity_m_s,
-                              noise.rate_rad_s};
+                               noise.rate_rad_s};
   Gaussian random(seed, kOdometryStream);
   std::vector<OdometrySample> samples;
   samples.reserve(truth.size());
@@ -201,9 +201,9 @@ std::vector<ImuSample> RecordImu(const std::vector<TruthSample>& truth,
                                  const SimulationOptions& options) {
   Gaussian random(options.seed, kImuStream);
   const double root_rate = std::sqrt(options.log_rate_hz);
-  const ImuNoise size = {noise.gyro_noise_density * root_rate,
-                         noise.accelerometer_noise_density * root_rate, noise.gyro_bias,
-                         noise.accelerometer_bias};
+  const ImuErrors size = {noise.gyro_noise_density * root_rate,
+                          noise.accelerometer_noise_density * root_rate, noise.gyro_bias,
+                          noise.accelerometer_bias};
   std::vector<ImuSample> samples;
   samples.reserve(truth.size());
   for (const TruthSample& at : truth) {

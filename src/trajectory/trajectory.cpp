@@ -115,6 +115,7 @@ Trajectory::Trajectory(const TrajectoryOptions& options)
       path_(IsFile(options.name) ? MakeWaypointPath(options.name) : MakePath(options.name)),
       rate_(RateOf(options, *path_)),
       start_s_(options.ground_s > 0.0 ? options.ground_s + kClimb_s : 0.0) {
+  if (options.from_origin) offset_.head<2>() = -At(0.0).p_WB.head<2>();
   if (options.ground_s == 0.0) return;
   const double start_z = At(start_s_).p_WB.z();
   if (!(start_z > 0.0)) {
@@ -141,6 +142,7 @@ FlatReference Trajectory::At(double time_s) const {
   const double along_s = time_s - start_s_;
   const Derivatives phi = PathTime(along_s, ramp_s(), options_.duration_s);
   FlatReference reference = path_->At(Scaled(rate_, phi));
+  reference.p_WB += offset_;
   const double z = reference.p_WB.z();
   if (start_s_ > 0.0 && along_s < 0.0) {
     SetHeight(Scaled(z, SmoothStep(time_s - options_.ground_s, kClimb_s)), &reference);

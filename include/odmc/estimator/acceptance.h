@@ -10,8 +10,8 @@ namespace odmc {
 
 /// When an estimate is good enough to be handed to others.
 struct AcceptanceOptions {
-  double accept_relative_sigma = 0.05;  ///< largest sigma over |value| [-], > 0
-  double accept_hold_s = 1.0;           ///< how long all must hold [s], >= 0
+  double accept_relative_sigma = 0.1;  ///< largest sigma over |value| [-], > 0
+  double accept_hold_s = 1.0;          ///< how long all must hold [s], >= 0
 
   template <typename Visitor>
   void Visit(Visitor* v) {
@@ -22,14 +22,16 @@ struct AcceptanceOptions {
   bool IsValid(std::string* error) const;
 };
 
-/// Accepts an estimate once, for accept_hold_s without a break,
-///  - every estimated and observable parameter has a sigma below accept_relative_sigma of its
-///    value or, where
-///    the value may be zero, below twice that share of its prior
-///    sigma or natural size,
-///  - k_f, without which no model is of use, is among them if the model estimates it,
-///  - nothing is unphysical.
-/// Thread-compatible.
+/// Decides what of an estimate others may use.
+///
+/// A parameter is sure if its sigma is below accept_relative_sigma of its value (where the value
+/// may be zero, or below twice that share of its prior sigma or natural size) and its sign is
+/// physical. What is not sure keeps the value of the vehicle file, and the
+/// others become what they are given that value: the estimate's Gaussian, conditioned. So one weak
+/// parameter does not hold up the rest, and nothing certain leans on a guess. Accepted is what has
+///  - k_f, without which no model is of use, among the sure if the model estimates it,
+///  - nothing unphysical,
+/// for accept_hold_s without a break. Thread-compatible.
 class Acceptance {
  public:
   explicit Acceptance(const AcceptanceOptions& options) : options_(options) {}
@@ -40,14 +42,24 @@ class Acceptance {
   bool accepted() const { return accepted_; }
   /// Why not, in words; empty where nothing is wrong (it may still have to last).
   const std::vector<std::string>& reasons() const { return reasons_; }
+  /// Parameters that keep the vehicle file's value, each with the reason.
+  const std::vector<std::string>& held_back() const { return held_back_; }
+
+  /// The newest snapshot with the values, sigmas and covariance to be used; what is held back is
+  /// not observable there.
+  const Snapshot& Usable() const { return usable_; }
 
   void Reset();
 
  private:
+  std::string Objection(const ModelParameter& parameter, int index, const Snapshot& snapshot) const;
+
   AcceptanceOptions options_;
   std::optional<Stamp> good_since_;
   bool accepted_ = false;
-  std::vector<std::string> reasons_;
+  std::vector<bool> sure_;  // at the last update
+  std::vector<std::string> reasons_, held_back_;
+  Snapshot usable_;
 };
 
 }  // namespace odmc

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "odmc/estimator/change_detector.h"
 #include "odmc/estimator/consistency.h"
 #include "odmc/estimator/load_observer.h"
 #include "odmc/estimator/noise_estimation.h"
@@ -57,6 +58,7 @@ struct EstimatorCounters {
   long chains = 0;            ///< chains of states: 1 plus the gaps
   long gaps = 0;              ///< holes in a stream, missing rotor speeds
   long jumps = 0;             ///< odometry that moved without velocity
+  long changes = 0;           ///< of the vehicle, after which it learned anew
   long refused_updates = 0;   ///< solves that were not usable
   double on_ground_s = 0.0;
   double airborne_s = 0.0;
@@ -138,6 +140,8 @@ class Estimator {
   ParameterInformation NewInformation() const;
   Snapshot TakeSnapshot(const OdometrySample& sample, const SolveReport& report);
   void FillResiduals(Snapshot* snapshot);
+  void LookForChange();
+  void LearnAnew();
   void MarginalizeOld();
   double ObserveLeaving(const Keyframe& keyframe);
   void RescalePast(double force, double torque);
@@ -158,6 +162,8 @@ class Estimator {
   DifferenceNoise rotor_noise_;
   RotorRateSmoother rotor_rates_;
   ProcessNoiseEstimator process_noise_;
+  ChangeDetector change_detector_;
+  Stamp change_seen_ = 0;  // start of the newest interval it was given
   Window window_;
   std::unique_ptr<WindowSolver> solver_;
   std::unique_ptr<ceres::LossFunction> loss_;

@@ -15,6 +15,9 @@ struct GroundGateOptions {
   double landed_thrust_ratio = 0.4;  ///< thrust over weight below which a slow vehicle stands
   double landed_speed_m_s = 0.3;
   double confirm_s = 0.2;  ///< how long the signs of a landing must last
+  /// Height above the last stand below which flight teaches nothing; 0: it always does. A landing
+  /// is known for one only once the thrust is gone; until then the ground carries, too.
+  double near_ground_m = 0.0;
 
   template <typename Visitor>
   void Visit(Visitor* v) {
@@ -23,6 +26,7 @@ struct GroundGateOptions {
     v->Field("landed_thrust_ratio", &landed_thrust_ratio);
     v->Field("landed_speed_m_s", &landed_speed_m_s);
     v->Field("confirm_s", &confirm_s);
+    v->Field("near_ground_m", &near_ground_m);
   }
 };
 
@@ -37,11 +41,14 @@ class GroundGate {
   bool Update(Stamp stamp, const Eigen::Vector3d& p_WS, double speed_m_s, double thrust_ratio);
 
   bool airborne() const { return airborne_; }
+  /// True where the height `z` (in W) may still be, or again be, in touch with the ground.
+  bool IsNear(double z) const { return stood_ && z - ground_height_ < options_.near_ground_m; }
   void Reset() { *this = GroundGate(options_); }
 
  private:
   GroundGateOptions options_;
   bool started_ = false, airborne_ = false;
+  bool stood_ = false;  // so that the height of the ground is known
   double ground_height_ = 0.0;
   Stamp quiet_since_ = 0;
   bool quiet_ = false;

@@ -40,6 +40,9 @@ struct EstimatorOptions {
   double gyro_bias_walk = 0.002;               ///< [rad/s/sqrt(s)]
   double accelerometer_bias_walk = 0.02;       ///< [m/s^2/sqrt(s)]
 
+  /// A sudden change of what the model leaves unexplained makes the estimate start to learn anew,
+  /// from where it stands (ChangeDetector). For vehicles whose load changes in flight.
+  bool detect_changes = false;
   double inertia_gate_r_squared = 0.5;  ///< see InertiaGate; 0 always lets the inertia free
   GroundGateOptions ground;
 
@@ -71,6 +74,7 @@ struct EstimatorOptions {
     v->Field("accelerometer_bias_sigma_m_s2", &accelerometer_bias_sigma_m_s2);
     v->Field("gyro_bias_walk", &gyro_bias_walk);
     v->Field("accelerometer_bias_walk", &accelerometer_bias_walk);
+    v->Field("detect_changes", &detect_changes);
     v->Field("inertia_gate_r_squared", &inertia_gate_r_squared);
     ground.Visit(v);
   }

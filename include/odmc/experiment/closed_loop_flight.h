@@ -28,6 +28,7 @@ struct ClosedLoopSetup {
   EstimatorOptions estimator;
   AcceptanceOptions acceptance;
   double control_rate_hz = 500.0;
+  std::optional<ParameterSet> warm_start;  ///< saved from an earlier flight: offered at the start
   bool estimates = true;             ///< false: the controller keeps the vehicle file's parameters
   double estimator_dies_at_s = 0.0;  ///< killed in flight; 0: never
   int seed = 1;

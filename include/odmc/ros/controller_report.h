@@ -36,8 +36,8 @@ struct ControllerReport {
 
 ControllerStatus ToMessage(const ControllerReport& report, const std::string& body_frame);
 
-/// Level, one sentence, all numbers. ERROR in failsafe; WARN where the estimate is held or was
-/// rolled back, the reference has gone, or input is refused.
+/// Level, one sentence, all numbers. ERROR in failsafe; WARN where the estimate was rolled back or
+/// is held in flight, the reference has gone, or input is refused.
 /// @param refused_before all input refused up to the last report
 diagnostic_msgs::DiagnosticStatus ControllerDiagnostic(const ControllerReport& report,
                                                        long refused_before,

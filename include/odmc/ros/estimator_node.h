@@ -2,7 +2,10 @@
 
 #include <ros/node_handle.h>
 #include <ros/publisher.h>
+#include <ros/service_server.h>
 #include <ros/subscriber.h>
+#include <std_srvs/SetBool.h>
+#include <std_srvs/Trigger.h>
 #include <tf2_ros/buffer.h>
 #include <tf2_ros/transform_broadcaster.h>
 #include <tf2_ros/transform_listener.h>
@@ -11,16 +14,20 @@
 #include <chrono>
 #include <condition_variable>
 #include <deque>
+#include <functional>
+#include <future>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "odmc/attribution/residual_watch.h"
-#include "odmc/estimator/estimator.h"
 #include "odmc/estimator/acceptance.h"
+#include "odmc/estimator/estimator.h"
 #include "odmc/ros/live_image.h"
 #include "odmc/ros/node_status.h"
 #include "odmc/ros/sample_intake.h"
@@ -90,15 +97,20 @@ EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
 /// is queued (for at most two seconds) and writes the result.
 class EstimatorNode {
  public:
-  EstimatorNode(const ros::NodeHandle& node, EstimatorNodeSetup setup);
+  EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle& private_node,
+                EstimatorNodeSetup setup);
   ~EstimatorNode();
   EstimatorNode(const EstimatorNode&) = delete;
   EstimatorNode& operator=(const EstimatorNode&) = delete;
 
  private:
   using Clock = std::chrono::steady_clock;
+  /// What a service has to say: whether it worked, and a sentence.
+  using Answer = std::pair<bool, std::string>;
 
   // ROS threads.
+  void Offer(ros::NodeHandle private_node);
+  Answer Ask(std::function<Answer()> act);
   template <typename Message>
   void Subscribe(const std::string& topic, InputStream stream);
   template <typename Message>
@@ -109,24 +121,32 @@ class EstimatorNode {
   void RunEstimator();
   bool WaitForInput(std::deque<InputSample>* batch);
   bool TakeBatch(std::deque<InputSample>* batch);
+  void AnswerRequests();
+  Answer Reset();
+  Answer Freeze(bool freeze);
+  Answer Accept();
+  Answer SaveNow();
   void Process(std::deque<InputSample>* batch);
   void OnClockStepBack();
   void TryStart();
   bool ResolveMounts();
   std::optional<SensorMount> LookUpMount(const std::string& sensor_frame);
   void Start();
+  void MakeEstimator();
+  void HoldOut();
   void Feed(const Sample& sample);
   void StepWhileThereIsMore();
   void AddWhatWasFound();
   void OnSnapshot(Snapshot snapshot);
   void PublishEstimate(const Snapshot& snapshot);
   void PublishParameters(const Snapshot& snapshot);
+  void PublishAccepted(const Snapshot& snapshot);
   void PublishTransforms(const Snapshot& snapshot);
   void ShareStatus();
   void ShareSnapshot(const Snapshot& snapshot, NodeStatus* status) const;
   std::string TwistText() const;
   void Finish();
-  void Save() const;
+  std::string Save() const;
   void Warn(const std::string& sentence);
 
   // Watching thread.
@@ -151,11 +171,15 @@ class EstimatorNode {
   tf2_ros::Buffer tf_buffer_;
   std::unique_ptr<tf2_ros::TransformListener> tf_listener_;
   std::vector<ros::Subscriber> subscribers_;
+  std::vector<ros::ServiceServer> services_;
+  const std::vector<std::string> declared_effects_;  // of the vehicle file
+  const std::map<std::string, ParameterSetting> declared_parameters_;
 
   // Guarded by queue_mutex_.
   std::mutex queue_mutex_;
   std::condition_variable queue_changed_, reporting_wakes_;
   std::deque<InputSample> queue_;
+  std::deque<std::packaged_task<Answer()>> requests_;  // of services, for the estimator thread
   std::array<StreamStatus, kNumInputStreams> streams_;
   bool stopping_ = false;
 
@@ -166,7 +190,7 @@ class EstimatorNode {
   Acceptance acceptance_;
   tf2_ros::TransformBroadcaster tf_broadcaster_;
   std::optional<Clock::time_point> waiting_for_tf_since_;
-  bool stopped_by_clock_ = false, ignores_imu_ = false;
+  bool stopped_by_clock_ = false, ignores_imu_ = false, frozen_ = false;
   std::optional<Snapshot> last_;
   std::shared_ptr<const DynamicModel> last_model_;  // of last_
   std::string added_effects_;

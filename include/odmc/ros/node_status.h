@@ -35,7 +35,8 @@ struct NodeStatus {
   std::string twist;                    ///< verdict on the frame of the twist
   std::shared_ptr<const DynamicModel> model;
   bool airborne = false, accepted = false, has_estimate = false;
-  std::vector<std::string> not_accepted_because;
+  bool frozen = false;  ///< by service: nothing more is learned
+  std::vector<std::string> not_accepted_because, held_back;
   std::vector<std::string> unobservable;
   std::vector<bool> observable;
   EstimatorCounters counters;

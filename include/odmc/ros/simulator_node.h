@@ -36,7 +36,8 @@ struct SimulatorNodeOptions {
   int seed = 1;
   double real_time_factor = 1.0;  ///< simulated over real time, > 0
   bool publishes_clock = true;    ///< false: stamps are of the machine's clock
-  bool waits_for_controller = true;  ///< time starts when somebody takes odometry and sends commands
+  bool waits_for_controller =
+      true;  ///< time starts when somebody takes odometry and sends commands
   /// Time goes no further beyond the newest command, as long as commands come at all; 0: it does.
   double command_lag_s = 0.02;
   std::string world_frame = "world";

@@ -89,7 +89,7 @@ class SensorSuite {
 
   WorldOptions options_;
   OdometryErrors odometry_noise_;
-  ImuNoise imu_noise_;
+  ImuErrors imu_noise_;
   SampleClock odometry_clock_, imu_clock_, rotor_clock_, battery_clock_;
   Gaussian odometry_random_, drift_random_, imu_random_, rotor_random_;
   OdometryOffset offset_;

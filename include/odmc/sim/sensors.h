@@ -18,7 +18,7 @@ struct OdometryErrors {
 };
 
 /// Errors of one IMU sample, in I.
-struct ImuNoise {
+struct ImuErrors {
   double gyro_rad_s = 0.0;                                       ///< standard deviation per axis
   double accelerometer_m_s2 = 0.0;                               ///< standard deviation per axis
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();           ///< [rad/s]
@@ -33,7 +33,7 @@ ImuSample ImuOf(const TruthSample& truth, const BodyProperties& properties);
 
 /// Each draws the same count of numbers whatever the size of the noise.
 void AddNoise(const OdometryErrors& noise, Gaussian* random, OdometrySample* sample);
-void AddNoise(const ImuNoise& noise, Gaussian* random, ImuSample* sample);
+void AddNoise(const ImuErrors& noise, Gaussian* random, ImuSample* sample);
 /// White noise of standard deviation `sigma` [rad/s]; a rotor at rest is seen to rest.
 void AddNoise(double sigma, Gaussian* random, RotorVector* speed);
 

@@ -15,6 +15,7 @@ struct TrajectoryOptions {
   std::string name = "octo";   ///< one of Trajectory::Names(), or a waypoint file (*.yaml)
   double ground_s = 0.0;       ///< time to stand before take-off; 0 starts in hover [s], >= 0
   double top_speed_m_s = 0.0;  ///< of the path; 0: its own [m/s], >= 0
+  bool from_origin = false;    ///< moves the path so that it starts above the origin of W
   double duration_s = 0.0;     ///< of the path, ramps included; 0: for ever [s], else >= 5
 
   /// Shows every field, by key, to a reader or a printer.
@@ -23,6 +24,7 @@ struct TrajectoryOptions {
     v->Field("name", &name);
     v->Field("ground_s", &ground_s);
     v->Field("top_speed_m_s", &top_speed_m_s);
+    v->Field("from_origin", &from_origin);
     v->Field("duration_s", &duration_s);
   }
 
@@ -78,6 +80,7 @@ class Trajectory {
   std::shared_ptr<const Path> path_;  // never changes, so copies share it
   double rate_ = 1.0;                 // of the path's own time
   double start_s_;
+  Eigen::Vector3d offset_ = Eigen::Vector3d::Zero();  // of the path, horizontal [m]
   double descent_s_ = 0.0;  // from where it stopped to the ground; 0: does not land
 };
 

@@ -1,0 +1,71 @@
+#!/usr/bin/env python3
+"""A whole flight in closed loop: from the ground, along the octo, with the estimate, and down."""
+
+import sys
+
+import rospy
+import rostest
+
+import flight_harness
+import node_harness
+
+SETTLED_S = 2.0  # after take-off
+LANDED_M = 0.06  # of the body's origin above the ground, feet at -0.05
+
+
+class FlyOctoTest(flight_harness.FlightTest):
+    def test_tracks_with_the_estimate_and_lands(self):
+        self.fly("trajectory:=octo", "top_speed_m_s:=4", "duration_s:=20", "ground_s:=1.5",
+                 "real_time_factor:=0.9", also=("rates", "path", "point", "wrench"))
+
+        def is_over():
+            reference, status = self.last("reference"), self.last("status")
+            flew = self.take_off_s() < self.now_s()
+            return flew and reference.standing and status.mode == "idle"
+
+        self.assertTrue(node_harness.wait_until(is_over, 90.0), "the flight never ended")
+        self.wait_until_s(self.now_s() + 0.5)
+
+        self.check_finite()
+        self.check_no_failsafe()
+        self.check_tracking()
+        self.check_estimate()
+        height = self.last("truth").pose.pose.position.z
+        self.assertLess(abs(height), LANDED_M, "it did not land")
+        speed = self.last("truth").twist.twist.linear
+        self.assertLess(abs(speed.x) + abs(speed.y) + abs(speed.z), 0.05)
+        self.check_inputs()
+
+    def check_tracking(self):
+        start = self.take_off_s() + SETTLED_S
+        states = [(s.header.stamp.to_sec(), s.handover_state) for s in self.topics["status"].messages]
+        following = [time for time, state in states if state == "following"]
+        self.assertGreater(len(following), 0, "the controller never followed the estimate")
+        with_estimate = self.rmse(max(start, following[0] + 3.0), self.take_off_s() + 23.0)
+        print("RMSE %.3f m, with the estimate %.3f m; following from %.1f s on; real-time factor %s"
+              % (self.rmse(start), with_estimate, following[0], self.real_time_factor()))
+        self.assertLess(self.rmse(start), 0.10)
+        # 0.08 m with the vehicle file's values.
+        self.assertLess(with_estimate, 0.04)
+        self.assertNotIn("rolled_back", [state for _, state in states])
+
+    def check_estimate(self):
+        accepted = node_harness.by_name(self.last("accepted"))
+        truth = node_harness.by_name(self.last("true_parameters"))
+        self.assertLess(abs(accepted["thrust.k_f"].value / truth["thrust.k_f"].value - 1.0), 0.03)
+        for parameter in truth.values():
+            self.assertEqual(parameter.sigma, 0.0)
+
+    def check_inputs(self):
+        status = node_harness.last_status(self.diagnostics, "/controller", "controller")
+        for key in ("odometry", "imu", "rotor_speeds", "references", "estimates"):
+            self.assertEqual(status[2][key + "_refused"], "0", status)
+        self.assertEqual(status[2]["not_finite_commands"], "0")
+        self.assertEqual(status[2]["clock_resets"], "0")
+        path = self.last("path")
+        self.assertAlmostEqual(path.points[1].time_from_start.to_sec(), 0.05)
+
+
+if __name__ == "__main__":
+    rospy.init_node("fly_octo_test", disable_rostime=True)
+    rostest.rosrun("odmc", "fly_octo_test", FlyOctoTest, sys.argv)
