@@ -7,7 +7,7 @@
 namespace odmc {
 namespace {
 
-constexpr double kStep_s = 0.01;  // of differences along the reference
+constexpr double kStep_s = 0.004;  // of differences along the reference
 constexpr int kRounds = 4;        // attitude and the air's force, each from the other
 
 // Motion along a reference, to second order about its instant.

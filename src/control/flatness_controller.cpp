@@ -81,7 +81,9 @@ void FlatnessController::SetModel(std::shared_ptr<const DynamicModel> model,
 }
 
 void FlatnessController::Add(const OdometrySample& sample) {
-  if (!predictor_.Correct(ToBody(sample, model_.properties()), model_.properties().g_W)) ++jumps_;
+  const BodyState state = ToBody(sample, model_.properties());
+  odometry_rates_ = state.w_WB_B;
+  if (!predictor_.Correct(state, model_.properties().g_W)) ++jumps_;
 }
 
 void FlatnessController::Add(const ImuSample& sample) {
@@ -110,6 +112,10 @@ bool FlatnessController::HasRotors(Stamp now) const {
   return rotors_ && ToSeconds(now - rotors_->stamp) < kFresh_s;
 }
 
+Eigen::Vector3d FlatnessController::Rates(Stamp now) const {
+  return HasRates(now) ? model_.properties().R_BI * *imu_->gyro_I : odometry_rates_;
+}
+
 RotorVector FlatnessController::RotorSpeeds() const {
   if (rotors_) return rotors_->speed;
   return RotorVector::Zero(dynamics_->vehicle().num_rotors());
@@ -120,8 +126,7 @@ void FlatnessController::HoldInertial(Stamp now) {
   if (!HasRotors(now) || (HasRates(now) && imu_->specific_force_I)) return;
   const std::optional<BodyState> state = StateAt(now);
   if (!state) return;
-  const Eigen::Vector3d w =
-      HasRates(now) ? model_.properties().R_BI * *imu_->gyro_I : state->w_WB_B;
+  const Eigen::Vector3d w = Rates(now);
   const BodyWrench air =
       model_.AirWrench(state->p_WB, state->q_WB.toRotationMatrix(), state->v_WB, w, rotors_->speed);
   const double thrust = allocation_->WrenchOf(rotors_->speed.cwiseAbs2())[0];
@@ -243,7 +248,7 @@ ControlCommand FlatnessController::Update(Stamp now,
   std::optional<BodyState> state = StateAt(now);
   if (!state || !reference || reference->standing) return command;
 
-  if (HasRates(now)) state->w_WB_B = model_.properties().R_BI * *imu_->gyro_I;
+  state->w_WB_B = Rates(now);
   command.indi = options_.indi && HasRates(now) && HasRotors(now);
   const double age_s = ToSeconds(now - predictor_.newest_odometry());
   command.mode =

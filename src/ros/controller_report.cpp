@@ -22,6 +22,9 @@ void SetLevel(const ControllerReport& r, long refused_before, DiagnosticStatus* 
     return set(DiagnosticStatus::ERROR, "a command was not finite and was not published");
   }
   if (!r.twist_warning.empty()) return set(DiagnosticStatus::WARN, r.twist_warning);
+  if (r.has_state && r.imu.received == 0) {
+    return set(DiagnosticStatus::WARN, "no IMU: without its rates the vehicle cannot be held");
+  }
   if (r.reference_lost) {
     return set(DiagnosticStatus::WARN, "the reference has gone: its last place is held");
   }

@@ -300,9 +300,7 @@ bool SimulatorNode::MayStep() {
 }
 
 bool SimulatorNode::HasController() const {
-  return odometry_publisher_.getNumSubscribers() > 0 &&
-         command_subscriber_.getNumPublishers() > 0 &&
-         reference_publisher_.getNumSubscribers() + point_publisher_.getNumSubscribers() > 0;
+  return odometry_publisher_.getNumSubscribers() > 0 && command_subscriber_.getNumPublishers() > 0;
 }
 
 // Returns false where it has waited and should look again at what else happened.

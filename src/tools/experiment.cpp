@@ -28,6 +28,9 @@ int main(int argc, char** argv) {
   app.add_option("--duration", options.duration_s, "of the path, s")
       ->capture_default_str()
       ->check(CLI::Range(20.0, 600.0));
+  app.add_option("--kill-estimator", options.estimator_dies_at_s,
+                 "kill the estimator in every flight, so long after its start, s")
+      ->check(CLI::PositiveNumber);
   tools::AddFolder(&app, &folder, &no_report);
   return tools::Run(&app, argc, argv, [&] {
     const Vehicle vehicle = LoadVehicle(vehicle_file);

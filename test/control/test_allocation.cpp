@@ -1,10 +1,9 @@
-#include "odmc/control/allocation.h"
-
 #include <gtest/gtest.h>
 
 #include <random>
 #include <stdexcept>
 
+#include "odmc/control/allocation.h"
 #include "odmc/control/control_model.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "support/test_vehicle.h"

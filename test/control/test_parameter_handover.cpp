@@ -1,10 +1,9 @@
-#include "odmc/control/parameter_handover.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <limits>
 
+#include "odmc/control/parameter_handover.h"
 #include "support/test_vehicle.h"
 
 namespace odmc {

@@ -1,11 +1,10 @@
-#include "odmc/control/state_predictor.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <random>
 
 #include "odmc/control/low_pass.h"
+#include "odmc/control/state_predictor.h"
 #include "odmc/math/so3.h"
 
 namespace odmc {
@@ -44,8 +43,7 @@ double LargestError(double delay_s, double noise_m, double correction_s) {
       EXPECT_TRUE(predictor.Correct(measured, kGravity_W));
     }
     const auto state = predictor.At(FromSeconds(t), kGravity_W);
-    if (state && t > 2.0)
-      largest = std::max(largest, (state->p_WB - CircleAt(t).p_WB).norm());
+    if (state && t > 2.0) largest = std::max(largest, (state->p_WB - CircleAt(t).p_WB).norm());
   }
   return largest;
 }

@@ -242,6 +242,8 @@ TEST(ControllerReport, LevelSaysWhatIsWrong) {
   report.command.mode = ControlMode::kTracking;
   report.handover = HandoverState::kFollowing;
   const auto level = [&] { return ControllerDiagnostic(report, 0, "n").level; };
+  EXPECT_EQ(level(), DiagnosticStatus::WARN) << "no IMU";
+  report.imu.received = 10;
   EXPECT_EQ(level(), DiagnosticStatus::OK);
   EXPECT_EQ(ControllerDiagnostic(report, 0, "n").message, "tracking, following");
   report.imu.refused = 3;

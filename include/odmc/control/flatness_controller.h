@@ -88,6 +88,7 @@ class FlatnessController {
   void HoldInertial(Stamp now);
   bool HasRates(Stamp now) const;
   bool HasRotors(Stamp now) const;
+  Eigen::Vector3d Rates(Stamp now) const;
   RotorVector RotorSpeeds() const;
   RotorVector Driven(const RotorVector& goal, Stamp now) const;
   void BuildAllocation();
@@ -102,6 +103,7 @@ class FlatnessController {
   LowPass rate_filter_, torque_filter_;
   std::optional<ImuSample> imu_;
   std::optional<RotorSample> rotors_;
+  Eigen::Vector3d odometry_rates_ = Eigen::Vector3d::Zero();  // of the body, newest [rad/s]
   std::optional<Stamp> last_update_;
   long jumps_ = 0;
 };

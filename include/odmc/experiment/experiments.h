@@ -15,7 +15,8 @@ struct ExperimentOptions {
   int first_seed = 1;
   int jobs = 1;                    ///< flights at a time, >= 1
   double duration_s = 40.0;        ///< of the path, >= 20
-  double keyframe_rate_hz = 50.0;  ///< of the estimator
+  double keyframe_rate_hz = 50.0;    ///< of the estimator
+  double estimator_dies_at_s = 0.0;  ///< killed in every flight; 0: never
 };
 
 /// Figures of one variant: medians over the seeds, and how far they spread.

@@ -1,0 +1,264 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <memory>
+#include <stdexcept>
+
+#include "odmc/control/flat_inputs.h"
+#include "odmc/control/flatness_controller.h"
+#include "odmc/math/so3.h"
+#include "odmc/sim/rigid_body.h"
+#include "odmc/sim/truth_vehicle.h"
+#include "odmc/trajectory/trajectory.h"
+#include "support/test_vehicle.h"
+
+namespace odmc {
+namespace {
+
+// The vehicle of model.md section 8 at its true values, known to the controller.
+struct Known {
+  Known() {
+    vehicle.odometry = SensorMount();
+    model = std::make_shared<DynamicModel>(vehicle, vehicle.effects);
+    truth = DefaultTruth(*model);
+  }
+  Vehicle vehicle = test::NominalVehicle();
+  std::shared_ptr<const DynamicModel> model;
+  ModelValues truth;
+};
+
+TrajectoryOptions Octo(double top_speed_m_s) {
+  TrajectoryOptions options;
+  options.name = "octo";
+  options.top_speed_m_s = top_speed_m_s;
+  return options;
+}
+
+// Largest distance from the reference over `duration_s` of flight without any feedback, from a
+// start that is exact.
+double OpenLoopError(const Known& known, const Compensation& compensation, double from_s,
+                     double duration_s) {
+  ControlModel control(known.model, compensation);
+  control.SetValues(known.truth);
+  const Allocation allocation(control.rotor_map(), known.vehicle.ArmLength(), 1e3, 1e7);
+  const Trajectory trajectory(Octo(5.0));
+  const RigidBody body(*known.model, known.truth, MotorLag{1e-5});
+
+  const FlatReference start = trajectory.At(from_s);
+  const FlatInputs inputs = FlatInputsOf(control, allocation, start);
+  RigidBodyState state;
+  state.p_WB = start.p_WB;
+  state.v_WB = start.v_WB;
+  state.q_WB = inputs.attitude.q_WB;
+  state.w_WB_B = inputs.attitude.w_WB_B;
+  state.rotor_speed = inputs.rotor_speed;
+  constexpr double kStep_s = 0.0005;
+  double largest = 0.0;
+  for (int k = 0; k < std::lround(duration_s / kStep_s); ++k) {
+    const double t = from_s + kStep_s * k;
+    const RotorVector speeds =
+        FlatInputsOf(control, allocation, trajectory.At(t + 0.5 * kStep_s)).rotor_speed;
+    state = body.Step(t, state, speeds, {}, kStep_s);
+    const double error = (state.p_WB - trajectory.At(t + kStep_s).p_WB).norm();
+    largest = std::max(largest, error);
+  }
+  return largest;
+}
+
+// Rotor speeds from the reference alone keep the vehicle on it: every formula of flatness agrees
+// with the simulator, drag, HVT, viscous torque and centre of gravity included.
+TEST(FlatInputs, TrackTheReferenceOpenLoop) {
+  const Known known;
+  const double with_all = OpenLoopError(known, {}, 5.0, 2.0);
+  EXPECT_LT(with_all, 0.03);  // of 9 m flown
+  Compensation no_drag;
+  no_drag.drag = false;
+  EXPECT_GT(OpenLoopError(known, no_drag, 5.0, 2.0), 20.0 * with_all);
+  Compensation no_viscous;
+  no_viscous.viscous_torque = false;
+  EXPECT_GT(OpenLoopError(known, no_viscous, 5.0, 2.0), 5.0 * with_all);
+  Compensation no_hvt;
+  no_hvt.hvt = false;
+  EXPECT_GT(OpenLoopError(known, no_hvt, 5.0, 2.0), 5.0 * with_all);
+}
+
+TEST(ControlModel, SwitchesOffWhatIsNotCompensated) {
+  const Known known;
+  ControlModel all(known.model, {}), none(known.model, Compensation::None());
+  all.SetValues(known.truth);
+  none.SetValues(known.truth);
+  const RotorVector speeds = RotorVector::Constant(4, 1000.0);
+  const Eigen::Vector3d v(3.0, -2.0, 1.0), w(1.0, 2.0, -1.0), p(0.0, 0.0, 5.0);
+  const Eigen::Matrix3d R = Exp({0.2, -0.1, 0.4}).toRotationMatrix();
+  EXPECT_GT(all.AirWrench(p, R, v, w, speeds).f_B.norm(), 0.5);
+  EXPECT_LT(none.AirWrench(p, R, v, w, speeds).f_B.norm(), 1e-9);
+  EXPECT_LT(none.AirWrench(p, R, v, w, speeds).tau_Bcm_B.norm(), 1e-9);
+  EXPECT_EQ(none.properties().p_BBcm, Eigen::Vector3d::Zero());
+  EXPECT_EQ(none.properties().I_BBcm_B, all.properties().I_BBcm_B);  // thrust and inertia stay
+  EXPECT_NEAR(none.rotor_map()(0, 0), all.rotor_map()(0, 0), 1e-15);
+}
+
+// A vehicle and its controller without noise.
+class ControllerTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    state_.p_WB = {0.0, 0.0, 2.0};
+    state_.rotor_speed = RotorVector::Constant(4, std::sqrt(known_.vehicle.mass_kg * 9.81 / 6e-6));
+    command_ = state_.rotor_speed;
+    reference_.p_WB = state_.p_WB;
+    controller_.SetModel(known_.model, known_.truth);
+  }
+
+  // Flies on; with `sees`, odometry comes too.
+  ControlCommand Fly(double seconds, bool sees = true, bool has_imu = true) {
+    ControlCommand command;
+    for (int k = 0; k < std::lround(seconds / 0.002); ++k) {
+      now_ += FromSeconds(0.002);
+      state_ = body_.Step(ToSeconds(now_), state_, command_, external_, 0.001);
+      state_ = body_.Step(ToSeconds(now_), state_, command_, external_, 0.001);
+      const FlightState flight = body_.FlightStateOf(0.0, state_, command_);
+      BodyWrench wrench = body_.WrenchOf(flight);
+      wrench.f_B += external_.f_B;
+      wrench.tau_Bcm_B += external_.tau_Bcm_B;
+      const Eigen::Vector3d a_WB = body_.RateOf(state_, wrench).d_v_WB;
+      if (has_imu) {
+        controller_.Add(ImuSample{now_, state_.w_WB_B,
+                                  state_.q_WB.conjugate() * (a_WB - body_.properties().g_W)});
+      }
+      controller_.Add(RotorSample{now_, state_.rotor_speed});
+      if (sees && k % 5 == 0) {
+        controller_.Add(OdometrySample{now_, state_.p_WB, state_.q_WB, state_.v_WB, state_.w_WB_B});
+      }
+      command = controller_.Update(now_, reference_);
+      command_ = command.rotor_speed;
+      EXPECT_TRUE(command_.allFinite());
+    }
+    return command;
+  }
+
+  double Error() const { return (state_.p_WB - reference_.p_WB).norm(); }
+  double Tilt() const { return std::acos((state_.q_WB * Eigen::Vector3d::UnitZ()).z()); }
+
+  Known known_;
+  RigidBody body_{*known_.model, known_.truth};
+  FlatnessController controller_{ControllerOptions(), known_.model};
+  RigidBodyState state_;
+  RotorVector command_;
+  BodyWrench external_;
+  FlatReference reference_;
+  Stamp now_ = 0;
+};
+
+TEST_F(ControllerTest, ReachesAStepWithoutLeavingItsBounds) {
+  Fly(1.0);
+  reference_.p_WB += Eigen::Vector3d(2.0, -1.0, 0.5);
+  reference_.yaw = 1.5;
+  Fly(4.0);
+  EXPECT_LT(Error(), 0.002);
+  const Eigen::Vector3d ahead = state_.q_WB * Eigen::Vector3d::UnitX();
+  EXPECT_NEAR(std::atan2(ahead.y(), ahead.x()), 1.5, 0.01);
+}
+
+TEST_F(ControllerTest, RecoversFromAlmostUpsideDown) {
+  state_.q_WB = Exp({2.5, 0.0, 0.0});
+  state_.p_WB.z() = 20.0;
+  reference_.p_WB.z() = 20.0;
+  Fly(6.0);
+  EXPECT_LT(Error(), 0.01);
+  EXPECT_LT(Tilt(), 0.1);
+}
+
+// Incremental inversion takes a torque nobody told it of; without it the vehicle is pushed off.
+TEST_F(ControllerTest, TheInnerLoopRejectsAnUnknownTorque) {
+  external_.tau_Bcm_B = {0.03, -0.02, 0.0};
+  const ControlCommand command = Fly(4.0);
+  EXPECT_TRUE(command.indi);
+  const double with = Error();
+  EXPECT_LT(with, 0.003);
+  ControllerOptions plain;
+  plain.indi = false;
+  controller_ = FlatnessController(plain, known_.model);
+  controller_.SetModel(known_.model, known_.truth);
+  EXPECT_FALSE(Fly(4.0).indi);
+  EXPECT_GT(Error(), 10.0 * with);
+}
+
+TEST_F(ControllerTest, FliesWithoutAnImu) {
+  const ControlCommand command = Fly(4.0, true, false);
+  EXPECT_FALSE(command.indi);
+  EXPECT_EQ(command.mode, ControlMode::kTracking);
+  EXPECT_LT(Error(), 0.02);
+}
+
+TEST_F(ControllerTest, LevelsAndSinksWithoutOdometryAndComesBack) {
+  Fly(1.0);
+  state_.q_WB = Exp({0.3, 0.0, 0.0});
+  Fly(0.02);
+  const double height = state_.p_WB.z();
+  const ControlCommand command = Fly(2.0, false);
+  EXPECT_EQ(command.mode, ControlMode::kFailsafe);
+  EXPECT_LT(Tilt(), 0.15);
+  EXPECT_LT(state_.v_WB.z(), -0.1);
+  EXPECT_GT(state_.p_WB.z(), height - 3.0);
+  EXPECT_EQ(Fly(3.0).mode, ControlMode::kTracking);
+  EXPECT_LT(Error(), 0.05);
+}
+
+TEST_F(ControllerTest, IdlesWithoutReferenceAndOnTheGround) {
+  EXPECT_EQ(controller_.Update(0, std::nullopt).mode, ControlMode::kIdle);
+  Fly(0.1);
+  reference_.standing = true;
+  const ControlCommand command = controller_.Update(now_ + 1, reference_);
+  EXPECT_EQ(command.mode, ControlMode::kIdle);
+  EXPECT_LT(command.rotor_speed.maxCoeff(), 0.3 * state_.rotor_speed.minCoeff());
+}
+
+TEST_F(ControllerTest, CompensatesACentreOfMassOffTheOrigin) {
+  ASSERT_GT(body_.properties().p_BBcm.norm(), 0.01);
+  ControllerOptions options;
+  options.indi = false;
+  options.compensation.centre_of_gravity = false;
+  controller_ = FlatnessController(options, known_.model);
+  controller_.SetModel(known_.model, known_.truth);
+  Fly(5.0);
+  const double without = Error();
+  options.compensation.centre_of_gravity = true;
+  controller_ = FlatnessController(options, known_.model);
+  controller_.SetModel(known_.model, known_.truth);
+  Fly(5.0);
+  EXPECT_LT(Error(), 0.1 * without);
+}
+
+TEST(ControllerOptions, RefusesWhatCannotBeFlown) {
+  std::string error;
+  ControllerOptions options;
+  EXPECT_TRUE(options.IsValid(&error));
+  options.motor_time_constant_s = 0.0;
+  EXPECT_FALSE(options.IsValid(&error));
+  EXPECT_NE(error.find("motor_time_constant_s"), std::string::npos);
+  options = ControllerOptions();
+  options.position_gain_1_s2.x() = std::nan("");
+  EXPECT_FALSE(options.IsValid(&error));
+  EXPECT_THROW(FlatnessController(options, Known().model), std::invalid_argument);
+}
+
+// The loops of GainsFor() are well damped around motors of very different speed.
+TEST(ControllerOptions, DerivesGainsFromTheMotors) {
+  for (const double T : {0.01, 0.025, 0.08}) {
+    ControllerOptions options;
+    options.motor_time_constant_s = T;
+    const ControllerGains gains = GainsFor(options);
+    // T' s² + s + K with T' the time constant with lead: ζ = 1 / (2 √(K T')).
+    const double zeta = 0.5 / std::sqrt(gains.rate_1_s.x() * T / options.motor_lead);
+    EXPECT_NEAR(zeta, M_SQRT1_2, 1e-9);
+    EXPECT_GT(gains.rate_1_s.x(), 2.0 * gains.attitude_1_s.x());
+    EXPECT_GT(gains.attitude_1_s.x(), 2.0 * std::sqrt(gains.position_1_s2.x()));
+  }
+  ControllerOptions stated;
+  stated.attitude_gain_1_s = {0.0, 5.0, 0.0};
+  EXPECT_EQ(GainsFor(stated).attitude_1_s.y(), 5.0);
+  EXPECT_EQ(GainsFor(stated).attitude_1_s.x(), GainsFor({}).attitude_1_s.x());
+}
+
+}  // namespace
+}  // namespace odmc

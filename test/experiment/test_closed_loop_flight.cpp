@@ -1,0 +1,170 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <memory>
+
+#include "odmc/experiment/closed_loop_flight.h"
+#include "odmc/experiment/experiments.h"
+#include "odmc/sim/truth_vehicle.h"
+#include "support/test_vehicle.h"
+
+namespace odmc {
+namespace {
+
+ClosedLoopSetup MakeSetup(const std::string& trajectory, double duration_s, int seed = 1) {
+  ClosedLoopSetup setup;
+  setup.vehicle = test::NominalVehicle();
+  setup.truth_model = std::make_shared<DynamicModel>(setup.vehicle, setup.vehicle.effects);
+  setup.truth = DrawTruth(*setup.truth_model, seed);
+  setup.trajectory.name = trajectory;
+  setup.trajectory.ground_s = 1.0;
+  setup.trajectory.duration_s = duration_s;
+  setup.trajectory.from_origin = true;
+  setup.estimator.keyframe_rate_hz = 50.0;
+  setup.estimator.max_update_time_s = 10.0;
+  setup.estimator.detect_changes = true;
+  setup.estimator.ground.near_ground_m = 0.3;
+  setup.seed = seed;
+  return setup;
+}
+
+double Accepted(const ClosedLoopFlight& flight, const std::string& name) {
+  return flight.accepted->Find(name)->value;
+}
+
+double Truth(const ClosedLoopSetup& setup, const std::string& name) {
+  return setup.truth[setup.truth_model->IndexOf(name)];
+}
+
+TEST(ClosedLoopFlight, RepeatsExactly) {
+  const ClosedLoopSetup setup = MakeSetup("octo", 10.0);
+  const ClosedLoopFlight a = FlyClosedLoop(setup), b = FlyClosedLoop(setup);
+  ASSERT_EQ(a.samples.size(), b.samples.size());
+  for (size_t i = 0; i < a.samples.size(); ++i) ASSERT_EQ(a.samples[i].p_WB, b.samples[i].p_WB);
+}
+
+// Take-off with nominal parameters, hand-over in flight, landing: the estimate is that of the
+// vehicle, and neither take-off nor touch-down has spoilt it.
+TEST(ClosedLoopFlight, LearnsInFlightAndNotFromTheGround) {
+  const ClosedLoopSetup setup = MakeSetup("octo", 20.0);
+  const ClosedLoopFlight flight = FlyClosedLoop(setup);
+  EXPECT_EQ(flight.crash, "");
+  ASSERT_TRUE(flight.accepted);
+  EXPECT_LT(flight.first_accepted_s, 8.0);
+  EXPECT_NEAR(Accepted(flight, "thrust.k_f") / Truth(setup, "thrust.k_f"), 1.0, 0.01);
+  EXPECT_NEAR(Accepted(flight, "inertia.x") / Truth(setup, "inertia.x"), 1.0, 0.05);
+  EXPECT_NEAR(Accepted(flight, "drag.d_x") / Truth(setup, "drag.d_x"), 1.0, 0.1);
+  EXPECT_LT(flight.samples.back().p_WB.z(), 0.02);  // it sits
+  EXPECT_GE(flight.ground_spans.size(), 2u);
+  EXPECT_LT(flight.control_ms_p99, 0.2);
+}
+
+TEST(ClosedLoopFlight, BouncesWithoutLearning) {
+  ClosedLoopSetup setup = MakeSetup("hover", 12.0);
+  setup.world.ground_damping_ratio = 0.2;
+  const ClosedLoopFlight flight = FlyClosedLoop(setup);
+  EXPECT_EQ(flight.crash, "");
+  ASSERT_TRUE(flight.accepted);
+  EXPECT_NEAR(Accepted(flight, "thrust.k_f") / Truth(setup, "thrust.k_f"), 1.0, 0.02);
+}
+
+TEST(ClosedLoopFlight, HalvesTheErrorOfAnUncompensatedFlight) {
+  ClosedLoopSetup setup = MakeSetup("octo", 25.0);
+  setup.trajectory.top_speed_m_s = 5.0;
+  const TrackingErrors with = ErrorsOf(FlyClosedLoop(setup));
+  setup.controller.compensation = Compensation::None();
+  const TrackingErrors without = ErrorsOf(FlyClosedLoop(setup));
+  EXPECT_LT(with.rmse_m.x(), 0.5 * without.rmse_m.x());
+  EXPECT_LT(with.rmse_m.y(), 0.5 * without.rmse_m.y());
+  EXPECT_LT(with.rmse_m.x(), 0.034);
+  EXPECT_LT(with.rmse_m.y(), 0.032);
+  EXPECT_LT(with.rmse_m.z(), 0.012);
+}
+
+// Its last word stays in use.
+TEST(ClosedLoopFlight, FliesOnWithoutTheEstimator) {
+  ClosedLoopSetup setup = MakeSetup("octo", 25.0);
+  setup.trajectory.top_speed_m_s = 5.0;
+  setup.estimator_dies_at_s = 15.0;
+  const ClosedLoopFlight flight = FlyClosedLoop(setup);
+  EXPECT_EQ(flight.crash, "");
+  const TrackingErrors late = ErrorsBetween(flight, 20.0, 29.0);
+  EXPECT_LT(late.rmse_m.norm(), 0.015);
+  ASSERT_FALSE(flight.handover.empty());
+  EXPECT_EQ(flight.handover.back().to, HandoverState::kHolding);
+}
+
+TEST(ClosedLoopFlight, FliesOnWhenTheEstimatorDiesBeforeItSaidAnything) {
+  ClosedLoopSetup setup = MakeSetup("octo", 12.0);
+  setup.estimator_dies_at_s = 1.5;
+  const ClosedLoopFlight flight = FlyClosedLoop(setup);
+  EXPECT_EQ(flight.crash, "");
+  EXPECT_FALSE(flight.accepted);
+  EXPECT_EQ(flight.samples.back().handover, HandoverState::kNominal);
+}
+
+// Whoever takes a load in flight weighs a sixth less in thrust coefficients: the mass is fixed.
+TEST(ClosedLoopFlight, LearnsALoadAndItsDrop) {
+  ClosedLoopSetup setup = MakeSetup("octo", 30.0);
+  setup.world.payload_kg = 0.2 * setup.vehicle.mass_kg;
+  setup.world.payload_p_B_m = {0.0, 0.0, -0.03};
+  setup.world.payload_attach_at_s = 15.0;
+  const ClosedLoopFlight flight = FlyClosedLoop(setup);
+  EXPECT_EQ(flight.crash, "");
+  EXPECT_NEAR(1.2 * Accepted(flight, "thrust.k_f") / Truth(setup, "thrust.k_f"), 1.0, 0.02);
+  EXPECT_LT(ErrorsBetween(flight, 20.0, 34.0).rmse_m.norm(), 0.02);
+}
+
+TEST(ClosedLoopFlight, SurvivesAJumpOfTheOdometry) {
+  ClosedLoopSetup setup = MakeSetup("hover", 15.0);
+  setup.world.jump_at_s = 10.0;
+  setup.world.jump_m = {0.8, 0.0, 0.0};
+  const ClosedLoopFlight flight = FlyClosedLoop(setup);
+  EXPECT_EQ(flight.crash, "");
+  EXPECT_NEAR(flight.samples.back().p_WB.x(), -0.8, 0.1);  // where odometry says 0
+}
+
+TEST(ClosedLoopFlight, SaysWhatACrashWas) {
+  ClosedLoopSetup setup = MakeSetup("octo", 20.0);
+  setup.world.damage_at_s = 8.0;
+  setup.world.damage_share = 1.0;  // a rotor gone
+  EXPECT_NE(FlyClosedLoop(setup).crash, "");
+}
+
+TEST(ClosedLoopFlight, StartsWarmFromASavedSet) {
+  ClosedLoopSetup setup = MakeSetup("octo", 15.0);
+  const ClosedLoopFlight first = FlyClosedLoop(setup);
+  ASSERT_TRUE(first.accepted);
+  setup.warm_start = first.accepted;
+  setup.seed = 2;
+  const ClosedLoopFlight second = FlyClosedLoop(setup);
+  const double until_s = first.first_accepted_s;
+  EXPECT_LT(ErrorsBetween(second, 0.0, until_s).rmse_m.z(),
+            0.5 * ErrorsBetween(first, 0.0, until_s).rmse_m.z());
+}
+
+// Twenty times real time is asked of one core; machines that share theirs are slower.
+TEST(ClosedLoopFlight, IsMuchFasterThanRealTimeWithoutTheEstimator) {
+  ClosedLoopSetup setup = MakeSetup("octo", 30.0);
+  setup.estimates = false;
+  const ClosedLoopFlight flight = FlyClosedLoop(setup);
+  std::printf("%.0f times real time, control step p99 %.4f ms\n", flight.flown_s / flight.wall_s,
+              flight.control_ms_p99);
+  EXPECT_GT(flight.flown_s / flight.wall_s, 10.0);
+}
+
+TEST(Experiments, ReportEveryVariantAndRefuseOthers) {
+  ExperimentOptions options;
+  options.seeds = 1;
+  options.duration_s = 20.0;
+  const Experiment experiment = RunExperiment("wind", test::NominalVehicle(), options);
+  const std::string report = ExperimentReport({experiment});
+  for (const char* key : {"\"wind\"", "\"compensated\"", "\"uncompensated\"", "\"rmse_m\"",
+                          "\"max_m\"", "\"spread_m\"", "\"seeds\": 1", "\"crashes\": 0"}) {
+    EXPECT_NE(report.find(key), std::string::npos) << key;
+  }
+  EXPECT_THROW(RunExperiment("storm", test::NominalVehicle(), options), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace odmc
