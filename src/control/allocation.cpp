@@ -16,12 +16,13 @@ constexpr double kYawLever = 0.1;  // drag torque of a rotor over its thrust, in
 Allocation::Allocation(const RotorMap& map, double arm_length_m, double min_squared,
                        double max_squared)
     : map_(map), min_squared_(min_squared), max_squared_(max_squared) {
+  if (!map_.allFinite()) throw std::invalid_argument("the rotor map is not a number");
   // The torque rows are scaled so that neither rank nor least squares hang on units.
   const Eigen::Vector4d scale(1.0, 1.0 / arm_length_m, 1.0 / arm_length_m,
                               1.0 / (kYawLever * arm_length_m));
   const Eigen::MatrixXd scaled = scale.asDiagonal() * Eigen::MatrixXd(map_);
   const Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> decomposition(scaled);
-  if (!map_.allFinite() || decomposition.rank() < 4) {
+  if (decomposition.rank() < 4) {
     throw std::invalid_argument(
         "these rotors can't make thrust and all three torques: check their places, spins and "
         "coefficients");

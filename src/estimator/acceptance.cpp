@@ -96,6 +96,13 @@ std::string Acceptance::Objection(const ModelParameter& parameter, int index,
 bool Acceptance::Update(const DynamicModel& model, const Snapshot& snapshot) {
   reasons_.clear();
   held_back_.clear();
+  if (!snapshot.values.allFinite() || !snapshot.sigma.allFinite() ||
+      !snapshot.covariance.allFinite()) {
+    reasons_.push_back("the estimate is not a number");
+    good_since_.reset();
+    accepted_ = false;
+    return false;
+  }
   std::vector<bool> sure(model.num_parameters(), true);
   for (int i = 0; i < model.num_parameters(); ++i) {
     const ModelParameter& p = model.parameters()[i];

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <random>
 #include <stdexcept>
 
@@ -118,6 +119,9 @@ TEST(Allocation, RefusesVehiclesThatCannotBeFlown) {
   RotorMap no_yaw = MapOf(vehicle);
   no_yaw.row(3).setZero();
   EXPECT_THROW(Allocation(no_yaw, 0.15, kMin, kMax), std::invalid_argument);
+  RotorMap nothing = MapOf(vehicle);
+  nothing(0, 0) = std::nan("");
+  EXPECT_THROW(Allocation(nothing, 0.15, kMin, kMax), std::invalid_argument);
   RotorMap outside = MapOf(vehicle);
   outside.row(2) += 0.3 * outside.row(0);
   EXPECT_THROW(Allocation(outside, 0.15, kMin, kMax), std::invalid_argument);

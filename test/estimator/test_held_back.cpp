@@ -96,6 +96,16 @@ TEST_F(HeldBackTest, WhatWasSureOnceDoesNotComeAndGo) {
   EXPECT_EQ(acceptance_.held_back().size(), 1u);
 }
 
+TEST_F(HeldBackTest, WhatIsNotANumberIsNotUsed) {
+  for (int i = 0; i < 4; ++i) Update();
+  ASSERT_TRUE(acceptance_.accepted());
+  SetSigma(Index("centre_of_gravity.z"), 0.02);  // something to condition on
+  snapshot_.covariance(2, 3) = std::nan("");
+  Update();
+  EXPECT_FALSE(acceptance_.accepted());
+  EXPECT_TRUE(acceptance_.Usable().covariance.allFinite());
+}
+
 TEST_F(HeldBackTest, NothingIsAcceptedWithoutThrust) {
   SetSigma(Index("thrust.k_f"), 3e-7);
   for (int i = 0; i < 4; ++i) Update();
