@@ -611,9 +611,11 @@ Snapshot Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport
 
   const int n = layout_.num_estimated();
   const Eigen::MatrixXd information = information_.Update(window_, 0.3 * sigma_eta_);
-  const Eigen::MatrixXd covariance = information.ldlt().solve(Eigen::MatrixXd::Identity(n, n));
+  Eigen::MatrixXd covariance = information.ldlt().solve(Eigen::MatrixXd::Identity(n, n));
   if (covariance.allFinite() && (covariance.diagonal().array() > 0.0).all()) {
     sigma_eta_ = covariance.diagonal().cwiseSqrt();
+  } else {
+    covariance = sigma_eta_.cwiseAbs2().asDiagonal();  // rounding has the better of it: as before
   }
   if (consistency_.BlockIsFull()) RefreshConsistency(covariance);
 

@@ -8,10 +8,12 @@ namespace odmc {
 namespace {
 
 /// Eliminates a front. A ridge keeps directions of the eliminated variables that nobody measured
-/// from failing; they carry no information either way.
+/// from failing; they carry no information either way. What can't be eliminated at all (a factor
+/// that is not a number) says nothing.
 Eigen::MatrixXd Eliminated(const FrontColumns& columns, Eigen::MatrixXd* front) {
   EliminatedFront eliminated;
-  Eigen::MatrixXd message;
+  const int rest = columns.total + 1 - columns.num_eliminated;
+  Eigen::MatrixXd message = Eigen::MatrixXd::Zero(rest, rest);
   auto diagonal = front->diagonal().head(columns.num_eliminated);
   const double largest = diagonal.maxCoeff();
   for (double ridge = 1e-12; ridge <= 1.0; ridge *= 100.0) {
