@@ -87,6 +87,7 @@ LinearSystem Eliminate(const LinearSystem& system, double tolerance) {
     result.b.resize(0);
     return result;
   }
+  if (e == 0) return {system.A, system.b, 0};  // Eigen's QR can't take a matrix without columns
   // Rotate the eliminated columns into a triangle; rows below its rank know only the remaining
   // ones.
   Eigen::ColPivHouseholderQR<Eigen::MatrixXd> eliminated(system.A.leftCols(e));

@@ -95,6 +95,13 @@ TEST(Eliminate, GainsNothingAlongUnobservableDirections) {
   }
 }
 
+// A prior on the parameters alone has nothing to eliminate.
+TEST(Eliminate, WithoutColumnsToEliminateChangesNothing) {
+  Random random(4);
+  const LinearSystem s{random.NextMatrix(7, 5), random.NextVector(7), 0};
+  EXPECT_LT(Difference(NormalOf(s), NormalOf(Eliminate(s))), kExact);
+}
+
 TEST(Eliminate, OfNothingOrOfTooLittleIsNothing) {
   const LinearSystem none = Eliminate({MatrixXd(0, 10), VectorXd(0), 6});
   EXPECT_EQ(none.A.rows(), 0);
