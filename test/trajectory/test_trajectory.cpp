@@ -403,8 +403,24 @@ struct KeyList {
 TEST(TrajectoryOptions, ShowEveryField) {
   KeyList list;
   TrajectoryOptions().Visit(&list);
-  EXPECT_EQ(list.keys,
-            (std::vector<std::string>{"name", "ground_s", "top_speed_m_s", "duration_s"}));
+  EXPECT_EQ(list.keys, (std::vector<std::string>{"name", "ground_s", "top_speed_m_s", "from_origin",
+                                                 "duration_s"}));
+}
+
+TEST(TrajectoryOptions, FromOriginMovesThePathAndNothingElse) {
+  TrajectoryOptions options;
+  options.name = "vshape";
+  options.ground_s = 1.0;
+  const Trajectory there(options);
+  options.from_origin = true;
+  const Trajectory here(options);
+  EXPECT_LT(here.At(0.0).p_WB.norm(), 1e-12);
+  const Eigen::Vector3d offset = there.At(0.0).p_WB;
+  EXPECT_GT(offset.norm(), 1.0);
+  for (const double t : {0.5, 3.0, 7.0, 20.0}) {
+    EXPECT_LT((there.At(t).p_WB - here.At(t).p_WB - offset).norm(), 1e-12);
+    EXPECT_EQ(there.At(t).v_WB, here.At(t).v_WB);
+  }
 }
 
 }  // namespace
