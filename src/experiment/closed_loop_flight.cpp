@@ -187,7 +187,8 @@ class Loop {
     if (touches) flight_.ground_spans.back().second = now;
     touched_ = touches;
     if (!touches && flight_.take_off_s == 0.0 && !reference.standing) flight_.take_off_s = t_s;
-    if (touches && flight_.take_off_s > 0.0 && reference.p_WB.z() > kClear_m)
+    const bool lands = t_s >= path_end_s_;
+    if (touches && flight_.take_off_s > 0.0 && reference.p_WB.z() > kClear_m && !lands)
       flight_.crash = "touched the ground after " + std::to_string(t_s) + " s";
   }
 
