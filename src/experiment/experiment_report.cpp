@@ -17,7 +17,10 @@ Json ToJson(const VariantFigures& figures) {
   json["spread_m"] = ToJson(figures.spread_m);
   json["seeds"] = figures.seeds;
   json["crashes"] = figures.crashes;
-  if (figures.recovery_s >= 0.0) json["recovery_s"] = figures.recovery_s;
+  if (figures.recovery_s >= 0.0) {
+    json["recovery_s"] = figures.recovery_s;
+    json["recovery_max_s"] = figures.recovery_max_s;
+  }
   if (figures.has_torque) json["torque_rmse_Nm"] = ToJson(figures.torque_rmse_Nm);
   json["first_accepted_s"] = figures.first_accepted_s;
   json["control_ms_p99"] = figures.control_ms_p99;

@@ -24,7 +24,8 @@ constexpr double kEvent_s = 15.0, kSecondEvent_s = 30.0;  // after the start of 
 constexpr double kSettled_s = 5.0;                        // after an event
 constexpr double kRecovered = 1.5;                        // of the RMSE before
 constexpr double kRecoveryWindow_s = 2.0;
-constexpr int kTruthStream = 77;  // of random numbers
+constexpr double kBefore_s = 8.0;  // the first hand-over is over by then
+constexpr int kTruthStream = 77;   // of random numbers
 
 struct Variant {
   std::string name;
@@ -164,14 +165,15 @@ std::optional<ParameterSet> LearnFirst(ClosedLoopSetup setup) {
   return FlyClosedLoop(setup).accepted;
 }
 
-// Time after `event_s` from which on the running RMSE stays within its limit until `end_s`.
+// Time after `event_s` at which the RMSE of the following kRecoveryWindow_s is within its limit for
+// the first time; up to `end_s` where it never is.
 double RecoveryTime(const ClosedLoopFlight& flight, double event_s, double end_s, double limit_m) {
-  double last_bad_s = event_s;
-  for (double t = event_s; t + kRecoveryWindow_s <= end_s; t += 0.1) {
-    const double rmse = ErrorsBetween(flight, t, t + kRecoveryWindow_s).rmse_m.norm();
-    if (rmse > limit_m) last_bad_s = t + 0.1;
+  double t = event_s;
+  while (t + kRecoveryWindow_s <= end_s &&
+         ErrorsBetween(flight, t, t + kRecoveryWindow_s).rmse_m.norm() > limit_m) {
+    t += 0.1;
   }
-  return last_bad_s - event_s;
+  return t - event_s;
 }
 
 // Torque that a model without the effect `without` predicts on the second half of the flight, once
@@ -204,7 +206,7 @@ std::map<std::string, Part> PartsOf(const std::string& variant, const ClosedLoop
   if (setup.world.payload_attach_at_s == 0.0) return {{variant, {ErrorsOf(flight), -1.0}}};
   const double attach_s = setup.world.payload_attach_at_s, drop_s = setup.world.payload_drop_at_s;
   const double end_s = flight.flown_s;
-  const TrackingErrors before = ErrorsBetween(flight, 0.0, attach_s);
+  const TrackingErrors before = ErrorsBetween(flight, attach_s - kBefore_s, attach_s);
   const double limit_m = kRecovered * before.rmse_m.norm();
   return {{"before", {before, -1.0}},
           {"with_load",
@@ -218,7 +220,7 @@ std::map<std::string, Part> PartsOf(const std::string& variant, const ClosedLoop
 // Everything of one variant, seed by seed.
 struct Collected {
   std::array<std::vector<double>, 3> rmse, max, torque;
-  std::vector<double> accepted_s;
+  std::vector<double> accepted_s, recovery_s;
   VariantFigures figures;
 };
 
@@ -234,7 +236,7 @@ void Collect(const Part& part, const Variant& variant, const ClosedLoopSetup& se
     all->rmse[axis].push_back(part.errors.rmse_m[axis]);
     all->max[axis].push_back(part.errors.max_m[axis]);
   }
-  figures.recovery_s = std::max(figures.recovery_s, part.recovery_s);
+  if (part.recovery_s >= 0.0) all->recovery_s.push_back(part.recovery_s);
   figures.control_ms_p99 = std::max(figures.control_ms_p99, flight.control_ms_p99);
   all->accepted_s.push_back(flight.first_accepted_s);
   if (!variant.predicts_without) return;
@@ -252,6 +254,10 @@ VariantFigures Summarised(Collected all) {
     figures.torque_rmse_Nm[axis] = Median(all.torque[axis]);
   }
   figures.first_accepted_s = Median(all.accepted_s);
+  if (!all.recovery_s.empty()) {
+    figures.recovery_s = Median(all.recovery_s);
+    figures.recovery_max_s = Quantile(all.recovery_s, 1.0);
+  }
   return figures;
 }
 

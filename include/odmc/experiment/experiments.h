@@ -13,8 +13,8 @@ namespace odmc {
 struct ExperimentOptions {
   int seeds = 10;  ///< flights per variant, each with another vehicle, >= 1
   int first_seed = 1;
-  int jobs = 1;                    ///< flights at a time, >= 1
-  double duration_s = 40.0;        ///< of the path, >= 20
+  int jobs = 1;                      ///< flights at a time, >= 1
+  double duration_s = 40.0;          ///< of the path, >= 20
   double keyframe_rate_hz = 50.0;    ///< of the estimator
   double estimator_dies_at_s = 0.0;  ///< killed in every flight; 0: never
 };
@@ -24,7 +24,8 @@ struct VariantFigures {
   Eigen::Vector3d rmse_m, max_m;  ///< medians
   Eigen::Vector3d spread_m;       ///< interquartile range of the RMSE
   int seeds = 0, crashes = 0;
-  double recovery_s = -1.0;  ///< largest over the seeds; negative: does not apply
+  double recovery_s = -1.0;      ///< median; negative: does not apply
+  double recovery_max_s = -1.0;  ///< largest over the seeds
   bool has_torque = false;
   Eigen::Vector3d torque_rmse_Nm = Eigen::Vector3d::Zero();  ///< of the estimate's prediction
   double first_accepted_s = 0.0;                             ///< median
