@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdio>
 #include <limits>
+#include <utility>
 
 #include "odmc/model/plausibility.h"
 
@@ -93,6 +94,25 @@ std::string Acceptance::Objection(const ModelParameter& parameter, int index,
          parameter.spec.unit;
 }
 
+// What is held back can push another past zero, which is then held back, too.
+void Acceptance::HoldBack(const DynamicModel& model, const Snapshot& snapshot,
+                          std::vector<bool> sure) {
+  for (bool again = true; again;) {
+    again = false;
+    usable_ = HeldBack(model, snapshot, sure);
+    for (int i = 0; i < model.num_parameters(); ++i) {
+      const ModelParameter& p = model.parameters()[i];
+      if (!p.estimated || !sure[i] || p.full_name == "thrust.k_f") continue;
+      const double value = usable_.values[i], sigma = usable_.sigma[i];
+      if (!HasWrongSign(p.spec.sign, value, sigma)) continue;
+      sure[i] = false;
+      again = true;
+      held_back_.push_back(p.full_name + Text(" = %.3g +- %.2g", value, sigma) + " " + p.spec.unit +
+                           " has the wrong sign beside what is held back");
+    }
+  }
+}
+
 bool Acceptance::Update(const DynamicModel& model, const Snapshot& snapshot) {
   reasons_.clear();
   held_back_.clear();
@@ -113,7 +133,7 @@ bool Acceptance::Update(const DynamicModel& model, const Snapshot& snapshot) {
     (p.full_name == "thrust.k_f" ? reasons_ : held_back_).push_back(objection);
   }
   sure_ = sure;
-  usable_ = HeldBack(model, snapshot, sure);
+  HoldBack(model, snapshot, std::move(sure));
   for (const std::string& sentence : UnphysicalValues(model, usable_.values, usable_.sigma)) {
     reasons_.push_back(sentence);
   }

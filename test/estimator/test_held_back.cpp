@@ -78,6 +78,20 @@ TEST_F(HeldBackTest, HoldsBackACoefficientOfTheWrongSign) {
   EXPECT_EQ(acceptance_.Usable().values[d], model_.parameters()[d].spec.prior_value);
 }
 
+// Drag is sure and negative; given the prior value of the height, six sigma away, it is positive.
+TEST_F(HeldBackTest, WhatBecomesUnphysicalBesideTheHeldBackIsHeldBackToo) {
+  const int z = Index("centre_of_gravity.z"), d = Index("drag.d_x");
+  SetSigma(z, 0.02);
+  SetSigma(d, 0.2 * std::abs(snapshot_.values[d]));
+  Correlate(z, d, 0.95);
+  snapshot_.values[z] = model_.parameters()[z].spec.prior_value - 6.0 * snapshot_.sigma[z];
+  for (int i = 0; i < 4; ++i) Update();
+  EXPECT_TRUE(acceptance_.accepted());
+  ASSERT_EQ(acceptance_.held_back().size(), 2u);
+  EXPECT_NE(acceptance_.held_back().back().find("drag.d_x"), std::string::npos);
+  EXPECT_EQ(acceptance_.Usable().values[d], model_.parameters()[d].spec.prior_value);
+}
+
 TEST_F(HeldBackTest, WhatWasSureOnceDoesNotComeAndGo) {
   const int d = Index("drag.d_x");
   const double limit =

@@ -27,8 +27,9 @@ struct AcceptanceOptions {
 /// A parameter is sure if its sigma is below accept_relative_sigma of its value (where the value
 /// may be zero, or below twice that share of its prior sigma or natural size) and its sign is
 /// physical. What is not sure keeps the value of the vehicle file, and the
-/// others become what they are given that value: the estimate's Gaussian, conditioned. So one weak
-/// parameter does not hold up the rest, and nothing certain leans on a guess. Accepted is what has
+/// others become what they are given that value: the estimate's Gaussian, conditioned. Where that
+/// gives one the wrong sign, it is held back, too. So one weak parameter does not hold up the rest,
+/// and nothing certain leans on a guess. Accepted is what has
 ///  - k_f, without which no model is of use, among the sure if the model estimates it,
 ///  - nothing unphysical,
 /// for accept_hold_s without a break. Thread-compatible.
@@ -53,6 +54,7 @@ class Acceptance {
 
  private:
   std::string Objection(const ModelParameter& parameter, int index, const Snapshot& snapshot) const;
+  void HoldBack(const DynamicModel& model, const Snapshot& snapshot, std::vector<bool> sure);
 
   AcceptanceOptions options_;
   std::optional<Stamp> good_since_;
