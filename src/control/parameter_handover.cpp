@@ -14,6 +14,7 @@ namespace {
 constexpr double kNoChange = 0.02;   // a smaller one is not put on trial
 constexpr double kBackFaster = 4.0;  // a roll-back moves that much faster
 constexpr double kLongestStep_s = 0.1;
+constexpr double kArrived = 1e-12;
 
 std::string Text(const char* format, double a, double b) {
   char text[160];
@@ -173,14 +174,15 @@ void ParameterHandover::Adopt(std::shared_ptr<const DynamicModel> model) {
   model_ = std::move(model);
 }
 
+Eigen::VectorXd ParameterHandover::Sizes(const ModelValues& a, const ModelValues& b) const {
+  Eigen::VectorXd sizes = a.cwiseAbs().cwiseMax(b.cwiseAbs());
+  for (Eigen::Index i = 0; i < sizes.size(); ++i)
+    sizes[i] = std::max(sizes[i], model_->parameters()[i].spec.scale);
+  return sizes;
+}
+
 double ParameterHandover::LargestChange(const ModelValues& from, const ModelValues& to) const {
-  double largest = 0.0;
-  for (Eigen::Index i = 0; i < from.size(); ++i) {
-    const double size =
-        std::max({std::abs(from[i]), std::abs(to[i]), model_->parameters()[i].spec.scale});
-    largest = std::max(largest, std::abs(to[i] - from[i]) / size);
-  }
-  return largest;
+  return (to - from).cwiseQuotient(Sizes(from, to)).cwiseAbs().maxCoeff();
 }
 
 void ParameterHandover::GoTo(const Parameters& goal) {
@@ -266,9 +268,15 @@ bool ParameterHandover::Move(Stamp now) {
   const double dt = std::clamp(ToSeconds(now - *last_update_), 0.0, kLongestStep_s);
   const bool is_back = state_ == HandoverState::kNominal || state_ == HandoverState::kRolledBack;
   const double rate = options_.handover_change_1_s * (is_back ? kBackFaster : 1.0);
-  progress_ = std::min(1.0, progress_ + rate * dt / LargestChange(start_, goal_.values));
-  values_ =
-      progress_ == 1.0 ? goal_.values : ModelValues(start_ + progress_ * (goal_.values - start_));
+  // Each at its own pace: thrust need not wait for a weak coefficient that has far to go.
+  const Eigen::VectorXd most = rate * dt * Sizes(start_, goal_.values);
+  values_ += (goal_.values - values_).cwiseMax(-most).cwiseMin(most);
+  const double left = LargestChange(values_, goal_.values);
+  progress_ = 1.0 - left / std::max(left, LargestChange(start_, goal_.values));
+  if (left < kArrived) {
+    values_ = goal_.values;
+    progress_ = 1.0;
+  }
   return true;
 }
 

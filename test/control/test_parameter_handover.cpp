@@ -66,10 +66,21 @@ TEST_F(HandoverTest, FollowsAnEstimateAtALimitedRate) {
   Fly(3.0, 0.05);
   Fly(0.2, 0.05, &set);
   EXPECT_EQ(handover_.state(), HandoverState::kFollowing);
-  EXPECT_LT(ThrustOverNominal(), 1.11);
+  EXPECT_NEAR(ThrustOverNominal(), 1.0 + 0.2 * 0.5 * 1.2, 0.01);  // 50 %/s of the larger value
   Fly(5.0, 0.04, &set);
   EXPECT_NEAR(ThrustOverNominal(), 1.2, 1e-9);
   EXPECT_LE(largest_step_, 1.21 * options_.handover_change_1_s * kStep_s);
+}
+
+// Thrust has 0.2 of 1.2 to go, drag all of its value: 0.33 s and 2 s at 50 %/s.
+TEST_F(HandoverTest, ThrustDoesNotWaitForWhatHasFartherToGo) {
+  const ParameterSet set = Estimate(1.2, -3.0);
+  Fly(3.0, 0.05);
+  Fly(0.6, 0.05, &set);
+  EXPECT_NEAR(ThrustOverNominal(), 1.2, 1e-9);
+  EXPECT_LT(handover_.progress(), 0.9);
+  Fly(3.0, 0.05, &set);
+  EXPECT_EQ(handover_.progress(), 1.0);
 }
 
 TEST_F(HandoverTest, RefusesWhatIsNotANumber) {

@@ -19,7 +19,7 @@ struct HandoverOptions {
   double handover_max_relative_sigma = 0.15;  ///< of k_f, I_x, I_y: over the value [-], > 0
   double handover_stale_s = 2.0;              ///< silence after which the estimate is stale [s]
   double handover_hold_s = 300.0;  ///< a stale estimate is used that long, then nominal [s]
-  /// Largest change in use, of what a parameter's value is (or its natural size) [1/s].
+  /// Largest change in use of each parameter, of its value or its natural size [1/s].
   double handover_change_1_s = 0.5;
   double handover_judge_s = 2.0;         ///< of flight before and after a change, to judge it [s]
   double handover_worse_ratio = 1.5;     ///< of tracking errors, after over before [-], > 1
@@ -85,7 +85,7 @@ class ParameterHandover {
   const std::shared_ptr<const DynamicModel>& model() const { return model_; }
   const ModelValues& values() const { return values_; }
   HandoverState state() const { return state_; }
-  /// How far the parameters in use are on the way to their goal, 0 to 1.
+  /// How far the parameters in use are on the way to their goal, 0 to 1: of the one with the longest.
   double progress() const { return progress_; }
   /// Stamp of the estimate in use or on the way; 0 for nominal ones.
   Stamp estimate_stamp() const { return goal_.stamp; }
@@ -121,6 +121,8 @@ class ParameterHandover {
   std::optional<double> Baseline() const;
   void GoTo(const Parameters& goal);
   void Enter(HandoverState state, const std::string& reason, Stamp now);
+  // What a change of each parameter is measured by: the larger value or its natural size.
+  Eigen::VectorXd Sizes(const ModelValues& a, const ModelValues& b) const;
   double LargestChange(const ModelValues& from, const ModelValues& to) const;
 
   HandoverOptions options_;
