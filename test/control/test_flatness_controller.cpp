@@ -229,6 +229,199 @@ TEST_F(ControllerTest, CompensatesACentreOfMassOffTheOrigin) {
   EXPECT_LT(Error(), 0.1 * without);
 }
 
+// ---- One step, against the law by hand ---------------------------------------------------------
+
+constexpr double kGravity = 9.81, kMass = 0.75;
+const Eigen::Vector3d kUp = Eigen::Vector3d::UnitZ();
+
+double& Value(Known* known, const std::string& name) {
+  return known->truth[known->model->IndexOf(name)];
+}
+
+FlatnessController Controller(const Known& known, const ControllerOptions& options = {}) {
+  FlatnessController controller(options, known.model);
+  controller.SetModel(known.model, known.truth);
+  return controller;
+}
+
+// What `controller` commands where odometry sees the body level, on its reference and at its speed,
+// turning with `w_WB_B`.
+ControlCommand CommandOf(FlatnessController controller, const FlatReference& reference,
+                         const Eigen::Vector3d& w_WB_B = Eigen::Vector3d::Zero()) {
+  constexpr Stamp kNow = 1000000000;
+  controller.Add(
+      OdometrySample{kNow, reference.p_WB, Eigen::Quaterniond::Identity(), reference.v_WB, w_WB_B});
+  return controller.Update(kNow, reference);
+}
+
+// Collective thrust and torque about Bcm that rotor speeds make.
+Eigen::Vector4d WrenchOf(const Known& known, const RotorVector& rotor_speed) {
+  const RotorMap map =
+      RotorMapAtRest(*known.model, known.truth, known.model->Properties(known.truth));
+  return map * rotor_speed.cwiseAbs2();
+}
+
+void ExpectThrustAlong(const Eigen::Vector3d& direction_W, const ControlCommand& command) {
+  const Eigen::Vector3d z_W = command.q_WB_cmd * kUp;
+  EXPECT_LT((z_W - direction_W.normalized()).norm(), 1e-6)
+      << z_W.transpose() << " instead of " << direction_W.normalized().transpose();
+}
+
+TEST(FlatnessController, LeansAgainstTheDragOfItsFlightThroughTheAir) {
+  Known known;
+  known.vehicle.effects.push_back("wind");
+  known.model = std::make_shared<DynamicModel>(known.vehicle, known.vehicle.effects);
+  known.truth = DefaultTruth(*known.model);
+  Value(&known, "hvt.k_h") = 0.0;
+  FlatReference reference;
+  reference.v_WB = {4.0, 0.0, 0.0};
+  const Eigen::Vector3d against_drag(0.30 * 4.0 / kMass, 0.0, 0.0);
+  ExpectThrustAlong(against_drag + kGravity * kUp, CommandOf(Controller(known), reference));
+  Value(&known, "wind.w_x") = 4.0;
+  ExpectThrustAlong(kUp, CommandOf(Controller(known), reference));
+}
+
+// Thrust acts at Bcm, which circles about Bo while the body turns.
+TEST(FlatnessController, CarriesTheCentreOfMassRoundInATurn) {
+  const Known known;
+  FlatReference reference;
+  reference.d_yaw = 3.0;
+  const Eigen::Vector3d to_the_axis(-9.0 * 0.010, 9.0 * 0.006, 0.0);
+  ExpectThrustAlong(to_the_axis + kGravity * kUp,
+                    CommandOf(Controller(known), reference, {0.0, 0.0, 3.0}));
+}
+
+TEST(FlatnessController, PushesAgainstTheEstimatedGravity) {
+  Known known;
+  Value(&known, "gravity.x") = 0.05;
+  Value(&known, "gravity.y") = -0.03;
+  const Eigen::Vector3d up_W = Exp({0.05, -0.03, 0.0}) * kUp;
+  FlatnessController controller = Controller(known);
+  ExpectThrustAlong(up_W, CommandOf(controller, FlatReference()));
+  // Between odometry samples, too, a body that hangs still is known to hang still.
+  controller.Add(OdometrySample{0, Eigen::Vector3d::Zero(), Eigen::Quaterniond::Identity(),
+                                Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()});
+  for (int k = 0; k <= 50; ++k) {
+    controller.Add(ImuSample{FromSeconds(0.002 * k), Eigen::Vector3d::Zero(), kGravity * up_W});
+  }
+  EXPECT_LT(controller.StateAt(FromSeconds(0.1))->v_WB.norm(), 1e-6);
+}
+
+TEST(FlatnessController, HoversWithoutTorqueAboutTheCentreOfMass) {
+  const Known known;
+  const RotorVector squared = CommandOf(Controller(known), FlatReference()).rotor_speed.cwiseAbs2();
+  Eigen::Vector3d moment = Eigen::Vector3d::Zero();
+  for (int j = 0; j < squared.size(); ++j) {
+    const Eigen::Vector3d arm = known.vehicle.rotors[j].p_BP - Eigen::Vector3d(0.010, -0.006, 0.0);
+    moment += arm.cross(1.5e-6 * squared[j] * kUp);
+  }
+  EXPECT_LT(moment.norm(), 1e-5);  // the offset alone makes 0.09
+  EXPECT_NEAR(1.5e-6 * squared.sum(), kMass * kGravity, 1e-6);
+}
+
+// Torque by the model: gyroscopic moment and viscous torque, by hand.
+TEST(FlatnessController, TorqueWithoutTheInnerLoopIsEulersEquation) {
+  const Known known;
+  ControllerOptions options;
+  options.indi = false;
+  const Eigen::Vector3d w(1.5, -1.0, 0.5);
+  const ControlCommand command = CommandOf(Controller(known, options), FlatReference(), w);
+  ASSERT_FALSE(command.allocation.saturated());
+  const Eigen::Vector3d I(2.5e-3, 2.1e-3, 4.3e-3), b(-3.0e-3, -3.0e-3, -1.5e-3);
+  const Eigen::Vector3d dw = GainsFor(options).rate_1_s.cwiseProduct(command.w_WB_B_cmd - w);
+  const Eigen::Vector3d torque =
+      I.cwiseProduct(dw) + w.cross(I.cwiseProduct(w)) - b.cwiseProduct(w);
+  EXPECT_LT((WrenchOf(known, command.rotor_speed).tail<3>() - torque).norm(), 1e-6);
+}
+
+// While rotors turn the body as they should, filtered torque and filtered acceleration cancel: one
+// phase for both. Otherwise the loop answers to its own delay.
+TEST(FlatnessController, FiltersRotorTorqueAndAccelerationAlike) {
+  const Known known;
+  ControllerOptions options;
+  options.motor_lead = 1.0;
+  FlatnessController controller = Controller(known, options);
+  const Allocation allocation(controller.model().rotor_map(), known.vehicle.ArmLength(), 1e3, 1e7);
+  constexpr double kRate = 2.0 * M_PI * 15.0, kRoll = 0.2, kInertia = 2.5e-3;  // 15 Hz
+  double largest = 0.0;
+  for (int k = 0; k < 500; ++k) {
+    const double t = 0.001 * k;
+    const Stamp now = FromSeconds(t);
+    const Eigen::Vector3d w(kRoll * std::sin(kRate * t), 0.0, 0.0);
+    const double torque = kInertia * kRoll * kRate * std::cos(kRate * t);
+    const RotorVector squared = allocation.SquaredSpeeds({kMass * kGravity, torque, 0.0, 0.0});
+    controller.Add(ImuSample{now, w, kGravity * kUp});
+    controller.Add(RotorSample{now, squared.cwiseSqrt()});
+    controller.Add(OdometrySample{now, Eigen::Vector3d::Zero(), Eigen::Quaterniond::Identity(),
+                                  Eigen::Vector3d::Zero(), w});
+    const ControlCommand command = controller.Update(now, FlatReference());
+    if (t < 0.2) continue;
+    ASSERT_TRUE(command.indi);
+    ASSERT_FALSE(command.allocation.saturated());
+    const double asked = kInertia * controller.gains().rate_1_s.x() * (command.w_WB_B_cmd - w).x();
+    largest = std::max(largest, std::abs(WrenchOf(known, command.rotor_speed)[1] - asked));
+  }
+  EXPECT_LT(largest, 0.02 * kInertia * kRoll * kRate);
+}
+
+TEST(FlatnessController, SeesTheBodyThroughMountedSensors) {
+  Known known;
+  const SensorMount S = {{-0.03, 0.02, 0.04}, Exp({0.1, -0.2, 0.5})};
+  const SensorMount I = {{0.05, -0.04, 0.02}, Exp({-0.3, 0.1, 0.2})};
+  known.vehicle.odometry = S;
+  known.vehicle.imu = I;
+  known.model = std::make_shared<DynamicModel>(known.vehicle, known.vehicle.effects);
+  known.truth = DefaultTruth(*known.model);
+  FlatnessController controller = Controller(known);
+  // Turns on the spot.
+  const Eigen::Vector3d p_WB(1.0, 2.0, 3.0), w(0.0, 0.0, 4.0);
+  const Eigen::Quaterniond q_WB = Exp({0.0, 0.0, 0.3});
+  controller.Add(OdometrySample{0, p_WB + q_WB * S.p_BS, q_WB * S.q_BS, q_WB * w.cross(S.p_BS),
+                                S.q_BS.conjugate() * w});
+  const Eigen::Vector3d at_imu_B = kGravity * kUp + w.cross(w.cross(I.p_BS));
+  for (int k = 0; k <= 50; ++k) {
+    controller.Add(
+        ImuSample{FromSeconds(0.002 * k), I.q_BS.conjugate() * w, I.q_BS.conjugate() * at_imu_B});
+  }
+  const std::optional<BodyState> state = controller.StateAt(FromSeconds(0.1));
+  ASSERT_TRUE(state);
+  EXPECT_LT((state->p_WB - p_WB).norm(), 1e-6);
+  EXPECT_LT(state->v_WB.norm(), 1e-6);
+  EXPECT_LT(Log(state->q_WB.conjugate() * Exp({0.0, 0.0, 0.7})).norm(), 1e-6);
+}
+
+TEST(FlatnessController, LimitsFeedbackAndTilt) {
+  const Known known;
+  ControllerOptions options;
+  FlatReference far;
+  far.p_WB = {100.0, 0.0, 0.0};
+  const auto command_of = [&] {
+    FlatnessController controller = Controller(known, options);
+    controller.Add(OdometrySample{0, Eigen::Vector3d::Zero(), Eigen::Quaterniond::Identity(),
+                                  Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()});
+    return controller.Update(0, far);
+  };
+  ExpectThrustAlong({options.max_feedback_m_s2, 0.0, kGravity}, command_of());
+  options.max_feedback_m_s2 = 1000.0;
+  ExpectThrustAlong({std::sin(options.max_tilt_rad), 0.0, std::cos(options.max_tilt_rad)},
+                    command_of());
+}
+
+TEST(FlatnessController, LeadsTheMotorsWithinTheirLimits) {
+  const Known known;
+  const auto command_of = [&](double lead, double rotor_speed) {
+    ControllerOptions options;
+    options.motor_lead = lead;
+    FlatnessController controller = Controller(known, options);
+    controller.Add(RotorSample{1000000000, RotorVector::Constant(4, rotor_speed)});
+    return CommandOf(controller, FlatReference()).rotor_speed;
+  };
+  const RotorVector now = RotorVector::Constant(4, 1080.0);
+  EXPECT_LT((command_of(2.0, 1080.0) - now - 2.0 * (command_of(1.0, 1080.0) - now)).norm(), 1e-6);
+  const double hover = std::sqrt(kMass * kGravity / 6e-6);
+  EXPECT_NEAR(command_of(4.0, 1.7 * hover).minCoeff(), std::sqrt(0.05) * hover, 1e-6);
+}
+
 TEST(ControllerOptions, RefusesWhatCannotBeFlown) {
   std::string error;
   ControllerOptions options;
