@@ -126,5 +126,27 @@ TEST_F(HeldBackTest, NothingIsAcceptedWithoutThrust) {
   EXPECT_FALSE(acceptance_.accepted());
 }
 
+TEST_F(HeldBackTest, NothingIsAcceptedWithTheInertiaOfAnotherVehicle) {
+  snapshot_.values[Index("inertia.x")] *= 6.0;
+  for (int i = 0; i < 4; ++i) Update();
+  EXPECT_FALSE(acceptance_.accepted());
+  ASSERT_FALSE(acceptance_.reasons().empty());
+  EXPECT_NE(acceptance_.reasons().front().find("inertia.x"), std::string::npos);
+}
+
+TEST_F(HeldBackTest, AGoodEstimateHasToLastAndToLastAnewAfterABadOne) {
+  const int k_f = Index("thrust.k_f");
+  for (int round = 0; round < 2; ++round) {
+    SetSigma(k_f, 3e-7);
+    Update();
+    SetSigma(k_f, 1e-8);
+    Update();
+    Update();
+    EXPECT_FALSE(acceptance_.accepted()) << "good for 0.6 s only";
+    Update();
+    EXPECT_TRUE(acceptance_.accepted());
+  }
+}
+
 }  // namespace
 }  // namespace odmc

@@ -44,23 +44,26 @@ TEST(ClosedLoopFlight, RepeatsExactly) {
 }
 
 // Take-off with nominal parameters, hand-over in flight, landing: the estimate is that of the
-// vehicle, and neither take-off nor touch-down has spoilt it.
+// vehicle, and neither take-off nor touch-down has spoilt it. (Seed 2, here and below, is one that
+// ends with k_f off by a tenth or more where near_ground_m is 0.)
 TEST(ClosedLoopFlight, LearnsInFlightAndNotFromTheGround) {
-  const ClosedLoopSetup setup = MakeSetup("octo", 20.0);
-  const ClosedLoopFlight flight = FlyClosedLoop(setup);
-  EXPECT_EQ(flight.crash, "");
-  ASSERT_TRUE(flight.accepted);
-  EXPECT_LT(flight.first_accepted_s, 8.0);
-  EXPECT_NEAR(Accepted(flight, "thrust.k_f") / Truth(setup, "thrust.k_f"), 1.0, 0.01);
-  EXPECT_NEAR(Accepted(flight, "inertia.x") / Truth(setup, "inertia.x"), 1.0, 0.05);
-  EXPECT_NEAR(Accepted(flight, "drag.d_x") / Truth(setup, "drag.d_x"), 1.0, 0.1);
-  EXPECT_LT(flight.samples.back().p_WB.z(), 0.02);  // it sits
-  EXPECT_GE(flight.ground_spans.size(), 2u);
-  EXPECT_LT(flight.control_ms_p99, 0.2);
+  for (const int seed : {1, 2}) {
+    const ClosedLoopSetup setup = MakeSetup("octo", 20.0, seed);
+    const ClosedLoopFlight flight = FlyClosedLoop(setup);
+    EXPECT_EQ(flight.crash, "");
+    ASSERT_TRUE(flight.accepted);
+    EXPECT_LT(flight.first_accepted_s, 8.0);
+    EXPECT_NEAR(Accepted(flight, "thrust.k_f") / Truth(setup, "thrust.k_f"), 1.0, 0.01) << seed;
+    EXPECT_NEAR(Accepted(flight, "inertia.x") / Truth(setup, "inertia.x"), 1.0, 0.05) << seed;
+    EXPECT_NEAR(Accepted(flight, "drag.d_x") / Truth(setup, "drag.d_x"), 1.0, 0.1) << seed;
+    EXPECT_LT(flight.samples.back().p_WB.z(), 0.02);  // it sits
+    EXPECT_GE(flight.ground_spans.size(), 2u);
+    EXPECT_LT(flight.control_ms_p99, 0.2);
+  }
 }
 
 TEST(ClosedLoopFlight, BouncesWithoutLearning) {
-  ClosedLoopSetup setup = MakeSetup("hover", 12.0);
+  ClosedLoopSetup setup = MakeSetup("hover", 12.0, 2);
   setup.world.ground_damping_ratio = 0.2;
   const ClosedLoopFlight flight = FlyClosedLoop(setup);
   EXPECT_EQ(flight.crash, "");
