@@ -2,12 +2,9 @@
 
 #include "odmc/ros/estimator_node.h"
 
-#include <ros/console.h>
 #include <ros/init.h>
 
-#include <cstdio>
-#include <cstring>
-#include <exception>
+#include "odmc/ros/run_node.h"
 
 namespace {
 
@@ -26,22 +23,10 @@ constexpr char kHelp[] =
 }  // namespace
 
 int main(int argc, char** argv) {
-  for (int i = 1; i < argc; ++i) {
-    if (std::strcmp(argv[i], "--help") == 0 || std::strcmp(argv[i], "-h") == 0) {
-      std::fputs(kHelp, stdout);
-      return 0;
-    }
-  }
-  ros::init(argc, argv, "estimator_node");
-  // Outside of `try`: the last handle takes the log with it.
-  const ros::NodeHandle node, private_node("~");
-  try {
-    const odmc::EstimatorNode estimator(node, private_node,
-                                        odmc::ReadEstimatorNodeSetup(node, private_node));
-    ros::spin();
-  } catch (const std::exception& e) {
-    ROS_FATAL("%s", e.what());
-    return 1;
-  }
-  return 0;
+  return odmc::RunNode(argc, argv, "estimator_node", kHelp,
+                       [](const ros::NodeHandle& node, const ros::NodeHandle& private_node) {
+                         const odmc::EstimatorNode estimator(
+                             node, private_node, odmc::ReadEstimatorNodeSetup(node, private_node));
+                         ros::spin();
+                       });
 }

@@ -3,12 +3,9 @@
 
 #include "odmc/ros/simulator_node.h"
 
-#include <ros/console.h>
 #include <ros/init.h>
 
-#include <cstdio>
-#include <cstring>
-#include <exception>
+#include "odmc/ros/run_node.h"
 
 namespace {
 
@@ -29,22 +26,10 @@ constexpr char kHelp[] =
 }  // namespace
 
 int main(int argc, char** argv) {
-  for (int i = 1; i < argc; ++i) {
-    if (std::strcmp(argv[i], "--help") == 0 || std::strcmp(argv[i], "-h") == 0) {
-      std::fputs(kHelp, stdout);
-      return 0;
-    }
-  }
-  ros::init(argc, argv, "simulator_node");
-  // Outside of `try`: the last handle takes the log with it.
-  const ros::NodeHandle node, private_node("~");
-  try {
-    const odmc::SimulatorNode simulator(node, private_node,
-                                        odmc::ReadSimulatorNodeSetup(private_node));
-    ros::spin();
-  } catch (const std::exception& e) {
-    ROS_FATAL("%s", e.what());
-    return 1;
-  }
-  return 0;
+  return odmc::RunNode(argc, argv, "simulator_node", kHelp,
+                       [](const ros::NodeHandle& node, const ros::NodeHandle& private_node) {
+                         const odmc::SimulatorNode simulator(
+                             node, private_node, odmc::ReadSimulatorNodeSetup(private_node));
+                         ros::spin();
+                       });
 }

@@ -1,0 +1,20 @@
+#pragma once
+
+#include <ros/node_handle.h>
+
+#include <functional>
+#include <string>
+
+namespace odmc {
+
+/// A node's whole life, called with its public and its private handle: makes the node and spins.
+using NodeLife =
+    std::function<void(const ros::NodeHandle& node, const ros::NodeHandle& private_node)>;
+
+/// The main() of a node. With --help or -h prints `help` and starts nothing. What `life` throws is
+/// logged as a fatal error, in its own words.
+/// @param name of the node, unless the command line remaps it
+/// @returns the exit status: 0, or 1 after an error
+int RunNode(int argc, char** argv, const std::string& name, const char* help, const NodeLife& life);
+
+}  // namespace odmc

@@ -1,0 +1,32 @@
+#include "odmc/ros/run_node.h"
+
+#include <ros/console.h>
+#include <ros/init.h>
+
+#include <cstdio>
+#include <cstring>
+#include <exception>
+
+namespace odmc {
+
+int RunNode(int argc, char** argv, const std::string& name, const char* help,
+            const NodeLife& life) {
+  for (int i = 1; i < argc; ++i) {
+    if (std::strcmp(argv[i], "--help") == 0 || std::strcmp(argv[i], "-h") == 0) {
+      std::fputs(help, stdout);
+      return 0;
+    }
+  }
+  ros::init(argc, argv, name);
+  // Outside of `try`: the last handle takes the log with it.
+  const ros::NodeHandle node, private_node("~");
+  try {
+    life(node, private_node);
+  } catch (const std::exception& e) {
+    ROS_FATAL("%s", e.what());
+    return 1;
+  }
+  return 0;
+}
+
+}  // namespace odmc
