@@ -228,13 +228,9 @@ std::vector<BatterySample> RecordBattery(const std::vector<TruthSample>& truth,
 }  // namespace
 
 bool SimulationOptions::IsValid(std::string* error) const {
-  const std::vector<std::string>& names = Trajectory::Names();
-  if (std::find(names.begin(), names.end(), trajectory) == names.end()) {
-    return Fail(error,
-                "trajectory must be one of hover, octo, circle, vertical, yaw, aggressive, "
-                "not '" +
-                    trajectory + "'");
-  }
+  TrajectoryOptions flown;
+  flown.name = trajectory;
+  if (!flown.IsValid(error)) return false;
   if (!(duration_s > 0.0 && duration_s <= 3600.0)) {
     return Fail(error, "duration_s must be above 0 and at most 3600 seconds");
   }

@@ -308,11 +308,17 @@ void AddDefaultVehicle(CLI::App* app, std::string* file) {
 }
 
 void AddTrajectory(CLI::App* app, SimulationOptions* options) {
+  const auto check = [](const std::string& name) {
+    std::string error;
+    TrajectoryOptions flown;
+    flown.name = name;
+    return flown.IsValid(&error) ? "" : error;
+  };
   app->add_option("--trajectory", options->trajectory,
-                  "hover, octo, circle, vertical, yaw, aggressive")
+                  CLI::detail::join(Trajectory::Names(), ", ") + ", or a waypoint file (*.yaml)")
       ->required()
-      ->check(CLI::IsMember(Trajectory::Names()).description(""))
-      ->type_name("NAME");
+      ->check(CLI::Validator(check, ""))
+      ->type_name("NAME|FILE");
   app->add_option("--duration", options->duration_s, "of a whole flight [s]")
       ->capture_default_str()
       ->check(CLI::PositiveNumber);

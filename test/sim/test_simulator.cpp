@@ -351,6 +351,11 @@ TEST(Simulator, RefusesWhatItCannotFly) {
   SimulationOptions options;
   options.trajectory = "loop";
   EXPECT_THROW(Simulate(model, DefaultTruth(model), options), std::invalid_argument);
+  std::string error;
+  EXPECT_FALSE(options.IsValid(&error));
+  for (const std::string& name : Trajectory::Names()) {
+    EXPECT_NE(error.find(name), std::string::npos) << name;
+  }
   options.trajectory = "octo";
   options.step_s = 0.01;
   EXPECT_THROW(Simulate(model, DefaultTruth(model), options), std::invalid_argument);

@@ -13,7 +13,7 @@ namespace odmc {
 
 /// What to fly.
 struct SimulationOptions {
-  std::string trajectory = "octo";  ///< one of Trajectory::Names()
+  std::string trajectory = "octo";  ///< as in TrajectoryOptions::name
   double duration_s = 30.0;         ///< of the whole log, time on the ground included [s], > 0
   int seed = 1;                     ///< of all randomness
   double step_s = 0.0005;           ///< longest integration step [s], > 0, <= 0.001
