@@ -1,15 +1,11 @@
 #include "odmc/ros/conversions.h"
 
-#include <array>
-#include <charconv>
 #include <cmath>
-#include <limits>
 #include <stdexcept>
 
 namespace odmc {
 namespace {
 
-constexpr Stamp kSecond = 1000000000;
 constexpr double kMissing = -1.0;  // as a first variance
 
 /// Pose with its stamp; nothing if it is not sound.
@@ -18,23 +14,13 @@ std::optional<OdometryInput> PoseInput(const std_msgs::Header& header,
   OdometryInput input;
   input.sample.stamp = FromRos(header.stamp);
   input.sample.p_WS = ToEigen(pose.position);
-  const geometry_msgs::Quaternion& q = pose.orientation;
-  input.sample.q_WS = Eigen::Quaterniond(q.w, q.x, q.y, q.z);
+  input.sample.q_WS = ToEigen(pose.orientation);
   input.frame_id = header.frame_id;
   const double norm = input.sample.q_WS.norm();
   const bool is_unit = std::abs(norm - 1.0) < 0.05;  // false for NaN, too
   if (input.sample.stamp <= 0 || !input.sample.p_WS.allFinite() || !is_unit) return std::nullopt;
   input.sample.q_WS.normalize();
   return input;
-}
-
-/// The message has single precision; its shortest decimals give back what was measured.
-double FromFloat(float value) {
-  std::array<char, 32> text;
-  const auto end = std::to_chars(text.data(), text.data() + text.size(), value).ptr;
-  double result = value;
-  std::from_chars(text.data(), end, result);
-  return result;
 }
 
 std::optional<RotorInput> SpeedInput(const std_msgs::Header& header,
@@ -50,30 +36,6 @@ std::optional<RotorInput> SpeedInput(const std_msgs::Header& header,
 }
 
 }  // namespace
-
-Stamp FromRos(const ros::Time& time) {
-  return static_cast<Stamp>(time.sec) * kSecond + static_cast<Stamp>(time.nsec);
-}
-
-ros::Time ToRos(Stamp stamp) {
-  if (stamp < 0 || stamp / kSecond > std::numeric_limits<std::uint32_t>::max()) {
-    throw std::invalid_argument("a stamp of " + std::to_string(ToSeconds(stamp)) +
-                                " s does not fit a ROS message");
-  }
-  return ros::Time(static_cast<std::uint32_t>(stamp / kSecond),
-                   static_cast<std::uint32_t>(stamp % kSecond));
-}
-
-Eigen::Vector3d ToEigen(const geometry_msgs::Vector3& v) { return {v.x, v.y, v.z}; }
-Eigen::Vector3d ToEigen(const geometry_msgs::Point& p) { return {p.x, p.y, p.z}; }
-
-geometry_msgs::Vector3 ToVector3(const Eigen::Vector3d& v) {
-  geometry_msgs::Vector3 m;
-  m.x = v.x();
-  m.y = v.y();
-  m.z = v.z();
-  return m;
-}
 
 geometry_msgs::Point ToPoint(const Eigen::Vector3d& p) {
   geometry_msgs::Point m;

@@ -10,9 +10,7 @@
 #include <std_msgs/Int64.h>
 
 #include <algorithm>
-#include <array>
 #include <cctype>
-#include <charconv>
 #include <cmath>
 #include <filesystem>
 #include <functional>
@@ -23,6 +21,7 @@
 #include <vector>
 
 #include "odmc/RotorSpeeds.h"
+#include "odmc/ros/message_values.h"
 #include "odmc/sensing/flight_checks.h"
 #include "odmc/sensing/twist_frame.h"
 
@@ -38,19 +37,6 @@ constexpr char kWorldFrame[] = "world";
 }
 
 // ---- Stamps and topics -------------------------------------------------------------------------
-
-Stamp FromRos(const ros::Time& time) {
-  return static_cast<Stamp>(time.sec) * kSecond + static_cast<Stamp>(time.nsec);
-}
-
-ros::Time ToRos(Stamp stamp) {
-  if (stamp < 0 || stamp / kSecond > std::numeric_limits<std::uint32_t>::max()) {
-    throw std::invalid_argument("a stamp of " + std::to_string(ToSeconds(stamp)) +
-                                " s does not fit a ROS message");
-  }
-  return ros::Time(static_cast<std::uint32_t>(stamp / kSecond),
-                   static_cast<std::uint32_t>(stamp % kSecond));
-}
 
 struct Role {
   std::string name;
@@ -194,12 +180,6 @@ std::vector<typename Message::ConstPtr> BagSource::Read(const std::string& topic
 }
 
 // ---- Messages to samples -----------------------------------------------------------------------
-
-Eigen::Vector3d ToEigen(const geometry_msgs::Vector3& v) { return {v.x, v.y, v.z}; }
-Eigen::Vector3d ToEigen(const geometry_msgs::Point& p) { return {p.x, p.y, p.z}; }
-Eigen::Quaterniond ToEigen(const geometry_msgs::Quaternion& q) {
-  return Eigen::Quaterniond(q.w, q.x, q.y, q.z);
-}
 
 OdometrySample PoseSample(const std_msgs::Header& header, const geometry_msgs::Pose& pose) {
   OdometrySample sample;
@@ -424,16 +404,6 @@ void ReadRotors(BagSource* bag, int num_rotors, const BagOptions& options, Fligh
   WarnOfDeadRotors(source, log);
 }
 
-/// The message has single precision. Its shortest decimals give back what was measured: 3.784 V,
-/// and not 3.78399991989135742.
-double FromFloat(float value) {
-  std::array<char, 32> text;
-  const auto end = std::to_chars(text.data(), text.data() + text.size(), value).ptr;
-  double result = value;
-  std::from_chars(text.data(), end, result);
-  return result;
-}
-
 void ReadBattery(BagSource* bag, FlightLog* log) {
   const std::string topic = bag->TopicOf("battery_state");
   if (topic.empty()) return;
@@ -507,14 +477,6 @@ FlightLog ReadBag(const std::string& file, int num_rotors, PoseSource pose,
 }
 
 // ---- Samples to messages -----------------------------------------------------------------------
-
-geometry_msgs::Vector3 ToVector3(const Eigen::Vector3d& v) {
-  geometry_msgs::Vector3 m;
-  m.x = v.x();
-  m.y = v.y();
-  m.z = v.z();
-  return m;
-}
 
 void SetHeader(Stamp stamp, const std::string& frame, std_msgs::Header* header) {
   header->stamp = ToRos(stamp);

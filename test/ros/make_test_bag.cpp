@@ -17,6 +17,7 @@
 #include "odmc/analysis/replay.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/ros/flight_bag.h"
+#include "odmc/ros/message_values.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
 
@@ -52,14 +53,6 @@ Json Offline(const std::string& bag) {
         {"value", p.value}, {"sigma", p.sigma}, {"unit", p.unit}, {"observable", p.observable}};
   }
   return json;
-}
-
-geometry_msgs::Vector3 ToVector3(const Eigen::Vector3d& v) {
-  geometry_msgs::Vector3 m;
-  m.x = v.x();
-  m.y = v.y();
-  m.z = v.z();
-  return m;
 }
 
 /// The odometry of `from` with its velocity in the body, in the world, and in no frame at all. The

@@ -21,6 +21,7 @@
 #include "odmc/DynamicParameter.h"
 #include "odmc/RotorSpeeds.h"
 #include "odmc/model/parameter_set.h"
+#include "odmc/ros/message_values.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
@@ -29,13 +30,6 @@ namespace odmc {
 /// Messages to the core's samples and back. What a message does not say (the frame of its twist,
 /// the mount of its sensor) is kept beside the sample until somebody knows.
 
-Stamp FromRos(const ros::Time& time);
-/// @throws std::invalid_argument if ROS cannot express the stamp
-ros::Time ToRos(Stamp stamp);
-
-Eigen::Vector3d ToEigen(const geometry_msgs::Vector3& v);
-Eigen::Vector3d ToEigen(const geometry_msgs::Point& p);
-geometry_msgs::Vector3 ToVector3(const Eigen::Vector3d& v);
 geometry_msgs::Point ToPoint(const Eigen::Vector3d& p);
 geometry_msgs::Quaternion ToQuaternion(const Eigen::Quaterniond& q);
 std_msgs::Header MakeHeader(Stamp stamp, const std::string& frame);

@@ -1,0 +1,30 @@
+#pragma once
+
+#include <geometry_msgs/Point.h>
+#include <geometry_msgs/Quaternion.h>
+#include <geometry_msgs/Vector3.h>
+#include <ros/time.h>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include "odmc/sensing/samples.h"
+
+namespace odmc {
+
+/// Single values of ROS messages, for bags and nodes alike.
+
+Stamp FromRos(const ros::Time& time);
+/// @throws std::invalid_argument if ROS cannot express the stamp
+ros::Time ToRos(Stamp stamp);
+
+Eigen::Vector3d ToEigen(const geometry_msgs::Vector3& v);
+Eigen::Vector3d ToEigen(const geometry_msgs::Point& p);
+Eigen::Quaterniond ToEigen(const geometry_msgs::Quaternion& q);  ///< as it is, not normalised
+geometry_msgs::Vector3 ToVector3(const Eigen::Vector3d& v);
+
+/// What was measured, from a field of single precision: its shortest decimals, 3.784 V and not
+/// 3.78399991989135742.
+double FromFloat(float value);
+
+}  // namespace odmc
