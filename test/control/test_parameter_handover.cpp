@@ -192,6 +192,16 @@ TEST_F(HandoverTest, DoesNotBlameTheEstimateForAHarderManoeuvre) {
   EXPECT_EQ(handover_.state(), HandoverState::kFollowing);
 }
 
+TEST_F(HandoverTest, DoesNotJudgeByATrackingErrorThatIsNotANumber) {
+  const ParameterSet good = Estimate(1.1), better = Estimate(1.2);
+  Fly(8.0, 0.05, &good);
+  Fly(1.0, 0.05, &better);
+  Fly(0.1, std::nan(""), &better);
+  Fly(3.0, 0.05, &better);
+  EXPECT_EQ(handover_.state(), HandoverState::kFollowing);
+  EXPECT_NEAR(ThrustOverNominal(), 1.2, 1e-9);
+}
+
 TEST_F(HandoverTest, ReportsEveryTransition) {
   const ParameterSet good = Estimate(1.1), bad = Estimate(1.6);
   Fly(8.0, 0.05, &good);
