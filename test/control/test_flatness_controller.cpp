@@ -281,6 +281,20 @@ TEST(FlatnessController, LeansAgainstTheDragOfItsFlightThroughTheAir) {
   ExpectThrustAlong(kUp, CommandOf(Controller(known), reference));
 }
 
+// Speeding up from rest, drag grows with a d_x / m; leaning into it takes that rate over g.
+TEST(FlatnessController, TurnsAsTheDragAlongTheReferenceGrows) {
+  const Known known;
+  FlatReference reference;
+  reference.a_WB = {1.0, 0.0, 0.0};
+  const FlatnessController controller = Controller(known);
+  const ControlCommand command = CommandOf(controller, reference);
+  const Eigen::Vector3d feedback =
+      controller.gains().attitude_1_s.cwiseProduct(Log(command.q_WB_cmd));
+  const double growth = 0.30 / kMass * 1.0;  // [m/s³]
+  const double lean = growth * kGravity / (1.0 + kGravity * kGravity);
+  EXPECT_NEAR((command.w_WB_B_cmd - feedback).y(), lean, 0.03 * lean);
+}
+
 // Thrust acts at Bcm, which circles about Bo while the body turns.
 TEST(FlatnessController, CarriesTheCentreOfMassRoundInATurn) {
   const Known known;
