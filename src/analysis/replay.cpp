@@ -95,6 +95,7 @@ void CutFlight(double start_s, double end_s, FlightLog* log) {
   Cut(from, to, &log->imu);
   Cut(from, to, &log->rotors);
   Cut(from, to, &log->battery);
+  Cut(from, to, &log->commands);
 }
 
 }  // namespace odmc

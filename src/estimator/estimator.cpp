@@ -478,7 +478,9 @@ DynamicsNoise Estimator::NoiseOf(const Interval& interval) const {
   double force_variance = 0.0;
   Vector3d torque_variance = Vector3d::Zero();
   for (int j = 0; j < vehicle.num_rotors(); ++j) {
-    const double slope = 2.0 * interval.rotors.mean.speed[j] * per_sample;
+    // A model's error lasts longer than an interval: more samples do not make it smaller.
+    const double sigma = std::hypot(per_sample, interval.rotors.model_sigma[j]);
+    const double slope = 2.0 * interval.rotors.mean.speed[j] * sigma;
     const double force = k_f >= 0 ? values[k_f] * slope : 0.0;
     const double couple = k_m >= 0 ? values[k_m] * slope : 0.0;
     force_variance += force * force;

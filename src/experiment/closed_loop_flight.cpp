@@ -136,6 +136,7 @@ class Loop {
     controller_.Add(sample);
     if (estimator_) estimator_->Add(sample);
   }
+  void Deliver(const CommandSample& sample) { flight_.log.commands.push_back(sample); }
   void Deliver(const BatterySample& sample) {
     flight_.log.battery.push_back(sample);
     if (estimator_) estimator_->Add(sample);

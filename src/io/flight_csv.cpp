@@ -14,6 +14,7 @@
 #include <string_view>
 #include <utility>
 
+#include "csv_text.h"
 #include "odmc/io/number_text.h"
 #include "odmc/sensing/flight_checks.h"
 #include "yaml_reader.h"
@@ -39,6 +40,20 @@ Strings RotorColumns(int num_rotors) {
   return names;
 }
 
+/// Columns of commands in this unit: the name declares it.
+Strings CommandColumns(int num_rotors, CommandUnit unit) {
+  Strings names;
+  for (int j = 1; j <= num_rotors; ++j) {
+    const std::string number = std::to_string(j);
+    names.push_back(unit == CommandUnit::kMicroseconds ? "pwm" + number + "_us"
+                    : unit == CommandUnit::kRaw16      ? "pwm" + number
+                                                       : "throttle" + number);
+  }
+  return names;
+}
+constexpr CommandUnit kCommandUnits[] = {CommandUnit::kMicroseconds, CommandUnit::kRaw16,
+                                         CommandUnit::kFraction};
+
 Strings Concatenate(std::initializer_list<Strings> lists) {
   Strings all;
   for (const Strings& list : lists) all.insert(all.end(), list.begin(), list.end());
@@ -46,37 +61,6 @@ Strings Concatenate(std::initializer_list<Strings> lists) {
 }
 
 // ---- Reading: text to a table of numbers -------------------------------------------------------
-
-std::string_view Unquoted(std::string_view cell) {
-  const auto is_wrapping = [](char c) { return c == ' ' || c == '\t' || c == '\r' || c == '"'; };
-  while (!cell.empty() && is_wrapping(cell.front())) cell.remove_prefix(1);
-  while (!cell.empty() && is_wrapping(cell.back())) cell.remove_suffix(1);
-  return cell;
-}
-
-/// Cuts the first cell off a line.
-std::string_view NextCell(std::string_view* line) {
-  const size_t comma = line->find(',');
-  const std::string_view cell = line->substr(0, comma);
-  line->remove_prefix(comma == std::string_view::npos ? line->size() : comma + 1);
-  return cell;
-}
-
-/// Cuts the first line, without its end, off a text.
-std::string_view NextLine(std::string_view* text) {
-  const size_t end = text->find('\n');
-  std::string_view line = text->substr(0, end);
-  text->remove_prefix(end == std::string_view::npos ? text->size() : end + 1);
-  if (!line.empty() && line.back() == '\r') line.remove_suffix(1);
-  return line;
-}
-
-Strings SplitHeader(std::string_view line) {
-  Strings names;
-  const size_t cells = 1 + static_cast<size_t>(std::count(line.begin(), line.end(), ','));
-  for (size_t i = 0; i < cells; ++i) names.emplace_back(Unquoted(NextCell(&line)));
-  return names;
-}
 
 /// Nanoseconds of seconds in plain decimals, exactly: a double of seconds since 1970 is 0.2 µs off.
 /// @returns false for any other notation.
@@ -167,8 +151,7 @@ class Table {
 
 Table::Table(const std::string& file, const Strings& wanted, FlightLog* log) : file_(file) {
   const std::string content = ReadText(file);
-  std::string_view text = content;
-  if (text.substr(0, 3) == "\xEF\xBB\xBF") text.remove_prefix(3);  // byte order mark
+  std::string_view text = WithoutMark(content);
   if (text.find_first_not_of(" \t\r\n") == std::string_view::npos) Fail("is empty");
   ReadHeader(NextLine(&text), wanted);
   for (long number = 2; !text.empty(); ++number) {
@@ -219,13 +202,8 @@ void Table::ReadRow(std::string_view line, long number) {
   for (size_t i = 0; i < header_.size(); ++i) {
     const std::string_view raw = NextCell(&line);
     if (targets_[i] == nullptr) continue;
-    const std::string_view cell = Unquoted(raw);
-    row_[i] = std::numeric_limits<double>::quiet_NaN();
-    if (!cell.empty() && !ParseNumber(cell, &row_[i])) {
-      throw std::invalid_argument(file_ + ":" + std::to_string(number) + ": column " + header_[i] +
-                                  ": '" + std::string(cell) + "' is not a number");
-    }
-    if (i == time_column_) is_exact = ParsePlainSeconds(cell, &stamp);
+    row_[i] = CellNumber(raw, file_, number, header_[i]);
+    if (i == time_column_) is_exact = ParsePlainSeconds(Unquoted(raw), &stamp);
   }
   const double t = row_[time_column_];
   if (!(std::abs(t) < kLatest_s)) {
@@ -398,6 +376,9 @@ void RefuseMoreRotors(const Table& table, int num_rotors) {
 void ReadRotors(const Table& table, const std::vector<size_t>& rows, int num_rotors,
                 FlightLog* log) {
   RefuseMoreRotors(table, num_rotors);
+  // No sensor: commands may stand in.
+  if (!log->commands.empty() && !table.HasAny(Concatenate({RotorColumns(num_rotors), kRotorRms})))
+    return;
   const auto columns = RotorData(table, num_rotors, log);
   log->rotors.reserve(rows.size());
   Refusals refusals;
@@ -414,6 +395,28 @@ void ReadRotors(const Table& table, const std::vector<size_t>& rows, int num_rot
   }
   refusals.Report(table.name(), "rotor samples that are not finite", log);
   if (log->rotors.empty()) throw std::invalid_argument(table.file() + ": no usable rotor speeds");
+}
+
+void ReadCommands(const Table& table, const std::vector<size_t>& rows, int num_rotors,
+                  FlightLog* log) {
+  for (const CommandUnit unit : kCommandUnits) {
+    const Strings names = CommandColumns(num_rotors, unit);
+    if (!table.HasAll(names)) continue;
+    log->command_unit = unit;
+    Refusals refusals;
+    for (const size_t i : rows) {
+      CommandSample sample{table.stamp(i), RotorVector(num_rotors)};
+      for (int j = 0; j < num_rotors; ++j)
+        sample.throttle[j] = ThrottleOf(table.Column(names[static_cast<size_t>(j)])[i], unit);
+      if (sample.throttle.allFinite()) {
+        log->commands.push_back(sample);
+      } else {
+        refusals.Add(table.Where(i));
+      }
+    }
+    refusals.Report(table.name(), "commands that are not finite", log);
+    return;
+  }
 }
 
 void WarnOfUnknown(const Strings& unknown, const std::string& file, FlightLog* log) {
@@ -577,6 +580,24 @@ void AddRotors(const FlightLog& log, const std::vector<Stamp>& stamps, TableWrit
   }
 }
 
+// At the nearest stamp before where they have others.
+void AddCommands(const FlightLog& log, const std::vector<Stamp>& stamps, TableWriter* table) {
+  if (log.commands.empty()) return;
+  const auto num_rotors = static_cast<int>(log.commands.front().throttle.size());
+  const Strings names = CommandColumns(num_rotors, log.command_unit);
+  for (int j = 0; j < num_rotors; ++j) {
+    std::vector<double> values;
+    size_t next = 0;
+    for (const Stamp stamp : stamps) {
+      while (next < log.commands.size() && log.commands[next].stamp <= stamp) ++next;
+      values.push_back(
+          next == 0 ? kNoValue
+                    : CommandOf(log.commands[next - 1].throttle[j], log.command_unit));
+    }
+    table->Add(names[static_cast<size_t>(j)], std::move(values));
+  }
+}
+
 void AddBattery(const FlightLog& log, const std::vector<Stamp>& stamps, TableWriter* table) {
   Resampled voltage;
   for (const BatterySample& sample : log.battery) voltage.Add(sample.stamp, sample.voltage_V);
@@ -593,7 +614,9 @@ std::string SiblingFile(const std::string& file, const std::string& suffix) {
 FlightLog ReadFlightCsv(const std::string& file, int num_rotors, PoseSource pose) {
   FlightLog log;
   log.file = FileName(file);
-  const Strings rotors = Concatenate({RotorColumns(num_rotors), kRotorRms});
+  Strings rotors = Concatenate({RotorColumns(num_rotors), kRotorRms});
+  for (const CommandUnit unit : kCommandUnits)
+    rotors = Concatenate({rotors, CommandColumns(num_rotors, unit)});
   const Table table(file,
                     Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates, kAccelerometer,
                                  kGyro, kBattery, rotors}),
@@ -608,8 +631,10 @@ FlightLog ReadFlightCsv(const std::string& file, int num_rotors, PoseSource pose
   if (std::filesystem::exists(rotor_file)) {
     const Table rotor_table(rotor_file, Concatenate({kTime, rotors}), &log);
     WarnOfUnknown(rotor_table.unknown(), FileName(rotor_file), &log);
+    ReadCommands(rotor_table, AllRows(rotor_table), num_rotors, &log);
     ReadRotors(rotor_table, AllRows(rotor_table), num_rotors, &log);
   } else {
+    ReadCommands(table, rows, num_rotors, &log);
     ReadRotors(table, rows, num_rotors, &log);
   }
   TakeSpeedMagnitudes(log.file, &log);
@@ -634,10 +659,12 @@ void WriteFlightCsv(const FlightLog& log, const std::string& file) {
   const std::string rotor_file = SiblingFile(file, "_rotor.csv");
   if (IsSubset(rotor_stamps, stamps)) {
     AddRotors(log, stamps, &table);
+    AddCommands(log, stamps, &table);
     std::filesystem::remove(rotor_file);
   } else {
     TableWriter rotor_table(rotor_stamps);
     AddRotors(log, rotor_stamps, &rotor_table);
+    AddCommands(log, rotor_stamps, &rotor_table);
     rotor_table.Write(rotor_file);
   }
   AddBattery(log, stamps, &table);

@@ -2,15 +2,20 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <stdexcept>
 
 #include "known_parameters.h"
+#include "odmc/io/actuator_yaml.h"
 #include "odmc/io/number_text.h"
 #include "odmc/model/effect.h"
 #include "yaml_reader.h"
 
 namespace odmc {
 namespace {
+
+/// A stand's air is not that of flight: what it measures is known to this share at best.
+constexpr double kLeastBenchShare = 0.02;
 
 /// The paper's model: what a vehicle file without a list of effects gets.
 const std::vector<std::string>& DefaultEffects() {
@@ -218,12 +223,43 @@ void ReadModel(const YamlValue& root, Vehicle* vehicle) {
   if (const auto parameters = root.Find("parameters")) ReadParameters(*parameters, vehicle);
 }
 
+/// A file beside the vehicle file.
+void ReadActuator(const YamlValue& value, const std::string& vehicle_file, Vehicle* vehicle) {
+  const std::filesystem::path name = value.Text();
+  const std::filesystem::path folder = std::filesystem::path(vehicle_file).parent_path();
+  try {
+    IncludeActuator(LoadActuator((name.is_absolute() ? name : folder / name).string()), vehicle);
+  } catch (const std::invalid_argument& e) {
+    value.Fail(e.what());
+  }
+}
+
 }  // namespace
+
+void IncludeActuator(const Actuator& actuator, Vehicle* vehicle) {
+  const auto motors = static_cast<int>(actuator.motors.size());
+  if (motors != 1 && motors != vehicle->num_rotors()) {
+    throw std::invalid_argument("the actuator has " + std::to_string(motors) +
+                                " motors, the vehicle " + std::to_string(vehicle->num_rotors()) +
+                                " rotors");
+  }
+  vehicle->actuator = actuator;
+  const auto use = [vehicle](const std::string& name, const std::optional<Measured>& measured) {
+    if (!measured) return;
+    ParameterSetting& setting = vehicle->parameters[name];
+    if (setting.value) return;
+    setting.value = measured->value;
+    setting.sigma = std::max(measured->sigma, kLeastBenchShare * measured->value);
+    if (!setting.estimated) setting.estimated = true;
+  };
+  use("rotor_torque.k_m", actuator.k_m);
+  use("thrust.k_f", actuator.k_f);
+}
 
 Vehicle ParseVehicle(const std::string& text, const std::string& file) {
   const YamlValue root = YamlValue::Parse(text, file);
   root.AllowKeys({"name", "mass_kg", "gravity_m_s2", "inertia_kg_m2", "rotors", "odometry", "imu",
-                  "effects", "parameters"});
+                  "effects", "parameters", "actuator"});
   Vehicle vehicle;
   ReadBody(root, &vehicle);
   if (const auto odometry = root.Find("odometry")) vehicle.odometry = ReadMount(*odometry);
@@ -231,6 +267,7 @@ Vehicle ParseVehicle(const std::string& text, const std::string& file) {
   std::string error;
   if (!vehicle.IsValid(&error)) root.Fail(error);
   ReadModel(root, &vehicle);
+  if (const auto actuator = root.Find("actuator")) ReadActuator(*actuator, file, &vehicle);
   const auto name = root.Find("name");
   vehicle.name = name ? name->Text() : Stem(file);
   return vehicle;

@@ -28,6 +28,7 @@ std::optional<RotorInterval> ReduceRotors(const std::deque<RotorSample>& samples
   RotorVector sum = RotorVector::Zero(n), sum_squared = RotorVector::Zero(n);
   RotorVector begin_speed, speed;
   int inside = 0;
+  RotorVector model_sigma = RotorVector::Zero(n);
   for (auto it = first; it != last; ++it) {
     const auto next = it + 1;
     if (ToSeconds(next->stamp - it->stamp) > max_hole_s) return std::nullopt;
@@ -38,12 +39,14 @@ std::optional<RotorInterval> ReduceRotors(const std::deque<RotorSample>& samples
     const double half = 0.5 * ToSeconds(b - a);
     sum += half * (at_a + speed);
     sum_squared += half * (at_a.array().square() + speed.array().square()).matrix();
+    if (it->model_sigma.size() == n) model_sigma = model_sigma.cwiseMax(it->model_sigma);
     ++inside;
   }
   if (inside == 0) return std::nullopt;
   const double dt = ToSeconds(to - from);
   RotorInterval interval;
   interval.num_samples = inside;
+  interval.model_sigma = model_sigma;
   interval.mean.speed = sum / dt;
   interval.mean.speed_squared = sum_squared / dt;
   interval.mean.acceleration = (speed - begin_speed) / dt;

@@ -13,6 +13,7 @@ constexpr double kNormTolerance = 0.05;
 constexpr double kTurning_rad_s = 20.0;  // slower ones may rightly read zero
 constexpr double kStuck_s = 0.5;         // longer than any filter or slow update holds a value
 constexpr int kChanges = 10;             // of the others, meanwhile
+constexpr char kWrong[] = "what is estimated from this flight is wrong";
 constexpr double kDeadShare = 0.05;      // single missed readings are not worth a warning
 
 std::string AtSeconds(Stamp stamp) {
@@ -82,8 +83,8 @@ void WarnIfShare(const std::string& source, Eigen::Index j, long bad, long all,
   char text[200];
   std::snprintf(text, sizeof text,
                 "rotor%d %s in %.0f %% of the samples while the others turn: its sensor or the "
-                "rotor is dead, and what is estimated from this flight is wrong",
-                static_cast<int>(j) + 1, what.c_str(), 100.0 * share);
+                "rotor is dead, and %s",
+                static_cast<int>(j) + 1, what.c_str(), 100.0 * share, kWrong);
   log->warnings.push_back(source + ": " + text);
 }
 
@@ -170,6 +171,15 @@ void WarnOfDeadRotors(const std::string& source, FlightLog* log) {
     WarnIfShare(source, j, CountStuck(log->rotors, j), static_cast<long>(log->rotors.size()),
                 "is stuck at one value", log);
   }
+}
+
+void ForgetDeadRotors(FlightLog* log) {
+  auto& warnings = log->warnings;
+  warnings.erase(std::remove_if(warnings.begin(), warnings.end(),
+                                [](const std::string& warning) {
+                                  return warning.find(kWrong) != std::string::npos;
+                                }),
+                 warnings.end());
 }
 
 void UseMocapPoses(std::vector<OdometrySample> mocap, FlightLog* log) {

@@ -2,6 +2,8 @@
 
 #include <cmath>
 
+#include "odmc/model/motor.h"
+
 namespace odmc {
 namespace {
 
@@ -37,18 +39,12 @@ void AddPointMass(double mass, const Eigen::Vector3d& p_B, BodyProperties* body)
 
 }  // namespace
 
-// With the motor model, (Omega_cmd - Omega) / (Omega + Omega_cmd + S1/S2) decays as
-// exp(-(S1 + 2 S2 Omega_cmd) t).
 RotorVector MotorLag::After(const RotorVector& speed, const RotorVector& speed_cmd,
                             double dt) const {
   if (S2 <= 0.0) return speed_cmd + std::exp(-dt / time_constant_s) * (speed - speed_cmd);
   RotorVector after(speed.size());
-  for (int j = 0; j < speed.size(); ++j) {
-    const double far = speed_cmd[j] + S1 / S2;
-    const double decay = std::exp(-(S1 + 2.0 * S2 * speed_cmd[j]) * dt);
-    const double ratio = (speed_cmd[j] - speed[j]) / (speed[j] + far) * decay;
-    after[j] = (speed_cmd[j] - ratio * far) / (1.0 + ratio);
-  }
+  for (int j = 0; j < speed.size(); ++j)
+    after[j] = MotorSpeedAfter(speed[j], speed_cmd[j], S1, S2, dt);
   return after;
 }
 

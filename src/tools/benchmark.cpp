@@ -39,7 +39,7 @@ int main(int argc, char** argv) {
         vehicle_file.empty() ? tools::NominalVehicle() : LoadVehicle(vehicle_file));
     const DynamicModel model(vehicle, vehicle.effects);
     const FlightLog log = simulated ? Simulate(model, DefaultTruth(model), simulation).log
-                                    : flight.Read(vehicle.num_rotors());
+                                    : flight.Read(vehicle);
     tools::MakeFolder(folder);
     tools::ProgressBar bar("benchmark");
     const auto rows = Benchmark(log, model, options, windows_s, bar.Callback());

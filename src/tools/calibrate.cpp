@@ -34,7 +34,7 @@ int main(int argc, char** argv) {
     const EstimatorOptions options = estimator.Read();
     const Vehicle vehicle = model_arguments.Configure(file_vehicle);
     const DynamicModel model(vehicle, vehicle.effects);
-    const FlightLog recording = flight.Read(vehicle.num_rotors());
+    const FlightLog recording = flight.Read(vehicle);
     FlightLog log = recording;
     if (noise_m > 0.0) AddPositionNoise(noise_m, seed, &log);
     tools::MakeFolder(folder);

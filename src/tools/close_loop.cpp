@@ -38,7 +38,7 @@ int main(int argc, char** argv) {
     options.estimator = estimator.Read();
     Vehicle vehicle = model_arguments.Configure(file_vehicle);
     if (!model_arguments.parameters_file.empty()) HoldKnownThrust(&vehicle);
-    const FlightLog log = flight.Read(vehicle.num_rotors());
+    const FlightLog log = flight.Read(vehicle);
     tools::MakeFolder(folder);
     tools::ProgressBar bar(log.file);
     ClosedLoop loop = CloseLoop(log, file_vehicle, vehicle, options, bar.Callback());

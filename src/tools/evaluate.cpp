@@ -26,7 +26,7 @@ int main(int argc, char** argv) {
     Vehicle vehicle = file_vehicle;
     ApplyParameters(parameters, &vehicle);
     const DynamicModel model(vehicle, vehicle.effects);
-    const FlightLog log = flight.Read(vehicle.num_rotors());
+    const FlightLog log = flight.Read(vehicle);
     tools::MakeFolder(folder);
     Evaluation result = Evaluate(log, file_vehicle, model, parameters);
     WritePrediction(result.prediction, !log.rotor_rms_only, tools::In(folder, "prediction.csv"));

@@ -9,7 +9,9 @@
 #include <filesystem>
 #include <iostream>
 
+#include "odmc/actuator/flight_actuator.h"
 #include "odmc/analysis/report.h"
+#include "odmc/io/actuator_yaml.h"
 #include "odmc/io/number_text.h"
 #include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
@@ -182,9 +184,18 @@ void FlightArguments::AddTo(CLI::App* app, bool required) {
   app->add_option("--pole-pairs", bag.pole_pairs, "of the motors, for erpm")
       ->capture_default_str()
       ->check(CLI::PositiveNumber);
+  const std::map<std::string, bool> sources = {{"sensor", false}, {"commands", true}};
+  app->add_option("--rotor-speed-from", from_commands,
+                  "sensor, or commands: from the ESCs' commands and the battery voltage by the "
+                  "vehicle's actuator [sensor]")
+      ->transform(CLI::CheckedTransformer(sources).description(""))
+      ->type_name("sensor|commands");
+  app->add_option("--actuator", actuator_file,
+                  "actuator.yaml of calibrate_actuator, in place of the vehicle file's")
+      ->check(CLI::ExistingFile);
 }
 
-FlightLog FlightArguments::Read(int num_rotors) const {
+FlightLog FlightArguments::Read(const Vehicle& vehicle) const {
   if (end_s > 0.0 && end_s <= start_s) throw UsageError("--end must lie after --start");
   BagOptions options = bag;
   const std::vector<std::string> roles = {"odometry",     "pose",         "imu",
@@ -196,8 +207,11 @@ FlightLog FlightArguments::Read(int num_rotors) const {
     }
     options.topics[role] = topic;
   }
-  FlightLog log = ReadFlight(file, num_rotors, pose, options);
+  FlightLog log = ReadFlight(file, vehicle.num_rotors(), pose, options);
   CutFlight(start_s, end_s, &log);
+  const std::optional<Actuator> actuator =
+      actuator_file.empty() ? vehicle.actuator : LoadActuator(actuator_file);
+  SettleRotors(actuator, vehicle.num_rotors(), from_commands, &log);
   if (log.odometry.size() < 2 || log.rotors.empty()) {
     throw std::invalid_argument(file + ": no odometry or rotor speeds between --start and --end");
   }

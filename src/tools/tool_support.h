@@ -47,12 +47,17 @@ struct FlightArguments {
   PoseSource pose = PoseSource::kEkf;
   std::vector<std::string> topics;
   BagOptions bag;
+  std::string actuator_file;
+  bool from_commands = false;
 
-  /// Adds FLIGHT, --start, --end, --pose, --topic, --twist-frame, --rotor-speed-unit, --pole-pairs.
+  /// Adds FLIGHT, --start, --end, --pose, --topic, --twist-frame, --rotor-speed-unit, --pole-pairs,
+  /// --rotor-speed-from, --actuator.
   /// @param required false where the tool can do without a flight
   void AddTo(CLI::App* app, bool required = true);
+  /// The flight with the rotor speeds to be used: rotors whose sensor is bad get the actuator
+  /// model's, where there are commands.
   /// @throws std::invalid_argument, UsageError
-  FlightLog Read(int num_rotors) const;
+  FlightLog Read(const Vehicle& vehicle) const;
 };
 
 /// Which effects and parameters.

@@ -22,6 +22,8 @@ enum class PoseSource {
 ///
 /// `w` columns are body rates of the odometry; `a` columns are an accelerometer at Bo along B; `g`
 /// columns are a raw gyro, and then `a` is raw too, both in the IMU frame of the vehicle file.
+/// `pwm1_us`.., `pwm1`.. (0 to 65535) or `throttle1`.. (0 to 1) are commands of the ESCs, beside the
+/// rotor speeds; a file may have them instead of rotor speeds, whose stream is then empty.
 /// `rotor_rms` stands in where single rotors are missing (FlightLog::rotor_rms_only).
 ///
 /// @param num_rotors columns rotor1..N expected
@@ -31,7 +33,7 @@ FlightLog ReadFlightCsv(const std::string& file, int num_rotors, PoseSource pose
 
 /// Writes a flight in the CSV form of the data README, one row per odometry stamp, numbers with all
 /// their digits. Columns: t, p, q and, where the flight has them, v, w, a, g, rotorN (or
-/// rotor_rms), vbat. Streams with the odometry's stamps are written as they are and read back
+/// rotor_rms), commands, vbat. Streams with the odometry's stamps are written as they are and read back
 /// bit-equal. Rotor speeds with other stamps go to the sibling NAME_rotor.csv as they are (else an
 /// old sibling is removed, since readers would prefer it). The form has no place for an IMU or
 /// battery with other stamps: these are interpolated linearly to the odometry's, and cells outside

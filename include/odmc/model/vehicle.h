@@ -7,6 +7,8 @@
 #include <string>
 #include <vector>
 
+#include "odmc/model/motor.h"
+
 namespace odmc {
 
 /// Largest number of rotors a vehicle may have; rotor vectors never allocate.
@@ -48,6 +50,7 @@ struct Vehicle {
   std::optional<SensorMount> imu;
   std::vector<std::string> effects;                    ///< names of the model's effects
   std::map<std::string, ParameterSetting> parameters;  ///< by full name, as "thrust.k_f"
+  std::optional<Actuator> actuator;  ///< motors and ESCs, where they are calibrated
 
   int num_rotors() const { return static_cast<int>(rotors.size()); }
 

@@ -14,6 +14,7 @@ struct RotorInterval {
   RotorState mean;      ///< means over the interval, trapezoid rule with interpolated ends
   RotorState start;     ///< values at its start (Form E)
   int num_samples = 0;  ///< raw samples inside, at least 1
+  RotorVector model_sigma;  ///< largest of the samples' (n×1, 0: from the sensor) [rad/s]
 };
 
 /// Reduces raw samples to [from, to]: averages the square, not the speed. Empty if the samples do

@@ -41,6 +41,9 @@ void TakeSpeedMagnitudes(const std::string& source, FlightLog* log);
 /// Warns of rotors that read zero, or one same value for half a second, while the others turn.
 void WarnOfDeadRotors(const std::string& source, FlightLog* log);
 
+/// Takes back what WarnOfDeadRotors() said, since their speeds were replaced.
+void ForgetDeadRotors(FlightLog* log);
+
 /// Puts poses of motion capture in the odometry's place. The odometry's velocity goes with it; its
 /// body rates stay: they move, on their own stamps, to the IMU stream unless that has a gyro
 /// already.

@@ -40,6 +40,15 @@ struct ImuSample {
 struct RotorSample {
   Stamp stamp = 0;
   RotorVector speed;  ///< [rad/s]
+  /// Sigma of each speed that comes from a model instead of the sensor (n×1, 0: from the sensor);
+  /// empty: all from the sensor, whose noise shows in the stream [rad/s].
+  RotorVector model_sigma{};
+};
+
+/// What the flight controller told its ESCs, one per rotor in the vehicle file's order.
+struct CommandSample {
+  Stamp stamp = 0;
+  RotorVector throttle;  ///< 0 to 1
 };
 
 struct BatterySample {
@@ -48,7 +57,7 @@ struct BatterySample {
 };
 
 /// One sample of any stream.
-using Sample = std::variant<OdometrySample, ImuSample, RotorSample, BatterySample>;
+using Sample = std::variant<OdometrySample, ImuSample, RotorSample, BatterySample, CommandSample>;
 
 /// A whole recorded flight in the core's own conventions, each stream sorted by stamp.
 struct FlightLog {
@@ -57,6 +66,8 @@ struct FlightLog {
   std::vector<ImuSample> imu;
   std::vector<RotorSample> rotors;
   std::vector<BatterySample> battery;
+  std::vector<CommandSample> commands;
+  CommandUnit command_unit = CommandUnit::kFraction;  ///< in which the commands were recorded
   bool rotor_rms_only = false;  ///< only the root mean square of the speeds is known: every rotor
                                 ///< carries it, so the sum of thrusts is right and torques are not
   long dropped = 0;             ///< samples refused while reading (not finite, out of order)

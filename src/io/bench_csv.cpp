@@ -1,0 +1,221 @@
+#include "odmc/io/bench_csv.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <limits>
+#include <map>
+#include <stdexcept>
+
+#include "csv_text.h"
+#include "yaml_reader.h"
+
+namespace odmc {
+namespace {
+
+using Strings = std::vector<std::string>;
+
+// A file's columns by name, as they are.
+struct Columns {
+  std::string file;
+  Strings header;
+  std::map<std::string, std::vector<double>> values;
+  long short_rows = 0;
+
+  bool Has(const std::string& name) const { return values.count(name) > 0; }
+  [[noreturn]] void Fail(const std::string& what) const {
+    throw std::invalid_argument(file + ": " + what);
+  }
+};
+
+Columns ReadColumns(const std::string& file) {
+  Columns columns;
+  columns.file = file;
+  const std::string content = ReadText(file);
+  std::string_view text = WithoutMark(content);
+  columns.header = SplitHeader(NextLine(&text));
+  const size_t width = columns.header.size();
+  for (const std::string& name : columns.header) {
+    if (std::count(columns.header.begin(), columns.header.end(), name) > 1)
+      columns.Fail("line 1: column " + name + " is there twice");
+    columns.values[name];
+  }
+  for (long number = 2; !text.empty(); ++number) {
+    std::string_view line = NextLine(&text);
+    if (line.find_first_not_of(" \t") == std::string_view::npos) continue;
+    if (static_cast<size_t>(std::count(line.begin(), line.end(), ',')) + 1 != width) {
+      ++columns.short_rows;
+      continue;
+    }
+    for (const std::string& name : columns.header)
+      columns.values[name].push_back(CellNumber(NextCell(&line), file, number, name));
+  }
+  if (columns.values.begin()->second.empty()) columns.Fail("has a header but no usable row");
+  return columns;
+}
+
+// "pwm" -> pwm1, pwm2, .. as far as the file has them; "%" stands for the number.
+Strings Numbered(const Columns& columns, const std::string& pattern) {
+  Strings names;
+  const size_t mark = pattern.find('%');
+  for (int j = 1;; ++j) {
+    std::string name = pattern;
+    name.replace(mark, 1, std::to_string(j));
+    if (!columns.Has(name)) return names;
+    names.push_back(name);
+  }
+}
+
+// The declared columns, or the first of the usual ones.
+Strings Found(const Columns& columns, const Strings& declared, const Strings& usual,
+              const std::string& role, const std::string& flag) {
+  for (const std::string& name : declared) {
+    if (!columns.Has(name)) {
+      columns.Fail("column " + name + " (" + role +
+                   ") is missing; found are: " + JoinNames(columns.header));
+    }
+  }
+  if (!declared.empty()) return declared;
+  for (const std::string& name : usual) {
+    const Strings names = name.find('%') != std::string::npos ? Numbered(columns, name)
+                          : columns.Has(name)                 ? Strings{name}
+                                                              : Strings{};
+    if (names.empty()) continue;
+    // A sensor that was not fitted leaves a column of zeros.
+    const std::vector<double>& first = columns.values.at(names.front());
+    if (std::any_of(first.begin(), first.end(), [](double x) { return x != 0.0; })) return names;
+  }
+  if (flag.empty()) return {};
+  columns.Fail("no column is known as " + role + "; declare it by " + flag +
+               ". Found are: " + JoinNames(columns.header));
+}
+
+Strings FoundOne(const Columns& columns, const std::string& declared, const Strings& usual,
+                 const std::string& role) {
+  return Found(columns, declared.empty() ? Strings{} : Strings{declared}, usual, role, "");
+}
+
+double SpeedFactor(const BenchColumns& columns, const std::string& file) {
+  constexpr double kPerRpm = M_PI / 30.0;
+  if (columns.speed_unit == SpeedUnit::kRadPerSecond) return 1.0;
+  if (columns.speed_unit == SpeedUnit::kRpm) return kPerRpm;
+  if (columns.pole_pairs <= 0)
+    throw std::invalid_argument(file + ": speeds in erpm need the motor's number of pole pairs");
+  return kPerRpm / columns.pole_pairs;
+}
+
+// Rows that are kept: a command, and a time that steps forward where there is one.
+std::vector<size_t> UsableRows(const Columns& columns, const Strings& command,
+                               const Strings& time) {
+  std::vector<size_t> rows;
+  double last = -std::numeric_limits<double>::infinity();
+  for (size_t i = 0; i < columns.values.at(command.front()).size(); ++i) {
+    const bool commanded = std::all_of(command.begin(), command.end(), [&](const std::string& c) {
+      return std::isfinite(columns.values.at(c)[i]);
+    });
+    if (!commanded) continue;
+    if (!time.empty()) {
+      const double t = columns.values.at(time.front())[i];
+      if (!(t > last)) continue;
+      last = t;
+    }
+    rows.push_back(i);
+  }
+  return rows;
+}
+
+std::vector<double> Picked(const std::vector<double>& all, const std::vector<size_t>& rows,
+                           double factor) {
+  std::vector<double> picked;
+  picked.reserve(rows.size());
+  for (const size_t i : rows) picked.push_back(factor * all[i]);
+  return picked;
+}
+
+void CheckThrottle(const BenchRun& run, const std::string& file, const std::string& name) {
+  const auto [least, most] =
+      std::minmax_element(run.throttle.front().begin(), run.throttle.front().end());
+  if (*least > -0.5 && *most < 1.5) return;
+  throw std::invalid_argument(
+      file + ": column " + name + " goes from " + std::to_string(CommandOf(*least, run.command_unit)) +
+      " to " + std::to_string(CommandOf(*most, run.command_unit)) + ", which is no command in " +
+      NameOf(run.command_unit));
+}
+
+}  // namespace
+
+std::optional<SpeedUnit> SpeedUnitNamed(const std::string& name) {
+  if (name == "rad_s") return SpeedUnit::kRadPerSecond;
+  if (name == "rpm") return SpeedUnit::kRpm;
+  if (name == "erpm") return SpeedUnit::kErpm;
+  return std::nullopt;
+}
+
+BenchRun ReadBenchCsv(const std::string& file, const BenchColumns& declared, Strings* used) {
+  const Columns columns = ReadColumns(file);
+  const Strings command =
+      Found(columns, declared.command,
+            {"pwm_us", "pwm%_us", "pwm", "pwm%", "throttle", "throttle%", "command", "command%"},
+            "the command", "--command");
+  const Strings speed =
+      Found(columns, declared.speed,
+            {"rotor%", "rotor_speed", "rotor", "rotor_optical", "rotor_electrical"},
+            "the rotor speed, or it is 0 in every row", "--speed");
+  if (command.size() != 1 && command.size() != speed.size()) {
+    columns.Fail(std::to_string(command.size()) + " commands for " + std::to_string(speed.size()) +
+                 " rotor speeds; one for all or one each is wanted");
+  }
+  const Strings time = declared.steady_readings
+                           ? Strings{}
+                           : FoundOne(columns, declared.time, {"t"}, "the time");
+  const Strings voltage = FoundOne(columns, declared.voltage, {"vbat"}, "the voltage");
+  const Strings thrust =
+      FoundOne(columns, declared.thrust, {"thrust_N", "thrust_total_N"}, "the thrust");
+  const Strings torque = FoundOne(columns, declared.torque, {"torque_Nm"}, "the torque");
+
+  BenchRun run;
+  run.file = std::filesystem::path(file).filename().string();
+  run.command_unit = declared.command_unit;
+  const std::vector<size_t> rows = UsableRows(columns, command, time);
+  const size_t all = columns.values.at(command.front()).size();
+  run.rows = static_cast<long>(all) + columns.short_rows;
+  run.dropped = run.rows - static_cast<long>(rows.size());
+  if (rows.size() < 10)
+    columns.Fail("only " + std::to_string(rows.size()) + " usable rows of " +
+                 std::to_string(run.rows) + "; time must step forward and commands be numbers");
+  if (!time.empty()) run.t_s = Picked(columns.values.at(time.front()), rows, 1.0);
+  for (const std::string& name : command) {
+    run.throttle.push_back(Picked(columns.values.at(name), rows, 1.0));
+    for (double& x : run.throttle.back()) x = ThrottleOf(x, declared.command_unit);
+  }
+  CheckThrottle(run, file, command.front());
+  const double factor = SpeedFactor(declared, file);
+  for (const std::string& name : speed) {
+    run.speed_rad_s.push_back(Picked(columns.values.at(name), rows, factor));
+    for (double& x : run.speed_rad_s.back()) {
+      x = std::abs(x);  // a sign only tells the direction of turning
+      if (x == 0.0) {
+        x = std::numeric_limits<double>::quiet_NaN();
+        ++run.zero_speed;
+      }
+    }
+  }
+  if (!voltage.empty()) run.voltage_V = Picked(columns.values.at(voltage.front()), rows, 1.0);
+  if (!thrust.empty())
+    run.thrust_N = Picked(columns.values.at(thrust.front()), rows, declared.thrust_unit_N);
+  if (!torque.empty()) run.torque_Nm = Picked(columns.values.at(torque.front()), rows, 1.0);
+  if (used != nullptr) {
+    const auto say = [used](const std::string& role, const Strings& names) {
+      used->push_back(role + ": " + (names.empty() ? "none" : JoinNames(names)));
+    };
+    say("time", time);
+    say("command", command);
+    say("speed", speed);
+    say("voltage", voltage);
+    say("thrust", thrust);
+    say("torque", torque);
+  }
+  return run;
+}
+
+}  // namespace odmc
