@@ -161,6 +161,13 @@ RotorSpeeds ToMessage(const RotorSample& sample) {
   return m;
 }
 
+MotorCommands ToMessage(const CommandSample& sample) {
+  MotorCommands m;
+  m.header = MakeHeader(sample.stamp, kJoint);
+  m.throttle = ToVector(sample.throttle);
+  return m;
+}
+
 RotorSpeeds RotorCommand(const ControlCommand& command) {
   return ToMessage(RotorSample{command.stamp, command.rotor_speed});
 }

@@ -7,6 +7,7 @@ namespace odmc {
 namespace {
 
 constexpr double kMissing = -1.0;  // as a first variance
+constexpr double kLeastThrottle = -0.2, kMostThrottle = 1.2;  // ESCs may be told 800 to 2200 us
 
 /// Pose with its stamp; nothing if it is not sound.
 std::optional<OdometryInput> PoseInput(const std_msgs::Header& header,
@@ -128,6 +129,18 @@ std::optional<RotorInput> ToInput(const sensor_msgs::JointState& message, int nu
   std::optional<RotorInput> input = SpeedInput(message.header, message.velocity, num_rotors, scale);
   if (input) input->from_joints = true;
   return input;
+}
+
+std::optional<CommandSample> ToInput(const MotorCommands& message, int num_rotors) {
+  if (static_cast<int>(message.throttle.size()) != num_rotors) return std::nullopt;
+  CommandSample sample;
+  sample.stamp = FromRos(message.header.stamp);
+  sample.throttle = Eigen::Map<const Eigen::VectorXd>(message.throttle.data(), num_rotors);
+  if (sample.stamp <= 0 || !sample.throttle.allFinite()) return std::nullopt;
+  if (sample.throttle.minCoeff() < kLeastThrottle || sample.throttle.maxCoeff() > kMostThrottle) {
+    return std::nullopt;
+  }
+  return sample;
 }
 
 double RotorSpeedScale(const std::string& unit, int pole_pairs) {

@@ -33,6 +33,31 @@ TimedReference PointOf(const Trajectory& trajectory, double t_s) {
   return {FromSeconds(t_s), trajectory.At(t_s)};
 }
 
+// ---- Motor commands ----------------------------------------------------------------------------
+
+TEST(MotorCommandsMessage, HoldsTheSample) {
+  const CommandSample sample{FromSeconds(1.5), RotorVector{{0.0, 1.0 / 3.0, 0.7, 1.0}}};
+  const MotorCommands m = ToMessage(sample);
+  EXPECT_EQ(m.header.stamp, ros::Time(1.5));
+  const std::optional<CommandSample> back = ToInput(m, 4);
+  ASSERT_TRUE(back);
+  EXPECT_EQ(back->stamp, sample.stamp);
+  EXPECT_EQ(back->throttle, sample.throttle);
+}
+
+TEST(MotorCommandsMessage, IsRefusedWhereItIsNotSound) {
+  MotorCommands m = ToMessage(CommandSample{FromSeconds(1.5), RotorVector::Constant(4, 0.5)});
+  EXPECT_FALSE(ToInput(m, 6)) << "another number of rotors";
+  m.throttle[2] = kNan;
+  EXPECT_FALSE(ToInput(m, 4));
+  m.throttle[2] = 1500.0;
+  EXPECT_FALSE(ToInput(m, 4)) << "a pulse width";
+  m.throttle[2] = -0.1;
+  EXPECT_TRUE(ToInput(m, 4)) << "900 us: the ESC is armed and idle";
+  m.header.stamp = ros::Time();
+  EXPECT_FALSE(ToInput(m, 4)) << "no stamp";
+}
+
 // ---- References --------------------------------------------------------------------------------
 
 TEST(MovedOn, FollowsConstantSnap) {

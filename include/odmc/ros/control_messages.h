@@ -12,6 +12,7 @@
 
 #include "odmc/DynamicParameters.h"
 #include "odmc/FlatOutput.h"
+#include "odmc/MotorCommands.h"
 #include "odmc/RateThrust.h"
 #include "odmc/RotorSpeeds.h"
 #include "odmc/control/flatness_controller.h"
@@ -50,6 +51,7 @@ trajectory_msgs::MultiDOFJointTrajectory ToMessage(const std::vector<TimedRefere
                                                    const std::string& body_frame);
 
 RotorSpeeds ToMessage(const RotorSample& sample);
+MotorCommands ToMessage(const CommandSample& sample);
 RotorSpeeds RotorCommand(const ControlCommand& command);
 RateThrust RateThrustCommand(const ControlCommand& command, const std::string& body_frame);
 /// False if anything that is published of a command is not a finite number.

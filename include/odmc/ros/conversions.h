@@ -19,6 +19,7 @@
 #include <vector>
 
 #include "odmc/DynamicParameter.h"
+#include "odmc/MotorCommands.h"
 #include "odmc/RotorSpeeds.h"
 #include "odmc/model/parameter_set.h"
 #include "odmc/ros/message_values.h"
@@ -68,6 +69,9 @@ std::optional<RotorInput> ToInput(const RotorSpeeds& message, int num_rotors);
 /// @param scale takes the joints' velocity to rad/s, see RotorSpeedScale()
 std::optional<RotorInput> ToInput(const sensor_msgs::JointState& message, int num_rotors,
                                   double scale);
+/// Nothing also where the message has not one throttle per rotor, or one that is no share of full
+/// throttle but a pulse width or the like.
+std::optional<CommandSample> ToInput(const MotorCommands& message, int num_rotors);
 
 /// Factor that takes a speed in `unit` (rad_s, rpm, erpm) to rad/s.
 /// @throws std::invalid_argument for other units or pole pairs below 1
