@@ -20,6 +20,7 @@
 #include <utility>
 #include <vector>
 
+#include "odmc/MotorCommands.h"
 #include "odmc/RotorSpeeds.h"
 #include "odmc/ros/message_values.h"
 #include "odmc/sensing/flight_checks.h"
@@ -49,7 +50,8 @@ const std::vector<Role>& Roles() {
                                           {"imu", "sensor_msgs/Imu"},
                                           {"rotor_speeds", "odmc/RotorSpeeds"},
                                           {"joint_states", "sensor_msgs/JointState"},
-                                          {"battery_state", "sensor_msgs/BatteryState"}};
+                                          {"battery_state", "sensor_msgs/BatteryState"},
+                                          {"motor_commands", "odmc/MotorCommands"}};
   return roles;
 }
 
@@ -363,12 +365,29 @@ double RotorSpeedScale(const std::string& file, const BagOptions& options) {
   return rpm / options.pole_pairs;
 }
 
+void CheckSize(const std::string& source, size_t size, const char* what, int num_rotors) {
+  if (static_cast<int>(size) == num_rotors) return;
+  Fail(source, "has " + std::to_string(size) + " " + what + ", the vehicle has " +
+                   std::to_string(num_rotors) + " rotors");
+}
+
+void ReadCommands(BagSource* bag, int num_rotors, FlightLog* log) {
+  const std::string topic = bag->TopicOf("motor_commands");
+  if (topic.empty()) return;
+  const std::string source = bag->file() + ": " + topic;
+  for (const auto& m : bag->Read<odmc::MotorCommands>(topic)) {
+    CheckSize(source, m->throttle.size(), "commands", num_rotors);
+    log->commands.push_back({FromRos(m->header.stamp), Eigen::Map<const Eigen::VectorXd>(
+                                                           m->throttle.data(), num_rotors)});
+  }
+  KeepFinite(
+      source, &log->commands, [](const CommandSample& s) { return s.throttle.allFinite(); }, log);
+  KeepForward(source, &log->commands, log);
+}
+
 RotorSample MakeRotorSample(const std::string& source, const ros::Time& stamp,
                             const std::vector<double>& speeds, double scale, int num_rotors) {
-  if (static_cast<int>(speeds.size()) != num_rotors) {
-    Fail(source, "has " + std::to_string(speeds.size()) + " speeds, the vehicle has " +
-                     std::to_string(num_rotors) + " rotors");
-  }
+  CheckSize(source, speeds.size(), "speeds", num_rotors);
   RotorSample sample;
   sample.stamp = FromRos(stamp);
   sample.speed = scale * Eigen::Map<const Eigen::VectorXd>(speeds.data(), num_rotors);
@@ -392,6 +411,8 @@ void ReadRotors(BagSource* bag, int num_rotors, const BagOptions& options, Fligh
       log->rotors.push_back(
           MakeRotorSample(source, m->header.stamp, m->velocity, scale, num_rotors));
     }
+  } else if (!log->commands.empty()) {
+    return;  // no sensor: commands may stand in
   } else {
     Fail(bag->file(),
          "no rotor speeds (odmc/RotorSpeeds or sensor_msgs/JointState); " + bag->Contents());
@@ -427,6 +448,7 @@ void ShiftAll(Stamp shift, FlightLog* log) {
   Shift(shift, &log->imu);
   Shift(shift, &log->rotors);
   Shift(shift, &log->battery);
+  Shift(shift, &log->commands);
 }
 
 /// How far WriteFlightBag() moved the stamps; 0 for other bags.
@@ -453,6 +475,7 @@ FlightLog ReadOpenBag(BagSource* bag, int num_rotors, PoseSource pose, const Bag
   ReadImu(bag, &log);
   if (!odometry_topic.empty()) log.odometry = ReadOdometry(bag, odometry_topic, options, &log);
   if (needs_poses) UseMocapPoses(ReadPoses(bag, pose_topic, &log), &log);
+  ReadCommands(bag, num_rotors, &log);
   ReadRotors(bag, num_rotors, options, &log);
   ReadBattery(bag, &log);
   ShiftAll(-ReadShift(bag), &log);
@@ -523,6 +546,13 @@ odmc::RotorSpeeds ToMessage(const RotorSample& sample, bool rms_only, Stamp stam
   return m;
 }
 
+odmc::MotorCommands ToMessage(const CommandSample& sample, Stamp stamp) {
+  odmc::MotorCommands m;
+  SetHeader(stamp, "base_link", &m.header);
+  m.throttle.assign(sample.throttle.data(), sample.throttle.data() + sample.throttle.size());
+  return m;
+}
+
 template <typename Sample>
 void LowerTo(const std::vector<Sample>& samples, Stamp* earliest) {
   for (const Sample& sample : samples) *earliest = std::min(*earliest, sample.stamp);
@@ -572,6 +602,7 @@ Stamp ShiftFor(const FlightLog& log) {
   LowerTo(log.imu, &earliest);
   LowerTo(log.rotors, &earliest);
   LowerTo(log.battery, &earliest);
+  LowerTo(log.commands, &earliest);
   return (2 * kSecond - 1 - earliest) / kSecond * kSecond;
 }
 
@@ -616,6 +647,7 @@ void WriteFlightBag(const FlightLog& log, const std::string& file) {
     return ToMessage(sample, log.rotor_rms_only, stamp);
   });
   writer.Add("/battery_state", log.battery, shift, convert);
+  writer.Add("/motor_commands", log.commands, shift, convert);
   writer.WriteAll();
   bag.close();
 }

@@ -122,6 +122,7 @@ template void KeepForward(const std::string&, std::vector<OdometrySample>*, Flig
 template void KeepForward(const std::string&, std::vector<ImuSample>*, FlightLog*);
 template void KeepForward(const std::string&, std::vector<RotorSample>*, FlightLog*);
 template void KeepForward(const std::string&, std::vector<BatterySample>*, FlightLog*);
+template void KeepForward(const std::string&, std::vector<CommandSample>*, FlightLog*);
 
 void NormaliseAttitudes(const std::string& source, std::vector<OdometrySample>* samples,
                         FlightLog* log) {

@@ -169,7 +169,8 @@ void FlightArguments::AddTo(CLI::App* app, bool required) {
       ->type_name("ekf|mocap");
   app->add_option("--topic", topics,
                   "topic of a bag by role, as odometry:=/vio/odom; roles: odometry, pose, imu, "
-                  "rotor_speeds, joint_states, battery_state; may be given several times")
+                  "rotor_speeds, joint_states, battery_state, motor_commands; may be given several "
+                  "times")
       ->allow_extra_args(false)
       ->type_name("NAME:=/topic");
   app->add_option("--twist-frame", bag.twist_frame,
@@ -198,8 +199,9 @@ void FlightArguments::AddTo(CLI::App* app, bool required) {
 FlightLog FlightArguments::Read(const Vehicle& vehicle) const {
   if (end_s > 0.0 && end_s <= start_s) throw UsageError("--end must lie after --start");
   BagOptions options = bag;
-  const std::vector<std::string> roles = {"odometry",     "pose",         "imu",
-                                          "rotor_speeds", "joint_states", "battery_state"};
+  const std::vector<std::string> roles = {"odometry",      "pose",          "imu",
+                                          "rotor_speeds",  "joint_states",  "battery_state",
+                                          "motor_commands"};
   for (const std::string& text : topics) {
     const auto [role, topic] = Split(text, ":=", "--topic");
     if (std::find(roles.begin(), roles.end(), role) == roles.end()) {

@@ -10,6 +10,7 @@
 #include <filesystem>
 #include <random>
 
+#include "odmc/MotorCommands.h"
 #include "odmc/RotorSpeeds.h"
 #include "odmc/ros/flight_bag.h"
 #include "support/error_text.h"
@@ -46,6 +47,7 @@ FlightLog Circles(Stamp start, int count = 300) {
     rotors.speed.tail<3>() += Random(&generator);
     log.rotors.push_back(rotors);
     log.battery.push_back({odometry.stamp + 7, (16000 + i) / 1000.0});
+    log.commands.push_back({odometry.stamp + 2, RotorVector{{0.0, i / 300.0, 1.0 / 3.0, 1.0}}});
   }
   return log;
 }
@@ -74,6 +76,11 @@ void ExpectSame(const FlightLog& a, const FlightLog& b) {
   for (size_t i = 0; i < a.battery.size(); ++i) {
     EXPECT_EQ(a.battery[i].stamp, b.battery[i].stamp);
     EXPECT_EQ(a.battery[i].voltage_V, b.battery[i].voltage_V);
+  }
+  ASSERT_EQ(a.commands.size(), b.commands.size());
+  for (size_t i = 0; i < a.commands.size(); ++i) {
+    EXPECT_EQ(a.commands[i].stamp, b.commands[i].stamp);
+    EXPECT_EQ(a.commands[i].throttle, b.commands[i].throttle);
   }
   EXPECT_EQ(a.rotor_rms_only, b.rotor_rms_only);
 }
@@ -110,6 +117,7 @@ TEST_F(FlightBag, RoundTripKeepsEveryBit) {
 TEST_F(FlightBag, AbsentPartsStayAbsent) {
   FlightLog log = Circles(0);
   log.battery.clear();
+  log.commands.clear();
   log.rotor_rms_only = true;
   for (size_t i = 0; i < log.odometry.size(); ++i) {
     log.odometry[i].v_WS.reset();
@@ -119,6 +127,16 @@ TEST_F(FlightBag, AbsentPartsStayAbsent) {
   }
   WriteFlightBag(log, File());
   ExpectSame(log, Read());
+}
+
+TEST_F(FlightBag, CommandsMayStandInForRotorSpeeds) {
+  FlightLog log = Circles(0);
+  log.rotors.clear();
+  WriteFlightBag(log, File());
+  ExpectSame(log, Read());
+  BagOptions options;
+  options.topics["rotor_speeds"] = "/rotor_speeds";
+  ODMC_EXPECT_ERROR(Read(options), "has no topic /rotor_speeds for rotor_speeds");
 }
 
 // Little motion does not tell the frame; the header then does.
@@ -136,6 +154,7 @@ TEST_F(FlightBag, CsvAndBagGiveTheSameFlight) {
   FlightLog log = Circles(0);
   for (size_t i = 0; i < log.odometry.size(); ++i) {
     log.imu[i].stamp = log.battery[i].stamp = log.odometry[i].stamp;
+    log.commands[i].stamp = log.rotors[i].stamp;  // a CSV has both in one table
   }
   WriteFlightBag(log, File());
   WriteFlightCsv(log, folder_.File("f.csv"));
@@ -317,6 +336,14 @@ TEST_F(FlightBag, MissingStreamsAreNamed) {
     bag->write("/rotor_speeds", ros::Time(100.0), m);
   });
   ODMC_EXPECT_ERROR(Read(), "/rotor_speeds: has 3 speeds, the vehicle has 4 rotors");
+  WriteBag([&](rosbag::Bag* bag) {
+    WriteOdometry(bag, "/odometry");
+    odmc::MotorCommands m;
+    m.header.stamp = ros::Time(5.0);
+    m.throttle.resize(6);
+    bag->write("/motor_commands", ros::Time(100.0), m);
+  });
+  ODMC_EXPECT_ERROR(Read(), "/motor_commands: has 6 commands, the vehicle has 4 rotors");
 }
 
 TEST_F(FlightBag, BadSamplesAreCounted) {

@@ -8,10 +8,10 @@
 
 namespace odmc {
 
-/// Topics of a bag, by role: odometry, pose, imu, rotor_speeds, joint_states, battery_state. Where
-/// a role has no entry, the one topic of a fitting type whose name ends in the role's is taken,
-/// else the one topic of that type; several are an error that names them and the flag `--topic
-/// ROLE:=/name`.
+/// Topics of a bag, by role: odometry, pose, imu, rotor_speeds, joint_states, battery_state,
+/// motor_commands. Where a role has no entry, the one topic of a fitting type whose name ends in the
+/// role's is taken, else the one topic of that type; several are an error that names them and the
+/// flag `--topic ROLE:=/name`.
 using TopicMap = std::map<std::string, std::string>;
 
 /// How the messages of a bag are to be read; the node's parameters of the same names.
@@ -24,8 +24,9 @@ struct BagOptions {
 
 /// Reads a flight from a rosbag; needs no master. Stamps are header stamps. `pose` serves where
 /// there is no odometry or only `pose` is mapped; `joint_states` where there is no rotor_speeds or
-/// only joint_states is mapped. Twist covariance[0] = -1 marks an odometry without velocity, [21] =
-/// -1 one without body rates, Imu covariances as in REP-145. The frame of the velocity is found as
+/// only joint_states is mapped; a bag with motor_commands may have neither, and the flight then has
+/// no rotor samples. Twist covariance[0] = -1 marks an odometry without velocity, [21] = -1 one
+/// without body rates, Imu covariances as in REP-145. The frame of the velocity is found as
 /// twist_frame.h says.
 /// @throws std::invalid_argument naming file and topic: not a bag, truncated, no odometry, no rotor
 ///   speeds, twist that fits neither frame.
@@ -35,7 +36,8 @@ FlightLog ReadFlightBag(const std::string& file, int num_rotors, const BagOption
 FlightLog ReadFlight(const std::string& file, int num_rotors, PoseSource pose,
                      const BagOptions& options);
 
-/// Writes a flight as a bag with the topics /odometry, /imu, /rotor_speeds, /battery_state.
+/// Writes a flight as a bag with the topics /odometry, /imu, /rotor_speeds, /battery_state,
+/// /motor_commands.
 ///
 /// ReadFlightBag() gives the same flight back: stamps and doubles to the last bit, voltages to the
 /// seven digits of the message's single precision. Two choices serve this. ROS stamps can't be 0 or
