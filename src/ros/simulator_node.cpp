@@ -396,8 +396,8 @@ void SimulatorNode::PublishSamples(const std::vector<Sample>& samples) {
         imu_publisher_.publish(ToMessage(*imu, imu_frame_));
       } else if (const auto* rotors = std::get_if<RotorSample>(&sample)) {
         rotor_publisher_.publish(ToMessage(*rotors));
-      } else {
-        battery_publisher_.publish(ToMessage(std::get<BatterySample>(sample)));
+      } else if (const auto* battery = std::get_if<BatterySample>(&sample)) {
+        battery_publisher_.publish(ToMessage(*battery));
       }
     }
   }

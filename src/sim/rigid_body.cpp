@@ -2,8 +2,6 @@
 
 #include <cmath>
 
-#include "odmc/model/motor.h"
-
 namespace odmc {
 namespace {
 
@@ -39,20 +37,31 @@ void AddPointMass(double mass, const Eigen::Vector3d& p_B, BodyProperties* body)
 
 }  // namespace
 
+MotorLag MotorLag::Of(const Actuator& actuator, int num_rotors) {
+  MotorLag lag;
+  for (int j = 0; j < num_rotors; ++j) lag.motors.push_back(actuator.MotorOf(j).dynamics);
+  return lag;
+}
+
 RotorVector MotorLag::After(const RotorVector& speed, const RotorVector& speed_cmd,
                             double dt) const {
-  if (S2 <= 0.0) return speed_cmd + std::exp(-dt / time_constant_s) * (speed - speed_cmd);
+  if (S2 <= 0.0 && motors.empty())
+    return speed_cmd + std::exp(-dt / time_constant_s) * (speed - speed_cmd);
   RotorVector after(speed.size());
-  for (int j = 0; j < speed.size(); ++j)
-    after[j] = MotorSpeedAfter(speed[j], speed_cmd[j], S1, S2, dt);
+  for (int j = 0; j < speed.size(); ++j) {
+    const auto [s1, s2] = DynamicsOf(j);
+    after[j] = MotorSpeedAfter(speed[j], speed_cmd[j], s1, s2, dt);
+  }
   return after;
 }
 
 RotorState MotorLag::At(const RotorVector& speed, const RotorVector& speed_cmd) const {
   RotorState state = RotorState::Steady(speed);
-  if (S2 > 0.0) {
-    state.acceleration =
-        ((speed_cmd - speed).array() * (S1 + S2 * (speed_cmd + speed).array())).matrix();
+  if (S2 > 0.0 || !motors.empty()) {
+    for (int j = 0; j < speed.size(); ++j) {
+      const auto [s1, s2] = DynamicsOf(j);
+      state.acceleration[j] = MotorSpeedRate(speed[j], speed_cmd[j], s1, s2);
+    }
   } else {
     state.acceleration = (speed_cmd - speed) / time_constant_s;
   }

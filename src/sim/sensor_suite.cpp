@@ -47,6 +47,7 @@ SensorSuite::SensorSuite(const WorldOptions& options, int seed)
       odometry_clock_(options.odometry_rate_hz),
       imu_clock_(options.imu_rate_hz),
       rotor_clock_(options.rotor_rate_hz),
+      command_clock_(options.rotor_rate_hz),
       battery_clock_(options.battery_rate_hz),
       odometry_random_(seed, kOdometryStream),
       drift_random_(seed, kDriftStream),
@@ -88,6 +89,13 @@ void SensorSuite::SenseRotors(Stamp now) {
   const double quantum = options_.rotor_quantum_rad_s;
   if (quantum > 0.0) speed = ((speed / quantum).array().round() * quantum).matrix();
   arrived_.emplace_back(RotorSample{now, speed});
+}
+
+void SensorSuite::SenseCommands(Stamp now, const RotorVector& throttle) {
+  const bool is_due = command_clock_.Tick(now);
+  if (!is_due && !command_came_) return;
+  command_came_ = false;
+  arrived_.emplace_back(CommandSample{now, throttle});
 }
 
 void SensorSuite::Deliver(Stamp now) {

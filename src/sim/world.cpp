@@ -49,6 +49,17 @@ Eigen::Matrix3d WindAxes(const Eigen::Vector3d& wind_W) {
   return axes;
 }
 
+// Motors of the vehicle's actuator, or those of the options.
+MotorLag MotorsOf(const Vehicle& vehicle, const WorldOptions& options) {
+  if (vehicle.actuator) return MotorLag::Of(*vehicle.actuator, vehicle.num_rotors());
+  return {options.motor_time_constant_s, options.motor_S1, options.motor_S2};
+}
+
+std::optional<MotorDrive> DriveOf(const Vehicle& vehicle) {
+  if (!vehicle.actuator) return std::nullopt;
+  return MotorDrive(*vehicle.actuator, vehicle.num_rotors());
+}
+
 // Speed a motor settles at on a voltage: S0 v = S1 Omega + S2 Omega².      model.md section 11
 double SteadySpeed(const WorldOptions& options, double voltage_V) {
   const double s1 = options.motor_S1, s2 = options.motor_S2;
@@ -62,10 +73,11 @@ World::World(const DynamicModel& model, const ModelValues& values, const WorldOp
              int seed)
     : options_(Checked(options, model)),
       values_(Checked(values, model)),
-      body_(model, values_, {options.motor_time_constant_s, options.motor_S1, options.motor_S2}),
+      body_(model, values_, MotorsOf(model.vehicle(), options)),
       map_(RotorMapAtRest(model, values_, body_.properties())),
       battery_(options.battery_full_V, options.battery_empty_V, options.battery_capacity_As,
                options.battery_resistance_ohm),
+      drive_(DriveOf(model.vehicle())),
       turbulence_(options.gust_m_s, options.gust_length_m, seed),
       disturbance_(model.vehicle(), options.disturbance_force_N, options.disturbance_torque_Nm,
                    seed),
@@ -96,6 +108,7 @@ void World::Place() {
     state_.rotor_speed = HoverSpeeds();
   }
   asked_ = state_.rotor_speed;
+  if (drive_) drive_->Start(drive_->ThrottleFor(asked_, battery_.voltage_V()));
 }
 
 RotorVector World::HoverSpeeds() const {
@@ -110,16 +123,39 @@ RotorVector World::HoverSpeeds() const {
   return squared.cwiseMax(0.0).cwiseSqrt();
 }
 
+void World::CheckCommand(const RotorVector& command, const std::string& what) const {
+  if (command.size() == lost_.size() && command.allFinite()) return;
+  throw std::invalid_argument("a command must be one finite " + what + " for each of " +
+                              std::to_string(lost_.size()) + " rotors");
+}
+
 void World::Command(const RotorVector& speed_cmd) {
-  if (speed_cmd.size() != lost_.size() || !speed_cmd.allFinite()) {
-    throw std::invalid_argument("a command must be one finite speed for each of " +
-                                std::to_string(lost_.size()) + " rotors");
-  }
+  CheckCommand(speed_cmd, "speed");
   asked_ = speed_cmd;
+  if (drive_) {
+    RotorVector speed = asked_.cwiseMax(idle_speed_);
+    for (int j = 0; j < speed.size(); ++j) {
+      if (asked_[j] <= 0.0) speed[j] = 0.0;
+    }
+    CommandThrottle(drive_->ThrottleFor(speed, battery_.voltage_V()));
+  }
+  LimitCommand();
+}
+
+void World::CommandThrottle(const RotorVector& throttle) {
+  CheckCommand(throttle, "throttle");
+  if (!drive_) throw std::invalid_argument("the vehicle has no actuator to take throttles");
+  drive_->Command(ToSeconds(now_), throttle);
+  sensors_.CommandCame();
   LimitCommand();
 }
 
 void World::LimitCommand() {
+  if (drive_) {
+    max_speed_ = drive_->MaxSpeed(battery_.voltage_V());
+    command_ = drive_->SteadySpeeds(battery_.voltage_V());
+    return;
+  }
   max_speed_ = full_speed_ * battery_.voltage_V() / options_.battery_full_V;
   if (options_.motor_S0 > 0.0 && options_.motor_S2 > 0.0) {
     max_speed_ = std::min(max_speed_, SteadySpeed(options_, battery_.voltage_V()));
@@ -132,8 +168,16 @@ void World::LimitCommand() {
 
 void World::Step() {
   const double time_s = ToSeconds(now_);
+  if (drive_) sensors_.SenseCommands(now_, drive_->throttle());
   load_.Swing(body_, time_s, command_, external_, step_s_, &state_);
-  state_ = body_.Step(time_s, state_, command_, external_, step_s_);
+  const auto move = [this](double at_s, const RotorVector& speed_cmd, double piece_s) {
+    state_ = body_.Step(at_s, state_, speed_cmd, external_, piece_s);
+  };
+  if (drive_) {
+    drive_->Advance(time_s, step_s_, battery_.voltage_V(), move);
+  } else {
+    move(time_s, command_, step_s_);
+  }
   battery_.Draw(PowerOfRotors(), step_s_);
   if (options_.gust_m_s > 0.0) {
     const double airspeed = (mean_wind_W_ - state_.v_WB).norm();

@@ -5,10 +5,11 @@
 #include <memory>
 #include <stdexcept>
 
+#include "odmc/actuator/speed_predictor.h"
 #include "odmc/math/so3.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "odmc/sim/world.h"
-#include "support/test_vehicle.h"
+#include "support/test_actuator.h"
 
 namespace odmc {
 namespace {
@@ -325,6 +326,129 @@ TEST(World, VoltageLimitsTheMotorOfTheModelDocument) {
   world.Command(setting.All(1e5));
   RunFor(&world, 2.0);
   EXPECT_NEAR(world.Truth().rotor_speed[2], top, 1e-6);
+}
+
+// ---- Actuator ----
+
+// Every motor with constants of its own and a delay that ends within a step.
+Vehicle UnequalMotors() {
+  Vehicle vehicle = test::VehicleWithActuator();
+  const Motor motor = vehicle.actuator->motors.front();
+  vehicle.actuator->motors.assign(4, motor);
+  for (size_t j = 0; j < 4; ++j) {
+    Motor& own = vehicle.actuator->motors[j];
+    const double k = static_cast<double>(j);
+    own.delay_s = 0.0033 + 0.0017 * k;
+    own.esc.root *= 1.0 + 0.05 * k;
+    own.dynamics.S2 *= 1.0 + 0.2 * k;
+  }
+  return vehicle;
+}
+
+// The free run of the actuator room, which knows nothing of steps or of the rigid body.
+TEST(World, FliesTheActuatorFromThrottles) {
+  const Setting setting(UnequalMotors());
+  const Actuator& actuator = *setting.model.vehicle().actuator;
+  World world = setting.In(Quiet());
+  std::vector<SpeedPredictor> predictors;
+  for (const Motor& motor : actuator.motors) {
+    predictors.emplace_back(motor);
+    predictors.back().Command(0.0, 0.0, 16.8);
+    predictors.back().At(0.0);
+  }
+  double largest = 0.0;
+  for (int i = 0; i < 400; ++i) {
+    if (i % 7 == 0) {
+      RotorVector throttle(4);
+      throttle << 0.1, 0.3, 0.5, 0.9;
+      throttle *= i % 2 == 0 ? 1.0 : 0.6;
+      world.CommandThrottle(throttle);
+      for (int j = 0; j < 4; ++j)
+        predictors[static_cast<size_t>(j)].Command(ToSeconds(world.now()), throttle[j], 16.8);
+    }
+    world.Step();
+    const TruthSample truth = world.Truth();
+    for (int j = 0; j < 4; ++j) {
+      const double expected = predictors[static_cast<size_t>(j)].At(ToSeconds(world.now()));
+      largest = std::max(largest, expected);
+      ASSERT_NEAR(truth.rotor_speed[j], expected, 1e-6) << i << " rotor " << j;
+    }
+  }
+  EXPECT_GT(largest, 1500.0);
+}
+
+TEST(World, ThrottleHasTheRatesOfItsMotionAndTheVoltageOfTheBattery) {
+  const Setting setting(UnequalMotors());
+  WorldOptions options = Quiet();
+  options.battery_resistance_ohm = 0.05;
+  World world = setting.In(options);
+  world.CommandThrottle(setting.All(0.6));
+  RunFor(&world, 0.030);
+  const TruthSample a = world.Truth();
+  const double voltage = world.battery_voltage_V();
+  EXPECT_LT(voltage, 16.6);
+  for (int j = 0; j < 4; ++j) {
+    const Motor& motor = setting.model.vehicle().actuator->MotorOf(j);
+    EXPECT_NEAR(a.rotor_speed_cmd[j], motor.SteadySpeed(0.6, voltage), 1e-9);
+  }
+  world.Step();
+  const TruthSample b = world.Truth();
+  const MotorLag lag = MotorLag::Of(*setting.model.vehicle().actuator, 4);
+  for (int j = 0; j < 4; ++j) {
+    const Motor& motor = setting.model.vehicle().actuator->MotorOf(j);
+    const double drive = motor.esc.Drive(0.6, voltage);
+    EXPECT_NEAR(b.rotor_speed[j], motor.dynamics.After(a.rotor_speed[j], drive, 1e-3), 1e-9);
+    EXPECT_NEAR(lag.At(a.rotor_speed, a.rotor_speed_cmd).acceleration[j],
+                drive - motor.dynamics.DriveFor(a.rotor_speed[j]), 1e-6);
+  }
+}
+
+TEST(World, GivesSpeedsToAVehicleWithAnActuatorByItsInverse) {
+  const Setting setting(UnequalMotors());
+  WorldOptions options = Quiet();
+  options.start_height_m = 1.0;
+  World world = setting.In(options);
+  const RotorVector hover = world.HoverSpeeds();
+  EXPECT_LT((world.Truth().rotor_speed_cmd - hover).norm(), 1e-6);
+  RunFor(&world, 1.0);
+  EXPECT_NEAR(world.Truth().p_WB.z(), 1.0, 1e-3);
+  RotorVector command(4);
+  command << 0.0, 1.0, 900.0, 1e5;
+  world.Command(command);
+  RunFor(&world, 1.0);
+  const RotorVector speed = world.Truth().rotor_speed;
+  EXPECT_NEAR(speed[0], 0.0, 1e-6);
+  EXPECT_NEAR(speed[1], world.idle_rotor_speed(), 1e-6);
+  EXPECT_NEAR(speed[2], 900.0, 1e-6);
+  EXPECT_NEAR(speed[3], setting.model.vehicle().actuator->MotorOf(3).SteadySpeed(1.0, 16.8), 1e-3);
+  EXPECT_GE(speed[3], world.max_rotor_speed());
+}
+
+// One sample a stamp, of what holds from it on, at the rate of the rotors and where a command comes.
+TEST(World, TellsWhatTheEscsAreTold) {
+  const Setting setting(test::VehicleWithActuator());
+  World world = setting.In(Quiet());
+  const Setting plain;
+  World without = plain.In(Quiet());
+  for (int i = 0; i < 20; ++i) {
+    if (i == 5) world.CommandThrottle(setting.All(0.3));
+    if (i == 10) world.CommandThrottle(setting.All(1.4));
+    world.Step();
+    without.Step();
+  }
+  const auto samples = Only<CommandSample>(world.TakeSamples());
+  ASSERT_EQ(samples.size(), 11u);  // 0, 2, 4, 5, 6, ... 18 ms
+  EXPECT_EQ(samples[3].stamp, FromSeconds(0.005));
+  for (const CommandSample& sample : samples) {
+    const double told = sample.stamp >= FromSeconds(0.010)  ? 1.0
+                        : sample.stamp >= FromSeconds(0.005) ? 0.3
+                                                             : 0.0;
+    EXPECT_EQ(sample.throttle, setting.All(told)) << sample.stamp;
+  }
+  EXPECT_TRUE(Only<CommandSample>(without.TakeSamples()).empty());
+  EXPECT_THROW(without.CommandThrottle(plain.All(0.3)), std::invalid_argument);
+  EXPECT_THROW(world.CommandThrottle(setting.All(std::nan(""))), std::invalid_argument);
+  EXPECT_THROW(world.CommandThrottle(RotorVector::Zero(3)), std::invalid_argument);
 }
 
 // ---- Air ----

@@ -41,6 +41,10 @@ struct MotorDynamics {
 /// `speed` after `dt` [s] at the voltage that holds `steady` [rad/s]: (steady - Omega) / (Omega +
 /// steady + S1/S2) decays as exp(-(S1 + 2 S2 steady) t).
 double MotorSpeedAfter(double speed, double steady, double S1, double S2, double dt);
+/// Its rate of change at that voltage [rad/s²].
+inline double MotorSpeedRate(double speed, double steady, double S1, double S2) {
+  return (steady - speed) * (S1 + S2 * (steady + speed));
+}
 
 /// Drive of throttle x at battery voltage V:   root V sqrt(x - start) + linear x + constant
 /// The paper's input map with its dimensions put right.                   model.md section 11, (12)
@@ -84,6 +88,10 @@ struct Actuator {
   std::optional<Measured> k_f;  ///< of one rotor [N s²], where a stand measured thrust
   std::optional<Measured> k_m;  ///< of one rotor [N m s²], where torque or inertia was known
 
+  /// Whether there is one motor for all rotors or one for each.
+  bool Fits(int num_rotors) const {
+    return motors.size() == 1 || static_cast<int>(motors.size()) == num_rotors;
+  }
   const Motor& MotorOf(int rotor) const {
     return motors[motors.size() == 1 ? 0 : static_cast<size_t>(rotor)];
   }

@@ -2,9 +2,11 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <vector>
 
 #include "odmc/model/body_wrench.h"
 #include "odmc/model/dynamic_model.h"
+#include "odmc/model/motor.h"
 
 namespace odmc {
 
@@ -40,12 +42,22 @@ struct MotorLag {
   double time_constant_s = 0.025;  ///< of the lag, > 0
   double S1 = 0.0;                 ///< [1/s], > 0 where S2 > 0
   double S2 = 0.0;                 ///< [1/rad]; 0: the lag
+  /// One per rotor, in place of all these: the motors of a calibrated actuator; empty: not known.
+  std::vector<MotorDynamics> motors{};
+
+  /// Motors of a vehicle that has an actuator.
+  static MotorLag Of(const Actuator& actuator, int num_rotors);
 
   /// Speeds `dt` after `speed` under a constant `speed_cmd` (n×1, rad/s).
   RotorVector After(const RotorVector& speed, const RotorVector& speed_cmd, double dt) const;
 
   /// All that effects may ask of rotors at this instant.
   RotorState At(const RotorVector& speed, const RotorVector& speed_cmd) const;
+
+ private:
+  MotorDynamics DynamicsOf(int rotor) const {
+    return motors.empty() ? MotorDynamics{S1, S2} : motors[static_cast<size_t>(rotor)];
+  }
 };
 
 /// What makes a vehicle another one than its model says: a point mass carried rigidly, and a centre

@@ -73,6 +73,12 @@ class SensorSuite {
     Deliver(now);
   }
 
+  /// Takes what the ESCs are told from `now` on, if it was just told or is due at the rate of the
+  /// rotors; to be asked once per step, before it. Only for vehicles with an actuator.
+  void SenseCommands(Stamp now, const RotorVector& throttle);
+  /// There is a new command.
+  void CommandCame() { command_came_ = true; }
+
   /// Positions of the odometry are off by this from now on, in W [m].
   void Jump(const Eigen::Vector3d& by_m) { offset_.p_W += by_m; }
 
@@ -90,7 +96,8 @@ class SensorSuite {
   WorldOptions options_;
   OdometryErrors odometry_noise_;
   ImuErrors imu_noise_;
-  SampleClock odometry_clock_, imu_clock_, rotor_clock_, battery_clock_;
+  SampleClock odometry_clock_, imu_clock_, rotor_clock_, command_clock_, battery_clock_;
+  bool command_came_ = false;
   Gaussian odometry_random_, drift_random_, imu_random_, rotor_random_;
   OdometryOffset offset_;
   RotorHistory history_;

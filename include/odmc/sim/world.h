@@ -1,6 +1,8 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <optional>
+#include <string>
 #include <vector>
 
 #include "odmc/model/dynamic_model.h"
@@ -10,6 +12,7 @@
 #include "odmc/sim/disturbance.h"
 #include "odmc/sim/ground_contact.h"
 #include "odmc/sim/hanging_load.h"
+#include "odmc/sim/motor_drive.h"
 #include "odmc/sim/rigid_body.h"
 #include "odmc/sim/sensor_suite.h"
 #include "odmc/sim/truth_sample.h"
@@ -18,8 +21,8 @@
 
 namespace odmc {
 
-/// A vehicle in its world, in lock-step with whoever flies it: told rotor speeds, it moves on by
-/// one step at a time and gives what its sensors deliver. The same arguments and calls give the
+/// A vehicle in its world, in lock-step with whoever flies it: told rotor speeds or, where it has an
+/// actuator, throttles, it moves on by one step at a time and gives what its sensors deliver. The same arguments and calls give the
 /// same flight, and no sensor's errors hang on another's. Step() asks for no memory as long as
 /// samples are taken about once a second. Thread-compatible.
 class World {
@@ -32,9 +35,18 @@ class World {
         int seed);
 
   /// Speeds to follow until the next command (n×1, rad/s), within what the motors can: 0 stops a
-  /// rotor, others are kept between idling and max_rotor_speed().
+  /// rotor, others are kept between idling and max_rotor_speed(). A vehicle with an actuator gets
+  /// the throttles that hold them at the present voltage.
   /// @throws std::invalid_argument for a wrong size or numbers that are not finite
   void Command(const RotorVector& speed_cmd);
+
+  /// Throttles until the next command (n×1), limited to 0 to 1. Each acts after its motor's delay,
+  /// at the battery's voltage of every later instant.
+  /// @throws std::invalid_argument for a wrong size, numbers that are not finite and a vehicle
+  ///   without an actuator
+  void CommandThrottle(const RotorVector& throttle);
+  /// Whether the vehicle takes throttles.
+  bool has_actuator() const { return drive_.has_value(); }
 
   /// Moves on by one step.
   void Step();
@@ -42,7 +54,8 @@ class World {
   Stamp now() const { return now_; }
 
   /// What is so now, just after whatever steps now. The wrench is about the centre of mass of all
-  /// that flies; ground, disturbance and damage are external. The command is as limited.
+  /// that flies; ground, disturbance and damage are external. The command is as limited; with an actuator it
+  /// is the speeds that the throttles which act now hold.
   TruthSample Truth() const;
 
   /// What arrived since the last call, in the order of arrival; of one instant, odometry last.
@@ -79,6 +92,7 @@ class World {
   void SetWind(const Eigen::Vector3d& mean_W);
 
  private:
+  void CheckCommand(const RotorVector& command, const std::string& what) const;
   void Place();
   void ChangeBody(const BodyChange& change);
   void RunSchedule(Stamp before);
@@ -95,6 +109,7 @@ class World {
   RotorMap map_;  // about the present centre of mass
   double full_speed_ = 0.0, idle_speed_ = 0.0, max_speed_ = 0.0;
   Battery battery_;
+  std::optional<MotorDrive> drive_;  // of a vehicle with an actuator
   Turbulence turbulence_;
   Disturbance disturbance_;
   Variation variation_;
@@ -107,7 +122,7 @@ class World {
   Stamp step_, now_ = 0;
   double step_s_;
   RigidBodyState state_;
-  RotorVector asked_, command_;  // as told, as limited
+  RotorVector asked_, command_;  // as told (without an actuator), as limited
   BodyWrench external_;          // at the present state
 };
 
