@@ -43,6 +43,8 @@ bool ControllerOptions::IsValid(std::string* error) const {
   }
   if (!(motor_time_constant_s > 0.0)) return Fail(error, "motor_time_constant_s must be positive");
   if (!(motor_lead >= 1.0 && motor_lead <= 4.0)) return Fail(error, "motor_lead must be 1 to 4");
+  if (!(nominal_battery_voltage_V > 0.0))
+    return Fail(error, "nominal_battery_voltage_V must be positive");
   if (!(filter_hz > 0.0)) return Fail(error, "filter_hz must be positive");
   if (!(max_tilt_rad > 0.0 && max_tilt_rad < M_PI_2))
     return Fail(error, "max_tilt_rad must be above 0 and below pi/2");

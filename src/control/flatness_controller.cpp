@@ -57,6 +57,9 @@ FlatnessController::FlatnessController(const ControllerOptions& options,
       torque_filter_(options.filter_hz) {
   std::string error;
   if (!options_.IsValid(&error)) throw std::invalid_argument(error);
+  const Vehicle& vehicle = dynamics_->vehicle();
+  if (vehicle.actuator && !vehicle.actuator->Fits(vehicle.num_rotors()))
+    throw std::invalid_argument("the actuator's motors are not as many as the vehicle's rotors");
   const BodyProperties& properties = model_.properties();
   const double hover = properties.mass * properties.g_W.norm() / model_.rotor_map().row(0).sum();
   const double limit = options_.max_rotor_speed_rad_s;
@@ -103,6 +106,10 @@ void FlatnessController::Add(const ImuSample& sample) {
 }
 
 void FlatnessController::Add(const RotorSample& sample) { rotors_ = sample; }
+
+void FlatnessController::Add(const BatterySample& sample) {
+  if (std::isfinite(sample.voltage_V) && sample.voltage_V > 0.0) voltage_V_ = sample.voltage_V;
+}
 
 bool FlatnessController::HasRates(Stamp now) const {
   return imu_ && ToSeconds(now - imu_->stamp) < kFresh_s;
@@ -237,6 +244,27 @@ RotorVector FlatnessController::Driven(const RotorVector& goal, Stamp now) const
   return driven.cwiseMax(std::sqrt(min_squared_)).cwiseMin(std::sqrt(max_squared_));
 }
 
+// The goal itself, not Driven(): the lead is in the acceleration asked for.
+RotorVector FlatnessController::Throttle(const RotorVector& goal, Stamp now) const {
+  const std::optional<Actuator>& actuator = dynamics_->vehicle().actuator;
+  if (!actuator) return {};
+  const double voltage =
+      actuator->MapVoltage(voltage_V_.value_or(options_.nominal_battery_voltage_V));
+  const double lead_1_s = options_.motor_lead / options_.motor_time_constant_s;
+  const bool approaches = actuator->knows_dynamics && HasRotors(now);
+  const RotorVector speed = approaches ? rotors_->speed : Driven(goal, now);
+  RotorVector throttle(goal.size());
+  for (int j = 0; j < goal.size(); ++j) {
+    const Motor& motor = actuator->MotorOf(j);
+    const double acceleration = approaches ? lead_1_s * (goal[j] - speed[j]) : 0.0;
+    const double drive = std::clamp(motor.dynamics.DriveFor(speed[j], acceleration),
+                                    motor.dynamics.DriveFor(std::sqrt(min_squared_)),
+                                    motor.dynamics.DriveFor(std::sqrt(max_squared_)));
+    throttle[j] = std::clamp(motor.esc.ThrottleFor(drive, voltage), 0.0, 1.0);
+  }
+  return throttle;
+}
+
 ControlCommand FlatnessController::Update(Stamp now,
                                           const std::optional<FlatReference>& reference) {
   Filter(now);
@@ -245,6 +273,7 @@ ControlCommand FlatnessController::Update(Stamp now,
   command.stamp = now;
   command.rotor_speed =
       RotorVector::Constant(dynamics_->vehicle().num_rotors(), std::sqrt(min_squared_));
+  command.throttle = Throttle(command.rotor_speed, now);
   std::optional<BodyState> state = StateAt(now);
   if (!state || !reference || reference->standing) return command;
 
@@ -258,6 +287,7 @@ ControlCommand FlatnessController::Update(Stamp now,
   } else {
     Track(Goal(*reference, *state), *state, &command);
   }
+  command.throttle = Throttle(command.rotor_speed, now);
   command.rotor_speed = Driven(command.rotor_speed, now);
   return command;
 }

@@ -7,6 +7,7 @@
 #include <stdexcept>
 #include <variant>
 
+#include "odmc/actuator/rotor_source.h"
 #include "odmc/math/statistics.h"
 
 namespace odmc {
@@ -76,6 +77,11 @@ class Loop {
         world_(*setup.truth_model, setup.truth, setup.world, setup.seed),
         handover_(setup.handover, setup.vehicle),
         controller_(setup.controller, handover_.model()) {
+    if ((setup.by_throttle || setup.rotor_speed_from_commands) && !setup.vehicle.actuator)
+      throw std::invalid_argument("flying by throttle, and rotor speeds from commands, ask for an "
+                                  "actuator in the vehicle file");
+    if (setup.rotor_speed_from_commands)
+      source_.emplace(*setup.vehicle.actuator, setup.vehicle.num_rotors(), true);
     if (setup.estimates) estimator_.emplace(setup);
     if (setup.warm_start) handover_.Offer(*setup.warm_start, FromSeconds(kStep_s), 0);
     const double duration_s = setup.trajectory.duration_s;
@@ -111,7 +117,12 @@ class Loop {
     const auto start = std::chrono::steady_clock::now();
     if (handover_.Update(now, TrackingError(now, reference)))
       controller_.SetModel(handover_.model(), handover_.values());
-    world_.Command(controller_.Update(now, reference).rotor_speed);
+    const ControlCommand command = controller_.Update(now, reference);
+    if (setup_.by_throttle) {
+      world_.CommandThrottle(command.throttle);
+    } else {
+      world_.Command(command.rotor_speed);
+    }
     control_ms_.push_back(MillisecondsSince(start));
     Watch(t_s, reference);
   }
@@ -133,12 +144,21 @@ class Loop {
   }
   void Deliver(const RotorSample& sample) {
     flight_.log.rotors.push_back(sample);
+    if (!source_) UseSpeeds(sample);
+  }
+  void Deliver(const CommandSample& sample) {
+    flight_.log.commands.push_back(sample);
+    if (!source_) return;
+    if (const auto speeds = source_->Add(sample)) UseSpeeds(*speeds);
+  }
+  void UseSpeeds(const RotorSample& sample) {
     controller_.Add(sample);
     if (estimator_) estimator_->Add(sample);
   }
-  void Deliver(const CommandSample& sample) { flight_.log.commands.push_back(sample); }
   void Deliver(const BatterySample& sample) {
     flight_.log.battery.push_back(sample);
+    controller_.Add(sample);
+    if (source_) source_->Add(sample);
     if (estimator_) estimator_->Add(sample);
   }
 
@@ -198,6 +218,7 @@ class Loop {
   World world_;
   ParameterHandover handover_;
   FlatnessController controller_;
+  std::optional<RotorSource> source_;  // where speeds come from commands
   std::optional<EstimatorInLoop> estimator_;
   double path_end_s_;
   bool touched_ = false;

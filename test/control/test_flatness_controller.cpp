@@ -10,7 +10,7 @@
 #include "odmc/sim/rigid_body.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "odmc/trajectory/trajectory.h"
-#include "support/test_vehicle.h"
+#include "support/test_actuator.h"
 
 namespace odmc {
 namespace {
@@ -465,6 +465,79 @@ TEST(ControllerOptions, DerivesGainsFromTheMotors) {
   stated.attitude_gain_1_s = {0.0, 5.0, 0.0};
   EXPECT_EQ(GainsFor(stated).attitude_1_s.y(), 5.0);
   EXPECT_EQ(GainsFor(stated).attitude_1_s.x(), GainsFor({}).attitude_1_s.x());
+}
+
+// ---- Throttle ----
+
+// A controller that idles, and what its throttles ask of the motors at `voltage`.
+struct Throttled {
+  explicit Throttled(const Actuator& actuator, const ControllerOptions& options = {}) {
+    Vehicle vehicle = test::NominalVehicle();
+    vehicle.actuator = actuator;
+    controller.emplace(options, std::make_shared<DynamicModel>(vehicle, vehicle.effects));
+    motor = actuator.motors.front();
+  }
+  ControlCommand Update(double t_s) { return controller->Update(FromSeconds(t_s), std::nullopt); }
+  // Of the first rotor [rad/s²].
+  double Acceleration(const ControlCommand& command, double speed, double voltage) const {
+    return motor.esc.Drive(command.throttle[0], voltage) - motor.dynamics.DriveFor(speed);
+  }
+  std::optional<FlatnessController> controller;
+  Motor motor;
+};
+
+TEST(Throttle, IsThereWithAnActuatorOnly) {
+  const auto model =
+      std::make_shared<DynamicModel>(test::NominalVehicle(), test::NominalVehicle().effects);
+  FlatnessController plain({}, model);
+  EXPECT_EQ(plain.Update(FromSeconds(1.0), std::nullopt).throttle.size(), 0);
+  Throttled with(test::GenericActuator());
+  EXPECT_EQ(with.Update(1.0).throttle.size(), 4);
+  Actuator three = test::GenericActuator();
+  three.motors.assign(3, three.motors.front());
+  EXPECT_THROW(Throttled{three}, std::invalid_argument);
+}
+
+// Idling is a goal like any other: rotors that are told nothing more hold its speed.
+TEST(Throttle, HoldsTheGoalAtTheVoltageLastHeard) {
+  Throttled t(test::GenericActuator());
+  const double idle = t.Update(1.0).rotor_speed[0];
+  EXPECT_NEAR(t.Acceleration(t.Update(1.1), idle, 15.2), 0.0, 1e-6) << "nominal before the first";
+  t.controller->Add(BatterySample{FromSeconds(1.2), 13.7});
+  EXPECT_NEAR(t.Acceleration(t.Update(1.2), idle, 13.7), 0.0, 1e-6);
+  t.controller->Add(BatterySample{FromSeconds(1.3), std::nan("")});
+  EXPECT_NEAR(t.Acceleration(t.Update(1.3), idle, 13.7), 0.0, 1e-6);
+}
+
+// Once, at any speed: the motors close the gap as a lag of motor_time_constant_s / motor_lead does.
+TEST(Throttle, AsksForTheLagTheGainsWereMadeFor) {
+  for (const double lead : {1.0, 1.5}) {
+    ControllerOptions options;
+    options.motor_lead = lead;
+    options.min_thrust_over_weight = 0.5;
+    Throttled t(test::GenericActuator(), options);
+    const double idle = t.Update(1.0).rotor_speed[0];
+    for (const double short_of : {-40.0, 0.0, 40.0, 100.0}) {
+      const double speed = idle - short_of;
+      t.controller->Add(RotorSample{FromSeconds(2.0), RotorVector::Constant(4, speed)});
+      const ControlCommand command = t.Update(2.0);
+      const double asked = lead * short_of / options.motor_time_constant_s;
+      // Never less than what idles.
+      const double least = t.motor.dynamics.DriveFor(idle) - t.motor.dynamics.DriveFor(speed);
+      EXPECT_NEAR(t.Acceleration(command, speed, 15.2), std::max(asked, least), 1e-6) << lead;
+    }
+  }
+}
+
+TEST(Throttle, OfAnActuatorWithoutDynamicsHoldsTheLeadingSpeed) {
+  Actuator actuator = test::GenericActuator();
+  actuator.knows_dynamics = false;
+  ControllerOptions options;
+  options.min_thrust_over_weight = 0.5;
+  Throttled t(actuator, options);
+  const double idle = t.Update(1.0).rotor_speed[0];
+  t.controller->Add(RotorSample{FromSeconds(2.0), RotorVector::Constant(4, idle - 60.0)});
+  EXPECT_NEAR(t.motor.SteadySpeed(t.Update(2.0).throttle[0], 15.2), idle + 30.0, 1e-6);
 }
 
 }  // namespace

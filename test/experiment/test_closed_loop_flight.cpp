@@ -6,7 +6,7 @@
 #include "odmc/experiment/closed_loop_flight.h"
 #include "odmc/experiment/experiments.h"
 #include "odmc/sim/truth_vehicle.h"
-#include "support/test_vehicle.h"
+#include "support/test_actuator.h"
 
 namespace odmc {
 namespace {
@@ -116,6 +116,66 @@ TEST(ClosedLoopFlight, LearnsALoadAndItsDrop) {
   EXPECT_EQ(flight.crash, "");
   EXPECT_NEAR(1.2 * Accepted(flight, "thrust.k_f") / Truth(setup, "thrust.k_f"), 1.0, 0.02);
   EXPECT_LT(ErrorsBetween(flight, 20.0, 34.0).rmse_m.norm(), 0.02);
+}
+
+// Motors that are `gain` times as strong as everybody on board believes.
+ClosedLoopSetup MakeThrottleSetup(double gain, int seed = 1) {
+  ClosedLoopSetup setup = MakeSetup("octo", 20.0, seed);
+  Vehicle truth = setup.vehicle;
+  setup.vehicle.actuator = test::GenericActuator();
+  truth.actuator = test::WithGain(test::GenericActuator(), gain);
+  setup.truth_model = std::make_shared<DynamicModel>(truth, truth.effects);
+  setup.trajectory.top_speed_m_s = 3.0;
+  setup.by_throttle = true;
+  return setup;
+}
+
+TEST(ClosedLoopFlight, FliesByThrottleWithAnActuatorThatIsNotQuiteRight) {
+  double rmse_m[3];
+  const double gains[] = {0.97, 1.0, 1.03};
+  for (int i = 0; i < 3; ++i) {
+    const ClosedLoopSetup setup = MakeThrottleSetup(gains[i]);
+    const ClosedLoopFlight flight = FlyClosedLoop(setup);
+    EXPECT_EQ(flight.crash, "");
+    rmse_m[i] = ErrorsBetween(flight, 10.0, 21.0).rmse_m.norm();
+    EXPECT_LT(rmse_m[i], 0.03) << gains[i];
+    ASSERT_TRUE(flight.accepted);
+    EXPECT_NEAR(Accepted(flight, "thrust.k_f") / Truth(setup, "thrust.k_f"), 1.0, 0.01);
+    EXPECT_LT(flight.log.battery.back().voltage_V, flight.log.battery.front().voltage_V - 0.1);
+    EXPECT_GT(flight.log.commands.size(), flight.samples.size());
+  }
+  std::printf("by throttle, motors of 0.97, 1, 1.03: RMSE %.4f %.4f %.4f m\n", rmse_m[0], rmse_m[1],
+              rmse_m[2]);
+}
+
+// Nobody on board has a rotor-speed sensor.
+TEST(ClosedLoopFlight, LearnsFromCommandsAlone) {
+  for (const int seed : {1, 2}) {
+    ClosedLoopSetup setup = MakeThrottleSetup(1.01, seed);
+    setup.rotor_speed_from_commands = true;
+    setup.world.rotor_rate_hz = 0.0;
+    const ClosedLoopFlight flight = FlyClosedLoop(setup);
+    EXPECT_EQ(flight.crash, "");
+    EXPECT_TRUE(flight.log.rotors.empty());
+    EXPECT_LT(ErrorsBetween(flight, 10.0, 21.0).rmse_m.norm(), 0.04);
+    ASSERT_TRUE(flight.accepted);
+    EXPECT_NEAR(Accepted(flight, "thrust.k_f") / Truth(setup, "thrust.k_f"), 1.0, 0.03) << seed;
+    std::printf("from commands: k_f %.4f of truth, RMSE %.4f m\n",
+                Accepted(flight, "thrust.k_f") / Truth(setup, "thrust.k_f"),
+                ErrorsBetween(flight, 10.0, 21.0).rmse_m.norm());
+  }
+}
+
+// The true actuator is inverted for whoever commands speeds.
+TEST(ClosedLoopFlight, FliesRotorSpeedsOfAVehicleWithAnActuator) {
+  ClosedLoopSetup setup = MakeThrottleSetup(1.03);
+  setup.by_throttle = false;
+  setup.vehicle.actuator.reset();
+  const ClosedLoopFlight flight = FlyClosedLoop(setup);
+  EXPECT_EQ(flight.crash, "");
+  EXPECT_LT(ErrorsBetween(flight, 10.0, 21.0).rmse_m.norm(), 0.02);
+  setup.by_throttle = true;
+  EXPECT_THROW(FlyClosedLoop(setup), std::invalid_argument);
 }
 
 TEST(ClosedLoopFlight, SurvivesAJumpOfTheOdometry) {

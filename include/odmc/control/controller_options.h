@@ -21,6 +21,8 @@ struct ControllerOptions {
   /// Rotor speeds are commanded this many times as far beyond the measured ones as they shall go,
   /// which makes motors faster; 1: not at all.
   double motor_lead = 1.5;
+  /// Of the battery until the first reading, for vehicles with an actuator [V], > 0.
+  double nominal_battery_voltage_V = 15.2;
   // Gains; zero: derived from the motors, see GainsFor().
   Eigen::Vector3d position_gain_1_s2 = Eigen::Vector3d::Zero();
   Eigen::Vector3d velocity_gain_1_s = Eigen::Vector3d::Zero();
@@ -44,6 +46,7 @@ struct ControllerOptions {
   void Visit(Visitor* v) {
     v->Field("motor_time_constant_s", &motor_time_constant_s);
     v->Field("motor_lead", &motor_lead);
+    v->Field("nominal_battery_voltage_V", &nominal_battery_voltage_V);
     v->Field("position_gain_1_s2", &position_gain_1_s2);
     v->Field("velocity_gain_1_s", &velocity_gain_1_s);
     v->Field("attitude_gain_1_s", &attitude_gain_1_s);

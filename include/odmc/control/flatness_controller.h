@@ -31,6 +31,7 @@ struct ControlCommand {
   Stamp stamp = 0;
   ControlMode mode = ControlMode::kIdle;
   RotorVector rotor_speed;                               ///< n×1 [rad/s]
+  RotorVector throttle;  ///< the same goal for ESCs, n×1, 0 to 1; empty without an actuator
   double collective_thrust_N = 0.0;                      ///< along body z
   Eigen::Vector3d w_WB_B_cmd = Eigen::Vector3d::Zero();  ///< body rates [rad/s]
   Eigen::Quaterniond q_WB_cmd = Eigen::Quaterniond::Identity();
@@ -48,10 +49,17 @@ struct ControlCommand {
 ///
 /// f_air and τ_air come from the model's own effects; what a centre of mass off the origin does to
 /// torques is in the allocation (hubs seen from Bcm), what it does to forces in T_c. Reference
-/// rates account for the drag along the reference. Links no solver. Thread-compatible.
+/// rates account for the drag along the reference.
+///
+/// Where the vehicle has an actuator, the goals Omega_c of the rotor speeds become throttles, too, by
+/// the actuator's inverse at the newest battery voltage. The motors are asked for
+///   dOmega/dt = motor_lead (Omega_c - Omega) / motor_time_constant_s
+/// at the measured speed Omega, which is the lag the gains were made for at any speed; rotor_speed
+/// commands reach it near hover only. Without fresh speeds: for the steady Omega_c.
+/// Links no solver. Thread-compatible.
 class FlatnessController {
  public:
-  /// @param model to start with, at its prior values
+  /// @param model to start with, at its prior values; its vehicle's actuator, if any, is believed
   /// @throws std::invalid_argument for options that are not valid or a vehicle that can't be flown
   FlatnessController(const ControllerOptions& options, std::shared_ptr<const DynamicModel> model);
 
@@ -62,6 +70,7 @@ class FlatnessController {
   void Add(const OdometrySample& sample);
   void Add(const ImuSample& sample);
   void Add(const RotorSample& sample);
+  void Add(const BatterySample& sample);
 
   /// One control step at `now`; to be called at a steady rate, in the order of time.
   /// @param reference nothing: idle
@@ -91,6 +100,7 @@ class FlatnessController {
   Eigen::Vector3d Rates(Stamp now) const;
   RotorVector RotorSpeeds() const;
   RotorVector Driven(const RotorVector& goal, Stamp now) const;
+  RotorVector Throttle(const RotorVector& goal, Stamp now) const;
   void BuildAllocation();
 
   ControllerOptions options_;
@@ -103,6 +113,7 @@ class FlatnessController {
   LowPass rate_filter_, torque_filter_;
   std::optional<ImuSample> imu_;
   std::optional<RotorSample> rotors_;
+  std::optional<double> voltage_V_;  // of the battery, newest
   Eigen::Vector3d odometry_rates_ = Eigen::Vector3d::Zero();  // of the body, newest [rad/s]
   std::optional<Stamp> last_update_;
   long jumps_ = 0;

@@ -31,6 +31,12 @@ struct ClosedLoopSetup {
   std::optional<ParameterSet> warm_start;  ///< saved from an earlier flight: offered at the start
   bool estimates = true;             ///< false: the controller keeps the vehicle file's parameters
   double estimator_dies_at_s = 0.0;  ///< killed in flight; 0: never
+  /// Flown by throttles: the controller inverts the actuator of `vehicle`, what flies is that of
+  /// `truth_model`.
+  bool by_throttle = false;
+  /// Estimator and controller get rotor speeds from commands and battery voltage by the actuator of
+  /// `vehicle`; those of the sensor are recorded only.
+  bool rotor_speed_from_commands = false;
   int seed = 1;
 };
 
@@ -69,7 +75,8 @@ struct ClosedLoopFlight {
 /// trajectories without end) `longest_s` have passed. The same setup gives the same flight, except
 /// for the times it took. A crash is contact with the ground outside take-off and landing, a tilt
 /// above 120 deg or an error above 2 m.
-/// @throws std::invalid_argument for options that are not valid
+/// @throws std::invalid_argument for options that are not valid, and for throttles or rotor speeds
+///   from commands without the actuators these take
 ClosedLoopFlight FlyClosedLoop(const ClosedLoopSetup& setup, double longest_s = 60.0);
 
 /// Errors of the samples that count and lie in [from_s, to_s).
