@@ -19,6 +19,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "odmc/io/actuator_yaml.h"
 #include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
@@ -96,6 +97,39 @@ Vehicle ReadVehicle(const EstimatorNodeOptions& options, const ros::NodeHandle& 
   return VehicleFromUrdf(urdf, options.rotor_radius_m);
 }
 
+/// Puts the actuator of the parameter in place of the vehicle file's and sees whether the node can
+/// use what there is.
+void SettleActuator(const EstimatorNodeOptions& options, Vehicle* vehicle) {
+  const std::string& file = options.actuator;
+  const bool from_commands = options.rotor_speed_from == "commands";
+  std::string source = "the vehicle file's actuator: ";
+  try {
+    if (!file.empty()) {
+      source = "parameter actuator: ";
+      vehicle->actuator = LoadActuator(file);
+      source += file + ": ";
+    }
+    // Steady readings can't watch a sensor; what the vehicle file knows beyond that still counts.
+    const bool is_used = from_commands || !file.empty() ||
+                         (vehicle->actuator && vehicle->actuator->knows_dynamics);
+    if (vehicle->actuator && is_used) {
+      RotorSource(*vehicle->actuator, vehicle->num_rotors(), from_commands);
+    }
+  } catch (const std::invalid_argument& e) {
+    throw std::invalid_argument(source + e.what());
+  }
+  if (from_commands && !vehicle->actuator) {
+    throw std::invalid_argument(
+        "parameter rotor_speed_from is commands, but the actuator is not known: set the parameter "
+        "actuator to an actuator.yaml of calibrate_actuator, or name it in the vehicle file");
+  }
+}
+
+RotorIntake IntakeOf(const EstimatorNodeSetup& setup) {
+  const bool from_commands = setup.options.rotor_speed_from == "commands";
+  return {from_commands, from_commands && setup.vehicle.actuator->uses_voltage};
+}
+
 }  // namespace
 
 // ---- Set-up ------------------------------------------------------------------------------------
@@ -107,6 +141,9 @@ bool EstimatorNodeOptions::IsValid(std::string* error) const {
   };
   if (twist_frame != "auto" && twist_frame != "body" && twist_frame != "world") {
     return fail("twist_frame must be auto, body or world, not '" + twist_frame + "'");
+  }
+  if (rotor_speed_from != "sensor" && rotor_speed_from != "commands") {
+    return fail("rotor_speed_from must be sensor or commands, not '" + rotor_speed_from + "'");
   }
   if (on_time_reset != "restart" && on_time_reset != "stop") {
     return fail("on_time_reset must be restart or stop, not '" + on_time_reset + "'");
@@ -142,6 +179,7 @@ EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
   if (!setup.options.parameters_file.empty()) {
     ApplyParameters(LoadParameters(setup.options.parameters_file), &setup.vehicle);
   }
+  SettleActuator(setup.options, &setup.vehicle);
   if (!setup.options.output_dir.empty()) {
     std::error_code failed;
     std::filesystem::create_directories(setup.options.output_dir, failed);
@@ -160,7 +198,7 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
       node_(node),
       declared_effects_(setup_.vehicle.effects),
       declared_parameters_(setup_.vehicle.parameters),
-      intake_(setup_.options.twist_frame),
+      intake_(setup_.options.twist_frame, IntakeOf(setup_)),
       acceptance_(setup_.options.acceptance) {
   parameters_publisher_ = node_.advertise<DynamicParameters>("parameters", 10);
   accepted_publisher_ = node_.advertise<DynamicParameters>("parameters_accepted", 1, true);
@@ -170,6 +208,11 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
   diagnostics_publisher_ = node_.advertise<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10);
   image_publisher_ = node_.advertise<sensor_msgs::Image>("live_image", 1);
   tf_listener_ = std::make_unique<tf2_ros::TransformListener>(tf_buffer_);
+  const std::optional<Actuator>& actuator = setup_.vehicle.actuator;
+  if (actuator && actuator->knows_dynamics) {
+    rotor_source_.emplace(*actuator, setup_.vehicle.num_rotors(), IntakeOf(setup_).from_commands);
+    status_.rotors = RotorsNow();
+  }
   status_.waiting_for = intake_.WaitingFor();
   const bool watches = setup_.options.residual_watch.residual_watch_period_s > 0.0;
   status_.watches_residual = watches;
@@ -182,6 +225,8 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
   Subscribe<RotorSpeeds>("rotor_speeds", InputStream::kRotorSpeeds);
   Subscribe<sensor_msgs::JointState>("joint_states", InputStream::kJointStates);
   Subscribe<sensor_msgs::BatteryState>("battery_state", InputStream::kBatteryState);
+  // Nobody could make anything of commands without the actuator.
+  if (rotor_source_) Subscribe<MotorCommands>("motor_commands", InputStream::kMotorCommands);
   Offer(private_node);
 }
 
@@ -206,7 +251,7 @@ std::optional<InputSample> EstimatorNode::Convert(const Message& message) const 
     if (!input) return std::nullopt;
     return InputSample(*std::move(input));
   };
-  if constexpr (std::is_same_v<Message, RotorSpeeds>) {
+  if constexpr (std::is_same_v<Message, RotorSpeeds> || std::is_same_v<Message, MotorCommands>) {
     return wrap(ToInput(message, setup_.vehicle.num_rotors()));
   } else if constexpr (std::is_same_v<Message, sensor_msgs::JointState>) {
     return wrap(ToInput(message, setup_.vehicle.num_rotors(), joint_scale_));
@@ -399,7 +444,9 @@ void EstimatorNode::Process(std::deque<InputSample>* batch) {
   }
   batch->clear();
   if (!estimator_ || stopped_by_clock_) return;
-  for (const Sample& sample : intake_.Take()) Feed(sample);
+  const std::vector<Sample> samples = intake_.Take();
+  FindVoltage(samples);
+  for (const Sample& sample : samples) Feed(sample);
 }
 
 void EstimatorNode::OnClockStepBack() {
@@ -412,6 +459,7 @@ void EstimatorNode::OnClockStepBack() {
     status_.fatal = "the clock stepped back and on_time_reset is stop";
   } else if (estimator_) {
     estimator_->RestartChain();
+    if (rotor_source_) rotor_source_->Restart();
     acceptance_.Reset();
     if (watch_) watch_->Clear();
     const std::lock_guard<std::mutex> lock(status_mutex_);
@@ -489,19 +537,89 @@ void EstimatorNode::Start() {
   if (!intake_.uses_pose() && !intake_.has_velocity()) Warn("the odometry has no linear twist");
   if (!intake_.uses_pose() && !intake_.has_rates()) Warn("the odometry has no angular twist");
   intake_.Release();
-  ROS_INFO("estimating %s from %s%s", setup_.vehicle.name.c_str(),
+  ROS_INFO("estimating %s from %s%s%s", setup_.vehicle.name.c_str(),
            intake_.uses_pose() ? "poses" : "odometry",
-           intake_.frame() == TwistFrame::kWorld ? ", twist in the world frame" : "");
+           intake_.frame() == TwistFrame::kWorld ? ", twist in the world frame" : "",
+           IntakeOf(setup_).from_commands ? ", rotor speeds from commands" : "");
+}
+
+// The first voltage stands in for those before it, as in recorded flights.
+void EstimatorNode::FindVoltage(const std::vector<Sample>& samples) {
+  if (!rotor_source_ || has_voltage_) return;
+  for (const Sample& sample : samples) {
+    const auto* battery = std::get_if<BatterySample>(&sample);
+    if (battery == nullptr || !(battery->voltage_V > 0.0)) continue;
+    rotor_source_->Add(*battery);
+    has_voltage_ = true;
+    return;
+  }
 }
 
 void EstimatorNode::Feed(const Sample& sample) {
-  if (const auto* imu = std::get_if<ImuSample>(&sample)) {
-    if (ignores_imu_) return;  // it came after the model was made: its mount is not known
-    estimator_->Add(*imu);
+  if (const auto* command = std::get_if<CommandSample>(&sample)) {
+    Settle(*command);
+  } else if (const auto* rotors = std::get_if<RotorSample>(&sample)) {
+    Settle(*rotors);
   } else {
-    std::visit([this](const auto& s) { estimator_->Add(s); }, sample);
+    const auto* battery = std::get_if<BatterySample>(&sample);
+    if (battery != nullptr && rotor_source_) rotor_source_->Add(*battery);
+    Observe(sample);
   }
-  if (watch_) std::visit([this](const auto& s) { watch_->Add(s); }, sample);
+}
+
+void EstimatorNode::Settle(const CommandSample& sample) {
+  if (!rotor_source_) return;
+  has_commands_ = true;
+  if (const std::optional<RotorSample> modelled = rotor_source_->Add(sample)) Observe(*modelled);
+}
+
+void EstimatorNode::Settle(const RotorSample& sample) {
+  // Of the root mean square of all rotors no single one can be told to be bad.
+  if (!rotor_source_ || intake_.rms_only()) return Observe(sample);
+  const std::optional<RotorSample> settled = rotor_source_->Add(sample);
+  TellFaults();
+  if (settled) Observe(*settled);
+}
+
+void EstimatorNode::TellFaults() {
+  for (const RotorFault& fault : rotor_source_->TakeFaults()) {
+    ROS_WARN("%s from %.3f s: %s%s", RotorName(fault.rotor).c_str(), ToSeconds(fault.stamp),
+             fault.reason.c_str(), fault.failed ? "; speeds from its commands stand in" : "");
+    if (fault.failed) {
+      ++rotor_faults_;
+      bad_sensors_[fault.rotor] = fault;
+    } else {
+      bad_sensors_.erase(fault.rotor);
+    }
+  }
+}
+
+RotorStatus EstimatorNode::RotorsNow() const {
+  RotorStatus status;
+  status.from_commands = rotor_source_->from_commands();
+  const bool has_drive = has_voltage_ || !setup_.vehicle.actuator->uses_voltage;
+  status.is_watching =
+      !status.from_commands && has_commands_ && has_drive && !intake_.rms_only();
+  for (const auto& [rotor, fault] : bad_sensors_) status.bad.push_back(fault);
+  status.replaced = rotor_source_->replaced();
+  status.faults = rotor_faults_;
+  return status;
+}
+
+// What estimator and watch get to see.
+void EstimatorNode::Observe(const Sample& sample) {
+  const auto add_to = [&sample](auto* sink) {
+    std::visit(
+        [sink](const auto& s) {
+          using Kind = std::decay_t<decltype(s)>;
+          if constexpr (!std::is_same_v<Kind, CommandSample>) sink->Add(s);
+        },
+        sample);
+  };
+  // An IMU that came after the model was made: its mount is not known.
+  if (std::holds_alternative<ImuSample>(sample) && ignores_imu_) return;
+  add_to(estimator_.get());
+  if (watch_) add_to(watch_.get());
   StepWhileThereIsMore();
 }
 
@@ -653,6 +771,7 @@ void EstimatorNode::ShareStatus() {
   s.stale = intake_.stale();
   s.forgotten = intake_.forgotten();
   s.not_finite = not_finite_;
+  if (rotor_source_) s.rotors = RotorsNow();
   s.waiting_for = intake_.WaitingFor();
   if (intake_.phase() == IntakePhase::kRefused) {
     s.fatal = "the twist of the odometry fits neither frame: " + intake_.twist().Describe() +
@@ -663,6 +782,10 @@ void EstimatorNode::ShareStatus() {
   if (!estimator_) return;
   if (!s.model) s.model = model_;
   s.waiting_for = estimator_->waiting_for();
+  const bool from_commands = rotor_source_ && rotor_source_->from_commands();
+  if (from_commands && s.waiting_for == NameOf(InputStream::kRotorSpeeds)) {
+    s.waiting_for = NameOf(InputStream::kMotorCommands);
+  }
   s.airborne = estimator_->airborne();
   s.counters = estimator_->counters();
   s.stream_counters = estimator_->stream_counters();
@@ -825,6 +948,7 @@ void EstimatorNode::PublishDiagnostics(const std::array<StreamStatus, kNumInputS
   const std::string name = ros::this_node::getName();
   message.status.push_back(EstimatorDiagnostic(status, name + ": estimator"));
   message.status.push_back(UnexplainedDiagnostic(status, name + ": unexplained"));
+  if (status.rotors) message.status.push_back(RotorDiagnostic(*status.rotors, name + ": rotors"));
   message.status.push_back(InputDiagnostic(streams, before, seconds, name + ": inputs"));
   diagnostics_publisher_.publish(message);
 }
@@ -854,6 +978,10 @@ void EstimatorNode::PublishLiveImage() {
                 status.update_ms_p99);
   texts.details = details;
   texts.warnings = status.unphysical;
+  if (status.rotors) {
+    const std::vector<std::string> bad = status.rotors->Sentences();
+    texts.warnings.insert(texts.warnings.end(), bad.begin(), bad.end());
+  }
   texts.warnings.insert(texts.warnings.end(), status.warnings.begin(), status.warnings.end());
   image_publisher_.publish(
       ToMessage(DrawLiveImage(*status.model, history, status.observable, texts)));

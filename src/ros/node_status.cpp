@@ -1,6 +1,7 @@
 #include "odmc/ros/node_status.h"
 
 #include <cmath>
+#include <cstdio>
 
 #include "odmc/ros/diagnostic_values.h"
 
@@ -19,6 +20,9 @@ void SetLevel(const NodeStatus& s, DiagnosticStatus* status) {
     return set(DiagnosticStatus::ERROR, "the estimate was not finite and was not published");
   }
   if (!s.unphysical.empty()) return set(DiagnosticStatus::WARN, Join(s.unphysical));
+  if (s.rotors && !s.rotors->bad.empty()) {
+    return set(DiagnosticStatus::WARN, Join(s.rotors->Sentences()));
+  }
   if (!s.warnings.empty()) return set(DiagnosticStatus::WARN, Join(s.warnings));
   if (!s.waiting_for.empty() && !s.airborne) {
     return set(DiagnosticStatus::OK, "waiting for " + s.waiting_for);
@@ -48,11 +52,29 @@ void PutCounters(const NodeStatus& s, DiagnosticStatus* status) {
   Put("queued", static_cast<long>(s.queued), status);
 }
 
+/// Seconds as in message headers, to the millisecond.
+std::string StampText(Stamp stamp) {
+  char text[40];
+  std::snprintf(text, sizeof text, "%.3f", ToSeconds(stamp));
+  return text;
+}
+
 }  // namespace
+
+std::string RotorName(int rotor) { return "rotor" + std::to_string(rotor + 1); }
+
+std::vector<std::string> RotorStatus::Sentences() const {
+  std::vector<std::string> sentences;
+  for (const RotorFault& fault : bad) {
+    sentences.push_back(RotorName(fault.rotor) + ": " + fault.reason);
+  }
+  return sentences;
+}
 
 const char* NameOf(InputStream stream) {
   constexpr std::array<const char*, kNumInputStreams> kNames = {
-      "odometry", "pose", "imu", "rotor_speeds", "joint_states", "battery_state"};
+      "odometry", "pose", "imu", "rotor_speeds", "joint_states", "battery_state",
+      "motor_commands"};
   return kNames[static_cast<size_t>(stream)];
 }
 
@@ -71,6 +93,7 @@ DiagnosticStatus EstimatorDiagnostic(const NodeStatus& s, const std::string& nam
   Put("unobservable", Join(s.unobservable), &status);
   Put("warnings", Join(s.warnings), &status);
   Put("unphysical", Join(s.unphysical), &status);
+  if (s.rotors) Put("bad_rotor_sensors", Join(s.rotors->Sentences()), &status);
   Put("twist_frame", s.twist, &status);
   PutCounters(s, &status);
   Put("states_in_window", static_cast<long>(s.states_in_window), &status);
@@ -114,6 +137,28 @@ DiagnosticStatus UnexplainedDiagnostic(const NodeStatus& s, const std::string& n
   Put("in_a_row", static_cast<long>(r.in_a_row), &status);
   Put("flight_s", r.flight_s, &status);
   Put("added_effects", added, &status);
+  return status;
+}
+
+DiagnosticStatus RotorDiagnostic(const RotorStatus& r, const std::string& name) {
+  DiagnosticStatus status;
+  status.name = name;
+  status.level = r.bad.empty() ? DiagnosticStatus::OK : DiagnosticStatus::WARN;
+  status.message = !r.bad.empty()  ? Join(r.Sentences()) + "; speeds from its commands stand in"
+                   : r.from_commands ? "speeds come from commands"
+                   : r.is_watching   ? "sensors agree with commands"
+                                     : "no commands and voltage yet: sensors are not watched";
+  Put("rotor_speed_from", r.from_commands ? "commands" : "sensor", &status);
+  Put("watching", r.is_watching, &status);
+  std::vector<std::string> names;
+  for (const RotorFault& fault : r.bad) names.push_back(RotorName(fault.rotor));
+  Put("bad_sensors", Join(names), &status);
+  for (const RotorFault& fault : r.bad) {
+    Put(RotorName(fault.rotor), fault.reason, &status);
+    Put(RotorName(fault.rotor) + "_since_s", StampText(fault.stamp), &status);
+  }
+  Put("faults", r.faults, &status);
+  Put("replaced_readings", r.replaced, &status);
   return status;
 }
 

@@ -12,13 +12,21 @@ constexpr double kStepBack_s = 0.5;  // less is a late sample
 constexpr double kMoved_m = 0.1;     // so far with a twist of zeros: the source has no twist
 constexpr double kTurned_rad = 0.1;
 
-enum StreamIndex { kOdometry, kPose, kImu, kRotors, kJoints, kBattery };
+enum StreamIndex { kOdometry, kPose, kImu, kRotors, kJoints, kBattery, kCommands };
 
 Stamp StampOf(const InputSample& input) {
   if (const auto* o = std::get_if<OdometryInput>(&input)) return o->sample.stamp;
   if (const auto* i = std::get_if<ImuInput>(&input)) return i->sample.stamp;
   if (const auto* r = std::get_if<RotorInput>(&input)) return r->sample.stamp;
-  return std::get<BatterySample>(input).stamp;
+  if (const auto* b = std::get_if<BatterySample>(&input)) return b->stamp;
+  return std::get<CommandSample>(input).stamp;
+}
+
+/// Of samples with the same stamp: a command acts at the voltage of its stamp and after it.
+int Turn(const Sample& sample) {
+  if (std::holds_alternative<BatterySample>(sample)) return 0;
+  if (std::holds_alternative<CommandSample>(sample)) return 1;
+  return std::holds_alternative<OdometrySample>(sample) ? 3 : 2;
 }
 
 /// The order in which a recorded flight is fed: rotors and IMU up to an odometry, then it.
@@ -28,7 +36,7 @@ bool IsBefore(const Sample& a, const Sample& b) {
   };
   const Stamp stamp_a = stamp_of(a), stamp_b = stamp_of(b);
   if (stamp_a != stamp_b) return stamp_a < stamp_b;
-  return std::holds_alternative<OdometrySample>(b) && !std::holds_alternative<OdometrySample>(a);
+  return Turn(a) < Turn(b);
 }
 
 }  // namespace
@@ -37,7 +45,7 @@ int SampleIntake::StreamOf(const InputSample& input) {
   if (const auto* o = std::get_if<OdometryInput>(&input)) return o->is_pose ? kPose : kOdometry;
   if (std::holds_alternative<ImuInput>(input)) return kImu;
   if (const auto* r = std::get_if<RotorInput>(&input)) return r->from_joints ? kJoints : kRotors;
-  return kBattery;
+  return std::holds_alternative<BatterySample>(input) ? kBattery : kCommands;
 }
 
 bool SampleIntake::Push(InputSample input) {
@@ -101,7 +109,7 @@ void SampleIntake::Observe(const InputSample& input) {
   } else if (const auto* imu = std::get_if<ImuInput>(&input)) {
     if (!imu_frame_id_) imu_frame_id_ = imu->frame_id;
   } else if (const auto* rotors = std::get_if<RotorInput>(&input)) {
-    rms_only_ = rms_only_ || rotors->rms_only;
+    rms_only_ = rms_only_ || (rotors->rms_only && !rotors_.from_commands);
   }
 }
 
@@ -129,8 +137,11 @@ void SampleIntake::Decide() {
     return first_[stream] ? ToSeconds(*last_[stream] - *first_[stream]) : -1.0;
   };
   const double poses_s = std::max(seen_for(kOdometry), seen_for(kPose));
-  const double rotors_s = std::max(seen_for(kRotors), seen_for(kJoints));
+  const double rotors_s = rotors_.from_commands
+                              ? seen_for(kCommands)
+                              : std::max(seen_for(kRotors), seen_for(kJoints));
   if (poses_s < kSettle_s || rotors_s < kSettle_s) return;
+  if (rotors_.needs_voltage && !first_[kBattery]) return;
   use_pose_ = !first_[kOdometry];
   use_joints_ = !first_[kRotors];
   if (!use_pose_ && !TwistIsKnown()) return;
@@ -161,7 +172,12 @@ bool SampleIntake::TwistIsKnown() {
 std::string SampleIntake::WaitingFor() const {
   if (phase_ != IntakePhase::kHolding || decided_) return "";
   if (!first_[kOdometry] && !first_[kPose]) return "odometry or pose";
-  if (!first_[kRotors] && !first_[kJoints]) return "rotor_speeds or joint_states";
+  if (rotors_.from_commands) {
+    if (!first_[kCommands]) return "motor_commands";
+  } else if (!first_[kRotors] && !first_[kJoints]) {
+    return "rotor_speeds or joint_states";
+  }
+  if (rotors_.needs_voltage && !first_[kBattery]) return "battery_state";
   if (first_[kOdometry] && saw_linear_ && has_nonzero_linear_ && twist_frame_ == "auto" &&
       !detector_.decided()) {
     return "motion that tells the frame of the twist (or say so: twist_frame)";
@@ -194,13 +210,16 @@ void SampleIntake::Pass(const InputSample& input) {
                                                  : Eigen::Vector3d(sample.q_WS * *odometry->linear);
     }
     if (!has_angular_) sample.w_WS_S.reset();
-    ready_.push_back(sample);
+    ready_.emplace_back(sample);
   } else if (const auto* imu = std::get_if<ImuInput>(&input)) {
-    ready_.push_back(imu->sample);
+    ready_.emplace_back(imu->sample);
   } else if (const auto* rotors = std::get_if<RotorInput>(&input)) {
-    if (rotors->from_joints == use_joints_) ready_.push_back(rotors->sample);
+    const bool wanted = rotors->from_joints == use_joints_ && !rotors_.from_commands;
+    if (wanted) ready_.emplace_back(rotors->sample);
+  } else if (const auto* battery = std::get_if<BatterySample>(&input)) {
+    ready_.emplace_back(*battery);
   } else {
-    ready_.push_back(std::get<BatterySample>(input));
+    ready_.emplace_back(std::get<CommandSample>(input));
   }
 }
 

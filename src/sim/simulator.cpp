@@ -2,12 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <stdexcept>
 #include <utility>
 
 #include "odmc/sim/disturbance.h"
 #include "odmc/sim/gaussian.h"
 #include "odmc/sim/hanging_load.h"
+#include "odmc/sim/motor_drive.h"
 #include "odmc/sim/random_streams.h"
 #include "odmc/sim/sensors.h"
 #include "odmc/sim/tracking_controller.h"
@@ -31,6 +33,14 @@ int PiecesOf(double whole, double longest) {
   return std::max(1, static_cast<int>(std::ceil(whole / longest - 1e-6)));
 }
 
+double BatteryVoltage(const SimulationNoise& noise, double time_s) {
+  return std::max(0.0, noise.battery_start_V + noise.battery_slope_V_s * time_s);
+}
+
+MotorLag MotorsOf(const Vehicle& vehicle) {
+  return vehicle.actuator ? MotorLag::Of(*vehicle.actuator, vehicle.num_rotors()) : MotorLag();
+}
+
 // The vehicle, its pilot and the world, advanced in control periods.
 class ClosedLoop {
  public:
@@ -43,7 +53,7 @@ class ClosedLoop {
         pilot_(body),
         trajectory_(options.trajectory, options.ground_s),
         ground_s_(options.ground_s),
-        feedback_rate_(noise.feedback_rate_rad_s),
+        noise_(noise),
         disturbance_(body.model().vehicle(), noise.force_N, noise.torque_Nm, options.seed),
         feedback_(options.seed, kFeedbackStream),
         on_ground_(options.ground_s > 0.0) {
@@ -53,31 +63,39 @@ class ClosedLoop {
     state_.rotor_speed = pilot_.HoverSpeeds();
     if (on_ground_) state_.rotor_speed.setZero();
     command_ = state_.rotor_speed;
+    const Vehicle& vehicle = body.model().vehicle();
+    if (!vehicle.actuator) return;
+    drive_.emplace(*vehicle.actuator, vehicle.num_rotors());
+    drive_->Start(drive_->ThrottleFor(command_, BatteryVoltage(noise, 0.0)));
   }
 
   // Chooses what the rotors are told from `time_s` on, and lets go of the ground.
   void Control(double time_s) {
     RigidBodyState seen = state_;
-    seen.w_WB_B += feedback_rate_ * feedback_.Next3();
+    seen.w_WB_B += noise_.feedback_rate_rad_s * feedback_.Next3();
     if (time_s < ground_s_) {
-      command_ = std::sqrt(kSpoolThrustOverHover) * time_s / ground_s_ * pilot_.HoverSpeeds();
+      Tell(time_s, std::sqrt(kSpoolThrustOverHover) * time_s / ground_s_ * pilot_.HoverSpeeds());
       return;
     }
     const FlatReference reference = trajectory_.At(time_s);
     CheckFollows(time_s, reference);
-    command_ = pilot_.Command(time_s, seen, reference);
+    Tell(time_s, pilot_.Command(time_s, seen, reference));
     if (on_ground_) on_ground_ = !LiftsOff(time_s);
   }
 
   void Step(double time_s, double step_s) {
     if (on_ground_) {
-      state_.rotor_speed = body_.motor().After(state_.rotor_speed, command_, step_s);
+      Drive(time_s, step_s, [&](double, const RotorVector& speed_cmd, double piece_s) {
+        state_.rotor_speed = body_.motor().After(state_.rotor_speed, speed_cmd, piece_s);
+      });
       return;
     }
     variation_.Apply(time_s, &body_);
     const BodyWrench external = ExternalAt(time_s);
     load_.Swing(body_, time_s, command_, external, step_s, &state_);
-    state_ = body_.Step(time_s, state_, command_, external, step_s);
+    Drive(time_s, step_s, [&](double at_s, const RotorVector& speed_cmd, double piece_s) {
+      state_ = body_.Step(at_s, state_, speed_cmd, external, piece_s);
+    });
   }
 
   TruthSample Sample(Stamp stamp) {
@@ -88,7 +106,32 @@ class ClosedLoop {
     return sample;
   }
 
+  // What the ESCs were told; empty for a vehicle without an actuator.
+  std::vector<CommandSample> TakeCommands() { return std::move(commands_); }
+
  private:
+  // Speeds to hold from `time_s` on; where there is an actuator, the throttles that hold them.
+  void Tell(double time_s, const RotorVector& speed_cmd) {
+    command_ = speed_cmd;
+    if (!drive_) return;
+    const double voltage = BatteryVoltage(noise_, time_s);
+    drive_->Command(time_s, drive_->ThrottleFor(speed_cmd, voltage));
+    command_ = drive_->SteadySpeeds(voltage);
+    commands_.push_back({FromSeconds(time_s), drive_->throttle()});
+  }
+
+  // Calls `move` with the speeds the motors are driven to, piece by piece.
+  template <typename Move>
+  void Drive(double time_s, double step_s, const Move& move) {
+    if (!drive_) {
+      move(time_s, command_, step_s);
+      return;
+    }
+    const double voltage = BatteryVoltage(noise_, time_s);
+    drive_->Advance(time_s, step_s, voltage, move);
+    command_ = drive_->SteadySpeeds(voltage);
+  }
+
   // White noise, and what nobody's model knows.
   BodyWrench ExternalAt(double time_s) {
     const BodyWrench& wrench = disturbance_.At(time_s);
@@ -124,15 +167,18 @@ class ClosedLoop {
   TrackingController pilot_;
   Trajectory trajectory_;
   double ground_s_;
-  double feedback_rate_;
+  SimulationNoise noise_;
   Disturbance disturbance_;
   Gaussian feedback_;
   bool on_ground_;
   RigidBodyState state_;
-  RotorVector command_;
+  std::optional<MotorDrive> drive_;
+  RotorVector command_;  // speeds the motors are driven to
+  std::vector<CommandSample> commands_;
 };
 
-std::vector<TruthSample> Fly(const RigidBody& body, const ModelValues& truth_values,
+// Truth, and the commands in the log.
+SimulatedFlight Fly(const RigidBody& body, const ModelValues& truth_values,
                              const SimulationOptions& options, const SimulationNoise& noise,
                              const Unmodelled& unmodelled) {
   const Stamp period = static_cast<Stamp>(std::llround(1e9 / options.log_rate_hz));
@@ -143,18 +189,19 @@ std::vector<TruthSample> Fly(const RigidBody& body, const ModelValues& truth_val
   const long num_samples = std::lround(options.duration_s / period_s) + 1;
 
   ClosedLoop loop(body, truth_values, options, noise, unmodelled);
-  std::vector<TruthSample> truth;
-  truth.reserve(static_cast<size_t>(num_samples));
+  SimulatedFlight flight;
+  flight.truth.reserve(static_cast<size_t>(num_samples));
   for (long k = 0; k < num_samples; ++k) {
     const Stamp stamp = k * period;
     for (int i = 0; i < num_controls * num_steps; ++i) {
       const double time_s = ToSeconds(stamp) + i * step_s;
       if (i % num_steps == 0) loop.Control(time_s);
-      if (i == 0) truth.push_back(loop.Sample(stamp));
+      if (i == 0) flight.truth.push_back(loop.Sample(stamp));
       loop.Step(time_s, step_s);
     }
   }
-  return truth;
+  flight.log.commands = loop.TakeCommands();
+  return flight;
 }
 
 std::vector<OdometrySample> RecordOdometry(const std::vector<TruthSample>& truth,
@@ -219,8 +266,7 @@ std::vector<BatterySample> RecordBattery(const std::vector<TruthSample>& truth,
   std::vector<BatterySample> samples;
   samples.reserve(truth.size());
   for (const TruthSample& at : truth) {
-    const double voltage = noise.battery_start_V + noise.battery_slope_V_s * ToSeconds(at.stamp);
-    samples.push_back({at.stamp, std::max(0.0, voltage)});
+    samples.push_back({at.stamp, BatteryVoltage(noise, ToSeconds(at.stamp))});
   }
   return samples;
 }
@@ -287,9 +333,8 @@ SimulatedFlight Simulate(const DynamicModel& model, const ModelValues& truth,
   if (truth.size() != model.num_parameters() || !truth.allFinite()) {
     throw std::invalid_argument("the true values must be one finite number per model parameter");
   }
-  const RigidBody body(model, truth);
-  SimulatedFlight flight;
-  flight.truth = Fly(body, truth, options, noise, unmodelled);
+  const RigidBody body(model, truth, MotorsOf(model.vehicle()));
+  SimulatedFlight flight = Fly(body, truth, options, noise, unmodelled);
   flight.log.file = options.trajectory;
   flight.log.odometry = RecordOdometry(flight.truth, body.properties(), noise, options.seed);
   flight.log.rotors = RecordRotors(flight.truth, noise, options.seed);

@@ -9,10 +9,12 @@
 #include <map>
 #include <optional>
 
+#include "odmc/actuator/flight_actuator.h"
+#include "odmc/actuator/free_run.h"
 #include "odmc/analysis/recovery.h"
 #include "odmc/analysis/replay.h"
 #include "odmc/sim/truth_vehicle.h"
-#include "support/test_vehicle.h"
+#include "support/test_actuator.h"
 
 namespace odmc {
 namespace {
@@ -195,6 +197,47 @@ TEST(Estimator, EulerFormIsCloseButWorseInDrag) {
   const double truth = flight.truth[d_x];
   EXPECT_LT(std::abs(midpoint.last->values[d_x] - truth),
             std::abs(other.last->values[d_x] - truth));
+}
+
+// ---- Actuators: what `simulate` records is what `calibrate --rotor-speed-from commands` takes ----
+
+TEST(ActuatorFlight, RecordsCommandsThatExplainTheSpeeds) {
+  const Vehicle vehicle = test::VehicleWithActuator();
+  for (const double ground_s : {0.0, 2.0}) {
+    const Flight flight = Fly(vehicle, 10.0, SimulationNoise::None(), ground_s);
+    EXPECT_LT(flight.log.battery.back().voltage_V, flight.log.battery.front().voltage_V - 0.05);
+    ASSERT_EQ(flight.log.commands.size(), flight.log.rotors.size());
+    SpeedPredictor rotor(vehicle.actuator->motors.front());
+    double largest = 0.0, top = 0.0;
+    for (size_t i = 0; i < flight.log.rotors.size(); ++i) {
+      const double t_s = ToSeconds(flight.log.commands[i].stamp);
+      rotor.Command(t_s, flight.log.commands[i].throttle[2], flight.log.battery[i].voltage_V);
+      const double measured = flight.log.rotors[i].speed[2];
+      if (i == 0) rotor.StartAt(t_s, measured);
+      largest = std::max(largest, std::abs(rotor.At(t_s) - measured));
+      top = std::max(top, measured);
+    }
+    EXPECT_LT(largest, 0.1);  // a command's voltage is held, the world's goes on
+    EXPECT_GT(top, 1100.0);
+  }
+  EXPECT_TRUE(Fly(test::NominalVehicle(), 1.0).log.commands.empty());
+}
+
+TEST(ActuatorFlight, ThrustCoefficientComesBackFromCommands) {
+  const Vehicle vehicle = test::VehicleWithActuator();
+  const Flight flight = Fly(vehicle, 25.0);
+  const int k_f = flight.model->IndexOf("thrust.k_f");
+  const double from_sensors = Estimate(flight).last->values[k_f];
+  for (const double gain : {0.99, 1.01}) {
+    Flight seen;
+    seen.model.emplace(vehicle, vehicle.effects);
+    seen.log = flight.log;
+    SettleRotors(test::WithGain(*vehicle.actuator, gain), 4, true, &seen.log);
+    const double from_commands = Estimate(seen).last->values[k_f];
+    EXPECT_NEAR(from_commands / from_sensors, 1.0, 0.03) << gain;
+    std::printf("gain %.2f: k_f from commands %.4f of that from sensors\n", gain,
+                from_commands / from_sensors);
+  }
 }
 
 }  // namespace

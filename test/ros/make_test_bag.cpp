@@ -3,18 +3,23 @@
 //   make_test_bag OUT.bag SECONDS plain    topics as WriteFlightBag() writes them
 //   make_test_bag OUT.bag SECONDS frames   odometry thrice: /in_body, /in_world, /in_neither
 //   make_test_bag OUT.bag SECONDS undeclared  as plain, with a quadratic drag no vehicle file has
+//   make_test_bag OUT.bag SECONDS commands     motor commands, no rotor speeds
+//   make_test_bag OUT.bag SECONDS dead_sensor  motor commands, and rotor 2 reads 0 from the middle on
 
 #include <nav_msgs/Odometry.h>
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
 
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <vector>
 
 #include "odmc/analysis/replay.h"
+#include "odmc/io/actuator_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/ros/flight_bag.h"
 #include "odmc/ros/message_values.h"
@@ -26,6 +31,7 @@ namespace {
 
 const std::string kFolder = ODMC_SOURCE_DIR;
 constexpr double kQuadraticDrag_kg_m = 0.05;
+constexpr int kDeadRotor = 1;
 
 using Json = nlohmann::json;
 
@@ -82,6 +88,42 @@ void WriteFrames(const std::string& from, const std::string& to) {
   }
 }
 
+/// What the ESCs must have been told for the rotors to turn as they did: each command reaches the
+/// speed that the rotor has when the next one begins to act.
+std::vector<CommandSample> CommandsOf(const SimulatedFlight& flight, const Actuator& actuator) {
+  const auto& truth = flight.truth;
+  const double period_s = ToSeconds(truth.at(1).stamp - truth.at(0).stamp);
+  const auto late = static_cast<size_t>(std::lround(actuator.MotorOf(0).delay_s / period_s));
+  std::vector<CommandSample> commands;
+  for (size_t i = 0; i + late + 1 < truth.size(); ++i) {
+    const RotorVector &from = truth[i + late].rotor_speed, &to = truth[i + late + 1].rotor_speed;
+    CommandSample sample{truth[i].stamp, RotorVector(from.size())};
+    for (int j = 0; j < from.size(); ++j) {
+      const double command =
+          actuator.CommandFor(j, 0.5 * (from[j] + to[j]), (to[j] - from[j]) / period_s,
+                              flight.log.battery[i].voltage_V);
+      sample.throttle[j] = ThrottleOf(command, actuator.command_unit);
+    }
+    commands.push_back(sample);
+  }
+  return commands;
+}
+
+/// Gives the flight its commands and takes away a sensor or all.
+Json WithCommands(const std::string& kind, SimulatedFlight* flight) {
+  FlightLog& log = flight->log;
+  log.commands = CommandsOf(*flight, LoadActuator(kFolder + "/test/ros/test_actuator.yaml"));
+  if (kind == "commands") {
+    log.rotors.clear();
+    return nullptr;
+  }
+  const size_t half = log.rotors.size() / 2;
+  for (size_t i = half; i < log.rotors.size(); ++i) log.rotors[i].speed[kDeadRotor] = 0.0;
+  // WriteFlightBag() moves a flight that starts at 0 to 1 s.
+  return {{"rotor", "rotor" + std::to_string(kDeadRotor + 1)},
+          {"since_s", ToSeconds(log.rotors[half].stamp) + 1.0}};
+}
+
 void Run(const std::string& file, double duration_s, const std::string& kind) {
   Vehicle vehicle = LoadVehicle(kFolder + "/config/vehicles/generic.yaml");
   const bool undeclared = kind == "undeclared";
@@ -93,15 +135,17 @@ void Run(const std::string& file, double duration_s, const std::string& kind) {
   if (undeclared) options.trajectory = "aggressive";
   options.duration_s = duration_s;
   options.log_rate_hz = 200.0;
-  const SimulatedFlight flight = Simulate(model, truth, options);
+  SimulatedFlight flight = Simulate(model, truth, options);
   Json json = {{"truth", ByName(model, truth)}};
+  const bool commanded = kind == "commands" || kind == "dead_sensor";
+  if (commanded) json["dead_sensor"] = WithCommands(kind, &flight);
   if (kind == "frames") {
     WriteFlightBag(flight.log, file + ".plain");
     WriteFrames(file + ".plain", file);
     std::remove((file + ".plain").c_str());
   } else {
     WriteFlightBag(flight.log, file);
-    if (!undeclared) json["offline"] = Offline(file);
+    if (!undeclared && !commanded) json["offline"] = Offline(file);
   }
   std::printf("%s\n", json.dump(2).c_str());
 }
@@ -112,7 +156,8 @@ void Run(const std::string& file, double duration_s, const std::string& kind) {
 int main(int argc, char** argv) {
   try {
     if (argc != 4)
-      throw std::invalid_argument("usage: make_test_bag OUT.bag SECONDS plain|frames|undeclared");
+      throw std::invalid_argument(
+          "usage: make_test_bag OUT.bag SECONDS plain|frames|undeclared|commands|dead_sensor");
     odmc::Run(argv[1], std::atof(argv[2]), argv[3]);
   } catch (const std::exception& e) {
     std::fprintf(stderr, "make_test_bag: %s\n", e.what());

@@ -140,6 +140,46 @@ TEST_F(Intake, ForgetsTheOldestAfterAMinuteOfStanding) {
   EXPECT_NEAR(static_cast<double>(intake_.forgotten()), 2.0 * 200.0, 250.0);
 }
 
+// ---- Rotor speeds from commands ----------------------------------------------------------------
+
+class CommandIntake : public ::testing::Test {
+ protected:
+  /// Two seconds of odometry, commands and, where the vehicle has them, sensors.
+  void Fly(double from_s, bool with_commands, bool with_sensor) {
+    for (int k = 0; k < 200; ++k) {
+      const double t = from_s + 0.01 * k;
+      intake_.Push(*ToInput(OdometryAt(t, t, 1.0)));
+      if (with_sensor) intake_.Push(*ToInput(RotorsAt(t), 4));
+      if (with_commands) intake_.Push(CommandSample{FromSeconds(t), RotorVector::Constant(4, 0.5)});
+    }
+  }
+
+  SampleIntake intake_{"world", RotorIntake{true, true}};
+};
+
+TEST_F(CommandIntake, NeedsCommandsAndAVoltageButNoSensor) {
+  Fly(1.0, false, true);
+  EXPECT_FALSE(intake_.decided());
+  EXPECT_EQ(intake_.WaitingFor(), "motor_commands");
+  Fly(3.0, true, false);
+  EXPECT_FALSE(intake_.decided());
+  EXPECT_EQ(intake_.WaitingFor(), "battery_state");
+  intake_.Push(BatterySample{FromSeconds(5.0), 16.0});
+  EXPECT_TRUE(intake_.decided());
+}
+
+TEST_F(CommandIntake, PassesCommandsAndNoSensor) {
+  intake_.Push(BatterySample{FromSeconds(1.0), 16.0});
+  Fly(1.0, true, true);
+  ASSERT_TRUE(intake_.decided());
+  intake_.Release();
+  const std::vector<Sample> samples = intake_.Take();
+  ASSERT_EQ(samples.size(), 401u);
+  EXPECT_TRUE(std::holds_alternative<BatterySample>(samples[0])) << "acts on what comes with it";
+  EXPECT_TRUE(std::holds_alternative<CommandSample>(samples[1]));
+  for (const Sample& sample : samples) EXPECT_FALSE(std::holds_alternative<RotorSample>(sample));
+}
+
 // ---- Acceptance --------------------------------------------------------------------------------
 
 class AcceptanceTest : public ::testing::Test {
@@ -329,6 +369,29 @@ std::string ValueOf(const diagnostic_msgs::DiagnosticStatus& status, const std::
     if (pair.key == key) return pair.value;
   }
   return "absent";
+}
+
+TEST(RotorDiagnostic, NamesBadSensorsWhileTheyAreBad) {
+  RotorStatus rotors;
+  EXPECT_TRUE(testing_support::Contains(RotorDiagnostic(rotors, "n").message, "not watched"));
+  rotors.is_watching = true;
+  rotors.replaced = 7;
+  const auto good = RotorDiagnostic(rotors, "n");
+  EXPECT_EQ(good.level, diagnostic_msgs::DiagnosticStatus::OK);
+  EXPECT_EQ(good.message, "sensors agree with commands");
+  EXPECT_EQ(ValueOf(good, "replaced_readings"), "7");
+  rotors.bad = {{FromSeconds(1700000012.345), 2, true, "its sensor is frozen at 800 rad/s"}};
+  const auto bad = RotorDiagnostic(rotors, "n");
+  EXPECT_EQ(bad.level, diagnostic_msgs::DiagnosticStatus::WARN);
+  EXPECT_TRUE(testing_support::Contains(bad.message, "rotor3: its sensor is frozen at 800"));
+  EXPECT_EQ(ValueOf(bad, "bad_sensors"), "rotor3");
+  EXPECT_EQ(ValueOf(bad, "rotor3_since_s"), "1700000012.345");
+  NodeStatus status;
+  EXPECT_EQ(ValueOf(EstimatorDiagnostic(status, "n"), "bad_rotor_sensors"), "absent");
+  status.rotors = rotors;
+  const auto estimator = EstimatorDiagnostic(status, "n");
+  EXPECT_EQ(estimator.level, diagnostic_msgs::DiagnosticStatus::WARN);
+  EXPECT_EQ(estimator.message, "rotor3: its sensor is frozen at 800 rad/s");
 }
 
 TEST(Unexplained, MessageHoldsTheLook) {

@@ -56,7 +56,8 @@ struct RotorInput {
 };
 
 /// One message of any stream.
-using InputSample = std::variant<OdometryInput, ImuInput, RotorInput, BatterySample>;
+using InputSample =
+    std::variant<OdometryInput, ImuInput, RotorInput, BatterySample, CommandSample>;
 
 /// Each returns nothing for a message without a stamp, with numbers that are not finite or an
 /// attitude that is not unit. Covariances of -1 mark missing parts, as in flight_bag.h.

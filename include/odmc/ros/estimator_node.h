@@ -25,6 +25,7 @@
 #include <utility>
 #include <vector>
 
+#include "odmc/actuator/rotor_source.h"
 #include "odmc/attribution/residual_watch.h"
 #include "odmc/estimator/acceptance.h"
 #include "odmc/estimator/estimator.h"
@@ -44,6 +45,8 @@ struct EstimatorNodeOptions {
   std::string twist_frame = "auto";        ///< auto | body | world
   std::string rotor_speed_unit = "rad_s";  ///< of joint_states: rad_s | rpm | erpm
   int pole_pairs = 7;                      ///< for erpm
+  std::string rotor_speed_from = "sensor";  ///< sensor | commands, by the actuator
+  std::string actuator;  ///< file of calibrate_actuator; empty: that of the vehicle file
   std::string on_time_reset = "restart";   ///< restart | stop, where the clock steps back
   double publish_rate_hz = 20.0;           ///< of `parameters`, at most [Hz], > 0
   bool live_image = false;                 ///< draw also while nobody listens
@@ -65,6 +68,8 @@ struct EstimatorNodeOptions {
     v->Field("twist_frame", &twist_frame);
     v->Field("rotor_speed_unit", &rotor_speed_unit);
     v->Field("pole_pairs", &pole_pairs);
+    v->Field("rotor_speed_from", &rotor_speed_from);
+    v->Field("actuator", &actuator);
     v->Field("on_time_reset", &on_time_reset);
     v->Field("publish_rate_hz", &publish_rate_hz);
     v->Field("live_image", &live_image);
@@ -135,6 +140,11 @@ class EstimatorNode {
   void MakeEstimator();
   void HoldOut();
   void Feed(const Sample& sample);
+  void FindVoltage(const std::vector<Sample>& samples);
+  void Settle(const CommandSample& sample);
+  void Settle(const RotorSample& sample);
+  void TellFaults();
+  void Observe(const Sample& sample);
   void StepWhileThereIsMore();
   void AddWhatWasFound();
   void OnSnapshot(Snapshot snapshot);
@@ -144,6 +154,7 @@ class EstimatorNode {
   void PublishTransforms(const Snapshot& snapshot);
   void ShareStatus();
   void ShareSnapshot(const Snapshot& snapshot, NodeStatus* status) const;
+  RotorStatus RotorsNow() const;
   std::string TwistText() const;
   void Finish();
   std::string Save() const;
@@ -185,6 +196,10 @@ class EstimatorNode {
 
   // Owned by the estimator thread.
   SampleIntake intake_;
+  std::optional<RotorSource> rotor_source_;  // where the actuator is known
+  std::map<int, RotorFault> bad_sensors_;    // by rotor
+  long rotor_faults_ = 0;
+  bool has_voltage_ = false, has_commands_ = false;
   std::shared_ptr<const DynamicModel> model_;  // others get it by status_
   std::unique_ptr<Estimator> estimator_;
   Acceptance acceptance_;

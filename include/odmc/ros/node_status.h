@@ -9,14 +9,23 @@
 #include <string>
 #include <vector>
 
+#include "odmc/actuator/rotor_source.h"
 #include "odmc/attribution/residual_watch.h"
 #include "odmc/estimator/estimator.h"
 
 namespace odmc {
 
 /// Topics of estimator_node.
-enum class InputStream { kOdometry, kPose, kImu, kRotorSpeeds, kJointStates, kBatteryState };
-constexpr int kNumInputStreams = 6;
+enum class InputStream {
+  kOdometry,
+  kPose,
+  kImu,
+  kRotorSpeeds,
+  kJointStates,
+  kBatteryState,
+  kMotorCommands,
+};
+constexpr int kNumInputStreams = 7;
 const char* NameOf(InputStream stream);
 
 /// How one topic comes in.
@@ -25,6 +34,21 @@ struct StreamStatus {
   long refused = 0;     ///< not finite, no stamp, wrong number of rotors
   long overflowed = 0;  ///< lost because the queue was full
 };
+
+/// Where rotor speeds come from, and which sensors are bad.
+struct RotorStatus {
+  bool from_commands = false;
+  bool is_watching = false;          ///< commands came, so that sensors are compared with them
+  std::vector<RotorFault> bad = {};  ///< sensors that are bad at present, with how it began
+  long replaced = 0;                 ///< single readings that were replaced, without a fault
+  long faults = 0;                   ///< so far
+
+  /// "rotor2: its sensor is frozen at 800 rad/s", a sentence for each bad sensor.
+  std::vector<std::string> Sentences() const;
+};
+
+/// As users count them: "rotor1" for the first.
+std::string RotorName(int rotor);
 
 /// What the estimator thread tells the others.
 struct NodeStatus {
@@ -48,6 +72,7 @@ struct NodeStatus {
   int states_in_window = 0;
   long forgotten = 0, stale = 0, clock_resets = 0, not_finite = 0;
   size_t queued = 0;
+  std::optional<RotorStatus> rotors;  ///< with a known actuator only
   bool watches_residual = false;
   std::optional<ResidualLook> unexplained;  ///< the newest look
   std::vector<std::string> added_effects;   ///< to the model, in flight
@@ -60,6 +85,10 @@ diagnostic_msgs::DiagnosticStatus EstimatorDiagnostic(const NodeStatus& status,
 /// What the model leaves unexplained and what would explain it, as of the newest look.
 diagnostic_msgs::DiagnosticStatus UnexplainedDiagnostic(const NodeStatus& status,
                                                         const std::string& name);
+
+/// Where rotor speeds come from; a warning while any rotor's sensor is bad.
+diagnostic_msgs::DiagnosticStatus RotorDiagnostic(const RotorStatus& status,
+                                                  const std::string& name);
 
 /// The inputs' diagnostic: rate of each stream since the last report and what was lost.
 /// @param before the streams at the last report, `seconds` ago

@@ -12,6 +12,12 @@
 
 namespace odmc {
 
+/// Where a SampleIntake takes rotor speeds from.
+struct RotorIntake {
+  bool from_commands = false;  ///< the stream of commands stands in for rotor speeds
+  bool needs_voltage = false;  ///< and says nothing before the first voltage
+};
+
 /// Where a SampleIntake stands.
 enum class IntakePhase {
   kHolding,  ///< samples wait until their meaning is known
@@ -23,7 +29,8 @@ enum class IntakePhase {
 /// the estimator, and loses none meanwhile. Decides
 ///  - which of `odometry` and `pose`, of `rotor_speeds` and `joint_states` to use (the first of
 ///  each
-///    pair wins if it shows up within settle_s of the other),
+///    pair wins if it shows up within settle_s of the other); neither of the latter where rotor
+///    speeds come from commands,
 ///  - whether the odometry has velocity and body rates at all (some sources leave zeros),
 ///  - in which frame the velocity is (twist_frame.h).
 /// Standing still says nothing about twist; samples then wait, the newest hold_s seconds of them.
@@ -31,7 +38,8 @@ enum class IntakePhase {
 class SampleIntake {
  public:
   /// @param twist_frame auto | body | world
-  explicit SampleIntake(const std::string& twist_frame) : twist_frame_(twist_frame) {}
+  explicit SampleIntake(const std::string& twist_frame, const RotorIntake& rotors = {})
+      : twist_frame_(twist_frame), rotors_(rotors) {}
 
   /// @returns false if the clock stepped back at this sample: what was held is gone, and the chain
   /// of
@@ -67,7 +75,7 @@ class SampleIntake {
   long resets() const { return resets_; }
 
  private:
-  static constexpr int kNumStreams = 6;
+  static constexpr int kNumStreams = 7;
   static int StreamOf(const InputSample& input);
   enum class Clock { kForward, kStale, kBack };
 
@@ -80,6 +88,7 @@ class SampleIntake {
   void Pass(const InputSample& input);
 
   const std::string twist_frame_;
+  const RotorIntake rotors_;
   IntakePhase phase_ = IntakePhase::kHolding;
   bool decided_ = false;
   std::deque<InputSample> held_;
