@@ -49,8 +49,7 @@ std::string Text(const char* format, double a, double b) {
   return text;
 }
 
-std::vector<std::string> Warnings(const std::vector<BenchRun>& runs,
-                                  const ActuatorCalibration& c) {
+std::vector<std::string> Warnings(const std::vector<BenchRun>& runs, const ActuatorCalibration& c) {
   std::vector<std::string> warnings;
   for (const BenchRun& run : runs) {
     if (run.zero_speed > 0) {
@@ -65,15 +64,17 @@ std::vector<std::string> Warnings(const std::vector<BenchRun>& runs,
   if (!c.fit.has_time)
     warnings.push_back("rows without times are steady readings: dynamics are not identifiable");
   if (!c.fit.uses_voltage)
-    warnings.push_back("no battery voltage: the map from command to speed holds for that of the run");
+    warnings.push_back(
+        "no battery voltage: the map from command to speed holds for that of the run");
   if (c.torque && std::abs(c.torque->offset.value) > 2.0 * c.torque->offset.sigma) {
     warnings.push_back(Text("the torque cell has an offset of %.3g +- %.1g N m, which is taken off",
                             c.torque->offset.value, c.torque->offset.sigma));
   }
   if (c.fit.common.motor.delay_s < -0.002)
-    warnings.push_back(Text("speeds answer %.1f ms before their command: stamps are off by at least "
-                            "that",
-                            -1e3 * c.fit.common.motor.delay_s, 0.0));
+    warnings.push_back(
+        Text("speeds answer %.1f ms before their command: stamps are off by at least "
+             "that",
+             -1e3 * c.fit.common.motor.delay_s, 0.0));
   if (c.error.outliers > 0)
     warnings.push_back("left out " + std::to_string(c.error.outliers) + " outliers among " +
                        std::to_string(c.error.steady + c.error.response + c.error.outliers) +

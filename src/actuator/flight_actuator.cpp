@@ -90,8 +90,8 @@ BenchRun BenchRunOf(const FlightLog& log) {
     const bool together = rotor < log.rotors.size() && log.rotors[rotor].stamp == command.stamp;
     add(command.stamp, command.throttle, together ? &log.rotors[rotor].speed : nullptr);
     if (together) ++rotor;
-    const Stamp next = i + 1 < log.commands.size() ? log.commands[i + 1].stamp
-                                                   : std::numeric_limits<Stamp>::max();
+    const Stamp next =
+        i + 1 < log.commands.size() ? log.commands[i + 1].stamp : std::numeric_limits<Stamp>::max();
     for (; rotor < log.rotors.size() && log.rotors[rotor].stamp < next; ++rotor)
       add(log.rotors[rotor].stamp, command.throttle, &log.rotors[rotor].speed);
   }
@@ -163,9 +163,9 @@ std::vector<RotorFault> SettleRotors(const std::optional<Actuator>& actuator, in
   if (from_commands && log->commands.empty())
     throw std::invalid_argument(log->file + ": has no commands to take rotor speeds from");
   if (from_commands && !actuator) {
-    throw std::invalid_argument(
-        log->file + ": rotor speeds from commands need the vehicle's actuator (see "
-                    "calibrate_actuator)");
+    throw std::invalid_argument(log->file +
+                                ": rotor speeds from commands need the vehicle's actuator (see "
+                                "calibrate_actuator)");
   }
   if (log->commands.empty() || log->rotor_rms_only) return {};
   std::optional<Actuator> known = actuator;

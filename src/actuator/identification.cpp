@@ -23,8 +23,8 @@ constexpr double kOutlier_sigmas = 8.0;  // of the robust sigma
 constexpr double kBlock_s = 0.5;         // errors farther apart count as independent
 constexpr int kBlock_rows = 20;          // the same for readings without time
 constexpr double kLeastSigma_rad_s = 0.1;
-constexpr double kKnownShare = 0.5;      // of the prior's sigma, at most, is known
-constexpr double kKnownSigmas = 2.0;     // from zero
+constexpr double kKnownShare = 0.5;   // of the prior's sigma, at most, is known
+constexpr double kKnownSigmas = 2.0;  // from zero
 
 // ---- Parameters of the fit -----------------------------------------------------------------
 // Scaled so that each is of order one and hardly moves when another does: gains in units of speed
@@ -35,9 +35,9 @@ using Vector = Eigen::Matrix<double, kNumParameters, 1>;
 using Matrix = Eigen::Matrix<double, kNumParameters, kNumParameters>;
 
 struct Scale {
-  double speed = 1.0;     // mean [rad/s]
-  double voltage = 1.0;   // mean [V]
-  double least = 0.0;     // throttle while it turns
+  double speed = 1.0;    // mean [rad/s]
+  double voltage = 1.0;  // mean [V]
+  double least = 0.0;    // throttle while it turns
 };
 
 Vector PriorMean() {
@@ -133,7 +133,11 @@ class FreeRunCost {
  public:
   FreeRunCost(const Signals* signals, const Scale& scale, const Vector& mean, const Vector& sigma,
               std::vector<double> weights)
-      : signals_(signals), scale_(scale), mean_(mean), sigma_(sigma), weights_(std::move(weights)) {}
+      : signals_(signals),
+        scale_(scale),
+        mean_(mean),
+        sigma_(sigma),
+        weights_(std::move(weights)) {}
 
   int num_residuals() const { return static_cast<int>(weights_.size()) + kNumParameters; }
 
@@ -154,7 +158,7 @@ class FreeRunCost {
   std::vector<double> weights_;
 };
 
-// Whitened by the robust sigma; what is far off weighs less.
+// By the robust sigma; what is far off weighs less.
 std::vector<double> Weights(const std::vector<double>& errors, double sigma) {
   std::vector<double> weights(errors.size(), 0.0);
   for (size_t i = 0; i < errors.size(); ++i) {
@@ -163,6 +167,23 @@ std::vector<double> Weights(const std::vector<double>& errors, double sigma) {
   }
   return weights;
 }
+
+// Errors of the map are slow: each hangs on the one before (correlation r) and counts for the map
+// as sqrt((1 - r) / (1 + r)) of an independent one. The map's priors weigh more by the inverse, or
+// else they would drown. The dynamics live on quick changes, for which this does not hold.
+double MapPriorWeight(const std::vector<double>& errors, double sigma) {
+  const auto robust = [sigma](double e) { return std::clamp(e, -3.0 * sigma, 3.0 * sigma); };
+  double product = 0.0, square = 0.0;
+  for (size_t i = 1; i < errors.size(); ++i) {
+    if (!std::isfinite(errors[i]) || !std::isfinite(errors[i - 1])) continue;
+    product += robust(errors[i]) * robust(errors[i - 1]);
+    square += robust(errors[i]) * robust(errors[i]);
+  }
+  const double correlation = square > 0.0 ? std::clamp(product / square, 0.0, 0.995) : 0.0;
+  return std::sqrt((1.0 + correlation) / (1.0 - correlation));
+}
+
+bool IsOfMap(int k) { return k <= kLogStart; }
 
 struct Refined {
   Vector p;
@@ -189,7 +210,8 @@ std::vector<int> BlocksOf(const Signals& signals) {
 }
 
 // A^-1 B A^-1 with B from the sums of each block: right also where errors hang together.
-Matrix SandwichCovariance(const ceres::CostFunction& cost, const Vector& p, const Signals& signals) {
+Matrix SandwichCovariance(const ceres::CostFunction& cost, const Vector& p, const Signals& signals,
+                          double map_prior) {
   const int rows = cost.num_residuals();
   Eigen::Matrix<double, Eigen::Dynamic, kNumParameters, Eigen::RowMajor> jacobian(rows,
                                                                                   kNumParameters);
@@ -211,10 +233,10 @@ Matrix SandwichCovariance(const ceres::CostFunction& cost, const Vector& p, cons
   }
   for (int k = 0; k < kNumParameters; ++k) {  // the prior: its own information
     const auto row = static_cast<Eigen::Index>(block.size()) + k;
-    B += jacobian.row(row).transpose() * jacobian.row(row);
+    const double weight = IsOfMap(k) ? map_prior * map_prior : 1.0;
+    B += weight * jacobian.row(row).transpose() * jacobian.row(row);
   }
-  const Matrix inverse =
-      A.completeOrthogonalDecomposition().solve(Matrix::Identity());
+  const Matrix inverse = A.completeOrthogonalDecomposition().solve(Matrix::Identity());
   return inverse * B * inverse;
 }
 
@@ -225,10 +247,17 @@ Refined Refine(const Signals& signals, const Scale& scale, const Vector& start, 
   constexpr int kRounds = 3;  // of weights
   for (int round = 0; round < kRounds; ++round) {
     const std::vector<double> errors = Errors(MotorFrom(refined.p.data(), scale), signals);
-    auto* functor = new FreeRunCost(&signals, scale, mean, sigma,
-                                    Weights(errors, RobustSigmaOf(errors)));
-    auto cost = std::make_unique<
-        ceres::DynamicNumericDiffCostFunction<FreeRunCost, ceres::FORWARD>>(functor);
+    const double error_sigma = RobustSigmaOf(errors);
+    const double map_prior = MapPriorWeight(errors, error_sigma);
+    Vector prior_sigma = sigma;
+    for (int k = 0; k < kNumParameters; ++k) {
+      if (IsOfMap(k)) prior_sigma[k] /= map_prior;
+    }
+    auto* functor =
+        new FreeRunCost(&signals, scale, mean, prior_sigma, Weights(errors, error_sigma));
+    auto cost =
+        std::make_unique<ceres::DynamicNumericDiffCostFunction<FreeRunCost, ceres::FORWARD>>(
+            functor);
     cost->AddParameterBlock(kNumParameters);
     cost->SetNumResiduals(functor->num_residuals());
     const ceres::CostFunction& function = *cost;
@@ -239,8 +268,8 @@ Refined Refine(const Signals& signals, const Scale& scale, const Vector& start, 
       problem.SetParameterUpperBound(refined.p.data(), k, kBounds[k].second);
     }
     if (!dynamics) {
-      problem.SetManifold(refined.p.data(), new ceres::SubsetManifold(
-                                                kNumParameters, {kLogTau, kShare, kDelay}));
+      problem.SetManifold(refined.p.data(),
+                          new ceres::SubsetManifold(kNumParameters, {kLogTau, kShare, kDelay}));
     }
     ceres::Solver::Options options;
     options.linear_solver_type = ceres::DENSE_NORMAL_CHOLESKY;
@@ -249,7 +278,9 @@ Refined Refine(const Signals& signals, const Scale& scale, const Vector& start, 
     options.logging_type = ceres::SILENT;
     ceres::Solver::Summary summary;
     ceres::Solve(options, &problem, &summary);
-    if (round + 1 == kRounds) refined.covariance = SandwichCovariance(function, refined.p, signals);
+    if (round + 1 == kRounds) {
+      refined.covariance = SandwichCovariance(function, refined.p, signals, map_prior);
+    }
   }
   return refined;
 }
@@ -283,8 +314,7 @@ class MidpointRule {
       const Eigen::VectorXd x = A.topLeftCorner(n, n).ldlt().solve(b.head(n));
       Motor motor;
       motor.esc = {x[0] / scale.voltage, x[1], x[2], start};
-      motor.dynamics = {x[3] / scale.speed,
-                        with_square ? x[4] / (scale.speed * scale.speed) : 0.0};
+      motor.dynamics = {x[3] / scale.speed, with_square ? x[4] / (scale.speed * scale.speed) : 0.0};
       motor.delay_s = delay_s;
       if (x.allFinite() && motor.dynamics.S1 > 1.0 && motor.dynamics.S2 >= 0.0) return motor;
     }
@@ -337,9 +367,9 @@ Motor SteadyStart(const Signals& signals, const Scale& scale, double start, doub
   for (const MotorSignal& signal : signals) {
     for (size_t i = 0; i < signal.throttle.size(); ++i) {
       if (!std::isfinite(signal.speed_rad_s[i])) continue;
-      const Eigen::Vector3d row(
-          signal.voltage_V[i] / scale.voltage * std::sqrt(std::max(signal.throttle[i] - start, 0.0)),
-          signal.throttle[i], 1.0);
+      const Eigen::Vector3d row(signal.voltage_V[i] / scale.voltage *
+                                    std::sqrt(std::max(signal.throttle[i] - start, 0.0)),
+                                signal.throttle[i], 1.0);
       A += row * row.transpose();
       b += row * motor.dynamics.DriveFor(signal.speed_rad_s[i]);
     }
@@ -363,9 +393,9 @@ Signals Beginnings(const Signals& signals) {
   return short_ones;
 }
 
-Motor BestStart(const Signals& all, const Scale& scale, bool dynamics) {
+Motor BestStart(const Signals& all, const Scale& scale, bool dynamics,
+                std::vector<Motor> starts = {}) {
   const Signals signals = dynamics ? Beginnings(all) : all;
-  std::vector<Motor> starts;
   for (const double below : {0.02, 0.1, 0.3, 1.0}) {
     const double start = scale.least - below;
     if (!dynamics) {
@@ -468,6 +498,32 @@ MotorFit Summarised(const Refined& refined, const Scale& scale, const Signals& s
   return fit;
 }
 
+// What motors of one type have in common: their mean, each by its certainty. Motors differ: sigma
+// is also that of the mean's scatter. Known where at least half of them show it.
+std::vector<ActuatorParameter> Combined(const std::vector<MotorFit>& motors) {
+  std::vector<ActuatorParameter> all = motors.front().parameters;
+  for (size_t k = 0; k < all.size(); ++k) {
+    double weight = 0.0, sum = 0.0, squares = 0.0;
+    size_t known = 0;
+    for (const MotorFit& motor : motors) {
+      const auto& found = motor.parameters[k].found;
+      if (!found || !(found->sigma > 0.0)) continue;
+      const double w = 1.0 / (found->sigma * found->sigma);
+      weight += w;
+      sum += w * found->value;
+      squares += w * found->value * found->value;
+      ++known;
+    }
+    all[k].found.reset();
+    if (2 * known < motors.size() || known == 0) continue;
+    const double mean = sum / weight;
+    const double scatter = std::max(squares / weight - mean * mean, 0.0);
+    const double more = known > 1 ? scatter / static_cast<double>(known - 1) : 0.0;
+    all[k].found = Measured{mean, std::sqrt(std::max(1.0 / weight, more))};
+  }
+  return all;
+}
+
 void Check(const std::vector<BenchRun>& runs) {
   if (runs.empty()) throw std::invalid_argument("no run to identify actuators from");
   for (const BenchRun& run : runs) {
@@ -532,8 +588,7 @@ FreeRunError ErrorOfFreeRun(const Motor& motor, const Signals& signals) {
         ++error.outliers;
         continue;
       }
-      const bool is_steady =
-          std::abs(held[i] - speed[i]) <= kSteadyShare * error.speed_range_rad_s;
+      const bool is_steady = std::abs(held[i] - speed[i]) <= kSteadyShare * error.speed_range_rad_s;
       (is_steady ? steady : response) += e * e;
       ++(is_steady ? error.steady : error.response);
     }
@@ -554,7 +609,8 @@ std::vector<double> StepTimes(const MotorSignal& signal) {
   constexpr double kStepShare = 0.01, kHold_s = 0.3;
   const double step = kStepShare * (*most - *least);
   for (size_t i = 1; i < signal.t_s.size(); ++i) {
-    if (std::abs(signal.throttle[i] - signal.throttle[i - 1]) > step) times.push_back(signal.t_s[i]);
+    if (std::abs(signal.throttle[i] - signal.throttle[i - 1]) > step)
+      times.push_back(signal.t_s[i]);
   }
   // A staircase holds each step; a command in flight does not.
   const double duration = signal.t_s.back() - signal.t_s.front();
@@ -615,8 +671,8 @@ ActuatorFit IdentifyActuator(const std::vector<BenchRun>& runs) {
   fit.command_unit = runs.front().command_unit;
   fit.uses_voltage = std::all_of(runs.begin(), runs.end(),
                                  [](const BenchRun& run) { return !run.voltage_V.empty(); });
-  fit.has_time = std::all_of(runs.begin(), runs.end(),
-                             [](const BenchRun& run) { return !run.t_s.empty(); });
+  fit.has_time =
+      std::all_of(runs.begin(), runs.end(), [](const BenchRun& run) { return !run.t_s.empty(); });
   const int num_motors = runs.front().num_motors();
   Signals all;
   std::vector<Signals> of_motor(static_cast<size_t>(num_motors));
@@ -633,21 +689,21 @@ ActuatorFit IdentifyActuator(const std::vector<BenchRun>& runs) {
 
   const Scale scale = ScaleOf(all);
   const Vector start = Clamped(ParametersOf(BestStart(all, scale, fit.has_time), scale));
-  const Refined common =
-      Refine(all, scale, start, PriorMean(), PriorSigma(), fit.has_time);
-  fit.common =
-      Summarised(common, scale, all, fit.command_unit, fit.uses_voltage, fit.has_time);
+  const Refined common = Refine(all, scale, start, PriorMean(), PriorSigma(), fit.has_time);
+  fit.common = Summarised(common, scale, all, fit.command_unit, fit.uses_voltage, fit.has_time);
   if (num_motors == 1) {
     fit.motors = {fit.common};
     return fit;
   }
   for (const Signals& signals : of_motor) {
     // What one motor does not show is as with the others.
-    const Refined own =
-        Refine(signals, scale, Clamped(common.p), common.p, PriorSigma(), fit.has_time);
+    const Motor own_start = BestStart(signals, scale, fit.has_time, {fit.common.motor});
+    const Refined own = Refine(signals, scale, Clamped(ParametersOf(own_start, scale)), common.p,
+                               PriorSigma(), fit.has_time);
     fit.motors.push_back(
         Summarised(own, scale, signals, fit.command_unit, fit.uses_voltage, fit.has_time));
   }
+  fit.common.parameters = Combined(fit.motors);
   return fit;
 }
 

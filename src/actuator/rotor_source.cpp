@@ -94,8 +94,8 @@ bool RotorSource::Watch(double dt, double measured, double predicted, RotorWatch
     rotor->held_low = std::min(rotor->held_low, predicted);
     rotor->held_high = std::max(rotor->held_high, predicted);
   }
-  const bool frozen = rotor->held_s >= kFrozen_s &&
-                      rotor->held_high - rotor->held_low > kMoved * predicted;
+  const bool frozen =
+      rotor->held_s >= kFrozen_s && rotor->held_high - rotor->held_low > kMoved * predicted;
   const double ratio = measured / predicted;
   if (!rotor->mean) rotor->mean = ratio;
   rotor->seen_s += dt;
@@ -105,10 +105,10 @@ bool RotorSource::Watch(double dt, double measured, double predicted, RotorWatch
   rotor->sound_s = frozen || off > kSound ? 0.0 : rotor->sound_s + dt;
   if (!rotor->failed && (frozen || far_off)) {
     rotor->failed = true;
-    *reason = frozen               ? Text("its sensor is frozen at %.0f rad/s", measured)
-              : *rotor->mean < 0.3 ? std::string("its sensor reads 0 most of the time")
-                                   : Text("its sensor reads %.2f times what its commands give",
-                                          *rotor->mean);
+    *reason = frozen ? Text("its sensor is frozen at %.0f rad/s", measured)
+              : *rotor->mean < 0.3
+                  ? std::string("its sensor reads 0 most of the time")
+                  : Text("its sensor reads %.2f times what its commands give", *rotor->mean);
   } else if (rotor->failed && rotor->sound_s >= kBack_s) {
     rotor->failed = false;
     *reason = "its sensor agrees with its commands again";

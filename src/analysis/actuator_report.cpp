@@ -48,9 +48,10 @@ Json ErrorJson(const FreeRunError& e, bool has_time) {
 
 Json StandJson(const std::optional<StandFit>& fit, const char* unit) {
   if (!fit) return nullptr;
-  return {{"offset", {{"value", Number(fit->offset.value)},
-                      {"sigma", Number(fit->offset.sigma)},
-                      {"unit", unit}}},
+  return {{"offset",
+           {{"value", Number(fit->offset.value)},
+            {"sigma", Number(fit->offset.sigma)},
+            {"unit", unit}}},
           {"rmse", Number(fit->rmse)},
           {"rows", fit->rows},
           {"outliers", fit->outliers}};
@@ -90,7 +91,8 @@ std::string ActuatorReport(const ActuatorCalibration& c, const std::vector<Bench
   json["step_times_s"] = c.fit.step_times_s;
   for (const MotorFit& motor : c.fit.motors) {
     Json one;
-    for (const ActuatorParameter& p : motor.parameters) one["parameters"][p.name] = ParameterJson(p);
+    for (const ActuatorParameter& p : motor.parameters)
+      one["parameters"][p.name] = ParameterJson(p);
     one["error"] = ErrorJson(motor.error, has_time);
     one["lag_s"] = Number(motor.lag_s);
     json["motors"].push_back(one);
@@ -115,16 +117,17 @@ std::string ActuatorTable(const ActuatorCalibration& c,
                           const std::vector<ActuatorEvaluation>& evaluations) {
   std::string text;
   for (const ActuatorParameter& p : c.parameters) {
-    text += Line(p.name, p.found ? Text("%12.5g +- %-9.2g ", p.found->value, p.found->sigma) + p.unit
-                                 : "not identifiable from these runs");
+    text +=
+        Line(p.name, p.found ? Text("%12.5g +- %-9.2g ", p.found->value, p.found->sigma) + p.unit
+                             : "not identifiable from these runs");
   }
   const FreeRunError& e = c.error;
   const char* of_range = "%8.2f rad/s, %5.2f %% of the speed range";
   text += Line("steady error",
                Text(of_range, e.steady_rad_s, PercentOf(e.steady_rad_s, e.speed_range_rad_s)));
   if (c.fit.has_time) {
-    text += Line("response error",
-                 Text(of_range, e.response_rad_s, PercentOf(e.response_rad_s, e.speed_range_rad_s)));
+    text += Line("response error", Text(of_range, e.response_rad_s,
+                                        PercentOf(e.response_rad_s, e.speed_range_rad_s)));
     if (c.fit.common.lag_s)
       text += Line("correlation lag", Text("%8.1f ms", 1e3 * *c.fit.common.lag_s));
   }

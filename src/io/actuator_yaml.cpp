@@ -45,8 +45,8 @@ std::string Text(const Measured& m) {
 
 Actuator ParseActuator(const std::string& text, const std::string& file) {
   const YamlValue root = YamlValue::Parse(text, file);
-  root.AllowKeys({"command_unit", "uses_voltage", "knows_dynamics",
-                  "sigma_steady_rad_s", "sigma_response_rad_s", "k_f", "k_m", "motors"});
+  root.AllowKeys({"command_unit", "uses_voltage", "knows_dynamics", "sigma_steady_rad_s",
+                  "sigma_response_rad_s", "k_f", "k_m", "motors"});
   Actuator actuator;
   actuator.command_unit =
       *CommandUnitNamed(root.Get("command_unit").OneOf({"us", "raw16", "fraction"}));

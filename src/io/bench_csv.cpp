@@ -136,10 +136,10 @@ void CheckThrottle(const BenchRun& run, const std::string& file, const std::stri
   const auto [least, most] =
       std::minmax_element(run.throttle.front().begin(), run.throttle.front().end());
   if (*least > -0.5 && *most < 1.5) return;
-  throw std::invalid_argument(
-      file + ": column " + name + " goes from " + std::to_string(CommandOf(*least, run.command_unit)) +
-      " to " + std::to_string(CommandOf(*most, run.command_unit)) + ", which is no command in " +
-      NameOf(run.command_unit));
+  throw std::invalid_argument(file + ": column " + name + " goes from " +
+                              std::to_string(CommandOf(*least, run.command_unit)) + " to " +
+                              std::to_string(CommandOf(*most, run.command_unit)) +
+                              ", which is no command in " + NameOf(run.command_unit));
 }
 
 }  // namespace
@@ -165,9 +165,8 @@ BenchRun ReadBenchCsv(const std::string& file, const BenchColumns& declared, Str
     columns.Fail(std::to_string(command.size()) + " commands for " + std::to_string(speed.size()) +
                  " rotor speeds; one for all or one each is wanted");
   }
-  const Strings time = declared.steady_readings
-                           ? Strings{}
-                           : FoundOne(columns, declared.time, {"t"}, "the time");
+  const Strings time =
+      declared.steady_readings ? Strings{} : FoundOne(columns, declared.time, {"t"}, "the time");
   const Strings voltage = FoundOne(columns, declared.voltage, {"vbat"}, "the voltage");
   const Strings thrust =
       FoundOne(columns, declared.thrust, {"thrust_N", "thrust_total_N"}, "the thrust");

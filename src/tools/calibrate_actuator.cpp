@@ -95,7 +95,8 @@ struct InertiaArguments {
 
 int main(int argc, char** argv) {
   CLI::App app(
-      "Calibrates motors and ESCs from bench runs, thrust stands or flight logs: commands, battery\n"
+      "Calibrates motors and ESCs from bench runs, thrust stands or flight logs: commands, "
+      "battery\n"
       "voltage and rotor speeds, thrust and torque where a stand measured them. Several files and\n"
       "several motors at once. Writes actuator.yaml (a vehicle file includes it), report.json,\n"
       "free_run.csv, report.html.");

@@ -12,14 +12,14 @@ namespace odmc {
 struct BenchRun {
   std::string file;  ///< name, without its folder
   CommandUnit command_unit = CommandUnit::kFraction;
-  std::vector<double> t_s;                     ///< increasing; empty: rows are single steady readings
-  std::vector<std::vector<double>> throttle;   ///< one column for all motors, or one each
+  std::vector<double> t_s;  ///< increasing; empty: rows are single steady readings
+  std::vector<std::vector<double>> throttle;     ///< one column for all motors, or one each
   std::vector<std::vector<double>> speed_rad_s;  ///< one column per motor, > 0 or NaN
-  std::vector<double> voltage_V;               ///< empty: not recorded
-  std::vector<double> thrust_N, torque_Nm;     ///< of all motors together; empty: not recorded
-  long rows = 0;                               ///< in the file
-  long zero_speed = 0;                         ///< speeds of 0, left out
-  long dropped = 0;                            ///< rows that could not be used
+  std::vector<double> voltage_V;                 ///< empty: not recorded
+  std::vector<double> thrust_N, torque_Nm;       ///< of all motors together; empty: not recorded
+  long rows = 0;                                 ///< in the file
+  long zero_speed = 0;                           ///< speeds of 0, left out
+  long dropped = 0;                              ///< rows that could not be used
 
   int num_motors() const { return static_cast<int>(speed_rad_s.size()); }
   size_t size() const { return throttle.front().size(); }

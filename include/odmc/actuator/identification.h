@@ -40,15 +40,15 @@ struct ActuatorFit {
   CommandUnit command_unit = CommandUnit::kFraction;
   bool uses_voltage = false;  ///< false: not recorded
   bool has_time = false;      ///< false: steady readings only, nothing is known of the dynamics
-  MotorFit common;            ///< all motors as one type
-  std::vector<MotorFit> motors;           ///< each by itself; one only: the same as `common`
-  std::vector<double> step_times_s;       ///< of command edges in the first run, delay not counted
+  MotorFit common;  ///< all motors as one type; its parameters are the mean of each one's own
+  std::vector<MotorFit> motors;      ///< each by itself; one only: the same as `common`
+  std::vector<double> step_times_s;  ///< of command edges in the first run, delay not counted
 };
 
-/// Fits the map of the ESC and the motor's dynamics to all runs at once. First U_a and the delay are
-/// scanned, the rest being linear in the midpoint rule (variable projection); then all are refined
-/// so that free runs from commands and voltage come closest to the measured speeds. Robust to
-/// outliers. Weak priors (a motor's time constant is 5 to 200 ms) hold what the runs don't show;
+/// Fits the map of the ESC and the motor's dynamics to all runs at once. First U_a and the delay
+/// are scanned, the rest being linear in the midpoint rule (variable projection); then all are
+/// refined so that free runs from commands and voltage come closest to the measured speeds. Robust
+/// to outliers. Weak priors (a motor's time constant is 5 to 200 ms) hold what the runs don't show;
 /// such parameters are reported without a value.                          model.md section 11
 /// @param runs at least one; all of the same motors, in the same order
 /// @throws std::invalid_argument naming the file: other numbers of motors, no usable speed, a

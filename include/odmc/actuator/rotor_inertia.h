@@ -5,10 +5,10 @@ namespace odmc {
 /// A propeller and the turning part of an outrunner motor, by what a scale and a ruler give.
 struct RotorGeometry {
   int blades = 2;
-  double blade_mass_kg = 0.0;    ///< of one blade
-  double blade_length_m = 0.0;   ///< from the axis to the tip
-  double bell_mass_kg = 0.0;     ///< of the bell with its magnets
-  double bell_radius_m = 0.0;    ///< outer radius
+  double blade_mass_kg = 0.0;   ///< of one blade
+  double blade_length_m = 0.0;  ///< from the axis to the tip
+  double bell_mass_kg = 0.0;    ///< of the bell with its magnets
+  double bell_radius_m = 0.0;   ///< outer radius
 };
 
 /// Moment of inertia about the axis [kg m²]: blades as slender rods from the axis to the tip

@@ -19,9 +19,9 @@ struct RotorFault {
 };
 
 /// Rotor speeds as an estimator uses them: from the sensor, from commands and battery voltage, or
-/// both. With a sensor the actuator model watches each rotor: readings that are missed, dead, frozen
-/// or far off are replaced by the model's, with the model's sigma. Clock-free: runs the same live
-/// and on recordings. Thread-compatible.
+/// both. With a sensor the actuator model watches each rotor: readings that are missed, dead,
+/// frozen or far off are replaced by the model's, with the model's sigma. Clock-free: runs the same
+/// live and on recordings. Thread-compatible.
 class RotorSource {
  public:
   /// @param from_commands true: speeds come from the model alone
@@ -43,7 +43,8 @@ class RotorSource {
   /// Single readings that were replaced, of all rotors, without a fault.
   long replaced() const { return replaced_; }
 
-  /// The clock stepped back or the stream has a hole: forgets speeds, keeps what it knows of faults.
+  /// The clock stepped back or the stream has a hole: forgets speeds, keeps what it knows of
+  /// faults.
   void Restart();
 
   // A reading that is off by this share of the model's speed is replaced; a mean over kMean_s that
@@ -56,10 +57,10 @@ class RotorSource {
   struct RotorWatch {
     explicit RotorWatch(const Motor& motor) : predictor(motor) {}
     SpeedPredictor predictor;
-    std::optional<double> mean;  // of measured over predicted, low-passed
-    double seen_s = 0.0;         // behind it
-    double sound_s = 0.0;        // since it last was bad
-    double held = -1.0;          // reading that repeats
+    std::optional<double> mean;                            // of measured over predicted, low-passed
+    double seen_s = 0.0;                                   // behind it
+    double sound_s = 0.0;                                  // since it last was bad
+    double held = -1.0;                                    // reading that repeats
     double held_s = 0.0, held_low = 0.0, held_high = 0.0;  // for how long, the model meanwhile
     bool failed = false;
   };

@@ -8,8 +8,8 @@
 namespace odmc {
 
 /// One rotor's speed from its commands and the battery voltage alone, as they come. A command holds
-/// until the next one and acts after the motor's delay. Times in seconds on any one clock; they must
-/// not step back. Thread-compatible.
+/// until the next one and acts after the motor's delay. Times in seconds on any one clock; they
+/// must not step back. Thread-compatible.
 class SpeedPredictor {
  public:
   explicit SpeedPredictor(const Motor& motor) : motor_(motor) {}

@@ -7,7 +7,8 @@
 
 namespace odmc {
 
-/// One coefficient of a thrust stand: force or torque = coefficient * sum of squared speeds + offset.
+/// One coefficient of a thrust stand: force or torque = coefficient * sum of squared speeds +
+/// offset.
 struct StandFit {
   Measured coefficient;  ///< of one rotor [N s²] or [N m s²]
   Measured offset;       ///< of the cell [N] or [N m]; 0 where it is not fitted

@@ -81,9 +81,9 @@ struct Measured {
 /// The calibrated actuators of a vehicle: what `calibrate_actuator` found.
 struct Actuator {
   CommandUnit command_unit = CommandUnit::kFraction;
-  bool uses_voltage = true;   ///< false: voltage was not known, the map holds for that of the run
+  bool uses_voltage = true;    ///< false: voltage was not known, the map holds for that of the run
   bool knows_dynamics = true;  ///< false: from steady readings; S_1, S_2 and the delay are guesses
-  std::vector<Motor> motors;  ///< one for all rotors, or one each in the vehicle file's order
+  std::vector<Motor> motors;   ///< one for all rotors, or one each in the vehicle file's order
   double sigma_steady_rad_s = 0.0, sigma_response_rad_s = 0.0;  ///< error of a free run, RMS
   std::optional<Measured> k_f;  ///< of one rotor [N s²], where a stand measured thrust
   std::optional<Measured> k_m;  ///< of one rotor [N m s²], where torque or inertia was known
