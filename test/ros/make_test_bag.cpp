@@ -18,6 +18,7 @@
 #include <string>
 #include <vector>
 
+#include "odmc/actuator/flight_actuator.h"
 #include "odmc/analysis/replay.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
@@ -35,6 +36,9 @@ constexpr int kDeadRotor = 1;
 
 using Json = nlohmann::json;
 
+/// The flight has motor commands.
+bool IsCommanded(const std::string& kind) { return kind == "commands" || kind == "dead_sensor"; }
+
 Json ByName(const DynamicModel& model, const ModelValues& values) {
   Json json;
   for (int i = 0; i < model.num_parameters(); ++i) {
@@ -43,14 +47,19 @@ Json ByName(const DynamicModel& model, const ModelValues& values) {
   return json;
 }
 
+Actuator TestActuator() { return LoadActuator(kFolder + "/test/ros/test_actuator.yaml"); }
+
 /// What the offline estimator says of the bag, with the node's options in the rostests.
-Json Offline(const std::string& bag) {
+Json Offline(const std::string& bag, const std::string& kind) {
   const Vehicle vehicle = LoadVehicle(kFolder + "/test/ros/test_quad.yaml");
   const DynamicModel model(vehicle, vehicle.effects);
   EstimatorOptions options;
   options.max_update_time_s = 1.0;
   Estimator estimator(&model, options, true);
-  const FlightLog log = ReadFlightBag(bag, vehicle.num_rotors(), BagOptions());
+  FlightLog log = ReadFlightBag(bag, vehicle.num_rotors(), BagOptions());
+  if (IsCommanded(kind)) {
+    SettleRotors(TestActuator(), vehicle.num_rotors(), kind == "commands", &log);
+  }
   const ReplayResult result = Replay(log, &estimator);
   const ParameterSet set = Estimator::ToParameterSet(model, result.last.value());
   Json json;
@@ -112,7 +121,7 @@ std::vector<CommandSample> CommandsOf(const SimulatedFlight& flight, const Actua
 /// Gives the flight its commands and takes away a sensor or all.
 Json WithCommands(const std::string& kind, SimulatedFlight* flight) {
   FlightLog& log = flight->log;
-  log.commands = CommandsOf(*flight, LoadActuator(kFolder + "/test/ros/test_actuator.yaml"));
+  log.commands = CommandsOf(*flight, TestActuator());
   if (kind == "commands") {
     log.rotors.clear();
     return nullptr;
@@ -137,15 +146,14 @@ void Run(const std::string& file, double duration_s, const std::string& kind) {
   options.log_rate_hz = 200.0;
   SimulatedFlight flight = Simulate(model, truth, options);
   Json json = {{"truth", ByName(model, truth)}};
-  const bool commanded = kind == "commands" || kind == "dead_sensor";
-  if (commanded) json["dead_sensor"] = WithCommands(kind, &flight);
+  if (IsCommanded(kind)) json["dead_sensor"] = WithCommands(kind, &flight);
   if (kind == "frames") {
     WriteFlightBag(flight.log, file + ".plain");
     WriteFrames(file + ".plain", file);
     std::remove((file + ".plain").c_str());
   } else {
     WriteFlightBag(flight.log, file);
-    if (!undeclared && !commanded) json["offline"] = Offline(file);
+    if (!undeclared) json["offline"] = Offline(file, kind);
   }
   std::printf("%s\n", json.dump(2).c_str());
 }

@@ -13,6 +13,7 @@ import unittest
 import diagnostic_msgs.msg
 import rospkg
 import rospy
+import yaml
 
 from odmc.msg import DynamicParameters
 
@@ -122,6 +123,23 @@ class NodeTest(unittest.TestCase):
             self.assertEqual(len(message.covariance), len(message.parameters) ** 2)
             for parameter in message.parameters:
                 self.assertTrue(parameter.unit, parameter.name + " has no unit")
+
+    def check_offline(self, offline):
+        """parameters.yaml of the node against the offline tool's estimate of the same bag."""
+        with open(self.file("parameters.yaml"), encoding="utf-8") as file:
+            saved = yaml.safe_load(file)
+        worst = 0.0
+        for name, parameter in offline.items():
+            live = saved["parameters"][name]
+            if parameter["sigma"] == 0.0:
+                self.assertAlmostEqual(live["value"], parameter["value"], delta=1e-12)
+                continue
+            apart = abs(live["value"] - parameter["value"]) / parameter["sigma"]
+            worst = max(worst, apart)
+            self.assertLess(apart, 0.1, "%s: %g live, %g offline" % (name, live["value"],
+                                                                     parameter["value"]))
+        print("live and offline differ by %.4f sigma at most" % worst)
+        self.assertEqual(saved["provenance"]["tool"], "estimator_node")
 
 
 def by_name(message):
