@@ -86,7 +86,7 @@ Strings Found(const Columns& columns, const Strings& declared, const Strings& us
     if (std::any_of(first.begin(), first.end(), [](double x) { return x != 0.0; })) return names;
   }
   if (flag.empty()) return {};
-  columns.Fail("no column is known as " + role + "; declare it by " + flag +
+  columns.Fail("no column with values is known as " + role + "; declare it by " + flag +
                ". Found are: " + JoinNames(columns.header));
 }
 
@@ -160,7 +160,7 @@ BenchRun ReadBenchCsv(const std::string& file, const BenchColumns& declared, Str
   const Strings speed =
       Found(columns, declared.speed,
             {"rotor%", "rotor_speed", "rotor", "rotor_optical", "rotor_electrical"},
-            "the rotor speed, or it is 0 in every row", "--speed");
+            "the rotor speed", "--speed");
   if (command.size() != 1 && command.size() != speed.size()) {
     columns.Fail(std::to_string(command.size()) + " commands for " + std::to_string(speed.size()) +
                  " rotor speeds; one for all or one each is wanted");

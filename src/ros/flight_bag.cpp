@@ -482,21 +482,45 @@ FlightLog ReadOpenBag(BagSource* bag, int num_rotors, PoseSource pose, const Bag
   return log;
 }
 
-FlightLog ReadBag(const std::string& file, int num_rotors, PoseSource pose,
-                  const BagOptions& options) {
-  if (options.twist_frame != "auto" && options.twist_frame != "body" &&
-      options.twist_frame != "world") {
-    Fail(file, "twist_frame must be auto, body or world, not '" + options.twist_frame + "'");
-  }
+FlightLog ReadOpenActuatorBag(BagSource* bag, const BagOptions& options) {
+  FlightLog log;
+  log.file = std::filesystem::path(bag->file()).filename().string();
+  const std::string topic = bag->TopicOf("motor_commands");
+  if (topic.empty()) Fail(bag->file(), "no odmc/MotorCommands; " + bag->Contents());
+  const auto commands = bag->Read<odmc::MotorCommands>(topic);
+  if (commands.empty()) Fail(bag->file(), topic + " has no message");
+  const auto num_rotors = static_cast<int>(commands.front()->throttle.size());
+  if (num_rotors < 1 || num_rotors > kMaxRotors)
+    Fail(bag->file(), topic + " has " + std::to_string(num_rotors) + " commands");
+  ReadCommands(bag, num_rotors, &log);
+  ReadRotors(bag, num_rotors, options, &log);
+  if (log.rotors.empty()) Fail(bag->file(), "no rotor speeds; " + bag->Contents());
+  ReadBattery(bag, &log);
+  return log;
+}
+
+template <typename Read>
+FlightLog WithOpenBag(const std::string& file, const BagOptions& options, Read read) {
   try {
     BagSource bag(file, options);
-    return ReadOpenBag(&bag, num_rotors, pose, options);
+    return read(&bag);
   } catch (const std::invalid_argument&) {
     throw;
   } catch (const std::exception& e) {
     // A damaged chunk or record shows as any of a dozen exceptions of rosbag and its libraries.
     Fail(file, std::string("is damaged or truncated: ") + e.what());
   }
+}
+
+FlightLog ReadBag(const std::string& file, int num_rotors, PoseSource pose,
+                  const BagOptions& options) {
+  if (options.twist_frame != "auto" && options.twist_frame != "body" &&
+      options.twist_frame != "world") {
+    Fail(file, "twist_frame must be auto, body or world, not '" + options.twist_frame + "'");
+  }
+  return WithOpenBag(file, options, [&](BagSource* bag) {
+    return ReadOpenBag(bag, num_rotors, pose, options);
+  });
 }
 
 // ---- Samples to messages -----------------------------------------------------------------------
@@ -616,6 +640,11 @@ std::string LowerEnding(const std::string& file) {
 
 FlightLog ReadFlightBag(const std::string& file, int num_rotors, const BagOptions& options) {
   return ReadBag(file, num_rotors, PoseSource::kEkf, options);
+}
+
+FlightLog ReadActuatorBag(const std::string& file, const BagOptions& options) {
+  return WithOpenBag(file, options,
+                     [&](BagSource* bag) { return ReadOpenActuatorBag(bag, options); });
 }
 
 FlightLog ReadFlight(const std::string& file, int num_rotors, PoseSource pose,

@@ -1,5 +1,6 @@
 #include <iostream>
 
+#include "odmc/actuator/flight_actuator.h"
 #include "odmc/actuator/rotor_inertia.h"
 #include "odmc/analysis/actuator_report.h"
 #include "odmc/analysis/report.h"
@@ -54,6 +55,19 @@ struct BenchArguments {
   }
 };
 
+// A bench file of either kind.
+BenchRun ReadBench(const std::string& file, const BenchColumns& columns,
+                   const std::string& speed_unit, std::vector<std::string>* used) {
+  if (file.size() < 4 || file.substr(file.size() - 4) != ".bag")
+    return ReadBenchCsv(file, columns, used);
+  BagOptions options;
+  options.rotor_speed_unit = speed_unit;
+  if (columns.pole_pairs > 0) options.pole_pairs = columns.pole_pairs;
+  BenchRun run = BenchRunOf(ReadActuatorBag(file, options));
+  run.command_unit = columns.command_unit;
+  return run;
+}
+
 // Inertia of one rotor, by its value or its geometry.
 struct InertiaArguments {
   double inertia_kg_m2 = 0.0, share = 0.2;
@@ -105,7 +119,7 @@ int main(int argc, char** argv) {
   std::vector<std::string> files, evaluate;
   std::string folder;
   bool no_report = false;
-  app.add_option("FILE", files, "CSV files of the same motors")
+  app.add_option("FILE", files, "CSV files or bags (odmc/MotorCommands) of the same motors")
       ->required()
       ->check(CLI::ExistingFile);
   bench.AddTo(&app);
@@ -120,14 +134,14 @@ int main(int argc, char** argv) {
     std::vector<std::string> used;
     for (const std::string& file : files) {
       used.clear();
-      runs.push_back(ReadBenchCsv(file, columns, &used));
+      runs.push_back(ReadBench(file, columns, bench.speed_unit, &used));
     }
     for (const std::string& line : used) std::cout << line << "\n";
     const ActuatorCalibration calibration = CalibrateActuator(runs, rotor_inertia);
     const Actuator actuator = ActuatorOf(calibration);
     std::vector<ActuatorEvaluation> evaluations;
     for (const std::string& file : evaluate) {
-      const BenchRun run = ReadBenchCsv(file, columns);
+      const BenchRun run = ReadBench(file, columns, bench.speed_unit, nullptr);
       evaluations.push_back({run.file, EvaluateActuator(actuator, run)});
     }
     tools::MakeFolder(folder);

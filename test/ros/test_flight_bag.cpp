@@ -114,6 +114,24 @@ TEST_F(FlightBag, RoundTripKeepsEveryBit) {
   }
 }
 
+// Of a bench there need be no pose; the number of rotors is that of the commands.
+TEST_F(FlightBag, GivesWhatActuatorsAreIdentifiedFrom) {
+  const FlightLog flight = Circles(0);
+  WriteFlightBag(flight, File());
+  const FlightLog log = ReadActuatorBag(File(), {});
+  EXPECT_TRUE(log.odometry.empty());
+  ASSERT_EQ(log.commands.size(), flight.commands.size());
+  ASSERT_EQ(log.rotors.size(), flight.rotors.size());
+  EXPECT_EQ(log.commands.back().throttle, flight.commands.back().throttle);
+  EXPECT_EQ(log.rotors.back().speed, flight.rotors.back().speed);
+  EXPECT_EQ(log.rotors[5].stamp - log.commands[5].stamp,
+            flight.rotors[5].stamp - flight.commands[5].stamp);
+  FlightLog silent = flight;
+  silent.commands.clear();
+  WriteFlightBag(silent, File());
+  ODMC_EXPECT_ERROR(ReadActuatorBag(File(), {}), "MotorCommands");
+}
+
 TEST_F(FlightBag, AbsentPartsStayAbsent) {
   FlightLog log = Circles(0);
   log.battery.clear();

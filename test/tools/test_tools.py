@@ -228,6 +228,46 @@ class ToolsTest(unittest.TestCase):
         self.assertLess(rows[0]['timing_ms']['states_in_window'],
                         rows[1]['timing_ms']['states_in_window'])
 
+    def bench(self) -> str:
+        """Steps of one motor: first-order lag of 30 ms, 700 rad/s at 20 %, 2000 per throttle."""
+        rows, speed = ['t,pwm_us,rotor1,vbat,thrust_N'], 700.0
+        for i in range(2400):
+            throttle = 0.2 + 0.1 * (i // 400 % 3)
+            rows.append(f'{0.005 * i:.3f},{1000 + 1000 * throttle:.0f},{speed:.2f},16.0,'
+                        f'{1.5e-6 * speed * speed:.5f}')
+            speed += (300 + 2000 * throttle - speed) * (1 - math.exp(-0.005 / 0.03))
+        return self.write('bench.csv', '\n'.join(rows) + '\n')
+
+    def test_calibrate_actuator_reports_what_a_bench_gives(self) -> None:
+        out = self.path('actuator')
+        done = run('calibrate_actuator', self.bench(), '--command-unit', 'us', '--speed-unit',
+                   'rad_s', '--rotor-inertia', '1e-5', '--out', out)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        report = read_json(out, 'report.json')
+        self.assertEqual(set(report['parameters']), {'k_f', 'k_m', 'S_0', 'S_1', 'S_2', 'U_a',
+                                                     'time_constant_s', 'delay_s'})
+        self.assertAlmostEqual(report['parameters']['time_constant_s']['value'], 0.03, delta=0.002)
+        self.assertAlmostEqual(report['parameters']['k_f']['value'], 1.5e-6, delta=1e-8)
+        self.assertIn('time_constant_s', report['identifiable'])
+        self.assertLess(report['steady_error_percent'], 1.0)
+        self.assertLess(report['response_error_percent'], 3.0)
+        for name in ('actuator.yaml', 'free_run.csv', 'report.html', 'actuator.png'):
+            self.assertTrue(os.path.getsize(os.path.join(out, name)) > 300, name)
+
+    def test_calibrate_actuator_says_what_is_wrong(self) -> None:
+        declared = ['--command-unit', 'us', '--speed-unit', 'rad_s', '--out', self.path('bad')]
+        bench = self.bench()
+        self.expect(1, 'bench.csv: column nix (the rotor speed', 'calibrate_actuator', bench,
+                    '--speed', 'nix', *declared)
+        self.expect(2, '--pole-pairs', 'calibrate_actuator', bench, '--command-unit', 'us',
+                    '--speed-unit', 'erpm', '--out', self.path('bad'))
+        self.expect(1, 'no command in fraction',
+                    'calibrate_actuator', bench, '--command-unit', 'fraction', '--speed-unit',
+                    'rad_s', '--out', self.path('bad'))
+        self.expect(1, 'has no commands to take rotor speeds from', 'calibrate', self.flight(),
+                    '--vehicle', VEHICLE, '--rotor-speed-from', 'commands', '--out',
+                    self.path('bad'))
+
     def test_catalogue_names_every_effect(self) -> None:
         for flags in ((), ('--markdown',)):
             done = run('list_effects', *flags)

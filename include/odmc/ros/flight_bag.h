@@ -32,6 +32,11 @@ struct BagOptions {
 ///   speeds, twist that fits neither frame.
 FlightLog ReadFlightBag(const std::string& file, int num_rotors, const BagOptions& options);
 
+/// Reads only what actuators are identified from: motor_commands, rotor speeds, battery voltage. The
+/// number of rotors is that of the commands.
+/// @throws std::invalid_argument as ReadFlightBag(), also where there are no commands
+FlightLog ReadActuatorBag(const std::string& file, const BagOptions& options);
+
 /// Reads .bag or .csv by its ending. PoseSource::kMocap takes a bag's `pose` topic.
 FlightLog ReadFlight(const std::string& file, int num_rotors, PoseSource pose,
                      const BagOptions& options);
