@@ -172,6 +172,10 @@ RotorSpeeds RotorCommand(const ControlCommand& command) {
   return ToMessage(RotorSample{command.stamp, command.rotor_speed});
 }
 
+MotorCommands MotorCommand(const ControlCommand& command) {
+  return ToMessage(CommandSample{command.stamp, command.throttle});
+}
+
 RateThrust RateThrustCommand(const ControlCommand& command, const std::string& body_frame) {
   RateThrust m;
   m.header = MakeHeader(command.stamp, body_frame);
@@ -181,7 +185,7 @@ RateThrust RateThrustCommand(const ControlCommand& command, const std::string& b
 }
 
 bool IsFinite(const ControlCommand& c) {
-  return c.rotor_speed.allFinite() && c.w_WB_B_cmd.allFinite() &&
+  return c.rotor_speed.allFinite() && c.throttle.allFinite() && c.w_WB_B_cmd.allFinite() &&
          std::isfinite(c.collective_thrust_N) && std::isfinite(c.allocation.thrust_change_N) &&
          std::isfinite(c.allocation.roll_pitch_share) && std::isfinite(c.allocation.yaw_share);
 }

@@ -76,6 +76,7 @@ ControllerNode::ControllerNode(const ros::NodeHandle& node, const ros::NodeHandl
       node_(node) {
   twist_.emplace();
   report_.uses_estimate = setup_.options.use_estimate;
+  report_.has_actuator = setup_.vehicle.actuator.has_value();
   Subscribe();
   Advertise(private_node);
   const ros::Duration period(1.0 / setup_.options.control_rate_hz);
@@ -94,10 +95,15 @@ void ControllerNode::Subscribe() {
       node_.subscribe("reference", 20, &ControllerNode::OnReference, this, hints),
       node_.subscribe("command_trajectory", 5, &ControllerNode::OnTrajectory, this, hints),
       node_.subscribe("parameters_accepted", 5, &ControllerNode::OnAccepted, this, hints)};
+  if (!report_.has_actuator) return;
+  subscribers_.push_back(
+      node_.subscribe("battery_state", 5, &ControllerNode::OnBattery, this, hints));
 }
 
 void ControllerNode::Advertise(ros::NodeHandle private_node) {
   rotor_publisher_ = node_.advertise<RotorSpeeds>("command/rotor_speeds", 10);
+  if (report_.has_actuator)
+    motor_publisher_ = node_.advertise<MotorCommands>("motor_commands", 10);
   rate_publisher_ = node_.advertise<RateThrust>("command/rate_thrust", 10);
   status_publisher_ = node_.advertise<ControllerStatus>("controller_status", 50);
   diagnostics_publisher_ = node_.advertise<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10);
@@ -132,7 +138,7 @@ void ControllerNode::OnClockStepBack() {
   controller_.Reset();
   references_.Reset();
   twist_.emplace();
-  newest_odometry_ = newest_imu_ = newest_rotors_ = newest_now_ = 0;
+  newest_odometry_ = newest_imu_ = newest_rotors_ = newest_battery_ = newest_now_ = 0;
   last_step_.reset();
   last_status_.reset();
   report_.twist_warning.clear();
@@ -202,6 +208,16 @@ void ControllerNode::OnRotors(const RotorSpeeds::ConstPtr& message) {
     return;
   }
   if (Admit(input->sample.stamp, &newest_rotors_, &report_.rotors)) controller_.Add(input->sample);
+}
+
+void ControllerNode::OnBattery(const sensor_msgs::BatteryState::ConstPtr& message) {
+  ++report_.battery.received;
+  const std::optional<BatterySample> sample = ToInput(*message);
+  if (!sample) {
+    ++report_.battery.refused;
+    return;
+  }
+  if (Admit(sample->stamp, &newest_battery_, &report_.battery)) controller_.Add(*sample);
 }
 
 void ControllerNode::OnReference(const FlatOutput::ConstPtr& message) {
@@ -326,6 +342,7 @@ void ControllerNode::PublishCommand(const ControlCommand& command) {
   }
   report_.command = command;
   rotor_publisher_.publish(RotorCommand(command));
+  if (motor_publisher_) motor_publisher_.publish(MotorCommand(command));
   rate_publisher_.publish(RateThrustCommand(command, setup_.options.body_frame));
 }
 

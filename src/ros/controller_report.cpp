@@ -25,6 +25,9 @@ void SetLevel(const ControllerReport& r, long refused_before, DiagnosticStatus* 
   if (r.has_state && r.imu.received == 0) {
     return set(DiagnosticStatus::WARN, "no IMU: without its rates the vehicle cannot be held");
   }
+  if (r.has_actuator && r.has_state && r.battery.received == r.battery.refused) {
+    return set(DiagnosticStatus::WARN, "no battery voltage: throttles are for the nominal one");
+  }
   if (r.reference_lost) {
     return set(DiagnosticStatus::WARN, "the reference has gone: its last place is held");
   }
@@ -51,8 +54,8 @@ void PutInput(const std::string& stream, const ControlInput& input, DiagnosticSt
 }  // namespace
 
 long RefusedInput(const ControllerReport& r) {
-  return r.odometry.refused + r.imu.refused + r.rotors.refused + r.references.refused +
-         r.estimates.refused;
+  return r.odometry.refused + r.imu.refused + r.rotors.refused + r.battery.refused +
+         r.references.refused + r.estimates.refused;
 }
 
 ControllerStatus ToMessage(const ControllerReport& r, const std::string& body_frame) {
@@ -97,6 +100,7 @@ DiagnosticStatus ControllerDiagnostic(const ControllerReport& r, long refused_be
   PutInput("odometry", r.odometry, &status);
   PutInput("imu", r.imu, &status);
   PutInput("rotor_speeds", r.rotors, &status);
+  if (r.has_actuator) PutInput("battery_state", r.battery, &status);
   PutInput("references", r.references, &status);
   PutInput("estimates", r.estimates, &status);
   return status;

@@ -195,6 +195,10 @@ void SimulatorNode::Advertise() {
   diagnostics_publisher_ = node_.advertise<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10);
   command_subscriber_ = node_.subscribe("command/rotor_speeds", 10, &SimulatorNode::OnCommand, this,
                                         ros::TransportHints().tcpNoDelay());
+  if (world_.has_actuator()) {
+    motor_subscriber_ = node_.subscribe("motor_commands", 10, &SimulatorNode::OnMotorCommand, this,
+                                        ros::TransportHints().tcpNoDelay());
+  }
 
   Offer("attach_payload", AttachPayload);
   Offer("drop_payload", DropPayload);
@@ -243,22 +247,34 @@ bool SimulatorNode::OnPause(std_srvs::SetBool::Request& request,
 }
 
 void SimulatorNode::OnCommand(const RotorSpeeds::ConstPtr& message) {
+  if (motor_subscriber_ && motor_subscriber_.getNumPublishers() > 0) return;
   const std::optional<RotorInput> input = ToInput(*message, model_.vehicle().num_rotors());
+  input ? Obey(input->sample.stamp, input->sample.speed, false) : Refuse("speed");
+}
+
+void SimulatorNode::OnMotorCommand(const MotorCommands::ConstPtr& message) {
+  const std::optional<CommandSample> input = ToInput(*message, model_.vehicle().num_rotors());
+  input ? Obey(input->stamp, input->throttle, true) : Refuse("throttle");
+}
+
+void SimulatorNode::Obey(Stamp stamp, const RotorVector& values, bool is_throttle) {
   {
     const std::lock_guard<std::mutex> lock(command_mutex_);
-    if (input) {
-      ++commands_;
-      command_ = {input->sample.stamp - epoch_, input->sample.speed};
-    } else {
-      ++commands_refused_;
-    }
+    ++commands_;
+    command_ = Told{stamp - epoch_, values, is_throttle};
   }
-  if (!input) {
-    ROS_WARN_THROTTLE(1.0,
-                      "a command was refused: it must have a stamp and one finite speed for "
-                      "each of %d rotors",
-                      model_.vehicle().num_rotors());
+  command_arrived_.notify_one();
+}
+
+void SimulatorNode::Refuse(const std::string& what) {
+  {
+    const std::lock_guard<std::mutex> lock(command_mutex_);
+    ++commands_refused_;
   }
+  ROS_WARN_THROTTLE(1.0,
+                    "a command was refused: it must have a stamp and one finite %s for each of %d "
+                    "rotors",
+                    what.c_str(), model_.vehicle().num_rotors());
   command_arrived_.notify_one();
 }
 
@@ -300,7 +316,9 @@ bool SimulatorNode::MayStep() {
 }
 
 bool SimulatorNode::HasController() const {
-  return odometry_publisher_.getNumSubscribers() > 0 && command_subscriber_.getNumPublishers() > 0;
+  return odometry_publisher_.getNumSubscribers() > 0 &&
+         (command_subscriber_.getNumPublishers() > 0 ||
+          (motor_subscriber_ && motor_subscriber_.getNumPublishers() > 0));
 }
 
 // Returns false where it has waited and should look again at what else happened.
@@ -337,11 +355,12 @@ void SimulatorNode::ObeyCommand() {
   const bool is_old = ToSeconds(world_.now() - command_->stamp) > kOldCommand_s;
   if (is_old) {
     if (rotors_stopped_) return;
-    world_.Command(RotorVector::Zero(command_->speed.size()));
+    world_.Command(RotorVector::Zero(command_->values.size()));
     ROS_WARN("the newest command is older than %.2f s: rotors stop", kOldCommand_s);
   } else if (command_->stamp != obeyed_ || rotors_stopped_) {
     obeyed_ = command_->stamp;
-    world_.Command(command_->speed);
+    command_->is_throttle ? world_.CommandThrottle(command_->values)
+                          : world_.Command(command_->values);
   }
   rotors_stopped_ = is_old;
 }

@@ -12,7 +12,8 @@ import trajectory_msgs.msg
 
 import node_harness
 from node_harness import Collector, is_finite, wait_until
-from odmc.msg import (ControllerStatus, DynamicParameters, FlatOutput, RateThrust, RotorSpeeds)
+from odmc.msg import (ControllerStatus, DynamicParameters, FlatOutput, MotorCommands, RateThrust,
+                      RotorSpeeds)
 
 TRUTH = os.path.join(node_harness.PACKAGE, "test", "ros", "true_quad.yaml")
 TOPICS = {
@@ -33,6 +34,7 @@ OTHERS = {
     "odometry": ("/odometry", nav_msgs.msg.Odometry),
     "imu": ("/imu", sensor_msgs.msg.Imu),
     "rotors": ("/rotor_speeds", RotorSpeeds),
+    "motors": ("/motor_commands", MotorCommands),
     "rates": ("/command/rate_thrust", RateThrust),
 }
 

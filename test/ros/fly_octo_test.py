@@ -1,7 +1,9 @@
 #!/usr/bin/env python3
 """A whole flight in closed loop: from the ground, along the octo, with the estimate, and down."""
 
+import os
 import sys
+import tempfile
 
 import rospy
 import rostest
@@ -35,6 +37,37 @@ class FlyOctoTest(flight_harness.FlightTest):
         speed = self.last("truth").twist.twist.linear
         self.assertLess(abs(speed.x) + abs(speed.y) + abs(speed.z), 0.05)
         self.check_inputs()
+
+    def test_flies_by_throttle(self):
+        package = node_harness.PACKAGE
+        with open(os.path.join(package, "config", "vehicles", "generic.yaml")) as file:
+            text = file.read()
+        line = "# actuator: ../actuators/generic.yaml"
+        self.assertIn(line, text)
+        actuator = os.path.join(package, "config", "actuators", "generic.yaml")
+        with tempfile.TemporaryDirectory() as folder:
+            vehicle = os.path.join(folder, "generic.yaml")
+            with open(vehicle, "w") as file:
+                file.write(text.replace(line, "actuator: " + actuator))
+            self.fly("vehicle_file:=" + vehicle, "trajectory:=octo", "top_speed_m_s:=3",
+                     "duration_s:=10", "ground_s:=1.5", "real_time_factor:=0.9", also=("motors",))
+            self.assertTrue(node_harness.wait_until(lambda: self.take_off_s() < self.now_s(), 40.0))
+            start = self.take_off_s() + SETTLED_S
+            self.wait_until_s(start + 7.0)
+        self.check_finite()
+        self.check_no_failsafe()
+        print("by throttle: RMSE %.3f m" % self.rmse(start))
+        self.assertLess(self.rmse(start), 0.10)
+        throttles = [m.throttle for m in list(self.topics["motors"].messages)[-500:]]
+        self.assertTrue(all(0.05 < x < 1.0 for t in throttles for x in t))
+        # The simulator follows these and no rotor speeds: it counts one command per message.
+        status = node_harness.last_status(self.diagnostics, "/simulator", "simulator")
+        self.assertEqual(status[2]["commands_refused"], "0")
+        sent = len(self.topics["motors"].messages)
+        self.assertLess(int(status[2]["commands"]), 1.2 * sent)
+        status = node_harness.last_status(self.diagnostics, "/controller", "controller")
+        self.assertGreater(int(status[2]["battery_state_received"]), 50)
+        self.assertEqual(status[2]["battery_state_refused"], "0")
 
     def check_tracking(self):
         start = self.take_off_s() + SETTLED_S

@@ -256,6 +256,13 @@ TEST(ControlMessages, CommandsThatAreNotFiniteAreSeen) {
   command.rotor_speed[2] = 900.0;
   command.w_WB_B_cmd.y() = kNan;
   EXPECT_FALSE(IsFinite(command));
+  command.w_WB_B_cmd.y() = 0.0;
+  command.stamp = FromSeconds(1.0);
+  command.throttle = RotorVector::Constant(4, 0.4);
+  EXPECT_TRUE(IsFinite(command));
+  EXPECT_EQ(ToInput(MotorCommand(command), 4)->throttle[3], 0.4);
+  command.throttle[1] = kNan;
+  EXPECT_FALSE(IsFinite(command));
 }
 
 // ---- The controller's report -------------------------------------------------------------------
@@ -275,6 +282,10 @@ TEST(ControllerReport, LevelSaysWhatIsWrong) {
   EXPECT_EQ(level(), DiagnosticStatus::WARN);
   EXPECT_EQ(ControllerDiagnostic(report, 3, "n").level, DiagnosticStatus::OK) << "not since then";
   report.imu.refused = 0;
+  report.has_actuator = true;
+  EXPECT_EQ(level(), DiagnosticStatus::WARN) << "no battery voltage";
+  report.battery.received = 1;
+  EXPECT_EQ(level(), DiagnosticStatus::OK);
   report.handover = HandoverState::kHolding;
   EXPECT_EQ(level(), DiagnosticStatus::WARN);
   report.handover = HandoverState::kRolledBack;

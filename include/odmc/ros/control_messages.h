@@ -53,6 +53,8 @@ trajectory_msgs::MultiDOFJointTrajectory ToMessage(const std::vector<TimedRefere
 RotorSpeeds ToMessage(const RotorSample& sample);
 MotorCommands ToMessage(const CommandSample& sample);
 RotorSpeeds RotorCommand(const ControlCommand& command);
+/// @pre the command has throttles
+MotorCommands MotorCommand(const ControlCommand& command);
 RateThrust RateThrustCommand(const ControlCommand& command, const std::string& body_frame);
 /// False if anything that is published of a command is not a finite number.
 bool IsFinite(const ControlCommand& command);

@@ -7,6 +7,7 @@
 #include <ros/subscriber.h>
 #include <ros/timer.h>
 #include <ros/wall_timer.h>
+#include <sensor_msgs/BatteryState.h>
 #include <sensor_msgs/Imu.h>
 #include <std_srvs/SetBool.h>
 #include <std_srvs/Trigger.h>
@@ -85,7 +86,8 @@ struct ControllerNodeSetup {
 ControllerNodeSetup ReadControllerNodeSetup(const ros::NodeHandle& private_node);
 
 /// The controller on ROS: odometry, IMU, rotor speeds and a reference in; rotor speeds out, and
-/// body rates with thrust for vehicles that close the inner loop themselves. Uses accepted
+/// body rates with thrust for vehicles that close the inner loop themselves. Where the vehicle has an
+/// actuator: battery voltage in, throttles out. Uses accepted
 /// estimates through a ParameterHandover. Everything runs on the one thread that spins; a step
 /// takes a fraction of a millisecond. Links no solver.
 class ControllerNode {
@@ -101,6 +103,7 @@ class ControllerNode {
   void OnOdometry(const nav_msgs::Odometry::ConstPtr& message);
   void OnImu(const sensor_msgs::Imu::ConstPtr& message);
   void OnRotors(const RotorSpeeds::ConstPtr& message);
+  void OnBattery(const sensor_msgs::BatteryState::ConstPtr& message);
   void OnReference(const FlatOutput::ConstPtr& message);
   void OnTrajectory(const trajectory_msgs::MultiDOFJointTrajectory::ConstPtr& message);
   void OnAccepted(const DynamicParameters::ConstPtr& message);
@@ -129,7 +132,7 @@ class ControllerNode {
   std::optional<TwistFrameDetector> twist_;  // always there; made anew where the clock steps back
   ControllerReport report_;
 
-  Stamp newest_odometry_ = 0, newest_imu_ = 0, newest_rotors_ = 0;
+  Stamp newest_odometry_ = 0, newest_imu_ = 0, newest_rotors_ = 0, newest_battery_ = 0;
   Stamp newest_now_ = 0;
   double imu_period_s_ = 1.0;  // of the newest samples
   std::optional<Stamp> last_step_, last_status_;
@@ -138,7 +141,8 @@ class ControllerNode {
   ros::NodeHandle node_;
   std::vector<ros::Subscriber> subscribers_;
   std::vector<ros::ServiceServer> services_;
-  ros::Publisher rotor_publisher_, rate_publisher_, status_publisher_, diagnostics_publisher_;
+  ros::Publisher rotor_publisher_, motor_publisher_, rate_publisher_, status_publisher_,
+      diagnostics_publisher_;
   ros::Timer step_timer_;
   ros::WallTimer report_timer_;
 };

@@ -28,9 +28,10 @@ struct ControllerReport {
   bool uses_estimate = true;
   bool has_state = false, has_reference = false, reference_lost = false;
   std::string twist_warning;  ///< empty: nothing speaks against the twist's frame
-  ControlInput odometry, imu, rotors, references, estimates;
+  ControlInput odometry, imu, rotors, battery, references, estimates;
   long estimates_declined = 0;  ///< by the hand-over
   long steps = 0, late_steps = 0, not_finite = 0, odometry_jumps = 0, clock_resets = 0;
+  bool has_actuator = false;  ///< throttles are published, at the battery's voltage
   double step_ms_max = 0.0;  ///< wall time since the last report
 };
 

@@ -20,6 +20,7 @@
 #include <thread>
 #include <vector>
 
+#include "odmc/MotorCommands.h"
 #include "odmc/RotorSpeeds.h"
 #include "odmc/model/dynamic_model.h"
 #include "odmc/sim/world.h"
@@ -78,7 +79,8 @@ SimulatorNodeSetup ReadSimulatorNodeSetup(const ros::NodeHandle& private_node);
 
 /// A vehicle in its world, on ROS. One thread steps in real time and publishes what sensors
 /// deliver; where the machine is too slow, the clock slows down and no step is left out. Commands
-/// and services come in on ROS' threads.
+/// and services come in on ROS' threads. A vehicle with an actuator follows motor_commands; its rotor
+/// speeds are commanded only while nobody publishes these.
 class SimulatorNode {
  public:
   /// @throws std::invalid_argument with a sentence for the user
@@ -96,6 +98,9 @@ class SimulatorNode {
   void Offer(const std::string& service,
              std::string (*act)(const WorldOptions& sizes, World* world));
   void OnCommand(const RotorSpeeds::ConstPtr& message);
+  void OnMotorCommand(const MotorCommands::ConstPtr& message);
+  void Obey(Stamp stamp, const RotorVector& values, bool is_throttle);
+  void Refuse(const std::string& what);
   bool OnPause(std_srvs::SetBool::Request& request, std_srvs::SetBool::Response& response);
   WorldOptions Sizes() const;
 
@@ -129,7 +134,7 @@ class SimulatorNode {
       battery_publisher_, reference_publisher_, point_publisher_, path_publisher_,
       truth_odometry_publisher_, truth_wrench_publisher_, truth_wind_publisher_,
       truth_parameters_publisher_, diagnostics_publisher_;
-  ros::Subscriber command_subscriber_;
+  ros::Subscriber command_subscriber_, motor_subscriber_;  // the second: with an actuator
   std::vector<ros::ServiceServer> services_;
   tf2_ros::TransformBroadcaster tf_broadcaster_;
   tf2_ros::StaticTransformBroadcaster static_tf_broadcaster_;
@@ -141,7 +146,12 @@ class SimulatorNode {
   // Guarded by command_mutex_.
   std::mutex command_mutex_;
   std::condition_variable command_arrived_;
-  std::optional<RotorSample> command_;  // the newest, in the world's time
+  struct Told {
+    Stamp stamp;         // in the world's time
+    RotorVector values;  // throttles, or speeds [rad/s]
+    bool is_throttle;
+  };
+  std::optional<Told> command_;  // the newest
   long commands_ = 0, commands_refused_ = 0;
   bool stopping_ = false;
 
