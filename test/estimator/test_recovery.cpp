@@ -214,7 +214,7 @@ TEST(ActuatorFlight, RecordsCommandsThatExplainTheSpeeds) {
       rotor.Command(t_s, flight.log.commands[i].throttle[2], flight.log.battery[i].voltage_V);
       const double measured = flight.log.rotors[i].speed[2];
       if (i == 0) rotor.StartAt(t_s, measured);
-      largest = std::max(largest, std::abs(rotor.At(t_s) - measured));
+      largest = std::max(largest, std::abs(rotor.At(ToSeconds(flight.log.rotors[i].stamp)) - measured));
       top = std::max(top, measured);
     }
     EXPECT_LT(largest, 0.1);  // a command's voltage is held, the world's goes on
