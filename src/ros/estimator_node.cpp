@@ -43,6 +43,7 @@ constexpr std::chrono::seconds kAnswerPatience(5);
 constexpr std::chrono::seconds kTfPatience(2);
 constexpr std::chrono::seconds kFinishPatience(2);
 constexpr int kWatchNiceness = 10;
+constexpr double kCommandsLost_s = 0.5;  // RotorSource then watches no longer
 constexpr size_t kBatch = 300;          // samples taken from the queue at once
 constexpr size_t kTimedUpdates = 1000;  // the percentiles look back this far
 constexpr char kCalibrated[] = "_calibrated";
@@ -460,6 +461,7 @@ void EstimatorNode::OnClockStepBack() {
   } else if (estimator_) {
     estimator_->RestartChain();
     if (rotor_source_) rotor_source_->Restart();
+    last_command_.reset();
     acceptance_.Reset();
     if (watch_) watch_->Clear();
     const std::lock_guard<std::mutex> lock(status_mutex_);
@@ -569,13 +571,14 @@ void EstimatorNode::Feed(const Sample& sample) {
 
 void EstimatorNode::Settle(const CommandSample& sample) {
   if (!rotor_source_) return;
-  has_commands_ = true;
+  last_command_ = sample.stamp;
   if (const std::optional<RotorSample> modelled = rotor_source_->Add(sample)) Observe(*modelled);
 }
 
 void EstimatorNode::Settle(const RotorSample& sample) {
   // Of the root mean square of all rotors no single one can be told to be bad.
   if (!rotor_source_ || intake_.rms_only()) return Observe(sample);
+  has_commands_ = last_command_ && ToSeconds(sample.stamp - *last_command_) < kCommandsLost_s;
   const std::optional<RotorSample> settled = rotor_source_->Add(sample);
   TellFaults();
   if (settled) Observe(*settled);

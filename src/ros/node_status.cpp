@@ -147,7 +147,7 @@ DiagnosticStatus RotorDiagnostic(const RotorStatus& r, const std::string& name) 
   status.message = !r.bad.empty()  ? Join(r.Sentences()) + "; speeds from its commands stand in"
                    : r.from_commands ? "speeds come from commands"
                    : r.is_watching   ? "sensors agree with commands"
-                                     : "no commands and voltage yet: sensors are not watched";
+                                     : "no commands or no voltage: sensors are not watched";
   Put("rotor_speed_from", r.from_commands ? "commands" : "sensor", &status);
   Put("watching", r.is_watching, &status);
   std::vector<std::string> names;

@@ -199,6 +199,7 @@ class EstimatorNode {
   std::optional<RotorSource> rotor_source_;  // where the actuator is known
   std::map<int, RotorFault> bad_sensors_;    // by rotor
   long rotor_faults_ = 0;
+  std::optional<Stamp> last_command_;
   bool has_voltage_ = false, has_commands_ = false;
   std::shared_ptr<const DynamicModel> model_;  // others get it by status_
   std::unique_ptr<Estimator> estimator_;

@@ -38,7 +38,7 @@ struct StreamStatus {
 /// Where rotor speeds come from, and which sensors are bad.
 struct RotorStatus {
   bool from_commands = false;
-  bool is_watching = false;          ///< commands came, so that sensors are compared with them
+  bool is_watching = false;          ///< commands come, so that sensors are compared with them
   std::vector<RotorFault> bad = {};  ///< sensors that are bad at present, with how it began
   long replaced = 0;                 ///< single readings that were replaced, without a fault
   long faults = 0;                   ///< so far
