@@ -124,7 +124,7 @@ class NodeTest(unittest.TestCase):
             for parameter in message.parameters:
                 self.assertTrue(parameter.unit, parameter.name + " has no unit")
 
-    def check_offline(self, offline):
+    def check_offline(self, offline, sigmas=0.1):
         """parameters.yaml of the node against the offline tool's estimate of the same bag."""
         with open(self.file("parameters.yaml"), encoding="utf-8") as file:
             saved = yaml.safe_load(file)
@@ -136,7 +136,7 @@ class NodeTest(unittest.TestCase):
                 continue
             apart = abs(live["value"] - parameter["value"]) / parameter["sigma"]
             worst = max(worst, apart)
-            self.assertLess(apart, 0.1, "%s: %g live, %g offline" % (name, live["value"],
+            self.assertLess(apart, sigmas, "%s: %g live, %g offline" % (name, live["value"],
                                                                      parameter["value"]))
         print("live and offline differ by %.4f sigma at most" % worst)
         self.assertEqual(saved["provenance"]["tool"], "estimator_node")
