@@ -105,10 +105,11 @@ bool RotorSource::Watch(double dt, double measured, double predicted, RotorWatch
   rotor->sound_s = frozen || off > kSound ? 0.0 : rotor->sound_s + dt;
   if (!rotor->failed && (frozen || far_off)) {
     rotor->failed = true;
-    *reason = frozen ? Text("its sensor is frozen at %.0f rad/s", measured)
-              : *rotor->mean < 0.3
-                  ? std::string("its sensor reads 0 most of the time")
-                  : Text("its sensor reads %.2f times what its commands give", *rotor->mean);
+    // The mean lags behind: the reading itself says more, unless it happens to be right.
+    const double shown = std::abs(ratio - 1.0) > kFault ? ratio : *rotor->mean;
+    *reason = frozen         ? Text("its sensor is frozen at %.0f rad/s", measured)
+              : shown < 0.02 ? std::string("its sensor reads 0")
+                             : Text("its sensor reads %.2f times what its commands give", shown);
   } else if (rotor->failed && rotor->sound_s >= kBack_s) {
     rotor->failed = false;
     *reason = "its sensor agrees with its commands again";
