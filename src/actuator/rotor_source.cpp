@@ -126,7 +126,12 @@ std::optional<RotorSample> RotorSource::Add(const RotorSample& sample) {
   if (last_rotor_ && sample.stamp <= *last_rotor_) return sample;
   const double dt = last_rotor_ ? ToSeconds(sample.stamp - *last_rotor_) : 0.0;
   last_rotor_ = sample.stamp;
-  if (ToSeconds(sample.stamp - *last_command_) > kLongestStep_s) return sample;  // no commands
+  if (ToSeconds(sample.stamp - *last_command_) > kLongestStep_s) {
+    // Without commands there is no model: a bad sensor can't be replaced, and must not be believed.
+    const bool bad = std::any_of(rotors_.begin(), rotors_.end(),
+                                 [](const RotorWatch& rotor) { return rotor.failed; });
+    return bad ? std::nullopt : std::make_optional(sample);
+  }
   RotorSample used = sample;
   for (size_t j = 0; j < rotors_.size(); ++j) {
     const auto k = static_cast<Eigen::Index>(j);

@@ -104,6 +104,17 @@ TEST_F(RotorSourceTest, SeesAFrozenAndAHalvedSensor) {
   EXPECT_NEAR(used_->speed[3], true_speed_[3], 1.0);
 }
 
+TEST_F(RotorSourceTest, DoesNotBelieveABadSensorWithoutCommands) {
+  RotorSource source(TypicalActuator(), 4, false);
+  Fly(2.0, &source);
+  const RotorSample late{now_ + FromSeconds(1.0), true_speed_};
+  RotorSource sound = source;
+  EXPECT_TRUE(sound.Add(late));
+  break_ = [](RotorVector* speed) { (*speed)[2] = 0.0; };
+  Fly(0.5, &source);
+  EXPECT_FALSE(source.Add(RotorSample{now_ + FromSeconds(1.0), true_speed_}));
+}
+
 TEST_F(RotorSourceTest, ReplacesSingleMissedReadings) {
   RotorSource source(TypicalActuator(), 4, false);
   int k = 0;

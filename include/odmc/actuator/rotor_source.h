@@ -33,7 +33,8 @@ class RotorSource {
   void Add(const BatterySample& sample);
   /// @returns speeds at the command's stamp where they come from commands; else nothing
   std::optional<RotorSample> Add(const CommandSample& sample);
-  /// @returns the sample, with what failed replaced; nothing where speeds come from commands
+  /// @returns the sample, with what failed replaced; nothing where speeds come from commands, or
+  ///   where a sensor is bad and commands stay away
   std::optional<RotorSample> Add(const RotorSample& sample);
 
   /// Faults that began or ended since the last call.
