@@ -196,6 +196,7 @@ void Estimator::RestartChain() {
 void Estimator::CarryOn(const Estimator& before, const DynamicModel& declared) {
   prior_sigma_eta_ = PriorSigmas(ParameterLayout(declared, declared.InitialValues()));
   synchroniser_ = before.synchroniser_;
+  rotor_scale_sigma_ = before.rotor_scale_sigma_;
   ground_ = before.ground_;
   inertia_gate_ = before.inertia_gate_;
   inertia_gate_.Break();
@@ -454,6 +455,7 @@ void Estimator::AddKeyframe(const OdometrySample& sample, const std::optional<In
   odometry.state0 = id;
   window_.AddFactor(std::move(odometry));
   if (!interval) return;
+  SeeRotorScale(interval->rotors);
   AddIntervalFactors(*interval, id);
   SmoothRotorRates(*interval, id);
 }
@@ -600,6 +602,24 @@ ParameterInformation Estimator::NewInformation() const {
   return ParameterInformation(3 + static_cast<int>(std::ceil(changing)));
 }
 
+// A model's error is mostly one of scale, the same all flight long and for all modelled rotors.
+void Estimator::SeeRotorScale(const RotorInterval& rotors) {
+  const Eigen::ArrayXd speed = rotors.mean.speed.cwiseMax(1.0);
+  rotor_scale_sigma_ = std::max(rotor_scale_sigma_, (rotors.model_sigma.array() / speed).mean());
+}
+
+void Estimator::AddScaleError(Snapshot* snapshot) const {
+  if (rotor_scale_sigma_ == 0.0) return;
+  Eigen::VectorXd error = Eigen::VectorXd::Zero(model_->num_parameters());
+  for (const char* name : {"thrust.k_f", "rotor_torque.k_m"}) {
+    const int k = model_->IndexOf(name);
+    if (k >= 0 && model_->parameters()[k].estimated)
+      error[k] = 2.0 * snapshot->values[k] * rotor_scale_sigma_;
+  }
+  snapshot->covariance += error * error.transpose();
+  snapshot->sigma = (snapshot->sigma.cwiseAbs2() + error.cwiseAbs2()).cwiseSqrt();
+}
+
 Snapshot Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport& report) {
   Snapshot snapshot;
   snapshot.stamp = sample.stamp;
@@ -636,6 +656,7 @@ Snapshot Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport
           covariance(i, j) * inflation_[i] * inflation_[j] * chain[i] * chain[j];
     }
   }
+  AddScaleError(&snapshot);
   snapshot.unobservable = unobservable_;
   FillResiduals(&snapshot);
   return snapshot;

@@ -199,7 +199,8 @@ TEST(Estimator, EulerFormIsCloseButWorseInDrag) {
             std::abs(other.last->values[d_x] - truth));
 }
 
-// ---- Actuators: what `simulate` records is what `calibrate --rotor-speed-from commands` takes ----
+// ---- Actuators: what `simulate` records is what `calibrate --rotor-speed-from commands` takes
+// ----
 
 TEST(ActuatorFlight, RecordsCommandsThatExplainTheSpeeds) {
   const Vehicle vehicle = test::VehicleWithActuator();
@@ -214,7 +215,8 @@ TEST(ActuatorFlight, RecordsCommandsThatExplainTheSpeeds) {
       rotor.Command(t_s, flight.log.commands[i].throttle[2], flight.log.battery[i].voltage_V);
       const double measured = flight.log.rotors[i].speed[2];
       if (i == 0) rotor.StartAt(t_s, measured);
-      largest = std::max(largest, std::abs(rotor.At(ToSeconds(flight.log.rotors[i].stamp)) - measured));
+      largest =
+          std::max(largest, std::abs(rotor.At(ToSeconds(flight.log.rotors[i].stamp)) - measured));
       top = std::max(top, measured);
     }
     EXPECT_LT(largest, 0.1);  // a command's voltage is held, the world's goes on
@@ -233,10 +235,12 @@ TEST(ActuatorFlight, ThrustCoefficientComesBackFromCommands) {
     seen.model.emplace(vehicle, vehicle.effects);
     seen.log = flight.log;
     SettleRotors(test::WithGain(*vehicle.actuator, gain), 4, true, &seen.log);
-    const double from_commands = Estimate(seen).last->values[k_f];
+    const ReplayResult replay = Estimate(seen);
+    const double from_commands = replay.last->values[k_f], sigma = replay.last->sigma[k_f];
     EXPECT_NEAR(from_commands / from_sensors, 1.0, 0.03) << gain;
-    std::printf("gain %.2f: k_f from commands %.4f of that from sensors\n", gain,
-                from_commands / from_sensors);
+    // A wrong scale is in the sigma, which says so without having seen a sensor.
+    EXPECT_LT(std::abs(from_commands - from_sensors), 3.0 * sigma) << gain;
+    EXPECT_LT(sigma, 0.05 * from_commands);
   }
 }
 

@@ -135,6 +135,9 @@ class Estimator {
   void AddIntervalFactors(const Interval& interval, std::int64_t id);
   DynamicsNoise NoiseOf(const Interval& interval) const;
   double RotorSpeedNoise() const;
+  void SeeRotorScale(const RotorInterval& rotors);
+  /// What an error of scale in modelled rotor speeds does to the coefficients of their squares.
+  void AddScaleError(Snapshot* snapshot) const;
   /// Averages the rotors' accelerations of the newest intervals, as far as those after them go.
   void SmoothRotorRates(const Interval& interval, std::int64_t id);
   ParameterInformation NewInformation() const;
@@ -160,6 +163,7 @@ class Estimator {
   std::function<bool(Stamp)> is_held_out_;
   OdometryNoiseEstimator odometry_noise_;
   DifferenceNoise rotor_noise_;
+  double rotor_scale_sigma_ = 0.0;  // of modelled rotor speeds, the largest share so far [-]
   RotorRateSmoother rotor_rates_;
   ProcessNoiseEstimator process_noise_;
   ChangeDetector change_detector_;
