@@ -1,5 +1,6 @@
 #include "odmc/actuator/actuator_calibration.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <stdexcept>
@@ -49,6 +50,12 @@ std::string Text(const char* format, double a, double b) {
   return text;
 }
 
+bool HasSpeeds(const BenchRun& run) {
+  return std::any_of(run.speed_rad_s.begin(), run.speed_rad_s.end(), [](const auto& speed) {
+    return std::any_of(speed.begin(), speed.end(), [](double s) { return std::isfinite(s); });
+  });
+}
+
 std::vector<std::string> Warnings(const std::vector<BenchRun>& runs, const ActuatorCalibration& c) {
   std::vector<std::string> warnings;
   for (const BenchRun& run : runs) {
@@ -70,11 +77,13 @@ std::vector<std::string> Warnings(const std::vector<BenchRun>& runs, const Actua
     warnings.push_back(Text("the torque cell has an offset of %.3g +- %.1g N m, which is taken off",
                             c.torque->offset.value, c.torque->offset.sigma));
   }
-  if (c.fit.common.motor.delay_s < -0.002)
+  for (const ActuatorParameter& p : c.parameters) {
+    if (p.name != "delay_s" || !p.found || p.found->value > -2.0 * p.found->sigma) continue;
     warnings.push_back(
-        Text("speeds answer %.1f ms before their command: stamps are off by at least "
-             "that",
-             -1e3 * c.fit.common.motor.delay_s, 0.0));
+        Text("speeds answer %.1f +- %.1f ms before their command: stamps are off by "
+             "at least that",
+             -1e3 * p.found->value, 1e3 * p.found->sigma));
+  }
   if (c.error.outliers > 0)
     warnings.push_back("left out " + std::to_string(c.error.outliers) + " outliers among " +
                        std::to_string(c.error.steady + c.error.response + c.error.outliers) +
@@ -84,9 +93,14 @@ std::vector<std::string> Warnings(const std::vector<BenchRun>& runs, const Actua
 
 }  // namespace
 
-ActuatorCalibration CalibrateActuator(const std::vector<BenchRun>& runs,
+ActuatorCalibration CalibrateActuator(const std::vector<BenchRun>& all_runs,
                                       const std::optional<Measured>& rotor_inertia_kg_m2) {
   ActuatorCalibration c;
+  std::vector<BenchRun> runs;
+  for (const BenchRun& run : all_runs) {
+    if (HasSpeeds(run)) runs.push_back(run);
+  }
+  if (runs.empty()) runs = all_runs;  // which is an error
   c.fit = IdentifyActuator(runs);
   c.thrust = FitThrust(runs);
   c.torque = FitTorque(runs);
@@ -100,6 +114,9 @@ ActuatorCalibration CalibrateActuator(const std::vector<BenchRun>& runs,
                       c.fit.common.parameters.end());
   c.error = Together(c.fit.motors);
   c.warnings = Warnings(runs, c);
+  for (const BenchRun& run : all_runs) {
+    if (!HasSpeeds(run)) c.warnings.push_back(run.file + ": left out, has no speed above 0");
+  }
   return c;
 }
 

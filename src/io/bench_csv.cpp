@@ -76,6 +76,7 @@ Strings Found(const Columns& columns, const Strings& declared, const Strings& us
     }
   }
   if (!declared.empty()) return declared;
+  Strings silent;
   for (const std::string& name : usual) {
     const Strings names = name.find('%') != std::string::npos ? Numbered(columns, name)
                           : columns.Has(name)                 ? Strings{name}
@@ -84,9 +85,10 @@ Strings Found(const Columns& columns, const Strings& declared, const Strings& us
     // A sensor that was not fitted leaves a column of zeros.
     const std::vector<double>& first = columns.values.at(names.front());
     if (std::any_of(first.begin(), first.end(), [](double x) { return x != 0.0; })) return names;
+    if (silent.empty()) silent = names;
   }
-  if (flag.empty()) return {};
-  columns.Fail("no column with values is known as " + role + "; declare it by " + flag +
+  if (!silent.empty() || flag.empty()) return silent;
+  columns.Fail("no column is known as " + role + "; declare it by " + flag +
                ". Found are: " + JoinNames(columns.header));
 }
 

@@ -91,8 +91,10 @@ std::string FileName(const std::string& file) {
 /// Rows of the wanted columns of one CSV file, in time order.
 class Table {
  public:
-  /// Reads the columns of `wanted` that the file has; the names of others go to unknown().
-  Table(const std::string& file, const Strings& wanted, FlightLog* log);
+  /// Reads the columns of `wanted` that the file has, and those of each group of `whole` that it
+  /// has all of; the names of others go to unknown().
+  Table(const std::string& file, const Strings& wanted, const std::vector<Strings>& whole,
+        FlightLog* log);
 
   const std::string& file() const { return file_; }
   std::string name() const { return FileName(file_); }  ///< for warnings
@@ -131,7 +133,7 @@ class Table {
     return std::count_if(names.begin(), names.end(),
                          [&](const std::string& n) { return values_.count(n) > 0; });
   }
-  void ReadHeader(std::string_view line, const Strings& wanted);
+  void ReadHeader(std::string_view line, Strings wanted, const std::vector<Strings>& whole);
   void ReadRow(std::string_view line, long number);
   void CheckSteps() const;
   [[noreturn]] void Fail(const std::string& what) const {
@@ -149,11 +151,13 @@ class Table {
   Refusals short_rows_, no_time_, out_of_order_;
 };
 
-Table::Table(const std::string& file, const Strings& wanted, FlightLog* log) : file_(file) {
+Table::Table(const std::string& file, const Strings& wanted, const std::vector<Strings>& whole,
+             FlightLog* log)
+    : file_(file) {
   const std::string content = ReadText(file);
   std::string_view text = WithoutMark(content);
   if (text.find_first_not_of(" \t\r\n") == std::string_view::npos) Fail("is empty");
-  ReadHeader(NextLine(&text), wanted);
+  ReadHeader(NextLine(&text), wanted, whole);
   for (long number = 2; !text.empty(); ++number) {
     const std::string_view line = NextLine(&text);
     if (line.find_first_not_of(" \t") != std::string_view::npos) ReadRow(line, number);
@@ -170,8 +174,14 @@ Table::Table(const std::string& file, const Strings& wanted, FlightLog* log) : f
   out_of_order_.Report(name(), "rows whose t steps back or repeats", log);
 }
 
-void Table::ReadHeader(std::string_view line, const Strings& wanted) {
+void Table::ReadHeader(std::string_view line, Strings wanted, const std::vector<Strings>& whole) {
   header_ = SplitHeader(line);
+  for (const Strings& group : whole) {
+    const bool has_all = std::all_of(group.begin(), group.end(), [this](const std::string& name) {
+      return std::find(header_.begin(), header_.end(), name) != header_.end();
+    });
+    if (has_all) wanted.insert(wanted.end(), group.begin(), group.end());
+  }
   if (header_.size() == 1 && header_[0].find_first_of(";\t") != std::string::npos) {
     Fail("line 1: columns must be separated by commas");
   }
@@ -590,9 +600,8 @@ void AddCommands(const FlightLog& log, const std::vector<Stamp>& stamps, TableWr
     size_t next = 0;
     for (const Stamp stamp : stamps) {
       while (next < log.commands.size() && log.commands[next].stamp <= stamp) ++next;
-      values.push_back(
-          next == 0 ? kNoValue
-                    : CommandOf(log.commands[next - 1].throttle[j], log.command_unit));
+      values.push_back(next == 0 ? kNoValue
+                                 : CommandOf(log.commands[next - 1].throttle[j], log.command_unit));
     }
     table->Add(names[static_cast<size_t>(j)], std::move(values));
   }
@@ -614,13 +623,13 @@ std::string SiblingFile(const std::string& file, const std::string& suffix) {
 FlightLog ReadFlightCsv(const std::string& file, int num_rotors, PoseSource pose) {
   FlightLog log;
   log.file = FileName(file);
-  Strings rotors = Concatenate({RotorColumns(num_rotors), kRotorRms});
-  for (const CommandUnit unit : kCommandUnits)
-    rotors = Concatenate({rotors, CommandColumns(num_rotors, unit)});
+  const Strings rotors = Concatenate({RotorColumns(num_rotors), kRotorRms});
+  std::vector<Strings> commands;
+  for (const CommandUnit unit : kCommandUnits) commands.push_back(CommandColumns(num_rotors, unit));
   const Table table(file,
                     Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates, kAccelerometer,
                                  kGyro, kBattery, rotors}),
-                    &log);
+                    commands, &log);
   WarnOfUnknown(table.unknown(), log.file, &log);
   log.odometry = ReadOdometry(table, true, &log);
   const std::vector<size_t> rows = UsableRows(table);
@@ -629,9 +638,10 @@ FlightLog ReadFlightCsv(const std::string& file, int num_rotors, PoseSource pose
 
   const std::string rotor_file = SiblingFile(file, "_rotor.csv");
   if (std::filesystem::exists(rotor_file)) {
-    const Table rotor_table(rotor_file, Concatenate({kTime, rotors}), &log);
+    const Table rotor_table(rotor_file, Concatenate({kTime, rotors}), commands, &log);
     WarnOfUnknown(rotor_table.unknown(), FileName(rotor_file), &log);
     ReadCommands(rotor_table, AllRows(rotor_table), num_rotors, &log);
+    if (log.commands.empty()) ReadCommands(table, rows, num_rotors, &log);
     ReadRotors(rotor_table, AllRows(rotor_table), num_rotors, &log);
   } else {
     ReadCommands(table, rows, num_rotors, &log);
@@ -642,7 +652,7 @@ FlightLog ReadFlightCsv(const std::string& file, int num_rotors, PoseSource pose
 
   if (pose == PoseSource::kMocap) {
     const std::string mocap_file = SiblingFile(file, "_mocap.csv");
-    const Table mocap(mocap_file, Concatenate({kTime, kPosition, kAttitude}), &log);
+    const Table mocap(mocap_file, Concatenate({kTime, kPosition, kAttitude}), {}, &log);
     WarnOfUnknown(mocap.unknown(), FileName(mocap_file), &log);
     UseMocapPoses(ReadOdometry(mocap, false, &log), &log);
   }

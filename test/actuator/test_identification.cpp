@@ -141,6 +141,18 @@ TEST(Identification, RefusesWhatCannotBeFitted) {
   EXPECT_THROW(IdentifyActuator({run, two}), std::invalid_argument);
 }
 
+TEST(Identification, LeavesOutARunWithoutSpeeds) {
+  const BenchRun run = StepBench(TypicalMotor(), {}, 1);
+  BenchRun silent = run;
+  silent.file = "silent.csv";
+  std::fill(silent.speed_rad_s[0].begin(), silent.speed_rad_s[0].end(), NAN);
+  const ActuatorCalibration c = CalibrateActuator({silent, run}, std::nullopt);
+  EXPECT_TRUE(Knows(c.parameters, "time_constant_s"));
+  ASSERT_FALSE(c.warnings.empty());
+  EXPECT_NE(c.warnings.back().find("silent.csv"), std::string::npos);
+  EXPECT_THROW(CalibrateActuator({silent}, std::nullopt), std::invalid_argument);
+}
+
 TEST(ThrustStand, FindsCoefficientsBesideAnOffset) {
   BenchRun run = StepBench(TypicalMotor(), {}, 3, 10.0);
   for (size_t i = 0; i < run.t_s.size(); ++i) {

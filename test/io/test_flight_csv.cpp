@@ -89,6 +89,26 @@ TEST_F(FlightCsv, StampsSince1970KeepEveryNanosecond) {
   EXPECT_EQ(log.odometry[1].stamp, 1700000000133456788);
 }
 
+TEST_F(FlightCsv, CommandsDeclareTheirUnitByTheirNames) {
+  for (const auto& [names, cells] : std::vector<std::pair<std::string, std::string>>{
+           {",pwm1_us,pwm2_us,pwm3_us,pwm4_us", "1000,1250,1500,2000"},
+           {",throttle1,throttle2,throttle3,throttle4", "0,0.25,0.5,1"},
+           {",pwm1,pwm2,pwm3,pwm4", "0,16383.75,32767.5,65535"}}) {
+    const std::string rotors = "1000,1001,1002,1003," + cells;
+    const FlightLog log = Read(std::string(kHeader) + names + Row(0.0, rotors) + Row(0.1, rotors));
+    ASSERT_EQ(log.commands.size(), 2u) << names;
+    EXPECT_TRUE(log.commands[1].throttle.isApprox(RotorVector{{0.0, 0.25, 0.5, 1.0}}, 1e-12));
+    EXPECT_TRUE(log.warnings.empty());
+  }
+}
+
+TEST_F(FlightCsv, CommandsMayStandInForRotorSpeeds) {
+  const std::string head = "t,px,py,pz,qw,qx,qy,qz,throttle1,throttle2,throttle3,throttle4";
+  const FlightLog log = Read(head + Row(0.0, "0.1,0.2,0.3,0.4") + Row(0.1, "0.1,0.2,0.3,0.4"));
+  EXPECT_TRUE(log.rotors.empty());
+  EXPECT_EQ(log.commands.size(), 2u);
+}
+
 TEST_F(FlightCsv, UnknownColumnsAreNamedOnce) {
   const FlightLog log = Read(std::string(kHeader) + ",pwm1,count1,t_arrival" + Row(0.0) + ",x,,0" +
                              Row(0.01) + ",,,");

@@ -20,7 +20,7 @@ struct ActuatorCalibration {
   std::vector<std::string> warnings;            ///< one sentence each
 };
 
-/// Fits motors and stand.
+/// Fits motors and stand. Runs without any speed are left out, with a warning, unless all are.
 /// @param rotor_inertia_kg_m2 of one rotor about its axis: makes k_m of S_2 where no stand measured
 ///   torque
 /// @throws std::invalid_argument as IdentifyActuator()
