@@ -50,12 +50,6 @@ std::string Text(const char* format, double a, double b) {
   return text;
 }
 
-bool HasSpeeds(const BenchRun& run) {
-  return std::any_of(run.speed_rad_s.begin(), run.speed_rad_s.end(), [](const auto& speed) {
-    return std::any_of(speed.begin(), speed.end(), [](double s) { return std::isfinite(s); });
-  });
-}
-
 std::vector<std::string> Warnings(const std::vector<BenchRun>& runs, const ActuatorCalibration& c) {
   std::vector<std::string> warnings;
   for (const BenchRun& run : runs) {
@@ -93,6 +87,12 @@ std::vector<std::string> Warnings(const std::vector<BenchRun>& runs, const Actua
 
 }  // namespace
 
+bool HasSpeeds(const BenchRun& run) {
+  return std::any_of(run.speed_rad_s.begin(), run.speed_rad_s.end(), [](const auto& speed) {
+    return std::any_of(speed.begin(), speed.end(), [](double s) { return std::isfinite(s); });
+  });
+}
+
 ActuatorCalibration CalibrateActuator(const std::vector<BenchRun>& all_runs,
                                       const std::optional<Measured>& rotor_inertia_kg_m2) {
   ActuatorCalibration c;
@@ -114,6 +114,11 @@ ActuatorCalibration CalibrateActuator(const std::vector<BenchRun>& all_runs,
                       c.fit.common.parameters.end());
   c.error = Together(c.fit.motors);
   c.warnings = Warnings(runs, c);
+  if (!k_m.found)
+    c.warnings.push_back(
+        "k_m = S_2 J needs the rotor's inertia J (--rotor-inertia, or the blade's mass and length) "
+        "or "
+        "a torque sensor");
   for (const BenchRun& run : all_runs) {
     if (!HasSpeeds(run)) c.warnings.push_back(run.file + ": left out, has no speed above 0");
   }
@@ -141,10 +146,13 @@ std::vector<FreeRunError> EvaluateActuator(const Actuator& actuator, const Bench
     throw std::invalid_argument(run.file + ": has " + std::to_string(run.num_motors()) +
                                 " motors, the fit has " + std::to_string(known));
   }
+  if (actuator.uses_voltage && run.voltage_V.empty())
+    throw std::invalid_argument(run.file + ": has no battery voltage, which the fit needs");
   std::vector<FreeRunError> errors;
   for (int j = 0; j < run.num_motors(); ++j) {
-    errors.push_back(
-        ErrorOfFreeRun(actuator.MotorOf(j), {SignalOf(run, j, actuator.uses_voltage)}));
+    MotorSignal signal = SignalOf(run, j, actuator.uses_voltage);
+    if (!actuator.knows_dynamics) signal.t_s.clear();
+    errors.push_back(ErrorOfFreeRun(actuator.MotorOf(j), {signal}));
   }
   return errors;
 }

@@ -123,7 +123,11 @@ std::vector<int> SuspectRotors(const FlightLog& log) {
     if (static_cast<double>(zero) > kMostlyZero * static_cast<double>(turning))
       suspect.push_back(j);
   }
-  const double median = Median(typical);
+  std::vector<double> turning;  // what a dead sensor says is no measure for others
+  for (int j = 0; j < n; ++j) {
+    if (!Contains(suspect, j)) turning.push_back(typical[static_cast<size_t>(j)]);
+  }
+  const double median = Median(turning);
   for (int j = 0; j < n && median > 0.0; ++j) {
     const double off = std::abs(typical[static_cast<size_t>(j)] / median - 1.0);
     if (off > kSuspect && !Contains(suspect, j)) suspect.push_back(j);

@@ -1,5 +1,6 @@
 #include "odmc/actuator/free_run.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "odmc/actuator/speed_predictor.h"
@@ -38,10 +39,13 @@ std::vector<double> FreeRun(const Motor& motor, const MotorSignal& signal,
     return speeds;
   }
   SpeedPredictor predictor(motor);
+  const double ahead_s = std::max(-motor.delay_s, 0.0);  // stamps of commands may be late
+  size_t told = 0;
   bool started = false;
   for (size_t i = 0; i < n; ++i) {
     const double t_s = signal.t_s[i];
-    predictor.Command(t_s, signal.throttle[i], signal.voltage_V[i]);
+    for (; told < n && (told <= i || signal.t_s[told] <= t_s + ahead_s); ++told)
+      predictor.Command(signal.t_s[told], signal.throttle[told], signal.voltage_V[told]);
     if (i > 0 && t_s - signal.t_s[i - 1] > kLongestHole_s) started = false;
     if (!started && std::isfinite(signal.speed_rad_s[i])) {
       predictor.StartAt(t_s, signal.speed_rad_s[i]);

@@ -379,15 +379,21 @@ Motor SteadyStart(const Signals& signals, const Scale& scale, double start, doub
   return motor;
 }
 
-// The first rows of each signal, enough to tell starts apart.
+// The first rows of each signal from where it turns, enough to tell starts apart.
 Signals Beginnings(const Signals& signals) {
   constexpr size_t kRows = 6000;
   const size_t most = std::max(kRows / signals.size(), size_t{1000});
   Signals short_ones = signals;
   for (MotorSignal& signal : short_ones) {
+    const auto turns = std::find_if(signal.speed_rad_s.begin(), signal.speed_rad_s.end(),
+                                    [](double s) { return std::isfinite(s); });
+    const auto first = static_cast<size_t>(turns - signal.speed_rad_s.begin());
+    const size_t last = std::min(first + most, signal.throttle.size());
     for (std::vector<double>* column :
          {&signal.t_s, &signal.throttle, &signal.voltage_V, &signal.speed_rad_s}) {
-      if (column->size() > most) column->resize(most);
+      if (column->empty()) continue;
+      *column = std::vector<double>(column->begin() + static_cast<long>(first),
+                                    column->begin() + static_cast<long>(last));
     }
   }
   return short_ones;
@@ -545,6 +551,18 @@ void Check(const std::vector<BenchRun>& runs) {
   }
 }
 
+// Rows that lie apart by more than a free run may leave out say nothing of dynamics.
+void CheckSpacing(const BenchRun& run) {
+  if (run.t_s.size() < 2) return;
+  std::vector<double> steps;
+  for (size_t i = 1; i < run.t_s.size(); ++i) steps.push_back(run.t_s[i] - run.t_s[i - 1]);
+  const double step_s = Median(std::move(steps));
+  if (step_s <= kLongestHole_s) return;
+  throw std::invalid_argument(
+      run.file + ": rows are " + std::to_string(step_s) +
+      " s apart; are times in seconds? If so, the rows are steady readings");
+}
+
 void CheckThatCommandChanges(const Signals& signals, const std::string& file) {
   double least = std::numeric_limits<double>::infinity(), most = -least;
   for (const MotorSignal& signal : signals) {
@@ -555,14 +573,15 @@ void CheckThatCommandChanges(const Signals& signals, const std::string& file) {
     }
   }
   if (!(most - least > 1e-3))
-    throw std::invalid_argument(file + ": the command never changes while the motor turns");
+    throw std::invalid_argument(
+        file + ": the command hardly changes while the motor turns (throttle " +
+        std::to_string(least) + " to " + std::to_string(most) + "); is its unit right?");
 }
 
 }  // namespace
 
 FreeRunError ErrorOfFreeRun(const Motor& motor, const Signals& signals) {
   FreeRunError error;
-  const double limit = kOutlier_sigmas * RobustSigmaOf(Errors(motor, signals));
   double least = std::numeric_limits<double>::infinity(), most = 0.0, sum = 0.0;
   long speeds = 0;
   for (const MotorSignal& signal : signals) {
@@ -577,28 +596,37 @@ FreeRunError ErrorOfFreeRun(const Motor& motor, const Signals& signals) {
   if (speeds == 0) return error;
   error.speed_range_rad_s = most - least;
   error.mean_speed_rad_s = sum / static_cast<double>(speeds);
-  double steady = 0.0, response = 0.0;
+  std::vector<double> steady, response;
   for (const MotorSignal& signal : signals) {
     std::vector<double> held;
     const std::vector<double> speed = FreeRun(motor, signal, &held);
     for (size_t i = 0; i < speed.size(); ++i) {
       const double e = speed[i] - signal.speed_rad_s[i];
       if (!std::isfinite(e)) continue;
-      if (std::abs(e) > limit) {
-        ++error.outliers;
-        continue;
-      }
       const bool is_steady = std::abs(held[i] - speed[i]) <= kSteadyShare * error.speed_range_rad_s;
-      (is_steady ? steady : response) += e * e;
-      ++(is_steady ? error.steady : error.response);
+      (is_steady ? steady : response).push_back(e);
     }
   }
-  const auto rms = [](double squares, long n) {
-    return n > 0 ? std::sqrt(squares / static_cast<double>(n)) : 0.0;
+  // By the phase's own sigma: a response that the model misses is no outlier.
+  double all = 0.0;
+  const auto rms = [&](const std::vector<double>& errors, long* count) {
+    const double limit = kOutlier_sigmas * RobustSigmaOf(errors);
+    double squares = 0.0;
+    for (const double e : errors) {
+      if (std::abs(e) > limit) {
+        ++error.outliers;
+      } else {
+        squares += e * e;
+        ++*count;
+      }
+    }
+    all += squares;
+    return *count > 0 ? std::sqrt(squares / static_cast<double>(*count)) : 0.0;
   };
-  error.steady_rad_s = rms(steady, error.steady);
-  error.response_rad_s = rms(response, error.response);
-  error.all_rad_s = rms(steady + response, error.steady + error.response);
+  error.steady_rad_s = rms(steady, &error.steady);
+  error.response_rad_s = rms(response, &error.response);
+  const long counted = error.steady + error.response;
+  error.all_rad_s = counted > 0 ? std::sqrt(all / static_cast<double>(counted)) : 0.0;
   return error;
 }
 
@@ -672,14 +700,14 @@ ActuatorFit IdentifyActuator(const std::vector<BenchRun>& runs) {
   fit.uses_voltage = std::all_of(runs.begin(), runs.end(),
                                  [](const BenchRun& run) { return !run.voltage_V.empty(); });
   fit.has_time =
-      std::all_of(runs.begin(), runs.end(), [](const BenchRun& run) { return !run.t_s.empty(); });
+      std::any_of(runs.begin(), runs.end(), [](const BenchRun& run) { return !run.t_s.empty(); });
+  for (const BenchRun& run : runs) CheckSpacing(run);
   const int num_motors = runs.front().num_motors();
   Signals all;
   std::vector<Signals> of_motor(static_cast<size_t>(num_motors));
   for (const BenchRun& run : runs) {
     for (int j = 0; j < num_motors; ++j) {
       MotorSignal signal = SignalOf(run, j, fit.uses_voltage);
-      if (!fit.has_time) signal.t_s.clear();
       of_motor[static_cast<size_t>(j)].push_back(signal);
       all.push_back(std::move(signal));
     }

@@ -90,9 +90,11 @@ std::optional<StandFit> Fit(const std::vector<BenchRun>& runs,
   }
   const Eigen::MatrixXd inverse =
       A.completeOrthogonalDecomposition().solve(Eigen::MatrixXd::Identity(n, n));
-  const Eigen::MatrixXd covariance = inverse * B * inverse;
-  fit.coefficient = {x[0] / size, std::sqrt(covariance(0, 0)) / size};
-  if (with_offset) fit.offset = {x[1], std::sqrt(covariance(1, 1))};
+  // As few levels as unknowns leave no error between levels: then that of independent readings.
+  const Eigen::MatrixXd hanging = inverse * B * inverse, white = sigma * sigma * inverse;
+  const auto sigma_of = [&](int k) { return std::sqrt(std::max(hanging(k, k), white(k, k))); };
+  fit.coefficient = {x[0] / size, sigma_of(0) / size};
+  if (with_offset) fit.offset = {x[1], sigma_of(1)};
   fit.rmse = fit.rows > 0 ? std::sqrt(squares / static_cast<double>(fit.rows)) : 0.0;
   return fit;
 }

@@ -36,8 +36,9 @@ Json ErrorJson(const FreeRunError& e, bool has_time) {
   json["steady_error_percent"] = Percent(e.steady_rad_s, e.speed_range_rad_s, e.steady > 0);
   json["response_error_percent"] =
       Percent(e.response_rad_s, e.speed_range_rad_s, has_time && e.response > 0);
-  json["free_run_rms_rad_s"] = Number(e.all_rad_s);
-  json["free_run_percent_of_mean"] = Percent(e.all_rad_s, e.mean_speed_rad_s, true);
+  const bool measured = e.steady + e.response > 0;
+  json["free_run_rms_rad_s"] = measured ? Number(e.all_rad_s) : Json(nullptr);
+  json["free_run_percent_of_mean"] = Percent(e.all_rad_s, e.mean_speed_rad_s, measured);
   json["mean_speed_rad_s"] = Number(e.mean_speed_rad_s);
   json["speed_range_rad_s"] = Number(e.speed_range_rad_s);
   json["steady_samples"] = e.steady;
@@ -106,7 +107,7 @@ std::string ActuatorReport(const ActuatorCalibration& c, const std::vector<Bench
   json["evaluated"] = Json::array();
   for (const ActuatorEvaluation& evaluation : evaluations) {
     Json one = {{"file", evaluation.file}, {"motors", Json::array()}};
-    for (const FreeRunError& e : evaluation.motors) one["motors"].push_back(ErrorJson(e, true));
+    for (const FreeRunError& e : evaluation.motors) one["motors"].push_back(ErrorJson(e, has_time));
     json["evaluated"].push_back(one);
   }
   json["warnings"] = c.warnings;
@@ -152,10 +153,10 @@ void WriteFreeRuns(const ActuatorCalibration& c, const std::vector<BenchRun>& ru
     return std::isfinite(value) ? FormatNumber(value) : std::string();
   };
   for (const BenchRun& run : runs) {
+    if (!HasSpeeds(run)) continue;
     for (int j = 0; j < run.num_motors(); ++j) {
       const MotorFit& fit = c.fit.motors[c.fit.motors.size() == 1 ? 0 : static_cast<size_t>(j)];
       MotorSignal signal = SignalOf(run, j, c.fit.uses_voltage);
-      if (!c.fit.has_time) signal.t_s.clear();
       std::vector<double> held;
       const std::vector<double> speed = FreeRun(fit.motor, signal, &held);
       for (size_t i = 0; i < speed.size(); ++i) {

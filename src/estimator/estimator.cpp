@@ -604,8 +604,11 @@ ParameterInformation Estimator::NewInformation() const {
 
 // A model's error is mostly one of scale, the same all flight long and for all modelled rotors.
 void Estimator::SeeRotorScale(const RotorInterval& rotors) {
-  const Eigen::ArrayXd speed = rotors.mean.speed.cwiseMax(1.0);
-  rotor_scale_sigma_ = std::max(rotor_scale_sigma_, (rotors.model_sigma.array() / speed).mean());
+  const double speed = rotors.mean.speed.sum();
+  if (!(speed > 0.0)) return;
+  const double share = std::min(rotors.model_sigma.sum() / speed, 1.0);
+  rotor_scale_sigma_ +=
+      (share - rotor_scale_sigma_) / static_cast<double>(std::max(counters_.keyframes, 1L));
 }
 
 void Estimator::AddScaleError(Snapshot* snapshot) const {

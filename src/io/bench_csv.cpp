@@ -134,14 +134,15 @@ std::vector<double> Picked(const std::vector<double>& all, const std::vector<siz
   return picked;
 }
 
-void CheckThrottle(const BenchRun& run, const std::string& file, const std::string& name) {
-  const auto [least, most] =
-      std::minmax_element(run.throttle.front().begin(), run.throttle.front().end());
-  if (*least > -0.5 && *most < 1.5) return;
-  throw std::invalid_argument(file + ": column " + name + " goes from " +
-                              std::to_string(CommandOf(*least, run.command_unit)) + " to " +
-                              std::to_string(CommandOf(*most, run.command_unit)) +
-                              ", which is no command in " + NameOf(run.command_unit));
+void CheckThrottle(const BenchRun& run, const std::string& file, const Strings& names) {
+  for (size_t k = 0; k < names.size(); ++k) {
+    const auto [least, most] = std::minmax_element(run.throttle[k].begin(), run.throttle[k].end());
+    if (*least > -0.5 && *most < 1.5) continue;
+    throw std::invalid_argument(file + ": column " + names[k] + " goes from " +
+                                std::to_string(CommandOf(*least, run.command_unit)) + " to " +
+                                std::to_string(CommandOf(*most, run.command_unit)) +
+                                ", which is no command in " + NameOf(run.command_unit));
+  }
 }
 
 }  // namespace
@@ -181,6 +182,10 @@ BenchRun ReadBenchCsv(const std::string& file, const BenchColumns& declared, Str
   const size_t all = columns.values.at(command.front()).size();
   run.rows = static_cast<long>(all) + columns.short_rows;
   run.dropped = run.rows - static_cast<long>(rows.size());
+  if (2 * rows.size() < all)
+    columns.Fail("only " + std::to_string(rows.size()) + " of " + std::to_string(all) +
+                 " rows have a command and a time that steps forward; is there a jump in " +
+                 (time.empty() ? "the commands" : "column " + time.front()) + "?");
   if (rows.size() < 10)
     columns.Fail("only " + std::to_string(rows.size()) + " usable rows of " +
                  std::to_string(run.rows) + "; time must step forward and commands be numbers");
@@ -189,7 +194,7 @@ BenchRun ReadBenchCsv(const std::string& file, const BenchColumns& declared, Str
     run.throttle.push_back(Picked(columns.values.at(name), rows, 1.0));
     for (double& x : run.throttle.back()) x = ThrottleOf(x, declared.command_unit);
   }
-  CheckThrottle(run, file, command.front());
+  CheckThrottle(run, file, command);
   const double factor = SpeedFactor(declared, file);
   for (const std::string& name : speed) {
     run.speed_rad_s.push_back(Picked(columns.values.at(name), rows, factor));
@@ -202,6 +207,12 @@ BenchRun ReadBenchCsv(const std::string& file, const BenchColumns& declared, Str
     }
   }
   if (!voltage.empty()) run.voltage_V = Picked(columns.values.at(voltage.front()), rows, 1.0);
+  for (double& v : run.voltage_V) {
+    if (!(v > 0.0)) v = std::numeric_limits<double>::quiet_NaN();  // not read
+  }
+  if (std::none_of(run.voltage_V.begin(), run.voltage_V.end(),
+                   [](double v) { return std::isfinite(v); }))
+    run.voltage_V.clear();
   if (!thrust.empty())
     run.thrust_N = Picked(columns.values.at(thrust.front()), rows, declared.thrust_unit_N);
   if (!torque.empty()) run.torque_Nm = Picked(columns.values.at(torque.front()), rows, 1.0);

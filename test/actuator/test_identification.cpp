@@ -87,6 +87,34 @@ TEST(Identification, SigmaIsHonest) {
   EXPECT_LT(rms, 1.8);
 }
 
+TEST(Identification, BeginsWhereTheMotorTurns) {
+  BenchRun run = StepBench(TypicalMotor(), {}, 1);
+  const size_t idle = 8000;  // 40 s before the first step
+  run.throttle[0].insert(run.throttle[0].begin(), idle, 0.0);
+  run.speed_rad_s[0].insert(run.speed_rad_s[0].begin(), idle, NAN);
+  run.voltage_V.insert(run.voltage_V.begin(), idle, 16.3);
+  std::vector<double> t_s(idle + run.t_s.size());
+  for (size_t i = 0; i < t_s.size(); ++i) t_s[i] = 0.005 * static_cast<double>(i);
+  run.t_s = t_s;
+  ExpectTheMotor(IdentifyActuator({run}), TypicalMotor(), 1.0);
+}
+
+TEST(Identification, RefusesRowsTooFarApartForDynamics) {
+  BenchRun run = StepBench(TypicalMotor(), {}, 1, 10.0);
+  for (double& t : run.t_s) t *= 1000.0;  // milliseconds
+  EXPECT_THROW(IdentifyActuator({run}), std::invalid_argument);
+}
+
+TEST(Identification, FindsCommandsStampedLate) {
+  BenchRun run = StepBench(TypicalMotor(), {}, 1, 500.0);
+  const std::vector<double> true_throttle = run.throttle[0];
+  for (size_t i = 4; i < run.size(); ++i) run.throttle[0][i] = true_throttle[i - 4];  // 8 ms
+  Motor late = TypicalMotor();
+  late.delay_s -= 0.008;
+  const ActuatorFit fit = IdentifyActuator({run});
+  EXPECT_NEAR(Found(fit.common.parameters, "delay_s").value, late.delay_s, 0.001);
+}
+
 TEST(Identification, FitsSeveralMotorsAndFiles) {
   Motor strong = TypicalMotor();
   strong.esc.root *= 1.05;
@@ -168,6 +196,7 @@ TEST(ThrustStand, FindsCoefficientsBesideAnOffset) {
   EXPECT_NEAR(torque->coefficient.value, 2e-8, 0.01e-8);
   EXPECT_NEAR(torque->offset.value, -0.008, 1e-4);
   EXPECT_FALSE(FitThrust({StepBench(TypicalMotor(), {}, 3)}));
+  EXPECT_GT(torque->coefficient.sigma, 1e-4 / std::sqrt(300.0) / 1e6);  // the scatter's, at least
 }
 
 TEST(RotorInertia, AddsBladesAndBell) {

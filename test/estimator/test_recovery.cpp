@@ -225,6 +225,24 @@ TEST(ActuatorFlight, RecordsCommandsThatExplainTheSpeeds) {
   EXPECT_TRUE(Fly(test::NominalVehicle(), 1.0).log.commands.empty());
 }
 
+// No bench: an ordinary flight tells time constant, delay and what voltage does.
+TEST(ActuatorFlight, ItsLogGivesTheActuatorBack) {
+  const Vehicle vehicle = test::VehicleWithActuator();
+  const Motor& truth = vehicle.actuator->motors.front();
+  const ActuatorFit fit = IdentifyActuator({BenchRunOf(Fly(vehicle, 20.0).log)});
+  ASSERT_EQ(fit.motors.size(), 4u);
+  const double speed = fit.common.error.mean_speed_rad_s;
+  for (const MotorFit& motor : fit.motors) {
+    EXPECT_NEAR(motor.motor.delay_s, truth.delay_s, 5e-4);
+    EXPECT_NEAR(motor.motor.dynamics.TimeConstant(speed) / truth.dynamics.TimeConstant(speed), 1.0,
+                0.03);
+    for (const double voltage : {15.0, 16.0}) {
+      EXPECT_NEAR(motor.motor.SteadySpeed(0.4, voltage) / truth.SteadySpeed(0.4, voltage), 1.0,
+                  0.02);
+    }
+  }
+}
+
 TEST(ActuatorFlight, ThrustCoefficientComesBackFromCommands) {
   const Vehicle vehicle = test::VehicleWithActuator();
   const Flight flight = Fly(vehicle, 25.0);

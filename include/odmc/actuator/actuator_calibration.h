@@ -20,6 +20,9 @@ struct ActuatorCalibration {
   std::vector<std::string> warnings;            ///< one sentence each
 };
 
+/// Whether any motor of the run ever read a speed above 0.
+bool HasSpeeds(const BenchRun& run);
+
 /// Fits motors and stand. Runs without any speed are left out, with a warning, unless all are.
 /// @param rotor_inertia_kg_m2 of one rotor about its axis: makes k_m of S_2 where no stand measured
 ///   torque

@@ -163,7 +163,7 @@ class Estimator {
   std::function<bool(Stamp)> is_held_out_;
   OdometryNoiseEstimator odometry_noise_;
   DifferenceNoise rotor_noise_;
-  double rotor_scale_sigma_ = 0.0;  // of modelled rotor speeds, the largest share so far [-]
+  double rotor_scale_sigma_ = 0.0;  // of rotor speeds, mean over the flight, 0: none modelled
   RotorRateSmoother rotor_rates_;
   ProcessNoiseEstimator process_noise_;
   ChangeDetector change_detector_;
