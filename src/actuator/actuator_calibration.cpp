@@ -67,9 +67,13 @@ std::vector<std::string> Warnings(const std::vector<BenchRun>& runs, const Actua
   if (!c.fit.uses_voltage)
     warnings.push_back(
         "no battery voltage: the map from command to speed holds for that of the run");
-  if (c.torque && std::abs(c.torque->offset.value) > 2.0 * c.torque->offset.sigma) {
-    warnings.push_back(Text("the torque cell has an offset of %.3g +- %.1g N m, which is taken off",
-                            c.torque->offset.value, c.torque->offset.sigma));
+  for (size_t k = 0; c.torque && k < c.torque->offsets.size(); ++k) {
+    const Measured& offset = c.torque->offsets[k];
+    if (std::abs(offset.value) <= 2.0 * offset.sigma) continue;
+    warnings.push_back(
+        runs[k].file +
+        Text(": the torque cell has an offset of %.3g +- %.1g N m, which is taken off",
+             offset.value, offset.sigma));
   }
   for (const ActuatorParameter& p : c.parameters) {
     if (p.name != "delay_s" || !p.found || p.found->value > -2.0 * p.found->sigma) continue;

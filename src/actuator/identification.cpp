@@ -631,18 +631,25 @@ FreeRunError ErrorOfFreeRun(const Motor& motor, const Signals& signals) {
 }
 
 std::vector<double> StepTimes(const MotorSignal& signal) {
-  std::vector<double> times;
-  if (signal.t_s.size() < 2) return times;
+  constexpr double kStepShare = 0.01, kHold_s = 0.3, kLeastHeld = 0.5;
+  if (signal.t_s.size() < 2) return {};
   const auto [least, most] = std::minmax_element(signal.throttle.begin(), signal.throttle.end());
-  constexpr double kStepShare = 0.01, kHold_s = 0.3;
   const double step = kStepShare * (*most - *least);
-  for (size_t i = 1; i < signal.t_s.size(); ++i) {
-    if (std::abs(signal.throttle[i] - signal.throttle[i - 1]) > step)
-      times.push_back(signal.t_s[i]);
+  // A staircase holds each step, whether it jumps to the next one or slews; in flight none is held.
+  std::vector<double> times;
+  double held_s = 0.0;
+  size_t first = 0;  // of the rows that stay where they are
+  for (size_t i = 1; i <= signal.t_s.size(); ++i) {
+    const bool ends = i == signal.t_s.size();
+    if (!ends && std::abs(signal.throttle[i] - signal.throttle[first]) <= step) continue;
+    const double stay_s = signal.t_s[ends ? i - 1 : i] - signal.t_s[first];
+    if (stay_s >= kHold_s) {
+      held_s += stay_s;
+      if (!ends) times.push_back(signal.t_s[i]);
+    }
+    first = i;
   }
-  // A staircase holds each step; a command in flight does not.
-  const double duration = signal.t_s.back() - signal.t_s.front();
-  if (static_cast<double>(times.size()) * kHold_s > duration) times.clear();
+  if (held_s < kLeastHeld * (signal.t_s.back() - signal.t_s.front())) times.clear();
   return times;
 }
 

@@ -94,7 +94,7 @@ std::optional<StandFit> Fit(const std::vector<BenchRun>& runs,
   const Eigen::MatrixXd hanging = inverse * B * inverse, white = sigma * sigma * inverse;
   const auto sigma_of = [&](int k) { return std::sqrt(std::max(hanging(k, k), white(k, k))); };
   fit.coefficient = {x[0] / size, sigma_of(0) / size};
-  if (with_offset) fit.offset = {x[1], sigma_of(1)};
+  for (int k = 1; k < n; ++k) fit.offsets.push_back({x[k], sigma_of(k)});
   fit.rmse = fit.rows > 0 ? std::sqrt(squares / static_cast<double>(fit.rows)) : 0.0;
   return fit;
 }

@@ -49,10 +49,11 @@ Json ErrorJson(const FreeRunError& e, bool has_time) {
 
 Json StandJson(const std::optional<StandFit>& fit, const char* unit) {
   if (!fit) return nullptr;
-  return {{"offset",
-           {{"value", Number(fit->offset.value)},
-            {"sigma", Number(fit->offset.sigma)},
-            {"unit", unit}}},
+  Json offsets = Json::array();  // in the order of the files
+  for (const Measured& offset : fit->offsets)
+    offsets.push_back(
+        {{"value", Number(offset.value)}, {"sigma", Number(offset.sigma)}, {"unit", unit}});
+  return {{"offsets", offsets},
           {"rmse", Number(fit->rmse)},
           {"rows", fit->rows},
           {"outliers", fit->outliers}};

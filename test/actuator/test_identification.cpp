@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <random>
 
 #include "odmc/actuator/actuator_calibration.h"
 #include "odmc/actuator/free_run.h"
@@ -194,9 +195,44 @@ TEST(ThrustStand, FindsCoefficientsBesideAnOffset) {
   EXPECT_NEAR(thrust->coefficient.value, 1.5e-6, 0.01e-6);
   EXPECT_EQ(thrust->outliers, 11);
   EXPECT_NEAR(torque->coefficient.value, 2e-8, 0.01e-8);
-  EXPECT_NEAR(torque->offset.value, -0.008, 1e-4);
+  EXPECT_NEAR(torque->offsets.at(0).value, -0.008, 1e-4);
   EXPECT_FALSE(FitThrust({StepBench(TypicalMotor(), {}, 3)}));
-  EXPECT_GT(torque->coefficient.sigma, 1e-4 / std::sqrt(300.0) / 1e6);  // the scatter's, at least
+}
+
+// As few levels as unknowns fit exactly; sigma must not take that for certainty.
+TEST(ThrustStand, TwoLevelsDoNotMakeItSure) {
+  for (int seed = 1; seed <= 20; ++seed) {
+    std::mt19937 random(static_cast<unsigned>(seed));
+    std::normal_distribution<double> noise(0.0, 1e-3);
+    BenchRun run;
+    run.throttle.resize(1);
+    run.speed_rad_s.resize(1);
+    for (int i = 0; i < 40; ++i) {
+      const double speed = i < 20 ? 400.0 : 900.0;
+      run.throttle[0].push_back(i < 20 ? 0.2 : 0.5);
+      run.speed_rad_s[0].push_back(speed);
+      run.torque_Nm.push_back(2e-8 * speed * speed - 0.008 + noise(random));
+    }
+    const auto torque = FitTorque({run});
+    ASSERT_TRUE(torque);
+    EXPECT_LT(std::abs(torque->coefficient.value - 2e-8), 4.0 * torque->coefficient.sigma) << seed;
+    EXPECT_LT(torque->coefficient.sigma, 2e-9);
+  }
+}
+
+TEST(Identification, SeesStepsThatSlew) {
+  MotorSignal signal;
+  for (int i = 0; i < 400; ++i) {  // 10 Hz: holds of 2 s, half a second from one to the next
+    const int step = i / 25, within = i % 25;
+    signal.t_s.push_back(0.1 * i);
+    signal.throttle.push_back(0.1 + 0.05 * (step + std::max(0, within - 20) / 5.0));
+  }
+  const std::vector<double> times = StepTimes(signal);
+  ASSERT_EQ(times.size(), 16u);
+  EXPECT_NEAR(times[2], 7.1, 0.11);
+  for (size_t i = 0; i < signal.throttle.size(); ++i)
+    signal.throttle[i] = 0.4 + 0.2 * std::sin(0.5 * static_cast<double>(i));
+  EXPECT_TRUE(StepTimes(signal).empty());
 }
 
 TEST(RotorInertia, AddsBladesAndBell) {

@@ -58,7 +58,8 @@ ActuatorFit IdentifyActuator(const std::vector<BenchRun>& runs);
 /// Error of free runs of `motor` over these signals.
 FreeRunError ErrorOfFreeRun(const Motor& motor, const std::vector<MotorSignal>& signals);
 
-/// Times at which a staircase command steps [s]; empty if it changes all the time.
+/// Times at which a command leaves a step it has held for 0.3 s [s], at once or slewing; empty if
+/// less than half of the run is held.
 std::vector<double> StepTimes(const MotorSignal& signal);
 
 /// Lag at which changes of speed correlate best with changes of the command, -20 to 200 ms [s];

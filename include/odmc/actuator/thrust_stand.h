@@ -10,9 +10,9 @@ namespace odmc {
 /// One coefficient of a thrust stand: force or torque = coefficient * sum of squared speeds +
 /// offset.
 struct StandFit {
-  Measured coefficient;  ///< of one rotor [N s²] or [N m s²]
-  Measured offset;       ///< of the cell [N] or [N m]; 0 where it is not fitted
-  double rmse = 0.0;     ///< [N] or [N m], without outliers
+  Measured coefficient;           ///< of one rotor [N s²] or [N m s²]
+  std::vector<Measured> offsets;  ///< of the cell [N] or [N m], one per run; empty: not fitted
+  double rmse = 0.0;              ///< [N] or [N m], without outliers
   long rows = 0, outliers = 0;
 };
 
@@ -22,7 +22,7 @@ struct StandFit {
 std::optional<StandFit> FitThrust(const std::vector<BenchRun>& runs);
 
 /// Torque coefficient with the cell's offset, which small torques can't do without; one offset per
-/// run, `offset` is the first's.
+/// run.
 std::optional<StandFit> FitTorque(const std::vector<BenchRun>& runs);
 
 }  // namespace odmc
