@@ -10,7 +10,7 @@
 
 #include "odmc/factors/imu_factors.h"
 #include "odmc/math/so3.h"
-#include "odmc/window/marginalization.h"
+#include "odmc/window/incremental_window_solver.h"
 
 namespace odmc {
 
@@ -48,9 +48,19 @@ OdometryNoise Configured(const EstimatorOptions& options) {
           options.rate_noise_rad_s};
 }
 
-std::unique_ptr<WindowSolver> MakeSolver(const std::string& name) {
-  if (name == "ceres") return std::make_unique<CeresWindowSolver>();
-  return std::make_unique<EliminationWindowSolver>();
+/// @param fresh newest keyframes whose factors change after they were added
+std::unique_ptr<WindowSolver> MakeSolver(const EstimatorOptions& options, int fresh) {
+  if (options.solver == "ceres") return std::make_unique<CeresWindowSolver>(3 + fresh);
+  if (options.solver == "elimination") return std::make_unique<EliminationWindowSolver>(3 + fresh);
+  IncrementalOptions incremental;
+  incremental.recent_keyframes += fresh;
+  return std::make_unique<IncrementalWindowSolver>(incremental);
+}
+
+/// Of these, averages of rotor accelerations take in later intervals (RotorRateSmoother).
+int FreshKeyframes(const DynamicModel& model, const EstimatorOptions& options) {
+  if (!model.takes_rotor_rates()) return 0;
+  return static_cast<int>(std::ceil(0.5 * kRotorRatesWindow_s * options.keyframe_rate_hz));
 }
 
 Vector3d PriorInertia(const DynamicModel& model) {
@@ -103,8 +113,8 @@ bool EstimatorOptions::IsValid(std::string* error) const {
   if (dynamics_form != "midpoint" && dynamics_form != "euler") {
     return fail("dynamics_form must be midpoint or euler");
   }
-  if (solver != "elimination" && solver != "ceres") {
-    return fail("solver must be elimination or ceres");
+  if (solver != "incremental" && solver != "elimination" && solver != "ceres") {
+    return fail("solver must be incremental, elimination or ceres");
   }
   if (!(huber_width >= 0.0)) return fail("huber_width must not be negative");
   if (!(max_gap_s > 0.0)) return fail("max_gap_s must be positive");
@@ -140,8 +150,7 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
       change_detector_(model->vehicle().mass_kg * model->vehicle().gravity_m_s2,
                        model->vehicle().inertia_kg_m2),
       window_(&layout_),
-      solver_(MakeSolver(options.solver)),
-      information_(NewInformation()),
+      solver_(MakeSolver(options, FreshKeyframes(*model, options))),
       consistency_(layout_.num_estimated()),
       inflation_(Eigen::VectorXd::Ones(layout_.num_estimated())),
       prior_sigma_eta_(PriorSigmas(layout_)),
@@ -185,12 +194,15 @@ void Estimator::RestartChain() {
   last_.reset();
   before_last_.reset();
   last_in_window_ = false;
-  while (!window_.keyframes().empty()) {
-    MarginalizeOldest(&window_, sigma_eta_);
-  }
-  window_.biases().clear();
+  EmptyWindow();
   bias_since_.reset();
   noise_ready_ = 0;
+}
+
+/// All states leave; what they said stays known.
+void Estimator::EmptyWindow() {
+  while (!window_.keyframes().empty()) solver_->MarginalizeOldest(&window_, sigma_eta_, nullptr);
+  window_.biases().clear();
 }
 
 void Estimator::CarryOn(const Estimator& before, const DynamicModel& declared) {
@@ -240,6 +252,7 @@ std::optional<Snapshot> Estimator::Step() {
     const bool settling = counters_.airborne_s < 1.0;
     const int least = settling ? 10 : (needs_more_iterations_ ? 6 : 1);
     solver_options.max_iterations = std::max(least, options_.max_iterations);
+    solver_options.align = settling || needs_more_iterations_;
     solver_options.max_time_s = (settling ? 10.0 : 1.0) * options_.max_update_time_s;
     solver_options.function_tolerance = options_.function_tolerance;
     solver_options.num_threads = options_.num_threads;
@@ -275,19 +288,33 @@ void Estimator::FollowLoad(const OdometrySample& sample) {
   load_pull_ = load_.Advance(*last_->v_WS, *sample.v_WS, dt, window_.values());
 }
 
+double Estimator::AnchorValue() const {
+  const int k_f = model_->IndexOf("thrust.k_f");
+  return k_f < 0 ? 0.0 : layout_.Decode(solver_->ParameterPoint(window_).data())[k_f];
+}
+
+/// The torque takes the thrust coefficient where parameters are linearized, and an inertia once the
+/// gate has opened.
 void Estimator::MoveAnchors() {
   if (!with_torque_) return;
-  const int k_f = model_->IndexOf("thrust.k_f");
-  const double thrust_coefficient = k_f >= 0 ? window_.values()[k_f] : 0.0;
+  const double anchor = AnchorValue();
+  std::array<bool, 3> is_free;
+  for (int i = 0; i < 3; ++i) is_free[i] = InertiaIsFree(i);
+  const bool freed = is_free != inertia_was_free_;
+  if (anchor == anchor_ && !freed) return;
+  anchor_ = anchor;
+  inertia_was_free_ = is_free;
   for (Keyframe& keyframe : window_.keyframes()) {
     for (Factor& factor : keyframe.factors) {
       if (factor.kind != FactorKind::kDynamics) continue;
       auto& dynamics = static_cast<DynamicsFactor&>(*factor.cost);
-      if (k_f >= 0) dynamics.SetAnchor(thrust_coefficient);
+      dynamics.SetAnchor(anchor);
+      if (!freed) continue;
       // What was added before the gate opened must not hold on to the start value.
       for (int i = 0; i < 3; ++i) {
-        if (InertiaIsFree(i)) dynamics.FreeInertia(i);
+        if (is_free[i]) dynamics.FreeInertia(i);
       }
+      window_.Touch(&factor);
     }
   }
 }
@@ -527,9 +554,7 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
   measurement.fixed_inertia = PriorInertia(*model_);
   if (with_torque_) {
     measurement.anchor_index = model_->IndexOf("thrust.k_f");
-    if (measurement.anchor_index >= 0) {
-      measurement.anchor_value = window_.values()[measurement.anchor_index];
-    }
+    measurement.anchor_value = AnchorValue();
   }
   const State& s0 = State::FromBlock(window_.keyframe(id - 1).x.data());
   const State& s1 = State::FromBlock(window_.keyframe(id).x.data());
@@ -587,19 +612,14 @@ void Estimator::SmoothRotorRates(const Interval& interval, std::int64_t id) {
         static_cast<DynamicsFactor&>(*factor.cost)
             .SetRotorRates(rates.acceleration, rates.speed_squared_rate,
                            rates.noise * RotorSpeedNoise());
+        window_.Touch(&factor);
       } else if (factor.kind == FactorKind::kAccelerometer) {
         static_cast<AccelerometerFactor&>(*factor.cost)
             .SetRotorRates(rates.acceleration, rates.speed_squared_rate);
+        window_.Touch(&factor);
       }
     }
   });
-}
-
-ParameterInformation Estimator::NewInformation() const {
-  if (!model_->takes_rotor_rates()) return ParameterInformation();
-  // Intervals change until half a window has passed; what is kept must not hold the old ones.
-  const double changing = 0.5 * kRotorRatesWindow_s * options_.keyframe_rate_hz;
-  return ParameterInformation(3 + static_cast<int>(std::ceil(changing)));
 }
 
 // A model's error is mostly one of scale, the same all flight long and for all modelled rotors.
@@ -635,9 +655,8 @@ Snapshot Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport
   snapshot.battery_voltage_V = synchroniser_.battery_voltage_V();
 
   const int n = layout_.num_estimated();
-  const Eigen::MatrixXd information = information_.Update(window_, 0.3 * sigma_eta_);
-  Eigen::MatrixXd covariance = information.ldlt().solve(Eigen::MatrixXd::Identity(n, n));
-  if (covariance.allFinite() && (covariance.diagonal().array() > 0.0).all()) {
+  Eigen::MatrixXd covariance;
+  if (solver_->ParameterCovariance(window_, sigma_eta_, &covariance)) {
     sigma_eta_ = covariance.diagonal().cwiseSqrt();
   } else {
     covariance = sigma_eta_.cwiseAbs2().asDiagonal();  // rounding has the better of it: as before
@@ -666,12 +685,8 @@ Snapshot Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport
 }
 
 void Estimator::RefreshConsistency(const Eigen::MatrixXd& covariance) {
-  // Information of everything that left: the prior's, its state and bias eliminated.
-  const Prior& prior = window_.prior();
   const int n = layout_.num_estimated();
-  LinearSystem system{prior.A, prior.b, static_cast<int>(prior.A.cols()) - n};
-  const LinearSystem left = Eliminate(system);
-  consistency_.CloseBlock(left.A.transpose() * left.A);
+  consistency_.CloseBlock(solver_->PastInformation(window_));
   inflation_ = consistency_.Inflation(window_.eta(), covariance);
   // Of what varies, the flight's scores say nothing about the present value.
   for (const DynamicModel::ProcessParameter& p : model_->processes()) {
@@ -741,8 +756,7 @@ void Estimator::LookForChange() {
 // less certain.
 void Estimator::LearnAnew() {
   ++counters_.changes;
-  while (!window_.keyframes().empty()) MarginalizeOldest(&window_, sigma_eta_);
-  window_.biases().clear();
+  EmptyWindow();
   bias_since_.reset();
   last_in_window_ = false;
   inertia_gate_.Break();
@@ -751,9 +765,7 @@ void Estimator::LearnAnew() {
     const double ratio = sigma_eta_[i] / (kSigmaAfterChange * prior_sigma_eta_[i]);
     scale[i] = std::clamp(ratio * ratio, 1e-8, 1.0);
   }
-  const Eigen::MatrixXd root = RescalePrior(scale, &window_);
-  information_.Rescale(root);
-  consistency_.Rescale(root);
+  consistency_.Rescale(solver_->ScalePast(scale, &window_));
 }
 
 void Estimator::MarginalizeOld() {
@@ -762,7 +774,7 @@ void Estimator::MarginalizeOld() {
                                      options_.window_s - 1.5 / options_.keyframe_rate_hz) {
     const double dt = ObserveLeaving(keyframes.front());
     LeavingFactors leaving;
-    MarginalizeOldest(&window_, sigma_eta_, &leaving);
+    solver_->MarginalizeOldest(&window_, sigma_eta_, &leaving);
     LetVary(dt > 0.0 ? dt : 1.0 / options_.keyframe_rate_hz);
     if (dt == 0.0) continue;
     consistency_.Add(dt, leaving.score, window_.eta());
@@ -778,11 +790,9 @@ void Estimator::LetVary(double dt) {
     for (int i = 0; i < layout_.num_estimated(); ++i) {
       if (layout_.model_index(i) != p.index) continue;
       const double sigma = values[p.sigma] / chain[i];
-      DiffusePrior(i, 2.0 * sigma * sigma * dt / values[p.time_constant], &window_.prior());
+      solver_->DiffusePast(i, 2.0 * sigma * sigma * dt / values[p.time_constant], &window_);
     }
   }
-  // What it keeps does not know of the variation.
-  if (!model_->processes().empty()) information_ = NewInformation();
 }
 
 double Estimator::ObserveLeaving(const Keyframe& keyframe) {
@@ -814,9 +824,7 @@ void Estimator::RescalePast(double force, double torque) {
       (share * std::log(force) + (Eigen::VectorXd::Ones(share.size()) - share) * std::log(torque))
           .array()
           .exp();
-  const Eigen::MatrixXd root = RescalePrior(scale, &window_);
-  information_.Rescale(root);
-  consistency_.Rescale(root);
+  consistency_.Rescale(solver_->ScalePast(scale, &window_));
 }
 
 ParameterSet Estimator::ToParameterSet(const DynamicModel& model, const Snapshot& snapshot) {

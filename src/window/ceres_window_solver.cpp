@@ -59,7 +59,8 @@ struct CeresWindowSolver::Impl {
   StateManifold state_manifold;
 };
 
-CeresWindowSolver::CeresWindowSolver() : impl_(std::make_unique<Impl>()) {}
+CeresWindowSolver::CeresWindowSolver(int fresh)
+    : BatchWindowSolver(fresh), impl_(std::make_unique<Impl>()) {}
 CeresWindowSolver::~CeresWindowSolver() = default;
 
 SolveReport CeresWindowSolver::Solve(Window* window, const SolverOptions& options) {

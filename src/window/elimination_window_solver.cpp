@@ -233,7 +233,8 @@ bool EliminationWindowSolver::Impl::Step(const Window& window, double radius, Co
   return true;
 }
 
-EliminationWindowSolver::EliminationWindowSolver() : impl_(std::make_unique<Impl>()) {}
+EliminationWindowSolver::EliminationWindowSolver(int fresh)
+    : BatchWindowSolver(fresh), impl_(std::make_unique<Impl>()) {}
 EliminationWindowSolver::~EliminationWindowSolver() = default;
 
 SolveReport EliminationWindowSolver::Solve(Window* window, const SolverOptions& options) {

@@ -66,14 +66,11 @@ void Observe(const Window& window, const Factor& factor, LeavingFactors* leaving
   if (!factor.parameters || !Linearize(window, factor, false, &linear)) return;
   leaving->score += linear.J.rightCols(leaving->score.size()).transpose() * linear.r;
   if (factor.kind != FactorKind::kDynamics) return;
-  const auto& dynamics = static_cast<const DynamicsFactor&>(*factor.cost);
+  const auto* dynamics = dynamic_cast<const DynamicsFactor*>(factor.cost.get());
   const auto squares = linear.J.rightCols(leaving->score.size()).cwiseAbs2().eval();
-  const int torque_rows = dynamics.with_torque() ? 3 : 0;
+  const int torque_rows = dynamics != nullptr && dynamics->with_torque() ? 3 : 0;
   leaving->torque_information = squares.bottomRows(torque_rows).colwise().sum();
   leaving->force_information = squares.topRows(squares.rows() - torque_rows).colwise().sum();
-  leaving->dynamics_residual.resize(factor.cost->num_residuals());
-  const auto blocks = window.Blocks(factor, false);
-  factor.cost->Evaluate(blocks.data(), leaving->dynamics_residual.data(), nullptr);
 }
 
 }  // namespace
@@ -132,18 +129,26 @@ Eigen::MatrixXd RescalePrior(const Eigen::VectorXd& scale, Window* window) {
     prior.b.applyOnTheLeft(qr.householderQ().adjoint());
     prior.A.bottomLeftCorner(rows - rank, others).setZero();
   }
-  const Eigen::MatrixXd alone = prior.A.bottomRightCorner(rows - rank, n);
-  if (alone.rows() == 0) return scale.cwiseSqrt().asDiagonal();
-  const Eigen::JacobiSVD<Eigen::MatrixXd> svd(alone, Eigen::ComputeThinU | Eigen::ComputeFullV);
+  Eigen::MatrixXd alone = prior.A.bottomRightCorner(rows - rank, n);
+  Eigen::VectorXd right = prior.b.tail(rows - rank);
+  const Eigen::MatrixXd root = RescaleRows(scale, &alone, &right);
+  prior.A.bottomRightCorner(rows - rank, n) = alone;
+  prior.b.tail(rows - rank) = right;
+  return root;
+}
+
+Eigen::MatrixXd RescaleRows(const Eigen::VectorXd& scale, Eigen::MatrixXd* A, Eigen::VectorXd* b) {
+  if (A->rows() == 0) return scale.cwiseSqrt().asDiagonal();
+  const Eigen::JacobiSVD<Eigen::MatrixXd> svd(*A, Eigen::ComputeThinU | Eigen::ComputeFullV);
   const Eigen::VectorXd root =
       (0.5 * svd.matrixV().cwiseAbs2().transpose() * scale.array().log().matrix()).array().exp();
   const Eigen::MatrixXd& U = svd.matrixU();
   const Eigen::VectorXd more = (root.head(U.cols()).array() - 1.0).matrix();
-  const auto stretch = [&](auto block) {
-    block += (U * more.asDiagonal() * (U.transpose() * block)).eval();
+  const auto stretch = [&](auto* block) {
+    *block += (U * more.asDiagonal() * (U.transpose() * *block)).eval();
   };
-  stretch(prior.A.bottomRightCorner(rows - rank, n));
-  stretch(prior.b.tail(rows - rank));
+  stretch(A);
+  stretch(b);
   return svd.matrixV() * root.asDiagonal() * svd.matrixV().transpose();
 }
 
@@ -167,7 +172,6 @@ bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
   if (leaving != nullptr) {
     leaving->score = Eigen::VectorXd::Zero(window->layout().num_estimated());
     leaving->force_information = leaving->torque_information = leaving->score;
-    leaving->dynamics_residual.resize(0);
     for (const Factor& factor : oldest.factors) Observe(*window, factor, leaving);
   }
 
@@ -226,7 +230,7 @@ bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
   prior.A.rightCols(n) = remaining.A.rightCols(n);
 
   if (c.leaving_bias >= 0 && !window->biases().empty()) window->biases().pop_front();
-  window->keyframes().pop_front();
+  window->DropOldestKeyframe();
   if (has_next) {
     Keyframe& next = window->keyframes().front();
     if (!next.in_prior) next.x_lin = next.x;

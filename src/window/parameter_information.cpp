@@ -69,6 +69,7 @@ const Eigen::MatrixXd& ParameterInformation::Update(const Window& window,
 
   LinearFactor linear;
   Eigen::MatrixXd front;
+  newest_.resize(0, 0);
   for (std::int64_t id = start; id <= newest; ++id) {
     const FrontColumns columns(window, id);
     front.setZero(columns.total + 1, columns.total + 1);
@@ -79,6 +80,10 @@ const Eigen::MatrixXd& ParameterInformation::Update(const Window& window,
       }
     }
     messages_.push_back({id, std::move(message)});
+    if (id == newest) {
+      newest_ = front.topLeftCorner(columns.total, columns.total).selfadjointView<Eigen::Upper>();
+      newest_.diagonal().tail(n) += window.parameter_sigma().cwiseAbs2().cwiseInverse();
+    }
     message = Eliminated(columns, &front);
   }
   const auto of_parameters = message.bottomRightCorner(n + 1, n + 1).topLeftCorner(n, n);

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cassert>
 #include <cmath>
+#include <utility>
 
 #include "odmc/math/so3.h"
 
@@ -35,23 +36,24 @@ Window::Window(const ParameterLayout* layout) : layout_(layout), eta_(layout->nu
 
 std::int64_t Window::AddKeyframe(Stamp stamp, const State& initial, bool linked,
                                  std::int64_t bias) {
-  Keyframe keyframe;
+  Keyframe& keyframe = keyframes_.Append();
   keyframe.id = next_keyframe_++;
   keyframe.stamp = stamp;
   keyframe.bias = bias;
   keyframe.linked = linked;
+  keyframe.in_prior = false;
   initial.ToBlock(keyframe.x.data());
   keyframe.x_lin = keyframe.x;
-  keyframes_.push_back(std::move(keyframe));
-  return keyframes_.back().id;
+  keyframe.factors.clear();
+  return keyframe.id;
 }
 
 std::int64_t Window::AddBias(const Eigen::Matrix<double, 6, 1>& initial) {
-  Bias bias;
+  Bias& bias = biases_.Append();
   bias.id = next_bias_++;
+  bias.in_prior = false;
   std::copy(initial.data(), initial.data() + 6, bias.x.begin());
   bias.x_lin = bias.x;
-  biases_.push_back(bias);
   return bias.id;
 }
 
@@ -60,28 +62,55 @@ void Window::AddFactor(Factor factor) {
   keyframe(owner).factors.push_back(std::move(factor));
 }
 
-std::vector<const double*> Window::Blocks(const Factor& factor, bool at_linearization) const {
-  std::vector<const double*> blocks;
-  blocks.reserve(4);
+void Window::Touch(Factor* factor) {
+  ++factor->revision;
+  const std::int64_t owner = factor->state0 >= 0 ? factor->state0 : keyframes_.front().id;
+  if (touched_ < 0 || owner < touched_) touched_ = owner;
+}
+
+std::int64_t Window::TakeTouched() { return std::exchange(touched_, -1); }
+
+void Window::DropOldestKeyframe() {
+  for (Factor& factor : keyframes_.front().factors) {
+    spares_[static_cast<size_t>(factor.kind)].push_back(std::move(factor.cost));
+  }
+  keyframes_.front().factors.clear();
+  keyframes_.pop_front();
+}
+
+std::unique_ptr<ceres::CostFunction> Window::TakeSpare(FactorKind kind) {
+  auto& spares = spares_[static_cast<size_t>(kind)];
+  if (spares.empty()) return nullptr;
+  std::unique_ptr<ceres::CostFunction> spare = std::move(spares.back());
+  spares.pop_back();
+  return spare;
+}
+
+FactorBlocks Window::Blocks(const Factor& factor, bool at_linearization) const {
+  FactorBlocks blocks;
+  const auto add = [&blocks](const double* block) { blocks.pointers[blocks.count++] = block; };
   for (const std::int64_t id : {factor.state0, factor.state1}) {
     if (id < 0) continue;
     const Keyframe& k = keyframe(id);
-    blocks.push_back(at_linearization && k.in_prior ? k.x_lin.data() : k.x.data());
+    add(at_linearization && k.in_prior ? k.x_lin.data() : k.x.data());
   }
   for (const std::int64_t id : {factor.bias0, factor.bias1}) {
     if (id < 0) continue;
     const Bias& b = bias(id);
-    blocks.push_back(at_linearization && b.in_prior ? b.x_lin.data() : b.x.data());
+    add(at_linearization && b.in_prior ? b.x_lin.data() : b.x.data());
   }
   if (factor.parameters && eta_.size() > 0) {
-    blocks.push_back(at_linearization ? prior_.eta_lin.data() : eta_.data());
+    add(at_linearization ? prior_.eta_lin.data() : eta_.data());
   }
   return blocks;
 }
 
 std::vector<double*> Window::MutableBlocks(const Factor& factor) {
   std::vector<double*> blocks;
-  for (const double* block : Blocks(factor, false)) blocks.push_back(const_cast<double*>(block));
+  const FactorBlocks of_factor = Blocks(factor, false);
+  for (int i = 0; i < of_factor.count; ++i) {
+    blocks.push_back(const_cast<double*>(of_factor.pointers[i]));
+  }
   return blocks;
 }
 
@@ -98,8 +127,8 @@ bool Linearize(const Window& window, const Factor& factor, bool first_estimates,
   const auto& cost = *factor.cost;
   const int rows = cost.num_residuals();
   const auto& sizes = cost.parameter_block_sizes();
-  const std::vector<const double*> blocks = window.Blocks(factor, false);
-  const std::vector<const double*> points = window.Blocks(factor, first_estimates);
+  const FactorBlocks blocks = window.Blocks(factor, false);
+  const FactorBlocks points = window.Blocks(factor, first_estimates);
 
   using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   // Ambient Jacobians, one after the other in one buffer.
@@ -140,7 +169,7 @@ bool Linearize(const Window& window, const Factor& factor, bool first_estimates,
     const Eigen::Map<const RowMajor> ambient(jacobians[i], rows, sizes[i]);
     if (static_cast<int>(i) < num_states) {
       Eigen::Matrix<double, 13, 12, Eigen::RowMajor> plus;
-      StateManifold().PlusJacobian(points[i], plus.data());
+      StateManifold().PlusJacobian(points.pointers[i], plus.data());
       linear->J.middleCols<3>(column) = ambient.leftCols<3>();
       linear->J.middleCols<3>(column + 3).noalias() =
           ambient.middleCols<4>(3) * plus.block<4, 3>(3, 3);
@@ -166,7 +195,7 @@ bool Linearize(const Window& window, const Factor& factor, bool first_estimates,
 std::optional<double> CostOf(const Window& window, const Factor& factor) {
   thread_local Eigen::VectorXd r;
   r.resize(factor.cost->num_residuals());
-  const std::vector<const double*> blocks = window.Blocks(factor, false);
+  const FactorBlocks blocks = window.Blocks(factor, false);
   if (!factor.cost->Evaluate(blocks.data(), r.data(), nullptr)) return std::nullopt;
   double rho[3] = {r.squaredNorm(), 1.0, 0.0};
   if (factor.loss != nullptr) factor.loss->Evaluate(r.squaredNorm(), rho);

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -17,8 +18,8 @@
 #include "odmc/preintegration/rotor_interval.h"
 #include "odmc/preintegration/rotor_rate_smoother.h"
 #include "odmc/sensing/synchroniser.h"
-#include "odmc/window/parameter_information.h"
 #include "odmc/window/window.h"
+#include "odmc/window/window_solver.h"
 
 namespace odmc {
 
@@ -121,6 +122,8 @@ class Estimator {
  private:
   struct Interval;  // what lies between two keyframes
 
+  void EmptyWindow();
+  double AnchorValue() const;
   void MoveAnchors();
   bool InertiaIsFree(int axis) const;
   void FollowLoad(const OdometrySample& sample);
@@ -140,7 +143,6 @@ class Estimator {
   void AddScaleError(Snapshot* snapshot) const;
   /// Averages the rotors' accelerations of the newest intervals, as far as those after them go.
   void SmoothRotorRates(const Interval& interval, std::int64_t id);
-  ParameterInformation NewInformation() const;
   Snapshot TakeSnapshot(const OdometrySample& sample, const SolveReport& report);
   void FillResiduals(Snapshot* snapshot);
   void LookForChange();
@@ -171,7 +173,6 @@ class Estimator {
   Window window_;
   std::unique_ptr<WindowSolver> solver_;
   std::unique_ptr<ceres::LossFunction> loss_;
-  ParameterInformation information_;
   Consistency consistency_;
   Eigen::VectorXd inflation_;
   Eigen::VectorXd prior_sigma_eta_;  // by which parameters count as observable
@@ -185,6 +186,8 @@ class Estimator {
   bool last_in_window_ = false;
   std::optional<Stamp> first_stamp_;
   std::optional<Stamp> bias_since_;
+  double anchor_ = 0.0;  // thrust coefficient the torque takes
+  std::array<bool, 3> inertia_was_free_ = {false, false, false};
   std::vector<Factor> pending_;  // of a bias whose first keyframe is about to come
   Stamp noise_ready_ = 0;
   bool made_progress_ = false;

@@ -23,9 +23,6 @@ LinearSystem Eliminate(const LinearSystem& system, double tolerance = 1e-10);
 struct LeavingFactors {
   /// Sum of Jᵀ r over the leaving factors that touch parameters, with respect to eta (n).
   Eigen::VectorXd score;
-  /// Whitened residual of the leaving dynamics factor, before the loss (3, 6 or 9); empty without
-  /// one.
-  Eigen::VectorXd dynamics_residual;
   /// Squared whitened derivatives of the leaving dynamics factor's force and torque rows (n each).
   Eigen::VectorXd force_information, torque_information;
 };
@@ -49,6 +46,11 @@ bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
 /// about what nobody has seen.
 /// @returns the symmetric root of the scale (n×n), for others that keep information: T I T
 Eigen::MatrixXd RescalePrior(const Eigen::VectorXd& scale, Window* window);
+
+/// The scaling of rows [A b] about parameters alone, for RescalePrior() and those who keep such rows
+/// elsewhere.
+/// @returns the root of the scale
+Eigen::MatrixXd RescaleRows(const Eigen::VectorXd& scale, Eigen::MatrixXd* A, Eigen::VectorXd* b);
 
 /// Lets parameter `index` of eta have moved by a random step of this variance since the prior was
 /// made: what the prior says about it fades, its optimum stays.

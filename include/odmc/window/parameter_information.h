@@ -16,12 +16,19 @@ class ParameterInformation {
   /// @param fresh number of newest keyframes that are redone at every call
   explicit ParameterInformation(int fresh = 3) : fresh_(fresh) {}
 
+  /// Forgets what is kept.
+  void Forget() { messages_.clear(); }
+
   /// Scales what is kept by what RescalePrior() returns.
   void Rescale(const Eigen::MatrixXd& root);
 
   /// @returns the n×n information with respect to eta at the window's present estimate, with the
   ///   parameters' own priors
   const Eigen::MatrixXd& Update(const Window& window, const Eigen::VectorXd& relinearize);
+
+  /// Information of the newest state (12), its bias (6, if it has one) and the parameters (n) at the
+  /// last Update(); empty without a state.
+  const Eigen::MatrixXd& newest() const { return newest_; }
 
  private:
   /// What all keyframes before one say about it, its bias and the parameters (see front.h).
@@ -35,7 +42,7 @@ class ParameterInformation {
   int fresh_;
   std::vector<Message> messages_;
   Eigen::VectorXd eta_;
-  Eigen::MatrixXd information_;
+  Eigen::MatrixXd information_, newest_;
 };
 
 }  // namespace odmc

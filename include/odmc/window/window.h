@@ -6,7 +6,6 @@
 #include <Eigen/Core>
 #include <array>
 #include <cstdint>
-#include <deque>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -14,6 +13,7 @@
 #include "odmc/factors/manifolds.h"
 #include "odmc/factors/parameter_layout.h"
 #include "odmc/factors/state.h"
+#include "odmc/math/ring.h"
 
 namespace odmc {
 
@@ -28,6 +28,7 @@ enum class FactorKind {
   kBiasPrior,
   kBiasWalk
 };
+constexpr int kNumFactorKinds = static_cast<int>(FactorKind::kBiasWalk) + 1;
 
 /// A cost function and the variables it touches. Its blocks are, in order: state0, state1, bias0,
 /// bias1 (those that are set), then eta if `parameters`.
@@ -38,6 +39,18 @@ struct Factor {
   std::int64_t state0 = -1, state1 = -1;      ///< keyframe ids
   std::int64_t bias0 = -1, bias1 = -1;        ///< bias ids
   bool parameters = false;
+  /// Grows whenever the cost function is changed in place; solvers that keep linearizations then
+  /// evaluate it anew.
+  int revision = 0;
+};
+
+/// Pointers to the blocks of one factor, as Ceres takes them.
+struct FactorBlocks {
+  std::array<const double*, 5> pointers{};
+  int count = 0;
+
+  const double* const* data() const { return pointers.data(); }
+  bool operator!=(const FactorBlocks& other) const { return pointers != other.pointers; }
 };
 
 /// One state in the window. Owns the factors whose oldest state it is.
@@ -91,11 +104,24 @@ class Window {
   /// @pre its variables are in the window
   void AddFactor(Factor factor);
 
+  /// Says that a factor's cost function was changed in place.
+  void Touch(Factor* factor);
+
+  /// The oldest keyframe whose factors were touched since the last call; -1: none.
+  std::int64_t TakeTouched();
+
+  /// Takes the oldest keyframe off; its cost functions become spares.
+  void DropOldestKeyframe();
+
+  /// A cost function of this kind that is no longer needed, for its maker to set anew without
+  /// allocating; null if there is none.
+  std::unique_ptr<ceres::CostFunction> TakeSpare(FactorKind kind);
+
   const ParameterLayout& layout() const { return *layout_; }
-  std::deque<Keyframe>& keyframes() { return keyframes_; }
-  const std::deque<Keyframe>& keyframes() const { return keyframes_; }
-  std::deque<Bias>& biases() { return biases_; }
-  const std::deque<Bias>& biases() const { return biases_; }
+  Ring<Keyframe>& keyframes() { return keyframes_; }
+  const Ring<Keyframe>& keyframes() const { return keyframes_; }
+  Ring<Bias>& biases() { return biases_; }
+  const Ring<Bias>& biases() const { return biases_; }
   Keyframe& keyframe(std::int64_t id) { return keyframes_[id - keyframes_.front().id]; }
   Bias& bias(std::int64_t id) { return biases_[id - biases_.front().id]; }
   const Keyframe& keyframe(std::int64_t id) const { return keyframes_[id - keyframes_.front().id]; }
@@ -115,19 +141,21 @@ class Window {
 
   /// Pointers to a factor's blocks at the current estimate, or at the linearization points of what
   /// the prior touches.
-  std::vector<const double*> Blocks(const Factor& factor, bool at_linearization) const;
+  FactorBlocks Blocks(const Factor& factor, bool at_linearization) const;
   /// Pointers to change them.
   std::vector<double*> MutableBlocks(const Factor& factor);
   std::vector<double*> PriorBlocks();
 
  private:
   const ParameterLayout* layout_;
-  std::deque<Keyframe> keyframes_;
-  std::deque<Bias> biases_;
+  Ring<Keyframe> keyframes_;
+  Ring<Bias> biases_;
+  std::array<std::vector<std::unique_ptr<ceres::CostFunction>>, kNumFactorKinds> spares_;
   ParameterVector eta_;
   Eigen::VectorXd parameter_centre_, parameter_sigma_;
   Prior prior_;
   std::int64_t next_keyframe_ = 0, next_bias_ = 0;
+  std::int64_t touched_ = -1;
 };
 
 /// A factor's residual and minimal Jacobian at one point, whitened and with the robust loss applied

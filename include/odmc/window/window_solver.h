@@ -1,8 +1,11 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <memory>
 #include <string>
 
+#include "odmc/window/marginalization.h"
+#include "odmc/window/parameter_information.h"
 #include "odmc/window/window.h"
 
 namespace odmc {
@@ -13,7 +16,9 @@ struct SolveReport {
   bool converged = false;  ///< false: stopped by the iteration or time bound
   int iterations = 0;
   bool improved = false;      ///< at least one step was taken
-  double initial_cost = 0.0;  ///< half the sum of squares, robust losses applied
+  /// Half the sum of squares, robust losses applied; 0 from the incremental solver, which never
+  /// adds them up.
+  double initial_cost = 0.0;
   double final_cost = 0.0;
   std::string message;  ///< why it is not usable
 };
@@ -21,26 +26,88 @@ struct SolveReport {
 /// Bounds of one solve.
 struct SolverOptions {
   int max_iterations = 1;            ///< per update, >= 1
+  /// The start of a flight, or after a step that was refused: a linear model of the window may not
+  /// do, solve it as a whole.
+  bool align = false;
   double max_time_s = 0.008;         ///< per update, > 0
   double function_tolerance = 1e-6;  ///< relative change of cost that ends a solve
   int num_threads = 1;               ///< for Ceres' evaluation of factors, >= 1
 };
 
 /// Moves the window's states and parameters to the least-squares optimum of its factors and prior,
-/// from where they are. What solves a window is apart from what it holds: an incremental solver
-/// implements the same interface.
+/// from where they are, and keeps what has left the window: how a window is solved, apart from what
+/// it holds. One solver serves one window from its start on.
 class WindowSolver {
  public:
+  using StateMatrix = Eigen::Matrix<double, kStateTangentSize, kStateTangentSize>;
+
   virtual ~WindowSolver() = default;
+
   virtual SolveReport Solve(Window* window, const SolverOptions& options) = 0;
+
+  /// Covariance of the parameters' eta (n×n) at the solution, all states, biases and the past taken
+  /// into account.
+  /// @param sigma the last one known, to judge by how far parameters have moved (n)
+  /// @returns false if it is not positive
+  virtual bool ParameterCovariance(const Window& window, const Eigen::VectorXd& sigma,
+                                   Eigen::MatrixXd* covariance) = 0;
+
+  /// Covariance of the newest state's tangent, after ParameterCovariance() of the same window.
+  /// @returns false if a direction of it is not known
+  virtual bool StateCovariance(const Window& window, StateMatrix* covariance) = 0;
+
+  /// Takes the oldest keyframe out of the window; what it said stays known (marginalization.h).
+  virtual bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
+                                 LeavingFactors* leaving) = 0;
+
+  /// RescalePrior() of what has left. @returns the root of the scale
+  virtual Eigen::MatrixXd ScalePast(const Eigen::VectorXd& scale, Window* window) = 0;
+
+  /// DiffusePrior() of what has left.
+  virtual void DiffusePast(int index, double variance, Window* window) = 0;
+
+  /// Information of what has left about the parameters alone (n×n).
+  virtual Eigen::MatrixXd PastInformation(const Window& window) = 0;
+
+  /// Where the parameters are linearized at present.
+  virtual const ParameterVector& ParameterPoint(const Window& window) const = 0;
+
+  /// Makes window->prior() hold what has left, for a solve by somebody else.
+  virtual void WritePrior(Window* window) = 0;
+};
+
+/// A solver that keeps the past in the window's prior and solves the whole window at once.
+class BatchWindowSolver : public WindowSolver {
+ public:
+  /// @param fresh newest keyframes whose factors may have changed (ParameterInformation)
+  explicit BatchWindowSolver(int fresh) : information_(fresh) {}
+
+  bool ParameterCovariance(const Window& window, const Eigen::VectorXd& sigma,
+                           Eigen::MatrixXd* covariance) override;
+  bool StateCovariance(const Window& window, StateMatrix* covariance) override;
+  bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
+                         LeavingFactors* leaving) override;
+  Eigen::MatrixXd ScalePast(const Eigen::VectorXd& scale, Window* window) override;
+  void DiffusePast(int index, double variance, Window* window) override;
+  Eigen::MatrixXd PastInformation(const Window& window) override;
+  const ParameterVector& ParameterPoint(const Window& window) const override {
+    return window.eta();
+  }
+  void WritePrior(Window*) override {}
+
+  /// Forgets what it keeps of the window.
+  void Forget() { information_.Forget(); }
+
+ private:
+  ParameterInformation information_;
 };
 
 /// Levenberg-Marquardt by eliminating the chain of states, oldest first and parameters last, in
 /// dense fronts. Takes the same steps as Ceres does, without building and analysing a sparse
 /// problem at every keyframe.
-class EliminationWindowSolver final : public WindowSolver {
+class EliminationWindowSolver final : public BatchWindowSolver {
  public:
-  EliminationWindowSolver();
+  explicit EliminationWindowSolver(int fresh = 3);
   ~EliminationWindowSolver() override;
   SolveReport Solve(Window* window, const SolverOptions& options) override;
 
@@ -50,9 +117,9 @@ class EliminationWindowSolver final : public WindowSolver {
 };
 
 /// Levenberg-Marquardt by Ceres with SuiteSparse's sparse Cholesky: the reference.
-class CeresWindowSolver final : public WindowSolver {
+class CeresWindowSolver final : public BatchWindowSolver {
  public:
-  CeresWindowSolver();
+  explicit CeresWindowSolver(int fresh = 3);
   ~CeresWindowSolver() override;
   SolveReport Solve(Window* window, const SolverOptions& options) override;
 

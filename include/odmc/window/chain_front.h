@@ -1,0 +1,113 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "odmc/window/root_triangle.h"
+#include "odmc/window/window.h"
+
+namespace odmc {
+
+/// Rows over some columns, with room for more; never gives memory back.
+struct RowBlock {
+  std::vector<double> data;
+  int stride = 0;
+  int count = 0;
+
+  double* row(int i) { return data.data() + i * stride; }
+  const double* row(int i) const { return data.data() + i * stride; }
+  /// Becomes `rows` rows of zeros.
+  void SetZero(int rows, int row_stride);
+  /// Appends rows of zeros.
+  void Extend(int rows);
+  void CopyFrom(const RowBlock& other);
+};
+
+/// Scratch of one solver, shared by all fronts.
+struct FrontScratch {
+  RowBlock own, pair;
+  std::vector<double> jacobians, residual;
+  std::vector<double*> jacobian_pointers;
+};
+
+/// One keyframe's part of the chain, for the incremental solver: its factors' linearizations, the
+/// message that came in, and what its elimination left. Rows are of |A x + b|²; states count from
+/// their linearization points, biases and parameters from zero.
+///
+///   message       state (12) | bias, parameters, rhs (BorderColumns)
+///   own           rows of its factors of this state alone, same columns
+///   pair          rows of the others: state (12), bias that leaves (6, where one does) | next
+///                 state (12), border
+///   conditional   triangle over the eliminated columns, same columns as pair
+///   rest          what elimination left for the root: border. The first rest_before rows come
+///                 before a bias leaves, the others after.
+class ChainFront {
+ public:
+  /// Starts anew for a keyframe of the window.
+  void Reset(const Window& window, std::int64_t keyframe);
+
+  std::int64_t id = -1;
+  std::array<double, kStateSize> point;  ///< linearization point of the state
+  int point_version = 0;
+
+  /// State's and next state's points at which the conditional was made.
+  std::array<double, kStateSize> conditional_point, next_point;
+  int conditional_version = -1, next_version = -1;
+
+  /// Solution: state's difference to conditional_point.
+  std::array<double, kStateTangentSize> delta;
+
+  RowBlock message, own, pair, conditional, rest;
+  int rest_before = 0;
+  bool bias_leaves = false;
+  bool eliminated = false;  ///< false: the newest
+
+  int pivots() const { return kStateTangentSize + (bias_leaves ? 6 : 0); }
+  int border() const { return pivots() + kStateTangentSize; }
+
+  /// Moves the state's linearization point to the present estimate.
+  void MovePoint(const Window& window);
+
+  /// Evaluates the factors whose linearization is out of date: changed, or of a state whose point
+  /// moved, or at another point of the parameters.
+  /// @param parameter_point where parameters are linearized; its version tells that it moved
+  /// @returns false if a factor cannot be evaluated
+  bool Linearise(const Window& window, const ChainFront* next,
+                 const ParameterVector& parameter_point, int point_version_of_parameters,
+                 FrontScratch* scratch);
+
+  /// Rotates the factors of this state alone into its message; what they say of the rest goes to
+  /// `rest` and to the root.
+  /// @param triangle becomes the state's triangle (12 rows, columns as message)
+  void AbsorbOwn(RowBlock* triangle, RootTriangle* root, FrontScratch* scratch);
+
+  /// Eliminates the state (and its bias, where it leaves), given its triangle.
+  /// @param next its message is set
+  void Eliminate(const RowBlock& triangle, RootTriangle* root, ChainFront* next,
+                 FrontScratch* scratch);
+
+  /// Gives what elimination left to the root of all that has left the window.
+  void LeaveTo(RootTriangle* past, FrontScratch* scratch) const;
+
+  /// Where a factor's rows are, and at what points they were evaluated.
+  struct KeptFactor {
+    bool in_pair = false;
+    int row = 0, rows = 0;
+    int revision = -1;
+    int state0 = -1, state1 = -1, parameters = -1;  ///< versions of their points
+    bool sound = false;
+  };
+  const std::vector<KeptFactor>& kept() const { return kept_; }
+
+ private:
+  bool Evaluate(const Window& window, const Factor& factor, const ChainFront* next,
+                const ParameterVector& parameter_point, bool in_pair, double* rows, int stride,
+                FrontScratch* scratch) const;
+
+  int n_ = 0;
+  std::int64_t bias_ = -1;
+  std::vector<KeptFactor> kept_;
+};
+
+}  // namespace odmc

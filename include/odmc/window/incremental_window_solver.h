@@ -1,0 +1,133 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "odmc/math/ring.h"
+#include "odmc/window/chain_front.h"
+#include "odmc/window/root_triangle.h"
+#include "odmc/window/window_solver.h"
+
+namespace odmc {
+
+/// What an incremental solve leaves as it is, and how much it does at once.
+struct IncrementalOptions {
+  /// A state is linearized anew when an entry of its tangent has moved by more than this from the
+  /// point where it was: position [m], rotation [rad], velocity [m/s], rate [rad/s].
+  std::array<double, kStateTangentSize> relinearise_state = {0.1,  0.1,  0.1,  5e-3, 5e-3, 5e-3,
+                                                             0.1,  0.1,  0.1,  0.1,  0.1,  0.1};
+  /// Parameters: of their present sigma.
+  double relinearise_parameters = 0.3;
+  /// Back-substitution stops at a state that changes by less than this share of the thresholds
+  /// above (wildfire), and goes through the whole window when shared variables have moved by this
+  /// share of a sigma.
+  double wildfire = 0.02;
+  /// Newest keyframes that are eliminated anew at once when their points move, >= 1.
+  int recent_keyframes = 3;
+  /// Older keyframes eliminated anew per update when parameters have moved, >= 2.
+  int sweep_keyframes = 2;
+  /// Older keyframes back-substituted per update, >= 1.
+  int back_substituted_keyframes = 50;
+  /// A step of a parameter beyond this share of its own prior's sigma asks for the batch solve.
+  double largest_step = 0.5;
+};
+
+/// Solves only what changed, in the style of iSAM2 (Kaess et al. 2012), on a chain of states with a
+/// border of shared variables: square-root elimination, oldest state first, biases as they leave,
+/// parameters last (docs/window.md). A new keyframe eliminates the one before it; the oldest leaves
+/// by dropping its conditional. When parameters have moved, a sweep eliminates the chain anew from
+/// its oldest end, a few keyframes per update, beside the chain in use, and takes its place when it
+/// has caught up.
+///
+/// The first alignment and steps that are too long for a linear model are left to the batch solve.
+/// No steady update allocates.
+class IncrementalWindowSolver final : public WindowSolver {
+ public:
+  explicit IncrementalWindowSolver(const IncrementalOptions& options = {});
+  ~IncrementalWindowSolver() override;
+
+  SolveReport Solve(Window* window, const SolverOptions& options) override;
+  bool ParameterCovariance(const Window& window, const Eigen::VectorXd& sigma,
+                           Eigen::MatrixXd* covariance) override;
+  bool StateCovariance(const Window& window, StateMatrix* covariance) override;
+  bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
+                         LeavingFactors* leaving) override;
+  Eigen::MatrixXd ScalePast(const Eigen::VectorXd& scale, Window* window) override;
+  void DiffusePast(int index, double variance, Window* window) override;
+  Eigen::MatrixXd PastInformation(const Window& window) override;
+  const ParameterVector& ParameterPoint(const Window& window) const override;
+  void WritePrior(Window* window) override;
+
+  /// What the last Solve() did, for profiling and tests.
+  struct Work {
+    int eliminated = 0;        ///< fronts, of the chain in use and of the sweep
+    int back_substituted = 0;  ///< fronts
+    bool sweeping = false;
+    bool aligned = false;  ///< the batch solve did it
+  };
+  const Work& work() const { return work_; }
+
+ private:
+  struct Checkpoint {
+    std::int64_t id = -1;
+    RootTriangle root;  // before the keyframe's own factors
+  };
+
+  bool Follows(const Window& window) const;
+  void Forget();
+  void ReadPrior(const Window& window);
+  bool Build(Window* window);
+  SolveReport Align(Window* window, const SolverOptions& options);
+  ChainFront& front(std::int64_t id) { return fronts_[static_cast<size_t>(id - fronts_.front().id)]; }
+
+  void AppendFront(const Window& window, std::int64_t id);
+  bool Advance(const Window& window, std::int64_t id);
+  bool Redo(const Window& window, std::int64_t from);
+  bool RedoMovedRecent(Window* window);
+  Checkpoint* FindCheckpoint(std::int64_t id);
+  void StartSweep(const Window& window);
+  bool Sweep(const Window& window, int budget);
+  bool SweepOne(const Window& window);
+  bool SweepAll(const Window& window);
+  bool CatchUp(Window* window);
+  std::int64_t MovePoints(const Window& window, std::int64_t from);
+  std::int64_t OldestRecent() const;
+
+  bool SolveRoot(Window* window);
+  void BackSubstitute(Window* window, bool everything);
+  double BackSubstitute(std::int64_t id, Window* window);
+  void StoreState(ChainFront* front, Window* window);
+  bool HasMoved(const Window& window, const ChainFront& front) const;
+  bool ParametersMoved(const Window& window) const;
+  void Observe(const Window& window, const ChainFront& front, LeavingFactors* leaving) const;
+  void ChangePast(const Eigen::MatrixXd& A, const Eigen::VectorXd& b);
+  void ApplyPending();
+
+  IncrementalOptions options_;
+  EliminationWindowSolver batch_;  // until aligned, and for the alignment
+  bool incremental_ = false;
+  Ring<ChainFront> fronts_;
+  RowBlock triangle_;        // of the newest state
+  RootTriangle root_, past_;  // of the chain in use, parameters' priors included; of what left
+  Ring<Checkpoint> checkpoints_;
+  struct {
+    bool active = false, wanted = false;
+    std::int64_t next = 0;  // front to eliminate next
+    RootTriangle root;
+  } sweep_;
+  ParameterVector point_;  // of linearization
+  int point_version_ = 0;
+  std::vector<double> shared_, propagated_;  // solution of the border; at the last full pass
+  std::vector<double> border_;               // of the front at hand
+  Eigen::VectorXd sigma_;                    // of the parameters, last known
+  Eigen::MatrixXd pending_;                  // change of the past the roots do not know yet
+  bool has_pending_ = false;
+  std::int64_t pass_ = -1;  // back-substitution goes on here, -1: done
+  FrontScratch scratch_;
+  RowBlock sweep_triangle_;
+  Work work_;
+};
+
+}  // namespace odmc

@@ -1,0 +1,49 @@
+#include <Eigen/Cholesky>
+
+#include "odmc/window/window_solver.h"
+
+namespace odmc {
+
+bool BatchWindowSolver::ParameterCovariance(const Window& window, const Eigen::VectorXd& sigma,
+                                            Eigen::MatrixXd* covariance) {
+  const Eigen::MatrixXd& information = information_.Update(window, 0.3 * sigma);
+  const auto n = information.rows();
+  *covariance = information.ldlt().solve(Eigen::MatrixXd::Identity(n, n));
+  return covariance->allFinite() && (covariance->diagonal().array() > 0.0).all();
+}
+
+bool BatchWindowSolver::StateCovariance(const Window&, StateMatrix* covariance) {
+  const Eigen::MatrixXd& information = information_.newest();
+  if (information.rows() < kStateTangentSize) return false;
+  const Eigen::LLT<Eigen::MatrixXd> llt(information);
+  if (llt.info() != Eigen::Success) return false;
+  Eigen::MatrixXd state = Eigen::MatrixXd::Zero(information.rows(), kStateTangentSize);
+  state.topRows<kStateTangentSize>().setIdentity();
+  *covariance = llt.solve(state).topRows<kStateTangentSize>();
+  return covariance->allFinite();
+}
+
+bool BatchWindowSolver::MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
+                                          LeavingFactors* leaving) {
+  return odmc::MarginalizeOldest(window, relinearize, leaving);
+}
+
+Eigen::MatrixXd BatchWindowSolver::ScalePast(const Eigen::VectorXd& scale, Window* window) {
+  const Eigen::MatrixXd root = RescalePrior(scale, window);
+  information_.Rescale(root);
+  return root;
+}
+
+void BatchWindowSolver::DiffusePast(int index, double variance, Window* window) {
+  DiffusePrior(index, variance, &window->prior());
+  information_.Forget();  // what it keeps does not know of the variation
+}
+
+Eigen::MatrixXd BatchWindowSolver::PastInformation(const Window& window) {
+  const Prior& prior = window.prior();
+  const int n = window.layout().num_estimated();
+  const LinearSystem left = Eliminate({prior.A, prior.b, static_cast<int>(prior.A.cols()) - n});
+  return left.A.transpose() * left.A;
+}
+
+}  // namespace odmc

@@ -1,0 +1,648 @@
+#include "odmc/window/incremental_window_solver.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstring>
+
+#include "odmc/factors/dynamics_factor.h"
+#include "odmc/window/householder.h"
+
+namespace odmc {
+namespace {
+
+constexpr int kState = kStateTangentSize;
+
+double* BiasOf(Window* window, std::int64_t id) { return window->bias(id).x.data(); }
+
+}  // namespace
+
+IncrementalWindowSolver::IncrementalWindowSolver(const IncrementalOptions& options)
+    : options_(options) {}
+IncrementalWindowSolver::~IncrementalWindowSolver() = default;
+
+// ---- Between the batch solve and the chain ------------------------------------------------------
+
+/// True if the fronts are those of the window's oldest keyframes.
+bool IncrementalWindowSolver::Follows(const Window& window) const {
+  if (!incremental_ || past_.columns().n != window.layout().num_estimated()) return false;
+  if (fronts_.empty()) return true;
+  return !window.keyframes().empty() &&
+         fronts_.front().id == window.keyframes().front().id &&
+         fronts_.size() <= window.keyframes().size();
+}
+
+void IncrementalWindowSolver::Forget() {
+  incremental_ = false;
+  fronts_.clear();
+  checkpoints_.clear();
+  sweep_.active = sweep_.wanted = false;
+  pass_ = -1;
+  batch_.Forget();
+}
+
+/// The window's prior becomes the message to the oldest keyframe and what is past.
+void IncrementalWindowSolver::ReadPrior(const Window& window) {
+  const int n = window.layout().num_estimated();
+  past_.Clear(n);
+  const Prior& prior = window.prior();
+  const BorderColumns border(n);
+  const int rows = static_cast<int>(prior.b.size());
+  RowBlock block;
+  block.SetZero(rows, PaddedRow(kState + border.size()));
+  Eigen::VectorXd b = prior.b - prior.A.rightCols(n) * prior.eta_lin;
+  if (prior.has_bias) {
+    const Bias& bias = window.bias(window.keyframes().front().bias);
+    b -= prior.A.middleCols<6>(prior.state_columns()) *
+         Eigen::Map<const Eigen::Matrix<double, 6, 1>>(bias.x_lin.data());
+  }
+  for (int i = 0; i < rows; ++i) {
+    double* row = block.row(i);
+    const auto put = [&](int from, int count, int to) {
+      for (int j = 0; j < count; ++j) row[to + j] = prior.A(i, from + j);
+    };
+    put(0, prior.state_columns(), 0);
+    put(prior.state_columns(), prior.bias_columns(), kState);
+    put(prior.state_columns() + prior.bias_columns(), n, kState + BorderColumns::kParameters);
+    row[kState + border.rhs()] = b[i];
+  }
+  int taken = 0;
+  if (!fronts_.empty()) {
+    RowBlock& message = fronts_.front().message;
+    taken = Triangularise(block.data.data(), block.stride, rows, kState, kState + border.size(),
+                          message.data.data(), message.stride);
+  }
+  past_.Absorb(block.data.data() + taken * block.stride + kState, block.stride, rows - taken);
+}
+
+void IncrementalWindowSolver::WritePrior(Window* window) {
+  if (!incremental_) return;
+  const int n = window->layout().num_estimated();
+  Prior& prior = window->prior();
+  prior = Prior();
+  prior.eta_lin = window->eta();
+  const bool any = !fronts_.empty();
+  const std::int64_t bias = any ? window->keyframes().front().bias : -1;
+  prior.has_state = any;
+  prior.has_bias = bias >= 0;
+  const int first_bias = prior.state_columns(), first = first_bias + prior.bias_columns();
+  const int size = (any ? kState : 0) + prior.bias_columns() + n;
+  prior.A.setZero(size, first + n);
+  prior.b.setZero(size);
+  int row = 0;
+  // Parameters and biases count from zero here, from their present values in the prior.
+  const auto put_border = [&](const double* border) {
+    for (int j = 0; j < prior.bias_columns(); ++j) prior.A(row, first_bias + j) = border[j];
+    for (int j = 0; j < n; ++j) prior.A(row, first + j) = border[BorderColumns::kParameters + j];
+    prior.b[row] = border[past_.columns().rhs()] + prior.A.row(row).tail(n).dot(prior.eta_lin);
+    for (int j = 0; j < prior.bias_columns(); ++j) {
+      prior.b[row] += border[j] * window->bias(bias).x[static_cast<size_t>(j)];
+    }
+    ++row;
+  };
+  if (any) {
+    const ChainFront& oldest = fronts_.front();
+    for (int i = 0; i < kState; ++i) {
+      for (int j = i; j < kState; ++j) prior.A(row, j) = oldest.message.row(i)[j];
+      put_border(oldest.message.row(i) + kState);
+    }
+    Keyframe& keyframe = window->keyframes().front();
+    keyframe.in_prior = true;
+    keyframe.x_lin = oldest.point;
+  }
+  if (prior.has_bias) {
+    Bias& in_prior = window->bias(bias);
+    in_prior.in_prior = true;
+    in_prior.x_lin = in_prior.x;
+    for (int i = 0; i < 6; ++i) put_border(past_.row(i));
+  }
+  for (int i = 0; i < n; ++i) put_border(past_.row(BorderColumns::kParameters + i));
+}
+
+/// Makes the chain from the window as it stands.
+bool IncrementalWindowSolver::Build(Window* window) {
+  Forget();
+  const int n = window->layout().num_estimated();
+  for (const Keyframe& keyframe : window->keyframes()) fronts_.Append().Reset(*window, keyframe.id);
+  if (!fronts_.empty() && window->prior().has_state) {
+    fronts_.front().point = window->keyframes().front().x_lin;
+  }
+  ReadPrior(*window);
+  incremental_ = true;
+  window->TakeTouched();
+  const auto border = static_cast<size_t>(past_.stride());
+  shared_.assign(border, 0.0);
+  propagated_.assign(border, 0.0);
+  border_.assign(border, 0.0);
+  for (int i = 0; i < n; ++i) shared_[BorderColumns::kParameters + i] = window->eta()[i];
+  pending_.setZero(n + 1, n + 1);
+  has_pending_ = false;
+  if (sigma_.size() != n) sigma_ = window->parameter_sigma();
+  if (fronts_.empty()) {
+    root_ = past_;
+    root_.AbsorbPriors(window->parameter_centre(), window->parameter_sigma());
+    return true;
+  }
+  return SweepAll(*window);
+}
+
+SolveReport IncrementalWindowSolver::Align(Window* window, const SolverOptions& options) {
+  ApplyPending();
+  if (Follows(*window)) WritePrior(window);
+  Forget();
+  work_.aligned = true;
+  return batch_.Solve(window, options);
+}
+
+// ---- The chain ----------------------------------------------------------------------------------
+
+void IncrementalWindowSolver::AppendFront(const Window& window, std::int64_t id) {
+  fronts_.Append().Reset(window, id);
+}
+
+std::int64_t IncrementalWindowSolver::OldestRecent() const {
+  return std::max(fronts_.front().id, fronts_.back().id - options_.recent_keyframes);
+}
+
+IncrementalWindowSolver::Checkpoint* IncrementalWindowSolver::FindCheckpoint(std::int64_t id) {
+  for (Checkpoint& checkpoint : checkpoints_) {
+    if (checkpoint.id == id) return &checkpoint;
+  }
+  return nullptr;
+}
+
+/// Eliminates front `id`, the chain's last one so far, given triangle_ and root_; enters the next.
+bool IncrementalWindowSolver::Advance(const Window& window, std::int64_t id) {
+  ++work_.eliminated;
+  ChainFront& f = front(id);
+  ChainFront& next = front(id + 1);
+  bool sound = f.Linearise(window, &next, point_, point_version_, &scratch_);
+  f.Eliminate(triangle_, &root_, &next, &scratch_);
+  Checkpoint& checkpoint = checkpoints_.Append();
+  checkpoint.id = next.id;
+  checkpoint.root = root_;
+  while (checkpoints_.front().id < fronts_.back().id - options_.recent_keyframes) {
+    checkpoints_.pop_front();
+  }
+  const ChainFront* after = next.id < fronts_.back().id ? &front(next.id + 1) : nullptr;
+  sound = next.Linearise(window, after, point_, point_version_, &scratch_) && sound;
+  next.AbsorbOwn(&triangle_, &root_, &scratch_);
+  return sound;
+}
+
+/// Eliminates the chain anew from front `from` on, which has a checkpoint.
+bool IncrementalWindowSolver::Redo(const Window& window, std::int64_t from) {
+  while (!checkpoints_.empty() && checkpoints_.back().id > from) checkpoints_.pop_back();
+  root_ = checkpoints_.back().root;
+  ChainFront& first = front(from);
+  first.eliminated = false;
+  const ChainFront* next = from < fronts_.back().id ? &front(from + 1) : nullptr;
+  bool sound = first.Linearise(window, next, point_, point_version_, &scratch_);
+  first.AbsorbOwn(&triangle_, &root_, &scratch_);
+  for (std::int64_t id = from; id < fronts_.back().id; ++id) sound = Advance(window, id) && sound;
+  return sound;
+}
+
+bool IncrementalWindowSolver::HasMoved(const Window& window, const ChainFront& f) const {
+  std::array<double, kState> moved = f.delta;
+  if (f.eliminated && f.conditional_version != f.point_version) {
+    StateManifold().Minus(window.keyframe(f.id).x.data(), f.point.data(), moved.data());
+  }
+  for (int i = 0; i < kState; ++i) {
+    if (std::abs(moved[i]) > options_.relinearise_state[i]) return true;
+  }
+  return false;
+}
+
+/// Moves the linearization points of states that have left theirs, from front `from` on. Their
+/// fronts and the one before must be eliminated anew. @returns the first of them, -1: none
+std::int64_t IncrementalWindowSolver::MovePoints(const Window& window, std::int64_t from) {
+  std::int64_t first = -1;
+  for (std::int64_t id = from; id <= fronts_.back().id; ++id) {
+    if (!HasMoved(window, front(id))) continue;
+    front(id).MovePoint(window);
+    if (first < 0) first = id;
+  }
+  return first;
+}
+
+/// Linearizes newest states that have moved anew, and what was touched.
+bool IncrementalWindowSolver::RedoMovedRecent(Window* window) {
+  const std::int64_t newest = fronts_.back().id, oldest = OldestRecent();
+  std::int64_t from = newest + 1;
+  const std::int64_t touched = window->TakeTouched();
+  if (touched >= 0) {
+    if (touched < oldest) sweep_.wanted = true;
+    from = std::max(touched, oldest);
+  }
+  const std::int64_t moved = MovePoints(*window, oldest + 1);
+  if (moved >= 0) from = std::min(from, moved - 1);  // its factors with the state before
+  if (from > newest) return true;
+  if (FindCheckpoint(from) == nullptr) {
+    sweep_.wanted = true;
+    return true;
+  }
+  return Redo(*window, from);
+}
+
+// ---- The sweep ----------------------------------------------------------------------------------
+
+void IncrementalWindowSolver::StartSweep(const Window& window) {
+  ApplyPending();
+  sweep_.active = true;
+  sweep_.wanted = false;
+  sweep_.next = fronts_.front().id;
+  sweep_.root = past_;
+  sweep_.root.AbsorbPriors(window.parameter_centre(), window.parameter_sigma());
+  point_ = window.eta();
+  ++point_version_;
+}
+
+/// Eliminates the sweep's next front.
+bool IncrementalWindowSolver::SweepOne(const Window& window) {
+  ++work_.eliminated;
+  ChainFront& f = front(sweep_.next);
+  ChainFront& next = front(sweep_.next + 1);
+  if (HasMoved(window, next)) next.MovePoint(window);
+  const bool sound = f.Linearise(window, &next, point_, point_version_, &scratch_);
+  f.AbsorbOwn(&sweep_triangle_, &sweep_.root, &scratch_);
+  f.Eliminate(sweep_triangle_, &sweep_.root, &next, &scratch_);
+  ++sweep_.next;
+  return sound;
+}
+
+bool IncrementalWindowSolver::Sweep(const Window& window, int budget) {
+  bool sound = true;
+  for (int i = 0; i < budget && sweep_.active; ++i) {
+    if (sweep_.next < OldestRecent()) {
+      sound = SweepOne(window) && sound;
+      continue;
+    }
+    // It has caught up: the rest at once, from here on it is the chain in use.
+    sweep_.active = false;
+    checkpoints_.clear();
+    Checkpoint& checkpoint = checkpoints_.Append();
+    checkpoint.id = sweep_.next;
+    checkpoint.root = sweep_.root;
+    MovePoints(window, sweep_.next + 1);
+    sound = Redo(window, sweep_.next) && sound;
+  }
+  return sound;
+}
+
+bool IncrementalWindowSolver::SweepAll(const Window& window) {
+  StartSweep(window);
+  return Sweep(window, static_cast<int>(fronts_.size()) + 1);
+}
+
+// ---- The solution -------------------------------------------------------------------------------
+
+/// Shared variables from the root. @returns false, leaving the window, if the step is too long for
+/// a linear model or not a number
+bool IncrementalWindowSolver::SolveRoot(Window* window) {
+  root_.Solve(border_.data());
+  const int n = past_.columns().n;
+  const double* eta = border_.data() + BorderColumns::kParameters;
+  for (int i = 0; i < past_.columns().rhs(); ++i) {
+    if (!std::isfinite(border_[static_cast<size_t>(i)])) return false;
+  }
+  for (int i = 0; i < n; ++i) {
+    const double step = std::abs(eta[i] - window->eta()[i]);
+    if (step > options_.largest_step * window->parameter_sigma()[i]) return false;
+  }
+  std::swap(shared_, border_);
+  for (int i = 0; i < n; ++i) {
+    window->eta()[i] = shared_[static_cast<size_t>(BorderColumns::kParameters + i)];
+  }
+  const std::int64_t bias = window->keyframes().back().bias;
+  if (bias >= 0) std::copy_n(shared_.begin(), 6, BiasOf(window, bias));
+  return true;
+}
+
+void IncrementalWindowSolver::StoreState(ChainFront* f, Window* window) {
+  const std::array<double, kStateSize>& at = f->eliminated ? f->conditional_point : f->point;
+  StateManifold().Plus(at.data(), f->delta.data(), window->keyframe(f->id).x.data());
+}
+
+/// Solves one front given the next. @returns the largest change, in thresholds
+double IncrementalWindowSolver::BackSubstitute(std::int64_t id, Window* window) {
+  ++work_.back_substituted;
+  ChainFront& f = front(id);
+  const BorderColumns& columns = past_.columns();
+  const Keyframe& keyframe = window->keyframe(id);
+  const int p = f.eliminated ? f.pivots() : kState;
+  const RowBlock& rows = f.eliminated ? f.conditional : triangle_;
+  const int at = f.eliminated ? f.border() : kState;
+  std::array<double, kState> next;
+  if (f.eliminated) {
+    const ChainFront& after = front(id + 1);
+    const int version = after.eliminated ? after.conditional_version : after.point_version;
+    if (version == f.next_version) {
+      next = after.delta;
+    } else {
+      StateManifold().Minus(window->keyframe(id + 1).x.data(), f.next_point.data(), next.data());
+    }
+  }
+  // The bias behind the next state is that of the next keyframe.
+  const std::int64_t bias = f.eliminated && f.bias_leaves ? window->keyframe(id + 1).bias
+                                                          : keyframe.bias;
+  double* border = border_.data();
+  std::memcpy(border, shared_.data(), sizeof(double) * static_cast<size_t>(columns.size()));
+  if (bias >= 0) std::copy_n(BiasOf(window, bias), 6, border);
+  std::array<double, kState + 6> x;
+  for (int i = p - 1; i >= 0; --i) {
+    const double* row = rows.row(i);
+    double sum = 0.0;
+    for (int j = 0; j < columns.size(); ++j) sum += row[at + j] * border[j];
+    if (f.eliminated) {
+      for (int j = 0; j < kState; ++j) sum += row[p + j] * next[j];
+    }
+    for (int j = i + 1; j < p; ++j) sum += row[j] * x[j];
+    x[i] = std::abs(row[i]) < kLeastPivot ? 0.0 : -sum / row[i];
+  }
+  double change = 0.0;
+  for (int i = 0; i < kState; ++i) {
+    change = std::max(change, std::abs(x[i] - f.delta[i]) / options_.relinearise_state[i]);
+    f.delta[i] = x[i];
+  }
+  if (f.bias_leaves && f.eliminated) {
+    std::copy_n(x.begin() + kState, 6, BiasOf(window, keyframe.bias));
+  }
+  StoreState(&f, window);
+  return change;
+}
+
+void IncrementalWindowSolver::BackSubstitute(Window* window, bool everything) {
+  const std::int64_t oldest = fronts_.front().id, newest = fronts_.back().id;
+  const int n = past_.columns().n;
+  bool moved = everything;
+  for (int i = 0; i < n; ++i) {
+    const auto k = static_cast<size_t>(BorderColumns::kParameters + i);
+    moved = moved || std::abs(shared_[k] - propagated_[k]) > options_.wildfire * sigma_[i];
+  }
+  if (moved && pass_ < 0) {
+    propagated_ = shared_;
+    pass_ = newest;
+  }
+  // What the newest measurements change, as far as it reaches.
+  const std::int64_t recent = OldestRecent();
+  std::int64_t id = newest;
+  int left = everything ? static_cast<int>(fronts_.size()) : options_.back_substituted_keyframes;
+  for (; id >= oldest; --id) {
+    const double change = BackSubstitute(id, window);
+    if (--left <= 0 || (id <= recent && change < options_.wildfire)) break;
+  }
+  // What shared variables change, over the whole window.
+  if (pass_ >= id) pass_ = id - 1;
+  if (everything) {
+    for (; pass_ >= oldest; --pass_) BackSubstitute(pass_, window);
+  }
+  for (; pass_ >= oldest && left > 0; --pass_, --left) BackSubstitute(pass_, window);
+  if (pass_ < oldest) pass_ = -1;
+}
+
+bool IncrementalWindowSolver::ParametersMoved(const Window& window) const {
+  for (int i = 0; i < past_.columns().n; ++i) {
+    const double moved = std::abs(window.eta()[i] - point_[i]);
+    if (moved > options_.relinearise_parameters * sigma_[i]) return true;
+  }
+  return false;
+}
+
+/// Brings the chain up to the window's newest keyframe.
+bool IncrementalWindowSolver::CatchUp(Window* window) {
+  if (!Follows(*window)) return Build(window);
+  const std::int64_t oldest = window->keyframes().front().id;
+  const std::int64_t newest = window->keyframes().back().id;
+  if (fronts_.empty()) {  // a new chain, on what was learned before
+    for (std::int64_t id = oldest; id <= newest; ++id) AppendFront(*window, id);
+    window->TakeTouched();
+    return SweepAll(*window);
+  }
+  bool sound = RedoMovedRecent(window);
+  while (fronts_.back().id < newest) {
+    const std::int64_t id = fronts_.back().id;
+    AppendFront(*window, id + 1);
+    sound = Advance(*window, id) && sound;
+  }
+  return sound;
+}
+
+SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& options) {
+  work_ = Work();
+  if (options.align || window->keyframes().empty()) return Align(window, options);
+  ApplyPending();
+  const bool followed = Follows(*window);
+  bool sound = CatchUp(window);
+  if (sound && sweep_.active) sound = Sweep(*window, options_.sweep_keyframes);
+  SolveReport report;
+  report.iterations = 1;
+  if (!sound) {
+    if (followed) WritePrior(window);
+    Forget();
+    report.message = "a factor cannot be evaluated at the present estimate";
+    return report;
+  }
+  if (!SolveRoot(window)) return Align(window, options);
+  BackSubstitute(window, false);
+  for (; report.iterations < options.max_iterations; ++report.iterations) {
+    BackSubstitute(window, true);
+    if (!ParametersMoved(*window) && MovePoints(*window, fronts_.front().id + 1) < 0) break;
+    if (!SweepAll(*window) || !SolveRoot(window)) return Align(window, options);
+  }
+  report.usable = report.improved = true;
+  // It begins with the next solve: until then factors can take notice of the new point.
+  if (!sweep_.active && (sweep_.wanted || ParametersMoved(*window))) StartSweep(*window);
+  work_.sweeping = sweep_.active;
+  report.converged = !sweep_.active;
+  return report;
+}
+
+// ---- What left, and what is known ---------------------------------------------------------------
+
+/// What a leaving keyframe's factors say at the present estimate, by their linearizations.
+void IncrementalWindowSolver::Observe(const Window& window, const ChainFront& f,
+                                      LeavingFactors* leaving) const {
+  const int n = past_.columns().n;
+  leaving->score.setZero(n);
+  leaving->force_information.setZero(n);
+  leaving->torque_information.setZero(n);
+  const Keyframe& keyframe = window.keyframe(f.id);
+  const auto offset = [&](const ChainFront& of, double* d) {
+    StateManifold().Minus(window.keyframe(of.id).x.data(), of.point.data(), d);
+  };
+  std::array<double, kState> own, next{};
+  offset(f, own.data());
+  const bool has_next = fronts_.size() > 1;
+  if (has_next) offset(fronts_[1], next.data());
+  for (size_t k = 0; k < f.kept().size(); ++k) {
+    const Factor& factor = keyframe.factors[k];
+    const ChainFront::KeptFactor& kept = f.kept()[k];
+    if (!factor.parameters || !kept.sound || (kept.in_pair && !has_next)) continue;
+    const RowBlock& block = kept.in_pair ? f.pair : f.own;
+    const int border = kept.in_pair ? f.border() : kState;
+    const int bias_at =
+        kept.in_pair && f.bias_leaves ? kState : border + BorderColumns::kBias;
+    const int parameters = border + BorderColumns::kParameters;
+    int torque_rows = 0;
+    if (factor.kind == FactorKind::kDynamics) {
+      const auto* dynamics = dynamic_cast<const DynamicsFactor*>(factor.cost.get());
+      torque_rows = dynamics != nullptr && dynamics->with_torque() ? 3 : 0;
+    }
+    for (int i = 0; i < kept.rows; ++i) {
+      const double* row = block.row(kept.row + i);
+      double r = row[border + past_.columns().rhs()];
+      for (int j = 0; j < kState; ++j) r += row[j] * own[j];
+      if (kept.in_pair) {
+        for (int j = 0; j < kState; ++j) r += row[f.pivots() + j] * next[j];
+      }
+      if (factor.bias0 >= 0) {
+        const auto& bias = window.bias(factor.bias0).x;
+        for (int j = 0; j < 6; ++j) r += row[bias_at + j] * bias[j];
+      }
+      const Eigen::Map<const Eigen::VectorXd> J(row + parameters, n);
+      r += J.dot(window.eta());
+      leaving->score += r * J;
+      if (factor.kind != FactorKind::kDynamics) continue;
+      (i < kept.rows - torque_rows ? leaving->force_information : leaving->torque_information) +=
+          J.cwiseAbs2();
+    }
+  }
+}
+
+bool IncrementalWindowSolver::MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
+                                                LeavingFactors* leaving) {
+  if (!Follows(*window)) return batch_.MarginalizeOldest(window, relinearize, leaving);
+  bool sound = true;
+  if (fronts_.size() < window->keyframes().size()) sound = CatchUp(window);
+  // The sweep stays ahead of what leaves.
+  while (sweep_.active && sweep_.next == fronts_.front().id && fronts_.size() > 1) {
+    sound = Sweep(*window, 1) && sound;
+  }
+  const ChainFront& oldest = fronts_.front();
+  if (leaving != nullptr) Observe(*window, oldest, leaving);
+  oldest.LeaveTo(&past_, &scratch_);
+  const bool last = fronts_.size() == 1;
+  const bool has_bias = window->keyframes().front().bias >= 0;
+  if (last) {
+    past_.DropBias();
+    checkpoints_.clear();
+    sweep_.active = sweep_.wanted = false;
+  }
+  if (has_bias && (last || oldest.bias_leaves)) window->biases().pop_front();
+  window->DropOldestKeyframe();
+  fronts_.pop_front();
+  while (!checkpoints_.empty() && !fronts_.empty() &&
+         checkpoints_.front().id < fronts_.front().id) {
+    checkpoints_.pop_front();
+  }
+  return sound;
+}
+
+bool IncrementalWindowSolver::ParameterCovariance(const Window& window,
+                                                  const Eigen::VectorXd& sigma,
+                                                  Eigen::MatrixXd* covariance) {
+  if (!Follows(window) || fronts_.empty()) {
+    const bool known = batch_.ParameterCovariance(window, sigma, covariance);
+    if (known) sigma_ = covariance->diagonal().cwiseSqrt();
+    return known;
+  }
+  ApplyPending();
+  if (!root_.Covariance(covariance)) return false;
+  for (int i = 0; i < past_.columns().n; ++i) sigma_[i] = std::sqrt((*covariance)(i, i));
+  return sigma_.allFinite();
+}
+
+bool IncrementalWindowSolver::StateCovariance(const Window& window, StateMatrix* covariance) {
+  if (!Follows(window) || fronts_.empty()) return batch_.StateCovariance(window, covariance);
+  // Rows [T S] of the state and R of the root: covariance T^-1 (I + Q Qᵀ) T^-ᵀ with Q R = S.
+  const int shared = past_.columns().rhs();
+  StateMatrix sum = StateMatrix::Identity();
+  scratch_.pair.SetZero(kState, PaddedRow(shared));
+  for (int i = 0; i < kState; ++i) {
+    if (std::abs(triangle_.row(i)[i]) < kLeastPivot) return false;
+    double* q = scratch_.pair.row(i);
+    std::copy_n(triangle_.row(i) + kState, shared, q);
+    for (int j = 0; j < shared; ++j) {
+      const double* r = root_.row(j);
+      if (std::abs(r[j]) < kLeastPivot) {
+        if (std::abs(q[j]) > kLeastPivot) return false;
+        continue;
+      }
+      q[j] /= r[j];
+      for (int k = j + 1; k < shared; ++k) q[k] -= q[j] * r[k];
+    }
+    for (int k = 0; k <= i; ++k) {
+      const double* other = scratch_.pair.row(k);
+      double dot = 0.0;
+      for (int j = 0; j < shared; ++j) dot += q[j] * other[j];
+      sum(i, k) += dot;
+      if (k < i) sum(k, i) += dot;
+    }
+  }
+  StateMatrix T = StateMatrix::Zero();
+  for (int i = 0; i < kState; ++i) {
+    for (int j = i; j < kState; ++j) T(i, j) = triangle_.row(i)[j];
+  }
+  T.triangularView<Eigen::Upper>().solveInPlace(sum);
+  *covariance = sum.transpose();
+  T.triangularView<Eigen::Upper>().solveInPlace(*covariance);
+  return covariance->allFinite();
+}
+
+void IncrementalWindowSolver::ChangePast(const Eigen::MatrixXd& A, const Eigen::VectorXd& b) {
+  const int n = past_.columns().n;
+  Eigen::MatrixXd rows(n, n + 1);
+  rows << past_.ParameterRows(), past_.ParameterRhs();
+  if (pending_.size() == 0) pending_.setZero(n + 1, n + 1);
+  pending_ -= rows.transpose() * rows;
+  past_.SetParameterRows(A, b);
+  rows << past_.ParameterRows(), past_.ParameterRhs();
+  pending_ += rows.transpose() * rows;
+  has_pending_ = true;
+}
+
+/// What changed in the past changes all roots that hold it by the same sum of squares: rows about
+/// parameters alone simply add up.
+void IncrementalWindowSolver::ApplyPending() {
+  if (!has_pending_) return;
+  has_pending_ = false;
+  bool positive = root_.AddNormal(pending_);
+  for (Checkpoint& checkpoint : checkpoints_) {
+    positive = checkpoint.root.AddNormal(pending_) && positive;
+  }
+  if (sweep_.active) positive = sweep_.root.AddNormal(pending_) && positive;
+  pending_.setZero();
+  if (!positive) sweep_.wanted = true;  // rounding: the sweep starts from the past itself
+}
+
+Eigen::MatrixXd IncrementalWindowSolver::ScalePast(const Eigen::VectorXd& scale, Window* window) {
+  if (!Follows(*window)) return batch_.ScalePast(scale, window);
+  Eigen::MatrixXd A = past_.ParameterRows();
+  Eigen::VectorXd b = past_.ParameterRhs();
+  const Eigen::MatrixXd root = RescaleRows(scale, &A, &b);
+  ChangePast(A, b);
+  return root;
+}
+
+void IncrementalWindowSolver::DiffusePast(int index, double variance, Window* window) {
+  if (!Follows(*window)) return batch_.DiffusePast(index, variance, window);
+  Prior alone;
+  alone.A = past_.ParameterRows();
+  alone.b = past_.ParameterRhs();
+  DiffusePrior(index, variance, &alone);
+  ChangePast(alone.A, alone.b);
+}
+
+Eigen::MatrixXd IncrementalWindowSolver::PastInformation(const Window& window) {
+  if (!Follows(window)) return batch_.PastInformation(window);
+  const Eigen::MatrixXd A = past_.ParameterRows();
+  return A.transpose() * A;
+}
+
+const ParameterVector& IncrementalWindowSolver::ParameterPoint(const Window& window) const {
+  return Follows(window) && !fronts_.empty() ? point_ : window.eta();
+}
+
+}  // namespace odmc

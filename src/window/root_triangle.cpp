@@ -1,0 +1,132 @@
+#include "odmc/window/root_triangle.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+
+#include "odmc/window/householder.h"
+
+namespace odmc {
+
+void RootTriangle::Clear(int num_parameters) {
+  columns_ = BorderColumns(num_parameters);
+  stride_ = PaddedRow(columns_.size());
+  data_.assign(static_cast<size_t>(columns_.rhs() * stride_), 0.0);
+  scratch_.assign(data_.size(), 0.0);
+}
+
+RootTriangle& RootTriangle::operator=(const RootTriangle& other) {
+  columns_ = other.columns_;
+  stride_ = other.stride_;
+  data_ = other.data_;
+  scratch_.resize(other.scratch_.size());  // what is in it does not matter
+  return *this;
+}
+
+void RootTriangle::Absorb(double* rows, int row_stride, int count) {
+  AbsorbRows(data_.data(), stride_, rows, row_stride, count, columns_.rhs(), columns_.size());
+}
+
+void RootTriangle::AbsorbPriors(const Eigen::VectorXd& centre, const Eigen::VectorXd& sigma) {
+  std::fill(scratch_.begin(), scratch_.end(), 0.0);
+  for (int i = 0; i < columns_.n; ++i) {
+    double* prior = scratch_.data() + i * stride_;
+    prior[BorderColumns::kParameters + i] = 1.0 / sigma[i];
+    prior[columns_.rhs()] = -centre[i] / sigma[i];
+  }
+  Absorb(scratch_.data(), stride_, columns_.n);
+}
+
+void RootTriangle::DropBias() {
+  std::fill_n(data_.begin(), BorderColumns::kParameters * stride_, 0.0);
+}
+
+void RootTriangle::Solve(double* solution) const {
+  const int rhs = columns_.rhs();
+  solution[rhs] = 1.0;
+  for (int i = rhs - 1; i >= 0; --i) {
+    const double* r = row(i);
+    double sum = 0.0;
+    for (int j = i + 1; j <= rhs; ++j) sum += r[j] * solution[j];
+    solution[i] = std::abs(r[i]) < kLeastPivot ? 0.0 : -sum / r[i];
+  }
+}
+
+bool RootTriangle::Covariance(Eigen::MatrixXd* covariance) const {
+  const int n = columns_.n, first = BorderColumns::kParameters;
+  // Columns of the inverse triangle as rows of a row-major buffer: T(j, i) of column j in row j.
+  double* inverse = scratch_.data();
+  for (int j = n - 1; j >= 0; --j) {
+    if (!(std::abs(row(first + j)[first + j]) >= kLeastPivot)) return false;
+  }
+  // Row i of R T = I from the last to the first: T(i, j) = (1[i=j] - sum_k R(i, k) T(k, j)) / R(i,
+  // i).
+  for (int i = n - 1; i >= 0; --i) {
+    const double* r = row(first + i) + first;
+    double* t = inverse + i * stride_;
+    std::fill_n(t, n, 0.0);
+    t[i] = 1.0;
+    for (int k = i + 1; k < n; ++k) {
+      const double* of_k = inverse + k * stride_;
+      for (int j = k; j < n; ++j) t[j] -= r[k] * of_k[j];
+    }
+    const double scale = 1.0 / r[i];
+    for (int j = i; j < n; ++j) t[j] *= scale;
+  }
+  covariance->resize(n, n);
+  for (int i = 0; i < n; ++i) {
+    for (int j = i; j < n; ++j) {
+      double sum = 0.0;
+      for (int k = j; k < n; ++k) sum += inverse[i * stride_ + k] * inverse[j * stride_ + k];
+      (*covariance)(i, j) = (*covariance)(j, i) = sum;
+    }
+  }
+  return covariance->allFinite();
+}
+
+Eigen::MatrixXd RootTriangle::ParameterRows() const {
+  Eigen::MatrixXd A(columns_.n, columns_.n);
+  for (int i = 0; i < columns_.n; ++i) {
+    const double* r = row(BorderColumns::kParameters + i) + BorderColumns::kParameters;
+    for (int j = 0; j < columns_.n; ++j) A(i, j) = j < i ? 0.0 : r[j];
+  }
+  return A;
+}
+
+Eigen::VectorXd RootTriangle::ParameterRhs() const {
+  Eigen::VectorXd b(columns_.n);
+  for (int i = 0; i < columns_.n; ++i) b[i] = row(BorderColumns::kParameters + i)[columns_.rhs()];
+  return b;
+}
+
+void RootTriangle::SetParameterRows(const Eigen::MatrixXd& A, const Eigen::VectorXd& b) {
+  for (int i = 0; i < columns_.n; ++i) {
+    std::fill_n(row(BorderColumns::kParameters + i), stride_, 0.0);
+  }
+  std::fill(scratch_.begin(), scratch_.end(), 0.0);
+  for (int i = 0; i < A.rows(); ++i) {
+    double* r = scratch_.data() + i * stride_;
+    for (int j = 0; j < columns_.n; ++j) r[BorderColumns::kParameters + j] = A(i, j);
+    r[columns_.rhs()] = b[i];
+  }
+  Absorb(scratch_.data(), stride_, static_cast<int>(A.rows()));
+}
+
+bool RootTriangle::AddNormal(const Eigen::MatrixXd& difference) {
+  const int n = columns_.n;
+  Eigen::MatrixXd rows(n, n + 1);
+  rows << ParameterRows(), ParameterRhs();
+  const Eigen::MatrixXd normal = rows.transpose() * rows + difference;
+  const Eigen::LLT<Eigen::MatrixXd, Eigen::Upper> llt(normal.topLeftCorner(n, n));
+  if (llt.info() != Eigen::Success) return false;
+  rows.leftCols(n) = llt.matrixU();
+  rows.col(n) = llt.matrixL().solve(normal.topRightCorner(n, 1));
+  if (!rows.allFinite()) return false;
+  for (int i = 0; i < n; ++i) {
+    double* r = row(BorderColumns::kParameters + i);
+    for (int j = i; j <= n; ++j) r[BorderColumns::kParameters + j] = rows(i, j);
+  }
+  return true;
+}
+
+}  // namespace odmc
