@@ -54,6 +54,12 @@ std::unique_ptr<WindowSolver> MakeSolver(const EstimatorOptions& options, int fr
   if (options.solver == "elimination") return std::make_unique<EliminationWindowSolver>(3 + fresh);
   IncrementalOptions incremental;
   incremental.recent_keyframes += fresh;
+  if (getenv("SW")) incremental.sweep_keyframes = atoi(getenv("SW"));
+  if (getenv("RP")) incremental.relinearise_parameters = atof(getenv("RP"));
+  if (getenv("WF")) incremental.wildfire = atof(getenv("WF"));
+  if (getenv("RC")) incremental.recent_keyframes = atoi(getenv("RC"));
+  if (getenv("BS")) incremental.back_substituted_keyframes = atoi(getenv("BS"));
+  if (getenv("RS")) for (auto& x : incremental.relinearise_state) x *= atof(getenv("RS"));
   return std::make_unique<IncrementalWindowSolver>(incremental);
 }
 
@@ -261,6 +267,7 @@ std::optional<Snapshot> Estimator::Step() {
     if (!report.usable) ++counters_.refused_updates;
     needs_more_iterations_ = !report.improved && !report.converged;
     snapshot = TakeSnapshot(*sample, report);
+    if (observe_) observe_();
     const double span =
         ToSeconds(window_.keyframes().back().stamp - window_.keyframes().front().stamp);
     snapshot->timing.window_full = span >= options_.window_s - 2.5 / options_.keyframe_rate_hz;
@@ -317,6 +324,76 @@ void Estimator::MoveAnchors() {
       window_.Touch(&factor);
     }
   }
+}
+
+void Estimator::SetAnchors(double thrust_coefficient) {
+  for (Keyframe& keyframe : window_.keyframes()) {
+    for (Factor& factor : keyframe.factors) {
+      if (factor.kind != FactorKind::kDynamics) continue;
+      static_cast<DynamicsFactor&>(*factor.cost).SetAnchor(thrust_coefficient);
+    }
+  }
+}
+
+std::optional<FullSolveDifference> Estimator::CompareWithFullSolve() {
+  const int n = layout_.num_estimated();
+  Eigen::MatrixXd ours, full;
+  if (window_.keyframes().empty() || !solver_->ParameterCovariance(window_, sigma_eta_, &ours)) {
+    return std::nullopt;
+  }
+  const ParameterVector eta = window_.eta();
+  const Ring<Bias> biases = window_.biases();
+  const Prior prior = window_.prior();
+  std::vector<std::array<double, kStateSize>> states, points;
+  std::vector<bool> in_prior;
+  for (const Keyframe& k : window_.keyframes()) {
+    states.push_back(k.x);
+    points.push_back(k.x_lin);
+    in_prior.push_back(k.in_prior);
+  }
+
+  solver_->WritePrior(&window_);
+  SolverOptions options;
+  options.max_iterations = 30;
+  options.max_time_s = 60.0;
+  options.function_tolerance = 1e-12;
+  CeresWindowSolver reference;
+  const int k_f = with_torque_ ? model_->IndexOf("thrust.k_f") : -1;
+  bool solved = true;
+  for (int pass = 0; pass < 2; ++pass) {  // the torque's thrust coefficient follows the solution
+    if (k_f >= 0) SetAnchors(window_.values()[k_f]);
+    solved = solved && reference.Solve(&window_, options).usable;
+  }
+  solved = solved && reference.ParameterCovariance(window_, Eigen::VectorXd::Zero(n), &full);
+  std::optional<FullSolveDifference> difference;
+  if (solved) {
+    difference.emplace();
+    for (int i = 0; i < n; ++i) {
+      const double sigma = std::sqrt(full(i, i));
+      const double moved = std::abs(eta[i] - window_.eta()[i]) / sigma;
+      const double wider = std::abs(std::sqrt(ours(i, i)) / sigma - 1.0);
+      const std::string& name = model_->parameters()[layout_.model_index(i)].full_name;
+      if (moved > difference->parameters) {
+        difference->parameters = moved;
+        difference->worst_parameter = name;
+      }
+      if (wider > difference->sigmas) {
+        difference->sigmas = wider;
+        difference->worst_sigma = name;
+      }
+    }
+  }
+
+  window_.eta() = eta;
+  window_.biases() = biases;
+  window_.prior() = prior;
+  for (size_t i = 0; i < states.size(); ++i) {
+    window_.keyframes()[i].x = states[i];
+    window_.keyframes()[i].x_lin = points[i];
+    window_.keyframes()[i].in_prior = in_prior[i];
+  }
+  if (k_f >= 0) SetAnchors(anchor_);
+  return difference;
 }
 
 bool Estimator::InertiaIsFree(int axis) const {

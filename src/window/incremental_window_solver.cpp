@@ -151,8 +151,9 @@ SolveReport IncrementalWindowSolver::Align(Window* window, const SolverOptions& 
   ApplyPending();
   if (Follows(*window)) WritePrior(window);
   Forget();
-  work_.aligned = true;
-  return batch_.Solve(window, options);
+  SolveReport report = batch_.Solve(window, options);
+  report.aligned = true;
+  return report;
 }
 
 // ---- The chain ----------------------------------------------------------------------------------
@@ -174,7 +175,7 @@ IncrementalWindowSolver::Checkpoint* IncrementalWindowSolver::FindCheckpoint(std
 
 /// Eliminates front `id`, the chain's last one so far, given triangle_ and root_; enters the next.
 bool IncrementalWindowSolver::Advance(const Window& window, std::int64_t id) {
-  ++work_.eliminated;
+  ++report_.eliminated;
   ChainFront& f = front(id);
   ChainFront& next = front(id + 1);
   bool sound = f.Linearise(window, &next, point_, point_version_, &scratch_);
@@ -261,7 +262,7 @@ void IncrementalWindowSolver::StartSweep(const Window& window) {
 
 /// Eliminates the sweep's next front.
 bool IncrementalWindowSolver::SweepOne(const Window& window) {
-  ++work_.eliminated;
+  ++report_.eliminated;
   ChainFront& f = front(sweep_.next);
   ChainFront& next = front(sweep_.next + 1);
   if (HasMoved(window, next)) next.MovePoint(window);
@@ -281,6 +282,7 @@ bool IncrementalWindowSolver::Sweep(const Window& window, int budget) {
     }
     // It has caught up: the rest at once, from here on it is the chain in use.
     sweep_.active = false;
+    point_in_use_ = point_;
     checkpoints_.clear();
     Checkpoint& checkpoint = checkpoints_.Append();
     checkpoint.id = sweep_.next;
@@ -327,7 +329,7 @@ void IncrementalWindowSolver::StoreState(ChainFront* f, Window* window) {
 
 /// Solves one front given the next. @returns the largest change, in thresholds
 double IncrementalWindowSolver::BackSubstitute(std::int64_t id, Window* window) {
-  ++work_.back_substituted;
+  ++report_.back_substituted;
   ChainFront& f = front(id);
   const BorderColumns& columns = past_.columns();
   const Keyframe& keyframe = window->keyframe(id);
@@ -402,10 +404,10 @@ void IncrementalWindowSolver::BackSubstitute(Window* window, bool everything) {
   if (pass_ < oldest) pass_ = -1;
 }
 
-bool IncrementalWindowSolver::ParametersMoved(const Window& window) const {
+bool IncrementalWindowSolver::ParametersMoved(const Window& window, const ParameterVector& from,
+                                              double sigmas) const {
   for (int i = 0; i < past_.columns().n; ++i) {
-    const double moved = std::abs(window.eta()[i] - point_[i]);
-    if (moved > options_.relinearise_parameters * sigma_[i]) return true;
+    if (std::abs(window.eta()[i] - from[i]) > sigmas * sigma_[i]) return true;
   }
   return false;
 }
@@ -430,33 +432,44 @@ bool IncrementalWindowSolver::CatchUp(Window* window) {
 }
 
 SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& options) {
-  work_ = Work();
+  const auto start = std::chrono::steady_clock::now();
+  const auto elapsed_s = [&start] {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  };
+  report_ = SolveReport();
   if (options.align || window->keyframes().empty()) return Align(window, options);
   ApplyPending();
   const bool followed = Follows(*window);
   bool sound = CatchUp(window);
   if (sound && sweep_.active) sound = Sweep(*window, options_.sweep_keyframes);
-  SolveReport report;
-  report.iterations = 1;
+  while (sound && sweep_.active && elapsed_s() < options.max_time_s &&
+         ParametersMoved(*window, point_in_use_, options_.hurry_parameters)) {
+    sound = Sweep(*window, options_.sweep_keyframes);
+  }
+  report_.iterations = 1;
   if (!sound) {
     if (followed) WritePrior(window);
     Forget();
-    report.message = "a factor cannot be evaluated at the present estimate";
-    return report;
+    report_.message = "a factor cannot be evaluated at the present estimate";
+    return report_;
   }
   if (!SolveRoot(window)) return Align(window, options);
   BackSubstitute(window, false);
-  for (; report.iterations < options.max_iterations; ++report.iterations) {
+  for (; report_.iterations < options.max_iterations; ++report_.iterations) {
     BackSubstitute(window, true);
-    if (!ParametersMoved(*window) && MovePoints(*window, fronts_.front().id + 1) < 0) break;
+    const bool moved = ParametersMoved(*window, point_, options_.relinearise_parameters);
+    if (!moved && MovePoints(*window, fronts_.front().id + 1) < 0) break;
     if (!SweepAll(*window) || !SolveRoot(window)) return Align(window, options);
   }
-  report.usable = report.improved = true;
+  report_.usable = report_.improved = true;
   // It begins with the next solve: until then factors can take notice of the new point.
-  if (!sweep_.active && (sweep_.wanted || ParametersMoved(*window))) StartSweep(*window);
-  work_.sweeping = sweep_.active;
-  report.converged = !sweep_.active;
-  return report;
+  if (!sweep_.active &&
+      (sweep_.wanted || ParametersMoved(*window, point_, options_.relinearise_parameters))) {
+    StartSweep(*window);
+  }
+  report_.sweeping = sweep_.active;
+  report_.converged = !sweep_.active;
+  return report_;
 }
 
 // ---- What left, and what is known ---------------------------------------------------------------

@@ -52,6 +52,13 @@ struct Snapshot {
   double battery_voltage_V = 0.0;
 };
 
+/// How far an estimate is from that of a batch solve of the same window to convergence.
+struct FullSolveDifference {
+  double parameters = 0.0;  ///< largest, in standard deviations of the full solve
+  double sigmas = 0.0;      ///< largest relative difference of a standard deviation
+  std::string worst_parameter, worst_sigma;  ///< full names
+};
+
 /// What happened so far, in numbers.
 struct EstimatorCounters {
   long keyframes = 0;         ///< that entered the window
@@ -113,6 +120,13 @@ class Estimator {
   /// not seen them.
   void SetHeldOut(std::function<bool(Stamp)> is_held_out) { is_held_out_ = std::move(is_held_out); }
 
+  /// Solves the window as it stands once more with Ceres, to convergence, and leaves it as it was.
+  /// For benchmarks and tests. @returns nothing without states, or where a solve failed
+  std::optional<FullSolveDifference> CompareWithFullSolve();
+
+  /// Calls `observe` in every update between the solve and the marginalization, untimed.
+  void SetObserver(std::function<void()> observe) { observe_ = std::move(observe); }
+
   const InertiaGate& inertia_gate() const { return inertia_gate_; }
   OdometryNoise odometry_noise() const { return odometry_noise_.Noise(); }
 
@@ -123,6 +137,7 @@ class Estimator {
   struct Interval;  // what lies between two keyframes
 
   void EmptyWindow();
+  void SetAnchors(double thrust_coefficient);
   double AnchorValue() const;
   void MoveAnchors();
   bool InertiaIsFree(int axis) const;
@@ -163,6 +178,7 @@ class Estimator {
   LoadObserver load_;
   LoadPull load_pull_;  // over the newest interval
   std::function<bool(Stamp)> is_held_out_;
+  std::function<void()> observe_;
   OdometryNoiseEstimator odometry_noise_;
   DifferenceNoise rotor_noise_;
   double rotor_scale_sigma_ = 0.0;  // of rotor speeds, mean over the flight, 0: none modelled

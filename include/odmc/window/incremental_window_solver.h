@@ -24,10 +24,13 @@ struct IncrementalOptions {
   /// above (wildfire), and goes through the whole window when shared variables have moved by this
   /// share of a sigma.
   double wildfire = 0.02;
+  /// Beyond this many sigma between the parameters and the points at which the chain in use was
+  /// linearized the sweep hurries: as many keyframes per update as the time bound of a solve allows.
+  double hurry_parameters = 1.0;
   /// Newest keyframes that are eliminated anew at once when their points move, >= 1.
   int recent_keyframes = 3;
   /// Older keyframes eliminated anew per update when parameters have moved, >= 2.
-  int sweep_keyframes = 2;
+  int sweep_keyframes = 6;
   /// Older keyframes back-substituted per update, >= 1.
   int back_substituted_keyframes = 50;
   /// A step of a parameter beyond this share of its own prior's sigma asks for the batch solve.
@@ -60,15 +63,6 @@ class IncrementalWindowSolver final : public WindowSolver {
   const ParameterVector& ParameterPoint(const Window& window) const override;
   void WritePrior(Window* window) override;
 
-  /// What the last Solve() did, for profiling and tests.
-  struct Work {
-    int eliminated = 0;        ///< fronts, of the chain in use and of the sweep
-    int back_substituted = 0;  ///< fronts
-    bool sweeping = false;
-    bool aligned = false;  ///< the batch solve did it
-  };
-  const Work& work() const { return work_; }
-
  private:
   struct Checkpoint {
     std::int64_t id = -1;
@@ -100,7 +94,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   double BackSubstitute(std::int64_t id, Window* window);
   void StoreState(ChainFront* front, Window* window);
   bool HasMoved(const Window& window, const ChainFront& front) const;
-  bool ParametersMoved(const Window& window) const;
+  bool ParametersMoved(const Window& window, const ParameterVector& from, double sigmas) const;
   void Observe(const Window& window, const ChainFront& front, LeavingFactors* leaving) const;
   void ChangePast(const Eigen::MatrixXd& A, const Eigen::VectorXd& b);
   void ApplyPending();
@@ -117,7 +111,8 @@ class IncrementalWindowSolver final : public WindowSolver {
     std::int64_t next = 0;  // front to eliminate next
     RootTriangle root;
   } sweep_;
-  ParameterVector point_;  // of linearization
+  ParameterVector point_;         // of linearization
+  ParameterVector point_in_use_;  // of the chain in use; the sweep brings it to point_
   int point_version_ = 0;
   std::vector<double> shared_, propagated_;  // solution of the border; at the last full pass
   std::vector<double> border_;               // of the front at hand
@@ -127,7 +122,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   std::int64_t pass_ = -1;  // back-substitution goes on here, -1: done
   FrontScratch scratch_;
   RowBlock sweep_triangle_;
-  Work work_;
+  SolveReport report_;  // of the solve at work
 };
 
 }  // namespace odmc

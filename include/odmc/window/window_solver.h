@@ -21,6 +21,12 @@ struct SolveReport {
   double initial_cost = 0.0;
   double final_cost = 0.0;
   std::string message;  ///< why it is not usable
+
+  // Of the incremental solver.
+  int eliminated = 0;        ///< keyframes, by the chain in use and the sweep
+  int back_substituted = 0;  ///< keyframes
+  bool sweeping = false;     ///< older keyframes wait for a new linearization
+  bool aligned = false;      ///< left to the batch solve
 };
 
 /// Bounds of one solve.
