@@ -13,7 +13,8 @@ constexpr double kPriorGroups = 8.0;  // weight of "white" against a small sampl
 
 }  // namespace
 
-void Consistency::Add(double dt, const Eigen::VectorXd& score, const Eigen::VectorXd& eta) {
+void Consistency::Add(double dt, const Eigen::Ref<const Eigen::VectorXd>& score,
+                      const Eigen::Ref<const Eigen::VectorXd>& eta) {
   if (block_s_ == 0.0) {
     score_ = Eigen::VectorXd::Zero(n_);
     eta_sum_ = Eigen::VectorXd::Zero(n_);
