@@ -47,6 +47,9 @@ class Consistency {
   Eigen::VectorXd score_, eta_sum_;
   Eigen::MatrixXd left_;
   std::vector<Block> blocks_;
+  // Scratch of Rescale(), which comes ten times a second.
+  Eigen::MatrixXd scale_, half_;
+  Eigen::VectorXd scaled_;
 };
 
 }  // namespace odmc
