@@ -13,7 +13,8 @@ constexpr double kPriorGroups = 8.0;  // weight of "white" against a small sampl
 
 }  // namespace
 
-void Consistency::Add(double dt, const Eigen::VectorXd& score, const Eigen::VectorXd& eta) {
+void Consistency::Add(double dt, const Eigen::Ref<const Eigen::VectorXd>& score,
+                      const Eigen::Ref<const Eigen::VectorXd>& eta) {
   if (block_s_ == 0.0) {
     score_ = Eigen::VectorXd::Zero(n_);
     eta_sum_ = Eigen::VectorXd::Zero(n_);
@@ -46,13 +47,21 @@ void Consistency::CloseBlock(const Eigen::MatrixXd& left) {
 }
 
 void Consistency::Rescale(const Eigen::MatrixXd& root) {
-  const Eigen::MatrixXd scale = root * root;
+  scale_.noalias() = root * root;
+  const auto rescale_score = [&](Eigen::VectorXd* score) {
+    scaled_.noalias() = scale_ * *score;
+    score->swap(scaled_);
+  };
+  const auto rescale_information = [&](Eigen::MatrixXd* information) {
+    half_.noalias() = root * *information;
+    information->noalias() = half_ * root;
+  };
   for (Block& block : blocks_) {
-    block.score = (scale * block.score).eval();
-    block.information = (root * block.information * root).eval();
+    rescale_score(&block.score);
+    rescale_information(&block.information);
   }
-  if (score_.size() > 0) score_ = (scale * score_).eval();
-  if (left_.size() > 0) left_ = (root * left_ * root).eval();
+  if (score_.size() > 0) rescale_score(&score_);
+  if (left_.size() > 0) rescale_information(&left_);
 }
 
 Eigen::VectorXd Consistency::Inflation(const Eigen::VectorXd& eta,

@@ -34,7 +34,7 @@ double Choose(double configured, const DifferenceNoise& measured, Range range) {
 
 }  // namespace
 
-void DifferenceNoise::Add(double time_s, const Eigen::VectorXd& sample) {
+void DifferenceNoise::Add(double time_s, const Channels& sample) {
   if (times_.size() >= 2) {
     const double dt = times_.back() - times_[times_.size() - 2];
     const double now = time_s - times_.back();
@@ -46,7 +46,7 @@ void DifferenceNoise::Add(double time_s, const Eigen::VectorXd& sample) {
   times_.push_back(time_s);
   run_.push_back(sample);
   if (run_.size() < 4) return;
-  differences_.push_back(run_[3] - 3.0 * run_[2] + 3.0 * run_[1] - run_[0]);
+  differences_.Append() = run_[3] - 3.0 * run_[2] + 3.0 * run_[1] - run_[0];
   run_.pop_front();
   times_.pop_front();
   if (static_cast<int>(differences_.size()) > capacity_) differences_.pop_front();
@@ -57,11 +57,9 @@ double DifferenceNoise::Sigma() const {
   if (static_cast<int>(differences_.size()) < kEnoughDifferences) return 0.0;
   if (since_look_ < kLookEvery) return sigma_;
   since_look_ = 0;
-  std::vector<double> all;
-  for (const Eigen::VectorXd& d : differences_) {
-    for (int i = 0; i < d.size(); ++i) all.push_back(d[i]);
-  }
-  sigma_ = RobustSigma(std::move(all)) / std::sqrt(20.0);  // 1 + 9 + 9 + 1
+  all_.clear();
+  for (const Channels& d : differences_) all_.insert(all_.end(), d.begin(), d.end());
+  sigma_ = RobustSigmaInPlace(&all_) / std::sqrt(20.0);  // 1 + 9 + 9 + 1
   return sigma_;
 }
 

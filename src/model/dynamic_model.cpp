@@ -102,7 +102,7 @@ void DynamicModel::FindShapedColumns() {
   }
 }
 
-int DynamicModel::IndexOf(const std::string& full_name) const {
+int DynamicModel::IndexOf(std::string_view full_name) const {
   for (int i = 0; i < num_parameters(); ++i) {
     if (parameters_[i].full_name == full_name) return i;
   }

@@ -27,9 +27,8 @@ void IntegrateGyro(const Vector3d& w, double dt, ImuInterval* interval) {
 
 }  // namespace
 
-std::optional<ImuInterval> PreintegrateImu(const std::deque<ImuSample>& samples, Stamp from,
-                                           Stamp to, const Eigen::Vector3d& gyro_bias,
-                                           double max_hole_s) {
+std::optional<ImuInterval> PreintegrateImu(const Ring<ImuSample>& samples, Stamp from, Stamp to,
+                                           const Eigen::Vector3d& gyro_bias, double max_hole_s) {
   const auto later = [](Stamp stamp, const ImuSample& s) { return stamp < s.stamp; };
   auto it = std::upper_bound(samples.begin(), samples.end(), from, later);
   if (it == samples.begin()) return std::nullopt;

@@ -13,8 +13,8 @@ RotorVector Interpolate(const RotorSample& a, const RotorSample& b, Stamp stamp)
 
 }  // namespace
 
-std::optional<RotorInterval> ReduceRotors(const std::deque<RotorSample>& samples, Stamp from,
-                                          Stamp to, double max_hole_s) {
+std::optional<RotorInterval> ReduceRotors(const Ring<RotorSample>& samples, Stamp from, Stamp to,
+                                          double max_hole_s) {
   const auto later = [](Stamp stamp, const RotorSample& s) { return stamp < s.stamp; };
   // Last sample at or before `from`, first at or after `to`.
   auto first = std::upper_bound(samples.begin(), samples.end(), from, later);

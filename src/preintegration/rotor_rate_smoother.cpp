@@ -37,12 +37,4 @@ RotorRateSmoother::Rates RotorRateSmoother::About(int middle) const {
   return rates;
 }
 
-void RotorRateSmoother::ForChanged(
-    const std::function<void(std::int64_t id, const Rates&)>& use) const {
-  for (int i = 0; i < static_cast<int>(intervals_.size()); ++i) {
-    const double from_newest_s = intervals_.back().time_s - intervals_[i].time_s;
-    if (from_newest_s < 0.5 * kRotorRatesWindow_s) use(intervals_[i].id, About(i));
-  }
-}
-
 }  // namespace odmc

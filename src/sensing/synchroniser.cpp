@@ -20,7 +20,7 @@ bool IsSame(const OdometrySample& a, const OdometrySample& b) {
 
 /// Appends in order; counts what steps back.
 template <typename Sample>
-void Append(const Sample& sample, std::deque<Sample>* queue, SynchroniserCounters* counters) {
+void Append(const Sample& sample, Ring<Sample>* queue, SynchroniserCounters* counters) {
   if (!queue->empty() && sample.stamp <= queue->back().stamp) {
     ++counters->out_of_order;
     return;
@@ -29,7 +29,7 @@ void Append(const Sample& sample, std::deque<Sample>* queue, SynchroniserCounter
 }
 
 template <typename Sample>
-void DropBefore(Stamp stamp, std::deque<Sample>* queue) {
+void DropBefore(Stamp stamp, Ring<Sample>* queue) {
   while (queue->size() > 2 && (*queue)[1].stamp < stamp) queue->pop_front();
 }
 

@@ -4,7 +4,6 @@
 #include <Eigen/Cholesky>
 #include <cmath>
 #include <cstdio>
-#include <deque>
 #include <memory>
 
 #include "odmc/factors/dynamics_factor.h"
@@ -31,7 +30,6 @@ struct Flight {
     options.trajectory = trajectory;
     options.duration_s = duration_s;
     flight = Simulate(model, truth, options, noise);
-    rotors.assign(flight.log.rotors.begin(), flight.log.rotors.end());
   }
 
   State StateAt(size_t k) const {
@@ -43,9 +41,9 @@ struct Flight {
     const Stamp from = flight.log.odometry[k].stamp, to = flight.log.odometry[k + kStride].stamp;
     // Only the samples around the interval, for speed.
     const size_t first = k > 1 ? k - 1 : 0;
-    const size_t last = std::min(rotors.size(), k + kStride + 2);
-    const std::deque<RotorSample> near(rotors.begin() + static_cast<long>(first),
-                                       rotors.begin() + static_cast<long>(last));
+    const size_t last = std::min(flight.log.rotors.size(), k + kStride + 2);
+    Ring<RotorSample> near;
+    for (size_t i = first; i < last; ++i) near.push_back(flight.log.rotors[i]);
     const auto interval = ReduceRotors(near, from, to, 0.02);
     DynamicsMeasurement measurement;
     measurement.dt = ToSeconds(to - from);
@@ -60,7 +58,6 @@ struct Flight {
   DynamicModel model;
   ModelValues truth;
   SimulatedFlight flight;
-  std::deque<RotorSample> rotors;
 };
 
 SimulationNoise ExactRecording() {

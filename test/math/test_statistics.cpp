@@ -37,6 +37,13 @@ TEST(Statistics, RobustSigmaIsThatOfAGaussian) {
   EXPECT_NEAR(RobustSigma(sample), 0.3, 0.01);
 }
 
+TEST(Statistics, RobustSigmaInPlaceIsTheSame) {
+  std::vector<double> sample = {3.0, -1.0, 0.5, -2.0};
+  const double expected = RobustSigma(sample);
+  EXPECT_EQ(RobustSigmaInPlace(&sample), expected);
+  EXPECT_EQ(sample, (std::vector<double>{0.5, 1.0, 2.0, 3.0}));
+}
+
 TEST(Statistics, RobustSigmaIgnoresATenthOfOutliers) {
   Random random(9);
   std::vector<double> sample(20000);

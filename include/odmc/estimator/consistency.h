@@ -17,7 +17,8 @@ class Consistency {
   explicit Consistency(int num_parameters) : n_(num_parameters) {}
 
   /// One interval's score at the estimate `eta`.
-  void Add(double dt, const Eigen::VectorXd& score, const Eigen::VectorXd& eta);
+  void Add(double dt, const Eigen::Ref<const Eigen::VectorXd>& score,
+           const Eigen::Ref<const Eigen::VectorXd>& eta);
 
   /// True when a block is full: CloseBlock() is then due.
   bool BlockIsFull() const { return block_s_ >= block_length_s_; }
@@ -46,6 +47,9 @@ class Consistency {
   Eigen::VectorXd score_, eta_sum_;
   Eigen::MatrixXd left_;
   std::vector<Block> blocks_;
+  // Scratch of Rescale(), which comes ten times a second.
+  Eigen::MatrixXd scale_, half_;
+  Eigen::VectorXd scaled_;
 };
 
 }  // namespace odmc

@@ -2,12 +2,12 @@
 
 #include <Eigen/Core>
 #include <array>
-#include <deque>
 #include <optional>
 #include <vector>
 
 #include "odmc/factors/dynamics_factor.h"
 #include "odmc/factors/state_factors.h"
+#include "odmc/math/ring.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
@@ -16,10 +16,13 @@ namespace odmc {
 /// median over the newest samples. Smoothed sources come out small; callers set a floor.
 class DifferenceNoise {
  public:
+  /// One value a channel; never on the heap.
+  using Channels = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxRotors, 1>;
+
   explicit DifferenceNoise(int capacity = 200) : capacity_(capacity) {}
 
   /// Adds one sample (channels×1); a spacing far from the last one starts a new run of four.
-  void Add(double time_s, const Eigen::VectorXd& sample);
+  void Add(double time_s, const Channels& sample);
 
   /// Standard deviation of one sample, all channels together; 0 before 20 differences are there.
   double Sigma() const;
@@ -28,9 +31,10 @@ class DifferenceNoise {
   int capacity_;
   mutable double sigma_ = 0.0;  // of the last look, refreshed every few samples
   mutable int since_look_ = 1 << 20;
-  std::deque<double> times_;
-  std::deque<Eigen::VectorXd> run_;  // the newest four samples
-  std::deque<Eigen::VectorXd> differences_;
+  mutable std::vector<double> all_;  // that look's scratch
+  Ring<double> times_;
+  Ring<Channels> run_;  // the newest four samples
+  Ring<Channels> differences_;
 };
 
 /// Noise of the odometry, channel by channel, measured on the stream itself unless configured.

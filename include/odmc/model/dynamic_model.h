@@ -4,6 +4,7 @@
 #include <limits>
 #include <memory>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "odmc/model/effect.h"
@@ -68,7 +69,7 @@ class DynamicModel {
   const std::vector<ModelParameter>& parameters() const { return parameters_; }
   int num_parameters() const { return static_cast<int>(parameters_.size()); }
   /// Index of a full name, -1 where the model has no such parameter.
-  int IndexOf(const std::string& full_name) const;
+  int IndexOf(std::string_view full_name) const;
   /// Index of the first own parameter of effect `i`.
   int FirstParameterOf(int i) const { return first_[i]; }
 

@@ -2,9 +2,9 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
-#include <deque>
 #include <optional>
 
+#include "odmc/math/ring.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
@@ -28,8 +28,7 @@ struct ImuInterval {
 /// Integrates raw samples over [from, to] (midpoint rule, interpolated ends). Empty if they do not
 /// cover it or leave a hole longer than `max_hole_s`.
 /// @param gyro_bias taken off before integrating; later changes go through `d_bias`
-std::optional<ImuInterval> PreintegrateImu(const std::deque<ImuSample>& samples, Stamp from,
-                                           Stamp to, const Eigen::Vector3d& gyro_bias,
-                                           double max_hole_s);
+std::optional<ImuInterval> PreintegrateImu(const Ring<ImuSample>& samples, Stamp from, Stamp to,
+                                           const Eigen::Vector3d& gyro_bias, double max_hole_s);
 
 }  // namespace odmc

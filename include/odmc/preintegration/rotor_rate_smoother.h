@@ -1,9 +1,8 @@
 #pragma once
 
 #include <cstdint>
-#include <deque>
-#include <functional>
 
+#include "odmc/math/ring.h"
 #include "odmc/model/flight_state.h"
 
 namespace odmc {
@@ -34,7 +33,14 @@ class RotorRateSmoother {
   void Add(std::int64_t id, double time_s, double dt, const RotorState& mean);
 
   /// Calls `use` with every interval whose average the newest one has changed, oldest first.
-  void ForChanged(const std::function<void(std::int64_t id, const Rates&)>& use) const;
+  /// @param use takes (std::int64_t id, const Rates&)
+  template <typename Use>
+  void ForChanged(const Use& use) const {
+    for (int i = 0; i < static_cast<int>(intervals_.size()); ++i) {
+      const double from_newest_s = intervals_.back().time_s - intervals_[i].time_s;
+      if (from_newest_s < 0.5 * kRotorRatesWindow_s) use(intervals_[i].id, About(i));
+    }
+  }
 
  private:
   struct Interval {
@@ -45,7 +51,7 @@ class RotorRateSmoother {
 
   Rates About(int middle) const;
 
-  std::deque<Interval> intervals_;
+  Ring<Interval> intervals_;
 };
 
 }  // namespace odmc

@@ -1,9 +1,9 @@
 #pragma once
 
-#include <deque>
 #include <optional>
 #include <string>
 
+#include "odmc/math/ring.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
@@ -38,8 +38,8 @@ class Synchroniser {
   /// Name of the stream the next keyframe waits for; empty if none.
   const std::string& waiting_for() const { return waiting_for_; }
 
-  const std::deque<RotorSample>& rotors() const { return rotors_; }
-  const std::deque<ImuSample>& imu() const { return imu_; }
+  const Ring<RotorSample>& rotors() const { return rotors_; }
+  const Ring<ImuSample>& imu() const { return imu_; }
   double battery_voltage_V() const { return battery_voltage_V_; }
   const SynchroniserCounters& counters() const { return counters_; }
   Stamp newest_odometry() const { return last_odometry_ ? last_odometry_->stamp : 0; }
@@ -55,9 +55,9 @@ class Synchroniser {
   bool IsDue(const OdometrySample& sample) const;
 
   double period_s_, patience_s_;
-  std::deque<OdometrySample> odometry_;
-  std::deque<RotorSample> rotors_;
-  std::deque<ImuSample> imu_;
+  Ring<OdometrySample> odometry_;
+  Ring<RotorSample> rotors_;
+  Ring<ImuSample> imu_;
   double battery_voltage_V_ = 0.0;
   std::optional<OdometrySample> last_odometry_;
   std::optional<Stamp> last_keyframe_;
