@@ -28,14 +28,14 @@ class Recorder {
 
   void Drain() {
     while (true) {
-      const std::optional<Snapshot> snapshot = estimator_->Step();
+      const Snapshot* const snapshot = estimator_->Step();
       if (!estimator_->made_progress()) return;
       Ground(estimator_->last_keyframe_stamp(), estimator_->airborne());
       if (!snapshot) continue;
       if (result_->history.empty()) result_->first_airborne_s = snapshot->time_s;
       result_->history.push_back({snapshot->time_s, snapshot->values, snapshot->sigma});
       result_->timing.emplace_back(snapshot->time_s, snapshot->timing);
-      result_->last = snapshot;
+      result_->last = *snapshot;
     }
   }
 

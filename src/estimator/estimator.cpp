@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cmath>
 #include <ctime>
+#include <limits>
 #include <stdexcept>
 
 #include "odmc/factors/imu_factors.h"
@@ -230,20 +231,20 @@ void Estimator::CarryOn(const Estimator& before, const DynamicModel& declared) {
   noise_ready_ = before.noise_ready_;
 }
 
-std::optional<Snapshot> Estimator::Step() {
+const Snapshot* Estimator::Step() {
   made_progress_ = false;
   // The first keyframe waits until the odometry's noise is known.
   if (!last_ && noise_ready_ > 0 && synchroniser_.newest_odometry() < noise_ready_) {
-    return std::nullopt;
+    return nullptr;
   }
   const std::optional<OdometrySample> sample = synchroniser_.NextKeyframe();
-  if (!sample) return std::nullopt;
+  if (!sample) return nullptr;
   made_progress_ = true;
   if (!first_stamp_) first_stamp_ = sample->stamp;
 
   const UpdateTimer timer;
   const bool airborne = CheckGround(*sample);
-  std::optional<Snapshot> snapshot;
+  const Snapshot* snapshot = nullptr;
   FollowLoad(*sample);
   const bool is_held_out = is_held_out_ && is_held_out_(sample->stamp);
   if (airborne && (is_held_out || ground_.IsNear(sample->p_WS.z()))) {
@@ -266,16 +267,20 @@ std::optional<Snapshot> Estimator::Step() {
     const SolveReport report = solver_->Solve(&window_, solver_options);
     if (!report.usable) ++counters_.refused_updates;
     needs_more_iterations_ = !report.improved && !report.converged;
-    snapshot = TakeSnapshot(*sample, report);
+    TakeSnapshot(*sample, report);
+    snapshot = &snapshot_;
+    const double before_observer_wall = timer.WallMs(), before_observer_cpu = timer.CpuMs();
     if (observe_) observe_();
+    const double observer_wall = timer.WallMs() - before_observer_wall;
+    const double observer_cpu = timer.CpuMs() - before_observer_cpu;
     const double span =
         ToSeconds(window_.keyframes().back().stamp - window_.keyframes().front().stamp);
-    snapshot->timing.window_full = span >= options_.window_s - 2.5 / options_.keyframe_rate_hz;
-    snapshot->timing.states = static_cast<int>(window_.keyframes().size());
+    snapshot_.timing.window_full = span >= options_.window_s - 2.5 / options_.keyframe_rate_hz;
+    snapshot_.timing.states = static_cast<int>(window_.keyframes().size());
     MarginalizeOld();
     if (options_.detect_changes) LookForChange();
-    snapshot->timing.wall_ms = timer.WallMs();
-    snapshot->timing.cpu_ms = timer.CpuMs();
+    snapshot_.timing.wall_ms = timer.WallMs() - observer_wall;
+    snapshot_.timing.cpu_ms = timer.CpuMs() - observer_cpu;
   } else {
     ++counters_.ground_keyframes;
     last_in_window_ = false;
@@ -484,6 +489,15 @@ bool Estimator::IsJump(const OdometrySample& sample, double dt) const {
          turn.norm() > 0.01 + 8.0 * noise.attitude_rad * (1.0 + share) + 300.0 * wider;
 }
 
+template <typename T, typename... Arguments>
+std::unique_ptr<ceres::CostFunction> Estimator::MakeCost(FactorKind kind,
+                                                         const Arguments&... arguments) {
+  std::unique_ptr<ceres::CostFunction> spare = window_.TakeSpare(kind);
+  if (spare == nullptr) return std::make_unique<T>(arguments...);
+  static_cast<T&>(*spare).Set(arguments...);
+  return spare;
+}
+
 State Estimator::InitialState(const OdometrySample& sample, const Interval* interval) const {
   State state;
   state.p_WS = sample.p_WS;
@@ -527,7 +541,7 @@ std::int64_t Estimator::CurrentBias(Stamp stamp, bool has_imu) {
         Vector3d::Constant(options_.accelerometer_bias_walk * root_s);
     Factor factor;
     factor.kind = FactorKind::kBiasWalk;
-    factor.cost = std::make_unique<BiasWalkFactor>(sigma);
+    factor.cost = MakeCost<BiasWalkFactor>(FactorKind::kBiasWalk, sigma);
     factor.bias0 = id - 1;
     factor.bias1 = id;
     // Belongs to the last keyframe with the old bias, which leaves together with it.
@@ -555,7 +569,8 @@ void Estimator::AddKeyframe(const OdometrySample& sample, const std::optional<In
   const bool with_gyro = interval && interval->imu && interval->imu->has_gyro;
   Factor odometry;
   odometry.kind = FactorKind::kOdometry;
-  odometry.cost = std::make_unique<OdometryFactor>(sample, odometry_noise_.Noise(), !with_gyro);
+  odometry.cost = MakeCost<OdometryFactor>(FactorKind::kOdometry, sample, odometry_noise_.Noise(),
+                                           !with_gyro);
   odometry.state0 = id;
   window_.AddFactor(std::move(odometry));
   if (!interval) return;
@@ -618,8 +633,9 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
   const bool with_gyro = interval.imu && interval.imu->has_gyro;
   const bool has_bias = window_.keyframe(id - 1).bias >= 0;
   add(FactorKind::kKinematic,
-      std::make_unique<KinematicFactor>(interval.dt, form_, options_.kinematic_position_m,
-                                        options_.kinematic_rotation_rad, !(with_gyro && has_bias)),
+      MakeCost<KinematicFactor>(FactorKind::kKinematic, interval.dt, form_,
+                                options_.kinematic_position_m, options_.kinematic_rotation_rad,
+                                !(with_gyro && has_bias)),
       true, false, false);
 
   DynamicsMeasurement measurement;
@@ -643,7 +659,8 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
   }
   const DynamicsNoise noise = NoiseOf(interval);
   add(FactorKind::kDynamics,
-      std::make_unique<DynamicsFactor>(measurement, noise, with_torque_, model_, &layout_), true,
+      MakeCost<DynamicsFactor>(FactorKind::kDynamics, measurement, noise, with_torque_, model_,
+                               &layout_), true,
       false, true);
   if (!interval.imu || !has_bias) return;
 
@@ -656,12 +673,14 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
                  0.2 * options_.kinematic_rotation_rad);
   if (with_gyro) {
     add(FactorKind::kGyroPreintegration,
-        std::make_unique<GyroPreintegrationFactor>(*interval.imu, imu_noise, model_, &layout_),
+        MakeCost<GyroPreintegrationFactor>(FactorKind::kGyroPreintegration, *interval.imu,
+                                           imu_noise, model_, &layout_),
         true, true, true);
     Factor gyro;
     gyro.kind = FactorKind::kGyro;
     gyro.cost =
-        std::make_unique<GyroFactor>(interval.imu->gyro_at_end, imu_noise, model_, &layout_);
+        MakeCost<GyroFactor>(FactorKind::kGyro, interval.imu->gyro_at_end, imu_noise, model_,
+                                 &layout_);
     gyro.state0 = id;
     gyro.bias0 = window_.keyframe(id).bias;
     gyro.parameters = true;
@@ -672,8 +691,8 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
                             imu_noise.specific_force_m_s2 * imu_noise.specific_force_m_s2)
                                .sqrt();
     add(FactorKind::kAccelerometer,
-        std::make_unique<AccelerometerFactor>(measurement, interval.imu->mean_specific_force, sigma,
-                                              model_, &layout_),
+        MakeCost<AccelerometerFactor>(FactorKind::kAccelerometer, measurement,
+                                      interval.imu->mean_specific_force, sigma, model_, &layout_),
         true, true, true);
   }
 }
@@ -710,18 +729,18 @@ void Estimator::SeeRotorScale(const RotorInterval& rotors) {
 
 void Estimator::AddScaleError(Snapshot* snapshot) const {
   if (rotor_scale_sigma_ == 0.0) return;
-  Eigen::VectorXd error = Eigen::VectorXd::Zero(model_->num_parameters());
+  ModelValues error = ModelValues::Zero(model_->num_parameters());
   for (const char* name : {"thrust.k_f", "rotor_torque.k_m"}) {
     const int k = model_->IndexOf(name);
     if (k >= 0 && model_->parameters()[k].estimated)
       error[k] = 2.0 * snapshot->values[k] * rotor_scale_sigma_;
   }
-  snapshot->covariance += error * error.transpose();
+  snapshot->covariance.noalias() += error * error.transpose();
   snapshot->sigma = (snapshot->sigma.cwiseAbs2() + error.cwiseAbs2()).cwiseSqrt();
 }
 
-Snapshot Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport& report) {
-  Snapshot snapshot;
+void Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport& report) {
+  Snapshot& snapshot = snapshot_;
   snapshot.stamp = sample.stamp;
   snapshot.time_s = ToSeconds(sample.stamp - *first_stamp_);
   snapshot.airborne = true;
@@ -732,18 +751,21 @@ Snapshot Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport
   snapshot.battery_voltage_V = synchroniser_.battery_voltage_V();
 
   const int n = layout_.num_estimated();
-  Eigen::MatrixXd covariance;
+  Eigen::MatrixXd& covariance = covariance_;
   if (solver_->ParameterCovariance(window_, sigma_eta_, &covariance)) {
     sigma_eta_ = covariance.diagonal().cwiseSqrt();
   } else {
     covariance = sigma_eta_.cwiseAbs2().asDiagonal();  // rounding has the better of it: as before
   }
+  if (!solver_->StateCovariance(window_, &snapshot.state_covariance)) {
+    snapshot.state_covariance.setConstant(std::numeric_limits<double>::quiet_NaN());
+  }
   if (consistency_.BlockIsFull()) RefreshConsistency(covariance);
 
   const int m = model_->num_parameters();
-  snapshot.sigma = Eigen::VectorXd::Zero(m);
-  snapshot.covariance = Eigen::MatrixXd::Zero(m, m);
-  snapshot.observable.assign(m, false);
+  snapshot.sigma.setZero(m);
+  snapshot.covariance.setZero(m, m);
+  snapshot.observable.assign(static_cast<size_t>(m), false);
   const ParameterVector chain = layout_.ChainFactors(snapshot.values);
   for (int i = 0; i < n; ++i) {
     const int k = layout_.model_index(i);
@@ -758,7 +780,6 @@ Snapshot Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport
   AddScaleError(&snapshot);
   snapshot.unobservable = unobservable_;
   FillResiduals(&snapshot);
-  return snapshot;
 }
 
 void Estimator::RefreshConsistency(const Eigen::MatrixXd& covariance) {
@@ -850,13 +871,12 @@ void Estimator::MarginalizeOld() {
   while (keyframes.size() > 2 && ToSeconds(keyframes.back().stamp - keyframes.front().stamp) >=
                                      options_.window_s - 1.5 / options_.keyframe_rate_hz) {
     const double dt = ObserveLeaving(keyframes.front());
-    LeavingFactors leaving;
-    solver_->MarginalizeOldest(&window_, sigma_eta_, &leaving);
+    solver_->MarginalizeOldest(&window_, sigma_eta_, &leaving_);
     LetVary(dt > 0.0 ? dt : 1.0 / options_.keyframe_rate_hz);
     if (dt == 0.0) continue;
-    consistency_.Add(dt, leaving.score, window_.eta());
-    force_information_ += leaving.force_information;
-    torque_information_ += leaving.torque_information;
+    consistency_.Add(dt, leaving_.score, window_.eta());
+    force_information_ += leaving_.force_information;
+    torque_information_ += leaving_.torque_information;
   }
 }
 
@@ -895,12 +915,13 @@ double Estimator::ObserveLeaving(const Keyframe& keyframe) {
 
 void Estimator::RescalePast(double force, double torque) {
   // Each parameter by what has informed it: the force rows, the torque rows, or both.
-  const Eigen::VectorXd total = (force_information_ + torque_information_).cwiseMax(1e-300);
-  const Eigen::VectorXd share = force_information_.cwiseQuotient(total);
-  const Eigen::VectorXd scale =
-      (share * std::log(force) + (Eigen::VectorXd::Ones(share.size()) - share) * std::log(torque))
-          .array()
-          .exp();
+  const double log_force = std::log(force), log_torque = std::log(torque);
+  ParameterVector scale(force_information_.size());
+  for (int i = 0; i < scale.size(); ++i) {
+    const double total = std::max(force_information_[i] + torque_information_[i], 1e-300);
+    const double share = force_information_[i] / total;
+    scale[i] = std::exp(share * log_force + (1.0 - share) * log_torque);
+  }
   consistency_.Rescale(solver_->ScalePast(scale, &window_));
 }
 

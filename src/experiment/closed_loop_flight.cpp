@@ -49,10 +49,10 @@ class EstimatorInLoop {
   // An accepted estimate to offer, at most one per kOffer_s.
   std::optional<std::pair<Stamp, ParameterSet>> Run() {
     do {
-      const std::optional<Snapshot> snapshot = estimator_.Step();
+      const Snapshot* const snapshot = estimator_.Step();
       if (!snapshot) continue;
       acceptance_.Update(model_, *snapshot);
-      last_ = snapshot;
+      last_ = *snapshot;
     } while (estimator_.made_progress());
     if (!last_ || !acceptance_.accepted() || !estimator_.airborne()) return std::nullopt;
     if (offered_ && ToSeconds(last_->stamp - *offered_) < kOffer_s) return std::nullopt;

@@ -175,17 +175,17 @@ RotorRateNoise NoiseOfRotorRates(const DynamicsMeasurement& measurement, double 
   return noise;
 }
 
-DynamicsFactor::DynamicsFactor(const DynamicsMeasurement& measurement, const DynamicsNoise& noise,
-                               bool with_torque, const DynamicModel* model,
-                               const ParameterLayout* layout)
-    : measurement_(measurement),
-      noise_(noise),
-      with_torque_(with_torque),
-      model_(model),
-      layout_(layout) {
+void DynamicsFactor::Set(const DynamicsMeasurement& measurement, const DynamicsNoise& noise,
+                         bool with_torque, const DynamicModel* model,
+                         const ParameterLayout* layout) {
+  measurement_ = measurement;
+  noise_ = noise;
+  with_torque_ = with_torque;
+  model_ = model;
+  layout_ = layout;
   if (!(measurement.dt > 0.0)) throw std::invalid_argument("DynamicsFactor: dt must be positive");
   set_num_residuals(velocity_row() + 3 + (with_torque ? 3 : 0));
-  *mutable_parameter_block_sizes() = BlockSizes(2, false, *layout);
+  SetBlockSizes(2, false, *layout, mutable_parameter_block_sizes());
 }
 
 bool DynamicsFactor::Evaluate(double const* const* blocks, double* residual,
@@ -282,11 +282,11 @@ bool DynamicsFactor::UnwhitenedResidual(double const* const* blocks,
   return e->allFinite();
 }
 
-std::vector<int32_t> BlockSizes(int states, bool bias, const ParameterLayout& layout) {
-  std::vector<int32_t> sizes(states, kStateSize);
-  if (bias) sizes.push_back(6);
-  if (layout.num_estimated() > 0) sizes.push_back(layout.num_estimated());
-  return sizes;
+void SetBlockSizes(int states, bool bias, const ParameterLayout& layout,
+                   std::vector<int32_t>* sizes) {
+  sizes->assign(static_cast<size_t>(states), kStateSize);
+  if (bias) sizes->push_back(6);
+  if (layout.num_estimated() > 0) sizes->push_back(layout.num_estimated());
 }
 
 }  // namespace odmc

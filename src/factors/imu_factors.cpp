@@ -29,12 +29,14 @@ void WriteMount(const ParameterLayout& layout, const ModelValues& values,
 
 }  // namespace
 
-GyroPreintegrationFactor::GyroPreintegrationFactor(const ImuInterval& interval,
-                                                   const ImuNoise& noise, const DynamicModel* model,
-                                                   const ParameterLayout* layout)
-    : interval_(interval), noise_(noise), model_(model), layout_(layout) {
+void GyroPreintegrationFactor::Set(const ImuInterval& interval, const ImuNoise& noise,
+                                   const DynamicModel* model, const ParameterLayout* layout) {
+  interval_ = interval;
+  noise_ = noise;
+  model_ = model;
+  layout_ = layout;
   set_num_residuals(3);
-  *mutable_parameter_block_sizes() = BlockSizes(2, true, *layout);
+  SetBlockSizes(2, true, *layout, mutable_parameter_block_sizes());
 }
 
 bool GyroPreintegrationFactor::Evaluate(double const* const* blocks, double* residual,
@@ -78,11 +80,14 @@ bool GyroPreintegrationFactor::Evaluate(double const* const* blocks, double* res
   return e.allFinite();
 }
 
-GyroFactor::GyroFactor(const Eigen::Vector3d& gyro_I, const ImuNoise& noise,
-                       const DynamicModel* model, const ParameterLayout* layout)
-    : gyro_I_(gyro_I), noise_(noise), model_(model), layout_(layout) {
+void GyroFactor::Set(const Eigen::Vector3d& gyro_I, const ImuNoise& noise,
+                     const DynamicModel* model, const ParameterLayout* layout) {
+  gyro_I_ = gyro_I;
+  noise_ = noise;
+  model_ = model;
+  layout_ = layout;
   set_num_residuals(3);
-  *mutable_parameter_block_sizes() = BlockSizes(1, true, *layout);
+  SetBlockSizes(1, true, *layout, mutable_parameter_block_sizes());
 }
 
 bool GyroFactor::Evaluate(double const* const* blocks, double* residual, double** jacobians) const {
@@ -112,17 +117,17 @@ bool GyroFactor::Evaluate(double const* const* blocks, double* residual, double*
   return e.allFinite();
 }
 
-AccelerometerFactor::AccelerometerFactor(const DynamicsMeasurement& measurement,
-                                         const Eigen::Vector3d& specific_force_I,
-                                         const Eigen::Vector3d& sigma, const DynamicModel* model,
-                                         const ParameterLayout* layout)
-    : measurement_(measurement),
-      specific_force_I_(specific_force_I),
-      sigma_(sigma),
-      model_(model),
-      layout_(layout) {
+void AccelerometerFactor::Set(const DynamicsMeasurement& measurement,
+                              const Eigen::Vector3d& specific_force_I,
+                              const Eigen::Vector3d& sigma, const DynamicModel* model,
+                              const ParameterLayout* layout) {
+  measurement_ = measurement;
+  specific_force_I_ = specific_force_I;
+  sigma_ = sigma;
+  model_ = model;
+  layout_ = layout;
   set_num_residuals(3);
-  *mutable_parameter_block_sizes() = BlockSizes(2, true, *layout);
+  SetBlockSizes(2, true, *layout, mutable_parameter_block_sizes());
 }
 
 bool AccelerometerFactor::Evaluate(double const* const* blocks, double* residual,

@@ -25,12 +25,11 @@ void WriteStateJacobian(const Eigen::Matrix<double, Eigen::Dynamic, kStateTangen
 
 }  // namespace
 
-OdometryFactor::OdometryFactor(const OdometrySample& sample, const OdometryNoise& noise,
-                               bool with_rate)
-    : sample_(sample),
-      noise_(noise),
-      with_velocity_(sample.v_WS.has_value()),
-      with_rate_(with_rate && sample.w_WS_S.has_value()) {
+void OdometryFactor::Set(const OdometrySample& sample, const OdometryNoise& noise, bool with_rate) {
+  sample_ = sample;
+  noise_ = noise;
+  with_velocity_ = sample.v_WS.has_value();
+  with_rate_ = with_rate && sample.w_WS_S.has_value();
   set_num_residuals(6 + (with_velocity_ ? 3 : 0) + (with_rate_ ? 3 : 0));
   mutable_parameter_block_sizes()->assign(1, kStateSize);
 }
@@ -61,13 +60,13 @@ bool OdometryFactor::Evaluate(double const* const* blocks, double* residual,
   return Eigen::Map<Eigen::VectorXd>(residual, num_residuals()).allFinite();
 }
 
-KinematicFactor::KinematicFactor(double dt, DynamicsForm form, double sigma_position_m,
-                                 double sigma_rotation_rad, bool with_rotation)
-    : dt_(dt),
-      euler_(form == DynamicsForm::kEuler),
-      with_rotation_(with_rotation),
-      sigma_position_(sigma_position_m),
-      sigma_rotation_(sigma_rotation_rad) {
+void KinematicFactor::Set(double dt, DynamicsForm form, double sigma_position_m,
+                          double sigma_rotation_rad, bool with_rotation) {
+  dt_ = dt;
+  euler_ = form == DynamicsForm::kEuler;
+  with_rotation_ = with_rotation;
+  sigma_position_ = sigma_position_m;
+  sigma_rotation_ = sigma_rotation_rad;
   set_num_residuals((euler_ ? 0 : 3) + (with_rotation_ ? 3 : 0));
   mutable_parameter_block_sizes()->assign(2, kStateSize);
 }
@@ -123,7 +122,8 @@ bool BlockPriorFactor::Evaluate(double const* const* blocks, double* residual,
   return true;
 }
 
-BiasWalkFactor::BiasWalkFactor(const Eigen::Matrix<double, 6, 1>& sigma) : sigma_(sigma) {
+void BiasWalkFactor::Set(const Eigen::Matrix<double, 6, 1>& sigma) {
+  sigma_ = sigma;
   set_num_residuals(6);
   mutable_parameter_block_sizes()->assign(2, 6);
 }

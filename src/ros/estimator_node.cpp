@@ -628,11 +628,11 @@ void EstimatorNode::Observe(const Sample& sample) {
 
 void EstimatorNode::StepWhileThereIsMore() {
   while (true) {
-    std::optional<Snapshot> snapshot = estimator_->Step();
+    const Snapshot* const snapshot = estimator_->Step();
     if (!estimator_->made_progress()) return;
     if (watch_) watch_->SetAirborne(estimator_->last_keyframe_stamp(), estimator_->airborne());
     if (snapshot) {
-      OnSnapshot(*std::move(snapshot));
+      OnSnapshot(*snapshot);
     } else if (last_) {
       // What was learned in the air still stands, on the ground and while frozen.
       last_->airborne = estimator_->airborne();

@@ -28,10 +28,11 @@ bool BatchWindowSolver::MarginalizeOldest(Window* window, const Eigen::VectorXd&
   return odmc::MarginalizeOldest(window, relinearize, leaving);
 }
 
-Eigen::MatrixXd BatchWindowSolver::ScalePast(const Eigen::VectorXd& scale, Window* window) {
-  const Eigen::MatrixXd root = RescalePrior(scale, window);
-  information_.Rescale(root);
-  return root;
+const Eigen::MatrixXd& BatchWindowSolver::ScalePast(const Eigen::Ref<const Eigen::VectorXd>& scale,
+                                                    Window* window) {
+  root_ = RescalePrior(scale, window);
+  information_.Rescale(root_);
+  return root_;
 }
 
 void BatchWindowSolver::DiffusePast(int index, double variance, Window* window) {

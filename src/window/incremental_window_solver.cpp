@@ -604,15 +604,13 @@ bool IncrementalWindowSolver::StateCovariance(const Window& window, StateMatrix*
   return covariance->allFinite();
 }
 
-void IncrementalWindowSolver::ChangePast(const Eigen::MatrixXd& A, const Eigen::VectorXd& b) {
-  const int n = past_.columns().n;
-  Eigen::MatrixXd rows(n, n + 1);
-  rows << past_.ParameterRows(), past_.ParameterRhs();
-  if (pending_.size() == 0) pending_.setZero(n + 1, n + 1);
-  pending_ -= rows.transpose() * rows;
-  past_.SetParameterRows(A, b);
-  rows << past_.ParameterRows(), past_.ParameterRhs();
-  pending_ += rows.transpose() * rows;
+/// What is past becomes past_rows_; the roots take notice before they are used next.
+void IncrementalWindowSolver::ChangePast() {
+  past_.ParameterNormal(&workspace_, &normal_);
+  pending_ -= normal_;
+  past_.SetParameterRows(past_rows_, past_rhs_);
+  past_.ParameterNormal(&workspace_, &normal_);
+  pending_ += normal_;
   has_pending_ = true;
 }
 
@@ -621,37 +619,39 @@ void IncrementalWindowSolver::ChangePast(const Eigen::MatrixXd& A, const Eigen::
 void IncrementalWindowSolver::ApplyPending() {
   if (!has_pending_) return;
   has_pending_ = false;
-  bool positive = root_.AddNormal(pending_);
+  bool positive = root_.AddNormal(pending_, &workspace_);
   for (Checkpoint& checkpoint : checkpoints_) {
-    positive = checkpoint.root.AddNormal(pending_) && positive;
+    positive = checkpoint.root.AddNormal(pending_, &workspace_) && positive;
   }
-  if (sweep_.active) positive = sweep_.root.AddNormal(pending_) && positive;
+  if (sweep_.active) positive = sweep_.root.AddNormal(pending_, &workspace_) && positive;
   pending_.setZero();
   if (!positive) sweep_.wanted = true;  // rounding: the sweep starts from the past itself
 }
 
-Eigen::MatrixXd IncrementalWindowSolver::ScalePast(const Eigen::VectorXd& scale, Window* window) {
+const Eigen::MatrixXd& IncrementalWindowSolver::ScalePast(
+    const Eigen::Ref<const Eigen::VectorXd>& scale, Window* window) {
   if (!Follows(*window)) return batch_.ScalePast(scale, window);
-  Eigen::MatrixXd A = past_.ParameterRows();
-  Eigen::VectorXd b = past_.ParameterRhs();
-  const Eigen::MatrixXd root = RescaleRows(scale, &A, &b);
-  ChangePast(A, b);
+  past_.GetParameterRows(&past_rows_, &past_rhs_);
+  const Eigen::MatrixXd& root = scaling_.Apply(scale, &past_rows_, &past_rhs_);
+  ChangePast();
   return root;
 }
 
 void IncrementalWindowSolver::DiffusePast(int index, double variance, Window* window) {
   if (!Follows(*window)) return batch_.DiffusePast(index, variance, window);
   Prior alone;
-  alone.A = past_.ParameterRows();
-  alone.b = past_.ParameterRhs();
+  past_.GetParameterRows(&alone.A, &alone.b);
   DiffusePrior(index, variance, &alone);
-  ChangePast(alone.A, alone.b);
+  past_rows_ = alone.A;
+  past_rhs_ = alone.b;
+  ChangePast();
 }
 
 Eigen::MatrixXd IncrementalWindowSolver::PastInformation(const Window& window) {
   if (!Follows(window)) return batch_.PastInformation(window);
-  const Eigen::MatrixXd A = past_.ParameterRows();
-  return A.transpose() * A;
+  const int n = past_.columns().n;
+  past_.ParameterNormal(&workspace_, &normal_);
+  return normal_.topLeftCorner(n, n);
 }
 
 const ParameterVector& IncrementalWindowSolver::ParameterPoint(const Window& window) const {

@@ -1,7 +1,6 @@
 #include "odmc/window/marginalization.h"
 
 #include <Eigen/QR>
-#include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -113,12 +112,12 @@ LinearSystem Eliminate(const LinearSystem& system, double tolerance) {
   return result;
 }
 
-Eigen::MatrixXd RescalePrior(const Eigen::VectorXd& scale, Window* window) {
+Eigen::MatrixXd RescalePrior(const Eigen::Ref<const Eigen::VectorXd>& scale, Window* window) {
   Prior& prior = window->prior();
   const auto n = scale.size();
   const auto rows = prior.b.size();
   const auto others = prior.A.cols() - n;  // of the state and the bias
-  if (rows == 0) return scale.cwiseSqrt().asDiagonal();
+  if (rows == 0) return Eigen::MatrixXd(scale.cwiseSqrt().asDiagonal());
   // What it says of the state given the parameters stays; below that it says something of the
   // parameters alone.
   Eigen::Index rank = 0;
@@ -131,25 +130,36 @@ Eigen::MatrixXd RescalePrior(const Eigen::VectorXd& scale, Window* window) {
   }
   Eigen::MatrixXd alone = prior.A.bottomRightCorner(rows - rank, n);
   Eigen::VectorXd right = prior.b.tail(rows - rank);
-  const Eigen::MatrixXd root = RescaleRows(scale, &alone, &right);
+  const Eigen::MatrixXd root = RowScaling().Apply(scale, &alone, &right);
   prior.A.bottomRightCorner(rows - rank, n) = alone;
   prior.b.tail(rows - rank) = right;
   return root;
 }
 
-Eigen::MatrixXd RescaleRows(const Eigen::VectorXd& scale, Eigen::MatrixXd* A, Eigen::VectorXd* b) {
-  if (A->rows() == 0) return scale.cwiseSqrt().asDiagonal();
-  const Eigen::JacobiSVD<Eigen::MatrixXd> svd(*A, Eigen::ComputeThinU | Eigen::ComputeFullV);
-  const Eigen::VectorXd root =
-      (0.5 * svd.matrixV().cwiseAbs2().transpose() * scale.array().log().matrix()).array().exp();
-  const Eigen::MatrixXd& U = svd.matrixU();
-  const Eigen::VectorXd more = (root.head(U.cols()).array() - 1.0).matrix();
-  const auto stretch = [&](auto* block) {
-    *block += (U * more.asDiagonal() * (U.transpose() * *block)).eval();
-  };
-  stretch(A);
-  stretch(b);
-  return svd.matrixV() * root.asDiagonal() * svd.matrixV().transpose();
+const Eigen::MatrixXd& RowScaling::Apply(const Eigen::Ref<const Eigen::VectorXd>& scale,
+                                         Eigen::MatrixXd* A, Eigen::VectorXd* b) {
+  if (A->rows() == 0) {
+    root_ = scale.cwiseSqrt().asDiagonal();
+    return root_;
+  }
+  svd_.compute(*A, Eigen::ComputeThinU | Eigen::ComputeFullV);
+  const Eigen::MatrixXd &U = svd_.matrixU(), &V = svd_.matrixV();
+  squares_ = V.cwiseAbs2();
+  more_ = scale.array().log();
+  sizes_.noalias() = squares_.transpose() * more_;
+  sizes_ = (0.5 * sizes_).array().exp();
+  more_ = sizes_.head(U.cols()).array() - 1.0;
+  // Stretch along each direction the rows know.
+  work_.noalias() = U.transpose() * *A;
+  work_.array().colwise() *= more_.array();
+  A->noalias() += U * work_;
+  of_b_.noalias() = U.transpose() * *b;
+  of_b_.array() *= more_.array();
+  b->noalias() += U * of_b_;
+  squares_ = V;
+  squares_.array().rowwise() *= sizes_.transpose().array();
+  root_.noalias() = squares_ * V.transpose();
+  return root_;
 }
 
 void DiffusePrior(int index, double variance, Prior* prior) {

@@ -1,6 +1,5 @@
 #include "odmc/window/root_triangle.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 
@@ -84,19 +83,14 @@ bool RootTriangle::Covariance(Eigen::MatrixXd* covariance) const {
   return covariance->allFinite();
 }
 
-Eigen::MatrixXd RootTriangle::ParameterRows() const {
-  Eigen::MatrixXd A(columns_.n, columns_.n);
+void RootTriangle::GetParameterRows(Eigen::MatrixXd* A, Eigen::VectorXd* b) const {
+  A->resize(columns_.n, columns_.n);
+  b->resize(columns_.n);
   for (int i = 0; i < columns_.n; ++i) {
     const double* r = row(BorderColumns::kParameters + i) + BorderColumns::kParameters;
-    for (int j = 0; j < columns_.n; ++j) A(i, j) = j < i ? 0.0 : r[j];
+    for (int j = 0; j < columns_.n; ++j) (*A)(i, j) = j < i ? 0.0 : r[j];
+    (*b)[i] = r[columns_.n];
   }
-  return A;
-}
-
-Eigen::VectorXd RootTriangle::ParameterRhs() const {
-  Eigen::VectorXd b(columns_.n);
-  for (int i = 0; i < columns_.n; ++i) b[i] = row(BorderColumns::kParameters + i)[columns_.rhs()];
-  return b;
 }
 
 void RootTriangle::SetParameterRows(const Eigen::MatrixXd& A, const Eigen::VectorXd& b) {
@@ -112,19 +106,31 @@ void RootTriangle::SetParameterRows(const Eigen::MatrixXd& A, const Eigen::Vecto
   Absorb(scratch_.data(), stride_, static_cast<int>(A.rows()));
 }
 
-bool RootTriangle::AddNormal(const Eigen::MatrixXd& difference) {
+void RootTriangle::ParameterNormal(Workspace* workspace, Eigen::MatrixXd* normal) const {
   const int n = columns_.n;
-  Eigen::MatrixXd rows(n, n + 1);
-  rows << ParameterRows(), ParameterRhs();
-  const Eigen::MatrixXd normal = rows.transpose() * rows + difference;
-  const Eigen::LLT<Eigen::MatrixXd, Eigen::Upper> llt(normal.topLeftCorner(n, n));
-  if (llt.info() != Eigen::Success) return false;
-  rows.leftCols(n) = llt.matrixU();
-  rows.col(n) = llt.matrixL().solve(normal.topRightCorner(n, 1));
-  if (!rows.allFinite()) return false;
+  GetParameterRows(&workspace->A, &workspace->b);
+  normal->resize(n + 1, n + 1);
+  normal->topLeftCorner(n, n).noalias() = workspace->A.transpose() * workspace->A;
+  normal->topRightCorner(n, 1).noalias() = workspace->A.transpose() * workspace->b;
+  normal->bottomLeftCorner(1, n).setZero();
+  (*normal)(n, n) = workspace->b.squaredNorm();
+}
+
+bool RootTriangle::AddNormal(const Eigen::MatrixXd& difference, Workspace* workspace) {
+  const int n = columns_.n;
+  ParameterNormal(workspace, &workspace->normal);
+  workspace->normal += difference;
+  workspace->A = workspace->normal.topLeftCorner(n, n);
+  workspace->llt.compute(workspace->A);
+  if (workspace->llt.info() != Eigen::Success) return false;
+  workspace->b = workspace->normal.topRightCorner(n, 1);
+  workspace->llt.matrixL().solveInPlace(workspace->b);
+  const Eigen::MatrixXd& U = workspace->llt.matrixLLT();
+  if (!workspace->b.allFinite() || !U.allFinite()) return false;
   for (int i = 0; i < n; ++i) {
-    double* r = row(BorderColumns::kParameters + i);
-    for (int j = i; j <= n; ++j) r[BorderColumns::kParameters + j] = rows(i, j);
+    double* r = row(BorderColumns::kParameters + i) + BorderColumns::kParameters;
+    for (int j = i; j < n; ++j) r[j] = U(i, j);
+    r[n] = workspace->b[i];
   }
   return true;
 }

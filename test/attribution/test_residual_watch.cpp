@@ -83,7 +83,7 @@ class Pilot {
 
   void Step() {
     while (true) {
-      const std::optional<Snapshot> snapshot = estimator_->Step();
+      const Snapshot* const snapshot = estimator_->Step();
       if (!estimator_->made_progress()) return;
       watch_.SetAirborne(estimator_->last_keyframe_stamp(), estimator_->airborne());
       if (!snapshot) continue;

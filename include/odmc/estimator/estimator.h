@@ -31,12 +31,14 @@ struct UpdateTiming {
   bool window_full = false;  ///< the window had reached its length
 };
 
-/// Where the estimate stands after one update. Immutable; safe to hand to another thread.
+/// Where the estimate stands after one update.
 struct Snapshot {
   Stamp stamp = 0;      ///< of the newest keyframe
   double time_s = 0.0;  ///< since the first keyframe
   bool airborne = false;
   State state;            ///< newest keyframe, sensor frame S
+  /// Of its tangent (p, theta, v, w), not inflated; NaN where a direction is not known.
+  WindowSolver::StateMatrix state_covariance;
   BodyProperties body;    ///< at the estimate: mounts, centre of mass, gravity
   ModelValues values;     ///< of the model's parameters
   Eigen::VectorXd sigma;  ///< of each, 0 where frozen; inflated for serial correlation
@@ -87,8 +89,9 @@ class Estimator {
   void Add(const BatterySample& sample);
   void Finish();
 
-  /// Processes at most one keyframe. @returns a snapshot if one was processed while airborne
-  std::optional<Snapshot> Step();
+  /// Processes at most one keyframe. @returns a snapshot, good until the next call, if one was
+  /// processed while airborne, else null
+  const Snapshot* Step();
 
   /// True if the last Step() consumed a keyframe, airborne or not: there may be more.
   bool made_progress() const { return made_progress_; }
@@ -148,6 +151,9 @@ class Estimator {
   std::optional<Interval> ReadInterval(const OdometrySample& sample);
   bool IsJump(const OdometrySample& sample, double dt) const;
   State InitialState(const OdometrySample& sample, const Interval* interval) const;
+  /// A cost function, from the window's spares where there are any.
+  template <typename T, typename... Arguments>
+  std::unique_ptr<ceres::CostFunction> MakeCost(FactorKind kind, const Arguments&... arguments);
   std::int64_t CurrentBias(Stamp stamp, bool has_imu);
   void AddKeyframe(const OdometrySample& sample, const std::optional<Interval>& interval);
   void AddIntervalFactors(const Interval& interval, std::int64_t id);
@@ -158,7 +164,7 @@ class Estimator {
   void AddScaleError(Snapshot* snapshot) const;
   /// Averages the rotors' accelerations of the newest intervals, as far as those after them go.
   void SmoothRotorRates(const Interval& interval, std::int64_t id);
-  Snapshot TakeSnapshot(const OdometrySample& sample, const SolveReport& report);
+  void TakeSnapshot(const OdometrySample& sample, const SolveReport& report);
   void FillResiduals(Snapshot* snapshot);
   void LookForChange();
   void LearnAnew();
@@ -195,6 +201,9 @@ class Estimator {
   Eigen::VectorXd sigma_eta_;        // of the last update, not inflated
   Eigen::VectorXd force_information_, torque_information_;  // what has informed each parameter
   std::vector<std::string> unobservable_;
+  Snapshot snapshot_;  // the newest, filled in place
+  Eigen::MatrixXd covariance_;
+  LeavingFactors leaving_;
   double residual_force_power_ = 0.0, residual_torque_power_ = 0.0;  // running mean squares
   EstimatorCounters counters_;
   std::optional<OdometrySample> last_;  // newest keyframe's odometry

@@ -83,7 +83,11 @@ class DynamicsFactor final : public ceres::CostFunction {
  public:
   /// `model` and `layout` must outlive the factor. @throws std::invalid_argument if dt <= 0.
   DynamicsFactor(const DynamicsMeasurement& measurement, const DynamicsNoise& noise,
-                 bool with_torque, const DynamicModel* model, const ParameterLayout* layout);
+                 bool with_torque, const DynamicModel* model, const ParameterLayout* layout) {
+    Set(measurement, noise, with_torque, model, layout);
+  }
+  void Set(const DynamicsMeasurement& measurement, const DynamicsNoise& noise, bool with_torque,
+           const DynamicModel* model, const ParameterLayout* layout);
 
   bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override;
 
@@ -124,7 +128,8 @@ class DynamicsFactor final : public ceres::CostFunction {
 };
 
 /// Sizes of a factor's blocks: `states` states, a bias if `bias`, eta if anything is estimated.
-std::vector<int32_t> BlockSizes(int states, bool bias, const ParameterLayout& layout);
+void SetBlockSizes(int states, bool bias, const ParameterLayout& layout,
+                   std::vector<int32_t>* sizes);
 
 /// Takes derivatives with respect to physical values to eta and writes them to Ceres' array `out`,
 /// which may be null.

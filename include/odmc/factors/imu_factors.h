@@ -27,7 +27,11 @@ struct ImuNoise {
 class GyroPreintegrationFactor final : public ceres::CostFunction {
  public:
   GyroPreintegrationFactor(const ImuInterval& interval, const ImuNoise& noise,
-                           const DynamicModel* model, const ParameterLayout* layout);
+                           const DynamicModel* model, const ParameterLayout* layout) {
+    Set(interval, noise, model, layout);
+  }
+  void Set(const ImuInterval& interval, const ImuNoise& noise, const DynamicModel* model,
+           const ParameterLayout* layout);
   bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override;
 
  private:
@@ -43,7 +47,11 @@ class GyroPreintegrationFactor final : public ceres::CostFunction {
 class GyroFactor final : public ceres::CostFunction {
  public:
   GyroFactor(const Eigen::Vector3d& gyro_I, const ImuNoise& noise, const DynamicModel* model,
-             const ParameterLayout* layout);
+             const ParameterLayout* layout) {
+    Set(gyro_I, noise, model, layout);
+  }
+  void Set(const Eigen::Vector3d& gyro_I, const ImuNoise& noise, const DynamicModel* model,
+           const ParameterLayout* layout);
   bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override;
 
  private:
@@ -64,7 +72,11 @@ class AccelerometerFactor final : public ceres::CostFunction {
  public:
   AccelerometerFactor(const DynamicsMeasurement& measurement,
                       const Eigen::Vector3d& specific_force_I, const Eigen::Vector3d& sigma,
-                      const DynamicModel* model, const ParameterLayout* layout);
+                      const DynamicModel* model, const ParameterLayout* layout) {
+    Set(measurement, specific_force_I, sigma, model, layout);
+  }
+  void Set(const DynamicsMeasurement& measurement, const Eigen::Vector3d& specific_force_I,
+           const Eigen::Vector3d& sigma, const DynamicModel* model, const ParameterLayout* layout);
   bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override;
 
   /// Puts the rotors' accelerations at better values; between solves only.

@@ -29,7 +29,11 @@ class OdometryFactor final : public ceres::CostFunction {
  public:
   /// @param with_rate false leaves out body rates even where measured (an IMU's gyro serves
   /// instead)
-  OdometryFactor(const OdometrySample& sample, const OdometryNoise& noise, bool with_rate);
+  OdometryFactor(const OdometrySample& sample, const OdometryNoise& noise, bool with_rate) {
+    Set(sample, noise, with_rate);
+  }
+  /// Becomes what the constructor makes, as all factors' Set(): spares are used again so.
+  void Set(const OdometrySample& sample, const OdometryNoise& noise, bool with_rate);
   bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override;
 
  private:
@@ -52,7 +56,11 @@ class KinematicFactor final : public ceres::CostFunction {
  public:
   /// @param with_rotation false drops e_theta (GyroPreintegrationFactor has it)
   KinematicFactor(double dt, DynamicsForm form, double sigma_position_m, double sigma_rotation_rad,
-                  bool with_rotation);
+                  bool with_rotation) {
+    Set(dt, form, sigma_position_m, sigma_rotation_rad, with_rotation);
+  }
+  void Set(double dt, DynamicsForm form, double sigma_position_m, double sigma_rotation_rad,
+           bool with_rotation);
   bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override;
 
  private:
@@ -74,7 +82,8 @@ class BlockPriorFactor final : public ceres::CostFunction {
 /// Random walk between two bias blocks (gyro, accelerometer; 6): (b_1 - b_0) / sigma.
 class BiasWalkFactor final : public ceres::CostFunction {
  public:
-  explicit BiasWalkFactor(const Eigen::Matrix<double, 6, 1>& sigma);
+  explicit BiasWalkFactor(const Eigen::Matrix<double, 6, 1>& sigma) { Set(sigma); }
+  void Set(const Eigen::Matrix<double, 6, 1>& sigma);
   bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override;
 
  private:

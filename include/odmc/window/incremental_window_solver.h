@@ -57,7 +57,8 @@ class IncrementalWindowSolver final : public WindowSolver {
   bool StateCovariance(const Window& window, StateMatrix* covariance) override;
   bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
                          LeavingFactors* leaving) override;
-  Eigen::MatrixXd ScalePast(const Eigen::VectorXd& scale, Window* window) override;
+  const Eigen::MatrixXd& ScalePast(const Eigen::Ref<const Eigen::VectorXd>& scale,
+                                   Window* window) override;
   void DiffusePast(int index, double variance, Window* window) override;
   Eigen::MatrixXd PastInformation(const Window& window) override;
   const ParameterVector& ParameterPoint(const Window& window) const override;
@@ -96,7 +97,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   bool HasMoved(const Window& window, const ChainFront& front) const;
   bool ParametersMoved(const Window& window, const ParameterVector& from, double sigmas) const;
   void Observe(const Window& window, const ChainFront& front, LeavingFactors* leaving) const;
-  void ChangePast(const Eigen::MatrixXd& A, const Eigen::VectorXd& b);
+  void ChangePast();
   void ApplyPending();
 
   IncrementalOptions options_;
@@ -119,6 +120,10 @@ class IncrementalWindowSolver final : public WindowSolver {
   Eigen::VectorXd sigma_;                    // of the parameters, last known
   Eigen::MatrixXd pending_;                  // change of the past the roots do not know yet
   bool has_pending_ = false;
+  RowScaling scaling_;
+  RootTriangle::Workspace workspace_;
+  Eigen::MatrixXd past_rows_, normal_;
+  Eigen::VectorXd past_rhs_;
   std::int64_t pass_ = -1;  // back-substitution goes on here, -1: done
   FrontScratch scratch_;
   RowBlock sweep_triangle_;

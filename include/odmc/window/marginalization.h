@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <Eigen/SVD>
 
 #include "odmc/window/window.h"
 
@@ -45,12 +46,21 @@ bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
 /// torque know a combination together, scaling parameter by parameter would make up information
 /// about what nobody has seen.
 /// @returns the symmetric root of the scale (n×n), for others that keep information: T I T
-Eigen::MatrixXd RescalePrior(const Eigen::VectorXd& scale, Window* window);
+Eigen::MatrixXd RescalePrior(const Eigen::Ref<const Eigen::VectorXd>& scale, Window* window);
 
-/// The scaling of rows [A b] about parameters alone, for RescalePrior() and those who keep such rows
-/// elsewhere.
-/// @returns the root of the scale
-Eigen::MatrixXd RescaleRows(const Eigen::VectorXd& scale, Eigen::MatrixXd* A, Eigen::VectorXd* b);
+/// What RescalePrior() does to rows [A b] about parameters alone, for those who keep such rows
+/// elsewhere. Keeps its buffers: calls of one size do not allocate.
+class RowScaling {
+ public:
+  /// @returns the root of the scale, until the next call
+  const Eigen::MatrixXd& Apply(const Eigen::Ref<const Eigen::VectorXd>& scale, Eigen::MatrixXd* A,
+                               Eigen::VectorXd* b);
+
+ private:
+  Eigen::JacobiSVD<Eigen::MatrixXd> svd_;
+  Eigen::MatrixXd root_, squares_, work_;
+  Eigen::VectorXd sizes_, more_, of_b_;
+};
 
 /// Lets parameter `index` of eta have moved by a random step of this variance since the prior was
 /// made: what the prior says about it fades, its optimum stays.

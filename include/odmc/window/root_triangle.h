@@ -1,5 +1,6 @@
 #pragma once
 
+#include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <vector>
 
@@ -51,13 +52,21 @@ class RootTriangle {
   bool Covariance(Eigen::MatrixXd* covariance) const;
 
   /// What it says of the parameters alone, [A b] (n×n, n).
-  Eigen::MatrixXd ParameterRows() const;
-  Eigen::VectorXd ParameterRhs() const;
+  void GetParameterRows(Eigen::MatrixXd* A, Eigen::VectorXd* b) const;
   void SetParameterRows(const Eigen::MatrixXd& A, const Eigen::VectorXd& b);
 
-  /// Adds to the normal equations of the parameters, [A b]ᵀ[A b] ((n+1)×(n+1)).
-  /// @returns false, unchanged, if the sum is not positive
-  bool AddNormal(const Eigen::MatrixXd& difference);
+  /// Buffers of AddNormal().
+  struct Workspace {
+    Eigen::MatrixXd A, normal;
+    Eigen::VectorXd b;
+    Eigen::LLT<Eigen::MatrixXd, Eigen::Upper> llt;
+  };
+
+  /// The normal equations of the parameters, [A b]ᵀ[A b] ((n+1)×(n+1), upper triangle).
+  void ParameterNormal(Workspace* workspace, Eigen::MatrixXd* normal) const;
+
+  /// Adds to them. @returns false, unchanged, if the sum is not positive
+  bool AddNormal(const Eigen::MatrixXd& difference, Workspace* workspace);
 
  private:
   BorderColumns columns_{0};

@@ -66,8 +66,9 @@ class WindowSolver {
   virtual bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
                                  LeavingFactors* leaving) = 0;
 
-  /// RescalePrior() of what has left. @returns the root of the scale
-  virtual Eigen::MatrixXd ScalePast(const Eigen::VectorXd& scale, Window* window) = 0;
+  /// RescalePrior() of what has left. @returns the root of the scale, until the next call
+  virtual const Eigen::MatrixXd& ScalePast(const Eigen::Ref<const Eigen::VectorXd>& scale,
+                                           Window* window) = 0;
 
   /// DiffusePrior() of what has left.
   virtual void DiffusePast(int index, double variance, Window* window) = 0;
@@ -93,7 +94,8 @@ class BatchWindowSolver : public WindowSolver {
   bool StateCovariance(const Window& window, StateMatrix* covariance) override;
   bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
                          LeavingFactors* leaving) override;
-  Eigen::MatrixXd ScalePast(const Eigen::VectorXd& scale, Window* window) override;
+  const Eigen::MatrixXd& ScalePast(const Eigen::Ref<const Eigen::VectorXd>& scale,
+                                   Window* window) override;
   void DiffusePast(int index, double variance, Window* window) override;
   Eigen::MatrixXd PastInformation(const Window& window) override;
   const ParameterVector& ParameterPoint(const Window& window) const override {
@@ -106,6 +108,7 @@ class BatchWindowSolver : public WindowSolver {
 
  private:
   ParameterInformation information_;
+  Eigen::MatrixXd root_;
 };
 
 /// Levenberg-Marquardt by eliminating the chain of states, oldest first and parameters last, in
