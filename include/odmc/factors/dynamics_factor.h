@@ -126,18 +126,4 @@ class DynamicsFactor final : public ceres::CostFunction {
 /// Sizes of a factor's blocks: `states` states, a bias if `bias`, eta if anything is estimated.
 std::vector<int32_t> BlockSizes(int states, bool bias, const ParameterLayout& layout);
 
-/// Takes derivatives with respect to physical values to eta and writes them to Ceres' array `out`,
-/// which may be null.
-template <int N>
-void WriteParameterJacobian(const ParameterLayout& layout, const ModelValues& values,
-                            const ValueJacobian<N>& d_values, double* out) {
-  if (out == nullptr) return;
-  const ParameterVector chain = layout.ChainFactors(values);
-  Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>> J(
-      out, d_values.rows(), layout.num_estimated());
-  for (int i = 0; i < layout.num_estimated(); ++i) {
-    J.col(i) = chain[i] * d_values.col(layout.model_index(i));
-  }
-}
-
 }  // namespace odmc
