@@ -15,6 +15,7 @@ class CentreOfGravity final : public Effect {
                {Axis("x", vehicle), Axis("y", vehicle), Axis("z", vehicle)}) {}
 
   bool adds_wrench() const override { return false; }
+  BodyPropertyRows shaped_rows() const override { return {kRowCom, 3}; }
 
  private:
   static ParameterSpec Axis(const std::string& name, const Vehicle& vehicle) {

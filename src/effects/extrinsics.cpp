@@ -15,6 +15,9 @@ class Extrinsics final : public Effect {
       : Effect(vehicle, Description(sensor), Parameters(vehicle, sensor)), sensor_(sensor) {}
 
   bool adds_wrench() const override { return false; }
+  BodyPropertyRows shaped_rows() const override {
+    return {sensor_ == Sensor::kOdometry ? kRowOdometryPosition : kRowImuPosition, 6};
+  }
 
  private:
   static EffectDescription Description(Sensor sensor) {
@@ -49,7 +52,8 @@ class Extrinsics final : public Effect {
   void DoShape(const ParameterValues& values, BodyProperties* body,
                BodyPropertyJacobian* J) const override {
     const Eigen::Vector3d rotation = values.segment<3>(3);
-    const Eigen::Matrix3d R_BS = Exp(rotation).toRotationMatrix();
+    Eigen::Matrix3d J_r;
+    const Eigen::Matrix3d R_BS = Exp(rotation, &J_r).toRotationMatrix();
     const bool odometry = sensor_ == Sensor::kOdometry;
     (odometry ? body->p_BS : body->p_BI) = values.head<3>();
     (odometry ? body->R_BS : body->R_BI) = R_BS;
@@ -57,7 +61,7 @@ class Extrinsics final : public Effect {
     const int position_row = odometry ? kRowOdometryPosition : kRowImuPosition;
     const int rotation_row = odometry ? kRowOdometryRotation : kRowImuRotation;
     J->block<3, 3>(position_row, 0).setIdentity();
-    J->block<3, 3>(rotation_row, 3) = RightJacobian(rotation);
+    J->block<3, 3>(rotation_row, 3) = J_r;
   }
 
   Sensor sensor_;

@@ -17,16 +17,18 @@ class Gravity final : public Effect {
                 {"y", "rad", "turn of the vertical about world y", 0.0, 0.05, 0.05}}) {}
 
   bool adds_wrench() const override { return false; }
+  BodyPropertyRows shaped_rows() const override { return {kRowGravity, 3}; }
 
  private:
   void DoShape(const ParameterValues& values, BodyProperties* body,
                BodyPropertyJacobian* J) const override {
     const Eigen::Vector3d turn(values[0], values[1], 0.0);
-    const Eigen::Matrix3d R_G = Exp(turn).toRotationMatrix();
+    Eigen::Matrix3d J_r;
+    const Eigen::Matrix3d R_G = Exp(turn, &J_r).toRotationMatrix();
     const Eigen::Vector3d nominal_W = body->g_W;
     body->g_W = R_G * nominal_W;
     if (J == nullptr) return;
-    J->block<3, 2>(kRowGravity, 0) = (-R_G * Hat(nominal_W) * RightJacobian(turn)).leftCols<2>();
+    J->block<3, 2>(kRowGravity, 0) = -R_G * HatTimes(nominal_W, J_r.leftCols<2>());
   }
 };
 

@@ -22,6 +22,7 @@ class Gust final : public Effect {
                  ParameterTransform::kLog, PhysicalSign::kPositive, true}}) {}
 
   bool adds_wrench() const override { return false; }
+  BodyPropertyRows shaped_rows() const override { return {kRowWind, 3}; }
 
  private:
   static ParameterSpec Varying(const std::string& axis) {

@@ -14,6 +14,7 @@ class Inertia final : public Effect {
                {Axis(0, vehicle), Axis(1, vehicle), Axis(2, vehicle)}) {}
 
   bool adds_wrench() const override { return false; }
+  BodyPropertyRows shaped_rows() const override { return {kRowInertia, 3}; }
 
  private:
   static ParameterSpec Axis(int axis, const Vehicle& vehicle) {

@@ -26,6 +26,7 @@ class MassChange final : public Effect {
                {"centre_of_gravity.x", "centre_of_gravity.y", "centre_of_gravity.z"}) {}
 
   bool adds_wrench() const override { return false; }
+  BodyPropertyRows shaped_rows() const override { return {kRowMass, kRowGravity}; }
   bool depends_on_time() const override { return true; }
 
  private:

@@ -15,6 +15,7 @@ class ProductsOfInertia final : public Effect {
                 Product("yz", 1, 2, vehicle)}) {}
 
   bool adds_wrench() const override { return false; }
+  BodyPropertyRows shaped_rows() const override { return {kRowInertia + 3, 3}; }
 
  private:
   static ParameterSpec Product(const std::string& name, int a, int b, const Vehicle& vehicle) {

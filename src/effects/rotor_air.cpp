@@ -30,7 +30,7 @@ void AddHubForce(const Rotor& rotor, const Vector3d& force, const Matrix3d& d_ai
   wrench->AddForceAt(rotor.p_BP, force);
   if (J == nullptr) return;
   J->AddForceAt(rotor.p_BP, kColumnAirVelocity, d_air);
-  J->AddForceAt(rotor.p_BP, kColumnAngularRate, -d_air * Hat(rotor.p_BP));
+  J->AddForceAt(rotor.p_BP, kColumnAngularRate, TimesHat(d_air, -rotor.p_BP));
 }
 
 void AddHubDamping(const FlightState& state, const Vehicle& vehicle, double k,

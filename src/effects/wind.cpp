@@ -16,6 +16,7 @@ class Wind final : public Effect {
             {WindSpec("x"), WindSpec("y"), WindSpec("z")}) {}
 
   bool adds_wrench() const override { return false; }
+  BodyPropertyRows shaped_rows() const override { return {kRowWind, 3}; }
 
  private:
   void DoShape(const ParameterValues& values, BodyProperties* body,

@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <cmath>
+#include <numeric>
 #include <stdexcept>
 
 #include "odmc/factors/manifolds.h"
@@ -19,18 +20,37 @@ constexpr int kVelocityRow = N - 6;
 template <int N>
 constexpr int kAngularRow = N - 3;
 
-template <int N>
-struct Derivatives {
-  Eigen::Matrix<double, N, kStateTangentSize> d_state0, d_state1;
-  ValueJacobian<N> d_values;
-  ValueJacobian<3> d_inertia;
-};
-
 /// What the residual is made of, besides the interval's model.
 struct Terms {
   Matrix3d I_inverse;
   Vector3d f, a_p, e_alpha;
 };
+
+/// The residual's rows (9 with e_p, 6 without).
+template <int N>
+Eigen::Matrix<double, N, 1> EvaluateRows(const DynamicsMeasurement& measurement,
+                                         const IntervalModel& k, Terms* terms) {
+  const double dt = measurement.dt;
+  const double m = k.body.mass;
+  const Matrix3d& I = k.body.I_BBcm_B;
+  const Vector3d& g_W = k.body.g_W;
+  const Vector3d& w = k.flight.w_WB_B;
+  terms->I_inverse = I.inverse();
+  terms->f = k.R_BW * (k.m1.v_WBcm - k.m0.v_WBcm - dt * g_W);
+  terms->e_alpha =
+      k.m1.w_WB_B - k.m0.w_WB_B + terms->I_inverse * (dt * w.cross(I * w) - dt * k.tau_B);
+  Eigen::Matrix<double, N, 1> e;
+  if constexpr (N == 9) {
+    e.template head<3>().setZero();
+    if (measurement.form == DynamicsForm::kEuler) {
+      terms->a_p = k.R_BW * (k.m1.p_WBcm - k.m0.p_WBcm - dt * k.m0.v_WBcm - 0.5 * dt * dt * g_W);
+      e.template head<3>() = m * terms->a_p - 0.5 * dt * dt * k.F_B;
+    }
+  }
+  e.template segment<3>(kVelocityRow<N>) = m * terms->f - dt * k.F_B;
+  e.template segment<3>(kAngularRow<N>) = terms->e_alpha;
+  return e;
+}
 
 /// Derivatives of the rows with respect to the interval's pieces.                model.md section 6
 template <int N>
@@ -41,70 +61,41 @@ IntervalDerivatives<N> RowDerivatives(const DynamicsMeasurement& measurement,
   const double m = k.body.mass;
   const Vector3d& w = k.flight.w_WB_B;
   const Matrix3d& I = k.body.I_BBcm_B;
-  const Matrix3d mR = m * k.R_BW;
+  using Columns = IntervalDerivatives<N>;
   IntervalDerivatives<N> D;
-  D.d_wrench.template block<3, 3>(v, 0) = -dt * Matrix3d::Identity();
-  D.d_wrench.template block<3, 3>(a, 3) = -dt * terms.I_inverse;
-  D.d_theta.template middleRows<3>(v) = m * Hat(terms.f);
-  D.d_rate.template middleRows<3>(a) = dt * terms.I_inverse * (Hat(w) * I - Hat(I * w));
-  D.d_motion0.template block<3, 3>(v, kMotionComVelocity) = -mR;
-  D.d_motion1.template block<3, 3>(v, kMotionComVelocity) = mR;
-  D.d_motion0.template block<3, 3>(a, kMotionRate) = -Matrix3d::Identity();
-  D.d_motion1.template block<3, 3>(a, kMotionRate) = Matrix3d::Identity();
-  D.d_body.template block<3, 1>(v, kRowMass) = terms.f;
-  D.d_body.template block<3, 3>(v, kRowGravity) = -dt * mR;
+  auto d_wrench = D.d_wrench();
+  auto d_motion0 = D.d_motion0(), d_motion1 = D.d_motion1();
+  auto d_body = D.d_body();
+  const auto set = [](int row, int column, double x, auto* d) {  // x times identity
+    for (int i = 0; i < 3; ++i) (*d)(row + i, column + i) = x;
+  };
+  set(v, 0, -dt, &d_wrench);
+  d_wrench.template block<3, 3>(a, 3) = -dt * terms.I_inverse;
+  D.d_theta().template middleRows<3>(v) = m * Hat(terms.f);
+  D.d_rate().template middleRows<3>(a) = dt * terms.I_inverse * (HatTimes(w, I) - Hat(I * w));
+  set(v, Columns::kComVelocity, -m, &d_motion0);
+  set(v, Columns::kComVelocity, m, &d_motion1);
+  set(a, Columns::kRate, -1.0, &d_motion0);
+  set(a, Columns::kRate, 1.0, &d_motion1);
+  d_body.template block<3, 1>(v, kRowMass) = terms.f;
+  d_body.template block<3, 3>(v, kRowGravity) = -dt * m * k.R_BW;
   const Vector3d dw = k.m1.w_WB_B - k.m0.w_WB_B;
-  D.d_body.template block<3, 6>(a, kRowInertia) =
-      terms.I_inverse * (InertiaProductDerivative(dw) + dt * Hat(w) * InertiaProductDerivative(w) -
-                         InertiaProductDerivative(terms.e_alpha));
+  d_body.template block<3, 6>(a, kRowInertia) =
+      terms.I_inverse * (InertiaProductDerivative(dw - terms.e_alpha) +
+                         HatTimes(dt * w, InertiaProductDerivative(w)));
   if constexpr (N == 9) {
     if (measurement.form == DynamicsForm::kEuler) {
-      D.d_wrench.template block<3, 3>(0, 0) = -0.5 * dt * dt * Matrix3d::Identity();
-      D.d_theta.template middleRows<3>(0) = m * Hat(terms.a_p);
-      D.d_motion0.template block<3, 3>(0, kMotionComPosition) = -mR;
-      D.d_motion1.template block<3, 3>(0, kMotionComPosition) = mR;
-      D.d_motion0.template block<3, 3>(0, kMotionComVelocity) = -dt * mR;
-      D.d_body.template block<3, 1>(0, kRowMass) = terms.a_p;
-      D.d_body.template block<3, 3>(0, kRowGravity) = -0.5 * dt * dt * mR;
+      set(0, 0, -0.5 * dt * dt, &d_wrench);
+      D.d_theta().template middleRows<3>(0) = m * Hat(terms.a_p);
+      set(0, Columns::kComPosition, -m, &d_motion0);
+      set(0, Columns::kComPosition, m, &d_motion1);
+      set(0, Columns::kComVelocity, -dt * m, &d_motion0);
+      D.by_position = true;
+      d_body.template block<3, 1>(0, kRowMass) = terms.a_p;
+      d_body.template block<3, 3>(0, kRowGravity) = -0.5 * dt * dt * m * k.R_BW;
     }
   }
   return D;
-}
-
-/// The residual's rows (9 with e_p, 6 without) and, on request, their derivatives.
-template <int N>
-Eigen::Matrix<double, N, 1> EvaluateRows(const DynamicsMeasurement& measurement,
-                                         const State& state0, const State& state1,
-                                         const DynamicModel& model, const ModelValues& values,
-                                         Vector3d* inertia, Derivatives<N>* J) {
-  const double dt = measurement.dt;
-  const IntervalModel k(measurement, state0, state1, model, values, J != nullptr);
-  const double m = k.body.mass;
-  const Matrix3d& I = k.body.I_BBcm_B;
-  const Vector3d& g_W = k.body.g_W;
-  const Vector3d& w = k.flight.w_WB_B;
-  Terms terms;
-  terms.I_inverse = I.inverse();
-  terms.f = k.R_BW * (k.m1.v_WBcm - k.m0.v_WBcm - dt * g_W);
-  terms.a_p = k.R_BW * (k.m1.p_WBcm - k.m0.p_WBcm - dt * k.m0.v_WBcm - 0.5 * dt * dt * g_W);
-  terms.e_alpha =
-      k.m1.w_WB_B - k.m0.w_WB_B + terms.I_inverse * (dt * w.cross(I * w) - dt * k.tau_B);
-
-  Eigen::Matrix<double, N, 1> e = Eigen::Matrix<double, N, 1>::Zero();
-  if constexpr (N == 9) {
-    if (measurement.form == DynamicsForm::kEuler) {
-      e.template head<3>() = m * terms.a_p - 0.5 * dt * dt * k.F_B;
-    }
-  }
-  e.template segment<3>(kVelocityRow<N>) = m * terms.f - dt * k.F_B;
-  e.template segment<3>(kAngularRow<N>) = terms.e_alpha;
-  if (inertia != nullptr) *inertia = I.diagonal();
-  if (J != nullptr) {
-    AssembleJacobians(k, RowDerivatives<N>(measurement, k, terms), &J->d_state0, &J->d_state1,
-                      &J->d_values);
-    J->d_inertia = k.d_body.middleRows<3>(kRowInertia);
-  }
-  return e;
 }
 
 }  // namespace
@@ -112,15 +103,25 @@ Eigen::Matrix<double, N, 1> EvaluateRows(const DynamicsMeasurement& measurement,
 Eigen::Matrix<double, kNumDynamicsRows, 1> DynamicsResidual(
     const DynamicsMeasurement& measurement, const State& state0, const State& state1,
     const DynamicModel& model, const ModelValues& values, Vector3d* inertia, DynamicsJacobians* J) {
-  if (J == nullptr) {
-    return EvaluateRows<9>(measurement, state0, state1, model, values, inertia, nullptr);
+  const IntervalModel k(measurement, state0, state1, model, values, true, J != nullptr);
+  Terms terms;
+  const auto e = EvaluateRows<kNumDynamicsRows>(measurement, k, &terms);
+  if (inertia != nullptr) *inertia = k.body.I_BBcm_B.diagonal();
+  if (J != nullptr) {
+    auto D = RowDerivatives<kNumDynamicsRows>(measurement, k, terms);
+    std::vector<int> all(model.num_parameters());
+    std::iota(all.begin(), all.end(), 0);
+    AssembleJacobians(k, all, &D, &J->d_state0, &J->d_state1, &J->d_values);
+    J->d_inertia.setZero(3, model.num_parameters());
+    for (const int c : all) {
+      const BodyPropertyRows& rows = model.shaped_rows(c);
+      for (int i = 0; i < 3; ++i) {
+        const int row = kRowInertia + i;
+        if (row >= rows.first && row < rows.first + rows.count)
+          J->d_inertia(i, c) = k.d_body(row, c);
+      }
+    }
   }
-  Derivatives<9> D;
-  auto e = EvaluateRows<9>(measurement, state0, state1, model, values, inertia, &D);
-  J->d_state0 = D.d_state0;
-  J->d_state1 = D.d_state1;
-  J->d_values = D.d_values;
-  J->d_inertia = D.d_inertia;
   return e;
 }
 
@@ -143,35 +144,31 @@ RotorRateNoise NoiseOfRotorRates(const DynamicsMeasurement& measurement, double 
   still.rotors = measurement.rotors;
   still.rotors.acceleration.setZero();
   still.rotors.speed_squared_rate.setZero();
-  // The wrench is linear in the rates; the torque takes its own thrust coefficient.
-  const auto add = [&](const ModelValues& at, int first, Vector3d* variance,
-                       ValueJacobian<3>* d_variance) {
-    const auto evaluate = [&](const FlightState& state, ModelWrenchJacobians* J) {
-      Eigen::Matrix<double, 6, 1> w;
-      Vector3d f, tau;
-      model.EvaluateWrench(state, at, Vector3d::Zero(), &f, &tau, J);
-      w << f, tau;
-      return Vector3d(w.segment<3>(first));
-    };
-    ModelWrenchJacobians J0, J;
-    const Vector3d without = evaluate(still, jacobians ? &J0 : nullptr);
-    for (int j = 0; j < still.rotors.speed.size(); ++j) {
-      FlightState noisy = still;
-      noisy.rotors.acceleration[j] = sigma_rad_s2;
-      noisy.rotors.speed_squared_rate[j] = 2.0 * still.rotors.speed[j] * sigma_rad_s2;
-      const Vector3d change = evaluate(noisy, jacobians ? &J : nullptr) - without;
-      *variance += change.cwiseAbs2();
-      if (!jacobians) continue;
-      *d_variance += 2.0 * change.asDiagonal() *
-                     (J.d_values.middleRows<3>(first) - J0.d_values.middleRows<3>(first));
-    }
+  const TorqueAnchor anchor = {measurement.anchor_index, measurement.anchor_value};
+  const auto evaluate = [&](const FlightState& state, Vector3d* f, Vector3d* tau,
+                            ModelWrenchJacobians* J) {
+    model.EvaluateRateEffects(state, values, Vector3d::Zero(), f, tau, jacobians ? J : nullptr,
+                              anchor.index >= 0 ? &anchor : nullptr);
   };
-  add(values, 0, &noise.force_variance, &noise.d_force);
-  ModelValues anchored = values;
-  const int anchor = measurement.anchor_index;
-  if (anchor >= 0) anchored[anchor] = measurement.anchor_value;
-  add(anchored, 3, &noise.torque_variance, &noise.d_torque);
-  if (jacobians && anchor >= 0) noise.d_torque.col(anchor).setZero();
+  // The wrench is linear in the rates: what one rotor's change is the difference.
+  ModelWrenchJacobians J0, J;
+  Vector3d f0, tau0, f, tau;
+  evaluate(still, &f0, &tau0, &J0);
+  FlightState noisy = still;
+  for (int j = 0; j < still.rotors.speed.size(); ++j) {
+    noisy.rotors.acceleration[j] = sigma_rad_s2;
+    noisy.rotors.speed_squared_rate[j] = 2.0 * still.rotors.speed[j] * sigma_rad_s2;
+    evaluate(noisy, &f, &tau, &J);
+    noisy.rotors.acceleration[j] = noisy.rotors.speed_squared_rate[j] = 0.0;
+    f -= f0;
+    tau -= tau0;
+    noise.force_variance += f.cwiseAbs2();
+    noise.torque_variance += tau.cwiseAbs2();
+    if (!jacobians) continue;
+    const auto change = J.d_values - J0.d_values;
+    noise.d_force += (2.0 * f).asDiagonal() * change.topRows<3>();
+    noise.d_torque += (2.0 * tau).asDiagonal() * change.bottomRows<3>();
+  }
   return noise;
 }
 
@@ -201,11 +198,11 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
   const int rows = num_residuals();
   const bool with_values = layout_->num_estimated() > 0;
   const ModelValues values = layout_->Decode(with_values ? blocks[2] : nullptr);
-  Derivatives<N> J;
-  Vector3d inertia;
-  Eigen::Matrix<double, N, 1> e =
-      EvaluateRows<N>(measurement_, State::FromBlock(blocks[0]), State::FromBlock(blocks[1]),
-                      *model_, values, &inertia, jacobians != nullptr ? &J : nullptr);
+  const IntervalModel k(measurement_, State::FromBlock(blocks[0]), State::FromBlock(blocks[1]),
+                        *model_, values, with_torque_, jacobians != nullptr);
+  Terms terms;
+  Eigen::Matrix<double, N, 1> e = EvaluateRows<N>(measurement_, k, &terms);
+  const Vector3d inertia = k.body.I_BBcm_B.diagonal();
 
   // Whitening: one weight a row; Form E also decorrelates e_v from e_p.
   const double dt = measurement_.dt;
@@ -236,41 +233,47 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
     sqrt_info = EulerTranslationCovariance(dt).llt().matrixL().solve(Eigen::Matrix2d::Identity());
   }
   const auto whiten = [&](auto* m) {
-    m->template bottomRows<3>() =
-        weight.template tail<3>().asDiagonal() * m->template bottomRows<3>();
     if constexpr (N == 9) {
       const auto scale = force_sigma.cwiseInverse().asDiagonal();
-      m->template middleRows<3>(v) = (scale * (sqrt_info(1, 0) * m->template topRows<3>() +
-                                               sqrt_info(1, 1) * m->template middleRows<3>(v)))
-                                         .eval();
-      m->template topRows<3>() = (scale * (sqrt_info(0, 0) * m->template topRows<3>())).eval();
+      for (int c = 0; c < m->cols(); ++c) {
+        auto e_p = m->col(c).template head<3>();
+        auto e_v = m->col(c).template segment<3>(v);
+        e_v = scale * (sqrt_info(1, 0) * e_p + sqrt_info(1, 1) * e_v);
+        e_p = scale * (sqrt_info(0, 0) * e_p);
+        m->col(c).template tail<3>().array() *= weight.template tail<3>().array();
+      }
     } else {
-      m->template topRows<3>() = weight.template head<3>().asDiagonal() * m->template topRows<3>();
+      for (int c = 0; c < m->cols(); ++c) m->col(c).array() *= weight.array();
     }
   };
+  // The weights depend on the live inertia: as if e_alpha did.
+  const Vector3d by_inertia = e.template tail<3>().cwiseProduct(d_log_weight_d_inertia);
   whiten(&e);
   Eigen::Map<Eigen::VectorXd>(residual_out, rows) = e.head(rows);
   if (jacobians == nullptr) return e.allFinite();
-  for (int k = 0; k < 2; ++k) {
-    if (jacobians[k] == nullptr) continue;
-    auto& d_state = k == 0 ? J.d_state0 : J.d_state1;
-    whiten(&d_state);
-    WriteJacobian(StateManifold::Lift(d_state, blocks[k]).topRows(rows), jacobians[k]);
-  }
+  IntervalDerivatives<N> D = RowDerivatives<N>(measurement_, k, terms);
+  for (int i = 0; i < 3; ++i) D.d_body()(a + i, kRowInertia + i) += by_inertia[i];
+  Eigen::Matrix<double, N, kStateTangentSize> d_state0, d_state1;
+  ValueJacobian<N> d_values;
+  AssembleJacobians(k, layout_->model_indices(), &D, &d_state0, &d_state1, &d_values);
+  whiten(&d_state0);
+  whiten(&d_state1);
+  WriteStateJacobian<N>(d_state0, rows, blocks[0], jacobians[0]);
+  WriteStateJacobian<N>(d_state1, rows, blocks[1], jacobians[1]);
   if (!with_values || jacobians[2] == nullptr) return e.allFinite();
-  whiten(&J.d_values);
-  // The weights depend on the live inertia, and on coefficients of rotor rates.
-  for (int i = 0; i < 3; ++i) {
-    J.d_values.row(a + i) += e[a + i] * d_log_weight_d_inertia[i] * J.d_inertia.row(i);
-    if (!rated) continue;
+  whiten(&d_values);
+  // They depend on coefficients of rotor rates, too.
+  for (int i = 0; i < (rated ? 3 : 0); ++i) {
     const double by_torque = -0.5 / (torque_variance[i] * inertia[i] * inertia[i]);
-    J.d_values.row(a + i) += e[a + i] * by_torque * rates.d_torque.row(i);
     const double by_force = -0.5 / force_variance[i];
-    J.d_values.row(v + i) += e[v + i] * by_force * rates.d_force.row(i);
-    if constexpr (N == 9) J.d_values.row(i) += e[i] * by_force * rates.d_force.row(i);
+    for (int c = 0; c < layout_->num_estimated(); ++c) {
+      const int value = layout_->model_index(c);
+      d_values(a + i, c) += e[a + i] * by_torque * rates.d_torque(i, value);
+      d_values(v + i, c) += e[v + i] * by_force * rates.d_force(i, value);
+      if constexpr (N == 9) d_values(i, c) += e[i] * by_force * rates.d_force(i, value);
+    }
   }
-  const ValueJacobian<Eigen::Dynamic> kept = J.d_values.topRows(rows);
-  WriteParameterJacobian<Eigen::Dynamic>(*layout_, values, kept, jacobians[2]);
+  WriteParameterJacobian<N>(*layout_, values, d_values, rows, jacobians[2]);
   return e.allFinite();
 }
 

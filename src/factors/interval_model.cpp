@@ -8,6 +8,12 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
+/// tan(θ/4) n (3×1) of the turn by θ about n, |θ| <= π, from its quaternion.
+Vector3d QuarterTurn(const Eigen::Quaterniond& q) {
+  const double sign = q.w() < 0.0 ? -1.0 : 1.0;
+  return q.vec() * (sign / (q.norm() + sign * q.w()));
+}
+
 }  // namespace
 
 BodyMotion MotionOfBody(const State& state, const BodyProperties& body) {
@@ -26,56 +32,53 @@ BodyMotion MotionOfBody(const State& state, const BodyProperties& body) {
 }
 
 IntervalModel::IntervalModel(const DynamicsMeasurement& measurement, const State& state0,
-                             const State& state1, const DynamicModel& model,
-                             const ModelValues& values, bool jacobians)
-    : A0(Matrix3d::Identity()), A1(Matrix3d::Zero()) {
-  body = model.Properties(values, jacobians ? &d_body : nullptr, measurement.time_s);
+                             const State& state1, const DynamicModel& dynamic_model,
+                             const ModelValues& values, bool with_torque, bool jacobians)
+    : model(&dynamic_model) {
+  body = model->ShapedProperties(values, measurement.time_s, jacobians ? &d_body : nullptr);
   for (int i = 0; i < 3; ++i) {
     if (!measurement.inertia_fixed[i]) continue;
     body.I_BBcm_B(i, i) = measurement.fixed_inertia[i];
-    if (jacobians) d_body.row(kRowInertia + i).setZero();
+    for (int k = 0; k < (jacobians ? model->num_parameters() : 0); ++k) {
+      d_body(kRowInertia + i, k) = 0.0;
+    }
   }
-  shaped = &model.shaped_columns();
   w0_S = state0.w_WS_S;
   w1_S = state1.w_WS_S;
   m0 = MotionOfBody(state0, body);
   m1 = MotionOfBody(state1, body);
-  const bool midpoint = measurement.form == DynamicsForm::kMidpoint;
-  w0 = midpoint ? 0.5 : 1.0;
-  w1 = 1.0 - w0;
-  flight.R_WB = m0.R_WB;
-  if (midpoint) {
-    const Vector3d phi = Log(Eigen::Quaterniond(Matrix3d(m0.R_WB.transpose() * m1.R_WB)));
-    flight.R_WB = m0.R_WB * Exp(0.5 * phi).toRotationMatrix();
-    if (jacobians) {
-      A0 = 0.5 * LeftJacobian(0.5 * phi) * LeftJacobianInverse(phi);
-      A1 = 0.5 * RightJacobian(0.5 * phi) * RightJacobianInverse(phi);
-    }
+  if (measurement.form == DynamicsForm::kMidpoint) {
+    w0 = w1 = 0.5;
+    const Vector3d t = body.R_BS * QuarterTurn(state0.q_WS.conjugate() * state1.q_WS);
+    const Matrix3d t_hat = Hat(t);
+    // Rotation by the quaternion (1, t), normalised: half the way.
+    C1 = (2.0 / (1.0 + t.squaredNorm())) * (t_hat + t_hat * t_hat);
+    C1.diagonal().array() += 1.0;
+    C0 = C1.transpose();
+    flight.R_WB.noalias() = m0.R_WB * C1;
+    // ½ J_r(φ/2) J_r⁻¹(φ) = ½ (1 + tan(θ/4) [n]×) for φ = θ n, and the left ones likewise.
+    A0 = 0.5 * (Matrix3d::Identity() - t_hat);
+    A1 = 0.5 * (Matrix3d::Identity() + t_hat);
+    R_BW = flight.R_WB.transpose();
+  } else {
+    w0 = 1.0;
+    w1 = 0.0;
+    flight.R_WB = m0.R_WB;
+    R_BW = flight.R_WB.transpose();
+    C0.setIdentity();
+    C1.noalias() = R_BW * m1.R_WB;
+    A0.setIdentity();
+    A1.setZero();
   }
-  R_BW = flight.R_WB.transpose();
   flight.time_s = measurement.time_s;
   flight.p_WB = w0 * m0.p_WB + w1 * m1.p_WB;
   flight.v_AB_B = R_BW * (w0 * m0.v_WB + w1 * m1.v_WB - body.wind_W);
   flight.w_WB_B = w0 * m0.w_WB_B + w1 * m1.w_WB_B;
   flight.rotors = measurement.rotors;
   flight.load = measurement.load;
-  model.EvaluateWrench(flight, values, body.p_BBcm, &F_B, &tau_B, jacobians ? &d_wrench : nullptr);
-  if (measurement.anchor_index < 0) return;
-  if (values[measurement.anchor_index] == measurement.anchor_value) {
-    if (jacobians) d_wrench.d_values.block<3, 1>(3, measurement.anchor_index).setZero();
-    return;
-  }
-  ModelValues anchored = values;
-  anchored[measurement.anchor_index] = measurement.anchor_value;
-  Vector3d unused;
-  ModelWrenchJacobians d_anchored;
-  model.EvaluateWrench(flight, anchored, body.p_BBcm, &unused, &tau_B,
-                       jacobians ? &d_anchored : nullptr);
-  if (!jacobians) return;
-  d_wrench.d_state.bottomRows<3>() = d_anchored.d_state.bottomRows<3>();
-  d_wrench.d_p_BBcm.bottomRows<3>() = d_anchored.d_p_BBcm.bottomRows<3>();
-  d_wrench.d_values.bottomRows<3>() = d_anchored.d_values.bottomRows<3>();
-  d_wrench.d_values.block<3, 1>(3, measurement.anchor_index).setZero();
+  const TorqueAnchor anchor = {measurement.anchor_index, measurement.anchor_value};
+  model->EvaluateWrench(flight, values, body.p_BBcm, &F_B, &tau_B, jacobians ? &d_wrench : nullptr,
+                        with_torque && anchor.index >= 0 ? &anchor : nullptr);
 }
 
 Eigen::Matrix<double, 3, 6> InertiaProductDerivative(const Eigen::Vector3d& a) {

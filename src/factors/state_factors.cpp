@@ -1,5 +1,7 @@
 #include "odmc/factors/state_factors.h"
 
+#include <algorithm>
+
 #include "odmc/factors/manifolds.h"
 #include "odmc/math/so3.h"
 
@@ -12,16 +14,32 @@ namespace {
 
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-template <int Rows>
-void WriteStateJacobian(const Eigen::Matrix<double, Eigen::Dynamic, kStateTangentSize, 0, Rows,
-                                            kStateTangentSize>& minimal,
-                        const double* state, double* out) {
-  Eigen::Map<RowMajor> J(out, minimal.rows(), kStateSize);
-  J.leftCols<3>() = minimal.template leftCols<3>();
-  J.middleCols<4>(3).noalias() =
-      minimal.template middleCols<3>(3) * RotationManifold::Lift(state + 3);
-  J.rightCols<6>() = minimal.template rightCols<6>();
-}
+/// A Jacobian by one state's 13 numbers, filled in place; does nothing where Ceres passes null.
+class AmbientJacobian {
+ public:
+  AmbientJacobian(int rows, const double* state, double* out) : state_(state), out_(out) {
+    if (out_ != nullptr) std::fill_n(out_, rows * kStateSize, 0.0);
+  }
+  /// Derivative `x` times identity by p_WS, v_WS or w_WS_S, of three rows from `row` on.
+  void SetPosition(int row, double x) { SetDiagonal(row, 0, x); }
+  void SetVelocity(int row, double x) { SetDiagonal(row, 7, x); }
+  void SetRate(int row, double x) { SetDiagonal(row, 10, x); }
+  /// Derivative by the rotation's tangent (3×3).
+  void SetRotation(int row, const Matrix3d& d_theta) {
+    if (out_ == nullptr) return;
+    Eigen::Map<RowMajor>(out_, row + 3, kStateSize).block<3, 4>(row, 3).noalias() =
+        d_theta * RotationManifold::Lift(state_ + 3);
+  }
+
+ private:
+  void SetDiagonal(int row, int column, double x) {
+    if (out_ == nullptr) return;
+    for (int i = 0; i < 3; ++i) out_[(row + i) * kStateSize + column + i] = x;
+  }
+
+  const double* state_;
+  double* out_;
+};
 
 }  // namespace
 
@@ -37,25 +55,22 @@ void OdometryFactor::Set(const OdometrySample& sample, const OdometryNoise& nois
 bool OdometryFactor::Evaluate(double const* const* blocks, double* residual,
                               double** jacobians) const {
   const State state = State::FromBlock(blocks[0]);
-  const Vector3d turn = Log(sample_.q_WS.conjugate() * state.q_WS);
+  Matrix3d d_turn;
+  const Vector3d turn = Log(sample_.q_WS.conjugate() * state.q_WS, &d_turn);
+  AmbientJacobian J(num_residuals(), blocks[0], jacobians != nullptr ? jacobians[0] : nullptr);
   Eigen::Map<Vector3d>(residual + 0) = (state.p_WS - sample_.p_WS) / noise_.position_m;
+  J.SetPosition(0, 1.0 / noise_.position_m);
   Eigen::Map<Vector3d>(residual + 3) = turn / noise_.attitude_rad;
+  J.SetRotation(3, d_turn / noise_.attitude_rad);
   int row = 6;
-  Eigen::Matrix<double, Eigen::Dynamic, kStateTangentSize, 0, 12, kStateTangentSize> J;
-  J.setZero(num_residuals(), kStateTangentSize);
-  J.block<3, 3>(0, kTangentPosition) = Matrix3d::Identity() / noise_.position_m;
-  J.block<3, 3>(3, kTangentRotation) = RightJacobianInverse(turn) / noise_.attitude_rad;
   if (with_velocity_) {
     Eigen::Map<Vector3d>(residual + row) = (state.v_WS - *sample_.v_WS) / noise_.velocity_m_s;
-    J.block<3, 3>(row, kTangentVelocity) = Matrix3d::Identity() / noise_.velocity_m_s;
+    J.SetVelocity(row, 1.0 / noise_.velocity_m_s);
     row += 3;
   }
   if (with_rate_) {
     Eigen::Map<Vector3d>(residual + row) = (state.w_WS_S - *sample_.w_WS_S) / noise_.rate_rad_s;
-    J.block<3, 3>(row, kTangentRate) = Matrix3d::Identity() / noise_.rate_rad_s;
-  }
-  if (jacobians != nullptr && jacobians[0] != nullptr) {
-    WriteStateJacobian<12>(J, blocks[0], jacobians[0]);
+    J.SetRate(row, 1.0 / noise_.rate_rad_s);
   }
   return Eigen::Map<Eigen::VectorXd>(residual, num_residuals()).allFinite();
 }
@@ -74,33 +89,29 @@ void KinematicFactor::Set(double dt, DynamicsForm form, double sigma_position_m,
 bool KinematicFactor::Evaluate(double const* const* blocks, double* residual,
                                double** jacobians) const {
   const State s0 = State::FromBlock(blocks[0]), s1 = State::FromBlock(blocks[1]);
-  Eigen::Matrix<double, Eigen::Dynamic, kStateTangentSize, 0, 6, kStateTangentSize> J0, J1;
-  J0.setZero(num_residuals(), kStateTangentSize);
-  J1.setZero(num_residuals(), kStateTangentSize);
+  AmbientJacobian J0(num_residuals(), blocks[0], jacobians != nullptr ? jacobians[0] : nullptr);
+  AmbientJacobian J1(num_residuals(), blocks[1], jacobians != nullptr ? jacobians[1] : nullptr);
   int row = 0;
   if (!euler_) {
-    const Matrix3d scale = Matrix3d::Identity() / sigma_position_;
     Eigen::Map<Vector3d>(residual + 0) =
         (s1.p_WS - s0.p_WS - 0.5 * dt_ * (s0.v_WS + s1.v_WS)) / sigma_position_;
-    J0.block<3, 3>(0, kTangentPosition) = -scale;
-    J1.block<3, 3>(0, kTangentPosition) = scale;
-    J0.block<3, 3>(0, kTangentVelocity) = -0.5 * dt_ * scale;
-    J1.block<3, 3>(0, kTangentVelocity) = -0.5 * dt_ * scale;
+    J0.SetPosition(0, -1.0 / sigma_position_);
+    J1.SetPosition(0, 1.0 / sigma_position_);
+    J0.SetVelocity(0, -0.5 * dt_ / sigma_position_);
+    J1.SetVelocity(0, -0.5 * dt_ / sigma_position_);
     row = 3;
   }
   if (with_rotation_) {
     const double w0 = euler_ ? 1.0 : 0.5;
-    const Vector3d phi = Log(s0.q_WS.conjugate() * s1.q_WS);
+    Matrix3d J_r;
+    const Vector3d phi = Log(s0.q_WS.conjugate() * s1.q_WS, &J_r);
     Eigen::Map<Vector3d>(residual + row) =
         (phi - dt_ * (w0 * s0.w_WS_S + (1.0 - w0) * s1.w_WS_S)) / sigma_rotation_;
-    J0.block<3, 3>(row, kTangentRotation) = -LeftJacobianInverse(phi) / sigma_rotation_;
-    J1.block<3, 3>(row, kTangentRotation) = RightJacobianInverse(phi) / sigma_rotation_;
-    J0.block<3, 3>(row, kTangentRate) = -w0 * dt_ * Matrix3d::Identity() / sigma_rotation_;
-    J1.block<3, 3>(row, kTangentRate) = -(1.0 - w0) * dt_ * Matrix3d::Identity() / sigma_rotation_;
-  }
-  if (jacobians != nullptr) {
-    if (jacobians[0] != nullptr) WriteStateJacobian<6>(J0, blocks[0], jacobians[0]);
-    if (jacobians[1] != nullptr) WriteStateJacobian<6>(J1, blocks[1], jacobians[1]);
+    // The left Jacobian is the right one's transpose.
+    J0.SetRotation(row, J_r.transpose() / -sigma_rotation_);
+    J1.SetRotation(row, J_r / sigma_rotation_);
+    J0.SetRate(row, -w0 * dt_ / sigma_rotation_);
+    J1.SetRate(row, -(1.0 - w0) * dt_ / sigma_rotation_);
   }
   return Eigen::Map<Eigen::VectorXd>(residual, num_residuals()).allFinite();
 }

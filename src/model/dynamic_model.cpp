@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cassert>
+#include <numeric>
 #include <stdexcept>
 
 namespace odmc {
@@ -37,7 +38,7 @@ ModelParameter Configured(const Effect& effect, const ParameterSpec& spec, const
 
 DynamicModel::DynamicModel(const Vehicle& vehicle, const std::vector<std::string>& effects,
                            const EffectRegistry& registry)
-    : vehicle_(vehicle), effect_names_(effects) {
+    : vehicle_(vehicle), effect_names_(effects), nominal_(BodyProperties::Nominal(vehicle)) {
   std::string error;
   if (!vehicle.IsValid(&error)) throw std::invalid_argument(error);
   for (const std::string& name : effects) {
@@ -54,8 +55,10 @@ DynamicModel::DynamicModel(const Vehicle& vehicle, const std::vector<std::string
     throw std::invalid_argument("the model has more than " + std::to_string(kMaxModelParameters) +
                                 " parameters");
   }
-  for (const auto& effect : effects_) {
-    std::vector<int> index;
+  for (int i = 0; i < num_effects(); ++i) {
+    const auto& effect = effects_[i];
+    std::vector<int> index(effect->parameters().size());
+    std::iota(index.begin(), index.end(), first_[i]);
     std::vector<double> fallback;
     for (const std::string& full_name : effect->borrowed()) {
       index.push_back(IndexOf(full_name));
@@ -69,13 +72,17 @@ DynamicModel::DynamicModel(const Vehicle& vehicle, const std::vector<std::string
         }
       }
     }
-    borrowed_index_.push_back(index);
+    columns_.push_back(index);
     borrowed_default_.push_back(fallback);
   }
-  FindShapedColumns();
   for (int i = 0; i < num_effects(); ++i) {
+    if (effects_[i]->adds_wrench()) wrench_effects_.push_back(i);
+    if (effects_[i]->description().from_rotor_rates) rate_effects_.push_back(i);
+    if (effects_[i]->shapes_body()) {
+      shaping_effects_.push_back(i);
+      shaping_borrows_ = shaping_borrows_ || !effects_[i]->borrowed().empty();
+    }
     varies_ = varies_ || effects_[i]->depends_on_time();
-    takes_rotor_rates_ = takes_rotor_rates_ || effects_[i]->description().from_rotor_rates;
     for (const ParameterSpec& spec : effects_[i]->parameters()) {
       if (spec.process_sigma.empty()) continue;
       const std::string prefix = effects_[i]->name() + ".";
@@ -84,21 +91,27 @@ DynamicModel::DynamicModel(const Vehicle& vehicle, const std::vector<std::string
       varies_ = true;
     }
   }
+  FindRows();
 }
 
-void DynamicModel::FindShapedColumns() {
-  std::vector<bool> shaped(num_parameters(), false);
-  for (int i = 0; i < num_effects(); ++i) {
-    if (!effects_[i]->shapes_body()) continue;
-    for (size_t k = 0; k < effects_[i]->parameters().size(); ++k) shaped[first_[i] + k] = true;
-    for (const int lender : borrowed_index_[i]) {
-      if (lender >= 0) shaped[lender] = true;
+void DynamicModel::FindRows() {
+  makes_wrench_.assign(num_parameters(), false);
+  for (const int i : wrench_effects_) {
+    for (const int k : columns_[i]) {
+      if (k >= 0) makes_wrench_[k] = true;
     }
   }
-  for (int k = 0; k < num_parameters(); ++k) {
-    if (!shaped[k]) continue;
-    if (k == 0 || !shaped[k - 1]) shaped_columns_.push_back({k, 0});
-    ++shaped_columns_.back().count;
+  shaped_rows_.assign(num_parameters(), {});
+  for (const int i : shaping_effects_) {
+    const BodyPropertyRows rows = effects_[i]->shaped_rows();
+    for (const int k : columns_[i]) {
+      if (k < 0) continue;
+      BodyPropertyRows& all = shaped_rows_[k];
+      const int end = std::max(all.first + all.count, rows.first + rows.count);
+      all.first = all.count == 0 ? rows.first : std::min(all.first, rows.first);
+      all.count = end - all.first;
+      shapes_mounts_ = shapes_mounts_ || end > kRowOdometryPosition;
+    }
   }
 }
 
@@ -115,85 +128,136 @@ ModelValues DynamicModel::InitialValues() const {
   return values;
 }
 
-Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxEffectParameters, 1> DynamicModel::ValuesOf(
-    int i, const ModelValues& values) const {
+DynamicModel::EffectValues DynamicModel::ValuesOf(int i, const ModelValues& values) const {
   const int num_own = static_cast<int>(effects_[i]->parameters().size());
-  Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxEffectParameters, 1> own(
-      effects_[i]->num_values());
+  const int num_values = static_cast<int>(columns_[i].size());
+  EffectValues own(num_values);
   own.head(num_own) = values.segment(first_[i], num_own);
-  for (size_t k = 0; k < borrowed_index_[i].size(); ++k) {
-    own[num_own + static_cast<int>(k)] =
-        borrowed_index_[i][k] >= 0 ? values[borrowed_index_[i][k]] : borrowed_default_[i][k];
+  for (int k = num_own; k < num_values; ++k) {
+    const int lent = columns_[i][k];
+    own[k] = lent >= 0 ? values[lent] : borrowed_default_[i][k - num_own];
   }
   return own;
 }
 
+bool DynamicModel::Takes(int i, int parameter) const {
+  return std::find(columns_[i].begin(), columns_[i].end(), parameter) != columns_[i].end();
+}
+
 BodyProperties DynamicModel::Properties(const ModelValues& values, BodyPropertiesJacobian* J,
                                         double time_s) const {
-  assert(values.size() == num_parameters());
-  BodyProperties body = BodyProperties::Nominal(vehicle_);
   if (J != nullptr) J->setZero(kNumBodyPropertyRows, num_parameters());
-  BodyPropertyJacobian own;
-  for (int i = 0; i < num_effects(); ++i) {
-    if (!effects_[i]->shapes_body()) continue;
-    effects_[i]->Shape(time_s, ValuesOf(i, values), &body, J != nullptr ? &own : nullptr);
-    if (J == nullptr) continue;
-    const int num_own = static_cast<int>(effects_[i]->parameters().size());
-    J->middleCols(first_[i], num_own) += own.leftCols(num_own);
-    for (size_t k = 0; k < borrowed_index_[i].size(); ++k) {
-      if (borrowed_index_[i][k] >= 0) {
-        J->col(borrowed_index_[i][k]) += own.col(num_own + static_cast<int>(k));
-      }
+  return ShapedProperties(values, time_s, J);
+}
+
+BodyProperties DynamicModel::ShapedProperties(const ModelValues& values, double time_s,
+                                              BodyPropertiesJacobian* J) const {
+  assert(values.size() == num_parameters());
+  BodyProperties body = nominal_;
+  if (J != nullptr) {
+    J->resize(kNumBodyPropertyRows, num_parameters());
+    for (int k = 0; k < num_parameters(); ++k) {
+      double* const column = J->data() + kNumBodyPropertyRows * k;
+      for (int i = 0; i < shaped_rows_[k].count; ++i) column[shaped_rows_[k].first + i] = 0.0;
+    }
+  }
+  for (const int i : shaping_effects_) {
+    const Effect& effect = *effects_[i];
+    if (J == nullptr) {
+      effect.Shape(time_s, ValuesOf(i, values), &body);
+      continue;
+    }
+    if (!shaping_borrows_) {
+      BodyPropertyJacobian own(J->data() + kNumBodyPropertyRows * first_[i], kNumBodyPropertyRows,
+                               effect.num_values());
+      effect.Shape(time_s, ValuesOf(i, values), &body, &own);
+      continue;
+    }
+    // Apart, since what another effect borrowed may have left something in the same columns.
+    const BodyPropertyRows rows = effect.shaped_rows();
+    Eigen::Matrix<double, kNumBodyPropertyRows, kMaxEffectParameters> storage;
+    BodyPropertyJacobian own(storage.data(), kNumBodyPropertyRows, effect.num_values());
+    own.middleRows(rows.first, rows.count).setZero();
+    effect.Shape(time_s, ValuesOf(i, values), &body, &own);
+    for (int k = 0; k < effect.num_values(); ++k) {
+      const int column = columns_[i][k];
+      if (column < 0) continue;
+      J->col(column).segment(rows.first, rows.count) += own.col(k).segment(rows.first, rows.count);
     }
   }
   return body;
 }
 
-void DynamicModel::EvaluateWrench(const FlightState& state, const ModelValues& values,
-                                  const Eigen::Vector3d& p_BBcm, Eigen::Vector3d* f_B,
-                                  Eigen::Vector3d* tau_Bcm_B, ModelWrenchJacobians* J) const {
+void DynamicModel::AddEffect(int i, const FlightState& state, const ModelValues& values,
+                             Wrench* wrench, WrenchJacobians* J) const {
+  const Effect& effect = *effects_[i];
+  if (effect.borrowed().empty()) {
+    effect.AddWrench(state, values.segment(first_[i], effect.num_values()), wrench, J);
+  } else {
+    effect.AddWrench(state, ValuesOf(i, values), wrench, J);
+  }
+}
+
+void DynamicModel::EvaluateSome(const std::vector<int>& effects, const FlightState& state,
+                                const ModelValues& values, const Eigen::Vector3d& p_BBcm,
+                                Eigen::Vector3d* f_B, Eigen::Vector3d* tau_Bcm_B,
+                                ModelWrenchJacobians* J, const TorqueAnchor* anchor) const {
   Wrench wrench;
-  WrenchJacobians jacobians;
-  // Takes rows f_B, f_points_B, tau_Bo_B to rows f_B, tau_Bcm_B.
-  Eigen::Matrix<double, 6, 9> shift;
   if (J != nullptr) {
-    shift.setZero();
-    shift.block<3, 3>(0, 0).setIdentity();
-    shift.block<3, 3>(3, 3) = -Hat(p_BBcm);
-    shift.block<3, 3>(3, 6).setIdentity();
+    J->d_state.setZero();
+    J->by_pose = false;
     J->d_values.setZero(6, num_parameters());
   }
-  for (int i = 0; i < num_effects(); ++i) {
-    if (!effects_[i]->adds_wrench()) continue;
-    effects_[i]->AddWrench(state, ValuesOf(i, values), &wrench,
-                           J != nullptr ? &jacobians : nullptr);
-    if (J == nullptr) continue;
-    const int num_own = static_cast<int>(effects_[i]->parameters().size());
-    J->d_values.middleCols(first_[i], num_own).noalias() +=
-        shift * jacobians.d_parameters.leftCols(num_own);
-    for (size_t k = 0; k < borrowed_index_[i].size(); ++k) {
-      if (borrowed_index_[i][k] >= 0) {
-        J->d_values.col(borrowed_index_[i][k]) +=
-            shift * jacobians.d_parameters.col(num_own + static_cast<int>(k));
-      }
+  const auto add = [&](int i, const ModelValues& at, bool force, bool torque, Wrench* sum) {
+    if (J == nullptr) return AddEffect(i, state, at, sum, nullptr);
+    WrenchJacobians own(p_BBcm, columns_[i], force, torque, J);
+    AddEffect(i, state, at, sum, &own);
+  };
+  const bool apart = anchor != nullptr && values[anchor->index] != anchor->value;
+  for (const int i : effects) {
+    if (!apart || !Takes(i, anchor->index)) {
+      add(i, values, true, true, &wrench);
+      continue;
     }
+    // Force by one value and torque by another: the effect twice, a half of each.
+    ModelValues anchored = values;
+    anchored[anchor->index] = anchor->value;
+    Wrench for_force, for_torque;
+    add(i, values, true, false, &for_force);
+    add(i, anchored, false, true, &for_torque);
+    wrench.f_B += for_force.f_B;
+    wrench.f_points_B += for_torque.f_points_B;
+    wrench.tau_Bo_B += for_torque.tau_Bo_B;
   }
   *f_B = wrench.f_B;
   *tau_Bcm_B = wrench.TorqueAbout(p_BBcm);
   if (J == nullptr) return;
-  J->d_state.noalias() = shift * jacobians.d_state;
+  if (anchor != nullptr) J->d_values.block<3, 1>(3, anchor->index).setZero();
   J->d_p_BBcm.topRows<3>().setZero();
   J->d_p_BBcm.bottomRows<3>() = Hat(wrench.f_points_B);
+}
+
+void DynamicModel::EvaluateWrench(const FlightState& state, const ModelValues& values,
+                                  const Eigen::Vector3d& p_BBcm, Eigen::Vector3d* f_B,
+                                  Eigen::Vector3d* tau_Bcm_B, ModelWrenchJacobians* J,
+                                  const TorqueAnchor* anchor) const {
+  EvaluateSome(wrench_effects_, state, values, p_BBcm, f_B, tau_Bcm_B, J, anchor);
+}
+
+void DynamicModel::EvaluateRateEffects(const FlightState& state, const ModelValues& values,
+                                       const Eigen::Vector3d& p_BBcm, Eigen::Vector3d* f_B,
+                                       Eigen::Vector3d* tau_Bcm_B, ModelWrenchJacobians* J,
+                                       const TorqueAnchor* anchor) const {
+  EvaluateSome(rate_effects_, state, values, p_BBcm, f_B, tau_Bcm_B, J, anchor);
 }
 
 std::vector<EffectWrench> DynamicModel::EvaluateEffects(const FlightState& state,
                                                         const ModelValues& values,
                                                         const Eigen::Vector3d& p_BBcm) const {
   std::vector<EffectWrench> result;
-  for (int i = 0; i < num_effects(); ++i) {
-    if (!effects_[i]->adds_wrench()) continue;
+  for (const int i : wrench_effects_) {
     Wrench wrench;
-    effects_[i]->AddWrench(state, ValuesOf(i, values), &wrench);
+    AddEffect(i, state, values, &wrench, nullptr);
     result.push_back({effects_[i]->name(), wrench.f_B, wrench.TorqueAbout(p_BBcm)});
   }
   return result;

@@ -42,14 +42,12 @@ Effect::Effect(const Vehicle& vehicle, EffectDescription description,
 void Effect::AddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
                        WrenchJacobians* J) const {
   assert(values.size() == num_values());
-  if (J != nullptr) J->d_parameters.setZero(9, num_values());
   DoAddWrench(state, values, wrench, J);
 }
 
 void Effect::Shape(double time_s, const ParameterValues& values, BodyProperties* body,
                    BodyPropertyJacobian* J) const {
   assert(values.size() == num_values());
-  if (J != nullptr) J->setZero(kNumBodyPropertyRows, num_values());
   DoShapeAt(time_s, values, body, J);
 }
 

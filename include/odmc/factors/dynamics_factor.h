@@ -131,18 +131,4 @@ class DynamicsFactor final : public ceres::CostFunction {
 void SetBlockSizes(int states, bool bias, const ParameterLayout& layout,
                    std::vector<int32_t>* sizes);
 
-/// Takes derivatives with respect to physical values to eta and writes them to Ceres' array `out`,
-/// which may be null.
-template <int N>
-void WriteParameterJacobian(const ParameterLayout& layout, const ModelValues& values,
-                            const ValueJacobian<N>& d_values, double* out) {
-  if (out == nullptr) return;
-  const ParameterVector chain = layout.ChainFactors(values);
-  Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>> J(
-      out, d_values.rows(), layout.num_estimated());
-  for (int i = 0; i < layout.num_estimated(); ++i) {
-    J.col(i) = chain[i] * d_values.col(layout.model_index(i));
-  }
-}
-
 }  // namespace odmc

@@ -22,6 +22,7 @@ class ParameterLayout {
   int num_estimated() const { return static_cast<int>(model_index_.size()); }
   /// Index in DynamicModel::parameters() of entry `i` of eta.
   int model_index(int i) const { return model_index_[i]; }
+  const std::vector<int>& model_indices() const { return model_index_; }
 
   /// eta of model values (only its estimated entries are read).
   ParameterVector Encode(const ModelValues& values) const;

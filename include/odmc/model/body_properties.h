@@ -39,4 +39,9 @@ enum BodyPropertyRow : int {
   kNumBodyPropertyRows = 28,
 };
 
+/// A run of those rows.
+struct BodyPropertyRows {
+  int first = 0, count = 0;
+};
+
 }  // namespace odmc

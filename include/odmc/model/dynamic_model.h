@@ -26,24 +26,19 @@ struct EffectWrench {
   Eigen::Vector3d tau_Bcm_B;  ///< [N m]
 };
 
-/// Largest number of parameters a whole model may have.
-constexpr int kMaxModelParameters = 96;
-
 /// All parameters of a model, physical values in SI, in the order of DynamicModel::parameters().
 /// Never allocates.
 using ModelValues = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxModelParameters, 1>;
 
-/// Derivative of a wrench about Bcm: rows f_B, tau_Bcm_B (6).
-struct ModelWrenchJacobians {
-  Eigen::Matrix<double, 6, kNumFlightStateColumns> d_state;
-  Eigen::Matrix<double, 6, 3> d_p_BBcm;  ///< with the body frame held
-  Eigen::Matrix<double, 6, Eigen::Dynamic, 0, 6, kMaxModelParameters>
-      d_values;  ///< 6×num_parameters(), centre of mass held
-};
-
 /// Derivative of BodyProperties with respect to all parameters of a model (28×num_parameters()).
 using BodyPropertiesJacobian = Eigen::Matrix<double, kNumBodyPropertyRows, Eigen::Dynamic, 0,
                                              kNumBodyPropertyRows, kMaxModelParameters>;
+
+/// A parameter that the torque takes at a value of its own; the force has the model's.
+struct TorqueAnchor {
+  int index;  ///< in DynamicModel::parameters()
+  double value;
+};
 
 /// The rigid body with its effects: one list, in any order, whose wrenches add up.
 /// Immutable after construction, safe to share between threads.
@@ -54,12 +49,13 @@ class DynamicModel {
   DynamicModel(const Vehicle& vehicle, const std::vector<std::string>& effects,
                const EffectRegistry& registry = EffectRegistry::Default());
 
-  /// A run of parameters.
-  struct ColumnRange {
-    int first = 0, count = 0;
-  };
-  /// The parameters that shape the body: the columns of Properties()' derivative that are not zero.
-  const std::vector<ColumnRange>& shaped_columns() const { return shaped_columns_; }
+  /// True if an effect that adds a wrench takes parameter `k`.
+  bool makes_wrench(int k) const { return makes_wrench_[k]; }
+  /// Where parameter `k` shapes the body: the rest of its column of Properties()' derivative is
+  /// zero, always.
+  const BodyPropertyRows& shaped_rows(int k) const { return shaped_rows_[k]; }
+  /// True if a parameter shapes the mount of a sensor.
+  bool shapes_mounts() const { return shapes_mounts_; }
 
   const Vehicle& vehicle() const { return vehicle_; }
   const std::vector<std::string>& effect_names() const { return effect_names_; }
@@ -80,12 +76,15 @@ class DynamicModel {
   /// at its end); if `J` is given, it becomes 28×num_parameters().
   BodyProperties Properties(const ModelValues& values, BodyPropertiesJacobian* J = nullptr,
                             double time_s = std::numeric_limits<double>::infinity()) const;
+  /// The same; of `J` (28×num_parameters()) it sets only shaped_rows().
+  BodyProperties ShapedProperties(const ModelValues& values, double time_s,
+                                  BodyPropertiesJacobian* J) const;
 
   /// True if the body changes with time or a parameter varies as a process.
   bool varies() const { return varies_; }
 
   /// True if an effect takes the rates of the rotor speeds.
-  bool takes_rotor_rates() const { return takes_rotor_rates_; }
+  bool takes_rotor_rates() const { return !rate_effects_.empty(); }
 
   /// A parameter that varies as a first-order Gauss-Markov process about zero.
   struct ProcessParameter {
@@ -96,28 +95,50 @@ class DynamicModel {
   const std::vector<ProcessParameter>& processes() const { return processes_; }
 
   /// Force on the body and torque about the centre of mass `p_BBcm`, in B.      model.md Eq. (A)
+  /// @param anchor if given, what the torque takes of its own, and does not depend on
   void EvaluateWrench(const FlightState& state, const ModelValues& values,
                       const Eigen::Vector3d& p_BBcm, Eigen::Vector3d* f_B,
-                      Eigen::Vector3d* tau_Bcm_B, ModelWrenchJacobians* J = nullptr) const;
+                      Eigen::Vector3d* tau_Bcm_B, ModelWrenchJacobians* J = nullptr,
+                      const TorqueAnchor* anchor = nullptr) const;
+
+  /// The same of only those effects that take the rates of the rotor speeds.
+  void EvaluateRateEffects(const FlightState& state, const ModelValues& values,
+                           const Eigen::Vector3d& p_BBcm, Eigen::Vector3d* f_B,
+                           Eigen::Vector3d* tau_Bcm_B, ModelWrenchJacobians* J = nullptr,
+                           const TorqueAnchor* anchor = nullptr) const;
 
   /// The same, effect by effect (only those that add a wrench).
   std::vector<EffectWrench> EvaluateEffects(const FlightState& state, const ModelValues& values,
                                             const Eigen::Vector3d& p_BBcm) const;
 
  private:
-  void FindShapedColumns();
-  Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxEffectParameters, 1> ValuesOf(
-      int i, const ModelValues& values) const;
+  using EffectValues = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxEffectParameters, 1>;
+
+  void FindRows();
+  EffectValues ValuesOf(int i, const ModelValues& values) const;
+  bool Takes(int i, int parameter) const;
+  /// Adds effect `i` at `values`.
+  void AddEffect(int i, const FlightState& state, const ModelValues& values, Wrench* wrench,
+                 WrenchJacobians* J) const;
+  void EvaluateSome(const std::vector<int>& effects, const FlightState& state,
+                    const ModelValues& values, const Eigen::Vector3d& p_BBcm, Eigen::Vector3d* f_B,
+                    Eigen::Vector3d* tau_Bcm_B, ModelWrenchJacobians* J,
+                    const TorqueAnchor* anchor) const;
 
   Vehicle vehicle_;
   std::vector<std::string> effect_names_;
   std::vector<std::unique_ptr<Effect>> effects_;
   std::vector<int> first_;
-  std::vector<ColumnRange> shaped_columns_;
+  std::vector<int> wrench_effects_, rate_effects_, shaping_effects_;  // by index
+  BodyProperties nominal_;
+  std::vector<char> makes_wrench_;             // by parameter
+  std::vector<BodyPropertyRows> shaped_rows_;  // by parameter
+  bool shapes_mounts_ = false, shaping_borrows_ = false;
   std::vector<ProcessParameter> processes_;
-  bool takes_rotor_rates_ = false;
   bool varies_ = false;
-  std::vector<std::vector<int>> borrowed_index_;  // -1 where the lender is absent
+  // Of each effect: where its values are, own ones first; -1 where the lender is absent, and then
+  // the value of the borrowed one.
+  std::vector<std::vector<int>> columns_;
   std::vector<std::vector<double>> borrowed_default_;
   std::vector<ModelParameter> parameters_;
 };

@@ -16,9 +16,9 @@ namespace odmc {
 /// Values of one effect's parameters, own ones first, then borrowed ones [their units].
 using ParameterValues = Eigen::Ref<const Eigen::VectorXd>;
 
-/// Derivative of BodyProperties with respect to one effect's parameters (28×n).
-using BodyPropertyJacobian = Eigen::Matrix<double, kNumBodyPropertyRows, Eigen::Dynamic, 0,
-                                           kNumBodyPropertyRows, kMaxEffectParameters>;
+/// Derivative of BodyProperties with respect to one effect's parameters (28×n), wherever it lies.
+using BodyPropertyJacobian =
+    Eigen::Map<Eigen::Matrix<double, kNumBodyPropertyRows, Eigen::Dynamic>>;
 
 /// What an effect is, in words: printed by `--help`, the report and the documentation.
 struct EffectDescription {
@@ -54,18 +54,20 @@ class Effect {
   virtual bool adds_wrench() const { return true; }
   /// True if the effect shapes the body.
   virtual bool shapes_body() const { return !adds_wrench(); }
+  /// Where it shapes the body: the rows its derivative may fill. Fewer make the estimator faster.
+  virtual BodyPropertyRows shaped_rows() const { return {0, kNumBodyPropertyRows}; }
   /// True if the body it shapes changes with time.
   virtual bool depends_on_time() const { return false; }
 
   /// Adds this effect's forces (with the point they act at) and couples, in B, to `wrench`. If `J`
-  /// is given, adds to its state derivatives and sets `J->d_parameters` (9×num_values()).
+  /// is given, adds the derivatives by state and parameters to it.
   /// @pre values.size() == num_values()
   void AddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
                  WrenchJacobians* J = nullptr) const;
 
-  /// Changes what it shapes in `body`, `time_s` after the flight's start. If `J` is given, sets it
-  /// (28×num_values()).
-  /// @pre values.size() == num_values()
+  /// Changes what it shapes in `body`, `time_s` after the flight's start. If `J` is given
+  /// (28×num_values()), sets what is not zero of it.
+  /// @pre values.size() == num_values(); `J` is zero
   void Shape(double time_s, const ParameterValues& values, BodyProperties* body,
              BodyPropertyJacobian* J = nullptr) const;
 

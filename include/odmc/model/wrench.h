@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <vector>
 
 #include "odmc/math/so3.h"
 
@@ -39,40 +40,59 @@ enum FlightStateColumn : int {
   kNumFlightStateColumns = 12,
 };
 
-/// Derivatives of a Wrench: rows f_B, f_points_B, tau_Bo_B (9).
-struct WrenchJacobians {
-  using StateBlock = Eigen::Matrix<double, 3, kNumFlightStateColumns>;
-  using ParameterBlock = Eigen::Matrix<double, 9, Eigen::Dynamic, 0, 9, kMaxEffectParameters>;
+/// Largest number of parameters a whole model may have.
+constexpr int kMaxModelParameters = 96;
 
-  Eigen::Matrix<double, 9, kNumFlightStateColumns> d_state =
-      Eigen::Matrix<double, 9, kNumFlightStateColumns>::Zero();
-  ParameterBlock d_parameters;  ///< 9×n, own parameters then borrowed ones
+/// Derivative of a wrench about Bcm: rows f_B, tau_Bcm_B (6).
+struct ModelWrenchJacobians {
+  Eigen::Matrix<double, 6, kNumFlightStateColumns> d_state;
+  bool by_pose = false;  ///< whether d_state's columns of attitude and position are not all zero
+  Eigen::Matrix<double, 6, 3> d_p_BBcm;  ///< with the body frame held
+  Eigen::Matrix<double, 6, Eigen::Dynamic, 0, 6, kMaxModelParameters>
+      d_values;  ///< 6×num_parameters(), centre of mass held
+};
 
-  /// Derivative of AddForceAt() with respect to three state columns from `column` on (3×3).
+/// Where one effect adds the derivatives of its wrench: carries them to Bcm and to the places of
+/// the effect's parameters among the model's.
+class WrenchJacobians {
+ public:
+  /// @param columns place in `J->d_values` of each of the effect's values, -1 for none
+  /// @param force, torque which rows to add to
+  WrenchJacobians(const Eigen::Vector3d& p_BBcm, const std::vector<int>& columns, bool force,
+                  bool torque, ModelWrenchJacobians* J)
+      : p_BBcm_(p_BBcm), columns_(columns.data()), force_(force), torque_(torque), J_(J) {}
+
+  /// Derivative of Wrench::AddForceAt() with respect to three state columns from `column` on (3×3).
   void AddForceAt(const Eigen::Vector3d& p_BP, int column, const Eigen::Matrix3d& d_force) {
-    d_state.block<3, 3>(0, column) += d_force;
-    d_state.block<3, 3>(3, column) += d_force;
-    d_state.block<3, 3>(6, column) += Hat(p_BP) * d_force;
+    AddForceAtCom(column, d_force);
+    AddCouple(column, HatTimes(p_BP - p_BBcm_, d_force));
   }
   void AddForceAtCom(int column, const Eigen::Matrix3d& d_force) {
-    d_state.block<3, 3>(0, column) += d_force;
+    if (force_) J_->d_state.block<3, 3>(0, column) += d_force;
+    J_->by_pose |= column >= kColumnAttitude;
   }
   void AddCouple(int column, const Eigen::Matrix3d& d_couple) {
-    d_state.block<3, 3>(6, column) += d_couple;
+    if (torque_) J_->d_state.block<3, 3>(3, column) += d_couple;
+    J_->by_pose |= column >= kColumnAttitude;
   }
 
-  /// Derivative of AddForceAt() with respect to parameter `i` (3×1).
+  /// Derivative of AddForceAt() with respect to the effect's value `i` (3×1).
   void AddForceAtParameter(const Eigen::Vector3d& p_BP, int i, const Eigen::Vector3d& d_force) {
-    d_parameters.block<3, 1>(0, i) += d_force;
-    d_parameters.block<3, 1>(3, i) += d_force;
-    d_parameters.block<3, 1>(6, i) += p_BP.cross(d_force);
+    AddForceAtComParameter(i, d_force);
+    AddCoupleParameter(i, (p_BP - p_BBcm_).cross(d_force));
   }
   void AddForceAtComParameter(int i, const Eigen::Vector3d& d_force) {
-    d_parameters.block<3, 1>(0, i) += d_force;
+    if (force_ && columns_[i] >= 0) J_->d_values.block<3, 1>(0, columns_[i]) += d_force;
   }
   void AddCoupleParameter(int i, const Eigen::Vector3d& d_couple) {
-    d_parameters.block<3, 1>(6, i) += d_couple;
+    if (torque_ && columns_[i] >= 0) J_->d_values.block<3, 1>(3, columns_[i]) += d_couple;
   }
+
+ private:
+  const Eigen::Vector3d p_BBcm_;
+  const int* const columns_;
+  const bool force_, torque_;
+  ModelWrenchJacobians* const J_;
 };
 
 }  // namespace odmc
