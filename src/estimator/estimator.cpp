@@ -166,6 +166,8 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
       torque_information_(Eigen::VectorXd::Zero(layout_.num_estimated())) {
   std::string error;
   if (!options.IsValid(&error)) throw std::invalid_argument(error);
+  const int k_f = model->IndexOf("thrust.k_f");
+  if (with_torque && k_f >= 0) window_.SetAnchorEntry(layout_.EntryOf(k_f));
   if (options.huber_width > 0.0) {
     loss_ = std::make_unique<ceres::HuberLoss>(options.huber_width);
   }
@@ -263,7 +265,7 @@ const Snapshot* Estimator::Step() {
     solver_options.max_time_s = (settling ? 10.0 : 1.0) * options_.max_update_time_s;
     solver_options.function_tolerance = options_.function_tolerance;
     solver_options.num_threads = options_.num_threads;
-    MoveAnchors();
+    FreeInertia();
     const SolveReport report = solver_->Solve(&window_, solver_options);
     if (!report.usable) ++counters_.refused_updates;
     needs_more_iterations_ = !report.improved && !report.converged;
@@ -300,42 +302,20 @@ void Estimator::FollowLoad(const OdometrySample& sample) {
   load_pull_ = load_.Advance(*last_->v_WS, *sample.v_WS, dt, window_.values());
 }
 
-double Estimator::AnchorValue() const {
-  const int k_f = model_->IndexOf("thrust.k_f");
-  return k_f < 0 ? 0.0 : layout_.Decode(solver_->ParameterPoint(window_).data())[k_f];
-}
-
-/// The torque takes the thrust coefficient where parameters are linearized, and an inertia once the
-/// gate has opened.
-void Estimator::MoveAnchors() {
+/// Once the gate has opened, what was added before must not hold on to the start value.
+void Estimator::FreeInertia() {
   if (!with_torque_) return;
-  const double anchor = AnchorValue();
   std::array<bool, 3> is_free;
   for (int i = 0; i < 3; ++i) is_free[i] = InertiaIsFree(i);
-  const bool freed = is_free != inertia_was_free_;
-  if (anchor == anchor_ && !freed) return;
-  anchor_ = anchor;
+  if (is_free == inertia_was_free_) return;
   inertia_was_free_ = is_free;
   for (Keyframe& keyframe : window_.keyframes()) {
     for (Factor& factor : keyframe.factors) {
       if (factor.kind != FactorKind::kDynamics) continue;
-      auto& dynamics = static_cast<DynamicsFactor&>(*factor.cost);
-      dynamics.SetAnchor(anchor);
-      if (!freed) continue;
-      // What was added before the gate opened must not hold on to the start value.
       for (int i = 0; i < 3; ++i) {
-        if (is_free[i]) dynamics.FreeInertia(i);
+        if (is_free[i]) static_cast<DynamicsFactor&>(*factor.cost).FreeInertia(i);
       }
       window_.Touch(&factor);
-    }
-  }
-}
-
-void Estimator::SetAnchors(double thrust_coefficient) {
-  for (Keyframe& keyframe : window_.keyframes()) {
-    for (Factor& factor : keyframe.factors) {
-      if (factor.kind != FactorKind::kDynamics) continue;
-      static_cast<DynamicsFactor&>(*factor.cost).SetAnchor(thrust_coefficient);
     }
   }
 }
@@ -363,10 +343,9 @@ std::optional<FullSolveDifference> Estimator::CompareWithFullSolve() {
   options.max_time_s = 60.0;
   options.function_tolerance = 1e-12;
   CeresWindowSolver reference;
-  const int k_f = with_torque_ ? model_->IndexOf("thrust.k_f") : -1;
+  const double anchor = window_.anchor();
   bool solved = true;
-  for (int pass = 0; pass < 2; ++pass) {  // the torque's thrust coefficient follows the solution
-    if (k_f >= 0) SetAnchors(window_.values()[k_f]);
+  for (int pass = 0; pass < 2; ++pass) {  // the anchor follows the solution
     solved = solved && reference.Solve(&window_, options).usable;
   }
   solved = solved && reference.ParameterCovariance(window_, Eigen::VectorXd::Zero(n), &full);
@@ -397,7 +376,7 @@ std::optional<FullSolveDifference> Estimator::CompareWithFullSolve() {
     window_.keyframes()[i].x_lin = points[i];
     window_.keyframes()[i].in_prior = in_prior[i];
   }
-  if (k_f >= 0) SetAnchors(anchor_);
+  window_.anchor() = anchor;
   return difference;
 }
 
@@ -628,6 +607,7 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
     if (kind == FactorKind::kDynamics || kind == FactorKind::kAccelerometer) {
       factor.loss = loss_.get();
     }
+    factor.anchored = kind == FactorKind::kDynamics && window_.anchor_entry() >= 0;
     window_.AddFactor(std::move(factor));
   };
   const bool with_gyro = interval.imu && interval.imu->has_gyro;
@@ -645,10 +625,7 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
   measurement.rotors = form_ == DynamicsForm::kEuler ? interval.rotors.start : interval.rotors.mean;
   measurement.form = form_;
   measurement.fixed_inertia = PriorInertia(*model_);
-  if (with_torque_) {
-    measurement.anchor_index = model_->IndexOf("thrust.k_f");
-    measurement.anchor_value = AnchorValue();
-  }
+  if (window_.anchor_entry() >= 0) measurement.anchor_index = model_->IndexOf("thrust.k_f");
   const State& s0 = State::FromBlock(window_.keyframe(id - 1).x.data());
   const State& s1 = State::FromBlock(window_.keyframe(id).x.data());
   const Eigen::Matrix3d R_BS = model_->Properties(window_.values()).R_BS;

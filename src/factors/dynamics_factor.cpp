@@ -183,6 +183,14 @@ void DynamicsFactor::Set(const DynamicsMeasurement& measurement, const DynamicsN
   if (!(measurement.dt > 0.0)) throw std::invalid_argument("DynamicsFactor: dt must be positive");
   set_num_residuals(velocity_row() + 3 + (with_torque ? 3 : 0));
   SetBlockSizes(2, false, *layout, mutable_parameter_block_sizes());
+  anchor_entry_ = measurement.anchor_index < 0 ? -1 : layout->EntryOf(measurement.anchor_index);
+  if (anchor_entry_ >= 0) mutable_parameter_block_sizes()->push_back(1);
+}
+
+DynamicsMeasurement DynamicsFactor::AnchoredAt(double const* const* blocks) const {
+  DynamicsMeasurement anchored = measurement_;
+  anchored.anchor_value = layout_->ToValue(anchor_entry_, *blocks[3]);
+  return anchored;
 }
 
 bool DynamicsFactor::Evaluate(double const* const* blocks, double* residual,
@@ -198,18 +206,21 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
   const int rows = num_residuals();
   const bool with_values = layout_->num_estimated() > 0;
   const ModelValues values = layout_->Decode(with_values ? blocks[2] : nullptr);
-  const IntervalModel k(measurement_, State::FromBlock(blocks[0]), State::FromBlock(blocks[1]),
+  const DynamicsMeasurement anchored =
+      anchor_entry_ >= 0 ? AnchoredAt(blocks) : DynamicsMeasurement();
+  const DynamicsMeasurement& measurement = anchor_entry_ >= 0 ? anchored : measurement_;
+  const IntervalModel k(measurement, State::FromBlock(blocks[0]), State::FromBlock(blocks[1]),
                         *model_, values, with_torque_, jacobians != nullptr);
   Terms terms;
-  Eigen::Matrix<double, N, 1> e = EvaluateRows<N>(measurement_, k, &terms);
+  Eigen::Matrix<double, N, 1> e = EvaluateRows<N>(measurement, k, &terms);
   const Vector3d inertia = k.body.I_BBcm_B.diagonal();
 
   // Whitening: one weight a row; Form E also decorrelates e_v from e_p.
-  const double dt = measurement_.dt;
+  const double dt = measurement.dt;
   const bool rated = noise_.rotor_rate_rad_s2 > 0.0 && model_->takes_rotor_rates();
   RotorRateNoise rates;
   if (rated) {
-    rates = NoiseOfRotorRates(measurement_, noise_.rotor_rate_rad_s2, *model_, values,
+    rates = NoiseOfRotorRates(measurement, noise_.rotor_rate_rad_s2, *model_, values,
                               jacobians != nullptr);
   }
   const Vector3d rotor_force(0.0, 0.0, noise_.rotor_force_N);
@@ -251,11 +262,19 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
   whiten(&e);
   Eigen::Map<Eigen::VectorXd>(residual_out, rows) = e.head(rows);
   if (jacobians == nullptr) return e.allFinite();
-  IntervalDerivatives<N> D = RowDerivatives<N>(measurement_, k, terms);
+  IntervalDerivatives<N> D = RowDerivatives<N>(measurement, k, terms);
   for (int i = 0; i < 3; ++i) D.d_body()(a + i, kRowInertia + i) += by_inertia[i];
   Eigen::Matrix<double, N, kStateTangentSize> d_state0, d_state1;
   ValueJacobian<N> d_values;
   AssembleJacobians(k, layout_->model_indices(), &D, &d_state0, &d_state1, &d_values);
+  if (anchor_entry_ >= 0 && jacobians[3] != nullptr) {
+    const double chain = layout_->ChainFactor(anchor_entry_, measurement.anchor_value);
+    const Vector3d d_alpha = -dt * chain * (terms.I_inverse * k.d_wrench.d_anchor);
+    std::fill_n(jacobians[3], rows, 0.0);
+    for (int i = 0; i < (with_torque_ ? 3 : 0); ++i) {
+      jacobians[3][rows - 3 + i] = weight[a + i] * d_alpha[i];
+    }
+  }
   whiten(&d_state0);
   whiten(&d_state1);
   WriteStateJacobian<N>(d_state0, rows, blocks[0], jacobians[0]);
@@ -279,7 +298,7 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
 
 bool DynamicsFactor::UnwhitenedResidual(double const* const* blocks,
                                         Eigen::Matrix<double, kNumDynamicsRows, 1>* e) const {
-  *e = DynamicsResidual(measurement_, State::FromBlock(blocks[0]), State::FromBlock(blocks[1]),
+  *e = DynamicsResidual(anchor_entry_ >= 0 ? AnchoredAt(blocks) : measurement_, State::FromBlock(blocks[0]), State::FromBlock(blocks[1]),
                         *model_,
                         layout_->Decode(layout_->num_estimated() > 0 ? blocks[2] : nullptr));
   return e->allFinite();

@@ -30,6 +30,11 @@ double ParameterLayout::ToValue(int i, double eta) const {
   return scale_[i] * (is_log_[i] ? std::exp(std::clamp(eta, -20.0, 20.0)) : eta);
 }
 
+int ParameterLayout::EntryOf(int index) const {
+  const auto found = std::find(model_index_.begin(), model_index_.end(), index);
+  return found == model_index_.end() ? -1 : static_cast<int>(found - model_index_.begin());
+}
+
 ParameterVector ParameterLayout::Encode(const ModelValues& values) const {
   ParameterVector eta(num_estimated());
   for (int i = 0; i < num_estimated(); ++i) eta[i] = ToEta(i, values[model_index_[i]]);
@@ -45,7 +50,7 @@ ModelValues ParameterLayout::Decode(const double* eta) const {
 ParameterVector ParameterLayout::ChainFactors(const ModelValues& values) const {
   ParameterVector factors(num_estimated());
   for (int i = 0; i < num_estimated(); ++i) {
-    factors[i] = is_log_[i] ? values[model_index_[i]] : scale_[i];
+    factors[i] = ChainFactor(i, values[model_index_[i]]);
   }
   return factors;
 }

@@ -232,7 +232,10 @@ void DynamicModel::EvaluateSome(const std::vector<int>& effects, const FlightSta
   *f_B = wrench.f_B;
   *tau_Bcm_B = wrench.TorqueAbout(p_BBcm);
   if (J == nullptr) return;
-  if (anchor != nullptr) J->d_values.block<3, 1>(3, anchor->index).setZero();
+  if (anchor != nullptr) {
+    J->d_anchor = J->d_values.block<3, 1>(3, anchor->index);
+    J->d_values.block<3, 1>(3, anchor->index).setZero();
+  }
   J->d_p_BBcm.topRows<3>().setZero();
   J->d_p_BBcm.bottomRows<3>() = Hat(wrench.f_points_B);
 }

@@ -64,6 +64,7 @@ CeresWindowSolver::CeresWindowSolver(int fresh)
 CeresWindowSolver::~CeresWindowSolver() = default;
 
 SolveReport CeresWindowSolver::Solve(Window* window, const SolverOptions& options) {
+  window->MoveAnchor();
   ceres::Problem::Options problem_options;
   problem_options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   problem_options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -94,6 +95,9 @@ SolveReport CeresWindowSolver::Solve(Window* window, const SolverOptions& option
       problem.AddResidualBlock(&costs.back(), const_cast<ceres::LossFunction*>(factor.loss),
                                window->MutableBlocks(factor));
     }
+  }
+  if (problem.HasParameterBlock(&window->anchor())) {
+    problem.SetParameterBlockConstant(&window->anchor());
   }
   ceres::Solver::Options solver_options;
   solver_options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;

@@ -139,8 +139,8 @@ bool ChainFront::Evaluate(const Window& window, const Factor& factor, const Chai
   }
 
   // The blocks, and the first column of each.
-  std::array<const double*, 5> blocks{};
-  std::array<int, 5> at{};
+  std::array<const double*, 6> blocks{};
+  std::array<int, 6> at{};
   int count = 0;
   const auto add = [&](const double* block, int column) {
     blocks[count] = block;
@@ -157,12 +157,14 @@ bool ChainFront::Evaluate(const Window& window, const Factor& factor, const Chai
   if (factor.parameters && n_ > 0) {
     add(parameter_point.data(), border_at + BorderColumns::kParameters);
   }
+  const double anchor = window.anchor();
+  if (factor.anchored) add(&anchor, border_at + columns.anchor());
 
   size_t total = 0;
   for (const int size : sizes) total += static_cast<size_t>(num_rows * size);
   if (scratch->jacobians.size() < total) scratch->jacobians.resize(total);
   if (scratch->residual.size() < static_cast<size_t>(num_rows)) scratch->residual.resize(num_rows);
-  std::array<double*, 5> jacobians{};
+  std::array<double*, 6> jacobians{};
   double* end = scratch->jacobians.data();
   for (int i = 0; i < count; ++i) {
     jacobians[i] = end;

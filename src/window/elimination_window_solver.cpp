@@ -242,6 +242,7 @@ SolveReport EliminationWindowSolver::Solve(Window* window, const SolverOptions& 
   const auto elapsed_s = [&start] {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   };
+  window->MoveAnchor();
   SolveReport report;
   std::optional<double> cost = impl_->Assemble(*window);
   report.iterations = 1;  // the start counts as one, as with Ceres

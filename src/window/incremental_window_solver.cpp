@@ -95,7 +95,8 @@ void IncrementalWindowSolver::WritePrior(Window* window) {
   const auto put_border = [&](const double* border) {
     for (int j = 0; j < prior.bias_columns(); ++j) prior.A(row, first_bias + j) = border[j];
     for (int j = 0; j < n; ++j) prior.A(row, first + j) = border[BorderColumns::kParameters + j];
-    prior.b[row] = border[past_.columns().rhs()] + prior.A.row(row).tail(n).dot(prior.eta_lin);
+    prior.b[row] = border[past_.columns().rhs()] + prior.A.row(row).tail(n).dot(prior.eta_lin) +
+                   border[past_.columns().anchor()] * window->anchor();
     for (int j = 0; j < prior.bias_columns(); ++j) {
       prior.b[row] += border[j] * window->bias(bias).x[static_cast<size_t>(j)];
     }
@@ -131,12 +132,13 @@ bool IncrementalWindowSolver::Build(Window* window) {
   ReadPrior(*window);
   incremental_ = true;
   window->TakeTouched();
+  window->MoveAnchor();
   const auto border = static_cast<size_t>(past_.stride());
   shared_.assign(border, 0.0);
   propagated_.assign(border, 0.0);
   border_.assign(border, 0.0);
   for (int i = 0; i < n; ++i) shared_[BorderColumns::kParameters + i] = window->eta()[i];
-  pending_.setZero(n + 1, n + 1);
+  pending_.setZero(n, n + 2);
   has_pending_ = false;
   if (sigma_.size() != n) sigma_ = window->parameter_sigma();
   if (fronts_.empty()) {
@@ -303,10 +305,10 @@ bool IncrementalWindowSolver::SweepAll(const Window& window) {
 /// Shared variables from the root. @returns false, leaving the window, if the step is too long for
 /// a linear model or not a number
 bool IncrementalWindowSolver::SolveRoot(Window* window) {
-  root_.Solve(border_.data());
+  root_.Solve(window->anchor_entry(), window->anchor(), border_.data());
   const int n = past_.columns().n;
   const double* eta = border_.data() + BorderColumns::kParameters;
-  for (int i = 0; i < past_.columns().rhs(); ++i) {
+  for (int i = 0; i < past_.columns().size(); ++i) {
     if (!std::isfinite(border_[static_cast<size_t>(i)])) return false;
   }
   for (int i = 0; i < n; ++i) {
@@ -317,6 +319,7 @@ bool IncrementalWindowSolver::SolveRoot(Window* window) {
   for (int i = 0; i < n; ++i) {
     window->eta()[i] = shared_[static_cast<size_t>(BorderColumns::kParameters + i)];
   }
+  window->anchor() = shared_[static_cast<size_t>(past_.columns().anchor())];
   const std::int64_t bias = window->keyframes().back().bias;
   if (bias >= 0) std::copy_n(shared_.begin(), 6, BiasOf(window, bias));
   return true;
@@ -505,7 +508,8 @@ void IncrementalWindowSolver::Observe(const Window& window, const ChainFront& f,
     }
     for (int i = 0; i < kept.rows; ++i) {
       const double* row = block.row(kept.row + i);
-      double r = row[border + past_.columns().rhs()];
+      double r = row[border + past_.columns().rhs()] +
+                 row[border + past_.columns().anchor()] * window.anchor();
       for (int j = 0; j < kState; ++j) r += row[j] * own[j];
       if (kept.in_pair) {
         for (int j = 0; j < kState; ++j) r += row[f.pivots() + j] * next[j];
@@ -570,7 +574,7 @@ bool IncrementalWindowSolver::ParameterCovariance(const Window& window,
 bool IncrementalWindowSolver::StateCovariance(const Window& window, StateMatrix* covariance) {
   if (!Follows(window) || fronts_.empty()) return batch_.StateCovariance(window, covariance);
   // Rows [T S] of the state and R of the root: covariance T^-1 (I + Q Qᵀ) T^-ᵀ with Q R = S.
-  const int shared = past_.columns().rhs();
+  const int shared = past_.columns().pivots();
   StateMatrix sum = StateMatrix::Identity();
   scratch_.pair.SetZero(kState, PaddedRow(shared));
   for (int i = 0; i < kState; ++i) {
@@ -639,11 +643,8 @@ const Eigen::MatrixXd& IncrementalWindowSolver::ScalePast(
 
 void IncrementalWindowSolver::DiffusePast(int index, double variance, Window* window) {
   if (!Follows(*window)) return batch_.DiffusePast(index, variance, window);
-  Prior alone;
-  past_.GetParameterRows(&alone.A, &alone.b);
-  DiffusePrior(index, variance, &alone);
-  past_rows_ = alone.A;
-  past_rhs_ = alone.b;
+  past_.GetParameterRows(&past_rows_, &past_rhs_);
+  DiffuseRows(index, variance, &past_rows_, &past_rhs_);
   ChangePast();
 }
 
@@ -651,11 +652,7 @@ Eigen::MatrixXd IncrementalWindowSolver::PastInformation(const Window& window) {
   if (!Follows(window)) return batch_.PastInformation(window);
   const int n = past_.columns().n;
   past_.ParameterNormal(&workspace_, &normal_);
-  return normal_.topLeftCorner(n, n);
-}
-
-const ParameterVector& IncrementalWindowSolver::ParameterPoint(const Window& window) const {
-  return Follows(window) && !fronts_.empty() ? point_ : window.eta();
+  return normal_.leftCols(n);
 }
 
 }  // namespace odmc

@@ -129,7 +129,7 @@ Eigen::MatrixXd RescalePrior(const Eigen::Ref<const Eigen::VectorXd>& scale, Win
     prior.A.bottomLeftCorner(rows - rank, others).setZero();
   }
   Eigen::MatrixXd alone = prior.A.bottomRightCorner(rows - rank, n);
-  Eigen::VectorXd right = prior.b.tail(rows - rank);
+  Eigen::MatrixXd right = prior.b.tail(rows - rank);
   const Eigen::MatrixXd root = RowScaling().Apply(scale, &alone, &right);
   prior.A.bottomRightCorner(rows - rank, n) = alone;
   prior.b.tail(rows - rank) = right;
@@ -137,7 +137,7 @@ Eigen::MatrixXd RescalePrior(const Eigen::Ref<const Eigen::VectorXd>& scale, Win
 }
 
 const Eigen::MatrixXd& RowScaling::Apply(const Eigen::Ref<const Eigen::VectorXd>& scale,
-                                         Eigen::MatrixXd* A, Eigen::VectorXd* b) {
+                                         Eigen::MatrixXd* A, Eigen::MatrixXd* B) {
   if (A->rows() == 0) {
     root_ = scale.cwiseSqrt().asDiagonal();
     return root_;
@@ -150,12 +150,11 @@ const Eigen::MatrixXd& RowScaling::Apply(const Eigen::Ref<const Eigen::VectorXd>
   sizes_ = (0.5 * sizes_).array().exp();
   more_ = sizes_.head(U.cols()).array() - 1.0;
   // Stretch along each direction the rows know.
-  work_.noalias() = U.transpose() * *A;
-  work_.array().colwise() *= more_.array();
-  A->noalias() += U * work_;
-  of_b_.noalias() = U.transpose() * *b;
-  of_b_.array() *= more_.array();
-  b->noalias() += U * of_b_;
+  for (Eigen::MatrixXd* rows : {A, B}) {
+    work_.noalias() = U.transpose() * *rows;
+    work_.array().colwise() *= more_.array();
+    rows->noalias() += U * work_;
+  }
   squares_ = V;
   squares_.array().rowwise() *= sizes_.transpose().array();
   root_.noalias() = squares_ * V.transpose();
@@ -164,13 +163,19 @@ const Eigen::MatrixXd& RowScaling::Apply(const Eigen::Ref<const Eigen::VectorXd>
 
 void DiffusePrior(int index, double variance, Prior* prior) {
   if (prior->b.size() == 0) return;
+  Eigen::MatrixXd b = prior->b;
+  DiffuseRows(prior->state_columns() + prior->bias_columns() + index, variance, &prior->A, &b);
+  prior->b = b;
+}
+
+void DiffuseRows(int column, double variance, Eigen::MatrixXd* A, Eigen::MatrixXd* B) {
   // Information (A^T A)^-1 + variance e e^T, inverted by Woodbury, as a factor on the left of A.
-  const Eigen::VectorXd v = prior->A.col(prior->state_columns() + prior->bias_columns() + index);
+  const Eigen::VectorXd v = A->col(column);
   const double square = v.squaredNorm();
   if (!(square * variance > 0.0)) return;
   const double gain = (1.0 - 1.0 / std::sqrt(1.0 + variance * square)) / square;
-  prior->A -= gain * v * (v.transpose() * prior->A).eval();
-  prior->b -= gain * v * v.dot(prior->b);
+  *A -= gain * v * (v.transpose() * *A).eval();
+  *B -= gain * v * (v.transpose() * *B).eval();
 }
 
 bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,

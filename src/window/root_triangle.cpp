@@ -6,11 +6,17 @@
 #include "odmc/window/householder.h"
 
 namespace odmc {
+namespace {
+
+// The anchored parameter hardly depends on the anchor; where it does, one step at a time.
+constexpr double kMostFeedback = 0.5;
+
+}  // namespace
 
 void RootTriangle::Clear(int num_parameters) {
   columns_ = BorderColumns(num_parameters);
   stride_ = PaddedRow(columns_.size());
-  data_.assign(static_cast<size_t>(columns_.rhs() * stride_), 0.0);
+  data_.assign(static_cast<size_t>(columns_.pivots() * stride_), 0.0);
   scratch_.assign(data_.size(), 0.0);
 }
 
@@ -23,7 +29,8 @@ RootTriangle& RootTriangle::operator=(const RootTriangle& other) {
 }
 
 void RootTriangle::Absorb(double* rows, int row_stride, int count) {
-  AbsorbRows(data_.data(), stride_, rows, row_stride, count, columns_.rhs(), columns_.size());
+  AbsorbRows(data_.data(), stride_, rows, row_stride, count, columns_.pivots(),
+             columns_.size());
 }
 
 void RootTriangle::AbsorbPriors(const Eigen::VectorXd& centre, const Eigen::VectorXd& sigma) {
@@ -40,15 +47,27 @@ void RootTriangle::DropBias() {
   std::fill_n(data_.begin(), BorderColumns::kParameters * stride_, 0.0);
 }
 
-void RootTriangle::Solve(double* solution) const {
-  const int rhs = columns_.rhs();
-  solution[rhs] = 1.0;
-  for (int i = rhs - 1; i >= 0; --i) {
-    const double* r = row(i);
-    double sum = 0.0;
-    for (int j = i + 1; j <= rhs; ++j) sum += r[j] * solution[j];
-    solution[i] = std::abs(r[i]) < kLeastPivot ? 0.0 : -sum / r[i];
+void RootTriangle::Solve(int anchor_entry, double anchor, double* solution) const {
+  const int pivots = columns_.pivots();
+  // Once with the right-hand side, once with the anchor's column.
+  const auto solve = [&](double of_anchor, double of_rhs, double* x) {
+    x[columns_.anchor()] = of_anchor;
+    x[columns_.rhs()] = of_rhs;
+    for (int i = pivots - 1; i >= 0; --i) {
+      const double* r = row(i);
+      double sum = 0.0;
+      for (int j = i + 1; j <= columns_.rhs(); ++j) sum += r[j] * x[j];
+      x[i] = std::abs(r[i]) < kLeastPivot ? 0.0 : -sum / r[i];
+    }
+  };
+  if (anchor_entry >= 0) {
+    const int entry = BorderColumns::kParameters + anchor_entry;
+    solve(1.0, 0.0, solution);
+    const double slope = solution[entry];
+    solve(0.0, 1.0, solution);
+    if (std::abs(slope) < kMostFeedback) anchor = solution[entry] / (1.0 - slope);
   }
+  solve(anchor, 1.0, solution);
 }
 
 bool RootTriangle::Covariance(Eigen::MatrixXd* covariance) const {
@@ -83,54 +102,52 @@ bool RootTriangle::Covariance(Eigen::MatrixXd* covariance) const {
   return covariance->allFinite();
 }
 
-void RootTriangle::GetParameterRows(Eigen::MatrixXd* A, Eigen::VectorXd* b) const {
-  A->resize(columns_.n, columns_.n);
-  b->resize(columns_.n);
-  for (int i = 0; i < columns_.n; ++i) {
+void RootTriangle::GetParameterRows(Eigen::MatrixXd* A, Eigen::MatrixXd* B) const {
+  const int n = columns_.n;
+  A->resize(n, n);
+  B->resize(n, 2);
+  for (int i = 0; i < n; ++i) {
     const double* r = row(BorderColumns::kParameters + i) + BorderColumns::kParameters;
-    for (int j = 0; j < columns_.n; ++j) (*A)(i, j) = j < i ? 0.0 : r[j];
-    (*b)[i] = r[columns_.n];
+    for (int j = 0; j < n; ++j) (*A)(i, j) = j < i ? 0.0 : r[j];
+    for (int j = 0; j < 2; ++j) (*B)(i, j) = r[n + j];
   }
 }
 
-void RootTriangle::SetParameterRows(const Eigen::MatrixXd& A, const Eigen::VectorXd& b) {
-  for (int i = 0; i < columns_.n; ++i) {
-    std::fill_n(row(BorderColumns::kParameters + i), stride_, 0.0);
-  }
+void RootTriangle::SetParameterRows(const Eigen::MatrixXd& A, const Eigen::MatrixXd& B) {
+  const int n = columns_.n;
+  for (int i = 0; i < n; ++i) std::fill_n(row(BorderColumns::kParameters + i), stride_, 0.0);
   std::fill(scratch_.begin(), scratch_.end(), 0.0);
   for (int i = 0; i < A.rows(); ++i) {
-    double* r = scratch_.data() + i * stride_;
-    for (int j = 0; j < columns_.n; ++j) r[BorderColumns::kParameters + j] = A(i, j);
-    r[columns_.rhs()] = b[i];
+    double* r = scratch_.data() + i * stride_ + BorderColumns::kParameters;
+    for (int j = 0; j < n; ++j) r[j] = A(i, j);
+    for (int j = 0; j < 2; ++j) r[n + j] = B(i, j);
   }
   Absorb(scratch_.data(), stride_, static_cast<int>(A.rows()));
 }
 
 void RootTriangle::ParameterNormal(Workspace* workspace, Eigen::MatrixXd* normal) const {
   const int n = columns_.n;
-  GetParameterRows(&workspace->A, &workspace->b);
-  normal->resize(n + 1, n + 1);
-  normal->topLeftCorner(n, n).noalias() = workspace->A.transpose() * workspace->A;
-  normal->topRightCorner(n, 1).noalias() = workspace->A.transpose() * workspace->b;
-  normal->bottomLeftCorner(1, n).setZero();
-  (*normal)(n, n) = workspace->b.squaredNorm();
+  GetParameterRows(&workspace->A, &workspace->B);
+  normal->resize(n, n + 2);
+  normal->leftCols(n).noalias() = workspace->A.transpose() * workspace->A;
+  normal->rightCols(2).noalias() = workspace->A.transpose() * workspace->B;
 }
 
 bool RootTriangle::AddNormal(const Eigen::MatrixXd& difference, Workspace* workspace) {
   const int n = columns_.n;
   ParameterNormal(workspace, &workspace->normal);
   workspace->normal += difference;
-  workspace->A = workspace->normal.topLeftCorner(n, n);
+  workspace->A = workspace->normal.leftCols(n);
   workspace->llt.compute(workspace->A);
   if (workspace->llt.info() != Eigen::Success) return false;
-  workspace->b = workspace->normal.topRightCorner(n, 1);
-  workspace->llt.matrixL().solveInPlace(workspace->b);
+  workspace->B = workspace->normal.rightCols(2);
+  workspace->llt.matrixL().solveInPlace(workspace->B);
   const Eigen::MatrixXd& U = workspace->llt.matrixLLT();
-  if (!workspace->b.allFinite() || !U.allFinite()) return false;
+  if (!workspace->B.allFinite() || !U.allFinite()) return false;
   for (int i = 0; i < n; ++i) {
     double* r = row(BorderColumns::kParameters + i) + BorderColumns::kParameters;
     for (int j = i; j < n; ++j) r[j] = U(i, j);
-    r[n] = workspace->b[i];
+    for (int j = 0; j < 2; ++j) r[n + j] = workspace->B(i, j);
   }
   return true;
 }

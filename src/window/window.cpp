@@ -102,6 +102,7 @@ FactorBlocks Window::Blocks(const Factor& factor, bool at_linearization) const {
   if (factor.parameters && eta_.size() > 0) {
     add(at_linearization ? prior_.eta_lin.data() : eta_.data());
   }
+  if (factor.anchored) add(&anchor_);
   return blocks;
 }
 
@@ -165,7 +166,8 @@ bool Linearize(const Window& window, const Factor& factor, bool first_estimates,
   linear->J.resize(rows, columns);
   const int num_states = (factor.state0 >= 0 ? 1 : 0) + (factor.state1 >= 0 ? 1 : 0);
   int column = 0;
-  for (size_t i = 0; i < sizes.size(); ++i) {
+  const size_t num_blocks = sizes.size() - (factor.anchored ? 1 : 0);  // the anchor is constant
+  for (size_t i = 0; i < num_blocks; ++i) {
     const Eigen::Map<const RowMajor> ambient(jacobians[i], rows, sizes[i]);
     if (static_cast<int>(i) < num_states) {
       Eigen::Matrix<double, 13, 12, Eigen::RowMajor> plus;

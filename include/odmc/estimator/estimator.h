@@ -140,9 +140,7 @@ class Estimator {
   struct Interval;  // what lies between two keyframes
 
   void EmptyWindow();
-  void SetAnchors(double thrust_coefficient);
-  double AnchorValue() const;
-  void MoveAnchors();
+  void FreeInertia();
   bool InertiaIsFree(int axis) const;
   void FollowLoad(const OdometrySample& sample);
   /// Parameters that vary may have moved by what they do in `dt`.
@@ -211,7 +209,6 @@ class Estimator {
   bool last_in_window_ = false;
   std::optional<Stamp> first_stamp_;
   std::optional<Stamp> bias_since_;
-  double anchor_ = 0.0;  // thrust coefficient the torque takes
   std::array<bool, 3> inertia_was_free_ = {false, false, false};
   std::vector<Factor> pending_;  // of a bias whose first keyframe is about to come
   Stamp noise_ready_ = 0;

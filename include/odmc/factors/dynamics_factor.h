@@ -71,6 +71,8 @@ RotorRateNoise NoiseOfRotorRates(const DynamicsMeasurement& measurement, double 
 ///   block    size  meaning
 ///   0, 1     13    states at the ends, on StateManifold
 ///   2        n     the layout's eta, left out if nothing is estimated
+///   3        1     with an anchor (DynamicsMeasurement::anchor_index, of an estimated parameter):
+///                  its value for the torque, in eta; constant in a solve
 ///
 /// Residual: e_v, e_alpha (6), or e_v alone (3) without single rotor speeds; Form E has e_p before
 /// them. Whitened: e_v by the force errors; e_alpha by a standard deviation that is fixed in rad/s
@@ -90,9 +92,6 @@ class DynamicsFactor final : public ceres::CostFunction {
            const DynamicModel* model, const ParameterLayout* layout);
 
   bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override;
-
-  /// Moves the thrust coefficient the torque equation uses; between solves only.
-  void SetAnchor(double thrust_coefficient) { measurement_.anchor_value = thrust_coefficient; }
 
   /// Puts the rotors' accelerations at better values, with their noise; between solves only.
   void SetRotorRates(const RotorVector& acceleration, const RotorVector& speed_squared_rate,
@@ -120,7 +119,11 @@ class DynamicsFactor final : public ceres::CostFunction {
   template <int N>
   bool EvaluateForm(double const* const* blocks, double* residual, double** jacobians) const;
 
+  /// The measurement, its anchor at the value of the block.
+  DynamicsMeasurement AnchoredAt(double const* const* blocks) const;
+
   DynamicsMeasurement measurement_;
+  int anchor_entry_ = -1;  // of eta, -1: none
   DynamicsNoise noise_;
   bool with_torque_;
   const DynamicModel* model_;

@@ -33,6 +33,7 @@ struct DynamicsMeasurement {
   /// at `anchor_value` instead of the value given, so that only the force equation informs it. With
   /// inertia, k_f and k_m free the torque equation is homogeneous and is satisfied best by
   /// vanishing coefficients; what the torque does not explain must not bend k_f that way.
+  /// DynamicsFactor takes the value from a block of its own.
   int anchor_index = -1;
   double anchor_value = 0.0;
 };

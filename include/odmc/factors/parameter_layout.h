@@ -30,6 +30,13 @@ class ParameterLayout {
   /// Model values at eta (num_estimated() numbers; null if there are none).
   ModelValues Decode(const double* eta) const;
 
+  /// Entry of eta that holds model parameter `index`, -1 if it is frozen.
+  int EntryOf(int index) const;
+
+  /// One entry's value, and its derivative there.
+  double ToValue(int i, double eta) const;
+  double ChainFactor(int i, double value) const { return is_log_[i] ? value : scale_[i]; }
+
   /// d value / d eta of each entry at model values.
   ParameterVector ChainFactors(const ModelValues& values) const;
 
@@ -39,7 +46,6 @@ class ParameterLayout {
 
  private:
   double ToEta(int i, double value) const;
-  double ToValue(int i, double eta) const;
 
   std::vector<int> model_index_;
   std::vector<double> scale_;

@@ -50,6 +50,8 @@ struct ModelWrenchJacobians {
   Eigen::Matrix<double, 6, 3> d_p_BBcm;  ///< with the body frame held
   Eigen::Matrix<double, 6, Eigen::Dynamic, 0, 6, kMaxModelParameters>
       d_values;  ///< 6×num_parameters(), centre of mass held
+  /// Torque by the value it takes of its own (TorqueAnchor), where there is one.
+  Eigen::Vector3d d_anchor = Eigen::Vector3d::Zero();
 };
 
 /// Where one effect adds the derivatives of its wrench: carries them to Bcm and to the places of

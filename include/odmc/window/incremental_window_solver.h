@@ -61,7 +61,6 @@ class IncrementalWindowSolver final : public WindowSolver {
                                    Window* window) override;
   void DiffusePast(int index, double variance, Window* window) override;
   Eigen::MatrixXd PastInformation(const Window& window) override;
-  const ParameterVector& ParameterPoint(const Window& window) const override;
   void WritePrior(Window* window) override;
 
  private:
@@ -122,8 +121,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   bool has_pending_ = false;
   RowScaling scaling_;
   RootTriangle::Workspace workspace_;
-  Eigen::MatrixXd past_rows_, normal_;
-  Eigen::VectorXd past_rhs_;
+  Eigen::MatrixXd past_rows_, past_rhs_, normal_;
   std::int64_t pass_ = -1;  // back-substitution goes on here, -1: done
   FrontScratch scratch_;
   RowBlock sweep_triangle_;

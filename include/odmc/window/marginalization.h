@@ -48,22 +48,25 @@ bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
 /// @returns the symmetric root of the scale (n×n), for others that keep information: T I T
 Eigen::MatrixXd RescalePrior(const Eigen::Ref<const Eigen::VectorXd>& scale, Window* window);
 
-/// What RescalePrior() does to rows [A b] about parameters alone, for those who keep such rows
+/// What RescalePrior() does to rows [A B] about parameters alone (any number of columns in B), for those who keep such rows
 /// elsewhere. Keeps its buffers: calls of one size do not allocate.
 class RowScaling {
  public:
   /// @returns the root of the scale, until the next call
   const Eigen::MatrixXd& Apply(const Eigen::Ref<const Eigen::VectorXd>& scale, Eigen::MatrixXd* A,
-                               Eigen::VectorXd* b);
+                               Eigen::MatrixXd* B);
 
  private:
   Eigen::JacobiSVD<Eigen::MatrixXd> svd_;
   Eigen::MatrixXd root_, squares_, work_;
-  Eigen::VectorXd sizes_, more_, of_b_;
+  Eigen::VectorXd sizes_, more_;
 };
 
 /// Lets parameter `index` of eta have moved by a random step of this variance since the prior was
 /// made: what the prior says about it fades, its optimum stays.
 void DiffusePrior(int index, double variance, Prior* prior);
+
+/// The same for rows [A B], `column` that of the parameter in A.
+void DiffuseRows(int column, double variance, Eigen::MatrixXd* A, Eigen::MatrixXd* B);
 
 }  // namespace odmc

@@ -7,20 +7,22 @@
 namespace odmc {
 
 /// Columns of everything that is shared by the chain of states: the bias in force (6, zero without
-/// an IMU), the parameters (n), and the right-hand side. Biases and parameters count from zero, not
+/// an IMU), the parameters (n), the anchor (1, see Window) and the right-hand side. Biases and parameters count from zero, not
 /// from a linearization point, so that rows linearized at different points add up.
 struct BorderColumns {
   explicit BorderColumns(int num_parameters) : n(num_parameters) {}
 
   static constexpr int kBias = 0, kParameters = 6;
   int n;
-  int rhs() const { return kParameters + n; }
-  int size() const { return kParameters + n + 1; }
+  int pivots() const { return kParameters + n; }
+  int anchor() const { return kParameters + n; }
+  int rhs() const { return kParameters + n + 1; }
+  int size() const { return kParameters + n + 2; }
 };
 
 /// The root of the elimination: what rows say about the bias in force and the parameters once all
-/// states are eliminated, as an upper triangle [R d], |R x + d|². The bias comes first, so that it
-/// can leave by dropping its rows.
+/// states are eliminated, as an upper triangle [R c d], |R x + c a + d|², a the anchor. The bias
+/// comes first, so that it can leave by dropping its rows.
 class RootTriangle {
  public:
   explicit RootTriangle(int num_parameters = 0) { Clear(num_parameters); }
@@ -44,25 +46,26 @@ class RootTriangle {
   /// Forgets the bias; what the rest says of the parameters stays.
   void DropBias();
 
-  /// The optimum: bias (6), parameters (n), then 1. What nobody measured is 0.
-  void Solve(double* solution) const;
+  /// The optimum: bias (6), parameters (n), anchor, 1. What nobody measured is 0.
+  /// @param anchor_entry of the parameters, which the anchor follows: it is where solving with it
+  ///   gives the same parameter; -1: it stays at `anchor`
+  void Solve(int anchor_entry, double anchor, double* solution) const;
 
   /// Covariance of the parameters (n×n), the bias taken into account.
   /// @returns false if a direction has no information
   bool Covariance(Eigen::MatrixXd* covariance) const;
 
-  /// What it says of the parameters alone, [A b] (n×n, n).
-  void GetParameterRows(Eigen::MatrixXd* A, Eigen::VectorXd* b) const;
-  void SetParameterRows(const Eigen::MatrixXd& A, const Eigen::VectorXd& b);
+  /// What it says of the parameters alone, [A B] (n×n, n×2: anchor, right-hand side).
+  void GetParameterRows(Eigen::MatrixXd* A, Eigen::MatrixXd* B) const;
+  void SetParameterRows(const Eigen::MatrixXd& A, const Eigen::MatrixXd& B);
 
   /// Buffers of AddNormal().
   struct Workspace {
-    Eigen::MatrixXd A, normal;
-    Eigen::VectorXd b;
+    Eigen::MatrixXd A, B, normal;
     Eigen::LLT<Eigen::MatrixXd, Eigen::Upper> llt;
   };
 
-  /// The normal equations of the parameters, [A b]ᵀ[A b] ((n+1)×(n+1), upper triangle).
+  /// The normal equations of the parameters, Aᵀ[A B] (n×(n+2)).
   void ParameterNormal(Workspace* workspace, Eigen::MatrixXd* normal) const;
 
   /// Adds to them. @returns false, unchanged, if the sum is not positive

@@ -31,7 +31,7 @@ enum class FactorKind {
 constexpr int kNumFactorKinds = static_cast<int>(FactorKind::kBiasWalk) + 1;
 
 /// A cost function and the variables it touches. Its blocks are, in order: state0, state1, bias0,
-/// bias1 (those that are set), then eta if `parameters`.
+/// bias1 (those that are set), then eta if `parameters`, then the anchor if `anchored`.
 struct Factor {
   FactorKind kind;
   std::unique_ptr<ceres::CostFunction> cost;
@@ -39,6 +39,7 @@ struct Factor {
   std::int64_t state0 = -1, state1 = -1;      ///< keyframe ids
   std::int64_t bias0 = -1, bias1 = -1;        ///< bias ids
   bool parameters = false;
+  bool anchored = false;  ///< its last block is the window's anchor
   /// Grows whenever the cost function is changed in place; solvers that keep linearizations then
   /// evaluate it anew.
   int revision = 0;
@@ -46,7 +47,7 @@ struct Factor {
 
 /// Pointers to the blocks of one factor, as Ceres takes them.
 struct FactorBlocks {
-  std::array<const double*, 5> pointers{};
+  std::array<const double*, 6> pointers{};
   int count = 0;
 
   const double* const* data() const { return pointers.data(); }
@@ -132,6 +133,17 @@ class Window {
   const ParameterVector& eta() const { return eta_; }
   ModelValues values() const { return layout_->Decode(eta_.data()); }
 
+  /// Names the entry of eta whose value anchored factors take in a block of their own, which no
+  /// solve moves but all of them let follow (see DynamicsMeasurement); -1: none.
+  void SetAnchorEntry(int entry) { anchor_entry_ = entry; }
+  int anchor_entry() const { return anchor_entry_; }
+  double& anchor() { return anchor_; }
+  double anchor() const { return anchor_; }
+  /// Puts the anchor at the present estimate.
+  void MoveAnchor() {
+    if (anchor_entry_ >= 0) anchor_ = eta_[anchor_entry_];
+  }
+
   /// Prior of each parameter apart from what the flight said: centre and sigma, in eta.
   const Eigen::VectorXd& parameter_centre() const { return parameter_centre_; }
   const Eigen::VectorXd& parameter_sigma() const { return parameter_sigma_; }
@@ -156,6 +168,8 @@ class Window {
   Prior prior_;
   std::int64_t next_keyframe_ = 0, next_bias_ = 0;
   std::int64_t touched_ = -1;
+  int anchor_entry_ = -1;
+  double anchor_ = 0.0;
 };
 
 /// A factor's residual and minimal Jacobian at one point, whitened and with the robust loss applied

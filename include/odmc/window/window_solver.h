@@ -76,9 +76,6 @@ class WindowSolver {
   /// Information of what has left about the parameters alone (n×n).
   virtual Eigen::MatrixXd PastInformation(const Window& window) = 0;
 
-  /// Where the parameters are linearized at present.
-  virtual const ParameterVector& ParameterPoint(const Window& window) const = 0;
-
   /// Makes window->prior() hold what has left, for a solve by somebody else.
   virtual void WritePrior(Window* window) = 0;
 };
@@ -98,9 +95,6 @@ class BatchWindowSolver : public WindowSolver {
                                    Window* window) override;
   void DiffusePast(int index, double variance, Window* window) override;
   Eigen::MatrixXd PastInformation(const Window& window) override;
-  const ParameterVector& ParameterPoint(const Window& window) const override {
-    return window.eta();
-  }
   void WritePrior(Window*) override {}
 
   /// Forgets what it keeps of the window.
