@@ -25,6 +25,7 @@ void Consistency::Add(double dt, const Eigen::Ref<const Eigen::VectorXd>& score,
 }
 
 void Consistency::CloseBlock(const Eigen::MatrixXd& left) {
+  ApplyRescaling();
   if (left_.size() == 0) left_ = Eigen::MatrixXd::Zero(n_, n_);
   // The first block's share of the information includes the prior; its score at the prior's centre
   // is zero there, and elsewhere the linear correction below accounts for it.
@@ -48,24 +49,42 @@ void Consistency::CloseBlock(const Eigen::MatrixXd& left) {
 
 void Consistency::Rescale(const Eigen::MatrixXd& root) {
   scale_.noalias() = root * root;
-  const auto rescale_score = [&](Eigen::VectorXd* score) {
-    scaled_.noalias() = scale_ * *score;
-    score->swap(scaled_);
-  };
-  const auto rescale_information = [&](Eigen::MatrixXd* information) {
-    half_.noalias() = root * *information;
-    information->noalias() = half_ * root;
-  };
-  for (Block& block : blocks_) {
-    rescale_score(&block.score);
-    rescale_information(&block.information);
+  if (score_.size() > 0) {
+    scaled_.noalias() = scale_ * score_;
+    score_.swap(scaled_);
   }
-  if (score_.size() > 0) rescale_score(&score_);
-  if (left_.size() > 0) rescale_information(&left_);
+  if (left_.size() > 0) {
+    half_.noalias() = root * left_;
+    left_.noalias() = half_ * root;
+  }
+  // There may be a hundred blocks, and only their next use needs them.
+  if (blocks_.empty()) return;
+  if (!rescaled_) {
+    pending_root_ = root;
+    pending_scale_ = scale_;
+    rescaled_ = true;
+    return;
+  }
+  half_.noalias() = root * pending_root_;
+  pending_root_.swap(half_);
+  half_.noalias() = scale_ * pending_scale_;
+  pending_scale_.swap(half_);
+}
+
+void Consistency::ApplyRescaling() {
+  if (!rescaled_) return;
+  rescaled_ = false;
+  for (Block& block : blocks_) {
+    scaled_.noalias() = pending_scale_ * block.score;
+    block.score.swap(scaled_);
+    half_.noalias() = pending_root_ * block.information;
+    block.information.noalias() = half_ * pending_root_.transpose();
+  }
 }
 
 Eigen::VectorXd Consistency::Inflation(const Eigen::VectorXd& eta,
-                                       const Eigen::MatrixXd& covariance) const {
+                                       const Eigen::MatrixXd& covariance) {
+  ApplyRescaling();
   // Until there are enough blocks to judge by, the white value; then whatever they show.
   const bool enough = blocks_.size() > kMinGroups;
   Eigen::VectorXd inflation = Eigen::VectorXd::Constant(n_, enough ? kLeastInflation : 1.0);

@@ -55,12 +55,6 @@ std::unique_ptr<WindowSolver> MakeSolver(const EstimatorOptions& options, int fr
   if (options.solver == "elimination") return std::make_unique<EliminationWindowSolver>(3 + fresh);
   IncrementalOptions incremental;
   incremental.recent_keyframes += fresh;
-  if (getenv("SW")) incremental.sweep_keyframes = atoi(getenv("SW"));
-  if (getenv("RP")) incremental.relinearise_parameters = atof(getenv("RP"));
-  if (getenv("WF")) incremental.wildfire = atof(getenv("WF"));
-  if (getenv("RC")) incremental.recent_keyframes = atoi(getenv("RC"));
-  if (getenv("BS")) incremental.back_substituted_keyframes = atoi(getenv("BS"));
-  if (getenv("RS")) for (auto& x : incremental.relinearise_state) x *= atof(getenv("RS"));
   return std::make_unique<IncrementalWindowSolver>(incremental);
 }
 
@@ -548,8 +542,8 @@ void Estimator::AddKeyframe(const OdometrySample& sample, const std::optional<In
   const bool with_gyro = interval && interval->imu && interval->imu->has_gyro;
   Factor odometry;
   odometry.kind = FactorKind::kOdometry;
-  odometry.cost = MakeCost<OdometryFactor>(FactorKind::kOdometry, sample, odometry_noise_.Noise(),
-                                           !with_gyro);
+  odometry.cost =
+      MakeCost<OdometryFactor>(FactorKind::kOdometry, sample, odometry_noise_.Noise(), !with_gyro);
   odometry.state0 = id;
   window_.AddFactor(std::move(odometry));
   if (!interval) return;
@@ -637,8 +631,8 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
   const DynamicsNoise noise = NoiseOf(interval);
   add(FactorKind::kDynamics,
       MakeCost<DynamicsFactor>(FactorKind::kDynamics, measurement, noise, with_torque_, model_,
-                               &layout_), true,
-      false, true);
+                               &layout_),
+      true, false, true);
   if (!interval.imu || !has_bias) return;
 
   ImuNoise imu_noise;
@@ -655,9 +649,8 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
         true, true, true);
     Factor gyro;
     gyro.kind = FactorKind::kGyro;
-    gyro.cost =
-        MakeCost<GyroFactor>(FactorKind::kGyro, interval.imu->gyro_at_end, imu_noise, model_,
-                                 &layout_);
+    gyro.cost = MakeCost<GyroFactor>(FactorKind::kGyro, interval.imu->gyro_at_end, imu_noise,
+                                     model_, &layout_);
     gyro.state0 = id;
     gyro.bias0 = window_.keyframe(id).bias;
     gyro.parameters = true;

@@ -78,8 +78,9 @@ class Loop {
         handover_(setup.handover, setup.vehicle),
         controller_(setup.controller, handover_.model()) {
     if ((setup.by_throttle || setup.rotor_speed_from_commands) && !setup.vehicle.actuator)
-      throw std::invalid_argument("flying by throttle, and rotor speeds from commands, ask for an "
-                                  "actuator in the vehicle file");
+      throw std::invalid_argument(
+          "flying by throttle, and rotor speeds from commands, ask for an "
+          "actuator in the vehicle file");
     if (setup.rotor_speed_from_commands)
       source_.emplace(*setup.vehicle.actuator, setup.vehicle.num_rotors(), true);
     if (setup.estimates) estimator_.emplace(setup);

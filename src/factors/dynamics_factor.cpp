@@ -298,8 +298,8 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
 
 bool DynamicsFactor::UnwhitenedResidual(double const* const* blocks,
                                         Eigen::Matrix<double, kNumDynamicsRows, 1>* e) const {
-  *e = DynamicsResidual(anchor_entry_ >= 0 ? AnchoredAt(blocks) : measurement_, State::FromBlock(blocks[0]), State::FromBlock(blocks[1]),
-                        *model_,
+  *e = DynamicsResidual(anchor_entry_ >= 0 ? AnchoredAt(blocks) : measurement_,
+                        State::FromBlock(blocks[0]), State::FromBlock(blocks[1]), *model_,
                         layout_->Decode(layout_->num_estimated() > 0 ? blocks[2] : nullptr));
   return e->allFinite();
 }

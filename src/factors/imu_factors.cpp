@@ -133,9 +133,8 @@ bool GyroFactor::Evaluate(double const* const* blocks, double* residual, double*
 }
 
 void AccelerometerFactor::Set(const DynamicsMeasurement& measurement,
-                              const Eigen::Vector3d& specific_force_I,
-                              const Eigen::Vector3d& sigma, const DynamicModel* model,
-                              const ParameterLayout* layout) {
+                              const Eigen::Vector3d& specific_force_I, const Eigen::Vector3d& sigma,
+                              const DynamicModel* model, const ParameterLayout* layout) {
   measurement_ = measurement;
   specific_force_I_ = specific_force_I;
   sigma_ = sigma;

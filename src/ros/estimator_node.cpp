@@ -44,8 +44,8 @@ constexpr std::chrono::seconds kTfPatience(2);
 constexpr std::chrono::seconds kFinishPatience(2);
 constexpr int kWatchNiceness = 10;
 constexpr double kCommandsLost_s = 0.5;  // RotorSource then watches no longer
-constexpr size_t kBatch = 300;          // samples taken from the queue at once
-constexpr size_t kTimedUpdates = 1000;  // the percentiles look back this far
+constexpr size_t kBatch = 300;           // samples taken from the queue at once
+constexpr size_t kTimedUpdates = 1000;   // the percentiles look back this far
 constexpr char kCalibrated[] = "_calibrated";
 
 /// Date and time in ISO 8601, UTC.
@@ -111,8 +111,8 @@ void SettleActuator(const EstimatorNodeOptions& options, Vehicle* vehicle) {
       source += file + ": ";
     }
     // Steady readings can't watch a sensor; what the vehicle file knows beyond that still counts.
-    const bool is_used = from_commands || !file.empty() ||
-                         (vehicle->actuator && vehicle->actuator->knows_dynamics);
+    const bool is_used =
+        from_commands || !file.empty() || (vehicle->actuator && vehicle->actuator->knows_dynamics);
     if (vehicle->actuator && is_used) {
       RotorSource(*vehicle->actuator, vehicle->num_rotors(), from_commands);
     }
@@ -601,8 +601,7 @@ RotorStatus EstimatorNode::RotorsNow() const {
   RotorStatus status;
   status.from_commands = rotor_source_->from_commands();
   const bool has_drive = has_voltage_ || !setup_.vehicle.actuator->uses_voltage;
-  status.is_watching =
-      !status.from_commands && has_commands_ && has_drive && !intake_.rms_only();
+  status.is_watching = !status.from_commands && has_commands_ && has_drive && !intake_.rms_only();
   for (const auto& [rotor, fault] : bad_sensors_) status.bad.push_back(fault);
   status.replaced = rotor_source_->replaced();
   status.faults = rotor_faults_;

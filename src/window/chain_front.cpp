@@ -115,8 +115,8 @@ bool ChainFront::Linearise(const Window& window, const ChainFront* next,
       continue;
     }
     RowBlock& block = kept.in_pair ? pair : own;
-    kept.sound = Evaluate(window, factor, next, parameter_point, kept.in_pair,
-                          block.row(kept.row), block.stride, scratch);
+    kept.sound = Evaluate(window, factor, next, parameter_point, kept.in_pair, block.row(kept.row),
+                          block.stride, scratch);
     sound = sound && kept.sound;
     kept.revision = factor.revision;
     kept.state0 = state0;
@@ -212,8 +212,8 @@ void ChainFront::AbsorbOwn(RowBlock* triangle, RootTriangle* root, FrontScratch*
   if (rest.data.size() < room) rest.data.resize(room, 0.0);
   if (own.count == 0) return;
   scratch->own.CopyFrom(own);
-  AbsorbRows(triangle->data.data(), triangle->stride, scratch->own.data.data(),
-             scratch->own.stride, own.count, kState, kState + columns.size());
+  AbsorbRows(triangle->data.data(), triangle->stride, scratch->own.data.data(), scratch->own.stride,
+             own.count, kState, kState + columns.size());
   for (int i = 0; i < own.count; ++i) {
     std::memcpy(rest.row(i), scratch->own.row(i) + kState,
                 sizeof(double) * static_cast<size_t>(columns.size()));

@@ -13,6 +13,8 @@ namespace odmc {
 namespace {
 
 constexpr int kState = kStateTangentSize;
+constexpr double kFirstCurvature = 0.5;   // error in tolerances per sigma of distance
+constexpr double kCurvatureMemory = 0.7;  // from one sweep to the next
 
 double* BiasOf(Window* window, std::int64_t id) { return window->bias(id).x.data(); }
 
@@ -28,8 +30,7 @@ IncrementalWindowSolver::~IncrementalWindowSolver() = default;
 bool IncrementalWindowSolver::Follows(const Window& window) const {
   if (!incremental_ || past_.columns().n != window.layout().num_estimated()) return false;
   if (fronts_.empty()) return true;
-  return !window.keyframes().empty() &&
-         fronts_.front().id == window.keyframes().front().id &&
+  return !window.keyframes().empty() && fronts_.front().id == window.keyframes().front().id &&
          fronts_.size() <= window.keyframes().size();
 }
 
@@ -38,6 +39,8 @@ void IncrementalWindowSolver::Forget() {
   fronts_.clear();
   checkpoints_.clear();
   sweep_.active = sweep_.wanted = false;
+  have_root_ = false;
+  curvature_ = kFirstCurvature;
   pass_ = -1;
   batch_.Forget();
 }
@@ -144,8 +147,10 @@ bool IncrementalWindowSolver::Build(Window* window) {
   if (fronts_.empty()) {
     root_ = past_;
     root_.AbsorbPriors(window->parameter_centre(), window->parameter_sigma());
+    point_ = point_in_use_ = window->eta();
     return true;
   }
+  point_ = point_in_use_ = window->eta();
   return SweepAll(*window);
 }
 
@@ -275,6 +280,11 @@ bool IncrementalWindowSolver::SweepOne(const Window& window) {
   return sound;
 }
 
+int IncrementalWindowSolver::SweepSize() const {
+  const auto share = static_cast<int>(options_.sweep_share * static_cast<double>(fronts_.size()));
+  return std::max(options_.sweep_keyframes, share);
+}
+
 bool IncrementalWindowSolver::Sweep(const Window& window, int budget) {
   bool sound = true;
   for (int i = 0; i < budget && sweep_.active; ++i) {
@@ -283,16 +293,46 @@ bool IncrementalWindowSolver::Sweep(const Window& window, int budget) {
       continue;
     }
     // It has caught up: the rest at once, from here on it is the chain in use.
+    const bool known = have_root_ && SolutionOf(window, &before_);
     sweep_.active = false;
-    point_in_use_ = point_;
     checkpoints_.clear();
     Checkpoint& checkpoint = checkpoints_.Append();
     checkpoint.id = sweep_.next;
     checkpoint.root = sweep_.root;
     MovePoints(window, sweep_.next + 1);
     sound = Redo(window, sweep_.next) && sound;
+    have_root_ = true;
+    if (known && SolutionOf(window, &after_)) LearnCurvature();
+    point_in_use_ = point_;
   }
   return sound;
+}
+
+/// Parameters and their sigmas by the root as it stands.
+bool IncrementalWindowSolver::SolutionOf(const Window& window, Solution* solution) {
+  if (!root_.Covariance(&normal_)) return false;
+  root_.Solve(window.anchor_entry(), window.anchor(), border_.data());
+  const int n = past_.columns().n;
+  solution->eta = Eigen::Map<const Eigen::VectorXd>(border_.data() + BorderColumns::kParameters, n);
+  solution->sigma = normal_.diagonal().cwiseSqrt();
+  return true;
+}
+
+/// What a new linearization of the same data changed tells how far the next may be put off.
+void IncrementalWindowSolver::LearnCurvature() {
+  const auto& sigma = after_.sigma;
+  const double distance = (point_ - point_in_use_).cwiseQuotient(sigma).cwiseAbs().maxCoeff();
+  if (distance < 0.1) return;  // nothing to learn from
+  const double parameters = (after_.eta - before_.eta).cwiseQuotient(sigma).cwiseAbs().maxCoeff();
+  const double sigmas = (before_.sigma.cwiseQuotient(sigma).array() - 1.0).abs().maxCoeff();
+  const double measured =
+      std::max(parameters / options_.parameter_tolerance, sigmas / options_.sigma_tolerance);
+  curvature_ = std::max(measured / distance, kCurvatureMemory * curvature_);
+}
+
+/// True if putting the relinearization off might cost more than it may.
+bool IncrementalWindowSolver::MustHurry(const Window& window) const {
+  return ParametersMoved(window, point_in_use_, 0.5 / std::max(curvature_, 1e-9));
 }
 
 bool IncrementalWindowSolver::SweepAll(const Window& window) {
@@ -350,8 +390,8 @@ double IncrementalWindowSolver::BackSubstitute(std::int64_t id, Window* window) 
     }
   }
   // The bias behind the next state is that of the next keyframe.
-  const std::int64_t bias = f.eliminated && f.bias_leaves ? window->keyframe(id + 1).bias
-                                                          : keyframe.bias;
+  const std::int64_t bias =
+      f.eliminated && f.bias_leaves ? window->keyframe(id + 1).bias : keyframe.bias;
   double* border = border_.data();
   std::memcpy(border, shared_.data(), sizeof(double) * static_cast<size_t>(columns.size()));
   if (bias >= 0) std::copy_n(BiasOf(window, bias), 6, border);
@@ -444,10 +484,15 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
   ApplyPending();
   const bool followed = Follows(*window);
   bool sound = CatchUp(window);
-  if (sound && sweep_.active) sound = Sweep(*window, options_.sweep_keyframes);
-  while (sound && sweep_.active && elapsed_s() < options.max_time_s &&
-         ParametersMoved(*window, point_in_use_, options_.hurry_parameters)) {
-    sound = Sweep(*window, options_.sweep_keyframes);
+  if (sound && sweep_.active) sound = Sweep(*window, SweepSize());
+  bool solved = sound && SolveRoot(window);
+  // Where old linearizations may cost too much, one sweep after the other, as far as time allows.
+  while (solved && MustHurry(*window) && elapsed_s() < options.max_time_s) {
+    if (!sweep_.active) StartSweep(*window);
+    while (sound && sweep_.active && elapsed_s() < options.max_time_s) {
+      sound = Sweep(*window, SweepSize());
+    }
+    solved = sound && SolveRoot(window);
   }
   report_.iterations = 1;
   if (!sound) {
@@ -456,7 +501,7 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
     report_.message = "a factor cannot be evaluated at the present estimate";
     return report_;
   }
-  if (!SolveRoot(window)) return Align(window, options);
+  if (!solved) return Align(window, options);
   BackSubstitute(window, false);
   for (; report_.iterations < options.max_iterations; ++report_.iterations) {
     BackSubstitute(window, true);
@@ -465,7 +510,6 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
     if (!SweepAll(*window) || !SolveRoot(window)) return Align(window, options);
   }
   report_.usable = report_.improved = true;
-  // It begins with the next solve: until then factors can take notice of the new point.
   if (!sweep_.active &&
       (sweep_.wanted || ParametersMoved(*window, point_, options_.relinearise_parameters))) {
     StartSweep(*window);
@@ -498,8 +542,7 @@ void IncrementalWindowSolver::Observe(const Window& window, const ChainFront& f,
     if (!factor.parameters || !kept.sound || (kept.in_pair && !has_next)) continue;
     const RowBlock& block = kept.in_pair ? f.pair : f.own;
     const int border = kept.in_pair ? f.border() : kState;
-    const int bias_at =
-        kept.in_pair && f.bias_leaves ? kState : border + BorderColumns::kBias;
+    const int bias_at = kept.in_pair && f.bias_leaves ? kState : border + BorderColumns::kBias;
     const int parameters = border + BorderColumns::kParameters;
     int torque_rows = 0;
     if (factor.kind == FactorKind::kDynamics) {
@@ -544,6 +587,7 @@ bool IncrementalWindowSolver::MarginalizeOldest(Window* window, const Eigen::Vec
   const bool has_bias = window->keyframes().front().bias >= 0;
   if (last) {
     past_.DropBias();
+    have_root_ = false;
     checkpoints_.clear();
     sweep_.active = sweep_.wanted = false;
   }
@@ -608,11 +652,12 @@ bool IncrementalWindowSolver::StateCovariance(const Window& window, StateMatrix*
   return covariance->allFinite();
 }
 
-/// What is past becomes past_rows_; the roots take notice before they are used next.
-void IncrementalWindowSolver::ChangePast() {
+/// Changes what is past; the roots take notice before they are used next.
+template <typename Change>
+void IncrementalWindowSolver::ChangePast(const Change& change) {
   past_.ParameterNormal(&workspace_, &normal_);
   pending_ -= normal_;
-  past_.SetParameterRows(past_rows_, past_rhs_);
+  change();
   past_.ParameterNormal(&workspace_, &normal_);
   pending_ += normal_;
   has_pending_ = true;
@@ -635,17 +680,17 @@ void IncrementalWindowSolver::ApplyPending() {
 const Eigen::MatrixXd& IncrementalWindowSolver::ScalePast(
     const Eigen::Ref<const Eigen::VectorXd>& scale, Window* window) {
   if (!Follows(*window)) return batch_.ScalePast(scale, window);
-  past_.GetParameterRows(&past_rows_, &past_rhs_);
-  const Eigen::MatrixXd& root = scaling_.Apply(scale, &past_rows_, &past_rhs_);
-  ChangePast();
-  return root;
+  ChangePast([&] { past_.ScaleParameters(scale, &workspace_, &scale_root_); });
+  return scale_root_;
 }
 
 void IncrementalWindowSolver::DiffusePast(int index, double variance, Window* window) {
   if (!Follows(*window)) return batch_.DiffusePast(index, variance, window);
-  past_.GetParameterRows(&past_rows_, &past_rhs_);
-  DiffuseRows(index, variance, &past_rows_, &past_rhs_);
-  ChangePast();
+  ChangePast([&] {
+    past_.GetParameterRows(&workspace_.A, &workspace_.B);
+    DiffuseRows(index, variance, &workspace_.A, &workspace_.B);
+    past_.SetParameterRows(workspace_.A, workspace_.B);
+  });
 }
 
 Eigen::MatrixXd IncrementalWindowSolver::PastInformation(const Window& window) {

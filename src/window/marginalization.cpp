@@ -1,6 +1,7 @@
 #include "odmc/window/marginalization.h"
 
 #include <Eigen/QR>
+#include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -128,37 +129,31 @@ Eigen::MatrixXd RescalePrior(const Eigen::Ref<const Eigen::VectorXd>& scale, Win
     prior.b.applyOnTheLeft(qr.householderQ().adjoint());
     prior.A.bottomLeftCorner(rows - rank, others).setZero();
   }
-  Eigen::MatrixXd alone = prior.A.bottomRightCorner(rows - rank, n);
-  Eigen::MatrixXd right = prior.b.tail(rows - rank);
-  const Eigen::MatrixXd root = RowScaling().Apply(scale, &alone, &right);
-  prior.A.bottomRightCorner(rows - rank, n) = alone;
-  prior.b.tail(rows - rank) = right;
-  return root;
+  const Eigen::MatrixXd alone = prior.A.bottomRightCorner(rows - rank, n);
+  if (alone.rows() == 0) return Eigen::MatrixXd(scale.cwiseSqrt().asDiagonal());
+  const Eigen::JacobiSVD<Eigen::MatrixXd> svd(alone, Eigen::ComputeThinU | Eigen::ComputeFullV);
+  Eigen::VectorXd root;
+  DirectionScales(svd.matrixV(), scale, &root);
+  const Eigen::MatrixXd& U = svd.matrixU();
+  const Eigen::VectorXd more = (root.head(U.cols()).array() - 1.0).matrix();
+  const auto stretch = [&](auto block) {
+    block += (U * more.asDiagonal() * (U.transpose() * block)).eval();
+  };
+  stretch(prior.A.bottomRightCorner(rows - rank, n));
+  stretch(prior.b.tail(rows - rank));
+  return svd.matrixV() * root.asDiagonal() * svd.matrixV().transpose();
 }
 
-const Eigen::MatrixXd& RowScaling::Apply(const Eigen::Ref<const Eigen::VectorXd>& scale,
-                                         Eigen::MatrixXd* A, Eigen::MatrixXd* B) {
-  if (A->rows() == 0) {
-    root_ = scale.cwiseSqrt().asDiagonal();
-    return root_;
+void DirectionScales(const Eigen::MatrixXd& directions,
+                     const Eigen::Ref<const Eigen::VectorXd>& scale, Eigen::VectorXd* roots) {
+  roots->resize(directions.cols());
+  for (Eigen::Index i = 0; i < directions.cols(); ++i) {
+    double sum = 0.0;
+    for (Eigen::Index j = 0; j < scale.size(); ++j) {
+      sum += directions(j, i) * directions(j, i) * std::log(scale[j]);
+    }
+    (*roots)[i] = std::exp(0.5 * sum);
   }
-  svd_.compute(*A, Eigen::ComputeThinU | Eigen::ComputeFullV);
-  const Eigen::MatrixXd &U = svd_.matrixU(), &V = svd_.matrixV();
-  squares_ = V.cwiseAbs2();
-  more_ = scale.array().log();
-  sizes_.noalias() = squares_.transpose() * more_;
-  sizes_ = (0.5 * sizes_).array().exp();
-  more_ = sizes_.head(U.cols()).array() - 1.0;
-  // Stretch along each direction the rows know.
-  for (Eigen::MatrixXd* rows : {A, B}) {
-    work_.noalias() = U.transpose() * *rows;
-    work_.array().colwise() *= more_.array();
-    rows->noalias() += U * work_;
-  }
-  squares_ = V;
-  squares_.array().rowwise() *= sizes_.transpose().array();
-  root_.noalias() = squares_ * V.transpose();
-  return root_;
 }
 
 void DiffusePrior(int index, double variance, Prior* prior) {

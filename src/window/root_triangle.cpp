@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "odmc/window/householder.h"
+#include "odmc/window/marginalization.h"
 
 namespace odmc {
 namespace {
@@ -29,8 +30,7 @@ RootTriangle& RootTriangle::operator=(const RootTriangle& other) {
 }
 
 void RootTriangle::Absorb(double* rows, int row_stride, int count) {
-  AbsorbRows(data_.data(), stride_, rows, row_stride, count, columns_.pivots(),
-             columns_.size());
+  AbsorbRows(data_.data(), stride_, rows, row_stride, count, columns_.pivots(), columns_.size());
 }
 
 void RootTriangle::AbsorbPriors(const Eigen::VectorXd& centre, const Eigen::VectorXd& sigma) {
@@ -123,6 +123,38 @@ void RootTriangle::SetParameterRows(const Eigen::MatrixXd& A, const Eigen::Matri
     for (int j = 0; j < 2; ++j) r[n + j] = B(i, j);
   }
   Absorb(scratch_.data(), stride_, static_cast<int>(A.rows()));
+}
+
+void RootTriangle::ScaleParameters(const Eigen::Ref<const Eigen::VectorXd>& scale, Workspace* w,
+                                   Eigen::MatrixXd* root) {
+  const int n = columns_.n;
+  GetParameterRows(&w->A, &w->B);
+  w->normal.resize(n, n);
+  w->normal.noalias() = w->A.transpose() * w->A;
+  w->eigen.compute(w->normal);
+  const Eigen::MatrixXd& V = w->eigen.eigenvectors();
+  DirectionScales(V, scale, &w->roots);
+  w->directions = V;
+  w->directions.array().rowwise() *= w->roots.transpose().array();
+  root->resize(n, n);
+  root->noalias() = w->directions * V.transpose();
+  w->stretched.resize(n, n);
+  w->stretched.noalias() = w->A * *root;
+  // A T x + b' = A x + b at the optimum x of each right-hand side.
+  w->solution.resize(n);
+  for (int c = 0; c < 2; ++c) {
+    for (int i = n - 1; i >= 0; --i) {
+      double sum = w->B(i, c);
+      for (int j = i + 1; j < n; ++j) sum += w->A(i, j) * w->solution[j];
+      w->solution[i] = std::abs(w->A(i, i)) < kLeastPivot ? 0.0 : -sum / w->A(i, i);
+    }
+    w->change.resize(n);
+    w->change.noalias() = w->A * w->solution;
+    w->B.col(c) += w->change;
+    w->change.noalias() = w->stretched * w->solution;
+    w->B.col(c) -= w->change;
+  }
+  SetParameterRows(w->stretched, w->B);
 }
 
 void RootTriangle::ParameterNormal(Workspace* workspace, Eigen::MatrixXd* normal) const {

@@ -32,9 +32,11 @@ class Consistency {
   /// Factor on each parameter's standard deviation (n), >= 0.5: below 1 where the
   /// assumed noise was larger than the flight's.
   /// @param eta present estimate; @param covariance inverse of its information (n×n)
-  Eigen::VectorXd Inflation(const Eigen::VectorXd& eta, const Eigen::MatrixXd& covariance) const;
+  Eigen::VectorXd Inflation(const Eigen::VectorXd& eta, const Eigen::MatrixXd& covariance);
 
  private:
+  void ApplyRescaling();
+
   struct Block {
     Eigen::VectorXd score, eta;
     Eigen::MatrixXd information;
@@ -47,7 +49,9 @@ class Consistency {
   Eigen::VectorXd score_, eta_sum_;
   Eigen::MatrixXd left_;
   std::vector<Block> blocks_;
-  // Scratch of Rescale(), which comes ten times a second.
+  // Rescale() comes ten times a second: what it did since the blocks were last used, and scratch.
+  bool rescaled_ = false;
+  Eigen::MatrixXd pending_root_, pending_scale_;
   Eigen::MatrixXd scale_, half_;
   Eigen::VectorXd scaled_;
 };

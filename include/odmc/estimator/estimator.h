@@ -36,7 +36,7 @@ struct Snapshot {
   Stamp stamp = 0;      ///< of the newest keyframe
   double time_s = 0.0;  ///< since the first keyframe
   bool airborne = false;
-  State state;            ///< newest keyframe, sensor frame S
+  State state;  ///< newest keyframe, sensor frame S
   /// Of its tangent (p, theta, v, w), not inflated; NaN where a direction is not known.
   WindowSolver::StateMatrix state_covariance;
   BodyProperties body;    ///< at the estimate: mounts, centre of mass, gravity

@@ -16,21 +16,25 @@ namespace odmc {
 struct IncrementalOptions {
   /// A state is linearized anew when an entry of its tangent has moved by more than this from the
   /// point where it was: position [m], rotation [rad], velocity [m/s], rate [rad/s].
-  std::array<double, kStateTangentSize> relinearise_state = {0.1,  0.1,  0.1,  5e-3, 5e-3, 5e-3,
-                                                             0.1,  0.1,  0.1,  0.1,  0.1,  0.1};
+  std::array<double, kStateTangentSize> relinearise_state = {0.1, 0.1, 0.1, 5e-3, 5e-3, 5e-3,
+                                                             0.1, 0.1, 0.1, 0.1,  0.1,  0.1};
   /// Parameters: of their present sigma.
   double relinearise_parameters = 0.3;
   /// Back-substitution stops at a state that changes by less than this share of the thresholds
   /// above (wildfire), and goes through the whole window when shared variables have moved by this
   /// share of a sigma.
   double wildfire = 0.02;
-  /// Beyond this many sigma between the parameters and the points at which the chain in use was
-  /// linearized the sweep hurries: as many keyframes per update as the time bound of a solve allows.
-  double hurry_parameters = 1.0;
+  /// Error that old linearizations may bring: of a parameter [of its sigma], of a sigma [relative].
+  /// Every sweep shows how much the distance between two points of linearization mattered; where
+  /// half a tolerance may be reached before the next one is through, it hurries: as many keyframes
+  /// per update as the time bound of a solve allows.
+  double parameter_tolerance = 0.1, sigma_tolerance = 0.05;
   /// Newest keyframes that are eliminated anew at once when their points move, >= 1.
   int recent_keyframes = 3;
-  /// Older keyframes eliminated anew per update when parameters have moved, >= 2.
-  int sweep_keyframes = 6;
+  /// Older keyframes eliminated anew per update when parameters have moved, >= 2; in long windows
+  /// the share of all, so that a sweep takes no more updates than that.
+  int sweep_keyframes = 10;
+  double sweep_share = 0.025;
   /// Older keyframes back-substituted per update, >= 1.
   int back_substituted_keyframes = 50;
   /// A step of a parameter beyond this share of its own prior's sigma asks for the batch solve.
@@ -74,7 +78,9 @@ class IncrementalWindowSolver final : public WindowSolver {
   void ReadPrior(const Window& window);
   bool Build(Window* window);
   SolveReport Align(Window* window, const SolverOptions& options);
-  ChainFront& front(std::int64_t id) { return fronts_[static_cast<size_t>(id - fronts_.front().id)]; }
+  ChainFront& front(std::int64_t id) {
+    return fronts_[static_cast<size_t>(id - fronts_.front().id)];
+  }
 
   void AppendFront(const Window& window, std::int64_t id);
   bool Advance(const Window& window, std::int64_t id);
@@ -82,9 +88,14 @@ class IncrementalWindowSolver final : public WindowSolver {
   bool RedoMovedRecent(Window* window);
   Checkpoint* FindCheckpoint(std::int64_t id);
   void StartSweep(const Window& window);
+  int SweepSize() const;
   bool Sweep(const Window& window, int budget);
   bool SweepOne(const Window& window);
   bool SweepAll(const Window& window);
+  struct Solution {
+    Eigen::VectorXd eta, sigma;
+  };
+  bool SolutionOf(const Window& window, Solution* solution);
   bool CatchUp(Window* window);
   std::int64_t MovePoints(const Window& window, std::int64_t from);
   std::int64_t OldestRecent() const;
@@ -95,15 +106,18 @@ class IncrementalWindowSolver final : public WindowSolver {
   void StoreState(ChainFront* front, Window* window);
   bool HasMoved(const Window& window, const ChainFront& front) const;
   bool ParametersMoved(const Window& window, const ParameterVector& from, double sigmas) const;
+  bool MustHurry(const Window& window) const;
+  void LearnCurvature();
   void Observe(const Window& window, const ChainFront& front, LeavingFactors* leaving) const;
-  void ChangePast();
+  template <typename Change>
+  void ChangePast(const Change& change);
   void ApplyPending();
 
   IncrementalOptions options_;
   EliminationWindowSolver batch_;  // until aligned, and for the alignment
   bool incremental_ = false;
   Ring<ChainFront> fronts_;
-  RowBlock triangle_;        // of the newest state
+  RowBlock triangle_;         // of the newest state
   RootTriangle root_, past_;  // of the chain in use, parameters' priors included; of what left
   Ring<Checkpoint> checkpoints_;
   struct {
@@ -114,14 +128,16 @@ class IncrementalWindowSolver final : public WindowSolver {
   ParameterVector point_;         // of linearization
   ParameterVector point_in_use_;  // of the chain in use; the sweep brings it to point_
   int point_version_ = 0;
+  Solution before_, after_;  // a sweep took the chain's place
+  double curvature_ = 0.0;   // tolerances per sigma between two points
+  bool have_root_ = false;
   std::vector<double> shared_, propagated_;  // solution of the border; at the last full pass
   std::vector<double> border_;               // of the front at hand
   Eigen::VectorXd sigma_;                    // of the parameters, last known
   Eigen::MatrixXd pending_;                  // change of the past the roots do not know yet
   bool has_pending_ = false;
-  RowScaling scaling_;
   RootTriangle::Workspace workspace_;
-  Eigen::MatrixXd past_rows_, past_rhs_, normal_;
+  Eigen::MatrixXd normal_, scale_root_;
   std::int64_t pass_ = -1;  // back-substitution goes on here, -1: done
   FrontScratch scratch_;
   RowBlock sweep_triangle_;

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <Eigen/SVD>
 
 #include "odmc/window/window.h"
 
@@ -48,19 +47,11 @@ bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
 /// @returns the symmetric root of the scale (n×n), for others that keep information: T I T
 Eigen::MatrixXd RescalePrior(const Eigen::Ref<const Eigen::VectorXd>& scale, Window* window);
 
-/// What RescalePrior() does to rows [A B] about parameters alone (any number of columns in B), for those who keep such rows
-/// elsewhere. Keeps its buffers: calls of one size do not allocate.
-class RowScaling {
- public:
-  /// @returns the root of the scale, until the next call
-  const Eigen::MatrixXd& Apply(const Eigen::Ref<const Eigen::VectorXd>& scale, Eigen::MatrixXd* A,
-                               Eigen::MatrixXd* B);
-
- private:
-  Eigen::JacobiSVD<Eigen::MatrixXd> svd_;
-  Eigen::MatrixXd root_, squares_, work_;
-  Eigen::VectorXd sizes_, more_;
-};
+/// How much RescalePrior() stretches each direction of parameters: the weighted geometric mean of
+/// its parameters' scales, square root.
+/// @param directions orthonormal columns (n×n)
+void DirectionScales(const Eigen::MatrixXd& directions,
+                     const Eigen::Ref<const Eigen::VectorXd>& scale, Eigen::VectorXd* roots);
 
 /// Lets parameter `index` of eta have moved by a random step of this variance since the prior was
 /// made: what the prior says about it fades, its optimum stays.

@@ -26,8 +26,8 @@ class ParameterInformation {
   ///   parameters' own priors
   const Eigen::MatrixXd& Update(const Window& window, const Eigen::VectorXd& relinearize);
 
-  /// Information of the newest state (12), its bias (6, if it has one) and the parameters (n) at the
-  /// last Update(); empty without a state.
+  /// Information of the newest state (12), its bias (6, if it has one) and the parameters (n) at
+  /// the last Update(); empty without a state.
   const Eigen::MatrixXd& newest() const { return newest_; }
 
  private:

@@ -2,13 +2,15 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
+#include <Eigen/Eigenvalues>
 #include <vector>
 
 namespace odmc {
 
 /// Columns of everything that is shared by the chain of states: the bias in force (6, zero without
-/// an IMU), the parameters (n), the anchor (1, see Window) and the right-hand side. Biases and parameters count from zero, not
-/// from a linearization point, so that rows linearized at different points add up.
+/// an IMU), the parameters (n), the anchor (1, see Window) and the right-hand side. Biases and
+/// parameters count from zero, not from a linearization point, so that rows linearized at different
+/// points add up.
 struct BorderColumns {
   explicit BorderColumns(int num_parameters) : n(num_parameters) {}
 
@@ -63,7 +65,15 @@ class RootTriangle {
   struct Workspace {
     Eigen::MatrixXd A, B, normal;
     Eigen::LLT<Eigen::MatrixXd, Eigen::Upper> llt;
+    Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen;
+    Eigen::MatrixXd stretched, directions;
+    Eigen::VectorXd roots, solution, change;
   };
+
+  /// Scales what it says of the parameters alone as RescalePrior() does; its optimum stays.
+  /// @param root becomes the root of the scale (n×n)
+  void ScaleParameters(const Eigen::Ref<const Eigen::VectorXd>& scale, Workspace* workspace,
+                       Eigen::MatrixXd* root);
 
   /// The normal equations of the parameters, Aᵀ[A B] (n×(n+2)).
   void ParameterNormal(Workspace* workspace, Eigen::MatrixXd* normal) const;

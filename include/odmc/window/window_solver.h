@@ -15,7 +15,7 @@ struct SolveReport {
   bool usable = false;     ///< false: the window was left as it was
   bool converged = false;  ///< false: stopped by the iteration or time bound
   int iterations = 0;
-  bool improved = false;      ///< at least one step was taken
+  bool improved = false;  ///< at least one step was taken
   /// Half the sum of squares, robust losses applied; 0 from the incremental solver, which never
   /// adds them up.
   double initial_cost = 0.0;
@@ -31,7 +31,7 @@ struct SolveReport {
 
 /// Bounds of one solve.
 struct SolverOptions {
-  int max_iterations = 1;            ///< per update, >= 1
+  int max_iterations = 1;  ///< per update, >= 1
   /// The start of a flight, or after a step that was refused: a linear model of the window may not
   /// do, solve it as a whole.
   bool align = false;
