@@ -48,6 +48,41 @@ Json TimingJson(const TimingFigures& f, int states, int threads) {
           {"threads", threads}};
 }
 
+Json QuantilesJson(const TimingFigures& f) {
+  return {{"median", Number(f.median)},
+          {"p95", Number(f.p95)},
+          {"p99", Number(f.p99)},
+          {"max", Number(f.max)}};
+}
+
+Json StagesJson(const BenchmarkRow& row) {
+  Json json = Json::object();
+  for (size_t i = 0; i < kUpdateStages.size(); ++i) {
+    json[kUpdateStages[i].name] = QuantilesJson(row.stages[i]);
+  }
+  return json;
+}
+
+Json WorkJson(const std::optional<IncrementalWork>& work) {
+  if (!work) return nullptr;
+  return {{"aligned_share", Number(work->aligned_share)},
+          {"sweeping_share", Number(work->sweeping_share)},
+          {"eliminated_median", Number(work->eliminated_median)}};
+}
+
+Json ComparisonJson(const std::optional<SolverComparison>& c) {
+  if (!c) return nullptr;
+  Json json = {{"compared", c->compared}, {"failed", c->failed}};
+  if (c->compared == 0) return json;
+  json["largest_parameter_difference_sigma"] = Number(c->largest_parameter_difference);
+  json["p95_parameter_difference_sigma"] = Number(c->p95_parameter_difference);
+  json["parameter"] = c->parameter;
+  json["largest_sigma_difference"] = Number(c->largest_sigma_difference);
+  json["p95_sigma_difference"] = Number(c->p95_sigma_difference);
+  json["sigma_parameter"] = c->sigma_parameter;
+  return json;
+}
+
 Json PredictionCounts(const PredictionFigures& f) {
   return {{"prediction_samples", f.samples},
           {"prediction_near_gaps", f.left_out_gaps},
@@ -137,11 +172,18 @@ std::string BenchmarkReport(const std::vector<BenchmarkRow>& rows, const FlightL
   json["flight"] = {{"file", log.file}};
   json["benchmark"] = Json::array();
   for (const BenchmarkRow& row : rows) {
-    json["benchmark"].push_back(
-        {{"window_s", row.window_s},
-         {"keyframe_rate_hz", row.keyframe_rate_hz},
-         {"timing_ms", TimingJson(row.wall, row.states_in_window, row.threads)},
-         {"timing_cpu_ms", TimingJson(row.cpu, row.states_in_window, row.threads)}});
+    json["benchmark"].push_back({{"solver", row.solver},
+                                 {"window_s", row.window_s},
+                                 {"keyframe_rate_hz", row.keyframe_rate_hz},
+                                 {"states", row.states_in_window},
+                                 {"threads", row.threads},
+                                 {"updates", row.wall.updates},
+                                 {"wall_ms", QuantilesJson(row.wall)},
+                                 {"cpu_ms", QuantilesJson(row.cpu)},
+                                 {"stages_wall_ms", StagesJson(row)},
+                                 {"real_time_factor", Number(row.real_time_factor)},
+                                 {"incremental", WorkJson(row.work)},
+                                 {"comparison", ComparisonJson(row.comparison)}});
   }
   return Dump(json);
 }

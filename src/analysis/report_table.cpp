@@ -126,14 +126,35 @@ std::string RecoveryTable(const Recovery& recovery) {
 }
 
 std::string BenchmarkTable(const std::vector<BenchmarkRow>& rows) {
-  std::vector<Row> lines = {
-      {"clock", "window [s]", "states", "median [ms]", "p95", "p99", "max", "updates"}};
+  std::vector<Row> times = {{"solver", "window [s]", "states", "CPU median [ms]", "p95", "p99",
+                             "max", "updates", "wall median", "p99", "max", "times real time"}};
+  std::vector<Row> stages = {{"median/p99 [ms]", "window [s]"}};
+  std::vector<Row> differences = {{"full solves", "window [s]", "compared", "parameters [sigma]",
+                                   "p95", "sigmas [%]", "p95", "largest"}};
+  for (const UpdateStage& stage : kUpdateStages) stages[0].emplace_back(stage.name);
   for (const BenchmarkRow& row : rows) {
-    const std::string window = Text(row.window_s), states = std::to_string(row.states_in_window);
-    lines.push_back(TimingRow({"wall", window, states}, row.wall));
-    lines.push_back(TimingRow({"CPU", window, states}, row.cpu));
+    const std::string window = Text(row.window_s);
+    Row time = TimingRow({row.solver, window, std::to_string(row.states_in_window)}, row.cpu);
+    for (const auto& ms : {row.wall.median, row.wall.p99, row.wall.max}) {
+      time.push_back(Text(ms, "%.2f"));
+    }
+    time.push_back(Text(row.real_time_factor, "%.1f"));
+    times.push_back(time);
+    stages.push_back({row.solver, window});
+    for (const TimingFigures& f : row.stages) {
+      stages.back().push_back(Text(f.median, "%.3f") + "/" + Text(f.p99, "%.3f"));
+    }
+    if (!row.comparison || row.comparison->compared == 0) continue;
+    const SolverComparison& c = *row.comparison;
+    differences.push_back(
+        {row.solver, window, std::to_string(c.compared),
+         Text(c.largest_parameter_difference, "%.3f"), Text(c.p95_parameter_difference, "%.3f"),
+         Text(100.0 * c.largest_sigma_difference, "%.2f"),
+         Text(100.0 * c.p95_sigma_difference, "%.2f"), c.parameter + ", " + c.sigma_parameter});
   }
-  return Align(lines, 1);
+  std::string text = Align(times, 1) + "\n" + Align(stages, 1);
+  if (differences.size() > 1) text += "\n" + Align(differences, 1);
+  return text;
 }
 
 }  // namespace odmc

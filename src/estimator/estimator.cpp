@@ -30,18 +30,35 @@ double ThreadCpuSeconds() {
   return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
 }
 
-/// Times one update on both clocks.
+/// Times one update on both clocks, stage by stage.
 class UpdateTimer {
  public:
-  UpdateTimer() : wall_(std::chrono::steady_clock::now()), cpu_(ThreadCpuSeconds()) {}
-  double WallMs() const {
-    return 1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - wall_).count();
+  UpdateTimer() : stage_(Clock::now()), cpu_(ThreadCpuSeconds()) {}
+
+  /// Ends a stage; the next one begins. @returns its wall time
+  double EndStageMs() {
+    const Clock::time_point now = Clock::now();
+    const double ms = 1e3 * std::chrono::duration<double>(now - stage_).count();
+    stage_ = now;
+    wall_ms_ += ms;
+    return ms;
   }
+
+  /// Runs, between two stages, what does not count.
+  void RunUntimed(const std::function<void()>& run) {
+    const double cpu = ThreadCpuSeconds();
+    run();
+    cpu_ += ThreadCpuSeconds() - cpu;
+    stage_ = Clock::now();
+  }
+
+  double WallMs() const { return wall_ms_; }  // of the stages that have ended
   double CpuMs() const { return 1e3 * (ThreadCpuSeconds() - cpu_); }
 
  private:
-  std::chrono::steady_clock::time_point wall_;
-  double cpu_;
+  using Clock = std::chrono::steady_clock;
+  Clock::time_point stage_;
+  double wall_ms_ = 0.0, cpu_;
 };
 
 OdometryNoise Configured(const EstimatorOptions& options) {
@@ -233,12 +250,12 @@ const Snapshot* Estimator::Step() {
   if (!last_ && noise_ready_ > 0 && synchroniser_.newest_odometry() < noise_ready_) {
     return nullptr;
   }
+  UpdateTimer timer;
   const std::optional<OdometrySample> sample = synchroniser_.NextKeyframe();
   if (!sample) return nullptr;
   made_progress_ = true;
   if (!first_stamp_) first_stamp_ = sample->stamp;
 
-  const UpdateTimer timer;
   const bool airborne = CheckGround(*sample);
   const Snapshot* snapshot = nullptr;
   FollowLoad(*sample);
@@ -248,7 +265,9 @@ const Snapshot* Estimator::Step() {
     inertia_gate_.Break();
     change_detector_.Break();
   } else if (airborne) {
+    UpdateTiming timing;
     const std::optional<Interval> interval = ReadInterval(*sample);
+    timing.read_ms = timer.EndStageMs();
     AddKeyframe(*sample, interval);
     SolverOptions solver_options;
     // One step an update follows the flight; the first second and a refused step need more.
@@ -260,23 +279,28 @@ const Snapshot* Estimator::Step() {
     solver_options.function_tolerance = options_.function_tolerance;
     solver_options.num_threads = options_.num_threads;
     FreeInertia();
+    timing.build_ms = timer.EndStageMs();
     const SolveReport report = solver_->Solve(&window_, solver_options);
+    timing.solve_ms = timer.EndStageMs();
     if (!report.usable) ++counters_.refused_updates;
     needs_more_iterations_ = !report.improved && !report.converged;
     TakeSnapshot(*sample, report);
     snapshot = &snapshot_;
-    const double before_observer_wall = timer.WallMs(), before_observer_cpu = timer.CpuMs();
-    if (observe_) observe_();
-    const double observer_wall = timer.WallMs() - before_observer_wall;
-    const double observer_cpu = timer.CpuMs() - before_observer_cpu;
+    timing.snapshot_ms = timer.EndStageMs();
+    if (observe_) timer.RunUntimed(observe_);
     const double span =
         ToSeconds(window_.keyframes().back().stamp - window_.keyframes().front().stamp);
-    snapshot_.timing.window_full = span >= options_.window_s - 2.5 / options_.keyframe_rate_hz;
-    snapshot_.timing.states = static_cast<int>(window_.keyframes().size());
+    timing.window_full = span >= options_.window_s - 2.5 / options_.keyframe_rate_hz;
+    timing.states = static_cast<int>(window_.keyframes().size());
+    timing.eliminated = report.eliminated;
+    timing.sweeping = report.sweeping;
+    timing.aligned = report.aligned;
     MarginalizeOld();
     if (options_.detect_changes) LookForChange();
-    snapshot_.timing.wall_ms = timer.WallMs() - observer_wall;
-    snapshot_.timing.cpu_ms = timer.CpuMs() - observer_cpu;
+    timing.marginalize_ms = timer.EndStageMs();
+    timing.wall_ms = timer.WallMs();
+    timing.cpu_ms = timer.CpuMs();
+    snapshot_.timing = timing;
   } else {
     ++counters_.ground_keyframes;
     last_in_window_ = false;

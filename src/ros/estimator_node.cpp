@@ -58,6 +58,12 @@ std::string Now() {
   return text;
 }
 
+/// Keeps the newest kTimedUpdates.
+void Keep(double ms, std::deque<double>* all) {
+  all->push_back(ms);
+  if (all->size() > kTimedUpdates) all->pop_front();
+}
+
 double Percentile(const std::deque<double>& values, double share) {
   if (values.empty()) return 0.0;
   std::vector<double> sorted(values.begin(), values.end());
@@ -351,6 +357,7 @@ EstimatorNode::Answer EstimatorNode::Reset() {
   last_.reset();
   added_effects_.clear();
   update_ms_.clear();
+  publish_ms_.clear();
   {
     const std::lock_guard<std::mutex> lock(watch_mutex_);
     to_be_added_.reset();
@@ -651,8 +658,8 @@ void EstimatorNode::OnSnapshot(Snapshot snapshot) {
     ROS_ERROR_THROTTLE(1.0, "the estimate is not finite and is not published");
     return;
   }
-  update_ms_.push_back(snapshot.timing.wall_ms);
-  if (update_ms_.size() > kTimedUpdates) update_ms_.pop_front();
+  const Clock::time_point start = Clock::now();
+  Keep(snapshot.timing.wall_ms, &update_ms_);
   acceptance_.Update(*model_, snapshot);
   if (watch_) watch_->SetEstimate(model_, snapshot.values, estimator_->start());
   {
@@ -669,6 +676,7 @@ void EstimatorNode::OnSnapshot(Snapshot snapshot) {
   last_ = std::move(snapshot);
   last_is_published_ = false;
   if (ros::ok()) PublishEstimate(*last_);
+  Keep(std::chrono::duration<double, std::milli>(Clock::now() - start).count(), &publish_ms_);
 }
 
 void EstimatorNode::AddWhatWasFound() {
@@ -810,6 +818,8 @@ void EstimatorNode::ShareSnapshot(const Snapshot& snapshot, NodeStatus* s) const
   s->battery_voltage_V = snapshot.battery_voltage_V;
   s->update_ms_median = Percentile(update_ms_, 0.5);
   s->update_ms_p99 = Percentile(update_ms_, 0.99);
+  s->publish_ms_median = Percentile(publish_ms_, 0.5);
+  s->publish_ms_p99 = Percentile(publish_ms_, 0.99);
 }
 
 std::string EstimatorNode::TwistText() const {

@@ -99,6 +99,8 @@ DiagnosticStatus EstimatorDiagnostic(const NodeStatus& s, const std::string& nam
   Put("states_in_window", static_cast<long>(s.states_in_window), &status);
   Put("update_ms_median", s.update_ms_median, &status);
   Put("update_ms_p99", s.update_ms_p99, &status);
+  Put("publish_ms_median", s.publish_ms_median, &status);
+  Put("publish_ms_p99", s.publish_ms_p99, &status);
   Put("position_noise_m", s.noise.position_m, &status);
   Put("attitude_noise_rad", s.noise.attitude_rad, &status);
   Put("velocity_noise_m_s", s.noise.velocity_m_s, &status);

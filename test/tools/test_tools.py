@@ -103,6 +103,10 @@ class ToolsTest(unittest.TestCase):
         self.expect(2, 'zigzag', 'simulate', *vehicle, '--trajectory', 'zigzag', '--seed', '1',
                     '--out', self.path('x.csv'))
         self.expect(2, '--vehicle', 'benchmark', self.flight(), *out)
+        self.expect(2, 'magic', 'benchmark', *out, '--solver', 'incremental,magic')
+        self.expect(2, '--solver', 'benchmark', *out, '--set', 'solver=ceres')
+        self.expect(2, '--windows', 'benchmark', *out, '--set', 'window_s=1')
+        self.expect(2, '--full-solve-every', 'benchmark', *out, '--full-solve-every', '-1')
 
     def test_bad_input_ends_with_status_one(self) -> None:
         out = ('--out', self.path('out'), '--no-report')
@@ -219,14 +223,51 @@ class ToolsTest(unittest.TestCase):
             self.assertLessEqual({'median_error', 'median_relative_error',
                                   'median_error_over_sigma', 'coverage_3sigma'}, set(entry))
 
-    def test_benchmark_measures_each_window(self) -> None:
-        done = run('benchmark', '--windows', '0.2,0.4', '--duration', '4', '--out',
-                   self.path('benchmark'))
-        self.assertEqual(done.returncode, 0, done.stderr)
-        rows = read_json(self.path('benchmark'), 'report.json')['benchmark']
-        self.assertEqual([row['window_s'] for row in rows], [0.2, 0.4])
-        self.assertLess(rows[0]['timing_ms']['states_in_window'],
-                        rows[1]['timing_ms']['states_in_window'])
+    def test_benchmark_measures_each_solver_and_window(self) -> None:
+        out = self.path('benchmark')
+        done = run('benchmark', '--windows', '0.2,0.4', '--solver', 'incremental,ceres',
+                   '--keyframe-rate', '50', '--duration', '4', '--full-solve-every', '40',
+                   '--out', out)
+        self.assertEqual((done.returncode, done.stderr), (0, ''))
+        self.assertEqual(set(os.listdir(out)), {'report.json', 'benchmark.png'})
+        rows = read_json(out, 'report.json')['benchmark']
+        self.assertEqual([(row['solver'], row['window_s'], row['states']) for row in rows],
+                         [('incremental', 0.2, 10), ('incremental', 0.4, 20), ('ceres', 0.2, 10),
+                          ('ceres', 0.4, 20)])
+        for row in rows:
+            self.check_benchmark(row)
+        for key in ('aligned_share', 'sweeping_share'):
+            self.assertTrue(0.0 <= rows[0]['incremental'][key] <= 1.0, key)
+        self.assertGreater(rows[0]['incremental']['eliminated_median'], 0.0)
+        self.assertIsNone(rows[2]['incremental'])
+
+    def check_benchmark(self, row: Dict[str, Any]) -> None:
+        """One solver at one window length."""
+        self.assertEqual((row['keyframe_rate_hz'], row['threads']), (50.0, 1))
+        self.assertGreater(row['updates'], 50)
+        self.assertGreater(row['real_time_factor'], 0.0)
+        stages = row['stages_wall_ms']
+        self.assertEqual(list(stages), ['read', 'build', 'solve', 'snapshot', 'marginalize'])
+        for times in (row['wall_ms'], row['cpu_ms'], *stages.values()):
+            self.assertTrue(0.0 < times['median'] <= times['p95'] <= times['p99'] <= times['max'])
+        self.assertLess(stages['solve']['median'], row['wall_ms']['median'])
+        difference = row['comparison']
+        self.assertGreaterEqual(difference['compared'], 3)
+        self.assertEqual(difference['failed'], 0)
+        self.assertLessEqual(difference['p95_parameter_difference_sigma'],
+                             difference['largest_parameter_difference_sigma'])
+        self.assertLess(difference['largest_sigma_difference'], 1.0)
+        self.assertIn('.', difference['parameter'])
+        self.assertIn('.', difference['sigma_parameter'])
+
+    def test_benchmark_compares_only_when_asked(self) -> None:
+        out = self.path('benchmark_quick')
+        done = run('benchmark', self.flight(), '--vehicle', VEHICLE, '--solver', 'elimination',
+                   '--windows', '0.2', '--full-solve-every', '0', '--no-report', '--out', out)
+        self.assertEqual((done.returncode, done.stderr), (0, ''))
+        self.assertEqual(os.listdir(out), ['report.json'])
+        row, = read_json(out, 'report.json')['benchmark']
+        self.assertEqual((row['solver'], row['comparison']), ('elimination', None))
 
     def bench(self) -> str:
         """Steps of one motor: first-order lag of 30 ms, 700 rad/s at 20 %, 2000 per throttle."""

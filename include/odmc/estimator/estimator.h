@@ -23,12 +23,21 @@
 
 namespace odmc {
 
-/// Wall and CPU time of one update [ms].
+/// Wall and CPU time of one update [ms], and what they depend on.
 struct UpdateTiming {
   double wall_ms = 0.0;
   double cpu_ms = 0.0;
-  int states = 0;            ///< in the window
-  bool window_full = false;  ///< the window had reached its length
+  // Wall time of the stages of an update, in their order; their sum is wall_ms.
+  double read_ms = 0.0;         ///< synchronise the streams, look for the ground, preintegrate
+  double build_ms = 0.0;        ///< the keyframe and its factors
+  double solve_ms = 0.0;        ///< the window
+  double snapshot_ms = 0.0;     ///< covariances, residuals
+  double marginalize_ms = 0.0;  ///< the oldest keyframe; statistics of its residual
+  int states = 0;               ///< in the window
+  bool window_full = false;     ///< the window had reached its length
+  // As in SolveReport.
+  int eliminated = 0;
+  bool sweeping = false, aligned = false;
 };
 
 /// Where the estimate stands after one update.

@@ -212,7 +212,7 @@ class EstimatorNode {
   std::string added_effects_;
   bool last_is_published_ = false;
   Clock::time_point parameters_published_, accepted_published_, status_shared_;
-  std::deque<double> update_ms_;
+  std::deque<double> update_ms_, publish_ms_;
   long not_finite_ = 0;
 
   // Guarded by status_mutex_.

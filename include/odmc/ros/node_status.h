@@ -67,6 +67,7 @@ struct NodeStatus {
   SynchroniserCounters stream_counters;
   OdometryNoise noise;
   double update_ms_median = 0.0, update_ms_p99 = 0.0;
+  double publish_ms_median = 0.0, publish_ms_p99 = 0.0;  ///< from an update to its messages
   double residual_force_rms_N = 0.0, residual_torque_rms_Nm = 0.0, battery_voltage_V = 0.0;
   double time_s = 0.0;
   int states_in_window = 0;
