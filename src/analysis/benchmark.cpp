@@ -83,15 +83,18 @@ SolverComparison Compare(const FlightLog& log, const DynamicModel& model,
       ++result.failed;
       return;
     }
+    const double time_s = ToSeconds(estimator.last_keyframe_stamp() - estimator.start());
     parameters.push_back(difference->parameters);
     sigmas.push_back(difference->sigmas);
     if (difference->parameters > result.largest_parameter_difference) {
       result.largest_parameter_difference = difference->parameters;
       result.parameter = difference->worst_parameter;
+      result.parameter_at_s = time_s;
     }
     if (difference->sigmas > result.largest_sigma_difference) {
       result.largest_sigma_difference = difference->sigmas;
       result.sigma_parameter = difference->worst_sigma;
+      result.sigma_parameter_at_s = time_s;
     }
   });
   Replay(log, &estimator, progress);

@@ -77,9 +77,11 @@ Json ComparisonJson(const std::optional<SolverComparison>& c) {
   json["largest_parameter_difference_sigma"] = Number(c->largest_parameter_difference);
   json["p95_parameter_difference_sigma"] = Number(c->p95_parameter_difference);
   json["parameter"] = c->parameter;
+  json["parameter_at_s"] = Number(c->parameter_at_s);
   json["largest_sigma_difference"] = Number(c->largest_sigma_difference);
   json["p95_sigma_difference"] = Number(c->p95_sigma_difference);
   json["sigma_parameter"] = c->sigma_parameter;
+  json["sigma_parameter_at_s"] = Number(c->sigma_parameter_at_s);
   return json;
 }
 

@@ -74,6 +74,10 @@ std::string WarningLines(const std::vector<std::string>& warnings) {
   return text;
 }
 
+std::string At(const std::string& parameter, double time_s) {
+  return parameter + " at " + Text(time_s, "%.1f") + " s";
+}
+
 Row TimingRow(const Row& start, const TimingFigures& f) {
   Row row = start;
   for (const auto& value : {f.median, f.p95, f.p99, f.max}) row.push_back(Text(value, "%.2f"));
@@ -150,7 +154,8 @@ std::string BenchmarkTable(const std::vector<BenchmarkRow>& rows) {
         {row.solver, window, std::to_string(c.compared),
          Text(c.largest_parameter_difference, "%.3f"), Text(c.p95_parameter_difference, "%.3f"),
          Text(100.0 * c.largest_sigma_difference, "%.2f"),
-         Text(100.0 * c.p95_sigma_difference, "%.2f"), c.parameter + ", " + c.sigma_parameter});
+         Text(100.0 * c.p95_sigma_difference, "%.2f"),
+         At(c.parameter, c.parameter_at_s) + ", " + At(c.sigma_parameter, c.sigma_parameter_at_s)});
   }
   std::string text = Align(times, 1) + "\n" + Align(stages, 1);
   if (differences.size() > 1) text += "\n" + Align(differences, 1);

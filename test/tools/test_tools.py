@@ -259,6 +259,7 @@ class ToolsTest(unittest.TestCase):
         self.assertLess(difference['largest_sigma_difference'], 1.0)
         self.assertIn('.', difference['parameter'])
         self.assertIn('.', difference['sigma_parameter'])
+        self.assertTrue(0.0 < difference['parameter_at_s'] < 4.0)
 
     def test_benchmark_compares_only_when_asked(self) -> None:
         out = self.path('benchmark_quick')

@@ -24,7 +24,8 @@ struct SolverComparison {
   long failed = 0;    ///< full solves that were not usable
   double largest_parameter_difference = 0.0, p95_parameter_difference = 0.0;  ///< [sigma]
   double largest_sigma_difference = 0.0, p95_sigma_difference = 0.0;          ///< relative
-  std::string parameter, sigma_parameter;  ///< full names, of the largest
+  std::string parameter, sigma_parameter;                   ///< full names, of the largest
+  double parameter_at_s = 0.0, sigma_parameter_at_s = 0.0;  ///< flight time of the largest
 };
 
 /// What the incremental solver did per update.
