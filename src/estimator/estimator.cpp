@@ -72,6 +72,10 @@ std::unique_ptr<WindowSolver> MakeSolver(const EstimatorOptions& options, int fr
   if (options.solver == "elimination") return std::make_unique<EliminationWindowSolver>(3 + fresh);
   IncrementalOptions incremental;
   incremental.recent_keyframes += fresh;
+  // Form E ties positions to the force twice integrated, a hundred times tighter than odometry.
+  if (options.dynamics_form == "euler") {
+    for (double& threshold : incremental.relinearise_state) threshold *= 0.05;
+  }
   return std::make_unique<IncrementalWindowSolver>(incremental);
 }
 

@@ -12,7 +12,7 @@ namespace {
 constexpr int kState = kStateTangentSize;
 constexpr int kBiasSize = 6;
 
-/// y += M x for a row-major M.
+/// rhs -= J x for a row-major J (rows×columns).
 void SubtractProduct(const double* J, int rows, int columns, const double* x, double* rhs,
                      int stride) {
   for (int i = 0; i < rows; ++i) {
@@ -69,6 +69,7 @@ void ChainFront::Reset(const Window& window, std::int64_t keyframe) {
   ++point_version;
   conditional_version = next_version = -1;
   delta.fill(0.0);
+  delta_version = point_version;
   message.SetZero(kState, PaddedRow(kState + BorderColumns(n_).size()));
   own.count = pair.count = rest.count = rest_before = 0;
   bias_leaves = eliminated = false;

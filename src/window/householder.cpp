@@ -1,6 +1,7 @@
 #include "odmc/window/householder.h"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <cstring>
 
@@ -87,6 +88,7 @@ ODMC_INLINE void AbsorbInto(double* U, int u_stride, double* E, int e_stride, in
 
 ODMC_INLINE int TriangulariseInto(double* E, int e_stride, int rows, int pivots, int columns,
                                   double* U, int u_stride) {
+  assert(rows <= kMostRows);
   double v[kMostRows];
   int taken = 0;
   for (int j = 0; j < pivots; ++j) {

@@ -13,8 +13,11 @@ namespace odmc {
 namespace {
 
 constexpr int kState = kStateTangentSize;
-constexpr double kFirstCurvature = 0.5;   // error in tolerances per sigma of distance
-constexpr double kCurvatureMemory = 0.7;  // from one sweep to the next
+constexpr double kFirstCurvature = 3.0;    // error in tolerances per sigma of distance
+constexpr double kCurvatureMemory = 0.85;  // from one sweep to the next
+constexpr double kBiasThreshold = 0.05;    // of biases for wildfire [rad/s, m/s²]
+constexpr int kMostHurriedSweeps = 4;      // in one update
+constexpr int kAlignmentIterations = 10;   // of the batch solve
 
 double* BiasOf(Window* window, std::int64_t id) { return window->bias(id).x.data(); }
 
@@ -38,7 +41,7 @@ void IncrementalWindowSolver::Forget() {
   incremental_ = false;
   fronts_.clear();
   checkpoints_.clear();
-  sweep_.active = sweep_.wanted = false;
+  sweep_.active = sweep_.wanted = sweep_.urgent = false;
   have_root_ = false;
   curvature_ = kFirstCurvature;
   pass_ = -1;
@@ -158,7 +161,9 @@ SolveReport IncrementalWindowSolver::Align(Window* window, const SolverOptions& 
   ApplyPending();
   if (Follows(*window)) WritePrior(window);
   Forget();
-  SolveReport report = batch_.Solve(window, options);
+  SolverOptions thorough = options;
+  thorough.max_iterations = std::max(options.max_iterations, kAlignmentIterations);
+  SolveReport report = batch_.Solve(window, thorough);
   report.aligned = true;
   return report;
 }
@@ -171,13 +176,6 @@ void IncrementalWindowSolver::AppendFront(const Window& window, std::int64_t id)
 
 std::int64_t IncrementalWindowSolver::OldestRecent() const {
   return std::max(fronts_.front().id, fronts_.back().id - options_.recent_keyframes);
-}
-
-IncrementalWindowSolver::Checkpoint* IncrementalWindowSolver::FindCheckpoint(std::int64_t id) {
-  for (Checkpoint& checkpoint : checkpoints_) {
-    if (checkpoint.id == id) return &checkpoint;
-  }
-  return nullptr;
 }
 
 /// Eliminates front `id`, the chain's last one so far, given triangle_ and root_; enters the next.
@@ -214,7 +212,7 @@ bool IncrementalWindowSolver::Redo(const Window& window, std::int64_t from) {
 
 bool IncrementalWindowSolver::HasMoved(const Window& window, const ChainFront& f) const {
   std::array<double, kState> moved = f.delta;
-  if (f.eliminated && f.conditional_version != f.point_version) {
+  if (f.delta_version != f.point_version) {
     StateManifold().Minus(window.keyframe(f.id).x.data(), f.point.data(), moved.data());
   }
   for (int i = 0; i < kState; ++i) {
@@ -237,20 +235,21 @@ std::int64_t IncrementalWindowSolver::MovePoints(const Window& window, std::int6
 
 /// Linearizes newest states that have moved anew, and what was touched.
 bool IncrementalWindowSolver::RedoMovedRecent(Window* window) {
-  const std::int64_t newest = fronts_.back().id, oldest = OldestRecent();
+  const std::int64_t newest = fronts_.back().id;
+  const std::int64_t oldest = std::max(OldestRecent(), checkpoints_.front().id);
   std::int64_t from = newest + 1;
   const std::int64_t touched = window->TakeTouched();
   if (touched >= 0) {
-    if (touched < oldest) sweep_.wanted = true;
+    if (touched < oldest) {  // a sweep under way may have passed it
+      StartSweep(*window);
+      sweep_.urgent = true;
+    }
     from = std::max(touched, oldest);
   }
+  // With the factors to the state before.
   const std::int64_t moved = MovePoints(*window, oldest + 1);
-  if (moved >= 0) from = std::min(from, moved - 1);  // its factors with the state before
+  if (moved >= 0) from = std::min(from, moved - 1);
   if (from > newest) return true;
-  if (FindCheckpoint(from) == nullptr) {
-    sweep_.wanted = true;
-    return true;
-  }
   return Redo(*window, from);
 }
 
@@ -288,13 +287,11 @@ int IncrementalWindowSolver::SweepSize() const {
 bool IncrementalWindowSolver::Sweep(const Window& window, int budget) {
   bool sound = true;
   for (int i = 0; i < budget && sweep_.active; ++i) {
-    if (sweep_.next < OldestRecent()) {
-      sound = SweepOne(window) && sound;
-      continue;
-    }
+    if (sweep_.next < OldestRecent()) sound = SweepOne(window) && sound;
+    if (sweep_.next < OldestRecent()) continue;
     // It has caught up: the rest at once, from here on it is the chain in use.
     const bool known = have_root_ && SolutionOf(window, &before_);
-    sweep_.active = false;
+    sweep_.active = sweep_.urgent = false;
     checkpoints_.clear();
     Checkpoint& checkpoint = checkpoints_.Append();
     checkpoint.id = sweep_.next;
@@ -310,11 +307,11 @@ bool IncrementalWindowSolver::Sweep(const Window& window, int budget) {
 
 /// Parameters and their sigmas by the root as it stands.
 bool IncrementalWindowSolver::SolutionOf(const Window& window, Solution* solution) {
-  if (!root_.Covariance(&normal_)) return false;
+  if (!root_.Covariance(&covariance_)) return false;
   root_.Solve(window.anchor_entry(), window.anchor(), border_.data());
   const int n = past_.columns().n;
   solution->eta = Eigen::Map<const Eigen::VectorXd>(border_.data() + BorderColumns::kParameters, n);
-  solution->sigma = normal_.diagonal().cwiseSqrt();
+  solution->sigma = covariance_.diagonal().cwiseSqrt();
   return true;
 }
 
@@ -332,7 +329,8 @@ void IncrementalWindowSolver::LearnCurvature() {
 
 /// True if putting the relinearization off might cost more than it may.
 bool IncrementalWindowSolver::MustHurry(const Window& window) const {
-  return ParametersMoved(window, point_in_use_, 0.5 / std::max(curvature_, 1e-9));
+  if (sweep_.urgent) return true;
+  return ParametersMoved(window, point_in_use_, 0.65 / std::max(curvature_, 1e-9));
 }
 
 bool IncrementalWindowSolver::SweepAll(const Window& window) {
@@ -359,7 +357,7 @@ bool IncrementalWindowSolver::SolveRoot(Window* window) {
   for (int i = 0; i < n; ++i) {
     window->eta()[i] = shared_[static_cast<size_t>(BorderColumns::kParameters + i)];
   }
-  window->anchor() = shared_[static_cast<size_t>(past_.columns().anchor())];
+  window->MoveAnchor();
   const std::int64_t bias = window->keyframes().back().bias;
   if (bias >= 0) std::copy_n(shared_.begin(), 6, BiasOf(window, bias));
   return true;
@@ -382,8 +380,7 @@ double IncrementalWindowSolver::BackSubstitute(std::int64_t id, Window* window) 
   std::array<double, kState> next;
   if (f.eliminated) {
     const ChainFront& after = front(id + 1);
-    const int version = after.eliminated ? after.conditional_version : after.point_version;
-    if (version == f.next_version) {
+    if (after.delta_version == f.next_version) {
       next = after.delta;
     } else {
       StateManifold().Minus(window->keyframe(id + 1).x.data(), f.next_point.data(), next.data());
@@ -411,6 +408,7 @@ double IncrementalWindowSolver::BackSubstitute(std::int64_t id, Window* window) 
     change = std::max(change, std::abs(x[i] - f.delta[i]) / options_.relinearise_state[i]);
     f.delta[i] = x[i];
   }
+  f.delta_version = f.eliminated ? f.conditional_version : f.point_version;
   if (f.bias_leaves && f.eliminated) {
     std::copy_n(x.begin() + kState, 6, BiasOf(window, keyframe.bias));
   }
@@ -426,6 +424,10 @@ void IncrementalWindowSolver::BackSubstitute(Window* window, bool everything) {
     const auto k = static_cast<size_t>(BorderColumns::kParameters + i);
     moved = moved || std::abs(shared_[k] - propagated_[k]) > options_.wildfire * sigma_[i];
   }
+  for (int i = 0; i < BorderColumns::kParameters; ++i) {
+    const auto k = static_cast<size_t>(i);
+    moved = moved || std::abs(shared_[k] - propagated_[k]) > options_.wildfire * kBiasThreshold;
+  }
   if (moved && pass_ < 0) {
     propagated_ = shared_;
     pass_ = newest;
@@ -436,6 +438,8 @@ void IncrementalWindowSolver::BackSubstitute(Window* window, bool everything) {
   int left = everything ? static_cast<int>(fronts_.size()) : options_.back_substituted_keyframes;
   for (; id >= oldest; --id) {
     const double change = BackSubstitute(id, window);
+    if (id < recent && id > oldest && !sweep_.active && HasMoved(*window, front(id)))
+      sweep_.wanted = true;
     if (--left <= 0 || (id <= recent && change < options_.wildfire)) break;
   }
   // What shared variables change, over the whole window.
@@ -463,6 +467,7 @@ bool IncrementalWindowSolver::CatchUp(Window* window) {
   if (fronts_.empty()) {  // a new chain, on what was learned before
     for (std::int64_t id = oldest; id <= newest; ++id) AppendFront(*window, id);
     window->TakeTouched();
+    curvature_ = kFirstCurvature;
     return SweepAll(*window);
   }
   bool sound = RedoMovedRecent(window);
@@ -483,19 +488,26 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
   if (options.align || window->keyframes().empty()) return Align(window, options);
   ApplyPending();
   const bool followed = Follows(*window);
+  const ParameterVector eta = window->eta();
   bool sound = CatchUp(window);
   if (sound && sweep_.active) sound = Sweep(*window, SweepSize());
   bool solved = sound && SolveRoot(window);
   // Where old linearizations may cost too much, one sweep after the other, as far as time allows.
-  while (solved && MustHurry(*window) && elapsed_s() < options.max_time_s) {
+  for (int i = 0; i < kMostHurriedSweeps; ++i) {
+    if (!solved || !MustHurry(*window) || elapsed_s() >= options.max_time_s) break;
     if (!sweep_.active) StartSweep(*window);
     while (sound && sweep_.active && elapsed_s() < options.max_time_s) {
       sound = Sweep(*window, SweepSize());
     }
     solved = sound && SolveRoot(window);
   }
+  if (solved && MustHurry(*window) && elapsed_s() < options.max_time_s) {
+    solved = false;  // does not settle: steps want damping
+  }
   report_.iterations = 1;
   if (!sound) {
+    window->eta() = eta;
+    window->MoveAnchor();
     if (followed) WritePrior(window);
     Forget();
     report_.message = "a factor cannot be evaluated at the present estimate";
@@ -503,7 +515,16 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
   }
   if (!solved) return Align(window, options);
   BackSubstitute(window, false);
+  // The newest states come in where odometry has them and move most.
+  for (int pass = 0; pass < options_.recent_passes; ++pass) {
+    const int before = report_.eliminated;
+    if (!RedoMovedRecent(window)) break;
+    if (report_.eliminated == before) break;
+    if (!SolveRoot(window)) return Align(window, options);
+    BackSubstitute(window, false);
+  }
   for (; report_.iterations < options.max_iterations; ++report_.iterations) {
+    if (elapsed_s() >= options.max_time_s) break;
     BackSubstitute(window, true);
     const bool moved = ParametersMoved(*window, point_, options_.relinearise_parameters);
     if (!moved && MovePoints(*window, fronts_.front().id + 1) < 0) break;
@@ -589,7 +610,7 @@ bool IncrementalWindowSolver::MarginalizeOldest(Window* window, const Eigen::Vec
     past_.DropBias();
     have_root_ = false;
     checkpoints_.clear();
-    sweep_.active = sweep_.wanted = false;
+    sweep_.active = sweep_.wanted = sweep_.urgent = false;
   }
   if (has_bias && (last || oldest.bias_leaves)) window->biases().pop_front();
   window->DropOldestKeyframe();
@@ -604,15 +625,20 @@ bool IncrementalWindowSolver::MarginalizeOldest(Window* window, const Eigen::Vec
 bool IncrementalWindowSolver::ParameterCovariance(const Window& window,
                                                   const Eigen::VectorXd& sigma,
                                                   Eigen::MatrixXd* covariance) {
-  if (!Follows(window) || fronts_.empty()) {
-    const bool known = batch_.ParameterCovariance(window, sigma, covariance);
+  if (!Follows(window)) {
+    const bool known =
+        batch_.ParameterCovariance(window, Eigen::VectorXd::Zero(sigma.size()), covariance);
     if (known) sigma_ = covariance->diagonal().cwiseSqrt();
     return known;
   }
   ApplyPending();
-  if (!root_.Covariance(covariance)) return false;
+  if (fronts_.empty()) {
+    root_ = past_;
+    root_.AbsorbPriors(window.parameter_centre(), window.parameter_sigma());
+  }
+  if (!root_.Covariance(covariance)) return false;  // finite, so is its diagonal's root
   for (int i = 0; i < past_.columns().n; ++i) sigma_[i] = std::sqrt((*covariance)(i, i));
-  return sigma_.allFinite();
+  return true;
 }
 
 bool IncrementalWindowSolver::StateCovariance(const Window& window, StateMatrix* covariance) {

@@ -1,5 +1,6 @@
 #include "odmc/window/root_triangle.h"
 
+#include <Eigen/Jacobi>
 #include <algorithm>
 #include <cmath>
 
@@ -11,6 +12,30 @@ namespace {
 
 // The anchored parameter hardly depends on the anchor; where it does, one step at a time.
 constexpr double kMostFeedback = 0.5;
+
+/// Eigenvectors of a symmetric matrix by Jacobi rotations: Eigen's solver allocates.
+/// @param matrix becomes diagonal
+void Eigenvectors(Eigen::MatrixXd* matrix, Eigen::MatrixXd* vectors) {
+  Eigen::MatrixXd& M = *matrix;
+  const Eigen::Index n = M.rows();
+  vectors->setIdentity(n, n);
+  constexpr int kMostSweeps = 12;
+  for (int sweep = 0; sweep < kMostSweeps; ++sweep) {
+    bool turned = false;
+    for (Eigen::Index i = 0; i < n; ++i) {
+      for (Eigen::Index j = i + 1; j < n; ++j) {
+        if (std::abs(M(i, j)) <= 1e-15 * std::sqrt(std::abs(M(i, i) * M(j, j)))) continue;
+        turned = true;
+        Eigen::JacobiRotation<double> rotation;
+        rotation.makeJacobi(M, i, j);
+        M.applyOnTheLeft(i, j, rotation.adjoint());
+        M.applyOnTheRight(i, j, rotation);
+        vectors->applyOnTheRight(i, j, rotation);
+      }
+    }
+    if (!turned) return;
+  }
+}
 
 }  // namespace
 
@@ -129,10 +154,10 @@ void RootTriangle::ScaleParameters(const Eigen::Ref<const Eigen::VectorXd>& scal
                                    Eigen::MatrixXd* root) {
   const int n = columns_.n;
   GetParameterRows(&w->A, &w->B);
-  w->normal.resize(n, n);
-  w->normal.noalias() = w->A.transpose() * w->A;
-  w->eigen.compute(w->normal);
-  const Eigen::MatrixXd& V = w->eigen.eigenvectors();
+  w->information.resize(n, n);
+  w->information.noalias() = w->A.transpose() * w->A;
+  Eigenvectors(&w->information, &w->vectors);
+  const Eigen::MatrixXd& V = w->vectors;
   DirectionScales(V, scale, &w->roots);
   w->directions = V;
   w->directions.array().rowwise() *= w->roots.transpose().array();

@@ -72,13 +72,16 @@ struct LinearWindowOptions {
   bool position_seen = true;          ///< false: only differences of positions enter
   Eigen::VectorXd unseen_parameters;  ///< a direction of eta no factor sees; empty: none
   bool with_rotation = true;          ///< a prior on each rotation, centred where it is
+  bool anchored = false;              ///< factors of parameters take the first one's anchor, too
 };
 
 /// Adds keyframes with linear factors to `window` (of an n-parameter layout).
 class LinearWindowMaker {
  public:
   LinearWindowMaker(Window* window, const LinearWindowOptions& options, unsigned seed)
-      : window_(window), options_(options), random_(seed) {}
+      : window_(window), options_(options), random_(seed) {
+    if (options.anchored) window->SetAnchorEntry(0);
+  }
 
   void Fill() {
     for (int k = 0; k < options_.keyframes; ++k) AddKeyframe();
@@ -138,6 +141,7 @@ class LinearWindowMaker {
         m -= (m * n).eval() * n.transpose();
       }
       M.push_back(m);
+      if (options_.anchored) M.push_back(random_.NextMatrix(rows, 1, 0.3));
     }
     Add(kind,
         std::make_unique<LinearCost>(random_.NextVector(rows), M, static_cast<int>(states.size())),
@@ -163,6 +167,7 @@ class LinearWindowMaker {
     if (!biases.empty()) factor.bias0 = biases[0];
     if (biases.size() > 1) factor.bias1 = biases[1];
     factor.parameters = parameters;
+    factor.anchored = parameters && options_.anchored;
     window_->AddFactor(std::move(factor));
   }
 

@@ -55,8 +55,9 @@ class ChainFront {
   std::array<double, kStateSize> conditional_point, next_point;
   int conditional_version = -1, next_version = -1;
 
-  /// Solution: state's difference to conditional_point.
+  /// Solution: state's difference to its linearization point of version `delta_version`.
   std::array<double, kStateTangentSize> delta;
+  int delta_version = -1;
 
   RowBlock message, own, pair, conditional, rest;
   int rest_before = 0;

@@ -21,8 +21,8 @@ constexpr int PaddedRow(int columns) {
 
 /// Rotates the rows of E into the triangle U by Householder reflections, one pivot column after the
 /// other: afterwards E's first `pivots` columns are zero and |U x|² + |E x|² is what it was. Each
-/// reflection touches one row of U and those of E that are not zero in its column, so rows sorted
-/// by where they begin are cheap. Pivots that nobody measured (kLeastPivot) stay zero.
+/// reflection touches one row of U and those of E up to the last that is not zero in its column, so
+/// rows sorted by where they begin are cheap. Pivots that nobody measured (kLeastPivot) stay zero.
 /// @param U upper triangular in its first `pivots` columns (pivots × columns)
 /// @param E any rows (rows × columns), same columns as U
 /// @param u_stride, e_stride row lengths, >= columns + kRowPadding
@@ -32,6 +32,7 @@ void AbsorbRows(double* U, int u_stride, double* E, int e_stride, int rows, int 
 /// Brings the rows of E into echelon form over their first `pivots` columns, in place, and takes
 /// those with a pivot to U, whose other rows become zero.
 /// @param U becomes upper triangular (pivots × columns)
+/// @pre rows <= 256
 /// @returns how many of E's rows were taken; the rest, behind them, is zero in the pivots' columns
 int Triangularise(double* E, int e_stride, int rows, int pivots, int columns, double* U,
                   int u_stride);

@@ -14,15 +14,16 @@ namespace odmc {
 
 /// What an incremental solve leaves as it is, and how much it does at once.
 struct IncrementalOptions {
-  /// A state is linearized anew when an entry of its tangent has moved by more than this from the
-  /// point where it was: position [m], rotation [rad], velocity [m/s], rate [rad/s].
-  std::array<double, kStateTangentSize> relinearise_state = {0.1, 0.1, 0.1, 5e-3, 5e-3, 5e-3,
-                                                             0.1, 0.1, 0.1, 0.1,  0.1,  0.1};
+  /// A recent state, and any that a sweep passes, is linearized anew where an entry of its tangent
+  /// has moved by more than this from the point where it was: position [m], rotation [rad],
+  /// velocity [m/s], rate [rad/s].
+  std::array<double, kStateTangentSize> relinearise_state = {0.05, 0.05, 0.05, 1e-3, 1e-3, 1e-3,
+                                                             0.01, 0.01, 0.01, 2e-3, 2e-3, 2e-3};
   /// Parameters: of their present sigma.
   double relinearise_parameters = 0.3;
   /// Back-substitution stops at a state that changes by less than this share of the thresholds
-  /// above (wildfire), and goes through the whole window when shared variables have moved by this
-  /// share of a sigma.
+  /// above (wildfire), and goes through the whole window when parameters have moved by this share
+  /// of a sigma, or a bias by this share of 0.05 rad/s or m/s².
   double wildfire = 0.02;
   /// Error that old linearizations may bring: of a parameter [of its sigma], of a sigma [relative].
   /// Every sweep shows how much the distance between two points of linearization mattered; where
@@ -31,8 +32,10 @@ struct IncrementalOptions {
   double parameter_tolerance = 0.1, sigma_tolerance = 0.05;
   /// Newest keyframes that are eliminated anew at once when their points move, >= 1.
   int recent_keyframes = 3;
+  /// How often that is done in one update at most, >= 0.
+  int recent_passes = 2;
   /// Older keyframes eliminated anew per update when parameters have moved, >= 2; in long windows
-  /// the share of all, so that a sweep takes no more updates than that.
+  /// this share of all, so that a sweep takes no more than 1/share updates.
   int sweep_keyframes = 10;
   double sweep_share = 0.025;
   /// Older keyframes back-substituted per update, >= 1.
@@ -86,7 +89,6 @@ class IncrementalWindowSolver final : public WindowSolver {
   bool Advance(const Window& window, std::int64_t id);
   bool Redo(const Window& window, std::int64_t from);
   bool RedoMovedRecent(Window* window);
-  Checkpoint* FindCheckpoint(std::int64_t id);
   void StartSweep(const Window& window);
   int SweepSize() const;
   bool Sweep(const Window& window, int budget);
@@ -122,6 +124,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   Ring<Checkpoint> checkpoints_;
   struct {
     bool active = false, wanted = false;
+    bool urgent = false;    // old factors were touched: at once, as far as time allows
     std::int64_t next = 0;  // front to eliminate next
     RootTriangle root;
   } sweep_;
@@ -137,7 +140,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   Eigen::MatrixXd pending_;                  // change of the past the roots do not know yet
   bool has_pending_ = false;
   RootTriangle::Workspace workspace_;
-  Eigen::MatrixXd normal_, scale_root_;
+  Eigen::MatrixXd normal_, covariance_, scale_root_;
   std::int64_t pass_ = -1;  // back-substitution goes on here, -1: done
   FrontScratch scratch_;
   RowBlock sweep_triangle_;

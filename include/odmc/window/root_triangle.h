@@ -2,7 +2,6 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
-#include <Eigen/Eigenvalues>
 #include <vector>
 
 namespace odmc {
@@ -65,8 +64,7 @@ class RootTriangle {
   struct Workspace {
     Eigen::MatrixXd A, B, normal;
     Eigen::LLT<Eigen::MatrixXd, Eigen::Upper> llt;
-    Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen;
-    Eigen::MatrixXd stretched, directions;
+    Eigen::MatrixXd information, vectors, stretched, directions;
     Eigen::VectorXd roots, solution, change;
   };
 

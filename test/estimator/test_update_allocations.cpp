@@ -1,0 +1,73 @@
+// A steady update does not touch the heap: samples, preintegration, factors, solve, covariance,
+// marginalization. Once per block of statistics it may.
+#include <gtest/gtest.h>
+
+#include "odmc/estimator/estimator.h"
+#include "odmc/sim/simulator.h"
+#include "odmc/sim/truth_vehicle.h"
+#include "support/allocation_counter.h"
+#include "support/test_vehicle.h"
+
+namespace odmc {
+namespace test {
+namespace {
+
+struct Counted {
+  int updates = 0, with_allocations = 0;
+  long allocations = 0;
+};
+
+/// Flies `duration_s` and counts from `from_s` on.
+Counted CountUpdates(double duration_s, double from_s, bool imu) {
+  const DynamicModel model(NominalVehicle(), NominalVehicle().effects);
+  SimulationOptions simulation;
+  simulation.duration_s = duration_s;
+  simulation.log_rate_hz = 200.0;
+  SimulationNoise noise;
+  noise.imu = imu;
+  const FlightLog log = Simulate(model, DefaultTruth(model), simulation, noise).log;
+  EstimatorOptions options;
+  options.max_update_time_s = 10.0;
+  Estimator estimator(&model, options, true);
+  Counted counted;
+  size_t rotor = 0, inertial = 0;
+  for (const OdometrySample& odometry : log.odometry) {
+    const AllocationCounter counter;
+    bool updated = false;
+    double time_s = 0.0;
+    while (rotor < log.rotors.size() && log.rotors[rotor].stamp <= odometry.stamp) {
+      estimator.Add(log.rotors[rotor++]);
+    }
+    while (inertial < log.imu.size() && log.imu[inertial].stamp <= odometry.stamp) {
+      estimator.Add(log.imu[inertial++]);
+    }
+    estimator.Add(odometry);
+    do {
+      const Snapshot* snapshot = estimator.Step();
+      if (snapshot == nullptr) continue;
+      updated = true;
+      time_s = snapshot->time_s;
+    } while (estimator.made_progress());
+    if (!updated || time_s < from_s) continue;
+    ++counted.updates;
+    counted.allocations += counter.count();
+    if (counter.count() > 0) ++counted.with_allocations;
+  }
+  return counted;
+}
+
+TEST(UpdateAllocations, AreNoneInASteadyUpdate) {
+  for (const bool imu : {false, true}) {
+    const Counted counted = CountUpdates(14.0, 6.0, imu);
+    std::printf("%d updates, %d with allocations (%ld)\n", counted.updates,
+                counted.with_allocations, counted.allocations);
+    ASSERT_GT(counted.updates, 700);
+    // Blocks of statistics close every quarter of a second at first, then ever more rarely; a new
+    // bias comes once a second.
+    EXPECT_LE(counted.with_allocations, counted.updates * 6 / 100);
+  }
+}
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc

@@ -1,0 +1,425 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <string>
+
+#include "odmc/window/incremental_window_solver.h"
+#include "support/linear_window.h"
+
+namespace odmc {
+namespace test {
+namespace {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+/// Everything in every update, so that a linear window is solved exactly.
+IncrementalOptions Exact() {
+  IncrementalOptions options;
+  options.wildfire = 0.0;
+  options.back_substituted_keyframes = 1000;
+  options.largest_step = std::numeric_limits<double>::infinity();
+  return options;
+}
+
+SolverOptions Thorough() {
+  SolverOptions options;
+  options.max_iterations = 20;
+  options.max_time_s = 10.0;
+  options.function_tolerance = 1e-18;
+  return options;
+}
+
+/// What a sliding window may look like.
+struct Shape {
+  int per_bias, unlinked;
+  bool anchored;
+};
+
+/// The same linear window twice: one slides under the incremental solver, one under Ceres.
+class IncrementalSolver : public testing::Test {
+ protected:
+  explicit IncrementalSolver(const IncrementalOptions& options = Exact())
+      : model_(FourParameterModel()),
+        layout_(model_, model_.InitialValues()),
+        ours_(&layout_),
+        reference_(&layout_),
+        solver_(options) {}
+
+  void Start(const Shape& shape, unsigned seed) {
+    LinearWindowOptions options;
+    options.keyframes_per_bias = shape.per_bias;
+    options.unlinked = shape.unlinked;
+    options.anchored = shape.anchored;
+    our_maker_ = std::make_unique<LinearWindowMaker>(&ours_, options, seed);
+    reference_maker_ = std::make_unique<LinearWindowMaker>(&reference_, options, seed);
+  }
+
+  void AddKeyframe() {
+    our_maker_->AddKeyframe();
+    reference_maker_->AddKeyframe();
+  }
+
+  void DropOldest() {
+    ASSERT_TRUE(solver_.MarginalizeOldest(&ours_, sigma_, nullptr));
+    ASSERT_TRUE(ceres_.MarginalizeOldest(&reference_, sigma_, nullptr));
+  }
+
+  void SolveBoth() {
+    our_report_ = solver_.Solve(&ours_, SolverOptions());
+    ASSERT_TRUE(our_report_.usable) << our_report_.message;
+    EXPECT_FALSE(our_report_.aligned);
+    SolveReference();
+  }
+
+  void SolveReference() {
+    ASSERT_TRUE(ceres_.Solve(&reference_, Thorough()).usable);
+    // Ceres stops at steps of 1e-8; a few undamped ones more. The anchor follows the solution.
+    for (int i = 0; i < (reference_.anchor_entry() >= 0 ? 40 : 2); ++i) {
+      reference_.MoveAnchor();
+      Polish(&reference_);
+    }
+  }
+
+  /// One Gauss-Newton step of the whole window, dense.
+  void Polish(Window* window) const {
+    Normal normal = DenseNormal(*window);
+    const int n = layout_.num_estimated();
+    const VectorXd weight = window->parameter_sigma().cwiseAbs2().cwiseInverse();
+    normal.H.bottomRightCorner(n, n) += weight.asDiagonal();
+    normal.g.tail(n) += weight.cwiseProduct(window->eta() - window->parameter_centre());
+    const VectorXd step = -normal.H.ldlt().solve(normal.g);
+    int at = 0;
+    for (Keyframe& k : window->keyframes()) {
+      const auto from = k.x;
+      StateManifold().Plus(from.data(), step.data() + at, k.x.data());
+      at += 12;
+    }
+    for (Bias& b : window->biases()) {
+      for (size_t j = 0; j < 6; ++j) b.x[j] += step[at++];
+    }
+    window->eta() += step.tail(n);
+  }
+
+  /// Largest relative difference of parameters, states and biases.
+  double Difference() const {
+    double largest = (ours_.eta() - reference_.eta()).cwiseAbs().maxCoeff() /
+                     std::max(1.0, reference_.eta().cwiseAbs().maxCoeff());
+    const auto compare = [&largest](double a, double b) {
+      largest = std::max(largest, std::abs(a - b) / std::max(1.0, std::abs(b)));
+    };
+    EXPECT_EQ(ours_.keyframes().size(), reference_.keyframes().size());
+    for (size_t i = 0; i < ours_.keyframes().size(); ++i) {
+      for (size_t j = 0; j < kStateSize; ++j) {
+        compare(ours_.keyframes()[i].x[j], reference_.keyframes()[i].x[j]);
+      }
+    }
+    EXPECT_EQ(ours_.biases().size(), reference_.biases().size());
+    for (size_t i = 0; i < ours_.biases().size(); ++i) {
+      for (size_t j = 0; j < 6; ++j) compare(ours_.biases()[i].x[j], reference_.biases()[i].x[j]);
+    }
+    return largest;
+  }
+
+  /// Largest relative difference of the covariances of parameters and newest state.
+  double CovarianceDifference() {
+    MatrixXd a, b;
+    EXPECT_TRUE(solver_.ParameterCovariance(ours_, sigma_, &a));
+    EXPECT_TRUE(ceres_.ParameterCovariance(reference_, VectorXd::Zero(sigma_.size()), &b));
+    double difference = (a - b).norm() / b.norm();
+    WindowSolver::StateMatrix state_a, state_b;
+    EXPECT_TRUE(solver_.StateCovariance(ours_, &state_a));
+    EXPECT_TRUE(ceres_.StateCovariance(reference_, &state_b));
+    return std::max(difference, (state_a - state_b).norm() / state_b.norm());
+  }
+
+  DynamicModel model_;
+  ParameterLayout layout_;
+  Window ours_, reference_;
+  IncrementalWindowSolver solver_;
+  CeresWindowSolver ceres_{1000};
+  VectorXd sigma_ = VectorXd::Constant(layout_.num_estimated(), 1e9);  // priors keep their points
+  std::unique_ptr<LinearWindowMaker> our_maker_, reference_maker_;
+  SolveReport our_report_;
+};
+
+class SlidingWindow : public IncrementalSolver, public testing::WithParamInterface<Shape> {};
+
+TEST_P(SlidingWindow, EqualsTheFullSolveAtEveryUpdate) {
+  Start(GetParam(), 31);
+  for (int k = 0; k < 40; ++k) {
+    AddKeyframe();
+    SolveBoth();
+    // What left keeps following the anchor here, and does not in a prior.
+    if (!GetParam().anchored || k <= 12) {
+      EXPECT_LT(Difference(), 1e-9) << "keyframe " << k;
+      EXPECT_LT(CovarianceDifference(), 1e-8) << "keyframe " << k;  // Ceres' squares the condition
+    }
+    if (k >= 12) DropOldest();
+  }
+}
+
+TEST_P(SlidingWindow, KeepsWhatLeftWhenTheWindowIsEmptied) {
+  Start(GetParam(), 32);
+  for (int k = 0; k < 30; ++k) {
+    AddKeyframe();
+    SolveBoth();
+    if (ours_.keyframes().size() > 8) DropOldest();
+    if (k != 19) continue;
+    while (!ours_.keyframes().empty()) DropOldest();
+    ours_.biases().clear();
+    reference_.biases().clear();
+    const MatrixXd a = solver_.PastInformation(ours_), b = ceres_.PastInformation(reference_);
+    EXPECT_LT((a - b).norm(), 1e-9 * b.norm());
+    Start(GetParam(), 33);  // a new chain
+  }
+  if (GetParam().anchored) return;  // see above
+  EXPECT_LT(Difference(), 1e-9);
+  EXPECT_LT(CovarianceDifference(), 1e-8);
+}
+
+TEST_P(SlidingWindow, HandsOverToABatchSolveAndTakesOverAgain) {
+  Start(GetParam(), 34);
+  for (int k = 0; k < 30; ++k) {
+    AddKeyframe();
+    if (k % 7 == 6) {
+      SolverOptions align = Thorough();
+      align.align = true;
+      const SolveReport report = solver_.Solve(&ours_, align);
+      ASSERT_TRUE(report.usable);
+      EXPECT_TRUE(report.aligned);
+      SolveReference();
+    } else {
+      SolveBoth();
+      if (GetParam().anchored && k > 10) continue;
+      EXPECT_LT(Difference(), 1e-8) << "keyframe " << k;  // the batch stops at its own tolerance
+    }
+    if (k >= 10) DropOldest();
+  }
+}
+
+TEST_P(SlidingWindow, ScalesThePastAsTheBatchSolverDoes) {
+  Start(GetParam(), 35);
+  const VectorXd scale = (VectorXd(4) << 0.5, 2.0, 0.1, 1.3).finished();
+  for (int k = 0; k < 30; ++k) {
+    AddKeyframe();
+    SolveBoth();
+    if (k >= 10) DropOldest();
+    if (k % 5 != 4 || k < 12) continue;
+    const MatrixXd a = solver_.ScalePast(scale, &ours_);
+    const MatrixXd b = ceres_.ScalePast(scale, &reference_);
+    // Directions of much the same information are any directions of their plane.
+    EXPECT_LT((a - b).norm(), 1e-6 * b.norm());
+    SolveBoth();
+    if (!GetParam().anchored) {
+      EXPECT_LT(Difference(), 1e-7) << "keyframe " << k;
+    }
+    EXPECT_LT(CovarianceDifference(), 1e-6) << "keyframe " << k;
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Shapes, SlidingWindow,
+                         testing::Values(Shape{0, -1, false}, Shape{0, 5, false},
+                                         Shape{3, -1, false}, Shape{1, -1, false},
+                                         Shape{5, 17, false}, Shape{0, -1, true},
+                                         Shape{4, 9, true}),
+                         [](const auto& info) {
+                           const Shape& s = info.param;
+                           return std::string(s.anchored ? "Anchored" : "Plain") + "PerBias" +
+                                  std::to_string(s.per_bias) +
+                                  (s.unlinked < 0 ? "" : "BrokenAt" + std::to_string(s.unlinked));
+                         });
+
+TEST_F(IncrementalSolver, DiffusingThePastAddsVariance) {
+  Start({0, -1, false}, 41);
+  for (int k = 0; k < 20; ++k) {
+    AddKeyframe();
+    SolveBoth();
+    if (k >= 6) DropOldest();
+  }
+  const MatrixXd before = solver_.PastInformation(ours_).inverse();
+  MatrixXd whole_before, whole_after;
+  ASSERT_TRUE(solver_.ParameterCovariance(ours_, sigma_, &whole_before));
+  constexpr double kVariance = 0.3;
+  solver_.DiffusePast(2, kVariance, &ours_);
+  MatrixXd after = solver_.PastInformation(ours_).inverse();
+  ASSERT_TRUE(solver_.ParameterCovariance(ours_, sigma_, &whole_after));
+  EXPECT_NEAR(after(2, 2) - before(2, 2), kVariance, 1e-9);
+  after(2, 2) -= kVariance;
+  EXPECT_LT((after - before).norm(), 1e-9 * before.norm());
+  // The window's own information is untouched: information adds up.
+  const MatrixXd lost = whole_before.inverse() - whole_after.inverse();
+  MatrixXd with_variance = before;
+  with_variance(2, 2) += kVariance;
+  EXPECT_LT((lost - (before.inverse() - with_variance.inverse())).norm(), 1e-7 * lost.norm());
+}
+
+TEST_F(IncrementalSolver, WrittenPriorLeavesACeresSolveNothingToDo) {
+  Start({3, -1, true}, 42);
+  for (int k = 0; k < 25; ++k) {
+    AddKeyframe();
+    SolveBoth();
+    if (k >= 9) DropOldest();
+  }
+  SolveBoth();
+  const VectorXd eta = ours_.eta();
+  solver_.WritePrior(&ours_);
+  ASSERT_TRUE(CeresWindowSolver().Solve(&ours_, Thorough()).usable);
+  EXPECT_LT((ours_.eta() - eta).norm(), 1e-8 * eta.norm());
+}
+
+/// A state's parts as they enter LinearCost; a factor of all four parameters on one keyframe.
+Factor OwnFactor(std::int64_t id, double shift, int n) {
+  Random random(77);
+  Factor factor;
+  factor.kind = FactorKind::kDynamics;
+  MatrixXd of_state = random.NextMatrix(6, 12);
+  of_state.middleCols<3>(3).setZero();
+  factor.cost =
+      std::make_unique<LinearCost>(random.NextVector(6) + VectorXd::Constant(6, shift),
+                                   std::vector<MatrixXd>{of_state, random.NextMatrix(6, n)}, 1);
+  factor.state0 = id;
+  factor.parameters = true;
+  return factor;
+}
+
+TEST_F(IncrementalSolver, TouchedFactorsOfOldKeyframesComeInAsFastAsTimeAllows) {
+  Start({0, -1, false}, 43);
+  const int n = layout_.num_estimated();
+  for (int k = 0; k < 30; ++k) {
+    AddKeyframe();
+    if (k == 2 || k == 3 || k == 28) {
+      ours_.AddFactor(OwnFactor(k, 0.0, n));
+      reference_.AddFactor(OwnFactor(k, 0.0, n));
+    }
+    SolveBoth();
+  }
+  const auto replace = [&](std::int64_t id) {
+    for (Window* window : {&ours_, &reference_}) {
+      for (Factor& f : window->keyframe(id).factors) {
+        if (f.parameters && f.state1 < 0) {
+          f.cost = OwnFactor(id, 3.0, n).cost;
+          window->Touch(&f);
+        }
+      }
+    }
+  };
+  // A recent one at once, an old one after the sweep.
+  replace(28);
+  SolveBoth();
+  EXPECT_GT(our_report_.eliminated, 0);
+  EXPECT_LT(Difference(), 1e-9);
+  replace(2);
+  SolverOptions hasty;
+  hasty.max_time_s = 1e-9;  // 30 keyframes, 10 an update
+  int updates = 0;
+  do {
+    our_report_ = solver_.Solve(&ours_, hasty);
+    ASSERT_TRUE(our_report_.usable);
+    ASSERT_LT(++updates, 12);
+  } while (our_report_.sweeping);
+  EXPECT_GT(updates, 1);
+  SolveReference();
+  EXPECT_LT(Difference(), 1e-9);
+  replace(3);  // with time enough at once
+  SolveBoth();
+  EXPECT_LT(CovarianceDifference(), 1e-8);
+}
+
+TEST_F(IncrementalSolver, ChangesOnlyWhatANewKeyframeTouches) {
+  Start({0, -1, false}, 44);
+  for (int k = 0; k < 60; ++k) {
+    AddKeyframe();
+    solver_.Solve(&ours_, SolverOptions());
+  }
+  for (int k = 0; k < 20; ++k) {
+    AddKeyframe();
+    const SolveReport report = solver_.Solve(&ours_, SolverOptions());
+    // The new one, a sweep's share and its last step, the recent ones twice.
+    EXPECT_LE(report.eliminated, 1 + 10 + 4 + 2 * 4);
+  }
+}
+
+TEST_F(IncrementalSolver, RefusesAFactorThatIsNotANumberAndKeepsThePast) {
+  Start({0, -1, false}, 45);
+  for (int k = 0; k < 20; ++k) {
+    AddKeyframe();
+    SolveBoth();
+    if (k >= 6) DropOldest();
+  }
+  const MatrixXd past = solver_.PastInformation(ours_);
+  our_maker_->AddKeyframe();
+  ours_.keyframes().back().x[1] = std::nan("");
+  const VectorXd eta = ours_.eta();
+  const SolveReport report = solver_.Solve(&ours_, SolverOptions());
+  EXPECT_FALSE(report.usable);
+  EXPECT_FALSE(report.message.empty());
+  EXPECT_EQ(VectorXd(ours_.eta()), eta);
+  EXPECT_LT((solver_.PastInformation(ours_) - past).norm(), 1e-8 * past.norm());
+  // Repaired, it goes on.
+  ours_.keyframes().back().x[1] = 0.0;
+  reference_maker_->AddKeyframe();
+  SolveBoth();
+  EXPECT_LT(Difference(), 1e-8);
+}
+
+TEST_F(IncrementalSolver, LeavesStepsBeyondALinearModelToTheBatchSolve) {
+  IncrementalOptions options = Exact();
+  options.largest_step = 1e-6;
+  IncrementalWindowSolver careful(options);
+  Start({0, -1, false}, 46);
+  for (int k = 0; k < 5; ++k) AddKeyframe();
+  const SolveReport report = careful.Solve(&ours_, Thorough());
+  EXPECT_TRUE(report.usable);
+  EXPECT_TRUE(report.aligned);
+  SolveReference();
+  EXPECT_LT(Difference(), 1e-7);
+}
+
+/// Wildfire and budgets leave what changes little; shared variables are always exact.
+class Economical : public IncrementalSolver {
+ protected:
+  Economical() : IncrementalSolver(Defaults()) {}
+  static IncrementalOptions Defaults() {
+    IncrementalOptions options;
+    options.largest_step = std::numeric_limits<double>::infinity();
+    return options;
+  }
+};
+
+TEST_F(Economical, WildfireLeavesParametersExactAndStatesNear) {
+  Start({4, -1, false}, 47);
+  for (int k = 0; k < 120; ++k) {
+    AddKeyframe();
+    our_report_ = solver_.Solve(&ours_, SolverOptions());
+    ASSERT_TRUE(our_report_.usable);
+    if (k >= 60) {
+      EXPECT_LT(our_report_.back_substituted, 3 * 60);
+    }
+    if (k % 10 == 9) {
+      SolveReference();
+      EXPECT_LT((ours_.eta() - reference_.eta()).norm(), 1e-9 * (1e-3 + reference_.eta().norm()))
+          << k;
+    }
+    if (k >= 60) DropOldest();
+  }
+  // The rest of the pass.
+  for (int i = 0; i < 3; ++i) solver_.Solve(&ours_, SolverOptions());
+  SolveReference();
+  double largest = 0.0;
+  const IncrementalOptions options;
+  for (size_t i = 0; i < ours_.keyframes().size(); ++i) {
+    const auto &a = ours_.keyframes()[i].x, &b = reference_.keyframes()[i].x;
+    for (size_t j = 0; j < 3; ++j) {
+      largest = std::max(largest, std::abs(a[j] - b[j]) / options.relinearise_state[j]);
+      largest = std::max(largest, std::abs(a[7 + j] - b[7 + j]) / options.relinearise_state[6 + j]);
+    }
+  }
+  EXPECT_LT(largest, 1.0);
+}
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc
