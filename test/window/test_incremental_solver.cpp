@@ -225,8 +225,8 @@ INSTANTIATE_TEST_SUITE_P(Shapes, SlidingWindow,
                                          Shape{3, -1, false}, Shape{1, -1, false},
                                          Shape{5, 17, false}, Shape{0, -1, true},
                                          Shape{4, 9, true}),
-                         [](const auto& info) {
-                           const Shape& s = info.param;
+                         [](const auto& named) {
+                           const Shape& s = named.param;
                            return std::string(s.anchored ? "Anchored" : "Plain") + "PerBias" +
                                   std::to_string(s.per_bias) +
                                   (s.unlinked < 0 ? "" : "BrokenAt" + std::to_string(s.unlinked));
