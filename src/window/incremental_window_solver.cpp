@@ -627,7 +627,7 @@ bool IncrementalWindowSolver::ParameterCovariance(const Window& window,
                                                   Eigen::MatrixXd* covariance) {
   if (!Follows(window)) {
     const bool known =
-        batch_.ParameterCovariance(window, Eigen::VectorXd::Zero(sigma.size()), covariance);
+        batch_.ParameterCovariance(window, sigma, covariance);
     if (known) sigma_ = covariance->diagonal().cwiseSqrt();
     return known;
   }
