@@ -66,10 +66,22 @@ OdometryNoise Configured(const EstimatorOptions& options) {
           options.rate_noise_rad_s};
 }
 
-/// @param fresh newest keyframes whose factors change after they were added
-std::unique_ptr<WindowSolver> MakeSolver(const EstimatorOptions& options, int fresh) {
+/// Newest keyframes whose factors change after they were added: averages of rotor accelerations
+/// take in later intervals (RotorRateSmoother).
+int FreshKeyframes(const DynamicModel& model, const EstimatorOptions& options) {
+  if (!model.takes_rotor_rates()) return 0;
+  return static_cast<int>(std::ceil(0.5 * kRotorRatesWindow_s * options.keyframe_rate_hz));
+}
+
+std::unique_ptr<WindowSolver> MakeSolver(const EstimatorOptions& options,
+                                         const DynamicModel& model) {
+  const int fresh = FreshKeyframes(model, options);
   if (options.solver == "ceres") return std::make_unique<CeresWindowSolver>(3 + fresh);
-  if (options.solver == "elimination") return std::make_unique<EliminationWindowSolver>(3 + fresh);
+  // Parameters that vary change what the past says of the oldest state at every update, and with it
+  // the whole chain: nothing is left to keep.
+  if (options.solver == "elimination" || !model.processes().empty()) {
+    return std::make_unique<EliminationWindowSolver>(3 + fresh);
+  }
   IncrementalOptions incremental;
   incremental.recent_keyframes += fresh;
   // Form E ties positions to the force twice integrated, a hundred times tighter than odometry.
@@ -77,12 +89,6 @@ std::unique_ptr<WindowSolver> MakeSolver(const EstimatorOptions& options, int fr
     for (double& threshold : incremental.relinearise_state) threshold *= 0.05;
   }
   return std::make_unique<IncrementalWindowSolver>(incremental);
-}
-
-/// Of these, averages of rotor accelerations take in later intervals (RotorRateSmoother).
-int FreshKeyframes(const DynamicModel& model, const EstimatorOptions& options) {
-  if (!model.takes_rotor_rates()) return 0;
-  return static_cast<int>(std::ceil(0.5 * kRotorRatesWindow_s * options.keyframe_rate_hz));
 }
 
 Vector3d PriorInertia(const DynamicModel& model) {
@@ -172,7 +178,7 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
       change_detector_(model->vehicle().mass_kg * model->vehicle().gravity_m_s2,
                        model->vehicle().inertia_kg_m2),
       window_(&layout_),
-      solver_(MakeSolver(options, FreshKeyframes(*model, options))),
+      solver_(MakeSolver(options, *model)),
       consistency_(layout_.num_estimated()),
       inflation_(Eigen::VectorXd::Ones(layout_.num_estimated())),
       prior_sigma_eta_(PriorSigmas(layout_)),

@@ -16,11 +16,13 @@ struct EstimatorOptions {
   double max_gap_s = 0.06;   ///< a longer hole in a stream starts a new chain of states [s]
   double patience_s = 0.3;   ///< how long a silent stream is waited for [s]
 
-  std::string solver = "incremental";  ///< incremental | elimination | ceres (the reference)
-  int max_iterations = 1;              ///< solver iterations per update, >= 1
-  double max_update_time_s = 0.008;    ///< bound on one solve [s]
-  double function_tolerance = 1e-6;    ///< relative change of cost that ends a solve
-  int num_threads = 1;                 ///< for Ceres' evaluation of factors
+  /// incremental | elimination | ceres (the reference). Models with parameters that vary (gust) are
+  /// solved by elimination instead of incrementally.
+  std::string solver = "incremental";
+  int max_iterations = 1;            ///< solver iterations per update, >= 1
+  double max_update_time_s = 0.008;  ///< bound on one solve [s]
+  double function_tolerance = 1e-6;  ///< relative change of cost that ends a solve
+  int num_threads = 1;               ///< for Ceres' evaluation of factors
 
   // Odometry noise per sample; 0: measured on the stream.
   double position_noise_m = 0.0;
