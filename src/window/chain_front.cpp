@@ -11,6 +11,8 @@ namespace {
 
 constexpr int kState = kStateTangentSize;
 constexpr int kBiasSize = 6;
+constexpr int kMostFactorRows = 32;
+constexpr double kLeastCorrection = 3e-4;  // of a whitened residual
 
 /// rhs -= J x for a row-major J (rows×columns).
 void SubtractProduct(const double* J, int rows, int columns, const double* x, double* rhs,
@@ -33,6 +35,19 @@ void WriteMinimal(const double* ambient, int rows, const double* state, double* 
       out[3 + j] = q[0] * plus[j] + q[1] * plus[3 + j] + q[2] * plus[6 + j] + q[3] * plus[9 + j];
     }
     for (int j = 0; j < 6; ++j) out[6 + j] = ambient[7 + j];
+  }
+}
+
+/// Solves Uᵀ y = g for a triangle's pivots: adds y to its right-hand side and takes Uᵀ y off g.
+/// @param columns of g; @param rhs column that takes y, -1: none; @param y (pivots) or null
+void ForwardSubstitute(RowBlock* U, int pivots, int columns, int rhs, double* g, double* y) {
+  for (int i = 0; i < pivots; ++i) {
+    double* row = U->row(i);
+    const double of_row = std::abs(row[i]) < kLeastPivot ? 0.0 : g[i] / row[i];
+    if (y != nullptr) y[i] = of_row;
+    if (of_row == 0.0) continue;
+    if (rhs >= 0) row[rhs] += of_row;
+    for (int j = i; j < columns; ++j) g[j] -= of_row * row[j];
   }
 }
 
@@ -73,6 +88,7 @@ void ChainFront::Reset(const Window& window, std::int64_t keyframe) {
   message.SetZero(kState, PaddedRow(kState + BorderColumns(n_).size()));
   own.count = pair.count = rest.count = rest_before = 0;
   bias_leaves = eliminated = false;
+  rest_gradient.assign(static_cast<size_t>(BorderColumns(n_).pivots()), 0.0);
   kept_.clear();
 }
 
@@ -115,9 +131,7 @@ bool ChainFront::Linearise(const Window& window, const ChainFront* next,
         kept.state1 == state1 && kept.parameters == parameters) {
       continue;
     }
-    RowBlock& block = kept.in_pair ? pair : own;
-    kept.sound = Evaluate(window, factor, next, parameter_point, kept.in_pair, block.row(kept.row),
-                          block.stride, scratch);
+    kept.sound = Evaluate(window, factor, next, parameter_point, &kept, scratch);
     sound = sound && kept.sound;
     kept.revision = factor.revision;
     kept.state0 = state0;
@@ -128,9 +142,13 @@ bool ChainFront::Linearise(const Window& window, const ChainFront* next,
 }
 
 bool ChainFront::Evaluate(const Window& window, const Factor& factor, const ChainFront* next,
-                          const ParameterVector& parameter_point, bool in_pair, double* rows,
-                          int stride, FrontScratch* scratch) const {
+                          const ParameterVector& parameter_point, KeptFactor* kept,
+                          FrontScratch* scratch) {
   const ceres::CostFunction& cost = *factor.cost;
+  const bool in_pair = kept->in_pair;
+  RowBlock& block_of_rows = in_pair ? pair : own;
+  double* rows = block_of_rows.row(kept->row);
+  const int stride = block_of_rows.stride;
   const int num_rows = cost.num_residuals();
   const auto& sizes = cost.parameter_block_sizes();
   const BorderColumns columns(n_);
@@ -178,6 +196,11 @@ bool ChainFront::Evaluate(const Window& window, const Factor& factor, const Chai
   for (int i = 0; i < num_rows; ++i) squares += r[i] * r[i];
   if (!std::isfinite(finite + squares)) return false;
 
+  std::array<std::array<double, kState>, 2> offsets;
+  if (factor.loss != nullptr) {
+    if (factor.state0 >= 0) Offset(window, offsets[0].data());
+    if (factor.state1 >= 0) next->Offset(window, offsets[states - 1].data());
+  }
   const int rhs = border_at + columns.rhs();
   for (int i = 0; i < num_rows; ++i) rows[i * stride + rhs] = r[i];
   for (int k = 0; k < count; ++k) {
@@ -192,9 +215,20 @@ bool ChainFront::Evaluate(const Window& window, const Factor& factor, const Chai
     SubtractProduct(jacobians[k], num_rows, sizes[k], blocks[k], rows + rhs, stride);
   }
   if (factor.loss != nullptr) {
+    // The weight is that of the residual at the present estimate, not at the point.
+    squares = 0.0;
+    for (int i = 0; i < num_rows; ++i) {
+      const double* row = rows + i * stride;
+      double at_estimate = r[i];
+      for (int k = 0; k < states; ++k) {
+        for (int j = 0; j < kState; ++j) at_estimate += row[at[k] + j] * offsets[k][j];
+      }
+      squares += at_estimate * at_estimate;
+    }
     double rho[3];
     factor.loss->Evaluate(squares, rho);
     const double weight = std::sqrt(rho[1]);
+    kept->weight = weight;
     if (weight != 1.0) {
       for (int i = 0; i < num_rows; ++i) {
         for (int j = 0; j <= rhs; ++j) rows[i * stride + j] *= weight;
@@ -244,7 +278,11 @@ void ChainFront::Eliminate(const RowBlock& triangle, RootTriangle* root, ChainFr
     put_border(triangle.row(i) + kState, to);
   }
   if (bias_leaves) {
-    for (int i = 0; i < kBiasSize; ++i) put_border(root->row(i), conditional.row(kState + i));
+    leaving_bias.SetZero(kBiasSize, root->stride());
+    for (int i = 0; i < kBiasSize; ++i) {
+      put_border(root->row(i), conditional.row(kState + i));
+      std::memcpy(leaving_bias.row(i), root->row(i), doubles(columns.size()));
+    }
     root->DropBias();
   }
   if (pair.count > 0) {
@@ -268,6 +306,7 @@ void ChainFront::Eliminate(const RowBlock& triangle, RootTriangle* root, ChainFr
     next->message.SetZero(kState, next->message.stride);
     rest.count = rest_before;
   }
+  std::fill(rest_gradient.begin(), rest_gradient.end(), 0.0);
   conditional_point = point;
   conditional_version = point_version;
   next_point = next->point;
@@ -275,16 +314,168 @@ void ChainFront::Eliminate(const RowBlock& triangle, RootTriangle* root, ChainFr
   eliminated = true;
 }
 
-void ChainFront::LeaveTo(RootTriangle* past, FrontScratch* scratch) const {
-  if (rest.count == 0) {
-    if (bias_leaves) past->DropBias();
-    return;
+void ChainFront::Offset(const Window& window, double* d) const {
+  if (delta_version == point_version) {
+    std::copy(delta.begin(), delta.end(), d);
+  } else {
+    StateManifold().Minus(window.keyframe(id).x.data(), point.data(), d);
   }
-  scratch->own.CopyFrom(rest);
-  past->Absorb(scratch->own.data.data(), rest.stride, rest_before);
+}
+
+void ChainFront::LinearResidual(const Window& window, const Factor& factor, const KeptFactor& kept,
+                                const double* own_offset, const double* next_offset,
+                                double* residual) const {
+  const BorderColumns columns(n_);
+  const RowBlock& block = kept.in_pair ? pair : own;
+  const int at = kept.in_pair ? border() : kState;
+  const int bias_at = kept.in_pair && bias_leaves ? kState : at + BorderColumns::kBias;
+  for (int i = 0; i < kept.rows; ++i) {
+    const double* row = block.row(kept.row + i);
+    double r = row[at + columns.rhs()] + row[at + columns.anchor()] * window.anchor();
+    for (int j = 0; j < kState; ++j) r += row[j] * own_offset[j];
+    if (kept.in_pair) {
+      for (int j = 0; j < kState; ++j) r += row[pivots() + j] * next_offset[j];
+    }
+    if (factor.bias0 >= 0) {
+      const auto& bias = window.bias(factor.bias0).x;
+      for (int j = 0; j < kBiasSize; ++j) r += row[bias_at + j] * bias[static_cast<size_t>(j)];
+    }
+    const double* of_parameters = row + at + BorderColumns::kParameters;
+    for (int j = 0; j < n_; ++j) r += of_parameters[j] * window.eta()[j];
+    residual[i] = r;
+  }
+}
+
+/// Brings the right-hand sides of factors with parameters to the present estimate and adds what that
+/// changes to the gradient. @returns false if it changes next to nothing
+bool ChainFront::CorrectFactors(const Window& window, const ChainFront& next,
+                                FrontScratch* scratch) {
+  const std::vector<Factor>& factors = window.keyframe(id).factors;
+  const int rhs = BorderColumns(n_).rhs();
+  std::array<double, kState> own_offset, next_offset;
+  std::array<double, kMostFactorRows> r, linear;
+  bool have_offsets = false, changed = false;
+  for (size_t k = 0; k < kept_.size(); ++k) {
+    const Factor& factor = factors[k];
+    const KeptFactor& kept = kept_[k];
+    const bool at_points =
+        kept.state0 == point_version && (!kept.in_pair || kept.state1 == next.point_version);
+    if (!factor.parameters || !kept.sound || !at_points) continue;
+    if (!factor.cost->Evaluate(window.Blocks(factor, false).data(), r.data(), nullptr)) continue;
+    double squares = 0.0;
+    for (int i = 0; i < kept.rows; ++i) squares += r[i] * r[i];
+    if (!std::isfinite(squares)) continue;
+    double scale = 1.0 / kept.weight;
+    if (factor.loss != nullptr) {
+      double rho[3];
+      factor.loss->Evaluate(squares, rho);
+      scale *= rho[1];
+    }
+    if (!have_offsets) {
+      Offset(window, own_offset.data());
+      next.Offset(window, next_offset.data());
+      have_offsets = true;
+    }
+    LinearResidual(window, factor, kept, own_offset.data(), next_offset.data(), linear.data());
+    double largest = 0.0;
+    for (int i = 0; i < kept.rows; ++i) {
+      r[i] = scale * r[i] - linear[i];
+      largest = std::max(largest, std::abs(r[i]));
+    }
+    if (largest < kLeastCorrection) continue;
+    changed = true;
+    RowBlock& block = kept.in_pair ? pair : own;
+    for (int i = 0; i < kept.rows; ++i) {
+      block.row(kept.row + i)[(kept.in_pair ? border() : kState) + rhs] += r[i];
+    }
+    AddGradient(kept, r.data(), scratch->gradient.data());
+  }
+  return changed;
+}
+
+/// g += Jᵀ r of a kept factor, in the pair's columns.
+void ChainFront::AddGradient(const KeptFactor& kept, const double* r, double* g) const {
+  const int columns = border() + BorderColumns(n_).pivots();
+  for (int i = 0; i < kept.rows; ++i) {
+    if (!kept.in_pair) {
+      AddBorderGradient(own.row(kept.row + i), r[i], g);
+      continue;
+    }
+    const double* row = pair.row(kept.row + i);
+    for (int j = 0; j < columns; ++j) g[j] += r[i] * row[j];
+  }
+}
+
+/// g += scale row, of a row over state and the border before a bias leaves, in the pair's columns.
+void ChainFront::AddBorderGradient(const double* row, double scale, double* g) const {
+  const int bias_at = bias_leaves ? kState : border();
+  const int parameters_at = border() + BorderColumns::kParameters;
+  for (int j = 0; j < kState; ++j) g[j] += scale * row[j];
+  for (int j = 0; j < kBiasSize; ++j) g[bias_at + j] += scale * row[kState + j];
+  row += kState + BorderColumns::kParameters;
+  for (int j = 0; j < n_; ++j) g[parameters_at + j] += scale * row[j];
+}
+
+void ChainFront::Correct(const Window& window, ChainFront* next, Correction* correction,
+                         FrontScratch* scratch) {
+  const BorderColumns columns(n_);
+  const int p = pivots(), at = border(), end = at + columns.pivots();
+  scratch->gradient.assign(static_cast<size_t>(end), 0.0);
+  double* g = scratch->gradient.data();
+  bool changed = false;
+  for (int i = 0; i < kState; ++i) {
+    const double y = correction->message[static_cast<size_t>(i)];
+    if (y == 0.0) continue;
+    AddBorderGradient(message.row(i), y, g);
+    changed = true;
+  }
+  double* b = correction->border.data();
+  for (int j = 0; j < kBiasSize; ++j) g[(bias_leaves ? kState : at) + j] += b[j];
+  for (int j = kBiasSize; j < columns.pivots(); ++j) g[at + j] += b[j];
+  if (CorrectFactors(window, *next, scratch)) changed = true;
+  for (int j = 0; j < columns.pivots() && !changed; ++j) changed = b[j] != 0.0;
+  if (!changed) return;
+
+  // What the root of the past makes of b when this front's bias leaves it.
+  if (bias_leaves) ForwardSubstitute(&leaving_bias, kBiasSize, columns.pivots(), -1, b, nullptr);
+  for (size_t j = bias_leaves ? kBiasSize : 0; j < rest_gradient.size(); ++j) {
+    rest_gradient[j] -= b[j];
+  }
+  ForwardSubstitute(&conditional, p, end, at + columns.rhs(), g, nullptr);
+  // Of the message, the border's columns follow the state's.
+  ForwardSubstitute(&next->message, kState, kState + columns.pivots(), kState + columns.rhs(),
+                    g + p, correction->message.data());
+  std::copy_n(g + at, columns.pivots(), b);
+  for (size_t j = 0; j < rest_gradient.size(); ++j) rest_gradient[j] += b[j];
+}
+
+void ChainFront::CorrectNewest(RowBlock* triangle, Correction* correction,
+                               FrontScratch* scratch) const {
+  const BorderColumns columns(n_);
+  scratch->gradient.assign(static_cast<size_t>(kState + columns.pivots()), 0.0);
+  double* g = scratch->gradient.data();
+  for (int i = 0; i < kState; ++i) {
+    const double* row = message.row(i);
+    const double y = correction->message[static_cast<size_t>(i)];
+    for (int j = i; j < kState + columns.pivots(); ++j) g[j] += y * row[j];
+  }
+  for (int j = 0; j < columns.pivots(); ++j) g[kState + j] += correction->border[j];
+  ForwardSubstitute(triangle, kState, kState + columns.pivots(), kState + columns.rhs(), g,
+                    nullptr);
+  std::copy_n(g + kState, columns.pivots(), correction->border.data());
+}
+
+void ChainFront::LeaveTo(RootTriangle* past, FrontScratch* scratch) const {
+  if (rest.count > 0) {
+    scratch->own.CopyFrom(rest);
+    past->Absorb(scratch->own.data.data(), rest.stride, rest_before);
+  }
   if (bias_leaves) past->DropBias();
-  past->Absorb(scratch->own.data.data() + rest_before * rest.stride, rest.stride,
-               rest.count - rest_before);
+  if (rest.count > 0) {
+    past->Absorb(scratch->own.data.data() + rest_before * rest.stride, rest.stride,
+                 rest.count - rest_before);
+  }
+  past->AddGradient(rest_gradient);
 }
 
 }  // namespace odmc

@@ -9,39 +9,63 @@ namespace odmc {
 namespace {
 
 // Debian's baseline knows vectors of two numbers only. The kernels are compiled once more for four
-// with fused multiply-add and chosen at run time.
+// and for eight, with fused multiply-add, and chosen at run time.
 #if defined(__x86_64__) && defined(__GNUC__)
-#define ODMC_WIDE_VECTORS __attribute__((target("avx2,fma")))
-bool HasWideVectors() {
-  static const bool has = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-  return has;
+#define ODMC_WIDE_VECTORS
+#define ODMC_VECTORS_OF_4 __attribute__((target("avx2,fma")))
+#define ODMC_VECTORS_OF_8 __attribute__((target("avx512f,avx512vl,avx512dq,fma,prefer-vector-width=512")))
+int VectorWidth() {
+  static const int width = [] {
+    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
+        __builtin_cpu_supports("avx512dq")) {
+      return 8;
+    }
+    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") ? 4 : 2;
+  }();
+  return width;
 }
 #endif
 #define ODMC_INLINE inline __attribute__((always_inline))
 
 constexpr int kChunk = 8;
 static_assert(kChunk <= kRowPadding, "a chunk may reach into the padding only");
+// Rows begin anywhere. As wide as the machine has it, or in pieces.
+using Chunk = double __attribute__((vector_size(kChunk * sizeof(double)), aligned(sizeof(double))));
 
-/// Applies the reflection I - tau [1; v] [1; v]ᵀ to `top` and the rows of E from column `from` on.
+/// Applies the reflection I - tau [1; v] [1; v]ᵀ to N chunks of `top` and of the rows of E, side by
+/// side: one sum would wait for itself.
+template <int N>
+ODMC_INLINE void ReflectChunks(const double* v, double tau, double* top, double* E, int e_stride,
+                               int rows) {
+  const auto at = [](double* p, int k) -> Chunk& {
+    return *reinterpret_cast<Chunk*>(p + k * kChunk);
+  };
+  Chunk w[N];
+  for (int k = 0; k < N; ++k) w[k] = at(top, k);
+  for (int i = 0; i < rows; ++i) {
+    for (int k = 0; k < N; ++k) w[k] += v[i] * at(E + i * e_stride, k);
+  }
+  for (int k = 0; k < N; ++k) {
+    w[k] *= tau;
+    at(top, k) -= w[k];
+  }
+  for (int i = 0; i < rows; ++i) {
+    for (int k = 0; k < N; ++k) at(E + i * e_stride, k) -= v[i] * w[k];
+  }
+}
+
+/// Applies a reflection to `top` and the rows of E from column `from` on.
 /// @param v one number a row, `rows` of them
 ODMC_INLINE void Reflect(const double* v, double tau, double* top, double* E, int e_stride,
                          int rows, int from, int columns) {
-  for (int c = from; c < columns; c += kChunk) {
-    double w[kChunk];
-    for (int k = 0; k < kChunk; ++k) w[k] = top[c + k];
-    for (int i = 0; i < rows; ++i) {
-      const double* row = E + i * e_stride + c;
-      for (int k = 0; k < kChunk; ++k) w[k] += v[i] * row[k];
-    }
-    for (int k = 0; k < kChunk; ++k) {
-      w[k] *= tau;
-      top[c + k] -= w[k];
-    }
-    for (int i = 0; i < rows; ++i) {
-      double* row = E + i * e_stride + c;
-      for (int k = 0; k < kChunk; ++k) row[k] -= v[i] * w[k];
-    }
+  int c = from;
+  for (; c + 3 * kChunk < columns; c += 4 * kChunk) {
+    ReflectChunks<4>(v, tau, top + c, E + c, e_stride, rows);
   }
+  const int left = (columns - c + kChunk - 1) / kChunk;
+  if (left == 3) ReflectChunks<3>(v, tau, top + c, E + c, e_stride, rows);
+  if (left == 2) ReflectChunks<2>(v, tau, top + c, E + c, e_stride, rows);
+  if (left == 1) ReflectChunks<1>(v, tau, top + c, E + c, e_stride, rows);
 }
 
 /// Makes the reflection that takes column `j` of (top; E) to its first entry, and applies it.
@@ -104,12 +128,20 @@ ODMC_INLINE int TriangulariseInto(double* E, int e_stride, int rows, int pivots,
 }
 
 #ifdef ODMC_WIDE_VECTORS
-ODMC_WIDE_VECTORS void AbsorbWide(double* U, int u_stride, double* E, int e_stride, int rows,
-                                  int pivots, int columns) {
+ODMC_VECTORS_OF_4 void Absorb4(double* U, int u_stride, double* E, int e_stride, int rows,
+                               int pivots, int columns) {
   AbsorbInto(U, u_stride, E, e_stride, rows, pivots, columns);
 }
-ODMC_WIDE_VECTORS int TriangulariseWide(double* E, int e_stride, int rows, int pivots, int columns,
-                                        double* U, int u_stride) {
+ODMC_VECTORS_OF_8 void Absorb8(double* U, int u_stride, double* E, int e_stride, int rows,
+                               int pivots, int columns) {
+  AbsorbInto(U, u_stride, E, e_stride, rows, pivots, columns);
+}
+ODMC_VECTORS_OF_4 int Triangularise4(double* E, int e_stride, int rows, int pivots, int columns,
+                                     double* U, int u_stride) {
+  return TriangulariseInto(E, e_stride, rows, pivots, columns, U, u_stride);
+}
+ODMC_VECTORS_OF_8 int Triangularise8(double* E, int e_stride, int rows, int pivots, int columns,
+                                     double* U, int u_stride) {
   return TriangulariseInto(E, e_stride, rows, pivots, columns, U, u_stride);
 }
 #endif
@@ -119,7 +151,9 @@ ODMC_WIDE_VECTORS int TriangulariseWide(double* E, int e_stride, int rows, int p
 void AbsorbRows(double* U, int u_stride, double* E, int e_stride, int rows, int pivots,
                 int columns) {
 #ifdef ODMC_WIDE_VECTORS
-  if (HasWideVectors()) return AbsorbWide(U, u_stride, E, e_stride, rows, pivots, columns);
+  const int width = VectorWidth();
+  if (width == 8) return Absorb8(U, u_stride, E, e_stride, rows, pivots, columns);
+  if (width == 4) return Absorb4(U, u_stride, E, e_stride, rows, pivots, columns);
 #endif
   AbsorbInto(U, u_stride, E, e_stride, rows, pivots, columns);
 }
@@ -127,9 +161,9 @@ void AbsorbRows(double* U, int u_stride, double* E, int e_stride, int rows, int 
 int Triangularise(double* E, int e_stride, int rows, int pivots, int columns, double* U,
                   int u_stride) {
 #ifdef ODMC_WIDE_VECTORS
-  if (HasWideVectors()) {
-    return TriangulariseWide(E, e_stride, rows, pivots, columns, U, u_stride);
-  }
+  const int width = VectorWidth();
+  if (width == 8) return Triangularise8(E, e_stride, rows, pivots, columns, U, u_stride);
+  if (width == 4) return Triangularise4(E, e_stride, rows, pivots, columns, U, u_stride);
 #endif
   return TriangulariseInto(E, e_stride, rows, pivots, columns, U, u_stride);
 }

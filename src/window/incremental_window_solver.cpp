@@ -13,11 +13,18 @@ namespace odmc {
 namespace {
 
 constexpr int kState = kStateTangentSize;
-constexpr double kFirstCurvature = 3.0;    // error in tolerances per sigma of distance
+constexpr double kFirstCurvature = 3.0;    // error in tolerances at a distance of one sigma
+constexpr double kLeastCurvature = 0.05;   // a new manoeuvre may bring more than the last sweep saw
 constexpr double kCurvatureMemory = 0.85;  // from one sweep to the next
+constexpr double kAllowedError = 0.65;     // of a tolerance, before it hurries
 constexpr double kBiasThreshold = 0.05;    // of biases for wildfire [rad/s, m/s²]
 constexpr int kMostHurriedSweeps = 4;      // in one update
 constexpr int kAlignmentIterations = 10;   // of the batch solve
+constexpr int kMostFactorRows = 32;
+
+/// How errors of a linearization grow with the distance [sigmas] from its point: as its square, but
+/// for small ones, where other errors are larger.
+double Bend(double distance) { return distance * std::max(1.0, distance); }
 
 double* BiasOf(Window* window, std::int64_t id) { return window->bias(id).x.data(); }
 
@@ -42,6 +49,7 @@ void IncrementalWindowSolver::Forget() {
   fronts_.clear();
   checkpoints_.clear();
   sweep_.active = sweep_.wanted = sweep_.urgent = false;
+  correction_.active = false;
   have_root_ = false;
   curvature_ = kFirstCurvature;
   pass_ = -1;
@@ -134,6 +142,7 @@ bool IncrementalWindowSolver::Build(Window* window) {
   for (const Keyframe& keyframe : window->keyframes()) fronts_.Append().Reset(*window, keyframe.id);
   if (!fronts_.empty() && window->prior().has_state) {
     fronts_.front().point = window->keyframes().front().x_lin;
+    fronts_.front().delta_version = -1;  // the state is elsewhere
   }
   ReadPrior(*window);
   incremental_ = true;
@@ -260,6 +269,7 @@ void IncrementalWindowSolver::StartSweep(const Window& window) {
   sweep_.active = true;
   sweep_.wanted = false;
   sweep_.next = fronts_.front().id;
+  correction_.passed_sweep = true;  // what it has behind it is linearized anew
   sweep_.root = past_;
   sweep_.root.AbsorbPriors(window.parameter_centre(), window.parameter_sigma());
   point_ = window.eta();
@@ -292,6 +302,7 @@ bool IncrementalWindowSolver::Sweep(const Window& window, int budget) {
     // It has caught up: the rest at once, from here on it is the chain in use.
     const bool known = have_root_ && SolutionOf(window, &before_);
     sweep_.active = sweep_.urgent = false;
+    if (correction_.passed_sweep) correction_.active = false;
     checkpoints_.clear();
     Checkpoint& checkpoint = checkpoints_.Append();
     checkpoint.id = sweep_.next;
@@ -303,6 +314,56 @@ bool IncrementalWindowSolver::Sweep(const Window& window, int budget) {
     point_in_use_ = point_;
   }
   return sound;
+}
+
+// ---- Corrections --------------------------------------------------------------------------------
+
+/// Brings right-hand sides of older fronts to the present estimate, a few per update.
+void IncrementalWindowSolver::Correct(const Window& window) {
+  if (checkpoints_.empty()) return;
+  if (!correction_.active) {
+    if (fronts_.front().id >= checkpoints_.front().id) return;  // all are recent
+    correction_.active = true;
+    correction_.next = fronts_.front().id;
+    correction_.passed_sweep = false;
+    correction_.carried.message.fill(0.0);
+    correction_.carried.border.assign(static_cast<size_t>(past_.columns().pivots()), 0.0);
+  }
+  const auto share =
+      static_cast<int>(options_.corrected_share * static_cast<double>(fronts_.size()));
+  const int budget = std::max(options_.corrected_keyframes, share);
+  for (int i = 0; i < budget && correction_.active; ++i) CorrectOne(window);
+}
+
+/// Corrects the next front, or ends the pass where the recent ones begin.
+void IncrementalWindowSolver::CorrectOne(const Window& window) {
+  const std::int64_t id = correction_.next;
+  if (sweep_.active && id == sweep_.next && !correction_.passed_sweep) {
+    sweep_.root.AddGradient(correction_.carried.border);
+    correction_.passed_sweep = true;
+  }
+  if (sweep_.active && id < sweep_.next && correction_.passed_sweep) {
+    correction_.active = false;  // overtaken by the sweep, which knows better
+  } else if (id < checkpoints_.front().id) {
+    front(id).Correct(window, &front(id + 1), &correction_.carried, &scratch_);
+    ++correction_.next;
+  } else {
+    EndCorrection(window);
+  }
+}
+
+/// Brings what older fronts changed through the recent ones to the root.
+void IncrementalWindowSolver::EndCorrection(const Window& window) {
+  correction_.active = false;
+  Correction& carried = correction_.carried;
+  for (Checkpoint& checkpoint : checkpoints_) {
+    checkpoint.root.AddGradient(carried.border);
+    if (checkpoint.id == fronts_.back().id) break;
+    front(checkpoint.id)
+        .Correct(window, &front(checkpoint.id + 1), &carried, &scratch_);
+  }
+  fronts_.back().CorrectNewest(&triangle_, &carried, &scratch_);
+  root_.AddGradient(carried.border);
 }
 
 /// Parameters and their sigmas by the root as it stands.
@@ -324,13 +385,14 @@ void IncrementalWindowSolver::LearnCurvature() {
   const double sigmas = (before_.sigma.cwiseQuotient(sigma).array() - 1.0).abs().maxCoeff();
   const double measured =
       std::max(parameters / options_.parameter_tolerance, sigmas / options_.sigma_tolerance);
-  curvature_ = std::max(measured / distance, kCurvatureMemory * curvature_);
+  curvature_ = std::max({measured / Bend(distance), kCurvatureMemory * curvature_, kLeastCurvature});
 }
 
 /// True if putting the relinearization off might cost more than it may.
 bool IncrementalWindowSolver::MustHurry(const Window& window) const {
   if (sweep_.urgent) return true;
-  return ParametersMoved(window, point_in_use_, 0.65 / std::max(curvature_, 1e-9));
+  const double bend = kAllowedError / curvature_;
+  return ParametersMoved(window, point_in_use_, bend < 1.0 ? bend : std::sqrt(bend));
 }
 
 bool IncrementalWindowSolver::SweepAll(const Window& window) {
@@ -491,6 +553,8 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
   const ParameterVector eta = window->eta();
   bool sound = CatchUp(window);
   if (sound && sweep_.active) sound = Sweep(*window, SweepSize());
+  ParameterVector corrected_at = window->eta();
+  Correct(*window);
   bool solved = sound && SolveRoot(window);
   // Where old linearizations may cost too much, one sweep after the other, as far as time allows.
   for (int i = 0; i < kMostHurriedSweeps; ++i) {
@@ -519,7 +583,12 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
   for (int pass = 0; pass < options_.recent_passes; ++pass) {
     const int before = report_.eliminated;
     if (!RedoMovedRecent(window)) break;
-    if (report_.eliminated == before) break;
+    const bool moved = ParametersMoved(*window, corrected_at, options_.correct_again);
+    if (moved) {
+      corrected_at = window->eta();
+      Correct(*window);
+    }
+    if (!moved && report_.eliminated == before) break;
     if (!SolveRoot(window)) return Align(window, options);
     BackSubstitute(window, false);
   }
@@ -550,41 +619,26 @@ void IncrementalWindowSolver::Observe(const Window& window, const ChainFront& f,
   leaving->force_information.setZero(n);
   leaving->torque_information.setZero(n);
   const Keyframe& keyframe = window.keyframe(f.id);
-  const auto offset = [&](const ChainFront& of, double* d) {
-    StateManifold().Minus(window.keyframe(of.id).x.data(), of.point.data(), d);
-  };
   std::array<double, kState> own, next{};
-  offset(f, own.data());
+  f.Offset(window, own.data());
   const bool has_next = fronts_.size() > 1;
-  if (has_next) offset(fronts_[1], next.data());
+  if (has_next) fronts_[1].Offset(window, next.data());
   for (size_t k = 0; k < f.kept().size(); ++k) {
     const Factor& factor = keyframe.factors[k];
     const ChainFront::KeptFactor& kept = f.kept()[k];
     if (!factor.parameters || !kept.sound || (kept.in_pair && !has_next)) continue;
     const RowBlock& block = kept.in_pair ? f.pair : f.own;
-    const int border = kept.in_pair ? f.border() : kState;
-    const int bias_at = kept.in_pair && f.bias_leaves ? kState : border + BorderColumns::kBias;
-    const int parameters = border + BorderColumns::kParameters;
+    const int parameters = (kept.in_pair ? f.border() : kState) + BorderColumns::kParameters;
+    std::array<double, kMostFactorRows> residual;
+    f.LinearResidual(window, factor, kept, own.data(), next.data(), residual.data());
     int torque_rows = 0;
     if (factor.kind == FactorKind::kDynamics) {
       const auto* dynamics = dynamic_cast<const DynamicsFactor*>(factor.cost.get());
       torque_rows = dynamics != nullptr && dynamics->with_torque() ? 3 : 0;
     }
     for (int i = 0; i < kept.rows; ++i) {
-      const double* row = block.row(kept.row + i);
-      double r = row[border + past_.columns().rhs()] +
-                 row[border + past_.columns().anchor()] * window.anchor();
-      for (int j = 0; j < kState; ++j) r += row[j] * own[j];
-      if (kept.in_pair) {
-        for (int j = 0; j < kState; ++j) r += row[f.pivots() + j] * next[j];
-      }
-      if (factor.bias0 >= 0) {
-        const auto& bias = window.bias(factor.bias0).x;
-        for (int j = 0; j < 6; ++j) r += row[bias_at + j] * bias[j];
-      }
-      const Eigen::Map<const Eigen::VectorXd> J(row + parameters, n);
-      r += J.dot(window.eta());
-      leaving->score += r * J;
+      const Eigen::Map<const Eigen::VectorXd> J(block.row(kept.row + i) + parameters, n);
+      leaving->score += residual[static_cast<size_t>(i)] * J;
       if (factor.kind != FactorKind::kDynamics) continue;
       (i < kept.rows - torque_rows ? leaving->force_information : leaving->torque_information) +=
           J.cwiseAbs2();
@@ -601,6 +655,7 @@ bool IncrementalWindowSolver::MarginalizeOldest(Window* window, const Eigen::Vec
   while (sweep_.active && sweep_.next == fronts_.front().id && fronts_.size() > 1) {
     sound = Sweep(*window, 1) && sound;
   }
+  while (correction_.active && correction_.next == fronts_.front().id) CorrectOne(*window);
   const ChainFront& oldest = fronts_.front();
   if (leaving != nullptr) Observe(*window, oldest, leaving);
   oldest.LeaveTo(&past_, &scratch_);
@@ -610,7 +665,7 @@ bool IncrementalWindowSolver::MarginalizeOldest(Window* window, const Eigen::Vec
     past_.DropBias();
     have_root_ = false;
     checkpoints_.clear();
-    sweep_.active = sweep_.wanted = sweep_.urgent = false;
+    sweep_.active = sweep_.wanted = sweep_.urgent = correction_.active = false;
   }
   if (has_bias && (last || oldest.bias_leaves)) window->biases().pop_front();
   window->DropOldestKeyframe();

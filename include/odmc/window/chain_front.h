@@ -24,9 +24,17 @@ struct RowBlock {
   void CopyFrom(const RowBlock& other);
 };
 
+/// What corrections of older fronts change at a front: the right-hand side of its message, and the
+/// gradient of the sum of squares (halved) by what the message does not hold of bias and parameters.
+struct Correction {
+  std::array<double, kStateTangentSize> message{};
+  std::vector<double> border;  ///< bias (6), parameters (n)
+};
+
 /// Scratch of one solver, shared by all fronts.
 struct FrontScratch {
   RowBlock own, pair;
+  std::vector<double> gradient;
   std::vector<double> jacobians, residual;
   std::vector<double*> jacobian_pointers;
 };
@@ -42,6 +50,7 @@ struct FrontScratch {
 ///   conditional   triangle over the eliminated columns, same columns as pair
 ///   rest          what elimination left for the root: border. The first rest_before rows come
 ///                 before a bias leaves, the others after.
+///   leaving_bias  the root's rows of the bias that leaves here, before this front's pair
 class ChainFront {
  public:
   /// Starts anew for a keyframe of the window.
@@ -59,7 +68,9 @@ class ChainFront {
   std::array<double, kStateTangentSize> delta;
   int delta_version = -1;
 
-  RowBlock message, own, pair, conditional, rest;
+  RowBlock message, own, pair, conditional, rest, leaving_bias;
+  /// Gradient by bias and parameters that corrections added to `rest` since its elimination.
+  std::vector<double> rest_gradient;
   int rest_before = 0;
   bool bias_leaves = false;
   bool eliminated = false;  ///< false: the newest
@@ -88,6 +99,21 @@ class ChainFront {
   void Eliminate(const RowBlock& triangle, RootTriangle* root, ChainFront* next,
                  FrontScratch* scratch);
 
+  /// Corrects right-hand sides without a new elimination: residuals of factors with parameters are
+  /// evaluated at the present estimate, with the robust weight they have there, and what they differ
+  /// by from their linearization is brought through the triangles that there are (seminormal
+  /// equations). A step then follows the true residuals, by Jacobians that are a little old.
+  /// @param correction from the front before; becomes that for the next
+  void Correct(const Window& window, ChainFront* next, Correction* correction,
+               FrontScratch* scratch);
+
+  /// The same for the newest front, whose triangle is not eliminated yet.
+  /// @param correction its border becomes what the root takes
+  void CorrectNewest(RowBlock* triangle, Correction* correction, FrontScratch* scratch) const;
+
+  /// What the state differs by from its linearization point (12).
+  void Offset(const Window& window, double* d) const;
+
   /// Gives what elimination left to the root of all that has left the window.
   void LeaveTo(RootTriangle* past, FrontScratch* scratch) const;
 
@@ -98,13 +124,23 @@ class ChainFront {
     int revision = -1;
     int state0 = -1, state1 = -1, parameters = -1;  ///< versions of their points
     bool sound = false;
+    double weight = 1.0;  ///< of its rows: root of the robust loss' slope
   };
   const std::vector<KeptFactor>& kept() const { return kept_; }
 
+  /// Residual of a kept factor by its linearization at the present estimate, weighted.
+  /// @param own, next what the states differ by from their points (12 each)
+  /// @param residual kept.rows numbers
+  void LinearResidual(const Window& window, const Factor& factor, const KeptFactor& kept,
+                      const double* own, const double* next, double* residual) const;
+
  private:
   bool Evaluate(const Window& window, const Factor& factor, const ChainFront* next,
-                const ParameterVector& parameter_point, bool in_pair, double* rows, int stride,
-                FrontScratch* scratch) const;
+                const ParameterVector& parameter_point, KeptFactor* kept,
+                FrontScratch* scratch);
+  bool CorrectFactors(const Window& window, const ChainFront& next, FrontScratch* scratch);
+  void AddGradient(const KeptFactor& kept, const double* r, double* g) const;
+  void AddBorderGradient(const double* row, double scale, double* g) const;
 
   int n_ = 0;
   std::int64_t bias_ = -1;

@@ -32,12 +32,18 @@ struct IncrementalOptions {
   double parameter_tolerance = 0.1, sigma_tolerance = 0.05;
   /// Newest keyframes that are eliminated anew at once when their points move, >= 1.
   int recent_keyframes = 3;
-  /// How often that is done in one update at most, >= 0.
+  /// How often that is done in one update at most, and right-hand sides are corrected again, >= 0.
   int recent_passes = 2;
   /// Older keyframes eliminated anew per update when parameters have moved, >= 2; in long windows
   /// this share of all, so that a sweep takes no more than 1/share updates.
   int sweep_keyframes = 10;
   double sweep_share = 0.025;
+  /// Older keyframes whose right-hand sides are corrected per update (ChainFront::Correct), >= 0;
+  /// in long windows this share of all.
+  int corrected_keyframes = 50;
+  double corrected_share = 0.05;
+  /// A parameter that has moved by more than this since [sigmas] has them corrected once more.
+  double correct_again = 0.1;
   /// Older keyframes back-substituted per update, >= 1.
   int back_substituted_keyframes = 50;
   /// A step of a parameter beyond this share of its own prior's sigma asks for the batch solve.
@@ -94,6 +100,9 @@ class IncrementalWindowSolver final : public WindowSolver {
   bool Sweep(const Window& window, int budget);
   bool SweepOne(const Window& window);
   bool SweepAll(const Window& window);
+  void Correct(const Window& window);
+  void CorrectOne(const Window& window);
+  void EndCorrection(const Window& window);
   struct Solution {
     Eigen::VectorXd eta, sigma;
   };
@@ -128,11 +137,17 @@ class IncrementalWindowSolver final : public WindowSolver {
     std::int64_t next = 0;  // front to eliminate next
     RootTriangle root;
   } sweep_;
+  struct {
+    bool active = false;
+    bool passed_sweep = false;  // the sweep's root has what older fronts changed
+    std::int64_t next = 0;      // front to correct next
+    Correction carried;
+  } correction_;
   ParameterVector point_;         // of linearization
   ParameterVector point_in_use_;  // of the chain in use; the sweep brings it to point_
   int point_version_ = 0;
   Solution before_, after_;  // a sweep took the chain's place
-  double curvature_ = 0.0;   // tolerances per sigma between two points
+  double curvature_ = 0.0;   // tolerances at one sigma between two points
   bool have_root_ = false;
   std::vector<double> shared_, propagated_;  // solution of the border; at the last full pass
   std::vector<double> border_;               // of the front at hand

@@ -44,6 +44,10 @@ class RootTriangle {
   /// Takes in |(x - centre) / sigma|² of the parameters (n each).
   void AbsorbPriors(const Eigen::VectorXd& centre, const Eigen::VectorXd& sigma);
 
+  /// Adds gᵀx, g over bias and parameters, to the sum of squares (halved).
+  /// @pre g says nothing of what nobody measured
+  void AddGradient(const std::vector<double>& gradient);
+
   /// Forgets the bias; what the rest says of the parameters stays.
   void DropBias();
 
