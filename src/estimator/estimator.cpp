@@ -21,6 +21,7 @@ namespace {
 
 constexpr double kObservableShare = 0.5;   // of the prior's sigma
 constexpr double kNoiseWarmUp_s = 0.3;     // of odometry before the first keyframe
+constexpr double kAlignmentGrowth = 1.2;   // of the window, from one alignment to the next
 constexpr double kChangeDelay_s = 0.15;    // age of the intervals that show a change
 constexpr double kSigmaAfterChange = 0.3;  // least sigma then, of the prior's
 
@@ -284,7 +285,7 @@ const Snapshot* Estimator::Step() {
     const bool settling = counters_.airborne_s < 1.0;
     const int least = settling ? 10 : (needs_more_iterations_ ? 6 : 1);
     solver_options.max_iterations = std::max(least, options_.max_iterations);
-    solver_options.align = settling || needs_more_iterations_;
+    solver_options.align = needs_more_iterations_ || (settling && AlignmentIsDue());
     solver_options.max_time_s = (settling ? 10.0 : 1.0) * options_.max_update_time_s;
     solver_options.function_tolerance = options_.function_tolerance;
     solver_options.num_threads = options_.num_threads;
@@ -321,6 +322,14 @@ const Snapshot* Estimator::Step() {
   last_ = sample;
   synchroniser_.Trim(sample->stamp);
   return snapshot;
+}
+
+/// While the flight settles, whenever the window has grown by a share.
+bool Estimator::AlignmentIsDue() {
+  const auto states = static_cast<double>(window_.keyframes().size());
+  if (states < kAlignmentGrowth * aligned_states_ && states >= aligned_states_) return false;
+  aligned_states_ = states;
+  return true;
 }
 
 void Estimator::FollowLoad(const OdometrySample& sample) {

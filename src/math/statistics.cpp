@@ -2,25 +2,27 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <utility>
 
 namespace odmc {
 namespace {
 
-double QuantileOfSorted(const std::vector<double>& sample, double p) {
-  if (sample.empty()) return 0.0;
-  const double position = p * static_cast<double>(sample.size() - 1);
-  const size_t below = static_cast<size_t>(position);
-  const size_t above = std::min(below + 1, sample.size() - 1);
-  const double fraction = position - static_cast<double>(below);
-  return (1.0 - fraction) * sample[below] + fraction * sample[above];
+/// Linear between the two nearest; puts `sample` into another order.
+double QuantileInPlace(std::vector<double>* sample, double p) {
+  if (sample->empty()) return 0.0;
+  const double position = p * static_cast<double>(sample->size() - 1);
+  const double fraction = position - std::floor(position);
+  const auto below = sample->begin() + static_cast<std::ptrdiff_t>(position);
+  std::nth_element(sample->begin(), below, sample->end());
+  const auto above = std::min_element(below + 1, sample->end());
+  return (1.0 - fraction) * *below + fraction * (above == sample->end() ? *below : *above);
 }
 
 }  // namespace
 
 double Quantile(std::vector<double> sample, double p) {
-  std::sort(sample.begin(), sample.end());
-  return QuantileOfSorted(sample, p);
+  return QuantileInPlace(&sample, p);
 }
 
 double Median(std::vector<double> sample) { return Quantile(std::move(sample), 0.5); }
@@ -29,8 +31,7 @@ double RobustSigma(std::vector<double> sample) { return RobustSigmaInPlace(&samp
 
 double RobustSigmaInPlace(std::vector<double>* sample) {
   for (double& x : *sample) x = std::abs(x);
-  std::sort(sample->begin(), sample->end());
-  return 1.4826 * QuantileOfSorted(*sample, 0.5);
+  return 1.4826 * QuantileInPlace(sample, 0.5);
 }
 
 }  // namespace odmc

@@ -154,6 +154,7 @@ class Estimator {
   void FollowLoad(const OdometrySample& sample);
   /// Parameters that vary may have moved by what they do in `dt`.
   void LetVary(double dt);
+  bool AlignmentIsDue();
   bool CheckGround(const OdometrySample& sample);
   std::optional<Interval> ReadInterval(const OdometrySample& sample);
   bool IsJump(const OdometrySample& sample, double dt) const;
@@ -222,6 +223,7 @@ class Estimator {
   std::vector<Factor> pending_;  // of a bias whose first keyframe is about to come
   Stamp noise_ready_ = 0;
   bool made_progress_ = false;
+  double aligned_states_ = 0.0;  // in the window at the last alignment
   bool needs_more_iterations_ = false;  // the last solve took no step
 };
 

@@ -13,7 +13,7 @@ double Quantile(std::vector<double> sample, double p);
 /// Standard deviation of a zero-mean Gaussian with the sample's median of |x|: robust to outliers.
 double RobustSigma(std::vector<double> sample);
 
-/// The same without a copy: leaves the magnitudes in `sample`, sorted.
+/// The same without a copy: leaves the magnitudes in `sample`, in any order.
 double RobustSigmaInPlace(std::vector<double>* sample);
 
 }  // namespace odmc

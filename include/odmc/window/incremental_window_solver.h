@@ -36,7 +36,7 @@ struct IncrementalOptions {
   int recent_passes = 2;
   /// Older keyframes eliminated anew per update when parameters have moved, >= 2; in long windows
   /// this share of all, so that a sweep takes no more than 1/share updates.
-  int sweep_keyframes = 10;
+  int sweep_keyframes = 16;
   double sweep_share = 0.025;
   /// Older keyframes whose right-hand sides are corrected per update (ChainFront::Correct), >= 0;
   /// in long windows this share of all.
