@@ -21,9 +21,7 @@ double QuantileInPlace(std::vector<double>* sample, double p) {
 
 }  // namespace
 
-double Quantile(std::vector<double> sample, double p) {
-  return QuantileInPlace(&sample, p);
-}
+double Quantile(std::vector<double> sample, double p) { return QuantileInPlace(&sample, p); }
 
 double Median(std::vector<double> sample) { return Quantile(std::move(sample), 0.5); }
 

@@ -12,7 +12,6 @@ namespace {
 constexpr int kState = kStateTangentSize;
 constexpr int kBiasSize = 6;
 constexpr int kMostFactorRows = 32;
-constexpr double kLeastCorrection = 3e-4;  // of a whitened residual
 
 /// rhs -= J x for a row-major J (rows×columns).
 void SubtractProduct(const double* J, int rows, int columns, const double* x, double* rhs,
@@ -75,6 +74,11 @@ void RowBlock::CopyFrom(const RowBlock& other) {
   std::memcpy(data.data(), other.data.data(), sizeof(double) * size);
 }
 
+void Correction::Clear(int num_parameters) {
+  message.fill(0.0);
+  border.assign(static_cast<size_t>(BorderColumns(num_parameters).pivots()), 0.0);
+}
+
 void ChainFront::Reset(const Window& window, std::int64_t keyframe) {
   const Keyframe& k = window.keyframe(keyframe);
   id = keyframe;
@@ -88,7 +92,8 @@ void ChainFront::Reset(const Window& window, std::int64_t keyframe) {
   message.SetZero(kState, PaddedRow(kState + BorderColumns(n_).size()));
   own.count = pair.count = rest.count = rest_before = 0;
   bias_leaves = eliminated = false;
-  rest_gradient.assign(static_cast<size_t>(BorderColumns(n_).pivots()), 0.0);
+  own_gradient.assign(static_cast<size_t>(BorderColumns(n_).pivots()), 0.0);
+  rest_gradient = own_gradient;
   kept_.clear();
 }
 
@@ -243,6 +248,7 @@ void ChainFront::AbsorbOwn(RowBlock* triangle, RootTriangle* root, FrontScratch*
   triangle->CopyFrom(message);
   rest.stride = root->stride();
   rest.count = rest_before = own.count;
+  std::fill(own_gradient.begin(), own_gradient.end(), 0.0);
   const auto room = static_cast<size_t>((own.count + pair.count + 8) * rest.stride);
   if (rest.data.size() < room) rest.data.resize(room, 0.0);
   if (own.count == 0) return;
@@ -346,9 +352,9 @@ void ChainFront::LinearResidual(const Window& window, const Factor& factor, cons
   }
 }
 
-/// Brings the right-hand sides of factors with parameters to the present estimate and adds what that
-/// changes to the gradient. @returns false if it changes next to nothing
-bool ChainFront::CorrectFactors(const Window& window, const ChainFront& next,
+/// Brings the right-hand sides of factors with parameters to the present estimate and adds what
+/// that changes to the gradient. @returns false if it changes next to nothing
+bool ChainFront::CorrectFactors(const Window& window, const ChainFront& next, double least,
                                 FrontScratch* scratch) {
   const std::vector<Factor>& factors = window.keyframe(id).factors;
   const int rhs = BorderColumns(n_).rhs();
@@ -365,11 +371,12 @@ bool ChainFront::CorrectFactors(const Window& window, const ChainFront& next,
     double squares = 0.0;
     for (int i = 0; i < kept.rows; ++i) squares += r[i] * r[i];
     if (!std::isfinite(squares)) continue;
-    double scale = 1.0 / kept.weight;
+    double scale = 1.0 / kept.weight, gain = 1.0;
     if (factor.loss != nullptr) {
       double rho[3];
       factor.loss->Evaluate(squares, rho);
       scale *= rho[1];
+      gain = std::max(1.0, scale / kept.weight);  // a larger step would overshoot
     }
     if (!have_offsets) {
       Offset(window, own_offset.data());
@@ -379,10 +386,10 @@ bool ChainFront::CorrectFactors(const Window& window, const ChainFront& next,
     LinearResidual(window, factor, kept, own_offset.data(), next_offset.data(), linear.data());
     double largest = 0.0;
     for (int i = 0; i < kept.rows; ++i) {
-      r[i] = scale * r[i] - linear[i];
+      r[i] = (scale * r[i] - linear[i]) / gain;
       largest = std::max(largest, std::abs(r[i]));
     }
-    if (largest < kLeastCorrection) continue;
+    if (largest <= least) continue;
     changed = true;
     RowBlock& block = kept.in_pair ? pair : own;
     for (int i = 0; i < kept.rows; ++i) {
@@ -432,7 +439,7 @@ void ChainFront::Correct(const Window& window, ChainFront* next, Correction* cor
   double* b = correction->border.data();
   for (int j = 0; j < kBiasSize; ++j) g[(bias_leaves ? kState : at) + j] += b[j];
   for (int j = kBiasSize; j < columns.pivots(); ++j) g[at + j] += b[j];
-  if (CorrectFactors(window, *next, scratch)) changed = true;
+  if (CorrectFactors(window, *next, correction->least, scratch)) changed = true;
   for (int j = 0; j < columns.pivots() && !changed; ++j) changed = b[j] != 0.0;
   if (!changed) return;
 
@@ -449,8 +456,7 @@ void ChainFront::Correct(const Window& window, ChainFront* next, Correction* cor
   for (size_t j = 0; j < rest_gradient.size(); ++j) rest_gradient[j] += b[j];
 }
 
-void ChainFront::CorrectNewest(RowBlock* triangle, Correction* correction,
-                               FrontScratch* scratch) const {
+void ChainFront::CorrectNewest(RowBlock* triangle, Correction* correction, FrontScratch* scratch) {
   const BorderColumns columns(n_);
   scratch->gradient.assign(static_cast<size_t>(kState + columns.pivots()), 0.0);
   double* g = scratch->gradient.data();
@@ -462,18 +468,22 @@ void ChainFront::CorrectNewest(RowBlock* triangle, Correction* correction,
   for (int j = 0; j < columns.pivots(); ++j) g[kState + j] += correction->border[j];
   ForwardSubstitute(triangle, kState, kState + columns.pivots(), kState + columns.rhs(), g,
                     nullptr);
-  std::copy_n(g + kState, columns.pivots(), correction->border.data());
+  for (size_t j = 0; j < own_gradient.size(); ++j) {
+    own_gradient[j] += g[kState + j] - correction->border[j];
+    correction->border[j] = g[kState + j];
+  }
 }
 
 void ChainFront::LeaveTo(RootTriangle* past, FrontScratch* scratch) const {
+  RowBlock& rows = scratch->own;
   if (rest.count > 0) {
-    scratch->own.CopyFrom(rest);
-    past->Absorb(scratch->own.data.data(), rest.stride, rest_before);
+    rows.CopyFrom(rest);
+    past->Absorb(rows.data.data(), rest.stride, rest_before);
   }
+  past->AddGradient(own_gradient);
   if (bias_leaves) past->DropBias();
-  if (rest.count > 0) {
-    past->Absorb(scratch->own.data.data() + rest_before * rest.stride, rest.stride,
-                 rest.count - rest_before);
+  if (rest.count > rest_before) {
+    past->Absorb(rows.row(rest_before), rest.stride, rest.count - rest_before);
   }
   past->AddGradient(rest_gradient);
 }

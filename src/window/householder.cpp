@@ -13,7 +13,8 @@ namespace {
 #if defined(__x86_64__) && defined(__GNUC__)
 #define ODMC_WIDE_VECTORS
 #define ODMC_VECTORS_OF_4 __attribute__((target("avx2,fma")))
-#define ODMC_VECTORS_OF_8 __attribute__((target("avx512f,avx512vl,avx512dq,fma,prefer-vector-width=512")))
+#define ODMC_VECTORS_OF_8 \
+  __attribute__((target("avx512f,avx512vl,avx512dq,fma,prefer-vector-width=512")))
 int VectorWidth() {
   static const int width = [] {
     if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&

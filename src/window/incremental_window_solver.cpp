@@ -16,7 +16,7 @@ constexpr int kState = kStateTangentSize;
 constexpr double kFirstCurvature = 3.0;    // error in tolerances at a distance of one sigma
 constexpr double kLeastCurvature = 0.05;   // a new manoeuvre may bring more than the last sweep saw
 constexpr double kCurvatureMemory = 0.85;  // from one sweep to the next
-constexpr double kAllowedError = 0.65;     // of a tolerance, before it hurries
+constexpr double kAllowedError = 0.5;      // of a tolerance, before it hurries
 constexpr double kBiasThreshold = 0.05;    // of biases for wildfire [rad/s, m/s²]
 constexpr int kMostHurriedSweeps = 4;      // in one update
 constexpr int kAlignmentIterations = 10;   // of the batch solve
@@ -326,8 +326,8 @@ void IncrementalWindowSolver::Correct(const Window& window) {
     correction_.active = true;
     correction_.next = fronts_.front().id;
     correction_.passed_sweep = false;
-    correction_.carried.message.fill(0.0);
-    correction_.carried.border.assign(static_cast<size_t>(past_.columns().pivots()), 0.0);
+    correction_.carried.Clear(past_.columns().n);
+    correction_.carried.least = options_.least_correction;
   }
   const auto share =
       static_cast<int>(options_.corrected_share * static_cast<double>(fronts_.size()));
@@ -359,8 +359,7 @@ void IncrementalWindowSolver::EndCorrection(const Window& window) {
   for (Checkpoint& checkpoint : checkpoints_) {
     checkpoint.root.AddGradient(carried.border);
     if (checkpoint.id == fronts_.back().id) break;
-    front(checkpoint.id)
-        .Correct(window, &front(checkpoint.id + 1), &carried, &scratch_);
+    front(checkpoint.id).Correct(window, &front(checkpoint.id + 1), &carried, &scratch_);
   }
   fronts_.back().CorrectNewest(&triangle_, &carried, &scratch_);
   root_.AddGradient(carried.border);
@@ -385,14 +384,16 @@ void IncrementalWindowSolver::LearnCurvature() {
   const double sigmas = (before_.sigma.cwiseQuotient(sigma).array() - 1.0).abs().maxCoeff();
   const double measured =
       std::max(parameters / options_.parameter_tolerance, sigmas / options_.sigma_tolerance);
-  curvature_ = std::max({measured / Bend(distance), kCurvatureMemory * curvature_, kLeastCurvature});
+  curvature_ =
+      std::max({measured / Bend(distance), kCurvatureMemory * curvature_, kLeastCurvature});
 }
 
 /// True if putting the relinearization off might cost more than it may.
 bool IncrementalWindowSolver::MustHurry(const Window& window) const {
   if (sweep_.urgent) return true;
   const double bend = kAllowedError / curvature_;
-  return ParametersMoved(window, point_in_use_, bend < 1.0 ? bend : std::sqrt(bend));
+  return ParametersMoved(window, point_in_use_, bend < 1.0 ? bend : std::sqrt(bend),
+                         options_.relinearise_share);
 }
 
 bool IncrementalWindowSolver::SweepAll(const Window& window) {
@@ -514,9 +515,11 @@ void IncrementalWindowSolver::BackSubstitute(Window* window, bool everything) {
 }
 
 bool IncrementalWindowSolver::ParametersMoved(const Window& window, const ParameterVector& from,
-                                              double sigmas) const {
+                                              double sigmas, double share) const {
   for (int i = 0; i < past_.columns().n; ++i) {
-    if (std::abs(window.eta()[i] - from[i]) > sigmas * sigma_[i]) return true;
+    const double moved = std::abs(window.eta()[i] - from[i]);
+    if (moved > sigmas * sigma_[i]) return true;
+    if (window.layout().is_log(i) && moved > share) return true;
   }
   return false;
 }
@@ -556,18 +559,6 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
   ParameterVector corrected_at = window->eta();
   Correct(*window);
   bool solved = sound && SolveRoot(window);
-  // Where old linearizations may cost too much, one sweep after the other, as far as time allows.
-  for (int i = 0; i < kMostHurriedSweeps; ++i) {
-    if (!solved || !MustHurry(*window) || elapsed_s() >= options.max_time_s) break;
-    if (!sweep_.active) StartSweep(*window);
-    while (sound && sweep_.active && elapsed_s() < options.max_time_s) {
-      sound = Sweep(*window, SweepSize());
-    }
-    solved = sound && SolveRoot(window);
-  }
-  if (solved && MustHurry(*window) && elapsed_s() < options.max_time_s) {
-    solved = false;  // does not settle: steps want damping
-  }
   report_.iterations = 1;
   if (!sound) {
     window->eta() = eta;
@@ -583,7 +574,7 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
   for (int pass = 0; pass < options_.recent_passes; ++pass) {
     const int before = report_.eliminated;
     if (!RedoMovedRecent(window)) break;
-    const bool moved = ParametersMoved(*window, corrected_at, options_.correct_again);
+    const bool moved = ParametersMoved(*window, corrected_at, options_.correct_again, 1.0);
     if (moved) {
       corrected_at = window->eta();
       Correct(*window);
@@ -592,16 +583,28 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
     if (!SolveRoot(window)) return Align(window, options);
     BackSubstitute(window, false);
   }
+  // Where old linearizations may cost too much, one sweep after the other, as far as time allows.
+  for (int i = 0; MustHurry(*window) && elapsed_s() < options.max_time_s; ++i) {
+    if (i == kMostHurriedSweeps) return Align(window, options);  // steps want damping
+    if (!sweep_.active) StartSweep(*window);
+    while (sound && sweep_.active && elapsed_s() < options.max_time_s) {
+      sound = Sweep(*window, SweepSize());
+    }
+    if (!sound || !SolveRoot(window)) return Align(window, options);
+    BackSubstitute(window, false);
+  }
   for (; report_.iterations < options.max_iterations; ++report_.iterations) {
     if (elapsed_s() >= options.max_time_s) break;
     BackSubstitute(window, true);
-    const bool moved = ParametersMoved(*window, point_, options_.relinearise_parameters);
+    const bool moved = ParametersMoved(*window, point_, options_.relinearise_parameters,
+                                       options_.relinearise_share);
     if (!moved && MovePoints(*window, fronts_.front().id + 1) < 0) break;
     if (!SweepAll(*window) || !SolveRoot(window)) return Align(window, options);
   }
   report_.usable = report_.improved = true;
   if (!sweep_.active &&
-      (sweep_.wanted || ParametersMoved(*window, point_, options_.relinearise_parameters))) {
+      (sweep_.wanted || ParametersMoved(*window, point_, options_.relinearise_parameters,
+                                        options_.relinearise_share))) {
     StartSweep(*window);
   }
   report_.sweeping = sweep_.active;
@@ -681,8 +684,7 @@ bool IncrementalWindowSolver::ParameterCovariance(const Window& window,
                                                   const Eigen::VectorXd& sigma,
                                                   Eigen::MatrixXd* covariance) {
   if (!Follows(window)) {
-    const bool known =
-        batch_.ParameterCovariance(window, sigma, covariance);
+    const bool known = batch_.ParameterCovariance(window, sigma, covariance);
     if (known) sigma_ = covariance->diagonal().cwiseSqrt();
     return known;
   }

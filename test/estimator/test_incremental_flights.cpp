@@ -24,7 +24,6 @@ namespace test {
 namespace {
 
 constexpr double kParameters = 0.1, kSigmas = 0.05;
-constexpr double kMostSigmas = 0.3;
 constexpr double kAligned_s = 1.1;  // the first second is the batch solver's own
 
 /// A flight, what the estimator is told of it, and how it is replayed.
@@ -48,7 +47,6 @@ struct Differences {
   int compared = 0, failed = 0;
   int aligned = 0;                        // updates left to the batch solve after the first second
   double parameters = 0.0, sigmas = 0.0;  // largest
-  std::vector<double> all_parameters, all_sigmas;
   std::string parameter, sigma;
   EstimatorCounters counters;
 };
@@ -71,8 +69,6 @@ Differences Compare(const FlightLog& log, const DynamicModel& model, const Case&
       ++worst.failed;
       return;
     }
-    worst.all_parameters.push_back(difference->parameters);
-    worst.all_sigmas.push_back(difference->sigmas);
     if (difference->parameters > worst.parameters) {
       worst.parameters = difference->parameters;
       worst.parameter = difference->worst_parameter + " at update " + std::to_string(update);
@@ -113,7 +109,7 @@ Differences Compare(const FlightLog& log, const DynamicModel& model, const Case&
   return worst;
 }
 
-Differences Fly(const Case& c, int every = 7) {
+Differences Fly(const Case& c, int every = 3) {
   const DynamicModel truth_model(NominalVehicle(), NominalVehicle().effects);
   const DynamicModel model(c.vehicle, c.vehicle.effects);
   FlightLog log = Simulate(truth_model, DefaultTruth(truth_model), c.simulation, c.noise).log;
@@ -121,23 +117,14 @@ Differences Fly(const Case& c, int every = 7) {
   return Compare(log, model, c, every);
 }
 
-double OneInTwenty(std::vector<double> values) {
-  std::sort(values.begin(), values.end());
-  return values.empty() ? 0.0 : values[values.size() * 19 / 20];
-}
-
-/// @param one_in_twenty, most bounds on the parameters' differences [sigma]
-void ExpectWithinBounds(const Differences& d, double one_in_twenty = kParameters,
-                        double most = kParameters) {
+void ExpectWithinBounds(const Differences& d, double most_parameters = kParameters) {
   std::printf(
       "%d updates: parameters within %.4f sigma (%s), sigmas within %.4f (%s), %d aligned\n",
       d.compared, d.parameters, d.parameter.c_str(), d.sigmas, d.sigma.c_str(), d.aligned);
   EXPECT_GT(d.compared, 20);
   EXPECT_EQ(d.failed, 0);
-  EXPECT_LT(OneInTwenty(d.all_parameters), one_in_twenty);
-  EXPECT_LT(OneInTwenty(d.all_sigmas), 2.0 * kSigmas);
-  EXPECT_LT(d.parameters, most) << d.parameter;
-  EXPECT_LT(d.sigmas, kMostSigmas) << d.sigma;
+  EXPECT_LT(d.parameters, most_parameters) << d.parameter;
+  EXPECT_LT(d.sigmas, kSigmas) << d.sigma;
 }
 
 /// Removes what lies in [from, to) seconds of flight.
@@ -257,14 +244,14 @@ TEST(IncrementalFlights, AVehicleThatChanges) {
     }
   };
   const Differences d = Fly(c);
-  ExpectWithinBounds(d, 0.5, 2.0);
+  ExpectWithinBounds(d, 2.0 * kParameters);  // for a moment, when all states have just left
   EXPECT_GE(d.counters.changes, 1);
 }
 
 TEST(IncrementalFlights, EulersForm) {
   Case c;
   c.options.dynamics_form = "euler";
-  ExpectWithinBounds(Fly(c), 0.5, 2.0);
+  ExpectWithinBounds(Fly(c));
 }
 
 TEST(IncrementalFlights, NeuroBemAtAHundredKeyframesASecond) {
@@ -278,7 +265,6 @@ TEST(IncrementalFlights, NeuroBemAtAHundredKeyframesASecond) {
   const FlightLog log = ReadFlightCsv(flight, vehicle.num_rotors(), PoseSource::kEkf);
   const Differences d = Compare(log, model, c, 9);
   ExpectWithinBounds(d);
-  EXPECT_LT(d.sigmas, kSigmas);
 }
 
 }  // namespace

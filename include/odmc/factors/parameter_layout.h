@@ -33,6 +33,9 @@ class ParameterLayout {
   /// Entry of eta that holds model parameter `index`, -1 if it is frozen.
   int EntryOf(int index) const;
 
+  /// True if entry `i` of eta is the logarithm of its value.
+  bool is_log(int i) const { return is_log_[i]; }
+
   /// One entry's value, and its derivative there.
   double ToValue(int i, double eta) const;
   double ChainFactor(int i, double value) const { return is_log_[i] ? value : scale_[i]; }

@@ -25,10 +25,15 @@ struct RowBlock {
 };
 
 /// What corrections of older fronts change at a front: the right-hand side of its message, and the
-/// gradient of the sum of squares (halved) by what the message does not hold of bias and parameters.
+/// gradient of the sum of squares (halved) by what the message does not hold of bias and
+/// parameters.
 struct Correction {
   std::array<double, kStateTangentSize> message{};
   std::vector<double> border;  ///< bias (6), parameters (n)
+  double least = 0.0;          ///< change of a whitened residual that is passed on
+
+  /// Nothing changed yet.
+  void Clear(int num_parameters);
 };
 
 /// Scratch of one solver, shared by all fronts.
@@ -69,8 +74,9 @@ class ChainFront {
   int delta_version = -1;
 
   RowBlock message, own, pair, conditional, rest, leaving_bias;
-  /// Gradient by bias and parameters that corrections added to `rest` since its elimination.
-  std::vector<double> rest_gradient;
+  /// Gradients by bias and parameters that corrections added to `rest` since it was left: before
+  /// the pair was eliminated (and a bias left), and after.
+  std::vector<double> own_gradient, rest_gradient;
   int rest_before = 0;
   bool bias_leaves = false;
   bool eliminated = false;  ///< false: the newest
@@ -100,8 +106,8 @@ class ChainFront {
                  FrontScratch* scratch);
 
   /// Corrects right-hand sides without a new elimination: residuals of factors with parameters are
-  /// evaluated at the present estimate, with the robust weight they have there, and what they differ
-  /// by from their linearization is brought through the triangles that there are (seminormal
+  /// evaluated at the present estimate, with the robust weight they have there, and what they
+  /// differ by from their linearization is brought through the triangles that there are (seminormal
   /// equations). A step then follows the true residuals, by Jacobians that are a little old.
   /// @param correction from the front before; becomes that for the next
   void Correct(const Window& window, ChainFront* next, Correction* correction,
@@ -109,7 +115,7 @@ class ChainFront {
 
   /// The same for the newest front, whose triangle is not eliminated yet.
   /// @param correction its border becomes what the root takes
-  void CorrectNewest(RowBlock* triangle, Correction* correction, FrontScratch* scratch) const;
+  void CorrectNewest(RowBlock* triangle, Correction* correction, FrontScratch* scratch);
 
   /// What the state differs by from its linearization point (12).
   void Offset(const Window& window, double* d) const;
@@ -136,9 +142,9 @@ class ChainFront {
 
  private:
   bool Evaluate(const Window& window, const Factor& factor, const ChainFront* next,
-                const ParameterVector& parameter_point, KeptFactor* kept,
-                FrontScratch* scratch);
-  bool CorrectFactors(const Window& window, const ChainFront& next, FrontScratch* scratch);
+                const ParameterVector& parameter_point, KeptFactor* kept, FrontScratch* scratch);
+  bool CorrectFactors(const Window& window, const ChainFront& next, double least,
+                      FrontScratch* scratch);
   void AddGradient(const KeptFactor& kept, const double* r, double* g) const;
   void AddBorderGradient(const double* row, double scale, double* g) const;
 

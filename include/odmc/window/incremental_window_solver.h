@@ -21,6 +21,8 @@ struct IncrementalOptions {
                                                              0.01, 0.01, 0.01, 2e-3, 2e-3, 2e-3};
   /// Parameters: of their present sigma.
   double relinearise_parameters = 0.3;
+  /// Those in logarithms, which other parameters' Jacobians are in proportion to: of their value.
+  double relinearise_share = 0.02;
   /// Back-substitution stops at a state that changes by less than this share of the thresholds
   /// above (wildfire), and goes through the whole window when parameters have moved by this share
   /// of a sigma, or a bias by this share of 0.05 rad/s or m/s².
@@ -42,6 +44,8 @@ struct IncrementalOptions {
   /// in long windows this share of all.
   int corrected_keyframes = 50;
   double corrected_share = 0.05;
+  /// What a whitened residual must differ by from its linearization to be corrected.
+  double least_correction = 3e-4;
   /// A parameter that has moved by more than this since [sigmas] has them corrected once more.
   double correct_again = 0.1;
   /// Older keyframes back-substituted per update, >= 1.
@@ -116,7 +120,8 @@ class IncrementalWindowSolver final : public WindowSolver {
   double BackSubstitute(std::int64_t id, Window* window);
   void StoreState(ChainFront* front, Window* window);
   bool HasMoved(const Window& window, const ChainFront& front) const;
-  bool ParametersMoved(const Window& window, const ParameterVector& from, double sigmas) const;
+  bool ParametersMoved(const Window& window, const ParameterVector& from, double sigmas,
+                       double share) const;
   bool MustHurry(const Window& window) const;
   void LearnCurvature();
   void Observe(const Window& window, const ChainFront& front, LeavingFactors* leaving) const;
