@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <vector>
 
 #include "odmc/math/statistics.h"
@@ -41,7 +42,8 @@ TEST(Statistics, RobustSigmaInPlaceIsTheSame) {
   std::vector<double> sample = {3.0, -1.0, 0.5, -2.0};
   const double expected = RobustSigma(sample);
   EXPECT_EQ(RobustSigmaInPlace(&sample), expected);
-  EXPECT_EQ(sample, (std::vector<double>{0.5, 1.0, 2.0, 3.0}));
+  std::sort(sample.begin(), sample.end());
+  EXPECT_EQ(sample, (std::vector<double>{0.5, 1.0, 2.0, 3.0}));  // the magnitudes
 }
 
 TEST(Statistics, RobustSigmaIgnoresATenthOfOutliers) {
