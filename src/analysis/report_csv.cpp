@@ -3,6 +3,8 @@
 #include <cmath>
 #include <fstream>
 #include <stdexcept>
+#include <string>
+#include <string_view>
 
 #include "odmc/analysis/report.h"
 
@@ -30,7 +32,7 @@ class CsvFile {
     char text[40];
     const auto end =
         std::to_chars(text, text + sizeof text, value, std::chars_format::general, kDigits).ptr;
-    Cell(std::string(text, end));
+    Cell(std::string_view(text, static_cast<size_t>(end - text)));
   }
   template <typename Derived>
   void Numbers(const Eigen::MatrixBase<Derived>& values) {
@@ -40,23 +42,32 @@ class CsvFile {
     for (int i = 0; i < count; ++i) Cell("");
   }
   void EndRow() {
-    out_ << '\n';
+    text_ += '\n';
     first_ = true;
+    if (text_.size() > kBuffer) Flush();
   }
   void Close() {
+    Flush();
     out_.close();
     if (!out_) throw std::runtime_error(file_ + ": cannot be written");
   }
 
  private:
-  void Cell(const std::string& text) {
-    if (!first_) out_ << ',';
-    out_ << text;
+  static constexpr size_t kBuffer = 1 << 16;
+
+  void Cell(std::string_view text) {
+    if (!first_) text_ += ',';
+    text_ += text;
     first_ = false;
+  }
+  void Flush() {
+    out_.write(text_.data(), static_cast<std::streamsize>(text_.size()));
+    text_.clear();
   }
 
   std::string file_;
   std::ofstream out_;
+  std::string text_;  // rows not written yet
   bool first_ = true;
 };
 
