@@ -17,6 +17,7 @@ constexpr double kFirstCurvature = 3.0;    // error in tolerances at a distance 
 constexpr double kLeastCurvature = 0.05;   // a new manoeuvre may bring more than the last sweep saw
 constexpr double kCurvatureMemory = 0.85;  // from one sweep to the next
 constexpr double kAllowedError = 0.5;      // of a tolerance, before it hurries
+constexpr double kWorthwhile = 0.2;        // of a tolerance, before a sweep is
 constexpr double kBiasThreshold = 0.05;    // of biases for wildfire [rad/s, m/s²]
 constexpr int kMostHurriedSweeps = 4;      // in one update
 constexpr int kAlignmentIterations = 10;   // of the batch solve
@@ -25,6 +26,12 @@ constexpr int kMostFactorRows = 32;
 /// How errors of a linearization grow with the distance [sigmas] from its point: as its square, but
 /// for small ones, where other errors are larger.
 double Bend(double distance) { return distance * std::max(1.0, distance); }
+
+/// The distance [sigmas] at which they reach `error`, both in tolerances.
+double DistanceAt(double error, double curvature) {
+  const double bend = error / curvature;
+  return bend < 1.0 ? bend : std::sqrt(bend);
+}
 
 double* BiasOf(Window* window, std::int64_t id) { return window->bias(id).x.data(); }
 
@@ -391,8 +398,7 @@ void IncrementalWindowSolver::LearnCurvature() {
 /// True if putting the relinearization off might cost more than it may.
 bool IncrementalWindowSolver::MustHurry(const Window& window) const {
   if (sweep_.urgent) return true;
-  const double bend = kAllowedError / curvature_;
-  return ParametersMoved(window, point_in_use_, bend < 1.0 ? bend : std::sqrt(bend),
+  return ParametersMoved(window, point_in_use_, DistanceAt(kAllowedError, curvature_),
                          options_.relinearise_share);
 }
 
@@ -602,9 +608,9 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
     if (!SweepAll(*window) || !SolveRoot(window)) return Align(window, options);
   }
   report_.usable = report_.improved = true;
+  const double far = std::max(options_.relinearise_parameters, DistanceAt(kWorthwhile, curvature_));
   if (!sweep_.active &&
-      (sweep_.wanted || ParametersMoved(*window, point_, options_.relinearise_parameters,
-                                        options_.relinearise_share))) {
+      (sweep_.wanted || ParametersMoved(*window, point_, far, options_.relinearise_share))) {
     StartSweep(*window);
   }
   report_.sweeping = sweep_.active;

@@ -19,7 +19,7 @@ struct IncrementalOptions {
   /// velocity [m/s], rate [rad/s].
   std::array<double, kStateTangentSize> relinearise_state = {0.05, 0.05, 0.05, 1e-3, 1e-3, 1e-3,
                                                              0.01, 0.01, 0.01, 2e-3, 2e-3, 2e-3};
-  /// Parameters: of their present sigma.
+  /// Parameters: of their present sigma; further where old linearizations hardly matter.
   double relinearise_parameters = 0.3;
   /// Those in logarithms, which other parameters' Jacobians are in proportion to: of their value.
   double relinearise_share = 0.02;
