@@ -18,6 +18,7 @@ constexpr double kLeastCurvature = 0.05;   // a new manoeuvre may bring more tha
 constexpr double kCurvatureMemory = 0.85;  // from one sweep to the next
 constexpr double kAllowedError = 0.5;      // of a tolerance, before it hurries
 constexpr double kWorthwhile = 0.2;        // of a tolerance, before a sweep is
+constexpr double kSettled = 0.05;          // where further iterations were asked for [sigmas]
 constexpr double kBiasThreshold = 0.05;    // of biases for wildfire [rad/s, m/s²]
 constexpr int kMostHurriedSweeps = 4;      // in one update
 constexpr int kAlignmentIterations = 10;   // of the batch solve
@@ -602,8 +603,7 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
   for (; report_.iterations < options.max_iterations; ++report_.iterations) {
     if (elapsed_s() >= options.max_time_s) break;
     BackSubstitute(window, true);
-    const bool moved = ParametersMoved(*window, point_, options_.relinearise_parameters,
-                                       options_.relinearise_share);
+    const bool moved = ParametersMoved(*window, point_, kSettled, options_.relinearise_share);
     if (!moved && MovePoints(*window, fronts_.front().id + 1) < 0) break;
     if (!SweepAll(*window) || !SolveRoot(window)) return Align(window, options);
   }

@@ -17,16 +17,16 @@ struct IncrementalOptions {
   /// A recent state, and any that a sweep passes, is linearized anew where an entry of its tangent
   /// has moved by more than this from the point where it was: position [m], rotation [rad],
   /// velocity [m/s], rate [rad/s].
-  std::array<double, kStateTangentSize> relinearise_state = {0.05, 0.05, 0.05, 1e-3, 1e-3, 1e-3,
-                                                             0.01, 0.01, 0.01, 2e-3, 2e-3, 2e-3};
+  std::array<double, kStateTangentSize> relinearise_state = {0.05,  0.05,  0.05,  5e-4, 5e-4, 5e-4,
+                                                             0.005, 0.005, 0.005, 1e-3, 1e-3, 1e-3};
   /// Parameters: of their present sigma; further where old linearizations hardly matter.
   double relinearise_parameters = 0.3;
   /// Those in logarithms, which other parameters' Jacobians are in proportion to: of their value.
-  double relinearise_share = 0.02;
+  double relinearise_share = 0.015;
   /// Back-substitution stops at a state that changes by less than this share of the thresholds
   /// above (wildfire), and goes through the whole window when parameters have moved by this share
   /// of a sigma, or a bias by this share of 0.05 rad/s or m/s².
-  double wildfire = 0.02;
+  double wildfire = 0.04;
   /// Error that old linearizations may bring: of a parameter [of its sigma], of a sigma [relative].
   /// Every sweep shows how much the distance between two points of linearization mattered; where
   /// half a tolerance may be reached before the next one is through, it hurries: as many keyframes
