@@ -294,6 +294,9 @@ const Snapshot* Estimator::Step() {
     const SolveReport report = solver_->Solve(&window_, solver_options);
     timing.solve_ms = timer.EndStageMs();
     if (!report.usable) ++counters_.refused_updates;
+    if (solver_options.align || report.aligned) {
+      aligned_states_ = static_cast<double>(window_.keyframes().size());
+    }
     needs_more_iterations_ = !report.improved && !report.converged;
     TakeSnapshot(*sample, report);
     snapshot = &snapshot_;
@@ -325,11 +328,9 @@ const Snapshot* Estimator::Step() {
 }
 
 /// While the flight settles, whenever the window has grown by a share.
-bool Estimator::AlignmentIsDue() {
+bool Estimator::AlignmentIsDue() const {
   const auto states = static_cast<double>(window_.keyframes().size());
-  if (states < kAlignmentGrowth * aligned_states_ && states >= aligned_states_) return false;
-  aligned_states_ = states;
-  return true;
+  return states >= kAlignmentGrowth * aligned_states_ || states < aligned_states_;
 }
 
 void Estimator::FollowLoad(const OdometrySample& sample) {

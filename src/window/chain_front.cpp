@@ -1,6 +1,7 @@
 #include "odmc/window/chain_front.h"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <cstring>
 
@@ -11,7 +12,6 @@ namespace {
 
 constexpr int kState = kStateTangentSize;
 constexpr int kBiasSize = 6;
-constexpr int kMostFactorRows = 32;
 
 /// rhs -= J x for a row-major J (rows×columns).
 void SubtractProduct(const double* J, int rows, int columns, const double* x, double* rhs,
@@ -74,7 +74,7 @@ void RowBlock::CopyFrom(const RowBlock& other) {
   std::memcpy(data.data(), other.data.data(), sizeof(double) * size);
 }
 
-void Correction::Clear(int num_parameters) {
+void CarriedCorrection::Clear(int num_parameters) {
   message.fill(0.0);
   border.assign(static_cast<size_t>(BorderColumns(num_parameters).pivots()), 0.0);
 }
@@ -95,6 +95,11 @@ void ChainFront::Reset(const Window& window, std::int64_t keyframe) {
   own_gradient.assign(static_cast<size_t>(BorderColumns(n_).pivots()), 0.0);
   rest_gradient = own_gradient;
   kept_.clear();
+  if (bias_ < 0) return;
+  // A bias leaves at another slot of the ring every time: room in all of them, once.
+  leaving_bias.SetZero(kBiasSize, PaddedRow(BorderColumns(n_).size()));
+  constexpr int kPivots = kState + kBiasSize;
+  conditional.SetZero(kPivots, PaddedRow(kPivots + kState + BorderColumns(n_).size()));
 }
 
 void ChainFront::MovePoint(const Window& window) {
@@ -121,6 +126,7 @@ bool ChainFront::Linearise(const Window& window, const ChainFront* next,
   for (size_t i = kept_.size(); i < factors.size(); ++i) {
     RowBlock& block = is_pair(factors[i]) ? pair : own;
     kept_.push_back({is_pair(factors[i]), block.count, factors[i].cost->num_residuals()});
+    assert(kept_.back().rows <= kMostFactorRows);
     block.Extend(kept_.back().rows);
   }
   bool sound = true;
@@ -220,7 +226,7 @@ bool ChainFront::Evaluate(const Window& window, const Factor& factor, const Chai
     SubtractProduct(jacobians[k], num_rows, sizes[k], blocks[k], rows + rhs, stride);
   }
   if (factor.loss != nullptr) {
-    // The weight is that of the residual at the present estimate, not at the point.
+    // The weight is that of the residual at the present states, not at their points.
     squares = 0.0;
     for (int i = 0; i < num_rows; ++i) {
       const double* row = rows + i * stride;
@@ -364,9 +370,10 @@ bool ChainFront::CorrectFactors(const Window& window, const ChainFront& next, do
   for (size_t k = 0; k < kept_.size(); ++k) {
     const Factor& factor = factors[k];
     const KeptFactor& kept = kept_[k];
-    const bool at_points =
-        kept.state0 == point_version && (!kept.in_pair || kept.state1 == next.point_version);
-    if (!factor.parameters || !kept.sound || !at_points) continue;
+    const bool up_to_date = kept.revision == factor.revision && kept.state0 == point_version &&
+                            (!kept.in_pair || kept.state1 == next.point_version);
+    if (!factor.parameters || !kept.sound || !up_to_date) continue;
+    // One that cannot be evaluated here stays as it was; its next linearization refuses the update.
     if (!factor.cost->Evaluate(window.Blocks(factor, false).data(), r.data(), nullptr)) continue;
     double squares = 0.0;
     for (int i = 0; i < kept.rows; ++i) squares += r[i] * r[i];
@@ -384,12 +391,13 @@ bool ChainFront::CorrectFactors(const Window& window, const ChainFront& next, do
       have_offsets = true;
     }
     LinearResidual(window, factor, kept, own_offset.data(), next_offset.data(), linear.data());
-    double largest = 0.0;
+    double largest = 0.0, sum = 0.0;
     for (int i = 0; i < kept.rows; ++i) {
       r[i] = (scale * r[i] - linear[i]) / gain;
       largest = std::max(largest, std::abs(r[i]));
+      sum += r[i];
     }
-    if (largest <= least) continue;
+    if (!(largest > least) || !std::isfinite(sum)) continue;
     changed = true;
     RowBlock& block = kept.in_pair ? pair : own;
     for (int i = 0; i < kept.rows; ++i) {
@@ -423,7 +431,7 @@ void ChainFront::AddBorderGradient(const double* row, double scale, double* g) c
   for (int j = 0; j < n_; ++j) g[parameters_at + j] += scale * row[j];
 }
 
-void ChainFront::Correct(const Window& window, ChainFront* next, Correction* correction,
+void ChainFront::Correct(const Window& window, ChainFront* next, CarriedCorrection* correction,
                          FrontScratch* scratch) {
   const BorderColumns columns(n_);
   const int p = pivots(), at = border(), end = at + columns.pivots();
@@ -456,7 +464,8 @@ void ChainFront::Correct(const Window& window, ChainFront* next, Correction* cor
   for (size_t j = 0; j < rest_gradient.size(); ++j) rest_gradient[j] += b[j];
 }
 
-void ChainFront::CorrectNewest(RowBlock* triangle, Correction* correction, FrontScratch* scratch) {
+void ChainFront::CorrectNewest(RowBlock* triangle, CarriedCorrection* correction,
+                               FrontScratch* scratch) {
   const BorderColumns columns(n_);
   scratch->gradient.assign(static_cast<size_t>(kState + columns.pivots()), 0.0);
   double* g = scratch->gradient.data();

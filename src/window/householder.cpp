@@ -31,7 +31,8 @@ int VectorWidth() {
 constexpr int kChunk = 8;
 static_assert(kChunk <= kRowPadding, "a chunk may reach into the padding only");
 // Rows begin anywhere. As wide as the machine has it, or in pieces.
-using Chunk = double __attribute__((vector_size(kChunk * sizeof(double)), aligned(sizeof(double))));
+using Chunk = double
+    __attribute__((vector_size(kChunk * sizeof(double)), aligned(sizeof(double)), may_alias));
 
 /// Applies the reflection I - tau [1; v] [1; v]ᵀ to N chunks of `top` and of the rows of E, side by
 /// side: one sum would wait for itself.

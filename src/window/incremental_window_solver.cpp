@@ -22,7 +22,7 @@ constexpr double kSettled = 0.05;          // where further iterations were aske
 constexpr double kBiasThreshold = 0.05;    // of biases for wildfire [rad/s, m/s²]
 constexpr int kMostHurriedSweeps = 4;      // in one update
 constexpr int kAlignmentIterations = 10;   // of the batch solve
-constexpr int kMostFactorRows = 32;
+constexpr double kAnyShare = 1e9;          // no bound on what is in logarithms
 
 /// How errors of a linearization grow with the distance [sigmas] from its point: as its square, but
 /// for small ones, where other errors are larger.
@@ -218,6 +218,8 @@ bool IncrementalWindowSolver::Advance(const Window& window, std::int64_t id) {
 bool IncrementalWindowSolver::Redo(const Window& window, std::int64_t from) {
   while (!checkpoints_.empty() && checkpoints_.back().id > from) checkpoints_.pop_back();
   root_ = checkpoints_.back().root;
+  // Its message has what older fronts changed, and so will all that is made of it.
+  if (correction_.active && correction_.next == from) correction_.carried.message.fill(0.0);
   ChainFront& first = front(from);
   first.eliminated = false;
   const ChainFront* next = from < fronts_.back().id ? &front(from + 1) : nullptr;
@@ -287,6 +289,7 @@ void IncrementalWindowSolver::StartSweep(const Window& window) {
 /// Eliminates the sweep's next front.
 bool IncrementalWindowSolver::SweepOne(const Window& window) {
   ++report_.eliminated;
+  if (correction_.active && correction_.next == sweep_.next) PassSweep();
   ChainFront& f = front(sweep_.next);
   ChainFront& next = front(sweep_.next + 1);
   if (HasMoved(window, next)) next.MovePoint(window);
@@ -294,6 +297,8 @@ bool IncrementalWindowSolver::SweepOne(const Window& window) {
   f.AbsorbOwn(&sweep_triangle_, &sweep_.root, &scratch_);
   f.Eliminate(sweep_triangle_, &sweep_.root, &next, &scratch_);
   ++sweep_.next;
+  // Overtaken by the sweep, which knows better.
+  if (correction_.passed_sweep && correction_.next < sweep_.next) correction_.active = false;
   return sound;
 }
 
@@ -328,7 +333,10 @@ bool IncrementalWindowSolver::Sweep(const Window& window, int budget) {
 
 /// Brings right-hand sides of older fronts to the present estimate, a few per update.
 void IncrementalWindowSolver::Correct(const Window& window) {
-  if (checkpoints_.empty()) return;
+  const auto share =
+      static_cast<int>(options_.corrected_share * static_cast<double>(fronts_.size()));
+  const int budget = std::max(options_.corrected_keyframes, share);
+  if (checkpoints_.empty() || budget == 0) return;
   if (!correction_.active) {
     if (fronts_.front().id >= checkpoints_.front().id) return;  // all are recent
     correction_.active = true;
@@ -337,22 +345,22 @@ void IncrementalWindowSolver::Correct(const Window& window) {
     correction_.carried.Clear(past_.columns().n);
     correction_.carried.least = options_.least_correction;
   }
-  const auto share =
-      static_cast<int>(options_.corrected_share * static_cast<double>(fronts_.size()));
-  const int budget = std::max(options_.corrected_keyframes, share);
   for (int i = 0; i < budget && correction_.active; ++i) CorrectOne(window);
+}
+
+/// The sweep's next front, where the pass stands: its message has what older fronts changed, the
+/// sweep's root not yet.
+void IncrementalWindowSolver::PassSweep() {
+  if (correction_.passed_sweep) return;
+  sweep_.root.AddGradient(correction_.carried.border);
+  correction_.passed_sweep = true;
 }
 
 /// Corrects the next front, or ends the pass where the recent ones begin.
 void IncrementalWindowSolver::CorrectOne(const Window& window) {
   const std::int64_t id = correction_.next;
-  if (sweep_.active && id == sweep_.next && !correction_.passed_sweep) {
-    sweep_.root.AddGradient(correction_.carried.border);
-    correction_.passed_sweep = true;
-  }
-  if (sweep_.active && id < sweep_.next && correction_.passed_sweep) {
-    correction_.active = false;  // overtaken by the sweep, which knows better
-  } else if (id < checkpoints_.front().id) {
+  if (sweep_.active && id == sweep_.next) PassSweep();
+  if (id < checkpoints_.front().id) {
     front(id).Correct(window, &front(id + 1), &correction_.carried, &scratch_);
     ++correction_.next;
   } else {
@@ -363,7 +371,7 @@ void IncrementalWindowSolver::CorrectOne(const Window& window) {
 /// Brings what older fronts changed through the recent ones to the root.
 void IncrementalWindowSolver::EndCorrection(const Window& window) {
   correction_.active = false;
-  Correction& carried = correction_.carried;
+  CarriedCorrection& carried = correction_.carried;
   for (Checkpoint& checkpoint : checkpoints_) {
     checkpoint.root.AddGradient(carried.border);
     if (checkpoint.id == fronts_.back().id) break;
@@ -564,24 +572,24 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
   bool sound = CatchUp(window);
   if (sound && sweep_.active) sound = Sweep(*window, SweepSize());
   ParameterVector corrected_at = window->eta();
-  Correct(*window);
-  bool solved = sound && SolveRoot(window);
+  if (sound) Correct(*window);
   report_.iterations = 1;
-  if (!sound) {
+  const auto refuse = [&] {
     window->eta() = eta;
     window->MoveAnchor();
     if (followed) WritePrior(window);
     Forget();
     report_.message = "a factor cannot be evaluated at the present estimate";
     return report_;
-  }
-  if (!solved) return Align(window, options);
+  };
+  if (!sound) return refuse();
+  if (!SolveRoot(window)) return Align(window, options);
   BackSubstitute(window, false);
   // The newest states come in where odometry has them and move most.
   for (int pass = 0; pass < options_.recent_passes; ++pass) {
     const int before = report_.eliminated;
-    if (!RedoMovedRecent(window)) break;
-    const bool moved = ParametersMoved(*window, corrected_at, options_.correct_again, 1.0);
+    if (!RedoMovedRecent(window)) return refuse();
+    const bool moved = ParametersMoved(*window, corrected_at, options_.correct_again, kAnyShare);
     if (moved) {
       corrected_at = window->eta();
       Correct(*window);
@@ -597,7 +605,8 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
     while (sound && sweep_.active && elapsed_s() < options.max_time_s) {
       sound = Sweep(*window, SweepSize());
     }
-    if (!sound || !SolveRoot(window)) return Align(window, options);
+    if (!sound) return refuse();
+    if (!SolveRoot(window)) return Align(window, options);
     BackSubstitute(window, false);
   }
   for (; report_.iterations < options.max_iterations; ++report_.iterations) {
@@ -605,7 +614,8 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
     BackSubstitute(window, true);
     const bool moved = ParametersMoved(*window, point_, kSettled, options_.relinearise_share);
     if (!moved && MovePoints(*window, fronts_.front().id + 1) < 0) break;
-    if (!SweepAll(*window) || !SolveRoot(window)) return Align(window, options);
+    if (!SweepAll(*window)) return refuse();
+    if (!SolveRoot(window)) return Align(window, options);
   }
   report_.usable = report_.improved = true;
   const double far = std::max(options_.relinearise_parameters, DistanceAt(kWorthwhile, curvature_));

@@ -378,17 +378,19 @@ TEST_F(IncrementalSolver, LeavesStepsBeyondALinearModelToTheBatchSolve) {
   EXPECT_LT(Difference(), 1e-7);
 }
 
-/// Old fronts are corrected, never eliminated anew: robust weights change under them.
-class Corrected : public IncrementalSolver, public testing::WithParamInterface<Shape> {
+/// Robust factors of parameters, and old fronts that are corrected, not eliminated anew.
+class RobustWindow : public IncrementalSolver {
  protected:
-  Corrected() : IncrementalSolver(OnlyCorrections()) {}
+  explicit RobustWindow(int corrected_keyframes)
+      : IncrementalSolver(OnlyCorrections(corrected_keyframes)) {}
 
-  static IncrementalOptions OnlyCorrections() {
+  static IncrementalOptions OnlyCorrections(int corrected_keyframes) {
     IncrementalOptions options = Exact();
     const double never = std::numeric_limits<double>::infinity();
     options.relinearise_parameters = options.relinearise_share = never;
     options.relinearise_state.fill(never);
-    options.corrected_keyframes = 1000;
+    options.corrected_keyframes = corrected_keyframes;
+    options.corrected_share = 0.0;
     options.least_correction = 0.0;
     return options;
   }
@@ -404,51 +406,60 @@ class Corrected : public IncrementalSolver, public testing::WithParamInterface<S
     }
   }
 
-  /// @returns keyframes eliminated meanwhile
-  int Converge() {
+  /// @returns keyframes eliminated
+  int SolveWithoutHurry() {
     SolverOptions hasty;
-    hasty.max_time_s = 1e-9;  // no time to hurry
+    hasty.max_time_s = 1e-9;
+    const SolveReport report = solver_.Solve(&ours_, hasty);
+    EXPECT_TRUE(report.usable);
+    return report.eliminated;
+  }
+
+  int Converge(int updates = 200) {
     int eliminated = 0;
-    for (int i = 0; i < 200; ++i) {
-      const SolveReport report = solver_.Solve(&ours_, hasty);
-      EXPECT_TRUE(report.usable);
-      eliminated += report.eliminated;
-    }
+    for (int i = 0; i < updates; ++i) eliminated += SolveWithoutHurry();
     return eliminated;
+  }
+
+  void ConvergeReference() {
+    SolveReference();
+    for (int i = 0; i < 100; ++i) Polish(&reference_);
   }
 
   ceres::HuberLoss loss_{0.8};
 };
 
+class Corrected : public RobustWindow, public testing::WithParamInterface<Shape> {
+ protected:
+  Corrected() : RobustWindow(1000) {}
+};
+
 TEST_P(Corrected, OldFrontsFollowTheTrueResiduals) {
   Start(GetParam(), 48);
-  for (int k = 0; k < 30; ++k) {
+  for (int k = 0; k < 20; ++k) {
     AddRobustKeyframe();
     ASSERT_TRUE(solver_.Solve(&ours_, SolverOptions()).usable);
   }
   Converge();
   const VectorXd before = ours_.eta();
-  for (int k = 0; k < 8; ++k) {
+  for (int k = 0; k < 6; ++k) {
     AddRobustKeyframe();
-    SolverOptions hasty;
-    hasty.max_time_s = 1e-9;
-    ASSERT_TRUE(solver_.Solve(&ours_, hasty).usable);
+    SolveWithoutHurry();
   }
   EXPECT_EQ(Converge(), 0);
   EXPECT_GT((ours_.eta() - before).norm(), 1e-3);  // there was something to correct
-  SolveReference();
-  for (int i = 0; i < 100; ++i) Polish(&reference_);
+  ConvergeReference();
   EXPECT_LT(Difference(), 1e-6);
 
   // What corrections found leaves with the keyframes: their gradient at the optimum stays.
   const VectorXd eta = ours_.eta();
-  for (int i = 0; i < 20; ++i) ASSERT_TRUE(solver_.MarginalizeOldest(&ours_, sigma_, nullptr));
+  for (int i = 0; i < 12; ++i) ASSERT_TRUE(solver_.MarginalizeOldest(&ours_, sigma_, nullptr));
   Converge();
   EXPECT_LT((ours_.eta() - eta).norm(), 1e-6 * eta.norm());
   for (Factor& f : ours_.keyframes().front().factors) ours_.Touch(&f);  // sweep from the past
   SolverOptions patient;
   patient.max_time_s = 10.0;
-  EXPECT_GT(solver_.Solve(&ours_, patient).eliminated, 15);
+  EXPECT_GT(solver_.Solve(&ours_, patient).eliminated, 10);
   Converge();
   EXPECT_LT((ours_.eta() - eta).norm(), 1e-6 * eta.norm());
 }
@@ -457,6 +468,38 @@ INSTANTIATE_TEST_SUITE_P(Shapes, Corrected,
                          testing::Values(Shape{0, -1, false}, Shape{0, 17, false},
                                          Shape{4, -1, false}, Shape{5, 13, false}),
                          [](const auto& named) { return NameOf(named.param); });
+
+/// A pass of corrections in portions, while sweeps and recent keyframes are eliminated under it.
+class CorrectedInPortions : public RobustWindow, public testing::WithParamInterface<int> {
+ protected:
+  CorrectedInPortions() : RobustWindow(GetParam()) {}
+
+  void TouchParametersOf(std::int64_t id) {
+    for (Factor& f : ours_.keyframe(id).factors) {
+      if (f.parameters) ours_.Touch(&f);
+    }
+  }
+};
+
+TEST_P(CorrectedInPortions, NothingIsLostOrCountedTwice) {
+  Start({4, -1, false}, 49);
+  for (int k = 0; k < 24; ++k) {
+    AddRobustKeyframe();
+    if (k % 9 == 8) TouchParametersOf(0);               // a sweep, sixteen fronts an update
+    if (k > 3 && k % 2 == 1) TouchParametersOf(k - 3);  // the oldest recent one
+    SolveWithoutHurry();
+  }
+  for (int i = 0; i < 40; ++i) {
+    if (i % 7 == 6) TouchParametersOf(i % 2);
+    TouchParametersOf(20);
+    SolveWithoutHurry();
+  }
+  Converge(200 * (24 / GetParam() + 2));
+  ConvergeReference();
+  EXPECT_LT(Difference(), 1e-6);
+}
+
+INSTANTIATE_TEST_SUITE_P(Budgets, CorrectedInPortions, testing::Values(2, 3, 5, 7, 8, 12, 16));
 
 /// Wildfire and budgets leave what changes little; shared variables are always exact.
 class Economical : public IncrementalSolver {

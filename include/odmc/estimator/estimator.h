@@ -154,7 +154,7 @@ class Estimator {
   void FollowLoad(const OdometrySample& sample);
   /// Parameters that vary may have moved by what they do in `dt`.
   void LetVary(double dt);
-  bool AlignmentIsDue();
+  bool AlignmentIsDue() const;
   bool CheckGround(const OdometrySample& sample);
   std::optional<Interval> ReadInterval(const OdometrySample& sample);
   bool IsJump(const OdometrySample& sample, double dt) const;

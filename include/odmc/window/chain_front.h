@@ -9,6 +9,9 @@
 
 namespace odmc {
 
+/// Residuals of one factor, at most.
+constexpr int kMostFactorRows = 32;
+
 /// Rows over some columns, with room for more; never gives memory back.
 struct RowBlock {
   std::vector<double> data;
@@ -27,7 +30,7 @@ struct RowBlock {
 /// What corrections of older fronts change at a front: the right-hand side of its message, and the
 /// gradient of the sum of squares (halved) by what the message does not hold of bias and
 /// parameters.
-struct Correction {
+struct CarriedCorrection {
   std::array<double, kStateTangentSize> message{};
   std::vector<double> border;  ///< bias (6), parameters (n)
   double least = 0.0;          ///< change of a whitened residual that is passed on
@@ -41,7 +44,6 @@ struct FrontScratch {
   RowBlock own, pair;
   std::vector<double> gradient;
   std::vector<double> jacobians, residual;
-  std::vector<double*> jacobian_pointers;
 };
 
 /// One keyframe's part of the chain, for the incremental solver: its factors' linearizations, the
@@ -110,12 +112,13 @@ class ChainFront {
   /// differ by from their linearization is brought through the triangles that there are (seminormal
   /// equations). A step then follows the true residuals, by Jacobians that are a little old.
   /// @param correction from the front before; becomes that for the next
-  void Correct(const Window& window, ChainFront* next, Correction* correction,
+  void Correct(const Window& window, ChainFront* next, CarriedCorrection* correction,
                FrontScratch* scratch);
 
-  /// The same for the newest front, whose triangle is not eliminated yet.
+  /// Passes on what older fronts changed where the newest is, whose triangle is not eliminated yet;
+  /// its own factors are recent.
   /// @param correction its border becomes what the root takes
-  void CorrectNewest(RowBlock* triangle, Correction* correction, FrontScratch* scratch);
+  void CorrectNewest(RowBlock* triangle, CarriedCorrection* correction, FrontScratch* scratch);
 
   /// What the state differs by from its linearization point (12).
   void Offset(const Window& window, double* d) const;

@@ -46,7 +46,7 @@ struct IncrementalOptions {
   double corrected_share = 0.05;
   /// What a whitened residual must differ by from its linearization to be corrected.
   double least_correction = 3e-4;
-  /// A parameter that has moved by more than this since [sigmas] has them corrected once more.
+  /// Once more in the same update where a parameter has moved by more than this since [sigmas].
   double correct_again = 0.1;
   /// Older keyframes back-substituted per update, >= 1.
   int back_substituted_keyframes = 50;
@@ -106,6 +106,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   bool SweepAll(const Window& window);
   void Correct(const Window& window);
   void CorrectOne(const Window& window);
+  void PassSweep();
   void EndCorrection(const Window& window);
   struct Solution {
     Eigen::VectorXd eta, sigma;
@@ -144,9 +145,9 @@ class IncrementalWindowSolver final : public WindowSolver {
   } sweep_;
   struct {
     bool active = false;
-    bool passed_sweep = false;  // the sweep's root has what older fronts changed
+    bool passed_sweep = false;  // the sweep's root has what it changed, or will see it itself
     std::int64_t next = 0;      // front to correct next
-    Correction carried;
+    CarriedCorrection carried;
   } correction_;
   ParameterVector point_;         // of linearization
   ParameterVector point_in_use_;  // of the chain in use; the sweep brings it to point_
