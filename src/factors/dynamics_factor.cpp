@@ -266,7 +266,9 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
   for (int i = 0; i < 3; ++i) D.d_body()(a + i, kRowInertia + i) += by_inertia[i];
   Eigen::Matrix<double, N, kStateTangentSize> d_state0, d_state1;
   ValueJacobian<N> d_values;
-  AssembleJacobians(k, layout_->model_indices(), &D, &d_state0, &d_state1, &d_values);
+  const bool by_state0 = jacobians[0] != nullptr, by_state1 = jacobians[1] != nullptr;
+  AssembleJacobians(k, layout_->model_indices(), &D, by_state0 ? &d_state0 : nullptr,
+                    by_state1 ? &d_state1 : nullptr, &d_values);
   if (anchor_entry_ >= 0 && jacobians[3] != nullptr) {
     const double chain = layout_->ChainFactor(anchor_entry_, measurement.anchor_value);
     const Vector3d d_alpha = -dt * chain * (terms.I_inverse * k.d_wrench.d_anchor);
@@ -275,10 +277,14 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
       jacobians[3][rows - 3 + i] = weight[a + i] * d_alpha[i];
     }
   }
-  whiten(&d_state0);
-  whiten(&d_state1);
-  WriteStateJacobian<N>(d_state0, rows, blocks[0], jacobians[0]);
-  WriteStateJacobian<N>(d_state1, rows, blocks[1], jacobians[1]);
+  if (by_state0) {
+    whiten(&d_state0);
+    WriteStateJacobian<N>(d_state0, rows, blocks[0], jacobians[0]);
+  }
+  if (by_state1) {
+    whiten(&d_state1);
+    WriteStateJacobian<N>(d_state1, rows, blocks[1], jacobians[1]);
+  }
   if (!with_values || jacobians[2] == nullptr) return e.allFinite();
   whiten(&d_values);
   // They depend on coefficients of rotor rates, too.

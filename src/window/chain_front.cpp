@@ -37,19 +37,6 @@ void WriteMinimal(const double* ambient, int rows, const double* state, double* 
   }
 }
 
-/// Solves Uᵀ y = g for a triangle's pivots: adds y to its right-hand side and takes Uᵀ y off g.
-/// @param columns of g; @param rhs column that takes y, -1: none; @param y (pivots) or null
-void ForwardSubstitute(RowBlock* U, int pivots, int columns, int rhs, double* g, double* y) {
-  for (int i = 0; i < pivots; ++i) {
-    double* row = U->row(i);
-    const double of_row = std::abs(row[i]) < kLeastPivot ? 0.0 : g[i] / row[i];
-    if (y != nullptr) y[i] = of_row;
-    if (of_row == 0.0) continue;
-    if (rhs >= 0) row[rhs] += of_row;
-    for (int j = i; j < columns; ++j) g[j] -= of_row * row[j];
-  }
-}
-
 }  // namespace
 
 void RowBlock::SetZero(int rows, int row_stride) {
@@ -74,11 +61,6 @@ void RowBlock::CopyFrom(const RowBlock& other) {
   std::memcpy(data.data(), other.data.data(), sizeof(double) * size);
 }
 
-void CarriedCorrection::Clear(int num_parameters) {
-  message.fill(0.0);
-  border.assign(static_cast<size_t>(BorderColumns(num_parameters).pivots()), 0.0);
-}
-
 void ChainFront::Reset(const Window& window, std::int64_t keyframe) {
   const Keyframe& k = window.keyframe(keyframe);
   id = keyframe;
@@ -90,14 +72,14 @@ void ChainFront::Reset(const Window& window, std::int64_t keyframe) {
   delta.fill(0.0);
   delta_version = point_version;
   message.SetZero(kState, PaddedRow(kState + BorderColumns(n_).size()));
-  own.count = pair.count = rest.count = rest_before = 0;
+  own.count = pair.count = rest.count = corrected.count = rest_before = 0;
   bias_leaves = eliminated = false;
-  own_gradient.assign(static_cast<size_t>(BorderColumns(n_).pivots()), 0.0);
-  rest_gradient = own_gradient;
+  rest_gradient.assign(static_cast<size_t>(BorderColumns(n_).pivots()), 0.0);
+  waiting.assign(static_cast<size_t>(kState + n_), 0.0);
+  waits = false;
   kept_.clear();
   if (bias_ < 0) return;
   // A bias leaves at another slot of the ring every time: room in all of them, once.
-  leaving_bias.SetZero(kBiasSize, PaddedRow(BorderColumns(n_).size()));
   constexpr int kPivots = kState + kBiasSize;
   conditional.SetZero(kPivots, PaddedRow(kPivots + kState + BorderColumns(n_).size()));
 }
@@ -109,41 +91,45 @@ void ChainFront::MovePoint(const Window& window) {
 
 bool ChainFront::Linearise(const Window& window, const ChainFront* next,
                            const ParameterVector& parameter_point, int point_version_of_parameters,
-                           FrontScratch* scratch) {
+                           bool absorbed, FrontScratch* scratch) {
   const std::vector<Factor>& factors = window.keyframe(id).factors;
   const BorderColumns border_columns(n_);
   const bool leaves = next != nullptr && bias_ >= 0 && window.keyframe(next->id).bias != bias_;
   const auto is_pair = [](const Factor& f) { return f.state1 >= 0 || f.bias1 >= 0; };
   if (leaves != bias_leaves || kept_.size() > factors.size()) {  // other columns: all anew
     kept_.clear();
-    own.count = pair.count = 0;
+    own.count = pair.count = corrected.count = 0;
     bias_leaves = leaves;
   }
   if (kept_.empty()) {
     own.stride = PaddedRow(kState + border_columns.size());
     pair.stride = PaddedRow(border() + border_columns.size());
+    corrected.stride = PaddedRow(border() + border_columns.pivots());
   }
   for (size_t i = kept_.size(); i < factors.size(); ++i) {
     RowBlock& block = is_pair(factors[i]) ? pair : own;
     kept_.push_back({is_pair(factors[i]), block.count, factors[i].cost->num_residuals()});
     assert(kept_.back().rows <= kMostFactorRows);
     block.Extend(kept_.back().rows);
+    corrected.Extend(1);
   }
   bool sound = true;
   for (size_t i = 0; i < factors.size(); ++i) {
     const Factor& factor = factors[i];
     KeptFactor& kept = kept_[i];
-    if (kept.in_pair && next == nullptr) continue;
+    if (kept.in_pair ? next == nullptr : absorbed && kept.sound) continue;
     const int state0 = factor.state0 >= 0 ? point_version : -1;
     const int state1 = factor.state1 >= 0 ? next->point_version : -1;
     const int parameters =
         factor.parameters || factor.bias0 >= 0 ? point_version_of_parameters : -1;
-    if (kept.sound && kept.revision == factor.revision && kept.state0 == state0 &&
-        kept.state1 == state1 && kept.parameters == parameters) {
+    if (kept.sound && !kept.corrected && kept.revision == factor.revision &&
+        kept.state0 == state0 && kept.state1 == state1 && kept.parameters == parameters) {
       continue;
     }
     kept.sound = Evaluate(window, factor, next, parameter_point, &kept, scratch);
+    std::fill_n(corrected.row(static_cast<int>(i)), corrected.stride, 0.0);
     sound = sound && kept.sound;
+    kept.corrected = false;
     kept.revision = factor.revision;
     kept.state0 = state0;
     kept.state1 = state1;
@@ -252,9 +238,10 @@ bool ChainFront::Evaluate(const Window& window, const Factor& factor, const Chai
 void ChainFront::AbsorbOwn(RowBlock* triangle, RootTriangle* root, FrontScratch* scratch) {
   const BorderColumns columns(n_);
   triangle->CopyFrom(message);
+  std::fill(waiting.begin(), waiting.end(), 0.0);
+  waits = false;
   rest.stride = root->stride();
   rest.count = rest_before = own.count;
-  std::fill(own_gradient.begin(), own_gradient.end(), 0.0);
   const auto room = static_cast<size_t>((own.count + pair.count + 8) * rest.stride);
   if (rest.data.size() < room) rest.data.resize(room, 0.0);
   if (own.count == 0) return;
@@ -290,11 +277,7 @@ void ChainFront::Eliminate(const RowBlock& triangle, RootTriangle* root, ChainFr
     put_border(triangle.row(i) + kState, to);
   }
   if (bias_leaves) {
-    leaving_bias.SetZero(kBiasSize, root->stride());
-    for (int i = 0; i < kBiasSize; ++i) {
-      put_border(root->row(i), conditional.row(kState + i));
-      std::memcpy(leaving_bias.row(i), root->row(i), doubles(columns.size()));
-    }
+    for (int i = 0; i < kBiasSize; ++i) put_border(root->row(i), conditional.row(kState + i));
     root->DropBias();
   }
   if (pair.count > 0) {
@@ -358,128 +341,148 @@ void ChainFront::LinearResidual(const Window& window, const Factor& factor, cons
   }
 }
 
-/// Brings the right-hand sides of factors with parameters to the present estimate and adds what
-/// that changes to the gradient. @returns false if it changes next to nothing
-bool ChainFront::CorrectFactors(const Window& window, const ChainFront& next, double least,
-                                FrontScratch* scratch) {
+void ChainFront::Correct(const Window& window, ChainFront* next, FrontScratch* scratch,
+                         double* found) {
   const std::vector<Factor>& factors = window.keyframe(id).factors;
-  const int rhs = BorderColumns(n_).rhs();
   std::array<double, kState> own_offset, next_offset;
-  std::array<double, kMostFactorRows> r, linear;
-  bool have_offsets = false, changed = false;
+  Offset(window, own_offset.data());
+  next->Offset(window, next_offset.data());
+  StartGradient(scratch);
+  bool changed = waits;
   for (size_t k = 0; k < kept_.size(); ++k) {
-    const Factor& factor = factors[k];
-    const KeptFactor& kept = kept_[k];
-    const bool up_to_date = kept.revision == factor.revision && kept.state0 == point_version &&
-                            (!kept.in_pair || kept.state1 == next.point_version);
-    if (!factor.parameters || !kept.sound || !up_to_date) continue;
-    // One that cannot be evaluated here stays as it was; its next linearization refuses the update.
-    if (!factor.cost->Evaluate(window.Blocks(factor, false).data(), r.data(), nullptr)) continue;
-    double squares = 0.0;
+    const bool up_to_date = kept_[k].revision == factors[k].revision &&
+                            kept_[k].state0 == point_version &&
+                            (!kept_[k].in_pair || kept_[k].state1 == next->point_version);
+    if (!factors[k].parameters || n_ == 0 || !kept_[k].sound || !up_to_date) continue;
+    if (CorrectFactor(window, k, own_offset.data(), next_offset.data(), scratch)) changed = true;
+  }
+  if (changed) SubstituteGradient(next, scratch, found);
+}
+
+void ChainFront::PassOn(ChainFront* next, FrontScratch* scratch, double* found) {
+  if (!waits) return;
+  StartGradient(scratch);
+  SubstituteGradient(next, scratch, found);
+}
+
+/// The scratch's gradient, in the pair's columns, becomes what waits.
+void ChainFront::StartGradient(FrontScratch* scratch) const {
+  const int parameters = border() + BorderColumns::kParameters;
+  scratch->gradient.assign(static_cast<size_t>(parameters + n_ + kRowPadding), 0.0);
+  if (!waits) return;
+  double* const g = scratch->gradient.data();
+  std::copy_n(waiting.begin(), kState, g);
+  std::copy_n(waiting.begin() + kState, n_, g + parameters);
+}
+
+/// Takes the scratch's gradient through conditional and message.
+void ChainFront::SubstituteGradient(ChainFront* next, FrontScratch* scratch, double* found) {
+  constexpr int kToParameters = kState + BorderColumns::kParameters;
+  const int rhs = BorderColumns(n_).rhs();
+  const int p = pivots(), parameters = border() + BorderColumns::kParameters;
+  double* const g = scratch->gradient.data();
+  ForwardSubstitute(conditional.data.data(), conditional.stride, p, parameters + n_, border() + rhs,
+                    g);
+  scratch->passing.assign(static_cast<size_t>(kToParameters + n_ + kRowPadding), 0.0);
+  double* const passing = scratch->passing.data();
+  std::copy_n(g + p, kState, passing);
+  std::copy_n(g + parameters, n_, passing + kToParameters);
+  RowBlock& message_to_next = next->message;
+  ForwardSubstitute(message_to_next.data.data(), message_to_next.stride, kState, kToParameters + n_,
+                    kState + rhs, passing);
+  for (int i = 0; i < kState; ++i) next->waiting[static_cast<size_t>(i)] += g[p + i];
+  for (int j = 0; j < n_; ++j) {
+    const auto k = static_cast<size_t>(kState + j);
+    const double of_rest = passing[kToParameters + j];
+    found[j] += g[parameters + j] - (waits ? waiting[k] : 0.0);
+    rest_gradient[static_cast<size_t>(BorderColumns::kParameters + j)] += of_rest;
+    next->waiting[k] += g[parameters + j] - of_rest;
+  }
+  next->waits = true;
+  waits = false;
+  std::fill(waiting.begin(), waiting.end(), 0.0);
+}
+
+/// Adds what factor k's gradient has changed by to the scratch's, in the pair's columns.
+/// @returns false, nothing changed, if it cannot be evaluated here; its next linearization refuses
+/// the update
+bool ChainFront::CorrectFactor(const Window& window, size_t k, const double* own_offset,
+                               const double* next_offset, FrontScratch* scratch) {
+  const Factor& factor = window.keyframe(id).factors[k];
+  KeptFactor& kept = kept_[k];
+  const FactorBlocks blocks = window.Blocks(factor, false);
+  std::vector<double>& jacobian = scratch->jacobians;
+  const auto room = static_cast<size_t>(kept.rows * n_);
+  if (jacobian.size() < room) jacobian.resize(room);
+  std::array<double*, 6> jacobians{};
+  jacobians[static_cast<size_t>(blocks.count - (factor.anchored ? 2 : 1))] = jacobian.data();
+  std::array<double, kMostFactorRows> r, linear;
+  if (!factor.cost->Evaluate(blocks.data(), r.data(), jacobians.data())) return false;
+  double slope = 1.0, gain = 1.0;
+  if (factor.loss != nullptr) {
+    double squares = 0.0, rho[3];
     for (int i = 0; i < kept.rows; ++i) squares += r[i] * r[i];
-    if (!std::isfinite(squares)) continue;
-    double scale = 1.0 / kept.weight, gain = 1.0;
-    if (factor.loss != nullptr) {
-      double rho[3];
-      factor.loss->Evaluate(squares, rho);
-      scale *= rho[1];
-      gain = std::max(1.0, scale / kept.weight);  // a larger step would overshoot
-    }
-    if (!have_offsets) {
-      Offset(window, own_offset.data());
-      next.Offset(window, next_offset.data());
-      have_offsets = true;
-    }
-    LinearResidual(window, factor, kept, own_offset.data(), next_offset.data(), linear.data());
-    double largest = 0.0, sum = 0.0;
-    for (int i = 0; i < kept.rows; ++i) {
-      r[i] = (scale * r[i] - linear[i]) / gain;
-      largest = std::max(largest, std::abs(r[i]));
-      sum += r[i];
-    }
-    if (!(largest > least) || !std::isfinite(sum)) continue;
-    changed = true;
-    RowBlock& block = kept.in_pair ? pair : own;
-    for (int i = 0; i < kept.rows; ++i) {
-      block.row(kept.row + i)[(kept.in_pair ? border() : kState) + rhs] += r[i];
-    }
-    AddGradient(kept, r.data(), scratch->gradient.data());
+    factor.loss->Evaluate(squares, rho);
+    slope = rho[1];
+    // Where its weight has grown, a whole step by the rows that there are would overshoot.
+    gain = std::max(1.0, slope / (kept.weight * kept.weight));
   }
-  return changed;
-}
-
-/// g += Jᵀ r of a kept factor, in the pair's columns.
-void ChainFront::AddGradient(const KeptFactor& kept, const double* r, double* g) const {
-  const int columns = border() + BorderColumns(n_).pivots();
+  LinearResidual(window, factor, kept, own_offset, next_offset, linear.data());
+  const RowBlock& block = kept.in_pair ? pair : own;
+  const int parameters = border() + BorderColumns::kParameters;
+  const int in_block = (kept.in_pair ? border() : kState) + BorderColumns::kParameters;
+  scratch->difference.assign(static_cast<size_t>(parameters + n_), 0.0);
+  double* const difference = scratch->difference.data();
   for (int i = 0; i < kept.rows; ++i) {
-    if (!kept.in_pair) {
-      AddBorderGradient(own.row(kept.row + i), r[i], g);
-      continue;
+    const double* J = jacobian.data() + i * n_;
+    const double* row = block.row(kept.row + i);
+    const double weighted = slope * r[i], more = weighted / kept.weight - linear[i];
+    for (int j = 0; j < kState; ++j) difference[j] += more * row[j];
+    for (int j = pivots(); j < (kept.in_pair ? border() : 0); ++j) difference[j] += more * row[j];
+    row += in_block;
+    for (int j = 0; j < n_; ++j) difference[parameters + j] += weighted * J[j] - linear[i] * row[j];
+  }
+  double sum = 0.0;
+  for (int j = 0; j < parameters + n_; ++j) sum += difference[j];
+  if (!std::isfinite(sum)) return false;
+  kept.corrected = true;
+  double* const before = corrected.row(static_cast<int>(k));
+  double* const g = scratch->gradient.data();
+  for (int j = 0; j < parameters + n_; ++j) {
+    const double change = (difference[j] - before[j]) / gain;
+    before[j] += change;
+    g[j] += change;
+  }
+  return true;
+}
+
+void ChainFront::AddParameterGradient(const Window& window, const ChainFront& next, double sign,
+                                      double* g) const {
+  const std::vector<Factor>& factors = window.keyframe(id).factors;
+  std::array<double, kState> own_offset, next_offset;
+  // As they were eliminated, wherever their points are now.
+  const auto offset = [&](const ChainFront& front, const auto& at, int version, auto* d) {
+    if (front.delta_version == version) {
+      *d = front.delta;
+    } else {
+      StateManifold().Minus(window.keyframe(front.id).x.data(), at.data(), d->data());
     }
-    const double* row = pair.row(kept.row + i);
-    for (int j = 0; j < columns; ++j) g[j] += r[i] * row[j];
-  }
-}
-
-/// g += scale row, of a row over state and the border before a bias leaves, in the pair's columns.
-void ChainFront::AddBorderGradient(const double* row, double scale, double* g) const {
-  const int bias_at = bias_leaves ? kState : border();
-  const int parameters_at = border() + BorderColumns::kParameters;
-  for (int j = 0; j < kState; ++j) g[j] += scale * row[j];
-  for (int j = 0; j < kBiasSize; ++j) g[bias_at + j] += scale * row[kState + j];
-  row += kState + BorderColumns::kParameters;
-  for (int j = 0; j < n_; ++j) g[parameters_at + j] += scale * row[j];
-}
-
-void ChainFront::Correct(const Window& window, ChainFront* next, CarriedCorrection* correction,
-                         FrontScratch* scratch) {
-  const BorderColumns columns(n_);
-  const int p = pivots(), at = border(), end = at + columns.pivots();
-  scratch->gradient.assign(static_cast<size_t>(end), 0.0);
-  double* g = scratch->gradient.data();
-  bool changed = false;
-  for (int i = 0; i < kState; ++i) {
-    const double y = correction->message[static_cast<size_t>(i)];
-    if (y == 0.0) continue;
-    AddBorderGradient(message.row(i), y, g);
-    changed = true;
-  }
-  double* b = correction->border.data();
-  for (int j = 0; j < kBiasSize; ++j) g[(bias_leaves ? kState : at) + j] += b[j];
-  for (int j = kBiasSize; j < columns.pivots(); ++j) g[at + j] += b[j];
-  if (CorrectFactors(window, *next, correction->least, scratch)) changed = true;
-  for (int j = 0; j < columns.pivots() && !changed; ++j) changed = b[j] != 0.0;
-  if (!changed) return;
-
-  // What the root of the past makes of b when this front's bias leaves it.
-  if (bias_leaves) ForwardSubstitute(&leaving_bias, kBiasSize, columns.pivots(), -1, b, nullptr);
-  for (size_t j = bias_leaves ? kBiasSize : 0; j < rest_gradient.size(); ++j) {
-    rest_gradient[j] -= b[j];
-  }
-  ForwardSubstitute(&conditional, p, end, at + columns.rhs(), g, nullptr);
-  // Of the message, the border's columns follow the state's.
-  ForwardSubstitute(&next->message, kState, kState + columns.pivots(), kState + columns.rhs(),
-                    g + p, correction->message.data());
-  std::copy_n(g + at, columns.pivots(), b);
-  for (size_t j = 0; j < rest_gradient.size(); ++j) rest_gradient[j] += b[j];
-}
-
-void ChainFront::CorrectNewest(RowBlock* triangle, CarriedCorrection* correction,
-                               FrontScratch* scratch) {
-  const BorderColumns columns(n_);
-  scratch->gradient.assign(static_cast<size_t>(kState + columns.pivots()), 0.0);
-  double* g = scratch->gradient.data();
-  for (int i = 0; i < kState; ++i) {
-    const double* row = message.row(i);
-    const double y = correction->message[static_cast<size_t>(i)];
-    for (int j = i; j < kState + columns.pivots(); ++j) g[j] += y * row[j];
-  }
-  for (int j = 0; j < columns.pivots(); ++j) g[kState + j] += correction->border[j];
-  ForwardSubstitute(triangle, kState, kState + columns.pivots(), kState + columns.rhs(), g,
-                    nullptr);
-  for (size_t j = 0; j < own_gradient.size(); ++j) {
-    own_gradient[j] += g[kState + j] - correction->border[j];
-    correction->border[j] = g[kState + j];
+  };
+  offset(*this, conditional_point, conditional_version, &own_offset);
+  offset(next, next_point, next_version, &next_offset);
+  std::array<double, kMostFactorRows> r;
+  for (size_t k = 0; k < kept_.size(); ++k) {
+    const KeptFactor& kept = kept_[k];
+    if (!factors[k].parameters || !kept.sound) continue;
+    LinearResidual(window, factors[k], kept, own_offset.data(), next_offset.data(), r.data());
+    const RowBlock& block = kept.in_pair ? pair : own;
+    const int at = (kept.in_pair ? border() : kState) + BorderColumns::kParameters;
+    for (int i = 0; i < kept.rows; ++i) {
+      const double* row = block.row(kept.row + i) + at;
+      for (int j = 0; j < n_; ++j) g[j] += sign * r[i] * row[j];
+    }
+    const double* more = corrected.row(static_cast<int>(k)) + border() + BorderColumns::kParameters;
+    for (int j = 0; j < n_; ++j) g[j] += sign * more[j];
   }
 }
 
@@ -489,7 +492,6 @@ void ChainFront::LeaveTo(RootTriangle* past, FrontScratch* scratch) const {
     rows.CopyFrom(rest);
     past->Absorb(rows.data.data(), rest.stride, rest_before);
   }
-  past->AddGradient(own_gradient);
   if (bias_leaves) past->DropBias();
   if (rest.count > rest_before) {
     past->Absorb(rows.row(rest_before), rest.stride, rest.count - rest_before);

@@ -129,7 +129,50 @@ ODMC_INLINE int TriangulariseInto(double* E, int e_stride, int rows, int pivots,
   return taken;
 }
 
+ODMC_INLINE void ForwardSubstituteIn(double* U, int u_stride, int pivots, int columns, int rhs,
+                                     double* g) {
+  for (int i = 0; i < pivots; ++i) {
+    double* row = U + i * u_stride;
+    if (g[i] == 0.0 || std::abs(row[i]) < kLeastPivot) continue;
+    const double y = g[i] / row[i];
+    for (int j = i; j < columns; j += kChunk) {
+      *reinterpret_cast<Chunk*>(g + j) -= y * *reinterpret_cast<const Chunk*>(row + j);
+    }
+    row[rhs] += y;
+  }
+}
+
+ODMC_INLINE void BackSubstituteIn(const double* U, int u_stride, int pivots, int columns,
+                                  double* x) {
+  for (int i = pivots - 1; i >= 0; --i) {
+    const double* row = U + i * u_stride;
+    Chunk sums = {};
+    for (int j = i + 1; j < columns; j += kChunk) {
+      sums += *reinterpret_cast<const Chunk*>(row + j) * *reinterpret_cast<const Chunk*>(x + j);
+    }
+    double sum = 0.0;
+    for (int k = 0; k < kChunk; ++k) sum += sums[k];
+    x[i] = std::abs(row[i]) < kLeastPivot ? 0.0 : -sum / row[i];
+  }
+}
+
 #ifdef ODMC_WIDE_VECTORS
+ODMC_VECTORS_OF_4 void ForwardSubstitute4(double* U, int u_stride, int pivots, int columns, int rhs,
+                                          double* g) {
+  ForwardSubstituteIn(U, u_stride, pivots, columns, rhs, g);
+}
+ODMC_VECTORS_OF_8 void ForwardSubstitute8(double* U, int u_stride, int pivots, int columns, int rhs,
+                                          double* g) {
+  ForwardSubstituteIn(U, u_stride, pivots, columns, rhs, g);
+}
+ODMC_VECTORS_OF_4 void BackSubstitute4(const double* U, int u_stride, int pivots, int columns,
+                                       double* x) {
+  BackSubstituteIn(U, u_stride, pivots, columns, x);
+}
+ODMC_VECTORS_OF_8 void BackSubstitute8(const double* U, int u_stride, int pivots, int columns,
+                                       double* x) {
+  BackSubstituteIn(U, u_stride, pivots, columns, x);
+}
 ODMC_VECTORS_OF_4 void Absorb4(double* U, int u_stride, double* E, int e_stride, int rows,
                                int pivots, int columns) {
   AbsorbInto(U, u_stride, E, e_stride, rows, pivots, columns);
@@ -168,6 +211,24 @@ int Triangularise(double* E, int e_stride, int rows, int pivots, int columns, do
   if (width == 4) return Triangularise4(E, e_stride, rows, pivots, columns, U, u_stride);
 #endif
   return TriangulariseInto(E, e_stride, rows, pivots, columns, U, u_stride);
+}
+
+void ForwardSubstitute(double* U, int u_stride, int pivots, int columns, int rhs, double* g) {
+#ifdef ODMC_WIDE_VECTORS
+  const int width = VectorWidth();
+  if (width == 8) return ForwardSubstitute8(U, u_stride, pivots, columns, rhs, g);
+  if (width == 4) return ForwardSubstitute4(U, u_stride, pivots, columns, rhs, g);
+#endif
+  ForwardSubstituteIn(U, u_stride, pivots, columns, rhs, g);
+}
+
+void BackSubstitute(const double* U, int u_stride, int pivots, int columns, double* x) {
+#ifdef ODMC_WIDE_VECTORS
+  const int width = VectorWidth();
+  if (width == 8) return BackSubstitute8(U, u_stride, pivots, columns, x);
+  if (width == 4) return BackSubstitute4(U, u_stride, pivots, columns, x);
+#endif
+  BackSubstituteIn(U, u_stride, pivots, columns, x);
 }
 
 }  // namespace odmc

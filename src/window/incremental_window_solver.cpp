@@ -19,10 +19,15 @@ constexpr double kCurvatureMemory = 0.85;  // from one sweep to the next
 constexpr double kAllowedError = 0.5;      // of a tolerance, before it hurries
 constexpr double kWorthwhile = 0.2;        // of a tolerance, before a sweep is
 constexpr double kSettled = 0.05;          // where further iterations were asked for [sigmas]
-constexpr double kBiasThreshold = 0.05;    // of biases for wildfire [rad/s, m/s²]
-constexpr int kMostHurriedSweeps = 4;      // in one update
-constexpr int kAlignmentIterations = 10;   // of the batch solve
-constexpr double kAnyShare = 1e9;          // no bound on what is in logarithms
+constexpr double kFirstBend = 0.3;         // error [sigmas] of fronts evaluated a sigma away
+constexpr double kBendMemory = 0.7;
+constexpr double kLeastDistance = 0.01;   // to learn it from [sigmas]
+constexpr double kSamePoint = 0.01;       // of a sigma, or of a value in logarithms
+constexpr double kBiasThreshold = 0.05;   // of biases for wildfire [rad/s, m/s²]
+constexpr double kIntolerable = 1.0;      // before it takes all the time there is
+constexpr int kFaster = 4;                // sweep where errors are not allowed
+constexpr int kMostHurriedSweeps = 4;     // in one update
+constexpr int kAlignmentIterations = 10;  // of the batch solve
 
 /// How errors of a linearization grow with the distance [sigmas] from its point: as its square, but
 /// for small ones, where other errors are larger.
@@ -57,7 +62,7 @@ void IncrementalWindowSolver::Forget() {
   fronts_.clear();
   checkpoints_.clear();
   sweep_.active = sweep_.wanted = sweep_.urgent = false;
-  correction_.active = false;
+  segments_.clear();
   have_root_ = false;
   curvature_ = kFirstCurvature;
   pass_ = -1;
@@ -147,7 +152,7 @@ void IncrementalWindowSolver::WritePrior(Window* window) {
 bool IncrementalWindowSolver::Build(Window* window) {
   Forget();
   const int n = window->layout().num_estimated();
-  for (const Keyframe& keyframe : window->keyframes()) fronts_.Append().Reset(*window, keyframe.id);
+  for (const Keyframe& keyframe : window->keyframes()) AppendFront(*window, keyframe.id);
   if (!fronts_.empty() && window->prior().has_state) {
     fronts_.front().point = window->keyframes().front().x_lin;
     fronts_.front().delta_version = -1;  // the state is elsewhere
@@ -160,6 +165,8 @@ bool IncrementalWindowSolver::Build(Window* window) {
   shared_.assign(border, 0.0);
   propagated_.assign(border, 0.0);
   border_.assign(border, 0.0);
+  substituted_.assign(border + 2 * kState + 6 + kRowPadding, 0.0);
+  found_.assign(static_cast<size_t>(past_.columns().pivots()), 0.0);
   for (int i = 0; i < n; ++i) shared_[BorderColumns::kParameters + i] = window->eta()[i];
   pending_.setZero(n, n + 2);
   has_pending_ = false;
@@ -167,10 +174,10 @@ bool IncrementalWindowSolver::Build(Window* window) {
   if (fronts_.empty()) {
     root_ = past_;
     root_.AbsorbPriors(window->parameter_centre(), window->parameter_sigma());
-    point_ = point_in_use_ = window->eta();
+    in_use_at_ = sweep_.begun_at = window->eta();
     return true;
   }
-  point_ = point_in_use_ = window->eta();
+  in_use_at_ = window->eta();
   return SweepAll(*window);
 }
 
@@ -188,7 +195,13 @@ SolveReport IncrementalWindowSolver::Align(Window* window, const SolverOptions& 
 // ---- The chain ----------------------------------------------------------------------------------
 
 void IncrementalWindowSolver::AppendFront(const Window& window, std::int64_t id) {
-  fronts_.Append().Reset(window, id);
+  ChainFront& added = fronts_.Append();
+  added.Reset(window, id);
+  if (!segments_.empty() && id < segments_.back().first + options_.segment_keyframes) return;
+  Segment& segment = segments_.Append();
+  segment.first = id;
+  segment.at = window.eta();
+  segment.bend = kFirstBend;
 }
 
 std::int64_t IncrementalWindowSolver::OldestRecent() const {
@@ -200,7 +213,7 @@ bool IncrementalWindowSolver::Advance(const Window& window, std::int64_t id) {
   ++report_.eliminated;
   ChainFront& f = front(id);
   ChainFront& next = front(id + 1);
-  bool sound = f.Linearise(window, &next, point_, point_version_, &scratch_);
+  bool sound = f.Linearise(window, &next, point_, point_version_, true, &scratch_);
   f.Eliminate(triangle_, &root_, &next, &scratch_);
   Checkpoint& checkpoint = checkpoints_.Append();
   checkpoint.id = next.id;
@@ -209,7 +222,7 @@ bool IncrementalWindowSolver::Advance(const Window& window, std::int64_t id) {
     checkpoints_.pop_front();
   }
   const ChainFront* after = next.id < fronts_.back().id ? &front(next.id + 1) : nullptr;
-  sound = next.Linearise(window, after, point_, point_version_, &scratch_) && sound;
+  sound = next.Linearise(window, after, point_, point_version_, false, &scratch_) && sound;
   next.AbsorbOwn(&triangle_, &root_, &scratch_);
   return sound;
 }
@@ -218,12 +231,10 @@ bool IncrementalWindowSolver::Advance(const Window& window, std::int64_t id) {
 bool IncrementalWindowSolver::Redo(const Window& window, std::int64_t from) {
   while (!checkpoints_.empty() && checkpoints_.back().id > from) checkpoints_.pop_back();
   root_ = checkpoints_.back().root;
-  // Its message has what older fronts changed, and so will all that is made of it.
-  if (correction_.active && correction_.next == from) correction_.carried.message.fill(0.0);
   ChainFront& first = front(from);
   first.eliminated = false;
   const ChainFront* next = from < fronts_.back().id ? &front(from + 1) : nullptr;
-  bool sound = first.Linearise(window, next, point_, point_version_, &scratch_);
+  bool sound = first.Linearise(window, next, point_, point_version_, false, &scratch_);
   first.AbsorbOwn(&triangle_, &root_, &scratch_);
   for (std::int64_t id = from; id < fronts_.back().id; ++id) sound = Advance(window, id) && sound;
   return sound;
@@ -268,7 +279,9 @@ bool IncrementalWindowSolver::RedoMovedRecent(Window* window) {
   // With the factors to the state before.
   const std::int64_t moved = MovePoints(*window, oldest + 1);
   if (moved >= 0) from = std::min(from, moved - 1);
+  if (Distance(*window, recent_at_) > options_.relinearise_recent) from = std::min(from, oldest);
   if (from > newest) return true;
+  if (from <= oldest) recent_at_ = window->eta();
   return Redo(*window, from);
 }
 
@@ -279,26 +292,28 @@ void IncrementalWindowSolver::StartSweep(const Window& window) {
   sweep_.active = true;
   sweep_.wanted = false;
   sweep_.next = fronts_.front().id;
-  correction_.passed_sweep = true;  // what it has behind it is linearized anew
   sweep_.root = past_;
   sweep_.root.AbsorbPriors(window.parameter_centre(), window.parameter_sigma());
-  point_ = window.eta();
-  ++point_version_;
+  sweep_.begun_at = window.eta();
+  sweep_.gradient.assign(static_cast<size_t>(past_.columns().pivots()), 0.0);
 }
 
 /// Eliminates the sweep's next front.
 bool IncrementalWindowSolver::SweepOne(const Window& window) {
   ++report_.eliminated;
-  if (correction_.active && correction_.next == sweep_.next) PassSweep();
   ChainFront& f = front(sweep_.next);
   ChainFront& next = front(sweep_.next + 1);
+  double* const g = sweep_.gradient.data() + BorderColumns::kParameters;
+  if (have_root_) f.AddParameterGradient(window, next, -1.0, g);
   if (HasMoved(window, next)) next.MovePoint(window);
-  const bool sound = f.Linearise(window, &next, point_, point_version_, &scratch_);
+  const bool sound = f.Linearise(window, &next, point_, point_version_, false, &scratch_);
   f.AbsorbOwn(&sweep_triangle_, &sweep_.root, &scratch_);
   f.Eliminate(sweep_triangle_, &sweep_.root, &next, &scratch_);
+  if (have_root_) f.AddParameterGradient(window, next, 1.0, g);
   ++sweep_.next;
-  // Overtaken by the sweep, which knows better.
-  if (correction_.passed_sweep && correction_.next < sweep_.next) correction_.active = false;
+  const std::int64_t passed = (sweep_.next - segments_.front().first) / options_.segment_keyframes;
+  Segment& segment = segments_[static_cast<size_t>(std::max<std::int64_t>(passed - 1, 0))];
+  if (passed > 0 && segment.first + options_.segment_keyframes == sweep_.next) segment.at = point_;
   return sound;
 }
 
@@ -307,78 +322,137 @@ int IncrementalWindowSolver::SweepSize() const {
   return std::max(options_.sweep_keyframes, share);
 }
 
+/// Brings parameters' point of linearization to the present estimate.
+void IncrementalWindowSolver::MoveParameterPoint(const Window& window) {
+  if (point_.size() == window.eta().size() &&
+      !ParametersMoved(window, point_, options_.same_point, options_.same_point)) {
+    return;
+  }
+  point_ = window.eta();
+  ++point_version_;
+}
+
+/// What the sweep has found at the fronts it passed, the chain in use takes as a correction.
+void IncrementalWindowSolver::TellChainInUse() {
+  if (!have_root_) return;
+  for (Checkpoint& checkpoint : checkpoints_) checkpoint.root.AddGradient(sweep_.gradient);
+  root_.AddGradient(sweep_.gradient);
+  std::fill(sweep_.gradient.begin(), sweep_.gradient.end(), 0.0);
+}
+
 bool IncrementalWindowSolver::Sweep(const Window& window, int budget) {
   bool sound = true;
+  MoveParameterPoint(window);
   for (int i = 0; i < budget && sweep_.active; ++i) {
     if (sweep_.next < OldestRecent()) sound = SweepOne(window) && sound;
     if (sweep_.next < OldestRecent()) continue;
     // It has caught up: the rest at once, from here on it is the chain in use.
+    TellChainInUse();
     const bool known = have_root_ && SolutionOf(window, &before_);
     sweep_.active = sweep_.urgent = false;
-    if (correction_.passed_sweep) correction_.active = false;
     checkpoints_.clear();
     Checkpoint& checkpoint = checkpoints_.Append();
     checkpoint.id = sweep_.next;
     checkpoint.root = sweep_.root;
     MovePoints(window, sweep_.next + 1);
+    recent_at_ = window.eta();
     sound = Redo(window, sweep_.next) && sound;
     have_root_ = true;
     if (known && SolutionOf(window, &after_)) LearnCurvature();
-    point_in_use_ = point_;
+    in_use_at_ = sweep_.begun_at;
   }
+  if (sweep_.active) TellChainInUse();
   return sound;
 }
 
 // ---- Corrections --------------------------------------------------------------------------------
 
-/// Brings right-hand sides of older fronts to the present estimate, a few per update.
-void IncrementalWindowSolver::Correct(const Window& window) {
-  const auto share =
-      static_cast<int>(options_.corrected_share * static_cast<double>(fronts_.size()));
-  const int budget = std::max(options_.corrected_keyframes, share);
-  if (checkpoints_.empty() || budget == 0) return;
-  if (!correction_.active) {
-    if (fronts_.front().id >= checkpoints_.front().id) return;  // all are recent
-    correction_.active = true;
-    correction_.next = fronts_.front().id;
-    correction_.passed_sweep = false;
-    correction_.carried.Clear(past_.columns().n);
-    correction_.carried.least = options_.least_correction;
+/// Evaluates a segment's older fronts at the present estimate; the roots take what that changes.
+void IncrementalWindowSolver::CorrectSegment(const Window& window, Segment* segment) {
+  std::fill(found_.begin(), found_.end(), 0.0);
+  const std::int64_t oldest = std::max(segment->first, fronts_.front().id);
+  const std::int64_t recent = checkpoints_.front().id;
+  const std::int64_t end = std::min(segment->first + options_.segment_keyframes, recent);
+  for (std::int64_t id = oldest; id < end; ++id) {
+    if (sweep_.active && id == sweep_.next) GiveFoundTo(&sweep_.root, id);
+    front(id).Correct(window, &front(id + 1), &scratch_,
+                      found_.data() + BorderColumns::kParameters);
   }
-  for (int i = 0; i < budget && correction_.active; ++i) CorrectOne(window);
-}
-
-/// The sweep's next front, where the pass stands: its message has what older fronts changed, the
-/// sweep's root not yet.
-void IncrementalWindowSolver::PassSweep() {
-  if (correction_.passed_sweep) return;
-  sweep_.root.AddGradient(correction_.carried.border);
-  correction_.passed_sweep = true;
-}
-
-/// Corrects the next front, or ends the pass where the recent ones begin.
-void IncrementalWindowSolver::CorrectOne(const Window& window) {
-  const std::int64_t id = correction_.next;
-  if (sweep_.active && id == sweep_.next) PassSweep();
-  if (id < checkpoints_.front().id) {
-    front(id).Correct(window, &front(id + 1), &correction_.carried, &scratch_);
-    ++correction_.next;
-  } else {
-    EndCorrection(window);
+  const double change = GiveFoundToRoots(end);
+  const double distance = Distance(window, segment->at);
+  if (distance > kLeastDistance) {
+    segment->bend = std::max(change / distance, kBendMemory * segment->bend);
   }
+  segment->at = window.eta();
+  segment->expected = 0.0;
+  segment->turn = ++turn_;
 }
 
-/// Brings what older fronts changed through the recent ones to the root.
-void IncrementalWindowSolver::EndCorrection(const Window& window) {
-  correction_.active = false;
-  CarriedCorrection& carried = correction_.carried;
+/// A root before front `next` takes what was found. What waits there came with its message, which
+/// the root has not absorbed yet.
+void IncrementalWindowSolver::GiveFoundTo(RootTriangle* root, std::int64_t next) {
+  const std::vector<double>& waiting = front(next).waiting;
+  before_next_ = found_;
+  for (int j = 0; j < past_.columns().n; ++j) {
+    before_next_[static_cast<size_t>(BorderColumns::kParameters + j)] -=
+        waiting[static_cast<size_t>(kState + j)];
+  }
+  root->AddGradient(before_next_);
+}
+
+/// All roots take what was found at fronts before `end`. @returns how far the optimum moves
+/// [sigmas]
+double IncrementalWindowSolver::GiveFoundToRoots(std::int64_t end) {
+  if (sweep_.active && end == sweep_.next) GiveFoundTo(&sweep_.root, end);
+  if (sweep_.active && end < sweep_.next) sweep_.root.AddGradient(found_);
   for (Checkpoint& checkpoint : checkpoints_) {
-    checkpoint.root.AddGradient(carried.border);
-    if (checkpoint.id == fronts_.back().id) break;
-    front(checkpoint.id).Correct(window, &front(checkpoint.id + 1), &carried, &scratch_);
+    if (checkpoint.id == end) {
+      GiveFoundTo(&checkpoint.root, end);
+    } else {
+      checkpoint.root.AddGradient(found_);
+    }
   }
-  fronts_.back().CorrectNewest(&triangle_, &carried, &scratch_);
-  root_.AddGradient(carried.border);
+  return root_.AddGradient(found_);
+}
+
+/// The largest distance of a parameter from `at` [sigmas].
+double IncrementalWindowSolver::Distance(const Window& window, const ParameterVector& at) const {
+  return (window.eta() - at).cwiseQuotient(sigma_).cwiseAbs().maxCoeff();
+}
+
+/// Errors that segments make because parameters have moved since they were evaluated. @returns all
+/// together [sigmas]
+double IncrementalWindowSolver::ExpectErrors(const Window& window) {
+  double squares = 0.0;
+  for (Segment& segment : segments_) {
+    segment.expected = segment.bend * Distance(window, segment.at);
+    squares += segment.expected * segment.expected;
+  }
+  return std::sqrt(squares);
+}
+
+/// Corrects the segments that need it most, one portion in any case.
+/// @returns false if the step is too long for a linear model
+template <typename InTime>
+bool IncrementalWindowSolver::Correct(Window* window, const InTime& in_time) {
+  const int portion = options_.corrected_segments;
+  if (checkpoints_.empty() || portion == 0) return true;
+  for (bool first = true;; first = false) {
+    const double expected = ExpectErrors(*window);
+    if (!first && (expected < options_.allowed_lag || !in_time())) return true;
+    for (int i = 0; i < portion; ++i) {
+      // In turn: states move as well, and weights are followed step by step.
+      const bool in_turn = first;
+      Segment* chosen = &segments_.front();
+      for (Segment& segment : segments_) {
+        const bool better =
+            in_turn ? segment.turn < chosen->turn : segment.expected > chosen->expected;
+        if (better) chosen = &segment;
+      }
+      CorrectSegment(*window, chosen);
+    }
+    if (!SolveRoot(window)) return false;
+  }
 }
 
 /// Parameters and their sigmas by the root as it stands.
@@ -394,20 +468,18 @@ bool IncrementalWindowSolver::SolutionOf(const Window& window, Solution* solutio
 /// What a new linearization of the same data changed tells how far the next may be put off.
 void IncrementalWindowSolver::LearnCurvature() {
   const auto& sigma = after_.sigma;
-  const double distance = (point_ - point_in_use_).cwiseQuotient(sigma).cwiseAbs().maxCoeff();
+  const double distance = (sweep_.begun_at - in_use_at_).cwiseQuotient(sigma).cwiseAbs().maxCoeff();
   if (distance < 0.1) return;  // nothing to learn from
-  const double parameters = (after_.eta - before_.eta).cwiseQuotient(sigma).cwiseAbs().maxCoeff();
   const double sigmas = (before_.sigma.cwiseQuotient(sigma).array() - 1.0).abs().maxCoeff();
-  const double measured =
-      std::max(parameters / options_.parameter_tolerance, sigmas / options_.sigma_tolerance);
+  const double measured = sigmas / options_.sigma_tolerance;
   curvature_ =
       std::max({measured / Bend(distance), kCurvatureMemory * curvature_, kLeastCurvature});
 }
 
-/// True if putting the relinearization off might cost more than it may.
-bool IncrementalWindowSolver::MustHurry(const Window& window) const {
+/// True if putting the relinearization off might cost more than `error` tolerances.
+bool IncrementalWindowSolver::MayCost(double error, const Window& window) const {
   if (sweep_.urgent) return true;
-  return ParametersMoved(window, point_in_use_, DistanceAt(kAllowedError, curvature_),
+  return ParametersMoved(window, in_use_at_, DistanceAt(error, curvature_),
                          options_.relinearise_share);
 }
 
@@ -455,32 +527,23 @@ double IncrementalWindowSolver::BackSubstitute(std::int64_t id, Window* window) 
   const int p = f.eliminated ? f.pivots() : kState;
   const RowBlock& rows = f.eliminated ? f.conditional : triangle_;
   const int at = f.eliminated ? f.border() : kState;
-  std::array<double, kState> next;
+  // State (and leaving bias), next state, border.
+  double* const x = substituted_.data();
   if (f.eliminated) {
     const ChainFront& after = front(id + 1);
     if (after.delta_version == f.next_version) {
-      next = after.delta;
+      std::copy_n(after.delta.begin(), kState, x + p);
     } else {
-      StateManifold().Minus(window->keyframe(id + 1).x.data(), f.next_point.data(), next.data());
+      StateManifold().Minus(window->keyframe(id + 1).x.data(), f.next_point.data(), x + p);
     }
   }
+  std::memcpy(x + at, shared_.data(), sizeof(double) * static_cast<size_t>(columns.size()));
+  std::fill_n(x + at + columns.size(), kRowPadding, 0.0);
   // The bias behind the next state is that of the next keyframe.
   const std::int64_t bias =
       f.eliminated && f.bias_leaves ? window->keyframe(id + 1).bias : keyframe.bias;
-  double* border = border_.data();
-  std::memcpy(border, shared_.data(), sizeof(double) * static_cast<size_t>(columns.size()));
-  if (bias >= 0) std::copy_n(BiasOf(window, bias), 6, border);
-  std::array<double, kState + 6> x;
-  for (int i = p - 1; i >= 0; --i) {
-    const double* row = rows.row(i);
-    double sum = 0.0;
-    for (int j = 0; j < columns.size(); ++j) sum += row[at + j] * border[j];
-    if (f.eliminated) {
-      for (int j = 0; j < kState; ++j) sum += row[p + j] * next[j];
-    }
-    for (int j = i + 1; j < p; ++j) sum += row[j] * x[j];
-    x[i] = std::abs(row[i]) < kLeastPivot ? 0.0 : -sum / row[i];
-  }
+  if (bias >= 0) std::copy_n(BiasOf(window, bias), 6, x + at);
+  odmc::BackSubstitute(rows.data.data(), rows.stride, p, at + columns.size(), x);
   double change = 0.0;
   for (int i = 0; i < kState; ++i) {
     change = std::max(change, std::abs(x[i] - f.delta[i]) / options_.relinearise_state[i]);
@@ -488,7 +551,7 @@ double IncrementalWindowSolver::BackSubstitute(std::int64_t id, Window* window) 
   }
   f.delta_version = f.eliminated ? f.conditional_version : f.point_version;
   if (f.bias_leaves && f.eliminated) {
-    std::copy_n(x.begin() + kState, 6, BiasOf(window, keyframe.bias));
+    std::copy_n(x + kState, 6, BiasOf(window, keyframe.bias));
   }
   StoreState(&f, window);
   return change;
@@ -567,12 +630,14 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
   report_ = SolveReport();
   if (options.align || window->keyframes().empty()) return Align(window, options);
   ApplyPending();
+  MoveParameterPoint(*window);
   const bool followed = Follows(*window);
   const ParameterVector eta = window->eta();
   bool sound = CatchUp(window);
-  if (sound && sweep_.active) sound = Sweep(*window, SweepSize());
-  ParameterVector corrected_at = window->eta();
-  if (sound) Correct(*window);
+  if (sound && sweep_.active) {
+    const int faster = MayCost(kAllowedError, *window) ? kFaster : 1;
+    sound = Sweep(*window, faster * SweepSize());
+  }
   report_.iterations = 1;
   const auto refuse = [&] {
     window->eta() = eta;
@@ -583,26 +648,22 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
     return report_;
   };
   if (!sound) return refuse();
-  if (!SolveRoot(window)) return Align(window, options);
+  const auto in_time = [&] { return elapsed_s() < options.max_time_s; };
+  if (!SolveRoot(window) || !Correct(window, in_time)) return Align(window, options);
   BackSubstitute(window, false);
   // The newest states come in where odometry has them and move most.
   for (int pass = 0; pass < options_.recent_passes; ++pass) {
     const int before = report_.eliminated;
     if (!RedoMovedRecent(window)) return refuse();
-    const bool moved = ParametersMoved(*window, corrected_at, options_.correct_again, kAnyShare);
-    if (moved) {
-      corrected_at = window->eta();
-      Correct(*window);
-    }
-    if (!moved && report_.eliminated == before) break;
+    if (report_.eliminated == before) break;
     if (!SolveRoot(window)) return Align(window, options);
     BackSubstitute(window, false);
   }
   // Where old linearizations may cost too much, one sweep after the other, as far as time allows.
-  for (int i = 0; MustHurry(*window) && elapsed_s() < options.max_time_s; ++i) {
+  for (int i = 0; MayCost(kIntolerable, *window) && in_time(); ++i) {
     if (i == kMostHurriedSweeps) return Align(window, options);  // steps want damping
     if (!sweep_.active) StartSweep(*window);
-    while (sound && sweep_.active && elapsed_s() < options.max_time_s) {
+    while (sound && sweep_.active && in_time()) {
       sound = Sweep(*window, SweepSize());
     }
     if (!sound) return refuse();
@@ -610,17 +671,18 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
     BackSubstitute(window, false);
   }
   for (; report_.iterations < options.max_iterations; ++report_.iterations) {
-    if (elapsed_s() >= options.max_time_s) break;
+    if (!in_time()) break;
     BackSubstitute(window, true);
-    const bool moved = ParametersMoved(*window, point_, kSettled, options_.relinearise_share);
+    const bool moved =
+        ParametersMoved(*window, sweep_.begun_at, kSettled, options_.relinearise_share);
     if (!moved && MovePoints(*window, fronts_.front().id + 1) < 0) break;
     if (!SweepAll(*window)) return refuse();
     if (!SolveRoot(window)) return Align(window, options);
   }
   report_.usable = report_.improved = true;
   const double far = std::max(options_.relinearise_parameters, DistanceAt(kWorthwhile, curvature_));
-  if (!sweep_.active &&
-      (sweep_.wanted || ParametersMoved(*window, point_, far, options_.relinearise_share))) {
+  if (!sweep_.active && (sweep_.wanted || ParametersMoved(*window, sweep_.begun_at, far,
+                                                          options_.relinearise_share))) {
     StartSweep(*window);
   }
   report_.sweeping = sweep_.active;
@@ -655,6 +717,9 @@ void IncrementalWindowSolver::Observe(const Window& window, const ChainFront& f,
       const auto* dynamics = dynamic_cast<const DynamicsFactor*>(factor.cost.get());
       torque_rows = dynamics != nullptr && dynamics->with_torque() ? 3 : 0;
     }
+    const double* corrected = f.corrected.row(static_cast<int>(k));
+    leaving->score +=
+        Eigen::Map<const Eigen::VectorXd>(corrected + f.border() + BorderColumns::kParameters, n);
     for (int i = 0; i < kept.rows; ++i) {
       const Eigen::Map<const Eigen::VectorXd> J(block.row(kept.row + i) + parameters, n);
       leaving->score += residual[static_cast<size_t>(i)] * J;
@@ -674,7 +739,11 @@ bool IncrementalWindowSolver::MarginalizeOldest(Window* window, const Eigen::Vec
   while (sweep_.active && sweep_.next == fronts_.front().id && fronts_.size() > 1) {
     sound = Sweep(*window, 1) && sound;
   }
-  while (correction_.active && correction_.next == fronts_.front().id) CorrectOne(*window);
+  if (fronts_.front().waits && fronts_.size() > 1 && !checkpoints_.empty()) {
+    std::fill(found_.begin(), found_.end(), 0.0);
+    fronts_.front().PassOn(&fronts_[1], &scratch_, found_.data() + BorderColumns::kParameters);
+    GiveFoundToRoots(fronts_[1].id);
+  }
   const ChainFront& oldest = fronts_.front();
   if (leaving != nullptr) Observe(*window, oldest, leaving);
   oldest.LeaveTo(&past_, &scratch_);
@@ -684,11 +753,16 @@ bool IncrementalWindowSolver::MarginalizeOldest(Window* window, const Eigen::Vec
     past_.DropBias();
     have_root_ = false;
     checkpoints_.clear();
-    sweep_.active = sweep_.wanted = sweep_.urgent = correction_.active = false;
+    sweep_.active = sweep_.wanted = sweep_.urgent = false;
   }
   if (has_bias && (last || oldest.bias_leaves)) window->biases().pop_front();
   window->DropOldestKeyframe();
   fronts_.pop_front();
+  if (fronts_.empty()) {
+    segments_.clear();
+  } else if (segments_.front().first + options_.segment_keyframes <= fronts_.front().id) {
+    segments_.pop_front();
+  }
   while (!checkpoints_.empty() && !fronts_.empty() &&
          checkpoints_.front().id < fronts_.front().id) {
     checkpoints_.pop_front();

@@ -68,17 +68,20 @@ void RootTriangle::AbsorbPriors(const Eigen::VectorXd& centre, const Eigen::Vect
   Absorb(scratch_.data(), stride_, columns_.n);
 }
 
-void RootTriangle::AddGradient(const std::vector<double>& gradient) {
+double RootTriangle::AddGradient(const std::vector<double>& gradient) {
   const int pivots = columns_.pivots();
   double* g = scratch_.data();
   std::copy_n(gradient.begin(), pivots, g);
+  double squares = 0.0;
   for (int i = 0; i < pivots; ++i) {
     double* r = row(i);
     if (g[i] == 0.0 || std::abs(r[i]) < kLeastPivot) continue;
     const double y = g[i] / r[i];
     r[columns_.rhs()] += y;
+    squares += y * y;
     for (int j = i + 1; j < pivots; ++j) g[j] -= y * r[j];
   }
+  return std::sqrt(squares);
 }
 
 void RootTriangle::DropBias() {

@@ -114,6 +114,7 @@ struct IntervalDerivatives {
 /// added to those by the mount: p_BS, theta_BS, p_BBcm (N×3 each).                  model.md 6.1
 /// @param D all derivatives, of which `d_motion` are those by this keyframe's motion
 /// @param C takes vectors from B at the keyframe to B at the evaluation point
+/// @param d_state null: only what the mount needs is done
 template <int N, typename Motion>
 void CarryToState(const Motion& d_motion, const Eigen::Matrix3d& C, const IntervalModel& interval,
                   const BodyMotion& motion, const Eigen::Vector3d& w_WS_S,
@@ -127,6 +128,13 @@ void CarryToState(const Motion& d_motion, const Eigen::Matrix3d& C, const Interv
   const auto d_velocity = d_motion.template middleCols<3>(Columns::kVelocity);
   const auto d_com_velocity = d_motion.template middleCols<3>(Columns::kComVelocity);
   auto d_body = D->d_body();
+  if (d_state == nullptr && !interval.model->shapes_mounts() && !D->by_position) {
+    auto d_com = d_body.template middleCols<3>(kRowCom);
+    SubtractTimesHat(Block(d_com_velocity * C), -w, &d_com);
+    return;
+  }
+  Eigen::Matrix<double, N, kStateTangentSize> unused;
+  if (d_state == nullptr) d_state = &unused;
   auto d_p_BS = d_body.template middleCols<3>(kRowOdometryPosition);
   auto d_theta_BS = d_body.template middleCols<3>(kRowOdometryRotation);
   auto d_com = d_body.template middleCols<3>(kRowCom);
@@ -177,7 +185,8 @@ void AddBodyColumn(const DynamicModel& model, const BodyPropertiesJacobian& d_bo
 }
 
 /// Derivatives with respect to both states' tangents (N×12) and to the model's parameters
-/// `columns`, in that order (N×columns.size()). Spends `D`.
+/// `columns`, in that order (N×columns.size()). Spends `D`. Those by the states are left out where
+/// null.
 template <int N>
 void AssembleJacobians(const IntervalModel& interval, const std::vector<int>& columns,
                        IntervalDerivatives<N>* D,

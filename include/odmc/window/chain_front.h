@@ -27,22 +27,10 @@ struct RowBlock {
   void CopyFrom(const RowBlock& other);
 };
 
-/// What corrections of older fronts change at a front: the right-hand side of its message, and the
-/// gradient of the sum of squares (halved) by what the message does not hold of bias and
-/// parameters.
-struct CarriedCorrection {
-  std::array<double, kStateTangentSize> message{};
-  std::vector<double> border;  ///< bias (6), parameters (n)
-  double least = 0.0;          ///< change of a whitened residual that is passed on
-
-  /// Nothing changed yet.
-  void Clear(int num_parameters);
-};
-
 /// Scratch of one solver, shared by all fronts.
 struct FrontScratch {
   RowBlock own, pair;
-  std::vector<double> gradient;
+  std::vector<double> gradient, difference, passing;
   std::vector<double> jacobians, residual;
 };
 
@@ -57,7 +45,9 @@ struct FrontScratch {
 ///   conditional   triangle over the eliminated columns, same columns as pair
 ///   rest          what elimination left for the root: border. The first rest_before rows come
 ///                 before a bias leaves, the others after.
-///   leaving_bias  the root's rows of the bias that leaves here, before this front's pair
+///   corrected     a row per factor, columns as pair: gradient that corrections found beyond that
+///   of
+///                 its rows
 class ChainFront {
  public:
   /// Starts anew for a keyframe of the window.
@@ -75,10 +65,13 @@ class ChainFront {
   std::array<double, kStateTangentSize> delta;
   int delta_version = -1;
 
-  RowBlock message, own, pair, conditional, rest, leaving_bias;
-  /// Gradients by bias and parameters that corrections added to `rest` since it was left: before
-  /// the pair was eliminated (and a bias left), and after.
-  std::vector<double> own_gradient, rest_gradient;
+  RowBlock message, own, pair, conditional, rest, corrected;
+  /// Gradient by bias (none) and parameters that corrections added to `rest` since it was left.
+  std::vector<double> rest_gradient;
+  /// Gradient by state and parameters that came with the message since this was eliminated (12 +
+  /// n). The root has what is about parameters.
+  std::vector<double> waiting;
+  bool waits = false;
   int rest_before = 0;
   bool bias_leaves = false;
   bool eliminated = false;  ///< false: the newest
@@ -92,10 +85,11 @@ class ChainFront {
   /// Evaluates the factors whose linearization is out of date: changed, or of a state whose point
   /// moved, or at another point of the parameters.
   /// @param parameter_point where parameters are linearized; its version tells that it moved
+  /// @param absorbed factors of this state alone are in its triangle already and stay
   /// @returns false if a factor cannot be evaluated
   bool Linearise(const Window& window, const ChainFront* next,
                  const ParameterVector& parameter_point, int point_version_of_parameters,
-                 FrontScratch* scratch);
+                 bool absorbed, FrontScratch* scratch);
 
   /// Rotates the factors of this state alone into its message; what they say of the rest goes to
   /// `rest` and to the root.
@@ -107,18 +101,22 @@ class ChainFront {
   void Eliminate(const RowBlock& triangle, RootTriangle* root, ChainFront* next,
                  FrontScratch* scratch);
 
-  /// Corrects right-hand sides without a new elimination: residuals of factors with parameters are
-  /// evaluated at the present estimate, with the robust weight they have there, and what they
-  /// differ by from their linearization is brought through the triangles that there are (seminormal
-  /// equations). A step then follows the true residuals, by Jacobians that are a little old.
-  /// @param correction from the front before; becomes that for the next
-  void Correct(const Window& window, ChainFront* next, CarriedCorrection* correction,
-               FrontScratch* scratch);
+  /// Corrects gradients without a new elimination: factors with parameters are evaluated at the
+  /// present estimate, with the robust weight they have there and their Jacobian by the parameters.
+  /// What the gradient differs by from that of their rows goes through the conditional (seminormal
+  /// equations): what is left of the parameters to the root, what is left of the next state waits
+  /// there for its turn. Steps then end where the true gradient vanishes; old Jacobians only make
+  /// them a little wrong. Biases stay as they are.
+  /// @param found gradient for the root: added to (n)
+  void Correct(const Window& window, ChainFront* next, FrontScratch* scratch, double* found);
 
-  /// Passes on what older fronts changed where the newest is, whose triangle is not eliminated yet;
-  /// its own factors are recent.
-  /// @param correction its border becomes what the root takes
-  void CorrectNewest(RowBlock* triangle, CarriedCorrection* correction, FrontScratch* scratch);
+  /// Passes on what waits, without an evaluation.
+  void PassOn(ChainFront* next, FrontScratch* scratch, double* found);
+
+  /// Gradient by the parameters that this front's factors have at the present estimate, as they
+  /// were eliminated and corrected since (n): added to g, times `sign`.
+  void AddParameterGradient(const Window& window, const ChainFront& next, double sign,
+                            double* g) const;
 
   /// What the state differs by from its linearization point (12).
   void Offset(const Window& window, double* d) const;
@@ -133,7 +131,8 @@ class ChainFront {
     int revision = -1;
     int state0 = -1, state1 = -1, parameters = -1;  ///< versions of their points
     bool sound = false;
-    double weight = 1.0;  ///< of its rows: root of the robust loss' slope
+    bool corrected = false;  ///< its row of `corrected` is not zero
+    double weight = 1.0;     ///< of its rows: root of the robust loss' slope
   };
   const std::vector<KeptFactor>& kept() const { return kept_; }
 
@@ -146,10 +145,11 @@ class ChainFront {
  private:
   bool Evaluate(const Window& window, const Factor& factor, const ChainFront* next,
                 const ParameterVector& parameter_point, KeptFactor* kept, FrontScratch* scratch);
-  bool CorrectFactors(const Window& window, const ChainFront& next, double least,
-                      FrontScratch* scratch);
-  void AddGradient(const KeptFactor& kept, const double* r, double* g) const;
-  void AddBorderGradient(const double* row, double scale, double* g) const;
+  bool CorrectFactor(const Window& window, size_t k, const double* own, const double* next,
+                     FrontScratch* scratch);
+
+  void StartGradient(FrontScratch* scratch) const;
+  void SubstituteGradient(ChainFront* next, FrontScratch* scratch, double* found);
 
   int n_ = 0;
   std::int64_t bias_ = -1;

@@ -34,20 +34,22 @@ struct IncrementalOptions {
   double parameter_tolerance = 0.1, sigma_tolerance = 0.05;
   /// Newest keyframes that are eliminated anew at once when their points move, >= 1.
   int recent_keyframes = 3;
+  /// They are as well where a parameter has moved by more than this [sigmas].
+  double relinearise_recent = 0.1;
+  /// What is linearized anew keeps its values where parameters have moved by less [sigmas].
+  double same_point = 0.01;
   /// How often that is done in one update at most, and right-hand sides are corrected again, >= 0.
   int recent_passes = 2;
   /// Older keyframes eliminated anew per update when parameters have moved, >= 2; in long windows
   /// this share of all, so that a sweep takes no more than 1/share updates.
-  int sweep_keyframes = 16;
+  int sweep_keyframes = 6;
   double sweep_share = 0.025;
-  /// Older keyframes whose right-hand sides are corrected per update (ChainFront::Correct), >= 0;
-  /// in long windows this share of all.
-  int corrected_keyframes = 50;
-  double corrected_share = 0.05;
-  /// What a whitened residual must differ by from its linearization to be corrected.
-  double least_correction = 3e-4;
-  /// Once more in the same update where a parameter has moved by more than this since [sigmas].
-  double correct_again = 0.1;
+  /// Older keyframes whose gradients are corrected together (ChainFront::Correct), >= 1; such
+  /// segments per update in turn, >= 0, and where the others are expected to change a parameter by
+  /// more than this [sigmas], as many as the time bound of a solve allows, the worst first.
+  int segment_keyframes = 25;
+  int corrected_segments = 1;
+  double allowed_lag = 0.02;
   /// Older keyframes back-substituted per update, >= 1.
   int back_substituted_keyframes = 50;
   /// A step of a parameter beyond this share of its own prior's sigma asks for the batch solve.
@@ -86,6 +88,15 @@ class IncrementalWindowSolver final : public WindowSolver {
     RootTriangle root;  // before the keyframe's own factors
   };
 
+  /// Fronts that are corrected together.
+  struct Segment {
+    std::int64_t first = 0;
+    ParameterVector at;     // parameters when they were evaluated
+    double bend = 0.0;      // error [sigmas] they make where parameters are a sigma from there
+    double expected = 0.0;  // error they make now [sigmas]
+    std::int64_t turn = 0;  // when they were evaluated
+  };
+
   bool Follows(const Window& window) const;
   void Forget();
   void ReadPrior(const Window& window);
@@ -104,10 +115,13 @@ class IncrementalWindowSolver final : public WindowSolver {
   bool Sweep(const Window& window, int budget);
   bool SweepOne(const Window& window);
   bool SweepAll(const Window& window);
-  void Correct(const Window& window);
-  void CorrectOne(const Window& window);
-  void PassSweep();
-  void EndCorrection(const Window& window);
+  void CorrectSegment(const Window& window, Segment* segment);
+  void GiveFoundTo(RootTriangle* root, std::int64_t next);
+  double GiveFoundToRoots(std::int64_t end);
+  double Distance(const Window& window, const ParameterVector& at) const;
+  double ExpectErrors(const Window& window);
+  template <typename InTime>
+  bool Correct(Window* window, const InTime& in_time);
   struct Solution {
     Eigen::VectorXd eta, sigma;
   };
@@ -115,6 +129,8 @@ class IncrementalWindowSolver final : public WindowSolver {
   bool CatchUp(Window* window);
   std::int64_t MovePoints(const Window& window, std::int64_t from);
   std::int64_t OldestRecent() const;
+  void MoveParameterPoint(const Window& window);
+  void TellChainInUse();
 
   bool SolveRoot(Window* window);
   void BackSubstitute(Window* window, bool everything);
@@ -123,7 +139,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   bool HasMoved(const Window& window, const ChainFront& front) const;
   bool ParametersMoved(const Window& window, const ParameterVector& from, double sigmas,
                        double share) const;
-  bool MustHurry(const Window& window) const;
+  bool MayCost(double error, const Window& window) const;
   void LearnCurvature();
   void Observe(const Window& window, const ChainFront& front, LeavingFactors* leaving) const;
   template <typename Change>
@@ -142,21 +158,22 @@ class IncrementalWindowSolver final : public WindowSolver {
     bool urgent = false;    // old factors were touched: at once, as far as time allows
     std::int64_t next = 0;  // front to eliminate next
     RootTriangle root;
+    ParameterVector begun_at;      // where parameters were when it began
+    std::vector<double> gradient;  // what the fronts it passed lacked in the chain in use
   } sweep_;
-  struct {
-    bool active = false;
-    bool passed_sweep = false;  // the sweep's root has what it changed, or will see it itself
-    std::int64_t next = 0;      // front to correct next
-    CarriedCorrection carried;
-  } correction_;
-  ParameterVector point_;         // of linearization
-  ParameterVector point_in_use_;  // of the chain in use; the sweep brings it to point_
+  std::int64_t turn_ = 0;
+  Ring<Segment> segments_;                   // all fronts, oldest first
+  std::vector<double> found_, before_next_;  // by corrections, of shared variables
+  ParameterVector point_;                    // of linearization, at present
   int point_version_ = 0;
-  Solution before_, after_;  // a sweep took the chain's place
-  double curvature_ = 0.0;   // tolerances at one sigma between two points
+  ParameterVector recent_at_;  // where recent fronts were evaluated together
+  ParameterVector in_use_at_;  // where the chain in use was linearized; the sweep brings it on
+  Solution before_, after_;    // a sweep took the chain's place
+  double curvature_ = 0.0;     // tolerances at one sigma between two points
   bool have_root_ = false;
   std::vector<double> shared_, propagated_;  // solution of the border; at the last full pass
-  std::vector<double> border_;               // of the front at hand
+  std::vector<double> border_;               // its candidate
+  std::vector<double> substituted_;          // solution of the front at hand
   Eigen::VectorXd sigma_;                    // of the parameters, last known
   Eigen::MatrixXd pending_;                  // change of the past the roots do not know yet
   bool has_pending_ = false;

@@ -46,7 +46,8 @@ class RootTriangle {
 
   /// Adds gᵀx, g over bias and parameters, to the sum of squares (halved).
   /// @pre g says nothing of what nobody measured
-  void AddGradient(const std::vector<double>& gradient);
+  /// @returns how far its optimum moves at most [sigmas of any direction]
+  double AddGradient(const std::vector<double>& gradient);
 
   /// Forgets the bias; what the rest says of the parameters stays.
   void DropBias();
