@@ -75,11 +75,13 @@ void ChainFront::Reset(const Window& window, std::int64_t keyframe) {
   own.count = pair.count = rest.count = corrected.count = rest_before = 0;
   bias_leaves = eliminated = false;
   rest_gradient.assign(static_cast<size_t>(BorderColumns(n_).pivots()), 0.0);
-  waiting.assign(static_cast<size_t>(kState + n_), 0.0);
+  waiting.assign(static_cast<size_t>(kState + BorderColumns(n_).pivots()), 0.0);
+  arrived.fill(0.0);
   waits = false;
   kept_.clear();
   if (bias_ < 0) return;
   // A bias leaves at another slot of the ring every time: room in all of them, once.
+  leaving_bias.SetZero(kBiasSize, PaddedRow(BorderColumns(n_).size()));
   constexpr int kPivots = kState + kBiasSize;
   conditional.SetZero(kPivots, PaddedRow(kPivots + kState + BorderColumns(n_).size()));
 }
@@ -239,6 +241,7 @@ void ChainFront::AbsorbOwn(RowBlock* triangle, RootTriangle* root, FrontScratch*
   const BorderColumns columns(n_);
   triangle->CopyFrom(message);
   std::fill(waiting.begin(), waiting.end(), 0.0);
+  arrived.fill(0.0);
   waits = false;
   rest.stride = root->stride();
   rest.count = rest_before = own.count;
@@ -277,7 +280,11 @@ void ChainFront::Eliminate(const RowBlock& triangle, RootTriangle* root, ChainFr
     put_border(triangle.row(i) + kState, to);
   }
   if (bias_leaves) {
-    for (int i = 0; i < kBiasSize; ++i) put_border(root->row(i), conditional.row(kState + i));
+    leaving_bias.SetZero(kBiasSize, root->stride());
+    for (int i = 0; i < kBiasSize; ++i) {
+      put_border(root->row(i), conditional.row(kState + i));
+      std::memcpy(leaving_bias.row(i), root->row(i), doubles(columns.size()));
+    }
     root->DropBias();
   }
   if (pair.count > 0) {
@@ -367,36 +374,53 @@ void ChainFront::PassOn(ChainFront* next, FrontScratch* scratch, double* found) 
 
 /// The scratch's gradient, in the pair's columns, becomes what waits.
 void ChainFront::StartGradient(FrontScratch* scratch) const {
-  const int parameters = border() + BorderColumns::kParameters;
-  scratch->gradient.assign(static_cast<size_t>(parameters + n_ + kRowPadding), 0.0);
+  const int at = border(), pivots_of_root = BorderColumns(n_).pivots();
+  scratch->gradient.assign(static_cast<size_t>(at + pivots_of_root + kRowPadding), 0.0);
+  scratch->taken.assign(static_cast<size_t>(pivots_of_root), 0.0);
   if (!waits) return;
   double* const g = scratch->gradient.data();
   std::copy_n(waiting.begin(), kState, g);
-  std::copy_n(waiting.begin() + kState, n_, g + parameters);
+  // What waits of a leaving bias is among what was found of it.
+  const int first = bias_leaves ? kBiasSize : 0;
+  std::copy(waiting.begin() + kState + first, waiting.end(), g + at + first);
 }
 
 /// Takes the scratch's gradient through conditional and message.
 void ChainFront::SubstituteGradient(ChainFront* next, FrontScratch* scratch, double* found) {
-  constexpr int kToParameters = kState + BorderColumns::kParameters;
-  const int rhs = BorderColumns(n_).rhs();
-  const int p = pivots(), parameters = border() + BorderColumns::kParameters;
+  const int pivots_of_root = BorderColumns(n_).pivots(), rhs = BorderColumns(n_).rhs();
+  const int p = pivots(), at = border();
   double* const g = scratch->gradient.data();
-  ForwardSubstitute(conditional.data.data(), conditional.stride, p, parameters + n_, border() + rhs,
-                    g);
-  scratch->passing.assign(static_cast<size_t>(kToParameters + n_ + kRowPadding), 0.0);
+  scratch->passing.assign(static_cast<size_t>(kState + pivots_of_root + kRowPadding), 0.0);
   double* const passing = scratch->passing.data();
-  std::copy_n(g + p, kState, passing);
-  std::copy_n(g + parameters, n_, passing + kToParameters);
+  if (bias_leaves) {
+    // What the root of the past makes of it when this front's bias leaves.
+    for (int j = 0; j < kBiasSize; ++j) {
+      const double of_bias = arrived[static_cast<size_t>(j)] + found[j];
+      g[kState + j] += of_bias;
+      passing[j] = of_bias - (waits ? waiting[static_cast<size_t>(kState + j)] : 0.0);
+      found[j] = arrived[static_cast<size_t>(j)] = 0.0;
+    }
+    ForwardSubstitute(leaving_bias.data.data(), leaving_bias.stride, kBiasSize, pivots_of_root, -1,
+                      passing);
+    for (int j = kBiasSize; j < pivots_of_root; ++j) {
+      rest_gradient[static_cast<size_t>(j)] -= passing[j];
+    }
+  }
+  ForwardSubstitute(conditional.data.data(), conditional.stride, p, at + pivots_of_root, at + rhs,
+                    g);
+  std::copy_n(g + p, kState + pivots_of_root, passing);
+  std::fill_n(passing + kState + pivots_of_root, kRowPadding, 0.0);
   RowBlock& message_to_next = next->message;
-  ForwardSubstitute(message_to_next.data.data(), message_to_next.stride, kState, kToParameters + n_,
-                    kState + rhs, passing);
+  ForwardSubstitute(message_to_next.data.data(), message_to_next.stride, kState,
+                    kState + pivots_of_root, kState + rhs, passing);
   for (int i = 0; i < kState; ++i) next->waiting[static_cast<size_t>(i)] += g[p + i];
-  for (int j = 0; j < n_; ++j) {
+  for (int j = 0; j < pivots_of_root; ++j) {
     const auto k = static_cast<size_t>(kState + j);
-    const double of_rest = passing[kToParameters + j];
-    found[j] += g[parameters + j] - (waits ? waiting[k] : 0.0);
-    rest_gradient[static_cast<size_t>(BorderColumns::kParameters + j)] += of_rest;
-    next->waiting[k] += g[parameters + j] - of_rest;
+    const bool other = bias_leaves && j < kBiasSize;  // what waits is of the bias before
+    found[j] += g[at + j] - (waits && !other ? waiting[k] : 0.0);
+    rest_gradient[static_cast<size_t>(j)] += passing[k];
+    scratch->taken[static_cast<size_t>(j)] = g[at + j] - passing[k];
+    next->waiting[k] += g[at + j] - passing[k];
   }
   next->waits = true;
   waits = false;
@@ -437,8 +461,11 @@ bool ChainFront::CorrectFactor(const Window& window, size_t k, const double* own
     const double* J = jacobian.data() + i * n_;
     const double* row = block.row(kept.row + i);
     const double weighted = slope * r[i], more = weighted / kept.weight - linear[i];
-    for (int j = 0; j < kState; ++j) difference[j] += more * row[j];
-    for (int j = pivots(); j < (kept.in_pair ? border() : 0); ++j) difference[j] += more * row[j];
+    const int columns = in_block - (kept.in_pair ? 0 : kBiasSize);
+    for (int j = 0; j < columns; ++j) difference[j] += more * row[j];
+    for (int j = 0; j < (kept.in_pair ? 0 : kBiasSize); ++j) {  // the bias before one leaves
+      difference[(bias_leaves ? kState : border()) + j] += more * row[kState + j];
+    }
     row += in_block;
     for (int j = 0; j < n_; ++j) difference[parameters + j] += weighted * J[j] - linear[i] * row[j];
   }

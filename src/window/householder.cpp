@@ -138,7 +138,7 @@ ODMC_INLINE void ForwardSubstituteIn(double* U, int u_stride, int pivots, int co
     for (int j = i; j < columns; j += kChunk) {
       *reinterpret_cast<Chunk*>(g + j) -= y * *reinterpret_cast<const Chunk*>(row + j);
     }
-    row[rhs] += y;
+    if (rhs >= 0) row[rhs] += y;
   }
 }
 

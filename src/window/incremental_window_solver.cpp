@@ -373,46 +373,57 @@ void IncrementalWindowSolver::CorrectSegment(const Window& window, Segment* segm
   const std::int64_t oldest = std::max(segment->first, fronts_.front().id);
   const std::int64_t recent = checkpoints_.front().id;
   const std::int64_t end = std::min(segment->first + options_.segment_keyframes, recent);
-  for (std::int64_t id = oldest; id < end; ++id) {
-    if (sweep_.active && id == sweep_.next) GiveFoundTo(&sweep_.root, id);
-    front(id).Correct(window, &front(id + 1), &scratch_,
-                      found_.data() + BorderColumns::kParameters);
+  segment->expected = 0.0;
+  segment->turn = ++turn_;
+  if (end <= oldest) {  // all are recent
+    segment->at = window.eta();
+    return;
   }
-  const double change = GiveFoundToRoots(end);
+  for (std::int64_t id = oldest; id < end; ++id) {
+    if (sweep_.active && id == sweep_.next && id > oldest) GiveFoundTo(&sweep_.root);
+    front(id).Correct(window, &front(id + 1), &scratch_, found_.data());
+  }
+  const double change = GiveFoundToRoots(window, end);
   const double distance = Distance(window, segment->at);
   if (distance > kLeastDistance) {
     segment->bend = std::max(change / distance, kBendMemory * segment->bend);
   }
   segment->at = window.eta();
-  segment->expected = 0.0;
-  segment->turn = ++turn_;
 }
 
-/// A root before front `next` takes what was found. What waits there came with its message, which
-/// the root has not absorbed yet.
-void IncrementalWindowSolver::GiveFoundTo(RootTriangle* root, std::int64_t next) {
-  const std::vector<double>& waiting = front(next).waiting;
-  before_next_ = found_;
-  for (int j = 0; j < past_.columns().n; ++j) {
-    before_next_[static_cast<size_t>(BorderColumns::kParameters + j)] -=
-        waiting[static_cast<size_t>(kState + j)];
-  }
-  root->AddGradient(before_next_);
+/// A root takes what was found at fronts before its next one. What went with the message to that
+/// one it will absorb there.
+void IncrementalWindowSolver::GiveFoundTo(RootTriangle* root) {
+  given_ = found_;
+  for (size_t j = 0; j < given_.size(); ++j) given_[j] -= scratch_.taken[j];
+  root->AddGradient(given_);
 }
 
-/// All roots take what was found at fronts before `end`. @returns how far the optimum moves
-/// [sigmas]
-double IncrementalWindowSolver::GiveFoundToRoots(std::int64_t end) {
-  if (sweep_.active && end == sweep_.next) GiveFoundTo(&sweep_.root, end);
-  if (sweep_.active && end < sweep_.next) sweep_.root.AddGradient(found_);
-  for (Checkpoint& checkpoint : checkpoints_) {
-    if (checkpoint.id == end) {
-      GiveFoundTo(&checkpoint.root, end);
-    } else {
-      checkpoint.root.AddGradient(found_);
+/// All roots take what was found at fronts before `end`; those of a later bias only what is about
+/// the parameters. @returns how far the optimum moves [sigmas]
+double IncrementalWindowSolver::GiveFoundToRoots(const Window& window, std::int64_t end) {
+  const std::int64_t bias = window.keyframe(end).bias;
+  const auto give = [&](RootTriangle* root, std::int64_t before) {
+    const bool same = window.keyframe(before).bias == bias;
+    if (same && before == end) {
+      GiveFoundTo(root);
+      return 0.0;
     }
+    given_ = found_;
+    if (!same) std::fill_n(given_.begin(), BorderColumns::kParameters, 0.0);
+    return root->AddGradient(given_);
+  };
+  if (sweep_.active && end <= sweep_.next) give(&sweep_.root, sweep_.next);
+  for (Checkpoint& checkpoint : checkpoints_) give(&checkpoint.root, checkpoint.id);
+  const std::int64_t newest = fronts_.back().id;
+  if (window.keyframe(newest).bias != bias) {
+    // It waits where its bias leaves.
+    std::int64_t id = end;
+    while (id < newest && !front(id).bias_leaves) ++id;
+    for (size_t j = 0; j < 6; ++j) front(id).arrived[j] += found_[j];
+    front(id).waits = true;
   }
-  return root_.AddGradient(found_);
+  return give(&root_, newest);
 }
 
 /// The largest distance of a parameter from `at` [sigmas].
@@ -741,8 +752,8 @@ bool IncrementalWindowSolver::MarginalizeOldest(Window* window, const Eigen::Vec
   }
   if (fronts_.front().waits && fronts_.size() > 1 && !checkpoints_.empty()) {
     std::fill(found_.begin(), found_.end(), 0.0);
-    fronts_.front().PassOn(&fronts_[1], &scratch_, found_.data() + BorderColumns::kParameters);
-    GiveFoundToRoots(fronts_[1].id);
+    fronts_.front().PassOn(&fronts_[1], &scratch_, found_.data());
+    GiveFoundToRoots(*window, fronts_[1].id);
   }
   const ChainFront& oldest = fronts_.front();
   if (leaving != nullptr) Observe(*window, oldest, leaving);

@@ -31,6 +31,7 @@ struct RowBlock {
 struct FrontScratch {
   RowBlock own, pair;
   std::vector<double> gradient, difference, passing;
+  std::vector<double> taken;  ///< by the border, that the last correction left to the next message
   std::vector<double> jacobians, residual;
 };
 
@@ -45,9 +46,9 @@ struct FrontScratch {
 ///   conditional   triangle over the eliminated columns, same columns as pair
 ///   rest          what elimination left for the root: border. The first rest_before rows come
 ///                 before a bias leaves, the others after.
+///   leaving_bias  the root's rows of the bias that leaves here, before this front's pair
 ///   corrected     a row per factor, columns as pair: gradient that corrections found beyond that
-///   of
-///                 its rows
+///                 of its rows
 class ChainFront {
  public:
   /// Starts anew for a keyframe of the window.
@@ -65,12 +66,15 @@ class ChainFront {
   std::array<double, kStateTangentSize> delta;
   int delta_version = -1;
 
-  RowBlock message, own, pair, conditional, rest, corrected;
-  /// Gradient by bias (none) and parameters that corrections added to `rest` since it was left.
+  RowBlock message, own, pair, conditional, rest, leaving_bias, corrected;
+  /// Gradient by the border that corrections added to `rest` since it was left.
   std::vector<double> rest_gradient;
-  /// Gradient by state and parameters that came with the message since this was eliminated (12 +
-  /// n). The root has what is about parameters.
+  /// Gradient by state and border that came with the message since this was eliminated (18 + n).
+  /// The root has what is about the border.
   std::vector<double> waiting;
+  /// Gradient by the bias that leaves here, found at older fronts; the root knows this bias no
+  /// more.
+  std::array<double, 6> arrived{};
   bool waits = false;
   int rest_before = 0;
   bool bias_leaves = false;
@@ -104,10 +108,11 @@ class ChainFront {
   /// Corrects gradients without a new elimination: factors with parameters are evaluated at the
   /// present estimate, with the robust weight they have there and their Jacobian by the parameters.
   /// What the gradient differs by from that of their rows goes through the conditional (seminormal
-  /// equations): what is left of the parameters to the root, what is left of the next state waits
-  /// there for its turn. Steps then end where the true gradient vanishes; old Jacobians only make
-  /// them a little wrong. Biases stay as they are.
-  /// @param found gradient for the root: added to (n)
+  /// equations): what is left of the border to the root, what is left of the next state waits there
+  /// for its turn. Steps then end where the true gradient vanishes; old Jacobians only make them a
+  /// little wrong.
+  /// @param found gradient for the root, by the bias in force and the parameters: added to (6 + n);
+  /// where the bias leaves, what was found of it is taken
   void Correct(const Window& window, ChainFront* next, FrontScratch* scratch, double* found);
 
   /// Passes on what waits, without an evaluation.

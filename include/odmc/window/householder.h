@@ -40,7 +40,7 @@ int Triangularise(double* E, int e_stride, int rows, int pivots, int columns, do
 /// Solves Uᵀ y = g for the first `pivots` rows of a triangle: takes Uᵀ y off g and adds y to the
 /// triangle's right-hand side, so that |U x + b|² gains the gradient g as far as it knows of it.
 /// @param columns of g that are wanted; g has room for kRowPadding more
-/// @param rhs column of b, >= columns
+/// @param rhs column of b, >= columns; -1: only g changes
 void ForwardSubstitute(double* U, int u_stride, int pivots, int columns, int rhs, double* g);
 
 /// Solves U x = 0 for the first `pivots` entries of x, given the others. Those that nobody measured

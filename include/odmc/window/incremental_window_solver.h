@@ -116,8 +116,8 @@ class IncrementalWindowSolver final : public WindowSolver {
   bool SweepOne(const Window& window);
   bool SweepAll(const Window& window);
   void CorrectSegment(const Window& window, Segment* segment);
-  void GiveFoundTo(RootTriangle* root, std::int64_t next);
-  double GiveFoundToRoots(std::int64_t end);
+  void GiveFoundTo(RootTriangle* root);
+  double GiveFoundToRoots(const Window& window, std::int64_t end);
   double Distance(const Window& window, const ParameterVector& at) const;
   double ExpectErrors(const Window& window);
   template <typename InTime>
@@ -162,9 +162,9 @@ class IncrementalWindowSolver final : public WindowSolver {
     std::vector<double> gradient;  // what the fronts it passed lacked in the chain in use
   } sweep_;
   std::int64_t turn_ = 0;
-  Ring<Segment> segments_;                   // all fronts, oldest first
-  std::vector<double> found_, before_next_;  // by corrections, of shared variables
-  ParameterVector point_;                    // of linearization, at present
+  Ring<Segment> segments_;             // all fronts, oldest first
+  std::vector<double> found_, given_;  // by corrections, of shared variables
+  ParameterVector point_;              // of linearization, at present
   int point_version_ = 0;
   ParameterVector recent_at_;  // where recent fronts were evaluated together
   ParameterVector in_use_at_;  // where the chain in use was linearized; the sweep brings it on
