@@ -21,6 +21,8 @@ constexpr double kWorthwhile = 0.2;        // of a tolerance, before a sweep is
 constexpr double kSettled = 0.05;          // where further iterations were asked for [sigmas]
 constexpr double kFirstBend = 0.3;         // error [sigmas] of fronts evaluated a sigma away
 constexpr double kBendMemory = 0.7;
+constexpr size_t kSoonInTurn = 5;         // updates: short windows need no more than their turn
+constexpr double kHopeless = 0.3;         // to be corrected [sigmas]
 constexpr double kLeastDistance = 0.01;   // to learn it from [sigmas]
 constexpr double kSamePoint = 0.01;       // of a sigma, or of a value in logarithms
 constexpr double kBiasThreshold = 0.05;   // of biases for wildfire [rad/s, m/s²]
@@ -442,27 +444,37 @@ double IncrementalWindowSolver::ExpectErrors(const Window& window) {
   return std::sqrt(squares);
 }
 
-/// Corrects the segments that need it most, one portion in any case.
+/// Corrects one portion in turn and then the segments that need it most, each once at most.
 /// @returns false if the step is too long for a linear model
 template <typename InTime>
 bool IncrementalWindowSolver::Correct(Window* window, const InTime& in_time) {
-  const int portion = options_.corrected_segments;
-  if (checkpoints_.empty() || portion == 0) return true;
+  if (checkpoints_.empty() || options_.corrected_segments == 0) return true;
+  const std::int64_t before = turn_;
+  const double expected_before = ExpectErrors(*window);
   for (bool first = true;; first = false) {
-    const double expected = ExpectErrors(*window);
-    if (!first && (expected < options_.allowed_lag || !in_time())) return true;
-    for (int i = 0; i < portion; ++i) {
-      // In turn: states move as well, and weights are followed step by step.
-      const bool in_turn = first;
-      Segment* chosen = &segments_.front();
+    Segment* chosen = nullptr;
+    for (int i = 0; i < options_.corrected_segments; ++i) {
+      chosen = nullptr;
       for (Segment& segment : segments_) {
-        const bool better =
-            in_turn ? segment.turn < chosen->turn : segment.expected > chosen->expected;
+        if (segment.turn > before) continue;  // done
+        // In turn: states move as well, and weights are followed step by step.
+        const bool better = chosen == nullptr || (first ? segment.turn < chosen->turn
+                                                        : segment.expected > chosen->expected);
         if (better) chosen = &segment;
       }
+      if (chosen == nullptr) break;
       CorrectSegment(*window, chosen);
     }
     if (!SolveRoot(window)) return false;
+    const double expected = ExpectErrors(*window);
+    if (expected < options_.allowed_lag || chosen == nullptr || !in_time()) return true;
+    if (segments_.size() <= kSoonInTurn * static_cast<size_t>(options_.corrected_segments)) {
+      return true;
+    }
+    if (expected > std::max(expected_before, kHopeless)) {
+      sweep_.urgent = true;  // by Jacobians this old it might not converge
+      return true;
+    }
   }
 }
 

@@ -27,11 +27,11 @@ struct IncrementalOptions {
   /// above (wildfire), and goes through the whole window when parameters have moved by this share
   /// of a sigma, or a bias by this share of 0.05 rad/s or m/s².
   double wildfire = 0.04;
-  /// Error that old linearizations may bring: of a parameter [of its sigma], of a sigma [relative].
-  /// Every sweep shows how much the distance between two points of linearization mattered; where
-  /// half a tolerance may be reached before the next one is through, it hurries: as many keyframes
-  /// per update as the time bound of a solve allows.
-  double parameter_tolerance = 0.1, sigma_tolerance = 0.05;
+  /// Error that old linearizations may bring to a sigma [relative]. Every sweep shows how much the
+  /// distance between two points of linearization mattered; where half a tolerance may be reached
+  /// before the next one is through, it goes four times as fast, where a whole one, as fast as the
+  /// time bound of a solve allows.
+  double sigma_tolerance = 0.05;
   /// Newest keyframes that are eliminated anew at once when their points move, >= 1.
   int recent_keyframes = 3;
   /// They are as well where a parameter has moved by more than this [sigmas].
