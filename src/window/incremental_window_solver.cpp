@@ -24,7 +24,6 @@ constexpr double kBendMemory = 0.7;
 constexpr size_t kSoonInTurn = 5;         // updates: short windows need no more than their turn
 constexpr double kHopeless = 0.3;         // to be corrected [sigmas]
 constexpr double kLeastDistance = 0.01;   // to learn it from [sigmas]
-constexpr double kSamePoint = 0.01;       // of a sigma, or of a value in logarithms
 constexpr double kBiasThreshold = 0.05;   // of biases for wildfire [rad/s, m/s²]
 constexpr double kIntolerable = 1.0;      // before it takes all the time there is
 constexpr int kFaster = 4;                // sweep where errors are not allowed

@@ -34,12 +34,12 @@ struct IncrementalOptions {
   double sigma_tolerance = 0.05;
   /// Newest keyframes that are eliminated anew at once when their points move, >= 1.
   int recent_keyframes = 3;
-  /// They are as well where a parameter has moved by more than this [sigmas].
-  double relinearise_recent = 0.1;
-  /// What is linearized anew keeps its values where parameters have moved by less [sigmas].
-  double same_point = 0.01;
-  /// How often that is done in one update at most, and right-hand sides are corrected again, >= 0.
+  /// How often that is done in one update at most, >= 0.
   int recent_passes = 2;
+  /// They are eliminated anew as well where a parameter has moved by more than this [sigmas].
+  double relinearise_recent = 0.1;
+  /// What is eliminated anew keeps its linearization where parameters have moved by less [sigmas].
+  double same_point = 0.01;
   /// Older keyframes eliminated anew per update when parameters have moved, >= 2; in long windows
   /// this share of all, so that a sweep takes no more than 1/share updates.
   int sweep_keyframes = 6;
