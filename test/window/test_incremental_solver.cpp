@@ -470,6 +470,77 @@ INSTANTIATE_TEST_SUITE_P(Shapes, Corrected,
                                          Shape{4, -1, false}, Shape{5, 13, false}),
                          [](const auto& named) { return NameOf(named.param); });
 
+/// r of another cost, and ±bend |eta|²: its Jacobian turns with the parameters.
+class CurvedCost final : public ceres::CostFunction {
+ public:
+  CurvedCost(std::unique_ptr<ceres::CostFunction> linear, size_t parameters, double bend)
+      : linear_(std::move(linear)), parameters_(parameters), bend_(bend) {
+    set_num_residuals(linear_->num_residuals());
+    *mutable_parameter_block_sizes() = linear_->parameter_block_sizes();
+  }
+
+  bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override {
+    if (!linear_->Evaluate(blocks, residual, jacobians)) return false;
+    const int n = parameter_block_sizes()[parameters_];
+    const Eigen::Map<const VectorXd> eta(blocks[parameters_], n);
+    for (int i = 0; i < num_residuals(); ++i) {
+      const double bend = i % 2 == 0 ? bend_ : -bend_;
+      residual[i] += bend * eta.squaredNorm();
+      if (jacobians == nullptr || jacobians[parameters_] == nullptr) continue;
+      for (int j = 0; j < n; ++j) jacobians[parameters_][i * n + j] += 2.0 * bend * eta[j];
+    }
+    return true;
+  }
+
+ private:
+  std::unique_ptr<ceres::CostFunction> linear_;
+  size_t parameters_;
+  double bend_;
+};
+
+/// Factors whose Jacobians by the parameters turn, in old fronts that are corrected only.
+class CurvedWindow : public RobustWindow, public testing::WithParamInterface<Shape> {
+ protected:
+  CurvedWindow() : RobustWindow(1000) {}
+
+  void AddCurvedKeyframe() {
+    AddKeyframe();
+    for (Window* window : {&ours_, &reference_}) {
+      for (Keyframe& keyframe : window->keyframes()) {
+        for (Factor& factor : keyframe.factors) {
+          if (!factor.parameters || dynamic_cast<CurvedCost*>(factor.cost.get()) != nullptr) {
+            continue;
+          }
+          const size_t parameters = factor.cost->parameter_block_sizes().size() - 1;
+          factor.cost = std::make_unique<CurvedCost>(std::move(factor.cost), parameters, 0.1);
+        }
+      }
+    }
+  }
+};
+
+TEST_P(CurvedWindow, StepsFollowTheJacobiansOfThePresent) {
+  Start(GetParam(), 50);
+  for (int k = 0; k < 16; ++k) {
+    AddCurvedKeyframe();
+    ASSERT_TRUE(solver_.Solve(&ours_, SolverOptions()).usable);
+  }
+  Converge();
+  const VectorXd before = ours_.eta();
+  for (int k = 0; k < 8; ++k) {
+    AddCurvedKeyframe();
+    SolveWithoutHurry();
+  }
+  EXPECT_LE(Converge(200), 200 * 2 * 3);  // the recent ones twice, no old one
+  EXPECT_GT((ours_.eta() - before).norm(), 1e-2);
+  ConvergeReference();
+  EXPECT_LT(Difference(), 1e-6);
+}
+
+INSTANTIATE_TEST_SUITE_P(Shapes, CurvedWindow,
+                         testing::Values(Shape{0, -1, false}, Shape{4, -1, false}),
+                         [](const auto& named) { return NameOf(named.param); });
+
 /// A pass of corrections in portions, while sweeps and recent keyframes are eliminated under it.
 class CorrectedInPortions : public RobustWindow, public testing::WithParamInterface<int> {
  protected:
