@@ -21,6 +21,7 @@ namespace {
 
 constexpr double kObservableShare = 0.5;   // of the prior's sigma
 constexpr double kNoiseWarmUp_s = 0.3;     // of odometry before the first keyframe
+constexpr double kSettled_s = 1.0;         // age at which an interval's residual is looked at
 constexpr double kAlignmentGrowth = 1.2;   // of the window, from one alignment to the next
 constexpr double kChangeDelay_s = 0.15;    // age of the intervals that show a change
 constexpr double kSigmaAfterChange = 0.3;  // least sigma then, of the prior's
@@ -309,7 +310,11 @@ const Snapshot* Estimator::Step() {
     timing.eliminated = report.eliminated;
     timing.sweeping = report.sweeping;
     timing.aligned = report.aligned;
-    MarginalizeOld();
+    FollowNoise();
+    if (!report.reweighing) {  // what leaves has one weight
+      MarginalizeOld();
+      RescaleNoise();
+    }
     if (options_.detect_changes) LookForChange();
     timing.marginalize_ms = timer.EndStageMs();
     timing.wall_ms = timer.WallMs();
@@ -376,6 +381,13 @@ std::optional<FullSolveDifference> Estimator::CompareWithFullSolve() {
   }
 
   solver_->WritePrior(&window_);
+  std::vector<Keyframe*> reweighed;
+  if (snapshot_.solve.reweighing) {  // the problem it solves has the old weights
+    for (Keyframe& keyframe : window_.keyframes()) {
+      if (keyframe.id <= noise_step_->reached) reweighed.push_back(&keyframe);
+    }
+    for (Keyframe* keyframe : reweighed) SetModelNoise(noise_step_->before, keyframe);
+  }
   SolverOptions options;
   options.max_iterations = 30;
   options.max_time_s = 60.0;
@@ -406,6 +418,7 @@ std::optional<FullSolveDifference> Estimator::CompareWithFullSolve() {
     }
   }
 
+  for (Keyframe* keyframe : reweighed) SetModelNoise(process_noise_, keyframe);
   window_.eta() = eta;
   window_.biases() = biases;
   window_.prior() = prior;
@@ -701,14 +714,17 @@ void Estimator::AddIntervalFactors(const Interval& interval, std::int64_t id) {
     window_.AddFactor(std::move(gyro));
   }
   if (interval.imu->has_accelerometer) {
-    const Vector3d sigma = ((noise.force_N / model_->vehicle().mass_kg).array().square() +
-                            imu_noise.specific_force_m_s2 * imu_noise.specific_force_m_s2)
-                               .sqrt();
     add(FactorKind::kAccelerometer,
         MakeCost<AccelerometerFactor>(FactorKind::kAccelerometer, measurement,
-                                      interval.imu->mean_specific_force, sigma, model_, &layout_),
+                                      interval.imu->mean_specific_force,
+                                      AccelerometerSigma(noise.force_N), model_, &layout_),
         true, true, true);
   }
+}
+
+Vector3d Estimator::AccelerometerSigma(const Vector3d& force_N) const {
+  const double sensor = options_.accelerometer_noise_m_s2;
+  return ((force_N / model_->vehicle().mass_kg).array().square() + sensor * sensor).sqrt();
 }
 
 void Estimator::SmoothRotorRates(const Interval& interval, std::int64_t id) {
@@ -884,7 +900,11 @@ void Estimator::MarginalizeOld() {
   auto& keyframes = window_.keyframes();
   while (keyframes.size() > 2 && ToSeconds(keyframes.back().stamp - keyframes.front().stamp) >=
                                      options_.window_s - 1.5 / options_.keyframe_rate_hz) {
-    const double dt = ObserveLeaving(keyframes.front());
+    double dt = 0.0;
+    for (const Factor& factor : keyframes.front().factors) {
+      if (factor.kind == FactorKind::kDynamics)
+        dt = static_cast<const DynamicsFactor&>(*factor.cost).measurement().dt;
+    }
     solver_->MarginalizeOldest(&window_, sigma_eta_, &leaving_);
     LetVary(dt > 0.0 ? dt : 1.0 / options_.keyframe_rate_hz);
     if (dt == 0.0) continue;
@@ -906,37 +926,67 @@ void Estimator::LetVary(double dt) {
   }
 }
 
-double Estimator::ObserveLeaving(const Keyframe& keyframe) {
-  for (const Factor& factor : keyframe.factors) {
-    if (factor.kind != FactorKind::kDynamics) continue;
-    const auto& cost = static_cast<const DynamicsFactor&>(*factor.cost);
-    Eigen::Matrix<double, kNumDynamicsRows, 1> e;
-    const double dt = cost.measurement().dt;
-    if (!cost.UnwhitenedResidual(window_.Blocks(factor, false).data(), &e)) return dt;
-    const DynamicsNoise& noise = cost.noise();
-    IntervalResidual residual;
-    residual.dt = dt;
-    residual.force_N = e.segment<3>(kRowVelocity) / dt;
-    residual.torque_Nm = noise.nominal_inertia.cwiseProduct(e.segment<3>(kRowAngular)) / dt;
-    residual.rotor_force_N.z() = noise.rotor_force_N;
-    residual.rotor_torque_Nm = noise.rotor_torque_Nm;
-    const auto change = process_noise_.Add(residual, with_torque_);
-    if (change) RescalePast(change->force, change->torque);
-    return dt;
+void Estimator::FollowNoise() {
+  const auto& keyframes = window_.keyframes();
+  const double settled_s =
+      std::min(options_.window_s, kSettled_s) - 1.5 / options_.keyframe_rate_hz;
+  const Stamp until = keyframes.back().stamp - FromSeconds(settled_s);
+  for (std::int64_t id = std::max(noise_seen_ + 1, keyframes.front().id);
+       id < keyframes.back().id && window_.keyframe(id).stamp <= until; ++id) {
+    noise_seen_ = id;
+    for (const Factor& factor : window_.keyframe(id).factors) {
+      if (factor.kind != FactorKind::kDynamics) continue;
+      const auto& cost = static_cast<const DynamicsFactor&>(*factor.cost);
+      Eigen::Matrix<double, kNumDynamicsRows, 1> e;
+      if (!cost.UnwhitenedResidual(window_.Blocks(factor, false).data(), &e)) continue;
+      const DynamicsNoise& noise = cost.noise();
+      IntervalResidual residual;
+      residual.dt = cost.measurement().dt;
+      residual.force_N = e.segment<3>(kRowVelocity) / residual.dt;
+      residual.torque_Nm =
+          noise.nominal_inertia.cwiseProduct(e.segment<3>(kRowAngular)) / residual.dt;
+      residual.rotor_force_N.z() = noise.rotor_force_N;
+      residual.rotor_torque_Nm = noise.rotor_torque_Nm;
+      process_noise_.Add(residual, with_torque_);
+    }
   }
-  return 0.0;
 }
 
-void Estimator::RescalePast(double force, double torque) {
-  // Each parameter by what has informed it: the force rows, the torque rows, or both.
-  const double log_force = std::log(force), log_torque = std::log(torque);
+void Estimator::SetModelNoise(const ProcessNoiseEstimator& noise, Keyframe* keyframe) {
+  for (Factor& factor : keyframe->factors) {
+    if (factor.kind == FactorKind::kDynamics) {
+      auto& dynamics = static_cast<DynamicsFactor&>(*factor.cost);
+      const double dt = dynamics.measurement().dt;
+      dynamics.SetModelNoise(noise.ForceSigma(dt), noise.TorqueSigma(dt));
+    } else if (factor.kind == FactorKind::kAccelerometer) {
+      auto& accelerometer = static_cast<AccelerometerFactor&>(*factor.cost);
+      accelerometer.SetSigma(AccelerometerSigma(noise.ForceSigma(accelerometer.measurement().dt)));
+    }
+  }
+}
+
+// One size of what is not modelled holds for the window and for what left it.
+void Estimator::RescaleNoise() {
+  const ProcessNoiseEstimator before = process_noise_;
+  const auto change = process_noise_.Step();
+  if (!change) return;
+  // The past: each parameter by what has informed it, force rows, torque rows, or both.
+  force_information_ *= change->force;
+  torque_information_ *= change->torque;
+  const double log_force = std::log(change->force), log_torque = std::log(change->torque);
   ParameterVector scale(force_information_.size());
   for (int i = 0; i < scale.size(); ++i) {
     const double total = std::max(force_information_[i] + torque_information_[i], 1e-300);
     const double share = force_information_[i] / total;
     scale[i] = std::exp(share * log_force + (1.0 - share) * log_torque);
   }
-  consistency_.Rescale(solver_->ScalePast(scale, &window_));
+  const auto weigh = [this](Keyframe* keyframe) {
+    SetModelNoise(process_noise_, keyframe);
+    for (Factor& factor : keyframe->factors) ++factor.revision;
+    noise_step_->reached = std::min(keyframe->id, noise_step_->newest);
+  };
+  noise_step_ = {before, window_.keyframes().back().id, -1};
+  consistency_.Rescale(solver_->Reweigh(scale, weigh, &window_));
 }
 
 ParameterSet Estimator::ToParameterSet(const DynamicModel& model, const Snapshot& snapshot) {

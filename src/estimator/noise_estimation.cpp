@@ -18,6 +18,7 @@ constexpr double kYawAxisShape = 2.0;
 constexpr double kStartLevel = 100.0;
 constexpr double kStartCounts_s = 0.25;  // flight time the start level counts for
 constexpr double kStartFades_s = 0.5;
+constexpr double kStep = 1.2;   // of a level before the one in use follows: a tenth in sigma
 constexpr int kLookEvery = 25;  // samples between two medians
 constexpr int kEnoughDifferences = 20;
 
@@ -95,26 +96,21 @@ ProcessNoiseEstimator::ProcessNoiseEstimator(double weight_N, double arm_m, doub
   const double torque = floor_scale * 9.4e-5 * weight_N * arm_m;
   // Thrust carries most of what a model lacks, and yaw is what rotors accelerating spoil.
   floor_ << force, force, kThrustAxisShape * force, torque, torque, kYawAxisShape * torque;
+  in_use_ = Seen();
 }
 
-double ProcessNoiseEstimator::ForceScale() const {
-  return std::sqrt(std::max(1.0, WithStart(force_level_)));
+ProcessNoiseEstimator::Levels ProcessNoiseEstimator::Seen() const {
+  return {std::max(1.0, WithStart(force_level_)), std::max(1.0, WithStart(torque_level_))};
 }
 
-double ProcessNoiseEstimator::TorqueScale() const {
-  return std::sqrt(std::max(1.0, WithStart(torque_level_)));
-}
-
-std::optional<ProcessNoiseEstimator::Change> ProcessNoiseEstimator::Add(
-    const IntervalResidual& residual, bool with_torque) {
+void ProcessNoiseEstimator::Add(const IntervalResidual& residual, bool with_torque) {
   const double dt = residual.dt;
   sum_.head<3>() += dt * residual.force_N;
   sum_.tail<3>() += dt * residual.torque_Nm;
   rotor_variance_.head<3>() += (dt * residual.rotor_force_N).cwiseAbs2();
   rotor_variance_.tail<3>() += (dt * residual.rotor_torque_Nm).cwiseAbs2();
   block_s_ += dt;
-  if (block_s_ < kBlock_s) return std::nullopt;
-  const double force_before = ForceScale(), torque_before = TorqueScale();
+  if (block_s_ < kBlock_s) return;
   flown_s_ += block_s_;
   seen_s_ = std::min(kMemory_s, seen_s_ + block_s_);
   const double gain = block_s_ / seen_s_;
@@ -130,8 +126,19 @@ std::optional<ProcessNoiseEstimator::Change> ProcessNoiseEstimator::Add(
   sum_.setZero();
   rotor_variance_.setZero();
   block_s_ = 0.0;
-  const double force = force_before / ForceScale(), torque = torque_before / TorqueScale();
-  return Change{force * force, torque * torque};
+}
+
+std::optional<ProcessNoiseEstimator::Change> ProcessNoiseEstimator::Step() {
+  if (seen_s_ == 0.0) return std::nullopt;
+  const Levels seen = Seen();
+  const Change change{in_use_.force / seen.force, in_use_.torque / seen.torque};
+  // What three axes of so many blocks may be off by chance is no step.
+  const double chance = std::sqrt(2.0 * kBlock_s / (3.0 * seen_s_));
+  const double least = std::max(std::log(kStep), 2.0 * chance);
+  const auto is_step = [&](double ratio) { return std::abs(std::log(ratio)) > least; };
+  if (!is_step(change.force) && !is_step(change.torque)) return std::nullopt;
+  in_use_ = seen;
+  return change;
 }
 
 double ProcessNoiseEstimator::WithStart(double level) const {
@@ -140,11 +147,11 @@ double ProcessNoiseEstimator::WithStart(double level) const {
 }
 
 Eigen::Vector3d ProcessNoiseEstimator::ForceSigma(double dt) const {
-  return ForceScale() / std::sqrt(dt) * floor_.head<3>();
+  return std::sqrt(in_use_.force / dt) * floor_.head<3>();
 }
 
 Eigen::Vector3d ProcessNoiseEstimator::TorqueSigma(double dt) const {
-  return TorqueScale() / std::sqrt(dt) * floor_.tail<3>();
+  return std::sqrt(in_use_.torque / dt) * floor_.tail<3>();
 }
 
 }  // namespace odmc

@@ -35,6 +35,15 @@ const Eigen::MatrixXd& BatchWindowSolver::ScalePast(const Eigen::Ref<const Eigen
   return root_;
 }
 
+const Eigen::MatrixXd& BatchWindowSolver::Reweigh(const Eigen::Ref<const Eigen::VectorXd>& scale,
+                                                  std::function<void(Keyframe*)> weigh,
+                                                  Window* window) {
+  for (Keyframe& keyframe : window->keyframes()) weigh(&keyframe);
+  root_ = RescalePrior(scale, window);
+  information_.Forget();
+  return root_;
+}
+
 void BatchWindowSolver::DiffusePast(int index, double variance, Window* window) {
   DiffusePrior(index, variance, &window->prior());
   information_.Forget();  // what it keeps does not know of the variation

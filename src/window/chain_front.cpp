@@ -12,6 +12,9 @@ namespace {
 
 constexpr int kState = kStateTangentSize;
 constexpr int kBiasSize = 6;
+/// What corrections found at a leaving front moves what is past by no more, in any direction
+/// [sigmas]: a young past knows some directions hardly at all.
+constexpr double kMostLeft = 1.0;
 
 /// rhs -= J x for a row-major J (rows×columns).
 void SubtractProduct(const double* J, int rows, int columns, const double* x, double* rhs,
@@ -348,6 +351,28 @@ void ChainFront::LinearResidual(const Window& window, const Factor& factor, cons
   }
 }
 
+bool ChainFront::FollowWeights(const Window& window, const ChainFront& next, double most) {
+  const std::vector<Factor>& factors = window.keyframe(id).factors;
+  std::array<double, kState> own_offset, next_offset;
+  Offset(window, own_offset.data());
+  next.Offset(window, next_offset.data());
+  bool moved = false;
+  for (size_t k = 0; k < kept_.size(); ++k) {
+    KeptFactor& kept = kept_[k];
+    if (factors[k].loss == nullptr || !kept.sound || kept.revision != factors[k].revision) continue;
+    std::array<double, kMostFactorRows> r;
+    LinearResidual(window, factors[k], kept, own_offset.data(), next_offset.data(), r.data());
+    double squares = 0.0, rho[3];
+    for (int i = 0; i < kept.rows; ++i) squares += r[i] * r[i];
+    factors[k].loss->Evaluate(squares / (kept.weight * kept.weight), rho);
+    const double ratio = std::sqrt(rho[1]) / kept.weight;
+    if (ratio < most && ratio * most > 1.0) continue;
+    kept.revision = -1;
+    moved = true;
+  }
+  return moved;
+}
+
 void ChainFront::Correct(const Window& window, ChainFront* next, FrontScratch* scratch,
                          double* found) {
   const std::vector<Factor>& factors = window.keyframe(id).factors;
@@ -483,36 +508,6 @@ bool ChainFront::CorrectFactor(const Window& window, size_t k, const double* own
   return true;
 }
 
-void ChainFront::AddParameterGradient(const Window& window, const ChainFront& next, double sign,
-                                      double* g) const {
-  const std::vector<Factor>& factors = window.keyframe(id).factors;
-  std::array<double, kState> own_offset, next_offset;
-  // As they were eliminated, wherever their points are now.
-  const auto offset = [&](const ChainFront& front, const auto& at, int version, auto* d) {
-    if (front.delta_version == version) {
-      *d = front.delta;
-    } else {
-      StateManifold().Minus(window.keyframe(front.id).x.data(), at.data(), d->data());
-    }
-  };
-  offset(*this, conditional_point, conditional_version, &own_offset);
-  offset(next, next_point, next_version, &next_offset);
-  std::array<double, kMostFactorRows> r;
-  for (size_t k = 0; k < kept_.size(); ++k) {
-    const KeptFactor& kept = kept_[k];
-    if (!factors[k].parameters || !kept.sound) continue;
-    LinearResidual(window, factors[k], kept, own_offset.data(), next_offset.data(), r.data());
-    const RowBlock& block = kept.in_pair ? pair : own;
-    const int at = (kept.in_pair ? border() : kState) + BorderColumns::kParameters;
-    for (int i = 0; i < kept.rows; ++i) {
-      const double* row = block.row(kept.row + i) + at;
-      for (int j = 0; j < n_; ++j) g[j] += sign * r[i] * row[j];
-    }
-    const double* more = corrected.row(static_cast<int>(k)) + border() + BorderColumns::kParameters;
-    for (int j = 0; j < n_; ++j) g[j] += sign * more[j];
-  }
-}
-
 void ChainFront::LeaveTo(RootTriangle* past, FrontScratch* scratch) const {
   RowBlock& rows = scratch->own;
   if (rest.count > 0) {
@@ -523,7 +518,7 @@ void ChainFront::LeaveTo(RootTriangle* past, FrontScratch* scratch) const {
   if (rest.count > rest_before) {
     past->Absorb(rows.row(rest_before), rest.stride, rest.count - rest_before);
   }
-  past->AddGradient(rest_gradient);
+  past->AddGradient(rest_gradient, kMostLeft);
 }
 
 }  // namespace odmc

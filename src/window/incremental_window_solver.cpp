@@ -13,19 +13,20 @@ namespace odmc {
 namespace {
 
 constexpr int kState = kStateTangentSize;
-constexpr double kFirstCurvature = 3.0;    // error in tolerances at a distance of one sigma
-constexpr double kLeastCurvature = 0.05;   // a new manoeuvre may bring more than the last sweep saw
-constexpr double kCurvatureMemory = 0.85;  // from one sweep to the next
-constexpr double kAllowedError = 0.5;      // of a tolerance, before it hurries
-constexpr double kWorthwhile = 0.2;        // of a tolerance, before a sweep is
-constexpr double kSettled = 0.05;          // where further iterations were asked for [sigmas]
-constexpr double kFirstBend = 0.3;         // error [sigmas] of fronts evaluated a sigma away
+constexpr double kFirstCurvature = 3.0;   // error in tolerances at a distance of one sigma
+constexpr double kLeastCurvature = 0.05;  // a new manoeuvre may bring more than the last sweep saw
+constexpr double kCurvatureMemory = 0.6;  // from one sweep to the next
+constexpr double kAllowedError = 0.5;     // of a tolerance, before it hurries
+constexpr double kWorthwhile = 0.2;       // of a tolerance, before a sweep is
+constexpr double kSettled = 0.05;         // where further iterations were asked for [sigmas]
+constexpr double kFirstBend = 0.3;        // error [sigmas] of fronts evaluated a sigma away
 constexpr double kBendMemory = 0.7;
 constexpr size_t kSoonInTurn = 5;         // updates: short windows need no more than their turn
+constexpr double kWeightMoved = 1.1;      // of a recent factor: root of the robust loss' slope
 constexpr double kHopeless = 0.3;         // to be corrected [sigmas]
 constexpr double kLeastDistance = 0.01;   // to learn it from [sigmas]
 constexpr double kBiasThreshold = 0.05;   // of biases for wildfire [rad/s, m/s²]
-constexpr double kIntolerable = 1.0;      // before it takes all the time there is
+constexpr double kIntolerable = 0.8;      // before it takes all the time there is
 constexpr int kFaster = 4;                // sweep where errors are not allowed
 constexpr int kMostHurriedSweeps = 4;     // in one update
 constexpr int kAlignmentIterations = 10;  // of the batch solve
@@ -62,7 +63,7 @@ void IncrementalWindowSolver::Forget() {
   incremental_ = false;
   fronts_.clear();
   checkpoints_.clear();
-  sweep_.active = sweep_.wanted = sweep_.urgent = false;
+  sweep_.active = sweep_.wanted = sweep_.urgent = sweep_.reweighs = false;
   segments_.clear();
   have_root_ = false;
   curvature_ = kFirstCurvature;
@@ -105,7 +106,10 @@ void IncrementalWindowSolver::ReadPrior(const Window& window) {
 }
 
 void IncrementalWindowSolver::WritePrior(Window* window) {
-  if (!incremental_) return;
+  if (incremental_) WritePrior(sweep_.reweighs ? sweep_.past : past_, window);
+}
+
+void IncrementalWindowSolver::WritePrior(const RootTriangle& past, Window* window) const {
   const int n = window->layout().num_estimated();
   Prior& prior = window->prior();
   prior = Prior();
@@ -123,8 +127,8 @@ void IncrementalWindowSolver::WritePrior(Window* window) {
   const auto put_border = [&](const double* border) {
     for (int j = 0; j < prior.bias_columns(); ++j) prior.A(row, first_bias + j) = border[j];
     for (int j = 0; j < n; ++j) prior.A(row, first + j) = border[BorderColumns::kParameters + j];
-    prior.b[row] = border[past_.columns().rhs()] + prior.A.row(row).tail(n).dot(prior.eta_lin) +
-                   border[past_.columns().anchor()] * window->anchor();
+    prior.b[row] = border[past.columns().rhs()] + prior.A.row(row).tail(n).dot(prior.eta_lin) +
+                   border[past.columns().anchor()] * window->anchor();
     for (int j = 0; j < prior.bias_columns(); ++j) {
       prior.b[row] += border[j] * window->bias(bias).x[static_cast<size_t>(j)];
     }
@@ -144,9 +148,9 @@ void IncrementalWindowSolver::WritePrior(Window* window) {
     Bias& in_prior = window->bias(bias);
     in_prior.in_prior = true;
     in_prior.x_lin = in_prior.x;
-    for (int i = 0; i < 6; ++i) put_border(past_.row(i));
+    for (int i = 0; i < 6; ++i) put_border(past.row(i));
   }
-  for (int i = 0; i < n; ++i) put_border(past_.row(BorderColumns::kParameters + i));
+  for (int i = 0; i < n; ++i) put_border(past.row(BorderColumns::kParameters + i));
 }
 
 /// Makes the chain from the window as it stands.
@@ -179,12 +183,13 @@ bool IncrementalWindowSolver::Build(Window* window) {
     return true;
   }
   in_use_at_ = window->eta();
-  return SweepAll(*window);
+  return SweepAll(window);
 }
 
 SolveReport IncrementalWindowSolver::Align(Window* window, const SolverOptions& options) {
   ApplyPending();
-  if (Follows(*window)) WritePrior(window);
+  FinishReweighing(window);
+  if (Follows(*window)) WritePrior(past_, window);
   Forget();
   SolverOptions thorough = options;
   thorough.max_iterations = std::max(options.max_iterations, kAlignmentIterations);
@@ -280,6 +285,11 @@ bool IncrementalWindowSolver::RedoMovedRecent(Window* window) {
   // With the factors to the state before.
   const std::int64_t moved = MovePoints(*window, oldest + 1);
   if (moved >= 0) from = std::min(from, moved - 1);
+  for (std::int64_t id = oldest; id < std::min(from, newest); ++id) {
+    if (!front(id).FollowWeights(*window, front(id + 1), kWeightMoved)) continue;
+    from = id;
+    break;
+  }
   if (Distance(*window, recent_at_) > options_.relinearise_recent) from = std::min(from, oldest);
   if (from > newest) return true;
   if (from <= oldest) recent_at_ = window->eta();
@@ -296,21 +306,19 @@ void IncrementalWindowSolver::StartSweep(const Window& window) {
   sweep_.root = past_;
   sweep_.root.AbsorbPriors(window.parameter_centre(), window.parameter_sigma());
   sweep_.begun_at = window.eta();
-  sweep_.gradient.assign(static_cast<size_t>(past_.columns().pivots()), 0.0);
 }
 
 /// Eliminates the sweep's next front.
-bool IncrementalWindowSolver::SweepOne(const Window& window) {
+bool IncrementalWindowSolver::SweepOne(Window* changed) {
+  const Window& window = *changed;
+  if (sweep_.reweighs) sweep_.weigh(&changed->keyframe(sweep_.next));
   ++report_.eliminated;
   ChainFront& f = front(sweep_.next);
   ChainFront& next = front(sweep_.next + 1);
-  double* const g = sweep_.gradient.data() + BorderColumns::kParameters;
-  if (have_root_) f.AddParameterGradient(window, next, -1.0, g);
   if (HasMoved(window, next)) next.MovePoint(window);
   const bool sound = f.Linearise(window, &next, point_, point_version_, false, &scratch_);
   f.AbsorbOwn(&sweep_triangle_, &sweep_.root, &scratch_);
   f.Eliminate(sweep_triangle_, &sweep_.root, &next, &scratch_);
-  if (have_root_) f.AddParameterGradient(window, next, 1.0, g);
   ++sweep_.next;
   const std::int64_t passed = (sweep_.next - segments_.front().first) / options_.segment_keyframes;
   Segment& segment = segments_[static_cast<size_t>(std::max<std::int64_t>(passed - 1, 0))];
@@ -323,6 +331,14 @@ int IncrementalWindowSolver::SweepSize() const {
   return std::max(options_.sweep_keyframes, share);
 }
 
+/// What the sweep has not weighed anew yet.
+void IncrementalWindowSolver::FinishReweighing(Window* window) {
+  if (!sweep_.reweighs) return;
+  for (Keyframe& keyframe : window->keyframes()) {
+    if (keyframe.id >= sweep_.next) sweep_.weigh(&keyframe);
+  }
+}
+
 /// Brings parameters' point of linearization to the present estimate.
 void IncrementalWindowSolver::MoveParameterPoint(const Window& window) {
   if (point_.size() == window.eta().size() &&
@@ -333,24 +349,20 @@ void IncrementalWindowSolver::MoveParameterPoint(const Window& window) {
   ++point_version_;
 }
 
-/// What the sweep has found at the fronts it passed, the chain in use takes as a correction.
-void IncrementalWindowSolver::TellChainInUse() {
-  if (!have_root_) return;
-  for (Checkpoint& checkpoint : checkpoints_) checkpoint.root.AddGradient(sweep_.gradient);
-  root_.AddGradient(sweep_.gradient);
-  std::fill(sweep_.gradient.begin(), sweep_.gradient.end(), 0.0);
-}
-
-bool IncrementalWindowSolver::Sweep(const Window& window, int budget) {
+bool IncrementalWindowSolver::Sweep(Window* changed, int budget) {
+  const Window& window = *changed;
+  CorrectBeforeSweep(window, sweep_.next + budget);
   bool sound = true;
   MoveParameterPoint(window);
   for (int i = 0; i < budget && sweep_.active; ++i) {
-    if (sweep_.next < OldestRecent()) sound = SweepOne(window) && sound;
+    if (sweep_.next < OldestRecent()) sound = SweepOne(changed) && sound;
     if (sweep_.next < OldestRecent()) continue;
     // It has caught up: the rest at once, from here on it is the chain in use.
-    TellChainInUse();
-    const bool known = have_root_ && SolutionOf(window, &before_);
-    sweep_.active = sweep_.urgent = false;
+    FinishReweighing(changed);
+    const bool known =
+        have_root_ && !sweep_.urgent && !sweep_.reweighs && SolutionOf(window, &before_);
+    sweep_.has_reweighed = sweep_.reweighs;
+    sweep_.active = sweep_.urgent = sweep_.reweighs = false;
     checkpoints_.clear();
     Checkpoint& checkpoint = checkpoints_.Append();
     checkpoint.id = sweep_.next;
@@ -362,7 +374,6 @@ bool IncrementalWindowSolver::Sweep(const Window& window, int budget) {
     if (known && SolutionOf(window, &after_)) LearnCurvature();
     in_use_at_ = sweep_.begun_at;
   }
-  if (sweep_.active) TellChainInUse();
   return sound;
 }
 
@@ -371,13 +382,15 @@ bool IncrementalWindowSolver::Sweep(const Window& window, int budget) {
 /// Evaluates a segment's older fronts at the present estimate; the roots take what that changes.
 void IncrementalWindowSolver::CorrectSegment(const Window& window, Segment* segment) {
   std::fill(found_.begin(), found_.end(), 0.0);
-  const std::int64_t oldest = std::max(segment->first, fronts_.front().id);
+  std::int64_t oldest = std::max(segment->first, fronts_.front().id);
+  // Fronts that have weights which the chain in use does not have wait until it does.
+  if (sweep_.reweighs) oldest = std::max(oldest, sweep_.next);
   const std::int64_t recent = checkpoints_.front().id;
   const std::int64_t end = std::min(segment->first + options_.segment_keyframes, recent);
   segment->expected = 0.0;
   segment->turn = ++turn_;
-  if (end <= oldest) {  // all are recent
-    segment->at = window.eta();
+  if (end <= oldest) {  // all are recent, or have just been swept
+    if (segment->first >= recent) segment->at = window.eta();
     return;
   }
   for (std::int64_t id = oldest; id < end; ++id) {
@@ -390,6 +403,19 @@ void IncrementalWindowSolver::CorrectSegment(const Window& window, Segment* segm
     segment->bend = std::max(change / distance, kBendMemory * segment->bend);
   }
   segment->at = window.eta();
+}
+
+/// Brings the gradients of the fronts that the sweep is about to take up to date: the chain in use
+/// goes on with these until the sweep is through.
+void IncrementalWindowSolver::CorrectBeforeSweep(const Window& window, std::int64_t end) {
+  if (!sweep_.active || !have_root_ || checkpoints_.empty()) return;
+  const bool is_last = end >= OldestRecent();
+  if (is_last || sweep_.urgent) return;
+  std::fill(found_.begin(), found_.end(), 0.0);
+  for (std::int64_t id = sweep_.next; id < end; ++id) {
+    front(id).Correct(window, &front(id + 1), &scratch_, found_.data());
+  }
+  GiveFoundToRoots(window, end);
 }
 
 /// A root takes what was found at fronts before its next one. What went with the message to that
@@ -467,9 +493,8 @@ bool IncrementalWindowSolver::Correct(Window* window, const InTime& in_time) {
     if (!SolveRoot(window)) return false;
     const double expected = ExpectErrors(*window);
     if (expected < options_.allowed_lag || chosen == nullptr || !in_time()) return true;
-    if (segments_.size() <= kSoonInTurn * static_cast<size_t>(options_.corrected_segments)) {
-      return true;
-    }
+    const size_t in_turn = kSoonInTurn * static_cast<size_t>(options_.corrected_segments);
+    if (segments_.size() <= in_turn && !sweep_.has_reweighed) return true;
     if (expected > std::max(expected_before, kHopeless)) {
       sweep_.urgent = true;  // by Jacobians this old it might not converge
       return true;
@@ -494,6 +519,9 @@ void IncrementalWindowSolver::LearnCurvature() {
   if (distance < 0.1) return;  // nothing to learn from
   const double sigmas = (before_.sigma.cwiseQuotient(sigma).array() - 1.0).abs().maxCoeff();
   const double measured = sigmas / options_.sigma_tolerance;
+  if (getenv("DBGC"))
+    printf("learn distance %.3f sigmas %.4f measured %.3f was %.3f\n", distance, sigmas,
+           measured / Bend(distance), curvature_);
   curvature_ =
       std::max({measured / Bend(distance), kCurvatureMemory * curvature_, kLeastCurvature});
 }
@@ -505,8 +533,8 @@ bool IncrementalWindowSolver::MayCost(double error, const Window& window) const 
                          options_.relinearise_share);
 }
 
-bool IncrementalWindowSolver::SweepAll(const Window& window) {
-  StartSweep(window);
+bool IncrementalWindowSolver::SweepAll(Window* window) {
+  StartSweep(*window);
   return Sweep(window, static_cast<int>(fronts_.size()) + 1);
 }
 
@@ -633,7 +661,7 @@ bool IncrementalWindowSolver::CatchUp(Window* window) {
     for (std::int64_t id = oldest; id <= newest; ++id) AppendFront(*window, id);
     window->TakeTouched();
     curvature_ = kFirstCurvature;
-    return SweepAll(*window);
+    return SweepAll(window);
   }
   bool sound = RedoMovedRecent(window);
   while (fronts_.back().id < newest) {
@@ -650,6 +678,7 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   };
   report_ = SolveReport();
+  sweep_.has_reweighed = false;
   if (options.align || window->keyframes().empty()) return Align(window, options);
   ApplyPending();
   MoveParameterPoint(*window);
@@ -657,14 +686,15 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
   const ParameterVector eta = window->eta();
   bool sound = CatchUp(window);
   if (sound && sweep_.active) {
-    const int faster = MayCost(kAllowedError, *window) ? kFaster : 1;
-    sound = Sweep(*window, faster * SweepSize());
+    const int faster = MayCost(kAllowedError, *window) ? kFaster : sweep_.reweighs ? 2 : 1;
+    sound = Sweep(window, faster * SweepSize());
   }
   report_.iterations = 1;
   const auto refuse = [&] {
     window->eta() = eta;
     window->MoveAnchor();
-    if (followed) WritePrior(window);
+    FinishReweighing(window);
+    if (followed) WritePrior(past_, window);
     Forget();
     report_.message = "a factor cannot be evaluated at the present estimate";
     return report_;
@@ -681,15 +711,20 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
     if (!SolveRoot(window)) return Align(window, options);
     BackSubstitute(window, false);
   }
+  const bool had_reweighed = sweep_.has_reweighed;
   // Where old linearizations may cost too much, one sweep after the other, as far as time allows.
   for (int i = 0; MayCost(kIntolerable, *window) && in_time(); ++i) {
     if (i == kMostHurriedSweeps) return Align(window, options);  // steps want damping
     if (!sweep_.active) StartSweep(*window);
     while (sound && sweep_.active && in_time()) {
-      sound = Sweep(*window, SweepSize());
+      sound = Sweep(window, SweepSize());
     }
     if (!sound) return refuse();
     if (!SolveRoot(window)) return Align(window, options);
+    BackSubstitute(window, false);
+  }
+  if (sweep_.has_reweighed && !had_reweighed) {
+    if (!Correct(window, in_time)) return Align(window, options);
     BackSubstitute(window, false);
   }
   for (; report_.iterations < options.max_iterations; ++report_.iterations) {
@@ -698,7 +733,7 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
     const bool moved =
         ParametersMoved(*window, sweep_.begun_at, kSettled, options_.relinearise_share);
     if (!moved && MovePoints(*window, fronts_.front().id + 1) < 0) break;
-    if (!SweepAll(*window)) return refuse();
+    if (!SweepAll(window)) return refuse();
     if (!SolveRoot(window)) return Align(window, options);
   }
   report_.usable = report_.improved = true;
@@ -708,6 +743,7 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
     StartSweep(*window);
   }
   report_.sweeping = sweep_.active;
+  report_.reweighing = sweep_.reweighs;
   report_.converged = !sweep_.active;
   return report_;
 }
@@ -757,9 +793,10 @@ bool IncrementalWindowSolver::MarginalizeOldest(Window* window, const Eigen::Vec
   if (!Follows(*window)) return batch_.MarginalizeOldest(window, relinearize, leaving);
   bool sound = true;
   if (fronts_.size() < window->keyframes().size()) sound = CatchUp(window);
+  if (sweep_.reweighs) sound = Sweep(window, static_cast<int>(fronts_.size()) + 1) && sound;
   // The sweep stays ahead of what leaves.
   while (sweep_.active && sweep_.next == fronts_.front().id && fronts_.size() > 1) {
-    sound = Sweep(*window, 1) && sound;
+    sound = Sweep(window, 1) && sound;
   }
   if (fronts_.front().waits && fronts_.size() > 1 && !checkpoints_.empty()) {
     std::fill(found_.begin(), found_.end(), 0.0);
@@ -775,7 +812,7 @@ bool IncrementalWindowSolver::MarginalizeOldest(Window* window, const Eigen::Vec
     past_.DropBias();
     have_root_ = false;
     checkpoints_.clear();
-    sweep_.active = sweep_.wanted = sweep_.urgent = false;
+    sweep_.active = sweep_.wanted = sweep_.urgent = sweep_.reweighs = false;
   }
   if (has_bias && (last || oldest.bias_leaves)) window->biases().pop_front();
   window->DropOldestKeyframe();
@@ -870,6 +907,21 @@ void IncrementalWindowSolver::ApplyPending() {
   if (sweep_.active) positive = sweep_.root.AddNormal(pending_, &workspace_) && positive;
   pending_.setZero();
   if (!positive) sweep_.wanted = true;  // rounding: the sweep starts from the past itself
+}
+
+const Eigen::MatrixXd& IncrementalWindowSolver::Reweigh(
+    const Eigen::Ref<const Eigen::VectorXd>& scale, std::function<void(Keyframe*)> weigh,
+    Window* window) {
+  if (!Follows(*window)) return batch_.Reweigh(scale, std::move(weigh), window);
+  // The chain in use keeps the old weights, all of them, until a sweep is through.
+  sweep_.past = past_;
+  past_.ScaleParameters(scale, &workspace_, &scale_root_);
+  if (!fronts_.empty()) {
+    StartSweep(*window);
+    sweep_.reweighs = true;
+    sweep_.weigh = std::move(weigh);
+  }
+  return scale_root_;
 }
 
 const Eigen::MatrixXd& IncrementalWindowSolver::ScalePast(

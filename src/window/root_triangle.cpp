@@ -13,24 +13,26 @@ namespace {
 // The anchored parameter hardly depends on the anchor; where it does, one step at a time.
 constexpr double kMostFeedback = 0.5;
 
-/// Eigenvectors of a symmetric matrix by Jacobi rotations: Eigen's solver allocates.
-/// @param matrix becomes diagonal
-void Eigenvectors(Eigen::MatrixXd* matrix, Eigen::MatrixXd* vectors) {
-  Eigen::MatrixXd& M = *matrix;
-  const Eigen::Index n = M.rows();
-  vectors->setIdentity(n, n);
+/// Right singular vectors of W by one-sided Jacobi rotations: Eigen's solvers allocate, and WᵀW
+/// loses what is weak beside what is strong.
+/// @param W n×n, becomes W V: columns are left singular vectors times singular values
+void RotateColumns(Eigen::MatrixXd* W, Eigen::MatrixXd* V) {
   constexpr int kMostSweeps = 12;
+  constexpr double kOrthogonal = 1e-14;
+  const Eigen::Index n = W->cols();
+  V->setIdentity(n, n);
   for (int sweep = 0; sweep < kMostSweeps; ++sweep) {
     bool turned = false;
     for (Eigen::Index i = 0; i < n; ++i) {
       for (Eigen::Index j = i + 1; j < n; ++j) {
-        if (std::abs(M(i, j)) <= 1e-15 * std::sqrt(std::abs(M(i, i) * M(j, j)))) continue;
+        const double ii = W->col(i).squaredNorm(), jj = W->col(j).squaredNorm();
+        const double ij = W->col(i).dot(W->col(j));
+        if (std::abs(ij) <= kOrthogonal * std::sqrt(ii * jj)) continue;
         turned = true;
         Eigen::JacobiRotation<double> rotation;
-        rotation.makeJacobi(M, i, j);
-        M.applyOnTheLeft(i, j, rotation.adjoint());
-        M.applyOnTheRight(i, j, rotation);
-        vectors->applyOnTheRight(i, j, rotation);
+        rotation.makeJacobi(ii, ij, jj);
+        W->applyOnTheRight(i, j, rotation);
+        V->applyOnTheRight(i, j, rotation);
       }
     }
     if (!turned) return;
@@ -68,7 +70,7 @@ void RootTriangle::AbsorbPriors(const Eigen::VectorXd& centre, const Eigen::Vect
   Absorb(scratch_.data(), stride_, columns_.n);
 }
 
-double RootTriangle::AddGradient(const std::vector<double>& gradient) {
+double RootTriangle::AddGradient(const std::vector<double>& gradient, double most_sigmas) {
   const int pivots = columns_.pivots();
   double* g = scratch_.data();
   std::copy_n(gradient.begin(), pivots, g);
@@ -76,7 +78,7 @@ double RootTriangle::AddGradient(const std::vector<double>& gradient) {
   for (int i = 0; i < pivots; ++i) {
     double* r = row(i);
     if (g[i] == 0.0 || std::abs(r[i]) < kLeastPivot) continue;
-    const double y = g[i] / r[i];
+    const double y = std::clamp(g[i] / r[i], -most_sigmas, most_sigmas);
     r[columns_.rhs()] += y;
     squares += y * y;
     for (int j = i + 1; j < pivots; ++j) g[j] -= y * r[j];
@@ -170,32 +172,21 @@ void RootTriangle::ScaleParameters(const Eigen::Ref<const Eigen::VectorXd>& scal
                                    Eigen::MatrixXd* root) {
   const int n = columns_.n;
   GetParameterRows(&w->A, &w->B);
-  w->information.resize(n, n);
-  w->information.noalias() = w->A.transpose() * w->A;
-  Eigenvectors(&w->information, &w->vectors);
-  const Eigen::MatrixXd& V = w->vectors;
-  DirectionScales(V, scale, &w->roots);
-  w->directions = V;
-  w->directions.array().rowwise() *= w->roots.transpose().array();
-  root->resize(n, n);
-  root->noalias() = w->directions * V.transpose();
-  w->stretched.resize(n, n);
-  w->stretched.noalias() = w->A * *root;
-  // A T x + b' = A x + b at the optimum x of each right-hand side.
-  w->solution.resize(n);
-  for (int c = 0; c < 2; ++c) {
-    for (int i = n - 1; i >= 0; --i) {
-      double sum = w->B(i, c);
-      for (int j = i + 1; j < n; ++j) sum += w->A(i, j) * w->solution[j];
-      w->solution[i] = std::abs(w->A(i, i)) < kLeastPivot ? 0.0 : -sum / w->A(i, i);
-    }
-    w->change.resize(n);
-    w->change.noalias() = w->A * w->solution;
-    w->B.col(c) += w->change;
-    w->change.noalias() = w->stretched * w->solution;
-    w->B.col(c) -= w->change;
+  w->left = w->A;
+  RotateColumns(&w->left, &w->right);
+  DirectionScales(w->right, scale, &w->roots);
+  root->setIdentity(n, n);
+  // From the left: each direction's row [A B] is longer, so that no optimum is asked for.
+  for (int i = 0; i < n; ++i) {
+    const double more = w->roots[i] - 1.0;
+    const double square = w->left.col(i).squaredNorm();
+    root->noalias() += more * w->right.col(i) * w->right.col(i).transpose();
+    w->A.noalias() += more * w->left.col(i) * w->right.col(i).transpose();
+    if (square < kLeastPivot * kLeastPivot) continue;  // nobody measured it
+    w->shares.noalias() = (more / square) * w->left.col(i).transpose() * w->B;
+    w->B.noalias() += w->left.col(i) * w->shares;
   }
-  SetParameterRows(w->stretched, w->B);
+  SetParameterRows(w->A, w->B);
 }
 
 void RootTriangle::ParameterNormal(Workspace* workspace, Eigen::MatrixXd* normal) const {

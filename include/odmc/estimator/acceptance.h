@@ -11,7 +11,7 @@ namespace odmc {
 /// When an estimate is good enough to be handed to others.
 struct AcceptanceOptions {
   double accept_relative_sigma = 0.05;  ///< largest sigma over |value| [-], > 0
-  double accept_hold_s = 1.0;          ///< how long all must hold [s], >= 0
+  double accept_hold_s = 1.0;           ///< how long all must hold [s], >= 0
 
   template <typename Visitor>
   void Visit(Visitor* v) {

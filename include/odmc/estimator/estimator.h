@@ -177,8 +177,13 @@ class Estimator {
   void LookForChange();
   void LearnAnew();
   void MarginalizeOld();
-  double ObserveLeaving(const Keyframe& keyframe);
-  void RescalePast(double force, double torque);
+  /// Looks at what the newest settled intervals leave unexplained.
+  void FollowNoise();
+  /// Weighs all that was measured anew where that has grown or shrunk.
+  void RescaleNoise();
+  /// Gives a keyframe's factors the sizes of what is not modelled.
+  void SetModelNoise(const ProcessNoiseEstimator& noise, Keyframe* keyframe);
+  Eigen::Vector3d AccelerometerSigma(const Eigen::Vector3d& force_N) const;
   void RefreshConsistency(const Eigen::MatrixXd& covariance);
 
   const DynamicModel* model_;
@@ -198,6 +203,13 @@ class Estimator {
   double rotor_scale_sigma_ = 0.0;  // of rotor speeds, mean over the flight, 0: none modelled
   RotorRateSmoother rotor_rates_;
   ProcessNoiseEstimator process_noise_;
+  std::int64_t noise_seen_ = -1;  // newest keyframe whose interval it was given
+  struct NoiseStep {
+    ProcessNoiseEstimator before;
+    std::int64_t newest = -1;   // keyframe before it
+    std::int64_t reached = -1;  // newest of those that has the new sizes by now
+  };
+  std::optional<NoiseStep> noise_step_;  // the last one
   ChangeDetector change_detector_;
   Stamp change_seen_ = 0;  // start of the newest interval it was given
   Window window_;
@@ -223,7 +235,7 @@ class Estimator {
   std::vector<Factor> pending_;  // of a bias whose first keyframe is about to come
   Stamp noise_ready_ = 0;
   bool made_progress_ = false;
-  double aligned_states_ = 0.0;  // in the window at the last alignment
+  double aligned_states_ = 0.0;         // in the window at the last alignment
   bool needs_more_iterations_ = false;  // the last solve took no step
 };
 

@@ -68,18 +68,22 @@ struct IntervalResidual {
 /// a memory of a minute), so that every second of flight weighs the same in the fit: a size that
 /// followed the flight closely would let its calm parts decide. Both are at least 1 (model.md
 /// section 9's simulated vehicle), and start well above it until the flight has shown its residual.
+/// The sizes in use follow in steps: all that was measured is weighed anew at each.
 class ProcessNoiseEstimator {
  public:
   /// @param weight_N, arm_m, scale the floor and the start value to the vehicle
   ProcessNoiseEstimator(double weight_N, double arm_m, double floor_scale);
 
   /// Takes the post-fit residual of one interval.
-  /// @returns by how much the information of forces and of torques before should be scaled, so that
-  ///   they count with the new sizes too; empty within a block
+  void Add(const IntervalResidual& residual, bool with_torque);
+
+  /// Brings the sizes in use to what the flight has shown, if they are far from it.
+  /// @returns by how much the information of all forces and torques before is to be scaled then, so
+  ///   that they count with the new sizes too
   struct Change {
     double force = 1.0, torque = 1.0;
   };
-  std::optional<Change> Add(const IntervalResidual& residual, bool with_torque);
+  std::optional<Change> Step();
 
   /// Standard deviation of the mean force over `dt` per axis [N], and of the torque [N m].
   Eigen::Vector3d ForceSigma(double dt) const;
@@ -90,12 +94,15 @@ class ProcessNoiseEstimator {
 
   /// A level, with the start level as far as it still counts.
   double WithStart(double level) const;
-  /// Present scales on the floor.
-  double ForceScale() const;
-  double TorqueScale() const;
+  struct Levels {
+    double force, torque;
+  };
+  /// By what the flight has shown.
+  Levels Seen() const;
 
   Vector6d floor_;                                 // densities [N sqrt(s)], [N m sqrt(s)]
   double force_level_ = 0.0, torque_level_ = 0.0;  // mean squares seen, in units of the floor
+  Levels in_use_;                                  // the same, at least 1
   double seen_s_ = 0.0;                            // flight time behind them
   double flown_s_ = 0.0;                           // the same, without an upper limit
   Vector6d sum_ = Vector6d::Zero(), rotor_variance_ = Vector6d::Zero();

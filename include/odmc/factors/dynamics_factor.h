@@ -101,6 +101,12 @@ class DynamicsFactor final : public ceres::CostFunction {
     noise_.rotor_rate_rad_s2 = sigma_rad_s2;
   }
 
+  /// Changes the errors that are not in the model; between solves only.
+  void SetModelNoise(const Eigen::Vector3d& force_N, const Eigen::Vector3d& torque_Nm) {
+    noise_.force_N = force_N;
+    noise_.torque_Nm = torque_Nm;
+  }
+
   /// Lets the inertia about axis `i` free for good: the flight shows it.
   void FreeInertia(int i) { measurement_.inertia_fixed[i] = false; }
 

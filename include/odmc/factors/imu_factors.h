@@ -85,6 +85,11 @@ class AccelerometerFactor final : public ceres::CostFunction {
     measurement_.rotors.speed_squared_rate = speed_squared_rate;
   }
 
+  /// Changes the standard deviation per axis [m/s²]; between solves only.
+  void SetSigma(const Eigen::Vector3d& sigma) { sigma_ = sigma; }
+
+  const DynamicsMeasurement& measurement() const { return measurement_; }
+
  private:
   DynamicsMeasurement measurement_;
   Eigen::Vector3d specific_force_I_, sigma_;

@@ -105,6 +105,11 @@ class ChainFront {
   void Eliminate(const RowBlock& triangle, RootTriangle* root, ChainFront* next,
                  FrontScratch* scratch);
 
+  /// Has factors evaluated anew whose robust weight at the present estimate, by their
+  /// linearization, differs from that of their rows by more than a factor of `most`.
+  /// @returns true if there are any
+  bool FollowWeights(const Window& window, const ChainFront& next, double most);
+
   /// Corrects gradients without a new elimination: factors with parameters are evaluated at the
   /// present estimate, with the robust weight they have there and their Jacobian by the parameters.
   /// What the gradient differs by from that of their rows goes through the conditional (seminormal
@@ -117,11 +122,6 @@ class ChainFront {
 
   /// Passes on what waits, without an evaluation.
   void PassOn(ChainFront* next, FrontScratch* scratch, double* found);
-
-  /// Gradient by the parameters that this front's factors have at the present estimate, as they
-  /// were eliminated and corrected since (n): added to g, times `sign`.
-  void AddParameterGradient(const Window& window, const ChainFront& next, double sign,
-                            double* g) const;
 
   /// What the state differs by from its linearization point (12).
   void Offset(const Window& window, double* d) const;

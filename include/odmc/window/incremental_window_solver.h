@@ -43,13 +43,13 @@ struct IncrementalOptions {
   /// Older keyframes eliminated anew per update when parameters have moved, >= 2; in long windows
   /// this share of all, so that a sweep takes no more than 1/share updates.
   int sweep_keyframes = 6;
-  double sweep_share = 0.025;
+  double sweep_share = 0.008;
   /// Older keyframes whose gradients are corrected together (ChainFront::Correct), >= 1; such
   /// segments per update in turn, >= 0, and where the others are expected to change a parameter by
   /// more than this [sigmas], as many as the time bound of a solve allows, the worst first.
   int segment_keyframes = 25;
   int corrected_segments = 1;
-  double allowed_lag = 0.02;
+  double allowed_lag = 0.03;
   /// Older keyframes back-substituted per update, >= 1.
   int back_substituted_keyframes = 50;
   /// A step of a parameter beyond this share of its own prior's sigma asks for the batch solve.
@@ -78,6 +78,8 @@ class IncrementalWindowSolver final : public WindowSolver {
                          LeavingFactors* leaving) override;
   const Eigen::MatrixXd& ScalePast(const Eigen::Ref<const Eigen::VectorXd>& scale,
                                    Window* window) override;
+  const Eigen::MatrixXd& Reweigh(const Eigen::Ref<const Eigen::VectorXd>& scale,
+                                 std::function<void(Keyframe*)> weigh, Window* window) override;
   void DiffusePast(int index, double variance, Window* window) override;
   Eigen::MatrixXd PastInformation(const Window& window) override;
   void WritePrior(Window* window) override;
@@ -100,6 +102,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   bool Follows(const Window& window) const;
   void Forget();
   void ReadPrior(const Window& window);
+  void WritePrior(const RootTriangle& past, Window* window) const;
   bool Build(Window* window);
   SolveReport Align(Window* window, const SolverOptions& options);
   ChainFront& front(std::int64_t id) {
@@ -112,10 +115,12 @@ class IncrementalWindowSolver final : public WindowSolver {
   bool RedoMovedRecent(Window* window);
   void StartSweep(const Window& window);
   int SweepSize() const;
-  bool Sweep(const Window& window, int budget);
-  bool SweepOne(const Window& window);
-  bool SweepAll(const Window& window);
+  void FinishReweighing(Window* window);
+  bool Sweep(Window* window, int budget);
+  bool SweepOne(Window* window);
+  bool SweepAll(Window* window);
   void CorrectSegment(const Window& window, Segment* segment);
+  void CorrectBeforeSweep(const Window& window, std::int64_t end);
   void GiveFoundTo(RootTriangle* root);
   double GiveFoundToRoots(const Window& window, std::int64_t end);
   double Distance(const Window& window, const ParameterVector& at) const;
@@ -130,7 +135,6 @@ class IncrementalWindowSolver final : public WindowSolver {
   std::int64_t MovePoints(const Window& window, std::int64_t from);
   std::int64_t OldestRecent() const;
   void MoveParameterPoint(const Window& window);
-  void TellChainInUse();
 
   bool SolveRoot(Window* window);
   void BackSubstitute(Window* window, bool everything);
@@ -155,11 +159,14 @@ class IncrementalWindowSolver final : public WindowSolver {
   Ring<Checkpoint> checkpoints_;
   struct {
     bool active = false, wanted = false;
-    bool urgent = false;    // old factors were touched: at once, as far as time allows
+    bool urgent = false;         // old factors were touched: at once, as far as time allows
+    bool reweighs = false;       // it brings weights that the chain in use does not have
+    bool has_reweighed = false;  // in this solve: what it took up first is out of date
+    std::function<void(Keyframe*)> weigh;
+    RootTriangle past;      // as the chain in use has it
     std::int64_t next = 0;  // front to eliminate next
     RootTriangle root;
-    ParameterVector begun_at;      // where parameters were when it began
-    std::vector<double> gradient;  // what the fronts it passed lacked in the chain in use
+    ParameterVector begun_at;  // where parameters were when it began
   } sweep_;
   std::int64_t turn_ = 0;
   Ring<Segment> segments_;             // all fronts, oldest first

@@ -2,6 +2,7 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
+#include <limits>
 #include <vector>
 
 namespace odmc {
@@ -45,9 +46,11 @@ class RootTriangle {
   void AbsorbPriors(const Eigen::VectorXd& centre, const Eigen::VectorXd& sigma);
 
   /// Adds gᵀx, g over bias and parameters, to the sum of squares (halved).
-  /// @pre g says nothing of what nobody measured
+  /// @param most_sigmas by which it moves the optimum in any direction: what lies beyond is left
+  ///   out, so that a direction that is hardly known does not run away
   /// @returns how far its optimum moves at most [sigmas of any direction]
-  double AddGradient(const std::vector<double>& gradient);
+  double AddGradient(const std::vector<double>& gradient,
+                     double most_sigmas = std::numeric_limits<double>::infinity());
 
   /// Forgets the bias; what the rest says of the parameters stays.
   void DropBias();
@@ -69,8 +72,9 @@ class RootTriangle {
   struct Workspace {
     Eigen::MatrixXd A, B, normal;
     Eigen::LLT<Eigen::MatrixXd, Eigen::Upper> llt;
-    Eigen::MatrixXd information, vectors, stretched, directions;
-    Eigen::VectorXd roots, solution, change;
+    Eigen::MatrixXd left, right;
+    Eigen::VectorXd roots;
+    Eigen::RowVector2d shares;
   };
 
   /// Scales what it says of the parameters alone as RescalePrior() does; its optimum stays.

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <functional>
 #include <memory>
 #include <string>
 
@@ -25,6 +26,7 @@ struct SolveReport {
   // Of the incremental solver.
   int eliminated = 0;        ///< keyframes, by the chain in use and the sweep
   int back_substituted = 0;  ///< keyframes
+  bool reweighing = false;   ///< the estimate does not have the weights of Reweigh() yet
   bool sweeping = false;     ///< older keyframes wait for a new linearization
   bool aligned = false;      ///< left to the batch solve
 };
@@ -70,6 +72,12 @@ class WindowSolver {
   virtual const Eigen::MatrixXd& ScalePast(const Eigen::Ref<const Eigen::VectorXd>& scale,
                                            Window* window) = 0;
 
+  /// The same where factors of the window change their weights with it: both take effect together,
+  /// at once or some solves later (SolveReport::reweighing).
+  /// @param weigh gives the factors of a keyframe their new weights; kept until all have them
+  virtual const Eigen::MatrixXd& Reweigh(const Eigen::Ref<const Eigen::VectorXd>& scale,
+                                         std::function<void(Keyframe*)> weigh, Window* window) = 0;
+
   /// DiffusePrior() of what has left.
   virtual void DiffusePast(int index, double variance, Window* window) = 0;
 
@@ -93,6 +101,8 @@ class BatchWindowSolver : public WindowSolver {
                          LeavingFactors* leaving) override;
   const Eigen::MatrixXd& ScalePast(const Eigen::Ref<const Eigen::VectorXd>& scale,
                                    Window* window) override;
+  const Eigen::MatrixXd& Reweigh(const Eigen::Ref<const Eigen::VectorXd>& scale,
+                                 std::function<void(Keyframe*)> weigh, Window* window) override;
   void DiffusePast(int index, double variance, Window* window) override;
   Eigen::MatrixXd PastInformation(const Window& window) override;
   void WritePrior(Window*) override {}
