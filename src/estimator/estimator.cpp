@@ -983,7 +983,8 @@ void Estimator::RescaleNoise() {
   const auto weigh = [this](Keyframe* keyframe) {
     SetModelNoise(process_noise_, keyframe);
     for (Factor& factor : keyframe->factors) ++factor.revision;
-    noise_step_->reached = std::min(keyframe->id, noise_step_->newest);
+    if (keyframe->id <= noise_step_->newest)
+      noise_step_->reached = std::max(noise_step_->reached, keyframe->id);
   };
   noise_step_ = {before, window_.keyframes().back().id, -1};
   consistency_.Rescale(solver_->Reweigh(scale, weigh, &window_));

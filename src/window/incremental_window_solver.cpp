@@ -349,9 +349,10 @@ void IncrementalWindowSolver::MoveParameterPoint(const Window& window) {
   ++point_version_;
 }
 
-bool IncrementalWindowSolver::Sweep(Window* changed, int budget) {
+/// @param corrects the fronts it takes; else the chain in use should soon be done with
+bool IncrementalWindowSolver::Sweep(Window* changed, int budget, bool corrects) {
   const Window& window = *changed;
-  CorrectBeforeSweep(window, sweep_.next + budget);
+  if (corrects) CorrectBeforeSweep(window, sweep_.next + budget);
   bool sound = true;
   MoveParameterPoint(window);
   for (int i = 0; i < budget && sweep_.active; ++i) {
@@ -519,9 +520,6 @@ void IncrementalWindowSolver::LearnCurvature() {
   if (distance < 0.1) return;  // nothing to learn from
   const double sigmas = (before_.sigma.cwiseQuotient(sigma).array() - 1.0).abs().maxCoeff();
   const double measured = sigmas / options_.sigma_tolerance;
-  if (getenv("DBGC"))
-    printf("learn distance %.3f sigmas %.4f measured %.3f was %.3f\n", distance, sigmas,
-           measured / Bend(distance), curvature_);
   curvature_ =
       std::max({measured / Bend(distance), kCurvatureMemory * curvature_, kLeastCurvature});
 }
@@ -717,7 +715,7 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
     if (i == kMostHurriedSweeps) return Align(window, options);  // steps want damping
     if (!sweep_.active) StartSweep(*window);
     while (sound && sweep_.active && in_time()) {
-      sound = Sweep(window, SweepSize());
+      sound = Sweep(window, SweepSize(), false);
     }
     if (!sound) return refuse();
     if (!SolveRoot(window)) return Align(window, options);

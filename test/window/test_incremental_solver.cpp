@@ -4,6 +4,8 @@
 #include <limits>
 #include <memory>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "odmc/window/incremental_window_solver.h"
 #include "support/linear_window.h"
@@ -283,6 +285,87 @@ Factor OwnFactor(std::int64_t id, double shift, int n) {
   factor.state0 = id;
   factor.parameters = true;
   return factor;
+}
+
+TEST_F(IncrementalSolver, NewWeightsOfWindowAndPastTakeEffectTogether) {
+  Start({0, -1, false}, 47);
+  const int n = layout_.num_estimated();
+  for (int k = 0; k < 40; ++k) {
+    AddKeyframe();
+    if (k % 4 == 3) {
+      ours_.AddFactor(OwnFactor(k, 0.0, n));
+      reference_.AddFactor(OwnFactor(k, 0.0, n));
+    }
+    SolveBoth();
+    if (k >= 30) DropOldest();
+  }
+  int weighed = 0;
+  const auto weigh = [&weighed](Keyframe* keyframe) {
+    for (Factor& f : keyframe->factors) {
+      if (!f.parameters || f.state1 >= 0) continue;
+      f.cost = OwnFactor(keyframe->id, 3.0, 4).cost;
+      ++f.revision;
+      ++weighed;
+    }
+  };
+  const VectorXd before = reference_.eta();
+  const VectorXd scale = (VectorXd(4) << 0.5, 2.0, 0.1, 1.3).finished();
+  SolverOptions hasty;
+  hasty.max_time_s = 1e-9;  // 30 keyframes, 12 an update
+  solver_.Reweigh(scale, weigh, &ours_);
+  int updates = 0;
+  while (true) {
+    our_report_ = solver_.Solve(&ours_, hasty);
+    ASSERT_TRUE(our_report_.usable);
+    if (!our_report_.reweighing) break;
+    ASSERT_LT(++updates, 12);
+    EXPECT_LT((ours_.eta() - before).norm(), 1e-8 * before.norm());  // as if nothing had changed
+  }
+  EXPECT_GE(updates, 2);
+  const int of_ours = std::exchange(weighed, 0);
+  EXPECT_GT(of_ours, 5);
+  ceres_.Reweigh(scale, weigh, &reference_);
+  EXPECT_EQ(weighed, of_ours);
+  const MatrixXd a = solver_.PastInformation(ours_), b = ceres_.PastInformation(reference_);
+  EXPECT_LT((a - b).norm(), 1e-6 * b.norm());
+  SolveBoth();
+  EXPECT_GT((ours_.eta() - before).norm(), 1e-2 * before.norm());
+  EXPECT_LT(Difference(), 1e-7);
+  EXPECT_LT(CovarianceDifference(), 1e-6);
+  // Where a keyframe leaves on the way, the rest is weighed at once.
+  const auto back = [](Keyframe* keyframe) {
+    for (Factor& f : keyframe->factors) {
+      if (!f.parameters || f.state1 >= 0) continue;
+      f.cost = OwnFactor(keyframe->id, 1.0, 4).cost;
+      ++f.revision;
+    }
+  };
+  solver_.Reweigh(scale.cwiseInverse(), back, &ours_);
+  ceres_.Reweigh(scale.cwiseInverse(), back, &reference_);
+  DropOldest();
+  SolveBoth();
+  EXPECT_FALSE(our_report_.reweighing);
+  EXPECT_LT(Difference(), 1e-6);
+}
+
+TEST(RootTriangle, GradientsMoveWhatIsHardlyKnownByNoMoreThanAllowed) {
+  const BorderColumns columns(2);
+  RootTriangle free(2);
+  std::vector<double> rows(static_cast<size_t>(2 * free.stride()), 0.0);
+  rows[BorderColumns::kParameters] = 100.0;
+  rows[static_cast<size_t>(free.stride()) + BorderColumns::kParameters + 1] = 1e-3;
+  free.Absorb(rows.data(), free.stride(), 2);
+  RootTriangle bounded = free;
+  std::vector<double> gradient(static_cast<size_t>(columns.pivots()), 0.0), x(rows.size());
+  gradient[BorderColumns::kParameters] = gradient[BorderColumns::kParameters + 1] = 1.0;
+  free.AddGradient(gradient);
+  bounded.AddGradient(gradient, 1.0);
+  free.Solve(-1, 0.0, x.data());
+  EXPECT_NEAR(x[BorderColumns::kParameters], -1e-4, 1e-12);
+  EXPECT_NEAR(x[BorderColumns::kParameters + 1], -1e6, 1e-2);
+  bounded.Solve(-1, 0.0, x.data());
+  EXPECT_NEAR(x[BorderColumns::kParameters], -1e-4, 1e-12);
+  EXPECT_NEAR(x[BorderColumns::kParameters + 1], -1e3, 1e-5);  // one sigma
 }
 
 TEST_F(IncrementalSolver, TouchedFactorsOfOldKeyframesComeInAsFastAsTimeAllows) {

@@ -116,7 +116,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   void StartSweep(const Window& window);
   int SweepSize() const;
   void FinishReweighing(Window* window);
-  bool Sweep(Window* window, int budget);
+  bool Sweep(Window* window, int budget, bool corrects = true);
   bool SweepOne(Window* window);
   bool SweepAll(Window* window);
   void CorrectSegment(const Window& window, Segment* segment);
