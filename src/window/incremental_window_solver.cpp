@@ -15,7 +15,7 @@ namespace {
 constexpr int kState = kStateTangentSize;
 constexpr double kFirstCurvature = 3.0;   // error in tolerances at a distance of one sigma
 constexpr double kLeastCurvature = 0.05;  // a new manoeuvre may bring more than the last sweep saw
-constexpr double kCurvatureMemory = 0.6;  // from one sweep to the next
+constexpr double kCurvatureMemory = 0.5;  // from one sweep to the next
 constexpr double kAllowedError = 0.5;     // of a tolerance, before it hurries
 constexpr double kWorthwhile = 0.2;       // of a tolerance, before a sweep is
 constexpr double kSettled = 0.05;         // where further iterations were asked for [sigmas]
@@ -28,6 +28,7 @@ constexpr double kLeastDistance = 0.01;   // to learn it from [sigmas]
 constexpr double kBiasThreshold = 0.05;   // of biases for wildfire [rad/s, m/s²]
 constexpr double kIntolerable = 0.8;      // before it takes all the time there is
 constexpr int kFaster = 4;                // sweep where errors are not allowed
+constexpr size_t kMostHurried = 250;      // keyframes; in longer windows parameters move less
 constexpr int kMostHurriedSweeps = 4;     // in one update
 constexpr int kAlignmentIterations = 10;  // of the batch solve
 
@@ -711,7 +712,8 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
   }
   const bool had_reweighed = sweep_.has_reweighed;
   // Where old linearizations may cost too much, one sweep after the other, as far as time allows.
-  for (int i = 0; MayCost(kIntolerable, *window) && in_time(); ++i) {
+  const bool may_hurry = sweep_.urgent || fronts_.size() <= kMostHurried;
+  for (int i = 0; may_hurry && MayCost(kIntolerable, *window) && in_time(); ++i) {
     if (i == kMostHurriedSweeps) return Align(window, options);  // steps want damping
     if (!sweep_.active) StartSweep(*window);
     while (sound && sweep_.active && in_time()) {

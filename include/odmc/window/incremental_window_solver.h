@@ -43,7 +43,7 @@ struct IncrementalOptions {
   /// Older keyframes eliminated anew per update when parameters have moved, >= 2; in long windows
   /// this share of all, so that a sweep takes no more than 1/share updates.
   int sweep_keyframes = 6;
-  double sweep_share = 0.008;
+  double sweep_share = 0.006;
   /// Older keyframes whose gradients are corrected together (ChainFront::Correct), >= 1; such
   /// segments per update in turn, >= 0, and where the others are expected to change a parameter by
   /// more than this [sigmas], as many as the time bound of a solve allows, the worst first.
