@@ -129,17 +129,20 @@ ODMC_INLINE int TriangulariseInto(double* E, int e_stride, int rows, int pivots,
   return taken;
 }
 
-ODMC_INLINE void ForwardSubstituteIn(double* U, int u_stride, int pivots, int columns, int rhs,
-                                     double* g) {
+ODMC_INLINE double ForwardSubstituteIn(double* U, int u_stride, int pivots, int columns, int rhs,
+                                       double* g, double most) {
+  double squares = 0.0;
   for (int i = 0; i < pivots; ++i) {
     double* row = U + i * u_stride;
     if (g[i] == 0.0 || std::abs(row[i]) < kLeastPivot) continue;
-    const double y = g[i] / row[i];
+    const double y = std::clamp(g[i] / row[i], -most, most);
+    squares += y * y;
     for (int j = i; j < columns; j += kChunk) {
       *reinterpret_cast<Chunk*>(g + j) -= y * *reinterpret_cast<const Chunk*>(row + j);
     }
     if (rhs >= 0) row[rhs] += y;
   }
+  return std::sqrt(squares);
 }
 
 ODMC_INLINE void BackSubstituteIn(const double* U, int u_stride, int pivots, int columns,
@@ -157,13 +160,13 @@ ODMC_INLINE void BackSubstituteIn(const double* U, int u_stride, int pivots, int
 }
 
 #ifdef ODMC_WIDE_VECTORS
-ODMC_VECTORS_OF_4 void ForwardSubstitute4(double* U, int u_stride, int pivots, int columns, int rhs,
-                                          double* g) {
-  ForwardSubstituteIn(U, u_stride, pivots, columns, rhs, g);
+ODMC_VECTORS_OF_4 double ForwardSubstitute4(double* U, int u_stride, int pivots, int columns,
+                                            int rhs, double* g, double most) {
+  return ForwardSubstituteIn(U, u_stride, pivots, columns, rhs, g, most);
 }
-ODMC_VECTORS_OF_8 void ForwardSubstitute8(double* U, int u_stride, int pivots, int columns, int rhs,
-                                          double* g) {
-  ForwardSubstituteIn(U, u_stride, pivots, columns, rhs, g);
+ODMC_VECTORS_OF_8 double ForwardSubstitute8(double* U, int u_stride, int pivots, int columns,
+                                            int rhs, double* g, double most) {
+  return ForwardSubstituteIn(U, u_stride, pivots, columns, rhs, g, most);
 }
 ODMC_VECTORS_OF_4 void BackSubstitute4(const double* U, int u_stride, int pivots, int columns,
                                        double* x) {
@@ -213,13 +216,14 @@ int Triangularise(double* E, int e_stride, int rows, int pivots, int columns, do
   return TriangulariseInto(E, e_stride, rows, pivots, columns, U, u_stride);
 }
 
-void ForwardSubstitute(double* U, int u_stride, int pivots, int columns, int rhs, double* g) {
+double ForwardSubstitute(double* U, int u_stride, int pivots, int columns, int rhs, double* g,
+                         double most) {
 #ifdef ODMC_WIDE_VECTORS
   const int width = VectorWidth();
-  if (width == 8) return ForwardSubstitute8(U, u_stride, pivots, columns, rhs, g);
-  if (width == 4) return ForwardSubstitute4(U, u_stride, pivots, columns, rhs, g);
+  if (width == 8) return ForwardSubstitute8(U, u_stride, pivots, columns, rhs, g, most);
+  if (width == 4) return ForwardSubstitute4(U, u_stride, pivots, columns, rhs, g, most);
 #endif
-  ForwardSubstituteIn(U, u_stride, pivots, columns, rhs, g);
+  return ForwardSubstituteIn(U, u_stride, pivots, columns, rhs, g, most);
 }
 
 void BackSubstitute(const double* U, int u_stride, int pivots, int columns, double* x) {

@@ -74,16 +74,8 @@ double RootTriangle::AddGradient(const std::vector<double>& gradient, double mos
   const int pivots = columns_.pivots();
   double* g = scratch_.data();
   std::copy_n(gradient.begin(), pivots, g);
-  double squares = 0.0;
-  for (int i = 0; i < pivots; ++i) {
-    double* r = row(i);
-    if (g[i] == 0.0 || std::abs(r[i]) < kLeastPivot) continue;
-    const double y = std::clamp(g[i] / r[i], -most_sigmas, most_sigmas);
-    r[columns_.rhs()] += y;
-    squares += y * y;
-    for (int j = i + 1; j < pivots; ++j) g[j] -= y * r[j];
-  }
-  return std::sqrt(squares);
+  std::fill_n(g + pivots, stride_ - pivots, 0.0);
+  return ForwardSubstitute(data_.data(), stride_, pivots, pivots, columns_.rhs(), g, most_sigmas);
 }
 
 void RootTriangle::DropBias() {
@@ -91,17 +83,12 @@ void RootTriangle::DropBias() {
 }
 
 void RootTriangle::Solve(int anchor_entry, double anchor, double* solution) const {
-  const int pivots = columns_.pivots();
   // Once with the right-hand side, once with the anchor's column.
   const auto solve = [&](double of_anchor, double of_rhs, double* x) {
     x[columns_.anchor()] = of_anchor;
     x[columns_.rhs()] = of_rhs;
-    for (int i = pivots - 1; i >= 0; --i) {
-      const double* r = row(i);
-      double sum = 0.0;
-      for (int j = i + 1; j <= columns_.rhs(); ++j) sum += r[j] * x[j];
-      x[i] = std::abs(r[i]) < kLeastPivot ? 0.0 : -sum / r[i];
-    }
+    std::fill_n(x + columns_.size(), kRowPadding, 0.0);
+    BackSubstitute(data_.data(), stride_, columns_.pivots(), columns_.size(), x);
   };
   if (anchor_entry >= 0) {
     const int entry = BorderColumns::kParameters + anchor_entry;

@@ -89,6 +89,69 @@ TEST(Triangularise, FewerRowsThanPivotsAreAllTaken) {
   EXPECT_LT((u.transpose() * u - rows.transpose() * rows).norm(), 1e-12 * rows.squaredNorm());
 }
 
+TEST(ForwardSubstitute, BringsAGradientIntoTheRightHandSide) {
+  for (const int pivots : {1, 6, 12, 33}) {
+    Random random(static_cast<unsigned>(pivots));
+    const int columns = pivots + 14, rhs = columns;
+    MatrixXd triangle = random.NextMatrix(pivots, columns + 1);
+    triangle.leftCols(pivots) = MatrixXd(triangle.leftCols(pivots).triangularView<Eigen::Upper>());
+    triangle.diagonal().array() += 3.0;
+    const Eigen::VectorXd gradient = random.NextMatrix(columns, 1);
+    const MatrixXd by_pivots = triangle.leftCols(pivots), by_rest = triangle.middleCols(pivots, 14);
+    const Eigen::VectorXd y =
+        by_pivots.transpose().triangularView<Eigen::Lower>().solve(gradient.head(pivots));
+    for (const bool with_rhs : {true, false}) {
+      Rows U(triangle);
+      std::vector<double> g(static_cast<size_t>(columns + kRowPadding));
+      std::copy_n(gradient.data(), columns, g.begin());
+      const double norm = ForwardSubstitute(U.data.data(), U.stride, pivots, columns,
+                                            with_rhs ? rhs : -1, g.data());
+      EXPECT_NEAR(norm, y.norm(), 1e-12 * y.norm());
+      const Eigen::VectorXd left = Eigen::Map<Eigen::VectorXd>(g.data(), columns);
+      EXPECT_LT(left.head(pivots).norm(), 1e-12);
+      EXPECT_LT((left.tail(14) - gradient.tail(14) + by_rest.transpose() * y).norm(), 1e-12);
+      MatrixXd after = triangle;
+      if (with_rhs) after.col(rhs) += y;
+      EXPECT_LT((U.view(pivots) - after).norm(), 1e-12);
+      EXPECT_TRUE(U.padding_is_zero());
+    }
+  }
+}
+
+TEST(ForwardSubstitute, LeavesOutWhatIsBeyondTheBoundOrNotMeasured) {
+  MatrixXd triangle = MatrixXd::Zero(3, 4);
+  triangle.diagonal() << 2.0, 0.0, 0.1;
+  Rows U(triangle);
+  std::vector<double> g(4 + kRowPadding, 0.0);
+  g[0] = g[1] = g[2] = -1.0;
+  EXPECT_NEAR(ForwardSubstitute(U.data.data(), U.stride, 3, 3, 3, g.data(), 1.0),
+              std::hypot(0.5, 1.0), 1e-15);
+  const Eigen::Vector3d b = U.view(3).col(3);
+  EXPECT_EQ(b, Eigen::Vector3d(-0.5, 0.0, -1.0));
+  EXPECT_EQ(g[1], -1.0);
+}
+
+TEST(BackSubstitute, SolvesForThePivotsGivenTheOthers) {
+  for (const int pivots : {1, 6, 12, 33}) {
+    Random random(static_cast<unsigned>(pivots));
+    const int columns = pivots + 15;
+    MatrixXd triangle = random.NextMatrix(pivots, columns);
+    triangle.leftCols(pivots) = MatrixXd(triangle.leftCols(pivots).triangularView<Eigen::Upper>());
+    triangle.diagonal().array() += 3.0;
+    if (pivots > 1) triangle.row(1).setZero();
+    const Rows U(triangle);
+    const Eigen::VectorXd given = random.NextMatrix(15, 1);
+    std::vector<double> x(static_cast<size_t>(columns + kRowPadding), 0.0);
+    std::fill_n(x.begin(), pivots, 7.0);  // does not matter
+    std::copy_n(given.data(), 15, x.begin() + pivots);
+    BackSubstitute(U.data.data(), U.stride, pivots, columns, x.data());
+    const Eigen::VectorXd solution = Eigen::Map<Eigen::VectorXd>(x.data(), columns);
+    EXPECT_LT((triangle * solution).norm(), 1e-12 * triangle.norm());
+    EXPECT_EQ(solution.tail(15), given);
+    EXPECT_TRUE(pivots == 1 || solution[1] == 0.0);
+  }
+}
+
 }  // namespace
 }  // namespace test
 }  // namespace odmc

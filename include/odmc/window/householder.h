@@ -1,5 +1,7 @@
 #pragma once
 
+#include <limits>
+
 namespace odmc {
 
 /// Rows of a least-squares system |A x + b|², row-major, b the last column. Behind the last column
@@ -41,7 +43,10 @@ int Triangularise(double* E, int e_stride, int rows, int pivots, int columns, do
 /// triangle's right-hand side, so that |U x + b|² gains the gradient g as far as it knows of it.
 /// @param columns of g that are wanted; g has room for kRowPadding more
 /// @param rhs column of b, >= columns; -1: only g changes
-void ForwardSubstitute(double* U, int u_stride, int pivots, int columns, int rhs, double* g);
+/// @param most what lies beyond it in an entry of y is left out
+/// @returns the norm of y
+double ForwardSubstitute(double* U, int u_stride, int pivots, int columns, int rhs, double* g,
+                         double most = std::numeric_limits<double>::infinity());
 
 /// Solves U x = 0 for the first `pivots` entries of x, given the others. Those that nobody measured
 /// (kLeastPivot) become zero.

@@ -29,8 +29,8 @@ struct IncrementalOptions {
   double wildfire = 0.04;
   /// Error that old linearizations may bring to a sigma [relative]. Every sweep shows how much the
   /// distance between two points of linearization mattered; where half a tolerance may be reached
-  /// before the next one is through, it goes four times as fast, where a whole one, as fast as the
-  /// time bound of a solve allows.
+  /// before the next one is through, it goes four times as fast, where 0.8 of one, in windows of up
+  /// to 250 keyframes, as fast as the time bound of a solve allows.
   double sigma_tolerance = 0.05;
   /// Newest keyframes that are eliminated anew at once when their points move, >= 1.
   int recent_keyframes = 3;
@@ -40,8 +40,8 @@ struct IncrementalOptions {
   double relinearise_recent = 0.1;
   /// What is eliminated anew keeps its linearization where parameters have moved by less [sigmas].
   double same_point = 0.01;
-  /// Older keyframes eliminated anew per update when parameters have moved, >= 2; in long windows
-  /// this share of all, so that a sweep takes no more than 1/share updates.
+  /// Older keyframes eliminated anew per update when parameters have moved, >= 2, or this share of
+  /// all if that is more, so that a sweep takes no more than 1/share updates.
   int sweep_keyframes = 6;
   double sweep_share = 0.006;
   /// Older keyframes whose gradients are corrected together (ChainFront::Correct), >= 1; such

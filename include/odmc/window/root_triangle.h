@@ -58,6 +58,7 @@ class RootTriangle {
   /// The optimum: bias (6), parameters (n), anchor, 1. What nobody measured is 0.
   /// @param anchor_entry of the parameters, which the anchor follows: it is where solving with it
   ///   gives the same parameter; -1: it stays at `anchor`
+  /// @param solution columns, and room for kRowPadding more
   void Solve(int anchor_entry, double anchor, double* solution) const;
 
   /// Covariance of the parameters (n×n), the bias taken into account.
