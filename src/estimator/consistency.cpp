@@ -6,19 +6,31 @@
 namespace odmc {
 namespace {
 
-constexpr int kMaxBlocks = 128;
+constexpr int kMaxBlocks = 128;  // even
 constexpr double kLeastInflation = 0.5;
 constexpr int kMinGroups = 8;         // fewer block sums than this say nothing about a variance
 constexpr double kPriorGroups = 8.0;  // weight of "white" against a small sample of block sums
 
 }  // namespace
 
+Consistency::Consistency(int num_parameters)
+    : n_(num_parameters),
+      score_(Eigen::VectorXd::Zero(n_)),
+      eta_sum_(score_),
+      left_(Eigen::MatrixXd::Zero(n_, n_)),
+      blocks_(kMaxBlocks, Block{score_, score_, left_}),
+      pending_root_(left_),
+      pending_scale_(left_),
+      scale_(left_),
+      half_(left_),
+      steps_(Eigen::MatrixXd::Zero(n_, kMaxBlocks)),
+      scaled_(score_),
+      sum_(score_),
+      sum_of_squares_(score_),
+      inflation_(score_) {}
+
 void Consistency::Add(double dt, const Eigen::Ref<const Eigen::VectorXd>& score,
                       const Eigen::Ref<const Eigen::VectorXd>& eta) {
-  if (block_s_ == 0.0) {
-    score_ = Eigen::VectorXd::Zero(n_);
-    eta_sum_ = Eigen::VectorXd::Zero(n_);
-  }
   score_ += score;
   eta_sum_ += dt * eta;
   block_s_ += dt;
@@ -26,39 +38,48 @@ void Consistency::Add(double dt, const Eigen::Ref<const Eigen::VectorXd>& score,
 
 void Consistency::CloseBlock(const Eigen::MatrixXd& left) {
   ApplyRescaling();
-  if (left_.size() == 0) left_ = Eigen::MatrixXd::Zero(n_, n_);
   // The first block's share of the information includes the prior; its score at the prior's centre
   // is zero there, and elsewhere the linear correction below accounts for it.
-  blocks_.push_back({score_, eta_sum_ / block_s_, left - left_, block_s_});
+  Block& block = blocks_[static_cast<size_t>(num_blocks_++)];
+  block.score = score_;
+  block.eta = eta_sum_ / block_s_;
+  block.information = left - left_;
+  block.length_s = block_s_;
   left_ = left;
+  score_.setZero();
+  eta_sum_.setZero();
   block_s_ = 0.0;
-  if (static_cast<int>(blocks_.size()) < kMaxBlocks) return;
-  std::vector<Block> merged;
-  for (size_t i = 0; i + 1 < blocks_.size(); i += 2) {
-    const Block &a = blocks_[i], &b = blocks_[i + 1];
+  if (num_blocks_ == kMaxBlocks) Merge();
+}
+
+/// Makes one block of every two.
+void Consistency::Merge() {
+  for (size_t i = 0; 2 * i < kMaxBlocks; ++i) {
+    const Block &a = blocks_[2 * i], &b = blocks_[2 * i + 1];
+    Block& merged = blocks_[i];
     const double length = a.length_s + b.length_s;
     // Scores of both halves at one common estimate.
-    const Eigen::VectorXd eta = (a.length_s * a.eta + b.length_s * b.eta) / length;
-    merged.push_back(
-        {a.score + a.information * (eta - a.eta) + b.score + b.information * (eta - b.eta), eta,
-         a.information + b.information, length});
+    sum_ = (a.length_s * a.eta + b.length_s * b.eta) / length;
+    scaled_ = a.score + b.score;
+    scaled_.noalias() += a.information * (sum_ - a.eta);
+    scaled_.noalias() += b.information * (sum_ - b.eta);
+    merged.information = a.information + b.information;
+    merged.score = scaled_;
+    merged.eta = sum_;
+    merged.length_s = length;
   }
-  blocks_ = std::move(merged);
+  num_blocks_ /= 2;
   block_length_s_ *= 2.0;
 }
 
 void Consistency::Rescale(const Eigen::MatrixXd& root) {
   scale_.noalias() = root * root;
-  if (score_.size() > 0) {
-    scaled_.noalias() = scale_ * score_;
-    score_.swap(scaled_);
-  }
-  if (left_.size() > 0) {
-    half_.noalias() = root * left_;
-    left_.noalias() = half_ * root;
-  }
+  scaled_.noalias() = scale_ * score_;
+  score_.swap(scaled_);
+  half_.noalias() = root * left_;
+  left_.noalias() = half_ * root;
   // There may be a hundred blocks, and only their next use needs them.
-  if (blocks_.empty()) return;
+  if (num_blocks_ == 0) return;
   if (!rescaled_) {
     pending_root_ = root;
     pending_scale_ = scale_;
@@ -74,7 +95,8 @@ void Consistency::Rescale(const Eigen::MatrixXd& root) {
 void Consistency::ApplyRescaling() {
   if (!rescaled_) return;
   rescaled_ = false;
-  for (Block& block : blocks_) {
+  for (int i = 0; i < num_blocks_; ++i) {
+    Block& block = blocks_[static_cast<size_t>(i)];
     scaled_.noalias() = pending_scale_ * block.score;
     block.score.swap(scaled_);
     half_.noalias() = pending_root_ * block.information;
@@ -82,34 +104,37 @@ void Consistency::ApplyRescaling() {
   }
 }
 
-Eigen::VectorXd Consistency::Inflation(const Eigen::VectorXd& eta,
-                                       const Eigen::MatrixXd& covariance) {
+const Eigen::VectorXd& Consistency::Inflation(const Eigen::Ref<const Eigen::VectorXd>& eta,
+                                              const Eigen::MatrixXd& covariance) {
   ApplyRescaling();
   // Until there are enough blocks to judge by, the white value; then whatever they show.
-  const bool enough = blocks_.size() > kMinGroups;
-  Eigen::VectorXd inflation = Eigen::VectorXd::Constant(n_, enough ? kLeastInflation : 1.0);
-  std::vector<Eigen::VectorXd> steps;  // each block's pull on the estimate
-  for (size_t k = 1; k < blocks_.size(); ++k) {
-    const Block& b = blocks_[k];
-    steps.push_back(covariance * (b.score + b.information * (eta - b.eta)));
+  inflation_.setConstant(n_, num_blocks_ > kMinGroups ? kLeastInflation : 1.0);
+  // Each block's pull on the estimate.
+  const int num_steps = std::max(num_blocks_ - 1, 0);
+  for (int k = 0; k < num_steps; ++k) {
+    const Block& b = blocks_[static_cast<size_t>(k + 1)];
+    sum_ = eta - b.eta;
+    scaled_ = b.score;
+    scaled_.noalias() += b.information * sum_;
+    steps_.col(k).noalias() = covariance * scaled_;
   }
   // Coarser and coarser groups see longer and longer correlation; the largest variance counts.
-  for (size_t group = 1; steps.size() / group >= kMinGroups; group *= 2) {
-    const size_t groups = steps.size() / group;
-    Eigen::VectorXd sum_of_squares = Eigen::VectorXd::Zero(n_);
-    for (size_t g = 0; g < groups; ++g) {
-      Eigen::VectorXd sum = Eigen::VectorXd::Zero(n_);
-      for (size_t k = g * group; k < (g + 1) * group; ++k) sum += steps[k];
-      sum_of_squares += sum.cwiseAbs2();
+  for (int group = 1; num_steps / group >= kMinGroups; group *= 2) {
+    const int groups = num_steps / group;
+    sum_of_squares_.setZero();
+    for (int g = 0; g < groups; ++g) {
+      sum_.setZero();
+      for (int k = g * group; k < (g + 1) * group; ++k) sum_ += steps_.col(k);
+      sum_of_squares_ += sum_.cwiseAbs2();
     }
-    const double m = static_cast<double>(groups);
+    const double m = groups;
     for (int i = 0; i < n_; ++i) {
-      const double ratio = sum_of_squares[i] / std::max(1e-300, covariance(i, i));
+      const double ratio = sum_of_squares_[i] / std::max(1e-300, covariance(i, i));
       const double variance = (m * ratio + kPriorGroups) / (m + kPriorGroups);
-      inflation[i] = std::max(inflation[i], std::sqrt(variance));
+      inflation_[i] = std::max(inflation_[i], std::sqrt(variance));
     }
   }
-  return inflation;
+  return inflation_;
 }
 
 }  // namespace odmc

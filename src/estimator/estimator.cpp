@@ -1,7 +1,6 @@
 #include "odmc/estimator/estimator.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -824,13 +823,17 @@ void Estimator::RefreshConsistency(const Eigen::MatrixXd& covariance) {
   }
 
   // Directions about which the flight says less than the priors, in units of the priors' sigmas.
-  const Eigen::VectorXd inverse = prior_sigma_eta_.cwiseInverse();
-  const Eigen::MatrixXd posterior = inverse.asDiagonal() * covariance * inverse.asDiagonal();
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(posterior);
+  directions_.in_priors = covariance;
+  directions_.in_priors.array().colwise() /= prior_sigma_eta_.array();
+  directions_.in_priors.array().rowwise() /= prior_sigma_eta_.transpose().array();
   unobservable_.clear();
+  if (n == 0) return;
+  directions_.eigen.compute(directions_.in_priors, Eigen::EigenvaluesOnly);
+  if (directions_.eigen.eigenvalues()[n - 1] <= kObservableShare) return;
+  directions_.eigen.compute(directions_.in_priors);
   for (int i = 0; i < n; ++i) {
-    if (eigen.eigenvalues()[i] > kObservableShare) {
-      unobservable_.push_back(Words(*model_, layout_, eigen.eigenvectors().col(i)));
+    if (directions_.eigen.eigenvalues()[i] > kObservableShare) {
+      unobservable_.push_back(Words(*model_, layout_, directions_.eigen.eigenvectors().col(i)));
     }
   }
 }

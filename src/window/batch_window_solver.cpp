@@ -49,11 +49,12 @@ void BatchWindowSolver::DiffusePast(int index, double variance, Window* window) 
   information_.Forget();  // what it keeps does not know of the variation
 }
 
-Eigen::MatrixXd BatchWindowSolver::PastInformation(const Window& window) {
+const Eigen::MatrixXd& BatchWindowSolver::PastInformation(const Window& window) {
   const Prior& prior = window.prior();
   const int n = window.layout().num_estimated();
   const LinearSystem left = Eliminate({prior.A, prior.b, static_cast<int>(prior.A.cols()) - n});
-  return left.A.transpose() * left.A;
+  past_information_.noalias() = left.A.transpose() * left.A;
+  return past_information_;
 }
 
 }  // namespace odmc

@@ -12,6 +12,7 @@ namespace {
 
 constexpr int kState = kStateTangentSize;
 constexpr int kBiasSize = 6;
+constexpr int kSpareRows = 8;  // of rest, for factors that are still to come
 /// What corrections found at a leaving front moves what is past by no more, in any direction
 /// [sigmas]: a young past knows some directions hardly at all.
 constexpr double kMostLeft = 1.0;
@@ -56,6 +57,10 @@ void RowBlock::Extend(int rows) {
   count += rows;
 }
 
+void RowBlock::Reserve(int rows, int row_stride) {
+  data.reserve(static_cast<size_t>(rows * row_stride));
+}
+
 void RowBlock::CopyFrom(const RowBlock& other) {
   stride = other.stride;
   count = other.count;
@@ -82,11 +87,19 @@ void ChainFront::Reset(const Window& window, std::int64_t keyframe) {
   arrived.fill(0.0);
   waits = false;
   kept_.clear();
-  if (bias_ < 0) return;
-  // A bias leaves at another slot of the ring every time: room in all of them, once.
-  leaving_bias.SetZero(kBiasSize, PaddedRow(BorderColumns(n_).size()));
+}
+
+/// A bias leaves at another slot of the solver's ring every time: room in all of them, once.
+void ChainFront::MakeRoomForLeavingBias() {
   constexpr int kPivots = kState + kBiasSize;
-  conditional.SetZero(kPivots, PaddedRow(kPivots + kState + BorderColumns(n_).size()));
+  const int row = PaddedRow(kPivots + kState + BorderColumns(n_).size());
+  leaving_bias.Reserve(kBiasSize, PaddedRow(BorderColumns(n_).size()));
+  conditional.Reserve(kPivots, row);
+  pair.Reserve(pair.count + kBiasSize, row);  // and the walk to the next one
+  corrected.Reserve(corrected.count + 1, row);
+  kept_.reserve(kept_.size() + 1);
+  rest.Reserve(own.count + pair.count + kBiasSize + kSpareRows,
+               PaddedRow(BorderColumns(n_).size()));
 }
 
 void ChainFront::MovePoint(const Window& window) {
@@ -118,6 +131,7 @@ bool ChainFront::Linearise(const Window& window, const ChainFront* next,
     block.Extend(kept_.back().rows);
     corrected.Extend(1);
   }
+  if (bias_ >= 0 && !bias_leaves) MakeRoomForLeavingBias();
   bool sound = true;
   for (size_t i = 0; i < factors.size(); ++i) {
     const Factor& factor = factors[i];
@@ -248,7 +262,7 @@ void ChainFront::AbsorbOwn(RowBlock* triangle, RootTriangle* root, FrontScratch*
   waits = false;
   rest.stride = root->stride();
   rest.count = rest_before = own.count;
-  const auto room = static_cast<size_t>((own.count + pair.count + 8) * rest.stride);
+  const auto room = static_cast<size_t>((own.count + pair.count + kSpareRows) * rest.stride);
   if (rest.data.size() < room) rest.data.resize(room, 0.0);
   if (own.count == 0) return;
   scratch->own.CopyFrom(own);

@@ -940,11 +940,12 @@ void IncrementalWindowSolver::DiffusePast(int index, double variance, Window* wi
   });
 }
 
-Eigen::MatrixXd IncrementalWindowSolver::PastInformation(const Window& window) {
+const Eigen::MatrixXd& IncrementalWindowSolver::PastInformation(const Window& window) {
   if (!Follows(window)) return batch_.PastInformation(window);
   const int n = past_.columns().n;
   past_.ParameterNormal(&workspace_, &normal_);
-  return normal_.leftCols(n);
+  past_information_ = normal_.leftCols(n);
+  return past_information_;
 }
 
 }  // namespace odmc

@@ -465,7 +465,8 @@ TEST_F(IncrementalSolver, LeavesStepsBeyondALinearModelToTheBatchSolve) {
 class RobustWindow : public IncrementalSolver {
  protected:
   explicit RobustWindow(int corrected_keyframes)
-      : IncrementalSolver(OnlyCorrections(corrected_keyframes)) {}
+      : RobustWindow(OnlyCorrections(corrected_keyframes)) {}
+  explicit RobustWindow(const IncrementalOptions& options) : IncrementalSolver(options) {}
 
   static IncrementalOptions OnlyCorrections(int corrected_keyframes) {
     IncrementalOptions options = Exact();
@@ -553,6 +554,102 @@ INSTANTIATE_TEST_SUITE_P(Shapes, Corrected,
                                          Shape{4, -1, false}, Shape{5, 13, false}),
                          [](const auto& named) { return NameOf(named.param); });
 
+/// r of another cost and a constant.
+class ShiftedCost final : public ceres::CostFunction {
+ public:
+  ShiftedCost(std::unique_ptr<ceres::CostFunction> cost, double shift)
+      : cost_(std::move(cost)), shift_(shift) {
+    set_num_residuals(cost_->num_residuals());
+    *mutable_parameter_block_sizes() = cost_->parameter_block_sizes();
+  }
+  bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override {
+    if (!cost_->Evaluate(blocks, residual, jacobians)) return false;
+    for (int i = 0; i < num_residuals(); ++i) residual[i] += shift_;
+    return true;
+  }
+
+ private:
+  std::unique_ptr<ceres::CostFunction> cost_;
+  double shift_;
+};
+
+/// Nothing but the robust weights of recent keyframes is followed.
+class RecentWeights : public RobustWindow {
+ protected:
+  RecentWeights() : RobustWindow(Options()) {}
+  static IncrementalOptions Options() {
+    IncrementalOptions options = OnlyCorrections(1000);
+    options.corrected_segments = 0;
+    options.relinearise_recent = std::numeric_limits<double>::infinity();
+    return options;
+  }
+};
+
+TEST_F(RecentWeights, AreFollowed) {
+  Start({0, -1, false}, 52);
+  for (int k = 0; k < 12; ++k) {
+    AddKeyframe();
+    ASSERT_TRUE(solver_.Solve(&ours_, SolverOptions()).usable);
+  }
+  for (Window* window : {&ours_, &reference_}) {
+    for (const std::int64_t id : {9, 10}) {  // with the next states, all of them recent
+      for (Factor& factor : window->keyframe(id).factors) {
+        if (!factor.parameters) continue;
+        factor.cost = std::make_unique<ShiftedCost>(std::move(factor.cost), 3.0);
+        factor.loss = &loss_;
+        window->Touch(&factor);
+      }
+    }
+  }
+  Converge(50);
+  ConvergeReference();
+  MatrixXd covariance;
+  ASSERT_TRUE(solver_.ParameterCovariance(ours_, sigma_, &covariance));
+  const VectorXd sigma = covariance.diagonal().cwiseSqrt();
+  const double off = (ours_.eta() - reference_.eta()).cwiseQuotient(sigma).cwiseAbs().maxCoeff();
+  std::printf("%.3f sigma off\n", off);
+  EXPECT_LT(off, 0.03);
+}
+
+class CorrectedTwins : public RobustWindow {
+ protected:
+  CorrectedTwins() : RobustWindow(1000) {}
+
+  /// Right-hand side of what the past says of the parameters, zero at parameters zero.
+  VectorXd PastAfterLeaving(IncrementalWindowSolver* solver, Window* window) {
+    SolverOptions hasty;
+    hasty.max_time_s = 1e-9;       // no sweep
+    for (int i = 0; i < 2; ++i) {  // parameters move with the new keyframe, then they are looked at
+      EXPECT_TRUE(solver->Solve(window, hasty).usable);
+    }
+    // What a factor with the next state says of parameters alone, that one's own factors show.
+    for (int i = 0; i < 2; ++i) EXPECT_TRUE(solver->MarginalizeOldest(window, sigma_, nullptr));
+    solver->WritePrior(window);
+    const Prior& prior = window->prior();
+    const Eigen::Index n = layout_.num_estimated();
+    return (prior.b - prior.A.rightCols(n) * prior.eta_lin).tail(n);
+  }
+
+  IncrementalWindowSolver twin_{OnlyCorrections(1000)};
+};
+
+TEST_F(CorrectedTwins, WhatCorrectionsFoundMovesThePastByASigmaAtMost) {
+  Start({0, -1, false}, 53);
+  for (int k = 0; k < 10; ++k) {
+    AddKeyframe();
+    ASSERT_TRUE(solver_.Solve(&ours_, SolverOptions()).usable);
+    ASSERT_TRUE(twin_.Solve(&reference_, SolverOptions()).usable);
+  }
+  for (Factor& factor : ours_.keyframes().front().factors) {
+    if (factor.parameters) {
+      factor.cost = std::make_unique<ShiftedCost>(std::move(factor.cost), 1e3);
+    }
+  }
+  const VectorXd moved = PastAfterLeaving(&solver_, &ours_) - PastAfterLeaving(&twin_, &reference_);
+  EXPECT_LT(moved.cwiseAbs().maxCoeff(), 1.0 + 1e-9);
+  EXPECT_GT(moved.cwiseAbs().maxCoeff(), 0.99);
+}
+
 /// r of another cost, and ±bend |eta|²: its Jacobian turns with the parameters.
 class CurvedCost final : public ceres::CostFunction {
  public:
@@ -584,7 +681,7 @@ class CurvedCost final : public ceres::CostFunction {
 /// Factors whose Jacobians by the parameters turn, in old fronts that are corrected only.
 class CurvedWindow : public RobustWindow, public testing::WithParamInterface<Shape> {
  protected:
-  CurvedWindow() : RobustWindow(1000) {}
+  explicit CurvedWindow(int corrected_keyframes = 1000) : RobustWindow(corrected_keyframes) {}
 
   void AddCurvedKeyframe() {
     AddKeyframe();
@@ -621,6 +718,58 @@ TEST_P(CurvedWindow, StepsFollowTheJacobiansOfThePresent) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Shapes, CurvedWindow,
+                         testing::Values(Shape{0, -1, false}, Shape{4, -1, false}),
+                         [](const auto& named) { return NameOf(named.param); });
+
+/// More segments than may wait for their turn.
+class CurvedLongWindow : public CurvedWindow {
+ protected:
+  CurvedLongWindow() : CurvedWindow(2) {}
+
+  void SolveInTime() {
+    SolverOptions patient;
+    patient.max_time_s = 10.0;
+    ASSERT_TRUE(solver_.Solve(&ours_, patient).usable);
+    MatrixXd covariance;
+    ASSERT_TRUE(solver_.ParameterCovariance(ours_, sigma_, &covariance));
+    sigma_of_eta_ = covariance.diagonal().cwiseSqrt();
+  }
+
+  /// What the newest keyframe says of the parameters lies far off.
+  void Surprise() {
+    for (Factor& factor : ours_.keyframe(ours_.keyframes().back().id - 1).factors) {
+      if (!factor.parameters) continue;
+      factor.cost = std::make_unique<ShiftedCost>(std::move(factor.cost), 5.0);
+    }
+  }
+
+  VectorXd sigma_of_eta_;
+};
+
+TEST_P(CurvedLongWindow, IsCorrectedInOneUpdateWhereParametersMove) {
+  Start(GetParam(), 54);
+  for (int k = 0; k < 30; ++k) {
+    AddCurvedKeyframe();
+    SolveInTime();
+  }
+  Converge();
+  double moved = 0.0, left = 0.0;
+  for (int k = 0; k < 6; ++k) {
+    const VectorXd before = ours_.eta();
+    AddCurvedKeyframe();
+    Surprise();
+    SolveInTime();
+    const VectorXd after = ours_.eta();
+    Converge();
+    moved = std::max(moved, (after - before).cwiseQuotient(sigma_of_eta_).cwiseAbs().maxCoeff());
+    left = std::max(left, (after - ours_.eta()).cwiseQuotient(sigma_of_eta_).cwiseAbs().maxCoeff());
+  }
+  std::printf("moved by %.3f sigma, %.4f left\n", moved, left);
+  EXPECT_GT(moved, 0.3);
+  EXPECT_LT(left, 0.1);
+}
+
+INSTANTIATE_TEST_SUITE_P(Shapes, CurvedLongWindow,
                          testing::Values(Shape{0, -1, false}, Shape{4, -1, false}),
                          [](const auto& named) { return NameOf(named.param); });
 

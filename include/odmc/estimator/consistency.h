@@ -10,11 +10,11 @@ namespace odmc {
 /// is too small by a factor of 3 to 10 (model.md section 5). Here the scores Jᵀr of the factors
 /// that left the window are summed over blocks of time; the spread of the block sums, mapped
 /// through the information, is the variance the estimate really has (a sandwich estimate with batch
-/// means). Holds for any cause: correlation, wrong noise sizes, robust losses. Memory is bounded:
-/// blocks merge as the flight grows.
+/// means). Holds for any cause: correlation, wrong noise sizes, robust losses. Blocks merge as the
+/// flight grows; all memory is taken in the beginning.
 class Consistency {
  public:
-  explicit Consistency(int num_parameters) : n_(num_parameters) {}
+  explicit Consistency(int num_parameters);
 
   /// One interval's score at the estimate `eta`.
   void Add(double dt, const Eigen::Ref<const Eigen::VectorXd>& score,
@@ -32,15 +32,17 @@ class Consistency {
   /// Factor on each parameter's standard deviation (n), >= 0.5: below 1 where the
   /// assumed noise was larger than the flight's.
   /// @param eta present estimate; @param covariance inverse of its information (n×n)
-  Eigen::VectorXd Inflation(const Eigen::VectorXd& eta, const Eigen::MatrixXd& covariance);
+  const Eigen::VectorXd& Inflation(const Eigen::Ref<const Eigen::VectorXd>& eta,
+                                   const Eigen::MatrixXd& covariance);
 
  private:
   void ApplyRescaling();
+  void Merge();
 
   struct Block {
     Eigen::VectorXd score, eta;
     Eigen::MatrixXd information;
-    double length_s;
+    double length_s = 0.0;
   };
 
   int n_;
@@ -48,12 +50,13 @@ class Consistency {
   double block_s_ = 0.0;
   Eigen::VectorXd score_, eta_sum_;
   Eigen::MatrixXd left_;
-  std::vector<Block> blocks_;
+  std::vector<Block> blocks_;  // the first num_blocks_ of them
+  int num_blocks_ = 0;
   // Rescale() comes ten times a second: what it did since the blocks were last used, and scratch.
   bool rescaled_ = false;
   Eigen::MatrixXd pending_root_, pending_scale_;
-  Eigen::MatrixXd scale_, half_;
-  Eigen::VectorXd scaled_;
+  Eigen::MatrixXd scale_, half_, steps_;
+  Eigen::VectorXd scaled_, sum_, sum_of_squares_, inflation_;
 };
 
 }  // namespace odmc

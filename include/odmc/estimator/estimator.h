@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <Eigen/Eigenvalues>
 #include <array>
 #include <functional>
 #include <memory>
@@ -221,6 +222,10 @@ class Estimator {
   Eigen::VectorXd sigma_eta_;        // of the last update, not inflated
   Eigen::VectorXd force_information_, torque_information_;  // what has informed each parameter
   std::vector<std::string> unobservable_;
+  struct {
+    Eigen::MatrixXd in_priors;  // covariance in units of the priors' sigmas
+    Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen;
+  } directions_;
   Snapshot snapshot_;  // the newest, filled in place
   Eigen::MatrixXd covariance_;
   LeavingFactors leaving_;

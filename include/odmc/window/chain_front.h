@@ -24,6 +24,8 @@ struct RowBlock {
   void SetZero(int rows, int row_stride);
   /// Appends rows of zeros.
   void Extend(int rows);
+  /// Later, so many rows need nothing from the heap.
+  void Reserve(int rows, int row_stride);
   void CopyFrom(const RowBlock& other);
 };
 
@@ -148,6 +150,7 @@ class ChainFront {
                       const double* own, const double* next, double* residual) const;
 
  private:
+  void MakeRoomForLeavingBias();
   bool Evaluate(const Window& window, const Factor& factor, const ChainFront* next,
                 const ParameterVector& parameter_point, KeptFactor* kept, FrontScratch* scratch);
   bool CorrectFactor(const Window& window, size_t k, const double* own, const double* next,

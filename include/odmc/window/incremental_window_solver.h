@@ -81,7 +81,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   const Eigen::MatrixXd& Reweigh(const Eigen::Ref<const Eigen::VectorXd>& scale,
                                  std::function<void(Keyframe*)> weigh, Window* window) override;
   void DiffusePast(int index, double variance, Window* window) override;
-  Eigen::MatrixXd PastInformation(const Window& window) override;
+  const Eigen::MatrixXd& PastInformation(const Window& window) override;
   void WritePrior(Window* window) override;
 
  private:
@@ -185,7 +185,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   Eigen::MatrixXd pending_;                  // change of the past the roots do not know yet
   bool has_pending_ = false;
   RootTriangle::Workspace workspace_;
-  Eigen::MatrixXd normal_, covariance_, scale_root_;
+  Eigen::MatrixXd normal_, covariance_, scale_root_, past_information_;
   std::int64_t pass_ = -1;  // back-substitution goes on here, -1: done
   FrontScratch scratch_;
   RowBlock sweep_triangle_;

@@ -81,8 +81,8 @@ class WindowSolver {
   /// DiffusePrior() of what has left.
   virtual void DiffusePast(int index, double variance, Window* window) = 0;
 
-  /// Information of what has left about the parameters alone (n×n).
-  virtual Eigen::MatrixXd PastInformation(const Window& window) = 0;
+  /// Information of what has left about the parameters alone (n×n), until the next call.
+  virtual const Eigen::MatrixXd& PastInformation(const Window& window) = 0;
 
   /// Makes window->prior() hold what has left, for a solve by somebody else.
   virtual void WritePrior(Window* window) = 0;
@@ -104,7 +104,7 @@ class BatchWindowSolver : public WindowSolver {
   const Eigen::MatrixXd& Reweigh(const Eigen::Ref<const Eigen::VectorXd>& scale,
                                  std::function<void(Keyframe*)> weigh, Window* window) override;
   void DiffusePast(int index, double variance, Window* window) override;
-  Eigen::MatrixXd PastInformation(const Window& window) override;
+  const Eigen::MatrixXd& PastInformation(const Window& window) override;
   void WritePrior(Window*) override {}
 
   /// Forgets what it keeps of the window.
@@ -112,7 +112,7 @@ class BatchWindowSolver : public WindowSolver {
 
  private:
   ParameterInformation information_;
-  Eigen::MatrixXd root_;
+  Eigen::MatrixXd root_, past_information_;
 };
 
 /// Levenberg-Marquardt by eliminating the chain of states, oldest first and parameters last, in
