@@ -52,7 +52,7 @@ class Consistency {
   Eigen::MatrixXd left_;
   std::vector<Block> blocks_;  // the first num_blocks_ of them
   int num_blocks_ = 0;
-  // Rescale() comes ten times a second: what it did since the blocks were last used, and scratch.
+  // What Rescale() did since the blocks were last used, and scratch.
   bool rescaled_ = false;
   Eigen::MatrixXd pending_root_, pending_scale_;
   Eigen::MatrixXd scale_, half_, steps_;
