@@ -25,6 +25,9 @@ constexpr double kTie = 3.0;        // nats by which a free force may explain be
 constexpr double kTieShare = 0.01;  // or this share of the gain: they differ little
 constexpr double kOneSided = 0.9;   // share of the wind's variance along one line
 constexpr double kKnownThrustShare = 0.05;
+constexpr double kClearlyBetter = 0.1;  // sum of logarithms of the channels' errors held out
+constexpr size_t kNeverAgain = 1000;
+constexpr double kAgreeShare = 0.1;  // of a coefficient, by which two ways to it may differ
 
 std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedFlight& flight,
                   const ResidualModel::Wrenches& residual) {
@@ -186,13 +189,25 @@ int EffectIndex(const DynamicModel& model, const std::string& name) {
   return static_cast<int>(std::find(names.begin(), names.end(), name) - names.begin());
 }
 
+/// Indices in an online estimate of an effect's estimated parameters, initial states left out.
+std::vector<Eigen::Index> EstimatesOf(const RankedEffect& effect, const ParameterSet& online,
+                                      const DynamicModel& model) {
+  std::vector<Eigen::Index> own;
+  for (const ParameterEstimate& p : effect.parameters) {
+    const ParameterEstimate* found = online.Find(p.full_name);
+    if (found == nullptr || !found->estimated) continue;
+    if (model.parameters()[model.IndexOf(p.full_name)].spec.initial_state) continue;
+    own.push_back(found - online.parameters.data());
+  }
+  return own;
+}
+
 /// What speaks against an effect in the online estimate; empty if that confirms it: it has a
 /// physical sign and size, differs from zero (so does its size, where that has a sign: a load of
 /// no mass is none wherever it hangs) and matters.
 std::string Objection(const RankedEffect& effect, const ParameterSet& online,
                       const DynamicModel& model) {
   RankedEffect estimate = effect;
-  std::vector<Eigen::Index> own;
   std::string of_no_size;  // a signed coefficient that may be zero, while no other is known not to
   bool has_size = false;
   for (ParameterEstimate& p : estimate.parameters) {
@@ -201,10 +216,8 @@ std::string Objection(const RankedEffect& effect, const ParameterSet& online,
     p = *found;
     // The warm start is no prior: natural sizes are about zero.
     const Effect& catalogue = model.effect(EffectIndex(model, effect.name));
-    bool initial_state = false;
     for (const ParameterSpec& spec : catalogue.parameters()) {
       if (effect.name + "." + spec.name != p.full_name) continue;
-      initial_state = spec.initial_state;
       if (std::abs(p.value - spec.prior_value) > kTooLarge * spec.prior_sigma) {
         return p.full_name + " = " + Text(p.value) + " is too large";
       }
@@ -215,14 +228,43 @@ std::string Objection(const RankedEffect& effect, const ParameterSet& online,
       has_size = has_size || std::abs(p.value) > kSizeSigmas * p.sigma;
       of_no_size = p.full_name + " = " + Text(p.value) + " +- " + Text(p.sigma) + " may be zero";
     }
-    if (!initial_state) own.push_back(found - online.parameters.data());
   }
+  const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
   Eigen::VectorXd values(static_cast<Eigen::Index>(own.size()));
   for (size_t i = 0; i < own.size(); ++i) values[i] = online.parameters[own[i]].value;
   if (!IsSignificant(values, online.covariance(own, own)))
     return "does not differ from zero by three sigma";
   if (!has_size && !of_no_size.empty()) return of_no_size;
   return IsNegligible(estimate) ? "is no larger than feedback can feign" : "";
+}
+
+/// Two ways through the same data, the fit that chose an effect and the online estimator, find the
+/// same coefficients where the effect is what acts. Where it stands in for something else, what
+/// each finds depends on its weights (Hausman's specification test). Empty if they agree.
+std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
+                         const DynamicModel& model) {
+  const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
+  const auto n = static_cast<Eigen::Index>(own.size());
+  if (n == 0 || effect.covariance.rows() != n) return "";
+  Eigen::MatrixXd covariance = online.covariance(own, own) + effect.covariance;
+  Eigen::VectorXd difference(n);
+  Eigen::Index worst = 0;
+  double most = 0.0;
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const ParameterEstimate& p = online.parameters[own[static_cast<size_t>(i)]];
+    const double fitted = effect.Find(p.full_name)->value;
+    difference[i] = p.value - fitted;
+    const double share = kAgreeShare * std::max(std::abs(p.value), std::abs(fitted));
+    covariance(i, i) += share * share;
+    const double sigmas = std::abs(difference[i]) / std::sqrt(covariance(i, i));
+    if (sigmas < most) continue;
+    most = sigmas;
+    worst = i;
+  }
+  if (!IsSignificant(difference, covariance)) return "";
+  const ParameterEstimate& p = online.parameters[own[static_cast<size_t>(worst)]];
+  return "it finds " + p.full_name + " = " + Text(p.value) + ", the fit that chose the effect " +
+         Text(p.value - difference[worst]);
 }
 
 /// What moves by itself is started near what the regression found of it, and so is its place. They
@@ -326,6 +368,22 @@ struct Choice {
   std::vector<AddedEffect> added;
   double scores = 0.0;
   ResidualModel::Wrenches residual;  // of the plain fit
+
+  bool Has(const std::string& effect) const {
+    return std::any_of(added.begin(), added.end(),
+                       [&effect](const AddedEffect& a) { return a.effect.name == effect; });
+  }
+};
+
+/// A choice that the online estimator confirms.
+struct Confirmed {
+  Choice choice;
+  HeldOut figures;  // by which further effects are judged
+  PredictionFigures after;
+  PredictionFigures::Axes accelerometer;
+  ParameterSet parameters;
+  std::vector<std::string> effect_names;
+  std::optional<Prediction> prediction;  // empty for the declared model
 };
 
 /// What a choice leaves, and what would be added to it.
@@ -563,9 +621,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   };
   const auto explains = [&](const Choice& choice) {
     if (choice.added.empty()) return false;
-    for (const AddedEffect& effect : choice.added) {
-      if (effect.effect.name == "gust") return true;
-    }
+    if (choice.Has("gust")) return true;
     return ExplainedStructure(result.structure,
                               Structure(flight, choice.residual, residual.num_channels()),
                               options.whiteness_p, options.noise_p) >= options.least_explained;
@@ -594,10 +650,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   const bool has_gust =
       std::find(vehicle.effects.begin(), vehicle.effects.end(), "gust") != vehicle.effects.end();
   const auto add_gust = [&](const Choice& to) -> std::optional<Choice> {
-    const bool gusty_already =
-        std::any_of(to.added.begin(), to.added.end(),
-                    [](const auto& effect) { return effect.effect.name == "gust"; });
-    if (has_gust || gusty_already || !structured || refused.count("gust") > 0) return std::nullopt;
+    if (has_gust || to.Has("gust") || !structured || refused.count("gust") > 0) return std::nullopt;
     const RankedEffect gust = RankGusts(residual, to);
     if (refused.empty() && to.added.size() == promised.added.size()) result.ranking.push_back(gust);
     if (!gust.sound || gust.score < std::max(3.0 * options.least_score, 0.5 * to.scores)) {
@@ -620,68 +673,107 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   if (progress) progress(0.6);
 
   // One after the other: what the online estimator does not confirm is refused.
-  HeldOut best = before.held_out;
+  Confirmed declared_alone{accepted,          before.held_out, before.held_out.all, {},
+                           before.parameters, vehicle.effects, std::nullopt};
   result.accelerometer_before = HeldOutForce(residual, declared, *replay.last);
-  best.UseForce(result.accelerometer_before);
-  std::optional<Prediction> prediction;
+  declared_alone.accelerometer = result.accelerometer_before;
+  declared_alone.figures.UseForce(result.accelerometer_before);
   step = first;
-  bool promising = (explains(promised) || gusty) && result.whiteness_p < options.noise_p;
+  const bool promising = (explains(promised) || gusty) && result.whiteness_p < options.noise_p;
   if (gusty && gusty->added.back().effect.score > kOvershadows * promised.scores) {
     // What was found beside a much larger gust is its shadow.
     step.after = accepted;
     step.after.added.push_back(gusty->added.back());
   }
-  for (int run = 0; run < kMostRuns && promising; ++run) {
+  const auto warn = [&result](const std::string& text) {
+    auto& all = result.warnings;
+    if (std::find(all.begin(), all.end(), text) == all.end()) all.push_back(text);
+  };
+  std::vector<std::string> suspects;  // confirmed once, and later no more, beside another effect
+  const auto try_next = [&](std::vector<Confirmed>* confirmed) {
+    accepted = confirmed->back().choice;
     if (step.after.added.size() == accepted.added.size() && reconsider()) choose(accepted);
     Choice trial = step.after;
     if (trial.added.size() == accepted.added.size()) {
       const std::optional<Choice> with = add_gust(step.before);
-      if (!with) break;
+      if (!with) return false;
       trial = *with;
     }
     const Vehicle extended = Extended(vehicle, trial);
     const DynamicModel model(extended, extended.effects);
-    const Pass after = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
+    Pass after = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
     std::string objection;
     bool takes_rotor_rates = false;
     for (size_t i = accepted.added.size(); i < trial.added.size(); ++i) {
       const Effect& effect = model.effect(EffectIndex(model, trial.added[i].effect.name));
       takes_rotor_rates = takes_rotor_rates || effect.description().from_rotor_rates;
     }
-    for (const AddedEffect& effect : trial.added) {
-      if (effect.effect.name == "gust" || !objection.empty()) continue;
-      objection = Objection(effect.effect, after.parameters, model);
+    for (size_t i = 0; i < trial.added.size() && objection.empty(); ++i) {
+      const RankedEffect& effect = trial.added[i].effect;
+      if (effect.name == "gust") continue;
+      objection = Objection(effect, after.parameters, model);
+      if (!objection.empty() && i < accepted.added.size()) suspects.push_back(effect.name);
+      if (objection.empty() && i >= accepted.added.size()) {
+        objection = Disagreement(effect, after.parameters, model);
+      }
     }
     HeldOut figures = after.held_out;
     const PredictionFigures::Axes accelerometer = HeldOutForce(residual, model, *after.replay.last);
     figures.UseForce(accelerometer);
+    const HeldOut& best = confirmed->back().figures;
     if (objection.empty() && !IsBetter(best, figures, takes_rotor_rates)) {
       objection = "blocks held out are predicted no better (" + ChangeText(best.all, figures.all) +
                   "; slower than 4 Hz " + ChangeText(best.slow, figures.slow) + ")";
     }
-    if (!objection.empty()) {
-      for (size_t i = accepted.added.size(); i < trial.added.size(); ++i) {
-        const std::string& name = trial.added[i].effect.name;
-        refused[name] = accepted.added.size();
-        result.warnings.push_back(
-            name + " was chosen, but the online run does not confirm it: " + objection);
-      }
-      // A lone effect that is refused has no second: the next best would have no case of its own.
-      promising = !accepted.added.empty() || promised.added.size() > 1 || gusty;
-    } else {
+    if (objection.empty()) {
+      confirmed->push_back({trial, figures, after.held_out.all, accelerometer, after.parameters,
+                            extended.effects, std::move(after.prediction)});
       accepted = trial;
-      best = figures;
-      result.after = after.held_out.all;
-      result.accelerometer_after = accelerometer;
-      result.parameters = after.parameters;
-      result.effect_names = extended.effects;
-      prediction = after.prediction;
+      choose(accepted);
+      return true;
     }
-    if (promising) choose(accepted);
+    for (size_t i = accepted.added.size(); i < trial.added.size(); ++i) {
+      const std::string& name = trial.added[i].effect.name;
+      refused[name] = accepted.added.size();
+      warn(name + " was chosen, but the online run does not confirm it: " + objection);
+    }
+    choose(accepted);
+    // A lone effect that is refused has no second: the next best would have no case of its own.
+    return !accepted.added.empty() || promised.added.size() > 1 || gusty.has_value();
+  };
+  const auto go_on_from = [&](std::vector<Confirmed>* confirmed) {
+    for (int run = 0; run < kMostRuns && try_next(confirmed);) ++run;
+  };
+  std::vector<Confirmed> confirmed = {declared_alone};
+  if (promising) go_on_from(&confirmed);
+  // What becomes absurd, or nothing, when the model gets better may have stood in for something:
+  // without it others may explain more.
+  const std::vector<std::string> first_suspects = suspects;
+  for (const std::string& name : first_suspects) {
+    std::vector<Confirmed> without;
+    for (const Confirmed& c : confirmed) {
+      if (!c.choice.Has(name)) without.push_back(c);
+    }
+    if (without.size() == confirmed.size()) continue;  // is not in any more, or has been tried
+    refused = {{name, kNeverAgain}};
+    choose(without.back().choice);
+    go_on_from(&without);
+    const Change change(confirmed.back().figures.all, without.back().figures.all);
+    if (change.sum > -kClearlyBetter) continue;
+    confirmed = without;
+    result.warnings.push_back(name +
+                              " was confirmed, but not beside further effects; without it "
+                              "these explain more of the blocks held out");
   }
+  const Confirmed& last = confirmed.back();
+  accepted = last.choice;
   if (explains(accepted)) {
     result.verdict = Verdict::kEffect;
     result.effects = accepted.added;
+    result.after = last.after;
+    result.accelerometer_after = last.accelerometer;
+    result.parameters = last.parameters;
+    result.effect_names = last.effect_names;
     for (AddedEffect& effect : result.effects) {
       effect.derived = DerivedFigures(vehicle, effect.effect.name, result.parameters);
       for (ParameterEstimate& p : effect.effect.parameters) {
@@ -690,18 +782,15 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
       }
     }
   } else {
-    result.after = result.before;
     result.accelerometer_after = result.accelerometer_before;
-    result.parameters = result.declared_parameters;
-    result.effect_names = vehicle.effects;
-    prediction.reset();
     if (structured) {
       result.verdict = Verdict::kUnexplained;
       result.where = Where(result.structure, flight, declared_residual);
     }
   }
-  result.samples =
-      Samples(before.prediction, prediction ? *prediction : before.prediction, options.blocks);
+  const bool is_extended = result.verdict == Verdict::kEffect && last.prediction;
+  result.samples = Samples(before.prediction, is_extended ? *last.prediction : before.prediction,
+                           options.blocks);
   return result;
 }
 

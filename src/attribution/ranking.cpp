@@ -93,7 +93,8 @@ RankedEffect Judge(const Stage& stage, const Candidates& candidates, const Candi
     const int k = model.IndexOf(name);
     ranked.parameters.push_back({name, model.parameters()[k].spec.unit, value, 0.0, false, false});
   }
-  const bool significant = IsSignificant(estimate, result.fit.covariance(own, own));
+  ranked.covariance = result.fit.covariance(own, own);
+  const bool significant = IsSignificant(estimate, ranked.covariance);
   if (ranked.sound && IsNegligible(ranked)) {
     ranked.sound = false;
     ranked.objection = "is too small to matter, and no larger than feedback can feign";

@@ -24,6 +24,15 @@ struct RankedEffect {
   std::string objection;                   ///< if not sound: why
   std::map<std::string, double> settings;  ///< frozen parameters it was tried with, full names
   std::vector<ParameterEstimate> parameters;
+  Eigen::MatrixXd covariance;  ///< of the estimated ones, initial states left out
+
+  /// nullptr if it has no such parameter
+  const ParameterEstimate* Find(const std::string& full_name) const {
+    for (const ParameterEstimate& p : parameters) {
+      if (p.full_name == full_name) return &p;
+    }
+    return nullptr;
+  }
 };
 
 /// Structure of one channel of the residual.
