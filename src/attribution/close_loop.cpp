@@ -207,6 +207,12 @@ std::vector<Eigen::Index> EstimatesOf(const RankedEffect& effect, const Paramete
 /// no mass is none wherever it hangs) and matters.
 std::string Objection(const RankedEffect& effect, const ParameterSet& online,
                       const DynamicModel& model) {
+  // The warm start is no prior: natural sizes are about those of the catalogue.
+  const Effect& catalogue = model.effect(EffectIndex(model, effect.name));
+  const auto spec_of = [&](const ParameterEstimate& p) -> const ParameterSpec& {
+    return *std::find_if(catalogue.parameters().begin(), catalogue.parameters().end(),
+                         [&](const auto& s) { return effect.name + "." + s.name == p.full_name; });
+  };
   RankedEffect estimate = effect;
   std::string of_no_size;  // a signed coefficient that may be zero, while no other is known not to
   bool has_size = false;
@@ -214,57 +220,30 @@ std::string Objection(const RankedEffect& effect, const ParameterSet& online,
     const ParameterEstimate* found = online.Find(p.full_name);
     if (found == nullptr || !found->estimated) continue;
     p = *found;
-    // The warm start is no prior: natural sizes are about zero.
-    const Effect& catalogue = model.effect(EffectIndex(model, effect.name));
-    for (const ParameterSpec& spec : catalogue.parameters()) {
-      if (effect.name + "." + spec.name != p.full_name) continue;
-      if (std::abs(p.value - spec.prior_value) > kTooLarge * spec.prior_sigma) {
-        return p.full_name + " = " + Text(p.value) + " is too large";
-      }
-      if (HasWrongSign(spec.sign, p.value)) {
-        return p.full_name + " = " + Text(p.value) + " has an unphysical sign";
-      }
-      if (spec.sign == PhysicalSign::kAny) continue;
-      has_size = has_size || std::abs(p.value) > kSizeSigmas * p.sigma;
-      of_no_size = p.full_name + " = " + Text(p.value) + " +- " + Text(p.sigma) + " may be zero";
+    const ParameterSpec& spec = spec_of(p);
+    if (std::abs(p.value - spec.prior_value) > kTooLarge * spec.prior_sigma) {
+      return p.full_name + " = " + Text(p.value) + " is too large";
     }
+    if (HasWrongSign(spec.sign, p.value)) {
+      return p.full_name + " = " + Text(p.value) + " has an unphysical sign";
+    }
+    if (spec.sign == PhysicalSign::kAny) continue;
+    has_size = has_size || std::abs(p.value) > kSizeSigmas * p.sigma;
+    of_no_size = p.full_name + " = " + Text(p.value) + " +- " + Text(p.sigma) + " may be zero";
   }
   const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
   Eigen::VectorXd values(static_cast<Eigen::Index>(own.size()));
-  for (size_t i = 0; i < own.size(); ++i) values[i] = online.parameters[own[i]].value;
+  std::vector<double> sizes;
+  for (size_t i = 0; i < own.size(); ++i) {
+    const ParameterEstimate& p = online.parameters[own[i]];
+    values[i] = p.value;
+    sizes.push_back((p.value - spec_of(p).prior_value) / spec_of(p).prior_sigma);
+  }
+  if (AreTooLargeTogether(sizes)) return "its coefficients together are too large";
   if (!IsSignificant(values, online.covariance(own, own)))
     return "does not differ from zero by three sigma";
   if (!has_size && !of_no_size.empty()) return of_no_size;
   return IsNegligible(estimate) ? "is no larger than feedback can feign" : "";
-}
-
-/// Two ways through the same data, the fit that chose an effect and the online estimator, find the
-/// same coefficients where the effect is what acts. Where it stands in for something else, what
-/// each finds depends on its weights (Hausman's specification test). Empty if they agree.
-std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
-                         const DynamicModel& model) {
-  const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
-  const auto n = static_cast<Eigen::Index>(own.size());
-  if (n == 0 || effect.covariance.rows() != n) return "";
-  Eigen::MatrixXd covariance = online.covariance(own, own) + effect.covariance;
-  Eigen::VectorXd difference(n);
-  Eigen::Index worst = 0;
-  double most = 0.0;
-  for (Eigen::Index i = 0; i < n; ++i) {
-    const ParameterEstimate& p = online.parameters[own[static_cast<size_t>(i)]];
-    const double fitted = effect.Find(p.full_name)->value;
-    difference[i] = p.value - fitted;
-    const double share = kAgreeShare * std::max(std::abs(p.value), std::abs(fitted));
-    covariance(i, i) += share * share;
-    const double sigmas = std::abs(difference[i]) / std::sqrt(covariance(i, i));
-    if (sigmas < most) continue;
-    most = sigmas;
-    worst = i;
-  }
-  if (!IsSignificant(difference, covariance)) return "";
-  const ParameterEstimate& p = online.parameters[own[static_cast<size_t>(worst)]];
-  return "it finds " + p.full_name + " = " + Text(p.value) + ", the fit that chose the effect " +
-         Text(p.value - difference[worst]);
 }
 
 /// What moves by itself is started near what the regression found of it, and so is its place. They
@@ -561,6 +540,32 @@ std::vector<std::string> Alternatives(const std::vector<Tried>& tried,
     if (close_by || IsSpecialCase(tried[i], tried.front())) names.push_back(other.name);
   }
   return names;
+}
+
+std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
+                         const DynamicModel& model) {
+  const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
+  const auto n = static_cast<Eigen::Index>(own.size());
+  if (n == 0 || effect.covariance.rows() != n) return "";
+  Eigen::MatrixXd covariance = online.covariance(own, own) + effect.covariance;
+  Eigen::VectorXd difference(n);
+  Eigen::Index worst = 0;
+  double most = 0.0;
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const ParameterEstimate& p = online.parameters[own[static_cast<size_t>(i)]];
+    const double fitted = effect.Find(p.full_name)->value;
+    difference[i] = p.value - fitted;
+    const double share = kAgreeShare * std::max(std::abs(p.value), std::abs(fitted));
+    covariance(i, i) += share * share;
+    const double sigmas = std::abs(difference[i]) / std::sqrt(covariance(i, i));
+    if (sigmas < most) continue;
+    most = sigmas;
+    worst = i;
+  }
+  if (!IsSignificant(difference, covariance)) return "";
+  const ParameterEstimate& p = online.parameters[own[static_cast<size_t>(worst)]];
+  return "it finds " + p.full_name + " = " + Text(p.value) + ", the fit that chose the effect " +
+         Text(p.value - difference[worst]);
 }
 
 bool IsStructured(const ChannelStructure& channel, const CloseLoopOptions& options) {

@@ -65,6 +65,7 @@ RankedEffect Judge(const Stage& stage, const Candidates& candidates, const Candi
   const Vehicle extended = With(stage.vehicle, candidates);
   const DynamicModel model(extended, extended.effects);
   std::vector<Eigen::Index> own;
+  std::vector<double> sizes;
   Eigen::VectorXd estimate(0);
   for (size_t i = 0; i < result.names.size(); ++i) {
     const int k = model.IndexOf(result.names[i]);
@@ -78,6 +79,7 @@ RankedEffect Judge(const Stage& stage, const Candidates& candidates, const Candi
         {p.full_name, p.spec.unit, value, sigma, true, sigma < 0.5 * p.spec.prior_sigma});
     if (!p.spec.initial_state) {
       own.push_back(at);
+      sizes.push_back((value - p.spec.prior_value) / p.spec.prior_sigma);
       estimate.conservativeResize(estimate.size() + 1);
       estimate[estimate.size() - 1] = value - p.spec.prior_value;
     }
@@ -92,6 +94,10 @@ RankedEffect Judge(const Stage& stage, const Candidates& candidates, const Candi
   for (const auto& [name, value] : candidate.settings) {
     const int k = model.IndexOf(name);
     ranked.parameters.push_back({name, model.parameters()[k].spec.unit, value, 0.0, false, false});
+  }
+  if (ranked.sound && AreTooLargeTogether(sizes)) {
+    ranked.sound = false;
+    ranked.objection = "its coefficients together are too large";
   }
   ranked.covariance = result.fit.covariance(own, own);
   const bool significant = IsSignificant(estimate, ranked.covariance);
@@ -375,6 +381,12 @@ bool IsSignificant(const Eigen::VectorXd& estimate, const Eigen::MatrixXd& covar
   C.diagonal() *= 1.0 + 1e-9;
   const double square = estimate.dot(C.ldlt().solve(estimate));
   return square > kSignificant * kSignificant + 2.0 * (n - 1.0);
+}
+
+bool AreTooLargeTogether(const std::vector<double>& sizes) {
+  double squares = 0.0;
+  for (const double size : sizes) squares += size * size;
+  return squares > kTooLarge * kTooLarge + 2.0 * (static_cast<double>(sizes.size()) - 1.0);
 }
 
 bool IsNegligible(const RankedEffect& ranked) {

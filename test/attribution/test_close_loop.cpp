@@ -41,6 +41,69 @@ bool Names(const AddedEffect& added, const std::string& effect) {
              added.alternatives.end();
 }
 
+/// A pressure centre as a fit found it, and the same online with other values.
+class Agreement : public testing::Test {
+ protected:
+  Agreement() : model_(With(NominalVehicle(), Candidate{"pressure_centre", {}, {}}), Effects()) {
+    online_.effects = Effects();
+    for (const char* axis : {"x", "y", "z"}) {
+      const std::string name = std::string("pressure_centre.") + axis;
+      fitted_.parameters.push_back({name, "m", 0.01, 0.001, true, true});
+      online_.parameters.push_back({name, "m", 0.01, 0.001, true, true});
+    }
+    fitted_.name = "pressure_centre";
+    fitted_.covariance = 1e-6 * Eigen::Matrix3d::Identity();
+    online_.covariance = fitted_.covariance;
+  }
+
+  static std::vector<std::string> Effects() {
+    std::vector<std::string> effects = NominalVehicle().effects;
+    effects.push_back("pressure_centre");
+    return effects;
+  }
+
+  std::string Said() const { return Disagreement(fitted_, online_, model_); }
+
+  DynamicModel model_;
+  RankedEffect fitted_;
+  ParameterSet online_;
+};
+
+TEST_F(Agreement, IsNotExpectedBeyondSigmas) {
+  EXPECT_EQ(Said(), "");
+  online_.parameters[1].value = 0.013;
+  EXPECT_EQ(Said(), "");
+  online_.parameters[1].value = -0.01;
+  EXPECT_NE(Said().find("pressure_centre.y = -0.01, the fit that chose the effect 0.01"),
+            std::string::npos)
+      << Said();
+}
+
+TEST_F(Agreement, IsNotExpectedOfWhatIsKnownBetterThanTheModelsAre) {
+  fitted_.covariance *= 1e-6;
+  online_.covariance *= 1e-6;
+  online_.parameters[0].value = 0.0115;
+  EXPECT_EQ(Said(), "");
+  online_.parameters[0].value = 0.016;
+  EXPECT_NE(Said(), "");
+}
+
+TEST_F(Agreement, IsNotExpectedAlongWhatNobodyKnows) {
+  const Eigen::Vector3d unknown(1.0, -1.0, 0.0);
+  online_.covariance += unknown * unknown.transpose();
+  online_.parameters[0].value += 0.5;
+  online_.parameters[1].value -= 0.5;
+  EXPECT_EQ(Said(), "");
+  online_.parameters[2].value = 0.03;
+  EXPECT_NE(Said(), "");
+}
+
+TEST_F(Agreement, SaysNothingOfFrozenParameters) {
+  for (ParameterEstimate& p : online_.parameters) p.estimated = false;
+  online_.parameters[0].value = 5.0;
+  EXPECT_EQ(Said(), "");
+}
+
 TEST(CloseLoop, SaysNoneWhenTheModelIsTheTruth) {
   for (const char* trajectory : {"octo", "circle"}) {
     const ClosedLoop loop =

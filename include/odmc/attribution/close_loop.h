@@ -76,6 +76,13 @@ struct ClosedLoop {
 std::vector<std::string> Alternatives(const std::vector<Tried>& tried,
                                       const CloseLoopOptions& options);
 
+/// Two ways through the same data, the fit that chose an effect and the online estimator, find the
+/// same coefficients where the effect is what acts. Where it stands in for something else, what
+/// each finds depends on its weights (Hausman, Specification tests in econometrics, 1978).
+/// @returns what differs by more than three sigma and a tenth of itself; empty if they agree
+std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
+                         const DynamicModel& model);
+
 /// True if a channel of the residual is more than noise.
 bool IsStructured(const ChannelStructure& channel, const CloseLoopOptions& options);
 

@@ -47,6 +47,10 @@ struct ChannelStructure {
 /// Natural sizes (prior sigmas) beyond which a coefficient is too large.
 constexpr double kTooLarge = 4.0;
 
+/// True if coefficients (n, in natural sizes) are each bearable but together as unlikely as a
+/// single one that is too large: an effect of many coefficients takes in much when all are large.
+bool AreTooLargeTogether(const std::vector<double>& sizes);
+
 using Candidates = std::vector<Candidate>;  // tried together
 
 /// A number in three digits, for sentences.
