@@ -25,9 +25,7 @@ constexpr double kTie = 3.0;        // nats by which a free force may explain be
 constexpr double kTieShare = 0.01;  // or this share of the gain: they differ little
 constexpr double kOneSided = 0.9;   // share of the wind's variance along one line
 constexpr double kKnownThrustShare = 0.05;
-constexpr double kClearlyBetter = 0.1;  // sum of logarithms of the channels' errors held out
-constexpr size_t kNeverAgain = 1000;
-constexpr double kAgreeShare = 0.1;  // of a coefficient, by which two ways to it may differ
+constexpr double kAgreeShare = 1.0 / 3.0;  // of a coefficient: winds and drags bend each other
 
 std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedFlight& flight,
                   const ResidualModel::Wrenches& residual) {
@@ -354,9 +352,8 @@ struct Choice {
   }
 };
 
-/// A choice that the online estimator confirms.
+/// What the online estimator makes of the choice it confirmed last.
 struct Confirmed {
-  Choice choice;
   HeldOut figures;  // by which further effects are judged
   PredictionFigures after;
   PredictionFigures::Axes accelerometer;
@@ -537,7 +534,10 @@ std::vector<std::string> Alternatives(const std::vector<Tried>& tried,
   for (size_t i = 1; i < tried.size(); ++i) {
     const RankedEffect& other = tried[i].ranked;
     const bool close_by = other.sound && other.score >= best - close;
-    if (close_by || IsSpecialCase(tried[i], tried.front())) names.push_back(other.name);
+    const Gain over_other = CrossValidatedGain(tried[i].result.fit, tried.front().result.fit);
+    const bool is_rival = other.sound && other.score >= options.least_score &&
+                          over_other.nats < options.telling_sigmas * over_other.sigma;
+    if (close_by || is_rival || IsSpecialCase(tried[i], tried.front())) names.push_back(other.name);
   }
   return names;
 }
@@ -678,11 +678,11 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   if (progress) progress(0.6);
 
   // One after the other: what the online estimator does not confirm is refused.
-  Confirmed declared_alone{accepted,          before.held_out, before.held_out.all, {},
-                           before.parameters, vehicle.effects, std::nullopt};
+  Confirmed confirmed{before.held_out,   before.held_out.all, {},
+                      before.parameters, vehicle.effects,     std::nullopt};
   result.accelerometer_before = HeldOutForce(residual, declared, *replay.last);
-  declared_alone.accelerometer = result.accelerometer_before;
-  declared_alone.figures.UseForce(result.accelerometer_before);
+  confirmed.accelerometer = result.accelerometer_before;
+  confirmed.figures.UseForce(result.accelerometer_before);
   step = first;
   const bool promising = (explains(promised) || gusty) && result.whiteness_p < options.noise_p;
   if (gusty && gusty->added.back().effect.score > kOvershadows * promised.scores) {
@@ -690,13 +690,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     step.after = accepted;
     step.after.added.push_back(gusty->added.back());
   }
-  const auto warn = [&result](const std::string& text) {
-    auto& all = result.warnings;
-    if (std::find(all.begin(), all.end(), text) == all.end()) all.push_back(text);
-  };
-  std::vector<std::string> suspects;  // confirmed once, and later no more, beside another effect
-  const auto try_next = [&](std::vector<Confirmed>* confirmed) {
-    accepted = confirmed->back().choice;
+  const auto try_next = [&] {
     if (step.after.added.size() == accepted.added.size() && reconsider()) choose(accepted);
     Choice trial = step.after;
     if (trial.added.size() == accepted.added.size()) {
@@ -717,7 +711,6 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
       const RankedEffect& effect = trial.added[i].effect;
       if (effect.name == "gust") continue;
       objection = Objection(effect, after.parameters, model);
-      if (!objection.empty() && i < accepted.added.size()) suspects.push_back(effect.name);
       if (objection.empty() && i >= accepted.added.size()) {
         objection = Disagreement(effect, after.parameters, model);
       }
@@ -725,14 +718,14 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     HeldOut figures = after.held_out;
     const PredictionFigures::Axes accelerometer = HeldOutForce(residual, model, *after.replay.last);
     figures.UseForce(accelerometer);
-    const HeldOut& best = confirmed->back().figures;
+    const HeldOut& best = confirmed.figures;
     if (objection.empty() && !IsBetter(best, figures, takes_rotor_rates)) {
       objection = "blocks held out are predicted no better (" + ChangeText(best.all, figures.all) +
                   "; slower than 4 Hz " + ChangeText(best.slow, figures.slow) + ")";
     }
     if (objection.empty()) {
-      confirmed->push_back({trial, figures, after.held_out.all, accelerometer, after.parameters,
-                            extended.effects, std::move(after.prediction)});
+      confirmed = {figures,          after.held_out.all, accelerometer,
+                   after.parameters, extended.effects,   std::move(after.prediction)};
       accepted = trial;
       choose(accepted);
       return true;
@@ -740,45 +733,21 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     for (size_t i = accepted.added.size(); i < trial.added.size(); ++i) {
       const std::string& name = trial.added[i].effect.name;
       refused[name] = accepted.added.size();
-      warn(name + " was chosen, but the online run does not confirm it: " + objection);
+      result.warnings.push_back(
+          name + " was chosen, but the online run does not confirm it: " + objection);
     }
     choose(accepted);
     // A lone effect that is refused has no second: the next best would have no case of its own.
     return !accepted.added.empty() || promised.added.size() > 1 || gusty.has_value();
   };
-  const auto go_on_from = [&](std::vector<Confirmed>* confirmed) {
-    for (int run = 0; run < kMostRuns && try_next(confirmed);) ++run;
-  };
-  std::vector<Confirmed> confirmed = {declared_alone};
-  if (promising) go_on_from(&confirmed);
-  // What becomes absurd, or nothing, when the model gets better may have stood in for something:
-  // without it others may explain more.
-  const std::vector<std::string> first_suspects = suspects;
-  for (const std::string& name : first_suspects) {
-    std::vector<Confirmed> without;
-    for (const Confirmed& c : confirmed) {
-      if (!c.choice.Has(name)) without.push_back(c);
-    }
-    if (without.size() == confirmed.size()) continue;  // is not in any more, or has been tried
-    refused = {{name, kNeverAgain}};
-    choose(without.back().choice);
-    go_on_from(&without);
-    const Change change(confirmed.back().figures.all, without.back().figures.all);
-    if (change.sum > -kClearlyBetter) continue;
-    confirmed = without;
-    result.warnings.push_back(name +
-                              " was confirmed, but not beside further effects; without it "
-                              "these explain more of the blocks held out");
-  }
-  const Confirmed& last = confirmed.back();
-  accepted = last.choice;
+  for (int run = 0; promising && run < kMostRuns && try_next();) ++run;
   if (explains(accepted)) {
     result.verdict = Verdict::kEffect;
     result.effects = accepted.added;
-    result.after = last.after;
-    result.accelerometer_after = last.accelerometer;
-    result.parameters = last.parameters;
-    result.effect_names = last.effect_names;
+    result.after = confirmed.after;
+    result.accelerometer_after = confirmed.accelerometer;
+    result.parameters = confirmed.parameters;
+    result.effect_names = confirmed.effect_names;
     for (AddedEffect& effect : result.effects) {
       effect.derived = DerivedFigures(vehicle, effect.effect.name, result.parameters);
       for (ParameterEstimate& p : effect.effect.parameters) {
@@ -793,9 +762,9 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
       result.where = Where(result.structure, flight, declared_residual);
     }
   }
-  const bool is_extended = result.verdict == Verdict::kEffect && last.prediction;
-  result.samples = Samples(before.prediction, is_extended ? *last.prediction : before.prediction,
-                           options.blocks);
+  const bool is_extended = result.verdict == Verdict::kEffect && confirmed.prediction;
+  result.samples = Samples(before.prediction,
+                           is_extended ? *confirmed.prediction : before.prediction, options.blocks);
   return result;
 }
 

@@ -43,7 +43,7 @@ RankedEffect Judge(const Stage& stage, const Candidates& candidates, const Candi
   RankedEffect ranked;
   ranked.name = candidate.effect;
   ranked.settings = candidate.settings;
-  ranked.score = CrossValidatedGain(base, result.fit);
+  ranked.score = CrossValidatedGain(base, result.fit).nats;
   double best = 1.0, worst = 0.0;
   int worst_channel = 0;
   for (int c = 0; c < num_channels; ++c) {

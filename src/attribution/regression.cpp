@@ -219,8 +219,9 @@ WrenchFit FitWrench(const WrenchRegression& r) {
   return fit;
 }
 
-double CrossValidatedGain(const WrenchFit& base, const WrenchFit& fit) {
-  double gain = 0.0;
+Gain CrossValidatedGain(const WrenchFit& base, const WrenchFit& fit) {
+  Gain gain;
+  Eigen::VectorXd of_sample = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(fit.rows.size()));
   for (Eigen::Index c = 0; c < fit.leverage.cols(); ++c) {
     const auto innovation = [&](const WrenchFit& of, size_t k) {
       const auto& e = of.unseen_residual[of.fold[k]];
@@ -231,14 +232,21 @@ double CrossValidatedGain(const WrenchFit& base, const WrenchFit& fit) {
       return white;
     };
     double was = 0.0, is = 0.0, count = 0.0;
+    Eigen::VectorXd change = Eigen::VectorXd::Zero(of_sample.size());  // of squares
     for (size_t k = 0; k < fit.rows.size(); ++k) {
       if (base.leverage(k, c) > kLargestLeverage || fit.leverage(k, c) > kLargestLeverage) continue;
-      was += std::pow(innovation(base, k), 2);
-      is += std::pow(innovation(fit, k), 2);
+      const double before = std::pow(innovation(base, k), 2);
+      const double after = std::pow(innovation(fit, k), 2);
+      change[static_cast<Eigen::Index>(k)] = before - after;
+      was += before;
+      is += after;
       count += 1.0;
     }
-    if (is > 0.0 && was > 0.0) gain += 0.5 * count * std::log(was / is);
+    if (!(is > 0.0 && was > 0.0)) continue;
+    gain.nats += 0.5 * count * std::log(was / is);
+    of_sample += 0.5 * count / is * change;
   }
+  gain.sigma = (of_sample.array() - of_sample.mean()).matrix().norm();
   return gain;
 }
 

@@ -73,8 +73,8 @@ TEST_F(Agreement, IsNotExpectedBeyondSigmas) {
   EXPECT_EQ(Said(), "");
   online_.parameters[1].value = 0.013;
   EXPECT_EQ(Said(), "");
-  online_.parameters[1].value = -0.01;
-  EXPECT_NE(Said().find("pressure_centre.y = -0.01, the fit that chose the effect 0.01"),
+  online_.parameters[1].value = -0.02;
+  EXPECT_NE(Said().find("pressure_centre.y = -0.02, the fit that chose the effect 0.01"),
             std::string::npos)
       << Said();
 }
@@ -82,9 +82,9 @@ TEST_F(Agreement, IsNotExpectedBeyondSigmas) {
 TEST_F(Agreement, IsNotExpectedOfWhatIsKnownBetterThanTheModelsAre) {
   fitted_.covariance *= 1e-6;
   online_.covariance *= 1e-6;
-  online_.parameters[0].value = 0.0115;
+  online_.parameters[0].value = 0.014;
   EXPECT_EQ(Said(), "");
-  online_.parameters[0].value = 0.016;
+  online_.parameters[0].value = -0.005;
   EXPECT_NE(Said(), "");
 }
 
@@ -94,7 +94,7 @@ TEST_F(Agreement, IsNotExpectedAlongWhatNobodyKnows) {
   online_.parameters[0].value += 0.5;
   online_.parameters[1].value -= 0.5;
   EXPECT_EQ(Said(), "");
-  online_.parameters[2].value = 0.03;
+  online_.parameters[2].value = -0.03;
   EXPECT_NE(Said(), "");
 }
 

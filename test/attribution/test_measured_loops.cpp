@@ -14,8 +14,8 @@ namespace odmc {
 namespace test {
 namespace {
 
-// Of the first effects that earn a place one is a stand-in: leaning rotors make up for a torque
-// coefficient that nobody documented. It becomes absurd beside others, which explain more without.
+// One of the effects that predict blocks held out better is a stand-in: leaning rotors make up for a
+// torque coefficient that nobody documented. They would have to lean by six degrees, all of them.
 TEST(MeasuredNeuroBem, FindsTheHubMomentAndWhatBendsThrustAndDrag) {
   const std::string file = RecordedFile("neurobem/test1_first18s.csv");
   if (file.empty()) GTEST_SKIP() << "no recorded data";

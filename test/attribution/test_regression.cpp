@@ -1,8 +1,11 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdio>
+#include <numeric>
 
 #include "odmc/attribution/regression.h"
+#include "odmc/math/statistics.h"
 #include "odmc/sim/gaussian.h"
 
 namespace odmc {
@@ -51,14 +54,14 @@ TEST(FitWrench, RealColumnsGainAndIdleOnesLose) {
     const WrenchRegression none = Made(0.0, 0.9, 0, seed);
     WrenchRegression one = Made(0.0, 0.9, 1, seed);
     one.y = none.y;
-    idle += CrossValidatedGain(FitWrench(none), FitWrench(one));
+    idle += CrossValidatedGain(FitWrench(none), FitWrench(one)).nats;
     WrenchRegression base = Made(4.0, 0.9, 1, seed);
     WrenchRegression without = base;
     for (Eigen::MatrixXd& c : without.columns) c.resize(kSamples, 0);
     without.prior_offset.resize(0);
     without.prior_sigma.resize(0);
     const WrenchFit with_fit = FitWrench(base), without_fit = FitWrench(without);
-    EXPECT_GT(CrossValidatedGain(without_fit, with_fit), 8.0);
+    EXPECT_GT(CrossValidatedGain(without_fit, with_fit).nats, 8.0);
     EXPECT_LT(with_fit.plain_mean_square[0], without_fit.plain_mean_square[0]);
     EXPECT_NEAR(with_fit.plain_mean_square[3], without_fit.plain_mean_square[3], 1e-9);
     const QuickGain quick(without, without_fit);
@@ -68,6 +71,35 @@ TEST(FitWrench, RealColumnsGainAndIdleOnesLose) {
     EXPECT_GT(quick.Of(base.columns), 3.0 + 2.0 * quick.Of(wrong));
   }
   EXPECT_LT(idle / 20.0, 0.5);
+}
+
+// Two effects that do nearly the same cannot be told apart, and the gain's own sigma says so.
+TEST(FitWrench, AGainOverARivalIsAsUncertainAsItSays) {
+  std::vector<double> of_twin, sigma_of_twin;
+  int told_from_stranger = 0;
+  constexpr int kSeeds = 60;
+  for (int seed = 0; seed < kSeeds; ++seed) {
+    const WrenchRegression truth = Made(3.0, 0.5, 1, seed);
+    const WrenchFit fit = FitWrench(truth);
+    const auto gain_over = [&](double other_share) {
+      WrenchRegression rival = truth;
+      for (int i = 0; i < kSamples; ++i) rival.columns[0](i, 0) += other_share * std::sin(0.23 * i);
+      return CrossValidatedGain(FitWrench(rival), fit);
+    };
+    const Gain twin = gain_over(0.05), stranger = gain_over(1.0);
+    of_twin.push_back(twin.nats);
+    sigma_of_twin.push_back(twin.sigma);
+    told_from_stranger += stranger.nats > 3.0 * stranger.sigma ? 1 : 0;
+  }
+  const double mean = std::accumulate(of_twin.begin(), of_twin.end(), 0.0) / kSeeds;
+  double square = 0.0;
+  for (const double nats : of_twin) square += (nats - mean) * (nats - mean);
+  const double spread = std::sqrt(square / (kSeeds - 1.0));
+  std::printf("over a twin %.2f +- %.2f nats, says %.2f; told from a stranger %d of %d times\n",
+              mean, spread, Median(sigma_of_twin), told_from_stranger, kSeeds);
+  EXPECT_LT(mean, 3.0 * spread);
+  EXPECT_NEAR(Median(sigma_of_twin) / spread, 1.0, 0.4);
+  EXPECT_GE(told_from_stranger, 0.9 * kSeeds);
 }
 
 TEST(FitWrench, HeldOutSamplesTeachNothing) {

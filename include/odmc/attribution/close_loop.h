@@ -22,10 +22,11 @@ struct CloseLoopOptions {
   double least_share_of_first = 0.03;  ///< a further effect must gain this share of those before
   double close_score = 4.0;            ///< candidates this close to the best are alternatives
   double close_share = 0.05;           ///< or within this share of its score
-  double least_explained = 0.5;        ///< of the structured variance, for the verdict "effect"
-  double whiteness_p = 1e-6;           ///< below it a residual is structured
-  double noise_p = 3e-3;               ///< above it noise explains a residual: no effect is named
-  double least_structured = 0.05;      ///< share of variance, for the verdict "unexplained"
+  double telling_sigmas = 3.0;     ///< or where it gains less over them than so many of its sigmas
+  double least_explained = 0.5;    ///< of the structured variance, for the verdict "effect"
+  double whiteness_p = 1e-6;       ///< below it a residual is structured
+  double noise_p = 3e-3;           ///< above it noise explains a residual: no effect is named
+  double least_structured = 0.05;  ///< share of variance, for the verdict "unexplained"
   int most_effects = 6;
 
   /// What the first effect must gain, or one beside others that have gained `scores` [nats].
@@ -79,7 +80,7 @@ std::vector<std::string> Alternatives(const std::vector<Tried>& tried,
 /// Two ways through the same data, the fit that chose an effect and the online estimator, find the
 /// same coefficients where the effect is what acts. Where it stands in for something else, what
 /// each finds depends on its weights (Hausman, Specification tests in econometrics, 1978).
-/// @returns what differs by more than three sigma and a tenth of itself; empty if they agree
+/// @returns what differs by more than three sigma and a third of itself; empty if they agree
 std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
                          const DynamicModel& model);
 

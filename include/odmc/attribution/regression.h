@@ -55,7 +55,13 @@ struct WrenchFit {
 /// that rotor speeds bring. Samples that either could only extrapolate to (leverage above 1) do not
 /// count: where a few transients alone tell parameters apart, leaving them out says nothing about
 /// the model.
-double CrossValidatedGain(const WrenchFit& base, const WrenchFit& fit);
+/// @returns nats, and their standard error as the samples tell it (Vuong, Likelihood ratio tests
+/// for
+///   model selection and non-nested hypotheses, 1989)
+struct Gain {
+  double nats = 0.0, sigma = 0.0;
+};
+Gain CrossValidatedGain(const WrenchFit& base, const WrenchFit& fit);
 
 /// True if a channel's plain mean square is larger in `fit` by more than two standard errors, as
 /// the folds tell it: not because of a single stretch of time.
