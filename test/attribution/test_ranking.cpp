@@ -65,6 +65,14 @@ bool IsCandidate(const Flown& flown, const std::string& effect) {
                      [&](const Candidate& c) { return c.effect == effect; });
 }
 
+TEST(AreTooLargeTogether, IsAsSevereAsOnASingleCoefficient) {
+  EXPECT_FALSE(AreTooLargeTogether({3.9}));
+  EXPECT_TRUE(AreTooLargeTogether({-4.1}));
+  EXPECT_FALSE(AreTooLargeTogether(std::vector<double>(8, 1.9)));
+  EXPECT_TRUE(AreTooLargeTogether(std::vector<double>(8, -2.0)));
+  EXPECT_FALSE(AreTooLargeTogether({}));
+}
+
 TEST(Candidates, GroundEffectNeedsHeightThatVaries) {
   EXPECT_FALSE(IsCandidate(Fly("circle"), "ground_effect"));
   EXPECT_TRUE(IsCandidate(Fly("vertical"), "ground_effect"));

@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <numeric>
 
+#include "odmc/attribution/close_loop.h"
 #include "odmc/attribution/regression.h"
 #include "odmc/math/statistics.h"
 #include "odmc/sim/gaussian.h"
@@ -100,6 +101,23 @@ TEST(FitWrench, AGainOverARivalIsAsUncertainAsItSays) {
   EXPECT_LT(mean, 3.0 * spread);
   EXPECT_NEAR(Median(sigma_of_twin) / spread, 1.0, 0.4);
   EXPECT_GE(told_from_stranger, 0.9 * kSeeds);
+}
+
+TEST(Alternatives, AreRivalsThatTheChoiceDoesNotBeatByThreeSigma) {
+  const WrenchRegression truth = Made(3.0, 0.5, 1, 4);
+  const auto tried = [&](const char* name, double other_share, double score) {
+    WrenchRegression r = truth;
+    for (int i = 0; i < kSamples; ++i) r.columns[0](i, 0) += other_share * std::sin(0.23 * i);
+    Tried t;
+    t.result.fit = FitWrench(r);
+    t.ranked.name = name;
+    t.ranked.score = score;
+    return t;
+  };
+  // None is close by score; the last has no case of its own.
+  const std::vector<Tried> all = {tried("choice", 0.0, 300.0), tried("twin", 0.05, 200.0),
+                                  tried("stranger", 1.0, 200.0), tried("nothing", 0.05, 2.0)};
+  EXPECT_EQ(Alternatives(all, CloseLoopOptions()), std::vector<std::string>{"twin"});
 }
 
 TEST(FitWrench, HeldOutSamplesTeachNothing) {

@@ -49,18 +49,18 @@ struct WrenchFit {
   std::array<Eigen::VectorXd, kNumChannels> noise_coefficients;  ///< of the autoregression
 };
 
+/// A gain of log-likelihood, and its standard error as the samples' contributions tell it (Vuong,
+/// Likelihood ratio tests for model selection and non-nested hypotheses, 1989).
+struct Gain {
+  double nats = 0.0, sigma = 0.0;
+};
+
 /// Gain of a fit over another of the same flight in log-likelihood, each block of time predicted by
 /// fits to the others. Both are seen through the noise that `fit` leaves: the noise of `base` has
 /// taken in what `fit` explains, and an inertia that is biased by what is missing damps the noise
 /// that rotor speeds bring. Samples that either could only extrapolate to (leverage above 1) do not
 /// count: where a few transients alone tell parameters apart, leaving them out says nothing about
 /// the model.
-/// @returns nats, and their standard error as the samples tell it (Vuong, Likelihood ratio tests
-/// for
-///   model selection and non-nested hypotheses, 1989)
-struct Gain {
-  double nats = 0.0, sigma = 0.0;
-};
 Gain CrossValidatedGain(const WrenchFit& base, const WrenchFit& fit);
 
 /// True if a channel's plain mean square is larger in `fit` by more than two standard errors, as
