@@ -173,7 +173,7 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
       ground_(options.ground),
       inertia_gate_(model->vehicle(), options.inertia_gate_r_squared),
       load_(*model, true),
-      odometry_noise_(Configured(options)),
+      stream_noise_(Configured(options)),
       process_noise_(model->vehicle().mass_kg * model->vehicle().gravity_m_s2,
                      model->vehicle().ArmLength(), options.process_noise_floor),
       change_detector_(model->vehicle().mass_kg * model->vehicle().gravity_m_s2,
@@ -199,7 +199,7 @@ Estimator::~Estimator() = default;
 
 void Estimator::Add(const OdometrySample& sample) {
   synchroniser_.Add(sample);
-  if (sample.p_WS.allFinite() && sample.q_WS.coeffs().allFinite()) odometry_noise_.Add(sample);
+  stream_noise_.Add(sample);
   if (noise_ready_ == 0) noise_ready_ = sample.stamp + FromSeconds(kNoiseWarmUp_s);
 }
 
@@ -207,18 +207,19 @@ void Estimator::Add(const ImuSample& sample) { synchroniser_.Add(sample); }
 
 void Estimator::Add(const RotorSample& sample) {
   synchroniser_.Add(sample);
-  if (sample.speed.allFinite()) rotor_noise_.Add(ToSeconds(sample.stamp), sample.speed);
+  stream_noise_.Add(sample);
 }
 
 void Estimator::Add(const BatterySample& sample) { synchroniser_.Add(sample); }
 
 void Estimator::Finish() {
   synchroniser_.Finish();
-  noise_ready_ = -1;
+  noise_ready_ = std::min(noise_ready_, synchroniser_.newest_odometry());
 }
 
 void Estimator::RestartChain() {
   synchroniser_.Clear();
+  stream_noise_.Restart();
   ground_.Reset();
   inertia_gate_.Break();
   load_.Reset();
@@ -243,8 +244,7 @@ void Estimator::CarryOn(const Estimator& before, const DynamicModel& declared) {
   ground_ = before.ground_;
   inertia_gate_ = before.inertia_gate_;
   inertia_gate_.Break();
-  odometry_noise_ = before.odometry_noise_;
-  rotor_noise_ = before.rotor_noise_;
+  stream_noise_ = before.stream_noise_;
   process_noise_ = before.process_noise_;
   residual_force_power_ = before.residual_force_power_;
   residual_torque_power_ = before.residual_torque_power_;
@@ -257,15 +257,14 @@ void Estimator::CarryOn(const Estimator& before, const DynamicModel& declared) {
 
 const Snapshot* Estimator::Step() {
   made_progress_ = false;
-  // The first keyframe waits until the odometry's noise is known.
-  if (!last_ && noise_ready_ > 0 && synchroniser_.newest_odometry() < noise_ready_) {
-    return nullptr;
-  }
+  // The first keyframe waits until the noise of the streams is known.
+  if (!last_ && !synchroniser_.HasReached(noise_ready_)) return nullptr;
   UpdateTimer timer;
   const std::optional<OdometrySample> sample = synchroniser_.NextKeyframe();
   if (!sample) return nullptr;
   made_progress_ = true;
   if (!first_stamp_) first_stamp_ = sample->stamp;
+  stream_noise_.AdvanceTo(std::max(sample->stamp, noise_ready_));
 
   const bool airborne = CheckGround(*sample);
   const Snapshot* snapshot = nullptr;
@@ -442,7 +441,7 @@ bool Estimator::CheckGround(const OdometrySample& sample) {
     speed_m_s = sample.v_WS->norm();
   } else if (last_ && dt > 0.0) {
     // Half the speed that pose noise alone would show is not motion.
-    const double noise = 2.0 * odometry_noise_.Noise().position_m / dt;
+    const double noise = 2.0 * stream_noise_.odometry().position_m / dt;
     speed_m_s = std::max(0.0, (sample.p_WS - last_->p_WS).norm() / dt - noise);
   }
   bool airborne = ground_.airborne();
@@ -500,7 +499,7 @@ std::optional<Estimator::Interval> Estimator::ReadInterval(const OdometrySample&
 
 /// A pose that moves without velocity is a relabelled marker or a loop closure, not flight.
 bool Estimator::IsJump(const OdometrySample& sample, double dt) const {
-  const OdometryNoise noise = odometry_noise_.Noise();
+  const OdometryNoise noise = stream_noise_.odometry();
   if (sample.v_WS && last_->v_WS) {
     const Vector3d step = sample.p_WS - last_->p_WS - 0.5 * dt * (*sample.v_WS + *last_->v_WS);
     return step.norm() > 0.01 + 8.0 * noise.position_m + dt * (0.5 + 8.0 * noise.velocity_m_s);
@@ -599,7 +598,7 @@ void Estimator::AddKeyframe(const OdometrySample& sample, const std::optional<In
   Factor odometry;
   odometry.kind = FactorKind::kOdometry;
   odometry.cost =
-      MakeCost<OdometryFactor>(FactorKind::kOdometry, sample, odometry_noise_.Noise(), !with_gyro);
+      MakeCost<OdometryFactor>(FactorKind::kOdometry, sample, stream_noise_.odometry(), !with_gyro);
   odometry.state0 = id;
   window_.AddFactor(std::move(odometry));
   if (!interval) return;
@@ -610,7 +609,7 @@ void Estimator::AddKeyframe(const OdometrySample& sample, const std::optional<In
 
 double Estimator::RotorSpeedNoise() const {
   return options_.rotor_speed_noise_rad_s > 0.0 ? options_.rotor_speed_noise_rad_s
-                                                : rotor_noise_.Sigma();
+                                                : stream_noise_.rotor_speed();
 }
 
 DynamicsNoise Estimator::NoiseOf(const Interval& interval) const {

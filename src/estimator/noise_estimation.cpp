@@ -5,6 +5,7 @@
 
 #include "odmc/math/so3.h"
 #include "odmc/math/statistics.h"
+#include "odmc/sensing/push_newest.h"
 
 namespace odmc {
 namespace {
@@ -88,6 +89,32 @@ OdometryNoise OdometryNoiseEstimator::Noise() const {
   noise.velocity_m_s = Choose(configured_.velocity_m_s, velocity_, kVelocity);
   noise.rate_rad_s = Choose(configured_.rate_rad_s, rate_, kRate);
   return noise;
+}
+
+void StreamNoise::Add(const OdometrySample& sample) {
+  if (sample.p_WS.allFinite() && sample.q_WS.coeffs().allFinite()) {
+    PushNewest(sample, &waiting_odometry_);
+  }
+}
+
+void StreamNoise::Add(const RotorSample& sample) {
+  if (sample.speed.allFinite()) PushNewest(sample, &waiting_rotors_);
+}
+
+void StreamNoise::AdvanceTo(Stamp stamp) {
+  for (; !waiting_odometry_.empty() && waiting_odometry_.front().stamp <= stamp;
+       waiting_odometry_.pop_front()) {
+    odometry_.Add(waiting_odometry_.front());
+  }
+  for (; !waiting_rotors_.empty() && waiting_rotors_.front().stamp <= stamp;
+       waiting_rotors_.pop_front()) {
+    rotors_.Add(ToSeconds(waiting_rotors_.front().stamp), waiting_rotors_.front().speed);
+  }
+}
+
+void StreamNoise::Restart() {
+  waiting_odometry_.clear();
+  waiting_rotors_.clear();
 }
 
 ProcessNoiseEstimator::ProcessNoiseEstimator(double weight_N, double arm_m, double floor_scale) {

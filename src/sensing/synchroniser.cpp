@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "odmc/sensing/push_newest.h"
+
 namespace odmc {
 namespace {
 
@@ -25,7 +27,7 @@ void Append(const Sample& sample, Ring<Sample>* queue, SynchroniserCounters* cou
     ++counters->out_of_order;
     return;
   }
-  queue->push_back(sample);
+  PushNewest(sample, queue);
 }
 
 template <typename Sample>
@@ -59,7 +61,7 @@ void Synchroniser::Add(const OdometrySample& sample) {
   }
   last_odometry_ = sample;
   last_odometry_->q_WS.normalize();
-  odometry_.push_back(*last_odometry_);
+  odometry_.push_back({*last_odometry_, spacing_s_});
 }
 
 void Synchroniser::Add(const ImuSample& sample) {
@@ -82,25 +84,37 @@ void Synchroniser::Add(const BatterySample& sample) {
   if (std::isfinite(sample.voltage_V)) battery_voltage_V_ = sample.voltage_V;
 }
 
-bool Synchroniser::IsDue(const OdometrySample& sample) const {
+bool Synchroniser::IsDue(const Waiting& next) const {
   if (!last_keyframe_) return true;
-  return ToSeconds(sample.stamp - *last_keyframe_) >= period_s_ - 0.5 * spacing_s_;
+  return ToSeconds(next.sample.stamp - *last_keyframe_) >= period_s_ - 0.5 * next.spacing_s;
+}
+
+std::string Synchroniser::Lagging(Stamp stamp) const {
+  if (rotors_.empty() || rotors_.back().stamp < stamp) return "rotor_speeds";
+  if (!imu_.empty() && imu_.back().stamp < stamp) return "imu";
+  return "";
+}
+
+bool Synchroniser::IsPatient(Stamp stamp) const {
+  return !finished_ && ToSeconds(newest_odometry() - stamp) < patience_s_;
+}
+
+bool Synchroniser::HasReached(Stamp stamp) const {
+  return newest_odometry() >= stamp && (Lagging(stamp).empty() || !IsPatient(stamp));
 }
 
 bool Synchroniser::Covered(Stamp stamp) {
-  waiting_for_.clear();
-  if (rotors_.empty() || rotors_.back().stamp < stamp) waiting_for_ = "rotor_speeds";
-  if (waiting_for_.empty() && !imu_.empty() && imu_.back().stamp < stamp) waiting_for_ = "imu";
+  waiting_for_ = Lagging(stamp);
   if (waiting_for_.empty()) return true;
-  if (!finished_ && ToSeconds(last_odometry_->stamp - stamp) < patience_s_) return false;
+  if (IsPatient(stamp)) return false;
   ++counters_.uncovered;
   return true;
 }
 
 std::optional<OdometrySample> Synchroniser::NextKeyframe() {
   while (!odometry_.empty()) {
-    const OdometrySample sample = odometry_.front();
-    if (!IsDue(sample)) {
+    const OdometrySample sample = odometry_.front().sample;
+    if (!IsDue(odometry_.front())) {
       odometry_.pop_front();
       continue;
     }

@@ -185,6 +185,42 @@ TEST(Synchroniser, TrimKeepsWhatTheNextIntervalStartsIn) {
   EXPECT_GT(synchroniser.rotors().front().stamp, FromSeconds(1.09));
 }
 
+TEST(Synchroniser, ForgetsWhatNoKeyframeWillAskFor) {
+  Synchroniser synchroniser(100.0, 0.3);
+  for (int i = 0; i < 100000; ++i) {  // rotors go on, the odometry has died
+    synchroniser.Add(Rotors(1.0 + 0.001 * i));
+    synchroniser.Add(Imu(1.0 + 0.001 * i));
+  }
+  EXPECT_LE(synchroniser.rotors().size(), 10002u);
+  EXPECT_LE(synchroniser.imu().size(), 10002u);
+  EXPECT_EQ(synchroniser.rotors().back().stamp, FromSeconds(1.0 + 0.001 * 99999));
+}
+
+TEST(Synchroniser, PicksTheSameWhateverHasComeSince) {
+  const auto pick = [](bool wait) {
+    Synchroniser synchroniser(50.0, 0.3);
+    synchroniser.Add(Rotors(0.9));
+    std::vector<Stamp> stamps;
+    const auto take = [&] {
+      while (const auto keyframe = synchroniser.NextKeyframe()) stamps.push_back(keyframe->stamp);
+    };
+    // From 200 Hz to 60 Hz: how fine keyframes can be picked changes on the way.
+    double time_s = 1.0;
+    for (int i = 0; i < 400; ++i, time_s += i < 200 ? 0.005 : 0.0162) {
+      synchroniser.Add(Odometry(time_s));
+      if (!wait) {
+        synchroniser.Add(Rotors(time_s));
+        take();
+      } else if (i % 10 == 9) {
+        synchroniser.Add(Rotors(time_s));
+        take();
+      }
+    }
+    return stamps;
+  };
+  EXPECT_EQ(pick(true), pick(false));
+}
+
 TEST(Synchroniser, StartsAnewAfterClear) {
   Synchroniser synchroniser(100.0, 0.3);
   synchroniser.Add(Odometry(100.0));

@@ -141,7 +141,7 @@ class Estimator {
   void SetObserver(std::function<void()> observe) { observe_ = std::move(observe); }
 
   const InertiaGate& inertia_gate() const { return inertia_gate_; }
-  OdometryNoise odometry_noise() const { return odometry_noise_.Noise(); }
+  OdometryNoise odometry_noise() const { return stream_noise_.odometry(); }
 
   /// The estimate as a parameter set, for files and messages.
   static ParameterSet ToParameterSet(const DynamicModel& model, const Snapshot& snapshot);
@@ -199,8 +199,7 @@ class Estimator {
   LoadPull load_pull_;  // over the newest interval
   std::function<bool(Stamp)> is_held_out_;
   std::function<void()> observe_;
-  OdometryNoiseEstimator odometry_noise_;
-  DifferenceNoise rotor_noise_;
+  StreamNoise stream_noise_;
   double rotor_scale_sigma_ = 0.0;  // of rotor speeds, mean over the flight, 0: none modelled
   RotorRateSmoother rotor_rates_;
   ProcessNoiseEstimator process_noise_;

@@ -52,6 +52,34 @@ class OdometryNoiseEstimator {
   bool has_reference_ = false;
 };
 
+/// Noise of odometry and rotor speeds as it stands at a keyframe: samples wait until their stamp is
+/// reached, so what happens to arrive early changes nothing and a live run repeats offline.
+class StreamNoise {
+ public:
+  /// @param configured odometry noise; values > 0 are taken as they are, 0 means "measure it"
+  explicit StreamNoise(const OdometryNoise& configured) : odometry_(configured) {}
+
+  void Add(const OdometrySample& sample);
+  void Add(const RotorSample& sample);
+
+  /// Takes in what is stamped `stamp` or earlier.
+  void AdvanceTo(Stamp stamp);
+
+  /// Forgets what waits; the next samples may start at any stamp.
+  void Restart();
+
+  OdometryNoise odometry() const { return odometry_.Noise(); }
+
+  /// Of one rotor's speed [rad/s].
+  double rotor_speed() const { return rotors_.Sigma(); }
+
+ private:
+  OdometryNoiseEstimator odometry_;
+  DifferenceNoise rotors_;
+  Ring<OdometrySample> waiting_odometry_;
+  Ring<RotorSample> waiting_rotors_;
+};
+
 /// What the model left unexplained over one interval, and how much of it rotor-speed noise puts
 /// there.
 struct IntervalResidual {

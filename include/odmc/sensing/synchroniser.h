@@ -35,6 +35,9 @@ class Synchroniser {
   /// The next keyframe's odometry, once every stream has reached it; empty while waiting.
   std::optional<OdometrySample> NextKeyframe();
 
+  /// True once every stream has come as far as `stamp`, or is not waited for any more.
+  bool HasReached(Stamp stamp) const;
+
   /// Name of the stream the next keyframe waits for; empty if none.
   const std::string& waiting_for() const { return waiting_for_; }
 
@@ -51,11 +54,18 @@ class Synchroniser {
   void Clear();
 
  private:
+  struct Waiting {
+    OdometrySample sample;
+    double spacing_s = 0.0;  // of the odometry up to it, whatever has come since
+  };
+  /// The stream that has not reached `stamp`, empty if none.
+  std::string Lagging(Stamp stamp) const;
+  bool IsPatient(Stamp stamp) const;
   bool Covered(Stamp stamp);
-  bool IsDue(const OdometrySample& sample) const;
+  bool IsDue(const Waiting& next) const;
 
   double period_s_, patience_s_;
-  Ring<OdometrySample> odometry_;
+  Ring<Waiting> odometry_;
   Ring<RotorSample> rotors_;
   Ring<ImuSample> imu_;
   double battery_voltage_V_ = 0.0;
