@@ -728,7 +728,8 @@ Vector3d Estimator::AccelerometerSigma(const Vector3d& force_N) const {
 void Estimator::SmoothRotorRates(const Interval& interval, std::int64_t id) {
   if (!model_->takes_rotor_rates()) return;
   const double end_s = ToSeconds(window_.keyframe(id).stamp - *first_stamp_);
-  rotor_rates_.Add(id, end_s - 0.5 * interval.dt, interval.dt, interval.rotors.mean);
+  rotor_rates_.Add(id, end_s - 0.5 * interval.dt, interval.dt, interval.rotors.mean,
+                   interval.rotors.num_samples);
   rotor_rates_.ForChanged([&](std::int64_t changed, const RotorRateSmoother::Rates& rates) {
     if (changed - 1 < window_.keyframes().front().id) return;  // has left the window
     for (Factor& factor : window_.keyframe(changed - 1).factors) {

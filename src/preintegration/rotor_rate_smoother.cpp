@@ -6,8 +6,9 @@
 
 namespace odmc {
 
-void RotorRateSmoother::Add(std::int64_t id, double time_s, double dt, const RotorState& mean) {
-  intervals_.push_back({id, time_s, dt, mean.acceleration, mean.speed_squared_rate});
+void RotorRateSmoother::Add(std::int64_t id, double time_s, double dt, const RotorState& mean,
+                            int num_samples) {
+  intervals_.push_back({id, time_s, dt, mean, num_samples});
   // Half a window before those that may still change.
   while (time_s - intervals_.front().time_s > 1.1 * kRotorRatesWindow_s) intervals_.pop_front();
 }
@@ -16,21 +17,28 @@ RotorRateSmoother::Rates RotorRateSmoother::About(int middle) const {
   const auto time = [this](int i) { return intervals_[i].time_s; };
   const int reach = HannReach(middle, static_cast<int>(intervals_.size()), kRotorRatesWindow_s,
                               time, [](int) { return true; });
+  const RotorState& own = intervals_[middle].mean;
+  if (reach == 0) {
+    return {own.acceleration, own.speed_squared_rate, std::sqrt(2.0) / intervals_[middle].dt};
+  }
   Rates rates;
-  rates.acceleration.setZero(intervals_[middle].acceleration.size());
+  rates.acceleration.setZero(own.speed.size());
   rates.speed_squared_rate = rates.acceleration;
   double sum = 0.0, before = 0.0, square = 0.0;
-  for (int i = middle - reach; i <= middle + reach; ++i) {
-    const Interval& interval = intervals_[i];
-    const double w = Hann((time(i) - time(middle)) / kRotorRatesWindow_s);
+  for (int i = middle - reach; i < middle + reach; ++i) {
+    const Interval& a = intervals_[i];
+    const Interval& b = intervals_[i + 1];
+    const double boundary_s = a.time_s + 0.5 * a.dt;
+    const double w = Hann((boundary_s - time(middle)) / kRotorRatesWindow_s);
+    const double per_second = w / (b.time_s - a.time_s);
     sum += w;
-    rates.acceleration += w * interval.acceleration;
-    rates.speed_squared_rate += w * interval.speed_squared_rate;
-    // The speed at a boundary enters the intervals on both sides of it.
-    square += std::pow(before - w / interval.dt, 2);
-    before = w / interval.dt;
+    rates.acceleration += per_second * (b.mean.speed - a.mean.speed);
+    rates.speed_squared_rate += per_second * (b.mean.speed_squared - a.mean.speed_squared);
+    // An interval's mean enters the differences on both sides of it.
+    square += std::pow(before - per_second, 2) / a.num_samples;
+    before = per_second;
   }
-  square += before * before;
+  square += before * before / intervals_[middle + reach].num_samples;
   rates.acceleration /= sum;
   rates.speed_squared_rate /= sum;
   rates.noise = std::sqrt(square) / sum;

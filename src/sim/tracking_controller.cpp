@@ -17,6 +17,9 @@ constexpr double kAttitude = 150.0;  // [1/s²]
 constexpr double kRate = 25.0;       // [1/s]
 // A speed controller drives each motor past its goal, which makes it this much faster.
 constexpr double kMotorLead = 2.5;
+// Rotors that speed up push the body at once, before their torque has changed: as much of the rate
+// gain times this push as a loop of kMotorLead and the control period bears.
+constexpr double kMostReaction = 2.0;
 constexpr double kMaxThrustOverHover = 3.5;
 constexpr double kMinThrustOverHover = 0.02;
 // Keeps the ratio of the air's force to speed finite at rest [m²/s²].
@@ -34,8 +37,29 @@ TrackingController::TrackingController(const RigidBody& body)
 
   const BodyProperties& properties = body.properties();
   const double hover_squared = properties.mass * properties.g_W.norm() / map_.row(0).sum();
+  yaw_share_ = YawShare(std::sqrt(hover_squared));
   min_squared_ = kMinThrustOverHover * hover_squared;
   max_squared_ = kMaxThrustOverHover * hover_squared;
+}
+
+double TrackingController::YawShare(double hover_speed) const {
+  const DynamicModel& model = body_->model();
+  const int n = model.vehicle().num_rotors();
+  FlightState still;
+  still.rotors = RotorState::Steady(RotorVector::Constant(n, hover_speed));
+  FlightState turning = still;
+  for (int j = 0; j < n; ++j) {
+    turning.rotors.acceleration[j] = model.vehicle().rotors[j].spin;
+    turning.rotors.speed_squared_rate[j] = 2.0 * hover_speed * model.vehicle().rotors[j].spin;
+  }
+  Eigen::Vector3d f_B, tau_still, tau_turning;
+  const Eigen::Vector3d& p_BBcm = body_->properties().p_BBcm;
+  model.EvaluateRateEffects(still, body_->values(), p_BBcm, &f_B, &tau_still);
+  model.EvaluateRateEffects(turning, body_->values(), p_BBcm, &f_B, &tau_turning);
+  const double at_once = std::abs(tau_turning.z() - tau_still.z());         // [N m s²]
+  const double lasting = 2.0 * hover_speed * map_.row(3).cwiseAbs().sum();  // [N m s]
+  return lasting > 0.0 ? std::min(1.0, kMostReaction * lasting / (kRate * std::max(at_once, 1e-12)))
+                       : 1.0;
 }
 
 RotorVector TrackingController::HoverSpeeds() const {
@@ -73,8 +97,11 @@ TrackingController::Rows TrackingController::DesiredRotorWrench(const RigidBodyS
   const double thrust = properties.mass * desired.specific_thrust * q_BD.toRotationMatrix()(2, 2);
 
   const Eigen::Vector3d& w = state.w_WB_B;
+  Eigen::Vector3d attitude_error = Log(q_BD), rate_error = q_BD * desired.w_WB_B - w;
+  attitude_error.z() *= yaw_share_ * yaw_share_;  // as damped as before
+  rate_error.z() *= yaw_share_;
   const Eigen::Vector3d dw_WB_B =
-      kAttitude * Log(q_BD) + kRate * (q_BD * desired.w_WB_B - w) + q_BD * desired.dw_WB_B;
+      kAttitude * attitude_error + kRate * rate_error + q_BD * desired.dw_WB_B;
   const Eigen::Vector3d tau_Bcm_B =
       properties.I_BBcm_B * dw_WB_B + w.cross(properties.I_BBcm_B * w) - air.tau_Bcm_B;
   Rows rows;

@@ -163,7 +163,8 @@ class Pipeline {
     if (!rotors || !imu) return;
     ++intervals_;
     const double dt = imu->dt;
-    smoother_.Add(intervals_, ToSeconds(to.stamp - FromSeconds(100.0)), dt, rotors->mean);
+    smoother_.Add(intervals_, ToSeconds(to.stamp - FromSeconds(100.0)), dt, rotors->mean,
+                  rotors->num_samples);
     smoother_.ForChanged([this](std::int64_t, const RotorRateSmoother::Rates&) { ++smoothed_; });
     inertia_gate_.Add(dt, *from.w_WS_S, *to.w_WS_S, rotors->mean.speed_squared);
     load_.Advance(*from.v_WS, *to.v_WS, dt, model_.InitialValues());

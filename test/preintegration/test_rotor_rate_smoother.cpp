@@ -14,20 +14,28 @@ constexpr double kStep_s = 0.01;
 /// A smoother fed with speeds at interval boundaries, and the newest average of each interval.
 class Fed {
  public:
+  /// A straight line between boundaries, one sample an interval.
   void AddBoundary(double speed) {
-    if (count_++ > 0) {
-      RotorState mean;
-      mean.acceleration = RotorVector::Constant(4, (speed - last_) / kStep_s);
-      mean.speed_squared_rate = RotorVector::Constant(4, (speed * speed - last_ * last_) / kStep_s);
-      const int id = count_ - 2;
-      smoother_.Add(id, (id + 0.5) * kStep_s, kStep_s, mean);
-      changed_ = 0;
-      smoother_.ForChanged([&](std::int64_t which, const RotorRateSmoother::Rates& rates) {
-        of[static_cast<int>(which)] = rates;
-        ++changed_;
-      });
-    }
+    if (has_last_) AddInterval(0.5 * (last_ + speed), speed, 1);
     last_ = speed;
+    has_last_ = true;
+  }
+  /// @param mean over the interval, of `num_samples` samples
+  void AddInterval(double mean, double end, int num_samples) {
+    RotorState state;
+    state.speed = RotorVector::Constant(4, mean);
+    state.speed_squared = RotorVector::Constant(4, mean * mean);
+    state.acceleration = RotorVector::Constant(4, (end - last_) / kStep_s);
+    state.speed_squared_rate = RotorVector::Constant(4, (end * end - last_ * last_) / kStep_s);
+    const int id = count_++;
+    smoother_.Add(id, (id + 0.5) * kStep_s, kStep_s, state, num_samples);
+    changed_ = 0;
+    smoother_.ForChanged([&](std::int64_t which, const RotorRateSmoother::Rates& rates) {
+      of[static_cast<int>(which)] = rates;
+      ++changed_;
+    });
+    last_ = end;
+    has_last_ = true;
   }
   void Restart() { smoother_.Restart(); }
   int changed() const { return changed_; }
@@ -37,6 +45,7 @@ class Fed {
  private:
   RotorRateSmoother smoother_;
   double last_ = 0.0;
+  bool has_last_ = false;
   int count_ = 0, changed_ = 0;
 };
 
@@ -59,7 +68,11 @@ TEST(RotorRateSmoother, SaysHowMuchNoiseIsLeft) {
   double square = 0.0;
   int count = 0;
   Fed fed;
-  for (int i = 0; i < 40000; ++i) fed.AddBoundary(500.0 + sigma * noise(engine));
+  constexpr int kSamples = 8;
+  const double of_mean = sigma / std::sqrt(kSamples);
+  for (int i = 0; i < 40000; ++i) {
+    fed.AddInterval(500.0 + of_mean * noise(engine), 500.0 + sigma * noise(engine), kSamples);
+  }
   for (const auto& [id, rates] : fed.of) {
     if (id < 20 || id > 39900) continue;
     square += rates.acceleration.head<1>().squaredNorm();
@@ -68,7 +81,7 @@ TEST(RotorRateSmoother, SaysHowMuchNoiseIsLeft) {
   const double expected = sigma * fed.of.at(1000).noise;
   EXPECT_NEAR(std::sqrt(square / count), expected, 0.03 * expected);
   const double single = std::sqrt(2.0) * sigma / kStep_s;
-  EXPECT_LT(expected, 0.06 * single);
+  EXPECT_LT(expected, 0.06 / std::sqrt(kSamples) * single);
   // The newest interval has nobody after it.
   EXPECT_NEAR(fed.of.rbegin()->second.noise, std::sqrt(2.0) / kStep_s, 1e-9);
 }

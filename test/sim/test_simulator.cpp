@@ -156,6 +156,35 @@ TEST(Simulator, FliesSixRotorsUnderTiltedGravity) {
   EXPECT_LT(FiguresOf(flight, "octo", vehicle).tracking_rms, 0.05);
 }
 
+// How fast the rotors' share in yaw changes from one control to the next, and back [rad/s].
+double YawChatter(double rotor_inertia) {
+  Vehicle vehicle = test::NominalVehicle();
+  vehicle.effects.push_back("rotor_reaction");
+  const DynamicModel model(vehicle, vehicle.effects);
+  ModelValues truth = DefaultTruth(model);
+  truth[model.IndexOf("rotor_reaction.J_r")] = rotor_inertia;
+  SimulationOptions options;
+  options.log_rate_hz = 500.0;  // one control a sample
+  options.duration_s = 8.0;
+  const SimulatedFlight flight = Simulate(model, truth, options);
+  const auto yaw_speed = [&](size_t k) {
+    double sum = 0.0;
+    for (int j = 0; j < vehicle.num_rotors(); ++j) {
+      sum += vehicle.rotors[j].spin * flight.truth[k].rotor_speed[j];
+    }
+    return sum;
+  };
+  double square = 0.0;
+  for (size_t k = 2; k < flight.truth.size(); ++k) {
+    square += std::pow(yaw_speed(k) - 2.0 * yaw_speed(k - 1) + yaw_speed(k - 2), 2);
+  }
+  return std::sqrt(square / static_cast<double>(flight.truth.size()));
+}
+
+// Heavy rotors push the body faster than their torque turns it: a yaw gain made for light ones
+// swings at half the control rate, and sensors that sample at that rate never see it.
+TEST(Simulator, TurnsHeavyRotorsGently) { EXPECT_LT(YawChatter(3e-5), 1.5 * YawChatter(0.0)); }
+
 TEST(Simulator, IsTheSameForTheSameSeed) {
   const Vehicle vehicle = test::NominalVehicle();
   const SimulatedFlight a = Fly(vehicle, "octo", {}, 3.0, 7);

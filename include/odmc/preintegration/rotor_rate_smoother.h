@@ -11,10 +11,11 @@ namespace odmc {
 /// of measured speeds is mostly noise, and a noisy regressor makes its coefficient small.
 constexpr double kRotorRatesWindow_s = 0.25;
 
-/// Accelerations of the rotors over consecutive intervals, averaged by a Hann window about each.
-/// What noise of a speed adds to one interval it takes from the next: differences over single
-/// intervals are mostly noise, their average is not. The window has no phase, so an interval's
-/// average grows as those after it come in, as far to one side as to the other.
+/// Accelerations of the rotors over consecutive intervals, averaged by a Hann window about each:
+/// from one interval's mean speed to the next one's, since the mean of all samples is quieter than
+/// the two at an interval's ends, and what noise adds to one difference it takes from the next. The
+/// window has no phase, so an interval's average grows as those after it come in, as far to one
+/// side as to the other; an interval that stands alone has the difference of its ends.
 class RotorRateSmoother {
  public:
   /// Of one interval.
@@ -30,7 +31,8 @@ class RotorRateSmoother {
   /// @param id anything that tells the interval
   /// @param time_s of its middle, > that of the one before
   /// @param dt its length [s], > 0
-  void Add(std::int64_t id, double time_s, double dt, const RotorState& mean);
+  /// @param num_samples that its means are of, > 0
+  void Add(std::int64_t id, double time_s, double dt, const RotorState& mean, int num_samples);
 
   /// Calls `use` with every interval whose average the newest one has changed, oldest first.
   /// @param use takes (std::int64_t id, const Rates&)
@@ -46,7 +48,8 @@ class RotorRateSmoother {
   struct Interval {
     std::int64_t id;
     double time_s, dt;
-    RotorVector acceleration, speed_squared_rate;
+    RotorState mean;
+    int num_samples;
   };
 
   Rates About(int middle) const;

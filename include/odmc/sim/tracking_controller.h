@@ -37,8 +37,12 @@ class TrackingController {
   // Squared speeds within limits that make `wrench`; gives up yaw first.
   RotorVector Allocate(const Rows& wrench) const;
 
+  // Share of the yaw rate's gain that the rotors' reaction (model.md 12.7) leaves stable.
+  double YawShare(double hover_speed) const;
+
   const RigidBody* body_;
   RotorMap map_;
+  double yaw_share_ = 1.0;
   InverseMap inverse_;                // pseudo-inverse of map_
   double min_squared_, max_squared_;  // limits of the squared speed [rad²/s²]
 };
