@@ -130,6 +130,39 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   return result;
 }
 
+LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,
+                       const Vehicle& file_vehicle, const DynamicModel& model,
+                       const EstimatorOptions& options, double block_s) {
+  const double duration_s = DurationOf(log);
+  if (!(block_s > 0.0) || duration_s < 2.0 * block_s) {
+    throw std::invalid_argument(log.file + ": " + Text(duration_s) + " s are no two blocks of " +
+                                Text(block_s) + " s to leave out");
+  }
+  const bool with_torque = !log.rotor_rms_only;
+  const Stamp first = log.odometry.front().stamp;
+  const auto block_at = [block_s](double t_s) { return static_cast<int>(t_s / block_s); };
+  std::vector<PredictionSample> unseen;
+  ModelValues values;
+  for (int block = 0; block <= block_at(duration_s); ++block) {
+    Estimator estimator(&model, options, with_torque);
+    estimator.SetHeldOut([&](Stamp stamp) { return block_at(ToSeconds(stamp - first)) == block; });
+    const ReplayResult replay = Replay(log, &estimator);
+    if (!replay.last) {
+      throw std::invalid_argument(log.file + ": never airborne outside the block left out from " +
+                                  Text(block * block_s) + " s on");
+    }
+    values = replay.last->values;
+    const Prediction prediction =
+        Predict(recording, file_vehicle, model, values, replay.ground_spans);
+    for (const PredictionSample& sample : prediction.samples) {
+      if (block_at(sample.t_s) == block) unseen.push_back(sample);
+    }
+  }
+  LeftOut left_out{block_s, SummarisePrediction(unseen, with_torque, file_vehicle, model, values)};
+  left_out.figures.inertia_over_nominal.reset();
+  return left_out;
+}
+
 Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
                     const ParameterSet& parameters) {
   const ModelValues values = model.InitialValues();

@@ -111,6 +111,10 @@ std::string CalibrationReport(const Calibration& c, const DynamicModel& model) {
   json["parameters"] = parameters;
   json["convergence_s"] = convergence;
   json["prediction"] = PredictionJson(c.prediction.figures);
+  if (c.left_out) {
+    json["prediction_left_out"] = PredictionJson(c.left_out->figures);
+    json["prediction_left_out"]["block_s"] = c.left_out->block_s;
+  }
   json["timing_ms"] = TimingJson(c.wall, c.states_in_window, c.threads);
   json["timing_cpu_ms"] = TimingJson(c.cpu, c.states_in_window, c.threads);
   json["warnings"] = c.warnings;

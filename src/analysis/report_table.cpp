@@ -62,6 +62,17 @@ std::string PredictionTable(const PredictionFigures& f) {
          " on the ground left out\n";
 }
 
+std::string LeftOutTable(const LeftOut& left_out) {
+  const PredictionFigures& f = left_out.figures;
+  std::vector<Row> rows = {
+      {"blocks of " + Text(left_out.block_s) + " s left out in turn", "unit", "x", "y", "z"}};
+  AddAxes("force RMSE", "N", f.force_rmse_N, &rows);
+  AddAxes("torque RMSE", "N m", f.torque_rmse_Nm, &rows);
+  AddAxes("  rotor torque gain", "", f.rotor_torque_gain, &rows);
+  AddAxes("angular acceleration RMSE", "rad/s^2", f.angular_acceleration_rmse_rad_s2, &rows);
+  return Align(rows, 2);
+}
+
 std::string FlightLine(const FlightFigures& f) {
   return f.file + ": " + Text(f.duration_s, "%.1f") + " s, " + Text(f.on_ground_s, "%.1f") +
          " s on the ground, " + std::to_string(f.keyframes) + " keyframes, " +
@@ -106,8 +117,9 @@ std::string CalibrationTable(const Calibration& c) {
        "median", "p95", "p99", "max", "updates"},
       TimingRow({"wall [ms]"}, c.wall),
       TimingRow({"CPU [ms]"}, c.cpu)};
-  return text + "\n" + PredictionTable(c.prediction.figures) + "\n" + Align(timing, 1) +
-         WarningLines(c.warnings);
+  text += "\n" + PredictionTable(c.prediction.figures);
+  if (c.left_out) text += "\n" + LeftOutTable(*c.left_out);
+  return text + "\n" + Align(timing, 1) + WarningLines(c.warnings);
 }
 
 std::string EvaluationTable(const Evaluation& e) {

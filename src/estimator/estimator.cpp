@@ -18,8 +18,12 @@ using Eigen::Vector3d;
 
 namespace {
 
-constexpr double kObservableShare = 0.5;   // of the prior's sigma
-constexpr double kNoiseWarmUp_s = 0.3;     // of odometry before the first keyframe
+constexpr double kObservableShare = 0.5;  // of the prior's sigma
+constexpr double kNoiseWarmUp_s = 0.3;    // of odometry before the first keyframe
+// What leaves the window is linearized for good. Until then, parameters that multiply each other
+// (drag and the height of the centre of mass) are guesses, and a guess would stay.
+constexpr double kLearning_s = 3.0;        // of flight in which nothing leaves
+constexpr int kMostLeaving = 20;           // keyframes an update after it
 constexpr double kSettled_s = 1.0;         // age at which an interval's residual is looked at
 constexpr double kAlignmentGrowth = 1.2;   // of the window, from one alignment to the next
 constexpr double kChangeDelay_s = 0.15;    // age of the intervals that show a change
@@ -280,11 +284,17 @@ const Snapshot* Estimator::Step() {
     timing.read_ms = timer.EndStageMs();
     AddKeyframe(*sample, interval);
     SolverOptions solver_options;
-    // One step an update follows the flight; the first second and a refused step need more.
-    const bool settling = counters_.airborne_s < 1.0;
-    const int least = settling ? 10 : (needs_more_iterations_ ? 6 : 1);
+    // One step an update follows the flight; the first second and a refused step need more, and so
+    // does Form E, whose position rows are far stiffer, while parameters still move.
+    const bool settling =
+        counters_.airborne_s < 1.0 || (IsLearning() && form_ == DynamicsForm::kEuler);
+    const int least = settling ? 4 : (needs_more_iterations_ ? 6 : 1);
     solver_options.max_iterations = std::max(least, options_.max_iterations);
-    solver_options.align = needs_more_iterations_ || (settling && AlignmentIsDue());
+    // Once more before the first keyframes leave.
+    const bool has_learned = was_learning_ && !IsLearning();
+    was_learning_ = IsLearning();
+    solver_options.align =
+        needs_more_iterations_ || has_learned || ((settling || IsLearning()) && AlignmentIsDue());
     solver_options.max_time_s = (settling ? 10.0 : 1.0) * options_.max_update_time_s;
     solver_options.function_tolerance = options_.function_tolerance;
     solver_options.num_threads = options_.num_threads;
@@ -303,7 +313,8 @@ const Snapshot* Estimator::Step() {
     if (observe_) timer.RunUntimed(observe_);
     const double span =
         ToSeconds(window_.keyframes().back().stamp - window_.keyframes().front().stamp);
-    timing.window_full = span >= options_.window_s - 2.5 / options_.keyframe_rate_hz;
+    timing.window_full = span >= options_.window_s - 2.5 / options_.keyframe_rate_hz &&
+                         span < options_.window_s + kMostLeaving / options_.keyframe_rate_hz;
     timing.states = static_cast<int>(window_.keyframes().size());
     timing.eliminated = report.eliminated;
     timing.sweeping = report.sweeping;
@@ -459,7 +470,10 @@ bool Estimator::CheckGround(const OdometrySample& sample) {
     airborne = ground_.Update(sample.stamp, sample.p_WS, speed_m_s, force.z() / weight);
   }
   if (airborne) {
-    if (dt < 1.0) counters_.airborne_s += dt;  // not over a hole in the recording
+    if (dt < 1.0) {  // not over a hole in the recording
+      counters_.airborne_s += dt;
+      learned_s_ += dt;
+    }
   } else {
     counters_.on_ground_s += dt;
   }
@@ -888,6 +902,7 @@ void Estimator::LookForChange() {
 void Estimator::LearnAnew() {
   ++counters_.changes;
   EmptyWindow();
+  learned_s_ = 0.0;
   bias_since_.reset();
   last_in_window_ = false;
   inertia_gate_.Break();
@@ -899,10 +914,19 @@ void Estimator::LearnAnew() {
   consistency_.Rescale(solver_->ScalePast(scale, &window_));
 }
 
+// Parameters that vary are one value a window: a long one could not follow them.
+bool Estimator::IsLearning() const {
+  return learned_s_ < kLearning_s && model_->processes().empty();
+}
+
 void Estimator::MarginalizeOld() {
   auto& keyframes = window_.keyframes();
-  while (keyframes.size() > 2 && ToSeconds(keyframes.back().stamp - keyframes.front().stamp) >=
-                                     options_.window_s - 1.5 / options_.keyframe_rate_hz) {
+  const double keep_s = IsLearning() ? std::max(kLearning_s, options_.window_s) : options_.window_s;
+  const auto is_long = [&] {
+    return ToSeconds(keyframes.back().stamp - keyframes.front().stamp) >=
+           keep_s - 1.5 / options_.keyframe_rate_hz;
+  };
+  for (int i = 0; i < kMostLeaving && keyframes.size() > 2 && is_long(); ++i) {
     double dt = 0.0;
     for (const Factor& factor : keyframes.front().factors) {
       if (factor.kind == FactorKind::kDynamics)

@@ -13,7 +13,7 @@ int main(int argc, char** argv) {
   tools::ModelArguments model_arguments;
   tools::EstimatorArguments estimator;
   std::string vehicle_file, folder;
-  double noise_m = 0.0;
+  double noise_m = 0.0, left_out_s = 0.0;
   int seed = 1;
   bool no_report = false;
   flight.AddTo(&app);
@@ -22,6 +22,10 @@ int main(int argc, char** argv) {
   model_arguments.AddParametersTo(&app, "parameters.yaml with effects, start values and priors");
   model_arguments.AddTo(&app);
   estimator.AddTo(&app);
+  app.add_option("--leave-out", left_out_s,
+                 "also leaves out every block of this many seconds in turn and predicts it with "
+                 "what the rest of the flight shows")
+      ->check(CLI::PositiveNumber);
   app.add_option("--position-noise", noise_m,
                  "adds white Gaussian noise to every odometry position the estimator sees, sigma "
                  "per axis [m]")
@@ -40,6 +44,9 @@ int main(int argc, char** argv) {
     tools::MakeFolder(folder);
     tools::ProgressBar bar(log.file);
     Calibration result = Calibrate(log, recording, file_vehicle, model, options, bar.Callback());
+    if (left_out_s > 0.0) {
+      result.left_out = PredictLeftOut(log, recording, file_vehicle, model, options, left_out_s);
+    }
     result.parameters.provenance =
         tools::Provenance("calibrate", vehicle,
                           {{"flight", log.file},

@@ -268,7 +268,7 @@ TEST(Undeclared, PlansHoldEveryEffectAndEnoughOfEachKind) {
         "thrust", "rotor_torque", "drag", "viscous_torque", "hvt", "centre_of_gravity", "inertia",
         "gravity", "odometry_extrinsics", "imu_extrinsics", "rotor_level",
         // found on recorded flights; on simulated ones their truth would be themselves
-        "skewed_inflow", "anisotropic_hub_moment"};
+        "skewed_inflow", "anisotropic_hub_moment", "thrust_lean"};
     if (others.count(name) > 0) continue;
     EXPECT_EQ(acting.count(name), 1u) << name;
   }

@@ -25,12 +25,19 @@ struct TimingFigures {
   long updates = 0;
 };
 
+/// How a model predicts what its estimate has not seen: every block of a flight left out in turn.
+struct LeftOut {
+  double block_s = 0.0;
+  PredictionFigures figures;  ///< of all blocks; inertia_over_nominal empty: each has its own
+};
+
 /// A calibrated flight, with everything its report shows.
 struct Calibration {
   FlightFigures flight;
   ParameterSet parameters;
   ReplayResult replay;
   Prediction prediction;
+  std::optional<LeftOut> left_out;                   ///< where it was asked for
   std::vector<std::optional<double>> convergence_s;  ///< per parameter
   TimingFigures wall, cpu;
   int states_in_window = 0;
@@ -57,6 +64,15 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
                       const DynamicModel& model, const EstimatorOptions& options,
                       const std::function<void(double)>& progress = {});
 
+/// Runs the estimator once for each block of `block_s`, without that block, and predicts the block
+/// with what the rest of the flight shows.
+/// @param log, recording, file_vehicle as in Calibrate()
+/// @throws std::invalid_argument if the flight is shorter than two blocks, or if the vehicle never
+///   flies outside one of them
+LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,
+                       const Vehicle& file_vehicle, const DynamicModel& model,
+                       const EstimatorOptions& options, double block_s);
+
 /// Predicts a flight with `parameters` as they are; no fitting.
 Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
                     const ParameterSet& parameters);
@@ -66,7 +82,8 @@ Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const Dyn
 std::vector<std::optional<double>> Convergence(const std::vector<HistoryRow>& history,
                                                const std::vector<bool>& observable);
 
-/// Updates with the window full, the first 2 s after take-off left out.
+/// Updates with a window of the configured length (it is longer in the first 3 s of flight), the
+/// first 2 s after take-off left out.
 /// @param clock member of UpdateTiming, wall_ms or cpu_ms
 TimingFigures SummariseTiming(const ReplayResult& replay, double UpdateTiming::*clock);
 

@@ -41,6 +41,7 @@
   X(suspended_load, MakeSuspendedLoad)                \
   X(anisotropic_hub_moment, MakeAnisotropicHubMoment) \
   X(skewed_inflow, MakeSkewedInflow)                  \
+  X(thrust_lean, MakeThrustLean)                      \
   X(rotor_level, MakeRotorLevel)
 
 namespace odmc {

@@ -35,7 +35,7 @@ struct UpdateTiming {
   double snapshot_ms = 0.0;     ///< covariances, residuals
   double marginalize_ms = 0.0;  ///< the oldest keyframe; statistics of its residual
   int states = 0;               ///< in the window
-  bool window_full = false;     ///< the window had reached its length
+  bool window_full = false;     ///< the window had its length, no less and not much more
   // As in SolveReport.
   int eliminated = 0;
   bool sweeping = false, aligned = false;
@@ -177,6 +177,8 @@ class Estimator {
   void FillResiduals(Snapshot* snapshot);
   void LookForChange();
   void LearnAnew();
+  /// True while the whole flight stays in the window.
+  bool IsLearning() const;
   void MarginalizeOld();
   /// Looks at what the newest settled intervals leave unexplained.
   void FollowNoise();
@@ -233,6 +235,8 @@ class Estimator {
   std::optional<OdometrySample> last_;  // newest keyframe's odometry
   std::optional<OdometrySample> before_last_;
   bool last_in_window_ = false;
+  double learned_s_ = 0.0;  // flown since the parameters were last new
+  bool was_learning_ = false;
   std::optional<Stamp> first_stamp_;
   std::optional<Stamp> bias_since_;
   std::array<bool, 3> inertia_was_free_ = {false, false, false};
