@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include "odmc/analysis/calibration.h"
 #include "odmc/analysis/ground_spans.h"
 #include "odmc/analysis/prediction.h"
 #include "odmc/math/so3.h"
@@ -189,6 +190,44 @@ TEST(FindGroundSpans, FindsTheStandBeforeTakeOff) {
       Predict(flight.log, flight.vehicle, flight.model, flight.truth, ground.spans).figures;
   EXPECT_GT(f.left_out_ground, 500);
   EXPECT_LT(ForceShare(f), 0.05);
+}
+
+/// Ten seconds of hover, then ten of fast flight: the second half alone shows the drag.
+FlightLog HoverThenFly(const DynamicModel& model, const ModelValues& truth) {
+  SimulationOptions options;
+  options.duration_s = 10.0;
+  options.trajectory = "hover";
+  FlightLog log = Simulate(model, truth, options).log;
+  options.trajectory = "octo";
+  const FlightLog fast = Simulate(model, truth, options).log;
+  const Stamp later = FromSeconds(10.01);
+  for (OdometrySample sample : fast.odometry) {
+    sample.stamp += later;
+    log.odometry.push_back(sample);
+  }
+  for (RotorSample sample : fast.rotors) {
+    sample.stamp += later;
+    log.rotors.push_back(sample);
+  }
+  log.imu.clear();
+  return log;
+}
+
+TEST(PredictLeftOut, PredictsABlockWithWhatTheOthersShow) {
+  const Vehicle vehicle = test::NominalVehicle();
+  const DynamicModel model(vehicle, vehicle.effects);
+  EstimatorOptions options;
+  options.max_update_time_s = 10.0;
+  const FlightLog log = HoverThenFly(model, DefaultTruth(model));
+  const Calibration seen = Calibrate(log, log, vehicle, model, options);
+  const LeftOut halves = PredictLeftOut(log, log, vehicle, model, options, 10.0);
+  const LeftOut blocks = PredictLeftOut(log, log, vehicle, model, options, 2.5);
+  const double all = seen.prediction.figures.force_rmse_N->head<2>().norm();
+  EXPECT_GT(halves.figures.force_rmse_N->head<2>().norm(), 2.0 * all);  // no drag was seen
+  EXPECT_LT(blocks.figures.force_rmse_N->head<2>().norm(), 1.1 * all);
+  EXPECT_GT(blocks.figures.samples, 0.95 * seen.prediction.figures.samples);
+  EXPECT_FALSE(blocks.figures.inertia_over_nominal);
+  EXPECT_THROW(PredictLeftOut(log, log, vehicle, model, options, 15.0), std::invalid_argument);
 }
 
 }  // namespace

@@ -13,6 +13,7 @@
 #include "odmc/actuator/free_run.h"
 #include "odmc/analysis/recovery.h"
 #include "odmc/analysis/replay.h"
+#include "odmc/attribution/undeclared.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "support/test_actuator.h"
 
@@ -259,6 +260,44 @@ TEST(ActuatorFlight, ThrustCoefficientComesBackFromCommands) {
     // A wrong scale is in the sigma, which says so without having seen a sensor.
     EXPECT_LT(std::abs(from_commands - from_sensors), 3.0 * sigma) << gain;
     EXPECT_LT(sigma, 0.05 * from_commands);
+  }
+}
+
+// Drag times the height of the centre of mass is what torque shows of either. In a window of a
+// second the early keyframes left with guesses of both, and the estimate went from beside the truth
+// to a valley with the hub drag's sign turned around.
+TEST(Recovery, KeepsOutOfTheValleyBesideTheTruth) {
+  const UndeclaredFlight flight = MakeUndeclared(PlanUndeclared(121, 160)[152]);
+  ASSERT_EQ(flight.plan.effects, std::vector<std::string>{"rotor_drag"});
+  Vehicle vehicle = flight.declared;
+  vehicle.effects.push_back("rotor_drag");
+  const std::map<std::string, double> start = {{"thrust.k_f", 2.81757e-07},
+                                               {"drag.d_x", -0.0950},
+                                               {"drag.d_y", -0.0851},
+                                               {"drag.d_z", -0.0694},
+                                               {"viscous_torque.b_x", -3.14e-4},
+                                               {"viscous_torque.b_y", -3.40e-4},
+                                               {"viscous_torque.b_z", -1.30e-4},
+                                               {"hvt.k_h", 0.00200689},
+                                               {"centre_of_gravity.x", 0.00588599},
+                                               {"centre_of_gravity.y", -0.00293113},
+                                               {"centre_of_gravity.z", 0.00734855},
+                                               {"gravity.x", 0.00605693},
+                                               {"gravity.y", 0.00452253},
+                                               {"rotor_drag.k_d", 5.0e-6}};
+  EstimatorOptions options = Patient();
+  options.keyframe_rate_hz = 50.0;
+  for (const double scale : {0.9, 0.95, 0.98, 1.0, 1.02, 1.05, 1.1}) {
+    for (const auto& [name, value] : start) vehicle.parameters[name].value = scale * value;
+    const DynamicModel model(vehicle, vehicle.effects);
+    Estimator estimator(&model, options, true);
+    const Snapshot last = *Replay(flight.log, &estimator).last;
+    for (const char* name : {"rotor_drag.k_d", "drag.d_x", "drag.d_y", "centre_of_gravity.z"}) {
+      const int k = model.IndexOf(name);
+      const double error = last.values[k] - flight.truth.Find(name)->value;
+      EXPECT_LT(std::abs(error), 4.0 * last.sigma[k])
+          << name << " = " << last.values[k] << ", " << scale;
+    }
   }
 }
 

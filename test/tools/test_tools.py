@@ -157,6 +157,22 @@ class ToolsTest(unittest.TestCase):
                 self.assertLessEqual(abs(entry[key] - table[name][key]),
                                      1e-6 * (abs(entry['value']) + entry['sigma']), name)
 
+    def test_calibrate_leaves_blocks_out(self) -> None:
+        out = self.path('left_out')
+        done = run('calibrate', '--vehicle', VEHICLE, '--out', out, '--leave-out', '2.5',
+                   self.flight())
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn('blocks of 2.5 s left out in turn', done.stdout)
+        report = read_json(out, 'report.json')
+        seen, unseen = report['prediction'], report['prediction_left_out']
+        self.assertEqual(unseen['block_s'], 2.5)
+        for a, b in zip(seen['force_rmse_N'], unseen['force_rmse_N']):
+            self.assertAlmostEqual(b / a, 1.0, delta=0.3)
+        with open(os.path.join(out, 'report.html'), encoding='utf-8') as file:
+            self.assertIn('Blocks left out of the estimate in turn', file.read())
+        self.expect(1, 'are no two blocks of 100 s to leave out', 'calibrate', self.flight(),
+                    '--vehicle', VEHICLE, '--out', out, '--leave-out', '100')
+
     def test_calibrate_evaluate_and_report(self) -> None:
         out = self.path('whole')
         done = run('calibrate', '--vehicle', VEHICLE, '--out', out, '--freeze', 'inertia.z',
