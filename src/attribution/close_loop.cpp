@@ -58,16 +58,61 @@ std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedF
          Text(100.0 * quantity->second) + " % of its variance)";
 }
 
-/// Derivatives of the predicted wrench by the wind along world x, y, z of an effect.
-std::array<ResidualModel::Wrenches, 3> WindDerivatives(const ResidualModel& residual,
-                                                       const DynamicModel& model,
-                                                       const ModelValues& values,
-                                                       const std::string& effect) {
-  std::array<ResidualModel::Wrenches, 3> d_wind;
+/// How the predicted wrench answers the wind of an effect.
+WindDerivatives ByWind(const ResidualModel& residual, const DynamicModel& model,
+                       const ModelValues& values, const std::string& effect) {
+  WindDerivatives d_wind;
   for (int k = 0; k < 3; ++k) {
     d_wind[k] = residual.Derivative(model, values, model.IndexOf(effect + ".w_" + "xyz"[k]));
   }
   return d_wind;
+}
+
+/// The coefficients that shape how the wrench answers wind.
+std::vector<DragCoefficient> DragOf(const ResidualModel& residual, const DynamicModel& model,
+                                    const ModelValues& values, const WindDerivatives& d_wind) {
+  constexpr double kDifference = 0.1;  // of a natural size
+  constexpr double kMatters = 0.01;    // a natural size changes the answer by this share
+  const auto size = [](const WindDerivatives& d) {
+    double sum = 0.0;
+    for (const ResidualModel::Wrenches& along : d) sum += along.leftCols<3>().squaredNorm();
+    return std::sqrt(sum);
+  };
+  std::vector<DragCoefficient> drag;
+  for (size_t i = 0; i < model.parameters().size(); ++i) {
+    const ModelParameter& parameter = model.parameters()[i];
+    const ParameterSpec& spec = parameter.spec;
+    const int index = static_cast<int>(i);
+    if (!parameter.estimated || parameter.effect == "wind") continue;
+    if (spec.initial_state || spec.prior_sigma <= 0.0) continue;
+    ModelValues moved = values;
+    moved[index] += kDifference * spec.prior_sigma;
+    DragCoefficient c;
+    c.index = index;
+    c.natural_size = spec.prior_sigma;
+    c.d_wind = ByWind(residual, model, moved, "wind");
+    for (int k = 0; k < 3; ++k) c.d_wind[k] = (c.d_wind[k] - d_wind[k]) / kDifference;
+    if (size(c.d_wind) < kMatters * size(d_wind)) continue;
+    c.d_wrench = spec.prior_sigma * residual.Derivative(model, values, index);
+    const double to_zero = -values[index] / spec.prior_sigma;
+    c.least = spec.sign == PhysicalSign::kPositive ? std::min(0.0, to_zero) : -kTooLarge;
+    c.most = spec.sign == PhysicalSign::kNegative ? std::max(0.0, to_zero) : kTooLarge;
+    drag.push_back(std::move(c));
+  }
+  return drag;
+}
+
+/// Estimated parameters that change the force.
+std::vector<std::string> ActingOnForce(const ResidualModel& residual, const DynamicModel& model,
+                                       const ModelValues& values) {
+  std::vector<std::string> names;
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    const ModelParameter& p = model.parameters()[i];
+    if (!p.estimated || p.spec.initial_state || p.effect == "wind") continue;
+    if (residual.Derivative(model, values, i).leftCols<3>().isZero()) continue;
+    names.push_back(p.full_name);
+  }
+  return names;
 }
 
 /// Gusts as a Kalman filter predicts them, each from before the sample's own filter window. (The
@@ -85,7 +130,7 @@ ValueVariation GustsOf(const FlightLog& log, const Vehicle& file_vehicle, const 
     still[w[k]] = 0.0;
   }
   const std::vector<Eigen::Vector3d> wind = PredictGusts(
-      flight, residual.Residual(model, still), WindDerivatives(residual, model, still, "gust"),
+      flight, residual.Residual(model, still), ByWind(residual, model, still, "gust"),
       estimate[model.IndexOf("gust.sigma")], estimate[model.IndexOf("gust.time_constant")], kAhead);
   std::vector<double> times;
   times.reserve(static_cast<size_t>(flight.size()));
@@ -344,7 +389,8 @@ struct Choice {
   Stage stage;  // with what was added, and the values of the joint fit
   std::vector<AddedEffect> added;
   double scores = 0.0;
-  ResidualModel::Wrenches residual;  // of the plain fit
+  ResidualModel::Wrenches residual;               // of the plain fit
+  std::map<std::string, ParameterSetting> known;  // start and prior of the online run, where known
 
   bool Has(const std::string& effect) const {
     return std::any_of(added.begin(), added.end(),
@@ -419,18 +465,45 @@ Step ChooseNext(const ResidualModel& residual, const Choice& from,
   return step;
 }
 
+/// The case for gusts, and the values of the drag that goes with them.
+struct Gusts {
+  RankedEffect ranked;
+  std::map<std::string, ParameterSetting> known;  // what it is known of others, by full name
+
+  Choice AddedTo(Choice choice) const {
+    choice.added.push_back({ranked, {}, "", {}});
+    choice.scores += ranked.score;
+    for (const auto& [name, setting] : known) choice.known[name] = setting;
+    return choice;
+  }
+};
+
 /// The case for gusts behind what a choice leaves; they vary, so that no fixed regressor shows
 /// them.
-RankedEffect RankGusts(const ResidualModel& residual, const Choice& choice) {
+/// @param declared the online estimate without effects added
+Gusts RankGusts(const ResidualModel& residual, const Choice& choice, const ParameterSet& declared) {
   Vehicle airy = choice.stage.vehicle;
   const bool has_wind =
       std::find(airy.effects.begin(), airy.effects.end(), "wind") != airy.effects.end();
   if (!has_wind) airy.effects.push_back("wind");
   const DynamicModel model(airy, airy.effects);
   const ModelValues values = ValuesOf(model, choice.stage.values);
-  const GustTest gust = TestGusts(residual.flight(), choice.residual,
-                                  WindDerivatives(residual, model, values, "wind"));
-  RankedEffect ranked;
+  const WindDerivatives d_wind = ByWind(residual, model, values, "wind");
+  const std::vector<DragCoefficient> drag = DragOf(residual, model, values, d_wind);
+  const GustTest gust = TestGusts(residual.flight(), choice.residual, d_wind, drag);
+  Gusts gusts;
+  // The mean of gusts over a few correlation times is not zero, and looks like all that acts on the
+  // force: the estimate without them says more of it.
+  for (const std::string& name : ActingOnForce(residual, model, values)) {
+    const ParameterEstimate* p = declared.Find(name);
+    if (p != nullptr && p->estimated) gusts.known[name] = {p->value, p->sigma, {}};
+  }
+  for (Eigen::Index i = 0; i < gust.drag.size(); ++i) {
+    const DragCoefficient& c = drag[i];
+    gusts.known[model.parameters()[c.index].full_name] = {
+        values[c.index] + gust.drag[i] * c.natural_size, gust.drag_sigma[i] * c.natural_size, {}};
+  }
+  RankedEffect& ranked = gusts.ranked;
   ranked.name = "gust";
   ranked.score = gust.gain;
   ranked.settings = {{"gust.sigma", std::max(0.1, gust.sigma_m_s)},
@@ -447,7 +520,7 @@ RankedEffect RankGusts(const ResidualModel& residual, const Choice& choice) {
     ranked.objection =
         "a force free of the drag explains it better by " + Text(-gust.over_others) + " nats";
   }
-  return ranked;
+  return gusts;
 }
 
 FlightFigures FlownFlight(const FlightLog& log, const ReplayResult& replay) {
@@ -509,6 +582,11 @@ Vehicle Extended(const Vehicle& vehicle, const Choice& choice) {
       if (p.estimated) extended.parameters[p.full_name].value = p.value;
     }
     HoldInitialState(effect.effect, &extended);
+  }
+  for (const auto& [name, setting] : choice.known) {
+    ParameterSetting& known = extended.parameters[name];
+    known.value = setting.value;
+    known.sigma = known.sigma ? std::min(*known.sigma, *setting.sigma) : *setting.sigma;
   }
   return extended;
 }
@@ -654,17 +732,17 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   }
   const bool has_gust =
       std::find(vehicle.effects.begin(), vehicle.effects.end(), "gust") != vehicle.effects.end();
-  const auto add_gust = [&](const Choice& to) -> std::optional<Choice> {
-    if (has_gust || to.Has("gust") || !structured || refused.count("gust") > 0) return std::nullopt;
-    const RankedEffect gust = RankGusts(residual, to);
-    if (refused.empty() && to.added.size() == promised.added.size()) result.ranking.push_back(gust);
-    if (!gust.sound || gust.score < std::max(3.0 * options.least_score, 0.5 * to.scores)) {
+  const auto gusts_beside = [&](const Choice& choice) -> std::optional<Gusts> {
+    if (has_gust || choice.Has("gust") || !structured || refused.count("gust") > 0) {
       return std::nullopt;
     }
-    Choice with = to;
-    with.added.push_back({gust, {}, "", {}});
-    with.scores += gust.score;
-    return with;
+    Gusts gusts = RankGusts(residual, choice, result.declared_parameters);
+    if (refused.empty() && choice.added.size() == promised.added.size()) {
+      result.ranking.push_back(gusts.ranked);
+    }
+    const double least = std::max(3.0 * options.least_score, 0.5 * choice.scores);
+    if (!gusts.ranked.sound || gusts.ranked.score < least) return std::nullopt;
+    return gusts;
   };
   // What was refused beside fewer effects may have its place beside more.
   const auto reconsider = [&] {
@@ -674,7 +752,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     }
     return refused.size() < before_them;
   };
-  std::optional<Choice> gusty = add_gust(promised);
+  const std::optional<Gusts> gusty = gusts_beside(promised);
   if (progress) progress(0.6);
 
   // One after the other: what the online estimator does not confirm is refused.
@@ -685,18 +763,17 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   confirmed.figures.UseForce(result.accelerometer_before);
   step = first;
   const bool promising = (explains(promised) || gusty) && result.whiteness_p < options.noise_p;
-  if (gusty && gusty->added.back().effect.score > kOvershadows * promised.scores) {
+  if (gusty && gusty->ranked.score > kOvershadows * promised.scores) {
     // What was found beside a much larger gust is its shadow.
-    step.after = accepted;
-    step.after.added.push_back(gusty->added.back());
+    step.after = gusty->AddedTo(accepted);
   }
   const auto try_next = [&] {
     if (step.after.added.size() == accepted.added.size() && reconsider()) choose(accepted);
     Choice trial = step.after;
     if (trial.added.size() == accepted.added.size()) {
-      const std::optional<Choice> with = add_gust(step.before);
-      if (!with) return false;
-      trial = *with;
+      const std::optional<Gusts> gusts = gusts_beside(step.before);
+      if (!gusts) return false;
+      trial = gusts->AddedTo(step.before);
     }
     const Vehicle extended = Extended(vehicle, trial);
     const DynamicModel model(extended, extended.effects);

@@ -5,19 +5,24 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 namespace odmc {
 namespace {
 
+using Eigen::Index;
 using Eigen::Matrix3d;
+using Eigen::MatrixXd;
 using Eigen::Vector3d;
+using Eigen::VectorXd;
 
 constexpr double kTimeConstants_s[] = {0.3, 0.7, 1.5, 3.0, 6.0};
+constexpr double kLeastCurvature = 1.0;  // the natural size alone
 constexpr double kSizes[] = {0.35, 0.6, 1.0, 1.6, 2.5};
 
 /// A first-order process x of standard deviation `sigma` and correlation time `time_constant_s`,
-/// seen as H_i x in white noise, by a Kalman filter.
-/// @param states estimates from all samples up to and with each one, may be null
+/// seen as H_i x in white noise, by a Kalman filter that skips blocks held out.
+/// @param states estimates from all samples in use up to and with each one, may be null
 /// @returns the residual's log-likelihood
 double Follow(const ThinnedFlight& flight, const ResidualModel::Wrenches& y,
               const std::vector<Matrix3d>& H, const Vector3d& noise_variance, double sigma,
@@ -31,6 +36,10 @@ double Follow(const ThinnedFlight& flight, const ResidualModel::Wrenches& y,
     const double decay = std::exp(-dt / time_constant_s);
     x *= decay;
     P = decay * decay * P + (1.0 - decay * decay) * sigma * sigma * Matrix3d::Identity();
+    if (flight.held_out(i)) {
+      if (states != nullptr) states->push_back(x);
+      continue;
+    }
     const Vector3d e = y.row(i).head<3>().transpose() - H[i] * x;
     const Matrix3d S = H[i] * P * H[i].transpose() + noise;
     const Matrix3d S_inverse = S.inverse();
@@ -44,7 +53,7 @@ double Follow(const ThinnedFlight& flight, const ResidualModel::Wrenches& y,
 }
 
 /// How the force answers wind, at every sample.
-std::vector<Matrix3d> Response(int n, const std::array<ResidualModel::Wrenches, 3>& d_wind) {
+std::vector<Matrix3d> Response(int n, const WindDerivatives& d_wind) {
   std::vector<Matrix3d> H(n);
   for (int i = 0; i < n; ++i) {
     for (int k = 0; k < 3; ++k) H[i].col(k) = d_wind[k].row(i).head<3>().transpose();
@@ -60,46 +69,271 @@ Vector3d QuickVariance(const ThinnedFlight& flight, const ResidualModel::Wrenche
   constexpr int kFirstLag = 3, kLastLag = 6;  // of 40 ms; the filter's window is 0.1 s
   Vector3d slow = Vector3d::Zero();
   total->setZero();
-  int pairs = 0, run = 0;
+  int samples = 0, pairs = 0, run = 0;
   for (int i = 0; i < flight.size(); ++i) {
+    if (flight.held_out(i)) {
+      run = -1;
+      continue;
+    }
     run = flight.next(i) ? run + 1 : 0;
+    ++samples;
     const Vector3d y = residual.row(i).head<3>();
-    *total += y.cwiseAbs2() / flight.size();
+    *total += y.cwiseAbs2();
     for (int lag = kFirstLag; lag <= std::min(run, kLastLag); ++lag, ++pairs) {
       slow += y.cwiseProduct(residual.row(i - lag).head<3>().transpose());
     }
   }
+  *total /= std::max(1, samples);
   slow = (slow / std::max(1, pairs)).cwiseMax(0.0);
   return (*total - slow).cwiseMax(0.05 * *total).cwiseMax(1e-12);
 }
 
-struct Best {
-  double likelihood = -std::numeric_limits<double>::infinity();
-  double sigma = 0.0, time_constant_s = 0.0;
+/// What is left of a flight with the drag changed, and how a slowly varying quantity acts on it.
+struct Seen {
+  ResidualModel::Wrenches y;
+  std::vector<Matrix3d> H;
 };
 
-Best Search(const ThinnedFlight& flight, const ResidualModel::Wrenches& y,
-            const std::vector<Matrix3d>& H, const Vector3d& noise, double natural) {
-  Best best;
-  for (const double time_constant_s : kTimeConstants_s) {
-    for (const double size : kSizes) {
-      const double sigma = size * natural;
-      const double likelihood = Follow(flight, y, H, noise, sigma, time_constant_s);
-      if (likelihood > best.likelihood) best = {likelihood, sigma, time_constant_s};
+/// A slowly varying quantity w that acts as H w, the drag beside it unknown. Drag and size of w
+/// multiply each other, so that all is fitted together: x holds the drag's changes, and the
+/// logarithms of w's size (over its natural one) and correlation time [s].
+class Hypothesis {
+ public:
+  /// @param H how w acts with the drag as it is
+  /// @param by_drag true if the drag's change changes H
+  /// @param size natural standard deviation of w
+  Hypothesis(const ThinnedFlight* flight, const ResidualModel::Wrenches* residual,
+             std::vector<Matrix3d> H, const std::vector<DragCoefficient>* drag, bool by_drag,
+             const Vector3d& noise, double size)
+      : flight_(flight),
+        residual_(residual),
+        H_(std::move(H)),
+        noise_(noise),
+        size_(size),
+        drag_(drag),
+        num_drag_(static_cast<Index>(drag->size())),
+        x_(VectorXd::Zero(num_drag_ + 2)),
+        least_(x_),
+        most_(x_) {
+    for (Index k = 0; k < num_drag_; ++k) {
+      least_[k] = (*drag)[k].least;
+      most_[k] = (*drag)[k].most;
+    }
+    least_.tail<2>() << std::log(0.1), std::log(0.2);
+    most_.tail<2>() << std::log(10.0), std::log(10.0);
+    if (!by_drag) return;
+    for (const DragCoefficient& c : *drag) dH_.push_back(Response(flight->size(), c.d_wind));
+  }
+
+  /// Makes the residual most likely.
+  void Fit() {
+    FitFromHere();
+    const VectorXd start = Awake();
+    if (dH_.empty() || start.isZero()) return;
+    Hypothesis other = *this;
+    other.x_.head(num_drag_) = start;
+    other.FitFromHere();
+    if (other.likelihood_ > likelihood_) *this = std::move(other);
+  }
+
+  /// Log-likelihood of the fit, the drag's change a priori normal with its natural size.
+  double likelihood() const { return likelihood_; }
+  double sigma() const { return size_ * std::exp(x_[num_drag_]); }
+  double time_constant_s() const { return std::exp(x_[num_drag_ + 1]); }
+  VectorXd drag_change() const { return x_.head(num_drag_); }
+
+  /// Of the drag's change: from the likelihood's curvature, at most the natural size.
+  VectorXd DragSigma() const {
+    const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(SlopeHere().curvature);
+    const VectorXd variance =
+        eigen.eigenvalues().cwiseAbs().cwiseMax(kLeastCurvature).cwiseInverse();
+    return (eigen.eigenvectors() * variance.asDiagonal() * eigen.eigenvectors().transpose())
+        .diagonal()
+        .head(num_drag_)
+        .cwiseSqrt();
+  }
+
+  std::vector<Vector3d> States() const {
+    std::vector<Vector3d> states;
+    const Seen seen = With(x_);
+    Follow(*flight_, seen.y, seen.H, noise_, sigma(), time_constant_s(), &states);
+    return states;
+  }
+
+ private:
+  struct Slope {
+    VectorXd slope;
+    MatrixXd curvature;
+  };
+
+  void FitFromHere() {
+    FitProcess();
+    Climb();
+  }
+
+  /// A change that gives some drag to each axis that has next to none: wind cannot act there, and
+  /// so nothing would tell that there should be more.
+  VectorXd Awake() const {
+    constexpr double kNextToNone = 0.05, kSome = 0.3;  // natural sizes
+    VectorXd change = VectorXd::Zero(num_drag_);
+    for (Index k = 0; k < num_drag_; ++k) {
+      if (most_[k] < kNextToNone) change[k] = -kSome;
+      if (least_[k] > -kNextToNone) change[k] = kSome;
+    }
+    return change;
+  }
+
+  Seen With(const VectorXd& x) const {
+    Seen seen{*residual_, H_};
+    for (Index k = 0; k < num_drag_; ++k) {
+      seen.y -= x[k] * (*drag_)[k].d_wrench;
+      if (dH_.empty()) continue;
+      for (size_t i = 0; i < H_.size(); ++i) seen.H[i] += x[k] * dH_[k][i];
+    }
+    return seen;
+  }
+
+  double Likelihood(const Seen& seen, const VectorXd& x) const {
+    return Follow(*flight_, seen.y, seen.H, noise_, size_ * std::exp(x[num_drag_]),
+                  std::exp(x[num_drag_ + 1])) -
+           0.5 * x.head(num_drag_).squaredNorm();
+  }
+  double Likelihood(const VectorXd& x) const { return Likelihood(With(x), x); }
+
+  /// The best of a few sizes and correlation times.
+  void FitProcess() {
+    const Seen seen = With(x_);
+    VectorXd x = x_;
+    likelihood_ = -std::numeric_limits<double>::infinity();
+    for (const double time_constant_s : kTimeConstants_s) {
+      for (const double size : kSizes) {
+        x.tail<2>() << std::log(size), std::log(time_constant_s);
+        const double found = Likelihood(seen, x);
+        if (found <= likelihood_) continue;
+        likelihood_ = found;
+        x_ = x;
+      }
     }
   }
-  return best;
+
+  /// Newton's method within the bounds, from differences.
+  void Climb() {
+    constexpr int kSteps = 12;
+    constexpr double kShorter = 0.4, kShortest = 0.003, kSmallGain = 0.05;  // the last in nats
+    for (int step = 0; step < kSteps; ++step) {
+      const VectorXd newton = NewtonStep();
+      const double before = likelihood_;
+      for (double share = 1.0; share > kShortest; share *= kShorter) {
+        const VectorXd x = (x_ + share * newton).cwiseMax(least_).cwiseMin(most_);
+        const double found = Likelihood(x);
+        if (found <= likelihood_) continue;
+        likelihood_ = found;
+        x_ = x;
+        break;
+      }
+      if (likelihood_ - before < kSmallGain) return;
+    }
+  }
+
+  Slope SlopeHere() const {
+    constexpr double kDifference = 0.05;
+    const Index n = x_.size();
+    VectorXd slope(n), up(n);
+    MatrixXd curvature(n, n);
+    const auto moved = [this](Index j, double by_j, Index k, double by_k) {
+      VectorXd x = x_;
+      x[j] += by_j;
+      x[k] += by_k;
+      return Likelihood(x);
+    };
+    const double h = kDifference;
+    for (Index k = 0; k < n; ++k) {
+      up[k] = moved(k, h, k, 0.0);
+      const double down = moved(k, -h, k, 0.0);
+      slope[k] = (up[k] - down) / (2.0 * h);
+      curvature(k, k) = (up[k] + down - 2.0 * likelihood_) / (h * h);
+      for (Index j = 0; j < k; ++j) {
+        curvature(j, k) = curvature(k, j) =
+            (moved(j, h, k, h) - up[j] - up[k] + likelihood_) / (h * h);
+      }
+    }
+    return {slope, curvature};
+  }
+
+  /// Uphill, against the curvature by its size; along what is at its bound and pushes outwards
+  /// not at all.
+  VectorXd NewtonStep() const {
+    auto [slope, curvature] = SlopeHere();
+    for (Index k = 0; k < x_.size(); ++k) {
+      const bool outwards =
+          (x_[k] >= most_[k] && slope[k] > 0.0) || (x_[k] <= least_[k] && slope[k] < 0.0);
+      if (!outwards) continue;
+      slope[k] = 0.0;
+      curvature.row(k).setZero();
+      curvature.col(k).setZero();
+    }
+    const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(curvature);
+    return eigen.eigenvectors() *
+           (eigen.eigenvectors().transpose() * slope)
+               .cwiseQuotient(eigen.eigenvalues().cwiseAbs().cwiseMax(kLeastCurvature));
+  }
+
+  const ThinnedFlight* flight_;
+  const ResidualModel::Wrenches* residual_;
+  std::vector<Matrix3d> H_;
+  std::vector<std::vector<Matrix3d>> dH_;
+  Vector3d noise_;
+  double size_;
+  const std::vector<DragCoefficient>* drag_;
+  Index num_drag_;
+  VectorXd x_, least_, most_;
+  double likelihood_ = 0.0;
+};
+
+/// Log-likelihood of a force that swings steadily at one frequency, fixed in the world (`in_world`)
+/// or in the body, in white noise: the best frequency, with a nat for each coefficient and for the
+/// choice among the frequencies taken off.
+double SteadySwing(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
+                   bool in_world) {
+  constexpr double kSlowest_Hz = 0.2, kFastest_Hz = 5.0;
+  constexpr int kCoefficients = 9;  // along each axis a cosine, a sine and a mean
+  std::vector<int> used;
+  for (int i = 0; i < flight.size(); ++i) {
+    if (!flight.held_out(i)) used.push_back(i);
+  }
+  const auto n = static_cast<Index>(used.size());
+  Eigen::Matrix<double, Eigen::Dynamic, 3> y(n, 3);
+  Eigen::Matrix<double, Eigen::Dynamic, 3> X(n, 3);
+  for (Index row = 0; row < n; ++row) {
+    const int i = used[static_cast<size_t>(row)];
+    const Vector3d f = residual.row(i).head<3>();
+    y.row(row) = (in_world ? Vector3d(flight.sample(i).R_WS * f) : f).transpose();
+  }
+  const double duration_s = flight.sample(used.back()).t_s - flight.sample(used.front()).t_s;
+  const double step_Hz = 0.5 / duration_s;
+  double best = -std::numeric_limits<double>::infinity();
+  int tried = 0;
+  for (double f = kSlowest_Hz; f < kFastest_Hz; f += step_Hz, ++tried) {
+    for (Index row = 0; row < n; ++row) {
+      const double phase = 2.0 * EIGEN_PI * f * flight.sample(used[static_cast<size_t>(row)]).t_s;
+      X.row(row) << std::cos(phase), std::sin(phase), 1.0;
+    }
+    const Matrix3d fit = (X.transpose() * X).ldlt().solve(X.transpose() * y);
+    const Vector3d variance = (y - X * fit).colwise().squaredNorm().transpose() / n;
+    const double likelihood = -0.5 * n * (3.0 + variance.array().max(1e-12).log().sum());
+    best = std::max(best, likelihood);
+  }
+  return best - kCoefficients - std::log(std::max(1, tried));
 }
 
 }  // namespace
 
 GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
-                   const std::array<ResidualModel::Wrenches, 3>& d_wind) {
+                   const WindDerivatives& d_wind, const std::vector<DragCoefficient>& drag) {
   GustTest test;
   const int n = flight.size();
   if (n < 100) return test;
-  const std::vector<Matrix3d> wind = Response(n, d_wind);
-  std::vector<Matrix3d> world(n), body(n, Matrix3d::Identity());
+  std::vector<Matrix3d> wind = Response(n, d_wind), world(n), body(n, Matrix3d::Identity());
   double response = 0.0;
   for (int i = 0; i < n; ++i) {
     world[i] = flight.sample(i).R_WS.transpose();
@@ -110,27 +344,30 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   Vector3d total;
   const Vector3d quick = QuickVariance(flight, residual, &total);
   const double natural = std::sqrt(std::max(1e-12, (total - quick).cwiseMax(0.0).mean()));
-  const Best gust = Search(flight, residual, wind, quick, natural / response);
-  const Best free_world = Search(flight, residual, world, quick, natural);
-  const Best free_body = Search(flight, residual, body, quick, natural);
   const double none = Follow(flight, residual, body, total, 0.0, 1.0);
-  std::vector<Vector3d> states;
-  Follow(flight, residual, wind, quick, gust.sigma, gust.time_constant_s, &states);
+  Hypothesis gust(&flight, &residual, std::move(wind), &drag, true, quick, natural / response);
+  Hypothesis free_world(&flight, &residual, std::move(world), &drag, false, quick, natural);
+  Hypothesis free_body(&flight, &residual, std::move(body), &drag, false, quick, natural);
+  for (Hypothesis* hypothesis : {&gust, &free_world, &free_body}) hypothesis->Fit();
   Matrix3d moment = Matrix3d::Zero();
-  for (const Vector3d& x : states) moment += x * x.transpose();
+  for (const Vector3d& x : gust.States()) moment += x * x.transpose();
   const Vector3d spread = Eigen::SelfAdjointEigenSolver<Matrix3d>(moment).eigenvalues();
   test.one_sidedness = spread.sum() > 0.0 ? spread[2] / spread.sum() : 1.0;
-  test.gain = gust.likelihood - none;
-  test.over_others = gust.likelihood - std::max(free_world.likelihood, free_body.likelihood);
-  test.sigma_m_s = gust.sigma;
-  test.time_constant_s = gust.time_constant_s;
+  test.gain = gust.likelihood() - none;
+  test.over_others = gust.likelihood() - std::max({free_world.likelihood(), free_body.likelihood(),
+                                                   SteadySwing(flight, residual, true),
+                                                   SteadySwing(flight, residual, false)});
+  test.sigma_m_s = gust.sigma();
+  test.time_constant_s = gust.time_constant_s();
+  test.drag = gust.drag_change();
+  test.drag_sigma = gust.DragSigma();
   return test;
 }
 
 std::vector<Vector3d> PredictGusts(const ThinnedFlight& flight,
                                    const ResidualModel::Wrenches& residual,
-                                   const std::array<ResidualModel::Wrenches, 3>& d_wind,
-                                   double sigma_m_s, double time_constant_s, int ahead) {
+                                   const WindDerivatives& d_wind, double sigma_m_s,
+                                   double time_constant_s, int ahead) {
   const int n = flight.size();
   std::vector<Vector3d> states, predicted(n, Vector3d::Zero());
   Vector3d total;

@@ -948,7 +948,8 @@ void Estimator::LetVary(double dt) {
     for (int i = 0; i < layout_.num_estimated(); ++i) {
       if (layout_.model_index(i) != p.index) continue;
       const double sigma = values[p.sigma] / chain[i];
-      solver_->DiffusePast(i, 2.0 * sigma * sigma * dt / values[p.time_constant], &window_);
+      const double decay = std::exp(-dt / values[p.time_constant]);
+      solver_->LetPastVary(i, {decay, (1.0 - decay * decay) * sigma * sigma}, &window_);
     }
   }
 }

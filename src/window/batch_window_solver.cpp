@@ -44,8 +44,8 @@ const Eigen::MatrixXd& BatchWindowSolver::Reweigh(const Eigen::Ref<const Eigen::
   return root_;
 }
 
-void BatchWindowSolver::DiffusePast(int index, double variance, Window* window) {
-  DiffusePrior(index, variance, &window->prior());
+void BatchWindowSolver::LetPastVary(int index, const ProcessStep& step, Window* window) {
+  LetPriorVary(index, step, &window->prior());
   information_.Forget();  // what it keeps does not know of the variation
 }
 

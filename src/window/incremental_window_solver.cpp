@@ -187,11 +187,16 @@ bool IncrementalWindowSolver::Build(Window* window) {
   return SweepAll(window);
 }
 
-SolveReport IncrementalWindowSolver::Align(Window* window, const SolverOptions& options) {
+/// Puts the past back into the window, for the batch solver.
+void IncrementalWindowSolver::HandBack(Window* window) {
   ApplyPending();
   FinishReweighing(window);
   if (Follows(*window)) WritePrior(past_, window);
   Forget();
+}
+
+SolveReport IncrementalWindowSolver::Align(Window* window, const SolverOptions& options) {
+  HandBack(window);
   SolverOptions thorough = options;
   thorough.max_iterations = std::max(options.max_iterations, kAlignmentIterations);
   SolveReport report = batch_.Solve(window, thorough);
@@ -931,13 +936,9 @@ const Eigen::MatrixXd& IncrementalWindowSolver::ScalePast(
   return scale_root_;
 }
 
-void IncrementalWindowSolver::DiffusePast(int index, double variance, Window* window) {
-  if (!Follows(*window)) return batch_.DiffusePast(index, variance, window);
-  ChangePast([&] {
-    past_.GetParameterRows(&workspace_.A, &workspace_.B);
-    DiffuseRows(index, variance, &workspace_.A, &workspace_.B);
-    past_.SetParameterRows(workspace_.A, workspace_.B);
-  });
+void IncrementalWindowSolver::LetPastVary(int index, const ProcessStep& step, Window* window) {
+  HandBack(window);
+  batch_.LetPastVary(index, step, window);
 }
 
 const Eigen::MatrixXd& IncrementalWindowSolver::PastInformation(const Window& window) {

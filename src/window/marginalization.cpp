@@ -156,21 +156,19 @@ void DirectionScales(const Eigen::MatrixXd& directions,
   }
 }
 
-void DiffusePrior(int index, double variance, Prior* prior) {
+void LetPriorVary(int index, const ProcessStep& step, Prior* prior) {
   if (prior->b.size() == 0) return;
-  Eigen::MatrixXd b = prior->b;
-  DiffuseRows(prior->state_columns() + prior->bias_columns() + index, variance, &prior->A, &b);
-  prior->b = b;
-}
-
-void DiffuseRows(int column, double variance, Eigen::MatrixXd* A, Eigen::MatrixXd* B) {
+  // What it says about x as what it says about decay x, about the same point.
+  const Eigen::Index column = prior->state_columns() + prior->bias_columns() + index;
+  const Eigen::VectorXd v = prior->A.col(column) / step.decay;
+  prior->A.col(column) = v;
+  prior->b += (1.0 - step.decay) * prior->eta_lin[index] * v;
   // Information (A^T A)^-1 + variance e e^T, inverted by Woodbury, as a factor on the left of A.
-  const Eigen::VectorXd v = A->col(column);
   const double square = v.squaredNorm();
-  if (!(square * variance > 0.0)) return;
-  const double gain = (1.0 - 1.0 / std::sqrt(1.0 + variance * square)) / square;
-  *A -= gain * v * (v.transpose() * *A).eval();
-  *B -= gain * v * (v.transpose() * *B).eval();
+  if (!(square * step.variance > 0.0)) return;
+  const double gain = (1.0 - 1.0 / std::sqrt(1.0 + step.variance * square)) / square;
+  prior->A -= gain * v * (v.transpose() * prior->A).eval();
+  prior->b -= gain * v.dot(prior->b) * v;
 }
 
 bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,

@@ -392,23 +392,36 @@ TEST_F(Marginalization, RescaledPriorMakesNothingUp) {
   EXPECT_LT(PriorResidual(window).norm(), 2.0 * before);
 }
 
-TEST_F(Marginalization, DiffusedPriorForgetsOneParameterAndKeepsItsOptimum) {
+TEST_F(Marginalization, AProcessStepIsThatOfAKalmanFilter) {
   Window window(&layout_);
   LinearWindowMaker(&window, LinearWindowOptions(), 28).Fill();
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(MarginalizeOldest(&window, Threshold(kNever)));
   Prior& prior = window.prior();
-  const MatrixXd H = prior.A.transpose() * prior.A;
-  const VectorXd optimum = -prior.A.completeOrthogonalDecomposition().solve(prior.b);
-  constexpr double kVariance = 0.7;
+  // Some is known of everything, so that there is a covariance.
+  const auto n = prior.A.cols();
+  prior.A.conservativeResize(prior.A.rows() + n, n);
+  prior.A.bottomRows(n).setIdentity();
+  prior.b.conservativeResize(prior.b.size() + n);
+  prior.b.tail(n).setConstant(0.3);
   constexpr int kIndex = 2;
-  DiffusePrior(kIndex, kVariance, &prior);
-  // Information of the sum of the old variable and an independent step.
-  const auto column = prior.A.cols() - 4 + kIndex;
-  const VectorXd h = H.col(column);
-  const MatrixXd expected = H - h * h.transpose() / (1.0 / kVariance + H(column, column));
-  EXPECT_LT((prior.A.transpose() * prior.A - expected).norm(), kExact * H.norm());
-  const VectorXd gradient = prior.A.transpose() * (prior.b + prior.A * optimum);
-  EXPECT_LT(gradient.norm(), kExact * H.norm());
+  constexpr double kDecay = 0.8, kVariance = 0.7;
+  const auto column = n - 4 + kIndex;
+  const auto covariance = [&prior] { return (prior.A.transpose() * prior.A).inverse().eval(); };
+  const auto mean = [&] {
+    VectorXd x = -prior.A.colPivHouseholderQr().solve(prior.b);
+    x[column] += prior.eta_lin[kIndex];
+    return x;
+  };
+  prior.eta_lin[kIndex] = 5.0;
+  VectorXd x = mean();
+  MatrixXd P = covariance();
+  LetPriorVary(kIndex, {kDecay, kVariance}, &prior);
+  x[column] *= kDecay;
+  P.row(column) *= kDecay;
+  P.col(column) *= kDecay;
+  P(column, column) += kVariance;
+  EXPECT_LT((covariance() - P).norm(), kExact * P.norm());
+  EXPECT_LT((mean() - x).norm(), kExact * x.norm());
 }
 
 // ---- Nonlinear factors -------------------------------------------------------------------------

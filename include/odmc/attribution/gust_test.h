@@ -6,26 +6,46 @@ namespace odmc {
 
 /// Is a slowly varying force residual the wind acting on the vehicle's drag? Compares, by a Kalman
 /// filter's likelihood, a first-order Gauss-Markov wind seen through the model's drag with a force
-/// of the same kind fixed in the world and one fixed in the body, and with noise alone.
+/// of the same kind fixed in the world and one fixed in the body, with one that swings steadily,
+/// and with noise alone.
 struct GustTest {
   double gain = 0.0;           ///< of gusts over noise alone [nats]
-  double over_others = 0.0;    ///< of gusts over the better of the two free forces [nats]
+  double over_others = 0.0;    ///< of gusts over the best of the free forces [nats]
   double sigma_m_s = 0.0;      ///< best standard deviation of the gusts
   double time_constant_s = 0;  ///< best correlation time
+  /// Change of each drag coefficient beside the gusts, and its sigma, in natural sizes.
+  Eigen::VectorXd drag, drag_sigma;
   double one_sidedness = 1.0;  ///< share of the estimated wind's variance along its main line
 };
 
+/// Derivatives of the predicted wrench by the wind along world x, y, z (N×6 each).
+using WindDerivatives = std::array<ResidualModel::Wrenches, 3>;
+
+/// A coefficient that shapes how the force answers wind, in units of its natural size, as a change
+/// from its present value.
+struct DragCoefficient {
+  int index;                         ///< in DynamicModel::parameters()
+  double natural_size;               ///< in the parameter's unit
+  ResidualModel::Wrenches d_wrench;  ///< derivative of the predicted wrench (N×6)
+  WindDerivatives d_wind;            ///< derivative of the derivatives by the wind
+  double least = 0.0, most = 0.0;    ///< the change's bounds: the coefficient's physical sign
+};
+
+/// Drag that is fitted beside gusts is off by more than noise explains, and wind seen through the
+/// wrong drag loses to a free force: every hypothesis fits the drag for itself.
 /// @param residual force residual in columns 0 to 2 (N×6)
-/// @param d_wind derivative of the predicted force by the wind along world x, y, z (N×6 each)
+/// @param d_wind of the predicted force
+/// @param drag what all three hypotheses may change
+/// Blocks held out are not looked at.
 GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
-                   const std::array<ResidualModel::Wrenches, 3>& d_wind);
+                   const WindDerivatives& d_wind, const std::vector<DragCoefficient>& drag);
 
 /// Wind in the world at each sample [m/s], by a Kalman filter that has seen all but the last
 /// `ahead` samples before it.
 /// @param residual,d_wind as above, without gusts
 std::vector<Eigen::Vector3d> PredictGusts(const ThinnedFlight& flight,
                                           const ResidualModel::Wrenches& residual,
-                                          const std::array<ResidualModel::Wrenches, 3>& d_wind,
-                                          double sigma_m_s, double time_constant_s, int ahead);
+                                          const WindDerivatives& d_wind, double sigma_m_s,
+                                          double time_constant_s, int ahead);
 
 }  // namespace odmc

@@ -80,7 +80,8 @@ class IncrementalWindowSolver final : public WindowSolver {
                                    Window* window) override;
   const Eigen::MatrixXd& Reweigh(const Eigen::Ref<const Eigen::VectorXd>& scale,
                                  std::function<void(Keyframe*)> weigh, Window* window) override;
-  void DiffusePast(int index, double variance, Window* window) override;
+  /// Falls back to the batch solve: the step changes what every state says.
+  void LetPastVary(int index, const ProcessStep& step, Window* window) override;
   const Eigen::MatrixXd& PastInformation(const Window& window) override;
   void WritePrior(Window* window) override;
 
@@ -104,6 +105,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   void ReadPrior(const Window& window);
   void WritePrior(const RootTriangle& past, Window* window) const;
   bool Build(Window* window);
+  void HandBack(Window* window);
   SolveReport Align(Window* window, const SolverOptions& options);
   ChainFront& front(std::int64_t id) {
     return fronts_[static_cast<size_t>(id - fronts_.front().id)];

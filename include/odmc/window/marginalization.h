@@ -53,11 +53,14 @@ Eigen::MatrixXd RescalePrior(const Eigen::Ref<const Eigen::VectorXd>& scale, Win
 void DirectionScales(const Eigen::MatrixXd& directions,
                      const Eigen::Ref<const Eigen::VectorXd>& scale, Eigen::VectorXd* roots);
 
-/// Lets parameter `index` of eta have moved by a random step of this variance since the prior was
-/// made: what the prior says about it fades, its optimum stays.
-void DiffusePrior(int index, double variance, Prior* prior);
+/// A step of a first-order Gauss-Markov process about zero: x becomes decay x + n.
+struct ProcessStep {
+  double decay = 1.0;     ///< 0 < decay <= 1
+  double variance = 0.0;  ///< of n
+};
 
-/// The same for rows [A B], `column` that of the parameter in A.
-void DiffuseRows(int column, double variance, Eigen::MatrixXd* A, Eigen::MatrixXd* B);
+/// Lets parameter `index` of eta have made a step of a process since the prior was made: what the
+/// prior says about it fades, and its optimum decays with what it pulls along.
+void LetPriorVary(int index, const ProcessStep& step, Prior* prior);
 
 }  // namespace odmc

@@ -78,8 +78,8 @@ class WindowSolver {
   virtual const Eigen::MatrixXd& Reweigh(const Eigen::Ref<const Eigen::VectorXd>& scale,
                                          std::function<void(Keyframe*)> weigh, Window* window) = 0;
 
-  /// DiffusePrior() of what has left.
-  virtual void DiffusePast(int index, double variance, Window* window) = 0;
+  /// LetPriorVary() of what has left.
+  virtual void LetPastVary(int index, const ProcessStep& step, Window* window) = 0;
 
   /// Information of what has left about the parameters alone (n×n), until the next call.
   virtual const Eigen::MatrixXd& PastInformation(const Window& window) = 0;
@@ -103,7 +103,7 @@ class BatchWindowSolver : public WindowSolver {
                                    Window* window) override;
   const Eigen::MatrixXd& Reweigh(const Eigen::Ref<const Eigen::VectorXd>& scale,
                                  std::function<void(Keyframe*)> weigh, Window* window) override;
-  void DiffusePast(int index, double variance, Window* window) override;
+  void LetPastVary(int index, const ProcessStep& step, Window* window) override;
   const Eigen::MatrixXd& PastInformation(const Window& window) override;
   void WritePrior(Window*) override {}
 

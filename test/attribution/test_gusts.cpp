@@ -1,0 +1,179 @@
+// Wind through a drag that is fitted beside it.
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <array>
+#include <cmath>
+#include <vector>
+
+#include "odmc/attribution/gust_test.h"
+#include "odmc/sim/gaussian.h"
+
+namespace odmc {
+namespace {
+
+using Eigen::Matrix3d;
+using Eigen::Vector3d;
+
+constexpr double kNatural = 0.5;  // natural size of a drag coefficient [N s/m]
+constexpr double kDuration_s = 30.0;
+
+/// A flight along an eight, turning and rolling, that goes `speed` m/s at most.
+FlightMotion Eight(double speed) {
+  FlightMotion motion;
+  motion.step_s = ThinnedFlight::kStep_s;
+  for (double t = 0.0; t < kDuration_s; t += motion.step_s) {
+    FilteredMotion sample;
+    sample.t_s = t;
+    sample.R_WS = (Eigen::AngleAxisd(0.6 * t, Vector3d::UnitZ()) *
+                   Eigen::AngleAxisd(0.4 * std::sin(1.3 * t), Vector3d::UnitX()))
+                      .toRotationMatrix();
+    sample.v_WS = speed * Vector3d(std::sin(t), std::cos(2.0 * t), 0.5 * std::sin(1.7 * t));
+    sample.follows = t > 0.0;
+    motion.samples.push_back(sample);
+  }
+  return motion;
+}
+
+/// A first-order process of each axis at the flight's samples.
+std::vector<Vector3d> Wander(int n, double sigma, double time_constant_s, Gaussian* random) {
+  const double decay = std::exp(-ThinnedFlight::kStep_s / time_constant_s);
+  std::vector<Vector3d> x = {sigma * random->Next3()};
+  while (static_cast<int>(x.size()) < n) {
+    x.push_back(decay * x.back() + std::sqrt(1.0 - decay * decay) * sigma * random->Next3());
+  }
+  return x;
+}
+
+/// What a model with the drag `believed` leaves of a force, and how it says that force answers.
+struct Case {
+  ThinnedFlight flight;
+  Vector3d believed;
+  ResidualModel::Wrenches residual;
+  WindDerivatives d_wind;
+  std::vector<DragCoefficient> drag;
+
+  Case(double speed, const Vector3d& believed_drag, const Vector3d& true_drag,
+       const std::vector<Vector3d>& wind_W, const std::vector<Vector3d>& force_W)
+      : flight(Eight(speed), BlockSplit()), believed(believed_drag) {
+    const int n = flight.size();
+    Gaussian random(7, 0);
+    residual.setZero(n, kNumChannels);
+    for (WindDerivatives::value_type& d : d_wind) d.setZero(n, kNumChannels);
+    for (int axis = 0; axis < 3; ++axis) {
+      DragCoefficient c{axis, kNatural, residual, d_wind, -4.0, -believed[axis] / kNatural};
+      for (int i = 0; i < n; ++i) {
+        const Matrix3d R_BW = flight.sample(i).R_WS.transpose();
+        const Vector3d u_B = R_BW * flight.sample(i).v_WS;
+        c.d_wrench(i, axis) = kNatural * u_B[axis];
+        for (int k = 0; k < 3; ++k) c.d_wind[k](i, axis) = -kNatural * R_BW(axis, k);
+      }
+      drag.push_back(c);
+    }
+    for (int i = 0; i < n; ++i) {
+      const Matrix3d R_BW = flight.sample(i).R_WS.transpose();
+      const Vector3d air_B = R_BW * (flight.sample(i).v_WS - wind_W[i]);
+      const Vector3d force_B = true_drag.cwiseProduct(air_B) + R_BW * force_W[i];
+      residual.row(i).head<3>() =
+          force_B + 0.1 * random.Next3() - believed.cwiseProduct(R_BW * flight.sample(i).v_WS);
+      for (int k = 0; k < 3; ++k) {
+        d_wind[k].row(i).head<3>() = -believed.cwiseProduct(R_BW.col(k)).transpose();
+      }
+    }
+  }
+
+  GustTest Test() const { return TestGusts(flight, residual, d_wind, drag); }
+  GustTest TestWithoutDrag() const { return TestGusts(flight, residual, d_wind, {}); }
+
+  Vector3d FittedDrag(const GustTest& test) const { return believed + kNatural * test.drag; }
+};
+
+const Vector3d kTrueDrag(-0.62, -0.45, -0.38);
+const int kSamples = ThinnedFlight(Eight(1.0), BlockSplit()).size();
+const std::vector<Vector3d> kNothing(kSamples, Vector3d::Zero());
+
+Case Windy(double speed, const Vector3d& believed, int seed = 3) {
+  Gaussian random(seed, 0);
+  return Case(speed, believed, kTrueDrag, Wander(kSamples, 2.0, 1.5, &random), kNothing);
+}
+
+Case Pushed(const Vector3d& believed, int seed) {
+  Gaussian random(seed, 0);
+  return Case(3.0, believed, kTrueDrag, kNothing, Wander(kSamples, 1.0, 1.5, &random));
+}
+
+const Vector3d kWrongDrag(-0.37, -0.5, -0.14);
+
+TEST(GustTest, FitsTheDragBesideTheWind) {
+  for (int seed = 3; seed < 9; ++seed) {
+    SCOPED_TRACE(seed);
+    const Case windy = Windy(3.0, kWrongDrag, seed);
+    EXPECT_LT(windy.TestWithoutDrag().over_others, -20.0);
+    const GustTest test = windy.Test();
+    EXPECT_GT(test.over_others, 0.0);
+    EXPECT_GT(test.gain, 300.0);
+    EXPECT_LT(test.one_sidedness, 0.8);
+    EXPECT_NEAR(test.sigma_m_s, 2.0, 0.6);
+    const Vector3d drag = windy.FittedDrag(test);
+    for (int k = 0; k < 3; ++k) {
+      const double sigma = kNatural * test.drag_sigma[k];
+      EXPECT_NEAR(drag[k], kTrueDrag[k], 3.0 * sigma) << k;
+      EXPECT_LT(sigma, 0.07) << k;
+    }
+  }
+}
+
+TEST(GustTest, WhatWasBelievedOfTheDragMattersNot) {
+  const GustTest wrong = Windy(3.0, kWrongDrag).Test(), right = Windy(3.0, kTrueDrag).Test();
+  EXPECT_NEAR(wrong.over_others, right.over_others, 2.0);
+  EXPECT_NEAR(wrong.sigma_m_s, right.sigma_m_s, 0.1);
+}
+
+TEST(GustTest, AForceFreeOfTheDragIsNone) {
+  double sum = 0.0;
+  for (int seed = 3; seed < 9; ++seed) sum += Pushed(kWrongDrag, seed).Test().over_others;
+  EXPECT_LT(sum / 6.0, -4.0);
+}
+
+TEST(GustTest, FindsDragWhereNextToNoneWasBelieved) {
+  const Case windy = Windy(0.2, {0.0, 0.0, -0.4});  // too slow to tell drag without wind
+  EXPECT_LT(windy.TestWithoutDrag().over_others, -20.0);
+  EXPECT_GT(windy.Test().over_others, -3.0);
+}
+
+TEST(GustTest, AForceThatSwingsSteadilyIsNone) {
+  std::vector<Vector3d> swing;
+  for (int i = 0; i < kSamples; ++i) {
+    const double t = i * ThinnedFlight::kStep_s;
+    swing.emplace_back(0.15 * std::sin(5.0 * t), 0.05 * std::cos(5.0 * t), 0.1 * std::sin(5.0 * t));
+  }
+  EXPECT_LT(Case(0.2, kTrueDrag, kTrueDrag, kNothing, swing).Test().over_others, -20.0);
+}
+
+TEST(GustTest, DragStaysPhysical) {
+  Gaussian random(5, 0);
+  const Case still(0.3, {-0.05, -0.05, -0.05}, {0.3, 0.3, 0.3}, kNothing,
+                   Wander(kSamples, 0.3, 1.5, &random));
+  const GustTest test = still.Test();
+  const Vector3d drag = still.FittedDrag(test);
+  for (int k = 0; k < 3; ++k) EXPECT_LE(drag[k], 1e-12) << k;
+}
+
+TEST(GustTest, DoesNotLookAtBlocksHeldOut) {
+  Case windy = Windy(3.0, kWrongDrag);
+  const GustTest before = windy.Test();
+  int held_out = 0;
+  for (int i = 0; i < windy.flight.size(); ++i) {
+    if (!windy.flight.held_out(i)) continue;
+    windy.residual.row(i).setConstant(100.0);
+    ++held_out;
+  }
+  ASSERT_GT(held_out, 100);
+  const GustTest after = windy.Test();
+  EXPECT_EQ(after.gain, before.gain);
+  EXPECT_EQ(after.over_others, before.over_others);
+}
+
+}  // namespace
+}  // namespace odmc
