@@ -23,6 +23,8 @@ constexpr double kSizeSigmas = 3.0;
 constexpr double kOvershadows = 5.0;
 constexpr double kTie = 3.0;        // nats by which a free force may explain better than gusts
 constexpr double kTieShare = 0.01;  // or this share of the gain: they differ little
+constexpr double kStorm_m_s = 8.0;  // nobody flies in
+constexpr double kInKnocks = 3.0;   // peakedness of a normal wind along one line
 constexpr double kOneSided = 0.9;   // share of the wind's variance along one line
 constexpr double kKnownThrustShare = 0.05;
 constexpr double kAgreeShare = 1.0 / 3.0;  // of a coefficient: winds and drags bend each other
@@ -512,10 +514,14 @@ Gusts RankGusts(const ResidualModel& residual, const Choice& choice, const Param
     ranked.parameters.push_back(
         {name, name == "gust.sigma" ? "m/s" : "s", value, 0.0, false, false});
   }
-  ranked.sound = gust.over_others > -kTie - kTieShare * gust.gain && gust.sigma_m_s < 8.0 &&
-                 gust.one_sidedness < kOneSided;
+  ranked.sound = gust.over_others > -kTie - kTieShare * gust.gain && gust.sigma_m_s < kStorm_m_s &&
+                 gust.one_sidedness < kOneSided && gust.peakedness < kInKnocks;
   if (gust.one_sidedness >= kOneSided) {
     ranked.objection = "it would blow along one line only";
+  } else if (gust.peakedness >= kInKnocks) {
+    ranked.objection = "it would come in knocks";
+  } else if (gust.sigma_m_s >= kStorm_m_s) {
+    ranked.objection = "it would be a storm";
   } else if (!ranked.sound) {
     ranked.objection =
         "a force free of the drag explains it better by " + Text(-gust.over_others) + " nats";

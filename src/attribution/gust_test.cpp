@@ -350,8 +350,13 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   Hypothesis free_body(&flight, &residual, std::move(body), &drag, false, quick, natural);
   for (Hypothesis* hypothesis : {&gust, &free_world, &free_body}) hypothesis->Fit();
   Matrix3d moment = Matrix3d::Zero();
-  for (const Vector3d& x : gust.States()) moment += x * x.transpose();
+  double fourth = 0.0;
+  for (const Vector3d& x : gust.States()) {
+    moment += x * x.transpose() / n;
+    fourth += x.squaredNorm() * x.squaredNorm() / n;
+  }
   const Vector3d spread = Eigen::SelfAdjointEigenSolver<Matrix3d>(moment).eigenvalues();
+  test.peakedness = fourth / std::max(1e-300, moment.trace() * moment.trace());
   test.one_sidedness = spread.sum() > 0.0 ? spread[2] / spread.sum() : 1.0;
   test.gain = gust.likelihood() - none;
   test.over_others = gust.likelihood() - std::max({free_world.likelihood(), free_body.likelihood(),

@@ -151,6 +151,23 @@ TEST(GustTest, AForceThatSwingsSteadilyIsNone) {
   EXPECT_LT(Case(0.2, kTrueDrag, kTrueDrag, kNothing, swing).Test().over_others, -20.0);
 }
 
+// Half sines of 0.8 s every 3.7 s, to all sides.
+TEST(GustTest, KnocksArePeaked) {
+  std::vector<Vector3d> knocks;
+  Gaussian random(6, 0);
+  Vector3d direction = random.Next3().normalized();
+  for (int i = 0; i < kSamples; ++i) {
+    const double at_s = std::fmod(i * ThinnedFlight::kStep_s, 3.7);
+    if (at_s < ThinnedFlight::kStep_s) direction = random.Next3().normalized();
+    knocks.push_back(at_s < 0.8 ? Vector3d(std::sin(at_s / 0.8 * EIGEN_PI) * direction)
+                                : Vector3d(Vector3d::Zero()));
+  }
+  EXPECT_GT(Case(0.2, kTrueDrag, kTrueDrag, kNothing, knocks).Test().peakedness, 4.0);
+  for (int seed = 3; seed < 9; ++seed) {
+    EXPECT_LT(Windy(3.0, kWrongDrag, seed).Test().peakedness, 3.0) << seed;
+  }
+}
+
 TEST(GustTest, DragStaysPhysical) {
   Gaussian random(5, 0);
   const Case still(0.3, {-0.05, -0.05, -0.05}, {0.3, 0.3, 0.3}, kNothing,

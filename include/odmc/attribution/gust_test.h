@@ -16,6 +16,9 @@ struct GustTest {
   /// Change of each drag coefficient beside the gusts, and its sigma, in natural sizes.
   Eigen::VectorXd drag, drag_sigma;
   double one_sidedness = 1.0;  ///< share of the estimated wind's variance along its main line
+  /// Mean fourth power of the estimated wind's speed over its mean square squared: 5/3 for normal
+  /// wind from all sides, 3 for normal wind along one line, more for what comes in knocks.
+  double peakedness = 0.0;
 };
 
 /// Derivatives of the predicted wrench by the wind along world x, y, z (N×6 each).
