@@ -168,15 +168,6 @@ TEST(GustTest, KnocksArePeaked) {
   }
 }
 
-TEST(GustTest, DragStaysPhysical) {
-  Gaussian random(5, 0);
-  const Case still(0.3, {-0.05, -0.05, -0.05}, {0.3, 0.3, 0.3}, kNothing,
-                   Wander(kSamples, 0.3, 1.5, &random));
-  const GustTest test = still.Test();
-  const Vector3d drag = still.FittedDrag(test);
-  for (int k = 0; k < 3; ++k) EXPECT_LE(drag[k], 1e-12) << k;
-}
-
 TEST(GustTest, DoesNotLookAtBlocksHeldOut) {
   Case windy = Windy(3.0, kWrongDrag);
   const GustTest before = windy.Test();
