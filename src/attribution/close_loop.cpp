@@ -498,7 +498,8 @@ Gusts RankGusts(const ResidualModel& residual, const Choice& choice, const Param
   // force: the estimate without them says more of it.
   for (const std::string& name : ActingOnForce(residual, model, values)) {
     const ParameterEstimate* p = declared.Find(name);
-    if (p != nullptr && p->estimated) gusts.known[name] = {p->value, p->sigma, {}};
+    if (p == nullptr || !p->estimated || !(p->sigma > 0.0)) continue;
+    gusts.known[name] = {p->value, p->sigma, {}};
   }
   for (Eigen::Index i = 0; i < gust.drag.size(); ++i) {
     const DragCoefficient& c = drag[i];

@@ -17,6 +17,7 @@ using Eigen::Vector3d;
 using Eigen::VectorXd;
 
 constexpr double kTimeConstants_s[] = {0.3, 0.7, 1.5, 3.0, 6.0};
+constexpr int kLeastSamples = 100;
 constexpr double kLeastCurvature = 1.0;  // the natural size alone
 constexpr double kSizes[] = {0.35, 0.6, 1.0, 1.6, 2.5};
 
@@ -332,7 +333,9 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
                    const WindDerivatives& d_wind, const std::vector<DragCoefficient>& drag) {
   GustTest test;
   const int n = flight.size();
-  if (n < 100) return test;
+  int in_use = 0;
+  for (int i = 0; i < n; ++i) in_use += flight.held_out(i) ? 0 : 1;
+  if (in_use < kLeastSamples) return test;
   std::vector<Matrix3d> wind = Response(n, d_wind), world(n), body(n, Matrix3d::Identity());
   double response = 0.0;
   for (int i = 0; i < n; ++i) {

@@ -35,11 +35,11 @@ struct DragCoefficient {
 };
 
 /// Drag that is fitted beside gusts is off by more than noise explains, and wind seen through the
-/// wrong drag loses to a free force: every hypothesis fits the drag for itself.
+/// wrong drag loses to a free force: every hypothesis fits the drag for itself. Blocks held out are
+/// not looked at.
 /// @param residual force residual in columns 0 to 2 (N×6)
 /// @param d_wind of the predicted force
 /// @param drag what all three hypotheses may change
-/// Blocks held out are not looked at.
 GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
                    const WindDerivatives& d_wind, const std::vector<DragCoefficient>& drag);
 
