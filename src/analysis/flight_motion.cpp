@@ -131,6 +131,7 @@ FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
   const int half = filter.count() / 2;
   const double longest_s = 1.5 * std::max(kFilterWidth_s, filter.count() * step_s);
   int previous = -2;
+  flight.samples.reserve(static_cast<size_t>(n));
   for (int i = half; i + half < n; ++i) {
     if (OnGround(c.stamps[i], ground_spans)) {
       ++flight.left_out_ground;

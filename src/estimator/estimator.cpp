@@ -341,8 +341,10 @@ const Snapshot* Estimator::Step() {
   return snapshot;
 }
 
-/// While the flight settles, whenever the window has grown by a share.
+/// While the flight settles, whenever the window has grown by a share; the last time when all is
+/// learned.
 bool Estimator::AlignmentIsDue() const {
+  if (IsLearning() && kAlignmentGrowth * learned_s_ > kLearning_s) return false;
   const auto states = static_cast<double>(window_.keyframes().size());
   return states >= kAlignmentGrowth * aligned_states_ || states < aligned_states_;
 }

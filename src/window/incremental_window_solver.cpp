@@ -196,11 +196,15 @@ void IncrementalWindowSolver::HandBack(Window* window) {
 }
 
 SolveReport IncrementalWindowSolver::Align(Window* window, const SolverOptions& options) {
+  const double curvature = curvature_;
   HandBack(window);
   SolverOptions thorough = options;
   thorough.max_iterations = std::max(options.max_iterations, kAlignmentIterations);
   SolveReport report = batch_.Solve(window, thorough);
   report.aligned = true;
+  // The chain tells the covariance; from a window too far from its solution, the next update's.
+  if (report.usable && !window->keyframes().empty() && !Build(window)) HandBack(window);
+  if (incremental_) curvature_ = curvature;
   return report;
 }
 

@@ -198,6 +198,7 @@ TEST_P(SlidingWindow, HandsOverToABatchSolveAndTakesOverAgain) {
       ASSERT_TRUE(report.usable);
       EXPECT_TRUE(report.aligned);
       SolveReference();
+      EXPECT_LT(CovarianceDifference(), 1e-6) << "keyframe " << k;  // by the chain it built
     } else {
       SolveBoth();
       if (GetParam().anchored && k > 10) continue;
