@@ -196,7 +196,8 @@ void IncrementalWindowSolver::HandBack(Window* window) {
 }
 
 SolveReport IncrementalWindowSolver::Align(Window* window, const SolverOptions& options) {
-  const double curvature = curvature_;
+  // Asked for, it solves the same problem better; else the step shows that the problem has changed.
+  const double curvature = options.align ? curvature_ : kFirstCurvature;
   HandBack(window);
   SolverOptions thorough = options;
   thorough.max_iterations = std::max(options.max_iterations, kAlignmentIterations);
@@ -668,7 +669,6 @@ bool IncrementalWindowSolver::CatchUp(Window* window) {
   if (fronts_.empty()) {  // a new chain, on what was learned before
     for (std::int64_t id = oldest; id <= newest; ++id) AppendFront(*window, id);
     window->TakeTouched();
-    curvature_ = kFirstCurvature;
     return SweepAll(window);
   }
   bool sound = RedoMovedRecent(window);
@@ -822,6 +822,7 @@ bool IncrementalWindowSolver::MarginalizeOldest(Window* window, const Eigen::Vec
     have_root_ = false;
     checkpoints_.clear();
     sweep_.active = sweep_.wanted = sweep_.urgent = sweep_.reweighs = false;
+    curvature_ = kFirstCurvature;
   }
   if (has_bias && (last || oldest.bias_leaves)) window->biases().pop_front();
   window->DropOldestKeyframe();
