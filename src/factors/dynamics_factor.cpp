@@ -20,10 +20,31 @@ constexpr int kVelocityRow = N - 6;
 template <int N>
 constexpr int kAngularRow = N - 3;
 
+/// The torque equation with one inertia.
+struct Rotation {
+  Matrix3d I, I_inverse;
+  Vector3d e_alpha;
+
+  Rotation() = default;
+  Rotation(const Matrix3d& inertia, const IntervalModel& k, double dt) : I(inertia) {
+    const Vector3d& w = k.flight.w_WB_B;
+    I_inverse = I.inverse();
+    e_alpha = k.m1.w_WB_B - k.m0.w_WB_B + I_inverse * (dt * w.cross(I * w) - dt * k.tau_B);
+  }
+};
+
 /// What the residual is made of, besides the interval's model.
 struct Terms {
-  Matrix3d I_inverse;
-  Vector3d f, a_p, e_alpha;
+  Vector3d f, a_p;
+  /// With the inertia of the values, and with that of some axes held; those that no row takes are
+  /// not set.
+  Rotation free, held;
+  std::array<bool, 3> is_held;
+
+  const Rotation& of_row(int i) const { return is_held[i] ? held : free; }
+  bool any(bool held_ones) const {
+    return is_held[0] == held_ones || is_held[1] == held_ones || is_held[2] == held_ones;
+  }
 };
 
 /// The residual's rows (9 with e_p, 6 without).
@@ -32,13 +53,17 @@ Eigen::Matrix<double, N, 1> EvaluateRows(const DynamicsMeasurement& measurement,
                                          const IntervalModel& k, Terms* terms) {
   const double dt = measurement.dt;
   const double m = k.body.mass;
-  const Matrix3d& I = k.body.I_BBcm_B;
   const Vector3d& g_W = k.body.g_W;
-  const Vector3d& w = k.flight.w_WB_B;
-  terms->I_inverse = I.inverse();
   terms->f = k.R_BW * (k.m1.v_WBcm - k.m0.v_WBcm - dt * g_W);
-  terms->e_alpha =
-      k.m1.w_WB_B - k.m0.w_WB_B + terms->I_inverse * (dt * w.cross(I * w) - dt * k.tau_B);
+  terms->is_held = measurement.inertia_fixed;
+  if (terms->any(false)) terms->free = Rotation(k.body.I_BBcm_B, k, dt);
+  if (terms->any(true)) {
+    Matrix3d I = k.body.I_BBcm_B;
+    for (int i = 0; i < 3; ++i) {
+      if (terms->is_held[i]) I(i, i) = measurement.fixed_inertia[i];
+    }
+    terms->held = Rotation(I, k, dt);
+  }
   Eigen::Matrix<double, N, 1> e;
   if constexpr (N == 9) {
     e.template head<3>().setZero();
@@ -48,8 +73,30 @@ Eigen::Matrix<double, N, 1> EvaluateRows(const DynamicsMeasurement& measurement,
     }
   }
   e.template segment<3>(kVelocityRow<N>) = m * terms->f - dt * k.F_B;
-  e.template segment<3>(kAngularRow<N>) = terms->e_alpha;
+  for (int i = 0; i < 3; ++i) e[kAngularRow<N> + i] = terms->of_row(i).e_alpha[i];
   return e;
+}
+
+/// Those of the torque equation whose axes are held, or free.
+template <int N>
+void SetRotationRows(const IntervalModel& k, const Terms& terms, bool held, double dt, int first,
+                     IntervalDerivatives<N>* D) {
+  const Rotation& r = held ? terms.held : terms.free;
+  const Vector3d& w = k.flight.w_WB_B;
+  const Vector3d dw = k.m1.w_WB_B - k.m0.w_WB_B;
+  const Matrix3d by_rate = dt * r.I_inverse * (HatTimes(w, r.I) - Hat(r.I * w));
+  Eigen::Matrix<double, 3, 6> by_inertia =
+      r.I_inverse *
+      (InertiaProductDerivative(dw - r.e_alpha) + HatTimes(dt * w, InertiaProductDerivative(w)));
+  for (int i = 0; held && i < 3; ++i) {
+    if (terms.is_held[i]) by_inertia.col(i).setZero();
+  }
+  for (int i = 0; i < 3; ++i) {
+    if (terms.is_held[i] != held) continue;
+    D->d_wrench().template block<1, 3>(first + i, 3) = -dt * r.I_inverse.row(i);
+    D->d_rate().row(first + i) = by_rate.row(i);
+    D->d_body().template block<1, 6>(first + i, kRowInertia) = by_inertia.row(i);
+  }
 }
 
 /// Derivatives of the rows with respect to the interval's pieces.                model.md section 6
@@ -59,8 +106,6 @@ IntervalDerivatives<N> RowDerivatives(const DynamicsMeasurement& measurement,
   constexpr int v = kVelocityRow<N>, a = kAngularRow<N>;
   const double dt = measurement.dt;
   const double m = k.body.mass;
-  const Vector3d& w = k.flight.w_WB_B;
-  const Matrix3d& I = k.body.I_BBcm_B;
   using Columns = IntervalDerivatives<N>;
   IntervalDerivatives<N> D;
   auto d_wrench = D.d_wrench();
@@ -70,19 +115,16 @@ IntervalDerivatives<N> RowDerivatives(const DynamicsMeasurement& measurement,
     for (int i = 0; i < 3; ++i) (*d)(row + i, column + i) = x;
   };
   set(v, 0, -dt, &d_wrench);
-  d_wrench.template block<3, 3>(a, 3) = -dt * terms.I_inverse;
   D.d_theta().template middleRows<3>(v) = m * Hat(terms.f);
-  D.d_rate().template middleRows<3>(a) = dt * terms.I_inverse * (HatTimes(w, I) - Hat(I * w));
   set(v, Columns::kComVelocity, -m, &d_motion0);
   set(v, Columns::kComVelocity, m, &d_motion1);
   set(a, Columns::kRate, -1.0, &d_motion0);
   set(a, Columns::kRate, 1.0, &d_motion1);
   d_body.template block<3, 1>(v, kRowMass) = terms.f;
   d_body.template block<3, 3>(v, kRowGravity) = -dt * m * k.R_BW;
-  const Vector3d dw = k.m1.w_WB_B - k.m0.w_WB_B;
-  d_body.template block<3, 6>(a, kRowInertia) =
-      terms.I_inverse * (InertiaProductDerivative(dw - terms.e_alpha) +
-                         HatTimes(dt * w, InertiaProductDerivative(w)));
+  for (const bool held : {false, true}) {
+    if (terms.any(held)) SetRotationRows(k, terms, held, dt, a, &D);
+  }
   if constexpr (N == 9) {
     if (measurement.form == DynamicsForm::kEuler) {
       set(0, 0, -0.5 * dt * dt, &d_wrench);
@@ -106,7 +148,7 @@ Eigen::Matrix<double, kNumDynamicsRows, 1> DynamicsResidual(
   const IntervalModel k(measurement, state0, state1, model, values, true, J != nullptr);
   Terms terms;
   const auto e = EvaluateRows<kNumDynamicsRows>(measurement, k, &terms);
-  if (inertia != nullptr) *inertia = k.body.I_BBcm_B.diagonal();
+  for (int i = 0; inertia != nullptr && i < 3; ++i) (*inertia)[i] = terms.of_row(i).I(i, i);
   if (J != nullptr) {
     auto D = RowDerivatives<kNumDynamicsRows>(measurement, k, terms);
     std::vector<int> all(model.num_parameters());
@@ -117,7 +159,7 @@ Eigen::Matrix<double, kNumDynamicsRows, 1> DynamicsResidual(
       const BodyPropertyRows& rows = model.shaped_rows(c);
       for (int i = 0; i < 3; ++i) {
         const int row = kRowInertia + i;
-        if (row >= rows.first && row < rows.first + rows.count)
+        if (row >= rows.first && row < rows.first + rows.count && !measurement.inertia_fixed[i])
           J->d_inertia(i, c) = k.d_body(row, c);
       }
     }
@@ -213,7 +255,8 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
                         *model_, values, with_torque_, jacobians != nullptr);
   Terms terms;
   Eigen::Matrix<double, N, 1> e = EvaluateRows<N>(measurement, k, &terms);
-  const Vector3d inertia = k.body.I_BBcm_B.diagonal();
+  Vector3d inertia;  // each row's own
+  for (int i = 0; i < 3; ++i) inertia[i] = terms.of_row(i).I(i, i);
 
   // Whitening: one weight a row; Form E also decorrelates e_v from e_p.
   const double dt = measurement.dt;
@@ -237,7 +280,7 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
         (inertia[i] * inertia[i]);
     torque_variance[i] = fixed * fixed + rotor;
     weight[a + i] = 1.0 / (dt * std::sqrt(torque_variance[i]));
-    d_log_weight_d_inertia[i] = rotor / (torque_variance[i] * inertia[i]);
+    d_log_weight_d_inertia[i] = terms.is_held[i] ? 0.0 : rotor / (torque_variance[i] * inertia[i]);
   }
   Eigen::Matrix2d sqrt_info;
   if constexpr (N == 9) {
@@ -271,10 +314,10 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
                     by_state1 ? &d_state1 : nullptr, &d_values);
   if (anchor_entry_ >= 0 && jacobians[3] != nullptr) {
     const double chain = layout_->ChainFactor(anchor_entry_, measurement.anchor_value);
-    const Vector3d d_alpha = -dt * chain * (terms.I_inverse * k.d_wrench.d_anchor);
+    const Vector3d d_tau = -dt * chain * k.d_wrench.d_anchor;
     std::fill_n(jacobians[3], rows, 0.0);
     for (int i = 0; i < (with_torque_ ? 3 : 0); ++i) {
-      jacobians[3][rows - 3 + i] = weight[a + i] * d_alpha[i];
+      jacobians[3][rows - 3 + i] = weight[a + i] * terms.of_row(i).I_inverse.row(i).dot(d_tau);
     }
   }
   if (by_state0) {

@@ -36,13 +36,6 @@ IntervalModel::IntervalModel(const DynamicsMeasurement& measurement, const State
                              const ModelValues& values, bool with_torque, bool jacobians)
     : model(&dynamic_model) {
   body = model->ShapedProperties(values, measurement.time_s, jacobians ? &d_body : nullptr);
-  for (int i = 0; i < 3; ++i) {
-    if (!measurement.inertia_fixed[i]) continue;
-    body.I_BBcm_B(i, i) = measurement.fixed_inertia[i];
-    for (int k = 0; k < (jacobians ? model->num_parameters() : 0); ++k) {
-      d_body(kRowInertia + i, k) = 0.0;
-    }
-  }
   w0_S = state0.w_WS_S;
   w1_S = state1.w_WS_S;
   m0 = MotionOfBody(state0, body);

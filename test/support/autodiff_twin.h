@@ -195,11 +195,11 @@ template <typename T>
 VX<T> Dynamics(const DynamicsMeasurement& z, const Vehicle& vehicle, const Motion<T>& x0,
                const Motion<T>& x1, const Parameters<T>& a, V3<T>* inertia) {
   const Interval<T> k = IntervalOf(z, vehicle, x0, x1, a);
-  V3<T> I = a.I;
+  V3<T> held = a.I;  // what rows of axes that are held take
   for (int i = 0; i < 3; ++i) {
-    if (z.inertia_fixed[i]) I[i] = T(z.fixed_inertia[i]);
+    if (z.inertia_fixed[i]) held[i] = T(z.fixed_inertia[i]);
   }
-  *inertia = I;
+  *inertia = held;  // each row's own
   const T dt(z.dt), m(vehicle.mass_kg), g(vehicle.gravity_m_s2);
   const V3<T> up = GravityAxis(a);
   VX<T> e = VX<T>::Zero(9);
@@ -209,10 +209,13 @@ VX<T> Dynamics(const DynamicsMeasurement& z, const Vehicle& vehicle, const Motio
   }
   e.template segment<3>(3) =
       (k.B.transpose() * V3<T>(k.V[1] - k.V[0] + up * (g * dt))) * m - k.F * dt;
-  const V3<T> momentum = I.cwiseProduct(k.w_point);
-  const V3<T> e_omega =
-      I.cwiseProduct(k.w[1] - k.w[0]) + k.w_point.cross(momentum) * dt - k.tau * dt;
-  e.template segment<3>(6) = e_omega.cwiseQuotient(I);
+  for (int i = 0; i < 3; ++i) {
+    const V3<T> I = z.inertia_fixed[i] ? held : a.I;
+    const V3<T> momentum = I.cwiseProduct(k.w_point);
+    const V3<T> e_omega =
+        I.cwiseProduct(k.w[1] - k.w[0]) + k.w_point.cross(momentum) * dt - k.tau * dt;
+    e[6 + i] = e_omega[i] / I[i];
+  }
   return e;
 }
 

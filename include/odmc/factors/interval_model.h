@@ -25,8 +25,10 @@ struct DynamicsMeasurement {
   RotorState rotors;    ///< means over the interval (Form M), values at its start (Form E)
   LoadPull load;        ///< of a suspended load, in the interval's middle
   DynamicsForm form = DynamicsForm::kMidpoint;
-  /// Axes whose inertia is held at `fixed_inertia` whatever the values say, because the flight
-  /// cannot tell it from the rest (see InertiaGate).
+  /// Axes about which the flight cannot tell the inertia from the rest (see InertiaGate): their
+  /// rows of the torque equation take the inertia about all such axes as `fixed_inertia`, whatever
+  /// the values say. Rows of other axes take the values, which they couple (w × I w): what is not
+  /// known about one axis is an uncertainty of the others.
   std::array<bool, 3> inertia_fixed = {false, false, false};
   Eigen::Vector3d fixed_inertia = Eigen::Vector3d::Zero();  ///< [kg m²]
   /// Index of the thrust coefficient in the model's values, or -1. Where set, the torque takes it
