@@ -14,6 +14,7 @@ namespace {
 
 constexpr double kSettling_s = 2.0;       // left out of the timing
 constexpr double kConvergedShare = 0.05;  // of the final value
+constexpr double kMostBlocks = 1000.0;    // to leave out in turn
 constexpr double kInertiaLow = 0.5, kInertiaHigh = 2.0;
 constexpr double kGainLow = 0.85, kGainHigh = 1.15;
 
@@ -56,12 +57,54 @@ void WarnCount(long count, const std::string& one, const std::string& many,
   if (count > 0) warnings->push_back(std::to_string(count) + " " + (count == 1 ? one : many));
 }
 
+void Append(const std::vector<std::string>& more, std::vector<std::string>* all) {
+  all->insert(all->end(), more.begin(), more.end());
+}
+
+/// "from 0.1 to 12 s", counted from the first pose.
+template <typename Sample>
+std::string Span(const std::vector<Sample>& samples, const FlightLog& log) {
+  if (samples.empty()) return "none";
+  const Stamp zero = log.odometry.front().stamp;
+  return "from " + Text(ToSeconds(samples.front().stamp - zero)) + " to " +
+         Text(ToSeconds(samples.back().stamp - zero)) + " s after the first pose";
+}
+
+/// Where every pose is a gap after the one before.
+void WarnOfSlowOdometry(const FlightLog& log, const ReplayResult& replay,
+                        std::vector<std::string>* warnings) {
+  if (replay.counters.gaps < replay.counters.keyframes / 2 || log.odometry.size() < 3) return;
+  std::vector<double> steps_s;
+  for (size_t i = 1; i < log.odometry.size(); ++i) {
+    steps_s.push_back(ToSeconds(log.odometry[i].stamp - log.odometry[i - 1].stamp));
+  }
+  warnings->push_back(
+      "hardly anything can be learned: between most keyframes there is a gap. "
+      "Odometry comes every " +
+      Text(Median(steps_s)) + " s; compare max_gap_s, and the times of the rotor speeds (" +
+      Span(log.rotors, log) + ")");
+}
+
+}  // namespace
+
 std::vector<std::string> FlightWarnings(const FlightLog& log, const ReplayResult& replay) {
   std::vector<std::string> warnings = log.warnings;
   const EstimatorCounters& c = replay.counters;
   const SynchroniserCounters& s = replay.stream_counters;
-  WarnCount(s.not_finite, "sample was not finite and was dropped",
-            "samples were not finite and were dropped", &warnings);
+  WarnCount(s.not_finite, "sample was not finite, or beyond what a sensor reads, and was dropped",
+            "samples were not finite, or beyond what a sensor reads, and were dropped", &warnings);
+  if (s.glitches > 0) {
+    const double t_s = ToSeconds(s.first_glitch - log.odometry.front().stamp);
+    WarnCount(
+        s.glitches,
+        "reading (rotor speed, gyro, accelerometer or body rate) leapt away and came back and "
+        "was not used: at " +
+            Text(t_s) + " s",
+        "readings (rotor speed, gyro, accelerometer or body rate) leapt away and came back "
+        "and were not used: the first at " +
+            Text(t_s) + " s",
+        &warnings);
+  }
   WarnCount(s.out_of_order, "sample stepped back in time and was dropped",
             "samples stepped back in time and were dropped", &warnings);
   WarnCount(s.repeated_pose, "pose repeated the one before and was dropped",
@@ -72,10 +115,10 @@ std::vector<std::string> FlightWarnings(const FlightLog& log, const ReplayResult
             "jumps of the odometry were taken as gaps", &warnings);
   WarnCount(c.refused_updates, "update was not usable and was refused",
             "updates were not usable and were refused", &warnings);
+  WarnOfSlowOdometry(log, replay, &warnings);
   return warnings;
 }
 
-/// Forces scale with the mass, so parameters belong to the mass they were fitted with.
 void WarnOfOtherMass(const ParameterSet& parameters, const Vehicle& vehicle,
                      std::vector<std::string>* warnings) {
   const auto fitted = parameters.provenance.find("mass_kg");
@@ -85,12 +128,6 @@ void WarnOfOtherMass(const ParameterSet& parameters, const Vehicle& vehicle,
   warnings->push_back("the parameters belong to a mass of " + Text(mass_kg) +
                       " kg, the vehicle file says " + Text(vehicle.mass_kg) + " kg");
 }
-
-void Append(const std::vector<std::string>& more, std::vector<std::string>* all) {
-  all->insert(all->end(), more.begin(), more.end());
-}
-
-}  // namespace
 
 Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Vehicle& file_vehicle,
                       const DynamicModel& model, const EstimatorOptions& options,
@@ -137,6 +174,10 @@ LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,
   if (!(block_s > 0.0) || duration_s < 2.0 * block_s) {
     throw std::invalid_argument(log.file + ": " + Text(duration_s) + " s are no two blocks of " +
                                 Text(block_s) + " s to leave out");
+  }
+  if (duration_s > kMostBlocks * block_s) {
+    throw std::invalid_argument(log.file + ": blocks of " + Text(block_s) + " s are more than " +
+                                Text(kMostBlocks) + " in " + Text(duration_s) + " s");
   }
   const bool with_torque = !log.rotor_rms_only;
   const Stamp first = log.odometry.front().stamp;

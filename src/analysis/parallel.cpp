@@ -4,6 +4,7 @@
 #include <atomic>
 #include <exception>
 #include <mutex>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -34,7 +35,14 @@ void ForEachOf(int count, int jobs, const std::function<void(int)>& work,
   };
   std::vector<std::thread> threads;
   threads.reserve(static_cast<size_t>(std::max(0, std::min(jobs, count))));
-  for (int j = 0; j < std::min(jobs, count); ++j) threads.emplace_back(run);
+  for (int j = 0; j < std::min(jobs, count); ++j) {
+    try {
+      threads.emplace_back(run);
+    } catch (const std::system_error&) {
+      if (threads.empty()) run();  // no more threads to be had: those there are do the work
+      break;
+    }
+  }
   for (std::thread& thread : threads) thread.join();
   if (failure) std::rethrow_exception(failure);
 }

@@ -127,6 +127,7 @@ std::string CalibrationReport(const Calibration& c, const DynamicModel& model) {
   left_out["jumps"] = counters.jumps;
   left_out["refused_updates"] = counters.refused_updates;
   left_out["not_finite"] = streams.not_finite;
+  left_out["glitches"] = streams.glitches;
   left_out["out_of_order"] = streams.out_of_order;
   left_out["repeated_poses"] = streams.repeated_pose;
   left_out["keyframes_without_all_streams"] = streams.uncovered;

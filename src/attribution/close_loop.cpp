@@ -7,6 +7,7 @@
 #include <optional>
 #include <stdexcept>
 
+#include "odmc/analysis/calibration.h"
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/gust_test.h"
 #include "odmc/attribution/spectrum.h"
@@ -683,7 +684,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   result.declared_parameters = result.parameters = before.parameters;
   result.effect_names = vehicle.effects;
   result.before = result.after = before.held_out.all;
-  result.warnings = log.warnings;
+  result.warnings = FlightWarnings(log, replay);
   result.flight = FlownFlight(log, replay);
 
   const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), replay.ground_spans),

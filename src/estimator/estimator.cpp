@@ -134,7 +134,7 @@ struct Estimator::Interval {
 };
 
 bool EstimatorOptions::IsValid(std::string* error) const {
-  const auto fail = [error](const char* what) {
+  const auto fail = [error](const std::string& what) {
     if (error != nullptr) *error = what;
     return false;
   };
@@ -149,21 +149,48 @@ bool EstimatorOptions::IsValid(std::string* error) const {
   if (solver != "incremental" && solver != "elimination" && solver != "ceres") {
     return fail("solver must be incremental, elimination or ceres");
   }
-  if (!(huber_width >= 0.0)) return fail("huber_width must not be negative");
-  if (!(max_gap_s > 0.0)) return fail("max_gap_s must be positive");
-  if (!(patience_s > 0.0)) return fail("patience_s must be positive");
+  const auto is_positive = [](double x) { return x > 0.0 && std::isfinite(x); };
+  const auto is_not_negative = [](double x) { return x >= 0.0 && std::isfinite(x); };
+  struct Named {
+    const char* name;
+    double value;
+  };
+  for (const Named& option : {Named{"max_gap_s", max_gap_s}, Named{"patience_s", patience_s},
+                              Named{"max_update_time_s", max_update_time_s},
+                              Named{"process_noise_floor", process_noise_floor},
+                              Named{"kinematic_position_m", kinematic_position_m},
+                              Named{"kinematic_rotation_rad", kinematic_rotation_rad},
+                              Named{"gyro_noise_rad_s", gyro_noise_rad_s},
+                              Named{"accelerometer_noise_m_s2", accelerometer_noise_m_s2},
+                              Named{"bias_interval_s", bias_interval_s},
+                              Named{"gyro_bias_sigma_rad_s", gyro_bias_sigma_rad_s},
+                              Named{"accelerometer_bias_sigma_m_s2", accelerometer_bias_sigma_m_s2},
+                              Named{"gyro_bias_walk", gyro_bias_walk},
+                              Named{"accelerometer_bias_walk", accelerometer_bias_walk}}) {
+    if (!is_positive(option.value)) return fail(std::string(option.name) + " must be positive");
+  }
+  for (const Named& option :
+       {Named{"huber_width", huber_width}, Named{"position_noise_m", position_noise_m},
+        Named{"attitude_noise_rad", attitude_noise_rad},
+        Named{"velocity_noise_m_s", velocity_noise_m_s},
+        Named{"rate_noise_rad_s", rate_noise_rad_s},
+        Named{"rotor_speed_noise_rad_s", rotor_speed_noise_rad_s},
+        Named{"function_tolerance", function_tolerance},
+        Named{"take_off_height_m", ground.take_off_height_m},
+        Named{"take_off_speed_m_s", ground.take_off_speed_m_s},
+        Named{"landed_thrust_ratio", ground.landed_thrust_ratio},
+        Named{"landed_speed_m_s", ground.landed_speed_m_s}, Named{"confirm_s", ground.confirm_s},
+        Named{"near_ground_m", ground.near_ground_m}}) {
+    if (!is_not_negative(option.value)) {
+      return fail(std::string(option.name) + " must be a number and not negative");
+    }
+  }
+  if (!(inertia_gate_r_squared >= 0.0 && inertia_gate_r_squared <= 1.0)) {
+    return fail("inertia_gate_r_squared must be in [0, 1]");
+  }
+  if (ground.landed_thrust_ratio >= 1.0) return fail("landed_thrust_ratio must be below 1");
   if (max_iterations < 1) return fail("max_iterations must be at least 1");
-  if (!(max_update_time_s > 0.0)) return fail("max_update_time_s must be positive");
   if (num_threads < 1) return fail("num_threads must be at least 1");
-  if (!(process_noise_floor > 0.0)) return fail("process_noise_floor must be positive");
-  if (!(kinematic_position_m > 0.0 && kinematic_rotation_rad > 0.0)) {
-    return fail("kinematic_position_m and kinematic_rotation_rad must be positive");
-  }
-  if (!(gyro_noise_rad_s > 0.0 && accelerometer_noise_m_s2 > 0.0 && bias_interval_s > 0.0 &&
-        gyro_bias_sigma_rad_s > 0.0 && accelerometer_bias_sigma_m_s2 > 0.0 &&
-        gyro_bias_walk > 0.0 && accelerometer_bias_walk > 0.0)) {
-    return fail("IMU noise, bias_interval_s, bias sigmas and walks must be positive");
-  }
   return true;
 }
 
@@ -202,8 +229,7 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
 Estimator::~Estimator() = default;
 
 void Estimator::Add(const OdometrySample& sample) {
-  synchroniser_.Add(sample);
-  stream_noise_.Add(sample);
+  if (synchroniser_.Add(sample)) stream_noise_.Add(sample);
   if (noise_ready_ == 0) noise_ready_ = sample.stamp + FromSeconds(kNoiseWarmUp_s);
 }
 
@@ -486,7 +512,8 @@ std::optional<Estimator::Interval> Estimator::ReadInterval(const OdometrySample&
   if (!last_ || !last_in_window_) return std::nullopt;
   Interval interval;
   interval.dt = ToSeconds(sample.stamp - last_->stamp);
-  if (interval.dt > options_.max_gap_s) {
+  // Keyframes may be meant to be farther apart than a gap is long.
+  if (interval.dt > std::max(options_.max_gap_s, 1.5 / options_.keyframe_rate_hz)) {
     ++counters_.gaps;
     return std::nullopt;
   }

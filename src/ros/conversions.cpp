@@ -3,10 +3,12 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "odmc/sensing/plausible.h"
+
 namespace odmc {
 namespace {
 
-constexpr double kMissing = -1.0;  // as a first variance
+constexpr double kMissing = -1.0;                             // as a first variance
 constexpr double kLeastThrottle = -0.2, kMostThrottle = 1.2;  // ESCs may be told 800 to 2200 us
 
 /// Pose with its stamp; nothing if it is not sound.
@@ -17,9 +19,7 @@ std::optional<OdometryInput> PoseInput(const std_msgs::Header& header,
   input.sample.p_WS = ToEigen(pose.position);
   input.sample.q_WS = ToEigen(pose.orientation);
   input.frame_id = header.frame_id;
-  const double norm = input.sample.q_WS.norm();
-  const bool is_unit = std::abs(norm - 1.0) < 0.05;  // false for NaN, too
-  if (input.sample.stamp <= 0 || !input.sample.p_WS.allFinite() || !is_unit) return std::nullopt;
+  if (input.sample.stamp <= 0 || !IsPlausible(input.sample)) return std::nullopt;
   input.sample.q_WS.normalize();
   return input;
 }
@@ -32,7 +32,7 @@ std::optional<RotorInput> SpeedInput(const std_msgs::Header& header,
   input.sample.stamp = FromRos(header.stamp);
   input.sample.speed =
       scale * Eigen::Map<const Eigen::VectorXd>(speeds.data(), num_rotors).cwiseAbs();
-  if (input.sample.stamp <= 0 || !input.sample.speed.allFinite()) return std::nullopt;
+  if (input.sample.stamp <= 0 || !IsPlausible(input.sample)) return std::nullopt;
   return input;
 }
 
@@ -83,8 +83,9 @@ std::optional<OdometryInput> ToInput(const nav_msgs::Odometry& message) {
   if (message.twist.covariance[21] != kMissing) {
     input->sample.w_WS_S = ToEigen(message.twist.twist.angular);
   }
-  if (input->linear && !input->linear->allFinite()) return std::nullopt;
-  if (input->sample.w_WS_S && !input->sample.w_WS_S->allFinite()) return std::nullopt;
+  OdometrySample moving = input->sample;
+  moving.v_WS = input->linear;  // in whichever frame
+  if (!IsPlausible(moving)) return std::nullopt;
   return input;
 }
 
@@ -100,14 +101,12 @@ std::optional<ImuInput> ToInput(const sensor_msgs::Imu& message) {
   input.frame_id = message.header.frame_id;
   if (message.angular_velocity_covariance[0] != kMissing) {
     input.sample.gyro_I = ToEigen(message.angular_velocity);
-    if (!input.sample.gyro_I->allFinite()) return std::nullopt;
   }
   if (message.linear_acceleration_covariance[0] != kMissing) {
     input.sample.specific_force_I = ToEigen(message.linear_acceleration);
-    if (!input.sample.specific_force_I->allFinite()) return std::nullopt;
   }
   const bool has_any = input.sample.gyro_I || input.sample.specific_force_I;
-  if (input.sample.stamp <= 0 || !has_any) return std::nullopt;
+  if (input.sample.stamp <= 0 || !has_any || !IsPlausible(input.sample)) return std::nullopt;
   return input;
 }
 

@@ -377,8 +377,8 @@ void ReadCommands(BagSource* bag, int num_rotors, FlightLog* log) {
   const std::string source = bag->file() + ": " + topic;
   for (const auto& m : bag->Read<odmc::MotorCommands>(topic)) {
     CheckSize(source, m->throttle.size(), "commands", num_rotors);
-    log->commands.push_back({FromRos(m->header.stamp), Eigen::Map<const Eigen::VectorXd>(
-                                                           m->throttle.data(), num_rotors)});
+    log->commands.push_back({FromRos(m->header.stamp),
+                             Eigen::Map<const Eigen::VectorXd>(m->throttle.data(), num_rotors)});
   }
   KeepFinite(
       source, &log->commands, [](const CommandSample& s) { return s.throttle.allFinite(); }, log);
@@ -518,9 +518,8 @@ FlightLog ReadBag(const std::string& file, int num_rotors, PoseSource pose,
       options.twist_frame != "world") {
     Fail(file, "twist_frame must be auto, body or world, not '" + options.twist_frame + "'");
   }
-  return WithOpenBag(file, options, [&](BagSource* bag) {
-    return ReadOpenBag(bag, num_rotors, pose, options);
-  });
+  return WithOpenBag(file, options,
+                     [&](BagSource* bag) { return ReadOpenBag(bag, num_rotors, pose, options); });
 }
 
 // ---- Samples to messages -----------------------------------------------------------------------
@@ -630,6 +629,25 @@ Stamp ShiftFor(const FlightLog& log) {
   return (2 * kSecond - 1 - earliest) / kSecond * kSecond;
 }
 
+void WriteFlight(const FlightLog& log, rosbag::Bag* bag) {
+  const Stamp shift = ShiftFor(log);
+  if (shift != 0) {
+    std_msgs::Int64 message;
+    message.data = shift;
+    bag->write(kShiftTopic, ToRos(kSecond), message);
+  }
+  const auto convert = [](const auto& sample, Stamp stamp) { return ToMessage(sample, stamp); };
+  OrderedWriter writer(bag);
+  writer.Add("/odometry", log.odometry, shift, convert);
+  writer.Add("/imu", log.imu, shift, convert);
+  writer.Add("/rotor_speeds", log.rotors, shift, [&](const RotorSample& sample, Stamp stamp) {
+    return ToMessage(sample, log.rotor_rms_only, stamp);
+  });
+  writer.Add("/battery_state", log.battery, shift, convert);
+  writer.Add("/motor_commands", log.commands, shift, convert);
+  writer.WriteAll();
+}
+
 std::string LowerEnding(const std::string& file) {
   std::string ending = std::filesystem::path(file).extension().string();
   for (char& c : ending) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
@@ -656,29 +674,16 @@ FlightLog ReadFlight(const std::string& file, int num_rotors, PoseSource pose,
 }
 
 void WriteFlightBag(const FlightLog& log, const std::string& file) {
-  rosbag::Bag bag;
+  auto bag = std::make_unique<rosbag::Bag>();
   try {
-    bag.open(file, rosbag::bagmode::Write);
+    bag->open(file, rosbag::bagmode::Write);
+    WriteFlight(log, bag.get());
+    bag->close();
   } catch (const rosbag::BagException& e) {
+    // Its destructor would try to close it again and end the program: it stays as it is.
+    static_cast<void>(bag.release());
     throw std::runtime_error(file + ": cannot be written: " + e.what());
   }
-  const Stamp shift = ShiftFor(log);
-  if (shift != 0) {
-    std_msgs::Int64 message;
-    message.data = shift;
-    bag.write(kShiftTopic, ToRos(kSecond), message);
-  }
-  const auto convert = [](const auto& sample, Stamp stamp) { return ToMessage(sample, stamp); };
-  OrderedWriter writer(&bag);
-  writer.Add("/odometry", log.odometry, shift, convert);
-  writer.Add("/imu", log.imu, shift, convert);
-  writer.Add("/rotor_speeds", log.rotors, shift, [&](const RotorSample& sample, Stamp stamp) {
-    return ToMessage(sample, log.rotor_rms_only, stamp);
-  });
-  writer.Add("/battery_state", log.battery, shift, convert);
-  writer.Add("/motor_commands", log.commands, shift, convert);
-  writer.WriteAll();
-  bag.close();
 }
 
 }  // namespace odmc

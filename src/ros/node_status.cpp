@@ -42,6 +42,7 @@ void PutCounters(const NodeStatus& s, DiagnosticStatus* status) {
   Put("chains", s.counters.chains, status);
   Put("refused_updates", s.counters.refused_updates, status);
   Put("dropped_not_finite", s.stream_counters.not_finite, status);
+  Put("glitches", s.stream_counters.glitches, status);
   Put("dropped_out_of_order", s.stream_counters.out_of_order, status);
   Put("dropped_repeated_pose", s.stream_counters.repeated_pose, status);
   Put("uncovered_keyframes", s.stream_counters.uncovered, status);

@@ -14,7 +14,7 @@ constexpr double kTurning_rad_s = 20.0;  // slower ones may rightly read zero
 constexpr double kStuck_s = 0.5;         // longer than any filter or slow update holds a value
 constexpr int kChanges = 10;             // of the others, meanwhile
 constexpr char kWrong[] = "what is estimated from this flight is wrong";
-constexpr double kDeadShare = 0.05;      // single missed readings are not worth a warning
+constexpr double kDeadShare = 0.05;  // single missed readings are not worth a warning
 
 std::string AtSeconds(Stamp stamp) {
   char text[40];

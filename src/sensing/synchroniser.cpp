@@ -3,31 +3,37 @@
 #include <algorithm>
 #include <cmath>
 
+#include "odmc/sensing/plausible.h"
 #include "odmc/sensing/push_newest.h"
 
 namespace odmc {
 namespace {
-
-bool IsFinite(const std::optional<Eigen::Vector3d>& v) { return !v || v->allFinite(); }
-
-bool IsSound(const OdometrySample& s) {
-  return s.p_WS.allFinite() && s.q_WS.coeffs().allFinite() &&
-         std::abs(s.q_WS.norm() - 1.0) < 0.05 && IsFinite(s.v_WS) && IsFinite(s.w_WS_S);
-}
 
 bool IsSame(const OdometrySample& a, const OdometrySample& b) {
   return a.p_WS == b.p_WS && a.q_WS.coeffs() == b.q_WS.coeffs() && a.v_WS == b.v_WS &&
          a.w_WS_S == b.w_WS_S;
 }
 
-/// Appends in order; counts what steps back.
+/// Appends in order; counts what steps back, and mends what leapt away and came back.
 template <typename Sample>
 void Append(const Sample& sample, Ring<Sample>* queue, SynchroniserCounters* counters) {
+  if (!IsPlausible(sample)) {
+    ++counters->not_finite;
+    return;
+  }
   if (!queue->empty() && sample.stamp <= queue->back().stamp) {
     ++counters->out_of_order;
     return;
   }
   PushNewest(sample, queue);
+  if (!MendGlitch(queue)) return;
+  if (counters->glitches++ == 0) counters->first_glitch = (*queue)[queue->size() - 2].stamp;
+}
+
+/// How far a stream can be relied on: a newest sample that may be a glitch waits for the next one.
+template <typename Sample>
+Stamp ReliableTo(const Ring<Sample>& queue) {
+  return MayBeGlitch(queue) ? queue[queue.size() - 2].stamp : queue.back().stamp;
 }
 
 template <typename Sample>
@@ -40,19 +46,25 @@ void DropBefore(Stamp stamp, Ring<Sample>* queue) {
 Synchroniser::Synchroniser(double keyframe_rate_hz, double patience_s)
     : period_s_(1.0 / keyframe_rate_hz), patience_s_(patience_s) {}
 
-void Synchroniser::Add(const OdometrySample& sample) {
-  if (!IsSound(sample)) {
+bool Synchroniser::Add(const OdometrySample& received) {
+  if (!IsPlausible(received)) {
     ++counters_.not_finite;
-    return;
+    return false;
   }
+  OdometrySample sample = received;
+  sample.q_WS.normalize();
   if (last_odometry_) {
     if (sample.stamp <= last_odometry_->stamp) {
       ++counters_.out_of_order;
-      return;
+      return false;
+    }
+    if (ContradictsTurn(*last_odometry_, sample)) {
+      if (counters_.glitches++ == 0) counters_.first_glitch = sample.stamp;
+      return false;
     }
     if (IsSame(sample, *last_odometry_)) {
       ++counters_.repeated_pose;
-      return;
+      return false;
     }
     const double dt = ToSeconds(sample.stamp - last_odometry_->stamp);
     // A slow mean that ignores holes: it only says how fine keyframes can be picked.
@@ -60,25 +72,13 @@ void Synchroniser::Add(const OdometrySample& sample) {
     spacing_s_ += 0.05 * (std::min(dt, 2.0 * spacing_s_) - spacing_s_);
   }
   last_odometry_ = sample;
-  last_odometry_->q_WS.normalize();
-  odometry_.push_back({*last_odometry_, spacing_s_});
+  odometry_.push_back({sample, spacing_s_});
+  return true;
 }
 
-void Synchroniser::Add(const ImuSample& sample) {
-  if (!IsFinite(sample.gyro_I) || !IsFinite(sample.specific_force_I)) {
-    ++counters_.not_finite;
-    return;
-  }
-  Append(sample, &imu_, &counters_);
-}
+void Synchroniser::Add(const ImuSample& sample) { Append(sample, &imu_, &counters_); }
 
-void Synchroniser::Add(const RotorSample& sample) {
-  if (!sample.speed.allFinite() || (sample.speed.array() < 0.0).any()) {
-    ++counters_.not_finite;
-    return;
-  }
-  Append(sample, &rotors_, &counters_);
-}
+void Synchroniser::Add(const RotorSample& sample) { Append(sample, &rotors_, &counters_); }
 
 void Synchroniser::Add(const BatterySample& sample) {
   if (std::isfinite(sample.voltage_V)) battery_voltage_V_ = sample.voltage_V;
@@ -90,8 +90,8 @@ bool Synchroniser::IsDue(const Waiting& next) const {
 }
 
 std::string Synchroniser::Lagging(Stamp stamp) const {
-  if (rotors_.empty() || rotors_.back().stamp < stamp) return "rotor_speeds";
-  if (!imu_.empty() && imu_.back().stamp < stamp) return "imu";
+  if (rotors_.empty() || ReliableTo(rotors_) < stamp) return "rotor_speeds";
+  if (!imu_.empty() && ReliableTo(imu_) < stamp) return "imu";
   return "";
 }
 

@@ -24,13 +24,13 @@ void AddOptions(CLI::App* app, odmc::BenchmarkOptions* options) {
       ->capture_default_str()
       ->delimiter(',')
       ->allow_extra_args(false)
-      ->check(CLI::PositiveNumber)
+      ->check(odmc::tools::Positive())
       ->type_name("a,b");
   app->add_option("--full-solve-every", options->full_solve_every,
                   "compare every so many updates with a full solve, in a pass of its own that is "
                   "not timed; 0: none")
       ->capture_default_str()
-      ->check(CLI::NonNegativeNumber)
+      ->check(odmc::tools::NotNegative())
       ->type_name("N");
 }
 
@@ -63,7 +63,7 @@ int main(int argc, char** argv) {
       ->type_name("FILE");
   AddOptions(&app, &options);
   app.add_option("--duration", simulation.duration_s, "of the simulated flight [s]")
-      ->check(CLI::PositiveNumber);
+      ->check(tools::Positive());
   tools::AddFolder(&app, &folder);
   app.add_flag("--no-report", no_report, "do not draw benchmark.png");
   model_arguments.AddTo(&app);

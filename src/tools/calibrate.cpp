@@ -25,14 +25,14 @@ int main(int argc, char** argv) {
   app.add_option("--leave-out", left_out_s,
                  "also leaves out every block of this many seconds in turn and predicts it with "
                  "what the rest of the flight shows")
-      ->check(CLI::PositiveNumber);
+      ->check(tools::Positive());
   app.add_option("--position-noise", noise_m,
                  "adds white Gaussian noise to every odometry position the estimator sees, sigma "
                  "per axis [m]")
-      ->check(CLI::NonNegativeNumber);
+      ->check(tools::NotNegative());
   app.add_option("--seed", seed, "of the position noise")
       ->capture_default_str()
-      ->check(CLI::NonNegativeNumber);
+      ->check(tools::NotNegative());
   return tools::Run(&app, argc, argv, [&] {
     const Vehicle file_vehicle = LoadVehicle(vehicle_file);
     const EstimatorOptions options = estimator.Read();
@@ -46,6 +46,9 @@ int main(int argc, char** argv) {
     Calibration result = Calibrate(log, recording, file_vehicle, model, options, bar.Callback());
     if (left_out_s > 0.0) {
       result.left_out = PredictLeftOut(log, recording, file_vehicle, model, options, left_out_s);
+    }
+    if (model_arguments.choice.parameters) {
+      WarnOfOtherMass(*model_arguments.choice.parameters, file_vehicle, &result.warnings);
     }
     result.parameters.provenance =
         tools::Provenance("calibrate", vehicle,

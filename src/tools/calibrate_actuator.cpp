@@ -26,7 +26,7 @@ struct BenchArguments {
         ->required()
         ->check(CLI::IsMember({"rad_s", "rpm", "erpm"}));
     app->add_option("--pole-pairs", columns.pole_pairs, "of the motors, for erpm")
-        ->check(CLI::PositiveNumber);
+        ->check(tools::Positive());
     app->add_option("--time", columns.time, "column of times, s [t]");
     app->add_option("--command", columns.command,
                     "columns of commands: one for all motors, or one each "
@@ -77,21 +77,21 @@ struct InertiaArguments {
     app->add_option("--rotor-inertia", inertia_kg_m2,
                     "of propeller and bell about the axis, kg m^2: gives k_m = S_2 J without a "
                     "torque sensor")
-        ->check(CLI::PositiveNumber);
+        ->check(tools::Positive());
     app->add_option("--rotor-inertia-sigma", share, "its uncertainty, share of the value")
         ->capture_default_str()
         ->check(CLI::Range(0.0, 1.0));
     app->add_option("--blades", geometry.blades, "of the propeller; in place of --rotor-inertia")
         ->capture_default_str()
-        ->check(CLI::PositiveNumber);
+        ->check(tools::Positive());
     app->add_option("--blade-mass", geometry.blade_mass_kg, "of one blade, kg")
-        ->check(CLI::PositiveNumber);
+        ->check(tools::Positive());
     app->add_option("--blade-length", geometry.blade_length_m, "axis to tip, m")
-        ->check(CLI::PositiveNumber);
+        ->check(tools::Positive());
     app->add_option("--bell-mass", geometry.bell_mass_kg, "turning part of the motor, kg")
-        ->check(CLI::NonNegativeNumber);
+        ->check(tools::NotNegative());
     app->add_option("--bell-radius", geometry.bell_radius_m, "its outer radius, m")
-        ->check(CLI::NonNegativeNumber);
+        ->check(tools::NotNegative());
   }
   std::optional<Measured> Read() const {
     const bool drawn = geometry.blade_mass_kg > 0.0 || geometry.blade_length_m > 0.0;

@@ -29,10 +29,10 @@ int main(int argc, char** argv) {
   estimator.AddTo(&app);
   app.add_option("--block", options.blocks.block_s, "length of a block of time [s]")
       ->capture_default_str()
-      ->check(CLI::PositiveNumber);
+      ->check(tools::Positive());
   app.add_option("--most-effects", options.most_effects, "add at most this many effects")
       ->capture_default_str()
-      ->check(CLI::NonNegativeNumber);
+      ->check(tools::NotNegative());
   return tools::Run(&app, argc, argv, [&] {
     const Vehicle file_vehicle = LoadVehicle(vehicle_file);
     options.estimator = estimator.Read();
@@ -42,6 +42,9 @@ int main(int argc, char** argv) {
     tools::MakeFolder(folder);
     tools::ProgressBar bar(log.file);
     ClosedLoop loop = CloseLoop(log, file_vehicle, vehicle, options, bar.Callback());
+    if (model_arguments.choice.parameters) {
+      WarnOfOtherMass(*model_arguments.choice.parameters, file_vehicle, &loop.warnings);
+    }
     loop.parameters.provenance = tools::Provenance(
         "close_loop", vehicle,
         {{"flight", log.file}, {"estimator_options", tools::DescribeChanges(options.estimator)}});

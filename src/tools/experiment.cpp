@@ -20,17 +20,17 @@ int main(int argc, char** argv) {
   tools::AddDefaultVehicle(&app, &vehicle_file);
   app.add_option("--seeds", options.seeds, "flights per variant")
       ->capture_default_str()
-      ->check(CLI::PositiveNumber);
+      ->check(tools::Positive());
   app.add_option("--seed", options.first_seed, "of the first flight")->capture_default_str();
   app.add_option("--jobs", options.jobs, "flights at a time")
       ->capture_default_str()
-      ->check(CLI::PositiveNumber);
+      ->check(tools::Positive());
   app.add_option("--duration", options.duration_s, "of the path, s")
       ->capture_default_str()
       ->check(CLI::Range(20.0, 600.0));
   app.add_option("--kill-estimator", options.estimator_dies_at_s,
                  "kill the estimator in every flight, so long after its start, s")
-      ->check(CLI::PositiveNumber);
+      ->check(tools::Positive());
   tools::AddFolder(&app, &folder, &no_report);
   return tools::Run(&app, argc, argv, [&] {
     const Vehicle vehicle = LoadVehicle(vehicle_file);

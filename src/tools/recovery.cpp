@@ -19,17 +19,17 @@ int main(int argc, char** argv) {
   tools::AddTrajectory(&app, &options.simulation);
   app.add_option("--seeds", options.seeds, "number of flights")
       ->required()
-      ->check(CLI::PositiveNumber);
+      ->check(tools::Positive());
   app.add_option("--jobs", options.jobs, "flights at a time")
       ->capture_default_str()
-      ->check(CLI::PositiveNumber);
+      ->check(tools::Positive());
   tools::AddFolder(&app, &folder, &no_report);
   app.add_option("--seed", options.simulation.seed, "of the first flight")->capture_default_str();
   app.add_option("--noise", noise, "none, default (model.md section 9), or a YAML file")
       ->capture_default_str();
   app.add_option("--start-thrust-factor", options.start_thrust_factor,
                  "k_f starts at this times the truth")
-      ->check(CLI::PositiveNumber);
+      ->check(tools::Positive());
   model_arguments.AddTo(&app);
   estimator.AddTo(&app);
   return tools::Run(&app, argc, argv, [&] {

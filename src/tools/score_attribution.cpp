@@ -55,7 +55,7 @@ int main(int argc, char** argv) {
   app.add_option("DIR", folder, "folder of the set")->required();
   app.add_option("--jobs", jobs, "flights at a time")
       ->capture_default_str()
-      ->check(CLI::PositiveNumber);
+      ->check(tools::Positive());
   app.add_flag("--rescore", rescore, "use the results that are there");
   estimator.AddTo(&app);
   return tools::Run(&app, argc, argv, [&] {

@@ -25,7 +25,7 @@ int main(int argc, char** argv) {
       ->type_name("none|default|FILE")
       ->capture_default_str();
   app.add_option("--ground-s", options.ground_s, "time on the ground before take-off [s]")
-      ->check(CLI::NonNegativeNumber);
+      ->check(tools::NotNegative());
   app.add_option("--log-rate", options.log_rate_hz, "of every stream [Hz]")
       ->check(CLI::Range(1.0, 1000.0));
   tools::AddExitStatus(&app);

@@ -45,13 +45,13 @@ int main(int argc, char** argv) {
       "key DIR/truth.json.");
   int seed = 0, flights = 160, jobs = 1;
   std::string folder;
-  app.add_option("--seed", seed, "of all randomness")->required()->check(CLI::NonNegativeNumber);
+  app.add_option("--seed", seed, "of all randomness")->required()->check(tools::NotNegative());
   app.add_option("--flights", flights, "number of flights")
       ->capture_default_str()
-      ->check(CLI::PositiveNumber);
+      ->check(tools::Positive());
   app.add_option("--jobs", jobs, "flights at a time")
       ->capture_default_str()
-      ->check(CLI::PositiveNumber);
+      ->check(tools::Positive());
   tools::AddFolder(&app, &folder);
   tools::AddExitStatus(&app);
   return tools::Run(&app, argc, argv, [&] {

@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
@@ -15,6 +16,7 @@
 #include "odmc/io/number_text.h"
 #include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
+#include "odmc/sensing/plausible.h"
 #include "odmc/trajectory/trajectory.h"
 
 namespace odmc::tools {
@@ -47,7 +49,9 @@ class OptionSetter {
   void Field(const std::string& key, int* value) {
     if (!Takes(key)) return;
     double number = 0.0;
-    if (!ParseNumber(text_, &number) || number != static_cast<int>(number)) Refuse("an integer");
+    if (!ParseNumber(text_, &number) || !(std::abs(number) < 1e9) || number != std::round(number)) {
+      Refuse("an integer");
+    }
     *value = static_cast<int>(number);
   }
   void Field(const std::string& key, bool* value) {
@@ -108,7 +112,22 @@ std::string FindScript(const std::string& name) {
   return "";
 }
 
+CLI::Validator NumberThat(bool may_be_zero) {
+  const auto check = [may_be_zero](const std::string& text) -> std::string {
+    double number = 0.0;
+    const bool sound = ParseNumber(text, &number) && std::isfinite(number) &&
+                       (number > 0.0 || (may_be_zero && number == 0.0));
+    if (sound) return "";
+    return "expected a number " + std::string(may_be_zero ? "of zero or more" : "above zero") +
+           ", not '" + text + "'";
+  };
+  return CLI::Validator(check, may_be_zero ? "NONNEGATIVE" : "POSITIVE");
+}
+
 }  // namespace
+
+CLI::Validator Positive() { return NumberThat(false); }
+CLI::Validator NotNegative() { return NumberThat(true); }
 
 int Run(CLI::App* app, int argc, char** argv, const std::function<void()>& tool) {
   try {
@@ -156,10 +175,10 @@ void FlightArguments::AddTo(CLI::App* app, bool required) {
   app->add_option("FLIGHT", file, "recorded flight: a rosbag (.bag) or a CSV file (.csv)")
       ->required(required);
   app->add_option("--start", start_s, "leave out what comes before this time [s]")
-      ->check(CLI::NonNegativeNumber);
+      ->check(NotNegative());
   app->add_option("--end", end_s,
                   "leave out what comes after this time since the recording's start [s]")
-      ->check(CLI::PositiveNumber);
+      ->check(Positive());
   const std::map<std::string, PoseSource> poses = {{"ekf", PoseSource::kEkf},
                                                    {"mocap", PoseSource::kMocap}};
   app->add_option("--pose", pose,
@@ -184,7 +203,7 @@ void FlightArguments::AddTo(CLI::App* app, bool required) {
       ->capture_default_str();
   app->add_option("--pole-pairs", bag.pole_pairs, "of the motors, for erpm")
       ->capture_default_str()
-      ->check(CLI::PositiveNumber);
+      ->check(Positive());
   const std::map<std::string, bool> sources = {{"sensor", false}, {"commands", true}};
   app->add_option("--rotor-speed-from", from_commands,
                   "sensor, or commands: from the ESCs' commands and the battery voltage by the "
@@ -199,9 +218,8 @@ void FlightArguments::AddTo(CLI::App* app, bool required) {
 FlightLog FlightArguments::Read(const Vehicle& vehicle) const {
   if (end_s > 0.0 && end_s <= start_s) throw UsageError("--end must lie after --start");
   BagOptions options = bag;
-  const std::vector<std::string> roles = {"odometry",      "pose",          "imu",
-                                          "rotor_speeds",  "joint_states",  "battery_state",
-                                          "motor_commands"};
+  const std::vector<std::string> roles = {
+      "odometry", "pose", "imu", "rotor_speeds", "joint_states", "battery_state", "motor_commands"};
   for (const std::string& text : topics) {
     const auto [role, topic] = Split(text, ":=", "--topic");
     if (std::find(roles.begin(), roles.end(), role) == roles.end()) {
@@ -209,13 +227,35 @@ FlightLog FlightArguments::Read(const Vehicle& vehicle) const {
     }
     options.topics[role] = topic;
   }
+  if (file.size() > 4 && file.substr(file.size() - 4) == ".csv") {
+    const BagOptions defaults;
+    for (const auto& [option, given] :
+         {std::pair("--topic", !topics.empty()),
+          std::pair("--twist-frame", bag.twist_frame != defaults.twist_frame),
+          std::pair("--rotor-speed-unit", bag.rotor_speed_unit != defaults.rotor_speed_unit)}) {
+      if (given) {
+        throw UsageError(std::string(option) + " is for bags: columns of a CSV file have their " +
+                         "units and frames (rotor speeds in rad/s, velocity in the world frame)");
+      }
+    }
+  }
   FlightLog log = ReadFlight(file, vehicle.num_rotors(), pose, options);
+  MendFlight(&log);
+  if (log.rotors.empty() && !log.commands.empty() && !from_commands) {
+    throw std::invalid_argument(file +
+                                ": no rotor speeds; it has commands: try "
+                                "--rotor-speed-from commands");
+  }
   CutFlight(start_s, end_s, &log);
   const std::optional<Actuator> actuator =
       actuator_file.empty() ? vehicle.actuator : LoadActuator(actuator_file);
   SettleRotors(actuator, vehicle.num_rotors(), from_commands, &log);
   if (log.odometry.size() < 2 || log.rotors.empty()) {
-    throw std::invalid_argument(file + ": no odometry or rotor speeds between --start and --end");
+    const bool cut = start_s > 0.0 || end_s > 0.0;
+    throw std::invalid_argument(file + ": no flight: " + std::to_string(log.odometry.size()) +
+                                " poses and " + std::to_string(log.rotors.size()) +
+                                " readings of rotor speeds" +
+                                (cut ? " between --start and --end" : ""));
   }
   return log;
 }
@@ -260,13 +300,11 @@ Vehicle ModelArguments::Configure(const Vehicle& file_vehicle) {
 void EstimatorArguments::AddTo(CLI::App* app, bool with_window) {
   app->add_option("--config", config_file, "estimator options, YAML")->type_name("FILE");
   app->add_option("--keyframe-rate", keyframe_rate_hz, "at most this many keyframes a second [Hz]")
-      ->check(CLI::PositiveNumber);
+      ->check(Positive());
   if (with_window) {
-    app->add_option("--window", window_s, "length of the sliding window [s]")
-        ->check(CLI::PositiveNumber);
+    app->add_option("--window", window_s, "length of the sliding window [s]")->check(Positive());
   }
-  app->add_option("--threads", threads, "threads that evaluate factors")
-      ->check(CLI::PositiveNumber);
+  app->add_option("--threads", threads, "threads that evaluate factors")->check(Positive());
   app->add_option("--set", settings,
                   "any option of the estimator, see below; may be given several "
                   "times")
@@ -337,7 +375,7 @@ void AddTrajectory(CLI::App* app, SimulationOptions* options) {
       ->type_name("NAME|FILE");
   app->add_option("--duration", options->duration_s, "of a whole flight [s]")
       ->capture_default_str()
-      ->check(CLI::PositiveNumber);
+      ->check(Positive());
 }
 
 void AddExitStatus(CLI::App* app) { app->footer(kExitStatus); }

@@ -40,6 +40,10 @@ class ProgressBar {
   int percent_ = -1;
 };
 
+/// Refuse what is no number above zero, or at least zero: infinity and NaN as well.
+CLI::Validator Positive();
+CLI::Validator NotNegative();
+
 /// FLIGHT and how to read it.
 struct FlightArguments {
   std::string file;

@@ -188,6 +188,80 @@ TEST(Estimator, SurvivesGapsAndNumbersThatAreNotFinite) {
   }
 }
 
+TEST(Estimator, OneBadReadingOfASensorChangesNothing) {
+  Flight flight = Fly(FreeVehicle(), 12.0);
+  const ReplayResult sound = Estimate(flight);
+  flight.log.rotors[2100].speed[1] = 9000.0;
+  flight.log.rotors[2500].speed[0] = 0.0;
+  const ReplayResult glitched = Estimate(flight);
+  EXPECT_EQ(glitched.stream_counters.glitches, 2);
+  const Eigen::VectorXd moved = glitched.last->values - sound.last->values;
+  for (int i = 0; i < moved.size(); ++i) {
+    if (!flight.model->parameters()[i].estimated) continue;
+    EXPECT_LT(std::abs(moved[i]), 0.1 * sound.last->sigma[i])
+        << flight.model->parameters()[i].full_name;
+  }
+  // Without one pose the keyframes after it fall on others: as far off as noise goes.
+  flight.log.odometry[2300].w_WS_S->x() += 40.0;
+  const ReplayResult other = Estimate(flight);
+  EXPECT_EQ(other.stream_counters.glitches, 3);
+  ExpectNear(flight, other, "inertia.x", 0.03);
+}
+
+TEST(Estimator, AHeldPoseIsOneMeasurement) {
+  Flight flight = Fly(FreeVehicle(), 12.0);
+  auto& odometry = flight.log.odometry;
+  std::vector<OdometrySample> once;
+  for (size_t i = 0; i < odometry.size(); ++i) {
+    const Stamp stamp = odometry[i].stamp;
+    if (i % 4 == 0) once.push_back(odometry[i]);
+    odometry[i] = odometry[i / 4 * 4];
+    odometry[i].stamp = stamp;
+  }
+  const ReplayResult held = Estimate(flight);
+  odometry = once;
+  const ReplayResult alone = Estimate(flight);
+  EXPECT_EQ(held.counters.jumps, alone.counters.jumps);
+  EXPECT_GT(held.stream_counters.repeated_pose, 2 * static_cast<long>(once.size()));
+  const Eigen::VectorXd moved = held.last->values - alone.last->values;
+  for (int i = 0; i < moved.size(); ++i) {
+    if (!flight.model->parameters()[i].estimated) continue;
+    EXPECT_LT(std::abs(moved[i]), 0.5 * alone.last->sigma[i])
+        << flight.model->parameters()[i].full_name;
+  }
+}
+
+TEST(Estimator, KeyframesMayBeFartherApartThanAGapIsLong) {
+  Flight flight = Fly(FreeVehicle(), 12.0);
+  EstimatorOptions options = Patient();
+  options.keyframe_rate_hz = 10.0;
+  const ReplayResult result = Estimate(flight, options);
+  EXPECT_EQ(result.counters.gaps, 0);
+  ExpectNear(flight, result, "thrust.k_f", 0.01);
+}
+
+TEST(EstimatorOptions, NamesWhatIsOutOfRange) {
+  const auto refused = [](const std::function<void(EstimatorOptions*)>& change) {
+    EstimatorOptions options;
+    change(&options);
+    std::string error;
+    return options.IsValid(&error) ? "valid" : error;
+  };
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_EQ(refused([](EstimatorOptions*) {}), "valid");
+  EXPECT_EQ(refused([&](EstimatorOptions* o) { o->position_noise_m = nan; }),
+            "position_noise_m must be a number and not negative");
+  EXPECT_EQ(refused([](EstimatorOptions* o) { o->velocity_noise_m_s = -1.0; }),
+            "velocity_noise_m_s must be a number and not negative");
+  EXPECT_EQ(refused([](EstimatorOptions* o) { o->inertia_gate_r_squared = 2.0; }),
+            "inertia_gate_r_squared must be in [0, 1]");
+  EXPECT_EQ(refused([](EstimatorOptions* o) { o->max_gap_s = 0.0; }), "max_gap_s must be positive");
+  EXPECT_EQ(refused([&](EstimatorOptions* o) { o->ground.near_ground_m = nan; }),
+            "near_ground_m must be a number and not negative");
+  EXPECT_EQ(refused([](EstimatorOptions* o) { o->ground.landed_thrust_ratio = 100.0; }),
+            "landed_thrust_ratio must be below 1");
+}
+
 TEST(Estimator, EulerFormIsCloseButWorseInDrag) {
   const Flight flight = Fly(FreeVehicle(), 10.0);
   EstimatorOptions euler = Patient();

@@ -90,6 +90,14 @@ TimingFigures SummariseTiming(const ReplayResult& replay, double UpdateTiming::*
 /// Median number of states in the window of these updates.
 int StatesInWindow(const ReplayResult& replay);
 
+/// What a recording and its replay lack: samples dropped, gaps, jumps.
+std::vector<std::string> FlightWarnings(const FlightLog& log, const ReplayResult& replay);
+
+/// Forces scale with the mass: warns where parameters were fitted with another one than the
+/// vehicle file's.
+void WarnOfOtherMass(const ParameterSet& parameters, const Vehicle& vehicle,
+                     std::vector<std::string>* warnings);
+
 /// What a reader of the figures must know: coefficients of unphysical sign (beyond one sigma),
 /// inertia over nominal outside 0.5 to 2, rotor torque gain outside 0.85 to 1.15, torque worse than
 /// predicting zero.

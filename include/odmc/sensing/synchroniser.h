@@ -10,7 +10,10 @@ namespace odmc {
 
 /// What the synchroniser refused or lost.
 struct SynchroniserCounters {
-  long not_finite = 0;     ///< samples with NaN or infinity, or a quaternion far from unit
+  long not_finite = 0;     ///< samples no sensor reads: NaN, infinity, beyond IsPlausible()
+  long glitches = 0;       ///< samples that leapt away and came back (MendGlitch(), or body rates
+                           ///< that contradict the turn: dropped)
+  Stamp first_glitch = 0;  ///< of the first of these
   long out_of_order = 0;   ///< stamps that step back or repeat
   long repeated_pose = 0;  ///< poses identical to the one before (a stalled source)
   long uncovered = 0;  ///< keyframes let go without rotor speeds or IMU because those stayed away
@@ -24,7 +27,8 @@ class Synchroniser {
   /// @param patience_s how far odometry may run ahead of a silent stream before going on without it
   Synchroniser(double keyframe_rate_hz, double patience_s);
 
-  void Add(const OdometrySample& sample);
+  /// @returns false if the sample is dropped (and counted)
+  bool Add(const OdometrySample& sample);
   void Add(const ImuSample& sample);
   void Add(const RotorSample& sample);
   void Add(const BatterySample& sample);
