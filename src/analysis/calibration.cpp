@@ -8,6 +8,7 @@
 #include "odmc/analysis/ground_spans.h"
 #include "odmc/io/number_text.h"
 #include "odmc/math/statistics.h"
+#include "odmc/model/plausibility.h"
 
 namespace odmc {
 namespace {
@@ -275,6 +276,8 @@ std::vector<std::string> ModelWarnings(const DynamicModel& model, const ModelVal
   std::vector<std::string> warnings;
   for (int i = 0; i < model.num_parameters(); ++i) {
     const ModelParameter& p = model.parameters()[i];
+    const std::string doubt = ThrustDoubt(p, values[i]);
+    if (!doubt.empty()) warnings.push_back(doubt);
     if (HasWrongSign(p.spec.sign, values[i], sigma[i])) {
       const bool feeds = p.spec.sign == PhysicalSign::kNegative;
       warnings.push_back(p.full_name + " = " + Text(values[i]) + " " + p.spec.unit +

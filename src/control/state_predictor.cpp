@@ -59,7 +59,8 @@ bool StatePredictor::Correct(const BodyState& measured, const Eigen::Vector3d& g
   if (measured.stamp <= anchor_->stamp) return true;
   const double dt = ToSeconds(measured.stamp - anchor_->stamp);
   BodyState state = Carried(*anchor_, measured.stamp, g_W);
-  if (dt > kMemory_s || (measured.p_WB - state.p_WB).norm() > kJump_m) {
+  const bool is_near = (measured.p_WB - state.p_WB).norm() <= kJump_m;  // not if it is no number
+  if (dt > kMemory_s || !is_near) {
     anchor_ = measured;
     return false;
   }

@@ -69,4 +69,18 @@ std::vector<std::string> UnphysicalValues(const DynamicModel& model, const Model
   return sentences;
 }
 
+std::string ThrustDoubt(const ModelParameter& parameter, double value) {
+  constexpr double kMostRatio = 3.0;
+  const double start = parameter.spec.prior_value;
+  if (parameter.full_name != "thrust.k_f" || !(start > 0.0)) return "";
+  const double ratio = value / start;
+  if (ratio < kMostRatio && ratio > 1.0 / kMostRatio) return "";
+  char text[200];
+  std::snprintf(text, sizeof text,
+                "thrust.k_f = %.3g N s^2 is %.3g times what it started from: check the unit of the "
+                "rotor speeds, and mass_kg",
+                value, ratio);
+  return text;
+}
+
 }  // namespace odmc

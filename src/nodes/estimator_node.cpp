@@ -4,6 +4,8 @@
 
 #include <ros/init.h>
 
+#include <stdexcept>
+
 #include "odmc/ros/run_node.h"
 
 namespace {
@@ -25,8 +27,9 @@ constexpr char kHelp[] =
 int main(int argc, char** argv) {
   return odmc::RunNode(argc, argv, "estimator_node", kHelp,
                        [](const ros::NodeHandle& node, const ros::NodeHandle& private_node) {
-                         const odmc::EstimatorNode estimator(
+                         odmc::EstimatorNode estimator(
                              node, private_node, odmc::ReadEstimatorNodeSetup(node, private_node));
                          ros::spin();
+                         if (!estimator.Stop()) throw std::runtime_error("see above");
                        });
 }

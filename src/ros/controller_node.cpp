@@ -102,8 +102,7 @@ void ControllerNode::Subscribe() {
 
 void ControllerNode::Advertise(ros::NodeHandle private_node) {
   rotor_publisher_ = node_.advertise<RotorSpeeds>("command/rotor_speeds", 10);
-  if (report_.has_actuator)
-    motor_publisher_ = node_.advertise<MotorCommands>("motor_commands", 10);
+  if (report_.has_actuator) motor_publisher_ = node_.advertise<MotorCommands>("motor_commands", 10);
   rate_publisher_ = node_.advertise<RateThrust>("command/rate_thrust", 10);
   status_publisher_ = node_.advertise<ControllerStatus>("controller_status", 50);
   diagnostics_publisher_ = node_.advertise<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10);
@@ -327,10 +326,10 @@ void ControllerNode::Step(Stamp now) {
 // How far the vehicle is from the reference, as the controller sees it.
 void ControllerNode::Track(Stamp now, const std::optional<FlatReference>& reference) {
   const std::optional<BodyState> state = controller_.StateAt(now);
-  report_.has_state = state.has_value();
+  report_.has_state = state && state->p_WB.allFinite();
   report_.has_reference = reference.has_value();
   report_.reference_lost = references_.IsLost(now);
-  const bool tracks = state && reference && !reference->standing;
+  const bool tracks = report_.has_state && reference && !reference->standing;
   report_.tracking_error_m = tracks ? (state->p_WB - reference->p_WB).norm() : 0.0;
 }
 

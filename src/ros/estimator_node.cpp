@@ -37,6 +37,8 @@ namespace {
 constexpr std::chrono::milliseconds kIdle(100);
 constexpr std::chrono::milliseconds kReportPeriod(500);  // image; diagnostics every other time
 constexpr std::chrono::milliseconds kStatusPeriod(100);
+constexpr std::chrono::milliseconds kProgressPeriod(1500);
+constexpr std::chrono::seconds kLongWait(5);
 constexpr std::chrono::milliseconds kWatchIdle(200);
 constexpr std::chrono::milliseconds kAcceptedPeriod(500);
 constexpr std::chrono::seconds kAnswerPatience(5);
@@ -137,6 +139,18 @@ RotorIntake IntakeOf(const EstimatorNodeSetup& setup) {
   return {from_commands, from_commands && setup.vehicle.actuator->uses_voltage};
 }
 
+/// True if the file has parameters that were accepted when they were saved.
+bool IsAcceptedFile(const std::string& file) {
+  if (!std::filesystem::exists(file)) return false;
+  try {
+    const ParameterSet set = LoadParameters(file);
+    const auto accepted = set.provenance.find("accepted");
+    return accepted != set.provenance.end() && accepted->second == "true";
+  } catch (const std::exception&) {
+    return false;  // of no use to anybody
+  }
+}
+
 }  // namespace
 
 // ---- Set-up ------------------------------------------------------------------------------------
@@ -184,7 +198,13 @@ EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
   setup.odometry_mount_known =
       !setup.options.vehicle_file.empty() && FileHasKey(setup.options.vehicle_file, "odometry");
   if (!setup.options.parameters_file.empty()) {
-    ApplyParameters(LoadParameters(setup.options.parameters_file), &setup.vehicle);
+    const ParameterSet set = LoadParameters(setup.options.parameters_file);
+    const auto accepted = set.provenance.find("accepted");
+    if (accepted != set.provenance.end() && accepted->second != "true") {
+      setup.warnings.push_back(setup.options.parameters_file +
+                               ": was not accepted when it was saved; the estimate starts from it");
+    }
+    ApplyParameters(set, &setup.vehicle);
   }
   SettleActuator(setup.options, &setup.vehicle);
   if (!setup.options.output_dir.empty()) {
@@ -221,6 +241,7 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
     status_.rotors = RotorsNow();
   }
   status_.waiting_for = intake_.WaitingFor();
+  for (const std::string& sentence : setup_.warnings) Warn(sentence);
   const bool watches = setup_.options.residual_watch.residual_watch_period_s > 0.0;
   status_.watches_residual = watches;
   estimator_thread_ = std::thread(&EstimatorNode::RunEstimator, this);
@@ -237,7 +258,10 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
   Offer(private_node);
 }
 
-EstimatorNode::~EstimatorNode() {
+EstimatorNode::~EstimatorNode() { Stop(); }
+
+bool EstimatorNode::Stop() {
+  if (!estimator_thread_.joinable()) return failure_.empty();
   for (ros::Subscriber& subscriber : subscribers_) subscriber.shutdown();
   {
     const std::lock_guard<std::mutex> lock(queue_mutex_);
@@ -248,6 +272,7 @@ EstimatorNode::~EstimatorNode() {
   estimator_thread_.join();
   reporting_thread_.join();
   if (watching_thread_.joinable()) watching_thread_.join();
+  return failure_.empty();
 }
 
 // ---- ROS threads -------------------------------------------------------------------------------
@@ -418,9 +443,10 @@ void EstimatorNode::RunEstimator() {
     }
     Finish();
   } catch (const std::exception& e) {
-    ROS_FATAL("the estimator stopped: %s", e.what());
+    failure_ = std::string("the estimator stopped: ") + e.what();
+    Tell(failure_);
     const std::lock_guard<std::mutex> lock(status_mutex_);
-    status_.fatal = std::string("the estimator stopped: ") + e.what();
+    status_.fatal = failure_;
   }
 }
 
@@ -730,7 +756,8 @@ void EstimatorNode::PublishParameters(const Snapshot& snapshot) {
   message.accepted = acceptance_.accepted();
   parameters_publisher_.publish(message);
   PublishTransforms(snapshot);
-  if (message.accepted && snapshot.airborne && time - accepted_published_ >= kAcceptedPeriod) {
+  if (message.accepted && snapshot.airborne && interrupted_.empty() &&
+      time - accepted_published_ >= kAcceptedPeriod) {
     accepted_published_ = time;
     PublishAccepted(snapshot);
   }
@@ -771,10 +798,53 @@ void EstimatorNode::Warn(const std::string& sentence) {
   status_.warnings.push_back(sentence);
 }
 
+// Why the flight has not taught anything for the last while: no keyframes, or none that hang
+// together. Empty on the ground, and if it has.
+std::string EstimatorNode::Interruption() {
+  const Clock::time_point now = Clock::now();
+  if (now - progress_looked_at_ < kProgressPeriod) return interrupted_;
+  const EstimatorCounters before = std::exchange(progress_, estimator_->counters());
+  const bool is_first = progress_looked_at_ == Clock::time_point();
+  const auto seen = [](const EstimatorCounters& c) { return c.keyframes + c.ground_keyframes; };
+  comes_on_ = !is_first && seen(progress_) > seen(before);
+  progress_looked_at_ = now;
+  if (is_first || !last_ || !estimator_->airborne() || frozen_) return "";
+  const long keyframes = progress_.keyframes - before.keyframes;
+  const long gaps = progress_.gaps - before.gaps;
+  if (keyframes < 0) return "";                                               // a new estimator
+  if (keyframes == 0 && progress_.airborne_s > before.airborne_s) return "";  // near the ground
+  const std::string missing = MissingStream();
+  if (keyframes == 0) {
+    return "nothing is learned any more: no " + (missing.empty() ? "odometry" : missing);
+  }
+  if (2 * gaps < keyframes) return "";
+  return "nothing is learned: gaps between most keyframes" +
+         (missing.empty() ? " (odometry too slow, or stamps of the streams that do not agree)"
+                          : ", " + missing + " missing or late");
+}
+
+/// The stream the estimator waits for, by the name of its topic.
+std::string EstimatorNode::MissingStream() const {
+  const std::string& stream = estimator_->waiting_for();
+  const bool from_commands = rotor_source_ && rotor_source_->from_commands();
+  return from_commands && stream == NameOf(InputStream::kRotorSpeeds)
+             ? NameOf(InputStream::kMotorCommands)
+             : stream;
+}
+
 void EstimatorNode::ShareStatus() {
   const Clock::time_point now = Clock::now();
   if (now - status_shared_ < kStatusPeriod) return;
   status_shared_ = now;
+  if (estimator_) {
+    const std::string interruption = Interruption();
+    if (interruption != interrupted_ && !interruption.empty()) {
+      ROS_WARN("%s", interruption.c_str());
+    } else if (interruption.empty() && !interrupted_.empty()) {
+      ROS_INFO("learning goes on");
+    }
+    interrupted_ = interruption;
+  }
   const std::lock_guard<std::mutex> lock(status_mutex_);
   NodeStatus& s = status_;
   s.clock_resets = intake_.resets();
@@ -791,10 +861,13 @@ void EstimatorNode::ShareStatus() {
   if (intake_.twist().moving_s > 0.0) s.twist = TwistText();
   if (!estimator_) return;
   if (!s.model) s.model = model_;
-  s.waiting_for = estimator_->waiting_for();
-  const bool from_commands = rotor_source_ && rotor_source_->from_commands();
-  if (from_commands && s.waiting_for == NameOf(InputStream::kRotorSpeeds)) {
-    s.waiting_for = NameOf(InputStream::kMotorCommands);
+  s.waiting_for = MissingStream();
+  // Between two poses it always waits for the next one.
+  if (comes_on_ && s.waiting_for == NameOf(InputStream::kOdometry)) s.waiting_for.clear();
+  s.interrupted = interrupted_;
+  if (!last_ && !s.waiting_for.empty() && now - started_ > kLongWait) {
+    ROS_WARN_THROTTLE(30.0, "still waiting for %s: see /diagnostics for what comes in",
+                      s.waiting_for.c_str());
   }
   s.airborne = estimator_->airborne();
   s.counters = estimator_->counters();
@@ -840,9 +913,18 @@ void EstimatorNode::Finish() {
   }
   if (setup_.options.output_dir.empty()) return;
   if (last_) {
-    Save();
+    Tell("wrote " + Save());
   } else {
-    ROS_WARN("nothing was estimated, no parameters.yaml is written");
+    Tell("nothing was estimated, no parameters.yaml is written");
+  }
+}
+
+// The log is gone by the time a node has been told to stop.
+void EstimatorNode::Tell(const std::string& sentence) const {
+  if (ros::ok()) {
+    ROS_WARN("%s", sentence.c_str());
+  } else {
+    std::fprintf(stderr, "%s: %s\n", ros::this_node::getName().c_str(), sentence.c_str());
   }
 }
 
@@ -859,10 +941,14 @@ std::string EstimatorNode::Save() const {
   set.provenance["newest_stamp_ns"] = std::to_string(last_->stamp);
   if (!added_effects_.empty()) set.provenance["added_in_flight"] = added_effects_;
   set.provenance["accepted"] = acceptance_.accepted() ? "true" : "false";
-  const std::string file =
-      (std::filesystem::path(setup_.options.output_dir) / "parameters.yaml").string();
+  const std::filesystem::path folder(setup_.options.output_dir);
+  std::string file = (folder / "parameters.yaml").string();
+  // A result that was fit for use is not given up for one that is not.
+  if (!acceptance_.accepted() && IsAcceptedFile(file)) {
+    file = (folder / "parameters_not_accepted.yaml").string();
+  }
   SaveParameters(set, file);
-  ROS_INFO("wrote %s", file.c_str());
+  if (ros::ok()) ROS_INFO("wrote %s", file.c_str());
   return file;
 }
 

@@ -19,6 +19,7 @@ void SetLevel(const NodeStatus& s, DiagnosticStatus* status) {
   if (s.not_finite > 0) {
     return set(DiagnosticStatus::ERROR, "the estimate was not finite and was not published");
   }
+  if (!s.interrupted.empty()) return set(DiagnosticStatus::WARN, s.interrupted);
   if (!s.unphysical.empty()) return set(DiagnosticStatus::WARN, Join(s.unphysical));
   if (s.rotors && !s.rotors->bad.empty()) {
     return set(DiagnosticStatus::WARN, Join(s.rotors->Sentences()));
@@ -74,8 +75,7 @@ std::vector<std::string> RotorStatus::Sentences() const {
 
 const char* NameOf(InputStream stream) {
   constexpr std::array<const char*, kNumInputStreams> kNames = {
-      "odometry", "pose", "imu", "rotor_speeds", "joint_states", "battery_state",
-      "motor_commands"};
+      "odometry", "pose", "imu", "rotor_speeds", "joint_states", "battery_state", "motor_commands"};
   return kNames[static_cast<size_t>(stream)];
 }
 
@@ -85,6 +85,7 @@ DiagnosticStatus EstimatorDiagnostic(const NodeStatus& s, const std::string& nam
   status.hardware_id = s.model != nullptr ? s.model->vehicle().name : "";
   SetLevel(s, &status);
   Put("waiting_for", s.waiting_for, &status);
+  Put("interrupted", s.interrupted, &status);
   Put("airborne", s.airborne, &status);
   Put("on_ground", s.has_estimate && !s.airborne, &status);
   Put("accepted", s.accepted, &status);
@@ -147,7 +148,7 @@ DiagnosticStatus RotorDiagnostic(const RotorStatus& r, const std::string& name) 
   DiagnosticStatus status;
   status.name = name;
   status.level = r.bad.empty() ? DiagnosticStatus::OK : DiagnosticStatus::WARN;
-  status.message = !r.bad.empty()  ? Join(r.Sentences()) + "; speeds from its commands stand in"
+  status.message = !r.bad.empty()    ? Join(r.Sentences()) + "; speeds from its commands stand in"
                    : r.from_commands ? "speeds come from commands"
                    : r.is_watching   ? "sensors agree with commands"
                                      : "no commands or no voltage: sensors are not watched";

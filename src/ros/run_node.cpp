@@ -3,6 +3,7 @@
 #include <ros/console.h>
 #include <ros/init.h>
 
+#include <csignal>
 #include <cstdio>
 #include <cstring>
 #include <exception>
@@ -18,12 +19,18 @@ int RunNode(int argc, char** argv, const std::string& name, const char* help,
     }
   }
   ros::init(argc, argv, name);
+  // As SIGINT: services are stopped by it, and results must be saved.
+  std::signal(SIGTERM, [](int) { ros::requestShutdown(); });
   // Outside of `try`: the last handle takes the log with it.
   const ros::NodeHandle node, private_node("~");
   try {
     life(node, private_node);
   } catch (const std::exception& e) {
-    ROS_FATAL("%s", e.what());
+    if (ros::ok()) {
+      ROS_FATAL("%s", e.what());
+    } else {
+      std::fprintf(stderr, "%s: %s\n", name.c_str(), e.what());  // the log is gone
+    }
     return 1;
   }
   return 0;

@@ -31,7 +31,7 @@ struct AcceptanceOptions {
 /// gives one the wrong sign, it is held back, too. So one weak parameter does not hold up the rest,
 /// and nothing certain leans on a guess. Accepted is what has
 ///  - k_f, without which no model is of use, among the sure if the model estimates it,
-///  - nothing unphysical,
+///  - nothing unphysical, and no k_f three times the vehicle file's (ThrustDoubt()),
 /// for accept_hold_s without a break. Thread-compatible.
 class Acceptance {
  public:

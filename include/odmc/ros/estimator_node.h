@@ -42,16 +42,16 @@ struct EstimatorNodeOptions {
   std::string parameters_file;  ///< start values and priors from an earlier calibration
   double rotor_radius_m = 0.0;  ///< for a URDF whose propellers have no simple shape [m]
   std::string body_frame = "base_link";
-  std::string twist_frame = "auto";        ///< auto | body | world
-  std::string rotor_speed_unit = "rad_s";  ///< of joint_states: rad_s | rpm | erpm
-  int pole_pairs = 7;                      ///< for erpm
+  std::string twist_frame = "auto";         ///< auto | body | world
+  std::string rotor_speed_unit = "rad_s";   ///< of joint_states: rad_s | rpm | erpm
+  int pole_pairs = 7;                       ///< for erpm
   std::string rotor_speed_from = "sensor";  ///< sensor | commands, by the actuator
   std::string actuator;  ///< file of calibrate_actuator; empty: that of the vehicle file
-  std::string on_time_reset = "restart";   ///< restart | stop, where the clock steps back
-  double publish_rate_hz = 20.0;           ///< of `parameters`, at most [Hz], > 0
-  bool live_image = false;                 ///< draw also while nobody listens
-  std::string output_dir;                  ///< parameters.yaml goes there at the end; empty: none
-  int queue_size = 20000;                  ///< samples waiting for the estimator, at most
+  std::string on_time_reset = "restart";  ///< restart | stop, where the clock steps back
+  double publish_rate_hz = 20.0;          ///< of `parameters`, at most [Hz], > 0
+  bool live_image = false;                ///< draw also while nobody listens
+  std::string output_dir;                 ///< parameters.yaml goes there at the end; empty: none
+  int queue_size = 20000;                 ///< samples waiting for the estimator, at most
   /// Effects the node may add to the model in flight once residual_watch_confirmations looks in a
   /// row found them; empty: none.
   std::vector<std::string> add_effects;
@@ -89,6 +89,7 @@ struct EstimatorNodeSetup {
   EstimatorOptions estimator;
   Vehicle vehicle;
   bool odometry_mount_known = false;  ///< the vehicle file says where the odometry's sensor sits
+  std::vector<std::string> warnings;  ///< for the user
 };
 
 /// Reads private parameters, configuration and vehicle.
@@ -98,13 +99,15 @@ EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
 
 /// The estimator on ROS. Callbacks convert and push on a bounded queue, nothing else; one thread
 /// owns the estimator and publishes what it finds; another one reports once in a while; a third
-/// one, of low priority, looks at what the model leaves unexplained. The destructor works off what
-/// is queued (for at most two seconds) and writes the result.
+/// one, of low priority, looks at what the model leaves unexplained. Stop(), or the destructor,
+/// works off what is queued (for at most two seconds) and writes the result.
 class EstimatorNode {
  public:
   EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle& private_node,
                 EstimatorNodeSetup setup);
   ~EstimatorNode();
+  /// Ends all threads and saves. @returns false if anything failed (said on stderr)
+  bool Stop();
   EstimatorNode(const EstimatorNode&) = delete;
   EstimatorNode& operator=(const EstimatorNode&) = delete;
 
@@ -153,12 +156,15 @@ class EstimatorNode {
   void PublishAccepted(const Snapshot& snapshot);
   void PublishTransforms(const Snapshot& snapshot);
   void ShareStatus();
+  std::string Interruption();
+  std::string MissingStream() const;
   void ShareSnapshot(const Snapshot& snapshot, NodeStatus* status) const;
   RotorStatus RotorsNow() const;
   std::string TwistText() const;
   void Finish();
   std::string Save() const;
   void Warn(const std::string& sentence);
+  void Tell(const std::string& sentence) const;
 
   // Watching thread.
   void RunWatching();
@@ -212,8 +218,15 @@ class EstimatorNode {
   std::string added_effects_;
   bool last_is_published_ = false;
   Clock::time_point parameters_published_, accepted_published_, status_shared_;
+  // What had been learned from when progress was last looked at, and where nothing has been since.
+  EstimatorCounters progress_;
+  Clock::time_point progress_looked_at_;
+  std::string interrupted_;
+  bool comes_on_ = false;  // keyframes did come
+  const Clock::time_point started_ = Clock::now();
   std::deque<double> update_ms_, publish_ms_;
   long not_finite_ = 0;
+  std::string failure_;  // read by others once the thread has been joined
 
   // Guarded by status_mutex_.
   std::mutex status_mutex_;

@@ -54,6 +54,7 @@ std::string RotorName(int rotor);
 struct NodeStatus {
   std::string fatal;                    ///< a sentence if nothing is estimated any more; else empty
   std::string waiting_for;              ///< a stream or a condition; empty if running
+  std::string interrupted;              ///< why nothing is learned in the air; empty if it is
   std::vector<std::string> warnings;    ///< of the set-up, they stay
   std::vector<std::string> unphysical;  ///< of the newest estimate
   std::string twist;                    ///< verdict on the frame of the twist
