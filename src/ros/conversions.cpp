@@ -1,8 +1,6 @@
 #include "odmc/ros/conversions.h"
 
-#include <cctype>
 #include <cmath>
-#include <map>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -38,30 +36,6 @@ std::optional<RotorInput> SpeedInput(const std_msgs::Header& header,
       scale * Eigen::Map<const Eigen::VectorXd>(speeds.data(), num_rotors).cwiseAbs();
   if (input.sample.stamp <= 0 || !IsPlausible(input.sample)) return std::nullopt;
   return input;
-}
-
-/// The last number in a joint's name; -1 if there is none.
-long NumberIn(const std::string& name) {
-  size_t end = name.size();
-  while (end > 0 && std::isdigit(static_cast<unsigned char>(name[end - 1])) == 0) --end;
-  size_t begin = end;
-  while (begin > 0 && std::isdigit(static_cast<unsigned char>(name[begin - 1])) != 0) --begin;
-  if (begin == end || end - begin > 9) return -1;
-  return std::stol(name.substr(begin, end - begin));
-}
-
-/// Speeds in the order of the numbers in their joints' names (rotor_0, rotor_1, ...); as they come
-/// where the names have none, or two the same.
-std::vector<double> InOrderOfNames(const std::vector<std::string>& names,
-                                   const std::vector<double>& speeds) {
-  std::map<long, double> by_number;
-  for (size_t i = 0; i < names.size(); ++i) {
-    const long number = NumberIn(names[i]);
-    if (number < 0 || !by_number.emplace(number, speeds[i]).second) return speeds;
-  }
-  std::vector<double> ordered;
-  for (const auto& [number, speed] : by_number) ordered.push_back(speed);
-  return ordered;
 }
 
 }  // namespace
@@ -153,9 +127,8 @@ std::optional<RotorInput> ToInput(const RotorSpeeds& message, int num_rotors) {
 
 std::optional<RotorInput> ToInput(const sensor_msgs::JointState& message, int num_rotors,
                                   double scale) {
-  std::vector<double> speeds = message.velocity;
-  if (message.name.size() == speeds.size()) speeds = InOrderOfNames(message.name, speeds);
-  std::optional<RotorInput> input = SpeedInput(message.header, speeds, num_rotors, scale);
+  std::optional<RotorInput> input =
+      SpeedInput(message.header, SpeedsOfJoints(message), num_rotors, scale);
   if (input) input->from_joints = true;
   return input;
 }

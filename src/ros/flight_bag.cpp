@@ -409,7 +409,7 @@ void ReadRotors(BagSource* bag, int num_rotors, const BagOptions& options, Fligh
   } else if (!joint_topic.empty()) {
     for (const auto& m : bag->Read<sensor_msgs::JointState>(joint_topic)) {
       log->rotors.push_back(
-          MakeRotorSample(source, m->header.stamp, m->velocity, scale, num_rotors));
+          MakeRotorSample(source, m->header.stamp, SpeedsOfJoints(*m), scale, num_rotors));
     }
   } else if (!log->commands.empty()) {
     return;  // no sensor: commands may stand in

@@ -1,14 +1,26 @@
 #include "odmc/ros/message_values.h"
 
 #include <array>
+#include <cctype>
 #include <charconv>
 #include <cstdint>
 #include <limits>
+#include <map>
 #include <stdexcept>
 #include <string>
 
 namespace odmc {
 namespace {
+
+/// The last number in a joint's name; -1 if there is none.
+long NumberIn(const std::string& name) {
+  size_t end = name.size();
+  while (end > 0 && std::isdigit(static_cast<unsigned char>(name[end - 1])) == 0) --end;
+  size_t begin = end;
+  while (begin > 0 && std::isdigit(static_cast<unsigned char>(name[begin - 1])) != 0) --begin;
+  if (begin == end || end - begin > 9) return -1;
+  return std::stol(name.substr(begin, end - begin));
+}
 
 constexpr Stamp kSecond = 1000000000;
 
@@ -47,6 +59,20 @@ double FromFloat(float value) {
   double result = value;
   std::from_chars(text.data(), end, result);
   return result;
+}
+
+std::vector<double> SpeedsOfJoints(const sensor_msgs::JointState& message) {
+  if (message.name.size() != message.velocity.size()) return message.velocity;
+  std::map<long, double> by_number;
+  for (size_t i = 0; i < message.name.size(); ++i) {
+    const long number = NumberIn(message.name[i]);
+    if (number < 0 || !by_number.emplace(number, message.velocity[i]).second) {
+      return message.velocity;
+    }
+  }
+  std::vector<double> ordered;
+  for (const auto& [number, speed] : by_number) ordered.push_back(speed);
+  return ordered;
 }
 
 }  // namespace odmc

@@ -46,6 +46,19 @@ TEST_F(HeldBackTest, GivesTheEstimateItselfWhereAllIsSure) {
   EXPECT_TRUE(acceptance_.held_back().empty());
 }
 
+TEST_F(HeldBackTest, AThrustCoefficientOfAnotherUnitIsNotAccepted) {
+  for (int i = 0; i < 4; ++i) Update();
+  EXPECT_TRUE(acceptance_.accepted());
+  const int k_f = Index("thrust.k_f");
+  snapshot_.values[k_f] *= 0.011;  // rotor speeds in rpm
+  SetSigma(k_f, 0.001 * snapshot_.values[k_f]);
+  Update();
+  EXPECT_FALSE(acceptance_.accepted());
+  ASSERT_EQ(acceptance_.reasons().size(), 1u);
+  EXPECT_NE(acceptance_.reasons().front().find("check the unit of the rotor speeds"),
+            std::string::npos);
+}
+
 // By hand: x | y = y0 has mean x + s_x ρ (y0 - y) / s_y and sigma s_x √(1 - ρ²).
 TEST_F(HeldBackTest, ConditionsTheSureOnWhatKeepsItsPrior) {
   const int z = Index("centre_of_gravity.z"), d = Index("drag.d_x");

@@ -109,9 +109,9 @@ class NodeTest(unittest.TestCase):
             self.assertEqual(process.wait(timeout=120), 0)
         return process
 
-    def end(self, process, seconds=8.0):
-        """Ends a process as Ctrl-C does; returns its exit code."""
-        process.send_signal(signal.SIGINT)
+    def end(self, process, seconds=8.0, by=signal.SIGINT):
+        """Ends a process, as Ctrl-C does if not told otherwise; returns its exit code."""
+        process.send_signal(by)
         return process.wait(timeout=seconds)
 
     def check_parameters(self, messages):

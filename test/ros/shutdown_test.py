@@ -2,6 +2,9 @@
 """Start, feed, end half-way; and starts that must be refused."""
 
 import math
+import os
+import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -32,6 +35,41 @@ class ShutdownTest(node_harness.NodeTest):
         for name, parameter in saved["parameters"].items():
             self.assertTrue(math.isfinite(parameter["value"]), name)
             self.assertIsInstance(parameter["sigma"], float, name)
+
+    def fly(self, name, folder, *arguments):
+        """A node that has estimated for a while, and what plays to it."""
+        bag, _ = self.make_bag(8)
+        parameters = node_harness.Collector("/" + name + "/parameters", DynamicParameters)
+        node = self.start_node(name, "__ns:=" + name, "_output_dir:=" + self.file(folder),
+                               "odometry:=/odometry", "imu:=/imu", "rotor_speeds:=/rotor_speeds",
+                               *arguments)
+        self.wait_for_node("/" + name + "/parameters")
+        player = self.play(bag, wait=False)
+        self.assertTrue(node_harness.wait_until(lambda: len(parameters) > 20, 20.0))
+        return node, player
+
+    def test_saves_when_terminated_but_not_over_an_accepted_result(self):
+        os.makedirs(self.file("kept"))
+        kept = self.file("kept/parameters.yaml")
+        accepted = ("effects: [thrust]\nparameters:\n  thrust.k_f: {value: 1.5e-06, sigma: 1e-9}\n"
+                    "provenance: {accepted: \"true\"}\n")
+        with open(kept, "w", encoding="utf-8") as file:
+            file.write(accepted)
+        node, player = self.fly("terminated", "kept", "_accept_relative_sigma:=1e-9")
+        self.assertEqual(self.end(node, by=signal.SIGTERM), 0)
+        self.end(player)
+        with open(kept, encoding="utf-8") as file:
+            self.assertEqual(file.read(), accepted)
+        with open(self.file("kept/parameters_not_accepted.yaml"), encoding="utf-8") as file:
+            saved = yaml.safe_load(file)
+        self.assertEqual(saved["provenance"]["accepted"], "false")
+        self.assertIn("drag.d_x", saved["parameters"])
+
+    def test_says_so_where_it_cannot_save(self):
+        node, player = self.fly("unsaved", "gone")
+        shutil.rmtree(self.file("gone"))
+        self.assertEqual(self.end(node), 1)
+        self.end(player)
 
     def test_ends_before_anything_came(self):
         node = self.start_node("idle", "__ns:=idle")

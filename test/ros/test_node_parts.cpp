@@ -63,6 +63,44 @@ TEST(Conversions, RotorSpeedsComeInAnyUnitAndWithoutSign) {
   ODMC_EXPECT_ERROR(RotorSpeedScale("hz", 7), "must be rad_s, rpm or erpm");
 }
 
+TEST(Conversions, RefuseWhatNoSensorReads) {
+  EXPECT_FALSE(ToInput(OdometryAt(1.0, 1e200, 0.0)));
+  EXPECT_FALSE(ToInput(OdometryAt(1.0, 0.0, 1e200)));
+  nav_msgs::Odometry m = OdometryAt(1.0, 0.0, 0.0);
+  m.twist.twist.angular.x = 1e200;
+  EXPECT_FALSE(ToInput(m));
+  RotorSpeeds rotors = RotorsAt(1.0);
+  rotors.angular_velocity_rad_s[1] = 65535.0;
+  EXPECT_FALSE(ToInput(rotors, 4));
+  sensor_msgs::Imu imu;
+  imu.header.stamp = ros::Time(1.0);
+  EXPECT_TRUE(ToInput(imu));
+  imu.angular_velocity.x = 1e200;
+  EXPECT_FALSE(ToInput(imu));
+}
+
+TEST(Conversions, JointsAreTakenByTheNumbersInTheirNames) {
+  sensor_msgs::JointState m;
+  m.header.stamp = ros::Time(1.0);
+  m.velocity = {400.0, 200.0, 300.0, 100.0};
+  EXPECT_EQ(ToInput(m, 4, 1.0)->sample.speed[0], 400.0) << "no names: as they come";
+  m.name = {"rotor_3_joint", "rotor_1_joint", "rotor_2_joint", "rotor_0_joint"};
+  for (int j = 0; j < 4; ++j) EXPECT_EQ(ToInput(m, 4, 1.0)->sample.speed[j], 100.0 * (j + 1));
+  m.name = {"front", "left", "rear", "right"};
+  EXPECT_EQ(ToInput(m, 4, 1.0)->sample.speed[0], 400.0);
+  m.name = {"rotor_1", "rotor_1", "rotor_2", "rotor_3"};
+  EXPECT_EQ(ToInput(m, 4, 1.0)->sample.speed[0], 400.0);
+}
+
+TEST(EstimatorDiagnostic, WarnsWhileNothingIsLearned) {
+  NodeStatus status;
+  status.airborne = status.accepted = true;
+  EXPECT_EQ(EstimatorDiagnostic(status, "n").level, diagnostic_msgs::DiagnosticStatus::OK);
+  status.interrupted = "nothing is learned any more: no odometry";
+  EXPECT_EQ(EstimatorDiagnostic(status, "n").level, diagnostic_msgs::DiagnosticStatus::WARN);
+  EXPECT_EQ(EstimatorDiagnostic(status, "n").message, status.interrupted);
+}
+
 TEST(Conversions, BodyMovesWithItsSensorLessTheLeverArm) {
   Snapshot snapshot;
   snapshot.stamp = FromSeconds(1.0);

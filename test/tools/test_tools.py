@@ -98,6 +98,13 @@ class ToolsTest(unittest.TestCase):
         self.expect(2, 'window_s', 'calibrate', *common, '--set', 'window_s=-1')
         self.expect(2, 'odo', 'calibrate', *common, '--topic', 'odo:=/x')
         self.expect(2, '--end', 'calibrate', *common, '--start', '5', '--end', '4')
+        self.expect(2, "above zero, not 'nan'", 'calibrate', *common, '--end', 'nan')
+        self.expect(2, "above zero, not '0'", 'recovery', *vehicle, *out, '--trajectory', 'octo',
+                    '--seeds', '0')
+        self.expect(2, 'position_noise_m', 'calibrate', *common, '--set', 'position_noise_m=nan')
+        self.expect(2, 'an integer', 'calibrate', *common, '--set', 'max_iterations=1e99')
+        self.expect(2, '--rotor-speed-unit is for bags', 'calibrate', *common,
+                    '--rotor-speed-unit', 'rpm')
         self.expect(2, '.bag or .csv', 'simulate', *vehicle, '--trajectory', 'octo', '--seed', '1',
                     '--out', self.path('x.txt'))
         self.expect(2, 'zigzag', 'simulate', *vehicle, '--trajectory', 'zigzag', '--seed', '1',
@@ -125,6 +132,12 @@ class ToolsTest(unittest.TestCase):
                     '--parameters', self.path('new/folder/flight_truth.yaml'), *out)
         self.expect(1, 'between --start and --end', 'calibrate', self.flight(), '--vehicle',
                     VEHICLE, '--start', '100', *out)
+        self.expect(1, 'blocks of', 'calibrate', self.flight(), '--vehicle', VEHICLE,
+                    '--leave-out', '1e-12', *out)
+        os.symlink('/dev/full', self.path('full.bag'))
+        self.expect(1, 'full.bag: cannot be written', 'simulate', '--vehicle', VEHICLE,
+                    '--trajectory', 'octo', '--seed', '1', '--duration', '5', '--out',
+                    self.path('full.bag'))
         blocked = self.write('file', 'not a folder')
         self.expect(1, 'folder', 'calibrate', self.flight(), '--vehicle', VEHICLE, '--out', blocked)
 
@@ -141,6 +154,58 @@ class ToolsTest(unittest.TestCase):
         report = read_json(self.path('standing'), 'report.json')
         self.assertIsNone(report['prediction']['force_rmse_N'])
         self.assertTrue(report['warnings'])
+
+    def warnings_of(self, flight: str, *arguments: str) -> str:
+        """What calibrate warns of, one line each."""
+        done = run('calibrate', flight, '--vehicle', VEHICLE, '--no-report', '--out',
+                   self.path('warned'), *arguments)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        report = read_json(self.path('warned'), 'report.json')
+        return '\n'.join(report['warnings'])
+
+    def changed(self, name: str, column: str, change: Any, rows: Any = None) -> str:
+        """The flight with one column changed, in these rows or all."""
+        table = read_table(self.flight())
+        for i, row in enumerate(table):
+            if rows is None or i in rows:
+                row[column] = str(change(float(row[column])))
+        with open(self.path(name), 'w', encoding='utf-8', newline='') as file:
+            writer = csv.DictWriter(file, table[0].keys())
+            writer.writeheader()
+            writer.writerows(table)
+        return self.path(name)
+
+    def test_bad_readings_are_named_and_not_used(self) -> None:
+        flight = self.changed('spike.csv', 'rotor2', lambda w: 65535.0, [1000])
+        self.assertIn('1 sample of rotor speeds beyond what a sensor reads, 2.500 s',
+                      self.warnings_of(flight))
+        flight = self.changed('leap.csv', 'rotor2', lambda w: 9000.0, [1000])
+        self.assertIn('1 sample of rotor speeds leaping away from both neighbours, 2.500 s',
+                      self.warnings_of(flight))
+        leapt = read_json(self.path('warned'), 'report.json')['prediction']['force_rmse_N']
+        self.assertNotIn('leaping', self.warnings_of(self.flight()))
+        clean = read_json(self.path('warned'), 'report.json')['prediction']['force_rmse_N']
+        for axis in range(3):
+            self.assertAlmostEqual(leapt[axis], clean[axis], delta=0.01 * clean[axis])
+
+    def test_wrong_units_and_masses_are_said(self) -> None:
+        flight = self.changed('rpm.csv', 'rotor1', lambda w: 9.549 * w)
+        for name in ('rotor2', 'rotor3', 'rotor4'):
+            table = read_table(flight)
+            for row in table:
+                row[name] = str(9.549 * float(row[name]))
+            with open(flight, 'w', encoding='utf-8', newline='') as file:
+                writer = csv.DictWriter(file, table[0].keys())
+                writer.writeheader()
+                writer.writerows(table)
+        self.assertIn('check the unit of the rotor speeds', self.warnings_of(flight))
+        self.warnings_of(self.flight())
+        with open(VEHICLE, encoding='utf-8') as file:
+            heavy = file.read().replace('mass_kg: 0.75', 'mass_kg: 1.5')
+        done = run('calibrate', self.flight(), '--vehicle', self.write('heavy.yaml', heavy),
+                   '--parameters', self.path('warned/parameters.yaml'), '--no-report', '--out',
+                   self.path('heavy'))
+        self.assertIn('belong to a mass of 0.75 kg, the vehicle file says 1.5 kg', done.stdout)
 
     def test_bag_and_csv_calibrate_to_the_same(self) -> None:
         reports = []

@@ -4,9 +4,11 @@
 #include <geometry_msgs/Quaternion.h>
 #include <geometry_msgs/Vector3.h>
 #include <ros/time.h>
+#include <sensor_msgs/JointState.h>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <vector>
 
 #include "odmc/sensing/samples.h"
 
@@ -22,6 +24,10 @@ Eigen::Vector3d ToEigen(const geometry_msgs::Vector3& v);
 Eigen::Vector3d ToEigen(const geometry_msgs::Point& p);
 Eigen::Quaterniond ToEigen(const geometry_msgs::Quaternion& q);  ///< as it is, not normalised
 geometry_msgs::Vector3 ToVector3(const Eigen::Vector3d& v);
+
+/// A speed per joint, in the order of the numbers in their names (rotor_0, rotor_1, ...), whatever
+/// the message's order is; in that order where names are missing, have no number, or two the same.
+std::vector<double> SpeedsOfJoints(const sensor_msgs::JointState& message);
 
 /// What was measured, from a field of single precision: its shortest decimals, 3.784 V and not
 /// 3.78399991989135742.
