@@ -97,7 +97,7 @@ bool RotorSource::Watch(double dt, double measured, double predicted, RotorWatch
   const bool frozen =
       rotor->held_s >= kFrozen_s && rotor->held_high - rotor->held_low > kMoved * predicted;
   const double ratio = measured / predicted;
-  if (!rotor->mean) rotor->mean = ratio;
+  if (!rotor->mean) rotor->mean = 1.0;  // a first reading while it spins up shows nothing
   rotor->seen_s += dt;
   *rotor->mean += std::min(1.0, dt / kMean_s) * (ratio - *rotor->mean);
   const double off = std::abs(*rotor->mean - 1.0);

@@ -105,7 +105,11 @@ SampleIntake::Clock SampleIntake::CheckClock(int stream, Stamp stamp) {
 
 void SampleIntake::Observe(const InputSample& input) {
   if (const auto* odometry = std::get_if<OdometryInput>(&input)) {
-    if (!odometry->is_pose) ObserveOdometry(*odometry);
+    if (!odometry->is_pose) {
+      ObserveOdometry(*odometry);
+    } else if (frame_id_.empty()) {
+      frame_id_ = odometry->frame_id;
+    }
   } else if (const auto* imu = std::get_if<ImuInput>(&input)) {
     if (!imu_frame_id_) imu_frame_id_ = imu->frame_id;
   } else if (const auto* rotors = std::get_if<RotorInput>(&input)) {

@@ -57,8 +57,15 @@ std::string VectorText(const Eigen::Vector3d& v) {
 
 // ---- Services: each says what it did, or throws ------------------------------------------------
 
+// Of the vehicle's mass and arm, and of thrust, where the world does not say.
+constexpr double kPayloadShare = 0.2, kShift = 0.1, kDamageShare = 0.1, kJump_m = 0.5;
+constexpr double kMostPayload_kg = 1000.0;
+
 std::string AttachPayload(const WorldOptions& sizes, World* world) {
-  if (!(sizes.payload_kg > 0.0)) throw std::invalid_argument("payload_kg must be set above 0");
+  if (!(sizes.payload_kg > 0.0 && sizes.payload_kg <= kMostPayload_kg)) {
+    throw std::invalid_argument("payload_kg must be above 0 and at most " +
+                                FormatNumber(kMostPayload_kg));
+  }
   world->AttachPayload(sizes.payload_kg, sizes.payload_p_B_m);
   return FormatNumber(sizes.payload_kg) + " kg hang at " + VectorText(sizes.payload_p_B_m);
 }
@@ -232,7 +239,12 @@ void SimulatorNode::Offer(const std::string& service,
 
 // They may be set anew before each call.
 WorldOptions SimulatorNode::Sizes() const {
+  // What the world does not say is something to see.
   WorldOptions sizes = setup_.world;
+  if (sizes.payload_kg == 0.0) sizes.payload_kg = kPayloadShare * setup_.vehicle.mass_kg;
+  if (sizes.damage_share == 0.0) sizes.damage_share = kDamageShare;
+  if (sizes.cog_shift_m.isZero(0.0)) sizes.cog_shift_m.x() = kShift * setup_.vehicle.ArmLength();
+  if (sizes.jump_m.isZero(0.0)) sizes.jump_m.x() = kJump_m;
   ParameterReader reader(private_node_);
   sizes.Visit(&reader);
   return sizes;

@@ -38,6 +38,15 @@ int main(int argc, char** argv) {
     const EstimatorOptions options = estimator.Read();
     const Vehicle vehicle = model_arguments.Configure(file_vehicle);
     const DynamicModel model(vehicle, vehicle.effects);
+    const auto is_estimated = [&model](const char* name) {
+      const int i = model.IndexOf(name);
+      return i >= 0 && model.parameters()[i].estimated;
+    };
+    if (is_estimated("mass_change.mass") && is_estimated("thrust.k_f")) {
+      throw tools::UsageError(
+          "mass_change.mass and thrust.k_f cannot both be estimated, a flight shows their ratio: "
+          "--freeze thrust.k_f or mass_change.mass");
+    }
     const FlightLog recording = flight.Read(vehicle);
     FlightLog log = recording;
     if (noise_m > 0.0) AddPositionNoise(noise_m, seed, &log);

@@ -127,6 +127,7 @@ int main(int argc, char** argv) {
   app.add_option("--evaluate", evaluate, "files the fit does not see: their free-run error")
       ->check(CLI::ExistingFile);
   tools::AddFolder(&app, &folder, &no_report);
+  tools::AddExitStatus(&app);
   return tools::Run(&app, argc, argv, [&] {
     const BenchColumns columns = bench.Read();
     const std::optional<Measured> rotor_inertia = inertia.Read();

@@ -32,6 +32,7 @@ int main(int argc, char** argv) {
                  "kill the estimator in every flight, so long after its start, s")
       ->check(tools::Positive());
   tools::AddFolder(&app, &folder, &no_report);
+  tools::AddExitStatus(&app);
   return tools::Run(&app, argc, argv, [&] {
     const Vehicle vehicle = LoadVehicle(vehicle_file);
     tools::MakeFolder(folder);

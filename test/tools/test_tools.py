@@ -13,7 +13,8 @@ from typing import Any, Dict, List
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.realpath(__file__))))
 TOOLS = os.path.join(ROOT, 'build', 'devel', 'lib', 'odmc')
 VEHICLE = os.path.join(ROOT, 'config', 'vehicles', 'generic.yaml')
-NAMES = ('benchmark', 'calibrate', 'evaluate', 'list_effects', 'recovery', 'simulate')
+NAMES = ('benchmark', 'calibrate', 'calibrate_actuator', 'close_loop', 'evaluate', 'experiment',
+         'list_effects', 'recovery', 'score_attribution', 'simulate', 'simulate_undeclared')
 
 
 def run(tool: str, *arguments: str) -> subprocess.CompletedProcess:
