@@ -75,7 +75,11 @@ class ServicesTest(flight_harness.FlightTest):
         self.assertGreater(node_harness.by_name(first)["thrust.k_f"].sigma, 2.0 * learned)
 
     def check_simulator(self):
-        self.assertFalse(call("/simulator/attach_payload").success, "payload_kg is not set")
+        rospy.set_param("/simulator/payload_kg", 1e9)
+        self.assertFalse(call("/simulator/attach_payload").success, "a mountain")
+        rospy.delete_param("/simulator/payload_kg")
+        said = call("/simulator/attach_payload")
+        self.assertTrue(said.success and " kg hang at" in said.message, said.message)
         rospy.set_param("/simulator/payload_kg", 0.05)
         self.assertTrue(call("/simulator/attach_payload").success)
         self.assertTrue(node_harness.wait_until(lambda: self.mass() == "0.8", 5.0), self.mass())
