@@ -212,7 +212,10 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
       window_(&layout_),
       solver_(MakeSolver(options, *model)),
       consistency_(layout_.num_estimated()),
-      inflation_(Eigen::VectorXd::Ones(layout_.num_estimated())),
+      regressor_noise_(layout_.num_estimated()),
+      consistency_inflation_(Eigen::VectorXd::Ones(layout_.num_estimated())),
+      noise_inflation_(consistency_inflation_),
+      inflation_(consistency_inflation_),
       prior_sigma_eta_(PriorSigmas(layout_)),
       sigma_eta_(prior_sigma_eta_),
       force_information_(Eigen::VectorXd::Zero(layout_.num_estimated())),
@@ -833,6 +836,11 @@ void Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport& re
     snapshot.state_covariance.setConstant(std::numeric_limits<double>::quiet_NaN());
   }
   if (consistency_.BlockIsFull()) RefreshConsistency(covariance);
+  if (regressor_noise_.IsDue(counters_.airborne_s)) {
+    regressor_noise_.Look(window_, *model_, snapshot.state_covariance, counters_.airborne_s);
+    noise_inflation_ = regressor_noise_.Inflation(covariance, prior_sigma_eta_);
+    RefreshInflation(covariance);
+  }
 
   const int m = model_->num_parameters();
   snapshot.sigma.setZero(m);
@@ -855,9 +863,14 @@ void Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport& re
 }
 
 void Estimator::RefreshConsistency(const Eigen::MatrixXd& covariance) {
-  const int n = layout_.num_estimated();
   consistency_.CloseBlock(solver_->PastInformation(window_));
-  inflation_ = consistency_.Inflation(window_.eta(), covariance);
+  consistency_inflation_ = consistency_.Inflation(window_.eta(), covariance);
+  RefreshInflation(covariance);
+}
+
+void Estimator::RefreshInflation(const Eigen::MatrixXd& covariance) {
+  const int n = layout_.num_estimated();
+  inflation_ = consistency_inflation_.cwiseProduct(noise_inflation_);
   // Of what varies, the flight's scores say nothing about the present value.
   for (const DynamicModel::ProcessParameter& p : model_->processes()) {
     for (int i = 0; i < n; ++i) {
@@ -867,8 +880,11 @@ void Estimator::RefreshConsistency(const Eigen::MatrixXd& covariance) {
 
   // Directions about which the flight says less than the priors, in units of the priors' sigmas.
   directions_.in_priors = covariance;
-  directions_.in_priors.array().colwise() /= prior_sigma_eta_.array();
-  directions_.in_priors.array().rowwise() /= prior_sigma_eta_.transpose().array();
+  for (int i = 0; i < n; ++i) {
+    const double scale = noise_inflation_[i] / prior_sigma_eta_[i];
+    directions_.in_priors.row(i) *= scale;
+    directions_.in_priors.col(i) *= scale;
+  }
   unobservable_.clear();
   if (n == 0) return;
   directions_.eigen.compute(directions_.in_priors, Eigen::EigenvaluesOnly);
@@ -940,7 +956,9 @@ void Estimator::LearnAnew() {
     const double ratio = sigma_eta_[i] / (kSigmaAfterChange * prior_sigma_eta_[i]);
     scale[i] = std::clamp(ratio * ratio, 1e-8, 1.0);
   }
-  consistency_.Rescale(solver_->ScalePast(scale, &window_));
+  const Eigen::MatrixXd& root = solver_->ScalePast(scale, &window_);
+  consistency_.Rescale(root);
+  regressor_noise_.Forget(root);
 }
 
 // Parameters that vary are one value a window: a long one could not follow them.
@@ -1044,7 +1062,9 @@ void Estimator::RescaleNoise() {
       noise_step_->reached = std::max(noise_step_->reached, keyframe->id);
   };
   noise_step_ = {before, window_.keyframes().back().id, -1};
-  consistency_.Rescale(solver_->Reweigh(scale, weigh, &window_));
+  const Eigen::MatrixXd& root = solver_->Reweigh(scale, weigh, &window_);
+  consistency_.Rescale(root);
+  regressor_noise_.Rescale(root);
 }
 
 ParameterSet Estimator::ToParameterSet(const DynamicModel& model, const Snapshot& snapshot) {

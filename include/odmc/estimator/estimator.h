@@ -14,6 +14,7 @@
 #include "odmc/estimator/load_observer.h"
 #include "odmc/estimator/noise_estimation.h"
 #include "odmc/estimator/options.h"
+#include "odmc/estimator/regressor_noise.h"
 #include "odmc/model/parameter_set.h"
 #include "odmc/preintegration/imu_interval.h"
 #include "odmc/preintegration/rotor_interval.h"
@@ -188,6 +189,7 @@ class Estimator {
   void SetModelNoise(const ProcessNoiseEstimator& noise, Keyframe* keyframe);
   Eigen::Vector3d AccelerometerSigma(const Eigen::Vector3d& force_N) const;
   void RefreshConsistency(const Eigen::MatrixXd& covariance);
+  void RefreshInflation(const Eigen::MatrixXd& covariance);
 
   const DynamicModel* model_;
   EstimatorOptions options_;
@@ -218,7 +220,8 @@ class Estimator {
   std::unique_ptr<WindowSolver> solver_;
   std::unique_ptr<ceres::LossFunction> loss_;
   Consistency consistency_;
-  Eigen::VectorXd inflation_;
+  RegressorNoise regressor_noise_;
+  Eigen::VectorXd consistency_inflation_, noise_inflation_, inflation_;  // the last: both
   Eigen::VectorXd prior_sigma_eta_;  // by which parameters count as observable
   Eigen::VectorXd sigma_eta_;        // of the last update, not inflated
   Eigen::VectorXd force_information_, torque_information_;  // what has informed each parameter
