@@ -322,12 +322,12 @@ const Snapshot* Estimator::Step() {
     // Once more before the first keyframes leave.
     const bool has_learned = was_learning_ && !IsLearning();
     was_learning_ = IsLearning();
-    solver_options.align =
-        needs_more_iterations_ || has_learned || ((settling || IsLearning()) && AlignmentIsDue());
+    const bool has_freed = FreeInertia();
+    solver_options.align = needs_more_iterations_ || has_learned ||
+                           ((settling || IsLearning()) && (has_freed || AlignmentIsDue()));
     solver_options.max_time_s = (settling ? 10.0 : 1.0) * options_.max_update_time_s;
     solver_options.function_tolerance = options_.function_tolerance;
     solver_options.num_threads = options_.num_threads;
-    FreeInertia();
     timing.build_ms = timer.EndStageMs();
     const SolveReport report = solver_->Solve(&window_, solver_options);
     timing.solve_ms = timer.EndStageMs();
@@ -386,11 +386,11 @@ void Estimator::FollowLoad(const OdometrySample& sample) {
 }
 
 /// Once the gate has opened, what was added before must not hold on to the start value.
-void Estimator::FreeInertia() {
-  if (!with_torque_) return;
+bool Estimator::FreeInertia() {
+  if (!with_torque_) return false;
   std::array<bool, 3> is_free;
   for (int i = 0; i < 3; ++i) is_free[i] = InertiaIsFree(i);
-  if (is_free == inertia_was_free_) return;
+  if (is_free == inertia_was_free_) return false;
   inertia_was_free_ = is_free;
   for (Keyframe& keyframe : window_.keyframes()) {
     for (Factor& factor : keyframe.factors) {
@@ -401,6 +401,7 @@ void Estimator::FreeInertia() {
       window_.Touch(&factor);
     }
   }
+  return true;
 }
 
 std::optional<FullSolveDifference> Estimator::CompareWithFullSolve() {

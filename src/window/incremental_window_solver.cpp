@@ -13,13 +13,14 @@ namespace odmc {
 namespace {
 
 constexpr int kState = kStateTangentSize;
-constexpr double kFirstCurvature = 3.0;   // error in tolerances at a distance of one sigma
-constexpr double kLeastCurvature = 0.05;  // a new manoeuvre may bring more than the last sweep saw
-constexpr double kCurvatureMemory = 0.5;  // from one sweep to the next
-constexpr double kAllowedError = 0.5;     // of a tolerance, before it hurries
-constexpr double kWorthwhile = 0.2;       // of a tolerance, before a sweep is
-constexpr double kSettled = 0.05;         // where further iterations were asked for [sigmas]
-constexpr double kFirstBend = 0.3;        // error [sigmas] of fronts evaluated a sigma away
+constexpr double kFirstCurvature = 3.0;    // error in tolerances at a distance of one sigma
+constexpr double kLeastCurvature = 0.05;   // a new manoeuvre may bring more than the last sweep saw
+constexpr double kCurvatureAligned = 1.0;  // at least, where much is still moving
+constexpr double kCurvatureMemory = 0.5;   // from one sweep to the next
+constexpr double kAllowedError = 0.5;      // of a tolerance, before it hurries
+constexpr double kWorthwhile = 0.2;        // of a tolerance, before a sweep is
+constexpr double kSettled = 0.05;          // where further iterations were asked for [sigmas]
+constexpr double kFirstBend = 0.3;         // error [sigmas] of fronts evaluated a sigma away
 constexpr double kBendMemory = 0.7;
 constexpr size_t kSoonInTurn = 5;         // updates: short windows need no more than their turn
 constexpr double kWeightMoved = 1.1;      // of a recent factor: root of the robust loss' slope
@@ -196,8 +197,10 @@ void IncrementalWindowSolver::HandBack(Window* window) {
 }
 
 SolveReport IncrementalWindowSolver::Align(Window* window, const SolverOptions& options) {
-  // Asked for, it solves the same problem better; else the step shows that the problem has changed.
-  const double curvature = options.align ? curvature_ : kFirstCurvature;
+  // Asked for, it solves the same problem better; factors that were touched, or a step too long for
+  // a linear model, make another problem of it.
+  const bool is_same = options.align && window->TakeTouched() < 0;
+  const double curvature = is_same ? std::max(curvature_, kCurvatureAligned) : kFirstCurvature;
   HandBack(window);
   SolverOptions thorough = options;
   thorough.max_iterations = std::max(options.max_iterations, kAlignmentIterations);
@@ -288,6 +291,7 @@ bool IncrementalWindowSolver::RedoMovedRecent(Window* window) {
   const std::int64_t touched = window->TakeTouched();
   if (touched >= 0) {
     if (touched < oldest) {  // a sweep under way may have passed it
+      curvature_ = std::max(curvature_, kFirstCurvature);
       StartSweep(*window);
       sweep_.urgent = true;
     }
@@ -481,10 +485,11 @@ double IncrementalWindowSolver::ExpectErrors(const Window& window) {
   return std::sqrt(squares);
 }
 
-/// Corrects one portion in turn and then the segments that need it most, each once at most.
+/// Corrects one portion in turn and then the segments that need it most, each once at most; `all`:
+/// every one, as far as time goes.
 /// @returns false if the step is too long for a linear model
 template <typename InTime>
-bool IncrementalWindowSolver::Correct(Window* window, const InTime& in_time) {
+bool IncrementalWindowSolver::Correct(Window* window, const InTime& in_time, bool all) {
   if (checkpoints_.empty() || options_.corrected_segments == 0) return true;
   const std::int64_t before = turn_;
   const double expected_before = ExpectErrors(*window);
@@ -503,6 +508,7 @@ bool IncrementalWindowSolver::Correct(Window* window, const InTime& in_time) {
       CorrectSegment(*window, chosen);
     }
     if (!SolveRoot(window)) return false;
+    if (all && chosen != nullptr && in_time()) continue;
     const double expected = ExpectErrors(*window);
     if (expected < options_.allowed_lag || chosen == nullptr || !in_time()) return true;
     const size_t in_turn = kSoonInTurn * static_cast<size_t>(options_.corrected_segments);
@@ -721,6 +727,7 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
   }
   const bool had_reweighed = sweep_.has_reweighed;
   // Where old linearizations may cost too much, one sweep after the other, as far as time allows.
+  bool has_hurried = false, has_reweighed = had_reweighed;
   const bool may_hurry = sweep_.urgent || fronts_.size() <= kMostHurried;
   for (int i = 0; may_hurry && MayCost(kIntolerable, *window) && in_time(); ++i) {
     if (i == kMostHurriedSweeps) return Align(window, options);  // steps want damping
@@ -728,12 +735,16 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
     while (sound && sweep_.active && in_time()) {
       sound = Sweep(window, SweepSize(), false);
     }
+    has_hurried = true;
+    has_reweighed = has_reweighed || sweep_.has_reweighed;
     if (!sound) return refuse();
     if (!SolveRoot(window)) return Align(window, options);
     BackSubstitute(window, false);
   }
-  if (sweep_.has_reweighed && !had_reweighed) {
-    if (!Correct(window, in_time)) return Align(window, options);
+  if (had_reweighed ? has_hurried : has_reweighed) {
+    BackSubstitute(window, fronts_.size() <= kMostHurried);  // weights move states
+    const bool is_short = fronts_.size() <= kMostHurried;
+    if (!Correct(window, in_time, is_short)) return Align(window, options);
     BackSubstitute(window, false);
   }
   for (; report_.iterations < options.max_iterations; ++report_.iterations) {

@@ -151,7 +151,7 @@ class Estimator {
   struct Interval;  // what lies between two keyframes
 
   void EmptyWindow();
-  void FreeInertia();
+  bool FreeInertia();
   bool InertiaIsFree(int axis) const;
   void FollowLoad(const OdometrySample& sample);
   /// Parameters that vary may have moved by what they do in `dt`.

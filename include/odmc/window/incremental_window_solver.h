@@ -128,7 +128,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   double Distance(const Window& window, const ParameterVector& at) const;
   double ExpectErrors(const Window& window);
   template <typename InTime>
-  bool Correct(Window* window, const InTime& in_time);
+  bool Correct(Window* window, const InTime& in_time, bool all = false);
   struct Solution {
     Eigen::VectorXd eta, sigma;
   };
