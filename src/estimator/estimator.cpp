@@ -838,7 +838,8 @@ void Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport& re
   }
   if (consistency_.BlockIsFull()) RefreshConsistency(covariance);
   if (regressor_noise_.IsDue(counters_.airborne_s)) {
-    regressor_noise_.Look(window_, *model_, snapshot.state_covariance, counters_.airborne_s);
+    regressor_noise_.Look(window_, *model_, process_noise_.in_use(), snapshot.state_covariance,
+                          counters_.airborne_s);
     noise_inflation_ = regressor_noise_.Inflation(covariance, prior_sigma_eta_);
     RefreshInflation(covariance);
   }

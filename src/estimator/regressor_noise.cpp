@@ -21,13 +21,15 @@ Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor
 }
 
 /// Divergence of the velocities' and rates' derivatives by themselves [1/s], in the middle of an
-/// interval.
+/// interval, each over its noise level.
 double Divergence(const DynamicsMeasurement& measurement, const State& state0, const State& state1,
-                  const DynamicModel& model, const ModelValues& values) {
+                  const DynamicModel& model, const ModelValues& values,
+                  const ProcessNoiseEstimator::Levels& levels) {
   const IntervalModel k(measurement, state0, state1, model, values, true, true);
   const auto& by_state = k.d_wrench.d_state;
-  return by_state.block<3, 3>(0, kColumnAirVelocity).trace() / k.body.mass +
-         (k.body.I_BBcm_B.inverse() * by_state.block<3, 3>(3, kColumnAngularRate)).trace();
+  return by_state.block<3, 3>(0, kColumnAirVelocity).trace() / (levels.force * k.body.mass) +
+         (k.body.I_BBcm_B.inverse() * by_state.block<3, 3>(3, kColumnAngularRate)).trace() /
+             levels.torque;
 }
 
 }  // namespace
@@ -65,7 +67,7 @@ bool RegressorNoise::ParameterJacobian(const Window& window, const Factor& facto
 
 void RegressorNoise::AddPull(const DynamicsMeasurement& measurement, const Window& window,
                              const Keyframe& from, const Keyframe& to, const DynamicModel& model,
-                             double flown_s) {
+                             const ProcessNoiseEstimator::Levels& levels, double flown_s) {
   if (measurement.form != DynamicsForm::kMidpoint) return;
   DynamicsMeasurement own = measurement;
   own.anchor_index = -1;
@@ -73,19 +75,20 @@ void RegressorNoise::AddPull(const DynamicsMeasurement& measurement, const Windo
   const ParameterLayout& layout = window.layout();
   ModelValues values = window.values();
   const ParameterVector chain = layout.ChainFactors(values);
-  const double here = Divergence(own, state0, state1, model, values);
+  const double here = Divergence(own, state0, state1, model, values, levels);
   for (int i = 0; i < n_; ++i) {
     const int k = layout.model_index(i);
     const double value = values[k];
     const double step = kStep * std::abs(chain[i]) * window.parameter_sigma()[i];
     values[k] = value + step;
-    const double slope = (Divergence(own, state0, state1, model, values) - here) / step;
+    const double slope = (Divergence(own, state0, state1, model, values, levels) - here) / step;
     values[k] = value;
     if (std::isfinite(slope)) pull_[i] += 0.5 * (flown_s - counted_s_) * slope * chain[i];
   }
 }
 
 void RegressorNoise::Look(const Window& window, const DynamicModel& model,
+                          const ProcessNoiseEstimator::Levels& levels,
                           const WindowSolver::StateMatrix& covariance, double flown_s) {
   next_s_ = flown_s + std::max(kLeastPeriod_s, kPeriodShare * flown_s);
   const auto& keyframes = window.keyframes();
@@ -101,7 +104,7 @@ void RegressorNoise::Look(const Window& window, const DynamicModel& model,
     if (!factor.parameters || factor.state0 < 0) continue;
     if (factor.kind == FactorKind::kDynamics) {
       AddPull(static_cast<const DynamicsFactor&>(*factor.cost).measurement(), window, from, to,
-              model, flown_s);
+              model, levels, flown_s);
     }
     if (!ParameterJacobian(window, factor, from.x, to.x)) return;
     at_estimate_ = jacobian_;

@@ -113,6 +113,12 @@ class ProcessNoiseEstimator {
   };
   std::optional<Change> Step();
 
+  /// Densities in units of the least ones.
+  struct Levels {
+    double force, torque;
+  };
+  const Levels& in_use() const { return in_use_; }
+
   /// Standard deviation of the mean force over `dt` per axis [N], and of the torque [N m].
   Eigen::Vector3d ForceSigma(double dt) const;
   Eigen::Vector3d TorqueSigma(double dt) const;
@@ -122,9 +128,6 @@ class ProcessNoiseEstimator {
 
   /// A level, with the start level as far as it still counts.
   double WithStart(double level) const;
-  struct Levels {
-    double force, torque;
-  };
   /// By what the flight has shown.
   Levels Seen() const;
 

@@ -6,6 +6,7 @@
 #include <array>
 #include <vector>
 
+#include "odmc/estimator/noise_estimation.h"
 #include "odmc/factors/dynamics_factor.h"
 #include "odmc/window/window.h"
 #include "odmc/window/window_solver.h"
@@ -31,6 +32,9 @@ namespace odmc {
 /// noise levels that are right for the flight at hand (too high ones ask for more and more
 /// damping), so it is in the sigma.
 ///
+/// It comes from what drives the states at random from interval to interval; what raises the noise
+/// level above its least is what the model lacks, which is smooth, and does not count for it.
+///
 /// Changes published sigmas alone, no estimate.
 class RegressorNoise {
  public:
@@ -41,7 +45,9 @@ class RegressorNoise {
 
   /// Measures it at the newest interval and counts it for the time since the last look.
   /// @param covariance of the newest state's tangent (12×12)
+  /// @param levels of what is not modelled, in use
   void Look(const Window& window, const DynamicModel& model,
+            const ProcessNoiseEstimator::Levels& levels,
             const WindowSolver::StateMatrix& covariance, double flown_s);
 
   /// Scales the information counted by what RescalePrior() returns: another noise level.
@@ -65,7 +71,8 @@ class RegressorNoise {
                          const std::array<double, kStateSize>& x1);
 
   void AddPull(const DynamicsMeasurement& measurement, const Window& window, const Keyframe& from,
-               const Keyframe& to, const DynamicModel& model, double flown_s);
+               const Keyframe& to, const DynamicModel& model,
+               const ProcessNoiseEstimator::Levels& levels, double flown_s);
 
   int n_;
   double counted_s_ = 0.0, next_s_ = 4.0;
