@@ -224,6 +224,10 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
   if (!options.IsValid(&error)) throw std::invalid_argument(error);
   const int k_f = model->IndexOf("thrust.k_f");
   if (with_torque && k_f >= 0) window_.SetAnchorEntry(layout_.EntryOf(k_f));
+  for (const char* axis : {"inertia.x", "inertia.y", "inertia.z"}) {
+    const int k = model->IndexOf(axis);
+    estimates_inertia_ = estimates_inertia_ || (k >= 0 && model->parameters()[k].estimated);
+  }
   if (options.huber_width > 0.0) {
     loss_ = std::make_unique<ceres::HuberLoss>(options.huber_width);
   }
@@ -387,7 +391,7 @@ void Estimator::FollowLoad(const OdometrySample& sample) {
 
 /// Once the gate has opened, what was added before must not hold on to the start value.
 bool Estimator::FreeInertia() {
-  if (!with_torque_) return false;
+  if (!with_torque_ || !estimates_inertia_) return false;
   std::array<bool, 3> is_free;
   for (int i = 0; i < 3; ++i) is_free[i] = InertiaIsFree(i);
   if (is_free == inertia_was_free_) return false;

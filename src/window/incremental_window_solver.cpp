@@ -13,14 +13,13 @@ namespace odmc {
 namespace {
 
 constexpr int kState = kStateTangentSize;
-constexpr double kFirstCurvature = 3.0;    // error in tolerances at a distance of one sigma
-constexpr double kLeastCurvature = 0.05;   // a new manoeuvre may bring more than the last sweep saw
-constexpr double kCurvatureAligned = 1.0;  // at least, where much is still moving
-constexpr double kCurvatureMemory = 0.5;   // from one sweep to the next
-constexpr double kAllowedError = 0.5;      // of a tolerance, before it hurries
-constexpr double kWorthwhile = 0.2;        // of a tolerance, before a sweep is
-constexpr double kSettled = 0.05;          // where further iterations were asked for [sigmas]
-constexpr double kFirstBend = 0.3;         // error [sigmas] of fronts evaluated a sigma away
+constexpr double kFirstCurvature = 3.0;   // error in tolerances at a distance of one sigma
+constexpr double kLeastCurvature = 0.05;  // a new manoeuvre may bring more than the last sweep saw
+constexpr double kCurvatureMemory = 0.5;  // from one sweep to the next
+constexpr double kAllowedError = 0.5;     // of a tolerance, before it hurries
+constexpr double kWorthwhile = 0.2;       // of a tolerance, before a sweep is
+constexpr double kSettled = 0.05;         // where further iterations were asked for [sigmas]
+constexpr double kFirstBend = 0.3;        // error [sigmas] of fronts evaluated a sigma away
 constexpr double kBendMemory = 0.7;
 constexpr size_t kSoonInTurn = 5;         // updates: short windows need no more than their turn
 constexpr double kWeightMoved = 1.1;      // of a recent factor: root of the robust loss' slope
@@ -200,7 +199,7 @@ SolveReport IncrementalWindowSolver::Align(Window* window, const SolverOptions& 
   // Asked for, it solves the same problem better; factors that were touched, or a step too long for
   // a linear model, make another problem of it.
   const bool is_same = options.align && window->TakeTouched() < 0;
-  const double curvature = is_same ? std::max(curvature_, kCurvatureAligned) : kFirstCurvature;
+  const double curvature = is_same ? curvature_ : kFirstCurvature;
   HandBack(window);
   SolverOptions thorough = options;
   thorough.max_iterations = std::max(options.max_iterations, kAlignmentIterations);

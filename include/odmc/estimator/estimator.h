@@ -240,6 +240,7 @@ class Estimator {
   bool last_in_window_ = false;
   double learned_s_ = 0.0;  // flown since the parameters were last new
   bool was_learning_ = false;
+  bool estimates_inertia_ = false;  // about any axis
   std::optional<Stamp> first_stamp_;
   std::optional<Stamp> bias_since_;
   std::array<bool, 3> inertia_was_free_ = {false, false, false};
