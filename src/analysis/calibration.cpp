@@ -74,7 +74,8 @@ std::string Span(const std::vector<Sample>& samples, const FlightLog& log) {
 /// Where every pose is a gap after the one before.
 void WarnOfSlowOdometry(const FlightLog& log, const ReplayResult& replay,
                         std::vector<std::string>* warnings) {
-  if (replay.counters.gaps < replay.counters.keyframes / 2 || log.odometry.size() < 3) return;
+  const long gaps = replay.counters.gaps;
+  if (gaps == 0 || 2 * gaps < replay.counters.keyframes || log.odometry.size() < 3) return;
   std::vector<double> steps_s;
   for (size_t i = 1; i < log.odometry.size(); ++i) {
     steps_s.push_back(ToSeconds(log.odometry[i].stamp - log.odometry[i - 1].stamp));
@@ -165,6 +166,7 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   result.warnings = FlightWarnings(log, replay);
   Append(ModelWarnings(model, last.values, last.sigma, result.prediction.figures),
          &result.warnings);
+  for (const Finding& finding : result.findings) result.warnings.push_back(Sentence(finding));
   return result;
 }
 
@@ -274,10 +276,10 @@ std::vector<std::string> ModelWarnings(const DynamicModel& model, const ModelVal
                                        const Eigen::VectorXd& sigma,
                                        const PredictionFigures& figures) {
   std::vector<std::string> warnings;
+  const std::string doubt = ThrustDoubt(model, values);
+  if (!doubt.empty()) warnings.push_back(doubt);
   for (int i = 0; i < model.num_parameters(); ++i) {
     const ModelParameter& p = model.parameters()[i];
-    const std::string doubt = ThrustDoubt(p, values[i]);
-    if (!doubt.empty()) warnings.push_back(doubt);
     if (HasWrongSign(p.spec.sign, values[i], sigma[i])) {
       const bool feeds = p.spec.sign == PhysicalSign::kNegative;
       warnings.push_back(p.full_name + " = " + Text(values[i]) + " " + p.spec.unit +

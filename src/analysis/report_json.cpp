@@ -85,6 +85,26 @@ Json ComparisonJson(const std::optional<SolverComparison>& c) {
   return json;
 }
 
+Json FindingsJson(const std::vector<Finding>& findings) {
+  Json json = Json::array();
+  for (const Finding& f : findings) {
+    Json entry = {{"check", f.check}, {"leaves", Name(f.leaves)}, {"what", f.what}};
+    if (!f.mend.empty()) entry["mend"] = f.mend;
+    if (f.span_s) entry["from_s"] = Number(f.span_s->first), entry["to_s"] = Number(f.span_s->second);
+    json.push_back(entry);
+  }
+  return json;
+}
+
+/// Sentences of the findings that cost as much trust as is missing.
+Json TrustReasons(const std::vector<Finding>& findings) {
+  Json reasons = Json::array();
+  for (const Finding& f : findings) {
+    if (f.leaves != Trust::kGood) reasons.push_back(Sentence(f));
+  }
+  return reasons;
+}
+
 Json PredictionCounts(const PredictionFigures& f) {
   return {{"prediction_samples", f.samples},
           {"prediction_near_gaps", f.left_out_gaps},
@@ -117,6 +137,9 @@ std::string CalibrationReport(const Calibration& c, const DynamicModel& model) {
   }
   json["timing_ms"] = TimingJson(c.wall, c.states_in_window, c.threads);
   json["timing_cpu_ms"] = TimingJson(c.cpu, c.states_in_window, c.threads);
+  json["trust"] = Name(TrustOf(c.findings));
+  json["trust_reasons"] = TrustReasons(c.findings);
+  json["findings"] = FindingsJson(c.findings);
   json["warnings"] = c.warnings;
   json["unobservable"] = c.replay.last->unobservable;
   Json left_out = PredictionCounts(c.prediction.figures);

@@ -134,10 +134,8 @@ bool Acceptance::Update(const DynamicModel& model, const Snapshot& snapshot) {
   }
   sure_ = sure;
   HoldBack(model, snapshot, std::move(sure));
-  for (int i = 0; i < model.num_parameters(); ++i) {
-    const std::string doubt = ThrustDoubt(model.parameters()[i], snapshot.values[i]);
-    if (!doubt.empty()) reasons_.push_back(doubt);
-  }
+  const std::string doubt = ThrustDoubt(model, snapshot.values);
+  if (!doubt.empty()) reasons_.push_back(doubt);
   for (const std::string& sentence : UnphysicalValues(model, usable_.values, usable_.sigma)) {
     reasons_.push_back(sentence);
   }

@@ -390,6 +390,7 @@ void Estimator::FollowLoad(const OdometrySample& sample) {
 }
 
 /// Once the gate has opened, what was added before must not hold on to the start value.
+/// @returns whether it has opened or closed anywhere
 bool Estimator::FreeInertia() {
   if (!with_torque_ || !estimates_inertia_) return false;
   std::array<bool, 3> is_free;

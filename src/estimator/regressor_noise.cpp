@@ -102,10 +102,6 @@ void RegressorNoise::Look(const Window& window, const DynamicModel& model,
   rate_.setZero();
   for (const Factor& factor : from.factors) {
     if (!factor.parameters || factor.state0 < 0) continue;
-    if (factor.kind == FactorKind::kDynamics) {
-      AddPull(static_cast<const DynamicsFactor&>(*factor.cost).measurement(), window, from, to,
-              model, levels, flown_s);
-    }
     if (!ParameterJacobian(window, factor, from.x, to.x)) return;
     at_estimate_ = jacobian_;
     // Errors of neighbouring states are nearly the same: both move.
@@ -118,6 +114,11 @@ void RegressorNoise::Look(const Window& window, const DynamicModel& model,
       change -= RowsOf(factor, &at_estimate_, n_);
       rate_.noalias() += change.transpose() * change;
     }
+  }
+  for (const Factor& factor : from.factors) {
+    if (factor.kind != FactorKind::kDynamics) continue;
+    AddPull(static_cast<const DynamicsFactor&>(*factor.cost).measurement(), window, from, to, model,
+            levels, flown_s);
   }
   feigned_ += (flown_s - counted_s_) / dt * rate_;
   counted_s_ = flown_s;

@@ -69,10 +69,12 @@ std::vector<std::string> UnphysicalValues(const DynamicModel& model, const Model
   return sentences;
 }
 
-std::string ThrustDoubt(const ModelParameter& parameter, double value) {
+std::string ThrustDoubt(const DynamicModel& model, const ModelValues& values) {
   constexpr double kMostRatio = 3.0;
-  const double start = parameter.spec.prior_value;
-  if (parameter.full_name != "thrust.k_f" || !(start > 0.0)) return "";
+  const int k_f = model.IndexOf("thrust.k_f");
+  if (k_f < 0) return "";
+  const double start = model.parameters()[k_f].spec.prior_value, value = values[k_f];
+  if (!(start > 0.0)) return "";
   const double ratio = value / start;
   if (ratio < kMostRatio && ratio > 1.0 / kMostRatio) return "";
   char text[200];

@@ -882,10 +882,8 @@ void EstimatorNode::ShareStatus() {
 
 void EstimatorNode::ShareSnapshot(const Snapshot& snapshot, NodeStatus* s) const {
   s->unphysical = UnphysicalValues(*last_model_, snapshot.values, snapshot.sigma);
-  for (int i = 0; i < last_model_->num_parameters(); ++i) {
-    const std::string doubt = ThrustDoubt(last_model_->parameters()[i], snapshot.values[i]);
-    if (!doubt.empty()) s->unphysical.push_back(doubt);
-  }
+  const std::string doubt = ThrustDoubt(*last_model_, snapshot.values);
+  if (!doubt.empty()) s->unphysical.push_back(doubt);
   s->unobservable = snapshot.unobservable;
   s->observable = snapshot.observable;
   s->time_s = snapshot.time_s;

@@ -30,6 +30,7 @@ constexpr double kIntolerable = 0.8;      // before it takes all the time there 
 constexpr int kFaster = 4;                // sweep where errors are not allowed
 constexpr size_t kMostHurried = 250;      // keyframes; in longer windows parameters move less
 constexpr int kMostHurriedSweeps = 4;     // in one update
+constexpr double kAlignmentTolerance = 1e-4;  // of its cost; the chain takes the last step
 constexpr int kAlignmentIterations = 10;  // of the batch solve
 
 /// How errors of a linearization grow with the distance [sigmas] from its point: as its square, but
@@ -203,11 +204,17 @@ SolveReport IncrementalWindowSolver::Align(Window* window, const SolverOptions& 
   HandBack(window);
   SolverOptions thorough = options;
   thorough.max_iterations = std::max(options.max_iterations, kAlignmentIterations);
+  // From there the chain, which tells the covariance, takes the last step.
+  thorough.function_tolerance = std::max(options.function_tolerance, kAlignmentTolerance);
   SolveReport report = batch_.Solve(window, thorough);
   report.aligned = true;
-  // The chain tells the covariance; from a window too far from its solution, the next update's.
-  if (report.usable && !window->keyframes().empty() && !Build(window)) HandBack(window);
-  if (incremental_) curvature_ = curvature;
+  if (!report.usable || window->keyframes().empty()) return report;
+  if (!Build(window)) {
+    HandBack(window);
+    return report;
+  }
+  curvature_ = curvature;
+  if (SolveRoot(window)) BackSubstitute(window, true);
   return report;
 }
 

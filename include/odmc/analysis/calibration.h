@@ -7,6 +7,7 @@
 
 #include "odmc/analysis/prediction.h"
 #include "odmc/analysis/replay.h"
+#include "odmc/inspection/finding.h"
 
 namespace odmc {
 
@@ -43,7 +44,8 @@ struct Calibration {
   int states_in_window = 0;
   int threads = 1;
   double start_s = 0.0;  ///< of the replay's clock, after the first odometry sample
-  std::vector<std::string> warnings;
+  std::vector<Finding> findings;      ///< what costs trust, and remarks
+  std::vector<std::string> warnings;  ///< the findings' sentences among them
 };
 
 /// A flight predicted with fixed parameters.

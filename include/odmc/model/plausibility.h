@@ -17,7 +17,7 @@ std::vector<std::string> UnphysicalValues(const DynamicModel& model, const Model
 
 /// What to say of a thrust coefficient that is more than three times, or less than a third of, what
 /// it started from: then a unit or the mass is wrong, not the vehicle file by a little. Empty if
-/// all is well, or the parameter is another.
-std::string ThrustDoubt(const ModelParameter& parameter, double value);
+/// all is well.
+std::string ThrustDoubt(const DynamicModel& model, const ModelValues& values);
 
 }  // namespace odmc
