@@ -146,7 +146,7 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   if (!replay.last) {
     throw std::invalid_argument(
         log.file + ": never airborne: thrust stays below " +
-        Text(options.ground.landed_thrust_ratio) +
+        Text(options.phases.landed_thrust_ratio) +
         " of the weight or the vehicle does not rise; check thrust.k_f, mass_kg and the unit of "
         "the rotor speeds");
   }
@@ -162,6 +162,7 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   result.cpu = SummariseTiming(replay, &UpdateTiming::cpu_ms);
   result.states_in_window = StatesInWindow(replay);
   result.threads = options.num_threads;
+  result.first_stamp = log.odometry.front().stamp;
   result.start_s = ToSeconds(last.stamp - log.odometry.front().stamp) - last.time_s;
   result.warnings = FlightWarnings(log, replay);
   Append(ModelWarnings(model, last.values, last.sigma, result.prediction.figures),

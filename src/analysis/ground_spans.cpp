@@ -2,7 +2,8 @@
 
 #include <algorithm>
 
-#include "odmc/estimator/noise_estimation.h"
+#include "odmc/estimator/phase_watch.h"
+#include "odmc/math/ring.h"
 #include "odmc/sensing/synchroniser.h"
 
 namespace odmc {
@@ -10,72 +11,62 @@ namespace {
 
 constexpr double kPatience_s = 0.3;     // as the estimator waits for a silent stream
 constexpr double kLongestStep_s = 1.0;  // a longer hole counts neither as ground nor as flight
+constexpr double kMaxGap_s = 0.06;      // as EstimatorOptions::max_gap_s
+constexpr double kKept_s = 10.0;        // of rotor speeds, the longest interval
 
-/// Collective thrust over weight of the model at rest in the air.
-class ThrustRatio {
+/// Rotor speeds of one interval after the other.
+class RotorReader {
  public:
-  ThrustRatio(const FlightLog& log, const DynamicModel& model, const ModelValues& values)
-      : log_(log), model_(model), values_(values) {}
+  explicit RotorReader(const std::vector<RotorSample>& samples) : samples_(samples) {}
 
-  /// At the first rotor sample not before `stamp`, the last one after the stream's end.
-  double At(Stamp stamp) {
-    while (next_ + 1 < log_.rotors.size() && log_.rotors[next_].stamp < stamp) ++next_;
-    FlightState hover;
-    hover.rotors = RotorState::Steady(log_.rotors[next_].speed);
-    Eigen::Vector3d force, torque;
-    model_.EvaluateWrench(hover, values_, Eigen::Vector3d::Zero(), &force, &torque);
-    return force.z() / (model_.vehicle().mass_kg * model_.vehicle().gravity_m_s2);
+  std::optional<RotorInterval> Read(Stamp from, Stamp to) {
+    while (next_ < samples_.size() && (queue_.empty() || queue_.back().stamp < to)) {
+      queue_.push_back(samples_[next_++]);
+    }
+    while (queue_.size() > 2 && queue_[1].stamp < from - FromSeconds(kKept_s)) queue_.pop_front();
+    return ReduceRotors(queue_, from, to, kMaxGap_s);
   }
 
  private:
-  const FlightLog& log_;
-  const DynamicModel& model_;
-  const ModelValues& values_;
+  const std::vector<RotorSample>& samples_;
   size_t next_ = 0;
+  Ring<RotorSample> queue_;
 };
-
-double SpeedOf(const OdometrySample& sample, const std::optional<OdometrySample>& last,
-               double noise_m) {
-  if (sample.v_WS) return sample.v_WS->norm();
-  if (!last) return 0.0;
-  const double dt = ToSeconds(sample.stamp - last->stamp);
-  return std::max(0.0, (sample.p_WS - last->p_WS).norm() / dt - 2.0 * noise_m / dt);
-}
 
 }  // namespace
 
 GroundSpans FindGroundSpans(const FlightLog& log, const DynamicModel& model,
-                            const ModelValues& values, const GroundGateOptions& options,
+                            const ModelValues& values, const PhaseOptions& options,
                             double keyframe_rate_hz) {
   GroundSpans result;
   if (log.rotors.empty()) return result;
   Synchroniser synchroniser(keyframe_rate_hz, kPatience_s);
   OdometryNoiseEstimator noise({0.0, 0.0, 0.0, 0.0});
-  GroundGate gate(options);
-  ThrustRatio thrust(log, model, values);
+  PhaseWatch phases(&model, options, false);
+  phases.Know(values, 0.0);
+  RotorReader rotors(log.rotors);
   std::optional<OdometrySample> last;
-  bool standing = false;
+  double seen_s = 0.0;
   synchroniser.Finish();  // every stream is at hand: wait for none
   for (const OdometrySample& odometry : log.odometry) {
     noise.Add(odometry);
     synchroniser.Add(odometry);
     while (const std::optional<OdometrySample> sample = synchroniser.NextKeyframe()) {
-      const double speed_m_s = SpeedOf(*sample, last, noise.Noise().position_m);
       const double dt = last ? ToSeconds(sample->stamp - last->stamp) : 0.0;
-      const bool airborne =
-          gate.Update(sample->stamp, sample->p_WS, speed_m_s, thrust.At(sample->stamp));
+      const bool is_first = !last || dt > std::max(kMaxGap_s, 1.5 / keyframe_rate_hz);
+      phases.Update(*sample, is_first ? std::nullopt : rotors.Read(last->stamp, sample->stamp),
+                    noise.Noise(), is_first);
       last = sample;
-      if (airborne) {
-        ++result.airborne_keyframes;
-        standing = false;
-        continue;
-      }
-      if (dt < kLongestStep_s) result.on_ground_s += dt;
-      if (!standing) result.spans.emplace_back(sample->stamp, sample->stamp);
-      result.spans.back().second = sample->stamp;
-      standing = true;
+      if (dt < kLongestStep_s) seen_s += dt;
+      ++result.airborne_keyframes;
     }
   }
+  result.spans = NotInFlight(phases.detector().spans());
+  for (const auto& [from, to] : result.spans) result.on_ground_s += ToSeconds(to - from);
+  result.on_ground_s = std::min(result.on_ground_s, seen_s);
+  const double share = seen_s > 0.0 ? 1.0 - result.on_ground_s / seen_s : 0.0;
+  result.airborne_keyframes =
+      static_cast<long>(share * static_cast<double>(result.airborne_keyframes));
   return result;
 }
 

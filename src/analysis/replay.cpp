@@ -29,8 +29,8 @@ class Recorder {
   void Drain() {
     while (true) {
       const Snapshot* const snapshot = estimator_->Step();
+      if (estimator_->counters().starts_anew != starts_anew_) StartAnew();
       if (!estimator_->made_progress()) return;
-      Ground(estimator_->last_keyframe_stamp(), estimator_->airborne());
       if (!snapshot) continue;
       if (result_->history.empty()) result_->first_airborne_s = snapshot->time_s;
       result_->history.push_back({snapshot->time_s, snapshot->values, snapshot->sigma});
@@ -40,21 +40,17 @@ class Recorder {
   }
 
  private:
-  void Ground(Stamp stamp, bool airborne) {
-    auto& spans = result_->ground_spans;
-    if (airborne) {
-      standing_ = false;
-    } else if (standing_) {
-      spans.back().second = stamp;
-    } else {
-      spans.emplace_back(stamp, stamp);
-      standing_ = true;
-    }
+  /// What was learned so far came from no flight.
+  void StartAnew() {
+    starts_anew_ = estimator_->counters().starts_anew;
+    result_->last.reset();
+    result_->history.clear();
+    result_->timing.clear();
   }
 
   Estimator* estimator_;
   ReplayResult* result_;
-  bool standing_ = false;
+  long starts_anew_ = 0;
 };
 
 }  // namespace
@@ -81,6 +77,8 @@ ReplayResult Replay(const FlightLog& log, Estimator* estimator,
   recorder.Drain();
   if (progress) progress(1.0);
   result.counters = estimator->counters();
+  result.phases = estimator->phases().spans();
+  result.ground_spans = NotInFlight(result.phases);
   result.stream_counters = estimator->stream_counters();
   return result;
 }

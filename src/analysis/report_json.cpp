@@ -105,6 +105,19 @@ Json TrustReasons(const std::vector<Finding>& findings) {
   return reasons;
 }
 
+Json PhasesJson(const std::vector<PhaseSpan>& phases, Stamp zero) {
+  Json json = Json::array();
+  for (const PhaseSpan& p : phases) {
+    json.push_back({{"phase", Name(p.phase)},
+                    {"from_s", Number(ToSeconds(p.from - zero))},
+                    {"to_s", Number(ToSeconds(p.to - zero))},
+                    {"teaches", Teaches(p.phase)},
+                    {"thrust_over_weight", Number(p.thrust_ratio)},
+                    {"missing_force_over_weight", Number(p.missing_force)}});
+  }
+  return json;
+}
+
 Json PredictionCounts(const PredictionFigures& f) {
   return {{"prediction_samples", f.samples},
           {"prediction_near_gaps", f.left_out_gaps},
@@ -137,6 +150,7 @@ std::string CalibrationReport(const Calibration& c, const DynamicModel& model) {
   }
   json["timing_ms"] = TimingJson(c.wall, c.states_in_window, c.threads);
   json["timing_cpu_ms"] = TimingJson(c.cpu, c.states_in_window, c.threads);
+  json["phases"] = PhasesJson(c.replay.phases, c.first_stamp);
   json["trust"] = Name(TrustOf(c.findings));
   json["trust_reasons"] = TrustReasons(c.findings);
   json["findings"] = FindingsJson(c.findings);
@@ -146,6 +160,7 @@ std::string CalibrationReport(const Calibration& c, const DynamicModel& model) {
   const EstimatorCounters& counters = c.replay.counters;
   const SynchroniserCounters& streams = c.replay.stream_counters;
   left_out["ground_keyframes"] = counters.ground_keyframes;
+  left_out["taken_back"] = counters.taken_back;
   left_out["gaps"] = counters.gaps;
   left_out["jumps"] = counters.jumps;
   left_out["refused_updates"] = counters.refused_updates;

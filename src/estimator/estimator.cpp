@@ -28,6 +28,8 @@ constexpr double kSettled_s = 1.0;         // age at which an interval's residua
 constexpr double kAlignmentGrowth = 1.2;   // of the window, from one alignment to the next
 constexpr double kChangeDelay_s = 0.15;    // age of the intervals that show a change
 constexpr double kSigmaAfterChange = 0.3;  // least sigma then, of the prior's
+constexpr double kGateEvery_s = 0.1, kGateKept_s = 3.0;  // copies of the gate on inertia
+constexpr double kMostHeld_s = 2.0;  // that the window grows while contact is suspected
 
 double ThreadCpuSeconds() {
   timespec now;
@@ -176,11 +178,10 @@ bool EstimatorOptions::IsValid(std::string* error) const {
         Named{"rate_noise_rad_s", rate_noise_rad_s},
         Named{"rotor_speed_noise_rad_s", rotor_speed_noise_rad_s},
         Named{"function_tolerance", function_tolerance},
-        Named{"take_off_height_m", ground.take_off_height_m},
-        Named{"take_off_speed_m_s", ground.take_off_speed_m_s},
-        Named{"landed_thrust_ratio", ground.landed_thrust_ratio},
-        Named{"landed_speed_m_s", ground.landed_speed_m_s}, Named{"confirm_s", ground.confirm_s},
-        Named{"near_ground_m", ground.near_ground_m}}) {
+        Named{"take_off_height_m", phases.take_off_height_m},
+        Named{"take_off_speed_m_s", phases.take_off_speed_m_s},
+        Named{"landed_thrust_ratio", phases.landed_thrust_ratio},
+        Named{"near_ground_m", phases.near_ground_m}}) {
     if (!is_not_negative(option.value)) {
       return fail(std::string(option.name) + " must be a number and not negative");
     }
@@ -188,7 +189,7 @@ bool EstimatorOptions::IsValid(std::string* error) const {
   if (!(inertia_gate_r_squared >= 0.0 && inertia_gate_r_squared <= 1.0)) {
     return fail("inertia_gate_r_squared must be in [0, 1]");
   }
-  if (ground.landed_thrust_ratio >= 1.0) return fail("landed_thrust_ratio must be below 1");
+  if (phases.landed_thrust_ratio >= 1.0) return fail("landed_thrust_ratio must be below 1");
   if (max_iterations < 1) return fail("max_iterations must be at least 1");
   if (num_threads < 1) return fail("num_threads must be at least 1");
   return true;
@@ -201,7 +202,7 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
       form_(options.dynamics_form == "euler" ? DynamicsForm::kEuler : DynamicsForm::kMidpoint),
       layout_(*model, model->InitialValues()),
       synchroniser_(options.keyframe_rate_hz, options.patience_s),
-      ground_(options.ground),
+      phases_(model, options.phases, options.detect_changes),
       inertia_gate_(model->vehicle(), options.inertia_gate_r_squared),
       load_(*model, true),
       stream_noise_(Configured(options)),
@@ -257,7 +258,7 @@ void Estimator::Finish() {
 void Estimator::RestartChain() {
   synchroniser_.Clear();
   stream_noise_.Restart();
-  ground_.Reset();
+  phases_.Restart();
   inertia_gate_.Break();
   load_.Reset();
   last_.reset();
@@ -278,7 +279,7 @@ void Estimator::CarryOn(const Estimator& before, const DynamicModel& declared) {
   prior_sigma_eta_ = PriorSigmas(ParameterLayout(declared, declared.InitialValues()));
   synchroniser_ = before.synchroniser_;
   rotor_scale_sigma_ = before.rotor_scale_sigma_;
-  ground_ = before.ground_;
+  phases_.CarryOn(before.phases_);
   inertia_gate_ = before.inertia_gate_;
   inertia_gate_.Break();
   stream_noise_ = before.stream_noise_;
@@ -303,11 +304,11 @@ const Snapshot* Estimator::Step() {
   if (!first_stamp_) first_stamp_ = sample->stamp;
   stream_noise_.AdvanceTo(std::max(sample->stamp, noise_ready_));
 
-  const bool airborne = CheckGround(*sample);
+  const bool airborne = FollowPhase(*sample);
   const Snapshot* snapshot = nullptr;
   FollowLoad(*sample);
   const bool is_held_out = is_held_out_ && is_held_out_(sample->stamp);
-  if (airborne && (is_held_out || ground_.IsNear(sample->p_WS.z()))) {
+  if (airborne && (is_held_out || phases_.detector().IsNearGround(sample->p_WS.z()))) {
     last_in_window_ = false;
     inertia_gate_.Break();
     change_detector_.Break();
@@ -362,11 +363,13 @@ const Snapshot* Estimator::Step() {
     timing.wall_ms = timer.WallMs();
     timing.cpu_ms = timer.CpuMs();
     snapshot_.timing = timing;
+    TellPhases(sample->stamp);
   } else {
     ++counters_.ground_keyframes;
     last_in_window_ = false;
     inertia_gate_.Break();
     change_detector_.Break();
+    if (step_.take_back) snapshot = TakeBack(*step_.take_back);
   }
   before_last_ = last_;
   last_ = sample;
@@ -481,63 +484,160 @@ bool Estimator::InertiaIsFree(int axis) const {
   return options_.inertia_gate_r_squared <= 0.0 || inertia_gate_.IsOpen(axis);
 }
 
-bool Estimator::CheckGround(const OdometrySample& sample) {
-  // Without rotor speeds there is nothing to tell by: stay as it was.
-  double speed_m_s = 0.0;
-  const double dt = last_ ? ToSeconds(sample.stamp - last_->stamp) : 0.0;
-  if (sample.v_WS) {
-    speed_m_s = sample.v_WS->norm();
-  } else if (last_ && dt > 0.0) {
-    // Half the speed that pose noise alone would show is not motion.
-    const double noise = 2.0 * stream_noise_.odometry().position_m / dt;
-    speed_m_s = std::max(0.0, (sample.p_WS - last_->p_WS).norm() / dt - noise);
+/// Reads the streams up to `sample` and asks what phase the flight is in.
+/// @returns whether the newest interval may teach
+bool Estimator::FollowPhase(const OdometrySample& sample) {
+  step_.dt = last_ ? ToSeconds(sample.stamp - last_->stamp) : 0.0;
+  step_.rotors.reset();
+  step_.take_back.reset();
+  // Keyframes may be meant to be farther apart than a gap is long.
+  step_.is_gap = step_.dt > std::max(options_.max_gap_s, 1.5 / options_.keyframe_rate_hz);
+  step_.is_jump = last_ && !step_.is_gap && IsJump(sample, step_.dt);
+  if (last_ && !step_.is_gap) {
+    step_.rotors =
+        ReduceRotors(synchroniser_.rotors(), last_->stamp, sample.stamp, options_.max_gap_s);
   }
-  bool airborne = ground_.airborne();
-  if (!synchroniser_.rotors().empty()) {
-    const auto& rotors = synchroniser_.rotors();
-    auto it = std::lower_bound(rotors.begin(), rotors.end(), sample.stamp,
-                               [](const RotorSample& s, Stamp stamp) { return s.stamp < stamp; });
-    if (it == rotors.end()) --it;
-    const RotorState rotor_state = RotorState::Steady(it->speed);
-    FlightState hover;
-    hover.rotors = rotor_state;
-    Vector3d force, torque;
-    model_->EvaluateWrench(hover, window_.values(), Vector3d::Zero(), &force, &torque);
-    const double weight = model_->vehicle().mass_kg * model_->vehicle().gravity_m_s2;
-    airborne = ground_.Update(sample.stamp, sample.p_WS, speed_m_s, force.z() / weight);
-  }
-  if (airborne) {
-    if (dt < 1.0) {  // not over a hole in the recording
-      counters_.airborne_s += dt;
-      learned_s_ += dt;
+  const bool is_first = !last_ || step_.is_gap || step_.is_jump;
+  const PhaseVerdict verdict =
+      phases_.Update(sample, step_.rotors, stream_noise_.odometry(), is_first);
+  const bool teaches = Teaches(verdict.phase);
+  if (verdict.start_anew) StartAnew();
+  step_.take_back = verdict.take_back;
+  if (verdict.has_changed) {
+    if (options_.detect_changes) {
+      LearnAnew();
+    } else {
+      ++counters_.changes;
     }
-  } else {
-    counters_.on_ground_s += dt;
   }
-  return airborne;
+  CountTime(step_.dt, teaches);
+  return teaches;
+}
+
+void Estimator::CountTime(double dt, bool teaches) {
+  if (!teaches) {
+    counters_.on_ground_s += dt;
+  } else if (dt < 1.0) {  // not over a hole in the recording
+    counters_.airborne_s += dt;
+    learned_s_ += dt;
+  }
+}
+
+/// Takes what was learned from `since` on back: these keyframes leave as if they had never been.
+/// @returns the estimate without them, null if there is none
+const Snapshot* Estimator::TakeBack(Stamp since) {
+  const auto& keyframes = window_.keyframes();
+  if (keyframes.size() < 3 || keyframes.back().stamp <= since) return nullptr;
+  std::int64_t first = keyframes.back().id;
+  while (first > keyframes.front().id + 2 && window_.keyframe(first - 1).stamp > since) --first;
+  const long dropped = static_cast<long>(keyframes.back().id - first) + 1;
+  const double dropped_s =
+      ToSeconds(keyframes.back().stamp - window_.keyframe(first - 1).stamp);
+  solver_->Release(&window_);
+  window_.DropNewestKeyframes(first);
+  pending_.clear();
+  if (window_.biases().empty()) bias_since_.reset();
+  rotor_rates_.Restart();
+  noise_seen_ = std::min(noise_seen_, keyframes.back().id);
+  noise_step_.reset();
+  change_seen_ = std::min(change_seen_, keyframes.back().stamp);
+  RestoreGate(since);
+  counters_.taken_back += dropped;
+  counters_.keyframes -= dropped;
+  counters_.ground_keyframes += dropped;
+  counters_.airborne_s -= dropped_s;
+  counters_.on_ground_s += dropped_s;
+  learned_s_ = std::max(0.0, learned_s_ - dropped_s);
+
+  SolverOptions options;
+  options.max_iterations = 10;
+  options.align = true;
+  options.max_time_s = 10.0 * options_.max_update_time_s;
+  options.function_tolerance = options_.function_tolerance;
+  options.num_threads = options_.num_threads;
+  const SolveReport report = solver_->Solve(&window_, options);
+  aligned_states_ = static_cast<double>(keyframes.size());
+  OdometrySample sample;
+  sample.stamp = keyframes.back().stamp;
+  TakeSnapshot(sample, report);
+  snapshot_.airborne = false;
+  snapshot_.timing = UpdateTiming();
+  return &snapshot_;
+}
+
+/// All that was learned so far came from no flight: back to the priors.
+void Estimator::StartAnew() {
+  if (window_.keyframes().empty() && counters_.keyframes == 0) return;
+  const int n = layout_.num_estimated();
+  const int anchor_entry = window_.anchor_entry();
+  window_ = Window(&layout_);
+  window_.SetAnchorEntry(anchor_entry);
+  solver_ = MakeSolver(options_, *model_);
+  consistency_ = Consistency(n);
+  regressor_noise_ = RegressorNoise(n);
+  consistency_inflation_ = noise_inflation_ = inflation_ = Eigen::VectorXd::Ones(n);
+  sigma_eta_ = PriorSigmas(layout_);
+  force_information_.setZero();
+  torque_information_.setZero();
+  unobservable_.clear();
+  const Vehicle& vehicle = model_->vehicle();
+  const double weight_N = vehicle.mass_kg * vehicle.gravity_m_s2;
+  process_noise_ =
+      ProcessNoiseEstimator(weight_N, vehicle.ArmLength(), options_.process_noise_floor);
+  change_detector_ = ChangeDetector(weight_N, vehicle.inertia_kg_m2);
+  inertia_gate_.Restore({});
+  gate_before_.clear();
+  inertia_was_free_ = {false, false, false};
+  noise_seen_ = -1;
+  noise_step_.reset();
+  change_seen_ = 0;
+  rotor_rates_.Restart();
+  rotor_scale_sigma_ = 0.0;
+  pending_.clear();
+  bias_since_.reset();
+  residual_force_power_ = residual_torque_power_ = 0.0;
+  aligned_states_ = 0.0;
+  was_learning_ = needs_more_iterations_ = last_in_window_ = false;
+  phases_.Forget();
+  ++counters_.starts_anew;
+  counters_.ground_keyframes += counters_.keyframes;
+  counters_.keyframes = counters_.gaps = counters_.jumps = counters_.chains = 0;
+  counters_.on_ground_s += counters_.airborne_s;
+  counters_.airborne_s = learned_s_ = 0.0;
+}
+
+/// What contact is judged by: the estimate, and the gate on inertia as it was.
+void Estimator::TellPhases(Stamp stamp) {
+  const int k_f = model_->IndexOf("thrust.k_f");
+  const double thrust_sigma =
+      k_f >= 0 ? snapshot_.sigma[k_f] / std::abs(snapshot_.values[k_f]) : 0.0;
+  phases_.Learn(stamp, snapshot_.values, thrust_sigma);
+  if (!with_torque_) return;
+  if (!gate_before_.empty() && ToSeconds(stamp - gate_before_.back().first) < kGateEvery_s) return;
+  gate_before_.push_back({stamp, inertia_gate_.statistics()});
+  while (ToSeconds(stamp - gate_before_.front().first) > kGateKept_s) gate_before_.pop_front();
+}
+
+void Estimator::RestoreGate(Stamp since) {
+  while (!gate_before_.empty() && gate_before_.back().first > since) {
+    inertia_gate_.Restore(gate_before_.back().second);
+    gate_before_.pop_back();
+  }
 }
 
 std::optional<Estimator::Interval> Estimator::ReadInterval(const OdometrySample& sample) {
   if (!last_ || !last_in_window_) return std::nullopt;
-  Interval interval;
-  interval.dt = ToSeconds(sample.stamp - last_->stamp);
-  // Keyframes may be meant to be farther apart than a gap is long.
-  if (interval.dt > std::max(options_.max_gap_s, 1.5 / options_.keyframe_rate_hz)) {
+  if (step_.is_gap || !step_.rotors) {
     ++counters_.gaps;
     return std::nullopt;
   }
-  const auto rotors =
-      ReduceRotors(synchroniser_.rotors(), last_->stamp, sample.stamp, options_.max_gap_s);
-  if (!rotors) {
-    ++counters_.gaps;
-    return std::nullopt;
-  }
-  interval.rotors = *rotors;
-
-  if (IsJump(sample, interval.dt)) {
+  if (step_.is_jump) {
     ++counters_.jumps;
     return std::nullopt;
   }
+  Interval interval;
+  interval.dt = step_.dt;
+  interval.rotors = *step_.rotors;
   if (!synchroniser_.imu().empty()) {
     Vector3d bias = Vector3d::Zero();
     if (!window_.biases().empty()) {
@@ -953,6 +1053,7 @@ void Estimator::LookForChange() {
 // less certain.
 void Estimator::LearnAnew() {
   ++counters_.changes;
+  phases_.ForgetThrust();
   EmptyWindow();
   learned_s_ = 0.0;
   bias_since_.reset();
@@ -975,7 +1076,8 @@ bool Estimator::IsLearning() const {
 
 void Estimator::MarginalizeOld() {
   auto& keyframes = window_.keyframes();
-  const double keep_s = IsLearning() ? std::max(kLearning_s, options_.window_s) : options_.window_s;
+  double keep_s = IsLearning() ? std::max(kLearning_s, options_.window_s) : options_.window_s;
+  if (phases_.detector().suspects()) keep_s += kMostHeld_s;
   const auto is_long = [&] {
     return ToSeconds(keyframes.back().stamp - keyframes.front().stamp) >=
            keep_s - 1.5 / options_.keyframe_rate_hz;

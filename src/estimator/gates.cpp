@@ -11,38 +11,6 @@ constexpr double kEnough_s = 1.0;  // of flight before the gate may open
 
 }  // namespace
 
-bool GroundGate::Update(Stamp stamp, const Eigen::Vector3d& p_WS, double speed_m_s,
-                        double thrust_ratio) {
-  const bool weak = thrust_ratio < options_.landed_thrust_ratio;
-  if (!started_) {
-    started_ = true;
-    airborne_ = !weak;
-    stood_ = weak;
-    ground_height_ = p_WS.z();
-    return airborne_;
-  }
-  if (!airborne_) {
-    const bool rising = p_WS.z() - ground_height_ > options_.take_off_height_m;
-    const bool moving = speed_m_s > options_.take_off_speed_m_s;
-    airborne_ = !weak && (rising || moving);
-    quiet_ = false;
-    return airborne_;
-  }
-  if (!(weak && speed_m_s < options_.landed_speed_m_s)) {
-    quiet_ = false;
-    return true;
-  }
-  if (!quiet_) {
-    quiet_ = true;
-    quiet_since_ = stamp;
-  }
-  if (ToSeconds(stamp - quiet_since_) < options_.confirm_s) return true;
-  airborne_ = false;
-  stood_ = true;
-  ground_height_ = p_WS.z();
-  return false;
-}
-
 Eigen::Vector3d RotorTorqueDirection(const Vehicle& vehicle, const RotorVector& speed_squared) {
   Eigen::Vector3d torque = Eigen::Vector3d::Zero();
   for (int j = 0; j < vehicle.num_rotors(); ++j) {
@@ -54,7 +22,11 @@ Eigen::Vector3d RotorTorqueDirection(const Vehicle& vehicle, const RotorVector& 
 
 InertiaGate::InertiaGate(const Vehicle& vehicle, double min_r_squared)
     : vehicle_(vehicle), min_r_squared_(min_r_squared) {
-  gram_.fill(Eigen::Matrix4d::Zero());
+  Break();
+}
+
+void InertiaGate::Restore(const Statistics& before) {
+  seen_ = before;
   Break();
 }
 
@@ -77,15 +49,15 @@ void InertiaGate::Add(double dt, const Eigen::Vector3d& w0, const Eigen::Vector3
 }
 
 void InertiaGate::CloseBlock() {
-  time_ += block_s_;
+  seen_.time_s += block_s_;
   for (int axis = 0; axis < 3; ++axis) {
     const Eigen::Vector4d z(last_w_[axis] - first_w_[axis], torque_sum_[axis], rate_sum_[axis],
                             thrust_sum_);
-    gram_[axis] += z * z.transpose();
+    seen_.gram[axis] += z * z.transpose();
     // Two thresholds keep it from flapping.
     const double r_squared = RSquared(axis);
-    const double threshold = open_[axis] ? 0.8 * min_r_squared_ : min_r_squared_;
-    open_[axis] = time_ >= kEnough_s && r_squared > threshold;
+    const double threshold = seen_.open[axis] ? 0.8 * min_r_squared_ : min_r_squared_;
+    seen_.open[axis] = seen_.time_s >= kEnough_s && r_squared > threshold;
   }
   Break();
 }

@@ -143,7 +143,7 @@ ClosedLoopSetup SetupOf(const Design& design, const Variant& variant, const Vehi
   setup.estimator.keyframe_rate_hz = options.keyframe_rate_hz;
   setup.estimator.max_update_time_s = 10.0;  // repeats exactly
   setup.estimator.detect_changes = true;
-  setup.estimator.ground.near_ground_m = 0.3;
+  setup.estimator.phases.near_ground_m = 0.3;
   setup.estimator_dies_at_s = options.estimator_dies_at_s;
   setup.seed = seed;
   design.common(&setup);

@@ -70,6 +70,28 @@ void Window::Touch(Factor* factor) {
 
 std::int64_t Window::TakeTouched() { return std::exchange(touched_, -1); }
 
+void Window::DropNewestKeyframes(std::int64_t id) {
+  while (keyframes_.back().id >= id) {
+    for (Factor& factor : keyframes_.back().factors) {
+      spares_[static_cast<size_t>(factor.kind)].push_back(std::move(factor.cost));
+    }
+    keyframes_.back().factors.clear();
+    keyframes_.pop_back();
+  }
+  next_keyframe_ = id;
+  const std::int64_t last_bias = keyframes_.back().bias;
+  while (!biases_.empty() && biases_.back().id > last_bias) biases_.pop_back();
+  next_bias_ = biases_.empty() ? next_bias_ : biases_.back().id + 1;
+  auto& factors = keyframes_.back().factors;
+  for (size_t i = factors.size(); i-- > 0;) {
+    const Factor& factor = factors[i];
+    if (factor.state1 < id && factor.bias0 <= last_bias && factor.bias1 <= last_bias) continue;
+    spares_[static_cast<size_t>(factor.kind)].push_back(std::move(factors[i].cost));
+    factors.erase(factors.begin() + static_cast<std::ptrdiff_t>(i));
+  }
+  touched_ = touched_ >= id ? -1 : touched_;
+}
+
 void Window::DropOldestKeyframe() {
   for (Factor& factor : keyframes_.front().factors) {
     spares_[static_cast<size_t>(factor.kind)].push_back(std::move(factor.cost));

@@ -281,9 +281,9 @@ TEST(EstimatorOptions, NamesWhatIsOutOfRange) {
   EXPECT_EQ(refused([](EstimatorOptions* o) { o->inertia_gate_r_squared = 2.0; }),
             "inertia_gate_r_squared must be in [0, 1]");
   EXPECT_EQ(refused([](EstimatorOptions* o) { o->max_gap_s = 0.0; }), "max_gap_s must be positive");
-  EXPECT_EQ(refused([&](EstimatorOptions* o) { o->ground.near_ground_m = nan; }),
+  EXPECT_EQ(refused([&](EstimatorOptions* o) { o->phases.near_ground_m = nan; }),
             "near_ground_m must be a number and not negative");
-  EXPECT_EQ(refused([](EstimatorOptions* o) { o->ground.landed_thrust_ratio = 100.0; }),
+  EXPECT_EQ(refused([](EstimatorOptions* o) { o->phases.landed_thrust_ratio = 100.0; }),
             "landed_thrust_ratio must be below 1");
 }
 

@@ -23,7 +23,7 @@ ClosedLoopSetup MakeSetup(const std::string& trajectory, double duration_s, int 
   setup.estimator.keyframe_rate_hz = 50.0;
   setup.estimator.max_update_time_s = 10.0;
   setup.estimator.detect_changes = true;
-  setup.estimator.ground.near_ground_m = 0.3;
+  setup.estimator.phases.near_ground_m = 0.3;
   setup.seed = seed;
   return setup;
 }

@@ -3,14 +3,15 @@
 #include <utility>
 #include <vector>
 
-#include "odmc/estimator/gates.h"
+#include "odmc/model/dynamic_model.h"
+#include "odmc/phases/phase_detector.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
 
-/// Where a flight stands on the ground.
+/// Where a recording is not in free flight.
 struct GroundSpans {
-  std::vector<std::pair<Stamp, Stamp>> spans;  ///< first and last keyframe of each stand
+  std::vector<std::pair<Stamp, Stamp>> spans;  ///< first and last keyframe of each
   double on_ground_s = 0.0;
   long airborne_keyframes = 0;
 };
@@ -18,7 +19,7 @@ struct GroundSpans {
 /// Finds the ground phases as the estimator does, keyframe by keyframe, with the model fixed.
 /// @param keyframe_rate_hz at most this many keyframes a second
 GroundSpans FindGroundSpans(const FlightLog& log, const DynamicModel& model,
-                            const ModelValues& values, const GroundGateOptions& options = {},
+                            const ModelValues& values, const PhaseOptions& options = {},
                             double keyframe_rate_hz = 100.0);
 
 }  // namespace odmc

@@ -20,7 +20,8 @@ struct ReplayResult {
   std::optional<Snapshot> last;                         ///< empty if the vehicle never flew
   std::vector<HistoryRow> history;                      ///< one per update
   std::vector<std::pair<double, UpdateTiming>> timing;  ///< flight time [s], every update
-  std::vector<std::pair<Stamp, Stamp>> ground_spans;    ///< while standing
+  std::vector<PhaseSpan> phases;                        ///< all of the recording, oldest first
+  std::vector<std::pair<Stamp, Stamp>> ground_spans;    ///< of these, what is not free flight
   double first_airborne_s = 0.0;                        ///< flight time of the first update
   EstimatorCounters counters;
   SynchroniserCounters stream_counters;

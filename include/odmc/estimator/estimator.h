@@ -11,9 +11,11 @@
 
 #include "odmc/estimator/change_detector.h"
 #include "odmc/estimator/consistency.h"
+#include "odmc/estimator/gates.h"
 #include "odmc/estimator/load_observer.h"
 #include "odmc/estimator/noise_estimation.h"
 #include "odmc/estimator/options.h"
+#include "odmc/estimator/phase_watch.h"
 #include "odmc/estimator/regressor_noise.h"
 #include "odmc/model/parameter_set.h"
 #include "odmc/preintegration/imu_interval.h"
@@ -75,13 +77,15 @@ struct FullSolveDifference {
 /// What happened so far, in numbers.
 struct EstimatorCounters {
   long keyframes = 0;         ///< that entered the window
-  long ground_keyframes = 0;  ///< left out because the vehicle stood on the ground
+  long ground_keyframes = 0;  ///< left out: not in free flight
+  long taken_back = 0;        ///< of these, those that had been in the window already
+  long starts_anew = 0;       ///< times all that was learned was worth nothing
   long chains = 0;            ///< chains of states: 1 plus the gaps
   long gaps = 0;              ///< holes in a stream, missing rotor speeds
   long jumps = 0;             ///< odometry that moved without velocity
   long changes = 0;           ///< of the vehicle, after which it learned anew
   long refused_updates = 0;   ///< solves that were not usable
-  double on_ground_s = 0.0;
+  double on_ground_s = 0.0;  ///< not in free flight
   double airborne_s = 0.0;
 };
 
@@ -101,7 +105,7 @@ class Estimator {
   void Finish();
 
   /// Processes at most one keyframe. @returns a snapshot, good until the next call, if one was
-  /// processed while airborne, else null
+  /// processed in free flight, or if something that was learned had to be taken back; else null
   const Snapshot* Step();
 
   /// True if the last Step() consumed a keyframe, airborne or not: there may be more.
@@ -127,7 +131,9 @@ class Estimator {
   const EstimatorCounters& counters() const { return counters_; }
   const SynchroniserCounters& stream_counters() const { return synchroniser_.counters(); }
   const std::string& waiting_for() const { return synchroniser_.waiting_for(); }
-  bool airborne() const { return ground_.airborne(); }
+  /// True while the flight teaches: nothing but the air acts on the vehicle.
+  bool airborne() const { return phases_.detector().teaches(); }
+  const PhaseDetector& phases() const { return phases_.detector(); }
   const DynamicModel& model() const { return *model_; }
   const EstimatorOptions& options() const { return options_; }
   /// Keyframes for whose stamp this is true teach the estimate nothing: what is judged on them has
@@ -157,7 +163,12 @@ class Estimator {
   /// Parameters that vary may have moved by what they do in `dt`.
   void LetVary(double dt);
   bool AlignmentIsDue() const;
-  bool CheckGround(const OdometrySample& sample);
+  bool FollowPhase(const OdometrySample& sample);
+  const Snapshot* TakeBack(Stamp since);
+  void StartAnew();
+  void CountTime(double dt, bool teaches);
+  void TellPhases(Stamp stamp);
+  void RestoreGate(Stamp since);
   std::optional<Interval> ReadInterval(const OdometrySample& sample);
   bool IsJump(const OdometrySample& sample, double dt) const;
   State InitialState(const OdometrySample& sample, const Interval* interval) const;
@@ -197,8 +208,15 @@ class Estimator {
   DynamicsForm form_;
   ParameterLayout layout_;
   Synchroniser synchroniser_;
-  GroundGate ground_;
+  PhaseWatch phases_;
+  struct {
+    double dt = 0.0;                      // since the keyframe before, 0: none
+    std::optional<RotorInterval> rotors;  // since then
+    bool is_gap = false, is_jump = false;
+    std::optional<Stamp> take_back;
+  } step_;  // the newest keyframe, before it is used
   InertiaGate inertia_gate_;
+  Ring<std::pair<Stamp, InertiaGate::Statistics>> gate_before_;  // one a tenth of a second
   LoadObserver load_;
   LoadPull load_pull_;  // over the newest interval
   std::function<bool(Stamp)> is_held_out_;

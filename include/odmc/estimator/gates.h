@@ -8,52 +8,6 @@
 
 namespace odmc {
 
-/// Thresholds of GroundGate.
-struct GroundGateOptions {
-  double take_off_height_m = 0.10;   ///< rise above the stand that counts as flying
-  double take_off_speed_m_s = 0.5;   ///< speed that counts as flying, with thrust
-  double landed_thrust_ratio = 0.4;  ///< thrust over weight below which a slow vehicle stands
-  double landed_speed_m_s = 0.3;
-  double confirm_s = 0.2;  ///< how long the signs of a landing must last
-  /// Height above the last stand below which flight teaches nothing; 0: it always does. A landing
-  /// is known for one only once the thrust is gone; until then the ground carries, too.
-  double near_ground_m = 0.0;
-
-  template <typename Visitor>
-  void Visit(Visitor* v) {
-    v->Field("take_off_height_m", &take_off_height_m);
-    v->Field("take_off_speed_m_s", &take_off_speed_m_s);
-    v->Field("landed_thrust_ratio", &landed_thrust_ratio);
-    v->Field("landed_speed_m_s", &landed_speed_m_s);
-    v->Field("confirm_s", &confirm_s);
-    v->Field("near_ground_m", &near_ground_m);
-  }
-};
-
-/// Tells flight from standing on the ground, from thrust against weight, height and motion. On the
-/// ground the contact force is unknown, so nothing may be learned there.
-class GroundGate {
- public:
-  explicit GroundGate(const GroundGateOptions& options) : options_(options) {}
-
-  /// @param thrust_ratio collective thrust over weight by the present estimate
-  /// @returns true while airborne
-  bool Update(Stamp stamp, const Eigen::Vector3d& p_WS, double speed_m_s, double thrust_ratio);
-
-  bool airborne() const { return airborne_; }
-  /// True where the height `z` (in W) may still be, or again be, in touch with the ground.
-  bool IsNear(double z) const { return stood_ && z - ground_height_ < options_.near_ground_m; }
-  void Reset() { *this = GroundGate(options_); }
-
- private:
-  GroundGateOptions options_;
-  bool started_ = false, airborne_ = false;
-  bool stood_ = false;  // so that the height of the ground is known
-  double ground_height_ = 0.0;
-  Stamp quiet_since_ = 0;
-  bool quiet_ = false;
-};
-
 /// Squared partial correlation of angular acceleration and rotor torque, rate and thrust taken out.
 /// 0 where they go against each other.
 /// @param gram sum of z z^T, z = (acceleration, torque, rate, thrust) in any units
@@ -81,18 +35,28 @@ class InertiaGate {
   /// Starts a new chain of intervals (after a gap).
   void Break();
 
-  bool IsOpen(int axis) const { return open_[axis]; }
+  bool IsOpen(int axis) const { return seen_.open[axis]; }
   /// Squared partial correlation of angular acceleration and rotor torque so far.
-  double RSquared(int axis) const { return InertiaRSquared(gram_[axis]); }
+  double RSquared(int axis) const { return InertiaRSquared(seen_.gram[axis]); }
+
+  /// What the flight has shown.
+  struct Statistics {
+    /// Of (acceleration, torque, rate, thrust).
+    std::array<Eigen::Matrix4d, 3> gram = {Eigen::Matrix4d::Zero(), Eigen::Matrix4d::Zero(),
+                                           Eigen::Matrix4d::Zero()};
+    std::array<bool, 3> open = {false, false, false};
+    double time_s = 0.0;
+  };
+  const Statistics& statistics() const { return seen_; }
+  /// Goes back to what it had seen before; starts a new chain of intervals.
+  void Restore(const Statistics& before);
 
  private:
   void CloseBlock();
 
   Vehicle vehicle_;
   double min_r_squared_;
-  std::array<Eigen::Matrix4d, 3> gram_;  // (acceleration, torque, rate, thrust)
-  std::array<bool, 3> open_ = {false, false, false};
-  double time_ = 0.0;
+  Statistics seen_;
   // The block being filled.
   double block_s_ = 0.0;
   Eigen::Vector3d first_w_, last_w_, torque_sum_, rate_sum_;

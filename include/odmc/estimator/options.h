@@ -2,7 +2,7 @@
 
 #include <string>
 
-#include "odmc/estimator/gates.h"
+#include "odmc/phases/phase_detector.h"
 #include "odmc/window/window_solver.h"
 
 namespace odmc {
@@ -46,7 +46,7 @@ struct EstimatorOptions {
   /// from where it stands (ChangeDetector). For vehicles whose load changes in flight.
   bool detect_changes = false;
   double inertia_gate_r_squared = 0.5;  ///< see InertiaGate; 0 always lets the inertia free
-  GroundGateOptions ground;
+  PhaseOptions phases;
 
   template <typename Visitor>
   void Visit(Visitor* v) {
@@ -78,7 +78,7 @@ struct EstimatorOptions {
     v->Field("accelerometer_bias_walk", &accelerometer_bias_walk);
     v->Field("detect_changes", &detect_changes);
     v->Field("inertia_gate_r_squared", &inertia_gate_r_squared);
-    ground.Visit(v);
+    phases.Visit(v);
   }
 
   /// True if usable; otherwise false with a sentence for the user in `error`.

@@ -84,6 +84,10 @@ class IncrementalWindowSolver final : public WindowSolver {
   void LetPastVary(int index, const ProcessStep& step, Window* window) override;
   const Eigen::MatrixXd& PastInformation(const Window& window) override;
   void WritePrior(Window* window) override;
+  void Release(Window* window) override {
+    HandBack(window);
+    batch_.Forget();
+  }
 
  private:
   struct Checkpoint {

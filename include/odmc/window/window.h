@@ -111,6 +111,10 @@ class Window {
   /// The oldest keyframe whose factors were touched since the last call; -1: none.
   std::int64_t TakeTouched();
 
+  /// Takes keyframe `id` and all newer ones off, with every factor and bias that only they need.
+  /// @pre the solver has released the window; `id` is not the oldest
+  void DropNewestKeyframes(std::int64_t id);
+
   /// Takes the oldest keyframe off; its cost functions become spares.
   void DropOldestKeyframe();
 

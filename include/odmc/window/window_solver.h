@@ -68,6 +68,10 @@ class WindowSolver {
   virtual bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
                                  LeavingFactors* leaving) = 0;
 
+  /// Puts what it keeps of the window back into it and forgets the rest: keyframes may then be
+  /// taken off before the next solve, which is to align.
+  virtual void Release(Window* window) = 0;
+
   /// RescalePrior() of what has left. @returns the root of the scale, until the next call
   virtual const Eigen::MatrixXd& ScalePast(const Eigen::Ref<const Eigen::VectorXd>& scale,
                                            Window* window) = 0;
@@ -106,6 +110,7 @@ class BatchWindowSolver : public WindowSolver {
   void LetPastVary(int index, const ProcessStep& step, Window* window) override;
   const Eigen::MatrixXd& PastInformation(const Window& window) override;
   void WritePrior(Window*) override {}
+  void Release(Window*) override { Forget(); }
 
   /// Forgets what it keeps of the window.
   void Forget() { information_.Forget(); }

@@ -1,0 +1,173 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <array>
+#include <optional>
+#include <vector>
+
+#include "odmc/phases/flight_phase.h"
+
+namespace odmc {
+
+/// Thresholds of PhaseDetector that a user may know better.
+struct PhaseOptions {
+  double take_off_height_m = 0.10;   ///< way from the stand that counts as flying
+  double take_off_speed_m_s = 0.5;   ///< speed that counts as flying, with thrust
+  double landed_thrust_ratio = 0.4;  ///< least thrust over weight that can carry, whatever k_f
+  /// Height above the last stand below which flight teaches nothing; 0: it always does.
+  double near_ground_m = 0.0;
+
+  template <typename Visitor>
+  void Visit(Visitor* v) {
+    v->Field("take_off_height_m", &take_off_height_m);
+    v->Field("take_off_speed_m_s", &take_off_speed_m_s);
+    v->Field("landed_thrust_ratio", &landed_thrust_ratio);
+    v->Field("near_ground_m", &near_ground_m);
+  }
+};
+
+/// What one interval between two keyframes says about the phase. Forces are over the weight, in B.
+struct PhaseEvidence {
+  Stamp stamp = 0;  ///< of the interval's end
+  double dt = 0.0;  ///< [s]; 0: the first keyframe, or one after a gap
+  Eigen::Vector3d p_WS = Eigen::Vector3d::Zero();
+  Eigen::Quaterniond q_WS = Eigen::Quaterniond::Identity();
+  double speed_m_s = 0.0;
+  double rate_rad_s = 0.0;
+  bool has_force = false;  ///< the interval has velocities and rotor speeds
+  Eigen::Vector3d felt_force = Eigen::Vector3d::Zero();     ///< measured specific force over g
+  Eigen::Vector3d missing_force = Eigen::Vector3d::Zero();  ///< of that, what the model lacks
+  double thrust_ratio = 0.0;        ///< the model's thrust
+  double thrust_sigma = 0.0;        ///< of the thrust coefficient, relative
+  double velocity_noise_m_s = 0.0;  ///< of one keyframe's velocity
+  double attitude_noise_rad = 0.0;  ///< of one keyframe's attitude
+  double position_noise_m = 0.0;    ///< of one keyframe's position
+};
+
+/// What to do about the newest interval.
+struct PhaseVerdict {
+  FlightPhase phase = FlightPhase::kFlying;
+  std::optional<Stamp> take_back;  ///< what was learned from here on is to be taken back
+  bool start_anew = false;         ///< all that was learned is
+  bool has_changed = false;        ///< the vehicle flies on, but it is another one
+};
+
+/// Tells the phases of a flight, online and causally, from the force that the model cannot give,
+/// motion, attitude and thrust.
+///
+/// The thrust coefficient is what tells flight from ground: standing at half thrust, something else
+/// carries half of the weight. So there are two cases:
+///
+/// *The coefficient is known* (a second of flight behind it). Means of the missing force over
+/// blocks of 0.1 s are compared under two hypotheses, free flight (a Gaussian of the model's error,
+/// thrust_sigma and the sensors' noise) and contact (any force up to about the weight; for a
+/// vehicle that stands still, an upward one). Their log-likelihood ratio accumulates (Page's CUSUM);
+/// beyond kAlarm_nats the vehicle is in contact, from where the sum left zero. It flies again once
+/// the opposite sum has grown and it does not stand still.
+///
+/// *It is not known* (start of a recording). A vehicle that has not moved yet may stand. It is taken
+/// to fly if its thrust may carry it, until it has moved: if thrust then carries much better than
+/// before, it stood, and what was learned is worth nothing (`start_anew`). Thrust that changes
+/// while nothing moves says so earlier.
+///
+/// Thread-compatible; no update allocates but one that begins a new phase.
+class PhaseDetector {
+ public:
+  /// @param learns_changes a vehicle that moves and suddenly lacks force is reported as changed at
+  ///   once, instead of being watched first
+  explicit PhaseDetector(const PhaseOptions& options, bool learns_changes = false);
+
+  PhaseVerdict Update(const PhaseEvidence& evidence);
+
+  /// The present phase.
+  FlightPhase phase() const { return phase_; }
+  bool teaches() const { return Teaches(phase_); }
+  /// True while contact is not proved and not ruled out: what is young may have to be taken back.
+  bool suspects() const { return mode_ == Mode::kFlying && contact_nats_ > 1.0; }
+  /// True once flight has shown the thrust coefficient; before, missing_force means little.
+  bool knows_thrust() const { return knows_thrust_; }
+  /// True once the vehicle was seen to move by its own thrust.
+  bool has_flown() const { return has_flown_; }
+  /// True where the height `z` (in W) may still be, or again be, in touch with the ground.
+  bool IsNearGround(double z) const;
+
+  /// The vehicle was changed, or is another one: what is known of its thrust no longer holds.
+  void ForgetThrust();
+  /// The thrust coefficient is known from elsewhere.
+  void KnowThrust() { knows_thrust_ = true; }
+  /// A clock that stepped back, another recording: everything but the spans is forgotten.
+  void Restart();
+
+  /// The flight so far, oldest first; times where a phase is too short to matter are in their
+  /// neighbours. The oldest go when there are more than 1000.
+  const std::vector<PhaseSpan>& spans() const { return spans_; }
+
+  static constexpr double kBlock_s = 0.1;
+  static constexpr double kAlarm_nats = 12.0;
+
+ private:
+  enum class Mode { kStart, kWaiting, kProving, kFlying, kGrounded };
+  /// Means over one block.
+  struct Block {
+    Stamp from = 0, to = 0;
+    double duration_s = 0.0, forced_s = 0.0;
+    int samples = 0;
+    Eigen::Vector3d felt = Eigen::Vector3d::Zero(), missing = Eigen::Vector3d::Zero();
+    double thrust = 0.0, thrust_sigma = 0.0, velocity_noise = 0.0;
+    double attitude_noise = 0.0, position_noise = 0.0;
+    double speed = 0.0, rate = 0.0;
+    Eigen::Matrix3d R_WS = Eigen::Matrix3d::Zero();
+    Eigen::Vector3d p_WS = Eigen::Vector3d::Zero();
+  };
+
+  void AddToBlock(const PhaseEvidence& e);
+  void CloseBlock(PhaseVerdict* verdict);
+  void SeeStillness();
+  double ModelError() const;
+  double ForceSigma() const;
+  double ContactNats() const;
+  void Start(PhaseVerdict* verdict);
+  void Wait(PhaseVerdict* verdict);
+  void Prove(PhaseVerdict* verdict);
+  void Fly(PhaseVerdict* verdict);
+  void Stand(PhaseVerdict* verdict);
+  void TakeOff();
+  void GoToGround(Stamp since);
+  bool HasMoved() const;
+  bool HasChanged();
+  FlightPhase PhaseOnGround() const;
+  FlightPhase PhaseInAir() const;
+  void SetPhase(FlightPhase phase, Stamp since);
+  void Relabel(Stamp since, FlightPhase phase);
+  void ExtendSpan(const PhaseEvidence& e);
+
+  PhaseOptions options_;
+  bool learns_changes_;
+  Mode mode_ = Mode::kStart;
+  FlightPhase phase_ = FlightPhase::kFlying;
+  bool knows_thrust_ = false, has_flown_ = false;
+  Block filling_, block_;               // the one being filled, the last whole one
+  std::array<Block, 5> recent_;         // whole ones, for stillness
+  int num_recent_ = 0, next_recent_ = 0;
+  bool is_still_ = false;
+  double contact_nats_ = 0.0, free_nats_ = 0.0;
+  Stamp suspected_since_ = 0;
+  double error_scale_ = 1.0;  // of the flight's own residual, over ModelError()'s
+  double flown_s_ = 0.0;      // since thrust was last unknown
+  double hardest_ = 0.0;      // force felt around the last contact, over g
+  // Before the first motion, and after: thrust that would carry, over the model's.
+  double stood_s_ = 0.0, stood_gain_ = 0.0, moved_s_ = 0.0, moved_gain_ = 0.0, unstill_s_ = 0.0;
+  double least_thrust_ = 0.0, most_thrust_ = 0.0;
+  Stamp first_ = 0, moved_since_ = 0;
+  Eigen::Vector3d start_p_WS_ = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d start_R_WS_ = Eigen::Matrix3d::Identity();
+  // In contact, while moving: mean and spread of the missing force over thrust.
+  double steady_s_ = 0.0, steady_sum_ = 0.0, steady_squares_ = 0.0, sideways_sum_ = 0.0;
+  double ground_height_ = 0.0;
+  bool stood_ = false;
+  std::vector<PhaseSpan> spans_;
+  double span_s_ = 0.0;
+};
+
+}  // namespace odmc
