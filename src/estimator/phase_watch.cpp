@@ -12,6 +12,8 @@ namespace {
 using Eigen::Vector3d;
 
 constexpr double kReferenceEvery_s = 0.1;
+// Between an estimate and the plain mean of thrust; drag and inflow are in one and not in the other.
+constexpr double kAgrees = 0.1;
 constexpr double kKnownSigma = 0.05;   // of a prior that says as much as a flight
 constexpr double kUnknownSigma = 0.3;  // of a thrust coefficient that has no prior
 
@@ -73,12 +75,27 @@ void PhaseWatch::Learn(Stamp stamp, const ModelValues& values, double thrust_sig
   if (detector_.suspects() || !detector_.teaches()) return;
   if (!waiting_.empty() && ToSeconds(stamp - waiting_.back().stamp) < kReferenceEvery_s) return;
   waiting_.push_back({stamp, values, thrust_sigma});
-  // The first reference of a flight is taken as soon as thrust is known.
-  if (detector_.knows_thrust() && reference_.stamp == 0) reference_ = waiting_.back();
-  while (ToSeconds(stamp - waiting_.front().stamp) > kReferenceAge_s) {
-    if (reference_.stamp != 0) reference_ = waiting_.front();
+  if (!detector_.knows_thrust()) {
+    const double off = Disagreement(values);
+    if (off > kAgrees) return;
+    reference_ = {stamp, values, std::max(thrust_sigma, off)};
+    waiting_.clear();
+    return detector_.KnowThrust();
+  }
+  while (!waiting_.empty() && ToSeconds(stamp - waiting_.front().stamp) > kReferenceAge_s) {
+    reference_ = waiting_.front();
     waiting_.pop_front();
   }
+}
+
+/// How far the estimate's thrust is from what carries the vehicle, relative; 1 where that is not
+/// known.
+double PhaseWatch::Disagreement(const ModelValues& values) const {
+  const std::optional<double> gain = detector_.ThrustGain();
+  if (!gain) return 1.0;
+  const int k_f = model_->IndexOf("thrust.k_f");
+  const double estimated = k_f >= 0 ? values[k_f] / reference_.values[k_f] : 1.0;
+  return std::abs(estimated / *gain - 1.0);
 }
 
 void PhaseWatch::Know(const ModelValues& values, double thrust_sigma) {
@@ -97,12 +114,18 @@ double PhaseWatch::SpeedOf(const OdometrySample& sample, double dt,
 /// What is felt and what the model lacks of it, over the interval up to `sample`.
 void PhaseWatch::AddForces(const OdometrySample& sample, const RotorInterval& rotors,
                            PhaseEvidence* e) const {
-  const OdometrySample& before = before_last_ ? *before_last_ : *last_;
   if (!before_last_ && !last_->v_WS) return;  // no velocity at its start
   DynamicsMeasurement measurement;
   measurement.dt = e->dt;
   measurement.rotors = rotors.mean;
-  const State s0 = StateOf(*last_, before), s1 = StateOf(sample, *last_);
+  const State s1 = StateOf(sample, *last_);
+  State s0 = s1;
+  if (before_last_) {
+    s0 = StateOf(*last_, *before_last_);
+  } else {
+    s0.p_WS = last_->p_WS, s0.q_WS = last_->q_WS, s0.v_WS = *last_->v_WS;
+    if (last_->w_WS_S) s0.w_WS_S = *last_->w_WS_S;
+  }
   const IntervalModel interval(measurement, s0, s1, *model_, reference_.values, false, false);
   const double gravity = model_->vehicle().gravity_m_s2, weight = interval.body.mass * gravity;
   const Vector3d specific_B =

@@ -27,9 +27,11 @@ constexpr double kStillAngle_rad = 1.0e-3, kStillWay_m = 3.0e-3, kStillNoise = 2
 constexpr double kStandVaries = 1.15;  // of thrust, while nothing moves: it does not carry
 constexpr double kGainDiffers = 0.05;  // thrust that carries so much better than before
 constexpr double kProof_s = 0.5;
-constexpr double kKnown_s = 1.0;       // of flight, to know the thrust coefficient
-constexpr double kUnstill_s = 1.0;     // as good as having moved away
+constexpr double kKnown_s = 1.0;       // of carried flight, to know the thrust coefficient
+constexpr double kClearWander = 3.0;   // times what a stand shows at most
+constexpr double kWandered_s = 1.0;    // as good as having moved away
 constexpr double kTurned_rad = 0.1;
+constexpr double kCarried_m_s = 0.15;
 constexpr double kFallingForce = 0.3, kSupported = 0.5;  // felt, over g
 constexpr double kImpact = 3.0;        // felt, over g: harder than a landing
 constexpr double kSteady_s = 1.5;      // a missing force that goes with thrust: another vehicle
@@ -49,7 +51,7 @@ PhaseVerdict PhaseDetector::Update(const PhaseEvidence& e) {
   if (first_ == 0) first_ = e.stamp;
   if (e.dt <= 0.0) filling_ = Block();
   AddToBlock(e);
-  ExtendSpan(e);
+  if (!spans_.empty()) spans_.back().to = e.stamp;
   if (filling_.duration_s >= kBlock_s) {
     block_ = filling_;
     filling_ = Block();
@@ -100,6 +102,7 @@ void PhaseDetector::CloseBlock(PhaseVerdict* verdict) {
     case Mode::kFlying: Fly(verdict); break;
     case Mode::kGrounded: Stand(verdict); break;
   }
+  ExtendSpan();
 }
 
 /// Spread of the newest blocks' means about theirs, beside what white noise would leave.
@@ -108,6 +111,7 @@ void PhaseDetector::SeeStillness() {
   next_recent_ = (next_recent_ + 1) % static_cast<int>(recent_.size());
   num_recent_ = std::min(num_recent_ + 1, static_cast<int>(recent_.size()));
   is_still_ = false;
+  wander_ = 1.0;
   if (num_recent_ < static_cast<int>(recent_.size())) return;
   Eigen::Matrix3d R = Eigen::Matrix3d::Zero();
   Eigen::Vector3d p = Eigen::Vector3d::Zero();
@@ -118,8 +122,9 @@ void PhaseDetector::SeeStillness() {
     way += (b.p_WS - p).squaredNorm() / num_recent_;
   }
   const double share = kStillNoise * std::sqrt(3.0 / std::max(block_.samples, 1));
-  is_still_ = turn < Square(std::max(kStillAngle_rad, share * block_.attitude_noise)) &&
-              way < Square(std::max(kStillWay_m, share * block_.position_noise));
+  wander_ = std::max(std::sqrt(turn) / std::max(kStillAngle_rad, share * block_.attitude_noise),
+                     std::sqrt(way) / std::max(kStillWay_m, share * block_.position_noise));
+  is_still_ = wander_ < 1.0;
 }
 
 double PhaseDetector::ModelError() const {
@@ -148,15 +153,17 @@ double PhaseDetector::ContactNats() const {
 }
 
 void PhaseDetector::Start(PhaseVerdict* verdict) {
+  const double felt = block_.felt.norm();
   start_p_WS_ = block_.p_WS;
   start_R_WS_ = block_.R_WS;
-  const double felt = block_.felt.norm();
   if (felt < kFallingForce || (knows_thrust_ && ContactNats() < 0.0)) {
     TakeOff();
-    SetPhase(PhaseInAir(), first_);
-  } else if (block_.thrust < options_.landed_thrust_ratio && felt > kSupported) {
+    SetPhase(FlightPhase::kFlying, first_);
+  } else if (block_.thrust < options_.landed_thrust_ratio) {
+    if (felt < kSupported) return;  // neither carried nor falling: the next block tells
     verdict->start_anew = true;
     GoToGround(first_);
+    if (block_.speed > options_.take_off_speed_m_s) Relabel(first_, FlightPhase::kInHand);
   } else {
     mode_ = Mode::kWaiting;
     least_thrust_ = most_thrust_ = block_.thrust;
@@ -176,8 +183,8 @@ void PhaseDetector::Wait(PhaseVerdict* verdict) {
     verdict->start_anew = true;
     return GoToGround(first_);
   }
-  if (num_recent_ == static_cast<int>(recent_.size()) && !is_still_) unstill_s_ += block_.duration_s;
-  if (HasMoved() || unstill_s_ > kUnstill_s) {
+  if (wander_ > kClearWander) wandered_s_ += block_.duration_s;
+  if (HasMoved() || wandered_s_ > kWandered_s) {
     mode_ = Mode::kProving;
     moved_since_ = block_.from;
     moved_s_ = moved_gain_ = 0.0;
@@ -218,12 +225,8 @@ void PhaseDetector::TakeOff() {
 }
 
 void PhaseDetector::Fly(PhaseVerdict* verdict) {
-  flown_s_ += block_.duration_s;
   SetPhase(PhaseInAir(), block_.to);
-  if (!knows_thrust_) {
-    knows_thrust_ = flown_s_ >= kKnown_s;
-    return;
-  }
+  if (!knows_thrust_) return SeeGain();
   if (contact_nats_ <= 0.0) suspected_since_ = block_.from;
   contact_nats_ = std::max(0.0, contact_nats_ + std::min(ContactNats(), kMostPerBlock));
   if (contact_nats_ < 1.0) {
@@ -240,6 +243,19 @@ void PhaseDetector::Fly(PhaseVerdict* verdict) {
   }
   verdict->take_back = suspected_since_ - static_cast<Stamp>(1e9 * kBlock_s);
   GoToGround(*verdict->take_back);
+}
+
+/// Mean of what carries over what the model's thrust carries.
+void PhaseDetector::SeeGain() {
+  if (block_.felt.z() < kSupported || is_still_) return;
+  carried_s_ += block_.duration_s;
+  model_carries_ += block_.duration_s * block_.thrust;
+  carries_ += block_.duration_s * (block_.thrust + block_.missing.z());
+}
+
+std::optional<double> PhaseDetector::ThrustGain() const {
+  if (carried_s_ < kKnown_s || !(model_carries_ > 0.0)) return std::nullopt;
+  return carries_ / model_carries_;
 }
 
 void PhaseDetector::GoToGround(Stamp since) {
@@ -301,21 +317,33 @@ void PhaseDetector::Stand(PhaseVerdict* verdict) {
   SetPhase(PhaseOnGround(), block_.to);
 }
 
-FlightPhase PhaseDetector::PhaseInAir() const {
-  return block_.felt.norm() < kFallingForce ? FlightPhase::kFalling : FlightPhase::kFlying;
+/// Falling takes two blocks to believe.
+FlightPhase PhaseDetector::PhaseInAir() {
+  const bool was_light = std::exchange(is_light_, block_.felt.norm() < kFallingForce);
+  return was_light && is_light_ ? FlightPhase::kFalling : FlightPhase::kFlying;
+}
+
+/// Moves by a hand or a wheel: farther than a vehicle rocks on its legs.
+bool PhaseDetector::IsCarried() const {
+  const double turn = std::sqrt(0.5) * (block_.R_WS - start_R_WS_).norm();
+  return block_.speed > kCarried_m_s &&
+         (turn > 0.5 * kTurned_rad ||
+          (block_.p_WS - start_p_WS_).norm() > 0.5 * options_.take_off_height_m);
 }
 
 FlightPhase PhaseDetector::PhaseOnGround() const {
-  const bool whole = num_recent_ == static_cast<int>(recent_.size());
-  if (!is_still_ && whole && block_.thrust < options_.landed_thrust_ratio) {
-    return hardest_ > kImpact ? FlightPhase::kCrashed : FlightPhase::kInHand;
-  }
-  if (!is_still_ && whole && knows_thrust_) {
-    return block_.speed > 0.2 ? FlightPhase::kInContact : FlightPhase::kTouchingDown;
+  if (IsCarried()) {
+    if (hardest_ > kImpact) return FlightPhase::kCrashed;
+    return block_.thrust < options_.landed_thrust_ratio ? FlightPhase::kInHand
+                                                        : FlightPhase::kInContact;
   }
   const double up = block_.R_WS(2, 2);
   if (up < -0.5) return FlightPhase::kUpsideDown;
   if (hardest_ > kImpact || phase_ == FlightPhase::kCrashed) return FlightPhase::kCrashed;
+  if (!is_still_ && block_.thrust >= options_.landed_thrust_ratio) {
+    const bool lands = Teaches(phase_) || phase_ == FlightPhase::kTouchingDown;
+    return lands ? FlightPhase::kTouchingDown : FlightPhase::kLiftingOff;
+  }
   if (block_.thrust < kOffThrust) return FlightPhase::kOff;
   return block_.thrust < kIdleThrust ? FlightPhase::kIdling : FlightPhase::kOnGround;
 }
@@ -326,7 +354,7 @@ bool PhaseDetector::IsNearGround(double z) const {
 
 void PhaseDetector::ForgetThrust() {
   knows_thrust_ = false;
-  flown_s_ = 0.0;
+  carried_s_ = carries_ = model_carries_ = 0.0;
   contact_nats_ = 0.0;
 }
 
@@ -356,19 +384,18 @@ void PhaseDetector::Relabel(Stamp since, FlightPhase phase) {
   }
   if (!spans_.empty()) spans_.back().to = std::min(spans_.back().to, since);
   if (spans_.size() >= kMostSpans) spans_.erase(spans_.begin());
-  spans_.push_back({phase, since, std::max(since, block_.to), block_.missing.norm(), block_.thrust});
-  span_s_ = block_.duration_s;
+  spans_.push_back({phase, since, std::max(since, block_.to), 0.0, 0.0});
+  span_s_ = 0.0;
 }
 
-void PhaseDetector::ExtendSpan(const PhaseEvidence& e) {
+/// Means over the span, block by block.
+void PhaseDetector::ExtendSpan() {
   if (spans_.empty()) return;
   PhaseSpan& span = spans_.back();
-  span.to = e.stamp;
-  if (!e.has_force) return;
-  span_s_ += e.dt;
-  const double gain = span_s_ > 0.0 ? e.dt / span_s_ : 0.0;
-  span.missing_force += gain * (e.missing_force.norm() - span.missing_force);
-  span.thrust_ratio += gain * (e.thrust_ratio - span.thrust_ratio);
+  span_s_ += block_.duration_s;
+  const double gain = block_.duration_s / span_s_;
+  span.missing_force += gain * (block_.missing.norm() - span.missing_force);
+  span.thrust_ratio += gain * (block_.thrust - span.thrust_ratio);
 }
 
 }  // namespace odmc

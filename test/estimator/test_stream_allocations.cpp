@@ -13,6 +13,7 @@
 #include "odmc/estimator/consistency.h"
 #include "odmc/estimator/gates.h"
 #include "odmc/estimator/load_observer.h"
+#include "odmc/estimator/phase_watch.h"
 #include "odmc/estimator/noise_estimation.h"
 #include "odmc/factors/parameter_layout.h"
 #include "odmc/math/so3.h"
@@ -150,7 +151,6 @@ class Pipeline {
   }
 
   void Take(const OdometrySample& keyframe) {
-    ground_.Update(keyframe.stamp, keyframe.p_WS, keyframe.v_WS->norm(), 1.0);
     if (last_) Reduce(*last_, keyframe);
     last_ = keyframe;
     synchroniser_.Trim(keyframe.stamp);
@@ -161,6 +161,7 @@ class Pipeline {
     const auto imu =
         PreintegrateImu(synchroniser_.imu(), from.stamp, to.stamp, Vector3d::Zero(), 0.05);
     if (!rotors || !imu) return;
+    phases_.Update(to, rotors, odometry_noise_.Noise(), intervals_ == 0);
     ++intervals_;
     const double dt = imu->dt;
     smoother_.Add(intervals_, ToSeconds(to.stamp - FromSeconds(100.0)), dt, rotors->mean,
@@ -207,7 +208,7 @@ class Pipeline {
   DifferenceNoise rotor_noise_;
   ProcessNoiseEstimator process_noise_{7.36, 0.145, 1.0};
   ChangeDetector change_detector_{7.36, vehicle_.inertia_kg_m2};
-  GroundGate ground_{GroundGateOptions()};
+  PhaseWatch phases_{&model_, PhaseOptions(), false};
   InertiaGate inertia_gate_{vehicle_};
   LoadObserver load_{model_, true};
   Eigen::VectorXd score_ = Eigen::VectorXd::Ones(12);

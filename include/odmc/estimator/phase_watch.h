@@ -50,6 +50,7 @@ class PhaseWatch {
     double thrust_sigma = 0.0;
   };
   double PriorThrustSigma() const;
+  double Disagreement(const ModelValues& values) const;
   void AddForces(const OdometrySample& sample, const RotorInterval& rotors, PhaseEvidence* e) const;
   double SpeedOf(const OdometrySample& sample, double dt, const OdometryNoise& noise) const;
 

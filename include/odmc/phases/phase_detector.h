@@ -59,7 +59,7 @@ struct PhaseVerdict {
 /// The thrust coefficient is what tells flight from ground: standing at half thrust, something else
 /// carries half of the weight. So there are two cases:
 ///
-/// *The coefficient is known* (a second of flight behind it). Means of the missing force over
+/// *The coefficient is known* (KnowThrust()). Means of the missing force over
 /// blocks of 0.1 s are compared under two hypotheses, free flight (a Gaussian of the model's error,
 /// thrust_sigma and the sensors' noise) and contact (any force up to about the weight; for a
 /// vehicle that stands still, an upward one). Their log-likelihood ratio accumulates (Page's CUSUM);
@@ -87,6 +87,9 @@ class PhaseDetector {
   bool suspects() const { return mode_ == Mode::kFlying && contact_nats_ > 1.0; }
   /// True once flight has shown the thrust coefficient; before, missing_force means little.
   bool knows_thrust() const { return knows_thrust_; }
+  /// While it is not known: how much better the rotors carry than the model says, by a plain mean
+  /// over a second or more of flight; empty before.
+  std::optional<double> ThrustGain() const;
   /// True once the vehicle was seen to move by its own thrust.
   bool has_flown() const { return has_flown_; }
   /// True where the height `z` (in W) may still be, or again be, in touch with the ground.
@@ -94,7 +97,7 @@ class PhaseDetector {
 
   /// The vehicle was changed, or is another one: what is known of its thrust no longer holds.
   void ForgetThrust();
-  /// The thrust coefficient is known from elsewhere.
+  /// The thrust coefficient by which evidence is made from now on can be relied on.
   void KnowThrust() { knows_thrust_ = true; }
   /// A clock that stepped back, another recording: everything but the spans is forgotten.
   void Restart();
@@ -131,16 +134,18 @@ class PhaseDetector {
   void Wait(PhaseVerdict* verdict);
   void Prove(PhaseVerdict* verdict);
   void Fly(PhaseVerdict* verdict);
+  void SeeGain();
   void Stand(PhaseVerdict* verdict);
   void TakeOff();
   void GoToGround(Stamp since);
   bool HasMoved() const;
   bool HasChanged();
   FlightPhase PhaseOnGround() const;
-  FlightPhase PhaseInAir() const;
+  FlightPhase PhaseInAir();
+  bool IsCarried() const;
   void SetPhase(FlightPhase phase, Stamp since);
   void Relabel(Stamp since, FlightPhase phase);
-  void ExtendSpan(const PhaseEvidence& e);
+  void ExtendSpan();
 
   PhaseOptions options_;
   bool learns_changes_;
@@ -150,14 +155,16 @@ class PhaseDetector {
   Block filling_, block_;               // the one being filled, the last whole one
   std::array<Block, 5> recent_;         // whole ones, for stillness
   int num_recent_ = 0, next_recent_ = 0;
-  bool is_still_ = false;
+  double wander_ = 1.0;  // over what a stand shows at most
+  bool is_still_ = false, is_light_ = false;
   double contact_nats_ = 0.0, free_nats_ = 0.0;
   Stamp suspected_since_ = 0;
   double error_scale_ = 1.0;  // of the flight's own residual, over ModelError()'s
-  double flown_s_ = 0.0;      // since thrust was last unknown
+  // While thrust is unknown: flight in which the rotors carry, what they do, and the model's.
+  double carried_s_ = 0.0, carries_ = 0.0, model_carries_ = 0.0;
   double hardest_ = 0.0;      // force felt around the last contact, over g
   // Before the first motion, and after: thrust that would carry, over the model's.
-  double stood_s_ = 0.0, stood_gain_ = 0.0, moved_s_ = 0.0, moved_gain_ = 0.0, unstill_s_ = 0.0;
+  double stood_s_ = 0.0, stood_gain_ = 0.0, moved_s_ = 0.0, moved_gain_ = 0.0, wandered_s_ = 0.0;
   double least_thrust_ = 0.0, most_thrust_ = 0.0;
   Stamp first_ = 0, moved_since_ = 0;
   Eigen::Vector3d start_p_WS_ = Eigen::Vector3d::Zero();
