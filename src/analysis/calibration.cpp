@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "odmc/analysis/ground_spans.h"
+#include "odmc/analysis/phase_findings.h"
 #include "odmc/io/number_text.h"
 #include "odmc/math/statistics.h"
 #include "odmc/model/plausibility.h"
@@ -58,7 +59,8 @@ void WarnCount(long count, const std::string& one, const std::string& many,
   if (count > 0) warnings->push_back(std::to_string(count) + " " + (count == 1 ? one : many));
 }
 
-void Append(const std::vector<std::string>& more, std::vector<std::string>* all) {
+template <typename T>
+void Append(const std::vector<T>& more, std::vector<T>* all) {
   all->insert(all->end(), more.begin(), more.end());
 }
 
@@ -167,7 +169,10 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   result.warnings = FlightWarnings(log, replay);
   Append(ModelWarnings(model, last.values, last.sigma, result.prediction.figures),
          &result.warnings);
-  for (const Finding& finding : result.findings) result.warnings.push_back(Sentence(finding));
+  Append(PhaseFindings(replay, options.detect_changes, result.first_stamp), &result.findings);
+  for (const Finding& finding : result.findings) {
+    if (finding.leaves != Trust::kGood) result.warnings.push_back(Sentence(finding));
+  }
   return result;
 }
 

@@ -31,6 +31,7 @@ class Recorder {
       const Snapshot* const snapshot = estimator_->Step();
       if (estimator_->counters().starts_anew != starts_anew_) StartAnew();
       if (!estimator_->made_progress()) return;
+      See(estimator_->phases().seen());
       if (!snapshot) continue;
       if (result_->history.empty()) result_->first_airborne_s = snapshot->time_s;
       result_->history.push_back({snapshot->time_s, snapshot->values, snapshot->sigma});
@@ -40,6 +41,11 @@ class Recorder {
   }
 
  private:
+  void See(const PhaseDetector::Seen& seen) {
+    const Stamp last = result_->seen.empty() ? 0 : result_->seen.back().stamp;
+    if (seen.stamp > last) result_->seen.push_back(seen);
+  }
+
   /// What was learned so far came from no flight.
   void StartAnew() {
     starts_anew_ = estimator_->counters().starts_anew;
@@ -78,6 +84,7 @@ ReplayResult Replay(const FlightLog& log, Estimator* estimator,
   if (progress) progress(1.0);
   result.counters = estimator->counters();
   result.phases = estimator->phases().spans();
+  result.has_flown = estimator->phases().has_flown();
   result.ground_spans = NotInFlight(result.phases);
   result.stream_counters = estimator->stream_counters();
   return result;

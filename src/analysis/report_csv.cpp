@@ -121,6 +121,22 @@ void WriteHistory(const Calibration& c, const FlightLog& log, const DynamicModel
   csv.Close();
 }
 
+void WritePhases(const Calibration& c, const std::string& file) {
+  CsvFile csv(file);
+  for (const char* name : {"t_s", "height_m", "speed_m_s", "thrust_over_weight"}) csv.Name(name);
+  csv.Names("missing_force_", "xyz", "_over_weight");
+  csv.EndRow();
+  for (const PhaseDetector::Seen& seen : c.replay.seen) {
+    csv.Number(ToSeconds(seen.stamp - c.first_stamp));
+    csv.Number(seen.height_m);
+    csv.Number(seen.speed_m_s);
+    csv.Number(seen.thrust_ratio);
+    for (int i = 0; i < 3; ++i) csv.Number(seen.missing_force[i]);
+    csv.EndRow();
+  }
+  csv.Close();
+}
+
 void WritePrediction(const Prediction& prediction, bool with_torque, const std::string& file) {
   CsvFile csv(file);
   csv.Name("t_s");

@@ -504,6 +504,7 @@ bool Estimator::FollowPhase(const OdometrySample& sample) {
   if (verdict.start_anew) StartAnew();
   step_.take_back = verdict.take_back;
   if (verdict.has_changed) {
+    counters_.last_change = sample.stamp;
     if (options_.detect_changes) {
       LearnAnew();
     } else {

@@ -191,6 +191,8 @@ void PhaseDetector::Wait(PhaseVerdict* verdict) {
     return Prove(verdict);
   }
   stood_s_ += block_.duration_s;
+  stood_thrust_ += block_.duration_s * block_.thrust;
+  stood_missing_ += block_.duration_s * block_.missing.norm();
   stood_gain_ += block_.duration_s * (1.0 + block_.missing.z() / std::max(block_.thrust, 1e-3));
   least_thrust_ = std::min(least_thrust_, block_.thrust);
   most_thrust_ = std::max(most_thrust_, block_.thrust);
@@ -212,6 +214,8 @@ void PhaseDetector::Prove(PhaseVerdict* verdict) {
   if (!stood) return SetPhase(PhaseInAir(), block_.to);
   verdict->start_anew = true;
   Relabel(first_, FlightPhase::kOnGround);
+  spans_.back().thrust_ratio = stood_thrust_ / stood_s_;
+  spans_.back().missing_force = stood_missing_ / stood_s_;
   stood_ = true;
   ground_height_ = start_p_WS_.z();
   SetPhase(PhaseInAir(), moved_since_);
@@ -349,7 +353,7 @@ FlightPhase PhaseDetector::PhaseOnGround() const {
 }
 
 bool PhaseDetector::IsNearGround(double z) const {
-  return stood_ && z - ground_height_ < options_.near_ground_m;
+  return options_.near_ground_m > 0.0 && stood_ && z - ground_height_ < options_.near_ground_m;
 }
 
 void PhaseDetector::ForgetThrust() {

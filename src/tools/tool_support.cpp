@@ -403,6 +403,7 @@ void WriteCalibration(const Calibration& calibration, const FlightLog& log,
   WriteHistory(calibration, log, model, In(folder, "history.csv"));
   WritePrediction(calibration.prediction, !log.rotor_rms_only, In(folder, "prediction.csv"));
   WriteTiming(calibration, In(folder, "timing.csv"));
+  WritePhases(calibration, In(folder, "phases.csv"));
   WriteText(CalibrationReport(calibration, model), In(folder, "report.json"));
 }
 

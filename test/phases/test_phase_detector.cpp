@@ -212,5 +212,10 @@ TEST_F(PhaseDetectorTest, IsNearTheGroundItStoodOn) {
   EXPECT_FALSE(detector_.IsNearGround(1.4));
 }
 
+TEST_F(PhaseDetectorTest, BelowTheStandIsFlightToo) {
+  Do(Stand(0.0), 1.0);
+  EXPECT_FALSE(detector_.IsNearGround(0.5));
+}
+
 }  // namespace
 }  // namespace odmc

@@ -42,6 +42,10 @@ void WriteHistory(const Calibration& calibration, const FlightLog& log, const Dy
 /// @param with_torque false leaves torques and angular accelerations empty
 void WritePrediction(const Prediction& prediction, bool with_torque, const std::string& file);
 
+/// t_s, height_m, speed_m_s, thrust_over_weight, missing_force_x_over_weight.. ten times a second:
+/// what the phases of the flight were told from.
+void WritePhases(const Calibration& calibration, const std::string& file);
+
 /// t_s, wall_ms, cpu_ms, states of every update.
 void WriteTiming(const Calibration& calibration, const std::string& file);
 

@@ -106,6 +106,16 @@ class PhaseDetector {
   /// neighbours. The oldest go when there are more than 1000.
   const std::vector<PhaseSpan>& spans() const { return spans_; }
 
+  /// Means over the newest whole block, for pictures.
+  struct Seen {
+    Stamp stamp = 0;  ///< of its end; 0: none yet
+    double height_m = 0.0, speed_m_s = 0.0, thrust_ratio = 0.0;
+    Eigen::Vector3d missing_force = Eigen::Vector3d::Zero();  ///< over the weight, in B
+  };
+  Seen seen() const {
+    return {block_.to, block_.p_WS.z(), block_.speed, block_.thrust, block_.missing};
+  }
+
   static constexpr double kBlock_s = 0.1;
   static constexpr double kAlarm_nats = 12.0;
 
@@ -164,6 +174,7 @@ class PhaseDetector {
   double carried_s_ = 0.0, carries_ = 0.0, model_carries_ = 0.0;
   double hardest_ = 0.0;      // force felt around the last contact, over g
   // Before the first motion, and after: thrust that would carry, over the model's.
+  double stood_thrust_ = 0.0, stood_missing_ = 0.0;
   double stood_s_ = 0.0, stood_gain_ = 0.0, moved_s_ = 0.0, moved_gain_ = 0.0, wandered_s_ = 0.0;
   double least_thrust_ = 0.0, most_thrust_ = 0.0;
   Stamp first_ = 0, moved_since_ = 0;
