@@ -14,8 +14,8 @@ namespace {
 constexpr double kErrorAtRest = 0.02, kErrorPerSpeed = 0.03, kErrorPerRate = 0.02;
 constexpr double kContactForce = 0.5;  // sigma of what a contact adds, over the weight
 // Errors of neighbouring blocks are alike (a manoeuvre lasts about three), so a block counts for a
-// third; a single one is never enough.
-constexpr double kBlockCounts = 1.0 / 3.0, kMostPerBlock = 4.0;
+// third; a single one is not enough, but for a force of more than eight sigmas (a bounce).
+constexpr double kBlockCounts = 1.0 / 3.0, kMostPerBlock = 4.0, kBeyondDoubt_nats = 10.0;
 constexpr double kStillWeight = 0.5;  // of a block in which the vehicle stands still
 constexpr double kFree_nats = 5.0;    // to fly again: odds of 150 to 1
 constexpr double kMostFreePerBlock = 2.0;
@@ -232,7 +232,9 @@ void PhaseDetector::Fly(PhaseVerdict* verdict) {
   SetPhase(PhaseInAir(), block_.to);
   if (!knows_thrust_) return SeeGain();
   if (contact_nats_ <= 0.0) suspected_since_ = block_.from;
-  contact_nats_ = std::max(0.0, contact_nats_ + std::min(ContactNats(), kMostPerBlock));
+  const double nats = ContactNats();
+  contact_nats_ += nats > kBeyondDoubt_nats ? kAlarm_nats : std::min(nats, kMostPerBlock);
+  contact_nats_ = std::max(0.0, contact_nats_);
   if (contact_nats_ < 1.0) {
     const double seen = block_.missing.squaredNorm() / (3.0 * Square(ModelError()));
     error_scale_ = std::sqrt(Square(error_scale_) +

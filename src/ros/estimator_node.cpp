@@ -5,6 +5,7 @@
 #include <ros/init.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/image_encodings.h>
+#include <std_msgs/String.h>
 #include <sys/resource.h>
 #include <sys/syscall.h>
 #include <unistd.h>
@@ -232,6 +233,7 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
   state_publisher_ = node_.advertise<nav_msgs::Odometry>("state", 10);
   wrench_publisher_ = node_.advertise<geometry_msgs::WrenchStamped>("residual_wrench", 10);
   unexplained_publisher_ = node_.advertise<UnexplainedResidual>("unexplained", 10);
+  phase_publisher_ = node_.advertise<std_msgs::String>("phase", 10, true);
   diagnostics_publisher_ = node_.advertise<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10);
   image_publisher_ = node_.advertise<sensor_msgs::Image>("live_image", 1);
   tf_listener_ = std::make_unique<tf2_ros::TransformListener>(tf_buffer_);
@@ -662,6 +664,8 @@ void EstimatorNode::StepWhileThereIsMore() {
   while (true) {
     const Snapshot* const snapshot = estimator_->Step();
     if (!estimator_->made_progress()) return;
+    if (estimator_->counters().starts_anew != starts_anew_) ForgetEstimate();
+    PublishPhase();
     if (watch_) watch_->SetAirborne(estimator_->last_keyframe_stamp(), estimator_->airborne());
     if (snapshot) {
       OnSnapshot(*snapshot);
@@ -676,6 +680,23 @@ void EstimatorNode::StepWhileThereIsMore() {
     }
     ShareStatus();
   }
+}
+
+// What was learned so far came from no flight.
+void EstimatorNode::ForgetEstimate() {
+  starts_anew_ = estimator_->counters().starts_anew;
+  if (last_) ROS_WARN("the vehicle had stood on the ground: what was learned there is forgotten");
+  last_.reset();
+  acceptance_.Reset();
+}
+
+void EstimatorNode::PublishPhase() {
+  const std::string phase = Name(estimator_->phases().phase());
+  if (phase == phase_ || !ros::ok()) return;
+  phase_ = phase;
+  std_msgs::String message;
+  message.data = phase;
+  phase_publisher_.publish(message);
 }
 
 void EstimatorNode::OnSnapshot(Snapshot snapshot) {
@@ -870,6 +891,7 @@ void EstimatorNode::ShareStatus() {
                       s.waiting_for.c_str());
   }
   s.airborne = estimator_->airborne();
+  s.phase = phase_;
   s.counters = estimator_->counters();
   s.stream_counters = estimator_->stream_counters();
   s.noise = estimator_->odometry_noise();

@@ -28,7 +28,7 @@ void SetLevel(const NodeStatus& s, DiagnosticStatus* status) {
   if (!s.waiting_for.empty() && !s.airborne) {
     return set(DiagnosticStatus::OK, "waiting for " + s.waiting_for);
   }
-  if (!s.airborne) return set(DiagnosticStatus::OK, "on the ground");
+  if (!s.airborne) return set(DiagnosticStatus::OK, "not in free flight: " + s.phase);
   const std::string doing = s.frozen ? "frozen" : "estimating";
   set(DiagnosticStatus::OK, doing + (s.accepted ? ", accepted" : ""));
 }
@@ -36,6 +36,9 @@ void SetLevel(const NodeStatus& s, DiagnosticStatus* status) {
 void PutCounters(const NodeStatus& s, DiagnosticStatus* status) {
   Put("keyframes", s.counters.keyframes, status);
   Put("ground_keyframes", s.counters.ground_keyframes, status);
+  Put("taken_back_keyframes", s.counters.taken_back, status);
+  Put("starts_anew", s.counters.starts_anew, status);
+  Put("vehicle_changes", s.counters.changes, status);
   Put("airborne_s", s.counters.airborne_s, status);
   Put("on_ground_s", s.counters.on_ground_s, status);
   Put("gaps", s.counters.gaps, status);
@@ -86,6 +89,7 @@ DiagnosticStatus EstimatorDiagnostic(const NodeStatus& s, const std::string& nam
   SetLevel(s, &status);
   Put("waiting_for", s.waiting_for, &status);
   Put("interrupted", s.interrupted, &status);
+  Put("phase", s.phase, &status);
   Put("airborne", s.airborne, &status);
   Put("on_ground", s.has_estimate && !s.airborne, &status);
   Put("accepted", s.accepted, &status);

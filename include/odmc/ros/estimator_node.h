@@ -150,6 +150,8 @@ class EstimatorNode {
   void Observe(const Sample& sample);
   void StepWhileThereIsMore();
   void AddWhatWasFound();
+  void ForgetEstimate();
+  void PublishPhase();
   void OnSnapshot(Snapshot snapshot);
   void PublishEstimate(const Snapshot& snapshot);
   void PublishParameters(const Snapshot& snapshot);
@@ -184,7 +186,7 @@ class EstimatorNode {
   double joint_scale_ = 1.0;
   ros::NodeHandle node_;
   ros::Publisher parameters_publisher_, accepted_publisher_, state_publisher_, wrench_publisher_,
-      unexplained_publisher_, diagnostics_publisher_, image_publisher_;
+      unexplained_publisher_, phase_publisher_, diagnostics_publisher_, image_publisher_;
   tf2_ros::Buffer tf_buffer_;
   std::unique_ptr<tf2_ros::TransformListener> tf_listener_;
   std::vector<ros::Subscriber> subscribers_;
@@ -217,6 +219,8 @@ class EstimatorNode {
   std::shared_ptr<const DynamicModel> last_model_;  // of last_
   std::string added_effects_;
   bool last_is_published_ = false;
+  std::string phase_;      // as published last
+  long starts_anew_ = 0;   // of the estimator, as far as they are dealt with
   Clock::time_point parameters_published_, accepted_published_, status_shared_;
   // What had been learned from when progress was last looked at, and where nothing has been since.
   EstimatorCounters progress_;
