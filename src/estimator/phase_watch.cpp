@@ -11,6 +11,7 @@ namespace {
 
 using Eigen::Vector3d;
 
+constexpr double kBaseline_s = 0.05;
 constexpr double kReferenceEvery_s = 0.1;
 // Between an estimate and the plain mean of thrust; drag and inflow are in one and not in the other.
 constexpr double kAgrees = 0.1;
@@ -24,17 +25,6 @@ Vector3d Velocity(const OdometrySample& a, const OdometrySample& b) {
 
 Vector3d Rate(const OdometrySample& a, const OdometrySample& b) {
   return Log(a.q_WS.conjugate() * b.q_WS) / ToSeconds(b.stamp - a.stamp);
-}
-
-/// State of a keyframe as the odometry has it.
-/// @param before the keyframe before it, for what the odometry lacks
-State StateOf(const OdometrySample& sample, const OdometrySample& before) {
-  State state;
-  state.p_WS = sample.p_WS;
-  state.q_WS = sample.q_WS;
-  state.v_WS = sample.v_WS ? *sample.v_WS : Velocity(before, sample);
-  state.w_WS_S = sample.w_WS_S ? *sample.w_WS_S : Rate(before, sample);
-  return state;
 }
 
 }  // namespace
@@ -53,13 +43,13 @@ void PhaseWatch::Forget() {
 void PhaseWatch::CarryOn(const PhaseWatch& before) {
   detector_ = before.detector_;
   last_ = before.last_;
-  before_last_ = before.before_last_;
+  poses_ = before.poses_;
 }
 
 void PhaseWatch::Restart() {
   detector_.Restart();
   last_.reset();
-  before_last_.reset();
+  poses_.clear();
   waiting_.clear();
 }
 
@@ -103,29 +93,46 @@ void PhaseWatch::Know(const ModelValues& values, double thrust_sigma) {
   detector_.KnowThrust();
 }
 
-double PhaseWatch::SpeedOf(const OdometrySample& sample, double dt,
-                           const OdometryNoise& noise) const {
-  if (sample.v_WS) return sample.v_WS->norm();
-  if (dt <= 0.0) return 0.0;
-  // Half the speed that pose noise alone would show is not motion.
-  return std::max(0.0, Velocity(*last_, sample).norm() - 2.0 * noise.position_m / dt);
+/// Motion of a keyframe. What the odometry lacks comes from the poses before it, over kBaseline_s:
+/// between neighbours their noise would be all there is.
+State PhaseWatch::MotionOf(const OdometrySample& sample) const {
+  State state;
+  state.p_WS = sample.p_WS;
+  state.q_WS = sample.q_WS;
+  const OdometrySample& earlier = poses_.empty() ? sample : poses_.front();
+  const bool has_earlier = !poses_.empty();
+  if (sample.v_WS) {
+    state.v_WS = *sample.v_WS;
+  } else if (has_earlier) {
+    state.v_WS = Velocity(earlier, sample);
+  }
+  if (sample.w_WS_S) {
+    state.w_WS_S = *sample.w_WS_S;
+  } else if (has_earlier) {
+    state.w_WS_S = Rate(earlier, sample);
+  }
+  return state;
+}
+
+bool PhaseWatch::HasVelocity(const OdometrySample& sample) const {
+  return sample.v_WS || (!poses_.empty() &&
+                         ToSeconds(sample.stamp - poses_.front().stamp) > 0.8 * kBaseline_s);
+}
+
+/// Keeps the poses of the last kBaseline_s.
+void PhaseWatch::Keep(const OdometrySample& sample) {
+  poses_.push_back(sample);
+  while (poses_.size() > 1 && ToSeconds(sample.stamp - poses_[1].stamp) >= kBaseline_s) {
+    poses_.pop_front();
+  }
 }
 
 /// What is felt and what the model lacks of it, over the interval up to `sample`.
-void PhaseWatch::AddForces(const OdometrySample& sample, const RotorInterval& rotors,
+void PhaseWatch::AddForces(const State& s0, const State& s1, const RotorInterval& rotors,
                            PhaseEvidence* e) const {
-  if (!before_last_ && !last_->v_WS) return;  // no velocity at its start
   DynamicsMeasurement measurement;
   measurement.dt = e->dt;
   measurement.rotors = rotors.mean;
-  const State s1 = StateOf(sample, *last_);
-  State s0 = s1;
-  if (before_last_) {
-    s0 = StateOf(*last_, *before_last_);
-  } else {
-    s0.p_WS = last_->p_WS, s0.q_WS = last_->q_WS, s0.v_WS = *last_->v_WS;
-    if (last_->w_WS_S) s0.w_WS_S = *last_->w_WS_S;
-  }
   const IntervalModel interval(measurement, s0, s1, *model_, reference_.values, false, false);
   const double gravity = model_->vehicle().gravity_m_s2, weight = interval.body.mass * gravity;
   const Vector3d specific_B =
@@ -144,29 +151,29 @@ PhaseVerdict PhaseWatch::Update(const OdometrySample& sample,
                                 const std::optional<RotorInterval>& rotors,
                                 const OdometryNoise& noise, bool is_first) {
   if (is_first) {
+    poses_.clear();
     last_.reset();
-    before_last_.reset();
   }
+  const bool has_velocity = HasVelocity(sample);
+  const State state = MotionOf(sample);
   PhaseEvidence e;
   e.stamp = sample.stamp;
-  e.dt = last_ ? ToSeconds(sample.stamp - last_->stamp) : 0.0;
+  e.dt = poses_.empty() ? 0.0 : ToSeconds(sample.stamp - poses_.back().stamp);
   e.p_WS = sample.p_WS;
   e.q_WS = sample.q_WS;
-  e.speed_m_s = SpeedOf(sample, e.dt, noise);
-  if (sample.w_WS_S) {
-    e.rate_rad_s = sample.w_WS_S->norm();
-  } else if (e.dt > 0.0) {
-    e.rate_rad_s = Rate(*last_, sample).norm();
-  }
   e.thrust_sigma = reference_.thrust_sigma;
-  e.velocity_noise_m_s = sample.v_WS || e.dt <= 0.0
-                             ? noise.velocity_m_s
-                             : std::sqrt(2.0) * noise.position_m / e.dt;
   e.attitude_noise_rad = noise.attitude_rad;
   e.position_noise_m = noise.position_m;
-  if (e.dt > 0.0 && rotors) AddForces(sample, *rotors, &e);
-  before_last_ = last_;
-  last_ = sample;
+  e.velocity_noise_m_s =
+      sample.v_WS ? noise.velocity_m_s : std::sqrt(2.0) * noise.position_m / kBaseline_s;
+  // Half the speed that pose noise alone would show is not motion.
+  e.speed_m_s =
+      sample.v_WS ? state.v_WS.norm() : std::max(0.0, state.v_WS.norm() - 2.0 * e.velocity_noise_m_s);
+  e.rate_rad_s = state.w_WS_S.norm();
+  if (last_ && rotors) AddForces(*last_, state, *rotors, &e);
+  last_.reset();
+  if (has_velocity) last_ = state;
+  Keep(sample);
   return detector_.Update(e);
 }
 

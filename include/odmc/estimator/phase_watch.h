@@ -3,6 +3,7 @@
 #include <optional>
 
 #include "odmc/estimator/noise_estimation.h"
+#include "odmc/factors/state.h"
 #include "odmc/math/ring.h"
 #include "odmc/model/dynamic_model.h"
 #include "odmc/phases/phase_detector.h"
@@ -51,14 +52,18 @@ class PhaseWatch {
   };
   double PriorThrustSigma() const;
   double Disagreement(const ModelValues& values) const;
-  void AddForces(const OdometrySample& sample, const RotorInterval& rotors, PhaseEvidence* e) const;
-  double SpeedOf(const OdometrySample& sample, double dt, const OdometryNoise& noise) const;
+  State MotionOf(const OdometrySample& sample) const;
+  bool HasVelocity(const OdometrySample& sample) const;
+  void Keep(const OdometrySample& sample);
+  void AddForces(const State& s0, const State& s1, const RotorInterval& rotors,
+                 PhaseEvidence* e) const;
 
   const DynamicModel* model_;
   PhaseDetector detector_;
   Reference reference_;
   Ring<Reference> waiting_;  // not old enough yet, one a tenth of a second
-  std::optional<OdometrySample> last_, before_last_;
+  std::optional<State> last_;     // motion at the keyframe before, if it is known
+  Ring<OdometrySample> poses_;    // of the last moments, oldest first
 };
 
 }  // namespace odmc
