@@ -12,7 +12,10 @@ namespace {
 constexpr double kBrake_s = 0.008;
 constexpr double kCoarse = 0.5;
 constexpr double kNothing = 0.1;     // of the speed before: (almost) nothing
-constexpr double kBack = 0.4;        // of the speed before: turning as before
+// Back from nothing: by a step that no motor takes. The quickest on record reach the speed of hover
+// within 60 ms; a quarter of that is beyond any. A large share at once counts at any rate.
+constexpr double kSpoolUp_s = 0.015;
+constexpr double kLeastStep = 0.15, kLargeStep = 0.4;  // of the speed before
 constexpr double kTurning_rad_s = 50.0;
 constexpr Stamp kNeighbours = 50'000'000;        // [ns]: farther apart, a rotor can stop between
 constexpr Stamp kLongest = 10'000'000'000;       // [ns]: no sensor comes back after that
@@ -67,7 +70,8 @@ bool RotorDropoutWatch::Begins(const Ring<RotorSample>& stream) {
 std::optional<RotorDropout> RotorDropoutWatch::Continue(Ring<RotorSample>* stream) {
   const RotorSample& now = stream->back();
   const double share = LeastShare(before_, now, dropout_->rotors);
-  const bool back = share >= kBack;
+  const double step_s = ToSeconds(now.stamp - dropout_->last);
+  const bool back = share >= std::clamp(step_s / kSpoolUp_s, kLeastStep, kLargeStep);
   between_ = back || share < kNothing ? 0 : between_ + 1;
   if (back || between_ >= kSpoolingUp || now.stamp - dropout_->first > kLongest) {
     const RotorDropout ended = *dropout_;
@@ -75,7 +79,7 @@ std::optional<RotorDropout> RotorDropoutWatch::Continue(Ring<RotorSample>* strea
     if (back) return ended;
     return std::nullopt;
   }
-  dropout_->last = now.stamp;
+  dropout_->last = now.stamp;  // it is nothing, or a single one between
   ++dropout_->readings;
   stream->pop_back();
   return std::nullopt;
