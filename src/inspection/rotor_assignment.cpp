@@ -20,20 +20,23 @@ using Order = std::vector<int>;
 
 // Error rates. Under the file's own hypothesis the evidence of all others together exceeds its own
 // by a factor of 1/p with a probability of p at most (Markov's inequality).
-constexpr double kRefuted = 1e-3, kDoubtful = 1e-2, kNamed = 0.99;
+constexpr double kRefuted = 3e-4, kDoubtful = 3e-3, kNamed = 0.99;
 
-// What a response may differ from the file's levers by, in sigmas. Measured on recordings with right
-// files, columns scatter by 5 to 15 % in this band, mostly by what the controller answers; axes
-// couple by products of inertia and leaning rotors.
+// What a response may differ from the file's levers by, in sigmas. Measured on recordings with
+// right files, columns scatter by 5 to 15 % in this band, mostly by what the controller answers;
+// axes couple by products of inertia and leaning rotors.
 constexpr double kGainScatter = 0.3;    // of the gain of an axis, beside the best common one
 constexpr double kRotorScatter = 0.15;  // of each rotor's own coefficient
 constexpr double kCoupling = 0.1;       // over the arm, of each coefficient
 constexpr double kOffCentre = 0.1;      // over the arm, of the centre of gravity
 constexpr double kReactionScatter = 0.5, kLean_rad = 0.05;
+// What pushes roll or pitch often pushes yaw along, and the controller answers where it is quick:
+// columns then seem to turn yaw by their levers of roll and pitch, as much as by their reaction.
+constexpr double kAlong = 1.5;
 // A rotor's inertia takes this long to be seen in its reaction torque: J w / (2 k_m w²). Four makes
 // of motors and propellers of 2 to 5 inches lie between 30 and 80 ms.
 constexpr double kSpinUp_s = 0.04, kSpinUpSigma_s = 0.04;
-constexpr double kSteadyYaw = 0.1;     // imbalance of reaction torques in steady flight
+constexpr double kSteadyYaw = 0.1;        // imbalance of reaction torques in steady flight
 constexpr double kMostSteadyNats = 10.0;  // that this imbalance may say: vehicles with tails differ
 constexpr double kReactionPerRadius = 0.2;  // k_m/k_f over the propeller's radius
 
@@ -94,7 +97,8 @@ struct Levers {
 
   VectorXd At(int axis, const Order& order) const {
     VectorXd lever(of[axis].size());
-    for (Eigen::Index j = 0; j < lever.size(); ++j) lever[j] = of[axis][order[static_cast<size_t>(j)]];
+    for (Eigen::Index j = 0; j < lever.size(); ++j)
+      lever[j] = of[axis][order[static_cast<size_t>(j)]];
     return lever;
   }
 };
@@ -135,9 +139,9 @@ Table<Key> AtBestGain(const Make& make, int* gain = nullptr) {
 
 template <typename Key>
 const Key& BestOf(const Table<Key>& table) {
-  return std::max_element(table.begin(), table.end(), [](const auto& a, const auto& b) {
-           return a.second.log < b.second.log;
-         })->first;
+  return std::max_element(table.begin(), table.end(),
+                          [](const auto& a, const auto& b) { return a.second.log < b.second.log; })
+      ->first;
 }
 
 /// @param degrees of the misfit
@@ -201,7 +205,9 @@ class OrderSearch {
   }
 
  private:
-  const BandRegression& Seen(int axis) const { return axis == 0 ? response_.roll : response_.pitch; }
+  const BandRegression& Seen(int axis) const {
+    return axis == 0 ? response_.roll : response_.pitch;
+  }
 
   /// The gain under which levers in any order fit best.
   double TypicalGain(int axis) const {
@@ -335,17 +341,23 @@ double ReactionLever(const Vehicle& vehicle) {
 }
 
 /// Coefficients of yaw with these spins, and how far vehicles differ from them.
-Evidence SpinEvidence(const BandRegression& seen, const VectorXd& sign, double reaction, double arm,
-                      double gain) {
+Evidence SpinEvidence(const BandRegression& seen, const VectorXd& sign, double reaction,
+                      const Levers& levers, double gain) {
   const Eigen::Index n = sign.size();
+  const double arm = std::hypot(levers.arm[0], levers.arm[1]);
+  MatrixXd along = MatrixXd::Zero(n, n);
+  for (int axis = 0; axis < 2; ++axis) {
+    const VectorXd lever = kAlong / levers.arm[axis] * levers.of[axis];
+    along += reaction * reaction * lever * lever.transpose();
+  }
   const MatrixXd together = sign * sign.transpose();
   MatrixXd covariance = MatrixXd::Zero(2 * n, 2 * n);
-  covariance.topLeftCorner(n, n) = std::pow(kReactionScatter * reaction, 2) * together;
+  covariance.topLeftCorner(n, n) = std::pow(kReactionScatter * reaction, 2) * together + along;
   covariance.topLeftCorner(n, n).diagonal().array() +=
       std::pow(kRotorScatter * reaction, 2) + std::pow(kLean_rad * arm, 2);
-  covariance.bottomRightCorner(n, n) = std::pow(kSpinUpSigma_s * reaction, 2) * together;
-  covariance.bottomRightCorner(n, n).diagonal().array() +=
-      std::pow(0.2 * kSpinUp_s * reaction, 2);
+  covariance.bottomRightCorner(n, n) =
+      std::pow(kSpinUpSigma_s * reaction, 2) * together + kSpinUp_s * kSpinUp_s * along;
+  covariance.bottomRightCorner(n, n).diagonal().array() += std::pow(0.2 * kSpinUp_s * reaction, 2);
   VectorXd mean(2 * n);
   mean << reaction * sign, kSpinUp_s * reaction * sign;
   return EvidenceOf(seen, gain * mean, gain * gain * covariance);
@@ -354,18 +366,17 @@ Evidence SpinEvidence(const BandRegression& seen, const VectorXd& sign, double r
 /// Reaction torques balance in steady flight.
 double SteadyNats(const RotorResponse& response, const VectorXd& sign) {
   const double imbalance = sign.dot(response.share);
-  const double variance =
-      kSteadyYaw * kSteadyYaw + sign.dot(response.share_spread * sign);
+  const double variance = kSteadyYaw * kSteadyYaw + sign.dot(response.share_spread * sign);
   return std::max(-kMostSteadyNats, -0.5 * imbalance * imbalance / variance);
 }
 
-Table<Spins> AllSpins(const RotorResponse& response, const Vehicle& vehicle) {
+Table<Spins> AllSpins(const RotorResponse& response, const Vehicle& vehicle, const Levers& levers) {
   const Eigen::Index n = response.share.size();
-  const double reaction = ReactionLever(vehicle), arm = vehicle.ArmLength();
+  const double reaction = ReactionLever(vehicle);
   Table<Spins> table = AtBestGain<Spins>([&](double gain) {
     Table<Spins> at;
     for (Spins spins = 0; spins < 1U << n; ++spins) {
-      at[spins] = SpinEvidence(response.yaw, SpinVector(spins, n), reaction, arm, gain);
+      at[spins] = SpinEvidence(response.yaw, SpinVector(spins, n), reaction, levers, gain);
     }
     return at;
   });
@@ -426,8 +437,15 @@ std::string OtherCause(const Vehicle& vehicle, const Order& order) {
 }
 
 std::string Figures(const AssignmentTest& test) {
-  return " with " + Text(test.nats) + " nats more than the vehicle file's (which has a probability of " +
-         Text(test.file_share) + ")";
+  return " with " + Text(test.nats) +
+         " nats more than the vehicle file's (which has a probability of " + Text(test.file_share) +
+         ")";
+}
+
+/// Where more than one fits.
+std::string Likeliest(const std::string& best, const AssignmentTest& test) {
+  return ": the likeliest, " + best + " (probability " + Text(test.best_share) + "), fits" +
+         Figures(test) + ", but the flight does not tell it from others";
 }
 
 /// The lines of `rotors` that fit.
@@ -446,14 +464,15 @@ std::string Lines(const RotorAssignment& assignment, const Vehicle& vehicle, boo
 Finding OrderFinding(const RotorAssignment& assignment, const Vehicle& vehicle) {
   Finding finding{"rotor_order", assignment.places.Refutes() ? Trust::kBad : Trust::kDoubtful, ""};
   if (!assignment.places.Names()) {
-    finding.what = "the order of the rotors in the vehicle file does not fit the rotor speeds: others fit" +
-                   Figures(assignment.places) + ", and more than one does";
+    finding.what = "the order of the rotors in the vehicle file does not fit the rotor speeds" +
+                   Likeliest(OrderText(assignment.order), assignment.places);
     return finding;
   }
   finding.what = "rotor speeds fit the order " + OrderText(assignment.order) +
-                 Figures(assignment.places) + ": each column turns at the place of that rotor of the file";
-  finding.mend = Lines(assignment, vehicle, assignment.spins.Names()) +
-                 OtherCause(vehicle, assignment.order);
+                 Figures(assignment.places) +
+                 ": each column turns at the place of that rotor of the file";
+  finding.mend =
+      Lines(assignment, vehicle, assignment.spins.Names()) + OtherCause(vehicle, assignment.order);
   return finding;
 }
 
@@ -469,12 +488,12 @@ bool SpinsFollowOrder(const RotorAssignment& assignment, const Vehicle& vehicle)
 Finding SpinFinding(const RotorAssignment& assignment, const Vehicle& vehicle) {
   Finding finding{"rotor_spin", assignment.spins.Refutes() ? Trust::kBad : Trust::kDoubtful, ""};
   if (!assignment.spins.Names()) {
-    finding.what = "the spins in the vehicle file do not fit the yaw motion: others fit" +
-                   Figures(assignment.spins) + ", and more than one does";
+    finding.what = "the spins in the vehicle file do not fit the yaw motion" +
+                   Likeliest(SpinText(assignment.spin), assignment.spins);
     return finding;
   }
-  finding.what = "the yaw motion fits the spins " + SpinText(assignment.spin) +
-                 Figures(assignment.spins);
+  finding.what =
+      "the yaw motion fits the spins " + SpinText(assignment.spin) + Figures(assignment.spins);
   finding.mend = Lines(assignment, vehicle, true);
   return finding;
 }
@@ -491,11 +510,11 @@ RotorAssignment TestRotorAssignment(const RotorResponse& response, const Vehicle
   result.tested = true;
   const int n = vehicle.num_rotors();
   const Levers levers(vehicle);
-  const Table<Order> orders = n <= kExhaustive ? ExhaustiveOrders(response, levers)
-                                               : OrderSearch(response, levers).Run();
+  const Table<Order> orders =
+      n <= kExhaustive ? ExhaustiveOrders(response, levers) : OrderSearch(response, levers).Run();
   result.order = BestOf(orders);
   result.places = Judge(orders, FileOrder(n), 2.0 * n);
-  const Table<Spins> spins = AllSpins(response, vehicle);
+  const Table<Spins> spins = AllSpins(response, vehicle, levers);
   const Spins best = BestOf(spins);
   for (int j = 0; j < n; ++j) result.spin.push_back(SpinOf(best, j));
   result.spins = Judge(spins, FileSpins(vehicle), 2.0 * n);

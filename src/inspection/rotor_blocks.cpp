@@ -252,9 +252,9 @@ RotorBlocks CutRotorBlocks(const FlightLog& log, const Vehicle& vehicle) {
   result.omega = transform.omega;
   const double length_s = kGrid / kGrid_hz, hop_s = 0.5 * length_s;
   const double begin_s = std::max(0.0, Since(log.rotors.front().stamp, log));
-  const double end_s = std::min(Since(log.odometry.back().stamp, log), Since(log.rotors.back().stamp, log));
-  const double stride_s =
-      hop_s * std::max(1.0, std::ceil((end_s - begin_s) / hop_s / kMostBlocks));
+  const double end_s =
+      std::min(Since(log.odometry.back().stamp, log), Since(log.rotors.back().stamp, log));
+  const double stride_s = hop_s * std::max(1.0, std::ceil((end_s - begin_s) / hop_s / kMostBlocks));
   size_t rate = 0, speed = 0;
   Stretch rate_stretch, speed_stretch;
   for (double start_s = begin_s; start_s + length_s <= end_s; start_s += stride_s) {

@@ -9,11 +9,12 @@ namespace odmc {
 
 std::vector<Finding> InspectRotors(const FlightLog& log, const Vehicle& vehicle) {
   const RotorResponse response = MeasureRotorResponse(CutRotorBlocks(log, vehicle), vehicle);
-  std::vector<Finding> findings =
+  const RotorScale scale = FindRotorScale(response, vehicle);
+  if (scale.reads_zero) return ScaleFindings(scale, vehicle);  // its motion is missing, too
+  const std::vector<Finding> findings =
       AssignmentFindings(TestRotorAssignment(response, vehicle), vehicle);
   // Scales are judged by the file's places and spins: only where these are right.
-  if (findings.empty()) findings = ScaleFindings(FindRotorScale(response, vehicle), vehicle);
-  return findings;
+  return findings.empty() ? ScaleFindings(scale, vehicle) : findings;
 }
 
 }  // namespace odmc

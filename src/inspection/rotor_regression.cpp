@@ -37,7 +37,7 @@ MatrixXcd Delayed(MatrixXcd x, const std::vector<double>& omega, double lag_s) {
   return x;
 }
 
-/// Iteratively reweighted least squares over blocks.
+/// Iteratively reweighted least squares over blocks, which must outlive it.
 class Regression {
  public:
   explicit Regression(const std::vector<Rows>& rows)
@@ -57,6 +57,9 @@ class Regression {
     result.log_noise = static_cast<double>(rows_.size()) * noise_.array().log().sum();
     return result;
   }
+
+  /// What the regressors leave of block `s`.
+  VectorXcd Residual(size_t s) const { return rows_[s].y - rows_[s].x * value_; }
 
  private:
   MatrixXcd Whitened(size_t s, MatrixXcd x) const {
@@ -81,8 +84,6 @@ class Regression {
     value_ = normal_.ldlt().solve(right);
   }
 
-  VectorXcd Residual(size_t s) const { return rows_[s].y - rows_[s].x * value_; }
-
   /// New spectrum of the noise, smoothed over neighbouring bins, and weights of the blocks.
   void Weigh() {
     const double all = static_cast<double>(rows_.size()) * static_cast<double>(bins_);
@@ -98,8 +99,7 @@ class Regression {
     }
     const double degrees = 2.0 * kOverlap * static_cast<double>(bins_);
     for (size_t s = 0; s < rows_.size(); ++s) {
-      const double chi =
-          2.0 * kOverlap * (Residual(s).cwiseAbs2().array() / noise_.array()).sum();
+      const double chi = 2.0 * kOverlap * (Residual(s).cwiseAbs2().array() / noise_.array()).sum();
       weight_[static_cast<Eigen::Index>(s)] = (kDegrees + degrees) / (kDegrees + chi);
     }
   }
@@ -162,6 +162,31 @@ class Scaled {
   Eigen::Vector3d lever_;
 };
 
+/// Adds what a regression of another axis leaves, of any phase, to the regressors: gusts and loads
+/// push several axes at once, the controller answers on the quick ones, and that answer would look
+/// like the cause of the turning of the slow one.
+void AddResidual(const Regression& other, std::vector<Rows>* rows) {
+  for (size_t s = 0; s < rows->size(); ++s) {
+    MatrixXcd& x = (*rows)[s].x;
+    const VectorXcd left = other.Residual(s);
+    x.conservativeResize(Eigen::NoChange, x.cols() + 2);
+    x.col(x.cols() - 2) = left;
+    x.col(x.cols() - 1) = Complex(0.0, 1.0) * left;
+  }
+}
+
+/// The first `p` coefficients, whatever the others are.
+BandRegression Marginal(const BandRegression& all, Eigen::Index p) {
+  const Eigen::Index rest = all.value.size() - p;
+  const MatrixXd beside = all.information.topRightCorner(p, rest);
+  const MatrixXd own = all.information.bottomRightCorner(rest, rest);
+  BandRegression result;
+  result.value = all.value.head(p);
+  result.information =
+      all.information.topLeftCorner(p, p) - beside * own.ldlt().solve(MatrixXd(beside.transpose()));
+  return result;
+}
+
 double BestLag(const Scaled& scaled, double centre_s, double reach_s, double step_s) {
   double best_s = centre_s, least = scaled.CostOf(centre_s);
   for (int i = 1; i * step_s <= reach_s + 1e-9; ++i) {
@@ -193,7 +218,8 @@ void Share(const RotorBlocks& blocks, RotorResponse* response) {
   const MatrixXd off = shares.colwise() - response->share;
   // Neighbours overlap: half as many blocks are independent. A median scatters pi/2 as much.
   const double independent = std::max(1.0, kOverlap * static_cast<double>(count));
-  response->share_spread = 0.5 * M_PI * off * off.transpose() / static_cast<double>(count) / independent;
+  response->share_spread =
+      0.5 * M_PI * off * off.transpose() / static_cast<double>(count) / independent;
 }
 
 }  // namespace
@@ -211,9 +237,16 @@ RotorResponse MeasureRotorResponse(const RotorBlocks& blocks, const Vehicle& veh
   const double coarse_s = BestLag(scaled, 0.0, kMostLag_s, kCoarse_s);
   response.lag_s = BestLag(scaled, coarse_s, 4.0 * kFine_s, kFine_s);
   constexpr int kIterations = 8;
-  response.roll = Regression(scaled.On(0, response.lag_s, false)).Run(kIterations);
-  response.pitch = Regression(scaled.On(1, response.lag_s, false)).Run(kIterations);
-  response.yaw = Regression(scaled.On(2, response.lag_s, true)).Run(kIterations);
+  const std::vector<Rows> roll_rows = scaled.On(0, response.lag_s, false);
+  const std::vector<Rows> pitch_rows = scaled.On(1, response.lag_s, false);
+  Regression roll(roll_rows), pitch(pitch_rows);
+  response.roll = roll.Run(kIterations);
+  response.pitch = pitch.Run(kIterations);
+  std::vector<Rows> yaw_rows = scaled.On(2, response.lag_s, true);
+  const Eigen::Index p = yaw_rows.front().x.cols();
+  AddResidual(roll, &yaw_rows);
+  AddResidual(pitch, &yaw_rows);
+  response.yaw = Marginal(Regression(yaw_rows).Run(kIterations), p);
   Share(blocks, &response);
   return response;
 }

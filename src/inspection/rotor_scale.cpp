@@ -12,29 +12,36 @@ namespace {
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-// What sound vehicles differ by, in sigmas. From 55 flights of seven vehicles of 35 g to 0.9 kg, whose
-// readings are right: shares that balance leave 1.3 % of the reaction torques about yaw, 1.5 % of
-// the arm about roll and 3 % about pitch; effects of single rotors scatter by 7 % in this band.
-constexpr double kThrustScatter = 0.02;   // of motors and propellers among themselves
-constexpr double kYawImbalance = 0.013;   // of the reaction torques: leaning rotors, spread of k_m
-constexpr double kOffCentre = 0.03;       // over the arm, of the centre of gravity
-constexpr double kSteadyTorque = 0.01;    // over weight times arm: air, turning
-constexpr double kEffectScatter = 0.07;   // over the arm
-constexpr double kGain = 0.5;             // nominal over true inertia
-constexpr double kAnyScale = 10.0;        // prior of the rotor that is suspected
-// Chi-square with one degree of freedom above 3.5² has a probability of 5e-4; four rotors are looked at:
-// one sound flight in 500 is accused.
+// What sound vehicles differ by, in sigmas. From 55 flights of seven vehicles of 35 g to 0.9 kg,
+// whose readings are right: shares that balance leave 1.3 % of the reaction torques about yaw, 1.5
+// % of the arm about roll and 3 % about pitch; effects of single rotors scatter by 7 % in this
+// band. Loads shift the centre of gravity farther.
+constexpr double kThrustScatter = 0.02;  // of motors and propellers among themselves
+constexpr double kYawImbalance = 0.013;  // of the reaction torques: leaning rotors, spread of k_m
+constexpr double kOffCentre = 0.05;      // over the arm, of the centre of gravity
+constexpr double kSteadyTorque = 0.01;   // over weight times arm: air, turning
+constexpr double kEffectScatter = 0.07;  // over the arm
+constexpr double kGain = 0.5;            // nominal over true inertia
+constexpr double kAnyScale = 10.0;       // prior of the rotor that is suspected
+// Chi-square with one degree of freedom above 3.5² has a probability of 5e-4; four rotors are
+// looked at: one sound flight in 500 is accused, if both witnesses were as Gaussian as that. They
+// are not (a rotor that leans by three degrees unbalances yaw by a tenth), so each must say so by
+// itself, too.
 constexpr double kSignificant = 3.5;
-constexpr double kRunnerUp = 6.0;  // chi-square by which another rotor must explain less
-constexpr double kHarmful = 0.03;  // error of k_f that is worth a doubt
+constexpr double kWitness = 2.0;
+constexpr double kRunnerUp = 6.0;    // chi-square by which another rotor must explain less
+constexpr double kHarmful = 0.03;    // error of k_f that is worth a doubt
 constexpr double kReadsZero = 0.05;  // share over a fair one
 
-/// Linear observations of what may be off: gains of roll and pitch, centre of gravity along x and y (over the
-/// arm), thrust of each rotor over what its reading says, minus one.
+/// Which observations to use.
+enum class Witness { kEffects, kSteady, kBoth };
+
+/// Linear observations of what may be off: gains of roll and pitch, centre of gravity along x and y
+/// (over the arm), thrust of each rotor over what its reading says, minus one.
 class Balance {
  public:
-  Balance(const RotorResponse& response, const Vehicle& vehicle)
-      : response_(response), n_(response.share.size()) {
+  Balance(const RotorResponse& response, const Vehicle& vehicle, Witness witness)
+      : response_(response), witness_(witness), n_(response.share.size()) {
     normal_ = MatrixXd::Zero(4 + n_, 4 + n_);
     right_ = VectorXd::Zero(4 + n_);
     VectorXd roll(n_), pitch(n_), spin(n_);
@@ -76,7 +83,8 @@ class Balance {
   double degrees() const { return degrees_; }
 
  private:
-  void Add(const MatrixXd& rows, const VectorXd& seen, const MatrixXd& information) {
+  void Add(Witness from, const MatrixXd& rows, const VectorXd& seen, const MatrixXd& information) {
+    if (witness_ != Witness::kBoth && witness_ != from) return;
     normal_ += rows.transpose() * information * rows;
     right_ += rows.transpose() * information * seen;
     square_ += seen.dot(information * seen);
@@ -101,7 +109,7 @@ class Balance {
       rows.col(2 + axis).setConstant(-1.0);
       rows.rightCols(n_) = lever.asDiagonal();
       const MatrixXd spread = covariance / (gain * gain) + kEffectScatter * kEffectScatter * one;
-      Add(rows, seen.value / gain - lever, spread.inverse());
+      Add(Witness::kEffects, rows, seen.value / gain - lever, spread.inverse());
     }
     MatrixXd row = MatrixXd::Zero(1, 4 + n_);
     row(0, 2 + axis) = -1.0;
@@ -117,16 +125,25 @@ class Balance {
 
   void AddSteady(const MatrixXd& row, const VectorXd& lever, double sigma) {
     const double variance = sigma * sigma + lever.dot(response_.share_spread * lever);
-    Add(row, VectorXd::Constant(1, -lever.dot(response_.share)),
+    Add(Witness::kSteady, row, VectorXd::Constant(1, -lever.dot(response_.share)),
         MatrixXd::Constant(1, 1, 1.0 / variance));
   }
 
   const RotorResponse& response_;
+  Witness witness_;
   Eigen::Index n_;
   MatrixXd normal_;
   VectorXd right_;
   double square_ = 0.0, degrees_ = 0.0;
 };
+
+/// How strongly one witness alone says that rotor `j` is off, with the sign of its thrust [sigmas].
+double Says(const Balance& balance, Eigen::Index j) {
+  const Balance::Fit fit = balance.Solve(j);
+  const double misfit = std::max(1.0, fit.chi / std::max(1.0, balance.degrees()));
+  const double size = std::sqrt(std::max(0.0, balance.Solve(-1).chi - fit.chi) / misfit);
+  return std::copysign(size, fit.scale);
+}
 
 std::string Text(const char* format, double value) {
   char text[32];
@@ -171,10 +188,15 @@ RotorScale FindRotorScale(const RotorResponse& response, const Vehicle& vehicle)
     result.rotor = static_cast<int>(least);
     return result;
   }
-  const Balance balance(response, vehicle);
+  const Balance balance(response, vehicle, Witness::kBoth);
   std::vector<Balance::Fit> fits;
   for (Eigen::Index j = 0; j < n; ++j) fits.push_back(balance.Solve(j));
-  return Compare(fits, balance.Solve(-1).chi, balance.degrees(), response.share);
+  result = Compare(fits, balance.Solve(-1).chi, balance.degrees(), response.share);
+  const double sign = result.factor < 1.0 ? 1.0 : -1.0;
+  result.witnesses =
+      sign * Says(Balance(response, vehicle, Witness::kEffects), result.rotor) > kWitness &&
+      sign * Says(Balance(response, vehicle, Witness::kSteady), result.rotor) > kWitness;
+  return result;
 }
 
 std::vector<Finding> ScaleFindings(const RotorScale& scale, const Vehicle& vehicle) {
@@ -183,21 +205,23 @@ std::vector<Finding> ScaleFindings(const RotorScale& scale, const Vehicle& vehic
   if (scale.reads_zero) {
     // With four rotors nothing else can carry its share; more rotors can.
     const Trust leaves = vehicle.num_rotors() <= 4 ? Trust::kBad : Trust::kDoubtful;
-    return {{"rotor_scale", leaves, rotor + " reads almost zero while the vehicle flies on the others",
+    return {{"rotor_scale", leaves,
+             rotor + " reads almost zero while the vehicle flies on the others",
              "its sensor is dead, or the rotor"}};
   }
-  if (scale.significance < kSignificant) return {};
+  if (scale.significance < kSignificant || !scale.witnesses) return {};
   const double percent = 100.0 * (scale.factor - 1.0);
   Finding finding{"rotor_scale", Trust::kGood, ""};
   if (std::abs(scale.k_f_shift) > kHarmful) finding.leaves = Trust::kDoubtful;
-  finding.what = rotor + (scale.or_rotor ? " (or rotor" + std::to_string(*scale.or_rotor + 1) + ")" : "") +
-                 " reads " + Text("%.0f", std::abs(percent)) + " +- " + Text("%.0f", 100.0 * scale.sigma) +
-                 " % too " + (percent > 0.0 ? "high" : "low") + " beside the others (" +
-                 Text("%.1f", scale.significance) + " sigma), or its propeller gives " +
-                 Text("%.0f", 100.0 * std::abs(1.0 / (scale.factor * scale.factor) - 1.0)) + " % " +
-                 (percent > 0.0 ? "less" : "more") + " thrust than theirs";
-  finding.mend = "check its sensor and propeller; k_f is off by " + Text("%+.0f", 100.0 * scale.k_f_shift) +
-                 " %";
+  finding.what =
+      rotor + (scale.or_rotor ? " (or rotor" + std::to_string(*scale.or_rotor + 1) + ")" : "") +
+      " reads " + Text("%.0f", std::abs(percent)) + " +- " + Text("%.0f", 100.0 * scale.sigma) +
+      " % too " + (percent > 0.0 ? "high" : "low") + " beside the others (" +
+      Text("%.1f", scale.significance) + " sigma), or its propeller gives " +
+      Text("%.0f", 100.0 * std::abs(1.0 / (scale.factor * scale.factor) - 1.0)) + " % " +
+      (percent > 0.0 ? "less" : "more") + " thrust than theirs";
+  finding.mend = "check its sensor and propeller; k_f is off by " +
+                 Text("%+.0f", 100.0 * scale.k_f_shift) + " %";
   return {finding};
 }
 

@@ -16,7 +16,7 @@ constexpr int kChanges = 10;             // of the others, meanwhile
 constexpr char kWrong[] = "what is estimated from this flight is wrong";
 constexpr double kStandingThrottle = 0.02;  // below what turns a rotor
 constexpr double kSpoolUp_s = 0.2;          // until a rotor that is told to turn reads something
-constexpr double kDeadShare = 0.05;  // single missed readings are not worth a warning
+constexpr double kDeadShare = 0.05;         // single missed readings are not worth a warning
 
 std::string AtSeconds(Stamp stamp) {
   char text[40];

@@ -177,7 +177,8 @@ bool HasNeighbour(const Ring<Sample>& queue) {
 std::string RotorNames(unsigned rotors) {
   std::string names;
   for (int j = 0; j < kMaxRotors; ++j) {
-    if ((rotors >> j & 1U) != 0U) names += (names.empty() ? "rotor" : ", rotor") + std::to_string(j + 1);
+    if ((rotors >> j & 1U) != 0U)
+      names += (names.empty() ? "rotor" : ", rotor") + std::to_string(j + 1);
   }
   return names;
 }
@@ -193,9 +194,9 @@ std::string Sentence(const std::vector<RotorDropout>& dropouts, Stamp zero) {
   char first[80];
   std::snprintf(first, sizeof first, "%.3f to %.3f s after the first pose",
                 ToSeconds(dropouts.front().first - zero), ToSeconds(dropouts.front().last - zero));
-  const std::string times = dropouts.size() == 1 ? "once, from "
-                                                 : std::to_string(dropouts.size()) +
-                                                       " times, the first from ";
+  const std::string times = dropouts.size() == 1
+                                ? "once, from "
+                                : std::to_string(dropouts.size()) + " times, the first from ";
   return "rotor speeds fell out (" + RotorNames(rotors) +
          " read nothing and came back, quicker than any rotor stops) " + times + first + ": " +
          std::to_string(readings) + " readings are missing, not zero";

@@ -7,19 +7,19 @@ namespace odmc {
 namespace {
 
 // With shorted windings a rotor's speed falls exponentially; the quickest brake on record (3-inch
-// propeller, damped light) takes 16 ms for a factor of e. Half of that, and another factor of two for
-// coarse readings, is beyond any motor.
+// propeller, damped light) takes 16 ms for a factor of e. Half of that, and another factor of two
+// for coarse readings, is beyond any motor.
 constexpr double kBrake_s = 0.008;
 constexpr double kCoarse = 0.5;
-constexpr double kNothing = 0.1;     // of the speed before: (almost) nothing
+constexpr double kNothing = 0.1;  // of the speed before: (almost) nothing
 // Back from nothing: by a step that no motor takes. The quickest on record reach the speed of hover
 // within 60 ms; a quarter of that is beyond any. A large share at once counts at any rate.
 constexpr double kSpoolUp_s = 0.015;
 constexpr double kLeastStep = 0.15, kLargeStep = 0.4;  // of the speed before
 constexpr double kTurning_rad_s = 50.0;
-constexpr Stamp kNeighbours = 50'000'000;        // [ns]: farther apart, a rotor can stop between
-constexpr Stamp kLongest = 10'000'000'000;       // [ns]: no sensor comes back after that
-constexpr int kSpoolingUp = 2;                   // readings between nothing and as before
+constexpr Stamp kNeighbours = 50'000'000;   // [ns]: farther apart, a rotor can stop between
+constexpr Stamp kLongest = 10'000'000'000;  // [ns]: no sensor comes back after that
+constexpr int kSpoolingUp = 2;              // readings between nothing and as before
 constexpr double kDeadShare = 0.3;  // of the stream, in which one rotor is gone and others are not
 
 /// A rotor that cannot have slowed down from `a` to `b` in `step`.
@@ -114,8 +114,8 @@ std::vector<RotorDropout> TakeDropouts(std::vector<RotorSample>* stream) {
   const auto is_dead = [&](const RotorDropout& dropout) {
     if (dropout.rotors == every) return false;
     for (int j = 0; j < kMaxRotors; ++j) {
-      const auto share = static_cast<double>(gone[static_cast<size_t>(j)]) /
-                         static_cast<double>(stream->size());
+      const auto share =
+          static_cast<double>(gone[static_cast<size_t>(j)]) / static_cast<double>(stream->size());
       if ((dropout.rotors >> j & 1U) != 0U && share > kDeadShare) return true;
     }
     return false;

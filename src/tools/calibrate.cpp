@@ -55,7 +55,8 @@ int main(int argc, char** argv) {
     if (noise_m > 0.0) AddPositionNoise(noise_m, seed, &log);
     tools::MakeFolder(folder);
     tools::ProgressBar bar(log.file);
-    Calibration result = Calibrate(log, recording, file_vehicle, model, options, bar.Callback(), inspected);
+    Calibration result =
+        Calibrate(log, recording, file_vehicle, model, options, bar.Callback(), inspected);
     if (left_out_s > 0.0) {
       result.left_out = PredictLeftOut(log, recording, file_vehicle, model, options, left_out_s);
     }

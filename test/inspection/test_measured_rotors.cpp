@@ -96,8 +96,8 @@ Count TrySpins(const RotorResponse& response, const Vehicle& truth) {
   return count;
 }
 
-// The table: of 23 wrong orders and 15 wrong patterns of spins, how many are refuted and the right one
-// named, refuted without a name, not refuted ("cannot tell"), or named wrongly.
+// The table: of 23 wrong orders and 15 wrong patterns of spins, how many are refuted and the right
+// one named, refuted without a name, not refuted ("cannot tell"), or named wrongly.
 TEST(MeasuredRotors, OrdersAndSpinsAreNamedOrCannotBeTold) {
   if (RecordedFile(kRecordings[0].file).empty()) GTEST_SKIP() << "no recorded flights";
   int orders = 0, named = 0;

@@ -108,6 +108,27 @@ TEST(RotorAssignment, LateStampsAreNoOrder) {
   }
 }
 
+// A part that rattles about roll and yaw: the controller answers on roll, and its answer goes with
+// the turning about yaw as if the rotors on one side all turned one way.
+TEST(RotorAssignment, DisturbancesOfTwoAxesAreNoSpins) {
+  const Vehicle truth = NominalVehicle();
+  const DynamicModel model(truth, truth.effects);
+  SimulationOptions options;
+  options.trajectory = "yaw";
+  options.log_rate_hz = 200.0;
+  const double torque = 0.05 * truth.mass_kg * truth.gravity_m_s2 * truth.ArmLength();
+  for (const double frequency : {1.7, 2.6, 4.1}) {
+    const auto rattle = [=](const FlightState& state) {
+      BodyWrench wrench;
+      const double phase = 2.0 * M_PI * frequency * state.time_s + std::sin(0.9 * state.time_s);
+      wrench.tau_Bcm_B = torque * std::sin(phase) * Eigen::Vector3d(1.0, 0.0, 1.0);
+      return wrench;
+    };
+    const FlightLog log = Simulate(model, model.InitialValues(), options, {}, rattle).log;
+    EXPECT_TRUE(InspectRotors(log, truth).empty()) << frequency;
+  }
+}
+
 /// Appends a vehicle in the hand: idling rotors, turned about at will.
 void AppendCarried(double duration_s, FlightLog* log) {
   std::mt19937 random(7);

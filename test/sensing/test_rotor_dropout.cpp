@@ -19,7 +19,8 @@ FlightLog Turning(double rate_hz) {
     odometry.stamp = FromSeconds(t);
     odometry.p_WS.x() = t;
     log.odometry.push_back(odometry);
-    log.rotors.push_back({odometry.stamp, RotorVector::Constant(4, 800.0 + 200.0 * std::sin(9.0 * t))});
+    log.rotors.push_back(
+        {odometry.stamp, RotorVector::Constant(4, 800.0 + 200.0 * std::sin(9.0 * t))});
   }
   return log;
 }
@@ -57,9 +58,12 @@ TEST(RotorDropout, MissingReadingsLeaveTheStream) {
 TEST(RotorDropout, ARotorThatStopsSpoolsDownAndStays) {
   FlightLog log = Turning(500.0);
   // Braked as quickly as any on record, standing for a second, and up again in 60 ms.
-  Change(3.0, 4.0, 0b0010,
-         [](double t, double speed) { return std::max(0.0, speed * std::exp(-t / 0.016) - 20.0); }, &log);
-  Change(4.0, 4.06, 0b0010, [](double t, double speed) { return speed * t / 0.06; }, &log);
+  Change(
+      3.0, 4.0, 0b0010,
+      [](double t, double speed) { return std::max(0.0, speed * std::exp(-t / 0.016) - 20.0); },
+      &log);
+  Change(
+      4.0, 4.06, 0b0010, [](double t, double speed) { return speed * t / 0.06; }, &log);
   // Cut off at the end, as when a log goes on after landing.
   Change(9.0, 11.0, 0b1111, kNone, &log);
   const FlightLog before = log;

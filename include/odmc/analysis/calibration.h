@@ -43,7 +43,7 @@ struct Calibration {
   TimingFigures wall, cpu;
   int states_in_window = 0;
   int threads = 1;
-  double start_s = 0.0;  ///< of the replay's clock, after the first odometry sample
+  double start_s = 0.0;               ///< of the replay's clock, after the first odometry sample
   std::vector<Finding> findings;      ///< what costs trust, and remarks
   std::vector<std::string> warnings;  ///< the findings' sentences among them
 };

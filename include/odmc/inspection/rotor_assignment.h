@@ -13,9 +13,9 @@ struct AssignmentTest {
   double best_share = 0.0;  ///< posterior probability of the best, 0 to 1
   double file_share = 1.0;  ///< posterior probability of the file's
 
-  /// The file's is wrong beyond doubt: it is right in one of a thousand such cases.
+  /// The file's is wrong beyond doubt: it is right in three of ten thousand such cases.
   bool Refutes() const;
-  /// The file's may well be wrong: it is right in one of a hundred such cases.
+  /// The file's may well be wrong: it is right in three of a thousand such cases.
   bool Doubts() const;
   /// The best is sure enough to be named: it is right in 99 of a hundred such cases.
   bool Names() const;
@@ -23,9 +23,9 @@ struct AssignmentTest {
 
 /// Which place and which spin each column of the rotor speeds has.
 struct RotorAssignment {
-  bool tested = false;         ///< false: too little flight to say anything
-  std::vector<int> order;      ///< per column: the file's rotor (from 0) at whose place it turns
-  std::vector<double> spin;    ///< per column: as Rotor::spin
+  bool tested = false;       ///< false: too little flight to say anything
+  std::vector<int> order;    ///< per column: the file's rotor (from 0) at whose place it turns
+  std::vector<double> spin;  ///< per column: as Rotor::spin
   AssignmentTest places, spins;
 };
 
@@ -35,9 +35,9 @@ struct RotorAssignment {
 /// Evidence of an assignment: the response's coefficients are the file's levers times a common gain
 /// (inertia and thrust may be off by a factor), with a scatter of every rotor, a centre of gravity
 /// beside the file's and an error of the regression (closed loop, coupling of axes); for yaw, those
-/// of reaction torque and rotor inertia, with leaning rotors. These errors bound the evidence, so that a
-/// long flight does not make nats out of a slightly wrong model. Where nothing fits, all nats are
-/// lowered until the best one does.
+/// of reaction torque and rotor inertia, with leaning rotors. These errors bound the evidence, so
+/// that a long flight does not make nats out of a slightly wrong model. Where nothing fits, all
+/// nats are lowered until the best one does.
 RotorAssignment TestRotorAssignment(const RotorResponse& response, const Vehicle& vehicle);
 
 /// What the vehicle file has wrong, if it is refuted or doubtful: checks "rotor_order" and

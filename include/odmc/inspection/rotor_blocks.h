@@ -26,9 +26,10 @@ struct RotorBlocks {
 };
 
 /// Cuts a flight into blocks of a second, half overlapping, without gaps in rotor speeds or body
-/// rates. Rates come from the gyro, else from the odometry's twist, else from its attitude. Derivatives
-/// are taken in the spectrum, exactly. Long flights are thinned evenly to at most 300 blocks.
-/// Empty where a stream is missing, too slow (below 15 Hz) or only the RMS of the speeds is known.
+/// rates. Rates come from the gyro, else from the odometry's twist, else from its attitude.
+/// Derivatives are taken in the spectrum, exactly. Long flights are thinned evenly to at most 300
+/// blocks. Empty where a stream is missing, too slow (below 15 Hz) or only the RMS of the speeds is
+/// known.
 RotorBlocks CutRotorBlocks(const FlightLog& log, const Vehicle& vehicle);
 
 }  // namespace odmc

@@ -15,9 +15,9 @@ struct RotorDropout {
   unsigned rotors = 0;        ///< bit j: rotor j read (almost) nothing
 };
 
-/// Finds rotor speeds that fall to (almost) nothing faster than any brake stops a rotor. They are no
-/// speeds but missing readings, until the speed is back from one reading to the next. A motor that
-/// really stops spools down, and spools up again: its readings are kept. Thread-compatible.
+/// Finds rotor speeds that fall to (almost) nothing faster than any brake stops a rotor. They are
+/// no speeds but missing readings, until the speed is back from one reading to the next. A motor
+/// that really stops spools down, and spools up again: its readings are kept. Thread-compatible.
 class RotorDropoutWatch {
  public:
   /// Looks at the newest reading of `stream` and takes missing ones away from its end (two when a
@@ -35,12 +35,12 @@ class RotorDropoutWatch {
   std::optional<RotorDropout> Continue(Ring<RotorSample>* stream);
 
   std::optional<RotorDropout> dropout_;
-  RotorSample before_;    // the last good reading
-  int between_ = 0;       // readings in a row that are neither gone nor back
+  RotorSample before_;  // the last good reading
+  int between_ = 0;     // readings in a row that are neither gone nor back
 };
 
-/// Takes the dropouts out of a whole stream. Those of a single rotor that is gone in more than 30 % of the
-/// stream are left in: its sensor is dead, which others say and mend.
+/// Takes the dropouts out of a whole stream. Those of a single rotor that is gone in more than 30 %
+/// of the stream are left in: its sensor is dead, which others say and mend.
 /// @returns what was taken out
 std::vector<RotorDropout> TakeDropouts(std::vector<RotorSample>* stream);
 

@@ -11,10 +11,10 @@ namespace odmc {
 
 /// What the synchroniser refused or lost.
 struct SynchroniserCounters {
-  long not_finite = 0;     ///< samples no sensor reads: NaN, infinity, beyond IsPlausible()
-  long glitches = 0;       ///< samples that leapt away and came back (MendGlitch(), or body rates
-                           ///< that contradict the turn: dropped)
-  Stamp first_glitch = 0;  ///< of the first of these
+  long not_finite = 0;      ///< samples no sensor reads: NaN, infinity, beyond IsPlausible()
+  long glitches = 0;        ///< samples that leapt away and came back (MendGlitch(), or body rates
+                            ///< that contradict the turn: dropped)
+  Stamp first_glitch = 0;   ///< of the first of these
   long rotor_dropouts = 0;  ///< times that rotor speeds fell to nothing and came back at once
   RotorDropout first_dropout;
   long out_of_order = 0;   ///< stamps that step back or repeat
