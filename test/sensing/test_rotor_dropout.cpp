@@ -56,20 +56,22 @@ TEST(RotorDropout, MissingReadingsLeaveTheStream) {
 }
 
 TEST(RotorDropout, ARotorThatStopsSpoolsDownAndStays) {
-  FlightLog log = Turning(500.0);
-  // Braked as quickly as any on record, standing for a second, and up again in 60 ms.
-  Change(
-      3.0, 4.0, 0b0010,
-      [](double t, double speed) { return std::max(0.0, speed * std::exp(-t / 0.016) - 20.0); },
-      &log);
-  Change(
-      4.0, 4.06, 0b0010, [](double t, double speed) { return speed * t / 0.06; }, &log);
-  // Cut off at the end, as when a log goes on after landing.
-  Change(9.0, 11.0, 0b1111, kNone, &log);
-  const FlightLog before = log;
-  MendFlight(&log);
-  EXPECT_TRUE(log.warnings.empty()) << log.warnings[0];
-  EXPECT_EQ(log.rotors.size(), before.rotors.size());
+  for (const double rate_hz : {20.0, 100.0, 500.0}) {
+    FlightLog log = Turning(rate_hz);
+    // Braked as quickly as any on record, standing for a second, and up again in 60 ms.
+    const auto braked = [](double t, double speed) {
+      return std::max(0.0, speed * std::exp(-(t + 0.002) / 0.016));
+    };
+    const auto up = [](double t, double speed) { return speed * t / 0.06; };
+    Change(3.0, 4.0, 0b0010, braked, &log);
+    Change(4.0, 4.06, 0b0010, up, &log);
+    // Cut off at the end, as when a log goes on after landing.
+    Change(9.0, 11.0, 0b1111, kNone, &log);
+    const size_t all = log.rotors.size();
+    MendFlight(&log);
+    EXPECT_TRUE(log.warnings.empty()) << rate_hz << ": " << log.warnings[0];
+    EXPECT_EQ(log.rotors.size(), all);
+  }
 }
 
 // A reading that is missing for most of a flight belongs to a dead sensor.
