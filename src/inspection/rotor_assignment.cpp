@@ -20,7 +20,7 @@ using Order = std::vector<int>;
 
 // Error rates. Under the file's own hypothesis the evidence of all others together exceeds its own
 // by a factor of 1/p with a probability of p at most (Markov's inequality).
-constexpr double kRefuted = 3e-4, kDoubtful = 3e-3, kNamed = 0.99;
+constexpr double kRefuted = 1e-4, kDoubtful = 1e-3, kNamed = 0.99;
 
 // What a response may differ from the file's levers by, in sigmas. Measured on recordings with
 // right files, columns scatter by 5 to 15 % in this band, mostly by what the controller answers;
@@ -43,12 +43,17 @@ constexpr double kReactionPerRadius = 0.2;  // k_m/k_f over the propeller's radi
 // Gains that are tried: a factor of nine either way, and their prior (70 %).
 constexpr int kGains = 23;
 constexpr double kLogGain = 0.2, kLogGainSigma = 0.7;
+constexpr double kLeastErrorGain = 0.5;
 constexpr int kExhaustive = 4;  // rotors; more are searched
 
 double Gain(int i) { return std::exp(kLogGain * (i - kGains / 2)); }
 double LogGainPrior(int i) {
   return -0.5 * std::pow(kLogGain * (i - kGains / 2) / kLogGainSigma, 2);
 }
+
+/// The gain that errors of the regression go with: they do not shrink with an effect that is hardly
+/// seen (or answered by the controller).
+double ErrorGain(double gain) { return std::max(gain, kLeastErrorGain); }
 
 struct Evidence {
   double log = 0.0;  // up to what all hypotheses share
@@ -72,11 +77,11 @@ Evidence EvidenceOf(const BandRegression& seen, const VectorXd& mean, const Matr
 /// Of one axis, where column j has the lever `lever[j]`.
 Evidence LeverEvidence(const BandRegression& seen, const VectorXd& lever, double arm, double gain) {
   const Eigen::Index n = lever.size();
-  MatrixXd covariance = std::pow(kGainScatter, 2) * lever * lever.transpose();
-  covariance.array() += std::pow(kOffCentre * arm, 2);
-  covariance.diagonal().array() +=
-      (kRotorScatter * lever).array().square() + std::pow(kCoupling * arm, 2);
-  return EvidenceOf(seen, gain * lever.head(n), gain * gain * covariance);
+  MatrixXd covariance = std::pow(kGainScatter * gain, 2) * lever * lever.transpose();
+  covariance.array() += std::pow(kOffCentre * arm * gain, 2);
+  covariance.diagonal().array() += (kRotorScatter * gain * lever).array().square() +
+                                   std::pow(kCoupling * arm * ErrorGain(gain), 2);
+  return EvidenceOf(seen, gain * lever.head(n), covariance);
 }
 
 /// Levers of roll and pitch at each of the file's places, and the arms that scale their errors.
@@ -348,19 +353,21 @@ Evidence SpinEvidence(const BandRegression& seen, const VectorXd& sign, double r
   MatrixXd along = MatrixXd::Zero(n, n);
   for (int axis = 0; axis < 2; ++axis) {
     const VectorXd lever = kAlong / levers.arm[axis] * levers.of[axis];
-    along += reaction * reaction * lever * lever.transpose();
+    along += std::pow(reaction * ErrorGain(gain), 2) * lever * lever.transpose();
   }
+  const double scatter = ErrorGain(gain) * kRotorScatter * reaction;
+  const double lean = ErrorGain(gain) * kLean_rad * arm;
   const MatrixXd together = sign * sign.transpose();
   MatrixXd covariance = MatrixXd::Zero(2 * n, 2 * n);
-  covariance.topLeftCorner(n, n) = std::pow(kReactionScatter * reaction, 2) * together + along;
-  covariance.topLeftCorner(n, n).diagonal().array() +=
-      std::pow(kRotorScatter * reaction, 2) + std::pow(kLean_rad * arm, 2);
+  covariance.topLeftCorner(n, n) =
+      std::pow(gain * kReactionScatter * reaction, 2) * together + along;
+  covariance.topLeftCorner(n, n).diagonal().array() += scatter * scatter + lean * lean;
   covariance.bottomRightCorner(n, n) =
-      std::pow(kSpinUpSigma_s * reaction, 2) * together + kSpinUp_s * kSpinUp_s * along;
-  covariance.bottomRightCorner(n, n).diagonal().array() += std::pow(0.2 * kSpinUp_s * reaction, 2);
+      std::pow(gain * kSpinUpSigma_s * reaction, 2) * together + kSpinUp_s * kSpinUp_s * along;
+  covariance.bottomRightCorner(n, n).diagonal().array() += std::pow(kSpinUp_s * scatter, 2);
   VectorXd mean(2 * n);
   mean << reaction * sign, kSpinUp_s * reaction * sign;
-  return EvidenceOf(seen, gain * mean, gain * gain * covariance);
+  return EvidenceOf(seen, gain * mean, covariance);
 }
 
 /// Reaction torques balance in steady flight.

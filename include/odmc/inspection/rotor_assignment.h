@@ -13,9 +13,9 @@ struct AssignmentTest {
   double best_share = 0.0;  ///< posterior probability of the best, 0 to 1
   double file_share = 1.0;  ///< posterior probability of the file's
 
-  /// The file's is wrong beyond doubt: it is right in three of ten thousand such cases.
+  /// The file's is wrong beyond doubt: it is right in one of ten thousand such cases.
   bool Refutes() const;
-  /// The file's may well be wrong: it is right in three of a thousand such cases.
+  /// The file's may well be wrong: it is right in one of a thousand such cases.
   bool Doubts() const;
   /// The best is sure enough to be named: it is right in 99 of a hundred such cases.
   bool Names() const;
