@@ -7,6 +7,7 @@
 
 #include "odmc/analysis/ground_spans.h"
 #include "odmc/analysis/phase_findings.h"
+#include "odmc/inspection/rotor_inspection.h"
 #include "odmc/io/number_text.h"
 #include "odmc/math/statistics.h"
 #include "odmc/model/plausibility.h"
@@ -109,6 +110,8 @@ std::vector<std::string> FlightWarnings(const FlightLog& log, const ReplayResult
             Text(t_s) + " s",
         &warnings);
   }
+  WarnCount(s.rotor_dropouts, "time rotor speeds fell to nothing and came back at once: missing",
+            "times rotor speeds fell to nothing and came back at once: missing", &warnings);
   WarnCount(s.out_of_order, "sample stepped back in time and was dropped",
             "samples stepped back in time and were dropped", &warnings);
   WarnCount(s.repeated_pose, "pose repeated the one before and was dropped",
@@ -135,7 +138,8 @@ void WarnOfOtherMass(const ParameterSet& parameters, const Vehicle& vehicle,
 
 Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Vehicle& file_vehicle,
                       const DynamicModel& model, const EstimatorOptions& options,
-                      const std::function<void(double)>& progress) {
+                      const std::function<void(double)>& progress,
+                      const std::vector<Finding>& inspected) {
   const auto& parameters = model.parameters();
   if (std::none_of(parameters.begin(), parameters.end(),
                    [](const auto& p) { return p.estimated; })) {
@@ -169,11 +173,22 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   result.warnings = FlightWarnings(log, replay);
   Append(ModelWarnings(model, last.values, last.sigma, result.prediction.figures),
          &result.warnings);
+  result.findings.insert(result.findings.begin(), inspected.begin(), inspected.end());
   Append(PhaseFindings(replay, options.detect_changes, result.first_stamp), &result.findings);
   for (const Finding& finding : result.findings) {
     if (finding.leaves != Trust::kGood) result.warnings.push_back(Sentence(finding));
   }
   return result;
+}
+
+std::vector<Finding> InspectFlight(const FlightLog& log, const Vehicle& vehicle, bool force) {
+  std::vector<Finding> findings = InspectRotors(log, vehicle);
+  for (const Finding& finding : findings) {
+    if (finding.leaves != Trust::kBad || force) continue;
+    throw std::invalid_argument(log.file + ": " + Sentence(finding) +
+                                " (--force calibrates nevertheless)");
+  }
+  return findings;
 }
 
 LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,

@@ -14,7 +14,9 @@ constexpr double kTurning_rad_s = 20.0;  // slower ones may rightly read zero
 constexpr double kStuck_s = 0.5;         // longer than any filter or slow update holds a value
 constexpr int kChanges = 10;             // of the others, meanwhile
 constexpr char kWrong[] = "what is estimated from this flight is wrong";
-constexpr double kDeadShare = 0.05;  // single missed readings are not worth a warning
+constexpr double kStandingThrottle = 0.02;  // below what turns a rotor
+constexpr double kSpoolUp_s = 0.2;          // until a rotor that is told to turn reads something
+constexpr double kDeadShare = 0.05;         // single missed readings are not worth a warning
 
 std::string AtSeconds(Stamp stamp) {
   char text[40];
@@ -65,11 +67,36 @@ struct DeadCount {
   long zero = 0;     ///< of these, samples in which this one reads (almost) zero
 };
 
-DeadCount CountZero(const std::vector<RotorSample>& rotors, Eigen::Index j) {
+/// Commands in the order of the stamps they are asked for.
+class Commanded {
+ public:
+  explicit Commanded(const std::vector<CommandSample>& commands) : commands_(commands) {}
+
+  /// True if rotor `j` was told to stand within the time it takes to spool up before `stamp`.
+  bool Stands(Stamp stamp, Eigen::Index j) {
+    while (next_ < commands_.size() && commands_[next_].stamp <= stamp) {
+      const CommandSample& command = commands_[next_++];
+      if (j < command.throttle.size() && command.throttle[j] < kStandingThrottle) {
+        last_standing_ = command.stamp;
+        told_ = true;
+      }
+    }
+    return told_ && ToSeconds(stamp - last_standing_) < kSpoolUp_s;
+  }
+
+ private:
+  const std::vector<CommandSample>& commands_;
+  size_t next_ = 0;
+  Stamp last_standing_ = 0;
+  bool told_ = false;
+};
+
+DeadCount CountZero(const FlightLog& log, Eigen::Index j) {
   DeadCount count;
-  for (const RotorSample& sample : rotors) {
+  Commanded commanded(log.commands);
+  for (const RotorSample& sample : log.rotors) {
     const double others = MedianOfOthers(sample.speed, j);
-    if (others < kTurning_rad_s) continue;
+    if (commanded.Stands(sample.stamp, j) || others < kTurning_rad_s) continue;
     ++count.turning;
     if (sample.speed[j] < 0.02 * others) ++count.zero;
   }
@@ -167,7 +194,7 @@ void TakeSpeedMagnitudes(const std::string& source, FlightLog* log) {
 void WarnOfDeadRotors(const std::string& source, FlightLog* log) {
   if (log->rotor_rms_only || log->rotors.empty() || log->rotors.front().speed.size() < 2) return;
   for (Eigen::Index j = 0; j < log->rotors.front().speed.size(); ++j) {
-    const DeadCount count = CountZero(log->rotors, j);
+    const DeadCount count = CountZero(*log, j);
     WarnIfShare(source, j, count.zero, count.turning, "reads zero", log);
     WarnIfShare(source, j, CountStuck(log->rotors, j), static_cast<long>(log->rotors.size()),
                 "is stuck at one value", log);

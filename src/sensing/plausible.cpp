@@ -7,6 +7,8 @@
 #include <vector>
 
 #include "odmc/math/so3.h"
+#include "odmc/sensing/flight_checks.h"
+#include "odmc/sensing/rotor_dropout.h"
 
 namespace odmc {
 namespace {
@@ -171,6 +173,44 @@ bool HasNeighbour(const Ring<Sample>& queue) {
   return n >= 2 && queue[n - 1].stamp - queue[n - 2].stamp <= kNeighbours;
 }
 
+/// "rotor1, rotor3" of the bits that are set in `rotors`.
+std::string RotorNames(unsigned rotors) {
+  std::string names;
+  for (int j = 0; j < kMaxRotors; ++j) {
+    if ((rotors >> j & 1U) != 0U)
+      names += (names.empty() ? "rotor" : ", rotor") + std::to_string(j + 1);
+  }
+  return names;
+}
+
+/// One sentence for all dropouts.
+std::string Sentence(const std::vector<RotorDropout>& dropouts, Stamp zero) {
+  long readings = 0;
+  unsigned rotors = 0;
+  for (const RotorDropout& dropout : dropouts) {
+    readings += dropout.readings;
+    rotors |= dropout.rotors;
+  }
+  char first[80];
+  std::snprintf(first, sizeof first, "%.3f to %.3f s after the first pose",
+                ToSeconds(dropouts.front().first - zero), ToSeconds(dropouts.front().last - zero));
+  const std::string times = dropouts.size() == 1
+                                ? "once, from "
+                                : std::to_string(dropouts.size()) + " times, the first from ";
+  return "rotor speeds fell out (" + RotorNames(rotors) +
+         " read nothing and came back, quicker than any rotor stops) " + times + first + ": " +
+         std::to_string(readings) + " readings are missing, not zero";
+}
+
+void MendDropouts(Stamp zero, FlightLog* log) {
+  const std::vector<RotorDropout> dropouts = TakeDropouts(&log->rotors);
+  if (dropouts.empty()) return;
+  // What was said of dead rotors counted these readings.
+  ForgetDeadRotors(log);
+  WarnOfDeadRotors(log->file, log);
+  log->warnings.push_back(Sentence(dropouts, zero));
+}
+
 }  // namespace
 
 bool IsPlausible(const OdometrySample& s) {
@@ -223,6 +263,7 @@ void MendFlight(FlightLog* log) {
   MendNamed("odometry", zero, &log->odometry, log);
   MendNamed("the IMU", zero, &log->imu, log);
   MendNamed("rotor speeds", zero, &log->rotors, log);
+  if (!log->rotor_rms_only) MendDropouts(zero, log);
 }
 
 }  // namespace odmc

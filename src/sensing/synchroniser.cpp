@@ -78,7 +78,11 @@ bool Synchroniser::Add(const OdometrySample& received) {
 
 void Synchroniser::Add(const ImuSample& sample) { Append(sample, &imu_, &counters_); }
 
-void Synchroniser::Add(const RotorSample& sample) { Append(sample, &rotors_, &counters_); }
+void Synchroniser::Add(const RotorSample& sample) {
+  Append(sample, &rotors_, &counters_);
+  const std::optional<RotorDropout> ended = dropouts_.Sift(&rotors_);
+  if (ended && counters_.rotor_dropouts++ == 0) counters_.first_dropout = *ended;
+}
 
 void Synchroniser::Add(const BatterySample& sample) {
   if (std::isfinite(sample.voltage_V)) battery_voltage_V_ = sample.voltage_V;
@@ -135,6 +139,7 @@ void Synchroniser::Trim(Stamp stamp) {
 void Synchroniser::Clear() {
   odometry_.clear();
   rotors_.clear();
+  dropouts_.Clear();
   imu_.clear();
   last_odometry_.reset();
   last_keyframe_.reset();

@@ -15,7 +15,7 @@ int main(int argc, char** argv) {
   std::string vehicle_file, folder;
   double noise_m = 0.0, left_out_s = 0.0;
   int seed = 1;
-  bool no_report = false;
+  bool no_report = false, force = false;
   flight.AddTo(&app);
   tools::AddVehicle(&app, &vehicle_file);
   tools::AddFolder(&app, &folder, &no_report);
@@ -33,6 +33,8 @@ int main(int argc, char** argv) {
   app.add_option("--seed", seed, "of the position noise")
       ->capture_default_str()
       ->check(tools::NotNegative());
+  app.add_flag("--force", force,
+               "calibrates even where the flight contradicts the vehicle file; trust is bad then");
   return tools::Run(&app, argc, argv, [&] {
     const Vehicle file_vehicle = LoadVehicle(vehicle_file);
     const EstimatorOptions options = estimator.Read();
@@ -48,11 +50,13 @@ int main(int argc, char** argv) {
           "--freeze thrust.k_f or mass_change.mass");
     }
     const FlightLog recording = flight.Read(vehicle);
+    const std::vector<Finding> inspected = InspectFlight(recording, file_vehicle, force);
     FlightLog log = recording;
     if (noise_m > 0.0) AddPositionNoise(noise_m, seed, &log);
     tools::MakeFolder(folder);
     tools::ProgressBar bar(log.file);
-    Calibration result = Calibrate(log, recording, file_vehicle, model, options, bar.Callback());
+    Calibration result =
+        Calibrate(log, recording, file_vehicle, model, options, bar.Callback(), inspected);
     if (left_out_s > 0.0) {
       result.left_out = PredictLeftOut(log, recording, file_vehicle, model, options, left_out_s);
     }

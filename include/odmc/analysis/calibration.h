@@ -61,11 +61,18 @@ struct Evaluation {
 ///   estimator sees; the measured force must not show that noise
 /// @param file_vehicle the vehicle file as it is (nominal inertia and mounts)
 /// @param progress called with the share done (0 to 1), may be empty
+/// @param inspected what InspectFlight() found; goes to the findings
 /// @throws std::invalid_argument if the flight never leaves the ground or nothing is to be
 /// estimated
 Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Vehicle& file_vehicle,
                       const DynamicModel& model, const EstimatorOptions& options,
-                      const std::function<void(double)>& progress = {});
+                      const std::function<void(double)>& progress = {},
+                      const std::vector<Finding>& inspected = {});
+
+/// Looks at a recording before anything is estimated from it.
+/// @param force true: findings that leave bad trust are returned like the others
+/// @throws std::invalid_argument with the first finding that leaves bad trust
+std::vector<Finding> InspectFlight(const FlightLog& log, const Vehicle& vehicle, bool force);
 
 /// Runs the estimator once for each block of `block_s`, without that block, and predicts the block
 /// with what the rest of the flight shows.

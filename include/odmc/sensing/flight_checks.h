@@ -38,7 +38,8 @@ void NormaliseAttitudes(const std::string& source, std::vector<OdometrySample>* 
 /// Takes the magnitude of speeds that carry a sign for the direction of turning; one warning.
 void TakeSpeedMagnitudes(const std::string& source, FlightLog* log);
 
-/// Warns of rotors that read zero, or one same value for half a second, while the others turn.
+/// Warns of rotors that read zero, or one same value for half a second, while the others turn; not
+/// of those that were told to stand.
 void WarnOfDeadRotors(const std::string& source, FlightLog* log);
 
 /// Takes back what WarnOfDeadRotors() said, since their speeds were replaced.

@@ -32,8 +32,9 @@ bool MayBeGlitch(const Ring<ImuSample>& queue);
 bool MendGlitch(Ring<RotorSample>* queue);
 bool MendGlitch(Ring<ImuSample>* queue);
 
-/// Drops from a whole recording what IsPlausible() refuses and poses whose rates ContradictsTurn(),
-/// and mends its glitches; a warning each names stream, number and first time.
+/// Drops from a whole recording what IsPlausible() refuses, poses whose rates ContradictsTurn(),
+/// and readings that TakeDropouts() finds missing, and mends its glitches; a warning each names
+/// stream, number and first time.
 void MendFlight(FlightLog* log);
 
 }  // namespace odmc

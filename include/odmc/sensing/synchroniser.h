@@ -4,16 +4,19 @@
 #include <string>
 
 #include "odmc/math/ring.h"
+#include "odmc/sensing/rotor_dropout.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
 
 /// What the synchroniser refused or lost.
 struct SynchroniserCounters {
-  long not_finite = 0;     ///< samples no sensor reads: NaN, infinity, beyond IsPlausible()
-  long glitches = 0;       ///< samples that leapt away and came back (MendGlitch(), or body rates
-                           ///< that contradict the turn: dropped)
-  Stamp first_glitch = 0;  ///< of the first of these
+  long not_finite = 0;      ///< samples no sensor reads: NaN, infinity, beyond IsPlausible()
+  long glitches = 0;        ///< samples that leapt away and came back (MendGlitch(), or body rates
+                            ///< that contradict the turn: dropped)
+  Stamp first_glitch = 0;   ///< of the first of these
+  long rotor_dropouts = 0;  ///< times that rotor speeds fell to nothing and came back at once
+  RotorDropout first_dropout;
   long out_of_order = 0;   ///< stamps that step back or repeat
   long repeated_pose = 0;  ///< poses identical to the one before (a stalled source)
   long uncovered = 0;  ///< keyframes let go without rotor speeds or IMU because those stayed away
@@ -71,6 +74,7 @@ class Synchroniser {
   double period_s_, patience_s_;
   Ring<Waiting> odometry_;
   Ring<RotorSample> rotors_;
+  RotorDropoutWatch dropouts_;
   Ring<ImuSample> imu_;
   double battery_voltage_V_ = 0.0;
   std::optional<OdometrySample> last_odometry_;

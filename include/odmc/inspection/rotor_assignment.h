@@ -1,0 +1,47 @@
+#pragma once
+
+#include <vector>
+
+#include "odmc/inspection/finding.h"
+#include "odmc/inspection/rotor_regression.h"
+
+namespace odmc {
+
+/// How the places or the spins of the vehicle file compare with the ones that fit best.
+struct AssignmentTest {
+  double nats = 0.0;        ///< log evidence of the best minus the file's, >= 0
+  double best_share = 0.0;  ///< posterior probability of the best, 0 to 1
+  double file_share = 1.0;  ///< posterior probability of the file's
+
+  /// The file's is wrong beyond doubt: it is right in one of ten thousand such cases.
+  bool Refutes() const;
+  /// The file's may well be wrong: it is right in one of a thousand such cases.
+  bool Doubts() const;
+  /// The best is sure enough to be named: it is right in 99 of a hundred such cases.
+  bool Names() const;
+};
+
+/// Which place and which spin each column of the rotor speeds has.
+struct RotorAssignment {
+  bool tested = false;       ///< false: too little flight to say anything
+  std::vector<int> order;    ///< per column: the file's rotor (from 0) at whose place it turns
+  std::vector<double> spin;  ///< per column: as Rotor::spin
+  AssignmentTest places, spins;
+};
+
+/// Tests every assignment of columns to places and spins (for more than four rotors the likely
+/// ones: linear assignment, then swaps) by how well it explains the response.
+///
+/// Evidence of an assignment: the response's coefficients are the file's levers times a common gain
+/// (inertia and thrust may be off by a factor), with a scatter of every rotor, a centre of gravity
+/// beside the file's and an error of the regression (closed loop, coupling of axes); for yaw, those
+/// of reaction torque and rotor inertia, with leaning rotors. These errors bound the evidence, so
+/// that a long flight does not make nats out of a slightly wrong model. Where nothing fits, all
+/// nats are lowered until the best one does.
+RotorAssignment TestRotorAssignment(const RotorResponse& response, const Vehicle& vehicle);
+
+/// What the vehicle file has wrong, if it is refuted or doubtful: checks "rotor_order" and
+/// "rotor_spin".
+std::vector<Finding> AssignmentFindings(const RotorAssignment& assignment, const Vehicle& vehicle);
+
+}  // namespace odmc

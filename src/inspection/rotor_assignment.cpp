@@ -1,0 +1,540 @@
+#include "odmc/inspection/rotor_assignment.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+#include <map>
+#include <numeric>
+#include <string>
+
+namespace odmc {
+namespace {
+
+using Eigen::Matrix2d;
+using Eigen::MatrixXd;
+using Eigen::Vector2d;
+using Eigen::VectorXd;
+using Order = std::vector<int>;
+
+// Error rates. Under the file's own hypothesis the evidence of all others together exceeds its own
+// by a factor of 1/p with a probability of p at most (Markov's inequality).
+constexpr double kRefuted = 1e-4, kDoubtful = 1e-3, kNamed = 0.99;
+
+// What a response may differ from the file's levers by, in sigmas. Measured on recordings with
+// right files, columns scatter by 5 to 15 % in this band, mostly by what the controller answers;
+// axes couple by products of inertia and leaning rotors.
+constexpr double kGainScatter = 0.3;    // of the gain of an axis, beside the best common one
+constexpr double kRotorScatter = 0.15;  // of each rotor's own coefficient
+constexpr double kCoupling = 0.1;       // over the arm, of each coefficient
+constexpr double kOffCentre = 0.1;      // over the arm, of the centre of gravity
+constexpr double kReactionScatter = 0.5, kLean_rad = 0.05;
+// What pushes roll or pitch often pushes yaw along, and the controller answers where it is quick:
+// columns then seem to turn yaw by their levers of roll and pitch, as much as by their reaction.
+constexpr double kAlong = 1.5;
+// A rotor's inertia takes this long to be seen in its reaction torque: J w / (2 k_m w²). Four makes
+// of motors and propellers of 2 to 5 inches lie between 30 and 80 ms.
+constexpr double kSpinUp_s = 0.04, kSpinUpSigma_s = 0.04;
+constexpr double kSteadyYaw = 0.1;        // imbalance of reaction torques in steady flight
+constexpr double kMostSteadyNats = 10.0;  // that this imbalance may say: vehicles with tails differ
+constexpr double kReactionPerRadius = 0.2;  // k_m/k_f over the propeller's radius
+
+// Gains that are tried: a factor of nine either way, and their prior (70 %).
+constexpr int kGains = 23;
+constexpr double kLogGain = 0.2, kLogGainSigma = 0.7;
+constexpr double kLeastErrorGain = 0.5;
+constexpr int kExhaustive = 4;  // rotors; more are searched
+
+double Gain(int i) { return std::exp(kLogGain * (i - kGains / 2)); }
+double LogGainPrior(int i) {
+  return -0.5 * std::pow(kLogGain * (i - kGains / 2) / kLogGainSigma, 2);
+}
+
+/// The gain that errors of the regression go with: they do not shrink with an effect that is hardly
+/// seen (or answered by the controller).
+double ErrorGain(double gain) { return std::max(gain, kLeastErrorGain); }
+
+struct Evidence {
+  double log = 0.0;  // up to what all hypotheses share
+  double chi = 0.0;  // squared misfit over the covariance of prior and data
+};
+
+/// Of coefficients ~ N(mean, covariance) seen through a regression.
+Evidence EvidenceOf(const BandRegression& seen, const VectorXd& mean, const MatrixXd& covariance) {
+  const Eigen::Index p = mean.size();
+  const MatrixXd jitter = 1e-12 * covariance.trace() * MatrixXd::Identity(p, p);
+  const MatrixXd root = Eigen::LLT<MatrixXd>(covariance + jitter).matrixL();
+  const MatrixXd inner = MatrixXd::Identity(p, p) + root.transpose() * seen.information * root;
+  const Eigen::LLT<MatrixXd> factor(inner);
+  const VectorXd off = seen.information * (seen.value - mean), pulled = root.transpose() * off;
+  Evidence e;
+  e.chi = off.dot(seen.value - mean) - pulled.dot(factor.solve(pulled));
+  e.log = -0.5 * e.chi - MatrixXd(factor.matrixL()).diagonal().array().log().sum();
+  return e;
+}
+
+/// Of one axis, where column j has the lever `lever[j]`.
+Evidence LeverEvidence(const BandRegression& seen, const VectorXd& lever, double arm, double gain) {
+  const Eigen::Index n = lever.size();
+  MatrixXd covariance = std::pow(kGainScatter * gain, 2) * lever * lever.transpose();
+  covariance.array() += std::pow(kOffCentre * arm * gain, 2);
+  covariance.diagonal().array() += (kRotorScatter * gain * lever).array().square() +
+                                   std::pow(kCoupling * arm * ErrorGain(gain), 2);
+  return EvidenceOf(seen, gain * lever.head(n), covariance);
+}
+
+/// Levers of roll and pitch at each of the file's places, and the arms that scale their errors.
+struct Levers {
+  VectorXd of[2];
+  double arm[2];
+
+  explicit Levers(const Vehicle& vehicle) {
+    const int n = vehicle.num_rotors();
+    of[0].resize(n);
+    of[1].resize(n);
+    for (int j = 0; j < n; ++j) {
+      of[0][j] = vehicle.rotors[static_cast<size_t>(j)].p_BP.y();
+      of[1][j] = -vehicle.rotors[static_cast<size_t>(j)].p_BP.x();
+    }
+    for (int axis = 0; axis < 2; ++axis) arm[axis] = of[axis].cwiseAbs().mean();
+  }
+
+  VectorXd At(int axis, const Order& order) const {
+    VectorXd lever(of[axis].size());
+    for (Eigen::Index j = 0; j < lever.size(); ++j)
+      lever[j] = of[axis][order[static_cast<size_t>(j)]];
+    return lever;
+  }
+};
+
+/// Evidence of hypotheses, by gain.
+template <typename Key>
+using Table = std::map<Key, Evidence>;
+
+double LogSum(const std::vector<double>& logs) {
+  const double most = *std::max_element(logs.begin(), logs.end());
+  double sum = 0.0;
+  for (const double log : logs) sum += std::exp(log - most);
+  return most + std::log(sum);
+}
+
+template <typename Key>
+double Total(const Table<Key>& table) {
+  std::vector<double> logs;
+  for (const auto& [key, evidence] : table) logs.push_back(evidence.log);
+  return LogSum(logs);
+}
+
+/// The table at the gain that fits all hypotheses together best.
+template <typename Key, typename Make>
+Table<Key> AtBestGain(const Make& make, int* gain = nullptr) {
+  Table<Key> best;
+  double most = -std::numeric_limits<double>::infinity();
+  for (int i = 0; i < kGains; ++i) {
+    Table<Key> table = make(Gain(i));
+    const double total = Total(table) + LogGainPrior(i);
+    if (!(total > most)) continue;
+    most = total;
+    best = std::move(table);
+    if (gain != nullptr) *gain = i;
+  }
+  return best;
+}
+
+template <typename Key>
+const Key& BestOf(const Table<Key>& table) {
+  return std::max_element(table.begin(), table.end(),
+                          [](const auto& a, const auto& b) { return a.second.log < b.second.log; })
+      ->first;
+}
+
+/// @param degrees of the misfit
+template <typename Key>
+AssignmentTest Judge(const Table<Key>& table, const Key& file, double degrees) {
+  const Key& best = BestOf(table);
+  const double misfit = std::max(1.0, table.at(best).chi / degrees);
+  std::vector<double> logs;
+  for (const auto& [key, evidence] : table) logs.push_back(evidence.log / misfit);
+  const double all = LogSum(logs);
+  AssignmentTest test;
+  test.nats = (table.at(best).log - table.at(file).log) / misfit;
+  test.best_share = std::exp(table.at(best).log / misfit - all);
+  test.file_share = std::exp(table.at(file).log / misfit - all);
+  return test;
+}
+
+Order FileOrder(int n) {
+  Order order(static_cast<size_t>(n));
+  std::iota(order.begin(), order.end(), 0);
+  return order;
+}
+
+Table<Order> AllOrders(const BandRegression& seen, const Levers& levers, int axis, double gain) {
+  Table<Order> table;
+  Order order = FileOrder(static_cast<int>(seen.value.size()));
+  do {
+    table[order] = LeverEvidence(seen, levers.At(axis, order), levers.arm[axis], gain);
+  } while (std::next_permutation(order.begin(), order.end()));
+  return table;
+}
+
+Table<Order> Sum(Table<Order> a, const Table<Order>& b) {
+  for (auto& [key, evidence] : a) {
+    evidence.log += b.at(key).log;
+    evidence.chi += b.at(key).chi;
+  }
+  return a;
+}
+
+Table<Order> ExhaustiveOrders(const RotorResponse& response, const Levers& levers) {
+  const auto table = [&](const BandRegression& seen, int axis) {
+    return AtBestGain<Order>([&](double gain) { return AllOrders(seen, levers, axis, gain); });
+  };
+  return Sum(table(response.roll, 0), table(response.pitch, 1));
+}
+
+/// Finds likely orders of many rotors without trying all of them.
+class OrderSearch {
+ public:
+  OrderSearch(const RotorResponse& response, const Levers& levers)
+      : response_(response), levers_(levers) {
+    for (int axis = 0; axis < 2; ++axis) gain_[axis] = TypicalGain(axis);
+  }
+
+  /// Evidence of every order that was met on the way.
+  Table<Order> Run() {
+    const Order file = FileOrder(static_cast<int>(levers_.of[0].size()));
+    for (const Order& start : {file, LinearAssignment()}) Descend(start);
+    return met_;
+  }
+
+ private:
+  const BandRegression& Seen(int axis) const {
+    return axis == 0 ? response_.roll : response_.pitch;
+  }
+
+  /// The gain under which levers in any order fit best.
+  double TypicalGain(int axis) const {
+    const VectorXd& lever = levers_.of[axis];
+    const double size = lever.squaredNorm() / static_cast<double>(lever.size()) +
+                        std::pow(kCoupling * levers_.arm[axis], 2);
+    const MatrixXd any = size * MatrixXd::Identity(lever.size(), lever.size());
+    int best = 0;
+    double most = -std::numeric_limits<double>::infinity();
+    for (int i = 0; i < kGains; ++i) {
+      const double log =
+          EvidenceOf(Seen(axis), VectorXd::Zero(lever.size()), Gain(i) * Gain(i) * any).log +
+          LogGainPrior(i);
+      if (log > most) best = i;
+      most = std::max(most, log);
+    }
+    return Gain(best);
+  }
+
+  Evidence Of(const Order& order) {
+    const auto known = met_.find(order);
+    if (known != met_.end()) return known->second;
+    Evidence sum;
+    for (int axis = 0; axis < 2; ++axis) {
+      const Evidence e =
+          LeverEvidence(Seen(axis), levers_.At(axis, order), levers_.arm[axis], gain_[axis]);
+      sum.log += e.log;
+      sum.chi += e.chi;
+    }
+    return met_[order] = sum;
+  }
+
+  /// Swaps pairs as long as that helps.
+  void Descend(Order order) {
+    for (bool better = true; better;) {
+      better = false;
+      Order best = order;
+      for (size_t a = 0; a < order.size(); ++a) {
+        for (size_t b = a + 1; b < order.size(); ++b) {
+          Order swapped = order;
+          std::swap(swapped[a], swapped[b]);
+          if (Of(swapped).log > Of(best).log) best = swapped;
+        }
+      }
+      better = best != order;
+      order = best;
+    }
+  }
+
+  /// Every column at a place of its own with the least squared distance of their coefficients, by
+  /// dynamic programming over the sets of places taken (8 rotors: 256).
+  Order LinearAssignment() const {
+    const int n = static_cast<int>(levers_.of[0].size());
+    const MatrixXd distance = Distances();
+    const size_t sets = size_t{1} << n;
+    std::vector<double> least(sets, std::numeric_limits<double>::infinity());
+    std::vector<int> last(sets, 0);
+    least[0] = 0.0;
+    for (size_t taken = 0; taken + 1 < sets; ++taken) {
+      const int column = __builtin_popcountll(taken);
+      for (int place = 0; place < n; ++place) {
+        const size_t next = taken | (size_t{1} << place);
+        const double cost = least[taken] + distance(column, place);
+        if (next == taken || !(cost < least[next])) continue;
+        least[next] = cost;
+        last[next] = place;
+      }
+    }
+    Order order(static_cast<size_t>(n));
+    size_t taken = sets - 1;
+    for (int column = n - 1; column >= 0; --column) {
+      order[static_cast<size_t>(column)] = last[taken];
+      taken &= ~(size_t{1} << last[taken]);
+    }
+    return order;
+  }
+
+  /// Of every column's coefficients (their mean beside a prior without an order) from every place.
+  MatrixXd Distances() const {
+    const Eigen::Index n = levers_.of[0].size();
+    MatrixXd distance = MatrixXd::Zero(n, n);
+    for (int axis = 0; axis < 2; ++axis) {
+      const BandRegression& seen = Seen(axis);
+      const VectorXd lever = gain_[axis] * levers_.of[axis];
+      const MatrixXd prior =
+          MatrixXd::Identity(n, n) * (static_cast<double>(n) / lever.squaredNorm());
+      const VectorXd mean = (seen.information + prior).ldlt().solve(seen.information * seen.value);
+      for (Eigen::Index j = 0; j < n; ++j) {
+        distance.row(j) += ((lever.array() - mean[j]) / levers_.arm[axis]).square().matrix();
+      }
+    }
+    return distance;
+  }
+
+  const RotorResponse& response_;
+  const Levers& levers_;
+  double gain_[2];
+  Table<Order> met_;
+};
+
+/// Spins as bits: set where the reaction torque on the airframe is along +z.
+using Spins = unsigned;
+
+double SpinOf(Spins spins, Eigen::Index j) { return (spins >> j & 1U) != 0U ? 1.0 : -1.0; }
+
+VectorXd SpinVector(Spins spins, Eigen::Index n) {
+  VectorXd sign(n);
+  for (Eigen::Index j = 0; j < n; ++j) sign[j] = SpinOf(spins, j);
+  return sign;
+}
+
+Spins FileSpins(const Vehicle& vehicle) {
+  Spins spins = 0;
+  for (size_t j = 0; j < vehicle.rotors.size(); ++j) {
+    if (vehicle.rotors[j].spin > 0.0) spins |= 1U << j;
+  }
+  return spins;
+}
+
+/// Reaction torque over thrust [m]: the file's where it is possible for its propellers.
+double ReactionLever(const Vehicle& vehicle) {
+  const double typical = kReactionPerRadius * vehicle.rotors.front().radius_m;
+  const auto k_m = vehicle.parameters.find("rotor_torque.k_m");
+  const auto k_f = vehicle.parameters.find("thrust.k_f");
+  const auto& all = vehicle.parameters;
+  if (k_m == all.end() || k_f == all.end() || !k_m->second.value || !k_f->second.value) {
+    return typical;
+  }
+  const double stated = *k_m->second.value / *k_f->second.value;
+  return stated > 0.25 * typical && stated < 4.0 * typical ? stated : typical;
+}
+
+/// Coefficients of yaw with these spins, and how far vehicles differ from them.
+Evidence SpinEvidence(const BandRegression& seen, const VectorXd& sign, double reaction,
+                      const Levers& levers, double gain) {
+  const Eigen::Index n = sign.size();
+  const double arm = std::hypot(levers.arm[0], levers.arm[1]);
+  MatrixXd along = MatrixXd::Zero(n, n);
+  for (int axis = 0; axis < 2; ++axis) {
+    const VectorXd lever = kAlong / levers.arm[axis] * levers.of[axis];
+    along += std::pow(reaction * ErrorGain(gain), 2) * lever * lever.transpose();
+  }
+  const double scatter = ErrorGain(gain) * kRotorScatter * reaction;
+  const double lean = ErrorGain(gain) * kLean_rad * arm;
+  const MatrixXd together = sign * sign.transpose();
+  MatrixXd covariance = MatrixXd::Zero(2 * n, 2 * n);
+  covariance.topLeftCorner(n, n) =
+      std::pow(gain * kReactionScatter * reaction, 2) * together + along;
+  covariance.topLeftCorner(n, n).diagonal().array() += scatter * scatter + lean * lean;
+  covariance.bottomRightCorner(n, n) =
+      std::pow(gain * kSpinUpSigma_s * reaction, 2) * together + kSpinUp_s * kSpinUp_s * along;
+  covariance.bottomRightCorner(n, n).diagonal().array() += std::pow(kSpinUp_s * scatter, 2);
+  VectorXd mean(2 * n);
+  mean << reaction * sign, kSpinUp_s * reaction * sign;
+  return EvidenceOf(seen, gain * mean, covariance);
+}
+
+/// Reaction torques balance in steady flight.
+double SteadyNats(const RotorResponse& response, const VectorXd& sign) {
+  const double imbalance = sign.dot(response.share);
+  const double variance = kSteadyYaw * kSteadyYaw + sign.dot(response.share_spread * sign);
+  return std::max(-kMostSteadyNats, -0.5 * imbalance * imbalance / variance);
+}
+
+Table<Spins> AllSpins(const RotorResponse& response, const Vehicle& vehicle, const Levers& levers) {
+  const Eigen::Index n = response.share.size();
+  const double reaction = ReactionLever(vehicle);
+  Table<Spins> table = AtBestGain<Spins>([&](double gain) {
+    Table<Spins> at;
+    for (Spins spins = 0; spins < 1U << n; ++spins) {
+      at[spins] = SpinEvidence(response.yaw, SpinVector(spins, n), reaction, levers, gain);
+    }
+    return at;
+  });
+  for (auto& [spins, evidence] : table) evidence.log += SteadyNats(response, SpinVector(spins, n));
+  return table;
+}
+
+std::string Text(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.3g", value);
+  return text;
+}
+
+std::string Join(const std::vector<std::string>& words) {
+  std::string text;
+  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
+  return text;
+}
+
+std::string OrderText(const Order& order) {
+  std::vector<std::string> numbers;
+  for (const int place : order) numbers.push_back(std::to_string(place + 1));
+  return Join(numbers);
+}
+
+std::string SpinText(const std::vector<double>& spin) {
+  std::vector<std::string> words;
+  for (const double s : spin) words.push_back(s > 0.0 ? "cw" : "ccw");
+  return Join(words);
+}
+
+/// True if turning (and mirroring) the file's places by `R` gives those of `order`.
+bool IsTurned(const Vehicle& vehicle, const Order& order, const Matrix2d& R) {
+  double off = 0.0, size = 0.0;
+  for (size_t j = 0; j < order.size(); ++j) {
+    const Vector2d here = vehicle.rotors[j].p_BP.head<2>();
+    off += (vehicle.rotors[static_cast<size_t>(order[j])].p_BP.head<2>() - R * here).squaredNorm();
+    size += here.squaredNorm();
+  }
+  constexpr double kAlike = 0.2;  // of the arms: an oblong frame still looks turned by 90 degrees
+  return off < kAlike * kAlike * size;
+}
+
+/// What else than the order would look like it: "; or the body frame ...", or nothing.
+std::string OtherCause(const Vehicle& vehicle, const Order& order) {
+  for (const int turn : {90, 180, 270}) {
+    const double angle = turn * M_PI / 180.0;
+    const Matrix2d R = Eigen::Rotation2Dd(angle).toRotationMatrix();
+    if (IsTurned(vehicle, order, R)) {
+      return ", or the body frame of attitude and rates is turned by " +
+             std::to_string(turn == 270 ? 90 : turn) + " degrees about z";
+    }
+  }
+  if (IsTurned(vehicle, order, Vector2d(1.0, -1.0).asDiagonal())) {
+    return ", or left and right are exchanged";
+  }
+  return "";
+}
+
+std::string Figures(const AssignmentTest& test) {
+  return " with " + Text(test.nats) +
+         " nats more than the vehicle file's (which has a probability of " + Text(test.file_share) +
+         ")";
+}
+
+/// Where more than one fits.
+std::string Likeliest(const std::string& best, const AssignmentTest& test) {
+  return ": the likeliest, " + best + " (probability " + Text(test.best_share) + "), fits" +
+         Figures(test) + ", but the flight does not tell it from others";
+}
+
+/// The lines of `rotors` that fit.
+std::string Lines(const RotorAssignment& assignment, const Vehicle& vehicle, bool with_spin) {
+  std::vector<std::string> lines;
+  for (size_t j = 0; j < assignment.order.size(); ++j) {
+    const auto place = static_cast<size_t>(assignment.order[j]);
+    const Eigen::Vector3d& p = vehicle.rotors[place].p_BP;
+    const double spin = with_spin ? assignment.spin[j] : vehicle.rotors[place].spin;
+    lines.push_back("{position_m: [" + Text(p.x()) + ", " + Text(p.y()) + ", " + Text(p.z()) +
+                    "], spin: " + (spin > 0.0 ? "cw" : "ccw") + "}");
+  }
+  return "rotors would be " + Join(lines);
+}
+
+Finding OrderFinding(const RotorAssignment& assignment, const Vehicle& vehicle) {
+  Finding finding{"rotor_order", assignment.places.Refutes() ? Trust::kBad : Trust::kDoubtful, ""};
+  if (!assignment.places.Names()) {
+    finding.what = "the order of the rotors in the vehicle file does not fit the rotor speeds" +
+                   Likeliest(OrderText(assignment.order), assignment.places);
+    return finding;
+  }
+  finding.what = "rotor speeds fit the order " + OrderText(assignment.order) +
+                 Figures(assignment.places) +
+                 ": each column turns at the place of that rotor of the file";
+  finding.mend =
+      Lines(assignment, vehicle, assignment.spins.Names()) + OtherCause(vehicle, assignment.order);
+  return finding;
+}
+
+/// Spins of the file's rotors in the order that fits: what they are once the order is mended.
+bool SpinsFollowOrder(const RotorAssignment& assignment, const Vehicle& vehicle) {
+  for (size_t j = 0; j < assignment.order.size(); ++j) {
+    const auto place = static_cast<size_t>(assignment.order[j]);
+    if (vehicle.rotors[place].spin != assignment.spin[j]) return false;
+  }
+  return true;
+}
+
+Finding SpinFinding(const RotorAssignment& assignment, const Vehicle& vehicle) {
+  Finding finding{"rotor_spin", assignment.spins.Refutes() ? Trust::kBad : Trust::kDoubtful, ""};
+  if (!assignment.spins.Names()) {
+    finding.what = "the spins in the vehicle file do not fit the yaw motion" +
+                   Likeliest(SpinText(assignment.spin), assignment.spins);
+    return finding;
+  }
+  finding.what =
+      "the yaw motion fits the spins " + SpinText(assignment.spin) + Figures(assignment.spins);
+  finding.mend = Lines(assignment, vehicle, true);
+  return finding;
+}
+
+}  // namespace
+
+bool AssignmentTest::Refutes() const { return file_share < kRefuted; }
+bool AssignmentTest::Doubts() const { return file_share < kDoubtful; }
+bool AssignmentTest::Names() const { return best_share > kNamed; }
+
+RotorAssignment TestRotorAssignment(const RotorResponse& response, const Vehicle& vehicle) {
+  RotorAssignment result;
+  if (response.blocks == 0) return result;
+  result.tested = true;
+  const int n = vehicle.num_rotors();
+  const Levers levers(vehicle);
+  const Table<Order> orders =
+      n <= kExhaustive ? ExhaustiveOrders(response, levers) : OrderSearch(response, levers).Run();
+  result.order = BestOf(orders);
+  result.places = Judge(orders, FileOrder(n), 2.0 * n);
+  const Table<Spins> spins = AllSpins(response, vehicle, levers);
+  const Spins best = BestOf(spins);
+  for (int j = 0; j < n; ++j) result.spin.push_back(SpinOf(best, j));
+  result.spins = Judge(spins, FileSpins(vehicle), 2.0 * n);
+  return result;
+}
+
+std::vector<Finding> AssignmentFindings(const RotorAssignment& assignment, const Vehicle& vehicle) {
+  std::vector<Finding> findings;
+  if (!assignment.tested) return findings;
+  if (assignment.places.Doubts()) findings.push_back(OrderFinding(assignment, vehicle));
+  const bool mended = assignment.places.Doubts() && SpinsFollowOrder(assignment, vehicle);
+  if (assignment.spins.Doubts() && !mended) findings.push_back(SpinFinding(assignment, vehicle));
+  return findings;
+}
+
+}  // namespace odmc
