@@ -276,8 +276,9 @@ std::vector<std::string> ModelWarnings(const DynamicModel& model, const ModelVal
                                        const Eigen::VectorXd& sigma,
                                        const PredictionFigures& figures) {
   std::vector<std::string> warnings;
-  const std::string doubt = ThrustDoubt(model, values);
-  if (!doubt.empty()) warnings.push_back(doubt);
+  for (const std::string& doubt : {InertiaDoubt(model.vehicle()), ThrustDoubt(model, values)}) {
+    if (!doubt.empty()) warnings.push_back(doubt);
+  }
   for (int i = 0; i < model.num_parameters(); ++i) {
     const ModelParameter& p = model.parameters()[i];
     if (HasWrongSign(p.spec.sign, values[i], sigma[i])) {

@@ -12,6 +12,7 @@
 #include "odmc/attribution/gust_test.h"
 #include "odmc/attribution/spectrum.h"
 #include "odmc/math/hann.h"
+#include "odmc/model/plausibility.h"
 #include "odmc/preintegration/rotor_rate_smoother.h"
 
 namespace odmc {
@@ -685,6 +686,8 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   result.effect_names = vehicle.effects;
   result.before = result.after = before.held_out.all;
   result.warnings = FlightWarnings(log, replay);
+  const std::string doubt = InertiaDoubt(file_vehicle);
+  if (!doubt.empty()) result.warnings.push_back(doubt);
   result.flight = FlownFlight(log, replay);
 
   const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), replay.ground_spans),

@@ -16,7 +16,9 @@
 
 #include "csv_text.h"
 #include "odmc/io/number_text.h"
+#include "odmc/io/printable_text.h"
 #include "odmc/sensing/flight_checks.h"
+#include "text_file.h"
 #include "yaml_reader.h"
 
 namespace odmc {
@@ -85,7 +87,7 @@ bool ParsePlainSeconds(std::string_view text, Stamp* stamp) {
 constexpr double kLatest_s = 9e9;  // what int64 nanoseconds hold
 
 std::string FileName(const std::string& file) {
-  return std::filesystem::path(file).filename().string();
+  return Printable(std::filesystem::path(file).filename().string());
 }
 
 /// Rows of the wanted columns of one CSV file, in time order.
@@ -134,6 +136,8 @@ class Table {
                          [&](const std::string& n) { return values_.count(n) > 0; });
   }
   void ReadHeader(std::string_view line, Strings wanted, const std::vector<Strings>& whole);
+  /// Makes room, which costs nothing before it is used, so that no column is ever copied.
+  void Reserve(size_t rows);
   void ReadRow(std::string_view line, long number);
   void CheckSteps() const;
   [[noreturn]] void Fail(const std::string& what) const {
@@ -154,13 +158,16 @@ class Table {
 Table::Table(const std::string& file, const Strings& wanted, const std::vector<Strings>& whole,
              FlightLog* log)
     : file_(file) {
-  const std::string content = ReadText(file);
-  std::string_view text = WithoutMark(content);
-  if (text.find_first_not_of(" \t\r\n") == std::string_view::npos) Fail("is empty");
-  ReadHeader(NextLine(&text), wanted, whole);
-  for (long number = 2; !text.empty(); ++number) {
-    const std::string_view line = NextLine(&text);
-    if (line.find_first_not_of(" \t") != std::string_view::npos) ReadRow(line, number);
+  LineReader lines(file);
+  std::string_view line;
+  if (!lines.Next(&line) || line.find_first_not_of(" \t") == std::string_view::npos) {
+    Fail("is empty, or its first line is");
+  }
+  ReadHeader(line, wanted, whole);
+  while (lines.Next(&line)) {
+    if (line.find_first_not_of(" \t") == std::string_view::npos) continue;
+    if (lines.number() == 2) Reserve(lines.file_bytes() / std::max(line.size(), 2 * header_.size()));
+    ReadRow(line, lines.number());
   }
   const auto rows = static_cast<size_t>(out_of_order_.count) + size();
   if (rows == 0) Fail("has a header but no usable row");
@@ -175,7 +182,7 @@ Table::Table(const std::string& file, const Strings& wanted, const std::vector<S
 }
 
 void Table::ReadHeader(std::string_view line, Strings wanted, const std::vector<Strings>& whole) {
-  header_ = SplitHeader(line);
+  header_ = SplitHeader(line, file_);
   for (const Strings& group : whole) {
     const bool has_all = std::all_of(group.begin(), group.end(), [this](const std::string& name) {
       return std::find(header_.begin(), header_.end(), name) != header_.end();
@@ -186,19 +193,22 @@ void Table::ReadHeader(std::string_view line, Strings wanted, const std::vector<
     Fail("line 1: columns must be separated by commas");
   }
   if (std::find(header_.begin(), header_.end(), "t") == header_.end()) {
-    Fail("column t is missing; found are: " + JoinNames(header_));
+    Fail("column t is missing; found are: " + ListNames(header_));
   }
   for (size_t i = 0; i < header_.size(); ++i) {
     const std::string& name = header_[i];
-    if (std::count(header_.begin(), header_.end(), name) > 1 && !name.empty()) {
-      Fail("line 1: column " + name + " is there twice");
-    }
     const bool is_wanted = std::find(wanted.begin(), wanted.end(), name) != wanted.end();
     if (name == "t") time_column_ = i;
     if (!is_wanted && !name.empty()) unknown_.push_back(name);
     targets_.push_back(is_wanted ? &values_[name] : nullptr);
   }
   row_.resize(header_.size());
+}
+
+void Table::Reserve(size_t rows) {
+  stamps_.reserve(rows);
+  lines_.reserve(rows);
+  for (auto& [name, values] : values_) values.reserve(rows);
 }
 
 void Table::ReadRow(std::string_view line, long number) {
@@ -253,7 +263,7 @@ void Table::Require(const Strings& names) const {
   }
   if (missing.empty()) return;
   Fail(std::string(missing.size() == 1 ? "column " : "columns ") + JoinNames(missing) +
-       (missing.size() == 1 ? " is" : " are") + " missing; found are: " + JoinNames(header_));
+       (missing.size() == 1 ? " is" : " are") + " missing; found are: " + ListNames(header_));
 }
 
 // ---- Reading: table to samples -----------------------------------------------------------------
@@ -431,7 +441,7 @@ void ReadCommands(const Table& table, const std::vector<size_t>& rows, int num_r
 
 void WarnOfUnknown(const Strings& unknown, const std::string& file, FlightLog* log) {
   if (!unknown.empty()) {
-    log->warnings.push_back(file + ": unknown columns ignored: " + JoinNames(unknown));
+    log->warnings.push_back(file + ": unknown columns ignored: " + ListNames(unknown));
   }
 }
 

@@ -126,8 +126,14 @@ void CheckIndex(BagRecords* bag, const Record& index, std::uint64_t chunk_bytes,
     bag->Fail(index.at, "a chunk's index disagrees with the list of chunks");
   }
   const std::string entries = bag->Bytes(index.data_at, index.data_bytes);
-  for (size_t at = 8; at < entries.size(); at += kEntryBytes) {
-    if (BagRecords::Number32(entries, at) >= chunk_bytes) {
+  for (size_t at = 0; at < entries.size(); at += kEntryBytes) {
+    const std::uint32_t seconds = BagRecords::Number32(entries, at);
+    const std::uint32_t nanoseconds = BagRecords::Number32(entries, at + 4);
+    // The library leaves out messages with another time.
+    if (nanoseconds >= 1000000000 || (seconds == 0 && nanoseconds == 0)) {
+      bag->Fail(index.at, "an index with a time that is none");
+    }
+    if (BagRecords::Number32(entries, at + 8) >= chunk_bytes) {
       bag->Fail(index.at, "an index points beyond its chunk");
     }
   }

@@ -25,6 +25,7 @@
 #include "child_reader.h"
 #include "odmc/MotorCommands.h"
 #include "odmc/RotorSpeeds.h"
+#include "odmc/io/printable_text.h"
 #include "odmc/ros/message_values.h"
 #include "odmc/sensing/flight_checks.h"
 #include "odmc/sensing/twist_frame.h"
@@ -550,7 +551,10 @@ FlightLog ReadOpened(const std::string& file, const BagOptions& options, const R
 template <typename Read>
 FlightLog WithOpenBag(const std::string& file, const BagOptions& options, const Read& read) {
   if (!std::filesystem::is_regular_file(file)) Fail(file, "cannot be opened");
-  return ReadInChild(file, [&] { return ReadOpened(file, options, read); });
+  FlightLog log = ReadInChild(file, [&] { return ReadOpened(file, options, read); });
+  log.file = Printable(log.file);
+  for (std::string& warning : log.warnings) warning = Printable(warning);  // names of topics
+  return log;
 }
 
 FlightLog ReadBag(const std::string& file, int num_rotors, PoseSource pose,

@@ -16,6 +16,7 @@
 #include "odmc/io/number_text.h"
 #include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
+#include "odmc/io/printable_text.h"
 #include "odmc/sensing/plausible.h"
 #include "odmc/trajectory/trajectory.h"
 
@@ -30,7 +31,7 @@ constexpr char kPython[] = "/usr/bin/python3";
 std::string OneLine(std::string text) {
   while (!text.empty() && text.back() == '\n') text.pop_back();
   std::replace(text.begin(), text.end(), '\n', ' ');
-  return text;
+  return Printable(text);
 }
 
 int Fail(const std::string& text, int status) {
@@ -293,8 +294,13 @@ void ModelArguments::AddParametersTo(CLI::App* app, const std::string& help) {
 }
 
 Vehicle ModelArguments::Configure(const Vehicle& file_vehicle) {
-  if (!parameters_file.empty()) choice.parameters = LoadParameters(parameters_file);
-  return odmc::Configure(file_vehicle, choice);
+  if (parameters_file.empty()) return odmc::Configure(file_vehicle, choice);
+  choice.parameters = LoadParameters(parameters_file);
+  try {
+    return odmc::Configure(file_vehicle, choice);
+  } catch (const std::invalid_argument& e) {
+    throw std::invalid_argument(parameters_file + ": " + e.what());
+  }
 }
 
 void EstimatorArguments::AddTo(CLI::App* app, bool with_window) {
@@ -417,7 +423,7 @@ std::map<std::string, std::string> Provenance(const std::string& tool, const Veh
 
 void RenderReport(const std::string& folder, const std::string& script_name) {
   const auto warn = [&](const std::string& why) {
-    std::cerr << "warning: the pictures of " << folder << " were not drawn: " << why << "\n";
+    std::cerr << "warning: the pictures of " << Printable(folder) << " were not drawn: " << why << "\n";
   };
   const std::string script = FindScript(script_name);
   if (script.empty()) return warn(script_name + " is not installed");
