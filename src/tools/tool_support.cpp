@@ -407,7 +407,6 @@ void WriteCalibration(const Calibration& calibration, const FlightLog& log,
                       const DynamicModel& model, const std::string& folder) {
   SaveParameters(calibration.parameters, In(folder, "parameters.yaml"));
   WriteHistory(calibration, log, model, In(folder, "history.csv"));
-  WritePrediction(calibration.prediction, !log.rotor_rms_only, In(folder, "prediction.csv"));
   WriteTiming(calibration, In(folder, "timing.csv"));
   WriteText(CalibrationReport(calibration, model), In(folder, "report.json"));
 }
