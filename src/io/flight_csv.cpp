@@ -132,6 +132,14 @@ class Table {
   }
   const std::vector<double>& Column(const std::string& name) const { return values_.at(name); }
 
+  /// Gives the room of columns back that nobody needs any more.
+  void Release(const Strings& names) {
+    for (const std::string& name : names) {
+      const auto found = values_.find(name);
+      if (found != values_.end()) std::vector<double>().swap(found->second);
+    }
+  }
+
  private:
   size_t CountOf(const Strings& names) const {
     return std::count_if(names.begin(), names.end(),
@@ -141,6 +149,8 @@ class Table {
   /// Makes room, which costs nothing before it is used, so that no column is ever copied.
   void Reserve(size_t rows);
   void ReadRow(std::string_view line, long number);
+  /// Takes back the last row, whose time leapt ahead.
+  void DropLast();
   void CheckSteps() const;
   [[noreturn]] void Fail(const std::string& what) const {
     throw std::invalid_argument(file_ + ": " + what);
@@ -154,7 +164,7 @@ class Table {
   std::vector<std::vector<double>*> targets_;  // by column of the file, null where not wanted
   std::vector<double> row_;
   size_t time_column_ = 0;
-  Refusals short_rows_, no_time_, out_of_order_;
+  Refusals short_rows_, no_time_, leaps_, out_of_order_;
 };
 
 Table::Table(const std::string& file, const Strings& wanted, const std::vector<Strings>& whole,
@@ -172,6 +182,11 @@ Table::Table(const std::string& file, const Strings& wanted, const std::vector<S
     ReadRow(line, lines.number());
   }
   const auto rows = static_cast<size_t>(out_of_order_.count) + size();
+  if (static_cast<size_t>(no_time_.count) > rows) {
+    Fail("column t is no time in " + std::to_string(no_time_.count) + " of " +
+         std::to_string(rows + static_cast<size_t>(no_time_.count)) + " rows (first: " +
+         no_time_.first + ")");
+  }
   if (rows == 0) Fail("has a header but no usable row");
   if (2 * size() < rows) {
     Fail("column t steps back or repeats in " + std::to_string(out_of_order_.count) + " of " +
@@ -180,6 +195,7 @@ Table::Table(const std::string& file, const Strings& wanted, const std::vector<S
   CheckSteps();
   short_rows_.Report(name(), "rows that do not have as many cells as the header", log);
   no_time_.Report(name(), "rows without a finite t", log);
+  leaps_.Report(name(), "rows whose t leaps ahead of all after it", log);
   out_of_order_.Report(name(), "rows whose t steps back or repeats", log);
 }
 
@@ -233,6 +249,7 @@ void Table::ReadRow(std::string_view line, long number) {
     return;
   }
   if (!is_exact) stamp = FromSeconds(t);
+  if (IsLoneLeap(stamps_, stamp)) DropLast();
   if (!stamps_.empty() && stamp <= stamps_.back()) {
     out_of_order_.Add("line " + std::to_string(number) + ", t " + FormatNumber(t));
     return;
@@ -241,6 +258,16 @@ void Table::ReadRow(std::string_view line, long number) {
   lines_.push_back(number);
   for (size_t i = 0; i < targets_.size(); ++i) {
     if (targets_[i] != nullptr) targets_[i]->push_back(row_[i]);
+  }
+}
+
+void Table::DropLast() {
+  leaps_.Add("line " + std::to_string(lines_.back()) + ", t " +
+             FormatNumber(ToSeconds(stamps_.back())));
+  stamps_.pop_back();
+  lines_.pop_back();
+  for (auto* target : targets_) {
+    if (target != nullptr) target->pop_back();
   }
 }
 
@@ -653,13 +680,14 @@ FlightLog ReadFlightCsv(const std::string& file, int num_rotors, PoseSource pose
   const Strings rotors = Concatenate({RotorColumns(num_rotors), kRotorRms});
   std::vector<Strings> commands;
   for (const CommandUnit unit : kCommandUnits) commands.push_back(CommandColumns(num_rotors, unit));
-  const Table table(file,
-                    Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates, kAccelerometer,
-                                 kGyro, kBattery, rotors}),
-                    commands, &log);
+  Table table(file,
+              Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates, kAccelerometer,
+                           kGyro, kBattery, rotors}),
+              commands, &log);
   WarnOfUnknown(table.unknown(), log.file, &log);
   log.odometry = ReadOdometry(table, true, &log);
   const std::vector<size_t> rows = UsableRows(table);
+  table.Release(Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates}));
   ReadImu(table, rows, &log);
   ReadBattery(table, rows, &log);
 

@@ -644,23 +644,37 @@ class OrderedWriter {
   template <typename Sample, typename Convert>
   void Add(const std::string& topic, const std::vector<Sample>& samples, Stamp shift,
            Convert convert) {
-    for (const Sample& sample : samples) {
-      const Stamp stamp = sample.stamp + shift;
-      writes_.push_back({stamp, [this, topic, &sample, stamp, convert] {
-                           bag_->write(topic, ToRos(stamp), convert(sample, stamp));
-                         }});
-    }
+    if (samples.empty()) return;
+    const auto write = [this, topic, &samples, shift, convert](size_t i) -> std::optional<Stamp> {
+      const Stamp stamp = samples[i].stamp + shift;
+      bag_->write(topic, ToRos(stamp), convert(samples[i], stamp));
+      if (i + 1 == samples.size()) return std::nullopt;
+      return samples[i + 1].stamp + shift;
+    };
+    streams_.push_back({samples.front().stamp + shift, 0, write});
   }
 
   void WriteAll() {
-    std::stable_sort(writes_.begin(), writes_.end(),
-                     [](const auto& a, const auto& b) { return a.first < b.first; });
-    for (const auto& write : writes_) write.second();
+    while (true) {
+      Stream* earliest = nullptr;  // of those equally early, the one added first
+      for (Stream& s : streams_) {
+        if (s.stamp && (earliest == nullptr || *s.stamp < *earliest->stamp)) earliest = &s;
+      }
+      if (earliest == nullptr) return;
+      earliest->stamp = earliest->write(earliest->next++);
+    }
   }
 
  private:
+  /// One topic: its next message, and what writes that and gives the stamp of the one after.
+  struct Stream {
+    std::optional<Stamp> stamp;
+    size_t next;
+    std::function<std::optional<Stamp>(size_t)> write;
+  };
+
   rosbag::Bag* bag_;
-  std::vector<std::pair<Stamp, std::function<void()>>> writes_;
+  std::vector<Stream> streams_;
 };
 
 /// Whole seconds that move every stamp to 1 s or later.

@@ -113,6 +113,20 @@ std::string FindScript(const std::string& name) {
   return "";
 }
 
+/// A day between two poses is no flight: the clock was set, or files were joined.
+void RefuseLeaps(const FlightLog& log, const std::string& file) {
+  constexpr Stamp kDay = 86400 * static_cast<Stamp>(1000000000);
+  for (size_t i = 1; i < log.odometry.size(); ++i) {
+    const Stamp before = log.odometry[i - 1].stamp, step = log.odometry[i].stamp - before;
+    if (step <= kDay) continue;
+    const double at_s = ToSeconds(before - log.odometry.front().stamp);
+    throw std::invalid_argument(file + ": time leaps by " + FormatNumber(std::round(ToSeconds(step))) +
+                                " s, " + FormatNumber(at_s) +
+                                " s after the first pose: the clock was set or recordings were "
+                                "joined; --start and --end cut the flight out");
+  }
+}
+
 CLI::Validator NumberThat(bool may_be_zero) {
   const auto check = [may_be_zero](const std::string& text) -> std::string {
     double number = 0.0;
@@ -248,6 +262,7 @@ FlightLog FlightArguments::Read(const Vehicle& vehicle) const {
                                 "--rotor-speed-from commands");
   }
   CutFlight(start_s, end_s, &log);
+  RefuseLeaps(log, file);
   const std::optional<Actuator> actuator =
       actuator_file.empty() ? vehicle.actuator : LoadActuator(actuator_file);
   SettleRotors(actuator, vehicle.num_rotors(), from_commands, &log);
