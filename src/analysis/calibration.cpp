@@ -7,7 +7,6 @@
 
 #include "odmc/analysis/ground_spans.h"
 #include "odmc/analysis/phase_findings.h"
-#include "odmc/inspection/rotor_inspection.h"
 #include "odmc/io/number_text.h"
 #include "odmc/math/statistics.h"
 #include "odmc/model/plausibility.h"
@@ -139,7 +138,7 @@ void WarnOfOtherMass(const ParameterSet& parameters, const Vehicle& vehicle,
 Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Vehicle& file_vehicle,
                       const DynamicModel& model, const EstimatorOptions& options,
                       const std::function<void(double)>& progress,
-                      const std::vector<Finding>& inspected) {
+                      const PredictionSink& predicted) {
   const auto& parameters = model.parameters();
   if (std::none_of(parameters.begin(), parameters.end(),
                    [](const auto& p) { return p.estimated; })) {
@@ -162,7 +161,10 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
                    replay.counters.keyframes,
                    log.dropped + streams.not_finite + streams.out_of_order};
   result.parameters = Estimator::ToParameterSet(model, last);
-  result.prediction = Predict(recording, file_vehicle, model, last.values, replay.ground_spans);
+  const auto keep = [&](const PredictionSample& s) { result.prediction.samples.push_back(s); };
+  result.prediction.figures =
+      PredictEach(recording, file_vehicle, model, last.values, replay.ground_spans, {},
+                  predicted ? predicted : PredictionSink(keep));
   result.convergence_s = Convergence(replay.history, last.observable);
   result.wall = SummariseTiming(replay, &UpdateTiming::wall_ms);
   result.cpu = SummariseTiming(replay, &UpdateTiming::cpu_ms);
@@ -173,22 +175,11 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   result.warnings = FlightWarnings(log, replay);
   Append(ModelWarnings(model, last.values, last.sigma, result.prediction.figures),
          &result.warnings);
-  result.findings.insert(result.findings.begin(), inspected.begin(), inspected.end());
   Append(PhaseFindings(replay, options.detect_changes, result.first_stamp), &result.findings);
   for (const Finding& finding : result.findings) {
     if (finding.leaves != Trust::kGood) result.warnings.push_back(Sentence(finding));
   }
   return result;
-}
-
-std::vector<Finding> InspectFlight(const FlightLog& log, const Vehicle& vehicle, bool force) {
-  std::vector<Finding> findings = InspectRotors(log, vehicle);
-  for (const Finding& finding : findings) {
-    if (finding.leaves != Trust::kBad || force) continue;
-    throw std::invalid_argument(log.file + ": " + Sentence(finding) +
-                                " (--force calibrates nevertheless)");
-  }
-  return findings;
 }
 
 LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,
@@ -206,7 +197,7 @@ LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,
   const bool with_torque = !log.rotor_rms_only;
   const Stamp first = log.odometry.front().stamp;
   const auto block_at = [block_s](double t_s) { return static_cast<int>(t_s / block_s); };
-  std::vector<PredictionSample> unseen;
+  PredictionSummary unseen;
   ModelValues values;
   for (int block = 0; block <= block_at(duration_s); ++block) {
     Estimator estimator(&model, options, with_torque);
@@ -217,19 +208,18 @@ LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,
                                   Text(block * block_s) + " s on");
     }
     values = replay.last->values;
-    const Prediction prediction =
-        Predict(recording, file_vehicle, model, values, replay.ground_spans);
-    for (const PredictionSample& sample : prediction.samples) {
-      if (block_at(sample.t_s) == block) unseen.push_back(sample);
-    }
+    PredictEach(recording, file_vehicle, model, values, replay.ground_spans, {},
+                [&](const PredictionSample& sample) {
+                  if (block_at(sample.t_s) == block) unseen.Add(sample);
+                });
   }
-  LeftOut left_out{block_s, SummarisePrediction(unseen, with_torque, file_vehicle, model, values)};
+  LeftOut left_out{block_s, unseen.Figures(with_torque, file_vehicle, model, values)};
   left_out.figures.inertia_over_nominal.reset();
   return left_out;
 }
 
 Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
-                    const ParameterSet& parameters) {
+                    const ParameterSet& parameters, const PredictionSink& predicted) {
   const ModelValues values = model.InitialValues();
   Eigen::VectorXd sigma = Eigen::VectorXd::Zero(model.num_parameters());
   for (int i = 0; i < model.num_parameters(); ++i) {
@@ -240,10 +230,12 @@ Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const Dyn
   Evaluation result;
   result.flight = {log.file, DurationOf(log), ground.on_ground_s, ground.airborne_keyframes,
                    log.dropped};
-  result.prediction = Predict(log, file_vehicle, model, values, ground.spans);
+  const auto keep = [&](const PredictionSample& s) { result.prediction.samples.push_back(s); };
+  result.prediction.figures = PredictEach(log, file_vehicle, model, values, ground.spans, {},
+                                          predicted ? predicted : PredictionSink(keep));
   result.warnings = log.warnings;
   WarnOfOtherMass(parameters, file_vehicle, &result.warnings);
-  if (result.prediction.samples.empty()) {
+  if (result.prediction.figures.samples == 0) {
     result.warnings.push_back(
         "no sample could be predicted: the vehicle never flies, or no stretch of 0.1 s is whole");
   }
@@ -251,21 +243,20 @@ Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const Dyn
   return result;
 }
 
-std::vector<std::optional<double>> Convergence(const std::vector<HistoryRow>& history,
+std::vector<std::optional<double>> Convergence(const History& history,
                                                const std::vector<bool>& observable) {
   std::vector<std::optional<double>> result(observable.size());
   if (history.empty()) return result;
-  const HistoryRow& last = history.back();
-  for (size_t i = 0; i < observable.size(); ++i) {
-    if (!observable[i]) continue;
-    const auto k = static_cast<Eigen::Index>(i);
-    const double limit = std::max(kConvergedShare * std::abs(last.values[k]), last.sigma[k]);
-    double since_s = last.t_s;
-    for (auto row = history.rbegin(); row != history.rend(); ++row) {
-      if (!(std::abs(row->values[k] - last.values[k]) <= limit)) break;
-      since_s = row->t_s;
+  const HistoryRow last = history.back();
+  const double start_s = history.front().t_s;
+  for (const HistoryRow& row : history) {
+    for (size_t i = 0; i < observable.size(); ++i) {
+      const auto k = static_cast<Eigen::Index>(i);
+      const double limit = std::max(kConvergedShare * std::abs(last.values[k]), last.sigma[k]);
+      const bool near = std::abs(row.values[k] - last.values[k]) <= limit;
+      if (!near) result[i].reset();
+      if (near && observable[i] && !result[i]) result[i] = row.t_s - start_s;
     }
-    result[i] = since_s - history.front().t_s;
   }
   return result;
 }
@@ -297,8 +288,9 @@ std::vector<std::string> ModelWarnings(const DynamicModel& model, const ModelVal
                                        const Eigen::VectorXd& sigma,
                                        const PredictionFigures& figures) {
   std::vector<std::string> warnings;
-  const std::string doubt = ThrustDoubt(model, values);
-  if (!doubt.empty()) warnings.push_back(doubt);
+  for (const std::string& doubt : {InertiaDoubt(model.vehicle()), ThrustDoubt(model, values)}) {
+    if (!doubt.empty()) warnings.push_back(doubt);
+  }
   for (int i = 0; i < model.num_parameters(); ++i) {
     const ModelParameter& p = model.parameters()[i];
     if (HasWrongSign(p.spec.sign, values[i], sigma[i])) {

@@ -25,78 +25,117 @@ enum Channel : int {
   kRotors = 16
 };
 
-/// The recording as one matrix at the odometry's stamps: one column a sample.
+/// A piece of the recording as one matrix at the odometry's stamps: one column a sample.
 struct Channels {
   std::vector<double> t_s;
   std::vector<Stamp> stamps;
   Eigen::MatrixXd data;
   std::vector<bool> covered;  // rotor speeds are there
-  bool has_velocity = true, has_rate = true;
-  std::vector<bool> felt;  // the accelerometer is there
+  std::vector<bool> felt;     // the accelerometer is there
 };
 
-Channels Collect(const FlightLog& log, int num_rotors) {
-  Channels c;
-  const int n = static_cast<int>(log.odometry.size());
-  c.data = Eigen::MatrixXd::Zero(kRotors + num_rotors, n);
-  c.covered.assign(n, false);
-  c.felt.assign(n, false);
-  size_t m = 0;
-  Eigen::Quaterniond last = Eigen::Quaterniond::Identity();
-  size_t r = 0;
-  for (int i = 0; i < n; ++i) {
-    const OdometrySample& s = log.odometry[i];
-    c.stamps.push_back(s.stamp);
-    c.t_s.push_back(ToSeconds(s.stamp - log.odometry.front().stamp));
-    c.data.block<3, 1>(kPosition, i) = s.p_WS;
-    Eigen::Vector4d q = s.q_WS.coeffs();
-    if (i > 0 && q.dot(last.coeffs()) < 0.0) q = -q;
-    last.coeffs() = q;
-    c.data.block<4, 1>(kQuaternion, i) = q;
-    c.has_velocity = c.has_velocity && s.v_WS.has_value();
-    c.has_rate = c.has_rate && s.w_WS_S.has_value();
-    if (s.v_WS) c.data.block<3, 1>(kVelocity, i) = *s.v_WS;
-    if (s.w_WS_S) c.data.block<3, 1>(kRate, i) = *s.w_WS_S;
-    // The accelerometer, linearly between its samples.
-    while (m + 1 < log.imu.size() && log.imu[m + 1].stamp <= s.stamp) ++m;
-    if (m < log.imu.size() && log.imu[m].stamp <= s.stamp && log.imu[m].specific_force_I) {
-      const ImuSample& a = log.imu[m];
-      if (a.stamp == s.stamp) {
-        c.data.block<3, 1>(kForce, i) = *a.specific_force_I;
-        c.felt[i] = true;
-      } else if (m + 1 < log.imu.size() && log.imu[m + 1].specific_force_I) {
-        const ImuSample& b = log.imu[m + 1];
-        const double span = ToSeconds(b.stamp - a.stamp);
-        const double x = ToSeconds(s.stamp - a.stamp) / span;
-        c.felt[i] = span < 0.5 * kFilterWidth_s;
-        c.data.block<3, 1>(kForce, i) = (1.0 - x) * *a.specific_force_I + x * *b.specific_force_I;
-      }
+/// Takes the recording into channels, piece after piece.
+class Collector {
+ public:
+  Collector(const FlightLog& log, int num_rotors) : log_(log), num_rotors_(num_rotors) {
+    const auto& odometry = log.odometry;
+    has_velocity_ = std::all_of(odometry.begin(), odometry.end(),
+                                [](const OdometrySample& s) { return s.v_WS.has_value(); });
+    has_rate_ = std::all_of(odometry.begin(), odometry.end(),
+                            [](const OdometrySample& s) { return s.w_WS_S.has_value(); });
+  }
+
+  bool has_velocity() const { return has_velocity_; }
+  bool has_rate() const { return has_rate_; }
+
+  /// Samples [begin, end) of the odometry; pieces begin no earlier than the one before.
+  Channels Piece(int begin, int end) {
+    Channels c;
+    const int n = end - begin;
+    c.data = Eigen::MatrixXd::Zero(kRotors + num_rotors_, n);
+    c.covered.assign(n, false);
+    c.felt.assign(n, false);
+    const Stamp first = log_.odometry[begin].stamp;
+    imu_ = LastAt(log_.imu, imu_, first);
+    rotors_ = LastAt(log_.rotors, rotors_, first);
+    size_t m = imu_, r = rotors_;
+    for (int i = 0; i < n; ++i) {
+      const OdometrySample& s = log_.odometry[begin + i];
+      c.stamps.push_back(s.stamp);
+      c.t_s.push_back(ToSeconds(s.stamp - log_.odometry.front().stamp));
+      TakeOdometry(s, i, &c);
+      m = LastAt(log_.imu, m, s.stamp);
+      if (m < log_.imu.size()) TakeForce(m, s.stamp, i, &c);
+      r = LastAt(log_.rotors, r, s.stamp);
+      if (r < log_.rotors.size()) TakeRotors(r, s.stamp, i, &c);
     }
-    while (r + 1 < log.rotors.size() && log.rotors[r + 1].stamp <= s.stamp) ++r;
-    if (log.rotors.empty() || log.rotors[r].stamp > s.stamp) continue;
-    RotorVector squared = log.rotors[r].speed.array().square();
-    if (log.rotors[r].stamp < s.stamp) {
-      if (r + 1 >= log.rotors.size()) continue;
-      const double span = ToSeconds(log.rotors[r + 1].stamp - log.rotors[r].stamp);
-      if (span > 0.5 * kFilterWidth_s) continue;
-      const double x = ToSeconds(s.stamp - log.rotors[r].stamp) / span;
-      const RotorVector speed = (1.0 - x) * log.rotors[r].speed + x * log.rotors[r + 1].speed;
+    return c;
+  }
+
+ private:
+  /// Index from `from` on of the last sample that is not after `stamp`; `from` if all are.
+  template <typename Sample>
+  static size_t LastAt(const std::vector<Sample>& samples, size_t from, Stamp stamp) {
+    while (from + 1 < samples.size() && samples[from + 1].stamp <= stamp) ++from;
+    return from;
+  }
+
+  void TakeOdometry(const OdometrySample& s, int i, Channels* c) const {
+    c->data.block<3, 1>(kPosition, i) = s.p_WS;
+    Eigen::Vector4d q = s.q_WS.coeffs();
+    if (i > 0 && q.dot(c->data.block<4, 1>(kQuaternion, i - 1)) < 0.0) q = -q;
+    c->data.block<4, 1>(kQuaternion, i) = q;
+    if (s.v_WS) c->data.block<3, 1>(kVelocity, i) = *s.v_WS;
+    if (s.w_WS_S) c->data.block<3, 1>(kRate, i) = *s.w_WS_S;
+  }
+
+  /// The accelerometer, linearly between its samples.
+  void TakeForce(size_t m, Stamp stamp, int i, Channels* c) const {
+    const ImuSample& a = log_.imu[m];
+    if (a.stamp > stamp || !a.specific_force_I) return;
+    if (a.stamp == stamp) {
+      c->data.block<3, 1>(kForce, i) = *a.specific_force_I;
+      c->felt[i] = true;
+    } else if (m + 1 < log_.imu.size() && log_.imu[m + 1].specific_force_I) {
+      const ImuSample& b = log_.imu[m + 1];
+      const double span = ToSeconds(b.stamp - a.stamp);
+      const double x = ToSeconds(stamp - a.stamp) / span;
+      c->felt[i] = span < 0.5 * kFilterWidth_s;
+      c->data.block<3, 1>(kForce, i) = (1.0 - x) * *a.specific_force_I + x * *b.specific_force_I;
+    }
+  }
+
+  void TakeRotors(size_t r, Stamp stamp, int i, Channels* c) const {
+    const RotorSample& a = log_.rotors[r];
+    if (a.stamp > stamp) return;
+    RotorVector squared = a.speed.array().square();
+    if (a.stamp < stamp) {
+      if (r + 1 >= log_.rotors.size()) return;
+      const RotorSample& b = log_.rotors[r + 1];
+      const double span = ToSeconds(b.stamp - a.stamp);
+      if (span > 0.5 * kFilterWidth_s) return;
+      const double x = ToSeconds(stamp - a.stamp) / span;
+      const RotorVector speed = (1.0 - x) * a.speed + x * b.speed;
       squared = speed.array().square();
     }
-    c.data.block(kRotors, i, num_rotors, 1) = squared;
-    c.covered[i] = true;
+    c->data.block(kRotors, i, num_rotors_, 1) = squared;
+    c->covered[i] = true;
   }
-  return c;
-}
 
-FilteredMotion MotionAt(const Channels& c, const LocalPolynomial& fit) {
+  const FlightLog& log_;
+  int num_rotors_;
+  bool has_velocity_, has_rate_;
+  size_t imu_ = 0, rotors_ = 0;  // where the last piece began
+};
+
+FilteredMotion MotionAt(const Collector& c, const LocalPolynomial& fit) {
   FilteredMotion motion;
   motion.p_WS = fit.value.segment<3>(kPosition);
   const Eigen::Quaterniond q(Eigen::Vector4d(fit.value.segment<4>(kQuaternion).normalized()));
   motion.R_WS = q.toRotationMatrix();
-  motion.v_WS = c.has_velocity ? fit.value.segment<3>(kVelocity) : fit.first.segment<3>(kPosition);
-  motion.a_WS = c.has_velocity ? fit.first.segment<3>(kVelocity) : fit.second.segment<3>(kPosition);
-  if (c.has_rate) {
+  motion.v_WS = c.has_velocity() ? fit.value.segment<3>(kVelocity) : fit.first.segment<3>(kPosition);
+  motion.a_WS = c.has_velocity() ? fit.first.segment<3>(kVelocity) : fit.second.segment<3>(kPosition);
+  if (c.has_rate()) {
     motion.w_S = fit.value.segment<3>(kRate);
     motion.w_dot_S = fit.first.segment<3>(kRate);
   } else {
@@ -115,70 +154,108 @@ bool OnGround(Stamp stamp, const std::vector<std::pair<Stamp, Stamp>>& spans) {
   });
 }
 
+double MedianStep(const FlightLog& log) {
+  std::vector<double> steps;
+  steps.reserve(log.odometry.size());
+  const Stamp first = log.odometry.front().stamp;
+  for (size_t i = 1; i < log.odometry.size(); ++i) {
+    steps.push_back(ToSeconds(log.odometry[i].stamp - first) -
+                    ToSeconds(log.odometry[i - 1].stamp - first));
+  }
+  return Median(steps);
+}
+
+/// True if the window around sample `i` of a piece has no gap.
+bool IsWhole(const Channels& c, int i, int half, double longest_s, double step_s) {
+  bool whole = c.t_s[i + half] - c.t_s[i - half] < longest_s;
+  for (int k = i - half; whole && k <= i + half; ++k) whole = c.covered[k];
+  for (int k = i - half; whole && k < i + half; ++k) {
+    whole = c.t_s[k + 1] - c.t_s[k] < std::max(3.5 * step_s, 0.02);
+  }
+  return whole;
+}
+
+FilteredMotion FilteredAt(const Collector& collector, const Channels& c,
+                          const SavitzkyGolay& filter, int num_rotors, int i) {
+  const LocalPolynomial fit = filter.At(c.t_s, c.data, i);
+  FilteredMotion motion = MotionAt(collector, fit);
+  motion.t_s = c.t_s[i];
+  motion.rotors.speed_squared = fit.value.tail(num_rotors).cwiseMax(0.0);
+  motion.rotors.speed = motion.rotors.speed_squared.cwiseSqrt();
+  motion.rotors.speed_squared_rate = fit.first.tail(num_rotors);
+  motion.rotors.acceleration =
+      motion.rotors.speed_squared_rate.cwiseQuotient((2.0 * motion.rotors.speed).cwiseMax(1.0));
+  const int half = filter.count() / 2;
+  bool felt = true;
+  for (int k = i - half; k <= i + half; ++k) felt = felt && c.felt[k];
+  if (felt) motion.specific_force_I = fit.value.segment<3>(kForce);
+  return motion;
+}
+
 }  // namespace
+
+MotionCounts FilterEach(const FlightLog& log, int num_rotors,
+                        const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
+                        const std::function<void(const FilteredMotion&)>& use) {
+  constexpr int kPiece = 4096;
+  MotionCounts counts;
+  const int n = static_cast<int>(log.odometry.size());
+  if (n < 5) return counts;
+  counts.step_s = MedianStep(log);
+  const SavitzkyGolay filter(SavitzkyGolay::NearestOddCount(kFilterWidth_s, counts.step_s));
+  const int half = filter.count() / 2;
+  const double longest_s = 1.5 * std::max(kFilterWidth_s, filter.count() * counts.step_s);
+  Collector collector(log, num_rotors);
+  int previous = -2;
+  for (int begin = half; begin + half < n; begin += kPiece) {
+    const int end = std::min(begin + kPiece, n - half);
+    const Channels piece = collector.Piece(begin - half, end + half);
+    for (int i = begin; i < end; ++i) {
+      const int k = i - begin + half;
+      if (OnGround(piece.stamps[k], ground_spans)) {
+        ++counts.left_out_ground;
+        continue;
+      }
+      if (!IsWhole(piece, k, half, longest_s, counts.step_s)) {
+        ++counts.left_out_gaps;
+        continue;
+      }
+      FilteredMotion motion = FilteredAt(collector, piece, filter, num_rotors, k);
+      motion.follows = previous == i - 1;
+      previous = i;
+      use(motion);
+    }
+  }
+  return counts;
+}
 
 FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
                           const std::vector<std::pair<Stamp, Stamp>>& ground_spans) {
   FlightMotion flight;
-  const Channels c = Collect(log, num_rotors);
-  const int n = static_cast<int>(c.t_s.size());
-  if (n < 5) return flight;
-  std::vector<double> steps;
-  for (int i = 1; i < n; ++i) steps.push_back(c.t_s[i] - c.t_s[i - 1]);
-  const double step_s = Median(steps);
-  flight.step_s = step_s;
-  const SavitzkyGolay filter(SavitzkyGolay::NearestOddCount(kFilterWidth_s, step_s));
-  const int half = filter.count() / 2;
-  const double longest_s = 1.5 * std::max(kFilterWidth_s, filter.count() * step_s);
-  int previous = -2;
-  flight.samples.reserve(static_cast<size_t>(n));
-  for (int i = half; i + half < n; ++i) {
-    if (OnGround(c.stamps[i], ground_spans)) {
-      ++flight.left_out_ground;
-      continue;
-    }
-    bool whole = c.t_s[i + half] - c.t_s[i - half] < longest_s;
-    for (int k = i - half; whole && k <= i + half; ++k) whole = c.covered[k];
-    for (int k = i - half; whole && k < i + half; ++k) {
-      whole = c.t_s[k + 1] - c.t_s[k] < std::max(3.5 * step_s, 0.02);
-    }
-    if (!whole) {
-      ++flight.left_out_gaps;
-      continue;
-    }
-    const LocalPolynomial fit = filter.At(c.t_s, c.data, i);
-    FilteredMotion motion = MotionAt(c, fit);
-    motion.t_s = c.t_s[i];
-    motion.rotors.speed_squared = fit.value.tail(num_rotors).cwiseMax(0.0);
-    motion.rotors.speed = motion.rotors.speed_squared.cwiseSqrt();
-    motion.rotors.speed_squared_rate = fit.first.tail(num_rotors);
-    motion.rotors.acceleration =
-        motion.rotors.speed_squared_rate.cwiseQuotient((2.0 * motion.rotors.speed).cwiseMax(1.0));
-    bool felt = true;
-    for (int k = i - half; k <= i + half; ++k) felt = felt && c.felt[k];
-    if (felt) motion.specific_force_I = fit.value.segment<3>(kForce);
-    motion.follows = previous == i - 1;
-    previous = i;
-    flight.samples.push_back(motion);
-  }
+  flight.samples.reserve(log.odometry.size());
+  static_cast<MotionCounts&>(flight) =
+      FilterEach(log, num_rotors, ground_spans,
+                 [&](const FilteredMotion& motion) { flight.samples.push_back(motion); });
   return flight;
+}
+
+Vector3d LoadPuller::PullAt(const FilteredMotion& now, const ModelValues& values) {
+  // The filter takes its first half window; before that the vehicle stood still or was on course.
+  if (is_first_) v_W_ = now.v_WS - std::min(now.t_s, kFilterWidth_s) * now.a_WS;
+  is_first_ = false;
+  // Through gaps with their mean acceleration, which leaves the velocity right.
+  const Vector3d pull_W = load_.Advance(v_W_, now.v_WS, now.t_s - t_s_, values).pull_W;
+  v_W_ = now.v_WS;
+  t_s_ = now.t_s;
+  return pull_W;
 }
 
 std::vector<Eigen::Vector3d> LoadPulls(const FlightMotion& flight, const DynamicModel& model,
                                        const ModelValues& values) {
-  LoadObserver load(model, false);
+  LoadPuller load(model);
   std::vector<Vector3d> pulls;
   pulls.reserve(flight.samples.size());
-  double t_s = 0.0;
-  Vector3d v_W = Vector3d::Zero();
-  for (const FilteredMotion& now : flight.samples) {
-    // The filter takes its first half window; before that the vehicle stood still or was on course.
-    if (pulls.empty()) v_W = now.v_WS - std::min(now.t_s, kFilterWidth_s) * now.a_WS;
-    // Through gaps with their mean acceleration, which leaves the velocity right.
-    pulls.push_back(load.Advance(v_W, now.v_WS, now.t_s - t_s, values).pull_W);
-    v_W = now.v_WS;
-    t_s = now.t_s;
-  }
+  for (const FilteredMotion& now : flight.samples) pulls.push_back(load.PullAt(now, values));
   return pulls;
 }
 

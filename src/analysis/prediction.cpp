@@ -33,22 +33,6 @@ FlightState FlightStateOf(const FilteredMotion& motion, const Vector3d& load_pul
   return flight;
 }
 
-/// Means over samples, axis by axis.
-struct AxisSums {
-  Vector3d error2 = Vector3d::Zero(), value = Vector3d::Zero(), value2 = Vector3d::Zero();
-  void Add(const Vector3d& measured, const Vector3d& predicted) {
-    error2 += (measured - predicted).cwiseAbs2();
-    value += measured;
-    value2 += measured.cwiseAbs2();
-  }
-  Vector3d Rmse(double n) const { return (error2 / n).cwiseSqrt(); }
-  Vector3d Zero(double n) const { return (value2 / n).cwiseSqrt(); }
-  Vector3d Explained(double n) const {
-    const Vector3d variance = (value2 / n - (value / n).cwiseAbs2()).cwiseMax(1e-300);
-    return Vector3d::Ones() - (error2 / n).cwiseQuotient(variance);
-  }
-};
-
 }  // namespace
 
 PredictionSample PredictSample(const FilteredMotion& motion, const Vector3d& load_pull_W,
@@ -109,36 +93,82 @@ Vector3d PredictSpecificForce(const FilteredMotion& motion, const Vector3d& load
   return body.R_BI.transpose() * (F / body.mass + swing);
 }
 
+void PredictionSummary::AxisSums::Add(const Vector3d& measured, const Vector3d& predicted) {
+  error2 += (measured - predicted).cwiseAbs2();
+  value += measured;
+  value2 += measured.cwiseAbs2();
+}
+
+Vector3d PredictionSummary::AxisSums::Rmse(double n) const { return (error2 / n).cwiseSqrt(); }
+
+Vector3d PredictionSummary::AxisSums::Zero(double n) const { return (value2 / n).cwiseSqrt(); }
+
+Vector3d PredictionSummary::AxisSums::Explained(double n) const {
+  const Vector3d variance = (value2 / n - (value / n).cwiseAbs2()).cwiseMax(1e-300);
+  return Vector3d::Ones() - (error2 / n).cwiseQuotient(variance);
+}
+
+void PredictionSummary::Add(const PredictionSample& s) {
+  ++samples_;
+  force_.Add(s.measured_force, s.predicted_force);
+  torque_.Add(s.measured_torque, s.predicted_torque);
+  acceleration_.Add(s.measured_angular_acceleration, s.predicted_angular_acceleration);
+  const Vector3d wanted = s.measured_torque - (s.predicted_torque - s.rotor_torque);
+  rotor_other_ += s.rotor_torque.cwiseProduct(wanted);
+  rotor_rotor_ += s.rotor_torque.cwiseAbs2();
+}
+
+PredictionFigures PredictionSummary::Figures(bool with_torque, const Vehicle& vehicle,
+                                             const DynamicModel& model,
+                                             const ModelValues& values) const {
+  PredictionFigures figures;
+  figures.samples = samples_;
+  if (samples_ == 0) return figures;
+  const double n = static_cast<double>(samples_);
+  figures.force_rmse_N = force_.Rmse(n);
+  figures.zero_force_rmse_N = force_.Zero(n);
+  figures.force_explained = force_.Explained(n);
+  if (!with_torque) return figures;
+  figures.torque_rmse_Nm = torque_.Rmse(n);
+  figures.zero_torque_rmse_Nm = torque_.Zero(n);
+  figures.torque_explained = torque_.Explained(n);
+  if ((rotor_rotor_.array() > 0.0).all()) {
+    figures.rotor_torque_gain = rotor_other_.cwiseQuotient(rotor_rotor_);
+  }
+  figures.angular_acceleration_rmse_rad_s2 = acceleration_.Rmse(n);
+  figures.inertia_over_nominal =
+      model.Properties(values).I_BBcm_B.diagonal().cwiseQuotient(vehicle.inertia_kg_m2);
+  return figures;
+}
+
 PredictionFigures SummarisePrediction(const std::vector<PredictionSample>& samples,
                                       bool with_torque, const Vehicle& vehicle,
                                       const DynamicModel& model, const ModelValues& values) {
-  PredictionFigures figures;
-  figures.samples = static_cast<long>(samples.size());
-  if (samples.empty()) return figures;
-  AxisSums force, torque, acceleration;
-  Vector3d rotor_other = Vector3d::Zero(), rotor_rotor = Vector3d::Zero();
-  for (const PredictionSample& s : samples) {
-    force.Add(s.measured_force, s.predicted_force);
-    torque.Add(s.measured_torque, s.predicted_torque);
-    acceleration.Add(s.measured_angular_acceleration, s.predicted_angular_acceleration);
-    const Vector3d wanted = s.measured_torque - (s.predicted_torque - s.rotor_torque);
-    rotor_other += s.rotor_torque.cwiseProduct(wanted);
-    rotor_rotor += s.rotor_torque.cwiseAbs2();
-  }
-  const double n = static_cast<double>(samples.size());
-  figures.force_rmse_N = force.Rmse(n);
-  figures.zero_force_rmse_N = force.Zero(n);
-  figures.force_explained = force.Explained(n);
-  if (!with_torque) return figures;
-  figures.torque_rmse_Nm = torque.Rmse(n);
-  figures.zero_torque_rmse_Nm = torque.Zero(n);
-  figures.torque_explained = torque.Explained(n);
-  if ((rotor_rotor.array() > 0.0).all()) {
-    figures.rotor_torque_gain = rotor_other.cwiseQuotient(rotor_rotor);
-  }
-  figures.angular_acceleration_rmse_rad_s2 = acceleration.Rmse(n);
-  figures.inertia_over_nominal =
-      model.Properties(values).I_BBcm_B.diagonal().cwiseQuotient(vehicle.inertia_kg_m2);
+  PredictionSummary summary;
+  for (const PredictionSample& sample : samples) summary.Add(sample);
+  return summary.Figures(with_torque, vehicle, model, values);
+}
+
+PredictionFigures PredictEach(const FlightLog& log, const Vehicle& file_vehicle,
+                              const DynamicModel& model, const ModelValues& values,
+                              const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
+                              const ValueVariation& vary, const PredictionSink& use) {
+  PredictionSummary summary;
+  LoadPuller load(model);
+  const auto predict = [&](const FilteredMotion& motion) {
+    ModelValues present = values;
+    if (vary) vary(motion.t_s, &present);
+    const Vector3d pull_W = load.PullAt(motion, values);
+    const PredictionSample sample =
+        PredictSample(motion, pull_W, file_vehicle, model, present, true);
+    summary.Add(sample);
+    use(sample);
+  };
+  const MotionCounts counts =
+      FilterEach(log, file_vehicle.num_rotors(), ground_spans, predict);
+  PredictionFigures figures = summary.Figures(!log.rotor_rms_only, file_vehicle, model, values);
+  figures.left_out_gaps = counts.left_out_gaps;
+  figures.left_out_ground = counts.left_out_ground;
   return figures;
 }
 
@@ -147,19 +177,9 @@ Prediction Predict(const FlightLog& log, const Vehicle& file_vehicle, const Dyna
                    const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
                    const ValueVariation& vary) {
   Prediction prediction;
-  const FlightMotion flight = FilterFlight(log, file_vehicle.num_rotors(), ground_spans);
-  const std::vector<Vector3d> pulls = LoadPulls(flight, model, values);
-  prediction.samples.reserve(flight.samples.size());
-  for (size_t i = 0; i < flight.samples.size(); ++i) {
-    ModelValues present = values;
-    if (vary) vary(flight.samples[i].t_s, &present);
-    prediction.samples.push_back(
-        PredictSample(flight.samples[i], pulls[i], file_vehicle, model, present, true));
-  }
   prediction.figures =
-      SummarisePrediction(prediction.samples, !log.rotor_rms_only, file_vehicle, model, values);
-  prediction.figures.left_out_gaps = flight.left_out_gaps;
-  prediction.figures.left_out_ground = flight.left_out_ground;
+      PredictEach(log, file_vehicle, model, values, ground_spans, vary,
+                  [&](const PredictionSample& sample) { prediction.samples.push_back(sample); });
   return prediction;
 }
 

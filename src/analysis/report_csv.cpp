@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <filesystem>
 #include <fstream>
 #include <stdexcept>
 #include <string>
@@ -9,14 +10,19 @@
 #include "odmc/analysis/report.h"
 
 namespace odmc {
-namespace {
 
-constexpr int kDigits = 9;
-
-/// A CSV file, cell by cell.
+/// A CSV file, cell by cell; removed where it is not closed.
 class CsvFile {
  public:
   explicit CsvFile(const std::string& file) : file_(file), out_(file, std::ios::binary) {}
+  ~CsvFile() {
+    if (closed_ || !out_.is_open()) return;
+    out_.close();
+    std::error_code ignored;
+    std::filesystem::remove(file_, ignored);
+  }
+  CsvFile(const CsvFile&) = delete;
+  CsvFile& operator=(const CsvFile&) = delete;
 
   void Name(const std::string& name) { Cell(name); }
   void Names(const std::string& before, const std::string& letters, const std::string& after) {
@@ -49,10 +55,12 @@ class CsvFile {
   void Close() {
     Flush();
     out_.close();
+    closed_ = true;
     if (!out_) throw std::runtime_error(file_ + ": cannot be written");
   }
 
  private:
+  static constexpr int kDigits = 9;
   static constexpr size_t kBuffer = 1 << 16;
 
   void Cell(std::string_view text) {
@@ -68,8 +76,10 @@ class CsvFile {
   std::string file_;
   std::ofstream out_;
   std::string text_;  // rows not written yet
-  bool first_ = true;
+  bool first_ = true, closed_ = false;
 };
+
+namespace {
 
 void WriteHistoryRow(double t_s, bool airborne, const ModelValues& values,
                      const Eigen::VectorXd& sigma, CsvFile* csv) {
@@ -137,41 +147,50 @@ void WritePhases(const Calibration& c, const std::string& file) {
   csv.Close();
 }
 
-void WritePrediction(const Prediction& prediction, bool with_torque, const std::string& file) {
-  CsvFile csv(file);
-  csv.Name("t_s");
-  csv.Name("speed_m_s");
+PredictionFile::PredictionFile(const std::string& file, bool with_torque)
+    : file_(file), with_torque_(with_torque) {}
+
+PredictionFile::~PredictionFile() = default;
+
+void PredictionFile::WriteHeader(const std::vector<EffectWrench>& effects) {
+  csv_ = std::make_unique<CsvFile>(file_);
+  csv_->Name("t_s");
+  csv_->Name("speed_m_s");
   for (const std::string what : {"measured", "predicted"}) {
-    csv.Names(what + "_force_", "xyz", "_N");
-    csv.Names(what + "_torque_", "xyz", "_Nm");
-    csv.Names(what + "_angular_acceleration_", "xyz", "_rad_s2");
+    csv_->Names(what + "_force_", "xyz", "_N");
+    csv_->Names(what + "_torque_", "xyz", "_Nm");
+    csv_->Names(what + "_angular_acceleration_", "xyz", "_rad_s2");
   }
-  if (!prediction.samples.empty()) {
-    for (const EffectWrench& effect : prediction.samples.front().effects) {
-      csv.Names(effect.effect + "_force_", "xyz", "_N");
-      csv.Names(effect.effect + "_torque_", "xyz", "_Nm");
-    }
+  for (const EffectWrench& effect : effects) {
+    csv_->Names(effect.effect + "_force_", "xyz", "_N");
+    csv_->Names(effect.effect + "_torque_", "xyz", "_Nm");
   }
-  csv.EndRow();
-  const auto rotational = [&](const Eigen::Vector3d& value) {
-    with_torque ? csv.Numbers(value) : csv.Empty(3);
+  csv_->EndRow();
+}
+
+void PredictionFile::Add(const PredictionSample& s) {
+  if (csv_ == nullptr) WriteHeader(s.effects);
+  const auto rotational = [this](const Eigen::Vector3d& value) {
+    with_torque_ ? csv_->Numbers(value) : csv_->Empty(3);
   };
-  for (const PredictionSample& s : prediction.samples) {
-    csv.Number(s.t_s);
-    csv.Number(s.speed_m_s);
-    csv.Numbers(s.measured_force);
-    rotational(s.measured_torque);
-    rotational(s.measured_angular_acceleration);
-    csv.Numbers(s.predicted_force);
-    rotational(s.predicted_torque);
-    rotational(s.predicted_angular_acceleration);
-    for (const EffectWrench& effect : s.effects) {
-      csv.Numbers(effect.f_B);
-      rotational(effect.tau_Bcm_B);
-    }
-    csv.EndRow();
+  csv_->Number(s.t_s);
+  csv_->Number(s.speed_m_s);
+  csv_->Numbers(s.measured_force);
+  rotational(s.measured_torque);
+  rotational(s.measured_angular_acceleration);
+  csv_->Numbers(s.predicted_force);
+  rotational(s.predicted_torque);
+  rotational(s.predicted_angular_acceleration);
+  for (const EffectWrench& effect : s.effects) {
+    csv_->Numbers(effect.f_B);
+    rotational(effect.tau_Bcm_B);
   }
-  csv.Close();
+  csv_->EndRow();
+}
+
+void PredictionFile::Close() {
+  if (csv_ == nullptr) WriteHeader({});
+  csv_->Close();
 }
 
 void WriteTiming(const Calibration& c, const std::string& file) {
@@ -188,38 +207,47 @@ void WriteTiming(const Calibration& c, const std::string& file) {
   csv.Close();
 }
 
-void WriteTruth(const SimulatedFlight& flight, const std::string& file) {
-  CsvFile csv(file);
-  csv.Name("t");
-  csv.Name("on_ground");
-  csv.Names("p", "xyz", "");
-  csv.Names("q", "wxyz", "");
-  for (const std::string what : {"v", "w", "dw"}) csv.Names(what, "xyz", "");
-  const auto rotors = flight.truth.empty() ? 0 : flight.truth.front().rotor_speed.size();
+TruthFile::TruthFile(const std::string& file) : file_(file) {}
+
+TruthFile::~TruthFile() = default;
+
+void TruthFile::WriteHeader(Eigen::Index rotors) {
+  csv_ = std::make_unique<CsvFile>(file_);
+  csv_->Name("t");
+  csv_->Name("on_ground");
+  csv_->Names("p", "xyz", "");
+  csv_->Names("q", "wxyz", "");
+  for (const std::string what : {"v", "w", "dw"}) csv_->Names(what, "xyz", "");
   for (const std::string what : {"rotor", "rotor_cmd"}) {
-    for (Eigen::Index i = 1; i <= rotors; ++i) csv.Name(what + std::to_string(i));
+    for (Eigen::Index i = 1; i <= rotors; ++i) csv_->Name(what + std::to_string(i));
   }
   for (const std::string what : {"f", "tau", "external_f", "external_tau"}) {
-    csv.Names(what + "_", "xyz", "");
+    csv_->Names(what + "_", "xyz", "");
   }
-  csv.EndRow();
-  for (const TruthSample& s : flight.truth) {
-    csv.Number(ToSeconds(s.stamp));
-    csv.Number(s.on_ground ? 1.0 : 0.0);
-    csv.Numbers(s.p_WB);
-    csv.Numbers(Eigen::Vector4d(s.q_WB.w(), s.q_WB.x(), s.q_WB.y(), s.q_WB.z()));
-    csv.Numbers(s.v_WB);
-    csv.Numbers(s.w_WB_B);
-    csv.Numbers(s.dw_WB_B);
-    csv.Numbers(s.rotor_speed);
-    csv.Numbers(s.rotor_speed_cmd);
-    csv.Numbers(s.f_B);
-    csv.Numbers(s.tau_Bcm_B);
-    csv.Numbers(s.external_f_B);
-    csv.Numbers(s.external_tau_Bcm_B);
-    csv.EndRow();
-  }
-  csv.Close();
+  csv_->EndRow();
+}
+
+void TruthFile::Add(const TruthSample& s) {
+  if (csv_ == nullptr) WriteHeader(s.rotor_speed.size());
+  csv_->Number(ToSeconds(s.stamp));
+  csv_->Number(s.on_ground ? 1.0 : 0.0);
+  csv_->Numbers(s.p_WB);
+  csv_->Numbers(Eigen::Vector4d(s.q_WB.w(), s.q_WB.x(), s.q_WB.y(), s.q_WB.z()));
+  csv_->Numbers(s.v_WB);
+  csv_->Numbers(s.w_WB_B);
+  csv_->Numbers(s.dw_WB_B);
+  csv_->Numbers(s.rotor_speed);
+  csv_->Numbers(s.rotor_speed_cmd);
+  csv_->Numbers(s.f_B);
+  csv_->Numbers(s.tau_Bcm_B);
+  csv_->Numbers(s.external_f_B);
+  csv_->Numbers(s.external_tau_Bcm_B);
+  csv_->EndRow();
+}
+
+void TruthFile::Close() {
+  if (csv_ == nullptr) WriteHeader(0);
+  csv_->Close();
 }
 
 void WriteText(const std::string& text, const std::string& file) {

@@ -12,6 +12,7 @@
 #include "odmc/attribution/gust_test.h"
 #include "odmc/attribution/spectrum.h"
 #include "odmc/math/hann.h"
+#include "odmc/model/plausibility.h"
 #include "odmc/preintegration/rotor_rate_smoother.h"
 
 namespace odmc {
@@ -193,11 +194,17 @@ std::vector<PredictionSample> SlowErrors(const std::vector<PredictionSample>& sa
   return slow;
 }
 
-/// One pass of the online estimator, blocks held out, with its prediction of everything.
+/// What a prediction misses at one sample: of force and torque, in the vehicle file's body axes.
+struct Miss {
+  double t_s, speed_m_s;
+  Eigen::Vector3d force, torque;
+};
+
+/// One pass of the online estimator, blocks held out, with what it misses of everything.
 struct Pass {
-  ReplayResult replay;
+  ReplayResult replay;  ///< without its history and timing
   ParameterSet parameters;
-  Prediction prediction;
+  std::vector<Miss> misses;
   HeldOut held_out;
 };
 
@@ -211,6 +218,8 @@ Pass Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& 
   estimator.SetHeldOut(
       [=](Stamp stamp) { return loop.blocks.IsHeldOut(ToSeconds(stamp - first)); });
   pass.replay = Replay(log, &estimator, progress);
+  pass.replay.history = {};
+  pass.replay.timing = {};
   if (!pass.replay.last) throw std::invalid_argument(log.file + ": never airborne");
   pass.parameters = Estimator::ToParameterSet(model, *pass.replay.last);
   const ModelValues& values = pass.replay.last->values;
@@ -218,11 +227,15 @@ Pass Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& 
       !model.processes().empty()
           ? GustsOf(log, file_vehicle, model, values, pass.replay.ground_spans, with_torque)
           : ValueVariation();
-  pass.prediction = Predict(log, file_vehicle, model, values, pass.replay.ground_spans, vary);
   std::vector<PredictionSample> unseen;
-  for (const PredictionSample& s : pass.prediction.samples) {
-    if (loop.blocks.IsHeldOut(s.t_s)) unseen.push_back(s);
-  }
+  PredictEach(log, file_vehicle, model, values, pass.replay.ground_spans, vary,
+              [&](const PredictionSample& s) {
+                pass.misses.push_back({s.t_s, s.speed_m_s, s.measured_force - s.predicted_force,
+                                       s.measured_torque - s.predicted_torque});
+                if (!loop.blocks.IsHeldOut(s.t_s)) return;
+                unseen.push_back(s);
+                unseen.back().effects = {};
+              });
   pass.held_out.all = SummarisePrediction(unseen, with_torque, file_vehicle, model, values);
   pass.held_out.slow =
       SummarisePrediction(SlowErrors(unseen), with_torque, file_vehicle, model, values);
@@ -408,7 +421,7 @@ struct Confirmed {
   PredictionFigures::Axes accelerometer;
   ParameterSet parameters;
   std::vector<std::string> effect_names;
-  std::optional<Prediction> prediction;  // empty for the declared model
+  std::optional<std::vector<Miss>> misses;  // empty for the declared model
 };
 
 /// What a choice leaves, and what would be added to it.
@@ -542,18 +555,19 @@ FlightFigures FlownFlight(const FlightLog& log, const ReplayResult& replay) {
   return figures;
 }
 
-std::vector<LoopSample> Samples(const Prediction& before, const Prediction& after,
+std::vector<LoopSample> Samples(const std::vector<Miss>& before, const std::vector<Miss>& after,
                                 const BlockSplit& blocks) {
   std::vector<LoopSample> samples;
-  const size_t n = std::min(before.samples.size(), after.samples.size());
+  const size_t n = std::min(before.size(), after.size());
+  samples.reserve(n);
   for (size_t i = 0; i < n; ++i) {
-    const PredictionSample &b = before.samples[i], &a = after.samples[i];
+    const Miss &b = before[i], &a = after[i];
     LoopSample sample{b.t_s, blocks.IsHeldOut(b.t_s), b.speed_m_s, {}, {}};
     for (int k = 0; k < 3; ++k) {
-      sample.before[k] = b.measured_force[k] - b.predicted_force[k];
-      sample.before[k + 3] = b.measured_torque[k] - b.predicted_torque[k];
-      sample.after[k] = a.measured_force[k] - a.predicted_force[k];
-      sample.after[k + 3] = a.measured_torque[k] - a.predicted_torque[k];
+      sample.before[k] = b.force[k];
+      sample.before[k + 3] = b.torque[k];
+      sample.after[k] = a.force[k];
+      sample.after[k + 3] = a.torque[k];
     }
     samples.push_back(sample);
   }
@@ -685,6 +699,8 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   result.effect_names = vehicle.effects;
   result.before = result.after = before.held_out.all;
   result.warnings = FlightWarnings(log, replay);
+  const std::string doubt = InertiaDoubt(file_vehicle);
+  if (!doubt.empty()) result.warnings.push_back(doubt);
   result.flight = FlownFlight(log, replay);
 
   const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), replay.ground_spans),
@@ -695,7 +711,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     result.warnings.push_back("too little flight to look for effects: " + std::to_string(in_use) +
                               " samples of 40 ms, at least " + std::to_string(kLeastSamples) +
                               " are needed");
-    result.samples = Samples(before.prediction, before.prediction, options.blocks);
+    result.samples = Samples(before.misses, before.misses, options.blocks);
     return result;
   }
   const ResidualModel residual(&flight, &file_vehicle, with_torque);
@@ -810,7 +826,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     }
     if (objection.empty()) {
       confirmed = {figures,          after.held_out.all, accelerometer,
-                   after.parameters, extended.effects,   std::move(after.prediction)};
+                   after.parameters, extended.effects,   std::move(after.misses)};
       accepted = trial;
       choose(accepted);
       return true;
@@ -847,9 +863,9 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
       result.where = Where(result.structure, flight, declared_residual);
     }
   }
-  const bool is_extended = result.verdict == Verdict::kEffect && confirmed.prediction;
-  result.samples = Samples(before.prediction,
-                           is_extended ? *confirmed.prediction : before.prediction, options.blocks);
+  const bool is_extended = result.verdict == Verdict::kEffect && confirmed.misses;
+  result.samples = Samples(before.misses,
+                           is_extended ? *confirmed.misses : before.misses, options.blocks);
   return result;
 }
 

@@ -5,6 +5,7 @@
 #include <stdexcept>
 
 #include "odmc/io/number_text.h"
+#include "text_file.h"
 #include "yaml_reader.h"
 
 namespace odmc {

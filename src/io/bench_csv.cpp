@@ -8,6 +8,7 @@
 #include <stdexcept>
 
 #include "csv_text.h"
+#include "text_file.h"
 #include "yaml_reader.h"
 
 namespace odmc {
@@ -31,24 +32,20 @@ struct Columns {
 Columns ReadColumns(const std::string& file) {
   Columns columns;
   columns.file = file;
-  const std::string content = ReadText(file);
-  std::string_view text = WithoutMark(content);
-  columns.header = SplitHeader(NextLine(&text));
+  LineReader lines(file);
+  std::string_view line;
+  if (!lines.Next(&line)) columns.Fail("is empty");
+  columns.header = SplitHeader(line, file);
   const size_t width = columns.header.size();
-  for (const std::string& name : columns.header) {
-    if (std::count(columns.header.begin(), columns.header.end(), name) > 1)
-      columns.Fail("line 1: column " + name + " is there twice");
-    columns.values[name];
-  }
-  for (long number = 2; !text.empty(); ++number) {
-    std::string_view line = NextLine(&text);
+  for (const std::string& name : columns.header) columns.values[name];
+  while (lines.Next(&line)) {
     if (line.find_first_not_of(" \t") == std::string_view::npos) continue;
     if (static_cast<size_t>(std::count(line.begin(), line.end(), ',')) + 1 != width) {
       ++columns.short_rows;
       continue;
     }
     for (const std::string& name : columns.header)
-      columns.values[name].push_back(CellNumber(NextCell(&line), file, number, name));
+      columns.values[name].push_back(CellNumber(NextCell(&line), file, lines.number(), name));
   }
   if (columns.values.begin()->second.empty()) columns.Fail("has a header but no usable row");
   return columns;
@@ -72,7 +69,7 @@ Strings Found(const Columns& columns, const Strings& declared, const Strings& us
   for (const std::string& name : declared) {
     if (!columns.Has(name)) {
       columns.Fail("column " + name + " (" + role +
-                   ") is missing; found are: " + JoinNames(columns.header));
+                   ") is missing; found are: " + ListNames(columns.header));
     }
   }
   if (!declared.empty()) return declared;
@@ -89,7 +86,7 @@ Strings Found(const Columns& columns, const Strings& declared, const Strings& us
   }
   if (!silent.empty() || flag.empty()) return silent;
   columns.Fail("no column is known as " + role + "; declare it by " + flag +
-               ". Found are: " + JoinNames(columns.header));
+               ". Found are: " + ListNames(columns.header));
 }
 
 Strings FoundOne(const Columns& columns, const std::string& declared, const Strings& usual,

@@ -12,11 +12,13 @@ std::string_view Unquoted(std::string_view cell);
 /// Cuts the first cell off a line.
 std::string_view NextCell(std::string_view* line);
 
-/// Cuts the first line, without its end, off a text.
-std::string_view NextLine(std::string_view* text);
-
 /// Names of a header line.
-std::vector<std::string> SplitHeader(std::string_view line);
+/// @throws std::invalid_argument "FILE: line 1: ..." where it has more than 1000 columns, or two of
+///   the same name (empty ones may repeat)
+std::vector<std::string> SplitHeader(std::string_view line, const std::string& file);
+
+/// "a, b, c and 7 more", fit to print.
+std::string ListNames(const std::vector<std::string>& names);
 
 /// Without the byte order mark some editors write.
 std::string_view WithoutMark(std::string_view text);

@@ -7,8 +7,10 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <limits>
 #include <map>
+#include <optional>
 #include <set>
 #include <stdexcept>
 #include <string_view>
@@ -16,7 +18,9 @@
 
 #include "csv_text.h"
 #include "odmc/io/number_text.h"
+#include "odmc/io/printable_text.h"
 #include "odmc/sensing/flight_checks.h"
+#include "text_file.h"
 #include "yaml_reader.h"
 
 namespace odmc {
@@ -85,7 +89,7 @@ bool ParsePlainSeconds(std::string_view text, Stamp* stamp) {
 constexpr double kLatest_s = 9e9;  // what int64 nanoseconds hold
 
 std::string FileName(const std::string& file) {
-  return std::filesystem::path(file).filename().string();
+  return Printable(std::filesystem::path(file).filename().string());
 }
 
 /// Rows of the wanted columns of one CSV file, in time order.
@@ -128,13 +132,25 @@ class Table {
   }
   const std::vector<double>& Column(const std::string& name) const { return values_.at(name); }
 
+  /// Gives the room of columns back that nobody needs any more.
+  void Release(const Strings& names) {
+    for (const std::string& name : names) {
+      const auto found = values_.find(name);
+      if (found != values_.end()) std::vector<double>().swap(found->second);
+    }
+  }
+
  private:
   size_t CountOf(const Strings& names) const {
     return std::count_if(names.begin(), names.end(),
                          [&](const std::string& n) { return values_.count(n) > 0; });
   }
   void ReadHeader(std::string_view line, Strings wanted, const std::vector<Strings>& whole);
+  /// Makes room, which costs nothing before it is used, so that no column is ever copied.
+  void Reserve(size_t rows);
   void ReadRow(std::string_view line, long number);
+  /// Takes back the last row, whose time leapt ahead.
+  void DropLast();
   void CheckSteps() const;
   [[noreturn]] void Fail(const std::string& what) const {
     throw std::invalid_argument(file_ + ": " + what);
@@ -148,21 +164,29 @@ class Table {
   std::vector<std::vector<double>*> targets_;  // by column of the file, null where not wanted
   std::vector<double> row_;
   size_t time_column_ = 0;
-  Refusals short_rows_, no_time_, out_of_order_;
+  Refusals short_rows_, no_time_, leaps_, out_of_order_;
 };
 
 Table::Table(const std::string& file, const Strings& wanted, const std::vector<Strings>& whole,
              FlightLog* log)
     : file_(file) {
-  const std::string content = ReadText(file);
-  std::string_view text = WithoutMark(content);
-  if (text.find_first_not_of(" \t\r\n") == std::string_view::npos) Fail("is empty");
-  ReadHeader(NextLine(&text), wanted, whole);
-  for (long number = 2; !text.empty(); ++number) {
-    const std::string_view line = NextLine(&text);
-    if (line.find_first_not_of(" \t") != std::string_view::npos) ReadRow(line, number);
+  LineReader lines(file);
+  std::string_view line;
+  if (!lines.Next(&line) || line.find_first_not_of(" \t") == std::string_view::npos) {
+    Fail("is empty, or its first line is");
+  }
+  ReadHeader(line, wanted, whole);
+  while (lines.Next(&line)) {
+    if (line.find_first_not_of(" \t") == std::string_view::npos) continue;
+    if (lines.number() == 2) Reserve(lines.file_bytes() / std::max(line.size(), 2 * header_.size()));
+    ReadRow(line, lines.number());
   }
   const auto rows = static_cast<size_t>(out_of_order_.count) + size();
+  if (static_cast<size_t>(no_time_.count) > rows) {
+    Fail("column t is no time in " + std::to_string(no_time_.count) + " of " +
+         std::to_string(rows + static_cast<size_t>(no_time_.count)) + " rows (first: " +
+         no_time_.first + ")");
+  }
   if (rows == 0) Fail("has a header but no usable row");
   if (2 * size() < rows) {
     Fail("column t steps back or repeats in " + std::to_string(out_of_order_.count) + " of " +
@@ -171,11 +195,12 @@ Table::Table(const std::string& file, const Strings& wanted, const std::vector<S
   CheckSteps();
   short_rows_.Report(name(), "rows that do not have as many cells as the header", log);
   no_time_.Report(name(), "rows without a finite t", log);
+  leaps_.Report(name(), "rows whose t leaps ahead of all after it", log);
   out_of_order_.Report(name(), "rows whose t steps back or repeats", log);
 }
 
 void Table::ReadHeader(std::string_view line, Strings wanted, const std::vector<Strings>& whole) {
-  header_ = SplitHeader(line);
+  header_ = SplitHeader(line, file_);
   for (const Strings& group : whole) {
     const bool has_all = std::all_of(group.begin(), group.end(), [this](const std::string& name) {
       return std::find(header_.begin(), header_.end(), name) != header_.end();
@@ -186,19 +211,22 @@ void Table::ReadHeader(std::string_view line, Strings wanted, const std::vector<
     Fail("line 1: columns must be separated by commas");
   }
   if (std::find(header_.begin(), header_.end(), "t") == header_.end()) {
-    Fail("column t is missing; found are: " + JoinNames(header_));
+    Fail("column t is missing; found are: " + ListNames(header_));
   }
   for (size_t i = 0; i < header_.size(); ++i) {
     const std::string& name = header_[i];
-    if (std::count(header_.begin(), header_.end(), name) > 1 && !name.empty()) {
-      Fail("line 1: column " + name + " is there twice");
-    }
     const bool is_wanted = std::find(wanted.begin(), wanted.end(), name) != wanted.end();
     if (name == "t") time_column_ = i;
     if (!is_wanted && !name.empty()) unknown_.push_back(name);
     targets_.push_back(is_wanted ? &values_[name] : nullptr);
   }
   row_.resize(header_.size());
+}
+
+void Table::Reserve(size_t rows) {
+  stamps_.reserve(rows);
+  lines_.reserve(rows);
+  for (auto& [name, values] : values_) values.reserve(rows);
 }
 
 void Table::ReadRow(std::string_view line, long number) {
@@ -221,6 +249,7 @@ void Table::ReadRow(std::string_view line, long number) {
     return;
   }
   if (!is_exact) stamp = FromSeconds(t);
+  if (IsLoneLeap(stamps_, stamp)) DropLast();
   if (!stamps_.empty() && stamp <= stamps_.back()) {
     out_of_order_.Add("line " + std::to_string(number) + ", t " + FormatNumber(t));
     return;
@@ -229,6 +258,16 @@ void Table::ReadRow(std::string_view line, long number) {
   lines_.push_back(number);
   for (size_t i = 0; i < targets_.size(); ++i) {
     if (targets_[i] != nullptr) targets_[i]->push_back(row_[i]);
+  }
+}
+
+void Table::DropLast() {
+  leaps_.Add("line " + std::to_string(lines_.back()) + ", t " +
+             FormatNumber(ToSeconds(stamps_.back())));
+  stamps_.pop_back();
+  lines_.pop_back();
+  for (auto* target : targets_) {
+    if (target != nullptr) target->pop_back();
   }
 }
 
@@ -253,7 +292,7 @@ void Table::Require(const Strings& names) const {
   }
   if (missing.empty()) return;
   Fail(std::string(missing.size() == 1 ? "column " : "columns ") + JoinNames(missing) +
-       (missing.size() == 1 ? " is" : " are") + " missing; found are: " + JoinNames(header_));
+       (missing.size() == 1 ? " is" : " are") + " missing; found are: " + ListNames(header_));
 }
 
 // ---- Reading: table to samples -----------------------------------------------------------------
@@ -431,7 +470,7 @@ void ReadCommands(const Table& table, const std::vector<size_t>& rows, int num_r
 
 void WarnOfUnknown(const Strings& unknown, const std::string& file, FlightLog* log) {
   if (!unknown.empty()) {
-    log->warnings.push_back(file + ": unknown columns ignored: " + JoinNames(unknown));
+    log->warnings.push_back(file + ": unknown columns ignored: " + ListNames(unknown));
   }
 }
 
@@ -447,170 +486,185 @@ std::string FormatStamp(Stamp stamp) {
   return text;
 }
 
-/// Columns of numbers at given stamps; nan is an empty cell.
+/// Cells of one row at a stamp; nan is an empty cell. Rows come in the order of their stamps.
+using Cells = std::vector<double>;
+using Filler = std::function<void(Stamp stamp, size_t row, Cells* cells)>;
+
+/// Columns that fill rows as they are written.
 class TableWriter {
  public:
-  explicit TableWriter(std::vector<Stamp> stamps) : stamps_(std::move(stamps)) {}
-
-  void Add(const std::string& name, std::vector<double> values) {
-    names_.push_back(name);
-    values_.push_back(std::move(values));
+  void Add(const Strings& names, Filler fill) {
+    names_.insert(names_.end(), names.begin(), names.end());
+    fillers_.push_back(std::move(fill));
   }
 
-  void Write(const std::string& file) const {
+  /// One row per sample of `rows`, at its stamp.
+  template <typename Sample>
+  void Write(const std::vector<Sample>& rows, const std::string& file) const {
+    constexpr size_t kBuffer = 1 << 16;
+    std::ofstream out(file, std::ios::binary);
     std::string text = "t," + JoinNames(names_);
     text.erase(std::remove(text.begin(), text.end(), ' '), text.end());
-    for (size_t i = 0; i < stamps_.size(); ++i) {
-      text += "\n" + FormatStamp(stamps_[i]);
-      for (const auto& column : values_) {
-        text += std::isnan(column[i]) ? "," : "," + FormatNumber(column[i]);
-      }
+    Cells cells;
+    for (size_t i = 0; i < rows.size(); ++i) {
+      cells.clear();
+      for (const Filler& fill : fillers_) fill(rows[i].stamp, i, &cells);
+      text += "\n" + FormatStamp(rows[i].stamp);
+      for (const double cell : cells) text += std::isnan(cell) ? "," : "," + FormatNumber(cell);
+      if (text.size() < kBuffer) continue;
+      out << text;
+      text.clear();
     }
-    std::ofstream out(file, std::ios::binary);
     out << text << "\n";
     out.close();
     if (!out) throw std::runtime_error(file + ": cannot be written");
   }
 
  private:
-  std::vector<Stamp> stamps_;
   Strings names_;
-  std::vector<std::vector<double>> values_;
+  std::vector<Filler> fillers_;
 };
 
 constexpr double kNoValue = std::numeric_limits<double>::quiet_NaN();
 
-/// Values of one stream at other stamps: as they are where the stamps agree, else linear between
-/// neighbours, nothing outside.
+/// Goes through a stream beside rows whose stamps step forward.
+template <typename Sample>
+class Cursor {
+ public:
+  explicit Cursor(const std::vector<Sample>& samples) : samples_(samples) {}
+
+  /// The sample at `stamp`, null if there is none.
+  const Sample* At(Stamp stamp) {
+    Advance(stamp);
+    return next_ < samples_.size() && samples_[next_].stamp == stamp ? &samples_[next_] : nullptr;
+  }
+
+ protected:
+  /// To the first sample that is not before `stamp`.
+  void Advance(Stamp stamp) {
+    while (next_ < samples_.size() && samples_[next_].stamp < stamp) ++next_;
+  }
+
+  const std::vector<Sample>& samples_;
+  size_t next_ = 0;
+};
+
+/// Values that some samples have: as they are where the stamps agree, else (if `resample`) linear
+/// between neighbours, nothing outside.
+template <typename Sample, typename Get>
 class Resampled {
  public:
-  void Add(Stamp stamp, double value) {
-    stamps_.push_back(stamp);
-    values_.push_back(value);
-  }
-  bool empty() const { return stamps_.empty(); }
-  double At(Stamp stamp) const {
-    const auto next = std::lower_bound(stamps_.begin(), stamps_.end(), stamp);
-    if (next == stamps_.end()) return kNoValue;
-    const size_t i = next - stamps_.begin();
-    if (*next == stamp) return values_[i];
-    if (i == 0) return kNoValue;
-    const double share = static_cast<double>(stamp - stamps_[i - 1]) /
-                         static_cast<double>(stamps_[i] - stamps_[i - 1]);
-    return values_[i - 1] + share * (values_[i] - values_[i - 1]);
-  }
-  std::vector<double> At(const std::vector<Stamp>& stamps) const {
-    std::vector<double> values;
-    for (const Stamp stamp : stamps) values.push_back(At(stamp));
-    return values;
+  Resampled(const std::vector<Sample>& samples, Get get, bool resample)
+      : samples_(samples), get_(get), resample_(resample) {}
+
+  std::optional<Eigen::Vector3d> At(Stamp stamp) {
+    for (; next_ < samples_.size(); ++next_) {
+      const bool has_value = get_(samples_[next_]).has_value();
+      if (has_value && samples_[next_].stamp >= stamp) break;
+      if (has_value) before_ = next_;
+    }
+    if (next_ == samples_.size()) return std::nullopt;
+    const Stamp after_stamp = samples_[next_].stamp;
+    if (after_stamp == stamp) return get_(samples_[next_]);
+    if (!resample_ || !before_) return std::nullopt;
+    const Stamp before_stamp = samples_[*before_].stamp;
+    const double share = static_cast<double>(stamp - before_stamp) /
+                         static_cast<double>(after_stamp - before_stamp);
+    const Eigen::Vector3d low = *get_(samples_[*before_]), high = *get_(samples_[next_]);
+    return low + share * (high - low);
   }
 
  private:
-  std::vector<Stamp> stamps_;
-  std::vector<double> values_;
+  const std::vector<Sample>& samples_;
+  Get get_;
+  bool resample_;
+  size_t next_ = 0;               // the first one from the stamp on with a value
+  std::optional<size_t> before_;  // the last one before with a value
 };
 
 /// Adds three columns of what `get` takes from each sample (an optional vector), if any has it.
 template <typename Sample, typename Get>
-void AddVector(const Strings& names, const std::vector<Sample>& samples, Get get,
-               const std::vector<Stamp>& stamps, bool resample, TableWriter* table) {
-  for (int axis = 0; axis < 3; ++axis) {
-    Resampled stream;
-    std::map<Stamp, double> exact;
-    for (const Sample& sample : samples) {
-      const std::optional<Eigen::Vector3d> vector = get(sample);
-      if (!vector) continue;
-      stream.Add(sample.stamp, (*vector)[axis]);
-      if (!resample) exact[sample.stamp] = (*vector)[axis];
-    }
-    if (stream.empty()) return;
-    std::vector<double> values = stream.At(stamps);
-    // A gap among shared stamps stays a gap.
-    for (size_t i = 0; !resample && i < stamps.size(); ++i) {
-      if (exact.count(stamps[i]) == 0) values[i] = kNoValue;
-    }
-    table->Add(names[axis], std::move(values));
+void AddVector(const Strings& names, const std::vector<Sample>& samples, Get get, bool resample,
+               TableWriter* table) {
+  if (std::none_of(samples.begin(), samples.end(),
+                   [&](const Sample& sample) { return get(sample).has_value(); })) {
+    return;
   }
+  table->Add(names, [stream = Resampled(samples, get, resample)](Stamp stamp, size_t,
+                                                                 Cells* cells) mutable {
+    const auto value = stream.At(stamp);
+    for (int axis = 0; axis < 3; ++axis) cells->push_back(value ? (*value)[axis] : kNoValue);
+  });
 }
 
-template <typename Sample>
-std::vector<Stamp> StampsOf(const std::vector<Sample>& samples) {
-  std::vector<Stamp> stamps;
-  for (const Sample& sample : samples) stamps.push_back(sample.stamp);
-  return stamps;
+/// True if every stamp of `part` is one of those of `all`.
+template <typename Part, typename All>
+bool IsSubset(const std::vector<Part>& part, const std::vector<All>& all) {
+  Cursor<All> stamps(all);
+  return std::all_of(part.begin(), part.end(),
+                     [&](const Part& sample) { return stamps.At(sample.stamp) != nullptr; });
 }
 
-/// True if every stamp of `part` is one of `all`.
-bool IsSubset(const std::vector<Stamp>& part, const std::vector<Stamp>& all) {
-  return std::includes(all.begin(), all.end(), part.begin(), part.end());
-}
-
-void AddOdometry(const FlightLog& log, const std::vector<Stamp>& stamps, TableWriter* table) {
-  const auto add = [&](const std::string& name, auto get) {
-    std::vector<double> values;
-    for (const OdometrySample& sample : log.odometry) values.push_back(get(sample));
-    table->Add(name, std::move(values));
-  };
-  for (int i = 0; i < 3; ++i) {
-    add(kPosition[i], [i](const OdometrySample& s) { return s.p_WS[i]; });
-  }
-  add("qw", [](const OdometrySample& s) { return s.q_WS.w(); });
-  add("qx", [](const OdometrySample& s) { return s.q_WS.x(); });
-  add("qy", [](const OdometrySample& s) { return s.q_WS.y(); });
-  add("qz", [](const OdometrySample& s) { return s.q_WS.z(); });
+void AddOdometry(const FlightLog& log, TableWriter* table) {
+  table->Add(Concatenate({kPosition, kAttitude}), [&log](Stamp, size_t row, Cells* cells) {
+    const OdometrySample& s = log.odometry[row];
+    const Eigen::Quaterniond& q = s.q_WS;
+    cells->insert(cells->end(),
+                  {s.p_WS.x(), s.p_WS.y(), s.p_WS.z(), q.w(), q.x(), q.y(), q.z()});
+  });
   AddVector(
-      kVelocity, log.odometry, [](const OdometrySample& s) { return s.v_WS; }, stamps, false,
+      kVelocity, log.odometry, [](const OdometrySample& s) { return s.v_WS; }, false, table);
+  AddVector(
+      kBodyRates, log.odometry, [](const OdometrySample& s) { return s.w_WS_S; }, false, table);
+}
+
+void AddImu(const FlightLog& log, TableWriter* table) {
+  const bool resample = !IsSubset(log.imu, log.odometry);
+  AddVector(
+      kAccelerometer, log.imu, [](const ImuSample& s) { return s.specific_force_I; }, resample,
       table);
   AddVector(
-      kBodyRates, log.odometry, [](const OdometrySample& s) { return s.w_WS_S; }, stamps, false,
-      table);
+      kGyro, log.imu, [](const ImuSample& s) { return s.gyro_I; }, resample, table);
 }
 
-void AddImu(const FlightLog& log, const std::vector<Stamp>& stamps, TableWriter* table) {
-  const bool resample = !IsSubset(StampsOf(log.imu), stamps);
-  AddVector(
-      kAccelerometer, log.imu, [](const ImuSample& s) { return s.specific_force_I; }, stamps,
-      resample, table);
-  AddVector(
-      kGyro, log.imu, [](const ImuSample& s) { return s.gyro_I; }, stamps, resample, table);
-}
-
-void AddRotors(const FlightLog& log, const std::vector<Stamp>& stamps, TableWriter* table) {
-  std::map<Stamp, const RotorSample*> by_stamp;
-  for (const RotorSample& sample : log.rotors) by_stamp[sample.stamp] = &sample;
-  const auto num_rotors = static_cast<int>(log.rotors.empty() ? 0 : log.rotors[0].speed.size());
+void AddRotors(const FlightLog& log, TableWriter* table) {
+  if (log.rotors.empty()) return;
+  const auto num_rotors = static_cast<int>(log.rotors[0].speed.size());
   const Strings names = log.rotor_rms_only ? kRotorRms : RotorColumns(num_rotors);
-  for (size_t j = 0; j < names.size() && num_rotors > 0; ++j) {
-    std::vector<double> values;
-    for (const Stamp stamp : stamps) {
-      const auto it = by_stamp.find(stamp);
-      values.push_back(it == by_stamp.end() ? kNoValue : it->second->speed[static_cast<int>(j)]);
+  table->Add(names, [rotors = Cursor(log.rotors), count = names.size()](Stamp stamp, size_t,
+                                                                        Cells* cells) mutable {
+    const RotorSample* const sample = rotors.At(stamp);
+    for (size_t j = 0; j < count; ++j) {
+      cells->push_back(sample == nullptr ? kNoValue : sample->speed[static_cast<int>(j)]);
     }
-    table->Add(names[j], std::move(values));
-  }
+  });
 }
 
 // At the nearest stamp before where they have others.
-void AddCommands(const FlightLog& log, const std::vector<Stamp>& stamps, TableWriter* table) {
+void AddCommands(const FlightLog& log, TableWriter* table) {
   if (log.commands.empty()) return;
   const auto num_rotors = static_cast<int>(log.commands.front().throttle.size());
-  const Strings names = CommandColumns(num_rotors, log.command_unit);
-  for (int j = 0; j < num_rotors; ++j) {
-    std::vector<double> values;
-    size_t next = 0;
-    for (const Stamp stamp : stamps) {
-      while (next < log.commands.size() && log.commands[next].stamp <= stamp) ++next;
-      values.push_back(next == 0 ? kNoValue
-                                 : CommandOf(log.commands[next - 1].throttle[j], log.command_unit));
-    }
-    table->Add(names[static_cast<size_t>(j)], std::move(values));
-  }
+  table->Add(CommandColumns(num_rotors, log.command_unit),
+             [&log, num_rotors, next = size_t{0}](Stamp stamp, size_t, Cells* cells) mutable {
+               while (next < log.commands.size() && log.commands[next].stamp <= stamp) ++next;
+               for (int j = 0; j < num_rotors; ++j) {
+                 cells->push_back(
+                     next == 0 ? kNoValue
+                               : CommandOf(log.commands[next - 1].throttle[j], log.command_unit));
+               }
+             });
 }
 
-void AddBattery(const FlightLog& log, const std::vector<Stamp>& stamps, TableWriter* table) {
-  Resampled voltage;
-  for (const BatterySample& sample : log.battery) voltage.Add(sample.stamp, sample.voltage_V);
-  if (!voltage.empty()) table->Add("vbat", voltage.At(stamps));
+void AddBattery(const FlightLog& log, TableWriter* table) {
+  if (log.battery.empty()) return;
+  const auto get = [](const BatterySample& s) {
+    return std::optional<Eigen::Vector3d>(Eigen::Vector3d(s.voltage_V, 0.0, 0.0));
+  };
+  table->Add(kBattery, [stream = Resampled(log.battery, get, true)](Stamp stamp, size_t,
+                                                                    Cells* cells) mutable {
+    const auto value = stream.At(stamp);
+    cells->push_back(value ? value->x() : kNoValue);
+  });
 }
 
 }  // namespace
@@ -626,13 +680,14 @@ FlightLog ReadFlightCsv(const std::string& file, int num_rotors, PoseSource pose
   const Strings rotors = Concatenate({RotorColumns(num_rotors), kRotorRms});
   std::vector<Strings> commands;
   for (const CommandUnit unit : kCommandUnits) commands.push_back(CommandColumns(num_rotors, unit));
-  const Table table(file,
-                    Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates, kAccelerometer,
-                                 kGyro, kBattery, rotors}),
-                    commands, &log);
+  Table table(file,
+              Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates, kAccelerometer,
+                           kGyro, kBattery, rotors}),
+              commands, &log);
   WarnOfUnknown(table.unknown(), log.file, &log);
   log.odometry = ReadOdometry(table, true, &log);
   const std::vector<size_t> rows = UsableRows(table);
+  table.Release(Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates}));
   ReadImu(table, rows, &log);
   ReadBattery(table, rows, &log);
 
@@ -661,24 +716,22 @@ FlightLog ReadFlightCsv(const std::string& file, int num_rotors, PoseSource pose
 
 void WriteFlightCsv(const FlightLog& log, const std::string& file) {
   if (log.odometry.empty()) throw std::invalid_argument(file + ": the flight has no odometry");
-  const std::vector<Stamp> stamps = StampsOf(log.odometry);
-  TableWriter table(stamps);
-  AddOdometry(log, stamps, &table);
-  AddImu(log, stamps, &table);
-  const std::vector<Stamp> rotor_stamps = StampsOf(log.rotors);
+  TableWriter table;
+  AddOdometry(log, &table);
+  AddImu(log, &table);
   const std::string rotor_file = SiblingFile(file, "_rotor.csv");
-  if (IsSubset(rotor_stamps, stamps)) {
-    AddRotors(log, stamps, &table);
-    AddCommands(log, stamps, &table);
+  if (IsSubset(log.rotors, log.odometry)) {
+    AddRotors(log, &table);
+    AddCommands(log, &table);
     std::filesystem::remove(rotor_file);
   } else {
-    TableWriter rotor_table(rotor_stamps);
-    AddRotors(log, rotor_stamps, &rotor_table);
-    AddCommands(log, rotor_stamps, &rotor_table);
-    rotor_table.Write(rotor_file);
+    TableWriter rotor_table;
+    AddRotors(log, &rotor_table);
+    AddCommands(log, &rotor_table);
+    rotor_table.Write(log.rotors, rotor_file);
   }
-  AddBattery(log, stamps, &table);
-  table.Write(file);
+  AddBattery(log, &table);
+  table.Write(log.odometry, file);
 }
 
 }  // namespace odmc

@@ -1,5 +1,6 @@
 #include "odmc/io/parameters_yaml.h"
 
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -9,6 +10,7 @@
 #include "known_parameters.h"
 #include "odmc/io/number_text.h"
 #include "odmc/model/effect.h"
+#include "text_file.h"
 #include "yaml_reader.h"
 
 namespace odmc {
@@ -75,6 +77,31 @@ std::vector<int> ReadOrder(const YamlValue& value, const ParameterSet& set) {
   return order;
 }
 
+/// Judges correlations, so that units do not matter. A matrix written with six digits passes.
+void CheckCovariance(const Eigen::MatrixXd& covariance, const YamlValue& matrix) {
+  constexpr double kRounding = 1e-6;
+  if (covariance.size() == 0) return;
+  if (covariance.diagonal().minCoeff() < 0.0) matrix.Fail("has a negative variance");
+  const Eigen::VectorXd sigma = covariance.diagonal().cwiseSqrt();
+  const Eigen::VectorXd inverse =
+      sigma.unaryExpr([](double s) { return s > 0.0 ? 1.0 / s : 0.0; });
+  const Eigen::MatrixXd correlation = inverse.asDiagonal() * covariance * inverse.asDiagonal();
+  if (!correlation.allFinite()) matrix.Fail("is not finite once scaled to correlations");
+  for (Eigen::Index i = 0; i < sigma.size(); ++i) {
+    const bool is_zero = covariance.row(i).isZero(0.0) && covariance.col(i).isZero(0.0);
+    if (sigma[i] == 0.0 && !is_zero) matrix.Fail("has a variance of zero beside covariances");
+  }
+  const Eigen::MatrixXd asymmetry = correlation - correlation.transpose();
+  if (asymmetry.cwiseAbs().maxCoeff() > kRounding) matrix.Fail("is not symmetric");
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(
+      0.5 * (correlation + correlation.transpose()), Eigen::EigenvaluesOnly);
+  const double least = solver.eigenvalues().minCoeff();
+  if (!(least >= -kRounding * static_cast<double>(sigma.size()))) {
+    matrix.Fail("is not positive: the least eigenvalue of its correlations is " +
+                FormatNumber(least));
+  }
+}
+
 Eigen::MatrixXd ReadCovariance(const YamlValue& value, const ParameterSet& set) {
   value.AllowKeys({"order", "matrix"});
   const std::vector<int> order = ReadOrder(value.Get("order"), set);
@@ -87,9 +114,7 @@ Eigen::MatrixXd ReadCovariance(const YamlValue& value, const ParameterSet& set) 
     if (row.size() != order.size()) rows[i].Fail("must have one number per entry of order");
     for (size_t j = 0; j < row.size(); ++j) covariance(order[i], order[j]) = row[j];
   }
-  const double asymmetry = (covariance - covariance.transpose()).cwiseAbs().maxCoeff();
-  if (asymmetry > 1e-9 * covariance.cwiseAbs().maxCoeff()) matrix.Fail("is not symmetric");
-  if (covariance.diagonal().minCoeff() < 0.0) matrix.Fail("has a negative variance");
+  CheckCovariance(covariance, matrix);
   return covariance;
 }
 

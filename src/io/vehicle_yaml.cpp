@@ -8,7 +8,10 @@
 #include "known_parameters.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/number_text.h"
+#include "odmc/io/printable_text.h"
 #include "odmc/model/effect.h"
+#include "odmc/model/plausibility.h"
+#include "text_file.h"
 #include "yaml_reader.h"
 
 namespace odmc {
@@ -141,20 +144,6 @@ void AppendOnce(const std::string& name, std::vector<std::string>* effects) {
   if (std::count(effects->begin(), effects->end(), name) == 0) effects->push_back(name);
 }
 
-/// k_f in N/rpm² is 91 times too small, which the tip speed at hover shows (supersonic).
-void CheckThrustCoefficient(const YamlValue& value, double k_f, const Vehicle& vehicle) {
-  const std::string hint =
-      "is implausible; k_f is the thrust of one rotor in N/(rad/s)^2 (one in N/rpm^2 times 91.19)";
-  if (k_f < 1e-11 || k_f > 1e-2) value.Fail(FormatNumber(k_f) + " " + hint);
-  const double hover_speed =
-      std::sqrt(vehicle.mass_kg * vehicle.gravity_m_s2 / (vehicle.num_rotors() * k_f));
-  const double tip_speed = hover_speed * vehicle.rotors.front().radius_m;
-  if (tip_speed < 2.0 || tip_speed > 500.0) {
-    value.Fail(FormatNumber(k_f) + " " + hint + ": the propeller tips would hover at " +
-               std::to_string(std::lround(tip_speed)) + " m/s");
-  }
-}
-
 ParameterSetting ReadSetting(const YamlValue& value) {
   value.AllowKeys({"value", "sigma", "state"});
   ParameterSetting setting;
@@ -172,9 +161,8 @@ void CheckSetting(const YamlValue& value, const std::string& name, const Paramet
   if (setting.value && spec.transform == ParameterTransform::kLog && !(*setting.value > 0.0)) {
     value.Get("value").Fail("must be positive, not " + FormatNumber(*setting.value));
   }
-  if (setting.value && name == "thrust.k_f") {
-    CheckThrustCoefficient(value.Get("value"), *setting.value, vehicle);
-  }
+  const SettingDoubt doubt = DoubtOf(name, spec, setting, vehicle);
+  if (!doubt.key.empty()) value.Get(doubt.key).Fail(doubt.sentence);
 }
 
 /// A pose that is the body's by definition has nothing to estimate.
@@ -269,7 +257,7 @@ Vehicle ParseVehicle(const std::string& text, const std::string& file) {
   ReadModel(root, &vehicle);
   if (const auto actuator = root.Find("actuator")) ReadActuator(*actuator, file, &vehicle);
   const auto name = root.Find("name");
-  vehicle.name = name ? name->Text() : Stem(file);
+  vehicle.name = Printable(name ? name->Text() : Stem(file), 80);
   return vehicle;
 }
 

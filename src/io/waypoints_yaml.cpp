@@ -1,5 +1,6 @@
 #include "odmc/io/waypoints_yaml.h"
 
+#include "text_file.h"
 #include "yaml_reader.h"
 
 namespace odmc {

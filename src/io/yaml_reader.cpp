@@ -2,14 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
-#include <fstream>
-#include <iterator>
 #include <numeric>
 #include <set>
 #include <stdexcept>
 
 #include "odmc/io/number_text.h"
+#include "odmc/io/printable_text.h"
 
 namespace odmc {
 namespace {
@@ -59,14 +57,6 @@ std::string JoinNames(const std::vector<std::string>& names) {
   return text;
 }
 
-std::string ReadText(const std::string& file) {
-  if (std::filesystem::is_directory(file)) throw std::invalid_argument(file + ": is a folder");
-  std::ifstream in(file, std::ios::binary);
-  if (!in) throw std::invalid_argument(file + ": cannot be opened");
-  std::string text((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
-  return text;
-}
-
 YamlValue YamlValue::Parse(const std::string& text, const std::string& file) {
   try {
     YamlValue root(YAML::Load(text), file, "");
@@ -75,12 +65,13 @@ YamlValue YamlValue::Parse(const std::string& text, const std::string& file) {
     return root;
   } catch (const YAML::Exception& e) {
     throw std::invalid_argument(file + ": line " + std::to_string(e.mark.line + 1) +
-                                ": is not YAML: " + e.msg);
+                                ": is not YAML: " + Printable(e.msg));
   }
 }
 
 void YamlValue::Fail(const std::string& what) const {
-  throw std::invalid_argument(file_ + ": " + (path_.empty() ? "" : path_ + ": ") + what);
+  throw std::invalid_argument(file_ + ": " +
+                              Printable((path_.empty() ? "" : path_ + ": ") + what));
 }
 
 std::vector<std::pair<std::string, YamlValue>> YamlValue::Entries() const {

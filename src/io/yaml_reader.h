@@ -60,7 +60,4 @@ class YamlValue {
   std::string path_;
 };
 
-/// Whole content of a file; std::invalid_argument where it cannot be opened.
-std::string ReadText(const std::string& file);
-
 }  // namespace odmc

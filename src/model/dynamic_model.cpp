@@ -5,6 +5,8 @@
 #include <numeric>
 #include <stdexcept>
 
+#include "odmc/model/plausibility.h"
+
 namespace odmc {
 namespace {
 
@@ -18,6 +20,11 @@ ModelParameter Configured(const Effect& effect, const ParameterSpec& spec, const
   const auto it = vehicle.parameters.find(p.full_name);
   if (it == vehicle.parameters.end()) return p;
   const ParameterSetting& setting = it->second;
+  const SettingDoubt doubt = DoubtOf(p.full_name, spec, setting, vehicle);
+  if (!doubt.key.empty()) {
+    throw std::invalid_argument("parameters." + p.full_name + "." + doubt.key + ": " +
+                                doubt.sentence);
+  }
   if (setting.value) p.spec.prior_value = *setting.value;
   if (setting.sigma) p.spec.prior_sigma = *setting.sigma;
   if (setting.estimated) p.estimated = *setting.estimated;

@@ -1,5 +1,6 @@
 #include "odmc/model/plausibility.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 
@@ -8,6 +9,9 @@ namespace {
 
 constexpr double kLeastInertiaRatio = 0.2, kMostInertiaRatio = 5.0;  // over nominal
 constexpr double kMostTilt = 0.35;                                   // of gravity [rad]
+// Largest moment over the sum of the others; beyond 1 by rounding and by what a nominal one is off.
+constexpr double kMostOverOthers = 1.1;
+constexpr double kSigmas = 3.0;
 
 std::string Text(const char* format, double a, double b) {
   char text[160];
@@ -15,8 +19,23 @@ std::string Text(const char* format, double a, double b) {
   return text;
 }
 
+double OverOthers(const Eigen::Vector3d& inertia) {
+  const double largest = inertia.maxCoeff();
+  return largest / (inertia.sum() - largest);
+}
+
+/// Three sigma of the largest moment minus the others, their correlations unknown [kg m²].
+double InertiaLeeway(const DynamicModel& model, const Eigen::VectorXd& sigma) {
+  double variance = 0.0;
+  for (const char* name : {"inertia.x", "inertia.y", "inertia.z"}) {
+    const int i = model.IndexOf(name);
+    if (i >= 0) variance += sigma[i] * sigma[i];
+  }
+  return kSigmas * std::sqrt(variance);
+}
+
 void CheckInertia(const DynamicModel& model, const BodyProperties& body,
-                  std::vector<std::string>* sentences) {
+                  const Eigen::VectorXd& sigma, std::vector<std::string>* sentences) {
   const Eigen::Vector3d inertia = body.I_BBcm_B.diagonal();
   const Eigen::Vector3d ratio = inertia.cwiseQuotient(model.vehicle().inertia_kg_m2);
   for (int i = 0; i < 3; ++i) {
@@ -25,9 +44,12 @@ void CheckInertia(const DynamicModel& model, const BodyProperties& body,
         std::string("inertia.") + "xyz"[i] +
         Text(" is %.2f times the nominal %.3g kg m^2", ratio[i], model.vehicle().inertia_kg_m2[i]));
   }
-  // Within what its own uncertainty allows (10 %), no moment exceeds the sum of the others.
+  // No moment exceeds the sum of the others, but for its own uncertainty, a few per cent, and what
+  // the vehicle file has: a frozen one stays there.
   const double largest = inertia.maxCoeff();
-  if (largest > 1.1 * (inertia.sum() - largest)) {
+  const double most =
+      kMostOverOthers * std::max(1.0, OverOthers(model.vehicle().inertia_kg_m2));
+  if (largest > most * (inertia.sum() - largest) + InertiaLeeway(model, sigma)) {
     sentences->push_back(Text("inertia: %.3g kg m^2 is more than the other two together (%.3g)",
                               largest, inertia.sum() - largest));
   }
@@ -47,6 +69,38 @@ void CheckGeometry(const DynamicModel& model, const BodyProperties& body,
   }
 }
 
+/// k_f in N/rpm² is 91 times too small, which the tip speed at hover shows (supersonic).
+std::string ImplausibleThrust(double k_f, const Vehicle& vehicle) {
+  constexpr char kHint[] =
+      "is implausible; k_f is the thrust of one rotor in N/(rad/s)^2 (one in N/rpm^2 times 91.19)";
+  char text[240];
+  std::snprintf(text, sizeof text, "%.6g %s", k_f, kHint);
+  if (k_f < 1e-11 || k_f > 1e-2) return text;
+  const double hover_speed =
+      std::sqrt(vehicle.mass_kg * vehicle.gravity_m_s2 / (vehicle.num_rotors() * k_f));
+  const double tip_speed = hover_speed * vehicle.rotors.front().radius_m;
+  if (tip_speed >= 2.0 && tip_speed <= 500.0) return "";
+  std::snprintf(text, sizeof text, "%.6g %s: the propeller tips would hover at %.0f m/s", k_f,
+                kHint, tip_speed);
+  return text;
+}
+
+std::string ImplausibleInertia(int axis, double value, const Vehicle& vehicle) {
+  const InertiaBounds bounds = InertiaBoundsOf(vehicle);
+  if (value >= bounds.least[axis] && value <= bounds.most[axis]) return "";
+  char text[160];
+  std::snprintf(text, sizeof text,
+                "%.3g kg m^2 cannot be that of %.3g kg on these rotors (%.2g to %.2g)", value,
+                vehicle.mass_kg, bounds.least[axis], bounds.most[axis]);
+  return text;
+}
+
+/// Natural size of a parameter: what it starts from where that is positive by definition.
+double SizeOf(const ParameterSpec& spec, double value) {
+  return spec.transform == ParameterTransform::kLog ? value
+                                                    : std::max(spec.scale, spec.prior_sigma);
+}
+
 }  // namespace
 
 std::vector<std::string> UnphysicalValues(const DynamicModel& model, const ModelValues& values,
@@ -64,9 +118,74 @@ std::vector<std::string> UnphysicalValues(const DynamicModel& model, const Model
                                                                 : ": negative, unphysical"));
   }
   const BodyProperties body = model.Properties(values);
-  CheckInertia(model, body, &sentences);
+  CheckInertia(model, body, sigma, &sentences);
   CheckGeometry(model, body, &sentences);
   return sentences;
+}
+
+InertiaBounds InertiaBoundsOf(const Vehicle& vehicle) {
+  // Payload and landing gear lie within that of the rotors' reach, too.
+  constexpr double kReach = 2.0;
+  // Motors and propellers are 15 to 40 % of a vehicle's mass.
+  constexpr double kLeastMotorShare = 0.01;
+  double reach = 0.0;
+  Eigen::Vector3d middle = Eigen::Vector3d::Zero();
+  for (const Rotor& rotor : vehicle.rotors) {
+    reach = std::max(reach, rotor.p_BP.norm() + rotor.radius_m);
+    middle += rotor.p_BP / vehicle.num_rotors();
+  }
+  Eigen::Vector3d square = Eigen::Vector3d::Zero();  // mean, of the hubs from their middle
+  for (const Rotor& rotor : vehicle.rotors) {
+    square += (rotor.p_BP - middle).cwiseAbs2() / vehicle.num_rotors();
+  }
+  const double motors_kg = kLeastMotorShare * vehicle.mass_kg;
+  return {motors_kg * (Eigen::Vector3d::Constant(square.sum()) - square),
+          Eigen::Vector3d::Constant(vehicle.mass_kg * std::pow(kReach * reach, 2))};
+}
+
+SettingDoubt DoubtOf(const std::string& full_name, const ParameterSpec& spec,
+                     const ParameterSetting& setting, const Vehicle& vehicle) {
+  // Squares of ratios beyond these do not fit beside one in double precision, and no mix-up of
+  // units takes a value so far.
+  constexpr double kMostValue = 1e6, kMostSigma = 1e8;
+  const double value = setting.value.value_or(spec.prior_value);
+  const bool is_log = spec.transform == ParameterTransform::kLog;
+  if (setting.value && full_name == "thrust.k_f") {
+    const std::string wrong = ImplausibleThrust(value, vehicle);
+    if (!wrong.empty()) return {"value", wrong};
+  }
+  if (setting.value && full_name.rfind("inertia.", 0) == 0) {
+    const std::string wrong = ImplausibleInertia(full_name.back() - 'x', value, vehicle);
+    if (!wrong.empty()) return {"value", wrong};
+  }
+  const double size = SizeOf(spec, value), own = SizeOf(spec, spec.prior_value);
+  char text[160];
+  if (!(std::abs(value) <= kMostValue * own) || (is_log && !(value >= own / kMostValue))) {
+    std::snprintf(text, sizeof text, "%.3g %s is implausible; its natural size is %.2g",
+                  value, spec.unit.c_str(), own);
+    return {"value", text};
+  }
+  const double sigma = setting.sigma.value_or(size);
+  if (!(sigma <= kMostSigma * size) || !(sigma >= size / kMostSigma)) {
+    std::snprintf(text, sizeof text,
+                  "%.3g %s is implausible beside a natural size of %.2g; freeze what is known "
+                  "exactly (state: frozen)",
+                  sigma, spec.unit.c_str(), size);
+    return {"sigma", text};
+  }
+  return {};
+}
+
+std::string InertiaDoubt(const Vehicle& vehicle) {
+  constexpr double kRounding = 1e-6;  // of a flat body's own numbers
+  const double ratio = OverOthers(vehicle.inertia_kg_m2);
+  if (ratio <= 1.0 + kRounding) return "";
+  char text[240];
+  std::snprintf(text, sizeof text,
+                "the vehicle file's inertia breaks the triangle inequality of a rigid body by %.2g "
+                "%%: one moment is more than the other two together; it is used as it is",
+                100.0 * (ratio - 1.0));
+  return text;
 }
 
 std::string ThrustDoubt(const DynamicModel& model, const ModelValues& values) {

@@ -16,12 +16,16 @@
 #include <functional>
 #include <limits>
 #include <set>
+#include <new>
 #include <stdexcept>
 #include <utility>
 #include <vector>
 
+#include "bag_structure.h"
+#include "child_reader.h"
 #include "odmc/MotorCommands.h"
 #include "odmc/RotorSpeeds.h"
+#include "odmc/io/printable_text.h"
 #include "odmc/ros/message_values.h"
 #include "odmc/sensing/flight_checks.h"
 #include "odmc/sensing/twist_frame.h"
@@ -82,9 +86,14 @@ class BagSource {
   /// Topic of a role; empty where the bag has none.
   std::string TopicOf(const std::string& role) const;
 
-  /// Every message of a topic, in the order of recording.
-  template <typename Message>
-  std::vector<typename Message::ConstPtr> Read(const std::string& topic);
+  /// Shows every message of a topic to `use`, in the order of recording.
+  template <typename Message, typename Use>
+  void Read(const std::string& topic, Use use);
+
+  /// Number of messages of a topic.
+  size_t Count(const std::string& topic) {
+    return rosbag::View(bag_, rosbag::TopicQuery(topic)).size();
+  }
 
   /// Types of all topics, for errors.
   std::string Contents() const;
@@ -100,7 +109,6 @@ class BagSource {
 
 BagSource::BagSource(const std::string& file, const BagOptions& options)
     : file_(file), options_(options) {
-  if (!std::filesystem::is_regular_file(file)) Fail(file, "cannot be opened");
   try {
     bag_.open(file, rosbag::bagmode::Read);
   } catch (const rosbag::BagUnindexedException&) {
@@ -165,20 +173,17 @@ std::string BagSource::TopicOf(const std::string& role) const {
   return *candidates.begin();
 }
 
-template <typename Message>
-std::vector<typename Message::ConstPtr> BagSource::Read(const std::string& topic) {
-  std::vector<typename Message::ConstPtr> messages;
+template <typename Message, typename Use>
+void BagSource::Read(const std::string& topic, Use use) {
   rosbag::View view(bag_, rosbag::TopicQuery(topic));
-  messages.reserve(view.size());
   for (const rosbag::MessageInstance& instance : view) {
     const auto message = instance.instantiate<Message>();
     if (message == nullptr) {
       Fail(file_, "topic " + topic + " holds another version of " + types_.at(topic) +
                       " (its definition differs)");
     }
-    messages.push_back(message);
+    use(*message);
   }
-  return messages;
 }
 
 // ---- Messages to samples -----------------------------------------------------------------------
@@ -212,55 +217,54 @@ void KeepFinite(const std::string& source, std::vector<Sample>* samples, Test is
   *samples = std::move(kept);
 }
 
-/// Twist of an odometry message before its frame is known.
-struct RawTwist {
-  Stamp stamp;
-  std::optional<Eigen::Vector3d> linear;
+/// An odometry message before the frame of its twist is known; a twist that its covariance marks as
+/// absent (-1 as the first variance, as REP-145 has it for IMUs) is none.
+struct RawOdometry {
+  OdometrySample pose;
+  std::optional<Eigen::Vector3d> linear, angular;
 };
 
-/// True if `twist` is filled. Absent twist is marked by -1 as its first variance (as REP-145 has it
-/// for IMUs).
-bool HasLinear(const nav_msgs::Odometry& m) { return m.twist.covariance[0] != -1.0; }
-bool HasAngular(const nav_msgs::Odometry& m) { return m.twist.covariance[21] != -1.0; }
+RawOdometry RawOf(const nav_msgs::Odometry& m) {
+  RawOdometry raw{PoseSample(m.header, m.pose.pose), {}, {}};
+  if (m.twist.covariance[0] != -1.0) raw.linear = ToEigen(m.twist.twist.linear);
+  if (m.twist.covariance[21] != -1.0) raw.angular = ToEigen(m.twist.twist.angular);
+  return raw;
+}
 
-using OdometryMessages = std::vector<nav_msgs::Odometry::ConstPtr>;
+using RawOdometries = std::vector<RawOdometry>;
 
 /// Sources that know no twist leave zeros, without a mark: a vehicle that moved shows it.
-bool IsLinearFilled(const OdometryMessages& messages) {
+bool IsLinearFilled(const RawOdometries& messages) {
   double path = 0.0;
-  for (const auto& m : messages) {
-    const Eigen::Vector3d v = ToEigen(m->twist.twist.linear);
-    if (!HasLinear(*m)) continue;
-    if (v != Eigen::Vector3d::Zero()) return true;
-    path = std::max(
-        path,
-        (ToEigen(m->pose.pose.position) - ToEigen(messages.front()->pose.pose.position)).norm());
+  for (const RawOdometry& m : messages) {
+    if (!m.linear) continue;
+    if (*m.linear != Eigen::Vector3d::Zero()) return true;
+    path = std::max(path, (m.pose.p_WS - messages.front().pose.p_WS).norm());
   }
   return path < 0.1;
 }
 
-bool IsAngularFilled(const OdometryMessages& messages) {
+bool IsAngularFilled(const RawOdometries& messages) {
   double turn = 0.0;
-  for (const auto& m : messages) {
-    if (!HasAngular(*m)) continue;
-    if (ToEigen(m->twist.twist.angular) != Eigen::Vector3d::Zero()) return true;
-    turn = std::max(turn, ToEigen(m->pose.pose.orientation)
-                              .angularDistance(ToEigen(messages.front()->pose.pose.orientation)));
+  for (const RawOdometry& m : messages) {
+    if (!m.angular) continue;
+    if (*m.angular != Eigen::Vector3d::Zero()) return true;
+    turn = std::max(turn, m.pose.q_WS.angularDistance(messages.front().pose.q_WS));
   }
   return turn < 0.1;
 }
 
 /// The frame of the linear twist: as told, or found from the motion.
-TwistFrame FindTwistFrame(const std::string& source, const OdometryMessages& messages,
+/// @param frame_id, child_frame_id of the first message
+TwistFrame FindTwistFrame(const std::string& source, const RawOdometries& messages,
+                          const std::string& frame_id, const std::string& child_frame_id,
                           const std::string& wanted, FlightLog* log) {
   if (wanted == "body") return TwistFrame::kBody;
   if (wanted == "world") return TwistFrame::kWorld;
   TwistFrameDetector detector;
-  for (const auto& m : messages) {
-    if (!HasLinear(*m)) continue;
-    detector.AddSample(FromRos(m->header.stamp), ToEigen(m->pose.pose.position),
-                       ToEigen(m->pose.pose.orientation).normalized(),
-                       ToEigen(m->twist.twist.linear));
+  for (const RawOdometry& m : messages) {
+    if (!m.linear) continue;
+    detector.AddSample(m.pose.stamp, m.pose.p_WS, m.pose.q_WS.normalized(), *m.linear);
     if (detector.decided()) break;
   }
   const TwistFrameDecision& decision = detector.decision();
@@ -268,9 +272,7 @@ TwistFrame FindTwistFrame(const std::string& source, const OdometryMessages& mes
     Fail(source, "the twist fits neither frame: " + decision.Describe() +
                      "; state twist_frame if the position is at fault");
   }
-  const nav_msgs::Odometry& first = *messages.front();
-  const TwistFrame frame =
-      ResolveTwistFrame(decision.frame, first.header.frame_id, first.child_frame_id);
+  const TwistFrame frame = ResolveTwistFrame(decision.frame, frame_id, child_frame_id);
   if (decision.frame == TwistFrame::kUndecided && decision.moving_s > 1.0) {
     log->warnings.push_back(source +
                             ": the motion does not tell the frame of the twist, took the " +
@@ -296,23 +298,32 @@ void FinishOdometry(const std::string& source, std::vector<OdometrySample>* samp
 
 std::vector<OdometrySample> ReadOdometry(BagSource* bag, const std::string& topic,
                                          const BagOptions& options, FlightLog* log) {
-  const OdometryMessages messages = bag->Read<nav_msgs::Odometry>(topic);
   const std::string source = bag->file() + ": " + topic;
+  RawOdometries messages;
+  std::string frame_id, child_frame_id;
+  messages.reserve(bag->Count(topic));
+  bag->Read<nav_msgs::Odometry>(topic, [&](const nav_msgs::Odometry& m) {
+    if (messages.empty()) frame_id = m.header.frame_id;
+    if (messages.empty()) child_frame_id = m.child_frame_id;
+    messages.push_back(RawOf(m));
+  });
   if (messages.empty()) Fail(source, "no message");
   const bool has_linear = IsLinearFilled(messages), has_angular = IsAngularFilled(messages);
   if (!has_linear) log->warnings.push_back(source + ": linear twist is all zero, not used");
   if (!has_angular) log->warnings.push_back(source + ": angular twist is all zero, not used");
   const TwistFrame frame =
-      has_linear ? FindTwistFrame(source, messages, options.twist_frame, log) : TwistFrame::kBody;
+      has_linear ? FindTwistFrame(source, messages, frame_id, child_frame_id, options.twist_frame,
+                                  log)
+                 : TwistFrame::kBody;
   std::vector<OdometrySample> samples;
   samples.reserve(messages.size());
-  for (const auto& m : messages) {
-    OdometrySample sample = PoseSample(m->header, m->pose.pose);
-    if (has_linear && HasLinear(*m)) {
-      const Eigen::Vector3d linear = ToEigen(m->twist.twist.linear);
-      sample.v_WS = frame == TwistFrame::kWorld ? linear : sample.q_WS.normalized() * linear;
+  for (const RawOdometry& m : messages) {
+    OdometrySample sample = m.pose;
+    if (has_linear && m.linear) {
+      const bool is_world = frame == TwistFrame::kWorld;
+      sample.v_WS = is_world ? *m.linear : sample.q_WS.normalized() * *m.linear;
     }
-    if (has_angular && HasAngular(*m)) sample.w_WS_S = ToEigen(m->twist.twist.angular);
+    if (has_angular) sample.w_WS_S = m.angular;
     samples.push_back(sample);
   }
   FinishOdometry(source, &samples, log);
@@ -321,9 +332,9 @@ std::vector<OdometrySample> ReadOdometry(BagSource* bag, const std::string& topi
 
 std::vector<OdometrySample> ReadPoses(BagSource* bag, const std::string& topic, FlightLog* log) {
   std::vector<OdometrySample> samples;
-  for (const auto& m : bag->Read<geometry_msgs::PoseStamped>(topic)) {
-    samples.push_back(PoseSample(m->header, m->pose));
-  }
+  bag->Read<geometry_msgs::PoseStamped>(topic, [&](const geometry_msgs::PoseStamped& m) {
+    samples.push_back(PoseSample(m.header, m.pose));
+  });
   FinishOdometry(bag->file() + ": " + topic, &samples, log);
   return samples;
 }
@@ -336,16 +347,16 @@ bool IsFinite(const ImuSample& s) {
 void ReadImu(BagSource* bag, FlightLog* log) {
   const std::string topic = bag->TopicOf("imu");
   if (topic.empty()) return;
-  for (const auto& m : bag->Read<sensor_msgs::Imu>(topic)) {
+  bag->Read<sensor_msgs::Imu>(topic, [&](const sensor_msgs::Imu& m) {
     ImuSample sample;
-    sample.stamp = FromRos(m->header.stamp);
+    sample.stamp = FromRos(m.header.stamp);
     // REP-145: -1 as the first variance says that the sensor has no such part.
-    if (m->angular_velocity_covariance[0] != -1.0) sample.gyro_I = ToEigen(m->angular_velocity);
-    if (m->linear_acceleration_covariance[0] != -1.0) {
-      sample.specific_force_I = ToEigen(m->linear_acceleration);
+    if (m.angular_velocity_covariance[0] != -1.0) sample.gyro_I = ToEigen(m.angular_velocity);
+    if (m.linear_acceleration_covariance[0] != -1.0) {
+      sample.specific_force_I = ToEigen(m.linear_acceleration);
     }
     log->imu.push_back(sample);
-  }
+  });
   const std::string source = bag->file() + ": " + topic;
   KeepFinite(
       source, &log->imu, [](const ImuSample& s) { return IsFinite(s); }, log);
@@ -375,11 +386,11 @@ void ReadCommands(BagSource* bag, int num_rotors, FlightLog* log) {
   const std::string topic = bag->TopicOf("motor_commands");
   if (topic.empty()) return;
   const std::string source = bag->file() + ": " + topic;
-  for (const auto& m : bag->Read<odmc::MotorCommands>(topic)) {
-    CheckSize(source, m->throttle.size(), "commands", num_rotors);
-    log->commands.push_back({FromRos(m->header.stamp),
-                             Eigen::Map<const Eigen::VectorXd>(m->throttle.data(), num_rotors)});
-  }
+  bag->Read<odmc::MotorCommands>(topic, [&](const odmc::MotorCommands& m) {
+    CheckSize(source, m.throttle.size(), "commands", num_rotors);
+    log->commands.push_back({FromRos(m.header.stamp),
+                             Eigen::Map<const Eigen::VectorXd>(m.throttle.data(), num_rotors)});
+  });
   KeepFinite(
       source, &log->commands, [](const CommandSample& s) { return s.throttle.allFinite(); }, log);
   KeepForward(source, &log->commands, log);
@@ -401,16 +412,16 @@ void ReadRotors(BagSource* bag, int num_rotors, const BagOptions& options, Fligh
   const std::string joint_topic = topic.empty() ? bag->TopicOf("joint_states") : "";
   const std::string source = bag->file() + ": " + topic + joint_topic;
   if (!topic.empty()) {
-    for (const auto& m : bag->Read<odmc::RotorSpeeds>(topic)) {
+    bag->Read<odmc::RotorSpeeds>(topic, [&](const odmc::RotorSpeeds& m) {
       log->rotors.push_back(
-          MakeRotorSample(source, m->header.stamp, m->angular_velocity_rad_s, 1.0, num_rotors));
-      log->rotor_rms_only = log->rotor_rms_only || m->rms_only;
-    }
+          MakeRotorSample(source, m.header.stamp, m.angular_velocity_rad_s, 1.0, num_rotors));
+      log->rotor_rms_only = log->rotor_rms_only || m.rms_only;
+    });
   } else if (!joint_topic.empty()) {
-    for (const auto& m : bag->Read<sensor_msgs::JointState>(joint_topic)) {
+    bag->Read<sensor_msgs::JointState>(joint_topic, [&](const sensor_msgs::JointState& m) {
       log->rotors.push_back(
-          MakeRotorSample(source, m->header.stamp, SpeedsOfJoints(*m), scale, num_rotors));
-    }
+          MakeRotorSample(source, m.header.stamp, SpeedsOfJoints(m), scale, num_rotors));
+    });
   } else if (!log->commands.empty()) {
     return;  // no sensor: commands may stand in
   } else {
@@ -428,9 +439,9 @@ void ReadRotors(BagSource* bag, int num_rotors, const BagOptions& options, Fligh
 void ReadBattery(BagSource* bag, FlightLog* log) {
   const std::string topic = bag->TopicOf("battery_state");
   if (topic.empty()) return;
-  for (const auto& m : bag->Read<sensor_msgs::BatteryState>(topic)) {
-    log->battery.push_back({FromRos(m->header.stamp), FromFloat(m->voltage)});
-  }
+  bag->Read<sensor_msgs::BatteryState>(topic, [&](const sensor_msgs::BatteryState& m) {
+    log->battery.push_back({FromRos(m.header.stamp), FromFloat(m.voltage)});
+  });
   const std::string source = bag->file() + ": " + topic;
   KeepFinite(
       source, &log->battery, [](const BatterySample& s) { return std::isfinite(s.voltage_V); },
@@ -453,9 +464,15 @@ void ShiftAll(Stamp shift, FlightLog* log) {
 
 /// How far WriteFlightBag() moved the stamps; 0 for other bags.
 Stamp ReadShift(BagSource* bag) {
+  constexpr Stamp kMost = kSecond * std::numeric_limits<std::uint32_t>::max();  // a ROS stamp
   rosbag::View view(bag->bag(), rosbag::TopicQuery(std::string(kShiftTopic)));
   for (const rosbag::MessageInstance& instance : view) {
-    if (const auto m = instance.instantiate<std_msgs::Int64>()) return m->data;
+    const auto m = instance.instantiate<std_msgs::Int64>();
+    if (m == nullptr) continue;
+    if (m->data < -kMost || m->data > kMost) {
+      Fail(bag->file(), std::string("is damaged: ") + kShiftTopic + " holds no shift of stamps");
+    }
+    return m->data;
   }
   return 0;
 }
@@ -487,11 +504,14 @@ FlightLog ReadOpenActuatorBag(BagSource* bag, const BagOptions& options) {
   log.file = std::filesystem::path(bag->file()).filename().string();
   const std::string topic = bag->TopicOf("motor_commands");
   if (topic.empty()) Fail(bag->file(), "no odmc/MotorCommands; " + bag->Contents());
-  const auto commands = bag->Read<odmc::MotorCommands>(topic);
-  if (commands.empty()) Fail(bag->file(), topic + " has no message");
-  const auto num_rotors = static_cast<int>(commands.front()->throttle.size());
-  if (num_rotors < 1 || num_rotors > kMaxRotors)
-    Fail(bag->file(), topic + " has " + std::to_string(num_rotors) + " commands");
+  std::optional<size_t> commands;  // of the first message
+  bag->Read<odmc::MotorCommands>(topic, [&](const odmc::MotorCommands& m) {
+    if (!commands) commands = m.throttle.size();
+  });
+  if (!commands) Fail(bag->file(), topic + " has no message");
+  if (*commands < 1 || *commands > kMaxRotors)
+    Fail(bag->file(), topic + " has " + std::to_string(*commands) + " commands");
+  const auto num_rotors = static_cast<int>(*commands);
   ReadCommands(bag, num_rotors, &log);
   ReadRotors(bag, num_rotors, options, &log);
   if (log.rotors.empty()) Fail(bag->file(), "no rotor speeds; " + bag->Contents());
@@ -499,17 +519,42 @@ FlightLog ReadOpenActuatorBag(BagSource* bag, const BagOptions& options) {
   return log;
 }
 
+/// What reading may cost, from what the bag unpacks to. Messages become samples one by one; the
+/// library holds an index entry (64 bytes) for each and one chunk, and strings and arrays of a
+/// message are several times larger than their bytes. The slowest computer unpacks bz2 at some
+/// megabytes a second.
+ChildLimits LimitsFor(std::uint64_t uncompressed_bytes) {
+  constexpr std::uint64_t kLeastMemory = 512 << 20, kMemoryRatio = 8;
+  constexpr std::uint64_t kLeastTime_s = 10, kBytesPerSecond = 1 << 20;
+  return {kLeastMemory + kMemoryRatio * uncompressed_bytes,
+          kLeastTime_s + uncompressed_bytes / kBytesPerSecond};
+}
+
 template <typename Read>
-FlightLog WithOpenBag(const std::string& file, const BagOptions& options, Read read) {
+FlightLog ReadOpened(const std::string& file, const BagOptions& options, const Read& read) {
   try {
+    Restrict(LimitsFor(std::filesystem::file_size(file)));
+    Restrict(LimitsFor(CheckBagStructure(file).uncompressed_bytes));
     BagSource bag(file, options);
     return read(&bag);
   } catch (const std::invalid_argument&) {
     throw;
+  } catch (const std::bad_alloc&) {
+    Fail(file, "is damaged: a length in it asks for more memory than the whole bag needs");
   } catch (const std::exception& e) {
     // A damaged chunk or record shows as any of a dozen exceptions of rosbag and its libraries.
     Fail(file, std::string("is damaged or truncated: ") + e.what());
   }
+}
+
+/// The bag library takes lengths and counts as it finds them: a child process reads.
+template <typename Read>
+FlightLog WithOpenBag(const std::string& file, const BagOptions& options, const Read& read) {
+  if (!std::filesystem::is_regular_file(file)) Fail(file, "cannot be opened");
+  FlightLog log = ReadInChild(file, [&] { return ReadOpened(file, options, read); });
+  log.file = Printable(log.file);
+  for (std::string& warning : log.warnings) warning = Printable(warning);  // names of topics
+  return log;
 }
 
 FlightLog ReadBag(const std::string& file, int num_rotors, PoseSource pose,
@@ -599,23 +644,37 @@ class OrderedWriter {
   template <typename Sample, typename Convert>
   void Add(const std::string& topic, const std::vector<Sample>& samples, Stamp shift,
            Convert convert) {
-    for (const Sample& sample : samples) {
-      const Stamp stamp = sample.stamp + shift;
-      writes_.push_back({stamp, [this, topic, &sample, stamp, convert] {
-                           bag_->write(topic, ToRos(stamp), convert(sample, stamp));
-                         }});
-    }
+    if (samples.empty()) return;
+    const auto write = [this, topic, &samples, shift, convert](size_t i) -> std::optional<Stamp> {
+      const Stamp stamp = samples[i].stamp + shift;
+      bag_->write(topic, ToRos(stamp), convert(samples[i], stamp));
+      if (i + 1 == samples.size()) return std::nullopt;
+      return samples[i + 1].stamp + shift;
+    };
+    streams_.push_back({samples.front().stamp + shift, 0, write});
   }
 
   void WriteAll() {
-    std::stable_sort(writes_.begin(), writes_.end(),
-                     [](const auto& a, const auto& b) { return a.first < b.first; });
-    for (const auto& write : writes_) write.second();
+    while (true) {
+      Stream* earliest = nullptr;  // of those equally early, the one added first
+      for (Stream& s : streams_) {
+        if (s.stamp && (earliest == nullptr || *s.stamp < *earliest->stamp)) earliest = &s;
+      }
+      if (earliest == nullptr) return;
+      earliest->stamp = earliest->write(earliest->next++);
+    }
   }
 
  private:
+  /// One topic: its next message, and what writes that and gives the stamp of the one after.
+  struct Stream {
+    std::optional<Stamp> stamp;
+    size_t next;
+    std::function<std::optional<Stamp>(size_t)> write;
+  };
+
   rosbag::Bag* bag_;
-  std::vector<std::pair<Stamp, std::function<void()>>> writes_;
+  std::vector<Stream> streams_;
 };
 
 /// Whole seconds that move every stamp to 1 s or later.

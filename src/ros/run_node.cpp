@@ -8,6 +8,8 @@
 #include <cstring>
 #include <exception>
 
+#include "odmc/io/printable_text.h"
+
 namespace odmc {
 
 int RunNode(int argc, char** argv, const std::string& name, const char* help,
@@ -26,10 +28,11 @@ int RunNode(int argc, char** argv, const std::string& name, const char* help,
   try {
     life(node, private_node);
   } catch (const std::exception& e) {
+    const std::string what = Printable(e.what());
     if (ros::ok()) {
-      ROS_FATAL("%s", e.what());
+      ROS_FATAL("%s", what.c_str());
     } else {
-      std::fprintf(stderr, "%s: %s\n", name.c_str(), e.what());  // the log is gone
+      std::fprintf(stderr, "%s: %s\n", name.c_str(), what.c_str());  // the log is gone
     }
     return 1;
   }

@@ -124,14 +124,38 @@ void Refusals::Report(const std::string& source, const std::string& what, Flight
                           " (first: " + first + ")");
 }
 
+namespace {
+
+constexpr Stamp kLeap = 1000000000;  // [ns]: no sensor that is in use is silent for longer
+
+bool IsLoneLeap(Stamp before, Stamp last, Stamp next) {
+  return last - before > kLeap && next > before && next - before < (last - before) / 2;
+}
+
+}  // namespace
+
+bool IsLoneLeap(const std::vector<Stamp>& stamps, Stamp next) {
+  if (stamps.empty()) return false;
+  return stamps.size() == 1 ? stamps.back() - next > kLeap
+                            : IsLoneLeap(stamps[stamps.size() - 2], stamps.back(), next);
+}
+
 template <typename Sample>
 void KeepForward(const std::string& source, std::vector<Sample>* samples, FlightLog* log) {
   std::vector<Sample> kept;
   kept.reserve(samples->size());
-  Refusals refusals;
+  std::vector<Stamp> stamps;  // of those kept
+  stamps.reserve(samples->size());
+  Refusals refusals, leaps;
   for (const Sample& sample : *samples) {
+    if (IsLoneLeap(stamps, sample.stamp)) {
+      leaps.Add(AtSeconds(stamps.back()));
+      stamps.pop_back();
+      kept.pop_back();
+    }
     if (kept.empty() || sample.stamp > kept.back().stamp) {
       kept.push_back(sample);
+      stamps.push_back(sample.stamp);
     } else {
       refusals.Add(AtSeconds(sample.stamp));
     }
@@ -141,6 +165,7 @@ void KeepForward(const std::string& source, std::vector<Sample>* samples, Flight
         source + ": stamps step back or repeat in " + std::to_string(refusals.count) + " of " +
         std::to_string(samples->size()) + " samples (first: " + refusals.first + ")");
   }
+  leaps.Report(source, "samples whose stamp leaps ahead of all after it", log);
   refusals.Report(source, "samples whose stamp steps back or repeats", log);
   *samples = std::move(kept);
 }

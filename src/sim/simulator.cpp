@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <deque>
 #include <optional>
 #include <stdexcept>
 #include <utility>
@@ -177,98 +178,65 @@ class ClosedLoop {
   std::vector<CommandSample> commands_;
 };
 
-// Truth, and the commands in the log.
-SimulatedFlight Fly(const RigidBody& body, const ModelValues& truth_values,
-                             const SimulationOptions& options, const SimulationNoise& noise,
-                             const Unmodelled& unmodelled) {
-  const Stamp period = static_cast<Stamp>(std::llround(1e9 / options.log_rate_hz));
-  const double period_s = ToSeconds(period);
-  const int num_controls = PiecesOf(period_s, kControlPeriod_s);
-  const int num_steps = PiecesOf(period_s / num_controls, options.step_s);
-  const double step_s = period_s / num_controls / num_steps;
-  const long num_samples = std::lround(options.duration_s / period_s) + 1;
+// Everything that sensors see of the truth, each with noise of its own.
+class Recorder {
+ public:
+  Recorder(const BodyProperties& properties, const SimulationOptions& options,
+           const SimulationNoise& noise, double period_s)
+      : properties_(properties),
+        noise_(noise),
+        odometry_size_{noise.position_m, noise.attitude_rad, noise.velocity_m_s, noise.rate_rad_s},
+        imu_size_{noise.gyro_noise_density * std::sqrt(options.log_rate_hz),
+                  noise.accelerometer_noise_density * std::sqrt(options.log_rate_hz),
+                  noise.gyro_bias, noise.accelerometer_bias},
+        samples_late_(noise.rotor_delay_s / period_s),
+        odometry_(options.seed, kOdometryStream),
+        rotors_(options.seed, kRotorStream),
+        imu_(options.seed, kImuStream) {}
 
-  ClosedLoop loop(body, truth_values, options, noise, unmodelled);
-  SimulatedFlight flight;
-  flight.truth.reserve(static_cast<size_t>(num_samples));
-  for (long k = 0; k < num_samples; ++k) {
-    const Stamp stamp = k * period;
-    for (int i = 0; i < num_controls * num_steps; ++i) {
-      const double time_s = ToSeconds(stamp) + i * step_s;
-      if (i % num_steps == 0) loop.Control(time_s);
-      if (i == 0) flight.truth.push_back(loop.Sample(stamp));
-      loop.Step(time_s, step_s);
-    }
+  void Record(const TruthSample& truth, FlightLog* log) {
+    OdometrySample odometry = OdometryOf(truth, properties_);
+    AddNoise(odometry_size_, &odometry_, &odometry);
+    log->odometry.push_back(odometry);
+    RotorVector speed = LateSpeed(truth.rotor_speed);
+    AddNoise(noise_.rotor_speed_rad_s, &rotors_, &speed);
+    log->rotors.push_back({truth.stamp, speed});
+    log->battery.push_back({truth.stamp, BatteryVoltage(noise_, ToSeconds(truth.stamp))});
+    if (!noise_.imu) return;
+    ImuSample imu = ImuOf(truth, properties_);
+    AddNoise(imu_size_, &imu_, &imu);
+    log->imu.push_back(imu);
   }
-  flight.log.commands = loop.TakeCommands();
-  return flight;
-}
 
-std::vector<OdometrySample> RecordOdometry(const std::vector<TruthSample>& truth,
-                                           const BodyProperties& properties,
-                                           const SimulationNoise& noise, int seed) {
-  const OdometryErrors size = {noise.position_m, noise.attitude_rad, noise.velocity_m_s,
-                               noise.rate_rad_s};
-  Gaussian random(seed, kOdometryStream);
-  std::vector<OdometrySample> samples;
-  samples.reserve(truth.size());
-  for (const TruthSample& at : truth) {
-    OdometrySample sample = OdometryOf(at, properties);
-    AddNoise(size, &random, &sample);
-    samples.push_back(sample);
+ private:
+  // True speeds of `rotor_delay_s` before, between samples on a straight line.
+  RotorVector LateSpeed(const RotorVector& now) {
+    speeds_.push_back(now);
+    const double at = std::max(0.0, static_cast<double>(count_) - samples_late_);
+    const auto low = static_cast<size_t>(at);
+    const double share = at - static_cast<double>(low);
+    for (; first_ < low; ++first_) speeds_.pop_front();
+    const RotorVector& before = speeds_.front();
+    const RotorVector& after = speeds_[std::min<size_t>(1, speeds_.size() - 1)];
+    ++count_;
+    return (1.0 - share) * before + share * after;
   }
-  return samples;
-}
 
-// True speeds `delay_s` before sample `k`, between samples on a straight line.
-RotorVector SpeedBefore(const std::vector<TruthSample>& truth, size_t k, double delay_s) {
-  const double back = truth.size() < 2 ? 0.0 : delay_s / ToSeconds(truth[1].stamp);
-  const double at = std::max(0.0, static_cast<double>(k) - back);
-  const size_t low = static_cast<size_t>(at);
-  const size_t high = std::min(low + 1, truth.size() - 1);
-  const double share = at - static_cast<double>(low);
-  return (1.0 - share) * truth[low].rotor_speed + share * truth[high].rotor_speed;
-}
+  const BodyProperties& properties_;
+  const SimulationNoise& noise_;
+  OdometryErrors odometry_size_;
+  ImuErrors imu_size_;
+  double samples_late_;
+  Gaussian odometry_, rotors_, imu_;
+  std::deque<RotorVector> speeds_;  // of the samples from `first_` on
+  size_t count_ = 0, first_ = 0;
+};
 
-std::vector<RotorSample> RecordRotors(const std::vector<TruthSample>& truth,
-                                      const SimulationNoise& noise, int seed) {
-  Gaussian random(seed, kRotorStream);
-  std::vector<RotorSample> samples;
-  samples.reserve(truth.size());
-  for (size_t k = 0; k < truth.size(); ++k) {
-    RotorVector speed = SpeedBefore(truth, k, noise.rotor_delay_s);
-    AddNoise(noise.rotor_speed_rad_s, &random, &speed);
-    samples.push_back({truth[k].stamp, speed});
-  }
-  return samples;
-}
-
-std::vector<ImuSample> RecordImu(const std::vector<TruthSample>& truth,
-                                 const BodyProperties& properties, const SimulationNoise& noise,
-                                 const SimulationOptions& options) {
-  Gaussian random(options.seed, kImuStream);
-  const double root_rate = std::sqrt(options.log_rate_hz);
-  const ImuErrors size = {noise.gyro_noise_density * root_rate,
-                          noise.accelerometer_noise_density * root_rate, noise.gyro_bias,
-                          noise.accelerometer_bias};
-  std::vector<ImuSample> samples;
-  samples.reserve(truth.size());
-  for (const TruthSample& at : truth) {
-    ImuSample sample = ImuOf(at, properties);
-    AddNoise(size, &random, &sample);
-    samples.push_back(sample);
-  }
-  return samples;
-}
-
-std::vector<BatterySample> RecordBattery(const std::vector<TruthSample>& truth,
-                                         const SimulationNoise& noise) {
-  std::vector<BatterySample> samples;
-  samples.reserve(truth.size());
-  for (const TruthSample& at : truth) {
-    samples.push_back({at.stamp, BatteryVoltage(noise, ToSeconds(at.stamp))});
-  }
-  return samples;
+void Reserve(size_t samples, bool imu, FlightLog* log) {
+  log->odometry.reserve(samples);
+  log->rotors.reserve(samples);
+  log->battery.reserve(samples);
+  if (imu) log->imu.reserve(samples);
 }
 
 }  // namespace
@@ -325,21 +293,50 @@ bool SimulationNoise::IsValid(std::string* error) const {
   return true;
 }
 
-SimulatedFlight Simulate(const DynamicModel& model, const ModelValues& truth,
-                         const SimulationOptions& options, const SimulationNoise& noise,
-                         const Unmodelled& unmodelled) {
+FlightLog SimulateLog(const DynamicModel& model, const ModelValues& truth,
+                      const SimulationOptions& options, const SimulationNoise& noise,
+                      const Unmodelled& unmodelled, const TruthSink& truth_sink) {
   std::string error;
   if (!options.IsValid(&error) || !noise.IsValid(&error)) throw std::invalid_argument(error);
   if (truth.size() != model.num_parameters() || !truth.allFinite()) {
     throw std::invalid_argument("the true values must be one finite number per model parameter");
   }
+  const Stamp period = static_cast<Stamp>(std::llround(1e9 / options.log_rate_hz));
+  const double period_s = ToSeconds(period);
+  const int num_controls = PiecesOf(period_s, kControlPeriod_s);
+  const int num_steps = PiecesOf(period_s / num_controls, options.step_s);
+  const double step_s = period_s / num_controls / num_steps;
+  const long num_samples = std::lround(options.duration_s / period_s) + 1;
+
   const RigidBody body(model, truth, MotorsOf(model.vehicle()));
-  SimulatedFlight flight = Fly(body, truth, options, noise, unmodelled);
-  flight.log.file = options.trajectory;
-  flight.log.odometry = RecordOdometry(flight.truth, body.properties(), noise, options.seed);
-  flight.log.rotors = RecordRotors(flight.truth, noise, options.seed);
-  flight.log.battery = RecordBattery(flight.truth, noise);
-  if (noise.imu) flight.log.imu = RecordImu(flight.truth, body.properties(), noise, options);
+  ClosedLoop loop(body, truth, options, noise, unmodelled);
+  Recorder recorder(body.properties(), options, noise, period_s);
+  FlightLog log;
+  log.file = options.trajectory;
+  Reserve(static_cast<size_t>(num_samples), noise.imu, &log);
+  for (long k = 0; k < num_samples; ++k) {
+    const Stamp stamp = k * period;
+    for (int i = 0; i < num_controls * num_steps; ++i) {
+      const double time_s = ToSeconds(stamp) + i * step_s;
+      if (i % num_steps == 0) loop.Control(time_s);
+      if (i == 0) {
+        const TruthSample sample = loop.Sample(stamp);
+        truth_sink(sample);
+        recorder.Record(sample, &log);
+      }
+      loop.Step(time_s, step_s);
+    }
+  }
+  log.commands = loop.TakeCommands();
+  return log;
+}
+
+SimulatedFlight Simulate(const DynamicModel& model, const ModelValues& truth,
+                         const SimulationOptions& options, const SimulationNoise& noise,
+                         const Unmodelled& unmodelled) {
+  SimulatedFlight flight;
+  flight.log = SimulateLog(model, truth, options, noise, unmodelled,
+                           [&](const TruthSample& sample) { flight.truth.push_back(sample); });
   return flight;
 }
 

@@ -50,13 +50,19 @@ int main(int argc, char** argv) {
           "--freeze thrust.k_f or mass_change.mass");
     }
     const FlightLog recording = flight.Read(vehicle);
-    const std::vector<Finding> inspected = InspectFlight(recording, file_vehicle, force);
-    FlightLog log = recording;
-    if (noise_m > 0.0) AddPositionNoise(noise_m, seed, &log);
+    FlightLog noisy;
+    if (noise_m > 0.0) {
+      noisy = recording;
+      AddPositionNoise(noise_m, seed, &noisy);
+    }
+    const FlightLog& log = noise_m > 0.0 ? noisy : recording;
     tools::MakeFolder(folder);
+    PredictionFile prediction(tools::In(folder, "prediction.csv"), !log.rotor_rms_only);
     tools::ProgressBar bar(log.file);
     Calibration result =
-        Calibrate(log, recording, file_vehicle, model, options, bar.Callback(), inspected);
+        Calibrate(log, recording, file_vehicle, model, options, bar.Callback(),
+                  [&](const PredictionSample& sample) { prediction.Add(sample); });
+    prediction.Close();
     if (left_out_s > 0.0) {
       result.left_out = PredictLeftOut(log, recording, file_vehicle, model, options, left_out_s);
     }

@@ -28,8 +28,11 @@ int main(int argc, char** argv) {
     const DynamicModel model(vehicle, vehicle.effects);
     const FlightLog log = flight.Read(vehicle);
     tools::MakeFolder(folder);
-    Evaluation result = Evaluate(log, file_vehicle, model, parameters);
-    WritePrediction(result.prediction, !log.rotor_rms_only, tools::In(folder, "prediction.csv"));
+    PredictionFile prediction(tools::In(folder, "prediction.csv"), !log.rotor_rms_only);
+    const Evaluation result =
+        Evaluate(log, file_vehicle, model, parameters,
+                 [&](const PredictionSample& sample) { prediction.Add(sample); });
+    prediction.Close();
     WriteText(EvaluationReport(result, model), tools::In(folder, "report.json"));
     std::cout << EvaluationTable(result);
     if (!no_report) tools::RenderReport(folder);

@@ -1,8 +1,10 @@
 #include <filesystem>
+#include <iostream>
 
 #include "odmc/analysis/report.h"
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
+#include "odmc/model/plausibility.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "tool_support.h"
 
@@ -37,15 +39,19 @@ int main(int argc, char** argv) {
     const Vehicle vehicle = model_arguments.Configure(LoadVehicle(vehicle_file));
     const DynamicModel model(vehicle, vehicle.effects);
     const ModelValues truth = DefaultTruth(model);
-    const SimulatedFlight flight = Simulate(model, truth, options, tools::ReadNoise(noise));
+    const std::string doubt = InertiaDoubt(vehicle);
+    if (!doubt.empty()) std::cerr << "warning: " << doubt << "\n";
+    const std::string stem = (path.parent_path() / path.stem()).string();
     if (path.has_parent_path()) tools::MakeFolder(path.parent_path().string());
-    bag ? WriteFlightBag(flight.log, file) : WriteFlightCsv(flight.log, file);
+    TruthFile truth_file(stem + "_truth.csv");
+    const FlightLog log = SimulateLog(model, truth, options, tools::ReadNoise(noise), {},
+                                      [&](const TruthSample& sample) { truth_file.Add(sample); });
+    truth_file.Close();
+    bag ? WriteFlightBag(log, file) : WriteFlightCsv(log, file);
     ParameterSet set = ExactParameters(model, truth);
     set.provenance = tools::Provenance(
         "simulate", vehicle,
         {{"trajectory", options.trajectory}, {"seed", std::to_string(options.seed)}});
-    const std::string stem = (path.parent_path() / path.stem()).string();
     SaveParameters(set, stem + "_truth.yaml");
-    WriteTruth(flight, stem + "_truth.csv");
   });
 }

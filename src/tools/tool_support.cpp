@@ -16,6 +16,7 @@
 #include "odmc/io/number_text.h"
 #include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
+#include "odmc/io/printable_text.h"
 #include "odmc/sensing/plausible.h"
 #include "odmc/trajectory/trajectory.h"
 
@@ -30,7 +31,7 @@ constexpr char kPython[] = "/usr/bin/python3";
 std::string OneLine(std::string text) {
   while (!text.empty() && text.back() == '\n') text.pop_back();
   std::replace(text.begin(), text.end(), '\n', ' ');
-  return text;
+  return Printable(text);
 }
 
 int Fail(const std::string& text, int status) {
@@ -110,6 +111,20 @@ std::string FindScript(const std::string& name) {
     if (fs::is_regular_file(path, ignored)) return path.string();
   }
   return "";
+}
+
+/// A day between two poses is no flight: the clock was set, or files were joined.
+void RefuseLeaps(const FlightLog& log, const std::string& file) {
+  constexpr Stamp kDay = 86400 * static_cast<Stamp>(1000000000);
+  for (size_t i = 1; i < log.odometry.size(); ++i) {
+    const Stamp before = log.odometry[i - 1].stamp, step = log.odometry[i].stamp - before;
+    if (step <= kDay) continue;
+    const double at_s = ToSeconds(before - log.odometry.front().stamp);
+    throw std::invalid_argument(file + ": time leaps by " + FormatNumber(std::round(ToSeconds(step))) +
+                                " s, " + FormatNumber(at_s) +
+                                " s after the first pose: the clock was set or recordings were "
+                                "joined; --start and --end cut the flight out");
+  }
 }
 
 CLI::Validator NumberThat(bool may_be_zero) {
@@ -247,6 +262,7 @@ FlightLog FlightArguments::Read(const Vehicle& vehicle) const {
                                 "--rotor-speed-from commands");
   }
   CutFlight(start_s, end_s, &log);
+  RefuseLeaps(log, file);
   const std::optional<Actuator> actuator =
       actuator_file.empty() ? vehicle.actuator : LoadActuator(actuator_file);
   SettleRotors(actuator, vehicle.num_rotors(), from_commands, &log);
@@ -293,8 +309,13 @@ void ModelArguments::AddParametersTo(CLI::App* app, const std::string& help) {
 }
 
 Vehicle ModelArguments::Configure(const Vehicle& file_vehicle) {
-  if (!parameters_file.empty()) choice.parameters = LoadParameters(parameters_file);
-  return odmc::Configure(file_vehicle, choice);
+  if (parameters_file.empty()) return odmc::Configure(file_vehicle, choice);
+  choice.parameters = LoadParameters(parameters_file);
+  try {
+    return odmc::Configure(file_vehicle, choice);
+  } catch (const std::invalid_argument& e) {
+    throw std::invalid_argument(parameters_file + ": " + e.what());
+  }
 }
 
 void EstimatorArguments::AddTo(CLI::App* app, bool with_window) {
@@ -401,7 +422,6 @@ void WriteCalibration(const Calibration& calibration, const FlightLog& log,
                       const DynamicModel& model, const std::string& folder) {
   SaveParameters(calibration.parameters, In(folder, "parameters.yaml"));
   WriteHistory(calibration, log, model, In(folder, "history.csv"));
-  WritePrediction(calibration.prediction, !log.rotor_rms_only, In(folder, "prediction.csv"));
   WriteTiming(calibration, In(folder, "timing.csv"));
   WritePhases(calibration, In(folder, "phases.csv"));
   WriteText(CalibrationReport(calibration, model), In(folder, "report.json"));
@@ -418,7 +438,7 @@ std::map<std::string, std::string> Provenance(const std::string& tool, const Veh
 
 void RenderReport(const std::string& folder, const std::string& script_name) {
   const auto warn = [&](const std::string& why) {
-    std::cerr << "warning: the pictures of " << folder << " were not drawn: " << why << "\n";
+    std::cerr << "warning: the pictures of " << Printable(folder) << " were not drawn: " << why << "\n";
   };
   const std::string script = FindScript(script_name);
   if (script.empty()) return warn(script_name + " is not installed");

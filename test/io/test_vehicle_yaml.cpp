@@ -152,7 +152,7 @@ TEST(VehicleYaml, NumbersMustBeFiniteAndPositive) {
                     "inertia_kg_m2: must be three positive");
   ODMC_EXPECT_ERROR(Parse(std::string(kMass) + "inertia_kg_m2: [0.01, .nan, 0.01]\n" + kRotors),
                     "inertia_kg_m2[1]: must be a finite");
-  ODMC_EXPECT_ERROR(Parse(std::string(kMass) + "inertia_kg_m2: [0.001, 0.001, 0.003]\n" + kRotors),
+  ODMC_EXPECT_ERROR(Parse(std::string(kMass) + "inertia_kg_m2: [0.001, 0.001, 0.005]\n" + kRotors),
                     "triangle");
   ODMC_EXPECT_ERROR(WithThrust("-1.0e-06"), "parameters.thrust.k_f.value: must be positive");
   ODMC_EXPECT_ERROR(With("parameters: {drag.d_x: {value: .nan}}\n"),

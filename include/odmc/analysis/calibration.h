@@ -61,18 +61,13 @@ struct Evaluation {
 ///   estimator sees; the measured force must not show that noise
 /// @param file_vehicle the vehicle file as it is (nominal inertia and mounts)
 /// @param progress called with the share done (0 to 1), may be empty
-/// @param inspected what InspectFlight() found; goes to the findings
+/// @param predicted takes the prediction's samples, which are then not kept; empty: they are
 /// @throws std::invalid_argument if the flight never leaves the ground or nothing is to be
 /// estimated
 Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Vehicle& file_vehicle,
                       const DynamicModel& model, const EstimatorOptions& options,
                       const std::function<void(double)>& progress = {},
-                      const std::vector<Finding>& inspected = {});
-
-/// Looks at a recording before anything is estimated from it.
-/// @param force true: findings that leave bad trust are returned like the others
-/// @throws std::invalid_argument with the first finding that leaves bad trust
-std::vector<Finding> InspectFlight(const FlightLog& log, const Vehicle& vehicle, bool force);
+                      const PredictionSink& predicted = {});
 
 /// Runs the estimator once for each block of `block_s`, without that block, and predicts the block
 /// with what the rest of the flight shows.
@@ -84,12 +79,13 @@ LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,
                        const EstimatorOptions& options, double block_s);
 
 /// Predicts a flight with `parameters` as they are; no fitting.
+/// @param predicted as in Calibrate()
 Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
-                    const ParameterSet& parameters);
+                    const ParameterSet& parameters, const PredictionSink& predicted = {});
 
 /// From the first airborne sample until the parameter stays within the larger of 5 % of its final
 /// value and its final sigma [s]; empty where not observable.
-std::vector<std::optional<double>> Convergence(const std::vector<HistoryRow>& history,
+std::vector<std::optional<double>> Convergence(const History& history,
                                                const std::vector<bool>& observable);
 
 /// Updates with a window of the configured length (it is longer in the first 3 s of flight), the

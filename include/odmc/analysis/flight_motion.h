@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <functional>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -23,18 +24,42 @@ struct FilteredMotion {
   bool follows = false;  ///< the sample before it is the recording's sample before it
 };
 
-/// A recording's airborne motion through one Savitzky-Golay filter (order 3, odd count nearest
-/// 0.1 s). Missing velocity: derivatives of position; missing rates: of the quaternion. Samples on
-/// the ground or within one filter window of a gap are left out and counted.
-struct FlightMotion {
-  std::vector<FilteredMotion> samples;
+/// What FilterEach() says of a whole flight.
+struct MotionCounts {
   double step_s = 0.0;  ///< median of the odometry
   long left_out_gaps = 0;
   long left_out_ground = 0;
 };
 
+/// A recording's airborne motion through one Savitzky-Golay filter (order 3, odd count nearest
+/// 0.1 s). Missing velocity: derivatives of position; missing rates: of the quaternion. Samples on
+/// the ground or within one filter window of a gap are left out and counted.
+struct FlightMotion : MotionCounts {
+  std::vector<FilteredMotion> samples;
+};
+
+/// Shows every sample of it to `use`, and holds no more of the flight than some blocks of it.
+MotionCounts FilterEach(const FlightLog& log, int num_rotors,
+                        const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
+                        const std::function<void(const FilteredMotion&)>& use);
+
 FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
                           const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
+
+/// Pull of a suspended load per unit of load, sample by sample of one flight.
+class LoadPuller {
+ public:
+  explicit LoadPuller(const DynamicModel& model) : load_(model, false) {}
+
+  /// At the next sample, in W [m/s²].
+  Eigen::Vector3d PullAt(const FilteredMotion& now, const ModelValues& values);
+
+ private:
+  LoadObserver load_;
+  bool is_first_ = true;
+  double t_s_ = 0.0;
+  Eigen::Vector3d v_W_ = Eigen::Vector3d::Zero();
+};
 
 /// Pull of a suspended load per unit of load at every sample, in W [m/s²]; hanging still without
 /// one. How it swings at the odometry's first sample is in the model's values.

@@ -49,6 +49,9 @@ struct Prediction {
   PredictionFigures figures;
 };
 
+/// Takes the samples of a prediction one by one, in their order.
+using PredictionSink = std::function<void(const PredictionSample&)>;
+
 /// Puts the values that varied in flight at their size at one flight time [s].
 using ValueVariation = std::function<void(double t_s, ModelValues* values)>;
 
@@ -59,6 +62,14 @@ Prediction Predict(const FlightLog& log, const Vehicle& file_vehicle, const Dyna
                    const ModelValues& values,
                    const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
                    const ValueVariation& vary = {});
+
+/// The same, sample by sample: holds no more of the flight than a filter's window.
+/// @param use takes each sample, with its effects
+/// @returns figures of all of them
+PredictionFigures PredictEach(const FlightLog& log, const Vehicle& file_vehicle,
+                              const DynamicModel& model, const ModelValues& values,
+                              const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
+                              const ValueVariation& vary, const PredictionSink& use);
 
 /// Measured and predicted at one sample.
 /// @param with_effects also the wrench of every effect, and what the rotors alone do
@@ -71,6 +82,29 @@ PredictionSample PredictSample(const FilteredMotion& motion, const Eigen::Vector
 Eigen::Vector3d PredictSpecificForce(const FilteredMotion& motion,
                                      const Eigen::Vector3d& load_pull_W, const DynamicModel& model,
                                      const ModelValues& values);
+
+/// Sums that give the figures of a prediction; those left out are not counted.
+class PredictionSummary {
+ public:
+  void Add(const PredictionSample& sample);
+  PredictionFigures Figures(bool with_torque, const Vehicle& vehicle, const DynamicModel& model,
+                            const ModelValues& values) const;
+
+ private:
+  /// Sums over samples, axis by axis.
+  struct AxisSums {
+    Eigen::Vector3d error2 = Eigen::Vector3d::Zero(), value = Eigen::Vector3d::Zero(),
+                    value2 = Eigen::Vector3d::Zero();
+    void Add(const Eigen::Vector3d& measured, const Eigen::Vector3d& predicted);
+    Eigen::Vector3d Rmse(double n) const;
+    Eigen::Vector3d Zero(double n) const;
+    Eigen::Vector3d Explained(double n) const;
+  };
+
+  long samples_ = 0;
+  AxisSums force_, torque_, acceleration_;
+  Eigen::Vector3d rotor_other_ = Eigen::Vector3d::Zero(), rotor_rotor_ = Eigen::Vector3d::Zero();
+};
 
 /// Figures of some samples of a prediction; those left out are not counted.
 PredictionFigures SummarisePrediction(const std::vector<PredictionSample>& samples,

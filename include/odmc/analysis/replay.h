@@ -4,21 +4,15 @@
 #include <utility>
 #include <vector>
 
+#include "odmc/analysis/history.h"
 #include "odmc/estimator/estimator.h"
 
 namespace odmc {
 
-/// One line of the history: the estimate after one update.
-struct HistoryRow {
-  double t_s = 0.0;
-  ModelValues values;
-  Eigen::VectorXd sigma;
-};
-
 /// What one pass of the estimator over a flight left behind.
 struct ReplayResult {
   std::optional<Snapshot> last;                         ///< empty if the vehicle never flew
-  std::vector<HistoryRow> history;                      ///< one per update
+  History history;                                      ///< one row per update
   std::vector<std::pair<double, UpdateTiming>> timing;  ///< flight time [s], every update
   std::vector<PhaseSpan> phases;                        ///< all of the recording, oldest first
   std::vector<std::pair<Stamp, Stamp>> ground_spans;    ///< of these, what is not free flight

@@ -22,8 +22,12 @@ struct Refusals {
   void Report(const std::string& source, const std::string& what, FlightLog* log) const;
 };
 
-/// Drops samples whose stamp does not step forward; counted in `log`, one warning. Refuses streams
-/// that are mostly out of order.
+/// True if the last of `stamps` leapt ahead by more than a second and is alone with it: `next` goes
+/// on from the one before. One stamp is wrong then, not all that follow.
+bool IsLoneLeap(const std::vector<Stamp>& stamps, Stamp next);
+
+/// Drops samples whose stamp does not step forward, and single ones that leap ahead of all after
+/// them; counted in `log`, one warning each. Refuses streams that are mostly out of order.
 /// @throws std::invalid_argument naming `source`
 template <typename Sample>
 void KeepForward(const std::string& source, std::vector<Sample>* samples, FlightLog* log);

@@ -95,6 +95,9 @@ struct SimulatedFlight {
 /// Force and torque about Bcm, in B, that no model knows, at one flight state; empty: none.
 using Unmodelled = std::function<BodyWrench(const FlightState&)>;
 
+/// Takes the truth of a flight, sample by sample.
+using TruthSink = std::function<void(const TruthSample&)>;
+
 /// Flies `model` at the values `truth` along a trajectory in closed loop and records it with the
 /// vehicle's sensors at their true places. The same arguments give the same flight, and the noise
 /// of one sensor does not change that of another. A vehicle with an actuator is flown by throttles at
@@ -107,5 +110,10 @@ using Unmodelled = std::function<BodyWrench(const FlightState&)>;
 SimulatedFlight Simulate(const DynamicModel& model, const ModelValues& truth,
                          const SimulationOptions& options, const SimulationNoise& noise = {},
                          const Unmodelled& unmodelled = {});
+
+/// The same flight, of which the truth goes to `truth_sink` and is not kept.
+FlightLog SimulateLog(const DynamicModel& model, const ModelValues& truth,
+                      const SimulationOptions& options, const SimulationNoise& noise,
+                      const Unmodelled& unmodelled, const TruthSink& truth_sink);
 
 }  // namespace odmc
