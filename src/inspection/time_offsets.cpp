@@ -155,4 +155,27 @@ std::optional<TimeOffset> RotorOffset(const MotionSignals& s, const Vehicle& veh
   return Offset(p, "rotor_speeds", s.rates ? "body_rates" : from_gyro ? "gyro" : "attitude");
 }
 
+std::optional<TimeOffset> ThrustOffset(const MotionSignals& s, const Vehicle& vehicle,
+                                       const std::vector<bool>& flight) {
+  if (!s.rotors) return std::nullopt;
+  const SampledSignal velocity = s.velocity ? *s.velocity : DifferencesOf(s.position);
+  const Eigen::Matrix3d R_BS = vehicle.odometry.q_BS.toRotationMatrix();
+  const Vector3d up_W = vehicle.gravity_m_s2 * Vector3d::UnitZ();
+  const SampledSignal thrust(s.rotors->times_s(), s.rotors->values().colwise().sum());
+  LagProblem p = Grid(velocity, thrust, 1, 3);
+  p.width_s = kHat * p.step_s;
+  ForSteps({&velocity, &s.attitude}, flight, &p, [&](int i, double from, double to) {
+    const double t = 0.5 * (from + to), h = to - from;
+    if (!velocity.Covers(t - h, t + h)) return false;
+    const Eigen::Matrix3d R_BW = R_BS * s.q_WS(t).conjugate().toRotationMatrix();
+    const Vector3d a_W = (velocity.Mean(t, t + h) - velocity.Mean(t - h, t)) / h;
+    const Vector3d v_B = R_BW * Vector3d(velocity.Mean(t - h, t + h));
+    p.y(i, 0) = (R_BW * (a_W + up_W)).z();
+    p.fixed.row(i) << v_B.z(), v_B.head<2>().squaredNorm(), 1.0;
+    return true;
+  });
+  return Offset(p, "rotor_speeds", s.velocity ? "velocity" : "position");
+}
+
 }  // namespace odmc
+

@@ -30,14 +30,20 @@ struct LagProblem {
 /// Lateness of a stream. `lag_s` > 0: its stamps are late.
 struct Lag {
   double lag_s = 0.0;
-  double sigma_s = 0.0;  ///< from the scatter of the likelihood's slope over blocks of time
+  double scatter_s = 0.0;  ///< sigma from the scatter of the likelihood's slope over blocks of time
+  /// How far the controller's answers to disturbances may pull the lag: the more, the less of the
+  /// signal the moving stream explains where rotors lead (3 to 20 Hz). Without a controller 0.
+  double pull_s = 0.0;
   /// By how many standard errors (over blocks of time) the best lag explains more than the best one
   /// elsewhere, and than no such stream at all: the smaller of both.
   double contrast = 0.0;
   int blocks = 0;
-  Eigen::MatrixXd gain;        ///< k×c: of the moving channels at the best lag
-  double explained = 0.0;      ///< share of the whitened signal's variance that moving explains
+  Eigen::MatrixXd gain;     ///< k×c: of the moving channels at the best lag
+  double explained = 0.0;   ///< share of the whitened signal's variance that moving explains
+  double band_share = 0.0;  ///< the same of 3 to 20 Hz, median of the blocks
+  double cured = 0.0;       ///< share of the disagreement without lag that the lag takes away
 
+  double sigma_s() const;
   /// True if the best lag stands out, see kLeastContrast.
   bool determined() const;
 };

@@ -35,4 +35,8 @@ std::optional<TimeOffset> AccelerometerOffset(const MotionSignals& signals, cons
 std::optional<TimeOffset> RotorOffset(const MotionSignals& signals, const Vehicle& vehicle,
                                       const std::vector<bool>& flight);
 
+/// The same against the acceleration along the thrust axis.
+std::optional<TimeOffset> ThrustOffset(const MotionSignals& signals, const Vehicle& vehicle,
+                                       const std::vector<bool>& flight);
+
 }  // namespace odmc
