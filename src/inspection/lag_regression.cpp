@@ -418,6 +418,10 @@ std::optional<Lag> Regression::Solve() {
     Scan();
     scanned_.colwise().sum().maxCoeff(&best);
   }
+  // Once more with the noise as the best lag itself leaves it, not its neighbour on the grid.
+  Renew(Refine(LagOf(static_cast<int>(best))));
+  Scan();
+  scanned_.colwise().sum().maxCoeff(&best);
   return Judge(Refine(LagOf(static_cast<int>(best))));
 }
 

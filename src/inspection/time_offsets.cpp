@@ -13,7 +13,7 @@ using Eigen::Quaterniond;
 using Eigen::Vector3d;
 
 constexpr double kStep_s = 0.01;  // bandwidth 50 Hz: above what rotors and bodies do
-constexpr double kSlowStep_s = 0.05;
+constexpr double kSlowWidth_s = 0.1;
 // The difference of means over neighbouring steps weighs accelerations by a triangle; a mean over
 // sqrt(2) steps has its variance in time.
 constexpr double kHat = 1.414;
@@ -35,18 +35,18 @@ LagProblem Grid(const SampledSignal& still, const SampledSignal& moving, int cha
 }
 
 /// The same for streams that measure one motion: in the band of the motion itself, where what a
-/// filter of either smooths shows least. No controller stands between them, and white noise does.
+/// filter of either smooths, and white noise, show least. No controller stands between them.
 LagProblem SlowGrid(const SampledSignal& still, const SampledSignal& moving, int channels,
                     int fixed) {
   LagProblem p = Grid(still, moving, channels, fixed);
-  const double ratio = std::max(1.0, kSlowStep_s / p.step_s);
-  p.step_s *= ratio;
-  p.width_s *= ratio;
+  p.width_s = std::max(kSlowWidth_s, 2.0 * p.step_s);
+  const double step_s = 0.5 * p.width_s;
+  const auto n = static_cast<Eigen::Index>(static_cast<double>(p.y.rows()) * p.step_s / step_s);
+  p.step_s = step_s;
   p.memory_s = 0.0;
-  const auto n = static_cast<Eigen::Index>(static_cast<double>(p.y.rows()) / ratio);
-  p.y.conservativeResize(n, Eigen::NoChange);
-  p.fixed.conservativeResize(n, Eigen::NoChange);
-  p.usable.resize(static_cast<size_t>(n));
+  p.y = MatrixXd::Zero(n, channels);
+  p.fixed = MatrixXd::Zero(n, fixed);
+  p.usable.assign(static_cast<size_t>(n), false);
   return p;
 }
 
@@ -62,7 +62,8 @@ void ForSteps(const std::vector<const SampledSignal*>& streams, const std::vecto
               LagProblem* p, Fill fill) {
   for (int i = 0; i < p->y.rows(); ++i) {
     const double t = p->first_s + i * p->step_s;
-    const double from = t - 0.5 * p->step_s, to = t + 0.5 * p->step_s;
+    const double span_s = p->memory_s > 0.0 ? p->step_s : p->width_s;
+    const double from = t - 0.5 * span_s, to = t + 0.5 * span_s;
     if (!Flies(flight, t)) continue;
     if (!std::all_of(streams.begin(), streams.end(),
                      [&](const SampledSignal* s) { return s->Covers(from, to); })) {

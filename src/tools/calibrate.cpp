@@ -15,7 +15,7 @@ int main(int argc, char** argv) {
   std::string vehicle_file, folder;
   double noise_m = 0.0, left_out_s = 0.0;
   int seed = 1;
-  bool no_report = false;
+  bool no_report = false, force = false;
   flight.AddTo(&app);
   tools::AddVehicle(&app, &vehicle_file);
   tools::AddFolder(&app, &folder, &no_report);
@@ -33,6 +33,7 @@ int main(int argc, char** argv) {
   app.add_option("--seed", seed, "of the position noise")
       ->capture_default_str()
       ->check(tools::NotNegative());
+  tools::AddForce(&app, &force);
   return tools::Run(&app, argc, argv, [&] {
     const Vehicle file_vehicle = LoadVehicle(vehicle_file);
     const EstimatorOptions options = estimator.Read();
@@ -47,12 +48,14 @@ int main(int argc, char** argv) {
           "mass_change.mass and thrust.k_f cannot both be estimated, a flight shows their ratio: "
           "--freeze thrust.k_f or mass_change.mass");
     }
-    const FlightLog recording = flight.Read(vehicle);
+    FlightLog recording = flight.Read(vehicle);
+    const StreamInspection inspection = tools::InspectFlight(vehicle, force, &recording);
     FlightLog log = recording;
     if (noise_m > 0.0) AddPositionNoise(noise_m, seed, &log);
     tools::MakeFolder(folder);
     tools::ProgressBar bar(log.file);
     Calibration result = Calibrate(log, recording, file_vehicle, model, options, bar.Callback());
+    AddInspection(inspection, &result);
     if (left_out_s > 0.0) {
       result.left_out = PredictLeftOut(log, recording, file_vehicle, model, options, left_out_s);
     }

@@ -260,6 +260,22 @@ FlightLog FlightArguments::Read(const Vehicle& vehicle) const {
   return log;
 }
 
+StreamInspection InspectFlight(const Vehicle& vehicle, bool force, FlightLog* log) {
+  StreamInspection inspection = InspectStreams(*log, vehicle);
+  if (!inspection.refusal.empty() && !force) {
+    throw std::invalid_argument(log->file + ": " + inspection.refusal +
+                                " (--force goes on all the same)");
+  }
+  MendStreams(inspection, log);
+  return inspection;
+}
+
+void AddForce(CLI::App* app, bool* force) {
+  app->add_flag("--force", *force,
+                "go on where the recording or the vehicle file is wrong beyond learning; the "
+                "result is not to be trusted");
+}
+
 void ModelArguments::AddTo(CLI::App* app) {
   const CLI::Validator effect = CLI::IsMember(EffectRegistry::Default().names()).description("");
   const CLI::Validator parameter = CLI::IsMember(EffectAndParameterNames()).description("");

@@ -8,6 +8,7 @@
 #include "odmc/analysis/prediction.h"
 #include "odmc/analysis/replay.h"
 #include "odmc/inspection/finding.h"
+#include "odmc/inspection/stream_inspection.h"
 
 namespace odmc {
 
@@ -45,6 +46,7 @@ struct Calibration {
   int threads = 1;
   double start_s = 0.0;  ///< of the replay's clock, after the first odometry sample
   std::vector<Finding> findings;      ///< what costs trust, and remarks
+  std::vector<TimeOffset> time_offsets;  ///< of the streams, as recorded
   std::vector<std::string> warnings;  ///< the findings' sentences among them
 };
 
@@ -52,7 +54,9 @@ struct Calibration {
 struct Evaluation {
   FlightFigures flight;
   Prediction prediction;
-  std::vector<std::string> warnings;
+  std::vector<Finding> findings;         ///< what costs trust, and remarks
+  std::vector<TimeOffset> time_offsets;  ///< of the streams, as recorded
+  std::vector<std::string> warnings;     ///< the findings' sentences among them
 };
 
 /// Runs the estimator over `log`, then predicts `recording` with what it found.
@@ -65,6 +69,17 @@ struct Evaluation {
 Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Vehicle& file_vehicle,
                       const DynamicModel& model, const EstimatorOptions& options,
                       const std::function<void(double)>& progress = {});
+
+/// Adds what the streams of the recording say about each other to a result that has findings,
+/// time_offsets and warnings.
+template <typename Result>
+void AddInspection(const StreamInspection& inspection, Result* result) {
+  result->time_offsets = inspection.offsets;
+  for (const Finding& finding : inspection.findings) {
+    result->findings.push_back(finding);
+    result->warnings.push_back(Sentence(finding));
+  }
+}
 
 /// Runs the estimator once for each block of `block_s`, without that block, and predicts the block
 /// with what the rest of the flight shows.
