@@ -1,6 +1,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "odmc/analysis/inspection_json.h"
 #include "odmc/analysis/report.h"
 
 namespace odmc {
@@ -85,26 +86,6 @@ Json ComparisonJson(const std::optional<SolverComparison>& c) {
   return json;
 }
 
-Json FindingsJson(const std::vector<Finding>& findings) {
-  Json json = Json::array();
-  for (const Finding& f : findings) {
-    Json entry = {{"check", f.check}, {"leaves", Name(f.leaves)}, {"what", f.what}};
-    if (!f.mend.empty()) entry["mend"] = f.mend;
-    if (f.span_s) entry["from_s"] = Number(f.span_s->first), entry["to_s"] = Number(f.span_s->second);
-    json.push_back(entry);
-  }
-  return json;
-}
-
-/// Sentences of the findings that cost as much trust as is missing.
-Json TrustReasons(const std::vector<Finding>& findings) {
-  Json reasons = Json::array();
-  for (const Finding& f : findings) {
-    if (f.leaves != Trust::kGood) reasons.push_back(Sentence(f));
-  }
-  return reasons;
-}
-
 Json PhasesJson(const std::vector<PhaseSpan>& phases, Stamp zero) {
   Json json = Json::array();
   for (const PhaseSpan& p : phases) {
@@ -154,6 +135,7 @@ std::string CalibrationReport(const Calibration& c, const DynamicModel& model) {
   json["trust"] = Name(TrustOf(c.findings));
   json["trust_reasons"] = TrustReasons(c.findings);
   json["findings"] = FindingsJson(c.findings);
+  json["time_offsets"] = TimeOffsetsJson(c.time_offsets);
   json["warnings"] = c.warnings;
   json["unobservable"] = c.replay.last->unobservable;
   Json left_out = PredictionCounts(c.prediction.figures);
@@ -179,6 +161,10 @@ std::string EvaluationReport(const Evaluation& e, const DynamicModel& model) {
   json["effects"] = model.effect_names();
   json["flight"] = FlightJson(e.flight);
   json["prediction"] = PredictionJson(e.prediction.figures);
+  json["trust"] = Name(TrustOf(e.findings));
+  json["trust_reasons"] = TrustReasons(e.findings);
+  json["findings"] = FindingsJson(e.findings);
+  json["time_offsets"] = TimeOffsetsJson(e.time_offsets);
   json["warnings"] = e.warnings;
   json["left_out"] = PredictionCounts(e.prediction.figures);
   return Dump(json);

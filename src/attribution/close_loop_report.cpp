@@ -6,6 +6,8 @@
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
+#include "odmc/analysis/inspection_json.h"
+
 namespace odmc {
 namespace {
 
@@ -100,6 +102,9 @@ std::string CloseLoopReport(const ClosedLoop& loop) {
   if (!loop.where.empty()) json["residual"]["where"] = loop.where;
   json["model"] = loop.effect_names;
   json["parameters"] = ParametersJson(loop.parameters.parameters);
+  json["trust"] = Name(TrustOf(loop.findings));
+  json["findings"] = FindingsJson(loop.findings);
+  json["time_offsets"] = TimeOffsetsJson(loop.time_offsets);
   json["warnings"] = loop.warnings;
   return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }

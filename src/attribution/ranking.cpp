@@ -393,7 +393,7 @@ bool IsNegligible(const RankedEffect& ranked) {
   constexpr double kDelay_s = 0.003;
   if (ranked.name != "rotor_delay") return false;
   return std::all_of(ranked.parameters.begin(), ranked.parameters.end(),
-                     [](const ParameterEstimate& p) { return std::abs(p.value) < kDelay_s; });
+                     [](const ParameterEstimate& p) { return p.value < kDelay_s; });
 }
 
 bool IsSpecialCase(const Tried& special, const Tried& general) {

@@ -13,7 +13,7 @@ class RotorDelay final : public Effect {
                 "model.md 12.16",
                 "first order: up to about half a keyframe interval; close to vertical drag", true},
                {{"delay", "s", "how late the rotor speeds are reported", 0.0, 0.03, 0.005,
-                 ParameterTransform::kLinear, PhysicalSign::kPositive}},
+                 ParameterTransform::kLinear, PhysicalSign::kAny}},
                {"thrust.k_f", "rotor_torque.k_m"}) {}
 
  private:

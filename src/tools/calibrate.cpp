@@ -33,8 +33,7 @@ int main(int argc, char** argv) {
   app.add_option("--seed", seed, "of the position noise")
       ->capture_default_str()
       ->check(tools::NotNegative());
-  app.add_flag("--force", force,
-               "calibrates even where the flight contradicts the vehicle file; trust is bad then");
+  tools::AddForce(&app, &force);
   return tools::Run(&app, argc, argv, [&] {
     const Vehicle file_vehicle = LoadVehicle(vehicle_file);
     const EstimatorOptions options = estimator.Read();
@@ -49,7 +48,8 @@ int main(int argc, char** argv) {
           "mass_change.mass and thrust.k_f cannot both be estimated, a flight shows their ratio: "
           "--freeze thrust.k_f or mass_change.mass");
     }
-    const FlightLog recording = flight.Read(vehicle);
+    FlightLog recording = flight.Read(vehicle);
+    const StreamInspection inspection = tools::InspectFlight(vehicle, force, &recording);
     FlightLog noisy;
     if (noise_m > 0.0) {
       noisy = recording;
@@ -63,6 +63,7 @@ int main(int argc, char** argv) {
         Calibrate(log, recording, file_vehicle, model, options, bar.Callback(),
                   [&](const PredictionSample& sample) { prediction.Add(sample); });
     prediction.Close();
+    AddInspection(inspection, &result);
     if (left_out_s > 0.0) {
       result.left_out = PredictLeftOut(log, recording, file_vehicle, model, options, left_out_s);
     }

@@ -19,7 +19,7 @@ int main(int argc, char** argv) {
   tools::ModelArguments model_arguments;
   tools::EstimatorArguments estimator;
   std::string vehicle_file, folder;
-  bool no_report = false;
+  bool no_report = false, force = false;
   CloseLoopOptions options;
   flight.AddTo(&app);
   tools::AddVehicle(&app, &vehicle_file);
@@ -33,15 +33,18 @@ int main(int argc, char** argv) {
   app.add_option("--most-effects", options.most_effects, "add at most this many effects")
       ->capture_default_str()
       ->check(tools::NotNegative());
+  tools::AddForce(&app, &force);
   return tools::Run(&app, argc, argv, [&] {
     const Vehicle file_vehicle = LoadVehicle(vehicle_file);
     options.estimator = estimator.Read();
     Vehicle vehicle = model_arguments.Configure(file_vehicle);
     if (!model_arguments.parameters_file.empty()) HoldKnownThrust(&vehicle);
-    const FlightLog log = flight.Read(vehicle);
+    FlightLog log = flight.Read(vehicle);
+    const StreamInspection inspection = tools::InspectFlight(vehicle, force, &log);
     tools::MakeFolder(folder);
     tools::ProgressBar bar(log.file);
     ClosedLoop loop = CloseLoop(log, file_vehicle, vehicle, options, bar.Callback());
+    AddInspection(inspection, &loop);
     if (model_arguments.choice.parameters) {
       WarnOfOtherMass(*model_arguments.choice.parameters, file_vehicle, &loop.warnings);
     }

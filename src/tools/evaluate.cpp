@@ -12,13 +12,14 @@ int main(int argc, char** argv) {
       "Writes prediction.csv, report.json, report.html.");
   tools::FlightArguments flight;
   std::string vehicle_file, parameters_file, folder;
-  bool no_report = false;
+  bool no_report = false, force = false;
   flight.AddTo(&app);
   tools::AddVehicle(&app, &vehicle_file);
   app.add_option("--parameters", parameters_file, "parameters.yaml as calibrate writes it")
       ->required()
       ->type_name("FILE");
   tools::AddFolder(&app, &folder, &no_report);
+  tools::AddForce(&app, &force);
   tools::AddExitStatus(&app);
   return tools::Run(&app, argc, argv, [&] {
     const Vehicle file_vehicle = LoadVehicle(vehicle_file);
@@ -26,13 +27,15 @@ int main(int argc, char** argv) {
     Vehicle vehicle = file_vehicle;
     ApplyParameters(parameters, &vehicle);
     const DynamicModel model(vehicle, vehicle.effects);
-    const FlightLog log = flight.Read(vehicle);
+    FlightLog log = flight.Read(vehicle);
+    const StreamInspection inspection = tools::InspectFlight(vehicle, force, &log);
     tools::MakeFolder(folder);
     PredictionFile prediction(tools::In(folder, "prediction.csv"), !log.rotor_rms_only);
-    const Evaluation result =
+    Evaluation result =
         Evaluate(log, file_vehicle, model, parameters,
                  [&](const PredictionSample& sample) { prediction.Add(sample); });
     prediction.Close();
+    AddInspection(inspection, &result);
     WriteText(EvaluationReport(result, model), tools::In(folder, "report.json"));
     std::cout << EvaluationTable(result);
     if (!no_report) tools::RenderReport(folder);

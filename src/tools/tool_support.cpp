@@ -12,6 +12,7 @@
 
 #include "odmc/actuator/flight_actuator.h"
 #include "odmc/analysis/report.h"
+#include "odmc/inspection/rotor_inspection.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/number_text.h"
 #include "odmc/io/options_yaml.h"
@@ -274,6 +275,29 @@ FlightLog FlightArguments::Read(const Vehicle& vehicle) const {
                                 (cut ? " between --start and --end" : ""));
   }
   return log;
+}
+
+StreamInspection InspectFlight(const Vehicle& vehicle, bool force, FlightLog* log) {
+  StreamInspection inspection = InspectStreams(*log, vehicle);
+  if (!inspection.refusal.empty() && !force) {
+    throw std::invalid_argument(log->file + ": " + inspection.refusal +
+                                " (--force goes on all the same)");
+  }
+  MendStreams(inspection, log);
+  for (const Finding& finding : InspectRotors(*log, vehicle)) {
+    if (finding.leaves == Trust::kBad && !force) {
+      throw std::invalid_argument(log->file + ": " + Sentence(finding) +
+                                  " (--force goes on all the same)");
+    }
+    inspection.findings.push_back(finding);
+  }
+  return inspection;
+}
+
+void AddForce(CLI::App* app, bool* force) {
+  app->add_flag("--force", *force,
+                "go on where the recording or the vehicle file is wrong beyond learning; the "
+                "result is not to be trusted");
 }
 
 void ModelArguments::AddTo(CLI::App* app) {

@@ -64,6 +64,14 @@ struct FlightArguments {
   FlightLog Read(const Vehicle& vehicle) const;
 };
 
+/// Compares the recording's streams with each other and mends the log by what was found.
+/// @param force goes on where nothing sensible can be learned
+/// @throws std::invalid_argument naming the file, the cause and what would mend it
+StreamInspection InspectFlight(const Vehicle& vehicle, bool force, FlightLog* log);
+
+/// Adds --force.
+void AddForce(CLI::App* app, bool* force);
+
 /// Which effects and parameters.
 struct ModelArguments {
   ModelChoice choice;

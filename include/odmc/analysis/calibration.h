@@ -8,6 +8,7 @@
 #include "odmc/analysis/prediction.h"
 #include "odmc/analysis/replay.h"
 #include "odmc/inspection/finding.h"
+#include "odmc/inspection/stream_inspection.h"
 
 namespace odmc {
 
@@ -46,6 +47,7 @@ struct Calibration {
   Stamp first_stamp = 0;  ///< of the first odometry sample
   double start_s = 0.0;   ///< of the replay's clock, after the first odometry sample
   std::vector<Finding> findings;      ///< what costs trust, and remarks
+  std::vector<TimeOffset> time_offsets;  ///< of the streams, as recorded
   std::vector<std::string> warnings;  ///< the findings' sentences among them
 };
 
@@ -53,7 +55,9 @@ struct Calibration {
 struct Evaluation {
   FlightFigures flight;
   Prediction prediction;
-  std::vector<std::string> warnings;
+  std::vector<Finding> findings;         ///< what costs trust, and remarks
+  std::vector<TimeOffset> time_offsets;  ///< of the streams, as recorded
+  std::vector<std::string> warnings;     ///< the findings' sentences among them
 };
 
 /// Runs the estimator over `log`, then predicts `recording` with what it found.
@@ -68,6 +72,17 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
                       const DynamicModel& model, const EstimatorOptions& options,
                       const std::function<void(double)>& progress = {},
                       const PredictionSink& predicted = {});
+
+/// Adds what the streams of the recording say about each other to a result that has findings,
+/// time_offsets and warnings.
+template <typename Result>
+void AddInspection(const StreamInspection& inspection, Result* result) {
+  result->time_offsets = inspection.offsets;
+  for (const Finding& finding : inspection.findings) {
+    result->findings.push_back(finding);
+    result->warnings.push_back(Sentence(finding));
+  }
+}
 
 /// Runs the estimator once for each block of `block_s`, without that block, and predicts the block
 /// with what the rest of the flight shows.

@@ -11,6 +11,7 @@
 #include "odmc/analysis/calibration.h"
 #include "odmc/attribution/ranking.h"
 #include "odmc/estimator/options.h"
+#include "odmc/inspection/stream_inspection.h"
 
 namespace odmc {
 
@@ -70,7 +71,9 @@ struct ClosedLoop {
   ParameterSet parameters;           ///< of the model as extended (as declared without an effect)
   std::vector<std::string> effect_names;  ///< of that model
   std::string where;                      ///< words on where the unexplained part lives
-  std::vector<std::string> warnings;
+  std::vector<Finding> findings;          ///< about the recording
+  std::vector<TimeOffset> time_offsets;   ///< of its streams, as recorded
+  std::vector<std::string> warnings;      ///< the findings' sentences among them
 };
 
 /// Names of the sound candidates that come close to the first, and of its special cases.

@@ -1,0 +1,331 @@
+#include "odmc/inspection/motion_checks.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include "motion_windows.h"
+#include "odmc/inspection/explanations.h"
+#include "odmc/math/so3.h"
+#include "odmc/math/statistics.h"
+
+namespace odmc {
+namespace {
+
+using Eigen::Matrix3d;
+using Eigen::Matrix3Xd;
+using Eigen::Quaterniond;
+using Eigen::Vector3d;
+
+constexpr double kDegree = M_PI / 180.0;
+constexpr double kLeastMotion = 0.1;  // m/s or rad/s RMS: what shows less says nothing
+constexpr double kLeastScale = 0.8;    // observers are off by up to 10 %
+constexpr double kNothingAlike = 0.5;  // of a signal's mean square, by whichever reading
+
+std::string Text(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.2g", value);
+  return text;
+}
+
+/// Axes as a reader names them: "x, -y, -z".
+std::string AxesText(const Matrix3d& axes) {
+  std::string text;
+  for (int i = 0; i < 3; ++i) {
+    int j = 0;
+    axes.row(i).cwiseAbs().maxCoeff(&j);
+    text += (i > 0 ? ", " : "") + std::string(axes(i, j) < 0.0 ? "-" : "") + "xyz"[j];
+  }
+  return text;
+}
+
+/// All 48 ways to confuse axes and signs, the right one first.
+std::vector<Matrix3d> AxisMistakes() {
+  const int orders[6][3] = {{0, 1, 2}, {0, 2, 1}, {1, 0, 2}, {1, 2, 0}, {2, 0, 1}, {2, 1, 0}};
+  std::vector<Matrix3d> all;
+  for (const auto& order : orders) {
+    for (int signs = 0; signs < 8; ++signs) {
+      Matrix3d axes = Matrix3d::Zero();
+      for (int i = 0; i < 3; ++i) axes(i, order[i]) = (signs >> i) & 1 ? -1.0 : 1.0;
+      all.push_back(axes);
+    }
+  }
+  return all;
+}
+
+/// Every column through its own rotation; `inverse` takes W to S.
+Matrix3Xd Turned(const std::vector<Quaterniond>& q, const Matrix3Xd& x, bool inverse) {
+  Matrix3Xd turned(3, x.cols());
+  for (Eigen::Index i = 0; i < x.cols(); ++i) {
+    const Quaterniond& q_i = q[static_cast<size_t>(i)];
+    turned.col(i) = (inverse ? q_i.conjugate() : q_i) * Vector3d(x.col(i));
+  }
+  return turned;
+}
+
+double MedianSquare(const Matrix3Xd& x) {
+  std::vector<double> squares;
+  for (Eigen::Index i = 0; i + kWindowsPerBlock <= x.cols(); i += kWindowsPerBlock) {
+    squares.push_back(x.middleCols(i, kWindowsPerBlock).squaredNorm() / kWindowsPerBlock);
+  }
+  return Median(squares);
+}
+
+/// The factor that makes `x` most like `y`.
+double ScaleOf(const Matrix3Xd& x, const Matrix3Xd& y) {
+  const double square = x.squaredNorm();
+  return square > 0.0 ? x.cwiseProduct(y).sum() / square : 0.0;
+}
+
+/// Readings of a stream `x` that should be `y`: turned by every rotation, confused axes, degrees.
+std::vector<Explanation> Readings(const Matrix3Xd& x, const Matrix3Xd& y,
+                                  const std::vector<Quaterniond>& q, bool world_is_right) {
+  std::vector<Explanation> all = {{"as it is", x - y}};
+  all.push_back({world_is_right ? "written in the body frame" : "written in the world frame",
+                 Turned(q, x, !world_is_right) - y});
+  all.push_back({"in degrees", kDegree * x - y});
+  for (const Matrix3d& axes : AxisMistakes()) {
+    if (axes.isIdentity()) continue;
+    all.push_back({"with axes " + AxesText(axes), axes * x - y});
+  }
+  const double scale = ScaleOf(x, y);
+  if (scale > kLeastScale && scale < 1.0 / kLeastScale) return all;
+  all.push_back({Text(1.0 / scale) + " times too large", scale * x - y});
+  return all;
+}
+
+Finding Dropped(const std::string& check, const std::string& what, const std::string& mend) {
+  return {check, Trust::kDoubtful, what + "; it is not used", mend};
+}
+
+// ---- Velocity ------------------------------------------------------------------------------------
+
+/// Axes whose numbers never change while the position moves along them.
+std::string StuckAxes(const Matrix3Xd& x, const Matrix3Xd& y) {
+  std::string text;
+  for (int i = 0; i < 3; ++i) {
+    const double moves = std::sqrt(y.row(i).squaredNorm() / static_cast<double>(y.cols()));
+    const double spread = x.row(i).maxCoeff() - x.row(i).minCoeff();
+    if (moves > kLeastMotion && spread < 1e-6) text += (text.empty() ? "" : ", ") + std::string(1, "xyz"[i]);
+  }
+  return text;
+}
+
+/// Adds the reading "of another point": v + R (w x r) with the r that fits.
+void AddOtherPoint(const MotionWindows& w, std::vector<Explanation>* readings) {
+  const Matrix3Xd& rates = w.rates.cols() > 0 ? w.rates : w.gyro;
+  if (rates.cols() == 0) return;
+  Matrix3d normal = 1e-9 * Matrix3d::Identity();
+  Vector3d right = Vector3d::Zero();
+  const Matrix3Xd error = w.velocity - w.displacement_m_s;
+  const auto lever = [&](Eigen::Index i) {
+    return Matrix3d(w.q_WS[static_cast<size_t>(i)].toRotationMatrix() * Hat(rates.col(i)));
+  };
+  for (Eigen::Index i = 0; i < error.cols(); ++i) {
+    normal += lever(i).transpose() * lever(i);
+    right += lever(i).transpose() * error.col(i);
+  }
+  const Vector3d r = normal.ldlt().solve(right);
+  Matrix3Xd left = error;
+  for (Eigen::Index i = 0; i < error.cols(); ++i) left.col(i) -= lever(i) * r;
+  readings->push_back({"of a point " + Text(r.norm()) + " m away (" + Text(r.x()) + ", " +
+                           Text(r.y()) + ", " + Text(r.z()) + " in the sensor's frame)",
+                       left});
+}
+
+void CheckVelocity(const MotionWindows& w, MotionSignals* s, StreamInspection* inspection) {
+  if (w.velocity.cols() == 0 || MedianSquare(w.displacement_m_s) < kLeastMotion * kLeastMotion) return;
+  const std::string cause = "the velocity is not the derivative of the position: ";
+  const auto drop = [&](const std::string& what, const std::string& mend) {
+    inspection->findings.push_back(Dropped("velocity", cause + what, mend));
+    inspection->drop_velocity = true;
+    s->velocity.reset();
+  };
+  const std::string stuck = StuckAxes(w.velocity, w.displacement_m_s);
+  if (!stuck.empty()) {
+    return drop("its axis " + stuck + " does not change while the position does",
+                "record the whole velocity, or none");
+  }
+  std::vector<Explanation> readings = Readings(w.velocity, w.displacement_m_s, w.q_WS, true);
+  AddOtherPoint(w, &readings);
+  const Verdict verdict = Judge(readings, kWindowsPerBlock);
+  if (verdict.mistaken()) {
+    return drop("it fits " + readings[verdict.best].name + " (" + Text(verdict.best_error_rms) +
+                    " m/s RMS left instead of " + Text(verdict.error_rms) + ")",
+                "columns vx, vy, vz are the velocity of the pose's own point in the world frame, "
+                "in m/s");
+  }
+  const double unlike =
+      verdict.error_rms * verdict.error_rms / MedianSquare(w.displacement_m_s);
+  const double unlike_best =
+      verdict.best_error_rms * verdict.best_error_rms / MedianSquare(w.displacement_m_s);
+  const double whole = (w.velocity - w.displacement_m_s).squaredNorm();
+  if (unlike > 1.0 && unlike_best > kNothingAlike && whole > w.displacement_m_s.squaredNorm()) {
+    drop("they differ by " + Text(verdict.error_rms) + " m/s RMS, and by " +
+             Text(verdict.best_error_rms) + " in any other frame",
+         "record the velocity of the same source as the pose, or none");
+  }
+}
+
+// ---- Rates ---------------------------------------------------------------------------------------
+
+/// What the attitude's own turn says the rates are.
+Matrix3Xd Turns(const MotionWindows& w) {
+  Matrix3Xd turns(3, w.size());
+  for (int i = 0; i < w.size(); ++i) {
+    turns.col(i) = Log(w.q0[i].conjugate() * w.q1[i]) / kWindow_s;
+  }
+  return turns;
+}
+
+/// @returns what is wrong with rates `x`, in words; empty if nothing
+std::string WrongRates(const MotionWindows& w, const Matrix3Xd& x, const Matrix3d& R_SX) {
+  if (x.cols() == 0) return "";
+  Matrix3Xd turns = Turns(w);
+  if (MedianSquare(turns) < kLeastMotion * kLeastMotion) return "";
+  const Matrix3Xd in_S = R_SX * x;
+  const std::vector<Explanation> readings = Readings(in_S, turns, w.q_WS, false);
+  const Verdict verdict = Judge(readings, kWindowsPerBlock);
+  if (!verdict.mistaken()) return "";
+  return "fits " + readings[verdict.best].name + " (" + Text(verdict.best_error_rms) +
+         " rad/s RMS left instead of " + Text(verdict.error_rms) + ")";
+}
+
+void CheckRates(const MotionWindows& w, const Vehicle& vehicle, MotionSignals* s,
+                StreamInspection* inspection) {
+  const std::string rates = WrongRates(w, w.rates, Matrix3d::Identity());
+  if (!rates.empty()) {
+    inspection->findings.push_back(
+        Dropped("body_rates", "the attitude is not the integral of the body rates, which " + rates,
+                "columns wx, wy, wz are in the body frame (x forward, y left, z up), in rad/s"));
+    inspection->drop_rates = true;
+    s->rates.reset();
+  }
+  const Matrix3d R_SI = vehicle.imu ? (vehicle.odometry.q_BS.conjugate() * vehicle.imu->q_BS)
+                                          .toRotationMatrix()
+                                    : Matrix3d::Identity();
+  const std::string gyro = WrongRates(w, w.gyro, R_SI);
+  if (gyro.empty()) return;
+  inspection->findings.push_back(
+      Dropped("gyro", "the attitude is not the integral of the gyro, which " + gyro,
+              "gyro rates are in the frame that the vehicle file's imu states, in rad/s"));
+  inspection->drop_gyro = true;
+  s->gyro.reset();
+}
+
+// ---- Attitude ------------------------------------------------------------------------------------
+
+/// A mistake in reading a pose: of the quaternion, and of the axes of world and body.
+struct PoseMistake {
+  std::string name, mend;
+  Quaterniond (*read)(const Quaterniond& q);
+  bool world_down, body_down;
+};
+
+Quaterniond AsIs(const Quaterniond& q) { return q; }
+Quaterniond Conjugate(const Quaterniond& q) { return q.conjugate(); }
+// The file holds x, y, z, w and was read as w, x, y, z; and the other way round.
+Quaterniond LastIsW(const Quaterniond& q) { return {q.z(), q.w(), q.x(), q.y()}; }
+Quaterniond FirstIsW(const Quaterniond& q) { return {q.x(), q.y(), q.z(), q.w()}; }
+
+const std::vector<PoseMistake>& PoseMistakes() {
+  static const char kOrder[] = "give the quaternion as qw, qx, qy, qz";
+  static const char kFrames[] = "turn the pose into a world with z up and a body with x forward, "
+                                "y left, z up";
+  static const std::vector<PoseMistake> kAll = {
+      {"as it is", "", AsIs, false, false},
+      {"as a conjugated quaternion (world to body)", "conjugate it: it must take body vectors into "
+       "the world", Conjugate, false, false},
+      {"as a quaternion in the order x, y, z, w", kOrder, LastIsW, false, false},
+      {"as a quaternion whose first number was taken for the last", kOrder, FirstIsW, false, false},
+      {"in a world with z down and a body with z down (NED, FRD)", kFrames, AsIs, true, true},
+      {"in a world with z down (NED)", kFrames, AsIs, true, false},
+      {"with a body whose z points down (FRD)", kFrames, AsIs, false, true}};
+  return kAll;
+}
+
+/// Specific force across the thrust axis, and what is missing of it along the axis; in B.
+Matrix3Xd AcrossThrust(const MotionWindows& w, const Vehicle& vehicle, const PoseMistake& mistake) {
+  const Matrix3d down = Vector3d(1.0, -1.0, -1.0).asDiagonal();
+  const Matrix3d world = mistake.world_down ? down : Matrix3d::Identity();
+  const Matrix3d body = mistake.body_down ? down : Matrix3d::Identity();
+  const Matrix3d R_BS = vehicle.odometry.q_BS.toRotationMatrix();
+  Matrix3Xd across(3, w.size());
+  for (int i = 0; i < w.size(); ++i) {
+    const Matrix3d R_WS = world * mistake.read(w.q_WS[i]).toRotationMatrix() * body;
+    const Vector3d a_W = w.acceleration_W.col(i);
+    const Vector3d force_W = world * a_W + vehicle.gravity_m_s2 * Vector3d::UnitZ();
+    Vector3d force_B = R_BS * R_WS.transpose() * force_W;
+    force_B.z() = force_B.z() - force_W.norm();
+    across.col(i) = force_B;
+  }
+  return across;
+}
+
+void CheckAttitude(const MotionWindows& w, const Vehicle& vehicle, StreamInspection* inspection) {
+  std::vector<Explanation> readings;
+  for (const PoseMistake& mistake : PoseMistakes()) {
+    readings.push_back({mistake.name, AcrossThrust(w, vehicle, mistake)});
+  }
+  const Verdict verdict = Judge(readings, kWindowsPerBlock);
+  if (!verdict.mistaken()) return;
+  const PoseMistake& mistake = PoseMistakes()[verdict.best];
+  inspection->refusal = "the attitude does not point the thrust where the vehicle accelerates: it "
+                        "fits " + mistake.name + " (specific force across the thrust axis " +
+                        Text(verdict.best_error_rms) + " m/s^2 RMS instead of " +
+                        Text(verdict.error_rms) + ")";
+  inspection->findings.push_back({"attitude", Trust::kBad, inspection->refusal, mistake.mend});
+  inspection->refusal += "; " + mistake.mend;
+}
+
+// ---- Accelerometer -------------------------------------------------------------------------------
+
+void CheckAccelerometer(const MotionWindows& w, const Vehicle& vehicle, MotionSignals* s,
+                        StreamInspection* inspection) {
+  if (w.accelerometer.cols() == 0) return;
+  const double g = vehicle.gravity_m_s2;
+  const Matrix3d R_IS = vehicle.imu ? (vehicle.imu->q_BS.conjugate() * vehicle.odometry.q_BS)
+                                          .toRotationMatrix()
+                                    : Matrix3d::Identity();
+  const Matrix3Xd up_W = (g * Vector3d::UnitZ()).replicate(1, w.size());
+  const Matrix3Xd up_I = R_IS * Turned(w.q_WS, up_W, true);
+  const Matrix3Xd force_I = R_IS * Turned(w.q_WS, w.acceleration_W + up_W, true);
+  const Matrix3Xd& x = w.accelerometer;
+  const Matrix3Xd turned = R_IS * Turned(w.q_WS, x, true);
+  std::vector<Explanation> readings = {{"as it is", x - force_I},
+                                       {"in g", g * x - force_I},
+                                       {"in the world frame", turned - force_I},
+                                       {"in the world frame, in g", g * turned - force_I},
+                                       {"without gravity", x + up_I - force_I},
+                                       {"without gravity, in the world frame", turned + up_I - force_I},
+                                       {"without gravity, in g", g * x + up_I - force_I}};
+  for (const Matrix3d& axes : AxisMistakes()) {
+    if (!axes.isIdentity()) readings.push_back({"with axes " + AxesText(axes), axes * x - force_I});
+  }
+  const Verdict verdict = Judge(readings, kWindowsPerBlock);
+  if (!verdict.mistaken()) return;
+  inspection->findings.push_back(
+      Dropped("accelerometer",
+              "the accelerometer is not the specific force that the pose shows: it fits " +
+                  readings[verdict.best].name + " (" + Text(verdict.best_error_rms) +
+                  " m/s^2 RMS left instead of " + Text(verdict.error_rms) + ")",
+              "columns ax, ay, az are specific force in the sensor's frame, +9.8 on z at hover, "
+              "in m/s^2"));
+  inspection->drop_accelerometer = true;
+  s->accelerometer.reset();
+}
+
+}  // namespace
+
+void CheckMotion(const Vehicle& vehicle, const std::vector<bool>& flight, MotionSignals* signals,
+                 StreamInspection* inspection) {
+  const MotionWindows windows = WindowsOf(*signals, flight);
+  CheckAttitude(windows, vehicle, inspection);
+  if (!inspection->refusal.empty()) return;
+  CheckVelocity(windows, signals, inspection);
+  CheckRates(windows, vehicle, signals, inspection);
+  CheckAccelerometer(windows, vehicle, signals, inspection);
+}
+
+}  // namespace odmc
