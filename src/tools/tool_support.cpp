@@ -121,10 +121,12 @@ void RefuseLeaps(const FlightLog& log, const std::string& file) {
     const Stamp before = log.odometry[i - 1].stamp, step = log.odometry[i].stamp - before;
     if (step <= kDay) continue;
     const double at_s = ToSeconds(before - log.odometry.front().stamp);
-    throw std::invalid_argument(file + ": time leaps by " + FormatNumber(std::round(ToSeconds(step))) +
-                                " s, " + FormatNumber(at_s) +
-                                " s after the first pose: the clock was set or recordings were "
-                                "joined; --start and --end cut the flight out");
+    char text[160];
+    std::snprintf(text, sizeof text,
+                  ": time leaps by %.0f s, %.3f s after the first pose: the clock was set or "
+                  "recordings were joined; --start and --end cut the flight out",
+                  ToSeconds(step), at_s);
+    throw std::invalid_argument(file + text);
   }
 }
 

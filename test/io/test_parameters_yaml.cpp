@@ -129,6 +129,23 @@ TEST(ParametersYaml, BadFilesAreRefused) {
                     "negative variance");
 }
 
+// In other units every entry has another size: correlations tell.
+TEST(ParametersYaml, CovariancesThatAreNoneAreRefused) {
+  const auto with = [](const std::string& matrix) {
+    return Parse("effects: [thrust, drag]\n"
+                 "parameters: {thrust.k_f: {value: 1.0e-06}, drag.d_x: {value: -0.1}}\n"
+                 "covariance: {order: [thrust.k_f, drag.d_x], matrix: " +
+                 matrix + "}\n");
+  };
+  EXPECT_NO_THROW(with("[[1.0e-18, 0.9e-10], [0.9e-10, 1.0e-02]]"));
+  EXPECT_NO_THROW(with("[[1.0e-18, 1.0e-10], [1.0000001e-10, 1.0e-02]]"));  // rounded
+  EXPECT_NO_THROW(with("[[0.0, 0.0], [0.0, 1.0e-02]]"));
+  ODMC_EXPECT_ERROR(with("[[1.0e-18, 0.9e-10], [0.5e-10, 1.0e-02]]"), "matrix: is not symmetric");
+  ODMC_EXPECT_ERROR(with("[[1.0e-18, 1.1e-10], [1.1e-10, 1.0e-02]]"), "matrix: is not positive");
+  ODMC_EXPECT_ERROR(with("[[0.0, 1.0e-10], [1.0e-10, 1.0e-02]]"), "variance of zero beside");
+  ODMC_EXPECT_ERROR(with("[[1.0e-320, 1.0e+300], [1.0e+300, 1.0e-02]]"), "matrix: is not ");
+}
+
 TEST(ParametersYaml, UnwritableFileIsARuntimeError) {
   EXPECT_THROW(SaveParameters(Sample(), "/no/such/folder/p.yaml"), std::runtime_error);
 }

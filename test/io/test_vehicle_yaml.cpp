@@ -210,6 +210,21 @@ TEST(VehicleYaml, BodyFrameFixesTheMount) {
                     "odometry.q_BS_xyzw: has norm 2");
 }
 
+TEST(VehicleYaml, ActuatorMustBeARegularFile) {
+  ODMC_EXPECT_ERROR(With("actuator: /dev/zero\n"), "actuator: /dev/zero: is no regular file");
+  ODMC_EXPECT_ERROR(With("actuator: /tmp\n"), "actuator: /tmp: is a folder");
+}
+
+TEST(VehicleYaml, SettingsThatNoVehicleHasAreRefused) {
+  ODMC_EXPECT_ERROR(WithThrust("1.0e+300"), "parameters.thrust.k_f.value: 1e+300 is implausible");
+  ODMC_EXPECT_ERROR(With("parameters: {drag.d_x: {value: 1.0e+300}}\n"),
+                    "parameters.drag.d_x.value: 1e+300 N s/m is implausible");
+  ODMC_EXPECT_ERROR(With("parameters: {drag.d_x: {sigma: 1.0e-300}}\n"),
+                    "parameters.drag.d_x.sigma: 1e-300 N s/m is implausible");
+  ODMC_EXPECT_ERROR(Parse(std::string(kMass) + "inertia_kg_m2: [2.5, 2.1, 4.3]\n" + kRotors),
+                    "inertia_kg_m2 is implausible");
+}
+
 TEST(VehicleYaml, MissingFileIsNamed) {
   ODMC_EXPECT_ERROR(LoadVehicle("/no/such.yaml"), "/no/such.yaml: cannot be opened");
 }

@@ -8,6 +8,8 @@
 
 #include <cmath>
 #include <filesystem>
+#include <fstream>
+#include <iterator>
 #include <random>
 
 #include "odmc/MotorCommands.h"
@@ -431,6 +433,101 @@ TEST_F(FlightBag, BagsThatEndInZerosAreRefusedInWords) {
     std::filesystem::resize_file(File(), size);
     ODMC_EXPECT_ERROR(Read(), "truncated");
   }
+}
+
+// ---- Damage ------------------------------------------------------------------------------------
+
+std::string Content(const std::string& file) {
+  std::ifstream in(file, std::ios::binary);
+  return {std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+}
+
+/// One of: bits flipped, a huge number, a stretch of zeros, the end cut off.
+std::string Damaged(std::string bag, std::mt19937* generator) {
+  const auto below = [&](size_t n) { return (*generator)() % n; };
+  const size_t at = below(bag.size() - 600);
+  switch (below(4)) {
+    case 0:
+      for (size_t flips = 1 + below(20); flips > 0; --flips) {
+        bag[below(bag.size())] ^= static_cast<char>(1 << below(8));
+      }
+      return bag;
+    case 1:
+      return bag.replace(at, 4, "\xff\xff\xff\x7f");
+    case 2:
+      return bag.replace(at, 512, std::string(512, '\0'));
+    default:
+      return bag.substr(0, at);
+  }
+}
+
+// Half of the damage is done where the records' headers are thick: the list of chunks at the end.
+TEST_F(FlightBag, DamageEndsInASentence) {
+  std::mt19937 generator(11);
+  int refused = 0;
+  for (const auto compression : {rosbag::CompressionType::Uncompressed, rosbag::CompressionType::LZ4,
+                                 rosbag::CompressionType::BZ2}) {
+    WriteBag([&](rosbag::Bag* bag) {
+      bag->setCompression(compression);
+      bag->setChunkThreshold(20000);
+      WriteOdometry(bag, "/odometry");
+      WriteRotors(bag, "/rotor_speeds");
+    });
+    const std::string sound = Content(File());
+    const size_t tail = sound.size() - 2000;
+    for (int i = 0; i < 20; ++i) {
+      const std::string bag =
+          i % 2 == 0 ? Damaged(sound, &generator)
+                     : sound.substr(0, tail) + Damaged(sound.substr(tail), &generator);
+      folder_.Write("f.bag", bag);
+      try {
+        EXPECT_LE(Read().odometry.size(), 300u);
+      } catch (const std::invalid_argument& e) {
+        EXPECT_EQ(std::string(e.what()).rfind(File() + ": ", 0), 0u) << e.what();
+        ++refused;
+      }
+    }
+  }
+  EXPECT_GE(refused, 40);
+}
+
+// The library would take the count as it finds it and lose messages without a word.
+TEST_F(FlightBag, IndexThatDisagreesIsRefused) {
+  WriteBag([&](rosbag::Bag* bag) {
+    WriteOdometry(bag, "/odometry");
+    WriteRotors(bag, "/rotor_speeds");
+  });
+  std::string bag = Content(File());
+  const size_t index = bag.find(std::string("count=\x2c\x01\0\0", 10));  // 300
+  ASSERT_NE(index, std::string::npos);
+  bag[index + 6] = 20;
+  folder_.Write("f.bag", bag);
+  ODMC_EXPECT_ERROR(Read(), "f.bag: is damaged or truncated: a chunk's index disagrees");
+}
+
+TEST_F(FlightBag, OneStampThatLeapsIsLeftOut) {
+  WriteBag([&](rosbag::Bag* bag) {
+    int i = 0;
+    WriteOdometry(bag, "/odometry", true, [&](nav_msgs::Odometry* m) {
+      if (++i == 50) m->header.stamp.sec += 1 << 20;
+    });
+    WriteRotors(bag, "/rotor_speeds");
+  });
+  const FlightLog log = Read();
+  EXPECT_EQ(log.odometry.size(), 299u);
+  ASSERT_EQ(log.warnings.size(), 1u);
+  EXPECT_TRUE(Contains(log.warnings[0], "dropped 1 samples whose stamp leaps ahead"));
+}
+
+TEST_F(FlightBag, NamesOfTopicsArePrintable) {
+  WriteBag([&](rosbag::Bag* bag) {
+    WriteOdometry(bag, "/\x1b[2J/odometry", true,
+                  [](nav_msgs::Odometry* m) { m->twist.twist = geometry_msgs::Twist(); });
+    WriteRotors(bag, "/rotor_speeds");
+  });
+  const FlightLog log = Read();
+  ASSERT_EQ(log.warnings.size(), 2u);
+  EXPECT_TRUE(Contains(log.warnings[0], "/\\x1b[2J/odometry")) << log.warnings[0];
 }
 
 }  // namespace

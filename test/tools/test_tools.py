@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -391,6 +392,86 @@ class ToolsTest(unittest.TestCase):
         self.expect(1, 'has no commands to take rotor speeds from', 'calibrate', self.flight(),
                     '--vehicle', VEHICLE, '--rotor-speed-from', 'commands', '--out',
                     self.path('bad'))
+
+    def test_escape_sequences_are_not_echoed(self) -> None:
+        evil = '\x1b[2Jevil'
+        with open(self.flight(), encoding='utf-8') as file:
+            header, *rows = file.read().splitlines()
+        flight = self.write(f'{evil}.csv', '\n'.join([f'{header},{evil}'] +
+                                                     [f'{row},1' for row in rows]))
+        out = self.path('evil')
+        done = run('calibrate', flight, '--vehicle', VEHICLE, '--out', out)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        with open(os.path.join(out, 'report.json'), encoding='utf-8') as file:
+            report = file.read()
+        with open(os.path.join(out, 'report.html'), encoding='utf-8') as file:
+            page = file.read()
+        for text in (done.stdout, done.stderr, report, page):
+            self.assertNotIn('\x1b', text)
+            self.assertNotIn('\\u001b', text)
+        self.assertIn('unknown columns ignored: \\x1b[2Jevil', done.stdout)
+        self.expect(1, '\\x1b[2Jnone.csv: cannot be opened', 'calibrate', '\x1b[2Jnone.csv',
+                    '--vehicle', VEHICLE, '--out', out)
+
+    def test_flat_frame_is_used_with_a_warning(self) -> None:
+        with open(VEHICLE, encoding='utf-8') as file:
+            flat = file.read().replace('[0.0025, 0.0025, 0.0043]', '[0.002, 0.002, 0.0043]')
+        vehicle = self.write('flat.yaml', flat)
+        flight = self.path('flat.csv')
+        done = run('simulate', '--vehicle', vehicle, '--trajectory', 'octo', '--seed', '1',
+                   '--duration', '5', '--out', flight)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn('warning: the vehicle file\'s inertia breaks the triangle', done.stderr)
+        done = run('calibrate', flight, '--vehicle', vehicle, '--no-report', '--out',
+                   self.path('flat'))
+        self.assertEqual(done.returncode, 0, done.stderr)
+        warnings = read_json(self.path('flat'), 'report.json')['warnings']
+        self.assertTrue(any('triangle inequality' in w for w in warnings), warnings)
+
+    def test_values_that_no_vehicle_has_are_refused(self) -> None:
+        with open(self.path('new/folder/flight_truth.yaml'), encoding='utf-8') as file:
+            text = file.read()
+        for key, value in (('thrust.k_f', '1.0e+300'), ('inertia.x', '2.5')):
+            wrong = re.sub(key + r': {value: [^,]*', f'{key}: {{value: {value}', text)
+            self.expect(1, f'wrong.yaml: parameters.{key}.value: ', 'calibrate', self.flight(),
+                        '--vehicle', VEHICLE, '--parameters', self.write('wrong.yaml', wrong),
+                        '--out', self.path('wrong'))
+        with open(VEHICLE, encoding='utf-8') as file:
+            vehicle = self.write('zero.yaml', file.read() + 'actuator: /dev/zero\n')
+        self.expect(1, 'actuator: /dev/zero: is no regular file', 'calibrate', self.flight(),
+                    '--vehicle', vehicle, '--out', self.path('wrong'))
+
+    def test_clock_that_was_set_is_named(self) -> None:
+        flight = self.changed('set.csv', 't', lambda t: t + 1.7e9, range(1000, 5000))
+        self.expect(1, 'set.csv: time leaps by 1700000000 s, 2.498 s after the first pose',
+                    'calibrate', flight, '--vehicle', VEHICLE, '--out', self.path('set'))
+        done = run('calibrate', flight, '--vehicle', VEHICLE, '--no-report', '--end', '2.4',
+                   '--out', self.path('set'))
+        self.assertEqual(done.returncode, 0, done.stderr)
+
+    def grows_by(self, durations: Any, *command: str) -> float:
+        """Bytes of peak memory per sample, between flights of two lengths at 400 Hz."""
+        peaks = []
+        for duration in durations:
+            arguments = [a.replace('DURATION', str(duration)) for a in command]
+            with subprocess.Popen([os.path.join(TOOLS, arguments[0]), *arguments[1:]],
+                                  stdout=subprocess.DEVNULL) as process:
+                _, status, usage = os.wait4(process.pid, 0)
+                process.returncode = status
+            self.assertEqual(status, 0, command)
+            peaks.append(1024.0 * usage.ru_maxrss)
+        return (peaks[1] - peaks[0]) / (400.0 * (durations[1] - durations[0]))
+
+    def test_memory_grows_with_the_log_only(self) -> None:
+        # A sample of the log has 300 bytes (pose, rotors, battery). Truth, predictions and history
+        # have 2000, kept by none of the tools.
+        flight = self.path('long_DURATION.csv')
+        durations = (20, 120)
+        self.assertLess(self.grows_by(durations, 'simulate', '--vehicle', VEHICLE, '--trajectory',
+                                      'octo', '--duration', 'DURATION', '--seed', '1', '--out',
+                                      flight), 600.0)
+        self.assertLess(self.grows_by(durations, 'calibrate', flight, '--vehicle', VEHICLE,
+                                      '--no-report', '--out', self.path('long')), 900.0)
 
     def test_catalogue_names_every_effect(self) -> None:
         for flags in ((), ('--markdown',)):
