@@ -56,6 +56,7 @@ int main(int argc, char** argv) {
     tools::ProgressBar bar(log.file);
     Calibration result = Calibrate(log, recording, file_vehicle, model, options, bar.Callback());
     AddInspection(inspection, &result);
+    WidenForOffsets(log, model, options, &result);
     if (left_out_s > 0.0) {
       result.left_out = PredictLeftOut(log, recording, file_vehicle, model, options, left_out_s);
     }
