@@ -182,6 +182,26 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   return result;
 }
 
+void WidenForOffsets(const FlightLog& log, const DynamicModel& model,
+                     const EstimatorOptions& options, Calibration* calibration) {
+  const Eigen::VectorXd values = calibration->replay.last->values;
+  ParameterSet& set = calibration->parameters;
+  for (const TimeOffset& offset : calibration->time_offsets) {
+    if (offset.compensated_s == 0.0) continue;
+    FlightLog moved = log;
+    ShiftStream(offset.stream, offset.lag.sigma_s(), &moved);
+    Estimator estimator(&model, options, !log.rotor_rms_only);
+    const ReplayResult replay = Replay(moved, &estimator);
+    if (!replay.last) continue;
+    const Eigen::VectorXd change = replay.last->values - values;
+    for (size_t i = 0; i < set.parameters.size(); ++i) {
+      ParameterEstimate& p = set.parameters[i];
+      if (p.estimated) p.sigma = std::hypot(p.sigma, change[static_cast<Eigen::Index>(i)]);
+    }
+    if (set.covariance.rows() == change.size()) set.covariance += change * change.transpose();
+  }
+}
+
 LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,
                        const Vehicle& file_vehicle, const DynamicModel& model,
                        const EstimatorOptions& options, double block_s) {

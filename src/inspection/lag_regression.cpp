@@ -28,7 +28,11 @@ constexpr double kLeastShare = 0.333;
 // the lag by up to this time where both are alike. (Own offsets on flights whose stamps are right:
 // 15 flights of shared data and simulators with shares of 0.01 to 1 stay within 3 sigma of it.)
 constexpr double kAnswer_s = 0.005;
+// What an onboard observer leaves of a velocity (its error over the signal) comes with a lag of up
+// to this time that is its own, not the stamps'.
+constexpr double kFilter_s = 0.2;
 constexpr double kMostNoise = 0.1, kLeastLeft = 0.1;  // shares
+constexpr double kFinest_s = 0.0004;   // parabolas are refined down to
 constexpr double kSlopeStep = 0.25;   // of the grid: slopes of the likelihood are taken over
 
 /// What one lag explains.
@@ -81,6 +85,7 @@ class Regression {
     return At(MatrixXd::Zero(static_cast<Eigen::Index>(rows_.size()), moving()));
   }
   double BandShare(double lag_s) const;
+  double StructuredShare(const MatrixXd& residual, double all) const;
   Lag Judge(double lag_s) const;
 
   const LagProblem& p_;
@@ -273,7 +278,7 @@ void Regression::Scan() {
 
 // The best lag near this one: parabolas through three, closer and closer.
 double Regression::Refine(double lag_s) const {
-  for (double step_s = 0.5 * p_.step_s; step_s > 0.05 * p_.step_s; step_s *= 0.5) {
+  for (double step_s = 0.5 * p_.step_s; step_s > kFinest_s; step_s *= 0.5) {
     const double before = AtLag(lag_s - step_s).sum(), here = AtLag(lag_s).sum(),
                  after = AtLag(lag_s + step_s).sum();
     const double bend = before - 2.0 * here + after;
@@ -379,6 +384,20 @@ double Regression::BandShare(double lag_s) const {
   return Median(shares);
 }
 
+// Share of the signal that is neither explained nor white noise of what the signal is a difference
+// of: such noise has half of its square, negative, one width later, what changes slowly all of it.
+double Regression::StructuredShare(const MatrixXd& residual, double all) const {
+  const int width = std::max(1, static_cast<int>(std::lround(p_.width_s / p_.step_s)));
+  double later = 0.0, same = 0.0;
+  for (size_t r = static_cast<size_t>(width); r < rows_.size(); ++r) {
+    if (rows_[r] - rows_[r - static_cast<size_t>(width)] != width) continue;
+    const auto i = static_cast<Eigen::Index>(r);
+    later += weights_[i] * residual.row(i).dot(residual.row(i - width));
+    same += weights_[i] * residual.row(i).squaredNorm();
+  }
+  return all > 0.0 ? std::clamp((same + 2.0 * later) / (3.0 * all), 0.0, 1.0) : 0.0;
+}
+
 // What the likelihood around its best lag says.
 Lag Regression::Judge(double lag_s) const {
   const double step_s = kSlopeStep * p_.step_s, b = blocks_;
@@ -398,6 +417,7 @@ Lag Regression::Judge(double lag_s) const {
   lag.explained = all > 0.0 ? 1.0 - left / all : 0.0;
   const double uncured = (weights_.transpose() * AtLag(0.0).residual.cwiseAbs2()).sum();
   lag.cured = uncured > 0.0 ? 1.0 - left / uncured : 0.0;
+  if (order_ == 0) lag.pull_s = kFilter_s * std::sqrt(StructuredShare(here.residual, all));
   if (order_ > 0) {
     lag.band_share = BandShare(lag_s);
     const double share = std::clamp(lag.band_share, kLeastShare, 1.0);

@@ -77,16 +77,17 @@ void ShiftRates(double late_s, FlightLog* log) {
   ShiftMember(late_s, &OdometrySample::w_WS_S, log);
 }
 
+void ShiftStream(const std::string& stream, double late_s, FlightLog* log) {
+  if (stream == "rotor_speeds") ShiftRotors(late_s, log);
+  if (stream == "velocity") ShiftVelocity(late_s, log);
+  if (stream == "body_rates") ShiftRates(late_s, log);
+  if (stream == "gyro" || stream == "accelerometer") ShiftImu(late_s, log);
+}
+
 void MendStreams(const StreamInspection& inspection, FlightLog* log) {
   Drop(inspection, log);
   for (const TimeOffset& offset : inspection.offsets) {
-    if (offset.compensated_s == 0.0) continue;
-    if (offset.stream == "rotor_speeds") ShiftRotors(offset.compensated_s, log);
-    if (offset.stream == "velocity") ShiftVelocity(offset.compensated_s, log);
-    if (offset.stream == "body_rates") ShiftRates(offset.compensated_s, log);
-    if (offset.stream == "gyro") ShiftImu(offset.compensated_s, log);
-    // The accelerometer shares the gyro's stamps.
-    if (offset.stream == "accelerometer") ShiftImu(offset.compensated_s, log);
+    if (offset.compensated_s != 0.0) ShiftStream(offset.stream, offset.compensated_s, log);
   }
 }
 

@@ -14,13 +14,11 @@ namespace {
 // observer) makes it up to 10 ms late or early against the pose by itself.
 constexpr double kLeastRotorOffset_s = 0.005, kLeastFilterOffset_s = 0.010;
 constexpr double kSigmas = 3.0;
-// An onboard observer's velocity lags its position by up to 30 ms in part of its band (jana04), an
-// accelerometer shows a swinging load that the pose does not. A wrong stamp is a lag of the whole:
-// taking it off must cure this share of the disagreement, or of a lag longer than filters have a
-// part that is not noise.
-constexpr double kRatesCured = 0.2, kVelocityCured = 0.4, kAccelerometerCured = 0.5;
-constexpr double kLaterThanFilters_s = 0.04, kLeastCured = 0.1;
-constexpr double kWellKnown_s = 0.005;
+// What an observer's own lag is, Lag::pull_s says. A wrong stamp is besides a lag of the whole:
+// taking it off cures part of the disagreement. (An accelerometer shows a swinging load that the
+// pose does not; it must cure half.)
+constexpr double kVelocityCured = 0.05, kRatesCured = 0.2, kAccelerometerCured = 0.5;
+constexpr double kWellKnown_s = 0.01;
 
 std::string Milliseconds(double seconds) {
   char text[32];
@@ -36,10 +34,9 @@ std::string Called(const std::string& stream) {
   return "velocity is";
 }
 
-double MustCure(const std::string& stream, double size_s) {
+double MustCure(const std::string& stream) {
   if (stream == "accelerometer") return kAccelerometerCured;
-  if (stream != "velocity") return kRatesCured;
-  return size_s > kLaterThanFilters_s ? kLeastCured : kVelocityCured;
+  return stream == "velocity" ? kVelocityCured : kRatesCured;
 }
 
 bool IsWrong(const TimeOffset& offset) {
@@ -47,7 +44,7 @@ bool IsWrong(const TimeOffset& offset) {
   const double size_s = std::abs(lag.lag_s);
   if (!lag.determined() || size_s < kSigmas * lag.sigma_s()) return false;
   if (offset.stream == "rotor_speeds") return size_s > kLeastRotorOffset_s;
-  return size_s > kLeastFilterOffset_s && lag.cured > MustCure(offset.stream, size_s);
+  return size_s > kLeastFilterOffset_s && lag.cured > MustCure(offset.stream);
 }
 
 Finding OffsetFinding(const TimeOffset& offset) {
@@ -94,17 +91,15 @@ void TakeImu(const MotionSignals& signals, const Vehicle& vehicle, const std::ve
 
 void InspectOffsets(const MotionSignals& signals, const Vehicle& vehicle,
                     const std::vector<bool>& flight, StreamInspection* inspection) {
-  Take(VelocityOffset(signals, flight), inspection);
+  const double velocity_s = Take(VelocityOffset(signals, flight), inspection);
   const double rates_s = Take(RatesOffset(signals, flight), inspection);
   TakeImu(signals, vehicle, flight, inspection);
-  auto rotors = RotorOffset(signals, vehicle, flight);
-  const auto thrust = ThrustOffset(signals, vehicle, flight);
-  // One speed for all rotors moves no torque.
-  if (!rotors || (thrust && !rotors->lag.determined() && thrust->lag.determined())) rotors = thrust;
-  if (!rotors) return;
-  // Relative to rates that are late themselves.
-  if (rotors->against == "body_rates") rotors->lag.lag_s += rates_s;
-  Take(rotors, inspection);
+  auto torque = RotorOffset(signals, vehicle, flight);
+  auto thrust = ThrustOffset(signals, vehicle, flight);
+  // Relative to streams that are late themselves.
+  if (torque && torque->against == "body_rates") torque->lag.lag_s += rates_s;
+  if (thrust && thrust->against == "velocity") thrust->lag.lag_s += velocity_s;
+  Take(Together(torque, thrust), inspection);
 }
 
 }  // namespace

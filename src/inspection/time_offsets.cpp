@@ -18,6 +18,10 @@ constexpr double kSlowWidth_s = 0.1;
 // sqrt(2) steps has its variance in time.
 constexpr double kHat = 1.414;
 
+// As kAnswer_s of lag_regression.cpp, for thrust, which a position controller answers with, five
+// times slower.
+constexpr double kThrustAnswer_s = 0.025, kLeastShare = 0.1;
+
 /// Even grid over the flight, no finer than the streams are.
 LagProblem Grid(const SampledSignal& still, const SampledSignal& moving, int channels, int fixed) {
   LagProblem p;
@@ -175,7 +179,35 @@ std::optional<TimeOffset> ThrustOffset(const MotionSignals& s, const Vehicle& ve
     p.fixed.row(i) << v_B.z(), v_B.head<2>().squaredNorm(), 1.0;
     return true;
   });
-  return Offset(p, "rotor_speeds", s.velocity ? "velocity" : "position");
+  auto offset = Offset(p, "rotor_speeds", s.velocity ? "velocity" : "position");
+  // Thrust is read between 3 and 20 Hz by nobody: it is judged by what it explains of all.
+  if (offset) {
+    const double share = std::clamp(offset->lag.explained, kLeastShare, 1.0);
+    offset->lag.pull_s = kThrustAnswer_s * (1.0 - share) / share;
+  }
+  return offset;
+}
+std::optional<TimeOffset> Together(const std::optional<TimeOffset>& a,
+                                   const std::optional<TimeOffset>& b) {
+  if (!a || !a->lag.determined()) return b && b->lag.determined() ? b : a;
+  if (!b || !b->lag.determined()) return a;
+  const auto precision = [](const TimeOffset& offset) {
+    return 1.0 / (offset.lag.sigma_s() * offset.lag.sigma_s());
+  };
+  const double share = precision(*b) / (precision(*a) + precision(*b));
+  TimeOffset both = share < 0.5 ? *a : *b;
+  both.lag.lag_s = (1.0 - share) * a->lag.lag_s + share * b->lag.lag_s;
+  // Where they contradict each other by more than their sigmas, these are too small.
+  const double apart_s = b->lag.lag_s - a->lag.lag_s;
+  const double expected_s = std::hypot(a->lag.sigma_s(), b->lag.sigma_s());
+  const double widen = std::max(1.0, std::abs(apart_s) / expected_s);
+  const auto mixed = [&](double Lag::*part) {
+    return widen * std::hypot((1.0 - share) * a->lag.*part, share * b->lag.*part);
+  };
+  const double scatter_s = mixed(&Lag::scatter_s), pull_s = mixed(&Lag::pull_s);
+  both.lag.scatter_s = scatter_s;
+  both.lag.pull_s = pull_s;
+  return both;
 }
 
 }  // namespace odmc

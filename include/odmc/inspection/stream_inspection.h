@@ -31,6 +31,8 @@ StreamInspection InspectStreams(const FlightLog& log, const Vehicle& vehicle);
 void MendStreams(const StreamInspection& inspection, FlightLog* log);
 
 /// Takes an offset off the stamps of a stream. @param late_s > 0: the stamps are too late
+/// @param stream as in TimeOffset; gyro and accelerometer share their stamps
+void ShiftStream(const std::string& stream, double late_s, FlightLog* log);
 void ShiftRotors(double late_s, FlightLog* log);
 void ShiftImu(double late_s, FlightLog* log);
 void ShiftVelocity(double late_s, FlightLog* log);

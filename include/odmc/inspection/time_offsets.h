@@ -39,4 +39,9 @@ std::optional<TimeOffset> RotorOffset(const MotionSignals& signals, const Vehicl
 std::optional<TimeOffset> ThrustOffset(const MotionSignals& signals, const Vehicle& vehicle,
                                        const std::vector<bool>& flight);
 
+/// Mean of two offsets of one stream, weighed by their precision; the sigma grows where they
+/// contradict each other. One that is not determined leaves the other.
+std::optional<TimeOffset> Together(const std::optional<TimeOffset>& a,
+                                   const std::optional<TimeOffset>& b);
+
 }  // namespace odmc
