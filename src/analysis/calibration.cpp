@@ -16,8 +16,11 @@ namespace {
 
 constexpr double kSettling_s = 2.0;       // left out of the timing
 constexpr double kConvergedShare = 0.05;  // of the final value
+constexpr double kLeastFlight_s = 3.0;    // what the window holds before anything may leave it
 constexpr double kMostBlocks = 1000.0;    // to leave out in turn
 constexpr double kInertiaLow = 0.5, kInertiaHigh = 2.0;
+constexpr double kSignSigmas = 3.0;      // one-sided, by chance once in 740 parameters
+constexpr double kKnownInertia = 0.1;    // of the value: far below the vehicle file's 40 %
 constexpr double kGainLow = 0.85, kGainHigh = 1.15;
 
 std::string Text(double value) {
@@ -89,6 +92,45 @@ void WarnOfSlowOdometry(const FlightLog& log, const ReplayResult& replay,
       Span(log.rotors, log) + ")");
 }
 
+/// The rotor torque gain, where the estimate knows the inertia as that gives it: measured torque is
+/// made with the vehicle file's, which may be off.
+PredictionFigures::Axes GainByEstimate(const DynamicModel& model, const ModelValues& values,
+                                       const Eigen::VectorXd& sigma,
+                                       const PredictionFigures& figures) {
+  PredictionFigures::Axes gain = figures.rotor_torque_gain;
+  if (!gain || !figures.inertia_over_nominal) return gain;
+  for (int axis = 0; axis < 3; ++axis) {
+    const int k = model.IndexOf(std::string("inertia.") + "xyz"[axis]);
+    const bool knows = k >= 0 && sigma[k] > 0.0 && sigma[k] < kKnownInertia * values[k];
+    if (knows) (*gain)[axis] *= (*figures.inertia_over_nominal)[axis];
+  }
+  return gain;
+}
+
+/// Brings the sigmas to what the thirds of the flight show.
+void WidenBy(const std::vector<ThirdsDifference>& thirds, Snapshot* snapshot) {
+  for (const ThirdsDifference& d : thirds) {
+    snapshot->sigma[d.index] *= d.widening;
+    snapshot->covariance.row(d.index) *= d.widening;
+    snapshot->covariance.col(d.index) *= d.widening;
+  }
+}
+
+/// A result that rests on a few moments of flight, or shows no thrust.
+std::vector<Finding> LittleFlight(const ReplayResult& replay, const DynamicModel& model) {
+  const int k_f = model.IndexOf("thrust.k_f");
+  const bool is_hidden =
+      k_f >= 0 && model.parameters()[k_f].estimated && !replay.last->observable[k_f];
+  if (replay.counters.airborne_s >= kLeastFlight_s && !is_hidden) return {};
+  Finding finding;
+  finding.check = "short_flight";
+  finding.leaves = Trust::kDoubtful;
+  finding.what = "the estimate rests on " + Text(replay.counters.airborne_s) + " s of free flight";
+  if (is_hidden) finding.what += ", which do not show thrust.k_f";
+  finding.mend = "a longer flight";
+  return {finding};
+}
+
 }  // namespace
 
 std::vector<std::string> FlightWarnings(const FlightLog& log, const ReplayResult& replay) {
@@ -155,6 +197,8 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
         " of the weight or the vehicle does not rise; check thrust.k_f, mass_kg and the unit of "
         "the rotor speeds");
   }
+  const std::vector<ThirdsDifference> thirds = estimator.LastLook();
+  WidenBy(thirds, &*result.replay.last);
   const Snapshot& last = *replay.last;
   const SynchroniserCounters& streams = replay.stream_counters;
   result.flight = {log.file, DurationOf(log), replay.counters.on_ground_s,
@@ -175,6 +219,8 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   result.warnings = FlightWarnings(log, replay);
   Append(ModelWarnings(model, last.values, last.sigma, result.prediction.figures),
          &result.warnings);
+  Append(LastLookFindings(model, last.values, thirds), &result.findings);
+  Append(LittleFlight(replay, model), &result.findings);
   Append(PhaseFindings(replay, options.detect_changes, result.first_stamp), &result.findings);
   for (const Finding& finding : result.findings) {
     if (finding.leaves != Trust::kGood) result.warnings.push_back(Sentence(finding));
@@ -313,7 +359,7 @@ std::vector<std::string> ModelWarnings(const DynamicModel& model, const ModelVal
   }
   for (int i = 0; i < model.num_parameters(); ++i) {
     const ModelParameter& p = model.parameters()[i];
-    if (HasWrongSign(p.spec.sign, values[i], sigma[i])) {
+    if (HasWrongSign(p.spec.sign, values[i], kSignSigmas * sigma[i])) {
       const bool feeds = p.spec.sign == PhysicalSign::kNegative;
       warnings.push_back(p.full_name + " = " + Text(values[i]) + " " + p.spec.unit +
                          " has an unphysical sign" + (feeds ? " (it feeds energy in)" : ""));
@@ -321,7 +367,8 @@ std::vector<std::string> ModelWarnings(const DynamicModel& model, const ModelVal
   }
   WarnOutside(figures.inertia_over_nominal, kInertiaLow, kInertiaHigh, "inertia over nominal",
               &warnings);
-  WarnOutside(figures.rotor_torque_gain, kGainLow, kGainHigh, "rotor torque gain", &warnings);
+  WarnOutside(GainByEstimate(model, values, sigma, figures), kGainLow, kGainHigh,
+              "rotor torque gain", &warnings);
   const auto& torque = figures.torque_rmse_Nm;
   const auto& zero = figures.zero_torque_rmse_Nm;
   const std::string axes = Axes(torque, [&](int i) { return zero && (*torque)[i] > (*zero)[i]; });

@@ -24,18 +24,6 @@ Finding SetAside(const PhaseSpan& span, Stamp zero) {
   return finding;
 }
 
-Finding Changed(Stamp stamp, Stamp zero) {
-  Finding finding;
-  finding.check = "vehicle_changed";
-  finding.leaves = Trust::kDoubtful;
-  finding.span_s = {ToSeconds(stamp - zero), ToSeconds(stamp - zero)};
-  finding.what = Text("at %.2f s the vehicle became another one: thrust carries it by a steady share "
-                      "more or less than before", finding.span_s->first);
-  finding.mend = "a load, a propeller, a battery, or a rotor-speed sensor; split the recording there, "
-                 "or use detect_changes";
-  return finding;
-}
-
 Finding NeverMoved() {
   Finding finding;
   finding.check = "never_moved";
@@ -48,6 +36,18 @@ Finding NeverMoved() {
 
 }  // namespace
 
+Finding VehicleChanged(Stamp stamp, Stamp zero) {
+  Finding finding;
+  finding.check = "vehicle_changed";
+  finding.leaves = Trust::kDoubtful;
+  finding.span_s = {ToSeconds(stamp - zero), ToSeconds(stamp - zero)};
+  finding.what = Text("at %.2f s the vehicle became another one: thrust carries it by a steady share "
+                      "more or less than before", finding.span_s->first);
+  finding.mend = "a load, a propeller, a battery, or a rotor-speed sensor; split the recording there, "
+                 "or use detect_changes";
+  return finding;
+}
+
 std::vector<Finding> PhaseFindings(const ReplayResult& replay, bool learns_changes, Stamp zero) {
   std::vector<Finding> findings;
   for (const PhaseSpan& span : replay.phases) {
@@ -56,7 +56,7 @@ std::vector<Finding> PhaseFindings(const ReplayResult& replay, bool learns_chang
     if (is_contact) findings.push_back(SetAside(span, zero));
   }
   if (replay.counters.changes > 0 && !learns_changes) {
-    findings.push_back(Changed(replay.counters.last_change, zero));
+    findings.push_back(VehicleChanged(replay.counters.last_change, zero));
   }
   if (!replay.has_flown) findings.push_back(NeverMoved());
   return findings;

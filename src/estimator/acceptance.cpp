@@ -113,7 +113,8 @@ void Acceptance::HoldBack(const DynamicModel& model, const Snapshot& snapshot,
   }
 }
 
-bool Acceptance::Update(const DynamicModel& model, const Snapshot& snapshot) {
+bool Acceptance::Update(const DynamicModel& model, const Snapshot& snapshot,
+                        const std::vector<Finding>& findings) {
   reasons_.clear();
   held_back_.clear();
   if (!snapshot.values.allFinite() || !snapshot.sigma.allFinite() ||
@@ -138,6 +139,9 @@ bool Acceptance::Update(const DynamicModel& model, const Snapshot& snapshot) {
   if (!doubt.empty()) reasons_.push_back(doubt);
   for (const std::string& sentence : UnphysicalValues(model, usable_.values, usable_.sigma)) {
     reasons_.push_back(sentence);
+  }
+  for (const Finding& finding : findings) {
+    if (finding.leaves != Trust::kGood) reasons_.push_back(Sentence(finding));
   }
   if (!reasons_.empty()) {
     good_since_.reset();

@@ -1,5 +1,6 @@
 #include "odmc/estimator/consistency.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 
@@ -9,6 +10,7 @@ namespace {
 constexpr int kMaxBlocks = 128;  // even
 constexpr double kLeastInflation = 0.5;
 constexpr int kMinGroups = 8;         // fewer block sums than this say nothing about a variance
+constexpr int kMinBlocksForThirds = 6;
 constexpr double kPriorGroups = 8.0;  // weight of "white" against a small sample of block sums
 
 }  // namespace
@@ -135,6 +137,39 @@ const Eigen::VectorXd& Consistency::Inflation(const Eigen::Ref<const Eigen::Vect
     }
   }
   return inflation_;
+}
+
+std::vector<ThirdOfFlight> Consistency::Thirds(const Eigen::Ref<const Eigen::VectorXd>& eta,
+                                               const Eigen::VectorXd& prior_sigma) {
+  // The first block holds the priors, too.
+  if (num_blocks_ < kMinBlocksForThirds + 1) return {};
+  ApplyRescaling();
+  double total_s = 0.0;
+  for (int i = 1; i < num_blocks_; ++i) total_s += blocks_[static_cast<size_t>(i)].length_s;
+  std::vector<ThirdOfFlight> thirds;
+  double passed_s = 0.0;
+  int next = 1;
+  for (int t = 1; t <= 3; ++t) {
+    ThirdOfFlight third;
+    Eigen::MatrixXd information = Eigen::MatrixXd::Zero(n_, n_);
+    Eigen::VectorXd gradient = Eigen::VectorXd::Zero(n_);
+    for (; next < num_blocks_ && (t == 3 || passed_s < t * total_s / 3.0 - 1e-9); ++next) {
+      const Block& block = blocks_[static_cast<size_t>(next)];
+      information += block.information;
+      gradient += block.score + block.information * (eta - block.eta);
+      passed_s += block.length_s;
+      third.length_s += block.length_s;
+    }
+    Eigen::MatrixXd with_prior = information;
+    with_prior.diagonal() += prior_sigma.cwiseAbs2().cwiseInverse();
+    const Eigen::LDLT<Eigen::MatrixXd> ldlt(with_prior);
+    third.step = -ldlt.solve(gradient);
+    const Eigen::MatrixXd inverse = ldlt.solve(Eigen::MatrixXd::Identity(n_, n_));
+    third.variance = (inverse * information * inverse).diagonal().cwiseMax(0.0);
+    if (!third.step.allFinite() || !third.variance.allFinite()) return {};
+    thirds.push_back(std::move(third));
+  }
+  return thirds;
 }
 
 }  // namespace odmc

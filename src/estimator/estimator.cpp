@@ -607,6 +607,44 @@ void Estimator::StartAnew() {
   counters_.airborne_s = learned_s_ = 0.0;
 }
 
+std::vector<ThirdsDifference> Estimator::LastLook() {
+  std::vector<ThirdsDifference> differences;
+  const std::vector<ThirdOfFlight> thirds = consistency_.Thirds(window_.eta(), prior_sigma_eta_);
+  if (thirds.size() < 3) return differences;
+  const int n = layout_.num_estimated();
+  const double threshold = LastLookThreshold(n);
+  for (int i = 0; i < n; ++i) {
+    const double inflation = inflation_[i] * inflation_[i];
+    double weights = 0.0, mean = 0.0, chi_squared = 0.0;
+    bool is_seen = true;
+    for (const ThirdOfFlight& third : thirds) {
+      const double variance = inflation * third.variance[i];
+      is_seen = is_seen && variance > 0.0 &&
+                std::sqrt(variance) < kObservableShare * prior_sigma_eta_[i];
+      weights += 1.0 / variance;
+      mean += third.step[i] / variance;
+    }
+    if (!is_seen) continue;
+    mean /= weights;
+    for (const ThirdOfFlight& third : thirds) {
+      const double off = third.step[i] - mean;
+      chi_squared += off * off / (inflation * third.variance[i]);
+    }
+    if (!(chi_squared > threshold)) continue;
+    ThirdsDifference difference;
+    difference.index = layout_.model_index(i);
+    difference.chi_squared = chi_squared;
+    difference.widening = std::sqrt(0.5 * chi_squared);
+    for (size_t t = 0; t < 3; ++t) {
+      ParameterVector eta = window_.eta();
+      eta[i] += thirds[t].step[i];
+      difference.values[t] = layout_.Decode(eta.data())[difference.index];
+    }
+    differences.push_back(difference);
+  }
+  return differences;
+}
+
 /// What contact is judged by: the estimate, and the gate on inertia as it was.
 void Estimator::TellPhases(Stamp stamp) {
   const int k_f = model_->IndexOf("thrust.k_f");

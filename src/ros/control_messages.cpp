@@ -1,5 +1,7 @@
 #include "odmc/ros/control_messages.h"
 
+#include "odmc/inspection/finding.h"
+
 #include <cmath>
 #include <limits>
 
@@ -107,6 +109,15 @@ std::optional<std::vector<TimedReference>> ToReferences(
     points.push_back({stamp, *reference});
   }
   return points;
+}
+
+std::string ObjectionTo(const DynamicParameters& message, const std::string& vehicle) {
+  if (message.vehicle != vehicle) {
+    return "it is of the vehicle '" + message.vehicle + "', not '" + vehicle + "'";
+  }
+  if (message.trust.empty() || message.trust == Name(Trust::kGood)) return "";
+  const std::string reason = message.trust_reasons.empty() ? "" : ": " + message.trust_reasons[0];
+  return "its trust is " + message.trust + reason;
 }
 
 std::optional<ParameterSet> ToParameterSet(const DynamicParameters& message) {

@@ -247,13 +247,11 @@ void ControllerNode::OnTrajectory(
 void ControllerNode::OnAccepted(const DynamicParameters::ConstPtr& message) {
   ++report_.estimates.received;
   const std::optional<ParameterSet> set = ToParameterSet(*message);
-  if (!set || message->vehicle != setup_.vehicle.name) {
+  const std::string objection =
+      set ? ObjectionTo(*message, setup_.vehicle.name) : "no stamp or not finite";
+  if (!objection.empty()) {
     ++report_.estimates.refused;
-    ROS_WARN_THROTTLE(
-        5.0, "an estimate was refused: %s",
-        set ? ("it is of the vehicle '" + message->vehicle + "', not '" + setup_.vehicle.name + "'")
-                  .c_str()
-            : "no stamp or not finite");
+    ROS_WARN_THROTTLE(5.0, "an estimate was refused: %s", objection.c_str());
     return;
   }
   if (report_.uses_estimate) handover_.Offer(*set, FromRos(message->header.stamp), Now());

@@ -20,6 +20,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "odmc/analysis/phase_findings.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
@@ -687,7 +688,22 @@ void EstimatorNode::ForgetEstimate() {
   starts_anew_ = estimator_->counters().starts_anew;
   if (last_) ROS_WARN("the vehicle had stood on the ground: what was learned there is forgotten");
   last_.reset();
+  findings_.clear();
+  last_look_s_ = 0.0;
   acceptance_.Reset();
+}
+
+// Every ten seconds of flight: do its thirds agree?
+void EstimatorNode::LookBack() {
+  constexpr double kLookEvery_s = 10.0;
+  const EstimatorCounters& counters = estimator_->counters();
+  if (counters.airborne_s < last_look_s_ + kLookEvery_s) return;
+  last_look_s_ = counters.airborne_s;
+  const std::vector<ThirdsDifference> thirds = estimator_->LastLook();
+  findings_ = last_ ? LastLookFindings(*model_, last_->values, thirds) : std::vector<Finding>();
+  if (counters.changes > 0 && !setup_.estimator.detect_changes) {
+    findings_.push_back(VehicleChanged(counters.last_change, estimator_->start()));
+  }
 }
 
 void EstimatorNode::PublishPhase() {
@@ -707,7 +723,8 @@ void EstimatorNode::OnSnapshot(Snapshot snapshot) {
   }
   const Clock::time_point start = Clock::now();
   Keep(snapshot.timing.wall_ms, &update_ms_);
-  acceptance_.Update(*model_, snapshot);
+  LookBack();
+  acceptance_.Update(*model_, snapshot, findings_);
   if (watch_) watch_->SetEstimate(model_, snapshot.values, estimator_->start());
   {
     const std::lock_guard<std::mutex> lock(status_mutex_);
@@ -775,6 +792,11 @@ void EstimatorNode::PublishParameters(const Snapshot& snapshot) {
   last_is_published_ = true;
   DynamicParameters message = odmc::ToMessage(*last_model_, snapshot, setup_.options.body_frame);
   message.accepted = acceptance_.accepted();
+  message.trust = Name(TrustOf(findings_));
+  for (const Finding& finding : findings_) {
+    if (finding.leaves != Trust::kGood) message.trust_reasons.push_back(Sentence(finding));
+  }
+  message.phase = phase_;
   parameters_publisher_.publish(message);
   PublishTransforms(snapshot);
   if (message.accepted && snapshot.airborne && interrupted_.empty() &&
@@ -892,6 +914,7 @@ void EstimatorNode::ShareStatus() {
   }
   s.airborne = estimator_->airborne();
   s.phase = phase_;
+  s.trust = Name(TrustOf(findings_));
   s.counters = estimator_->counters();
   s.stream_counters = estimator_->stream_counters();
   s.noise = estimator_->odometry_noise();

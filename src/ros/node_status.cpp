@@ -90,6 +90,7 @@ DiagnosticStatus EstimatorDiagnostic(const NodeStatus& s, const std::string& nam
   Put("waiting_for", s.waiting_for, &status);
   Put("interrupted", s.interrupted, &status);
   Put("phase", s.phase, &status);
+  Put("trust", s.trust, &status);
   Put("airborne", s.airborne, &status);
   Put("on_ground", s.has_estimate && !s.airborne, &status);
   Put("accepted", s.accepted, &status);

@@ -125,7 +125,7 @@ std::vector<std::string> FlightWarnings(const FlightLog& log, const ReplayResult
 void WarnOfOtherMass(const ParameterSet& parameters, const Vehicle& vehicle,
                      std::vector<std::string>* warnings);
 
-/// What a reader of the figures must know: coefficients of unphysical sign (beyond one sigma),
+/// What a reader of the figures must know: coefficients of unphysical sign (beyond three sigma),
 /// inertia over nominal outside 0.5 to 2, rotor torque gain outside 0.85 to 1.15, torque worse than
 /// predicting zero.
 /// @param sigma num_parameters()×1, 0 where frozen

@@ -12,4 +12,7 @@ namespace odmc {
 /// @param zero stamp from which seconds count
 std::vector<Finding> PhaseFindings(const ReplayResult& replay, bool learns_changes, Stamp zero);
 
+/// A vehicle that became another one in flight, which the estimate did not follow at once.
+Finding VehicleChanged(Stamp stamp, Stamp zero);
+
 }  // namespace odmc

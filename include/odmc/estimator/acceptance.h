@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "odmc/estimator/estimator.h"
+#include "odmc/inspection/finding.h"
 
 namespace odmc {
 
@@ -37,8 +38,10 @@ class Acceptance {
  public:
   explicit Acceptance(const AcceptanceOptions& options) : options_(options) {}
 
+  /// @param findings what is known against the estimate: only a good one is accepted
   /// @returns whether the estimate is accepted as of this snapshot
-  bool Update(const DynamicModel& model, const Snapshot& snapshot);
+  bool Update(const DynamicModel& model, const Snapshot& snapshot,
+              const std::vector<Finding>& findings = {});
 
   bool accepted() const { return accepted_; }
   /// Why not, in words; empty where nothing is wrong (it may still have to last).

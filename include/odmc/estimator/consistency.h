@@ -3,6 +3,8 @@
 #include <Eigen/Core>
 #include <vector>
 
+#include "odmc/estimator/last_look.h"
+
 namespace odmc {
 
 /// How much larger the parameters' errors are than white noise would make them. Residuals of a
@@ -34,6 +36,12 @@ class Consistency {
   /// @param eta present estimate; @param covariance inverse of its information (n×n)
   const Eigen::VectorXd& Inflation(const Eigen::Ref<const Eigen::VectorXd>& eta,
                                    const Eigen::MatrixXd& covariance);
+
+  /// What each third of the flight says by itself; empty while there are fewer than six blocks.
+  /// @param eta present estimate
+  /// @param prior_sigma of each entry: a third that says nothing stays at the estimate
+  std::vector<ThirdOfFlight> Thirds(const Eigen::Ref<const Eigen::VectorXd>& eta,
+                                    const Eigen::VectorXd& prior_sigma);
 
  private:
   void ApplyRescaling();

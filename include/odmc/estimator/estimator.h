@@ -145,6 +145,10 @@ class Estimator {
   /// For benchmarks and tests. @returns nothing without states, or where a solve failed
   std::optional<FullSolveDifference> CompareWithFullSolve();
 
+  /// Compares what the thirds of the flight so far say by themselves. @returns the parameters about
+  /// which they disagree beyond sampling error (LastLookThreshold()), serial correlation included
+  std::vector<ThirdsDifference> LastLook();
+
   /// Calls `observe` in every update between the solve and the marginalization, untimed.
   void SetObserver(std::function<void()> observe) { observe_ = std::move(observe); }
 

@@ -41,6 +41,10 @@ std::optional<std::vector<TimedReference>> ToReferences(
 /// Nothing for a message without a stamp or with numbers that are not finite.
 std::optional<ParameterSet> ToParameterSet(const DynamicParameters& message);
 
+/// Why a controller of `vehicle` must not take an estimate; empty if it may. One without a word
+/// about its trust comes from an older sender.
+std::string ObjectionTo(const DynamicParameters& message, const std::string& vehicle);
+
 // ---- From the core -----------------------------------------------------------------------------
 
 FlatOutput ToMessage(const FlatReference& reference, Stamp stamp, const std::string& world_frame);

@@ -151,6 +151,7 @@ class EstimatorNode {
   void StepWhileThereIsMore();
   void AddWhatWasFound();
   void ForgetEstimate();
+  void LookBack();
   void PublishPhase();
   void OnSnapshot(Snapshot snapshot);
   void PublishEstimate(const Snapshot& snapshot);
@@ -220,6 +221,8 @@ class EstimatorNode {
   std::string added_effects_;
   bool last_is_published_ = false;
   std::string phase_;      // as published last
+  std::vector<Finding> findings_;     // what is known against the estimate
+  double last_look_s_ = 0.0;          // flight time of the last look at the thirds
   long starts_anew_ = 0;   // of the estimator, as far as they are dealt with
   Clock::time_point parameters_published_, accepted_published_, status_shared_;
   // What had been learned from when progress was last looked at, and where nothing has been since.

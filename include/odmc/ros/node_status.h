@@ -58,6 +58,7 @@ struct NodeStatus {
   std::vector<std::string> warnings;    ///< of the set-up, they stay
   std::vector<std::string> unphysical;  ///< of the newest estimate
   std::string phase;                    ///< of the flight, Name(FlightPhase)
+  std::string trust;                    ///< in the newest estimate: good, doubtful or bad
   std::string twist;                    ///< verdict on the frame of the twist
   std::shared_ptr<const DynamicModel> model;
   bool airborne = false, accepted = false, has_estimate = false;
