@@ -436,19 +436,19 @@ std::vector<Tried> TryAll(const Stage& stage, const std::vector<Candidate>& cand
   struct Promising {
     double serial, white;
     const Candidate* candidate;
-    WrenchColumns columns;
   };
   std::map<std::string, std::vector<Promising>> settings;
   for (const Candidate& candidate : candidates) {
     if (give_up && give_up()) return {};
     const std::vector<std::string>& have = stage.vehicle.effects;
     if (std::find(have.begin(), have.end(), candidate.effect) != have.end()) continue;
-    Promising p{0.0, 0.0, &candidate, regressor.ColumnsOf(stage, candidate)};
+    Promising p{0.0, 0.0, &candidate};
     if (!candidate.settings.empty()) {
-      p.serial = regressor.Promise(p.columns);
-      p.white = regressor.Promise(p.columns, false);
+      const WrenchColumns columns = regressor.ColumnsOf(stage, candidate);
+      p.serial = regressor.Promise(columns);
+      p.white = regressor.Promise(columns, false);
     }
-    settings[candidate.effect].push_back(std::move(p));
+    settings[candidate.effect].push_back(p);
   }
   std::vector<Tried> tried;
   for (auto& entry : settings) {

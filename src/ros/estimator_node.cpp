@@ -197,6 +197,8 @@ EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
   }
   RotorSpeedScale(setup.options.rotor_speed_unit, setup.options.pole_pairs);  // refuses nonsense
   setup.vehicle = ReadVehicle(setup.options, public_node);
+  const std::string doubt = InertiaDoubt(setup.vehicle);
+  if (!doubt.empty()) setup.warnings.push_back(doubt);
   setup.odometry_mount_known =
       !setup.options.vehicle_file.empty() && FileHasKey(setup.options.vehicle_file, "odometry");
   if (!setup.options.parameters_file.empty()) {
