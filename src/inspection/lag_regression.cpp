@@ -84,7 +84,7 @@ class Regression {
   Fit Without() const {
     return At(MatrixXd::Zero(static_cast<Eigen::Index>(rows_.size()), moving()));
   }
-  double BandShare(double lag_s) const;
+  double BandShare(double lag_s, MatrixXd* gain) const;
   double StructuredShare(const MatrixXd& residual, double all) const;
   Lag Judge(double lag_s) const;
 
@@ -354,7 +354,7 @@ MatrixXd Smoothed(const MatrixXd& x) {
 }
 
 // Of the signal between 3 and 20 Hz, the share that the moving stream explains: median of blocks.
-double Regression::BandShare(double lag_s) const {
+double Regression::BandShare(double lag_s, MatrixXd* gain) const {
   const int half = std::max(1, static_cast<int>(std::lround(0.5 * kHighPass_s / p_.step_s)));
   const bool smooth = p_.step_s < 0.015;
   const auto band = [&](const MatrixXd& x) {
@@ -363,13 +363,15 @@ double Regression::BandShare(double lag_s) const {
   MatrixXd x(n_, moving() + fixed());
   x << Means(*p_.moving, lag_s, 0, 0), p_.fixed;
   const MatrixXd xb = band(x), y = band(p_.y), f = xb.rightCols(fixed());
-  const auto left = [&](const MatrixXd& by) {
+  const auto fit = [&](const MatrixXd& by) {
     MatrixXd normal = by.transpose() * weights_.asDiagonal() * by;
     normal.diagonal() *= 1.0 + 1e-9;
     normal.diagonal().array() += 1e-30;
-    return MatrixXd(y - by * normal.ldlt().solve(by.transpose() * weights_.asDiagonal() * y));
+    return MatrixXd(normal.ldlt().solve(by.transpose() * weights_.asDiagonal() * y));
   };
-  const MatrixXd with = left(xb), without = left(f);
+  const MatrixXd all_gain = fit(xb);
+  *gain = all_gain.topRows(moving());
+  const MatrixXd with = y - xb * all_gain, without = y - f * fit(f);
   const VectorXd scale =
       (without.cwiseAbs2().colwise().mean().cwiseSqrt().transpose()).cwiseMax(1e-12);
   VectorXd explained = VectorXd::Zero(blocks_), all = VectorXd::Zero(blocks_);
@@ -419,7 +421,7 @@ Lag Regression::Judge(double lag_s) const {
   lag.cured = uncured > 0.0 ? 1.0 - left / uncured : 0.0;
   if (order_ == 0) lag.pull_s = kFilter_s * std::sqrt(StructuredShare(here.residual, all));
   if (order_ > 0) {
-    lag.band_share = BandShare(lag_s);
+    lag.band_share = BandShare(lag_s, &lag.band_gain);
     const double share = std::clamp(lag.band_share, kLeastShare, 1.0);
     lag.pull_s = kAnswer_s * (1.0 - share) / share;
   }

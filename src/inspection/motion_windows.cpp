@@ -53,6 +53,35 @@ Matrix3Xd Means3(const std::optional<SampledSignal>& signal, const std::vector<d
 
 }  // namespace
 
+MotionWindows CalmOnes(const MotionWindows& w, double most_rad_s) {
+  std::vector<Eigen::Index> calm;
+  MotionWindows some;
+  for (int i = 0; i < w.size(); ++i) {
+    if (w.q0[i].angularDistance(w.q1[i]) > most_rad_s * kWindow_s) continue;
+    calm.push_back(i);
+    some.t_s.push_back(w.t_s[i]);
+    some.q_WS.push_back(w.q_WS[i]);
+    some.q0.push_back(w.q0[i]);
+    some.q1.push_back(w.q1[i]);
+  }
+  const auto pick = [&](const MatrixXd& all) {
+    if (all.cols() == 0) return all;
+    MatrixXd picked(all.rows(), static_cast<Eigen::Index>(calm.size()));
+    for (size_t k = 0; k < calm.size(); ++k) {
+      picked.col(static_cast<Eigen::Index>(k)) = all.col(calm[k]);
+    }
+    return picked;
+  };
+  some.displacement_m_s = pick(w.displacement_m_s);
+  some.acceleration_W = pick(w.acceleration_W);
+  some.velocity = pick(w.velocity);
+  some.rates = pick(w.rates);
+  some.gyro = pick(w.gyro);
+  some.accelerometer = pick(w.accelerometer);
+  some.rotors = pick(w.rotors);
+  return some;
+}
+
 MotionWindows WindowsOf(const MotionSignals& s, const std::vector<bool>& flight) {
   MotionWindows w;
   w.t_s = Middles(s, flight);

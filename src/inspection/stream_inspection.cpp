@@ -5,6 +5,7 @@
 #include <cstdio>
 
 #include "odmc/inspection/motion_checks.h"
+#include "odmc/inspection/vehicle_checks.h"
 
 namespace odmc {
 namespace {
@@ -99,6 +100,7 @@ void InspectOffsets(const MotionSignals& signals, const Vehicle& vehicle,
   // Relative to streams that are late themselves.
   if (torque && torque->against == "body_rates") torque->lag.lag_s += rates_s;
   if (thrust && thrust->against == "velocity") thrust->lag.lag_s += velocity_s;
+  if (torque) CheckInertia(signals, vehicle, flight, *torque, inspection);
   Take(Together(torque, thrust), inspection);
 }
 
@@ -106,10 +108,13 @@ void InspectOffsets(const MotionSignals& signals, const Vehicle& vehicle,
 
 StreamInspection InspectStreams(const FlightLog& log, const Vehicle& vehicle) {
   StreamInspection inspection;
+  CheckInertiaBounds(vehicle, &inspection);
   std::optional<MotionSignals> signals = SignalsOf(log);
   if (!signals) return inspection;
   const std::vector<bool> flight = FindFlight(*signals);
   CheckMotion(vehicle, flight, &*signals, &inspection);
+  if (!inspection.refusal.empty()) return inspection;
+  CheckThrust(*signals, vehicle, flight, &inspection);
   InspectOffsets(*signals, vehicle, flight, &inspection);
   return inspection;
 }

@@ -240,6 +240,41 @@ TEST(StreamInspection, NamesWhatIsWrongWithTheAccelerometer) {
   }, "without gravity");
 }
 
+TEST(StreamInspection, NamesALeanAndWhereItIs) {
+  const Quaterniond lean(Eigen::AngleAxisd(0.14, Vector3d::UnitY()));
+  const StreamInspection body = Spoiled([&](FlightLog* log) {
+    log->imu.clear();
+    ForPoses(log, [&](auto* s) {
+      s->q_WS = s->q_WS * lean;
+      *s->w_WS_S = lean.conjugate() * *s->w_WS_S;
+    });
+  });
+  ExpectNamed(body, "body_lean", "8.1 degrees (-8.1 towards x");
+  const StreamInspection world = Spoiled([&](FlightLog* log) {
+    ForPoses(log, [&](auto* s) {
+      s->p_WS = lean * s->p_WS;
+      s->q_WS = lean * s->q_WS;
+      *s->v_WS = lean * *s->v_WS;
+    });
+  });
+  ExpectNamed(world, "gravity_lean", "degrees");
+}
+
+TEST(StreamInspection, NamesAMassAndInertiaThatCannotBe) {
+  Vehicle vehicle = TestVehicle();
+  vehicle.mass_kg *= 2.0;
+  vehicle.parameters["thrust.k_f"].sigma = 0.2 * *vehicle.parameters["thrust.k_f"].value;
+  ExpectNamed(InspectStreams(Octo(), vehicle), "weight", "0.5 times the weight");
+  vehicle = TestVehicle();
+  vehicle.inertia_kg_m2 *= 1000.0;
+  const StreamInspection absurd = InspectStreams(Octo(), vehicle);
+  ExpectNamed(absurd, "inertia_bounds", "cannot belong");
+  EXPECT_FALSE(absurd.refusal.empty());
+  vehicle = TestVehicle();
+  vehicle.inertia_kg_m2 *= 5.0;
+  ExpectNamed(InspectStreams(Fly("aggressive", 7, 0.0005), vehicle), "inertia", "times the file's");
+}
+
 // ---- Recordings ----------------------------------------------------------------------------------
 
 struct Recording {

@@ -1,0 +1,23 @@
+#pragma once
+
+#include <vector>
+
+#include "odmc/inspection/motion_signals.h"
+#include "odmc/inspection/stream_inspection.h"
+
+namespace odmc {
+
+/// Can the inertia belong to a body of this mass and size? Needs no flight.
+void CheckInertiaBounds(const Vehicle& vehicle, StreamInspection* inspection);
+
+/// Does thrust carry the weight with the file's k_f and mass, and does it point up: along the
+/// body's z and against the world's?
+void CheckThrust(const MotionSignals& signals, const Vehicle& vehicle,
+                 const std::vector<bool>& flight, StreamInspection* inspection);
+
+/// Does the file's inertia turn as the rotors' torque says? @param torque from RotorOffset()
+void CheckInertia(const MotionSignals& signals, const Vehicle& vehicle,
+                  const std::vector<bool>& flight, const TimeOffset& torque,
+                  StreamInspection* inspection);
+
+}  // namespace odmc
