@@ -145,7 +145,7 @@ def ground_faults() -> List[Fault]:
 def hand_faults() -> List[Fault]:
     """In the hand, thrown."""
     hand = ('in_hand', 'contact', 'unexplained_force')
-    words = r'\bhand\b|carried|held|contact'
+    words = r'\bhand\b|carried|\bheld\b|contact'
     carried = Fault('carried', 'carried by hand', hand + ('on_ground',), words, per_base=4)
     for level in (0.0, 0.08, 0.2, 0.4):
         for s in (5.0, 12.0):
@@ -164,7 +164,7 @@ def hand_faults() -> List[Fault]:
 def contact_faults() -> List[Fault]:
     """Crash, fall, bounce, collision."""
     checks = GROUND + ('crash',)
-    words = GROUND_WORDS + r'|crash|impact|contact|upside|fell|fall|collision|hit|tumbl'
+    words = GROUND_WORDS + r'|crash|impact|contact|upside|\bfell\b|fall|collision|\bhit\b|tumbl'
     crash = Fault('crash', 'crash', checks, words)
     crash.add('ground', scene(scenes.crash_ground))
     crash.add('wall', scene(scenes.crash_wall, 2.0))
@@ -283,8 +283,8 @@ def attitude_faults() -> List[Fault]:
     for degrees in (3.0, 8.0):
         lean.add(f'{degrees:g}deg', change(lambda rec, rng, a=np.radians(degrees):
                                            signals.body_leans(rec, a, rng.uniform(0.0, 6.28))))
-    late = Fault('attitude_late', 'attitude late', checks, words + r'|pose.*(?:late|ms)',
-                 per_base=1)
+    late = Fault('attitude_late', 'attitude late', checks + ('rate_offset', 'imu_offset'),
+                 words + r'|pose.*\b(?:late|ms)\b', per_base=1)
     for ms in (20, 60):
         late.add(f'{ms}ms', change(lambda rec, rng, s=ms / 1000.0:
                                    signals.late(rec, ATTITUDE, s)))
@@ -308,7 +308,7 @@ def swap_rates(rec: Recording) -> None:
 def time_faults() -> List[Fault]:
     """Streams against each other, stamps."""
     late = Fault('rotors_late', 'rotor speeds late or early', ('rotor_offset',),
-                 r'rotor.*(?:ms|late|early)', per_base=4)
+                 r'rotor.*\b(?:ms|late|early)\b', per_base=4)
     for ms in (-100, -50, -20, 10, 20, 50, 100):
         late.add(f'{ms}ms', change(lambda rec, rng, s=ms / 1000.0: signals.rotors_late(rec, s)))
     checks = ('rotor_jitter', 'rotor_offset', 'velocity_offset', 'imu_offset', 'rate_offset')
@@ -323,7 +323,7 @@ def time_faults() -> List[Fault]:
     burst.add('rotors_40ms', change(lambda rec, rng: signals.bursts(
         signals.own_rotor_file(rec), 0.04)))
     imu = Fault('imu_late', 'IMU late', ('imu_offset', 'rate_offset', 'attitude_against_rates'),
-                r'IMU.*(?:ms|late)|rates.*(?:ms|late)', needs=has_rates, per_base=1)
+                r'(?:IMU|rates|gyro).*\b(?:ms|late)\b', needs=has_rates, per_base=1)
     for ms in (20, 60):
         imu.add(f'{ms}ms', change(lambda rec, rng, s=ms / 1000.0: imu_late(rec, s)))
     return [late, jitter, burst, imu]
@@ -356,7 +356,7 @@ def frame_faults() -> List[Fault]:
         lean.add(f'{degrees:g}deg', change(lambda rec, rng, a=np.radians(degrees): lean_world(
             rec, a, rng)))
     world = Fault('world_ned', 'world north, east, down', ('gravity_leans',),
-                  r'NED|down|upside|z up|gravity|FRD|frame', per_base=1)
+                  r'\bNED\b|\bdown\b|upside|z up|gravity|FRD', per_base=1)
     world.add('world', change(lambda rec, rng: signals.world_ned(rec, False)))
     world.add('world_and_body', change(lambda rec, rng: signals.world_ned(rec, True)))
     return [force, lean, world]

@@ -134,6 +134,6 @@ def run_all(setting: Setting, jobs: int) -> List[Dict[str, Any]]:
     with concurrent.futures.ProcessPoolExecutor(jobs, mp_context=context) as pool:
         for done in pool.map(one, range(count), chunksize=2):
             rows.append(done)
-            if sys.stderr.isatty():
-                print(f'\r{len(rows)}/{count}', end='', file=sys.stderr, flush=True)
+            if len(rows) % 50 == 0:
+                print(f'{len(rows)} of {count}', file=sys.stderr, flush=True)
     return rows

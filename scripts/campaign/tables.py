@@ -74,6 +74,16 @@ def by_base(rows: List[Row]) -> List[str]:
     return lines
 
 
+def classes(faults: List[Fault]) -> List[str]:
+    """What names the cause of each class, and what is right where that isn't obvious."""
+    lines = ['| class | what | checks that name it | words that name it | right |',
+             '|---|---|---|---|---|']
+    for f in faults:
+        words = f.words.replace('|', '\\|')
+        lines.append(f"| {f.name} | {f.title} | {', '.join(f.checks)} | `{words}` | {f.right} |")
+    return lines
+
+
 def listed(rows: List[Row], outcome: str, limit: Optional[int] = None) -> List[str]:
     """The cases of an outcome, the worst first, with figures and what was said."""
     chosen = sorted((r for r in rows if r.get('outcome') == outcome), key=badness, reverse=True)

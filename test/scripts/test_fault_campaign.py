@@ -274,6 +274,14 @@ class Scoring(unittest.TestCase):
         self.assertEqual(outcome(report(1.2, findings=[near])), 'named')
         self.assertEqual(outcome(report(1.2, findings=[far])), 'vague')
 
+    def test_same_finding_with_other_figures_is_another(self) -> None:
+        def late(ms: int) -> Dict[str, Any]:
+            return report(1.2, findings=[{'check': 'on_ground', 'leaves': 'good',
+                                          'what': f'{ms} ms late'}])
+        for ms, named in ((8, False), (9, False), (58, True)):
+            run = scoring.Run(0, '', late(ms))
+            self.assertEqual(scoring.is_named(run, FAULT, late(8), None), named)
+
     def test_unrelated_finding(self) -> None:
         other = {'check': 'imu_offset', 'leaves': 'bad', 'what': 'the IMU is late'}
         self.assertEqual(outcome(report(1.2, findings=[other])), 'vague')
