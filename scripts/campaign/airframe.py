@@ -9,6 +9,9 @@ from .recording import ATTITUDE, POSITION, VELOCITY, Recording
 
 G = np.array([0.0, 0.0, 9.81])
 UP = np.array([0.0, 0.0, 1.0])
+STEP_S = 0.01  # of the fit
+LATE_S = np.arange(-0.06, 0.0601, 0.004)  # rotor speeds against positions, tried
+LIFT = 0.02  # prior sigma of lift of speed over mass [1/m]
 
 
 def quaternion(frame: Optional[Dict[str, Any]]) -> np.ndarray:
@@ -37,6 +40,7 @@ class Airframe:
         self.k_m = float(p.get('rotor_torque.k_m', {}).get('value', 0.013 * self.k_f))
         self.drag = np.zeros(3)
         self.k_h = 0.0
+        self.rotors_late_s = self.odometry_late_s = 0.0
         self.trim = np.ones(len(self.spins))  # of squared speeds, mean 1
         self.q_BS, self.p_BS = quaternion(vehicle.get('odometry')), place(vehicle.get('odometry'))
         self.q_BI, self.p_BI = quaternion(vehicle.get('imu')), place(vehicle.get('imu'))
@@ -80,37 +84,49 @@ class Airframe:
         return rec.get(POSITION) - rotation.rotate(q, self.p_BS), q
 
     def fit(self, rec: Recording) -> None:
-        """Finds k_f, drag, lift of speed and trim on a recording."""
+        """Finds k_f, drag, lift of speed and trim on a recording, and how late rotor speeds are, or
+        position and velocity, where two sigma show it."""
         t, (p, q) = rec.t, self.body_poses(rec)
-        grid = np.arange(t[0], t[-1], 0.01)
-        sampled = [np.interp(grid, t, x) for x in p.T]
+        grid = np.arange(t[0], t[-1], STEP_S)
         v = np.stack([np.interp(grid, t, x) for x in rec.get(VELOCITY).T] if rec.has(VELOCITY)
-                     else [np.gradient(smooth(x, 9), 0.01) for x in sampled], axis=-1)
-        a = np.stack([np.gradient(smooth(x, 9), 0.01) for x in v.T], axis=-1)
-        q_grid = np.stack([np.interp(grid, t, x) for x in rotation.continuous(q).T], axis=-1)
-        q_grid /= np.linalg.norm(q_grid, axis=1, keepdims=True)
-        squares = np.stack([smooth(x, 9) for x in (rec.rotors_at(grid) ** 2).T], axis=-1)
-        turn_back = rotation.inverse(q_grid)
-        self.regress(rotation.rotate(turn_back, a + G) * self.mass, rotation.rotate(turn_back, v),
-                     squares)
+                     else [np.gradient(smooth(np.interp(grid, t, x)), STEP_S) for x in p.T], -1)
+        a = np.stack([np.gradient(smooth(x), STEP_S) for x in v.T], axis=-1)
+        q = np.stack([np.interp(grid, t, x) for x in rotation.continuous(q).T], axis=-1)
+        back = rotation.inverse(q / np.linalg.norm(q, axis=1, keepdims=True))
+        force, v_B = rotation.rotate(back, a + G) * self.mass, rotation.rotate(back, v)
+        def regress_at(late: float) -> float:
+            squares = np.stack([smooth(x) for x in (rec.rotors_at(grid + late) ** 2).T], axis=-1)
+            return self.regress(force, v_B, squares)
+        tried = [(regress_at(late), late) for late in LATE_S]
+        gain = 2.0 * len(grid) * STEP_S / 0.1 * np.log(regress_at(0.0) / min(tried)[0])
+        late = min(tried)[1] if gain > 4.0 else 0.0
+        self.rotors_late_s, self.odometry_late_s = max(late, 0.0), max(-late, 0.0)
+        regress_at(late)
 
-    def regress(self, force: np.ndarray, v: np.ndarray, squares: np.ndarray) -> None:
-        """Least squares of force [N] on velocity and squared speeds, all in the body."""
+    def regress(self, force: np.ndarray, v: np.ndarray, squares: np.ndarray) -> float:
+        """Least squares of force [N] on velocity and squared speeds, all in the body; returns the
+        residual's RMS [N]. Vertical drag is held near the lateral one, lift of speed near none, as
+        far as the flight leaves them open; residuals are taken to be alike for 0.1 s."""
         inner = slice(20, -20)
         force, v, squares = force[inner], v[inner], squares[inner]
         for i in range(2):
             self.drag[i] = np.sum(force[:, i] * v[:, i]) / (np.sum(v[:, i] ** 2) + 1e-9)
         lateral = v[:, 0] ** 2 + v[:, 1] ** 2
-        columns = np.stack([squares.sum(axis=1), v[:, 2], lateral], axis=-1)
-        ridge = np.diag([0.0, 1.0 * np.sqrt(len(v)), 1.0 * np.sqrt(len(v))])
-        solved = np.linalg.lstsq(np.concatenate([columns, ridge]),
-                                 np.concatenate([force[:, 2], np.zeros(3)]), rcond=None)[0]
-        self.k_f, self.drag[2], self.k_h = solved
-        mean = squares.mean(axis=0)
-        self.trim = mean / mean.mean()
+        scale = squares.sum(axis=1).mean()
+        columns = np.stack([squares.sum(axis=1) / scale, v[:, 2], lateral], axis=-1)
+        free = np.linalg.lstsq(columns, force[:, 2], rcond=None)[0]
+        size = float(np.std(force[:, 2] - columns @ free))
+        mean = 0.5 * float(self.drag[0] + self.drag[1])
+        weights = np.sqrt(0.1 / STEP_S) * size / np.array([abs(mean) + 1e-9, LIFT * self.mass])
+        prior = np.concatenate([np.zeros((2, 1)), np.diag(weights)], axis=1)
+        solved = np.linalg.lstsq(np.concatenate([columns, prior]), np.concatenate(
+            [force[:, 2], [weights[0] * mean, 0.0]]), rcond=None)[0]
+        self.k_f, self.drag[2], self.k_h = solved[0] / scale, solved[1], solved[2]
+        self.trim = squares.mean(axis=0) / squares.mean()
+        return float(np.std(force[:, 2] - columns @ solved))
 
 
-def smooth(x: np.ndarray, width: int) -> np.ndarray:
+def smooth(x: np.ndarray, width: int = 9) -> np.ndarray:
     """Moving average over an odd number of samples, ends held."""
     padded = np.pad(x, width // 2, mode='edge')
     return np.convolve(padded, np.ones(width) / width, mode='valid')

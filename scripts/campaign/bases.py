@@ -115,6 +115,7 @@ def set_coefficients(frame: Airframe, k_f: float, drag: List[float], k_h: float,
     """Known coefficients in place of fitted ones."""
     frame.k_f, frame.drag, frame.k_h = k_f, np.array(drag, float), k_h
     frame.inertia = np.array(inertia, float)
+    frame.rotors_late_s = frame.odometry_late_s = 0.0
 
 
 def independent(name: str) -> Base:

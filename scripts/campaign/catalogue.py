@@ -393,7 +393,8 @@ def vehicle_faults() -> List[Fault]:
 
 def scale_faults() -> List[Fault]:
     """Mass, k_f, inertia, gravity."""
-    mass = Fault('mass', 'wrong mass', ('mass_or_k_f', 'thrust_scale'), r'mass|k_f|prior',
+    mass = Fault('mass', 'wrong mass', ('mass_or_k_f', 'thrust_scale'),
+                 r'mass|k_f|prior|for [\d.]+ kg',
                  right='mass sets the scale of force: k_f and drag times the factor are right',
                  per_base=2)
     for factor in (1.2, 0.5, 1000.0):
@@ -445,7 +446,7 @@ def row_faults() -> List[Fault]:
 def controls() -> List[Fault]:
     """Nothing wrong: what the method itself costs."""
     more = Fault('control', 'control: more flight, nothing wrong', (), r'(?!)')
-    for where in ('after', 'before', 'amid'):
+    for where in ('after', 'before', 'amid', 'low'):
         more.add(where, scene(scenes.more_flight, where))
     return [more]
 

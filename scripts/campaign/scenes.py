@@ -96,11 +96,11 @@ def descent(base: Base, begin: Motion, sink: float = 0.25, above: float = 0.0) -
     return go(base.frame, end, last, pace=0.6)
 
 
-def approach(base: Base, sink: float = 0.25) -> Motion:
-    """Brakes at the end of the recording, hovers, comes down to the floor."""
+def approach(base: Base, sink: float = 0.25, above: float = 0.0) -> Motion:
+    """Brakes at the end of the recording, hovers, comes down to the floor or to above it."""
     braked = stop(base.frame, base.sensors.state(True))
     still = braked.then(hover(base.frame, braked.end(), 0.4))
-    return still.then(descent(base, still, sink))
+    return still.then(descent(base, still, sink, above))
 
 
 def touch(base: Base, begin: Motion, points: List, duration: float, **world) -> Motion:
@@ -428,6 +428,9 @@ def more_flight(base: Base, where: str, rng: np.random.Generator) -> Scene:
         braked = stop(base.frame, base.sensors.state(True))
         more = braked.then(hover(base.frame, braked.end(), 3.0))
         return after(base, more, 0.0, rng)
+    if where == 'low':
+        flown = approach(base, sink=0.0, above=0.15)
+        return after(base, flown.then(hover(base.frame, flown.end(), 1.5)), 0.0, rng)
     if where == 'before':
         into = start(base.frame, base.sensors.state(False))
         at = at_rest(into.p[0], float(rotation.heading(into.q[0])))

@@ -74,7 +74,7 @@ class Sensors:
         frame, t = self.frame, self.rec.t
         v = self.rec.get(VELOCITY) if self.rec.has(VELOCITY) else np.zeros((len(t), 3))
         force = frame.air_force(rotation.rotate(rotation.inverse(q), v))
-        force[:, 2] += frame.k_f * np.sum(self.rec.rotors_at(t) ** 2, axis=1)
+        force[:, 2] += frame.k_f * np.sum(self.rec.rotors_at(t + frame.rotors_late_s) ** 2, axis=1)
         return force / frame.mass
 
     def command_maps(self) -> Dict[str, np.ndarray]:
@@ -113,12 +113,14 @@ class Sensors:
         q /= np.linalg.norm(q)
         w = 2.0 * rotation.multiply(rotation.inverse(q), np.array([c[-2] for c in fit]))[1:]
         R = rotation.matrix(q)
-        rotors = np.mean(self.rec.rotors_at(when + np.linspace(-0.02, 0.02, 9)) ** 2, axis=0)
+        late = frame.odometry_late_s
+        around = when + frame.rotors_late_s + np.linspace(-0.02, 0.02, 9)
+        rotors = np.mean(self.rec.rotors_at(around) ** 2, axis=0)
         thrust = frame.k_f * np.sum(rotors)
         air = R @ frame.air_force(R.T @ v)
         a = (R[:, 2] * thrust + air) / frame.mass - G
         j = R @ np.cross(w, [0.0, 0.0, 1.0]) * thrust / frame.mass
-        return State(p, v, a, j, float(rotation.heading(q)), float(w[2]))
+        return State(p + v * late, v + a * late, a, j, float(rotation.heading(q)), float(w[2]))
 
     def stamps(self, duration: float, rng: np.random.Generator) -> np.ndarray:
         """Stamps of poses over a duration, with packets lost as often as in the recording."""
@@ -156,7 +158,9 @@ class Sensors:
         q = rotation.continuous(self.at(motion, rotation.continuous(motion.q), t))
         q /= np.linalg.norm(q, axis=1, keepdims=True)
         w = self.at(motion, motion.rates, t)
-        p = self.at(motion, motion.p, t) + rotation.rotate(q, frame.p_BS)
+        then = t - frame.odometry_late_s
+        p = self.at(motion, motion.p, then) + rotation.rotate(q, frame.p_BS)
+        p += np.minimum(then - motion.t[0], 0.0)[:, None] * motion.v[0]
         self.noisy(main, POSITION, p, np.ones(len(t)), rng)
         size = float(np.median([self.noise[n][0] for n in ATTITUDE[1:]]))
         shake = np.stack([coloured(len(t), 2.0 * size, self.noise['qx'][1], rng)
@@ -165,7 +169,7 @@ class Sensors:
         for i, name in enumerate(ATTITUDE):
             main[name] = q_S[:, i]
         if self.rec.has(VELOCITY):
-            v = self.at(motion, motion.v, t) + rotation.rotate(q, np.cross(w, frame.p_BS))
+            v = self.at(motion, motion.v, then) + rotation.rotate(q, np.cross(w, frame.p_BS))
             self.noisy(main, VELOCITY, v, np.ones(len(t)), rng)
 
     def add_imu(self, main: Columns, motion: Motion, t: np.ndarray, shaking: np.ndarray,
@@ -193,7 +197,7 @@ class Sensors:
         stamps = t
         if self.rec.rotor is not None:
             stamps = np.arange(self.rotor_period, motion.duration, self.rotor_period)
-        speeds = np.sqrt(self.at(motion, motion.squares, stamps))
+        speeds = np.sqrt(self.at(motion, motion.squares, stamps - self.frame.rotors_late_s))
         hover = np.sqrt(self.frame.hover_squares)
         noise = np.stack([coloured(len(stamps), *n, rng) for n in self.rotor_noise], axis=-1)
         columns = dict(zip(self.rec.rotor_names, np.maximum(speeds + noise * speeds / hover, 0).T))
