@@ -1,0 +1,1 @@
+"""Faulty recordings made from unspoiled ones, and how `calibrate` is scored on them."""
