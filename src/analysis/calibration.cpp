@@ -110,9 +110,10 @@ PredictionFigures::Axes GainByEstimate(const DynamicModel& model, const ModelVal
 /// Brings the sigmas to what the thirds of the flight show.
 void WidenBy(const std::vector<ThirdsDifference>& thirds, Snapshot* snapshot) {
   for (const ThirdsDifference& d : thirds) {
-    snapshot->sigma[d.index] *= d.widening;
-    snapshot->covariance.row(d.index) *= d.widening;
-    snapshot->covariance.col(d.index) *= d.widening;
+    const double widening = std::max(1.0, d.spread / snapshot->sigma[d.index]);
+    snapshot->sigma[d.index] *= widening;
+    snapshot->covariance.row(d.index) *= widening;
+    snapshot->covariance.col(d.index) *= widening;
   }
 }
 

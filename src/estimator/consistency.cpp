@@ -1,6 +1,5 @@
 #include "odmc/estimator/consistency.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 
@@ -160,12 +159,10 @@ std::vector<ThirdOfFlight> Consistency::Thirds(const Eigen::Ref<const Eigen::Vec
       passed_s += block.length_s;
       third.length_s += block.length_s;
     }
-    Eigen::MatrixXd with_prior = information;
-    with_prior.diagonal() += prior_sigma.cwiseAbs2().cwiseInverse();
-    const Eigen::LDLT<Eigen::MatrixXd> ldlt(with_prior);
-    third.step = -ldlt.solve(gradient);
-    const Eigen::MatrixXd inverse = ldlt.solve(Eigen::MatrixXd::Identity(n_, n_));
-    third.variance = (inverse * information * inverse).diagonal().cwiseMax(0.0);
+    const Eigen::VectorXd known = information.diagonal();
+    const Eigen::VectorXd with_prior = known + prior_sigma.cwiseAbs2().cwiseInverse();
+    third.step = -gradient.cwiseQuotient(with_prior);
+    third.variance = known.cwiseQuotient(with_prior.cwiseAbs2()).cwiseMax(0.0);
     if (!third.step.allFinite() || !third.variance.allFinite()) return {};
     thirds.push_back(std::move(third));
   }

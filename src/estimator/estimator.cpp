@@ -634,12 +634,13 @@ std::vector<ThirdsDifference> Estimator::LastLook() {
     ThirdsDifference difference;
     difference.index = layout_.model_index(i);
     difference.chi_squared = chi_squared;
-    difference.widening = std::sqrt(0.5 * chi_squared);
     for (size_t t = 0; t < 3; ++t) {
       ParameterVector eta = window_.eta();
       eta[i] += thirds[t].step[i];
       difference.values[t] = layout_.Decode(eta.data())[difference.index];
     }
+    const Eigen::Map<const Eigen::Vector3d> values(difference.values.data());
+    difference.spread = std::sqrt((values.array() - values.mean()).square().sum() / 6.0);
     differences.push_back(difference);
   }
   return differences;

@@ -37,9 +37,9 @@ std::vector<Finding> LastLookFindings(const DynamicModel& model, const ModelValu
     char text[300];
     std::snprintf(text, sizeof text,
                   "%s is %.3g in the first third of the flight, %.3g in the second and %.3g in the "
-                  "last %s: more than chance makes of it (its sigma is widened by %.1f)",
-                  p.full_name.c_str(), d.values[0], d.values[1], d.values[2], p.spec.unit.c_str(),
-                  d.widening);
+                  "last %s: more than chance makes of it",
+                  p.full_name.c_str(), d.values[0], d.values[1], d.values[2],
+                  p.spec.unit.c_str());
     Finding finding;
     finding.check = "last_look";
     finding.what = text;

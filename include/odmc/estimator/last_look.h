@@ -10,8 +10,9 @@
 
 namespace odmc {
 
-/// What one third of a flight says by itself about every estimated parameter, in eta: one
-/// Gauss-Newton step from the estimate with that third's information and the priors alone.
+/// What one third of a flight asks of every estimated parameter by itself, in eta, the others as the
+/// whole flight has them: one Gauss-Newton step from the estimate with that third's information and
+/// the prior. (With all of them free a third would slide along what it does not tell apart.)
 struct ThirdOfFlight {
   Eigen::VectorXd step;      ///< from the present estimate (n×1)
   Eigen::VectorXd variance;  ///< of each entry, white residuals of the assumed size (n×1)
@@ -23,7 +24,7 @@ struct ThirdsDifference {
   int index = -1;  ///< in DynamicModel::parameters()
   std::array<double, 3> values{};
   double chi_squared = 0.0;  ///< of the three about their mean, 2 degrees of freedom
-  double widening = 1.0;     ///< factor that brings the parameter's sigma to what the thirds show
+  double spread = 0.0;       ///< standard error of their mean by their own scatter
 };
 
 /// Where a chi-squared of 2 degrees of freedom is reached by chance once in so many flights, with
