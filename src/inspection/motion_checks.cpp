@@ -91,6 +91,7 @@ std::vector<Explanation> Readings(const Matrix3Xd& x, const Matrix3Xd& y,
   }
   const double scale = ScaleOf(x, y);
   if (scale > kLeastScale && scale < 1.0 / kLeastScale) return all;
+  if (std::abs(scale / kDegree - 1.0) < 0.1) return all;  // degrees are among them
   all.push_back({Text(1.0 / scale) + " times too large", scale * x - y});
   return all;
 }
