@@ -346,7 +346,10 @@ MatrixXd HighPassed(const MatrixXd& x, int half) {
 MatrixXd Smoothed(const MatrixXd& x) {
   MatrixXd y = x;
   const Eigen::Index n = x.rows() - 2;
-  if (n > 0) y.middleRows(1, n) = 0.25 * (x.topRows(n) + 2.0 * x.middleRows(1, n) + x.bottomRows(n));
+  if (n > 0) {
+    y.middleRows(1, n) =
+        0.25 * (x.topRows(n) + 2.0 * x.middleRows(1, n) + x.bottomRows(n));
+  }
   return y;
 }
 

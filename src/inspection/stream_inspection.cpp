@@ -77,8 +77,8 @@ double Take(std::optional<TimeOffset> offset, StreamInspection* inspection) {
 
 /// The IMU's two sensors share their stamps, and the gyro shows them better.
 /// @returns what was compensated [s]
-double TakeImu(const MotionSignals& signals, const Vehicle& vehicle, const std::vector<bool>& flight,
-             StreamInspection* inspection) {
+double TakeImu(const MotionSignals& signals, const Vehicle& vehicle,
+               const std::vector<bool>& flight, StreamInspection* inspection) {
   const auto gyro = GyroOffset(signals, flight);
   const bool gyro_tells = gyro && gyro->lag.determined();
   const double gyro_s = Take(gyro, inspection);

@@ -83,7 +83,7 @@ void CheckWeight(double k_f, const Vehicle& vehicle, StreamInspection* inspectio
            Text(k_f) + " would fit), and the unit of the rotor speeds"});
 }
 
-// ---- Lean ----------------------------------------------------------------------------------------
+// ---- Lean --------------------------------------------------------------------------------------
 
 /// Specific force across the thrust explained by a lean and by drag along each axis.
 struct Lean {
