@@ -17,7 +17,10 @@ Json FindingsJson(const std::vector<Finding>& findings) {
   for (const Finding& f : findings) {
     Json entry = {{"check", f.check}, {"leaves", Name(f.leaves)}, {"what", f.what}};
     if (!f.mend.empty()) entry["mend"] = f.mend;
-    if (f.span_s) entry["from_s"] = Number(f.span_s->first), entry["to_s"] = Number(f.span_s->second);
+    if (f.span_s) {
+      entry["from_s"] = Number(f.span_s->first);
+      entry["to_s"] = Number(f.span_s->second);
+    }
     json.push_back(entry);
   }
   return json;

@@ -28,9 +28,6 @@ constexpr double kLeastShare = 0.333;
 // the lag by up to this time where both are alike. (Own offsets on flights whose stamps are right:
 // 15 flights of shared data and simulators with shares of 0.01 to 1 stay within 3 sigma of it.)
 constexpr double kAnswer_s = 0.005;
-// What an onboard observer leaves of a velocity (its error over the signal) comes with a lag of up
-// to this time that is its own, not the stamps'.
-constexpr double kFilter_s = 0.2;
 constexpr double kMostNoise = 0.1, kLeastLeft = 0.1;  // shares
 constexpr double kFinest_s = 0.0004;   // parabolas are refined down to
 constexpr double kSlopeStep = 0.25;   // of the grid: slopes of the likelihood are taken over
@@ -349,7 +346,10 @@ MatrixXd HighPassed(const MatrixXd& x, int half) {
 MatrixXd Smoothed(const MatrixXd& x) {
   MatrixXd y = x;
   const Eigen::Index n = x.rows() - 2;
-  if (n > 0) y.middleRows(1, n) = 0.25 * (x.topRows(n) + 2.0 * x.middleRows(1, n) + x.bottomRows(n));
+  if (n > 0) {
+    y.middleRows(1, n) =
+        0.25 * (x.topRows(n) + 2.0 * x.middleRows(1, n) + x.bottomRows(n));
+  }
   return y;
 }
 
@@ -419,7 +419,7 @@ Lag Regression::Judge(double lag_s) const {
   lag.explained = all > 0.0 ? 1.0 - left / all : 0.0;
   const double uncured = (weights_.transpose() * AtLag(0.0).residual.cwiseAbs2()).sum();
   lag.cured = uncured > 0.0 ? 1.0 - left / uncured : 0.0;
-  if (order_ == 0) lag.pull_s = kFilter_s * std::sqrt(StructuredShare(here.residual, all));
+  if (order_ == 0) lag.pull_s = p_.filter_s * std::sqrt(StructuredShare(here.residual, all));
   if (order_ > 0) {
     lag.band_share = BandShare(lag_s, &lag.band_gain);
     const double share = std::clamp(lag.band_share, kLeastShare, 1.0);

@@ -91,6 +91,7 @@ std::vector<Explanation> Readings(const Matrix3Xd& x, const Matrix3Xd& y,
   }
   const double scale = ScaleOf(x, y);
   if (scale > kLeastScale && scale < 1.0 / kLeastScale) return all;
+  if (std::abs(scale / kDegree - 1.0) < 0.1) return all;  // degrees are among them
   all.push_back({Text(1.0 / scale) + " times too large", scale * x - y});
   return all;
 }
@@ -99,7 +100,7 @@ Finding Dropped(const std::string& check, const std::string& what, const std::st
   return {check, Trust::kDoubtful, what + "; it is not used", mend};
 }
 
-// ---- Velocity ------------------------------------------------------------------------------------
+// ---- Velocity -----------------------------------------------------------------------------------
 
 /// Axes whose numbers never change while the position moves along them.
 std::string StuckAxes(const Matrix3Xd& x, const Matrix3Xd& y) {
@@ -107,7 +108,8 @@ std::string StuckAxes(const Matrix3Xd& x, const Matrix3Xd& y) {
   for (int i = 0; i < 3; ++i) {
     const double moves = std::sqrt(y.row(i).squaredNorm() / static_cast<double>(y.cols()));
     const double spread = x.row(i).maxCoeff() - x.row(i).minCoeff();
-    if (moves > kLeastMotion && spread < 1e-6) text += (text.empty() ? "" : ", ") + std::string(1, "xyz"[i]);
+    if (moves <= kLeastMotion || spread > 1e-6) continue;
+    text += (text.empty() ? "" : ", ") + std::string(1, "xyz"[i]);
   }
   return text;
 }
@@ -135,7 +137,8 @@ void AddOtherPoint(const MotionWindows& w, std::vector<Explanation>* readings) {
 }
 
 void CheckVelocity(const MotionWindows& w, MotionSignals* s, StreamInspection* inspection) {
-  if (w.velocity.cols() == 0 || MedianSquare(w.displacement_m_s) < kLeastMotion * kLeastMotion) return;
+  if (w.velocity.cols() == 0) return;
+  if (MedianSquare(w.displacement_m_s) < kLeastMotion * kLeastMotion) return;
   const std::string cause = "the velocity is not the derivative of the position: ";
   const auto drop = [&](const std::string& what, const std::string& mend) {
     inspection->findings.push_back(Dropped("velocity", cause + what, mend));
@@ -168,7 +171,7 @@ void CheckVelocity(const MotionWindows& w, MotionSignals* s, StreamInspection* i
   }
 }
 
-// ---- Rates ---------------------------------------------------------------------------------------
+// ---- Rates --------------------------------------------------------------------------------------
 
 /// What the attitude's own turn says the rates are.
 Matrix3Xd Turns(const MotionWindows& w) {
@@ -214,7 +217,7 @@ void CheckRates(const MotionWindows& w, const Vehicle& vehicle, MotionSignals* s
   s->gyro.reset();
 }
 
-// ---- Attitude ------------------------------------------------------------------------------------
+// ---- Attitude -----------------------------------------------------------------------------------
 
 /// A mistake in reading a pose: of the quaternion, and of the axes of world and body.
 struct PoseMistake {
@@ -279,7 +282,7 @@ void CheckAttitude(const MotionWindows& w, const Vehicle& vehicle, StreamInspect
   inspection->refusal += "; " + mistake.mend;
 }
 
-// ---- Accelerometer -------------------------------------------------------------------------------
+// ---- Accelerometer ------------------------------------------------------------------------------
 
 void CheckAccelerometer(const MotionWindows& w, const Vehicle& vehicle, MotionSignals* s,
                         StreamInspection* inspection) {
@@ -293,13 +296,14 @@ void CheckAccelerometer(const MotionWindows& w, const Vehicle& vehicle, MotionSi
   const Matrix3Xd force_I = R_IS * Turned(w.q_WS, w.acceleration_W + up_W, true);
   const Matrix3Xd& x = w.accelerometer;
   const Matrix3Xd turned = R_IS * Turned(w.q_WS, x, true);
-  std::vector<Explanation> readings = {{"as it is", x - force_I},
-                                       {"in g", g * x - force_I},
-                                       {"in the world frame", turned - force_I},
-                                       {"in the world frame, in g", g * turned - force_I},
-                                       {"without gravity", x + up_I - force_I},
-                                       {"without gravity, in the world frame", turned + up_I - force_I},
-                                       {"without gravity, in g", g * x + up_I - force_I}};
+  std::vector<Explanation> readings = {
+      {"as it is", x - force_I},
+      {"in g", g * x - force_I},
+      {"in the world frame", turned - force_I},
+      {"in the world frame, in g", g * turned - force_I},
+      {"without gravity", x + up_I - force_I},
+      {"without gravity, in the world frame", turned + up_I - force_I},
+      {"without gravity, in g", g * x + up_I - force_I}};
   for (const Matrix3d& axes : AxisMistakes()) {
     if (!axes.isIdentity()) readings.push_back({"with axes " + AxesText(axes), axes * x - force_I});
   }

@@ -24,7 +24,7 @@ struct MotionWindows {
 };
 
 constexpr double kWindow_s = 0.1;      ///< means; accelerations are over three of them
-constexpr int kWindowsPerBlock = 10;   ///< a second of flight
+constexpr int kWindowsPerBlock = 5;    ///< half a second of flight
 
 /// Those of the windows in which the attitude turns slower than this [rad/s].
 MotionWindows CalmOnes(const MotionWindows& windows, double most_rad_s);

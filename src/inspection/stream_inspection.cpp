@@ -76,30 +76,39 @@ double Take(std::optional<TimeOffset> offset, StreamInspection* inspection) {
 }
 
 /// The IMU's two sensors share their stamps, and the gyro shows them better.
-void TakeImu(const MotionSignals& signals, const Vehicle& vehicle, const std::vector<bool>& flight,
-             StreamInspection* inspection) {
+/// @returns what was compensated [s]
+double TakeImu(const MotionSignals& signals, const Vehicle& vehicle,
+               const std::vector<bool>& flight, StreamInspection* inspection) {
   const auto gyro = GyroOffset(signals, flight);
   const bool gyro_tells = gyro && gyro->lag.determined();
-  Take(gyro, inspection);
+  const double gyro_s = Take(gyro, inspection);
   const auto accelerometer = AccelerometerOffset(signals, vehicle, flight);
-  if (!accelerometer) return;
+  if (!accelerometer) return gyro_s;
   if (gyro_tells) {
     inspection->offsets.push_back(*accelerometer);
-  } else {
-    Take(accelerometer, inspection);
+    return gyro_s;
   }
+  return Take(accelerometer, inspection);
+}
+
+/// Relative to a stream that was late itself: its own filter's lag went with it, half of
+/// kLeastFilterOffset_s give or take.
+void Add(double late_s, TimeOffset* offset) {
+  if (late_s == 0.0) return;
+  offset->lag.lag_s += late_s;
+  offset->lag.pull_s = std::hypot(offset->lag.pull_s, 0.5 * kLeastFilterOffset_s);
 }
 
 void InspectOffsets(const MotionSignals& signals, const Vehicle& vehicle,
                     const std::vector<bool>& flight, StreamInspection* inspection) {
   const double velocity_s = Take(VelocityOffset(signals, flight), inspection);
   const double rates_s = Take(RatesOffset(signals, flight), inspection);
-  TakeImu(signals, vehicle, flight, inspection);
+  const double imu_s = TakeImu(signals, vehicle, flight, inspection);
   auto torque = RotorOffset(signals, vehicle, flight);
   auto thrust = ThrustOffset(signals, vehicle, flight);
-  // Relative to streams that are late themselves.
-  if (torque && torque->against == "body_rates") torque->lag.lag_s += rates_s;
-  if (thrust && thrust->against == "velocity") thrust->lag.lag_s += velocity_s;
+  if (torque && torque->against == "body_rates") Add(rates_s, &*torque);
+  if (torque && torque->against == "gyro") Add(imu_s, &*torque);
+  if (thrust && thrust->against == "velocity") Add(velocity_s, &*thrust);
   if (torque) CheckInertia(signals, vehicle, flight, *torque, inspection);
   Take(Together(torque, thrust), inspection);
 }

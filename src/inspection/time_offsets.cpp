@@ -22,6 +22,8 @@ constexpr double kHat = 1.414;
 // times slower.
 constexpr double kThrustAnswer_s = 0.025, kLeastShare = 0.1;
 
+constexpr double kObserver_s = 0.2;
+
 /// Even grid over the flight, no finer than the streams are.
 LagProblem Grid(const SampledSignal& still, const SampledSignal& moving, int channels, int fixed) {
   LagProblem p;
@@ -101,6 +103,7 @@ std::optional<TimeOffset> AgainstAttitude(const MotionSignals& s, const SampledS
 std::optional<TimeOffset> VelocityOffset(const MotionSignals& s, const std::vector<bool>& flight) {
   if (!s.velocity) return std::nullopt;
   LagProblem p = SlowGrid(s.position, *s.velocity, 3, 1);
+  p.filter_s = kObserver_s;
   ForSteps({&s.position}, flight, &p, [&](int i, double from, double to) {
     p.y.row(i) = ((s.position.At(to) - s.position.At(from)) / (to - from)).transpose();
     p.fixed(i, 0) = 1.0;
@@ -125,6 +128,7 @@ std::optional<TimeOffset> AccelerometerOffset(const MotionSignals& s, const Vehi
   const SampledSignal velocity = s.velocity ? *s.velocity : DifferencesOf(s.position);
   const Vector3d up_W = vehicle.gravity_m_s2 * Vector3d::UnitZ();
   LagProblem p = SlowGrid(velocity, *s.accelerometer, 3, 1);
+  p.filter_s = kObserver_s;
   ForSteps({&velocity, &s.attitude}, flight, &p, [&](int i, double from, double to) {
     const Vector3d a_W = (velocity.At(to) - velocity.At(from)) / (to - from);
     p.y.row(i) = (s.q_WS(0.5 * (from + to)).conjugate() * (a_W + up_W)).transpose();

@@ -32,7 +32,7 @@ constexpr double kLean_rad = 0.07, kLeanSigmas = 5.0;
 constexpr double kLeanNotWind_rad = 0.2;
 // A sensor some centimetres from the centre feels w² r: 0.3 m/s² at this rate and 3 cm.
 constexpr double kCalm_rad_s = 3.0;
-constexpr int kLeastWindows = 5 * kWindowsPerBlock;
+constexpr int kLeastWindows = 10 * kWindowsPerBlock;
 
 std::string Text(double value) {
   char text[32];
@@ -83,7 +83,7 @@ void CheckWeight(double k_f, const Vehicle& vehicle, StreamInspection* inspectio
            Text(k_f) + " would fit), and the unit of the rotor speeds"});
 }
 
-// ---- Lean ----------------------------------------------------------------------------------------
+// ---- Lean --------------------------------------------------------------------------------------
 
 /// Specific force across the thrust explained by a lean and by drag along each axis.
 struct Lean {

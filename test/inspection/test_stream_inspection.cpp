@@ -55,7 +55,9 @@ const FlightLog& Octo() {
 
 std::string Checks(const StreamInspection& inspection) {
   std::string text;
-  for (const Finding& finding : inspection.findings) text += finding.check + ": " + finding.what + "\n";
+  for (const Finding& finding : inspection.findings) {
+    text += finding.check + ": " + finding.what + "\n";
+  }
   return text;
 }
 
@@ -174,7 +176,9 @@ TEST(StreamInspection, NamesWhatIsWrongWithTheVelocity) {
     ForPoses(log, [](auto* s) { *s->v_WS = Vector3d(1, -1, -1).cwiseProduct(*s->v_WS); });
   }, "with axes x, -y, -z");
   check([](FlightLog* log) {
-    ForPoses(log, [](auto* s) { *s->v_WS += s->q_WS * s->w_WS_S->cross(Vector3d(0.5, 0.2, -0.4)); });
+    ForPoses(log, [](auto* s) {
+      *s->v_WS += s->q_WS * s->w_WS_S->cross(Vector3d(0.5, 0.2, -0.4));
+    });
   }, "of a point");
 }
 
@@ -198,7 +202,8 @@ TEST(StreamInspection, NamesWhatIsWrongWithTheRates) {
 }
 
 TEST(StreamInspection, RefusesAnAttitudeThatPointsTheThrustElsewhere) {
-  const auto check = [](const std::function<void(OdometrySample*)>& change, const std::string& text) {
+  const auto check = [](const std::function<void(OdometrySample*)>& change,
+                        const std::string& text) {
     const StreamInspection found = Spoiled([&](FlightLog* log) { ForPoses(log, change); });
     ExpectNamed(found, "attitude", text);
     EXPECT_NE(found.refusal.find(text), std::string::npos) << found.refusal;
@@ -234,7 +239,8 @@ TEST(StreamInspection, NamesWhatIsWrongWithTheAccelerometer) {
   };
   ASSERT_EQ(Octo().imu.size(), Octo().odometry.size());
   check([](const Vector3d& f, const Quaterniond&) { return Vector3d(f / 9.81); }, "in g");
-  check([](const Vector3d& f, const Quaterniond& q) { return Vector3d(q * f); }, "in the world frame");
+  check([](const Vector3d& f, const Quaterniond& q) { return Vector3d(q * f); },
+        "in the world frame");
   check([](const Vector3d& f, const Quaterniond& q) {
     return Vector3d(f - q.conjugate() * Vector3d(0.0, 0.0, 9.81));
   }, "without gravity");
@@ -275,7 +281,7 @@ TEST(StreamInspection, NamesAMassAndInertiaThatCannotBe) {
   ExpectNamed(InspectStreams(Fly("aggressive", 7, 0.0005), vehicle), "inertia", "times the file's");
 }
 
-// ---- Recordings ----------------------------------------------------------------------------------
+// ---- Recordings --------------------------------------------------------------------------------
 
 struct Recording {
   std::string flight, vehicle;
@@ -290,7 +296,8 @@ TEST(MeasuredStreams, ShiftsAreFoundWithinTwoMilliseconds) {
            {"imrc_cf21_brushless/eckart22.csv", vehicles + "imrc_cf21_brushless.yaml"},
            {"indiflight/LOG00267.csv", indiflight}}) {
     const Vehicle vehicle = LoadVehicle(r.vehicle);
-    FlightLog log = ReadFlightCsv(test::RecordedFile(r.flight), vehicle.num_rotors(), PoseSource::kEkf);
+    FlightLog log =
+        ReadFlightCsv(test::RecordedFile(r.flight), vehicle.num_rotors(), PoseSource::kEkf);
     MendFlight(&log);
     const StreamInspection own = InspectStreams(log, vehicle);
     EXPECT_TRUE(own.findings.empty()) << r.flight << ":\n" << Checks(own);

@@ -24,6 +24,9 @@ struct LagProblem {
   Eigen::MatrixXd fixed;                ///< n×f, explains as well and does not move
   std::vector<bool> usable;             ///< n
   const SampledSignal* moving = nullptr;
+  /// What an onboard observer leaves of the signal (its error over the signal) comes with a lag of
+  /// up to this time that is its own, not the stamps'.
+  double filter_s = 0.0;
   double reach_s = 0.2;  ///< lags looked at: this far to both sides
 };
 
