@@ -15,6 +15,8 @@ namespace {
 // observer) makes it up to 10 ms late or early against the pose by itself.
 constexpr double kLeastRotorOffset_s = 0.005, kLeastFilterOffset_s = 0.010;
 constexpr double kSigmas = 3.0;
+// No filter and no controller makes a lag this long: two sigmas do.
+constexpr double kLaterThanFilters_s = 0.03, kSigmasOfLongOnes = 2.0;
 // What an observer's own lag is, Lag::pull_s says. A wrong stamp is besides a lag of the whole:
 // taking it off cures part of the disagreement. (An accelerometer shows a swinging load that the
 // pose does not; it must cure half.)
@@ -43,7 +45,9 @@ double MustCure(const std::string& stream) {
 bool IsWrong(const TimeOffset& offset) {
   const Lag& lag = offset.lag;
   const double size_s = std::abs(lag.lag_s);
-  if (!lag.determined() || size_s < kSigmas * lag.sigma_s()) return false;
+  if (!lag.determined()) return false;
+  const double sigmas = size_s > kLaterThanFilters_s ? kSigmasOfLongOnes : kSigmas;
+  if (size_s < sigmas * lag.sigma_s()) return false;
   if (offset.stream == "rotor_speeds") return size_s > kLeastRotorOffset_s;
   return size_s > kLeastFilterOffset_s && lag.cured > MustCure(offset.stream);
 }
