@@ -142,6 +142,17 @@ class Physics(unittest.TestCase):
         self.assertAlmostEqual(self.base.frame.k_f / 1.5e-6, 1.0, delta=0.01)
         np.testing.assert_allclose(self.base.frame.drag[:2], DRAG[:2], rtol=0.05)
 
+    def test_fit_finds_what_is_late(self) -> None:
+        self.assertEqual((self.base.frame.rotors_late_s, self.base.frame.odometry_late_s), (0, 0))
+        late = invented_recording(noise=0.2)
+        signals.rotors_late(late, 0.02)
+        self.assertAlmostEqual(bases.Base('late', late, VEHICLE).frame.rotors_late_s, 0.02, 2)
+        late = invented_recording(noise=0.2)
+        signals.late(late, POSITION + VELOCITY, 0.02)
+        frame = bases.Base('late', late, VEHICLE).frame
+        self.assertAlmostEqual(frame.odometry_late_s, 0.02, delta=0.005)
+        self.assertAlmostEqual(frame.k_f / 1.5e-6, 1.0, delta=0.01)
+
     def test_noise_is_that_of_the_recording(self) -> None:
         after = self.scene('control/after').rec
         added = after.cut(float(self.base.rec.t[-1]), 1e9)
