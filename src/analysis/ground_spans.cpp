@@ -4,12 +4,11 @@
 
 #include "odmc/estimator/phase_watch.h"
 #include "odmc/math/ring.h"
-#include "odmc/sensing/synchroniser.h"
 
 namespace odmc {
 namespace {
 
-constexpr double kPatience_s = 0.3;     // as the estimator waits for a silent stream
+constexpr double kShareOfPeriod = 0.8;  // of a keyframe's, between two samples that are looked at
 constexpr double kLongestStep_s = 1.0;  // a longer hole counts neither as ground nor as flight
 constexpr double kMaxGap_s = 0.06;      // as EstimatorOptions::max_gap_s
 constexpr double kKept_s = 10.0;        // of rotor speeds, the longest interval
@@ -40,26 +39,25 @@ GroundSpans FindGroundSpans(const FlightLog& log, const DynamicModel& model,
                             double keyframe_rate_hz) {
   GroundSpans result;
   if (log.rotors.empty()) return result;
-  Synchroniser synchroniser(keyframe_rate_hz, kPatience_s);
   OdometryNoiseEstimator noise({0.0, 0.0, 0.0, 0.0});
   PhaseWatch phases(&model, options, false);
   phases.Know(values, 0.0);
   RotorReader rotors(log.rotors);
-  std::optional<OdometrySample> last;
+  const OdometrySample* last = nullptr;
   double seen_s = 0.0;
-  synchroniser.Finish();  // every stream is at hand: wait for none
-  for (const OdometrySample& odometry : log.odometry) {
-    noise.Add(odometry);
-    synchroniser.Add(odometry);
-    while (const std::optional<OdometrySample> sample = synchroniser.NextKeyframe()) {
-      const double dt = last ? ToSeconds(sample->stamp - last->stamp) : 0.0;
-      const bool is_first = !last || dt > std::max(kMaxGap_s, 1.5 / keyframe_rate_hz);
-      phases.Update(*sample, is_first ? std::nullopt : rotors.Read(last->stamp, sample->stamp),
-                    noise.Noise(), is_first);
-      last = sample;
-      if (dt < kLongestStep_s) seen_s += dt;
-      ++result.airborne_keyframes;
-    }
+  const double least_step_s = kShareOfPeriod / keyframe_rate_hz;
+  // Poses that repeat count here: a vehicle that stands may well have the same one all the time.
+  for (const OdometrySample& sample : log.odometry) {
+    noise.Add(sample);
+    const double dt = last != nullptr ? ToSeconds(sample.stamp - last->stamp) : 0.0;
+    if (last != nullptr && dt < least_step_s) continue;
+    const bool is_first =
+        last == nullptr || dt > std::max(kMaxGap_s, 1.5 / keyframe_rate_hz);
+    phases.Update(sample, is_first ? std::nullopt : rotors.Read(last->stamp, sample.stamp),
+                  noise.Noise(), is_first);
+    last = &sample;
+    if (dt < kLongestStep_s) seen_s += dt;
+    ++result.airborne_keyframes;
   }
   result.spans = NotInFlight(phases.detector().spans());
   for (const auto& [from, to] : result.spans) result.on_ground_s += ToSeconds(to - from);

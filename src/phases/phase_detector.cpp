@@ -30,6 +30,7 @@ constexpr double kProof_s = 0.5;
 constexpr double kKnown_s = 1.0;       // of carried flight, to know the thrust coefficient
 constexpr double kClearWander = 3.0;   // times what a stand shows at most
 constexpr double kWandered_s = 1.0;    // as good as having moved away
+constexpr double kStandsAlone_s = 0.5;  // without rotor speeds; as long again as stillness takes
 constexpr double kTurned_rad = 0.1;
 constexpr double kCarried_m_s = 0.15;
 constexpr double kFallingForce = 0.3, kSupported = 0.5;  // felt, over g
@@ -48,7 +49,8 @@ PhaseDetector::PhaseDetector(const PhaseOptions& options, bool learns_changes)
 
 PhaseVerdict PhaseDetector::Update(const PhaseEvidence& e) {
   PhaseVerdict verdict;
-  if (first_ == 0) first_ = e.stamp;
+  if (!has_begun_) first_ = e.stamp;
+  has_begun_ = true;
   if (e.dt <= 0.0) filling_ = Block();
   AddToBlock(e);
   if (!spans_.empty()) spans_.back().to = e.stamp;
@@ -90,7 +92,8 @@ void PhaseDetector::CloseBlock(PhaseVerdict* verdict) {
   b.speed /= n;
   b.rate /= n;
   SeeStillness();
-  if (b.forced_s < 0.5 * b.duration_s) return;  // no rotor speeds, no verdict
+  if (b.forced_s < 0.5 * b.duration_s) return SeeMotionAlone();
+  unforced_still_s_ = 0.0;
   b.felt /= b.forced_s;
   b.missing /= b.forced_s;
   b.thrust /= b.forced_s;
@@ -103,6 +106,18 @@ void PhaseDetector::CloseBlock(PhaseVerdict* verdict) {
     case Mode::kGrounded: Stand(verdict); break;
   }
   ExtendSpan();
+}
+
+/// Without rotor speeds (an ESC that is switched off says nothing, or zero at once) only motion
+/// tells: what does not move is not in the air.
+void PhaseDetector::SeeMotionAlone() {
+  block_.felt = block_.missing = Eigen::Vector3d::Zero();
+  block_.thrust = 0.0;
+  unforced_still_s_ = is_still_ ? unforced_still_s_ + block_.duration_s : 0.0;
+  if (mode_ == Mode::kFlying && unforced_still_s_ >= kStandsAlone_s) {
+    GoToGround(block_.to - FromSeconds(unforced_still_s_));
+  }
+  if (mode_ == Mode::kGrounded) SetPhase(PhaseOnGround(), block_.to);
 }
 
 /// Spread of the newest blocks' means about theirs, beside what white noise would leave.

@@ -105,9 +105,9 @@ TEST(ModelWarnings, NameWhatIsUnphysical) {
   const DynamicModel model(test::NominalVehicle(), {"thrust", "drag", "hvt"});
   ModelValues values = model.InitialValues();
   Eigen::VectorXd sigma = Eigen::VectorXd::Constant(model.num_parameters(), 0.01);
-  values[model.IndexOf("drag.d_x")] = 0.02;
-  values[model.IndexOf("drag.d_y")] = 0.005;  // within one sigma of zero
-  values[model.IndexOf("hvt.k_h")] = -0.02;
+  values[model.IndexOf("drag.d_x")] = 0.04;
+  values[model.IndexOf("drag.d_y")] = 0.02;  // chance does that: two sigma from zero
+  values[model.IndexOf("hvt.k_h")] = -0.04;
   PredictionFigures figures;
   figures.inertia_over_nominal = Eigen::Vector3d(1.0, 2.3, 0.4);
   figures.rotor_torque_gain = Eigen::Vector3d(0.42, 1.0, 1.0);

@@ -46,6 +46,22 @@ TEST_F(HeldBackTest, GivesTheEstimateItselfWhereAllIsSure) {
   EXPECT_TRUE(acceptance_.held_back().empty());
 }
 
+TEST_F(HeldBackTest, OnlyAGoodEstimateIsAccepted) {
+  for (int i = 0; i < 4; ++i) Update();
+  EXPECT_TRUE(acceptance_.accepted());
+  Finding remark;
+  remark.what = "a remark";
+  Finding doubt = remark;
+  doubt.leaves = Trust::kDoubtful;
+  doubt.what = "the thirds of the flight disagree";
+  snapshot_.stamp += FromSeconds(0.6);
+  EXPECT_TRUE(acceptance_.Update(model_, snapshot_, {remark}));
+  snapshot_.stamp += FromSeconds(0.6);
+  EXPECT_FALSE(acceptance_.Update(model_, snapshot_, {remark, doubt}));
+  ASSERT_EQ(acceptance_.reasons().size(), 1u);
+  EXPECT_EQ(acceptance_.reasons().front(), doubt.what);
+}
+
 TEST_F(HeldBackTest, AThrustCoefficientOfAnotherUnitIsNotAccepted) {
   for (int i = 0; i < 4; ++i) Update();
   EXPECT_TRUE(acceptance_.accepted());

@@ -4,6 +4,7 @@
 #include <random>
 
 #include "odmc/analysis/replay.h"
+#include "odmc/estimator/last_look.h"
 #include "odmc/math/so3.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
@@ -52,7 +53,10 @@ class WholeFlight : public testing::Test {
     odometry.w_WS_S = w + Noise(0.01);
     RotorSample rotors;
     rotors.stamp = odometry.stamp;
-    rotors.speed = RotorVector::Constant(4, std::sqrt(thrust) * hover_rad_s_);
+    const double target = std::sqrt(thrust) * hover_rad_s_;
+    const double left = std::exp(-1.0 / (kRate_hz * motor_s_));  // of the way there
+    rotors.speed = RotorVector::Constant(4, target);
+    if (!log->rotors.empty()) rotors.speed += left * (log->rotors.back().speed - rotors.speed);
     for (int j = 0; j < 4; ++j) rotors.speed[j] += 2.0 * gaussian_(engine_);
     rotors.speed = rotors.speed.cwiseMax(0.0);
     log->odometry.push_back(odometry);
@@ -109,6 +113,7 @@ class WholeFlight : public testing::Test {
   Vehicle vehicle_ = NominalVehicle();
   FlightLog log_;
   double hover_rad_s_ = 0.0;
+  double motor_s_ = 0.03;  // time constant of the rotors on the ground
   std::mt19937 engine_{5};
   std::normal_distribution<double> gaussian_;
 };
@@ -161,6 +166,19 @@ TEST_F(WholeFlight, AHandTeachesNothing) {
   }
 }
 
+// An ESC that is switched off reads zero at once, as one that fails.
+TEST_F(WholeFlight, RotorSpeedsThatEndAtOnceAreAStandToo) {
+  const ReplayResult plain = Learn(log_);
+  FlightLog log = log_;
+  AppendStand(0.3, 1.0, &log);
+  motor_s_ = 1e-4;
+  AppendStand(0.0, 4.0, &log);
+  AppendHand(0.0, 3.0, &log);
+  const ReplayResult spoiled = Learn(log);
+  ExpectSame(plain, spoiled, 0.5);
+  EXPECT_EQ(spoiled.phases.back().phase, FlightPhase::kInHand);
+}
+
 TEST_F(WholeFlight, ItFliesOnAfterALanding) {
   FlightLog log = log_;
   AppendStand(0.5, 2.0, &log);
@@ -171,6 +189,25 @@ TEST_F(WholeFlight, ItFliesOnAfterALanding) {
   const ReplayResult spoiled = Learn(log);
   ExpectSame(Learn(log_), spoiled, 2.0);  // the same truth, twice the flight
   EXPECT_GT(spoiled.counters.airborne_s, 26.0);
+}
+
+// The thirds of a flight agree where one vehicle flies it, and say so where a rotor-speed sensor
+// begins to read a tenth too low.
+TEST_F(WholeFlight, TheThirdsTellWhatChangedInBetween) {
+  const DynamicModel model(vehicle_, vehicle_.effects);
+  const auto findings = [&](const FlightLog& log) {
+    Estimator estimator(&model, EstimatorOptions(), true);
+    const ReplayResult replay = Replay(log, &estimator);
+    return LastLookFindings(model, replay.last->values, estimator.LastLook());
+  };
+  EXPECT_EQ(TrustOf(findings(log_)), Trust::kGood);
+  FlightLog log = log_;
+  for (size_t i = 2 * log.rotors.size() / 3; i < log.rotors.size(); ++i) log.rotors[i].speed *= 0.93;
+  const std::vector<Finding> found = findings(log);
+  EXPECT_EQ(TrustOf(found), Trust::kDoubtful);
+  ASSERT_FALSE(found.empty());
+  EXPECT_EQ(found.front().check, "last_look");
+  EXPECT_NE(found.front().what.find("thrust.k_f"), std::string::npos);
 }
 
 }  // namespace

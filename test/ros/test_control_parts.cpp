@@ -346,5 +346,17 @@ TEST(SimulatorNodeOptions, SayWhatIsWrong) {
   EXPECT_NE(error.find("'loop'"), std::string::npos);
 }
 
+TEST(ObjectionTo, RefusesOtherVehiclesAndWhatIsNotGood) {
+  DynamicParameters message;
+  message.vehicle = "generic";
+  EXPECT_EQ(ObjectionTo(message, "generic"), "");  // of an older sender
+  EXPECT_NE(ObjectionTo(message, "other"), "");
+  message.trust = "good";
+  EXPECT_EQ(ObjectionTo(message, "generic"), "");
+  message.trust = "doubtful";
+  message.trust_reasons = {"the thirds disagree"};
+  EXPECT_EQ(ObjectionTo(message, "generic"), "its trust is doubtful: the thirds disagree");
+}
+
 }  // namespace
 }  // namespace odmc

@@ -137,6 +137,7 @@ class PhaseDetector {
   void AddToBlock(const PhaseEvidence& e);
   void CloseBlock(PhaseVerdict* verdict);
   void SeeStillness();
+  void SeeMotionAlone();
   double ModelError() const;
   double ForceSigma() const;
   double ContactNats() const;
@@ -167,6 +168,7 @@ class PhaseDetector {
   int num_recent_ = 0, next_recent_ = 0;
   double wander_ = 1.0;  // over what a stand shows at most
   bool is_still_ = false, is_light_ = false;
+  double unforced_still_s_ = 0.0;  // still, and no rotor speeds
   double contact_nats_ = 0.0, free_nats_ = 0.0;
   Stamp suspected_since_ = 0;
   double error_scale_ = 1.0;  // of the flight's own residual, over ModelError()'s
@@ -177,6 +179,7 @@ class PhaseDetector {
   double stood_thrust_ = 0.0, stood_missing_ = 0.0;
   double stood_s_ = 0.0, stood_gain_ = 0.0, moved_s_ = 0.0, moved_gain_ = 0.0, wandered_s_ = 0.0;
   double least_thrust_ = 0.0, most_thrust_ = 0.0;
+  bool has_begun_ = false;
   Stamp first_ = 0, moved_since_ = 0;
   Eigen::Vector3d start_p_WS_ = Eigen::Vector3d::Zero();
   Eigen::Matrix3d start_R_WS_ = Eigen::Matrix3d::Identity();
