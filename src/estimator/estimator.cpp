@@ -964,7 +964,7 @@ void Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport& re
   Snapshot& snapshot = snapshot_;
   snapshot.stamp = sample.stamp;
   snapshot.time_s = ToSeconds(sample.stamp - *first_stamp_);
-  snapshot.airborne = true;
+  snapshot.airborne = airborne();
   snapshot.state = State::FromBlock(window_.keyframes().back().x.data());
   snapshot.values = window_.values();
   snapshot.body = model_->Properties(snapshot.values);

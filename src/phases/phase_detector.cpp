@@ -49,8 +49,8 @@ PhaseDetector::PhaseDetector(const PhaseOptions& options, bool learns_changes)
 
 PhaseVerdict PhaseDetector::Update(const PhaseEvidence& e) {
   PhaseVerdict verdict;
-  if (!has_begun_) first_ = e.stamp;
-  has_begun_ = true;
+  if (!has_stamp_) first_ = e.stamp;
+  has_stamp_ = true;
   if (e.dt <= 0.0) filling_ = Block();
   AddToBlock(e);
   if (!spans_.empty()) spans_.back().to = e.stamp;

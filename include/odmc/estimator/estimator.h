@@ -133,7 +133,7 @@ class Estimator {
   const SynchroniserCounters& stream_counters() const { return synchroniser_.counters(); }
   const std::string& waiting_for() const { return synchroniser_.waiting_for(); }
   /// True while the flight teaches: nothing but the air acts on the vehicle.
-  bool airborne() const { return phases_.detector().teaches(); }
+  bool airborne() const { return phases_.detector().has_begun() && phases_.detector().teaches(); }
   const PhaseDetector& phases() const { return phases_.detector(); }
   const DynamicModel& model() const { return *model_; }
   const EstimatorOptions& options() const { return options_; }

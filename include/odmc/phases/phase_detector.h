@@ -83,6 +83,8 @@ class PhaseDetector {
   /// The present phase.
   FlightPhase phase() const { return phase_; }
   bool teaches() const { return Teaches(phase_); }
+  /// False in the first tenth of a second, in which anything may be the case.
+  bool has_begun() const { return mode_ != Mode::kStart; }
   /// True while contact is not proved and not ruled out: what is young may have to be taken back.
   bool suspects() const { return mode_ == Mode::kFlying && contact_nats_ > 1.0; }
   /// True once flight has shown the thrust coefficient; before, missing_force means little.
@@ -179,7 +181,7 @@ class PhaseDetector {
   double stood_thrust_ = 0.0, stood_missing_ = 0.0;
   double stood_s_ = 0.0, stood_gain_ = 0.0, moved_s_ = 0.0, moved_gain_ = 0.0, wandered_s_ = 0.0;
   double least_thrust_ = 0.0, most_thrust_ = 0.0;
-  bool has_begun_ = false;
+  bool has_stamp_ = false;
   Stamp first_ = 0, moved_since_ = 0;
   Eigen::Vector3d start_p_WS_ = Eigen::Vector3d::Zero();
   Eigen::Matrix3d start_R_WS_ = Eigen::Matrix3d::Identity();
