@@ -26,14 +26,6 @@ Json FindingsJson(const std::vector<Finding>& findings) {
   return json;
 }
 
-Json TrustReasons(const std::vector<Finding>& findings) {
-  Json reasons = Json::array();
-  for (const Finding& f : findings) {
-    if (f.leaves != Trust::kGood) reasons.push_back(Sentence(f));
-  }
-  return reasons;
-}
-
 Json TimeOffsetsJson(const std::vector<TimeOffset>& offsets) {
   Json json = Json::object();
   for (const TimeOffset& offset : offsets) {

@@ -85,6 +85,18 @@ std::string WarningLines(const std::vector<std::string>& warnings) {
   return text;
 }
 
+/// What was found that is no warning, and how far the result may be relied on.
+std::string TrustLines(const std::vector<Finding>& findings,
+                       const std::vector<std::string>& warnings) {
+  std::string text;
+  for (const Finding& finding : findings) {
+    const std::string sentence = Sentence(finding);
+    const bool is_told = std::find(warnings.begin(), warnings.end(), sentence) != warnings.end();
+    if (!is_told) text += "note: " + sentence + "\n";
+  }
+  return text + "\ntrust: " + Name(TrustOf(findings)) + "\n";
+}
+
 std::string At(const std::string& parameter, double time_s) {
   return parameter + " at " + Text(time_s, "%.1f") + " s";
 }
@@ -119,12 +131,13 @@ std::string CalibrationTable(const Calibration& c) {
       TimingRow({"CPU [ms]"}, c.cpu)};
   text += "\n" + PredictionTable(c.prediction.figures);
   if (c.left_out) text += "\n" + LeftOutTable(*c.left_out);
-  return text + "\n" + Align(timing, 1) + WarningLines(c.warnings);
+  return text + "\n" + Align(timing, 1) + WarningLines(c.warnings) +
+         TrustLines(c.findings, c.warnings);
 }
 
 std::string EvaluationTable(const Evaluation& e) {
   return FlightLine(e.flight) + "\n" + PredictionTable(e.prediction.figures) +
-         WarningLines(e.warnings);
+         WarningLines(e.warnings) + TrustLines(e.findings, e.warnings);
 }
 
 std::string RecoveryTable(const Recovery& recovery) {

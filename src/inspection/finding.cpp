@@ -23,4 +23,12 @@ Trust TrustOf(const std::vector<Finding>& findings) {
   return trust;
 }
 
+std::vector<std::string> TrustReasons(const std::vector<Finding>& findings) {
+  std::vector<std::string> reasons;
+  for (const Finding& finding : findings) {
+    if (finding.leaves != Trust::kGood) reasons.push_back(Sentence(finding));
+  }
+  return reasons;
+}
+
 }  // namespace odmc

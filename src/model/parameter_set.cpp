@@ -19,4 +19,19 @@ void ApplyParameters(const ParameterSet& set, Vehicle* vehicle) {
   }
 }
 
+void AddTrust(const std::vector<Finding>& findings, ParameterSet* set) {
+  const std::vector<std::string> reasons = TrustReasons(findings);
+  set->provenance["trust"] = Name(TrustOf(findings));
+  set->provenance.erase("trust_reason");
+  if (!reasons.empty()) set->provenance["trust_reason"] = reasons.front();
+}
+
+std::string ObjectionTo(const ParameterSet& set) {
+  const auto trust = set.provenance.find("trust");
+  if (trust == set.provenance.end() || trust->second == Name(Trust::kGood)) return "";
+  const auto reason = set.provenance.find("trust_reason");
+  const std::string because = reason == set.provenance.end() ? "" : ": " + reason->second;
+  return "its trust is " + trust->second + because;
+}
+
 }  // namespace odmc

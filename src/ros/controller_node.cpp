@@ -63,6 +63,11 @@ ControllerNodeSetup ReadControllerNodeSetup(const ros::NodeHandle& private_node)
   setup.vehicle = LoadVehicle(setup.options.vehicle_file);
   if (!setup.options.parameters_file.empty()) {
     setup.saved = LoadParameters(setup.options.parameters_file);
+    const std::string objection = ObjectionTo(*setup.saved);
+    if (!objection.empty()) {
+      throw std::invalid_argument(setup.options.parameters_file + ": " + objection +
+                                  "; fly with the vehicle file alone, or calibrate anew");
+    }
   }
   return setup;
 }

@@ -795,9 +795,7 @@ void EstimatorNode::PublishParameters(const Snapshot& snapshot) {
   DynamicParameters message = odmc::ToMessage(*last_model_, snapshot, setup_.options.body_frame);
   message.accepted = acceptance_.accepted();
   message.trust = Name(TrustOf(findings_));
-  for (const Finding& finding : findings_) {
-    if (finding.leaves != Trust::kGood) message.trust_reasons.push_back(Sentence(finding));
-  }
+  message.trust_reasons = TrustReasons(findings_);
   message.phase = phase_;
   parameters_publisher_.publish(message);
   PublishTransforms(snapshot);
@@ -990,6 +988,7 @@ std::string EstimatorNode::Save() const {
   set.provenance["newest_stamp_ns"] = std::to_string(last_->stamp);
   if (!added_effects_.empty()) set.provenance["added_in_flight"] = added_effects_;
   set.provenance["accepted"] = acceptance_.accepted() ? "true" : "false";
+  AddTrust(findings_, &set);
   const std::filesystem::path folder(setup_.options.output_dir);
   std::string file = (folder / "parameters.yaml").string();
   // A result that was fit for use is not given up for one that is not.

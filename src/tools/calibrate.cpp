@@ -76,6 +76,7 @@ int main(int argc, char** argv) {
                           {{"flight", log.file},
                            {"position_noise_m", std::to_string(noise_m)},
                            {"estimator_options", tools::DescribeChanges(options)}});
+    AddTrust(result.findings, &result.parameters);
     tools::WriteCalibration(result, log, model, folder);
     std::cout << CalibrationTable(result);
     if (!no_report) tools::RenderReport(folder);

@@ -358,5 +358,20 @@ TEST(ObjectionTo, RefusesOtherVehiclesAndWhatIsNotGood) {
   EXPECT_EQ(ObjectionTo(message, "generic"), "its trust is doubtful: the thirds disagree");
 }
 
+TEST(ObjectionTo, SavedParametersNeedGoodTrustToo) {
+  ParameterSet set;
+  EXPECT_EQ(ObjectionTo(set), "");  // a file written by hand
+  Finding finding;
+  finding.what = "a remark";
+  AddTrust({finding}, &set);
+  EXPECT_EQ(ObjectionTo(set), "");
+  finding.leaves = Trust::kBad;
+  finding.what = "rotor speeds fit another order";
+  AddTrust({finding}, &set);
+  EXPECT_EQ(ObjectionTo(set), "its trust is bad: rotor speeds fit another order");
+  AddTrust({}, &set);
+  EXPECT_EQ(ObjectionTo(set), "");
+}
+
 }  // namespace
 }  // namespace odmc

@@ -28,4 +28,7 @@ std::string Sentence(const Finding& finding);
 /// The least trust that the findings leave.
 Trust TrustOf(const std::vector<Finding>& findings);
 
+/// Sentences of the findings that leave no good trust.
+std::vector<std::string> TrustReasons(const std::vector<Finding>& findings);
+
 }  // namespace odmc

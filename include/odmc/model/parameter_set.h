@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "odmc/inspection/finding.h"
 #include "odmc/model/vehicle.h"
 
 namespace odmc {
@@ -34,5 +35,13 @@ struct ParameterSet {
 /// Puts the set's effects and values into `vehicle`: they become the model's effects, start values,
 /// centres of the priors and (where positive) the priors' sigmas.
 void ApplyParameters(const ParameterSet& set, Vehicle* vehicle);
+
+/// Notes in the provenance how far the values may be relied on: "trust", and "trust_reason", the
+/// first of them.
+void AddTrust(const std::vector<Finding>& findings, ParameterSet* set);
+
+/// Why a controller must not fly with these values, by their provenance: "its trust is doubtful:
+/// REASON"; empty where nothing speaks against them.
+std::string ObjectionTo(const ParameterSet& set);
 
 }  // namespace odmc
