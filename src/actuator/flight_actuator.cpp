@@ -17,6 +17,7 @@ constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 constexpr double kSuspect = 0.12;    // off the median rotor
 constexpr double kMostlyZero = 0.3;  // share of readings
 constexpr double kTurning = 0.05;    // throttle of a rotor that must turn
+constexpr double kInFlight = 0.5;    // of the throttle in flight: idling says little about a sensor
 
 bool Contains(const std::vector<int>& all, int j) {
   return std::find(all.begin(), all.end(), j) != all.end();
@@ -109,8 +110,9 @@ std::vector<int> SuspectRotors(const FlightLog& log) {
     const auto& speed = run.speed_rad_s[static_cast<size_t>(j)];
     const auto& throttle = run.throttle[static_cast<size_t>(j)];
     std::vector<double> ratios;
+    const double least = std::max(kTurning, kInFlight * Quantile(throttle, 0.9));
     for (size_t i = 0; i < speed.size(); ++i) {
-      if (std::isfinite(speed[i]) && throttle[i] > kTurning)
+      if (std::isfinite(speed[i]) && throttle[i] > least)
         ratios.push_back(speed[i] / std::sqrt(throttle[i]));
     }
     typical.push_back(Median(ratios));

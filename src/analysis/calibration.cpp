@@ -17,6 +17,7 @@ namespace {
 constexpr double kSettling_s = 2.0;       // left out of the timing
 constexpr double kConvergedShare = 0.05;  // of the final value
 constexpr double kLeastFlight_s = 3.0;    // what the window holds before anything may leave it
+constexpr double kLongestDoubt_s = 300.0;
 constexpr double kMostBlocks = 1000.0;    // to leave out in turn
 constexpr double kInertiaLow = 0.5, kInertiaHigh = 2.0;
 constexpr double kSignSigmas = 3.0;      // one-sided, by chance once in 740 parameters
@@ -229,18 +230,54 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   return result;
 }
 
-void WidenForOffsets(const FlightLog& log, const DynamicModel& model,
-                     const EstimatorOptions& options, Calibration* calibration) {
-  const Eigen::VectorXd values = calibration->replay.last->values;
-  ParameterSet& set = calibration->parameters;
-  for (const TimeOffset& offset : calibration->time_offsets) {
-    if (offset.compensated_s == 0.0) continue;
-    FlightLog moved = log;
-    ShiftStream(offset.stream, offset.lag.sigma_s(), &moved);
+namespace {
+
+template <typename Sample>
+void CopySince(Stamp from, const std::vector<Sample>& samples, std::vector<Sample>* part) {
+  const auto begin = std::lower_bound(samples.begin(), samples.end(), from,
+                                      [](const Sample& s, Stamp t) { return s.stamp < t; });
+  part->assign(begin, samples.end());
+}
+
+/// What the estimator reads of a flight, from a stamp on.
+FlightLog Since(Stamp from, const FlightLog& log) {
+  FlightLog part;
+  part.file = log.file;
+  part.rotor_rms_only = log.rotor_rms_only;
+  CopySince(from, log.odometry, &part.odometry);
+  CopySince(from, log.imu, &part.imu);
+  CopySince(from, log.rotors, &part.rotors);
+  CopySince(from, log.battery, &part.battery);
+  return part;
+}
+
+}  // namespace
+
+void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
+                    const EstimatorOptions& options, const std::vector<StreamDoubt>& doubts,
+                    Calibration* calibration) {
+  if (doubts.empty()) return;
+  const auto values_of = [&](const FlightLog& flight) {
     Estimator estimator(&model, options, !log.rotor_rms_only);
-    const ReplayResult replay = Replay(moved, &estimator);
-    if (!replay.last) continue;
-    const Eigen::VectorXd change = replay.last->values - values;
+    return Replay(flight, &estimator).last;
+  };
+  // Of a long flight its end: what changes is much the same.
+  const Stamp end = calibration->replay.last->stamp;
+  const Stamp from = end - FromSeconds(kLongestDoubt_s);
+  const FlightLog part = Since(from, log);
+  Eigen::VectorXd values = calibration->replay.last->values;
+  if (from > log.odometry.front().stamp) {
+    const auto last = values_of(part);
+    if (!last) return;
+    values = last->values;
+  }
+  ParameterSet& set = calibration->parameters;
+  for (const StreamDoubt& doubt : doubts) {
+    FlightLog undone = part;
+    Undo(doubt, &undone);
+    const auto last = values_of(undone);
+    if (!last) continue;
+    const Eigen::VectorXd change = last->values - values;
     for (size_t i = 0; i < set.parameters.size(); ++i) {
       ParameterEstimate& p = set.parameters[i];
       if (p.estimated) p.sigma = std::hypot(p.sigma, change[static_cast<Eigen::Index>(i)]);

@@ -417,9 +417,16 @@ Lag Regression::Judge(double lag_s) const {
   const double all = (weights_.transpose() * Without().residual.cwiseAbs2()).sum();
   const double left = (weights_.transpose() * here.residual.cwiseAbs2()).sum();
   lag.explained = all > 0.0 ? 1.0 - left / all : 0.0;
-  const double uncured = (weights_.transpose() * AtLag(0.0).residual.cwiseAbs2()).sum();
-  lag.cured = uncured > 0.0 ? 1.0 - left / uncured : 0.0;
-  if (order_ == 0) lag.pull_s = p_.filter_s * std::sqrt(StructuredShare(here.residual, all));
+  const MatrixXd uncured = AtLag(0.0).residual;
+  const double before_all = (weights_.transpose() * uncured.cwiseAbs2()).sum();
+  lag.cured = before_all > 0.0 ? 1.0 - left / before_all : 0.0;
+  if (order_ == 0) {
+    const double structured = StructuredShare(here.residual, all);
+    lag.pull_s = p_.filter_s * std::sqrt(structured);
+    // Noise is nothing that a lag could cure.
+    const double before_structured = StructuredShare(uncured, all);
+    if (before_structured > 0.0) lag.cured = 1.0 - structured / before_structured;
+  }
   if (order_ > 0) {
     lag.band_share = BandShare(lag_s, &lag.band_gain);
     const double share = std::clamp(lag.band_share, kLeastShare, 1.0);

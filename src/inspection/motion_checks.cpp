@@ -20,7 +20,10 @@ using Eigen::Vector3d;
 
 constexpr double kDegree = M_PI / 180.0;
 constexpr double kLeastMotion = 0.1;  // m/s or rad/s RMS: what shows less says nothing
-constexpr double kLeastScale = 0.8;    // observers are off by up to 10 %
+constexpr double kLeastScale = 0.85;   // observers are off by up to 10 %
+// One velocity in ten is scaled (an observer's, a wrong unit of flow), by some 10 %.
+constexpr double kScalesAre = 0.1, kScaleSize = 0.1;
+constexpr double kNoScale = 0.002;     // changes nothing
 constexpr double kNothingAlike = 0.5;  // of a signal's mean square, by whichever reading
 
 std::string Text(double value) {
@@ -136,6 +139,25 @@ void AddOtherPoint(const MotionWindows& w, std::vector<Explanation>* readings) {
                        left});
 }
 
+/// The velocity over what the position's derivative is, with its sigma: by either regression, as
+/// noise in the one or the other makes them differ, and by the scatter of blocks.
+RareError VelocityScale(const MotionWindows& w) {
+  const Matrix3Xd &x = w.velocity, &y = w.displacement_m_s;
+  const double xy = x.cwiseProduct(y).sum();
+  if (!(xy > 0.0)) return {};
+  const double least = xy / y.squaredNorm(), most = x.squaredNorm() / xy;
+  const double scale = std::sqrt(least * most);
+  double scatter = 0.0;
+  for (Eigen::Index i = 0; i + kWindowsPerBlock <= x.cols(); i += kWindowsPerBlock) {
+    const auto x_block = x.middleCols(i, kWindowsPerBlock);
+    const auto y_block = y.middleCols(i, kWindowsPerBlock);
+    const double slope = (x_block - scale * y_block).cwiseProduct(y_block).sum();
+    scatter += slope * slope;
+  }
+  const double sigma = std::hypot(std::sqrt(scatter) / y.squaredNorm(), 0.5 * (most - least));
+  return Posterior(scale - 1.0, std::max(sigma, kNoScale), kScalesAre, kScaleSize);
+}
+
 void CheckVelocity(const MotionWindows& w, MotionSignals* s, StreamInspection* inspection) {
   if (w.velocity.cols() == 0) return;
   if (MedianSquare(w.displacement_m_s) < kLeastMotion * kLeastMotion) return;
@@ -168,6 +190,12 @@ void CheckVelocity(const MotionWindows& w, MotionSignals* s, StreamInspection* i
     drop("they differ by " + Text(verdict.error_rms) + " m/s RMS, and by " +
              Text(verdict.best_error_rms) + " in any other frame",
          "record the velocity of the same source as the pose, or none");
+    return;
+  }
+  const RareError scale = VelocityScale(w);
+  const double factor = 1.0 + std::copysign(scale.rms(), scale.mean);
+  if (std::abs(factor - 1.0) > kNoScale) {
+    inspection->doubts.push_back({"velocity", 0.0, factor});
   }
 }
 

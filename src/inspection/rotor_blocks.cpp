@@ -4,7 +4,9 @@
 #include <cmath>
 #include <complex>
 #include <functional>
+#include <optional>
 
+#include "odmc/inspection/motion_signals.h"
 #include "odmc/math/so3.h"
 #include "odmc/math/statistics.h"
 
@@ -255,10 +257,16 @@ RotorBlocks CutRotorBlocks(const FlightLog& log, const Vehicle& vehicle) {
   const double end_s =
       std::min(Since(log.odometry.back().stamp, log), Since(log.rotors.back().stamp, log));
   const double stride_s = hop_s * std::max(1.0, std::ceil((end_s - begin_s) / hop_s / kMostBlocks));
+  // A minute on the ground must not outvote ten seconds of flight.
+  const std::optional<MotionSignals> signals = SignalsOf(log);
+  if (!signals) return result;
+  const std::vector<bool> flight = FindFlight(*signals);
   size_t rate = 0, speed = 0;
   Stretch rate_stretch, speed_stretch;
   for (double start_s = begin_s; start_s + length_s <= end_s; start_s += stride_s) {
     const bool whole = Take(rates, start_s, start_s + length_s, &rate, &rate_stretch);
+    const auto middle = static_cast<size_t>((start_s + 0.5 * length_s) / kFlightStep_s);
+    if (middle >= flight.size() || !flight[middle]) continue;
     if (!Take(speeds, start_s, start_s + length_s, &speed, &speed_stretch) || !whole) continue;
     result.blocks.push_back(BlockOf(rate_stretch, speed_stretch, start_s, transform));
   }

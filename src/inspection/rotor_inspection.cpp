@@ -7,14 +7,17 @@
 
 namespace odmc {
 
-std::vector<Finding> InspectRotors(const FlightLog& log, const Vehicle& vehicle) {
+RotorInspection InspectRotors(const FlightLog& log, const Vehicle& vehicle) {
   const RotorResponse response = MeasureRotorResponse(CutRotorBlocks(log, vehicle), vehicle);
   const RotorScale scale = FindRotorScale(response, vehicle);
-  if (scale.reads_zero) return ScaleFindings(scale, vehicle);  // its motion is missing, too
+  if (scale.reads_zero) {  // its motion is missing, too
+    return {ScaleFindings(scale, vehicle), {}};
+  }
   const std::vector<Finding> findings =
       AssignmentFindings(TestRotorAssignment(response, vehicle), vehicle);
   // Scales are judged by the file's places and spins: only where these are right.
-  return findings.empty() ? ScaleFindings(scale, vehicle) : findings;
+  if (!findings.empty()) return {findings, {}};
+  return {ScaleFindings(scale, vehicle), scale.doubts};
 }
 
 }  // namespace odmc

@@ -33,6 +33,10 @@ constexpr double kRunnerUp = 6.0;    // chi-square by which another rotor must e
 constexpr double kHarmful = 0.03;    // error of k_f that is worth a doubt
 constexpr double kReadsZero = 0.05;  // share over a fair one
 
+// One vehicle in ten has a reading or a propeller that is off, by some 15 % of the speed.
+constexpr double kBadOnesAre = 0.1, kBadThrust = 0.3;
+constexpr double kNoThrust = 0.005;  // changes nothing
+
 /// Which observations to use.
 enum class Witness { kEffects, kSteady, kBoth };
 
@@ -145,6 +149,28 @@ double Says(const Balance& balance, Eigen::Index j) {
   return std::copysign(size, fit.scale);
 }
 
+/// What each rotor's reading may be off by, one of them at most.
+std::vector<StreamDoubt> Doubts(const std::vector<Balance::Fit>& fits, double degrees) {
+  std::vector<RareError> errors;
+  double odds = 1.0;
+  for (const Balance::Fit& fit : fits) {
+    const double misfit = std::sqrt(std::max(1.0, fit.chi / degrees));
+    const double sigma = std::hypot(fit.sigma * misfit, kThrustScatter);
+    const double prior = kBadOnesAre / static_cast<double>(fits.size());
+    errors.push_back(Posterior(fit.scale, sigma, prior, kBadThrust));
+    odds += errors.back().probability / (1.0 - errors.back().probability + 1e-12);
+  }
+  std::vector<StreamDoubt> doubts;
+  for (size_t j = 0; j < errors.size(); ++j) {
+    RareError& error = errors[j];
+    error.probability = error.probability / (1.0 - error.probability + 1e-12) / odds;
+    const double thrust = 1.0 + std::copysign(std::min(error.rms(), 0.9), error.mean);
+    if (std::abs(thrust - 1.0) < kNoThrust) continue;
+    doubts.push_back({"rotor_speeds", 0.0, 1.0 / std::sqrt(thrust), static_cast<int>(j)});
+  }
+  return doubts;
+}
+
 std::string Text(const char* format, double value) {
   char text[32];
   std::snprintf(text, sizeof text, format, value);
@@ -192,10 +218,11 @@ RotorScale FindRotorScale(const RotorResponse& response, const Vehicle& vehicle)
   std::vector<Balance::Fit> fits;
   for (Eigen::Index j = 0; j < n; ++j) fits.push_back(balance.Solve(j));
   result = Compare(fits, balance.Solve(-1).chi, balance.degrees(), response.share);
+  result.doubts = Doubts(fits, balance.degrees());
   const double sign = result.factor < 1.0 ? 1.0 : -1.0;
-  result.witnesses =
-      sign * Says(Balance(response, vehicle, Witness::kEffects), result.rotor) > kWitness &&
-      sign * Says(Balance(response, vehicle, Witness::kSteady), result.rotor) > kWitness;
+  result.effects_say =
+      sign * Says(Balance(response, vehicle, Witness::kEffects), result.rotor);
+  result.steady_says = sign * Says(Balance(response, vehicle, Witness::kSteady), result.rotor);
   return result;
 }
 
@@ -209,7 +236,10 @@ std::vector<Finding> ScaleFindings(const RotorScale& scale, const Vehicle& vehic
              rotor + " reads almost zero while the vehicle flies on the others",
              "its sensor is dead, or the rotor"}};
   }
-  if (scale.significance < kSignificant || !scale.witnesses) return {};
+  if (scale.significance < kSignificant || scale.effects_say < kWitness ||
+      scale.steady_says < kWitness) {
+    return {};
+  }
   const double percent = 100.0 * (scale.factor - 1.0);
   Finding finding{"rotor_scale", Trust::kGood, ""};
   if (std::abs(scale.k_f_shift) > kHarmful) finding.leaves = Trust::kDoubtful;

@@ -15,13 +15,18 @@ namespace {
 // observer) makes it up to 10 ms late or early against the pose by itself.
 constexpr double kLeastRotorOffset_s = 0.005, kLeastFilterOffset_s = 0.010;
 constexpr double kSigmas = 3.0;
-// No filter and no controller makes a lag this long: two sigmas do.
+// No filter and no controller makes a lag this long: two sigmas do. (An accelerometer feels what
+// the pose does not show, blows and vibration, and is left its three.)
 constexpr double kLaterThanFilters_s = 0.03, kSigmasOfLongOnes = 2.0;
 // What an observer's own lag is, Lag::pull_s says. A wrong stamp is besides a lag of the whole:
 // taking it off cures part of the disagreement. (An accelerometer shows a swinging load that the
 // pose does not; it must cure half.)
 constexpr double kVelocityCured = 0.05, kRatesCured = 0.2, kAccelerometerCured = 0.5;
 constexpr double kWellKnown_s = 0.01;
+
+// One stream in ten has an offset (of our nine data sets from elsewhere, two have), of some 20 ms.
+constexpr double kOffsetsAre = 0.1, kOffsetSize_s = 0.02;
+constexpr double kNoOffset_s = 0.0005;  // changes nothing
 
 std::string Milliseconds(double seconds) {
   char text[32];
@@ -46,7 +51,8 @@ bool IsWrong(const TimeOffset& offset) {
   const Lag& lag = offset.lag;
   const double size_s = std::abs(lag.lag_s);
   if (!lag.determined()) return false;
-  const double sigmas = size_s > kLaterThanFilters_s ? kSigmasOfLongOnes : kSigmas;
+  const bool is_long = size_s > kLaterThanFilters_s && offset.stream != "accelerometer";
+  const double sigmas = is_long ? kSigmasOfLongOnes : kSigmas;
   if (size_s < sigmas * lag.sigma_s()) return false;
   if (offset.stream == "rotor_speeds") return size_s > kLeastRotorOffset_s;
   return size_s > kLeastFilterOffset_s && lag.cured > MustCure(offset.stream);
@@ -68,6 +74,19 @@ Finding OffsetFinding(const TimeOffset& offset) {
   return finding;
 }
 
+/// What is not known of an offset after it was taken off, or was not.
+void AddDoubt(const TimeOffset& offset, StreamInspection* inspection) {
+  const Lag& lag = offset.lag;
+  if (offset.stream == "accelerometer" || !lag.determined()) return;
+  double late_s = lag.sigma_s();
+  if (offset.compensated_s == 0.0) {
+    late_s = Posterior(lag.lag_s, lag.sigma_s(), kOffsetsAre, kOffsetSize_s).rms();
+    late_s = std::copysign(late_s, lag.lag_s);
+  }
+  if (std::abs(late_s) < kNoOffset_s) return;
+  inspection->doubts.push_back({offset.stream, late_s});
+}
+
 /// Adds an offset, and what follows from it. @returns what was compensated [s]
 double Take(std::optional<TimeOffset> offset, StreamInspection* inspection) {
   if (!offset) return 0.0;
@@ -75,6 +94,7 @@ double Take(std::optional<TimeOffset> offset, StreamInspection* inspection) {
     offset->compensated_s = offset->lag.lag_s;
     inspection->findings.push_back(OffsetFinding(*offset));
   }
+  AddDoubt(*offset, inspection);
   inspection->offsets.push_back(*offset);
   return offset->compensated_s;
 }

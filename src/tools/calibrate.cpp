@@ -64,7 +64,7 @@ int main(int argc, char** argv) {
                   [&](const PredictionSample& sample) { prediction.Add(sample); });
     prediction.Close();
     AddInspection(inspection, &result);
-    WidenForOffsets(log, model, options, &result);
+    WidenForDoubts(log, model, options, inspection.doubts, &result);
     if (left_out_s > 0.0) {
       result.left_out = PredictLeftOut(log, recording, file_vehicle, model, options, left_out_s);
     }

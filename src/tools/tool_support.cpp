@@ -286,7 +286,9 @@ StreamInspection InspectFlight(const Vehicle& vehicle, bool force, FlightLog* lo
                                 " (--force goes on all the same)");
   }
   MendStreams(inspection, log);
-  for (const Finding& finding : InspectRotors(*log, vehicle)) {
+  const RotorInspection rotors = InspectRotors(*log, vehicle);
+  inspection.doubts.insert(inspection.doubts.end(), rotors.doubts.begin(), rotors.doubts.end());
+  for (const Finding& finding : rotors.findings) {
     if (finding.leaves == Trust::kBad && !force) {
       throw std::invalid_argument(log->file + ": " + Sentence(finding) +
                                   " (--force goes on all the same)");

@@ -126,7 +126,7 @@ TEST(MeasuredRotors, SoundRecordingsGetNoFinding) {
   if (RecordedFile(kRecordings[0].file).empty()) GTEST_SKIP() << "no recorded flights";
   for (const Recording& recording : kRecordings) {
     const std::vector<Finding> findings =
-        InspectRotors(LogOf(RecordedFile(recording.file), 0.0), VehicleOf(recording));
+        InspectRotors(LogOf(RecordedFile(recording.file), 0.0), VehicleOf(recording)).findings;
     EXPECT_TRUE(findings.empty()) << recording.file << ": " << Sentence(findings[0]);
   }
 }
@@ -163,11 +163,11 @@ TEST(MeasuredRotors, KnownBadSensorsAreNamed) {
   const std::string dead = RecordedFile("imrc_cf21_brushed_badsensor/jana23.csv");
   if (half.empty() || dead.empty()) GTEST_SKIP() << "no recorded flights";
   const Vehicle payload = VehicleOf({"", "imrc_cf21_payload_badsensor"});
-  const std::vector<Finding> halved = InspectRotors(LogOf(half, 0.0), payload);
+  const std::vector<Finding> halved = InspectRotors(LogOf(half, 0.0), payload).findings;
   ASSERT_EQ(halved.size(), 1u);
   EXPECT_EQ(halved[0].what.rfind("rotor3 reads", 0), 0u) << halved[0].what;
   const Vehicle brushed = VehicleOf({"", "imrc_cf21_brushed_badsensor"});
-  const std::vector<Finding> gone = InspectRotors(LogOf(dead, 0.0), brushed);
+  const std::vector<Finding> gone = InspectRotors(LogOf(dead, 0.0), brushed).findings;
   ASSERT_EQ(gone.size(), 1u);
   EXPECT_EQ(gone[0].what.rfind("rotor1 reads almost zero", 0), 0u) << gone[0].what;
 }

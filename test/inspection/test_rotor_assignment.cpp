@@ -91,7 +91,7 @@ TEST(RotorAssignment, NamesOrdersOfSixAndEight) {
 TEST(RotorAssignment, AccusesNoRightFile) {
   for (const Vehicle& truth : {NominalVehicle(), NanoVehicle(), RoundVehicle(6)}) {
     for (const char* trajectory : {"hover", "yaw", "circle", "vertical", "aggressive"}) {
-      EXPECT_TRUE(InspectRotors(Flown(truth, trajectory, 20.0), truth).empty()) << trajectory;
+      EXPECT_TRUE(InspectRotors(Flown(truth, trajectory, 20.0), truth).findings.empty()) << trajectory;
     }
   }
 }
@@ -101,7 +101,7 @@ TEST(RotorAssignment, LateStampsAreNoOrder) {
   for (const double late_s : {-0.1, -0.05, 0.05, 0.1}) {
     FlightLog log = Flown(truth, "octo", 20.0);
     for (RotorSample& sample : log.rotors) sample.stamp += FromSeconds(late_s);
-    EXPECT_TRUE(InspectRotors(log, truth).empty()) << late_s;
+    EXPECT_TRUE(InspectRotors(log, truth).findings.empty()) << late_s;
     const Vehicle spoiled = Reordered(truth, std::vector<int>{1, 0, 2, 3});
     const RotorAssignment found = TestRotorAssignment(ResponseTo(log, spoiled), spoiled);
     EXPECT_TRUE(found.places.Refutes() && Mends(found, spoiled, truth)) << late_s;
@@ -126,7 +126,7 @@ TEST(RotorAssignment, DisturbancesOfTwoAxesAreNoSpins) {
       return wrench;
     };
     const FlightLog log = Simulate(model, model.InitialValues(), options, {}, rattle).log;
-    EXPECT_TRUE(InspectRotors(log, truth).empty()) << frequency;
+    EXPECT_TRUE(InspectRotors(log, truth).findings.empty()) << frequency;
   }
 }
 
@@ -151,9 +151,9 @@ TEST(RotorAssignment, GroundAndHandsAreNoFlight) {
   const Vehicle truth = NominalVehicle();
   FlightLog log = Flown(truth, "octo", 40.0, 3, 15.0);
   AppendCarried(20.0, &log);
-  EXPECT_TRUE(InspectRotors(log, truth).empty());
+  EXPECT_TRUE(InspectRotors(log, truth).findings.empty());
   const Vehicle spoiled = Reordered(truth, std::vector<int>{2, 1, 0, 3});
-  const std::vector<Finding> findings = InspectRotors(log, spoiled);
+  const std::vector<Finding> findings = InspectRotors(log, spoiled).findings;
   ASSERT_FALSE(findings.empty());
   EXPECT_EQ(findings[0].check, "rotor_order");
   EXPECT_EQ(findings[0].leaves, Trust::kBad);
@@ -173,7 +173,7 @@ TEST(RotorAssignment, GyroOrPosesAloneAreEnough) {
   for (const FlightLog& log : {poses, gyro}) {
     const RotorAssignment found = TestRotorAssignment(ResponseTo(log, spoiled), spoiled);
     EXPECT_TRUE(found.places.Refutes() && Mends(found, spoiled, truth));
-    EXPECT_TRUE(InspectRotors(log, truth).empty());
+    EXPECT_TRUE(InspectRotors(log, truth).findings.empty());
   }
 }
 
@@ -188,7 +188,7 @@ TEST(RotorAssignment, FlightsThatShowNothingAreNotTested) {
   const Vehicle spoiled = Reordered(truth, std::vector<int>{3, 2, 1, 0});
   for (const FlightLog& none : {rms, slow, brief, FlightLog()}) {
     EXPECT_FALSE(TestRotorAssignment(ResponseTo(none, spoiled), spoiled).tested);
-    EXPECT_TRUE(InspectRotors(none, spoiled).empty());
+    EXPECT_TRUE(InspectRotors(none, spoiled).findings.empty());
   }
 }
 
@@ -197,11 +197,11 @@ TEST(RotorAssignment, ATurnedBodyFrameIsNamedBesideTheOrder) {
   const FlightLog log = Flown(truth, "octo", 20.0);
   // Each rotor where the next one is: as if the frame were turned by 90 degrees.
   const std::vector<Finding> findings =
-      InspectRotors(log, Reordered(truth, std::vector<int>{1, 2, 3, 0}));
+      InspectRotors(log, Reordered(truth, std::vector<int>{1, 2, 3, 0})).findings;
   ASSERT_FALSE(findings.empty());
   EXPECT_NE(findings[0].mend.find("turned by 90 degrees"), std::string::npos) << findings[0].mend;
   const std::vector<Finding> swapped =
-      InspectRotors(log, Reordered(truth, std::vector<int>{1, 0, 2, 3}));
+      InspectRotors(log, Reordered(truth, std::vector<int>{1, 0, 2, 3})).findings;
   ASSERT_FALSE(swapped.empty());
   EXPECT_EQ(swapped[0].mend.find("turned"), std::string::npos) << swapped[0].mend;
 }
@@ -210,12 +210,12 @@ TEST(RotorAssignment, ATurnedBodyFrameIsNamedBesideTheOrder) {
 TEST(RotorAssignment, SpinsAreNamedOnTheirOwn) {
   const Vehicle truth = NominalVehicle();
   const FlightLog log = Flown(truth, "aggressive", 30.0);
-  const std::vector<Finding> spins = InspectRotors(log, Respun(truth, 0b1010));
+  const std::vector<Finding> spins = InspectRotors(log, Respun(truth, 0b1010)).findings;
   ASSERT_EQ(spins.size(), 1u);
   EXPECT_EQ(spins[0].check, "rotor_spin");
   EXPECT_NE(spins[0].what.find("cw, ccw, cw, ccw"), std::string::npos) << spins[0].what;
   const std::vector<Finding> order =
-      InspectRotors(log, Reordered(truth, std::vector<int>{1, 0, 2, 3}));
+      InspectRotors(log, Reordered(truth, std::vector<int>{1, 0, 2, 3})).findings;
   ASSERT_EQ(order.size(), 1u);
   EXPECT_EQ(order[0].check, "rotor_order");
 }

@@ -38,7 +38,7 @@ TEST(RotorScale, SaysWhatItDoesToTheThrustCoefficient) {
   const FlightLog log = Scaled(Flown(vehicle, "octo", 30.0), 2, 1.15);
   const RotorScale found = ScaleOf(log, vehicle);
   EXPECT_NEAR(found.k_f_shift, 4.0 / (3.0 + 1.15 * 1.15) - 1.0, 0.02);
-  const std::vector<Finding> findings = InspectRotors(log, vehicle);
+  const std::vector<Finding> findings = InspectRotors(log, vehicle).findings;
   ASSERT_EQ(findings.size(), 1u);
   EXPECT_EQ(findings[0].check, "rotor_scale");
   EXPECT_EQ(findings[0].leaves, Trust::kDoubtful);
@@ -59,14 +59,14 @@ TEST(RotorScale, CentreOfGravityAndWindAreNoScale) {
     options.trajectory = trajectory;
     options.log_rate_hz = 200.0;
     const FlightLog log = Simulate(model, truth, options).log;
-    EXPECT_TRUE(InspectRotors(log, NominalVehicle()).empty()) << trajectory;
+    EXPECT_TRUE(InspectRotors(log, NominalVehicle()).findings.empty()) << trajectory;
   }
 }
 
 TEST(RotorScale, ADeadSensorIsNamed) {
   const Vehicle vehicle = NominalVehicle();
   const FlightLog log = Scaled(Flown(vehicle, "octo", 20.0), 1, 0.0);
-  const std::vector<Finding> findings = InspectRotors(log, vehicle);
+  const std::vector<Finding> findings = InspectRotors(log, vehicle).findings;
   ASSERT_EQ(findings.size(), 1u);
   EXPECT_EQ(findings[0].leaves, Trust::kBad);
   EXPECT_EQ(findings[0].what.rfind("rotor2 reads almost zero", 0), 0u) << findings[0].what;

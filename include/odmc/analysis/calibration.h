@@ -84,11 +84,12 @@ void AddInspection(const StreamInspection& inspection, Result* result) {
   }
 }
 
-/// Adds to sigmas and covariance what the offsets that were taken off leave uncertain: the flight
-/// is replayed once for each, with the stream moved by the offset's sigma, and the change of the
-/// parameters squared counts on top. Does nothing where none was taken off.
-void WidenForOffsets(const FlightLog& log, const DynamicModel& model,
-                     const EstimatorOptions& options, Calibration* calibration);
+/// Adds to sigmas and covariance what may be wrong with the streams: the flight (of a long one the
+/// last five minutes) is replayed once without each error, and the change of the parameters squared
+/// counts on top.
+void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
+                    const EstimatorOptions& options, const std::vector<StreamDoubt>& doubts,
+                    Calibration* calibration);
 
 /// Runs the estimator once for each block of `block_s`, without that block, and predicts the block
 /// with what the rest of the flight shows.

@@ -45,7 +45,8 @@ struct Lag {
   Eigen::MatrixXd band_gain;  ///< the same of 3 to 20 Hz; empty without memory
   double explained = 0.0;   ///< share of the whitened signal's variance that moving explains
   double band_share = 0.0;  ///< the same of 3 to 20 Hz, median of the blocks
-  double cured = 0.0;       ///< share of the disagreement without lag that the lag takes away
+  /// Share of the disagreement without lag that the lag takes away; white noise left aside.
+  double cured = 0.0;
 
   double sigma_s() const;
   /// True if the best lag stands out, see kLeastContrast.

@@ -5,6 +5,7 @@
 
 #include "odmc/inspection/finding.h"
 #include "odmc/inspection/rotor_regression.h"
+#include "odmc/inspection/stream_doubt.h"
 
 namespace odmc {
 
@@ -16,9 +17,11 @@ struct RotorScale {
   double factor = 1.0;          ///< reading over what its thrust says
   double sigma = 0.0;           ///< of the factor
   double significance = 0.0;    ///< of a factor other than one [sigmas]
-  bool witnesses = false;       ///< effects and balance both say so by themselves, by two sigmas
+  double effects_say = 0.0;     ///< the same by the effects alone; below 0: they say the opposite
+  double steady_says = 0.0;     ///< by steady balance alone
   double k_f_shift = 0.0;       ///< relative error of k_f that follows
   bool reads_zero = false;      ///< it hardly reads anything: no factor then
+  std::vector<StreamDoubt> doubts;  ///< of each rotor whose reading may be off
 };
 
 /// Looks for one rotor whose readings are scaled, without commands to compare with. Two witnesses:

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "odmc/inspection/finding.h"
+#include "odmc/inspection/stream_doubt.h"
 #include "odmc/inspection/time_offsets.h"
 
 namespace odmc {
@@ -12,6 +13,7 @@ namespace odmc {
 struct StreamInspection {
   std::vector<Finding> findings;
   std::vector<TimeOffset> offsets;  ///< compensated_s: what MendStreams() takes off the stamps
+  std::vector<StreamDoubt> doubts;  ///< what may be wrong besides, and what mending leaves
   bool drop_velocity = false;       ///< these columns are wrong beyond mending
   bool drop_rates = false;
   bool drop_gyro = false;

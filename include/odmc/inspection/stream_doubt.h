@@ -1,0 +1,36 @@
+#pragma once
+
+#include <string>
+
+#include "odmc/sensing/samples.h"
+
+namespace odmc {
+
+/// An error that most recordings do not have, after it was measured.
+struct RareError {
+  double probability = 0.0;
+  double mean = 0.0, sigma = 0.0;  ///< if there is one
+
+  /// Root mean square of the error, there or not.
+  double rms() const;
+};
+
+/// Bayes' rule for an error that is zero, or else Gaussian with mean zero.
+/// @param value, sigma what was measured of it, Gaussian
+/// @param prior probability that there is one
+/// @param size standard deviation of those that there are
+RareError Posterior(double value, double sigma, double prior, double size);
+
+/// What may be wrong with a stream, but not so surely that it was mended: the estimate says by how
+/// much it would be another one.
+struct StreamDoubt {
+  std::string stream;   ///< "rotor_speeds", "body_rates", "velocity" or "gyro"
+  double late_s = 0.0;  ///< its stamps may be late by this
+  double factor = 1.0;  ///< its readings may be too large by this
+  int rotor = -1;       ///< only this rotor's readings, from 0; -1: the whole stream
+};
+
+/// Turns the log into the one that would have been recorded without the error.
+void Undo(const StreamDoubt& doubt, FlightLog* log);
+
+}  // namespace odmc

@@ -1,0 +1,37 @@
+#include "odmc/inspection/stream_doubt.h"
+
+#include <cmath>
+
+#include "odmc/inspection/stream_inspection.h"
+
+namespace odmc {
+
+double RareError::rms() const { return std::sqrt(probability) * std::hypot(mean, sigma); }
+
+RareError Posterior(double value, double sigma, double prior, double size) {
+  const double all = sigma * sigma + size * size;  // variance of the measurement if there is one
+  const double share = size * size / all;
+  // Logarithm of the likelihoods' ratio; beyond 500 the answer is known.
+  const double nats = std::log(sigma / std::sqrt(all)) +
+                      0.5 * value * value * (1.0 / (sigma * sigma) - 1.0 / all);
+  const double odds = prior / (1.0 - prior) * std::exp(std::fmin(nats, 500.0));
+  return {odds / (1.0 + odds), share * value, std::sqrt(share) * sigma};
+}
+
+void Undo(const StreamDoubt& doubt, FlightLog* log) {
+  if (doubt.late_s != 0.0) ShiftStream(doubt.stream, doubt.late_s, log);
+  if (doubt.factor == 1.0) return;
+  if (doubt.stream == "rotor_speeds") {
+    for (RotorSample& sample : log->rotors) {
+      if (doubt.rotor < 0) sample.speed /= doubt.factor;
+      if (doubt.rotor >= 0) sample.speed[doubt.rotor] /= doubt.factor;
+    }
+  }
+  if (doubt.stream == "velocity") {
+    for (OdometrySample& sample : log->odometry) {
+      if (sample.v_WS) *sample.v_WS /= doubt.factor;
+    }
+  }
+}
+
+}  // namespace odmc
