@@ -87,7 +87,7 @@ def own_rotor_file(rec: Recording) -> Columns:
 def jitter(columns: Columns, size: float, rng: np.random.Generator) -> None:
     """Stamps are off by this much (uniform, +-); they still grow."""
     t = columns['t'] + rng.uniform(-size, size, len(columns['t']))
-    columns['t'] = np.sort(t) + 1e-6 * np.arange(len(t))
+    columns['t'] = np.sort(t)
 
 
 def bursts(columns: Columns, period: float) -> None:

@@ -142,6 +142,7 @@ void InspectOffsets(const MotionSignals& signals, const Vehicle& vehicle,
 StreamInspection InspectStreams(const FlightLog& log, const Vehicle& vehicle) {
   StreamInspection inspection;
   CheckInertiaBounds(vehicle, &inspection);
+  CheckGravity(vehicle, &inspection);
   std::optional<MotionSignals> signals = SignalsOf(log);
   if (!signals) return inspection;
   const std::vector<bool> flight = FindFlight(*signals);

@@ -32,6 +32,7 @@ constexpr double kLean_rad = 0.07, kLeanSigmas = 5.0;
 constexpr double kLeanNotWind_rad = 0.2;
 // A sensor some centimetres from the centre feels w² r: 0.3 m/s² at this rate and 3 cm.
 constexpr double kCalm_rad_s = 3.0;
+constexpr double kLeastGravity = 9.7, kMostGravity = 9.9;  // 9.764 (Huascaran) to 9.834 (Arctic)
 constexpr int kLeastWindows = 10 * kWindowsPerBlock;
 
 std::string Text(double value) {
@@ -208,6 +209,15 @@ void CheckInertiaBounds(const Vehicle& vehicle, StreamInspection* inspection) {
   inspection->findings.push_back({"inertia_bounds", absurd ? Trust::kBad : Trust::kDoubtful, what,
                                   mend});
   if (absurd && inspection->refusal.empty()) inspection->refusal = what + "; " + mend;
+}
+
+void CheckGravity(const Vehicle& vehicle, StreamInspection* inspection) {
+  const double g = vehicle.gravity_m_s2;
+  if (g > kLeastGravity && g < kMostGravity) return;
+  inspection->findings.push_back({"gravity", Trust::kDoubtful,
+                                  "gravity_m_s2 of the vehicle file is " + Text(g) +
+                                      ": nowhere on Earth is it outside 9.76 to 9.84",
+                                  "write 9.81; thrust and drag scale with it"});
 }
 
 void CheckThrust(const MotionSignals& signals, const Vehicle& vehicle,

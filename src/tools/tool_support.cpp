@@ -13,6 +13,7 @@
 #include "odmc/actuator/flight_actuator.h"
 #include "odmc/analysis/report.h"
 #include "odmc/inspection/rotor_inspection.h"
+#include "odmc/inspection/stamp_checks.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/number_text.h"
 #include "odmc/io/options_yaml.h"
@@ -280,7 +281,9 @@ FlightLog FlightArguments::Read(const Vehicle& vehicle) const {
 }
 
 StreamInspection InspectFlight(const Vehicle& vehicle, bool force, FlightLog* log) {
+  const std::vector<Finding> stamps = EvenOutStamps(log);
   StreamInspection inspection = InspectStreams(*log, vehicle);
+  inspection.findings.insert(inspection.findings.begin(), stamps.begin(), stamps.end());
   if (!inspection.refusal.empty() && !force) {
     throw std::invalid_argument(log->file + ": " + inspection.refusal +
                                 " (--force goes on all the same)");

@@ -10,6 +10,9 @@ namespace odmc {
 /// Can the inertia belong to a body of this mass and size? Needs no flight.
 void CheckInertiaBounds(const Vehicle& vehicle, StreamInspection* inspection);
 
+/// Is the file's gravity that of the Earth? Needs no flight.
+void CheckGravity(const Vehicle& vehicle, StreamInspection* inspection);
+
 /// Does thrust carry the weight with the file's k_f and mass, and does it point up: along the
 /// body's z and against the world's?
 void CheckThrust(const MotionSignals& signals, const Vehicle& vehicle,
