@@ -566,7 +566,6 @@ const Snapshot* Estimator::TakeBack(Stamp since) {
   return &snapshot_;
 }
 
-/// All that was learned so far came from no flight: back to the priors.
 void Estimator::StartAnew() {
   if (window_.keyframes().empty() && counters_.keyframes == 0) return;
   const int n = layout_.num_estimated();

@@ -23,7 +23,7 @@ constexpr double kLeastMotion = 0.1;  // m/s or rad/s RMS: what shows less says 
 constexpr double kLeastScale = 0.85;   // observers are off by up to 10 %
 // One velocity in ten is scaled (an observer's, a wrong unit of flow), by some 10 %.
 constexpr double kScalesAre = 0.1, kScaleSize = 0.1;
-constexpr double kNoScale = 0.002;     // changes nothing
+constexpr double kNoScale = 0.005;     // changes nothing worth a replay
 constexpr double kNothingAlike = 0.5;  // of a signal's mean square, by whichever reading
 
 std::string Text(double value) {
@@ -155,7 +155,7 @@ RareError VelocityScale(const MotionWindows& w) {
     scatter += slope * slope;
   }
   const double sigma = std::hypot(std::sqrt(scatter) / y.squaredNorm(), 0.5 * (most - least));
-  return Posterior(scale - 1.0, std::max(sigma, kNoScale), kScalesAre, kScaleSize);
+  return Posterior(scale - 1.0, std::max(sigma, 1e-3), kScalesAre, kScaleSize);
 }
 
 void CheckVelocity(const MotionWindows& w, MotionSignals* s, StreamInspection* inspection) {

@@ -35,7 +35,7 @@ constexpr double kReadsZero = 0.05;  // share over a fair one
 
 // One vehicle in ten has a reading or a propeller that is off, by some 15 % of the speed.
 constexpr double kBadOnesAre = 0.1, kBadThrust = 0.3;
-constexpr double kNoThrust = 0.005;  // changes nothing
+constexpr double kNoThrust = 0.01;  // changes nothing worth a replay
 
 /// Which observations to use.
 enum class Witness { kEffects, kSteady, kBoth };

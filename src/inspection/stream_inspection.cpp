@@ -26,7 +26,7 @@ constexpr double kWellKnown_s = 0.01;
 
 // One stream in ten has an offset (of our nine data sets from elsewhere, two have), of some 20 ms.
 constexpr double kOffsetsAre = 0.1, kOffsetSize_s = 0.02;
-constexpr double kNoOffset_s = 0.0005;  // changes nothing
+constexpr double kNoOffset_s = 0.001;  // changes nothing worth a replay
 
 std::string Milliseconds(double seconds) {
   char text[32];
@@ -58,22 +58,6 @@ bool IsWrong(const TimeOffset& offset) {
   return size_s > kLeastFilterOffset_s && lag.cured > MustCure(offset.stream);
 }
 
-Finding OffsetFinding(const TimeOffset& offset) {
-  const Lag& lag = offset.lag;
-  const bool sure = lag.sigma_s() < kWellKnown_s;
-  Finding finding;
-  finding.check = offset.stream + "_offset";
-  finding.leaves = sure ? Trust::kGood : Trust::kDoubtful;
-  finding.what = Called(offset.stream) + " stamped " + Milliseconds(lag.lag_s) +
-                 (lag.lag_s > 0.0 ? " late" : " early") + " (sigma " +
-                 Milliseconds(lag.sigma_s()) + ", against " + offset.against +
-                 "); this was taken off";
-  finding.mend = sure ? "mend the stamps at the source"
-                      : "mend the stamps at the source, or fly livelier: the flight shows the "
-                        "offset badly";
-  return finding;
-}
-
 /// What is not known of an offset after it was taken off, or was not.
 void AddDoubt(const TimeOffset& offset, StreamInspection* inspection) {
   const Lag& lag = offset.lag;
@@ -92,7 +76,7 @@ double Take(std::optional<TimeOffset> offset, StreamInspection* inspection) {
   if (!offset) return 0.0;
   if (IsWrong(*offset)) {
     offset->compensated_s = offset->lag.lag_s;
-    inspection->findings.push_back(OffsetFinding(*offset));
+    inspection->findings.push_back(OffsetFinding(*offset, true));
   }
   AddDoubt(*offset, inspection);
   inspection->offsets.push_back(*offset);
@@ -138,6 +122,22 @@ void InspectOffsets(const MotionSignals& signals, const Vehicle& vehicle,
 }
 
 }  // namespace
+
+Finding OffsetFinding(const TimeOffset& offset, bool taken_off) {
+  const Lag& lag = offset.lag;
+  const bool sure = lag.sigma_s() < kWellKnown_s;
+  Finding finding;
+  finding.check = offset.stream + "_offset";
+  finding.leaves = sure && taken_off ? Trust::kGood : Trust::kDoubtful;
+  finding.what = Called(offset.stream) + " stamped " + Milliseconds(lag.lag_s) +
+                 (lag.lag_s > 0.0 ? " late" : " early") + " (sigma " +
+                 Milliseconds(lag.sigma_s()) + ", against " + offset.against + ")" +
+                 (taken_off ? "; this was taken off" : "");
+  finding.mend = sure ? "mend the stamps at the source"
+                      : "mend the stamps at the source, or fly livelier: the flight shows the "
+                        "offset badly";
+  return finding;
+}
 
 StreamInspection InspectStreams(const FlightLog& log, const Vehicle& vehicle) {
   StreamInspection inspection;

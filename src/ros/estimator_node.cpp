@@ -21,6 +21,7 @@
 #include <utility>
 
 #include "odmc/analysis/phase_findings.h"
+#include "odmc/inspection/recording_inspection.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
@@ -251,7 +252,7 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
   status_.watches_residual = watches;
   estimator_thread_ = std::thread(&EstimatorNode::RunEstimator, this);
   reporting_thread_ = std::thread(&EstimatorNode::RunReporting, this);
-  if (watches) watching_thread_ = std::thread(&EstimatorNode::RunWatching, this);
+  watching_thread_ = std::thread(&EstimatorNode::RunWatching, this);
   Subscribe<nav_msgs::Odometry>("odometry", InputStream::kOdometry);
   Subscribe<geometry_msgs::PoseStamped>("pose", InputStream::kPose);
   Subscribe<sensor_msgs::Imu>("imu", InputStream::kImu);
@@ -502,6 +503,7 @@ void EstimatorNode::OnClockStepBack() {
     last_command_.reset();
     acceptance_.Reset();
     if (watch_) watch_->Clear();
+    if (streams_seen_) streams_seen_->Clear();
     const std::lock_guard<std::mutex> lock(status_mutex_);
     history_.Clear();  // its time axis would run backwards
   }
@@ -561,7 +563,9 @@ std::optional<SensorMount> EstimatorNode::LookUpMount(const std::string& sensor_
 void EstimatorNode::MakeEstimator() {
   model_ = std::make_shared<DynamicModel>(setup_.vehicle, setup_.vehicle.effects);
   estimator_ = std::make_unique<Estimator>(model_.get(), setup_.estimator, !intake_.rms_only());
+  starts_anew_ = 0;
   HoldOut();
+  if (!streams_seen_) streams_seen_.emplace(setup_.vehicle);
   if (setup_.options.residual_watch.residual_watch_period_s > 0.0) {
     const std::lock_guard<std::mutex> lock(watch_mutex_);
     watch_ = std::make_shared<ResidualWatch>(setup_.vehicle, setup_.options.residual_watch,
@@ -647,7 +651,9 @@ RotorStatus EstimatorNode::RotorsNow() const {
 }
 
 // What estimator and watch get to see.
-void EstimatorNode::Observe(const Sample& sample) {
+void EstimatorNode::Observe(const Sample& recorded) {
+  Sample sample = recorded;
+  std::visit([this](auto& s) { mender_.Mend(&s); }, sample);
   const auto add_to = [&sample](auto* sink) {
     std::visit(
         [sink](const auto& s) {
@@ -658,16 +664,56 @@ void EstimatorNode::Observe(const Sample& sample) {
   };
   // An IMU that came after the model was made: its mount is not known.
   if (std::holds_alternative<ImuSample>(sample) && ignores_imu_) return;
+  std::visit(
+      [this](const auto& s) {
+        using Kind = std::decay_t<decltype(s)>;
+        if constexpr (!std::is_same_v<Kind, BatterySample> && !std::is_same_v<Kind, CommandSample>)
+          streams_seen_->Add(s);
+      },
+      recorded);
   add_to(estimator_.get());
   if (watch_) add_to(watch_.get());
+  HandOverStreams();
+  AdoptInspection();
   StepWhileThereIsMore();
+}
+
+// The newest minute of the streams, to be compared with each other by the watching thread.
+void EstimatorNode::HandOverStreams() {
+  if (!streams_seen_->IsDue()) return;
+  FlightLog log = streams_seen_->TakeLook();
+  log.rotor_rms_only = intake_.rms_only();
+  const std::lock_guard<std::mutex> lock(watch_mutex_);
+  to_be_inspected_.emplace(std::move(log), setup_.vehicle);
+}
+
+// What the watching thread found. Streams that are mended otherwise from now on are others.
+void EstimatorNode::AdoptInspection() {
+  std::optional<StreamInspection> inspection;
+  {
+    const std::unique_lock<std::mutex> lock(watch_mutex_, std::try_to_lock);
+    if (!lock.owns_lock()) return;
+    inspection.swap(inspection_);
+  }
+  if (!inspection) return;
+  const bool is_new = mender_.Adopt(*inspection);
+  for (const Finding& finding : mender_.findings()) {
+    if (told_.insert(finding.check).second) ROS_WARN("%s", Sentence(finding).c_str());
+  }
+  if (is_new && !frozen_) {
+    estimator_->StartAnew();
+    ForgetEstimate("the streams are mended from now on");
+  }
+  RenewFindings();
 }
 
 void EstimatorNode::StepWhileThereIsMore() {
   while (true) {
     const Snapshot* const snapshot = estimator_->Step();
     if (!estimator_->made_progress()) return;
-    if (estimator_->counters().starts_anew != starts_anew_) ForgetEstimate();
+    if (estimator_->counters().starts_anew != starts_anew_) {
+      ForgetEstimate("the vehicle had stood on the ground");
+    }
     PublishPhase();
     if (watch_) watch_->SetAirborne(estimator_->last_keyframe_stamp(), estimator_->airborne());
     if (snapshot) {
@@ -685,12 +731,13 @@ void EstimatorNode::StepWhileThereIsMore() {
   }
 }
 
-// What was learned so far came from no flight.
-void EstimatorNode::ForgetEstimate() {
+// What was learned so far came from no flight, or from other streams.
+void EstimatorNode::ForgetEstimate(const char* why) {
   starts_anew_ = estimator_->counters().starts_anew;
-  if (last_) ROS_WARN("the vehicle had stood on the ground: what was learned there is forgotten");
+  if (last_) ROS_WARN("%s: what was learned before is forgotten", why);
   last_.reset();
-  findings_.clear();
+  look_back_.clear();
+  RenewFindings();
   last_look_s_ = 0.0;
   acceptance_.Reset();
 }
@@ -702,10 +749,16 @@ void EstimatorNode::LookBack() {
   if (counters.airborne_s < last_look_s_ + kLookEvery_s) return;
   last_look_s_ = counters.airborne_s;
   const std::vector<ThirdsDifference> thirds = estimator_->LastLook();
-  findings_ = last_ ? LastLookFindings(*model_, last_->values, thirds) : std::vector<Finding>();
+  look_back_ = last_ ? LastLookFindings(*model_, last_->values, thirds) : std::vector<Finding>();
   if (counters.changes > 0 && !setup_.estimator.detect_changes) {
-    findings_.push_back(VehicleChanged(counters.last_change, estimator_->start()));
+    look_back_.push_back(VehicleChanged(counters.last_change, estimator_->start()));
   }
+  RenewFindings();
+}
+
+void EstimatorNode::RenewFindings() {
+  findings_ = mender_.findings();
+  findings_.insert(findings_.end(), look_back_.begin(), look_back_.end());
 }
 
 void EstimatorNode::PublishPhase() {
@@ -1014,6 +1067,7 @@ void EstimatorNode::RunWatching() {
       std::unique_lock<std::mutex> lock(queue_mutex_);
       if (reporting_wakes_.wait_for(lock, kWatchIdle, [this] { return stopping_; })) return;
     }
+    InspectStreamsIfDue();
     std::shared_ptr<ResidualWatch> watch;
     {
       const std::lock_guard<std::mutex> lock(watch_mutex_);
@@ -1026,6 +1080,22 @@ void EstimatorNode::RunWatching() {
     } catch (const std::exception& e) {
       ROS_ERROR_THROTTLE(10.0, "the residual cannot be looked at: %s", e.what());
     }
+  }
+}
+
+void EstimatorNode::InspectStreamsIfDue() {
+  std::optional<std::pair<FlightLog, Vehicle>> seen;
+  {
+    const std::lock_guard<std::mutex> lock(watch_mutex_);
+    seen.swap(to_be_inspected_);
+  }
+  if (!seen) return;
+  try {
+    StreamInspection inspection = InspectRecording(seen->second, &seen->first);
+    const std::lock_guard<std::mutex> lock(watch_mutex_);
+    inspection_ = std::move(inspection);
+  } catch (const std::exception& e) {
+    ROS_ERROR_THROTTLE(10.0, "the streams cannot be compared: %s", e.what());
   }
 }
 

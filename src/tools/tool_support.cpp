@@ -12,8 +12,7 @@
 
 #include "odmc/actuator/flight_actuator.h"
 #include "odmc/analysis/report.h"
-#include "odmc/inspection/rotor_inspection.h"
-#include "odmc/inspection/stamp_checks.h"
+#include "odmc/inspection/recording_inspection.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/number_text.h"
 #include "odmc/io/options_yaml.h"
@@ -281,22 +280,10 @@ FlightLog FlightArguments::Read(const Vehicle& vehicle) const {
 }
 
 StreamInspection InspectFlight(const Vehicle& vehicle, bool force, FlightLog* log) {
-  const std::vector<Finding> stamps = EvenOutStamps(log);
-  StreamInspection inspection = InspectStreams(*log, vehicle);
-  inspection.findings.insert(inspection.findings.begin(), stamps.begin(), stamps.end());
+  StreamInspection inspection = InspectRecording(vehicle, log);
   if (!inspection.refusal.empty() && !force) {
     throw std::invalid_argument(log->file + ": " + inspection.refusal +
                                 " (--force goes on all the same)");
-  }
-  MendStreams(inspection, log);
-  const RotorInspection rotors = InspectRotors(*log, vehicle);
-  inspection.doubts.insert(inspection.doubts.end(), rotors.doubts.begin(), rotors.doubts.end());
-  for (const Finding& finding : rotors.findings) {
-    if (finding.leaves == Trust::kBad && !force) {
-      throw std::invalid_argument(log->file + ": " + Sentence(finding) +
-                                  " (--force goes on all the same)");
-    }
-    inspection.findings.push_back(finding);
   }
   return inspection;
 }

@@ -118,6 +118,9 @@ class Estimator {
   /// Forgets samples and states, keeps what was learned about the parameters (a new flight or a
   /// clock that stepped back).
   void RestartChain();
+  /// Back to the priors: all that was learned so far is not of this flight, or not of streams as
+  /// they are from now on.
+  void StartAnew();
 
   /// Goes on where an estimator of the same vehicle with another model stands: samples, ground and
   /// noise are taken over, flight time and counters go on; states and parameters start anew.
@@ -170,7 +173,6 @@ class Estimator {
   bool AlignmentIsDue() const;
   bool FollowPhase(const OdometrySample& sample);
   const Snapshot* TakeBack(Stamp since);
-  void StartAnew();
   void CountTime(double dt, bool teaches);
   void TellPhases(Stamp stamp);
   void RestoreGate(Stamp since);

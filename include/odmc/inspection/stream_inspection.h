@@ -27,6 +27,10 @@ struct StreamInspection {
 /// short or too calm to tell.
 StreamInspection InspectStreams(const FlightLog& log, const Vehicle& vehicle);
 
+/// "rotor speeds are stamped 20.0 ms late": check "rotor_speeds_offset".
+/// @param taken_off what was done about it
+Finding OffsetFinding(const TimeOffset& offset, bool taken_off);
+
 /// Does to the log what the inspection says: takes the offsets off, drops broken columns. Rotor
 /// speeds and IMU get other stamps; velocity and rates, whose stamps are the poses', are put
 /// through lines between their samples, and poses that then lack them are dropped.

@@ -32,9 +32,6 @@ class StreamWatch {
   /// The newest seconds as a log, to be looked at elsewhere; counts as a look.
   FlightLog TakeLook();
 
-  /// InspectStreams(TakeLook(), vehicle).
-  StreamInspection Look() { return InspectStreams(TakeLook(), vehicle_); }
-
   void Clear();
 
  private:

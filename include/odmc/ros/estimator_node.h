@@ -20,6 +20,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <string>
 #include <thread>
 #include <utility>
@@ -29,6 +30,8 @@
 #include "odmc/attribution/residual_watch.h"
 #include "odmc/estimator/acceptance.h"
 #include "odmc/estimator/estimator.h"
+#include "odmc/inspection/live_mender.h"
+#include "odmc/inspection/stream_watch.h"
 #include "odmc/ros/live_image.h"
 #include "odmc/ros/node_status.h"
 #include "odmc/ros/sample_intake.h"
@@ -150,8 +153,11 @@ class EstimatorNode {
   void Observe(const Sample& sample);
   void StepWhileThereIsMore();
   void AddWhatWasFound();
-  void ForgetEstimate();
+  void ForgetEstimate(const char* why);
   void LookBack();
+  void HandOverStreams();
+  void AdoptInspection();
+  void RenewFindings();
   void PublishPhase();
   void OnSnapshot(Snapshot snapshot);
   void PublishEstimate(const Snapshot& snapshot);
@@ -172,6 +178,7 @@ class EstimatorNode {
   // Watching thread.
   void RunWatching();
   void OnLook(const ResidualLook& look);
+  void InspectStreamsIfDue();
 
   // Reporting thread.
   void RunReporting();
@@ -221,8 +228,12 @@ class EstimatorNode {
   std::string added_effects_;
   bool last_is_published_ = false;
   std::string phase_;      // as published last
-  std::vector<Finding> findings_;     // what is known against the estimate
-  double last_look_s_ = 0.0;          // flight time of the last look at the thirds
+  std::optional<StreamWatch> streams_seen_;  // as they come, before they are mended
+  LiveMender mender_;
+  std::set<std::string> told_;      // checks that were written to the log
+  std::vector<Finding> look_back_;  // by the thirds of the flight
+  std::vector<Finding> findings_;  // what is known against the estimate
+  double last_look_s_ = 0.0;       // flight time of the last look at the thirds
   long starts_anew_ = 0;   // of the estimator, as far as they are dealt with
   Clock::time_point parameters_published_, accepted_published_, status_shared_;
   // What had been learned from when progress was last looked at, and where nothing has been since.
@@ -243,6 +254,8 @@ class EstimatorNode {
   // Made by the estimator thread at the start, for the watching thread to look; null: off.
   std::shared_ptr<ResidualWatch> watch_;     // guarded by watch_mutex_ while it is made
   std::optional<ResidualLook> to_be_added_;  // guarded by watch_mutex_
+  std::optional<std::pair<FlightLog, Vehicle>> to_be_inspected_;  // guarded by watch_mutex_
+  std::optional<StreamInspection> inspection_;                    // guarded by watch_mutex_
   std::mutex watch_mutex_;
 
   // Started last, joined first.
