@@ -40,6 +40,7 @@ class Airframe:
         self.k_m = float(p.get('rotor_torque.k_m', {}).get('value', 0.013 * self.k_f))
         self.drag = np.zeros(3)
         self.k_h = 0.0
+        self.damping = np.zeros(3)  # of rates, below 0 [N m s]
         self.rotors_late_s = self.odometry_late_s = 0.0
         self.trim = np.ones(len(self.spins))  # of squared speeds, mean 1
         self.q_BS, self.p_BS = quaternion(vehicle.get('odometry')), place(vehicle.get('odometry'))

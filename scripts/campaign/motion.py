@@ -106,7 +106,7 @@ def fly(frame: Airframe, p: np.ndarray, v: np.ndarray, a: np.ndarray,
         q = rotation.multiply(rotation.from_up(up), rotation.turn(heading))
     thrust = np.sum(wanted * rotation.rotate(q, UP), axis=1)
     w = rotation.rates(q, DT)
-    torque = np.gradient(w, DT, axis=0) * frame.inertia + np.cross(w, w * frame.inertia)
+    torque = np.gradient(w, DT, axis=0) * frame.inertia + np.cross(w, w * frame.inertia) - frame.damping * w
     force = rotation.rotate(rotation.inverse(q), a + G)
     return Motion(p, v, q, force, frame.squares(thrust, torque))
 

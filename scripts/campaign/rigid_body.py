@@ -87,7 +87,8 @@ class Body:
         touch, touch_torque = self.contact(R)
         pushed = touch if self.world.push is None else touch + self.world.push(self.t)
         felt = (body_force + R.T @ pushed) / frame.mass
-        torque = wrench[1:] + touch_torque - np.cross(self.w, frame.inertia * self.w)
+        torque = (wrench[1:] + touch_torque + frame.damping * self.w -
+                  np.cross(self.w, frame.inertia * self.w))
         self.w = self.w + STEP * torque / frame.inertia
         self.v = self.v + STEP * (R @ felt - [0.0, 0.0, 9.81])
         self.p = self.p + STEP * self.v

@@ -253,31 +253,42 @@ FlightLog Since(Stamp from, const FlightLog& log) {
 
 }  // namespace
 
-void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
-                    const EstimatorOptions& options, const std::vector<StreamDoubt>& doubts,
-                    Calibration* calibration) {
-  if (doubts.empty()) return;
+std::vector<Eigen::VectorXd> ChangesWithout(const std::vector<StreamDoubt>& doubts,
+                                            const FlightLog& log, Stamp from,
+                                            const DynamicModel& model,
+                                            const EstimatorOptions& options,
+                                            const ModelValues* values) {
+  std::vector<Eigen::VectorXd> changes;
+  if (doubts.empty() || log.odometry.empty()) return changes;
   const auto values_of = [&](const FlightLog& flight) {
     Estimator estimator(&model, options, !log.rotor_rms_only);
     return Replay(flight, &estimator).last;
   };
-  // Of a long flight its end: what changes is much the same.
-  const Stamp end = calibration->replay.last->stamp;
-  const Stamp from = end - FromSeconds(kLongestDoubt_s);
   const FlightLog part = Since(from, log);
-  Eigen::VectorXd values = calibration->replay.last->values;
-  if (from > log.odometry.front().stamp) {
-    const auto last = values_of(part);
-    if (!last) return;
-    values = last->values;
+  Eigen::VectorXd with;
+  if (values != nullptr && from <= log.odometry.front().stamp) {
+    with = *values;
+  } else if (const auto last = values_of(part)) {
+    with = last->values;
+  } else {
+    return changes;
   }
-  ParameterSet& set = calibration->parameters;
   for (const StreamDoubt& doubt : doubts) {
     FlightLog undone = part;
     Undo(doubt, &undone);
-    const auto last = values_of(undone);
-    if (!last) continue;
-    const Eigen::VectorXd change = last->values - values;
+    if (const auto last = values_of(undone)) changes.push_back(last->values - with);
+  }
+  return changes;
+}
+
+void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
+                    const EstimatorOptions& options, const std::vector<StreamDoubt>& doubts,
+                    Calibration* calibration) {
+  const Snapshot& last = *calibration->replay.last;
+  ParameterSet& set = calibration->parameters;
+  for (const Eigen::VectorXd& change :
+       ChangesWithout(doubts, log, last.stamp - FromSeconds(kLongestDoubt_s), model, options,
+                      &last.values)) {
     for (size_t i = 0; i < set.parameters.size(); ++i) {
       ParameterEstimate& p = set.parameters[i];
       if (p.estimated) p.sigma = std::hypot(p.sigma, change[static_cast<Eigen::Index>(i)]);

@@ -20,6 +20,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "odmc/analysis/calibration.h"
 #include "odmc/analysis/phase_findings.h"
 #include "odmc/inspection/recording_inspection.h"
 #include "odmc/io/actuator_yaml.h"
@@ -43,6 +44,7 @@ constexpr std::chrono::milliseconds kStatusPeriod(100);
 constexpr std::chrono::milliseconds kProgressPeriod(1500);
 constexpr std::chrono::seconds kLongWait(5);
 constexpr std::chrono::milliseconds kWatchIdle(200);
+constexpr double kDoubted_s = 20.0;  // of flight that is replayed without each doubt
 constexpr std::chrono::milliseconds kAcceptedPeriod(500);
 constexpr std::chrono::seconds kAnswerPatience(5);
 constexpr std::chrono::seconds kTfPatience(2);
@@ -684,19 +686,21 @@ void EstimatorNode::HandOverStreams() {
   FlightLog log = streams_seen_->TakeLook();
   log.rotor_rms_only = intake_.rms_only();
   const std::lock_guard<std::mutex> lock(watch_mutex_);
-  to_be_inspected_.emplace(std::move(log), setup_.vehicle);
+  to_be_inspected_ = StreamsSeen{std::move(log), setup_.vehicle, model_};
 }
 
 // What the watching thread found. Streams that are mended otherwise from now on are others.
 void EstimatorNode::AdoptInspection() {
-  std::optional<StreamInspection> inspection;
+  std::optional<StreamsFound> found;
   {
     const std::unique_lock<std::mutex> lock(watch_mutex_, std::try_to_lock);
     if (!lock.owns_lock()) return;
-    inspection.swap(inspection_);
+    found.swap(inspected_);
   }
-  if (!inspection) return;
-  const bool is_new = mender_.Adopt(*inspection);
+  if (!found) return;
+  const bool is_new = mender_.Adopt(found->inspection);
+  doubted_ = found->model;
+  doubts_ = std::move(found->changes);
   for (const Finding& finding : mender_.findings()) {
     if (told_.insert(finding.check).second) ROS_WARN("%s", Sentence(finding).c_str());
   }
@@ -770,6 +774,19 @@ void EstimatorNode::PublishPhase() {
   phase_publisher_.publish(message);
 }
 
+// What may be wrong with the streams, and was not taken off, belongs to the estimate's sigma.
+void EstimatorNode::WidenForDoubts(Snapshot* snapshot) const {
+  if (doubted_ != model_) return;
+  for (const Eigen::VectorXd& change : doubts_) {
+    for (Eigen::Index i = 0; i < change.size(); ++i) {
+      if (snapshot->sigma[i] > 0.0) snapshot->sigma[i] = std::hypot(snapshot->sigma[i], change[i]);
+    }
+    if (snapshot->covariance.rows() == change.size()) {
+      snapshot->covariance += change * change.transpose();
+    }
+  }
+}
+
 void EstimatorNode::OnSnapshot(Snapshot snapshot) {
   if (!IsFinite(snapshot)) {
     ++not_finite_;
@@ -779,6 +796,7 @@ void EstimatorNode::OnSnapshot(Snapshot snapshot) {
   const Clock::time_point start = Clock::now();
   Keep(snapshot.timing.wall_ms, &update_ms_);
   LookBack();
+  WidenForDoubts(&snapshot);
   acceptance_.Update(*model_, snapshot, findings_);
   if (watch_) watch_->SetEstimate(model_, snapshot.values, estimator_->start());
   {
@@ -968,6 +986,12 @@ void EstimatorNode::ShareStatus() {
   s.airborne = estimator_->airborne();
   s.phase = phase_;
   s.trust = Name(TrustOf(findings_));
+  s.findings.clear();
+  for (const Finding& finding : findings_) {
+    s.findings += (s.findings.empty() ? "" : " | ") + Sentence(finding);
+  }
+  s.rotor_speeds_late_s = mender_.OffsetOf("rotor_speeds");
+  s.imu_late_s = mender_.OffsetOf("gyro");
   s.counters = estimator_->counters();
   s.stream_counters = estimator_->stream_counters();
   s.noise = estimator_->odometry_noise();
@@ -1084,16 +1108,25 @@ void EstimatorNode::RunWatching() {
 }
 
 void EstimatorNode::InspectStreamsIfDue() {
-  std::optional<std::pair<FlightLog, Vehicle>> seen;
+  std::optional<StreamsSeen> seen;
   {
     const std::lock_guard<std::mutex> lock(watch_mutex_);
     seen.swap(to_be_inspected_);
   }
   if (!seen) return;
   try {
-    StreamInspection inspection = InspectRecording(seen->second, &seen->first);
+    StreamsFound found;
+    found.inspection = InspectRecording(seen->vehicle, &seen->log);
+    found.model = seen->model;
+    const Stamp from = seen->log.odometry.empty()
+                           ? 0
+                           : seen->log.odometry.back().stamp - FromSeconds(kDoubted_s);
+    EstimatorOptions options = setup_.estimator;
+    options.num_threads = 1;
+    found.changes =
+        ChangesWithout(found.inspection.doubts, seen->log, from, *seen->model, options);
     const std::lock_guard<std::mutex> lock(watch_mutex_);
-    inspection_ = std::move(inspection);
+    inspected_ = std::move(found);
   } catch (const std::exception& e) {
     ROS_ERROR_THROTTLE(10.0, "the streams cannot be compared: %s", e.what());
   }

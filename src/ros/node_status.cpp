@@ -91,6 +91,9 @@ DiagnosticStatus EstimatorDiagnostic(const NodeStatus& s, const std::string& nam
   Put("interrupted", s.interrupted, &status);
   Put("phase", s.phase, &status);
   Put("trust", s.trust, &status);
+  Put("findings", s.findings, &status);
+  Put("rotor_speeds_late_s", s.rotor_speeds_late_s, &status);
+  Put("imu_late_s", s.imu_late_s, &status);
   Put("airborne", s.airborne, &status);
   Put("on_ground", s.has_estimate && !s.airborne, &status);
   Put("accepted", s.accepted, &status);

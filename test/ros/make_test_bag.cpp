@@ -4,6 +4,7 @@
 //   make_test_bag OUT.bag SECONDS frames   odometry thrice: /in_body, /in_world, /in_neither
 //   make_test_bag OUT.bag SECONDS undeclared  as plain, with a quadratic drag no vehicle file has
 //   make_test_bag OUT.bag SECONDS commands     motor commands, no rotor speeds
+//   make_test_bag OUT.bag SECONDS late_rotors  an aggressive flight, rotor speeds stamped 40 ms late
 //   make_test_bag OUT.bag SECONDS dead_sensor  motor commands, and rotor 2 reads 0 from the middle on
 
 #include <nav_msgs/Odometry.h>
@@ -20,6 +21,7 @@
 
 #include "odmc/actuator/flight_actuator.h"
 #include "odmc/analysis/replay.h"
+#include "odmc/inspection/stream_inspection.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/ros/flight_bag.h"
@@ -33,6 +35,7 @@ namespace {
 const std::string kFolder = ODMC_SOURCE_DIR;
 constexpr double kQuadraticDrag_kg_m = 0.05;
 constexpr int kDeadRotor = 1;
+constexpr double kLate_s = 0.04;
 
 using Json = nlohmann::json;
 
@@ -141,11 +144,13 @@ void Run(const std::string& file, double duration_s, const std::string& kind) {
   ModelValues truth = DefaultTruth(model);
   if (undeclared) truth[model.IndexOf("quadratic_drag.c_q")] = kQuadraticDrag_kg_m;
   SimulationOptions options;
-  if (undeclared) options.trajectory = "aggressive";
+  const bool late = kind == "late_rotors";
+  if (undeclared || late) options.trajectory = "aggressive";
   options.duration_s = duration_s;
   options.log_rate_hz = 200.0;
   SimulatedFlight flight = Simulate(model, truth, options);
-  Json json = {{"truth", ByName(model, truth)}};
+  if (late) ShiftRotors(-kLate_s, &flight.log);
+  Json json = {{"truth", ByName(model, truth)}, {"late_s", late ? kLate_s : 0.0}};
   if (IsCommanded(kind)) json["dead_sensor"] = WithCommands(kind, &flight);
   if (kind == "frames") {
     WriteFlightBag(flight.log, file + ".plain");
@@ -153,7 +158,7 @@ void Run(const std::string& file, double duration_s, const std::string& kind) {
     std::remove((file + ".plain").c_str());
   } else {
     WriteFlightBag(flight.log, file);
-    if (!undeclared) json["offline"] = Offline(file, kind);
+    if (!undeclared && !late) json["offline"] = Offline(file, kind);
   }
   std::printf("%s\n", json.dump(2).c_str());
 }
@@ -165,7 +170,8 @@ int main(int argc, char** argv) {
   try {
     if (argc != 4)
       throw std::invalid_argument(
-          "usage: make_test_bag OUT.bag SECONDS plain|frames|undeclared|commands|dead_sensor");
+          "usage: make_test_bag OUT.bag SECONDS plain|frames|undeclared|commands|"
+          "late_rotors|dead_sensor");
     odmc::Run(argv[1], std::atof(argv[2]), argv[3]);
   } catch (const std::exception& e) {
     std::fprintf(stderr, "make_test_bag: %s\n", e.what());

@@ -84,6 +84,15 @@ void AddInspection(const StreamInspection& inspection, Result* result) {
   }
 }
 
+/// By how much the parameters would be others without each of the errors: replays the flight from
+/// `from` on with them, and once without each.
+/// @param values what the whole of `log` teaches with them, if known: saves a replay
+std::vector<Eigen::VectorXd> ChangesWithout(const std::vector<StreamDoubt>& doubts,
+                                            const FlightLog& log, Stamp from,
+                                            const DynamicModel& model,
+                                            const EstimatorOptions& options,
+                                            const ModelValues* values = nullptr);
+
 /// Adds to sigmas and covariance what may be wrong with the streams: the flight (of a long one the
 /// last five minutes) is replayed once without each error, and the change of the parameters squared
 /// counts on top.

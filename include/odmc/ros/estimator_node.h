@@ -158,6 +158,7 @@ class EstimatorNode {
   void HandOverStreams();
   void AdoptInspection();
   void RenewFindings();
+  void WidenForDoubts(Snapshot* snapshot) const;
   void PublishPhase();
   void OnSnapshot(Snapshot snapshot);
   void PublishEstimate(const Snapshot& snapshot);
@@ -230,6 +231,8 @@ class EstimatorNode {
   std::string phase_;      // as published last
   std::optional<StreamWatch> streams_seen_;  // as they come, before they are mended
   LiveMender mender_;
+  std::shared_ptr<const DynamicModel> doubted_;  // whose parameters doubts_ are of
+  std::vector<Eigen::VectorXd> doubts_;          // what each doubt may make of them
   std::set<std::string> told_;      // checks that were written to the log
   std::vector<Finding> look_back_;  // by the thirds of the flight
   std::vector<Finding> findings_;  // what is known against the estimate
@@ -254,8 +257,19 @@ class EstimatorNode {
   // Made by the estimator thread at the start, for the watching thread to look; null: off.
   std::shared_ptr<ResidualWatch> watch_;     // guarded by watch_mutex_ while it is made
   std::optional<ResidualLook> to_be_added_;  // guarded by watch_mutex_
-  std::optional<std::pair<FlightLog, Vehicle>> to_be_inspected_;  // guarded by watch_mutex_
-  std::optional<StreamInspection> inspection_;                    // guarded by watch_mutex_
+  /// The newest minute of the streams as they come, and what they are inspected for.
+  struct StreamsSeen {
+    FlightLog log;
+    Vehicle vehicle;
+    std::shared_ptr<const DynamicModel> model;
+  };
+  struct StreamsFound {
+    StreamInspection inspection;
+    std::shared_ptr<const DynamicModel> model;
+    std::vector<Eigen::VectorXd> changes;  // of its parameters, without each doubt
+  };
+  std::optional<StreamsSeen> to_be_inspected_;  // guarded by watch_mutex_
+  std::optional<StreamsFound> inspected_;       // guarded by watch_mutex_
   std::mutex watch_mutex_;
 
   // Started last, joined first.

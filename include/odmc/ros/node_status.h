@@ -59,6 +59,8 @@ struct NodeStatus {
   std::vector<std::string> unphysical;  ///< of the newest estimate
   std::string phase;                    ///< of the flight, Name(FlightPhase)
   std::string trust;                    ///< in the newest estimate: good, doubtful or bad
+  std::string findings;                 ///< about streams and estimate, in sentences
+  double rotor_speeds_late_s = 0.0, imu_late_s = 0.0;  ///< taken off their stamps
   std::string twist;                    ///< verdict on the frame of the twist
   std::shared_ptr<const DynamicModel> model;
   bool airborne = false, accepted = false, has_estimate = false;
