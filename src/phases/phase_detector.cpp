@@ -16,6 +16,9 @@ constexpr double kContactForce = 0.5;  // sigma of what a contact adds, over the
 // Errors of neighbouring blocks are alike (a manoeuvre lasts about three), so a block counts for a
 // third; a single one is not enough, but for a force of more than eight sigmas (a bounce).
 constexpr double kBlockCounts = 1.0 / 3.0, kMostPerBlock = 4.0, kBeyondDoubt_nats = 10.0;
+// A block of six sigmas (in flight once in 10^8) was a touch if contact follows soon: a landing gear
+// bounces.
+constexpr double kBump_nats = 3.0, kBumpKept_s = 0.8;
 constexpr double kStillWeight = 0.5;  // of a block in which the vehicle stands still
 constexpr double kFree_nats = 5.0;    // to fly again: odds of 150 to 1
 constexpr double kMostFreePerBlock = 2.0;
@@ -248,6 +251,8 @@ void PhaseDetector::Fly(PhaseVerdict* verdict) {
   if (!knows_thrust_) return SeeGain();
   if (contact_nats_ <= 0.0) suspected_since_ = block_.from;
   const double nats = ContactNats();
+  if (nats > kBump_nats && !bump_) bump_ = block_.from;
+  if (bump_ && ToSeconds(block_.to - *bump_) > kBumpKept_s) bump_.reset();
   contact_nats_ += nats > kBeyondDoubt_nats ? kAlarm_nats : std::min(nats, kMostPerBlock);
   contact_nats_ = std::max(0.0, contact_nats_);
   if (contact_nats_ < 1.0) {
@@ -262,7 +267,8 @@ void PhaseDetector::Fly(PhaseVerdict* verdict) {
     verdict->has_changed = true;
     return ForgetThrust();
   }
-  verdict->take_back = suspected_since_ - static_cast<Stamp>(1e9 * kBlock_s);
+  const Stamp since = bump_ ? std::min(*bump_, suspected_since_) : suspected_since_;
+  verdict->take_back = since - static_cast<Stamp>(1e9 * kBlock_s);
   GoToGround(*verdict->take_back);
 }
 
@@ -282,6 +288,7 @@ std::optional<double> PhaseDetector::ThrustGain() const {
 void PhaseDetector::GoToGround(Stamp since) {
   mode_ = Mode::kGrounded;
   contact_nats_ = free_nats_ = 0.0;
+  bump_.reset();
   steady_s_ = steady_sum_ = steady_squares_ = sideways_sum_ = 0.0;
   start_p_WS_ = block_.p_WS;
   start_R_WS_ = block_.R_WS;

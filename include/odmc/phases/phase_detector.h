@@ -86,7 +86,7 @@ class PhaseDetector {
   /// False in the first tenth of a second, in which anything may be the case.
   bool has_begun() const { return mode_ != Mode::kStart; }
   /// True while contact is not proved and not ruled out: what is young may have to be taken back.
-  bool suspects() const { return mode_ == Mode::kFlying && contact_nats_ > 1.0; }
+  bool suspects() const { return mode_ == Mode::kFlying && (contact_nats_ > 1.0 || bump_); }
   /// True once flight has shown the thrust coefficient; before, missing_force means little.
   bool knows_thrust() const { return knows_thrust_; }
   /// While it is not known: how much better the rotors carry than the model says, by a plain mean
@@ -173,6 +173,7 @@ class PhaseDetector {
   double unforced_still_s_ = 0.0;  // still, and no rotor speeds
   double contact_nats_ = 0.0, free_nats_ = 0.0;
   Stamp suspected_since_ = 0;
+  std::optional<Stamp> bump_;  // begin of the last block that may have been a touch
   double error_scale_ = 1.0;  // of the flight's own residual, over ModelError()'s
   // While thrust is unknown: flight in which the rotors carry, what they do, and the model's.
   double carried_s_ = 0.0, carries_ = 0.0, model_carries_ = 0.0;
