@@ -8,6 +8,7 @@ namespace odmc {
 namespace {
 
 constexpr double kFalseAlarms = 0.01;  // per flight
+constexpr double kNothing = 0.005;     // of the value: nobody minds
 
 double Apart(const ThirdsDifference& difference) {
   const auto [low, high] =
@@ -15,11 +16,17 @@ double Apart(const ThirdsDifference& difference) {
   return *high - *low;
 }
 
-/// Share of the value beyond which the thirds may not lie apart; infinite where it does not matter.
-double MostApart(const ModelParameter& parameter) {
-  if (parameter.full_name == "thrust.k_f") return kThrustApart;
-  if (parameter.effect == "drag") return 1.0;
-  return HUGE_VAL;
+/// How far the thirds may lie apart; infinite where it does not matter.
+double MostApart(const DynamicModel& model, const ModelValues& values, int index) {
+  const ModelParameter& parameter = model.parameters()[index];
+  if (parameter.full_name == "thrust.k_f") return kThrustApart * std::abs(values[index]);
+  if (parameter.effect != "drag") return HUGE_VAL;
+  // The largest drag of the three: along an axis that has next to none a share of it means nothing.
+  double largest = 0.0;
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    if (model.parameters()[i].effect == "drag") largest = std::max(largest, std::abs(values[i]));
+  }
+  return largest;
 }
 
 }  // namespace
@@ -34,6 +41,7 @@ std::vector<Finding> LastLookFindings(const DynamicModel& model, const ModelValu
   std::vector<Finding> findings;
   for (const ThirdsDifference& d : differences) {
     const ModelParameter& p = model.parameters()[d.index];
+    if (Apart(d) < kNothing * std::abs(values[d.index])) continue;
     char text[300];
     std::snprintf(text, sizeof text,
                   "%s is %.3g in the first third of the flight, %.3g in the second and %.3g in the "
@@ -43,7 +51,7 @@ std::vector<Finding> LastLookFindings(const DynamicModel& model, const ModelValu
     Finding finding;
     finding.check = "last_look";
     finding.what = text;
-    if (Apart(d) > MostApart(p) * std::abs(values[d.index])) {
+    if (Apart(d) > MostApart(model, values, d.index)) {
       finding.leaves = Trust::kDoubtful;
       finding.mend = "look for what changed in between: a load, a contact, a sensor";
     }
