@@ -728,7 +728,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   };
   const auto explains = [&](const Choice& choice) {
     if (choice.added.empty()) return false;
-    if (choice.Has("gust") || choice.scores >= options.beyond_doubt) return true;
+    if (choice.Has("gust")) return true;
     return ExplainedStructure(result.structure,
                               Structure(flight, choice.residual, residual.num_channels()),
                               options.whiteness_p, options.noise_p) >= options.least_explained;
@@ -786,9 +786,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   confirmed.accelerometer = result.accelerometer_before;
   confirmed.figures.UseForce(result.accelerometer_before);
   step = first;
-  const bool promising =
-      promised.scores >= options.beyond_doubt ||
-      ((explains(promised) || gusty) && result.whiteness_p < options.noise_p);
+  const bool promising = (explains(promised) || gusty) && result.whiteness_p < options.noise_p;
   if (gusty && gusty->ranked.score > kOvershadows * promised.scores) {
     // What was found beside a much larger gust is its shadow.
     step.after = gusty->AddedTo(accepted);
@@ -822,11 +820,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     const PredictionFigures::Axes accelerometer = HeldOutForce(residual, model, *after.replay.last);
     figures.UseForce(accelerometer);
     const HeldOut& best = confirmed.figures;
-    const double evidence = trial.scores - accepted.scores;
-    // Gusts can follow any slow force: for them prediction ahead is the test.
-    const bool is_overwhelming = evidence >= options.beyond_doubt && !trial.Has("gust") &&
-                                 Change(best.all, figures.all).worst < options.much_worse;
-    if (objection.empty() && !is_overwhelming && !IsBetter(best, figures, takes_rotor_rates)) {
+    if (objection.empty() && !IsBetter(best, figures, takes_rotor_rates)) {
       objection = "blocks held out are predicted no better (" + ChangeText(best.all, figures.all) +
                   "; slower than 4 Hz " + ChangeText(best.slow, figures.slow) + ")";
     }

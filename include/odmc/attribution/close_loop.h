@@ -28,10 +28,6 @@ struct CloseLoopOptions {
   double whiteness_p = 1e-6;       ///< below it a residual is structured
   double noise_p = 3e-3;           ///< above it noise explains a residual: no effect is named
   double least_structured = 0.05;  ///< share of variance, for the verdict "unexplained"
-  /// Nats beyond which neither the whiteness of what remains nor a held-out RMSE has a say: with 30
-  /// candidates tried and a prior odd of one in a thousand, the posterior odds are still 10^8 to 1.
-  double beyond_doubt = 30.0;
-  double much_worse = 1.3;  ///< of a held-out RMSE: even then it has
   int most_effects = 6;
 
   /// What the first effect must gain, or one beside others that have gained `scores` [nats].
