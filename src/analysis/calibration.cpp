@@ -17,7 +17,7 @@ namespace {
 constexpr double kSettling_s = 2.0;       // left out of the timing
 constexpr double kConvergedShare = 0.05;  // of the final value
 constexpr double kLeastFlight_s = 3.0;    // what the window holds before anything may leave it
-constexpr double kLongestDoubt_s = 300.0;
+constexpr double kLongestDoubt_s = 60.0;
 constexpr double kMostBlocks = 1000.0;    // to leave out in turn
 constexpr double kInertiaLow = 0.5, kInertiaHigh = 2.0;
 constexpr double kSignSigmas = 3.0;      // one-sided, by chance once in 740 parameters

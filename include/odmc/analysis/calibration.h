@@ -94,7 +94,7 @@ std::vector<Eigen::VectorXd> ChangesWithout(const std::vector<StreamDoubt>& doub
                                             const ModelValues* values = nullptr);
 
 /// Adds to sigmas and covariance what may be wrong with the streams: the flight (of a long one the
-/// last five minutes) is replayed once without each error, and the change of the parameters squared
+/// last minute) is replayed once without each error, and the change of the parameters squared
 /// counts on top.
 void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
                     const EstimatorOptions& options, const std::vector<StreamDoubt>& doubts,
