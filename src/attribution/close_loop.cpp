@@ -170,7 +170,7 @@ std::vector<PredictionSample> SlowErrors(const std::vector<PredictionSample>& sa
     sum.speed_m_s = samples[i].speed_m_s;
     sum.measured_force = sum.measured_torque = sum.measured_angular_acceleration =
         sum.predicted_force = sum.predicted_torque = sum.predicted_angular_acceleration =
-            sum.rotor_torque = Eigen::Vector3d::Zero();
+            sum.predicted_specific_force = sum.rotor_torque = Eigen::Vector3d::Zero();
     double weights = 0.0;
     const auto add = [&](const PredictionSample& s) {
       const double weight = Hann((s.t_s - sum.t_s) / kRotorRatesWindow_s);
@@ -574,6 +574,23 @@ std::vector<LoopSample> Samples(const std::vector<Miss>& before, const std::vect
   return samples;
 }
 
+/// What is not looked at. Contact is left out like the ground, unless it is most of the flight: no
+/// hand holds a vehicle that long, and what acts so long is something the model lacks.
+std::vector<std::pair<Stamp, Stamp>> NotLookedAt(const ReplayResult& replay) {
+  Stamp contact = 0, flying = 0;
+  std::vector<std::pair<Stamp, Stamp>> others;
+  for (const PhaseSpan& span : replay.phases) {
+    if (span.phase == FlightPhase::kInContact) {
+      contact += span.to - span.from;
+    } else if (Teaches(span.phase)) {
+      flying += span.to - span.from;
+    } else {
+      others.emplace_back(span.from, span.to);
+    }
+  }
+  return contact > flying ? others : replay.ground_spans;
+}
+
 /// Fills in what share of the residual is structured, and how surely. @returns true if some is
 bool Summarise(const CloseLoopOptions& options, ClosedLoop* result) {
   bool structured = false;
@@ -703,7 +720,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   if (!doubt.empty()) result.warnings.push_back(doubt);
   result.flight = FlownFlight(log, replay);
 
-  const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), replay.ground_spans),
+  const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), NotLookedAt(replay)),
                              options.blocks);
   int in_use = 0;
   for (int i = 0; i < flight.size(); ++i) in_use += flight.held_out(i) ? 0 : 1;

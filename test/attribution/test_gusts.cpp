@@ -30,6 +30,7 @@ FlightMotion Eight(double speed) {
                    Eigen::AngleAxisd(0.4 * std::sin(1.3 * t), Vector3d::UnitX()))
                       .toRotationMatrix();
     sample.v_WS = speed * Vector3d(std::sin(t), std::cos(2.0 * t), 0.5 * std::sin(1.7 * t));
+    sample.p_WS = speed * Vector3d(-std::cos(t), 0.5 * std::sin(2.0 * t), -std::cos(1.7 * t) / 3.4);
     sample.follows = t > 0.0;
     motion.samples.push_back(sample);
   }
@@ -149,6 +150,17 @@ TEST(GustTest, AForceThatSwingsSteadilyIsNone) {
     swing.emplace_back(0.15 * std::sin(5.0 * t), 0.05 * std::cos(5.0 * t), 0.1 * std::sin(5.0 * t));
   }
   EXPECT_LT(Case(0.2, kTrueDrag, kTrueDrag, kNothing, swing).Test().over_others, -20.0);
+}
+
+// As of a magnet beside the course.
+TEST(GustTest, AForceThatDependsOnThePlaceIsNone) {
+  const ThinnedFlight eight(Eight(2.0), BlockSplit());
+  std::vector<Vector3d> field;
+  for (int i = 0; i < eight.size(); ++i) {
+    const Vector3d from = eight.sample(i).p_WS - Vector3d(1.0, 0.5, 0.3);
+    field.push_back(1.5 * std::exp(-from.squaredNorm()) * Vector3d(1.0, -0.5, 0.2));
+  }
+  EXPECT_LT(Case(2.0, kTrueDrag, kTrueDrag, kNothing, field).Test().over_others, -20.0);
 }
 
 // Half sines of 0.8 s every 3.7 s, to all sides.
