@@ -4,7 +4,6 @@
 #include <cmath>
 #include <utility>
 
-#include "odmc/estimator/gates.h"
 #include "odmc/math/hann.h"
 #include "odmc/preintegration/rotor_rate_smoother.h"
 
@@ -12,7 +11,6 @@ namespace odmc {
 namespace {
 
 constexpr double kStart_s = 1.0;
-constexpr double kLeastRSquared = 0.5;  // of acceleration and rotor torque
 
 /// Takes what is faster than 4 Hz out of the rotors' accelerations, by a Hann window within runs.
 /// Derivatives of measured speeds are mostly noise up there, and a noisy regressor makes its
@@ -121,28 +119,6 @@ ResidualModel::Wrenches ResidualModel::Derivative(const DynamicModel& model,
   Wrenches derivative = (Residual(model, down) - Residual(model, up)) / (2.0 * step);
   if (IsAnchoredByForce(parameter.full_name)) derivative.rightCols<3>().setZero();
   return derivative;
-}
-
-std::array<bool, 3> ResidualModel::ShowsInertia() const {
-  std::array<Eigen::Matrix4d, 3> grams;
-  grams.fill(Eigen::Matrix4d::Zero());
-  const Eigen::Matrix3d R_BS = file_vehicle_->odometry.q_BS.toRotationMatrix();
-  for (int i = 0; i < flight_->size(); ++i) {
-    const FilteredMotion& sample = flight_->sample(i);
-    const Eigen::Vector3d acceleration = R_BS * sample.w_dot_S, rate = R_BS * sample.w_S;
-    const Eigen::Vector3d torque =
-        RotorTorqueDirection(*file_vehicle_, sample.rotors.speed_squared);
-    const double thrust = sample.rotors.speed_squared.sum();
-    for (int axis = 0; axis < 3; ++axis) {
-      const Eigen::Vector4d z(acceleration[axis], torque[axis], rate[axis], thrust);
-      grams[axis] += z * z.transpose();
-    }
-  }
-  std::array<bool, 3> shows;
-  for (int axis = 0; axis < 3; ++axis) {
-    shows[axis] = with_torque_ && InertiaRSquared(grams[axis]) > kLeastRSquared;
-  }
-  return shows;
 }
 
 }  // namespace odmc

@@ -3,16 +3,20 @@
 namespace odmc {
 namespace {
 
-/// Rotors that differ: f_j = k_f (δ_j - mean δ) Ω_j² e3 on top of thrust, as from a damaged
-/// propeller. The mean is k_f's own.                                   model.md 12.8
+/// Rotors that differ, as from a damaged propeller: thrust f_j = k_f (δ_j - mean δ) Ω_j² e3 and
+/// reaction torque s_j k_m (δ_j - mean δ) Ω_j² e3 on top of the others'. A blade that lifts less
+/// drags less: both go with its area and its speed. The mean is k_f's own.
+///                                                                      model.md 12.8
 class RotorAsymmetry final : public Effect {
  public:
   explicit RotorAsymmetry(const Vehicle& vehicle)
       : Effect(vehicle,
-               {"rotor_asymmetry", "Thrust differs from rotor to rotor",
-                "f_j = k_f (delta_j - mean(delta)) Omega_j^2 e3 at hub j", "model.md 12.8",
+               {"rotor_asymmetry", "Thrust and torque differ from rotor to rotor",
+                "f_j = k_f (delta_j - mean(delta)) Omega_j^2 e3 at hub j, couple s_j k_m "
+                "(delta_j - mean(delta)) Omega_j^2 e3",
+                "model.md 12.8",
                 "in steady hover one with the centre of gravity; needs manoeuvres"},
-               Deltas(vehicle), {"thrust.k_f"}) {}
+               Deltas(vehicle), {"thrust.k_f", "rotor_torque.k_m"}) {}
 
  private:
   static std::vector<ParameterSpec> Deltas(const Vehicle& vehicle) {
@@ -27,16 +31,21 @@ class RotorAsymmetry final : public Effect {
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
                    WrenchJacobians* J) const override {
     const int n = vehicle().num_rotors();
-    const double k_f = values[n], mean = values.head(n).mean();
+    const double k_f = values[n], k_m = values[n + 1], mean = values.head(n).mean();
     for (int j = 0; j < n; ++j) {
       const Eigen::Vector3d& p_BP = vehicle().rotors[j].p_BP;
+      const double spin = vehicle().rotors[j].spin;
       const Eigen::Vector3d square = state.rotors.speed_squared[j] * Eigen::Vector3d::UnitZ();
       wrench->AddForceAt(p_BP, k_f * (values[j] - mean) * square);
+      wrench->AddCouple(spin * k_m * (values[j] - mean) * square);
       if (J == nullptr) continue;
       for (int i = 0; i < n; ++i) {
-        J->AddForceAtParameter(p_BP, i, k_f * ((i == j ? 1.0 : 0.0) - 1.0 / n) * square);
+        const double share = (i == j ? 1.0 : 0.0) - 1.0 / n;
+        J->AddForceAtParameter(p_BP, i, k_f * share * square);
+        J->AddCoupleParameter(i, spin * k_m * share * square);
       }
       J->AddForceAtParameter(p_BP, n, (values[j] - mean) * square);
+      J->AddCoupleParameter(n + 1, spin * (values[j] - mean) * square);
     }
   }
 };

@@ -111,7 +111,7 @@ class ResidualWatch {
   const Vehicle file_vehicle_;
   const ResidualWatchOptions options_;
   const bool with_torque_;
-  const CloseLoopOptions decision_;
+  const AttributionOptions decision_;
 
   // Between the threads.
   std::mutex mutex_;

@@ -1,0 +1,84 @@
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "odmc/attribution/effect_search.h"
+#include "odmc/attribution/evidence.h"
+#include "odmc/attribution/ranked_effect.h"
+
+namespace odmc {
+
+/// Every number that attribution decides by.
+struct AttributionOptions {
+  double false_alarm_rate = 0.01;  ///< of naming any effect on a flight on which none acts
+  double log_prior_odds = -3.0;    ///< of one given effect: of some 25 candidates, one acts
+  int most_effects = 6;
+  int surrogates = 300;  ///< their 30 largest give the tail to 10 %
+  double least_share = 0.03;
+  double telling_sigmas = 3.0;
+  double even_odds = 3.0;  ///< nats: odds of 20 to 1
+  double whiteness_p = 1e-6;       ///< below it a residual is structured
+  double noise_p = 3e-3;           ///< above it noise explains a residual
+  double least_structured = 0.05;  ///< share of variance, for the verdict "unexplained"
+  double least_explained = 0.5;    ///< of the structured variance, for the verdict "effect"
+};
+
+/// Traces the residual of a flight to effects: screen, rank, confirm. One session for one flight.
+class Attribution {
+ public:
+  /// @param residual of the flight; outlives this
+  /// @param noisier see Evidence; may be null
+  /// @param give_up asked now and then; once true, nothing is found
+  Attribution(const ResidualModel* residual, const ResidualModel* noisier, Stage stage, 
+              std::vector<Candidate> candidates, const AttributionOptions& options, std::function<bool()> give_up = {});
+
+  /// Does all of it.
+  void Run();
+
+  /// Effects that act, most telling first, and every candidate on its own, best first.
+  const std::vector<RankedEffect>& effects() const { return effects_; }
+  const std::vector<RankedEffect>& ranking() const { return ranking_; }
+  /// The model with the effects, and the values of the joint fit.
+  const Stage& stage() const { return stage_; }
+  double gain() const { return gain_; }  ///< of all effects together [nats]
+  double held_out_gain() const { return held_out_gain_; }
+  /// Residual that the fit of the declared model leaves, and that of the extended one (N×6).
+  const ResidualModel::Wrenches& residual_before() const { return before_; }
+  const ResidualModel::Wrenches& residual_after() const { return after_; }
+  /// Largest gain of any candidate that a given share of flights without effect exceeds [nats].
+  double NullGain(double share) const;
+  /// Share of flights without effect on which some candidate gains more than `gain`.
+  double PValue(double gain) const;
+
+ private:
+  /// One round about a stage: what more would be added.
+  struct Round {
+    Evidence evidence;
+    VariantSet chosen;
+  };
+
+  void Screen(Evidence* evidence) const;
+  void Polish(Evidence* evidence) const;
+  void Rank(const Evidence& evidence);
+  VariantSet Confirmed(const Evidence& evidence, VariantSet set) const;
+  RankedEffect Describe(const Evidence& evidence, int variant, const VariantSet& set) const;
+  void FindAlternatives(const Evidence& evidence, const VariantSet& set, int variant,
+                        RankedEffect* ranked) const;
+  /// Fits all values of the stage, linearized anew until they stay.
+  ResidualModel::Wrenches Refit(Stage* stage) const;
+  bool GivesUp() const { return give_up_ && give_up_(); }
+
+  const ResidualModel *residual_, *noisier_;
+  Stage stage_;
+  const std::vector<Candidate> candidates_;
+  const AttributionOptions options_;
+  const std::function<bool()> give_up_;
+  std::vector<double> null_gains_;
+  std::vector<RankedEffect> effects_, ranking_;
+  double gain_ = 0.0, held_out_gain_ = 0.0;
+  ResidualModel::Wrenches before_, after_;
+};
+
+}  // namespace odmc

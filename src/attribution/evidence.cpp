@@ -1,0 +1,623 @@
+#include "odmc/attribution/evidence.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <random>
+#include <utility>
+
+namespace odmc {
+namespace {
+
+using Eigen::Index;
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+using Wrenches = ResidualModel::Wrenches;
+
+constexpr int kNoiseRounds = 3;
+constexpr double kWildSigmas = 5.0;    // innovations beyond count as this many
+constexpr double kMostNoise = 0.95;    // of a direction's sum of squares
+constexpr double kWide = 5.0;          // natural sizes of what is strangely large
+constexpr double kWideFrom = 2.0;      // natural sizes from which that is looked at
+constexpr double kBias_m_s2 = 0.3;     // of an accelerometer
+constexpr double kBlock_s = 1.0;       // of Lead: a manoeuvre spans more than one
+constexpr double kLeastShift_s = 2.0;  // of surrogates: beyond the noise's correlation
+
+/// Normal distribution's cumulative.
+double Phi(double z) { return 0.5 * std::erfc(-z / std::sqrt(2.0)); }
+
+/// Samples whose `order` predecessors follow each other and are, with it, in use or held out.
+std::vector<int> RowsOf(const ThinnedFlight& flight, bool held_out, int order) {
+  std::vector<int> rows;
+  int run = 0;
+  for (int i = 0; i < flight.size(); ++i) {
+    run = flight.held_out(i) != held_out ? 0 : flight.next(i) ? run + 1 : 1;
+    if (run > order) rows.push_back(i);
+  }
+  return rows;
+}
+
+MatrixXd Picked(const MatrixXd& gram, const std::vector<int>& rows, const std::vector<int>& cols) {
+  MatrixXd picked(static_cast<Index>(rows.size()), static_cast<Index>(cols.size()));
+  for (size_t i = 0; i < rows.size(); ++i) {
+    for (size_t k = 0; k < cols.size(); ++k) {
+      picked(static_cast<Index>(i), static_cast<Index>(k)) = gram(rows[i], cols[k]);
+    }
+  }
+  return picked;
+}
+
+double LogDeterminant(const Eigen::LLT<MatrixXd>& llt) {
+  return 2.0 * MatrixXd(llt.matrixL()).diagonal().array().log().sum();
+}
+
+}  // namespace
+
+Evidence::Evidence(const ResidualModel* residual, const ResidualModel* noisier, const Stage& stage)
+    : residual_(residual),
+      noisier_(noisier),
+      stage_(stage),
+      num_channels_(residual->num_channels()) {
+  rows_ = RowsOf(residual->flight(), false, kOrder);
+  held_out_rows_ = RowsOf(residual->flight(), true, kOrder);
+  AddBase();
+}
+
+void Evidence::AddBase() {
+  const DynamicModel model(stage_.vehicle, stage_.vehicle.effects);
+  const ModelValues values = ValuesOf(model, stage_.values);
+  y_ = residual_->Residual(model, values);
+  if (noisier_ != nullptr) y_noise_ = noisier_->Residual(model, values) - y_;
+  for (int c = 0; c < kNumChannels; ++c) {
+    plain_sigma_[c] = std::sqrt(y_.col(c).squaredNorm() / std::max<double>(1.0, y_.rows()));
+  }
+  for (int k = 0; k < model.num_parameters(); ++k) {
+    const ModelParameter& p = model.parameters()[k];
+    stage_.values[p.full_name] = values[k];
+    if (!p.estimated) continue;
+    Column column{p.full_name,      p.effect,    values[k],
+                  p.spec.prior_value - values[k], p.spec.prior_sigma, p.spec.sign,
+                  p.spec.initial_state,           residual_->Derivative(model, values, k),
+                  Wrenches()};
+    if (noisier_ != nullptr) column.noise = noisier_->Derivative(model, values, k) - column.d_wrench;
+    if (column.d_wrench.squaredNorm() > 0.0) columns_.push_back(std::move(column));
+  }
+  AddNuisances();
+  num_base_ = static_cast<int>(columns_.size());
+}
+
+void Evidence::AddNuisances() {
+  const auto add = [this](const char* name, double sigma, Wrenches d_wrench) {
+    Column column;
+    column.name = name;
+    column.prior_sigma = sigma;
+    column.d_wrench = std::move(d_wrench);
+    columns_.push_back(std::move(column));
+  };
+  if (residual_->from_accelerometer()) {
+    for (int axis = 0; axis < 3; ++axis) {
+      Wrenches ones = Wrenches::Zero(y_.rows(), kNumChannels);
+      ones.col(axis).setOnes();
+      add("accelerometer bias", kBias_m_s2 * stage_.vehicle.mass_kg, std::move(ones));
+    }
+  }
+}
+
+Evidence::Seen Evidence::See(const Candidate& candidate,
+                             const std::map<std::string, double>& at, bool keep_idle) const {
+  const Vehicle extended = With(stage_.vehicle, candidate);
+  const DynamicModel model(extended, extended.effects);
+  ModelValues values = ValuesOf(model, stage_.values);
+  for (const auto* some : {&candidate.start, &at}) {
+    for (const auto& [name, value] : *some) values[model.IndexOf(name)] = value;
+  }
+  Seen seen;
+  Wrenches offset = y_ - residual_->Residual(model, values);
+  const double size = offset.norm();
+  for (int k = 0; k < model.num_parameters(); ++k) {
+    const ModelParameter& p = model.parameters()[k];
+    if (p.effect != candidate.effect || !p.estimated) continue;
+    Column column{p.full_name,          p.effect,           0.0,
+                  p.spec.prior_value,   p.spec.prior_sigma, p.spec.sign,
+                  p.spec.initial_state, residual_->Derivative(model, values, k),
+                  Wrenches()};
+    if (noisier_ != nullptr) column.noise = noisier_->Derivative(model, values, k) - column.d_wrench;
+    if (!keep_idle && column.d_wrench.squaredNorm() == 0.0) continue;
+    offset -= values[k] * column.d_wrench;
+    seen.columns.push_back(std::move(column));
+  }
+  constexpr double kNothing = 1e-6;
+  if (offset.norm() > kNothing * size + 1e-300 && size > 0.0) seen.offset = std::move(offset);
+  return seen;
+}
+
+int Evidence::Add(const Candidate& candidate, const std::map<std::string, double>& at) {
+  Seen seen = See(candidate, at);
+  if (seen.columns.empty()) return -1;
+  Variant variant;
+  variant.candidate = candidate;
+  for (Column& column : seen.columns) {
+    variant.columns.push_back(static_cast<int>(columns_.size()));
+    columns_.push_back(std::move(column));
+  }
+  if (seen.offset) {
+    variant.offset = static_cast<int>(columns_.size());
+    Column column;
+    column.name = "offset";
+    column.effect = candidate.effect;
+    column.d_wrench = std::move(*seen.offset);
+    columns_.push_back(std::move(column));
+  }
+  variants_.push_back(std::move(variant));
+  return static_cast<int>(variants_.size()) - 1;
+}
+
+void Evidence::Relinearize(int v, const std::map<std::string, double>& at) {
+  Variant& variant = variants_[static_cast<size_t>(v)];
+  Seen seen = See(variant.candidate, at, true);
+  for (const int k : variant.columns) {
+    for (Column& column : seen.columns) {
+      if (column.name == columns_[k].name) columns_[k] = column;
+    }
+  }
+  if (!seen.offset) seen.offset = Wrenches::Zero(y_.rows(), kNumChannels);
+  if (variant.offset < 0) {
+    variant.offset = static_cast<int>(columns_.size());
+    columns_.emplace_back();
+    columns_.back().name = "offset";
+    columns_.back().effect = variant.candidate.effect;
+  }
+  columns_[variant.offset].d_wrench = std::move(*seen.offset);
+}
+
+VectorXd Evidence::Whitened(const Wrenches& column, const std::vector<int>& rows,
+                            const MatrixXd& weight) const {
+  const auto n = static_cast<Index>(rows.size());
+  VectorXd white(n * num_channels_);
+  for (int c = 0; c < num_channels_; ++c) {
+    const double scale = 1.0 / std::sqrt(noise_[c].variance);
+    for (Index k = 0; k < n; ++k) {
+      const int i = rows[static_cast<size_t>(k)];
+      double value = column(i, c);
+      for (int lag = 0; lag < kOrder; ++lag) {
+        value -= noise_[c].coefficients[lag] * column(i - 1 - lag, c);
+      }
+      white[c * n + k] = scale * weight(k, c) * value;
+    }
+  }
+  return white;
+}
+
+void Evidence::WhitenAll() {
+  const auto n = static_cast<Index>(columns_.size());
+  white_.resize(static_cast<Index>(rows_.size()) * num_channels_, n + 1);
+  for (Index k = 0; k < n; ++k) {
+    white_.col(k) = Whitened(columns_[static_cast<size_t>(k)].d_wrench, rows_, weight_);
+  }
+  white_.col(n) = Whitened(y_, rows_, weight_);
+  gram_.setZero(n + 1, n + 1);
+  gram_.selfadjointView<Eigen::Lower>().rankUpdate(white_.transpose());
+  gram_.triangularView<Eigen::StrictlyUpper>() = gram_.transpose();
+  if (noisier_ != nullptr) TakeOffNoise();
+}
+
+void Evidence::TakeOffNoise() {
+  const auto n = static_cast<Index>(columns_.size());
+  MatrixXd white(white_.rows(), n + 1);
+  for (Index k = 0; k <= n; ++k) {
+    const Wrenches& noise = k < n ? columns_[static_cast<size_t>(k)].noise : y_noise_;
+    if (noise.rows() == 0) {
+      white.col(k).setZero();
+    } else {
+      white.col(k) = Whitened(noise, rows_, weight_);
+    }
+  }
+  MatrixXd of_noise = MatrixXd::Zero(n + 1, n + 1);
+  of_noise.selfadjointView<Eigen::Lower>().rankUpdate(white.transpose());
+  of_noise.triangularView<Eigen::StrictlyUpper>() = of_noise.transpose();
+  // What is left must stay a sum of squares: of a direction that is noise alone some is kept.
+  MatrixXd with_prior = gram_;
+  for (Index k = 0; k < n; ++k) {
+    with_prior(k, k) += std::pow(columns_[static_cast<size_t>(k)].prior_sigma, -2);
+  }
+  const VectorXd scale = with_prior.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
+  const MatrixXd scaled = scale.asDiagonal() * with_prior * scale.asDiagonal();
+  const Eigen::LLT<MatrixXd> llt(scaled + 1e-9 * MatrixXd::Identity(n + 1, n + 1));
+  MatrixXd share = scale.asDiagonal() * of_noise * scale.asDiagonal();
+  share = llt.matrixL().solve(share);
+  share = llt.matrixL().solve(share.transpose()).eval();
+  const double most =
+      Eigen::SelfAdjointEigenSolver<MatrixXd>(0.5 * (share + share.transpose())).eigenvalues()[n];
+  gram_ -= std::min(1.0, kMostNoise / std::max(most, 1e-300)) * of_noise;
+}
+
+Evidence::Noise Evidence::FitNoise(const VectorXd& e) const {
+  using Past = Eigen::Matrix<double, kOrder, 1>;
+  Eigen::Matrix<double, kOrder, kOrder> A = Eigen::Matrix<double, kOrder, kOrder>::Zero();
+  Past b = Past::Zero();
+  const auto past_of = [&e](int i) {
+    Past past;
+    for (int k = 0; k < kOrder; ++k) past[k] = e[i - 1 - k];
+    return past;
+  };
+  for (const int i : rows_) {
+    const Past past = past_of(i);
+    A += past * past.transpose();
+    b += e[i] * past;
+  }
+  A.diagonal().array() += 1e-3 * A.diagonal().maxCoeff() + 1e-300;
+  Noise noise;
+  noise.coefficients = A.ldlt().solve(b);
+  double sum = 0.0;
+  for (const int i : rows_) sum += std::pow(e[i] - noise.coefficients.dot(past_of(i)), 2);
+  noise.variance = std::max(sum / static_cast<double>(rows_.size()), 1e-300);
+  return noise;
+}
+
+void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
+  const auto n = static_cast<Index>(rows_.size());
+  std::vector<int> in_use;
+  for (size_t k = 0; k < columns_.size(); ++k) {
+    if (leave_out.count(columns_[k].effect) == 0) in_use.push_back(static_cast<int>(k));
+  }
+  const auto m = static_cast<Index>(in_use.size());
+  VectorXd precision(m), mean(m);
+  for (Index k = 0; k < m; ++k) {
+    const Column& column = columns_[static_cast<size_t>(in_use[static_cast<size_t>(k)])];
+    precision[k] = 1.0 / (column.prior_sigma * column.prior_sigma);
+    mean[k] = column.prior_mean;
+  }
+  const int y_at = static_cast<int>(columns_.size());
+  Wrenches e = y_;
+  weight_ = MatrixXd::Ones(n, kNumChannels);
+  for (int c = 0; c < num_channels_; ++c) {
+    noise_[c] = Noise();
+    noise_[c].variance = std::max(y_.col(c).squaredNorm() / double(y_.rows()), 1e-300);
+  }
+  for (int round = 0;; ++round) {
+    WhitenAll();
+    MatrixXd H = Picked(gram_, in_use, in_use);
+    H.diagonal() += precision;
+    const Eigen::LDLT<MatrixXd> ldlt(H);
+    const VectorXd b = Picked(gram_, in_use, {y_at}).col(0) + precision.cwiseProduct(mean);
+    const VectorXd x = ldlt.solve(b);
+    if (round == kNoiseRounds) {
+      // Degrees of freedom that the fit has taken of each channel.
+      innovation_ = white_.col(y_at);
+      for (Index k = 0; k < m; ++k) {
+        innovation_ -= x[k] * white_.col(in_use[static_cast<size_t>(k)]);
+      }
+      const MatrixXd inverse = ldlt.solve(MatrixXd::Identity(m, m));
+      for (int c = 0; c < num_channels_; ++c) {
+        MatrixXd of_channel(n, m);
+        for (Index k = 0; k < m; ++k) {
+          of_channel.col(k) = white_.col(in_use[static_cast<size_t>(k)]).segment(c * n, n);
+        }
+        const double taken =
+            (inverse * (of_channel.transpose() * of_channel)).trace() + static_cast<double>(kOrder);
+        const double left = std::max(0.3, 1.0 - taken / static_cast<double>(n));
+        noise_[c].variance /= left;
+        auto innovation = innovation_.segment(c * n, n);
+        innovation /= std::max(innovation.norm() / std::sqrt(static_cast<double>(n)), 1e-300);
+      }
+      break;
+    }
+    e = y_;
+    for (Index k = 0; k < m; ++k) {
+      e -= x[k] * columns_[static_cast<size_t>(in_use[static_cast<size_t>(k)])].d_wrench;
+    }
+    for (int c = 0; c < num_channels_; ++c) {
+      noise_[c] = FitNoise(e.col(c));
+      for (Index k = 0; k < n; ++k) {
+        const int i = rows_[static_cast<size_t>(k)];
+        double innovation = e(i, c);
+        for (int lag = 0; lag < kOrder; ++lag) {
+          innovation -= noise_[c].coefficients[lag] * e(i - 1 - lag, c);
+        }
+        const double sigmas = std::abs(innovation) / std::sqrt(noise_[c].variance);
+        weight_(k, c) = sigmas > kWildSigmas ? std::sqrt(kWildSigmas / sigmas) : 1.0;
+      }
+    }
+  }
+  WhitenAll();
+  held_out_weight_ = MatrixXd::Ones(static_cast<Index>(held_out_rows_.size()), kNumChannels);
+  const auto all = static_cast<Index>(columns_.size());
+  held_out_white_.resize(static_cast<Index>(held_out_rows_.size()) * num_channels_, all + 1);
+  for (Index k = 0; k <= all; ++k) {
+    const Wrenches& column = k < all ? columns_[static_cast<size_t>(k)].d_wrench : y_;
+    held_out_white_.col(k) = Whitened(column, held_out_rows_, held_out_weight_);
+  }
+}
+
+std::vector<int> Evidence::ColumnsOf(const VariantSet& set) const {
+  std::vector<int> columns;
+  for (int k = 0; k < num_base_; ++k) columns.push_back(k);
+  for (const int v : set) {
+    columns.insert(columns.end(), variants_[v].columns.begin(), variants_[v].columns.end());
+  }
+  return columns;
+}
+
+double Evidence::SignTerm(const std::vector<int>& columns, const VectorXd& coefficients,
+                          const VectorXd& sigma) const {
+  double sum = 0.0;
+  for (size_t k = 0; k < columns.size(); ++k) {
+    const Column& column = columns_[columns[k]];
+    if (column.sign == PhysicalSign::kAny) continue;
+    const auto i = static_cast<Index>(k);
+    const double towards = column.sign == PhysicalSign::kPositive ? 1.0 : -1.0;
+    const double right =
+        Phi(towards * (column.about + coefficients[i]) / std::max(sigma[i], 1e-300));
+    sum += std::log(((1.0 - kStrange) * right + kStrange * (1.0 - right)) / 0.5);
+  }
+  return sum;
+}
+
+EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& columns,
+                              const VariantSet& set) const {
+  const int y_at = static_cast<int>(columns_.size());
+  const auto n = static_cast<Index>(columns.size());
+  // The residual without what the variants do beyond their linearization.
+  VectorXd u = VectorXd::Zero(gram.rows());
+  u[y_at] = 1.0;
+  double log_prior = 0.0;
+  for (const int v : set) {
+    if (variants_[v].offset >= 0) u[variants_[v].offset] = -1.0;
+    log_prior += variants_[v].log_prior;
+  }
+  const VectorXd gram_u = gram * u;
+  const double yy = u.dot(gram_u);
+  const MatrixXd G = Picked(gram, columns, columns);
+  VectorXd mean(n), sigma(n), Xy(n);
+  for (Index k = 0; k < n; ++k) {
+    const Column& column = columns_[columns[static_cast<size_t>(k)]];
+    mean[k] = column.prior_mean;
+    sigma[k] = column.prior_sigma;
+    Xy[k] = gram_u[columns[static_cast<size_t>(k)]];
+  }
+  const auto solve = [&](const VectorXd& prior_sigma) {
+    EffectFit p;
+    p.columns = columns;
+    const VectorXd precision = prior_sigma.cwiseAbs2().cwiseInverse();
+    MatrixXd H = G;
+    H.diagonal() += precision;
+    const Eigen::LLT<MatrixXd> llt(H);
+    const VectorXd b = Xy + precision.cwiseProduct(mean);
+    p.coefficients = llt.solve(b);
+    p.covariance = llt.solve(MatrixXd::Identity(n, n));
+    p.log_evidence = 0.5 * (b.dot(p.coefficients) - yy - mean.dot(precision.cwiseProduct(mean))) -
+                     0.5 * LogDeterminant(llt) + 0.5 * precision.array().log().sum() +
+                     SignTerm(columns, p.coefficients, p.covariance.diagonal().cwiseSqrt());
+    if (!std::isfinite(p.log_evidence)) {
+      p.log_evidence = -std::numeric_limits<double>::infinity();
+    }
+    return p;
+  };
+  EffectFit best = solve(sigma);
+  best.log_evidence += log_prior;
+  // Variants whose coefficients are strangely large.
+  Index at = num_base_;
+  VectorXd widened = sigma;
+  int wide = 0;
+  for (const int v : set) {
+    const auto size = static_cast<Index>(variants_[v].columns.size());
+    const VectorXd z = (best.coefficients - mean).segment(at, size).cwiseQuotient(
+        sigma.segment(at, size));
+    if (z.cwiseAbs().maxCoeff() > kWideFrom) {
+      widened.segment(at, size) *= kWide;
+      ++wide;
+    }
+    at += size;
+  }
+  const double usual = static_cast<double>(set.size()) * std::log(1.0 - kStrange);
+  best.log_evidence += usual;
+  if (wide > 0) {
+    EffectFit other = solve(widened);
+    other.log_evidence +=
+        log_prior + usual + wide * (std::log(kStrange) - std::log(1.0 - kStrange));
+    if (other.log_evidence > best.log_evidence) return other;
+  }
+  return best;
+}
+
+EffectFit Evidence::Solve(const VariantSet& set) const {
+  return SolveWith(gram_, ColumnsOf(set), set);
+}
+
+double Evidence::Gain(const VariantSet& set) const {
+  return Solve(set).log_evidence - Solve({}).log_evidence;
+}
+
+Evidence::Promise Evidence::PromiseOf(const Candidate& candidate,
+                                      const std::map<std::string, double>& at) const {
+  const Seen seen = See(candidate, at);
+  if (seen.columns.empty()) return {};
+  const auto k = static_cast<Index>(seen.columns.size());
+  Promise promise;
+  // By the noise, beside the declared model.
+  const auto gain = [&](const MatrixXd& B, const VectorXd& y, const MatrixXd& X) {
+    MatrixXd H = B.transpose() * B;
+    for (Index i = 0; i < H.rows(); ++i) H(i, i) += std::pow(columns_[i].prior_sigma, -2);
+    const Eigen::LLT<MatrixXd> llt(H);
+    const MatrixXd BX = B.transpose() * X;
+    MatrixXd S = X.transpose() * X - BX.transpose() * llt.solve(BX);
+    for (Index i = 0; i < k; ++i) S(i, i) += std::pow(seen.columns[i].prior_sigma, -2);
+    const VectorXd g = X.transpose() * y - BX.transpose() * llt.solve(B.transpose() * y);
+    return 0.5 * g.dot(S.llt().solve(g));
+  };
+  MatrixXd X(white_.rows(), k);
+  for (Index i = 0; i < k; ++i) X.col(i) = Whitened(seen.columns[i].d_wrench, rows_, weight_);
+  VectorXd y = white_.col(white_.cols() - 1);
+  if (seen.offset) y -= Whitened(*seen.offset, rows_, weight_);
+  promise.serial = gain(white_.leftCols(num_base_), y, X);
+  // As if the noise were white, as large as what the declared model leaves.
+  const auto raw = [&](const Wrenches& column) {
+    const auto n = static_cast<Index>(rows_.size());
+    VectorXd stacked(n * num_channels_);
+    for (int c = 0; c < num_channels_; ++c) {
+      const double scale = 1.0 / std::max(1e-300, plain_sigma_[c]);
+      for (Index r = 0; r < n; ++r) stacked[c * n + r] = scale * column(rows_[r], c);
+    }
+    return stacked;
+  };
+  MatrixXd B(white_.rows(), num_base_);
+  for (Index i = 0; i < num_base_; ++i) B.col(i) = raw(columns_[i].d_wrench);
+  for (Index i = 0; i < k; ++i) X.col(i) = raw(seen.columns[i].d_wrench);
+  promise.white = gain(B, raw(seen.offset ? Wrenches(y_ - *seen.offset) : y_), X);
+  return promise;
+}
+
+VectorXd Evidence::ErrorsOf(const MatrixXd& white, const VariantSet& set,
+                            const EffectFit& posterior) const {
+  VectorXd e = white.col(white.cols() - 1);
+  for (const int v : set) {
+    if (variants_[v].offset >= 0) e -= white.col(variants_[v].offset);
+  }
+  for (size_t k = 0; k < posterior.columns.size(); ++k) {
+    e -= posterior.coefficients[static_cast<Index>(k)] * white.col(posterior.columns[k]);
+  }
+  return e;
+}
+
+double Evidence::HeldOutGain(const VariantSet& set) const {
+  const auto loss = [&](const VariantSet& of) {
+    // Uncertain coefficients make a prediction's variance larger; 1 is the noise's.
+    const EffectFit p = Solve(of);
+    const VectorXd e = ErrorsOf(held_out_white_, of, p);
+    const Eigen::LLT<MatrixXd> llt(p.covariance +
+                                   1e-12 * MatrixXd::Identity(p.covariance.rows(),
+                                                              p.covariance.cols()));
+    double sum = 0.0;
+    VectorXd x(static_cast<Index>(p.columns.size()));
+    for (Index i = 0; i < e.size(); ++i) {
+      for (Index k = 0; k < x.size(); ++k) {
+        x[k] = held_out_white_(i, p.columns[static_cast<size_t>(k)]);
+      }
+      const double variance = 1.0 + x.dot(p.covariance * x);
+      sum += 0.5 * (e[i] * e[i] / variance + std::log(variance));
+    }
+    return sum;
+  };
+  return loss({}) - loss(set);
+}
+
+Evidence::Lead Evidence::LeadOf(const VariantSet& a, const VariantSet& b) const {
+  const VectorXd of_a = ErrorsOf(white_, a, Solve(a)).cwiseAbs2(),
+                 of_b = ErrorsOf(white_, b, Solve(b)).cwiseAbs2();
+  std::map<int, double> blocks;
+  const auto n = static_cast<Index>(rows_.size());
+  for (Index k = 0; k < n; ++k) {
+    double& block = blocks[static_cast<int>(
+        residual_->flight().sample(rows_[static_cast<size_t>(k)]).t_s / kBlock_s)];
+    for (int c = 0; c < num_channels_; ++c) block += 0.5 * (of_b - of_a)[c * n + k];
+  }
+  Lead lead;
+  for (const auto& entry : blocks) lead.nats += entry.second;
+  const double mean = lead.nats / static_cast<double>(blocks.size());
+  for (const auto& entry : blocks) lead.sigma += std::pow(entry.second - mean, 2);
+  lead.sigma = std::sqrt(lead.sigma);
+  return lead;
+}
+
+std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count,
+                                             unsigned seed) const {
+  const auto n = static_cast<Index>(rows_.size());
+  const std::vector<int> base = ColumnsOf(beside);
+  const auto precision = [&](const std::vector<int>& of) {
+    VectorXd p(static_cast<Index>(of.size()));
+    for (size_t k = 0; k < of.size(); ++k) {
+      p[static_cast<Index>(k)] = std::pow(columns_[of[k]].prior_sigma, -2);
+    }
+    return p;
+  };
+  MatrixXd H = Picked(gram_, base, base);
+  H.diagonal() += precision(base);
+  const Eigen::LLT<MatrixXd> llt(H);
+  struct Test {
+    int variant;
+    std::vector<int> own;
+    MatrixXd A;                 // own columns on the base's
+    Eigen::LLT<MatrixXd> schur;
+    double occam;
+  };
+  std::vector<Test> tests;
+  for (size_t v = 0; v < variants_.size(); ++v) {
+    const bool has = std::any_of(beside.begin(), beside.end(), [&](int other) {
+      return variants_[other].candidate.effect == variants_[v].candidate.effect;
+    });
+    if (has) continue;
+    Test test;
+    test.variant = static_cast<int>(v);
+    test.own = variants_[v].columns;
+    const MatrixXd cross = Picked(gram_, base, test.own);
+    test.A = llt.solve(cross).transpose();
+    MatrixXd S = Picked(gram_, test.own, test.own) - test.A * cross;
+    const VectorXd p = precision(test.own);
+    S.diagonal() += p;
+    test.schur.compute(S);
+    test.occam = -0.5 * LogDeterminant(test.schur) + 0.5 * p.array().log().sum() +
+                 std::log(1.0 - kStrange) + variants_[v].log_prior;
+    tests.push_back(std::move(test));
+  }
+  const Index least =
+      std::min(n / 4, static_cast<Index>(kLeastShift_s / residual_->flight().step_s()));
+  std::mt19937 random(seed);
+  std::uniform_int_distribution<Index> shift(least, std::max(least, n - least));
+  std::bernoulli_distribution flip;
+  std::vector<double> largest;
+  VectorXd e(innovation_.size());
+  for (int s = 0; s < count; ++s) {
+    const Index by = shift(random);
+    const double sign = flip(random) ? 1.0 : -1.0;
+    for (int c = 0; c < num_channels_; ++c) {
+      const auto from = innovation_.segment(c * n, n);
+      e.segment(c * n, n - by) = sign * from.tail(n - by);
+      e.segment(c * n + n - by, by) = sign * from.head(by);
+    }
+    const VectorXd z = white_.transpose() * e;
+    VectorXd of_base(static_cast<Index>(base.size()));
+    for (size_t k = 0; k < base.size(); ++k) of_base[static_cast<Index>(k)] = z[base[k]];
+    double most = -std::numeric_limits<double>::infinity();
+    for (const Test& test : tests) {
+      VectorXd g(static_cast<Index>(test.own.size()));
+      for (size_t k = 0; k < test.own.size(); ++k) g[static_cast<Index>(k)] = z[test.own[k]];
+      g -= test.A * of_base;
+      const VectorXd x = test.schur.solve(g);
+      const VectorXd sigma =
+          test.schur.solve(MatrixXd::Identity(g.size(), g.size())).diagonal().cwiseSqrt();
+      most = std::max(most, 0.5 * g.dot(x) + test.occam + SignTerm(test.own, x, sigma));
+    }
+    largest.push_back(most);
+  }
+  std::sort(largest.begin(), largest.end());
+  return largest;
+}
+
+std::map<std::string, double> Evidence::Values(const VariantSet& set,
+                                               const EffectFit& posterior) const {
+  std::map<std::string, double> values = stage_.values;
+  for (size_t k = 0; k < posterior.columns.size(); ++k) {
+    const Column& column = columns_[posterior.columns[k]];
+    if (column.effect.empty()) continue;  // a bias
+    values[column.name] = column.about + posterior.coefficients[static_cast<Index>(k)];
+  }
+  for (const int v : set) {
+    for (const auto& [name, value] : variants_[v].candidate.settings) values[name] = value;
+  }
+  return values;
+}
+
+Wrenches Evidence::ResidualOf(const VariantSet& set, const EffectFit& posterior) const {
+  Wrenches e = y_;
+  for (const int v : set) {
+    if (variants_[v].offset >= 0) e -= columns_[variants_[v].offset].d_wrench;
+  }
+  for (size_t k = 0; k < posterior.columns.size(); ++k) {
+    e -= posterior.coefficients[static_cast<Index>(k)] * columns_[posterior.columns[k]].d_wrench;
+  }
+  return e;
+}
+
+}  // namespace odmc
