@@ -37,7 +37,8 @@ FlightState FlightStateOf(const FilteredMotion& motion, const Vector3d& load_pul
 
 PredictionSample PredictSample(const FilteredMotion& motion, const Vector3d& load_pull_W,
                                const Vehicle& vehicle, const DynamicModel& model,
-                               const ModelValues& values, bool with_effects) {
+                               const ModelValues& values, bool with_effects,
+                               const BodyProperties* known) {
   PredictionSample out;
   out.t_s = motion.t_s;
   // Measured: by the vehicle file's mount F of the body frame.
@@ -54,7 +55,8 @@ PredictionSample PredictSample(const FilteredMotion& motion, const Vector3d& loa
   out.speed_m_s = motion.v_WS.norm();
 
   // Predicted: the model in its own body frame B, then taken to F.
-  const BodyProperties body = model.Properties(values, nullptr, motion.t_s);
+  const BodyProperties body =
+      known != nullptr ? *known : model.Properties(values, nullptr, motion.t_s);
   const FlightState flight = FlightStateOf(motion, load_pull_W, body);
   const Matrix3d& R_WB = flight.R_WB;
   const Vector3d& w_B = flight.w_WB_B;
@@ -75,22 +77,13 @@ PredictionSample PredictSample(const FilteredMotion& motion, const Vector3d& loa
   out.predicted_torque = R_FB * (tau - products * w_dot_B - w_B.cross(products * w_B));
   out.predicted_angular_acceleration =
       R_FB * (body.I_BBcm_B.inverse() * (tau - w_B.cross(body.I_BBcm_B * w_B)));
+  const Vector3d arm = body.p_BI - body.p_BBcm;
+  out.predicted_specific_force =
+      body.R_BI.transpose() * (F / body.mass + w_dot_B.cross(arm) + w_B.cross(w_B.cross(arm)));
   if (!with_effects) return out;
   out.effects = model.EvaluateEffects(flight, values, body.p_BBcm);
   out.rotor_torque = R_FB * RotorTorque(out.effects);
   return out;
-}
-
-Vector3d PredictSpecificForce(const FilteredMotion& motion, const Vector3d& load_pull_W,
-                              const DynamicModel& model, const ModelValues& values) {
-  const BodyProperties body = model.Properties(values, nullptr, motion.t_s);
-  const FlightState flight = FlightStateOf(motion, load_pull_W, body);
-  Vector3d F, tau;
-  model.EvaluateWrench(flight, values, body.p_BBcm, &F, &tau);
-  const Vector3d& w = flight.w_WB_B;
-  const Vector3d arm = body.p_BI - body.p_BBcm;
-  const Vector3d swing = (body.R_BS * motion.w_dot_S).cross(arm) + w.cross(w.cross(arm));
-  return body.R_BI.transpose() * (F / body.mass + swing);
 }
 
 void PredictionSummary::AxisSums::Add(const Vector3d& measured, const Vector3d& predicted) {

@@ -12,6 +12,7 @@ namespace {
 constexpr size_t kFittedSettings = 2;  // by either measure, and their refinement
 constexpr int kPolishes = 3;           // linearizations of what is not linear
 constexpr int kRefits = 5;             // at most
+constexpr double kLargeShare = 0.3;    // of the largest: added in the same round
 constexpr double kTail = 0.1;          // share of surrogates whose excess gives the tail
 
 std::string Text(double value) {
@@ -263,6 +264,19 @@ void Attribution::Run() {
                       options_.most_effects - static_cast<int>(effects_.size()), give_up_);
     VariantSet set = Confirmed(evidence, found.best.variants);
     if (set.empty()) return;
+    // What is small beside the largest may be its shadow: that is looked at again once the model is
+    // linearized about the largest.
+    double most = 0.0;
+    std::map<int, double> scores;
+    for (const int v : set) {
+      VariantSet without = set;
+      without.erase(v);
+      scores[v] = evidence.Gain(set) - evidence.Gain(without);
+      most = std::max(most, scores[v]);
+    }
+    for (const auto& [v, score] : scores) {
+      if (score < kLargeShare * most) set.erase(v);
+    }
     std::vector<RankedEffect> added;
     for (const int v : set) {
       added.push_back(Describe(evidence, v, set));

@@ -19,6 +19,7 @@ namespace odmc {
 namespace {
 
 constexpr int kLeastSamples = 50;  // to look for effects in
+constexpr double kGustCoefficients = 8.0;  // nats: size, time and the drag that goes with them
 constexpr double kKnownThrustShare = 0.05;
 constexpr double kTooLarge = 4.0;    // natural sizes
 constexpr double kSignificant = 3.0;  // sigmas of one coefficient
@@ -289,6 +290,33 @@ Gusts RankGusts(const ResidualModel& residual, const Stage& stage,
   return gusts;
 }
 
+/// True if a slow disturbance of the force is the wind's doing rather than any other's.
+bool IsGusty(const Gusts& gusts, const AttributionOptions& options) {
+  return gusts.test.gain > -std::log(options.false_alarm_rate) + kGustCoefficients &&
+         gusts.test.over_others > 0.0;
+}
+
+/// Gusts are wind that comes and goes: not beside itself.
+bool CanBlow(const Vehicle& vehicle, const std::vector<RankedEffect>& effects) {
+  const bool has = std::find(vehicle.effects.begin(), vehicle.effects.end(), "gust") !=
+                   vehicle.effects.end();
+  return !has && std::none_of(effects.begin(), effects.end(),
+                              [](const RankedEffect& e) { return e.name == "gust"; });
+}
+
+/// Share of the structure of a residual, in nats by which a flexible spectrum explains it beyond
+/// noise, that is still there after effects were added. 0 where there was none.
+double Unexplained(const std::vector<ChannelStructure>& before,
+                   const std::vector<ChannelStructure>& after, const AttributionOptions& options) {
+  double was = 0.0, is = 0.0;
+  for (size_t c = 0; c < before.size(); ++c) {
+    if (!IsStructured(before[c], options)) continue;
+    was += before[c].whiteness.nats;
+    is += after[c].whiteness.nats;
+  }
+  return was > 0.0 ? is / was : 0.0;
+}
+
 FlightFigures FlownFlight(const FlightLog& log, const ReplayResult& replay) {
   FlightFigures figures;
   figures.file = log.file;
@@ -485,6 +513,8 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   if (progress) progress(0.6);
 
   std::vector<RankedEffect> effects = attribution.effects();
+  const std::vector<ChannelStructure> left =
+      Structure(flight, attribution.residual_after(), residual.num_channels());
   std::map<std::string, ParameterSetting> known;
   const Gusts gusts =
       RankGusts(residual, attribution.stage(), attribution.residual_after(), before.parameters);
@@ -502,6 +532,20 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     for (size_t i = 0; i < 4 && i < result.ranking.size(); ++i) fprintf(stderr, "  rank %s %.1f\n", result.ranking[i].name.c_str(), result.ranking[i].score);
   }
 
+  const bool is_gusty = IsGusty(gusts, options.attribution) && CanBlow(vehicle, effects);
+  if (!effects.empty() &&
+      Unexplained(result.structure, left, options.attribution) > options.attribution.least_explained) {
+    // A flexible disturbance explains it better than they do.
+    for (const RankedEffect& effect : effects) {
+      result.warnings.push_back(effect.name + " gains " + Text(effect.score) +
+                                " nats, but most of the structure stays unexplained beside it");
+    }
+    effects.clear();
+  }
+  if (is_gusty) {
+    effects.push_back(gusts.ranked);
+    known = gusts.known;
+  }
   if (!effects.empty()) {
     const Vehicle extended = Extended(vehicle, attribution.stage(), effects, known);
     const DynamicModel model(extended, extended.effects);

@@ -105,26 +105,65 @@ void Evidence::AddNuisances() {
   }
 }
 
-Evidence::Seen Evidence::See(const Candidate& candidate,
-                             const std::map<std::string, double>& at, bool keep_idle) const {
+Evidence::Seen Evidence::See(const Candidate& candidate, const std::map<std::string, double>& at,
+                             What what) const {
   const Vehicle extended = With(stage_.vehicle, candidate);
   const DynamicModel model(extended, extended.effects);
   ModelValues values = ValuesOf(model, stage_.values);
   for (const auto* some : {&candidate.start, &at}) {
     for (const auto& [name, value] : *some) values[model.IndexOf(name)] = value;
   }
+  // From an onset on an effect acts as one that has acted all along, so all onsets share a column.
+  const auto own = std::find(model.effect_names().begin(), model.effect_names().end(),
+                             candidate.effect);
+  const std::string onset =
+      model.effect(static_cast<int>(own - model.effect_names().begin())).onset_parameter();
+  double from_s = 0.0;
+  if (!onset.empty()) {
+    double& setting = values[model.IndexOf(candidate.effect + "." + onset)];
+    from_s = setting;
+    setting = 0.0;
+  }
+  const std::string key = onset.empty() || !at.empty() ? "" : candidate.effect;
+  const auto known = seen_.find(key);
+  Seen seen = known != seen_.end() ? known->second : SeeFully(candidate, model, values, key.empty() ? what : kAll);
+  if (!key.empty() && known == seen_.end()) seen_[key] = seen;
+  if (!onset.empty()) {
+    for (int i = 0; i < residual_->flight().size(); ++i) {
+      if (residual_->flight().sample(i).t_s >= from_s) break;
+      for (Column& column : seen.columns) {
+        column.d_wrench.row(i).setZero();
+        if (column.noise.rows() > 0) column.noise.row(i).setZero();
+      }
+      if (seen.offset) seen.offset->row(i).setZero();
+    }
+  }
+  if (what != kAll) {
+    seen.columns.erase(std::remove_if(seen.columns.begin(), seen.columns.end(),
+                                      [&](const Column& c) {
+                                        return c.d_wrench.squaredNorm() == 0.0 ||
+                                               (what == kAtAGlance && c.initial_state);
+                                      }),
+                       seen.columns.end());
+  }
+  return seen;
+}
+
+Evidence::Seen Evidence::SeeFully(const Candidate& candidate, const DynamicModel& model,
+                                  const ModelValues& values, What what) const {
   Seen seen;
   Wrenches offset = y_ - residual_->Residual(model, values);
   const double size = offset.norm();
   for (int k = 0; k < model.num_parameters(); ++k) {
     const ModelParameter& p = model.parameters()[k];
     if (p.effect != candidate.effect || !p.estimated) continue;
+    if (what == kAtAGlance && p.spec.initial_state) continue;
     Column column{p.full_name,          p.effect,           0.0,
                   p.spec.prior_value,   p.spec.prior_sigma, p.spec.sign,
                   p.spec.initial_state, residual_->Derivative(model, values, k),
                   Wrenches()};
-    if (noisier_ != nullptr) column.noise = noisier_->Derivative(model, values, k) - column.d_wrench;
-    if (!keep_idle && column.d_wrench.squaredNorm() == 0.0) continue;
+    const bool takes_noise = noisier_ != nullptr && what != kAtAGlance;
+    if (takes_noise) column.noise = noisier_->Derivative(model, values, k) - column.d_wrench;
     offset -= values[k] * column.d_wrench;
     seen.columns.push_back(std::move(column));
   }
@@ -134,7 +173,7 @@ Evidence::Seen Evidence::See(const Candidate& candidate,
 }
 
 int Evidence::Add(const Candidate& candidate, const std::map<std::string, double>& at) {
-  Seen seen = See(candidate, at);
+  Seen seen = See(candidate, at, kActing);
   if (seen.columns.empty()) return -1;
   Variant variant;
   variant.candidate = candidate;
@@ -156,7 +195,7 @@ int Evidence::Add(const Candidate& candidate, const std::map<std::string, double
 
 void Evidence::Relinearize(int v, const std::map<std::string, double>& at) {
   Variant& variant = variants_[static_cast<size_t>(v)];
-  Seen seen = See(variant.candidate, at, true);
+  Seen seen = See(variant.candidate, at, kAll);
   for (const int k : variant.columns) {
     for (Column& column : seen.columns) {
       if (column.name == columns_[k].name) columns_[k] = column;
@@ -432,7 +471,7 @@ double Evidence::Gain(const VariantSet& set) const {
 
 Evidence::Promise Evidence::PromiseOf(const Candidate& candidate,
                                       const std::map<std::string, double>& at) const {
-  const Seen seen = See(candidate, at);
+  const Seen seen = See(candidate, at, kAtAGlance);
   if (seen.columns.empty()) return {};
   const auto k = static_cast<Index>(seen.columns.size());
   Promise promise;

@@ -1,9 +1,11 @@
 #include "odmc/attribution/gust_test.h"
 
+#include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <utility>
 
@@ -327,6 +329,93 @@ double SteadySwing(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   return best - kCoefficients - std::log(std::max(1, tried));
 }
 
+/// Log-likelihood of a force that depends on the place alone, fixed in the world, in white noise of
+/// variance `noise` [N²]: a Gaussian process over position with a squared-exponential kernel, in its
+/// approximation by few centres, its size and width those that make the force most likely.
+double FieldOverPosition(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
+                         const std::vector<DragCoefficient>& drag, double noise, double natural) {
+  constexpr size_t kCentres = 40;
+  constexpr double kWidths[] = {0.15, 0.3, 0.6};  // of the flight's extent
+  constexpr double kFieldSizes[] = {0.5, 1.0, 2.0, 4.0};
+  std::vector<int> used;
+  for (int i = 0; i < flight.size(); ++i) {
+    if (!flight.held_out(i)) used.push_back(i);
+  }
+  const auto n = static_cast<Index>(used.size());
+  const auto position = [&](Index k) { return flight.sample(used[static_cast<size_t>(k)]).p_WS; };
+  // Each centre is the sample farthest from those before.
+  std::vector<Vector3d> centres = {position(0)};
+  VectorXd distance = VectorXd::Constant(n, std::numeric_limits<double>::infinity());
+  double extent = 0.0;
+  while (centres.size() < kCentres) {
+    for (Index k = 0; k < n; ++k) {
+      distance[k] = std::min(distance[k], (position(k) - centres.back()).norm());
+      if (centres.size() == 1) extent = std::max(extent, distance[k]);
+    }
+    Index farthest = 0;
+    if (!(distance.maxCoeff(&farthest) > 0.02 * extent)) break;
+    centres.push_back(position(farthest));
+  }
+  if (!(extent > 0.0)) return -std::numeric_limits<double>::infinity();
+  const auto count = static_cast<Index>(centres.size());
+  const auto num_drag = static_cast<Index>(drag.size());
+  VectorXd y(3 * n);
+  for (Index k = 0; k < n; ++k) {
+    const int i = used[static_cast<size_t>(k)];
+    y.segment<3>(3 * k) = flight.sample(i).R_WS * residual.row(i).head<3>().transpose();
+  }
+  MatrixXd D(3 * n, num_drag);
+  for (Index d = 0; d < num_drag; ++d) {
+    for (Index k = 0; k < n; ++k) {
+      const int i = used[static_cast<size_t>(k)];
+      D.col(d).segment<3>(3 * k) =
+          flight.sample(i).R_WS *
+          drag[static_cast<size_t>(d)].d_wrench.row(i).head<3>().transpose();
+    }
+  }
+  double best = -std::numeric_limits<double>::infinity();
+  for (const double width : kWidths) {
+    const double w = width * extent;
+    const auto kernel = [w](const Vector3d& a, const Vector3d& b) {
+      return std::exp(-0.5 * (a - b).squaredNorm() / (w * w));
+    };
+    MatrixXd K(count, count), phi(n, count);
+    for (Index a = 0; a < count; ++a) {
+      for (Index b = 0; b < count; ++b) K(a, b) = kernel(centres[a], centres[b]);
+      for (Index k = 0; k < n; ++k) phi(k, a) = kernel(position(k), centres[a]);
+    }
+    K.diagonal().array() += 1e-6;
+    // Features of unit prior variance.
+    const MatrixXd features =
+        K.llt().matrixL().solve(phi.transpose()).transpose() * MatrixXd::Identity(count, count);
+    const Index m = 3 * count + num_drag;
+    MatrixXd X = MatrixXd::Zero(3 * n, m);
+    for (Index axis = 0; axis < 3; ++axis) {
+      for (Index k = 0; k < n; ++k) {
+        X.row(3 * k + axis).segment(axis * count, count) = features.row(k);
+      }
+    }
+    X.rightCols(num_drag) = D;
+    const MatrixXd gram = X.transpose() * X;
+    const VectorXd Xy = X.transpose() * y;
+    for (const double size : kFieldSizes) {
+      VectorXd sigma = VectorXd::Constant(m, size * natural);
+      sigma.tail(num_drag).setOnes();  // natural sizes
+      MatrixXd H = gram / noise;
+      H.diagonal() += sigma.cwiseAbs2().cwiseInverse();
+      const Eigen::LLT<MatrixXd> llt(H);
+      const VectorXd b = Xy / noise;
+      const double log_det =
+          2.0 * MatrixXd(llt.matrixL()).diagonal().array().log().sum() +
+          2.0 * sigma.array().log().sum();
+      const double likelihood = 0.5 * b.dot(llt.solve(b)) - 0.5 * y.squaredNorm() / noise -
+                                0.5 * log_det - 1.5 * static_cast<double>(n) * std::log(noise);
+      best = std::max(best, likelihood);
+    }
+  }
+  return best - std::log(static_cast<double>(std::size(kWidths) * std::size(kFieldSizes)));
+}
+
 }  // namespace
 
 GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
@@ -364,7 +453,9 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   test.gain = gust.likelihood() - none;
   test.over_others = gust.likelihood() - std::max({free_world.likelihood(), free_body.likelihood(),
                                                    SteadySwing(flight, residual, true),
-                                                   SteadySwing(flight, residual, false)});
+                                                   SteadySwing(flight, residual, false),
+                                                   FieldOverPosition(flight, residual, drag,
+                                                                     quick.mean(), natural)});
   test.sigma_m_s = gust.sigma();
   test.time_constant_s = gust.time_constant_s();
   test.drag = gust.drag_change();

@@ -90,15 +90,16 @@ ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
     pulls = LoadPulls(flight_->motion(), model, values);
   }
   const Eigen::Vector3d hanging(0.0, 0.0, -file_vehicle_->gravity_m_s2);
+  const BodyProperties body = model.Properties(values);
   for (int i = 0; i < flight_->size(); ++i) {
     const Eigen::Vector3d& pull = pulls.empty() ? hanging : pulls[flight_->index(i)];
-    const PredictionSample s =
-        PredictSample(flight_->sample(i), pull, *file_vehicle_, model, values, false);
+    const FilteredMotion& motion = flight_->sample(i);
+    const PredictionSample s = PredictSample(motion, pull, *file_vehicle_, model, values, false,
+                                             model.varies() ? nullptr : &body);
     residual.row(i).head<3>() = s.measured_force - s.predicted_force;
     if (from_accelerometer_) {
       residual.row(i).head<3>() =
-          file_vehicle_->mass_kg * (*flight_->sample(i).specific_force_I -
-                                    PredictSpecificForce(flight_->sample(i), pull, model, values));
+          file_vehicle_->mass_kg * (*motion.specific_force_I - s.predicted_specific_force);
     }
     residual.row(i).tail<3>() = file_vehicle_->inertia_kg_m2.cwiseProduct(
         s.measured_angular_acceleration - s.predicted_angular_acceleration);

@@ -19,6 +19,8 @@ struct PredictionSample {
   Eigen::Vector3d measured_force, predicted_force;                                ///< [N]
   Eigen::Vector3d measured_torque, predicted_torque;                              ///< [N m]
   Eigen::Vector3d measured_angular_acceleration, predicted_angular_acceleration;  ///< [rad/s²]
+  Eigen::Vector3d predicted_specific_force;  ///< of an accelerometer at the model's IMU mount, in
+                                             ///< its axes [m/s²]                model.md Eq. (C)
   Eigen::Vector3d rotor_torque;       ///< share of the rotors' thrust and reaction in the torque
   std::vector<EffectWrench> effects;  ///< one entry per effect that adds a wrench
 };
@@ -73,15 +75,11 @@ PredictionFigures PredictEach(const FlightLog& log, const Vehicle& file_vehicle,
 
 /// Measured and predicted at one sample.
 /// @param with_effects also the wrench of every effect, and what the rotors alone do
+/// @param body the model's properties at `values`, where they are known; null: they are worked out
 PredictionSample PredictSample(const FilteredMotion& motion, const Eigen::Vector3d& load_pull_W,
                                const Vehicle& file_vehicle, const DynamicModel& model,
-                               const ModelValues& values, bool with_effects);
-
-/// Specific force an accelerometer at the model's IMU mount feels, in its axes [m/s²].
-///                                                                       model.md Eq. (C)
-Eigen::Vector3d PredictSpecificForce(const FilteredMotion& motion,
-                                     const Eigen::Vector3d& load_pull_W, const DynamicModel& model,
-                                     const ModelValues& values);
+                               const ModelValues& values, bool with_effects,
+                               const BodyProperties* body = nullptr);
 
 /// Sums that give the figures of a prediction; those left out are not counted.
 class PredictionSummary {

@@ -139,8 +139,14 @@ class Evidence {
     std::vector<Column> columns;
     std::optional<ResidualModel::Wrenches> offset;
   };
-  Seen See(const Candidate& candidate, const std::map<std::string, double>& at,
-           bool keep_idle = false) const;
+  enum What {
+    kAll,        ///< every parameter
+    kActing,     ///< those that do something
+    kAtAGlance,  ///< of these not what moves by itself, and without noise
+  };
+  Seen See(const Candidate& candidate, const std::map<std::string, double>& at, What what) const;
+  Seen SeeFully(const Candidate& candidate, const DynamicModel& model, const ModelValues& values,
+                What what) const;
   void AddBase();
   void AddNuisances();
   void TakeOffNoise();
@@ -165,6 +171,7 @@ class Evidence {
   std::vector<Column> columns_;  // of the base, then of the variants; offsets among these
   int num_base_ = 0;
   std::vector<Variant> variants_;
+  mutable std::map<std::string, Seen> seen_;  // of effects with an onset, by effect
   std::vector<int> rows_, held_out_rows_;  // samples whose predecessors are there
   std::array<Noise, kNumChannels> noise_;
   Eigen::MatrixXd weight_, held_out_weight_;  // of samples, by channel: wild ones count less
