@@ -239,10 +239,11 @@ void Evidence::WhitenAll() {
   gram_.setZero(n + 1, n + 1);
   gram_.selfadjointView<Eigen::Lower>().rankUpdate(white_.transpose());
   gram_.triangularView<Eigen::StrictlyUpper>() = gram_.transpose();
-  if (noisier_ != nullptr) TakeOffNoise();
+  noise_gram_.setZero(n + 1, n + 1);
+  if (noisier_ != nullptr) FindNoiseGram();
 }
 
-void Evidence::TakeOffNoise() {
+void Evidence::FindNoiseGram() {
   const auto n = static_cast<Index>(columns_.size());
   MatrixXd white(white_.rows(), n + 1);
   for (Index k = 0; k <= n; ++k) {
@@ -269,7 +270,7 @@ void Evidence::TakeOffNoise() {
   share = llt.matrixL().solve(share.transpose()).eval();
   const double most =
       Eigen::SelfAdjointEigenSolver<MatrixXd>(0.5 * (share + share.transpose())).eigenvalues()[n];
-  gram_ -= std::min(1.0, kMostNoise / std::max(most, 1e-300)) * of_noise;
+  noise_gram_ = std::min(1.0, kMostNoise / std::max(most, 1e-300)) * of_noise;
 }
 
 Evidence::Noise Evidence::FitNoise(const VectorXd& e) const {
@@ -317,10 +318,11 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
   }
   for (int round = 0;; ++round) {
     WhitenAll();
-    MatrixXd H = Picked(gram_, in_use, in_use);
+    const MatrixXd corrected = gram_ - noise_gram_;
+    MatrixXd H = Picked(corrected, in_use, in_use);
     H.diagonal() += precision;
     const Eigen::LDLT<MatrixXd> ldlt(H);
-    const VectorXd b = Picked(gram_, in_use, {y_at}).col(0) + precision.cwiseProduct(mean);
+    const VectorXd b = Picked(corrected, in_use, {y_at}).col(0) + precision.cwiseProduct(mean);
     const VectorXd x = ldlt.solve(b);
     if (round == kNoiseRounds) {
       // Degrees of freedom that the fit has taken of each channel.
@@ -394,21 +396,23 @@ double Evidence::SignTerm(const std::vector<int>& columns, const VectorXd& coeff
   return sum;
 }
 
-EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& columns,
-                              const VariantSet& set) const {
+EffectFit Evidence::SolveWith(const std::vector<int>& columns, const VariantSet& set) const {
   const int y_at = static_cast<int>(columns_.size());
   const auto n = static_cast<Index>(columns.size());
   // The residual without what the variants do beyond their linearization.
-  VectorXd u = VectorXd::Zero(gram.rows());
+  VectorXd u = VectorXd::Zero(gram_.rows());
   u[y_at] = 1.0;
   double log_prior = 0.0;
   for (const int v : set) {
     if (variants_[v].offset >= 0) u[variants_[v].offset] = -1.0;
     log_prior += variants_[v].log_prior;
   }
-  const VectorXd gram_u = gram * u;
+  const VectorXd gram_u = gram_ * u - noise_gram_ * u;
   const double yy = u.dot(gram_u);
-  const MatrixXd G = Picked(gram, columns, columns);
+  const MatrixXd raw = Picked(gram_, columns, columns),
+                 of_noise = Picked(noise_gram_, columns, columns), G = raw - of_noise;
+  // Variance of X'y: the samples', and that of what one draw of noise says of the noise.
+  const MatrixXd spread = raw + NoiseShare() * of_noise;
   VectorXd mean(n), sigma(n), Xy(n);
   for (Index k = 0; k < n; ++k) {
     const Column& column = columns_[columns[static_cast<size_t>(k)]];
@@ -425,10 +429,19 @@ EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& colu
     const Eigen::LLT<MatrixXd> llt(H);
     const VectorXd b = Xy + precision.cwiseProduct(mean);
     p.coefficients = llt.solve(b);
-    p.covariance = llt.solve(MatrixXd::Identity(n, n));
+    const MatrixXd inverse = llt.solve(MatrixXd::Identity(n, n));
+    p.covariance = inverse;
+    double inflated = 0.0;
+    if (noisier_ != nullptr) {
+      MatrixXd with_prior = spread;
+      with_prior.diagonal() += precision;
+      p.covariance = inverse * with_prior * inverse;
+      inflated = Inflation(p, inverse);
+    }
     p.log_evidence = 0.5 * (b.dot(p.coefficients) - yy - mean.dot(precision.cwiseProduct(mean))) -
                      0.5 * LogDeterminant(llt) + 0.5 * precision.array().log().sum() +
-                     SignTerm(columns, p.coefficients, p.covariance.diagonal().cwiseSqrt());
+                     SignTerm(columns, p.coefficients, p.covariance.diagonal().cwiseSqrt()) -
+                     inflated;
     if (!std::isfinite(p.log_evidence)) {
       p.log_evidence = -std::numeric_limits<double>::infinity();
     }
@@ -461,8 +474,23 @@ EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& colu
   return best;
 }
 
+double Evidence::NoiseShare() const {
+  const Index y_at = gram_.rows() - 1;
+  return gram_(y_at, y_at) > 0.0 ? noise_gram_(y_at, y_at) / static_cast<double>(white_.rows()) : 0.0;
+}
+
+double Evidence::Inflation(const EffectFit& fit, const MatrixXd& inverse) const {
+  const Index n = inverse.rows() - num_base_;
+  if (n == 0) return 0.0;
+  const VectorXd own = fit.coefficients.tail(n);
+  const Eigen::LLT<MatrixXd> as_if(inverse.bottomRightCorner(n, n)),
+      robust(fit.covariance.bottomRightCorner(n, n));
+  return 0.5 * (own.dot(as_if.solve(own)) - own.dot(robust.solve(own))) -
+         0.5 * (LogDeterminant(robust) - LogDeterminant(as_if));
+}
+
 EffectFit Evidence::Solve(const VariantSet& set) const {
-  return SolveWith(gram_, ColumnsOf(set), set);
+  return SolveWith(ColumnsOf(set), set);
 }
 
 double Evidence::Gain(const VariantSet& set) const {
@@ -571,14 +599,12 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
     }
     return p;
   };
-  MatrixXd H = Picked(gram_, base, base);
-  H.diagonal() += precision(base);
-  const Eigen::LLT<MatrixXd> llt(H);
+  const MatrixXd corrected = gram_ - noise_gram_;
   struct Test {
-    int variant;
-    std::vector<int> own;
-    MatrixXd A;                 // own columns on the base's
-    Eigen::LLT<MatrixXd> schur;
+    std::vector<int> columns;   // the base's, then its own
+    MatrixXd estimate;          // own coefficients by X'y
+    MatrixXd information;       // of these
+    VectorXd sigma;
     double occam;
   };
   std::vector<Test> tests;
@@ -587,16 +613,25 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
       return variants_[other].candidate.effect == variants_[v].candidate.effect;
     });
     if (has) continue;
+    const std::vector<int>& own = variants_[v].columns;
+    const auto k = static_cast<Index>(own.size());
     Test test;
-    test.variant = static_cast<int>(v);
-    test.own = variants_[v].columns;
-    const MatrixXd cross = Picked(gram_, base, test.own);
-    test.A = llt.solve(cross).transpose();
-    MatrixXd S = Picked(gram_, test.own, test.own) - test.A * cross;
-    const VectorXd p = precision(test.own);
-    S.diagonal() += p;
-    test.schur.compute(S);
-    test.occam = -0.5 * LogDeterminant(test.schur) + 0.5 * p.array().log().sum() +
+    test.columns = base;
+    test.columns.insert(test.columns.end(), own.begin(), own.end());
+    const VectorXd prior = precision(test.columns);
+    MatrixXd H = Picked(corrected, test.columns, test.columns);
+    H.diagonal() += prior;
+    const Eigen::LLT<MatrixXd> llt(H);
+    const MatrixXd inverse = llt.solve(MatrixXd::Identity(H.rows(), H.cols()));
+    MatrixXd spread = Picked(gram_, test.columns, test.columns) +
+                      NoiseShare() * Picked(noise_gram_, test.columns, test.columns);
+    spread.diagonal() += prior;
+    test.estimate = inverse.bottomRows(k);
+    const MatrixXd covariance = test.estimate * spread * test.estimate.transpose();
+    const Eigen::LLT<MatrixXd> of_own(covariance);
+    test.information = of_own.solve(MatrixXd::Identity(k, k));
+    test.sigma = covariance.diagonal().cwiseSqrt();
+    test.occam = 0.5 * LogDeterminant(of_own) + 0.5 * prior.tail(k).array().log().sum() +
                  std::log(1.0 - kStrange) + variants_[v].log_prior;
     tests.push_back(std::move(test));
   }
@@ -616,17 +651,16 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
       e.segment(c * n + n - by, by) = sign * from.head(by);
     }
     const VectorXd z = white_.transpose() * e;
-    VectorXd of_base(static_cast<Index>(base.size()));
-    for (size_t k = 0; k < base.size(); ++k) of_base[static_cast<Index>(k)] = z[base[k]];
     double most = -std::numeric_limits<double>::infinity();
     for (const Test& test : tests) {
-      VectorXd g(static_cast<Index>(test.own.size()));
-      for (size_t k = 0; k < test.own.size(); ++k) g[static_cast<Index>(k)] = z[test.own[k]];
-      g -= test.A * of_base;
-      const VectorXd x = test.schur.solve(g);
-      const VectorXd sigma =
-          test.schur.solve(MatrixXd::Identity(g.size(), g.size())).diagonal().cwiseSqrt();
-      most = std::max(most, 0.5 * g.dot(x) + test.occam + SignTerm(test.own, x, sigma));
+      VectorXd g(static_cast<Index>(test.columns.size()));
+      for (size_t k = 0; k < test.columns.size(); ++k) {
+        g[static_cast<Index>(k)] = z[test.columns[k]];
+      }
+      const VectorXd x = test.estimate * g;
+      const std::vector<int> own(test.columns.end() - x.size(), test.columns.end());
+      most = std::max(most, 0.5 * x.dot(test.information * x) + test.occam +
+                                SignTerm(own, x, test.sigma));
     }
     largest.push_back(most);
   }

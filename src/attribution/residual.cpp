@@ -5,12 +5,12 @@
 #include <utility>
 
 #include "odmc/math/hann.h"
-#include "odmc/preintegration/rotor_rate_smoother.h"
 
 namespace odmc {
 namespace {
 
 constexpr double kStart_s = 1.0;
+constexpr double kRotorRatesWindow_s = 0.75;
 
 /// Takes what is faster than 4 Hz out of the rotors' accelerations, by a Hann window within runs.
 /// Derivatives of measured speeds are mostly noise up there, and a noisy regressor makes its

@@ -149,14 +149,18 @@ class Evidence {
                 What what) const;
   void AddBase();
   void AddNuisances();
-  void TakeOffNoise();
+  void FindNoiseGram();
+  /// Share of the rotor speeds' noise in the noise of the residual, 0 to 1.
+  double NoiseShare() const;
+  /// What a fit's log evidence has too much because noisy columns spread the coefficients wider
+  /// than their inverse information says.
+  double Inflation(const EffectFit& fit, const Eigen::MatrixXd& inverse) const;
   void FindRows();
   Eigen::VectorXd Whitened(const ResidualModel::Wrenches& column, const std::vector<int>& rows,
                            const Eigen::MatrixXd& weight) const;
   void WhitenAll();
   Noise FitNoise(const Eigen::VectorXd& e) const;
-  EffectFit SolveWith(const Eigen::MatrixXd& gram, const std::vector<int>& columns,
-                      const VariantSet& set) const;
+  EffectFit SolveWith(const std::vector<int>& columns, const VariantSet& set) const;
   std::vector<int> ColumnsOf(const VariantSet& set) const;
   Eigen::VectorXd ErrorsOf(const Eigen::MatrixXd& white, const VariantSet& set,
                            const EffectFit& posterior) const;
@@ -176,7 +180,8 @@ class Evidence {
   std::array<Noise, kNumChannels> noise_;
   Eigen::MatrixXd weight_, held_out_weight_;  // of samples, by channel: wild ones count less
   Eigen::MatrixXd white_, held_out_white_;    // rows × columns, y last
-  Eigen::MatrixXd gram_;
+  Eigen::MatrixXd gram_;        // as measured
+  Eigen::MatrixXd noise_gram_;  // what noisy columns have added to it
   Eigen::VectorXd innovation_;  // whitened residual of everything, of unit variance
 };
 
