@@ -18,7 +18,7 @@ using Wrenches = ResidualModel::Wrenches;
 
 constexpr int kNoiseRounds = 3;
 constexpr double kWildSigmas = 5.0;    // innovations beyond count as this many
-constexpr double kMostNoise = 0.95;    // of a direction's sum of squares
+constexpr double kMostNoise = 0.8;        // of a direction's sum of squares
 constexpr double kWide = 5.0;          // natural sizes of what is strangely large
 constexpr double kWideFrom = 2.0;      // natural sizes from which that is looked at
 constexpr double kBias_m_s2 = 0.3;     // of an accelerometer
@@ -303,10 +303,10 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
     if (leave_out.count(columns_[k].effect) == 0) in_use.push_back(static_cast<int>(k));
   }
   const auto m = static_cast<Index>(in_use.size());
-  VectorXd precision(m), mean(m);
+  VectorXd sigma(m), mean(m);
   for (Index k = 0; k < m; ++k) {
     const Column& column = columns_[static_cast<size_t>(in_use[static_cast<size_t>(k)])];
-    precision[k] = 1.0 / (column.prior_sigma * column.prior_sigma);
+    sigma[k] = column.prior_sigma;
     mean[k] = column.prior_mean;
   }
   const int y_at = static_cast<int>(columns_.size());
@@ -319,18 +319,20 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
   for (int round = 0;; ++round) {
     WhitenAll();
     const MatrixXd corrected = gram_ - noise_gram_;
-    MatrixXd H = Picked(corrected, in_use, in_use);
-    H.diagonal() += precision;
-    const Eigen::LDLT<MatrixXd> ldlt(H);
-    const VectorXd b = Picked(corrected, in_use, {y_at}).col(0) + precision.cwiseProduct(mean);
-    const VectorXd x = ldlt.solve(b);
+    const MatrixXd H = sigma.asDiagonal() * Picked(corrected, in_use, in_use) * sigma.asDiagonal() +
+                       MatrixXd::Identity(m, m);
+    const Eigen::LLT<MatrixXd> llt(H);
+    const VectorXd b = sigma.cwiseProduct(Picked(corrected, in_use, {y_at}).col(0)) +
+                       mean.cwiseQuotient(sigma);
+    const VectorXd x = sigma.cwiseProduct(llt.solve(b));
     if (round == kNoiseRounds) {
       // Degrees of freedom that the fit has taken of each channel.
       innovation_ = white_.col(y_at);
       for (Index k = 0; k < m; ++k) {
         innovation_ -= x[k] * white_.col(in_use[static_cast<size_t>(k)]);
       }
-      const MatrixXd inverse = ldlt.solve(MatrixXd::Identity(m, m));
+      const MatrixXd inverse =
+          sigma.asDiagonal() * llt.solve(MatrixXd::Identity(m, m)) * sigma.asDiagonal();
       for (int c = 0; c < num_channels_; ++c) {
         MatrixXd of_channel(n, m);
         for (Index k = 0; k < m; ++k) {
@@ -420,26 +422,28 @@ EffectFit Evidence::SolveWith(const std::vector<int>& columns, const VariantSet&
     sigma[k] = column.prior_sigma;
     Xy[k] = gram_u[columns[static_cast<size_t>(k)]];
   }
+  // In units of the priors' sigmas, in which all is of the order of one.
   const auto solve = [&](const VectorXd& prior_sigma) {
     EffectFit p;
     p.columns = columns;
-    const VectorXd precision = prior_sigma.cwiseAbs2().cwiseInverse();
-    MatrixXd H = G;
-    H.diagonal() += precision;
-    const Eigen::LLT<MatrixXd> llt(H);
-    const VectorXd b = Xy + precision.cwiseProduct(mean);
-    p.coefficients = llt.solve(b);
+    const auto scaled = [&](const MatrixXd& m) {
+      return MatrixXd(prior_sigma.asDiagonal() * m * prior_sigma.asDiagonal() +
+                      MatrixXd::Identity(n, n));
+    };
+    const VectorXd centre = mean.cwiseQuotient(prior_sigma);
+    const Eigen::LLT<MatrixXd> llt(scaled(G));
+    const VectorXd b = prior_sigma.cwiseProduct(Xy) + centre;
+    const VectorXd x = llt.solve(b);
     const MatrixXd inverse = llt.solve(MatrixXd::Identity(n, n));
-    p.covariance = inverse;
+    MatrixXd covariance = inverse;
     double inflated = 0.0;
     if (noisier_ != nullptr) {
-      MatrixXd with_prior = spread;
-      with_prior.diagonal() += precision;
-      p.covariance = inverse * with_prior * inverse;
-      inflated = Inflation(p, inverse);
+      covariance = inverse * scaled(spread) * inverse;
+      inflated = Inflation(x, inverse, covariance);
     }
-    p.log_evidence = 0.5 * (b.dot(p.coefficients) - yy - mean.dot(precision.cwiseProduct(mean))) -
-                     0.5 * LogDeterminant(llt) + 0.5 * precision.array().log().sum() +
+    p.coefficients = prior_sigma.cwiseProduct(x);
+    p.covariance = prior_sigma.asDiagonal() * covariance * prior_sigma.asDiagonal();
+    p.log_evidence = 0.5 * (b.dot(x) - yy - centre.squaredNorm()) - 0.5 * LogDeterminant(llt) +
                      SignTerm(columns, p.coefficients, p.covariance.diagonal().cwiseSqrt()) -
                      inflated;
     if (!std::isfinite(p.log_evidence)) {
@@ -479,12 +483,13 @@ double Evidence::NoiseShare() const {
   return gram_(y_at, y_at) > 0.0 ? noise_gram_(y_at, y_at) / static_cast<double>(white_.rows()) : 0.0;
 }
 
-double Evidence::Inflation(const EffectFit& fit, const MatrixXd& inverse) const {
-  const Index n = inverse.rows() - num_base_;
+double Evidence::Inflation(const VectorXd& coefficients, const MatrixXd& inverse,
+                           const MatrixXd& covariance) const {
+  const Index n = coefficients.size() - num_base_;
   if (n == 0) return 0.0;
-  const VectorXd own = fit.coefficients.tail(n);
+  const VectorXd own = coefficients.tail(n);
   const Eigen::LLT<MatrixXd> as_if(inverse.bottomRightCorner(n, n)),
-      robust(fit.covariance.bottomRightCorner(n, n));
+      robust(covariance.bottomRightCorner(n, n));
   return 0.5 * (own.dot(as_if.solve(own)) - own.dot(robust.solve(own))) -
          0.5 * (LogDeterminant(robust) - LogDeterminant(as_if));
 }
@@ -592,19 +597,16 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
                                              unsigned seed) const {
   const auto n = static_cast<Index>(rows_.size());
   const std::vector<int> base = ColumnsOf(beside);
-  const auto precision = [&](const std::vector<int>& of) {
-    VectorXd p(static_cast<Index>(of.size()));
-    for (size_t k = 0; k < of.size(); ++k) {
-      p[static_cast<Index>(k)] = std::pow(columns_[of[k]].prior_sigma, -2);
-    }
-    return p;
+  const auto sigmas = [&](const std::vector<int>& of) {
+    VectorXd s(static_cast<Index>(of.size()));
+    for (size_t k = 0; k < of.size(); ++k) s[static_cast<Index>(k)] = columns_[of[k]].prior_sigma;
+    return s;
   };
-  const MatrixXd corrected = gram_ - noise_gram_;
   struct Test {
     std::vector<int> columns;   // the base's, then its own
     MatrixXd estimate;          // own coefficients by X'y
     MatrixXd information;       // of these
-    VectorXd sigma;
+    VectorXd sigma, own_sigma;  // posterior, prior
     double occam;
   };
   std::vector<Test> tests;
@@ -618,21 +620,23 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
     Test test;
     test.columns = base;
     test.columns.insert(test.columns.end(), own.begin(), own.end());
-    const VectorXd prior = precision(test.columns);
-    MatrixXd H = Picked(corrected, test.columns, test.columns);
-    H.diagonal() += prior;
-    const Eigen::LLT<MatrixXd> llt(H);
-    const MatrixXd inverse = llt.solve(MatrixXd::Identity(H.rows(), H.cols()));
-    MatrixXd spread = Picked(gram_, test.columns, test.columns) +
-                      NoiseShare() * Picked(noise_gram_, test.columns, test.columns);
-    spread.diagonal() += prior;
-    test.estimate = inverse.bottomRows(k);
-    const MatrixXd covariance = test.estimate * spread * test.estimate.transpose();
+    const VectorXd sigma = sigmas(test.columns);
+    const auto scaled = [&](const MatrixXd& gram) {
+      return MatrixXd(sigma.asDiagonal() * Picked(gram, test.columns, test.columns) *
+                          sigma.asDiagonal() +
+                      MatrixXd::Identity(sigma.size(), sigma.size()));
+    };
+    const MatrixXd inverse =
+        scaled(gram_ - noise_gram_).llt().solve(MatrixXd::Identity(sigma.size(), sigma.size()));
+    const MatrixXd rows = inverse.bottomRows(k);
+    const MatrixXd covariance =
+        rows * scaled(gram_ + NoiseShare() * noise_gram_) * rows.transpose();
     const Eigen::LLT<MatrixXd> of_own(covariance);
+    test.estimate = rows * sigma.asDiagonal();
     test.information = of_own.solve(MatrixXd::Identity(k, k));
-    test.sigma = covariance.diagonal().cwiseSqrt();
-    test.occam = 0.5 * LogDeterminant(of_own) + 0.5 * prior.tail(k).array().log().sum() +
-                 std::log(1.0 - kStrange) + variants_[v].log_prior;
+    test.own_sigma = sigma.tail(k);
+    test.sigma = test.own_sigma.cwiseProduct(covariance.diagonal().cwiseSqrt());
+    test.occam = 0.5 * LogDeterminant(of_own) + std::log(1.0 - kStrange) + variants_[v].log_prior;
     tests.push_back(std::move(test));
   }
   const Index least =
@@ -660,7 +664,7 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
       const VectorXd x = test.estimate * g;
       const std::vector<int> own(test.columns.end() - x.size(), test.columns.end());
       most = std::max(most, 0.5 * x.dot(test.information * x) + test.occam +
-                                SignTerm(own, x, test.sigma));
+                                SignTerm(own, x.cwiseProduct(test.own_sigma), test.sigma));
     }
     largest.push_back(most);
   }

@@ -154,7 +154,8 @@ class Evidence {
   double NoiseShare() const;
   /// What a fit's log evidence has too much because noisy columns spread the coefficients wider
   /// than their inverse information says.
-  double Inflation(const EffectFit& fit, const Eigen::MatrixXd& inverse) const;
+  double Inflation(const Eigen::VectorXd& coefficients, const Eigen::MatrixXd& inverse,
+                   const Eigen::MatrixXd& covariance) const;
   void FindRows();
   Eigen::VectorXd Whitened(const ResidualModel::Wrenches& column, const std::vector<int>& rows,
                            const Eigen::MatrixXd& weight) const;
