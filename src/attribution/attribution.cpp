@@ -176,23 +176,38 @@ void Attribution::Rank(const Evidence& evidence) {
             [](const auto& a, const auto& b) { return a.score > b.score; });
 }
 
+double Attribution::ShadowOf(const std::array<double, kNumChannels>& energy,
+                             const std::array<double, kNumChannels>& others) const {
+  double all = 0.0, shadow = 0.0;
+  for (int c = 0; c < kNumChannels; ++c) {
+    all += energy[c];
+    shadow += energy[c] * others[c];
+  }
+  return all > 0.0 ? options_.least_share * shadow / all : 0.0;
+}
+
 VariantSet Attribution::Confirmed(const Evidence& evidence, VariantSet set) const {
   while (!set.empty()) {
-    int weakest = *set.begin();
-    double least = 1e300;
-    const double all = evidence.Gain(set);
+    const EffectFit fit = evidence.Solve(set);
+    std::optional<int> weakest;
+    double least = 0.0;
     for (const int v : set) {
       VariantSet without = set;
       without.erase(v);
-      const double score = all - evidence.Gain(without);
-      if (score < least) {
-        least = score;
-        weakest = v;
+      const double score = fit.log_evidence - evidence.Solve(without).log_evidence;
+      std::array<double, kNumChannels> others = explained_;
+      for (const int other : without) {
+        const auto energy = evidence.EnergyOf(other, fit);
+        for (int c = 0; c < kNumChannels; ++c) others[c] += energy[c];
       }
+      const bool holds = PValue(score) < options_.false_alarm_rate &&
+                         score > ShadowOf(evidence.EnergyOf(v, fit), others);
+      if (holds || (weakest && score >= least)) continue;
+      weakest = v;
+      least = score;
     }
-    const bool shadow = set.size() > 1 && least < options_.least_share * all;
-    if (!shadow && PValue(least) < options_.false_alarm_rate) break;
-    set.erase(weakest);
+    if (!weakest) break;
+    set.erase(*weakest);
   }
   return set;
 }
@@ -284,11 +299,10 @@ void Attribution::Run() {
       FindAlternatives(evidence, set, v, &added.back());
     }
     const double gain = evidence.Gain(set);
-    if (round > 0) {
-      const bool shadow = std::any_of(added.begin(), added.end(), [&](const RankedEffect& e) {
-        return e.score < options_.least_share * gain_;
-      });
-      if (shadow) return;
+    const EffectFit fit = evidence.Solve(set);
+    for (const int v : set) {
+      const auto energy = evidence.EnergyOf(v, fit);
+      for (int c = 0; c < kNumChannels; ++c) explained_[c] += energy[c];
     }
     std::sort(added.begin(), added.end(),
               [](const auto& a, const auto& b) { return a.score > b.score; });

@@ -49,6 +49,22 @@ MatrixXd Picked(const MatrixXd& gram, const std::vector<int>& rows, const std::v
   return picked;
 }
 
+/// Normal equations H x = b, known to noise of covariance M, as those of a regression without noise
+/// in its columns: H M^-1 H x = H M^-1 b. H = M - C, worked out so that it is exact where C = 0.
+struct Effective {
+  MatrixXd H;
+  VectorXd b;
+
+  Effective(const MatrixXd& M, const MatrixXd& C, const VectorXd& of) : H(M), b(of) {
+    if (C.isZero(0.0)) return;
+    MatrixXd ridged = M;
+    ridged.diagonal().array() += 1e-6 + 1e-12 * M.diagonal().maxCoeff();
+    const Eigen::LLT<MatrixXd> llt(ridged);
+    H += C * llt.solve(C) - 2.0 * C;
+    b -= C * llt.solve(of);
+  }
+};
+
 double LogDeterminant(const Eigen::LLT<MatrixXd>& llt) {
   return 2.0 * MatrixXd(llt.matrixL()).diagonal().array().log().sum();
 }
@@ -318,13 +334,15 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
   }
   for (int round = 0;; ++round) {
     WhitenAll();
-    const MatrixXd corrected = gram_ - noise_gram_;
-    const MatrixXd H = sigma.asDiagonal() * Picked(corrected, in_use, in_use) * sigma.asDiagonal() +
-                       MatrixXd::Identity(m, m);
-    const Eigen::LLT<MatrixXd> llt(H);
-    const VectorXd b = sigma.cwiseProduct(Picked(corrected, in_use, {y_at}).col(0)) +
-                       mean.cwiseQuotient(sigma);
-    const VectorXd x = sigma.cwiseProduct(llt.solve(b));
+    const double more = NoiseShare();
+    const auto scaled = [&](const MatrixXd& gram) {
+      return MatrixXd(sigma.asDiagonal() * Picked(gram, in_use, in_use) * sigma.asDiagonal());
+    };
+    Effective normal(scaled(gram_ + more * noise_gram_), scaled((1.0 + more) * noise_gram_),
+                     sigma.cwiseProduct(Picked(gram_ - noise_gram_, in_use, {y_at}).col(0)));
+    normal.H.diagonal().array() += 1.0;
+    const Eigen::LLT<MatrixXd> llt(normal.H);
+    const VectorXd x = sigma.cwiseProduct(llt.solve(normal.b + mean.cwiseQuotient(sigma)));
     if (round == kNoiseRounds) {
       // Degrees of freedom that the fit has taken of each channel.
       innovation_ = white_.col(y_at);
@@ -412,9 +430,9 @@ EffectFit Evidence::SolveWith(const std::vector<int>& columns, const VariantSet&
   const VectorXd gram_u = gram_ * u - noise_gram_ * u;
   const double yy = u.dot(gram_u);
   const MatrixXd raw = Picked(gram_, columns, columns),
-                 of_noise = Picked(noise_gram_, columns, columns), G = raw - of_noise;
+                 of_noise = Picked(noise_gram_, columns, columns);
   // Variance of X'y: the samples', and that of what one draw of noise says of the noise.
-  const MatrixXd spread = raw + NoiseShare() * of_noise;
+  const double more = NoiseShare();
   VectorXd mean(n), sigma(n), Xy(n);
   for (Index k = 0; k < n; ++k) {
     const Column& column = columns_[columns[static_cast<size_t>(k)]];
@@ -427,25 +445,20 @@ EffectFit Evidence::SolveWith(const std::vector<int>& columns, const VariantSet&
     EffectFit p;
     p.columns = columns;
     const auto scaled = [&](const MatrixXd& m) {
-      return MatrixXd(prior_sigma.asDiagonal() * m * prior_sigma.asDiagonal() +
-                      MatrixXd::Identity(n, n));
+      return MatrixXd(prior_sigma.asDiagonal() * m * prior_sigma.asDiagonal());
     };
     const VectorXd centre = mean.cwiseQuotient(prior_sigma);
-    const Eigen::LLT<MatrixXd> llt(scaled(G));
-    const VectorXd b = prior_sigma.cwiseProduct(Xy) + centre;
+    Effective normal(scaled(raw + more * of_noise), scaled((1.0 + more) * of_noise),
+                     prior_sigma.cwiseProduct(Xy));
+    normal.H.diagonal().array() += 1.0;
+    const Eigen::LLT<MatrixXd> llt(normal.H);
+    const VectorXd b = normal.b + centre;
     const VectorXd x = llt.solve(b);
-    const MatrixXd inverse = llt.solve(MatrixXd::Identity(n, n));
-    MatrixXd covariance = inverse;
-    double inflated = 0.0;
-    if (noisier_ != nullptr) {
-      covariance = inverse * scaled(spread) * inverse;
-      inflated = Inflation(x, inverse, covariance);
-    }
+    const MatrixXd covariance = llt.solve(MatrixXd::Identity(n, n));
     p.coefficients = prior_sigma.cwiseProduct(x);
     p.covariance = prior_sigma.asDiagonal() * covariance * prior_sigma.asDiagonal();
     p.log_evidence = 0.5 * (b.dot(x) - yy - centre.squaredNorm()) - 0.5 * LogDeterminant(llt) +
-                     SignTerm(columns, p.coefficients, p.covariance.diagonal().cwiseSqrt()) -
-                     inflated;
+                     SignTerm(columns, p.coefficients, p.covariance.diagonal().cwiseSqrt());
     if (!std::isfinite(p.log_evidence)) {
       p.log_evidence = -std::numeric_limits<double>::infinity();
     }
@@ -481,17 +494,6 @@ EffectFit Evidence::SolveWith(const std::vector<int>& columns, const VariantSet&
 double Evidence::NoiseShare() const {
   const Index y_at = gram_.rows() - 1;
   return gram_(y_at, y_at) > 0.0 ? noise_gram_(y_at, y_at) / static_cast<double>(white_.rows()) : 0.0;
-}
-
-double Evidence::Inflation(const VectorXd& coefficients, const MatrixXd& inverse,
-                           const MatrixXd& covariance) const {
-  const Index n = coefficients.size() - num_base_;
-  if (n == 0) return 0.0;
-  const VectorXd own = coefficients.tail(n);
-  const Eigen::LLT<MatrixXd> as_if(inverse.bottomRightCorner(n, n)),
-      robust(covariance.bottomRightCorner(n, n));
-  return 0.5 * (own.dot(as_if.solve(own)) - own.dot(robust.solve(own))) -
-         0.5 * (LogDeterminant(robust) - LogDeterminant(as_if));
 }
 
 EffectFit Evidence::Solve(const VariantSet& set) const {
@@ -551,6 +553,19 @@ VectorXd Evidence::ErrorsOf(const MatrixXd& white, const VariantSet& set,
     e -= posterior.coefficients[static_cast<Index>(k)] * white.col(posterior.columns[k]);
   }
   return e;
+}
+
+std::array<double, kNumChannels> Evidence::EnergyOf(int variant, const EffectFit& fit) const {
+  VectorXd does = VectorXd::Zero(white_.rows());
+  for (size_t k = 0; k < fit.columns.size(); ++k) {
+    if (columns_[fit.columns[k]].effect != variants_[variant].candidate.effect) continue;
+    does += fit.coefficients[static_cast<Index>(k)] * white_.col(fit.columns[k]);
+  }
+  if (variants_[variant].offset >= 0) does += white_.col(variants_[variant].offset);
+  std::array<double, kNumChannels> energy{};
+  const auto n = static_cast<Index>(rows_.size());
+  for (int c = 0; c < num_channels_; ++c) energy[c] = 0.5 * does.segment(c * n, n).squaredNorm();
+  return energy;
 }
 
 double Evidence::HeldOutGain(const VariantSet& set) const {
@@ -623,16 +638,21 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
     const VectorXd sigma = sigmas(test.columns);
     const auto scaled = [&](const MatrixXd& gram) {
       return MatrixXd(sigma.asDiagonal() * Picked(gram, test.columns, test.columns) *
-                          sigma.asDiagonal() +
-                      MatrixXd::Identity(sigma.size(), sigma.size()));
+                      sigma.asDiagonal());
     };
+    const double more = NoiseShare();
+    const MatrixXd M = scaled(gram_ + more * noise_gram_), C = scaled((1.0 + more) * noise_gram_);
+    Effective normal(M, C, VectorXd::Zero(sigma.size()));
+    normal.H.diagonal().array() += 1.0;
     const MatrixXd inverse =
-        scaled(gram_ - noise_gram_).llt().solve(MatrixXd::Identity(sigma.size(), sigma.size()));
+        normal.H.llt().solve(MatrixXd::Identity(sigma.size(), sigma.size()));
     const MatrixXd rows = inverse.bottomRows(k);
-    const MatrixXd covariance =
-        rows * scaled(gram_ + NoiseShare() * noise_gram_) * rows.transpose();
+    MatrixXd ridged = M;
+    ridged.diagonal().array() += 1e-6 + 1e-12 * M.diagonal().maxCoeff();
+    const MatrixXd covariance = inverse.bottomRightCorner(k, k);
     const Eigen::LLT<MatrixXd> of_own(covariance);
-    test.estimate = rows * sigma.asDiagonal();
+    test.estimate = (rows - ridged.llt().solve(C * rows.transpose()).transpose()) *
+                    sigma.asDiagonal();
     test.information = of_own.solve(MatrixXd::Identity(k, k));
     test.own_sigma = sigma.tail(k);
     test.sigma = test.own_sigma.cwiseProduct(covariance.diagonal().cwiseSqrt());

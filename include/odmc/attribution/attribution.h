@@ -62,6 +62,9 @@ class Attribution {
   void Screen(Evidence* evidence) const;
   void Polish(Evidence* evidence) const;
   void Rank(const Evidence& evidence);
+  /// What an effect must gain beside others whose form is known only so well, by channel.
+  double ShadowOf(const std::array<double, kNumChannels>& energy,
+                  const std::array<double, kNumChannels>& others) const;
   VariantSet Confirmed(const Evidence& evidence, VariantSet set) const;
   RankedEffect Describe(const Evidence& evidence, int variant, const VariantSet& set) const;
   void FindAlternatives(const Evidence& evidence, const VariantSet& set, int variant,
@@ -77,6 +80,7 @@ class Attribution {
   const std::function<bool()> give_up_;
   std::vector<double> null_gains_;
   std::vector<RankedEffect> effects_, ranking_;
+  std::array<double, kNumChannels> explained_{};  // by what was added, over the noise [nats]
   double gain_ = 0.0, held_out_gain_ = 0.0;
   ResidualModel::Wrenches before_, after_;
 };

@@ -90,6 +90,9 @@ class Evidence {
   };
   Promise PromiseOf(const Candidate& candidate, const std::map<std::string, double>& at = {}) const;
 
+  /// What a variant of a fitted set does, by channel, over the noise [nats].
+  std::array<double, kNumChannels> EnergyOf(int variant, const EffectFit& fit) const;
+
   /// Log-likelihood of the samples held out under `set`, its coefficients as the others say, beyond
   /// that of the declared model [nats].
   double HeldOutGain(const VariantSet& set) const;
@@ -152,11 +155,6 @@ class Evidence {
   void FindNoiseGram();
   /// Share of the rotor speeds' noise in the noise of the residual, 0 to 1.
   double NoiseShare() const;
-  /// What a fit's log evidence has too much because noisy columns spread the coefficients wider
-  /// than their inverse information says.
-  double Inflation(const Eigen::VectorXd& coefficients, const Eigen::MatrixXd& inverse,
-                   const Eigen::MatrixXd& covariance) const;
-  void FindRows();
   Eigen::VectorXd Whitened(const ResidualModel::Wrenches& column, const std::vector<int>& rows,
                            const Eigen::MatrixXd& weight) const;
   void WhitenAll();
