@@ -249,7 +249,7 @@ ResidualModel::Wrenches Attribution::Refit(Stage* stage) const {
     Evidence evidence(residual_, noisier_, *stage);
     evidence.EstimateNoise();
     const EffectFit posterior = evidence.Solve({});
-    residual = evidence.ResidualOf(posterior);
+    residual = evidence.ResidualOf({}, posterior);
     double moved = 0.0;
     for (size_t k = 0; k < posterior.columns.size(); ++k) {
       const auto at = static_cast<Eigen::Index>(k);

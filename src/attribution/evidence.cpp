@@ -17,8 +17,6 @@ using Eigen::VectorXd;
 using Wrenches = ResidualModel::Wrenches;
 
 constexpr int kNoiseRounds = 3;
-constexpr int kStride = 3;  // samples of 40 ms from one row to the next
-constexpr int kReach = 3;   // samples that a row takes in on either side
 constexpr double kWildSigmas = 5.0;    // innovations beyond count as this many
 constexpr double kMostNoise = 0.8;        // of a direction's sum of squares
 constexpr double kWide = 5.0;          // natural sizes of what is strangely large
@@ -36,41 +34,9 @@ std::vector<int> RowsOf(const ThinnedFlight& flight, bool held_out, int order) {
   int run = 0;
   for (int i = 0; i < flight.size(); ++i) {
     run = flight.held_out(i) != held_out ? 0 : flight.next(i) ? run + 1 : 1;
-    if (run > order * kStride && (run - 1) % kStride == 0) rows.push_back(i);
+    if (run > order) rows.push_back(i);
   }
   return rows;
-}
-
-/// A quantity of every sample without what is faster than 4 Hz, by a Hann window within runs.
-Wrenches Slow(const ThinnedFlight& flight, const Wrenches& quick) {
-  if (quick.rows() == 0) return quick;
-  Wrenches slow(quick.rows(), kNumChannels);
-  for (int i = 0; i < flight.size(); ++i) {
-    Eigen::Matrix<double, 1, kNumChannels> sum = quick.row(i);
-    double weights = 1.0;
-    int back = 0, ahead = 0;
-    while (back < kReach && i - back > 0 && flight.next(i - back) &&
-           flight.held_out(i - back - 1) == flight.held_out(i)) {
-      ++back;
-    }
-    while (ahead < kReach && i + ahead + 1 < flight.size() && flight.next(i + ahead + 1) &&
-           flight.held_out(i + ahead + 1) == flight.held_out(i)) {
-      ++ahead;
-    }
-    const int reach = std::min(back, ahead);
-    for (int k = 1; k <= reach; ++k) {
-      const double weight = 0.5 * (1.0 + std::cos(EIGEN_PI * k / (kReach + 1.0)));
-      sum += weight * (quick.row(i - k) + quick.row(i + k));
-      weights += 2.0 * weight;
-    }
-    slow.row(i) = sum / weights;
-  }
-  return slow;
-}
-
-Wrenches Derivative(const ResidualModel& residual, const DynamicModel& model,
-                    const ModelValues& values, int index) {
-  return Slow(residual.flight(), residual.Derivative(model, values, index));
 }
 
 MatrixXd Picked(const MatrixXd& gram, const std::vector<int>& rows, const std::vector<int>& cols) {
@@ -118,10 +84,8 @@ Evidence::Evidence(const ResidualModel* residual, const ResidualModel* noisier, 
 void Evidence::AddBase() {
   const DynamicModel model(stage_.vehicle, stage_.vehicle.effects);
   const ModelValues values = ValuesOf(model, stage_.values);
-  y_ = Slow(residual_->flight(), residual_->Residual(model, values));
-  if (noisier_ != nullptr) {
-    y_noise_ = Slow(residual_->flight(), noisier_->Residual(model, values)) - y_;
-  }
+  y_ = residual_->Residual(model, values);
+  if (noisier_ != nullptr) y_noise_ = noisier_->Residual(model, values) - y_;
   for (int c = 0; c < kNumChannels; ++c) {
     plain_sigma_[c] = std::sqrt(y_.col(c).squaredNorm() / std::max<double>(1.0, y_.rows()));
   }
@@ -131,9 +95,9 @@ void Evidence::AddBase() {
     if (!p.estimated) continue;
     Column column{p.full_name,      p.effect,    values[k],
                   p.spec.prior_value - values[k], p.spec.prior_sigma, p.spec.sign,
-                  p.spec.initial_state,           Derivative(*residual_, model, values, k),
+                  p.spec.initial_state,           residual_->Derivative(model, values, k),
                   Wrenches()};
-    if (noisier_ != nullptr) column.noise = Derivative(*noisier_, model, values, k) - column.d_wrench;
+    if (noisier_ != nullptr) column.noise = noisier_->Derivative(model, values, k) - column.d_wrench;
     if (column.d_wrench.squaredNorm() > 0.0) columns_.push_back(std::move(column));
   }
   AddNuisances();
@@ -204,7 +168,7 @@ Evidence::Seen Evidence::See(const Candidate& candidate, const std::map<std::str
 Evidence::Seen Evidence::SeeFully(const Candidate& candidate, const DynamicModel& model,
                                   const ModelValues& values, What what) const {
   Seen seen;
-  Wrenches offset = y_ - Slow(residual_->flight(), residual_->Residual(model, values));
+  Wrenches offset = y_ - residual_->Residual(model, values);
   const double size = offset.norm();
   for (int k = 0; k < model.num_parameters(); ++k) {
     const ModelParameter& p = model.parameters()[k];
@@ -212,10 +176,10 @@ Evidence::Seen Evidence::SeeFully(const Candidate& candidate, const DynamicModel
     if (what == kAtAGlance && p.spec.initial_state) continue;
     Column column{p.full_name,          p.effect,           0.0,
                   p.spec.prior_value,   p.spec.prior_sigma, p.spec.sign,
-                  p.spec.initial_state, Derivative(*residual_, model, values, k),
+                  p.spec.initial_state, residual_->Derivative(model, values, k),
                   Wrenches()};
     const bool takes_noise = noisier_ != nullptr && what != kAtAGlance;
-    if (takes_noise) column.noise = Derivative(*noisier_, model, values, k) - column.d_wrench;
+    if (takes_noise) column.noise = noisier_->Derivative(model, values, k) - column.d_wrench;
     offset -= values[k] * column.d_wrench;
     seen.columns.push_back(std::move(column));
   }
@@ -273,7 +237,7 @@ VectorXd Evidence::Whitened(const Wrenches& column, const std::vector<int>& rows
       const int i = rows[static_cast<size_t>(k)];
       double value = column(i, c);
       for (int lag = 0; lag < kOrder; ++lag) {
-        value -= noise_[c].coefficients[lag] * column(i - (1 + lag) * kStride, c);
+        value -= noise_[c].coefficients[lag] * column(i - 1 - lag, c);
       }
       white[c * n + k] = scale * weight(k, c) * value;
     }
@@ -331,7 +295,7 @@ Evidence::Noise Evidence::FitNoise(const VectorXd& e) const {
   Past b = Past::Zero();
   const auto past_of = [&e](int i) {
     Past past;
-    for (int k = 0; k < kOrder; ++k) past[k] = e[i - (1 + k) * kStride];
+    for (int k = 0; k < kOrder; ++k) past[k] = e[i - 1 - k];
     return past;
   };
   for (const int i : rows_) {
@@ -411,7 +375,7 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
         const int i = rows_[static_cast<size_t>(k)];
         double innovation = e(i, c);
         for (int lag = 0; lag < kOrder; ++lag) {
-          innovation -= noise_[c].coefficients[lag] * e(i - (1 + lag) * kStride, c);
+          innovation -= noise_[c].coefficients[lag] * e(i - 1 - lag, c);
         }
         const double sigmas = std::abs(innovation) / std::sqrt(noise_[c].variance);
         weight_(k, c) = sigmas > kWildSigmas ? std::sqrt(kWildSigmas / sigmas) : 1.0;
@@ -742,12 +706,13 @@ std::map<std::string, double> Evidence::Values(const VariantSet& set,
   return values;
 }
 
-Wrenches Evidence::ResidualOf(const EffectFit& fit) const {
-  const DynamicModel model(stage_.vehicle, stage_.vehicle.effects);
-  Wrenches e = residual_->Residual(model, ValuesOf(model, Values({}, fit)));
-  for (size_t k = 0; k < fit.columns.size(); ++k) {
-    const Column& column = columns_[fit.columns[k]];
-    if (column.effect.empty()) e -= fit.coefficients[static_cast<Index>(k)] * column.d_wrench;
+Wrenches Evidence::ResidualOf(const VariantSet& set, const EffectFit& posterior) const {
+  Wrenches e = y_;
+  for (const int v : set) {
+    if (variants_[v].offset >= 0) e -= columns_[variants_[v].offset].d_wrench;
+  }
+  for (size_t k = 0; k < posterior.columns.size(); ++k) {
+    e -= posterior.coefficients[static_cast<Index>(k)] * columns_[posterior.columns[k]].d_wrench;
   }
   return e;
 }

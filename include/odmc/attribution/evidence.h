@@ -113,8 +113,8 @@ class Evidence {
   /// Values of all parameters of the model with `set`, by full name.
   std::map<std::string, double> Values(const VariantSet& set, const EffectFit& posterior) const;
 
-  /// Residual (N×6) of the declared model at the values of its fit, biases taken off.
-  ResidualModel::Wrenches ResidualOf(const EffectFit& fit) const;
+  /// Residual (N×6) of a set in the linear model, biases taken off.
+  ResidualModel::Wrenches ResidualOf(const VariantSet& set, const EffectFit& posterior) const;
 
   struct Column {
     std::string name;  ///< full name; of a bias "accelerometer bias"
@@ -130,7 +130,7 @@ class Evidence {
   const Column& column(int k) const { return columns_[k]; }
 
  private:
-  static constexpr int kOrder = 4;
+  static constexpr int kOrder = 8;
 
   struct Noise {
     Eigen::Matrix<double, kOrder, 1> coefficients = Eigen::Matrix<double, kOrder, 1>::Zero();
