@@ -135,7 +135,7 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
   VariantSet without = set;
   without.erase(variant);
   const EffectFit posterior = evidence.Solve(set);
-  ranked.score = posterior.log_evidence - evidence.Solve(without).log_evidence;
+  ranked.score = ScoreOf(evidence, set, without);
   ranked.p_value = PValue(ranked.score);
   const Vehicle extended = With(evidence.stage().vehicle, v.candidate);
   const DynamicModel model(extended, extended.effects);
@@ -176,6 +176,12 @@ void Attribution::Rank(const Evidence& evidence) {
             [](const auto& a, const auto& b) { return a.score > b.score; });
 }
 
+double Attribution::ScoreOf(const Evidence& evidence, const VariantSet& set,
+                            const VariantSet& without) const {
+  return std::min(evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence,
+                  evidence.PredictiveGain(set, without));
+}
+
 double Attribution::ShadowOf(const std::array<double, kNumChannels>& energy,
                              const std::array<double, kNumChannels>& others) const {
   double all = 0.0, shadow = 0.0;
@@ -194,7 +200,7 @@ VariantSet Attribution::Confirmed(const Evidence& evidence, VariantSet set) cons
     for (const int v : set) {
       VariantSet without = set;
       without.erase(v);
-      const double score = fit.log_evidence - evidence.Solve(without).log_evidence;
+      const double score = ScoreOf(evidence, set, without);
       std::array<double, kNumChannels> others = explained_;
       for (const int other : without) {
         const auto energy = evidence.EnergyOf(other, fit);

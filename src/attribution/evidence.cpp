@@ -22,6 +22,8 @@ constexpr double kMostNoise = 0.8;        // of a direction's sum of squares
 constexpr double kWide = 5.0;          // natural sizes of what is strangely large
 constexpr double kWideFrom = 2.0;      // natural sizes from which that is looked at
 constexpr double kBias_m_s2 = 0.3;     // of an accelerometer
+constexpr int kFolds = 5;
+constexpr double kFoldBlock_s = 1.0;   // a manoeuvre spans more than one
 constexpr double kBlock_s = 1.0;       // of Lead: a manoeuvre spans more than one
 constexpr double kLeastShift_s = 2.0;  // of surrogates: beyond the noise's correlation
 
@@ -257,6 +259,27 @@ void Evidence::WhitenAll() {
   gram_.triangularView<Eigen::StrictlyUpper>() = gram_.transpose();
   noise_gram_.setZero(n + 1, n + 1);
   if (noisier_ != nullptr) FindNoiseGram();
+  // The same sums by folds of blocks of time.
+  fold_gram_.assign(kFolds, MatrixXd::Zero(n + 1, n + 1));
+  const auto rows = static_cast<Index>(rows_.size());
+  for (int c = 0; c < num_channels_; ++c) {
+    for (Index from = 0; from < rows;) {
+      Index to = from;
+      const int fold = FoldOf(from);
+      while (to < rows && FoldOf(to) == fold) ++to;
+      fold_gram_[fold].selfadjointView<Eigen::Lower>().rankUpdate(
+          white_.middleRows(c * rows + from, to - from).transpose());
+      from = to;
+    }
+  }
+  for (MatrixXd& gram : fold_gram_) {
+    gram.triangularView<Eigen::StrictlyUpper>() = gram.transpose();
+  }
+}
+
+int Evidence::FoldOf(Index row) const {
+  const double t_s = residual_->flight().sample(rows_[static_cast<size_t>(row)]).t_s;
+  return static_cast<int>(t_s / kFoldBlock_s) % kFolds;
 }
 
 void Evidence::FindNoiseGram() {
@@ -416,21 +439,22 @@ double Evidence::SignTerm(const std::vector<int>& columns, const VectorXd& coeff
   return sum;
 }
 
-EffectFit Evidence::SolveWith(const std::vector<int>& columns, const VariantSet& set) const {
+EffectFit Evidence::SolveWith(const MatrixXd& gram, const MatrixXd& noise_gram,
+                              const std::vector<int>& columns, const VariantSet& set) const {
   const int y_at = static_cast<int>(columns_.size());
   const auto n = static_cast<Index>(columns.size());
   // The residual without what the variants do beyond their linearization.
-  VectorXd u = VectorXd::Zero(gram_.rows());
+  VectorXd u = VectorXd::Zero(gram.rows());
   u[y_at] = 1.0;
   double log_prior = 0.0;
   for (const int v : set) {
     if (variants_[v].offset >= 0) u[variants_[v].offset] = -1.0;
     log_prior += variants_[v].log_prior;
   }
-  const VectorXd gram_u = gram_ * u - noise_gram_ * u;
+  const VectorXd gram_u = gram * u - noise_gram * u;
   const double yy = u.dot(gram_u);
-  const MatrixXd raw = Picked(gram_, columns, columns),
-                 of_noise = Picked(noise_gram_, columns, columns);
+  const MatrixXd raw = Picked(gram, columns, columns),
+                 of_noise = Picked(noise_gram, columns, columns);
   // Variance of X'y: the samples', and that of what one draw of noise says of the noise.
   const double more = NoiseShare();
   VectorXd mean(n), sigma(n), Xy(n);
@@ -497,7 +521,7 @@ double Evidence::NoiseShare() const {
 }
 
 EffectFit Evidence::Solve(const VariantSet& set) const {
-  return SolveWith(ColumnsOf(set), set);
+  return SolveWith(gram_, noise_gram_, ColumnsOf(set), set);
 }
 
 double Evidence::Gain(const VariantSet& set) const {
@@ -566,6 +590,27 @@ std::array<double, kNumChannels> Evidence::EnergyOf(int variant, const EffectFit
   const auto n = static_cast<Index>(rows_.size());
   for (int c = 0; c < num_channels_; ++c) energy[c] = 0.5 * does.segment(c * n, n).squaredNorm();
   return energy;
+}
+
+double Evidence::PredictiveGain(const VariantSet& set, const VariantSet& over) const {
+  const auto error = [&](const VariantSet& of, int fold) {
+    const double share = fold_gram_[fold].diagonal().tail<1>()[0] /
+                         std::max(1e-300, gram_.diagonal().tail<1>()[0]);
+    const EffectFit fit = SolveWith(gram_ - fold_gram_[fold], (1.0 - share) * noise_gram_,
+                                    ColumnsOf(of), of);
+    VectorXd u = VectorXd::Zero(gram_.rows());
+    u[gram_.rows() - 1] = 1.0;
+    for (const int v : of) {
+      if (variants_[v].offset >= 0) u[variants_[v].offset] = -1.0;
+    }
+    for (size_t k = 0; k < fit.columns.size(); ++k) {
+      u[fit.columns[k]] = -fit.coefficients[static_cast<Index>(k)];
+    }
+    return u.dot(fold_gram_[fold] * u) - share * u.dot(noise_gram_ * u);
+  };
+  double gain = 0.0;
+  for (int fold = 0; fold < kFolds; ++fold) gain += 0.5 * (error(over, fold) - error(set, fold));
+  return gain;
 }
 
 double Evidence::HeldOutGain(const VariantSet& set) const {

@@ -62,6 +62,10 @@ class Attribution {
   void Screen(Evidence* evidence) const;
   void Polish(Evidence* evidence) const;
   void Rank(const Evidence& evidence);
+  /// Predictive likelihood, written in two ways: with the coefficients integrated out, and of
+  /// blocks of time by the others. Where the model of the noise is right they agree; the smaller
+  /// counts.
+  double ScoreOf(const Evidence& evidence, const VariantSet& set, const VariantSet& without) const;
   /// What an effect must gain beside others whose form is known only so well, by channel.
   double ShadowOf(const std::array<double, kNumChannels>& energy,
                   const std::array<double, kNumChannels>& others) const;

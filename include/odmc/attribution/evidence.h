@@ -93,6 +93,9 @@ class Evidence {
   /// What a variant of a fitted set does, by channel, over the noise [nats].
   std::array<double, kNumChannels> EnergyOf(int variant, const EffectFit& fit) const;
 
+  /// By how much `set` predicts blocks of time better than `over`, each by the others [nats].
+  double PredictiveGain(const VariantSet& set, const VariantSet& over) const;
+
   /// Log-likelihood of the samples held out under `set`, its coefficients as the others say, beyond
   /// that of the declared model [nats].
   double HeldOutGain(const VariantSet& set) const;
@@ -159,7 +162,9 @@ class Evidence {
                            const Eigen::MatrixXd& weight) const;
   void WhitenAll();
   Noise FitNoise(const Eigen::VectorXd& e) const;
-  EffectFit SolveWith(const std::vector<int>& columns, const VariantSet& set) const;
+  EffectFit SolveWith(const Eigen::MatrixXd& gram, const Eigen::MatrixXd& noise_gram,
+                      const std::vector<int>& columns, const VariantSet& set) const;
+  int FoldOf(Eigen::Index row) const;
   std::vector<int> ColumnsOf(const VariantSet& set) const;
   Eigen::VectorXd ErrorsOf(const Eigen::MatrixXd& white, const VariantSet& set,
                            const EffectFit& posterior) const;
@@ -180,6 +185,7 @@ class Evidence {
   Eigen::MatrixXd weight_, held_out_weight_;  // of samples, by channel: wild ones count less
   Eigen::MatrixXd white_, held_out_white_;    // rows × columns, y last
   Eigen::MatrixXd gram_;        // as measured
+  std::vector<Eigen::MatrixXd> fold_gram_;  // of folds of blocks of time
   Eigen::MatrixXd noise_gram_;  // what noisy columns have added to it
   Eigen::VectorXd innovation_;  // whitened residual of everything, of unit variance
 };
