@@ -293,6 +293,14 @@ void Evidence::FindNoiseGram() {
       white.col(k) = Whitened(noise, rows_, weight_);
     }
   }
+  // One draw says the noise's share in a sum of squares no better than this.
+  noise_share_ = 0.0;
+  const auto rows = static_cast<Index>(rows_.size());
+  for (int c = 0; c < num_channels_; ++c) {
+    noise_share_ = std::max(noise_share_, white.col(n).segment(c * rows, rows).squaredNorm() /
+                                              static_cast<double>(rows));
+  }
+  noise_share_ = std::min(1.0, noise_share_);
   MatrixXd of_noise = MatrixXd::Zero(n + 1, n + 1);
   of_noise.selfadjointView<Eigen::Lower>().rankUpdate(white.transpose());
   of_noise.triangularView<Eigen::StrictlyUpper>() = of_noise.transpose();
@@ -357,7 +365,7 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
   }
   for (int round = 0;; ++round) {
     WhitenAll();
-    const double more = NoiseShare();
+    const double more = noise_share_;
     const auto scaled = [&](const MatrixXd& gram) {
       return MatrixXd(sigma.asDiagonal() * Picked(gram, in_use, in_use) * sigma.asDiagonal());
     };
@@ -456,7 +464,7 @@ EffectFit Evidence::SolveWith(const MatrixXd& gram, const MatrixXd& noise_gram,
   const MatrixXd raw = Picked(gram, columns, columns),
                  of_noise = Picked(noise_gram, columns, columns);
   // Variance of X'y: the samples', and that of what one draw of noise says of the noise.
-  const double more = NoiseShare();
+  const double more = noise_share_;
   VectorXd mean(n), sigma(n), Xy(n);
   for (Index k = 0; k < n; ++k) {
     const Column& column = columns_[columns[static_cast<size_t>(k)]];
@@ -513,11 +521,6 @@ EffectFit Evidence::SolveWith(const MatrixXd& gram, const MatrixXd& noise_gram,
     if (other.log_evidence > best.log_evidence) return other;
   }
   return best;
-}
-
-double Evidence::NoiseShare() const {
-  const Index y_at = gram_.rows() - 1;
-  return gram_(y_at, y_at) > 0.0 ? noise_gram_(y_at, y_at) / static_cast<double>(white_.rows()) : 0.0;
 }
 
 EffectFit Evidence::Solve(const VariantSet& set) const {
@@ -685,7 +688,7 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
       return MatrixXd(sigma.asDiagonal() * Picked(gram, test.columns, test.columns) *
                       sigma.asDiagonal());
     };
-    const double more = NoiseShare();
+    const double more = noise_share_;
     const MatrixXd M = scaled(gram_ + more * noise_gram_), C = scaled((1.0 + more) * noise_gram_);
     Effective normal(M, C, VectorXd::Zero(sigma.size()));
     normal.H.diagonal().array() += 1.0;

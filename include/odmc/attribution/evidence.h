@@ -156,8 +156,6 @@ class Evidence {
   void AddBase();
   void AddNuisances();
   void FindNoiseGram();
-  /// Share of the rotor speeds' noise in the noise of the residual, 0 to 1.
-  double NoiseShare() const;
   Eigen::VectorXd Whitened(const ResidualModel::Wrenches& column, const std::vector<int>& rows,
                            const Eigen::MatrixXd& weight) const;
   void WhitenAll();
@@ -185,6 +183,7 @@ class Evidence {
   Eigen::MatrixXd weight_, held_out_weight_;  // of samples, by channel: wild ones count less
   Eigen::MatrixXd white_, held_out_white_;    // rows × columns, y last
   Eigen::MatrixXd gram_;        // as measured
+  double noise_share_ = 0.0;    // of the rotor speeds in the residual's noise, 0 to 1
   std::vector<Eigen::MatrixXd> fold_gram_;  // of folds of blocks of time
   Eigen::MatrixXd noise_gram_;  // what noisy columns have added to it
   Eigen::VectorXd innovation_;  // whitened residual of everything, of unit variance
