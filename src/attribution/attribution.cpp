@@ -23,11 +23,11 @@ std::string Text(double value) {
 
 }  // namespace
 
-Attribution::Attribution(const ResidualModel* residual, const ResidualModel* noisier, Stage stage,
+Attribution::Attribution(const ResidualModel* residual, std::vector<const ResidualModel*> noisier, Stage stage,
                          std::vector<Candidate> candidates, const AttributionOptions& options,
                          std::function<bool()> give_up)
     : residual_(residual),
-      noisier_(noisier),
+      noisier_(std::move(noisier)),
       stage_(std::move(stage)),
       candidates_(std::move(candidates)),
       options_(options),

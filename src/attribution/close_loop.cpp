@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <memory>
 #include <optional>
 #include <stdexcept>
 
@@ -491,11 +492,20 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     return result;
   }
   const ResidualModel residual(&flight, &file_vehicle, with_torque);
-  const ThinnedFlight more_noise(
-      FilterFlight(WithMoreRotorNoise(log), file_vehicle.num_rotors(), NotLookedAt(replay)),
-      options.blocks);
-  const ResidualModel noisier(&more_noise, &file_vehicle, with_torque);
-  Attribution attribution(&residual, &noisier,
+  constexpr unsigned kDraws = 4;
+  std::vector<std::unique_ptr<ThinnedFlight>> noisy;
+  std::vector<std::unique_ptr<ResidualModel>> of_noisy;
+  std::vector<const ResidualModel*> noisier;
+  for (unsigned draw = 0; draw < kDraws; ++draw) {
+    noisy.push_back(std::make_unique<ThinnedFlight>(
+        FilterFlight(WithMoreRotorNoise(log, draw), file_vehicle.num_rotors(),
+                     NotLookedAt(replay)),
+        options.blocks));
+    of_noisy.push_back(
+        std::make_unique<ResidualModel>(noisy.back().get(), &file_vehicle, with_torque));
+    noisier.push_back(of_noisy.back().get());
+  }
+  Attribution attribution(&residual, noisier,
                           StageOf(declared, replay.last->values, residual),
                           CandidatesFor(vehicle, flight.motion()), options.attribution);
   attribution.Run();

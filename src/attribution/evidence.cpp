@@ -73,9 +73,10 @@ double LogDeterminant(const Eigen::LLT<MatrixXd>& llt) {
 
 }  // namespace
 
-Evidence::Evidence(const ResidualModel* residual, const ResidualModel* noisier, const Stage& stage)
+Evidence::Evidence(const ResidualModel* residual, std::vector<const ResidualModel*> noisier,
+                   const Stage& stage)
     : residual_(residual),
-      noisier_(noisier),
+      noisier_(std::move(noisier)),
       stage_(stage),
       num_channels_(residual->num_channels()) {
   rows_ = RowsOf(residual->flight(), false, kOrder);
@@ -87,7 +88,7 @@ void Evidence::AddBase() {
   const DynamicModel model(stage_.vehicle, stage_.vehicle.effects);
   const ModelValues values = ValuesOf(model, stage_.values);
   y_ = residual_->Residual(model, values);
-  if (noisier_ != nullptr) y_noise_ = noisier_->Residual(model, values) - y_;
+  for (const ResidualModel* draw : noisier_) y_noise_.push_back(draw->Residual(model, values) - y_);
   for (int c = 0; c < kNumChannels; ++c) {
     plain_sigma_[c] = std::sqrt(y_.col(c).squaredNorm() / std::max<double>(1.0, y_.rows()));
   }
@@ -98,8 +99,10 @@ void Evidence::AddBase() {
     Column column{p.full_name,      p.effect,    values[k],
                   p.spec.prior_value - values[k], p.spec.prior_sigma, p.spec.sign,
                   p.spec.initial_state,           residual_->Derivative(model, values, k),
-                  Wrenches()};
-    if (noisier_ != nullptr) column.noise = noisier_->Derivative(model, values, k) - column.d_wrench;
+                  {}};
+    for (const ResidualModel* draw : noisier_) {
+      column.noise.push_back(draw->Derivative(model, values, k) - column.d_wrench);
+    }
     if (column.d_wrench.squaredNorm() > 0.0) columns_.push_back(std::move(column));
   }
   AddNuisances();
@@ -151,7 +154,7 @@ Evidence::Seen Evidence::See(const Candidate& candidate, const std::map<std::str
       if (residual_->flight().sample(i).t_s >= from_s) break;
       for (Column& column : seen.columns) {
         column.d_wrench.row(i).setZero();
-        if (column.noise.rows() > 0) column.noise.row(i).setZero();
+        for (Wrenches& noise : column.noise) noise.row(i).setZero();
       }
       if (seen.offset) seen.offset->row(i).setZero();
     }
@@ -179,9 +182,11 @@ Evidence::Seen Evidence::SeeFully(const Candidate& candidate, const DynamicModel
     Column column{p.full_name,          p.effect,           0.0,
                   p.spec.prior_value,   p.spec.prior_sigma, p.spec.sign,
                   p.spec.initial_state, residual_->Derivative(model, values, k),
-                  Wrenches()};
-    const bool takes_noise = noisier_ != nullptr && what != kAtAGlance;
-    if (takes_noise) column.noise = noisier_->Derivative(model, values, k) - column.d_wrench;
+                  {}};
+    for (const ResidualModel* draw : noisier_) {
+      if (what == kAtAGlance) break;
+      column.noise.push_back(draw->Derivative(model, values, k) - column.d_wrench);
+    }
     offset -= values[k] * column.d_wrench;
     seen.columns.push_back(std::move(column));
   }
@@ -258,7 +263,7 @@ void Evidence::WhitenAll() {
   gram_.selfadjointView<Eigen::Lower>().rankUpdate(white_.transpose());
   gram_.triangularView<Eigen::StrictlyUpper>() = gram_.transpose();
   noise_gram_.setZero(n + 1, n + 1);
-  if (noisier_ != nullptr) FindNoiseGram();
+  if (!noisier_.empty()) FindNoiseGram();
   // The same sums by folds of blocks of time.
   fold_gram_.assign(kFolds, MatrixXd::Zero(n + 1, n + 1));
   const auto rows = static_cast<Index>(rows_.size());
@@ -283,27 +288,28 @@ int Evidence::FoldOf(Index row) const {
 }
 
 void Evidence::FindNoiseGram() {
-  const auto n = static_cast<Index>(columns_.size());
-  MatrixXd white(white_.rows(), n + 1);
-  for (Index k = 0; k <= n; ++k) {
-    const Wrenches& noise = k < n ? columns_[static_cast<size_t>(k)].noise : y_noise_;
-    if (noise.rows() == 0) {
-      white.col(k).setZero();
-    } else {
-      white.col(k) = Whitened(noise, rows_, weight_);
+  const auto n = static_cast<Index>(columns_.size()), rows = static_cast<Index>(rows_.size());
+  const auto draws = static_cast<double>(noisier_.size());
+  MatrixXd of_noise = MatrixXd::Zero(n + 1, n + 1), white(white_.rows(), n + 1);
+  std::array<double, kNumChannels> share{};
+  for (size_t draw = 0; draw < noisier_.size(); ++draw) {
+    for (Index k = 0; k <= n; ++k) {
+      const auto& noise = k < n ? columns_[static_cast<size_t>(k)].noise : y_noise_;
+      if (noise.empty()) {
+        white.col(k).setZero();
+      } else {
+        white.col(k) = Whitened(noise[draw], rows_, weight_);
+      }
+    }
+    of_noise.selfadjointView<Eigen::Lower>().rankUpdate(white.transpose(), 1.0 / draws);
+    for (int c = 0; c < num_channels_; ++c) {
+      share[c] += white.col(n).segment(c * rows, rows).squaredNorm() /
+                  (draws * static_cast<double>(rows));
     }
   }
-  // One draw says the noise's share in a sum of squares no better than this.
-  noise_share_ = 0.0;
-  const auto rows = static_cast<Index>(rows_.size());
-  for (int c = 0; c < num_channels_; ++c) {
-    noise_share_ = std::max(noise_share_, white.col(n).segment(c * rows, rows).squaredNorm() /
-                                              static_cast<double>(rows));
-  }
-  noise_share_ = std::min(1.0, noise_share_);
-  MatrixXd of_noise = MatrixXd::Zero(n + 1, n + 1);
-  of_noise.selfadjointView<Eigen::Lower>().rankUpdate(white.transpose());
   of_noise.triangularView<Eigen::StrictlyUpper>() = of_noise.transpose();
+  // So many draws say the noise's part of a sum no better than this.
+  noise_share_ = std::min(1.0, *std::max_element(share.begin(), share.end())) / draws;
   // What is left must stay a sum of squares: of a direction that is noise alone some is kept.
   MatrixXd with_prior = gram_;
   for (Index k = 0; k < n; ++k) {

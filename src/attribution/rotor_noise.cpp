@@ -27,10 +27,10 @@ RotorVector RotorNoise(const std::vector<RotorSample>& rotors) {
   return sigma;
 }
 
-FlightLog WithMoreRotorNoise(const FlightLog& log) {
+FlightLog WithMoreRotorNoise(const FlightLog& log, unsigned draw) {
   FlightLog noisier = log;
   const RotorVector sigma = RotorNoise(log.rotors);
-  std::mt19937 random(1);
+  std::mt19937 random(draw + 1);
   std::normal_distribution<double> normal;
   for (RotorSample& sample : noisier.rotors) {
     for (Eigen::Index j = 0; j < sample.speed.size(); ++j) {

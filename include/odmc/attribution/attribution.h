@@ -29,9 +29,9 @@ struct AttributionOptions {
 class Attribution {
  public:
   /// @param residual of the flight; outlives this
-  /// @param noisier see Evidence; may be null
+  /// @param noisier see Evidence; may be empty
   /// @param give_up asked now and then; once true, nothing is found
-  Attribution(const ResidualModel* residual, const ResidualModel* noisier, Stage stage, 
+  Attribution(const ResidualModel* residual, std::vector<const ResidualModel*> noisier, Stage stage,
               std::vector<Candidate> candidates, const AttributionOptions& options, std::function<bool()> give_up = {});
 
   /// Does all of it.
@@ -77,7 +77,8 @@ class Attribution {
   ResidualModel::Wrenches Refit(Stage* stage) const;
   bool GivesUp() const { return give_up_ && give_up_(); }
 
-  const ResidualModel *residual_, *noisier_;
+  const ResidualModel* residual_;
+  const std::vector<const ResidualModel*> noisier_;
   Stage stage_;
   const std::vector<Candidate> candidates_;
   const AttributionOptions options_;

@@ -56,10 +56,12 @@ class Evidence {
   static constexpr double kStrange = 0.05;
 
   /// @param residual of the flight; outlives this
-  /// @param noisier the same of the flight with the rotor speeds' noise added once more; what that
-  ///   changes in sums of squares is what the noise has made of them, and is taken off. May be null
+  /// @param noisier the same of the flight with the rotor speeds' noise added once more, several
+  ///   draws of it; what that changes in sums of squares, on average, is what the noise has made of
+  ///   them, and is taken off (Cook and Stefanski, JASA 1994). May be empty
   /// @param stage the declared model and the values about which it is linearized
-  Evidence(const ResidualModel* residual, const ResidualModel* noisier, const Stage& stage);
+  Evidence(const ResidualModel* residual, std::vector<const ResidualModel*> noisier,
+           const Stage& stage);
 
   /// Adds a way for an effect to act, linearized about `at` (full names; zero or, for what must not
   /// be zero, the catalogue's value where it has no entry). @returns its number, -1 if it does
@@ -128,7 +130,7 @@ class Evidence {
     PhysicalSign sign = PhysicalSign::kAny;
     bool initial_state = false;
     ResidualModel::Wrenches d_wrench;  ///< N×6
-    ResidualModel::Wrenches noise;     ///< N×6: what more noise changes; may be empty
+    std::vector<ResidualModel::Wrenches> noise;  ///< N×6: what each draw of noise changes
   };
   const Column& column(int k) const { return columns_[k]; }
 
@@ -169,10 +171,12 @@ class Evidence {
   double SignTerm(const std::vector<int>& columns, const Eigen::VectorXd& coefficients,
                   const Eigen::VectorXd& sigma) const;
 
-  const ResidualModel *residual_, *noisier_;
+  const ResidualModel* residual_;
+  const std::vector<const ResidualModel*> noisier_;
   Stage stage_;
   int num_channels_;
-  ResidualModel::Wrenches y_, y_noise_;
+  ResidualModel::Wrenches y_;
+  std::vector<ResidualModel::Wrenches> y_noise_;
   std::array<double, kNumChannels> plain_sigma_{};  // of y
   std::vector<Column> columns_;  // of the base, then of the variants; offsets among these
   int num_base_ = 0;

@@ -9,7 +9,8 @@ namespace odmc {
 /// do not count.
 RotorVector RotorNoise(const std::vector<RotorSample>& rotors);
 
-/// The flight with as much noise added to the rotor speeds as they have already; deterministic.
-FlightLog WithMoreRotorNoise(const FlightLog& log);
+/// The flight with as much noise added to the rotor speeds as they have already.
+/// @param draw which of many equal ones; the same each time
+FlightLog WithMoreRotorNoise(const FlightLog& log, unsigned draw);
 
 }  // namespace odmc
