@@ -291,7 +291,7 @@ void Evidence::FindNoiseGram() {
   const auto n = static_cast<Index>(columns_.size()), rows = static_cast<Index>(rows_.size());
   const auto draws = static_cast<double>(noisier_.size());
   MatrixXd of_noise = MatrixXd::Zero(n + 1, n + 1), white(white_.rows(), n + 1);
-  std::array<double, kNumChannels> share{};
+  std::array<double, kNumChannels> of_y{};
   for (size_t draw = 0; draw < noisier_.size(); ++draw) {
     for (Index k = 0; k <= n; ++k) {
       const auto& noise = k < n ? columns_[static_cast<size_t>(k)].noise : y_noise_;
@@ -303,13 +303,13 @@ void Evidence::FindNoiseGram() {
     }
     of_noise.selfadjointView<Eigen::Lower>().rankUpdate(white.transpose(), 1.0 / draws);
     for (int c = 0; c < num_channels_; ++c) {
-      share[c] += white.col(n).segment(c * rows, rows).squaredNorm() /
+      of_y[c] += white.col(n).segment(c * rows, rows).squaredNorm() /
                   (draws * static_cast<double>(rows));
     }
   }
   of_noise.triangularView<Eigen::StrictlyUpper>() = of_noise.transpose();
   // So many draws say the noise's part of a sum no better than this.
-  noise_share_ = std::min(1.0, *std::max_element(share.begin(), share.end())) / draws;
+  noise_share_ = std::min(1.0, *std::max_element(of_y.begin(), of_y.end())) / draws;
   // What is left must stay a sum of squares: of a direction that is noise alone some is kept.
   MatrixXd with_prior = gram_;
   for (Index k = 0; k < n; ++k) {
