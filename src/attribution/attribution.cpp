@@ -23,11 +23,11 @@ std::string Text(double value) {
 
 }  // namespace
 
-Attribution::Attribution(const ResidualModel* residual, std::vector<const ResidualModel*> noisier, Stage stage,
+Attribution::Attribution(const ResidualModel* residual, Stage stage,
                          std::vector<Candidate> candidates, const AttributionOptions& options,
                          std::function<bool()> give_up)
     : residual_(residual),
-      noisier_(std::move(noisier)),
+      instruments_(residual->flight(), residual->file_vehicle()),
       stage_(std::move(stage)),
       candidates_(std::move(candidates)),
       options_(options),
@@ -252,7 +252,7 @@ void Attribution::FindAlternatives(const Evidence& evidence, const VariantSet& s
 ResidualModel::Wrenches Attribution::Refit(Stage* stage) const {
   ResidualModel::Wrenches residual;
   for (int round = 0; round < kRefits; ++round) {
-    Evidence evidence(residual_, noisier_, *stage);
+    Evidence evidence(residual_, &instruments_, *stage);
     evidence.EstimateNoise();
     const EffectFit posterior = evidence.Solve({});
     residual = evidence.ResidualOf({}, posterior);
@@ -274,7 +274,7 @@ void Attribution::Run() {
   before_ = Refit(&stage_);
   after_ = before_;
   for (int round = 0; static_cast<int>(effects_.size()) < options_.most_effects; ++round) {
-    Evidence evidence(residual_, noisier_, stage_);
+    Evidence evidence(residual_, &instruments_, stage_);
     Screen(&evidence);
     Polish(&evidence);
     if (GivesUp() || evidence.variants().empty()) return;

@@ -492,20 +492,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     return result;
   }
   const ResidualModel residual(&flight, &file_vehicle, with_torque);
-  constexpr unsigned kDraws = 4;
-  std::vector<std::unique_ptr<ThinnedFlight>> noisy;
-  std::vector<std::unique_ptr<ResidualModel>> of_noisy;
-  std::vector<const ResidualModel*> noisier;
-  for (unsigned draw = 0; draw < kDraws; ++draw) {
-    noisy.push_back(std::make_unique<ThinnedFlight>(
-        FilterFlight(WithMoreRotorNoise(log, draw), file_vehicle.num_rotors(),
-                     NotLookedAt(replay)),
-        options.blocks));
-    of_noisy.push_back(
-        std::make_unique<ResidualModel>(noisy.back().get(), &file_vehicle, with_torque));
-    noisier.push_back(of_noisy.back().get());
-  }
-  Attribution attribution(&residual, noisier,
+  Attribution attribution(&residual,
                           StageOf(declared, replay.last->values, residual),
                           CandidatesFor(vehicle, flight.motion()), options.attribution);
   attribution.Run();

@@ -18,12 +18,10 @@ using Wrenches = ResidualModel::Wrenches;
 
 constexpr int kNoiseRounds = 3;
 constexpr double kWildSigmas = 5.0;    // innovations beyond count as this many
-constexpr double kMostNoise = 0.8;        // of a direction's sum of squares
 constexpr double kWide = 5.0;          // natural sizes of what is strangely large
 constexpr double kWideFrom = 2.0;      // natural sizes from which that is looked at
 constexpr double kBias_m_s2 = 0.3;     // of an accelerometer
-constexpr int kFolds = 5;
-constexpr double kFoldBlock_s = 1.0;   // a manoeuvre spans more than one
+constexpr int kFolds = Instruments::kFolds;
 constexpr double kBlock_s = 1.0;       // of Lead: a manoeuvre spans more than one
 constexpr double kLeastShift_s = 2.0;  // of surrogates: beyond the noise's correlation
 
@@ -31,11 +29,13 @@ constexpr double kLeastShift_s = 2.0;  // of surrogates: beyond the noise's corr
 double Phi(double z) { return 0.5 * std::erfc(-z / std::sqrt(2.0)); }
 
 /// Samples whose `order` predecessors follow each other and are, with it, in use or held out.
-std::vector<int> RowsOf(const ThinnedFlight& flight, bool held_out, int order) {
+std::vector<int> RowsOf(const ThinnedFlight& flight, const Instruments& instruments, bool held_out,
+                        int order) {
   std::vector<int> rows;
   int run = 0;
   for (int i = 0; i < flight.size(); ++i) {
-    run = flight.held_out(i) != held_out ? 0 : flight.next(i) ? run + 1 : 1;
+    const bool counts = flight.held_out(i) == held_out && instruments.Sees(i);
+    run = !counts ? 0 : flight.next(i) ? run + 1 : 1;
     if (run > order) rows.push_back(i);
   }
   return rows;
@@ -51,36 +51,20 @@ MatrixXd Picked(const MatrixXd& gram, const std::vector<int>& rows, const std::v
   return picked;
 }
 
-/// Normal equations H x = b, known to noise of covariance M, as those of a regression without noise
-/// in its columns: H M^-1 H x = H M^-1 b. H = M - C, worked out so that it is exact where C = 0.
-struct Effective {
-  MatrixXd H;
-  VectorXd b;
-
-  Effective(const MatrixXd& M, const MatrixXd& C, const VectorXd& of) : H(M), b(of) {
-    if (C.isZero(0.0)) return;
-    MatrixXd ridged = M;
-    ridged.diagonal().array() += 1e-6 + 1e-12 * M.diagonal().maxCoeff();
-    const Eigen::LLT<MatrixXd> llt(ridged);
-    H += C * llt.solve(C) - 2.0 * C;
-    b -= C * llt.solve(of);
-  }
-};
-
 double LogDeterminant(const Eigen::LLT<MatrixXd>& llt) {
   return 2.0 * MatrixXd(llt.matrixL()).diagonal().array().log().sum();
 }
 
 }  // namespace
 
-Evidence::Evidence(const ResidualModel* residual, std::vector<const ResidualModel*> noisier,
+Evidence::Evidence(const ResidualModel* residual, const Instruments* instruments,
                    const Stage& stage)
     : residual_(residual),
-      noisier_(std::move(noisier)),
+      instruments_(instruments),
       stage_(stage),
       num_channels_(residual->num_channels()) {
-  rows_ = RowsOf(residual->flight(), false, kOrder);
-  held_out_rows_ = RowsOf(residual->flight(), true, kOrder);
+  rows_ = RowsOf(residual->flight(), *instruments, false, kOrder);
+  held_out_rows_ = RowsOf(residual->flight(), *instruments, true, kOrder);
   AddBase();
 }
 
@@ -88,7 +72,6 @@ void Evidence::AddBase() {
   const DynamicModel model(stage_.vehicle, stage_.vehicle.effects);
   const ModelValues values = ValuesOf(model, stage_.values);
   y_ = residual_->Residual(model, values);
-  for (const ResidualModel* draw : noisier_) y_noise_.push_back(draw->Residual(model, values) - y_);
   for (int c = 0; c < kNumChannels; ++c) {
     plain_sigma_[c] = std::sqrt(y_.col(c).squaredNorm() / std::max<double>(1.0, y_.rows()));
   }
@@ -100,9 +83,7 @@ void Evidence::AddBase() {
                   p.spec.prior_value - values[k], p.spec.prior_sigma, p.spec.sign,
                   p.spec.initial_state,           residual_->Derivative(model, values, k),
                   {}};
-    for (const ResidualModel* draw : noisier_) {
-      column.noise.push_back(draw->Derivative(model, values, k) - column.d_wrench);
-    }
+    column.foreseen = instruments_->Foreseen(column.d_wrench);
     if (column.d_wrench.squaredNorm() > 0.0) columns_.push_back(std::move(column));
   }
   AddNuisances();
@@ -114,7 +95,7 @@ void Evidence::AddNuisances() {
     Column column;
     column.name = name;
     column.prior_sigma = sigma;
-    column.d_wrench = std::move(d_wrench);
+    column.foreseen = column.d_wrench = std::move(d_wrench);
     columns_.push_back(std::move(column));
   };
   if (residual_->from_accelerometer()) {
@@ -154,11 +135,11 @@ Evidence::Seen Evidence::See(const Candidate& candidate, const std::map<std::str
       if (residual_->flight().sample(i).t_s >= from_s) break;
       for (Column& column : seen.columns) {
         column.d_wrench.row(i).setZero();
-        for (Wrenches& noise : column.noise) noise.row(i).setZero();
       }
       if (seen.offset) seen.offset->row(i).setZero();
     }
   }
+  for (Column& column : seen.columns) column.foreseen = instruments_->Foreseen(column.d_wrench);
   if (what != kAll) {
     seen.columns.erase(std::remove_if(seen.columns.begin(), seen.columns.end(),
                                       [&](const Column& c) {
@@ -183,10 +164,6 @@ Evidence::Seen Evidence::SeeFully(const Candidate& candidate, const DynamicModel
                   p.spec.prior_value,   p.spec.prior_sigma, p.spec.sign,
                   p.spec.initial_state, residual_->Derivative(model, values, k),
                   {}};
-    for (const ResidualModel* draw : noisier_) {
-      if (what == kAtAGlance) break;
-      column.noise.push_back(draw->Derivative(model, values, k) - column.d_wrench);
-    }
     offset -= values[k] * column.d_wrench;
     seen.columns.push_back(std::move(column));
   }
@@ -209,6 +186,7 @@ int Evidence::Add(const Candidate& candidate, const std::map<std::string, double
     Column column;
     column.name = "offset";
     column.effect = candidate.effect;
+    column.foreseen = instruments_->Foreseen(*seen.offset);
     column.d_wrench = std::move(*seen.offset);
     columns_.push_back(std::move(column));
   }
@@ -231,6 +209,7 @@ void Evidence::Relinearize(int v, const std::map<std::string, double>& at) {
     columns_.back().name = "offset";
     columns_.back().effect = variant.candidate.effect;
   }
+  columns_[variant.offset].foreseen = instruments_->Foreseen(*seen.offset);
   columns_[variant.offset].d_wrench = std::move(*seen.offset);
 }
 
@@ -256,14 +235,12 @@ void Evidence::WhitenAll() {
   const auto n = static_cast<Index>(columns_.size());
   white_.resize(static_cast<Index>(rows_.size()) * num_channels_, n + 1);
   for (Index k = 0; k < n; ++k) {
-    white_.col(k) = Whitened(columns_[static_cast<size_t>(k)].d_wrench, rows_, weight_);
+    white_.col(k) = Whitened(columns_[static_cast<size_t>(k)].foreseen, rows_, weight_);
   }
   white_.col(n) = Whitened(y_, rows_, weight_);
   gram_.setZero(n + 1, n + 1);
   gram_.selfadjointView<Eigen::Lower>().rankUpdate(white_.transpose());
   gram_.triangularView<Eigen::StrictlyUpper>() = gram_.transpose();
-  noise_gram_.setZero(n + 1, n + 1);
-  if (!noisier_.empty()) FindNoiseGram();
   // The same sums by folds of blocks of time.
   fold_gram_.assign(kFolds, MatrixXd::Zero(n + 1, n + 1));
   const auto rows = static_cast<Index>(rows_.size());
@@ -284,46 +261,7 @@ void Evidence::WhitenAll() {
 
 int Evidence::FoldOf(Index row) const {
   const double t_s = residual_->flight().sample(rows_[static_cast<size_t>(row)]).t_s;
-  return static_cast<int>(t_s / kFoldBlock_s) % kFolds;
-}
-
-void Evidence::FindNoiseGram() {
-  const auto n = static_cast<Index>(columns_.size()), rows = static_cast<Index>(rows_.size());
-  const auto draws = static_cast<double>(noisier_.size());
-  MatrixXd of_noise = MatrixXd::Zero(n + 1, n + 1), white(white_.rows(), n + 1);
-  std::array<double, kNumChannels> of_y{};
-  for (size_t draw = 0; draw < noisier_.size(); ++draw) {
-    for (Index k = 0; k <= n; ++k) {
-      const auto& noise = k < n ? columns_[static_cast<size_t>(k)].noise : y_noise_;
-      if (noise.empty()) {
-        white.col(k).setZero();
-      } else {
-        white.col(k) = Whitened(noise[draw], rows_, weight_);
-      }
-    }
-    of_noise.selfadjointView<Eigen::Lower>().rankUpdate(white.transpose(), 1.0 / draws);
-    for (int c = 0; c < num_channels_; ++c) {
-      of_y[c] += white.col(n).segment(c * rows, rows).squaredNorm() /
-                  (draws * static_cast<double>(rows));
-    }
-  }
-  of_noise.triangularView<Eigen::StrictlyUpper>() = of_noise.transpose();
-  // So many draws say the noise's part of a sum no better than this.
-  noise_share_ = std::min(1.0, *std::max_element(of_y.begin(), of_y.end())) / draws;
-  // What is left must stay a sum of squares: of a direction that is noise alone some is kept.
-  MatrixXd with_prior = gram_;
-  for (Index k = 0; k < n; ++k) {
-    with_prior(k, k) += std::pow(columns_[static_cast<size_t>(k)].prior_sigma, -2);
-  }
-  const VectorXd scale = with_prior.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
-  const MatrixXd scaled = scale.asDiagonal() * with_prior * scale.asDiagonal();
-  const Eigen::LLT<MatrixXd> llt(scaled + 1e-9 * MatrixXd::Identity(n + 1, n + 1));
-  MatrixXd share = scale.asDiagonal() * of_noise * scale.asDiagonal();
-  share = llt.matrixL().solve(share);
-  share = llt.matrixL().solve(share.transpose()).eval();
-  const double most =
-      Eigen::SelfAdjointEigenSolver<MatrixXd>(0.5 * (share + share.transpose())).eigenvalues()[n];
-  noise_gram_ = std::min(1.0, kMostNoise / std::max(most, 1e-300)) * of_noise;
+  return Instruments::FoldAt(t_s);
 }
 
 Evidence::Noise Evidence::FitNoise(const VectorXd& e) const {
@@ -371,15 +309,11 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
   }
   for (int round = 0;; ++round) {
     WhitenAll();
-    const double more = noise_share_;
-    const auto scaled = [&](const MatrixXd& gram) {
-      return MatrixXd(sigma.asDiagonal() * Picked(gram, in_use, in_use) * sigma.asDiagonal());
-    };
-    Effective normal(scaled(gram_ + more * noise_gram_), scaled((1.0 + more) * noise_gram_),
-                     sigma.cwiseProduct(Picked(gram_ - noise_gram_, in_use, {y_at}).col(0)));
-    normal.H.diagonal().array() += 1.0;
-    const Eigen::LLT<MatrixXd> llt(normal.H);
-    const VectorXd x = sigma.cwiseProduct(llt.solve(normal.b + mean.cwiseQuotient(sigma)));
+    MatrixXd H = sigma.asDiagonal() * Picked(gram_, in_use, in_use) * sigma.asDiagonal();
+    H.diagonal().array() += 1.0;
+    const VectorXd b = sigma.cwiseProduct(Picked(gram_, in_use, {y_at}).col(0));
+    const Eigen::LLT<MatrixXd> llt(H);
+    const VectorXd x = sigma.cwiseProduct(llt.solve(b + mean.cwiseQuotient(sigma)));
     if (round == kNoiseRounds) {
       // Degrees of freedom that the fit has taken of each channel.
       innovation_ = white_.col(y_at);
@@ -404,7 +338,7 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
     }
     e = y_;
     for (Index k = 0; k < m; ++k) {
-      e -= x[k] * columns_[static_cast<size_t>(in_use[static_cast<size_t>(k)])].d_wrench;
+      e -= x[k] * columns_[static_cast<size_t>(in_use[static_cast<size_t>(k)])].foreseen;
     }
     for (int c = 0; c < num_channels_; ++c) {
       noise_[c] = FitNoise(e.col(c));
@@ -424,7 +358,7 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
   const auto all = static_cast<Index>(columns_.size());
   held_out_white_.resize(static_cast<Index>(held_out_rows_.size()) * num_channels_, all + 1);
   for (Index k = 0; k <= all; ++k) {
-    const Wrenches& column = k < all ? columns_[static_cast<size_t>(k)].d_wrench : y_;
+    const Wrenches& column = k < all ? columns_[static_cast<size_t>(k)].foreseen : y_;
     held_out_white_.col(k) = Whitened(column, held_out_rows_, held_out_weight_);
   }
 }
@@ -453,8 +387,8 @@ double Evidence::SignTerm(const std::vector<int>& columns, const VectorXd& coeff
   return sum;
 }
 
-EffectFit Evidence::SolveWith(const MatrixXd& gram, const MatrixXd& noise_gram,
-                              const std::vector<int>& columns, const VariantSet& set) const {
+EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& columns,
+                              const VariantSet& set) const {
   const int y_at = static_cast<int>(columns_.size());
   const auto n = static_cast<Index>(columns.size());
   // The residual without what the variants do beyond their linearization.
@@ -465,12 +399,9 @@ EffectFit Evidence::SolveWith(const MatrixXd& gram, const MatrixXd& noise_gram,
     if (variants_[v].offset >= 0) u[variants_[v].offset] = -1.0;
     log_prior += variants_[v].log_prior;
   }
-  const VectorXd gram_u = gram * u - noise_gram * u;
+  const VectorXd gram_u = gram * u;
   const double yy = u.dot(gram_u);
-  const MatrixXd raw = Picked(gram, columns, columns),
-                 of_noise = Picked(noise_gram, columns, columns);
-  // Variance of X'y: the samples', and that of what one draw of noise says of the noise.
-  const double more = noise_share_;
+  const MatrixXd XX = Picked(gram, columns, columns);
   VectorXd mean(n), sigma(n), Xy(n);
   for (Index k = 0; k < n; ++k) {
     const Column& column = columns_[columns[static_cast<size_t>(k)]];
@@ -482,15 +413,11 @@ EffectFit Evidence::SolveWith(const MatrixXd& gram, const MatrixXd& noise_gram,
   const auto solve = [&](const VectorXd& prior_sigma) {
     EffectFit p;
     p.columns = columns;
-    const auto scaled = [&](const MatrixXd& m) {
-      return MatrixXd(prior_sigma.asDiagonal() * m * prior_sigma.asDiagonal());
-    };
     const VectorXd centre = mean.cwiseQuotient(prior_sigma);
-    Effective normal(scaled(raw + more * of_noise), scaled((1.0 + more) * of_noise),
-                     prior_sigma.cwiseProduct(Xy));
-    normal.H.diagonal().array() += 1.0;
-    const Eigen::LLT<MatrixXd> llt(normal.H);
-    const VectorXd b = normal.b + centre;
+    MatrixXd H = prior_sigma.asDiagonal() * XX * prior_sigma.asDiagonal();
+    H.diagonal().array() += 1.0;
+    const Eigen::LLT<MatrixXd> llt(H);
+    const VectorXd b = prior_sigma.cwiseProduct(Xy) + centre;
     const VectorXd x = llt.solve(b);
     const MatrixXd covariance = llt.solve(MatrixXd::Identity(n, n));
     p.coefficients = prior_sigma.cwiseProduct(x);
@@ -530,7 +457,7 @@ EffectFit Evidence::SolveWith(const MatrixXd& gram, const MatrixXd& noise_gram,
 }
 
 EffectFit Evidence::Solve(const VariantSet& set) const {
-  return SolveWith(gram_, noise_gram_, ColumnsOf(set), set);
+  return SolveWith(gram_, ColumnsOf(set), set);
 }
 
 double Evidence::Gain(const VariantSet& set) const {
@@ -555,9 +482,9 @@ Evidence::Promise Evidence::PromiseOf(const Candidate& candidate,
     return 0.5 * g.dot(S.llt().solve(g));
   };
   MatrixXd X(white_.rows(), k);
-  for (Index i = 0; i < k; ++i) X.col(i) = Whitened(seen.columns[i].d_wrench, rows_, weight_);
+  for (Index i = 0; i < k; ++i) X.col(i) = Whitened(seen.columns[i].foreseen, rows_, weight_);
   VectorXd y = white_.col(white_.cols() - 1);
-  if (seen.offset) y -= Whitened(*seen.offset, rows_, weight_);
+  if (seen.offset) y -= Whitened(instruments_->Foreseen(*seen.offset), rows_, weight_);
   promise.serial = gain(white_.leftCols(num_base_), y, X);
   // As if the noise were white, as large as what the declared model leaves.
   const auto raw = [&](const Wrenches& column) {
@@ -570,8 +497,8 @@ Evidence::Promise Evidence::PromiseOf(const Candidate& candidate,
     return stacked;
   };
   MatrixXd B(white_.rows(), num_base_);
-  for (Index i = 0; i < num_base_; ++i) B.col(i) = raw(columns_[i].d_wrench);
-  for (Index i = 0; i < k; ++i) X.col(i) = raw(seen.columns[i].d_wrench);
+  for (Index i = 0; i < num_base_; ++i) B.col(i) = raw(columns_[i].foreseen);
+  for (Index i = 0; i < k; ++i) X.col(i) = raw(seen.columns[i].foreseen);
   promise.white = gain(B, raw(seen.offset ? Wrenches(y_ - *seen.offset) : y_), X);
   return promise;
 }
@@ -603,10 +530,7 @@ std::array<double, kNumChannels> Evidence::EnergyOf(int variant, const EffectFit
 
 double Evidence::PredictiveGain(const VariantSet& set, const VariantSet& over) const {
   const auto error = [&](const VariantSet& of, int fold) {
-    const double share = fold_gram_[fold].diagonal().tail<1>()[0] /
-                         std::max(1e-300, gram_.diagonal().tail<1>()[0]);
-    const EffectFit fit = SolveWith(gram_ - fold_gram_[fold], (1.0 - share) * noise_gram_,
-                                    ColumnsOf(of), of);
+    const EffectFit fit = SolveWith(gram_ - fold_gram_[fold], ColumnsOf(of), of);
     VectorXd u = VectorXd::Zero(gram_.rows());
     u[gram_.rows() - 1] = 1.0;
     for (const int v : of) {
@@ -615,7 +539,7 @@ double Evidence::PredictiveGain(const VariantSet& set, const VariantSet& over) c
     for (size_t k = 0; k < fit.columns.size(); ++k) {
       u[fit.columns[k]] = -fit.coefficients[static_cast<Index>(k)];
     }
-    return u.dot(fold_gram_[fold] * u) - share * u.dot(noise_gram_ * u);
+    return u.dot(fold_gram_[fold] * u);
   };
   double gain = 0.0;
   for (int fold = 0; fold < kFolds; ++fold) gain += 0.5 * (error(over, fold) - error(set, fold));
@@ -690,23 +614,13 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
     test.columns = base;
     test.columns.insert(test.columns.end(), own.begin(), own.end());
     const VectorXd sigma = sigmas(test.columns);
-    const auto scaled = [&](const MatrixXd& gram) {
-      return MatrixXd(sigma.asDiagonal() * Picked(gram, test.columns, test.columns) *
-                      sigma.asDiagonal());
-    };
-    const double more = noise_share_;
-    const MatrixXd M = scaled(gram_ + more * noise_gram_), C = scaled((1.0 + more) * noise_gram_);
-    Effective normal(M, C, VectorXd::Zero(sigma.size()));
-    normal.H.diagonal().array() += 1.0;
-    const MatrixXd inverse =
-        normal.H.llt().solve(MatrixXd::Identity(sigma.size(), sigma.size()));
-    const MatrixXd rows = inverse.bottomRows(k);
-    MatrixXd ridged = M;
-    ridged.diagonal().array() += 1e-6 + 1e-12 * M.diagonal().maxCoeff();
+    MatrixXd H = sigma.asDiagonal() * Picked(gram_, test.columns, test.columns) *
+                 sigma.asDiagonal();
+    H.diagonal().array() += 1.0;
+    const MatrixXd inverse = H.llt().solve(MatrixXd::Identity(sigma.size(), sigma.size()));
     const MatrixXd covariance = inverse.bottomRightCorner(k, k);
     const Eigen::LLT<MatrixXd> of_own(covariance);
-    test.estimate = (rows - ridged.llt().solve(C * rows.transpose()).transpose()) *
-                    sigma.asDiagonal();
+    test.estimate = inverse.bottomRows(k) * sigma.asDiagonal();
     test.information = of_own.solve(MatrixXd::Identity(k, k));
     test.own_sigma = sigma.tail(k);
     test.sigma = test.own_sigma.cwiseProduct(covariance.diagonal().cwiseSqrt());

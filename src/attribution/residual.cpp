@@ -44,7 +44,7 @@ void SmoothRotorRates(FlightMotion* flight) {
 
 ThinnedFlight::ThinnedFlight(FlightMotion flight, const BlockSplit& blocks)
     : flight_(std::move(flight)), blocks_(blocks) {
-  SmoothRotorRates(&flight_);
+  if (getenv("SMOOTHR")) SmoothRotorRates(&flight_);
   const int stride = flight_.step_s > 0.0
                          ? std::max(1, static_cast<int>(std::lround(kStep_s / flight_.step_s)))
                          : 1;

@@ -29,10 +29,9 @@ struct AttributionOptions {
 class Attribution {
  public:
   /// @param residual of the flight; outlives this
-  /// @param noisier see Evidence; may be empty
   /// @param give_up asked now and then; once true, nothing is found
-  Attribution(const ResidualModel* residual, std::vector<const ResidualModel*> noisier, Stage stage,
-              std::vector<Candidate> candidates, const AttributionOptions& options, std::function<bool()> give_up = {});
+  Attribution(const ResidualModel* residual, Stage stage, std::vector<Candidate> candidates,
+              const AttributionOptions& options, std::function<bool()> give_up = {});
 
   /// Does all of it.
   void Run();
@@ -78,7 +77,7 @@ class Attribution {
   bool GivesUp() const { return give_up_ && give_up_(); }
 
   const ResidualModel* residual_;
-  const std::vector<const ResidualModel*> noisier_;
+  const Instruments instruments_;
   Stage stage_;
   const std::vector<Candidate> candidates_;
   const AttributionOptions options_;

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "odmc/attribution/candidates.h"
+#include "odmc/attribution/instruments.h"
 #include "odmc/attribution/residual.h"
 #include "odmc/attribution/stage.h"
 
@@ -56,12 +57,9 @@ class Evidence {
   static constexpr double kStrange = 0.05;
 
   /// @param residual of the flight; outlives this
-  /// @param noisier the same of the flight with the rotor speeds' noise added once more, several
-  ///   draws of it; what that changes in sums of squares, on average, is what the noise has made of
-  ///   them, and is taken off (Cook and Stefanski, JASA 1994). May be empty
+  /// @param instruments of the same flight; outlive this
   /// @param stage the declared model and the values about which it is linearized
-  Evidence(const ResidualModel* residual, std::vector<const ResidualModel*> noisier,
-           const Stage& stage);
+  Evidence(const ResidualModel* residual, const Instruments* instruments, const Stage& stage);
 
   /// Adds a way for an effect to act, linearized about `at` (full names; zero or, for what must not
   /// be zero, the catalogue's value where it has no entry). @returns its number, -1 if it does
@@ -130,7 +128,7 @@ class Evidence {
     PhysicalSign sign = PhysicalSign::kAny;
     bool initial_state = false;
     ResidualModel::Wrenches d_wrench;  ///< N×6
-    std::vector<ResidualModel::Wrenches> noise;  ///< N×6: what each draw of noise changes
+    ResidualModel::Wrenches foreseen;  ///< N×6: what of it was known before
   };
   const Column& column(int k) const { return columns_[k]; }
 
@@ -157,13 +155,12 @@ class Evidence {
                 What what) const;
   void AddBase();
   void AddNuisances();
-  void FindNoiseGram();
   Eigen::VectorXd Whitened(const ResidualModel::Wrenches& column, const std::vector<int>& rows,
                            const Eigen::MatrixXd& weight) const;
   void WhitenAll();
   Noise FitNoise(const Eigen::VectorXd& e) const;
-  EffectFit SolveWith(const Eigen::MatrixXd& gram, const Eigen::MatrixXd& noise_gram,
-                      const std::vector<int>& columns, const VariantSet& set) const;
+  EffectFit SolveWith(const Eigen::MatrixXd& gram, const std::vector<int>& columns,
+                      const VariantSet& set) const;
   int FoldOf(Eigen::Index row) const;
   std::vector<int> ColumnsOf(const VariantSet& set) const;
   Eigen::VectorXd ErrorsOf(const Eigen::MatrixXd& white, const VariantSet& set,
@@ -172,11 +169,10 @@ class Evidence {
                   const Eigen::VectorXd& sigma) const;
 
   const ResidualModel* residual_;
-  const std::vector<const ResidualModel*> noisier_;
+  const Instruments* instruments_;
   Stage stage_;
   int num_channels_;
   ResidualModel::Wrenches y_;
-  std::vector<ResidualModel::Wrenches> y_noise_;
   std::array<double, kNumChannels> plain_sigma_{};  // of y
   std::vector<Column> columns_;  // of the base, then of the variants; offsets among these
   int num_base_ = 0;
@@ -186,10 +182,8 @@ class Evidence {
   std::array<Noise, kNumChannels> noise_;
   Eigen::MatrixXd weight_, held_out_weight_;  // of samples, by channel: wild ones count less
   Eigen::MatrixXd white_, held_out_white_;    // rows × columns, y last
-  Eigen::MatrixXd gram_;        // as measured
-  double noise_share_ = 0.0;    // of the rotor speeds in the residual's noise, 0 to 1
+  Eigen::MatrixXd gram_;
   std::vector<Eigen::MatrixXd> fold_gram_;  // of folds of blocks of time
-  Eigen::MatrixXd noise_gram_;  // what noisy columns have added to it
   Eigen::VectorXd innovation_;  // whitened residual of everything, of unit variance
 };
 
