@@ -96,12 +96,6 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
       for (const double below : {1.5, 3.0}) {
         candidates.push_back({name, {{"ground_effect.z_0", lowest - below * radius}}});
       }
-    } else if (name == "rotor_drag") {
-      // Its height shows only where there is some of it.
-      const DynamicModel model(With(vehicle, {name, {}}), With(vehicle, {name, {}}).effects);
-      const int k_d = model.IndexOf("rotor_drag.k_d");
-      candidates.push_back(
-          {name, {}, {{"rotor_drag.k_d", model.parameters()[k_d].spec.prior_sigma}}});
     } else if (name == "wind") {
       // Air speed enters some effects squared: wind has more than one valley.
       candidates.push_back({name, {}});

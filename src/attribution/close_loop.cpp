@@ -11,8 +11,6 @@
 #include "odmc/analysis/calibration.h"
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/gust_test.h"
-#include "odmc/attribution/instrumented_inertia.h"
-#include "odmc/attribution/rotor_noise.h"
 #include "odmc/attribution/structure.h"
 #include "odmc/model/plausibility.h"
 
@@ -493,7 +491,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   }
   const ResidualModel residual(&flight, &file_vehicle, with_torque);
   Attribution attribution(&residual,
-                          StageOf(declared, replay.last->values, residual),
+                          StageOf(declared, replay.last->values),
                           CandidatesFor(vehicle, flight.motion()), options.attribution);
   attribution.Run();
   result.ranking = attribution.ranking();
@@ -519,7 +517,6 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   if (getenv("ODMC_DEV")) {
     const GustTest& g = gusts.test;
     fprintf(stderr, "gust gain %.1f over %.1f sigma %.2f tc %.2f onesided %.2f peaked %.2f\n", g.gain, g.over_others, g.sigma_m_s, g.time_constant_s, g.one_sidedness, g.peakedness);
-    { const auto& v = attribution.stage().values; const auto I = InstrumentedInertia(flight, file_vehicle, v.at("thrust.k_f"), v.at("rotor_torque.k_m")); for (int k = 0; k < 3; ++k) if (I[k]) fprintf(stderr, " IV%c=%.4g+-%.2g", 'x' + k, I[k]->value_kg_m2, I[k]->sigma_kg_m2); fprintf(stderr, "\n"); }
     fprintf(stderr, "null 10%% %.1f 1%% %.1f; total %.1f held out %.1f structured %d %.2g\n", attribution.NullGain(0.1), attribution.NullGain(0.01), attribution.gain(), attribution.held_out_gain(), structured, result.whiteness_p);
     const auto aft = Structure(flight, attribution.residual_after(), residual.num_channels());
     for (size_t c = 0; c < aft.size(); ++c) fprintf(stderr, "  %s: nats %.1f share %.2f rms %.3g p %.2g -> nats %.1f share %.2f rms %.3g\n", aft[c].name.c_str(), result.structure[c].whiteness.nats, result.structure[c].whiteness.structured_share, result.structure[c].rmse, result.structure[c].whiteness.p, aft[c].whiteness.nats, aft[c].whiteness.structured_share, aft[c].rmse);

@@ -78,7 +78,9 @@ void Evidence::AddBase() {
   for (int k = 0; k < model.num_parameters(); ++k) {
     const ModelParameter& p = model.parameters()[k];
     stage_.values[p.full_name] = values[k];
-    if (!p.estimated) continue;
+    // Inertia that the file freezes may be wrong: whatever else moves with torque would make up for
+    // it.
+    if (!p.estimated && p.effect != "inertia") continue;
     Column column{p.full_name,      p.effect,    values[k],
                   p.spec.prior_value - values[k], p.spec.prior_sigma, p.spec.sign,
                   p.spec.initial_state,           residual_->Derivative(model, values, k),

@@ -4,47 +4,14 @@
 #include <cmath>
 #include <utility>
 
-#include "odmc/math/hann.h"
-
 namespace odmc {
 namespace {
 
 constexpr double kStart_s = 1.0;
-constexpr double kRotorRatesWindow_s = 0.75;
-
-/// Takes what is faster than 4 Hz out of the rotors' accelerations, by a Hann window within runs.
-/// Derivatives of measured speeds are mostly noise up there, and a noisy regressor makes its
-/// coefficient small and its case weak; what a coefficient is of the rest is the same.
-void SmoothRotorRates(FlightMotion* flight) {
-  std::vector<FilteredMotion>& samples = flight->samples;
-  std::vector<RotorState> smooth;
-  smooth.reserve(samples.size());
-  const auto n = static_cast<int>(samples.size());
-  for (int i = 0; i < n; ++i) {
-    const auto time = [&](int k) { return samples[k].t_s; };
-    const int reach =
-        HannReach(i, n, kRotorRatesWindow_s, time, [&](int k) { return samples[k].follows; });
-    RotorState sum = samples[i].rotors;
-    double weights = 1.0;
-    for (int k = i - reach; k <= i + reach; ++k) {
-      if (k == i) continue;
-      const double weight = Hann((time(k) - time(i)) / kRotorRatesWindow_s);
-      weights += weight;
-      sum.acceleration += weight * samples[k].rotors.acceleration;
-      sum.speed_squared_rate += weight * samples[k].rotors.speed_squared_rate;
-    }
-    sum.acceleration /= weights;
-    sum.speed_squared_rate /= weights;
-    smooth.push_back(sum);
-  }
-  for (int i = 0; i < n; ++i) samples[i].rotors = smooth[i];
-}
-
 }  // namespace
 
 ThinnedFlight::ThinnedFlight(FlightMotion flight, const BlockSplit& blocks)
     : flight_(std::move(flight)), blocks_(blocks) {
-  if (getenv("SMOOTHR")) SmoothRotorRates(&flight_);
   const int stride = flight_.step_s > 0.0
                          ? std::max(1, static_cast<int>(std::lround(kStep_s / flight_.step_s)))
                          : 1;

@@ -230,7 +230,7 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
   const int channels = residual.num_channels();
   ResidualLook found;
   found.model = estimate.model;
-  Attribution attribution(&residual, StageOf(model, estimate.values, residual),
+  Attribution attribution(&residual, StageOf(model, estimate.values),
                           CandidatesFor(model.vehicle(), flight.motion()), decision_, give_up);
   attribution.Run();
   const std::vector<ChannelStructure> before =

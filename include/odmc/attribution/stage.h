@@ -18,10 +18,8 @@ struct Stage {
 /// The vehicle with a candidate added, what it was tried with frozen.
 Vehicle With(const Vehicle& vehicle, const Candidate& candidate);
 
-/// A model as the online estimator found it. Moments of inertia start, and have their priors, where
-/// InstrumentedInertia() and the vehicle file together say: what rotor speeds and their noise say
-/// of them depends on what else acts.
-Stage StageOf(const DynamicModel& model, const ModelValues& values, const ResidualModel& residual);
+/// A model as the online estimator found it.
+Stage StageOf(const DynamicModel& model, const ModelValues& values);
 
 /// The model's initial values, but what is known.
 ModelValues ValuesOf(const DynamicModel& model, const std::map<std::string, double>& known);
