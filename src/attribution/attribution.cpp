@@ -12,6 +12,7 @@ namespace {
 constexpr size_t kFittedSettings = 2;  // by either measure, and their refinement
 constexpr int kPolishes = 3;           // linearizations of what is not linear
 constexpr int kRefits = 5;             // at most
+constexpr int kInertiaRefits = 2;
 constexpr double kLargeShare = 0.3;    // of the largest: added in the same round
 constexpr double kTail = 0.1;          // share of surrogates whose excess gives the tail
 
@@ -263,7 +264,13 @@ ResidualModel::Wrenches Attribution::Refit(Stage* stage) const {
                                   std::sqrt(posterior.covariance(at, at)));
     }
     if (getenv("ODMC_DEV2")) for (size_t k = 0; k < posterior.columns.size(); ++k) { const auto& c = evidence.column(posterior.columns[k]); fprintf(stderr, "   [%d] %s = %.4g + %.4g +- %.3g\n", round, c.name.c_str(), c.about, posterior.coefficients[k], std::sqrt(posterior.covariance(k,k))); }
-    stage->values = evidence.Values({}, posterior);
+    std::map<std::string, double> values = evidence.Values({}, posterior);
+    for (const auto& [name, value] : stage->values) {
+      // Where little is foreseen of torque, the unforeseen rest grows as inertia gets smaller, and
+      // the fit runs after it.
+      if (round >= kInertiaRefits && name.rfind("inertia.", 0) == 0) values[name] = value;
+    }
+    stage->values = std::move(values);
     constexpr double kSettled = 0.1;  // sigmas
     if (moved < kSettled) break;
   }

@@ -668,7 +668,14 @@ std::map<std::string, double> Evidence::Values(const VariantSet& set,
   for (size_t k = 0; k < posterior.columns.size(); ++k) {
     const Column& column = columns_[posterior.columns[k]];
     if (column.effect.empty()) continue;  // a bias
-    values[column.name] = column.about + posterior.coefficients[static_cast<Index>(k)];
+    const double change = posterior.coefficients[static_cast<Index>(k)];
+    values[column.name] = column.about + change;
+    // Motion is linear in the inverse of inertia.
+    constexpr double kMostRatio = 4.0;
+    if (column.effect == "inertia" && column.about > 0.0) {
+      values[column.name] =
+          column.about / std::clamp(1.0 - change / column.about, 1.0 / kMostRatio, kMostRatio);
+    }
   }
   for (const int v : set) {
     for (const auto& [name, value] : variants_[v].candidate.settings) values[name] = value;

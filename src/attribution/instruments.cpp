@@ -18,7 +18,7 @@ constexpr std::array<int, 3> kLags = {3, 5, 8};
 constexpr int kReach = 8;
 constexpr int kSignals = 17;
 constexpr double kRidge = 1e-3;  // of a signal's sum of squares
-constexpr double kLeastForeseen = 0.05;  // of a column's sum of squares
+constexpr double kLeastForeseen = 0.2;  // of a column's sum of squares
 constexpr double kFoldBlock_s = 1.0;  // a manoeuvre spans more than one
 
 Eigen::Matrix<double, kSignals, 1> SignalsOf(const FilteredMotion& s, const Vehicle& vehicle) {

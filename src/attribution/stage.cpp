@@ -16,7 +16,8 @@ Stage StageOf(const DynamicModel& model, const ModelValues& values) {
   Stage stage;
   stage.vehicle = model.vehicle();
   for (int i = 0; i < model.num_parameters(); ++i) {
-    stage.values[model.parameters()[i].full_name] = values[i];
+    const ModelParameter& p = model.parameters()[i];
+    stage.values[p.full_name] = p.effect == "inertia" ? p.spec.prior_value : values[i];
   }
   return stage;
 }

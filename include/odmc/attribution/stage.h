@@ -18,7 +18,8 @@ struct Stage {
 /// The vehicle with a candidate added, what it was tried with frozen.
 Vehicle With(const Vehicle& vehicle, const Candidate& candidate);
 
-/// A model as the online estimator found it.
+/// A model as the online estimator found it, inertia as the vehicle file has it: online it takes the
+/// noise of the rotor speeds, and what else acts, for its own.
 Stage StageOf(const DynamicModel& model, const ModelValues& values);
 
 /// The model's initial values, but what is known.
