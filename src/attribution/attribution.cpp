@@ -14,6 +14,8 @@ constexpr int kPolishes = 3;           // linearizations of what is not linear
 constexpr int kRefits = 5;             // at most
 constexpr int kInertiaRefits = 2;
 constexpr double kLargeShare = 0.3;    // of the largest: added in the same round
+constexpr double kEvenOdds = 4.6;      // nats: a hundred to one
+constexpr double kFormShare = 0.1;     // of what an effect explains: its form is known no better
 constexpr double kTail = 0.1;          // share of surrogates whose excess gives the tail
 
 std::string Text(double value) {
@@ -29,6 +31,7 @@ Attribution::Attribution(const ResidualModel* residual, Stage stage,
                          std::function<bool()> give_up)
     : residual_(residual),
       instruments_(residual->flight(), residual->file_vehicle()),
+      features_(residual->flight(), residual->file_vehicle(), instruments_),
       stage_(std::move(stage)),
       candidates_(std::move(candidates)),
       options_(options),
@@ -193,8 +196,26 @@ double Attribution::ShadowOf(const std::array<double, kNumChannels>& energy,
   return all > 0.0 ? options_.least_share * shadow / all : 0.0;
 }
 
-VariantSet Attribution::Confirmed(const Evidence& evidence, VariantSet set) const {
-  while (!set.empty()) {
+VariantSet Attribution::Completed(Evidence* evidence, const VariantSet& set, double* gain) const {
+  constexpr int kMostFeatures = 10;
+  VariantSet all = set;
+  *gain = 0.0;
+  for (int k = 0; k < kMostFeatures; ++k) {
+    const Evidence::FlexibleGain best = evidence->BestFlexible(all, features_);
+    if (best.nats < 0.0) break;
+    *gain += best.nats;
+    all.insert(evidence->AddFlexible(best, features_));
+    if (getenv("ODMC_DEV3")) fprintf(stderr, "   flexible %.1f %s\n", best.nats, evidence->variants().back().candidate.effect.c_str());
+  }
+  return all;
+}
+
+VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
+  Evidence evidence = with;
+  while (true) {
+    // What no effect explains, as far as a flexible function does.
+    const VariantSet all = Completed(&evidence, set, &flexible_gain_);
+    if (set.empty()) break;
     const EffectFit fit = evidence.Solve(set);
     std::optional<int> weakest;
     double least = 0.0;
@@ -202,16 +223,23 @@ VariantSet Attribution::Confirmed(const Evidence& evidence, VariantSet set) cons
       VariantSet without = set;
       without.erase(v);
       const double score = ScoreOf(evidence, set, without);
+      double instead = 0.0;
+      Completed(&evidence, without, &instead);
+      if (getenv("ODMC_DEV")) fprintf(stderr, "   %s %.1f flexible %.1f instead %.1f\n", evidence.variants()[v].candidate.effect.c_str(), score, flexible_gain_, instead);
       std::array<double, kNumChannels> others = explained_;
-      for (const int other : without) {
+      for (const int other : set) {
+        if (other == v) continue;
         const auto energy = evidence.EnergyOf(other, fit);
         for (int c = 0; c < kNumChannels; ++c) others[c] += energy[c];
       }
-      const bool holds = PValue(score) < options_.false_alarm_rate &&
+      const double gain =
+          evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence;
+      const double margin = (1.0 + kFormShare) * gain + flexible_gain_ - instead - kEvenOdds;
+      const bool holds = PValue(score) < options_.false_alarm_rate && margin > 0.0 &&
                          score > ShadowOf(evidence.EnergyOf(v, fit), others);
-      if (holds || (weakest && score >= least)) continue;
+      if (holds || (weakest && margin >= least)) continue;
       weakest = v;
-      least = score;
+      least = margin;
     }
     if (!weakest) break;
     set.erase(*weakest);

@@ -240,6 +240,11 @@ void Evidence::WhitenAll() {
     white_.col(k) = Whitened(columns_[static_cast<size_t>(k)].foreseen, rows_, weight_);
   }
   white_.col(n) = Whitened(y_, rows_, weight_);
+  SumUp();
+}
+
+void Evidence::SumUp() {
+  const Index n = white_.cols() - 1;
   gram_.setZero(n + 1, n + 1);
   gram_.selfadjointView<Eigen::Lower>().rankUpdate(white_.transpose());
   gram_.triangularView<Eigen::StrictlyUpper>() = gram_.transpose();
@@ -259,6 +264,73 @@ void Evidence::WhitenAll() {
   for (MatrixXd& gram : fold_gram_) {
     gram.triangularView<Eigen::StrictlyUpper>() = gram.transpose();
   }
+}
+
+VectorXd Evidence::WhitenedFeature(int c, const VectorXd& foreseen) const {
+  const double scale = plain_sigma_[c] / std::sqrt(noise_[c].variance);
+  VectorXd white(static_cast<Index>(rows_.size()));
+  for (Index k = 0; k < white.size(); ++k) {
+    const int i = rows_[static_cast<size_t>(k)];
+    double value = foreseen[i];
+    for (int lag = 0; lag < kOrder; ++lag) {
+      value -= noise_[c].coefficients[lag] * foreseen[i - 1 - lag];
+    }
+    white[k] = scale * weight_(k, c) * value;
+  }
+  return white;
+}
+
+Evidence::FlexibleGain Evidence::BestFlexible(const VariantSet& set,
+                                              const FlexibleFeatures& features) const {
+  const EffectFit fit = Solve(set);
+  const VectorXd e = ErrorsOf(white_, set, fit);
+  const auto n = static_cast<Index>(rows_.size());
+  const auto m = static_cast<Index>(fit.columns.size());
+  const auto tried = static_cast<double>(num_channels_) *
+                     static_cast<double>(features.foreseen.cols());
+  FlexibleGain best;
+  best.nats = -std::numeric_limits<double>::infinity();
+  for (int c = 0; c < num_channels_; ++c) {
+    MatrixXd own(n, m);
+    for (Index k = 0; k < m; ++k) {
+      own.col(k) = white_.col(fit.columns[static_cast<size_t>(k)]).segment(c * n, n);
+    }
+    MatrixXd phi(n, features.foreseen.cols());
+    for (Index f = 0; f < phi.cols(); ++f) {
+      phi.col(f) = WhitenedFeature(c, features.foreseen.col(f));
+    }
+    const MatrixXd cross = own.transpose() * phi;
+    const VectorXd g = phi.transpose() * e.segment(c * n, n);
+    const VectorXd taken = cross.cwiseProduct(fit.covariance * cross).colwise().sum();
+    for (Index f = 0; f < phi.cols(); ++f) {
+      // Its coefficient has a prior of the residual's size: one, in these units.
+      const double s = std::max(0.0, phi.col(f).squaredNorm() - taken[f]);
+      const double nats = 0.5 * (g[f] * g[f] / (1.0 + s) - std::log(1.0 + s)) -
+                          std::log(tried);
+      if (nats > best.nats) best = {c, static_cast<int>(f), nats};
+    }
+  }
+  return best;
+}
+
+int Evidence::AddFlexible(const FlexibleGain& gain, const FlexibleFeatures& features) {
+  const Index y_at = white_.cols() - 1, n = static_cast<Index>(rows_.size());
+  Variant variant;
+  variant.candidate.effect = features.names[static_cast<size_t>(gain.feature)] + " " +
+                             std::to_string(gain.channel);
+  variant.columns = {static_cast<int>(y_at)};
+  Column column;
+  column.name = variant.candidate.effect;
+  column.effect = variant.candidate.effect;
+  columns_.push_back(std::move(column));
+  variants_.push_back(std::move(variant));
+  white_.conservativeResize(Eigen::NoChange, y_at + 2);
+  white_.col(y_at + 1) = white_.col(y_at);
+  white_.col(y_at).setZero();
+  white_.col(y_at).segment(gain.channel * n, n) =
+      WhitenedFeature(gain.channel, features.foreseen.col(gain.feature));
+  SumUp();
+  return static_cast<int>(variants_.size()) - 1;
 }
 
 int Evidence::FoldOf(Index row) const {

@@ -91,12 +91,18 @@ Instruments::Instruments(const ThinnedFlight& flight, const Vehicle& file_vehicl
 ResidualModel::Wrenches Instruments::Foreseen(const ResidualModel::Wrenches& column) const {
   ResidualModel::Wrenches foreseen = ResidualModel::Wrenches::Zero(column.rows(), kNumChannels);
   for (int c = 0; c < kNumChannels; ++c) {
-    if (!column.col(c).isZero(0.0)) foreseen.col(c) = Foreseen(VectorXd(column.col(c)));
+    if (!column.col(c).isZero(0.0)) foreseen.col(c) = ForeseenColumn(column.col(c));
   }
   return foreseen;
 }
 
-VectorXd Instruments::Foreseen(const VectorXd& x) const {
+MatrixXd Instruments::Foreseen(const MatrixXd& columns) const {
+  MatrixXd foreseen(columns.rows(), columns.cols());
+  for (Index c = 0; c < columns.cols(); ++c) foreseen.col(c) = ForeseenColumn(columns.col(c));
+  return foreseen;
+}
+
+VectorXd Instruments::ForeseenColumn(const VectorXd& x) const {
   constexpr Index kOwn = static_cast<Index>(kLags.size());
   using Own = Eigen::Matrix<double, Eigen::Dynamic, kOwn + 1>;
   const auto m = static_cast<Index>(rows_.size());

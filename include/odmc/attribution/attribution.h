@@ -41,6 +41,7 @@ class Attribution {
   const std::vector<RankedEffect>& ranking() const { return ranking_; }
   /// The model with the effects, and the values of the joint fit.
   const Stage& stage() const { return stage_; }
+  double flexible_gain() const { return flexible_gain_; }
   double gain() const { return gain_; }  ///< of all effects together [nats]
   double held_out_gain() const { return held_out_gain_; }
   /// Residual that the fit of the declared model leaves, and that of the extended one (N×6).
@@ -68,7 +69,8 @@ class Attribution {
   /// What an effect must gain beside others whose form is known only so well, by channel.
   double ShadowOf(const std::array<double, kNumChannels>& energy,
                   const std::array<double, kNumChannels>& others) const;
-  VariantSet Confirmed(const Evidence& evidence, VariantSet set) const;
+  VariantSet Completed(Evidence* evidence, const VariantSet& set, double* gain) const;
+  VariantSet Confirmed(const Evidence& with, VariantSet set);
   RankedEffect Describe(const Evidence& evidence, int variant, const VariantSet& set) const;
   void FindAlternatives(const Evidence& evidence, const VariantSet& set, int variant,
                         RankedEffect* ranked) const;
@@ -78,6 +80,8 @@ class Attribution {
 
   const ResidualModel* residual_;
   const Instruments instruments_;
+  const FlexibleFeatures features_;
+  double flexible_gain_ = 0.0;
   Stage stage_;
   const std::vector<Candidate> candidates_;
   const AttributionOptions options_;

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "odmc/attribution/candidates.h"
+#include "odmc/attribution/flexible_features.h"
 #include "odmc/attribution/instruments.h"
 #include "odmc/attribution/residual.h"
 #include "odmc/attribution/stage.h"
@@ -60,6 +61,15 @@ class Evidence {
   /// @param instruments of the same flight; outlive this
   /// @param stage the declared model and the values about which it is linearized
   Evidence(const ResidualModel* residual, const Instruments* instruments, const Stage& stage);
+
+  /// The function of FlexibleFeatures that gains most beside a set, in one channel.
+  struct FlexibleGain {
+    int channel = 0, feature = 0;
+    double nats = 0.0;  ///< beyond what the best of so many gains by chance, once in a hundred
+  };
+  FlexibleGain BestFlexible(const VariantSet& set, const FlexibleFeatures& features) const;
+  /// Adds it as a variant of an effect without name. @returns its number
+  int AddFlexible(const FlexibleGain& gain, const FlexibleFeatures& features);
 
   /// Adds a way for an effect to act, linearized about `at` (full names; zero or, for what must not
   /// be zero, the catalogue's value where it has no entry). @returns its number, -1 if it does
@@ -157,6 +167,8 @@ class Evidence {
   void AddNuisances();
   Eigen::VectorXd Whitened(const ResidualModel::Wrenches& column, const std::vector<int>& rows,
                            const Eigen::MatrixXd& weight) const;
+  void SumUp();
+  Eigen::VectorXd WhitenedFeature(int channel, const Eigen::VectorXd& foreseen) const;
   void WhitenAll();
   Noise FitNoise(const Eigen::VectorXd& e) const;
   EffectFit SolveWith(const Eigen::MatrixXd& gram, const std::vector<int>& columns,

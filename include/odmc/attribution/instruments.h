@@ -30,12 +30,14 @@ class Instruments {
 
   /// The part that was foreseen (N×6); what has no past is zero.
   ResidualModel::Wrenches Foreseen(const ResidualModel::Wrenches& column) const;
+  /// The same of any columns (N×k).
+  Eigen::MatrixXd Foreseen(const Eigen::MatrixXd& columns) const;
 
   /// Fold of a sample.
   static int FoldAt(double t_s);
 
  private:
-  Eigen::VectorXd Foreseen(const Eigen::VectorXd& x) const;
+  Eigen::VectorXd ForeseenColumn(const Eigen::VectorXd& x) const;
 
   std::vector<bool> sees_;
   std::vector<int> rows_, fit_rows_;  // samples with a past; of them those not held out
