@@ -12,10 +12,10 @@ namespace {
 constexpr size_t kFittedSettings = 2;  // by either measure, and their refinement
 constexpr int kPolishes = 3;           // linearizations of what is not linear
 constexpr int kRefits = 5;             // at most
-constexpr int kInertiaRefits = 2;
+constexpr int kInertiaRefits = 1;
 constexpr double kLargeShare = 0.3;    // of the largest: added in the same round
 constexpr double kEvenOdds = 4.6;      // nats: a hundred to one
-constexpr double kFormShare = 0.1;     // of what an effect explains: its form is known no better
+constexpr size_t kMostFeatures = 10;   // that complete a set
 constexpr double kTail = 0.1;          // share of surrogates whose excess gives the tail
 
 std::string Text(double value) {
@@ -196,13 +196,13 @@ double Attribution::ShadowOf(const std::array<double, kNumChannels>& energy,
   return all > 0.0 ? options_.least_share * shadow / all : 0.0;
 }
 
-VariantSet Attribution::Completed(Evidence* evidence, const VariantSet& set, double* gain) const {
-  constexpr int kMostFeatures = 10;
+VariantSet Attribution::Completed(Evidence* evidence, const VariantSet& set, size_t most,
+                                  double* gain) const {
   VariantSet all = set;
   *gain = 0.0;
-  for (int k = 0; k < kMostFeatures; ++k) {
+  for (size_t k = 0; k < most; ++k) {
     const Evidence::FlexibleGain best = evidence->BestFlexible(all, features_);
-    if (best.nats < 0.0) break;
+    if (best.nats < kEvenOdds) break;
     *gain += best.nats;
     all.insert(evidence->AddFlexible(best, features_));
     if (getenv("ODMC_DEV3")) fprintf(stderr, "   flexible %.1f %s\n", best.nats, evidence->variants().back().candidate.effect.c_str());
@@ -214,7 +214,7 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
   Evidence evidence = with;
   while (true) {
     // What no effect explains, as far as a flexible function does.
-    const VariantSet all = Completed(&evidence, set, &flexible_gain_);
+    const VariantSet all = Completed(&evidence, set, kMostFeatures, &flexible_gain_);
     if (set.empty()) break;
     const EffectFit fit = evidence.Solve(set);
     std::optional<int> weakest;
@@ -224,7 +224,8 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
       without.erase(v);
       const double score = ScoreOf(evidence, set, without);
       double instead = 0.0;
-      Completed(&evidence, without, &instead);
+      Completed(&evidence, without,
+                all.size() - set.size() + evidence.variants()[v].columns.size(), &instead);
       if (getenv("ODMC_DEV")) fprintf(stderr, "   %s %.1f flexible %.1f instead %.1f\n", evidence.variants()[v].candidate.effect.c_str(), score, flexible_gain_, instead);
       std::array<double, kNumChannels> others = explained_;
       for (const int other : set) {
@@ -234,7 +235,7 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
       }
       const double gain =
           evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence;
-      const double margin = (1.0 + kFormShare) * gain + flexible_gain_ - instead - kEvenOdds;
+      const double margin = (1.0 + options_.least_share) * gain + flexible_gain_ - instead - kEvenOdds;
       const bool holds = PValue(score) < options_.false_alarm_rate && margin > 0.0 &&
                          score > ShadowOf(evidence.EnergyOf(v, fit), others);
       if (holds || (weakest && margin >= least)) continue;

@@ -69,7 +69,8 @@ class Attribution {
   /// What an effect must gain beside others whose form is known only so well, by channel.
   double ShadowOf(const std::array<double, kNumChannels>& energy,
                   const std::array<double, kNumChannels>& others) const;
-  VariantSet Completed(Evidence* evidence, const VariantSet& set, double* gain) const;
+  VariantSet Completed(Evidence* evidence, const VariantSet& set, size_t most,
+                       double* gain) const;
   VariantSet Confirmed(const Evidence& with, VariantSet set);
   RankedEffect Describe(const Evidence& evidence, int variant, const VariantSet& set) const;
   void FindAlternatives(const Evidence& evidence, const VariantSet& set, int variant,
