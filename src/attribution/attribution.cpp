@@ -12,9 +12,9 @@ namespace {
 constexpr size_t kFittedSettings = 2;  // by either measure, and their refinement
 constexpr int kPolishes = 3;           // linearizations of what is not linear
 constexpr int kRefits = 5;             // at most
-constexpr int kInertiaRefits = 1;
+constexpr int kInertiaRefits = 2;
 constexpr double kLargeShare = 0.3;    // of the largest: added in the same round
-constexpr double kEvenOdds = 4.6;      // nats: a hundred to one
+constexpr double kClearOdds = 4.6;     // nats: a hundred to one
 constexpr size_t kMostFeatures = 10;   // that complete a set
 constexpr double kTail = 0.1;          // share of surrogates whose excess gives the tail
 
@@ -202,10 +202,9 @@ VariantSet Attribution::Completed(Evidence* evidence, const VariantSet& set, siz
   *gain = 0.0;
   for (size_t k = 0; k < most; ++k) {
     const Evidence::FlexibleGain best = evidence->BestFlexible(all, features_);
-    if (best.nats < kEvenOdds) break;
+    if (best.nats < kClearOdds) break;
     *gain += best.nats;
     all.insert(evidence->AddFlexible(best, features_));
-    if (getenv("ODMC_DEV3")) fprintf(stderr, "   flexible %.1f %s\n", best.nats, evidence->variants().back().candidate.effect.c_str());
   }
   return all;
 }
@@ -226,7 +225,6 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
       double instead = 0.0;
       Completed(&evidence, without,
                 all.size() - set.size() + evidence.variants()[v].columns.size(), &instead);
-      if (getenv("ODMC_DEV")) fprintf(stderr, "   %s %.1f flexible %.1f instead %.1f\n", evidence.variants()[v].candidate.effect.c_str(), score, flexible_gain_, instead);
       std::array<double, kNumChannels> others = explained_;
       for (const int other : set) {
         if (other == v) continue;
@@ -235,7 +233,7 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
       }
       const double gain =
           evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence;
-      const double margin = (1.0 + options_.least_share) * gain + flexible_gain_ - instead - kEvenOdds;
+      const double margin = (1.0 + options_.least_share) * gain + flexible_gain_ - instead - kClearOdds;
       const bool holds = PValue(score) < options_.false_alarm_rate && margin > 0.0 &&
                          score > ShadowOf(evidence.EnergyOf(v, fit), others);
       if (holds || (weakest && margin >= least)) continue;
@@ -292,7 +290,6 @@ ResidualModel::Wrenches Attribution::Refit(Stage* stage) const {
       moved = std::max(moved, std::abs(posterior.coefficients[at]) /
                                   std::sqrt(posterior.covariance(at, at)));
     }
-    if (getenv("ODMC_DEV2")) for (size_t k = 0; k < posterior.columns.size(); ++k) { const auto& c = evidence.column(posterior.columns[k]); fprintf(stderr, "   [%d] %s = %.4g + %.4g +- %.3g\n", round, c.name.c_str(), c.about, posterior.coefficients[k], std::sqrt(posterior.covariance(k,k))); }
     std::map<std::string, double> values = evidence.Values({}, posterior);
     for (const auto& [name, value] : stage->values) {
       // Where little is foreseen of torque, the unforeseen rest grows as inertia gets smaller, and

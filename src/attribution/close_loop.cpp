@@ -292,7 +292,7 @@ Gusts RankGusts(const ResidualModel& residual, const Stage& stage,
 /// True if a slow disturbance of the force is the wind's doing rather than any other's.
 bool IsGusty(const Gusts& gusts, const AttributionOptions& options) {
   return gusts.test.gain > -std::log(options.false_alarm_rate) + kGustCoefficients &&
-         gusts.test.over_others > 0.0;
+         gusts.test.over_others > -std::log(options.false_alarm_rate);
 }
 
 /// Gusts are wind that comes and goes: not beside itself.
@@ -304,14 +304,20 @@ bool CanBlow(const Vehicle& vehicle, const std::vector<RankedEffect>& effects) {
 }
 
 /// Share of the structure of a residual, in nats by which a flexible spectrum explains it beyond
-/// noise, that is still there after effects were added. 0 where there was none.
-double Unexplained(const std::vector<ChannelStructure>& before,
-                   const std::vector<ChannelStructure>& after, const AttributionOptions& options) {
+/// noise, that is still there after effects were added, of the channels in which they act. 0 where
+/// there was none.
+double Unexplained(const ResidualModel::Wrenches& before, const ResidualModel::Wrenches& after,
+                   const std::vector<ChannelStructure>& of_before,
+                   const std::vector<ChannelStructure>& of_after,
+                   const AttributionOptions& options) {
   double was = 0.0, is = 0.0;
-  for (size_t c = 0; c < before.size(); ++c) {
-    if (!IsStructured(before[c], options)) continue;
-    was += before[c].whiteness.nats;
-    is += after[c].whiteness.nats;
+  for (size_t c = 0; c < of_before.size(); ++c) {
+    const auto k = static_cast<Eigen::Index>(c);
+    const double acts = (after.col(k) - before.col(k)).squaredNorm();
+    if (acts < options.least_structured * before.col(k).squaredNorm()) continue;
+    if (!IsStructured(of_before[c], options)) continue;
+    was += of_before[c].whiteness.nats;
+    is += of_after[c].whiteness.nats;
   }
   return was > 0.0 ? is / was : 0.0;
 }
@@ -514,21 +520,12 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   const Gusts gusts =
       RankGusts(residual, attribution.stage(), attribution.residual_after(), before.parameters);
   result.ranking.push_back(gusts.ranked);
-  if (getenv("ODMC_DEV")) {
-    const GustTest& g = gusts.test;
-    fprintf(stderr, "gust gain %.1f over %.1f sigma %.2f tc %.2f onesided %.2f peaked %.2f\n", g.gain, g.over_others, g.sigma_m_s, g.time_constant_s, g.one_sidedness, g.peakedness);
-    fprintf(stderr, "null 10%% %.1f 1%% %.1f; total %.1f held out %.1f structured %d %.2g\n", attribution.NullGain(0.1), attribution.NullGain(0.01), attribution.gain(), attribution.held_out_gain(), structured, result.whiteness_p);
-    const auto aft = Structure(flight, attribution.residual_after(), residual.num_channels());
-    for (size_t c = 0; c < aft.size(); ++c) fprintf(stderr, "  %s: nats %.1f share %.2f rms %.3g p %.2g -> nats %.1f share %.2f rms %.3g\n", aft[c].name.c_str(), result.structure[c].whiteness.nats, result.structure[c].whiteness.structured_share, result.structure[c].rmse, result.structure[c].whiteness.p, aft[c].whiteness.nats, aft[c].whiteness.structured_share, aft[c].rmse);
-    for (const auto& [n, v] : attribution.stage().values) if (n.rfind("inertia.", 0) == 0) { const auto& ps = attribution.stage().vehicle.parameters; const auto it = ps.find(n); fprintf(stderr, " %s=%.4g nominal %.4g%s", n.c_str(), v, file_vehicle.inertia_kg_m2[n.back() - '1' < 3 && n.back() >= '1' ? n.back() - '1' : n.back() == 'x' ? 0 : n.back() == 'y' ? 1 : 2], it != ps.end() && !it->second.estimated ? " held" : ""); }
-    fprintf(stderr, "\n");
-    for (const auto& e : effects) { fprintf(stderr, "  EFFECT %s %.1f p %.2g P %.2f :", e.name.c_str(), e.score, e.p_value, e.probability); for (auto& p : e.parameters) fprintf(stderr, " %s=%.3g+-%.2g", p.full_name.c_str(), p.value, p.sigma); for (auto& a : e.alternatives) fprintf(stderr, " | %s", a.c_str()); for (auto& a : e.remarks) fprintf(stderr, " ! %s", a.c_str()); fprintf(stderr, "\n"); }
-    for (size_t i = 0; i < 4 && i < result.ranking.size(); ++i) fprintf(stderr, "  rank %s %.1f\n", result.ranking[i].name.c_str(), result.ranking[i].score);
-  }
 
-  const bool is_gusty = IsGusty(gusts, options.attribution) && CanBlow(vehicle, effects);
+  bool is_gusty = IsGusty(gusts, options.attribution) && CanBlow(vehicle, effects);
   if (!effects.empty() &&
-      Unexplained(result.structure, left, options.attribution) > options.attribution.least_explained) {
+      Unexplained(attribution.residual_before(), attribution.residual_after(), result.structure,
+                  left, options.attribution) > options.attribution.least_explained) {
+    is_gusty = false;  // it was looked for beside them
     // A flexible disturbance explains it better than they do.
     for (const RankedEffect& effect : effects) {
       result.warnings.push_back(effect.name + " gains " + Text(effect.score) +

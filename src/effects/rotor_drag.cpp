@@ -7,7 +7,8 @@ namespace {
 
 /// Induced and flapping drag of each rotor, in its plane: f_j = -k_d Ω_j Π u_j at hub j. Where on
 /// the rotor it acts differs from vehicle to vehicle: the couple -k_c Σ Ω_j e3 × Π u_j lifts it to
-/// a height k_c / k_d above the hubs.                                    model.md 12.1
+/// a height k_c / k_d above the hubs, and k_r Σ Ω_j ω_z e3 takes part of its yaw damping away.
+///                                                                       model.md 12.1
 class RotorDrag final : public Effect {
  public:
   explicit RotorDrag(const Vehicle& vehicle)
@@ -19,7 +20,7 @@ class RotorDrag final : public Effect {
                 "one with linear drag while the rotors' speed hardly changes; its couple is a hub "
                 "moment"},
                {HubDampingSpec("k_d", "in-plane drag per rotor speed and air speed", vehicle),
-                CoupleSpec(vehicle)}) {}
+                CoupleSpec(vehicle), DampingSpec(vehicle)}) {}
 
  private:
   /// Prior: a fifth of an arm above or below the hubs.
@@ -27,6 +28,14 @@ class RotorDrag final : public Effect {
     const double natural = 0.2 * vehicle.ArmLength() * HubDampingSpec("", "", vehicle).prior_sigma;
     return {"k_c", "N s^2", "k_d times the height above the hubs it acts at", 0.0, 10.0 * natural,
             natural};
+  }
+
+  /// Prior: as much as hubs an arm away from the centre have.
+  static ParameterSpec DampingSpec(const Vehicle& vehicle) {
+    const double arm = vehicle.ArmLength();
+    const double natural = arm * arm * HubDampingSpec("", "", vehicle).prior_sigma;
+    return {"k_r", "N m s^2", "yaw damping per rotor speed that the hubs' distance does not have",
+            0.0, 10.0 * natural, natural};
   }
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
@@ -43,8 +52,13 @@ class RotorDrag final : public Effect {
       J->AddCouple(kColumnAirVelocity, d_air);
       J->AddCouple(kColumnAngularRate, TimesHat(d_air, -rotor.p_BP));
     }
-    wrench->AddCouple(values[1] * couple);
-    if (J != nullptr) J->AddCoupleParameter(1, couple);
+    const double speed = state.rotors.speed.sum();
+    const Eigen::Vector3d yaw = speed * state.w_WB_B.z() * e3;
+    wrench->AddCouple(values[1] * couple + values[2] * yaw);
+    if (J == nullptr) return;
+    J->AddCouple(kColumnAngularRate, values[2] * speed * e3 * e3.transpose());
+    J->AddCoupleParameter(1, couple);
+    J->AddCoupleParameter(2, yaw);
   }
 };
 

@@ -65,7 +65,7 @@ class Evidence {
   /// The function of FlexibleFeatures that gains most beside a set, in one channel.
   struct FlexibleGain {
     int channel = 0, feature = 0;
-    double nats = 0.0;  ///< beyond what the best of so many gains by chance, once in a hundred
+    double nats = 0.0;  ///< less the price of the choice among so many
   };
   FlexibleGain BestFlexible(const VariantSet& set, const FlexibleFeatures& features) const;
   /// Adds it as a variant of an effect without name. @returns its number
