@@ -4,6 +4,7 @@
 #include <cmath>
 #include <map>
 #include <numeric>
+#include <set>
 #include <utility>
 
 namespace odmc {
@@ -210,6 +211,12 @@ VariantSet Attribution::Completed(Evidence* evidence, const VariantSet& set, siz
 }
 
 VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
+  // Where the model of the noise is right, a likelihood ratio exceeds 1/p by chance with probability
+  // p at most (Markov's inequality): over all candidates.
+  std::set<std::string> names;
+  for (const Candidate& candidate : candidates_) names.insert(candidate.effect);
+  const double least_score =
+      std::log(static_cast<double>(names.size()) / options_.false_alarm_rate);
   Evidence evidence = with;
   while (true) {
     // What no effect explains, as far as a flexible function does.
@@ -223,8 +230,11 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
       without.erase(v);
       const double score = ScoreOf(evidence, set, without);
       double instead = 0.0;
-      Completed(&evidence, without,
-                all.size() - set.size() + evidence.variants()[v].columns.size(), &instead);
+      size_t coefficients = 0;
+      for (const int k : evidence.variants()[v].columns) {
+        coefficients += evidence.column(k).initial_state ? 0 : 1;
+      }
+      Completed(&evidence, without, all.size() - set.size() + coefficients, &instead);
       std::array<double, kNumChannels> others = explained_;
       for (const int other : set) {
         if (other == v) continue;
@@ -233,8 +243,9 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
       }
       const double gain =
           evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence;
-      const double margin = (1.0 + options_.least_share) * gain + flexible_gain_ - instead - kClearOdds;
-      const bool holds = PValue(score) < options_.false_alarm_rate && margin > 0.0 &&
+      const double margin = (1.0 + options_.form_share) * gain + flexible_gain_ - instead - kClearOdds;
+      const bool holds = score > least_score && PValue(score) < options_.false_alarm_rate &&
+                         margin > 0.0 &&
                          score > ShadowOf(evidence.EnergyOf(v, fit), others);
       if (holds || (weakest && margin >= least)) continue;
       weakest = v;
@@ -244,6 +255,24 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
     set.erase(*weakest);
   }
   return set;
+}
+
+std::vector<int> Attribution::BestAlone(const Evidence& evidence) const {
+  constexpr size_t kTried = 3;
+  std::map<std::string, std::pair<double, int>> best;
+  for (int v = 0; v < static_cast<int>(evidence.variants().size()); ++v) {
+    const double gain = evidence.Gain({v});
+    const auto it = best.emplace(evidence.variants()[v].candidate.effect, std::pair(gain, v)).first;
+    if (gain > it->second.first) it->second = {gain, v};
+  }
+  std::vector<std::pair<double, int>> order;
+  for (const auto& entry : best) order.emplace_back(-entry.second.first, entry.second.second);
+  std::sort(order.begin(), order.end());
+  std::vector<int> variants;
+  for (size_t k = 0; k < std::min(kTried, order.size()); ++k) {
+    if (PValue(-order[k].first) < options_.false_alarm_rate) variants.push_back(order[k].second);
+  }
+  return variants;
 }
 
 void Attribution::FindAlternatives(const Evidence& evidence, const VariantSet& set, int variant,
@@ -317,6 +346,11 @@ void Attribution::Run() {
         SearchEffects(evidence, options_.log_prior_odds,
                       options_.most_effects - static_cast<int>(effects_.size()), give_up_);
     VariantSet set = Confirmed(evidence, found.best.variants);
+    // Members of a set may hide each other's case: then one alone.
+    for (const int v : BestAlone(evidence)) {
+      if (!set.empty()) break;
+      set = Confirmed(evidence, {v});
+    }
     if (set.empty()) return;
     // What is small beside the largest may be its shadow: that is looked at again once the model is
     // linearized about the largest.

