@@ -19,13 +19,28 @@ constexpr double kClearOdds = 4.6;     // nats: a hundred to one
 constexpr size_t kMostFeatures = 10;   // that complete a set
 constexpr double kTail = 0.1;          // share of surrogates whose excess gives the tail
 
-std::string Text(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.3g", value);
-  return text;
+}  // namespace
+
+bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options) {
+  return channel.whiteness.p < options.whiteness_p &&
+         channel.whiteness.structured_share > options.least_structured;
 }
 
-}  // namespace
+double UnexplainedStructure(const ResidualModel::Wrenches& before, const ResidualModel::Wrenches& after,
+                            const std::vector<ChannelStructure>& of_before,
+                            const std::vector<ChannelStructure>& of_after,
+                            const AttributionOptions& options) {
+  double was = 0.0, is = 0.0;
+  for (size_t c = 0; c < of_before.size(); ++c) {
+    const auto k = static_cast<Eigen::Index>(c);
+    const double acts = (after.col(k) - before.col(k)).squaredNorm();
+    if (acts < options.least_structured * before.col(k).squaredNorm()) continue;
+    if (!IsStructured(of_before[c], options)) continue;
+    was += of_before[c].whiteness.nats;
+    is += of_after[c].whiteness.nats;
+  }
+  return was > 0.0 ? is / was : 0.0;
+}
 
 Attribution::Attribution(const ResidualModel* residual, Stage stage,
                          std::vector<Candidate> candidates, const AttributionOptions& options,
@@ -346,10 +361,12 @@ void Attribution::Run() {
         SearchEffects(evidence, options_.log_prior_odds,
                       options_.most_effects - static_cast<int>(effects_.size()), give_up_);
     VariantSet set = Confirmed(evidence, found.best.variants);
-    // Members of a set may hide each other's case: then one alone.
+    // Members of a set may hide each other's case: one alone may say more.
     for (const int v : BestAlone(evidence)) {
+      if (set.count(v) > 0) break;
+      const VariantSet alone = Confirmed(evidence, {v});
+      if (!alone.empty() && evidence.Gain(alone) > evidence.Gain(set)) set = alone;
       if (!set.empty()) break;
-      set = Confirmed(evidence, {v});
     }
     if (set.empty()) return;
     // What is small beside the largest may be its shadow: that is looked at again once the model is

@@ -303,25 +303,6 @@ bool CanBlow(const Vehicle& vehicle, const std::vector<RankedEffect>& effects) {
                               [](const RankedEffect& e) { return e.name == "gust"; });
 }
 
-/// Share of the structure of a residual, in nats by which a flexible spectrum explains it beyond
-/// noise, that is still there after effects were added, of the channels in which they act. 0 where
-/// there was none.
-double Unexplained(const ResidualModel::Wrenches& before, const ResidualModel::Wrenches& after,
-                   const std::vector<ChannelStructure>& of_before,
-                   const std::vector<ChannelStructure>& of_after,
-                   const AttributionOptions& options) {
-  double was = 0.0, is = 0.0;
-  for (size_t c = 0; c < of_before.size(); ++c) {
-    const auto k = static_cast<Eigen::Index>(c);
-    const double acts = (after.col(k) - before.col(k)).squaredNorm();
-    if (acts < options.least_structured * before.col(k).squaredNorm()) continue;
-    if (!IsStructured(of_before[c], options)) continue;
-    was += of_before[c].whiteness.nats;
-    is += of_after[c].whiteness.nats;
-  }
-  return was > 0.0 ? is / was : 0.0;
-}
-
 /// Smallest ratio of errors, after over before, of any axis.
 double LeastRatio(const PredictionFigures& before, const PredictionFigures& after) {
   double least = 1.0;
@@ -472,11 +453,6 @@ std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
          Text(p.value - difference[worst]);
 }
 
-bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options) {
-  return channel.whiteness.p < options.whiteness_p &&
-         channel.whiteness.structured_share > options.least_structured;
-}
-
 void HoldKnownThrust(Vehicle* vehicle) {
   const auto it = vehicle->parameters.find("thrust.k_f");
   if (it == vehicle->parameters.end() || !it->second.value || !it->second.sigma) return;
@@ -546,7 +522,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
 
   bool is_gusty = IsGusty(gusts, options.attribution) && CanBlow(vehicle, effects);
   const double unexplained =
-      Unexplained(attribution.residual_before(), attribution.residual_after(), result.structure,
+      UnexplainedStructure(attribution.residual_before(), attribution.residual_after(), result.structure,
                   left, options.attribution);
   std::optional<Pass> run;
   if (!effects.empty() && unexplained > options.attribution.most_unexplained) {

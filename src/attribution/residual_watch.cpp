@@ -238,13 +238,18 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
   Summarise(before, decision_, &found);
   const std::vector<RankedEffect>& effects = attribution.effects();
   if (effects.empty()) return found;
+  const std::vector<ChannelStructure> after =
+      Structure(flight, attribution.residual_after(), channels);
+  const double unexplained = UnexplainedStructure(
+      attribution.residual_before(), attribution.residual_after(), before, after, decision_);
+  // As in CloseLoop(): a stand-in explains less than is left.
+  if (unexplained > decision_.most_unexplained) return found;
   found.candidate = effects.front();
   found.alternatives = effects.front().alternatives;
   for (size_t k = 1; k < effects.size(); ++k) found.beside.push_back(effects[k].name);
   found.refitted = attribution.stage().values;
   found.explained_share =
-      ExplainedStructure(before, Structure(flight, attribution.residual_after(), channels),
-                         decision_.whiteness_p, decision_.noise_p);
+      ExplainedStructure(before, after, decision_.whiteness_p, decision_.noise_p);
   return found;
 }
 

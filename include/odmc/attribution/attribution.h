@@ -7,6 +7,7 @@
 #include "odmc/attribution/effect_search.h"
 #include "odmc/attribution/evidence.h"
 #include "odmc/attribution/ranked_effect.h"
+#include "odmc/attribution/structure.h"
 
 namespace odmc {
 
@@ -27,6 +28,17 @@ struct AttributionOptions {
   double least_ratio = 0.97;       ///< error held out that excuses an estimate of zero
   double telling_ratio = 0.5;      ///< error held out, after over before, that excuses it
 };
+
+/// True if a channel of the residual is more than noise.
+bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options);
+
+/// Share of the structure of a residual, in nats by which a flexible spectrum explains it beyond
+/// noise, that is still there after effects were added, of the channels in which they act. 0 where
+/// there was none.
+double UnexplainedStructure(const ResidualModel::Wrenches& before, const ResidualModel::Wrenches& after,
+                            const std::vector<ChannelStructure>& of_before,
+                            const std::vector<ChannelStructure>& of_after,
+                            const AttributionOptions& options);
 
 /// Traces the residual of a flight to effects: screen, rank, confirm. One session for one flight.
 class Attribution {

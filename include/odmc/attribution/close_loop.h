@@ -70,9 +70,6 @@ struct ClosedLoop {
 std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
                          const DynamicModel& model);
 
-/// True if a channel of the residual is more than noise.
-bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options);
-
 /// Holds a thrust coefficient that is known to 5 % (from an earlier, unloaded flight) as it is:
 /// mass can then be found.
 void HoldKnownThrust(Vehicle* vehicle);
