@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "odmc/attribution/stage.h"
 #include "odmc/model/effect.h"
 
 namespace odmc {
@@ -15,6 +16,7 @@ const char* const kNever[] = {"thrust",      "rotor_torque",        "inertia",
                               "gust"};
 constexpr double kMassStep_s = 1.0;
 constexpr double kShortest_s = 0.05;  // of its refinement
+constexpr double kEdge_s = 2.0;       // no change is looked for closer to start and end
 constexpr double kCableRatio = 1.15;  // from one length to the next
 
 constexpr double kDampingRatio = 4.0;
@@ -68,7 +70,7 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
     if (name == "mass_change") {
       const std::map<std::string, double> some = {{"mass_change.mass", 0.05 * vehicle.mass_kg}};
       if (!FitsThrust(vehicle)) candidates.push_back({name, {{"mass_change.from", 0.0}}, some});
-      for (double t = start_s + 2.0; t < end_s - 2.0; t += kMassStep_s) {
+      for (double t = start_s + kEdge_s; t < end_s - kEdge_s; t += kMassStep_s) {
         candidates.push_back({name, {{"mass_change.from", t}}, some});
       }
     } else if (name == "suspended_load") {
@@ -94,6 +96,13 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
       for (const double below : {1.5, 3.0}) {
         candidates.push_back({name, {{"ground_effect.z_0", lowest - below * radius}}});
       }
+    } else if (name == "wind") {
+      // Air speed enters some effects squared: wind has more than one valley.
+      candidates.push_back({name, {}});
+      for (const double w : {-4.0, 4.0}) {
+        candidates.push_back({name, {}, {{"wind.w_x", w}}});
+        candidates.push_back({name, {}, {{"wind.w_y", w}}});
+      }
     } else {
       candidates.push_back({name, {}});
     }
@@ -108,10 +117,11 @@ Candidate Refined(const Candidate& candidate,
     // A step in time: finer and finer.
     if (best.settings.at("mass_change.from") <= 0.0) return best;
     double most = score(best);
+    const double first = candidate.settings.at("mass_change.from") - 0.5 * kMassStep_s;
     for (double step = kMassStep_s / 2.0; step > kShortest_s; step /= 2.0) {
       Candidate trial = best;
       const double from = best.settings.at("mass_change.from");
-      for (const double at : {from - step, from + step}) {
+      for (const double at : {std::max(first, from - step), from + step}) {
         trial.settings["mass_change.from"] = at;
         const double value = score(trial);
         if (value <= most) continue;

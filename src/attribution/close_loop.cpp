@@ -1,34 +1,27 @@
 #include "odmc/attribution/close_loop.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <iterator>
 #include <map>
+#include <memory>
 #include <optional>
 #include <stdexcept>
 
 #include "odmc/analysis/calibration.h"
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/gust_test.h"
-#include "odmc/attribution/spectrum.h"
-#include "odmc/math/hann.h"
+#include "odmc/attribution/structure.h"
 #include "odmc/model/plausibility.h"
-#include "odmc/preintegration/rotor_rate_smoother.h"
 
 namespace odmc {
 namespace {
 
-constexpr int kMostRuns = 10;            // of the online estimator, with effects
-constexpr int kLeastSamples = 50;        // to look for effects in
-constexpr double kBetterOnline = 0.985;  // on some channel, by the online estimator
-constexpr double kSizeSigmas = 3.0;
-constexpr double kOvershadows = 5.0;
-constexpr double kTie = 3.0;        // nats by which a free force may explain better than gusts
-constexpr double kTieShare = 0.01;  // or this share of the gain: they differ little
-constexpr double kStorm_m_s = 8.0;  // nobody flies in
-constexpr double kInKnocks = 3.0;   // peakedness of a normal wind along one line
-constexpr double kOneSided = 0.9;   // share of the wind's variance along one line
+constexpr int kLeastSamples = 50;  // to look for effects in
+constexpr double kGustCoefficients = 8.0;  // nats: size, time and the drag that goes with them
 constexpr double kKnownThrustShare = 0.05;
+constexpr double kTooLarge = 4.0;    // natural sizes
+constexpr double kSignificant = 3.0;  // sigmas of one coefficient
 constexpr double kAgreeShare = 1.0 / 3.0;  // of a coefficient: winds and drags bend each other
 
 std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedFlight& flight,
@@ -60,6 +53,15 @@ std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedF
       "block " + std::to_string(block) + " (RMS " + Text(std::sqrt(most)) + " " + worst->unit + ")";
   return text + "; of the quantities it lines up best with " + quantity->first + " (" +
          Text(100.0 * quantity->second) + " % of its variance)";
+}
+
+/// True if parameters differ from zero together by kSignificant sigmas (Wald's test; the limit
+/// grows with their number).
+bool IsSignificant(const Eigen::VectorXd& estimate, const Eigen::MatrixXd& covariance) {
+  Eigen::MatrixXd C = covariance;
+  C.diagonal() *= 1.0 + 1e-9;
+  return estimate.dot(C.ldlt().solve(estimate)) >
+         kSignificant * kSignificant + 2.0 * (static_cast<double>(estimate.size()) - 1.0);
 }
 
 /// How the predicted wrench answers the wind of an effect.
@@ -147,53 +149,6 @@ ValueVariation GustsOf(const FlightLog& log, const Vehicle& file_vehicle, const 
   };
 }
 
-/// What a model misses on blocks held out: as reported, in the filter's band of 10 Hz, and without
-/// what is faster than 4 Hz. Effects of rotor accelerations bring the noise of those into a
-/// prediction, which is in the first band and hardly in the second.
-struct HeldOut {
-  PredictionFigures all, slow;
-
-  /// By the accelerometer's force instead, where there is one.
-  void UseForce(const PredictionFigures::Axes& accelerometer) {
-    if (!accelerometer) return;
-    all.force_rmse_N = slow.force_rmse_N = accelerometer;
-  }
-};
-
-/// A prediction's errors as measured values, smoothed by a Hann window within runs without gaps.
-std::vector<PredictionSample> SlowErrors(const std::vector<PredictionSample>& samples) {
-  constexpr double kGap_s = 0.1;
-  std::vector<PredictionSample> slow;
-  for (size_t i = 0; i < samples.size(); ++i) {
-    PredictionSample sum;
-    sum.t_s = samples[i].t_s;
-    sum.speed_m_s = samples[i].speed_m_s;
-    sum.measured_force = sum.measured_torque = sum.measured_angular_acceleration =
-        sum.predicted_force = sum.predicted_torque = sum.predicted_angular_acceleration =
-            sum.predicted_specific_force = sum.rotor_torque = Eigen::Vector3d::Zero();
-    double weights = 0.0;
-    const auto add = [&](const PredictionSample& s) {
-      const double weight = Hann((s.t_s - sum.t_s) / kRotorRatesWindow_s);
-      if (weight <= 0.0) return false;
-      weights += weight;
-      sum.measured_force += weight * (s.measured_force - s.predicted_force);
-      sum.measured_torque += weight * (s.measured_torque - s.predicted_torque);
-      sum.measured_angular_acceleration +=
-          weight * (s.measured_angular_acceleration - s.predicted_angular_acceleration);
-      return true;
-    };
-    const auto follows = [&](size_t k) { return samples[k].t_s - samples[k - 1].t_s < kGap_s; };
-    add(samples[i]);
-    for (size_t k = i; k > 0 && follows(k) && add(samples[k - 1]);) --k;
-    for (size_t k = i + 1; k < samples.size() && follows(k) && add(samples[k]);) ++k;
-    sum.measured_force /= weights;
-    sum.measured_torque /= weights;
-    sum.measured_angular_acceleration /= weights;
-    slow.push_back(std::move(sum));
-  }
-  return slow;
-}
-
 /// What a prediction misses at one sample: of force and torque, in the vehicle file's body axes.
 struct Miss {
   double t_s, speed_m_s;
@@ -205,7 +160,7 @@ struct Pass {
   ReplayResult replay;  ///< without its history and timing
   ParameterSet parameters;
   std::vector<Miss> misses;
-  HeldOut held_out;
+  PredictionFigures held_out;  ///< on blocks held out
 };
 
 Pass Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
@@ -236,16 +191,8 @@ Pass Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& 
                 unseen.push_back(s);
                 unseen.back().effects = {};
               });
-  pass.held_out.all = SummarisePrediction(unseen, with_torque, file_vehicle, model, values);
-  pass.held_out.slow =
-      SummarisePrediction(SlowErrors(unseen), with_torque, file_vehicle, model, values);
-  pass.held_out.slow.torque_explained = pass.held_out.all.torque_explained;
+  pass.held_out = SummarisePrediction(unseen, with_torque, file_vehicle, model, values);
   return pass;
-}
-
-int EffectIndex(const DynamicModel& model, const std::string& name) {
-  const std::vector<std::string>& names = model.effect_names();
-  return static_cast<int>(std::find(names.begin(), names.end(), name) - names.begin());
 }
 
 /// Indices in an online estimate of an effect's estimated parameters, initial states left out.
@@ -259,50 +206,6 @@ std::vector<Eigen::Index> EstimatesOf(const RankedEffect& effect, const Paramete
     own.push_back(found - online.parameters.data());
   }
   return own;
-}
-
-/// What speaks against an effect in the online estimate; empty if that confirms it: it has a
-/// physical sign and size, differs from zero (so does its size, where that has a sign: a load of
-/// no mass is none wherever it hangs) and matters.
-std::string Objection(const RankedEffect& effect, const ParameterSet& online,
-                      const DynamicModel& model) {
-  // The warm start is no prior: natural sizes are about those of the catalogue.
-  const Effect& catalogue = model.effect(EffectIndex(model, effect.name));
-  const auto spec_of = [&](const ParameterEstimate& p) -> const ParameterSpec& {
-    return *std::find_if(catalogue.parameters().begin(), catalogue.parameters().end(),
-                         [&](const auto& s) { return effect.name + "." + s.name == p.full_name; });
-  };
-  RankedEffect estimate = effect;
-  std::string of_no_size;  // a signed coefficient that may be zero, while no other is known not to
-  bool has_size = false;
-  for (ParameterEstimate& p : estimate.parameters) {
-    const ParameterEstimate* found = online.Find(p.full_name);
-    if (found == nullptr || !found->estimated) continue;
-    p = *found;
-    const ParameterSpec& spec = spec_of(p);
-    if (std::abs(p.value - spec.prior_value) > kTooLarge * spec.prior_sigma) {
-      return p.full_name + " = " + Text(p.value) + " is too large";
-    }
-    if (HasWrongSign(spec.sign, p.value)) {
-      return p.full_name + " = " + Text(p.value) + " has an unphysical sign";
-    }
-    if (spec.sign == PhysicalSign::kAny) continue;
-    has_size = has_size || std::abs(p.value) > kSizeSigmas * p.sigma;
-    of_no_size = p.full_name + " = " + Text(p.value) + " +- " + Text(p.sigma) + " may be zero";
-  }
-  const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
-  Eigen::VectorXd values(static_cast<Eigen::Index>(own.size()));
-  std::vector<double> sizes;
-  for (size_t i = 0; i < own.size(); ++i) {
-    const ParameterEstimate& p = online.parameters[own[i]];
-    values[i] = p.value;
-    sizes.push_back((p.value - spec_of(p).prior_value) / spec_of(p).prior_sigma);
-  }
-  if (AreTooLargeTogether(sizes)) return "its coefficients together are too large";
-  if (!IsSignificant(values, online.covariance(own, own)))
-    return "does not differ from zero by three sigma";
-  if (!has_size && !of_no_size.empty()) return of_no_size;
-  return IsNegligible(estimate) ? "is no larger than feedback can feign" : "";
 }
 
 /// What moves by itself is started near what the regression found of it, and so is its place. They
@@ -340,174 +243,28 @@ PredictionFigures::Axes HeldOutForce(const ResidualModel& residual, const Dynami
   return Eigen::Vector3d((sum / count - mean.cwiseAbs2()).cwiseMax(0.0).cwiseSqrt());
 }
 
-/// "force after/before 1.00 1.01 0.98, torque 1.00 0.97 1.02".
-std::string ChangeText(const PredictionFigures& before, const PredictionFigures& after) {
-  const auto axes = [](const PredictionFigures::Axes& b, const PredictionFigures::Axes& a) {
-    std::string text;
-    if (!a || !b) return std::string(" unknown");
-    for (int i = 0; i < 3; ++i) text += " " + Text((*a)[i] / (*b)[i]);
-    return text;
-  };
-  return "after/before: force" + axes(before.force_rmse_N, after.force_rmse_N) +
-         ", angular acceleration" +
-         axes(before.angular_acceleration_rmse_rad_s2, after.angular_acceleration_rmse_rad_s2);
-}
-
-/// Angular acceleration after a change. Along axes whose torque the declared model predicts worse
-/// than nothing does, a larger error says nothing against an effect.
-PredictionFigures::Axes TellingAcceleration(const PredictionFigures& before,
-                                            const PredictionFigures& after) {
-  PredictionFigures::Axes axes = after.angular_acceleration_rmse_rad_s2;
-  const PredictionFigures::Axes& was = before.angular_acceleration_rmse_rad_s2;
-  if (!axes || !was || !before.torque_explained) return axes;
-  for (int i = 0; i < 3; ++i) {
-    if ((*before.torque_explained)[i] < 0.0) (*axes)[i] = std::min((*axes)[i], (*was)[i]);
-  }
-  return axes;
-}
-
-/// How the channels' errors change, one with another.
-struct Change {
-  double sum = 0.0, worst = 0.0, best = 1.0;  ///< of logarithms; ratios
-
-  Change(const PredictionFigures& before, const PredictionFigures& after) {
-    Add(before.force_rmse_N, after.force_rmse_N);
-    // Not the torque, which holds the file's inertia against a model that has found a better one.
-    Add(before.angular_acceleration_rmse_rad_s2, TellingAcceleration(before, after));
-  }
-
-  /// True if some channel is better and none is clearly worse.
-  bool IsBetter() const {
-    return sum < 0.0 && !IsClearlyWorse(worst, best) && best < kBetterOnline;
-  }
-
- private:
-  void Add(const PredictionFigures::Axes& before, const PredictionFigures::Axes& after) {
-    if (!after || !before) return;
-    for (int i = 0; i < 3; ++i) {
-      const double change = (*after)[i] / (*before)[i];
-      sum += std::log(change);
-      worst = std::max(worst, change);
-      best = std::min(best, change);
-    }
-  }
-};
-
-/// True if blocks held out are predicted better, or, by effects of rotor accelerations, better
-/// without what is fast: that part of their prediction is noise.
-bool IsBetter(const HeldOut& before, const HeldOut& after, bool takes_rotor_rates) {
-  return Change(before.all, after.all).IsBetter() ||
-         (takes_rotor_rates && Change(before.slow, after.slow).IsBetter());
-}
-
-/// Effects that were added to the declared model.
-struct Choice {
-  Stage stage;  // with what was added, and the values of the joint fit
-  std::vector<AddedEffect> added;
-  double scores = 0.0;
-  ResidualModel::Wrenches residual;               // of the plain fit
-  std::map<std::string, ParameterSetting> known;  // start and prior of the online run, where known
-
-  bool Has(const std::string& effect) const {
-    return std::any_of(added.begin(), added.end(),
-                       [&effect](const AddedEffect& a) { return a.effect.name == effect; });
-  }
-};
-
-/// What the online estimator makes of the choice it confirmed last.
-struct Confirmed {
-  HeldOut figures;  // by which further effects are judged
-  PredictionFigures after;
-  PredictionFigures::Axes accelerometer;
-  ParameterSet parameters;
-  std::vector<std::string> effect_names;
-  std::optional<std::vector<Miss>> misses;  // empty for the declared model
-};
-
-/// What a choice leaves, and what would be added to it.
-struct Step {
-  Choice before;  // fitted
-  Choice after;   // with one effect more, or a pair; the same as before if nothing earns its place
-  std::vector<RankedEffect> ranking;
-};
-
-/// Finds the best candidate to add, or the best pair.
-Step ChooseNext(const ResidualModel& residual, const Choice& from,
-                const std::vector<Candidate>& candidates, const CloseLoopOptions& options) {
-  Step step;
-  step.before = from;
-  const int num_channels = residual.num_channels();
-  const Regressor regressor(&residual, &step.before.stage);
-  const Stage& stage = step.before.stage;
-  const WrenchFit& base = regressor.base().fit;
-  step.before.residual = base.plain_residual;
-  step.after = step.before;
-  const int room = options.most_effects - static_cast<int>(from.added.size());
-  const std::vector<Tried> tried = TryAll(stage, candidates, regressor, base, num_channels);
-  for (const Tried& t : tried) step.ranking.push_back(t.ranked);
-  const double least = options.LeastScore(from.added.empty(), from.scores);
-  const RankedEffect* best = tried.empty() || room < 1 ? nullptr : &tried.front().ranked;
-  if (best != nullptr && (!best->sound || best->score < least)) best = nullptr;
-  std::optional<Pair> pair;
-  if (room >= 2) {
-    pair = TryPairs(stage, tried, regressor, base, num_channels, options.LeastScore(false, 0.0));
-  }
-  if (pair && pair->score < 2.0 * std::max(least, best != nullptr ? best->score : 0.0)) {
-    pair.reset();
-  }
-  Choice& after = step.after;
-  const auto take = [&after](const Regressor::Result& result, double score) {
-    after.scores += score;
-    for (const auto& [name, value] : result.values) after.stage.values[name] = value;
-    after.residual = result.fit.plain_residual;
-  };
-  if (pair) {
-    for (const RankedEffect& ranked : pair->ranked) {
-      after.added.push_back({ranked, {}, "", {}});
-      after.stage.vehicle = With(after.stage.vehicle, Candidate{ranked.name, ranked.settings, {}});
-    }
-    take(pair->result, pair->score);
-  } else if (best != nullptr) {
-    AddedEffect effect;
-    effect.effect = *best;
-    effect.alternatives = Alternatives(tried, options);
-    for (const std::string& name : effect.alternatives) {
-      if (effect.manoeuvre.empty()) effect.manoeuvre = TellingManoeuvre(best->name, name);
-    }
-    after.added.push_back(effect);
-    after.stage.vehicle = With(after.stage.vehicle, tried.front().candidate);
-    take(tried.front().result, best->score);
-  }
-  return step;
-}
-
 /// The case for gusts, and the values of the drag that goes with them.
 struct Gusts {
   RankedEffect ranked;
+  GustTest test;
   std::map<std::string, ParameterSetting> known;  // what it is known of others, by full name
-
-  Choice AddedTo(Choice choice) const {
-    choice.added.push_back({ranked, {}, "", {}});
-    choice.scores += ranked.score;
-    for (const auto& [name, setting] : known) choice.known[name] = setting;
-    return choice;
-  }
 };
 
-/// The case for gusts behind what a choice leaves; they vary, so that no fixed regressor shows
-/// them.
+/// The case for gusts behind what a model leaves; they vary, so that no fixed regressor shows them.
 /// @param declared the online estimate without effects added
-Gusts RankGusts(const ResidualModel& residual, const Choice& choice, const ParameterSet& declared) {
-  Vehicle airy = choice.stage.vehicle;
+Gusts RankGusts(const ResidualModel& residual, const Stage& stage,
+                const ResidualModel::Wrenches& left, const ParameterSet& declared) {
+  Vehicle airy = stage.vehicle;
   const bool has_wind =
       std::find(airy.effects.begin(), airy.effects.end(), "wind") != airy.effects.end();
   if (!has_wind) airy.effects.push_back("wind");
   const DynamicModel model(airy, airy.effects);
-  const ModelValues values = ValuesOf(model, choice.stage.values);
+  const ModelValues values = ValuesOf(model, stage.values);
   const WindDerivatives d_wind = ByWind(residual, model, values, "wind");
   const std::vector<DragCoefficient> drag = DragOf(residual, model, values, d_wind);
-  const GustTest gust = TestGusts(residual.flight(), choice.residual, d_wind, drag);
   Gusts gusts;
+  gusts.test = TestGusts(residual.flight(), left, d_wind, drag);
+  const GustTest& gust = gusts.test;
   // The mean of gusts over a few correlation times is not zero, and looks like all that acts on the
   // force: the estimate without them says more of it.
   for (const std::string& name : ActingOnForce(residual, model, values)) {
@@ -529,19 +286,44 @@ Gusts RankGusts(const ResidualModel& residual, const Choice& choice, const Param
     ranked.parameters.push_back(
         {name, name == "gust.sigma" ? "m/s" : "s", value, 0.0, false, false});
   }
-  ranked.sound = gust.over_others > -kTie - kTieShare * gust.gain && gust.sigma_m_s < kStorm_m_s &&
-                 gust.one_sidedness < kOneSided && gust.peakedness < kInKnocks;
-  if (gust.one_sidedness >= kOneSided) {
-    ranked.objection = "it would blow along one line only";
-  } else if (gust.peakedness >= kInKnocks) {
-    ranked.objection = "it would come in knocks";
-  } else if (gust.sigma_m_s >= kStorm_m_s) {
-    ranked.objection = "it would be a storm";
-  } else if (!ranked.sound) {
-    ranked.objection =
-        "a force free of the drag explains it better by " + Text(-gust.over_others) + " nats";
-  }
   return gusts;
+}
+
+/// True if a slow disturbance of the force is the wind's doing rather than any other's.
+bool IsGusty(const Gusts& gusts, const AttributionOptions& options) {
+  return gusts.test.gain > -std::log(options.false_alarm_rate) + kGustCoefficients &&
+         gusts.test.over_others > -std::log(options.false_alarm_rate);
+}
+
+/// Gusts are wind that comes and goes: not beside itself.
+bool CanBlow(const Vehicle& vehicle, const std::vector<RankedEffect>& effects) {
+  const bool has = std::find(vehicle.effects.begin(), vehicle.effects.end(), "gust") !=
+                   vehicle.effects.end();
+  return !has && std::none_of(effects.begin(), effects.end(),
+                              [](const RankedEffect& e) { return e.name == "gust"; });
+}
+
+/// Smallest ratio of errors, after over before, of any axis.
+double LeastRatio(const PredictionFigures& before, const PredictionFigures& after) {
+  double least = 1.0;
+  for (const auto axes : {&PredictionFigures::force_rmse_N, &PredictionFigures::torque_rmse_Nm}) {
+    if (!(before.*axes) || !(after.*axes)) continue;
+    for (int k = 0; k < 3; ++k) {
+      least = std::min(least, (*(after.*axes))[k] / std::max(1e-300, (*(before.*axes))[k]));
+    }
+  }
+  return least;
+}
+
+/// True if the online estimate of an effect differs from zero, or says nothing of it.
+bool IsThere(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model) {
+  const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
+  if (own.empty()) return true;
+  Eigen::VectorXd estimate(static_cast<Eigen::Index>(own.size()));
+  for (size_t k = 0; k < own.size(); ++k) {
+    estimate[static_cast<Eigen::Index>(k)] = online.parameters[static_cast<size_t>(own[k])].value;
+  }
+  return IsSignificant(estimate, online.covariance(own, own));
 }
 
 FlightFigures FlownFlight(const FlightLog& log, const ReplayResult& replay) {
@@ -592,7 +374,7 @@ std::vector<std::pair<Stamp, Stamp>> NotLookedAt(const ReplayResult& replay) {
 }
 
 /// Fills in what share of the residual is structured, and how surely. @returns true if some is
-bool Summarise(const CloseLoopOptions& options, ClosedLoop* result) {
+bool Summarise(const AttributionOptions& options, ClosedLoop* result) {
   bool structured = false;
   const auto n = static_cast<double>(result->structure.size());
   for (const ChannelStructure& channel : result->structure) {
@@ -604,28 +386,30 @@ bool Summarise(const CloseLoopOptions& options, ClosedLoop* result) {
   return structured;
 }
 
-/// The vehicle with what was added. Everything starts where the fit (which has not seen the blocks
+/// The vehicle with what was found. Everything starts where the fit (which has not seen the blocks
 /// held out) has brought it: what multiplies each other, as wind and drag, has more than one
 /// valley.
-Vehicle Extended(const Vehicle& vehicle, const Choice& choice) {
+Vehicle Extended(const Vehicle& vehicle, const Stage& stage,
+                 const std::vector<RankedEffect>& effects,
+                 const std::map<std::string, ParameterSetting>& known) {
   Vehicle extended = vehicle;
   const DynamicModel declared(vehicle, vehicle.effects);
   for (const ModelParameter& p : declared.parameters()) {
     if (!p.estimated || p.effect == "inertia") continue;
-    extended.parameters[p.full_name].value = choice.stage.values.at(p.full_name);
+    extended.parameters[p.full_name].value = stage.values.at(p.full_name);
     extended.parameters[p.full_name].sigma = p.spec.prior_sigma;
   }
-  for (const AddedEffect& effect : choice.added) {
-    extended = With(extended, {effect.effect.name, effect.effect.settings});
-    for (const ParameterEstimate& p : effect.effect.parameters) {
+  for (const RankedEffect& effect : effects) {
+    extended = With(extended, {effect.name, effect.settings});
+    for (const ParameterEstimate& p : effect.parameters) {
       if (p.estimated) extended.parameters[p.full_name].value = p.value;
     }
-    HoldInitialState(effect.effect, &extended);
+    HoldInitialState(effect, &extended);
   }
-  for (const auto& [name, setting] : choice.known) {
-    ParameterSetting& known = extended.parameters[name];
-    known.value = setting.value;
-    known.sigma = known.sigma ? std::min(*known.sigma, *setting.sigma) : *setting.sigma;
+  for (const auto& [name, setting] : known) {
+    ParameterSetting& of = extended.parameters[name];
+    of.value = setting.value;
+    of.sigma = of.sigma ? std::min(*of.sigma, *setting.sigma) : *setting.sigma;
   }
   return extended;
 }
@@ -641,22 +425,6 @@ std::string ToString(Verdict verdict) {
     default:
       return "none";
   }
-}
-
-std::vector<std::string> Alternatives(const std::vector<Tried>& tried,
-                                      const CloseLoopOptions& options) {
-  std::vector<std::string> names;
-  const double best = tried.front().ranked.score;
-  const double close = std::max(options.close_score, options.close_share * best);
-  for (size_t i = 1; i < tried.size(); ++i) {
-    const RankedEffect& other = tried[i].ranked;
-    const bool close_by = other.sound && other.score >= best - close;
-    const Gain over_other = CrossValidatedGain(tried[i].result.fit, tried.front().result.fit);
-    const bool is_rival = other.sound && other.score >= options.least_score &&
-                          over_other.nats < options.telling_sigmas * over_other.sigma;
-    if (close_by || is_rival || IsSpecialCase(tried[i], tried.front())) names.push_back(other.name);
-  }
-  return names;
 }
 
 std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
@@ -685,11 +453,6 @@ std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
          Text(p.value - difference[worst]);
 }
 
-bool IsStructured(const ChannelStructure& channel, const CloseLoopOptions& options) {
-  return channel.whiteness.p < options.whiteness_p &&
-         channel.whiteness.structured_share > options.least_structured;
-}
-
 void HoldKnownThrust(Vehicle* vehicle) {
   const auto it = vehicle->parameters.find("thrust.k_f");
   if (it == vehicle->parameters.end() || !it->second.value || !it->second.sigma) return;
@@ -714,11 +477,12 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   const ReplayResult& replay = before.replay;
   result.declared_parameters = result.parameters = before.parameters;
   result.effect_names = vehicle.effects;
-  result.before = result.after = before.held_out.all;
+  result.before = result.after = before.held_out;
   result.warnings = FlightWarnings(log, replay);
   const std::string doubt = InertiaDoubt(file_vehicle);
   if (!doubt.empty()) result.warnings.push_back(doubt);
   result.flight = FlownFlight(log, replay);
+  result.samples = Samples(before.misses, before.misses, options.blocks);
 
   const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), NotLookedAt(replay)),
                              options.blocks);
@@ -728,34 +492,17 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     result.warnings.push_back("too little flight to look for effects: " + std::to_string(in_use) +
                               " samples of 40 ms, at least " + std::to_string(kLeastSamples) +
                               " are needed");
-    result.samples = Samples(before.misses, before.misses, options.blocks);
     return result;
   }
   const ResidualModel residual(&flight, &file_vehicle, with_torque);
-  const std::vector<Candidate> candidates = CandidatesFor(vehicle, flight.motion());
-  std::map<std::string, size_t> refused;  // by the online estimator, with so many effects accepted
-  Choice accepted;
-  accepted.stage = StageOf(declared, replay.last->values, replay.last->observable, residual);
-  Step step;
-  const auto choose = [&](const Choice& from) {
-    std::vector<Candidate> left;
-    std::copy_if(candidates.begin(), candidates.end(), std::back_inserter(left),
-                 [&](const Candidate& c) { return refused.count(c.effect) == 0; });
-    step = ChooseNext(residual, from, left, options);
-  };
-  const auto explains = [&](const Choice& choice) {
-    if (choice.added.empty()) return false;
-    if (choice.Has("gust")) return true;
-    return ExplainedStructure(result.structure,
-                              Structure(flight, choice.residual, residual.num_channels()),
-                              options.whiteness_p, options.noise_p) >= options.least_explained;
-  };
-  choose(accepted);
-  result.ranking = step.ranking;
-  const ResidualModel::Wrenches declared_residual = step.before.residual;
-  result.structure = Structure(flight, declared_residual, residual.num_channels());
-  const bool structured = Summarise(options, &result);
-  const std::vector<std::vector<double>> runs = flight.Runs(declared_residual.col(0));
+  Attribution attribution(&residual,
+                          StageOf(declared, replay.last->values),
+                          CandidatesFor(vehicle, flight.motion()), options.attribution);
+  attribution.Run();
+  result.ranking = attribution.ranking();
+  result.structure = Structure(flight, attribution.residual_before(), residual.num_channels());
+  const bool structured = Summarise(options.attribution, &result);
+  const std::vector<std::vector<double>> runs = flight.Runs(attribution.residual_before().col(0));
   const bool judged = std::any_of(runs.begin(), runs.end(),
                                   [](const auto& run) { return run.size() >= kShortestRun; });
   if (!judged) {
@@ -763,126 +510,91 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
         "no stretch without gaps is long enough to tell structure from noise: " +
         Text(kShortestRun * flight.step_s()) + " s are needed");
   }
-
-  // What all that earns its place explains together, before the online estimator has its say.
-  const Step first = step;
-  Choice promised = first.after;
-  while (step.after.added.size() > step.before.added.size()) {
-    promised = step.after;
-    choose(promised);
-  }
-  const bool has_gust =
-      std::find(vehicle.effects.begin(), vehicle.effects.end(), "gust") != vehicle.effects.end();
-  const auto gusts_beside = [&](const Choice& choice) -> std::optional<Gusts> {
-    if (has_gust || choice.Has("gust") || !structured || refused.count("gust") > 0) {
-      return std::nullopt;
-    }
-    Gusts gusts = RankGusts(residual, choice, result.declared_parameters);
-    if (refused.empty() && choice.added.size() == promised.added.size()) {
-      result.ranking.push_back(gusts.ranked);
-    }
-    const double least = std::max(3.0 * options.least_score, 0.5 * choice.scores);
-    if (!gusts.ranked.sound || gusts.ranked.score < least) return std::nullopt;
-    return gusts;
-  };
-  // What was refused beside fewer effects may have its place beside more.
-  const auto reconsider = [&] {
-    const size_t before_them = refused.size();
-    for (auto it = refused.begin(); it != refused.end();) {
-      it = it->second < accepted.added.size() ? refused.erase(it) : std::next(it);
-    }
-    return refused.size() < before_them;
-  };
-  const std::optional<Gusts> gusty = gusts_beside(promised);
   if (progress) progress(0.6);
 
-  // One after the other: what the online estimator does not confirm is refused.
-  Confirmed confirmed{before.held_out,   before.held_out.all, {},
-                      before.parameters, vehicle.effects,     std::nullopt};
-  result.accelerometer_before = HeldOutForce(residual, declared, *replay.last);
-  confirmed.accelerometer = result.accelerometer_before;
-  confirmed.figures.UseForce(result.accelerometer_before);
-  step = first;
-  const bool promising = (explains(promised) || gusty) && result.whiteness_p < options.noise_p;
-  if (gusty && gusty->ranked.score > kOvershadows * promised.scores) {
-    // What was found beside a much larger gust is its shadow.
-    step.after = gusty->AddedTo(accepted);
-  }
-  const auto try_next = [&] {
-    if (step.after.added.size() == accepted.added.size() && reconsider()) choose(accepted);
-    Choice trial = step.after;
-    if (trial.added.size() == accepted.added.size()) {
-      const std::optional<Gusts> gusts = gusts_beside(step.before);
-      if (!gusts) return false;
-      trial = gusts->AddedTo(step.before);
-    }
-    const Vehicle extended = Extended(vehicle, trial);
+  std::vector<RankedEffect> effects = attribution.effects();
+  const std::vector<ChannelStructure> left =
+      Structure(flight, attribution.residual_after(), residual.num_channels());
+  std::map<std::string, ParameterSetting> known;
+  const Gusts gusts =
+      RankGusts(residual, attribution.stage(), attribution.residual_after(), before.parameters);
+  result.ranking.push_back(gusts.ranked);
+
+  bool is_gusty = IsGusty(gusts, options.attribution) && CanBlow(vehicle, effects);
+  const double unexplained =
+      UnexplainedStructure(attribution.residual_before(), attribution.residual_after(), result.structure,
+                  left, options.attribution);
+  std::optional<Pass> run;
+  if (!effects.empty() && unexplained > options.attribution.most_unexplained) {
+    is_gusty = false;  // it was looked for beside them
+    // A flexible disturbance explains more of it than they do. What predicts blocks held out so much
+    // better is no stand-in all the same.
+    const Vehicle extended = Extended(vehicle, attribution.stage(), effects, known);
     const DynamicModel model(extended, extended.effects);
-    Pass after = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
-    std::string objection;
-    bool takes_rotor_rates = false;
-    for (size_t i = accepted.added.size(); i < trial.added.size(); ++i) {
-      const Effect& effect = model.effect(EffectIndex(model, trial.added[i].effect.name));
-      takes_rotor_rates = takes_rotor_rates || effect.description().from_rotor_rates;
-    }
-    for (size_t i = 0; i < trial.added.size() && objection.empty(); ++i) {
-      const RankedEffect& effect = trial.added[i].effect;
-      if (effect.name == "gust") continue;
-      objection = Objection(effect, after.parameters, model);
-      if (objection.empty() && i >= accepted.added.size()) {
-        objection = Disagreement(effect, after.parameters, model);
+    run = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
+    if (LeastRatio(before.held_out, run->held_out) > options.attribution.telling_ratio) {
+      for (const RankedEffect& effect : effects) {
+        result.warnings.push_back(effect.name + " gains " + Text(effect.score) + " nats, but " +
+                                  Text(100.0 * unexplained) +
+                                  " % of the structure stays unexplained beside it");
       }
+      effects.clear();
+      run.reset();
     }
-    HeldOut figures = after.held_out;
-    const PredictionFigures::Axes accelerometer = HeldOutForce(residual, model, *after.replay.last);
-    figures.UseForce(accelerometer);
-    const HeldOut& best = confirmed.figures;
-    if (objection.empty() && !IsBetter(best, figures, takes_rotor_rates)) {
-      objection = "blocks held out are predicted no better (" + ChangeText(best.all, figures.all) +
-                  "; slower than 4 Hz " + ChangeText(best.slow, figures.slow) + ")";
-    }
-    if (objection.empty()) {
-      confirmed = {figures,          after.held_out.all, accelerometer,
-                   after.parameters, extended.effects,   std::move(after.misses)};
-      accepted = trial;
-      choose(accepted);
-      return true;
-    }
-    for (size_t i = accepted.added.size(); i < trial.added.size(); ++i) {
-      const std::string& name = trial.added[i].effect.name;
-      refused[name] = accepted.added.size();
-      result.warnings.push_back(
-          name + " was chosen, but the online run does not confirm it: " + objection);
-    }
-    choose(accepted);
-    // A lone effect that is refused has no second: the next best would have no case of its own.
-    return !accepted.added.empty() || promised.added.size() > 1 || gusty.has_value();
-  };
-  for (int run = 0; promising && run < kMostRuns && try_next();) ++run;
-  if (explains(accepted)) {
+  }
+  if (is_gusty) {
+    effects.push_back(gusts.ranked);
+    known = gusts.known;
+  }
+  if (!effects.empty()) {
+    // What is zero within its sigma, and predicts nothing better, is not there.
+    const Vehicle extended = Extended(vehicle, attribution.stage(), effects, known);
+    const DynamicModel model(extended, extended.effects);
+    if (!run) run = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 0.8));
+    const bool predicts = LeastRatio(before.held_out, run->held_out) < options.attribution.least_ratio;
+    const auto idle = [&](const RankedEffect& effect) {
+      return !predicts && !IsThere(effect, run->parameters, model);
+    };
+    const auto end = std::remove_if(effects.begin(), effects.end(), idle);
+    if (end != effects.end()) run.reset();
+    effects.erase(end, effects.end());
+  }
+  if (!effects.empty()) {
+    const Vehicle extended = Extended(vehicle, attribution.stage(), effects, known);
+    const DynamicModel model(extended, extended.effects);
+    const Pass after =
+        run ? *run : Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
     result.verdict = Verdict::kEffect;
-    result.effects = accepted.added;
-    result.after = confirmed.after;
-    result.accelerometer_after = confirmed.accelerometer;
-    result.parameters = confirmed.parameters;
-    result.effect_names = confirmed.effect_names;
-    for (AddedEffect& effect : result.effects) {
-      effect.derived = DerivedFigures(vehicle, effect.effect.name, result.parameters);
+    result.after = after.held_out;
+    result.accelerometer_before = HeldOutForce(residual, declared, *replay.last);
+    result.accelerometer_after = HeldOutForce(residual, model, *after.replay.last);
+    result.parameters = after.parameters;
+    result.effect_names = extended.effects;
+    result.samples = Samples(before.misses, after.misses, options.blocks);
+    for (RankedEffect& ranked : effects) {
+      const std::string other = Disagreement(ranked, after.parameters, model);
+      if (!other.empty()) result.warnings.push_back(ranked.name + ": the online run disagrees, " + other);
+      AddedEffect effect;
+      effect.effect = ranked;
+      effect.alternatives = ranked.alternatives;
+      for (const std::string& name : effect.alternatives) {
+        if (effect.manoeuvre.empty()) effect.manoeuvre = TellingManoeuvre(ranked.name, name);
+      }
+      effect.derived = DerivedFigures(vehicle, ranked.name, result.parameters);
       for (ParameterEstimate& p : effect.effect.parameters) {
         const ParameterEstimate* online = result.parameters.Find(p.full_name);
         if (online != nullptr) p = *online;
       }
+      result.effects.push_back(std::move(effect));
     }
   } else {
-    result.accelerometer_after = result.accelerometer_before;
+    result.accelerometer_before = result.accelerometer_after =
+        HeldOutForce(residual, declared, *replay.last);
     if (structured) {
       result.verdict = Verdict::kUnexplained;
-      result.where = Where(result.structure, flight, declared_residual);
+      result.where = Where(result.structure, flight, attribution.residual_before());
     }
   }
-  const bool is_extended = result.verdict == Verdict::kEffect && confirmed.misses;
-  result.samples = Samples(before.misses,
-                           is_extended ? *confirmed.misses : before.misses, options.blocks);
   return result;
 }
 

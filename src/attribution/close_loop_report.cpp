@@ -58,6 +58,8 @@ std::string CloseLoopReport(const ClosedLoop& loop) {
   for (const AddedEffect& added : loop.effects) {
     Json effect = {{"name", added.effect.name},
                    {"score", Number(added.effect.score)},
+                   {"p_value", Number(added.effect.p_value)},
+                   {"probability", Number(added.effect.probability)},
                    {"alternatives", added.alternatives},
                    {"parameters", ParametersJson(added.effect.parameters)}};
     if (!added.derived.empty()) effect["derived"] = ParametersJson(added.derived);
@@ -66,8 +68,10 @@ std::string CloseLoopReport(const ClosedLoop& loop) {
   }
   json["ranking"] = Json::array();
   for (const RankedEffect& ranked : loop.ranking) {
-    Json entry = {{"name", ranked.name}, {"score", Number(ranked.score)}, {"sound", ranked.sound}};
-    if (!ranked.objection.empty()) entry["objection"] = ranked.objection;
+    Json entry = {{"name", ranked.name},
+                  {"score", Number(ranked.score)},
+                  {"p_value", Number(ranked.p_value)}};
+    if (!ranked.remarks.empty()) entry["remarks"] = ranked.remarks;
     entry["parameters"] = ParametersJson(ranked.parameters);
     json["ranking"].push_back(entry);
   }

@@ -4,49 +4,14 @@
 #include <cmath>
 #include <utility>
 
-#include "odmc/estimator/gates.h"
-#include "odmc/math/hann.h"
-#include "odmc/preintegration/rotor_rate_smoother.h"
-
 namespace odmc {
 namespace {
 
 constexpr double kStart_s = 1.0;
-constexpr double kLeastRSquared = 0.5;  // of acceleration and rotor torque
-
-/// Takes what is faster than 4 Hz out of the rotors' accelerations, by a Hann window within runs.
-/// Derivatives of measured speeds are mostly noise up there, and a noisy regressor makes its
-/// coefficient small and its case weak; what a coefficient is of the rest is the same.
-void SmoothRotorRates(FlightMotion* flight) {
-  std::vector<FilteredMotion>& samples = flight->samples;
-  std::vector<RotorState> smooth;
-  smooth.reserve(samples.size());
-  const auto n = static_cast<int>(samples.size());
-  for (int i = 0; i < n; ++i) {
-    const auto time = [&](int k) { return samples[k].t_s; };
-    const int reach =
-        HannReach(i, n, kRotorRatesWindow_s, time, [&](int k) { return samples[k].follows; });
-    RotorState sum = samples[i].rotors;
-    double weights = 1.0;
-    for (int k = i - reach; k <= i + reach; ++k) {
-      if (k == i) continue;
-      const double weight = Hann((time(k) - time(i)) / kRotorRatesWindow_s);
-      weights += weight;
-      sum.acceleration += weight * samples[k].rotors.acceleration;
-      sum.speed_squared_rate += weight * samples[k].rotors.speed_squared_rate;
-    }
-    sum.acceleration /= weights;
-    sum.speed_squared_rate /= weights;
-    smooth.push_back(sum);
-  }
-  for (int i = 0; i < n; ++i) samples[i].rotors = smooth[i];
-}
-
 }  // namespace
 
 ThinnedFlight::ThinnedFlight(FlightMotion flight, const BlockSplit& blocks)
     : flight_(std::move(flight)), blocks_(blocks) {
-  SmoothRotorRates(&flight_);
   const int stride = flight_.step_s > 0.0
                          ? std::max(1, static_cast<int>(std::lround(kStep_s / flight_.step_s)))
                          : 1;
@@ -122,28 +87,6 @@ ResidualModel::Wrenches ResidualModel::Derivative(const DynamicModel& model,
   Wrenches derivative = (Residual(model, down) - Residual(model, up)) / (2.0 * step);
   if (IsAnchoredByForce(parameter.full_name)) derivative.rightCols<3>().setZero();
   return derivative;
-}
-
-std::array<bool, 3> ResidualModel::ShowsInertia() const {
-  std::array<Eigen::Matrix4d, 3> grams;
-  grams.fill(Eigen::Matrix4d::Zero());
-  const Eigen::Matrix3d R_BS = file_vehicle_->odometry.q_BS.toRotationMatrix();
-  for (int i = 0; i < flight_->size(); ++i) {
-    const FilteredMotion& sample = flight_->sample(i);
-    const Eigen::Vector3d acceleration = R_BS * sample.w_dot_S, rate = R_BS * sample.w_S;
-    const Eigen::Vector3d torque =
-        RotorTorqueDirection(*file_vehicle_, sample.rotors.speed_squared);
-    const double thrust = sample.rotors.speed_squared.sum();
-    for (int axis = 0; axis < 3; ++axis) {
-      const Eigen::Vector4d z(acceleration[axis], torque[axis], rate[axis], thrust);
-      grams[axis] += z * z.transpose();
-    }
-  }
-  std::array<bool, 3> shows;
-  for (int axis = 0; axis < 3; ++axis) {
-    shows[axis] = with_torque_ && InertiaRSquared(grams[axis]) > kLeastRSquared;
-  }
-  return shows;
 }
 
 }  // namespace odmc

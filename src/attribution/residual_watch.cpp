@@ -9,7 +9,6 @@ namespace odmc {
 namespace {
 
 constexpr double kEnoughShare = 0.5;  // of the window must be flight
-constexpr int kMostEffects = 3;       // that may explain it together
 constexpr double kMargin_s = 0.2;     // beside the window, for the filter
 
 /// Drops what is older than `stamp`.
@@ -55,7 +54,7 @@ bool IsFinite(const ResidualLook& r) {
 }
 
 /// Sizes and structure of the residual's channels.
-void Summarise(const std::vector<ChannelStructure>& channels, const CloseLoopOptions& decision,
+void Summarise(const std::vector<ChannelStructure>& channels, const AttributionOptions& decision,
                ResidualLook* found) {
   for (size_t c = 0; c < channels.size(); ++c) {
     const Whiteness& whiteness = channels[c].whiteness;
@@ -68,14 +67,6 @@ void Summarise(const std::vector<ChannelStructure>& channels, const CloseLoopOpt
     found->whiteness_p = std::min(found->whiteness_p, n * whiteness.p);
     found->structured = found->structured || IsStructured(channels[c], decision);
   }
-}
-
-/// Names the best candidate, and those that are as good.
-void Name(const std::vector<Tried>& tried, const CloseLoopOptions& decision, ResidualLook* found) {
-  const RankedEffect& best = tried.front().ranked;
-  found->candidate = best;
-  found->refitted = tried.front().result.values;
-  found->alternatives = Alternatives(tried, decision);
 }
 
 }  // namespace
@@ -239,41 +230,26 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
   const int channels = residual.num_channels();
   ResidualLook found;
   found.model = estimate.model;
-  const std::vector<bool> all(model.num_parameters(), true);  // the estimate is the best there is
-  Stage stage = StageOf(model, estimate.values, all, residual);
-  const std::vector<Candidate> candidates = CandidatesFor(model.vehicle(), flight.motion());
-  std::vector<ChannelStructure> before;
-  double scores = 0.0;
-  for (int step = 0; step < kMostEffects; ++step) {
-    const Regressor regressor(&residual, &stage);
-    const Regressor::Result& base = regressor.base();
-    if (step == 0) {
-      before = Structure(flight, base.fit.plain_residual, channels);
-      Summarise(before, decision_, &found);
-      if (found.whiteness_p > decision_.noise_p) return found;
-    }
-    const std::vector<Tried> tried =
-        TryAll(stage, candidates, regressor, base.fit, channels, give_up);
-    const double least = decision_.LeastScore(step == 0, scores);
-    if (tried.empty() || !tried.front().ranked.sound || tried.front().ranked.score < least) break;
-    const Tried& best = tried.front();
-    if (step == 0) {
-      Name(tried, decision_, &found);
-    } else {
-      found.beside.push_back(best.ranked.name);
-    }
-    found.explained_share =
-        ExplainedStructure(before, Structure(flight, best.result.fit.plain_residual, channels),
-                           decision_.whiteness_p, decision_.noise_p);
-    if (found.explained_share >= decision_.least_explained) return found;
-    // As in CloseLoop(): what it lacks may be more than one effect.
-    scores += best.ranked.score;
-    stage.vehicle = With(stage.vehicle, best.candidate);
-    for (const auto& [name, value] : best.result.values) stage.values[name] = value;
-  }
-  found.candidate.reset();
-  found.alternatives.clear();
-  found.beside.clear();
+  Attribution attribution(&residual, StageOf(model, estimate.values),
+                          CandidatesFor(model.vehicle(), flight.motion()), decision_, give_up);
+  attribution.Run();
+  const std::vector<ChannelStructure> before =
+      Structure(flight, attribution.residual_before(), channels);
+  Summarise(before, decision_, &found);
+  const std::vector<RankedEffect>& effects = attribution.effects();
+  if (effects.empty()) return found;
+  const std::vector<ChannelStructure> after =
+      Structure(flight, attribution.residual_after(), channels);
+  const double unexplained = UnexplainedStructure(
+      attribution.residual_before(), attribution.residual_after(), before, after, decision_);
+  // As in CloseLoop(): a stand-in explains less than is left.
+  if (unexplained > decision_.most_unexplained) return found;
+  found.candidate = effects.front();
+  found.alternatives = effects.front().alternatives;
+  for (size_t k = 1; k < effects.size(); ++k) found.beside.push_back(effects[k].name);
+  found.refitted = attribution.stage().values;
+  found.explained_share =
+      ExplainedStructure(before, after, decision_.whiteness_p, decision_.noise_p);
   return found;
 }
 

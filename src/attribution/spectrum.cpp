@@ -106,7 +106,11 @@ Whiteness TestWhiteness(const std::vector<std::vector<double>>& runs, double rat
     for (size_t j = 2; j < shapes.size(); ++j) red += full.weights[j] * shapes[j][i];
     const double noise = full.weights[0] + full.weights[1] * blue[i];
     const double excess = bins[i].power - (red + noise);
-    if (bins[i].power > line * (red + noise)) red += excess;
+    if (bins[i].power > line * (red + noise)) {
+      const double ratio = bins[i].power / (red + noise);
+      result.nats += ratio - 1.0 - std::log(ratio);
+      red += excess;
+    }
     structured += red;
     all += red + noise;
     const double level = null.weights[0] + null.weights[1] * blue[i] + 1e-300;
@@ -120,6 +124,7 @@ Whiteness TestWhiteness(const std::vector<std::vector<double>>& runs, double rat
   const double p_line = -std::expm1(static_cast<double>(bins.size()) *
                                     std::log1p(-std::exp(-std::min(700.0, highest))));
   result.p = std::min(1.0, 2.0 * std::min(p_low, p_line));
+  result.nats += gain;
   result.structured_share = structured / all;
   result.peak_Hz = peak;
   return result;

@@ -27,6 +27,7 @@ class MassChange final : public Effect {
 
   bool adds_wrench() const override { return false; }
   BodyPropertyRows shaped_rows() const override { return {kRowMass, kRowGravity}; }
+  std::string onset_parameter() const override { return "from"; }
   bool depends_on_time() const override { return true; }
 
  private:

@@ -1,26 +1,64 @@
 #include "odmc/effects/effects.h"
+#include "odmc/math/so3.h"
 #include "rotor_air.h"
 
 namespace odmc {
 namespace {
 
-/// Induced and flapping drag of each rotor, in its plane: f_j = -k_d Ω_j Π u_j at hub j.
-///                                                                      model.md 12.1
+/// Induced and flapping drag of each rotor, in its plane: f_j = -k_d Ω_j Π u_j at hub j. Where on
+/// the rotor it acts differs from vehicle to vehicle: the couple -k_c Σ Ω_j e3 × Π u_j lifts it to
+/// a height k_c / k_d above the hubs, and k_r Σ Ω_j ω_z e3 takes part of its yaw damping away.
+///                                                                       model.md 12.1
 class RotorDrag final : public Effect {
  public:
   explicit RotorDrag(const Vehicle& vehicle)
       : Effect(vehicle,
                {"rotor_drag", "Rotor drag",
-                "f_j = -k_d Omega_j (u_jx, u_jy, 0) at hub j, u_j = v_AB_B + w x r_j",
+                "f_j = -k_d Omega_j (u_jx, u_jy, 0), u_j = v_AB_B + w x r_j, at a height "
+                "k_c / k_d above hub j",
                 "model.md 12.1; Martin and Salaun 2010; Kai et al. 2017",
-                "one with linear drag while the rotors' speed hardly changes; acts in the hub "
-                "plane"},
-               {HubDampingSpec("k_d", "in-plane drag per rotor speed and air speed", vehicle)}) {}
+                "one with linear drag while the rotors' speed hardly changes; its couple is a hub "
+                "moment"},
+               {HubDampingSpec("k_d", "in-plane drag per rotor speed and air speed", vehicle),
+                CoupleSpec(vehicle), DampingSpec(vehicle)}) {}
 
  private:
+  /// Prior: a fifth of an arm above or below the hubs.
+  static ParameterSpec CoupleSpec(const Vehicle& vehicle) {
+    const double natural = 0.2 * vehicle.ArmLength() * HubDampingSpec("", "", vehicle).prior_sigma;
+    return {"k_c", "N s^2", "k_d times the height above the hubs it acts at", 0.0, 10.0 * natural,
+            natural};
+  }
+
+  /// Prior: as much as hubs an arm away from the centre have.
+  static ParameterSpec DampingSpec(const Vehicle& vehicle) {
+    const double arm = vehicle.ArmLength();
+    const double natural = arm * arm * HubDampingSpec("", "", vehicle).prior_sigma;
+    return {"k_r", "N m s^2", "yaw damping per rotor speed that the hubs' distance does not have",
+            0.0, 10.0 * natural, natural};
+  }
+
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
                    WrenchJacobians* J) const override {
     AddHubDamping(state, vehicle(), values[0], {1.0, 1.0, 0.0}, 0, wrench, J);
+    const Eigen::Vector3d e3 = Eigen::Vector3d::UnitZ();
+    Eigen::Vector3d couple = Eigen::Vector3d::Zero();  // per k_c
+    for (int j = 0; j < vehicle().num_rotors(); ++j) {
+      const Rotor& rotor = vehicle().rotors[j];
+      const Eigen::Vector3d slope = -state.rotors.speed[j] * Eigen::Vector3d(1.0, 1.0, 0.0);
+      couple += e3.cross(slope.cwiseProduct(HubAirVelocity(state, rotor)));
+      if (J == nullptr) continue;
+      const Eigen::Matrix3d d_air = values[1] * Hat(e3) * Eigen::Matrix3d(slope.asDiagonal());
+      J->AddCouple(kColumnAirVelocity, d_air);
+      J->AddCouple(kColumnAngularRate, TimesHat(d_air, -rotor.p_BP));
+    }
+    const double speed = state.rotors.speed.sum();
+    const Eigen::Vector3d yaw = speed * state.w_WB_B.z() * e3;
+    wrench->AddCouple(values[1] * couple + values[2] * yaw);
+    if (J == nullptr) return;
+    J->AddCouple(kColumnAngularRate, values[2] * speed * e3 * e3.transpose());
+    J->AddCoupleParameter(1, couple);
+    J->AddCoupleParameter(2, yaw);
   }
 };
 

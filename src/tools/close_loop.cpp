@@ -30,7 +30,7 @@ int main(int argc, char** argv) {
   app.add_option("--block", options.blocks.block_s, "length of a block of time [s]")
       ->capture_default_str()
       ->check(tools::Positive());
-  app.add_option("--most-effects", options.most_effects, "add at most this many effects")
+  app.add_option("--most-effects", options.attribution.most_effects, "add at most this many effects")
       ->capture_default_str()
       ->check(tools::NotNegative());
   tools::AddForce(&app, &force);

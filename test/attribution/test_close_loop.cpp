@@ -198,9 +198,8 @@ ClosedLoop CloseWithLoad(double mass_share, const Swing& swing) {
   return CloseLoop(flight.log, vehicle, vehicle, CloseLoopOptions());
 }
 
-// A force that no effect makes: a wind gains 125 nats and predicts blocks held out better, but the
-// fit has it blow from the front, the online estimator from behind.
-TEST(CloseLoop, RefusesWhatTwoWaysThroughTheDataDoNotAgreeOn) {
+// A force that no effect makes, and a wind would explain part of.
+TEST(CloseLoop, BlamesNoWindForAForceThatNoEffectMakes) {
   const UndeclaredPlan plan = PlanUndeclared(81, 160)[75];
   ASSERT_EQ(plan.kind, Undeclared::kUnknown);
   CloseLoopOptions options;
@@ -208,7 +207,6 @@ TEST(CloseLoop, RefusesWhatTwoWaysThroughTheDataDoNotAgreeOn) {
   options.estimator.max_update_time_s = 10.0;  // the same result on a loaded machine
   const UndeclaredFlight flight = MakeUndeclared(plan);
   const ClosedLoop loop = CloseLoop(flight.log, flight.declared, flight.declared, options);
-  ASSERT_EQ(loop.ranking.front().name, "wind") << CloseLoopTable(loop);
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
 }
 

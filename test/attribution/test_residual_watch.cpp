@@ -130,7 +130,7 @@ TEST(ResidualWatch, NamesTheMissingEffectAndTheEstimatorCarriesOnWithIt) {
   EXPECT_TRUE(look.structured) << Text(look);
   EXPECT_GT(look.structured_share, 0.3) << Text(look);
   EXPECT_GT(look.explained_share, 0.5) << Text(look);
-  EXPECT_GT(look.candidate->score, CloseLoopOptions().least_score);
+  EXPECT_LT(look.candidate->p_value, CloseLoopOptions().attribution.false_alarm_rate);
   EXPECT_NEAR(look.candidate->parameters.front().value, truth, 0.1 * truth);
   EXPECT_GT(look.force_rmse_N.minCoeff(), 0.0);
   EXPECT_GT(look.flight_s, 10.0);

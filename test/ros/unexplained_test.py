@@ -12,13 +12,13 @@ import node_harness
 from odmc.msg import DynamicParameters, UnexplainedResidual
 
 EFFECT = "quadratic_drag"
-WATCH = ("_keyframe_rate_hz:=50", "_residual_watch_window_s:=10", "_residual_watch_period_s:=2")
+WATCH = ("_keyframe_rate_hz:=50", "_residual_watch_period_s:=2")
 TOPICS = ("odometry:=/odometry", "imu:=/imu", "rotor_speeds:=/rotor_speeds")
 
 
 class UnexplainedTest(node_harness.NodeTest):
     def test_names_the_effect_and_adds_it_where_it_may(self):
-        bag, expected = self.make_bag(30, "undeclared")
+        bag, expected = self.make_bag(45, "undeclared")
         parameters, looks = {}, {}
         for name in ("watches", "adds"):
             parameters[name] = node_harness.Collector("/%s/parameters" % name, DynamicParameters)

@@ -9,31 +9,18 @@
 #include <vector>
 
 #include "odmc/analysis/calibration.h"
-#include "odmc/attribution/ranking.h"
+#include "odmc/attribution/attribution.h"
+#include "odmc/attribution/structure.h"
 #include "odmc/estimator/options.h"
 #include "odmc/inspection/stream_inspection.h"
 
 namespace odmc {
 
-/// How the loop is closed. All thresholds are in nats of cross-validated log-likelihood or shares.
+/// How the loop is closed.
 struct CloseLoopOptions {
   EstimatorOptions estimator;
   BlockSplit blocks;
-  double least_score = 8.0;            ///< an effect must gain this much
-  double least_share_of_first = 0.03;  ///< a further effect must gain this share of those before
-  double close_score = 4.0;            ///< candidates this close to the best are alternatives
-  double close_share = 0.05;           ///< or within this share of its score
-  double telling_sigmas = 3.0;     ///< or where it gains less over them than so many of its sigmas
-  double least_explained = 0.5;    ///< of the structured variance, for the verdict "effect"
-  double whiteness_p = 1e-6;       ///< below it a residual is structured
-  double noise_p = 3e-3;           ///< above it noise explains a residual: no effect is named
-  double least_structured = 0.05;  ///< share of variance, for the verdict "unexplained"
-  int most_effects = 6;
-
-  /// What the first effect must gain, or one beside others that have gained `scores` [nats].
-  double LeastScore(bool first, double scores) const {
-    return first ? least_score : std::max(1.25 * least_score, least_share_of_first * scores);
-  }
+  AttributionOptions attribution;
 };
 
 enum class Verdict { kEffect, kNone, kUnexplained };
@@ -76,19 +63,12 @@ struct ClosedLoop {
   std::vector<std::string> warnings;      ///< the findings' sentences among them
 };
 
-/// Names of the sound candidates that come close to the first, and of its special cases.
-std::vector<std::string> Alternatives(const std::vector<Tried>& tried,
-                                      const CloseLoopOptions& options);
-
 /// Two ways through the same data, the fit that chose an effect and the online estimator, find the
 /// same coefficients where the effect is what acts. Where it stands in for something else, what
 /// each finds depends on its weights (Hausman, Specification tests in econometrics, 1978).
 /// @returns what differs by more than three sigma and a third of itself; empty if they agree
 std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
                          const DynamicModel& model);
-
-/// True if a channel of the residual is more than noise.
-bool IsStructured(const ChannelStructure& channel, const CloseLoopOptions& options);
 
 /// Holds a thrust coefficient that is known to 5 % (from an earlier, unloaded flight) as it is:
 /// mass can then be found.

@@ -6,9 +6,11 @@
 #include <vector>
 
 #include "odmc/analysis/prediction.h"
-#include "odmc/attribution/regression.h"
 
 namespace odmc {
+
+/// Force and torque channels of a residual wrench.
+constexpr int kNumChannels = 6;
 
 /// Cuts a flight into blocks of time, some of them held out: seen neither by choice nor by fit.
 struct BlockSplit {
@@ -75,11 +77,8 @@ class ResidualModel {
   /// without torque where IsAnchoredByForce().
   Wrenches Derivative(const DynamicModel& model, const ModelValues& values, int index) const;
 
-  /// Per axis: true if rotor torque and angular acceleration go together clearly enough for a
-  /// regression to find the inertia. Below, noise of the rotor speeds would make it large.
-  std::array<bool, 3> ShowsInertia() const;
-
   const ThinnedFlight& flight() const { return *flight_; }
+  const Vehicle& file_vehicle() const { return *file_vehicle_; }
   /// True if the force is the accelerometer's (it feels what an onboard filter's velocity smooths
   /// away); false if it is the velocity's derivative.
   bool from_accelerometer() const { return from_accelerometer_; }

@@ -48,7 +48,7 @@ struct ResidualLook {
   Eigen::Vector3d torque_rmse_Nm = Eigen::Vector3d::Zero();  ///< body axes; 0 without torque
   std::optional<RankedEffect> candidate;   ///< the effect that would explain it, if any
   double explained_share = 0.0;            ///< of the structured variance that it and `beside` take
-  std::vector<std::string> beside;         ///< further effects it takes to explain half of it
+  std::vector<std::string> beside;         ///< further effects that act
   std::vector<std::string> alternatives;   ///< candidates these seconds can't tell from it
   int in_a_row = 0;                        ///< looks that found this candidate, this one counted
   std::map<std::string, double> refitted;  ///< the model's values beside the candidate
@@ -111,7 +111,7 @@ class ResidualWatch {
   const Vehicle file_vehicle_;
   const ResidualWatchOptions options_;
   const bool with_torque_;
-  const CloseLoopOptions decision_;
+  const AttributionOptions decision_;
 
   // Between the threads.
   std::mutex mutex_;

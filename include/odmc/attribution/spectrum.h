@@ -11,6 +11,7 @@ constexpr int kShortestRun = 50;
 struct Whiteness {
   double p = 1.0;                 ///< chance of this much structure in unstructured noise
   double structured_share = 0.0;  ///< of the variance, 0 to 1
+  double nats = 0.0;              ///< log-likelihood that structure explains beyond noise
   double peak_Hz = 0.0;           ///< where the structure is strongest
 };
 

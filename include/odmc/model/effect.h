@@ -56,6 +56,9 @@ class Effect {
   virtual bool shapes_body() const { return !adds_wrench(); }
   /// Where it shapes the body: the rows its derivative may fill. Fewer make the estimator faster.
   virtual BodyPropertyRows shaped_rows() const { return {0, kNumBodyPropertyRows}; }
+  /// Name of the own parameter that is the time from which on the effect acts [s], and before which
+  /// it does nothing; empty: it acts throughout.
+  virtual std::string onset_parameter() const { return ""; }
   /// True if the body it shapes changes with time.
   virtual bool depends_on_time() const { return false; }
 

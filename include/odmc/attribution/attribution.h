@@ -1,0 +1,114 @@
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "odmc/attribution/effect_search.h"
+#include "odmc/attribution/evidence.h"
+#include "odmc/attribution/ranked_effect.h"
+#include "odmc/attribution/structure.h"
+
+namespace odmc {
+
+/// Every number that attribution decides by.
+struct AttributionOptions {
+  double false_alarm_rate = 0.01;  ///< of naming any effect on a flight on which none acts
+  double log_prior_odds = -3.0;    ///< of one given effect: of some 25 candidates, one acts
+  int most_effects = 6;
+  int surrogates = 300;  ///< their 30 largest give the tail to 10 %
+  double least_share = 0.03;
+  double form_share = 0.1;  ///< of what an effect explains, that its form may miss
+  double telling_sigmas = 3.0;
+  double even_odds = 3.0;  ///< nats: odds of 20 to 1
+  double whiteness_p = 1e-6;       ///< below it a residual is structured
+  double noise_p = 3e-3;           ///< above it noise explains a residual
+  double least_structured = 0.05;  ///< share of variance, for the verdict "unexplained"
+  double most_unexplained = 0.5;   ///< of the structure, for the verdict "effect"
+  double least_ratio = 0.97;       ///< error held out that excuses an estimate of zero
+  double telling_ratio = 0.5;      ///< error held out, after over before, that excuses it
+};
+
+/// True if a channel of the residual is more than noise.
+bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options);
+
+/// Share of the structure of a residual, in nats by which a flexible spectrum explains it beyond
+/// noise, that is still there after effects were added, of the channels in which they act. 0 where
+/// there was none.
+double UnexplainedStructure(const ResidualModel::Wrenches& before, const ResidualModel::Wrenches& after,
+                            const std::vector<ChannelStructure>& of_before,
+                            const std::vector<ChannelStructure>& of_after,
+                            const AttributionOptions& options);
+
+/// Traces the residual of a flight to effects: screen, rank, confirm. One session for one flight.
+class Attribution {
+ public:
+  /// @param residual of the flight; outlives this
+  /// @param give_up asked now and then; once true, nothing is found
+  Attribution(const ResidualModel* residual, Stage stage, std::vector<Candidate> candidates,
+              const AttributionOptions& options, std::function<bool()> give_up = {});
+
+  /// Does all of it.
+  void Run();
+
+  /// Effects that act, most telling first, and every candidate on its own, best first.
+  const std::vector<RankedEffect>& effects() const { return effects_; }
+  const std::vector<RankedEffect>& ranking() const { return ranking_; }
+  /// The model with the effects, and the values of the joint fit.
+  const Stage& stage() const { return stage_; }
+  double flexible_gain() const { return flexible_gain_; }
+  double gain() const { return gain_; }  ///< of all effects together [nats]
+  double held_out_gain() const { return held_out_gain_; }
+  /// Residual that the fit of the declared model leaves, and that of the extended one (N×6).
+  const ResidualModel::Wrenches& residual_before() const { return before_; }
+  const ResidualModel::Wrenches& residual_after() const { return after_; }
+  /// Largest gain of any candidate that a given share of flights without effect exceeds [nats].
+  double NullGain(double share) const;
+  /// Share of flights without effect on which some candidate gains more than `gain`.
+  double PValue(double gain) const;
+
+ private:
+  /// One round about a stage: what more would be added.
+  struct Round {
+    Evidence evidence;
+    VariantSet chosen;
+  };
+
+  void Screen(Evidence* evidence) const;
+  void Polish(Evidence* evidence) const;
+  void Rank(const Evidence& evidence);
+  /// Predictive likelihood, written in two ways: with the coefficients integrated out, and of
+  /// blocks of time by the others. Where the model of the noise is right they agree; the smaller
+  /// counts.
+  double ScoreOf(const Evidence& evidence, const VariantSet& set, const VariantSet& without) const;
+  /// What an effect must gain beside others whose form is known only so well, by channel.
+  double ShadowOf(const std::array<double, kNumChannels>& energy,
+                  const std::array<double, kNumChannels>& others) const;
+  VariantSet Completed(Evidence* evidence, const VariantSet& set, size_t most,
+                       double* gain) const;
+  /// Variants that gain most on their own, of different effects.
+  std::vector<int> BestAlone(const Evidence& evidence) const;
+  VariantSet Confirmed(const Evidence& with, VariantSet set);
+  RankedEffect Describe(const Evidence& evidence, int variant, const VariantSet& set) const;
+  void FindAlternatives(const Evidence& evidence, const VariantSet& set, int variant,
+                        RankedEffect* ranked) const;
+  /// Fits all values of the stage, linearized anew until they stay.
+  ResidualModel::Wrenches Refit(Stage* stage) const;
+  bool GivesUp() const { return give_up_ && give_up_(); }
+
+  const ResidualModel* residual_;
+  const Instruments instruments_;
+  const FlexibleFeatures features_;
+  double flexible_gain_ = 0.0;
+  Stage stage_;
+  const std::vector<Candidate> candidates_;
+  const AttributionOptions options_;
+  const std::function<bool()> give_up_;
+  std::vector<double> null_gains_;
+  std::vector<RankedEffect> effects_, ranking_;
+  std::array<double, kNumChannels> explained_{};  // by what was added, over the noise [nats]
+  double gain_ = 0.0, held_out_gain_ = 0.0;
+  ResidualModel::Wrenches before_, after_;
+};
+
+}  // namespace odmc

@@ -1,0 +1,51 @@
+#pragma once
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+#include <vector>
+
+#include "odmc/attribution/residual.h"
+
+namespace odmc {
+
+/// What could be known of a regressor before the sample it is used for: its regression on the
+/// flight's motion and rotors, and on itself, 0.12 s and more ago.
+///
+/// In closed loop the noise of the present is in the rotors a moment later, and so it is within the
+/// filter's window; noise of rotor speeds is in every torque. A regression on such columns takes
+/// both for physics. What the past says of them has neither (instrumental variables; Young,
+/// Recursive Estimation and Time-Series Analysis, 2011, ch. 7-9). What the past does not foresee is
+/// no evidence for or against anything.
+///
+/// Each fold of blocks of time is foreseen by the coefficients of the others (Angrist, Imbens and
+/// Krueger, J. Appl. Econometrics 1999), and shrunk to what that was worth.
+class Instruments {
+ public:
+  static constexpr int kFolds = 5;
+
+  Instruments(const ThinnedFlight& flight, const Vehicle& file_vehicle);
+
+  /// True if the sample has a past.
+  bool Sees(int i) const { return sees_[static_cast<size_t>(i)]; }
+
+  /// The part that was foreseen (N×6); what has no past is zero.
+  ResidualModel::Wrenches Foreseen(const ResidualModel::Wrenches& column) const;
+  /// The same of any columns (N×k).
+  Eigen::MatrixXd Foreseen(const Eigen::MatrixXd& columns) const;
+
+  /// Fold of a sample.
+  static int FoldAt(double t_s);
+
+ private:
+  Eigen::VectorXd ForeseenColumn(const Eigen::VectorXd& x) const;
+
+  std::vector<bool> sees_;
+  std::vector<int> rows_, fit_rows_;  // samples with a past; of them those not held out
+  std::vector<int> fold_;             // of rows_
+  std::vector<bool> in_use_;          // of rows_
+  Eigen::MatrixXd z_;                 // rows × instruments, of unit size
+  std::vector<Eigen::MatrixXd> gram_;  // of folds, of what is in use
+  std::vector<Eigen::LLT<Eigen::MatrixXd>> without_;  // sums of the other folds
+};
+
+}  // namespace odmc

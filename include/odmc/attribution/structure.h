@@ -1,0 +1,35 @@
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "odmc/attribution/residual.h"
+#include "odmc/attribution/spectrum.h"
+
+namespace odmc {
+
+/// Structure of one channel of the residual.
+struct ChannelStructure {
+  std::string name, unit;
+  double rmse = 0.0;
+  Whiteness whiteness;
+  std::vector<double> autocorrelation;       ///< at lags of 40 ms
+  std::map<std::string, double> dependence;  ///< share of variance by a quadratic in each quantity
+};
+
+/// A number in three digits, for sentences.
+std::string Text(double value);
+
+/// Structure of every channel of a residual.
+std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
+                                        const ResidualModel::Wrenches& residual, int num_channels);
+
+/// Largest share of a structured channel's structured variance (p < whiteness_p) that a fit
+/// explains: all of it where noise accounts for what remains (p > noise_p). 1 if no channel is
+/// structured.
+double ExplainedStructure(const std::vector<ChannelStructure>& before,
+                          const std::vector<ChannelStructure>& after, double whiteness_p,
+                          double noise_p);
+
+}  // namespace odmc

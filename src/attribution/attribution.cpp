@@ -1,0 +1,413 @@
+#include "odmc/attribution/attribution.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <numeric>
+#include <set>
+#include <utility>
+
+namespace odmc {
+namespace {
+
+constexpr size_t kFittedSettings = 2;  // by either measure, and their refinement
+constexpr int kPolishes = 3;           // linearizations of what is not linear
+constexpr int kRefits = 5;             // at most
+constexpr int kInertiaRefits = 2;
+constexpr double kLargeShare = 0.3;    // of the largest: added in the same round
+constexpr double kClearOdds = 4.6;     // nats: a hundred to one
+constexpr size_t kMostFeatures = 10;   // that complete a set
+constexpr double kTail = 0.1;          // share of surrogates whose excess gives the tail
+
+}  // namespace
+
+bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options) {
+  return channel.whiteness.p < options.whiteness_p &&
+         channel.whiteness.structured_share > options.least_structured;
+}
+
+double UnexplainedStructure(const ResidualModel::Wrenches& before, const ResidualModel::Wrenches& after,
+                            const std::vector<ChannelStructure>& of_before,
+                            const std::vector<ChannelStructure>& of_after,
+                            const AttributionOptions& options) {
+  double was = 0.0, is = 0.0;
+  for (size_t c = 0; c < of_before.size(); ++c) {
+    const auto k = static_cast<Eigen::Index>(c);
+    const double acts = (after.col(k) - before.col(k)).squaredNorm();
+    if (acts < options.least_structured * before.col(k).squaredNorm()) continue;
+    if (!IsStructured(of_before[c], options)) continue;
+    was += of_before[c].whiteness.nats;
+    is += of_after[c].whiteness.nats;
+  }
+  return was > 0.0 ? is / was : 0.0;
+}
+
+Attribution::Attribution(const ResidualModel* residual, Stage stage,
+                         std::vector<Candidate> candidates, const AttributionOptions& options,
+                         std::function<bool()> give_up)
+    : residual_(residual),
+      instruments_(residual->flight(), residual->file_vehicle()),
+      features_(residual->flight(), residual->file_vehicle(), instruments_),
+      stage_(std::move(stage)),
+      candidates_(std::move(candidates)),
+      options_(options),
+      give_up_(std::move(give_up)) {}
+
+void Attribution::Screen(Evidence* evidence) const {
+  std::map<std::string, std::vector<const Candidate*>> by_effect;
+  for (const Candidate& candidate : candidates_) {
+    const std::vector<std::string>& have = evidence->stage().vehicle.effects;
+    if (std::find(have.begin(), have.end(), candidate.effect) != have.end()) continue;
+    by_effect[candidate.effect].push_back(&candidate);
+  }
+  for (const auto& entry : by_effect) {
+    if (entry.second.size() == 1) evidence->Add(*entry.second.front());
+  }
+  evidence->EstimateNoise();
+  struct Chosen {
+    Candidate candidate;
+    double log_prior;
+  };
+  std::vector<Chosen> all;
+  for (const auto& [effect, settings] : by_effect) {
+    if (settings.size() < 2 || GivesUp()) continue;
+    std::vector<Evidence::Promise> promises;
+    for (const Candidate* c : settings) promises.push_back(evidence->PromiseOf(*c));
+    std::set<size_t> chosen;
+    const auto choose = [&](double Evidence::Promise::*by) {
+      std::vector<size_t> order(promises.size());
+      std::iota(order.begin(), order.end(), size_t{0});
+      std::sort(order.begin(), order.end(),
+                [&](size_t a, size_t b) { return promises[a].*by > promises[b].*by; });
+      chosen.insert(order.begin(), order.begin() + std::min(order.size(), kFittedSettings));
+    };
+    choose(&Evidence::Promise::serial);
+    choose(&Evidence::Promise::white);
+    const double log_prior = -std::log(static_cast<double>(settings.size()));
+    const auto most = static_cast<size_t>(
+        std::max_element(promises.begin(), promises.end(),
+                         [](const auto& a, const auto& b) { return a.white < b.white; }) -
+        promises.begin());
+    for (const size_t i : chosen) all.push_back({*settings[i], log_prior});
+    const Candidate refined = Refined(*settings[most], [&](const Candidate& other) {
+      return evidence->PromiseOf(other).white;
+    });
+    if (refined.settings != settings[most]->settings) all.push_back({refined, log_prior});
+  }
+  for (const Chosen& c : all) {
+    const int added = evidence->Add(c.candidate);
+    if (added >= 0) evidence->SetLogPrior(added, c.log_prior);
+  }
+  evidence->EstimateNoise();
+}
+
+void Attribution::Polish(Evidence* evidence) const {
+  for (int round = 0; round < kPolishes; ++round) {
+    std::map<int, std::map<std::string, double>> solutions;
+    for (int v = 0; v < static_cast<int>(evidence->variants().size()); ++v) {
+      const Variant& variant = evidence->variants()[v];
+      if (variant.offset < 0 && variant.candidate.start.empty()) continue;
+      const EffectFit p = evidence->Solve({v});
+      std::map<std::string, double>& at = solutions[v];
+      for (size_t k = 0; k < p.columns.size(); ++k) {
+        const Evidence::Column& column = evidence->column(p.columns[k]);
+        if (column.effect != variant.candidate.effect) continue;
+        at[column.name] = p.coefficients[static_cast<Eigen::Index>(k)];
+      }
+    }
+    if (solutions.empty()) return;
+    for (const auto& [v, at] : solutions) evidence->Relinearize(v, at);
+    evidence->EstimateNoise();
+  }
+}
+
+double Attribution::NullGain(double share) const {
+  const auto n = static_cast<double>(null_gains_.size());
+  const auto at = static_cast<size_t>(std::ceil((1.0 - kTail) * n)) - 1;
+  if (share >= kTail) {
+    const auto k = static_cast<size_t>(std::ceil((1.0 - share) * n));
+    return null_gains_[std::min(null_gains_.size() - 1, k > 0 ? k - 1 : 0)];
+  }
+  // Squared normal variables over two: an exponential tail of mean one, or more where the noise
+  // has a heavier one.
+  double excess = 0.0, count = 0.0;
+  for (size_t k = at + 1; k < null_gains_.size(); ++k, count += 1.0) {
+    excess += null_gains_[k] - null_gains_[at];
+  }
+  return null_gains_[at] + std::max(1.0, excess / std::max(1.0, count)) * std::log(kTail / share);
+}
+
+double Attribution::PValue(double gain) const {
+  const double from = NullGain(kTail);
+  const double mean = (NullGain(0.01 * kTail) - from) / std::log(100.0);
+  if (gain > from) return kTail * std::exp(-(gain - from) / mean);
+  const auto above = std::lower_bound(null_gains_.begin(), null_gains_.end(), gain);
+  return std::max(kTail, static_cast<double>(null_gains_.end() - above) /
+                             static_cast<double>(null_gains_.size()));
+}
+
+RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
+                                   const VariantSet& set) const {
+  RankedEffect ranked;
+  const Variant& v = evidence.variants()[variant];
+  ranked.name = v.candidate.effect;
+  ranked.settings = v.candidate.settings;
+  VariantSet without = set;
+  without.erase(variant);
+  const EffectFit posterior = evidence.Solve(set);
+  ranked.score = ScoreOf(evidence, set, without);
+  ranked.p_value = PValue(ranked.score);
+  const Vehicle extended = With(evidence.stage().vehicle, v.candidate);
+  const DynamicModel model(extended, extended.effects);
+  std::vector<Eigen::Index> own;
+  for (size_t k = 0; k < posterior.columns.size(); ++k) {
+    const Evidence::Column& column = evidence.column(posterior.columns[k]);
+    if (column.effect != ranked.name) continue;
+    const auto at = static_cast<Eigen::Index>(k);
+    const double value = posterior.coefficients[at];
+    const double sigma = std::sqrt(std::max(0.0, posterior.covariance(at, at)));
+    const ParameterSpec& spec = model.parameters()[model.IndexOf(column.name)].spec;
+    ranked.parameters.push_back(
+        {column.name, spec.unit, value, sigma, true, sigma < 0.5 * spec.prior_sigma});
+    if (!column.initial_state) own.push_back(at);
+    if (HasWrongSign(spec.sign, value, 2.0 * sigma)) {
+      ranked.remarks.push_back(column.name + " = " + Text(value) + " has an unphysical sign");
+    } else if (std::abs(value - spec.prior_value) > 4.0 * spec.prior_sigma) {
+      ranked.remarks.push_back(column.name + " = " + Text(value) + " is strangely large");
+    }
+  }
+  for (const auto& [name, value] : ranked.settings) {
+    const int k = model.IndexOf(name);
+    ranked.parameters.push_back({name, model.parameters()[k].spec.unit, value, 0.0, false, false});
+  }
+  ranked.covariance = posterior.covariance(own, own);
+  return ranked;
+}
+
+void Attribution::Rank(const Evidence& evidence) {
+  std::map<std::string, RankedEffect> best;
+  for (int v = 0; v < static_cast<int>(evidence.variants().size()); ++v) {
+    RankedEffect ranked = Describe(evidence, v, {v});
+    const auto it = best.find(ranked.name);
+    if (it == best.end() || it->second.score < ranked.score) best[ranked.name] = ranked;
+  }
+  for (auto& entry : best) ranking_.push_back(std::move(entry.second));
+  std::sort(ranking_.begin(), ranking_.end(),
+            [](const auto& a, const auto& b) { return a.score > b.score; });
+}
+
+double Attribution::ScoreOf(const Evidence& evidence, const VariantSet& set,
+                            const VariantSet& without) const {
+  return std::min(evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence,
+                  evidence.PredictiveGain(set, without));
+}
+
+double Attribution::ShadowOf(const std::array<double, kNumChannels>& energy,
+                             const std::array<double, kNumChannels>& others) const {
+  double all = 0.0, shadow = 0.0;
+  for (int c = 0; c < kNumChannels; ++c) {
+    all += energy[c];
+    shadow += energy[c] * others[c];
+  }
+  return all > 0.0 ? options_.least_share * shadow / all : 0.0;
+}
+
+VariantSet Attribution::Completed(Evidence* evidence, const VariantSet& set, size_t most,
+                                  double* gain) const {
+  VariantSet all = set;
+  *gain = 0.0;
+  for (size_t k = 0; k < most; ++k) {
+    const Evidence::FlexibleGain best = evidence->BestFlexible(all, features_);
+    if (best.nats < kClearOdds) break;
+    *gain += best.nats;
+    all.insert(evidence->AddFlexible(best, features_));
+  }
+  return all;
+}
+
+VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
+  // Where the model of the noise is right, a likelihood ratio exceeds 1/p by chance with probability
+  // p at most (Markov's inequality): over all candidates.
+  std::set<std::string> names;
+  for (const Candidate& candidate : candidates_) names.insert(candidate.effect);
+  const double least_score =
+      std::log(static_cast<double>(names.size()) / options_.false_alarm_rate);
+  Evidence evidence = with;
+  while (true) {
+    // What no effect explains, as far as a flexible function does.
+    const VariantSet all = Completed(&evidence, set, kMostFeatures, &flexible_gain_);
+    if (set.empty()) break;
+    const EffectFit fit = evidence.Solve(set);
+    std::optional<int> weakest;
+    double least = 0.0;
+    for (const int v : set) {
+      VariantSet without = set;
+      without.erase(v);
+      const double score = ScoreOf(evidence, set, without);
+      double instead = 0.0;
+      size_t coefficients = 0;
+      for (const int k : evidence.variants()[v].columns) {
+        coefficients += evidence.column(k).initial_state ? 0 : 1;
+      }
+      Completed(&evidence, without, all.size() - set.size() + coefficients, &instead);
+      std::array<double, kNumChannels> others = explained_;
+      for (const int other : set) {
+        if (other == v) continue;
+        const auto energy = evidence.EnergyOf(other, fit);
+        for (int c = 0; c < kNumChannels; ++c) others[c] += energy[c];
+      }
+      const double gain =
+          evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence;
+      const double margin = (1.0 + options_.form_share) * gain + flexible_gain_ - instead - kClearOdds;
+      const bool holds = score > least_score && PValue(score) < options_.false_alarm_rate &&
+                         margin > 0.0 &&
+                         score > ShadowOf(evidence.EnergyOf(v, fit), others);
+      if (holds || (weakest && margin >= least)) continue;
+      weakest = v;
+      least = margin;
+    }
+    if (!weakest) break;
+    set.erase(*weakest);
+  }
+  return set;
+}
+
+std::vector<int> Attribution::BestAlone(const Evidence& evidence) const {
+  constexpr size_t kTried = 3;
+  std::map<std::string, std::pair<double, int>> best;
+  for (int v = 0; v < static_cast<int>(evidence.variants().size()); ++v) {
+    const double gain = evidence.Gain({v});
+    const auto it = best.emplace(evidence.variants()[v].candidate.effect, std::pair(gain, v)).first;
+    if (gain > it->second.first) it->second = {gain, v};
+  }
+  std::vector<std::pair<double, int>> order;
+  for (const auto& entry : best) order.emplace_back(-entry.second.first, entry.second.second);
+  std::sort(order.begin(), order.end());
+  std::vector<int> variants;
+  for (size_t k = 0; k < std::min(kTried, order.size()); ++k) {
+    if (PValue(-order[k].first) < options_.false_alarm_rate) variants.push_back(order[k].second);
+  }
+  return variants;
+}
+
+void Attribution::FindAlternatives(const Evidence& evidence, const VariantSet& set, int variant,
+                                   RankedEffect* ranked) const {
+  VariantSet without = set;
+  without.erase(variant);
+  const double best = evidence.Gain(set), base = evidence.Gain(without);
+  std::map<std::string, double> close;
+  for (int v = 0; v < static_cast<int>(evidence.variants().size()); ++v) {
+    const std::string& name = evidence.variants()[v].candidate.effect;
+    if (name == ranked->name) continue;
+    if (std::any_of(without.begin(), without.end(), [&](int other) {
+          return evidence.variants()[other].candidate.effect == name;
+        })) {
+      continue;
+    }
+    VariantSet other = without;
+    other.insert(v);
+    const double gain = evidence.Gain(other);
+    if (PValue(gain - base) > options_.false_alarm_rate) continue;
+    const Evidence::Lead lead = evidence.LeadOf(set, other);
+    if (best - gain > options_.even_odds && lead.nats > options_.telling_sigmas * lead.sigma) {
+      continue;
+    }
+    const auto it = close.find(name);
+    if (it == close.end() || it->second < gain) close[name] = gain;
+  }
+  std::vector<std::pair<double, std::string>> order;
+  for (const auto& [name, gain] : close) order.emplace_back(-gain, name);
+  std::sort(order.begin(), order.end());
+  for (const auto& entry : order) ranked->alternatives.push_back(entry.second);
+}
+
+ResidualModel::Wrenches Attribution::Refit(Stage* stage) const {
+  ResidualModel::Wrenches residual;
+  for (int round = 0; round < kRefits; ++round) {
+    Evidence evidence(residual_, &instruments_, *stage);
+    evidence.EstimateNoise();
+    const EffectFit posterior = evidence.Solve({});
+    residual = evidence.ResidualOf({}, posterior);
+    double moved = 0.0;
+    for (size_t k = 0; k < posterior.columns.size(); ++k) {
+      const auto at = static_cast<Eigen::Index>(k);
+      moved = std::max(moved, std::abs(posterior.coefficients[at]) /
+                                  std::sqrt(posterior.covariance(at, at)));
+    }
+    std::map<std::string, double> values = evidence.Values({}, posterior);
+    for (const auto& [name, value] : stage->values) {
+      // Where little is foreseen of torque, the unforeseen rest grows as inertia gets smaller, and
+      // the fit runs after it.
+      if (round >= kInertiaRefits && name.rfind("inertia.", 0) == 0) values[name] = value;
+    }
+    stage->values = std::move(values);
+    constexpr double kSettled = 0.1;  // sigmas
+    if (moved < kSettled) break;
+  }
+  return residual;
+}
+
+void Attribution::Run() {
+  before_ = Refit(&stage_);
+  after_ = before_;
+  for (int round = 0; static_cast<int>(effects_.size()) < options_.most_effects; ++round) {
+    Evidence evidence(residual_, &instruments_, stage_);
+    Screen(&evidence);
+    Polish(&evidence);
+    if (GivesUp() || evidence.variants().empty()) return;
+    null_gains_ = evidence.SurrogateGains({}, options_.surrogates, 1);
+    if (round == 0) Rank(evidence);
+    const SearchResult found =
+        SearchEffects(evidence, options_.log_prior_odds,
+                      options_.most_effects - static_cast<int>(effects_.size()), give_up_);
+    VariantSet set = Confirmed(evidence, found.best.variants);
+    // Members of a set may hide each other's case: one alone may say more.
+    for (const int v : BestAlone(evidence)) {
+      if (set.count(v) > 0) break;
+      const VariantSet alone = Confirmed(evidence, {v});
+      if (!alone.empty() && evidence.Gain(alone) > evidence.Gain(set)) set = alone;
+      if (!set.empty()) break;
+    }
+    if (set.empty()) return;
+    // What is small beside the largest may be its shadow: that is looked at again once the model is
+    // linearized about the largest.
+    double most = 0.0;
+    std::map<int, double> scores;
+    for (const int v : set) {
+      VariantSet without = set;
+      without.erase(v);
+      scores[v] = evidence.Gain(set) - evidence.Gain(without);
+      most = std::max(most, scores[v]);
+    }
+    for (const auto& [v, score] : scores) {
+      if (score < kLargeShare * most) set.erase(v);
+    }
+    std::vector<RankedEffect> added;
+    for (const int v : set) {
+      added.push_back(Describe(evidence, v, set));
+      added.back().probability = found.ProbabilityOf(added.back().name, evidence);
+      FindAlternatives(evidence, set, v, &added.back());
+    }
+    const double gain = evidence.Gain(set);
+    const EffectFit fit = evidence.Solve(set);
+    for (const int v : set) {
+      const auto energy = evidence.EnergyOf(v, fit);
+      for (int c = 0; c < kNumChannels; ++c) explained_[c] += energy[c];
+    }
+    std::sort(added.begin(), added.end(),
+              [](const auto& a, const auto& b) { return a.score > b.score; });
+    gain_ += gain;
+    held_out_gain_ += evidence.HeldOutGain(set);
+    Stage next = stage_;
+    next.values = evidence.Values(set, evidence.Solve(set));
+    for (const int v : set) next.vehicle = With(next.vehicle, evidence.variants()[v].candidate);
+    stage_ = std::move(next);
+    after_ = Refit(&stage_);
+    for (RankedEffect& effect : added) {
+      for (ParameterEstimate& p : effect.parameters) p.value = stage_.values.at(p.full_name);
+      effects_.push_back(std::move(effect));
+    }
+  }
+}
+
+}  // namespace odmc

@@ -1,0 +1,86 @@
+#include "odmc/attribution/structure.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+namespace odmc {
+namespace {
+
+constexpr double kHighest_Hz = 7.0;   // edge of the filter
+constexpr int kCorrelationLags = 26;  // of 40 ms: one second
+const char* const kChannelNames[] = {"force_x",  "force_y",  "force_z",
+                                     "torque_x", "torque_y", "torque_z"};
+
+}  // namespace
+
+std::string Text(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.3g", value);
+  return text;
+}
+
+std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
+                                        const ResidualModel::Wrenches& residual, int num_channels) {
+  std::vector<ChannelStructure> all;
+  const double rate_Hz = 1.0 / flight.step_s();
+  for (int c = 0; c < num_channels; ++c) {
+    ChannelStructure channel;
+    channel.name = kChannelNames[c];
+    channel.unit = c < 3 ? "N" : "N m";
+    const Eigen::VectorXd y = residual.col(c);
+    channel.rmse = std::sqrt(y.squaredNorm() / std::max<Eigen::Index>(1, y.size()));
+    const auto runs = flight.Runs(y);
+    channel.whiteness = TestWhiteness(runs, rate_Hz, std::min(kHighest_Hz, 0.4 * rate_Hz));
+    channel.autocorrelation = Autocorrelation(runs, kCorrelationLags);
+    const auto share = [&](auto quantity) {
+      Eigen::MatrixXd A(y.size(), 3);
+      for (int i = 0; i < flight.size(); ++i) {
+        const double x = quantity(flight.sample(i));
+        A.row(i) << 1.0, x, x * x;
+      }
+      Eigen::Vector3d size = A.cwiseAbs().colwise().maxCoeff().cwiseMax(1e-12);
+      A = A * size.cwiseInverse().asDiagonal();
+      const Eigen::Matrix3d H = A.transpose() * A + 1e-9 * Eigen::Matrix3d::Identity();
+      const Eigen::VectorXd rest = y - A * H.ldlt().solve(A.transpose() * y);
+      const double variance = (y.array() - y.mean()).matrix().squaredNorm();
+      return variance > 0.0 ? std::max(0.0, 1.0 - rest.squaredNorm() / variance) : 0.0;
+    };
+    channel.dependence = {
+        {"speed", share([](const FilteredMotion& m) { return m.v_WS.norm(); })},
+        {"forward_speed",
+         share([](const FilteredMotion& m) { return (m.R_WS.transpose() * m.v_WS).x(); })},
+        {"side_speed",
+         share([](const FilteredMotion& m) { return (m.R_WS.transpose() * m.v_WS).y(); })},
+        {"axial_speed",
+         share([](const FilteredMotion& m) { return (m.R_WS.transpose() * m.v_WS).z(); })},
+        {"roll_rate", share([](const FilteredMotion& m) { return m.w_S.x(); })},
+        {"pitch_rate", share([](const FilteredMotion& m) { return m.w_S.y(); })},
+        {"yaw_rate", share([](const FilteredMotion& m) { return m.w_S.z(); })},
+        {"thrust", share([](const FilteredMotion& m) { return m.rotors.speed_squared.sum(); })},
+        {"height", share([](const FilteredMotion& m) { return m.p_WS.z(); })},
+        {"time", share([](const FilteredMotion& m) { return m.t_s; })},
+    };
+    all.push_back(std::move(channel));
+  }
+  return all;
+}
+
+double ExplainedStructure(const std::vector<ChannelStructure>& before,
+                          const std::vector<ChannelStructure>& after, double whiteness_p,
+                          double noise_p) {
+  double best = 0.0;
+  bool any = false;
+  for (size_t c = 0; c < before.size(); ++c) {
+    if (before[c].whiteness.p >= whiteness_p) continue;
+    any = true;
+    const double was = before[c].whiteness.structured_share * before[c].rmse * before[c].rmse;
+    if (after[c].whiteness.p > noise_p) return 1.0;  // what remains is noise
+    const double is = after[c].whiteness.structured_share * after[c].rmse * after[c].rmse;
+    if (was > 0.0) best = std::max(best, 1.0 - is / was);
+  }
+  return any ? best : 1.0;
+}
+
+}  // namespace odmc

@@ -1,0 +1,218 @@
+// How effects are told from noise and from what nobody has a name for.
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "odmc/analysis/flight_motion.h"
+#include "odmc/attribution/attribution.h"
+#include "odmc/attribution/candidates.h"
+#include "odmc/attribution/effect_search.h"
+#include "odmc/attribution/evidence.h"
+#include "odmc/attribution/flexible_features.h"
+#include "odmc/attribution/instruments.h"
+#include "odmc/attribution/undeclared.h"
+#include "odmc/sim/gaussian.h"
+#include "odmc/sim/simulator.h"
+
+namespace odmc {
+namespace {
+
+using Eigen::VectorXd;
+
+struct Flown {
+  Vehicle vehicle;
+  ThinnedFlight flight;
+  ParameterSet truth;
+};
+
+Flown Filtered(const UndeclaredFlight& flight) {
+  const int rotors = flight.declared.num_rotors();
+  return {flight.declared, ThinnedFlight(FilterFlight(flight.log, rotors, {}), BlockSplit()),
+          flight.truth};
+}
+
+/// A flight on which effects make up `share` of the residual, none where there are none.
+UndeclaredFlight Make(const std::vector<std::string>& effects, double share,
+                      const std::string& trajectory, int vehicle, int seed) {
+  UndeclaredPlan plan;
+  plan.kind = effects.empty()       ? Undeclared::kNothing
+              : effects.size() == 1 ? Undeclared::kOneEffect
+                                    : Undeclared::kTwoEffects;
+  plan.effects = effects;
+  plan.share = share;
+  plan.trajectory = trajectory;
+  plan.vehicle = vehicle;
+  plan.seed = seed;
+  return MakeUndeclared(plan);
+}
+
+/// The declared model as its file has it.
+Stage DeclaredStage(const Vehicle& vehicle) {
+  const DynamicModel model(vehicle, vehicle.effects);
+  return StageOf(model, model.InitialValues());
+}
+
+/// All of attribution, without an online estimate.
+Attribution Attribute(const Flown& flown, const ResidualModel& residual) {
+  Attribution attribution(&residual, DeclaredStage(flown.vehicle),
+                          CandidatesFor(flown.vehicle, flown.flight.motion()), {});
+  attribution.Run();
+  return attribution;
+}
+
+bool Has(const std::vector<RankedEffect>& effects, const std::string& name) {
+  return std::any_of(effects.begin(), effects.end(), [&](const RankedEffect& e) {
+    return e.name == name ||
+           std::count(e.alternatives.begin(), e.alternatives.end(), name) > 0;
+  });
+}
+
+bool IsCandidate(const Flown& flown, const std::string& effect) {
+  const std::vector<Candidate> all = CandidatesFor(flown.vehicle, flown.flight.motion());
+  return std::any_of(all.begin(), all.end(),
+                     [&](const Candidate& c) { return c.effect == effect; });
+}
+
+TEST(Candidates, GroundEffectNeedsHeightThatVaries) {
+  EXPECT_FALSE(IsCandidate(Filtered(Make({}, 0.0, "circle", 0, 31)), "ground_effect"));
+  EXPECT_TRUE(IsCandidate(Filtered(Make({}, 0.0, "vertical", 0, 31)), "ground_effect"));
+}
+
+class OctoFlight : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() { flown_ = new Flown(Filtered(Make({}, 0.0, "octo", 0, 31))); }
+  static void TearDownTestSuite() {
+    delete flown_;
+    flown_ = nullptr;
+  }
+
+  /// A column of one channel, by flight time.
+  static ResidualModel::Wrenches Column(const std::function<double(double)>& value) {
+    ResidualModel::Wrenches column =
+        ResidualModel::Wrenches::Zero(flown_->flight.size(), kNumChannels);
+    for (int i = 0; i < flown_->flight.size(); ++i) column(i, 0) = value(flown_->flight.sample(i).t_s);
+    return column;
+  }
+
+  /// Share of a column that its instruments foresee.
+  static double ForeseenShare(const ResidualModel::Wrenches& column) {
+    const Instruments instruments(flown_->flight, flown_->vehicle);
+    const ResidualModel::Wrenches foreseen = instruments.Foreseen(column);
+    double all = 0.0, seen = 0.0;
+    for (int i = 0; i < flown_->flight.size(); ++i) {
+      if (!instruments.Sees(i)) continue;
+      all += column(i, 0) * column(i, 0);
+      seen += foreseen(i, 0) * foreseen(i, 0);
+    }
+    return seen / all;
+  }
+
+  static Flown* flown_;
+};
+
+Flown* OctoFlight::flown_ = nullptr;
+
+TEST_F(OctoFlight, InstrumentsForeseeAManoeuvreAndNoNoise) {
+  EXPECT_GT(ForeseenShare(Column([](double t) { return std::sin(2.0 * t); })), 0.95);
+  Gaussian random(3, 1);
+  const ResidualModel::Wrenches noise = Column([&](double) { return random.Next(); });
+  EXPECT_EQ(ForeseenShare(noise), 0.0);
+  // A fiftieth of its power is noise: none of that is foreseen.
+  const double share = ForeseenShare(
+      noise + Column([](double t) { return std::sqrt(98.0) * std::sin(2.0 * t); }));
+  EXPECT_GT(share, 0.6);
+  EXPECT_LT(share, 0.985);
+}
+
+TEST_F(OctoFlight, InstrumentsNeedAPast) {
+  const Instruments instruments(flown_->flight, flown_->vehicle);
+  for (int i = 0; i < 8; ++i) EXPECT_FALSE(instruments.Sees(i));
+  EXPECT_TRUE(instruments.Sees(8));
+}
+
+// Noise of rotor speeds makes the inertia that fits best a multiple of the true one; seen by what
+// was foreseen of torque it is the truth.
+TEST(Evidence, FindsInertiaThroughTheNoiseOfRotorSpeeds) {
+  for (const char* trajectory : {"octo", "aggressive"}) {
+    const Flown flown = Filtered(Make({}, 0.0, trajectory, 0, 31));
+    const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+    const Attribution attribution = Attribute(flown, residual);
+    for (const char* name : {"inertia.x", "inertia.y"}) {
+      const double truth = flown.truth.Find(name)->value;
+      EXPECT_NEAR(attribution.stage().values.at(name), truth, 0.12 * truth)
+          << trajectory << " " << name;
+    }
+  }
+}
+
+TEST(Evidence, NamesWhatActsWithItsCoefficient) {
+  const UndeclaredFlight flight = Make({"quadratic_drag"}, 0.5, "octo", 1, 12);
+  const Flown flown = Filtered(flight);
+  const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+  const Attribution attribution = Attribute(flown, residual);
+  ASSERT_FALSE(attribution.effects().empty());
+  const RankedEffect& found = attribution.effects().front();
+  EXPECT_EQ(found.name, "quadratic_drag");
+  EXPECT_LT(found.p_value, 1e-6);
+  const double truth = flown.truth.Find("quadratic_drag.c_q")->value;
+  EXPECT_NEAR(found.parameters.front().value, truth, 0.2 * truth);
+  EXPECT_GT(attribution.held_out_gain(), 0.0);
+}
+
+TEST(Evidence, NamesBothOfTwoThatActOnDifferentAxes) {
+  const UndeclaredFlight flight = Make({"quadratic_drag", "hub_moment"}, 0.5, "aggressive", 0, 7);
+  const Flown flown = Filtered(flight);
+  const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+  const Attribution attribution = Attribute(flown, residual);
+  EXPECT_TRUE(Has(attribution.effects(), "quadratic_drag"));
+  EXPECT_TRUE(Has(attribution.effects(), "hub_moment"));
+}
+
+// Our own simulator's feedback goes through noise and unsteady air: rotors answer both.
+TEST(Evidence, NamesNothingOnFlightsWithoutEffects) {
+  const char* const trajectories[] = {"hover", "vertical", "yaw", "circle", "octo", "aggressive"};
+  int alarms = 0;
+  for (int seed = 0; seed < 12; ++seed) {
+    const Flown flown = Filtered(Make({}, 0.0, trajectories[seed % 6], seed % 4, 500 + seed));
+    const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+    const Attribution attribution = Attribute(flown, residual);
+    if (attribution.effects().empty()) continue;
+    ++alarms;
+    ADD_FAILURE() << "seed " << 500 + seed << ", " << trajectories[seed % 6] << ": "
+                  << attribution.effects().front().name << " "
+                  << attribution.effects().front().score;
+  }
+  EXPECT_LE(alarms, 1);  // at 1 % each, two of twelve once in 170 runs
+}
+
+TEST(Evidence, PValuesFallWithTheGainAndAgreeWithSurrogates) {
+  const Flown flown = Filtered(Make({}, 0.0, "octo", 2, 77));
+  const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+  const Attribution attribution = Attribute(flown, residual);
+  double last = 2.0;
+  for (double gain = -5.0; gain < 60.0; gain += 1.0) {
+    const double p = attribution.PValue(gain);
+    EXPECT_GT(p, 0.0);
+    EXPECT_LE(p, last);
+    last = p;
+  }
+  for (const double share : {0.09, 0.05, 0.01, 1e-4}) {
+    EXPECT_NEAR(attribution.PValue(attribution.NullGain(share)), share, 1e-9);
+  }
+}
+
+// Flight 99 of seed 41: no sensible size of it shows a third of the residual on any trajectory.
+TEST(MakeUndeclared, CallsWhatShowsLessThanPlannedByItsRealStrength) {
+  const UndeclaredFlight flight = Make({"anisotropic_hvt"}, 0.3, "octo", 3, 41099);
+  EXPECT_LT(flight.share, 0.1);
+  EXPECT_EQ(flight.plan.strength, "weak");
+  EXPECT_EQ(flight.plan.share, 0.08);
+}
+
+}  // namespace
+}  // namespace odmc
