@@ -19,6 +19,7 @@ namespace {
 
 constexpr int kLeastSamples = 50;  // to look for effects in
 constexpr double kGustCoefficients = 8.0;  // nats: size, time and the drag that goes with them
+constexpr double kSlightestGust_m_s = 0.1;  // slighter ones through much drag are a force, no wind
 constexpr double kKnownThrustShare = 0.05;
 constexpr double kTooLarge = 4.0;    // natural sizes
 constexpr double kSignificant = 3.0;  // sigmas of one coefficient
@@ -280,7 +281,7 @@ Gusts RankGusts(const ResidualModel& residual, const Stage& stage,
   RankedEffect& ranked = gusts.ranked;
   ranked.name = "gust";
   ranked.score = gust.gain;
-  ranked.settings = {{"gust.sigma", std::max(0.1, gust.sigma_m_s)},
+  ranked.settings = {{"gust.sigma", std::max(kSlightestGust_m_s, gust.sigma_m_s)},
                      {"gust.time_constant", std::max(0.1, gust.time_constant_s)}};
   for (const auto& [name, value] : ranked.settings) {
     ranked.parameters.push_back(
@@ -291,7 +292,8 @@ Gusts RankGusts(const ResidualModel& residual, const Stage& stage,
 
 /// True if a slow disturbance of the force is the wind's doing rather than any other's.
 bool IsGusty(const Gusts& gusts, const AttributionOptions& options) {
-  return gusts.test.gain > -std::log(options.false_alarm_rate) + kGustCoefficients &&
+  return gusts.test.sigma_m_s > kSlightestGust_m_s &&
+         gusts.test.gain > -std::log(options.false_alarm_rate) + kGustCoefficients &&
          gusts.test.over_others > -std::log(options.false_alarm_rate);
 }
 
