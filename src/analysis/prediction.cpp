@@ -52,6 +52,7 @@ PredictionSample PredictSample(const FilteredMotion& motion, const Vector3d& loa
   out.measured_force = vehicle.mass_kg * (a_F + R_FW * g_up);
   out.measured_torque = I0.cwiseProduct(w_dot_F) + w_F.cross(I0.cwiseProduct(w_F));
   out.measured_angular_acceleration = w_dot_F;
+  out.measured_specific_force = motion.specific_force_I;
   out.speed_m_s = motion.v_WS.norm();
 
   // Predicted: the model in its own body frame B, then taken to F.
@@ -106,6 +107,12 @@ void PredictionSummary::Add(const PredictionSample& s) {
   force_.Add(s.measured_force, s.predicted_force);
   torque_.Add(s.measured_torque, s.predicted_torque);
   acceleration_.Add(s.measured_angular_acceleration, s.predicted_angular_acceleration);
+  if (s.measured_specific_force) {
+    const Vector3d error = *s.measured_specific_force - s.predicted_specific_force;
+    ++felt_;
+    felt_error_ += error;
+    felt_error2_ += error.cwiseAbs2();
+  }
   const Vector3d wanted = s.measured_torque - (s.predicted_torque - s.rotor_torque);
   rotor_other_ += s.rotor_torque.cwiseProduct(wanted);
   rotor_rotor_ += s.rotor_torque.cwiseAbs2();
@@ -121,6 +128,12 @@ PredictionFigures PredictionSummary::Figures(bool with_torque, const Vehicle& ve
   figures.force_rmse_N = force_.Rmse(n);
   figures.zero_force_rmse_N = force_.Zero(n);
   figures.force_explained = force_.Explained(n);
+  if (2 * felt_ > samples_) {
+    const auto felt = static_cast<double>(felt_);
+    const Vector3d bias = felt_error_ / felt;
+    figures.accelerometer_force_rmse_N =
+        vehicle.mass_kg * (felt_error2_ / felt - bias.cwiseAbs2()).cwiseMax(0.0).cwiseSqrt();
+  }
   if (!with_torque) return figures;
   figures.torque_rmse_Nm = torque_.Rmse(n);
   figures.zero_torque_rmse_Nm = torque_.Zero(n);

@@ -34,6 +34,7 @@ Json FlightJson(const FlightFigures& f) {
 Json PredictionJson(const PredictionFigures& f) {
   return {{"force_rmse_N", Axes(f.force_rmse_N)},
           {"zero_force_rmse_N", Axes(f.zero_force_rmse_N)},
+          {"accelerometer_force_rmse_N", Axes(f.accelerometer_force_rmse_N)},
           {"torque_rmse_Nm", Axes(f.torque_rmse_Nm)},
           {"zero_torque_rmse_Nm", Axes(f.zero_torque_rmse_Nm)},
           {"rotor_torque_gain", Axes(f.rotor_torque_gain)},

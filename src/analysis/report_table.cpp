@@ -51,6 +51,9 @@ std::string PredictionTable(const PredictionFigures& f) {
   AddAxes("force RMSE", "N", f.force_rmse_N, &rows);
   AddAxes("  predicting zero", "N", f.zero_force_rmse_N, &rows);
   AddAxes("  explained", "", f.force_explained, &rows);
+  if (f.accelerometer_force_rmse_N) {
+    AddAxes("force RMSE by accelerometer", "N", f.accelerometer_force_rmse_N, &rows);
+  }
   AddAxes("torque RMSE", "N m", f.torque_rmse_Nm, &rows);
   AddAxes("  predicting zero", "N m", f.zero_torque_rmse_Nm, &rows);
   AddAxes("  explained", "", f.torque_explained, &rows);

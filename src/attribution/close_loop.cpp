@@ -226,24 +226,6 @@ void HoldInitialState(const RankedEffect& effect, Vehicle* vehicle) {
   }
 }
 
-/// RMSE of the accelerometer's force on blocks held out; empty without an accelerometer.
-PredictionFigures::Axes HeldOutForce(const ResidualModel& residual, const DynamicModel& model,
-                                     const Snapshot& last) {
-  if (!residual.from_accelerometer()) return std::nullopt;
-  const ResidualModel::Wrenches y = residual.Residual(model, last.values);
-  Eigen::Vector3d sum = Eigen::Vector3d::Zero(), mean = sum;
-  double count = 0.0;
-  for (int i = 0; i < residual.flight().size(); ++i) {
-    if (!residual.flight().held_out(i)) continue;
-    mean += y.row(i).head<3>().transpose();
-    sum += y.row(i).head<3>().transpose().cwiseAbs2();
-    count += 1.0;
-  }
-  if (count < 10.0) return std::nullopt;
-  mean /= count;  // the accelerometer's bias
-  return Eigen::Vector3d((sum / count - mean.cwiseAbs2()).cwiseMax(0.0).cwiseSqrt());
-}
-
 /// The case for gusts, and the values of the drag that goes with them.
 struct Gusts {
   RankedEffect ranked;
@@ -568,8 +550,8 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
         run ? *run : Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
     result.verdict = Verdict::kEffect;
     result.after = after.held_out;
-    result.accelerometer_before = HeldOutForce(residual, declared, *replay.last);
-    result.accelerometer_after = HeldOutForce(residual, model, *after.replay.last);
+    result.accelerometer_before = before.held_out.accelerometer_force_rmse_N;
+    result.accelerometer_after = after.held_out.accelerometer_force_rmse_N;
     result.parameters = after.parameters;
     result.effect_names = extended.effects;
     result.samples = Samples(before.misses, after.misses, options.blocks);
@@ -591,7 +573,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     }
   } else {
     result.accelerometer_before = result.accelerometer_after =
-        HeldOutForce(residual, declared, *replay.last);
+        before.held_out.accelerometer_force_rmse_N;
     if (structured) {
       result.verdict = Verdict::kUnexplained;
       result.where = Where(result.structure, flight, attribution.residual_before());

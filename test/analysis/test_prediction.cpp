@@ -21,7 +21,7 @@ struct Flight {
   FlightLog log;
 };
 
-Flight Fly(const SensorMount& odometry, double ground_s = 0.0) {
+Flight Fly(const SensorMount& odometry, double ground_s = 0.0, bool with_imu = false) {
   Vehicle vehicle = test::NominalVehicle();
   vehicle.odometry = odometry;
   DynamicModel model(vehicle, vehicle.effects);
@@ -30,7 +30,9 @@ Flight Fly(const SensorMount& odometry, double ground_s = 0.0) {
   options.trajectory = "aggressive";
   options.duration_s = 8.0;
   options.ground_s = ground_s;
-  FlightLog log = Simulate(model, truth, options, SimulationNoise::None()).log;
+  SimulationNoise noise = SimulationNoise::None();
+  noise.imu = with_imu;
+  FlightLog log = Simulate(model, truth, options, noise).log;
   return {vehicle, std::move(model), truth, std::move(log)};
 }
 
@@ -87,6 +89,26 @@ TEST(Predict, TakesEstimatedExtrinsicsIntoThePredictionOnly) {
   for (size_t i = 0; i < seeing.samples.size(); i += 100) {
     EXPECT_EQ(seeing.samples[i].measured_force, blind.samples[i].measured_force);
   }
+}
+
+TEST(Predict, SaysHowWellTheAccelerometerIsFollowed) {
+  Flight flight = Fly({}, 0.0, true);
+  const auto figures = [&](const ModelValues& values) {
+    return Predict(flight.log, flight.vehicle, flight.model, values, {}).figures;
+  };
+  // A bias is no error; what a thrust coefficient 10 % too large adds is a tenth of its swing.
+  for (ImuSample& sample : flight.log.imu) *sample.specific_force_I += Vector3d(0.2, -0.1, 0.5);
+  const PredictionFigures right = figures(flight.truth);
+  ASSERT_TRUE(right.accelerometer_force_rmse_N.has_value());
+  EXPECT_LT(right.accelerometer_force_rmse_N->maxCoeff(), 2e-3 * right.zero_force_rmse_N->z());
+  ModelValues wrong = flight.truth;
+  wrong[flight.model.IndexOf("thrust.k_f")] *= 1.1;
+  const double missed = figures(wrong).accelerometer_force_rmse_N->z();
+  EXPECT_GT(missed, 0.01 * right.zero_force_rmse_N->z());
+  EXPECT_LT(missed, 0.1 * right.zero_force_rmse_N->z());
+  // Without an accelerometer there is no figure.
+  flight.log.imu.clear();
+  EXPECT_FALSE(figures(flight.truth).accelerometer_force_rmse_N.has_value());
 }
 
 TEST(Predict, IsWorseWithWrongParameters) {

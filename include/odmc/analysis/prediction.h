@@ -21,6 +21,7 @@ struct PredictionSample {
   Eigen::Vector3d measured_angular_acceleration, predicted_angular_acceleration;  ///< [rad/s²]
   Eigen::Vector3d predicted_specific_force;  ///< of an accelerometer at the model's IMU mount, in
                                              ///< its axes [m/s²]                model.md Eq. (C)
+  std::optional<Eigen::Vector3d> measured_specific_force;  ///< by the accelerometer, if any [m/s²]
   Eigen::Vector3d rotor_torque;       ///< share of the rotors' thrust and reaction in the torque
   std::vector<EffectWrench> effects;  ///< one entry per effect that adds a wrench
 };
@@ -29,6 +30,9 @@ struct PredictionSample {
 struct PredictionFigures {
   using Axes = std::optional<Eigen::Vector3d>;
   Axes force_rmse_N, zero_force_rmse_N, force_explained;
+  /// Mass times what is missed of the accelerometer's reading, in its axes, the mean (its bias)
+  /// taken off; of the samples that have one, where those are more than half.
+  Axes accelerometer_force_rmse_N;
   Axes torque_rmse_Nm, zero_torque_rmse_Nm, torque_explained;
   Axes rotor_torque_gain;                 ///< factor on the rotor torque that would fit best
   Axes angular_acceleration_rmse_rad_s2;  ///< with the estimated inertia
@@ -99,8 +103,9 @@ class PredictionSummary {
     Eigen::Vector3d Explained(double n) const;
   };
 
-  long samples_ = 0;
+  long samples_ = 0, felt_ = 0;  // with an accelerometer
   AxisSums force_, torque_, acceleration_;
+  Eigen::Vector3d felt_error_ = Eigen::Vector3d::Zero(), felt_error2_ = Eigen::Vector3d::Zero();
   Eigen::Vector3d rotor_other_ = Eigen::Vector3d::Zero(), rotor_rotor_ = Eigen::Vector3d::Zero();
 };
 
