@@ -128,7 +128,8 @@ ValueVariation GustsOf(const FlightLog& log, const Vehicle& file_vehicle, const 
                        const ModelValues& estimate,
                        const std::vector<std::pair<Stamp, Stamp>>& ground_spans, bool with_torque) {
   constexpr int kAhead = 3;  // samples of 40 ms
-  const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), ground_spans), {2.5, 1});
+  const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), ground_spans), {2.5, 1},
+                             file_vehicle.odometry.q_BS.toRotationMatrix());
   const ResidualModel residual(&flight, &file_vehicle, with_torque);
   ModelValues still = estimate;
   std::array<int, 3> w{};
@@ -469,7 +470,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   result.samples = Samples(before.misses, before.misses, options.blocks);
 
   const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), NotLookedAt(replay)),
-                             options.blocks);
+                             options.blocks, file_vehicle.odometry.q_BS.toRotationMatrix());
   int in_use = 0;
   for (int i = 0; i < flight.size(); ++i) in_use += flight.held_out(i) ? 0 : 1;
   if (in_use < kLeastSamples) {

@@ -310,7 +310,7 @@ double SteadySwing(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   for (Index row = 0; row < n; ++row) {
     const int i = used[static_cast<size_t>(row)];
     const Vector3d f = residual.row(i).head<3>();
-    y.row(row) = (in_world ? Vector3d(flight.sample(i).R_WS * f) : f).transpose();
+    y.row(row) = (in_world ? Vector3d(flight.R_WB(i) * f) : f).transpose();
   }
   const double duration_s = flight.sample(used.back()).t_s - flight.sample(used.front()).t_s;
   const double step_Hz = 0.5 / duration_s;
@@ -362,14 +362,14 @@ double FieldOverPosition(const ThinnedFlight& flight, const ResidualModel::Wrenc
   VectorXd y(3 * n);
   for (Index k = 0; k < n; ++k) {
     const int i = used[static_cast<size_t>(k)];
-    y.segment<3>(3 * k) = flight.sample(i).R_WS * residual.row(i).head<3>().transpose();
+    y.segment<3>(3 * k) = flight.R_WB(i) * residual.row(i).head<3>().transpose();
   }
   MatrixXd D(3 * n, num_drag);
   for (Index d = 0; d < num_drag; ++d) {
     for (Index k = 0; k < n; ++k) {
       const int i = used[static_cast<size_t>(k)];
       D.col(d).segment<3>(3 * k) =
-          flight.sample(i).R_WS *
+          flight.R_WB(i) *
           drag[static_cast<size_t>(d)].d_wrench.row(i).head<3>().transpose();
     }
   }
@@ -428,7 +428,7 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   std::vector<Matrix3d> wind = Response(n, d_wind), world(n), body(n, Matrix3d::Identity());
   double response = 0.0;
   for (int i = 0; i < n; ++i) {
-    world[i] = flight.sample(i).R_WS.transpose();
+    world[i] = flight.R_WB(i).transpose();
     response += wind[i].squaredNorm() / (3.0 * n);
   }
   response = std::sqrt(response);

@@ -10,8 +10,9 @@ namespace {
 constexpr double kStart_s = 1.0;
 }  // namespace
 
-ThinnedFlight::ThinnedFlight(FlightMotion flight, const BlockSplit& blocks)
-    : flight_(std::move(flight)), blocks_(blocks) {
+ThinnedFlight::ThinnedFlight(FlightMotion flight, const BlockSplit& blocks,
+                             const Eigen::Matrix3d& R_BS)
+    : flight_(std::move(flight)), blocks_(blocks), R_BS_(R_BS) {
   const int stride = flight_.step_s > 0.0
                          ? std::max(1, static_cast<int>(std::lround(kStep_s / flight_.step_s)))
                          : 1;
@@ -58,6 +59,9 @@ ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
   }
   const Eigen::Vector3d hanging(0.0, 0.0, -file_vehicle_->gravity_m_s2);
   const BodyProperties body = model.Properties(values);
+  const Eigen::Matrix3d R_BI = file_vehicle_->imu
+                                   ? file_vehicle_->imu->q_BS.toRotationMatrix()
+                                   : Eigen::Matrix3d::Identity();
   for (int i = 0; i < flight_->size(); ++i) {
     const Eigen::Vector3d& pull = pulls.empty() ? hanging : pulls[flight_->index(i)];
     const FilteredMotion& motion = flight_->sample(i);
@@ -66,7 +70,7 @@ ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
     residual.row(i).head<3>() = s.measured_force - s.predicted_force;
     if (from_accelerometer_) {
       residual.row(i).head<3>() =
-          file_vehicle_->mass_kg * (*motion.specific_force_I - s.predicted_specific_force);
+          file_vehicle_->mass_kg * R_BI * (*motion.specific_force_I - s.predicted_specific_force);
     }
     residual.row(i).tail<3>() = file_vehicle_->inertia_kg_m2.cwiseProduct(
         s.measured_angular_acceleration - s.predicted_angular_acceleration);

@@ -201,7 +201,7 @@ ThinnedFlight ResidualWatch::Flight(Stamp start) const {
   for (FilteredMotion& sample : motion.samples) sample.t_s += offset_s;
   BlockSplit blocks;
   blocks.hold_out_every = 0;
-  return ThinnedFlight(std::move(motion), blocks);
+  return ThinnedFlight(std::move(motion), blocks, file_vehicle_.odometry.q_BS.toRotationMatrix());
 }
 
 std::optional<ResidualLook> ResidualWatch::Look(const std::function<bool()>& give_up) {

@@ -37,7 +37,7 @@ std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
     const auto share = [&](auto quantity) {
       Eigen::MatrixXd A(y.size(), 3);
       for (int i = 0; i < flight.size(); ++i) {
-        const double x = quantity(flight.sample(i));
+        const double x = quantity(i);
         A.row(i) << 1.0, x, x * x;
       }
       Eigen::Vector3d size = A.cwiseAbs().colwise().maxCoeff().cwiseMax(1e-12);
@@ -48,19 +48,16 @@ std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
       return variance > 0.0 ? std::max(0.0, 1.0 - rest.squaredNorm() / variance) : 0.0;
     };
     channel.dependence = {
-        {"speed", share([](const FilteredMotion& m) { return m.v_WS.norm(); })},
-        {"forward_speed",
-         share([](const FilteredMotion& m) { return (m.R_WS.transpose() * m.v_WS).x(); })},
-        {"side_speed",
-         share([](const FilteredMotion& m) { return (m.R_WS.transpose() * m.v_WS).y(); })},
-        {"axial_speed",
-         share([](const FilteredMotion& m) { return (m.R_WS.transpose() * m.v_WS).z(); })},
-        {"roll_rate", share([](const FilteredMotion& m) { return m.w_S.x(); })},
-        {"pitch_rate", share([](const FilteredMotion& m) { return m.w_S.y(); })},
-        {"yaw_rate", share([](const FilteredMotion& m) { return m.w_S.z(); })},
-        {"thrust", share([](const FilteredMotion& m) { return m.rotors.speed_squared.sum(); })},
-        {"height", share([](const FilteredMotion& m) { return m.p_WS.z(); })},
-        {"time", share([](const FilteredMotion& m) { return m.t_s; })},
+        {"speed", share([&](int i) { return flight.sample(i).v_WS.norm(); })},
+        {"forward_speed", share([&](int i) { return flight.v_B(i).x(); })},
+        {"side_speed", share([&](int i) { return flight.v_B(i).y(); })},
+        {"axial_speed", share([&](int i) { return flight.v_B(i).z(); })},
+        {"roll_rate", share([&](int i) { return flight.w_B(i).x(); })},
+        {"pitch_rate", share([&](int i) { return flight.w_B(i).y(); })},
+        {"yaw_rate", share([&](int i) { return flight.w_B(i).z(); })},
+        {"thrust", share([&](int i) { return flight.sample(i).rotors.speed_squared.sum(); })},
+        {"height", share([&](int i) { return flight.sample(i).p_WS.z(); })},
+        {"time", share([&](int i) { return flight.sample(i).t_s; })},
     };
     all.push_back(std::move(channel));
   }

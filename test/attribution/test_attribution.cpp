@@ -18,6 +18,7 @@
 #include "odmc/attribution/undeclared.h"
 #include "odmc/sim/gaussian.h"
 #include "odmc/sim/simulator.h"
+#include "odmc/sim/truth_vehicle.h"
 
 namespace odmc {
 namespace {
@@ -76,6 +77,37 @@ bool IsCandidate(const Flown& flown, const std::string& effect) {
   const std::vector<Candidate> all = CandidatesFor(flown.vehicle, flown.flight.motion());
   return std::any_of(all.begin(), all.end(),
                      [&](const Candidate& c) { return c.effect == effect; });
+}
+
+/// The same flight seen by sensors that are turned against the body.
+TEST(ResidualModel, IsInTheBodysAxesHoweverTheSensorsAreMounted) {
+  Vehicle vehicle = UndeclaredVehicles().front();
+  vehicle.odometry.q_BS = Eigen::AngleAxisd(1.57, Eigen::Vector3d(0.6, 0.8, 0.0));
+  vehicle.imu = SensorMount();
+  vehicle.imu->q_BS = Eigen::AngleAxisd(1.57, Eigen::Vector3d::UnitX());
+  const DynamicModel model(vehicle, vehicle.effects);
+  ModelValues values = DefaultTruth(model);
+  SimulationOptions options;
+  options.trajectory = "aggressive";
+  options.duration_s = 8.0;
+  SimulationNoise noise = SimulationNoise::None();
+  noise.imu = true;
+  const SimulatedFlight flown = Simulate(model, values, options, noise);
+  const ThinnedFlight flight(FilterFlight(flown.log, vehicle.num_rotors(), {}), BlockSplit(),
+                             vehicle.odometry.q_BS.toRotationMatrix());
+  const ResidualModel residual(&flight, &vehicle, true);
+  ASSERT_TRUE(residual.from_accelerometer());
+  // A tenth of the thrust is missed, along the rotors' axes.
+  values[model.IndexOf("thrust.k_f")] /= 1.1;
+  const ResidualModel::Wrenches missed = residual.Residual(model, values);
+  const double along = missed.col(2).mean();
+  EXPECT_GT(along, 0.05 * vehicle.mass_kg * vehicle.gravity_m_s2);
+  EXPECT_LT(missed.leftCols<2>().cwiseAbs().maxCoeff(), 0.02 * along);
+  for (int i = 0; i < flight.size(); i += 20) {
+    const Eigen::Vector3d up = flight.R_WB(i).transpose() * Eigen::Vector3d::UnitZ();
+    EXPECT_GT(up.z(), 0.2) << flight.sample(i).t_s;
+    EXPECT_NEAR((flight.w_B(i) - vehicle.odometry.q_BS * flight.sample(i).w_S).norm(), 0.0, 1e-12);
+  }
 }
 
 TEST(Candidates, GroundEffectNeedsHeightThatVaries) {

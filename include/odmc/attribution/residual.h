@@ -35,12 +35,18 @@ class ThinnedFlight {
  public:
   static constexpr double kStep_s = 0.04;
 
-  ThinnedFlight(FlightMotion flight, const BlockSplit& blocks);
+  /// @param R_BS turns the odometry's axes into the body axes of the vehicle file
+  ThinnedFlight(FlightMotion flight, const BlockSplit& blocks,
+                const Eigen::Matrix3d& R_BS = Eigen::Matrix3d::Identity());
 
   int size() const { return static_cast<int>(index_.size()); }
   const FlightMotion& motion() const { return flight_; }
   const FilteredMotion& sample(int i) const { return flight_.samples[index_[i]]; }
   size_t index(int i) const { return index_[i]; }
+  /// Attitude, velocity [m/s] and rate [rad/s] of the body axes of the vehicle file.
+  Eigen::Matrix3d R_WB(int i) const { return sample(i).R_WS * R_BS_.transpose(); }
+  Eigen::Vector3d v_B(int i) const { return R_WB(i).transpose() * sample(i).v_WS; }
+  Eigen::Vector3d w_B(int i) const { return R_BS_ * sample(i).w_S; }
   bool next(int i) const { return next_[i]; }
   int block(int i) const { return blocks_.BlockAt(sample(i).t_s); }
   bool held_out(int i) const { return blocks_.IsHeldOut(sample(i).t_s); }
@@ -52,6 +58,7 @@ class ThinnedFlight {
  private:
   FlightMotion flight_;
   BlockSplit blocks_;
+  Eigen::Matrix3d R_BS_;
   double step_s_;
   std::vector<size_t> index_;
   std::vector<bool> next_;
