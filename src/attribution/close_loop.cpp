@@ -165,7 +165,8 @@ struct Pass {
   PredictionFigures held_out;  ///< on blocks held out
 };
 
-Pass Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
+/// @returns nothing if the vehicle never flies as the model has it
+std::optional<Pass> Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
          const EstimatorOptions& options, const CloseLoopOptions& loop,
          const std::function<void(double)>& progress) {
   Pass pass;
@@ -177,7 +178,7 @@ Pass Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& 
   pass.replay = Replay(log, &estimator, progress);
   pass.replay.history = {};
   pass.replay.timing = {};
-  if (!pass.replay.last) throw std::invalid_argument(log.file + ": never airborne");
+  if (!pass.replay.last) return std::nullopt;
   pass.parameters = Estimator::ToParameterSet(model, *pass.replay.last);
   const ModelValues& values = pass.replay.last->values;
   const ValueVariation vary =
@@ -458,7 +459,10 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   ClosedLoop result;
   const bool with_torque = !log.rotor_rms_only;
   const DynamicModel declared(vehicle, vehicle.effects);
-  const Pass before = Run(log, file_vehicle, declared, options.estimator, options, part(0.0, 0.4));
+  const std::optional<Pass> as_declared =
+      Run(log, file_vehicle, declared, options.estimator, options, part(0.0, 0.4));
+  if (!as_declared) throw std::invalid_argument(log.file + ": never airborne");
+  const Pass& before = *as_declared;
   const ReplayResult& replay = before.replay;
   result.declared_parameters = result.parameters = before.parameters;
   result.effect_names = vehicle.effects;
@@ -509,21 +513,27 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   const double unexplained =
       UnexplainedStructure(attribution.residual_before(), attribution.residual_after(), result.structure,
                   left, options.attribution);
+  const auto run_with = [&](const std::vector<RankedEffect>& added, double to) {
+    const Vehicle extended = Extended(vehicle, attribution.stage(), added, known);
+    const DynamicModel model(extended, extended.effects);
+    return Run(log, file_vehicle, model, options.estimator, options, part(0.6, to));
+  };
+  const auto drop_all = [&](const std::string& why) {
+    for (const RankedEffect& effect : effects) {
+      result.warnings.push_back(effect.name + " gains " + Text(effect.score) + " nats, but " + why);
+    }
+    effects.clear();
+  };
+  const std::string grounded = "with it the online estimator takes the flight for contact";
   std::optional<Pass> run;
   if (!effects.empty() && unexplained > options.attribution.most_unexplained) {
     is_gusty = false;  // it was looked for beside them
     // A flexible disturbance explains more of it than they do. What predicts blocks held out so much
     // better is no stand-in all the same.
-    const Vehicle extended = Extended(vehicle, attribution.stage(), effects, known);
-    const DynamicModel model(extended, extended.effects);
-    run = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
-    if (LeastRatio(before.held_out, run->held_out) > options.attribution.telling_ratio) {
-      for (const RankedEffect& effect : effects) {
-        result.warnings.push_back(effect.name + " gains " + Text(effect.score) + " nats, but " +
-                                  Text(100.0 * unexplained) +
-                                  " % of the structure stays unexplained beside it");
-      }
-      effects.clear();
+    run = run_with(effects, 1.0);
+    if (!run ||
+        LeastRatio(before.held_out, run->held_out) > options.attribution.telling_ratio) {
+      drop_all(Text(100.0 * unexplained) + " % of the structure stays unexplained beside it");
       run.reset();
     }
   }
@@ -533,9 +543,12 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   }
   if (!effects.empty()) {
     // What is zero within its sigma, and predicts nothing better, is not there.
+    if (!run) run = run_with(effects, 0.8);
+    if (!run) drop_all(grounded);
+  }
+  if (!effects.empty()) {
     const Vehicle extended = Extended(vehicle, attribution.stage(), effects, known);
     const DynamicModel model(extended, extended.effects);
-    if (!run) run = Run(log, file_vehicle, model, options.estimator, options, part(0.6, 0.8));
     const bool predicts = LeastRatio(before.held_out, run->held_out) < options.attribution.least_ratio;
     const auto idle = [&](const RankedEffect& effect) {
       return !predicts && !IsThere(effect, run->parameters, model);
@@ -544,11 +557,14 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     if (end != effects.end()) run.reset();
     effects.erase(end, effects.end());
   }
+  if (!effects.empty() && !run) {
+    run = run_with(effects, 1.0);
+    if (!run) drop_all(grounded);
+  }
   if (!effects.empty()) {
     const Vehicle extended = Extended(vehicle, attribution.stage(), effects, known);
     const DynamicModel model(extended, extended.effects);
-    const Pass after =
-        run ? *run : Run(log, file_vehicle, model, options.estimator, options, part(0.6, 1.0));
+    const Pass& after = *run;
     result.verdict = Verdict::kEffect;
     result.after = after.held_out;
     result.accelerometer_before = before.held_out.accelerometer_force_rmse_N;

@@ -210,6 +210,18 @@ TEST(CloseLoop, BlamesNoWindForAForceThatNoEffectMakes) {
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
 }
 
+TEST(CloseLoop, OutlivesEffectsWithWhichTheEstimatorNeverFlies) {
+  // With the wind and the tilted rotors that stand in for its unknown force, the online estimator
+  // takes the whole flight for contact.
+  const UndeclaredPlan plan = PlanUndeclared(161, 160)[79];
+  ASSERT_EQ(plan.kind, Undeclared::kUnknown);
+  const ClosedLoop loop = Close(MakeUndeclared(plan));
+  EXPECT_EQ(loop.verdict, Verdict::kUnexplained);
+  EXPECT_TRUE(loop.effects.empty());
+  ASSERT_FALSE(loop.warnings.empty());
+  EXPECT_NE(loop.warnings.front().find(" nats, but "), std::string::npos);
+}
+
 TEST(CloseLoop, FindsALoadThatSwingsFromTheStart) {
   const ClosedLoop loop = CloseWithLoad(0.1, Swing(0.25, -0.1, -0.1, 0.2));
   ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
