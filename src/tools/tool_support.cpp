@@ -12,6 +12,7 @@
 
 #include "odmc/actuator/flight_actuator.h"
 #include "odmc/analysis/report.h"
+#include "odmc/effects/effects.h"
 #include "odmc/inspection/recording_inspection.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/number_text.h"
@@ -483,8 +484,7 @@ Vehicle NominalVehicle() {
                     {{kX, kY, 0.0}, -1.0, kRadius},
                     {{-kX, kY, 0.0}, 1.0, kRadius},
                     {{-kX, -kY, 0.0}, -1.0, kRadius}};
-  vehicle.effects = {"thrust", "rotor_torque",      "drag",    "viscous_torque",
-                     "hvt",    "centre_of_gravity", "inertia", "gravity"};
+  vehicle.effects = DefaultEffects();
   return vehicle;
 }
 
