@@ -93,9 +93,13 @@ std::pair<std::string, std::string> Split(const std::string& text, const std::st
 
 /// Effects, and their parameters' full names.
 std::vector<std::string> EffectAndParameterNames() {
-  std::vector<std::string> names = EffectRegistry::Default().names();
-  const DynamicModel all(NominalVehicle(), EffectRegistry::Default().names());
-  for (const ModelParameter& p : all.parameters()) names.push_back(p.full_name);
+  const Vehicle vehicle = NominalVehicle();
+  const std::vector<std::string>& effects = EffectRegistry::Default().names();
+  std::vector<std::string> names = effects;
+  for (const std::string& name : effects) {
+    const std::unique_ptr<Effect> effect = EffectRegistry::Default().Make(name, vehicle);
+    for (const ParameterSpec& spec : effect->parameters()) names.push_back(name + "." + spec.name);
+  }
   return names;
 }
 
