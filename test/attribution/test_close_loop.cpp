@@ -233,13 +233,11 @@ TEST(CloseLoop, SeesNoLoadWhereNoneHangs) {
 
 // The score is best at 0.47 m and a damping ratio of 0.03, off the grid.
 TEST(Candidates, ALengthIsRefinedBetweenTheGridsValues) {
-  const auto refinements = [](const std::string& effect) {
-    return EffectRegistry::Default().Make(effect, NominalVehicle())->refinements();
-  };
+  const auto effect = EffectRegistry::Default().Make("suspended_load", NominalVehicle());
   const Candidate start = {"suspended_load",
                            {{"suspended_load.length", 0.45}, {"suspended_load.damping", 0.02}},
                            {},
-                           refinements("suspended_load")};
+                           effect->refinements()};
   const Candidate best = Refined(start, [](const Candidate& c) {
     return -std::pow(std::log(c.settings.at("suspended_load.length") / 0.47), 2) -
            std::pow(std::log(c.settings.at("suspended_load.damping") / 0.03), 2);
@@ -250,10 +248,8 @@ TEST(Candidates, ALengthIsRefinedBetweenTheGridsValues) {
 
 // A load is dropped at 3.3 s; the grid has whole seconds.
 TEST(Candidates, ATimeIsRefinedInHalvedSteps) {
-  Candidate other = {"mass_change",
-                     {{"mass_change.from", 3.0}},
-                     {},
-                     EffectRegistry::Default().Make("mass_change", NominalVehicle())->refinements()};
+  const auto effect = EffectRegistry::Default().Make("mass_change", NominalVehicle());
+  Candidate other = {"mass_change", {{"mass_change.from", 3.0}}, {}, effect->refinements()};
   EXPECT_EQ(Refined(other, [](const Candidate&) { return 0.0; }).settings, other.settings);
   const auto score = [](const Candidate& c) {
     return -std::abs(c.settings.at("mass_change.from") - 3.3);
