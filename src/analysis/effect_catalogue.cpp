@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cstdio>
+#include <string>
+#include <vector>
 
 #include "odmc/model/dynamic_model.h"
 
@@ -31,21 +33,24 @@ std::string Cell(std::string text) {
   return text;
 }
 
-DynamicModel WholeModel(const Vehicle& vehicle) {
-  return DynamicModel(vehicle, EffectRegistry::Default().names());
+/// Every registered effect as a model of its own: no model has room for all of them.
+std::vector<DynamicModel> EachAlone(const Vehicle& vehicle) {
+  std::vector<DynamicModel> models;
+  for (const std::string& name : EffectRegistry::Default().names()) {
+    models.emplace_back(vehicle, std::vector<std::string>{name});
+  }
+  return models;
 }
 
 }  // namespace
 
 std::string CatalogueText(const Vehicle& vehicle) {
-  const DynamicModel model = WholeModel(vehicle);
   std::string text;
-  for (int i = 0; i < model.num_effects(); ++i) {
-    const EffectDescription& d = model.effect(i).description();
-    text += (i > 0 ? "\n" : "") + d.name + ": " + d.title + "\n  " + d.formula +
+  for (const DynamicModel& model : EachAlone(vehicle)) {
+    const EffectDescription& d = model.effect(0).description();
+    text += (text.empty() ? "" : "\n") + d.name + ": " + d.title + "\n  " + d.formula +
             "\n  source: " + d.source + "\n  limits: " + d.validity + "\n";
     for (const ModelParameter& p : model.parameters()) {
-      if (p.effect != d.name) continue;
       text += "    " + p.full_name + " [" + p.spec.unit + "]  " + p.spec.description + "; prior " +
               Text(p.spec.prior_value) + " +- " + Text(p.spec.prior_sigma) + ", sign " +
               SignOf(p.spec.sign) + ", " + StateOf(p) + "\n";
@@ -55,19 +60,21 @@ std::string CatalogueText(const Vehicle& vehicle) {
 }
 
 std::string CatalogueMarkdown(const Vehicle& vehicle) {
-  const DynamicModel model = WholeModel(vehicle);
+  const std::vector<DynamicModel> models = EachAlone(vehicle);
   std::string text = "| Effect | What | Formula | Source | Limits |\n|---|---|---|---|---|\n";
-  for (int i = 0; i < model.num_effects(); ++i) {
-    const EffectDescription& d = model.effect(i).description();
+  for (const DynamicModel& model : models) {
+    const EffectDescription& d = model.effect(0).description();
     text += "| `" + d.name + "` | " + Cell(d.title) + " | `" + Cell(d.formula) + "` | " +
             Cell(d.source) + " | " + Cell(d.validity) + " |\n";
   }
   text += "\n| Parameter | Unit | Meaning | Sign | Prior (" + Cell(vehicle.name) +
           ") | By default |\n|---|---|---|---|---|---|\n";
-  for (const ModelParameter& p : model.parameters()) {
-    text += "| `" + p.full_name + "` | " + Cell(p.spec.unit) + " | " + Cell(p.spec.description) +
-            " | " + SignOf(p.spec.sign) + " | " + Text(p.spec.prior_value) + " ± " +
-            Text(p.spec.prior_sigma) + " | " + StateOf(p) + " |\n";
+  for (const DynamicModel& model : models) {
+    for (const ModelParameter& p : model.parameters()) {
+      text += "| `" + p.full_name + "` | " + Cell(p.spec.unit) + " | " + Cell(p.spec.description) +
+              " | " + SignOf(p.spec.sign) + " | " + Text(p.spec.prior_value) + " ± " +
+              Text(p.spec.prior_sigma) + " | " + StateOf(p) + " |\n";
+    }
   }
   return text;
 }

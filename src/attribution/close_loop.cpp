@@ -579,7 +579,8 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
       effect.effect = ranked;
       effect.alternatives = ranked.alternatives;
       for (const std::string& name : effect.alternatives) {
-        if (effect.manoeuvre.empty()) effect.manoeuvre = TellingManoeuvre(ranked.name, name);
+        if (!effect.manoeuvre.empty()) break;
+        effect.manoeuvre = TellingManoeuvre(vehicle, ranked.name, name);
       }
       effect.derived = DerivedFigures(vehicle, ranked.name, result.parameters);
       for (ParameterEstimate& p : effect.effect.parameters) {

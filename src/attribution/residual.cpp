@@ -54,9 +54,7 @@ ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
                                                 const ModelValues& values) const {
   Wrenches residual(flight_->size(), kNumChannels);
   std::vector<Eigen::Vector3d> pulls;
-  if (model.IndexOf("suspended_load.length") >= 0) {
-    pulls = LoadPulls(flight_->motion(), model, values);
-  }
+  if (model.pendulum()) pulls = LoadPulls(flight_->motion(), model, values);
   const Eigen::Vector3d hanging(0.0, 0.0, -file_vehicle_->gravity_m_s2);
   const BodyProperties body = model.Properties(values);
   const Eigen::Matrix3d R_BI = file_vehicle_->imu

@@ -5,12 +5,12 @@
 #include <cmath>
 #include <cstdio>
 #include <limits>
-#include <map>
 #include <memory>
 #include <stdexcept>
 
 #include "odmc/analysis/model_choice.h"
 #include "odmc/attribution/residual.h"
+#include "odmc/effects/effects.h"
 #include "odmc/math/so3.h"
 #include "odmc/sim/gaussian.h"
 #include "odmc/sim/truth_vehicle.h"
@@ -25,7 +25,6 @@ constexpr double kLogRate_Hz = 250.0;
 constexpr double kAbsurd = 3.0;        // natural sizes (prior sigmas) no effect should need
 constexpr double kNotExcited = 0.015;  // share below which an effect does not show
 constexpr double kLeastShown = 0.7;    // of the planned share
-constexpr double kGroundBelow = 1.5;   // rotor radii below the lowest point flown
 constexpr int kSizings = 8;            // rounds, at most
 constexpr double kSized = 0.03;        // change of size (log) that ends them
 constexpr int kVehicleStream = 201, kNoiseStream = 202, kUnknownStream = 203;
@@ -37,41 +36,27 @@ struct Level {
 };
 const Level kLevels[] = {{"strong", 0.8}, {"medium", 0.3}, {"weak", 0.08}};
 
-const std::vector<std::string> kBase = {"thrust", "rotor_torque",      "drag",    "viscous_torque",
-                                        "hvt",    "centre_of_gravity", "inertia", "gravity"};
-
-/// Effects with trajectories that show them, best first.
+/// An effect with trajectories that show it, best first.
 struct Excited {
-  const char* effect;
+  std::string effect;
   std::vector<std::string> trajectories;
 };
 
-const std::vector<Excited>& Catalogue() {
-  static const std::vector<Excited> list = {
-      {"rotor_drag", {"aggressive", "octo"}},
-      {"quadratic_drag", {"aggressive", "octo"}},
-      {"axial_inflow", {"aggressive", "octo", "vertical"}},
-      {"rotor_hvt", {"aggressive", "octo"}},
-      {"anisotropic_hvt", {"octo", "aggressive"}},
-      {"hub_moment", {"octo", "circle", "aggressive"}},
-      {"rotor_gyroscopic", {"aggressive", "octo"}},
-      {"rotor_reaction", {"aggressive", "octo"}},
-      {"rotor_asymmetry", {"aggressive", "octo"}},
-      {"pressure_centre", {"octo", "aggressive", "circle"}},
-      {"rotor_tilt", {"octo", "vertical", "aggressive"}},
-      {"wind", {"aggressive", "octo"}},
-      {"gust", {"octo", "circle", "vertical"}},
-      {"thrust_drift", {"octo", "vertical", "circle"}},
-      {"ground_effect", {"vertical", "octo"}},
-      {"products_of_inertia", {"aggressive", "octo"}},
-      {"mass_change", {"octo", "vertical", "circle"}},
-      {"rotor_delay", {"aggressive", "octo"}},
-      {"suspended_load", {"octo", "aggressive", "circle"}},
-  };
+/// Every effect that test flights are made with.
+std::vector<Excited> Catalogue() {
+  const Vehicle vehicle = UndeclaredVehicles().front();
+  std::vector<Excited> list;
+  for (const std::string& name : EffectRegistry::Default().names()) {
+    const std::vector<std::string>& declared = vehicle.effects;
+    if (std::find(declared.begin(), declared.end(), name) != declared.end()) continue;
+    const auto trajectories = EffectRegistry::Default().Make(name, vehicle)->shown_by();
+    if (!trajectories.empty()) list.push_back({name, trajectories});
+  }
   return list;
 }
 
-/// Effects that a trajectory leaves alone.
+/// The flights on which an effect acts and does not show, in the order of the plan: a trajectory
+/// that leaves it alone.
 const std::vector<std::pair<std::string, std::string>> kHidden = {
     {"quadratic_drag", "hover"}, {"rotor_hvt", "vertical"},     {"anisotropic_hvt", "hover"},
     {"hub_moment", "hover"},     {"rotor_gyroscopic", "hover"}, {"products_of_inertia", "hover"},
@@ -98,7 +83,7 @@ Vehicle Made(const std::string& name, double mass, const Vector3d& inertia, doub
                 {{-x, -y, z}, 1.0, radius},
                 {{-x, y, z}, -1.0, radius}};
   }
-  v.effects = kBase;
+  v.effects = DefaultEffects();
   v.parameters["thrust.k_f"] = {k_f, 0.3 * k_f, true};
   v.parameters["rotor_torque.k_m"] = {0.2 * radius * k_f, 0.06 * radius * k_f, false};
   return v;
@@ -111,72 +96,35 @@ ModelValues TrueValues(const DynamicModel& model, Gaussian* random) {
     const ModelParameter& p = model.parameters()[i];
     if (!p.estimated) continue;
     truth[i] *= 1.0 + std::clamp(0.08 * random->Next(), -0.2, 0.2);
-    if (p.effect == "gravity") truth[i] = 0.01 * random->Next();
+    // What is usually zero is a little off, too.
+    if (truth[i] == 0.0) truth[i] = p.spec.prior_sigma / 5.0 * random->Next();
   }
   return truth;
 }
 
-/// An effect's parameters at a natural size, with signs and a shape drawn at random.
-std::map<std::string, double> DrawEffect(const std::string& name, const Vehicle& vehicle,
-                                         Gaussian* random) {
-  Vehicle with = vehicle;
-  with.effects.push_back(name);
-  const DynamicModel model(with, with.effects);
-  std::map<std::string, double> values;
-  for (const ModelParameter& p : model.parameters()) {
-    if (p.effect != name) continue;
-    double value = p.spec.prior_value;
-    if (p.estimated) {
-      const double size = p.spec.prior_sigma * (0.3 + 0.4 * std::abs(random->Next()));
-      const double sign = p.spec.sign == PhysicalSign::kPositive   ? 1.0
-                          : p.spec.sign == PhysicalSign::kNegative ? -1.0
-                          : random->Next() > 0.0                   ? 1.0
-                                                                   : -1.0;
-      value = sign * size;
-    }
-    values[p.full_name] = value;
-  }
-  const auto set = [&values](const std::string& key, double value) { values[key] = value; };
-  if (name == "rotor_asymmetry") {  // one damaged rotor
-    const int damaged = 1 + static_cast<int>(std::abs(random->Next()) * 7.0) % 4;
-    for (int j = 1; j <= 4; ++j) {
-      set("rotor_asymmetry.delta_" + std::to_string(j), j == damaged ? -0.1 : 0.0);
-    }
-  } else if (name == "rotor_tilt") {  // axes that lean along their circle: a yaw torque by thrust
-    for (int j = 1; j <= 4; ++j) {
-      const Vector3d& r = vehicle.rotors[j - 1].p_BP;
-      const double lean = 0.01 + 0.01 * random->Next();
-      set("rotor_tilt.alpha_" + std::to_string(j) + "x", -lean * r.y() / r.norm());
-      set("rotor_tilt.alpha_" + std::to_string(j) + "y", lean * r.x() / r.norm());
-    }
-  } else if (name == "mass_change") {
-    set("mass_change.mass", (random->Next() > 0.0 ? 0.1 : -0.08) * vehicle.mass_kg);
-    set("mass_change.from", 8.0 + 4.0 * std::min(1.0, std::abs(random->Next())));
-    set("mass_change.z", -0.1 * vehicle.ArmLength());
-  } else if (name == "suspended_load") {
-    set("suspended_load.mass", 0.1 * vehicle.mass_kg);
-    set("suspended_load.length", 0.3 + 0.5 * std::min(1.0, std::abs(random->Next())));
-    set("suspended_load.damping", 0.02 + 0.03 * std::min(1.0, std::abs(random->Next())));
-  } else if (name == "gust") {
-    for (const char* axis : {"x", "y", "z"}) set(std::string("gust.w_") + axis, 0.0);
-    set("gust.sigma", 1.0);
-    set("gust.time_constant", 1.0 + 1.5 * std::min(1.0, std::abs(random->Next())));
-  } else if (name == "ground_effect") {
-    set("ground_effect.k_ge", 1.5);
-  } else if (name == "wind") {
-    set("wind.w_z", 0.1 * values["wind.w_z"]);
-  } else if (name == "rotor_delay") {
-    set("rotor_delay.delay", std::abs(values["rotor_delay.delay"]));
-  }
-  return values;
+/// An undeclared effect at a natural size.
+struct DrawnEffect {
+  std::unique_ptr<Effect> effect;
+  Eigen::VectorXd values;  ///< of its parameters
+};
+
+DrawnEffect DrawEffect(const std::string& name, const Vehicle& vehicle, Gaussian* random) {
+  DrawnEffect drawn;
+  drawn.effect = EffectRegistry::Default().Make(name, vehicle);
+  drawn.values = drawn.effect->Draw([random] { return random->Next(); });
+  return drawn;
 }
 
-/// The parameters whose size scales the effect.
-bool ScalesEffect(const std::string& full_name) {
-  if (full_name.rfind("mass_change", 0) == 0) return full_name == "mass_change.mass";
-  if (full_name.rfind("suspended_load", 0) == 0) return full_name == "suspended_load.mass";
-  if (full_name.rfind("gust", 0) == 0) return full_name == "gust.sigma";
-  return full_name != "ground_effect.z_0";
+/// Writes an effect, `scale` times as large as drawn, to the values of `model`.
+void SetScaled(const DrawnEffect& drawn, double scale, const DynamicModel& model,
+               ModelValues* values) {
+  const std::string scaled = drawn.effect->size_parameter();
+  const std::vector<ParameterSpec>& specs = drawn.effect->parameters();
+  for (size_t i = 0; i < specs.size(); ++i) {
+    const double factor = scaled.empty() || specs[i].name == scaled ? scale : 1.0;
+    (*values)[model.IndexOf(drawn.effect->name() + "." + specs[i].name)] =
+        factor * drawn.values[static_cast<Eigen::Index>(i)];
+  }
 }
 
 /// A disturbance outside every catalogue, of unit size in units of weight and weight times arm.
@@ -327,7 +275,7 @@ std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
   const std::vector<std::string> flown = {"octo", "aggressive", "circle", "vertical", "yaw"};
   const int nothing = (flights * 5 + 15) / 16, hidden = (flights * 3 + 31) / 32,
             unknown = (flights + 7) / 8, two = (flights + 15) / 16;
-  const auto& catalogue = Catalogue();
+  const std::vector<Excited> catalogue = Catalogue();
   const int num = static_cast<int>(catalogue.size());
   std::vector<UndeclaredPlan> plans;
   for (int i = 0; i < flights; ++i) {
@@ -404,10 +352,10 @@ UndeclaredFlight MakeAsPlanned(const UndeclaredPlan& plan) {
 
   // Truth with the effects at a natural size.
   Vehicle with = vehicle;
-  std::map<std::string, double> drawn;
+  std::vector<DrawnEffect> drawn;
   for (const std::string& name : plan.effects) {
     with.effects.push_back(name);
-    for (const auto& entry : DrawEffect(name, vehicle, &random)) drawn.insert(entry);
+    drawn.push_back(DrawEffect(name, vehicle, &random));
   }
   const DynamicModel model(with, with.effects);
   const auto truth_at = [&](const std::vector<double>& scales) {
@@ -415,13 +363,7 @@ UndeclaredFlight MakeAsPlanned(const UndeclaredPlan& plan) {
     for (int i = 0; i < declared.num_parameters(); ++i) {
       truth[model.IndexOf(declared.parameters()[i].full_name)] = base[i];
     }
-    for (const auto& [name, value] : drawn) {
-      double scale = 1.0;
-      for (size_t e = 0; e < plan.effects.size(); ++e) {
-        if (name.rfind(plan.effects[e] + ".", 0) == 0 && ScalesEffect(name)) scale = scales[e];
-      }
-      truth[model.IndexOf(name)] = scale * value;
-    }
+    for (size_t e = 0; e < drawn.size(); ++e) SetScaled(drawn[e], scales[e], model, &truth);
     return truth;
   };
   const std::vector<double> off(plan.effects.size(), 0.0);
@@ -437,11 +379,9 @@ UndeclaredFlight MakeAsPlanned(const UndeclaredPlan& plan) {
   };
   // What the sensors' noise alone makes of the residual.
   const FlightLog quiet = simulate(true, off, 0.0).log;
-  if (const auto ground = drawn.find("ground_effect.z_0"); ground != drawn.end()) {
-    double lowest = std::numeric_limits<double>::max();
-    for (const auto& sample : quiet.odometry) lowest = std::min(lowest, sample.p_WS.z());
-    ground->second = lowest - kGroundBelow * vehicle.rotors.front().radius_m;
-  }
+  double lowest_m = std::numeric_limits<double>::max();
+  for (const auto& sample : quiet.odometry) lowest_m = std::min(lowest_m, sample.p_WS.z());
+  for (DrawnEffect& effect : drawn) effect.effect->Place(lowest_m, &effect.values);
   const ThinnedFlight thinned(FilterFlight(quiet, vehicle.num_rotors(), {}), {2.5, 1});
   const ChannelVariance noise_floor =
       VarianceOf(ResidualModel(&thinned, &vehicle, true).Residual(declared, base));

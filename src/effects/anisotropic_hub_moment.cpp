@@ -19,6 +19,9 @@ class AnisotropicHubMoment final : public Effect {
                 "rotors' loss in the front rotors' wake"},
                {Axis("k_bx", "about body x", vehicle), Axis("k_by", "about body y", vehicle)}) {}
 
+  /// Found on recorded flights; on simulated ones its truth would be itself.
+  std::vector<std::string> shown_by() const override { return {}; }
+
  private:
   static ParameterSpec Axis(const std::string& name, const std::string& about,
                             const Vehicle& vehicle) {

@@ -16,6 +16,11 @@ class AnisotropicHvt final : public Effect {
                 "next to hvt only the difference of the axes is its own"},
                {Axis("k_hx", "x", vehicle), Axis("k_hy", "y", vehicle)}) {}
 
+  std::vector<TellingPair> telling_pairs() const override {
+    return {{"hvt", "fast flight along both body axes"}};
+  }
+  std::vector<std::string> shown_by() const override { return {"octo", "aggressive"}; }
+
  private:
   static ParameterSpec Axis(const std::string& name, const std::string& axis,
                             const Vehicle& vehicle) {

@@ -15,6 +15,12 @@ class AxialInflow final : public Effect {
              "climb and moderate descent; not in the vortex ring state"},
             {HubDampingSpec("k_z", "thrust loss per rotor speed and axial air speed", vehicle)}) {}
 
+  std::vector<TellingPair> telling_pairs() const override {
+    return {{"drag", "vertical oscillation with load changes, and roll rates"},
+            {"rotor_delay", "slow climbs and descents"}};
+  }
+  std::vector<std::string> shown_by() const override { return {"aggressive", "octo", "vertical"}; }
+
  private:
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
                    WrenchJacobians* J) const override {

@@ -19,6 +19,10 @@ class Extrinsics final : public Effect {
     return {sensor_ == Sensor::kOdometry ? kRowOdometryPosition : kRowImuPosition, 6};
   }
 
+  /// No candidate: it turns the frame in which all others are seen.
+  std::vector<EffectTrial> Trials(const FlownRange&, bool) const override { return {}; }
+  std::vector<std::string> shown_by() const override { return {}; }
+
  private:
   static EffectDescription Description(Sensor sensor) {
     const std::string who = sensor == Sensor::kOdometry ? "odometry" : "imu";

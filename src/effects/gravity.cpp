@@ -19,6 +19,11 @@ class Gravity final : public Effect {
   bool adds_wrench() const override { return false; }
   BodyPropertyRows shaped_rows() const override { return {kRowGravity, 3}; }
 
+  std::vector<TellingPair> telling_pairs() const override {
+    return {{"rotor_tilt", "yaw by 90 degrees or more while flying"},
+            {"thrust_lean", "yaw by 90 degrees or more while flying"}};
+  }
+
  private:
   void DoShape(const ParameterValues& values, BodyProperties* body,
                BodyPropertyJacobian* J) const override {

@@ -6,6 +6,8 @@
 namespace odmc {
 namespace {
 
+constexpr double kDrawnBelow = 1.5;  // rotor radii below the lowest point flown
+
 /// More thrust near the ground: T_j -> T_j (1 + k_ge (R/4h_j)²), h_j the hub's height; held at its
 /// value at h = R below that.                                          model.md 12.13
 class GroundEffect final : public Effect {
@@ -22,6 +24,32 @@ class GroundEffect final : public Effect {
              {"z_0", "m", "height of the ground in the odometry's world", 0.0, 0.5, 0.1,
               ParameterTransform::kLinear, PhysicalSign::kAny, true}},
             {"thrust.k_f"}) {}
+
+  std::vector<EffectTrial> Trials(const FlownRange& flown, bool) const override {
+    const double radius = vehicle().rotors.front().radius_m;
+    // At one height the ground's share is one with the thrust coefficient, and ground that may lie
+    // anywhere only turns bank into torque.
+    if (flown.height_range_m < radius) return {};
+    std::vector<EffectTrial> trials = {{{{"z_0", 0.0}}}};
+    for (const double below : {1.5, 3.0}) {
+      trials.push_back({{{"z_0", flown.lowest_m - below * radius}}});
+    }
+    return trials;
+  }
+  std::vector<TellingPair> telling_pairs() const override {
+    return {{"hvt", "hover at several heights"}};
+  }
+
+  std::vector<std::string> shown_by() const override { return {"vertical", "octo"}; }
+  Eigen::VectorXd Draw(const NormalNumbers& normal) const override {
+    Eigen::VectorXd values = Effect::Draw(normal);
+    values[0] = 1.5;
+    return values;
+  }
+  void Place(double lowest_m, Eigen::VectorXd* values) const override {
+    (*values)[1] = lowest_m - kDrawnBelow * vehicle().rotors.front().radius_m;
+  }
+  std::string size_parameter() const override { return "k_ge"; }
 
  private:
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,

@@ -1,3 +1,6 @@
+#include <algorithm>
+#include <cmath>
+
 #include "odmc/effects/effects.h"
 #include "rotor_air.h"
 
@@ -23,6 +26,19 @@ class Gust final : public Effect {
 
   bool adds_wrench() const override { return false; }
   BodyPropertyRows shaped_rows() const override { return {kRowWind, 3}; }
+
+  /// No candidate: no fixed regressor shows what varies; it has a test of its own.
+  std::vector<EffectTrial> Trials(const FlownRange&, bool) const override { return {}; }
+
+  std::vector<std::string> shown_by() const override { return {"octo", "circle", "vertical"}; }
+  Eigen::VectorXd Draw(const NormalNumbers& normal) const override {
+    Eigen::VectorXd values = Effect::Draw(normal);
+    values.head<3>().setZero();
+    values[3] = 1.0;
+    values[4] = 1.0 + 1.5 * std::min(1.0, std::abs(normal()));
+    return values;
+  }
+  std::string size_parameter() const override { return "sigma"; }
 
  private:
   static ParameterSpec Varying(const std::string& axis) {

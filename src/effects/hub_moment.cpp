@@ -22,6 +22,12 @@ class HubMoment final : public Effect {
                {Coefficient("k_beta", "pitch-up moment per rotor speed and air speed", vehicle),
                 Coefficient("k_rho", "rolling moment of each rotor", vehicle)}) {}
 
+  std::vector<TellingPair> telling_pairs() const override {
+    return {{"pressure_centre", "fast flight at different rotor speeds (climbing turns)"},
+            {"rotor_drag", "fast flight at different rotor speeds (climbing turns)"}};
+  }
+  std::vector<std::string> shown_by() const override { return {"octo", "circle", "aggressive"}; }
+
  private:
   static ParameterSpec Coefficient(const std::string& name, const std::string& description,
                                    const Vehicle& vehicle) {

@@ -16,6 +16,9 @@ class Inertia final : public Effect {
   bool adds_wrench() const override { return false; }
   BodyPropertyRows shaped_rows() const override { return {kRowInertia, 3}; }
 
+  /// No candidate: it is the base of every model.
+  std::vector<EffectTrial> Trials(const FlownRange&, bool) const override { return {}; }
+
  private:
   static ParameterSpec Axis(int axis, const Vehicle& vehicle) {
     const std::string letter(1, "xyz"[axis]);

@@ -1,7 +1,14 @@
+#include <algorithm>
+#include <cmath>
+
 #include "odmc/effects/effects.h"
 
 namespace odmc {
 namespace {
+
+constexpr double kStep_s = 1.0;       // from one time to try to the next
+constexpr double kShortest_s = 0.05;  // of its refinement
+constexpr double kEdge_s = 2.0;       // no change is looked for closer to start and end
 
 /// A load m_L at ξ from the instant `from` on: mass, centre of mass and inertia of both together.
 /// With s = ξ - c and the reduced mass μ = m m_L/(m + m_L): c' = c + m_L/(m + m_L) s,
@@ -29,6 +36,31 @@ class MassChange final : public Effect {
   BodyPropertyRows shaped_rows() const override { return {kRowMass, kRowGravity}; }
   std::string onset_parameter() const override { return "from"; }
   bool depends_on_time() const override { return true; }
+
+  std::vector<EffectTrial> Trials(const FlownRange& flown, bool fits_thrust) const override {
+    const std::map<std::string, double> some = {{"mass", 0.05 * vehicle().mass_kg}};
+    std::vector<EffectTrial> trials;
+    // Over the whole flight a mass is one with the thrust coefficient.
+    if (!fits_thrust) trials.push_back({{{"from", 0.0}}, some});
+    for (double t = flown.start_s + kEdge_s; t < flown.end_s - kEdge_s; t += kStep_s) {
+      trials.push_back({{{"from", t}}, some});
+    }
+    return trials;
+  }
+  std::vector<SettingRefinement> refinements() const override {
+    return {{"from", 0.0, kStep_s, kShortest_s, 0.0}};
+  }
+  std::string added_mass_parameter() const override { return "mass"; }
+
+  std::vector<std::string> shown_by() const override { return {"octo", "vertical", "circle"}; }
+  Eigen::VectorXd Draw(const NormalNumbers& normal) const override {
+    Eigen::VectorXd values = Effect::Draw(normal);
+    values[0] = (normal() > 0.0 ? 0.1 : -0.08) * vehicle().mass_kg;
+    values[4] = 8.0 + 4.0 * std::min(1.0, std::abs(normal()));
+    values[3] = -0.1 * vehicle().ArmLength();
+    return values;
+  }
+  std::string size_parameter() const override { return "mass"; }
 
  private:
   static ParameterSpec Place(const std::string& axis, const Vehicle& vehicle) {

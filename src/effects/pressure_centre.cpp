@@ -16,6 +16,8 @@ class PressureCentre final : public Effect {
                {Axis("x", vehicle), Axis("y", vehicle), Axis("z", vehicle)},
                {"drag.d_x", "drag.d_y", "drag.d_z", "hvt.k_h"}) {}
 
+  std::vector<std::string> shown_by() const override { return {"octo", "aggressive", "circle"}; }
+
  private:
   static ParameterSpec Axis(const std::string& name, const Vehicle& vehicle) {
     return {name,

@@ -8,4 +8,11 @@ void RegisterAllEffects(EffectRegistry* registry) {
 #undef ODMC_REGISTER_EFFECT
 }
 
+const std::vector<std::string>& DefaultEffects() {
+  static const std::vector<std::string> effects = {
+      "thrust", "rotor_torque",      "drag",    "viscous_torque",
+      "hvt",    "centre_of_gravity", "inertia", "gravity"};
+  return effects;
+}
+
 }  // namespace odmc

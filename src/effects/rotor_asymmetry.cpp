@@ -1,3 +1,5 @@
+#include <cmath>
+
 #include "odmc/effects/effects.h"
 
 namespace odmc {
@@ -17,6 +19,21 @@ class RotorAsymmetry final : public Effect {
                 "model.md 12.8",
                 "in steady hover one with the centre of gravity; needs manoeuvres"},
                Deltas(vehicle), {"thrust.k_f", "rotor_torque.k_m"}) {}
+
+  std::vector<TellingPair> telling_pairs() const override {
+    return {{"centre_of_gravity", "strong differential thrust: rolls and pitches"},
+            {"rotor_tilt", "strong differential thrust: rolls and pitches"}};
+  }
+
+  /// One damaged rotor.
+  Eigen::VectorXd Draw(const NormalNumbers& normal) const override {
+    Eigen::VectorXd values = Effect::Draw(normal);
+    const int n = vehicle().num_rotors();
+    const int damaged = static_cast<int>(std::abs(normal()) * 7.0) % n;
+    values.setZero();
+    values[damaged] = -0.1;
+    return values;
+  }
 
  private:
   static std::vector<ParameterSpec> Deltas(const Vehicle& vehicle) {

@@ -16,6 +16,11 @@ class RotorDelay final : public Effect {
                  ParameterTransform::kLinear, PhysicalSign::kAny}},
                {"thrust.k_f", "rotor_torque.k_m"}) {}
 
+  /// Speeds are reported late, never early.
+  Eigen::VectorXd Draw(const NormalNumbers& normal) const override {
+    return Effect::Draw(normal).cwiseAbs();
+  }
+
  private:
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
                    WrenchJacobians* J) const override {

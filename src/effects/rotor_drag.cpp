@@ -22,6 +22,11 @@ class RotorDrag final : public Effect {
                {HubDampingSpec("k_d", "in-plane drag per rotor speed and air speed", vehicle),
                 CoupleSpec(vehicle), DampingSpec(vehicle)}) {}
 
+  std::vector<TellingPair> telling_pairs() const override {
+    return {{"drag", "climbs and high tilt, so that the sum of the rotor speeds varies"},
+            {"quadratic_drag", "the same course at half and at full speed"}};
+  }
+
  private:
   /// Prior: a fifth of an arm above or below the hubs.
   static ParameterSpec CoupleSpec(const Vehicle& vehicle) {

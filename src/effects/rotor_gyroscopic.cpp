@@ -14,6 +14,10 @@ class RotorGyroscopic final : public Effect {
                 "vanishes while the spins balance: needs rates together with a yaw torque"},
                {RotorInertiaSpec(vehicle)}) {}
 
+  std::vector<TellingPair> telling_pairs() const override {
+    return {{"rotor_reaction", "yaw acceleration without roll and pitch rates"}};
+  }
+
  private:
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
                    WrenchJacobians* J) const override {

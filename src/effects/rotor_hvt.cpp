@@ -17,6 +17,11 @@ class RotorHvt final : public Effect {
                {LiftSpec("k_h", "extra thrust per squared horizontal air speed, all rotors",
                          vehicle)}) {}
 
+  std::vector<TellingPair> telling_pairs() const override {
+    return {{"hvt", "fast yaw while flying fast"},
+            {"anisotropic_hvt", "fast flight along both body axes"}};
+  }
+
  private:
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
                    WrenchJacobians* J) const override {

@@ -21,6 +21,10 @@ class RotorLevel final : public Effect {
              LiftSpec("k_h", "extra thrust per squared horizontal air speed", vehicle),
              RotorInertiaSpec(vehicle)}) {}
 
+  /// No candidate: it replaces other effects.
+  std::vector<EffectTrial> Trials(const FlownRange&, bool) const override { return {}; }
+  std::vector<std::string> shown_by() const override { return {}; }
+
  private:
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
                    WrenchJacobians* J) const override {

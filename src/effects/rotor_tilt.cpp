@@ -17,6 +17,23 @@ class RotorTilt final : public Effect {
                 "mostly a yaw torque by thrust"},
                Leans(vehicle), {"thrust.k_f", "rotor_torque.k_m"}) {}
 
+  std::vector<TellingPair> telling_pairs() const override {
+    return {{"thrust_lean", "strong differential thrust: rolls and pitches"}};
+  }
+  std::vector<std::string> shown_by() const override { return {"octo", "vertical", "aggressive"}; }
+
+  /// Axes that lean along their circle: a yaw torque by thrust.
+  Eigen::VectorXd Draw(const NormalNumbers& normal) const override {
+    Eigen::VectorXd values = Effect::Draw(normal);
+    for (int j = 0; j < vehicle().num_rotors(); ++j) {
+      const Eigen::Vector3d& r = vehicle().rotors[j].p_BP;
+      const double lean = 0.01 + 0.01 * normal();
+      values[2 * j] = -lean * r.y() / r.norm();
+      values[2 * j + 1] = lean * r.x() / r.norm();
+    }
+    return values;
+  }
+
  private:
   static std::vector<ParameterSpec> Leans(const Vehicle& vehicle) {
     std::vector<ParameterSpec> specs;

@@ -15,6 +15,9 @@ class RotorTorque final : public Effect {
                 "frozen unless freed"},
                {Coefficient(vehicle)}) {}
 
+  /// No candidate: it is the base of every model.
+  std::vector<EffectTrial> Trials(const FlownRange&, bool) const override { return {}; }
+
  private:
   static ParameterSpec Coefficient(const Vehicle& vehicle) {
     // Small propellers have a torque-to-thrust ratio near 0.2 radii.

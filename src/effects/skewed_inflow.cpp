@@ -19,6 +19,9 @@ class SkewedInflow final : public Effect {
                 "empirical: the cause of the lean is not modelled"},
                {Axis("k_x", vehicle), Axis("k_y", vehicle)}) {}
 
+  /// Found on recorded flights; on simulated ones its truth would be itself.
+  std::vector<std::string> shown_by() const override { return {}; }
+
  private:
   static ParameterSpec Axis(const std::string& name, const Vehicle& vehicle) {
     ParameterSpec spec = HubDampingSpec(

@@ -1,9 +1,15 @@
+#include <algorithm>
+#include <cmath>
+
 #include "odmc/effects/effects.h"
 
 namespace odmc {
 namespace {
 
 constexpr int kFirstSwing = 6;  // of the parameters
+constexpr double kShortest_m = 0.08, kLongest_m = 2.6;  // cables to try
+constexpr double kLengthRatio = 1.15;                   // from one length to the next
+constexpr double kDampingRatio = 4.0;
 
 /// A load on a cable: f = m_L R^T π at ξ, π the cable's pull per unit of load, from a pendulum that
 /// the measured motion drives (Pendulum).                              model.md 12.17
@@ -29,6 +35,43 @@ class SuspendedLoad final : public Effect {
                 Start("swing_y", "zeta_y"),
                 Start("swing_rate_x", "d zeta_x/dt over sqrt(g/l)"),
                 Start("swing_rate_y", "d zeta_y/dt over sqrt(g/l)")}) {}
+
+  std::vector<EffectTrial> Trials(const FlownRange&, bool) const override {
+    std::vector<EffectTrial> trials;
+    const double arm = vehicle().ArmLength();
+    for (double l = std::max(kShortest_m, arm); l < kLongest_m; l *= kLengthRatio) {
+      for (const double damping : {0.02, 0.1}) {
+        trials.push_back(
+            {{{"length", l}, {"damping", damping}}, {{"mass", 0.05 * vehicle().mass_kg}}});
+      }
+    }
+    return trials;
+  }
+  std::vector<SettingRefinement> refinements() const override {
+    return {{"length", kLengthRatio}, {"damping", kDampingRatio}};
+  }
+  std::vector<TellingPair> telling_pairs() const override {
+    return {{"mass_change", "side steps, so that the load swings"},
+            {"wind", "side steps, so that the load swings"}};
+  }
+  std::string added_mass_parameter() const override { return "mass"; }
+  std::vector<DerivedFigure> DerivedFigures(const Eigen::VectorXd& own) const override {
+    constexpr double kTurn = 6.283185307179586;
+    return {{"swing_frequency", "Hz", std::sqrt(vehicle().gravity_m_s2 / own[1]) / kTurn}};
+  }
+  std::optional<PendulumParameters> pendulum() const override {
+    return PendulumParameters{1, 2, kFirstSwing};
+  }
+
+  std::vector<std::string> shown_by() const override { return {"octo", "aggressive", "circle"}; }
+  Eigen::VectorXd Draw(const NormalNumbers& normal) const override {
+    Eigen::VectorXd values = Effect::Draw(normal);
+    values[0] = 0.1 * vehicle().mass_kg;
+    values[1] = 0.3 + 0.5 * std::min(1.0, std::abs(normal()));
+    values[2] = 0.02 + 0.03 * std::min(1.0, std::abs(normal()));
+    return values;
+  }
+  std::string size_parameter() const override { return "mass"; }
 
  private:
   static ParameterSpec Place(const std::string& axis, const Vehicle& vehicle, bool frozen) {

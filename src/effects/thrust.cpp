@@ -16,6 +16,9 @@ class Thrust final : public Effect {
                 "their own"},
                {Coefficient(vehicle)}) {}
 
+  /// No candidate: it is the base of every model.
+  std::vector<EffectTrial> Trials(const FlownRange&, bool) const override { return {}; }
+
  private:
   static ParameterSpec Coefficient(const Vehicle& vehicle) {
     // A propeller of radius R hovers at a tip speed near 60 m/s: a start value for files without

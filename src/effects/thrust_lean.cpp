@@ -17,6 +17,9 @@ class ThrustLean final : public Effect {
                 "one with roll and pitch of odometry_extrinsics; at constant heading with gravity"},
                {Lean("x"), Lean("y")}, {"thrust.k_f"}) {}
 
+  /// Found on recorded flights; on simulated ones its truth would be itself.
+  std::vector<std::string> shown_by() const override { return {}; }
+
  private:
   static ParameterSpec Lean(const std::string& axis) {
     return {"alpha_" + axis, "rad", "lean of all rotors towards body " + axis, 0.0, 0.02, 0.01};

@@ -18,6 +18,27 @@ class Wind final : public Effect {
   bool adds_wrench() const override { return false; }
   BodyPropertyRows shaped_rows() const override { return {kRowWind, 3}; }
 
+  std::vector<EffectTrial> Trials(const FlownRange&, bool) const override {
+    // Air speed enters some effects squared: wind has more than one valley.
+    std::vector<EffectTrial> trials(1);
+    for (const double w : {-4.0, 4.0}) {
+      trials.push_back({{}, {{"w_x", w}}});
+      trials.push_back({{}, {{"w_y", w}}});
+    }
+    return trials;
+  }
+  std::vector<TellingPair> telling_pairs() const override {
+    return {{"gravity", "yaw by 90 degrees or more while flying"},
+            {"rotor_tilt", "yaw by 90 degrees or more while flying"},
+            {"thrust_lean", "yaw by 90 degrees or more while flying"}};
+  }
+
+  Eigen::VectorXd Draw(const NormalNumbers& normal) const override {
+    Eigen::VectorXd values = Effect::Draw(normal);
+    values[2] *= 0.1;
+    return values;
+  }
+
  private:
   void DoShape(const ParameterValues& values, BodyProperties* body,
                BodyPropertyJacobian* J) const override {

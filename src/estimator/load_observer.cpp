@@ -14,9 +14,7 @@ constexpr double kForgotten_s = 20.0;  // a gap this long leaves nothing of the 
 }  // namespace
 
 LoadObserver::LoadObserver(const DynamicModel& model, bool with_derivatives)
-    : length_(model.IndexOf("suspended_load.length")),
-      damping_(model.IndexOf("suspended_load.damping")),
-      swing_(model.IndexOf("suspended_load.swing_x")),
+    : parameters_(model.pendulum()),
       gravity_(model.vehicle().gravity_m_s2),
       with_derivatives_(with_derivatives) {}
 
@@ -24,7 +22,7 @@ LoadPull LoadObserver::Advance(const Eigen::Vector3d& v0_W, const Eigen::Vector3
                                const ModelValues& values) {
   LoadPull pull;
   pull.pull_W = Eigen::Vector3d(0.0, 0.0, -gravity_);
-  if (length_ < 0 || !(dt > 0.0)) return pull;
+  if (!parameters_ || !(dt > 0.0)) return pull;
   if (dt > kForgotten_s) {
     Reset();
     return pull;
@@ -53,9 +51,9 @@ void LoadObserver::Reset() {
 
 void LoadObserver::Start(const ModelValues& values) {
   smooth_acceleration_W_.setZero();
-  start_ = is_first_recording_ ? Swing(values.segment<4>(swing_)) : Swing(Swing::Zero());
+  start_ = is_first_recording_ ? Swing(values.segment<4>(parameters_->swing)) : Swing(Swing::Zero());
   const auto with = [&](const Swing& swing) {
-    return Pendulum(values[length_], values[damping_], gravity_, swing);
+    return Pendulum(values[parameters_->length], values[parameters_->damping], gravity_, swing);
   };
   pendulum_ = with(start_);
   if (!with_derivatives_ || !is_first_recording_) return;

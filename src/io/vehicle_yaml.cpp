@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "known_parameters.h"
+#include "odmc/effects/effects.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/number_text.h"
 #include "odmc/io/printable_text.h"
@@ -19,14 +20,6 @@ namespace {
 
 /// A stand's air is not that of flight: what it measures is known to this share at best.
 constexpr double kLeastBenchShare = 0.02;
-
-/// The paper's model: what a vehicle file without a list of effects gets.
-const std::vector<std::string>& DefaultEffects() {
-  static const std::vector<std::string> effects = {
-      "thrust", "rotor_torque",      "drag",    "viscous_torque",
-      "hvt",    "centre_of_gravity", "inertia", "gravity"};
-  return effects;
-}
 
 /// A positive number within limits that only another unit would break.
 double Plausible(const YamlValue& value, double low, double high, const std::string& hint) {

@@ -90,6 +90,9 @@ DynamicModel::DynamicModel(const Vehicle& vehicle, const std::vector<std::string
       shaping_borrows_ = shaping_borrows_ || !effects_[i]->borrowed().empty();
     }
     varies_ = varies_ || effects_[i]->depends_on_time();
+    if (const auto own = effects_[i]->pendulum()) {
+      pendulum_ = {own->length + first_[i], own->damping + first_[i], own->swing + first_[i]};
+    }
     for (const ParameterSpec& spec : effects_[i]->parameters()) {
       if (spec.process_sigma.empty()) continue;
       const std::string prefix = effects_[i]->name() + ".";

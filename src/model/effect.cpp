@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cassert>
+#include <cmath>
 #include <stdexcept>
 #include <utility>
 
@@ -51,6 +52,33 @@ void Effect::Shape(double time_s, const ParameterValues& values, BodyProperties*
   DoShapeAt(time_s, values, body, J);
 }
 
+std::vector<EffectTrial> Effect::Trials(const FlownRange& /*flown*/, bool /*fits_thrust*/) const {
+  return {EffectTrial()};
+}
+
+std::vector<DerivedFigure> Effect::DerivedFigures(const Eigen::VectorXd& /*own*/) const {
+  return {};
+}
+
+Eigen::VectorXd Effect::Draw(const NormalNumbers& normal) const {
+  Eigen::VectorXd values(static_cast<Eigen::Index>(parameters_.size()));
+  for (size_t i = 0; i < parameters_.size(); ++i) {
+    const ParameterSpec& spec = parameters_[i];
+    double& value = values[static_cast<Eigen::Index>(i)];
+    value = spec.prior_value;
+    if (spec.frozen_by_default) continue;
+    const double size = spec.prior_sigma * (0.3 + 0.4 * std::abs(normal()));
+    const double sign = spec.sign == PhysicalSign::kPositive   ? 1.0
+                        : spec.sign == PhysicalSign::kNegative ? -1.0
+                        : normal() > 0.0                       ? 1.0
+                                                               : -1.0;
+    value = sign * size;
+  }
+  return values;
+}
+
+void Effect::Place(double /*lowest_m*/, Eigen::VectorXd* /*values*/) const {}
+
 void Effect::DoAddWrench(const FlightState& /*state*/, const ParameterValues& /*values*/,
                          Wrench* /*wrench*/, WrenchJacobians* /*J*/) const {}
 
@@ -83,13 +111,19 @@ std::unique_ptr<Effect> EffectRegistry::Make(const std::string& name,
   return factories_[it - names_.begin()](vehicle);
 }
 
-const EffectRegistry& EffectRegistry::Default() {
-  static const EffectRegistry registry = [] {
+EffectRegistry& EffectRegistry::Shared() {
+  static EffectRegistry registry = [] {
     EffectRegistry r;
     RegisterAllEffects(&r);
     return r;
   }();
   return registry;
+}
+
+const EffectRegistry& EffectRegistry::Default() { return Shared(); }
+
+void EffectRegistry::Extend(const std::string& name, Factory factory) {
+  Shared().Add(name, std::move(factory));
 }
 
 }  // namespace odmc

@@ -3,12 +3,10 @@
 namespace odmc {
 
 HangingLoad::HangingLoad(const DynamicModel& model, const ModelValues& values) {
-  const int length = model.IndexOf("suspended_load.length");
-  const int damping = model.IndexOf("suspended_load.damping");
-  const int swing = model.IndexOf("suspended_load.swing_x");
-  if (length < 0) return;
-  pendulum_.emplace(values[length], values[damping], model.vehicle().gravity_m_s2,
-                    values.segment<4>(swing));
+  const std::optional<PendulumParameters>& own = model.pendulum();
+  if (!own) return;
+  pendulum_.emplace(values[own->length], values[own->damping], model.vehicle().gravity_m_s2,
+                    values.segment<4>(own->swing));
 }
 
 void HangingLoad::Swing(const RigidBody& body, double time_s, const RotorVector& speed_cmd,

@@ -12,6 +12,7 @@
 
 #include "odmc/actuator/flight_actuator.h"
 #include "odmc/analysis/report.h"
+#include "odmc/effects/effects.h"
 #include "odmc/inspection/recording_inspection.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/number_text.h"
@@ -92,9 +93,13 @@ std::pair<std::string, std::string> Split(const std::string& text, const std::st
 
 /// Effects, and their parameters' full names.
 std::vector<std::string> EffectAndParameterNames() {
-  std::vector<std::string> names = EffectRegistry::Default().names();
-  const DynamicModel all(NominalVehicle(), EffectRegistry::Default().names());
-  for (const ModelParameter& p : all.parameters()) names.push_back(p.full_name);
+  const Vehicle vehicle = NominalVehicle();
+  const std::vector<std::string>& effects = EffectRegistry::Default().names();
+  std::vector<std::string> names = effects;
+  for (const std::string& name : effects) {
+    const std::unique_ptr<Effect> effect = EffectRegistry::Default().Make(name, vehicle);
+    for (const ParameterSpec& spec : effect->parameters()) names.push_back(name + "." + spec.name);
+  }
   return names;
 }
 
@@ -483,8 +488,7 @@ Vehicle NominalVehicle() {
                     {{kX, kY, 0.0}, -1.0, kRadius},
                     {{-kX, kY, 0.0}, 1.0, kRadius},
                     {{-kX, -kY, 0.0}, -1.0, kRadius}};
-  vehicle.effects = {"thrust", "rotor_torque",      "drag",    "viscous_torque",
-                     "hvt",    "centre_of_gravity", "inertia", "gravity"};
+  vehicle.effects = DefaultEffects();
   return vehicle;
 }
 

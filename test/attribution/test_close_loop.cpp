@@ -245,16 +245,31 @@ TEST(CloseLoop, SeesNoLoadWhereNoneHangs) {
 
 // The score is best at 0.47 m and a damping ratio of 0.03, off the grid.
 TEST(Candidates, ALengthIsRefinedBetweenTheGridsValues) {
-  const Candidate start = {
-      "suspended_load", {{"suspended_load.length", 0.45}, {"suspended_load.damping", 0.02}}, {}};
+  const auto effect = EffectRegistry::Default().Make("suspended_load", NominalVehicle());
+  const Candidate start = {"suspended_load",
+                           {{"suspended_load.length", 0.45}, {"suspended_load.damping", 0.02}},
+                           {},
+                           effect->refinements()};
   const Candidate best = Refined(start, [](const Candidate& c) {
     return -std::pow(std::log(c.settings.at("suspended_load.length") / 0.47), 2) -
            std::pow(std::log(c.settings.at("suspended_load.damping") / 0.03), 2);
   });
   EXPECT_NEAR(best.settings.at("suspended_load.length"), 0.47, 0.005);
   EXPECT_NEAR(best.settings.at("suspended_load.damping"), 0.03, 0.003);
-  const Candidate other = {"mass_change", {{"mass_change.from", 3.0}}, {}};
+}
+
+// A load is dropped at 3.3 s; the grid has whole seconds.
+TEST(Candidates, ATimeIsRefinedInHalvedSteps) {
+  const auto effect = EffectRegistry::Default().Make("mass_change", NominalVehicle());
+  Candidate other = {"mass_change", {{"mass_change.from", 3.0}}, {}, effect->refinements()};
   EXPECT_EQ(Refined(other, [](const Candidate&) { return 0.0; }).settings, other.settings);
+  const auto score = [](const Candidate& c) {
+    return -std::abs(c.settings.at("mass_change.from") - 3.3);
+  };
+  EXPECT_NEAR(Refined(other, score).settings.at("mass_change.from"), 3.3, 0.05);
+  // From the start on: there is no time to refine.
+  other.settings["mass_change.from"] = 0.0;
+  EXPECT_EQ(Refined(other, score).settings, other.settings);
 }
 
 TEST(Undeclared, PlansHoldEveryEffectAndEnoughOfEachKind) {
@@ -273,15 +288,13 @@ TEST(Undeclared, PlansHoldEveryEffectAndEnoughOfEachKind) {
   EXPECT_GE(hidden, 15);
   EXPECT_GE(unknown, 20);
   EXPECT_GE(two, 10);
+  const std::vector<std::string> declared = UndeclaredVehicles().front().effects;
   for (const std::string& name : EffectRegistry::Default().names()) {
-    const std::set<std::string> others = {
-        "thrust", "rotor_torque", "drag", "viscous_torque", "hvt", "centre_of_gravity", "inertia",
-        "gravity", "odometry_extrinsics", "imu_extrinsics", "rotor_level",
-        // found on recorded flights; on simulated ones their truth would be themselves
-        "skewed_inflow", "anisotropic_hub_moment", "thrust_lean"};
-    if (others.count(name) > 0) continue;
-    EXPECT_EQ(acting.count(name), 1u) << name;
+    if (std::count(declared.begin(), declared.end(), name) > 0) continue;
+    const auto effect = EffectRegistry::Default().Make(name, UndeclaredVehicles().front());
+    EXPECT_EQ(acting.count(name), effect->shown_by().empty() ? 0u : 1u) << name;
   }
+  EXPECT_EQ(acting.size(), 19u);
 }
 
 TEST(Undeclared, VehiclesReadBack) {

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "odmc/analysis/flight_motion.h"
+#include "odmc/model/effect_traits.h"
 #include "odmc/model/parameter_set.h"
 #include "odmc/model/vehicle.h"
 
@@ -17,23 +18,27 @@ struct Candidate {
   std::map<std::string, double> settings;
   /// Where to linearize first, for parameters that do nothing at zero (a place of no mass).
   std::map<std::string, double> start = {};
+  /// How its settings are refined; short names.
+  std::vector<SettingRefinement> refinements = {};
 };
 
 /// Every effect of the catalogue that `vehicle`'s model lacks and that may be added to it, with the
-/// values to try for what cannot be estimated: when a mass changed, how long a cable is, where the
-/// ground is.
+/// values to try for what cannot be estimated (Effect::Trials): when a mass changed, how long a
+/// cable is, where the ground is.
 std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion& flight);
 
-/// The candidate with what its grid holds coarsely (a cable's length and damping) moved to where
-/// `score` is best between the grid's neighbours: golden section, one after the other.
+/// The candidate with what its grid holds coarsely (a cable's length and damping, the time of a
+/// change) moved to where `score` is best between the grid's neighbours, one after the other.
 Candidate Refined(const Candidate& candidate, const std::function<double(const Candidate&)>& score);
 
-/// What follows from an effect's parameters and says more than these: the frequency of a load's
-/// swing [Hz], the mass of the whole, all loads counted [kg].
+/// What follows from an effect's parameters and says more than these: the mass of the whole, all
+/// loads counted [kg], and Effect::DerivedFigures().
 std::vector<ParameterEstimate> DerivedFigures(const Vehicle& vehicle, const std::string& effect,
                                               const ParameterSet& online);
 
-/// What manoeuvre tells two effects apart; empty where none is known.
-std::string TellingManoeuvre(const std::string& effect, const std::string& alternative);
+/// What manoeuvre tells two effects apart (Effect::telling_pairs() of either); empty where none is
+/// known.
+std::string TellingManoeuvre(const Vehicle& vehicle, const std::string& effect,
+                             const std::string& alternative);
 
 }  // namespace odmc

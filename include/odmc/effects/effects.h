@@ -1,13 +1,16 @@
 #pragma once
 
 #include <memory>
+#include <string>
+#include <vector>
 
 #include "odmc/model/effect.h"
 
 /// \file
 /// The catalogue: every effect of this package by name, with its constructor. To add one, write
 /// src/effects/NAME.cpp (and name it in CMakeLists.txt) and add its line here; estimator,
-/// simulator, evaluation, reports and `list_effects` then know it.
+/// simulator, evaluation, attribution, test flights, reports and `list_effects` then know it. Code
+/// outside this package calls EffectRegistry::Extend().
 
 #define ODMC_EFFECTS(X)                               \
   X(thrust, MakeThrust)                               \
@@ -49,5 +52,8 @@ namespace odmc {
 #define ODMC_DECLARE_EFFECT(name, make) std::unique_ptr<Effect> make(const Vehicle& vehicle);
 ODMC_EFFECTS(ODMC_DECLARE_EFFECT)
 #undef ODMC_DECLARE_EFFECT
+
+/// The paper's model: what a vehicle file without a list of effects gets.
+const std::vector<std::string>& DefaultEffects();
 
 }  // namespace odmc

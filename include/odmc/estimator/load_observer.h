@@ -29,7 +29,7 @@ class LoadObserver {
   void Start(const ModelValues& values);
   void AdvanceAll(const Eigen::Vector3d& acceleration_W, double dt);
 
-  int length_, damping_, swing_;
+  std::optional<PendulumParameters> parameters_;  // in the model
   double gravity_;
   bool with_derivatives_;
   bool is_first_recording_ = true;

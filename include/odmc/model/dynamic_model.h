@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -94,6 +95,9 @@ class DynamicModel {
   };
   const std::vector<ProcessParameter>& processes() const { return processes_; }
 
+  /// The pendulum that an effect needs driven, if any: indices in parameters().
+  const std::optional<PendulumParameters>& pendulum() const { return pendulum_; }
+
   /// Force on the body and torque about the centre of mass `p_BBcm`, in B.      model.md Eq. (A)
   /// @param anchor if given, what the torque takes of its own, and does not depend on
   void EvaluateWrench(const FlightState& state, const ModelValues& values,
@@ -135,6 +139,7 @@ class DynamicModel {
   std::vector<BodyPropertyRows> shaped_rows_;  // by parameter
   bool shapes_mounts_ = false, shaping_borrows_ = false;
   std::vector<ProcessParameter> processes_;
+  std::optional<PendulumParameters> pendulum_;
   bool varies_ = false;
   // Of each effect: where its values are, own ones first; -1 where the lender is absent, and then
   // the value of the borrowed one.

@@ -3,10 +3,12 @@
 #include <Eigen/Core>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "odmc/model/body_properties.h"
+#include "odmc/model/effect_traits.h"
 #include "odmc/model/flight_state.h"
 #include "odmc/model/parameter.h"
 #include "odmc/model/wrench.h"
@@ -62,6 +64,37 @@ class Effect {
   /// True if the body it shapes changes with time.
   virtual bool depends_on_time() const { return false; }
 
+  // What attribution needs to know of it. By default: it is tried once, without settings.
+
+  /// The ways to try the effect on a flight whose model lacks it; empty where it cannot be told
+  /// there, or never (the base of every model).
+  /// @param fits_thrust true if the model estimates the thrust coefficient
+  virtual std::vector<EffectTrial> Trials(const FlownRange& flown, bool fits_thrust) const;
+  /// How the settings of a trial are refined, one after the other.
+  virtual std::vector<SettingRefinement> refinements() const { return {}; }
+  /// What tells it from other effects. One of the two says it.
+  virtual std::vector<TellingPair> telling_pairs() const { return {}; }
+  /// Name of the own parameter that is a mass carried along [kg]; empty: none.
+  virtual std::string added_mass_parameter() const { return ""; }
+  /// What follows from its parameters and says more than these.
+  /// @param own values of parameters()
+  virtual std::vector<DerivedFigure> DerivedFigures(const Eigen::VectorXd& own) const;
+  /// Its internal state, where it is a pendulum: indices in parameters().
+  virtual std::optional<PendulumParameters> pendulum() const { return std::nullopt; }
+
+  // What test flights with it need (simulate_undeclared). By default: sizes and signs at random
+  // about the priors' sigmas.
+
+  /// Names of the trajectories that show it, best first; empty: no test flights are made with it.
+  virtual std::vector<std::string> shown_by() const { return {"aggressive", "octo"}; }
+  /// Values of parameters() at a natural size, with signs and a shape drawn at random.
+  virtual Eigen::VectorXd Draw(const NormalNumbers& normal) const;
+  /// Moves what was drawn to where a flight takes place.
+  /// @param lowest_m lowest point flown, in the odometry's world
+  virtual void Place(double lowest_m, Eigen::VectorXd* values) const;
+  /// Name of the own parameter that scales the effect; empty: all of them do together.
+  virtual std::string size_parameter() const { return ""; }
+
   /// Adds this effect's forces (with the point they act at) and couples, in B, to `wrench`. If `J`
   /// is given, adds the derivatives by state and parameters to it.
   /// @pre values.size() == num_values()
@@ -107,10 +140,17 @@ class EffectRegistry {
   /// In the order of registration.
   const std::vector<std::string>& names() const { return names_; }
 
-  /// The registry with every effect of this package (effects/register.cpp).
+  /// The registry with every effect of this package (effects/register.cpp), and those of Extend().
   static const EffectRegistry& Default();
+  /// Adds an effect from outside this package to Default(): then vehicle files may name it,
+  /// attribution tries it and test flights are made with it. Call it first thing in main(), before
+  /// there are threads.
+  /// @throws std::invalid_argument if the name is taken
+  static void Extend(const std::string& name, Factory factory);
 
  private:
+  static EffectRegistry& Shared();
+
   std::vector<std::string> names_;
   std::vector<Factory> factories_;
 };

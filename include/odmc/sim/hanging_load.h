@@ -8,7 +8,7 @@
 
 namespace odmc {
 
-/// The load on a cable of a model with the effect suspended_load; nothing for other models. Knows
+/// The load on a cable of a model that has one; nothing for other models. Knows
 /// no ground.
 class HangingLoad {
  public:
