@@ -79,7 +79,8 @@ int main(int argc, char** argv) {
       const Vehicle vehicle = LoadVehicle(tools::In(input, manifest[i]["vehicle"]));
       const FlightLog log = ReadFlightCsv(tools::In(input, manifest[i]["file"]),
                                           vehicle.num_rotors(), PoseSource::kEkf);
-      const ClosedLoop loop = CloseLoop(log, vehicle, vehicle, options);
+      ClosedLoop loop = CloseLoop(log, vehicle, vehicle, options);
+      loop.parameters.provenance["decision"] = DescribeChanges(options.attribution);
       WriteText(CloseLoopReport(loop),
                 tools::In(results, std::string(manifest[i]["flight"]) + ".json"));
     };
