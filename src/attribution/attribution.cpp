@@ -14,8 +14,7 @@ constexpr size_t kFittedSettings = 2;  // by either measure, and their refinemen
 constexpr int kPolishes = 3;           // linearizations of what is not linear
 constexpr int kRefits = 5;             // at most
 constexpr int kInertiaRefits = 2;
-constexpr double kLargeShare = 0.3;    // of the largest: added in the same round
-constexpr double kClearOdds = 4.6;     // nats: a hundred to one
+constexpr int kSurrogates = 300;       // their 30 largest give the tail to 18 %
 constexpr size_t kMostFeatures = 10;   // that complete a set
 constexpr double kTail = 0.1;          // share of surrogates whose excess gives the tail
 
@@ -218,7 +217,7 @@ VariantSet Attribution::Completed(Evidence* evidence, const VariantSet& set, siz
   *gain = 0.0;
   for (size_t k = 0; k < most; ++k) {
     const Evidence::FlexibleGain best = evidence->BestFlexible(all, features_);
-    if (best.nats < kClearOdds) break;
+    if (best.nats < options_.clear_odds) break;
     *gain += best.nats;
     all.insert(evidence->AddFlexible(best, features_));
   }
@@ -258,7 +257,8 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
       }
       const double gain =
           evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence;
-      const double margin = (1.0 + options_.form_share) * gain + flexible_gain_ - instead - kClearOdds;
+      const double margin = (1.0 + options_.form_share) * gain + flexible_gain_ - instead -
+                            options_.clear_odds;
       const bool holds = score > least_score && PValue(score) < options_.false_alarm_rate &&
                          margin > 0.0 &&
                          score > ShadowOf(evidence.EnergyOf(v, fit), others);
@@ -355,7 +355,7 @@ void Attribution::Run() {
     Screen(&evidence);
     Polish(&evidence);
     if (GivesUp() || evidence.variants().empty()) return;
-    null_gains_ = evidence.SurrogateGains({}, options_.surrogates, 1);
+    null_gains_ = evidence.SurrogateGains({}, kSurrogates, 1);
     if (round == 0) Rank(evidence);
     const SearchResult found =
         SearchEffects(evidence, options_.log_prior_odds,
@@ -380,7 +380,7 @@ void Attribution::Run() {
       most = std::max(most, scores[v]);
     }
     for (const auto& [v, score] : scores) {
-      if (score < kLargeShare * most) set.erase(v);
+      if (score < options_.large_share * most) set.erase(v);
     }
     std::vector<RankedEffect> added;
     for (const int v : set) {

@@ -18,12 +18,8 @@ namespace odmc {
 namespace {
 
 constexpr int kLeastSamples = 50;  // to look for effects in
-constexpr double kGustCoefficients = 8.0;  // nats: size, time and the drag that goes with them
 constexpr double kSlightestGust_m_s = 0.1;  // slighter ones through much drag are a force, no wind
-constexpr double kKnownThrustShare = 0.05;
 constexpr double kTooLarge = 4.0;    // natural sizes
-constexpr double kSignificant = 3.0;  // sigmas of one coefficient
-constexpr double kAgreeShare = 1.0 / 3.0;  // of a coefficient: winds and drags bend each other
 
 std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedFlight& flight,
                   const ResidualModel::Wrenches& residual) {
@@ -56,13 +52,14 @@ std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedF
          Text(100.0 * quantity->second) + " % of its variance)";
 }
 
-/// True if parameters differ from zero together by kSignificant sigmas (Wald's test; the limit
+/// True if parameters differ from zero together by `sigmas` (Wald's test; the limit
 /// grows with their number).
-bool IsSignificant(const Eigen::VectorXd& estimate, const Eigen::MatrixXd& covariance) {
+bool IsSignificant(const Eigen::VectorXd& estimate, const Eigen::MatrixXd& covariance,
+                   double sigmas) {
   Eigen::MatrixXd C = covariance;
   C.diagonal() *= 1.0 + 1e-9;
   return estimate.dot(C.ldlt().solve(estimate)) >
-         kSignificant * kSignificant + 2.0 * (static_cast<double>(estimate.size()) - 1.0);
+         sigmas * sigmas + 2.0 * (static_cast<double>(estimate.size()) - 1.0);
 }
 
 /// How the predicted wrench answers the wind of an effect.
@@ -277,7 +274,7 @@ Gusts RankGusts(const ResidualModel& residual, const Stage& stage,
 /// True if a slow disturbance of the force is the wind's doing rather than any other's.
 bool IsGusty(const Gusts& gusts, const AttributionOptions& options) {
   return gusts.test.sigma_m_s > kSlightestGust_m_s &&
-         gusts.test.gain > -std::log(options.false_alarm_rate) + kGustCoefficients &&
+         gusts.test.gain > -std::log(options.false_alarm_rate) + options.gust_price &&
          gusts.test.over_others > -std::log(options.false_alarm_rate);
 }
 
@@ -302,14 +299,15 @@ double LeastRatio(const PredictionFigures& before, const PredictionFigures& afte
 }
 
 /// True if the online estimate of an effect differs from zero, or says nothing of it.
-bool IsThere(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model) {
+bool IsThere(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model,
+             const AttributionOptions& options) {
   const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
   if (own.empty()) return true;
   Eigen::VectorXd estimate(static_cast<Eigen::Index>(own.size()));
   for (size_t k = 0; k < own.size(); ++k) {
     estimate[static_cast<Eigen::Index>(k)] = online.parameters[static_cast<size_t>(own[k])].value;
   }
-  return IsSignificant(estimate, online.covariance(own, own));
+  return IsSignificant(estimate, online.covariance(own, own), options.significant_sigmas);
 }
 
 FlightFigures FlownFlight(const FlightLog& log, const ReplayResult& replay) {
@@ -414,7 +412,7 @@ std::string ToString(Verdict verdict) {
 }
 
 std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
-                         const DynamicModel& model) {
+                         const DynamicModel& model, const AttributionOptions& options) {
   const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
   const auto n = static_cast<Eigen::Index>(own.size());
   if (n == 0 || effect.covariance.rows() != n) return "";
@@ -426,23 +424,24 @@ std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
     const ParameterEstimate& p = online.parameters[own[static_cast<size_t>(i)]];
     const double fitted = effect.Find(p.full_name)->value;
     difference[i] = p.value - fitted;
-    const double share = kAgreeShare * std::max(std::abs(p.value), std::abs(fitted));
+    const double share = options.agree_share * std::max(std::abs(p.value), std::abs(fitted));
     covariance(i, i) += share * share;
     const double sigmas = std::abs(difference[i]) / std::sqrt(covariance(i, i));
     if (sigmas < most) continue;
     most = sigmas;
     worst = i;
   }
-  if (!IsSignificant(difference, covariance)) return "";
+  if (!IsSignificant(difference, covariance, options.significant_sigmas)) return "";
   const ParameterEstimate& p = online.parameters[own[static_cast<size_t>(worst)]];
   return "it finds " + p.full_name + " = " + Text(p.value) + ", the fit that chose the effect " +
          Text(p.value - difference[worst]);
 }
 
-void HoldKnownThrust(Vehicle* vehicle) {
+void HoldKnownThrust(const AttributionOptions& options, Vehicle* vehicle) {
   const auto it = vehicle->parameters.find("thrust.k_f");
   if (it == vehicle->parameters.end() || !it->second.value || !it->second.sigma) return;
-  if (*it->second.sigma < kKnownThrustShare * *it->second.value) it->second.estimated = false;
+  const double limit = options.known_thrust_share * *it->second.value;
+  if (*it->second.sigma < limit) it->second.estimated = false;
 }
 
 ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& vehicle,
@@ -551,7 +550,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     const DynamicModel model(extended, extended.effects);
     const bool predicts = LeastRatio(before.held_out, run->held_out) < options.attribution.least_ratio;
     const auto idle = [&](const RankedEffect& effect) {
-      return !predicts && !IsThere(effect, run->parameters, model);
+      return !predicts && !IsThere(effect, run->parameters, model, options.attribution);
     };
     const auto end = std::remove_if(effects.begin(), effects.end(), idle);
     if (end != effects.end()) run.reset();
@@ -573,7 +572,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     result.effect_names = extended.effects;
     result.samples = Samples(before.misses, after.misses, options.blocks);
     for (RankedEffect& ranked : effects) {
-      const std::string other = Disagreement(ranked, after.parameters, model);
+      const std::string other = Disagreement(ranked, after.parameters, model, options.attribution);
       if (!other.empty()) result.warnings.push_back(ranked.name + ": the online run disagrees, " + other);
       AddedEffect effect;
       effect.effect = ranked;

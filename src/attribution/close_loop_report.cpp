@@ -104,6 +104,7 @@ std::string CloseLoopReport(const ClosedLoop& loop) {
                       {"whiteness_p", Number(loop.whiteness_p)},
                       {"channels", channels}};
   if (!loop.where.empty()) json["residual"]["where"] = loop.where;
+  json["provenance"] = loop.parameters.provenance;
   json["model"] = loop.effect_names;
   json["parameters"] = ParametersJson(loop.parameters.parameters);
   json["trust"] = Name(TrustOf(loop.findings));

@@ -33,12 +33,22 @@ int main(int argc, char** argv) {
   app.add_option("--most-effects", options.attribution.most_effects, "add at most this many effects")
       ->capture_default_str()
       ->check(tools::NotNegative());
+  std::vector<std::string> decision;
+  app.add_option("--decision", decision, "NAME=VALUE: changes a number of the decision, see below")
+      ->take_all()
+      ->allow_extra_args(false);
+  app.footer(DescribeDecision() + "\n" + app.get_footer());
   tools::AddForce(&app, &force);
   return tools::Run(&app, argc, argv, [&] {
+    try {
+      for (const std::string& set : decision) SetDecision(set, &options.attribution);
+    } catch (const std::invalid_argument& error) {
+      throw tools::UsageError(error.what());
+    }
     const Vehicle file_vehicle = LoadVehicle(vehicle_file);
     options.estimator = estimator.Read();
     Vehicle vehicle = model_arguments.Configure(file_vehicle);
-    if (!model_arguments.parameters_file.empty()) HoldKnownThrust(&vehicle);
+    if (!model_arguments.parameters_file.empty()) HoldKnownThrust(options.attribution, &vehicle);
     FlightLog log = flight.Read(vehicle);
     const StreamInspection inspection = tools::InspectFlight(vehicle, force, &log);
     tools::MakeFolder(folder);
@@ -50,7 +60,8 @@ int main(int argc, char** argv) {
     }
     loop.parameters.provenance = tools::Provenance(
         "close_loop", vehicle,
-        {{"flight", log.file}, {"estimator_options", tools::DescribeChanges(options.estimator)}});
+        {{"flight", log.file}, {"estimator_options", tools::DescribeChanges(options.estimator)},
+         {"decision", DescribeChanges(options.attribution)}});
     WriteText(CloseLoopReport(loop), tools::In(folder, "report.json"));
     WriteLoopSamples(loop, tools::In(folder, "residual.csv"));
     SaveParameters(loop.parameters, tools::In(folder, "parameters.yaml"));

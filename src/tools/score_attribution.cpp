@@ -58,19 +58,29 @@ int main(int argc, char** argv) {
       ->check(tools::Positive());
   app.add_flag("--rescore", rescore, "use the results that are there");
   estimator.AddTo(&app);
+  std::vector<std::string> decision;
+  app.add_option("--decision", decision, "NAME=VALUE: a number of the decision (close_loop --help)")
+      ->take_all()
+      ->allow_extra_args(false);
   return tools::Run(&app, argc, argv, [&] {
     const std::string input = tools::In(folder, "input"), results = tools::In(folder, "results");
     const Json manifest = ReadJson(tools::In(input, "manifest.json"));
     tools::MakeFolder(results);
     CloseLoopOptions options;
     options.estimator = estimator.Read();
+    try {
+      for (const std::string& set : decision) SetDecision(set, &options.attribution);
+    } catch (const std::invalid_argument& error) {
+      throw tools::UsageError(error.what());
+    }
     tools::ProgressBar bar("close_loop");
     const auto start = std::chrono::steady_clock::now();
     const auto close = [&](int i) {
       const Vehicle vehicle = LoadVehicle(tools::In(input, manifest[i]["vehicle"]));
       const FlightLog log = ReadFlightCsv(tools::In(input, manifest[i]["file"]),
                                           vehicle.num_rotors(), PoseSource::kEkf);
-      const ClosedLoop loop = CloseLoop(log, vehicle, vehicle, options);
+      ClosedLoop loop = CloseLoop(log, vehicle, vehicle, options);
+      loop.parameters.provenance["decision"] = DescribeChanges(options.attribution);
       WriteText(CloseLoopReport(loop),
                 tools::In(results, std::string(manifest[i]["flight"]) + ".json"));
     };

@@ -1,5 +1,6 @@
 // How effects are told from noise and from what nobody has a name for.
 
+#include <fstream>
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -247,4 +248,38 @@ TEST(MakeUndeclared, CallsWhatShowsLessThanPlannedByItsRealStrength) {
 }
 
 }  // namespace
+/// Rows of the table under a heading of docs/closing_the_loop.md, as "name value".
+std::vector<std::string> DocumentedNumbers() {
+  std::ifstream file(ODMC_SOURCE_DIR "/docs/closing_the_loop.md");
+  std::vector<std::string> rows;
+  bool inside = false;
+  for (std::string line; std::getline(file, line);) {
+    if (line.rfind("## ", 0) == 0) inside = line == "## Every number of the decision";
+    if (!inside || line.rfind("| `", 0) != 0) continue;
+    const size_t end = line.find('`', 3), bar = line.find('|', end + 3);
+    rows.push_back(line.substr(3, end - 3) + " " + line.substr(end + 4, bar - end - 5));
+  }
+  return rows;
+}
+
+TEST(AttributionOptions, DocumentationListsEveryNumber) {
+  std::vector<std::string> numbers;
+  for (const DecisionNumber& n : DecisionNumbers()) numbers.push_back(n.name + " " + n.TextOf({}));
+  EXPECT_LT(numbers.size(), 25u);
+  EXPECT_EQ(numbers, DocumentedNumbers());
+}
+
+TEST(AttributionOptions, CommandLineSetsOneNumber) {
+  AttributionOptions options;
+  EXPECT_EQ(DescribeChanges(options), "defaults");
+  SetDecision("form_share=0.2", &options);
+  SetDecision("most_effects=2", &options);
+  EXPECT_DOUBLE_EQ(options.form_share, 0.2);
+  EXPECT_EQ(DescribeChanges(options), "most_effects 2, form_share 0.2");
+  for (const char* wrong : {"form_share=2", "form_share=x", "form_share=", "form_share=nan",
+                            "most_effects=1.5", "form_share", "nothing=1"}) {
+    EXPECT_THROW(SetDecision(wrong, &options), std::invalid_argument) << wrong;
+  }
+}
+
 }  // namespace odmc

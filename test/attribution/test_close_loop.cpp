@@ -62,7 +62,7 @@ class Agreement : public testing::Test {
     return effects;
   }
 
-  std::string Said() const { return Disagreement(fitted_, online_, model_); }
+  std::string Said() const { return Disagreement(fitted_, online_, model_, {}); }
 
   DynamicModel model_;
   RankedEffect fitted_;

@@ -4,30 +4,13 @@
 #include <string>
 #include <vector>
 
+#include "odmc/attribution/attribution_options.h"
 #include "odmc/attribution/effect_search.h"
 #include "odmc/attribution/evidence.h"
 #include "odmc/attribution/ranked_effect.h"
 #include "odmc/attribution/structure.h"
 
 namespace odmc {
-
-/// Every number that attribution decides by.
-struct AttributionOptions {
-  double false_alarm_rate = 0.01;  ///< of naming any effect on a flight on which none acts
-  double log_prior_odds = -3.0;    ///< of one given effect: of some 25 candidates, one acts
-  int most_effects = 6;
-  int surrogates = 300;  ///< their 30 largest give the tail to 10 %
-  double least_share = 0.03;
-  double form_share = 0.1;  ///< of what an effect explains, that its form may miss
-  double telling_sigmas = 3.0;
-  double even_odds = 3.0;  ///< nats: odds of 20 to 1
-  double whiteness_p = 1e-6;       ///< below it a residual is structured
-  double noise_p = 3e-3;           ///< above it noise explains a residual
-  double least_structured = 0.05;  ///< share of variance, for the verdict "unexplained"
-  double most_unexplained = 0.5;   ///< of the structure, for the verdict "effect"
-  double least_ratio = 0.97;       ///< error held out that excuses an estimate of zero
-  double telling_ratio = 0.5;      ///< error held out, after over before, that excuses it
-};
 
 /// True if a channel of the residual is more than noise.
 bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options);

@@ -68,11 +68,11 @@ struct ClosedLoop {
 /// each finds depends on its weights (Hausman, Specification tests in econometrics, 1978).
 /// @returns what differs by more than three sigma and a third of itself; empty if they agree
 std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
-                         const DynamicModel& model);
+                         const DynamicModel& model, const AttributionOptions& options);
 
 /// Holds a thrust coefficient that is known to 5 % (from an earlier, unloaded flight) as it is:
 /// mass can then be found.
-void HoldKnownThrust(Vehicle* vehicle);
+void HoldKnownThrust(const AttributionOptions& options, Vehicle* vehicle);
 
 /// Calibrates `vehicle`'s model on a flight, finds what it leaves unexplained, traces it to an
 /// effect of the catalogue, adds that and says what it changed. `progress` gets the share done.

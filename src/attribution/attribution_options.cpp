@@ -1,0 +1,119 @@
+#include "odmc/attribution/attribution_options.h"
+
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <stdexcept>
+#include <type_traits>
+
+namespace odmc {
+namespace {
+
+std::string Number(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%g", value);
+  return text;
+}
+
+}  // namespace
+
+double DecisionNumber::Of(const AttributionOptions& options) const {
+  return std::visit([&](auto m) { return static_cast<double>(options.*m); }, member);
+}
+
+std::string DecisionNumber::TextOf(const AttributionOptions& options) const {
+  return Number(Of(options));
+}
+
+const std::vector<DecisionNumber>& DecisionNumbers() {
+  using O = AttributionOptions;
+  static const std::vector<DecisionNumber> numbers = {
+      {"false_alarm_rate", "1", &O::false_alarm_rate, 1e-6, 0.1,
+       "convention: chance of naming any effect, where none acts, in one round"},
+      {"log_prior_odds", "nats", &O::log_prior_odds, -20.0, 0.0,
+       "ln(1/20): one of some 20 candidates acts"},
+      {"most_effects", "effects", &O::most_effects, 0.0, 20.0, "judgement: bounds the time"},
+      {"least_share", "1", &O::least_share, 0.0, 1.0,
+       "judgement: formulas are good to some per cent, the rest is a strong effect's shadow"},
+      {"clear_odds", "nats", &O::clear_odds, 0.0, 50.0,
+       "ln 100: likelihood ratio that chance exceeds once in a hundred times at most"},
+      {"form_share", "1", &O::form_share, 0.0, 1.0,
+       "judgement: of an effect's gain, what a function that copies its formula may take"},
+      {"large_share", "1", &O::large_share, 0.0, 1.0,
+       "judgement: an effect with less of the largest gain is looked at again about the larger"},
+      {"telling_sigmas", "sigma", &O::telling_sigmas, 0.0, 20.0,
+       "normal: a lead of three standard errors is chance once in 740 times (Vuong 1989)"},
+      {"even_odds", "nats", &O::even_odds, 0.0, 50.0,
+       "ln 20: an alternative's odds are one in twenty or better"},
+      {"whiteness_p", "1", &O::whiteness_p, 0.0, 1.0,
+       "judgement: real noise is never exactly a + b f^2"},
+      {"noise_p", "1", &O::noise_p, 0.0, 1.0,
+       "two-sided three sigma: above, noise explains the rest (in flight)"},
+      {"least_structured", "1", &O::least_structured, 0.0, 1.0,
+       "judgement: a smaller share of the variance changes the RMS by less than 3 %"},
+      {"most_unexplained", "1", &O::most_unexplained, 0.0, 1.0,
+       "judgement: what explains less than half of the structure is not its cause"},
+      {"telling_ratio", "1", &O::telling_ratio, 0.0, 1.0,
+       "judgement: unless it takes half of an axis' error on blocks held out"},
+      {"least_ratio", "1", &O::least_ratio, 0.0, 1.0,
+       "judgement: the figures of two online runs differ by some 3 %"},
+      {"gust_price", "nats", &O::gust_price, 0.0, 100.0,
+       "judgement: gusts over noise pay for their size, correlation time and drag"},
+      {"significant_sigmas", "sigma", &O::significant_sigmas, 0.0, 20.0,
+       "normal: noise alone exceeds three sigma once in 370 times"},
+      {"agree_share", "1", &O::agree_share, 0.0, 1.0,
+       "judgement: winds and drags bend each other; only a warning depends on it"},
+      {"known_thrust_share", "1", &O::known_thrust_share, 0.0, 1.0,
+       "judgement: mass and k_f are one, and less than 5 % of mass is not sought"},
+  };
+  return numbers;
+}
+
+void SetDecision(const std::string& assignment, AttributionOptions* options) {
+  const size_t equals = assignment.find('=');
+  const std::string name = assignment.substr(0, equals);
+  std::string names;
+  for (const DecisionNumber& number : DecisionNumbers()) {
+    names += (names.empty() ? "" : ", ") + number.name;
+    if (number.name != name || equals == std::string::npos) continue;
+    const std::string text = assignment.substr(equals + 1);
+    char* end = nullptr;
+    const double value = std::strtod(text.c_str(), &end);
+    const bool is_int = std::holds_alternative<int AttributionOptions::*>(number.member);
+    const bool sound = !text.empty() && *end == '\0' && value >= number.least &&
+                       value <= number.most && (!is_int || value == std::floor(value));
+    if (!sound) {
+      throw std::invalid_argument("--decision " + assignment + ": " + name + " must be " +
+                                  (is_int ? "a whole number" : "a number") + " from " +
+                                  Number(number.least) + " to " + Number(number.most));
+    }
+    std::visit(
+        [&](auto m) { options->*m = static_cast<std::decay_t<decltype(options->*m)>>(value); },
+        number.member);
+    return;
+  }
+  throw std::invalid_argument("--decision " + assignment + ": give NAME=VALUE, NAME one of " +
+                              names);
+}
+
+std::string DescribeDecision() {
+  std::string text = "Numbers of the decision (--decision NAME=VALUE):\n";
+  for (const DecisionNumber& number : DecisionNumbers()) {
+    char line[64];
+    std::snprintf(line, sizeof line, "  %-18s %9s %-7s ", number.name.c_str(),
+                  number.TextOf({}).c_str(), number.unit.c_str());
+    text += line + number.why + "\n";
+  }
+  return text;
+}
+
+std::string DescribeChanges(const AttributionOptions& options) {
+  std::string text;
+  for (const DecisionNumber& number : DecisionNumbers()) {
+    if (number.Of(options) == number.Of({})) continue;
+    text += (text.empty() ? "" : ", ") + number.name + " " + number.TextOf(options);
+  }
+  return text.empty() ? "defaults" : text;
+}
+
+}  // namespace odmc
