@@ -56,8 +56,8 @@ void SplitVelocity(double size, double share, RecordingConditions* c) {
   c->slow_velocity_m_s = size * std::sqrt(share);
 }
 
-// Ranges: rates of onboard estimators and motion capture (100 to 400 Hz; the recordings that
-// docs/recorded_flights.md lists have these); mounts anywhere on a quadrotor of that size; an
+// Ranges are judgement, not fitted to recordings: onboard estimators and motion capture give 100 to
+// 400 Hz; mounts anywhere on a quadrotor of that size; an
 // estimator's velocity drifts over some tenths of a second to seconds; ESC telemetry counts 100
 // electrical turns a minute, with 6 to 12 pole pairs 0.9 to 1.8 rad/s, coarser where a logger
 // rounds; gyros keep 2 to 20 mrad/s of vibration behind an autopilot's filter; stamps given by an
