@@ -137,6 +137,9 @@ double Attribution::NullGain(double share) const {
 }
 
 double Attribution::PValue(double gain) const {
+  // What the flight does not show gains the same from all surrogates: ties, but for rounding.
+  constexpr double kTie = 1e-9;  // nats
+  gain -= kTie;
   const double from = NullGain(kTail);
   const double mean = (NullGain(0.01 * kTail) - from) / std::log(100.0);
   if (gain > from) return kTail * std::exp(-(gain - from) / mean);

@@ -21,13 +21,12 @@ namespace {
 using Eigen::Vector3d;
 
 constexpr double kDuration_s = 24.0;
-constexpr double kLogRate_Hz = 250.0;
 constexpr double kAbsurd = 3.0;        // natural sizes (prior sigmas) no effect should need
 constexpr double kNotExcited = 0.015;  // share below which an effect does not show
 constexpr double kLeastShown = 0.7;    // of the planned share
 constexpr int kSizings = 8;            // rounds, at most
 constexpr double kSized = 0.03;        // change of size (log) that ends them
-constexpr int kVehicleStream = 201, kNoiseStream = 202, kUnknownStream = 203;
+constexpr int kVehicleStream = 201, kUnknownStream = 203;
 
 /// How strong an effect is: its share of the residual's variance.
 struct Level {
@@ -35,6 +34,8 @@ struct Level {
   double share;
 };
 const Level kLevels[] = {{"strong", 0.8}, {"medium", 0.3}, {"weak", 0.08}};
+
+const std::vector<std::string> kFlown = {"octo", "aggressive", "circle", "vertical", "yaw"};
 
 /// An effect with trajectories that show it, best first.
 struct Excited {
@@ -272,7 +273,6 @@ std::vector<Vehicle> UndeclaredVehicles() {
 }
 
 std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
-  const std::vector<std::string> flown = {"octo", "aggressive", "circle", "vertical", "yaw"};
   const int nothing = (flights * 5 + 15) / 16, hidden = (flights * 3 + 31) / 32,
             unknown = (flights + 7) / 8, two = (flights + 15) / 16;
   const std::vector<Excited> catalogue = Catalogue();
@@ -284,7 +284,7 @@ std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
     plan.seed = seed * 1000 + i;
     plan.vehicle = (i + i / 4) % 4;
     if (i < nothing) {
-      plan.trajectory = flown[i % flown.size()];
+      plan.trajectory = kFlown[i % kFlown.size()];
     } else if (i < nothing + hidden) {
       const auto& [effect, trajectory] = kHidden[(i - nothing) % kHidden.size()];
       plan.kind = Undeclared::kNotExcited;
@@ -292,7 +292,7 @@ std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
       plan.trajectory = trajectory;
     } else if (i < nothing + hidden + unknown) {
       plan.kind = Undeclared::kUnknown;
-      plan.trajectory = flown[i % flown.size()];
+      plan.trajectory = kFlown[i % kFlown.size()];
       const int k = (i - nothing - hidden) % 2;
       plan.strength = kLevels[k].name;
       plan.share = kLevels[k].share;
@@ -320,6 +320,19 @@ std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
   return plans;
 }
 
+std::vector<UndeclaredPlan> PlanNothing(int seed, int flights) {
+  std::vector<UndeclaredPlan> plans;
+  for (int i = 0; i < flights; ++i) {
+    UndeclaredPlan plan;
+    plan.number = i;
+    plan.seed = seed * 1000 + i;
+    plan.vehicle = (i + i / 4) % 4;
+    plan.trajectory = kFlown[i % kFlown.size()];
+    plans.push_back(plan);
+  }
+  return plans;
+}
+
 namespace {
 
 /// One flight as planned, whatever that shows.
@@ -327,26 +340,18 @@ UndeclaredFlight MakeAsPlanned(const UndeclaredPlan& plan) {
   UndeclaredFlight flight;
   flight.plan = plan;
   flight.declared = UndeclaredVehicles().at(plan.vehicle);
-  const Vehicle& vehicle = flight.declared;
-  Gaussian random(plan.seed, kVehicleStream), noise_random(plan.seed, kNoiseStream);
+  Gaussian random(plan.seed, kVehicleStream);
+  flight.recording = DrawRecording(plan.recording, plan.seed, flight.declared);
+  const RecordingConditions& recording = flight.recording;
+  Vehicle vehicle = flight.declared;  // with its sensors where they are
+  vehicle.odometry = recording.odometry;
+  vehicle.imu = recording.imu;
   const DynamicModel declared(vehicle, vehicle.effects);
   const ModelValues base = TrueValues(declared, &random);
-
-  SimulationNoise noise;
-  const auto around = [&noise_random](double size) {
-    return size * std::exp(0.3 * noise_random.Next());
-  };
-  noise.position_m = around(0.005);
-  noise.attitude_rad = around(0.002);
-  noise.velocity_m_s = around(0.02);
-  noise.rate_rad_s = around(0.01);
-  noise.rotor_speed_rad_s = around(0.002 * std::sqrt(vehicle.mass_kg * vehicle.gravity_m_s2 / 4.0 /
-                                                     *vehicle.parameters.at("thrust.k_f").value));
-  noise.force_N = around(0.05);
-  noise.torque_Nm = around(0.001);
   SimulationOptions options;
   options.duration_s = kDuration_s;
-  options.log_rate_hz = kLogRate_Hz;
+  options.log_rate_hz = recording.log_rate_hz;
+  options.pilot_bandwidth = recording.pilot_bandwidth;
   options.seed = plan.seed;
   options.trajectory = plan.trajectory;
 
@@ -375,7 +380,10 @@ UndeclaredFlight MakeAsPlanned(const UndeclaredPlan& plan) {
     if (plan.kind == Undeclared::kUnknown && unknown > 0.0) {
       extra = DrawUnknown(vehicle, unknown, plan.seed);
     }
-    return Simulate(model, truth_at(at), options, noisy ? noise : SimulationNoise::None(), extra);
+    SimulatedFlight flown = Simulate(model, truth_at(at), options,
+                                     noisy ? recording.noise : SimulationNoise::None(), extra);
+    if (noisy) Degrade(recording, plan.seed, &flown.log);
+    return flown;
   };
   // What the sensors' noise alone makes of the residual.
   const FlightLog quiet = simulate(true, off, 0.0).log;
@@ -453,6 +461,7 @@ UndeclaredFlight MakeAsPlanned(const UndeclaredPlan& plan) {
   const SimulatedFlight flown = fly(true);
   flight.log = flown.log;
   flight.truth = ExactParameters(model, truth_at(scales));
+  DeclareSensors(recording, &flight.declared);
 
   const ChannelVariance total = variance(flown.log);
   // An effect at its natural size may be far smaller than what two flights differ by.
@@ -499,6 +508,21 @@ UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan) {
   return flight;
 }
 
+namespace {
+
+std::string FormatMount(const SensorMount& mount) {
+  const Vector3d& p = mount.p_BS;
+  const Eigen::Quaterniond& q = mount.q_BS;
+  char text[256];
+  std::snprintf(text, sizeof text,
+                "{frame: sensor, p_BS_m: [%.9g, %.9g, %.9g], q_BS_xyzw: [%.12g, %.12g, %.12g, "
+                "%.12g], estimate: %s}",
+                p.x(), p.y(), p.z(), q.x(), q.y(), q.z(), q.w(), mount.estimate ? "true" : "false");
+  return text;
+}
+
+}  // namespace
+
 std::string FormatVehicle(const Vehicle& v) {
   char line[256];
   std::string text = "name: " + v.name + "\n";
@@ -514,7 +538,12 @@ std::string FormatVehicle(const Vehicle& v) {
                   r.p_BP.y(), r.p_BP.z(), r.spin > 0.0 ? "cw" : "ccw", r.radius_m);
     text += line;
   }
-  text += "odometry: {frame: body}\neffects: [";
+  const SensorMount body;
+  const bool has_mount = v.odometry.p_BS != body.p_BS || v.odometry.estimate ||
+                         v.odometry.q_BS.coeffs() != body.q_BS.coeffs();
+  text += "odometry: " + (has_mount ? FormatMount(v.odometry) : "{frame: body}") + "\n";
+  if (v.imu) text += "imu: " + FormatMount(*v.imu) + "\n";
+  text += "effects: [";
   for (size_t i = 0; i < v.effects.size(); ++i) text += (i == 0 ? "" : ", ") + v.effects[i];
   text += "]\nparameters:\n";
   for (const auto& [name, p] : v.parameters) {

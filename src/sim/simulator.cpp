@@ -51,7 +51,7 @@ class ClosedLoop {
         variation_(body.model(), values, options.seed),
         load_(body.model(), values),
         unmodelled_(unmodelled),
-        pilot_(body),
+        pilot_(body, options.pilot_bandwidth),
         trajectory_(options.trajectory, options.ground_s),
         ground_s_(options.ground_s),
         noise_(noise),
@@ -256,6 +256,9 @@ bool SimulationOptions::IsValid(std::string* error) const {
   }
   if (!(ground_s >= 0.0 && ground_s < duration_s)) {
     return Fail(error, "ground_s must be at least 0 and less than duration_s");
+  }
+  if (!(pilot_bandwidth >= 0.5 && pilot_bandwidth <= 1.5)) {
+    return Fail(error, "pilot_bandwidth must be 0.5 to 1.5");
   }
   return true;
 }

@@ -27,8 +27,10 @@ constexpr double kStillAir = 0.1;
 
 }  // namespace
 
-TrackingController::TrackingController(const RigidBody& body)
-    : body_(&body), map_(RotorMapAtRest(body.model(), body.values(), body.properties())) {
+TrackingController::TrackingController(const RigidBody& body, double bandwidth)
+    : body_(&body),
+      map_(RotorMapAtRest(body.model(), body.values(), body.properties())),
+      bandwidth_(bandwidth) {
   // The torque rows are scaled so that the rank does not hang on units.
   const double length = body.model().vehicle().ArmLength();
   const Rows scale(1.0, 1.0 / length, 1.0 / length, 1.0 / (0.1 * length));
@@ -58,7 +60,8 @@ double TrackingController::YawShare(double hover_speed) const {
   model.EvaluateRateEffects(turning, body_->values(), p_BBcm, &f_B, &tau_turning);
   const double at_once = std::abs(tau_turning.z() - tau_still.z());         // [N m s²]
   const double lasting = 2.0 * hover_speed * map_.row(3).cwiseAbs().sum();  // [N m s]
-  return lasting > 0.0 ? std::min(1.0, kMostReaction * lasting / (kRate * std::max(at_once, 1e-12)))
+  return lasting > 0.0 ? std::min(1.0, kMostReaction * lasting /
+                                           (bandwidth_ * kRate * std::max(at_once, 1e-12)))
                        : 1.0;
 }
 
@@ -88,8 +91,8 @@ TrackingController::Rows TrackingController::DesiredRotorWrench(const RigidBodyS
   const Eigen::Vector3d air_W = R_WB * air.f_B / properties.mass;
   const double drag = air_W.dot(state.v_WB) / (state.v_WB.squaredNorm() + kStillAir);
   FlatReference goal = reference;
-  goal.a_WB +=
-      kPosition * (reference.p_WB - state.p_WB) + kVelocity * (reference.v_WB - state.v_WB) - air_W;
+  goal.a_WB += bandwidth_ * bandwidth_ * kPosition * (reference.p_WB - state.p_WB) +
+               bandwidth_ * kVelocity * (reference.v_WB - state.v_WB) - air_W;
   goal.j_WB -= drag * reference.a_WB;
   goal.s_WB -= drag * reference.j_WB;
   const FlatAttitude desired = FlatAttitudeOf(goal, properties.g_W);
@@ -101,7 +104,8 @@ TrackingController::Rows TrackingController::DesiredRotorWrench(const RigidBodyS
   attitude_error.z() *= yaw_share_ * yaw_share_;  // as damped as before
   rate_error.z() *= yaw_share_;
   const Eigen::Vector3d dw_WB_B =
-      kAttitude * attitude_error + kRate * rate_error + q_BD * desired.dw_WB_B;
+      bandwidth_ * (bandwidth_ * kAttitude * attitude_error + kRate * rate_error) +
+      q_BD * desired.dw_WB_B;
   const Eigen::Vector3d tau_Bcm_B =
       properties.I_BBcm_B * dw_WB_B + w.cross(properties.I_BBcm_B * w) - air.tau_Bcm_B;
   Rows rows;

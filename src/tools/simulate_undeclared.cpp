@@ -1,5 +1,6 @@
 #include <fstream>
 #include <iostream>
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "odmc/analysis/parallel.h"
@@ -34,6 +35,38 @@ const char* KindName(odmc::Undeclared kind) {
   }
 }
 
+const std::map<std::string, odmc::RecordingModel> kRecordings = {
+    {"drawn", odmc::RecordingModel::kDrawn},
+    {"white", odmc::RecordingModel::kWhite},
+    {"independent", odmc::RecordingModel::kIndependent}};
+
+Json MountJson(const odmc::SensorMount& mount) {
+  const Eigen::Vector3d& p = mount.p_BS;
+  const Eigen::Quaterniond& q = mount.q_BS;
+  return {{"p_BS_m", {p.x(), p.y(), p.z()}}, {"q_BS_xyzw", {q.x(), q.y(), q.z(), q.w()}}};
+}
+
+Json RecordingJson(const odmc::RecordingConditions& c) {
+  Json json = {{"model", ToString(c.model)},
+               {"log_rate_hz", c.log_rate_hz},
+               {"pilot_bandwidth", c.pilot_bandwidth},
+               {"odometry", MountJson(c.odometry)},
+               {"position_m", c.noise.position_m},
+               {"attitude_rad", c.noise.attitude_rad},
+               {"velocity_m_s", c.noise.velocity_m_s},
+               {"rate_rad_s", c.noise.rate_rad_s},
+               {"rotor_speed_rad_s", c.noise.rotor_speed_rad_s},
+               {"force_N", c.noise.force_N},
+               {"torque_Nm", c.noise.torque_Nm},
+               {"slow_velocity_m_s", c.slow_velocity_m_s},
+               {"slow_time_constant_s", c.slow_time_constant_s},
+               {"rotor_quantum_rad_s", c.rotor_quantum_rad_s},
+               {"vibration_rad_s", c.vibration_rad_s},
+               {"stamp_jitter_s", c.stamp_jitter_s}};
+  if (c.imu) json["imu"] = MountJson(*c.imu);
+  return json;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -44,7 +77,8 @@ int main(int argc, char** argv) {
       "answer\n"
       "key DIR/truth.json.");
   int seed = 0, flights = 160, jobs = 1;
-  std::string folder;
+  std::string folder, recording = "drawn";
+  bool nothing = false;
   app.add_option("--seed", seed, "of all randomness")->required()->check(tools::NotNegative());
   app.add_option("--flights", flights, "number of flights")
       ->capture_default_str()
@@ -52,6 +86,12 @@ int main(int argc, char** argv) {
   app.add_option("--jobs", jobs, "flights at a time")
       ->capture_default_str()
       ->check(tools::Positive());
+  app.add_option("--recording", recording,
+                 "conditions of the recordings: drawn; white: white noise at 250 Hz, the body's own "
+                 "odometry; independent: with an IMU, as another author's simulator")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"drawn", "white", "independent"}));
+  app.add_flag("--nothing", nothing, "nothing undeclared acts on any flight");
   tools::AddFolder(&app, &folder);
   tools::AddExitStatus(&app);
   return tools::Run(&app, argc, argv, [&] {
@@ -60,16 +100,21 @@ int main(int argc, char** argv) {
     for (const Vehicle& vehicle : UndeclaredVehicles()) {
       WriteText(FormatVehicle(vehicle), tools::In(input, "vehicle_" + vehicle.name + ".yaml"));
     }
-    const std::vector<UndeclaredPlan> plans = PlanUndeclared(seed, flights);
+    std::vector<UndeclaredPlan> plans =
+        nothing ? PlanNothing(seed, flights) : PlanUndeclared(seed, flights);
+    for (UndeclaredPlan& plan : plans) plan.recording = kRecordings.at(recording);
     std::vector<Json> manifest(plans.size()), truth(plans.size());
     tools::ProgressBar bar("simulating");
     const auto make = [&](int i) {
       const UndeclaredFlight made = MakeUndeclared(plans[i]);
       const std::string name = FlightName(plans[i].number);
       WriteFlightCsv(made.log, tools::In(input, name + ".csv"));
-      manifest[i] = {{"flight", name},
-                     {"file", name + ".csv"},
-                     {"vehicle", "vehicle_" + made.declared.name + ".yaml"}};
+      std::string vehicle = "vehicle_" + made.declared.name + ".yaml";
+      if (made.recording.model != RecordingModel::kWhite) {  // its sensors sit elsewhere
+        vehicle = "vehicle_" + name + ".yaml";
+        WriteText(FormatVehicle(made.declared), tools::In(input, vehicle));
+      }
+      manifest[i] = {{"flight", name}, {"file", name + ".csv"}, {"vehicle", vehicle}};
       Json parameters = Json::object();
       for (const ParameterEstimate& p : made.truth.parameters) {
         parameters[p.full_name] = p.value;
@@ -82,6 +127,8 @@ int main(int argc, char** argv) {
                   {"share", made.share},
                   {"axis_share", made.axis_share},
                   {"trajectory", made.plan.trajectory},
+                  {"vehicle", made.declared.name},
+                  {"recording", RecordingJson(made.recording)},
                   {"parameters", parameters}};
     };
     ForEachOf(static_cast<int>(plans.size()), jobs, make, [&](double share) { bar.Show(share); });

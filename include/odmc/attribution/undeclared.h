@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "odmc/attribution/undeclared_recording.h"
 #include "odmc/model/parameter_set.h"
 #include "odmc/sensing/samples.h"
 #include "odmc/sim/simulator.h"
@@ -29,12 +30,14 @@ struct UndeclaredPlan {
   int vehicle = 0;     ///< of UndeclaredVehicles()
   std::string trajectory;
   int seed = 0;
+  RecordingModel recording = RecordingModel::kWhite;
 };
 
 /// A test flight with its answer.
 struct UndeclaredFlight {
   UndeclaredPlan plan;
   Vehicle declared;  ///< what close_loop is given
+  RecordingConditions recording;
   FlightLog log;
   ParameterSet truth;
   double share = 0.0;              ///< reached, on the largest axis
@@ -46,6 +49,9 @@ struct UndeclaredFlight {
 /// unknown, 1/16 with two effects, the rest with one, over all effects, vehicles and trajectories
 /// in turn.
 std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights);
+
+/// A plan of flights on which nothing undeclared acts, over all vehicles and trajectories in turn.
+std::vector<UndeclaredPlan> PlanNothing(int seed, int flights);
 
 /// The vehicles of the set, as files declare them.
 std::vector<Vehicle> UndeclaredVehicles();

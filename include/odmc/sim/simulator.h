@@ -19,6 +19,7 @@ struct SimulationOptions {
   double step_s = 0.0005;           ///< longest integration step [s], > 0, <= 0.001
   double log_rate_hz = 400.0;       ///< of every stream [Hz], 1 to 1000
   double ground_s = 0.0;            ///< time on the ground before take-off [s], >= 0
+  double pilot_bandwidth = 1.0;     ///< of TrackingController, 0.5 to 1.5
 
   /// Shows every field, by key, to a reader or a printer.
   template <typename Visitor>
@@ -29,6 +30,7 @@ struct SimulationOptions {
     v->Field("step_s", &step_s);
     v->Field("log_rate_hz", &log_rate_hz);
     v->Field("ground_s", &ground_s);
+    v->Field("pilot_bandwidth", &pilot_bandwidth);
   }
 
   /// True if usable; otherwise false with a sentence for the user in `error`.

@@ -15,7 +15,9 @@ namespace odmc {
 /// Thread-compatible; `body` must outlive it.
 class TrackingController {
  public:
-  explicit TrackingController(const RigidBody& body);
+  /// @param bandwidth of both loops over the usual one: rate gains scale with it, stiffnesses with
+  ///   its square
+  explicit TrackingController(const RigidBody& body, double bandwidth = 1.0);
 
   /// Speeds to command for one control period (n×1, rad/s).
   /// @param state as measured, noise included
@@ -42,6 +44,7 @@ class TrackingController {
 
   const RigidBody* body_;
   RotorMap map_;
+  double bandwidth_;
   double yaw_share_ = 1.0;
   InverseMap inverse_;                // pseudo-inverse of map_
   double min_squared_, max_squared_;  // limits of the squared speed [rad²/s²]

@@ -1,0 +1,96 @@
+// Flights on which nothing undeclared acts, recorded under differing conditions.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <thread>
+
+#include "odmc/analysis/parallel.h"
+#include "odmc/attribution/close_loop.h"
+#include "odmc/attribution/undeclared.h"
+#include "odmc/io/vehicle_yaml.h"
+
+namespace odmc {
+namespace test {
+namespace {
+
+constexpr RecordingModel kModels[] = {RecordingModel::kDrawn, RecordingModel::kWhite,
+                                      RecordingModel::kIndependent};
+
+TEST(NullFlights, NameNothingWhateverTheNoise) {
+  constexpr int kSeed = 7, kFlights = 6;
+  std::vector<UndeclaredPlan> plans = PlanNothing(kSeed, kFlights);
+  std::vector<UndeclaredFlight> flights(kFlights);
+  std::vector<ClosedLoop> loops(kFlights);
+  CloseLoopOptions options;
+  options.estimator.keyframe_rate_hz = 50.0;
+  const int jobs = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
+  ForEachOf(kFlights, jobs, [&](int i) {
+    plans[i].recording = kModels[i % 3];
+    flights[i] = MakeUndeclared(plans[i]);
+    const Vehicle declared = ParseVehicle(FormatVehicle(flights[i].declared), "vehicle.yaml");
+    loops[i] = CloseLoop(flights[i].log, declared, declared, options);
+  });
+  for (int i = 0; i < kFlights; ++i) {
+    const double p = loops[i].ranking.empty() ? 1.0 : loops[i].ranking.front().p_value;
+    std::printf("%-11s %-10s %s, p %.3f\n", ToString(plans[i].recording),
+                plans[i].trajectory.c_str(), ToString(loops[i].verdict).c_str(), p);
+    EXPECT_EQ(flights[i].right_answer, "none");
+    EXPECT_NE(loops[i].verdict, Verdict::kEffect) << i << ": " << loops[i].effects[0].effect.name;
+    EXPECT_GT(p, 0.001) << i;
+  }
+}
+
+TEST(DrawRecording, KeepsAQuarterAndDrawsTheRest) {
+  constexpr int kDraws = 400;
+  const Vehicle vehicle = UndeclaredVehicles().front();
+  int white = 0;
+  for (int seed = 0; seed < kDraws; ++seed) {
+    const RecordingConditions c = DrawRecording(RecordingModel::kDrawn, seed, vehicle);
+    if (c.model == RecordingModel::kWhite) {
+      ++white;
+      EXPECT_EQ(c.slow_velocity_m_s, 0.0);
+      EXPECT_EQ(c.odometry.p_BS.norm(), 0.0);
+      continue;
+    }
+    EXPECT_GT(c.odometry.p_BS.norm(), 0.0);
+    EXPECT_LE(c.odometry.p_BS.norm(), vehicle.ArmLength());
+    EXPECT_GT(c.slow_velocity_m_s, 0.0);
+  }
+  EXPECT_NEAR(white, kDraws / 4, 35);  // four standard deviations
+}
+
+TEST(Degrade, AddsWhatItSaysAndKeepsTheOrderOfStamps) {
+  constexpr int kSamples = 20000;
+  RecordingConditions c;
+  c.slow_velocity_m_s = 0.02;
+  c.slow_time_constant_s = 0.5;
+  c.rotor_quantum_rad_s = 2.0;
+  c.stamp_jitter_s = 0.002;  // half a period
+  FlightLog log;
+  for (int i = 0; i < kSamples; ++i) {
+    OdometrySample sample;
+    sample.stamp = i * FromSeconds(1.0 / c.log_rate_hz);
+    sample.v_WS.emplace(Eigen::Vector3d::Zero());
+    sample.w_WS_S.emplace(Eigen::Vector3d::Zero());
+    log.odometry.push_back(sample);
+    log.rotors.push_back({sample.stamp, RotorVector::Constant(4, 500.9)});
+  }
+  Degrade(c, 3, &log);
+  double variance = 0.0, product = 0.0;
+  const int lag = static_cast<int>(c.slow_time_constant_s * c.log_rate_hz);
+  for (int i = 0; i + lag < kSamples; ++i) {
+    variance += log.odometry[i].v_WS->squaredNorm() / (3.0 * (kSamples - lag));
+    product += log.odometry[i].v_WS->dot(*log.odometry[i + lag].v_WS) / (3.0 * (kSamples - lag));
+    EXPECT_LT(log.odometry[i].stamp, log.odometry[i + 1].stamp);
+    EXPECT_LT(log.rotors[i].stamp, log.rotors[i + 1].stamp);
+  }
+  EXPECT_NEAR(variance, c.slow_velocity_m_s * c.slow_velocity_m_s, 1e-4);
+  EXPECT_NEAR(product / variance, std::exp(-1.0), 0.15);
+  EXPECT_EQ(log.rotors[5].speed[2], 500.0);
+}
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc
