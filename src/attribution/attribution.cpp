@@ -215,16 +215,29 @@ double Attribution::ShadowOf(const std::array<double, kNumChannels>& energy,
 }
 
 VariantSet Attribution::Completed(Evidence* evidence, const VariantSet& set, size_t most,
-                                  double* gain) const {
+                                  double* gain, std::string* first) const {
   VariantSet all = set;
   *gain = 0.0;
+  if (first != nullptr) first->clear();
   for (size_t k = 0; k < most; ++k) {
     const Evidence::FlexibleGain best = evidence->BestFlexible(all, features_);
     if (best.nats < options_.clear_odds) break;
     *gain += best.nats;
+    if (getenv("ODMC_DEBUG")) fprintf(stderr, "    + %s in %d: %.1f\n", features_.names[best.feature].c_str(), best.channel, best.nats);
+    if (first != nullptr && first->empty()) {
+      *first = features_.names[static_cast<size_t>(best.feature)];
+    }
     all.insert(evidence->AddFlexible(best, features_));
   }
   return all;
+}
+
+std::string Attribution::NamesOf(const Evidence& evidence, const VariantSet& set) {
+  std::string names;
+  for (const int v : set) {
+    names += (names.empty() ? "" : ", ") + evidence.variants()[v].candidate.effect;
+  }
+  return names;
 }
 
 VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
@@ -242,6 +255,7 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
     const EffectFit fit = evidence.Solve(set);
     std::optional<int> weakest;
     double least = 0.0;
+    std::string why;
     for (const int v : set) {
       VariantSet without = set;
       without.erase(v);
@@ -251,7 +265,8 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
       for (const int k : evidence.variants()[v].columns) {
         coefficients += evidence.column(k).initial_state ? 0 : 1;
       }
-      Completed(&evidence, without, all.size() - set.size() + coefficients, &instead);
+      std::string rival;
+      Completed(&evidence, without, all.size() - set.size() + coefficients, &instead, &rival);
       std::array<double, kNumChannels> others = explained_;
       for (const int other : set) {
         if (other == v) continue;
@@ -262,14 +277,27 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
           evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence;
       const double margin = (1.0 + options_.form_share) * gain + flexible_gain_ - instead -
                             options_.clear_odds;
-      const bool holds = score > least_score && PValue(score) < options_.false_alarm_rate &&
-                         margin > 0.0 &&
-                         score > ShadowOf(evidence.EnergyOf(v, fit), others);
-      if (holds || (weakest && margin >= least)) continue;
+      const double shadow = ShadowOf(evidence.EnergyOf(v, fit), others);
+      std::string objection;
+      if (score <= least_score) {
+        objection = "that is less than " + Text(least_score) + " nats";
+      } else if (PValue(score) >= options_.false_alarm_rate) {
+        objection = "chance gains as much in " + Text(100.0 * PValue(score)) + " % of such flights";
+      } else if (margin <= 0.0) {
+        objection = "what follows \"" + rival + "\" explains the same by " + Text(instead) +
+                    " nats, against " + Text(gain + flexible_gain_);
+      } else if (score <= shadow) {
+        objection = "a slightly wrong formula of the other effects would leave " + Text(shadow);
+      }
+      if (objection.empty() || (weakest && margin >= least)) continue;
       weakest = v;
       least = margin;
+      why = "gains " + Text(score) + " nats" +
+            (without.empty() ? "" : " beside " + NamesOf(evidence, without)) + ", but " + objection;
+      if (getenv("ODMC_DEBUG")) fprintf(stderr, "%s: score %.1f gain %.1f F %.1f instead %.1f margin %.1f shadow %.1f: %s\n", NamesOf(evidence,{v}).c_str(), score, gain, flexible_gain_, instead, margin, shadow, why.c_str());
     }
     if (!weakest) break;
+    refused_[evidence.variants()[*weakest].candidate.effect] = why;
     set.erase(*weakest);
   }
   return set;

@@ -501,6 +501,13 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   if (progress) progress(0.6);
 
   std::vector<RankedEffect> effects = attribution.effects();
+  for (const auto& [name, why] : attribution.refused()) {
+    const bool added = std::any_of(effects.begin(), effects.end(),
+                                   [&name = name](const auto& e) { return e.name == name; });
+    const auto ranked = std::find_if(result.ranking.begin(), result.ranking.end(),
+                                     [&name = name](const auto& e) { return e.name == name; });
+    if (!added && ranked != result.ranking.end()) ranked->remarks.push_back("not named: it " + why);
+  }
   const std::vector<ChannelStructure> left =
       Structure(flight, attribution.residual_after(), residual.num_channels());
   std::map<std::string, ParameterSetting> known;

@@ -23,6 +23,8 @@ constexpr double kWideFrom = 2.0;      // natural sizes from which that is looke
 constexpr double kBias_m_s2 = 0.3;     // of an accelerometer
 constexpr int kFolds = Instruments::kFolds;
 constexpr double kBlock_s = 1.0;       // of Lead: a manoeuvre spans more than one
+constexpr double kCollinear = 1e-6;    // of a column's sum of squares, for columns that are one
+constexpr int kShiftsOfADraw = 5;      // surrogates of one draw of the noise
 constexpr double kLeastShift_s = 2.0;  // of surrogates: beyond the noise's correlation
 
 /// Normal distribution's cumulative.
@@ -61,6 +63,8 @@ Evidence::Evidence(const ResidualModel* residual, const Instruments* instruments
                    const Stage& stage)
     : residual_(residual),
       instruments_(instruments),
+      likely_(&instruments->likely_flight(), &residual->file_vehicle(),
+              residual->num_channels() == kNumChannels),
       stage_(stage),
       num_channels_(residual->num_channels()) {
   rows_ = RowsOf(residual->flight(), *instruments, false, kOrder);
@@ -72,6 +76,7 @@ void Evidence::AddBase() {
   const DynamicModel model(stage_.vehicle, stage_.vehicle.effects);
   const ModelValues values = ValuesOf(model, stage_.values);
   y_ = residual_->Residual(model, values);
+  if (!model.pendulum()) likely_y_ = likely_.Residual(model, values);
   for (int c = 0; c < kNumChannels; ++c) {
     plain_sigma_[c] = std::sqrt(y_.col(c).squaredNorm() / std::max<double>(1.0, y_.rows()));
   }
@@ -83,13 +88,54 @@ void Evidence::AddBase() {
     if (!p.estimated && p.effect != "inertia") continue;
     Column column{p.full_name,      p.effect,    values[k],
                   p.spec.prior_value - values[k], p.spec.prior_sigma, p.spec.sign,
-                  p.spec.initial_state,           residual_->Derivative(model, values, k),
-                  {}};
-    column.foreseen = instruments_->Foreseen(column.d_wrench);
+                  p.spec.certain_sign, p.spec.initial_state, residual_->Derivative(model, values, k),
+                  Likely(model, values, k), {}};
+    column.foreseen = instruments_->Foreseen(column.d_wrench, column.likely);
     if (column.d_wrench.squaredNorm() > 0.0) columns_.push_back(std::move(column));
   }
   AddNuisances();
   num_base_ = static_cast<int>(columns_.size());
+  // What of other columns the base has, each channel in its own units.
+  base_.resize(y_.size(), num_base_);
+  for (int k = 0; k < num_base_; ++k) base_.col(k) = Stacked(columns_[k].d_wrench);
+  base_size_ = base_.colwise().norm().transpose().array().max(1e-300);
+  MatrixXd H = base_.transpose() * base_;
+  H = base_size_.cwiseInverse().asDiagonal() * H * base_size_.cwiseInverse().asDiagonal();
+  H.diagonal().array() += kCollinear;
+  base_gram_.compute(H);
+}
+
+VectorXd Evidence::Stacked(const Wrenches& column) const {
+  const Index n = column.rows();
+  VectorXd stacked(n * kNumChannels);
+  for (int c = 0; c < kNumChannels; ++c) {
+    stacked.segment(c * n, n) = column.col(c) / std::max(1e-300, plain_sigma_[c]);
+  }
+  for (int i = 0; i < n; ++i) {
+    if (instruments_->Sees(i) && !residual_->flight().held_out(i)) continue;
+    for (int c = 0; c < kNumChannels; ++c) stacked[c * n + i] = 0.0;
+  }
+  return stacked;
+}
+
+Wrenches Evidence::Likely(const DynamicModel& model, const ModelValues& values, int k) const {
+  // A pendulum swings through the whole recording, not from one thinned sample to the next.
+  if (model.pendulum()) return Wrenches::Zero(y_.rows(), kNumChannels);
+  return likely_.Derivative(model, values, k);
+}
+
+Wrenches Evidence::Foreseen(const Column& column) const {
+  const VectorXd share = base_size_.cwiseInverse().cwiseProduct(
+      base_gram_.solve(base_size_.cwiseInverse().cwiseProduct(base_.transpose() * Stacked(column.d_wrench))));
+  Wrenches own = column.d_wrench, likely = column.likely;
+  Wrenches of_base = Wrenches::Zero(own.rows(), kNumChannels);
+  for (int k = 0; k < num_base_; ++k) {
+    own -= share[k] * columns_[k].d_wrench;
+    likely -= share[k] * columns_[k].likely;
+    of_base += share[k] * columns_[k].foreseen;
+  }
+  if (column.likely.isZero(0.0)) likely.setZero();
+  return of_base + instruments_->Foreseen(own, likely);
 }
 
 void Evidence::AddNuisances() {
@@ -97,7 +143,7 @@ void Evidence::AddNuisances() {
     Column column;
     column.name = name;
     column.prior_sigma = sigma;
-    column.foreseen = column.d_wrench = std::move(d_wrench);
+    column.foreseen = column.likely = column.d_wrench = std::move(d_wrench);
     columns_.push_back(std::move(column));
   };
   if (residual_->from_accelerometer()) {
@@ -137,11 +183,15 @@ Evidence::Seen Evidence::See(const Candidate& candidate, const std::map<std::str
       if (residual_->flight().sample(i).t_s >= from_s) break;
       for (Column& column : seen.columns) {
         column.d_wrench.row(i).setZero();
+        column.likely.row(i).setZero();
       }
-      if (seen.offset) seen.offset->row(i).setZero();
+      if (!seen.offset) continue;
+      seen.offset->d_wrench.row(i).setZero();
+      seen.offset->likely.row(i).setZero();
     }
   }
-  for (Column& column : seen.columns) column.foreseen = instruments_->Foreseen(column.d_wrench);
+  for (Column& column : seen.columns) column.foreseen = Foreseen(column);
+  if (seen.offset) seen.offset->foreseen = Foreseen(*seen.offset);
   if (what != kAll) {
     seen.columns.erase(std::remove_if(seen.columns.begin(), seen.columns.end(),
                                       [&](const Column& c) {
@@ -157,6 +207,8 @@ Evidence::Seen Evidence::SeeFully(const Candidate& candidate, const DynamicModel
                                   const ModelValues& values, What what) const {
   Seen seen;
   Wrenches offset = y_ - residual_->Residual(model, values);
+  Wrenches likely_offset = Wrenches::Zero(offset.rows(), kNumChannels);
+  if (!model.pendulum()) likely_offset = likely_y_ - likely_.Residual(model, values);
   const double size = offset.norm();
   for (int k = 0; k < model.num_parameters(); ++k) {
     const ModelParameter& p = model.parameters()[k];
@@ -164,13 +216,18 @@ Evidence::Seen Evidence::SeeFully(const Candidate& candidate, const DynamicModel
     if (what == kAtAGlance && p.spec.initial_state) continue;
     Column column{p.full_name,          p.effect,           0.0,
                   p.spec.prior_value,   p.spec.prior_sigma, p.spec.sign,
-                  p.spec.initial_state, residual_->Derivative(model, values, k),
-                  {}};
+                  p.spec.certain_sign,  p.spec.initial_state, residual_->Derivative(model, values, k),
+                  Likely(model, values, k), {}};
     offset -= values[k] * column.d_wrench;
+    likely_offset -= values[k] * column.likely;
     seen.columns.push_back(std::move(column));
   }
   constexpr double kNothing = 1e-6;
-  if (offset.norm() > kNothing * size + 1e-300 && size > 0.0) seen.offset = std::move(offset);
+  if (offset.norm() > kNothing * size + 1e-300 && size > 0.0) {
+    seen.offset.emplace();
+    seen.offset->d_wrench = std::move(offset);
+    seen.offset->likely = std::move(likely_offset);
+  }
   return seen;
 }
 
@@ -185,12 +242,9 @@ int Evidence::Add(const Candidate& candidate, const std::map<std::string, double
   }
   if (seen.offset) {
     variant.offset = static_cast<int>(columns_.size());
-    Column column;
-    column.name = "offset";
-    column.effect = candidate.effect;
-    column.foreseen = instruments_->Foreseen(*seen.offset);
-    column.d_wrench = std::move(*seen.offset);
-    columns_.push_back(std::move(column));
+    seen.offset->name = "offset";
+    seen.offset->effect = candidate.effect;
+    columns_.push_back(std::move(*seen.offset));
   }
   variants_.push_back(std::move(variant));
   return static_cast<int>(variants_.size()) - 1;
@@ -204,15 +258,18 @@ void Evidence::Relinearize(int v, const std::map<std::string, double>& at) {
       if (column.name == columns_[k].name) columns_[k] = column;
     }
   }
-  if (!seen.offset) seen.offset = Wrenches::Zero(y_.rows(), kNumChannels);
+  if (!seen.offset) {
+    const Wrenches nothing = Wrenches::Zero(y_.rows(), kNumChannels);
+    seen.offset.emplace();
+    seen.offset->d_wrench = seen.offset->likely = seen.offset->foreseen = nothing;
+  }
+  seen.offset->name = "offset";
+  seen.offset->effect = variant.candidate.effect;
   if (variant.offset < 0) {
     variant.offset = static_cast<int>(columns_.size());
     columns_.emplace_back();
-    columns_.back().name = "offset";
-    columns_.back().effect = variant.candidate.effect;
   }
-  columns_[variant.offset].foreseen = instruments_->Foreseen(*seen.offset);
-  columns_[variant.offset].d_wrench = std::move(*seen.offset);
+  columns_[variant.offset] = std::move(*seen.offset);
 }
 
 VectorXd Evidence::Whitened(const Wrenches& column, const std::vector<int>& rows,
@@ -338,26 +395,24 @@ int Evidence::FoldOf(Index row) const {
   return Instruments::FoldAt(t_s);
 }
 
-Evidence::Noise Evidence::FitNoise(const VectorXd& e) const {
-  using Past = Eigen::Matrix<double, kOrder, 1>;
-  Eigen::Matrix<double, kOrder, kOrder> A = Eigen::Matrix<double, kOrder, kOrder>::Zero();
-  Past b = Past::Zero();
-  const auto past_of = [&e](int i) {
-    Past past;
-    for (int k = 0; k < kOrder; ++k) past[k] = e[i - 1 - k];
-    return past;
-  };
+Evidence::Noise Evidence::FitNoise(const MatrixXd& e) const {
+  using Past = Eigen::Matrix<double, kOrder + 1, Eigen::Dynamic>;
+  using Moments = Eigen::Matrix<double, kOrder + 1, kOrder + 1>;
+  Moments S = Moments::Zero();
+  Past past(kOrder + 1, e.cols());
   for (const int i : rows_) {
-    const Past past = past_of(i);
-    A += past * past.transpose();
-    b += e[i] * past;
+    for (int k = 0; k <= kOrder; ++k) past.row(k) = e.row(i - k);
+    S.noalias() += past * past.transpose();
   }
+  Moments A = S;
   A.diagonal().array() += 1e-3 * A.diagonal().maxCoeff() + 1e-300;
   Noise noise;
-  noise.coefficients = A.ldlt().solve(b);
-  double sum = 0.0;
-  for (const int i : rows_) sum += std::pow(e[i] - noise.coefficients.dot(past_of(i)), 2);
-  noise.variance = std::max(sum / static_cast<double>(rows_.size()), 1e-300);
+  noise.coefficients =
+      A.bottomRightCorner<kOrder, kOrder>().ldlt().solve(S.bottomLeftCorner<kOrder, 1>());
+  Eigen::Matrix<double, kOrder + 1, 1> innovation;
+  innovation << 1.0, -noise.coefficients;
+  noise.variance =
+      std::max(innovation.dot(S * innovation) / static_cast<double>(rows_.size()), 1e-300);
   return noise;
 }
 
@@ -375,7 +430,6 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
     mean[k] = column.prior_mean;
   }
   const int y_at = static_cast<int>(columns_.size());
-  Wrenches e = y_;
   weight_ = MatrixXd::Ones(n, kNumChannels);
   for (int c = 0; c < num_channels_; ++c) {
     noise_[c] = Noise();
@@ -388,39 +442,35 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
     const VectorXd b = sigma.cwiseProduct(Picked(gram_, in_use, {y_at}).col(0));
     const Eigen::LLT<MatrixXd> llt(H);
     const VectorXd x = sigma.cwiseProduct(llt.solve(b + mean.cwiseQuotient(sigma)));
+    // Root of the covariance of what was fitted.
+    const MatrixXd root = sigma.asDiagonal() * MatrixXd(llt.matrixU().solve(MatrixXd::Identity(m, m)));
     if (round == kNoiseRounds) {
-      // Degrees of freedom that the fit has taken of each channel.
       innovation_ = white_.col(y_at);
+      MatrixXd white(white_.rows(), m);
       for (Index k = 0; k < m; ++k) {
-        innovation_ -= x[k] * white_.col(in_use[static_cast<size_t>(k)]);
+        white.col(k) = white_.col(in_use[static_cast<size_t>(k)]);
+        innovation_ -= x[k] * white.col(k);
       }
-      const MatrixXd inverse =
-          sigma.asDiagonal() * llt.solve(MatrixXd::Identity(m, m)) * sigma.asDiagonal();
-      for (int c = 0; c < num_channels_; ++c) {
-        MatrixXd of_channel(n, m);
-        for (Index k = 0; k < m; ++k) {
-          of_channel.col(k) = white_.col(in_use[static_cast<size_t>(k)]).segment(c * n, n);
-        }
-        const double taken =
-            (inverse * (of_channel.transpose() * of_channel)).trace() + static_cast<double>(kOrder);
-        const double left = std::max(0.3, 1.0 - taken / static_cast<double>(n));
-        noise_[c].variance /= left;
-        auto innovation = innovation_.segment(c * n, n);
-        innovation /= std::max(innovation.norm() / std::sqrt(static_cast<double>(n)), 1e-300);
-      }
+      unsure_ = white * root;
       break;
     }
-    e = y_;
-    for (Index k = 0; k < m; ++k) {
-      e -= x[k] * columns_[static_cast<size_t>(in_use[static_cast<size_t>(k)])].foreseen;
-    }
+    // The noise is not what is left: the fit has taken a part of it. Its second moments are those of
+    // the rest and of what the fit may as well have been (expectation step; Dempster, Laird and
+    // Rubin, J. R. Stat. Soc. B 39, 1977).
+    MatrixXd likely(y_.rows(), m + 1);
+    MatrixXd columns(y_.rows(), m);
     for (int c = 0; c < num_channels_; ++c) {
-      noise_[c] = FitNoise(e.col(c));
+      for (Index k = 0; k < m; ++k) {
+        columns.col(k) = columns_[static_cast<size_t>(in_use[static_cast<size_t>(k)])].foreseen.col(c);
+      }
+      likely.col(0) = y_.col(c) - columns * x;
+      likely.rightCols(m).noalias() = columns * root;
+      noise_[c] = FitNoise(likely);
       for (Index k = 0; k < n; ++k) {
         const int i = rows_[static_cast<size_t>(k)];
-        double innovation = e(i, c);
+        double innovation = likely(i, 0);
         for (int lag = 0; lag < kOrder; ++lag) {
-          innovation -= noise_[c].coefficients[lag] * e(i - 1 - lag, c);
+          innovation -= noise_[c].coefficients[lag] * likely(i - 1 - lag, 0);
         }
         const double sigmas = std::abs(innovation) / std::sqrt(noise_[c].variance);
         weight_(k, c) = sigmas > kWildSigmas ? std::sqrt(kWildSigmas / sigmas) : 1.0;
@@ -456,7 +506,8 @@ double Evidence::SignTerm(const std::vector<int>& columns, const VectorXd& coeff
     const double towards = column.sign == PhysicalSign::kPositive ? 1.0 : -1.0;
     const double right =
         Phi(towards * (column.about + coefficients[i]) / std::max(sigma[i], 1e-300));
-    sum += std::log(((1.0 - kStrange) * right + kStrange * (1.0 - right)) / 0.5);
+    const double wrong = column.certain_sign ? 0.0 : kStrange;
+    sum += std::log(std::max(1e-300, (1.0 - wrong) * right + wrong * (1.0 - right)) / 0.5);
   }
   return sum;
 }
@@ -558,7 +609,7 @@ Evidence::Promise Evidence::PromiseOf(const Candidate& candidate,
   MatrixXd X(white_.rows(), k);
   for (Index i = 0; i < k; ++i) X.col(i) = Whitened(seen.columns[i].foreseen, rows_, weight_);
   VectorXd y = white_.col(white_.cols() - 1);
-  if (seen.offset) y -= Whitened(instruments_->Foreseen(*seen.offset), rows_, weight_);
+  if (seen.offset) y -= Whitened(seen.offset->foreseen, rows_, weight_);
   promise.serial = gain(white_.leftCols(num_base_), y, X);
   // As if the noise were white, as large as what the declared model leaves.
   const auto raw = [&](const Wrenches& column) {
@@ -573,7 +624,7 @@ Evidence::Promise Evidence::PromiseOf(const Candidate& candidate,
   MatrixXd B(white_.rows(), num_base_);
   for (Index i = 0; i < num_base_; ++i) B.col(i) = raw(columns_[i].foreseen);
   for (Index i = 0; i < k; ++i) X.col(i) = raw(seen.columns[i].foreseen);
-  promise.white = gain(B, raw(seen.offset ? Wrenches(y_ - *seen.offset) : y_), X);
+  promise.white = gain(B, raw(seen.offset ? Wrenches(y_ - seen.offset->d_wrench) : y_), X);
   return promise;
 }
 
@@ -707,21 +758,27 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
   std::uniform_int_distribution<Index> shift(least, std::max(least, n - least));
   std::bernoulli_distribution flip;
   std::vector<double> largest;
-  VectorXd e(innovation_.size());
+  std::normal_distribution<double> normal;
+  VectorXd e(innovation_.size()), noise, z(unsure_.cols());
   for (int s = 0; s < count; ++s) {
+    // As the noise may have been.
+    if (s % kShiftsOfADraw == 0) {
+      for (Index k = 0; k < z.size(); ++k) z[k] = normal(random);
+      noise = innovation_ - unsure_ * z;
+    }
     const Index by = shift(random);
     const double sign = flip(random) ? 1.0 : -1.0;
     for (int c = 0; c < num_channels_; ++c) {
-      const auto from = innovation_.segment(c * n, n);
+      const auto from = noise.segment(c * n, n);
       e.segment(c * n, n - by) = sign * from.tail(n - by);
       e.segment(c * n + n - by, by) = sign * from.head(by);
     }
-    const VectorXd z = white_.transpose() * e;
+    const VectorXd Xe = white_.transpose() * e;
     double most = -std::numeric_limits<double>::infinity();
     for (const Test& test : tests) {
       VectorXd g(static_cast<Index>(test.columns.size()));
       for (size_t k = 0; k < test.columns.size(); ++k) {
-        g[static_cast<Index>(k)] = z[test.columns[k]];
+        g[static_cast<Index>(k)] = Xe[test.columns[k]];
       }
       const VectorXd x = test.estimate * g;
       const std::vector<int> own(test.columns.end() - x.size(), test.columns.end());

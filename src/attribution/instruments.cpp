@@ -1,5 +1,6 @@
 #include "odmc/attribution/instruments.h"
 
+#include <Eigen/SVD>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -39,7 +40,8 @@ Eigen::Matrix<double, kSignals, 1> SignalsOf(const FilteredMotion& s, const Vehi
 
 int Instruments::FoldAt(double t_s) { return static_cast<int>(t_s / kFoldBlock_s) % kFolds; }
 
-Instruments::Instruments(const ThinnedFlight& flight, const Vehicle& file_vehicle) {
+Instruments::Instruments(const ThinnedFlight& flight, const Vehicle& file_vehicle)
+    : likely_flight_(flight.Moving({})) {
   const int n = flight.size();
   sees_.assign(static_cast<size_t>(n), false);
   int run = 0;
@@ -86,33 +88,80 @@ Instruments::Instruments(const ThinnedFlight& flight, const Vehicle& file_vehicl
     others.diagonal().array() += kRidge * static_cast<double>(m) + 1e-300;
     without_.emplace_back(others);
   }
+  likely_flight_ = flight.Moving(LikelyMotion(flight));
 }
 
-ResidualModel::Wrenches Instruments::Foreseen(const ResidualModel::Wrenches& column) const {
+std::vector<FilteredMotion> Instruments::LikelyMotion(const ThinnedFlight& flight) const {
+  std::vector<FilteredMotion> samples;
+  for (int i = 0; i < flight.size(); ++i) samples.push_back(flight.sample(i));
+  if (samples.empty()) return samples;
+  const VectorXd nothing = VectorXd::Zero(flight.size());
+  const auto foresee = [&](auto value) {
+    VectorXd x(flight.size());
+    for (Index i = 0; i < x.size(); ++i) x[i] = value(samples[static_cast<size_t>(i)]);
+    const VectorXd likely = ForeseenColumn(x, nothing);
+    for (Index i = 0; i < x.size(); ++i) value(samples[static_cast<size_t>(i)]) = likely[i];
+  };
+  for (Index k = 0; k < 3; ++k) {
+    for (Index l = 0; l < 3; ++l) {
+      foresee([k, l](FilteredMotion& s) -> double& { return s.R_WS(k, l); });
+    }
+    foresee([k](FilteredMotion& s) -> double& { return s.p_WS[k]; });
+    foresee([k](FilteredMotion& s) -> double& { return s.v_WS[k]; });
+    foresee([k](FilteredMotion& s) -> double& { return s.a_WS[k]; });
+    foresee([k](FilteredMotion& s) -> double& { return s.w_S[k]; });
+    foresee([k](FilteredMotion& s) -> double& { return s.w_dot_S[k]; });
+  }
+  for (Index j = 0; j < samples.front().rotors.speed.size(); ++j) {
+    foresee([j](FilteredMotion& s) -> double& { return s.rotors.speed[j]; });
+    foresee([j](FilteredMotion& s) -> double& { return s.rotors.speed_squared[j]; });
+    foresee([j](FilteredMotion& s) -> double& { return s.rotors.acceleration[j]; });
+    foresee([j](FilteredMotion& s) -> double& { return s.rotors.speed_squared_rate[j]; });
+  }
+  for (int i = 0; i < flight.size(); ++i) {
+    FilteredMotion& s = samples[static_cast<size_t>(i)];
+    if (!Sees(i)) {
+      s = flight.sample(i);
+      continue;
+    }
+    const Eigen::JacobiSVD<Eigen::Matrix3d> svd(s.R_WS, Eigen::ComputeFullU | Eigen::ComputeFullV);
+    Eigen::Matrix3d R = svd.matrixU() * svd.matrixV().transpose();
+    if (R.determinant() < 0.0) R = flight.sample(i).R_WS;
+    s.R_WS = R;
+  }
+  return samples;
+}
+
+ResidualModel::Wrenches Instruments::Foreseen(const ResidualModel::Wrenches& column,
+                                              const ResidualModel::Wrenches& likely) const {
   ResidualModel::Wrenches foreseen = ResidualModel::Wrenches::Zero(column.rows(), kNumChannels);
   for (int c = 0; c < kNumChannels; ++c) {
-    if (!column.col(c).isZero(0.0)) foreseen.col(c) = ForeseenColumn(column.col(c));
+    if (!column.col(c).isZero(0.0)) foreseen.col(c) = ForeseenColumn(column.col(c), likely.col(c));
   }
   return foreseen;
 }
 
-MatrixXd Instruments::Foreseen(const MatrixXd& columns) const {
+MatrixXd Instruments::Foreseen(const MatrixXd& columns, const MatrixXd& likely) const {
   MatrixXd foreseen(columns.rows(), columns.cols());
-  for (Index c = 0; c < columns.cols(); ++c) foreseen.col(c) = ForeseenColumn(columns.col(c));
+  for (Index c = 0; c < columns.cols(); ++c) {
+    foreseen.col(c) = ForeseenColumn(columns.col(c), likely.col(c));
+  }
   return foreseen;
 }
 
-VectorXd Instruments::ForeseenColumn(const VectorXd& x) const {
-  constexpr Index kOwn = static_cast<Index>(kLags.size());
+VectorXd Instruments::ForeseenColumn(const VectorXd& x, const VectorXd& likely) const {
+  constexpr Index kLagged = static_cast<Index>(kLags.size());
+  constexpr Index kOwn = kLagged + 1;
   using Own = Eigen::Matrix<double, Eigen::Dynamic, kOwn + 1>;
   const auto m = static_cast<Index>(rows_.size());
   VectorXd foreseen = VectorXd::Zero(x.size());
   if (m == 0) return foreseen;
-  // Its own past, then itself.
+  // Its own past, what it would be in the likely motion, then itself.
   Own own(m, kOwn + 1);
   for (Index k = 0; k < m; ++k) {
     const int i = rows_[static_cast<size_t>(k)];
-    for (Index l = 0; l < kOwn; ++l) own(k, l) = x[i - kLags[static_cast<size_t>(l)]];
+    for (Index l = 0; l < kLagged; ++l) own(k, l) = x[i - kLags[static_cast<size_t>(l)]];
+    own(k, kLagged) = likely[i];
     own(k, kOwn) = x[i];
   }
   const double size = own.col(kOwn).norm() / std::sqrt(static_cast<double>(m));

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <utility>
 
 namespace odmc {
@@ -26,6 +27,13 @@ ThinnedFlight::ThinnedFlight(FlightMotion flight, const BlockSplit& blocks,
     index_.push_back(i);
     next_.push_back(run > 0);
   }
+}
+
+ThinnedFlight ThinnedFlight::Moving(std::vector<FilteredMotion> samples) const {
+  ThinnedFlight other = *this;
+  other.flight_.samples = std::move(samples);
+  std::iota(other.index_.begin(), other.index_.end(), size_t{0});
+  return other;
 }
 
 std::vector<std::vector<double>> ThinnedFlight::Runs(const Eigen::VectorXd& channel) const {

@@ -113,7 +113,12 @@ ParameterSpec RotorInertiaSpec(const Vehicle& vehicle) {
           5.0 * guess,
           guess,
           ParameterTransform::kLinear,
-          PhysicalSign::kPositive};
+          PhysicalSign::kPositive,
+          false,
+          {},
+          {},
+          false,
+          true};
 }
 
 }  // namespace odmc

@@ -7,7 +7,9 @@ namespace {
 
 /// Induced and flapping drag of each rotor, in its plane: f_j = -k_d Ω_j Π u_j at hub j. Where on
 /// the rotor it acts differs from vehicle to vehicle: the couple -k_c Σ Ω_j e3 × Π u_j lifts it to
-/// a height k_c / k_d above the hubs, and k_r Σ Ω_j ω_z e3 takes part of its yaw damping away.
+/// a height k_c / k_d above the hubs, and k_q Σ Ω_j r_j × Π u_j, r_j the hub's place in the plane,
+/// draws it in from the hubs: with k_q = k_d it acts on the rotors' axis of symmetry alone, without
+/// yaw damping and without a yaw moment where the rotors on one side turn faster.
 ///                                                                       model.md 12.1
 class RotorDrag final : public Effect {
  public:
@@ -20,7 +22,7 @@ class RotorDrag final : public Effect {
                 "one with linear drag while the rotors' speed hardly changes; its couple is a hub "
                 "moment"},
                {HubDampingSpec("k_d", "in-plane drag per rotor speed and air speed", vehicle),
-                CoupleSpec(vehicle), DampingSpec(vehicle)}) {}
+                CoupleSpec(vehicle), DrawnInSpec(vehicle)}) {}
 
   std::vector<TellingPair> telling_pairs() const override {
     return {{"drag", "climbs and high tilt, so that the sum of the rotor speeds varies"},
@@ -35,35 +37,35 @@ class RotorDrag final : public Effect {
             natural};
   }
 
-  /// Prior: as much as hubs an arm away from the centre have.
-  static ParameterSpec DampingSpec(const Vehicle& vehicle) {
-    const double arm = vehicle.ArmLength();
-    const double natural = arm * arm * HubDampingSpec("", "", vehicle).prior_sigma;
-    return {"k_r", "N m s^2", "yaw damping per rotor speed that the hubs' distance does not have",
-            0.0, 10.0 * natural, natural};
+  /// Prior: as much as the hubs have.
+  static ParameterSpec DrawnInSpec(const Vehicle& vehicle) {
+    const double natural = HubDampingSpec("", "", vehicle).prior_sigma;
+    return {"k_q", "N s^2/m", "part of k_d that has no moment by the hubs' distance", 0.0,
+            10.0 * natural, natural};
   }
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
                    WrenchJacobians* J) const override {
     AddHubDamping(state, vehicle(), values[0], {1.0, 1.0, 0.0}, 0, wrench, J);
     const Eigen::Vector3d e3 = Eigen::Vector3d::UnitZ();
-    Eigen::Vector3d couple = Eigen::Vector3d::Zero();  // per k_c
+    Eigen::Vector3d couple = Eigen::Vector3d::Zero(), drawn_in = Eigen::Vector3d::Zero();
     for (int j = 0; j < vehicle().num_rotors(); ++j) {
       const Rotor& rotor = vehicle().rotors[j];
-      const Eigen::Vector3d slope = -state.rotors.speed[j] * Eigen::Vector3d(1.0, 1.0, 0.0);
-      couple += e3.cross(slope.cwiseProduct(HubAirVelocity(state, rotor)));
+      const Eigen::Matrix3d slope =
+          state.rotors.speed[j] * Eigen::Vector3d(1.0, 1.0, 0.0).asDiagonal();
+      const Eigen::Vector3d arm(rotor.p_BP.x(), rotor.p_BP.y(), 0.0);
+      const Eigen::Vector3d u = HubAirVelocity(state, rotor);
+      couple -= e3.cross(slope * u);  // per k_c
+      drawn_in += arm.cross(slope * u);  // per k_q
       if (J == nullptr) continue;
-      const Eigen::Matrix3d d_air = values[1] * Hat(e3) * Eigen::Matrix3d(slope.asDiagonal());
+      const Eigen::Matrix3d d_air = (values[2] * Hat(arm) - values[1] * Hat(e3)) * slope;
       J->AddCouple(kColumnAirVelocity, d_air);
       J->AddCouple(kColumnAngularRate, TimesHat(d_air, -rotor.p_BP));
     }
-    const double speed = state.rotors.speed.sum();
-    const Eigen::Vector3d yaw = speed * state.w_WB_B.z() * e3;
-    wrench->AddCouple(values[1] * couple + values[2] * yaw);
+    wrench->AddCouple(values[1] * couple + values[2] * drawn_in);
     if (J == nullptr) return;
-    J->AddCouple(kColumnAngularRate, values[2] * speed * e3 * e3.transpose());
     J->AddCoupleParameter(1, couple);
-    J->AddCoupleParameter(2, yaw);
+    J->AddCoupleParameter(2, drawn_in);
   }
 };
 

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <functional>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -39,6 +40,8 @@ class Attribution {
   const std::vector<RankedEffect>& ranking() const { return ranking_; }
   /// The model with the effects, and the values of the joint fit.
   const Stage& stage() const { return stage_; }
+  /// Why what gained more than chance is not among them, by effect.
+  const std::map<std::string, std::string>& refused() const { return refused_; }
   double flexible_gain() const { return flexible_gain_; }
   double gain() const { return gain_; }  ///< of all effects together [nats]
   double held_out_gain() const { return held_out_gain_; }
@@ -67,8 +70,10 @@ class Attribution {
   /// What an effect must gain beside others whose form is known only so well, by channel.
   double ShadowOf(const std::array<double, kNumChannels>& energy,
                   const std::array<double, kNumChannels>& others) const;
-  VariantSet Completed(Evidence* evidence, const VariantSet& set, size_t most,
-                       double* gain) const;
+  /// @param first the function that is added first, if any
+  VariantSet Completed(Evidence* evidence, const VariantSet& set, size_t most, double* gain,
+                       std::string* first = nullptr) const;
+  static std::string NamesOf(const Evidence& evidence, const VariantSet& set);
   /// Variants that gain most on their own, of different effects.
   std::vector<int> BestAlone(const Evidence& evidence) const;
   VariantSet Confirmed(const Evidence& with, VariantSet set);
@@ -89,6 +94,7 @@ class Attribution {
   const std::function<bool()> give_up_;
   std::vector<double> null_gains_;
   std::vector<RankedEffect> effects_, ranking_;
+  std::map<std::string, std::string> refused_;
   std::array<double, kNumChannels> explained_{};  // by what was added, over the noise [nats]
   double gain_ = 0.0, held_out_gain_ = 0.0;
   ResidualModel::Wrenches before_, after_;

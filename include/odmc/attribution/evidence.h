@@ -1,5 +1,6 @@
 #pragma once
 
+#include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <array>
 #include <map>
@@ -136,8 +137,10 @@ class Evidence {
     double prior_mean = 0.0;  ///< of the coefficient
     double prior_sigma = 1.0;
     PhysicalSign sign = PhysicalSign::kAny;
+    bool certain_sign = false;
     bool initial_state = false;
     ResidualModel::Wrenches d_wrench;  ///< N×6
+    ResidualModel::Wrenches likely;    ///< N×6: as it would be in the likely motion
     ResidualModel::Wrenches foreseen;  ///< N×6: what of it was known before
   };
   const Column& column(int k) const { return columns_[k]; }
@@ -153,7 +156,7 @@ class Evidence {
   /// A candidate's columns, not yet among the others.
   struct Seen {
     std::vector<Column> columns;
-    std::optional<ResidualModel::Wrenches> offset;
+    std::optional<Column> offset;
   };
   enum What {
     kAll,        ///< every parameter
@@ -164,13 +167,21 @@ class Evidence {
   Seen SeeFully(const Candidate& candidate, const DynamicModel& model, const ModelValues& values,
                 What what) const;
   void AddBase();
+  /// Samples in use, each channel over the residual's size, one channel after the other.
+  Eigen::VectorXd Stacked(const ResidualModel::Wrenches& column) const;
+  /// What of a candidate's column is foreseen. The part that the declared model has too is foreseen
+  /// as its columns are: what tells a column from them may be a hundredth of it, less than the
+  /// error of foreseeing the whole.
+  ResidualModel::Wrenches Foreseen(const Column& column) const;
+  ResidualModel::Wrenches Likely(const DynamicModel& model, const ModelValues& values, int k) const;
   void AddNuisances();
   Eigen::VectorXd Whitened(const ResidualModel::Wrenches& column, const std::vector<int>& rows,
                            const Eigen::MatrixXd& weight) const;
   void SumUp();
   Eigen::VectorXd WhitenedFeature(int channel, const Eigen::VectorXd& foreseen) const;
   void WhitenAll();
-  Noise FitNoise(const Eigen::VectorXd& e) const;
+  /// @param e N×K: second moments are summed over the columns
+  Noise FitNoise(const Eigen::MatrixXd& e) const;
   EffectFit SolveWith(const Eigen::MatrixXd& gram, const std::vector<int>& columns,
                       const VariantSet& set) const;
   int FoldOf(Eigen::Index row) const;
@@ -182,12 +193,16 @@ class Evidence {
 
   const ResidualModel* residual_;
   const Instruments* instruments_;
+  ResidualModel likely_;  // of the likely motion
   Stage stage_;
   int num_channels_;
-  ResidualModel::Wrenches y_;
+  ResidualModel::Wrenches y_, likely_y_;
   std::array<double, kNumChannels> plain_sigma_{};  // of y
   std::vector<Column> columns_;  // of the base, then of the variants; offsets among these
   int num_base_ = 0;
+  Eigen::MatrixXd base_;      // 6N × base: Stacked()
+  Eigen::VectorXd base_size_;
+  Eigen::LDLT<Eigen::MatrixXd> base_gram_;  // of base_ over its size
   std::vector<Variant> variants_;
   mutable std::map<std::string, Seen> seen_;  // of effects with an onset, by effect
   std::vector<int> rows_, held_out_rows_;  // samples whose predecessors are there
@@ -196,7 +211,8 @@ class Evidence {
   Eigen::MatrixXd white_, held_out_white_;    // rows × columns, y last
   Eigen::MatrixXd gram_;
   std::vector<Eigen::MatrixXd> fold_gram_;  // of folds of blocks of time
-  Eigen::VectorXd innovation_;  // whitened residual of everything, of unit variance
+  Eigen::VectorXd innovation_;  // whitened residual of everything
+  Eigen::MatrixXd unsure_;  // rows × k: whitened, how much of it the fit of everything may have taken
 };
 
 }  // namespace odmc

@@ -9,7 +9,8 @@
 namespace odmc {
 
 /// What could be known of a regressor before the sample it is used for: its regression on the
-/// flight's motion and rotors, and on itself, 0.12 s and more ago.
+/// flight's motion and rotors, and on itself, 0.12 s and more ago; and on what it would be in the
+/// motion that these foresee, since products of states are foreseen as products.
 ///
 /// In closed loop the noise of the present is in the rotors a moment later, and so it is within the
 /// filter's window; noise of rotor speeds is in every torque. A regression on such columns takes
@@ -28,16 +29,22 @@ class Instruments {
   /// True if the sample has a past.
   bool Sees(int i) const { return sees_[static_cast<size_t>(i)]; }
 
+  /// The flight in the motion that was foreseen.
+  const ThinnedFlight& likely_flight() const { return likely_flight_; }
+
   /// The part that was foreseen (N×6); what has no past is zero.
-  ResidualModel::Wrenches Foreseen(const ResidualModel::Wrenches& column) const;
+  /// @param likely the same column in likely_flight(), or zero where that is not known
+  ResidualModel::Wrenches Foreseen(const ResidualModel::Wrenches& column,
+                                   const ResidualModel::Wrenches& likely) const;
   /// The same of any columns (N×k).
-  Eigen::MatrixXd Foreseen(const Eigen::MatrixXd& columns) const;
+  Eigen::MatrixXd Foreseen(const Eigen::MatrixXd& columns, const Eigen::MatrixXd& likely) const;
 
   /// Fold of a sample.
   static int FoldAt(double t_s);
 
  private:
-  Eigen::VectorXd ForeseenColumn(const Eigen::VectorXd& x) const;
+  Eigen::VectorXd ForeseenColumn(const Eigen::VectorXd& x, const Eigen::VectorXd& likely) const;
+  std::vector<FilteredMotion> LikelyMotion(const ThinnedFlight& flight) const;
 
   std::vector<bool> sees_;
   std::vector<int> rows_, fit_rows_;  // samples with a past; of them those not held out
@@ -46,6 +53,7 @@ class Instruments {
   Eigen::MatrixXd z_;                 // rows × instruments, of unit size
   std::vector<Eigen::MatrixXd> gram_;  // of folds, of what is in use
   std::vector<Eigen::LLT<Eigen::MatrixXd>> without_;  // sums of the other folds
+  ThinnedFlight likely_flight_;
 };
 
 }  // namespace odmc

@@ -52,6 +52,10 @@ class ThinnedFlight {
   bool held_out(int i) const { return blocks_.IsHeldOut(sample(i).t_s); }
   double step_s() const { return step_s_; }
 
+  /// The same samples moving otherwise.
+  /// @param samples one for each of this flight's
+  ThinnedFlight Moving(std::vector<FilteredMotion> samples) const;
+
   /// A channel of a residual as runs without gaps.
   std::vector<std::vector<double>> Runs(const Eigen::VectorXd& channel) const;
 

@@ -38,6 +38,8 @@ struct ParameterSpec {
   /// Set for what moves by itself and starts a recording somehow: its value there says nothing
   /// about the effect's size.
   bool initial_state = false;
+  /// Set where nothing in nature has the other sign (a mass), rather than nothing that is known.
+  bool certain_sign = false;
 };
 
 }  // namespace odmc
