@@ -136,7 +136,9 @@ ValueVariation GustsOf(const FlightLog& log, const Vehicle& file_vehicle, const 
   }
   const std::vector<Eigen::Vector3d> wind = PredictGusts(
       flight, residual.Residual(model, still), ByWind(residual, model, still, "gust"),
-      estimate[model.IndexOf("gust.sigma")], estimate[model.IndexOf("gust.time_constant")], kAhead);
+      {estimate[model.IndexOf("gust.sigma")], estimate[model.IndexOf("gust.sigma")],
+       estimate[model.IndexOf("gust.vertical_sigma")]},
+      estimate[model.IndexOf("gust.time_constant")], kAhead);
   std::vector<double> times;
   times.reserve(static_cast<size_t>(flight.size()));
   for (int i = 0; i < flight.size(); ++i) times.push_back(flight.sample(i).t_s);
@@ -263,10 +265,11 @@ Gusts RankGusts(const ResidualModel& residual, const Stage& stage,
   ranked.name = "gust";
   ranked.score = gust.gain;
   ranked.settings = {{"gust.sigma", std::max(kSlightestGust_m_s, gust.sigma_m_s)},
+                     {"gust.vertical_sigma", std::max(0.01, gust.vertical_sigma_m_s)},
                      {"gust.time_constant", std::max(0.1, gust.time_constant_s)}};
   for (const auto& [name, value] : ranked.settings) {
     ranked.parameters.push_back(
-        {name, name == "gust.sigma" ? "m/s" : "s", value, 0.0, false, false});
+        {name, name == "gust.time_constant" ? "s" : "m/s", value, 0.0, false, false});
   }
   return gusts;
 }

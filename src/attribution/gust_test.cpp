@@ -19,30 +19,54 @@ using Eigen::Vector3d;
 using Eigen::VectorXd;
 
 constexpr double kTimeConstants_s[] = {0.3, 0.7, 1.5, 3.0, 6.0};
-constexpr int kLeastSamples = 100;
+constexpr int kLeastSamples = 40;  // 4 s
 constexpr double kLeastCurvature = 1.0;  // the natural size alone
 constexpr double kSizes[] = {0.35, 0.6, 1.0, 1.6, 2.5};
+constexpr double kVertical[] = {0.1, 1.0};  // third axis over the others
+constexpr double kNoiseShares[] = {0.02, 0.1, 0.4, 1.0};  // of the quick part's variance
+// The filter's window is 0.1 s: samples so far apart share less than 2 % of their noise's variance,
+// neighbours half of it where they are derivatives.
+constexpr double kApart_s = 0.08;
 
-/// A first-order process x of standard deviation `sigma` and correlation time `time_constant_s`,
-/// seen as H_i x in white noise, by a Kalman filter that skips blocks held out.
-/// @param states estimates from all samples in use up to and with each one, may be null
+/// Samples in use, so far apart that each has noise of its own.
+std::vector<int> SamplesApart(const ThinnedFlight& flight) {
+  std::vector<int> apart;
+  double last_s = -std::numeric_limits<double>::infinity();
+  for (int i = 0; i < flight.size(); ++i) {
+    const double t_s = flight.sample(i).t_s;
+    if (flight.held_out(i) || t_s < last_s + kApart_s - 1e-6) continue;
+    last_s = t_s;
+    apart.push_back(i);
+  }
+  return apart;
+}
+
+/// A first-order process x of standard deviation `sigma` by axis and correlation time `time_constant_s`,
+/// seen as H_i x in white noise, by a Kalman filter that looks at some samples.
+/// @param looked_at numbers of these, ascending
+/// @param states estimates at every sample from all it has looked at by then, may be null
 /// @returns the residual's log-likelihood
-double Follow(const ThinnedFlight& flight, const ResidualModel::Wrenches& y,
-              const std::vector<Matrix3d>& H, const Vector3d& noise_variance, double sigma,
+double Follow(const ThinnedFlight& flight, const std::vector<int>& looked_at,
+              const ResidualModel::Wrenches& y, const std::vector<Matrix3d>& H, const Vector3d& noise_variance, const Vector3d& sigma,
               double time_constant_s, std::vector<Vector3d>* states = nullptr) {
   Vector3d x = Vector3d::Zero();
-  Matrix3d P = sigma * sigma * Matrix3d::Identity();
+  const Matrix3d wide = sigma.cwiseAbs2().asDiagonal();
+  Matrix3d P = wide;
   const Matrix3d noise = noise_variance.asDiagonal();
-  double sum = 0.0;
-  for (int i = 0; i < flight.size(); ++i) {
-    const double dt = i == 0 ? 0.0 : std::max(0.0, flight.sample(i).t_s - flight.sample(i - 1).t_s);
+  double sum = 0.0, last_s = flight.sample(0).t_s;
+  int next = 0;  // sample whose state is not told yet
+  const auto tell_up_to = [&](int end) {
+    for (; states != nullptr && next < end; ++next) {
+      states->push_back(std::exp(-(flight.sample(next).t_s - last_s) / time_constant_s) * x);
+    }
+  };
+  for (const int i : looked_at) {
+    tell_up_to(i);
+    const double dt = std::max(0.0, flight.sample(i).t_s - last_s);
+    last_s = flight.sample(i).t_s;
     const double decay = std::exp(-dt / time_constant_s);
     x *= decay;
-    P = decay * decay * P + (1.0 - decay * decay) * sigma * sigma * Matrix3d::Identity();
-    if (flight.held_out(i)) {
-      if (states != nullptr) states->push_back(x);
-      continue;
-    }
+    P = decay * decay * P + (1.0 - decay * decay) * wide;
     const Vector3d e = y.row(i).head<3>().transpose() - H[i] * x;
     const Matrix3d S = H[i] * P * H[i].transpose() + noise;
     const Matrix3d S_inverse = S.inverse();
@@ -50,8 +74,8 @@ double Follow(const ThinnedFlight& flight, const ResidualModel::Wrenches& y,
     const Matrix3d K = P * H[i].transpose() * S_inverse;
     x += K * e;
     P = ((Matrix3d::Identity() - K * H[i]) * P).eval();
-    if (states != nullptr) states->push_back(x);
   }
+  tell_up_to(flight.size());
   return sum;
 }
 
@@ -67,8 +91,10 @@ std::vector<Matrix3d> Response(int n, const WindDerivatives& d_wind) {
 /// Variance of the residual's quick part: what is left of its variance without the covariance of
 /// samples that share no filter window. (Not from differences of neighbours: the noise of a
 /// differentiated measurement turns its sign from one to the next.)
+/// @param time_constant_s of the slow part, where it is known
 Vector3d QuickVariance(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
-                       Vector3d* total) {
+                       Vector3d* total,
+                       double time_constant_s = std::numeric_limits<double>::infinity()) {
   constexpr int kFirstLag = 3, kLastLag = 6;  // of 40 ms; the filter's window is 0.1 s
   Vector3d slow = Vector3d::Zero();
   total->setZero();
@@ -83,7 +109,9 @@ Vector3d QuickVariance(const ThinnedFlight& flight, const ResidualModel::Wrenche
     const Vector3d y = residual.row(i).head<3>();
     *total += y.cwiseAbs2();
     for (int lag = kFirstLag; lag <= std::min(run, kLastLag); ++lag, ++pairs) {
-      slow += y.cwiseProduct(residual.row(i - lag).head<3>().transpose());
+      const double apart_s = flight.sample(i).t_s - flight.sample(i - lag).t_s;
+      slow += std::exp(std::min(1.0, apart_s / time_constant_s)) *
+              y.cwiseProduct(residual.row(i - lag).head<3>().transpose());
     }
   }
   *total /= std::max(1, samples);
@@ -99,31 +127,35 @@ struct Seen {
 
 /// A slowly varying quantity w that acts as H w, the drag beside it unknown. Drag and size of w
 /// multiply each other, so that all is fitted together: x holds the drag's changes, and the
-/// logarithms of w's size (over its natural one) and correlation time [s].
+/// logarithms of w's size (over its natural one), of its correlation time [s], of its third axis'
+/// size over that of the others, and of the noise's variance along each axis (over the quick
+/// part's).
 class Hypothesis {
  public:
   /// @param H how w acts with the drag as it is
   /// @param by_drag true if the drag's change changes H
   /// @param size natural standard deviation of w
-  Hypothesis(const ThinnedFlight* flight, const ResidualModel::Wrenches* residual,
-             std::vector<Matrix3d> H, const std::vector<DragCoefficient>* drag, bool by_drag,
+  Hypothesis(const ThinnedFlight* flight, const std::vector<int>* looked_at,
+             const ResidualModel::Wrenches* residual, std::vector<Matrix3d> H, const std::vector<DragCoefficient>* drag, bool by_drag,
              const Vector3d& noise, double size)
       : flight_(flight),
+        looked_at_(looked_at),
         residual_(residual),
         H_(std::move(H)),
         noise_(noise),
         size_(size),
         drag_(drag),
         num_drag_(static_cast<Index>(drag->size())),
-        x_(VectorXd::Zero(num_drag_ + 2)),
+        x_(VectorXd::Zero(num_drag_ + 6)),
         least_(x_),
         most_(x_) {
     for (Index k = 0; k < num_drag_; ++k) {
       least_[k] = (*drag)[k].least;
       most_[k] = (*drag)[k].most;
     }
-    least_.tail<2>() << std::log(0.1), std::log(0.2);
-    most_.tail<2>() << std::log(10.0), std::log(10.0);
+    const Vector3d one = Vector3d::Ones();
+    least_.tail<6>() << std::log(0.1), std::log(0.2), std::log(0.03), std::log(1e-3) * one;
+    most_.tail<6>() << std::log(10.0), std::log(10.0), std::log(2.0), std::log(2.0) * one;
     if (!by_drag) return;
     for (const DragCoefficient& c : *drag) dH_.push_back(Response(flight->size(), c.d_wind));
   }
@@ -142,6 +174,7 @@ class Hypothesis {
   /// Log-likelihood of the fit, the drag's change a priori normal with its natural size.
   double likelihood() const { return likelihood_; }
   double sigma() const { return size_ * std::exp(x_[num_drag_]); }
+  double vertical_sigma() const { return SizeOf(x_).z(); }
   double time_constant_s() const { return std::exp(x_[num_drag_ + 1]); }
   VectorXd drag_change() const { return x_.head(num_drag_); }
 
@@ -159,7 +192,7 @@ class Hypothesis {
   std::vector<Vector3d> States() const {
     std::vector<Vector3d> states;
     const Seen seen = With(x_);
-    Follow(*flight_, seen.y, seen.H, noise_, sigma(), time_constant_s(), &states);
+    Follow(*flight_, *looked_at_, seen.y, seen.H, NoiseOf(x_), SizeOf(x_), time_constant_s(), &states);
     return states;
   }
 
@@ -197,9 +230,16 @@ class Hypothesis {
   }
 
   double Likelihood(const Seen& seen, const VectorXd& x) const {
-    return Follow(*flight_, seen.y, seen.H, noise_, size_ * std::exp(x[num_drag_]),
-                  std::exp(x[num_drag_ + 1])) -
+    return Follow(*flight_, *looked_at_, seen.y, seen.H, NoiseOf(x),
+                  SizeOf(x), std::exp(x[num_drag_ + 1])) -
            0.5 * x.head(num_drag_).squaredNorm();
+  }
+  Vector3d SizeOf(const VectorXd& x) const {
+    const double size = size_ * std::exp(x[num_drag_]);
+    return {size, size, size * std::exp(x[num_drag_ + 2])};
+  }
+  Vector3d NoiseOf(const VectorXd& x) const {
+    return noise_.cwiseProduct(Vector3d(x.tail<3>().array().exp()));
   }
   double Likelihood(const VectorXd& x) const { return Likelihood(With(x), x); }
 
@@ -210,11 +250,16 @@ class Hypothesis {
     likelihood_ = -std::numeric_limits<double>::infinity();
     for (const double time_constant_s : kTimeConstants_s) {
       for (const double size : kSizes) {
-        x.tail<2>() << std::log(size), std::log(time_constant_s);
-        const double found = Likelihood(seen, x);
-        if (found <= likelihood_) continue;
-        likelihood_ = found;
-        x_ = x;
+        for (const double noise : kNoiseShares) {
+          for (const double vertical : kVertical) {
+            x.tail<6>() << std::log(size), std::log(time_constant_s), std::log(vertical),
+                Vector3d::Constant(std::log(noise));
+            const double found = Likelihood(seen, x);
+            if (found <= likelihood_) continue;
+            likelihood_ = found;
+            x_ = x;
+          }
+        }
       }
     }
   }
@@ -282,6 +327,7 @@ class Hypothesis {
   }
 
   const ThinnedFlight* flight_;
+  const std::vector<int>* looked_at_;
   const ResidualModel::Wrenches* residual_;
   std::vector<Matrix3d> H_;
   std::vector<std::vector<Matrix3d>> dH_;
@@ -296,14 +342,10 @@ class Hypothesis {
 /// Log-likelihood of a force that swings steadily at one frequency, fixed in the world (`in_world`)
 /// or in the body, in white noise: the best frequency, with a nat for each coefficient and for the
 /// choice among the frequencies taken off.
-double SteadySwing(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
-                   bool in_world) {
+double SteadySwing(const ThinnedFlight& flight, const std::vector<int>& used,
+                   const ResidualModel::Wrenches& residual, bool in_world) {
   constexpr double kSlowest_Hz = 0.2, kFastest_Hz = 5.0;
   constexpr int kCoefficients = 9;  // along each axis a cosine, a sine and a mean
-  std::vector<int> used;
-  for (int i = 0; i < flight.size(); ++i) {
-    if (!flight.held_out(i)) used.push_back(i);
-  }
   const auto n = static_cast<Index>(used.size());
   Eigen::Matrix<double, Eigen::Dynamic, 3> y(n, 3);
   Eigen::Matrix<double, Eigen::Dynamic, 3> X(n, 3);
@@ -330,17 +372,15 @@ double SteadySwing(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
 }
 
 /// Log-likelihood of a force that depends on the place alone, fixed in the world, in white noise of
-/// variance `noise` [N²]: a Gaussian process over position with a squared-exponential kernel, in its
-/// approximation by few centres, its size and width those that make the force most likely.
-double FieldOverPosition(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
-                         const std::vector<DragCoefficient>& drag, double noise, double natural) {
+/// a share of the variance `quick` [N²]: a Gaussian process over position with a squared-exponential kernel, in its
+/// approximation by few centres, the noise, its size and width
+/// those that make the force most likely.
+double FieldOverPosition(const ThinnedFlight& flight, const std::vector<int>& used,
+                         const ResidualModel::Wrenches& residual,
+                         const std::vector<DragCoefficient>& drag, double quick, double natural) {
   constexpr size_t kCentres = 40;
   constexpr double kWidths[] = {0.15, 0.3, 0.6};  // of the flight's extent
   constexpr double kFieldSizes[] = {0.5, 1.0, 2.0, 4.0};
-  std::vector<int> used;
-  for (int i = 0; i < flight.size(); ++i) {
-    if (!flight.held_out(i)) used.push_back(i);
-  }
   const auto n = static_cast<Index>(used.size());
   const auto position = [&](Index k) { return flight.sample(used[static_cast<size_t>(k)]).p_WS; };
   // Each centre is the sample farthest from those before.
@@ -399,21 +439,24 @@ double FieldOverPosition(const ThinnedFlight& flight, const ResidualModel::Wrenc
     const MatrixXd gram = X.transpose() * X;
     const VectorXd Xy = X.transpose() * y;
     for (const double size : kFieldSizes) {
-      VectorXd sigma = VectorXd::Constant(m, size * natural);
-      sigma.tail(num_drag).setOnes();  // natural sizes
-      MatrixXd H = gram / noise;
-      H.diagonal() += sigma.cwiseAbs2().cwiseInverse();
-      const Eigen::LLT<MatrixXd> llt(H);
-      const VectorXd b = Xy / noise;
-      const double log_det =
-          2.0 * MatrixXd(llt.matrixL()).diagonal().array().log().sum() +
-          2.0 * sigma.array().log().sum();
-      const double likelihood = 0.5 * b.dot(llt.solve(b)) - 0.5 * y.squaredNorm() / noise -
-                                0.5 * log_det - 1.5 * static_cast<double>(n) * std::log(noise);
-      best = std::max(best, likelihood);
+      for (const double share : kNoiseShares) {
+        const double noise = share * quick;
+        VectorXd sigma = VectorXd::Constant(m, size * natural);
+        sigma.tail(num_drag).setOnes();  // natural sizes
+        MatrixXd H = gram / noise;
+        H.diagonal() += sigma.cwiseAbs2().cwiseInverse();
+        const Eigen::LLT<MatrixXd> llt(H);
+        const VectorXd b = Xy / noise;
+        const double log_det = 2.0 * MatrixXd(llt.matrixL()).diagonal().array().log().sum() +
+                               2.0 * sigma.array().log().sum();
+        const double likelihood = 0.5 * b.dot(llt.solve(b)) - 0.5 * y.squaredNorm() / noise -
+                                  0.5 * log_det - 1.5 * static_cast<double>(n) * std::log(noise);
+        best = std::max(best, likelihood);
+      }
     }
   }
-  return best - std::log(static_cast<double>(std::size(kWidths) * std::size(kFieldSizes)));
+  return best - std::log(static_cast<double>(std::size(kWidths) * std::size(kFieldSizes) *
+                                              std::size(kNoiseShares)));
 }
 
 }  // namespace
@@ -422,9 +465,8 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
                    const WindDerivatives& d_wind, const std::vector<DragCoefficient>& drag) {
   GustTest test;
   const int n = flight.size();
-  int in_use = 0;
-  for (int i = 0; i < n; ++i) in_use += flight.held_out(i) ? 0 : 1;
-  if (in_use < kLeastSamples) return test;
+  const std::vector<int> apart = SamplesApart(flight);
+  if (static_cast<int>(apart.size()) < kLeastSamples) return test;
   std::vector<Matrix3d> wind = Response(n, d_wind), world(n), body(n, Matrix3d::Identity());
   double response = 0.0;
   for (int i = 0; i < n; ++i) {
@@ -436,10 +478,10 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   Vector3d total;
   const Vector3d quick = QuickVariance(flight, residual, &total);
   const double natural = std::sqrt(std::max(1e-12, (total - quick).cwiseMax(0.0).mean()));
-  const double none = Follow(flight, residual, body, total, 0.0, 1.0);
-  Hypothesis gust(&flight, &residual, std::move(wind), &drag, true, quick, natural / response);
-  Hypothesis free_world(&flight, &residual, std::move(world), &drag, false, quick, natural);
-  Hypothesis free_body(&flight, &residual, std::move(body), &drag, false, quick, natural);
+  const double none = Follow(flight, apart, residual, body, total, Vector3d::Zero(), 1.0);
+  Hypothesis gust(&flight, &apart, &residual, std::move(wind), &drag, true, quick, natural / response);
+  Hypothesis free_world(&flight, &apart, &residual, std::move(world), &drag, false, quick, natural);
+  Hypothesis free_body(&flight, &apart, &residual, std::move(body), &drag, false, quick, natural);
   for (Hypothesis* hypothesis : {&gust, &free_world, &free_body}) hypothesis->Fit();
   Matrix3d moment = Matrix3d::Zero();
   double fourth = 0.0;
@@ -452,12 +494,14 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   test.one_sidedness = spread.sum() > 0.0 ? spread[2] / spread.sum() : 1.0;
   test.gain = gust.likelihood() - none;
   test.over_others = gust.likelihood() - std::max({free_world.likelihood(), free_body.likelihood(),
-                                                   SteadySwing(flight, residual, true),
-                                                   SteadySwing(flight, residual, false),
-                                                   FieldOverPosition(flight, residual, drag,
+                                                   SteadySwing(flight, apart, residual, true),
+                                                   SteadySwing(flight, apart, residual, false),
+                                                   FieldOverPosition(flight, apart, residual, drag,
                                                                      quick.mean(), natural)});
   test.sigma_m_s = gust.sigma();
+  test.vertical_sigma_m_s = gust.vertical_sigma();
   test.time_constant_s = gust.time_constant_s();
+  if (getenv("ODMC_DEBUG")) fprintf(stderr, "gust %.1f world %.1f body %.1f swing %.1f %.1f field %.1f none %.1f sigma %.2f tau %.2f vert %.2f\n", gust.likelihood(), free_world.likelihood(), free_body.likelihood(), SteadySwing(flight, apart, residual, true), SteadySwing(flight, apart, residual, false), FieldOverPosition(flight, apart, residual, drag, quick.mean(), natural), none, gust.sigma(), gust.time_constant_s(), gust.vertical_sigma());
   test.drag = gust.drag_change();
   test.drag_sigma = gust.DragSigma();
   return test;
@@ -465,13 +509,17 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
 
 std::vector<Vector3d> PredictGusts(const ThinnedFlight& flight,
                                    const ResidualModel::Wrenches& residual,
-                                   const WindDerivatives& d_wind, double sigma_m_s,
+                                   const WindDerivatives& d_wind, const Vector3d& sigma_m_s,
                                    double time_constant_s, int ahead) {
   const int n = flight.size();
   std::vector<Vector3d> states, predicted(n, Vector3d::Zero());
   Vector3d total;
-  const Vector3d quick = QuickVariance(flight, residual, &total);
-  Follow(flight, residual, Response(n, d_wind), quick, sigma_m_s, time_constant_s, &states);
+  const Vector3d quick = QuickVariance(flight, residual, &total, time_constant_s);
+  std::vector<int> in_use;
+  for (int i = 0; i < n; ++i) {
+    if (!flight.held_out(i)) in_use.push_back(i);
+  }
+  Follow(flight, in_use, residual, Response(n, d_wind), quick, sigma_m_s, time_constant_s, &states);
   for (int i = ahead; i < n; ++i) {
     const double dt = flight.sample(i).t_s - flight.sample(i - ahead).t_s;
     predicted[i] = std::exp(-dt / time_constant_s) * states[i - ahead];

@@ -119,10 +119,12 @@ DrawnEffect DrawEffect(const std::string& name, const Vehicle& vehicle, Gaussian
 /// Writes an effect, `scale` times as large as drawn, to the values of `model`.
 void SetScaled(const DrawnEffect& drawn, double scale, const DynamicModel& model,
                ModelValues* values) {
-  const std::string scaled = drawn.effect->size_parameter();
+  const std::vector<std::string> scaled = drawn.effect->size_parameters();
   const std::vector<ParameterSpec>& specs = drawn.effect->parameters();
   for (size_t i = 0; i < specs.size(); ++i) {
-    const double factor = scaled.empty() || specs[i].name == scaled ? scale : 1.0;
+    const bool is_size =
+        scaled.empty() || std::find(scaled.begin(), scaled.end(), specs[i].name) != scaled.end();
+    const double factor = is_size ? scale : 1.0;
     (*values)[model.IndexOf(drawn.effect->name() + "." + specs[i].name)] =
         factor * drawn.values[static_cast<Eigen::Index>(i)];
   }

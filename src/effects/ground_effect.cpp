@@ -49,7 +49,7 @@ class GroundEffect final : public Effect {
   void Place(double lowest_m, Eigen::VectorXd* values) const override {
     (*values)[1] = lowest_m - kDrawnBelow * vehicle().rotors.front().radius_m;
   }
-  std::string size_parameter() const override { return "k_ge"; }
+  std::vector<std::string> size_parameters() const override { return {"k_ge"}; }
 
  private:
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,

@@ -8,7 +8,8 @@ namespace odmc {
 namespace {
 
 /// Wind that comes and goes: the same, with W a first-order Gauss-Markov process of standard
-/// deviation `sigma` and correlation time `time_constant`.              model.md 12.11
+/// deviation `sigma` (`vertical_sigma` along world z) and correlation time `time_constant`.
+///                                                                       model.md 12.11
 class Gust final : public Effect {
  public:
   explicit Gust(const Vehicle& vehicle)
@@ -16,13 +17,15 @@ class Gust final : public Effect {
                {"gust", "Gusts", "v_AB_B = R_WB^T (v_WB - W), dW/dt = -W/T + white noise",
                 "model.md 12.11; Dryden's first-order form",
                 "the estimate is the wind of the present window; seen only through the drag"},
-               {Varying("x"),
-                Varying("y"),
-                Varying("z"),
-                {"sigma", "m/s", "standard deviation of the gusts per axis", 1.0, 1.0, 1.0,
+               {Varying("x", "sigma"),
+                Varying("y", "sigma"),
+                Varying("z", "vertical_sigma"),
+                {"sigma", "m/s", "standard deviation of the gusts along world x and y", 1.0, 1.0, 1.0,
                  ParameterTransform::kLog, PhysicalSign::kPositive, true},
                 {"time_constant", "s", "correlation time of the gusts", 2.0, 2.0, 2.0,
-                 ParameterTransform::kLog, PhysicalSign::kPositive, true}}) {}
+                 ParameterTransform::kLog, PhysicalSign::kPositive, true},
+                {"vertical_sigma", "m/s", "standard deviation of the gusts along world z", 1.0, 1.0,
+                 1.0, ParameterTransform::kLog, PhysicalSign::kPositive, true}}) {}
 
   bool adds_wrench() const override { return false; }
   BodyPropertyRows shaped_rows() const override { return {kRowWind, 3}; }
@@ -36,14 +39,15 @@ class Gust final : public Effect {
     values.head<3>().setZero();
     values[3] = 1.0;
     values[4] = 1.0 + 1.5 * std::min(1.0, std::abs(normal()));
+    values[5] = 1.0;
     return values;
   }
-  std::string size_parameter() const override { return "sigma"; }
+  std::vector<std::string> size_parameters() const override { return {"sigma", "vertical_sigma"}; }
 
  private:
-  static ParameterSpec Varying(const std::string& axis) {
+  static ParameterSpec Varying(const std::string& axis, const std::string& sigma) {
     ParameterSpec spec = WindSpec(axis);
-    spec.process_sigma = "sigma";
+    spec.process_sigma = sigma;
     spec.process_time_constant = "time_constant";
     return spec;
   }

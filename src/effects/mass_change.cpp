@@ -60,7 +60,7 @@ class MassChange final : public Effect {
     values[3] = -0.1 * vehicle().ArmLength();
     return values;
   }
-  std::string size_parameter() const override { return "mass"; }
+  std::vector<std::string> size_parameters() const override { return {"mass"}; }
 
  private:
   static ParameterSpec Place(const std::string& axis, const Vehicle& vehicle) {

@@ -72,7 +72,7 @@ class SuspendedLoad final : public Effect {
     values[2] = 0.02 + 0.03 * std::min(1.0, std::abs(normal()));
     return values;
   }
-  std::string size_parameter() const override { return "mass"; }
+  std::vector<std::string> size_parameters() const override { return {"mass"}; }
 
  private:
   static ParameterSpec Place(const std::string& axis, const Vehicle& vehicle, bool frozen) {

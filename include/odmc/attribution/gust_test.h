@@ -11,7 +11,8 @@ namespace odmc {
 struct GustTest {
   double gain = 0.0;           ///< of gusts over noise alone [nats]
   double over_others = 0.0;    ///< of gusts over the best of the free forces [nats]
-  double sigma_m_s = 0.0;      ///< best standard deviation of the gusts
+  double sigma_m_s = 0.0;      ///< best standard deviation of the gusts along world x and y
+  double vertical_sigma_m_s = 0.0;  ///< along world z
   double time_constant_s = 0;  ///< best correlation time
   /// Change of each drag coefficient beside the gusts, and its sigma, in natural sizes.
   Eigen::VectorXd drag, drag_sigma;
@@ -48,7 +49,8 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
 /// @param residual,d_wind as above, without gusts
 std::vector<Eigen::Vector3d> PredictGusts(const ThinnedFlight& flight,
                                           const ResidualModel::Wrenches& residual,
-                                          const WindDerivatives& d_wind, double sigma_m_s,
+                                          const WindDerivatives& d_wind,
+                                          const Eigen::Vector3d& sigma_m_s,
                                           double time_constant_s, int ahead);
 
 }  // namespace odmc

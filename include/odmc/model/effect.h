@@ -92,8 +92,8 @@ class Effect {
   /// Moves what was drawn to where a flight takes place.
   /// @param lowest_m lowest point flown, in the odometry's world
   virtual void Place(double lowest_m, Eigen::VectorXd* values) const;
-  /// Name of the own parameter that scales the effect; empty: all of them do together.
-  virtual std::string size_parameter() const { return ""; }
+  /// Names of the own parameters that scale the effect together; empty: all of them do.
+  virtual std::vector<std::string> size_parameters() const { return {}; }
 
   /// Adds this effect's forces (with the point they act at) and couples, in B, to `wrench`. If `J`
   /// is given, adds the derivatives by state and parameters to it.
