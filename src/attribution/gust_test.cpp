@@ -22,19 +22,22 @@ constexpr double kTimeConstants_s[] = {0.3, 0.7, 1.5, 3.0, 6.0};
 constexpr int kLeastSamples = 40;  // 4 s
 constexpr double kLeastCurvature = 1.0;  // the natural size alone
 constexpr double kSizes[] = {0.35, 0.6, 1.0, 1.6, 2.5};
+constexpr double kMostSteady = 10.0;  // of a steady force, over the slow part's size
 constexpr double kVertical[] = {0.1, 1.0};  // third axis over the others
 constexpr double kNoiseShares[] = {0.02, 0.1, 0.4, 1.0};  // of the quick part's variance
 // The filter's window is 0.1 s: samples so far apart share less than 2 % of their noise's variance,
 // neighbours half of it where they are derivatives.
 constexpr double kApart_s = 0.08;
+// The filter rounds what changes within its window off, which looks like a slower process.
+constexpr double kUnrounded_s = 0.24;
 
 /// Samples in use, so far apart that each has noise of its own.
-std::vector<int> SamplesApart(const ThinnedFlight& flight) {
+std::vector<int> SamplesApart(const ThinnedFlight& flight, double apart_s) {
   std::vector<int> apart;
   double last_s = -std::numeric_limits<double>::infinity();
   for (int i = 0; i < flight.size(); ++i) {
     const double t_s = flight.sample(i).t_s;
-    if (flight.held_out(i) || t_s < last_s + kApart_s - 1e-6) continue;
+    if (flight.held_out(i) || t_s < last_s + apart_s - 1e-6) continue;
     last_s = t_s;
     apart.push_back(i);
   }
@@ -171,6 +174,14 @@ class Hypothesis {
     if (other.likelihood_ > likelihood_) *this = std::move(other);
   }
 
+  /// The same fitted to other samples, from this drag on.
+  Hypothesis LookingAt(const std::vector<int>* looked_at) const {
+    Hypothesis other = *this;
+    other.looked_at_ = looked_at;
+    other.FitFromHere();
+    return other;
+  }
+
   /// Log-likelihood of the fit, the drag's change a priori normal with its natural size.
   double likelihood() const { return likelihood_; }
   double sigma() const { return size_ * std::exp(x_[num_drag_]); }
@@ -213,6 +224,7 @@ class Hypothesis {
     constexpr double kNextToNone = 0.05, kSome = 0.3;  // natural sizes
     VectorXd change = VectorXd::Zero(num_drag_);
     for (Index k = 0; k < num_drag_; ++k) {
+      if ((*drag_)[k].natural_size <= 0.0) continue;
       if (most_[k] < kNextToNone) change[k] = -kSome;
       if (least_[k] > -kNextToNone) change[k] = kSome;
     }
@@ -462,10 +474,10 @@ double FieldOverPosition(const ThinnedFlight& flight, const std::vector<int>& us
 }  // namespace
 
 GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
-                   const WindDerivatives& d_wind, const std::vector<DragCoefficient>& drag) {
+                   const WindDerivatives& d_wind, const std::vector<DragCoefficient>& given) {
   GustTest test;
   const int n = flight.size();
-  const std::vector<int> apart = SamplesApart(flight);
+  const std::vector<int> apart = SamplesApart(flight, kApart_s);
   if (static_cast<int>(apart.size()) < kLeastSamples) return test;
   std::vector<Matrix3d> wind = Response(n, d_wind), world(n), body(n, Matrix3d::Identity());
   double response = 0.0;
@@ -478,6 +490,19 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   Vector3d total;
   const Vector3d quick = QuickVariance(flight, residual, &total);
   const double natural = std::sqrt(std::max(1e-12, (total - quick).cwiseMax(0.0).mean()));
+  // A steady force is none of theirs: with its mean left in, what varies seems to vary more slowly.
+  std::vector<DragCoefficient> drag = given;
+  for (int axis = 0; axis < 3; ++axis) {
+    DragCoefficient steady;
+    steady.d_wrench = ResidualModel::Wrenches::Zero(n, kNumChannels);
+    for (int i = 0; i < n; ++i) {
+      steady.d_wrench.row(i).head<3>() = natural * world[i].col(axis).transpose();
+    }
+    steady.d_wind.fill(ResidualModel::Wrenches::Zero(n, kNumChannels));
+    steady.least = -kMostSteady;
+    steady.most = kMostSteady;
+    drag.push_back(std::move(steady));
+  }
   const double none = Follow(flight, apart, residual, body, total, Vector3d::Zero(), 1.0);
   Hypothesis gust(&flight, &apart, &residual, std::move(wind), &drag, true, quick, natural / response);
   Hypothesis free_world(&flight, &apart, &residual, std::move(world), &drag, false, quick, natural);
@@ -498,12 +523,14 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
                                                    SteadySwing(flight, apart, residual, false),
                                                    FieldOverPosition(flight, apart, residual, drag,
                                                                      quick.mean(), natural)});
-  test.sigma_m_s = gust.sigma();
-  test.vertical_sigma_m_s = gust.vertical_sigma();
-  test.time_constant_s = gust.time_constant_s();
-  if (getenv("ODMC_DEBUG")) fprintf(stderr, "gust %.1f world %.1f body %.1f swing %.1f %.1f field %.1f none %.1f sigma %.2f tau %.2f vert %.2f\n", gust.likelihood(), free_world.likelihood(), free_body.likelihood(), SteadySwing(flight, apart, residual, true), SteadySwing(flight, apart, residual, false), FieldOverPosition(flight, apart, residual, drag, quick.mean(), natural), none, gust.sigma(), gust.time_constant_s(), gust.vertical_sigma());
-  test.drag = gust.drag_change();
-  test.drag_sigma = gust.DragSigma();
+  const std::vector<int> unrounded = SamplesApart(flight, kUnrounded_s);
+  const Hypothesis slow = gust.LookingAt(&unrounded);
+  test.sigma_m_s = slow.sigma();
+  test.vertical_sigma_m_s = slow.vertical_sigma();
+  test.time_constant_s = slow.time_constant_s();
+  const auto num_given = static_cast<Index>(given.size());
+  test.drag = gust.drag_change().head(num_given);
+  test.drag_sigma = gust.DragSigma().head(num_given);
   return test;
 }
 

@@ -115,12 +115,13 @@ TEST(GustTest, FitsTheDragBesideTheWind) {
     EXPECT_GT(test.over_others, 0.0);
     EXPECT_GT(test.gain, 300.0);
     EXPECT_LT(test.one_sidedness, 0.8);
-    EXPECT_NEAR(test.sigma_m_s, 2.0, 0.6);
+    EXPECT_NEAR(test.sigma_m_s, 2.0, 0.7);  // 30 s hold some ten correlation times
+    EXPECT_NEAR(test.time_constant_s, 1.5, 0.8);
     const Vector3d drag = windy.FittedDrag(test);
     for (int k = 0; k < 3; ++k) {
       const double sigma = kNatural * test.drag_sigma[k];
       EXPECT_NEAR(drag[k], kTrueDrag[k], 3.0 * sigma) << k;
-      EXPECT_LT(sigma, 0.07) << k;
+      EXPECT_LT(sigma, 0.15) << k;  // nobody knows the noise and the steady force beside it
     }
   }
 }
@@ -133,8 +134,12 @@ TEST(GustTest, WhatWasBelievedOfTheDragMattersNot) {
 
 TEST(GustTest, AForceFreeOfTheDragIsNone) {
   double sum = 0.0;
-  for (int seed = 3; seed < 9; ++seed) sum += Pushed(kWrongDrag, seed).Test().over_others;
-  EXPECT_LT(sum / 6.0, -4.0);
+  for (int seed = 3; seed < 9; ++seed) {
+    const double over_others = Pushed(kWrongDrag, seed).Test().over_others;
+    EXPECT_LT(over_others, std::log(100.0)) << seed;  // what a gust has to gain to be named
+    sum += over_others / 6.0;
+  }
+  EXPECT_LT(sum, -2.0);
 }
 
 TEST(GustTest, FindsDragWhereNextToNoneWasBelieved) {

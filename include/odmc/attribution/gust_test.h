@@ -28,8 +28,8 @@ using WindDerivatives = std::array<ResidualModel::Wrenches, 3>;
 /// A coefficient that shapes how the force answers wind, in units of its natural size, as a change
 /// from its present value.
 struct DragCoefficient {
-  int index;                         ///< in DynamicModel::parameters()
-  double natural_size;               ///< in the parameter's unit
+  int index = -1;                    ///< in DynamicModel::parameters()
+  double natural_size = 0.0;         ///< in the parameter's unit
   ResidualModel::Wrenches d_wrench;  ///< derivative of the predicted wrench (N×6)
   WindDerivatives d_wind;            ///< derivative of the derivatives by the wind
   double least = 0.0, most = 0.0;    ///< the change's bounds: the coefficient's physical sign
