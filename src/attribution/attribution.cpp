@@ -223,7 +223,6 @@ VariantSet Attribution::Completed(Evidence* evidence, const VariantSet& set, siz
     const Evidence::FlexibleGain best = evidence->BestFlexible(all, features_);
     if (best.nats < options_.clear_odds) break;
     *gain += best.nats;
-    if (getenv("ODMC_DEBUG")) fprintf(stderr, "    + %s in %d: %.1f\n", features_.names[best.feature].c_str(), best.channel, best.nats);
     if (first != nullptr && first->empty()) {
       *first = features_.names[static_cast<size_t>(best.feature)];
     }
@@ -294,7 +293,6 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
       least = margin;
       why = "gains " + Text(score) + " nats" +
             (without.empty() ? "" : " beside " + NamesOf(evidence, without)) + ", but " + objection;
-      if (getenv("ODMC_DEBUG")) fprintf(stderr, "%s: score %.1f gain %.1f F %.1f instead %.1f margin %.1f shadow %.1f: %s\n", NamesOf(evidence,{v}).c_str(), score, gain, flexible_gain_, instead, margin, shadow, why.c_str());
     }
     if (!weakest) break;
     refused_[evidence.variants()[*weakest].candidate.effect] = why;

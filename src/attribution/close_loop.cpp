@@ -511,17 +511,18 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
                                      [&name = name](const auto& e) { return e.name == name; });
     if (!added && ranked != result.ranking.end()) ranked->remarks.push_back("not named: it " + why);
   }
-  const std::vector<ChannelStructure> left =
-      Structure(flight, attribution.residual_after(), residual.num_channels());
   std::map<std::string, ParameterSetting> known;
   const Gusts gusts =
       RankGusts(residual, attribution.stage(), attribution.residual_after(), before.parameters);
   result.ranking.push_back(gusts.ranked);
 
   bool is_gusty = IsGusty(gusts, options.attribution) && CanBlow(vehicle, effects);
-  const double unexplained =
-      UnexplainedStructure(attribution.residual_before(), attribution.residual_after(), result.structure,
-                  left, options.attribution);
+  const auto seen = [&](const ResidualModel::Wrenches& of) {
+    return Structure(flight, of, residual.num_channels(), true);
+  };
+  const double unexplained = UnexplainedStructure(
+      attribution.residual_before(), attribution.residual_after(),
+      seen(attribution.residual_before()), seen(attribution.residual_after()), options.attribution);
   const auto run_with = [&](const std::vector<RankedEffect>& added, double to) {
     const Vehicle extended = Extended(vehicle, attribution.stage(), added, known);
     const DynamicModel model(extended, extended.effects);

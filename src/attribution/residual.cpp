@@ -36,10 +36,17 @@ ThinnedFlight ThinnedFlight::Moving(std::vector<FilteredMotion> samples) const {
   return other;
 }
 
-std::vector<std::vector<double>> ThinnedFlight::Runs(const Eigen::VectorXd& channel) const {
+std::vector<std::vector<double>> ThinnedFlight::Runs(const Eigen::VectorXd& channel,
+                                                     bool in_use_only) const {
   std::vector<std::vector<double>> runs;
+  bool cut = false;
   for (int i = 0; i < size(); ++i) {
-    if (!next_[i]) runs.emplace_back();
+    if (in_use_only && held_out(i)) {
+      cut = true;
+      continue;
+    }
+    if (!next_[i] || cut || runs.empty()) runs.emplace_back();
+    cut = false;
     runs.back().push_back(channel[i]);
   }
   return runs;

@@ -22,7 +22,8 @@ std::string Text(double value) {
 }
 
 std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
-                                        const ResidualModel::Wrenches& residual, int num_channels) {
+                                        const ResidualModel::Wrenches& residual, int num_channels,
+                                        bool in_use_only) {
   std::vector<ChannelStructure> all;
   const double rate_Hz = 1.0 / flight.step_s();
   for (int c = 0; c < num_channels; ++c) {
@@ -31,7 +32,7 @@ std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
     channel.unit = c < 3 ? "N" : "N m";
     const Eigen::VectorXd y = residual.col(c);
     channel.rmse = std::sqrt(y.squaredNorm() / std::max<Eigen::Index>(1, y.size()));
-    const auto runs = flight.Runs(y);
+    const auto runs = flight.Runs(y, in_use_only);
     channel.whiteness = TestWhiteness(runs, rate_Hz, std::min(kHighest_Hz, 0.4 * rate_Hz));
     channel.autocorrelation = Autocorrelation(runs, kCorrelationLags);
     const auto share = [&](auto quantity) {

@@ -57,7 +57,9 @@ class ThinnedFlight {
   ThinnedFlight Moving(std::vector<FilteredMotion> samples) const;
 
   /// A channel of a residual as runs without gaps.
-  std::vector<std::vector<double>> Runs(const Eigen::VectorXd& channel) const;
+  /// @param in_use_only true to cut out the blocks held out
+  std::vector<std::vector<double>> Runs(const Eigen::VectorXd& channel,
+                                        bool in_use_only = false) const;
 
  private:
   FlightMotion flight_;
