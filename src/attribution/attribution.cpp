@@ -137,6 +137,13 @@ double Attribution::NullGain(double share) const {
 }
 
 double Attribution::PValue(double gain) const {
+  std::set<std::string> names;
+  for (const Candidate& candidate : candidates_) names.insert(candidate.effect);
+  const double markov = static_cast<double>(names.size()) * std::exp(-gain);
+  return std::min(1.0, std::max(SurrogatePValue(gain), markov));
+}
+
+double Attribution::SurrogatePValue(double gain) const {
   // What the flight does not show gains the same from all surrogates: ties, but for rounding.
   constexpr double kTie = 1e-9;  // nats
   gain -= kTie;
@@ -240,12 +247,6 @@ std::string Attribution::NamesOf(const Evidence& evidence, const VariantSet& set
 }
 
 VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
-  // Where the model of the noise is right, a likelihood ratio exceeds 1/p by chance with probability
-  // p at most (Markov's inequality): over all candidates.
-  std::set<std::string> names;
-  for (const Candidate& candidate : candidates_) names.insert(candidate.effect);
-  const double least_score =
-      std::log(static_cast<double>(names.size()) / options_.false_alarm_rate);
   Evidence evidence = with;
   while (true) {
     // What no effect explains, as far as a flexible function does.
@@ -278,10 +279,8 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
                             options_.clear_odds;
       const double shadow = ShadowOf(evidence.EnergyOf(v, fit), others);
       std::string objection;
-      if (score <= least_score) {
-        objection = "that is less than " + Text(least_score) + " nats";
-      } else if (PValue(score) >= options_.false_alarm_rate) {
-        objection = "chance gains as much in " + Text(100.0 * PValue(score)) + " % of such flights";
+      if (PValue(score) >= options_.false_alarm_rate) {
+        objection = "chance may gain as much in " + Text(100.0 * PValue(score)) + " % of such flights";
       } else if (margin <= 0.0) {
         objection = "what follows \"" + rival + "\" explains the same by " + Text(instead) +
                     " nats, against " + Text(gain + flexible_gain_);

@@ -50,8 +50,12 @@ class Attribution {
   const ResidualModel::Wrenches& residual_after() const { return after_; }
   /// Largest gain of any candidate that a given share of flights without effect exceeds [nats].
   double NullGain(double share) const;
-  /// Share of flights without effect on which some candidate gains more than `gain`.
+  /// Share of flights without effect on which some candidate gains more than `gain`, at most: the
+  /// surrogates' share, or Markov's bound where that is larger. (Where the model of the noise is
+  /// right, the likelihood ratio of one candidate exceeds 1/p by chance with probability p at most.)
   double PValue(double gain) const;
+  /// By surrogates alone.
+  double SurrogatePValue(double gain) const;
 
  private:
   /// One round about a stage: what more would be added.
