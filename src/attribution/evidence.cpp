@@ -341,7 +341,6 @@ Evidence::FlexibleGain Evidence::BestFlexible(const VariantSet& set,
                                               const FlexibleFeatures& features) const {
   const EffectFit fit = Solve(set);
   const VectorXd e = ErrorsOf(white_, set, fit);
-  const MatrixXd of_foreseen = OfForeseen(fit.columns);
   const auto n = static_cast<Index>(rows_.size());
   const auto m = static_cast<Index>(fit.columns.size());
   const auto tried = static_cast<double>(num_channels_) *
@@ -353,7 +352,6 @@ Evidence::FlexibleGain Evidence::BestFlexible(const VariantSet& set,
     for (Index k = 0; k < m; ++k) {
       own.col(k) = white_.col(fit.columns[static_cast<size_t>(k)]).segment(c * n, n);
     }
-    own *= of_foreseen;
     MatrixXd phi(n, features.foreseen.cols());
     for (Index f = 0; f < phi.cols(); ++f) {
       phi.col(f) = WhitenedFeature(c, features.foreseen.col(f));
@@ -389,14 +387,6 @@ int Evidence::AddFlexible(const FlexibleGain& gain, const FlexibleFeatures& feat
   white_.col(y_at).segment(gain.channel * n, n) =
       WhitenedFeature(gain.channel, features.foreseen.col(gain.feature));
   SumUp();
-  // It is nothing but what is foreseen of it.
-  of_all_.conservativeResize(y_at + 1, y_at + 1);
-  of_all_.col(y_at) = gram_.col(y_at).head(y_at + 1);
-  for (Index k = 0; k < y_at; ++k) {
-    const Wrenches& whole = columns_[static_cast<size_t>(k)].d_wrench;
-    of_all_(y_at, k) = white_.col(y_at).dot(
-        whole.size() > 0 ? Whitened(whole, rows_, weight_) : VectorXd(white_.col(k)));
-  }
   return static_cast<int>(variants_.size()) - 1;
 }
 
@@ -488,13 +478,6 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
     }
   }
   WhitenAll();
-  const auto count = static_cast<Index>(columns_.size());
-  of_all_.resize(count, count);
-  for (Index k = 0; k < count; ++k) {
-    of_all_.col(k).noalias() =
-        white_.leftCols(count).transpose() *
-        Whitened(columns_[static_cast<size_t>(k)].d_wrench, rows_, weight_);
-  }
   held_out_weight_ = MatrixXd::Ones(static_cast<Index>(held_out_rows_.size()), kNumChannels);
   const auto all = static_cast<Index>(columns_.size());
   held_out_white_.resize(static_cast<Index>(held_out_rows_.size()) * num_channels_, all + 1);
@@ -502,6 +485,26 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
     const Wrenches& column = k < all ? columns_[static_cast<size_t>(k)].foreseen : y_;
     held_out_white_.col(k) = Whitened(column, held_out_rows_, held_out_weight_);
   }
+  Project();
+}
+
+void Evidence::Project() {
+  const auto n = static_cast<Index>(columns_.size());
+  MatrixXd of_whole(n, n);
+  for (Index k = 0; k < n; ++k) {
+    of_whole.col(k).noalias() =
+        white_.leftCols(n).transpose() *
+        Whitened(columns_[static_cast<size_t>(k)].d_wrench, rows_, weight_);
+  }
+  MatrixXd gram = gram_.topLeftCorner(n, n);
+  const VectorXd size = gram.diagonal().cwiseSqrt();
+  const VectorXd unit = (size.array() > 0.0).select(size.cwiseInverse(), 0.0);  // 0: unforeseen
+  gram = unit.asDiagonal() * gram * unit.asDiagonal();
+  gram.diagonal().array() = 1.0 + kCollinear;
+  const MatrixXd share = unit.asDiagonal() * gram.ldlt().solve(unit.asDiagonal() * of_whole);
+  white_.leftCols(n) = (white_.leftCols(n) * share).eval();
+  held_out_white_.leftCols(n) = (held_out_white_.leftCols(n) * share).eval();
+  SumUp();
 }
 
 std::vector<int> Evidence::ColumnsOf(const VariantSet& set) const {
@@ -529,19 +532,8 @@ double Evidence::SignTerm(const std::vector<int>& columns, const VectorXd& coeff
   return sum;
 }
 
-MatrixXd Evidence::OfForeseen(const std::vector<int>& columns) const {
-  MatrixXd gram = Picked(gram_, columns, columns);
-  const VectorXd size = gram.diagonal().cwiseSqrt();
-  const VectorXd unit =
-      (size.array() > 1e-9 * std::max(1e-300, size.maxCoeff())).select(size.cwiseInverse(), 0.0);
-  gram = unit.asDiagonal() * gram * unit.asDiagonal();
-  gram.diagonal().array() = 1.0 + kCollinear;
-  return unit.asDiagonal() *
-         gram.ldlt().solve(unit.asDiagonal() * Picked(of_all_, columns, columns));
-}
-
 EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& columns,
-                              const MatrixXd& of_foreseen, const VariantSet& set) const {
+                              const VariantSet& set) const {
   const int y_at = static_cast<int>(columns_.size());
   const auto n = static_cast<Index>(columns.size());
   // The residual without what the variants do beyond their linearization.
@@ -554,7 +546,7 @@ EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& colu
   }
   const VectorXd gram_u = gram * u;
   const double yy = u.dot(gram_u);
-  const MatrixXd XX = of_foreseen.transpose() * Picked(gram, columns, columns) * of_foreseen;
+  const MatrixXd XX = Picked(gram, columns, columns);
   VectorXd mean(n), sigma(n), Xy(n);
   for (Index k = 0; k < n; ++k) {
     const Column& column = columns_[columns[static_cast<size_t>(k)]];
@@ -562,7 +554,6 @@ EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& colu
     sigma[k] = column.prior_sigma;
     Xy[k] = gram_u[columns[static_cast<size_t>(k)]];
   }
-  Xy = of_foreseen.transpose() * Xy;
   // In units of the priors' sigmas, in which all is of the order of one.
   const auto solve = [&](const VectorXd& prior_sigma) {
     EffectFit p;
@@ -576,7 +567,6 @@ EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& colu
     const MatrixXd covariance = llt.solve(MatrixXd::Identity(n, n));
     p.coefficients = prior_sigma.cwiseProduct(x);
     p.covariance = prior_sigma.asDiagonal() * covariance * prior_sigma.asDiagonal();
-    p.of_foreseen = of_foreseen * p.coefficients;
     p.log_evidence = 0.5 * (b.dot(x) - yy - centre.squaredNorm()) - 0.5 * LogDeterminant(llt) +
                      SignTerm(columns, p.coefficients, p.covariance.diagonal().cwiseSqrt());
     if (!std::isfinite(p.log_evidence)) {
@@ -612,8 +602,7 @@ EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& colu
 }
 
 EffectFit Evidence::Solve(const VariantSet& set) const {
-  const std::vector<int> columns = ColumnsOf(set);
-  return SolveWith(gram_, columns, OfForeseen(columns), set);
+  return SolveWith(gram_, ColumnsOf(set), set);
 }
 
 double Evidence::Gain(const VariantSet& set) const {
@@ -666,22 +655,16 @@ VectorXd Evidence::ErrorsOf(const MatrixXd& white, const VariantSet& set,
     if (variants_[v].offset >= 0) e -= white.col(variants_[v].offset);
   }
   for (size_t k = 0; k < posterior.columns.size(); ++k) {
-    e -= posterior.of_foreseen[static_cast<Index>(k)] * white.col(posterior.columns[k]);
+    e -= posterior.coefficients[static_cast<Index>(k)] * white.col(posterior.columns[k]);
   }
   return e;
 }
 
 std::array<double, kNumChannels> Evidence::EnergyOf(int variant, const EffectFit& fit) const {
   VectorXd does = VectorXd::Zero(white_.rows());
-  const MatrixXd of_foreseen = OfForeseen(fit.columns);
-  MatrixXd white_columns(white_.rows(), of_foreseen.rows());
-  for (Index k = 0; k < white_columns.cols(); ++k) {
-    white_columns.col(k) = white_.col(fit.columns[static_cast<size_t>(k)]);
-  }
   for (size_t k = 0; k < fit.columns.size(); ++k) {
     if (columns_[fit.columns[k]].effect != variants_[variant].candidate.effect) continue;
-    does += fit.coefficients[static_cast<Index>(k)] *
-            (white_columns * of_foreseen.col(static_cast<Index>(k)));
+    does += fit.coefficients[static_cast<Index>(k)] * white_.col(fit.columns[k]);
   }
   if (variants_[variant].offset >= 0) does += white_.col(variants_[variant].offset);
   std::array<double, kNumChannels> energy{};
@@ -691,23 +674,20 @@ std::array<double, kNumChannels> Evidence::EnergyOf(int variant, const EffectFit
 }
 
 double Evidence::PredictiveGain(const VariantSet& set, const VariantSet& over) const {
-  const auto error = [&](const VariantSet& of, const MatrixXd& of_foreseen, int fold) {
-    const EffectFit fit = SolveWith(gram_ - fold_gram_[fold], ColumnsOf(of), of_foreseen, of);
+  const auto error = [&](const VariantSet& of, int fold) {
+    const EffectFit fit = SolveWith(gram_ - fold_gram_[fold], ColumnsOf(of), of);
     VectorXd u = VectorXd::Zero(gram_.rows());
     u[gram_.rows() - 1] = 1.0;
     for (const int v : of) {
       if (variants_[v].offset >= 0) u[variants_[v].offset] = -1.0;
     }
     for (size_t k = 0; k < fit.columns.size(); ++k) {
-      u[fit.columns[k]] = -fit.of_foreseen[static_cast<Index>(k)];
+      u[fit.columns[k]] = -fit.coefficients[static_cast<Index>(k)];
     }
     return u.dot(fold_gram_[fold] * u);
   };
-  const MatrixXd of_over = OfForeseen(ColumnsOf(over)), of_set = OfForeseen(ColumnsOf(set));
   double gain = 0.0;
-  for (int fold = 0; fold < kFolds; ++fold) {
-    gain += 0.5 * (error(over, of_over, fold) - error(set, of_set, fold));
-  }
+  for (int fold = 0; fold < kFolds; ++fold) gain += 0.5 * (error(over, fold) - error(set, fold));
   return gain;
 }
 
@@ -716,7 +696,6 @@ double Evidence::HeldOutGain(const VariantSet& set) const {
     // Uncertain coefficients make a prediction's variance larger; 1 is the noise's.
     const EffectFit p = Solve(of);
     const VectorXd e = ErrorsOf(held_out_white_, of, p);
-    const MatrixXd of_foreseen = OfForeseen(p.columns);
     const Eigen::LLT<MatrixXd> llt(p.covariance +
                                    1e-12 * MatrixXd::Identity(p.covariance.rows(),
                                                               p.covariance.cols()));
@@ -726,7 +705,6 @@ double Evidence::HeldOutGain(const VariantSet& set) const {
       for (Index k = 0; k < x.size(); ++k) {
         x[k] = held_out_white_(i, p.columns[static_cast<size_t>(k)]);
       }
-      x = (of_foreseen.transpose() * x).eval();
       const double variance = 1.0 + x.dot(p.covariance * x);
       sum += 0.5 * (e[i] * e[i] / variance + std::log(variance));
     }
@@ -781,16 +759,13 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
     test.columns = base;
     test.columns.insert(test.columns.end(), own.begin(), own.end());
     const VectorXd sigma = sigmas(test.columns);
-    const MatrixXd of_foreseen = OfForeseen(test.columns);
-    MatrixXd H = sigma.asDiagonal() *
-                 (of_foreseen.transpose() * Picked(gram_, test.columns, test.columns) *
-                  of_foreseen) *
+    MatrixXd H = sigma.asDiagonal() * Picked(gram_, test.columns, test.columns) *
                  sigma.asDiagonal();
     H.diagonal().array() += 1.0;
     const MatrixXd inverse = H.llt().solve(MatrixXd::Identity(sigma.size(), sigma.size()));
     const MatrixXd covariance = inverse.bottomRightCorner(k, k);
     const Eigen::LLT<MatrixXd> of_own(covariance);
-    test.estimate = inverse.bottomRows(k) * sigma.asDiagonal() * of_foreseen.transpose();
+    test.estimate = inverse.bottomRows(k) * sigma.asDiagonal();
     test.information = of_own.solve(MatrixXd::Identity(k, k));
     test.own_sigma = sigma.tail(k);
     test.sigma = test.own_sigma.cwiseProduct(covariance.diagonal().cwiseSqrt());

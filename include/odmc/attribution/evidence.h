@@ -36,7 +36,6 @@ struct EffectFit {
   std::vector<int> columns;     ///< in Evidence
   Eigen::VectorXd coefficients;  ///< n
   Eigen::MatrixXd covariance;    ///< n×n
-  Eigen::VectorXd of_foreseen;   ///< n: what `coefficients` of the columns amount to in foreseen ones
 };
 
 /// The residual wrench of a flight under the declared model as a linear regression with Gaussian
@@ -47,7 +46,7 @@ struct EffectFit {
 ///   log p(y|S) = -1/2 (y'y - b'H^-1 b) - 1/2 log|H| + 1/2 log|P|,  H = X'X + P,  b = X'y + P m,
 ///
 /// X and y whitened by the noise, P and m the priors (O'Hagan, Bayesian Inference, 1994, ch. 9). X
-/// is what the foreseen parts W of a set's columns say of these, W (W'W)^-1 W' X_all (two-stage
+/// is what the foreseen parts W of all columns together say of them, W (W'W)^-1 W' X_all (two-stage
 /// least squares): each column is foreseen by instruments of its own, and what those of one say of
 /// another must not be left to its coefficient.
 /// Prior knowledge enters as densities. A coefficient whose physical sign is known has it with
@@ -184,13 +183,13 @@ class Evidence {
   void SumUp();
   Eigen::VectorXd WhitenedFeature(int channel, const Eigen::VectorXd& foreseen) const;
   void WhitenAll();
+  /// Puts what all foreseen columns say of each whole one in the place of its foreseen part.
+  void Project();
   /// @param e N×K: second moments are summed over the columns
   Noise FitNoise(const Eigen::MatrixXd& e) const;
   EffectFit SolveWith(const Eigen::MatrixXd& gram, const std::vector<int>& columns,
-                      const Eigen::MatrixXd& of_foreseen, const VariantSet& set) const;
+                      const VariantSet& set) const;
   int FoldOf(Eigen::Index row) const;
-  /// What the columns of a set amount to in their foreseen parts: (W'W)^-1 W' X_all (n×n).
-  Eigen::MatrixXd OfForeseen(const std::vector<int>& columns) const;
   std::vector<int> ColumnsOf(const VariantSet& set) const;
   Eigen::VectorXd ErrorsOf(const Eigen::MatrixXd& white, const VariantSet& set,
                            const EffectFit& posterior) const;
@@ -214,9 +213,8 @@ class Evidence {
   std::vector<int> rows_, held_out_rows_;  // samples whose predecessors are there
   std::array<Noise, kNumChannels> noise_;
   Eigen::MatrixXd weight_, held_out_weight_;  // of samples, by channel: wild ones count less
-  Eigen::MatrixXd white_, held_out_white_;    // rows × columns, y last
+  Eigen::MatrixXd white_, held_out_white_;    // rows × columns (X), y last
   Eigen::MatrixXd gram_;
-  Eigen::MatrixXd of_all_;  // foreseen columns times whole ones
   std::vector<Eigen::MatrixXd> fold_gram_;  // of folds of blocks of time
   Eigen::VectorXd innovation_;  // whitened residual of everything
   Eigen::MatrixXd unsure_;  // rows × k: whitened, how much of it the fit of everything may have taken
