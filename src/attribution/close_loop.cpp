@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <map>
 #include <memory>
 #include <optional>
@@ -290,9 +291,14 @@ bool CanBlow(const Vehicle& vehicle, const std::vector<RankedEffect>& effects) {
 }
 
 /// Smallest ratio of errors, after over before, of any axis.
-double LeastRatio(const PredictionFigures& before, const PredictionFigures& after) {
+/// @param felt true if the force that an accelerometer feels counts, too (a velocity's derivative
+/// may be mostly noise)
+double LeastRatio(const PredictionFigures& before, const PredictionFigures& after,
+                  bool felt = false) {
   double least = 1.0;
-  for (const auto axes : {&PredictionFigures::force_rmse_N, &PredictionFigures::torque_rmse_Nm}) {
+  for (const auto axes : {&PredictionFigures::force_rmse_N, &PredictionFigures::torque_rmse_Nm,
+                          &PredictionFigures::accelerometer_force_rmse_N}) {
+    if (axes == &PredictionFigures::accelerometer_force_rmse_N && !felt) continue;
     if (!(before.*axes) || !(after.*axes)) continue;
     for (int k = 0; k < 3; ++k) {
       least = std::min(least, (*(after.*axes))[k] / std::max(1e-300, (*(before.*axes))[k]));
@@ -311,6 +317,35 @@ bool IsThere(const RankedEffect& effect, const ParameterSet& online, const Dynam
     estimate[static_cast<Eigen::Index>(k)] = online.parameters[static_cast<size_t>(own[k])].value;
   }
   return IsSignificant(estimate, online.covariance(own, own), options.significant_sigmas);
+}
+
+/// What the online run says of an effect, " name = value +- sigma, ...".
+std::string Estimates(const RankedEffect& effect, const ParameterSet& online,
+                      const DynamicModel& model) {
+  std::string text;
+  for (const Eigen::Index i : EstimatesOf(effect, online, model)) {
+    const ParameterEstimate& p = online.parameters[static_cast<size_t>(i)];
+    text += (text.empty() ? " " : ", ") + p.full_name + " = " + Text(p.value) + " +- " +
+            Text(p.sigma);
+  }
+  return text;
+}
+
+/// How much an online estimate that is zero within its sigma speaks against what the regression
+/// found [nats].
+double NatsAgainst(const RankedEffect& effect, const ParameterSet& online,
+                   const DynamicModel& model) {
+  const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
+  const auto n = static_cast<Eigen::Index>(own.size());
+  if (n == 0 || effect.covariance.rows() != n) return std::numeric_limits<double>::infinity();
+  Eigen::VectorXd difference(n);
+  for (Eigen::Index k = 0; k < n; ++k) {
+    const ParameterEstimate& p = online.parameters[static_cast<size_t>(own[static_cast<size_t>(k)])];
+    difference[k] = p.value - effect.Find(p.full_name)->value;
+  }
+  Eigen::MatrixXd C = online.covariance(own, own) + effect.covariance;
+  C.diagonal() *= 1.0 + 1e-9;
+  return 0.5 * difference.dot(C.ldlt().solve(difference));
 }
 
 FlightFigures FlownFlight(const FlightLog& log, const ReplayResult& replay) {
@@ -559,9 +594,15 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   if (!effects.empty()) {
     const Vehicle extended = Extended(vehicle, attribution.stage(), effects, known);
     const DynamicModel model(extended, extended.effects);
-    const bool predicts = LeastRatio(before.held_out, run->held_out) < options.attribution.least_ratio;
+    const bool predicts =
+        LeastRatio(before.held_out, run->held_out, true) < options.attribution.least_ratio;
     const auto idle = [&](const RankedEffect& effect) {
-      return !predicts && !IsThere(effect, run->parameters, model, options.attribution);
+      if (predicts || IsThere(effect, run->parameters, model, options.attribution)) return false;
+      if (NatsAgainst(effect, run->parameters, model) < effect.score) return false;
+      result.warnings.push_back(effect.name + " gains " + Text(effect.score) +
+                                " nats, but the online estimate is zero within its sigma:" +
+                                Estimates(effect, run->parameters, model));
+      return true;
     };
     const auto end = std::remove_if(effects.begin(), effects.end(), idle);
     if (end != effects.end()) run.reset();
