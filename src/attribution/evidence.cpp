@@ -16,7 +16,8 @@ using Eigen::MatrixXd;
 using Eigen::VectorXd;
 using Wrenches = ResidualModel::Wrenches;
 
-constexpr int kNoiseRounds = 3;
+constexpr int kNoiseRounds = 6;
+constexpr int kRoughRounds = 3;        // of these: until the residual is no longer the effects'
 constexpr double kWildSigmas = 5.0;    // innovations beyond count as this many
 constexpr double kWide = 5.0;          // natural sizes of what is strangely large
 constexpr double kWideFrom = 2.0;      // natural sizes from which that is looked at
@@ -457,6 +458,8 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
     // The noise is not what is left: the fit has taken a part of it. Its second moments are those of
     // the rest and of what the fit may as well have been (expectation step; Dempster, Laird and
     // Rubin, J. R. Stat. Soc. B 39, 1977).
+    // (Not before the residual's size is the noise's: what the fit may have taken would be of the
+    // size of the effects.)
     MatrixXd likely(y_.rows(), m + 1);
     MatrixXd columns(y_.rows(), m);
     for (int c = 0; c < num_channels_; ++c) {
@@ -464,8 +467,8 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
         columns.col(k) = columns_[static_cast<size_t>(in_use[static_cast<size_t>(k)])].foreseen.col(c);
       }
       likely.col(0) = y_.col(c) - columns * x;
-      likely.rightCols(m).noalias() = columns * root;
-      noise_[c] = FitNoise(likely);
+      if (round >= kRoughRounds) likely.rightCols(m).noalias() = columns * root;
+      noise_[c] = round < kRoughRounds ? FitNoise(likely.leftCols(1)) : FitNoise(likely);
       for (Index k = 0; k < n; ++k) {
         const int i = rows_[static_cast<size_t>(k)];
         double innovation = likely(i, 0);

@@ -7,8 +7,8 @@ namespace {
 
 /// Induced and flapping drag of each rotor, in its plane: f_j = -k_d Ω_j Π u_j at hub j. Where on
 /// the rotor it acts differs from vehicle to vehicle: the couple -k_c Σ Ω_j e3 × Π u_j lifts it to
-/// a height k_c / k_d above the hubs, and k_q Σ Ω_j r_j × Π u_j, r_j the hub's place in the plane,
-/// draws it in from the hubs: with k_q = k_d it acts on the rotors' axis of symmetry alone, without
+/// a height k_c / k_d above the hubs, and s k_d Σ Ω_j r_j × Π u_j, r_j the hub's place in the plane,
+/// draws it in from the hubs: with s = 1 it acts on the rotors' axis of symmetry alone, without
 /// yaw damping and without a yaw moment where the rotors on one side turn faster.
 ///                                                                       model.md 12.1
 class RotorDrag final : public Effect {
@@ -22,12 +22,28 @@ class RotorDrag final : public Effect {
                 "one with linear drag while the rotors' speed hardly changes; its couple is a hub "
                 "moment"},
                {HubDampingSpec("k_d", "in-plane drag per rotor speed and air speed", vehicle),
-                CoupleSpec(vehicle), DrawnInSpec(vehicle)}) {}
+                CoupleSpec(vehicle),
+                {"drawn_in", "1", "share of the hubs' distance that its moment lacks", 0.0, 1.0, 1.0,
+                 ParameterTransform::kLinear, PhysicalSign::kAny, true}}) {}
+
+  /// At the hubs, half-way, or on the axis of symmetry.
+  std::vector<EffectTrial> Trials(const FlownRange&, bool) const override {
+    return {{{{"drawn_in", 0.0}}, {}}, {{{"drawn_in", 0.5}}, {}}, {{{"drawn_in", 1.0}}, {}}};
+  }
 
   std::vector<TellingPair> telling_pairs() const override {
     return {{"drag", "climbs and high tilt, so that the sum of the rotor speeds varies"},
             {"quadratic_drag", "the same course at half and at full speed"}};
   }
+
+  /// At the hubs or drawn in, and about a fifth of an arm off the hubs' plane.
+  Eigen::VectorXd Draw(const NormalNumbers& normal) const override {
+    Eigen::VectorXd values = Effect::Draw(normal);
+    values[1] = 0.2 * vehicle().ArmLength() * normal() * values[0];
+    values[2] = normal() > 0.5 ? 1.0 : 0.0;
+    return values;
+  }
+  std::vector<std::string> size_parameters() const override { return {"k_d", "k_c"}; }
 
  private:
   /// Prior: a fifth of an arm above or below the hubs.
@@ -35,13 +51,6 @@ class RotorDrag final : public Effect {
     const double natural = 0.2 * vehicle.ArmLength() * HubDampingSpec("", "", vehicle).prior_sigma;
     return {"k_c", "N s^2", "k_d times the height above the hubs it acts at", 0.0, 10.0 * natural,
             natural};
-  }
-
-  /// Prior: as much as the hubs have.
-  static ParameterSpec DrawnInSpec(const Vehicle& vehicle) {
-    const double natural = HubDampingSpec("", "", vehicle).prior_sigma;
-    return {"k_q", "N s^2/m", "part of k_d that has no moment by the hubs' distance", 0.0,
-            10.0 * natural, natural};
   }
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
@@ -56,16 +65,18 @@ class RotorDrag final : public Effect {
       const Eigen::Vector3d arm(rotor.p_BP.x(), rotor.p_BP.y(), 0.0);
       const Eigen::Vector3d u = HubAirVelocity(state, rotor);
       couple -= e3.cross(slope * u);  // per k_c
-      drawn_in += arm.cross(slope * u);  // per k_q
+      drawn_in += arm.cross(slope * u);  // per share of k_d
       if (J == nullptr) continue;
-      const Eigen::Matrix3d d_air = (values[2] * Hat(arm) - values[1] * Hat(e3)) * slope;
+      const Eigen::Matrix3d d_air =
+          (values[2] * values[0] * Hat(arm) - values[1] * Hat(e3)) * slope;
       J->AddCouple(kColumnAirVelocity, d_air);
       J->AddCouple(kColumnAngularRate, TimesHat(d_air, -rotor.p_BP));
     }
-    wrench->AddCouple(values[1] * couple + values[2] * drawn_in);
+    wrench->AddCouple(values[1] * couple + values[2] * values[0] * drawn_in);
     if (J == nullptr) return;
+    J->AddCoupleParameter(0, values[2] * drawn_in);
     J->AddCoupleParameter(1, couple);
-    J->AddCoupleParameter(2, drawn_in);
+    J->AddCoupleParameter(2, values[0] * drawn_in);
   }
 };
 
