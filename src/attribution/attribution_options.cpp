@@ -33,6 +33,8 @@ const std::vector<DecisionNumber>& DecisionNumbers() {
       {"log_prior_odds", "nats", &O::log_prior_odds, -20.0, 0.0,
        "ln(1/20): one of some 20 candidates acts"},
       {"most_effects", "effects", &O::most_effects, 0.0, 20.0, "judgement: bounds the time"},
+      {"most_flight_s", "s", &O::most_flight_s, 30.0, 1e5,
+       "judgement: bounds time and memory; of a longer flight, stretches spread over it"},
       {"least_share", "1", &O::least_share, 0.0, 1.0,
        "judgement: formulas are good to some per cent, the rest is a strong effect's shadow"},
       {"clear_odds", "nats", &O::clear_odds, 0.0, 50.0,

@@ -511,7 +511,8 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   result.samples = Samples(before.misses, before.misses, options.blocks);
 
   const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), NotLookedAt(replay)),
-                             options.blocks, file_vehicle.odometry.q_BS.toRotationMatrix());
+                             options.blocks, file_vehicle.odometry.q_BS.toRotationMatrix(),
+                             options.attribution.most_flight_s);
   int in_use = 0;
   for (int i = 0; i < flight.size(); ++i) in_use += flight.held_out(i) ? 0 : 1;
   if (in_use < kLeastSamples) {

@@ -16,8 +16,15 @@ using Eigen::MatrixXd;
 using Eigen::VectorXd;
 using Wrenches = ResidualModel::Wrenches;
 
-constexpr int kNoiseRounds = 6;
-constexpr int kRoughRounds = 3;        // of these: until the residual is no longer the effects'
+// Rounds of the noise's estimate: rough ones until the residual is no longer the effects', then
+// expectation steps.
+struct NoiseRounds {
+  int rough, expectation;
+};
+constexpr NoiseRounds kFirstNoise = {3, 3};
+constexpr NoiseRounds kMoreColumns = {1, 2};
+constexpr NoiseRounds kMovedColumns = {0, 1};
+constexpr Index kMostDraws = 32;       // of the fit, for an expectation: its sums to some per cent
 constexpr double kWildSigmas = 5.0;    // innovations beyond count as this many
 constexpr double kWide = 5.0;          // natural sizes of what is strangely large
 constexpr double kWideFrom = 2.0;      // natural sizes from which that is looked at
@@ -25,7 +32,7 @@ constexpr double kBias_m_s2 = 0.3;     // of an accelerometer
 constexpr int kFolds = Instruments::kFolds;
 constexpr double kBlock_s = 1.0;       // of Lead: a manoeuvre spans more than one
 constexpr double kCollinear = 1e-6;    // of a column's sum of squares, for columns that are one
-constexpr int kShiftsOfADraw = 5;      // surrogates of one draw of the noise
+constexpr int kShiftsOfADraw = 10;     // surrogates of one draw of the noise
 constexpr double kLeastShift_s = 2.0;  // of surrogates: beyond the noise's correlation
 
 /// Normal distribution's cumulative.
@@ -90,7 +97,8 @@ void Evidence::AddBase() {
     Column column{p.full_name,      p.effect,    values[k],
                   p.spec.prior_value - values[k], p.spec.prior_sigma, p.spec.sign,
                   p.spec.certain_sign, p.spec.initial_state, residual_->Derivative(model, values, k),
-                  Likely(model, values, k), {}};
+                  model.pendulum() ? Wrenches(Wrenches::Zero(y_.rows(), kNumChannels))
+                                   : likely_.Derivative(model, values, k), {}};
     column.foreseen = instruments_->Foreseen(column.d_wrench, column.likely);
     if (column.d_wrench.squaredNorm() > 0.0) columns_.push_back(std::move(column));
   }
@@ -117,12 +125,6 @@ VectorXd Evidence::Stacked(const Wrenches& column) const {
     for (int c = 0; c < kNumChannels; ++c) stacked[c * n + i] = 0.0;
   }
   return stacked;
-}
-
-Wrenches Evidence::Likely(const DynamicModel& model, const ModelValues& values, int k) const {
-  // A pendulum swings through the whole recording, not from one thinned sample to the next.
-  if (model.pendulum()) return Wrenches::Zero(y_.rows(), kNumChannels);
-  return likely_.Derivative(model, values, k);
 }
 
 Wrenches Evidence::Foreseen(const Column& column) const {
@@ -207,9 +209,13 @@ Evidence::Seen Evidence::See(const Candidate& candidate, const std::map<std::str
 Evidence::Seen Evidence::SeeFully(const Candidate& candidate, const DynamicModel& model,
                                   const ModelValues& values, What what) const {
   Seen seen;
-  Wrenches offset = y_ - residual_->Residual(model, values);
-  Wrenches likely_offset = Wrenches::Zero(offset.rows(), kNumChannels);
-  if (!model.pendulum()) likely_offset = likely_y_ - likely_.Residual(model, values);
+  const Wrenches residual = residual_->Residual(model, values);
+  const Wrenches nothing = Wrenches::Zero(residual.rows(), kNumChannels);
+  // A pendulum swings through the whole recording, not from one thinned sample to the next.
+  const bool is_likely = !model.pendulum();
+  const Wrenches likely = is_likely ? likely_.Residual(model, values) : nothing;
+  Wrenches offset = y_ - residual;
+  Wrenches likely_offset = is_likely ? Wrenches(likely_y_ - likely) : nothing;
   const double size = offset.norm();
   for (int k = 0; k < model.num_parameters(); ++k) {
     const ModelParameter& p = model.parameters()[k];
@@ -217,8 +223,9 @@ Evidence::Seen Evidence::SeeFully(const Candidate& candidate, const DynamicModel
     if (what == kAtAGlance && p.spec.initial_state) continue;
     Column column{p.full_name,          p.effect,           0.0,
                   p.spec.prior_value,   p.spec.prior_sigma, p.spec.sign,
-                  p.spec.certain_sign,  p.spec.initial_state, residual_->Derivative(model, values, k),
-                  Likely(model, values, k), {}};
+                  p.spec.certain_sign,  p.spec.initial_state,
+                  residual_->Derivative(model, values, k, residual),
+                  is_likely ? likely_.Derivative(model, values, k, likely) : nothing, {}};
     offset -= values[k] * column.d_wrench;
     likely_offset -= values[k] * column.likely;
     seen.columns.push_back(std::move(column));
@@ -298,14 +305,15 @@ void Evidence::WhitenAll() {
     white_.col(k) = Whitened(columns_[static_cast<size_t>(k)].foreseen, rows_, weight_);
   }
   white_.col(n) = Whitened(y_, rows_, weight_);
-  SumUp();
+  SumUp(false);
 }
 
-void Evidence::SumUp() {
+void Evidence::SumUp(bool by_folds) {
   const Index n = white_.cols() - 1;
   gram_.setZero(n + 1, n + 1);
   gram_.selfadjointView<Eigen::Lower>().rankUpdate(white_.transpose());
   gram_.triangularView<Eigen::StrictlyUpper>() = gram_.transpose();
+  if (!by_folds) return;
   // The same sums by folds of blocks of time.
   fold_gram_.assign(kFolds, MatrixXd::Zero(n + 1, n + 1));
   const auto rows = static_cast<Index>(rows_.size());
@@ -397,13 +405,12 @@ int Evidence::FoldOf(Index row) const {
 }
 
 Evidence::Noise Evidence::FitNoise(const MatrixXd& e) const {
-  using Past = Eigen::Matrix<double, kOrder + 1, Eigen::Dynamic>;
   using Moments = Eigen::Matrix<double, kOrder + 1, kOrder + 1>;
-  Moments S = Moments::Zero();
-  Past past(kOrder + 1, e.cols());
+  Moments S = Moments::Zero();  // of a sample, first, and its predecessors
+  const MatrixXd by_sample = e.transpose();
   for (const int i : rows_) {
-    for (int k = 0; k <= kOrder; ++k) past.row(k) = e.row(i - k);
-    S.noalias() += past * past.transpose();
+    const auto past = by_sample.middleCols<kOrder + 1>(i - kOrder).rowwise().reverse();
+    S.noalias() += past.transpose().lazyProduct(past);
   }
   Moments A = S;
   A.diagonal().array() += 1e-3 * A.diagonal().maxCoeff() + 1e-300;
@@ -417,58 +424,65 @@ Evidence::Noise Evidence::FitNoise(const MatrixXd& e) const {
   return noise;
 }
 
-void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
+void Evidence::EstimateNoise() {
   const auto n = static_cast<Index>(rows_.size());
-  std::vector<int> in_use;
-  for (size_t k = 0; k < columns_.size(); ++k) {
-    if (leave_out.count(columns_[k].effect) == 0) in_use.push_back(static_cast<int>(k));
-  }
-  const auto m = static_cast<Index>(in_use.size());
+  const auto m = static_cast<Index>(columns_.size());
   VectorXd sigma(m), mean(m);
   for (Index k = 0; k < m; ++k) {
-    const Column& column = columns_[static_cast<size_t>(in_use[static_cast<size_t>(k)])];
+    const Column& column = columns_[static_cast<size_t>(k)];
     sigma[k] = column.prior_sigma;
     mean[k] = column.prior_mean;
   }
-  const int y_at = static_cast<int>(columns_.size());
-  weight_ = MatrixXd::Ones(n, kNumChannels);
-  for (int c = 0; c < num_channels_; ++c) {
-    noise_[c] = Noise();
-    noise_[c].variance = std::max(y_.col(c).squaredNorm() / double(y_.rows()), 1e-300);
+  NoiseRounds rounds = noise_columns_ == m ? kMovedColumns : kMoreColumns;
+  if (noise_columns_ < 0) {
+    rounds = kFirstNoise;
+    weight_ = MatrixXd::Ones(n, kNumChannels);
+    for (int c = 0; c < num_channels_; ++c) {
+      noise_[c] = Noise();
+      noise_[c].variance = std::max(y_.col(c).squaredNorm() / double(y_.rows()), 1e-300);
+    }
   }
+  noise_columns_ = static_cast<int>(m);
+  std::mt19937 random(1);
+  std::normal_distribution<double> normal;
   for (int round = 0;; ++round) {
     WhitenAll();
-    MatrixXd H = sigma.asDiagonal() * Picked(gram_, in_use, in_use) * sigma.asDiagonal();
+    MatrixXd H = sigma.asDiagonal() * gram_.topLeftCorner(m, m) * sigma.asDiagonal();
     H.diagonal().array() += 1.0;
-    const VectorXd b = sigma.cwiseProduct(Picked(gram_, in_use, {y_at}).col(0));
+    const VectorXd b = sigma.cwiseProduct(gram_.col(m).head(m));
     const Eigen::LLT<MatrixXd> llt(H);
     const VectorXd x = sigma.cwiseProduct(llt.solve(b + mean.cwiseQuotient(sigma)));
     // Root of the covariance of what was fitted.
-    const MatrixXd root = sigma.asDiagonal() * MatrixXd(llt.matrixU().solve(MatrixXd::Identity(m, m)));
-    if (round == kNoiseRounds) {
-      innovation_ = white_.col(y_at);
-      MatrixXd white(white_.rows(), m);
-      for (Index k = 0; k < m; ++k) {
-        white.col(k) = white_.col(in_use[static_cast<size_t>(k)]);
-        innovation_ -= x[k] * white.col(k);
-      }
-      unsure_ = white * root;
+    fitted_root_ = sigma.asDiagonal() * MatrixXd(llt.matrixU().solve(MatrixXd::Identity(m, m)));
+    if (round == rounds.rough + rounds.expectation) {
+      fitted_ = white_.leftCols(m);
+      innovation_ = white_.col(m) - fitted_ * x;
       break;
     }
     // The noise is not what is left: the fit has taken a part of it. Its second moments are those of
     // the rest and of what the fit may as well have been (expectation step; Dempster, Laird and
-    // Rubin, J. R. Stat. Soc. B 39, 1977).
+    // Rubin, J. R. Stat. Soc. B 39, 1977), by a few draws of that.
     // (Not before the residual's size is the noise's: what the fit may have taken would be of the
     // size of the effects.)
-    MatrixXd likely(y_.rows(), m + 1);
+    MatrixXd draws = MatrixXd::Zero(m, 0);
+    if (round >= rounds.rough) {
+      draws = fitted_root_;
+      if (m > kMostDraws) {
+        MatrixXd z(m, kMostDraws);
+        for (Index k = 0; k < z.size(); ++k) z.data()[k] = normal(random);
+        draws = fitted_root_ * z / std::sqrt(static_cast<double>(kMostDraws));
+      }
+    }
+    MatrixXd fitted(m, 1 + draws.cols());
+    fitted << -x, draws;
     MatrixXd columns(y_.rows(), m);
     for (int c = 0; c < num_channels_; ++c) {
       for (Index k = 0; k < m; ++k) {
-        columns.col(k) = columns_[static_cast<size_t>(in_use[static_cast<size_t>(k)])].foreseen.col(c);
+        columns.col(k) = columns_[static_cast<size_t>(k)].foreseen.col(c);
       }
-      likely.col(0) = y_.col(c) - columns * x;
-      if (round >= kRoughRounds) likely.rightCols(m).noalias() = columns * root;
-      noise_[c] = round < kRoughRounds ? FitNoise(likely.leftCols(1)) : FitNoise(likely);
+      MatrixXd likely = columns * fitted;
+      likely.col(0) += y_.col(c);
+      noise_[c] = FitNoise(likely);
       for (Index k = 0; k < n; ++k) {
         const int i = rows_[static_cast<size_t>(k)];
         double innovation = likely(i, 0);
@@ -480,12 +494,10 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
       }
     }
   }
-  WhitenAll();
   held_out_weight_ = MatrixXd::Ones(static_cast<Index>(held_out_rows_.size()), kNumChannels);
-  const auto all = static_cast<Index>(columns_.size());
-  held_out_white_.resize(static_cast<Index>(held_out_rows_.size()) * num_channels_, all + 1);
-  for (Index k = 0; k <= all; ++k) {
-    const Wrenches& column = k < all ? columns_[static_cast<size_t>(k)].foreseen : y_;
+  held_out_white_.resize(static_cast<Index>(held_out_rows_.size()) * num_channels_, m + 1);
+  for (Index k = 0; k <= m; ++k) {
+    const Wrenches& column = k < m ? columns_[static_cast<size_t>(k)].foreseen : y_;
     held_out_white_.col(k) = Whitened(column, held_out_rows_, held_out_weight_);
   }
   Project();
@@ -494,10 +506,15 @@ void Evidence::EstimateNoise(const std::set<std::string>& leave_out) {
 void Evidence::Project() {
   const auto n = static_cast<Index>(columns_.size());
   MatrixXd of_whole(n, n);
-  for (Index k = 0; k < n; ++k) {
-    of_whole.col(k).noalias() =
-        white_.leftCols(n).transpose() *
-        Whitened(columns_[static_cast<size_t>(k)].d_wrench, rows_, weight_);
+  constexpr Index kBatch = 16;
+  MatrixXd whole(white_.rows(), kBatch);
+  for (Index from = 0; from < n; from += kBatch) {
+    const Index size = std::min(kBatch, n - from);
+    for (Index k = 0; k < size; ++k) {
+      whole.col(k) = Whitened(columns_[static_cast<size_t>(from + k)].d_wrench, rows_, weight_);
+    }
+    of_whole.middleCols(from, size).noalias() =
+        white_.leftCols(n).transpose() * whole.leftCols(size);
   }
   MatrixXd gram = gram_.topLeftCorner(n, n);
   const VectorXd size = gram.diagonal().cwiseSqrt();
@@ -782,26 +799,29 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
   std::bernoulli_distribution flip;
   std::vector<double> largest;
   std::normal_distribution<double> normal;
-  VectorXd e(innovation_.size()), noise, z(unsure_.cols());
+  MatrixXd shifted(innovation_.size(), kShiftsOfADraw), Xe;
   for (int s = 0; s < count; ++s) {
-    // As the noise may have been.
     if (s % kShiftsOfADraw == 0) {
+      // As the noise may have been.
+      VectorXd z(fitted_root_.cols());
       for (Index k = 0; k < z.size(); ++k) z[k] = normal(random);
-      noise = innovation_ - unsure_ * z;
+      const VectorXd noise = innovation_ - fitted_ * (fitted_root_ * z);
+      for (int k = 0; k < kShiftsOfADraw; ++k) {
+        const Index by = shift(random);
+        const double sign = flip(random) ? 1.0 : -1.0;
+        for (int c = 0; c < num_channels_; ++c) {
+          const auto from = noise.segment(c * n, n);
+          shifted.col(k).segment(c * n, n - by) = sign * from.tail(n - by);
+          shifted.col(k).segment(c * n + n - by, by) = sign * from.head(by);
+        }
+      }
+      Xe.noalias() = white_.transpose() * shifted;
     }
-    const Index by = shift(random);
-    const double sign = flip(random) ? 1.0 : -1.0;
-    for (int c = 0; c < num_channels_; ++c) {
-      const auto from = noise.segment(c * n, n);
-      e.segment(c * n, n - by) = sign * from.tail(n - by);
-      e.segment(c * n + n - by, by) = sign * from.head(by);
-    }
-    const VectorXd Xe = white_.transpose() * e;
     double most = -std::numeric_limits<double>::infinity();
     for (const Test& test : tests) {
       VectorXd g(static_cast<Index>(test.columns.size()));
       for (size_t k = 0; k < test.columns.size(); ++k) {
-        g[static_cast<Index>(k)] = Xe[test.columns[k]];
+        g[static_cast<Index>(k)] = Xe(test.columns[k], s % kShiftsOfADraw);
       }
       const VectorXd x = test.estimate * g;
       const std::vector<int> own(test.columns.end() - x.size(), test.columns.end());

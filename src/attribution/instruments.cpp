@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 
 #include "odmc/estimator/gates.h"
 
@@ -44,14 +45,20 @@ Instruments::Instruments(const ThinnedFlight& flight, const Vehicle& file_vehicl
     : likely_flight_(flight.Moving({})) {
   const int n = flight.size();
   sees_.assign(static_cast<size_t>(n), false);
+  std::array<std::vector<int>, kFolds> in_use, held_out;
   int run = 0;
   for (int i = 0; i < n; ++i) {
     run = flight.next(i) ? run + 1 : 0;
     if (run < kReach) continue;
     sees_[static_cast<size_t>(i)] = true;
-    rows_.push_back(i);
-    fold_.push_back(FoldAt(flight.sample(i).t_s));
-    in_use_.push_back(!flight.held_out(i));
+    const auto fold = static_cast<size_t>(FoldAt(flight.sample(i).t_s));
+    (flight.held_out(i) ? held_out : in_use)[fold].push_back(i);
+  }
+  for (size_t f = 0; f < kFolds; ++f) {
+    folds_[f] = {static_cast<Index>(rows_.size()), static_cast<Index>(in_use[f].size()),
+                 static_cast<Index>(in_use[f].size() + held_out[f].size())};
+    rows_.insert(rows_.end(), in_use[f].begin(), in_use[f].end());
+    rows_.insert(rows_.end(), held_out[f].begin(), held_out[f].end());
   }
   MatrixXd signals(n, kSignals);
   for (int i = 0; i < n; ++i) {
@@ -71,20 +78,15 @@ Instruments::Instruments(const ThinnedFlight& flight, const Vehicle& file_vehicl
     const double size = z_.col(c).norm();
     if (size > 0.0) z_.col(c) *= std::sqrt(static_cast<double>(m)) / size;
   }
-  gram_.assign(kFolds, MatrixXd::Zero(z_.cols(), z_.cols()));
-  for (Index k = 0; k < m; ++k) {
-    if (in_use_[static_cast<size_t>(k)]) {
-      gram_[fold_[static_cast<size_t>(k)]].selfadjointView<Eigen::Lower>().rankUpdate(
-          z_.row(k).transpose());
-    }
-  }
+  std::array<MatrixXd, kFolds> gram;
   MatrixXd all = MatrixXd::Zero(z_.cols(), z_.cols());
-  for (MatrixXd& gram : gram_) {
-    gram.triangularView<Eigen::StrictlyUpper>() = gram.transpose();
-    all += gram;
+  for (size_t f = 0; f < kFolds; ++f) {
+    const auto own = z_.middleRows(folds_[f].first, folds_[f].in_use);
+    gram[f].noalias() = own.transpose() * own;
+    all += gram[f];
   }
-  for (const MatrixXd& gram : gram_) {
-    MatrixXd others = all - gram;
+  for (size_t f = 0; f < kFolds; ++f) {
+    MatrixXd others = all - gram[f];
     others.diagonal().array() += kRidge * static_cast<double>(m) + 1e-300;
     without_.emplace_back(others);
   }
@@ -95,28 +97,36 @@ std::vector<FilteredMotion> Instruments::LikelyMotion(const ThinnedFlight& fligh
   std::vector<FilteredMotion> samples;
   for (int i = 0; i < flight.size(); ++i) samples.push_back(flight.sample(i));
   if (samples.empty()) return samples;
-  const VectorXd nothing = VectorXd::Zero(flight.size());
-  const auto foresee = [&](auto value) {
-    VectorXd x(flight.size());
-    for (Index i = 0; i < x.size(); ++i) x[i] = value(samples[static_cast<size_t>(i)]);
-    const VectorXd likely = ForeseenColumn(x, nothing);
-    for (Index i = 0; i < x.size(); ++i) value(samples[static_cast<size_t>(i)]) = likely[i];
-  };
+  // Every number of a sample's motion, by a function that gives it to read and to write.
+  std::vector<std::function<double&(FilteredMotion&)>> numbers;
   for (Index k = 0; k < 3; ++k) {
     for (Index l = 0; l < 3; ++l) {
-      foresee([k, l](FilteredMotion& s) -> double& { return s.R_WS(k, l); });
+      numbers.emplace_back([k, l](FilteredMotion& s) -> double& { return s.R_WS(k, l); });
     }
-    foresee([k](FilteredMotion& s) -> double& { return s.p_WS[k]; });
-    foresee([k](FilteredMotion& s) -> double& { return s.v_WS[k]; });
-    foresee([k](FilteredMotion& s) -> double& { return s.a_WS[k]; });
-    foresee([k](FilteredMotion& s) -> double& { return s.w_S[k]; });
-    foresee([k](FilteredMotion& s) -> double& { return s.w_dot_S[k]; });
+    numbers.emplace_back([k](FilteredMotion& s) -> double& { return s.p_WS[k]; });
+    numbers.emplace_back([k](FilteredMotion& s) -> double& { return s.v_WS[k]; });
+    numbers.emplace_back([k](FilteredMotion& s) -> double& { return s.a_WS[k]; });
+    numbers.emplace_back([k](FilteredMotion& s) -> double& { return s.w_S[k]; });
+    numbers.emplace_back([k](FilteredMotion& s) -> double& { return s.w_dot_S[k]; });
   }
   for (Index j = 0; j < samples.front().rotors.speed.size(); ++j) {
-    foresee([j](FilteredMotion& s) -> double& { return s.rotors.speed[j]; });
-    foresee([j](FilteredMotion& s) -> double& { return s.rotors.speed_squared[j]; });
-    foresee([j](FilteredMotion& s) -> double& { return s.rotors.acceleration[j]; });
-    foresee([j](FilteredMotion& s) -> double& { return s.rotors.speed_squared_rate[j]; });
+    numbers.emplace_back([j](FilteredMotion& s) -> double& { return s.rotors.speed[j]; });
+    numbers.emplace_back([j](FilteredMotion& s) -> double& { return s.rotors.speed_squared[j]; });
+    numbers.emplace_back([j](FilteredMotion& s) -> double& { return s.rotors.acceleration[j]; });
+    numbers.emplace_back(
+        [j](FilteredMotion& s) -> double& { return s.rotors.speed_squared_rate[j]; });
+  }
+  MatrixXd x(flight.size(), static_cast<Index>(numbers.size()));
+  for (Index i = 0; i < x.rows(); ++i) {
+    for (Index k = 0; k < x.cols(); ++k) {
+      x(i, k) = numbers[static_cast<size_t>(k)](samples[static_cast<size_t>(i)]);
+    }
+  }
+  const MatrixXd likely = Foreseen(x, MatrixXd::Zero(x.rows(), x.cols()));
+  for (Index i = 0; i < x.rows(); ++i) {
+    for (Index k = 0; k < x.cols(); ++k) {
+      numbers[static_cast<size_t>(k)](samples[static_cast<size_t>(i)]) = likely(i, k);
+    }
   }
   for (int i = 0; i < flight.size(); ++i) {
     FilteredMotion& s = samples[static_cast<size_t>(i)];
@@ -134,81 +144,105 @@ std::vector<FilteredMotion> Instruments::LikelyMotion(const ThinnedFlight& fligh
 
 ResidualModel::Wrenches Instruments::Foreseen(const ResidualModel::Wrenches& column,
                                               const ResidualModel::Wrenches& likely) const {
-  ResidualModel::Wrenches foreseen = ResidualModel::Wrenches::Zero(column.rows(), kNumChannels);
-  for (int c = 0; c < kNumChannels; ++c) {
-    if (!column.col(c).isZero(0.0)) foreseen.col(c) = ForeseenColumn(column.col(c), likely.col(c));
-  }
-  return foreseen;
+  return ForeseenBatch(column, likely);
 }
 
 MatrixXd Instruments::Foreseen(const MatrixXd& columns, const MatrixXd& likely) const {
+  constexpr Index kBatch = 16;
   MatrixXd foreseen(columns.rows(), columns.cols());
-  for (Index c = 0; c < columns.cols(); ++c) {
-    foreseen.col(c) = ForeseenColumn(columns.col(c), likely.col(c));
+  for (Index c = 0; c < columns.cols(); c += kBatch) {
+    const Index size = std::min(kBatch, columns.cols() - c);
+    foreseen.middleCols(c, size) =
+        ForeseenBatch(columns.middleCols(c, size), likely.middleCols(c, size));
   }
   return foreseen;
 }
 
-VectorXd Instruments::ForeseenColumn(const VectorXd& x, const VectorXd& likely) const {
+MatrixXd Instruments::ForeseenBatch(const MatrixXd& columns, const MatrixXd& likely) const {
   constexpr Index kLagged = static_cast<Index>(kLags.size());
   constexpr Index kOwn = kLagged + 1;
-  using Own = Eigen::Matrix<double, Eigen::Dynamic, kOwn + 1>;
+  constexpr Index kWidth = kOwn + 1;
   const auto m = static_cast<Index>(rows_.size());
-  VectorXd foreseen = VectorXd::Zero(x.size());
-  if (m == 0) return foreseen;
-  // Its own past, what it would be in the likely motion, then itself.
-  Own own(m, kOwn + 1);
-  for (Index k = 0; k < m; ++k) {
-    const int i = rows_[static_cast<size_t>(k)];
-    for (Index l = 0; l < kLagged; ++l) own(k, l) = x[i - kLags[static_cast<size_t>(l)]];
-    own(k, kLagged) = likely[i];
-    own(k, kOwn) = x[i];
+  MatrixXd foreseen = MatrixXd::Zero(columns.rows(), columns.cols());
+  std::vector<Index> acting;
+  std::vector<double> size;
+  for (Index c = 0; c < columns.cols(); ++c) {
+    double sum = 0.0;
+    for (const int i : rows_) sum += columns(i, c) * columns(i, c);
+    if (!(sum > 0.0)) continue;
+    acting.push_back(c);
+    size.push_back(std::sqrt(sum / static_cast<double>(m)));
   }
-  const double size = own.col(kOwn).norm() / std::sqrt(static_cast<double>(m));
-  if (!(size > 0.0)) return foreseen;
-  own /= size;
-  std::array<MatrixXd, kFolds> zx;
-  std::array<MatrixXd, kFolds> xx;
-  for (int f = 0; f < kFolds; ++f) {
-    zx[f] = MatrixXd::Zero(z_.cols(), kOwn + 1);
-    xx[f] = MatrixXd::Zero(kOwn + 1, kOwn + 1);
+  const auto n = static_cast<Index>(acting.size());
+  if (n == 0) return foreseen;
+  // Of each column its own past, what it would be in the likely motion, then itself.
+  MatrixXd own(m, n * kWidth);
+  for (Index c = 0; c < n; ++c) {
+    const auto x = columns.col(acting[static_cast<size_t>(c)]);
+    const auto of_likely = likely.col(acting[static_cast<size_t>(c)]);
+    const double scale = 1.0 / size[static_cast<size_t>(c)];
+    for (Index k = 0; k < m; ++k) {
+      const int i = rows_[static_cast<size_t>(k)];
+      for (Index l = 0; l < kLagged; ++l) {
+        own(k, c * kWidth + l) = scale * x[i - kLags[static_cast<size_t>(l)]];
+      }
+      own(k, c * kWidth + kLagged) = scale * of_likely[i];
+      own(k, c * kWidth + kOwn) = scale * x[i];
+    }
   }
-  for (Index k = 0; k < m; ++k) {
-    if (!in_use_[static_cast<size_t>(k)]) continue;
-    const int f = fold_[static_cast<size_t>(k)];
-    zx[f].noalias() += z_.row(k).transpose() * own.row(k);
-    xx[f].noalias() += own.row(k).transpose() * own.row(k);
-  }
-  MatrixXd all_zx = MatrixXd::Zero(z_.cols(), kOwn + 1), all_xx = MatrixXd::Zero(kOwn + 1, kOwn + 1);
-  for (int f = 0; f < kFolds; ++f) {
+  std::array<MatrixXd, kFolds> zx, xx;
+  MatrixXd all_zx = MatrixXd::Zero(z_.cols(), own.cols());
+  MatrixXd all_xx = MatrixXd::Zero(kWidth, own.cols());
+  for (size_t f = 0; f < kFolds; ++f) {
+    const auto rows = own.middleRows(folds_[f].first, folds_[f].in_use);
+    zx[f].noalias() = z_.middleRows(folds_[f].first, folds_[f].in_use).transpose() * rows;
+    xx[f].resize(kWidth, own.cols());
+    for (Index c = 0; c < n; ++c) {
+      const auto of_column = rows.middleCols(c * kWidth, kWidth);
+      xx[f].middleCols(c * kWidth, kWidth) = of_column.transpose() * of_column;
+    }
     all_zx += zx[f];
     all_xx += xx[f];
   }
-  std::array<VectorXd, kFolds> of_z;
-  std::array<Eigen::Matrix<double, kOwn, 1>, kFolds> of_own;
-  for (int f = 0; f < kFolds; ++f) {
-    const MatrixXd b = all_zx - zx[f], s = all_xx - xx[f];
+  MatrixXd value(m, n);
+  for (size_t f = 0; f < kFolds; ++f) {
+    const MatrixXd b = all_zx - zx[f];
     const MatrixXd solved = without_[f].solve(b);
-    Eigen::Matrix<double, kOwn, kOwn> H =
-        s.topLeftCorner(kOwn, kOwn) - b.leftCols(kOwn).transpose() * solved.leftCols(kOwn);
-    H.diagonal().array() += kRidge * static_cast<double>(m);
-    of_own[f] = H.ldlt().solve(s.topRightCorner(kOwn, 1) -
-                               b.leftCols(kOwn).transpose() * solved.col(kOwn));
-    of_z[f] = solved.col(kOwn) - solved.leftCols(kOwn) * of_own[f];
+    MatrixXd of_z(z_.cols(), n), of_own(kOwn, n);
+    for (Index c = 0; c < n; ++c) {
+      const MatrixXd s = all_xx.middleCols(c * kWidth, kWidth) -
+                         xx[f].middleCols(c * kWidth, kWidth);
+      const auto b_c = b.middleCols(c * kWidth, kWidth);
+      const auto solved_c = solved.middleCols(c * kWidth, kWidth);
+      Eigen::Matrix<double, kOwn, kOwn> H =
+          s.topLeftCorner(kOwn, kOwn) - b_c.leftCols(kOwn).transpose() * solved_c.leftCols(kOwn);
+      H.diagonal().array() += kRidge * static_cast<double>(m);
+      of_own.col(c) = H.ldlt().solve(s.topRightCorner(kOwn, 1) -
+                                     b_c.leftCols(kOwn).transpose() * solved_c.col(kOwn));
+      of_z.col(c) = solved_c.col(kOwn) - solved_c.leftCols(kOwn) * of_own.col(c);
+    }
+    auto of_fold = value.middleRows(folds_[f].first, folds_[f].size);
+    of_fold.noalias() = z_.middleRows(folds_[f].first, folds_[f].size) * of_z;
+    for (Index c = 0; c < n; ++c) {
+      of_fold.col(c).noalias() +=
+          own.block(folds_[f].first, c * kWidth, folds_[f].size, kOwn) * of_own.col(c);
+    }
   }
-  double with = 0.0, self = 0.0;
-  for (Index k = 0; k < m; ++k) {
-    const size_t row = static_cast<size_t>(k);
-    const int f = fold_[row];
-    const double value = z_.row(k).dot(of_z[f]) + own.row(k).head<kOwn>().dot(of_own[f]);
-    foreseen[rows_[row]] = value;
-    if (!in_use_[row]) continue;
-    with += value * own(k, kOwn);
-    self += value * value;
+  for (Index c = 0; c < n; ++c) {
+    double with = 0.0, self = 0.0;
+    for (const Fold& fold : folds_) {
+      const auto in_use = value.col(c).segment(fold.first, fold.in_use);
+      with += in_use.dot(own.col(c * kWidth + kOwn).segment(fold.first, fold.in_use));
+      self += in_use.squaredNorm();
+    }
+    double worth = self > 0.0 ? std::clamp(with / self, 0.0, 1.0) : 0.0;
+    if (worth * with < kLeastForeseen * all_xx(kOwn, c * kWidth + kOwn)) worth = 0.0;
+    for (Index k = 0; k < m; ++k) {
+      foreseen(rows_[static_cast<size_t>(k)], acting[static_cast<size_t>(c)]) =
+          worth * size[static_cast<size_t>(c)] * value(k, c);
+    }
   }
-  double worth = self > 0.0 ? std::clamp(with / self, 0.0, 1.0) : 0.0;
-  if (worth * with < kLeastForeseen * all_xx(kOwn, kOwn)) worth = 0.0;
-  return worth * size * foreseen;
+  return foreseen;
 }
 
 }  // namespace odmc

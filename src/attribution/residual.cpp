@@ -9,10 +9,12 @@ namespace odmc {
 namespace {
 
 constexpr double kStart_s = 1.0;
+constexpr int kBlocksOfAStretch = 2;  // held out, of a long flight
+
 }  // namespace
 
 ThinnedFlight::ThinnedFlight(FlightMotion flight, const BlockSplit& blocks,
-                             const Eigen::Matrix3d& R_BS)
+                             const Eigen::Matrix3d& R_BS, double most_s)
     : flight_(std::move(flight)), blocks_(blocks), R_BS_(R_BS) {
   const int stride = flight_.step_s > 0.0
                          ? std::max(1, static_cast<int>(std::lround(kStep_s / flight_.step_s)))
@@ -27,6 +29,27 @@ ThinnedFlight::ThinnedFlight(FlightMotion flight, const BlockSplit& blocks,
     index_.push_back(i);
     next_.push_back(run > 0);
   }
+  if (most_s > 0.0 && size() * step_s_ > most_s) TakeStretches(most_s);
+}
+
+void ThinnedFlight::TakeStretches(double most_s) {
+  // Blocks in use and held out are taken alike.
+  const double stretch_s = kBlocksOfAStretch * std::max(1, blocks_.hold_out_every) * blocks_.block_s;
+  const double period_s = stretch_s * size() * step_s_ / most_s;
+  std::vector<size_t> index;
+  std::vector<bool> next;
+  bool cut = false;
+  for (int i = 0; i < size(); ++i) {
+    if (std::fmod(sample(i).t_s, period_s) >= stretch_s) {
+      cut = true;
+      continue;
+    }
+    index.push_back(index_[static_cast<size_t>(i)]);
+    next.push_back(next_[static_cast<size_t>(i)] && !cut);
+    cut = false;
+  }
+  index_ = std::move(index);
+  next_ = std::move(next);
 }
 
 ThinnedFlight ThinnedFlight::Moving(std::vector<FilteredMotion> samples) const {
@@ -92,17 +115,39 @@ ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
   return residual;
 }
 
+namespace {
+
+/// Step of a difference by a parameter.
+double StepOf(const ModelParameter& parameter, double value) {
+  return parameter.spec.transform == ParameterTransform::kLog
+             ? 1e-3 * value
+             : 1e-3 * std::max(std::abs(value), parameter.spec.scale);
+}
+
+}  // namespace
+
+ResidualModel::Wrenches ResidualModel::ResidualAt(const DynamicModel& model, ModelValues values,
+                                                  int index, double step) const {
+  values[index] += step;
+  return Residual(model, values);
+}
+
 ResidualModel::Wrenches ResidualModel::Derivative(const DynamicModel& model,
                                                   const ModelValues& values, int index) const {
-  const ModelParameter& parameter = model.parameters()[index];
-  const double step = parameter.spec.transform == ParameterTransform::kLog
-                          ? 1e-3 * values[index]
-                          : 1e-3 * std::max(std::abs(values[index]), parameter.spec.scale);
-  ModelValues up = values, down = values;
-  up[index] += step;
-  down[index] -= step;
-  Wrenches derivative = (Residual(model, down) - Residual(model, up)) / (2.0 * step);
-  if (IsAnchoredByForce(parameter.full_name)) derivative.rightCols<3>().setZero();
+  const double step = StepOf(model.parameters()[index], values[index]);
+  Wrenches derivative = (ResidualAt(model, values, index, -step) -
+                         ResidualAt(model, values, index, step)) /
+                        (2.0 * step);
+  if (IsAnchoredByForce(model.parameters()[index].full_name)) derivative.rightCols<3>().setZero();
+  return derivative;
+}
+
+ResidualModel::Wrenches ResidualModel::Derivative(const DynamicModel& model,
+                                                  const ModelValues& values, int index,
+                                                  const Wrenches& residual) const {
+  const double step = StepOf(model.parameters()[index], values[index]);
+  Wrenches derivative = (residual - ResidualAt(model, values, index, step)) / step;
+  if (IsAnchoredByForce(model.parameters()[index].full_name)) derivative.rightCols<3>().setZero();
   return derivative;
 }
 

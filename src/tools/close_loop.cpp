@@ -26,6 +26,7 @@ int main(int argc, char** argv) {
   tools::AddFolder(&app, &folder, &no_report);
   model_arguments.AddParametersTo(&app, "parameters.yaml with effects, start values and priors");
   model_arguments.AddTo(&app);
+  estimator.defaults = tools::AttributionEstimatorOptions();
   estimator.AddTo(&app);
   app.add_option("--block", options.blocks.block_s, "length of a block of time [s]")
       ->capture_default_str()

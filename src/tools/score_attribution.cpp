@@ -57,6 +57,7 @@ int main(int argc, char** argv) {
       ->capture_default_str()
       ->check(tools::Positive());
   app.add_flag("--rescore", rescore, "use the results that are there");
+  estimator.defaults = tools::AttributionEstimatorOptions();
   estimator.AddTo(&app);
   std::vector<std::string> decision;
   app.add_option("--decision", decision, "NAME=VALUE: a number of the decision (close_loop --help)")

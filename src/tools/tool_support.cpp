@@ -355,7 +355,7 @@ void EstimatorArguments::AddTo(CLI::App* app, bool with_window) {
       ->allow_extra_args(false)
       ->type_name("KEY=VALUE");
   app->footer("Estimator options (--config FILE or --set KEY=VALUE) with their defaults:\n" +
-              FormatOptions(OfflineOptions()) + "\n" + kExitStatus);
+              FormatOptions(defaults) + "\n" + kExitStatus);
 }
 
 EstimatorOptions OfflineOptions() {
@@ -364,8 +364,14 @@ EstimatorOptions OfflineOptions() {
   return options;
 }
 
-EstimatorOptions EstimatorArguments::Read() const {
+EstimatorOptions AttributionEstimatorOptions() {
   EstimatorOptions options = OfflineOptions();
+  options.keyframe_rate_hz = 50.0;
+  return options;
+}
+
+EstimatorOptions EstimatorArguments::Read() const {
+  EstimatorOptions options = defaults;
   if (!config_file.empty()) LoadOptions(config_file, &options);
   if (keyframe_rate_hz > 0.0) options.keyframe_rate_hz = keyframe_rate_hz;
   if (window_s > 0.0) options.window_s = window_s;

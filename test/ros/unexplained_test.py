@@ -29,7 +29,7 @@ class UnexplainedTest(node_harness.NodeTest):
                                  "_output_dir:=" + self.folder, *TOPICS, *WATCH)
         for name in parameters:
             self.wait_for_node("/%s/parameters" % name)
-        self.play(bag, rate=1.5)
+        self.play(bag, rate=1.0)
         node_harness.wait_until(lambda: False, 2.5)
 
         for name in parameters:

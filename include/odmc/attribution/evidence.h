@@ -84,9 +84,9 @@ class Evidence {
   void SetLogPrior(int variant, double log_prior) { variants_[variant].log_prior = log_prior; }
 
   /// Estimates the noise from the residual of all that was added, and whitens with it. To be
-  /// called before anything below, and again after Add().
-  /// @param leave_out effects that shall not enter the noise's model
-  void EstimateNoise(const std::set<std::string>& leave_out = {});
+  /// called before anything below, and again after Add() and Relinearize(), when it begins with the
+  /// noise as it was.
+  void EstimateNoise();
 
   const std::vector<Variant>& variants() const { return variants_; }
   const Stage& stage() const { return stage_; }
@@ -176,11 +176,10 @@ class Evidence {
   /// as its columns are: what tells a column from them may be a hundredth of it, less than the
   /// error of foreseeing the whole.
   ResidualModel::Wrenches Foreseen(const Column& column) const;
-  ResidualModel::Wrenches Likely(const DynamicModel& model, const ModelValues& values, int k) const;
   void AddNuisances();
   Eigen::VectorXd Whitened(const ResidualModel::Wrenches& column, const std::vector<int>& rows,
                            const Eigen::MatrixXd& weight) const;
-  void SumUp();
+  void SumUp(bool by_folds = true);
   Eigen::VectorXd WhitenedFeature(int channel, const Eigen::VectorXd& foreseen) const;
   void WhitenAll();
   /// Puts what all foreseen columns say of each whole one in the place of its foreseen part.
@@ -212,12 +211,15 @@ class Evidence {
   mutable std::map<std::string, Seen> seen_;  // of effects with an onset, by effect
   std::vector<int> rows_, held_out_rows_;  // samples whose predecessors are there
   std::array<Noise, kNumChannels> noise_;
+  int noise_columns_ = -1;  // for which it was estimated; -1: not yet
   Eigen::MatrixXd weight_, held_out_weight_;  // of samples, by channel: wild ones count less
   Eigen::MatrixXd white_, held_out_white_;    // rows × columns (X), y last
   Eigen::MatrixXd gram_;
   std::vector<Eigen::MatrixXd> fold_gram_;  // of folds of blocks of time
   Eigen::VectorXd innovation_;  // whitened residual of everything
-  Eigen::MatrixXd unsure_;  // rows × k: whitened, how much of it the fit of everything may have taken
+  // How much of it the fit of everything may have taken: whitened columns, and the root of the
+  // covariance of their coefficients.
+  Eigen::MatrixXd fitted_, fitted_root_;
 };
 
 }  // namespace odmc

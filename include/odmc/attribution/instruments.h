@@ -2,6 +2,7 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
+#include <array>
 #include <vector>
 
 #include "odmc/attribution/residual.h"
@@ -43,15 +44,19 @@ class Instruments {
   static int FoldAt(double t_s);
 
  private:
-  Eigen::VectorXd ForeseenColumn(const Eigen::VectorXd& x, const Eigen::VectorXd& likely) const;
+  /// Rows of a fold: first those in use, then those held out.
+  struct Fold {
+    Eigen::Index first = 0, in_use = 0, size = 0;
+  };
+
+  /// A few columns at once; those that are zero stay zero.
+  Eigen::MatrixXd ForeseenBatch(const Eigen::MatrixXd& columns, const Eigen::MatrixXd& likely) const;
   std::vector<FilteredMotion> LikelyMotion(const ThinnedFlight& flight) const;
 
   std::vector<bool> sees_;
-  std::vector<int> rows_, fit_rows_;  // samples with a past; of them those not held out
-  std::vector<int> fold_;             // of rows_
-  std::vector<bool> in_use_;          // of rows_
-  Eigen::MatrixXd z_;                 // rows × instruments, of unit size
-  std::vector<Eigen::MatrixXd> gram_;  // of folds, of what is in use
+  std::vector<int> rows_;  // samples with a past, fold by fold
+  std::array<Fold, kFolds> folds_;
+  Eigen::MatrixXd z_;  // rows × instruments, of unit size
   std::vector<Eigen::LLT<Eigen::MatrixXd>> without_;  // sums of the other folds
   ThinnedFlight likely_flight_;
 };

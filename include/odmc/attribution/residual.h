@@ -36,8 +36,10 @@ class ThinnedFlight {
   static constexpr double kStep_s = 0.04;
 
   /// @param R_BS turns the odometry's axes into the body axes of the vehicle file
+  /// @param most_s of a flight longer than this only stretches of that length together are taken,
+  /// spread evenly over it; 0: all
   ThinnedFlight(FlightMotion flight, const BlockSplit& blocks,
-                const Eigen::Matrix3d& R_BS = Eigen::Matrix3d::Identity());
+                const Eigen::Matrix3d& R_BS = Eigen::Matrix3d::Identity(), double most_s = 0.0);
 
   int size() const { return static_cast<int>(index_.size()); }
   const FlightMotion& motion() const { return flight_; }
@@ -62,6 +64,8 @@ class ThinnedFlight {
                                         bool in_use_only = false) const;
 
  private:
+  void TakeStretches(double most_s);
+
   FlightMotion flight_;
   BlockSplit blocks_;
   Eigen::Matrix3d R_BS_;
@@ -89,6 +93,10 @@ class ResidualModel {
   /// Derivative of the prediction by parameter `index` (N×6), by central differences,
   /// without torque where IsAnchoredByForce().
   Wrenches Derivative(const DynamicModel& model, const ModelValues& values, int index) const;
+  /// The same by a forward difference, in half the time.
+  /// @param residual Residual() of the same values
+  Wrenches Derivative(const DynamicModel& model, const ModelValues& values, int index,
+                      const Wrenches& residual) const;
 
   const ThinnedFlight& flight() const { return *flight_; }
   const Vehicle& file_vehicle() const { return *file_vehicle_; }
@@ -98,6 +106,9 @@ class ResidualModel {
   int num_channels() const { return with_torque_ ? kNumChannels : 3; }
 
  private:
+  /// Residual() with one value moved by `step`.
+  Wrenches ResidualAt(const DynamicModel& model, ModelValues values, int index, double step) const;
+
   const ThinnedFlight* flight_;
   const Vehicle* file_vehicle_;
   bool with_torque_, from_accelerometer_;
