@@ -10,7 +10,7 @@
 namespace odmc {
 namespace {
 
-constexpr size_t kFittedSettings = 2;  // by either measure, and their refinement
+constexpr size_t kFittedSettings = 3;  // by either measure, and their refinement
 constexpr int kPolishes = 3;           // linearizations of what is not linear
 constexpr int kRefits = 5;             // at most
 constexpr int kInertiaRefits = 2;

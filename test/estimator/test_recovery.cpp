@@ -384,7 +384,6 @@ TEST(Recovery, KeepsOutOfTheValleyBesideTheTruth) {
                                                {"gravity.x", 0.00605693},
                                                {"gravity.y", 0.00452253},
                                                {"rotor_drag.k_d", 5.0e-6}};
-  vehicle.parameters["rotor_drag.drawn_in"].value = flight.truth.Find("rotor_drag.drawn_in")->value;
   EstimatorOptions options = Patient();
   options.keyframe_rate_hz = 50.0;
   for (const double scale : {0.9, 0.95, 0.98, 1.0, 1.02, 1.05, 1.1}) {
