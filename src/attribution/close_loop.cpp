@@ -527,6 +527,8 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
                           CandidatesFor(vehicle, flight.motion()), options.attribution);
   attribution.Run();
   result.ranking = attribution.ranking();
+  result.named_gain = attribution.gain();
+  result.flexible_gain = attribution.flexible_gain();
   result.structure = Structure(flight, attribution.residual_before(), residual.num_channels());
   const bool structured = Summarise(options.attribution, &result);
   const std::vector<std::vector<double>> runs = flight.Runs(attribution.residual_before().col(0));

@@ -102,6 +102,8 @@ std::string CloseLoopReport(const ClosedLoop& loop) {
   }
   json["residual"] = {{"structured_share", Number(loop.structured_share)},
                       {"whiteness_p", Number(loop.whiteness_p)},
+                      {"effects_gain_nats", Number(loop.named_gain)},
+                      {"functions_gain_nats", Number(loop.flexible_gain)},
                       {"channels", channels}};
   if (!loop.where.empty()) json["residual"]["where"] = loop.where;
   json["provenance"] = loop.parameters.provenance;

@@ -50,6 +50,9 @@ struct ClosedLoop {
   std::vector<ChannelStructure> structure;
   double structured_share = 0.0;    ///< of the most structured channel
   double whiteness_p = 1.0;         ///< smallest of the channels, times their number
+  /// What the named (or, unexplained, the dropped) effects gain together, and what arbitrary functions
+  /// of the state gain beside them [nats].
+  double named_gain = 0.0, flexible_gain = 0.0;
   PredictionFigures before, after;  ///< on blocks held out
   /// Force by the accelerometer instead, its mean taken off; empty without one.
   PredictionFigures::Axes accelerometer_before, accelerometer_after;
