@@ -22,7 +22,7 @@ enum Channel : int {
   kVelocity = 7,
   kRate = 10,
   kForce = 13,
-  kRotors = 16
+  kRotors = 16  // speeds, then their squares
 };
 
 /// A piece of the recording as one matrix at the odometry's stamps: one column a sample.
@@ -52,7 +52,7 @@ class Collector {
   Channels Piece(int begin, int end) {
     Channels c;
     const int n = end - begin;
-    c.data = Eigen::MatrixXd::Zero(kRotors + num_rotors_, n);
+    c.data = Eigen::MatrixXd::Zero(kRotors + 2 * num_rotors_, n);
     c.covered.assign(n, false);
     c.felt.assign(n, false);
     const Stamp first = log_.odometry[begin].stamp;
@@ -108,17 +108,17 @@ class Collector {
   void TakeRotors(size_t r, Stamp stamp, int i, Channels* c) const {
     const RotorSample& a = log_.rotors[r];
     if (a.stamp > stamp) return;
-    RotorVector squared = a.speed.array().square();
+    RotorVector speed = a.speed;
     if (a.stamp < stamp) {
       if (r + 1 >= log_.rotors.size()) return;
       const RotorSample& b = log_.rotors[r + 1];
       const double span = ToSeconds(b.stamp - a.stamp);
       if (span > 0.5 * kFilterWidth_s) return;
       const double x = ToSeconds(stamp - a.stamp) / span;
-      const RotorVector speed = (1.0 - x) * a.speed + x * b.speed;
-      squared = speed.array().square();
+      speed = (1.0 - x) * a.speed + x * b.speed;
     }
-    c->data.block(kRotors, i, num_rotors_, 1) = squared;
+    c->data.block(kRotors, i, num_rotors_, 1) = speed;
+    c->data.block(kRotors + num_rotors_, i, num_rotors_, 1) = speed.cwiseAbs2();
     c->covered[i] = true;
   }
 
@@ -183,8 +183,8 @@ FilteredMotion FilteredAt(const Collector& collector, const Channels& c,
   motion.rotors.speed_squared = fit.value.tail(num_rotors).cwiseMax(0.0);
   motion.rotors.speed = motion.rotors.speed_squared.cwiseSqrt();
   motion.rotors.speed_squared_rate = fit.first.tail(num_rotors);
-  motion.rotors.acceleration =
-      motion.rotors.speed_squared_rate.cwiseQuotient((2.0 * motion.rotors.speed).cwiseMax(1.0));
+  // Of the speed itself: where it falls steeply, the polynomial of its square passes through zero.
+  motion.rotors.acceleration = fit.first.segment(kRotors, num_rotors);
   const int half = filter.count() / 2;
   bool felt = true;
   for (int k = i - half; k <= i + half; ++k) felt = felt && c.felt[k];
