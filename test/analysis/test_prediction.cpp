@@ -252,5 +252,27 @@ TEST(PredictLeftOut, PredictsABlockWithWhatTheOthersShow) {
   EXPECT_THROW(PredictLeftOut(log, log, vehicle, model, options, 15.0), std::invalid_argument);
 }
 
+// Where a rotor is braked from full speed the polynomial through the square of its speed may pass
+// through zero; what is divided by that is not its acceleration.
+TEST(FilterFlight, RotorAccelerationOfASteepFallIsThatOfTheSpeed) {
+  Flight flight = Fly({});
+  constexpr double kSlowest_rad_s = 60.0, kRate_rad_s2 = -4e4, kAt_s = 4.0;
+  const double first_s = ToSeconds(flight.log.rotors.front().stamp);
+  for (RotorSample& sample : flight.log.rotors) {
+    const double since_s = ToSeconds(sample.stamp) - first_s - kAt_s;
+    if (since_s < 0.0) continue;
+    for (double& speed : sample.speed) {
+      speed = std::max(kSlowest_rad_s, 2000.0 + kRate_rad_s2 * since_s);
+    }
+  }
+  double fastest = 0.0;
+  for (const FilteredMotion& motion : FilterFlight(flight.log, 4, {}).samples) {
+    if (std::abs(motion.t_s - kAt_s) > 0.5) continue;
+    fastest = std::max(fastest, motion.rotors.acceleration.cwiseAbs().maxCoeff());
+  }
+  EXPECT_GT(fastest, -0.5 * kRate_rad_s2);
+  EXPECT_LT(fastest, -1.5 * kRate_rad_s2);
+}
+
 }  // namespace
 }  // namespace odmc

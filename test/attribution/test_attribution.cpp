@@ -111,6 +111,33 @@ TEST(ResidualModel, IsInTheBodysAxesHoweverTheSensorsAreMounted) {
   }
 }
 
+// A long flight is looked at in stretches that are spread over it, with the same share held out.
+TEST(ThinnedFlight, TakesStretchesOfALongFlight) {
+  FlightMotion motion;
+  motion.step_s = ThinnedFlight::kStep_s;
+  for (int i = 0; i < 25 * 600; ++i) {
+    motion.samples.emplace_back();
+    motion.samples.back().t_s = i * motion.step_s;
+    motion.samples.back().follows = i > 0;
+  }
+  const ThinnedFlight all(motion, BlockSplit()), some(motion, BlockSplit(), {}, 240.0);
+  EXPECT_NEAR(all.size() * all.step_s(), 599.0, 0.1);
+  EXPECT_NEAR(some.size() * some.step_s(), 240.0, 20.0);
+  EXPECT_GT(some.sample(some.size() - 1).t_s, 550.0);
+  int runs = 0, held_out = 0;
+  for (int i = 0; i < some.size(); ++i) {
+    held_out += some.held_out(i) ? 1 : 0;
+    if (!some.next(i)) {
+      ++runs;
+    } else {
+      ASSERT_NEAR(some.sample(i).t_s - some.sample(i - 1).t_s, some.step_s(), 1e-9);
+    }
+  }
+  EXPECT_NEAR(runs, 12, 1);
+  EXPECT_NEAR(held_out, 0.25 * some.size(), 0.02 * some.size());
+  EXPECT_EQ(ThinnedFlight(motion, BlockSplit(), {}, 1e5).size(), all.size());
+}
+
 TEST(Candidates, GroundEffectNeedsHeightThatVaries) {
   EXPECT_FALSE(IsCandidate(Filtered(Make({}, 0.0, "circle", 0, 31)), "ground_effect"));
   EXPECT_TRUE(IsCandidate(Filtered(Make({}, 0.0, "vertical", 0, 31)), "ground_effect"));

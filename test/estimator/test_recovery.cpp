@@ -14,6 +14,7 @@
 #include "odmc/analysis/recovery.h"
 #include "odmc/analysis/replay.h"
 #include "odmc/attribution/undeclared.h"
+#include "odmc/attribution/undeclared_recording.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "support/test_actuator.h"
 
@@ -396,6 +397,41 @@ TEST(Recovery, KeepsOutOfTheValleyBesideTheTruth) {
       const double error = last.values[k] - flight.truth.Find(name)->value;
       EXPECT_LT(std::abs(error), 4.0 * last.sigma[k])
           << name << " = " << last.values[k] << ", " << scale;
+    }
+  }
+}
+
+// What drags in the plane through the centre of mass has no moment, so that nothing says how high
+// the centre of mass is; from a start without it the estimate must not stay there.
+TEST(Recovery, RotorDragWithoutMomentIsFoundFromNothing) {
+  for (const int seed : {1, 2, 3}) {
+    Vehicle vehicle = UndeclaredVehicles()[static_cast<size_t>(seed)];
+    vehicle.effects.emplace_back("rotor_drag");
+    const RecordingConditions conditions =
+        DrawRecording(RecordingModel::kIndependent, seed, vehicle);
+    vehicle.odometry = conditions.odometry;
+    const DynamicModel model(vehicle, vehicle.effects);
+    ModelValues truth = DefaultTruth(model);
+    const int k_d = model.IndexOf("rotor_drag.k_d");
+    truth[k_d] = model.parameters()[k_d].spec.prior_sigma;
+    truth[model.IndexOf("rotor_drag.k_c")] = truth[model.IndexOf("rotor_drag.k_y")] = 0.0;
+    truth[model.IndexOf("centre_of_gravity.z")] = -0.05 * vehicle.ArmLength();
+    SimulationOptions options;
+    options.duration_s = 45.0;
+    options.seed = seed;
+    options.log_rate_hz = conditions.log_rate_hz;
+    SimulationNoise noise = conditions.noise;
+    noise.imu = false;
+    FlightLog log = Simulate(model, truth, options, noise).log;
+    Degrade(conditions, seed, &log);
+    EstimatorOptions patient = Patient();
+    patient.keyframe_rate_hz = 50.0;
+    Estimator estimator(&model, patient, true);
+    const Snapshot last = *Replay(log, &estimator).last;
+    for (const char* name : {"rotor_drag.k_d", "rotor_drag.k_c", "rotor_drag.k_y", "drag.d_x"}) {
+      const int k = model.IndexOf(name);
+      EXPECT_LT(std::abs(last.values[k] - truth[k]), 4.0 * last.sigma[k])
+          << seed << ": " << name << " = " << last.values[k] << ", truth " << truth[k];
     }
   }
 }
