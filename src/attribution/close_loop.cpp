@@ -529,7 +529,9 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   result.ranking = attribution.ranking();
   result.named_gain = attribution.gain();
   result.flexible_gain = attribution.flexible_gain();
-  result.structure = Structure(flight, attribution.residual_before(), residual.num_channels());
+  result.structure = LessStructured(
+      Structure(flight, attribution.residual_before(), residual.num_channels()),
+      Structure(flight, residual.Residual(declared, replay.last->values), residual.num_channels()));
   const bool structured = Summarise(options.attribution, &result);
   const std::vector<std::vector<double>> runs = flight.Runs(attribution.residual_before().col(0));
   const bool judged = std::any_of(runs.begin(), runs.end(),

@@ -235,7 +235,9 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
   attribution.Run();
   const std::vector<ChannelStructure> before =
       Structure(flight, attribution.residual_before(), channels);
-  Summarise(before, decision_, &found);
+  Summarise(LessStructured(before, Structure(flight, residual.Residual(model, estimate.values),
+                                             channels)),
+            decision_, &found);
   const std::vector<RankedEffect>& effects = attribution.effects();
   if (effects.empty()) return found;
   const std::vector<ChannelStructure> after =

@@ -81,4 +81,12 @@ double ExplainedStructure(const std::vector<ChannelStructure>& before,
   return any ? best : 1.0;
 }
 
+std::vector<ChannelStructure> LessStructured(std::vector<ChannelStructure> one,
+                                             const std::vector<ChannelStructure>& other) {
+  for (size_t c = 0; c < one.size(); ++c) {
+    if (other[c].whiteness.p > one[c].whiteness.p) one[c] = other[c];
+  }
+  return one;
+}
+
 }  // namespace odmc

@@ -34,4 +34,10 @@ double ExplainedStructure(const std::vector<ChannelStructure>& before,
                           const std::vector<ChannelStructure>& after, double whiteness_p,
                           double noise_p);
 
+/// Of each channel the one with less structure. What no parameters of a model explain is in the
+/// residual of any of its fits; what only one of them leaves is that fit's error.
+/// @pre both have the same channels
+std::vector<ChannelStructure> LessStructured(std::vector<ChannelStructure> one,
+                                             const std::vector<ChannelStructure>& other);
+
 }  // namespace odmc
