@@ -523,7 +523,7 @@ void Evidence::Project() {
   gram.diagonal().array() = 1.0 + kCollinear;
   const MatrixXd share = unit.asDiagonal() * gram.ldlt().solve(unit.asDiagonal() * of_whole);
   white_.leftCols(n) = (white_.leftCols(n) * share).eval();
-  held_out_white_.leftCols(n) = (held_out_white_.leftCols(n) * share).eval();
+  // Held-out columns stay as they were foreseen: how many of them combine was fitted elsewhere.
   SumUp();
 }
 

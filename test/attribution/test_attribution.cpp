@@ -248,15 +248,27 @@ TEST(Evidence, NamesWhatActsWithItsCoefficient) {
 }
 
 // Drag that goes with the rotors' speed is one with the declared drag but for the little that this
-// changes.
+// changes, where it has no moment.
 TEST(Evidence, TellsRotorDragFromDrag) {
-  const UndeclaredFlight flight = Make({"rotor_drag"}, 0.3, "aggressive", 1, 17);
-  const Flown flown = Filtered(flight);
+  Vehicle vehicle = UndeclaredVehicles()[1];
+  Vehicle true_vehicle = vehicle;
+  true_vehicle.effects.emplace_back("rotor_drag");
+  const DynamicModel model(true_vehicle, true_vehicle.effects);
+  ModelValues truth = DefaultTruth(model);
+  const int k_d = model.IndexOf("rotor_drag.k_d");
+  truth[k_d] = model.parameters()[k_d].spec.prior_sigma;
+  truth[model.IndexOf("rotor_drag.k_c")] = truth[model.IndexOf("rotor_drag.k_y")] = 0.0;
+  SimulationOptions options;
+  options.trajectory = "aggressive";
+  const FlightLog log = Simulate(model, truth, options, SimulationNoise()).log;
+  const Flown flown{vehicle, ThinnedFlight(FilterFlight(log, vehicle.num_rotors(), {}), {}), {}};
   const ResidualModel residual(&flown.flight, &flown.vehicle, true);
   const Attribution attribution = Attribute(flown, residual);
   ASSERT_FALSE(attribution.effects().empty());
-  EXPECT_EQ(attribution.effects().front().name, "rotor_drag");
-  EXPECT_GT(attribution.effects().front().score, 30.0);
+  const RankedEffect& found = attribution.effects().front();
+  EXPECT_EQ(found.name, "rotor_drag");
+  EXPECT_GT(found.score, 30.0);
+  EXPECT_NEAR(found.Find("rotor_drag.k_d")->value, truth[k_d], 0.3 * truth[k_d]);
 }
 
 TEST(Evidence, NamesBothOfTwoThatActOnDifferentAxes) {
