@@ -207,8 +207,10 @@ void Attribution::Rank(const Evidence& evidence) {
 
 double Attribution::ScoreOf(const Evidence& evidence, const VariantSet& set,
                             const VariantSet& without) const {
-  return std::min(evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence,
-                  evidence.PredictiveGain(set, without));
+  const EffectFit with = evidence.Solve(set), other = evidence.Solve(without);
+  const double gain = std::min(with.log_evidence - other.log_evidence,
+                               evidence.PredictiveGain(set, without));
+  return gain - std::pow(options_.formula_error, 2) * evidence.GivenUp(with, other);
 }
 
 double Attribution::ShadowOf(const std::array<double, kNumChannels>& energy,

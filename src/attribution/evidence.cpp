@@ -25,6 +25,7 @@ constexpr NoiseRounds kFirstNoise = {3, 3};
 constexpr NoiseRounds kMoreColumns = {1, 2};
 constexpr NoiseRounds kMovedColumns = {0, 1};
 constexpr Index kMostDraws = 32;       // of the fit, for an expectation: its sums to some per cent
+constexpr double kAveraged = 80.0;     // values of which a spectrum's ordinate is the mean: to 16 %
 constexpr double kWildSigmas = 5.0;    // innovations beyond count as this many
 constexpr double kWide = 5.0;          // natural sizes of what is strangely large
 constexpr double kWideFrom = 2.0;      // natural sizes from which that is looked at
@@ -412,6 +413,16 @@ Evidence::Noise Evidence::FitNoise(const MatrixXd& e) const {
     const auto past = by_sample.middleCols<kOrder + 1>(i - kOrder).rowwise().reverse();
     S.noalias() += past.transpose().lazyProduct(past);
   }
+  // A short flight's spectrum to a resolution at which an ordinate is the mean of many values. A
+  // finer one takes the few cycles of a manoeuvre, and with them all that follows it, for noise
+  // (Blackman and Tukey, The Measurement of Power Spectra, 1958; a Gaussian window).
+  const double step_s = residual_->flight().step_s();
+  const double bandwidth_Hz =
+      0.5 * kAveraged / (static_cast<double>(rows_.size()) * step_s);
+  const double sigma_rad = std::sqrt(M_PI) * bandwidth_Hz * step_s;
+  for (int i = 0; i <= kOrder; ++i) {
+    for (int k = 0; k <= kOrder; ++k) S(i, k) *= std::exp(-0.5 * std::pow(sigma_rad * (i - k), 2));
+  }
   Moments A = S;
   A.diagonal().array() += 1e-3 * A.diagonal().maxCoeff() + 1e-300;
   Noise noise;
@@ -691,6 +702,19 @@ std::array<double, kNumChannels> Evidence::EnergyOf(int variant, const EffectFit
   const auto n = static_cast<Index>(rows_.size());
   for (int c = 0; c < num_channels_; ++c) energy[c] = 0.5 * does.segment(c * n, n).squaredNorm();
   return energy;
+}
+
+double Evidence::GivenUp(const EffectFit& with, const EffectFit& without) const {
+  VectorXd change = VectorXd::Zero(white_.rows());
+  for (size_t k = 0; k < with.columns.size(); ++k) {
+    for (size_t l = 0; l < without.columns.size(); ++l) {
+      if (with.columns[k] != without.columns[l]) continue;
+      change += (with.coefficients[static_cast<Index>(k)] -
+                 without.coefficients[static_cast<Index>(l)]) *
+                white_.col(with.columns[k]);
+    }
+  }
+  return 0.5 * change.squaredNorm();
 }
 
 double Evidence::PredictiveGain(const VariantSet& set, const VariantSet& over) const {

@@ -42,6 +42,25 @@ TEST(MeasuredNeuroBem, HalvesTheErrorOnBlocksHeldOut) {
   EXPECT_FALSE(has("gust"));
 }
 
+// A few cycles of a figure eight, 6 to 9 s.
+TEST(MeasuredCrazyflie, HasAHubMomentOnFlightsOfSeconds) {
+  for (const char* name : {"eckart00", "eckart18", "eckart25"}) {
+    const std::string file = RecordedFile(std::string("imrc_cf21_brushless/") + name + ".csv");
+    if (file.empty()) GTEST_SKIP() << "no recorded data";
+    const Vehicle vehicle =
+        LoadVehicle(std::string(ODMC_SOURCE_DIR) + "/config/vehicles/imrc_cf21_brushless.yaml");
+    const FlightLog log = ReadFlightCsv(file, vehicle.num_rotors(), PoseSource::kEkf);
+    CloseLoopOptions options;
+    options.estimator.keyframe_rate_hz = 50.0;
+    options.estimator.max_update_time_s = 10.0;
+    const ClosedLoop loop = CloseLoop(log, vehicle, vehicle, options);
+    ASSERT_EQ(loop.verdict, Verdict::kEffect) << name << "\n" << CloseLoopTable(loop);
+    const std::string& first = loop.effects.front().effect.name;
+    EXPECT_TRUE(first == "hub_moment" || first == "anisotropic_hub_moment") << name << ": " << first;
+    EXPECT_LT(loop.after.torque_rmse_Nm->y(), 0.6 * loop.before.torque_rmse_Nm->y()) << name;
+  }
+}
+
 }  // namespace
 }  // namespace test
 }  // namespace odmc

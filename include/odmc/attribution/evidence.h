@@ -107,6 +107,10 @@ class Evidence {
   /// What a variant of a fitted set does, by channel, over the noise [nats].
   std::array<double, kNumChannels> EnergyOf(int variant, const EffectFit& fit) const;
 
+  /// What the parameters that two fits share do differently, over the noise [nats]: what an effect
+  /// does and changes of the others cancel.
+  double GivenUp(const EffectFit& with, const EffectFit& without) const;
+
   /// By how much `set` predicts blocks of time better than `over`, each by the others [nats].
   double PredictiveGain(const VariantSet& set, const VariantSet& over) const;
 
