@@ -210,7 +210,10 @@ double Attribution::ScoreOf(const Evidence& evidence, const VariantSet& set,
   const EffectFit with = evidence.Solve(set), other = evidence.Solve(without);
   const double gain = std::min(with.log_evidence - other.log_evidence,
                                evidence.PredictiveGain(set, without));
-  return gain - std::pow(options_.formula_error, 2) * evidence.GivenUp(with, other);
+  // Of the regressors' noise, what the fit of all foreseen parts to so few samples keeps.
+  const double kept = evidence.num_columns() / static_cast<double>(evidence.num_rows());
+  return gain -
+         kept * std::pow(options_.regressor_noise, 2) * evidence.GivenUp(with, other);
 }
 
 double Attribution::ShadowOf(const std::array<double, kNumChannels>& energy,

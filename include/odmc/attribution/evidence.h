@@ -92,6 +92,7 @@ class Evidence {
   const Stage& stage() const { return stage_; }
   /// Number of samples (times channels) that count.
   int num_rows() const { return static_cast<int>(rows_.size()) * num_channels_; }
+  int num_columns() const { return static_cast<int>(columns_.size()); }
 
   EffectFit Solve(const VariantSet& set) const;
   /// The evidence alone, relative to that of the declared model.
