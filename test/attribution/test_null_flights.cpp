@@ -89,6 +89,31 @@ TEST(NullFlights, NameNothingOnShortStretches) {
   EXPECT_LE(named, 1);  // at the stated 1 % two or more are chance once in a hundred times
 }
 
+// What recurs with the few cycles of a manoeuvre is an effect, not noise of a narrow spectrum.
+TEST(ShortFlights, NameAStrongEffect) {
+  UndeclaredPlan plan;
+  plan.kind = Undeclared::kOneEffect;
+  plan.strength = "strong";
+  plan.share = 0.8;
+  plan.trajectory = "octo";
+  plan.recording = RecordingModel::kWhite;
+  CloseLoopOptions options;
+  options.estimator.keyframe_rate_hz = 50.0;
+  const std::vector<std::string> effects = {"quadratic_drag", "hub_moment", "rotor_tilt"};
+  for (size_t i = 0; i < effects.size(); ++i) {
+    plan.effects = {effects[i]};
+    plan.seed = 920 + static_cast<int>(i);
+    const UndeclaredFlight flight = MakeUndeclared(plan);
+    const FlightLog log = Stretch(flight.log, 5.0, 12.0);
+    const ClosedLoop loop = CloseLoop(log, flight.declared, flight.declared, options);
+    ASSERT_EQ(loop.verdict, Verdict::kEffect) << effects[i];
+    std::vector<std::string> named = loop.effects.front().alternatives;
+    named.push_back(loop.effects.front().effect.name);
+    EXPECT_TRUE(std::find(named.begin(), named.end(), effects[i]) != named.end())
+        << effects[i] << ", named " << named.back();
+  }
+}
+
 TEST(DrawRecording, KeepsAQuarterAndDrawsTheRest) {
   constexpr int kDraws = 400;
   const Vehicle vehicle = UndeclaredVehicles().front();
