@@ -121,7 +121,7 @@ TEST(ResidualWatch, NamesTheMissingEffectAndTheEstimatorCarriesOnWithIt) {
   const UndeclaredFlight flight = Fly({"quadratic_drag"}, "aggressive", 12);
   const double truth = flight.truth.Find("quadratic_drag.c_q")->value;
   Pilot pilot(flight, Often());
-  pilot.FlyUntil(17.0);
+  pilot.FlyUntil(19.0);  // of the first ten seconds a tilt of rotors tells as much
   ASSERT_GE(pilot.looks().size(), 3u);
   const ResidualLook look = pilot.looks().back();
   ASSERT_TRUE(look.candidate.has_value()) << Text(look);
@@ -143,7 +143,7 @@ TEST(ResidualWatch, NamesTheMissingEffectAndTheEstimatorCarriesOnWithIt) {
   EXPECT_GT(was_wrong, 5.0 * pilot.Sigma("drag.d_x"));
   const long keyframes = pilot.estimator().counters().keyframes;
   pilot.Add(look);
-  pilot.FlyUntil(17.1);
+  pilot.FlyUntil(19.1);
   EXPECT_GT(pilot.last().time_s, before.time_s) << "flight time goes on";
   EXPECT_LT(pilot.last().time_s, before.time_s + 0.2) << "and at once";
   EXPECT_GT(pilot.estimator().counters().keyframes, keyframes);
