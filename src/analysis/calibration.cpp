@@ -113,6 +113,7 @@ void WidenBy(const std::vector<ThirdsDifference>& thirds, Snapshot* snapshot) {
   for (const ThirdsDifference& d : thirds) {
     const double widening = std::max(1.0, d.spread / snapshot->sigma[d.index]);
     snapshot->sigma[d.index] *= widening;
+    snapshot->inflation[d.index] *= widening;
     snapshot->covariance.row(d.index) *= widening;
     snapshot->covariance.col(d.index) *= widening;
   }
@@ -207,6 +208,7 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
                    replay.counters.keyframes,
                    log.dropped + streams.not_finite + streams.out_of_order};
   result.parameters = Estimator::ToParameterSet(model, last);
+  result.inflation = last.inflation;
   const auto keep = [&](const PredictionSample& s) { result.prediction.samples.push_back(s); };
   result.prediction.figures =
       PredictEach(recording, file_vehicle, model, last.values, replay.ground_spans, {},
@@ -291,7 +293,10 @@ void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
                       &last.values)) {
     for (size_t i = 0; i < set.parameters.size(); ++i) {
       ParameterEstimate& p = set.parameters[i];
-      if (p.estimated) p.sigma = std::hypot(p.sigma, change[static_cast<Eigen::Index>(i)]);
+      if (!p.estimated || !(p.sigma > 0.0)) continue;
+      const double sigma = std::hypot(p.sigma, change[static_cast<Eigen::Index>(i)]);
+      calibration->inflation[static_cast<Eigen::Index>(i)] *= sigma / p.sigma;
+      p.sigma = sigma;
     }
     if (set.covariance.rows() == change.size()) set.covariance += change * change.transpose();
   }

@@ -482,8 +482,9 @@ void HoldKnownThrust(const AttributionOptions& options, Vehicle* vehicle) {
   if (*it->second.sigma < limit) it->second.estimated = false;
 }
 
-ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& vehicle,
+ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& configured,
                      const CloseLoopOptions& given, const std::function<void(double)>& progress) {
+  const Vehicle vehicle = WithPriorsOf(file_vehicle, configured);
   CloseLoopOptions options = given;
   if (!log.odometry.empty()) {
     options.blocks.FitTo(ToSeconds(log.odometry.back().stamp - log.odometry.front().stamp));

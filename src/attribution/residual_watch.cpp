@@ -230,8 +230,10 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
   const int channels = residual.num_channels();
   ResidualLook found;
   found.model = estimate.model;
-  Attribution attribution(&residual, StageOf(model, estimate.values),
-                          CandidatesFor(model.vehicle(), flight.motion()), decision_, give_up);
+  const Vehicle asked = WithPriorsOf(file_vehicle_, model.vehicle());
+  Attribution attribution(&residual,
+                          StageOf(DynamicModel(asked, asked.effects), estimate.values),
+                          CandidatesFor(asked, flight.motion()), decision_, give_up);
   attribution.Run();
   const std::vector<ChannelStructure> before =
       Structure(flight, attribution.residual_before(), channels);

@@ -1,5 +1,8 @@
 #include "odmc/attribution/stage.h"
 
+#include <algorithm>
+#include <optional>
+
 namespace odmc {
 
 Vehicle With(const Vehicle& vehicle, const Candidate& candidate) {
@@ -10,6 +13,23 @@ Vehicle With(const Vehicle& vehicle, const Candidate& candidate) {
     extended.parameters[name].estimated = false;
   }
   return extended;
+}
+
+Vehicle WithPriorsOf(const Vehicle& file_vehicle, const Vehicle& vehicle) {
+  Vehicle asked = vehicle;
+  const DynamicModel model(vehicle, vehicle.effects);
+  for (const ModelParameter& p : model.parameters()) {
+    const auto setting = asked.parameters.find(p.full_name);
+    if (!p.estimated || setting == asked.parameters.end()) continue;
+    const auto filed = file_vehicle.parameters.find(p.full_name);
+    const bool has = filed != file_vehicle.parameters.end();
+    const auto& declared = file_vehicle.effects;
+    setting->second.sigma = has ? filed->second.sigma : std::nullopt;
+    if (std::count(declared.begin(), declared.end(), p.effect) > 0) {
+      setting->second.value = has ? filed->second.value : std::nullopt;
+    }
+  }
+  return asked;
 }
 
 Stage StageOf(const DynamicModel& model, const ModelValues& values) {

@@ -17,6 +17,7 @@ class Gravity final : public Effect {
                 {"y", "rad", "turn of the vertical about world y", 0.0, 0.05, 0.05}}) {}
 
   bool adds_wrench() const override { return false; }
+  bool belongs_to_flight() const override { return true; }
   BodyPropertyRows shaped_rows() const override { return {kRowGravity, 3}; }
 
   std::vector<TellingPair> telling_pairs() const override {

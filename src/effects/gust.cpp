@@ -28,6 +28,7 @@ class Gust final : public Effect {
                  1.0, ParameterTransform::kLog, PhysicalSign::kPositive, true}}) {}
 
   bool adds_wrench() const override { return false; }
+  bool belongs_to_flight() const override { return true; }
   BodyPropertyRows shaped_rows() const override { return {kRowWind, 3}; }
 
   /// No candidate: no fixed regressor shows what varies; it has a test of its own.

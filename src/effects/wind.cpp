@@ -16,6 +16,7 @@ class Wind final : public Effect {
             {WindSpec("x"), WindSpec("y"), WindSpec("z")}) {}
 
   bool adds_wrench() const override { return false; }
+  bool belongs_to_flight() const override { return true; }
   BodyPropertyRows shaped_rows() const override { return {kRowWind, 3}; }
 
   std::vector<EffectTrial> Trials(const FlownRange&, bool) const override {

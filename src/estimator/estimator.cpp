@@ -1004,6 +1004,12 @@ void Estimator::TakeSnapshot(const OdometrySample& sample, const SolveReport& re
     }
   }
   AddScaleError(&snapshot);
+  snapshot.inflation.setOnes(m);
+  for (int i = 0; i < n; ++i) {
+    const int k = layout_.model_index(i);
+    const double plain = sigma_eta_[i] * std::abs(chain[i]);
+    if (plain > 0.0) snapshot.inflation[k] = std::max(1.0, snapshot.sigma[k] / plain);
+  }
   snapshot.unobservable = unobservable_;
   FillResiduals(&snapshot);
 }

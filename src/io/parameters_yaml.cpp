@@ -32,7 +32,7 @@ std::vector<std::string> ReadEffects(const YamlValue& value) {
 
 ParameterEstimate ReadEstimate(const std::string& name, const YamlValue& value,
                                const ParameterSpec& spec) {
-  value.AllowKeys({"value", "sigma", "unit", "state", "observable"});
+  value.AllowKeys({"value", "sigma", "scatter", "unit", "state", "observable"});
   ParameterEstimate p;
   p.full_name = name;
   p.unit = spec.unit;
@@ -40,6 +40,8 @@ ParameterEstimate ReadEstimate(const std::string& name, const YamlValue& value,
   p.value = value.Get("value").Number();
   if (const auto sigma = value.Find("sigma")) p.sigma = sigma->Number();
   if (p.sigma < 0.0) value.Get("sigma").Fail("must not be negative");
+  if (const auto scatter = value.Find("scatter")) p.scatter = scatter->Number();
+  if (p.scatter < 0.0) value.Get("scatter").Fail("must not be negative");
   if (const auto unit = value.Find("unit")) {
     if (unit->Text() != spec.unit) {
       unit->Fail("is '" + unit->Text() + "'; this program keeps " + name + " in '" + spec.unit +
@@ -146,7 +148,9 @@ std::string Finite(double value, const std::string& key) {
 
 std::string FormatEstimate(const ParameterEstimate& p) {
   return "  " + p.full_name + ": {value: " + Finite(p.value, p.full_name + ".value") +
-         ", sigma: " + Finite(p.sigma, p.full_name + ".sigma") + ", unit: " + Quoted(p.unit) +
+         ", sigma: " + Finite(p.sigma, p.full_name + ".sigma") +
+         (p.scatter > 0.0 ? ", scatter: " + Finite(p.scatter, p.full_name + ".scatter") : "") +
+         ", unit: " + Quoted(p.unit) +
          ", state: " + (p.estimated ? "estimated" : "frozen") +
          ", observable: " + (p.observable ? "true" : "false") + "}\n";
 }

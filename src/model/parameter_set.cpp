@@ -1,5 +1,7 @@
 #include "odmc/model/parameter_set.h"
 
+#include <cmath>
+
 namespace odmc {
 
 const ParameterEstimate* ParameterSet::Find(const std::string& full_name) const {
@@ -14,7 +16,7 @@ void ApplyParameters(const ParameterSet& set, Vehicle* vehicle) {
   for (const ParameterEstimate& p : set.parameters) {
     ParameterSetting& setting = vehicle->parameters[p.full_name];
     setting.value = p.value;
-    if (p.sigma > 0.0) setting.sigma = p.sigma;
+    if (p.sigma > 0.0) setting.sigma = std::hypot(p.sigma, p.scatter);
     setting.estimated = p.estimated;
   }
 }

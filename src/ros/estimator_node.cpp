@@ -204,6 +204,7 @@ EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
   if (!doubt.empty()) setup.warnings.push_back(doubt);
   setup.odometry_mount_known =
       !setup.options.vehicle_file.empty() && FileHasKey(setup.options.vehicle_file, "odometry");
+  setup.file_parameters = setup.vehicle.parameters;
   if (!setup.options.parameters_file.empty()) {
     const ParameterSet set = LoadParameters(setup.options.parameters_file);
     const auto accepted = set.provenance.find("accepted");
@@ -212,6 +213,10 @@ EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
                                ": was not accepted when it was saved; the estimate starts from it");
     }
     ApplyParameters(set, &setup.vehicle);
+    const auto known = setup.vehicle.parameters.find("thrust.k_f");
+    if (known != setup.vehicle.parameters.end()) {
+      setup.file_parameters.insert_or_assign(known->first, known->second);
+    }
   }
   SettleActuator(setup.options, &setup.vehicle);
   if (!setup.options.output_dir.empty()) {
@@ -570,7 +575,9 @@ void EstimatorNode::MakeEstimator() {
   if (!streams_seen_) streams_seen_.emplace(setup_.vehicle);
   if (setup_.options.residual_watch.residual_watch_period_s > 0.0) {
     const std::lock_guard<std::mutex> lock(watch_mutex_);
-    watch_ = std::make_shared<ResidualWatch>(setup_.vehicle, setup_.options.residual_watch,
+    Vehicle filed = setup_.vehicle;
+    filed.parameters = setup_.file_parameters;
+    watch_ = std::make_shared<ResidualWatch>(filed, setup_.options.residual_watch,
                                              !intake_.rms_only());
   }
 }

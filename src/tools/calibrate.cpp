@@ -1,84 +1,196 @@
+#include <algorithm>
+#include <filesystem>
 #include <iostream>
+#include <map>
 
 #include "odmc/analysis/report.h"
+#include "odmc/fleet/fleet_flight_json.h"
+#include "odmc/fleet/joint_calibration.h"
+#include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "tool_support.h"
+
+namespace odmc {
+namespace {
+
+/// What the command line says.
+struct Arguments {
+  tools::FlightArguments flight;
+  tools::ModelArguments model;
+  tools::EstimatorArguments estimator;
+  std::string vehicle_file, folder;
+  double noise_m = 0.0, left_out_s = 0.0;
+  int seed = 1, jobs = 1;
+  std::vector<std::string> own;
+  double false_alarm_rate = JointOptions().false_alarm_rate;
+  bool no_report = false, force = false, no_left_out = false;
+};
+
+void RefuseMassBesideThrust(const DynamicModel& model) {
+  const auto is_estimated = [&model](const char* name) {
+    const int i = model.IndexOf(name);
+    return i >= 0 && model.parameters()[i].estimated;
+  };
+  if (is_estimated("mass_change.mass") && is_estimated("thrust.k_f")) {
+    throw tools::UsageError(
+        "mass_change.mass and thrust.k_f cannot both be estimated, a flight shows their ratio: "
+        "--freeze thrust.k_f or mass_change.mass");
+  }
+}
+
+void CalibrateOne(const Arguments& a, const std::string& file, const Vehicle& file_vehicle,
+                  const Vehicle& vehicle) {
+  const EstimatorOptions options = a.estimator.Read();
+  const DynamicModel model(vehicle, vehicle.effects);
+  FlightLog recording = a.flight.Read(file, vehicle);
+  const StreamInspection inspection = tools::InspectFlight(vehicle, a.force, &recording);
+  FlightLog noisy;
+  if (a.noise_m > 0.0) {
+    noisy = recording;
+    AddPositionNoise(a.noise_m, a.seed, &noisy);
+  }
+  const FlightLog& log = a.noise_m > 0.0 ? noisy : recording;
+  tools::MakeFolder(a.folder);
+  PredictionFile prediction(tools::In(a.folder, "prediction.csv"), !log.rotor_rms_only);
+  tools::ProgressBar bar(log.file);
+  Calibration result = Calibrate(log, recording, file_vehicle, model, options, bar.Callback(),
+                                 [&](const PredictionSample& sample) { prediction.Add(sample); });
+  prediction.Close();
+  AddInspection(inspection, &result);
+  WidenForDoubts(log, model, options, inspection.doubts, &result);
+  if (a.left_out_s > 0.0) {
+    result.left_out = PredictLeftOut(log, recording, file_vehicle, model, options, a.left_out_s);
+  }
+  if (a.model.choice.parameters) {
+    WarnOfOtherMass(*a.model.choice.parameters, file_vehicle, &result.warnings);
+  }
+  result.parameters.provenance =
+      tools::Provenance("calibrate", vehicle,
+                        {{"flight", log.file},
+                         {"position_noise_m", std::to_string(a.noise_m)},
+                         {"estimator_options", tools::DescribeChanges(options)}});
+  AddTrust(result.findings, &result.parameters);
+  tools::WriteCalibration(result, log, model, a.folder);
+  WriteText(FormatFleetFlight(FleetFlightOf(result, model, a.own)),
+            tools::In(a.folder, "flight.json"));
+  std::cout << CalibrationTable(result);
+  if (!a.no_report) tools::RenderReport(a.folder);
+}
+
+/// A folder's name for a flight, its file's name; where several have that, with a number.
+std::string FolderOf(const FleetFlight& flight, std::map<std::string, int>* taken) {
+  const std::string stem = std::filesystem::path(flight.file).stem().string();
+  const int before = (*taken)[stem]++;
+  return before == 0 ? stem : stem + "_" + std::to_string(before + 1);
+}
+
+void CalibrateSeveral(const Arguments& a, const std::vector<std::string>& names,
+                      const Vehicle& file_vehicle, const Vehicle& vehicle) {
+  if (a.noise_m > 0.0 || a.left_out_s > 0.0) {
+    throw tools::UsageError(
+        "--position-noise and --leave-out are for one flight; of several each is left out whole");
+  }
+  JointCalibrationOptions options;
+  options.estimator = a.estimator.Read();
+  options.own = a.own;
+  options.jobs = a.jobs;
+  options.joint.false_alarm_rate = a.false_alarm_rate;
+  options.predict_left_out = !a.no_left_out;
+  const DynamicModel model(vehicle, vehicle.effects);
+  std::vector<std::string> files;
+  std::vector<FleetFlight> known;
+  for (const std::string& name : names) {
+    if (std::filesystem::path(name).extension() != ".json") {
+      files.push_back(name);
+      continue;
+    }
+    known.push_back(LoadFleetFlight(name));
+    files.push_back(known.back().file);
+  }
+  const FlightSource source = [&](const std::string& file) {
+    InspectedFlight flight;
+    flight.log = a.flight.Read(file, vehicle);
+    flight.inspection = tools::InspectFlight(vehicle, a.force, &flight.log);
+    return flight;
+  };
+  tools::MakeFolder(a.folder);
+  tools::ProgressBar bar(std::to_string(files.size()) + " flights");
+  FleetCalibration fleet =
+      CalibrateFleet(files, source, file_vehicle, vehicle, options, known, bar.Callback());
+  fleet.parameters.provenance =
+      tools::Provenance("calibrate", vehicle,
+                        {{"flights", std::to_string(fleet.used().size())},
+                         {"estimator_options", tools::DescribeChanges(options.estimator)}});
+  SaveParameters(fleet.parameters, tools::In(a.folder, "parameters.yaml"));
+  WriteText(FleetReport(fleet, model), tools::In(a.folder, "report.json"));
+  WriteText(FleetHistoryCsv(fleet), tools::In(a.folder, "flights.csv"));
+  std::map<std::string, int> taken;
+  for (const FleetFlight& flight : fleet.flights) {
+    if (!flight.failure.empty()) continue;
+    const std::string folder = tools::In(tools::In(a.folder, "flights"), FolderOf(flight, &taken));
+    tools::MakeFolder(folder);
+    SaveParameters(flight.factor.estimate, tools::In(folder, "parameters.yaml"));
+    WriteText(FormatFleetFlight(flight), tools::In(folder, "flight.json"));
+  }
+  std::cout << FleetTable(fleet);
+  if (!a.no_report) tools::RenderReport(a.folder, "render_fleet");
+}
+
+}  // namespace
+}  // namespace odmc
 
 int main(int argc, char** argv) {
   using namespace odmc;
   CLI::App app(
-      "Calibrates a quadrotor's dynamic model on a recorded flight with the online estimator.\n"
-      "Writes parameters.yaml, history.csv, prediction.csv, timing.csv, report.json, report.html.");
-  tools::FlightArguments flight;
-  tools::ModelArguments model_arguments;
-  tools::EstimatorArguments estimator;
-  std::string vehicle_file, folder;
-  double noise_m = 0.0, left_out_s = 0.0;
-  int seed = 1;
-  bool no_report = false, force = false;
-  flight.AddTo(&app);
-  tools::AddVehicle(&app, &vehicle_file);
-  tools::AddFolder(&app, &folder, &no_report);
-  model_arguments.AddParametersTo(&app, "parameters.yaml with effects, start values and priors");
-  model_arguments.AddTo(&app);
-  estimator.AddTo(&app);
-  app.add_option("--leave-out", left_out_s,
+      "Calibrates a quadrotor's dynamic model on recorded flights with the online estimator.\n"
+      "Of one flight it writes parameters.yaml, history.csv, prediction.csv, timing.csv,\n"
+      "report.json, report.html and flight.json (what a fleet needs of it). Of several it combines\n"
+      "what each says about the vehicle: parameters.yaml with the scatter between flights,\n"
+      "report.json, flights.csv, report.html, and flights/NAME/ of each.");
+  Arguments a;
+  a.flight.AddSeveralTo(&app);
+  tools::AddVehicle(&app, &a.vehicle_file);
+  tools::AddFolder(&app, &a.folder, &a.no_report);
+  a.model.AddParametersTo(&app, "parameters.yaml with effects, start values and priors");
+  a.model.AddTo(&app);
+  a.estimator.AddTo(&app);
+  app.add_option("--leave-out", a.left_out_s,
                  "also leaves out every block of this many seconds in turn and predicts it with "
-                 "what the rest of the flight shows")
+                 "what the rest of the flight shows (one flight)")
       ->check(tools::Positive());
-  app.add_option("--position-noise", noise_m,
+  app.add_option("--position-noise", a.noise_m,
                  "adds white Gaussian noise to every odometry position the estimator sees, sigma "
-                 "per axis [m]")
+                 "per axis [m] (one flight)")
       ->check(tools::NotNegative());
-  app.add_option("--seed", seed, "of the position noise")
+  app.add_option("--seed", a.seed, "of the position noise")
       ->capture_default_str()
       ->check(tools::NotNegative());
-  tools::AddForce(&app, &force);
+  app.add_option("--own", a.own,
+                 "parameters or effects that are each flight's own, beside gravity and wind: "
+                 "odometry_extrinsics where the mount is taken off between flights")
+      ->delimiter(',')
+      ->allow_extra_args(false)
+      ->type_name("a,b");
+  app.add_option("--jobs", a.jobs, "flights at a time")->check(tools::Positive())->capture_default_str();
+  app.add_option("--false-alarm-rate", a.false_alarm_rate,
+                 "share of fleets without any in which a step, a trend or an outlier is seen")
+      ->check(CLI::Range(1e-9, 0.5))
+      ->capture_default_str();
+  app.add_flag("--no-left-out", a.no_left_out,
+               "do not predict each flight with what all others show");
+  tools::AddForce(&app, &a.force);
   return tools::Run(&app, argc, argv, [&] {
-    const Vehicle file_vehicle = LoadVehicle(vehicle_file);
-    const EstimatorOptions options = estimator.Read();
-    const Vehicle vehicle = model_arguments.Configure(file_vehicle);
-    const DynamicModel model(vehicle, vehicle.effects);
-    const auto is_estimated = [&model](const char* name) {
-      const int i = model.IndexOf(name);
-      return i >= 0 && model.parameters()[i].estimated;
-    };
-    if (is_estimated("mass_change.mass") && is_estimated("thrust.k_f")) {
-      throw tools::UsageError(
-          "mass_change.mass and thrust.k_f cannot both be estimated, a flight shows their ratio: "
-          "--freeze thrust.k_f or mass_change.mass");
+    const std::vector<std::string> files = a.flight.Expand();
+    const Vehicle file_vehicle = LoadVehicle(a.vehicle_file);
+    a.estimator.Read();
+    const Vehicle vehicle = a.model.Configure(file_vehicle);
+    RefuseMassBesideThrust(DynamicModel(vehicle, vehicle.effects));
+    const bool is_one =
+        files.size() == 1 && std::filesystem::path(files.front()).extension() != ".json";
+    if (is_one) {
+      CalibrateOne(a, files.front(), file_vehicle, vehicle);
+    } else {
+      CalibrateSeveral(a, files, file_vehicle, vehicle);
     }
-    FlightLog recording = flight.Read(vehicle);
-    const StreamInspection inspection = tools::InspectFlight(vehicle, force, &recording);
-    FlightLog noisy;
-    if (noise_m > 0.0) {
-      noisy = recording;
-      AddPositionNoise(noise_m, seed, &noisy);
-    }
-    const FlightLog& log = noise_m > 0.0 ? noisy : recording;
-    tools::MakeFolder(folder);
-    PredictionFile prediction(tools::In(folder, "prediction.csv"), !log.rotor_rms_only);
-    tools::ProgressBar bar(log.file);
-    Calibration result =
-        Calibrate(log, recording, file_vehicle, model, options, bar.Callback(),
-                  [&](const PredictionSample& sample) { prediction.Add(sample); });
-    prediction.Close();
-    AddInspection(inspection, &result);
-    WidenForDoubts(log, model, options, inspection.doubts, &result);
-    if (left_out_s > 0.0) {
-      result.left_out = PredictLeftOut(log, recording, file_vehicle, model, options, left_out_s);
-    }
-    if (model_arguments.choice.parameters) {
-      WarnOfOtherMass(*model_arguments.choice.parameters, file_vehicle, &result.warnings);
-    }
-    result.parameters.provenance =
-        tools::Provenance("calibrate", vehicle,
-                          {{"flight", log.file},
-                           {"position_noise_m", std::to_string(noise_m)},
-                           {"estimator_options", tools::DescribeChanges(options)}});
-    AddTrust(result.findings, &result.parameters);
-    tools::WriteCalibration(result, log, model, folder);
-    std::cout << CalibrationTable(result);
-    if (!no_report) tools::RenderReport(folder);
   });
 }

@@ -24,7 +24,8 @@ int main(int argc, char** argv) {
   flight.AddTo(&app);
   tools::AddVehicle(&app, &vehicle_file);
   tools::AddFolder(&app, &folder, &no_report);
-  model_arguments.AddParametersTo(&app, "parameters.yaml with effects, start values and priors");
+  model_arguments.AddParametersTo(&app, "parameters.yaml with effects, frozen values and a thrust coefficient; its other sigmas are "
+                                   "no priors here: whether its model lacks something is the question");
   model_arguments.AddTo(&app);
   estimator.defaults = tools::AttributionEstimatorOptions();
   estimator.AddTo(&app);

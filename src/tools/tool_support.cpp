@@ -1,5 +1,6 @@
 #include "tool_support.h"
 
+#include <glob.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -8,7 +9,9 @@
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
 #include <iostream>
+#include <set>
 
 #include "odmc/actuator/flight_actuator.h"
 #include "odmc/analysis/report.h"
@@ -197,6 +200,105 @@ std::function<void(double)> ProgressBar::Callback() {
 void FlightArguments::AddTo(CLI::App* app, bool required) {
   app->add_option("FLIGHT", file, "recorded flight: a rosbag (.bag) or a CSV file (.csv)")
       ->required(required);
+  AddReadingTo(app);
+}
+
+void FlightArguments::AddSeveralTo(CLI::App* app) {
+  app->add_option("FLIGHT", several,
+                  "recorded flights: rosbags (.bag), CSV files (.csv), folders of them, patterns "
+                  "('day1/*.bag'); a list of them as @FILE, one a line")
+      ->required();
+  AddReadingTo(app);
+}
+
+namespace {
+
+/// Numbers in names by their size.
+bool NaturallyBefore(const std::string& a, const std::string& b) {
+  const auto is_digit = [](char c) { return c >= '0' && c <= '9'; };
+  size_t i = 0, j = 0;
+  while (i < a.size() && j < b.size()) {
+    if (is_digit(a[i]) && is_digit(b[j])) {
+      const auto skip = [&](const std::string& text, size_t at) {
+        while (at < text.size() && text[at] == '0') ++at;
+        return at;
+      };
+      const size_t i0 = skip(a, i), j0 = skip(b, j);
+      for (i = i0; i < a.size() && is_digit(a[i]);) ++i;
+      for (j = j0; j < b.size() && is_digit(b[j]);) ++j;
+      if (i - i0 != j - j0) return i - i0 < j - j0;
+      const int order = a.compare(i0, i - i0, b, j0, j - j0);
+      if (order != 0) return order < 0;
+    } else {
+      if (a[i] != b[j]) return a[i] < b[j];
+      ++i;
+      ++j;
+    }
+  }
+  return a.size() - i < b.size() - j;
+}
+
+/// Companions of a flight (see SiblingFile) and what is no recording are none.
+bool IsFlightFile(const fs::path& path) {
+  const std::string stem = path.stem().string(), kind = path.extension().string();
+  const auto ends_with = [&stem](const std::string& end) {
+    return stem.size() >= end.size() && stem.compare(stem.size() - end.size(), end.size(), end) == 0;
+  };
+  return kind == ".bag" || (kind == ".csv" && !ends_with("_mocap") && !ends_with("_rotor"));
+}
+
+void AddFlights(const std::string& name, std::set<std::string>* seen,
+                std::vector<std::string>* files) {
+  std::vector<std::string> found;
+  const std::string kind = fs::path(name).extension().string();
+  if (fs::is_directory(name)) {
+    for (const auto& entry : fs::recursive_directory_iterator(name)) {
+      if (entry.is_regular_file() && IsFlightFile(entry.path())) found.push_back(entry.path());
+    }
+  } else if (fs::exists(name)) {
+    found.push_back(name);
+  } else if (name.find_first_of("*?[") != std::string::npos) {
+    glob_t matches;
+    if (glob(name.c_str(), 0, nullptr, &matches) == 0) {
+      for (size_t i = 0; i < matches.gl_pathc; ++i) {
+        if (IsFlightFile(matches.gl_pathv[i])) found.push_back(matches.gl_pathv[i]);
+      }
+    }
+    globfree(&matches);
+  } else if (kind == ".csv" || kind == ".bag" || kind == ".json") {
+    found.push_back(name);  // the reader says what is wrong with it
+  }
+  if (found.empty()) {
+    throw std::invalid_argument(name + (fs::is_directory(name) ? ": holds no flight (.csv, .bag)"
+                                                               : ": no such file, folder or "
+                                                                 "pattern of flights"));
+  }
+  std::sort(found.begin(), found.end(), NaturallyBefore);
+  for (std::string& file : found) {
+    if (seen->insert(file).second) files->push_back(std::move(file));
+  }
+}
+
+}  // namespace
+
+std::vector<std::string> FlightArguments::Expand() const {
+  std::vector<std::string> files;
+  std::set<std::string> seen;
+  for (const std::string& name : several) {
+    if (name.size() < 2 || name[0] != '@') {
+      AddFlights(name, &seen, &files);
+      continue;
+    }
+    std::ifstream list(name.substr(1));
+    if (!list) throw std::invalid_argument(name.substr(1) + ": cannot be read");
+    for (std::string line; std::getline(list, line);) {
+      if (!line.empty()) AddFlights(line, &seen, &files);
+    }
+  }
+  return files;
+}
+
+void FlightArguments::AddReadingTo(CLI::App* app) {
   app->add_option("--start", start_s, "leave out what comes before this time [s]")
       ->check(NotNegative());
   app->add_option("--end", end_s,
@@ -238,7 +340,7 @@ void FlightArguments::AddTo(CLI::App* app, bool required) {
       ->check(CLI::ExistingFile);
 }
 
-FlightLog FlightArguments::Read(const Vehicle& vehicle) const {
+FlightLog FlightArguments::Read(const std::string& flight, const Vehicle& vehicle) const {
   if (end_s > 0.0 && end_s <= start_s) throw UsageError("--end must lie after --start");
   BagOptions options = bag;
   const std::vector<std::string> roles = {
@@ -250,7 +352,7 @@ FlightLog FlightArguments::Read(const Vehicle& vehicle) const {
     }
     options.topics[role] = topic;
   }
-  if (file.size() > 4 && file.substr(file.size() - 4) == ".csv") {
+  if (flight.size() > 4 && flight.substr(flight.size() - 4) == ".csv") {
     const BagOptions defaults;
     for (const auto& [option, given] :
          {std::pair("--topic", !topics.empty()),
@@ -262,21 +364,21 @@ FlightLog FlightArguments::Read(const Vehicle& vehicle) const {
       }
     }
   }
-  FlightLog log = ReadFlight(file, vehicle.num_rotors(), pose, options);
+  FlightLog log = ReadFlight(flight, vehicle.num_rotors(), pose, options);
   MendFlight(&log);
   if (log.rotors.empty() && !log.commands.empty() && !from_commands) {
-    throw std::invalid_argument(file +
+    throw std::invalid_argument(flight +
                                 ": no rotor speeds; it has commands: try "
                                 "--rotor-speed-from commands");
   }
   CutFlight(start_s, end_s, &log);
-  RefuseLeaps(log, file);
+  RefuseLeaps(log, flight);
   const std::optional<Actuator> actuator =
       actuator_file.empty() ? vehicle.actuator : LoadActuator(actuator_file);
   SettleRotors(actuator, vehicle.num_rotors(), from_commands, &log);
   if (log.odometry.size() < 2 || log.rotors.empty()) {
     const bool cut = start_s > 0.0 || end_s > 0.0;
-    throw std::invalid_argument(file + ": no flight: " + std::to_string(log.odometry.size()) +
+    throw std::invalid_argument(flight + ": no flight: " + std::to_string(log.odometry.size()) +
                                 " poses and " + std::to_string(log.rotors.size()) +
                                 " readings of rotor speeds" +
                                 (cut ? " between --start and --end" : ""));

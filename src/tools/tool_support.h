@@ -47,6 +47,7 @@ CLI::Validator NotNegative();
 /// FLIGHT and how to read it.
 struct FlightArguments {
   std::string file;
+  std::vector<std::string> several;  ///< where AddSeveralTo() was called
   double start_s = 0.0, end_s = 0.0;
   PoseSource pose = PoseSource::kEkf;
   std::vector<std::string> topics;
@@ -58,10 +59,20 @@ struct FlightArguments {
   /// --rotor-speed-from, --actuator.
   /// @param required false where the tool can do without a flight
   void AddTo(CLI::App* app, bool required = true);
+  /// The same with FLIGHT..., files, folders and patterns.
+  void AddSeveralTo(CLI::App* app);
+  /// The flights these name, each once: of a folder every flight in it and below, in natural order
+  /// (flight2 before flight10).
+  /// @throws std::invalid_argument naming what is no flight, or holds none
+  std::vector<std::string> Expand() const;
   /// The flight with the rotor speeds to be used: rotors whose sensor is bad get the actuator
   /// model's, where there are commands.
   /// @throws std::invalid_argument, UsageError
-  FlightLog Read(const Vehicle& vehicle) const;
+  FlightLog Read(const Vehicle& vehicle) const { return Read(file, vehicle); }
+  FlightLog Read(const std::string& flight, const Vehicle& vehicle) const;
+
+ private:
+  void AddReadingTo(CLI::App* app);
 };
 
 /// Compares the recording's streams with each other and mends the log by what was found.

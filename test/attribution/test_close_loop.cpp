@@ -133,6 +133,20 @@ TEST(CloseLoop, FindsAddsAndMeasuresAMissingEffect) {
   EXPECT_NE(CloseLoopReport(loop).find("\"verdict\": \"effect\""), std::string::npos);
 }
 
+// The earlier estimate is of the same incomplete model: its linear drag is what the quadratic one
+// does at that speed, known to a per cent.
+TEST(CloseLoop, NamesWhatAnEarlierEstimatesParametersStandInFor) {
+  const UndeclaredFlight flight =
+      MakeUndeclared(Plan(Undeclared::kOneEffect, {"quadratic_drag"}, 0.8, "aggressive", 1, 12));
+  Vehicle known = flight.declared;
+  ApplyParameters(Close(flight).declared_parameters, &known);
+  const ClosedLoop loop = CloseLoop(flight.log, flight.declared, known, CloseLoopOptions());
+  ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
+  EXPECT_TRUE(Names(loop.effects.front(), "quadratic_drag")) << CloseLoopTable(loop);
+  const double truth = flight.truth.Find("quadratic_drag.c_q")->value;
+  EXPECT_NEAR(loop.parameters.Find("quadratic_drag.c_q")->value, truth, 0.1 * truth);
+}
+
 // The delay brings the noise of rotor accelerations into the prediction, which above 4 Hz is worse
 // with it than without.
 TEST(CloseLoop, ConfirmsADelayInSpiteOfTheNoiseItBrings) {

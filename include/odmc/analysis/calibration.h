@@ -37,6 +37,8 @@ struct LeftOut {
 struct Calibration {
   FlightFigures flight;
   ParameterSet parameters;
+  /// By how much each parameter's sigma is larger than the window's, see Snapshot::inflation.
+  Eigen::VectorXd inflation;
   ReplayResult replay;
   Prediction prediction;
   std::optional<LeftOut> left_out;                   ///< where it was asked for

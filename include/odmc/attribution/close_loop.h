@@ -80,7 +80,8 @@ void HoldKnownThrust(const AttributionOptions& options, Vehicle* vehicle);
 /// Calibrates `vehicle`'s model on a flight, finds what it leaves unexplained, traces it to an
 /// effect of the catalogue, adds that and says what it changed. `progress` gets the share done.
 /// @param file_vehicle the vehicle file as it is: measured forces and torques come from it
-/// @param vehicle with the configured effects and parameters
+/// @param vehicle with the configured effects and parameters; the sigmas of an earlier estimate are no
+///   priors here, see WithPriorsOf()
 /// @throws std::invalid_argument where the flight cannot be calibrated
 ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& vehicle,
                      const CloseLoopOptions& options,

@@ -18,6 +18,13 @@ struct Stage {
 /// The vehicle with a candidate added, what it was tried with frozen.
 Vehicle With(const Vehicle& vehicle, const Candidate& candidate);
 
+/// A vehicle as attribution asks about it: what is estimated has the priors of the vehicle file
+/// again, and starts there; of effects the file does not list, the values stay. The sigmas of an
+/// earlier estimate (`parameters.yaml`) hold under its model, and whether that lacks something is
+/// the question: a viscous torque that stood in for a hub moment, known to 15 %, would forbid the
+/// hub moment. What is frozen stays, as a thrust coefficient that is known.
+Vehicle WithPriorsOf(const Vehicle& file_vehicle, const Vehicle& vehicle);
+
 /// A model as the online estimator found it, inertia as the vehicle file has it: online it takes the
 /// noise of the rotor speeds, and what else acts, for its own.
 Stage StageOf(const DynamicModel& model, const ModelValues& values);

@@ -55,6 +55,8 @@ struct Snapshot {
   BodyProperties body;    ///< at the estimate: mounts, centre of mass, gravity
   ModelValues values;     ///< of the model's parameters
   Eigen::VectorXd sigma;  ///< of each, 0 where frozen; inflated for serial correlation
+  /// Of each, at least 1: `sigma` over what the window's information alone gives.
+  Eigen::VectorXd inflation;
   std::vector<bool> observable;
   std::vector<std::string> unobservable;  ///< directions nobody measured, in words
   Eigen::MatrixXd covariance;             ///< of all parameters, 0 where frozen

@@ -63,6 +63,9 @@ class Effect {
   virtual std::string onset_parameter() const { return ""; }
   /// True if the body it shapes changes with time.
   virtual bool depends_on_time() const { return false; }
+  /// True if its parameters are those of a flight (the wind that day), not of the vehicle: many
+  /// flights together share nothing of it.
+  virtual bool belongs_to_flight() const { return false; }
 
   // What attribution needs to know of it. By default: it is tried once, without settings.
 

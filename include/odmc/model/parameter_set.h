@@ -18,6 +18,9 @@ struct ParameterEstimate {
   double sigma = 0.0;       ///< 0 where frozen
   bool estimated = false;   ///< false: frozen at value
   bool observable = false;  ///< the flight says more about it than its prior did
+  /// Standard deviation between flights, where many were seen: the next flight has its own value
+  /// so far from `value`.
+  double scatter = 0.0;
 };
 
 /// A calibrated model: everything that evaluate, nodes and simulator need to rebuild it.
@@ -33,7 +36,7 @@ struct ParameterSet {
 };
 
 /// Puts the set's effects and values into `vehicle`: they become the model's effects, start values,
-/// centres of the priors and (where positive) the priors' sigmas.
+/// centres of the priors and (where positive) the priors' sigmas, with the scatter between flights.
 void ApplyParameters(const ParameterSet& set, Vehicle* vehicle);
 
 /// Notes in the provenance how far the values may be relied on: "trust", and "trust_reason", the

@@ -91,6 +91,8 @@ struct EstimatorNodeSetup {
   EstimatorNodeOptions options;
   EstimatorOptions estimator;
   Vehicle vehicle;
+  /// Priors of the vehicle file, with a thrust coefficient that an earlier flight knows.
+  std::map<std::string, ParameterSetting> file_parameters;
   bool odometry_mount_known = false;  ///< the vehicle file says where the odometry's sensor sits
   std::vector<std::string> warnings;  ///< for the user
 };

@@ -1,0 +1,220 @@
+#include "odmc/fleet/joint_calibration.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <numeric>
+#include <stdexcept>
+
+#include "odmc/analysis/parallel.h"
+
+namespace odmc {
+namespace {
+
+constexpr double kSince2001_s = 1e9;  // a stamp that is a date, not a time since power-on
+
+/// The vehicle with values to start from. Its priors stay as wide as they are.
+Vehicle StartedAt(const Vehicle& vehicle, const ParameterSet& start) {
+  Vehicle started = vehicle;
+  const DynamicModel model(vehicle, vehicle.effects);
+  for (const ModelParameter& p : model.parameters()) {
+    const ParameterEstimate* from = start.Find(p.full_name);
+    if (!p.estimated || from == nullptr) continue;
+    started.parameters[p.full_name].value = from->value;
+    started.parameters[p.full_name].sigma = p.spec.prior_sigma;
+  }
+  return started;
+}
+
+/// A flight's estimate with the shared parameters at other values.
+ParameterSet With(const FlightFactor& factor, const Eigen::VectorXd& values) {
+  ParameterSet set = factor.estimate;
+  for (ParameterEstimate& p : set.parameters) {
+    const auto it = std::find(factor.names.begin(), factor.names.end(), p.full_name);
+    if (it != factor.names.end()) p.value = values[it - factor.names.begin()];
+  }
+  return set;
+}
+
+/// The priors of the vehicle file, which a factor made from other starts does not have.
+void SetPriors(const DynamicModel& model, FlightFactor* factor) {
+  for (int k = 0; k < factor->size(); ++k) {
+    const ModelParameter& p =
+        model.parameters()[model.IndexOf(factor->names[static_cast<size_t>(k)])];
+    factor->prior_value[k] = p.spec.prior_value;
+    factor->prior_sigma[k] = p.spec.prior_sigma;
+  }
+}
+
+/// True if the joint estimate of a flight's parameters lies where its pass did not look: far from
+/// where it was linearized, in a parameter that the flight shows.
+bool IsFar(const FlightFactor& factor, const Eigen::VectorXd& at, double share) {
+  for (int k = 0; k < factor.size(); ++k) {
+    const double shown = factor.root.col(k).norm() * factor.prior_sigma[k];
+    const bool moved =
+        std::abs(at[k] - factor.linearized_at[k]) > share * factor.prior_sigma[k];
+    if (shown > 1.0 && moved) return true;
+  }
+  return false;
+}
+
+/// In the order they were flown: by date, where all recordings have one.
+void Order(std::vector<FleetFlight>* flights) {
+  const bool dated = std::all_of(flights->begin(), flights->end(), [](const FleetFlight& f) {
+    return !f.failure.empty() || f.factor.start_s > 0.0;
+  });
+  if (!dated) return;
+  std::stable_sort(flights->begin(), flights->end(), [](const auto& a, const auto& b) {
+    return a.factor.start_s < b.factor.start_s;
+  });
+}
+
+std::vector<FlightFactor> FactorsOf(const FleetCalibration& fleet) {
+  std::vector<FlightFactor> factors;
+  for (const int i : fleet.used()) factors.push_back(fleet.flights[static_cast<size_t>(i)].factor);
+  return factors;
+}
+
+void Combine(const JointOptions& given, FleetCalibration* fleet) {
+  const std::vector<FlightFactor> factors = FactorsOf(*fleet);
+  if (factors.empty()) {
+    std::string why = "no flight can be used";
+    for (const FleetFlight& flight : fleet->flights) why += "\n" + flight.failure;
+    throw std::invalid_argument(why);
+  }
+  JointOptions options = given;
+  options.times.clear();
+  for (const FlightFactor& f : factors) {
+    if (f.start_s > 0.0) options.times.push_back(f.start_s);
+  }
+  if (options.times.size() != factors.size()) options.times.clear();
+  fleet->joint = EstimateJointly(factors, options);
+  fleet->parameters = ToParameterSet(fleet->joint, factors);
+}
+
+}  // namespace
+
+std::vector<int> FleetCalibration::used() const {
+  std::vector<int> indices;
+  for (size_t i = 0; i < flights.size(); ++i) {
+    if (flights[i].failure.empty()) indices.push_back(static_cast<int>(i));
+  }
+  return indices;
+}
+
+FleetFlight FleetFlightOf(const Calibration& calibration, const DynamicModel& model,
+                          const std::vector<std::string>& own) {
+  FleetFlight flight;
+  flight.file = calibration.flight.file;
+  flight.factor = FactorOf(model, calibration.parameters, calibration.inflation, own);
+  flight.factor.duration_s = calibration.flight.duration_s;
+  const double start_s = ToSeconds(calibration.first_stamp);
+  flight.factor.start_s = start_s > kSince2001_s ? start_s : 0.0;
+  flight.own_fit = calibration.prediction.figures;
+  flight.warnings = calibration.warnings;
+  flight.passes = 1;
+  return flight;
+}
+
+FleetFlight CalibrateFlight(const std::string& file, const FlightSource& source,
+                            const Vehicle& file_vehicle, const Vehicle& vehicle,
+                            const JointCalibrationOptions& options, const ParameterSet* start) {
+  FleetFlight flight;
+  flight.file = file;
+  try {
+    const InspectedFlight inspected = source(file);
+    const FlightLog& log = inspected.log;
+    const Vehicle started = start != nullptr ? StartedAt(vehicle, *start) : vehicle;
+    const DynamicModel model(started, started.effects);
+    Calibration calibration = Calibrate(log, log, file_vehicle, model, options.estimator, {},
+                                        [](const PredictionSample&) {});
+    AddInspection(inspected.inspection, &calibration);
+    WidenForDoubts(log, model, options.estimator, inspected.inspection.doubts, &calibration);
+    calibration.parameters.provenance["flight"] = file;
+    AddTrust(calibration.findings, &calibration.parameters);
+    flight = FleetFlightOf(calibration, model, options.own);
+    flight.file = file;
+    SetPriors(DynamicModel(vehicle, vehicle.effects), &flight.factor);
+  } catch (const std::exception& e) {
+    flight.failure = e.what();
+    if (flight.failure.find(file) == std::string::npos) {
+      flight.failure = file + ": " + flight.failure;
+    }
+  }
+  return flight;
+}
+
+FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const FlightSource& source,
+                                const Vehicle& file_vehicle, const Vehicle& vehicle,
+                                const JointCalibrationOptions& options,
+                                const std::vector<FleetFlight>& known,
+                                const std::function<void(double)>& progress) {
+  constexpr double kShareOfPasses = 0.7;  // of the time
+  const auto part = [&](double from, double to) {
+    return [=](double share) {
+      if (progress) progress(from + share * (to - from));
+    };
+  };
+  std::map<std::string, const FleetFlight*> by_file;
+  for (const FleetFlight& flight : known) by_file[flight.file] = &flight;
+  FleetCalibration fleet;
+  fleet.flights.resize(files.size());
+  ForEachOf(static_cast<int>(files.size()), options.jobs,
+            [&](int i) {
+              const auto at = static_cast<size_t>(i);
+              const auto it = by_file.find(files[at]);
+              fleet.flights[at] =
+                  it != by_file.end()
+                      ? *it->second
+                      : CalibrateFlight(files[at], source, file_vehicle, vehicle, options);
+            },
+            part(0.0, kShareOfPasses));
+  Order(&fleet.flights);
+  Combine(options.joint, &fleet);
+
+  for (int pass = 1; pass < options.most_passes; ++pass) {
+    std::vector<int> far;
+    const std::vector<int> used = fleet.used();
+    std::vector<ParameterSet> starts(fleet.flights.size());
+    for (size_t k = 0; k < used.size(); ++k) {
+      const FleetFlight& flight = fleet.flights[static_cast<size_t>(used[k])];
+      const Eigen::VectorXd& at = fleet.joint.fit.of_flight[k];
+      if (!IsFar(flight.factor, at, options.relinearize_share)) continue;
+      far.push_back(used[k]);
+      starts[static_cast<size_t>(used[k])] = With(flight.factor, at);
+    }
+    if (far.empty()) break;
+    ForEachOf(static_cast<int>(far.size()), options.jobs, [&](int k) {
+      FleetFlight& flight = fleet.flights[static_cast<size_t>(far[static_cast<size_t>(k)])];
+      FleetFlight anew =
+          CalibrateFlight(flight.file, source, file_vehicle, vehicle, options,
+                          &starts[static_cast<size_t>(far[static_cast<size_t>(k)])]);
+      if (!anew.failure.empty()) return;  // what is known stays
+      flight.factor = std::move(anew.factor);
+      ++flight.passes;
+    });
+    Combine(options.joint, &fleet);
+  }
+
+  const std::vector<int> used = fleet.used();
+  if (!options.predict_left_out || used.size() < 2) return fleet;
+  const std::vector<Eigen::VectorXd> expected =
+      ExpectedOfLeftOut(FactorsOf(fleet), fleet.joint.model, fleet.joint.fit);
+  ForEachOf(static_cast<int>(used.size()), options.jobs,
+            [&](int k) {
+              FleetFlight& flight =
+                  fleet.flights[static_cast<size_t>(used[static_cast<size_t>(k)])];
+              const ParameterSet others =
+                  With(flight.factor, expected[static_cast<size_t>(k)]);
+              Vehicle as_expected = vehicle;
+              ApplyParameters(others, &as_expected);
+              const DynamicModel model(as_expected, as_expected.effects);
+              flight.left_out = Evaluate(source(flight.file).log, file_vehicle, model, others,
+                                         [](const PredictionSample&) {})
+                                    .prediction.figures;
+            },
+            part(kShareOfPasses, 1.0));
+  return fleet;
+}
+
+}  // namespace odmc

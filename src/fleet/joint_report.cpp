@@ -1,0 +1,208 @@
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <nlohmann/json.hpp>
+
+#include "odmc/fleet/joint_calibration.h"
+#include "odmc/io/number_text.h"
+
+namespace odmc {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+Json Number(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
+
+Json Axes(const PredictionFigures::Axes& axes) {
+  if (!axes) return nullptr;
+  return {Number(axes->x()), Number(axes->y()), Number(axes->z())};
+}
+
+Json FiguresJson(const PredictionFigures& f) {
+  return {{"force_rmse_N", Axes(f.force_rmse_N)},
+          {"torque_rmse_Nm", Axes(f.torque_rmse_Nm)},
+          {"accelerometer_force_rmse_N", Axes(f.accelerometer_force_rmse_N)},
+          {"samples", f.samples}};
+}
+
+std::string Text(double value, const char* format = "%.4g") {
+  if (!std::isfinite(value)) return "-";
+  char text[40];
+  std::snprintf(text, sizeof text, format, value);
+  return text;
+}
+
+std::string Name(VehicleChange::Kind kind) {
+  return kind == VehicleChange::Kind::kStep ? "step" : "trend";
+}
+
+/// By how many sigmas a flight's own estimate is off what the fleet lets expect: its own noise and
+/// the scatter between flights.
+double ZScore(const FleetCalibration& fleet, size_t k, int parameter) {
+  const FlightFactor& f = fleet.flights[static_cast<size_t>(fleet.used()[k])].factor;
+  const double expected =
+      fleet.joint.fit.of_flight[k][parameter] - fleet.joint.fit.own[k][parameter];
+  const double sigma = std::hypot(f.sigma[parameter], fleet.joint.fit.scatter[parameter]);
+  return (f.value[parameter] - expected) / sigma;
+}
+
+std::string Pad(const std::string& text, size_t width) {
+  return text.size() < width ? text + std::string(width - text.size(), ' ') : text;
+}
+
+/// Root mean square over flights of one axis' error by the parameters of all others, over that by
+/// the flight's own.
+std::string Ratios(const std::vector<FleetFlight>& flights,
+                   PredictionFigures::Axes PredictionFigures::*figure) {
+  std::string text;
+  for (int axis = 0; axis < 3; ++axis) {
+    double others = 0.0, own = 0.0;
+    for (const FleetFlight& flight : flights) {
+      const auto &a = flight.left_out.*figure, &b = flight.own_fit.*figure;
+      if (!a || !b) continue;
+      others += std::pow((*a)[axis], 2);
+      own += std::pow((*b)[axis], 2);
+    }
+    text += " " + (own > 0.0 ? Text(std::sqrt(others / own), "%.3f") : "-");
+  }
+  return text;
+}
+
+}  // namespace
+
+std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model) {
+  const std::vector<int> used = fleet.used();
+  const FlightFactor& first = fleet.flights[static_cast<size_t>(used.front())].factor;
+  const RandomEffects& fit = fleet.joint.fit;
+  Json json;
+  json["vehicle"] = model.vehicle().name;
+  json["effects"] = model.effect_names();
+  json["flights_used"] = used.size();
+  Json parameters = Json::object();
+  for (int k = 0; k < first.size(); ++k) {
+    const ParameterEstimate* p = fleet.parameters.Find(first.names[static_cast<size_t>(k)]);
+    parameters[p->full_name] = {
+        {"value", Number(p->value)},
+        {"sigma", Number(p->sigma)},
+        {"scatter", Number(fit.scatter[k])},
+        {"scatter_sigma", Number(fit.scatter_sigma[k])},
+        {"new_flight_sigma", Number(fleet.joint.new_flight_sigma[k])},
+        {"degrees_of_freedom", Number(fit.degrees_of_freedom[k])},
+        {"unit", p->unit},
+        {"observable", p->observable}};
+  }
+  json["parameters"] = parameters;
+  const auto place = [&](size_t flight) {
+    return fleet.flights[static_cast<size_t>(used[flight])].file;
+  };
+  json["changes"] = Json::array();
+  for (const VehicleChange& c : fleet.joint.changes) {
+    json["changes"].push_back({{"kind", Name(c.kind)},
+                               {"parameter", first.names[static_cast<size_t>(c.parameter)]},
+                               {"from_flight", c.from},
+                               {"from_file", place(static_cast<size_t>(c.from))},
+                               {"size", Number(c.size)},
+                               {"sigma", Number(c.sigma)},
+                               {"p_value", Number(c.p_value)}});
+  }
+  json["outliers"] = Json::array();
+  for (const OutlierFlight& o : fleet.joint.outliers) {
+    json["outliers"].push_back({{"flight", o.flight},
+                                {"file", place(static_cast<size_t>(o.flight))},
+                                {"parameter", first.names[static_cast<size_t>(o.parameter)]},
+                                {"by", Number(o.by)},
+                                {"sigma", Number(o.sigma)},
+                                {"p_value", Number(o.p_value)}});
+  }
+  json["flights"] = Json::array();
+  for (size_t k = 0; k < used.size(); ++k) {
+    const FleetFlight& flight = fleet.flights[static_cast<size_t>(used[k])];
+    Json of = Json::object();
+    for (int p = 0; p < first.size(); ++p) {
+      const double z = ZScore(fleet, k, p);
+      of[first.names[static_cast<size_t>(p)]] = {{"value", Number(flight.factor.value[p])},
+                                                 {"sigma", Number(flight.factor.sigma[p])},
+                                                 {"given_all", Number(fit.of_flight[k][p])},
+                                                 {"z", Number(z)}};
+    }
+    json["flights"].push_back({{"file", flight.file},
+                               {"start_s", Number(flight.factor.start_s)},
+                               {"duration_s", Number(flight.factor.duration_s)},
+                               {"passes", flight.passes},
+                               {"parameters", of},
+                               {"own_fit", FiguresJson(flight.own_fit)},
+                               {"left_out", FiguresJson(flight.left_out)},
+                               {"warnings", flight.warnings}});
+  }
+  json["failed"] = Json::array();
+  for (const FleetFlight& flight : fleet.flights) {
+    if (flight.failure.empty()) continue;
+    json["failed"].push_back({{"file", flight.file}, {"why", flight.failure}});
+  }
+  return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+std::string FleetTable(const FleetCalibration& fleet) {
+  const std::vector<int> used = fleet.used();
+  const FlightFactor& first = fleet.flights[static_cast<size_t>(used.front())].factor;
+  std::string text = std::to_string(used.size()) + " flights together\n";
+  text += Pad("parameter", 26) + Pad("value", 13) + Pad("sigma", 11) + Pad("between flights", 17) +
+          Pad("of one", 10) + "unit\n";
+  for (int k = 0; k < first.size(); ++k) {
+    const ParameterEstimate* p = fleet.parameters.Find(first.names[static_cast<size_t>(k)]);
+    double own = 0.0;
+    for (const int i : used) own += std::pow(fleet.flights[static_cast<size_t>(i)].factor.sigma[k], 2);
+    own = std::sqrt(own / static_cast<double>(used.size()));
+    text += Pad(p->full_name, 26) + Pad(Text(p->value, "%.5g"), 13) + Pad(Text(p->sigma, "%.3g"), 11) +
+            Pad(Text(fleet.joint.fit.scatter[k], "%.3g"), 17) + Pad(Text(own, "%.3g"), 10) + p->unit +
+            (p->observable ? "" : "  (hardly shown)") + "\n";
+  }
+  const auto place = [&](int flight) {
+    return fleet.flights[static_cast<size_t>(used[static_cast<size_t>(flight)])].file;
+  };
+  for (const VehicleChange& c : fleet.joint.changes) {
+    const std::string& name = first.names[static_cast<size_t>(c.parameter)];
+    const std::string size = Text(c.size) + " +- " + Text(c.sigma, "%.2g");
+    text += c.kind == VehicleChange::Kind::kStep
+                ? "step: " + name + " by " + size + " from " + place(c.from) + " on"
+                : "trend: " + name + " by " + size + " over all flights";
+    text += " (p " + Text(c.p_value, "%.1g") + ")\n";
+  }
+  for (const OutlierFlight& o : fleet.joint.outliers) {
+    text += "outlier: " + place(o.flight) + ", " + first.names[static_cast<size_t>(o.parameter)] +
+            " off by " + Text(o.by) + " +- " + Text(o.sigma, "%.2g") + " (p " +
+            Text(o.p_value, "%.1g") + "); not averaged in\n";
+  }
+  if (used.size() > 1) {
+    text += "error by the parameters of all others over that of the flight's own fit (x y z):\n";
+    text += "  force " + Ratios(fleet.flights, &PredictionFigures::force_rmse_N) + "\n";
+    text += "  torque" + Ratios(fleet.flights, &PredictionFigures::torque_rmse_Nm) + "\n";
+  }
+  for (const FleetFlight& flight : fleet.flights) {
+    if (!flight.failure.empty()) text += "not used: " + flight.failure + "\n";
+  }
+  return text;
+}
+
+std::string FleetHistoryCsv(const FleetCalibration& fleet) {
+  std::string text = "flight,start_s,parameter,unit,value,sigma,given_all,expected,scatter,z\n";
+  const std::vector<int> used = fleet.used();
+  for (size_t k = 0; k < used.size(); ++k) {
+    const FleetFlight& flight = fleet.flights[static_cast<size_t>(used[k])];
+    for (int p = 0; p < flight.factor.size(); ++p) {
+      const double all = fleet.joint.fit.of_flight[k][p];
+      std::string file = flight.file;
+      std::replace(file.begin(), file.end(), ',', '_');
+      text += file + "," + FormatNumber(flight.factor.start_s) + "," +
+              flight.factor.names[static_cast<size_t>(p)] + "," +
+              flight.factor.units[static_cast<size_t>(p)] + "," +
+              FormatNumber(flight.factor.value[p]) + "," + FormatNumber(flight.factor.sigma[p]) +
+              "," + FormatNumber(all) + "," + FormatNumber(all - fleet.joint.fit.own[k][p]) + "," +
+              FormatNumber(fleet.joint.fit.scatter[p]) + "," + FormatNumber(ZScore(fleet, k, p)) +
+              "\n";
+    }
+  }
+  return text;
+}
+
+}  // namespace odmc
