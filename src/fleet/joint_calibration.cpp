@@ -58,6 +58,38 @@ bool IsFar(const FlightFactor& factor, const Eigen::VectorXd& at, double share) 
   return false;
 }
 
+/// What may be wrong with the streams of all flights alike (the delay of a sensor, the scale of a
+/// speed) does not average out. Its size is taken from a few flights, spread over the history.
+void AddSharedDoubts(const FlightSource& source, const Vehicle& vehicle,
+                     const JointCalibrationOptions& options, FleetCalibration* fleet) {
+  const std::vector<int> used = fleet->used();
+  const int looks = std::min(options.doubted_flights, static_cast<int>(used.size()));
+  const DynamicModel model(vehicle, vehicle.effects);
+  const auto n = static_cast<Eigen::Index>(fleet->parameters.parameters.size());
+  std::vector<Eigen::MatrixXd> squares(static_cast<size_t>(looks), Eigen::MatrixXd::Zero(n, n));
+  ForEachOf(looks, options.jobs, [&](int k) {
+    const auto at = static_cast<size_t>(k) * used.size() / static_cast<size_t>(looks);
+    const FleetFlight& flight = fleet->flights[static_cast<size_t>(used[at])];
+    const InspectedFlight inspected = source(flight.file);
+    for (const Eigen::VectorXd& change :
+         ChangesWithout(inspected.inspection.doubts, inspected.log, 0, model, options.estimator)) {
+      squares[static_cast<size_t>(k)] += change * change.transpose();
+    }
+  });
+  Eigen::MatrixXd mean = Eigen::MatrixXd::Zero(n, n);
+  for (const Eigen::MatrixXd& of : squares) mean += of / static_cast<double>(looks);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    ParameterEstimate& p = fleet->parameters.parameters[static_cast<size_t>(i)];
+    if (!p.estimated) {
+      mean.row(i).setZero();
+      mean.col(i).setZero();
+    } else {
+      p.sigma = std::sqrt(p.sigma * p.sigma + mean(i, i));
+    }
+  }
+  fleet->parameters.covariance += mean;
+}
+
 /// In the order they were flown: by date, where all recordings have one.
 void Order(std::vector<FleetFlight>* flights) {
   const bool dated = std::all_of(flights->begin(), flights->end(), [](const FleetFlight& f) {
@@ -129,7 +161,6 @@ FleetFlight CalibrateFlight(const std::string& file, const FlightSource& source,
     Calibration calibration = Calibrate(log, log, file_vehicle, model, options.estimator, {},
                                         [](const PredictionSample&) {});
     AddInspection(inspected.inspection, &calibration);
-    WidenForDoubts(log, model, options.estimator, inspected.inspection.doubts, &calibration);
     calibration.parameters.provenance["flight"] = file;
     AddTrust(calibration.findings, &calibration.parameters);
     flight = FleetFlightOf(calibration, model, options.own);
@@ -195,6 +226,8 @@ FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const Fli
     });
     Combine(options.joint, &fleet);
   }
+
+  AddSharedDoubts(source, vehicle, options, &fleet);
 
   const std::vector<int> used = fleet.used();
   if (!options.predict_left_out || used.size() < 2) return fleet;

@@ -123,6 +123,8 @@ std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model
       of[first.names[static_cast<size_t>(p)]] = {{"value", Number(flight.factor.value[p])},
                                                  {"sigma", Number(flight.factor.sigma[p])},
                                                  {"given_all", Number(fit.of_flight[k][p])},
+                                                 {"expected", Number(fit.of_flight[k][p] -
+                                                                     fit.own[k][p])},
                                                  {"z", Number(z)}};
     }
     json["flights"].push_back({{"file", flight.file},

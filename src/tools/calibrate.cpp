@@ -23,7 +23,7 @@ struct Arguments {
   int seed = 1, jobs = 1;
   std::vector<std::string> own;
   double false_alarm_rate = JointOptions().false_alarm_rate;
-  bool no_report = false, force = false, no_left_out = false;
+  bool no_report = false, force = false, no_left_out = false, only_factor = false;
 };
 
 void RefuseMassBesideThrust(const DynamicModel& model) {
@@ -84,18 +84,47 @@ std::string FolderOf(const FleetFlight& flight, std::map<std::string, int>* take
   return before == 0 ? stem : stem + "_" + std::to_string(before + 1);
 }
 
+/// Options and reader of a flight among several.
+JointCalibrationOptions OptionsOf(const Arguments& a) {
+  JointCalibrationOptions options;
+  options.estimator = a.estimator.Read();
+  // The sigmas of a fleet come from its flights; every fourth pose of 100 Hz says as much.
+  constexpr double kKeyframeRate_hz = 25.0;
+  if (options.estimator.keyframe_rate_hz == EstimatorOptions().keyframe_rate_hz) {
+    options.estimator.keyframe_rate_hz = kKeyframeRate_hz;
+  }
+  options.own = a.own;
+  options.jobs = a.jobs;
+  options.joint.false_alarm_rate = a.false_alarm_rate;
+  options.predict_left_out = !a.no_left_out;
+  return options;
+}
+
+FlightSource SourceOf(const Arguments& a, const Vehicle& vehicle) {
+  return [&](const std::string& file) {
+    InspectedFlight flight;
+    flight.log = a.flight.Read(file, vehicle);
+    flight.inspection = tools::InspectFlight(vehicle, a.force, &flight.log);
+    return flight;
+  };
+}
+
+void WriteFactor(const Arguments& a, const std::string& file, const Vehicle& file_vehicle,
+                 const Vehicle& vehicle) {
+  const FleetFlight flight =
+      CalibrateFlight(file, SourceOf(a, vehicle), file_vehicle, vehicle, OptionsOf(a));
+  if (!flight.failure.empty()) throw std::invalid_argument(flight.failure);
+  tools::MakeFolder(a.folder);
+  WriteText(FormatFleetFlight(flight), tools::In(a.folder, "flight.json"));
+}
+
 void CalibrateSeveral(const Arguments& a, const std::vector<std::string>& names,
                       const Vehicle& file_vehicle, const Vehicle& vehicle) {
   if (a.noise_m > 0.0 || a.left_out_s > 0.0) {
     throw tools::UsageError(
         "--position-noise and --leave-out are for one flight; of several each is left out whole");
   }
-  JointCalibrationOptions options;
-  options.estimator = a.estimator.Read();
-  options.own = a.own;
-  options.jobs = a.jobs;
-  options.joint.false_alarm_rate = a.false_alarm_rate;
-  options.predict_left_out = !a.no_left_out;
+  const JointCalibrationOptions options = OptionsOf(a);
   const DynamicModel model(vehicle, vehicle.effects);
   std::vector<std::string> files;
   std::vector<FleetFlight> known;
@@ -107,12 +136,7 @@ void CalibrateSeveral(const Arguments& a, const std::vector<std::string>& names,
     known.push_back(LoadFleetFlight(name));
     files.push_back(known.back().file);
   }
-  const FlightSource source = [&](const std::string& file) {
-    InspectedFlight flight;
-    flight.log = a.flight.Read(file, vehicle);
-    flight.inspection = tools::InspectFlight(vehicle, a.force, &flight.log);
-    return flight;
-  };
+  const FlightSource source = SourceOf(a, vehicle);
   tools::MakeFolder(a.folder);
   tools::ProgressBar bar(std::to_string(files.size()) + " flights");
   FleetCalibration fleet =
@@ -178,6 +202,8 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_flag("--no-left-out", a.no_left_out,
                "do not predict each flight with what all others show");
+  app.add_flag("--only-factor", a.only_factor,
+               "write nothing but flight.json, what a fleet needs of each flight; one flight");
   tools::AddForce(&app, &a.force);
   return tools::Run(&app, argc, argv, [&] {
     const std::vector<std::string> files = a.flight.Expand();
@@ -187,7 +213,10 @@ int main(int argc, char** argv) {
     RefuseMassBesideThrust(DynamicModel(vehicle, vehicle.effects));
     const bool is_one =
         files.size() == 1 && std::filesystem::path(files.front()).extension() != ".json";
-    if (is_one) {
+    if (a.only_factor && !is_one) throw tools::UsageError("--only-factor is for one flight");
+    if (a.only_factor) {
+      WriteFactor(a, files.front(), file_vehicle, vehicle);
+    } else if (is_one) {
       CalibrateOne(a, files.front(), file_vehicle, vehicle);
     } else {
       CalibrateSeveral(a, files, file_vehicle, vehicle);

@@ -43,8 +43,9 @@ struct JointCalibrationOptions {
   int jobs = 1;
   /// A flight's pass is made anew, started at the joint estimate, where that is further from where it
   /// was linearized than this share of the vehicle file's prior sigma.
-  double relinearize_share = 0.25;
-  int most_passes = 3;
+  double relinearize_share = 0.5;
+  int most_passes = 2;
+  int doubted_flights = 3;  ///< on which errors of the streams are tried that all flights share
   bool predict_left_out = true;
 };
 

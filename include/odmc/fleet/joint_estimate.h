@@ -28,7 +28,7 @@ struct OutlierFlight {
 
 struct JointOptions {
   /// Share of histories without any in which a step, a trend or an outlier is seen all the same.
-  double false_alarm_rate = 0.01;
+  double false_alarm_rate = 0.05;
   /// Where each flight lies on the axis of a trend (dates [s]); empty: evenly.
   std::vector<double> times;
 };

@@ -1,0 +1,152 @@
+"""Pages of what `calibrate FLIGHT...` and `fleet` wrote: tables, parameters over flights, outliers."""
+
+import base64
+import io
+import os
+from typing import Any, Dict, List, Optional
+
+import jinja2
+import matplotlib
+import numpy as np
+
+matplotlib.use('Agg')
+from matplotlib import pyplot  # noqa: E402  pylint: disable=wrong-import-position
+
+BLUE, RED, BAND, GREY = '#0b6fb8', '#d1495b', '#9ec9e8', '#7b8794'
+MOST_LABELS = 25
+
+TEMPLATE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{{ title }}</title>
+<style>body{font:15px/1.5 sans-serif;color:#1f2933;max-width:70em;margin:2em auto;padding:0 1em}
+table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em .7em;text-align:right;border-bottom:1px solid #dde3e9}
+td:first-child,th:first-child{text-align:left}img{max-width:100%}.bad{color:#b3261e}.quiet{color:#7b8794}</style>
+<h1>{{ title }}</h1>
+{% if summary %}<table><tr>{% for head in summary[0] %}<th>{{ head }}</th>{% endfor %}</tr>
+{% for row in summary[1:] %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</table>{% endif %}
+{% if broken %}<h2 class="bad">Expectations broken</h2><ul>{% for text in broken %}<li>{{ text }}</li>{% endfor %}</ul>{% endif %}
+{% for part in parts %}<h2>{{ part.name }}</h2>
+<p>{{ part.flights }} flights, {{ part.hours }} h.{% if part.ratio %} Errors by the parameters of all other flights over
+those of each flight's own fit: force {{ part.ratio.force }}, torque {{ part.ratio.torque }}.{% endif %}</p>
+{% if part.notes %}<ul>{% for note in part.notes %}<li>{{ note }}</li>{% endfor %}</ul>{% else %}
+<p class="quiet">No step, no trend, no outlier.</p>{% endif %}
+<table><tr><th>parameter</th><th>value</th><th>sigma</th><th>between flights</th><th>a new flight's sigma</th><th>unit</th></tr>
+{% for row in part.parameters %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</table>
+<img alt="parameters over flights" src="data:image/png;base64,{{ part.picture }}">
+<p class="quiet">Points: each flight's own estimate with one sigma. Line: what all flights together say of it. Band: three
+standard deviations between flights.</p>
+<table><tr><th>flight</th><th>s</th><th>force RMSE x y z [N]</th><th>by all others [N]</th><th>largest z</th>
+<th>verdict</th></tr>
+{% for row in part.rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</table>
+{% endfor %}
+{% if failed %}<h2>Not used</h2><table><tr><th>flight</th><th>why</th></tr>
+{% for row in failed %}<tr><td>{{ row.file }}</td><td style="text-align:left">{{ row.why }}</td></tr>{% endfor %}</table>{% endif %}
+</html>
+"""
+
+
+def number(value: Optional[float], digits: int = 4) -> str:
+    """A number for people; a dash where there is none."""
+    return '-' if value is None else f'{value:.{digits}g}'
+
+
+def axes(values: Optional[List[float]]) -> str:
+    """Three of them."""
+    return '-' if not values else ' '.join(number(v, 3) for v in values)
+
+
+def notes(report: Dict[str, Any]) -> List[str]:
+    """Steps, trends and outliers in words."""
+    lines = []
+    for change in report['changes']:
+        size = f"{number(change['size'])} ± {number(change['sigma'], 2)}"
+        where = (f"from {os.path.basename(change['from_file'])} on" if change['kind'] == 'step'
+                 else 'over all flights')
+        lines.append(f"{change['kind']}: {change['parameter']} by {size} {where} (p = {number(change['p_value'], 1)})")
+    for outlier in report['outliers']:
+        lines.append(f"outlier: {os.path.basename(outlier['file'])}, {outlier['parameter']} off by "
+                     f"{number(outlier['by'])} ± {number(outlier['sigma'], 2)} (p = {number(outlier['p_value'], 1)}); "
+                     'not averaged in')
+    return lines
+
+
+def ratio(report: Dict[str, Any], figure: str) -> Optional[str]:
+    """Root mean square over flights by the others' parameters, over that by the flight's own."""
+    pairs = [(f['left_out'][figure], f['own_fit'][figure]) for f in report['flights']
+             if f['left_out'].get(figure) and f['own_fit'].get(figure)]
+    if not pairs:
+        return None
+    others, own = (np.sqrt(np.mean(np.square([p[k] for p in pairs]), axis=0)) for k in (0, 1))
+    return ' '.join(f'{a / b:.2f}' if b > 0 else '-' for a, b in zip(others, own))
+
+
+def steps(report: Dict[str, Any], name: str) -> bool:
+    """True if a parameter takes steps and nothing else."""
+    kinds = {change['kind'] for change in report['changes'] if change['parameter'] == name}
+    return kinds == {'step'}
+
+
+def picture(report: Dict[str, Any]) -> str:
+    """Parameters over flights, those the flights show, as a PNG in base64."""
+    names = [n for n, p in report['parameters'].items() if p['observable']] or list(report['parameters'])
+    count = len(report['flights'])
+    rows = (len(names) + 1) // 2
+    figure, panels = pyplot.subplots(rows, 2, figsize=(11.0, 2.1 * rows + 0.5), sharex=True,
+                                     squeeze=False, layout='constrained')
+    at = np.arange(count)
+    for panel, name in zip(panels.flat, names):
+        own = [f['parameters'][name] for f in report['flights']]
+        value = np.array([p['value'] for p in own], dtype=float)
+        sigma = np.array([p['sigma'] for p in own], dtype=float)
+        scatter = report['parameters'][name]['scatter'] or 0.0
+        expected = np.array([p['expected'] for p in own], dtype=float)
+        off = np.array([abs(p['z'] or 0.0) > 3.0 for p in own])
+        panel.fill_between(at, expected - 3.0 * scatter, expected + 3.0 * scatter, color=BAND, alpha=0.6, linewidth=0,
+                           step='mid' if steps(report, name) else None)
+        panel.plot(at, expected, color=BLUE, linewidth=1.2, drawstyle='steps-mid' if steps(report, name) else 'default')
+        for chosen, colour in ((~off, GREY), (off, RED)):
+            panel.errorbar(at[chosen], value[chosen], sigma[chosen], fmt='.', color=colour, elinewidth=0.7, markersize=5)
+        named = [o['flight'] for o in report['outliers'] if o['parameter'] == name]
+        panel.plot(named, value[named], 'o', mfc='none', color=RED, markersize=10)
+        panel.set_title(f"{name} [{report['parameters'][name]['unit']}]", fontsize=9, loc='left')
+        panel.tick_params(labelsize=7)
+        # Flights that show nothing of it do not set the scale.
+        shown = sigma < 4.0 * np.median(sigma)
+        reach = np.concatenate([(value - sigma)[shown], (value + sigma)[shown], expected])
+        span = max(np.ptp(reach), 1e-12 * max(1.0, float(np.max(np.abs(reach)))))
+        panel.set_ylim(reach.min() - 0.1 * span, reach.max() + 0.1 * span)
+    for panel in list(panels.flat)[len(names):]:
+        panel.axis('off')
+    for panel in panels[-1]:
+        if count <= MOST_LABELS:
+            labels = [os.path.splitext(os.path.basename(f['file']))[0] for f in report['flights']]
+            panel.set_xticks(at, labels, rotation=60, ha='right', fontsize=7)
+        else:
+            panel.set_xlabel('flight', fontsize=8)
+    image = io.BytesIO()
+    figure.savefig(image, format='png', dpi=85)
+    pyplot.close(figure)
+    return base64.b64encode(image.getvalue()).decode()
+
+
+def part_of(name: str, report: Dict[str, Any], verdicts: Dict[str, str]) -> Dict[str, Any]:
+    """One vehicle's section of the page."""
+    force, torque = ratio(report, 'force_rmse_N'), ratio(report, 'torque_rmse_Nm')
+    rows = []
+    for flight in report['flights']:
+        worst = max(flight['parameters'].items(), key=lambda item: abs(item[1]['z'] or 0.0))
+        rows.append([os.path.basename(flight['file']), number(flight['duration_s'], 3),
+                     axes(flight['own_fit']['force_rmse_N']), axes(flight['left_out']['force_rmse_N']),
+                     f"{worst[0]} {number(worst[1]['z'], 2)}", verdicts.get(flight['file'], '-')])
+    return {'name': name, 'flights': len(report['flights']),
+            'hours': number(sum(f['duration_s'] for f in report['flights']) / 3600.0, 3),
+            'ratio': {'force': force, 'torque': torque} if force else None, 'notes': notes(report),
+            'parameters': [[n, number(p['value'], 5), number(p['sigma'], 3), number(p['scatter'], 3),
+                            number(p['new_flight_sigma'], 3), p['unit']] for n, p in report['parameters'].items()],
+            'picture': picture(report), 'rows': rows}
+
+
+def page(title: str, parts: List[Dict[str, Any]], failed: List[Dict[str, str]],
+         summary: Optional[List[List[str]]] = None, broken: Optional[List[str]] = None) -> str:
+    """The whole page; it holds its pictures and needs no network."""
+    environment = jinja2.Environment(autoescape=True, trim_blocks=True)
+    return environment.from_string(TEMPLATE).render(title=title, parts=parts, failed=failed, summary=summary,
+                                                    broken=broken)
