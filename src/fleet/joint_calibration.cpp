@@ -59,7 +59,8 @@ bool IsFar(const FlightFactor& factor, const Eigen::VectorXd& at, double share) 
 }
 
 /// What may be wrong with the streams of all flights alike (the delay of a sensor, the scale of a
-/// speed) does not average out. Its size is taken from a few flights, spread over the history.
+/// speed, the step between keyframes) does not average out. Its size is taken from a few flights,
+/// spread over the history.
 void AddSharedDoubts(const FlightSource& source, const Vehicle& vehicle,
                      const JointCalibrationOptions& options, FleetCalibration* fleet) {
   const std::vector<int> used = fleet->used();
@@ -75,6 +76,18 @@ void AddSharedDoubts(const FlightSource& source, const Vehicle& vehicle,
          ChangesWithout(inspected.inspection.doubts, inspected.log, 0, model, options.estimator)) {
       squares[static_cast<size_t>(k)] += change * change.transpose();
     }
+    // The error of a step goes with its square: of half the step a quarter is left.
+    const auto values_at = [&](double rate_hz) {
+      EstimatorOptions at_rate = options.estimator;
+      at_rate.keyframe_rate_hz = rate_hz;
+      Estimator estimator(&model, at_rate, !inspected.log.rotor_rms_only);
+      return Replay(inspected.log, &estimator).last;
+    };
+    const double rate_hz = options.estimator.keyframe_rate_hz;
+    const auto with = values_at(rate_hz), finer = values_at(2.0 * rate_hz);
+    if (!with || !finer) return;
+    const Eigen::VectorXd change = 4.0 / 3.0 * (finer->values - with->values);
+    squares[static_cast<size_t>(k)] += change * change.transpose();
   });
   Eigen::MatrixXd mean = Eigen::MatrixXd::Zero(n, n);
   for (const Eigen::MatrixXd& of : squares) mean += of / static_cast<double>(looks);

@@ -59,7 +59,11 @@ ParameterEstimate ReadEstimate(const std::string& name, const YamlValue& value,
 }
 
 void ReadEstimates(const YamlValue& value, ParameterSet* set) {
-  const std::map<std::string, ParameterSpec> specs = KnownParameters(Vehicle());
+  // The file does not say how many rotors its vehicle has; some effects have parameters of each.
+  constexpr int kMostRotors = 16;
+  Vehicle vehicle;
+  vehicle.rotors.resize(kMostRotors);
+  const std::map<std::string, ParameterSpec> specs = KnownParameters(vehicle);
   value.AllowKeys(NamesOf(specs));
   for (const auto& [name, entry] : value.Entries()) {
     set->parameters.push_back(ReadEstimate(name, entry, specs.at(name)));

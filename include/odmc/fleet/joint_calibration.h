@@ -45,7 +45,8 @@ struct JointCalibrationOptions {
   /// was linearized than this share of the vehicle file's prior sigma.
   double relinearize_share = 0.5;
   int most_passes = 2;
-  int doubted_flights = 3;  ///< on which errors of the streams are tried that all flights share
+  /// On which is tried what all flights share: errors of the streams, the step between keyframes.
+  int doubted_flights = 3;
   bool predict_left_out = true;
 };
 
