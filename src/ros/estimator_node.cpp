@@ -1,3 +1,4 @@
+#include "odmc/fleet/unlike_history.h"
 #include "odmc/ros/estimator_node.h"
 
 #include <diagnostic_msgs/DiagnosticArray.h>
@@ -213,6 +214,10 @@ EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
                                ": was not accepted when it was saved; the estimate starts from it");
     }
     ApplyParameters(set, &setup.vehicle);
+    const bool is_fleet =
+        std::any_of(set.parameters.begin(), set.parameters.end(),
+                    [](const ParameterEstimate& p) { return p.scatter > 0.0; });
+    if (is_fleet) setup.history = set;
     const auto known = setup.vehicle.parameters.find("thrust.k_f");
     if (known != setup.vehicle.parameters.end()) {
       setup.file_parameters.insert_or_assign(known->first, known->second);
@@ -404,6 +409,7 @@ EstimatorNode::Answer EstimatorNode::Reset() {
   status_.model = model_;
   status_.observable.clear();
   status_.unphysical.clear();
+  status_.unlike_history.clear();
   status_.unobservable.clear();
   status_.added_effects.clear();
   status_.unexplained.reset();
@@ -1013,6 +1019,14 @@ void EstimatorNode::ShareSnapshot(const Snapshot& snapshot, NodeStatus* s) const
   s->unphysical = UnphysicalValues(*last_model_, snapshot.values, snapshot.sigma);
   const std::string doubt = ThrustDoubt(*last_model_, snapshot.values);
   if (!doubt.empty()) s->unphysical.push_back(doubt);
+  s->unlike_history.clear();
+  if (setup_.history) {
+    for (const UnlikeHistory& unlike :
+         CompareWithHistory(*setup_.history, *last_model_, snapshot.values, snapshot.sigma)) {
+      const int k = last_model_->IndexOf(unlike.full_name);
+      s->unlike_history.push_back(unlike.Sentence(last_model_->parameters()[k].spec.unit));
+    }
+  }
   s->unobservable = snapshot.unobservable;
   s->observable = snapshot.observable;
   s->time_s = snapshot.time_s;

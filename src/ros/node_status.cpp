@@ -21,6 +21,7 @@ void SetLevel(const NodeStatus& s, DiagnosticStatus* status) {
   }
   if (!s.interrupted.empty()) return set(DiagnosticStatus::WARN, s.interrupted);
   if (!s.unphysical.empty()) return set(DiagnosticStatus::WARN, Join(s.unphysical));
+  if (!s.unlike_history.empty()) return set(DiagnosticStatus::WARN, Join(s.unlike_history));
   if (s.rotors && !s.rotors->bad.empty()) {
     return set(DiagnosticStatus::WARN, Join(s.rotors->Sentences()));
   }
@@ -103,6 +104,7 @@ DiagnosticStatus EstimatorDiagnostic(const NodeStatus& s, const std::string& nam
   Put("unobservable", Join(s.unobservable), &status);
   Put("warnings", Join(s.warnings), &status);
   Put("unphysical", Join(s.unphysical), &status);
+  Put("unlike_history", Join(s.unlike_history), &status);
   if (s.rotors) Put("bad_rotor_sensors", Join(s.rotors->Sentences()), &status);
   Put("twist_frame", s.twist, &status);
   PutCounters(s, &status);

@@ -11,6 +11,8 @@
 #include "odmc/fleet/fleet_flight_json.h"
 #include "odmc/fleet/joint_estimate.h"
 #include "odmc/fleet/scalar_history.h"
+#include "odmc/fleet/unlike_history.h"
+#include "support/test_vehicle.h"
 
 namespace odmc {
 namespace test {
@@ -318,6 +320,35 @@ TEST(ScalarHistory, SetsTwoOfNineApart) {
   ASSERT_EQ(fit.findings.size(), 1u);
   EXPECT_EQ(fit.findings[0].kind, HistoryFinding::Kind::kStep);
   EXPECT_EQ(fit.findings[0].flight, 2);
+}
+
+// The estimator's posterior of a flight that the history was the prior of.
+TEST(UnlikeHistory, NamesAVehicleThatIsAnotherAndFewThatAreNot) {
+  const Vehicle vehicle = NominalVehicle();
+  const DynamicModel model(vehicle, vehicle.effects);
+  const int k_f = model.IndexOf("thrust.k_f");
+  ParameterSet history;
+  history.parameters.push_back(
+      {"thrust.k_f", "N s^2", 1.5e-6, 2e-9, true, true, 1.5e-8});
+  const double expected_sigma = std::hypot(2e-9, 1.5e-8), noise = 1e-8;
+  ModelValues values = model.InitialValues();
+  Eigen::VectorXd sigma = Eigen::VectorXd::Zero(model.num_parameters());
+  const double gain = 1.0 / (1.0 + std::pow(noise / expected_sigma, 2));
+  sigma[k_f] = expected_sigma * std::sqrt(1.0 - gain);
+  Random random(12);
+  int alarms = 0;
+  for (int flight = 0; flight < 5000; ++flight) {
+    const double seen = expected_sigma * random.Normal() + noise * random.Normal();
+    values[k_f] = 1.5e-6 + gain * seen;
+    alarms += !CompareWithHistory(history, model, values, sigma, 0.01).empty();
+  }
+  EXPECT_NEAR(alarms, 50, 25);
+  values[k_f] = 1.5e-6 + gain * 8.0 * expected_sigma;
+  const std::vector<UnlikeHistory> unlike = CompareWithHistory(history, model, values, sigma);
+  ASSERT_EQ(unlike.size(), 1u);
+  EXPECT_NE(unlike[0].Sentence("N s^2").find("above what earlier flights"), std::string::npos);
+  sigma[k_f] = 0.9 * expected_sigma;  // not shown yet
+  EXPECT_TRUE(CompareWithHistory(history, model, values, sigma).empty());
 }
 
 TEST(RandomEffects, RefusesFlightsOfOtherModels) {

@@ -58,6 +58,26 @@ TEST(ParametersYaml, EmptyCovarianceAndProvenanceStayEmpty) {
 }
 
 // The float pattern of YAML 1.1 as PyYAML has it: a point, and a sign in the exponent.
+TEST(ParametersYaml, ScatterBetweenFlightsIsKept) {
+  ParameterSet set = Sample();
+  set.parameters[2].scatter = 0.1 / 3.0;
+  const ParameterSet back = ParseParameters(FormatParameters(set), "fleet.yaml");
+  EXPECT_EQ(back.parameters[2].scatter, set.parameters[2].scatter);
+  EXPECT_EQ(back.parameters[0].scatter, 0.0);
+  // The next flight may have a value as far away as flights scatter.
+  Vehicle vehicle;
+  ApplyParameters(back, &vehicle);
+  EXPECT_DOUBLE_EQ(*vehicle.parameters.at("drag.d_x").sigma, std::hypot(1e-20, 0.1 / 3.0));
+}
+
+TEST(ParametersYaml, KnowsParametersOfEveryRotor) {
+  ParameterSet set;
+  set.effects = {"thrust", "rotor_asymmetry", "rotor_tilt"};
+  set.parameters = {{"rotor_asymmetry.delta_4", "1", 0.1, 0.01, true, true},
+                    {"rotor_tilt.alpha_6y", "rad", 0.01, 0.01, true, true}};
+  ExpectSame(ParseParameters(FormatParameters(set), "extended.yaml"), set);
+}
+
 TEST(ParametersYaml, NumbersAreFloatsForYaml11) {
   const std::regex yaml11("[-+]?[0-9]+\\.[0-9]*([eE][-+][0-9]+)?");
   for (const double value : {0.0, -0.0, 1.0, -3.0, 1e-6, 5e-6, 1e6, 1e5, 1e20, 1e-300, 0.1, 1e22,

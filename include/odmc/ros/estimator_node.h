@@ -93,6 +93,7 @@ struct EstimatorNodeSetup {
   Vehicle vehicle;
   /// Priors of the vehicle file, with a thrust coefficient that an earlier flight knows.
   std::map<std::string, ParameterSetting> file_parameters;
+  std::optional<ParameterSet> history;  ///< of a fleet's flights before, with their scatter
   bool odometry_mount_known = false;  ///< the vehicle file says where the odometry's sensor sits
   std::vector<std::string> warnings;  ///< for the user
 };
