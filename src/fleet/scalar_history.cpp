@@ -16,7 +16,7 @@ constexpr int kRefitted = 8;         // candidates of a kind whose scatter is fi
 constexpr size_t kMostFindings = 20;
 constexpr size_t kLookAhead = 3;
 constexpr int kFlightsPerFinding = 5;  // fewer explain anything
-constexpr double kSharedByKinds = 3.0;  // the rate is theirs together
+constexpr double kKinds = 3.0;  // that a finding is one of
 
 /// Weighted least squares of flights at a variance of the scatter.
 struct Fitted {
@@ -43,7 +43,7 @@ class Examination {
   int size() const { return static_cast<int>(used_.size()); }
 
   HistoryFit Run(double rate) {
-    limit_ = std::log(rate / kSharedByKinds);
+    limit_ = std::log(rate);
     std::vector<HistoryFinding> found;
     for (size_t round = 0; round < kMostFindings; ++round) {
       // What hides behind each other (an outlier makes the scatter that a step must beat) is
@@ -226,7 +226,7 @@ class Examination {
     finding.sigma = fit.sigma[last];
     const double tail = TailOf(with);
     finding.log_p =
-        std::min(0.0, std::log(std::max(tail, 1e-300)) + std::log(static_cast<double>(Count(finding.kind))));
+        std::min(0.0, std::log(std::max(tail, 1e-300)) + std::log(kKinds * Count(finding.kind)));
     return finding;
   }
 

@@ -17,7 +17,7 @@ struct HistoryFinding {
   Kind kind = Kind::kOutlier;
   int flight = 0;  ///< that one; the first after a step
   double size = 0.0, sigma = 0.0;
-  double log_p = 0.0;  ///< logarithm of its p-value, all candidates of its kind accounted for
+  double log_p = 0.0;  ///< logarithm of its p-value, all candidates of all kinds accounted for
 };
 
 /// Mean, scatter and what was found, by generalised least squares with the scatter's variance from
