@@ -274,7 +274,9 @@ TEST(JointEstimate, TellsWearFromAStep) {
       x[1] -= 0.6 * i / 39.0;
       factors.push_back(FactorOfFlight(Fly(x, 60, 2.0, &random)));
     }
-    const JointEstimate joint = EstimateJointly(factors);
+    JointOptions options;
+    options.false_alarm_rate = 0.01;
+    const JointEstimate joint = EstimateJointly(factors, options);
     for (const VehicleChange& c : joint.changes) {
       (c.kind == VehicleChange::Kind::kTrend ? trends : steps) += 1;
       if (c.kind == VehicleChange::Kind::kTrend) {
