@@ -265,7 +265,9 @@ void AddFlights(const std::string& name, std::set<std::string>* seen,
       }
     }
     globfree(&matches);
-  } else if (kind == ".csv" || kind == ".bag" || kind == ".json") {
+  }
+  const bool is_named_as_one = kind == ".csv" || kind == ".bag" || kind == ".json";
+  if (found.empty() && is_named_as_one && !fs::is_directory(name)) {
     found.push_back(name);  // the reader says what is wrong with it
   }
   if (found.empty()) {

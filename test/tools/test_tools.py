@@ -249,7 +249,7 @@ class ToolsTest(unittest.TestCase):
         self.assertIn('rotor torque gain', done.stdout)
         self.assertIn('inertia over nominal', done.stdout)
         self.assertEqual(set(os.listdir(out)),
-                         {'history.csv', 'parameters.yaml', 'phases.csv', 'prediction.csv',
+                         {'flight.json', 'history.csv', 'parameters.yaml', 'phases.csv', 'prediction.csv',
                           'report.html', 'report.json', 'timing.csv'})
         report = read_json(out, 'report.json')
         self.assertEqual(set(report['flight']),
