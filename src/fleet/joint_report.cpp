@@ -86,7 +86,7 @@ std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model
         {"sigma", Number(p->sigma)},
         {"scatter", Number(fit.scatter[k])},
         {"scatter_sigma", Number(fit.scatter_sigma[k])},
-        {"new_flight_sigma", Number(fleet.joint.new_flight_sigma[k])},
+        {"new_flight_sigma", Number(std::hypot(p->sigma, p->scatter))},
         {"degrees_of_freedom", Number(fit.degrees_of_freedom[k])},
         {"unit", p->unit},
         {"observable", p->observable}};
