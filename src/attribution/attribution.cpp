@@ -18,6 +18,19 @@ constexpr int kSurrogates = 300;       // their 30 largest give the tail to 18 %
 constexpr size_t kMostFeatures = 10;   // that complete a set
 constexpr double kTail = 0.1;          // share of surrogates whose excess gives the tail
 
+std::vector<Instruments> InstrumentsOf(const std::vector<const ResidualModel*>& residuals) {
+  std::vector<Instruments> instruments;
+  for (const ResidualModel* r : residuals) instruments.emplace_back(r->flight(), r->file_vehicle());
+  return instruments;
+}
+
+std::vector<SeenFlight> Seen(const std::vector<const ResidualModel*>& residuals,
+                             const std::vector<Instruments>& instruments) {
+  std::vector<SeenFlight> seen;
+  for (size_t f = 0; f < residuals.size(); ++f) seen.push_back({residuals[f], &instruments[f]});
+  return seen;
+}
+
 }  // namespace
 
 bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options) {
@@ -41,16 +54,17 @@ double UnexplainedStructure(const ResidualModel::Wrenches& before, const Residua
   return was > 0.0 ? is / was : 0.0;
 }
 
-Attribution::Attribution(const ResidualModel* residual, Stage stage,
+Attribution::Attribution(const std::vector<const ResidualModel*>& residuals, Stage stage,
                          std::vector<Candidate> candidates, const AttributionOptions& options,
-                         std::function<bool()> give_up)
-    : residual_(residual),
-      instruments_(residual->flight(), residual->file_vehicle()),
-      features_(residual->flight(), residual->file_vehicle(), instruments_),
+                         std::function<bool()> give_up, int jobs)
+    : instruments_(InstrumentsOf(residuals)),
+      flights_(Seen(residuals, instruments_)),
+      features_(flights_),
       stage_(std::move(stage)),
       candidates_(std::move(candidates)),
       options_(options),
-      give_up_(std::move(give_up)) {}
+      give_up_(std::move(give_up)),
+      jobs_(jobs) {}
 
 void Attribution::Screen(Evidence* evidence) const {
   std::map<std::string, std::vector<const Candidate*>> by_effect;
@@ -102,20 +116,14 @@ void Attribution::Screen(Evidence* evidence) const {
 
 void Attribution::Polish(Evidence* evidence) const {
   for (int round = 0; round < kPolishes; ++round) {
-    std::map<int, std::map<std::string, double>> solutions;
+    std::map<int, EffectFit> fits;
     for (int v = 0; v < static_cast<int>(evidence->variants().size()); ++v) {
       const Variant& variant = evidence->variants()[v];
       if (variant.offset < 0 && variant.candidate.start.empty()) continue;
-      const EffectFit p = evidence->Solve({v});
-      std::map<std::string, double>& at = solutions[v];
-      for (size_t k = 0; k < p.columns.size(); ++k) {
-        const Evidence::Column& column = evidence->column(p.columns[k]);
-        if (column.effect != variant.candidate.effect) continue;
-        at[column.name] = p.coefficients[static_cast<Eigen::Index>(k)];
-      }
+      fits[v] = evidence->Solve({v});
     }
-    if (solutions.empty()) return;
-    for (const auto& [v, at] : solutions) evidence->Relinearize(v, at);
+    if (fits.empty()) return;
+    for (const auto& [v, fit] : fits) evidence->Relinearize(v, fit);
     evidence->EstimateNoise();
   }
 }
@@ -171,7 +179,7 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
   std::vector<Eigen::Index> own;
   for (size_t k = 0; k < posterior.columns.size(); ++k) {
     const Evidence::Column& column = evidence.column(posterior.columns[k]);
-    if (column.effect != ranked.name) continue;
+    if (column.effect != ranked.name || column.flight >= 0) continue;
     const auto at = static_cast<Eigen::Index>(k);
     const double value = posterior.coefficients[at];
     const double sigma = std::sqrt(std::max(0.0, posterior.covariance(at, at)));
@@ -191,6 +199,33 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
   }
   ranked.covariance = posterior.covariance(own, own);
   return ranked;
+}
+
+std::vector<FlightSays> Attribution::ByFlight(const Evidence& evidence, int variant,
+                                              const VariantSet& set) const {
+  VariantSet without = set;
+  without.erase(variant);
+  const std::string& name = evidence.variants()[variant].candidate.effect;
+  const Vehicle extended = With(evidence.stage().vehicle, evidence.variants()[variant].candidate);
+  const DynamicModel model(extended, extended.effects);
+  std::vector<FlightSays> by_flight;
+  for (const double nats : evidence.GainByFlight(set, without)) {
+    const int flight = static_cast<int>(by_flight.size());
+    FlightSays says;
+    says.nats = nats;
+    const EffectFit fit = evidence.SolveOfFlight(flight, set);
+    for (size_t k = 0; k < fit.columns.size(); ++k) {
+      const Evidence::Column& column = evidence.column(fit.columns[k]);
+      if (column.effect != name || (column.flight >= 0 && column.flight != flight)) continue;
+      const auto at = static_cast<Eigen::Index>(k);
+      const double sigma = std::sqrt(std::max(0.0, fit.covariance(at, at)));
+      says.parameters.push_back({column.name, model.parameters()[model.IndexOf(column.name)].spec.unit,
+                                 fit.coefficients[at], sigma, true,
+                                 sigma < 0.5 * column.prior_sigma});
+    }
+    by_flight.push_back(std::move(says));
+  }
+  return by_flight;
 }
 
 void Attribution::Rank(const Evidence& evidence) {
@@ -354,37 +389,37 @@ void Attribution::FindAlternatives(const Evidence& evidence, const VariantSet& s
   for (const auto& entry : order) ranked->alternatives.push_back(entry.second);
 }
 
-ResidualModel::Wrenches Attribution::Refit(Stage* stage) const {
-  ResidualModel::Wrenches residual;
+std::vector<ResidualModel::Wrenches> Attribution::Refit(Stage* stage) const {
+  std::vector<ResidualModel::Wrenches> residuals;
   for (int round = 0; round < kRefits; ++round) {
-    Evidence evidence(residual_, &instruments_, *stage);
+    Evidence evidence(flights_, *stage, jobs_);
     evidence.EstimateNoise();
     const EffectFit posterior = evidence.Solve({});
-    residual = evidence.ResidualOf({}, posterior);
+    residuals = evidence.ResidualsOf({}, posterior);
     double moved = 0.0;
     for (size_t k = 0; k < posterior.columns.size(); ++k) {
       const auto at = static_cast<Eigen::Index>(k);
       moved = std::max(moved, std::abs(posterior.coefficients[at]) /
                                   std::sqrt(posterior.covariance(at, at)));
     }
-    std::map<std::string, double> values = evidence.Values({}, posterior);
+    Stage next = evidence.Moved({}, posterior);
     for (const auto& [name, value] : stage->values) {
       // Where little is foreseen of torque, the unforeseen rest grows as inertia gets smaller, and
       // the fit runs after it.
-      if (round >= kInertiaRefits && name.rfind("inertia.", 0) == 0) values[name] = value;
+      if (round >= kInertiaRefits && name.rfind("inertia.", 0) == 0) next.values[name] = value;
     }
-    stage->values = std::move(values);
+    *stage = std::move(next);
     constexpr double kSettled = 0.1;  // sigmas
     if (moved < kSettled) break;
   }
-  return residual;
+  return residuals;
 }
 
 void Attribution::Run() {
   before_ = Refit(&stage_);
   after_ = before_;
   for (int round = 0; static_cast<int>(effects_.size()) < options_.most_effects; ++round) {
-    Evidence evidence(residual_, &instruments_, stage_);
+    Evidence evidence(flights_, stage_, jobs_);
     Screen(&evidence);
     Polish(&evidence);
     if (GivesUp() || evidence.variants().empty()) return;
@@ -420,6 +455,7 @@ void Attribution::Run() {
       added.push_back(Describe(evidence, v, set));
       added.back().probability = found.ProbabilityOf(added.back().name, evidence);
       FindAlternatives(evidence, set, v, &added.back());
+      if (evidence.num_flights() > 1) added.back().by_flight = ByFlight(evidence, v, set);
     }
     const double gain = evidence.Gain(set);
     const EffectFit fit = evidence.Solve(set);
@@ -431,13 +467,13 @@ void Attribution::Run() {
               [](const auto& a, const auto& b) { return a.score > b.score; });
     gain_ += gain;
     held_out_gain_ += evidence.HeldOutGain(set);
-    Stage next = stage_;
-    next.values = evidence.Values(set, evidence.Solve(set));
-    for (const int v : set) next.vehicle = With(next.vehicle, evidence.variants()[v].candidate);
-    stage_ = std::move(next);
+    stage_ = evidence.Moved(set, fit);
     after_ = Refit(&stage_);
     for (RankedEffect& effect : added) {
-      for (ParameterEstimate& p : effect.parameters) p.value = stage_.values.at(p.full_name);
+      for (ParameterEstimate& p : effect.parameters) {
+        const auto it = stage_.values.find(p.full_name);
+        if (it != stage_.values.end()) p.value = it->second;
+      }
       effects_.push_back(std::move(effect));
     }
   }

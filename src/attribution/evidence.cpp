@@ -1,12 +1,15 @@
 #include "odmc/attribution/evidence.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <random>
+#include <stdexcept>
 #include <utility>
+
+#include "odmc/analysis/parallel.h"
 
 namespace odmc {
 namespace {
@@ -16,41 +19,14 @@ using Eigen::MatrixXd;
 using Eigen::VectorXd;
 using Wrenches = ResidualModel::Wrenches;
 
-// Rounds of the noise's estimate: rough ones until the residual is no longer the effects', then
-// expectation steps.
-struct NoiseRounds {
-  int rough, expectation;
-};
-constexpr NoiseRounds kFirstNoise = {3, 3};
-constexpr NoiseRounds kMoreColumns = {1, 2};
-constexpr NoiseRounds kMovedColumns = {0, 1};
-constexpr Index kMostDraws = 32;       // of the fit, for an expectation: its sums to some per cent
-constexpr double kAveraged = 40.0;     // values of which a spectrum's ordinate is the mean: to 22 %
-constexpr double kWildSigmas = 5.0;    // innovations beyond count as this many
 constexpr double kWide = 5.0;          // natural sizes of what is strangely large
 constexpr double kWideFrom = 2.0;      // natural sizes from which that is looked at
-constexpr double kBias_m_s2 = 0.3;     // of an accelerometer
-constexpr int kFolds = Instruments::kFolds;
 constexpr double kBlock_s = 1.0;       // of Lead: a manoeuvre spans more than one
-constexpr double kCollinear = 1e-6;    // of a column's sum of squares, for columns that are one
 constexpr int kShiftsOfADraw = 10;     // surrogates of one draw of the noise
 constexpr double kLeastShift_s = 2.0;  // of surrogates: beyond the noise's correlation
 
 /// Normal distribution's cumulative.
 double Phi(double z) { return 0.5 * std::erfc(-z / std::sqrt(2.0)); }
-
-/// Samples whose `order` predecessors follow each other and are, with it, in use or held out.
-std::vector<int> RowsOf(const ThinnedFlight& flight, const Instruments& instruments, bool held_out,
-                        int order) {
-  std::vector<int> rows;
-  int run = 0;
-  for (int i = 0; i < flight.size(); ++i) {
-    const bool counts = flight.held_out(i) == held_out && instruments.Sees(i);
-    run = !counts ? 0 : flight.next(i) ? run + 1 : 1;
-    if (run > order) rows.push_back(i);
-  }
-  return rows;
-}
 
 MatrixXd Picked(const MatrixXd& gram, const std::vector<int>& rows, const std::vector<int>& cols) {
   MatrixXd picked(static_cast<Index>(rows.size()), static_cast<Index>(cols.size()));
@@ -62,480 +38,266 @@ MatrixXd Picked(const MatrixXd& gram, const std::vector<int>& rows, const std::v
   return picked;
 }
 
+/// Adds a matrix to some rows and columns of a larger one.
+void Scatter(const MatrixXd& from, const std::vector<int>& to, MatrixXd* sum) {
+  for (Index i = 0; i < from.rows(); ++i) {
+    for (Index k = 0; k < from.cols(); ++k) {
+      (*sum)(to[static_cast<size_t>(i)], to[static_cast<size_t>(k)]) += from(i, k);
+    }
+  }
+}
+
+/// The sum of a matrix's first columns times coefficients, most of which are zero.
+VectorXd Combined(const MatrixXd& columns, const VectorXd& coefficients) {
+  VectorXd sum = VectorXd::Zero(columns.rows());
+  for (Index k = 0; k < coefficients.size(); ++k) {
+    if (coefficients[k] != 0.0) sum += coefficients[k] * columns.col(k);
+  }
+  return sum;
+}
+
 double LogDeterminant(const Eigen::LLT<MatrixXd>& llt) {
   return 2.0 * MatrixXd(llt.matrixL()).diagonal().array().log().sum();
 }
 
+/// What further columns gain at most beside known ones, by the sums of products of both and of what
+/// they explain.
+double MostGain(const MatrixXd& gram, const VectorXd& base_sigma, const VectorXd& sigma) {
+  const Index n = base_sigma.size(), k = sigma.size();
+  MatrixXd H = gram.topLeftCorner(n, n);
+  H.diagonal() += base_sigma.cwiseAbs2().cwiseInverse();
+  const Eigen::LLT<MatrixXd> llt(H);
+  const MatrixXd BX = gram.block(0, n, n, k);
+  MatrixXd S = gram.block(n, n, k, k) - BX.transpose() * llt.solve(BX);
+  S.diagonal() += sigma.cwiseAbs2().cwiseInverse();
+  const VectorXd g = gram.block(n, n + k, k, 1) -
+                     BX.transpose() * llt.solve(gram.block(0, n + k, n, 1));
+  return 0.5 * g.dot(S.llt().solve(g));
+}
+
+/// Surrogates of a flight's noise: as it may have been, shifted in time, its sign random; by column.
+MatrixXd SurrogatesOf(const FlightRegression& flight, int count, std::mt19937* random) {
+  const auto n = static_cast<Index>(flight.rows().size());
+  const Index least =
+      std::min(n / 4, static_cast<Index>(kLeastShift_s / flight.flight().step_s()));
+  std::uniform_int_distribution<Index> shift(least, std::max(least, n - least));
+  std::bernoulli_distribution flip;
+  std::normal_distribution<double> normal;
+  VectorXd z(flight.num_noise_columns());
+  for (Index k = 0; k < z.size(); ++k) z[k] = normal(*random);
+  const VectorXd noise = flight.NoiseDraw(z);
+  MatrixXd shifted(noise.size(), count);
+  for (int k = 0; k < count; ++k) {
+    const Index by = shift(*random);
+    const double sign = flip(*random) ? 1.0 : -1.0;
+    for (int c = 0; c < flight.num_channels(); ++c) {
+      const auto from = noise.segment(c * n, n);
+      shifted.col(k).segment(c * n, n - by) = sign * from.tail(n - by);
+      shifted.col(k).segment(c * n + n - by, by) = sign * from.head(by);
+    }
+  }
+  return shifted;
+}
+
 }  // namespace
 
-Evidence::Evidence(const ResidualModel* residual, const Instruments* instruments,
-                   const Stage& stage)
-    : residual_(residual),
-      instruments_(instruments),
-      likely_(&instruments->likely_flight(), &residual->file_vehicle(),
-              residual->num_channels() == kNumChannels),
-      stage_(stage),
-      num_channels_(residual->num_channels()) {
-  rows_ = RowsOf(residual->flight(), *instruments, false, kOrder);
-  held_out_rows_ = RowsOf(residual->flight(), *instruments, true, kOrder);
-  AddBase();
+Evidence::Evidence(const std::vector<SeenFlight>& flights, const Stage& stage, int jobs)
+    : stage_(stage), jobs_(jobs) {
+  if (flights.empty()) throw std::invalid_argument("evidence needs a flight");
+  std::vector<std::optional<FlightRegression>> made(flights.size());
+  ForEachOf(static_cast<int>(flights.size()), jobs, [&](int f) {
+    const SeenFlight& flight = flights[static_cast<size_t>(f)];
+    made[static_cast<size_t>(f)].emplace(flight.residual, flight.instruments,
+                                         stage.OfFlight(static_cast<size_t>(f)));
+  });
+  for (auto& regression : made) flights_.push_back(std::move(*regression));
+  num_channels_ = kNumChannels;
+  for (const FlightRegression& r : flights_) {
+    num_channels_ = std::min(num_channels_, r.num_channels());
+  }
+  place_.resize(flights_.size());
+  added_.resize(flights_.size());
+  for (const auto& [name, value] : flights_.front().stage().values) {
+    if (stage.own.empty() || stage.own.front().count(name) == 0) stage_.values[name] = value;
+  }
+  std::map<std::string, int> shared;
+  std::vector<int> columns;
+  double samples = 0.0;
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    const FlightRegression& r = flights_[f];
+    std::vector<int> local(static_cast<size_t>(r.num_base()));
+    for (size_t k = 0; k < local.size(); ++k) local[k] = static_cast<int>(k);
+    Place(f, local, &shared, &columns);
+    for (int c = 0; c < kNumChannels; ++c) plain_sigma_[c] += r.y().col(c).squaredNorm();
+    samples += static_cast<double>(r.y().rows());
+  }
+  for (double& sigma : plain_sigma_) sigma = std::sqrt(sigma / std::max(1.0, samples));
+  num_base_ = num_columns();
 }
 
-void Evidence::AddBase() {
-  const DynamicModel model(stage_.vehicle, stage_.vehicle.effects);
-  const ModelValues values = ValuesOf(model, stage_.values);
-  y_ = residual_->Residual(model, values);
-  if (!model.pendulum()) likely_y_ = likely_.Residual(model, values);
-  for (int c = 0; c < kNumChannels; ++c) {
-    plain_sigma_[c] = std::sqrt(y_.col(c).squaredNorm() / std::max<double>(1.0, y_.rows()));
-  }
-  for (int k = 0; k < model.num_parameters(); ++k) {
-    const ModelParameter& p = model.parameters()[k];
-    stage_.values[p.full_name] = values[k];
-    // Inertia that the file freezes may be wrong: whatever else moves with torque would make up for
-    // it.
-    if (!p.estimated && p.effect != "inertia") continue;
-    Column column{p.full_name,      p.effect,    values[k],
-                  p.spec.prior_value - values[k], p.spec.prior_sigma, p.spec.sign,
-                  p.spec.certain_sign, p.spec.initial_state, residual_->Derivative(model, values, k),
-                  model.pendulum() ? Wrenches(Wrenches::Zero(y_.rows(), kNumChannels))
-                                   : likely_.Derivative(model, values, k), {}};
-    column.foreseen = instruments_->Foreseen(column.d_wrench, column.likely);
-    if (column.d_wrench.squaredNorm() > 0.0) columns_.push_back(std::move(column));
-  }
-  AddNuisances();
-  num_base_ = static_cast<int>(columns_.size());
-  // What of other columns the base has, each channel in its own units.
-  base_.resize(y_.size(), num_base_);
-  for (int k = 0; k < num_base_; ++k) base_.col(k) = Stacked(columns_[k].d_wrench);
-  base_size_ = base_.colwise().norm().transpose().array().max(1e-300);
-  MatrixXd H = base_.transpose() * base_;
-  H = base_size_.cwiseInverse().asDiagonal() * H * base_size_.cwiseInverse().asDiagonal();
-  H.diagonal().array() += kCollinear;
-  base_gram_.compute(H);
+bool Evidence::IsOwn(const Coefficient& coefficient) const {
+  return flights_.size() > 1 && coefficient.belongs_to_flight;
 }
 
-VectorXd Evidence::Stacked(const Wrenches& column) const {
-  const Index n = column.rows();
-  VectorXd stacked(n * kNumChannels);
-  for (int c = 0; c < kNumChannels; ++c) {
-    stacked.segment(c * n, n) = column.col(c) / std::max(1e-300, plain_sigma_[c]);
-  }
-  for (int i = 0; i < n; ++i) {
-    if (instruments_->Sees(i) && !residual_->flight().held_out(i)) continue;
-    for (int c = 0; c < kNumChannels; ++c) stacked[c * n + i] = 0.0;
-  }
-  return stacked;
-}
-
-Wrenches Evidence::Foreseen(const Column& column) const {
-  const VectorXd share = base_size_.cwiseInverse().cwiseProduct(
-      base_gram_.solve(base_size_.cwiseInverse().cwiseProduct(base_.transpose() * Stacked(column.d_wrench))));
-  Wrenches own = column.d_wrench, likely = column.likely;
-  Wrenches of_base = Wrenches::Zero(own.rows(), kNumChannels);
-  for (int k = 0; k < num_base_; ++k) {
-    own -= share[k] * columns_[k].d_wrench;
-    likely -= share[k] * columns_[k].likely;
-    of_base += share[k] * columns_[k].foreseen;
-  }
-  if (column.likely.isZero(0.0)) likely.setZero();
-  return of_base + instruments_->Foreseen(own, likely);
-}
-
-void Evidence::AddNuisances() {
-  const auto add = [this](const char* name, double sigma, Wrenches d_wrench) {
-    Column column;
-    column.name = name;
-    column.prior_sigma = sigma;
-    column.foreseen = column.likely = column.d_wrench = std::move(d_wrench);
-    columns_.push_back(std::move(column));
-  };
-  if (residual_->from_accelerometer()) {
-    for (int axis = 0; axis < 3; ++axis) {
-      Wrenches ones = Wrenches::Zero(y_.rows(), kNumChannels);
-      ones.col(axis).setOnes();
-      add("accelerometer bias", kBias_m_s2 * stage_.vehicle.mass_kg, std::move(ones));
+void Evidence::Place(size_t f, const std::vector<int>& local, std::map<std::string, int>* shared,
+                     std::vector<int>* columns) {
+  for (const int k : local) {
+    const Coefficient& coefficient = flights_[f].column(k);
+    const bool is_own = IsOwn(coefficient);
+    // Of a single flight nothing is shared.
+    const auto known = flights_.size() > 1 && !is_own ? shared->find(coefficient.name)
+                                                      : shared->end();
+    int at = num_columns();
+    if (known != shared->end()) {
+      at = known->second;
+    } else {
+      Column column{coefficient};
+      column.flight = is_own ? static_cast<int>(f) : -1;
+      columns_.push_back(std::move(column));
+      columns->push_back(at);
+      if (!is_own) (*shared)[coefficient.name] = at;
     }
+    place_[f].push_back(at);
   }
 }
 
-Evidence::Seen Evidence::See(const Candidate& candidate, const std::map<std::string, double>& at,
-                             What what) const {
-  const Vehicle extended = With(stage_.vehicle, candidate);
-  const DynamicModel model(extended, extended.effects);
-  ModelValues values = ValuesOf(model, stage_.values);
-  for (const auto* some : {&candidate.start, &at}) {
-    for (const auto& [name, value] : *some) values[model.IndexOf(name)] = value;
+int Evidence::num_rows() const {
+  int rows = 0;
+  for (const FlightRegression& r : flights_) {
+    rows += static_cast<int>(r.rows().size()) * r.num_channels();
   }
-  // From an onset on an effect acts as one that has acted all along, so all onsets share a column.
-  const auto own = std::find(model.effect_names().begin(), model.effect_names().end(),
-                             candidate.effect);
-  const std::string onset =
-      model.effect(static_cast<int>(own - model.effect_names().begin())).onset_parameter();
-  double from_s = 0.0;
-  if (!onset.empty()) {
-    double& setting = values[model.IndexOf(candidate.effect + "." + onset)];
-    from_s = setting;
-    setting = 0.0;
-  }
-  const std::string key = onset.empty() || !at.empty() ? "" : candidate.effect;
-  const auto known = seen_.find(key);
-  Seen seen = known != seen_.end() ? known->second : SeeFully(candidate, model, values, key.empty() ? what : kAll);
-  if (!key.empty() && known == seen_.end()) seen_[key] = seen;
-  if (!onset.empty()) {
-    for (int i = 0; i < residual_->flight().size(); ++i) {
-      if (residual_->flight().sample(i).t_s >= from_s) break;
-      for (Column& column : seen.columns) {
-        column.d_wrench.row(i).setZero();
-        column.likely.row(i).setZero();
-      }
-      if (!seen.offset) continue;
-      seen.offset->d_wrench.row(i).setZero();
-      seen.offset->likely.row(i).setZero();
-    }
-  }
-  for (Column& column : seen.columns) column.foreseen = Foreseen(column);
-  if (seen.offset) seen.offset->foreseen = Foreseen(*seen.offset);
-  if (what != kAll) {
-    seen.columns.erase(std::remove_if(seen.columns.begin(), seen.columns.end(),
-                                      [&](const Column& c) {
-                                        return c.d_wrench.squaredNorm() == 0.0 ||
-                                               (what == kAtAGlance && c.initial_state);
-                                      }),
-                       seen.columns.end());
-  }
-  return seen;
+  return rows;
 }
 
-Evidence::Seen Evidence::SeeFully(const Candidate& candidate, const DynamicModel& model,
-                                  const ModelValues& values, What what) const {
-  Seen seen;
-  const Wrenches residual = residual_->Residual(model, values);
-  const Wrenches nothing = Wrenches::Zero(residual.rows(), kNumChannels);
-  // A pendulum swings through the whole recording, not from one thinned sample to the next.
-  const bool is_likely = !model.pendulum();
-  const Wrenches likely = is_likely ? likely_.Residual(model, values) : nothing;
-  Wrenches offset = y_ - residual;
-  Wrenches likely_offset = is_likely ? Wrenches(likely_y_ - likely) : nothing;
-  const double size = offset.norm();
-  for (int k = 0; k < model.num_parameters(); ++k) {
-    const ModelParameter& p = model.parameters()[k];
-    if (p.effect != candidate.effect || !p.estimated) continue;
-    if (what == kAtAGlance && p.spec.initial_state) continue;
-    Column column{p.full_name,          p.effect,           0.0,
-                  p.spec.prior_value,   p.spec.prior_sigma, p.spec.sign,
-                  p.spec.certain_sign,  p.spec.initial_state,
-                  residual_->Derivative(model, values, k, residual),
-                  is_likely ? likely_.Derivative(model, values, k, likely) : nothing, {}};
-    offset -= values[k] * column.d_wrench;
-    likely_offset -= values[k] * column.likely;
-    seen.columns.push_back(std::move(column));
-  }
-  constexpr double kNothing = 1e-6;
-  if (offset.norm() > kNothing * size + 1e-300 && size > 0.0) {
-    seen.offset.emplace();
-    seen.offset->d_wrench = std::move(offset);
-    seen.offset->likely = std::move(likely_offset);
-  }
-  return seen;
-}
-
-int Evidence::Add(const Candidate& candidate, const std::map<std::string, double>& at) {
-  Seen seen = See(candidate, at, kActing);
-  if (seen.columns.empty()) return -1;
+int Evidence::Add(const Candidate& candidate) {
+  std::vector<FlightRegression::Added> added(flights_.size());
+  ForEachOf(num_flights(), jobs_, [&](int f) {
+    added[static_cast<size_t>(f)] = flights_[static_cast<size_t>(f)].Add(candidate, {});
+  });
   Variant variant;
   variant.candidate = candidate;
-  for (Column& column : seen.columns) {
-    variant.columns.push_back(static_cast<int>(columns_.size()));
-    columns_.push_back(std::move(column));
+  std::map<std::string, int> shared;
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    Place(f, added[f].columns, &shared, &variant.columns);
+    if (added[f].offset < 0) continue;
+    std::vector<int> offset;
+    Place(f, {added[f].offset}, &shared, &offset);
+    variant.offset = place_[f].back();
   }
-  if (seen.offset) {
-    variant.offset = static_cast<int>(columns_.size());
-    seen.offset->name = "offset";
-    seen.offset->effect = candidate.effect;
-    columns_.push_back(std::move(*seen.offset));
-  }
+  if (variant.columns.empty()) return -1;
+  for (size_t f = 0; f < flights_.size(); ++f) added_[f].push_back(added[f]);
   variants_.push_back(std::move(variant));
   return static_cast<int>(variants_.size()) - 1;
 }
 
-void Evidence::Relinearize(int v, const std::map<std::string, double>& at) {
+void Evidence::Relinearize(int v, const EffectFit& fit) {
   Variant& variant = variants_[static_cast<size_t>(v)];
-  Seen seen = See(variant.candidate, at, kAll);
-  for (const int k : variant.columns) {
-    for (Column& column : seen.columns) {
-      if (column.name == columns_[k].name) columns_[k] = column;
+  std::map<std::string, int> shared;
+  if (variant.offset >= 0) shared["offset"] = variant.offset;
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    std::map<std::string, double> at;
+    for (size_t k = 0; k < fit.columns.size(); ++k) {
+      const Column& column = columns_[static_cast<size_t>(fit.columns[k])];
+      if (column.effect != variant.candidate.effect) continue;
+      if (column.flight >= 0 && column.flight != static_cast<int>(f)) continue;
+      at[column.name] = fit.coefficients[static_cast<Index>(k)];
     }
-  }
-  if (!seen.offset) {
-    const Wrenches nothing = Wrenches::Zero(y_.rows(), kNumChannels);
-    seen.offset.emplace();
-    seen.offset->d_wrench = seen.offset->likely = seen.offset->foreseen = nothing;
-  }
-  seen.offset->name = "offset";
-  seen.offset->effect = variant.candidate.effect;
-  if (variant.offset < 0) {
-    variant.offset = static_cast<int>(columns_.size());
-    columns_.emplace_back();
-  }
-  columns_[variant.offset] = std::move(*seen.offset);
-}
-
-VectorXd Evidence::Whitened(const Wrenches& column, const std::vector<int>& rows,
-                            const MatrixXd& weight) const {
-  const auto n = static_cast<Index>(rows.size());
-  VectorXd white(n * num_channels_);
-  for (int c = 0; c < num_channels_; ++c) {
-    const double scale = 1.0 / std::sqrt(noise_[c].variance);
-    for (Index k = 0; k < n; ++k) {
-      const int i = rows[static_cast<size_t>(k)];
-      double value = column(i, c);
-      for (int lag = 0; lag < kOrder; ++lag) {
-        value -= noise_[c].coefficients[lag] * column(i - 1 - lag, c);
-      }
-      white[c * n + k] = scale * weight(k, c) * value;
-    }
-  }
-  return white;
-}
-
-void Evidence::WhitenAll() {
-  const auto n = static_cast<Index>(columns_.size());
-  white_.resize(static_cast<Index>(rows_.size()) * num_channels_, n + 1);
-  for (Index k = 0; k < n; ++k) {
-    white_.col(k) = Whitened(columns_[static_cast<size_t>(k)].foreseen, rows_, weight_);
-  }
-  white_.col(n) = Whitened(y_, rows_, weight_);
-  SumUp(false);
-}
-
-void Evidence::SumUp(bool by_folds) {
-  const Index n = white_.cols() - 1;
-  gram_.setZero(n + 1, n + 1);
-  gram_.selfadjointView<Eigen::Lower>().rankUpdate(white_.transpose());
-  gram_.triangularView<Eigen::StrictlyUpper>() = gram_.transpose();
-  if (!by_folds) return;
-  // The same sums by folds of blocks of time.
-  fold_gram_.assign(kFolds, MatrixXd::Zero(n + 1, n + 1));
-  const auto rows = static_cast<Index>(rows_.size());
-  for (int c = 0; c < num_channels_; ++c) {
-    for (Index from = 0; from < rows;) {
-      Index to = from;
-      const int fold = FoldOf(from);
-      while (to < rows && FoldOf(to) == fold) ++to;
-      fold_gram_[fold].selfadjointView<Eigen::Lower>().rankUpdate(
-          white_.middleRows(c * rows + from, to - from).transpose());
-      from = to;
-    }
-  }
-  for (MatrixXd& gram : fold_gram_) {
-    gram.triangularView<Eigen::StrictlyUpper>() = gram.transpose();
+    FlightRegression::Added& added = added_[f][static_cast<size_t>(v)];
+    const int before = added.offset;
+    flights_[f].Relinearize(variant.candidate, at, &added);
+    if (added.offset == before) continue;
+    std::vector<int> offset;
+    Place(f, {added.offset}, &shared, &offset);
+    variant.offset = place_[f].back();
   }
 }
 
-VectorXd Evidence::WhitenedFeature(int c, const VectorXd& foreseen) const {
-  const double scale = plain_sigma_[c] / std::sqrt(noise_[c].variance);
-  VectorXd white(static_cast<Index>(rows_.size()));
-  for (Index k = 0; k < white.size(); ++k) {
-    const int i = rows_[static_cast<size_t>(k)];
-    double value = foreseen[i];
-    for (int lag = 0; lag < kOrder; ++lag) {
-      value -= noise_[c].coefficients[lag] * foreseen[i - 1 - lag];
-    }
-    white[k] = scale * weight_(k, c) * value;
+void Evidence::EstimateNoise() {
+  ForEachOf(num_flights(), jobs_, [&](int f) { flights_[static_cast<size_t>(f)].EstimateNoise(); });
+  Assemble();
+}
+
+void Evidence::AddTo(const MatrixXd& local, size_t f, MatrixXd* gram) const {
+  std::vector<int> to = place_[f];
+  to.push_back(num_columns());
+  Scatter(local, to, gram);
+}
+
+void Evidence::Assemble() {
+  gram_.setZero(num_columns() + 1, num_columns() + 1);
+  for (size_t f = 0; f < flights_.size(); ++f) AddTo(flights_[f].gram(), f, &gram_);
+}
+
+int Evidence::num_folds() const {
+  return flights_.size() > 1 ? num_flights() : Instruments::kFolds;
+}
+
+MatrixXd Evidence::GramWithout(int fold) const {
+  MatrixXd of_fold = MatrixXd::Zero(gram_.rows(), gram_.cols());
+  if (flights_.size() > 1) {
+    AddTo(flights_[static_cast<size_t>(fold)].gram(), static_cast<size_t>(fold), &of_fold);
+  } else {
+    AddTo(flights_.front().fold_gram(fold), 0, &of_fold);
   }
-  return white;
+  return gram_ - of_fold;
 }
 
 Evidence::FlexibleGain Evidence::BestFlexible(const VariantSet& set,
                                               const FlexibleFeatures& features) const {
   const EffectFit fit = Solve(set);
-  const VectorXd e = ErrorsOf(white_, set, fit);
-  const auto n = static_cast<Index>(rows_.size());
   const auto m = static_cast<Index>(fit.columns.size());
-  const auto tried = static_cast<double>(num_channels_) *
-                     static_cast<double>(features.foreseen.cols());
+  const auto num_features = static_cast<Index>(features.names.size());
+  const double tried = static_cast<double>(num_channels_) * static_cast<double>(num_features);
   FlexibleGain best;
   best.nats = -std::numeric_limits<double>::infinity();
   for (int c = 0; c < num_channels_; ++c) {
-    MatrixXd own(n, m);
-    for (Index k = 0; k < m; ++k) {
-      own.col(k) = white_.col(fit.columns[static_cast<size_t>(k)]).segment(c * n, n);
+    MatrixXd cross = MatrixXd::Zero(m, num_features);
+    VectorXd g = VectorXd::Zero(num_features), size = VectorXd::Zero(num_features);
+    for (size_t f = 0; f < flights_.size(); ++f) {
+      const FlightRegression& r = flights_[f];
+      const auto n = static_cast<Index>(r.rows().size());
+      const VectorXd e = ErrorsOf(f, set, fit).segment(c * n, n);
+      MatrixXd phi(n, num_features);
+      for (Index k = 0; k < num_features; ++k) {
+        phi.col(k) = r.WhitenedFeature(c, features.foreseen[f].col(k), plain_sigma_[c]);
+      }
+      g += phi.transpose() * e;
+      size += phi.colwise().squaredNorm().transpose();
+      MatrixXd own = MatrixXd::Zero(n, m);
+      for (size_t l = 0; l < place_[f].size(); ++l) {
+        const auto at = std::find(fit.columns.begin(), fit.columns.end(), place_[f][l]);
+        if (at == fit.columns.end()) continue;
+        own.col(at - fit.columns.begin()) =
+            r.white().col(static_cast<Index>(l)).segment(c * n, n);
+      }
+      cross.noalias() += own.transpose() * phi;
     }
-    MatrixXd phi(n, features.foreseen.cols());
-    for (Index f = 0; f < phi.cols(); ++f) {
-      phi.col(f) = WhitenedFeature(c, features.foreseen.col(f));
-    }
-    const MatrixXd cross = own.transpose() * phi;
-    const VectorXd g = phi.transpose() * e.segment(c * n, n);
     const VectorXd taken = cross.cwiseProduct(fit.covariance * cross).colwise().sum();
-    for (Index f = 0; f < phi.cols(); ++f) {
+    for (Index k = 0; k < num_features; ++k) {
       // Its coefficient has a prior of the residual's size: one, in these units.
-      const double s = std::max(0.0, phi.col(f).squaredNorm() - taken[f]);
-      const double nats = 0.5 * (g[f] * g[f] / (1.0 + s) - std::log(1.0 + s)) -
-                          std::log(tried);
-      if (nats > best.nats) best = {c, static_cast<int>(f), nats};
+      const double s = std::max(0.0, size[k] - taken[k]);
+      const double nats = 0.5 * (g[k] * g[k] / (1.0 + s) - std::log(1.0 + s)) - std::log(tried);
+      if (nats > best.nats) best = {c, static_cast<int>(k), nats};
     }
   }
   return best;
 }
 
 int Evidence::AddFlexible(const FlexibleGain& gain, const FlexibleFeatures& features) {
-  const Index y_at = white_.cols() - 1, n = static_cast<Index>(rows_.size());
   Variant variant;
   variant.candidate.effect = features.names[static_cast<size_t>(gain.feature)] + " " +
                              std::to_string(gain.channel);
-  variant.columns = {static_cast<int>(y_at)};
-  Column column;
-  column.name = variant.candidate.effect;
-  column.effect = variant.candidate.effect;
-  columns_.push_back(std::move(column));
+  std::map<std::string, int> shared;
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    const VectorXd whitened = flights_[f].WhitenedFeature(
+        gain.channel, features.foreseen[f].col(gain.feature), plain_sigma_[gain.channel]);
+    const int local = flights_[f].AddFeature(gain.channel, whitened, variant.candidate.effect);
+    Place(f, {local}, &shared, &variant.columns);
+    added_[f].push_back({{local}, -1});
+  }
   variants_.push_back(std::move(variant));
-  white_.conservativeResize(Eigen::NoChange, y_at + 2);
-  white_.col(y_at + 1) = white_.col(y_at);
-  white_.col(y_at).setZero();
-  white_.col(y_at).segment(gain.channel * n, n) =
-      WhitenedFeature(gain.channel, features.foreseen.col(gain.feature));
-  SumUp();
+  Assemble();
   return static_cast<int>(variants_.size()) - 1;
-}
-
-int Evidence::FoldOf(Index row) const {
-  const double t_s = residual_->flight().sample(rows_[static_cast<size_t>(row)]).t_s;
-  return Instruments::FoldAt(t_s);
-}
-
-Evidence::Noise Evidence::FitNoise(const MatrixXd& e) const {
-  using Moments = Eigen::Matrix<double, kOrder + 1, kOrder + 1>;
-  Moments S = Moments::Zero();  // of a sample, first, and its predecessors
-  const MatrixXd by_sample = e.transpose();
-  for (const int i : rows_) {
-    const auto past = by_sample.middleCols<kOrder + 1>(i - kOrder).rowwise().reverse();
-    S.noalias() += past.transpose().lazyProduct(past);
-  }
-  // A short flight's spectrum to a resolution at which an ordinate is the mean of many values. A
-  // finer one takes the few cycles of a manoeuvre, and with them all that follows it, for noise
-  // (Blackman and Tukey, The Measurement of Power Spectra, 1958; a Gaussian window).
-  const double step_s = residual_->flight().step_s();
-  const double bandwidth_Hz =
-      0.5 * kAveraged / (static_cast<double>(rows_.size()) * step_s);
-  const double sigma_rad = std::sqrt(M_PI) * bandwidth_Hz * step_s;
-  for (int i = 0; i <= kOrder; ++i) {
-    for (int k = 0; k <= kOrder; ++k) S(i, k) *= std::exp(-0.5 * std::pow(sigma_rad * (i - k), 2));
-  }
-  Moments A = S;
-  A.diagonal().array() += 1e-3 * A.diagonal().maxCoeff() + 1e-300;
-  Noise noise;
-  noise.coefficients =
-      A.bottomRightCorner<kOrder, kOrder>().ldlt().solve(S.bottomLeftCorner<kOrder, 1>());
-  Eigen::Matrix<double, kOrder + 1, 1> innovation;
-  innovation << 1.0, -noise.coefficients;
-  noise.variance =
-      std::max(innovation.dot(S * innovation) / static_cast<double>(rows_.size()), 1e-300);
-  return noise;
-}
-
-void Evidence::EstimateNoise() {
-  const auto n = static_cast<Index>(rows_.size());
-  const auto m = static_cast<Index>(columns_.size());
-  VectorXd sigma(m), mean(m);
-  for (Index k = 0; k < m; ++k) {
-    const Column& column = columns_[static_cast<size_t>(k)];
-    sigma[k] = column.prior_sigma;
-    mean[k] = column.prior_mean;
-  }
-  NoiseRounds rounds = noise_columns_ == m ? kMovedColumns : kMoreColumns;
-  if (noise_columns_ < 0) {
-    rounds = kFirstNoise;
-    weight_ = MatrixXd::Ones(n, kNumChannels);
-    for (int c = 0; c < num_channels_; ++c) {
-      noise_[c] = Noise();
-      noise_[c].variance = std::max(y_.col(c).squaredNorm() / double(y_.rows()), 1e-300);
-    }
-  }
-  noise_columns_ = static_cast<int>(m);
-  std::mt19937 random(1);
-  std::normal_distribution<double> normal;
-  for (int round = 0;; ++round) {
-    WhitenAll();
-    MatrixXd H = sigma.asDiagonal() * gram_.topLeftCorner(m, m) * sigma.asDiagonal();
-    H.diagonal().array() += 1.0;
-    const VectorXd b = sigma.cwiseProduct(gram_.col(m).head(m));
-    const Eigen::LLT<MatrixXd> llt(H);
-    const VectorXd x = sigma.cwiseProduct(llt.solve(b + mean.cwiseQuotient(sigma)));
-    // Root of the covariance of what was fitted.
-    fitted_root_ = sigma.asDiagonal() * MatrixXd(llt.matrixU().solve(MatrixXd::Identity(m, m)));
-    if (round == rounds.rough + rounds.expectation) {
-      fitted_ = white_.leftCols(m);
-      innovation_ = white_.col(m) - fitted_ * x;
-      break;
-    }
-    // The noise is not what is left: the fit has taken a part of it. Its second moments are those of
-    // the rest and of what the fit may as well have been (expectation step; Dempster, Laird and
-    // Rubin, J. R. Stat. Soc. B 39, 1977), by a few draws of that.
-    // (Not before the residual's size is the noise's: what the fit may have taken would be of the
-    // size of the effects.)
-    MatrixXd draws = MatrixXd::Zero(m, 0);
-    if (round >= rounds.rough) {
-      draws = fitted_root_;
-      if (m > kMostDraws) {
-        MatrixXd z(m, kMostDraws);
-        for (Index k = 0; k < z.size(); ++k) z.data()[k] = normal(random);
-        draws = fitted_root_ * z / std::sqrt(static_cast<double>(kMostDraws));
-      }
-    }
-    MatrixXd fitted(m, 1 + draws.cols());
-    fitted << -x, draws;
-    MatrixXd columns(y_.rows(), m);
-    for (int c = 0; c < num_channels_; ++c) {
-      for (Index k = 0; k < m; ++k) {
-        columns.col(k) = columns_[static_cast<size_t>(k)].foreseen.col(c);
-      }
-      MatrixXd likely = columns * fitted;
-      likely.col(0) += y_.col(c);
-      noise_[c] = FitNoise(likely);
-      for (Index k = 0; k < n; ++k) {
-        const int i = rows_[static_cast<size_t>(k)];
-        double innovation = likely(i, 0);
-        for (int lag = 0; lag < kOrder; ++lag) {
-          innovation -= noise_[c].coefficients[lag] * likely(i - 1 - lag, 0);
-        }
-        const double sigmas = std::abs(innovation) / std::sqrt(noise_[c].variance);
-        weight_(k, c) = sigmas > kWildSigmas ? std::sqrt(kWildSigmas / sigmas) : 1.0;
-      }
-    }
-  }
-  held_out_weight_ = MatrixXd::Ones(static_cast<Index>(held_out_rows_.size()), kNumChannels);
-  held_out_white_.resize(static_cast<Index>(held_out_rows_.size()) * num_channels_, m + 1);
-  for (Index k = 0; k <= m; ++k) {
-    const Wrenches& column = k < m ? columns_[static_cast<size_t>(k)].foreseen : y_;
-    held_out_white_.col(k) = Whitened(column, held_out_rows_, held_out_weight_);
-  }
-  Project();
-}
-
-void Evidence::Project() {
-  const auto n = static_cast<Index>(columns_.size());
-  MatrixXd of_whole(n, n);
-  constexpr Index kBatch = 16;
-  MatrixXd whole(white_.rows(), kBatch);
-  for (Index from = 0; from < n; from += kBatch) {
-    const Index size = std::min(kBatch, n - from);
-    for (Index k = 0; k < size; ++k) {
-      whole.col(k) = Whitened(columns_[static_cast<size_t>(from + k)].d_wrench, rows_, weight_);
-    }
-    of_whole.middleCols(from, size).noalias() =
-        white_.leftCols(n).transpose() * whole.leftCols(size);
-  }
-  MatrixXd gram = gram_.topLeftCorner(n, n);
-  const VectorXd size = gram.diagonal().cwiseSqrt();
-  const VectorXd unit = (size.array() > 0.0).select(size.cwiseInverse(), 0.0);  // 0: unforeseen
-  gram = unit.asDiagonal() * gram * unit.asDiagonal();
-  gram.diagonal().array() = 1.0 + kCollinear;
-  const MatrixXd share = unit.asDiagonal() * gram.ldlt().solve(unit.asDiagonal() * of_whole);
-  white_.leftCols(n) = (white_.leftCols(n) * share).eval();
-  // Held-out columns stay as they were foreseen: how many of them combine was fitted elsewhere.
-  SumUp();
 }
 
 std::vector<int> Evidence::ColumnsOf(const VariantSet& set) const {
@@ -640,132 +402,185 @@ double Evidence::Gain(const VariantSet& set) const {
   return Solve(set).log_evidence - Solve({}).log_evidence;
 }
 
-Evidence::Promise Evidence::PromiseOf(const Candidate& candidate,
-                                      const std::map<std::string, double>& at) const {
-  const Seen seen = See(candidate, at, kAtAGlance);
-  if (seen.columns.empty()) return {};
-  const auto k = static_cast<Index>(seen.columns.size());
-  Promise promise;
-  // By the noise, beside the declared model.
-  const auto gain = [&](const MatrixXd& B, const VectorXd& y, const MatrixXd& X) {
-    MatrixXd H = B.transpose() * B;
-    for (Index i = 0; i < H.rows(); ++i) H(i, i) += std::pow(columns_[i].prior_sigma, -2);
-    const Eigen::LLT<MatrixXd> llt(H);
-    const MatrixXd BX = B.transpose() * X;
-    MatrixXd S = X.transpose() * X - BX.transpose() * llt.solve(BX);
-    for (Index i = 0; i < k; ++i) S(i, i) += std::pow(seen.columns[i].prior_sigma, -2);
-    const VectorXd g = X.transpose() * y - BX.transpose() * llt.solve(B.transpose() * y);
-    return 0.5 * g.dot(S.llt().solve(g));
-  };
-  MatrixXd X(white_.rows(), k);
-  for (Index i = 0; i < k; ++i) X.col(i) = Whitened(seen.columns[i].foreseen, rows_, weight_);
-  VectorXd y = white_.col(white_.cols() - 1);
-  if (seen.offset) y -= Whitened(seen.offset->foreseen, rows_, weight_);
-  promise.serial = gain(white_.leftCols(num_base_), y, X);
-  // As if the noise were white, as large as what the declared model leaves.
-  const auto raw = [&](const Wrenches& column) {
-    const auto n = static_cast<Index>(rows_.size());
-    VectorXd stacked(n * num_channels_);
-    for (int c = 0; c < num_channels_; ++c) {
-      const double scale = 1.0 / std::max(1e-300, plain_sigma_[c]);
-      for (Index r = 0; r < n; ++r) stacked[c * n + r] = scale * column(rows_[r], c);
-    }
-    return stacked;
-  };
-  MatrixXd B(white_.rows(), num_base_);
-  for (Index i = 0; i < num_base_; ++i) B.col(i) = raw(columns_[i].foreseen);
-  for (Index i = 0; i < k; ++i) X.col(i) = raw(seen.columns[i].foreseen);
-  promise.white = gain(B, raw(seen.offset ? Wrenches(y_ - seen.offset->d_wrench) : y_), X);
-  return promise;
+VectorXd Evidence::PriorSigmas(const std::vector<int>& columns) const {
+  VectorXd sigmas(static_cast<Index>(columns.size()));
+  for (size_t k = 0; k < columns.size(); ++k) {
+    sigmas[static_cast<Index>(k)] = column(columns[k]).prior_sigma;
+  }
+  return sigmas;
 }
 
-VectorXd Evidence::ErrorsOf(const MatrixXd& white, const VariantSet& set,
-                            const EffectFit& posterior) const {
-  VectorXd e = white.col(white.cols() - 1);
+Evidence::Promise Evidence::PromiseOf(const Candidate& candidate) const {
+  std::vector<FlightRegression::Glance> glances(flights_.size());
+  ForEachOf(num_flights(), jobs_, [&](int f) {
+    glances[static_cast<size_t>(f)] = flights_[static_cast<size_t>(f)].GlanceAt(candidate, {});
+  });
+  // Places of the candidate's columns behind the base's.
+  std::map<std::string, int> shared;
+  std::vector<double> sigmas;
+  std::vector<std::vector<int>> places(flights_.size());
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    for (int k = 0; k < flights_[f].num_base(); ++k) {
+      places[f].push_back(place_[f][static_cast<size_t>(k)]);
+    }
+    for (const Coefficient& c : glances[f].columns) {
+      const auto known = IsOwn(c) ? shared.end() : shared.find(c.name);
+      const int at = known != shared.end() ? known->second
+                                           : num_base_ + static_cast<int>(sigmas.size());
+      if (known == shared.end()) sigmas.push_back(c.prior_sigma);
+      if (!IsOwn(c)) shared[c.name] = at;
+      places[f].push_back(at);
+    }
+  }
+  if (sigmas.empty()) return {};
+  const VectorXd sigma = VectorXd::Map(sigmas.data(), static_cast<Index>(sigmas.size()));
+  std::vector<int> base(static_cast<size_t>(num_base_));
+  for (int k = 0; k < num_base_; ++k) base[static_cast<size_t>(k)] = k;
+  const auto gain = [&](MatrixXd FlightRegression::Glance::*of) {
+    const Index size = num_base_ + sigma.size() + 1;
+    MatrixXd sum = MatrixXd::Zero(size, size);
+    for (size_t f = 0; f < flights_.size(); ++f) {
+      if (glances[f].columns.empty()) continue;  // it moves nothing there
+      std::vector<int> to = places[f];
+      to.push_back(static_cast<int>(size) - 1);
+      Scatter(glances[f].*of, to, &sum);
+    }
+    return MostGain(sum, PriorSigmas(base), sigma);
+  };
+  return {gain(&FlightRegression::Glance::serial), gain(&FlightRegression::Glance::white)};
+}
+
+VectorXd Evidence::LocalCoefficients(size_t f, const EffectFit& fit, const VariantSet& set) const {
+  VectorXd global = VectorXd::Zero(num_columns());
+  for (size_t k = 0; k < fit.columns.size(); ++k) {
+    global[fit.columns[k]] = fit.coefficients[static_cast<Index>(k)];
+  }
   for (const int v : set) {
-    if (variants_[v].offset >= 0) e -= white.col(variants_[v].offset);
+    if (variants_[v].offset >= 0) global[variants_[v].offset] = 1.0;
   }
-  for (size_t k = 0; k < posterior.columns.size(); ++k) {
-    e -= posterior.coefficients[static_cast<Index>(k)] * white.col(posterior.columns[k]);
-  }
-  return e;
+  VectorXd local(static_cast<Index>(place_[f].size()));
+  for (size_t k = 0; k < place_[f].size(); ++k) local[static_cast<Index>(k)] = global[place_[f][k]];
+  return local;
+}
+
+VectorXd Evidence::ErrorsOf(size_t f, const VariantSet& set, const EffectFit& fit) const {
+  const MatrixXd& white = flights_[f].white();
+  return white.col(white.cols() - 1) - Combined(white, LocalCoefficients(f, fit, set));
 }
 
 std::array<double, kNumChannels> Evidence::EnergyOf(int variant, const EffectFit& fit) const {
-  VectorXd does = VectorXd::Zero(white_.rows());
+  EffectFit own;
+  own.coefficients = VectorXd::Zero(fit.coefficients.size());
+  own.columns = fit.columns;
   for (size_t k = 0; k < fit.columns.size(); ++k) {
-    if (columns_[fit.columns[k]].effect != variants_[variant].candidate.effect) continue;
-    does += fit.coefficients[static_cast<Index>(k)] * white_.col(fit.columns[k]);
+    if (column(fit.columns[k]).effect != variants_[variant].candidate.effect) continue;
+    own.coefficients[static_cast<Index>(k)] = fit.coefficients[static_cast<Index>(k)];
   }
-  if (variants_[variant].offset >= 0) does += white_.col(variants_[variant].offset);
   std::array<double, kNumChannels> energy{};
-  const auto n = static_cast<Index>(rows_.size());
-  for (int c = 0; c < num_channels_; ++c) energy[c] = 0.5 * does.segment(c * n, n).squaredNorm();
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    const MatrixXd& white = flights_[f].white();
+    const VectorXd does = Combined(white, LocalCoefficients(f, own, {variant}));
+    const auto n = static_cast<Index>(flights_[f].rows().size());
+    for (int c = 0; c < num_channels_; ++c) energy[c] += 0.5 * does.segment(c * n, n).squaredNorm();
+  }
   return energy;
 }
 
 double Evidence::GivenUp(const EffectFit& with, const EffectFit& without) const {
-  VectorXd change = VectorXd::Zero(white_.rows());
-  for (size_t k = 0; k < with.columns.size(); ++k) {
-    for (size_t l = 0; l < without.columns.size(); ++l) {
+  VectorXd change = VectorXd::Zero(gram_.rows());
+  for (size_t l = 0; l < without.columns.size(); ++l) {
+    for (size_t k = 0; k < with.columns.size(); ++k) {
       if (with.columns[k] != without.columns[l]) continue;
-      change += (with.coefficients[static_cast<Index>(k)] -
-                 without.coefficients[static_cast<Index>(l)]) *
-                white_.col(with.columns[k]);
+      change[with.columns[k]] = with.coefficients[static_cast<Index>(k)] -
+                                without.coefficients[static_cast<Index>(l)];
     }
   }
-  return 0.5 * change.squaredNorm();
+  return 0.5 * change.dot(gram_ * change);
 }
 
 double Evidence::PredictiveGain(const VariantSet& set, const VariantSet& over) const {
-  const auto error = [&](const VariantSet& of, int fold) {
-    const EffectFit fit = SolveWith(gram_ - fold_gram_[fold], ColumnsOf(of), of);
-    VectorXd u = VectorXd::Zero(gram_.rows());
-    u[gram_.rows() - 1] = 1.0;
-    for (const int v : of) {
-      if (variants_[v].offset >= 0) u[variants_[v].offset] = -1.0;
-    }
-    for (size_t k = 0; k < fit.columns.size(); ++k) {
-      u[fit.columns[k]] = -fit.coefficients[static_cast<Index>(k)];
-    }
-    return u.dot(fold_gram_[fold] * u);
-  };
   double gain = 0.0;
-  for (int fold = 0; fold < kFolds; ++fold) gain += 0.5 * (error(over, fold) - error(set, fold));
+  if (flights_.size() > 1) {
+    for (const double of_flight : GainByFlight(set, over)) gain += of_flight;
+    return gain;
+  }
+  for (int fold = 0; fold < num_folds(); ++fold) {
+    const MatrixXd others = GramWithout(fold);
+    const auto error = [&](const VariantSet& of) {
+      const EffectFit fit = SolveWith(others, ColumnsOf(of), of);
+      VectorXd u = VectorXd::Zero(gram_.rows());
+      u[gram_.rows() - 1] = 1.0;
+      for (const int v : of) {
+        if (variants_[v].offset >= 0) u[variants_[v].offset] = -1.0;
+      }
+      for (size_t k = 0; k < fit.columns.size(); ++k) {
+        u[fit.columns[k]] = -fit.coefficients[static_cast<Index>(k)];
+      }
+      return u.dot((gram_ - others) * u);
+    };
+    gain += 0.5 * (error(over) - error(set));
+  }
   return gain;
 }
 
-double Evidence::HeldOutGain(const VariantSet& set) const {
-  const auto loss = [&](const VariantSet& of) {
-    // Uncertain coefficients make a prediction's variance larger; 1 is the noise's.
-    const EffectFit p = Solve(of);
-    const VectorXd e = ErrorsOf(held_out_white_, of, p);
-    const Eigen::LLT<MatrixXd> llt(p.covariance +
-                                   1e-12 * MatrixXd::Identity(p.covariance.rows(),
-                                                              p.covariance.cols()));
-    double sum = 0.0;
-    VectorXd x(static_cast<Index>(p.columns.size()));
-    for (Index i = 0; i < e.size(); ++i) {
-      for (Index k = 0; k < x.size(); ++k) {
-        x[k] = held_out_white_(i, p.columns[static_cast<size_t>(k)]);
-      }
-      const double variance = 1.0 + x.dot(p.covariance * x);
-      sum += 0.5 * (e[i] * e[i] / variance + std::log(variance));
-    }
-    return sum;
+std::vector<double> Evidence::GainByFlight(const VariantSet& set, const VariantSet& over) const {
+  // p(this flight | all others) = p(all) / p(all others), what is this flight's own integrated out.
+  const auto evidence = [&](const MatrixXd& gram, const VariantSet& of) {
+    return SolveWith(gram, ColumnsOf(of), of).log_evidence;
   };
-  return loss({}) - loss(set);
+  const double all = evidence(gram_, set) - evidence(gram_, over);
+  std::vector<double> gains;
+  for (int f = 0; f < num_flights(); ++f) {
+    const MatrixXd others = GramWithout(f);
+    gains.push_back(all - (evidence(others, set) - evidence(others, over)));
+  }
+  return gains;
+}
+
+EffectFit Evidence::SolveOfFlight(int f, const VariantSet& set) const {
+  MatrixXd gram = MatrixXd::Zero(gram_.rows(), gram_.cols());
+  AddTo(flights_[static_cast<size_t>(f)].gram(), static_cast<size_t>(f), &gram);
+  return SolveWith(gram, ColumnsOf(set), set);
+}
+
+double Evidence::HeldOutLoss(const VariantSet& set) const {
+  // Uncertain coefficients make a prediction's variance larger; 1 is the noise's.
+  const EffectFit fit = Solve(set);
+  double sum = 0.0;
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    const MatrixXd& white = flights_[f].held_out_white();
+    const Index n = white.cols() - 1;
+    const VectorXd e = white.col(n) - Combined(white, LocalCoefficients(f, fit, set).head(n));
+    MatrixXd X = MatrixXd::Zero(white.rows(), static_cast<Index>(fit.columns.size()));
+    for (Index l = 0; l < n; ++l) {
+      const auto at =
+          std::find(fit.columns.begin(), fit.columns.end(), place_[f][static_cast<size_t>(l)]);
+      if (at != fit.columns.end()) X.col(at - fit.columns.begin()) = white.col(l);
+    }
+    const VectorXd variance =
+        1.0 + (X * fit.covariance).cwiseProduct(X).rowwise().sum().array();
+    sum += 0.5 * (e.cwiseAbs2().cwiseQuotient(variance).sum() + variance.array().log().sum());
+  }
+  return sum;
+}
+
+double Evidence::HeldOutGain(const VariantSet& set) const {
+  return HeldOutLoss({}) - HeldOutLoss(set);
 }
 
 Evidence::Lead Evidence::LeadOf(const VariantSet& a, const VariantSet& b) const {
-  const VectorXd of_a = ErrorsOf(white_, a, Solve(a)).cwiseAbs2(),
-                 of_b = ErrorsOf(white_, b, Solve(b)).cwiseAbs2();
-  std::map<int, double> blocks;
-  const auto n = static_cast<Index>(rows_.size());
-  for (Index k = 0; k < n; ++k) {
-    double& block = blocks[static_cast<int>(
-        residual_->flight().sample(rows_[static_cast<size_t>(k)]).t_s / kBlock_s)];
-    for (int c = 0; c < num_channels_; ++c) block += 0.5 * (of_b - of_a)[c * n + k];
+  const EffectFit fit_a = Solve(a), fit_b = Solve(b);
+  std::map<std::pair<size_t, int>, double> blocks;
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    const FlightRegression& r = flights_[f];
+    const VectorXd lead =
+        0.5 * (ErrorsOf(f, b, fit_b).cwiseAbs2() - ErrorsOf(f, a, fit_a).cwiseAbs2());
+    const auto n = static_cast<Index>(r.rows().size());
+    for (Index k = 0; k < n; ++k) {
+      const double t_s = r.flight().sample(r.rows()[static_cast<size_t>(k)]).t_s;
+      double& block = blocks[{f, static_cast<int>(t_s / kBlock_s)}];
+      for (int c = 0; c < num_channels_; ++c) block += lead[c * n + k];
+    }
   }
   Lead lead;
   for (const auto& entry : blocks) lead.nats += entry.second;
@@ -777,13 +592,7 @@ Evidence::Lead Evidence::LeadOf(const VariantSet& a, const VariantSet& b) const 
 
 std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count,
                                              unsigned seed) const {
-  const auto n = static_cast<Index>(rows_.size());
   const std::vector<int> base = ColumnsOf(beside);
-  const auto sigmas = [&](const std::vector<int>& of) {
-    VectorXd s(static_cast<Index>(of.size()));
-    for (size_t k = 0; k < of.size(); ++k) s[static_cast<Index>(k)] = columns_[of[k]].prior_sigma;
-    return s;
-  };
   struct Test {
     std::vector<int> columns;   // the base's, then its own
     MatrixXd estimate;          // own coefficients by X'y
@@ -802,7 +611,7 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
     Test test;
     test.columns = base;
     test.columns.insert(test.columns.end(), own.begin(), own.end());
-    const VectorXd sigma = sigmas(test.columns);
+    const VectorXd sigma = PriorSigmas(test.columns);
     MatrixXd H = sigma.asDiagonal() * Picked(gram_, test.columns, test.columns) *
                  sigma.asDiagonal();
     H.diagonal().array() += 1.0;
@@ -816,30 +625,20 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
     test.occam = 0.5 * LogDeterminant(of_own) + std::log(1.0 - kStrange) + variants_[v].log_prior;
     tests.push_back(std::move(test));
   }
-  const Index least =
-      std::min(n / 4, static_cast<Index>(kLeastShift_s / residual_->flight().step_s()));
   std::mt19937 random(seed);
-  std::uniform_int_distribution<Index> shift(least, std::max(least, n - least));
-  std::bernoulli_distribution flip;
   std::vector<double> largest;
-  std::normal_distribution<double> normal;
-  MatrixXd shifted(innovation_.size(), kShiftsOfADraw), Xe;
+  MatrixXd Xe;
   for (int s = 0; s < count; ++s) {
     if (s % kShiftsOfADraw == 0) {
-      // As the noise may have been.
-      VectorXd z(fitted_root_.cols());
-      for (Index k = 0; k < z.size(); ++k) z[k] = normal(random);
-      const VectorXd noise = innovation_ - fitted_ * (fitted_root_ * z);
-      for (int k = 0; k < kShiftsOfADraw; ++k) {
-        const Index by = shift(random);
-        const double sign = flip(random) ? 1.0 : -1.0;
-        for (int c = 0; c < num_channels_; ++c) {
-          const auto from = noise.segment(c * n, n);
-          shifted.col(k).segment(c * n, n - by) = sign * from.tail(n - by);
-          shifted.col(k).segment(c * n + n - by, by) = sign * from.head(by);
+      Xe.setZero(num_columns() + 1, kShiftsOfADraw);
+      for (size_t f = 0; f < flights_.size(); ++f) {
+        const MatrixXd& white = flights_[f].white();
+        const MatrixXd of_flight =
+            white.transpose() * SurrogatesOf(flights_[f], kShiftsOfADraw, &random);
+        for (size_t k = 0; k < place_[f].size(); ++k) {
+          Xe.row(place_[f][k]) += of_flight.row(static_cast<Index>(k));
         }
       }
-      Xe.noalias() = white_.transpose() * shifted;
     }
     double most = -std::numeric_limits<double>::infinity();
     for (const Test& test : tests) {
@@ -858,13 +657,15 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
   return largest;
 }
 
-std::map<std::string, double> Evidence::Values(const VariantSet& set,
-                                               const EffectFit& posterior) const {
-  std::map<std::string, double> values = stage_.values;
-  for (size_t k = 0; k < posterior.columns.size(); ++k) {
-    const Column& column = columns_[posterior.columns[k]];
+Stage Evidence::Moved(const VariantSet& set, const EffectFit& fit) const {
+  Stage next = stage_;
+  next.own.resize(flights_.size() > 1 ? flights_.size() : 0);
+  for (size_t k = 0; k < fit.columns.size(); ++k) {
+    const Column& column = columns_[static_cast<size_t>(fit.columns[k])];
     if (column.effect.empty()) continue;  // a bias
-    const double change = posterior.coefficients[static_cast<Index>(k)];
+    std::map<std::string, double>& values =
+        column.flight < 0 ? next.values : next.own[static_cast<size_t>(column.flight)];
+    const double change = fit.coefficients[static_cast<Index>(k)];
     values[column.name] = column.about + change;
     // Motion is linear in the inverse of inertia.
     constexpr double kMostRatio = 4.0;
@@ -874,20 +675,24 @@ std::map<std::string, double> Evidence::Values(const VariantSet& set,
     }
   }
   for (const int v : set) {
-    for (const auto& [name, value] : variants_[v].candidate.settings) values[name] = value;
+    const Candidate& candidate = variants_[static_cast<size_t>(v)].candidate;
+    for (const auto& [name, value] : candidate.settings) next.values[name] = value;
+    next.vehicle = With(next.vehicle, candidate);
   }
-  return values;
+  return next;
 }
 
-Wrenches Evidence::ResidualOf(const VariantSet& set, const EffectFit& posterior) const {
-  Wrenches e = y_;
-  for (const int v : set) {
-    if (variants_[v].offset >= 0) e -= columns_[variants_[v].offset].d_wrench;
+std::vector<Wrenches> Evidence::ResidualsOf(const VariantSet& set, const EffectFit& fit) const {
+  std::vector<Wrenches> residuals;
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    const VectorXd local = LocalCoefficients(f, fit, set);
+    Wrenches e = flights_[f].y();
+    for (Index k = 0; k < local.size(); ++k) {
+      if (local[k] != 0.0) e -= local[k] * flights_[f].column(static_cast<int>(k)).d_wrench;
+    }
+    residuals.push_back(std::move(e));
   }
-  for (size_t k = 0; k < posterior.columns.size(); ++k) {
-    e -= posterior.coefficients[static_cast<Index>(k)] * columns_[posterior.columns[k]].d_wrench;
-  }
-  return e;
+  return residuals;
 }
 
 }  // namespace odmc

@@ -1,5 +1,6 @@
 #include "odmc/attribution/flexible_features.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "odmc/estimator/gates.h"
@@ -27,46 +28,66 @@ Eigen::Matrix<double, kSignals, 1> SignalsOf(const FilteredMotion& s, const Vehi
   return signals;
 }
 
+/// Takes a column's mean off, over all flights, and its size.
+void Standardize(Index column, std::vector<MatrixXd>* all, std::vector<MatrixXd>* likely) {
+  double sum = 0.0, squares = 0.0, n = 0.0;
+  for (const MatrixXd& of : *all) {
+    sum += of.col(column).sum();
+    n += static_cast<double>(of.rows());
+  }
+  const double mean = sum / std::max(1.0, n);
+  for (const MatrixXd& of : *all) squares += (of.col(column).array() - mean).square().sum();
+  const double size = std::sqrt(squares / std::max(1.0, n));
+  const double scale = size > 0.0 ? 1.0 / size : 0.0;
+  for (std::vector<MatrixXd>* some : {all, likely}) {
+    for (MatrixXd& of : *some) of.col(column) = scale * (of.col(column).array() - mean).matrix();
+  }
+}
+
 }  // namespace
 
-FlexibleFeatures::FlexibleFeatures(const ThinnedFlight& flight, const Vehicle& file_vehicle,
-                                   const Instruments& instruments) {
-  const Index n = flight.size();
+FlexibleFeatures::FlexibleFeatures(const std::vector<SeenFlight>& flights) {
+  const auto num_flights = flights.size();
   // As they are, and in the likely motion; standardized alike.
-  MatrixXd signals(n, kSignals), likely_signals(n, kSignals);
-  for (int i = 0; i < flight.size(); ++i) {
-    signals.row(i) = SignalsOf(flight.sample(i), file_vehicle).transpose();
-    likely_signals.row(i) =
-        SignalsOf(instruments.likely_flight().sample(i), file_vehicle).transpose();
+  std::vector<MatrixXd> signals(num_flights), likely_signals(num_flights);
+  for (size_t f = 0; f < num_flights; ++f) {
+    const ThinnedFlight& flight = flights[f].residual->flight();
+    const ThinnedFlight& likely = flights[f].instruments->likely_flight();
+    const Vehicle& vehicle = flights[f].residual->file_vehicle();
+    signals[f].resize(flight.size(), kSignals);
+    likely_signals[f].resize(flight.size(), kSignals);
+    for (int i = 0; i < flight.size(); ++i) {
+      signals[f].row(i) = SignalsOf(flight.sample(i), vehicle).transpose();
+      likely_signals[f].row(i) = SignalsOf(likely.sample(i), vehicle).transpose();
+    }
   }
-  const auto standardize = [n](auto column, auto likely) {
-    const double mean = column.mean();
-    column.array() -= mean;
-    likely.array() -= mean;
-    const double size = column.norm() / std::sqrt(static_cast<double>(n));
-    column *= size > 0.0 ? 1.0 / size : 0.0;
-    likely *= size > 0.0 ? 1.0 / size : 0.0;
-  };
-  for (Index k = 0; k < kSignals; ++k) standardize(signals.col(k), likely_signals.col(k));
-  MatrixXd all(n, 1 + kSignals + kSignals * (kSignals + 1) / 2), likely(n, all.cols());
-  all.col(0).setOnes();
-  likely.col(0).setOnes();
+  for (Index k = 0; k < kSignals; ++k) Standardize(k, &signals, &likely_signals);
+  const Index num_features = 1 + kSignals + kSignals * (kSignals + 1) / 2;
+  std::vector<MatrixXd> all(num_flights), likely(num_flights);
+  for (size_t f = 0; f < num_flights; ++f) {
+    all[f].resize(signals[f].rows(), num_features);
+    likely[f].resize(signals[f].rows(), num_features);
+    all[f].col(0).setOnes();
+    likely[f].col(0).setOnes();
+    all[f].middleCols(1, kSignals) = signals[f];
+    likely[f].middleCols(1, kSignals) = likely_signals[f];
+  }
   names.push_back("nothing (it is constant)");
-  Index at = 1;
-  for (Index k = 0; k < kSignals; ++k, ++at) {
-    all.col(at) = signals.col(k);
-    likely.col(at) = likely_signals.col(k);
-    names.emplace_back(kNames[k]);
-  }
+  for (const char* name : kNames) names.emplace_back(name);
+  Index at = 1 + kSignals;
   for (Index k = 0; k < kSignals; ++k) {
     for (Index l = k; l < kSignals; ++l, ++at) {
-      all.col(at) = signals.col(k).cwiseProduct(signals.col(l));
-      likely.col(at) = likely_signals.col(k).cwiseProduct(likely_signals.col(l));
-      standardize(all.col(at), likely.col(at));
+      for (size_t f = 0; f < num_flights; ++f) {
+        all[f].col(at) = signals[f].col(k).cwiseProduct(signals[f].col(l));
+        likely[f].col(at) = likely_signals[f].col(k).cwiseProduct(likely_signals[f].col(l));
+      }
+      Standardize(at, &all, &likely);
       names.push_back(std::string(kNames[k]) + " times " + kNames[l]);
     }
   }
-  foreseen = instruments.Foreseen(all, likely);
+  for (size_t f = 0; f < num_flights; ++f) {
+    foreseen.push_back(flights[f].instruments->Foreseen(all[f], likely[f]));
+  }
 }
 
 }  // namespace odmc

@@ -5,6 +5,14 @@
 
 namespace odmc {
 
+Stage Stage::OfFlight(size_t flight) const {
+  Stage one{vehicle, values};
+  if (flight < own.size()) {
+    for (const auto& [name, value] : own[flight]) one.values[name] = value;
+  }
+  return one;
+}
+
 Vehicle With(const Vehicle& vehicle, const Candidate& candidate) {
   Vehicle extended = vehicle;
   extended.effects.push_back(candidate.effect);

@@ -45,14 +45,6 @@ void SetLikelihood(const Eigen::VectorXd& value, const Eigen::MatrixXd& covarian
   factor->prior_sigma = prior_sigma;
 }
 
-bool BelongsToFlight(const DynamicModel& model, const ModelParameter& parameter) {
-  if (parameter.spec.initial_state) return true;
-  for (int i = 0; i < model.num_effects(); ++i) {
-    if (model.effect(i).name() == parameter.effect) return model.effect(i).belongs_to_flight();
-  }
-  return false;
-}
-
 FlightFactor FactorOf(const DynamicModel& model, const ParameterSet& estimate,
                       const Eigen::VectorXd& inflation, const std::vector<std::string>& own) {
   const auto is_own = [&](const ModelParameter& p) {

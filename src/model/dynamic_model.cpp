@@ -276,4 +276,12 @@ std::vector<EffectWrench> DynamicModel::EvaluateEffects(const FlightState& state
   return result;
 }
 
+bool BelongsToFlight(const DynamicModel& model, const ModelParameter& parameter) {
+  if (parameter.spec.initial_state) return true;
+  for (int i = 0; i < model.num_effects(); ++i) {
+    if (model.effect(i).name() == parameter.effect) return model.effect(i).belongs_to_flight();
+  }
+  return false;
+}
+
 }  // namespace odmc

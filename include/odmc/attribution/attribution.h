@@ -24,13 +24,22 @@ double UnexplainedStructure(const ResidualModel::Wrenches& before, const Residua
                             const std::vector<ChannelStructure>& of_after,
                             const AttributionOptions& options);
 
-/// Traces the residual of a flight to effects: screen, rank, confirm. One session for one flight.
+/// Traces the residual of a flight, or of several of one vehicle, to effects: screen, rank,
+/// confirm. One session for these.
 class Attribution {
  public:
   /// @param residual of the flight; outlives this
   /// @param give_up asked now and then; once true, nothing is found
   Attribution(const ResidualModel* residual, Stage stage, std::vector<Candidate> candidates,
-              const AttributionOptions& options, std::function<bool()> give_up = {});
+              const AttributionOptions& options, std::function<bool()> give_up = {})
+      : Attribution(std::vector<const ResidualModel*>{residual}, std::move(stage),
+                    std::move(candidates), options, std::move(give_up)) {}
+  /// @param residuals of the flights, at least one; outlive this
+  /// @param jobs flights looked at at a time
+  Attribution(const std::vector<const ResidualModel*>& residuals, Stage stage,
+              std::vector<Candidate> candidates, const AttributionOptions& options,
+              std::function<bool()> give_up = {}, int jobs = 1);
+  Attribution(Attribution&&) = default;  // what flights_ points to stays where it is
 
   /// Does all of it.
   void Run();
@@ -45,9 +54,10 @@ class Attribution {
   double flexible_gain() const { return flexible_gain_; }
   double gain() const { return gain_; }  ///< of all effects together [nats]
   double held_out_gain() const { return held_out_gain_; }
+  size_t num_flights() const { return flights_.size(); }
   /// Residual that the fit of the declared model leaves, and that of the extended one (N×6).
-  const ResidualModel::Wrenches& residual_before() const { return before_; }
-  const ResidualModel::Wrenches& residual_after() const { return after_; }
+  const ResidualModel::Wrenches& residual_before(size_t flight = 0) const { return before_[flight]; }
+  const ResidualModel::Wrenches& residual_after(size_t flight = 0) const { return after_[flight]; }
   /// Largest gain of any candidate that a given share of flights without effect exceeds [nats].
   double NullGain(double share) const;
   /// Share of flights without effect on which some candidate gains more than `gain`, at most: the
@@ -82,26 +92,29 @@ class Attribution {
   std::vector<int> BestAlone(const Evidence& evidence) const;
   VariantSet Confirmed(const Evidence& with, VariantSet set);
   RankedEffect Describe(const Evidence& evidence, int variant, const VariantSet& set) const;
+  /// What each of several flights says of an effect of a set.
+  std::vector<FlightSays> ByFlight(const Evidence& evidence, int variant, const VariantSet& set) const;
   void FindAlternatives(const Evidence& evidence, const VariantSet& set, int variant,
                         RankedEffect* ranked) const;
   /// Fits all values of the stage, linearized anew until they stay.
-  ResidualModel::Wrenches Refit(Stage* stage) const;
+  std::vector<ResidualModel::Wrenches> Refit(Stage* stage) const;
   bool GivesUp() const { return give_up_ && give_up_(); }
 
-  const ResidualModel* residual_;
-  const Instruments instruments_;
-  const FlexibleFeatures features_;
+  std::vector<Instruments> instruments_;  // by flight
+  std::vector<SeenFlight> flights_;
+  FlexibleFeatures features_;
   double flexible_gain_ = 0.0;
   Stage stage_;
-  const std::vector<Candidate> candidates_;
-  const AttributionOptions options_;
-  const std::function<bool()> give_up_;
+  std::vector<Candidate> candidates_;
+  AttributionOptions options_;
+  std::function<bool()> give_up_;
+  int jobs_;
   std::vector<double> null_gains_;
   std::vector<RankedEffect> effects_, ranking_;
   std::map<std::string, std::string> refused_;
   std::array<double, kNumChannels> explained_{};  // by what was added, over the noise [nats]
   double gain_ = 0.0, held_out_gain_ = 0.0;
-  ResidualModel::Wrenches before_, after_;
+  std::vector<ResidualModel::Wrenches> before_, after_;  // by flight
 };
 
 }  // namespace odmc

@@ -9,7 +9,13 @@
 
 namespace odmc {
 
-/// A candidate's case on a flight.
+/// What one flight of several says of an effect.
+struct FlightSays {
+  double nats = 0.0;  ///< gain of its log-likelihood by the effect, all others known [nats]
+  std::vector<ParameterEstimate> parameters;  ///< as this flight alone has them
+};
+
+/// A candidate's case on a flight, or on several of one vehicle.
 struct RankedEffect {
   std::string name;
   double score = 0.0;        ///< gain of log evidence, beside the other effects that act [nats]
@@ -20,6 +26,7 @@ struct RankedEffect {
   Eigen::MatrixXd covariance;             ///< of the estimated ones, initial states left out
   std::vector<std::string> alternatives;  ///< that explain the same on this flight
   std::vector<std::string> remarks;       ///< what is strange about it
+  std::vector<FlightSays> by_flight = {};  ///< of several flights, in their order
 
   /// nullptr if it has no such parameter
   const ParameterEstimate* Find(const std::string& full_name) const {

@@ -13,6 +13,11 @@ namespace odmc {
 struct Stage {
   Vehicle vehicle;
   std::map<std::string, double> values;  ///< by full name
+  /// Of several flights, what each has in the place of these: direction of gravity, wind.
+  std::vector<std::map<std::string, double>> own = {};
+
+  /// The stage of one of them.
+  Stage OfFlight(size_t flight) const;
 };
 
 /// The vehicle with a candidate added, what it was tried with frozen.

@@ -37,10 +37,6 @@ void SetLikelihood(const Eigen::VectorXd& value, const Eigen::MatrixXd& covarian
                    const Eigen::VectorXd& inflation, const Eigen::VectorXd& prior_value,
                    const Eigen::VectorXd& prior_sigma, FlightFactor* factor);
 
-/// True if a parameter is the flight's, not the vehicle's: the direction of gravity, wind, the
-/// state a load starts in.
-bool BelongsToFlight(const DynamicModel& model, const ModelParameter& parameter);
-
 /// What an estimate says about the vehicle's parameters.
 /// @param model with which it was made: its priors are taken out
 /// @param inflation by how much each sigma of `estimate` is larger than the window's, num_parameters

@@ -148,4 +148,8 @@ class DynamicModel {
   std::vector<ModelParameter> parameters_;
 };
 
+/// True if a parameter is the flight's, not the vehicle's: the direction of gravity, wind, the
+/// state a load starts in.
+bool BelongsToFlight(const DynamicModel& model, const ModelParameter& parameter);
+
 }  // namespace odmc

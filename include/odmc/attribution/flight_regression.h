@@ -1,0 +1,179 @@
+#pragma once
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+#include <array>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "odmc/attribution/candidates.h"
+#include "odmc/attribution/instruments.h"
+#include "odmc/attribution/residual.h"
+#include "odmc/attribution/stage.h"
+
+namespace odmc {
+
+/// A coefficient of the residual's regression: a parameter's change from where it is linearized.
+struct Coefficient {
+  std::string name;  ///< full name
+  std::string effect;  ///< empty for a bias
+  double about = 0.0;       ///< value = about + coefficient
+  double prior_mean = 0.0;  ///< of the coefficient
+  double prior_sigma = 1.0;
+  PhysicalSign sign = PhysicalSign::kAny;
+  bool certain_sign = false;
+  bool initial_state = false;
+  bool belongs_to_flight = false;  ///< of several flights each has its own
+};
+
+/// What a coefficient does on a flight.
+struct Regressor : Coefficient {
+  ResidualModel::Wrenches d_wrench;  ///< N×6
+  ResidualModel::Wrenches likely;    ///< N×6: as it would be in the likely motion
+  ResidualModel::Wrenches foreseen;  ///< N×6: what of it was known before
+};
+
+/// The residual wrench of one flight as a linear regression whitened by the noise of that flight:
+/// the sums of squares and products from which Evidence makes every decision. The noise is
+/// autoregressive in each channel, and one for all models: that of the residual of everything
+/// together, which holds no effect of the catalogue (its order of 8 at 25 Hz spans the filter's
+/// window three times over).
+class FlightRegression {
+ public:
+  static constexpr int kOrder = 8;
+
+  /// Regressors of one way for an effect to act, by their numbers.
+  struct Added {
+    std::vector<int> columns;
+    int offset = -1;  ///< of what it does beyond its linearization; -1: nothing
+  };
+
+  /// @param residual, instruments of the same flight; outlive this
+  /// @param stage the declared model and the values about which it is linearized
+  FlightRegression(const ResidualModel* residual, const Instruments* instruments,
+                   const Stage& stage);
+
+  /// Adds a way for an effect to act, linearized about `at` (full names; zero or, for what must not
+  /// be zero, the catalogue's value where it has no entry). No columns where it does nothing.
+  Added Add(const Candidate& candidate, const std::map<std::string, double>& at);
+  /// Linearizes it anew. Parameters that do nothing there stay, without a derivative.
+  void Relinearize(const Candidate& candidate, const std::map<std::string, double>& at,
+                   Added* added);
+
+  /// Estimates the noise from the residual of all that was added, and whitens with it. To be
+  /// called before anything below, and again after Add() and Relinearize(), when it begins with the
+  /// noise as it was.
+  void EstimateNoise();
+
+  const ResidualModel& residual() const { return *residual_; }
+  const ThinnedFlight& flight() const { return residual_->flight(); }
+  /// With every value of the model.
+  const Stage& stage() const { return stage_; }
+  int num_base() const { return num_base_; }
+  int num_channels() const { return num_channels_; }
+  int num_columns() const { return static_cast<int>(columns_.size()); }
+  const Regressor& column(int k) const { return columns_[static_cast<size_t>(k)]; }
+  /// Samples that count, by their numbers in the flight.
+  const std::vector<int>& rows() const { return rows_; }
+
+  /// Measured residual (N×6) of the declared model.
+  const ResidualModel::Wrenches& y() const { return y_; }
+  /// Its size by channel.
+  double plain_sigma(int channel) const { return plain_sigma_[channel]; }
+
+  /// Whitened columns, the residual last; one channel's rows after the other's.
+  const Eigen::MatrixXd& white() const { return white_; }
+  const Eigen::MatrixXd& held_out_white() const { return held_out_white_; }
+  /// Their sums of products; of folds of blocks of time.
+  const Eigen::MatrixXd& gram() const { return gram_; }
+  const Eigen::MatrixXd& fold_gram(int fold) const { return fold_gram_[fold]; }
+
+  /// Sums of products of the declared model's columns, a candidate's, and the residual less what
+  /// the candidate does beyond its linearization: by the noise, and as if that were white.
+  struct Glance {
+    std::vector<Coefficient> columns;  ///< the candidate's; empty if it does nothing
+    Eigen::MatrixXd serial, white;
+  };
+  Glance GlanceAt(const Candidate& candidate, const std::map<std::string, double>& at) const;
+
+  /// A function of the flight's samples in one channel, whitened.
+  /// @param scale its unit [N or N m]
+  Eigen::VectorXd WhitenedFeature(int channel, const Eigen::VectorXd& foreseen, double scale) const;
+  /// Adds such a function as a column.
+  int AddFeature(int channel, const Eigen::VectorXd& whitened, const std::string& name);
+
+  /// The whitened residual of everything, as it may have been before the fit took a part of it.
+  /// @param normal num_columns() standard normal numbers
+  Eigen::VectorXd NoiseDraw(const Eigen::VectorXd& normal) const;
+  /// Number of columns when the noise was estimated.
+  int num_noise_columns() const { return static_cast<int>(fitted_root_.cols()); }
+
+ private:
+  struct Noise {
+    Eigen::Matrix<double, kOrder, 1> coefficients = Eigen::Matrix<double, kOrder, 1>::Zero();
+    double variance = 1.0;
+  };
+
+  /// A candidate's columns, not yet among the others.
+  struct Seen {
+    std::vector<Regressor> columns;
+    std::optional<Regressor> offset;
+  };
+  enum What {
+    kAll,        ///< every parameter
+    kActing,     ///< those that do something
+    kAtAGlance,  ///< of these not what moves by itself, and without noise
+  };
+  Seen See(const Candidate& candidate, const std::map<std::string, double>& at, What what) const;
+  Seen SeeFully(const Candidate& candidate, const DynamicModel& model, const ModelValues& values,
+                What what) const;
+  void AddBase();
+  void AddNuisances();
+  /// Samples in use, each channel over the residual's size, one channel after the other.
+  Eigen::VectorXd Stacked(const ResidualModel::Wrenches& column) const;
+  /// What of a candidate's column is foreseen. The part that the declared model has too is foreseen
+  /// as its columns are: what tells a column from them may be a hundredth of it, less than the
+  /// error of foreseeing the whole.
+  ResidualModel::Wrenches Foreseen(const Regressor& column) const;
+  Eigen::VectorXd Whitened(const ResidualModel::Wrenches& column, const std::vector<int>& rows,
+                           const Eigen::MatrixXd& weight) const;
+  /// Samples that count over the residual's size, not whitened.
+  Eigen::VectorXd Raw(const ResidualModel::Wrenches& column) const;
+  void SumUp(bool by_folds = true);
+  void WhitenAll();
+  /// Puts what all foreseen columns say of each whole one in the place of its foreseen part.
+  void Project();
+  /// @param e N×K: second moments are summed over the columns
+  Noise FitNoise(const Eigen::MatrixXd& e) const;
+  int FoldOf(Eigen::Index row) const;
+
+  const ResidualModel* residual_;
+  const Instruments* instruments_;
+  ResidualModel likely_;  // of the likely motion
+  Stage stage_;
+  int num_channels_;
+  ResidualModel::Wrenches y_, likely_y_;
+  std::array<double, kNumChannels> plain_sigma_{};  // of y
+  std::vector<Regressor> columns_;  // of the base, then of what was added; offsets among these
+  int num_base_ = 0;
+  Eigen::MatrixXd base_;  // 6N × base: Stacked()
+  Eigen::VectorXd base_size_;
+  Eigen::LDLT<Eigen::MatrixXd> base_gram_;  // of base_ over its size
+  Eigen::MatrixXd raw_base_, raw_gram_;     // Raw() of what is foreseen of the base
+  mutable std::map<std::string, Seen> seen_;  // of effects with an onset, by effect
+  std::vector<int> rows_, held_out_rows_;  // samples whose predecessors are there
+  std::array<Noise, kNumChannels> noise_;
+  int noise_columns_ = -1;  // for which it was estimated; -1: not yet
+  Eigen::MatrixXd weight_, held_out_weight_;  // of samples, by channel: wild ones count less
+  Eigen::MatrixXd white_, held_out_white_;    // rows × columns (X), y last
+  Eigen::MatrixXd gram_;
+  std::vector<Eigen::MatrixXd> fold_gram_;  // of folds of blocks of time
+  Eigen::VectorXd innovation_;  // whitened residual of everything
+  // How much of it the fit of everything may have taken: whitened columns, and the root of the
+  // covariance of their coefficients.
+  Eigen::MatrixXd fitted_, fitted_root_;
+};
+
+}  // namespace odmc

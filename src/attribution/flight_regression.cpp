@@ -1,0 +1,536 @@
+#include "odmc/attribution/flight_regression.h"
+
+#include <algorithm>
+#include <cmath>
+#include <random>
+#include <utility>
+
+namespace odmc {
+namespace {
+
+using Eigen::Index;
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+using Wrenches = ResidualModel::Wrenches;
+
+// Rounds of the noise's estimate: rough ones until the residual is no longer the effects', then
+// expectation steps.
+struct NoiseRounds {
+  int rough, expectation;
+};
+constexpr NoiseRounds kFirstNoise = {3, 3};
+constexpr NoiseRounds kMoreColumns = {1, 2};
+constexpr NoiseRounds kMovedColumns = {0, 1};
+constexpr Index kMostDraws = 32;       // of the fit, for an expectation: its sums to some per cent
+constexpr double kAveraged = 40.0;     // values of which a spectrum's ordinate is the mean: to 22 %
+constexpr double kWildSigmas = 5.0;    // innovations beyond count as this many
+constexpr double kBias_m_s2 = 0.3;     // of an accelerometer
+constexpr int kFolds = Instruments::kFolds;
+constexpr double kCollinear = 1e-6;    // of a column's sum of squares, for columns that are one
+
+/// Samples whose `order` predecessors follow each other and are, with it, in use or held out.
+std::vector<int> RowsOf(const ThinnedFlight& flight, const Instruments& instruments, bool held_out,
+                        int order) {
+  std::vector<int> rows;
+  int run = 0;
+  for (int i = 0; i < flight.size(); ++i) {
+    const bool counts = flight.held_out(i) == held_out && instruments.Sees(i);
+    run = !counts ? 0 : flight.next(i) ? run + 1 : 1;
+    if (run > order) rows.push_back(i);
+  }
+  return rows;
+}
+
+Coefficient CoefficientOf(const DynamicModel& model, const ModelParameter& p, double about,
+                          double prior_mean) {
+  return {p.full_name,         p.effect,
+          about,               prior_mean,
+          p.spec.prior_sigma,  p.spec.sign,
+          p.spec.certain_sign, p.spec.initial_state,
+          BelongsToFlight(model, p)};
+}
+
+/// Sums of products of a part that is known, of further columns, and of what they explain.
+MatrixXd GramOf(const MatrixXd& B, const MatrixXd& BB, const MatrixXd& X, const VectorXd& y) {
+  const Index n = B.cols(), k = X.cols();
+  MatrixXd gram(n + k + 1, n + k + 1);
+  gram.topLeftCorner(n, n) = BB;
+  gram.block(0, n, n, k) = B.transpose() * X;
+  gram.block(0, n + k, n, 1) = B.transpose() * y;
+  gram.block(n, n, k, k) = X.transpose() * X;
+  gram.block(n, n + k, k, 1) = X.transpose() * y;
+  gram(n + k, n + k) = y.squaredNorm();
+  gram.triangularView<Eigen::StrictlyLower>() = gram.transpose();
+  return gram;
+}
+
+}  // namespace
+
+FlightRegression::FlightRegression(const ResidualModel* residual, const Instruments* instruments,
+                   const Stage& stage)
+    : residual_(residual),
+      instruments_(instruments),
+      likely_(&instruments->likely_flight(), &residual->file_vehicle(),
+              residual->num_channels() == kNumChannels),
+      stage_(stage),
+      num_channels_(residual->num_channels()) {
+  rows_ = RowsOf(residual->flight(), *instruments, false, kOrder);
+  held_out_rows_ = RowsOf(residual->flight(), *instruments, true, kOrder);
+  AddBase();
+}
+
+void FlightRegression::AddBase() {
+  const DynamicModel model(stage_.vehicle, stage_.vehicle.effects);
+  const ModelValues values = ValuesOf(model, stage_.values);
+  y_ = residual_->Residual(model, values);
+  if (!model.pendulum()) likely_y_ = likely_.Residual(model, values);
+  for (int c = 0; c < kNumChannels; ++c) {
+    plain_sigma_[c] = std::sqrt(y_.col(c).squaredNorm() / std::max<double>(1.0, y_.rows()));
+  }
+  for (int k = 0; k < model.num_parameters(); ++k) {
+    const ModelParameter& p = model.parameters()[k];
+    stage_.values[p.full_name] = values[k];
+    // Inertia that the file freezes may be wrong: whatever else moves with torque would make up for
+    // it.
+    if (!p.estimated && p.effect != "inertia") continue;
+    Regressor column{CoefficientOf(model, p, values[k], p.spec.prior_value - values[k]),
+                     residual_->Derivative(model, values, k),
+                     model.pendulum() ? Wrenches(Wrenches::Zero(y_.rows(), kNumChannels))
+                                      : likely_.Derivative(model, values, k),
+                     {}};
+    column.foreseen = instruments_->Foreseen(column.d_wrench, column.likely);
+    if (column.d_wrench.squaredNorm() > 0.0) columns_.push_back(std::move(column));
+  }
+  AddNuisances();
+  num_base_ = static_cast<int>(columns_.size());
+  // What of other columns the base has, each channel in its own units.
+  base_.resize(y_.size(), num_base_);
+  for (int k = 0; k < num_base_; ++k) base_.col(k) = Stacked(columns_[k].d_wrench);
+  base_size_ = base_.colwise().norm().transpose().array().max(1e-300);
+  MatrixXd H = base_.transpose() * base_;
+  H = base_size_.cwiseInverse().asDiagonal() * H * base_size_.cwiseInverse().asDiagonal();
+  H.diagonal().array() += kCollinear;
+  base_gram_.compute(H);
+  raw_base_.resize(static_cast<Index>(rows_.size()) * num_channels_, num_base_);
+  for (int k = 0; k < num_base_; ++k) raw_base_.col(k) = Raw(columns_[k].foreseen);
+  raw_gram_ = raw_base_.transpose() * raw_base_;
+}
+
+VectorXd FlightRegression::Stacked(const Wrenches& column) const {
+  const Index n = column.rows();
+  VectorXd stacked(n * kNumChannels);
+  for (int c = 0; c < kNumChannels; ++c) {
+    stacked.segment(c * n, n) = column.col(c) / std::max(1e-300, plain_sigma_[c]);
+  }
+  for (int i = 0; i < n; ++i) {
+    if (instruments_->Sees(i) && !residual_->flight().held_out(i)) continue;
+    for (int c = 0; c < kNumChannels; ++c) stacked[c * n + i] = 0.0;
+  }
+  return stacked;
+}
+
+Wrenches FlightRegression::Foreseen(const Regressor& column) const {
+  const VectorXd share = base_size_.cwiseInverse().cwiseProduct(
+      base_gram_.solve(base_size_.cwiseInverse().cwiseProduct(base_.transpose() * Stacked(column.d_wrench))));
+  Wrenches own = column.d_wrench, likely = column.likely;
+  Wrenches of_base = Wrenches::Zero(own.rows(), kNumChannels);
+  for (int k = 0; k < num_base_; ++k) {
+    own -= share[k] * columns_[k].d_wrench;
+    likely -= share[k] * columns_[k].likely;
+    of_base += share[k] * columns_[k].foreseen;
+  }
+  if (column.likely.isZero(0.0)) likely.setZero();
+  return of_base + instruments_->Foreseen(own, likely);
+}
+
+void FlightRegression::AddNuisances() {
+  const auto add = [this](const std::string& name, double sigma, Wrenches d_wrench) {
+    Regressor column;
+    column.name = name;
+    column.belongs_to_flight = true;
+    column.prior_sigma = sigma;
+    column.foreseen = column.likely = column.d_wrench = std::move(d_wrench);
+    columns_.push_back(std::move(column));
+  };
+  if (residual_->from_accelerometer()) {
+    for (int axis = 0; axis < 3; ++axis) {
+      Wrenches ones = Wrenches::Zero(y_.rows(), kNumChannels);
+      ones.col(axis).setOnes();
+      add(std::string("accelerometer bias ") + "xyz"[axis], kBias_m_s2 * stage_.vehicle.mass_kg, std::move(ones));
+    }
+  }
+}
+
+FlightRegression::Seen FlightRegression::See(const Candidate& candidate, const std::map<std::string, double>& at,
+                             What what) const {
+  const Vehicle extended = With(stage_.vehicle, candidate);
+  const DynamicModel model(extended, extended.effects);
+  ModelValues values = ValuesOf(model, stage_.values);
+  for (const auto* some : {&candidate.start, &at}) {
+    for (const auto& [name, value] : *some) values[model.IndexOf(name)] = value;
+  }
+  // From an onset on an effect acts as one that has acted all along, so all onsets share a column.
+  const auto own = std::find(model.effect_names().begin(), model.effect_names().end(),
+                             candidate.effect);
+  const std::string onset =
+      model.effect(static_cast<int>(own - model.effect_names().begin())).onset_parameter();
+  double from_s = 0.0;
+  if (!onset.empty()) {
+    double& setting = values[model.IndexOf(candidate.effect + "." + onset)];
+    from_s = setting;
+    setting = 0.0;
+  }
+  const std::string key = onset.empty() || !at.empty() ? "" : candidate.effect;
+  const auto known = seen_.find(key);
+  Seen seen = known != seen_.end() ? known->second : SeeFully(candidate, model, values, key.empty() ? what : kAll);
+  if (!key.empty() && known == seen_.end()) seen_[key] = seen;
+  if (!onset.empty()) {
+    for (int i = 0; i < residual_->flight().size(); ++i) {
+      if (residual_->flight().sample(i).t_s >= from_s) break;
+      for (Regressor& column : seen.columns) {
+        column.d_wrench.row(i).setZero();
+        column.likely.row(i).setZero();
+      }
+      if (!seen.offset) continue;
+      seen.offset->d_wrench.row(i).setZero();
+      seen.offset->likely.row(i).setZero();
+    }
+  }
+  for (Regressor& column : seen.columns) column.foreseen = Foreseen(column);
+  if (seen.offset) seen.offset->foreseen = Foreseen(*seen.offset);
+  if (what != kAll) {
+    seen.columns.erase(std::remove_if(seen.columns.begin(), seen.columns.end(),
+                                      [&](const Regressor& c) {
+                                        return c.d_wrench.squaredNorm() == 0.0 ||
+                                               (what == kAtAGlance && c.initial_state);
+                                      }),
+                       seen.columns.end());
+  }
+  return seen;
+}
+
+FlightRegression::Seen FlightRegression::SeeFully(const Candidate& candidate, const DynamicModel& model,
+                                  const ModelValues& values, What what) const {
+  Seen seen;
+  const Wrenches residual = residual_->Residual(model, values);
+  const Wrenches nothing = Wrenches::Zero(residual.rows(), kNumChannels);
+  // A pendulum swings through the whole recording, not from one thinned sample to the next.
+  const bool is_likely = !model.pendulum();
+  const Wrenches likely = is_likely ? likely_.Residual(model, values) : nothing;
+  Wrenches offset = y_ - residual;
+  Wrenches likely_offset = is_likely ? Wrenches(likely_y_ - likely) : nothing;
+  const double size = offset.norm();
+  for (int k = 0; k < model.num_parameters(); ++k) {
+    const ModelParameter& p = model.parameters()[k];
+    if (p.effect != candidate.effect || !p.estimated) continue;
+    if (what == kAtAGlance && p.spec.initial_state) continue;
+    Regressor column{CoefficientOf(model, p, 0.0, p.spec.prior_value),
+                     residual_->Derivative(model, values, k, residual),
+                     is_likely ? likely_.Derivative(model, values, k, likely) : nothing,
+                     {}};
+    offset -= values[k] * column.d_wrench;
+    likely_offset -= values[k] * column.likely;
+    seen.columns.push_back(std::move(column));
+  }
+  constexpr double kNothing = 1e-6;
+  if (offset.norm() > kNothing * size + 1e-300 && size > 0.0) {
+    seen.offset.emplace();
+    seen.offset->d_wrench = std::move(offset);
+    seen.offset->likely = std::move(likely_offset);
+  }
+  return seen;
+}
+
+VectorXd FlightRegression::Whitened(const Wrenches& column, const std::vector<int>& rows,
+                            const MatrixXd& weight) const {
+  const auto n = static_cast<Index>(rows.size());
+  VectorXd white(n * num_channels_);
+  for (int c = 0; c < num_channels_; ++c) {
+    const double scale = 1.0 / std::sqrt(noise_[c].variance);
+    for (Index k = 0; k < n; ++k) {
+      const int i = rows[static_cast<size_t>(k)];
+      double value = column(i, c);
+      for (int lag = 0; lag < kOrder; ++lag) {
+        value -= noise_[c].coefficients[lag] * column(i - 1 - lag, c);
+      }
+      white[c * n + k] = scale * weight(k, c) * value;
+    }
+  }
+  return white;
+}
+
+void FlightRegression::WhitenAll() {
+  const auto n = static_cast<Index>(columns_.size());
+  white_.resize(static_cast<Index>(rows_.size()) * num_channels_, n + 1);
+  for (Index k = 0; k < n; ++k) {
+    white_.col(k) = Whitened(columns_[static_cast<size_t>(k)].foreseen, rows_, weight_);
+  }
+  white_.col(n) = Whitened(y_, rows_, weight_);
+  SumUp(false);
+}
+
+void FlightRegression::SumUp(bool by_folds) {
+  const Index n = white_.cols() - 1;
+  gram_.setZero(n + 1, n + 1);
+  gram_.selfadjointView<Eigen::Lower>().rankUpdate(white_.transpose());
+  gram_.triangularView<Eigen::StrictlyUpper>() = gram_.transpose();
+  if (!by_folds) return;
+  // The same sums by folds of blocks of time.
+  fold_gram_.assign(kFolds, MatrixXd::Zero(n + 1, n + 1));
+  const auto rows = static_cast<Index>(rows_.size());
+  for (int c = 0; c < num_channels_; ++c) {
+    for (Index from = 0; from < rows;) {
+      Index to = from;
+      const int fold = FoldOf(from);
+      while (to < rows && FoldOf(to) == fold) ++to;
+      fold_gram_[fold].selfadjointView<Eigen::Lower>().rankUpdate(
+          white_.middleRows(c * rows + from, to - from).transpose());
+      from = to;
+    }
+  }
+  for (MatrixXd& gram : fold_gram_) {
+    gram.triangularView<Eigen::StrictlyUpper>() = gram.transpose();
+  }
+}
+
+int FlightRegression::FoldOf(Index row) const {
+  const double t_s = residual_->flight().sample(rows_[static_cast<size_t>(row)]).t_s;
+  return Instruments::FoldAt(t_s);
+}
+
+FlightRegression::Noise FlightRegression::FitNoise(const MatrixXd& e) const {
+  using Moments = Eigen::Matrix<double, kOrder + 1, kOrder + 1>;
+  Moments S = Moments::Zero();  // of a sample, first, and its predecessors
+  const MatrixXd by_sample = e.transpose();
+  for (const int i : rows_) {
+    const auto past = by_sample.middleCols<kOrder + 1>(i - kOrder).rowwise().reverse();
+    S.noalias() += past.transpose().lazyProduct(past);
+  }
+  // A short flight's spectrum to a resolution at which an ordinate is the mean of many values. A
+  // finer one takes the few cycles of a manoeuvre, and with them all that follows it, for noise
+  // (Blackman and Tukey, The Measurement of Power Spectra, 1958; a Gaussian window).
+  const double step_s = residual_->flight().step_s();
+  const double bandwidth_Hz =
+      0.5 * kAveraged / (static_cast<double>(rows_.size()) * step_s);
+  const double sigma_rad = std::sqrt(M_PI) * bandwidth_Hz * step_s;
+  for (int i = 0; i <= kOrder; ++i) {
+    for (int k = 0; k <= kOrder; ++k) S(i, k) *= std::exp(-0.5 * std::pow(sigma_rad * (i - k), 2));
+  }
+  Moments A = S;
+  A.diagonal().array() += 1e-3 * A.diagonal().maxCoeff() + 1e-300;
+  Noise noise;
+  noise.coefficients =
+      A.bottomRightCorner<kOrder, kOrder>().ldlt().solve(S.bottomLeftCorner<kOrder, 1>());
+  Eigen::Matrix<double, kOrder + 1, 1> innovation;
+  innovation << 1.0, -noise.coefficients;
+  noise.variance =
+      std::max(innovation.dot(S * innovation) / static_cast<double>(rows_.size()), 1e-300);
+  return noise;
+}
+
+void FlightRegression::EstimateNoise() {
+  const auto n = static_cast<Index>(rows_.size());
+  const auto m = static_cast<Index>(columns_.size());
+  VectorXd sigma(m), mean(m);
+  for (Index k = 0; k < m; ++k) {
+    const Regressor& column = columns_[static_cast<size_t>(k)];
+    sigma[k] = column.prior_sigma;
+    mean[k] = column.prior_mean;
+  }
+  NoiseRounds rounds = noise_columns_ == m ? kMovedColumns : kMoreColumns;
+  if (noise_columns_ < 0) {
+    rounds = kFirstNoise;
+    weight_ = MatrixXd::Ones(n, kNumChannels);
+    for (int c = 0; c < num_channels_; ++c) {
+      noise_[c] = Noise();
+      noise_[c].variance = std::max(y_.col(c).squaredNorm() / double(y_.rows()), 1e-300);
+    }
+  }
+  noise_columns_ = static_cast<int>(m);
+  std::mt19937 random(1);
+  std::normal_distribution<double> normal;
+  for (int round = 0;; ++round) {
+    WhitenAll();
+    MatrixXd H = sigma.asDiagonal() * gram_.topLeftCorner(m, m) * sigma.asDiagonal();
+    H.diagonal().array() += 1.0;
+    const VectorXd b = sigma.cwiseProduct(gram_.col(m).head(m));
+    const Eigen::LLT<MatrixXd> llt(H);
+    const VectorXd x = sigma.cwiseProduct(llt.solve(b + mean.cwiseQuotient(sigma)));
+    // Root of the covariance of what was fitted.
+    fitted_root_ = sigma.asDiagonal() * MatrixXd(llt.matrixU().solve(MatrixXd::Identity(m, m)));
+    if (round == rounds.rough + rounds.expectation) {
+      fitted_ = white_.leftCols(m);
+      innovation_ = white_.col(m) - fitted_ * x;
+      break;
+    }
+    // The noise is not what is left: the fit has taken a part of it. Its second moments are those of
+    // the rest and of what the fit may as well have been (expectation step; Dempster, Laird and
+    // Rubin, J. R. Stat. Soc. B 39, 1977), by a few draws of that.
+    // (Not before the residual's size is the noise's: what the fit may have taken would be of the
+    // size of the effects.)
+    MatrixXd draws = MatrixXd::Zero(m, 0);
+    if (round >= rounds.rough) {
+      draws = fitted_root_;
+      if (m > kMostDraws) {
+        MatrixXd z(m, kMostDraws);
+        for (Index k = 0; k < z.size(); ++k) z.data()[k] = normal(random);
+        draws = fitted_root_ * z / std::sqrt(static_cast<double>(kMostDraws));
+      }
+    }
+    MatrixXd fitted(m, 1 + draws.cols());
+    fitted << -x, draws;
+    MatrixXd columns(y_.rows(), m);
+    for (int c = 0; c < num_channels_; ++c) {
+      for (Index k = 0; k < m; ++k) {
+        columns.col(k) = columns_[static_cast<size_t>(k)].foreseen.col(c);
+      }
+      MatrixXd likely = columns * fitted;
+      likely.col(0) += y_.col(c);
+      noise_[c] = FitNoise(likely);
+      for (Index k = 0; k < n; ++k) {
+        const int i = rows_[static_cast<size_t>(k)];
+        double innovation = likely(i, 0);
+        for (int lag = 0; lag < kOrder; ++lag) {
+          innovation -= noise_[c].coefficients[lag] * likely(i - 1 - lag, 0);
+        }
+        const double sigmas = std::abs(innovation) / std::sqrt(noise_[c].variance);
+        weight_(k, c) = sigmas > kWildSigmas ? std::sqrt(kWildSigmas / sigmas) : 1.0;
+      }
+    }
+  }
+  held_out_weight_ = MatrixXd::Ones(static_cast<Index>(held_out_rows_.size()), kNumChannels);
+  held_out_white_.resize(static_cast<Index>(held_out_rows_.size()) * num_channels_, m + 1);
+  for (Index k = 0; k <= m; ++k) {
+    const Wrenches& column = k < m ? columns_[static_cast<size_t>(k)].foreseen : y_;
+    held_out_white_.col(k) = Whitened(column, held_out_rows_, held_out_weight_);
+  }
+  Project();
+}
+
+void FlightRegression::Project() {
+  const auto n = static_cast<Index>(columns_.size());
+  MatrixXd of_whole(n, n);
+  constexpr Index kBatch = 16;
+  MatrixXd whole(white_.rows(), kBatch);
+  for (Index from = 0; from < n; from += kBatch) {
+    const Index size = std::min(kBatch, n - from);
+    for (Index k = 0; k < size; ++k) {
+      whole.col(k) = Whitened(columns_[static_cast<size_t>(from + k)].d_wrench, rows_, weight_);
+    }
+    of_whole.middleCols(from, size).noalias() =
+        white_.leftCols(n).transpose() * whole.leftCols(size);
+  }
+  MatrixXd gram = gram_.topLeftCorner(n, n);
+  const VectorXd size = gram.diagonal().cwiseSqrt();
+  const VectorXd unit = (size.array() > 0.0).select(size.cwiseInverse(), 0.0);  // 0: unforeseen
+  gram = unit.asDiagonal() * gram * unit.asDiagonal();
+  gram.diagonal().array() = 1.0 + kCollinear;
+  const MatrixXd share = unit.asDiagonal() * gram.ldlt().solve(unit.asDiagonal() * of_whole);
+  white_.leftCols(n) = (white_.leftCols(n) * share).eval();
+  // Held-out columns stay as they were foreseen: how many of them combine was fitted elsewhere.
+  SumUp();
+}
+
+FlightRegression::Added FlightRegression::Add(const Candidate& candidate,
+                                              const std::map<std::string, double>& at) {
+  Seen seen = See(candidate, at, kActing);
+  Added added;
+  if (seen.columns.empty()) return added;
+  for (Regressor& column : seen.columns) {
+    added.columns.push_back(num_columns());
+    columns_.push_back(std::move(column));
+  }
+  if (seen.offset) {
+    added.offset = num_columns();
+    seen.offset->name = "offset";
+    seen.offset->effect = candidate.effect;
+    columns_.push_back(std::move(*seen.offset));
+  }
+  return added;
+}
+
+void FlightRegression::Relinearize(const Candidate& candidate,
+                                   const std::map<std::string, double>& at, Added* added) {
+  if (added->columns.empty()) return;
+  Seen seen = See(candidate, at, kAll);
+  for (const int k : added->columns) {
+    for (Regressor& column : seen.columns) {
+      if (column.name == columns_[k].name) columns_[k] = column;
+    }
+  }
+  if (!seen.offset) {
+    const Wrenches nothing = Wrenches::Zero(y_.rows(), kNumChannels);
+    seen.offset.emplace();
+    seen.offset->d_wrench = seen.offset->likely = seen.offset->foreseen = nothing;
+  }
+  seen.offset->name = "offset";
+  seen.offset->effect = candidate.effect;
+  if (added->offset < 0) {
+    added->offset = num_columns();
+    columns_.emplace_back();
+  }
+  columns_[added->offset] = std::move(*seen.offset);
+}
+
+VectorXd FlightRegression::Raw(const Wrenches& column) const {
+  const auto n = static_cast<Index>(rows_.size());
+  VectorXd stacked(n * num_channels_);
+  for (int c = 0; c < num_channels_; ++c) {
+    const double scale = 1.0 / std::max(1e-300, plain_sigma_[c]);
+    for (Index r = 0; r < n; ++r) stacked[c * n + r] = scale * column(rows_[r], c);
+  }
+  return stacked;
+}
+
+FlightRegression::Glance FlightRegression::GlanceAt(const Candidate& candidate,
+                                                    const std::map<std::string, double>& at) const {
+  const Seen seen = See(candidate, at, kAtAGlance);
+  Glance glance;
+  glance.columns.assign(seen.columns.begin(), seen.columns.end());
+  const auto k = static_cast<Index>(seen.columns.size());
+  if (k == 0) return glance;
+  MatrixXd X(white_.rows(), k);
+  for (Index i = 0; i < k; ++i) X.col(i) = Whitened(seen.columns[i].foreseen, rows_, weight_);
+  VectorXd y = white_.col(white_.cols() - 1);
+  if (seen.offset) y -= Whitened(seen.offset->foreseen, rows_, weight_);
+  glance.serial =
+      GramOf(white_.leftCols(num_base_), gram_.topLeftCorner(num_base_, num_base_), X, y);
+  // As if the noise were white, as large as what the declared model leaves.
+  for (Index i = 0; i < k; ++i) X.col(i) = Raw(seen.columns[i].foreseen);
+  glance.white = GramOf(raw_base_, raw_gram_, X,
+                        Raw(seen.offset ? Wrenches(y_ - seen.offset->d_wrench) : y_));
+  return glance;
+}
+
+VectorXd FlightRegression::WhitenedFeature(int c, const VectorXd& foreseen, double unit) const {
+  const double scale = unit / std::sqrt(noise_[c].variance);
+  VectorXd white(static_cast<Index>(rows_.size()));
+  for (Index k = 0; k < white.size(); ++k) {
+    const int i = rows_[static_cast<size_t>(k)];
+    double value = foreseen[i];
+    for (int lag = 0; lag < kOrder; ++lag) {
+      value -= noise_[c].coefficients[lag] * foreseen[i - 1 - lag];
+    }
+    white[k] = scale * weight_(k, c) * value;
+  }
+  return white;
+}
+
+int FlightRegression::AddFeature(int channel, const VectorXd& whitened, const std::string& name) {
+  const Index y_at = white_.cols() - 1, n = static_cast<Index>(rows_.size());
+  Regressor column;
+  column.name = column.effect = name;
+  columns_.push_back(std::move(column));
+  white_.conservativeResize(Eigen::NoChange, y_at + 2);
+  white_.col(y_at + 1) = white_.col(y_at);
+  white_.col(y_at).setZero();
+  white_.col(y_at).segment(channel * n, n) = whitened;
+  SumUp();
+  return static_cast<int>(y_at);
+}
+
+VectorXd FlightRegression::NoiseDraw(const VectorXd& normal) const {
+  return innovation_ - fitted_ * (fitted_root_ * normal);
+}
+
+}  // namespace odmc
