@@ -4,6 +4,7 @@
 #include <cmath>
 #include <map>
 #include <numeric>
+#include <optional>
 #include <set>
 #include <utility>
 
@@ -17,6 +18,15 @@ constexpr int kInertiaRefits = 2;
 constexpr int kSurrogates = 300;       // their 30 largest give the tail to 18 %
 constexpr size_t kMostFeatures = 10;   // that complete a set
 constexpr double kTail = 0.1;          // share of surrogates whose excess gives the tail
+
+constexpr const char* kUnphysical = " has an unphysical sign";
+
+/// True if a coefficient has a sign that it cannot have, beyond two sigma.
+bool IsUnphysical(const RankedEffect& effect) {
+  return std::any_of(effect.remarks.begin(), effect.remarks.end(), [](const std::string& remark) {
+    return remark.find(kUnphysical) != std::string::npos;
+  });
+}
 
 std::vector<Instruments> InstrumentsOf(const std::vector<const ResidualModel*>& residuals) {
   std::vector<Instruments> instruments;
@@ -188,7 +198,7 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
         {column.name, spec.unit, value, sigma, true, sigma < 0.5 * spec.prior_sigma});
     if (!column.initial_state) own.push_back(at);
     if (HasWrongSign(spec.sign, value, 2.0 * sigma)) {
-      ranked.remarks.push_back(column.name + " = " + Text(value) + " has an unphysical sign");
+      ranked.remarks.push_back(column.name + " = " + Text(value) + kUnphysical);
     } else if (std::abs(value - spec.prior_value) > 4.0 * spec.prior_sigma) {
       ranked.remarks.push_back(column.name + " = " + Text(value) + " is strangely large");
     }
@@ -389,6 +399,32 @@ void Attribution::FindAlternatives(const Evidence& evidence, const VariantSet& s
   for (const auto& entry : order) ranked->alternatives.push_back(entry.second);
 }
 
+VariantSet Attribution::WithoutStrangers(const Evidence& evidence, VariantSet set) const {
+  for (const int v : VariantSet(set)) {
+    RankedEffect ranked = Describe(evidence, v, set);
+    if (!IsUnphysical(ranked)) continue;
+    FindAlternatives(evidence, set, v, &ranked);
+    VariantSet without = set;
+    without.erase(v);
+    std::optional<int> other;
+    double most = 0.0;
+    for (int a = 0; a < static_cast<int>(evidence.variants().size()); ++a) {
+      const std::string& name = evidence.variants()[a].candidate.effect;
+      if (std::count(ranked.alternatives.begin(), ranked.alternatives.end(), name) == 0) continue;
+      VariantSet with = without;
+      with.insert(a);
+      const double gain = evidence.Gain(with);
+      if (IsUnphysical(Describe(evidence, a, with)) || (other && gain <= most)) continue;
+      other = a;
+      most = gain;
+    }
+    if (!other) continue;
+    set = without;
+    set.insert(*other);
+  }
+  return set;
+}
+
 std::vector<ResidualModel::Wrenches> Attribution::Refit(Stage* stage) const {
   std::vector<ResidualModel::Wrenches> residuals;
   for (int round = 0; round < kRefits; ++round) {
@@ -451,6 +487,7 @@ void Attribution::Run() {
       if (score < options_.large_share * most) set.erase(v);
     }
     std::vector<RankedEffect> added;
+    set = WithoutStrangers(evidence, set);
     for (const int v : set) {
       added.push_back(Describe(evidence, v, set));
       added.back().probability = found.ProbabilityOf(added.back().name, evidence);

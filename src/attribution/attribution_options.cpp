@@ -69,6 +69,9 @@ const std::vector<DecisionNumber>& DecisionNumbers() {
        "judgement: winds and drags bend each other; only a warning depends on it"},
       {"known_thrust_share", "1", &O::known_thrust_share, 0.0, 1.0,
        "judgement: mass and k_f are one, and less than 5 % of mass is not sought"},
+      {"opposite_share", "1", &O::opposite_share, 0.0, 0.5,
+       "of several flights: an effect that one flight in ten shows with the other sign is none of "
+       "the vehicle's"},
   };
   return numbers;
 }

@@ -142,6 +142,26 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
   return candidates;
 }
 
+std::vector<Candidate> CandidatesFor(const Vehicle& vehicle,
+                                     const std::vector<const FlightMotion*>& flights) {
+  if (flights.size() == 1) return CandidatesFor(vehicle, *flights.front());
+  std::vector<Candidate> all;
+  for (const FlightMotion* flight : flights) {
+    for (Candidate& candidate : CandidatesFor(vehicle, *flight)) {
+      const std::unique_ptr<Effect> effect =
+          EffectRegistry::Default().Make(candidate.effect, vehicle);
+      const std::string onset = candidate.effect + "." + effect->onset_parameter();
+      const auto from = candidate.settings.find(onset);
+      if (from != candidate.settings.end() && from->second > 0.0) continue;
+      const bool known = std::any_of(all.begin(), all.end(), [&](const Candidate& other) {
+        return other.effect == candidate.effect && other.settings == candidate.settings;
+      });
+      if (!known) all.push_back(std::move(candidate));
+    }
+  }
+  return all;
+}
+
 Candidate Refined(const Candidate& candidate,
                   const std::function<double(const Candidate&)>& score) {
   Candidate best = candidate;

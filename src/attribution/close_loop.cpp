@@ -211,23 +211,6 @@ std::vector<Eigen::Index> EstimatesOf(const RankedEffect& effect, const Paramete
   return own;
 }
 
-/// What moves by itself is started near what the regression found of it, and so is its place. They
-/// are no evidence for the effect, and the first second of flight alone would lead the online
-/// estimate astray.
-void HoldInitialState(const RankedEffect& effect, Vehicle* vehicle) {
-  constexpr double kSigmas = 1.0;  // of the regression's
-  const DynamicModel model(*vehicle, vehicle->effects);
-  const auto spec = [&model](const ParameterEstimate& p) -> const ParameterSpec& {
-    return model.parameters()[model.IndexOf(p.full_name)].spec;
-  };
-  const bool moves = std::any_of(effect.parameters.begin(), effect.parameters.end(),
-                                 [&](const ParameterEstimate& p) { return spec(p).initial_state; });
-  for (const ParameterEstimate& p : effect.parameters) {
-    if (!moves || !p.estimated || spec(p).sign != PhysicalSign::kAny) continue;
-    vehicle->parameters[p.full_name].sigma = std::min(kSigmas * p.sigma, spec(p).prior_sigma);
-  }
-}
-
 /// The case for gusts, and the values of the drag that goes with them.
 struct Gusts {
   RankedEffect ranked;
@@ -378,8 +361,21 @@ std::vector<LoopSample> Samples(const std::vector<Miss>& before, const std::vect
   return samples;
 }
 
-/// What is not looked at. Contact is left out like the ground, unless it is most of the flight: no
-/// hand holds a vehicle that long, and what acts so long is something the model lacks.
+/// Fills in what share of the residual is structured, and how surely. @returns true if some is
+bool Summarise(const AttributionOptions& options, ClosedLoop* result) {
+  bool structured = false;
+  const auto n = static_cast<double>(result->structure.size());
+  for (const ChannelStructure& channel : result->structure) {
+    const Whiteness& whiteness = channel.whiteness;
+    result->structured_share = std::max(result->structured_share, whiteness.structured_share);
+    result->whiteness_p = std::min(result->whiteness_p, n * whiteness.p);
+    structured = structured || IsStructured(channel, options);
+  }
+  return structured;
+}
+
+}  // namespace
+
 std::vector<std::pair<Stamp, Stamp>> NotLookedAt(const ReplayResult& replay) {
   Stamp contact = 0, flying = 0;
   std::vector<std::pair<Stamp, Stamp>> others;
@@ -394,49 +390,6 @@ std::vector<std::pair<Stamp, Stamp>> NotLookedAt(const ReplayResult& replay) {
   }
   return contact > flying ? others : replay.ground_spans;
 }
-
-/// Fills in what share of the residual is structured, and how surely. @returns true if some is
-bool Summarise(const AttributionOptions& options, ClosedLoop* result) {
-  bool structured = false;
-  const auto n = static_cast<double>(result->structure.size());
-  for (const ChannelStructure& channel : result->structure) {
-    const Whiteness& whiteness = channel.whiteness;
-    result->structured_share = std::max(result->structured_share, whiteness.structured_share);
-    result->whiteness_p = std::min(result->whiteness_p, n * whiteness.p);
-    structured = structured || IsStructured(channel, options);
-  }
-  return structured;
-}
-
-/// The vehicle with what was found. Everything starts where the fit (which has not seen the blocks
-/// held out) has brought it: what multiplies each other, as wind and drag, has more than one
-/// valley.
-Vehicle Extended(const Vehicle& vehicle, const Stage& stage,
-                 const std::vector<RankedEffect>& effects,
-                 const std::map<std::string, ParameterSetting>& known) {
-  Vehicle extended = vehicle;
-  const DynamicModel declared(vehicle, vehicle.effects);
-  for (const ModelParameter& p : declared.parameters()) {
-    if (!p.estimated || p.effect == "inertia") continue;
-    extended.parameters[p.full_name].value = stage.values.at(p.full_name);
-    extended.parameters[p.full_name].sigma = p.spec.prior_sigma;
-  }
-  for (const RankedEffect& effect : effects) {
-    extended = With(extended, {effect.name, effect.settings});
-    for (const ParameterEstimate& p : effect.parameters) {
-      if (p.estimated) extended.parameters[p.full_name].value = p.value;
-    }
-    HoldInitialState(effect, &extended);
-  }
-  for (const auto& [name, setting] : known) {
-    ParameterSetting& of = extended.parameters[name];
-    of.value = setting.value;
-    of.sigma = of.sigma ? std::min(*of.sigma, *setting.sigma) : *setting.sigma;
-  }
-  return extended;
-}
-
-}  // namespace
 
 std::string ToString(Verdict verdict) {
   switch (verdict) {

@@ -75,6 +75,16 @@ double MostGain(const MatrixXd& gram, const VectorXd& base_sigma, const VectorXd
   return 0.5 * g.dot(S.llt().solve(g));
 }
 
+/// A value as a coefficient moves it.
+double Changed(const Coefficient& coefficient, double value, double change) {
+  // Motion is linear in the inverse of inertia.
+  constexpr double kMostRatio = 4.0;
+  if (coefficient.effect == "inertia" && value > 0.0) {
+    return value / std::clamp(1.0 - change / value, 1.0 / kMostRatio, kMostRatio);
+  }
+  return value + change;
+}
+
 /// Surrogates of a flight's noise: as it may have been, shifted in time, its sign random; by column.
 MatrixXd SurrogatesOf(const FlightRegression& flight, int count, std::mt19937* random) {
   const auto n = static_cast<Index>(flight.rows().size());
@@ -662,17 +672,15 @@ Stage Evidence::Moved(const VariantSet& set, const EffectFit& fit) const {
   next.own.resize(flights_.size() > 1 ? flights_.size() : 0);
   for (size_t k = 0; k < fit.columns.size(); ++k) {
     const Column& column = columns_[static_cast<size_t>(fit.columns[k])];
-    if (column.effect.empty()) continue;  // a bias
-    std::map<std::string, double>& values =
-        column.flight < 0 ? next.values : next.own[static_cast<size_t>(column.flight)];
+    if (column.effect.empty()) continue;  // nothing of the model
     const double change = fit.coefficients[static_cast<Index>(k)];
-    values[column.name] = column.about + change;
-    // Motion is linear in the inverse of inertia.
-    constexpr double kMostRatio = 4.0;
-    if (column.effect == "inertia" && column.about > 0.0) {
-      values[column.name] =
-          column.about / std::clamp(1.0 - change / column.about, 1.0 / kMostRatio, kMostRatio);
+    if (column.flight >= 0) {
+      next.own[static_cast<size_t>(column.flight)][column.name] = column.about + change;
+      continue;
     }
+    const auto known = next.values.find(column.name);
+    const bool is_shared = flights_.size() > 1 && known != next.values.end();
+    next.values[column.name] = Changed(column, is_shared ? known->second : column.about, change);
   }
   for (const int v : set) {
     const Candidate& candidate = variants_[static_cast<size_t>(v)].candidate;

@@ -152,6 +152,19 @@ void FlightRegression::AddNuisances() {
     column.foreseen = column.likely = column.d_wrench = std::move(d_wrench);
     columns_.push_back(std::move(column));
   };
+  for (const auto& [name, scatter] : stage_.scatter) {
+    const auto own = std::find_if(columns_.begin(), columns_.end(),
+                                  [&name = name](const Regressor& c) { return c.name == name; });
+    if (own == columns_.end() || own->belongs_to_flight || !(scatter > 0.0)) continue;
+    Regressor column = *own;
+    column.name += " of this flight";
+    column.effect.clear();
+    column.about = column.prior_mean = 0.0;
+    column.prior_sigma = scatter;
+    column.sign = PhysicalSign::kAny;
+    column.belongs_to_flight = true;
+    columns_.push_back(std::move(column));
+  }
   if (residual_->from_accelerometer()) {
     for (int axis = 0; axis < 3; ++axis) {
       Wrenches ones = Wrenches::Zero(y_.rows(), kNumChannels);

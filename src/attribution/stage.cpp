@@ -4,9 +4,29 @@
 #include <optional>
 
 namespace odmc {
+namespace {
+
+/// What moves by itself is started near what the regression found of it, and so is its place. They
+/// are no evidence for the effect, and the first second of flight alone would lead the online
+/// estimate astray.
+void HoldInitialState(const RankedEffect& effect, Vehicle* vehicle) {
+  constexpr double kSigmas = 1.0;  // of the regression's
+  const DynamicModel model(*vehicle, vehicle->effects);
+  const auto spec = [&model](const ParameterEstimate& p) -> const ParameterSpec& {
+    return model.parameters()[model.IndexOf(p.full_name)].spec;
+  };
+  const bool moves = std::any_of(effect.parameters.begin(), effect.parameters.end(),
+                                 [&](const ParameterEstimate& p) { return spec(p).initial_state; });
+  for (const ParameterEstimate& p : effect.parameters) {
+    if (!moves || !p.estimated || spec(p).sign != PhysicalSign::kAny) continue;
+    vehicle->parameters[p.full_name].sigma = std::min(kSigmas * p.sigma, spec(p).prior_sigma);
+  }
+}
+
+}  // namespace
 
 Stage Stage::OfFlight(size_t flight) const {
-  Stage one{vehicle, values};
+  Stage one{vehicle, values, {}, scatter};
   if (flight < own.size()) {
     for (const auto& [name, value] : own[flight]) one.values[name] = value;
   }
@@ -48,6 +68,31 @@ Stage StageOf(const DynamicModel& model, const ModelValues& values) {
     stage.values[p.full_name] = p.effect == "inertia" ? p.spec.prior_value : values[i];
   }
   return stage;
+}
+
+Vehicle Extended(const Vehicle& vehicle, const Stage& stage,
+                 const std::vector<RankedEffect>& effects,
+                 const std::map<std::string, ParameterSetting>& known) {
+  Vehicle extended = vehicle;
+  const DynamicModel declared(vehicle, vehicle.effects);
+  for (const ModelParameter& p : declared.parameters()) {
+    if (!p.estimated || p.effect == "inertia") continue;
+    extended.parameters[p.full_name].value = stage.values.at(p.full_name);
+    extended.parameters[p.full_name].sigma = p.spec.prior_sigma;
+  }
+  for (const RankedEffect& effect : effects) {
+    extended = With(extended, {effect.name, effect.settings});
+    for (const ParameterEstimate& p : effect.parameters) {
+      if (p.estimated) extended.parameters[p.full_name].value = p.value;
+    }
+    HoldInitialState(effect, &extended);
+  }
+  for (const auto& [name, setting] : known) {
+    ParameterSetting& of = extended.parameters[name];
+    of.value = setting.value;
+    of.sigma = of.sigma ? std::min(*of.sigma, *setting.sigma) : *setting.sigma;
+  }
+  return extended;
 }
 
 ModelValues ValuesOf(const DynamicModel& model, const std::map<std::string, double>& known) {

@@ -7,6 +7,7 @@
 #include <stdexcept>
 
 #include "odmc/analysis/parallel.h"
+#include "odmc/attribution/close_loop.h"
 
 namespace odmc {
 namespace {
@@ -103,6 +104,19 @@ void AddSharedDoubts(const FlightSource& source, const Vehicle& vehicle,
   fleet->parameters.covariance += mean;
 }
 
+/// A flight predicted with the vehicle's parameters at other values.
+PredictionFigures FiguresWith(const FleetFlight& flight, const Eigen::VectorXd& values,
+                              const FlightSource& source, const Vehicle& file_vehicle,
+                              const Vehicle& vehicle) {
+  const ParameterSet others = With(flight.factor, values);
+  Vehicle as_expected = vehicle;
+  ApplyParameters(others, &as_expected);
+  const DynamicModel model(as_expected, as_expected.effects);
+  return Evaluate(source(flight.file).log, file_vehicle, model, others,
+                  [](const PredictionSample&) {})
+      .prediction.figures;
+}
+
 /// In the order they were flown: by date, where all recordings have one.
 void Order(std::vector<FleetFlight>* flights) {
   const bool dated = std::all_of(flights->begin(), flights->end(), [](const FleetFlight& f) {
@@ -156,6 +170,7 @@ FleetFlight FleetFlightOf(const Calibration& calibration, const DynamicModel& mo
   const double start_s = ToSeconds(calibration.first_stamp);
   flight.factor.start_s = start_s > kSince2001_s ? start_s : 0.0;
   flight.own_fit = calibration.prediction.figures;
+  flight.not_flown = NotLookedAt(calibration.replay);
   flight.warnings = calibration.warnings;
   flight.passes = 1;
   return flight;
@@ -250,17 +265,31 @@ FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const Fli
             [&](int k) {
               FleetFlight& flight =
                   fleet.flights[static_cast<size_t>(used[static_cast<size_t>(k)])];
-              const ParameterSet others =
-                  With(flight.factor, expected[static_cast<size_t>(k)]);
-              Vehicle as_expected = vehicle;
-              ApplyParameters(others, &as_expected);
-              const DynamicModel model(as_expected, as_expected.effects);
-              flight.left_out = Evaluate(source(flight.file).log, file_vehicle, model, others,
-                                         [](const PredictionSample&) {})
-                                    .prediction.figures;
+              flight.left_out = FiguresWith(flight, expected[static_cast<size_t>(k)], source,
+                                            file_vehicle, vehicle);
             },
             part(kShareOfPasses, 1.0));
   return fleet;
+}
+
+std::vector<FleetFlight> PredictHeldOut(const std::vector<std::string>& files,
+                                        const FlightSource& source, const Vehicle& file_vehicle,
+                                        const Vehicle& vehicle,
+                                        const JointCalibrationOptions& options,
+                                        const FleetCalibration& fleet,
+                                        const std::function<void(double)>& progress) {
+  std::vector<FleetFlight> flights(files.size());
+  ForEachOf(static_cast<int>(files.size()), options.jobs,
+            [&](int i) {
+              FleetFlight& flight = flights[static_cast<size_t>(i)];
+              flight = CalibrateFlight(files[static_cast<size_t>(i)], source, file_vehicle, vehicle,
+                                       options);
+              if (!flight.failure.empty()) return;
+              flight.left_out =
+                  FiguresWith(flight, fleet.joint.value, source, file_vehicle, vehicle);
+            },
+            progress);
+  return flights;
 }
 
 }  // namespace odmc

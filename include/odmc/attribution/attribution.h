@@ -96,6 +96,9 @@ class Attribution {
   std::vector<FlightSays> ByFlight(const Evidence& evidence, int variant, const VariantSet& set) const;
   void FindAlternatives(const Evidence& evidence, const VariantSet& set, int variant,
                         RankedEffect* ranked) const;
+  /// In the place of what has an unphysical sign, the most probable effect that the data do not tell
+  /// from it and that has none, if there is one.
+  VariantSet WithoutStrangers(const Evidence& evidence, VariantSet set) const;
   /// Fits all values of the stage, linearized anew until they stay.
   std::vector<ResidualModel::Wrenches> Refit(Stage* stage) const;
   bool GivesUp() const { return give_up_ && give_up_(); }

@@ -30,6 +30,7 @@ struct AttributionOptions {
   double significant_sigmas = 3.0;
   double agree_share = 1.0 / 3.0;
   double known_thrust_share = 0.05;
+  double opposite_share = 0.1;
 };
 
 /// One number of AttributionOptions, with the range that makes sense.

@@ -27,6 +27,11 @@ struct Candidate {
 /// cable is, where the ground is.
 std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion& flight);
 
+/// The same for several flights of one vehicle: every way that one of them offers. What begins at
+/// some time of a flight is tried from each flight's start only.
+std::vector<Candidate> CandidatesFor(const Vehicle& vehicle,
+                                     const std::vector<const FlightMotion*>& flights);
+
 /// The candidate with what its grid holds coarsely (a cable's length and damping, the time of a
 /// change) moved to where `score` is best between the grid's neighbours, one after the other.
 Candidate Refined(const Candidate& candidate, const std::function<double(const Candidate&)>& score);

@@ -6,6 +6,7 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "odmc/analysis/calibration.h"
@@ -22,6 +23,10 @@ struct CloseLoopOptions {
   BlockSplit blocks;
   AttributionOptions attribution;
 };
+
+/// What is not looked at. Contact is left out like the ground, unless it is most of the flight: no
+/// hand holds a vehicle that long, and what acts so long is something the model lacks.
+std::vector<std::pair<Stamp, Stamp>> NotLookedAt(const ReplayResult& replay);
 
 enum class Verdict { kEffect, kNone, kUnexplained };
 std::string ToString(Verdict verdict);

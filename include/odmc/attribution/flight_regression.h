@@ -18,7 +18,7 @@ namespace odmc {
 /// A coefficient of the residual's regression: a parameter's change from where it is linearized.
 struct Coefficient {
   std::string name;  ///< full name
-  std::string effect;  ///< empty for a bias
+  std::string effect;  ///< empty for a bias, and for what of a parameter is this flight's own
   double about = 0.0;       ///< value = about + coefficient
   double prior_mean = 0.0;  ///< of the coefficient
   double prior_sigma = 1.0;

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "odmc/attribution/candidates.h"
+#include "odmc/attribution/ranked_effect.h"
 #include "odmc/attribution/residual.h"
 
 namespace odmc {
@@ -15,6 +16,8 @@ struct Stage {
   std::map<std::string, double> values;  ///< by full name
   /// Of several flights, what each has in the place of these: direction of gravity, wind.
   std::vector<std::map<std::string, double>> own = {};
+  /// By how much a parameter of the vehicle differs from flight to flight (standard deviation).
+  std::map<std::string, double> scatter = {};
 
   /// The stage of one of them.
   Stage OfFlight(size_t flight) const;
@@ -33,6 +36,14 @@ Vehicle WithPriorsOf(const Vehicle& file_vehicle, const Vehicle& vehicle);
 /// A model as the online estimator found it, inertia as the vehicle file has it: online it takes the
 /// noise of the rotor speeds, and what else acts, for its own.
 Stage StageOf(const DynamicModel& model, const ModelValues& values);
+
+/// The vehicle with what was found. Everything starts where the fit (which has not seen what is held
+/// out) has brought it: what multiplies each other, as wind and drag, has more than one valley.
+/// @param vehicle with the declared effects
+/// @param known of other parameters, by full name: value and sigma
+Vehicle Extended(const Vehicle& vehicle, const Stage& stage,
+                 const std::vector<RankedEffect>& effects,
+                 const std::map<std::string, ParameterSetting>& known = {});
 
 /// The model's initial values, but what is known.
 ModelValues ValuesOf(const DynamicModel& model, const std::map<std::string, double>& known);

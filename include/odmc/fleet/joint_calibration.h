@@ -25,6 +25,8 @@ struct FleetFlight {
   PredictionFigures own_fit;   ///< predicted with what the flight itself shows
   PredictionFigures left_out;  ///< and with what all others show; empty where there are none
   int passes = 0;              ///< of the estimator
+  /// What of it is no flight; not among what flight.json holds.
+  std::vector<std::pair<Stamp, Stamp>> not_flown;
 };
 
 struct FleetCalibration {
@@ -73,6 +75,15 @@ FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const Fli
                                 const JointCalibrationOptions& options,
                                 const std::vector<FleetFlight>& known = {},
                                 const std::function<void(double)>& progress = {});
+
+/// Predicts flights that had no part in a joint estimate, each with what that says of the vehicle
+/// and with what the flight itself shows of what is its own (`left_out` of the results).
+std::vector<FleetFlight> PredictHeldOut(const std::vector<std::string>& files,
+                                        const FlightSource& source, const Vehicle& file_vehicle,
+                                        const Vehicle& vehicle,
+                                        const JointCalibrationOptions& options,
+                                        const FleetCalibration& fleet,
+                                        const std::function<void(double)>& progress = {});
 
 /// The fleet in JSON, as report.json of several flights.
 std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model);

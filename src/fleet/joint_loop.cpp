@@ -1,0 +1,360 @@
+#include "odmc/fleet/joint_loop.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <boost/math/distributions/chi_squared.hpp>
+#include <cmath>
+#include <map>
+#include <optional>
+#include <stdexcept>
+
+#include "odmc/analysis/flight_motion.h"
+#include "odmc/analysis/parallel.h"
+#include "odmc/attribution/attribution.h"
+#include "odmc/attribution/candidates.h"
+#include "odmc/attribution/stage.h"
+#include "odmc/model/plausibility.h"
+
+namespace odmc {
+namespace {
+
+constexpr double kLeastOfAFlight_s = 60.0;  // looked at, however many there are
+
+/// A flight as attribution looks at it.
+struct Looked {
+  std::optional<ThinnedFlight> flight;
+  std::optional<ResidualModel> residual;
+};
+
+/// Every flight that the joint estimate uses, thinned.
+std::vector<Looked> LookAt(const FleetCalibration& fleet, const FlightSource& source,
+                           const Vehicle& file_vehicle, const JointLoopOptions& options) {
+  const std::vector<int> used = fleet.used();
+  const double most_s = std::max(
+      kLeastOfAFlight_s, options.attribution.most_flight_s / static_cast<double>(used.size()));
+  std::vector<Looked> looked(used.size());
+  ForEachOf(static_cast<int>(used.size()), options.calibration.jobs, [&](int k) {
+    const FleetFlight& flight = fleet.flights[static_cast<size_t>(used[static_cast<size_t>(k)])];
+    const FlightLog log = source(flight.file).log;
+    BlockSplit all_in_use;
+    all_in_use.hold_out_every = 0;
+    Looked& look = looked[static_cast<size_t>(k)];
+    look.flight.emplace(FilterFlight(log, file_vehicle.num_rotors(), flight.not_flown), all_in_use,
+                        file_vehicle.odometry.q_BS.toRotationMatrix(), most_s);
+    look.residual.emplace(&*look.flight, &file_vehicle, !log.rotor_rms_only);
+  });
+  return looked;
+}
+
+/// The declared model as all flights found it, and what each has of its own.
+Stage StageOfFleet(const FleetCalibration& fleet, const DynamicModel& model) {
+  ModelValues values = model.InitialValues();
+  for (int k = 0; k < model.num_parameters(); ++k) {
+    const ParameterEstimate* p = fleet.parameters.Find(model.parameters()[k].full_name);
+    if (p != nullptr) values[k] = p->value;
+  }
+  Stage stage = StageOf(model, values);
+  const std::vector<int> used = fleet.used();
+  for (size_t f = 0; f < used.size(); ++f) {
+    const FlightFactor& factor = fleet.flights[static_cast<size_t>(used[f])].factor;
+    std::map<std::string, double> own;
+    for (const ModelParameter& p : model.parameters()) {
+      const ParameterEstimate* found = factor.estimate.Find(p.full_name);
+      if (BelongsToFlight(model, p) && found != nullptr) own[p.full_name] = found->value;
+    }
+    stage.own.push_back(std::move(own));
+  }
+  // Where a parameter scatters, steps or was another one on some flight.
+  const FlightFactor& first = fleet.flights[static_cast<size_t>(used.front())].factor;
+  for (int k = 0; k < first.size(); ++k) {
+    double squares = 0.0, noise = 0.0;
+    for (size_t f = 0; f < used.size(); ++f) {
+      squares += std::pow(fleet.joint.fit.of_flight[f][k] - fleet.joint.value[k], 2);
+      noise += std::pow(fleet.flights[static_cast<size_t>(used[f])].factor.sigma[k], -2);
+    }
+    const double scatter = std::max(fleet.joint.fit.scatter[k],
+                                    std::sqrt(squares / static_cast<double>(used.size())));
+    // Beside what all flights together know of it less would not count.
+    if (scatter * scatter * noise > 1.0) stage.scatter[first.names[static_cast<size_t>(k)]] = scatter;
+  }
+  return stage;
+}
+
+/// Indices of an effect's parameters among those shared.
+std::vector<Eigen::Index> SharedOf(const std::string& effect, const FlightFactor& factor) {
+  std::vector<Eigen::Index> own;
+  for (int k = 0; k < factor.size(); ++k) {
+    if (factor.names[static_cast<size_t>(k)].rfind(effect + ".", 0) == 0) own.push_back(k);
+  }
+  return own;
+}
+
+/// Chance that parameters which are zero differ from it together by as much (Wald's test).
+double ChanceOfZero(const FleetCalibration& fleet, const std::vector<Eigen::Index>& own) {
+  const Eigen::VectorXd value = fleet.joint.value(own);
+  Eigen::MatrixXd C = fleet.joint.covariance(own, own);
+  C.diagonal() *= 1.0 + 1e-9;
+  const double statistic = value.dot(C.ldlt().solve(value));
+  if (!(statistic >= 0.0)) return 1.0;
+  const boost::math::chi_squared distribution(static_cast<double>(own.size()));
+  return boost::math::cdf(boost::math::complement(distribution, statistic));
+}
+
+/// Share of flights on which the steadiest of an effect's parameters, of those that are not zero
+/// within their sigma, has the other sign.
+/// @param sigmas beyond which a parameter is not zero
+double OppositeShare(const FleetCalibration& fleet, const std::vector<Eigen::Index>& own,
+                     double sigmas) {
+  double least = 0.5;
+  for (const Eigen::Index k : own) {
+    const double size = std::abs(fleet.joint.value[k]);
+    if (size < sigmas * fleet.joint.sigma[k]) continue;
+    const double steady = size / std::max(fleet.joint.fit.scatter[k], 1e-300);
+    least = std::min(least, 0.5 * std::erfc(steady / std::sqrt(2.0)));
+  }
+  return least;
+}
+
+std::vector<CoefficientSpread> SpreadsOf(const RankedEffect& effect,
+                                         const FleetCalibration& fleet) {
+  std::vector<CoefficientSpread> spreads;
+  const std::vector<int> used = fleet.used();
+  std::vector<FlightFactor> factors;
+  for (const int i : used) factors.push_back(fleet.flights[static_cast<size_t>(i)].factor);
+  const FlightFactor& first = factors.front();
+  for (const Eigen::Index k : SharedOf(effect.name, first)) {
+    CoefficientSpread spread;
+    spread.full_name = first.names[static_cast<size_t>(k)];
+    spread.unit = first.units[static_cast<size_t>(k)];
+    spread.mean = fleet.joint.value[k];
+    spread.sigma = fleet.joint.sigma[k];
+    spread.scatter = fleet.joint.fit.scatter[k];
+    for (const Departure& d : DeparturesOf(static_cast<int>(k), factors, fleet.joint.model,
+                                           fleet.joint.fit)) {
+      spread.by_flight.push_back({spread.mean + d.value, d.sigma});
+      if (std::abs(d.value) < 2.0 * std::hypot(d.sigma, spread.scatter)) ++spread.agreeing;
+    }
+    spreads.push_back(std::move(spread));
+  }
+  return spreads;
+}
+
+/// How much of the residual's structure is left, see UnexplainedStructure(); mean over flights.
+double UnexplainedShare(const Attribution& attribution, const std::vector<Looked>& looked,
+                        const AttributionOptions& options) {
+  double sum = 0.0;
+  for (size_t f = 0; f < looked.size(); ++f) {
+    const auto structure = [&](const ResidualModel::Wrenches& of) {
+      return Structure(*looked[f].flight, of, looked[f].residual->num_channels());
+    };
+    const auto &before = attribution.residual_before(f), &after = attribution.residual_after(f);
+    sum += UnexplainedStructure(before, after, structure(before), structure(after), options);
+  }
+  return sum / static_cast<double>(looked.size());
+}
+
+/// Number of flights on which each channel of what the declared model leaves is structured.
+std::vector<std::pair<std::string, int>> StructuredChannels(const Attribution& attribution,
+                                                            const std::vector<Looked>& looked,
+                                                            const AttributionOptions& options) {
+  std::vector<std::pair<std::string, int>> channels;
+  for (size_t f = 0; f < looked.size(); ++f) {
+    for (const ChannelStructure& channel :
+         Structure(*looked[f].flight, attribution.residual_before(f),
+                   looked[f].residual->num_channels())) {
+      const auto known = std::find_if(channels.begin(), channels.end(),
+                                      [&](const auto& c) { return c.first == channel.name; });
+      const int more = IsStructured(channel, options) ? 1 : 0;
+      if (known != channels.end()) {
+        known->second += more;
+      } else {
+        channels.emplace_back(channel.name, more);
+      }
+    }
+  }
+  return channels;
+}
+
+/// One session.
+class JointSession {
+ public:
+  JointSession(const FlightSource& source, const Vehicle& file_vehicle, const Vehicle& vehicle,
+               const JointLoopOptions& options)
+      : source_(source), file_vehicle_(file_vehicle), vehicle_(vehicle), options_(options) {}
+
+  JointLoop Run(const std::vector<std::string>& files, const std::vector<std::string>& held_out,
+                const std::function<void(double)>& progress);
+
+ private:
+  using Progress = std::function<void(double)>;
+
+  void Find(const Progress& progress);
+  /// Takes out what is zero, or jumps, and calibrates with what remains.
+  void Confirm(const Progress& progress);
+  void Add(const std::vector<std::string>& held_out);
+  FleetCalibration CalibrateWith(const Vehicle& vehicle, const Progress& progress) const {
+    return CalibrateFleet(files_, source_, file_vehicle_, vehicle, options_.calibration, {},
+                          progress);
+  }
+  Vehicle With(const std::vector<RankedEffect>& effects) const {
+    return Extended(vehicle_, stage_, effects);
+  }
+  std::string WhyNot(const RankedEffect& effect, const FleetCalibration& fleet) const;
+
+  const FlightSource& source_;
+  const Vehicle& file_vehicle_;
+  const Vehicle vehicle_;
+  const JointLoopOptions& options_;
+  std::vector<std::string> files_;
+  Stage stage_;
+  std::vector<RankedEffect> effects_;
+  JointLoop loop_;
+};
+
+void JointSession::Find(const Progress& progress) {
+  const std::vector<Looked> looked = LookAt(loop_.before, source_, file_vehicle_, options_);
+  if (progress) progress(0.1);
+  std::vector<const ResidualModel*> residuals;
+  std::vector<const FlightMotion*> motions;
+  for (const Looked& look : looked) {
+    residuals.push_back(&*look.residual);
+    motions.push_back(&look.flight->motion());
+  }
+  Attribution attribution(residuals,
+                          StageOfFleet(loop_.before, DynamicModel(vehicle_, vehicle_.effects)),
+                          CandidatesFor(vehicle_, motions), options_.attribution, {},
+                          options_.calibration.jobs);
+  attribution.Run();
+  stage_ = attribution.stage();
+  effects_ = attribution.effects();
+  loop_.ranking = attribution.ranking();
+  loop_.named_gain = attribution.gain();
+  loop_.flexible_gain = attribution.flexible_gain();
+  loop_.structured = StructuredChannels(attribution, looked, options_.attribution);
+  for (RankedEffect& ranked : loop_.ranking) {
+    const auto why = attribution.refused().find(ranked.name);
+    const bool added = std::any_of(effects_.begin(), effects_.end(),
+                                   [&](const auto& e) { return e.name == ranked.name; });
+    if (!added && why != attribution.refused().end()) {
+      ranked.remarks.push_back("not named: it " + why->second);
+    }
+  }
+  const double unexplained =
+      effects_.empty() ? 0.0 : UnexplainedShare(attribution, looked, options_.attribution);
+  if (unexplained > options_.attribution.most_unexplained) {
+    loop_.warnings.push_back(Text(100.0 * unexplained) +
+                             " % of the residual's structure stays unexplained beside the effects");
+  }
+}
+
+std::string JointSession::WhyNot(const RankedEffect& effect, const FleetCalibration& fleet) const {
+  const std::vector<int> used = fleet.used();
+  const auto own = SharedOf(effect.name, fleet.flights[static_cast<size_t>(used.front())].factor);
+  if (own.empty()) return "";  // each flight's own
+  const AttributionOptions& options = options_.attribution;
+  const double chance = ChanceOfZero(fleet, own);
+  if (chance > options.false_alarm_rate) {
+    return "its coefficients differ from flight to flight by so much that they are zero together (p " +
+           Text(chance) + ")";
+  }
+  const double opposite = OppositeShare(fleet, own, options.significant_sigmas);
+  if (opposite > options.opposite_share) {
+    return "its coefficient jumps: " + Text(100.0 * opposite) +
+           " % of flights would have it with the other sign";
+  }
+  return "";
+}
+
+void JointSession::Confirm(const Progress& progress) {
+  while (!effects_.empty()) {
+    FleetCalibration fleet = CalibrateWith(With(effects_), progress);
+    std::vector<std::string> gone;
+    for (const RankedEffect& effect : effects_) {
+      const std::string why = WhyNot(effect, fleet);
+      if (why.empty()) continue;
+      loop_.warnings.push_back(effect.name + " gains " + Text(effect.score) + " nats, but " + why);
+      gone.push_back(effect.name);
+    }
+    if (gone.empty()) {
+      loop_.after = std::move(fleet);
+      return;
+    }
+    effects_.erase(std::remove_if(effects_.begin(), effects_.end(),
+                                  [&](const RankedEffect& e) {
+                                    return std::count(gone.begin(), gone.end(), e.name) > 0;
+                                  }),
+                   effects_.end());
+  }
+}
+
+void JointSession::Add(const std::vector<std::string>& held_out) {
+  const Vehicle extended = With(effects_);
+  for (const RankedEffect& ranked : effects_) {
+    JointEffect effect;
+    effect.effect = ranked;
+    for (ParameterEstimate& p : effect.effect.parameters) {
+      const ParameterEstimate* online = loop_.after.parameters.Find(p.full_name);
+      if (online != nullptr) p = *online;
+    }
+    effect.spreads = SpreadsOf(ranked, loop_.after);
+    for (const FlightSays& says : ranked.by_flight) {
+      if (says.nats > options_.attribution.even_odds) ++effect.speak_for;
+      if (says.nats < -options_.attribution.even_odds) ++effect.against;
+    }
+    for (const std::string& name : ranked.alternatives) {
+      if (effect.manoeuvre.empty()) effect.manoeuvre = TellingManoeuvre(vehicle_, ranked.name, name);
+    }
+    loop_.effects.push_back(std::move(effect));
+  }
+  loop_.effect_names = extended.effects;
+  if (effects_.empty()) loop_.after = loop_.before;
+  if (held_out.empty()) return;
+  const auto predict = [&](const Vehicle& vehicle, const FleetCalibration& fleet) {
+    return PredictHeldOut(held_out, source_, file_vehicle_, vehicle, options_.calibration, fleet);
+  };
+  loop_.held_out_before = predict(vehicle_, loop_.before);
+  loop_.held_out_after =
+      effects_.empty() ? loop_.held_out_before : predict(extended, loop_.after);
+}
+
+JointLoop JointSession::Run(const std::vector<std::string>& files,
+                            const std::vector<std::string>& held_out, const Progress& progress) {
+  const auto part = [&](double from, double to) {
+    return [&progress, from, to](double share) {
+      if (progress) progress(from + share * (to - from));
+    };
+  };
+  files_ = files;
+  loop_.before = CalibrateWith(vehicle_, part(0.0, 0.3));
+  for (const int k : loop_.before.used()) {
+    loop_.flights.push_back(loop_.before.flights[static_cast<size_t>(k)].file);
+  }
+  for (const FleetFlight& flight : loop_.before.flights) {
+    if (!flight.failure.empty()) loop_.warnings.push_back("not used: " + flight.failure);
+  }
+  Find(part(0.3, 0.6));
+  Confirm(part(0.6, 0.95));
+  Add(held_out);
+  const bool structured =
+      std::any_of(loop_.structured.begin(), loop_.structured.end(), [&](const auto& channel) {
+        return 2 * channel.second > static_cast<int>(loop_.flights.size());
+      });
+  loop_.verdict = !effects_.empty() ? Verdict::kEffect
+                  : structured      ? Verdict::kUnexplained
+                                    : Verdict::kNone;
+  if (progress) progress(1.0);
+  return std::move(loop_);
+}
+
+}  // namespace
+
+JointLoop CloseLoopOnSeveral(const std::vector<std::string>& files,
+                             const std::vector<std::string>& held_out, const FlightSource& source,
+                             const Vehicle& file_vehicle, const Vehicle& configured,
+                             const JointLoopOptions& options,
+                             const std::function<void(double)>& progress) {
+  return JointSession(source, file_vehicle, WithPriorsOf(file_vehicle, configured), options)
+      .Run(files, held_out, progress);
+}
+
+}  // namespace odmc

@@ -1,0 +1,161 @@
+// Closing the loop on several flights of one vehicle.
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "odmc/fleet/joint_loop.h"
+#include "odmc/sim/simulator.h"
+#include "odmc/sim/truth_vehicle.h"
+#include "support/test_vehicle.h"
+
+namespace odmc {
+namespace test {
+namespace {
+
+constexpr const char* kHubMoment = "hub_moment.k_beta";
+
+/// Flights of one vehicle that exist in memory only, by name.
+class Hangar {
+ public:
+  /// Flies `effect` with one value of each flight (0: without), along other trajectories each.
+  Hangar(const std::string& parameter, const std::vector<double>& values) {
+    const std::string effect = parameter.substr(0, parameter.find('.'));
+    const std::vector<std::string> trajectories = {"octo", "lemniscate", "aggressive"};
+    for (size_t i = 0; i < values.size(); ++i) {
+      Vehicle flown = vehicle();
+      flown.effects.push_back(effect);
+      const DynamicModel model(flown, flown.effects);
+      ModelValues truth = DefaultTruth(model);
+      truth[model.IndexOf(parameter)] = values[i];
+      SimulationOptions options;
+      options.trajectory = trajectories[i % trajectories.size()];
+      options.duration_s = 12.0;
+      options.log_rate_hz = 100.0;
+      options.seed = 40 + static_cast<int>(i);
+      SimulationNoise noise;
+      noise.imu = true;
+      const std::string name = "flight" + std::to_string(i);
+      logs_[name] = Simulate(model, truth, options, noise).log;
+      logs_[name].file = name;
+      files.push_back(name);
+    }
+  }
+
+  static Vehicle vehicle() {
+    Vehicle vehicle = NominalVehicle();
+    vehicle.imu = SensorMount();
+    return vehicle;
+  }
+
+  JointLoop Close(const std::vector<std::string>& held_out = {}) const {
+    JointLoopOptions options;
+    options.calibration.estimator.keyframe_rate_hz = 50.0;
+    options.calibration.estimator.max_update_time_s = 10.0;
+    options.calibration.doubted_flights = 1;
+    options.calibration.jobs = 2;
+    std::vector<std::string> learned;
+    for (const std::string& file : files) {
+      if (std::count(held_out.begin(), held_out.end(), file) == 0) learned.push_back(file);
+    }
+    const FlightSource source = [this](const std::string& file) {
+      return InspectedFlight{logs_.at(file), {}};
+    };
+    return CloseLoopOnSeveral(learned, held_out, source, vehicle(), vehicle(), options);
+  }
+
+  std::vector<std::string> files;
+
+ private:
+  std::map<std::string, FlightLog> logs_;
+};
+
+bool Names(const JointEffect& joint, const std::string& name) {
+  const std::vector<std::string>& others = joint.effect.alternatives;
+  return joint.effect.name == name || std::count(others.begin(), others.end(), name) > 0;
+}
+
+/// A hub moment, the same about both axes or not.
+bool IsHubMoment(const JointEffect& joint) {
+  return Names(joint, "hub_moment") || Names(joint, "anisotropic_hub_moment");
+}
+
+std::string All(const JointLoop& loop) { return JointLoopTable(loop); }
+
+// An undeclared hub moment, the same on every flight.
+TEST(JointLoop, NamesWhatTheVehicleLacksByTheEvidenceOfAllFlights) {
+  const double truth = 2e-6;
+  const Hangar hangar(kHubMoment, {truth, truth, truth, truth});
+  const JointLoop loop = hangar.Close({"flight3"});
+  ASSERT_EQ(loop.verdict, Verdict::kEffect) << All(loop);
+  ASSERT_EQ(loop.effects.size(), 1u) << All(loop);
+  const JointEffect& found = loop.effects.front();
+  EXPECT_TRUE(IsHubMoment(found)) << All(loop);
+  EXPECT_EQ(found.speak_for, 3);
+  EXPECT_EQ(found.against, 0);
+  // Every flight by itself and all together have it.
+  ASSERT_EQ(found.effect.by_flight.size(), 3u);
+  ASSERT_FALSE(found.spreads.empty());
+  for (const CoefficientSpread& spread : found.spreads) {
+    EXPECT_NEAR(spread.mean, truth, 3.0 * spread.sigma) << spread.full_name;
+    EXPECT_LT(spread.sigma, 0.1 * truth) << spread.full_name;
+    EXPECT_GE(spread.agreeing, 2) << spread.full_name;
+  }
+  // And a flight that nothing was learned from is predicted better with it.
+  ASSERT_EQ(loop.held_out_after.size(), 1u);
+  const auto &before = loop.held_out_before.front().left_out.torque_rmse_Nm,
+             &after = loop.held_out_after.front().left_out.torque_rmse_Nm;
+  ASSERT_TRUE(before && after);
+  EXPECT_LT(after->head<2>().norm(), 0.8 * before->head<2>().norm()) << All(loop);
+  const auto report = nlohmann::json::parse(
+      JointLoopReport(loop, DynamicModel(hangar.vehicle(), loop.effect_names)));
+  EXPECT_EQ(report["close_loop"]["effects"][0]["flights_for"], 3);
+  EXPECT_EQ(report["close_loop"]["effects"][0]["by_flight"].size(), 3u);
+  EXPECT_EQ(report["close_loop"]["held_out"].size(), 1u);
+  EXPECT_NE(JointLoopCsv(loop).find("flight0," + found.effect.name), std::string::npos);
+}
+
+// The same size, its sign another one from flight to flight: nothing of the vehicle's.
+TEST(JointLoop, NamesNoCoefficientThatJumps) {
+  const double size = 2e-6;
+  const Hangar hangar(kHubMoment, {size, -size, size, -size});
+  const JointLoop loop = hangar.Close();
+  for (const JointEffect& joint : loop.effects) {
+    EXPECT_FALSE(IsHubMoment(joint)) << All(loop);
+  }
+}
+
+TEST(JointLoop, NamesNothingWhereNothingActs) {
+  const Hangar hangar(kHubMoment, {0.0, 0.0, 0.0});
+  const JointLoop loop = hangar.Close();
+  EXPECT_EQ(loop.verdict, Verdict::kNone) << All(loop);
+  EXPECT_TRUE(loop.effects.empty()) << All(loop);
+}
+
+// Wind is the flight's: its directions differ, and each flight has its own.
+TEST(JointLoop, GivesEachFlightItsOwnWind) {
+  const Hangar hangar("wind.w_x", {2.0, -2.0, 2.0});
+  const JointLoop loop = hangar.Close();
+  const auto wind = std::find_if(loop.effects.begin(), loop.effects.end(),
+                                 [](const JointEffect& e) { return Names(e, "wind"); });
+  ASSERT_NE(wind, loop.effects.end()) << All(loop);
+  const double signs[] = {1.0, -1.0, 1.0};
+  for (size_t f = 0; f < 3; ++f) {
+    bool has = false;
+    for (const ParameterEstimate& p : wind->effect.by_flight[f].parameters) {
+      if (p.full_name != "wind.w_x") continue;
+      has = true;
+      EXPECT_NEAR(p.value, 2.0 * signs[f], std::max(1.0, 3.0 * p.sigma)) << f;
+    }
+    EXPECT_TRUE(has) << f;
+  }
+}
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc
