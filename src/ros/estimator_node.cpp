@@ -813,6 +813,10 @@ void EstimatorNode::OnSnapshot(Snapshot snapshot) {
   LookBack();
   WidenForDoubts(&snapshot);
   acceptance_.Update(*model_, snapshot, findings_);
+  if (history_watch_) {
+    unlike_history_ =
+        history_watch_->Look(snapshot.time_s, *model_, snapshot.values, snapshot.sigma);
+  }
   if (watch_) watch_->SetEstimate(model_, snapshot.values, estimator_->start());
   {
     const std::lock_guard<std::mutex> lock(status_mutex_);
@@ -1017,23 +1021,21 @@ void EstimatorNode::ShareStatus() {
   if (last_) ShareSnapshot(*last_, &s);
 }
 
-/// In words, what earlier flights did not let expect.
-std::vector<std::string> EstimatorNode::UnlikeHistoryOf(const Snapshot& snapshot) {
+/// What earlier flights did not let expect.
+std::vector<std::string> EstimatorNode::UnlikeHistorySentences() const {
   std::vector<std::string> sentences;
-  if (!history_watch_) return sentences;
-  for (const UnlikeHistory& unlike : history_watch_->Look(snapshot.time_s, *last_model_,
-                                                          snapshot.values, snapshot.sigma)) {
+  for (const UnlikeHistory& unlike : unlike_history_) {
     const int k = last_model_->IndexOf(unlike.full_name);
-    sentences.push_back(unlike.Sentence(last_model_->parameters()[k].spec.unit));
+    if (k >= 0) sentences.push_back(unlike.Sentence(last_model_->parameters()[k].spec.unit));
   }
   return sentences;
 }
 
-void EstimatorNode::ShareSnapshot(const Snapshot& snapshot, NodeStatus* s) {
+void EstimatorNode::ShareSnapshot(const Snapshot& snapshot, NodeStatus* s) const {
   s->unphysical = UnphysicalValues(*last_model_, snapshot.values, snapshot.sigma);
   const std::string doubt = ThrustDoubt(*last_model_, snapshot.values);
   if (!doubt.empty()) s->unphysical.push_back(doubt);
-  s->unlike_history = UnlikeHistoryOf(snapshot);
+  s->unlike_history = UnlikeHistorySentences();
   s->unobservable = snapshot.unobservable;
   s->observable = snapshot.observable;
   s->time_s = snapshot.time_s;

@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
-"""Two nodes hover with one vehicle. One starts from a fleet's history of it and has nothing to say; the
-other from that of a vehicle with 6 % more thrust, and says so within seconds."""
+"""Three nodes hover with one vehicle. One starts from a fleet's history of it and has nothing to say; the
+others from that of a vehicle with 6 % more thrust, and say so within seconds: one of them must find out
+for itself that hover does not tell the frame of the odometry's velocity."""
 
 import sys
 
@@ -46,10 +47,11 @@ class UnlikeHistoryTest(node_harness.NodeTest):
         bag, expected = self.make_bag(12, "hover")
         diagnostics = node_harness.diagnostics()
         parameters = {}
-        for name, factor in (("same", 1.0), ("other", MORE_THRUST)):
+        for name, factor, frame in (("same", 1.0, "world"), ("other", MORE_THRUST, "world"),
+                                    ("unsure", MORE_THRUST, "auto")):
             topic = "/%s/parameters" % name
             parameters[name] = node_harness.Collector(topic, node_harness.DynamicParameters)
-            self.start_node(name, "__ns:=" + name, "_twist_frame:=world", "_parameters_file:=" +
+            self.start_node(name, "__ns:=" + name, "_twist_frame:=" + frame, "_parameters_file:=" +
                             self.write_history(name, expected, factor), *TOPICS)
             self.wait_for_node(topic)
         self.play(bag)
@@ -59,17 +61,21 @@ class UnlikeHistoryTest(node_harness.NodeTest):
             self.check_parameters(parameters[name].messages)
         for _, _, values in self.every_status(diagnostics, "/same/same"):
             self.assertEqual(values["unlike_history"], "", values)
-        told = [s for s in self.every_status(diagnostics, "/other/other") if s[2]["unlike_history"]]
+        for name in ("other", "unsure"):
+            self.check_named(diagnostics, "/%s/%s" % (name, name))
+
+    def check_named(self, diagnostics, name):
+        told = [s for s in self.every_status(diagnostics, name) if s[2]["unlike_history"]]
         self.assertGreater(len(told), 0, "nothing was said")
         level, message, values = told[0]
-        print("named after %s s in the air: %s" % (values["airborne_s"], message))
+        print("%s: after %s s in the air: %s" % (name, values["airborne_s"], message))
         self.assertEqual(level, 1)
         self.assertIn("thrust.k_f is ", message)
         self.assertIn("% below what earlier flights let expect", message)
         self.assertIn("chance in ", message)
         self.assertNotIn("nan", message)
         self.assertLess(float(values["airborne_s"]), SOON_S)
-        last = node_harness.last_status(diagnostics, "/other/other")
+        last = node_harness.last_status(diagnostics, name)
         self.assertIn("thrust.k_f", last[2]["unlike_history"])
 
     @staticmethod

@@ -172,8 +172,8 @@ class EstimatorNode {
   void ShareStatus();
   std::string Interruption();
   std::string MissingStream() const;
-  void ShareSnapshot(const Snapshot& snapshot, NodeStatus* status);
-  std::vector<std::string> UnlikeHistoryOf(const Snapshot& snapshot);
+  void ShareSnapshot(const Snapshot& snapshot, NodeStatus* status) const;
+  std::vector<std::string> UnlikeHistorySentences() const;
   RotorStatus RotorsNow() const;
   std::string TwistText() const;
   void Finish();
@@ -232,6 +232,7 @@ class EstimatorNode {
   std::optional<Snapshot> last_;
   std::shared_ptr<const DynamicModel> last_model_;  // of last_
   std::optional<HistoryWatch> history_watch_;       // where a fleet's flights were before
+  std::vector<UnlikeHistory> unlike_history_;
   std::string added_effects_;
   bool last_is_published_ = false;
   std::string phase_;      // as published last
