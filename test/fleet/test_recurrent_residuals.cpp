@@ -37,11 +37,11 @@ PredictionSample SampleAt(double t_s, double speed_m_s) {
   return s;
 }
 
-/// 20 s up to 8 m/s and back. All the flight is off by what scatters between flights.
-FlightResiduals Fly(Random* random, const std::function<double(double)>& missed_N) {
+/// 20 s up to 8 m/s and back. All the flight is off by what scatters between flights, a share of the noise.
+FlightResiduals Fly(Random* random, const std::function<double(double)>& missed_N, double scatter) {
   constexpr double kStep_s = 0.02, kDuration_s = 20.0;
   FlightResiduals flight;
-  const Eigen::Vector3d off = 0.3 * kNoise_N * Eigen::Vector3d::NullaryExpr([&] { return random->Normal(); });
+  const Eigen::Vector3d off = scatter * kNoise_N * Eigen::Vector3d::NullaryExpr([&] { return random->Normal(); });
   for (double t_s = 0.0; t_s < kDuration_s; t_s += kStep_s) {
     const double speed = 4.0 - 4.0 * std::cos(2.0 * M_PI * t_s / kDuration_s);
     PredictionSample s = SampleAt(t_s, speed);
@@ -53,10 +53,11 @@ FlightResiduals Fly(Random* random, const std::function<double(double)>& missed_
 }
 
 std::vector<FlightResiduals> FlyAll(int count, Random* random,
-                                    const std::function<double(int, double)>& missed_N) {
+                                    const std::function<double(int, double)>& missed_N,
+                                    double scatter = 0.3) {
   std::vector<FlightResiduals> flights;
   for (int i = 0; i < count; ++i) {
-    flights.push_back(Fly(random, [&](double speed) { return missed_N(i, speed); }));
+    flights.push_back(Fly(random, [&](double speed) { return missed_N(i, speed); }, scatter));
   }
   return flights;
 }
@@ -114,8 +115,8 @@ TEST(RecurrentResiduals, OneFlightThatIsFarOffIsNotARecurrence) {
 
 TEST(RecurrentResiduals, WhatIsSmallBesideTheErrorIsNoNews) {
   Random random(4);
-  const auto little = [](int, double) { return 0.5 * kLeastResidualShare * kNoise_N; };
-  EXPECT_TRUE(Found(FlyAll(40, &random, little)).empty());
+  const auto little = [](int, double) { return 0.9 * kLeastResidualShare * kNoise_N; };
+  EXPECT_TRUE(Found(FlyAll(40, &random, little, 0.0)).empty());
 }
 
 TEST(RecurrentResiduals, FourFlightsAreTooFew) {
