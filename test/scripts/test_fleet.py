@@ -181,6 +181,24 @@ class FleetTest(unittest.TestCase):
         _, _, err = fleet(self.folder, out)
         self.assertIn('5 to calibrate', err)
 
+    def test_another_build_is_another_calibration(self):
+        lib = os.path.join(self.base, 'lib')
+        tools = os.path.join(lib, 'odmc')
+        os.makedirs(tools)
+        with open(os.path.join(tools, 'calibrate'), 'w', encoding='utf-8') as file:
+            file.write(f'#!/bin/bash\nexec {TOOLS}/calibrate "$@"\n')
+        os.chmod(os.path.join(tools, 'calibrate'), 0o755)
+        few = os.path.join(self.base, 'day1')
+        os.makedirs(few)
+        shutil.copy(os.path.join(self.folder, 'flight0.csv'), few)
+        out = os.path.join(self.base, 'builds')
+        for content, expected in (('one', '1 to calibrate'), ('one', '0 to calibrate'), ('two', '1 to calibrate')):
+            with open(os.path.join(lib, 'libodmc_estimation.so'), 'w', encoding='utf-8') as file:
+                file.write(content)  # the tool itself stays as it is
+            status, _, err = fleet(few, out, tools=tools)
+            self.assertEqual(status, 0, err)
+            self.assertIn(expected, err)
+
     def test_a_flight_that_crashes_the_tool_is_tried_twice_and_costs_itself_only(self):
         tools = os.path.join(self.base, 'tools')
         os.makedirs(tools)
