@@ -13,12 +13,16 @@ matplotlib.use('Agg')
 from matplotlib import pyplot  # noqa: E402  pylint: disable=wrong-import-position
 
 BLUE, RED, BAND, GREY = '#0b6fb8', '#d1495b', '#9ec9e8', '#7b8794'
-MOST_LABELS = 25
+MOST_LABELS, MOST_ROWS, MOST_PANELS = 25, 12, 4
+UNITS = {'_rad_s': 'rad/s', '_m_s': 'm/s', '_Nm': 'N m', '_N': 'N', '_m': 'm', '_s': 's'}
+HOW = ("calibrate FLIGHT --vehicle FILE --out DIR makes a flight's own report (DIR/report.html); fleet ... --reports makes "
+       'those of all flights.')
 
 TEMPLATE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{{ title }}</title>
 <style>body{font:15px/1.5 sans-serif;color:#1f2933;max-width:70em;margin:2em auto;padding:0 1em}
 table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em .7em;text-align:right;border-bottom:1px solid #dde3e9}
-td:first-child,th:first-child{text-align:left}img{max-width:100%}.bad{color:#b3261e}.quiet{color:#7b8794}</style>
+td:first-child,th:first-child{text-align:left}img{max-width:100%}.bad{color:#b3261e}.quiet{color:#7b8794}
+code{font-size:.85em;overflow-wrap:anywhere}</style>
 <h1>{{ title }}</h1>
 {% if summary %}<table><tr>{% for head in summary[0] %}<th>{{ head }}</th>{% endfor %}</tr>
 {% for row in summary[1:] %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</table>{% endif %}
@@ -33,9 +37,24 @@ those of each flight's own fit: force {{ part.ratio.force }}, torque {{ part.rat
 <img alt="parameters over flights" src="data:image/png;base64,{{ part.picture }}">
 <p class="quiet">Points: each flight's own estimate with one sigma. Line: what all flights together say of it. Band: three
 standard deviations between flights.</p>
+<h3>Recurrent residuals</h3>
+{% if part.recurrent is none %}<p class="quiet">Not looked for: flights were not predicted by the others' parameters, or fewer
+than five have been anywhere together.</p>
+{% else %}<p>Measured minus predicted by the parameters of all other flights, sorted by what the vehicle did. {{ part.recurrent.said }}</p>
+{% if part.recurrent.rows %}<table><tr><th>residual</th><th>where</th><th>mean</th><th>sigma</th><th>of the
+error</th><th>flights with that sign</th><th>p</th></tr>
+{% for row in part.recurrent.rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</table>
+<img alt="recurrent residuals" src="data:image/png;base64,{{ part.recurrent.picture }}">
+<p class="quiet">Lines: mean of the flights in a bin, red where it counts. Bands: two standard deviations between flights.</p>{% endif %}
+{% endif %}
+<h3>Flights</h3>
 <table><tr><th>flight</th><th>s</th><th>force RMSE x y z [N]</th><th>by all others [N]</th><th>largest z</th>
-<th>verdict</th></tr>
-{% for row in part.rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</table>
+<th>verdict</th>{% if part.reports %}<th>report</th>{% endif %}</tr>
+{% for row in part.rows %}<tr>{% for cell in row.cells %}<td>{{ cell }}</td>{% endfor %}
+{% if row.report.link %}<td><a href="{{ row.report.link }}">report</a></td>
+{% elif row.report.command %}<td><details><summary>how</summary><code>{{ row.report.command }}</code></details></td>{% endif %}</tr>
+{% endfor %}</table>
+{% if part.how %}<p class="quiet">{{ part.how }}</p>{% endif %}
 {% endfor %}
 {% if failed %}<h2>Not used</h2><table><tr><th>flight</th><th>why</th></tr>
 {% for row in failed %}<tr><td>{{ row.file }}</td><td style="text-align:left">{{ row.why }}</td></tr>{% endfor %}</table>{% endif %}
@@ -84,6 +103,14 @@ def steps(report: Dict[str, Any], name: str) -> bool:
     return kinds == {'step'}
 
 
+def encoded(figure: Any) -> str:
+    """A PNG in base64; the figure is closed."""
+    image = io.BytesIO()
+    figure.savefig(image, format='png', dpi=85)
+    pyplot.close(figure)
+    return base64.b64encode(image.getvalue()).decode()
+
+
 def picture(report: Dict[str, Any]) -> str:
     """Parameters over flights, those the flights show, as a PNG in base64."""
     names = [n for n, p in report['parameters'].items() if p['observable']] or list(report['parameters'])
@@ -121,27 +148,83 @@ def picture(report: Dict[str, Any]) -> str:
             panel.set_xticks(at, labels, rotation=60, ha='right', fontsize=7)
         else:
             panel.set_xlabel('flight', fontsize=8)
-    image = io.BytesIO()
-    figure.savefig(image, format='png', dpi=85)
-    pyplot.close(figure)
-    return base64.b64encode(image.getvalue()).decode()
+    return encoded(figure)
 
 
-def part_of(name: str, report: Dict[str, Any], verdicts: Dict[str, str]) -> Dict[str, Any]:
-    """One vehicle's section of the page."""
+def spelled(name: str) -> List[str]:
+    """A quantity's name with its unit: ['air speed x', 'm/s']."""
+    for suffix, unit in UNITS.items():
+        if name.endswith(suffix):
+            return [name[:-len(suffix)].replace('_', ' '), unit]
+    return [name.replace('_', ' '), '']
+
+
+def interval(row: Dict[str, Any]) -> str:
+    """Of a quantity: 'air speed 4 to 6 m/s'."""
+    words, unit = spelled(row['quantity'])
+    return f"{words} {number(row['from'])} to {number(row['to'])} {unit}".strip()
+
+
+def curves(report: Dict[str, Any], pairs: List[Any]) -> str:
+    """Residual over a quantity for some (channel, quantity), as a PNG in base64."""
+    bins, rate = (report['recurrent_residuals'][key] for key in ('bins', 'false_alarm_rate'))
+    rows = (len(pairs) + 1) // 2
+    figure, panels = pyplot.subplots(rows, 2, figsize=(11.0, 2.6 * rows), squeeze=False, layout='constrained')
+    for panel, (channel, quantity) in zip(panels.flat, pairs):
+        own = sorted((b for b in bins if (b['channel'], b['quantity']) == (channel, quantity)), key=lambda b: b['from'])
+        panel.axhline(0.0, color=GREY, linewidth=0.7)
+        for b in own:
+            low, high = b['mean'] - 2.0 * b['scatter'], b['mean'] + 2.0 * b['scatter']
+            panel.fill_between([b['from'], b['to']], low, high, color=BAND, alpha=0.6, linewidth=0)
+            panel.hlines(b['mean'], b['from'], b['to'], color=RED if b['p_value'] < rate else BLUE, linewidth=2.0)
+        panel.ticklabel_format(axis='y', scilimits=(-3, 4), useMathText=True)
+        panel.yaxis.get_offset_text().set_fontsize(7)
+        for (words, unit), label in ((spelled(channel), panel.set_ylabel), (spelled(quantity), panel.set_xlabel)):
+            label(f'{words} [{unit}]' if unit else words, fontsize=8)
+        panel.tick_params(labelsize=7)
+    for panel in list(panels.flat)[len(pairs):]:
+        panel.axis('off')
+    return encoded(figure)
+
+
+def recurrent(report: Dict[str, Any]) -> Optional[Dict[str, Any]]:
+    """What comes back in flight after flight: table and picture of the strongest."""
+    all_bins = report.get('recurrent_residuals')
+    if not all_bins:
+        return None
+    bins, rate = all_bins['bins'], all_bins['false_alarm_rate']
+    found = sorted((b for b in bins if b['p_value'] < rate), key=lambda b: -b['share_of_error'])
+    said = (f'{len(found)} of {len(bins)} bins are off in the same direction on most flights' if found
+            else f'None of {len(bins)} bins is off in the same direction on most flights')
+    said += f' (by more than {100.0 * all_bins["least_share_of_error"]:.0f} % of the error; in {100.0 * rate:.3g} % of fleets ' \
+            'without any, one is named).'
+    if len(found) > MOST_ROWS:
+        said += f' The {MOST_ROWS} largest beside the error; fleet.json has all.'
+    pairs = list(dict.fromkeys((b['channel'], b['quantity']) for b in found))[:MOST_PANELS]
+    rows = [[spelled(b['channel'])[0], interval(b), f"{number(b['mean'], 3)} {spelled(b['channel'])[1]}",
+             number(b['sigma'], 2), f"{100.0 * b['share_of_error']:.0f} %", f"{b['same_sign']} of {b['flights']}", number(b['p_value'], 1)] for b in found[:MOST_ROWS]]
+    return {'said': said, 'rows': rows, 'picture': curves(report, pairs) if pairs else ''}
+
+
+def part_of(name: str, report: Dict[str, Any], verdicts: Dict[str, str],
+            reports: Optional[Dict[str, Dict[str, str]]] = None) -> Dict[str, Any]:
+    """One vehicle's section of the page. reports: by flight its own report's 'link', or the 'command' that makes one."""
+    reports = reports or {}
     force, torque = ratio(report, 'force_rmse_N'), ratio(report, 'torque_rmse_Nm')
     rows = []
     for flight in report['flights']:
         worst = max(flight['parameters'].items(), key=lambda item: abs(item[1]['z'] or 0.0))
-        rows.append([os.path.basename(flight['file']), number(flight['duration_s'], 3),
-                     axes(flight['own_fit']['force_rmse_N']), axes(flight['left_out']['force_rmse_N']),
-                     f"{worst[0]} {number(worst[1]['z'], 2)}", verdicts.get(flight['file'], '-')])
+        cells = [os.path.basename(flight['file']), number(flight['duration_s'], 3),
+                 axes(flight['own_fit']['force_rmse_N']), axes(flight['left_out']['force_rmse_N']),
+                 f"{worst[0]} {number(worst[1]['z'], 2)}", verdicts.get(flight['file'], '-')]
+        rows.append({'cells': cells, 'report': reports.get(flight['file'], {})})
+    how = '' if all('link' in r for r in reports.values()) and reports else HOW
     return {'name': name, 'flights': len(report['flights']),
             'hours': number(sum(f['duration_s'] for f in report['flights']) / 3600.0, 3),
             'ratio': {'force': force, 'torque': torque} if force else None, 'notes': notes(report),
             'parameters': [[n, number(p['value'], 5), number(p['sigma'], 3), number(p['scatter'], 3),
                             number(p['new_flight_sigma'], 3), p['unit']] for n, p in report['parameters'].items()],
-            'picture': picture(report), 'rows': rows}
+            'picture': picture(report), 'rows': rows, 'recurrent': recurrent(report), 'reports': bool(reports), 'how': how}
 
 
 def page(title: str, parts: List[Dict[str, Any]], failed: List[Dict[str, str]],

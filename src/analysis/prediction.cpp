@@ -61,6 +61,10 @@ PredictionSample PredictSample(const FilteredMotion& motion, const Vector3d& loa
   const FlightState flight = FlightStateOf(motion, load_pull_W, body);
   const Matrix3d& R_WB = flight.R_WB;
   const Vector3d& w_B = flight.w_WB_B;
+  out.height_m = flight.p_WB.z();
+  out.climb_m_s = (R_WB * flight.v_AB_B + body.wind_W).z();
+  out.v_AB_B = flight.v_AB_B;
+  out.w_WB_B = w_B;
   const Vector3d w_dot_B = body.R_BS * motion.w_dot_S;
   Vector3d F, tau;
   model.EvaluateWrench(flight, values, body.p_BBcm, &F, &tau);

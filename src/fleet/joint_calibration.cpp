@@ -107,13 +107,12 @@ void AddSharedDoubts(const FlightSource& source, const Vehicle& vehicle,
 /// A flight predicted with the vehicle's parameters at other values.
 PredictionFigures FiguresWith(const FleetFlight& flight, const Eigen::VectorXd& values,
                               const FlightSource& source, const Vehicle& file_vehicle,
-                              const Vehicle& vehicle) {
+                              const Vehicle& vehicle, const PredictionSink& predicted) {
   const ParameterSet others = With(flight.factor, values);
   Vehicle as_expected = vehicle;
   ApplyParameters(others, &as_expected);
   const DynamicModel model(as_expected, as_expected.effects);
-  return Evaluate(source(flight.file).log, file_vehicle, model, others,
-                  [](const PredictionSample&) {})
+  return Evaluate(source(flight.file).log, file_vehicle, model, others, predicted)
       .prediction.figures;
 }
 
@@ -149,6 +148,33 @@ void Combine(const JointOptions& given, FleetCalibration* fleet) {
   if (options.times.size() != factors.size()) options.times.clear();
   fleet->joint = EstimateJointly(factors, options);
   fleet->parameters = ToParameterSet(fleet->joint, factors);
+}
+
+/// Root mean square of what flights are predicted wrong by.
+ResidualChannels ErrorOf(const std::vector<const FleetFlight*>& flights) {
+  ResidualChannels squares = ResidualChannels::Zero();
+  for (const FleetFlight* flight : flights) {
+    const PredictionFigures& f = flight->left_out;
+    if (f.force_rmse_N) squares.head<3>() += f.force_rmse_N->cwiseAbs2();
+    if (f.torque_rmse_Nm) squares.tail<3>() += f.torque_rmse_Nm->cwiseAbs2();
+  }
+  return (squares / static_cast<double>(std::max<size_t>(1, flights.size()))).cwiseSqrt();
+}
+
+/// Of all flights but those that were another vehicle's, so to speak.
+std::vector<RecurrentResidual> RecurrentOf(const FleetCalibration& fleet) {
+  const std::vector<int> used = fleet.used();
+  std::vector<const FleetFlight*> flights;
+  for (size_t k = 0; k < used.size(); ++k) {
+    const auto& outliers = fleet.joint.outliers;
+    const bool is_outlier =
+        std::any_of(outliers.begin(), outliers.end(),
+                    [&](const OutlierFlight& o) { return o.flight == static_cast<int>(k); });
+    if (!is_outlier) flights.push_back(&fleet.flights[static_cast<size_t>(used[k])]);
+  }
+  std::vector<const FlightResiduals*> residuals;
+  for (const FleetFlight* flight : flights) residuals.push_back(&flight->residuals);
+  return FindRecurrentResiduals(residuals, ErrorOf(flights));
 }
 
 }  // namespace
@@ -217,6 +243,7 @@ FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const Fli
   std::map<std::string, const FleetFlight*> by_file;
   for (const FleetFlight& flight : known) by_file[flight.file] = &flight;
   FleetCalibration fleet;
+  fleet.false_alarm_rate = options.joint.false_alarm_rate;
   fleet.flights.resize(files.size());
   ForEachOf(static_cast<int>(files.size()), options.jobs,
             [&](int i) {
@@ -265,10 +292,13 @@ FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const Fli
             [&](int k) {
               FleetFlight& flight =
                   fleet.flights[static_cast<size_t>(used[static_cast<size_t>(k)])];
-              flight.left_out = FiguresWith(flight, expected[static_cast<size_t>(k)], source,
-                                            file_vehicle, vehicle);
+              const double weight_N = file_vehicle.mass_kg * file_vehicle.gravity_m_s2;
+              flight.left_out = FiguresWith(
+                  flight, expected[static_cast<size_t>(k)], source, file_vehicle, vehicle,
+                  [&](const PredictionSample& sample) { flight.residuals.Add(sample, weight_N); });
             },
             part(kShareOfPasses, 1.0));
+  fleet.recurrent = RecurrentOf(fleet);
   return fleet;
 }
 
@@ -286,7 +316,8 @@ std::vector<FleetFlight> PredictHeldOut(const std::vector<std::string>& files,
                                        options);
               if (!flight.failure.empty()) return;
               flight.left_out =
-                  FiguresWith(flight, fleet.joint.value, source, file_vehicle, vehicle);
+                  FiguresWith(flight, fleet.joint.value, source, file_vehicle, vehicle,
+                              [](const PredictionSample&) {});
             },
             progress);
   return flights;

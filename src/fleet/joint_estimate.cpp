@@ -22,6 +22,14 @@ double Widening(double freedom) {
   return boost::math::quantile(t, kThreeSigma) / 3.0;
 }
 
+/// Of a value that every flight has its own of, for the flight after `count` of them: of few flights
+/// the spread is not known well, nor is the mean.
+double SigmaOfNext(double count, double variance, double noise) {
+  if (count < 2.0) return std::sqrt(variance + noise);
+  const double spread = variance * count / (count - 1.0);
+  return Widening(count - 1.0) * std::sqrt((spread + noise) * (1.0 + 1.0 / count));
+}
+
 /// A finding with the parameter it is about.
 struct Found {
   int parameter = 0;
@@ -174,7 +182,7 @@ ParameterSet ToParameterSet(const JointEstimate& joint, const std::vector<Flight
     }
     const double mean = sum / count;
     p.value = mean;
-    p.sigma = std::sqrt(std::max(0.0, squares / count - mean * mean) + noise / count);
+    p.sigma = SigmaOfNext(count, std::max(0.0, squares / count - mean * mean), noise / count);
     p.scatter = 0.0;
     const auto i = static_cast<Index>(j);
     set.covariance(i, i) = p.sigma * p.sigma;

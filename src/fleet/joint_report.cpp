@@ -68,6 +68,58 @@ std::string Ratios(const std::vector<FleetFlight>& flights,
   return text;
 }
 
+Json RecurrentJson(const RecurrentResidual& r) {
+  return {{"channel", kResidualChannelNames[static_cast<size_t>(r.channel)]},
+          {"quantity", kResidualQuantityTable[static_cast<size_t>(r.quantity)].name},
+          {"from", Number(r.from)},
+          {"to", Number(r.to)},
+          {"mean", Number(r.mean)},
+          {"sigma", Number(r.sigma)},
+          {"scatter", Number(r.scatter)},
+          {"share_of_error", Number(r.share_of_error)},
+          {"flights", r.flights},
+          {"same_sign", r.same_sign},
+          {"p_value", Number(r.p_value)}};
+}
+
+/// All bins that were looked at, the least likely by chance first; null where there are none.
+Json RecurrentJson(const FleetCalibration& fleet) {
+  if (fleet.recurrent.empty()) return nullptr;
+  Json bins = Json::array();
+  for (const RecurrentResidual& r : fleet.recurrent) bins.push_back(RecurrentJson(r));
+  return {{"false_alarm_rate", Number(fleet.false_alarm_rate)},
+          {"least_share_of_error", kLeastResidualShare},
+          {"bins", bins}};
+}
+
+std::string RecurrentText(const RecurrentResidual& r) {
+  const std::string channel = kResidualChannelNames[static_cast<size_t>(r.channel)];
+  return "recurrent: " + channel + " off by " + Text(r.mean, "%.3g") + " +- " +
+         Text(r.sigma, "%.2g") + " where " +
+         kResidualQuantityTable[static_cast<size_t>(r.quantity)].name + " is " + Text(r.from) +
+         " to " + Text(r.to) + ", that sign in " + std::to_string(r.same_sign) + " of " +
+         std::to_string(r.flights) + " flights (p " + Text(r.p_value, "%.1g") + ")\n";
+}
+
+/// The largest of those that count.
+std::string RecurrentTable(const FleetCalibration& fleet) {
+  constexpr size_t kShown = 5;
+  std::vector<RecurrentResidual> found;
+  for (const RecurrentResidual& r : fleet.recurrent) {
+    if (r.p_value < fleet.false_alarm_rate) found.push_back(r);
+  }
+  std::stable_sort(found.begin(), found.end(), [](const auto& a, const auto& b) {
+    return a.share_of_error > b.share_of_error;
+  });
+  std::string text;
+  for (size_t k = 0; k < std::min(kShown, found.size()); ++k) text += RecurrentText(found[k]);
+  if (found.size() > kShown) {
+    text += "and " + std::to_string(found.size() - kShown) +
+            " more in report.json (recurrent_residuals)\n";
+  }
+  return text;
+}
+
 }  // namespace
 
 std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model) {
@@ -114,6 +166,7 @@ std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model
                                 {"sigma", Number(o.sigma)},
                                 {"p_value", Number(o.p_value)}});
   }
+  json["recurrent_residuals"] = RecurrentJson(fleet);
   json["flights"] = Json::array();
   for (size_t k = 0; k < used.size(); ++k) {
     const FleetFlight& flight = fleet.flights[static_cast<size_t>(used[k])];
@@ -180,6 +233,7 @@ std::string FleetTable(const FleetCalibration& fleet) {
     text += "  force " + Ratios(fleet.flights, &PredictionFigures::force_rmse_N) + "\n";
     text += "  torque" + Ratios(fleet.flights, &PredictionFigures::torque_rmse_Nm) + "\n";
   }
+  text += RecurrentTable(fleet);
   for (const FleetFlight& flight : fleet.flights) {
     if (!flight.failure.empty()) text += "not used: " + flight.failure + "\n";
   }

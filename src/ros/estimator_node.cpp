@@ -1,4 +1,3 @@
-#include "odmc/fleet/unlike_history.h"
 #include "odmc/ros/estimator_node.h"
 
 #include <diagnostic_msgs/DiagnosticArray.h>
@@ -253,6 +252,7 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
   diagnostics_publisher_ = node_.advertise<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10);
   image_publisher_ = node_.advertise<sensor_msgs::Image>("live_image", 1);
   tf_listener_ = std::make_unique<tf2_ros::TransformListener>(tf_buffer_);
+  if (setup_.history) history_watch_.emplace(*setup_.history);
   const std::optional<Actuator>& actuator = setup_.vehicle.actuator;
   if (actuator && actuator->knows_dynamics) {
     rotor_source_.emplace(*actuator, setup_.vehicle.num_rotors(), IntakeOf(setup_).from_commands);
@@ -398,6 +398,7 @@ EstimatorNode::Answer EstimatorNode::Reset() {
   MakeEstimator();
   acceptance_.Reset();
   last_.reset();
+  if (history_watch_) history_watch_->Reset();
   added_effects_.clear();
   update_ms_.clear();
   publish_ms_.clear();
@@ -753,6 +754,7 @@ void EstimatorNode::ForgetEstimate(const char* why) {
   starts_anew_ = estimator_->counters().starts_anew;
   if (last_) ROS_WARN("%s: what was learned before is forgotten", why);
   last_.reset();
+  if (history_watch_) history_watch_->Reset();
   look_back_.clear();
   RenewFindings();
   last_look_s_ = 0.0;
@@ -811,6 +813,10 @@ void EstimatorNode::OnSnapshot(Snapshot snapshot) {
   LookBack();
   WidenForDoubts(&snapshot);
   acceptance_.Update(*model_, snapshot, findings_);
+  if (history_watch_) {
+    unlike_history_ =
+        history_watch_->Look(snapshot.time_s, *model_, snapshot.values, snapshot.sigma);
+  }
   if (watch_) watch_->SetEstimate(model_, snapshot.values, estimator_->start());
   {
     const std::lock_guard<std::mutex> lock(status_mutex_);
@@ -1015,18 +1021,21 @@ void EstimatorNode::ShareStatus() {
   if (last_) ShareSnapshot(*last_, &s);
 }
 
+/// What earlier flights did not let expect.
+std::vector<std::string> EstimatorNode::UnlikeHistorySentences() const {
+  std::vector<std::string> sentences;
+  for (const UnlikeHistory& unlike : unlike_history_) {
+    const int k = last_model_->IndexOf(unlike.full_name);
+    if (k >= 0) sentences.push_back(unlike.Sentence(last_model_->parameters()[k].spec.unit));
+  }
+  return sentences;
+}
+
 void EstimatorNode::ShareSnapshot(const Snapshot& snapshot, NodeStatus* s) const {
   s->unphysical = UnphysicalValues(*last_model_, snapshot.values, snapshot.sigma);
   const std::string doubt = ThrustDoubt(*last_model_, snapshot.values);
   if (!doubt.empty()) s->unphysical.push_back(doubt);
-  s->unlike_history.clear();
-  if (setup_.history) {
-    for (const UnlikeHistory& unlike :
-         CompareWithHistory(*setup_.history, *last_model_, snapshot.values, snapshot.sigma)) {
-      const int k = last_model_->IndexOf(unlike.full_name);
-      s->unlike_history.push_back(unlike.Sentence(last_model_->parameters()[k].spec.unit));
-    }
-  }
+  s->unlike_history = UnlikeHistorySentences();
   s->unobservable = snapshot.unobservable;
   s->observable = snapshot.observable;
   s->time_s = snapshot.time_s;

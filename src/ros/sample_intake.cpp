@@ -11,6 +11,7 @@ constexpr double kHold_s = 60.0;     // of samples at most while standing still
 constexpr double kStepBack_s = 0.5;  // less is a late sample
 constexpr double kMoved_m = 0.1;     // so far with a twist of zeros: the source has no twist
 constexpr double kTurned_rad = 0.1;
+constexpr double kHover_s = 3.0;  // of flight that may tell the frame of the twist
 
 enum StreamIndex { kOdometry, kPose, kImu, kRotors, kJoints, kBattery, kCommands };
 
@@ -57,6 +58,7 @@ bool SampleIntake::Push(InputSample input) {
     ready_.clear();
   }
   if (phase_ == IntakePhase::kFlowing) {
+    if (const auto* odometry = std::get_if<OdometryInput>(&input)) FollowTwist(*odometry);
     Pass(input);
   } else {
     Observe(input);
@@ -125,6 +127,7 @@ void SampleIntake::ObserveOdometry(const OdometryInput& input) {
     child_frame_id_ = input.child_frame_id;
   }
   moved_m_ = std::max(moved_m_, (sample.p_WS - first_odometry_->p_WS).norm());
+  if (moved_m_ > kMoved_m && !moves_since_) moves_since_ = sample.stamp;
   turned_rad_ = std::max(turned_rad_, sample.q_WS.angularDistance(first_odometry_->q_WS));
   saw_linear_ = saw_linear_ || input.linear;
   saw_angular_ = saw_angular_ || sample.w_WS_S;
@@ -170,7 +173,23 @@ bool SampleIntake::TwistIsKnown() {
     phase_ = IntakePhase::kRefused;
     held_.clear();
   }
+  return KnowsFrame() || HoverTellsNoMore();
+}
+
+bool SampleIntake::KnowsFrame() const {
   return frame_ == TwistFrame::kBody || frame_ == TwistFrame::kWorld;
+}
+
+bool SampleIntake::HoverTellsNoMore() const {
+  return detector_.fits_both() && moves_since_ && ToSeconds(*last_[kOdometry] - *moves_since_) > kHover_s;
+}
+
+/// Where the flow began without the frame of the twist.
+void SampleIntake::FollowTwist(const OdometryInput& input) {
+  if (!has_linear_ || frame_ != TwistFrame::kUndecided || !input.linear) return;
+  detector_.AddSample(input.sample.stamp, input.sample.p_WS, input.sample.q_WS, *input.linear);
+  frame_ = detector_.decision().frame;
+  if (frame_ == TwistFrame::kNeither) phase_ = IntakePhase::kRefused;
 }
 
 std::string SampleIntake::WaitingFor() const {
@@ -209,7 +228,7 @@ void SampleIntake::Pass(const InputSample& input) {
   if (const auto* odometry = std::get_if<OdometryInput>(&input)) {
     if (odometry->is_pose != use_pose_) return;
     OdometrySample sample = odometry->sample;
-    if (odometry->linear && has_linear_) {
+    if (odometry->linear && has_linear_ && KnowsFrame()) {
       sample.v_WS = frame_ == TwistFrame::kWorld ? *odometry->linear
                                                  : Eigen::Vector3d(sample.q_WS * *odometry->linear);
     }

@@ -198,7 +198,8 @@ int main(int argc, char** argv) {
       ->type_name("a,b");
   app.add_option("--jobs", a.jobs, "flights at a time")->check(tools::Positive())->capture_default_str();
   app.add_option("--false-alarm-rate", a.false_alarm_rate,
-                 "share of fleets without any in which a step, a trend or an outlier is seen")
+                 "share of fleets without any in which a step, a trend or an outlier is seen; the same "
+                 "share of those without in which a recurrent residual is")
       ->check(CLI::Range(1e-9, 0.5))
       ->capture_default_str();
   app.add_flag("--no-left-out", a.no_left_out,

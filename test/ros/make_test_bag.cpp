@@ -2,6 +2,7 @@
 //
 //   make_test_bag OUT.bag SECONDS plain    topics as WriteFlightBag() writes them
 //   make_test_bag OUT.bag SECONDS frames   odometry thrice: /in_body, /in_world, /in_neither
+//   make_test_bag OUT.bag SECONDS hover    as plain, take-off to hover after 2 s
 //   make_test_bag OUT.bag SECONDS undeclared  as plain, with a quadratic drag no vehicle file has
 //   make_test_bag OUT.bag SECONDS commands     motor commands, no rotor speeds
 //   make_test_bag OUT.bag SECONDS late_rotors  an aggressive flight, rotor speeds stamped 40 ms late
@@ -146,11 +147,17 @@ void Run(const std::string& file, double duration_s, const std::string& kind) {
   SimulationOptions options;
   const bool late = kind == "late_rotors";
   if (undeclared || late) options.trajectory = "aggressive";
+  if (kind == "hover") {
+    options.trajectory = "hover";
+    options.ground_s = 2.0;
+  }
   options.duration_s = duration_s;
   options.log_rate_hz = 200.0;
   SimulatedFlight flight = Simulate(model, truth, options);
   if (late) ShiftRotors(-kLate_s, &flight.log);
-  Json json = {{"truth", ByName(model, truth)}, {"late_s", late ? kLate_s : 0.0}};
+  Json json = {{"truth", ByName(model, truth)},
+               {"effects", vehicle.effects},
+               {"late_s", late ? kLate_s : 0.0}};
   if (IsCommanded(kind)) json["dead_sensor"] = WithCommands(kind, &flight);
   if (kind == "frames") {
     WriteFlightBag(flight.log, file + ".plain");
@@ -170,7 +177,7 @@ int main(int argc, char** argv) {
   try {
     if (argc != 4)
       throw std::invalid_argument(
-          "usage: make_test_bag OUT.bag SECONDS plain|frames|undeclared|commands|"
+          "usage: make_test_bag OUT.bag SECONDS plain|hover|frames|undeclared|commands|"
           "late_rotors|dead_sensor");
     odmc::Run(argv[1], std::atof(argv[2]), argv[3]);
   } catch (const std::exception& e) {

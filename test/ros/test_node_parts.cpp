@@ -149,6 +149,37 @@ TEST_F(Intake, HoldsEverySampleUntilTheFrameIsKnown) {
   EXPECT_TRUE(std::holds_alternative<RotorSample>(samples.front())) << "rotors before odometry";
 }
 
+// Up and down a hand's breadth, where body and world have the same upward axis.
+TEST_F(Intake, LetsHoverFlowWithoutVelocityUntilItsFrameIsKnown) {
+  const auto hover = [this](double from_s, double to_s) {
+    for (double t = from_s; t < to_s - 1e-6; t += 0.01) {
+      nav_msgs::Odometry m = OdometryAt(t, 0.0, 0.0);
+      m.pose.pose.position.z = 1.0 - std::cos(t - 1.0);
+      m.twist.twist.linear.z = std::sin(t - 1.0);
+      intake_.Push(*ToInput(m));
+      intake_.Push(*ToInput(RotorsAt(t), 4));
+    }
+  };
+  const auto velocities = [this] {
+    long count = 0;
+    for (const Sample& sample : intake_.Take()) {
+      const auto* odometry = std::get_if<OdometrySample>(&sample);
+      count += odometry != nullptr && odometry->v_WS;
+    }
+    return count;
+  };
+  hover(1.0, 3.5);
+  EXPECT_FALSE(intake_.decided());
+  hover(3.5, 7.0);
+  ASSERT_TRUE(intake_.decided());
+  intake_.Release();
+  EXPECT_EQ(velocities(), 0);
+  EXPECT_EQ(intake_.phase(), IntakePhase::kFlowing);
+  Fly(7.0, 10.0, 1.0);
+  EXPECT_EQ(intake_.frame(), TwistFrame::kWorld);
+  EXPECT_GT(velocities(), 100);
+}
+
 TEST_F(Intake, TakesAMissingTwistForWhatItIs) {
   for (double t = 1.0; t < 4.0; t += 0.01) {
     nav_msgs::Odometry m = OdometryAt(t, t, 0.0);

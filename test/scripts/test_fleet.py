@@ -1,13 +1,16 @@
-"""scripts/fleet on small simulated fleets: joint result, resume, crashes, expectations, a Dask cluster."""
+"""scripts/fleet on small simulated fleets: joint result, reports, resume, crashes, expectations, a Dask cluster."""
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
 import unittest
+
+import yaml
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.realpath(__file__))))
 FLEET = os.path.join(ROOT, 'scripts', 'fleet')
@@ -35,6 +38,24 @@ def parameters(out):
         return file.read()
 
 
+def simulate(path, seed, *more):
+    """A flight of 8 s. @returns what is true of it."""
+    subprocess.run([os.path.join(TOOLS, 'simulate'), '--duration', '8', '--seed', str(seed), '--vehicle', VEHICLE, '--out',
+                    path, *more], check=True, stdout=subprocess.DEVNULL)
+    beside = path[:-len('.csv')] + '_truth'
+    with open(beside + '.yaml', encoding='utf-8') as file:
+        truth = yaml.safe_load(file)
+    os.remove(beside + '.yaml')
+    os.remove(beside + '.csv')
+    return truth
+
+
+def page_of(out):
+    """fleet.html."""
+    with open(os.path.join(out, 'fleet.html'), encoding='utf-8') as file:
+        return file.read()
+
+
 class FleetTest(unittest.TestCase):
     """Four flights of 8 s of one vehicle, and a file that is none."""
 
@@ -45,13 +66,7 @@ class FleetTest(unittest.TestCase):
         os.makedirs(os.path.join(cls.folder, 'day2'))
         for k in range(FLIGHTS):
             name = os.path.join('day2' if k == 3 else '', f'flight{k}.csv')
-            subprocess.run([os.path.join(TOOLS, 'simulate'), '--trajectory', 'octo', '--duration', '8', '--seed', str(k + 1),
-                            '--vehicle', VEHICLE, '--out', os.path.join(cls.folder, name)], check=True,
-                           stdout=subprocess.DEVNULL)
-        for base, _, names in os.walk(cls.folder):  # truth is no flight
-            for name in names:
-                if '_truth' in name:
-                    os.remove(os.path.join(base, name))
+            simulate(os.path.join(cls.folder, name), k + 1, '--trajectory', 'octo')
         with open(os.path.join(cls.folder, 'notes.csv'), 'w', encoding='utf-8') as file:
             file.write('wind,cloud\n3,4\n')
         cls.out = os.path.join(cls.base, 'out')
@@ -83,11 +98,67 @@ class FleetTest(unittest.TestCase):
         self.assertIn('column', row['why'])
 
     def test_the_page_holds_its_pictures(self):
-        with open(os.path.join(self.out, 'fleet.html'), encoding='utf-8') as file:
-            page = file.read()
+        page = page_of(self.out)
         self.assertIn('data:image/png;base64,', page)
         self.assertNotIn('http://', page)
         self.assertNotIn('https://', page)
+
+    def test_rows_say_how_to_get_a_report(self):
+        command = f"calibrate {os.path.join(self.folder, 'flight0.csv')} --vehicle {VEHICLE} --out flight0_report"
+        self.assertIn(command, page_of(self.out))
+
+    def test_reports_are_linked_kept_and_move_with_the_folder(self):
+        few = os.path.join(self.base, 'few')
+        os.makedirs(few)
+        for k in range(2):
+            shutil.copy(os.path.join(self.folder, f'flight{k}.csv'), few)
+        first = os.path.join(self.base, 'first')
+        status, _, err = fleet(few, first)
+        self.assertEqual(status, 0, err)
+        status, _, err = fleet(few, first, '--reports')
+        self.assertIn('2 flights, 2 to calibrate', err)
+        moved = os.path.join(self.base, 'moved')
+        os.rename(first, moved)
+        links = re.findall(r'<a href="([^"]*)">', page_of(moved))
+        self.assertEqual(len(set(links)), 2)
+        for link in links:
+            with open(os.path.join(moved, link), encoding='utf-8') as file:
+                self.assertIn('thrust.k_f', file.read())
+        os.remove(os.path.join(moved, links[0]))
+        _, _, err = fleet(few, moved, '--reports')
+        self.assertIn('2 flights, 1 to calibrate', err)
+        self.assertEqual(re.findall(r'<a href="([^"]*)">', page_of(moved)), links)
+        _, _, err = fleet(few, moved, '--reports')
+        self.assertIn('2 flights, 0 to calibrate', err)
+
+    def test_what_comes_back_in_every_flight_is_named(self):
+        folder, truth = os.path.join(self.base, 'dragged'), os.path.join(self.base, 'dragged_truth.yaml')
+        os.makedirs(folder)
+        true = simulate(os.path.join(self.base, 'plain.csv'), 1, '--trajectory', 'octo')
+        true['effects'].append('quadratic_drag')
+        true['parameters']['quadratic_drag.c_q'] = {'value': 0.05, 'state': 'frozen'}
+        with open(truth, 'w', encoding='utf-8') as file:
+            yaml.safe_dump(true, file)
+        for k in range(6):
+            simulate(os.path.join(folder, f'flight{k}.csv'), k + 1, '--trajectory', 'aggressive', '--parameters', truth)
+        out = os.path.join(self.base, 'recurrent')
+        status, text, err = fleet(folder, out)
+        self.assertEqual(status, 0, err)
+        self.assertIn('recurrent: force_', text)
+        with open(os.path.join(out, 'fleet.json'), encoding='utf-8') as file:
+            recurrent = json.load(file)['vehicles']['generic']['recurrent_residuals']
+        found = [b for b in recurrent['bins'] if b['p_value'] < recurrent['false_alarm_rate']]
+        self.assertGreater(len(found), 0)
+        for row in found:
+            self.assertEqual(row['same_sign'], row['flights'], row)
+        # The drag is quadratic, that of the model linear: forward at middle speed it holds back too much.
+        forward = [b for b in found if b['channel'] == 'force_x_N' and b['quantity'] == 'air_speed_x_m_s' and b['from'] == 2.0]
+        self.assertEqual(len(forward), 1, found)
+        self.assertGreater(forward[0]['mean'], 0.05)
+        page = page_of(out)
+        self.assertIn('flights with that sign', page)
+        self.assertIn('alt="recurrent residuals"', page)
+        self.assertIn('Not looked for', page_of(self.out))  # four flights are too few
 
     def test_a_second_run_does_only_what_is_new(self):
         out = os.path.join(self.base, 'again')
@@ -109,6 +180,24 @@ class FleetTest(unittest.TestCase):
         self.assertIn('5 to calibrate', err)
         _, _, err = fleet(self.folder, out)
         self.assertIn('5 to calibrate', err)
+
+    def test_another_build_is_another_calibration(self):
+        lib = os.path.join(self.base, 'lib')
+        tools = os.path.join(lib, 'odmc')
+        os.makedirs(tools)
+        with open(os.path.join(tools, 'calibrate'), 'w', encoding='utf-8') as file:
+            file.write(f'#!/bin/bash\nexec {TOOLS}/calibrate "$@"\n')
+        os.chmod(os.path.join(tools, 'calibrate'), 0o755)
+        few = os.path.join(self.base, 'day1')
+        os.makedirs(few)
+        shutil.copy(os.path.join(self.folder, 'flight0.csv'), few)
+        out = os.path.join(self.base, 'builds')
+        for content, expected in (('one', '1 to calibrate'), ('one', '0 to calibrate'), ('two', '1 to calibrate')):
+            with open(os.path.join(lib, 'libodmc_estimation.so'), 'w', encoding='utf-8') as file:
+                file.write(content)  # the tool itself stays as it is
+            status, _, err = fleet(few, out, tools=tools)
+            self.assertEqual(status, 0, err)
+            self.assertIn(expected, err)
 
     def test_a_flight_that_crashes_the_tool_is_tried_twice_and_costs_itself_only(self):
         tools = os.path.join(self.base, 'tools')

@@ -16,6 +16,8 @@ namespace odmc {
 struct PredictionSample {
   double t_s = 0.0;
   double speed_m_s = 0.0;
+  double height_m = 0.0, climb_m_s = 0.0;  ///< of Bo in W
+  Eigen::Vector3d v_AB_B, w_WB_B;  ///< relative to the air, angular velocity [m/s, rad/s]
   Eigen::Vector3d measured_force, predicted_force;                                ///< [N]
   Eigen::Vector3d measured_torque, predicted_torque;                              ///< [N m]
   Eigen::Vector3d measured_angular_acceleration, predicted_angular_acceleration;  ///< [rad/s²]

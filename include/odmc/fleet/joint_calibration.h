@@ -6,6 +6,7 @@
 
 #include "odmc/analysis/calibration.h"
 #include "odmc/fleet/joint_estimate.h"
+#include "odmc/fleet/recurrent_residuals.h"
 
 namespace odmc {
 
@@ -24,6 +25,7 @@ struct FleetFlight {
   FlightFactor factor;
   PredictionFigures own_fit;   ///< predicted with what the flight itself shows
   PredictionFigures left_out;  ///< and with what all others show; empty where there are none
+  FlightResiduals residuals;   ///< of that prediction
   int passes = 0;              ///< of the estimator
   /// What of it is no flight; not among what flight.json holds.
   std::vector<std::pair<Stamp, Stamp>> not_flown;
@@ -33,6 +35,10 @@ struct FleetCalibration {
   std::vector<FleetFlight> flights;  ///< in the order they were flown
   JointEstimate joint;               ///< of those used, see used()
   ParameterSet parameters;
+  /// What flights left out have in common that the model does not explain, outliers not counted;
+  /// empty where flights were not predicted. The least likely by chance first.
+  std::vector<RecurrentResidual> recurrent;
+  double false_alarm_rate = 0.0;  ///< below which a p-value counts
 
   /// Indices in `flights` of what the joint estimate's flights are.
   std::vector<int> used() const;

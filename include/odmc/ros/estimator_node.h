@@ -30,6 +30,7 @@
 #include "odmc/attribution/residual_watch.h"
 #include "odmc/estimator/acceptance.h"
 #include "odmc/estimator/estimator.h"
+#include "odmc/fleet/unlike_history.h"
 #include "odmc/inspection/live_mender.h"
 #include "odmc/inspection/stream_watch.h"
 #include "odmc/ros/live_image.h"
@@ -172,6 +173,7 @@ class EstimatorNode {
   std::string Interruption();
   std::string MissingStream() const;
   void ShareSnapshot(const Snapshot& snapshot, NodeStatus* status) const;
+  std::vector<std::string> UnlikeHistorySentences() const;
   RotorStatus RotorsNow() const;
   std::string TwistText() const;
   void Finish();
@@ -229,6 +231,8 @@ class EstimatorNode {
   bool stopped_by_clock_ = false, ignores_imu_ = false, frozen_ = false;
   std::optional<Snapshot> last_;
   std::shared_ptr<const DynamicModel> last_model_;  // of last_
+  std::optional<HistoryWatch> history_watch_;       // where a fleet's flights were before
+  std::vector<UnlikeHistory> unlike_history_;
   std::string added_effects_;
   bool last_is_published_ = false;
   std::string phase_;      // as published last

@@ -34,6 +34,8 @@ enum class IntakePhase {
 ///  - whether the odometry has velocity and body rates at all (some sources leave zeros),
 ///  - in which frame the velocity is (twist_frame.h).
 /// Standing still says nothing about twist; samples then wait, the newest hold_s seconds of them.
+/// Nor does hover: three seconds after the vehicle has begun to move they flow without a velocity,
+/// which comes with the samples after those that tell its frame.
 /// Also sees the clock step back. Thread-compatible.
 class SampleIntake {
  public:
@@ -84,6 +86,9 @@ class SampleIntake {
   void ObserveOdometry(const OdometryInput& input);
   void Decide();
   bool TwistIsKnown();
+  bool HoverTellsNoMore() const;
+  bool KnowsFrame() const;
+  void FollowTwist(const OdometryInput& input);
   void Forget();
   void Pass(const InputSample& input);
 
@@ -102,6 +107,7 @@ class SampleIntake {
   bool has_nonzero_linear_ = false, has_nonzero_angular_ = false;
   bool saw_linear_ = false, saw_angular_ = false;
   double moved_m_ = 0.0, turned_rad_ = 0.0;
+  std::optional<Stamp> moves_since_;
 
   // What was decided.
   bool use_pose_ = false, use_joints_ = false, rms_only_ = false;

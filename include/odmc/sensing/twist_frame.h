@@ -42,6 +42,8 @@ class TwistFrameDetector {
 
   const TwistFrameDecision& decision() const { return decision_; }
   bool decided() const { return decision_.frame != TwistFrame::kUndecided; }
+  /// The twist goes with the motion so far in either frame, as it does on the way up to hover.
+  bool fits_both() const;
 
  private:
   struct Sample {
