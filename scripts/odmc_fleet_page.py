@@ -37,6 +37,17 @@ those of each flight's own fit: force {{ part.ratio.force }}, torque {{ part.rat
 <img alt="parameters over flights" src="data:image/png;base64,{{ part.picture }}">
 <p class="quiet">Points: each flight's own estimate with one sigma. Line: what all flights together say of it. Band: three
 standard deviations between flights.</p>
+{% if part.loop %}<h3>What the model lacks: {{ part.loop.verdict }}</h3>
+{% if part.loop.rows %}<table><tr><th>effect</th><th>gain [nats]</th><th>flights for it</th><th>against</th><th>not told from</th></tr>
+{% for row in part.loop.rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</table>
+<table><tr><th>coefficient</th><th>value</th><th>sigma</th><th>between flights</th><th>flights within two sigma</th><th>unit</th></tr>
+{% for row in part.loop.coefficients %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</table>
+<img alt="coefficients over flights" src="data:image/png;base64,{{ part.loop.picture }}">
+<p class="quiet">Points: what each flight says of the coefficient, the others where all flights have them, with one sigma. Line and
+band: what all together say, with one sigma.</p>{% endif %}
+{% for table in part.loop.errors %}<table><tr><th>{{ table.name }}</th><th>before x y z</th><th>after x y z</th><th>after/before</th></tr>
+{% for row in table.rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</table>{% endfor %}
+{% for text in part.loop.warnings %}<p class="quiet">{{ text }}</p>{% endfor %}{% endif %}
 <h3>Recurrent residuals</h3>
 {% if part.recurrent is none %}<p class="quiet">Not looked for: flights were not predicted by the others' parameters, or fewer
 than five have been anywhere together.</p>
@@ -206,6 +217,57 @@ def recurrent(report: Dict[str, Any]) -> Optional[Dict[str, Any]]:
     return {'said': said, 'rows': rows, 'picture': curves(report, pairs) if pairs else ''}
 
 
+def coefficients(loop: Dict[str, Any]) -> str:
+    """Coefficients of the named effects over flights, as a PNG in base64."""
+    chosen = [(name, spread) for effect in loop['effects'] for name, spread in effect['between_flights'].items()]
+    rows = (len(chosen) + 1) // 2
+    figure, panels = pyplot.subplots(rows, 2, figsize=(11.0, 2.1 * rows + 0.3), squeeze=False, layout='constrained')
+    for panel, (name, spread) in zip(panels.flat, chosen):
+        value, sigma = (np.array([f[key] if f[key] is not None else np.nan for f in spread['by_flight']], dtype=float)
+                        for key in ('value', 'sigma'))
+        at = np.arange(len(value))
+        panel.axhspan(spread['mean'] - spread['sigma'], spread['mean'] + spread['sigma'], color=BAND, alpha=0.6)
+        panel.axhline(spread['mean'], color=BLUE, linewidth=1.2)
+        panel.axhline(0.0, color=GREY, linewidth=0.7)
+        panel.errorbar(at, value, sigma, fmt='.', color=GREY, elinewidth=0.7, markersize=5)
+        panel.set_title(f"{name} [{spread['unit']}]", fontsize=9, loc='left')
+        panel.set_xlabel('flight', fontsize=8)
+        panel.tick_params(labelsize=7)
+    for panel in list(panels.flat)[len(chosen):]:
+        panel.axis('off')
+    return encoded(figure)
+
+
+def errors_table(name: str, flights: List[Dict[str, Any]]) -> Optional[Dict[str, Any]]:
+    """Errors before and after, root mean square over flights."""
+    rows = []
+    for label, before, after in (('force [N]', 'force_rmse_before_N', 'force_rmse_after_N'),
+                                 ('torque [N m]', 'torque_rmse_before_Nm', 'torque_rmse_after_Nm')):
+        pairs = [(f[before], f[after]) for f in flights if f.get(before) and f.get(after)]
+        if not pairs:
+            continue
+        one, other = (np.sqrt(np.mean(np.square([p[k] for p in pairs]), axis=0)) for k in (0, 1))
+        rows.append([label, axes(list(one)), axes(list(other)), ' '.join(f'{b / a:.2f}' if a > 0 else '-' for a, b in zip(one, other))])
+    return {'name': name, 'rows': rows} if rows else None
+
+
+def loop_of(report: Dict[str, Any]) -> Optional[Dict[str, Any]]:
+    """What `close_loop FLIGHT...` found, if the report is its."""
+    loop = report.get('close_loop')
+    if loop is None:
+        return None
+    tables = [errors_table('each flight by the parameters of all others', loop['left_out_in_turn']),
+              errors_table('flights held out', loop['held_out'])]
+    return {'verdict': loop['verdict'],
+            'rows': [[e['name'], number(e['score'], 4), e['flights_for'], e['flights_against'], ', '.join(e['alternatives']) or '-']
+                     for e in loop['effects']],
+            'coefficients': [[name, number(s['mean'], 5), number(s['sigma'], 3), number(s['scatter'], 2),
+                              f"{s['flights_within_2_sigma']} of {len(s['by_flight'])}", s['unit']]
+                             for e in loop['effects'] for name, s in e['between_flights'].items()],
+            'picture': coefficients(loop) if any(e['between_flights'] for e in loop['effects']) else '',
+            'errors': [t for t in tables if t], 'warnings': loop['warnings']}
+
+
 def part_of(name: str, report: Dict[str, Any], verdicts: Dict[str, str],
             reports: Optional[Dict[str, Dict[str, str]]] = None) -> Dict[str, Any]:
     """One vehicle's section of the page. reports: by flight its own report's 'link', or the 'command' that makes one."""
@@ -224,7 +286,8 @@ def part_of(name: str, report: Dict[str, Any], verdicts: Dict[str, str],
             'ratio': {'force': force, 'torque': torque} if force else None, 'notes': notes(report),
             'parameters': [[n, number(p['value'], 5), number(p['sigma'], 3), number(p['scatter'], 3),
                             number(p['new_flight_sigma'], 3), p['unit']] for n, p in report['parameters'].items()],
-            'picture': picture(report), 'rows': rows, 'recurrent': recurrent(report), 'reports': bool(reports), 'how': how}
+            'picture': picture(report), 'rows': rows, 'recurrent': recurrent(report), 'loop': loop_of(report),
+            'reports': bool(reports), 'how': how}
 
 
 def page(title: str, parts: List[Dict[str, Any]], failed: List[Dict[str, str]],
