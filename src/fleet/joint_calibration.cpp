@@ -4,6 +4,7 @@
 #include <cmath>
 #include <map>
 #include <numeric>
+#include <optional>
 #include <stdexcept>
 
 #include "odmc/analysis/parallel.h"
@@ -58,6 +59,48 @@ bool IsFar(const FlightFactor& factor, const Eigen::VectorXd& at, double share) 
   return false;
 }
 
+/// The flight with every other reading of the rotor speeds; empty where that leaves gaps.
+std::optional<FlightLog> WithSparseRotors(const FlightLog& log, const EstimatorOptions& options) {
+  const auto n = static_cast<double>(log.rotors.size());
+  if (n < 3.0) return std::nullopt;
+  const double span_s = ToSeconds(log.rotors.back().stamp - log.rotors.front().stamp);
+  if (2.0 * span_s / (n - 1.0) > 0.9 * options.max_gap_s) return std::nullopt;
+  FlightLog sparse = log;
+  sparse.rotors.clear();
+  for (size_t i = 0; i < log.rotors.size(); i += 2) sparse.rotors.push_back(log.rotors[i]);
+  return sparse;
+}
+
+/// By how much a flight's estimate is off, error by error: those of the streams, of the step between
+/// keyframes, and of the rotor speeds between their readings.
+std::vector<Eigen::VectorXd> ErrorsOf(const InspectedFlight& flight, const DynamicModel& model,
+                                      const EstimatorOptions& options) {
+  const auto values_at = [&](const FlightLog& log, double rate_hz) -> std::optional<ModelValues> {
+    EstimatorOptions at_rate = options;
+    at_rate.keyframe_rate_hz = rate_hz;
+    Estimator estimator(&model, at_rate, !log.rotor_rms_only);
+    const std::optional<Snapshot> last = Replay(log, &estimator).last;
+    if (!last) return std::nullopt;
+    return last->values;
+  };
+  const auto with = values_at(flight.log, options.keyframe_rate_hz);
+  if (!with) return {};
+  std::vector<Eigen::VectorXd> errors =
+      ChangesWithout(flight.inspection.doubts, flight.log, 0, model, options, &*with);
+  // The error of a step goes with its square: of half the step a quarter is left.
+  if (const auto finer = values_at(flight.log, 2.0 * options.keyframe_rate_hz)) {
+    errors.emplace_back(4.0 / 3.0 * (*finer - *with));
+  }
+  // Where speeds are rough (commands answer noise), the error of the lines between readings goes
+  // with their distance: twice that adds as much again. Smooth ones would have a third of it.
+  const std::optional<FlightLog> sparse = WithSparseRotors(flight.log, options);
+  if (!sparse) return errors;
+  if (const auto coarser = values_at(*sparse, options.keyframe_rate_hz)) {
+    errors.emplace_back(*coarser - *with);
+  }
+  return errors;
+}
+
 /// What may be wrong with the streams of all flights alike (the delay of a sensor, the scale of a
 /// speed, the step between keyframes) does not average out. Its size is taken from a few flights,
 /// spread over the history.
@@ -71,23 +114,9 @@ void AddSharedDoubts(const FlightSource& source, const Vehicle& vehicle,
   ForEachOf(looks, options.jobs, [&](int k) {
     const auto at = static_cast<size_t>(k) * used.size() / static_cast<size_t>(looks);
     const FleetFlight& flight = fleet->flights[static_cast<size_t>(used[at])];
-    const InspectedFlight inspected = source(flight.file);
-    for (const Eigen::VectorXd& change :
-         ChangesWithout(inspected.inspection.doubts, inspected.log, 0, model, options.estimator)) {
-      squares[static_cast<size_t>(k)] += change * change.transpose();
+    for (const Eigen::VectorXd& error : ErrorsOf(source(flight.file), model, options.estimator)) {
+      squares[static_cast<size_t>(k)] += error * error.transpose();
     }
-    // The error of a step goes with its square: of half the step a quarter is left.
-    const auto values_at = [&](double rate_hz) {
-      EstimatorOptions at_rate = options.estimator;
-      at_rate.keyframe_rate_hz = rate_hz;
-      Estimator estimator(&model, at_rate, !inspected.log.rotor_rms_only);
-      return Replay(inspected.log, &estimator).last;
-    };
-    const double rate_hz = options.estimator.keyframe_rate_hz;
-    const auto with = values_at(rate_hz), finer = values_at(2.0 * rate_hz);
-    if (!with || !finer) return;
-    const Eigen::VectorXd change = 4.0 / 3.0 * (finer->values - with->values);
-    squares[static_cast<size_t>(k)] += change * change.transpose();
   });
   Eigen::MatrixXd mean = Eigen::MatrixXd::Zero(n, n);
   for (const Eigen::MatrixXd& of : squares) mean += of / static_cast<double>(looks);
