@@ -5,6 +5,7 @@
 #include <map>
 #include <numeric>
 #include <optional>
+#include <set>
 #include <stdexcept>
 
 #include "odmc/analysis/parallel.h"
@@ -71,34 +72,73 @@ std::optional<FlightLog> WithSparseRotors(const FlightLog& log, const EstimatorO
   return sparse;
 }
 
+std::optional<ModelValues> ValuesOf(const FlightLog& log, const DynamicModel& model,
+                                    const EstimatorOptions& options) {
+  Estimator estimator(&model, options, !log.rotor_rms_only);
+  const std::optional<Snapshot> last = Replay(log, &estimator).last;
+  if (!last) return std::nullopt;
+  return last->values;
+}
+
+/// What the lines between readings of the rotor speeds may have done to an estimate. Where speeds
+/// are rough (commands answer noise) the error goes with the distance of readings: twice that adds
+/// as much again. Smooth ones would have a third of it.
+std::optional<Eigen::VectorXd> ErrorOfRotorReadings(const FlightLog& log, const ModelValues& with,
+                                                    const DynamicModel& model,
+                                                    const EstimatorOptions& options) {
+  const std::optional<FlightLog> sparse = WithSparseRotors(log, options);
+  if (!sparse) return std::nullopt;
+  const auto coarser = ValuesOf(*sparse, model, options);
+  if (!coarser) return std::nullopt;
+  return Eigen::VectorXd(*coarser - with);
+}
+
 /// By how much a flight's estimate is off, error by error: those of the streams, of the step between
 /// keyframes, and of the rotor speeds between their readings.
 std::vector<Eigen::VectorXd> ErrorsOf(const InspectedFlight& flight, const DynamicModel& model,
                                       const EstimatorOptions& options) {
-  const auto values_at = [&](const FlightLog& log, double rate_hz) -> std::optional<ModelValues> {
-    EstimatorOptions at_rate = options;
-    at_rate.keyframe_rate_hz = rate_hz;
-    Estimator estimator(&model, at_rate, !log.rotor_rms_only);
-    const std::optional<Snapshot> last = Replay(log, &estimator).last;
-    if (!last) return std::nullopt;
-    return last->values;
-  };
-  const auto with = values_at(flight.log, options.keyframe_rate_hz);
+  const auto with = ValuesOf(flight.log, model, options);
   if (!with) return {};
   std::vector<Eigen::VectorXd> errors =
       ChangesWithout(flight.inspection.doubts, flight.log, 0, model, options, &*with);
   // The error of a step goes with its square: of half the step a quarter is left.
-  if (const auto finer = values_at(flight.log, 2.0 * options.keyframe_rate_hz)) {
-    errors.emplace_back(4.0 / 3.0 * (*finer - *with));
+  EstimatorOptions finer = options;
+  finer.keyframe_rate_hz *= 2.0;
+  if (const auto at_half = ValuesOf(flight.log, model, finer)) {
+    errors.emplace_back(4.0 / 3.0 * (*at_half - *with));
   }
-  // Where speeds are rough (commands answer noise), the error of the lines between readings goes
-  // with their distance: twice that adds as much again. Smooth ones would have a third of it.
-  const std::optional<FlightLog> sparse = WithSparseRotors(flight.log, options);
-  if (!sparse) return errors;
-  if (const auto coarser = values_at(*sparse, options.keyframe_rate_hz)) {
-    errors.emplace_back(*coarser - *with);
+  if (const auto error = ErrorOfRotorReadings(flight.log, *with, model, options)) {
+    errors.push_back(*error);
   }
   return errors;
+}
+
+/// Before a flight is named for what it says, what its rotor readings may have done to it counts.
+/// @returns whether any flight was named
+bool WidenOutliers(const FlightSource& source, const Vehicle& vehicle,
+                   const JointCalibrationOptions& options, FleetCalibration* fleet) {
+  const std::vector<int> used = fleet->used();
+  std::set<int> named;
+  for (const OutlierFlight& outlier : fleet->joint.outliers) {
+    named.insert(used[static_cast<size_t>(outlier.flight)]);
+  }
+  const std::vector<int> flights(named.begin(), named.end());
+  const DynamicModel model(vehicle, vehicle.effects);
+  ForEachOf(static_cast<int>(flights.size()), options.jobs, [&](int k) {
+    FleetFlight& flight = fleet->flights[static_cast<size_t>(flights[static_cast<size_t>(k)])];
+    FlightFactor& factor = flight.factor;
+    const FlightLog log = source(flight.file).log;
+    const auto with = ValuesOf(log, model, options.estimator);
+    if (!with) return;
+    const auto error = ErrorOfRotorReadings(log, *with, model, options.estimator);
+    if (!error) return;
+    Eigen::VectorXd shared(factor.size());
+    for (int i = 0; i < factor.size(); ++i) {
+      shared[i] = (*error)[model.IndexOf(factor.names[static_cast<size_t>(i)])];
+    }
+    AddError(shared, &factor);
+  });
+  return !flights.empty();
 }
 
 /// What may be wrong with the streams of all flights alike (the delay of a sensor, the scale of a
@@ -113,8 +153,8 @@ void AddSharedDoubts(const FlightSource& source, const Vehicle& vehicle,
   std::vector<Eigen::MatrixXd> squares(static_cast<size_t>(looks), Eigen::MatrixXd::Zero(n, n));
   ForEachOf(looks, options.jobs, [&](int k) {
     const auto at = static_cast<size_t>(k) * used.size() / static_cast<size_t>(looks);
-    const FleetFlight& flight = fleet->flights[static_cast<size_t>(used[at])];
-    for (const Eigen::VectorXd& error : ErrorsOf(source(flight.file), model, options.estimator)) {
+    const std::string& file = fleet->flights[static_cast<size_t>(used[at])].file;
+    for (const Eigen::VectorXd& error : ErrorsOf(source(file), model, options.estimator)) {
       squares[static_cast<size_t>(k)] += error * error.transpose();
     }
   });
@@ -269,6 +309,7 @@ FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const Fli
     Combine(options.joint, &fleet);
   }
 
+  if (WidenOutliers(source, vehicle, options, &fleet)) Combine(options.joint, &fleet);
   AddSharedDoubts(source, vehicle, options, &fleet);
 
   const std::vector<int> used = fleet.used();

@@ -37,6 +37,11 @@ void SetLikelihood(const Eigen::VectorXd& value, const Eigen::MatrixXd& covarian
                    const Eigen::VectorXd& inflation, const Eigen::VectorXd& prior_value,
                    const Eigen::VectorXd& prior_sigma, FlightFactor* factor);
 
+/// Lets the flight's estimate be off by an error of this size, of either sign: the covariance of its
+/// likelihood grows by the error's square, the centre stays.
+/// @param error n×1, in units of the parameters
+void AddError(const Eigen::VectorXd& error, FlightFactor* factor);
+
 /// True if a parameter is the flight's, not the vehicle's: the direction of gravity, wind, the
 /// state a load starts in.
 bool BelongsToFlight(const DynamicModel& model, const ModelParameter& parameter);
