@@ -1,5 +1,6 @@
 #include "odmc/fleet/flight_factor.h"
 
+#include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <Eigen/QR>
 #include <algorithm>
@@ -43,6 +44,25 @@ void SetLikelihood(const Eigen::VectorXd& value, const Eigen::MatrixXd& covarian
   factor->sigma = covariance.diagonal().cwiseSqrt().cwiseProduct(inflation);
   factor->prior_value = prior_value;
   factor->prior_sigma = prior_sigma;
+}
+
+// root x - rhs is noise of covariance 1 + root e eᵀ rootᵀ then; it is whitened anew.
+void AddError(const Eigen::VectorXd& error, FlightFactor* factor) {
+  const Eigen::Index n = factor->size();
+  const Eigen::VectorXd seen = factor->root * error;
+  const Eigen::LLT<Eigen::MatrixXd> llt(Eigen::MatrixXd::Identity(n, n) + seen * seen.transpose());
+  llt.matrixL().solveInPlace(factor->root);
+  llt.matrixL().solveInPlace(factor->rhs);
+  const Eigen::HouseholderQR<Eigen::MatrixXd> qr(factor->root);
+  factor->rhs = qr.householderQ().transpose() * factor->rhs;
+  factor->root = qr.matrixQR().triangularView<Eigen::Upper>();
+  factor->sigma = (factor->sigma.cwiseAbs2() + error.cwiseAbs2()).cwiseSqrt();
+}
+
+  for (int i = 0; i < model.num_effects(); ++i) {
+    if (model.effect(i).name() == parameter.effect) return model.effect(i).belongs_to_flight();
+  }
+  return false;
 }
 
 FlightFactor FactorOf(const DynamicModel& model, const ParameterSet& estimate,

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <map>
 #include <numeric>
+#include <optional>
+#include <set>
 #include <stdexcept>
 
 #include "odmc/analysis/parallel.h"
@@ -59,6 +61,87 @@ bool IsFar(const FlightFactor& factor, const Eigen::VectorXd& at, double share) 
   return false;
 }
 
+/// The flight with every other reading of the rotor speeds; empty where that leaves gaps.
+std::optional<FlightLog> WithSparseRotors(const FlightLog& log, const EstimatorOptions& options) {
+  const auto n = static_cast<double>(log.rotors.size());
+  if (n < 3.0) return std::nullopt;
+  const double span_s = ToSeconds(log.rotors.back().stamp - log.rotors.front().stamp);
+  if (2.0 * span_s / (n - 1.0) > 0.9 * options.max_gap_s) return std::nullopt;
+  FlightLog sparse = log;
+  sparse.rotors.clear();
+  for (size_t i = 0; i < log.rotors.size(); i += 2) sparse.rotors.push_back(log.rotors[i]);
+  return sparse;
+}
+
+std::optional<ModelValues> ValuesOf(const FlightLog& log, const DynamicModel& model,
+                                    const EstimatorOptions& options) {
+  Estimator estimator(&model, options, !log.rotor_rms_only);
+  const std::optional<Snapshot> last = Replay(log, &estimator).last;
+  if (!last) return std::nullopt;
+  return last->values;
+}
+
+/// What the lines between readings of the rotor speeds may have done to an estimate. Where speeds
+/// are rough (commands answer noise) the error goes with the distance of readings: twice that adds
+/// as much again. Smooth ones would have a third of it.
+std::optional<Eigen::VectorXd> ErrorOfRotorReadings(const FlightLog& log, const ModelValues& with,
+                                                    const DynamicModel& model,
+                                                    const EstimatorOptions& options) {
+  const std::optional<FlightLog> sparse = WithSparseRotors(log, options);
+  if (!sparse) return std::nullopt;
+  const auto coarser = ValuesOf(*sparse, model, options);
+  if (!coarser) return std::nullopt;
+  return Eigen::VectorXd(*coarser - with);
+}
+
+/// By how much a flight's estimate is off, error by error: those of the streams, of the step between
+/// keyframes, and of the rotor speeds between their readings.
+std::vector<Eigen::VectorXd> ErrorsOf(const InspectedFlight& flight, const DynamicModel& model,
+                                      const EstimatorOptions& options) {
+  const auto with = ValuesOf(flight.log, model, options);
+  if (!with) return {};
+  std::vector<Eigen::VectorXd> errors =
+      ChangesWithout(flight.inspection.doubts, flight.log, 0, model, options, &*with);
+  // The error of a step goes with its square: of half the step a quarter is left.
+  EstimatorOptions finer = options;
+  finer.keyframe_rate_hz *= 2.0;
+  if (const auto at_half = ValuesOf(flight.log, model, finer)) {
+    errors.emplace_back(4.0 / 3.0 * (*at_half - *with));
+  }
+  if (const auto error = ErrorOfRotorReadings(flight.log, *with, model, options)) {
+    errors.push_back(*error);
+  }
+  return errors;
+}
+
+/// Before a flight is named for what it says, what its rotor readings may have done to it counts.
+/// @returns whether any flight was named
+bool WidenOutliers(const FlightSource& source, const Vehicle& vehicle,
+                   const JointCalibrationOptions& options, FleetCalibration* fleet) {
+  const std::vector<int> used = fleet->used();
+  std::set<int> named;
+  for (const OutlierFlight& outlier : fleet->joint.outliers) {
+    named.insert(used[static_cast<size_t>(outlier.flight)]);
+  }
+  const std::vector<int> flights(named.begin(), named.end());
+  const DynamicModel model(vehicle, vehicle.effects);
+  ForEachOf(static_cast<int>(flights.size()), options.jobs, [&](int k) {
+    FleetFlight& flight = fleet->flights[static_cast<size_t>(flights[static_cast<size_t>(k)])];
+    FlightFactor& factor = flight.factor;
+    const FlightLog log = source(flight.file).log;
+    const auto with = ValuesOf(log, model, options.estimator);
+    if (!with) return;
+    const auto error = ErrorOfRotorReadings(log, *with, model, options.estimator);
+    if (!error) return;
+    Eigen::VectorXd shared(factor.size());
+    for (int i = 0; i < factor.size(); ++i) {
+      shared[i] = (*error)[model.IndexOf(factor.names[static_cast<size_t>(i)])];
+    }
+    AddError(shared, &factor);
+  });
+  return !flights.empty();
+}
+
 /// What may be wrong with the streams of all flights alike (the delay of a sensor, the scale of a
 /// speed, the step between keyframes) does not average out. Its size is taken from a few flights,
 /// spread over the history.
@@ -71,24 +154,10 @@ void AddSharedDoubts(const FlightSource& source, const Vehicle& vehicle,
   std::vector<Eigen::MatrixXd> squares(static_cast<size_t>(looks), Eigen::MatrixXd::Zero(n, n));
   ForEachOf(looks, options.jobs, [&](int k) {
     const auto at = static_cast<size_t>(k) * used.size() / static_cast<size_t>(looks);
-    const FleetFlight& flight = fleet->flights[static_cast<size_t>(used[at])];
-    const InspectedFlight inspected = source(flight.file);
-    for (const Eigen::VectorXd& change :
-         ChangesWithout(inspected.inspection.doubts, inspected.log, 0, model, options.estimator)) {
-      squares[static_cast<size_t>(k)] += change * change.transpose();
+    const std::string& file = fleet->flights[static_cast<size_t>(used[at])].file;
+    for (const Eigen::VectorXd& error : ErrorsOf(source(file), model, options.estimator)) {
+      squares[static_cast<size_t>(k)] += error * error.transpose();
     }
-    // The error of a step goes with its square: of half the step a quarter is left.
-    const auto values_at = [&](double rate_hz) {
-      EstimatorOptions at_rate = options.estimator;
-      at_rate.keyframe_rate_hz = rate_hz;
-      Estimator estimator(&model, at_rate, !inspected.log.rotor_rms_only);
-      return Replay(inspected.log, &estimator).last;
-    };
-    const double rate_hz = options.estimator.keyframe_rate_hz;
-    const auto with = values_at(rate_hz), finer = values_at(2.0 * rate_hz);
-    if (!with || !finer) return;
-    const Eigen::VectorXd change = 4.0 / 3.0 * (finer->values - with->values);
-    squares[static_cast<size_t>(k)] += change * change.transpose();
   });
   Eigen::MatrixXd mean = Eigen::MatrixXd::Zero(n, n);
   for (const Eigen::MatrixXd& of : squares) mean += of / static_cast<double>(looks);
@@ -282,6 +351,7 @@ FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const Fli
     Combine(options.joint, &fleet);
   }
 
+  if (WidenOutliers(source, vehicle, options, &fleet)) Combine(options.joint, &fleet);
   AddSharedDoubts(source, vehicle, options, &fleet);
 
   const std::vector<int> used = fleet.used();

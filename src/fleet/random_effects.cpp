@@ -54,6 +54,15 @@ std::vector<Scaled> Scale(const std::vector<FlightFactor>& factors, const FleetM
   return all;
 }
 
+/// W D, where D is the identity beside the columns of changes.
+MatrixXd TimesDesign(const MatrixXd& weight, const MatrixXd& design) {
+  const Index n = design.rows(), changes = design.cols() - n;
+  MatrixXd seen(n, design.cols());
+  seen.leftCols(n) = weight;
+  if (changes > 0) seen.rightCols(changes).noalias() = weight * design.rightCols(changes);
+  return seen;
+}
+
 /// All of one evaluation at given variances.
 struct Evaluation {
   VectorXd beta;
@@ -84,8 +93,13 @@ Evaluation Evaluate(const std::vector<Scaled>& flights, const VectorXd& variance
     e.weight.push_back(R.transpose() * R);
     weighted.push_back(R.transpose() * both.col(n));
     squares.push_back(both.col(n).squaredNorm());
-    information.noalias() += f.design.transpose() * e.weight.back() * f.design;
-    b.noalias() += f.design.transpose() * weighted.back();
+    const MatrixXd seen = TimesDesign(e.weight.back(), f.design);
+    information.topRows(n) += seen;
+    b.head(n) += weighted.back();
+    if (q == n) continue;
+    const auto changes = f.design.rightCols(q - n).transpose();
+    information.bottomRows(q - n).noalias() += changes * seen;
+    b.tail(q - n).noalias() += changes * weighted.back();
   }
   const Eigen::LLT<MatrixXd> llt(information);
   e.beta = llt.solve(b);
@@ -109,7 +123,7 @@ struct Balance {
 Balance BalanceOf(const std::vector<Scaled>& flights, const Evaluation& e, Index n) {
   Balance balance = {VectorXd::Zero(n), VectorXd::Zero(n)};
   for (size_t i = 0; i < flights.size(); ++i) {
-    const MatrixXd seen = e.weight[i] * flights[i].design;
+    const MatrixXd seen = TimesDesign(e.weight[i], flights[i].design);
     const MatrixXd spread = seen * e.covariance;
     for (Index k = 0; k < n; ++k) {
       if (flights[i].own_variance[k] > 0.0) continue;

@@ -182,6 +182,36 @@ class Examination {
     return FitColumns(DesignOf(findings), variance);
   }
 
+  /// By how many of its sigmas each outlier or step would be off if it were added at the present
+  /// scatter: a regression of the residuals on what the column has beside those there are
+  /// (Frisch, Waugh and Lovell). A column is one flight or all from one on: sums from the end.
+  std::vector<double> SigmasOf(const std::vector<HistoryFinding>& candidates,
+                               const std::vector<HistoryFinding>& found,
+                               const Fitted& present) const {
+    const Eigen::MatrixXd X = DesignOf(found);
+    const Eigen::VectorXd w = (noise_.array() + present.variance).inverse();
+    const Eigen::MatrixXd WX = w.asDiagonal() * X;
+    const Eigen::VectorXd Wr = w.cwiseProduct(y_ - X * present.beta);
+    const Eigen::LDLT<Eigen::MatrixXd> ldlt(X.transpose() * WX);
+    const Eigen::Index q = X.cols();
+    Eigen::MatrixXd since = Eigen::MatrixXd::Zero(size() + 1, q + 2);  // sums of [WX, w, Wr]
+    for (int i = size() - 1; i >= 0; --i) {
+      since.row(i) << WX.row(i), w[i], Wr[i];
+      since.row(i) += since.row(i + 1);
+    }
+    std::vector<double> sigmas;
+    for (const HistoryFinding& candidate : candidates) {
+      const auto i = std::lower_bound(used_.begin(), used_.end(), candidate.flight) - used_.begin();
+      Eigen::RowVectorXd sum = since.row(i);
+      if (candidate.kind == Kind::kOutlier) sum -= since.row(i + 1);
+      const Eigen::VectorXd shared = sum.head(q).transpose();
+      const double information = sum[q] - shared.dot(ldlt.solve(shared));
+      sigmas.push_back(information > 1e-12 * sum[q] ? std::abs(sum[q + 1]) / std::sqrt(information)
+                                                    : 0.0);
+    }
+    return sigmas;
+  }
+
   /// What is worth a closer look, by kind: those that gain most at the present scatter.
   std::vector<std::vector<HistoryFinding>> Candidates(const std::vector<HistoryFinding>& found,
                                                       const Fitted& present) const {
@@ -200,14 +230,9 @@ class Examination {
     if (!known(Kind::kTrend, 0) && size() >= 5) kinds[2].push_back({Kind::kTrend, 0});
     for (std::vector<HistoryFinding>& kind : kinds) {
       if (static_cast<int>(kind.size()) <= kRefitted) continue;
+      const std::vector<double> sigmas = SigmasOf(kind, found, present);
       std::vector<std::pair<double, size_t>> gains;
-      for (size_t k = 0; k < kind.size(); ++k) {
-        std::vector<HistoryFinding> with = found;
-        with.push_back(kind[k]);
-        const Fitted fit = Fit(with, present.variance);
-        const Eigen::Index last = fit.beta.size() - 1;
-        gains.emplace_back(-std::abs(fit.beta[last] / fit.sigma[last]), k);
-      }
+      for (size_t k = 0; k < kind.size(); ++k) gains.emplace_back(-sigmas[k], k);
       std::sort(gains.begin(), gains.end());
       std::vector<HistoryFinding> best;
       for (int k = 0; k < kRefitted; ++k) best.push_back(kind[gains[static_cast<size_t>(k)].second]);

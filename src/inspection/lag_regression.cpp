@@ -417,7 +417,9 @@ Lag Regression::Judge(double lag_s) const {
   const double all = (weights_.transpose() * Without().residual.cwiseAbs2()).sum();
   const double left = (weights_.transpose() * here.residual.cwiseAbs2()).sum();
   lag.explained = all > 0.0 ? 1.0 - left / all : 0.0;
-  const MatrixXd uncured = AtLag(0.0).residual;
+  const Fit none = AtLag(0.0);
+  lag.over_none = OverItsError(here.nats - none.nats);
+  const MatrixXd& uncured = none.residual;
   const double before_all = (weights_.transpose() * uncured.cwiseAbs2()).sum();
   lag.cured = before_all > 0.0 ? 1.0 - left / before_all : 0.0;
   if (order_ == 0) {

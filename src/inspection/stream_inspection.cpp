@@ -55,7 +55,12 @@ bool IsWrong(const TimeOffset& offset) {
   const bool is_long = size_s > kLaterThanFilters_s && offset.stream != "accelerometer";
   const double sigmas = is_long ? kSigmasOfLongOnes : kSigmas;
   if (size_s < sigmas * lag.sigma_s()) return false;
-  if (offset.stream == "rotor_speeds") return size_s > kLeastRotorOffset_s;
+  if (offset.stream == "rotor_speeds") {
+    // Where answers of the controller are most of what the flight shows, their lag may be found in
+    // place of the stamps', 45 ms off. There the stamps as they are must explain less.
+    const bool explains_more = lag.sigma_s() < kWellKnown_s || lag.over_none >= kLeastContrast;
+    return size_s > kLeastRotorOffset_s && explains_more;
+  }
   return size_s > kLeastFilterOffset_s && lag.cured > MustCure(offset.stream);
 }
 

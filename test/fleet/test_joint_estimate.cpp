@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Cholesky>
+#include <Eigen/LU>
 #include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
@@ -85,6 +86,20 @@ std::vector<FlightFactor> Fleet(int flights, const VectorXd& scatter, double gai
     factors.push_back(FactorOfFlight(Fly(x, 60, gain, random)));
   }
   return factors;
+}
+
+TEST(FlightFactor, AnErrorAddsItsSquareToTheCovarianceAndLeavesTheCentre) {
+  Random random(5);
+  FlightFactor factor = FactorOfFlight(Fly(PriorValue(), 40, 1.0, &random));
+  const auto covariance = [&] {
+    return MatrixXd((factor.root.transpose() * factor.root).inverse());
+  };
+  const MatrixXd before = covariance();
+  const VectorXd centre = factor.root.inverse() * factor.rhs, error = 0.3 * random.Vector(kParameters);
+  AddError(error, &factor);
+  EXPECT_LT((covariance() - before - error * error.transpose()).norm(), 1e-9 * before.norm());
+  EXPECT_LT((factor.root.inverse() * factor.rhs - centre).norm(), 1e-9 * centre.norm());
+  EXPECT_TRUE(factor.root.isUpperTriangular());
 }
 
 TEST(FlightFactor, ManyAreOneLongRecording) {

@@ -40,6 +40,8 @@ struct Lag {
   /// By how many standard errors (over blocks of time) the best lag explains more than the best one
   /// elsewhere, and than no such stream at all: the smaller of both.
   double contrast = 0.0;
+  /// By how many it explains more than no lag, the stamps as they are.
+  double over_none = 0.0;
   int blocks = 0;
   Eigen::MatrixXd gain;       ///< k×c: of the moving channels at the best lag
   Eigen::MatrixXd band_gain;  ///< the same of 3 to 20 Hz; empty without memory
