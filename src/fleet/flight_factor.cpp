@@ -59,12 +59,6 @@ void AddError(const Eigen::VectorXd& error, FlightFactor* factor) {
   factor->sigma = (factor->sigma.cwiseAbs2() + error.cwiseAbs2()).cwiseSqrt();
 }
 
-  for (int i = 0; i < model.num_effects(); ++i) {
-    if (model.effect(i).name() == parameter.effect) return model.effect(i).belongs_to_flight();
-  }
-  return false;
-}
-
 FlightFactor FactorOf(const DynamicModel& model, const ParameterSet& estimate,
                       const Eigen::VectorXd& inflation, const std::vector<std::string>& own) {
   const auto is_own = [&](const ModelParameter& p) {
