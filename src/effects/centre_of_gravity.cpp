@@ -15,6 +15,7 @@ class CentreOfGravity final : public Effect {
                {Axis("x", vehicle), Axis("y", vehicle), Axis("z", vehicle)}) {}
 
   bool adds_wrench() const override { return false; }
+  bool changes_between_flights() const override { return true; }
   BodyPropertyRows shaped_rows() const override { return {kRowCom, 3}; }
 
  private:

@@ -17,6 +17,7 @@ class Thrust final : public Effect {
                {Coefficient(vehicle)}) {}
 
   /// No candidate: it is the base of every model.
+  bool changes_between_flights() const override { return true; }
   std::vector<EffectTrial> Trials(const FlownRange&, bool) const override { return {}; }
 
  private:
