@@ -88,6 +88,10 @@ class Effect {
   /// Its internal state, where it is a pendulum: indices in parameters().
   virtual std::optional<PendulumParameters> pendulum() const { return std::nullopt; }
 
+  /// What to fly so that a flight shows own parameter `k`, after "fly": "forward and back at several
+  /// speeds".
+  virtual std::string manoeuvre(size_t k) const;
+
   // What test flights with it need (simulate_undeclared). By default: sizes and signs at random
   // about the priors' sigmas.
 
