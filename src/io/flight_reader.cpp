@@ -57,6 +57,7 @@ FlightReaders FlightReaders::Core() {
   FlightReaders readers;
   readers.Add(CsvReader());
   readers.Add({"a blackbox log (.bfl, .bbl)", {".bfl", ".bbl"}, IsBlackbox, false, ReadBlackbox});
+  readers.Add({"a PX4 log (.ulg)", {".ulg"}, IsULog, false, ReadULog});
   return readers;
 }
 

@@ -190,6 +190,9 @@ void FinishLog(const std::string& file, const RateHints& hints, FlightLog* log) 
   if (!log->rotors.empty()) {
     RefuseSlow(file, "rotor speeds", RateOf(log->rotors), kLeastRotorRate_hz, hints.rotors);
   }
+  if (log->rotors.empty()) {
+    RefuseSlow(file, "commands", RateOf(log->commands), kLeastRotorRate_hz, hints.rotors);
+  }
   const double imu_rate = RateOf(log->imu);
   Describe(log);
   if (!log->imu.empty() && imu_rate < 0.95 * kLeastImuRate_hz) {

@@ -25,4 +25,10 @@ namespace odmc {
 FlightLog ReadBlackbox(const std::string& file, const FlightReadOptions& options);
 bool IsBlackbox(std::string_view head);
 
+/// PX4's log (.ulg): vehicle_odometry, or vehicle_local_position with vehicle_attitude;
+/// sensor_combined, or vehicle_angular_velocity and vehicle_acceleration; esc_status;
+/// actuator_motors or actuator_outputs; battery_status.
+FlightLog ReadULog(const std::string& file, const FlightReadOptions& options);
+bool IsULog(std::string_view head);
+
 }  // namespace odmc
