@@ -119,25 +119,15 @@ Decoded DecodeLongest(const std::string& file, std::string_view bytes, int num_r
   return std::move(*longest);
 }
 
-void ReportDamage(const std::string& file, const BlackboxFrames& frames, size_t bytes,
-                  FlightLog* log) {
-  const std::string place = "byte " + std::to_string(frames.first_damaged);
+void Report(const std::string& file, const BlackboxFrames& frames, size_t bytes, FlightLog* log) {
   if (frames.stamps.size() < 2) {
     Fail(file, "blackbox log: no frame can be decoded after the header" +
-                   (frames.damaged > 0 ? " (damaged from " + place + " on)" : std::string()));
+                   (frames.damaged > 0 ? " (damaged from byte " +
+                                             std::to_string(frames.first_damaged) + " on)"
+                                       : std::string()));
   }
-  if (2 * frames.skipped_bytes > bytes) {
-    Fail(file, "blackbox log: most of it cannot be decoded, first at " + place);
-  }
-  if (frames.damaged > 0) {
-    log->dropped += frames.damaged;
-    log->warnings.push_back(log->file + ": damaged at " + std::to_string(frames.damaged) +
-                            " places, first at " + place + "; " +
-                            std::to_string(frames.skipped_bytes) + " bytes skipped");
-  }
-  if (frames.is_cut_off) {
-    log->warnings.push_back(log->file + ": has no end of log: switched off or cut while writing");
-  }
+  ReportDamage(file, {frames.damaged, frames.first_damaged, frames.skipped_bytes,
+                      frames.is_cut_off}, bytes, log);
 }
 
 void ReadPoses(const std::string& file, const Decoded& decoded, FlightLog* log) {
@@ -264,7 +254,7 @@ FlightLog ReadBlackbox(const std::string& file, const FlightReadOptions& options
   FlightLog log;
   log.file = Printable(std::filesystem::path(file).filename().string());
   const Decoded decoded = DecodeLongest(file, bytes, options.num_rotors, &log);
-  ReportDamage(file, decoded.frames, bytes.size(), &log);
+  Report(file, decoded.frames, bytes.size(), &log);
   ReadPoses(file, decoded, &log);
   ReadImu(decoded, &log);
   ReadCommands(file, decoded, options.num_rotors, &log);

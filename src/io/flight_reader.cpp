@@ -58,6 +58,7 @@ FlightReaders FlightReaders::Core() {
   readers.Add(CsvReader());
   readers.Add({"a blackbox log (.bfl, .bbl)", {".bfl", ".bbl"}, IsBlackbox, false, ReadBlackbox});
   readers.Add({"a PX4 log (.ulg)", {".ulg"}, IsULog, false, ReadULog});
+  readers.Add({"an ArduPilot log (.bin)", {".bin"}, IsDataflash, true, ReadDataflash});
   return readers;
 }
 

@@ -146,6 +146,16 @@ double UsualRate(std::vector<Stamp> stamps) {
   return *middle > 0 ? 1.0 / ToSeconds(*middle) : 0.0;
 }
 
+void RotorReadings::Add(Stamp stamp, double speed) {
+  if (IsLoneLeap(stamps, stamp)) {
+    stamps.pop_back();
+    speeds.pop_back();
+  }
+  if (!std::isfinite(speed) || (!stamps.empty() && stamp <= stamps.back())) return;
+  stamps.push_back(stamp);
+  speeds.push_back(speed);
+}
+
 std::vector<RotorSample> OnOneClock(const std::vector<RotorReadings>& rotors) {
   std::vector<RotorSample> samples;
   if (rotors.empty()) return samples;
@@ -168,6 +178,68 @@ std::vector<RotorSample> OnOneClock(const std::vector<RotorReadings>& rotors) {
     if (has_all) samples.push_back(sample);
   }
   return samples;
+}
+
+namespace {
+
+/// Finite ones that step forward in time, without single ones that leapt ahead.
+std::vector<AttitudeReading> Forward(const std::vector<AttitudeReading>& all) {
+  std::vector<AttitudeReading> kept;
+  std::vector<Stamp> stamps;
+  for (const AttitudeReading& reading : all) {
+    if (IsLoneLeap(stamps, reading.stamp)) {
+      stamps.pop_back();
+      kept.pop_back();
+    }
+    const bool steps = stamps.empty() || reading.stamp > stamps.back();
+    if (!steps || !reading.q_WS.coeffs().allFinite()) continue;
+    stamps.push_back(reading.stamp);
+    kept.push_back(reading);
+  }
+  return kept;
+}
+
+}  // namespace
+
+void JoinAttitudes(const std::vector<AttitudeReading>& readings,
+                   std::vector<OdometrySample>* positions, FlightLog* log) {
+  KeepForward(log->file + ": pose", positions, log);
+  const std::vector<AttitudeReading> attitudes = Forward(readings);
+  constexpr double kLongest_s = 0.2;
+  std::vector<OdometrySample> kept;
+  size_t next = 0;
+  for (OdometrySample& sample : *positions) {
+    while (next < attitudes.size() && attitudes[next].stamp < sample.stamp) ++next;
+    if (next == attitudes.size()) break;
+    const AttitudeReading& after = attitudes[next];
+    if (after.stamp == sample.stamp) {
+      sample.q_WS = after.q_WS;
+      kept.push_back(sample);
+      continue;
+    }
+    if (next == 0 || ToSeconds(after.stamp - attitudes[next - 1].stamp) > kLongest_s) continue;
+    const AttitudeReading& before = attitudes[next - 1];
+    const double share = static_cast<double>(sample.stamp - before.stamp) /
+                         static_cast<double>(after.stamp - before.stamp);
+    sample.q_WS = before.q_WS.slerp(share, after.q_WS);
+    kept.push_back(sample);
+  }
+  *positions = std::move(kept);
+}
+
+void ReportDamage(const std::string& file, const DecodingDamage& damage, size_t bytes,
+                  FlightLog* log) {
+  const std::string place = "byte " + std::to_string(damage.first);
+  if (2 * damage.skipped > bytes) {
+    throw std::invalid_argument(file + ": most of it cannot be decoded, first at " + place);
+  }
+  if (damage.places > 0) {
+    log->dropped += damage.places;
+    log->warnings.push_back(log->file + ": damaged at " + std::to_string(damage.places) +
+                            (damage.places == 1 ? " place" : " places, first") + " at " + place +
+                            "; " + std::to_string(damage.skipped) + " bytes skipped");
+  }
+  if (damage.is_cut_off) log->warnings.push_back(log->file + ": ends within a record: cut off");
 }
 
 void FinishLog(const std::string& file, const RateHints& hints, FlightLog* log) {

@@ -31,12 +31,40 @@ Eigen::Quaterniond EnuFromNed(const Eigen::Quaterniond& q);
 struct RotorReadings {
   std::vector<Stamp> stamps;  ///< strictly increasing
   std::vector<double> speeds;
+
+  /// Adds a finite reading that steps forward in time; takes the last one back where its stamp alone
+  /// leapt ahead.
+  void Add(Stamp stamp, double speed);
 };
 
 /// Readings of ESCs that answer one after the other, as samples at the first rotor's stamps: the
 /// others' speeds are linear between their neighbours there; nothing where one of them is silent
 /// for more than four of its usual intervals.
 std::vector<RotorSample> OnOneClock(const std::vector<RotorReadings>& rotors);
+
+/// Attitude of the sensor in a log's world, in our frames.
+struct AttitudeReading {
+  Stamp stamp = 0;
+  Eigen::Quaterniond q_WS = Eigen::Quaterniond::Identity();
+};
+
+/// Gives positions the attitude of their stamps, turned between the readings around them; drops
+/// those without readings within 0.2 s, and what does not step forward in time (counted in `log`).
+void JoinAttitudes(const std::vector<AttitudeReading>& readings,
+                   std::vector<OdometrySample>* positions, FlightLog* log);
+
+/// How well a log's bytes could be decoded.
+struct DecodingDamage {
+  long places = 0;        ///< where decoding had to start anew
+  size_t first = 0;       ///< byte of the first one
+  size_t skipped = 0;     ///< bytes
+  bool is_cut_off = false;
+};
+
+/// Tells the user in the log's warnings.
+/// @throws std::invalid_argument where most of the `bytes` could not be decoded
+void ReportDamage(const std::string& file, const DecodingDamage& damage, size_t bytes,
+                  FlightLog* log);
 
 /// Lines for the user that say what to set where a stream is too slow.
 struct RateHints {

@@ -104,25 +104,23 @@ std::vector<OdometrySample> FromOdometry(const MessageColumns& table) {
 
 /// Poses of vehicle_local_position, with the attitude turned to their stamps.
 std::vector<OdometrySample> FromPositionAndAttitude(const MessageColumns& positions,
-                                                    const MessageColumns& attitudes) {
+                                                    const MessageColumns& attitudes,
+                                                    FlightLog* log) {
   const FieldGroup p(positions, kOldPosition), v(positions, kOldVelocity), q(attitudes, kQuaternion);
   std::vector<OdometrySample> samples;
+  std::vector<AttitudeReading> turns;
   if (!p.present() || !q.present()) return samples;
-  size_t next = 0;
+  for (size_t i = 0; i < attitudes.size(); ++i) {
+    turns.push_back({SampleStamp(attitudes, i), EnuFromNed(Quaternion(q, i))});
+  }
   for (size_t i = 0; i < positions.size(); ++i) {
     OdometrySample sample;
     sample.stamp = SampleStamp(positions, i);
-    while (next < attitudes.size() && SampleStamp(attitudes, next) < sample.stamp) ++next;
-    if (next == 0 || next == attitudes.size()) continue;
-    const Stamp before = SampleStamp(attitudes, next - 1), after = SampleStamp(attitudes, next);
-    if (ToSeconds(after - before) > 0.2) continue;
-    const double share = static_cast<double>(sample.stamp - before) /
-                         static_cast<double>(std::max<Stamp>(1, after - before));
-    sample.q_WS = EnuFromNed(Quaternion(q, next - 1).slerp(share, Quaternion(q, next)));
     sample.p_WS = EnuFromNed(p.Vector(i));
     if (v.present() && v.Vector(i).allFinite()) sample.v_WS = EnuFromNed(v.Vector(i));
     samples.push_back(sample);
   }
+  JoinAttitudes(turns, &samples, log);
   return samples;
 }
 
@@ -142,7 +140,7 @@ void ReadPoses(const std::string& file, const ULogContent& log_file, FlightLog* 
   std::vector<OdometrySample> joined;
   if (odometry != nullptr) log->odometry = FromOdometry(*odometry);
   if (positions != nullptr && attitudes != nullptr) {
-    joined = FromPositionAndAttitude(*positions, *attitudes);
+    joined = FromPositionAndAttitude(*positions, *attitudes, log);
   }
   if (log->odometry.empty() || RateOf(log->odometry) < kAsFast * RateOf(joined)) {
     if (!joined.empty()) log->odometry = std::move(joined);
@@ -203,6 +201,16 @@ void ReadImu(const ULogContent& log_file, FlightLog* log) {
   }
 }
 
+/// The usual value of a column.
+double Median(std::vector<double> values) {
+  values.erase(std::remove_if(values.begin(), values.end(), [](double v) { return std::isnan(v); }),
+               values.end());
+  if (values.empty()) return 0.0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
 /// Which entries of esc_status are the motors 1, 2, ...: by their function where the log says it,
 /// else as they come.
 std::vector<int> MotorOrder(const MessageColumns& table, int num_rotors) {
@@ -212,7 +220,7 @@ std::vector<int> MotorOrder(const MessageColumns& table, int num_rotors) {
     const std::string field = "esc[" + std::to_string(i) + "].actuator_function";
     if (i < num_rotors) plain.push_back(i);
     if (!table.Has(field)) continue;
-    const int motor = static_cast<int>(table.At(field, table.size() - 1)) - kMotor1;
+    const int motor = static_cast<int>(Median(table.values.at(field))) - kMotor1;
     if (motor < 0 || motor >= num_rotors || order[static_cast<size_t>(motor)] >= 0) continue;
     order[static_cast<size_t>(motor)] = i;
     ++found;
@@ -231,10 +239,7 @@ RotorReadings ReadingsOf(const MessageColumns& table, int esc, double scale) {
         std::abs(1e3 * table.At(own_stamp, i) - static_cast<double>(stamp)) < 1e9) {
       stamp = 1000 * static_cast<Stamp>(table.At(own_stamp, i));
     }
-    const double rpm = table.At(speed, i);
-    if (!std::isfinite(rpm) || (!readings.stamps.empty() && stamp <= readings.stamps.back())) continue;
-    readings.stamps.push_back(stamp);
-    readings.speeds.push_back(scale * rpm);
+    readings.Add(stamp, scale * table.At(speed, i));
   }
   return readings;
 }
@@ -255,7 +260,7 @@ void ReadRotors(const std::string& file, const ULogContent& log_file,
                 const FlightReadOptions& options, FlightLog* log) {
   const MessageColumns* table = log_file.Find("esc_status");
   if (table == nullptr) return;
-  const double count = table->Has("esc_count") ? table->At("esc_count", table->size() - 1) : 0.0;
+  const double count = table->Has("esc_count") ? Median(table->values.at("esc_count")) : 0.0;
   if (count > 0.0 && static_cast<int>(count) != options.num_rotors) {
     Fail(file, "esc_status has " + std::to_string(static_cast<int>(count)) +
                    " ESCs, the vehicle has " + std::to_string(options.num_rotors) + " rotors");
@@ -273,13 +278,6 @@ void ReadRotors(const std::string& file, const ULogContent& log_file,
   if (log->rotors.empty() && rate > 0.0) {
     Fail(file, "esc_status: the ESCs never answer within four readings of each other");
   }
-}
-
-/// The usual value of a column.
-double Median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 void AddCommands(const MessageColumns& table, const FieldGroup& fields, int num_rotors,
@@ -324,20 +322,9 @@ void ReadBattery(const ULogContent& log_file, FlightLog* log) {
 }
 
 void Report(const std::string& file, const ULogContent& log_file, size_t bytes, FlightLog* log) {
-  const std::string place = "byte " + std::to_string(log_file.first_damaged);
-  if (2 * log_file.skipped_bytes > bytes) {
-    Fail(file, "ULog: most of it cannot be decoded, first at " + place);
-  }
+  ReportDamage(file, {log_file.damaged, log_file.first_damaged, log_file.skipped_bytes,
+                      log_file.is_cut_off}, bytes, log);
   if (log_file.topic_names.empty()) Fail(file, "ULog: holds no topic: cut off or damaged");
-  if (log_file.damaged > 0) {
-    log->dropped += log_file.damaged;
-    log->warnings.push_back(log->file + ": damaged at " + std::to_string(log_file.damaged) +
-                            " places, first at " + place + "; " +
-                            std::to_string(log_file.skipped_bytes) + " bytes skipped");
-  }
-  if (log_file.is_cut_off) {
-    log->warnings.push_back(log->file + ": ends within a message: cut off while writing");
-  }
   if (log_file.lost_s > 0.0) {
     char text[80];
     std::snprintf(text, sizeof text, ": the logger lost %.2f s (a slow SD card)", log_file.lost_s);

@@ -31,7 +31,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr char kExitStatus[] = "Exit status: 0 success, 1 bad input, 2 usage.";
-constexpr char kLogEndings[] = ".bfl, .bbl, .ulg";
+constexpr char kLogEndings[] = ".bfl, .bbl, .ulg, .bin";
 constexpr char kPython[] = "/usr/bin/python3";
 
 std::string OneLine(std::string text) {

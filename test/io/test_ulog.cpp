@@ -296,7 +296,7 @@ TEST_F(ULog, GarbageInTheMiddleIsSkippedAndCounted) {
   std::string damaged = whole.substr(0, middle) + std::string(5000, '\xff') + whole.substr(middle);
   const FlightLog log = Read(damaged);
   EXPECT_GE(log.odometry.size(), 195u);
-  EXPECT_TRUE(Contains(log.warnings[0], "damaged at 1 places, first at byte")) << log.warnings[0];
+  EXPECT_TRUE(Contains(log.warnings[0], "damaged at 1 place at byte")) << log.warnings[0];
 }
 
 }  // namespace

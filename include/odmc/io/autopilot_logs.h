@@ -31,4 +31,9 @@ bool IsBlackbox(std::string_view head);
 FlightLog ReadULog(const std::string& file, const FlightReadOptions& options);
 bool IsULog(std::string_view head);
 
+/// ArduPilot's dataflash log (.bin): XKF1 (NKF1) or POS; XKQ (NKQ), ATT or AHR2; IMU; ESC; RCOU; BAT.
+/// Of several filters, IMUs and batteries the first is read.
+FlightLog ReadDataflash(const std::string& file, const FlightReadOptions& options);
+bool IsDataflash(std::string_view head);
+
 }  // namespace odmc
