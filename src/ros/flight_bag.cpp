@@ -10,7 +10,6 @@
 #include <std_msgs/Int64.h>
 
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 #include <filesystem>
 #include <functional>
@@ -707,12 +706,6 @@ void WriteFlight(const FlightLog& log, rosbag::Bag* bag) {
   writer.WriteAll();
 }
 
-std::string LowerEnding(const std::string& file) {
-  std::string ending = std::filesystem::path(file).extension().string();
-  for (char& c : ending) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-  return ending;
-}
-
 }  // namespace
 
 FlightLog ReadFlightBag(const std::string& file, int num_rotors, const BagOptions& options) {
@@ -724,12 +717,19 @@ FlightLog ReadActuatorBag(const std::string& file, const BagOptions& options) {
                      [&](BagSource* bag) { return ReadOpenActuatorBag(bag, options); });
 }
 
+FlightReaders AllFlightReaders(const BagOptions& options) {
+  FlightReaders readers = FlightReaders::Core();
+  readers.Add({"a rosbag (.bag)", {".bag"},
+               [](std::string_view head) { return head.substr(0, 9) == "#ROSBAG V"; }, false,
+               [options](const std::string& file, const FlightReadOptions& read) {
+                 return ReadBag(file, read.num_rotors, read.pose, options);
+               }});
+  return readers;
+}
+
 FlightLog ReadFlight(const std::string& file, int num_rotors, PoseSource pose,
                      const BagOptions& options) {
-  const std::string ending = LowerEnding(file);
-  if (ending == ".csv") return ReadFlightCsv(file, num_rotors, pose);
-  if (ending == ".bag") return ReadBag(file, num_rotors, pose, options);
-  Fail(file, "a flight is a .bag or .csv file");
+  return AllFlightReaders(options).Read(file, {num_rotors, pose, std::nullopt});
 }
 
 void WriteFlightBag(const FlightLog& log, const std::string& file) {

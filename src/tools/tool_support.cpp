@@ -31,6 +31,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr char kExitStatus[] = "Exit status: 0 success, 1 bad input, 2 usage.";
+constexpr char kLogEndings[] = ".bfl, .bbl, .ulg, .bin";
 constexpr char kPython[] = "/usr/bin/python3";
 
 std::string OneLine(std::string text) {
@@ -198,14 +199,16 @@ std::function<void(double)> ProgressBar::Callback() {
 }
 
 void FlightArguments::AddTo(CLI::App* app, bool required) {
-  app->add_option("FLIGHT", file, "recorded flight: a rosbag (.bag) or a CSV file (.csv)")
+  app->add_option("FLIGHT", file, "recorded flight: a rosbag (.bag), a CSV file (.csv) or an autopilot's log (" +
+                     std::string(kLogEndings) + ")")
       ->required(required);
   AddReadingTo(app);
 }
 
 void FlightArguments::AddSeveralTo(CLI::App* app) {
   app->add_option("FLIGHT", several,
-                  "recorded flights: rosbags (.bag), CSV files (.csv), folders of them, patterns "
+                  "recorded flights: rosbags (.bag), CSV files (.csv), autopilots' logs (" +
+                      std::string(kLogEndings) + "), folders of them, patterns "
                   "('day1/*.bag'); a list of them as @FILE, one a line")
       ->required();
   AddReadingTo(app);
@@ -238,22 +241,15 @@ bool NaturallyBefore(const std::string& a, const std::string& b) {
   return a.size() - i < b.size() - j;
 }
 
-/// Companions of a flight (see SiblingFile) and what is no recording are none.
-bool IsFlightFile(const fs::path& path) {
-  const std::string stem = path.stem().string(), kind = path.extension().string();
-  const auto ends_with = [&stem](const std::string& end) {
-    return stem.size() >= end.size() && stem.compare(stem.size() - end.size(), end.size(), end) == 0;
-  };
-  return kind == ".bag" || (kind == ".csv" && !ends_with("_mocap") && !ends_with("_rotor"));
-}
-
 void AddFlights(const std::string& name, std::set<std::string>* seen,
                 std::vector<std::string>* files) {
+  const FlightReaders readers = AllFlightReaders({});
   std::vector<std::string> found;
-  const std::string kind = fs::path(name).extension().string();
   if (fs::is_directory(name)) {
     for (const auto& entry : fs::recursive_directory_iterator(name)) {
-      if (entry.is_regular_file() && IsFlightFile(entry.path())) found.push_back(entry.path());
+      if (entry.is_regular_file() && readers.IsFlight(entry.path())) {
+        found.push_back(entry.path());
+      }
     }
   } else if (fs::exists(name)) {
     found.push_back(name);
@@ -261,19 +257,20 @@ void AddFlights(const std::string& name, std::set<std::string>* seen,
     glob_t matches;
     if (glob(name.c_str(), 0, nullptr, &matches) == 0) {
       for (size_t i = 0; i < matches.gl_pathc; ++i) {
-        if (IsFlightFile(matches.gl_pathv[i])) found.push_back(matches.gl_pathv[i]);
+        if (readers.IsFlight(matches.gl_pathv[i])) found.push_back(matches.gl_pathv[i]);
       }
     }
     globfree(&matches);
   }
-  const bool is_named_as_one = kind == ".csv" || kind == ".bag" || kind == ".json";
+  const bool is_named_as_one =
+      readers.HasEnding(name) || fs::path(name).extension().string() == ".json";
   if (found.empty() && is_named_as_one && !fs::is_directory(name)) {
     found.push_back(name);  // the reader says what is wrong with it
   }
   if (found.empty()) {
-    throw std::invalid_argument(name + (fs::is_directory(name) ? ": holds no flight (.csv, .bag)"
-                                                               : ": no such file, folder or "
-                                                                 "pattern of flights"));
+    throw std::invalid_argument(name + (fs::is_directory(name)
+                                           ? ": holds no flight (" + readers.Names() + ")"
+                                           : ": no such file, folder or pattern of flights"));
   }
   std::sort(found.begin(), found.end(), NaturallyBefore);
   for (std::string& file : found) {
@@ -328,8 +325,7 @@ void FlightArguments::AddReadingTo(CLI::App* app) {
       ->check(CLI::IsMember({"rad_s", "rpm", "erpm"}).description(""))
       ->type_name("rad_s|rpm|erpm")
       ->capture_default_str();
-  app->add_option("--pole-pairs", bag.pole_pairs, "of the motors, for erpm")
-      ->capture_default_str()
+  app->add_option("--pole-pairs", pole_pairs, "of the motors, for erpm [7, or what a log says]")
       ->check(Positive());
   const std::map<std::string, bool> sources = {{"sensor", false}, {"commands", true}};
   app->add_option("--rotor-speed-from", from_commands,
@@ -354,19 +350,25 @@ FlightLog FlightArguments::Read(const std::string& flight, const Vehicle& vehicl
     }
     options.topics[role] = topic;
   }
-  if (flight.size() > 4 && flight.substr(flight.size() - 4) == ".csv") {
+  if (pole_pairs) options.pole_pairs = *pole_pairs;
+  const FlightReaders readers = AllFlightReaders(options);
+  const FlightReader* reader = readers.Find(flight);
+  if (reader != nullptr && reader->endings.front() != ".bag") {
     const BagOptions defaults;
     for (const auto& [option, given] :
          {std::pair("--topic", !topics.empty()),
           std::pair("--twist-frame", bag.twist_frame != defaults.twist_frame),
           std::pair("--rotor-speed-unit", bag.rotor_speed_unit != defaults.rotor_speed_unit)}) {
       if (given) {
-        throw UsageError(std::string(option) + " is for bags: columns of a CSV file have their " +
-                         "units and frames (rotor speeds in rad/s, velocity in the world frame)");
+        throw UsageError(std::string(option) + " is for bags: " +
+                         (reader->endings.front() == ".csv"
+                              ? "columns of a CSV file have their units and frames (rotor speeds "
+                                "in rad/s, velocity in the world frame)"
+                              : "an autopilot's log has its units and frames"));
       }
     }
   }
-  FlightLog log = ReadFlight(flight, vehicle.num_rotors(), pose, options);
+  FlightLog log = readers.Read(flight, {vehicle.num_rotors(), pose, pole_pairs});
   MendFlight(&log);
   if (log.rotors.empty() && !log.commands.empty() && !from_commands) {
     throw std::invalid_argument(flight +

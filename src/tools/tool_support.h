@@ -3,6 +3,7 @@
 #include <CLI/CLI.hpp>
 #include <functional>
 #include <map>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -52,6 +53,7 @@ struct FlightArguments {
   PoseSource pose = PoseSource::kEkf;
   std::vector<std::string> topics;
   BagOptions bag;
+  std::optional<int> pole_pairs;
   std::string actuator_file;
   bool from_commands = false;
 

@@ -3,7 +3,7 @@
 #include <map>
 #include <string>
 
-#include "odmc/io/flight_csv.h"
+#include "odmc/io/flight_reader.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
@@ -37,7 +37,10 @@ FlightLog ReadFlightBag(const std::string& file, int num_rotors, const BagOption
 /// @throws std::invalid_argument as ReadFlightBag(), also where there are no commands
 FlightLog ReadActuatorBag(const std::string& file, const BagOptions& options);
 
-/// Reads .bag or .csv by its ending. PoseSource::kMocap takes a bag's `pose` topic.
+/// The core's formats (flight_reader.h) and rosbags, read with these options.
+FlightReaders AllFlightReaders(const BagOptions& options);
+
+/// Reads a flight of any format. PoseSource::kMocap takes a bag's `pose` topic.
 FlightLog ReadFlight(const std::string& file, int num_rotors, PoseSource pose,
                      const BagOptions& options);
 

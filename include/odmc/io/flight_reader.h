@@ -1,0 +1,67 @@
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "odmc/io/flight_csv.h"
+#include "odmc/sensing/samples.h"
+
+namespace odmc {
+
+/// What every reader of flights is told.
+struct FlightReadOptions {
+  int num_rotors = 4;                     ///< of the vehicle
+  PoseSource pose = PoseSource::kEkf;
+  std::optional<int> pole_pairs;  ///< of the motors, for logs of electrical speeds; else the log's
+};
+
+/// One format of recorded flights.
+struct FlightReader {
+  std::string name;                  ///< for sentences, "a PX4 log (.ulg)"
+  std::vector<std::string> endings;  ///< of files, in lower case, ".ulg"
+  /// True if a file's first bytes (kHeadBytes at most) are of this format.
+  std::function<bool(std::string_view head)> recognises;
+  /// Endings that other programs' files share (".bin"): content must agree where folders are searched.
+  bool shares_ending = false;
+  /// @throws std::invalid_argument naming file and place
+  std::function<FlightLog(const std::string& file, const FlightReadOptions& options)> read;
+};
+
+/// The formats a flight may have: found by the file's content, by its ending where the content is
+/// none's, so that the reader of that ending says what is wrong.
+class FlightReaders {
+ public:
+  static constexpr size_t kHeadBytes = 4096;  ///< that recognise a format
+
+  /// The formats the core reads: CSV, blackbox (.bfl, .bbl), PX4 (.ulg), ArduPilot (.bin).
+  static FlightReaders Core();
+
+  /// Adds a format; those added first are asked first.
+  void Add(FlightReader reader) { readers_.push_back(std::move(reader)); }
+
+  /// Null where no format fits.
+  const FlightReader* Find(const std::string& file) const;
+
+  /// True if a folder's file is a flight: of a known ending (and content, where the ending is
+  /// shared), and no companion of one (NAME_mocap.csv, NAME_rotor.csv).
+  bool IsFlight(const std::string& file) const;
+
+  /// True if a name has the ending of a format, whatever is behind it.
+  bool HasEnding(const std::string& file) const;
+
+  /// "a CSV file (.csv), a rosbag (.bag) or ..."
+  std::string Names() const;
+
+  /// @throws std::invalid_argument where no format fits, and what the format's reader throws
+  FlightLog Read(const std::string& file, const FlightReadOptions& options) const;
+
+ private:
+  const FlightReader* OfEnding(const std::string& file) const;
+
+  std::vector<FlightReader> readers_;
+};
+
+}  // namespace odmc
