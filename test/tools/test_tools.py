@@ -11,6 +11,8 @@ import tempfile
 import unittest
 from typing import Any, Dict, List
 
+import log_writers
+
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.realpath(__file__))))
 TOOLS = os.path.join(ROOT, 'build', 'devel', 'lib', 'odmc')
 VEHICLE = os.path.join(ROOT, 'config', 'vehicles', 'generic.yaml')
@@ -262,6 +264,32 @@ class ToolsTest(unittest.TestCase):
         done = run('convert', self.path('listed'), '--list')
         self.assertEqual([os.path.basename(name) for name in done.stdout.splitlines()],
                          ['LOG1.BFL', 'flight2.bag', 'flight10.csv'])
+
+    def test_autopilot_logs_of_a_flight_calibrate_as_its_csv(self) -> None:
+        with open(VEHICLE, encoding='utf-8') as file:
+            vehicle = self.write('with_imu.yaml', file.read().replace('# imu: {frame: sensor', 'imu: {frame: sensor'))
+        source = self.path('imu.csv')
+        done = run('simulate', '--vehicle', vehicle, '--trajectory', 'aggressive', '--out', source, '--seed', '4',
+                   '--duration', '10', '--noise', self.write('noise.yaml', 'imu: true\n'))
+        self.assertEqual(done.returncode, 0, done.stderr)
+        rows = [{name: float(cell) for name, cell in row.items()} for row in read_table(source)]
+        log_writers.write_ulog(rows, self.path('flight.ulg'))
+        log_writers.write_dataflash(rows, self.path('log.bin'))
+        without_rates = self.path('without_rates.csv')
+        with open(without_rates, 'w', encoding='utf-8', newline='') as file:
+            writer = csv.DictWriter(file, [name for name in rows[0] if name not in ('wx', 'wy', 'wz')], extrasaction='ignore')
+            writer.writeheader()
+            writer.writerows(rows)
+        for flight, log in ((source, 'flight.ulg'), (without_rates, 'log.bin')):
+            results = []
+            for file_name in (flight, self.path(log)):
+                done = run('calibrate', file_name, '--vehicle', vehicle, '--no-report', '--out', self.path('log'))
+                self.assertEqual(done.returncode, 0, done.stderr)
+                results.append(read_json(self.path('log'), 'report.json')['parameters'])
+            for name, parameter in results[0].items():
+                if parameter['sigma']:
+                    difference = abs(parameter['value'] - results[1][name]['value'])
+                    self.assertLess(difference, 0.1 * parameter['sigma'], f'{log}: {name}')
 
     def test_a_blackbox_log_calibrates_as_the_csv_made_from_it(self) -> None:
         data = os.path.join(os.environ.get('ODMC_DATA_DIR') or os.path.join(ROOT, '..', 'shared', 'data'), 'indiflight')
