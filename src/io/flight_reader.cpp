@@ -97,7 +97,12 @@ std::string FlightReaders::Names() const {
 
 FlightLog FlightReaders::Read(const std::string& file, const FlightReadOptions& options) const {
   const FlightReader* reader = Find(file);
-  if (reader == nullptr) throw std::invalid_argument(file + ": a flight is " + Names());
+  if (reader == nullptr) {
+    std::error_code ignored;
+    const bool is_there = std::filesystem::exists(file, ignored);
+    throw std::invalid_argument(file + ": " + (is_there ? "" : "cannot be opened; ") +
+                                "a flight is " + Names());
+  }
   return reader->read(file, options);
 }
 

@@ -198,20 +198,37 @@ std::function<void(double)> ProgressBar::Callback() {
   return [this](double share) { Show(share); };
 }
 
-void FlightArguments::AddTo(CLI::App* app, bool required) {
-  app->add_option("FLIGHT", file, "recorded flight: a rosbag (.bag), a CSV file (.csv) or an autopilot's log (" +
-                     std::string(kLogEndings) + ")")
+namespace {
+
+void AddFlight(std::string* file, bool required, CLI::App* app) {
+  app->add_option("FLIGHT", *file,
+                  "recorded flight: a rosbag (.bag), a CSV file (.csv) or an autopilot's log (" +
+                      std::string(kLogEndings) + ")")
       ->required(required);
-  AddReadingTo(app);
+}
+
+}  // namespace
+
+void FlightArguments::AddTo(CLI::App* app, bool required) {
+  AddFlight(&file, required, app);
+  AddOptionsTo(app);
+  AddActuatorTo(app);
+}
+
+void FlightArguments::AddReadingTo(CLI::App* app) {
+  AddFlight(&file, true, app);
+  AddOptionsTo(app);
 }
 
 void FlightArguments::AddSeveralTo(CLI::App* app) {
   app->add_option("FLIGHT", several,
                   "recorded flights: rosbags (.bag), CSV files (.csv), autopilots' logs (" +
-                      std::string(kLogEndings) + "), folders of them, patterns "
-                  "('day1/*.bag'); a list of them as @FILE, one a line")
+                      std::string(kLogEndings) +
+                      "), folders of them, patterns ('day1/*.bag'); a list of them as @FILE, one a "
+                      "line")
       ->required();
-  AddReadingTo(app);
+  AddOptionsTo(app);
+  AddActuatorTo(app);
 }
 
 namespace {
@@ -280,10 +297,12 @@ void AddFlights(const std::string& name, std::set<std::string>* seen,
 
 }  // namespace
 
-std::vector<std::string> FlightArguments::Expand() const {
+std::vector<std::string> FlightArguments::Expand() const { return FlightsNamed(several); }
+
+std::vector<std::string> FlightsNamed(const std::vector<std::string>& names) {
   std::vector<std::string> files;
   std::set<std::string> seen;
-  for (const std::string& name : several) {
+  for (const std::string& name : names) {
     if (name.size() < 2 || name[0] != '@') {
       AddFlights(name, &seen, &files);
       continue;
@@ -297,7 +316,7 @@ std::vector<std::string> FlightArguments::Expand() const {
   return files;
 }
 
-void FlightArguments::AddReadingTo(CLI::App* app) {
+void FlightArguments::AddOptionsTo(CLI::App* app) {
   app->add_option("--start", start_s, "leave out what comes before this time [s]")
       ->check(NotNegative());
   app->add_option("--end", end_s,
@@ -327,6 +346,9 @@ void FlightArguments::AddReadingTo(CLI::App* app) {
       ->capture_default_str();
   app->add_option("--pole-pairs", pole_pairs, "of the motors, for erpm [7, or what a log says]")
       ->check(Positive());
+}
+
+void FlightArguments::AddActuatorTo(CLI::App* app) {
   const std::map<std::string, bool> sources = {{"sensor", false}, {"commands", true}};
   app->add_option("--rotor-speed-from", from_commands,
                   "sensor, or commands: from the ESCs' commands and the battery voltage by the "
@@ -338,7 +360,7 @@ void FlightArguments::AddReadingTo(CLI::App* app) {
       ->check(CLI::ExistingFile);
 }
 
-FlightLog FlightArguments::Read(const std::string& flight, const Vehicle& vehicle) const {
+FlightLog FlightArguments::ReadAsRecorded(const std::string& flight, int num_rotors) const {
   if (end_s > 0.0 && end_s <= start_s) throw UsageError("--end must lie after --start");
   BagOptions options = bag;
   const std::vector<std::string> roles = {
@@ -368,7 +390,11 @@ FlightLog FlightArguments::Read(const std::string& flight, const Vehicle& vehicl
       }
     }
   }
-  FlightLog log = readers.Read(flight, {vehicle.num_rotors(), pose, pole_pairs});
+  return readers.Read(flight, {num_rotors, pose, pole_pairs});
+}
+
+FlightLog FlightArguments::Read(const std::string& flight, const Vehicle& vehicle) const {
+  FlightLog log = ReadAsRecorded(flight, vehicle.num_rotors());
   MendFlight(&log);
   if (log.rotors.empty() && !log.commands.empty() && !from_commands) {
     throw std::invalid_argument(flight +

@@ -61,7 +61,9 @@ struct FlightArguments {
   /// --rotor-speed-from, --actuator.
   /// @param required false where the tool can do without a flight
   void AddTo(CLI::App* app, bool required = true);
-  /// The same with FLIGHT..., files, folders and patterns.
+  /// Adds FLIGHT and what says how a file is to be read: without --rotor-speed-from, --actuator.
+  void AddReadingTo(CLI::App* app);
+  /// The same as AddTo() with FLIGHT..., files, folders and patterns.
   void AddSeveralTo(CLI::App* app);
   /// The flights these name, each once: of a folder every flight in it and below, in natural order
   /// (flight2 before flight10).
@@ -72,10 +74,17 @@ struct FlightArguments {
   /// @throws std::invalid_argument, UsageError
   FlightLog Read(const Vehicle& vehicle) const { return Read(file, vehicle); }
   FlightLog Read(const std::string& flight, const Vehicle& vehicle) const;
+  /// The flight as it was recorded, whole.
+  /// @throws std::invalid_argument, UsageError
+  FlightLog ReadAsRecorded(const std::string& flight, int num_rotors) const;
 
  private:
-  void AddReadingTo(CLI::App* app);
+  void AddOptionsTo(CLI::App* app);
+  void AddActuatorTo(CLI::App* app);
 };
+
+/// The flights that names of files, folders and patterns stand for, as FlightArguments::Expand().
+std::vector<std::string> FlightsNamed(const std::vector<std::string>& names);
 
 /// Compares the recording's streams with each other and mends the log by what was found.
 /// @param force goes on where nothing sensible can be learned

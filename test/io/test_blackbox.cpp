@@ -134,6 +134,9 @@ class BlackboxWriter {
       case 8:
         Tag84(v, i);
         return 4;
+      case 10:
+        Tag2Variable(v, i);
+        return 3;
       default:
         return 1;
     }
@@ -163,14 +166,41 @@ class BlackboxWriter {
       text_ += static_cast<char>(v[i + 1] & 63);
       text_ += static_cast<char>(v[i + 2] & 63);
     } else {
-      int tag = 0xc0;
-      for (int k = 0; k < 3; ++k) tag |= (Bytes(v[i + static_cast<size_t>(k)]) - 1) << 2 * k;
-      text_ += static_cast<char>(tag);
-      for (size_t k = 0; k < 3; ++k) {
-        for (int b = 0; b < Bytes(v[i + k]); ++b) text_ += static_cast<char>(v[i + k] >> 8 * b);
-      }
+      Tag2OfBytes(v, i);
     }
   }
+
+  /// Two bits each where they suffice, else bytes.
+  void Tag2OfBytes(const std::vector<std::int64_t>& v, size_t i) {
+    if (std::max({Bits(v[i]), Bits(v[i + 1]), Bits(v[i + 2])}) <= 2) {
+      text_ += static_cast<char>((v[i] & 3) << 4 | (v[i + 1] & 3) << 2 | (v[i + 2] & 3));
+      return;
+    }
+    int tag = 0xc0;
+    for (int k = 0; k < 3; ++k) tag |= (Bytes(v[i + static_cast<size_t>(k)]) - 1) << 2 * k;
+    text_ += static_cast<char>(tag);
+    for (size_t k = 0; k < 3; ++k) {
+      for (int b = 0; b < Bytes(v[i + k]); ++b) text_ += static_cast<char>(v[i + k] >> 8 * b);
+    }
+  }
+
+  void Tag2Variable(const std::vector<std::int64_t>& v, size_t i) {
+    const int a = Bits(v[i]), b = Bits(v[i + 1]), c = Bits(v[i + 2]);
+    const auto lowest = [&](size_t k, int bits) {
+      return static_cast<std::uint32_t>(v[i + k]) & ((1u << bits) - 1);
+    };
+    if (std::max({a, b, c}) > 2 && a <= 5 && b <= 5 && c <= 4) {
+      const std::uint32_t word = 1u << 14 | lowest(0, 5) << 9 | lowest(1, 5) << 4 | lowest(2, 4);
+      text_ += static_cast<char>(word >> 8);
+      text_ += static_cast<char>(word);
+    } else if (std::max({a, b, c}) > 2 && a <= 8 && b <= 7 && c <= 7) {
+      const std::uint32_t word = 2u << 22 | lowest(0, 8) << 14 | lowest(1, 7) << 7 | lowest(2, 7);
+      for (const int shift : {16, 8, 0}) text_ += static_cast<char>(word >> shift);
+    } else {
+      Tag2OfBytes(v, i);
+    }
+  }
+
   static int Bytes(std::int64_t value) { return (Bits(value) + 7) / 8; }
 
   void Tag84(const std::vector<std::int64_t>& v, size_t i) {
@@ -209,7 +239,7 @@ std::vector<FieldDefinition> FlightFields() {
   };
   add("gyroADC", 3, true, 0, 0, 3, 7);
   add("rcCommand", 4, true, 0, 0, 1, 8);
-  add("accSmooth", 3, true, 0, 0, 3, 0);
+  add("accSmooth", 3, true, 0, 0, 3, 10);
   fields.push_back({"motor[0]", false, 11, 1, 3, 0});
   for (int i = 1; i < 4; ++i) {
     fields.push_back({"motor[" + std::to_string(i) + "]", false, 5, 0, 3, 0});
@@ -232,7 +262,8 @@ std::vector<std::int64_t> ValuesAt(int i) {
   std::vector<std::int64_t> v = {2 * i, 5000000 + 4000 * i};
   for (int k = 0; k < 3; ++k) v.push_back(wave(300, k) + (k == 1 ? leap / 20 : 0));
   for (int k = 0; k < 4; ++k) v.push_back(wave(100, k) + (k == 2 ? leap / 10 : 0) - 50);
-  v.insert(v.end(), {wave(200, 0), wave(100, 1), 2048 + wave(300, 2)});
+  v.insert(v.end(), {wave(200, 0), wave(100, 1) + (i % 11 == 0 ? 45 : 0),
+                     2048 + wave(300, 2) + (i % 13 == 0 ? 400 : 0)});
   for (int k = 0; k < 4; ++k) v.push_back(800 + wave(100, k));
   v.push_back(1600 - i / 50);
   const double half_yaw = 0.3 * std::sin(t);
@@ -293,7 +324,8 @@ TEST_F(Blackbox, GivesEveryValueBackInOurFramesAndUnits) {
     EXPECT_NEAR(pose.q_WS.z() / pose.q_WS.w(), -value(20) / value(17), 1e-12);  // yaw the other way
     const Eigen::Vector3d gyro = M_PI / 180.0 * Eigen::Vector3d(value(2), value(3), value(4));
     EXPECT_TRUE(log.imu[row].gyro_I->isApprox(gyro, 1e-12)) << i;
-    EXPECT_NEAR(log.imu[row].specific_force_I->z(), 9.80665 / 2048 * value(11), 1e-9);
+    const Eigen::Vector3d acc(value(9), value(10), value(11));
+    EXPECT_TRUE(log.imu[row].specific_force_I->isApprox(9.80665 / 2048 * acc, 1e-12)) << i;
     for (int j = 0; j < 4; ++j) {
       EXPECT_NEAR(log.rotors[row].speed[j], value(27 + j) * 100.0 / 6.0 * M_PI / 30.0, 1e-9);
       EXPECT_NEAR(log.commands[row].throttle[j], (value(12 + j) - 158.0) / (2047.0 - 158.0), 1e-12);

@@ -180,7 +180,7 @@ TEST_F(FlightBag, CsvAndBagGiveTheSameFlight) {
   WriteFlightCsv(log, folder_.File("f.csv"));
   ExpectSame(ReadFlight(folder_.File("f.csv"), 4, PoseSource::kEkf, {}),
              ReadFlight(File(), 4, PoseSource::kEkf, {}));
-  ODMC_EXPECT_ERROR(ReadFlight("f.txt", 4, PoseSource::kEkf, {}), "f.txt: a flight is a CSV file (.csv), ");
+  ODMC_EXPECT_ERROR(ReadFlight("f.txt", 4, PoseSource::kEkf, {}), "f.txt: cannot be opened; a flight is a CSV file (.csv), ");
 }
 
 // ---- Messages of other sources -----------------------------------------------------------------

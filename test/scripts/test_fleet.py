@@ -185,6 +185,7 @@ class FleetTest(unittest.TestCase):
         lib = os.path.join(self.base, 'lib')
         tools = os.path.join(lib, 'odmc')
         os.makedirs(tools)
+        os.symlink(os.path.join(TOOLS, 'convert'), os.path.join(tools, 'convert'))
         with open(os.path.join(tools, 'calibrate'), 'w', encoding='utf-8') as file:
             file.write(f'#!/bin/bash\nexec {TOOLS}/calibrate "$@"\n')
         os.chmod(os.path.join(tools, 'calibrate'), 0o755)
@@ -203,6 +204,7 @@ class FleetTest(unittest.TestCase):
         tools = os.path.join(self.base, 'tools')
         os.makedirs(tools)
         tried = os.path.join(self.base, 'tried')
+        os.symlink(os.path.join(TOOLS, 'convert'), os.path.join(tools, 'convert'))
         with open(os.path.join(tools, 'calibrate'), 'w', encoding='utf-8') as file:
             file.write(f'#!/bin/bash\nif [[ $1 == *flight1.csv ]]; then echo x >> {tried}; kill -SEGV $$; fi\n'
                        f'exec {TOOLS}/calibrate "$@"\n')

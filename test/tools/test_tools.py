@@ -11,10 +11,12 @@ import tempfile
 import unittest
 from typing import Any, Dict, List
 
+import log_writers
+
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.realpath(__file__))))
 TOOLS = os.path.join(ROOT, 'build', 'devel', 'lib', 'odmc')
 VEHICLE = os.path.join(ROOT, 'config', 'vehicles', 'generic.yaml')
-NAMES = ('benchmark', 'calibrate', 'calibrate_actuator', 'close_loop', 'evaluate', 'experiment',
+NAMES = ('benchmark', 'calibrate', 'calibrate_actuator', 'close_loop', 'convert', 'evaluate', 'experiment',
          'list_effects', 'recovery', 'score_attribution', 'simulate', 'simulate_undeclared')
 
 
@@ -223,6 +225,87 @@ class ToolsTest(unittest.TestCase):
             for key in ('value', 'sigma'):
                 self.assertLessEqual(abs(entry[key] - table[name][key]),
                                      1e-6 * (abs(entry['value']) + entry['sigma']), name)
+
+    def test_convert_keeps_everything(self) -> None:
+        for source, out in ((self.flight(), 'c.bag'), (self.path('c.bag'), 'c.csv'), (self.flight('bag'), 'd.bag')):
+            done = run('convert', source, self.path(out))
+            self.assertEqual(done.returncode, 0, done.stderr)
+        for one, other in zip(read_table(self.flight()), read_table(self.path('c.csv')), strict=True):
+            self.assertAlmostEqual(float(one.pop('vbat') or 0), float(other.pop('vbat') or 0), 5)  # a float32 in a bag
+            self.assertEqual(one, other)
+        with open(self.flight('bag'), 'rb') as one, open(self.path('d.bag'), 'rb') as other:
+            self.assertEqual(one.read(), other.read())
+
+    def test_convert_keeps_commands_and_moves_the_start(self) -> None:
+        rows = read_table(self.flight())
+        for k, row in enumerate(rows):
+            row.update({f'pwm{j}_us': str(1000 + (k + 50 * j) % 1000) for j in range(1, 5)})
+        source = self.path('commands.csv')
+        with open(source, 'w', encoding='utf-8', newline='') as file:
+            writer = csv.DictWriter(file, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+        run('convert', source, self.path('commands.bag'))
+        done = run('convert', self.path('commands.bag'), self.path('back.csv'), '--start-time', '5', '--start', '1')
+        self.assertEqual(done.returncode, 0, done.stderr)
+        back = read_table(self.path('back.csv'))
+        self.assertEqual(float(back[0]['t']), 5.0)
+        first = next(r for r in rows if float(r['t']) >= float(rows[0]['t']) + 1.0)
+        for j in range(1, 5):  # a bag holds throttles
+            self.assertAlmostEqual(float(back[0][f'throttle{j}']), (float(first[f'pwm{j}_us']) - 1000) / 1000, 6)
+
+    def test_convert_says_what_is_wrong_and_lists_flights(self) -> None:
+        self.expect(2, 'OUT must end in .bag or .csv', 'convert', self.flight(), self.path('x.txt'))
+        self.expect(2, 'OUT is FLIGHT itself', 'convert', self.flight(), self.flight())
+        self.expect(1, 'cannot be opened; a flight is', 'convert', self.path('none.x'), self.path('x.csv'))
+        os.makedirs(self.path('listed'))
+        for name in ('flight10.csv', 'flight2.bag', 'flight2_mocap.csv', 'firmware.bin', 'LOG1.BFL', 'notes.txt'):
+            self.write(os.path.join('listed', name), 'x')
+        done = run('convert', self.path('listed'), '--list')
+        self.assertEqual([os.path.basename(name) for name in done.stdout.splitlines()],
+                         ['LOG1.BFL', 'flight2.bag', 'flight10.csv'])
+
+    def test_autopilot_logs_of_a_flight_calibrate_as_its_csv(self) -> None:
+        with open(VEHICLE, encoding='utf-8') as file:
+            vehicle = self.write('with_imu.yaml', file.read().replace('# imu: {frame: sensor', 'imu: {frame: sensor'))
+        source = self.path('imu.csv')
+        done = run('simulate', '--vehicle', vehicle, '--trajectory', 'aggressive', '--out', source, '--seed', '4',
+                   '--duration', '10', '--noise', self.write('noise.yaml', 'imu: true\n'))
+        self.assertEqual(done.returncode, 0, done.stderr)
+        rows = [{name: float(cell) for name, cell in row.items()} for row in read_table(source)]
+        log_writers.write_ulog(rows, self.path('flight.ulg'))
+        log_writers.write_dataflash(rows, self.path('log.bin'))
+        without_rates = self.path('without_rates.csv')
+        with open(without_rates, 'w', encoding='utf-8', newline='') as file:
+            writer = csv.DictWriter(file, [name for name in rows[0] if name not in ('wx', 'wy', 'wz')], extrasaction='ignore')
+            writer.writeheader()
+            writer.writerows(rows)
+        for flight, log in ((source, 'flight.ulg'), (without_rates, 'log.bin')):
+            results = []
+            for file_name in (flight, self.path(log)):
+                done = run('calibrate', file_name, '--vehicle', vehicle, '--no-report', '--out', self.path('log'))
+                self.assertEqual(done.returncode, 0, done.stderr)
+                results.append(read_json(self.path('log'), 'report.json')['parameters'])
+            for name, parameter in results[0].items():
+                if parameter['sigma']:
+                    difference = abs(parameter['value'] - results[1][name]['value'])
+                    self.assertLess(difference, 0.1 * parameter['sigma'], f'{log}: {name}')
+
+    def test_a_blackbox_log_calibrates_as_the_csv_made_from_it(self) -> None:
+        data = os.path.join(os.environ.get('ODMC_DATA_DIR') or os.path.join(ROOT, '..', 'shared', 'data'), 'indiflight')
+        log = os.path.join(data, 'raw', 'LOG00267.BFL')
+        if not os.path.exists(log):
+            self.skipTest('no recorded data')
+        results = []
+        for arguments in ((os.path.join(data, 'LOG00267.csv'),), (log, '--start', '0.9615', '--end', '31.119')):
+            done = run('calibrate', *arguments, '--vehicle', os.path.join(data, 'vehicle.yaml'), '--no-report', '--out',
+                       self.path('log'))
+            self.assertEqual(done.returncode, 0, done.stderr)
+            results.append(read_json(self.path('log'), 'report.json')['parameters'])
+        for name, parameter in results[0].items():
+            if parameter['sigma']:
+                difference = abs(parameter['value'] - results[1][name]['value'])
+                self.assertLess(difference, 0.1 * parameter['sigma'], name)
 
     def test_calibrate_leaves_blocks_out(self) -> None:
         out = self.path('left_out')
