@@ -96,8 +96,7 @@ double RotorSpeedScale(const std::string& unit, int pole_pairs) {
   if (unit == "rad_s" || unit == "auto") return 1.0;
   if (unit == "rpm") return rpm;
   if (unit != "erpm") {
-    throw std::invalid_argument("rotor_speed_unit must be auto, rad_s, rpm or erpm, not '" + unit +
-                                "'");
+    throw std::invalid_argument("rotor_speed_unit must be rad_s, rpm or erpm, not '" + unit + "'");
   }
   if (pole_pairs < 1) {
     throw std::invalid_argument("pole_pairs must be at least 1, not " + std::to_string(pole_pairs));

@@ -56,7 +56,7 @@ struct FlightArguments {
   bool from_commands = false;
 
   /// Adds FLIGHT, --start, --end, --pose, --topic, --twist-frame, --rotor-speed-unit, --pole-pairs,
-  /// --rotor-speed-from, --actuator.
+  /// fields, units and orders of a bag's messages, --rotor-speed-from, --actuator.
   /// @param required false where the tool can do without a flight
   void AddTo(CLI::App* app, bool required = true);
   /// The same with FLIGHT..., files, folders and patterns.
@@ -73,6 +73,7 @@ struct FlightArguments {
 
  private:
   void AddReadingTo(CLI::App* app);
+  void AddFieldsTo(CLI::App* app);
 };
 
 /// Compares the recording's streams with each other and mends the log by what was found.
