@@ -119,18 +119,6 @@ void ReadImu(const DataflashContent& content, FlightLog* log) {
   }
 }
 
-/// The user's poles in place of those the autopilot reckoned with.
-double PoleScale(const std::string& file, const DataflashContent& content,
-                 std::optional<int> pole_pairs) {
-  if (!pole_pairs) return 1.0;
-  const auto poles = content.parameters.find("SERVO_BLH_POLES");
-  if (poles == content.parameters.end() || poles->second < 2.0) {
-    Fail(file, "--pole-pairs: the log has no SERVO_BLH_POLES that was used instead; without "
-               "--pole-pairs its ESC.RPM is taken as it is");
-  }
-  return 0.5 * poles->second / *pole_pairs;
-}
-
 RotorReadings ReadingsOf(const MessageColumns& table, double scale) {
   RotorReadings readings;
   const std::vector<double>& rpm = table.values.at("RPM");
@@ -140,7 +128,7 @@ RotorReadings ReadingsOf(const MessageColumns& table, double scale) {
 
 void ReadRotors(const std::string& file, const DataflashContent& content,
                 const FlightReadOptions& options, FlightLog* log) {
-  const double scale = kRpm * PoleScale(file, content, options.pole_pairs);
+  const double scale = kRpm * PoleScale(file, content.parameters, "SERVO_BLH_POLES", options.pole_pairs);
   std::vector<const MessageColumns*> escs;
   size_t most = 0;
   for (const auto& [key, table] : content.messages) {

@@ -2,7 +2,10 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <map>
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "odmc/sensing/samples.h"
@@ -73,6 +76,21 @@ struct RateHints {
 
 /// The usual rate of stamps, from the median of their steps [Hz]; 0 for fewer than two.
 double UsualRate(std::vector<Stamp> stamps);
+
+/// The same of a stream.
+template <typename Sample>
+double RateOf(const std::vector<Sample>& samples) {
+  std::vector<Stamp> stamps;
+  stamps.reserve(samples.size());
+  for (const Sample& sample : samples) stamps.push_back(sample.stamp);
+  return UsualRate(std::move(stamps));
+}
+
+/// Factor on an autopilot's rotor speeds where the user's poles replace those it reckoned with.
+/// @param parameter  the autopilot's, which holds its number of poles
+/// @throws std::invalid_argument where the log does not have it
+double PoleScale(const std::string& file, const std::map<std::string, double>& parameters,
+                 const std::string& parameter, std::optional<int> pole_pairs);
 
 /// Brings every stream of a log in order and checks it, see autopilot_logs.h.
 /// @param file  path, for errors

@@ -124,13 +124,6 @@ std::vector<OdometrySample> FromPositionAndAttitude(const MessageColumns& positi
   return samples;
 }
 
-template <typename Sample>
-double RateOf(const std::vector<Sample>& samples) {
-  std::vector<Stamp> stamps;
-  for (const Sample& sample : samples) stamps.push_back(sample.stamp);
-  return UsualRate(std::move(stamps));
-}
-
 constexpr double kAsFast = 0.8;  // of another stream's rate: the first one is preferred
 
 void ReadPoses(const std::string& file, const ULogContent& log_file, FlightLog* log) {
@@ -244,18 +237,6 @@ RotorReadings ReadingsOf(const MessageColumns& table, int esc, double scale) {
   return readings;
 }
 
-/// The user's poles in place of those the autopilot reckoned with.
-double PoleScale(const std::string& file, const ULogContent& log_file,
-                 std::optional<int> pole_pairs) {
-  if (!pole_pairs) return 1.0;
-  const auto poles = log_file.parameters.find("MOT_POLE_COUNT");
-  if (poles == log_file.parameters.end() || poles->second < 2.0) {
-    Fail(file, "--pole-pairs: the log has no MOT_POLE_COUNT that was used instead; without "
-               "--pole-pairs its esc_rpm is taken as it is");
-  }
-  return 0.5 * poles->second / *pole_pairs;
-}
-
 void ReadRotors(const std::string& file, const ULogContent& log_file,
                 const FlightReadOptions& options, FlightLog* log) {
   const MessageColumns* table = log_file.Find("esc_status");
@@ -265,7 +246,7 @@ void ReadRotors(const std::string& file, const ULogContent& log_file,
     Fail(file, "esc_status has " + std::to_string(static_cast<int>(count)) +
                    " ESCs, the vehicle has " + std::to_string(options.num_rotors) + " rotors");
   }
-  const double scale = kRpm * PoleScale(file, log_file, options.pole_pairs);
+  const double scale = kRpm * PoleScale(file, log_file.parameters, "MOT_POLE_COUNT", options.pole_pairs);
   std::vector<RotorReadings> rotors;
   for (const int esc : MotorOrder(*table, options.num_rotors)) {
     if (!table->Has("esc[" + std::to_string(esc) + "].esc_rpm")) {

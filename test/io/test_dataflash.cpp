@@ -1,26 +1,18 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <cstring>
 #include <map>
 
 #include "odmc/io/autopilot_logs.h"
 #include "odmc/io/flight_reader.h"
 #include "support/error_text.h"
+#include "support/made_up_log.h"
 #include "support/temporary_folder.h"
 
 namespace odmc {
 namespace {
 
-using testing_support::Contains;
-using testing_support::TemporaryFolder;
-
-template <typename Value>
-std::string Raw(Value value) {
-  std::string bytes(sizeof value, '\0');
-  std::memcpy(bytes.data(), &value, sizeof value);
-  return bytes;
-}
+using namespace testing_support;
 
 std::string Padded(const std::string& text, size_t size) {
   return text + std::string(size - text.size(), '\0');
@@ -60,23 +52,6 @@ class DataflashWriter {
  private:
   std::string text_;
 };
-
-std::string Floats(std::initializer_list<double> values) {
-  std::string bytes;
-  for (const double value : values) bytes += Raw(static_cast<float>(value));
-  return bytes;
-}
-
-// A made-up flight, in NED and FRD.
-Eigen::Vector3d PositionNed(double t) { return {2.0 * std::sin(t), 1.0 + t, -3.0 - 0.5 * t}; }
-Eigen::Vector3d VelocityNed(double t) { return {2.0 * std::cos(t), 1.0, -0.5}; }
-Eigen::Vector3d Angles(double t) { return {0.1, 0.2 * std::sin(t), 0.5 + 0.3 * t}; }  // r, p, y
-Eigen::Quaterniond AttitudeNed(double t) {
-  return Eigen::AngleAxisd(Angles(t).z(), Eigen::Vector3d::UnitZ()) *
-         Eigen::AngleAxisd(Angles(t).y(), Eigen::Vector3d::UnitY()) *
-         Eigen::AngleAxisd(Angles(t).x(), Eigen::Vector3d::UnitX());
-}
-double Rpm(int motor, double t) { return 6000.0 + 500.0 * motor + 300.0 * std::sin(3.0 * t); }
 
 struct Choice {
   bool filter = true, quaternions = true, global = false, esc = true;
@@ -161,16 +136,6 @@ class Dataflash : public ::testing::Test {
   TemporaryFolder folder_;
 };
 
-Eigen::Vector3d Enu(const Eigen::Vector3d& ned) { return {ned.y(), ned.x(), -ned.z()}; }
-
-/// The nose, the left wing and the top, each seen from the ground.
-void ExpectAttitude(const OdometrySample& pose, double tolerance) {
-  const Eigen::Matrix3d R_NedFrd = AttitudeNed(ToSeconds(pose.stamp)).toRotationMatrix();
-  EXPECT_LT((pose.q_WS * Eigen::Vector3d::UnitX() - Enu(R_NedFrd.col(0))).norm(), tolerance);
-  EXPECT_LT((pose.q_WS * Eigen::Vector3d::UnitY() - Enu(-R_NedFrd.col(1))).norm(), tolerance);
-  EXPECT_LT((pose.q_WS * Eigen::Vector3d::UnitZ() - Enu(-R_NedFrd.col(2))).norm(), tolerance);
-}
-
 TEST_F(Dataflash, GivesTheFlightInOurFramesAndUnits) {
   const FlightLog log = Read(MadeUpLog());
   ASSERT_EQ(log.odometry.size(), 200u);
@@ -178,7 +143,7 @@ TEST_F(Dataflash, GivesTheFlightInOurFramesAndUnits) {
     const double t = ToSeconds(pose.stamp);
     EXPECT_LT((pose.p_WS - Enu(PositionNed(t))).norm(), 1e-5);
     EXPECT_LT((*pose.v_WS - Enu(VelocityNed(t))).norm(), 1e-5);
-    ExpectAttitude(pose, 1e-5);
+    EXPECT_LT(AttitudeError(pose.q_WS, ToSeconds(pose.stamp)), 1e-5);
   }
   ASSERT_EQ(log.imu.size(), 400u);
   EXPECT_LT((*log.imu[0].gyro_I - Eigen::Vector3d(0.01, -0.02, -0.03)).norm(), 1e-6);
@@ -211,7 +176,7 @@ TEST_F(Dataflash, AnglesServeWhereThereIsNoQuaternion) {
   choice.quaternions = false;
   const FlightLog log = Read(MadeUpLog(choice));
   ASSERT_EQ(log.odometry.size(), 200u);
-  for (const OdometrySample& pose : log.odometry) ExpectAttitude(pose, 2e-4);  // of 0.01 deg
+  for (const OdometrySample& pose : log.odometry) EXPECT_LT(AttitudeError(pose.q_WS, ToSeconds(pose.stamp)), 2e-4);  // of 0.01 deg
 }
 
 TEST_F(Dataflash, GlobalPositionServesWhereThereIsNoFilter) {
