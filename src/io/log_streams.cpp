@@ -89,8 +89,8 @@ void DropSpikes(const std::string& source, FlightLog* log) {
 void RefuseSlow(const std::string& file, const std::string& what, double rate, double least,
                 const std::string& hint) {
   if (rate >= 0.95 * least) return;
-  throw std::invalid_argument(file + ": " + what + " are logged at " + Hertz(rate) +
-                              ", at least " + Hertz(least) + " are needed: " + hint);
+  throw std::invalid_argument(file + ": " + what + " are logged at " + Hertz(rate) + ", at least " +
+                              Hertz(least) + " are needed: " + hint);
 }
 
 void AddRate(const std::string& what, double rate, std::string* text) {
@@ -247,10 +247,8 @@ double PoleScale(const std::string& file, const std::map<std::string, double>& p
 }
 
 void FinishLog(const std::string& file, const RateHints& hints, FlightLog* log) {
-  KeepSound(
-      log->file + ": pose", &log->odometry, [](const auto& s) { return IsFinite(s); }, log);
-  KeepSound(
-      log->file + ": IMU", &log->imu, [](const auto& s) { return IsFinite(s); }, log);
+  KeepSound(log->file + ": pose", &log->odometry, [](const auto& s) { return IsFinite(s); }, log);
+  KeepSound(log->file + ": IMU", &log->imu, [](const auto& s) { return IsFinite(s); }, log);
   KeepSound(
       log->file + ": rotor speeds", &log->rotors, [](const auto& s) { return s.speed.allFinite(); },
       log);

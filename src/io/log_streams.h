@@ -35,8 +35,8 @@ struct RotorReadings {
   std::vector<Stamp> stamps;  ///< strictly increasing
   std::vector<double> speeds;
 
-  /// Adds a finite reading that steps forward in time; takes the last one back where its stamp alone
-  /// leapt ahead.
+  /// Adds a finite reading that steps forward in time; takes the last one back where its stamp
+  /// alone leapt ahead.
   void Add(Stamp stamp, double speed);
 };
 
@@ -58,9 +58,9 @@ void JoinAttitudes(const std::vector<AttitudeReading>& readings,
 
 /// How well a log's bytes could be decoded.
 struct DecodingDamage {
-  long places = 0;        ///< where decoding had to start anew
-  size_t first = 0;       ///< byte of the first one
-  size_t skipped = 0;     ///< bytes
+  long places = 0;     ///< where decoding had to start anew
+  size_t first = 0;    ///< byte of the first one
+  size_t skipped = 0;  ///< bytes
   bool is_cut_off = false;
 };
 

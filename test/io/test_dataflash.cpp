@@ -35,8 +35,8 @@ class DataflashWriter {
   }
   void Format(const std::string& name, const std::string& letters, const std::string& labels,
               int type) {
-    static const std::map<char, int> sizes = {{'b', 1}, {'B', 1}, {'H', 2}, {'c', 2}, {'C', 2},
-                                              {'f', 4}, {'i', 4}, {'I', 4}, {'e', 4}, {'L', 4},
+    static const std::map<char, int> sizes = {{'b', 1}, {'B', 1}, {'H', 2}, {'c', 2},  {'C', 2},
+                                              {'f', 4}, {'i', 4}, {'I', 4}, {'e', 4},  {'L', 4},
                                               {'n', 4}, {'Q', 8}, {'d', 8}, {'N', 16}, {'Z', 64}};
     int length = 3;
     for (const char letter : letters) length += sizes.at(letter);
@@ -70,7 +70,8 @@ void Define(const Choice& choice, DataflashWriter* writer) {
   writer->Format("IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ", 15);
   writer->Format("ESC", choice.old_esc ? "QBeCC" : "QBffffcfcf",
                  choice.old_esc ? "TimeUS,Instance,RPM,Volt,Curr"
-                                : "TimeUS,Instance,RPM,RawRPM,Volt,Curr,Temp,CTot,MotTemp,Err", 16);
+                                : "TimeUS,Instance,RPM,RawRPM,Volt,Curr,Temp,CTot,MotTemp,Err",
+                 16);
   writer->Format("RCOU", "QHHHH", "TimeUS,C1,C2,C3,C4", 17);
   writer->Format("BAT", "QBH", "TimeUS,Inst,Volt", 18);
   writer->Units(16, "s#qqvAOaO%", choice.old_esc ? "F-BBB" : "F-00--BCB-");
@@ -91,11 +92,12 @@ void WritePose(const Choice& choice, std::uint64_t now, DataflashWriter* writer)
       writer->Message(12, Raw(now) + char(core) + Floats({q.w(), q.x(), q.y(), q.z()}));
     }
   }
-  writer->Message(13, Raw(now) + c(0) + c(a.x()) + c(0) + c(a.y()) + c(0) + c(a.z()) + c(0) + c(0) +
-                          char(3));
+  writer->Message(
+      13, Raw(now) + c(0) + c(a.x()) + c(0) + c(a.y()) + c(0) + c(a.z()) + c(0) + c(0) + char(3));
   if (choice.global) {
     const auto degrees = [](double metres) {
-      return Raw(static_cast<std::int32_t>(std::lround(1e7 * (10.0 + metres / 6378137.0 * 180.0 / M_PI))));
+      return Raw(
+          static_cast<std::int32_t>(std::lround(1e7 * (10.0 + metres / 6378137.0 * 180.0 / M_PI))));
     };
     writer->Message(14, Raw(now) + degrees(p.x()) + degrees(p.y() / std::cos(10.0 * M_PI / 180.0)) +
                             Floats({100.0 - p.z(), 0.0, 0.0}));
@@ -114,10 +116,11 @@ std::string MadeUpLog(const Choice& choice = {}) {
     for (int j = 0; choice.esc && j < 4; ++j) {  // each a while after the one before
       if (ms % choice.esc_step_ms != 2 * j) continue;
       const double rpm = Rpm(j, 1e-6 * static_cast<double>(now));
-      writer.Message(16, Raw(now) + static_cast<char>(j) +
-                             (choice.old_esc ? Raw(static_cast<std::int32_t>(std::lround(100 * rpm))) +
-                                                   std::string(4, '\0')
-                                             : Floats({rpm, rpm, 16.0, 1.0}) + std::string(12, '\0')));
+      writer.Message(16,
+                     Raw(now) + static_cast<char>(j) +
+                         (choice.old_esc ? Raw(static_cast<std::int32_t>(std::lround(100 * rpm))) +
+                                               std::string(4, '\0')
+                                         : Floats({rpm, rpm, 16.0, 1.0}) + std::string(12, '\0')));
     }
     if (ms % 10 == 4) {
       writer.Message(17, Raw(now) + Raw<std::uint16_t>(1500) + Raw<std::uint16_t>(1600) +
@@ -154,7 +157,8 @@ TEST_F(Dataflash, GivesTheFlightInOurFramesAndUnits) {
   EXPECT_EQ(log.dropped, 0);
   EXPECT_TRUE(Contains(log.warnings.back(),
                        "flight.bin: read pose 100 Hz, IMU 200 Hz, rotor speeds 100 Hz, commands "
-                       "100 Hz, battery voltage 10 Hz")) << log.warnings.back();
+                       "100 Hz, battery voltage 10 Hz"))
+      << log.warnings.back();
 }
 
 TEST_F(Dataflash, RotorsOfEscsThatAnswerInTurnAreOnOneClock) {
@@ -176,7 +180,8 @@ TEST_F(Dataflash, AnglesServeWhereThereIsNoQuaternion) {
   choice.quaternions = false;
   const FlightLog log = Read(MadeUpLog(choice));
   ASSERT_EQ(log.odometry.size(), 200u);
-  for (const OdometrySample& pose : log.odometry) EXPECT_LT(AttitudeError(pose.q_WS, ToSeconds(pose.stamp)), 2e-4);  // of 0.01 deg
+  for (const OdometrySample& pose : log.odometry)
+    EXPECT_LT(AttitudeError(pose.q_WS, ToSeconds(pose.stamp)), 2e-4);  // of 0.01 deg
 }
 
 TEST_F(Dataflash, GlobalPositionServesWhereThereIsNoFilter) {

@@ -26,7 +26,9 @@ inline std::string Floats(std::initializer_list<double> values) {
 }
 
 // Where the vehicle is at a time [s], in NED, its body FRD.
-inline Eigen::Vector3d PositionNed(double t) { return {2.0 * std::sin(t), 1.0 + t, -3.0 - 0.5 * t}; }
+inline Eigen::Vector3d PositionNed(double t) {
+  return {2.0 * std::sin(t), 1.0 + t, -3.0 - 0.5 * t};
+}
 inline Eigen::Vector3d VelocityNed(double t) { return {2.0 * std::cos(t), 1.0, -0.5}; }
 /// Roll, pitch, yaw [rad].
 inline Eigen::Vector3d Angles(double t) { return {0.1, 0.2 * std::sin(t), 0.5 + 0.3 * t}; }
@@ -35,7 +37,9 @@ inline Eigen::Quaterniond AttitudeNed(double t) {
          Eigen::AngleAxisd(Angles(t).y(), Eigen::Vector3d::UnitY()) *
          Eigen::AngleAxisd(Angles(t).x(), Eigen::Vector3d::UnitX());
 }
-inline double Rpm(int motor, double t) { return 6000.0 + 500.0 * motor + 300.0 * std::sin(3.0 * t); }
+inline double Rpm(int motor, double t) {
+  return 6000.0 + 500.0 * motor + 300.0 * std::sin(3.0 * t);
+}
 
 /// A vector of NED in east, north, up.
 inline Eigen::Vector3d Enu(const Eigen::Vector3d& ned) { return {ned.y(), ned.x(), -ned.z()}; }
@@ -44,7 +48,8 @@ inline Eigen::Vector3d Enu(const Eigen::Vector3d& ned) { return {ned.y(), ned.x(
 /// and the top, each seen from the ground.
 inline double AttitudeError(const Eigen::Quaterniond& q_EnuFlu, double t) {
   const Eigen::Matrix3d R_NedFrd = AttitudeNed(t).toRotationMatrix(), R = q_EnuFlu.matrix();
-  return std::max({(R.col(0) - Enu(R_NedFrd.col(0))).norm(), (R.col(1) + Enu(R_NedFrd.col(1))).norm(),
+  return std::max({(R.col(0) - Enu(R_NedFrd.col(0))).norm(),
+                   (R.col(1) + Enu(R_NedFrd.col(1))).norm(),
                    (R.col(2) + Enu(R_NedFrd.col(2))).norm()});
 }
 
