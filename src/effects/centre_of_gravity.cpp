@@ -1,5 +1,7 @@
 #include "odmc/effects/effects.h"
 
+#include <algorithm>
+
 namespace odmc {
 namespace {
 
@@ -15,7 +17,13 @@ class CentreOfGravity final : public Effect {
                {Axis("x", vehicle), Axis("y", vehicle), Axis("z", vehicle)}) {}
 
   bool adds_wrench() const override { return false; }
+  bool changes_between_flights() const override { return true; }
   BodyPropertyRows shaped_rows() const override { return {kRowCom, 3}; }
+
+  std::string manoeuvre(size_t k) const override {
+    static const std::vector<std::string> kShownBy = {"pitches forward and back", "rolls to both sides", "quick changes of direction at speed"};
+    return kShownBy[std::min(k, kShownBy.size() - 1)];
+  }
 
  private:
   static ParameterSpec Axis(const std::string& name, const Vehicle& vehicle) {

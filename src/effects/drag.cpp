@@ -1,5 +1,7 @@
 #include "odmc/effects/effects.h"
 
+#include <algorithm>
+
 namespace odmc {
 namespace {
 
@@ -13,6 +15,11 @@ class Drag final : public Effect {
                 "model.md section 2; paper Eq. (1)",
                 "up to about 10 m/s; above it drag grows with the square of speed"},
                {Axis("d_x", vehicle), Axis("d_y", vehicle), Axis("d_z", vehicle)}) {}
+
+  std::string manoeuvre(size_t k) const override {
+    static const std::vector<std::string> kShownBy = {"forward and back at several speeds", "sideways at several speeds", "up and down at several speeds"};
+    return kShownBy[std::min(k, kShownBy.size() - 1)];
+  }
 
  private:
   static ParameterSpec Axis(const std::string& name, const Vehicle& vehicle) {

@@ -1,4 +1,7 @@
 #include "odmc/effects/effects.h"
+
+#include <algorithm>
+
 #include "odmc/math/so3.h"
 
 namespace odmc {
@@ -23,6 +26,11 @@ class Gravity final : public Effect {
   std::vector<TellingPair> telling_pairs() const override {
     return {{"rotor_tilt", "yaw by 90 degrees or more while flying"},
             {"thrust_lean", "yaw by 90 degrees or more while flying"}};
+  }
+
+  std::string manoeuvre(size_t k) const override {
+    static const std::vector<std::string> kShownBy = {"turns of the heading by 90 degrees and more in hover", "turns of the heading by 90 degrees and more in hover"};
+    return kShownBy[std::min(k, kShownBy.size() - 1)];
   }
 
  private:

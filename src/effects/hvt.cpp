@@ -1,5 +1,7 @@
 #include "odmc/effects/effects.h"
 
+#include <algorithm>
+
 namespace odmc {
 namespace {
 
@@ -16,6 +18,11 @@ class Hvt final : public Effect {
                {{"k_h", "kg/m", "extra thrust per squared horizontal air speed", 0.0,
                  0.05 * vehicle.mass_kg, 0.01 * vehicle.mass_kg, ParameterTransform::kLinear,
                  PhysicalSign::kPositive}}) {}
+
+  std::string manoeuvre(size_t k) const override {
+    static const std::vector<std::string> kShownBy = {"level flight at several speeds, fast ones among them"};
+    return kShownBy[std::min(k, kShownBy.size() - 1)];
+  }
 
  private:
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,

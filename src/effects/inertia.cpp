@@ -1,5 +1,7 @@
 #include "odmc/effects/effects.h"
 
+#include <algorithm>
+
 namespace odmc {
 namespace {
 
@@ -18,6 +20,11 @@ class Inertia final : public Effect {
 
   /// No candidate: it is the base of every model.
   std::vector<EffectTrial> Trials(const FlownRange&, bool) const override { return {}; }
+
+  std::string manoeuvre(size_t k) const override {
+    static const std::vector<std::string> kShownBy = {"quick rolls", "quick pitches", "quick turns of the heading"};
+    return kShownBy[std::min(k, kShownBy.size() - 1)];
+  }
 
  private:
   static ParameterSpec Axis(int axis, const Vehicle& vehicle) {

@@ -1,5 +1,7 @@
 #include "odmc/effects/effects.h"
 
+#include <algorithm>
+
 namespace odmc {
 namespace {
 
@@ -16,7 +18,13 @@ class RotorTorque final : public Effect {
                {Coefficient(vehicle)}) {}
 
   /// No candidate: it is the base of every model.
+  bool changes_between_flights() const override { return true; }
   std::vector<EffectTrial> Trials(const FlownRange&, bool) const override { return {}; }
+
+  std::string manoeuvre(size_t k) const override {
+    static const std::vector<std::string> kShownBy = {"quick turns of the heading"};
+    return kShownBy[std::min(k, kShownBy.size() - 1)];
+  }
 
  private:
   static ParameterSpec Coefficient(const Vehicle& vehicle) {

@@ -1,6 +1,6 @@
-#include <algorithm>
-
 #include "odmc/effects/effects.h"
+
+#include <algorithm>
 
 namespace odmc {
 namespace {
@@ -17,7 +17,13 @@ class Thrust final : public Effect {
                {Coefficient(vehicle)}) {}
 
   /// No candidate: it is the base of every model.
+  bool changes_between_flights() const override { return true; }
   std::vector<EffectTrial> Trials(const FlownRange&, bool) const override { return {}; }
+
+  std::string manoeuvre(size_t k) const override {
+    static const std::vector<std::string> kShownBy = {"hover, then climbs and turns"};
+    return kShownBy[std::min(k, kShownBy.size() - 1)];
+  }
 
  private:
   static ParameterSpec Coefficient(const Vehicle& vehicle) {

@@ -1,5 +1,7 @@
 #include "odmc/effects/effects.h"
 
+#include <algorithm>
+
 namespace odmc {
 namespace {
 
@@ -12,6 +14,11 @@ class ViscousTorque final : public Effect {
                 "model.md section 2; paper Eq. (1)",
                 "a positive b feeds energy in: it then stands in for an effect the model lacks"},
                {Axis(0, vehicle), Axis(1, vehicle), Axis(2, vehicle)}) {}
+
+  std::string manoeuvre(size_t k) const override {
+    static const std::vector<std::string> kShownBy = {"quick rolls", "quick pitches", "quick turns of the heading"};
+    return kShownBy[std::min(k, kShownBy.size() - 1)];
+  }
 
  private:
   static ParameterSpec Axis(int axis, const Vehicle& vehicle) {

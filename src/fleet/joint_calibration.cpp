@@ -202,6 +202,18 @@ std::vector<FlightFactor> FactorsOf(const FleetCalibration& fleet) {
   return factors;
 }
 
+/// Parameters of effects that change with what people change between flights.
+std::vector<std::string> OftenChanged(const DynamicModel& model) {
+  std::vector<std::string> names;
+  for (int i = 0; i < model.num_effects(); ++i) {
+    if (!model.effect(i).changes_between_flights()) continue;
+    for (const ModelParameter& p : model.parameters()) {
+      if (p.effect == model.effect(i).name()) names.push_back(p.full_name);
+    }
+  }
+  return names;
+}
+
 void Combine(const JointOptions& given, FleetCalibration* fleet) {
   const std::vector<FlightFactor> factors = FactorsOf(*fleet);
   if (factors.empty()) {
@@ -304,6 +316,8 @@ FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const Fli
                                 const std::vector<FleetFlight>& known,
                                 const std::function<void(double)>& progress) {
   constexpr double kShareOfPasses = 0.7;  // of the time
+  JointOptions joint = options.joint;
+  joint.often_changed = OftenChanged(DynamicModel(vehicle, vehicle.effects));
   const auto part = [&](double from, double to) {
     return [=](double share) {
       if (progress) progress(from + share * (to - from));
@@ -325,7 +339,7 @@ FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const Fli
             },
             part(0.0, kShareOfPasses));
   Order(&fleet.flights);
-  Combine(options.joint, &fleet);
+  Combine(joint, &fleet);
 
   for (int pass = 1; pass < options.most_passes; ++pass) {
     std::vector<int> far;
@@ -348,10 +362,10 @@ FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const Fli
       flight.factor = std::move(anew.factor);
       ++flight.passes;
     });
-    Combine(options.joint, &fleet);
+    Combine(joint, &fleet);
   }
 
-  if (WidenOutliers(source, vehicle, options, &fleet)) Combine(options.joint, &fleet);
+  if (WidenOutliers(source, vehicle, options, &fleet)) Combine(joint, &fleet);
   AddSharedDoubts(source, vehicle, options, &fleet);
 
   const std::vector<int> used = fleet.used();

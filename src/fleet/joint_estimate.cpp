@@ -78,6 +78,23 @@ bool Same(const FleetModel& a, const FleetModel& b) {
                     });
 }
 
+/// The share of the false-alarm rate that each parameter has: half of it for those often changed,
+/// half for the rest.
+std::vector<double> SharesOf(const std::vector<std::string>& names,
+                             const std::vector<std::string>& often_changed) {
+  const auto is_often = [&](const std::string& name) {
+    return std::count(often_changed.begin(), often_changed.end(), name) > 0;
+  };
+  const auto n = static_cast<double>(names.size());
+  const auto often = static_cast<double>(std::count_if(names.begin(), names.end(), is_often));
+  std::vector<double> shares;
+  for (const std::string& name : names) {
+    const bool all_alike = often == 0.0 || often == n;
+    shares.push_back(all_alike ? 1.0 / n : 0.5 / (is_often(name) ? often : n - often));
+  }
+  return shares;
+}
+
 /// The vehicle after the last change: value, covariance, sigmas.
 void SetToday(const std::vector<FlightFactor>& factors, JointEstimate* joint) {
   const Index n = factors.front().size(), q = joint->fit.beta.size();
@@ -113,6 +130,7 @@ JointEstimate EstimateJointly(const std::vector<FlightFactor>& factors,
   }
   JointEstimate joint;
   joint.fit = FitRandomEffects(factors, joint.model);
+  const std::vector<double> shares = SharesOf(factors.front().names, options.often_changed);
   std::vector<Found> all;
   ScalarHistory axis;
   axis.time = times;
@@ -120,7 +138,7 @@ JointEstimate EstimateJointly(const std::vector<FlightFactor>& factors,
     std::vector<Found> now;
     for (int k = 0; k < n; ++k) {
       const ScalarHistory history = HistoryOf(k, factors, joint.model, joint.fit, times);
-      const HistoryFit fit = ExamineHistory(history, options.false_alarm_rate / n);
+      const HistoryFit fit = ExamineHistory(history, options.false_alarm_rate * shares[static_cast<size_t>(k)]);
       for (const HistoryFinding& finding : fit.findings) now.push_back({k, finding});
     }
     FleetModel model = ModelOf(now, axis, flights);
@@ -131,7 +149,7 @@ JointEstimate EstimateJointly(const std::vector<FlightFactor>& factors,
   }
   for (const Found& found : all) {
     const HistoryFinding& f = found.finding;
-    const double p = std::min(1.0, std::exp(f.log_p) * n);
+    const double p = std::min(1.0, std::exp(f.log_p) / shares[static_cast<size_t>(found.parameter)]);
     if (f.kind == HistoryFinding::Kind::kOutlier) {
       joint.outliers.push_back({f.flight, found.parameter, f.size, f.sigma, p});
     } else {

@@ -52,6 +52,10 @@ void Effect::Shape(double time_s, const ParameterValues& values, BodyProperties*
   DoShapeAt(time_s, values, body, J);
 }
 
+std::string Effect::manoeuvre(size_t /*k*/) const {
+  return "quicker and faster, in all directions";
+}
+
 std::vector<EffectTrial> Effect::Trials(const FlownRange& /*flown*/, bool /*fits_thrust*/) const {
   return {EffectTrial()};
 }

@@ -1,8 +1,9 @@
 #include "odmc/ros/conversions.h"
 
 #include <cmath>
-#include <stdexcept>
 #include <string>
+#include <utility>
+#include <variant>
 #include <vector>
 
 #include "odmc/sensing/plausible.h"
@@ -10,32 +11,39 @@
 namespace odmc {
 namespace {
 
-constexpr double kMissing = -1.0;                             // as a first variance
 constexpr double kLeastThrottle = -0.2, kMostThrottle = 1.2;  // ESCs may be told 800 to 2200 us
 
-/// Pose with its stamp; nothing if it is not sound.
-std::optional<OdometryInput> PoseInput(const std_msgs::Header& header,
-                                       const geometry_msgs::Pose& pose) {
-  OdometryInput input;
-  input.sample.stamp = FromRos(header.stamp);
-  input.sample.p_WS = ToEigen(pose.position);
-  input.sample.q_WS = ToEigen(pose.orientation);
-  input.frame_id = header.frame_id;
-  if (input.sample.stamp <= 0 || !IsPlausible(input.sample)) return std::nullopt;
+std::optional<OdometryInput> AcceptedAs(OdometryInput input) {
+  OdometrySample moving = input.sample;
+  moving.v_WS = input.linear;  // in whichever frame
+  if (input.sample.stamp <= 0 || !IsPlausible(moving)) return std::nullopt;
   input.sample.q_WS.normalize();
   return input;
 }
 
-std::optional<RotorInput> SpeedInput(const std_msgs::Header& header,
-                                     const std::vector<double>& speeds, int num_rotors,
-                                     double scale) {
-  if (static_cast<int>(speeds.size()) != num_rotors) return std::nullopt;
-  RotorInput input;
-  input.sample.stamp = FromRos(header.stamp);
-  input.sample.speed =
-      scale * Eigen::Map<const Eigen::VectorXd>(speeds.data(), num_rotors).cwiseAbs();
+std::optional<ImuInput> AcceptedAs(ImuInput input) {
+  const bool has_any = input.sample.gyro_I || input.sample.specific_force_I;
+  if (input.sample.stamp <= 0 || !has_any || !IsPlausible(input.sample)) return std::nullopt;
+  return input;
+}
+
+std::optional<RotorInput> AcceptedAs(RotorInput input) {
+  input.sample.speed = input.sample.speed.cwiseAbs().eval();
   if (input.sample.stamp <= 0 || !IsPlausible(input.sample)) return std::nullopt;
   return input;
+}
+
+std::optional<BatterySample> AcceptedAs(BatterySample sample) {
+  if (sample.stamp <= 0 || !std::isfinite(sample.voltage_V)) return std::nullopt;
+  return sample;
+}
+
+std::optional<CommandSample> AcceptedAs(CommandSample sample) {
+  if (sample.stamp <= 0 || !sample.throttle.allFinite()) return std::nullopt;
+  if (sample.throttle.minCoeff() < kLeastThrottle || sample.throttle.maxCoeff() > kMostThrottle) {
+    return std::nullopt;
+  }
+  return sample;
 }
 
 }  // namespace
@@ -77,85 +85,47 @@ DynamicParameter ToMessage(const ParameterEstimate& p) {
 
 // ---- Messages to samples -----------------------------------------------------------------------
 
+std::optional<InputSample> Accepted(InputSample input) {
+  return std::visit(
+      [](auto& one) -> std::optional<InputSample> {
+        auto accepted = AcceptedAs(std::move(one));
+        if (!accepted) return std::nullopt;
+        return InputSample(*std::move(accepted));
+      },
+      input);
+}
+
 std::optional<OdometryInput> ToInput(const nav_msgs::Odometry& message) {
-  std::optional<OdometryInput> input = PoseInput(message.header, message.pose.pose);
-  if (!input) return std::nullopt;
-  input->child_frame_id = message.child_frame_id;
-  if (message.twist.covariance[0] != kMissing) input->linear = ToEigen(message.twist.twist.linear);
-  if (message.twist.covariance[21] != kMissing) {
-    input->sample.w_WS_S = ToEigen(message.twist.twist.angular);
-  }
-  OdometrySample moving = input->sample;
-  moving.v_WS = input->linear;  // in whichever frame
-  if (!IsPlausible(moving)) return std::nullopt;
-  return input;
+  return AcceptedAs(InputOf(message));
 }
 
 std::optional<OdometryInput> ToInput(const geometry_msgs::PoseStamped& message) {
-  std::optional<OdometryInput> input = PoseInput(message.header, message.pose);
-  if (input) input->is_pose = true;
-  return input;
+  return AcceptedAs(InputOf(message));
 }
 
 std::optional<ImuInput> ToInput(const sensor_msgs::Imu& message) {
-  ImuInput input;
-  input.sample.stamp = FromRos(message.header.stamp);
-  input.frame_id = message.header.frame_id;
-  if (message.angular_velocity_covariance[0] != kMissing) {
-    input.sample.gyro_I = ToEigen(message.angular_velocity);
-  }
-  if (message.linear_acceleration_covariance[0] != kMissing) {
-    input.sample.specific_force_I = ToEigen(message.linear_acceleration);
-  }
-  const bool has_any = input.sample.gyro_I || input.sample.specific_force_I;
-  if (input.sample.stamp <= 0 || !has_any || !IsPlausible(input.sample)) return std::nullopt;
-  return input;
+  return AcceptedAs(InputOf(message));
 }
 
 std::optional<BatterySample> ToInput(const sensor_msgs::BatteryState& message) {
-  const BatterySample sample{FromRos(message.header.stamp), FromFloat(message.voltage)};
-  if (sample.stamp <= 0 || !std::isfinite(sample.voltage_V)) return std::nullopt;
-  return sample;
+  return AcceptedAs(InputOf(message));
 }
 
 std::optional<RotorInput> ToInput(const RotorSpeeds& message, int num_rotors) {
-  std::optional<RotorInput> input =
-      SpeedInput(message.header, message.angular_velocity_rad_s, num_rotors, 1.0);
-  if (input) input->rms_only = message.rms_only;
-  return input;
-}
-
-std::optional<RotorInput> ToInput(const sensor_msgs::JointState& message, int num_rotors,
-                                  double scale) {
-  std::optional<RotorInput> input =
-      SpeedInput(message.header, SpeedsOfJoints(message), num_rotors, scale);
-  if (input) input->from_joints = true;
-  return input;
+  const std::vector<double>& speeds = message.angular_velocity_rad_s;
+  if (static_cast<int>(speeds.size()) != num_rotors) return std::nullopt;
+  RotorInput input;
+  input.sample.stamp = FromRos(message.header.stamp);
+  input.sample.speed = Eigen::Map<const Eigen::VectorXd>(speeds.data(), num_rotors);
+  input.rms_only = message.rms_only;
+  return AcceptedAs(std::move(input));
 }
 
 std::optional<CommandSample> ToInput(const MotorCommands& message, int num_rotors) {
   if (static_cast<int>(message.throttle.size()) != num_rotors) return std::nullopt;
-  CommandSample sample;
-  sample.stamp = FromRos(message.header.stamp);
-  sample.throttle = Eigen::Map<const Eigen::VectorXd>(message.throttle.data(), num_rotors);
-  if (sample.stamp <= 0 || !sample.throttle.allFinite()) return std::nullopt;
-  if (sample.throttle.minCoeff() < kLeastThrottle || sample.throttle.maxCoeff() > kMostThrottle) {
-    return std::nullopt;
-  }
-  return sample;
-}
-
-double RotorSpeedScale(const std::string& unit, int pole_pairs) {
-  const double rpm = M_PI / 30.0;
-  if (unit == "rad_s") return 1.0;
-  if (unit == "rpm") return rpm;
-  if (unit != "erpm") {
-    throw std::invalid_argument("rotor_speed_unit must be rad_s, rpm or erpm, not '" + unit + "'");
-  }
-  if (pole_pairs < 1) {
-    throw std::invalid_argument("pole_pairs must be at least 1, not " + std::to_string(pole_pairs));
-  }
-  return rpm / pole_pairs;
+  return AcceptedAs(
+      CommandSample{FromRos(message.header.stamp),
+                    Eigen::Map<const Eigen::VectorXd>(message.throttle.data(), num_rotors)});
 }
 
 geometry_msgs::TransformStamped ToTransform(Stamp stamp, const std::string& parent,

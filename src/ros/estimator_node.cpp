@@ -26,6 +26,7 @@
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
+#include "odmc/io/printable_text.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/math/statistics.h"
 #include "odmc/model/plausibility.h"
@@ -198,8 +199,8 @@ EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
   if (!setup.options.IsValid(&error) || !setup.estimator.IsValid(&error)) {
     throw std::invalid_argument(private_node.getNamespace() + ": " + error);
   }
-  RotorSpeedScale(setup.options.rotor_speed_unit, setup.options.pole_pairs);  // refuses nonsense
   setup.vehicle = ReadVehicle(setup.options, public_node);
+  setup.options.Check(setup.vehicle.num_rotors());
   const std::string doubt = InertiaDoubt(setup.vehicle);
   if (!doubt.empty()) setup.warnings.push_back(doubt);
   setup.odometry_mount_known =
@@ -237,7 +238,6 @@ EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
 EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle& private_node,
                              EstimatorNodeSetup setup)
     : setup_(std::move(setup)),
-      joint_scale_(RotorSpeedScale(setup_.options.rotor_speed_unit, setup_.options.pole_pairs)),
       node_(node),
       declared_effects_(setup_.vehicle.effects),
       declared_parameters_(setup_.vehicle.parameters),
@@ -265,14 +265,10 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
   estimator_thread_ = std::thread(&EstimatorNode::RunEstimator, this);
   reporting_thread_ = std::thread(&EstimatorNode::RunReporting, this);
   watching_thread_ = std::thread(&EstimatorNode::RunWatching, this);
-  Subscribe<nav_msgs::Odometry>("odometry", InputStream::kOdometry);
-  Subscribe<geometry_msgs::PoseStamped>("pose", InputStream::kPose);
-  Subscribe<sensor_msgs::Imu>("imu", InputStream::kImu);
-  Subscribe<RotorSpeeds>("rotor_speeds", InputStream::kRotorSpeeds);
-  Subscribe<sensor_msgs::JointState>("joint_states", InputStream::kJointStates);
-  Subscribe<sensor_msgs::BatteryState>("battery_state", InputStream::kBatteryState);
-  // Nobody could make anything of commands without the actuator.
-  if (rotor_source_) Subscribe<MotorCommands>("motor_commands", InputStream::kMotorCommands);
+  for (const StreamRole& role : StreamRoles()) {
+    // Nobody could make anything of commands without the actuator.
+    if (role.stream != InputStream::kMotorCommands || rotor_source_) Subscribe(role.stream);
+  }
   Offer(private_node);
 }
 
@@ -295,37 +291,60 @@ bool EstimatorNode::Stop() {
 
 // ---- ROS threads -------------------------------------------------------------------------------
 
-template <typename Message>
-std::optional<InputSample> EstimatorNode::Convert(const Message& message) const {
-  const auto wrap = [](auto input) -> std::optional<InputSample> {
-    if (!input) return std::nullopt;
-    return InputSample(*std::move(input));
-  };
-  if constexpr (std::is_same_v<Message, RotorSpeeds> || std::is_same_v<Message, MotorCommands>) {
-    return wrap(ToInput(message, setup_.vehicle.num_rotors()));
-  } else if constexpr (std::is_same_v<Message, sensor_msgs::JointState>) {
-    return wrap(ToInput(message, setup_.vehicle.num_rotors(), joint_scale_));
-  } else {
-    return wrap(ToInput(message));
+/// Topics may have messages of any type: publishers bring the definition with them.
+void EstimatorNode::Subscribe(InputStream stream) {
+  const auto reader = std::make_shared<StreamReader>(stream, setup_.options, setup_.vehicle.num_rotors());
+  const boost::function<void(const ros::MessageEvent<const RawMessage>&)> callback =
+      [this, stream, reader](const ros::MessageEvent<const RawMessage>& event) {
+        Take(stream, *event.getConstMessage(), FromRos(event.getReceiptTime()), reader.get());
+      };
+  ros::SubscribeOptions options;
+  options.initByFullCallbackType<const ros::MessageEvent<const RawMessage>&>(NameOf(stream), 2000,
+                                                                            callback);
+  options.transport_hints = ros::TransportHints().tcpNoDelay();
+  subscribers_.push_back(node_.subscribe(options));
+}
+
+void EstimatorNode::Take(InputStream stream, const RawMessage& message, Stamp arrival,
+                         StreamReader* reader) {
+  try {
+    std::optional<InputSample> input = reader->Read(message, arrival);
+    for (const std::string& note : reader->TakeNotes()) {
+      Warn(std::string(NameOf(stream)) + ": " + Printable(note));
+    }
+    if (!input) return CountPassedOver(stream);
+    WarnOfSigns(*input);
+    Push(stream, Accepted(*std::move(input)), "");
+  } catch (const std::exception& e) {
+    const std::string refusal = Printable(e.what());
+    ROS_WARN_THROTTLE(10.0, "%s: %s", NameOf(stream), refusal.c_str());
+    Push(stream, std::nullopt, refusal);
   }
 }
 
-template <typename Message>
-void EstimatorNode::Subscribe(const std::string& topic, InputStream stream) {
-  const boost::function<void(const typename Message::ConstPtr&)> callback =
-      [this, stream](const typename Message::ConstPtr& message) {
-        Push(stream, Convert(*message));
-      };
-  subscribers_.push_back(node_.subscribe<Message>(topic, 2000, callback, ros::VoidConstPtr(),
-                                                  ros::TransportHints().tcpNoDelay()));
+void EstimatorNode::WarnOfSigns(const InputSample& input) {
+  const auto* rotors = std::get_if<RotorInput>(&input);
+  if (told_of_signs_ || rotors == nullptr || !(rotors->sample.speed.minCoeff() < 0.0)) return;
+  told_of_signs_ = true;
+  ROS_INFO("rotor speeds have a sign: their magnitude is used, the direction of turning comes from "
+           "the vehicle file");
 }
 
-void EstimatorNode::Push(InputStream stream, std::optional<InputSample> input) {
+void EstimatorNode::CountPassedOver(InputStream stream) {
+  const std::lock_guard<std::mutex> lock(queue_mutex_);
+  StreamStatus& status = streams_[static_cast<size_t>(stream)];
+  ++status.received;
+  ++status.passed_over;
+}
+
+void EstimatorNode::Push(InputStream stream, std::optional<InputSample> input,
+                         const std::string& refusal) {
   const std::lock_guard<std::mutex> lock(queue_mutex_);
   StreamStatus& status = streams_[static_cast<size_t>(stream)];
   ++status.received;
   if (!input) {
     ++status.refused;
+    status.refusal = refusal;
   } else if (queue_.size() >= static_cast<size_t>(setup_.options.queue_size)) {
     ++status.overflowed;
   } else {

@@ -1,12 +1,10 @@
 #include "odmc/ros/flight_bag.h"
 
-#include <geometry_msgs/PoseStamped.h>
 #include <nav_msgs/Odometry.h>
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
 #include <sensor_msgs/BatteryState.h>
 #include <sensor_msgs/Imu.h>
-#include <sensor_msgs/JointState.h>
 #include <std_msgs/Int64.h>
 
 #include <algorithm>
@@ -42,22 +40,6 @@ constexpr char kWorldFrame[] = "world";
 
 // ---- Stamps and topics -------------------------------------------------------------------------
 
-struct Role {
-  std::string name;
-  std::string type;  ///< message type as bags name it
-};
-
-const std::vector<Role>& Roles() {
-  static const std::vector<Role> roles = {{"odometry", "nav_msgs/Odometry"},
-                                          {"pose", "geometry_msgs/PoseStamped"},
-                                          {"imu", "sensor_msgs/Imu"},
-                                          {"rotor_speeds", "odmc/RotorSpeeds"},
-                                          {"joint_states", "sensor_msgs/JointState"},
-                                          {"battery_state", "sensor_msgs/BatteryState"},
-                                          {"motor_commands", "odmc/MotorCommands"}};
-  return roles;
-}
-
 std::string Join(const std::set<std::string>& names) {
   std::string text;
   for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
@@ -85,9 +67,10 @@ class BagSource {
   /// Topic of a role; empty where the bag has none.
   std::string TopicOf(const std::string& role) const;
 
-  /// Shows every message of a topic to `use`, in the order of recording.
-  template <typename Message, typename Use>
-  void Read(const std::string& topic, Use use);
+  /// Shows what every message of a topic says to `use`, in the order of recording.
+  /// @param num_rotors  0: as many as a message has
+  template <typename Input, typename Use>
+  void Read(const std::string& topic, InputStream stream, int num_rotors, FlightLog* log, Use use);
 
   /// Number of messages of a topic.
   size_t Count(const std::string& topic) {
@@ -99,6 +82,8 @@ class BagSource {
 
  private:
   void CheckMap() const;
+  std::set<std::string> KnownTopics(ForeignUse use) const;
+  std::string OneOf(const std::set<std::string>& topics, const std::string& role) const;
 
   std::string file_;
   const BagOptions& options_;
@@ -132,38 +117,64 @@ std::string BagSource::Contents() const {
 
 void BagSource::CheckMap() const {
   for (const auto& [name, topic] : options_.topics) {
-    const auto role = std::find_if(Roles().begin(), Roles().end(),
-                                   [&, key = name](const Role& r) { return r.name == key; });
-    if (role == Roles().end()) {
+    const auto role = std::find_if(StreamRoles().begin(), StreamRoles().end(),
+                                   [&, key = name](const StreamRole& r) { return r.name == key; });
+    if (role == StreamRoles().end()) {
       std::set<std::string> known;
-      for (const Role& r : Roles()) known.insert(r.name);
+      for (const StreamRole& r : StreamRoles()) known.insert(r.name);
       Fail(file_, "unknown topic role '" + name + "'; known are: " + Join(known));
     }
-    const std::string found = TopicOf(name);
-    if (types_.at(found) != role->type) {
-      Fail(file_, "topic " + found + " is a " + types_.at(found) + ", but " + name + " must be a " +
-                      role->type);
+    const std::string found = TopicOf(name), type = types_.at(found);
+    if (!role->foreign && std::count(role->types.begin(), role->types.end(), type) == 0) {
+      Fail(file_, "topic " + found + " is a " + type + ", but " + name + " must be a " +
+                      role->types.front());
     }
   }
 }
 
-std::string BagSource::TopicOf(const std::string& role) const {
-  const auto mapped = options_.topics.find(role);
+std::string BagSource::TopicOf(const std::string& name) const {
+  const auto mapped = options_.topics.find(name);
   if (mapped != options_.topics.end()) {
     for (const auto& [topic, type] : types_) {
       if (WithSlash(topic) == WithSlash(mapped->second)) return topic;
     }
-    Fail(file_, "has no topic " + mapped->second + " for " + role + "; " + Contents());
+    Fail(file_, "has no topic " + mapped->second + " for " + name + "; " + Contents());
   }
-  std::set<std::string> fitting, named;
-  for (const Role& r : Roles()) {
-    for (const auto& [topic, type] : types_) {
-      if (r.name != role || type != r.type) continue;
-      fitting.insert(topic);
-      if (EndsIn(topic, role)) named.insert(topic);
+  for (const StreamRole& role : StreamRoles()) {
+    if (role.name != name) continue;
+    for (const std::string& wanted : role.types) {
+      std::set<std::string> topics;
+      for (const auto& [topic, type] : types_) {
+        if (type == wanted) topics.insert(topic);
+      }
+      if (!topics.empty()) return OneOf(topics, name);
     }
+    if (role.foreign) return OneOf(KnownTopics(*role.foreign), name);
   }
-  const std::set<std::string>& candidates = named.empty() ? fitting : named;
+  return "";
+}
+
+/// Topics whose type says what they hold.
+std::set<std::string> BagSource::KnownTopics(ForeignUse use) const {
+  std::set<std::string> topics;
+  for (const auto& [topic, type] : types_) {
+    const KnownMessage* known = FindKnown(use, type);
+    if (known == nullptr || known->by_name_only) continue;
+    const bool is_command = topic.find("command") != std::string::npos ||
+                            topic.find("cmd") != std::string::npos ||
+                            topic.find("setpoint") != std::string::npos;
+    if (use != ForeignUse::kRotorSpeeds || !is_command) topics.insert(topic);
+  }
+  return topics;
+}
+
+/// The only one of `topics`, or the only one that is named after the role; empty if there is none.
+std::string BagSource::OneOf(const std::set<std::string>& topics, const std::string& role) const {
+  std::set<std::string> named;
+  for (const std::string& topic : topics) {
+    if (EndsIn(topic, role)) named.insert(topic);
+  }
+  const std::set<std::string>& candidates = named.empty() ? topics : named;
   if (candidates.empty()) return "";
   if (candidates.size() > 1) {
     Fail(file_, "several topics could be " + role + ": " + Join(candidates) +
@@ -172,28 +183,37 @@ std::string BagSource::TopicOf(const std::string& role) const {
   return *candidates.begin();
 }
 
-template <typename Message, typename Use>
-void BagSource::Read(const std::string& topic, Use use) {
-  rosbag::View view(bag_, rosbag::TopicQuery(topic));
-  for (const rosbag::MessageInstance& instance : view) {
-    const auto message = instance.instantiate<Message>();
-    if (message == nullptr) {
-      Fail(file_, "topic " + topic + " holds another version of " + types_.at(topic) +
-                      " (its definition differs)");
+template <typename Input, typename Use>
+void BagSource::Read(const std::string& topic, InputStream stream, int num_rotors, FlightLog* log,
+                     Use use) {
+  const std::string source = file_ + ": " + topic;
+  Refusals passed_over;
+  long number = 0;
+  try {
+    StreamReader reader(stream, options_, num_rotors);
+    rosbag::View view(bag_, rosbag::TopicQuery(topic));
+    for (const rosbag::MessageInstance& instance : view) {
+      const auto message = instance.instantiate<RawMessage>();
+      if (message == nullptr) continue;
+      std::optional<InputSample> input = reader.Read(*message, FromRos(instance.getTime()));
+      if (input) {
+        use(std::get<Input>(*input));
+      } else {
+        passed_over.Add("message " + std::to_string(number));
+      }
+      ++number;
     }
-    use(*message);
+    for (const std::string& note : reader.TakeNotes()) log->warnings.push_back(source + ": " + note);
+  } catch (const std::invalid_argument& e) {
+    Fail(file_, "topic " + topic + ": " + e.what());
+  }
+  if (passed_over.count > 1) {
+    passed_over.Report(source, "messages without an entry, or whose entries are not of one time",
+                       log);
   }
 }
 
 // ---- Messages to samples -----------------------------------------------------------------------
-
-OdometrySample PoseSample(const std_msgs::Header& header, const geometry_msgs::Pose& pose) {
-  OdometrySample sample;
-  sample.stamp = FromRos(header.stamp);
-  sample.p_WS = ToEigen(pose.position);
-  sample.q_WS = ToEigen(pose.orientation);
-  return sample;
-}
 
 /// Drops samples that `is_finite` refuses, and those whose header carries no stamp.
 template <typename Sample, typename Test>
@@ -216,54 +236,39 @@ void KeepFinite(const std::string& source, std::vector<Sample>* samples, Test is
   *samples = std::move(kept);
 }
 
-/// An odometry message before the frame of its twist is known; a twist that its covariance marks as
-/// absent (-1 as the first variance, as REP-145 has it for IMUs) is none.
-struct RawOdometry {
-  OdometrySample pose;
-  std::optional<Eigen::Vector3d> linear, angular;
-};
-
-RawOdometry RawOf(const nav_msgs::Odometry& m) {
-  RawOdometry raw{PoseSample(m.header, m.pose.pose), {}, {}};
-  if (m.twist.covariance[0] != -1.0) raw.linear = ToEigen(m.twist.twist.linear);
-  if (m.twist.covariance[21] != -1.0) raw.angular = ToEigen(m.twist.twist.angular);
-  return raw;
-}
-
-using RawOdometries = std::vector<RawOdometry>;
+/// Messages before the frame of their twist is known.
+using RawOdometries = std::vector<OdometryInput>;
 
 /// Sources that know no twist leave zeros, without a mark: a vehicle that moved shows it.
 bool IsLinearFilled(const RawOdometries& messages) {
   double path = 0.0;
-  for (const RawOdometry& m : messages) {
+  for (const OdometryInput& m : messages) {
     if (!m.linear) continue;
     if (*m.linear != Eigen::Vector3d::Zero()) return true;
-    path = std::max(path, (m.pose.p_WS - messages.front().pose.p_WS).norm());
+    path = std::max(path, (m.sample.p_WS - messages.front().sample.p_WS).norm());
   }
   return path < 0.1;
 }
 
 bool IsAngularFilled(const RawOdometries& messages) {
   double turn = 0.0;
-  for (const RawOdometry& m : messages) {
-    if (!m.angular) continue;
-    if (*m.angular != Eigen::Vector3d::Zero()) return true;
-    turn = std::max(turn, m.pose.q_WS.angularDistance(messages.front().pose.q_WS));
+  for (const OdometryInput& m : messages) {
+    if (!m.sample.w_WS_S) continue;
+    if (*m.sample.w_WS_S != Eigen::Vector3d::Zero()) return true;
+    turn = std::max(turn, m.sample.q_WS.angularDistance(messages.front().sample.q_WS));
   }
   return turn < 0.1;
 }
 
 /// The frame of the linear twist: as told, or found from the motion.
-/// @param frame_id, child_frame_id of the first message
 TwistFrame FindTwistFrame(const std::string& source, const RawOdometries& messages,
-                          const std::string& frame_id, const std::string& child_frame_id,
                           const std::string& wanted, FlightLog* log) {
   if (wanted == "body") return TwistFrame::kBody;
   if (wanted == "world") return TwistFrame::kWorld;
   TwistFrameDetector detector;
-  for (const RawOdometry& m : messages) {
+  for (const OdometryInput& m : messages) {
     if (!m.linear) continue;
-    detector.AddSample(m.pose.stamp, m.pose.p_WS, m.pose.q_WS.normalized(), *m.linear);
+    detector.AddSample(m.sample.stamp, m.sample.p_WS, m.sample.q_WS.normalized(), *m.linear);
     if (detector.decided()) break;
   }
   const TwistFrameDecision& decision = detector.decision();
@@ -271,7 +276,8 @@ TwistFrame FindTwistFrame(const std::string& source, const RawOdometries& messag
     Fail(source, "the twist fits neither frame: " + decision.Describe() +
                      "; state twist_frame if the position is at fault");
   }
-  const TwistFrame frame = ResolveTwistFrame(decision.frame, frame_id, child_frame_id);
+  const TwistFrame frame = ResolveTwistFrame(
+      decision.frame, messages.front().frame_id, messages.front().child_frame_id);
   if (decision.frame == TwistFrame::kUndecided && decision.moving_s > 1.0) {
     log->warnings.push_back(source +
                             ": the motion does not tell the frame of the twist, took the " +
@@ -299,30 +305,24 @@ std::vector<OdometrySample> ReadOdometry(BagSource* bag, const std::string& topi
                                          const BagOptions& options, FlightLog* log) {
   const std::string source = bag->file() + ": " + topic;
   RawOdometries messages;
-  std::string frame_id, child_frame_id;
   messages.reserve(bag->Count(topic));
-  bag->Read<nav_msgs::Odometry>(topic, [&](const nav_msgs::Odometry& m) {
-    if (messages.empty()) frame_id = m.header.frame_id;
-    if (messages.empty()) child_frame_id = m.child_frame_id;
-    messages.push_back(RawOf(m));
-  });
+  bag->Read<OdometryInput>(topic, InputStream::kOdometry, 0, log,
+                           [&](const OdometryInput& m) { messages.push_back(m); });
   if (messages.empty()) Fail(source, "no message");
   const bool has_linear = IsLinearFilled(messages), has_angular = IsAngularFilled(messages);
   if (!has_linear) log->warnings.push_back(source + ": linear twist is all zero, not used");
   if (!has_angular) log->warnings.push_back(source + ": angular twist is all zero, not used");
   const TwistFrame frame =
-      has_linear ? FindTwistFrame(source, messages, frame_id, child_frame_id, options.twist_frame,
-                                  log)
-                 : TwistFrame::kBody;
+      has_linear ? FindTwistFrame(source, messages, options.twist_frame, log) : TwistFrame::kBody;
   std::vector<OdometrySample> samples;
   samples.reserve(messages.size());
-  for (const RawOdometry& m : messages) {
-    OdometrySample sample = m.pose;
+  for (const OdometryInput& m : messages) {
+    OdometrySample sample = m.sample;
     if (has_linear && m.linear) {
       const bool is_world = frame == TwistFrame::kWorld;
       sample.v_WS = is_world ? *m.linear : sample.q_WS.normalized() * *m.linear;
     }
-    if (has_angular) sample.w_WS_S = m.angular;
+    if (!has_angular) sample.w_WS_S.reset();
     samples.push_back(sample);
   }
   FinishOdometry(source, &samples, log);
@@ -331,9 +331,8 @@ std::vector<OdometrySample> ReadOdometry(BagSource* bag, const std::string& topi
 
 std::vector<OdometrySample> ReadPoses(BagSource* bag, const std::string& topic, FlightLog* log) {
   std::vector<OdometrySample> samples;
-  bag->Read<geometry_msgs::PoseStamped>(topic, [&](const geometry_msgs::PoseStamped& m) {
-    samples.push_back(PoseSample(m.header, m.pose));
-  });
+  bag->Read<OdometryInput>(topic, InputStream::kPose, 0, log,
+                           [&](const OdometryInput& m) { samples.push_back(m.sample); });
   FinishOdometry(bag->file() + ": " + topic, &samples, log);
   return samples;
 }
@@ -346,87 +345,53 @@ bool IsFinite(const ImuSample& s) {
 void ReadImu(BagSource* bag, FlightLog* log) {
   const std::string topic = bag->TopicOf("imu");
   if (topic.empty()) return;
-  bag->Read<sensor_msgs::Imu>(topic, [&](const sensor_msgs::Imu& m) {
-    ImuSample sample;
-    sample.stamp = FromRos(m.header.stamp);
-    // REP-145: -1 as the first variance says that the sensor has no such part.
-    if (m.angular_velocity_covariance[0] != -1.0) sample.gyro_I = ToEigen(m.angular_velocity);
-    if (m.linear_acceleration_covariance[0] != -1.0) {
-      sample.specific_force_I = ToEigen(m.linear_acceleration);
-    }
-    log->imu.push_back(sample);
-  });
+  bag->Read<ImuInput>(topic, InputStream::kImu, 0, log,
+                      [&](const ImuInput& m) { log->imu.push_back(m.sample); });
   const std::string source = bag->file() + ": " + topic;
   KeepFinite(
       source, &log->imu, [](const ImuSample& s) { return IsFinite(s); }, log);
   KeepForward(source, &log->imu, log);
 }
 
-/// Factor that takes the speeds of joint_states to rad/s.
-double RotorSpeedScale(const std::string& file, const BagOptions& options) {
-  const double rpm = M_PI / 30.0;
-  if (options.rotor_speed_unit == "rad_s") return 1.0;
-  if (options.rotor_speed_unit == "rpm") return rpm;
-  if (options.rotor_speed_unit != "erpm") {
-    Fail(file,
-         "rotor_speed_unit must be rad_s, rpm or erpm, not '" + options.rotor_speed_unit + "'");
-  }
-  if (options.pole_pairs < 1) Fail(file, "pole_pairs must be at least 1");
-  return rpm / options.pole_pairs;
-}
-
-void CheckSize(const std::string& source, size_t size, const char* what, int num_rotors) {
-  if (static_cast<int>(size) == num_rotors) return;
-  Fail(source, "has " + std::to_string(size) + " " + what + ", the vehicle has " +
-                   std::to_string(num_rotors) + " rotors");
-}
-
 void ReadCommands(BagSource* bag, int num_rotors, FlightLog* log) {
   const std::string topic = bag->TopicOf("motor_commands");
   if (topic.empty()) return;
   const std::string source = bag->file() + ": " + topic;
-  bag->Read<odmc::MotorCommands>(topic, [&](const odmc::MotorCommands& m) {
-    CheckSize(source, m.throttle.size(), "commands", num_rotors);
-    log->commands.push_back({FromRos(m.header.stamp),
-                             Eigen::Map<const Eigen::VectorXd>(m.throttle.data(), num_rotors)});
-  });
+  bag->Read<CommandSample>(topic, InputStream::kMotorCommands, num_rotors, log,
+                           [&](const CommandSample& m) { log->commands.push_back(m); });
   KeepFinite(
       source, &log->commands, [](const CommandSample& s) { return s.throttle.allFinite(); }, log);
   KeepForward(source, &log->commands, log);
 }
 
-RotorSample MakeRotorSample(const std::string& source, const ros::Time& stamp,
-                            const std::vector<double>& speeds, double scale, int num_rotors) {
-  CheckSize(source, speeds.size(), "speeds", num_rotors);
-  RotorSample sample;
-  sample.stamp = FromRos(stamp);
-  sample.speed = scale * Eigen::Map<const Eigen::VectorXd>(speeds.data(), num_rotors);
-  return sample;
+/// Topic and stream of rotor speeds; an empty topic where there are none.
+std::pair<std::string, InputStream> FindRotors(BagSource* bag, const BagOptions& options) {
+  const bool is_mapped = options.topics.count("rotor_speeds") > 0;
+  if (!options.rotor_topic_field.empty() && !is_mapped) {
+    Fail(bag->file(), "which topic has the field " + options.rotor_topic_field +
+                          "? Say so by --topic rotor_speeds:=/name; " + bag->Contents());
+  }
+  // A mapped joint_states says which of the two the user means.
+  const bool joints_only = options.topics.count("joint_states") > 0;
+  const std::string topic = joints_only ? "" : bag->TopicOf("rotor_speeds");
+  if (!topic.empty()) return {topic, InputStream::kRotorSpeeds};
+  return {bag->TopicOf("joint_states"), InputStream::kJointStates};
 }
 
 void ReadRotors(BagSource* bag, int num_rotors, const BagOptions& options, FlightLog* log) {
-  const double scale = RotorSpeedScale(bag->file(), options);
-  // A mapped joint_states says which of the two the user means.
-  std::string topic = options.topics.count("joint_states") > 0 ? "" : bag->TopicOf("rotor_speeds");
-  const std::string joint_topic = topic.empty() ? bag->TopicOf("joint_states") : "";
-  const std::string source = bag->file() + ": " + topic + joint_topic;
-  if (!topic.empty()) {
-    bag->Read<odmc::RotorSpeeds>(topic, [&](const odmc::RotorSpeeds& m) {
-      log->rotors.push_back(
-          MakeRotorSample(source, m.header.stamp, m.angular_velocity_rad_s, 1.0, num_rotors));
-      log->rotor_rms_only = log->rotor_rms_only || m.rms_only;
-    });
-  } else if (!joint_topic.empty()) {
-    bag->Read<sensor_msgs::JointState>(joint_topic, [&](const sensor_msgs::JointState& m) {
-      log->rotors.push_back(
-          MakeRotorSample(source, m.header.stamp, SpeedsOfJoints(m), scale, num_rotors));
-    });
-  } else if (!log->commands.empty()) {
-    return;  // no sensor: commands may stand in
-  } else {
+  const auto [topic, stream] = FindRotors(bag, options);
+  const std::string source = bag->file() + ": " + topic;
+  if (topic.empty()) {
+    if (!log->commands.empty()) return;  // no sensor: commands may stand in
     Fail(bag->file(),
-         "no rotor speeds (odmc/RotorSpeeds or sensor_msgs/JointState); " + bag->Contents());
+         "no rotor speeds (odmc/RotorSpeeds, sensor_msgs/JointState, or a type that is known); "
+         "--topic rotor_speeds:=/name and --rotor-topic-field read any other; " +
+             bag->Contents());
   }
+  bag->Read<RotorInput>(topic, stream, num_rotors, log, [&](const RotorInput& m) {
+    log->rotors.push_back(m.sample);
+    log->rotor_rms_only = log->rotor_rms_only || m.rms_only;
+  });
   KeepFinite(
       source, &log->rotors, [](const RotorSample& s) { return s.speed.allFinite(); }, log);
   KeepForward(source, &log->rotors, log);
@@ -438,9 +403,8 @@ void ReadRotors(BagSource* bag, int num_rotors, const BagOptions& options, Fligh
 void ReadBattery(BagSource* bag, FlightLog* log) {
   const std::string topic = bag->TopicOf("battery_state");
   if (topic.empty()) return;
-  bag->Read<sensor_msgs::BatteryState>(topic, [&](const sensor_msgs::BatteryState& m) {
-    log->battery.push_back({FromRos(m.header.stamp), FromFloat(m.voltage)});
-  });
+  bag->Read<BatterySample>(topic, InputStream::kBatteryState, 1, log,
+                           [&](const BatterySample& m) { log->battery.push_back(m); });
   const std::string source = bag->file() + ": " + topic;
   KeepFinite(
       source, &log->battery, [](const BatterySample& s) { return std::isfinite(s.voltage_V); },
@@ -486,7 +450,9 @@ FlightLog ReadOpenBag(BagSource* bag, int num_rotors, PoseSource pose, const Bag
   const std::string pose_topic = needs_poses ? bag->TopicOf("pose") : "";
   if (needs_poses && pose_topic.empty()) {
     Fail(bag->file(),
-         "no odometry (nav_msgs/Odometry or geometry_msgs/PoseStamped); " + bag->Contents());
+         "no odometry (nav_msgs/Odometry or geometry_msgs/PoseStamped, PoseWithCovarianceStamped, "
+         "TransformStamped); " +
+             bag->Contents());
   }
   ReadImu(bag, &log);
   if (!odometry_topic.empty()) log.odometry = ReadOdometry(bag, odometry_topic, options, &log);
@@ -503,14 +469,13 @@ FlightLog ReadOpenActuatorBag(BagSource* bag, const BagOptions& options) {
   log.file = std::filesystem::path(bag->file()).filename().string();
   const std::string topic = bag->TopicOf("motor_commands");
   if (topic.empty()) Fail(bag->file(), "no odmc/MotorCommands; " + bag->Contents());
-  std::optional<size_t> commands;  // of the first message
-  bag->Read<odmc::MotorCommands>(topic, [&](const odmc::MotorCommands& m) {
-    if (!commands) commands = m.throttle.size();
-  });
-  if (!commands) Fail(bag->file(), topic + " has no message");
-  if (*commands < 1 || *commands > kMaxRotors)
-    Fail(bag->file(), topic + " has " + std::to_string(*commands) + " commands");
-  const auto num_rotors = static_cast<int>(*commands);
+  int num_rotors = 0;  // of the first message
+  FlightLog unused;
+  bag->Read<CommandSample>(topic, InputStream::kMotorCommands, 0, &unused,
+                           [&](const CommandSample& m) {
+                             if (num_rotors == 0) num_rotors = static_cast<int>(m.throttle.size());
+                           });
+  if (num_rotors == 0) Fail(bag->file(), topic + " has no message");
   ReadCommands(bag, num_rotors, &log);
   ReadRotors(bag, num_rotors, options, &log);
   if (log.rotors.empty()) Fail(bag->file(), "no rotor speeds; " + bag->Contents());
@@ -529,11 +494,20 @@ ChildLimits LimitsFor(std::uint64_t uncompressed_bytes) {
           kLeastTime_s + uncompressed_bytes / kBytesPerSecond};
 }
 
+void CheckOptions(const std::string& file, const BagOptions& options) {
+  try {
+    options.Check();
+  } catch (const std::invalid_argument& e) {
+    Fail(file, e.what());
+  }
+}
+
 template <typename Read>
 FlightLog ReadOpened(const std::string& file, const BagOptions& options, const Read& read) {
   try {
     Restrict(LimitsFor(std::filesystem::file_size(file)));
     Restrict(LimitsFor(CheckBagStructure(file).uncompressed_bytes));
+    CheckOptions(file, options);
     BagSource bag(file, options);
     return read(&bag);
   } catch (const std::invalid_argument&) {

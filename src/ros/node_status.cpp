@@ -77,12 +77,6 @@ std::vector<std::string> RotorStatus::Sentences() const {
   return sentences;
 }
 
-const char* NameOf(InputStream stream) {
-  constexpr std::array<const char*, kNumInputStreams> kNames = {
-      "odometry", "pose", "imu", "rotor_speeds", "joint_states", "battery_state", "motor_commands"};
-  return kNames[static_cast<size_t>(stream)];
-}
-
 DiagnosticStatus EstimatorDiagnostic(const NodeStatus& s, const std::string& name) {
   DiagnosticStatus status;
   status.name = name;
@@ -193,12 +187,17 @@ DiagnosticStatus InputDiagnostic(const std::array<StreamStatus, kNumInputStreams
     Put(stream + "_received", s.received, &status);
     Put(stream + "_refused", s.refused, &status);
     Put(stream + "_overflowed", s.overflowed, &status);
+    if (s.passed_over > 0) Put(stream + "_passed_over", s.passed_over, &status);
+    if (!s.refusal.empty()) Put(stream + "_refused_because", s.refusal, &status);
     if (s.overflowed > before[i].overflowed) {
       status.level = DiagnosticStatus::WARN;
       status.message = stream + ": samples lost, the estimator does not keep up";
     } else if (s.refused > before[i].refused) {
       status.level = DiagnosticStatus::WARN;
-      status.message = stream + ": samples refused (no stamp, not finite, wrong number of rotors)";
+      status.message =
+          stream + (s.refusal.empty()
+                        ? ": samples refused (no stamp, not finite, wrong number of rotors)"
+                        : ": " + s.refusal);
     }
   }
   if (received == 0) status.message = "nothing received yet";

@@ -118,6 +118,29 @@ void ParameterReader::Field(const std::string& key, std::vector<std::string>* va
   }
 }
 
+void ParameterReader::Field(const std::string& key, std::vector<int>* value) {
+  known_.push_back(key);
+  XmlRpcValue raw;
+  if (!node_.getParam(key, raw)) return;
+  if (raw.getType() == XmlRpcValue::TypeString) {
+    const std::vector<std::string> items = Items(std::string(raw));
+    raw = XmlRpcValue();
+    raw.setSize(static_cast<int>(items.size()));
+    for (int i = 0; i < raw.size(); ++i) raw[i] = items[i];
+  }
+  if (raw.getType() != XmlRpcValue::TypeArray) {
+    Fail(key, "must be a list of whole numbers, not " + Quoted(raw));
+  }
+  value->clear();
+  for (int i = 0; i < raw.size(); ++i) {
+    const std::optional<double> number = NumberOf(raw[i]);
+    if (!number || std::floor(*number) != *number || std::abs(*number) > 1e6) {
+      Fail(key, "must be a list of whole numbers, not " + Quoted(raw[i]));
+    }
+    value->push_back(static_cast<int>(*number));
+  }
+}
+
 void ParameterReader::Field(const std::string& key, Eigen::Vector3d* value) {
   known_.push_back(key);
   XmlRpcValue raw;

@@ -151,6 +151,21 @@ CLI::Validator NumberThat(bool may_be_zero) {
   return CLI::Validator(check, may_be_zero ? "NONNEGATIVE" : "POSITIVE");
 }
 
+/// An option that takes which entry of a message is which rotor.
+void AddOrder(const std::string& name, const std::string& what, std::vector<int>* order,
+              CLI::App* app) {
+  const auto take = [name, order](const std::string& text) {
+    try {
+      *order = ParseOrder(text);
+    } catch (const std::invalid_argument& e) {
+      throw UsageError(name + ": " + e.what());
+    }
+  };
+  app->add_option_function<std::string>(
+         name, take, "which entry of the message, from 1, is " + what + ", as 2,4,1,3")
+      ->type_name("i,j,..");
+}
+
 }  // namespace
 
 CLI::Validator Positive() { return NumberThat(false); }
@@ -340,12 +355,15 @@ void FlightArguments::AddOptionsTo(CLI::App* app) {
       ->check(CLI::IsMember({"auto", "body", "world"}).description(""))
       ->type_name("auto|body|world")
       ->capture_default_str();
-  app->add_option("--rotor-speed-unit", bag.rotor_speed_unit, "unit of joint_states' velocity")
-      ->check(CLI::IsMember({"rad_s", "rpm", "erpm"}).description(""))
-      ->type_name("rad_s|rpm|erpm")
+  app->add_option("--rotor-speed-unit", bag.rotor_speed_unit,
+                  "unit of a bag's rotor speeds; auto: as the type of the message says, rad_s for "
+                  "joint_states")
+      ->check(CLI::IsMember({"auto", "rad_s", "rpm", "erpm"}).description(""))
+      ->type_name("auto|rad_s|rpm|erpm")
       ->capture_default_str();
   app->add_option("--pole-pairs", pole_pairs, "of the motors, for erpm [7, or what a log says]")
       ->check(Positive());
+  AddFieldsTo(app);
 }
 
 void FlightArguments::AddActuatorTo(CLI::App* app) {
@@ -360,11 +378,32 @@ void FlightArguments::AddActuatorTo(CLI::App* app) {
       ->check(CLI::ExistingFile);
 }
 
+void FlightArguments::AddFieldsTo(CLI::App* app) {
+  app->add_option("--rotor-topic-field", bag.rotor_topic_field,
+                  "where the rotor speeds are in messages of the topic rotor_speeds, as "
+                  "esc_status[].rpm; types that are known need none")
+      ->type_name("PATH");
+  AddOrder("--rotor-order", "rotor 1, 2, ... of the vehicle file", &bag.rotor_order, app);
+  app->add_option("--command-topic-field", bag.command_topic_field,
+                  "the same for commands, as channels[]")
+      ->type_name("PATH");
+  app->add_option("--command-unit", bag.command_unit,
+                  "unit of commands: us (1000 to 2000), raw16 (0 to 65535), fraction (0 to 1); auto: "
+                  "as the type of the message says")
+      ->check(CLI::IsMember({"auto", "fraction", "us", "raw16"}).description(""))
+      ->type_name("auto|fraction|us|raw16")
+      ->capture_default_str();
+  AddOrder("--command-order", "the command of rotor 1, 2, ...", &bag.command_order, app);
+  app->add_option("--battery-topic-field", bag.battery_topic_field,
+                  "the same for the battery voltage [V], as esc_status[0].voltage")
+      ->type_name("PATH");
+}
+
 FlightLog FlightArguments::ReadAsRecorded(const std::string& flight, int num_rotors) const {
   if (end_s > 0.0 && end_s <= start_s) throw UsageError("--end must lie after --start");
   BagOptions options = bag;
-  const std::vector<std::string> roles = {
-      "odometry", "pose", "imu", "rotor_speeds", "joint_states", "battery_state", "motor_commands"};
+  std::vector<std::string> roles;
+  for (const StreamRole& role : StreamRoles()) roles.emplace_back(role.name);
   for (const std::string& text : topics) {
     const auto [role, topic] = Split(text, ":=", "--topic");
     if (std::find(roles.begin(), roles.end(), role) == roles.end()) {
@@ -380,7 +419,13 @@ FlightLog FlightArguments::ReadAsRecorded(const std::string& flight, int num_rot
     for (const auto& [option, given] :
          {std::pair("--topic", !topics.empty()),
           std::pair("--twist-frame", bag.twist_frame != defaults.twist_frame),
-          std::pair("--rotor-speed-unit", bag.rotor_speed_unit != defaults.rotor_speed_unit)}) {
+          std::pair("--rotor-speed-unit", bag.rotor_speed_unit != defaults.rotor_speed_unit),
+          std::pair("--rotor-topic-field", !bag.rotor_topic_field.empty()),
+          std::pair("--rotor-order", !bag.rotor_order.empty()),
+          std::pair("--command-topic-field", !bag.command_topic_field.empty()),
+          std::pair("--command-unit", bag.command_unit != defaults.command_unit),
+          std::pair("--command-order", !bag.command_order.empty()),
+          std::pair("--battery-topic-field", !bag.battery_topic_field.empty())}) {
       if (given) {
         throw UsageError(std::string(option) + " is for bags: " +
                          (reader->endings.front() == ".csv"

@@ -58,7 +58,7 @@ struct FlightArguments {
   bool from_commands = false;
 
   /// Adds FLIGHT, --start, --end, --pose, --topic, --twist-frame, --rotor-speed-unit, --pole-pairs,
-  /// --rotor-speed-from, --actuator.
+  /// fields, units and orders of a bag's messages, --rotor-speed-from, --actuator.
   /// @param required false where the tool can do without a flight
   void AddTo(CLI::App* app, bool required = true);
   /// Adds FLIGHT and what says how a file is to be read: without --rotor-speed-from, --actuator.
@@ -80,6 +80,7 @@ struct FlightArguments {
 
  private:
   void AddOptionsTo(CLI::App* app);
+  void AddFieldsTo(CLI::App* app);
   void AddActuatorTo(CLI::App* app);
 };
 

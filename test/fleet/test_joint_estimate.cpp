@@ -303,6 +303,36 @@ TEST(JointEstimate, TellsWearFromAStep) {
   EXPECT_LE(steps, 1);
 }
 
+// Half of the rate is for what people change between flights: a step of that is told by a p-value
+// that is smaller by the ratio, and fleets without news raise no more alarms.
+TEST(JointEstimate, LooksFirstForWhatPeopleChange) {
+  Random random(21);
+  std::vector<FlightFactor> factors;
+  for (int i = 0; i < 12; ++i) {
+    VectorXd x = PriorValue() + 0.05 * random.Vector(kParameters);
+    if (i >= 6) x[0] += 0.4;
+    factors.push_back(FactorOfFlight(Fly(x, 60, 2.0, &random)));
+  }
+  JointOptions options;
+  const JointEstimate plain = EstimateJointly(factors, options);
+  options.often_changed = {factors.front().names[0]};
+  const JointEstimate weighted = EstimateJointly(factors, options);
+  ASSERT_EQ(plain.changes.size(), 1u);
+  ASSERT_EQ(weighted.changes.size(), 1u);
+  EXPECT_NEAR(weighted.changes[0].p_value / plain.changes[0].p_value, 2.0 / kParameters, 1e-9);
+  int alarms = 0;
+  for (int fleet = 0; fleet < 60; ++fleet) {
+    std::vector<FlightFactor> none;
+    for (int i = 0; i < 10; ++i) {
+      none.push_back(
+          FactorOfFlight(Fly(PriorValue() + 0.05 * random.Vector(kParameters), 60, 2.0, &random)));
+    }
+    const JointEstimate joint = EstimateJointly(none, options);
+    alarms += !joint.changes.empty() || !joint.outliers.empty();
+  }
+  EXPECT_LE(alarms, 9);  // 3 at 5 %; 10 or more in 1 of 1,000
+}
+
 // The stated rate holds with few and with many flights, with a scatter far above the flights' noise
 // (where the t test is exact) and far below.
 TEST(ScalarHistory, KeepsItsRateOfFalseAlarms) {

@@ -6,6 +6,8 @@
 //   make_test_bag OUT.bag SECONDS undeclared  as plain, with a quadratic drag no vehicle file has
 //   make_test_bag OUT.bag SECONDS commands     motor commands, no rotor speeds
 //   make_test_bag OUT.bag SECONDS late_rotors  an aggressive flight, rotor speeds stamped 40 ms late
+//   make_test_bag OUT.bag SECONDS actuators|esc_status|made_up|made_up_stamped  as plain, rotor speeds in
+//                           messages of packages that are not installed (support/foreign_bag.h)
 //   make_test_bag OUT.bag SECONDS dead_sensor  motor commands, and rotor 2 reads 0 from the middle on
 
 #include <nav_msgs/Odometry.h>
@@ -29,6 +31,7 @@
 #include "odmc/ros/message_values.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "support/foreign_bag.h"
 
 namespace odmc {
 namespace {
@@ -101,6 +104,11 @@ void WriteFrames(const std::string& from, const std::string& to) {
   }
 }
 
+bool IsForeign(const std::string& kind) {
+  return kind == "actuators" || kind == "esc_status" || kind == "made_up" ||
+         kind == "made_up_stamped";
+}
+
 /// What the ESCs must have been told for the rotors to turn as they did: each command reaches the
 /// speed that the rotor has when the next one begins to act.
 std::vector<CommandSample> CommandsOf(const SimulatedFlight& flight, const Actuator& actuator) {
@@ -163,6 +171,12 @@ void Run(const std::string& file, double duration_s, const std::string& kind) {
     WriteFlightBag(flight.log, file + ".plain");
     WriteFrames(file + ".plain", file);
     std::remove((file + ".plain").c_str());
+  } else if (IsForeign(kind)) {
+    const std::string plain = file + ".plain";
+    WriteFlightBag(flight.log, plain);
+    json["offline"] = Offline(plain, kind);  // as with odmc/RotorSpeeds
+    testing_support::WriteForeign(plain, file, kind);
+    std::remove(plain.c_str());
   } else {
     WriteFlightBag(flight.log, file);
     if (!undeclared && !late) json["offline"] = Offline(file, kind);
@@ -178,7 +192,7 @@ int main(int argc, char** argv) {
     if (argc != 4)
       throw std::invalid_argument(
           "usage: make_test_bag OUT.bag SECONDS plain|hover|frames|undeclared|commands|"
-          "late_rotors|dead_sensor");
+          "late_rotors|actuators|esc_status|made_up|made_up_stamped|dead_sensor");
     odmc::Run(argv[1], std::atof(argv[2]), argv[3]);
   } catch (const std::exception& e) {
     std::fprintf(stderr, "make_test_bag: %s\n", e.what());

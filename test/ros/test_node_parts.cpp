@@ -83,13 +83,13 @@ TEST(Conversions, JointsAreTakenByTheNumbersInTheirNames) {
   sensor_msgs::JointState m;
   m.header.stamp = ros::Time(1.0);
   m.velocity = {400.0, 200.0, 300.0, 100.0};
-  EXPECT_EQ(ToInput(m, 4, 1.0)->sample.speed[0], 400.0) << "no names: as they come";
+  EXPECT_EQ(SpeedsOfJoints(m)[0], 400.0) << "no names: as they come";
   m.name = {"rotor_3_joint", "rotor_1_joint", "rotor_2_joint", "rotor_0_joint"};
-  for (int j = 0; j < 4; ++j) EXPECT_EQ(ToInput(m, 4, 1.0)->sample.speed[j], 100.0 * (j + 1));
+  for (int j = 0; j < 4; ++j) EXPECT_EQ(SpeedsOfJoints(m)[j], 100.0 * (j + 1));
   m.name = {"front", "left", "rear", "right"};
-  EXPECT_EQ(ToInput(m, 4, 1.0)->sample.speed[0], 400.0);
+  EXPECT_EQ(SpeedsOfJoints(m)[0], 400.0);
   m.name = {"rotor_1", "rotor_1", "rotor_2", "rotor_3"};
-  EXPECT_EQ(ToInput(m, 4, 1.0)->sample.speed[0], 400.0);
+  EXPECT_EQ(SpeedsOfJoints(m)[0], 400.0);
 }
 
 TEST(EstimatorDiagnostic, WarnsWhileNothingIsLearned) {

@@ -29,6 +29,8 @@ struct OutlierFlight {
 struct JointOptions {
   /// Share of histories without any in which a step, a trend or an outlier is seen all the same.
   double false_alarm_rate = 0.05;
+  /// Full names of parameters that half of that rate is for: what people change between flights.
+  std::vector<std::string> often_changed;
   /// Where each flight lies on the axis of a trend (dates [s]); empty: evenly.
   std::vector<double> times;
 };
@@ -51,7 +53,8 @@ struct JointEstimate {
 /// Fits all flights together; finds flights and parameters that do not go with the rest, and
 /// changes over time. Looks at one parameter after the other: what each flight says about it
 /// (DeparturesOf), for and against a change, by a test that is the t test where scatter is all (ExamineHistory);
-/// the least p-value of all dates and parameters counts (Bonferroni).
+/// the least p-value of all dates and parameters counts (Bonferroni; weighted by
+/// JointOptions::often_changed, which keeps the rate).
 /// @param factors in the order they were flown
 JointEstimate EstimateJointly(const std::vector<FlightFactor>& factors,
                               const JointOptions& options = {});

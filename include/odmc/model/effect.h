@@ -66,6 +66,9 @@ class Effect {
   /// True if its parameters are those of a flight (the wind that day), not of the vehicle: many
   /// flights together share nothing of it.
   virtual bool belongs_to_flight() const { return false; }
+  /// True if what people change between flights changes it: a battery, a load, a propeller. News of
+  /// its parameters are looked for in a vehicle's history first.
+  virtual bool changes_between_flights() const { return false; }
 
   // What attribution needs to know of it. By default: it is tried once, without settings.
 
@@ -84,6 +87,10 @@ class Effect {
   virtual std::vector<DerivedFigure> DerivedFigures(const Eigen::VectorXd& own) const;
   /// Its internal state, where it is a pendulum: indices in parameters().
   virtual std::optional<PendulumParameters> pendulum() const { return std::nullopt; }
+
+  /// What to fly so that a flight shows own parameter `k`, after "fly": "forward and back at several
+  /// speeds".
+  virtual std::string manoeuvre(size_t k) const;
 
   // What test flights with it need (simulate_undeclared). By default: sizes and signs at random
   // about the priors' sigmas.

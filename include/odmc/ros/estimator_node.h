@@ -36,19 +36,18 @@
 #include "odmc/ros/live_image.h"
 #include "odmc/ros/node_status.h"
 #include "odmc/ros/sample_intake.h"
+#include "odmc/ros/streams.h"
 
 namespace odmc {
 
 /// Private parameters of estimator_node, besides those of EstimatorOptions.
-struct EstimatorNodeOptions {
+struct EstimatorNodeOptions : StreamOptions {
   std::string vehicle_file;     ///< vehicle YAML; empty: the URDF in robot_description
   std::string config;           ///< YAML of EstimatorOptions; empty: defaults
   std::string parameters_file;  ///< start values and priors from an earlier calibration
   double rotor_radius_m = 0.0;  ///< for a URDF whose propellers have no simple shape [m]
   std::string body_frame = "base_link";
   std::string twist_frame = "auto";         ///< auto | body | world
-  std::string rotor_speed_unit = "rad_s";   ///< of joint_states: rad_s | rpm | erpm
-  int pole_pairs = 7;                       ///< for erpm
   std::string rotor_speed_from = "sensor";  ///< sensor | commands, by the actuator
   std::string actuator;  ///< file of calibrate_actuator; empty: that of the vehicle file
   std::string on_time_reset = "restart";  ///< restart | stop, where the clock steps back
@@ -70,8 +69,7 @@ struct EstimatorNodeOptions {
     v->Field("rotor_radius_m", &rotor_radius_m);
     v->Field("body_frame", &body_frame);
     v->Field("twist_frame", &twist_frame);
-    v->Field("rotor_speed_unit", &rotor_speed_unit);
-    v->Field("pole_pairs", &pole_pairs);
+    StreamOptions::Visit(v);
     v->Field("rotor_speed_from", &rotor_speed_from);
     v->Field("actuator", &actuator);
     v->Field("on_time_reset", &on_time_reset);
@@ -126,11 +124,11 @@ class EstimatorNode {
   // ROS threads.
   void Offer(ros::NodeHandle private_node);
   Answer Ask(std::function<Answer()> act);
-  template <typename Message>
-  void Subscribe(const std::string& topic, InputStream stream);
-  template <typename Message>
-  std::optional<InputSample> Convert(const Message& message) const;
-  void Push(InputStream stream, std::optional<InputSample> input);
+  void Subscribe(InputStream stream);
+  void Take(InputStream stream, const RawMessage& message, Stamp arrival, StreamReader* reader);
+  void Push(InputStream stream, std::optional<InputSample> input, const std::string& refusal);
+  void CountPassedOver(InputStream stream);
+  void WarnOfSigns(const InputSample& input);
 
   // Estimator thread.
   void RunEstimator();
@@ -197,13 +195,13 @@ class EstimatorNode {
   // Set once in the constructor. The estimator thread completes the mounts of setup_.vehicle and
   // adds effects; of the vehicle the others read only name and rotors.
   EstimatorNodeSetup setup_;
-  double joint_scale_ = 1.0;
   ros::NodeHandle node_;
   ros::Publisher parameters_publisher_, accepted_publisher_, state_publisher_, wrench_publisher_,
       unexplained_publisher_, phase_publisher_, diagnostics_publisher_, image_publisher_;
   tf2_ros::Buffer tf_buffer_;
   std::unique_ptr<tf2_ros::TransformListener> tf_listener_;
   std::vector<ros::Subscriber> subscribers_;
+  bool told_of_signs_ = false;  // of the one ROS thread
   std::vector<ros::ServiceServer> services_;
   const std::vector<std::string> declared_effects_;  // of the vehicle file
   const std::map<std::string, ParameterSetting> declared_parameters_;

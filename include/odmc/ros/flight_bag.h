@@ -4,27 +4,27 @@
 #include <string>
 
 #include "odmc/io/flight_reader.h"
+#include "odmc/ros/streams.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
 
 /// Topics of a bag, by role: odometry, pose, imu, rotor_speeds, joint_states, battery_state,
 /// motor_commands. Where a role has no entry, the one topic of a fitting type whose name ends in the
-/// role's is taken, else the one topic of that type; several are an error that names them and the
-/// flag `--topic ROLE:=/name`.
+/// role's is taken, else the one topic of that type; for rotor_speeds, motor_commands and
+/// battery_state then of a foreign type that is known (foreign_messages.h). Several are an error that
+/// names them and the flag `--topic ROLE:=/name`.
 using TopicMap = std::map<std::string, std::string>;
 
 /// How the messages of a bag are to be read; the node's parameters of the same names.
-struct BagOptions {
+struct BagOptions : StreamOptions {
   TopicMap topics;
-  std::string twist_frame = "auto";        ///< auto | body | world
-  std::string rotor_speed_unit = "rad_s";  ///< of joint_states: rad_s | rpm | erpm
-  int pole_pairs = 7;                      ///< for erpm
+  std::string twist_frame = "auto";  ///< auto | body | world
 };
 
-/// Reads a flight from a rosbag; needs no master. Stamps are header stamps. `pose` serves where
-/// there is no odometry or only `pose` is mapped; `joint_states` where there is no rotor_speeds or
-/// only joint_states is mapped; a bag with motor_commands may have neither, and the flight then has
+/// Reads a flight from a rosbag; needs no master. Stamps are header stamps; messages of other
+/// packages without one have the time of recording. `pose` serves where there is no odometry or only
+/// `pose` is mapped; `joint_states` where there is no rotor_speeds or only joint_states is mapped; a bag with motor_commands may have neither, and the flight then has
 /// no rotor samples. Twist covariance[0] = -1 marks an odometry without velocity, [21] = -1 one
 /// without body rates, Imu covariances as in REP-145. The frame of the velocity is found as
 /// twist_frame.h says.

@@ -12,26 +12,16 @@
 #include "odmc/actuator/rotor_source.h"
 #include "odmc/attribution/residual_watch.h"
 #include "odmc/estimator/estimator.h"
+#include "odmc/ros/streams.h"
 
 namespace odmc {
-
-/// Topics of estimator_node.
-enum class InputStream {
-  kOdometry,
-  kPose,
-  kImu,
-  kRotorSpeeds,
-  kJointStates,
-  kBatteryState,
-  kMotorCommands,
-};
-constexpr int kNumInputStreams = 7;
-const char* NameOf(InputStream stream);
 
 /// How one topic comes in.
 struct StreamStatus {
   long received = 0;
-  long refused = 0;     ///< not finite, no stamp, wrong number of rotors
+  long refused = 0;     ///< not finite, no stamp, wrong number of rotors, unreadable
+  long passed_over = 0;  ///< nothing in them yet
+  std::string refusal;   ///< why the last one was refused, as far as a sentence says it
   long overflowed = 0;  ///< lost because the queue was full
 };
 

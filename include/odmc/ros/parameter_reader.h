@@ -23,6 +23,8 @@ class ParameterReader {
   void Field(const std::string& key, std::string* value);
   /// A list of text, or one text with commas between, in brackets or not.
   void Field(const std::string& key, std::vector<std::string>* value);
+  /// A list of whole numbers, or one text with commas between, in brackets or not.
+  void Field(const std::string& key, std::vector<int>* value);
   /// Three numbers: a list, or one text with commas between, in brackets or not.
   void Field(const std::string& key, Eigen::Vector3d* value);
 

@@ -1,0 +1,67 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "odmc/analysis/calibration.h"
+#include "odmc/model/vehicle.h"
+#include "odmc/sensing/samples.h"
+
+namespace odmc {
+
+/// One stream of a recording in numbers.
+struct StreamFigures {
+  std::string name;                ///< poses, IMU, rotor speeds, battery, commands
+  std::vector<std::string> holds;  ///< what is in it: velocity, body rates, gyro, accelerometer
+  long samples = 0;
+  double rate_Hz = 0.0;         ///< one over the median step
+  double longest_gap_s = 0.0;
+  long gaps = 0;                ///< steps longer than three median ones
+  double jitter_s = 0.0;        ///< spread of the steps: their interquartile range over 1.35
+  long repeated = 0;            ///< samples that repeat the one before to the last digit
+};
+
+/// What a flight covers, on the ground left out.
+struct FlownFigures {
+  double speed_m_s = 0.0, climb_m_s = 0.0;  ///< 99th percentile of speed, and of |climb rate|
+  double rate_rad_s = 0.0;                  ///< the same of the body rate
+  double height_range_m = 0.0;
+  double flight_s = 0.0;
+};
+
+/// What a flight says about one parameter of the declared model.
+struct Lesson {
+  std::string full_name, unit;
+  double value = 0.0, sigma = 0.0;
+  double prior_sigma = 0.0;
+  bool is_shown = false;
+  std::string manoeuvre;  ///< what would show it, where it is not
+};
+
+/// What a colleague would say after a look at a recording.
+struct FlightInspection {
+  std::string file, vehicle;
+  double duration_s = 0.0;
+  std::vector<StreamFigures> streams;  ///< as recorded
+  StreamInspection inspection;         ///< findings of streams and vehicle file, offsets, refusal
+  std::vector<PhaseSpan> phases;
+  Stamp first_stamp = 0;
+  std::optional<FlownFigures> flown;  ///< empty: never airborne
+  std::vector<Lesson> lessons;        ///< empty where nothing can be learned
+  std::vector<std::string> notes;     ///< what the reader of the recording said
+};
+
+/// Rates, gaps, jitter of every stream that has samples.
+std::vector<StreamFigures> StreamsOf(const FlightLog& log);
+
+/// Looks at a recording: streams, faults, phases, and which parameters it teaches. The pass of the
+/// estimator that the last needs has keyframes at 25 Hz: enough for what is shown, in a fraction of
+/// the time.
+FlightInspection InspectFlight(FlightLog log, const Vehicle& vehicle);
+
+/// The same in JSON, and in words for a terminal.
+std::string InspectionReport(const FlightInspection& inspection);
+std::string InspectionText(const FlightInspection& inspection);
+
+}  // namespace odmc

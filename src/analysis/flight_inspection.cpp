@@ -1,0 +1,292 @@
+#include "odmc/analysis/flight_inspection.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <nlohmann/json.hpp>
+#include <stdexcept>
+
+#include "odmc/analysis/inspection_json.h"
+#include "odmc/inspection/recording_inspection.h"
+#include "odmc/model/dynamic_model.h"
+#include "odmc/model/effect.h"
+
+namespace odmc {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr double kKeyframeRate_Hz = 25.0;
+constexpr double kGap = 3.0;         // median steps
+constexpr double kIqr = 1.349;       // interquartile range of a normal variable of sigma one
+constexpr double kFast = 0.99;       // percentile that counts as the largest
+constexpr double kMostLook_s = 120.0;  // of flight, for what it teaches
+
+double Quantile(std::vector<double> values, double share) {
+  if (values.empty()) return 0.0;
+  const auto at = values.begin() + static_cast<std::ptrdiff_t>(
+                                       share * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
+
+bool IsSame(const OdometrySample& a, const OdometrySample& b) {
+  return a.p_WS == b.p_WS && a.q_WS.coeffs() == b.q_WS.coeffs();
+}
+bool IsSame(const ImuSample& a, const ImuSample& b) {
+  return a.gyro_I == b.gyro_I && a.specific_force_I == b.specific_force_I;
+}
+bool IsSame(const RotorSample& a, const RotorSample& b) { return a.speed == b.speed; }
+template <typename Sample>
+bool IsSame(const Sample&, const Sample&) {
+  return false;  // a voltage or a throttle may stay
+}
+
+template <typename Sample>
+void AddStream(const std::string& name, const std::vector<Sample>& samples,
+               const std::vector<std::string>& holds, std::vector<StreamFigures>* streams) {
+  if (samples.empty()) return;
+  StreamFigures figures;
+  figures.name = name;
+  figures.holds = holds;
+  figures.samples = static_cast<long>(samples.size());
+  std::vector<double> steps;
+  for (size_t i = 1; i < samples.size(); ++i) {
+    steps.push_back(ToSeconds(samples[i].stamp - samples[i - 1].stamp));
+    if (IsSame(samples[i], samples[i - 1])) ++figures.repeated;
+  }
+  if (!steps.empty()) {
+    const double median = Quantile(steps, 0.5);
+    figures.rate_Hz = median > 0.0 ? 1.0 / median : 0.0;
+    figures.longest_gap_s = *std::max_element(steps.begin(), steps.end());
+    figures.gaps = std::count_if(steps.begin(), steps.end(),
+                                 [&](double step) { return step > kGap * median; });
+    figures.jitter_s = (Quantile(steps, 0.75) - Quantile(steps, 0.25)) / kIqr;
+  }
+  streams->push_back(std::move(figures));
+}
+
+FlownFigures FlownOf(const FlightLog& log, const ReplayResult& replay) {
+  FlownFigures flown;
+  std::vector<double> speed, climb, rate, height;
+  for (const PhaseSpan& span : replay.phases) {
+    if (!Teaches(span.phase)) continue;
+    flown.flight_s += ToSeconds(span.to - span.from);
+    for (const OdometrySample& s : log.odometry) {
+      if (s.stamp < span.from || s.stamp > span.to) continue;
+      height.push_back(s.p_WS.z());
+      if (s.v_WS) {
+        speed.push_back(s.v_WS->norm());
+        climb.push_back(std::abs(s.v_WS->z()));
+      }
+      if (s.w_WS_S) rate.push_back(s.w_WS_S->norm());
+    }
+  }
+  flown.speed_m_s = Quantile(speed, kFast);
+  flown.climb_m_s = Quantile(climb, kFast);
+  flown.rate_rad_s = Quantile(rate, kFast);
+  flown.height_range_m = Quantile(height, 0.95) - Quantile(height, 0.05);
+  return flown;
+}
+
+std::string ManoeuvreFor(const DynamicModel& model, int k) {
+  for (int i = 0; i < model.num_effects(); ++i) {
+    if (model.effect(i).name() != model.parameters()[k].effect) continue;
+    return model.effect(i).manoeuvre(static_cast<size_t>(k - model.FirstParameterOf(i)));
+  }
+  return "";
+}
+
+std::vector<Lesson> LessonsOf(const DynamicModel& model, const Snapshot& last) {
+  std::vector<Lesson> lessons;
+  for (int k = 0; k < model.num_parameters(); ++k) {
+    const ModelParameter& p = model.parameters()[k];
+    if (!p.estimated) continue;
+    Lesson lesson{p.full_name, p.spec.unit, last.values[k], last.sigma[k], p.spec.prior_sigma,
+                  last.observable[static_cast<size_t>(k)], ""};
+    if (!lesson.is_shown) lesson.manoeuvre = ManoeuvreFor(model, k);
+    lessons.push_back(std::move(lesson));
+  }
+  return lessons;
+}
+
+/// What is learned of a flight, and its phases; of a long one its first minutes.
+void Learn(FlightLog log, const Vehicle& vehicle, FlightInspection* result) {
+  const double duration_s = result->duration_s;
+  if (duration_s > kMostLook_s) {
+    CutFlight(0.0, kMostLook_s, &log);
+    result->notes.push_back("phases and parameters are those of the first " +
+                            std::to_string(static_cast<int>(kMostLook_s)) + " s");
+  }
+  const DynamicModel model(vehicle, vehicle.effects);
+  EstimatorOptions options;
+  options.keyframe_rate_hz = kKeyframeRate_Hz;
+  options.max_update_time_s = 10.0;  // no solve is cut short by the clock
+  Estimator estimator(&model, options, !log.rotor_rms_only);
+  const ReplayResult replay = Replay(log, &estimator);
+  result->phases = replay.phases;
+  if (!replay.last) return;
+  result->flown = FlownOf(log, replay);
+  result->lessons = LessonsOf(model, *replay.last);
+}
+
+std::string Number(double value, const char* format = "%.3g") {
+  char text[40];
+  std::snprintf(text, sizeof text, format, value);
+  return text;
+}
+
+Json NumberJson(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
+
+std::string Joined(const std::vector<std::string>& parts) {
+  std::string text;
+  for (const std::string& part : parts) text += (text.empty() ? "" : ", ") + part;
+  return text;
+}
+
+std::string StreamLine(const StreamFigures& s) {
+  std::string line = "  " + s.name;
+  line.resize(std::max<size_t>(line.size() + 1, 16), ' ');
+  line += std::to_string(s.samples) + " at " + Number(s.rate_Hz) + " Hz";
+  if (s.gaps > 0) {
+    line += ", " + std::to_string(s.gaps) + " gaps, the longest " + Number(s.longest_gap_s) + " s";
+  }
+  if (s.rate_Hz > 0.0 && s.jitter_s * s.rate_Hz > 0.05) {
+    line += ", steps spread by " + Number(1e3 * s.jitter_s) + " ms";
+  }
+  if (10 * s.repeated > s.samples) line += ", " + std::to_string(s.repeated) + " repeat the one before";
+  if (!s.holds.empty()) line += "; with " + Joined(s.holds);
+  return line + "\n";
+}
+
+}  // namespace
+
+std::vector<StreamFigures> StreamsOf(const FlightLog& log) {
+  std::vector<StreamFigures> streams;
+  const auto any = [](const auto& samples, auto has) {
+    return std::any_of(samples.begin(), samples.end(), has);
+  };
+  std::vector<std::string> pose, imu;
+  if (any(log.odometry, [](const auto& s) { return s.v_WS.has_value(); })) pose.push_back("velocity");
+  if (any(log.odometry, [](const auto& s) { return s.w_WS_S.has_value(); })) {
+    pose.push_back("body rates");
+  }
+  if (any(log.imu, [](const auto& s) { return s.gyro_I.has_value(); })) imu.push_back("gyro");
+  if (any(log.imu, [](const auto& s) { return s.specific_force_I.has_value(); })) {
+    imu.push_back("accelerometer");
+  }
+  AddStream("poses", log.odometry, pose, &streams);
+  AddStream("IMU", log.imu, imu, &streams);
+  AddStream("rotor speeds", log.rotors, {}, &streams);
+  AddStream("battery", log.battery, {}, &streams);
+  AddStream("commands", log.commands, {}, &streams);
+  return streams;
+}
+
+FlightInspection InspectFlight(FlightLog log, const Vehicle& vehicle) {
+  FlightInspection result;
+  result.file = log.file;
+  result.vehicle = vehicle.name;
+  result.streams = StreamsOf(log);
+  result.notes = log.warnings;
+  if (!log.odometry.empty()) {
+    result.first_stamp = log.odometry.front().stamp;
+    result.duration_s = ToSeconds(log.odometry.back().stamp - result.first_stamp);
+  }
+  result.inspection = InspectRecording(vehicle, &log);
+  if (result.inspection.refusal.empty()) Learn(std::move(log), vehicle, &result);
+  return result;
+}
+
+std::string InspectionReport(const FlightInspection& inspection) {
+  Json json;
+  json["flight"] = inspection.file;
+  json["vehicle"] = inspection.vehicle;
+  json["duration_s"] = NumberJson(inspection.duration_s);
+  json["streams"] = Json::array();
+  for (const StreamFigures& s : inspection.streams) {
+    json["streams"].push_back({{"name", s.name},
+                               {"holds", s.holds},
+                               {"samples", s.samples},
+                               {"rate_Hz", NumberJson(s.rate_Hz)},
+                               {"gaps", s.gaps},
+                               {"longest_gap_s", NumberJson(s.longest_gap_s)},
+                               {"jitter_s", NumberJson(s.jitter_s)},
+                               {"repeated", s.repeated}});
+  }
+  json["trust"] = Name(TrustOf(inspection.inspection.findings));
+  json["refusal"] = inspection.inspection.refusal;
+  json["findings"] = FindingsJson(inspection.inspection.findings);
+  json["time_offsets"] = TimeOffsetsJson(inspection.inspection.offsets);
+  json["phases"] = Json::array();
+  for (const PhaseSpan& span : inspection.phases) {
+    json["phases"].push_back({{"phase", Name(span.phase)},
+                              {"from_s", ToSeconds(span.from - inspection.first_stamp)},
+                              {"to_s", ToSeconds(span.to - inspection.first_stamp)}});
+  }
+  if (inspection.flown) {
+    const FlownFigures& f = *inspection.flown;
+    json["flown"] = {{"flight_s", NumberJson(f.flight_s)},
+                     {"speed_m_s", NumberJson(f.speed_m_s)},
+                     {"climb_m_s", NumberJson(f.climb_m_s)},
+                     {"rate_rad_s", NumberJson(f.rate_rad_s)},
+                     {"height_range_m", NumberJson(f.height_range_m)}};
+  }
+  json["parameters"] = Json::object();
+  for (const Lesson& l : inspection.lessons) {
+    json["parameters"][l.full_name] = {{"value", NumberJson(l.value)},
+                                       {"sigma", NumberJson(l.sigma)},
+                                       {"prior_sigma", NumberJson(l.prior_sigma)},
+                                       {"unit", l.unit},
+                                       {"shown", l.is_shown}};
+    if (!l.manoeuvre.empty()) json["parameters"][l.full_name]["manoeuvre"] = l.manoeuvre;
+  }
+  json["notes"] = inspection.notes;
+  return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+std::string InspectionText(const FlightInspection& inspection) {
+  std::string text =
+      inspection.file + ": " + Number(inspection.duration_s) + " s, vehicle " + inspection.vehicle + "\n";
+  text += "streams\n";
+  for (const StreamFigures& s : inspection.streams) text += StreamLine(s);
+  for (const TimeOffset& offset : inspection.inspection.offsets) {
+    if (!offset.lag.determined()) continue;
+    text += "  " + offset.stream + ": " + Number(1e3 * offset.lag.lag_s) + " +- " +
+            Number(1e3 * offset.lag.sigma_s(), "%.2g") + " ms late against " + offset.against + "\n";
+  }
+  text += "findings\n";
+  for (const Finding& f : inspection.inspection.findings) {
+    text += "  " + f.check + " (" + Name(f.leaves) + "): " + Sentence(f) + "\n";
+  }
+  if (inspection.inspection.findings.empty()) text += "  none\n";
+  if (!inspection.inspection.refusal.empty()) {
+    text += "nothing sensible can be learned: " + inspection.inspection.refusal + "\n";
+    return text;
+  }
+  text += "phases\n";
+  for (const PhaseSpan& span : inspection.phases) {
+    text += "  " + span.Describe(inspection.first_stamp) + "\n";
+  }
+  if (!inspection.flown) {
+    text += "never airborne: thrust stays below the weight; check thrust.k_f, mass_kg and the unit of "
+            "the rotor speeds\n";
+    return text;
+  }
+  const FlownFigures& f = *inspection.flown;
+  text += "flown: " + Number(f.flight_s) + " s, up to " + Number(f.speed_m_s) + " m/s, climb " +
+          Number(f.climb_m_s) + " m/s, " + Number(f.rate_rad_s) + " rad/s, heights over " +
+          Number(f.height_range_m) + " m\n";
+  text += "what can be learned from it\n";
+  for (const Lesson& l : inspection.lessons) {
+    char line[240];
+    std::snprintf(line, sizeof line, "  %-24s %12.4g +- %-9.2g %-8s %s%s\n", l.full_name.c_str(),
+                  l.value, l.sigma, l.unit.c_str(), l.is_shown ? "" : "hardly shown",
+                  l.manoeuvre.empty() ? "" : (": fly " + l.manoeuvre).c_str());
+    text += line;
+  }
+  for (const std::string& note : inspection.notes) text += "note: " + note + "\n";
+  return text;
+}
+
+}  // namespace odmc
