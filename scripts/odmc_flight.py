@@ -32,7 +32,6 @@ MOTOR_COMMAND = 'motor_command'
 
 WORLD_FRAME = 'world'
 BODY_FRAME = 'base_link'
-IMU_FRAME = 'imu_link'
 
 PLAIN_SECONDS = re.compile(r'(-?)(\d{1,10})(?:\.(\d{0,9}))?$', re.ASCII)
 UNIT_NORM_TOLERANCE = 0.05
@@ -293,33 +292,6 @@ class UnitCheck:
                        f'(first: {self._first})')
 
 
-# ---- Interpolation -----------------------------------------------------------------------------
-
-
-class Cursor:
-    """Values along a stream that is read once: as they are at its stamps, else linear, else NaN."""
-
-    def __init__(self, stream: Iterator[Sample], width: int, interpolate: bool) -> None:
-        self._stream = stream
-        self._nothing = [math.nan] * width
-        self._interpolate = interpolate
-        self._previous: Optional[Sample] = None
-        self._next: Optional[Sample] = next(stream, None)
-
-    def at(self, stamp: int) -> List[float]:
-        """Values at `stamp`, which must not be earlier than in the call before."""
-        while self._next is not None and self._next[0] <= stamp:
-            self._previous = self._next
-            self._next = next(self._stream, None)
-        before, after = self._previous, self._next
-        if before is not None and before[0] == stamp:
-            return before[1]
-        if before is None or after is None or not self._interpolate:
-            return self._nothing
-        share = (stamp - before[0]) / (after[0] - before[0])
-        return [a + share * (b - a) for a, b in zip(before[1], after[1])]
-
-
 # ---- Rotations ---------------------------------------------------------------------------------
 
 
@@ -561,22 +533,6 @@ def open_bag(path: str):
 def bag_topics(bag) -> Dict[str, str]:
     """Message type of every topic."""
     return {topic: info.msg_type for topic, info in bag.get_type_and_topic_info()[1].items()}
-
-
-def find_topic(topics: Dict[str, str], message_type: str, role: str,
-               wanted: Optional[str]) -> Optional[str]:
-    """The topic for a role: the wanted one, or the one of this type whose name ends in the role."""
-    if wanted is not None:
-        if wanted not in topics:
-            raise FlightError(f"no topic '{wanted}' for {role}; the bag has "
-                              + ', '.join(sorted(topics)))
-        return wanted
-    fitting = [topic for topic, kind in topics.items() if kind == message_type]
-    ending = [topic for topic in fitting if re.search(rf'(^|/){role}$', topic)]
-    if len(ending) > 1:
-        raise FlightError(f"several topics for {role}: {', '.join(sorted(ending))}; "
-                          f'choose with --topic {role}:=NAME')
-    return ending[0] if ending else None
 
 
 def read_topic(path: str, topic: str, progress: Optional[Progress] = None) -> Iterator:

@@ -8,7 +8,8 @@
 namespace odmc {
 
 /// Whole content of a binary file.
-/// @throws std::invalid_argument "FILE: ..." where it cannot be opened, is no regular file, is empty
+/// @throws std::invalid_argument "FILE: ..." where it cannot be opened, is no regular file, is
+/// empty
 ///   or has more than 2 GB
 std::string ReadBinary(const std::string& file);
 

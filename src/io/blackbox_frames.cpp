@@ -84,9 +84,9 @@ std::vector<int> BlackboxHeader::Codes(const std::string& name, size_t count) co
   for (const std::string& part : parts) codes.push_back(std::atoi(part.c_str()));
   for (const int code : codes) {
     const bool is_encoding = name.find("encoding") != std::string::npos;
-    const bool is_known = is_encoding ? std::count(std::begin(kKnownEncodings),
-                                                   std::end(kKnownEncodings), code) > 0
-                                      : code >= 0 && code <= kMostPredictor;
+    const bool is_known =
+        is_encoding ? std::count(std::begin(kKnownEncodings), std::end(kKnownEncodings), code) > 0
+                    : code >= 0 && code <= kMostPredictor;
     if (!is_known) {
       Fail("blackbox header: line '" + name + "' has the unknown code " + std::to_string(code));
     }
@@ -435,7 +435,9 @@ Word Decoder::SkippedLoops() const {
 }
 
 Word Decoder::Predicted(int predictor, size_t field) const {
-  const auto as_signed = [](Word word) { return static_cast<std::int64_t>(static_cast<std::int32_t>(word)); };
+  const auto as_signed = [](Word word) {
+    return static_cast<std::int64_t>(static_cast<std::int32_t>(word));
+  };
   switch (predictor) {
     case kPrevious:
       return last_[field];
@@ -443,7 +445,8 @@ Word Decoder::Predicted(int predictor, size_t field) const {
       return 2 * last_[field] - last_but_one_[field];
     case kAverageOfTwo:  // the firmware's division rounds towards zero
       return header_.is_signed(field)
-                 ? static_cast<Word>((as_signed(last_[field]) + as_signed(last_but_one_[field])) / 2)
+                 ? static_cast<Word>((as_signed(last_[field]) + as_signed(last_but_one_[field])) /
+                                     2)
                  : static_cast<Word>(
                        (std::uint64_t{last_[field]} + std::uint64_t{last_but_one_[field]}) / 2);
     case kMinThrottle:

@@ -15,7 +15,8 @@ namespace odmc {
 class BlackboxHeader {
  public:
   /// Reads the lines "H NAME:VALUE" at the start of `log`.
-  /// @throws std::invalid_argument "FILE: ..." where there is no header, it is cut off, or the frames
+  /// @throws std::invalid_argument "FILE: ..." where there is no header, it is cut off, or the
+  /// frames
   ///   it defines cannot be decoded
   BlackboxHeader(const std::string& file, std::string_view log);
 

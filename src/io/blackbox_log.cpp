@@ -24,9 +24,7 @@ constexpr double kHundredRpm = 100.0 * M_PI / 30.0;
   throw std::invalid_argument(file + ": " + what);
 }
 
-std::string Indexed(const std::string& name, int i) {
-  return name + "[" + std::to_string(i) + "]";
-}
+std::string Indexed(const std::string& name, int i) { return name + "[" + std::to_string(i) + "]"; }
 
 std::vector<std::string> WantedFields(int num_rotors) {
   std::vector<std::string> names = {"vbatLatest"};
@@ -34,8 +32,8 @@ std::vector<std::string> WantedFields(int num_rotors) {
     for (int i = 0; i < count; ++i) names.push_back(Indexed(name, i));
   };
   add("quat", 4);
-  for (const char* name : {"pos", "vel", "gyroADCafterRpm", "gyroUnfilt", "gyroADC",
-                           "accUnfiltered", "accSmooth"}) {
+  for (const char* name :
+       {"pos", "vel", "gyroADCafterRpm", "gyroUnfilt", "gyroADC", "accUnfiltered", "accSmooth"}) {
     add(name, 3);
   }
   for (const char* name : {"omegaUnfiltered", "omega", "eRPM", "motor"}) add(name, num_rotors);
@@ -122,12 +120,13 @@ Decoded DecodeLongest(const std::string& file, std::string_view bytes, int num_r
 void Report(const std::string& file, const BlackboxFrames& frames, size_t bytes, FlightLog* log) {
   if (frames.stamps.size() < 2) {
     Fail(file, "blackbox log: no frame can be decoded after the header" +
-                   (frames.damaged > 0 ? " (damaged from byte " +
-                                             std::to_string(frames.first_damaged) + " on)"
-                                       : std::string()));
+                   (frames.damaged > 0
+                        ? " (damaged from byte " + std::to_string(frames.first_damaged) + " on)"
+                        : std::string()));
   }
-  ReportDamage(file, {frames.damaged, frames.first_damaged, frames.skipped_bytes,
-                      frames.is_cut_off}, bytes, log);
+  ReportDamage(file,
+               {frames.damaged, frames.first_damaged, frames.skipped_bytes, frames.is_cut_off},
+               bytes, log);
 }
 
 void ReadPoses(const std::string& file, const Decoded& decoded, FlightLog* log) {
@@ -197,8 +196,7 @@ void ReadRotors(const std::string& file, const Decoded& decoded, const FlightRea
   const Fields mechanical = FirstOf(frames, {"omegaUnfiltered", "omega"}, n);
   const Fields speeds = mechanical.present() ? mechanical : Fields(frames, "eRPM", n);
   if (!speeds.present()) return;
-  const double scale =
-      RotorScale(file, decoded.header, !mechanical.present(), options.pole_pairs);
+  const double scale = RotorScale(file, decoded.header, !mechanical.present(), options.pole_pairs);
   log->rotors.reserve(frames.stamps.size());
   for (size_t i = 0; i < frames.stamps.size(); ++i) {
     RotorSample sample;
@@ -261,11 +259,13 @@ FlightLog ReadBlackbox(const std::string& file, const FlightReadOptions& options
   ReadRotors(file, decoded, options, &log);
   ReadBattery(decoded, &log);
   if (log.rotors.empty() && log.commands.empty()) {
-    Fail(file, "has no rotor speeds (fields omega or eRPM): switch on bidirectional DShot "
-               "(set dshot_bidir = ON) and log RPM");
+    Fail(file,
+         "has no rotor speeds (fields omega or eRPM): switch on bidirectional DShot "
+         "(set dshot_bidir = ON) and log RPM");
   }
-  const std::string rate = "raise the blackbox rate (set blackbox_sample_rate = 1/2 or 1/4 of the "
-                           "control loop's rate)";
+  const std::string rate =
+      "raise the blackbox rate (set blackbox_sample_rate = 1/2 or 1/4 of the "
+      "control loop's rate)";
   FinishLog(file, {rate, rate, rate}, &log);
   return log;
 }

@@ -52,7 +52,9 @@ size_t SizeOf(char letter) {
   }
 }
 
-bool IsText(char letter) { return letter == 'n' || letter == 'N' || letter == 'Z' || letter == 'a'; }
+bool IsText(char letter) {
+  return letter == 'n' || letter == 'N' || letter == 'Z' || letter == 'a';
+}
 
 /// Factor that the letter itself says; 1 where the multiplier of FMTU says it.
 double LetterScale(char letter) {
@@ -62,10 +64,9 @@ double LetterScale(char letter) {
 
 double HalfFloat(std::uint16_t bits) {
   const int exponent = bits >> 10 & 31, fraction = bits & 1023;
-  const double magnitude = exponent == 0 ? std::ldexp(fraction, -24)
-                           : exponent == 31
-                               ? std::numeric_limits<double>::quiet_NaN()
-                               : std::ldexp(1024 + fraction, exponent - 25);
+  const double magnitude = exponent == 0    ? std::ldexp(fraction, -24)
+                           : exponent == 31 ? std::numeric_limits<double>::quiet_NaN()
+                                            : std::ldexp(1024 + fraction, exponent - 25);
   return (bits & 0x8000) != 0 ? -magnitude : magnitude;
 }
 
@@ -252,7 +253,8 @@ DataflashContent Decoder::Run() {
       continue;
     }
     size_t next = bytes_.find(kMark, at + 1);
-    while (next != std::string_view::npos && LengthAt(next) == 0) next = bytes_.find(kMark, next + 1);
+    while (next != std::string_view::npos && LengthAt(next) == 0)
+      next = bytes_.find(kMark, next + 1);
     if (next == std::string_view::npos) {
       content_.is_cut_off = true;
       next = bytes_.size();

@@ -17,9 +17,11 @@ constexpr double kDegree = M_PI / 180.0;
 constexpr double kRpm = M_PI / 30.0;
 constexpr double kEarthRadius_m = 6378137.0;
 const RateHints kHints = {
-    "set bit 0 of LOG_BITMASK (fast attitude: LOG_BITMASK + 1), which logs ATT, XKF1 and XKQ at the "
+    "set bit 0 of LOG_BITMASK (fast attitude: LOG_BITMASK + 1), which logs ATT, XKF1 and XKQ at "
+    "the "
     "control loop's rate",
-    "bidirectional DShot (SERVO_BLH_BDMASK) gives ESC messages at up to 100 Hz; serial telemetry has "
+    "bidirectional DShot (SERVO_BLH_BDMASK) gives ESC messages at up to 100 Hz; serial telemetry "
+    "has "
     "the rate SERVO_BLH_TRATE",
     "set bit 18 of LOG_BITMASK (fast IMU: LOG_BITMASK + 262144)"};
 
@@ -119,18 +121,6 @@ void ReadImu(const DataflashContent& content, FlightLog* log) {
   }
 }
 
-/// The user's poles in place of those the autopilot reckoned with.
-double PoleScale(const std::string& file, const DataflashContent& content,
-                 std::optional<int> pole_pairs) {
-  if (!pole_pairs) return 1.0;
-  const auto poles = content.parameters.find("SERVO_BLH_POLES");
-  if (poles == content.parameters.end() || poles->second < 2.0) {
-    Fail(file, "--pole-pairs: the log has no SERVO_BLH_POLES that was used instead; without "
-               "--pole-pairs its ESC.RPM is taken as it is");
-  }
-  return 0.5 * poles->second / *pole_pairs;
-}
-
 RotorReadings ReadingsOf(const MessageColumns& table, double scale) {
   RotorReadings readings;
   const std::vector<double>& rpm = table.values.at("RPM");
@@ -140,7 +130,8 @@ RotorReadings ReadingsOf(const MessageColumns& table, double scale) {
 
 void ReadRotors(const std::string& file, const DataflashContent& content,
                 const FlightReadOptions& options, FlightLog* log) {
-  const double scale = kRpm * PoleScale(file, content, options.pole_pairs);
+  const double scale =
+      kRpm * PoleScale(file, content.parameters, "SERVO_BLH_POLES", options.pole_pairs);
   std::vector<const MessageColumns*> escs;
   size_t most = 0;
   for (const auto& [key, table] : content.messages) {
@@ -158,7 +149,8 @@ void ReadRotors(const std::string& file, const DataflashContent& content,
                    std::to_string(options.num_rotors) + " rotors");
   }
   log->rotors = OnOneClock(rotors);
-  if (log->rotors.empty()) Fail(file, "ESC: the ESCs never answer within four readings of each other");
+  if (log->rotors.empty())
+    Fail(file, "ESC: the ESCs never answer within four readings of each other");
 }
 
 void ReadCommands(const DataflashContent& content, int num_rotors, FlightLog* log) {
@@ -172,7 +164,8 @@ void ReadCommands(const DataflashContent& content, int num_rotors, FlightLog* lo
   for (size_t i = 0; i < table->size(); ++i) {
     CommandSample sample{table->stamps[i], RotorVector(num_rotors)};
     for (int j = 0; j < num_rotors; ++j) {
-      sample.throttle[j] = ThrottleOf(outputs(static_cast<size_t>(j), i), CommandUnit::kMicroseconds);
+      sample.throttle[j] =
+          ThrottleOf(outputs(static_cast<size_t>(j), i), CommandUnit::kMicroseconds);
     }
     log->commands.push_back(sample);
   }
@@ -182,7 +175,8 @@ void ReadBattery(const DataflashContent& content, FlightLog* log) {
   const MessageColumns* table = content.First("BAT");
   if (table == nullptr || !table->Has("Volt")) return;
   for (size_t i = 0; i < table->size(); ++i) {
-    if (table->At("Volt", i) > 0.0) log->battery.push_back({table->stamps[i], table->At("Volt", i)});
+    if (table->At("Volt", i) > 0.0)
+      log->battery.push_back({table->stamps[i], table->At("Volt", i)});
   }
 }
 
@@ -200,16 +194,18 @@ FlightLog ReadDataflash(const std::string& file, const FlightReadOptions& option
   log.file = Printable(std::filesystem::path(file).filename().string());
   const DataflashContent content = DecodeDataflash(
       bytes, {"XKF1", "NKF1", "POS", "XKQ", "NKQ", "ATT", "AHR2", "IMU", "ESC", "RCOU", "BAT"});
-  ReportDamage(file, {content.damaged, content.first_damaged, content.skipped_bytes,
-                      content.is_cut_off}, bytes.size(), &log);
+  ReportDamage(file,
+               {content.damaged, content.first_damaged, content.skipped_bytes, content.is_cut_off},
+               bytes.size(), &log);
   ReadPoses(file, content, &log);
   ReadImu(content, &log);
   ReadCommands(content, options.num_rotors, &log);
   ReadRotors(file, content, options, &log);
   ReadBattery(content, &log);
   if (log.rotors.empty() && log.commands.empty()) {
-    Fail(file, "no rotor speeds: there are no ESC messages. ESCs that tell their speed are needed: " +
-                   kHints.rotors);
+    Fail(file,
+         "no rotor speeds: there are no ESC messages. ESCs that tell their speed are needed: " +
+             kHints.rotors);
   }
   FinishLog(file, kHints, &log);
   return log;

@@ -19,8 +19,7 @@ std::string LowerEnding(const std::string& file) {
 }
 
 bool EndsWith(const std::string& text, const std::string& end) {
-  return text.size() >= end.size() &&
-         text.compare(text.size() - end.size(), end.size(), end) == 0;
+  return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
 }
 
 bool IsCompanion(const std::string& file) {
@@ -45,7 +44,10 @@ bool IsFlightCsv(std::string_view head) {
 }
 
 FlightReader CsvReader() {
-  return {"a CSV file (.csv)", {".csv"}, IsFlightCsv, false,
+  return {"a CSV file (.csv)",
+          {".csv"},
+          IsFlightCsv,
+          false,
           [](const std::string& file, const FlightReadOptions& options) {
             return ReadFlightCsv(file, options.num_rotors, options.pose);
           }};

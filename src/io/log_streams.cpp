@@ -20,14 +20,6 @@ std::string Hertz(double rate) {
   return text;
 }
 
-template <typename Sample>
-double RateOf(const std::vector<Sample>& samples) {
-  std::vector<Stamp> stamps;
-  stamps.reserve(samples.size());
-  for (const Sample& sample : samples) stamps.push_back(sample.stamp);
-  return UsualRate(std::move(stamps));
-}
-
 /// Drops what is not finite, and what does not step forward in time.
 template <typename Sample, typename Test>
 void KeepSound(const std::string& source, std::vector<Sample>* samples, Test is_finite,
@@ -97,8 +89,8 @@ void DropSpikes(const std::string& source, FlightLog* log) {
 void RefuseSlow(const std::string& file, const std::string& what, double rate, double least,
                 const std::string& hint) {
   if (rate >= 0.95 * least) return;
-  throw std::invalid_argument(file + ": " + what + " are logged at " + Hertz(rate) +
-                              ", at least " + Hertz(least) + " are needed: " + hint);
+  throw std::invalid_argument(file + ": " + what + " are logged at " + Hertz(rate) + ", at least " +
+                              Hertz(least) + " are needed: " + hint);
 }
 
 void AddRate(const std::string& what, double rate, std::string* text) {
@@ -242,11 +234,21 @@ void ReportDamage(const std::string& file, const DecodingDamage& damage, size_t 
   if (damage.is_cut_off) log->warnings.push_back(log->file + ": ends within a record: cut off");
 }
 
+double PoleScale(const std::string& file, const std::map<std::string, double>& parameters,
+                 const std::string& parameter, std::optional<int> pole_pairs) {
+  if (!pole_pairs) return 1.0;
+  const auto poles = parameters.find(parameter);
+  if (poles == parameters.end() || !(poles->second >= 2.0)) {
+    throw std::invalid_argument(file + ": --pole-pairs: the log has no " + parameter +
+                                " that was used instead; without --pole-pairs its speeds are "
+                                "taken as they are");
+  }
+  return 0.5 * poles->second / *pole_pairs;
+}
+
 void FinishLog(const std::string& file, const RateHints& hints, FlightLog* log) {
-  KeepSound(
-      log->file + ": pose", &log->odometry, [](const auto& s) { return IsFinite(s); }, log);
-  KeepSound(
-      log->file + ": IMU", &log->imu, [](const auto& s) { return IsFinite(s); }, log);
+  KeepSound(log->file + ": pose", &log->odometry, [](const auto& s) { return IsFinite(s); }, log);
+  KeepSound(log->file + ": IMU", &log->imu, [](const auto& s) { return IsFinite(s); }, log);
   KeepSound(
       log->file + ": rotor speeds", &log->rotors, [](const auto& s) { return s.speed.allFinite(); },
       log);

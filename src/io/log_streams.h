@@ -2,7 +2,10 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <map>
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "odmc/sensing/samples.h"
@@ -32,8 +35,8 @@ struct RotorReadings {
   std::vector<Stamp> stamps;  ///< strictly increasing
   std::vector<double> speeds;
 
-  /// Adds a finite reading that steps forward in time; takes the last one back where its stamp alone
-  /// leapt ahead.
+  /// Adds a finite reading that steps forward in time; takes the last one back where its stamp
+  /// alone leapt ahead.
   void Add(Stamp stamp, double speed);
 };
 
@@ -55,9 +58,9 @@ void JoinAttitudes(const std::vector<AttitudeReading>& readings,
 
 /// How well a log's bytes could be decoded.
 struct DecodingDamage {
-  long places = 0;        ///< where decoding had to start anew
-  size_t first = 0;       ///< byte of the first one
-  size_t skipped = 0;     ///< bytes
+  long places = 0;     ///< where decoding had to start anew
+  size_t first = 0;    ///< byte of the first one
+  size_t skipped = 0;  ///< bytes
   bool is_cut_off = false;
 };
 
@@ -73,6 +76,21 @@ struct RateHints {
 
 /// The usual rate of stamps, from the median of their steps [Hz]; 0 for fewer than two.
 double UsualRate(std::vector<Stamp> stamps);
+
+/// The same of a stream.
+template <typename Sample>
+double RateOf(const std::vector<Sample>& samples) {
+  std::vector<Stamp> stamps;
+  stamps.reserve(samples.size());
+  for (const Sample& sample : samples) stamps.push_back(sample.stamp);
+  return UsualRate(std::move(stamps));
+}
+
+/// Factor on an autopilot's rotor speeds where the user's poles replace those it reckoned with.
+/// @param parameter  the autopilot's, which holds its number of poles
+/// @throws std::invalid_argument where the log does not have it
+double PoleScale(const std::string& file, const std::map<std::string, double>& parameters,
+                 const std::string& parameter, std::optional<int> pole_pairs);
 
 /// Brings every stream of a log in order and checks it, see autopilot_logs.h.
 /// @param file  path, for errors

@@ -28,9 +28,9 @@ struct Field {
 
 size_t SizeOf(const std::string& type) {
   static const std::map<std::string, size_t> sizes = {
-      {"int8_t", 1},  {"uint8_t", 1},  {"bool", 1},    {"char", 1},  {"int16_t", 2},
-      {"uint16_t", 2}, {"int32_t", 4}, {"uint32_t", 4}, {"float", 4}, {"int64_t", 8},
-      {"uint64_t", 8}, {"double", 8}};
+      {"int8_t", 1},  {"uint8_t", 1},  {"bool", 1},     {"char", 1},
+      {"int16_t", 2}, {"uint16_t", 2}, {"int32_t", 4},  {"uint32_t", 4},
+      {"float", 4},   {"int64_t", 8},  {"uint64_t", 8}, {"double", 8}};
   const auto found = sizes.find(type);
   return found == sizes.end() ? 0 : found->second;
 }
@@ -238,7 +238,8 @@ void Decoder::ReadFlags(std::string_view body) {
   }
   for (int i = 0; has_appended && i < 3; ++i) {
     const auto offset = in.Number<std::uint64_t>();
-    if (offset > kFileHeader && offset < bytes_.size()) parts_.push_back(static_cast<size_t>(offset));
+    if (offset > kFileHeader && offset < bytes_.size())
+      parts_.push_back(static_cast<size_t>(offset));
   }
 }
 
@@ -278,8 +279,7 @@ void Decoder::ReadData(std::string_view body) {
   const std::string_view data = body.substr(2);
   const Subscription& subscription = found->second;
   if (data.size() < subscription.stamp.offset + 8) return;
-  const auto stamp_us =
-      ByteReader(data, subscription.stamp.offset).Number<std::uint64_t>();
+  const auto stamp_us = ByteReader(data, subscription.stamp.offset).Number<std::uint64_t>();
   constexpr std::uint64_t kLatest_us = std::uint64_t{1} << 53;
   if (stamp_us > kLatest_us) return;
   subscription.table->stamps.push_back(1000 * static_cast<Stamp>(stamp_us));

@@ -15,8 +15,8 @@ namespace {
 using Strings = std::vector<std::string>;
 
 constexpr double kRpm = M_PI / 30.0;
-constexpr int kMotor1 = 101;         // actuator_function of esc_report
-constexpr int kBodyFrame = 3;        // velocity_frame of vehicle_odometry: FRD of the body
+constexpr int kMotor1 = 101;   // actuator_function of esc_report
+constexpr int kBodyFrame = 3;  // velocity_frame of vehicle_odometry: FRD of the body
 const RateHints kHints = {
     "add the lines 'vehicle_odometry 20' (or 'vehicle_local_position 20' and 'vehicle_attitude 20')"
     " to etc/logging/logger_topics.txt on the SD card (docs/logs.md has all lines)",
@@ -41,8 +41,14 @@ WantedFields Wanted(int num_rotors) {
       wanted[topic].insert(wanted[topic].end(), list.begin(), list.end());
     }
   };
-  add("vehicle_odometry", {{"timestamp_sample", "velocity_frame"}, kPosition, kQuaternion,
-                           kVelocity, kRates, kOldPosition, kOldVelocity, kOldRates});
+  add("vehicle_odometry", {{"timestamp_sample", "velocity_frame"},
+                           kPosition,
+                           kQuaternion,
+                           kVelocity,
+                           kRates,
+                           kOldPosition,
+                           kOldVelocity,
+                           kOldRates});
   add("vehicle_local_position", {{"timestamp_sample"}, kOldPosition, kOldVelocity});
   add("vehicle_attitude", {{"timestamp_sample"}, kQuaternion});
   add("sensor_combined", {Elements("gyro_rad", 3), Elements("accelerometer_m_s2", 3)});
@@ -64,8 +70,8 @@ WantedFields Wanted(int num_rotors) {
 Stamp SampleStamp(const MessageColumns& table, size_t row) {
   if (!table.Has("timestamp_sample")) return table.stamps[row];
   const double sample_us = table.At("timestamp_sample", row);
-  const bool is_near = sample_us > 0.0 && std::abs(1e3 * sample_us - static_cast<double>(
-                                                       table.stamps[row])) < 1e9;
+  const bool is_near =
+      sample_us > 0.0 && std::abs(1e3 * sample_us - static_cast<double>(table.stamps[row])) < 1e9;
   return is_near ? 1000 * static_cast<Stamp>(sample_us) : table.stamps[row];
 }
 
@@ -93,8 +99,8 @@ std::vector<OdometrySample> FromOdometry(const MessageColumns& table) {
     if (v.present() && v.Vector(i).allFinite()) {
       const bool is_body =
           table.Has("velocity_frame") && table.At("velocity_frame", i) == kBodyFrame;
-      sample.v_WS = is_body ? sample.q_WS.normalized() * FluFromFrd(v.Vector(i))
-                            : EnuFromNed(v.Vector(i));
+      sample.v_WS =
+          is_body ? sample.q_WS.normalized() * FluFromFrd(v.Vector(i)) : EnuFromNed(v.Vector(i));
     }
     if (w.present() && w.Vector(i).allFinite()) sample.w_WS_S = FluFromFrd(w.Vector(i));
     if (sample.p_WS.allFinite() && sample.q_WS.coeffs().allFinite()) samples.push_back(sample);
@@ -106,7 +112,8 @@ std::vector<OdometrySample> FromOdometry(const MessageColumns& table) {
 std::vector<OdometrySample> FromPositionAndAttitude(const MessageColumns& positions,
                                                     const MessageColumns& attitudes,
                                                     FlightLog* log) {
-  const FieldGroup p(positions, kOldPosition), v(positions, kOldVelocity), q(attitudes, kQuaternion);
+  const FieldGroup p(positions, kOldPosition), v(positions, kOldVelocity),
+      q(attitudes, kQuaternion);
   std::vector<OdometrySample> samples;
   std::vector<AttitudeReading> turns;
   if (!p.present() || !q.present()) return samples;
@@ -124,13 +131,6 @@ std::vector<OdometrySample> FromPositionAndAttitude(const MessageColumns& positi
   return samples;
 }
 
-template <typename Sample>
-double RateOf(const std::vector<Sample>& samples) {
-  std::vector<Stamp> stamps;
-  for (const Sample& sample : samples) stamps.push_back(sample.stamp);
-  return UsualRate(std::move(stamps));
-}
-
 constexpr double kAsFast = 0.8;  // of another stream's rate: the first one is preferred
 
 void ReadPoses(const std::string& file, const ULogContent& log_file, FlightLog* log) {
@@ -146,13 +146,15 @@ void ReadPoses(const std::string& file, const ULogContent& log_file, FlightLog* 
     if (!joined.empty()) log->odometry = std::move(joined);
   }
   if (log->odometry.empty()) {
-    Fail(file, "no pose: neither vehicle_odometry nor vehicle_local_position with "
-               "vehicle_attitude; " + kHints.pose);
+    Fail(file,
+         "no pose: neither vehicle_odometry nor vehicle_local_position with "
+         "vehicle_attitude; " +
+             kHints.pose);
   }
 }
 
 void ReadVectors(const MessageColumns& table, const Strings& fields,
-                 std::optional<Eigen::Vector3d> ImuSample::*value, FlightLog* log) {
+                 std::optional<Eigen::Vector3d> ImuSample::* value, FlightLog* log) {
   const FieldGroup group(table, fields);
   for (size_t i = 0; group.present() && i < table.size(); ++i) {
     ImuSample sample;
@@ -194,7 +196,8 @@ void ReadImu(const ULogContent& log_file, FlightLog* log) {
   if (raw == nullptr || raw_rate < kAsFast * std::min(filtered_rate, 200.0)) {
     return ReadFilteredImu(log_file, log);
   }
-  const FieldGroup gyro(*raw, Elements("gyro_rad", 3)), acc(*raw, Elements("accelerometer_m_s2", 3));
+  const FieldGroup gyro(*raw, Elements("gyro_rad", 3)),
+      acc(*raw, Elements("accelerometer_m_s2", 3));
   if (!gyro.present() || !acc.present()) return;
   for (size_t i = 0; i < raw->size(); ++i) {
     log->imu.push_back({raw->stamps[i], FluFromFrd(gyro.Vector(i)), FluFromFrd(acc.Vector(i))});
@@ -244,18 +247,6 @@ RotorReadings ReadingsOf(const MessageColumns& table, int esc, double scale) {
   return readings;
 }
 
-/// The user's poles in place of those the autopilot reckoned with.
-double PoleScale(const std::string& file, const ULogContent& log_file,
-                 std::optional<int> pole_pairs) {
-  if (!pole_pairs) return 1.0;
-  const auto poles = log_file.parameters.find("MOT_POLE_COUNT");
-  if (poles == log_file.parameters.end() || poles->second < 2.0) {
-    Fail(file, "--pole-pairs: the log has no MOT_POLE_COUNT that was used instead; without "
-               "--pole-pairs its esc_rpm is taken as it is");
-  }
-  return 0.5 * poles->second / *pole_pairs;
-}
-
 void ReadRotors(const std::string& file, const ULogContent& log_file,
                 const FlightReadOptions& options, FlightLog* log) {
   const MessageColumns* table = log_file.Find("esc_status");
@@ -265,7 +256,8 @@ void ReadRotors(const std::string& file, const ULogContent& log_file,
     Fail(file, "esc_status has " + std::to_string(static_cast<int>(count)) +
                    " ESCs, the vehicle has " + std::to_string(options.num_rotors) + " rotors");
   }
-  const double scale = kRpm * PoleScale(file, log_file, options.pole_pairs);
+  const double scale =
+      kRpm * PoleScale(file, log_file.parameters, "MOT_POLE_COUNT", options.pole_pairs);
   std::vector<RotorReadings> rotors;
   for (const int esc : MotorOrder(*table, options.num_rotors)) {
     if (!table->Has("esc[" + std::to_string(esc) + "].esc_rpm")) {
@@ -322,8 +314,9 @@ void ReadBattery(const ULogContent& log_file, FlightLog* log) {
 }
 
 void Report(const std::string& file, const ULogContent& log_file, size_t bytes, FlightLog* log) {
-  ReportDamage(file, {log_file.damaged, log_file.first_damaged, log_file.skipped_bytes,
-                      log_file.is_cut_off}, bytes, log);
+  ReportDamage(
+      file, {log_file.damaged, log_file.first_damaged, log_file.skipped_bytes, log_file.is_cut_off},
+      bytes, log);
   if (log_file.topic_names.empty()) Fail(file, "ULog: holds no topic: cut off or damaged");
   if (log_file.lost_s > 0.0) {
     char text[80];
@@ -349,8 +342,10 @@ FlightLog ReadULog(const std::string& file, const FlightReadOptions& options) {
   ReadRotors(file, content, options, &log);
   ReadBattery(content, &log);
   if (log.rotors.empty() && log.commands.empty()) {
-    Fail(file, "no rotor speeds: there is no esc_status. ESCs that tell their speed are needed "
-               "(bidirectional DShot, DShot telemetry or UAVCAN); then " + kHints.rotors);
+    Fail(file,
+         "no rotor speeds: there is no esc_status. ESCs that tell their speed are needed "
+         "(bidirectional DShot, DShot telemetry or UAVCAN); then " +
+             kHints.rotors);
   }
   FinishLog(file, kHints, &log);
   return log;

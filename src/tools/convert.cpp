@@ -36,9 +36,11 @@ std::string Count(size_t count, const std::string& what) {
 
 int main(int argc, char** argv) {
   CLI::App app(
-      "Converts a recorded flight of any format to a rosbag or a CSV file: pose, IMU, rotor speeds,\n"
+      "Converts a recorded flight of any format to a rosbag or a CSV file: pose, IMU, rotor "
+      "speeds,\n"
       "commands and battery voltage with their stamps, in the package's frames and units.\n"
-      "A CSV file has one row per pose: an IMU with other stamps is interpolated, a bag keeps all.");
+      "A CSV file has one row per pose: an IMU with other stamps is interpolated, a bag keeps "
+      "all.");
   tools::FlightArguments flight;
   std::string out;
   int num_rotors = 4;
@@ -49,9 +51,9 @@ int main(int argc, char** argv) {
   app.add_option("--rotors", num_rotors, "of the vehicle")
       ->check(CLI::Range(1, kMaxRotors))
       ->capture_default_str();
-  const CLI::Option* has_start =
-      app.add_option("--start-time", start_time_s, "time of the first pose in OUT [as in FLIGHT; s]")
-          ->check(tools::NotNegative());
+  const CLI::Option* has_start = app.add_option("--start-time", start_time_s,
+                                                "time of the first pose in OUT [as in FLIGHT; s]")
+                                     ->check(tools::NotNegative());
   app.add_flag("--list", list, "print the flights of FLIGHT (a folder or pattern), one a line");
   tools::AddExitStatus(&app);
   return tools::Run(&app, argc, argv, [&] {
@@ -60,7 +62,8 @@ int main(int argc, char** argv) {
       return;
     }
     const std::string ending = std::filesystem::path(out).extension().string();
-    if (ending != ".bag" && ending != ".csv") throw tools::UsageError("OUT must end in .bag or .csv");
+    if (ending != ".bag" && ending != ".csv")
+      throw tools::UsageError("OUT must end in .bag or .csv");
     std::error_code ignored;
     if (std::filesystem::equivalent(flight.file, out, ignored)) {
       throw tools::UsageError("OUT is FLIGHT itself");
@@ -74,7 +77,7 @@ int main(int argc, char** argv) {
     std::cout << Printable(out) << ": " << Count(log.odometry.size(), "poses, ")
               << Count(log.imu.size(), "IMU samples, ")
               << Count(log.rotors.size(), "readings of rotor speeds, ")
-              << Count(log.commands.size(), "commands, ")
-              << Count(log.battery.size(), "voltages") << "\n";
+              << Count(log.commands.size(), "commands, ") << Count(log.battery.size(), "voltages")
+              << "\n";
   });
 }

@@ -73,7 +73,8 @@ class BlackboxWriter {
   template <typename Get>
   std::string List(Get get) const {
     std::string list;
-    for (const FieldDefinition& field : fields_) list += (list.empty() ? "" : ",") + std::string(get(field));
+    for (const FieldDefinition& field : fields_)
+      list += (list.empty() ? "" : ",") + std::string(get(field));
     return list;
   }
 
@@ -111,7 +112,8 @@ class BlackboxWriter {
   }
   static int Bits(std::int64_t value) {  // two's complement
     int bits = 1;
-    while (value < -(std::int64_t{1} << (bits - 1)) || value >= (std::int64_t{1} << (bits - 1))) ++bits;
+    while (value < -(std::int64_t{1} << (bits - 1)) || value >= (std::int64_t{1} << (bits - 1)))
+      ++bits;
     return bits;
   }
 
@@ -267,8 +269,8 @@ std::vector<std::int64_t> ValuesAt(int i) {
   for (int k = 0; k < 4; ++k) v.push_back(800 + wave(100, k));
   v.push_back(1600 - i / 50);
   const double half_yaw = 0.3 * std::sin(t);
-  v.insert(v.end(), {std::lround(8127 * std::cos(half_yaw)), 0, 0,
-                     std::lround(8127 * std::sin(half_yaw))});
+  v.insert(v.end(),
+           {std::lround(8127 * std::cos(half_yaw)), 0, 0, std::lround(8127 * std::sin(half_yaw))});
   v.insert(v.end(), {wave(2000, 0.5), wave(1000, 1.0), -1500 + wave(500, 1.5)});
   v.insert(v.end(), {wave(200, 2.0), wave(100, 2.5) + leap / 100, wave(50, 3.0)});
   for (int k = 0; k < 4; ++k) v.push_back(1200 + wave(200, k));
@@ -282,9 +284,13 @@ std::string MadeUpLog(bool with_pose = true) {
   const size_t pose = 17, end = 27;  // quat, pos, vel
   if (!with_pose) fields.erase(fields.begin() + pose, fields.begin() + end);
   BlackboxWriter writer(fields);
-  for (const auto& [name, value] : std::vector<std::pair<std::string, std::string>>{
-           {"I interval", "32"}, {"P interval", "1/2"}, {"motorOutput", "158,2047"},
-           {"acc_1G", "2048"}, {"motor_poles", "12"}, {"minthrottle", "1070"}}) {
+  for (const auto& [name, value] :
+       std::vector<std::pair<std::string, std::string>>{{"I interval", "32"},
+                                                        {"P interval", "1/2"},
+                                                        {"motorOutput", "158,2047"},
+                                                        {"acc_1G", "2048"},
+                                                        {"motor_poles", "12"},
+                                                        {"minthrottle", "1070"}}) {
     writer.Line(name, value);
   }
   for (int i = 0; i < kFrames; ++i) {
@@ -315,11 +321,15 @@ TEST_F(Blackbox, GivesEveryValueBackInOurFramesAndUnits) {
   for (int i = 0; i < kFrames; ++i) {
     const auto row = static_cast<size_t>(i);
     const std::vector<std::int64_t> v = ValuesAt(i);
-    const auto value = [&](int field) { return static_cast<double>(v[static_cast<size_t>(field)]); };
+    const auto value = [&](int field) {
+      return static_cast<double>(v[static_cast<size_t>(field)]);
+    };
     const OdometrySample& pose = log.odometry[row];
     ASSERT_EQ(pose.stamp, 1000 * v[1]) << i;
-    EXPECT_TRUE(pose.p_WS.isApprox(1e-3 * Eigen::Vector3d(value(21), -value(22), -value(23)), 1e-12));
-    EXPECT_TRUE(pose.v_WS->isApprox(1e-2 * Eigen::Vector3d(value(24), -value(25), -value(26)), 1e-12))
+    EXPECT_TRUE(
+        pose.p_WS.isApprox(1e-3 * Eigen::Vector3d(value(21), -value(22), -value(23)), 1e-12));
+    EXPECT_TRUE(
+        pose.v_WS->isApprox(1e-2 * Eigen::Vector3d(value(24), -value(25), -value(26)), 1e-12))
         << i << ": " << pose.v_WS->transpose();
     EXPECT_NEAR(pose.q_WS.z() / pose.q_WS.w(), -value(20) / value(17), 1e-12);  // yaw the other way
     const Eigen::Vector3d gyro = M_PI / 180.0 * Eigen::Vector3d(value(2), value(3), value(4));
@@ -350,7 +360,8 @@ TEST_F(Blackbox, RefusesALogWithoutPoseAndSaysWhatIsMissing) {
 
 TEST_F(Blackbox, ReadsTheLongestOfSeveralLogs) {
   const std::string whole = MadeUpLog();
-  const FlightLog log = Read(whole.substr(0, whole.size() / 3) + whole + whole.substr(0, whole.size() / 2));
+  const FlightLog log =
+      Read(whole.substr(0, whole.size() / 3) + whole + whole.substr(0, whole.size() / 2));
   EXPECT_EQ(log.odometry.size(), static_cast<size_t>(kFrames));
   EXPECT_TRUE(Contains(log.warnings[0], "holds 3 logs; read the longest, number 2"));
 }
@@ -451,7 +462,8 @@ void ExpectSamePart(const FlightLog& log, const FlightLog& csv) {
     ASSERT_LT((*a.v_WS - *b.v_WS).norm(), 1e-9) << i;
     ASSERT_LT(a.q_WS.angularDistance(b.q_WS), 3e-4) << i;
     ASSERT_LT((*log.imu[first + i].gyro_I - *csv.imu[i].gyro_I).norm(), 1e-4) << i;
-    ASSERT_LT((*log.imu[first + i].specific_force_I - *csv.imu[i].specific_force_I).norm(), 2e-3) << i;
+    ASSERT_LT((*log.imu[first + i].specific_force_I - *csv.imu[i].specific_force_I).norm(), 2e-3)
+        << i;
     ASSERT_EQ(log.rotors[first + i].speed, csv.rotors[i].speed) << i;
     ASSERT_LT((log.commands[first + i].throttle - csv.commands[i].throttle).norm(), 2e-4) << i;
   }

@@ -1,26 +1,18 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <cstring>
 #include <map>
 
 #include "odmc/io/autopilot_logs.h"
 #include "odmc/io/flight_reader.h"
 #include "support/error_text.h"
+#include "support/made_up_log.h"
 #include "support/temporary_folder.h"
 
 namespace odmc {
 namespace {
 
-using testing_support::Contains;
-using testing_support::TemporaryFolder;
-
-template <typename Value>
-std::string Raw(Value value) {
-  std::string bytes(sizeof value, '\0');
-  std::memcpy(bytes.data(), &value, sizeof value);
-  return bytes;
-}
+using namespace testing_support;
 
 std::string Padded(const std::string& text, size_t size) {
   return text + std::string(size - text.size(), '\0');
@@ -43,8 +35,8 @@ class DataflashWriter {
   }
   void Format(const std::string& name, const std::string& letters, const std::string& labels,
               int type) {
-    static const std::map<char, int> sizes = {{'b', 1}, {'B', 1}, {'H', 2}, {'c', 2}, {'C', 2},
-                                              {'f', 4}, {'i', 4}, {'I', 4}, {'e', 4}, {'L', 4},
+    static const std::map<char, int> sizes = {{'b', 1}, {'B', 1}, {'H', 2}, {'c', 2},  {'C', 2},
+                                              {'f', 4}, {'i', 4}, {'I', 4}, {'e', 4},  {'L', 4},
                                               {'n', 4}, {'Q', 8}, {'d', 8}, {'N', 16}, {'Z', 64}};
     int length = 3;
     for (const char letter : letters) length += sizes.at(letter);
@@ -60,23 +52,6 @@ class DataflashWriter {
  private:
   std::string text_;
 };
-
-std::string Floats(std::initializer_list<double> values) {
-  std::string bytes;
-  for (const double value : values) bytes += Raw(static_cast<float>(value));
-  return bytes;
-}
-
-// A made-up flight, in NED and FRD.
-Eigen::Vector3d PositionNed(double t) { return {2.0 * std::sin(t), 1.0 + t, -3.0 - 0.5 * t}; }
-Eigen::Vector3d VelocityNed(double t) { return {2.0 * std::cos(t), 1.0, -0.5}; }
-Eigen::Vector3d Angles(double t) { return {0.1, 0.2 * std::sin(t), 0.5 + 0.3 * t}; }  // r, p, y
-Eigen::Quaterniond AttitudeNed(double t) {
-  return Eigen::AngleAxisd(Angles(t).z(), Eigen::Vector3d::UnitZ()) *
-         Eigen::AngleAxisd(Angles(t).y(), Eigen::Vector3d::UnitY()) *
-         Eigen::AngleAxisd(Angles(t).x(), Eigen::Vector3d::UnitX());
-}
-double Rpm(int motor, double t) { return 6000.0 + 500.0 * motor + 300.0 * std::sin(3.0 * t); }
 
 struct Choice {
   bool filter = true, quaternions = true, global = false, esc = true;
@@ -95,7 +70,8 @@ void Define(const Choice& choice, DataflashWriter* writer) {
   writer->Format("IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ", 15);
   writer->Format("ESC", choice.old_esc ? "QBeCC" : "QBffffcfcf",
                  choice.old_esc ? "TimeUS,Instance,RPM,Volt,Curr"
-                                : "TimeUS,Instance,RPM,RawRPM,Volt,Curr,Temp,CTot,MotTemp,Err", 16);
+                                : "TimeUS,Instance,RPM,RawRPM,Volt,Curr,Temp,CTot,MotTemp,Err",
+                 16);
   writer->Format("RCOU", "QHHHH", "TimeUS,C1,C2,C3,C4", 17);
   writer->Format("BAT", "QBH", "TimeUS,Inst,Volt", 18);
   writer->Units(16, "s#qqvAOaO%", choice.old_esc ? "F-BBB" : "F-00--BCB-");
@@ -116,11 +92,12 @@ void WritePose(const Choice& choice, std::uint64_t now, DataflashWriter* writer)
       writer->Message(12, Raw(now) + char(core) + Floats({q.w(), q.x(), q.y(), q.z()}));
     }
   }
-  writer->Message(13, Raw(now) + c(0) + c(a.x()) + c(0) + c(a.y()) + c(0) + c(a.z()) + c(0) + c(0) +
-                          char(3));
+  writer->Message(
+      13, Raw(now) + c(0) + c(a.x()) + c(0) + c(a.y()) + c(0) + c(a.z()) + c(0) + c(0) + char(3));
   if (choice.global) {
     const auto degrees = [](double metres) {
-      return Raw(static_cast<std::int32_t>(std::lround(1e7 * (10.0 + metres / 6378137.0 * 180.0 / M_PI))));
+      return Raw(
+          static_cast<std::int32_t>(std::lround(1e7 * (10.0 + metres / 6378137.0 * 180.0 / M_PI))));
     };
     writer->Message(14, Raw(now) + degrees(p.x()) + degrees(p.y() / std::cos(10.0 * M_PI / 180.0)) +
                             Floats({100.0 - p.z(), 0.0, 0.0}));
@@ -139,10 +116,11 @@ std::string MadeUpLog(const Choice& choice = {}) {
     for (int j = 0; choice.esc && j < 4; ++j) {  // each a while after the one before
       if (ms % choice.esc_step_ms != 2 * j) continue;
       const double rpm = Rpm(j, 1e-6 * static_cast<double>(now));
-      writer.Message(16, Raw(now) + static_cast<char>(j) +
-                             (choice.old_esc ? Raw(static_cast<std::int32_t>(std::lround(100 * rpm))) +
-                                                   std::string(4, '\0')
-                                             : Floats({rpm, rpm, 16.0, 1.0}) + std::string(12, '\0')));
+      writer.Message(16,
+                     Raw(now) + static_cast<char>(j) +
+                         (choice.old_esc ? Raw(static_cast<std::int32_t>(std::lround(100 * rpm))) +
+                                               std::string(4, '\0')
+                                         : Floats({rpm, rpm, 16.0, 1.0}) + std::string(12, '\0')));
     }
     if (ms % 10 == 4) {
       writer.Message(17, Raw(now) + Raw<std::uint16_t>(1500) + Raw<std::uint16_t>(1600) +
@@ -161,16 +139,6 @@ class Dataflash : public ::testing::Test {
   TemporaryFolder folder_;
 };
 
-Eigen::Vector3d Enu(const Eigen::Vector3d& ned) { return {ned.y(), ned.x(), -ned.z()}; }
-
-/// The nose, the left wing and the top, each seen from the ground.
-void ExpectAttitude(const OdometrySample& pose, double tolerance) {
-  const Eigen::Matrix3d R_NedFrd = AttitudeNed(ToSeconds(pose.stamp)).toRotationMatrix();
-  EXPECT_LT((pose.q_WS * Eigen::Vector3d::UnitX() - Enu(R_NedFrd.col(0))).norm(), tolerance);
-  EXPECT_LT((pose.q_WS * Eigen::Vector3d::UnitY() - Enu(-R_NedFrd.col(1))).norm(), tolerance);
-  EXPECT_LT((pose.q_WS * Eigen::Vector3d::UnitZ() - Enu(-R_NedFrd.col(2))).norm(), tolerance);
-}
-
 TEST_F(Dataflash, GivesTheFlightInOurFramesAndUnits) {
   const FlightLog log = Read(MadeUpLog());
   ASSERT_EQ(log.odometry.size(), 200u);
@@ -178,7 +146,7 @@ TEST_F(Dataflash, GivesTheFlightInOurFramesAndUnits) {
     const double t = ToSeconds(pose.stamp);
     EXPECT_LT((pose.p_WS - Enu(PositionNed(t))).norm(), 1e-5);
     EXPECT_LT((*pose.v_WS - Enu(VelocityNed(t))).norm(), 1e-5);
-    ExpectAttitude(pose, 1e-5);
+    EXPECT_LT(AttitudeError(pose.q_WS, ToSeconds(pose.stamp)), 1e-5);
   }
   ASSERT_EQ(log.imu.size(), 400u);
   EXPECT_LT((*log.imu[0].gyro_I - Eigen::Vector3d(0.01, -0.02, -0.03)).norm(), 1e-6);
@@ -189,7 +157,8 @@ TEST_F(Dataflash, GivesTheFlightInOurFramesAndUnits) {
   EXPECT_EQ(log.dropped, 0);
   EXPECT_TRUE(Contains(log.warnings.back(),
                        "flight.bin: read pose 100 Hz, IMU 200 Hz, rotor speeds 100 Hz, commands "
-                       "100 Hz, battery voltage 10 Hz")) << log.warnings.back();
+                       "100 Hz, battery voltage 10 Hz"))
+      << log.warnings.back();
 }
 
 TEST_F(Dataflash, RotorsOfEscsThatAnswerInTurnAreOnOneClock) {
@@ -211,7 +180,8 @@ TEST_F(Dataflash, AnglesServeWhereThereIsNoQuaternion) {
   choice.quaternions = false;
   const FlightLog log = Read(MadeUpLog(choice));
   ASSERT_EQ(log.odometry.size(), 200u);
-  for (const OdometrySample& pose : log.odometry) ExpectAttitude(pose, 2e-4);  // of 0.01 deg
+  for (const OdometrySample& pose : log.odometry)
+    EXPECT_LT(AttitudeError(pose.q_WS, ToSeconds(pose.stamp)), 2e-4);  // of 0.01 deg
 }
 
 TEST_F(Dataflash, GlobalPositionServesWhereThereIsNoFilter) {

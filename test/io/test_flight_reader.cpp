@@ -1,7 +1,6 @@
-#include "odmc/io/flight_reader.h"
-
 #include <gtest/gtest.h>
 
+#include "odmc/io/flight_reader.h"
 #include "support/error_text.h"
 #include "support/temporary_folder.h"
 

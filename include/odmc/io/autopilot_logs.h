@@ -20,8 +20,8 @@ namespace odmc {
 /// @throws std::invalid_argument naming file, place and cause: not such a log, no pose, no rotor
 ///   speeds, a stream that is too slow (with the autopilot's setting that mends it)
 
-/// Blackbox of Betaflight, INDIflight and their relatives (.bfl, .bbl). Betaflight's has no pose and
-/// is refused; INDIflight's has. Of several logs in one file the longest is read.
+/// Blackbox of Betaflight, INDIflight and their relatives (.bfl, .bbl). Betaflight's has no pose
+/// and is refused; INDIflight's has. Of several logs in one file the longest is read.
 FlightLog ReadBlackbox(const std::string& file, const FlightReadOptions& options);
 bool IsBlackbox(std::string_view head);
 
@@ -31,8 +31,8 @@ bool IsBlackbox(std::string_view head);
 FlightLog ReadULog(const std::string& file, const FlightReadOptions& options);
 bool IsULog(std::string_view head);
 
-/// ArduPilot's dataflash log (.bin): XKF1 (NKF1) or POS; XKQ (NKQ), ATT or AHR2; IMU; ESC; RCOU; BAT.
-/// Of several filters, IMUs and batteries the first is read.
+/// ArduPilot's dataflash log (.bin): XKF1 (NKF1) or POS; XKQ (NKQ), ATT or AHR2; IMU; ESC; RCOU;
+/// BAT. Of several filters, IMUs and batteries the first is read.
 FlightLog ReadDataflash(const std::string& file, const FlightReadOptions& options);
 bool IsDataflash(std::string_view head);
 

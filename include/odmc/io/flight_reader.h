@@ -13,7 +13,7 @@ namespace odmc {
 
 /// What every reader of flights is told.
 struct FlightReadOptions {
-  int num_rotors = 4;                     ///< of the vehicle
+  int num_rotors = 4;  ///< of the vehicle
   PoseSource pose = PoseSource::kEkf;
   std::optional<int> pole_pairs;  ///< of the motors, for logs of electrical speeds; else the log's
 };
@@ -24,7 +24,8 @@ struct FlightReader {
   std::vector<std::string> endings;  ///< of files, in lower case, ".ulg"
   /// True if a file's first bytes (kHeadBytes at most) are of this format.
   std::function<bool(std::string_view head)> recognises;
-  /// Endings that other programs' files share (".bin"): content must agree where folders are searched.
+  /// Endings that other programs' files share (".bin"): content must agree where folders are
+  /// searched.
   bool shares_ending = false;
   /// @throws std::invalid_argument naming file and place
   std::function<FlightLog(const std::string& file, const FlightReadOptions& options)> read;
