@@ -314,12 +314,27 @@ void EstimatorNode::Take(InputStream stream, const RawMessage& message, Stamp ar
     }
     if (!input) return CountPassedOver(stream);
     WarnOfSigns(*input);
-    Push(stream, Accepted(*std::move(input)), "");
+    std::optional<InputSample> accepted = Accepted(*std::move(input));
+    if (!accepted) return Refuse(stream, "");
+    Push(stream, Paired(stream, *std::move(accepted)));
   } catch (const std::exception& e) {
     const std::string refusal = Printable(e.what());
     ROS_WARN_THROTTLE(10.0, "%s: %s", NameOf(stream), refusal.c_str());
-    Push(stream, std::nullopt, refusal);
+    Refuse(stream, refusal);
   }
+}
+
+/// What is ready for the queue: poses may have to wait for the twist after them.
+std::vector<InputSample> EstimatorNode::Paired(InputStream stream, InputSample input) {
+  if (stream != InputStream::kPose && stream != InputStream::kTwist) return {std::move(input)};
+  auto& one = std::get<OdometryInput>(input);
+  const bool is_pose = stream == InputStream::kPose;
+  std::vector<OdometryInput> ready =
+      is_pose ? pairing_.AddPose(std::move(one)) : pairing_.AddTwist(std::move(one));
+  if (pairing_.is_late() && !std::exchange(told_of_late_twists_, true)) {
+    Warn("twist began later than pose: its velocity is not used; start the node once both come");
+  }
+  return {std::make_move_iterator(ready.begin()), std::make_move_iterator(ready.end())};
 }
 
 void EstimatorNode::WarnOfSigns(const InputSample& input) {
@@ -337,19 +352,26 @@ void EstimatorNode::CountPassedOver(InputStream stream) {
   ++status.passed_over;
 }
 
-void EstimatorNode::Push(InputStream stream, std::optional<InputSample> input,
-                         const std::string& refusal) {
+void EstimatorNode::Refuse(InputStream stream, const std::string& refusal) {
   const std::lock_guard<std::mutex> lock(queue_mutex_);
   StreamStatus& status = streams_[static_cast<size_t>(stream)];
   ++status.received;
-  if (!input) {
-    ++status.refused;
-    status.refusal = refusal;
-  } else if (queue_.size() >= static_cast<size_t>(setup_.options.queue_size)) {
-    ++status.overflowed;
-  } else {
-    queue_.push_back(*std::move(input));
-    queue_changed_.notify_one();
+  ++status.refused;
+  status.refusal = refusal;
+}
+
+/// Counts a message and queues what came of it.
+void EstimatorNode::Push(InputStream stream, std::vector<InputSample> inputs) {
+  const std::lock_guard<std::mutex> lock(queue_mutex_);
+  StreamStatus& status = streams_[static_cast<size_t>(stream)];
+  ++status.received;
+  for (InputSample& input : inputs) {
+    if (queue_.size() >= static_cast<size_t>(setup_.options.queue_size)) {
+      ++status.overflowed;
+    } else {
+      queue_.push_back(std::move(input));
+      queue_changed_.notify_one();
+    }
   }
 }
 

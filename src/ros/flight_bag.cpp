@@ -24,6 +24,7 @@
 #include "odmc/RotorSpeeds.h"
 #include "odmc/io/printable_text.h"
 #include "odmc/ros/message_values.h"
+#include "odmc/ros/pose_twist.h"
 #include "odmc/sensing/flight_checks.h"
 #include "odmc/sensing/twist_frame.h"
 
@@ -301,14 +302,9 @@ void FinishOdometry(const std::string& source, std::vector<OdometrySample>* samp
   if (samples->empty()) Fail(source, "no usable message");
 }
 
-std::vector<OdometrySample> ReadOdometry(BagSource* bag, const std::string& topic,
-                                         const BagOptions& options, FlightLog* log) {
-  const std::string source = bag->file() + ": " + topic;
-  RawOdometries messages;
-  messages.reserve(bag->Count(topic));
-  bag->Read<OdometryInput>(topic, InputStream::kOdometry, 0, log,
-                           [&](const OdometryInput& m) { messages.push_back(m); });
-  if (messages.empty()) Fail(source, "no message");
+/// Samples with the velocity in the world, in order and sound.
+std::vector<OdometrySample> SamplesOf(const std::string& source, const RawOdometries& messages,
+                                      const BagOptions& options, FlightLog* log) {
   const bool has_linear = IsLinearFilled(messages), has_angular = IsAngularFilled(messages);
   if (!has_linear) log->warnings.push_back(source + ": linear twist is all zero, not used");
   if (!has_angular) log->warnings.push_back(source + ": angular twist is all zero, not used");
@@ -329,12 +325,55 @@ std::vector<OdometrySample> ReadOdometry(BagSource* bag, const std::string& topi
   return samples;
 }
 
-std::vector<OdometrySample> ReadPoses(BagSource* bag, const std::string& topic, FlightLog* log) {
-  std::vector<OdometrySample> samples;
+std::vector<OdometrySample> ReadOdometry(BagSource* bag, const std::string& topic,
+                                         const BagOptions& options, FlightLog* log) {
+  RawOdometries messages;
+  messages.reserve(bag->Count(topic));
+  bag->Read<OdometryInput>(topic, InputStream::kOdometry, 0, log,
+                           [&](const OdometryInput& m) { messages.push_back(m); });
+  const std::string source = bag->file() + ": " + topic;
+  if (messages.empty()) Fail(source, "no message");
+  return SamplesOf(source, messages, options, log);
+}
+
+bool IsOlder(const OdometryInput& a, const OdometryInput& b) {
+  return a.sample.stamp < b.sample.stamp;
+}
+
+/// Poses with the velocities of a topic of twists, where the user names one: nobody else knows
+/// whether it is of the same source.
+std::vector<OdometrySample> ReadPoses(BagSource* bag, const std::string& topic,
+                                      const BagOptions& options, FlightLog* log) {
+  RawOdometries poses, twists, messages;
+  const bool has_twists = options.topics.count("twist") > 0;
   bag->Read<OdometryInput>(topic, InputStream::kPose, 0, log,
-                           [&](const OdometryInput& m) { samples.push_back(m.sample); });
-  FinishOdometry(bag->file() + ": " + topic, &samples, log);
-  return samples;
+                           [&](const OdometryInput& m) { poses.push_back(m); });
+  const std::string source = bag->file() + ": " + topic;
+  if (!has_twists) {
+    std::vector<OdometrySample> samples;
+    for (const OdometryInput& m : poses) samples.push_back(m.sample);
+    FinishOdometry(source, &samples, log);
+    return samples;
+  }
+  bag->Read<OdometryInput>(bag->TopicOf("twist"), InputStream::kTwist, 0, log,
+                           [&](const OdometryInput& m) { twists.push_back(m); });
+  std::stable_sort(poses.begin(), poses.end(), IsOlder);
+  std::stable_sort(twists.begin(), twists.end(), IsOlder);
+  PoseTwistPairing pairing(true);
+  const auto take = [&messages](const RawOdometries& ready) {
+    messages.insert(messages.end(), ready.begin(), ready.end());
+  };
+  size_t next = 0;
+  for (const OdometryInput& pose : poses) {
+    while (next < twists.size() && !IsOlder(pose, twists[next])) {
+      take(pairing.AddTwist(twists[next++]));
+    }
+    take(pairing.AddPose(pose));
+  }
+  for (; next < twists.size(); ++next) take(pairing.AddTwist(twists[next]));
+  take(pairing.Flush());
+  if (messages.empty()) Fail(source, "no message");
+  return SamplesOf(source, messages, options, log);
 }
 
 bool IsFinite(const ImuSample& s) {
@@ -456,7 +495,7 @@ FlightLog ReadOpenBag(BagSource* bag, int num_rotors, PoseSource pose, const Bag
   }
   ReadImu(bag, &log);
   if (!odometry_topic.empty()) log.odometry = ReadOdometry(bag, odometry_topic, options, &log);
-  if (needs_poses) UseMocapPoses(ReadPoses(bag, pose_topic, &log), &log);
+  if (needs_poses) UseMocapPoses(ReadPoses(bag, pose_topic, options, &log), &log);
   ReadCommands(bag, num_rotors, &log);
   ReadRotors(bag, num_rotors, options, &log);
   ReadBattery(bag, &log);

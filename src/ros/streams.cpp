@@ -2,6 +2,8 @@
 
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <geometry_msgs/TransformStamped.h>
+#include <geometry_msgs/TwistStamped.h>
+#include <geometry_msgs/TwistWithCovarianceStamped.h>
 #include <sensor_msgs/JointState.h>
 
 #include <algorithm>
@@ -60,6 +62,24 @@ OdometryInput PoseInputOf(const RawMessage& raw) {
   return input;
 }
 
+/// The velocity alone: sources differ in the frame of their body rates.
+OdometryInput TwistOf(const std_msgs::Header& header, const geometry_msgs::Vector3& linear) {
+  OdometryInput input;
+  input.sample.stamp = FromRos(header.stamp);
+  input.frame_id = header.frame_id;
+  input.linear = ToEigen(linear);
+  return input;
+}
+
+OdometryInput TwistInputOf(const RawMessage& raw) {
+  if (raw.type() == "geometry_msgs/TwistStamped") {
+    const auto m = Decode<geometry_msgs::TwistStamped>(raw);
+    return TwistOf(m.header, m.twist.linear);
+  }
+  const auto m = Decode<geometry_msgs::TwistWithCovarianceStamped>(raw);
+  return TwistOf(m.header, m.twist.twist.linear);
+}
+
 void CheckOrder(const char* key, const std::vector<int>& order, int num_rotors) {
   const std::set<int> entries(order.begin(), order.end());
   if (entries.size() < order.size() || (!order.empty() && *entries.begin() < 1)) {
@@ -97,6 +117,9 @@ const std::vector<StreamRole>& StreamRoles() {
        "motor_commands",
        {"odmc/MotorCommands"},
        ForeignUse::kCommands},
+      {InputStream::kTwist,
+       "twist",
+       {"geometry_msgs/TwistStamped", "geometry_msgs/TwistWithCovarianceStamped"}},
   };
   return roles;
 }
@@ -171,6 +194,7 @@ std::optional<InputSample> StreamReader::Read(const RawMessage& message, Stamp a
   switch (role_.stream) {
     case InputStream::kOdometry: return InputOf(Decode<nav_msgs::Odometry>(message));
     case InputStream::kPose: return PoseInputOf(message);
+    case InputStream::kTwist: return TwistInputOf(message);
     case InputStream::kImu: return InputOf(Decode<sensor_msgs::Imu>(message));
     case InputStream::kBatteryState: return InputOf(Decode<sensor_msgs::BatteryState>(message));
     case InputStream::kMotorCommands: {

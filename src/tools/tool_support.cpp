@@ -346,8 +346,8 @@ void FlightArguments::AddOptionsTo(CLI::App* app) {
       ->type_name("ekf|mocap");
   app->add_option("--topic", topics,
                   "topic of a bag by role, as odometry:=/vio/odom; roles: odometry, pose, imu, "
-                  "rotor_speeds, joint_states, battery_state, motor_commands; may be given several "
-                  "times")
+                  "rotor_speeds, joint_states, battery_state, motor_commands, twist; may be given "
+                  "several times")
       ->allow_extra_args(false)
       ->type_name("NAME:=/topic");
   app->add_option("--twist-frame", bag.twist_frame,

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """Rotor speeds in messages of packages that are not installed, live: the same parameters as from
-odmc/RotorSpeeds of the same flight."""
+odmc/RotorSpeeds of the same flight; and an odometry that comes as transforms and twists."""
 
 import sys
 
@@ -57,6 +57,12 @@ class ForeignMessagesTest(node_harness.NodeTest):
         truth = self.make_bag(1, "made_up")[1]["truth"]["thrust.k_f"]
         print("k_f off by %.2f %%" % (100.0 * (k_f / truth - 1.0)))
         self.assertLess(abs(k_f / truth - 1.0), 0.03)
+
+    def test_transforms_with_twists_beside_them(self):
+        offline = self.replay("pose_twist", "pose_topic:=/vicon/quad", "twist_topic:=/velocity")
+        self.check_offline(offline, 0.1)
+        status = node_harness.last_status(self.diagnostics, "/estimator")
+        self.assertTrue(status[2]["twist_frame"].startswith("world"), status[2]["twist_frame"])
 
     def test_what_cannot_be_read_is_said(self):
         bag, _ = self.make_bag(3, "made_up")

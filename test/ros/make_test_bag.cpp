@@ -8,8 +8,11 @@
 //   make_test_bag OUT.bag SECONDS late_rotors  an aggressive flight, rotor speeds stamped 40 ms late
 //   make_test_bag OUT.bag SECONDS actuators|esc_status|made_up|made_up_stamped  as plain, rotor speeds in
 //                           messages of packages that are not installed (support/foreign_bag.h)
+//   make_test_bag OUT.bag SECONDS pose_twist   odometry as TransformStamped and TwistStamped
 //   make_test_bag OUT.bag SECONDS dead_sensor  motor commands, and rotor 2 reads 0 from the middle on
 
+#include <geometry_msgs/TransformStamped.h>
+#include <geometry_msgs/TwistStamped.h>
 #include <nav_msgs/Odometry.h>
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
@@ -57,13 +60,13 @@ Json ByName(const DynamicModel& model, const ModelValues& values) {
 Actuator TestActuator() { return LoadActuator(kFolder + "/test/ros/test_actuator.yaml"); }
 
 /// What the offline estimator says of the bag, with the node's options in the rostests.
-Json Offline(const std::string& bag, const std::string& kind) {
+Json Offline(const std::string& bag, const std::string& kind, const BagOptions& reading = {}) {
   const Vehicle vehicle = LoadVehicle(kFolder + "/test/ros/test_quad.yaml");
   const DynamicModel model(vehicle, vehicle.effects);
   EstimatorOptions options;
   options.max_update_time_s = 1.0;
   Estimator estimator(&model, options, true);
-  FlightLog log = ReadFlightBag(bag, vehicle.num_rotors(), BagOptions());
+  FlightLog log = ReadFlightBag(bag, vehicle.num_rotors(), reading);
   if (IsCommanded(kind)) {
     SettleRotors(TestActuator(), vehicle.num_rotors(), kind == "commands", &log);
   }
@@ -107,6 +110,26 @@ void WriteFrames(const std::string& from, const std::string& to) {
 bool IsForeign(const std::string& kind) {
   return kind == "actuators" || kind == "esc_status" || kind == "made_up" ||
          kind == "made_up_stamped";
+}
+
+/// The odometry of `from` as a transform and a velocity in the world.
+void WritePoseTwist(const std::string& from, const std::string& to) {
+  rosbag::Bag in(from, rosbag::bagmode::Read), out(to, rosbag::bagmode::Write);
+  for (const rosbag::MessageInstance& m : rosbag::View(in)) {
+    const auto odometry = m.instantiate<nav_msgs::Odometry>();
+    if (odometry == nullptr) {
+      out.write(m.getTopic(), m.getTime(), m);
+      continue;
+    }
+    geometry_msgs::TransformStamped transform;
+    geometry_msgs::TwistStamped twist;
+    transform.header = twist.header = odometry->header;
+    transform.transform.translation = ToVector3(ToEigen(odometry->pose.pose.position));
+    transform.transform.rotation = odometry->pose.pose.orientation;
+    twist.twist.linear = odometry->twist.twist.linear;
+    out.write("/vicon/quad", m.getTime(), transform);
+    out.write("/velocity", m.getTime(), twist);
+  }
 }
 
 /// What the ESCs must have been told for the rotors to turn as they did: each command reaches the
@@ -171,6 +194,13 @@ void Run(const std::string& file, double duration_s, const std::string& kind) {
     WriteFlightBag(flight.log, file + ".plain");
     WriteFrames(file + ".plain", file);
     std::remove((file + ".plain").c_str());
+  } else if (kind == "pose_twist") {
+    WriteFlightBag(flight.log, file + ".plain");
+    WritePoseTwist(file + ".plain", file);
+    std::remove((file + ".plain").c_str());
+    BagOptions reading;
+    reading.topics["twist"] = "/velocity";
+    json["offline"] = Offline(file, kind, reading);
   } else if (IsForeign(kind)) {
     const std::string plain = file + ".plain";
     WriteFlightBag(flight.log, plain);
@@ -192,7 +222,7 @@ int main(int argc, char** argv) {
     if (argc != 4)
       throw std::invalid_argument(
           "usage: make_test_bag OUT.bag SECONDS plain|hover|frames|undeclared|commands|"
-          "late_rotors|actuators|esc_status|made_up|made_up_stamped|dead_sensor");
+          "late_rotors|actuators|esc_status|made_up|made_up_stamped|pose_twist|dead_sensor");
     odmc::Run(argv[1], std::atof(argv[2]), argv[3]);
   } catch (const std::exception& e) {
     std::fprintf(stderr, "make_test_bag: %s\n", e.what());

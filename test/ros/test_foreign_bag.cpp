@@ -1,6 +1,7 @@
 #include <geometry_msgs/PoseStamped.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <geometry_msgs/TransformStamped.h>
+#include <geometry_msgs/TwistStamped.h>
 #include <gtest/gtest.h>
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
@@ -9,6 +10,7 @@
 #include <fstream>
 
 #include "odmc/ros/flight_bag.h"
+#include "odmc/ros/pose_twist.h"
 #include "support/error_text.h"
 #include "support/foreign_bag.h"
 #include "support/temporary_folder.h"
@@ -285,6 +287,111 @@ TEST_F(ForeignBag, PosesComeInThreeTypes) {
     WritePoses<geometry_msgs::TransformStamped>("/vicon/quad/quad", bag);
   });
   expect_flight();
+}
+
+// A turning flight, with velocities of 100 Hz between poses of 50 Hz, in the world or in the body.
+TEST_F(ForeignBag, TwistsBesidePosesGiveTheVelocity) {
+  const auto velocity_at = [](double t) { return Eigen::Vector3d(2.0 * t, 1.0 - t, 0.5); };
+  for (const bool in_body : {false, true}) {
+    rosbag::Bag bag(File(), rosbag::bagmode::Write);
+    bag.write("/motor_speed", ToRos(kStart), testing_support::RawActuators(kStart, {1, 2, 3, 4}));
+    for (int i = 0; i < 300; ++i) {
+      const double t = 0.01 * i;
+      const Eigen::Quaterniond q_WB(Eigen::AngleAxisd(2.0 + 0.5 * t, Eigen::Vector3d::UnitZ()));
+      geometry_msgs::TwistStamped twist;
+      twist.header.stamp = ToRos(kStart + 10000000 * static_cast<Stamp>(i) + 3000000);
+      const Eigen::Quaterniond q_late(
+          Eigen::AngleAxisd(2.0 + 0.5 * (t + 0.003), Eigen::Vector3d::UnitZ()));
+      const Eigen::Vector3d v_WB = velocity_at(t + 0.003);
+      twist.twist.linear = ToVector3(in_body ? Eigen::Vector3d(q_late.conjugate() * v_WB) : v_WB);
+      twist.twist.angular.x = 9.0;  // in a frame nobody knows: not used
+      bag.write("/velocity", twist.header.stamp, twist);
+      if (i % 2 != 0) continue;
+      geometry_msgs::PoseStamped pose;
+      pose.header.stamp = ToRos(kStart + 10000000 * static_cast<Stamp>(i));
+      pose.pose.position.x = t * t;
+      pose.pose.position.y = t - 0.5 * t * t;
+      pose.pose.position.z = 0.5 * t;
+      pose.pose.orientation.z = q_WB.z();
+      pose.pose.orientation.w = q_WB.w();
+      bag.write("/pose", pose.header.stamp, pose);
+    }
+    bag.close();
+    EXPECT_FALSE(Read().odometry.at(10).v_WS) << "not named, not used";
+    BagOptions options;
+    options.topics["twist"] = "/velocity";
+    const FlightLog log = Read(options);
+    ASSERT_EQ(log.odometry.size(), 150u);
+    EXPECT_FALSE(log.odometry[0].v_WS) << "before the first twist";
+    for (size_t i = 1; i < log.odometry.size(); ++i) {
+      ASSERT_TRUE(log.odometry[i].v_WS) << i;
+      EXPECT_LT((*log.odometry[i].v_WS - velocity_at(0.02 * i)).norm(), 1e-4);
+      EXPECT_FALSE(log.odometry[i].w_WS_S);
+    }
+    EXPECT_TRUE(log.warnings.empty()) << log.warnings[0];
+  }
+}
+
+TEST(PoseTwistPairing, WaitsForTheTwistAfterAPose) {
+  constexpr Stamp kMs = 1000000;
+  const auto pose_at = [](Stamp stamp) {
+    OdometryInput pose;
+    pose.sample.stamp = stamp;
+    pose.is_pose = true;
+    return pose;
+  };
+  const auto twist_at = [](Stamp stamp, double v) {
+    OdometryInput twist;
+    twist.sample.stamp = stamp;
+    twist.linear = Eigen::Vector3d(v, 0.0, 0.0);
+    return twist;
+  };
+  PoseTwistPairing pairing;
+  EXPECT_TRUE(pairing.AddPose(pose_at(1000 * kMs)).empty()) << "no twist yet";
+  const auto first = pairing.AddTwist(twist_at(1005 * kMs, 1.0));
+  ASSERT_EQ(first.size(), 1u);
+  EXPECT_FALSE(first[0].linear) << "before the first twist";
+  EXPECT_TRUE(pairing.AddPose(pose_at(1010 * kMs)).empty());
+  const auto ready = pairing.AddTwist(twist_at(1015 * kMs, 3.0));
+  ASSERT_EQ(ready.size(), 1u);
+  EXPECT_FALSE(ready[0].is_pose);
+  EXPECT_NEAR(ready[0].linear->x(), 2.0, 1e-12);
+  // Twists stop: poses go on without a velocity.
+  size_t released = 0;
+  for (Stamp t = 1020 * kMs; t <= 1300 * kMs; t += 10 * kMs) {
+    for (const OdometryInput& pose : pairing.AddPose(pose_at(t))) {
+      EXPECT_FALSE(pose.linear);
+      ++released;
+    }
+  }
+  EXPECT_EQ(released, 18u);
+  EXPECT_EQ(pairing.Flush().size(), 11u);
+  // The clock steps back.
+  EXPECT_TRUE(pairing.AddPose(pose_at(10 * kMs)).empty());
+  EXPECT_TRUE(pairing.AddTwist(twist_at(5 * kMs, 1.0)).empty());
+  EXPECT_EQ(pairing.AddTwist(twist_at(15 * kMs, 1.0)).size(), 1u);
+  EXPECT_FALSE(pairing.is_late());
+}
+
+TEST(PoseTwistPairing, TwistsThatBeginLateAreNotUsed) {
+  PoseTwistPairing pairing;
+  OdometryInput pose, twist;
+  twist.linear = Eigen::Vector3d::Zero();
+  pose.is_pose = true;
+  size_t released = 0;
+  for (Stamp t = 1; t < 1000000000; t += 100000000) {
+    pose.sample.stamp = t;
+    for (const OdometryInput& ready : pairing.AddPose(pose)) {
+      EXPECT_TRUE(ready.is_pose);
+      ++released;
+    }
+  }
+  EXPECT_EQ(released, 10u);
+  twist.sample.stamp = 1000000000;
+  EXPECT_TRUE(pairing.AddTwist(twist).empty());
+  EXPECT_TRUE(pairing.is_late());
+  pose.sample.stamp = 1100000000;
+  EXPECT_EQ(pairing.AddPose(pose).size(), 1u);
 }
 
 // Of the same pose, the plain one.

@@ -35,6 +35,7 @@
 #include "odmc/inspection/stream_watch.h"
 #include "odmc/ros/live_image.h"
 #include "odmc/ros/node_status.h"
+#include "odmc/ros/pose_twist.h"
 #include "odmc/ros/sample_intake.h"
 #include "odmc/ros/streams.h"
 
@@ -126,7 +127,9 @@ class EstimatorNode {
   Answer Ask(std::function<Answer()> act);
   void Subscribe(InputStream stream);
   void Take(InputStream stream, const RawMessage& message, Stamp arrival, StreamReader* reader);
-  void Push(InputStream stream, std::optional<InputSample> input, const std::string& refusal);
+  std::vector<InputSample> Paired(InputStream stream, InputSample input);
+  void Push(InputStream stream, std::vector<InputSample> inputs);
+  void Refuse(InputStream stream, const std::string& refusal);
   void CountPassedOver(InputStream stream);
   void WarnOfSigns(const InputSample& input);
 
@@ -201,7 +204,9 @@ class EstimatorNode {
   tf2_ros::Buffer tf_buffer_;
   std::unique_ptr<tf2_ros::TransformListener> tf_listener_;
   std::vector<ros::Subscriber> subscribers_;
-  bool told_of_signs_ = false;  // of the one ROS thread
+  // Of the one ROS thread.
+  PoseTwistPairing pairing_;
+  bool told_of_signs_ = false, told_of_late_twists_ = false;
   std::vector<ros::ServiceServer> services_;
   const std::vector<std::string> declared_effects_;  // of the vehicle file
   const std::map<std::string, ParameterSetting> declared_parameters_;

@@ -10,10 +10,11 @@
 namespace odmc {
 
 /// Topics of a bag, by role: odometry, pose, imu, rotor_speeds, joint_states, battery_state,
-/// motor_commands. Where a role has no entry, the one topic of a fitting type whose name ends in the
+/// motor_commands, twist. Where a role has no entry, the one topic of a fitting type whose name ends in the
 /// role's is taken, else the one topic of that type; for rotor_speeds, motor_commands and
 /// battery_state then of a foreign type that is known (foreign_messages.h). Several are an error that
-/// names them and the flag `--topic ROLE:=/name`.
+/// names them and the flag `--topic ROLE:=/name`. `twist`, the velocity of `pose`, is never looked
+/// for.
 using TopicMap = std::map<std::string, std::string>;
 
 /// How the messages of a bag are to be read; the node's parameters of the same names.

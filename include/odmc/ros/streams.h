@@ -30,8 +30,9 @@ enum class InputStream {
   kJointStates,
   kBatteryState,
   kMotorCommands,
+  kTwist,
 };
-constexpr int kNumInputStreams = 7;
+constexpr int kNumInputStreams = 8;
 
 /// One line of the table.
 struct StreamRole {
@@ -78,7 +79,8 @@ struct StreamOptions {
   void Check(int num_rotors = 0) const;
 };
 
-/// An odometry or pose message. `sample.v_WS` stays empty: its frame is not known yet.
+/// An odometry or pose message, or a twist without a pose. `sample.v_WS` stays empty: its frame is
+/// not known yet.
 struct OdometryInput {
   OdometrySample sample;
   std::optional<Eigen::Vector3d> linear;  ///< twist as received [m/s]
