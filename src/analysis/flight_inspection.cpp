@@ -20,6 +20,7 @@ constexpr double kKeyframeRate_Hz = 25.0;
 constexpr double kGap = 3.0;         // median steps
 constexpr double kIqr = 1.349;       // interquartile range of a normal variable of sigma one
 constexpr double kFast = 0.99;       // percentile that counts as the largest
+constexpr double kVagueLag_s = 0.02;  // sigma of a delay that says nothing
 constexpr double kMostLook_s = 120.0;  // of flight, for what it teaches
 
 double Quantile(std::vector<double> values, double share) {
@@ -149,7 +150,8 @@ std::string StreamLine(const StreamFigures& s) {
   line.resize(std::max<size_t>(line.size() + 1, 16), ' ');
   line += std::to_string(s.samples) + " at " + Number(s.rate_Hz) + " Hz";
   if (s.gaps > 0) {
-    line += ", " + std::to_string(s.gaps) + " gaps, the longest " + Number(s.longest_gap_s) + " s";
+    line += ", " + std::to_string(s.gaps) + (s.gaps == 1 ? " gap, of " : " gaps, the longest ") +
+            Number(s.longest_gap_s) + " s";
   }
   if (s.rate_Hz > 0.0 && s.jitter_s * s.rate_Hz > 0.05) {
     line += ", steps spread by " + Number(1e3 * s.jitter_s) + " ms";
@@ -251,7 +253,7 @@ std::string InspectionText(const FlightInspection& inspection) {
   text += "streams\n";
   for (const StreamFigures& s : inspection.streams) text += StreamLine(s);
   for (const TimeOffset& offset : inspection.inspection.offsets) {
-    if (!offset.lag.determined()) continue;
+    if (!offset.lag.determined() || offset.lag.sigma_s() > kVagueLag_s) continue;
     text += "  " + offset.stream + ": " + Number(1e3 * offset.lag.lag_s) + " +- " +
             Number(1e3 * offset.lag.sigma_s(), "%.2g") + " ms late against " + offset.against + "\n";
   }
