@@ -75,7 +75,8 @@ const std::vector<KnownMessage>& KnownMessages() {
       {Use::kVoltage, "quadrotor_msgs/LowLevelFeedback", "e3cfad3ba98dfdc505bcf1fe91833d87",
        "battery_voltage", "V"},
       {Use::kVoltage, "mav_msgs/Status", "", "battery_voltage", "V"},
-      {Use::kVoltage, "mavros_msgs/BatteryStatus", "8ba4ae7c602c5ae6a7e8f3ffb652dc5f", "voltage", "V"},
+      {Use::kVoltage, "mavros_msgs/BatteryStatus", "8ba4ae7c602c5ae6a7e8f3ffb652dc5f", "voltage",
+       "V"},
       {Use::kVoltage, "std_msgs/Float32", "73fcbf46b49191e672908e50842a83d4", "data", "V", "",
        false, true},
       {Use::kVoltage, "std_msgs/Float64", "fdb28210bfa9d7c91146260178d9a584", "data", "V", "",
@@ -156,7 +157,8 @@ void ForeignStream::Settle(const FieldOptions& options, const MessageDescription
   const KnownMessage* known = FindKnown(use_, message.type);
   const bool is_the_known_field =
       known != nullptr && (options.field.empty() || options.field == known->field);
-  const std::string field = options.field.empty() && known != nullptr ? known->field : options.field;
+  const bool takes_known = options.field.empty() && known != nullptr;
+  const std::string field = takes_known ? known->field : options.field;
   if (field.empty()) {
     throw std::invalid_argument(message.type + " is not known: say which of its fields holds " +
                                 NameOf(use_) + " (" + FieldOption(use_) +

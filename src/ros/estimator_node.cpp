@@ -293,7 +293,8 @@ bool EstimatorNode::Stop() {
 
 /// Topics may have messages of any type: publishers bring the definition with them.
 void EstimatorNode::Subscribe(InputStream stream) {
-  const auto reader = std::make_shared<StreamReader>(stream, setup_.options, setup_.vehicle.num_rotors());
+  const auto reader =
+      std::make_shared<StreamReader>(stream, setup_.options, setup_.vehicle.num_rotors());
   const boost::function<void(const ros::MessageEvent<const RawMessage>&)> callback =
       [this, stream, reader](const ros::MessageEvent<const RawMessage>& event) {
         Take(stream, *event.getConstMessage(), FromRos(event.getReceiptTime()), reader.get());

@@ -204,7 +204,9 @@ void BagSource::Read(const std::string& topic, InputStream stream, int num_rotor
       }
       ++number;
     }
-    for (const std::string& note : reader.TakeNotes()) log->warnings.push_back(source + ": " + note);
+    for (const std::string& note : reader.TakeNotes()) {
+      log->warnings.push_back(source + ": " + note);
+    }
   } catch (const std::invalid_argument& e) {
     Fail(file_, "topic " + topic + ": " + e.what());
   }

@@ -20,6 +20,7 @@ namespace odmc {
 namespace {
 
 constexpr double kMissing = -1.0;  // as a first variance
+constexpr char kJointState[] = "sensor_msgs/JointState";
 
 /// The message itself, of a type that is compiled in.
 template <typename Message>
@@ -108,7 +109,7 @@ const std::vector<StreamRole>& StreamRoles() {
        "rotor_speeds",
        {"odmc/RotorSpeeds"},
        ForeignUse::kRotorSpeeds},
-      {InputStream::kJointStates, "joint_states", {"sensor_msgs/JointState"}},
+      {InputStream::kJointStates, "joint_states", {kJointState}},
       {InputStream::kBatteryState,
        "battery_state",
        {"sensor_msgs/BatteryState"},
@@ -182,15 +183,17 @@ StreamReader::StreamReader(InputStream stream, const StreamOptions& options, int
 std::optional<InputSample> StreamReader::Read(const RawMessage& message, Stamp arrival) {
   const auto& types = role_.types;
   const std::string& type = message.type();
+  const bool are_joints = role_.stream == InputStream::kRotorSpeeds && type == kJointState;
+  const bool is_own = are_joints || std::count(types.begin(), types.end(), type) > 0;
   const bool is_told = !Fields().field.empty();  // then the field counts, whatever the type
-  if (role_.foreign && (is_told || std::count(types.begin(), types.end(), type) == 0)) {
-    const bool are_joints = type == "sensor_msgs/JointState" && !is_told;
-    if (!are_joints || role_.stream != InputStream::kRotorSpeeds) {
-      return ReadForeign(message, arrival);
-    }
-  } else if (std::count(types.begin(), types.end(), type) == 0) {
+  if (role_.foreign && (is_told || !is_own)) return ReadForeign(message, arrival);
+  if (!is_own) {
     throw std::invalid_argument("is a " + type + ", but " + role_.name + " must be a " + types[0]);
   }
+  return ReadOwn(message);
+}
+
+InputSample StreamReader::ReadOwn(const RawMessage& message) const {
   switch (role_.stream) {
     case InputStream::kOdometry: return InputOf(Decode<nav_msgs::Odometry>(message));
     case InputStream::kPose: return PoseInputOf(message);
@@ -203,7 +206,7 @@ std::optional<InputSample> StreamReader::Read(const RawMessage& message, Stamp a
     }
     default: break;
   }
-  if (type == "sensor_msgs/JointState") {
+  if (message.type() == kJointState) {
     const auto m = Decode<sensor_msgs::JointState>(message);
     return RotorsOf(FromRos(m.header.stamp), SpeedsOfJoints(m), joint_scale_);
   }
@@ -228,7 +231,8 @@ FieldOptions StreamReader::Fields() const {
 
 std::optional<InputSample> StreamReader::ReadForeign(const RawMessage& message, Stamp arrival) {
   const bool is_same = connection_ != nullptr && connection_ == message.connection;
-  if (!foreign_ || (!is_same && (message.type() != foreign_type_ || message.md5() != foreign_md5_))) {
+  const bool is_alike = message.type() == foreign_type_ && message.md5() == foreign_md5_;
+  if (!foreign_ || (!is_same && !is_alike)) {
     foreign_.emplace(*role_.foreign,
                      MessageDescription{message.type(), message.md5(), message.definition()},
                      Fields(), num_rotors_);

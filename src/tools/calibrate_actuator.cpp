@@ -15,6 +15,7 @@ using namespace odmc;
 // How the files are to be read.
 struct BenchArguments {
   BenchColumns columns;
+  StreamOptions streams;  // of bags
   std::string command_unit, speed_unit, thrust_unit = "N";
 
   void AddTo(CLI::App* app) {
@@ -27,6 +28,7 @@ struct BenchArguments {
         ->check(CLI::IsMember({"rad_s", "rpm", "erpm"}));
     app->add_option("--pole-pairs", columns.pole_pairs, "of the motors, for erpm")
         ->check(tools::Positive());
+    tools::AddOrders(app, &streams);
     app->add_option("--time", columns.time, "column of times, s [t]");
     app->add_option("--command", columns.command,
                     "columns of commands: one for all motors, or one each "
@@ -57,11 +59,13 @@ struct BenchArguments {
 
 // A bench file of either kind.
 BenchRun ReadBench(const std::string& file, const BenchColumns& columns,
-                   const std::string& speed_unit, std::vector<std::string>* used) {
+                   const BenchArguments& arguments, std::vector<std::string>* used) {
   if (file.size() < 4 || file.substr(file.size() - 4) != ".bag")
     return ReadBenchCsv(file, columns, used);
   BagOptions options;
-  options.rotor_speed_unit = speed_unit;
+  static_cast<StreamOptions&>(options) = arguments.streams;
+  options.rotor_speed_unit = arguments.speed_unit;
+  options.command_unit = arguments.command_unit;
   if (columns.pole_pairs > 0) options.pole_pairs = columns.pole_pairs;
   BenchRun run = BenchRunOf(ReadActuatorBag(file, options));
   run.command_unit = columns.command_unit;
@@ -135,14 +139,14 @@ int main(int argc, char** argv) {
     std::vector<std::string> used;
     for (const std::string& file : files) {
       used.clear();
-      runs.push_back(ReadBench(file, columns, bench.speed_unit, &used));
+      runs.push_back(ReadBench(file, columns, bench, &used));
     }
     for (const std::string& line : used) std::cout << line << "\n";
     const ActuatorCalibration calibration = CalibrateActuator(runs, rotor_inertia);
     const Actuator actuator = ActuatorOf(calibration);
     std::vector<ActuatorEvaluation> evaluations;
     for (const std::string& file : evaluate) {
-      const BenchRun run = ReadBench(file, columns, bench.speed_unit, nullptr);
+      const BenchRun run = ReadBench(file, columns, bench, nullptr);
       evaluations.push_back({run.file, EvaluateActuator(actuator, run)});
     }
     tools::MakeFolder(folder);

@@ -168,6 +168,11 @@ void AddOrder(const std::string& name, const std::string& what, std::vector<int>
 
 }  // namespace
 
+void AddOrders(CLI::App* app, StreamOptions* options) {
+  AddOrder("--rotor-order", "rotor 1, 2, ... of the vehicle file", &options->rotor_order, app);
+  AddOrder("--command-order", "the command of rotor 1, 2, ...", &options->command_order, app);
+}
+
 CLI::Validator Positive() { return NumberThat(false); }
 CLI::Validator NotNegative() { return NumberThat(true); }
 
@@ -383,7 +388,7 @@ void FlightArguments::AddFieldsTo(CLI::App* app) {
                   "where the rotor speeds are in messages of the topic rotor_speeds, as "
                   "esc_status[].rpm; types that are known need none")
       ->type_name("PATH");
-  AddOrder("--rotor-order", "rotor 1, 2, ... of the vehicle file", &bag.rotor_order, app);
+  AddOrders(app, &bag);
   app->add_option("--command-topic-field", bag.command_topic_field,
                   "the same for commands, as channels[]")
       ->type_name("PATH");
@@ -393,7 +398,6 @@ void FlightArguments::AddFieldsTo(CLI::App* app) {
       ->check(CLI::IsMember({"auto", "fraction", "us", "raw16"}).description(""))
       ->type_name("auto|fraction|us|raw16")
       ->capture_default_str();
-  AddOrder("--command-order", "the command of rotor 1, 2, ...", &bag.command_order, app);
   app->add_option("--battery-topic-field", bag.battery_topic_field,
                   "the same for the battery voltage [V], as esc_status[0].voltage")
       ->type_name("PATH");

@@ -92,6 +92,9 @@ std::vector<std::string> FlightsNamed(const std::vector<std::string>& names);
 /// @throws std::invalid_argument naming the file, the cause and what would mend it
 StreamInspection InspectFlight(const Vehicle& vehicle, bool force, FlightLog* log);
 
+/// Adds --rotor-order and --command-order.
+void AddOrders(CLI::App* app, StreamOptions* options);
+
 /// Adds --force.
 void AddForce(CLI::App* app, bool* force);
 

@@ -109,6 +109,11 @@ class ToolsTest(unittest.TestCase):
         self.expect(2, 'an integer', 'calibrate', *common, '--set', 'max_iterations=1e99')
         self.expect(2, '--rotor-speed-unit is for bags', 'calibrate', *common,
                     '--rotor-speed-unit', 'rpm')
+        self.expect(2, '--rotor-order is for bags', 'calibrate', *common, '--rotor-order', '2,1,4,3')
+        self.expect(2, '--rotor-topic-field is for bags', 'calibrate', *common,
+                    '--rotor-topic-field', 'esc_status[].rpm')
+        self.expect(2, "'1,1,2' is no order of rotors", 'calibrate', *common, '--rotor-order',
+                    '1,1,2')
         self.expect(2, '.bag or .csv', 'simulate', *vehicle, '--trajectory', 'octo', '--seed', '1',
                     '--out', self.path('x.txt'))
         self.expect(2, 'zigzag', 'simulate', *vehicle, '--trajectory', 'zigzag', '--seed', '1',

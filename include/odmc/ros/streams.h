@@ -56,7 +56,7 @@ struct StreamOptions {
   std::string rotor_speed_unit = "auto";
   int pole_pairs = 7;               ///< for erpm
   std::string rotor_topic_field;    ///< path as esc_status[].rpm; empty: that of the known type
-  std::vector<int> rotor_order;     ///< which entry, from 1, is rotor 1, 2, ...; empty: as they come
+  std::vector<int> rotor_order;     ///< entries, from 1, that are rotor 1, 2, ...; empty: in order
   std::string command_topic_field;  ///< as rotor_topic_field
   std::string command_unit = "auto";  ///< auto | fraction | us | raw16
   std::vector<int> command_order;     ///< as rotor_order
@@ -127,6 +127,7 @@ class StreamReader {
   std::vector<std::string> TakeNotes();
 
  private:
+  InputSample ReadOwn(const RawMessage& message) const;
   std::optional<InputSample> ReadForeign(const RawMessage& message, Stamp arrival);
   InputSample RotorsOf(Stamp stamp, const std::vector<double>& speeds, double scale) const;
   InputSample CommandsOf(Stamp stamp, const std::vector<double>& throttle) const;
