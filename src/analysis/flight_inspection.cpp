@@ -23,6 +23,12 @@ constexpr double kFast = 0.99;       // percentile that counts as the largest
 constexpr double kVagueLag_s = 0.02;  // sigma of a delay that says nothing
 constexpr double kMostLook_s = 120.0;  // of flight, for what it teaches
 
+std::string Number(double value, const char* format = "%.3g") {
+  char text[40];
+  std::snprintf(text, sizeof text, format, value);
+  return text;
+}
+
 double Quantile(std::vector<double> values, double share) {
   if (values.empty()) return 0.0;
   const auto at = values.begin() + static_cast<std::ptrdiff_t>(
@@ -111,6 +117,62 @@ std::vector<Lesson> LessonsOf(const DynamicModel& model, const Snapshot& last) {
   return lessons;
 }
 
+/// Poses that stay to the last digit while the rotors carry the vehicle: a source that froze.
+std::optional<Finding> FrozenPose(const FlightLog& log, const Vehicle& vehicle) {
+  constexpr double kFrozen_s = 0.2;
+  constexpr double kCarried = 0.5;  // of the weight
+  const DynamicModel model(vehicle, vehicle.effects);
+  const int k_f = model.IndexOf("thrust.k_f");
+  if (k_f < 0 || log.odometry.empty()) return std::nullopt;
+  const auto carries = [&](Stamp from, Stamp to) {
+    double sum = 0.0, n = 0.0;
+    for (const RotorSample& s : log.rotors) {
+      if (s.stamp < from || s.stamp > to) continue;
+      sum += s.speed.squaredNorm();
+      n += 1.0;
+    }
+    const double weight_N = vehicle.mass_kg * vehicle.gravity_m_s2;
+    return n > 0.0 && model.InitialValues()[k_f] * sum / n > kCarried * weight_N;
+  };
+  for (size_t i = 0, first = 0; i <= log.odometry.size(); ++i) {
+    if (i < log.odometry.size() && IsSame(log.odometry[i], log.odometry[first])) continue;
+    const Stamp from = log.odometry[first].stamp, to = log.odometry[i - (i > 0 ? 1 : 0)].stamp;
+    if (ToSeconds(to - from) > kFrozen_s && carries(from, to)) {
+      const double zero_s = ToSeconds(from - log.odometry.front().stamp);
+      return Finding{"frozen_pose", Trust::kDoubtful,
+                     "the pose stays to the last digit for " + Number(ToSeconds(to - from)) +
+                         " s in flight",
+                     "its source stalls: look there, or cut the flight before (--end " +
+                         Number(zero_s) + ")",
+                     std::make_pair(zero_s, zero_s + ToSeconds(to - from))};
+    }
+    first = i;
+  }
+  return std::nullopt;
+}
+
+/// What fits of the thrust coefficient beside what the file says: mass and k_f are one in flight.
+std::optional<Finding> ThrustOffTheFile(const std::vector<Lesson>& lessons,
+                                        const DynamicModel& model) {
+  constexpr double kAbsurd = 3.0;
+  constexpr double kShare = 0.1;  // a rough k_f, of a data sheet, is good to that
+  for (const Lesson& l : lessons) {
+    if (l.full_name != "thrust.k_f") continue;
+    const double file = model.InitialValues()[model.IndexOf(l.full_name)];
+    const double ratio = l.value / file;
+    if (std::abs(ratio - 1.0) < std::max(kShare, 3.0 * l.sigma / file)) return std::nullopt;
+    return Finding{"weight", Trust::kGood,
+                   "the thrust coefficient that carries the vehicle is " + Number(l.value) +
+                       " N s^2, " + Number(ratio) + " times the file's",
+                   "check mass_kg (" + Number(model.vehicle().mass_kg / ratio) +
+                       " would fit the file's k_f), thrust.k_f" +
+                       (ratio > kAbsurd || ratio * kAbsurd < 1.0
+                            ? " or the unit of the rotor speeds (rpm for rad/s: 0.011 times)"
+                            : "")};
+  }
+  return std::nullopt;
+}
+
 /// What is learned of a flight, and its phases; of a long one its first minutes.
 void Learn(FlightLog log, const Vehicle& vehicle, FlightInspection* result) {
   const double duration_s = result->duration_s;
@@ -129,12 +191,11 @@ void Learn(FlightLog log, const Vehicle& vehicle, FlightInspection* result) {
   if (!replay.last) return;
   result->flown = FlownOf(log, replay);
   result->lessons = LessonsOf(model, *replay.last);
-}
-
-std::string Number(double value, const char* format = "%.3g") {
-  char text[40];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
+  const auto& findings = result->inspection.findings;
+  const bool has = std::any_of(findings.begin(), findings.end(),
+                               [](const Finding& f) { return f.check == "weight"; });
+  const std::optional<Finding> thrust = ThrustOffTheFile(result->lessons, model);
+  if (thrust && !has) result->inspection.findings.push_back(*thrust);
 }
 
 Json NumberJson(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
@@ -195,7 +256,9 @@ FlightInspection InspectFlight(FlightLog log, const Vehicle& vehicle) {
     result.first_stamp = log.odometry.front().stamp;
     result.duration_s = ToSeconds(log.odometry.back().stamp - result.first_stamp);
   }
+  const std::optional<Finding> frozen = FrozenPose(log, vehicle);
   result.inspection = InspectRecording(vehicle, &log);
+  if (frozen) result.inspection.findings.push_back(*frozen);
   if (result.inspection.refusal.empty()) Learn(std::move(log), vehicle, &result);
   return result;
 }

@@ -76,6 +76,28 @@ TEST(FlightInspection, CountsGapsAndRepeatedSamples) {
   EXPECT_EQ(rotors->repeated, 200);
 }
 
+// A source that freezes, and a mass that is a fifth too large.
+TEST(FlightInspection, NamesAFrozenPoseAndAWrongMass) {
+  FlightLog log = Fly("octo");
+  for (size_t i = 1500; i < 1600; ++i) {
+    log.odometry[i].p_WS = log.odometry[1500].p_WS;
+    log.odometry[i].q_WS = log.odometry[1500].q_WS;
+  }
+  const auto has = [](const FlightInspection& inspection, const std::string& check) {
+    const auto& findings = inspection.inspection.findings;
+    return std::any_of(findings.begin(), findings.end(),
+                       [&](const Finding& f) { return f.check == check; });
+  };
+  const FlightInspection frozen = InspectFlight(log, NominalVehicle());
+  EXPECT_TRUE(has(frozen, "frozen_pose")) << InspectionText(frozen);
+  Vehicle heavy = NominalVehicle();
+  heavy.mass_kg *= 1.2;
+  const FlightInspection inspection = InspectFlight(Fly("octo"), heavy);
+  EXPECT_TRUE(has(inspection, "weight")) << InspectionText(inspection);
+  EXPECT_FALSE(has(inspection, "frozen_pose"));
+  EXPECT_FALSE(has(InspectFlight(Fly("octo"), NominalVehicle()), "weight"));
+}
+
 // Two rotors exchanged: the finding names the order that fits.
 TEST(FlightInspection, NamesAWrongRotorOrder) {
   FlightLog log = Fly("octo");
