@@ -24,7 +24,8 @@ bool EndsWith(const std::string& text, const std::string& end) {
 
 bool IsCompanion(const std::string& file) {
   const std::string stem = std::filesystem::path(file).stem().string();
-  return LowerEnding(file) == ".csv" && (EndsWith(stem, "_mocap") || EndsWith(stem, "_rotor"));
+  return LowerEnding(file) == ".csv" && (EndsWith(stem, "_mocap") || EndsWith(stem, "_rotor") ||
+                                         EndsWith(stem, "_truth"));
 }
 
 bool HasEnding(const FlightReader& reader, const std::string& ending) {

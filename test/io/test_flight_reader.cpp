@@ -42,6 +42,7 @@ TEST_F(FlightReaderRegistry, CompanionsAreNoFlights) {
   EXPECT_TRUE(readers_.IsFlight(folder_.Write("a.csv", kCsv)));
   EXPECT_FALSE(readers_.IsFlight(folder_.Write("a_mocap.csv", kCsv)));
   EXPECT_FALSE(readers_.IsFlight(folder_.Write("a_rotor.csv", kCsv)));
+  EXPECT_FALSE(readers_.IsFlight(folder_.Write("a_truth.csv", kCsv)));
   EXPECT_FALSE(readers_.IsFlight(folder_.Write("a.yaml", "x: 1")));
 }
 

@@ -47,7 +47,8 @@ class FlightReaders {
   const FlightReader* Find(const std::string& file) const;
 
   /// True if a folder's file is a flight: of a known ending (and content, where the ending is
-  /// shared), and no companion of one (NAME_mocap.csv, NAME_rotor.csv).
+  /// shared), and no companion of one (NAME_mocap.csv, NAME_rotor.csv;
+  /// NAME_truth.csv of `simulate`).
   bool IsFlight(const std::string& file) const;
 
   /// True if a name has the ending of a format, whatever is behind it.
