@@ -196,12 +196,17 @@ void ReadThreeOfBytes(ByteReader* in, Word tag, Word* values) {
   }
 }
 
+/// Three values of 2 bits behind a lead of two.
+void ReadThreeOfTwoBits(Word lead, Word* values) {
+  for (int i = 0; i < 3; ++i) values[i] = SignExtended(lead >> (4 - 2 * i), 2);
+}
+
 /// Three values of 2, 4 or 6 bits, or of whole bytes.
 void ReadTag2_3(ByteReader* in, Word* values) {
   const Word lead = in->Byte();
   switch (lead >> 6) {
     case 0:
-      for (int i = 0; i < 3; ++i) values[i] = SignExtended(lead >> (4 - 2 * i), 2);
+      ReadThreeOfTwoBits(lead, values);
       return;
     case 1: {
       const Word next = in->Byte();
@@ -225,7 +230,7 @@ void ReadTag2_3Variable(ByteReader* in, Word* values) {
   const Word lead = in->Byte();
   switch (lead >> 6) {
     case 0:
-      for (int i = 0; i < 3; ++i) values[i] = SignExtended(lead >> (4 - 2 * i), 2);
+      ReadThreeOfTwoBits(lead, values);
       return;
     case 1: {
       const Word bits = lead << 8 | in->Byte();
