@@ -198,6 +198,14 @@ std::vector<ParameterEstimate> DerivedFigures(const Vehicle& vehicle, const std:
   return derived;
 }
 
+bool TellsSize(const Vehicle& vehicle, const std::string& full_name) {
+  const size_t dot = full_name.find('.');
+  const std::vector<std::string> sizes =
+      EffectRegistry::Default().Make(full_name.substr(0, dot), vehicle)->size_parameters();
+  return sizes.empty() ||
+         std::find(sizes.begin(), sizes.end(), full_name.substr(dot + 1)) != sizes.end();
+}
+
 std::string TellingManoeuvre(const Vehicle& vehicle, const std::string& effect,
                              const std::string& alternative) {
   const std::string one = OwnTellingManoeuvre(vehicle, effect, alternative);

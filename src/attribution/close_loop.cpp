@@ -293,7 +293,13 @@ double LeastRatio(const PredictionFigures& before, const PredictionFigures& afte
 /// True if the online estimate of an effect differs from zero, or says nothing of it.
 bool IsThere(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model,
              const AttributionOptions& options) {
-  const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
+  std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
+  own.erase(std::remove_if(own.begin(), own.end(),
+                           [&](Eigen::Index i) {
+                             const auto& p = online.parameters[static_cast<size_t>(i)];
+                             return !TellsSize(model.vehicle(), p.full_name);
+                           }),
+            own.end());
   if (own.empty()) return true;
   Eigen::VectorXd estimate(static_cast<Eigen::Index>(own.size()));
   for (size_t k = 0; k < own.size(); ++k) {

@@ -89,8 +89,20 @@ std::vector<Eigen::Index> SharedOf(const std::string& effect, const FlightFactor
   return own;
 }
 
+/// Those that tell how large an effect is.
+std::vector<Eigen::Index> SizesOf(const std::string& effect, const FlightFactor& factor,
+                                  const Vehicle& vehicle) {
+  std::vector<Eigen::Index> sizes = SharedOf(effect, factor);
+  sizes.erase(std::remove_if(sizes.begin(), sizes.end(),
+                             [&](Eigen::Index k) {
+                               return !TellsSize(vehicle, factor.names[static_cast<size_t>(k)]);
+                             }),
+              sizes.end());
+  return sizes;
+}
+
 /// Chance that parameters which are zero differ from it together by as much (Wald's test).
-double ChanceOfZero(const FleetCalibration& fleet, const std::vector<Eigen::Index>& own) {
+double ChanceOf(const FleetCalibration& fleet, const std::vector<Eigen::Index>& own) {
   const Eigen::VectorXd value = fleet.joint.value(own);
   Eigen::MatrixXd C = fleet.joint.covariance(own, own);
   C.diagonal() *= 1.0 + 1e-9;
@@ -199,8 +211,6 @@ class JointSession {
   Vehicle With(const std::vector<RankedEffect>& effects) const {
     return Extended(vehicle_, stage_, effects);
   }
-  std::string WhyNot(const RankedEffect& effect, const FleetCalibration& fleet) const;
-
   const FlightSource& source_;
   const Vehicle& file_vehicle_;
   const Vehicle vehicle_;
@@ -247,30 +257,13 @@ void JointSession::Find(const Progress& progress) {
   }
 }
 
-std::string JointSession::WhyNot(const RankedEffect& effect, const FleetCalibration& fleet) const {
-  const std::vector<int> used = fleet.used();
-  const auto own = SharedOf(effect.name, fleet.flights[static_cast<size_t>(used.front())].factor);
-  if (own.empty()) return "";  // each flight's own
-  const AttributionOptions& options = options_.attribution;
-  const double chance = ChanceOfZero(fleet, own);
-  if (chance > options.false_alarm_rate) {
-    return "its coefficients differ from flight to flight by so much that they are zero together (p " +
-           Text(chance) + ")";
-  }
-  const double opposite = OppositeShare(fleet, own, options.significant_sigmas);
-  if (opposite > options.opposite_share) {
-    return "its coefficient jumps: " + Text(100.0 * opposite) +
-           " % of flights would have it with the other sign";
-  }
-  return "";
-}
-
 void JointSession::Confirm(const Progress& progress) {
   while (!effects_.empty()) {
     FleetCalibration fleet = CalibrateWith(With(effects_), progress);
     std::vector<std::string> gone;
     for (const RankedEffect& effect : effects_) {
-      const std::string why = WhyNot(effect, fleet);
+      const std::string why =
+          WhyNotTheVehicles(effect.name, fleet, vehicle_, options_.attribution);
       if (why.empty()) continue;
       loop_.warnings.push_back(effect.name + " gains " + Text(effect.score) + " nats, but " + why);
       gone.push_back(effect.name);
@@ -347,6 +340,26 @@ JointLoop JointSession::Run(const std::vector<std::string>& files,
 }
 
 }  // namespace
+
+std::string WhyNotTheVehicles(const std::string& effect, const FleetCalibration& fleet,
+                              const Vehicle& vehicle, const AttributionOptions& options) {
+  const FlightFactor& factor =
+      fleet.flights[static_cast<size_t>(fleet.used().front())].factor;
+  const std::vector<Eigen::Index> sizes = SizesOf(effect, factor, vehicle);
+  if (sizes.empty()) return "";  // each flight's own
+  const double chance = ChanceOf(fleet, sizes);
+  if (chance > options.false_alarm_rate) {
+    return "what tells its size is zero on all flights together, within its uncertainty (p " +
+           Text(chance) + ")";
+  }
+  const double opposite =
+      OppositeShare(fleet, SharedOf(effect, factor), options.significant_sigmas);
+  if (opposite > options.opposite_share) {
+    return "its coefficient jumps: " + Text(100.0 * opposite) +
+           " % of flights would have it with the other sign";
+  }
+  return "";
+}
 
 JointLoop CloseLoopOnSeveral(const std::vector<std::string>& files,
                              const std::vector<std::string>& held_out, const FlightSource& source,

@@ -157,6 +157,34 @@ TEST(JointLoop, GivesEachFlightItsOwnWind) {
   }
 }
 
+/// A calibrated fleet of one flight whose joint estimate has these values.
+FleetCalibration FleetWith(const std::vector<std::string>& names, const Eigen::VectorXd& value,
+                           const Eigen::VectorXd& sigma) {
+  FleetCalibration fleet;
+  FleetFlight flight;
+  flight.factor.names = names;
+  fleet.flights = {flight};
+  fleet.joint.value = value;
+  fleet.joint.sigma = sigma;
+  fleet.joint.covariance = sigma.cwiseAbs2().asDiagonal();
+  fleet.joint.fit.scatter = Eigen::VectorXd::Zero(value.size());
+  return fleet;
+}
+
+// Where a load hangs says nothing of whether one does: its mass must differ from zero.
+TEST(JointLoop, NamesNoLoadWithoutMass) {
+  const std::vector<std::string> names = {"suspended_load.mass", "suspended_load.z"};
+  const AttributionOptions options;
+  const FleetCalibration nothing =
+      FleetWith(names, Eigen::Vector2d(-0.008, 0.05), Eigen::Vector2d(0.006, 0.005));
+  const std::string why =
+      WhyNotTheVehicles("suspended_load", nothing, Hangar::vehicle(), options);
+  EXPECT_NE(why.find("zero"), std::string::npos) << why;
+  const FleetCalibration load =
+      FleetWith(names, Eigen::Vector2d(0.08, 0.05), Eigen::Vector2d(0.006, 0.005));
+  EXPECT_EQ(WhyNotTheVehicles("suspended_load", load, Hangar::vehicle(), options), "");
+}
+
 }  // namespace
 }  // namespace test
 }  // namespace odmc

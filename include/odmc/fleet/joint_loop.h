@@ -53,6 +53,13 @@ struct JointLoop {
   std::vector<std::string> warnings;
 };
 
+/// Why an effect that all flights were calibrated with is not the vehicle's, in words that go on
+/// after "it gains ... nats, but": its size is zero within its uncertainty, scatter between flights
+/// included, or has another sign from flight to flight. Empty where it is, and for effects that are
+/// each flight's own.
+std::string WhyNotTheVehicles(const std::string& effect, const FleetCalibration& fleet,
+                              const Vehicle& vehicle, const AttributionOptions& options);
+
 /// Calibrates the declared model on all flights together, looks in what it leaves on all of them
 /// for effects that the vehicle lacks, adds these and calibrates anew. A coefficient is the
 /// vehicle's: one that jumps from flight to flight is no effect.
