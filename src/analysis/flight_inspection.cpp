@@ -222,6 +222,51 @@ std::string StreamLine(const StreamFigures& s) {
   return line + "\n";
 }
 
+std::string LessonLine(const Lesson& l, bool has_value) {
+  char line[240];
+  if (has_value) {
+    std::snprintf(line, sizeof line, "  %-24s %12.4g +- %-9.2g %-8s %s", l.full_name.c_str(), l.value,
+                  l.sigma, l.unit.c_str(), l.is_shown ? "" : "hardly shown");
+  } else {
+    std::snprintf(line, sizeof line, "  %-24s %s", l.full_name.c_str(),
+                  l.is_shown ? "shown" : "hardly shown");
+  }
+  return line + (l.manoeuvre.empty() ? "" : ": fly " + l.manoeuvre) + "\n";
+}
+
+/// "found" or "guessed", with what it rests on.
+std::string Mark(bool told, double probability) {
+  if (told && probability > 0.9999) return "found, probability above 0.9999";
+  if (told) return "found, probability " + Number(probability, "%.4f");
+  return probability > 0.0 ? "a guess, probability " + Number(probability, "%.3f") : "a guess";
+}
+
+std::string RotorsText(const RotorGuess& rotors) {
+  std::string text = "rotors that would fit, as a " + rotors.frame + "\n";
+  text += "  places: " + Joined(rotors.places) + " (" +
+          Mark(rotors.places_told, rotors.places_probability) + ")\n";
+  text += "  spins: " + Joined(rotors.spins) + " (" +
+          Mark(rotors.spins_told, rotors.spins_probability) + ")\n";
+  if (rotors.hover_speed_rad_s) {
+    text += "  each hovers at " + Number(*rotors.hover_speed_rad_s, "%.4g") + " rad/s\n";
+  }
+  for (const std::string& advice : rotors.advice) text += "  note: " + advice + "\n";
+  return text;
+}
+
+Json RotorsJson(const RotorGuess& rotors) {
+  Json json = {{"frame", rotors.frame},
+               {"places", rotors.places},
+               {"places_told", rotors.places_told},
+               {"places_probability", NumberJson(rotors.places_probability)},
+               {"spins", rotors.spins},
+               {"spins_told", rotors.spins_told},
+               {"spins_probability", NumberJson(rotors.spins_probability)},
+               {"advice", rotors.advice}};
+  if (rotors.hover_speed_rad_s) json["hover_speed_rad_s"] = NumberJson(*rotors.hover_speed_rad_s);
+  return json;
+}
+
 }  // namespace
 
 std::vector<StreamFigures> StreamsOf(const FlightLog& log) {
@@ -297,13 +342,16 @@ std::string InspectionReport(const FlightInspection& inspection) {
                      {"rate_rad_s", NumberJson(f.rate_rad_s)},
                      {"height_range_m", NumberJson(f.height_range_m)}};
   }
+  if (inspection.rotors) json["rotors"] = RotorsJson(*inspection.rotors);
   json["parameters"] = Json::object();
   for (const Lesson& l : inspection.lessons) {
-    json["parameters"][l.full_name] = {{"value", NumberJson(l.value)},
-                                       {"sigma", NumberJson(l.sigma)},
-                                       {"prior_sigma", NumberJson(l.prior_sigma)},
-                                       {"unit", l.unit},
-                                       {"shown", l.is_shown}};
+    Json entry = {{"unit", l.unit}, {"shown", l.is_shown}};
+    if (!inspection.rotors) {
+      entry["value"] = NumberJson(l.value);
+      entry["sigma"] = NumberJson(l.sigma);
+      entry["prior_sigma"] = NumberJson(l.prior_sigma);
+    }
+    json["parameters"][l.full_name] = entry;
     if (!l.manoeuvre.empty()) json["parameters"][l.full_name]["manoeuvre"] = l.manoeuvre;
   }
   json["notes"] = inspection.notes;
@@ -312,7 +360,8 @@ std::string InspectionReport(const FlightInspection& inspection) {
 
 std::string InspectionText(const FlightInspection& inspection) {
   std::string text =
-      inspection.file + ": " + Number(inspection.duration_s) + " s, vehicle " + inspection.vehicle + "\n";
+      inspection.file + ": " + Number(inspection.duration_s) + " s, " +
+      (inspection.rotors ? "no vehicle file" : "vehicle " + inspection.vehicle) + "\n";
   text += "streams\n";
   for (const StreamFigures& s : inspection.streams) text += StreamLine(s);
   for (const TimeOffset& offset : inspection.inspection.offsets) {
@@ -329,6 +378,7 @@ std::string InspectionText(const FlightInspection& inspection) {
     text += "nothing sensible can be learned: " + inspection.inspection.refusal + "\n";
     return text;
   }
+  if (inspection.rotors) text += RotorsText(*inspection.rotors);
   text += "phases\n";
   for (const PhaseSpan& span : inspection.phases) {
     text += "  " + span.Describe(inspection.first_stamp) + "\n";
@@ -344,11 +394,7 @@ std::string InspectionText(const FlightInspection& inspection) {
           Number(f.height_range_m) + " m\n";
   text += "what can be learned from it\n";
   for (const Lesson& l : inspection.lessons) {
-    char line[240];
-    std::snprintf(line, sizeof line, "  %-24s %12.4g +- %-9.2g %-8s %s%s\n", l.full_name.c_str(),
-                  l.value, l.sigma, l.unit.c_str(), l.is_shown ? "" : "hardly shown",
-                  l.manoeuvre.empty() ? "" : (": fly " + l.manoeuvre).c_str());
-    text += line;
+    text += LessonLine(l, !inspection.rotors);
   }
   for (const std::string& note : inspection.notes) text += "note: " + note + "\n";
   return text;

@@ -9,6 +9,8 @@
 #include <numeric>
 #include <string>
 
+#include "odmc/model/frame_layout.h"
+
 namespace odmc {
 namespace {
 
@@ -88,9 +90,17 @@ Evidence LeverEvidence(const BandRegression& seen, const VectorXd& lever, double
 struct Levers {
   VectorXd of[2];
   double arm[2];
+  std::vector<std::pair<int, int>> coaxial;  ///< places above each other, the lower number first
 
   explicit Levers(const Vehicle& vehicle) {
     const int n = vehicle.num_rotors();
+    for (int j = 0; j < n; ++j) {
+      for (int i = 0; i < j; ++i) {
+        if (IsCoaxial(vehicle.rotors[static_cast<size_t>(i)], vehicle.rotors[static_cast<size_t>(j)])) {
+          coaxial.emplace_back(i, j);
+        }
+      }
+    }
     of[0].resize(n);
     of[1].resize(n);
     for (int j = 0; j < n; ++j) {
@@ -98,6 +108,16 @@ struct Levers {
       of[1][j] = -vehicle.rotors[static_cast<size_t>(j)].p_BP.x();
     }
     for (int axis = 0; axis < 2; ++axis) arm[axis] = of[axis].cwiseAbs().mean();
+  }
+
+  /// Of the orders that coaxial places make equal, the one whose columns rise with the places.
+  Order Canonical(Order order) const {
+    for (const auto& [first, second] : coaxial) {
+      const auto a = std::find(order.begin(), order.end(), first);
+      const auto b = std::find(order.begin(), order.end(), second);
+      if (b < a) std::iter_swap(a, b);
+    }
+    return order;
   }
 
   VectorXd At(int axis, const Order& order) const {
@@ -149,15 +169,26 @@ const Key& BestOf(const Table<Key>& table) {
       ->first;
 }
 
+/// What all nats are divided by, so that the best fits. @param degrees of the misfit
+template <typename Key>
+double MisfitOf(const Table<Key>& table, double degrees) {
+  return std::max(1.0, table.at(BestOf(table)).chi / degrees);
+}
+
 /// @param degrees of the misfit
 template <typename Key>
 AssignmentTest Judge(const Table<Key>& table, const Key& file, double degrees) {
   const Key& best = BestOf(table);
-  const double misfit = std::max(1.0, table.at(best).chi / degrees);
+  const double misfit = MisfitOf(table, degrees);
   std::vector<double> logs;
-  for (const auto& [key, evidence] : table) logs.push_back(evidence.log / misfit);
+  double next = -std::numeric_limits<double>::infinity();
+  for (const auto& [key, evidence] : table) {
+    logs.push_back(evidence.log / misfit);
+    if (key != best) next = std::max(next, logs.back());
+  }
   const double all = LogSum(logs);
   AssignmentTest test;
+  test.lead = table.size() > 1 ? table.at(best).log / misfit - next : 0.0;
   test.nats = (table.at(best).log - table.at(file).log) / misfit;
   test.best_share = std::exp(table.at(best).log / misfit - all);
   test.file_share = std::exp(table.at(file).log / misfit - all);
@@ -174,6 +205,7 @@ Table<Order> AllOrders(const BandRegression& seen, const Levers& levers, int axi
   Table<Order> table;
   Order order = FileOrder(static_cast<int>(seen.value.size()));
   do {
+    if (levers.Canonical(order) != order) continue;
     table[order] = LeverEvidence(seen, levers.At(axis, order), levers.arm[axis], gain);
   } while (std::next_permutation(order.begin(), order.end()));
   return table;
@@ -232,7 +264,8 @@ class OrderSearch {
     return Gain(best);
   }
 
-  Evidence Of(const Order& order) {
+  Evidence Of(const Order& any) {
+    const Order order = levers_.Canonical(any);
     const auto known = met_.find(order);
     if (known != met_.end()) return known->second;
     Evidence sum;
@@ -520,11 +553,17 @@ RotorAssignment TestRotorAssignment(const RotorResponse& response, const Vehicle
   const Table<Order> orders =
       n <= kExhaustive ? ExhaustiveOrders(response, levers) : OrderSearch(response, levers).Run();
   result.order = BestOf(orders);
+  result.log_evidence = orders.at(result.order).log;
+  result.misfit = MisfitOf(orders, 2.0 * n);
   result.places = Judge(orders, FileOrder(n), 2.0 * n);
   const Table<Spins> spins = AllSpins(response, vehicle, levers);
   const Spins best = BestOf(spins);
   for (int j = 0; j < n; ++j) result.spin.push_back(SpinOf(best, j));
   result.spins = Judge(spins, FileSpins(vehicle), 2.0 * n);
+  const double misfit = MisfitOf(spins, 2.0 * n);
+  for (const auto& [pattern, evidence] : spins) {
+    result.spin_nats.push_back((evidence.log - spins.at(best).log) / misfit);
+  }
   return result;
 }
 

@@ -235,6 +235,18 @@ void FlightArguments::AddTo(CLI::App* app, bool required) {
   AddActuatorTo(app);
 }
 
+void FlightArguments::AddOptionTo(CLI::App* app, const std::string& option) {
+  app->add_option(option, file, "recorded flight of any format")->type_name("FLIGHT");
+  AddOptionsTo(app);
+  AddActuatorTo(app);
+}
+
+std::string FlightArguments::FormatEnding() const {
+  const FlightReaders readers = AllFlightReaders(bag);
+  const FlightReader* reader = readers.Find(file);
+  return reader == nullptr ? "" : reader->endings.front();
+}
+
 void FlightArguments::AddReadingTo(CLI::App* app) {
   AddFlight(&file, true, app);
   AddOptionsTo(app);

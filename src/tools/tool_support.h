@@ -63,6 +63,8 @@ struct FlightArguments {
   void AddTo(CLI::App* app, bool required = true);
   /// Adds FLIGHT and what says how a file is to be read: without --rotor-speed-from, --actuator.
   void AddReadingTo(CLI::App* app);
+  /// The same as AddTo() with an option in the place of FLIGHT, which may be left out.
+  void AddOptionTo(CLI::App* app, const std::string& option);
   /// The same as AddTo() with FLIGHT..., files, folders and patterns.
   void AddSeveralTo(CLI::App* app);
   /// The flights these name, each once: of a folder every flight in it and below, in natural order
@@ -74,6 +76,8 @@ struct FlightArguments {
   /// @throws std::invalid_argument, UsageError
   FlightLog Read(const Vehicle& vehicle) const { return Read(file, vehicle); }
   FlightLog Read(const std::string& flight, const Vehicle& vehicle) const;
+  /// The ending of the flight's format, ".csv" or ".bfl"; empty where no format fits.
+  std::string FormatEnding() const;
   /// The flight as it was recorded, whole.
   /// @throws std::invalid_argument, UsageError
   FlightLog ReadAsRecorded(const std::string& flight, int num_rotors) const;

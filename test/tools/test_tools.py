@@ -11,13 +11,15 @@ import tempfile
 import unittest
 from typing import Any, Dict, List
 
+import yaml
+
 import log_writers
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.realpath(__file__))))
 TOOLS = os.path.join(ROOT, 'build', 'devel', 'lib', 'odmc')
 VEHICLE = os.path.join(ROOT, 'config', 'vehicles', 'generic.yaml')
 NAMES = ('benchmark', 'calibrate', 'calibrate_actuator', 'close_loop', 'convert', 'evaluate', 'experiment',
-         'list_effects', 'recovery', 'score_attribution', 'simulate', 'simulate_undeclared')
+         'inspect', 'list_effects', 'new_vehicle', 'recovery', 'score_attribution', 'simulate', 'simulate_undeclared')
 
 
 def run(tool: str, *arguments: str) -> subprocess.CompletedProcess:
@@ -564,6 +566,120 @@ class ToolsTest(unittest.TestCase):
                                       flight), 600.0)
         self.assertLess(self.grows_by(durations, 'calibrate', flight, '--vehicle', VEHICLE,
                                       '--no-report', '--out', self.path('long')), 900.0)
+
+    def new_vehicle(self, name: str, *arguments: str) -> Dict[str, Any]:
+        """A vehicle file that new_vehicle wrote; every number a number for YAML 1.1, too."""
+        out = self.path(name)
+        done = run('new_vehicle', '--out', out, '--force', *arguments)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn(f'{out} written', done.stdout)
+        with open(out, encoding='utf-8') as file:
+            vehicle = yaml.safe_load(file)
+        numbers = [vehicle['mass_kg'], *vehicle['inertia_kg_m2'], vehicle['parameters']['thrust.k_f']['value'],
+                   *(x for rotor in vehicle['rotors'] for x in rotor['position_m'])]
+        self.assertTrue(all(isinstance(number, float) for number in numbers), numbers)
+        return vehicle
+
+    @staticmethod
+    def corners(vehicle: Dict[str, Any]) -> List[Any]:
+        """Of each rotor: is it in front, is it left, how does it turn?"""
+        return [(float(r['position_m'][0]) > 0.0, float(r['position_m'][1]) > 0.0, r['spin']) for r in vehicle['rotors']]
+
+    def test_new_vehicle_finds_rotors_and_thrust_in_every_format(self) -> None:
+        flight = self.path('lively.csv')
+        done = run('simulate', '--vehicle', VEHICLE, '--trajectory', 'aggressive', '--out', flight, '--seed', '4',
+                   '--duration', '20')
+        self.assertEqual(done.returncode, 0, done.stderr)
+        bag = self.path('lively.bag')
+        self.assertEqual(run('convert', flight, bag).returncode, 0)
+        with open(VEHICLE, encoding='utf-8') as file:
+            truth = yaml.safe_load(file)
+        k_f = float(truth['parameters']['thrust.k_f']['value'])
+        for recording in (flight, bag):
+            found = self.new_vehicle('found.yaml', '--from', recording, '--mass', '0.75')
+            self.assertEqual(self.corners(found), self.corners(truth), recording)
+            self.assertAlmostEqual(found['parameters']['thrust.k_f']['value'] / k_f, 1.0, delta=0.02)
+        with open(self.path('found.yaml'), encoding='utf-8') as file:
+            text = file.read()
+        for word in ('# asked: ', '# order found: ', ' Spins found: ', '# found: ', '# guessed: '):
+            self.assertIn(word, text)
+        done = run('calibrate', flight, '--vehicle', self.path('found.yaml'), '--no-report', '--out', self.path('cal_found'))
+        self.assertEqual(done.returncode, 0, done.stderr)
+        own = run('calibrate', flight, '--vehicle', VEHICLE, '--no-report', '--out', self.path('cal_own'))
+        self.assertEqual(own.returncode, 0, own.stderr)
+        by_found, by_own = (read_json(self.path(name), 'report.json')['parameters']['thrust.k_f']['value']
+                            for name in ('cal_found', 'cal_own'))
+        self.assertAlmostEqual(by_found / by_own, 1.0, delta=0.03)
+
+    def test_new_vehicle_takes_autopilot_logs(self) -> None:
+        data = os.path.join(os.environ.get('ODMC_DATA_DIR') or os.path.join(ROOT, '..', 'shared', 'data'), 'indiflight')
+        log = os.path.join(data, 'raw', 'LOG00267.BFL')
+        if not os.path.exists(log):
+            self.skipTest('no recorded data')
+        found = self.new_vehicle('indi.yaml', '--from', log, '--mass', '0.428', '--arm', '0.0455,0.0635')
+        with open(os.path.join(data, 'vehicle.yaml'), encoding='utf-8') as file:
+            truth = yaml.safe_load(file)
+        self.assertEqual(self.corners(found), self.corners(truth))
+        self.assertAlmostEqual(found['parameters']['thrust.k_f']['value'] / 2.66e-7, 1.0, delta=0.03)
+        self.assertAlmostEqual(found['rotors'][0]['position_m'][1], -0.0635, places=6)
+        with open(self.path('indi.yaml'), encoding='utf-8') as file:
+            self.assertIn("motors 1, 2, 3, 4 of betaflight's quad_x", ' '.join(file.read().replace('#', ' ').split()))
+
+    def test_new_vehicle_takes_a_drawing(self) -> None:
+        def rotor(number: int, xyz: str, axis: str) -> str:
+            return (f"<link name='rotor_{number}'><visual><geometry><cylinder radius='0.07' length='0.01'/></geometry></visual>"
+                    f"</link><joint name='rotor_{number}_joint' type='continuous'><origin xyz='{xyz}'/>"
+                    f"<parent link='base_link'/><child link='rotor_{number}'/><axis xyz='{axis}'/></joint>")
+        urdf = self.write('quad.urdf', "<robot name='quad'><link name='base_link'><inertial><mass value='0.71'/>"
+                          "<inertia ixx='2e-3' iyy='2.5e-3' izz='4e-3' ixy='0' ixz='0' iyz='0'/></inertial></link>"
+                          + rotor(0, '0.1 -0.1 0.02', '0 0 1') + rotor(1, '-0.1 0.1 0.02', '0 0 1')
+                          + rotor(2, '0.1 0.1 0.02', '0 0 -1') + rotor(3, '-0.1 -0.1 0.02', '0 0 -1') + '</robot>')
+        vehicle = self.new_vehicle('drawn.yaml', '--urdf', urdf)
+        self.assertEqual(vehicle['mass_kg'], 0.71)
+        self.assertEqual(vehicle['rotors'][0]['position_m'], [0.1, -0.1, 0.02])
+        self.assertEqual([r['spin'] for r in vehicle['rotors']], ['ccw', 'ccw', 'cw', 'cw'])
+        heavier = self.new_vehicle('drawn.yaml', '--urdf', urdf, '--mass', '1.42')
+        self.assertAlmostEqual(heavier['inertia_kg_m2'][0], 4e-3, places=9)
+
+    def test_new_vehicle_says_what_is_wrong(self) -> None:
+        out = ('--out', self.path('wrong.yaml'))
+        common = ('--from', self.flight(), *out)
+        self.expect(2, '--from FLIGHT or --urdf FILE', 'new_vehicle', '--mass', '1', *out)
+        self.expect(2, '--mass', 'new_vehicle', *common)
+        self.expect(2, "above zero, not '-1'", 'new_vehicle', *common, '--mass', '-1')
+        common += ('--mass', '0.75')
+        self.expect(2, 'quad_y', 'new_vehicle', *common, '--frame', 'quad_y')
+        self.expect(2, 'naza', 'new_vehicle', *common, '--autopilot', 'naza')
+        self.expect(2, "'x'", 'new_vehicle', *common, '--arm', 'x')
+        self.expect(2, 'M or X,Y', 'new_vehicle', *common, '--arm', '1,2,3')
+        self.expect(2, 'X,Y,Z', 'new_vehicle', *common, '--inertia', '1,2')
+        self.expect(2, "not 'left'", 'new_vehicle', *common, '--spins', 'left,cw,cw,cw')
+        self.expect(2, '--places', 'new_vehicle', *common, '--places', '1,1,2,3')
+        self.expect(1, '3 entries, the vehicle 4 rotors', 'new_vehicle', *common, '--places', '1,2,3')
+        self.expect(1, 'implausible', 'new_vehicle', *common, '--inertia', '5,5,5')
+        self.expect(1, 'missing.csv', 'new_vehicle', '--from', self.path('missing.csv'), '--mass', '1', *out)
+        self.expect(1, 'rotor5', 'new_vehicle', *common, '--frame', 'hexa_x')
+        self.assertFalse(os.path.exists(self.path('wrong.yaml')))
+        self.write('there.yaml', 'name: mine\n')
+        self.expect(1, 'there already', 'new_vehicle', '--from', self.flight(), '--mass', '0.75', '--out',
+                    self.path('there.yaml'))
+        with open(self.path('there.yaml'), encoding='utf-8') as file:
+            self.assertEqual(file.read(), 'name: mine\n')
+
+    def test_inspect_needs_no_vehicle(self) -> None:
+        out = self.path('inspected')
+        done = run('inspect', self.flight(), '--out', out)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn('rotors that would fit, as a quad_x', done.stdout)
+        report = read_json(out, 'report.json')
+        self.assertEqual(len(report['rotors']['places']), 4)
+        self.assertNotIn('value', report['parameters']['thrust.k_f'])
+        with open(os.path.join(out, 'report.html'), encoding='utf-8') as file:
+            self.assertIn('Rotors that would fit, as a quad_x', file.read())
+        done = run('inspect', self.flight(), '--vehicle', VEHICLE, '--out', out)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn('value', read_json(out, 'report.json')['parameters']['thrust.k_f'])
+        self.expect(2, '4, 6 or 8', 'inspect', self.flight(), '--rotors', '5')
 
     def test_catalogue_names_every_effect(self) -> None:
         for flags in ((), ('--markdown',)):

@@ -39,6 +39,17 @@ struct Lesson {
   std::string manoeuvre;  ///< what would show it, where it is not
 };
 
+/// Which places and spins would fit the rotor speeds, where there is no vehicle file.
+struct RotorGuess {
+  std::string frame;                ///< "quad_x"
+  std::vector<std::string> places;  ///< per reading, "front left"
+  std::vector<std::string> spins;   ///< per reading, "cw" or "ccw"
+  bool places_told = false, spins_told = false;  ///< false: a guess
+  double places_probability = 0.0, spins_probability = 0.0;  ///< 0: the flight says nothing
+  std::optional<double> hover_speed_rad_s;  ///< of each rotor
+  std::vector<std::string> advice;  ///< what the flight does not tell, and what to fly
+};
+
 /// What a colleague would say after a look at a recording.
 struct FlightInspection {
   std::string file, vehicle;
@@ -50,6 +61,8 @@ struct FlightInspection {
   std::optional<FlownFigures> flown;  ///< empty: never airborne
   std::vector<Lesson> lessons;        ///< empty where nothing can be learned
   std::vector<std::string> notes;     ///< what the reader of the recording said
+  /// Without a vehicle file. The lessons then have no values: these scale with the mass.
+  std::optional<RotorGuess> rotors;
 };
 
 /// Rates, gaps, jitter of every stream that has samples.
@@ -59,6 +72,11 @@ std::vector<StreamFigures> StreamsOf(const FlightLog& log);
 /// estimator that the last needs has keyframes at 25 Hz: enough for what is shown, in a fraction of
 /// the time.
 FlightInspection InspectFlight(FlightLog log, const Vehicle& vehicle);
+
+/// The same without a vehicle file: what needs none, and which order and spins would fit. Phases and
+/// what the flight teaches are those of the vehicle that FitVehicle() makes of the recording.
+/// @throws std::invalid_argument where there is no frame of so many rotors
+FlightInspection InspectFlightAlone(const FlightLog& log, int num_rotors);
 
 /// The same in JSON, and in words for a terminal.
 std::string InspectionReport(const FlightInspection& inspection);

@@ -10,6 +10,7 @@ namespace odmc {
 /// How the places or the spins of the vehicle file compare with the ones that fit best.
 struct AssignmentTest {
   double nats = 0.0;        ///< log evidence of the best minus the file's, >= 0
+  double lead = 0.0;        ///< log evidence of the best minus that of the next best, >= 0
   double best_share = 0.0;  ///< posterior probability of the best, 0 to 1
   double file_share = 1.0;  ///< posterior probability of the file's
 
@@ -27,6 +28,11 @@ struct RotorAssignment {
   std::vector<int> order;    ///< per column: the file's rotor (from 0) at whose place it turns
   std::vector<double> spin;  ///< per column: as Rotor::spin
   AssignmentTest places, spins;
+  double log_evidence = 0.0;  ///< of the best order, for comparing frames on one response
+  double misfit = 1.0;        ///< what nats of orders are divided by, >= 1
+  /// Of every pattern of spins (index: bit j set where column j has spin +1), log evidence over that
+  /// of the best, <= 0; 2^n.
+  std::vector<double> spin_nats;
 };
 
 /// Tests every assignment of columns to places and spins (for more than four rotors the likely
@@ -37,7 +43,8 @@ struct RotorAssignment {
 /// beside the file's and an error of the regression (closed loop, coupling of axes); for yaw, those
 /// of reaction torque and rotor inertia, with leaning rotors. These errors bound the evidence, so
 /// that a long flight does not make nats out of a slightly wrong model. Where nothing fits, all
-/// nats are lowered until the best one does.
+/// nats are lowered until the best one does. Coaxial rotors have the same levers: orders that differ
+/// by which of them is the upper one count once.
 RotorAssignment TestRotorAssignment(const RotorResponse& response, const Vehicle& vehicle);
 
 /// What the vehicle file has wrong, if it is refuted or doubtful: checks "rotor_order" and

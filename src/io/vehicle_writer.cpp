@@ -1,0 +1,138 @@
+#include "odmc/io/vehicle_writer.h"
+
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+
+#include "odmc/io/number_text.h"
+#include "odmc/io/printable_text.h"
+
+namespace odmc {
+namespace {
+
+constexpr size_t kColumns = 100;
+
+/// To six digits; what is below a nanometre is zero.
+std::string Text(double value) {
+  char text[40];
+  std::snprintf(text, sizeof text, "%.6g", value);
+  const double rounded = std::strtod(text, nullptr);
+  return FormatYamlNumber(std::abs(rounded) < 1e-12 ? 0.0 : rounded);
+}
+
+std::string List(const Eigen::Vector3d& v) {
+  return "[" + Text(v.x()) + ", " + Text(v.y()) + ", " + Text(v.z()) + "]";
+}
+
+/// Broken at blanks, every line after `indent` and "# ".
+std::string Comment(const std::string& text, const std::string& indent) {
+  std::string lines, line;
+  const std::string printable = Printable(text);
+  for (size_t at = 0; at < printable.size();) {
+    size_t end = printable.find(' ', at);
+    if (end == std::string::npos) end = printable.size();
+    const std::string word = printable.substr(at, end - at);
+    if (!line.empty() && indent.size() + 3 + line.size() + word.size() > kColumns) {
+      lines += indent + "# " + line + "\n";
+      line.clear();
+    }
+    line += (line.empty() ? "" : " ") + word;
+    at = end + 1;
+  }
+  return lines + (line.empty() ? "" : indent + "# " + line + "\n");
+}
+
+/// A name in quotes.
+std::string Quoted(const std::string& name) {
+  std::string text;
+  for (const char c : Printable(name, 80)) {
+    if (c == '"' || c == '\\') text += '\\';
+    text += c;
+  }
+  return "\"" + text + "\"";
+}
+
+std::string MountText(const SensorMount& mount) {
+  const bool is_body =
+      mount.p_BS.isZero(0.0) && mount.q_BS.isApprox(Eigen::Quaterniond::Identity(), 1e-12);
+  if (is_body && !mount.estimate) return "{frame: body}";
+  const Eigen::Quaterniond& q = mount.q_BS;
+  return "{frame: sensor, p_BS_m: " + List(mount.p_BS) + ", q_BS_xyzw: [" + Text(q.x()) + ", " +
+         Text(q.y()) + ", " + Text(q.z()) + ", " + Text(q.w()) +
+         "], estimate: " + (mount.estimate ? "true" : "false") + "}";
+}
+
+class Writer {
+ public:
+  explicit Writer(const VehicleComments& comments) : comments_(comments) {}
+
+  void Line(const std::string& key, const std::string& value, const std::string& indent = "") {
+    const auto comment = comments_.key.find(key);
+    if (comment != comments_.key.end()) text_ += Comment(comment->second, indent);
+    text_ += indent + key + ":" + (value.empty() ? "" : " ") + value + "\n";
+  }
+
+  void Head() {
+    for (const std::string& paragraph : comments_.head) {
+      text_ += (text_.empty() ? "" : "#\n") + Comment(paragraph, "");
+    }
+    if (!text_.empty()) text_ += "\n";
+  }
+
+  void Rotors(const std::vector<Rotor>& rotors) {
+    Line("rotors", "");
+    for (size_t j = 0; j < rotors.size(); ++j) {
+      text_ += "  - {position_m: " + List(rotors[j].p_BP) +
+               ", spin: " + (rotors[j].spin > 0.0 ? "cw" : "ccw") +
+               ", radius_m: " + Text(rotors[j].radius_m) + "}";
+      if (j < comments_.rotor.size()) text_ += "  # " + Printable(comments_.rotor[j]);
+      text_ += "\n";
+    }
+  }
+
+  void Effects(const std::vector<std::string>& effects) {
+    std::string list;
+    for (const std::string& effect : effects) list += (list.empty() ? "" : ", ") + effect;
+    Line("effects", "[" + list + "]");
+  }
+
+  void Parameters(const std::map<std::string, ParameterSetting>& parameters) {
+    if (parameters.empty()) return;
+    Line("parameters", "");
+    for (const auto& [name, setting] : parameters) {
+      std::string entry;
+      const auto add = [&entry](const std::string& key, const std::string& value) {
+        entry += (entry.empty() ? "" : ", ") + key + ": " + value;
+      };
+      if (setting.value) add("value", Text(*setting.value));
+      if (setting.sigma) add("sigma", Text(*setting.sigma));
+      if (setting.estimated) add("state", *setting.estimated ? "estimated" : "frozen");
+      Line(name, "{" + entry + "}", "  ");
+    }
+  }
+
+  const std::string& text() const { return text_; }
+
+ private:
+  const VehicleComments& comments_;
+  std::string text_;
+};
+
+}  // namespace
+
+std::string VehicleText(const Vehicle& vehicle, const VehicleComments& comments) {
+  Writer writer(comments);
+  writer.Head();
+  writer.Line("name", Quoted(vehicle.name));
+  writer.Line("mass_kg", Text(vehicle.mass_kg));
+  writer.Line("gravity_m_s2", Text(vehicle.gravity_m_s2));
+  writer.Line("inertia_kg_m2", List(vehicle.inertia_kg_m2));
+  writer.Rotors(vehicle.rotors);
+  writer.Line("odometry", MountText(vehicle.odometry));
+  if (vehicle.imu) writer.Line("imu", MountText(*vehicle.imu));
+  writer.Effects(vehicle.effects);
+  writer.Parameters(vehicle.parameters);
+  return writer.text();
+}
+
+}  // namespace odmc
