@@ -59,6 +59,20 @@ class Recorder {
   long starts_anew_ = 0;
 };
 
+/// The first pose; of a flight without, the first sample of all.
+Stamp StartOf(const FlightLog& log) {
+  if (!log.odometry.empty()) return log.odometry.front().stamp;
+  Stamp start = std::numeric_limits<Stamp>::max();
+  const auto lower = [&start](const auto& samples) {
+    if (!samples.empty()) start = std::min(start, samples.front().stamp);
+  };
+  lower(log.imu);
+  lower(log.rotors);
+  lower(log.battery);
+  lower(log.commands);
+  return start == std::numeric_limits<Stamp>::max() ? 0 : start;
+}
+
 }  // namespace
 
 ReplayResult Replay(const FlightLog& log, Estimator* estimator,
@@ -91,8 +105,7 @@ ReplayResult Replay(const FlightLog& log, Estimator* estimator,
 }
 
 void CutFlight(double start_s, double end_s, FlightLog* log) {
-  if (log->odometry.empty()) return;
-  const Stamp zero = log->odometry.front().stamp;
+  const Stamp zero = StartOf(*log);
   const Stamp from =
       start_s > 0.0 ? zero + FromSeconds(start_s) : std::numeric_limits<Stamp>::min();
   const Stamp to = end_s > 0.0 ? zero + FromSeconds(end_s) : std::numeric_limits<Stamp>::max();

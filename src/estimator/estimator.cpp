@@ -728,12 +728,36 @@ State Estimator::InitialState(const OdometrySample& sample, const Interval* inte
   } else if (interval != nullptr) {
     state.v_WS = (sample.p_WS - last_->p_WS) / interval->dt;
   }
+  // Turns between noisy poses are a poor rate, and that of the interval's middle.
   if (sample.w_WS_S) {
     state.w_WS_S = *sample.w_WS_S;
+  } else if (const std::optional<Vector3d> rate = GyroRate(sample.stamp)) {
+    state.w_WS_S = *rate;
   } else if (interval != nullptr) {
     state.w_WS_S = Log(before.q_WS.conjugate() * sample.q_WS) / interval->dt;
   }
   return state;
+}
+
+std::optional<Vector3d> Estimator::GyroRate(Stamp stamp) const {
+  const Ring<ImuSample>& imu = synchroniser_.imu();
+  const auto after = std::upper_bound(imu.begin(), imu.end(), stamp,
+                                      [](Stamp s, const ImuSample& m) { return s < m.stamp; });
+  if (after == imu.begin()) return std::nullopt;
+  const ImuSample& a = *(after - 1);
+  if (!a.gyro_I) return std::nullopt;
+  Vector3d gyro_I = *a.gyro_I;
+  if (a.stamp != stamp) {
+    if (after == imu.end() || !after->gyro_I) return std::nullopt;
+    const double span_s = ToSeconds(after->stamp - a.stamp);
+    if (span_s > options_.max_gap_s) return std::nullopt;
+    gyro_I += ToSeconds(stamp - a.stamp) / span_s * (*after->gyro_I - *a.gyro_I);
+  }
+  if (!window_.biases().empty()) {
+    gyro_I -= Eigen::Map<const Vector3d>(window_.biases().back().x.data());
+  }
+  const BodyProperties body = model_->Properties(window_.values());
+  return body.R_BS.transpose() * (body.R_BI * gyro_I);
 }
 
 std::int64_t Estimator::CurrentBias(Stamp stamp, bool has_imu) {

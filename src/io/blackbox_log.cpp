@@ -129,14 +129,15 @@ void Report(const std::string& file, const BlackboxFrames& frames, size_t bytes,
                bytes, log);
 }
 
-void ReadPoses(const std::string& file, const Decoded& decoded, FlightLog* log) {
+void ReadPoses(const std::string& file, const Decoded& decoded, FlightPart part, FlightLog* log) {
   const BlackboxFrames& frames = decoded.frames;
   const Fields p(frames, "pos", 3), q(frames, "quat", 4), v(frames, "vel", 3);
   if (!p.present() || !q.present()) {
+    if (part == FlightPart::kOnboard) return;
     Fail(file, "this blackbox log (" + Printable(decoded.header.Text("Firmware revision"), 80) +
                    ") has no pose: fields pos[0..2], quat[0..3] are missing, Betaflight writes "
-                   "none. Odometry is needed: fly with INDIflight, or record a rosbag with "
-                   "odometry beside it");
+                   "none. --odometry FILE takes it from a recording beside the log (a rosbag or "
+                   "CSV file of motion capture or VIO)");
   }
   log->odometry.reserve(frames.stamps.size());
   for (size_t i = 0; i < frames.stamps.size(); ++i) {
@@ -253,20 +254,22 @@ FlightLog ReadBlackbox(const std::string& file, const FlightReadOptions& options
   log.file = Printable(std::filesystem::path(file).filename().string());
   const Decoded decoded = DecodeLongest(file, bytes, options.num_rotors, &log);
   Report(file, decoded.frames, bytes.size(), &log);
-  ReadPoses(file, decoded, &log);
-  ReadImu(decoded, &log);
-  ReadCommands(file, decoded, options.num_rotors, &log);
-  ReadRotors(file, decoded, options, &log);
-  ReadBattery(decoded, &log);
-  if (log.rotors.empty() && log.commands.empty()) {
-    Fail(file,
-         "has no rotor speeds (fields omega or eRPM): switch on bidirectional DShot "
-         "(set dshot_bidir = ON) and log RPM");
+  ReadPoses(file, decoded, options.part, &log);
+  if (options.part != FlightPart::kPoses) {
+    ReadImu(decoded, &log);
+    ReadCommands(file, decoded, options.num_rotors, &log);
+    ReadRotors(file, decoded, options, &log);
+    ReadBattery(decoded, &log);
+    if (log.rotors.empty() && log.commands.empty()) {
+      Fail(file,
+           "has no rotor speeds (fields omega or eRPM): switch on bidirectional DShot "
+           "(set dshot_bidir = ON) and log RPM");
+    }
   }
   const std::string rate =
       "raise the blackbox rate (set blackbox_sample_rate = 1/2 or 1/4 of the "
       "control loop's rate)";
-  FinishLog(file, {rate, rate, rate}, &log);
+  FinishLog(file, {rate, rate, rate}, options.part, &log);
   return log;
 }
 

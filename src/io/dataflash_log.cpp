@@ -48,7 +48,7 @@ std::vector<OdometrySample> FilterPositions(const MessageColumns& table) {
     OdometrySample sample;
     sample.stamp = table.stamps[i];
     sample.p_WS = EnuFromNed(p.Vector(i));
-    if (v.present()) sample.v_WS = EnuFromNed(v.Vector(i));
+    if (v.present() && v.Vector(i).allFinite()) sample.v_WS = EnuFromNed(v.Vector(i));
     samples.push_back(sample);
   }
   return samples;
@@ -96,18 +96,23 @@ std::vector<AttitudeReading> ReadAttitudes(const DataflashContent& content) {
   return attitudes;
 }
 
-void ReadPoses(const std::string& file, const DataflashContent& content, FlightLog* log) {
+void ReadPoses(const std::string& file, const DataflashContent& content, FlightPart part,
+               FlightLog* log) {
   const MessageColumns* filter = FirstOf(content, {"XKF1", "NKF1"});
   const MessageColumns* global = content.First("POS");
   if (filter != nullptr) log->odometry = FilterPositions(*filter);
   if (log->odometry.empty() && global != nullptr) log->odometry = GlobalPositions(*global);
   if (log->odometry.empty()) {
+    if (part == FlightPart::kOnboard) return;
     Fail(file, "no position: neither XKF1 (or NKF1) nor POS; " + kHints.pose);
   }
   const std::vector<AttitudeReading> attitudes = ReadAttitudes(content);
-  if (attitudes.empty()) Fail(file, "no attitude: none of XKQ, NKQ, ATT, AHR2; " + kHints.pose);
+  if (attitudes.empty() && part != FlightPart::kOnboard) {
+    Fail(file, "no attitude: none of XKQ, NKQ, ATT, AHR2; " + kHints.pose);
+  }
   JoinAttitudes(attitudes, &log->odometry, log);
-  if (log->odometry.empty()) Fail(file, "positions and attitudes are nowhere at the same time");
+  if (log->odometry.empty() && part != FlightPart::kOnboard)
+    Fail(file, "positions and attitudes are nowhere at the same time");
 }
 
 // ---- The other streams -------------------------------------------------------------------------
@@ -117,7 +122,7 @@ void ReadImu(const DataflashContent& content, FlightLog* log) {
   if (table == nullptr) return;
   const FieldGroup gyro(*table, {"GyrX", "GyrY", "GyrZ"}), acc(*table, {"AccX", "AccY", "AccZ"});
   for (size_t i = 0; gyro.present() && acc.present() && i < table->size(); ++i) {
-    log->imu.push_back({table->stamps[i], FluFromFrd(gyro.Vector(i)), FluFromFrd(acc.Vector(i))});
+    AddImuReading(table->stamps[i], gyro.Vector(i), acc.Vector(i), log);
   }
 }
 
@@ -197,17 +202,19 @@ FlightLog ReadDataflash(const std::string& file, const FlightReadOptions& option
   ReportDamage(file,
                {content.damaged, content.first_damaged, content.skipped_bytes, content.is_cut_off},
                bytes.size(), &log);
-  ReadPoses(file, content, &log);
-  ReadImu(content, &log);
-  ReadCommands(content, options.num_rotors, &log);
-  ReadRotors(file, content, options, &log);
-  ReadBattery(content, &log);
-  if (log.rotors.empty() && log.commands.empty()) {
-    Fail(file,
-         "no rotor speeds: there are no ESC messages. ESCs that tell their speed are needed: " +
-             kHints.rotors);
+  ReadPoses(file, content, options.part, &log);
+  if (options.part != FlightPart::kPoses) {
+    ReadImu(content, &log);
+    ReadCommands(content, options.num_rotors, &log);
+    ReadRotors(file, content, options, &log);
+    ReadBattery(content, &log);
+    if (log.rotors.empty() && log.commands.empty()) {
+      Fail(file,
+           "no rotor speeds: there are no ESC messages. ESCs that tell their speed are needed: " +
+               kHints.rotors);
+    }
   }
-  FinishLog(file, kHints, &log);
+  FinishLog(file, kHints, options.part, &log);
   return log;
 }
 

@@ -16,6 +16,7 @@
 #include <string_view>
 #include <utility>
 
+#include "csv_table.h"
 #include "csv_text.h"
 #include "odmc/io/number_text.h"
 #include "odmc/io/printable_text.h"
@@ -64,243 +65,12 @@ Strings Concatenate(std::initializer_list<Strings> lists) {
   return all;
 }
 
-// ---- Reading: text to a table of numbers -------------------------------------------------------
-
-/// Nanoseconds of seconds in plain decimals, exactly: a double of seconds since 1970 is 0.2 µs off.
-/// @returns false for any other notation.
-bool ParsePlainSeconds(std::string_view text, Stamp* stamp) {
-  const bool negative = !text.empty() && text.front() == '-';
-  if (negative) text.remove_prefix(1);
-  const size_t point = std::min(text.find('.'), text.size());
-  if (point == 0 || point > 10 || text.size() > point + 10) return false;
-  Stamp value = 0;
-  int decimals = 0;
-  for (size_t i = 0; i < text.size(); ++i) {
-    if (i == point) continue;
-    if (text[i] < '0' || text[i] > '9') return false;
-    value = 10 * value + (text[i] - '0');
-    if (i > point) ++decimals;
-  }
-  for (; decimals < 9; ++decimals) value *= 10;
-  *stamp = negative ? -value : value;
-  return true;
-}
-
-constexpr double kLatest_s = 9e9;  // what int64 nanoseconds hold
-
-std::string FileName(const std::string& file) {
-  return Printable(std::filesystem::path(file).filename().string());
-}
-
-/// Rows of the wanted columns of one CSV file, in time order.
-class Table {
- public:
-  /// Reads the columns of `wanted` that the file has, and those of each group of `whole` that it
-  /// has all of; the names of others go to unknown().
-  Table(const std::string& file, const Strings& wanted, const std::vector<Strings>& whole,
-        FlightLog* log);
-
-  const std::string& file() const { return file_; }
-  std::string name() const { return FileName(file_); }  ///< for warnings
-  size_t size() const { return stamps_.size(); }
-  Stamp stamp(size_t row) const { return stamps_[row]; }
-  std::string Where(size_t row) const { return "line " + std::to_string(lines_[row]); }
-  const Strings& unknown() const { return unknown_; }
-
-  bool HasAll(const Strings& names) const { return CountOf(names) == names.size(); }
-  bool HasAny(const Strings& names) const { return CountOf(names) > 0; }
-  /// Refuses a file that has only some columns of a group.
-  void CheckAllOrNone(const Strings& names) const;
-  /// @throws std::invalid_argument naming those that are missing
-  void Require(const Strings& names) const;
-
-  /// Columns by name, to read rows with.
-  template <int N>
-  struct Group {
-    std::array<const std::vector<double>*, N> columns;
-    bool IsFinite(size_t row) const {
-      return std::all_of(columns.begin(), columns.end(),
-                         [row](const auto* c) { return std::isfinite((*c)[row]); });
-    }
-    double operator()(int i, size_t row) const { return (*columns[i])[row]; }
-  };
-  template <int N>
-  Group<N> Columns(const Strings& names) const {
-    Group<N> group;
-    for (int i = 0; i < N; ++i) group.columns[i] = &values_.at(names[i]);
-    return group;
-  }
-  const std::vector<double>& Column(const std::string& name) const { return values_.at(name); }
-
-  /// Gives the room of columns back that nobody needs any more.
-  void Release(const Strings& names) {
-    for (const std::string& name : names) {
-      const auto found = values_.find(name);
-      if (found != values_.end()) std::vector<double>().swap(found->second);
-    }
-  }
-
- private:
-  size_t CountOf(const Strings& names) const {
-    return std::count_if(names.begin(), names.end(),
-                         [&](const std::string& n) { return values_.count(n) > 0; });
-  }
-  void ReadHeader(std::string_view line, Strings wanted, const std::vector<Strings>& whole);
-  /// Makes room, which costs nothing before it is used, so that no column is ever copied.
-  void Reserve(size_t rows);
-  void ReadRow(std::string_view line, long number);
-  /// Takes back the last row, whose time leapt ahead.
-  void DropLast();
-  void CheckSteps() const;
-  [[noreturn]] void Fail(const std::string& what) const {
-    throw std::invalid_argument(file_ + ": " + what);
-  }
-
-  std::string file_;
-  std::map<std::string, std::vector<double>> values_;
-  std::vector<Stamp> stamps_;
-  std::vector<long> lines_;
-  Strings header_, unknown_;
-  std::vector<std::vector<double>*> targets_;  // by column of the file, null where not wanted
-  std::vector<double> row_;
-  size_t time_column_ = 0;
-  Refusals short_rows_, no_time_, leaps_, out_of_order_;
-};
-
-Table::Table(const std::string& file, const Strings& wanted, const std::vector<Strings>& whole,
-             FlightLog* log)
-    : file_(file) {
-  LineReader lines(file);
-  std::string_view line;
-  if (!lines.Next(&line) || line.find_first_not_of(" \t") == std::string_view::npos) {
-    Fail("is empty, or its first line is");
-  }
-  ReadHeader(line, wanted, whole);
-  while (lines.Next(&line)) {
-    if (line.find_first_not_of(" \t") == std::string_view::npos) continue;
-    if (lines.number() == 2) Reserve(lines.file_bytes() / std::max(line.size(), 2 * header_.size()));
-    ReadRow(line, lines.number());
-  }
-  const auto rows = static_cast<size_t>(out_of_order_.count) + size();
-  if (static_cast<size_t>(no_time_.count) > rows) {
-    Fail("column t is no time in " + std::to_string(no_time_.count) + " of " +
-         std::to_string(rows + static_cast<size_t>(no_time_.count)) + " rows (first: " +
-         no_time_.first + ")");
-  }
-  if (rows == 0) Fail("has a header but no usable row");
-  if (2 * size() < rows) {
-    Fail("column t steps back or repeats in " + std::to_string(out_of_order_.count) + " of " +
-         std::to_string(rows) + " rows (first: " + out_of_order_.first + ")");
-  }
-  CheckSteps();
-  short_rows_.Report(name(), "rows that do not have as many cells as the header", log);
-  no_time_.Report(name(), "rows without a finite t", log);
-  leaps_.Report(name(), "rows whose t leaps ahead of all after it", log);
-  out_of_order_.Report(name(), "rows whose t steps back or repeats", log);
-}
-
-void Table::ReadHeader(std::string_view line, Strings wanted, const std::vector<Strings>& whole) {
-  header_ = SplitHeader(line, file_);
-  for (const Strings& group : whole) {
-    const bool has_all = std::all_of(group.begin(), group.end(), [this](const std::string& name) {
-      return std::find(header_.begin(), header_.end(), name) != header_.end();
-    });
-    if (has_all) wanted.insert(wanted.end(), group.begin(), group.end());
-  }
-  if (header_.size() == 1 && header_[0].find_first_of(";\t") != std::string::npos) {
-    Fail("line 1: columns must be separated by commas");
-  }
-  if (std::find(header_.begin(), header_.end(), "t") == header_.end()) {
-    Fail("column t is missing; found are: " + ListNames(header_));
-  }
-  for (size_t i = 0; i < header_.size(); ++i) {
-    const std::string& name = header_[i];
-    const bool is_wanted = std::find(wanted.begin(), wanted.end(), name) != wanted.end();
-    if (name == "t") time_column_ = i;
-    if (!is_wanted && !name.empty()) unknown_.push_back(name);
-    targets_.push_back(is_wanted ? &values_[name] : nullptr);
-  }
-  row_.resize(header_.size());
-}
-
-void Table::Reserve(size_t rows) {
-  stamps_.reserve(rows);
-  lines_.reserve(rows);
-  for (auto& [name, values] : values_) values.reserve(rows);
-}
-
-void Table::ReadRow(std::string_view line, long number) {
-  const auto cells = static_cast<size_t>(std::count(line.begin(), line.end(), ',')) + 1;
-  if (cells != header_.size()) {  // cut off while writing: even its last number may be
-    short_rows_.Add("line " + std::to_string(number));
-    return;
-  }
-  Stamp stamp = 0;
-  bool is_exact = false;
-  for (size_t i = 0; i < header_.size(); ++i) {
-    const std::string_view raw = NextCell(&line);
-    if (targets_[i] == nullptr) continue;
-    row_[i] = CellNumber(raw, file_, number, header_[i]);
-    if (i == time_column_) is_exact = ParsePlainSeconds(Unquoted(raw), &stamp);
-  }
-  const double t = row_[time_column_];
-  if (!(std::abs(t) < kLatest_s)) {
-    no_time_.Add("line " + std::to_string(number));
-    return;
-  }
-  if (!is_exact) stamp = FromSeconds(t);
-  if (IsLoneLeap(stamps_, stamp)) DropLast();
-  if (!stamps_.empty() && stamp <= stamps_.back()) {
-    out_of_order_.Add("line " + std::to_string(number) + ", t " + FormatNumber(t));
-    return;
-  }
-  stamps_.push_back(stamp);
-  lines_.push_back(number);
-  for (size_t i = 0; i < targets_.size(); ++i) {
-    if (targets_[i] != nullptr) targets_[i]->push_back(row_[i]);
-  }
-}
-
-void Table::DropLast() {
-  leaps_.Add("line " + std::to_string(lines_.back()) + ", t " +
-             FormatNumber(ToSeconds(stamps_.back())));
-  stamps_.pop_back();
-  lines_.pop_back();
-  for (auto* target : targets_) {
-    if (target != nullptr) target->pop_back();
-  }
-}
-
-/// Milliseconds or ticks in place of seconds are not a flight.
-void Table::CheckSteps() const {
-  if (size() < 3) return;
-  std::vector<Stamp> steps;
-  for (size_t i = 1; i < size(); ++i) steps.push_back(stamps_[i] - stamps_[i - 1]);
-  std::nth_element(steps.begin(), steps.begin() + steps.size() / 2, steps.end());
-  const double step = ToSeconds(steps[steps.size() / 2]);
-  if (step > 1.0) Fail("column t steps by " + FormatNumber(step) + " s; is it in seconds?");
-}
-
-void Table::CheckAllOrNone(const Strings& names) const {
-  if (HasAny(names)) Require(names);
-}
-
-void Table::Require(const Strings& names) const {
-  Strings missing;
-  for (const std::string& name : names) {
-    if (values_.count(name) == 0) missing.push_back(name);
-  }
-  if (missing.empty()) return;
-  Fail(std::string(missing.size() == 1 ? "column " : "columns ") + JoinNames(missing) +
-       (missing.size() == 1 ? " is" : " are") + " missing; found are: " + ListNames(header_));
-}
-
 // ---- Reading: table to samples -----------------------------------------------------------------
 
 /// Three columns of an optional stream, where the file has them.
 class OptionalVector {
  public:
-  OptionalVector(const Table& table, const Strings& names) : table_(table), name_(names[0]) {
+  OptionalVector(const CsvTable& table, const Strings& names) : table_(table), name_(names[0]) {
     table.CheckAllOrNone(names);
     if (table.HasAll(names)) columns_ = table.Columns<3>(names);
   }
@@ -319,14 +89,14 @@ class OptionalVector {
   }
 
  private:
-  const Table& table_;
+  const CsvTable& table_;
   std::string name_;
-  std::optional<Table::Group<3>> columns_;
+  std::optional<CsvTable::Group<3>> columns_;
   Refusals refusals_;
 };
 
 /// Poses of a table, with the twist where `with_twist` and the table has it.
-std::vector<OdometrySample> ReadOdometry(const Table& table, bool with_twist, FlightLog* log) {
+std::vector<OdometrySample> ReadOdometry(const CsvTable& table, bool with_twist, FlightLog* log) {
   table.Require(Concatenate({kPosition, kAttitude}));
   const auto p = table.Columns<3>(kPosition);
   const auto q = table.Columns<4>(kAttitude);
@@ -358,7 +128,7 @@ std::vector<OdometrySample> ReadOdometry(const Table& table, bool with_twist, Fl
 }
 
 /// A row whose pose is not usable is refused whole; these are the rows that stay.
-std::vector<size_t> UsableRows(const Table& table) {
+std::vector<size_t> UsableRows(const CsvTable& table) {
   const auto p = table.Columns<3>(kPosition);
   const auto q = table.Columns<4>(kAttitude);
   std::vector<size_t> rows;
@@ -369,13 +139,13 @@ std::vector<size_t> UsableRows(const Table& table) {
   return rows;
 }
 
-std::vector<size_t> AllRows(const Table& table) {
+std::vector<size_t> AllRows(const CsvTable& table) {
   std::vector<size_t> rows(table.size());
   for (size_t i = 0; i < rows.size(); ++i) rows[i] = i;
   return rows;
 }
 
-void ReadImu(const Table& table, const std::vector<size_t>& rows, FlightLog* log) {
+void ReadImu(const CsvTable& table, const std::vector<size_t>& rows, FlightLog* log) {
   OptionalVector a(table, kAccelerometer), g(table, kGyro);
   if (!a.present() && !g.present()) return;
   log->imu.reserve(rows.size());
@@ -387,7 +157,7 @@ void ReadImu(const Table& table, const std::vector<size_t>& rows, FlightLog* log
   g.Report(log);
 }
 
-void ReadBattery(const Table& table, const std::vector<size_t>& rows, FlightLog* log) {
+void ReadBattery(const CsvTable& table, const std::vector<size_t>& rows, FlightLog* log) {
   if (!table.HasAll(kBattery)) return;
   const std::vector<double>& voltage = table.Column("vbat");
   Refusals refusals;
@@ -402,7 +172,7 @@ void ReadBattery(const Table& table, const std::vector<size_t>& rows, FlightLog*
 }
 
 /// The rotors' columns: one each or, where single ones are missing, the RMS for all.
-std::vector<const std::vector<double>*> RotorData(const Table& table, int num_rotors,
+std::vector<const std::vector<double>*> RotorData(const CsvTable& table, int num_rotors,
                                                   FlightLog* log) {
   const Strings names = RotorColumns(num_rotors);
   std::vector<const std::vector<double>*> columns;
@@ -414,7 +184,7 @@ std::vector<const std::vector<double>*> RotorData(const Table& table, int num_ro
   return columns;
 }
 
-void RefuseMoreRotors(const Table& table, int num_rotors) {
+void RefuseMoreRotors(const CsvTable& table, int num_rotors) {
   const std::string next = "rotor" + std::to_string(num_rotors + 1);
   const Strings& unknown = table.unknown();
   if (std::find(unknown.begin(), unknown.end(), next) == unknown.end()) return;
@@ -422,7 +192,7 @@ void RefuseMoreRotors(const Table& table, int num_rotors) {
                               std::to_string(num_rotors) + " rotors");
 }
 
-void ReadRotors(const Table& table, const std::vector<size_t>& rows, int num_rotors,
+void ReadRotors(const CsvTable& table, const std::vector<size_t>& rows, int num_rotors,
                 FlightLog* log) {
   RefuseMoreRotors(table, num_rotors);
   // No sensor: commands may stand in.
@@ -446,7 +216,7 @@ void ReadRotors(const Table& table, const std::vector<size_t>& rows, int num_rot
   if (log->rotors.empty()) throw std::invalid_argument(table.file() + ": no usable rotor speeds");
 }
 
-void ReadCommands(const Table& table, const std::vector<size_t>& rows, int num_rotors,
+void ReadCommands(const CsvTable& table, const std::vector<size_t>& rows, int num_rotors,
                   FlightLog* log) {
   for (const CommandUnit unit : kCommandUnits) {
     const Strings names = CommandColumns(num_rotors, unit);
@@ -674,41 +444,74 @@ std::string SiblingFile(const std::string& file, const std::string& suffix) {
   return (path.parent_path() / (path.stem().string() + suffix)).string();
 }
 
-FlightLog ReadFlightCsv(const std::string& file, int num_rotors, PoseSource pose) {
+namespace {
+
+/// Rotor speeds and commands: of the sibling file where there is one.
+void ReadActuators(const std::string& file, const CsvTable& table, const std::vector<size_t>& rows,
+                   const std::vector<Strings>& commands, int num_rotors, FlightLog* log) {
+  const std::string rotor_file = SiblingFile(file, "_rotor.csv");
+  if (!std::filesystem::exists(rotor_file)) {
+    ReadCommands(table, rows, num_rotors, log);
+    ReadRotors(table, rows, num_rotors, log);
+    return;
+  }
+  const CsvTable rotor_table(
+      rotor_file, Concatenate({kTime, RotorColumns(num_rotors), kRotorRms}), commands, log);
+  WarnOfUnknown(rotor_table.unknown(), PrintableName(rotor_file), log);
+  ReadCommands(rotor_table, AllRows(rotor_table), num_rotors, log);
+  if (log->commands.empty()) ReadCommands(table, rows, num_rotors, log);
+  ReadRotors(rotor_table, AllRows(rotor_table), num_rotors, log);
+}
+
+/// Poses and nothing else; other columns are not named, since they may be another tool's.
+FlightLog ReadPosesCsv(const std::string& file) {
   FlightLog log;
-  log.file = FileName(file);
-  const Strings rotors = Concatenate({RotorColumns(num_rotors), kRotorRms});
-  std::vector<Strings> commands;
-  for (const CommandUnit unit : kCommandUnits) commands.push_back(CommandColumns(num_rotors, unit));
-  Table table(file,
-              Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates, kAccelerometer,
-                           kGyro, kBattery, rotors}),
-              commands, &log);
-  WarnOfUnknown(table.unknown(), log.file, &log);
+  log.file = PrintableName(file);
+  const CsvTable table(
+      file, Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates}), {}, &log);
   log.odometry = ReadOdometry(table, true, &log);
-  const std::vector<size_t> rows = UsableRows(table);
+  return log;
+}
+
+}  // namespace
+
+FlightLog ReadFlightCsv(const std::string& file, int num_rotors, PoseSource pose) {
+  FlightReadOptions options;
+  options.num_rotors = num_rotors;
+  options.pose = pose;
+  return ReadFlightCsv(file, options);
+}
+
+FlightLog ReadFlightCsv(const std::string& file, const FlightReadOptions& options) {
+  const std::string mocap_file = SiblingFile(file, "_mocap.csv");
+  if (options.part == FlightPart::kPoses) {
+    return ReadPosesCsv(options.pose == PoseSource::kMocap ? mocap_file : file);
+  }
+  FlightLog log;
+  log.file = PrintableName(file);
+  std::vector<Strings> commands;
+  for (const CommandUnit unit : kCommandUnits) {
+    commands.push_back(CommandColumns(options.num_rotors, unit));
+  }
+  CsvTable table(file,
+                 Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates, kAccelerometer,
+                              kGyro, kBattery, RotorColumns(options.num_rotors), kRotorRms}),
+                 commands, &log);
+  WarnOfUnknown(table.unknown(), log.file, &log);
+  const bool has_poses = options.part == FlightPart::kWhole ||
+                         table.HasAny(Concatenate({kPosition, kAttitude}));
+  if (has_poses) log.odometry = ReadOdometry(table, true, &log);
+  const std::vector<size_t> rows = has_poses ? UsableRows(table) : AllRows(table);
   table.Release(Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates}));
   ReadImu(table, rows, &log);
   ReadBattery(table, rows, &log);
-
-  const std::string rotor_file = SiblingFile(file, "_rotor.csv");
-  if (std::filesystem::exists(rotor_file)) {
-    const Table rotor_table(rotor_file, Concatenate({kTime, rotors}), commands, &log);
-    WarnOfUnknown(rotor_table.unknown(), FileName(rotor_file), &log);
-    ReadCommands(rotor_table, AllRows(rotor_table), num_rotors, &log);
-    if (log.commands.empty()) ReadCommands(table, rows, num_rotors, &log);
-    ReadRotors(rotor_table, AllRows(rotor_table), num_rotors, &log);
-  } else {
-    ReadCommands(table, rows, num_rotors, &log);
-    ReadRotors(table, rows, num_rotors, &log);
-  }
+  ReadActuators(file, table, rows, commands, options.num_rotors, &log);
   TakeSpeedMagnitudes(log.file, &log);
   WarnOfDeadRotors(log.file, &log);
 
-  if (pose == PoseSource::kMocap) {
-    const std::string mocap_file = SiblingFile(file, "_mocap.csv");
-    const Table mocap(mocap_file, Concatenate({kTime, kPosition, kAttitude}), {}, &log);
-    WarnOfUnknown(mocap.unknown(), FileName(mocap_file), &log);
+  if (options.pose == PoseSource::kMocap) {
+    const CsvTable mocap(mocap_file, Concatenate({kTime, kPosition, kAttitude}), {}, &log);
+    WarnOfUnknown(mocap.unknown(), PrintableName(mocap_file), &log);
     UseMocapPoses(ReadOdometry(mocap, false, &log), &log);
   }
   return log;

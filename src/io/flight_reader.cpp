@@ -8,6 +8,8 @@
 #include "binary_file.h"
 #include "csv_text.h"
 #include "odmc/io/autopilot_logs.h"
+#include "odmc/io/data_sets.h"
+#include "odmc/io/flight_csv.h"
 
 namespace odmc {
 namespace {
@@ -50,7 +52,7 @@ FlightReader CsvReader() {
           IsFlightCsv,
           false,
           [](const std::string& file, const FlightReadOptions& options) {
-            return ReadFlightCsv(file, options.num_rotors, options.pose);
+            return ReadFlightCsv(file, options);
           }};
 }
 
@@ -59,6 +61,9 @@ FlightReader CsvReader() {
 FlightReaders FlightReaders::Core() {
   FlightReaders readers;
   readers.Add(CsvReader());
+  readers.Add({"a NeuroBEM flight (.csv)", {".csv"}, IsNeurobem, false, ReadNeurobem});
+  readers.Add({"a Blackbird flight (folder)", {}, [](std::string_view) { return false; }, false,
+               ReadBlackbird, IsBlackbirdFolder});
   readers.Add({"a blackbox log (.bfl, .bbl)", {".bfl", ".bbl"}, IsBlackbox, false, ReadBlackbox});
   readers.Add({"a PX4 log (.ulg)", {".ulg"}, IsULog, false, ReadULog});
   readers.Add({"an ArduPilot log (.bin)", {".bin"}, IsDataflash, true, ReadDataflash});
@@ -75,7 +80,22 @@ const FlightReader* FlightReaders::OfEnding(const std::string& file) const {
 
 bool FlightReaders::HasEnding(const std::string& file) const { return OfEnding(file) != nullptr; }
 
+bool FlightReaders::IsFlightFolder(const std::string& folder) const {
+  std::error_code ignored;
+  if (!std::filesystem::is_directory(folder, ignored)) return false;
+  return std::any_of(readers_.begin(), readers_.end(), [&](const FlightReader& reader) {
+    return reader.is_folder != nullptr && reader.is_folder(folder);
+  });
+}
+
 const FlightReader* FlightReaders::Find(const std::string& file) const {
+  std::error_code ignored;
+  if (std::filesystem::is_directory(file, ignored)) {
+    for (const FlightReader& reader : readers_) {
+      if (reader.is_folder != nullptr && reader.is_folder(file)) return &reader;
+    }
+    return nullptr;
+  }
   const std::string head = ReadHead(file, kHeadBytes);
   for (const FlightReader& reader : readers_) {
     if (!head.empty() && reader.recognises(head)) return &reader;

@@ -219,6 +219,15 @@ void JoinAttitudes(const std::vector<AttitudeReading>& readings,
   *positions = std::move(kept);
 }
 
+void AddImuReading(Stamp stamp, const Eigen::Vector3d& gyro, const Eigen::Vector3d& acc,
+                   FlightLog* log) {
+  ImuSample sample;
+  sample.stamp = stamp;
+  if (gyro.allFinite()) sample.gyro_I = FluFromFrd(gyro);
+  if (acc.allFinite()) sample.specific_force_I = FluFromFrd(acc);
+  log->imu.push_back(sample);  // one that has neither is dropped and counted by FinishLog()
+}
+
 void ReportDamage(const std::string& file, const DecodingDamage& damage, size_t bytes,
                   FlightLog* log) {
   const std::string place = "byte " + std::to_string(damage.first);
@@ -246,7 +255,7 @@ double PoleScale(const std::string& file, const std::map<std::string, double>& p
   return 0.5 * poles->second / *pole_pairs;
 }
 
-void FinishLog(const std::string& file, const RateHints& hints, FlightLog* log) {
+void FinishLog(const std::string& file, const RateHints& hints, FlightPart part, FlightLog* log) {
   KeepSound(log->file + ": pose", &log->odometry, [](const auto& s) { return IsFinite(s); }, log);
   KeepSound(log->file + ": IMU", &log->imu, [](const auto& s) { return IsFinite(s); }, log);
   KeepSound(
@@ -258,9 +267,12 @@ void FinishLog(const std::string& file, const RateHints& hints, FlightLog* log) 
   KeepSound(
       log->file + ": battery", &log->battery,
       [](const auto& s) { return std::isfinite(s.voltage_V); }, log);
-  if (log->odometry.empty()) throw std::invalid_argument(file + ": has no usable pose");
-  NormaliseAttitudes(file, &log->odometry, log);
-  RefuseSlow(file, "poses", RateOf(log->odometry), kLeastPoseRate_hz, hints.pose);
+  if (part != FlightPart::kOnboard) {
+    if (log->odometry.empty()) throw std::invalid_argument(file + ": has no usable pose");
+    RefuseSlow(file, "poses", RateOf(log->odometry), kLeastPoseRate_hz, hints.pose);
+  }
+  if (!log->odometry.empty()) NormaliseAttitudes(file, &log->odometry, log);
+  if (part == FlightPart::kPoses) return;
   if (!log->rotors.empty()) {
     RefuseSlow(file, "rotor speeds", RateOf(log->rotors), kLeastRotorRate_hz, hints.rotors);
   }

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "odmc/io/flight_read_options.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
@@ -56,6 +57,10 @@ struct AttitudeReading {
 void JoinAttitudes(const std::vector<AttitudeReading>& readings,
                    std::vector<OdometrySample>* positions, FlightLog* log);
 
+/// Adds what an IMU in FRD read; the part that is not finite is left out.
+void AddImuReading(Stamp stamp, const Eigen::Vector3d& gyro, const Eigen::Vector3d& acc,
+                   FlightLog* log);
+
 /// How well a log's bytes could be decoded.
 struct DecodingDamage {
   long places = 0;     ///< where decoding had to start anew
@@ -94,7 +99,8 @@ double PoleScale(const std::string& file, const std::map<std::string, double>& p
 
 /// Brings every stream of a log in order and checks it, see autopilot_logs.h.
 /// @param file  path, for errors
+/// @param part  what of it is wanted
 /// @throws std::invalid_argument as autopilot_logs.h says
-void FinishLog(const std::string& file, const RateHints& hints, FlightLog* log);
+void FinishLog(const std::string& file, const RateHints& hints, FlightPart part, FlightLog* log);
 
 }  // namespace odmc

@@ -133,7 +133,8 @@ std::vector<OdometrySample> FromPositionAndAttitude(const MessageColumns& positi
 
 constexpr double kAsFast = 0.8;  // of another stream's rate: the first one is preferred
 
-void ReadPoses(const std::string& file, const ULogContent& log_file, FlightLog* log) {
+void ReadPoses(const std::string& file, const ULogContent& log_file, FlightPart part,
+               FlightLog* log) {
   const MessageColumns* odometry = log_file.Find("vehicle_odometry");
   const MessageColumns* positions = log_file.Find("vehicle_local_position");
   const MessageColumns* attitudes = log_file.Find("vehicle_attitude");
@@ -145,11 +146,12 @@ void ReadPoses(const std::string& file, const ULogContent& log_file, FlightLog* 
   if (log->odometry.empty() || RateOf(log->odometry) < kAsFast * RateOf(joined)) {
     if (!joined.empty()) log->odometry = std::move(joined);
   }
-  if (log->odometry.empty()) {
+  if (log->odometry.empty() && part != FlightPart::kOnboard) {
     Fail(file,
          "no pose: neither vehicle_odometry nor vehicle_local_position with "
          "vehicle_attitude; " +
-             kHints.pose);
+             kHints.pose +
+             ". Without an estimator, --odometry FILE takes poses from a recording beside the log");
   }
 }
 
@@ -200,7 +202,7 @@ void ReadImu(const ULogContent& log_file, FlightLog* log) {
       acc(*raw, Elements("accelerometer_m_s2", 3));
   if (!gyro.present() || !acc.present()) return;
   for (size_t i = 0; i < raw->size(); ++i) {
-    log->imu.push_back({raw->stamps[i], FluFromFrd(gyro.Vector(i)), FluFromFrd(acc.Vector(i))});
+    AddImuReading(raw->stamps[i], gyro.Vector(i), acc.Vector(i), log);
   }
 }
 
@@ -336,18 +338,20 @@ FlightLog ReadULog(const std::string& file, const FlightReadOptions& options) {
   log.file = Printable(std::filesystem::path(file).filename().string());
   const ULogContent content = DecodeULog(file, bytes, Wanted(options.num_rotors));
   Report(file, content, bytes.size(), &log);
-  ReadPoses(file, content, &log);
-  ReadImu(content, &log);
-  ReadCommands(content, options.num_rotors, &log);
-  ReadRotors(file, content, options, &log);
-  ReadBattery(content, &log);
-  if (log.rotors.empty() && log.commands.empty()) {
-    Fail(file,
-         "no rotor speeds: there is no esc_status. ESCs that tell their speed are needed "
-         "(bidirectional DShot, DShot telemetry or UAVCAN); then " +
-             kHints.rotors);
+  ReadPoses(file, content, options.part, &log);
+  if (options.part != FlightPart::kPoses) {
+    ReadImu(content, &log);
+    ReadCommands(content, options.num_rotors, &log);
+    ReadRotors(file, content, options, &log);
+    ReadBattery(content, &log);
+    if (log.rotors.empty() && log.commands.empty()) {
+      Fail(file,
+           "no rotor speeds: there is no esc_status. ESCs that tell their speed are needed "
+           "(bidirectional DShot, DShot telemetry or UAVCAN); then " +
+               kHints.rotors);
+    }
   }
-  FinishLog(file, kHints, &log);
+  FinishLog(file, kHints, options.part, &log);
   return log;
 }
 

@@ -22,6 +22,7 @@
 #include "child_reader.h"
 #include "odmc/MotorCommands.h"
 #include "odmc/RotorSpeeds.h"
+#include "odmc/io/data_sets.h"
 #include "odmc/io/printable_text.h"
 #include "odmc/ros/message_values.h"
 #include "odmc/ros/pose_twist.h"
@@ -72,6 +73,16 @@ class BagSource {
   /// @param num_rotors  0: as many as a message has
   template <typename Input, typename Use>
   void Read(const std::string& topic, InputStream stream, int num_rotors, FlightLog* log, Use use);
+
+  /// Type of a topic; empty where the bag has none of this name.
+  std::string TypeOf(const std::string& topic) const {
+    const auto found = types_.find(topic);
+    return found == types_.end() ? "" : found->second;
+  }
+
+  /// Shows every message of a topic, with the layout of its type, to `use`.
+  template <typename Use>
+  void ReadRaw(const std::string& topic, Use use);
 
   /// Number of messages of a topic.
   size_t Count(const std::string& topic) {
@@ -213,6 +224,22 @@ void BagSource::Read(const std::string& topic, InputStream stream, int num_rotor
   if (passed_over.count > 1) {
     passed_over.Report(source, "messages without an entry, or whose entries are not of one time",
                        log);
+  }
+}
+
+template <typename Use>
+void BagSource::ReadRaw(const std::string& topic, Use use) {
+  try {
+    std::optional<MessageLayout> layout;
+    rosbag::View view(bag_, rosbag::TopicQuery(topic));
+    for (const rosbag::MessageInstance& instance : view) {
+      const auto message = instance.instantiate<RawMessage>();
+      if (message == nullptr) continue;
+      if (!layout) layout.emplace(message->type(), message->definition());
+      use(*layout, *message);
+    }
+  } catch (const std::invalid_argument& e) {
+    Fail(file_, "topic " + topic + ": " + e.what());
   }
 }
 
@@ -481,26 +508,93 @@ Stamp ReadShift(BagSource* bag) {
   return 0;
 }
 
-FlightLog ReadOpenBag(BagSource* bag, int num_rotors, PoseSource pose, const BagOptions& options) {
+// ---- Blackbird's own bags ----------------------------------------------------------------------
+
+constexpr char kBlackbirdState[] = "/blackbird/state", kBlackbirdRotors[] = "/blackbird/rotor_rpm",
+               kBlackbirdImu[] = "/blackbird/imu", kBlackbirdPwm[] = "/blackbird/pwm";
+
+/// Poses of the data set are NED, which no type says: its own topic name does.
+bool IsBlackbird(const BagSource& bag, const BagOptions& options) {
+  return options.topics.empty() && bag.TypeOf(kBlackbirdState) == "geometry_msgs/PoseStamped";
+}
+
+BlackbirdFlight::RotorMessage RotorMessageOf(const std::string& file, const MessageLayout& layout,
+                                             const RawMessage& m) {
+  BlackbirdFlight::RotorMessage rotors;
+  rotors.rpm = layout.Numbers(layout.Find("rpm[]"), m.bytes.data(), m.bytes.size());
+  const bool is_stamped = layout.Has("sample_stamp[]");
+  rotors.stamps = layout.Stamps(layout.Find(is_stamped ? "sample_stamp[]" : "header.stamp"),
+                                m.bytes.data(), m.bytes.size());
+  // Messages of the first version, and those whose list is empty, have the header's for all.
+  if (is_stamped && rotors.stamps.empty()) {
+    rotors.stamps =
+        layout.Stamps(layout.Find("header.stamp"), m.bytes.data(), m.bytes.size());
+  }
+  if (rotors.stamps.size() == 1) rotors.stamps.resize(rotors.rpm.size(), rotors.stamps.front());
+  if (rotors.rpm.empty() || rotors.rpm.size() != rotors.stamps.size()) {
+    Fail(file, std::to_string(rotors.stamps.size()) + " stamps for " +
+                   std::to_string(rotors.rpm.size()) + " rotor speeds");
+  }
+  return rotors;
+}
+
+FlightLog ReadBlackbirdBag(BagSource* bag, const FlightReadOptions& read) {
+  FlightLog log;
+  log.file = std::filesystem::path(bag->file()).filename().string();
+  for (const char* topic : {kBlackbirdState, kBlackbirdRotors}) {
+    if (bag->TypeOf(topic).empty() || bag->Count(topic) == 0) {
+      Fail(bag->file(), std::string("no messages on ") + topic + "; " + bag->Contents());
+    }
+  }
+  BlackbirdFlight flight;
+  flight.path = bag->file();
+  bag->Read<OdometryInput>(kBlackbirdState, InputStream::kPose, 0, &log,
+                           [&](const OdometryInput& m) {
+                             const Eigen::Quaterniond& q = m.sample.q_WS;
+                             flight.poses.push_back({m.sample.stamp, m.sample.p_WS,
+                                                     {q.w(), q.x(), q.y(), q.z()}});
+                           });
+  if (!bag->TypeOf(kBlackbirdImu).empty()) {
+    bag->Read<ImuInput>(kBlackbirdImu, InputStream::kImu, 0, &log,
+                        [&](const ImuInput& m) { flight.imu.push_back(m.sample); });
+  }
+  bag->ReadRaw(kBlackbirdRotors, [&](const MessageLayout& layout, const RawMessage& m) {
+    flight.rotors.push_back(RotorMessageOf(bag->file(), layout, m));
+  });
+  bag->ReadRaw(kBlackbirdPwm, [&](const MessageLayout& layout, const RawMessage& m) {
+    const auto stamps = layout.Stamps(layout.Find("header.stamp"), m.bytes.data(), m.bytes.size());
+    flight.commands.push_back(
+        {stamps.front(), layout.Numbers(layout.Find("pwm[]"), m.bytes.data(), m.bytes.size())});
+  });
+  ConvertBlackbird(std::move(flight), read, &log);
+  return log;
+}
+
+FlightLog ReadOpenBag(BagSource* bag, const FlightReadOptions& read, const BagOptions& options) {
+  if (IsBlackbird(*bag, options)) return ReadBlackbirdBag(bag, read);
   FlightLog log;
   log.file = std::filesystem::path(bag->file()).filename().string();
   const bool poses_mapped =
       options.topics.count("pose") > 0 && options.topics.count("odometry") == 0;
   const std::string odometry_topic = poses_mapped ? "" : bag->TopicOf("odometry");
-  const bool needs_poses = odometry_topic.empty() || pose == PoseSource::kMocap;
-  const std::string pose_topic = needs_poses ? bag->TopicOf("pose") : "";
-  if (needs_poses && pose_topic.empty()) {
+  const bool wants_poses = odometry_topic.empty() || read.pose == PoseSource::kMocap;
+  const std::string pose_topic = wants_poses ? bag->TopicOf("pose") : "";
+  if (wants_poses && pose_topic.empty() && read.part != FlightPart::kOnboard) {
     Fail(bag->file(),
          "no odometry (nav_msgs/Odometry or geometry_msgs/PoseStamped, PoseWithCovarianceStamped, "
          "TransformStamped); " +
              bag->Contents());
   }
-  ReadImu(bag, &log);
+  if (read.part != FlightPart::kPoses) ReadImu(bag, &log);
   if (!odometry_topic.empty()) log.odometry = ReadOdometry(bag, odometry_topic, options, &log);
-  if (needs_poses) UseMocapPoses(ReadPoses(bag, pose_topic, options, &log), &log);
-  ReadCommands(bag, num_rotors, &log);
-  ReadRotors(bag, num_rotors, options, &log);
-  ReadBattery(bag, &log);
+  if (!pose_topic.empty()) UseMocapPoses(ReadPoses(bag, pose_topic, options, &log), &log);
+  if (read.part == FlightPart::kPoses) {
+    log.imu.clear();
+  } else {
+    ReadCommands(bag, read.num_rotors, &log);
+    ReadRotors(bag, read.num_rotors, options, &log);
+    ReadBattery(bag, &log);
+  }
   ShiftAll(-ReadShift(bag), &log);
   return log;
 }
@@ -571,14 +665,21 @@ FlightLog WithOpenBag(const std::string& file, const BagOptions& options, const 
   return log;
 }
 
-FlightLog ReadBag(const std::string& file, int num_rotors, PoseSource pose,
+FlightLog ReadBag(const std::string& file, const FlightReadOptions& read,
                   const BagOptions& options) {
   if (options.twist_frame != "auto" && options.twist_frame != "body" &&
       options.twist_frame != "world") {
     Fail(file, "twist_frame must be auto, body or world, not '" + options.twist_frame + "'");
   }
   return WithOpenBag(file, options,
-                     [&](BagSource* bag) { return ReadOpenBag(bag, num_rotors, pose, options); });
+                     [&](BagSource* bag) { return ReadOpenBag(bag, read, options); });
+}
+
+FlightReadOptions ReadOptions(int num_rotors, PoseSource pose) {
+  FlightReadOptions read;
+  read.num_rotors = num_rotors;
+  read.pose = pose;
+  return read;
 }
 
 // ---- Samples to messages -----------------------------------------------------------------------
@@ -724,7 +825,7 @@ void WriteFlight(const FlightLog& log, rosbag::Bag* bag) {
 }  // namespace
 
 FlightLog ReadFlightBag(const std::string& file, int num_rotors, const BagOptions& options) {
-  return ReadBag(file, num_rotors, PoseSource::kEkf, options);
+  return ReadBag(file, ReadOptions(num_rotors, PoseSource::kEkf), options);
 }
 
 FlightLog ReadActuatorBag(const std::string& file, const BagOptions& options) {
@@ -737,14 +838,14 @@ FlightReaders AllFlightReaders(const BagOptions& options) {
   readers.Add({"a rosbag (.bag)", {".bag"},
                [](std::string_view head) { return head.substr(0, 9) == "#ROSBAG V"; }, false,
                [options](const std::string& file, const FlightReadOptions& read) {
-                 return ReadBag(file, read.num_rotors, read.pose, options);
+                 return ReadBag(file, read, options);
                }});
   return readers;
 }
 
 FlightLog ReadFlight(const std::string& file, int num_rotors, PoseSource pose,
                      const BagOptions& options) {
-  return AllFlightReaders(options).Read(file, {num_rotors, pose, std::nullopt});
+  return AllFlightReaders(options).Read(file, ReadOptions(num_rotors, pose));
 }
 
 void WriteFlightBag(const FlightLog& log, const std::string& file) {

@@ -16,18 +16,22 @@ using namespace odmc;
 struct BenchArguments {
   BenchColumns columns;
   StreamOptions streams;  // of bags
+  int num_rotors = 4;     // of logs
   std::string command_unit, speed_unit, thrust_unit = "N";
 
   void AddTo(CLI::App* app) {
     app->add_option("--command-unit", command_unit,
-                    "of commands: us (1000 to 2000), raw16 (0 to 65535), fraction (0 to 1)")
-        ->required()
+                    "of commands: us (1000 to 2000), raw16 (0 to 65535), fraction (0 to 1); "
+                    "required for CSV files and bags, autopilots' logs have their units")
         ->check(CLI::IsMember({"us", "raw16", "fraction"}));
-    app->add_option("--speed-unit", speed_unit, "of rotor speeds: rad_s, rpm, erpm")
-        ->required()
+    app->add_option("--speed-unit", speed_unit,
+                    "of rotor speeds: rad_s, rpm, erpm; required for CSV files and bags")
         ->check(CLI::IsMember({"rad_s", "rpm", "erpm"}));
-    app->add_option("--pole-pairs", columns.pole_pairs, "of the motors, for erpm")
+    app->add_option("--pole-pairs", columns.pole_pairs, "of the motors, for erpm and logs")
         ->check(tools::Positive());
+    app->add_option("--rotors", num_rotors, "of the vehicle, for logs")
+        ->check(CLI::Range(1, kMaxRotors))
+        ->capture_default_str();
     tools::AddOrders(app, &streams);
     app->add_option("--time", columns.time, "column of times, s [t]");
     app->add_option("--command", columns.command,
@@ -46,8 +50,13 @@ struct BenchArguments {
     app->add_flag("--steady-readings", columns.steady_readings,
                   "rows are single steady readings, whatever their times");
   }
+  /// Of CSV files and bags.
   BenchColumns Read() const {
     BenchColumns read = columns;
+    if (command_unit.empty() || speed_unit.empty()) {
+      throw tools::UsageError(std::string(command_unit.empty() ? "--command-unit" : "--speed-unit") +
+                              " is required for CSV files and bags");
+    }
     read.command_unit = *CommandUnitNamed(command_unit);
     read.speed_unit = *SpeedUnitNamed(speed_unit);
     if (read.speed_unit == SpeedUnit::kErpm && read.pole_pairs <= 0)
@@ -57,13 +66,33 @@ struct BenchArguments {
   }
 };
 
-// A bench file of either kind.
-BenchRun ReadBench(const std::string& file, const BenchColumns& columns,
-                   const BenchArguments& arguments, std::vector<std::string>* used) {
-  if (file.size() < 4 || file.substr(file.size() - 4) != ".bag")
-    return ReadBenchCsv(file, columns, used);
+// What an autopilot's log or a data set's flight says of its motors.
+BenchRun ReadLog(const std::string& file, const FlightReaders& readers,
+                 const BenchArguments& arguments) {
+  FlightReadOptions read;
+  read.num_rotors = arguments.num_rotors;
+  read.part = FlightPart::kOnboard;
+  if (arguments.columns.pole_pairs > 0) read.pole_pairs = arguments.columns.pole_pairs;
+  const FlightLog log = readers.Read(file, read);
+  for (const std::string& warning : log.warnings) std::cerr << "warning: " << warning << "\n";
+  if (log.rotors.empty()) throw std::invalid_argument(file + ": no rotor speeds");
+  return BenchRunOf(log);
+}
+
+// A bench file of any kind.
+BenchRun ReadBench(const std::string& file, const BenchArguments& arguments,
+                   std::vector<std::string>* used) {
   BagOptions options;
   static_cast<StreamOptions&>(options) = arguments.streams;
+  const FlightReaders readers = AllFlightReaders(options);
+  const FlightReader* reader = readers.Find(file);
+  const std::string ending =
+      reader == nullptr || reader->endings.empty() ? "" : reader->endings.front();
+  if (reader != nullptr && ending != ".csv" && ending != ".bag") {
+    return ReadLog(file, readers, arguments);
+  }
+  const BenchColumns columns = arguments.Read();
+  if (ending != ".bag") return ReadBenchCsv(file, columns, used);
   options.rotor_speed_unit = arguments.speed_unit;
   options.command_unit = arguments.command_unit;
   if (columns.pole_pairs > 0) options.pole_pairs = columns.pole_pairs;
@@ -123,30 +152,30 @@ int main(int argc, char** argv) {
   std::vector<std::string> files, evaluate;
   std::string folder;
   bool no_report = false;
-  app.add_option("FILE", files, "CSV files or bags (odmc/MotorCommands) of the same motors")
+  app.add_option("FILE", files, "CSV files, bags (odmc/MotorCommands) or autopilots' logs (.ulg, .bin, .bbl, .bfl) of the "
+                 "same motors")
       ->required()
-      ->check(CLI::ExistingFile);
+      ->check(CLI::ExistingPath);
   bench.AddTo(&app);
   inertia.AddTo(&app);
   app.add_option("--evaluate", evaluate, "files the fit does not see: their free-run error")
-      ->check(CLI::ExistingFile);
+      ->check(CLI::ExistingPath);
   tools::AddFolder(&app, &folder, &no_report);
   tools::AddExitStatus(&app);
   return tools::Run(&app, argc, argv, [&] {
-    const BenchColumns columns = bench.Read();
     const std::optional<Measured> rotor_inertia = inertia.Read();
     std::vector<BenchRun> runs;
     std::vector<std::string> used;
     for (const std::string& file : files) {
       used.clear();
-      runs.push_back(ReadBench(file, columns, bench, &used));
+      runs.push_back(ReadBench(file, bench, &used));
     }
     for (const std::string& line : used) std::cout << line << "\n";
     const ActuatorCalibration calibration = CalibrateActuator(runs, rotor_inertia);
     const Actuator actuator = ActuatorOf(calibration);
     std::vector<ActuatorEvaluation> evaluations;
     for (const std::string& file : evaluate) {
-      const BenchRun run = ReadBench(file, columns, bench, nullptr);
+      const BenchRun run = ReadBench(file, bench, nullptr);
       evaluations.push_back({run.file, EvaluateActuator(actuator, run)});
     }
     tools::MakeFolder(folder);

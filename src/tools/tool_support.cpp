@@ -16,6 +16,7 @@
 #include "odmc/actuator/flight_actuator.h"
 #include "odmc/analysis/report.h"
 #include "odmc/effects/effects.h"
+#include "odmc/inspection/join_odometry.h"
 #include "odmc/inspection/recording_inspection.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/number_text.h"
@@ -222,8 +223,9 @@ namespace {
 
 void AddFlight(std::string* file, bool required, CLI::App* app) {
   app->add_option("FLIGHT", *file,
-                  "recorded flight: a rosbag (.bag), a CSV file (.csv) or an autopilot's log (" +
-                      std::string(kLogEndings) + ")")
+                  "recorded flight: a rosbag (.bag), a CSV file (.csv), an autopilot's log (" +
+                      std::string(kLogEndings) +
+                      "), or one of NeuroBEM or Blackbird as published")
       ->required(required);
 }
 
@@ -294,11 +296,14 @@ void AddFlights(const std::string& name, std::set<std::string>* seen,
                 std::vector<std::string>* files) {
   const FlightReaders readers = AllFlightReaders({});
   std::vector<std::string> found;
-  if (fs::is_directory(name)) {
-    for (const auto& entry : fs::recursive_directory_iterator(name)) {
-      if (entry.is_regular_file() && readers.IsFlight(entry.path())) {
-        found.push_back(entry.path());
-      }
+  if (readers.IsFlightFolder(name)) {
+    found.push_back(name);
+  } else if (fs::is_directory(name)) {
+    for (fs::recursive_directory_iterator it(name), end; it != end; ++it) {
+      const bool is_flight = it->is_directory() ? readers.IsFlightFolder(it->path())
+                                                : readers.IsFlight(it->path());
+      if (is_flight) found.push_back(it->path());
+      if (is_flight && it->is_directory()) it.disable_recursion_pending();
     }
   } else if (fs::exists(name)) {
     found.push_back(name);
@@ -361,6 +366,7 @@ void FlightArguments::AddOptionsTo(CLI::App* app) {
                   "bag's pose topic")
       ->transform(CLI::CheckedTransformer(poses).description(""))
       ->type_name("ekf|mocap");
+  AddOdometryTo(app);
   app->add_option("--topic", topics,
                   "topic of a bag by role, as odometry:=/vio/odom; roles: odometry, pose, imu, "
                   "rotor_speeds, joint_states, battery_state, motor_commands, twist; may be given "
@@ -381,6 +387,26 @@ void FlightArguments::AddOptionsTo(CLI::App* app) {
   app->add_option("--pole-pairs", pole_pairs, "of the motors, for erpm [7, or what a log says]")
       ->check(Positive());
   AddFieldsTo(app);
+}
+
+void FlightArguments::AddOdometryTo(CLI::App* app) {
+  app->add_option("--odometry", odometry,
+                  "recording of the flight's poses by another clock (motion capture, VIO), for logs "
+                  "that have none; the clocks' offset is found by the gyro. A folder: its file of "
+                  "the flight's name")
+      ->check(CLI::ExistingPath.description(""))
+      ->type_name("FILE");
+  app->add_option("--odometry-offset", odometry_offset_s,
+                  "to be added to the stamps of --odometry, in place of finding it [s]")
+      ->check(CLI::Number.description(""))
+      ->type_name("S");
+  app->add_flag("--accelerometer", accelerometer,
+                "NeuroBEM: take the columns acc as an accelerometer, where they are specific force; "
+                "the data set does not say whether they were measured");
+  app->add_option("--max-spread", rotor_spread_s,
+                  "Blackbird: largest difference of the stamps in a message of rotor speeds [s]")
+      ->check(NotNegative())
+      ->capture_default_str();
 }
 
 void FlightArguments::AddActuatorTo(CLI::App* app) {
@@ -415,7 +441,70 @@ void FlightArguments::AddFieldsTo(CLI::App* app) {
       ->type_name("PATH");
 }
 
-FlightLog FlightArguments::ReadAsRecorded(const std::string& flight, int num_rotors) const {
+namespace {
+
+bool IsBag(const FlightReaders& readers, const std::string& file) {
+  const FlightReader* reader = file.empty() ? nullptr : readers.Find(file);
+  return reader != nullptr && !reader->endings.empty() && reader->endings.front() == ".bag";
+}
+
+}  // namespace
+
+void FlightArguments::CheckOptions(const FlightReaders& readers, const std::string& flight,
+                                   const std::string& poses) const {
+  if (odometry_offset_s && odometry.empty()) {
+    throw UsageError("--odometry-offset goes with --odometry FILE");
+  }
+  const FlightReader* reader = readers.Find(flight);
+  if (reader == nullptr) return;
+  if (accelerometer && reader->name.find("NeuroBEM") == std::string::npos) {
+    throw UsageError("--accelerometer is for NeuroBEM's CSV files; " + flight + " is " +
+                     reader->name);
+  }
+  const bool is_bag = IsBag(readers, flight);
+  const BagOptions defaults;
+  const auto refuse = [&](const std::string& option) {
+    const bool is_csv = !reader->endings.empty() && reader->endings.front() == ".csv";
+    throw UsageError(option + " is for bags: " +
+                     (is_csv ? "columns of a CSV file have their units and frames (rotor speeds in "
+                               "rad/s, velocity in the world frame)"
+                             : "an autopilot's log has its units and frames"));
+  };
+  if (!is_bag && !IsBag(readers, poses)) {
+    if (!topics.empty()) refuse("--topic");
+    if (bag.twist_frame != defaults.twist_frame) refuse("--twist-frame");
+  }
+  if (is_bag) return;
+  if (bag.rotor_speed_unit != defaults.rotor_speed_unit) refuse("--rotor-speed-unit");
+  if (!bag.rotor_topic_field.empty()) refuse("--rotor-topic-field");
+  if (!bag.rotor_order.empty()) refuse("--rotor-order");
+  if (!bag.command_topic_field.empty()) refuse("--command-topic-field");
+  if (bag.command_unit != defaults.command_unit) refuse("--command-unit");
+  if (!bag.command_order.empty()) refuse("--command-order");
+  if (!bag.battery_topic_field.empty()) refuse("--battery-topic-field");
+}
+
+std::string FlightArguments::OdometryOf(const std::string& flight,
+                                        const FlightReaders& readers) const {
+  if (odometry.empty() || !fs::is_directory(odometry) || readers.IsFlightFolder(odometry)) {
+    return odometry;
+  }
+  const std::string name = fs::path(flight).stem().string();
+  std::vector<std::string> found;
+  for (const auto& entry : fs::directory_iterator(odometry)) {
+    if (entry.path().stem().string() == name && readers.HasEnding(entry.path().string())) {
+      found.push_back(entry.path().string());
+    }
+  }
+  if (found.size() != 1) {
+    throw std::invalid_argument(odometry + ": has " + (found.empty() ? "no" : "more than one") +
+                                " recording of the name of " + flight);
+  }
+  return found.front();
+}
+
+FlightLog FlightArguments::ReadAsRecorded(const std::string& flight, int num_rotors,
+                                          FlightPart part) const {
   if (end_s > 0.0 && end_s <= start_s) throw UsageError("--end must lie after --start");
   BagOptions options = bag;
   std::vector<std::string> roles;
@@ -429,29 +518,24 @@ FlightLog FlightArguments::ReadAsRecorded(const std::string& flight, int num_rot
   }
   if (pole_pairs) options.pole_pairs = *pole_pairs;
   const FlightReaders readers = AllFlightReaders(options);
-  const FlightReader* reader = readers.Find(flight);
-  if (reader != nullptr && reader->endings.front() != ".bag") {
-    const BagOptions defaults;
-    for (const auto& [option, given] :
-         {std::pair("--topic", !topics.empty()),
-          std::pair("--twist-frame", bag.twist_frame != defaults.twist_frame),
-          std::pair("--rotor-speed-unit", bag.rotor_speed_unit != defaults.rotor_speed_unit),
-          std::pair("--rotor-topic-field", !bag.rotor_topic_field.empty()),
-          std::pair("--rotor-order", !bag.rotor_order.empty()),
-          std::pair("--command-topic-field", !bag.command_topic_field.empty()),
-          std::pair("--command-unit", bag.command_unit != defaults.command_unit),
-          std::pair("--command-order", !bag.command_order.empty()),
-          std::pair("--battery-topic-field", !bag.battery_topic_field.empty())}) {
-      if (given) {
-        throw UsageError(std::string(option) + " is for bags: " +
-                         (reader->endings.front() == ".csv"
-                              ? "columns of a CSV file have their units and frames (rotor speeds "
-                                "in rad/s, velocity in the world frame)"
-                              : "an autopilot's log has its units and frames"));
-      }
-    }
-  }
-  return readers.Read(flight, {num_rotors, pose, pole_pairs});
+  const std::string poses = OdometryOf(flight, readers);
+  CheckOptions(readers, flight, poses);
+  FlightReadOptions read;
+  read.num_rotors = num_rotors;
+  read.pose = pose;
+  read.pole_pairs = pole_pairs;
+  read.part = part;
+  read.accelerometer = accelerometer;
+  read.rotor_spread_s = rotor_spread_s;
+  if (poses.empty()) return readers.Read(flight, read);
+  FlightReadOptions read_poses = read;
+  read_poses.part = FlightPart::kPoses;
+  read_poses.accelerometer = false;
+  read.part = FlightPart::kOnboard;
+  read.pose = PoseSource::kEkf;
+  FlightLog log = readers.Read(flight, read);
+  JoinOdometry(readers.Read(poses, read_poses), odometry_offset_s, &log);
+  return log;
 }
 
 FlightLog FlightArguments::Read(const std::string& flight, const Vehicle& vehicle) const {

@@ -54,11 +54,15 @@ struct FlightArguments {
   std::vector<std::string> topics;
   BagOptions bag;
   std::optional<int> pole_pairs;
+  std::string odometry;  ///< recording with the poses, or folder of such; empty: FLIGHT has them
+  std::optional<double> odometry_offset_s;
+  bool accelerometer = false;
+  double rotor_spread_s = FlightReadOptions().rotor_spread_s;
   std::string actuator_file;
   bool from_commands = false;
 
-  /// Adds FLIGHT, --start, --end, --pose, --topic, --twist-frame, --rotor-speed-unit, --pole-pairs,
-  /// fields, units and orders of a bag's messages, --rotor-speed-from, --actuator.
+  /// Adds FLIGHT, --start, --end, --pose, --odometry, --topic, --twist-frame, --rotor-speed-unit,
+  /// --pole-pairs, fields, units and orders of a bag's messages, --rotor-speed-from, --actuator.
   /// @param required false where the tool can do without a flight
   void AddTo(CLI::App* app, bool required = true);
   /// Adds FLIGHT and what says how a file is to be read: without --rotor-speed-from, --actuator.
@@ -80,10 +84,17 @@ struct FlightArguments {
   std::string FormatEnding() const;
   /// The flight as it was recorded, whole.
   /// @throws std::invalid_argument, UsageError
-  FlightLog ReadAsRecorded(const std::string& flight, int num_rotors) const;
+  FlightLog ReadAsRecorded(const std::string& flight, int num_rotors,
+                           FlightPart part = FlightPart::kWhole) const;
 
  private:
   void AddOptionsTo(CLI::App* app);
+  void AddOdometryTo(CLI::App* app);
+  /// Refuses options that do not belong to the format of the flight, nor to that of its poses.
+  void CheckOptions(const FlightReaders& readers, const std::string& flight,
+                    const std::string& poses) const;
+  /// The recording of the flight's poses; empty where the flight has its own.
+  std::string OdometryOf(const std::string& flight, const FlightReaders& readers) const;
   void AddFieldsTo(CLI::App* app);
   void AddActuatorTo(CLI::App* app);
 };

@@ -10,15 +10,44 @@ import csv
 import math
 import os
 import struct
-import sys
 from typing import Dict, List, Sequence, Tuple
 
 HERE = os.path.dirname(os.path.realpath(__file__))
-sys.path.insert(0, os.path.join(HERE, '..', '..', 'scripts'))
-
-import odmc_flight as of  # noqa: E402
 
 START_S = 1_500_000_000  # of the Blackbird samples, since 1970
+GRAVITY = 9.81
+
+
+# ---- Rotations and messages --------------------------------------------------------------------
+
+
+def multiply(a: Sequence[float], b: Sequence[float]) -> Tuple[float, float, float, float]:
+    """Hamilton product, w first."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (aw * bw - ax * bx - ay * by - az * bz, aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw)
+
+
+def to_body(q_WB: Sequence[float], v_W: Sequence[float]) -> List[float]:
+    """R_WB^T v_W."""
+    turned = multiply(multiply(conjugate(q_WB), (0.0, *v_W)), q_WB)
+    return list(turned[1:])
+
+
+def set_xyz(target, values: Sequence[float]) -> None:
+    """Sets x, y, z of a message."""
+    target.x, target.y, target.z = values[0], values[1], values[2]
+
+
+def get_xyz(source) -> List[float]:
+    """x, y, z of a message."""
+    return [source.x, source.y, source.z]
+
+
+def get_quaternion(source) -> List[float]:
+    """w, x, y, z of a message."""
+    return [source.w, source.x, source.y, source.z]
 
 
 # ---- The flight, z up and FLU ------------------------------------------------------------------
@@ -47,7 +76,7 @@ def attitude(t: float) -> Tuple[float, ...]:
     for angle, axis in zip(angles, (3, 2, 1)):
         turn = [math.cos(angle / 2), 0.0, 0.0, 0.0]
         turn[axis] = math.sin(angle / 2)
-        q = of.multiply(q, turn)
+        q = multiply(q, turn)
     return q
 
 
@@ -59,14 +88,14 @@ def conjugate(q: Sequence[float]) -> List[float]:
 def body_rates(t: float) -> List[float]:
     """w_WB_B [rad/s], by a central difference of the attitude."""
     h = 1e-5
-    step = of.multiply(conjugate(attitude(t - h)), attitude(t + h))
+    step = multiply(conjugate(attitude(t - h)), attitude(t + h))
     return [value / h for value in step[1:]]
 
 
 def specific_force(t: float) -> List[float]:
     """Accelerometer along B [m/s^2]."""
     a = acceleration(t)
-    return of.to_body(attitude(t), [a[0], a[1], a[2] + of.GRAVITY])
+    return to_body(attitude(t), [a[0], a[1], a[2] + GRAVITY])
 
 
 def rotor_speed(t: float, rotor: int) -> float:
@@ -117,7 +146,7 @@ def neurobem_row(t: float) -> Dict[str, object]:
     row: Dict[str, object] = {'t': f'{t:.4f}'}
     groups = (('ang acc', 'xyz', (0, 0, 0)), ('ang vel', 'xyz', body_rates(t)),
               ('quat', 'xyzw', (q[1], q[2], q[3], q[0])), ('acc', 'xyz', specific_force(t)),
-              ('vel', 'xyz', of.to_body(q, velocity(t))), ('pos', 'xyz', position(t)))
+              ('vel', 'xyz', to_body(q, velocity(t))), ('pos', 'xyz', position(t)))
     for name, axes, values in groups:
         row.update({f'{name} {axis}': f'{value:.6g}' for axis, value in zip(axes, values)})
     row.update({f'mot {i}': f'{rotor_speed(t, i):.6g}' for i in range(1, 5)})
@@ -145,7 +174,7 @@ def ned_pose(t: float) -> Tuple[List[float], Tuple[float, ...]]:
     """Position and attitude in NED and FRD."""
     half = math.sqrt(0.5)
     p = position(t)
-    q = of.multiply(of.multiply((0.0, half, half, 0.0), attitude(t)), (0.0, 1.0, 0.0, 0.0))
+    q = multiply(multiply((0.0, half, half, 0.0), attitude(t)), (0.0, 1.0, 0.0, 0.0))
     return [p[1], p[0], -p[2]], q
 
 
@@ -187,9 +216,9 @@ def state_message(t: float):
     from geometry_msgs.msg import PoseStamped
     message = stamped(PoseStamped(), t, 'mocap')
     p, q = ned_pose(t)
-    of.set_xyz(message.pose.position, [round(value, 6) for value in p])
+    set_xyz(message.pose.position, [round(value, 6) for value in p])
     message.pose.orientation.w = round(q[0], 6)
-    of.set_xyz(message.pose.orientation, [round(value, 6) for value in q[1:]])
+    set_xyz(message.pose.orientation, [round(value, 6) for value in q[1:]])
     return message
 
 
@@ -197,8 +226,8 @@ def imu_message(t: float):
     """sensor_msgs/Imu in the IMU's axes."""
     from sensor_msgs.msg import Imu
     message = stamped(Imu(), t, 'imu')
-    of.set_xyz(message.angular_velocity, [round(v, 5) for v in to_imu(body_rates(t))])
-    of.set_xyz(message.linear_acceleration, [round(v, 5) for v in to_imu(specific_force(t))])
+    set_xyz(message.angular_velocity, [round(v, 5) for v in to_imu(body_rates(t))])
+    set_xyz(message.linear_acceleration, [round(v, 5) for v in to_imu(specific_force(t))])
     message.angular_velocity_covariance = COVARIANCE
     message.linear_acceleration_covariance = COVARIANCE
     return message
@@ -266,8 +295,8 @@ def write_ground_truth(path: str, messages: Dict[str, List]) -> None:
     with open(path, 'w', encoding='utf-8', newline='') as file:
         writer = csv.writer(file, lineterminator='\n')
         for m in messages['/blackbird/state']:
-            writer.writerow([m.header.stamp.to_nsec() // 1000, *of.get_xyz(m.pose.position),
-                             *of.get_quaternion(m.pose.orientation)])
+            writer.writerow([m.header.stamp.to_nsec() // 1000, *get_xyz(m.pose.position),
+                             *get_quaternion(m.pose.orientation)])
 
 
 def main() -> None:

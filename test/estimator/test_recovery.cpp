@@ -115,6 +115,34 @@ TEST(Recovery, SigmasHoldWhereAFlightShowsLittle) {
   }
 }
 
+// Motion capture beside an IMU. With body rates from differences of the noisy attitudes, inertia was
+// not learned at all, or its sigma was ten times as large.
+TEST(Recovery, InertiaIsLearnedFromPosesWithoutTwistBesideAGyro) {
+  Flight flight;
+  Vehicle vehicle = FreeVehicle();
+  vehicle.imu = vehicle.odometry;
+  flight.model.emplace(vehicle, vehicle.effects);
+  flight.truth = DefaultTruth(*flight.model);
+  SimulationOptions simulation;
+  simulation.trajectory = "aggressive";
+  simulation.duration_s = 20.0;
+  SimulationNoise noise;
+  noise.imu = true;
+  flight.log = Simulate(*flight.model, flight.truth, simulation, noise).log;
+  for (OdometrySample& sample : flight.log.odometry) {
+    sample.v_WS.reset();
+    sample.w_WS_S.reset();
+  }
+  const ReplayResult result = Estimate(flight);
+  ASSERT_TRUE(result.last);
+  for (const char* name : {"inertia.x", "inertia.y", "inertia.z"}) {
+    const int k = flight.model->IndexOf(name);
+    const double error = result.last->values[k] - flight.truth[k];
+    EXPECT_LT(result.last->sigma[k], 0.03 * flight.truth[k]) << name;
+    EXPECT_LT(std::abs(error), 3.5 * result.last->sigma[k]) << name;
+  }
+}
+
 TEST(Recovery, StartOfTheThrustCoefficientDoesNotMatter) {
   for (const double factor : {0.5, 2.0}) {
     RecoveryOptions options;

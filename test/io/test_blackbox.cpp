@@ -355,7 +355,7 @@ TEST_F(Blackbox, PolePairsOfTheUserReplaceTheHeaders) {
 
 TEST_F(Blackbox, RefusesALogWithoutPoseAndSaysWhatIsMissing) {
   ODMC_EXPECT_ERROR(Read(MadeUpLog(false)), "(Testflight 1.0) has no pose");
-  ODMC_EXPECT_ERROR(Read(MadeUpLog(false)), "Odometry is needed");
+  ODMC_EXPECT_ERROR(Read(MadeUpLog(false)), "--odometry FILE");
 }
 
 TEST_F(Blackbox, ReadsTheLongestOfSeveralLogs) {

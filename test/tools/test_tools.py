@@ -262,7 +262,7 @@ class ToolsTest(unittest.TestCase):
             self.assertAlmostEqual(float(back[0][f'throttle{j}']), (float(first[f'pwm{j}_us']) - 1000) / 1000, 6)
 
     def test_convert_says_what_is_wrong_and_lists_flights(self) -> None:
-        self.expect(2, 'OUT must end in .bag or .csv', 'convert', self.flight(), self.path('x.txt'))
+        self.expect(2, 'OUT must end in .bag, .csv, .ulg, .bin or .bbl', 'convert', self.flight(), self.path('x.txt'))
         self.expect(2, 'OUT is FLIGHT itself', 'convert', self.flight(), self.flight())
         self.expect(1, 'cannot be opened; a flight is', 'convert', self.path('none.x'), self.path('x.csv'))
         os.makedirs(self.path('listed'))
@@ -297,6 +297,109 @@ class ToolsTest(unittest.TestCase):
                 if parameter['sigma']:
                     difference = abs(parameter['value'] - results[1][name]['value'])
                     self.assertLess(difference, 0.1 * parameter['sigma'], f'{log}: {name}')
+
+    def imu_flight(self) -> List[str]:
+        """A simulated flight with an IMU as a bag, and its vehicle file."""
+        with open(VEHICLE, encoding='utf-8') as file:
+            vehicle = self.write('with_imu.yaml', file.read().replace('# imu: {frame: sensor', 'imu: {frame: sensor'))
+        source = self.path('with_imu.bag')
+        done = run('simulate', '--vehicle', vehicle, '--trajectory', 'aggressive', '--out', source, '--seed', '5',
+                   '--duration', '12', '--noise', self.write('noise.yaml', 'imu: true\n'))
+        self.assertEqual(done.returncode, 0, done.stderr)
+        return [source, vehicle]
+
+    def parameters_of(self, *arguments: str) -> Dict[str, Any]:
+        """What calibrate finds."""
+        done = run('calibrate', *arguments, '--no-report', '--out', self.path('found'))
+        self.assertEqual(done.returncode, 0, done.stderr)
+        return read_json(self.path('found'), 'report.json')['parameters']
+
+    def assert_near(self, one: Dict[str, Any], other: Dict[str, Any], sigmas: float) -> None:
+        """All estimates within so many of the first one's sigmas."""
+        for name, parameter in one.items():
+            if parameter['sigma']:
+                self.assertLess(abs(parameter['value'] - other[name]['value']), sigmas * parameter['sigma'], name)
+
+    def test_flights_written_as_logs_calibrate_as_they_do(self) -> None:
+        source, vehicle = self.imu_flight()
+        for ending in ('ulg', 'bin', 'bbl'):
+            done = run('convert', source, self.path(f'written.{ending}'))
+            self.assertEqual(done.returncode, 0, done.stderr)
+        whole = self.parameters_of(source, '--vehicle', vehicle)
+        self.assert_near(whole, self.parameters_of(self.path('written.ulg'), '--vehicle', vehicle), 0.1)
+        # The other two have no body rates beside the gyro, and blackbox counts whole rad/s, mm and cm/s.
+        rows = self.path('no_rates.csv')
+        self.assertEqual(run('convert', self.path('written.bin'), rows).returncode, 0)
+        without = self.parameters_of(self.path('written.bin'), '--vehicle', vehicle)
+        self.assert_near(whole, without, 3.0)
+        self.assert_near(whole, self.parameters_of(self.path('written.bbl'), '--vehicle', vehicle), 3.0)
+
+    def test_a_log_without_poses_gets_them_from_another_recording(self) -> None:
+        source, vehicle = self.imu_flight()
+        log, poses = self.path('LOG1.bbl'), self.path('poses.csv')
+        self.assertEqual(run('convert', source, log, '--without', 'poses').returncode, 0)
+        done = run('convert', source, self.path('whole.csv'))
+        self.assertEqual(done.returncode, 0, done.stderr)
+        table = read_table(self.path('whole.csv'))
+        start_s = float(table[0]['t'])
+        with open(poses, 'w', encoding='utf-8', newline='') as file:
+            names = ['t', *(name for name in table[0] if name[0] in 'pqv' and len(name) == 2)]
+            writer = csv.DictWriter(file, names, extrasaction='ignore')
+            writer.writeheader()
+            for row in table:
+                row['t'] = f"{float(row['t']) + 123.456:.9f}"  # another clock
+                writer.writerow(row)
+        out = ('--vehicle', vehicle, '--out', self.path('x'), '--no-report')
+        self.expect(1, '--odometry FILE takes it from a recording', 'calibrate', log, *out)
+        self.expect(2, 'goes with --odometry FILE', 'calibrate', log, '--odometry-offset', '1', *out)
+        whole = self.parameters_of(source, '--vehicle', vehicle)
+        found = self.parameters_of(log, '--odometry', poses, '--vehicle', vehicle)
+        self.assert_near(whole, found, 3.0)
+        text = '\n'.join(read_json(self.path('found'), 'report.json')['warnings'])
+        offset, sigma_ms = map(float, re.search(r'([-0-9.]+) s added to their stamps \(sigma ([0-9.]+) ms', text).groups())
+        true = 1.0 - math.floor(start_s) - 123.456  # the log's clock starts within the second after 1 s
+        self.assertLess(abs(offset - true), min(0.002, 4e-3 * sigma_ms + 1e-4), text)
+        told = self.parameters_of(log, '--odometry', poses, '--odometry-offset', f'{true:.6f}', '--vehicle', vehicle)
+        self.assert_near(told, found, 1.0)
+        os.makedirs(self.path('recordings'), exist_ok=True)
+        self.expect(1, 'has no recording of the name of', 'calibrate', log, '--odometry', self.path('recordings'), *out)
+        os.rename(poses, self.path('recordings/LOG1.csv'))
+        again = self.parameters_of(log, '--odometry', self.path('recordings'), '--vehicle', vehicle)
+        self.assertEqual(again, found)
+        for tool, more in (('inspect', ()), ('evaluate', ('--parameters', self.path('found/parameters.yaml')))):
+            done = run(tool, log, '--odometry', self.path('recordings'), '--vehicle', vehicle, '--out', self.path(tool),
+                       '--no-report', *more)
+            self.assertEqual(done.returncode, 0, done.stderr)
+
+    def test_actuators_are_calibrated_from_logs(self) -> None:
+        rows = ['t,gx,gy,gz,throttle1,throttle2,throttle3,throttle4,rotor1,rotor2,rotor3,rotor4,vbat']
+        speeds = [300.0] * 4
+        for i in range(12000):
+            t = 0.002 * i
+            throttles = [0.45 + 0.25 * math.sin(1.3 * t + j) + 0.15 * math.copysign(1.0, math.sin(4.1 * t + 2 * j))
+                         for j in range(4)]
+            speeds = [w + 0.002 / 0.03 * (150.0 + 1500.0 * u - w) for w, u in zip(speeds, throttles)]
+            cells = [f'{t:.6f}', '0.1', '0', '0', *(f'{u:.6f}' for u in throttles), *(f'{w:.4f}' for w in speeds),
+                     f'{16.0 - 0.02 * t:.4f}']
+            rows.append(','.join(cells))
+        source = self.write('bench.csv', '\n'.join(rows) + '\n')
+        out = ('--out', self.path('actuator'), '--no-report')
+        done = run('calibrate_actuator', source, '--command-unit', 'fraction', '--speed-unit', 'rad_s', *out)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        expected = read_json(self.path('actuator'), 'report.json')
+        for name in ('bench.ulg', 'bench.bin', 'bench.bbl'):
+            self.assertEqual(run('convert', source, self.path(name)).returncode, 0)
+            done = run('calibrate_actuator', self.path(name), *out)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            report = read_json(self.path('actuator'), 'report.json')
+            self.assertEqual(len(report['motors']), 4)
+            # To what a log rounds: whole rpm, whole microseconds of pulse length, electrical rpm in hundreds.
+            self.assertAlmostEqual(report['lag_s'], expected['lag_s'], delta=1e-3)
+            for key in ('S_1', 'time_constant_s', 'delay_s'):
+                value = expected['parameters'][key]['value']
+                self.assertAlmostEqual(report['parameters'][key]['value'], value, delta=0.005 * abs(value), msg=f'{name}: {key}')
+        self.expect(2, '--command-unit is required for CSV files and bags', 'calibrate_actuator', source, *out)
+        self.expect(1, 'the vehicle has 6 rotors', 'calibrate_actuator', self.path('bench.ulg'), '--rotors', '6', *out)
 
     def test_a_blackbox_log_calibrates_as_the_csv_made_from_it(self) -> None:
         data = os.path.join(os.environ.get('ODMC_DATA_DIR') or os.path.join(ROOT, '..', 'shared', 'data'), 'indiflight')

@@ -181,6 +181,9 @@ class Estimator {
   std::optional<Interval> ReadInterval(const OdometrySample& sample);
   bool IsJump(const OdometrySample& sample, double dt) const;
   State InitialState(const OdometrySample& sample, const Interval* interval) const;
+  /// Body rate in S that the gyro reads at `stamp`, its bias taken off; nothing without samples
+  /// around it.
+  std::optional<Eigen::Vector3d> GyroRate(Stamp stamp) const;
   /// A cost function, from the window's spares where there are any.
   template <typename T, typename... Arguments>
   std::unique_ptr<ceres::CostFunction> MakeCost(FactorKind kind, const Arguments&... arguments);

@@ -2,15 +2,10 @@
 
 #include <string>
 
+#include "odmc/io/flight_read_options.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
-
-/// Which pose of a flight to use.
-enum class PoseSource {
-  kEkf,    ///< the main file's pose and twist
-  kMocap,  ///< NAME_mocap.csv beside it: pose only
-};
 
 /// Reads a flight in the CSV form of the data README: columns by header name in any order. A
 /// sibling NAME_rotor.csv replaces the rotor columns; NAME_mocap.csv replaces pose and velocity
@@ -26,9 +21,11 @@ enum class PoseSource {
 /// rotor speeds; a file may have them instead of rotor speeds, whose stream is then empty.
 /// `rotor_rms` stands in where single rotors are missing (FlightLog::rotor_rms_only).
 ///
-/// @param num_rotors columns rotor1..N expected
+/// FlightPart::kOnboard: a file without the columns of a pose is read, too; FlightPart::kPoses: only
+/// t, p, q, v, w are. Columns rotor1..N of `num_rotors` are expected.
 /// @throws std::invalid_argument naming file, line and column: missing columns, nothing usable,
 ///   numbers that cannot be read, quaternions that are not unit.
+FlightLog ReadFlightCsv(const std::string& file, const FlightReadOptions& options);
 FlightLog ReadFlightCsv(const std::string& file, int num_rotors, PoseSource pose);
 
 /// Writes a flight in the CSV form of the data README, one row per odometry stamp, numbers with all

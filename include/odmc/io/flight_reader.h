@@ -1,22 +1,15 @@
 #pragma once
 
 #include <functional>
-#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "odmc/io/flight_csv.h"
+#include "odmc/io/flight_read_options.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
-
-/// What every reader of flights is told.
-struct FlightReadOptions {
-  int num_rotors = 4;  ///< of the vehicle
-  PoseSource pose = PoseSource::kEkf;
-  std::optional<int> pole_pairs;  ///< of the motors, for logs of electrical speeds; else the log's
-};
 
 /// One format of recorded flights.
 struct FlightReader {
@@ -29,6 +22,8 @@ struct FlightReader {
   bool shares_ending = false;
   /// @throws std::invalid_argument naming file and place
   std::function<FlightLog(const std::string& file, const FlightReadOptions& options)> read;
+  /// A flight is a folder of several files: true if this one is. Null for formats of one file.
+  std::function<bool(const std::string& folder)> is_folder = nullptr;
 };
 
 /// The formats a flight may have: found by the file's content, by its ending where the content is
@@ -37,7 +32,8 @@ class FlightReaders {
  public:
   static constexpr size_t kHeadBytes = 4096;  ///< that recognise a format
 
-  /// The formats the core reads: CSV, blackbox (.bfl, .bbl), PX4 (.ulg), ArduPilot (.bin).
+  /// The formats the core reads: CSV, NeuroBEM's CSV, Blackbird's folders, blackbox (.bfl, .bbl),
+  /// PX4 (.ulg), ArduPilot (.bin).
   static FlightReaders Core();
 
   /// Adds a format; those added first are asked first.
@@ -45,6 +41,9 @@ class FlightReaders {
 
   /// Null where no format fits.
   const FlightReader* Find(const std::string& file) const;
+
+  /// True if a folder is itself a flight, not one that holds flights.
+  bool IsFlightFolder(const std::string& folder) const;
 
   /// True if a folder's file is a flight: of a known ending (and content, where the ending is
   /// shared), and no companion of one (NAME_mocap.csv, NAME_rotor.csv;
