@@ -31,7 +31,7 @@ struct Recording {
 };
 
 constexpr Stamp kPoseClock = 1700000000000000000;  // far off the log's, which starts at 5 s
-constexpr double kPosesLater_s = 3.2;
+constexpr double kPosesLater_s = 3.217;  // off the steps of the first search
 
 /// The gyro at 500 Hz, in a frame turned against the body's, with bias and noise; poses at `rate_hz`
 /// with noise of 1 mrad, on another clock: they are right with `true_offset` added to their stamps.
