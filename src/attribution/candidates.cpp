@@ -48,13 +48,20 @@ bool FitsThrust(const Vehicle& vehicle) {
 }
 
 /// @pre the flight has samples
-FlownRange RangeOf(const FlightMotion& flight) {
-  std::vector<double> heights;
-  for (const FilteredMotion& m : flight.samples) heights.push_back(m.p_WS.z());
-  std::sort(heights.begin(), heights.end());
-  const size_t tail = heights.size() / 20;
+FlownRange RangeOf(const FlightMotion& flight, const Vehicle& vehicle) {
+  const Eigen::Matrix3d R_SB = vehicle.odometry.q_BS.toRotationMatrix().transpose();
+  std::vector<double> heights, speeds, descents;
+  for (const FilteredMotion& m : flight.samples) {
+    heights.push_back(m.p_WS.z());
+    speeds.push_back(m.v_WS.norm());
+    descents.push_back(-m.v_WS.dot(m.R_WS * R_SB.col(2)));
+  }
+  for (std::vector<double>* sorted : {&heights, &speeds, &descents}) {
+    std::sort(sorted->begin(), sorted->end());
+  }
+  const size_t tail = heights.size() / 20, high = heights.size() - 1 - tail;
   return {flight.samples.front().t_s, flight.samples.back().t_s, heights.front(),
-          heights[heights.size() - 1 - tail] - heights[tail]};
+          heights[high] - heights[tail], speeds[high], std::max(0.0, descents[high])};
 }
 
 /// By full names what an effect has by short ones.
@@ -129,7 +136,7 @@ std::string OwnTellingManoeuvre(const Vehicle& vehicle, const std::string& effec
 std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion& flight) {
   std::vector<Candidate> candidates;
   if (flight.samples.empty()) return candidates;
-  const FlownRange flown = RangeOf(flight);
+  const FlownRange flown = RangeOf(flight, vehicle);
   const bool fits_thrust = FitsThrust(vehicle);
   for (const std::string& name : EffectRegistry::Default().names()) {
     if (IsListed(vehicle.effects, name)) continue;

@@ -21,6 +21,25 @@ double HoverSpeed(const Vehicle& vehicle) {
   return std::sqrt(per_rotor / k_f);
 }
 
+double DiscArea(const Vehicle& vehicle) {
+  double area = 0.0;
+  for (const Rotor& rotor : vehicle.rotors) area += M_PI * rotor.radius_m * rotor.radius_m;
+  return area;
+}
+
+double InflowSquaredPerThrust(const Rotor& rotor) {
+  return 1.0 / (2.0 * kAirDensity * M_PI * rotor.radius_m * rotor.radius_m);
+}
+
+std::vector<EffectTrial> FastTrials(const Vehicle& vehicle, const FlownRange& flown) {
+  constexpr double kSecondOrder = 0.1;
+  const double speed = HoverSpeed(vehicle);
+  for (const Rotor& rotor : vehicle.rotors) {
+    if (flown.speed_m_s > kSecondOrder * speed * rotor.radius_m) return {EffectTrial()};
+  }
+  return {};
+}
+
 Vector3d HubAirVelocity(const FlightState& state, const Rotor& rotor) {
   return state.v_AB_B + state.w_WB_B.cross(rotor.p_BP);
 }

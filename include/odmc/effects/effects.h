@@ -45,7 +45,14 @@
   X(anisotropic_hub_moment, MakeAnisotropicHubMoment) \
   X(skewed_inflow, MakeSkewedInflow)                  \
   X(thrust_lean, MakeThrustLean)                      \
-  X(rotor_level, MakeRotorLevel)
+  X(rotor_level, MakeRotorLevel)                      \
+  X(inflow_drag, MakeInflowDrag)                      \
+  X(saturating_lift, MakeSaturatingLift)              \
+  X(vortex_ring, MakeVortexRing)                      \
+  X(vertical_drag, MakeVerticalDrag)                  \
+  X(body_moment, MakeBodyMoment)                      \
+  X(rotor_interference, MakeRotorInterference)        \
+  X(blade_element, MakeBladeElement)
 
 namespace odmc {
 

@@ -15,6 +15,8 @@ struct FlownRange {
   double start_s = 0.0, end_s = 0.0;
   double lowest_m = 0.0;        ///< in the odometry's world
   double height_range_m = 0.0;  ///< from the 5th to the 95th percentile
+  double speed_m_s = 0.0;       ///< over ground, 95th percentile
+  double descent_m_s = 0.0;     ///< along the body's -z, 95th percentile; at least 0
 };
 
 /// One way to try an effect.

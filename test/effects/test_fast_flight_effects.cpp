@@ -1,0 +1,242 @@
+// Effects of fast flight: their signs, limits and continuity, which flights ask for them, and whether
+// a simulated flight gives each back.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "odmc/analysis/recovery.h"
+#include "odmc/attribution/candidates.h"
+#include "odmc/effects/effects.h"
+#include "odmc/model/dynamic_model.h"
+#include "support/jacobian_check.h"
+#include "support/test_vehicle.h"
+
+namespace odmc {
+namespace test {
+namespace {
+
+using Eigen::Vector3d;
+
+constexpr double kOmega = 1100.0;
+
+struct Result {
+  Vector3d force, torque;
+};
+
+/// One effect in the nominal vehicle, its k_f that of the file.
+class Alone {
+ public:
+  explicit Alone(const std::string& name, const std::vector<double>& own)
+      : model_(NominalVehicle(), {name}), values_(model_.InitialValues()) {
+    for (size_t i = 0; i < own.size(); ++i) values_[static_cast<Eigen::Index>(i)] = own[i];
+  }
+
+  Result At(const Vector3d& air, double speed = kOmega) const {
+    FlightState flight;
+    flight.v_AB_B = air;
+    flight.rotors = RotorState::Steady(RotorVector::Constant(4, speed));
+    Result r;
+    model_.EvaluateWrench(flight, values_, Vector3d::Zero(), &r.force, &r.torque);
+    return r;
+  }
+
+ private:
+  DynamicModel model_;
+  ModelValues values_;
+};
+
+TEST(InflowDrag, AddsToRotorDragInClimbAndTakesFromItInDescent) {
+  const Alone effect("inflow_drag", {1.4e-3});
+  EXPECT_LT((effect.At({10, -5, 4}).force - Vector3d(-0.056, 0.028, 0.0)).norm(), 1e-12);
+  EXPECT_LT((effect.At({10, -5, -4}).force - Vector3d(0.056, -0.028, 0.0)).norm(), 1e-12);
+  EXPECT_EQ(effect.At({10, -5, 0}).force.norm(), 0.0);
+  EXPECT_EQ(effect.At({10, -5, 4}).torque.norm(), 0.0);
+}
+
+TEST(SaturatingLift, IsHvtWhileSlowAndHasALimit) {
+  const Alone effect("saturating_lift", {0.01});
+  EXPECT_NEAR(effect.At({0.3, 0.4, 0.0}).force.z(), 0.01 * 0.25, 1e-5);
+  const double stall = 0.4 * kOmega * 0.0635, limit = 0.01 * stall * stall;
+  double last = 0.0;
+  for (double speed = 1.0; speed < 200.0; speed += 1.0) {
+    const double lift = effect.At({speed, 0.0, 0.0}).force.z();
+    EXPECT_GT(lift, last);
+    EXPECT_LT(lift, limit);
+    last = lift;
+  }
+  EXPECT_NEAR(effect.At({stall, 0.0, 0.0}).force.z(), 0.5 * limit, 1e-9);
+  // A rotor at rest lifts nothing.
+  EXPECT_EQ(effect.At({10.0, 0.0, 0.0}, 0.0).force.z(), 0.0);
+}
+
+TEST(VortexRing, TakesThrustInSlowDescentOnly) {
+  const Alone effect("vortex_ring", {0.2});
+  const double thrust = 4.0 * 1.5e-6 * kOmega * kOmega;
+  const double v = std::sqrt(thrust / 4.0 / (2.0 * 1.225 * M_PI * 0.0635 * 0.0635));
+  EXPECT_NEAR(effect.At({0, 0, -v}).force.z(), -0.2 * thrust, 1e-9 * thrust);
+  EXPECT_EQ(effect.At({0, 0, 5.0}).force.z(), 0.0);
+  // No slope in hover, and no jump anywhere.
+  EXPECT_NEAR(effect.At({0, 0, -1e-4}).force.z(), 0.0, 1e-9 * thrust);
+  double last = 0.0;
+  for (double descent = 0.0; descent < 10.0 * v; descent += 0.01) {
+    const double force = effect.At({0, 0, -descent}).force.z();
+    EXPECT_LE(force, 0.0);
+    EXPECT_GE(force, -0.2 * thrust * (1.0 + 1e-12));
+    EXPECT_LT(std::abs(force - last), 0.002 * thrust);
+    last = force;
+  }
+  EXPECT_LT(std::abs(last), 0.01 * thrust);
+  EXPECT_GT(effect.At({3.0 * v, 0, -v}).force.z(), -0.01 * thrust);
+}
+
+TEST(VerticalDrag, NeverAddsEnergy) {
+  const Alone effect("vertical_drag", {0.047});
+  EXPECT_NEAR(effect.At({3, 0, 4}).force.z(), -0.047 * 5.0 * 4.0, 1e-12);
+  Random random(3);
+  for (int i = 0; i < 100; ++i) {
+    const Vector3d air = random.Next3(15.0);
+    const Result r = effect.At(air);
+    EXPECT_LE(r.force.dot(air), 0.0);
+    EXPECT_EQ(r.force.head<2>().norm(), 0.0);
+  }
+  EXPECT_EQ(effect.At(Vector3d::Zero()).force.norm(), 0.0);
+}
+
+TEST(BodyMoment, TurnsAboutTheAxisAcrossTheAir) {
+  const Alone effect("body_moment", {1e-3, 2e-3, 3e-3, 4e-3});
+  EXPECT_LT((effect.At({10, 0, 0}).torque - Vector3d(0.0, 0.3, 0.0)).norm(), 1e-12);
+  EXPECT_LT((effect.At({0, 10, 0}).torque - Vector3d(-0.1, 0.0, 0.0)).norm(), 1e-12);
+  EXPECT_LT((effect.At({3, 0, 4}).torque - Vector3d(0.0, 3e-3 * 15.0 + 4e-3 * 12.0, 0.0)).norm(), 1e-12);
+  EXPECT_EQ(effect.At({0, 0, 7}).torque.norm(), 0.0);
+  EXPECT_EQ(effect.At({3, 4, 5}).force.norm(), 0.0);
+}
+
+TEST(RotorInterference, RaisesTheNoseInForwardFlightAndSaturates) {
+  const Alone effect("rotor_interference", {0.1});
+  EXPECT_EQ(effect.At(Vector3d::Zero()).torque.norm(), 0.0);
+  const Result forward = effect.At({8, 0, 0}), left = effect.At({0, 8, 0});
+  EXPECT_LT(forward.torque.y(), 0.0);
+  EXPECT_NEAR(forward.torque.x(), 0.0, 1e-12);
+  EXPECT_GT(left.torque.x(), 0.0);
+  EXPECT_NEAR(forward.force.norm(), 0.0, 1e-12);  // what the front gains the rear loses
+  // At most k_i of each rotor's thrust at its place along the flight.
+  const double arm = NominalVehicle().ArmLength();
+  const double limit = 0.1 * 4.0 * 1.5e-6 * kOmega * kOmega * 0.095 * 0.095 / arm;
+  EXPECT_NEAR(effect.At({500, 0, 0}).torque.y(), -limit, 1e-3 * limit);
+  // It starts with the square of the speed.
+  EXPECT_NEAR(effect.At({0.02, 0, 0}).torque.y() / effect.At({0.01, 0, 0}).torque.y(), 4.0, 1e-3);
+}
+
+class Borrowing : public testing::TestWithParam<std::string> {};
+
+TEST_P(Borrowing, DerivativeByTheThrustCoefficient) {
+  const DynamicModel model(NominalVehicle(), {"thrust", GetParam()});
+  const int k = model.IndexOf("thrust.k_f");
+  Random random(7);
+  for (int round = 0; round < 5; ++round) {
+    FlightState flight;
+    flight.v_AB_B = random.Next3(8.0) - Vector3d(0.0, 0.0, 4.0);
+    flight.w_WB_B = random.Next3(2.0);
+    RotorVector speed(4);
+    for (int j = 0; j < 4; ++j) speed[j] = 1100.0 + random.Next(300.0);
+    flight.rotors = RotorState::Steady(speed);
+    ModelValues values = model.InitialValues();
+    for (int i = 0; i < values.size(); ++i) {
+      if (i != k && values[i] == 0.0) values[i] = 0.7 * model.parameters()[i].spec.prior_sigma;
+    }
+    const double step = 1e-5 * values[k];
+    ModelValues plus = values, minus = values;
+    plus[k] += step;
+    minus[k] -= step;
+    Vector3d f, tau, f_plus, tau_plus, f_minus, tau_minus;
+    ModelWrenchJacobians J;
+    model.EvaluateWrench(flight, values, Vector3d::Zero(), &f, &tau, &J);
+    model.EvaluateWrench(flight, plus, Vector3d::Zero(), &f_plus, &tau_plus);
+    model.EvaluateWrench(flight, minus, Vector3d::Zero(), &f_minus, &tau_minus);
+    const Vector3d d_f = (f_plus - f_minus) / (2.0 * step);
+    const Vector3d d_tau = (tau_plus - tau_minus) / (2.0 * step);
+    EXPECT_LT((J.d_values.col(k).head<3>() - d_f).norm(), 1e-6 * d_f.norm());
+    EXPECT_LT((J.d_values.col(k).tail<3>() - d_tau).norm(), 1e-6 * d_tau.norm());
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(FastFlight, Borrowing,
+                         testing::Values("vortex_ring", "rotor_interference", "blade_element"),
+                         [](const auto& name) { return name.param; });
+
+const std::vector<std::string> kFast = {"inflow_drag", "saturating_lift", "vertical_drag",
+                                        "body_moment", "rotor_interference"};
+
+/// Level flight at one speed, sinking at another.
+FlightMotion Flight(double speed, double descent) {
+  FlightMotion flight;
+  for (int i = 0; i < 100; ++i) {
+    FilteredMotion m;
+    m.t_s = 0.01 * i;
+    m.R_WS.setIdentity();
+    m.p_WS.setZero();
+    m.v_WS = {speed, 0.0, -descent};
+    m.w_S.setZero();
+    flight.samples.push_back(m);
+  }
+  return flight;
+}
+
+bool IsCandidate(const std::string& name, const FlightMotion& flight) {
+  const std::vector<Candidate> all = CandidatesFor(NominalVehicle(), flight);
+  return std::any_of(all.begin(), all.end(), [&](const Candidate& c) { return c.effect == name; });
+}
+
+TEST(FastFlightEffects, AreAskedForOnFastFlightsOnly) {
+  // Tip speed of the nominal vehicle in hover: 70.3 m/s.
+  for (const std::string& name : kFast) {
+    EXPECT_FALSE(IsCandidate(name, Flight(6.9, 0.0))) << name;
+    EXPECT_TRUE(IsCandidate(name, Flight(7.2, 0.0))) << name;
+  }
+  // Induced velocity of hover 7.7 m/s.
+  EXPECT_FALSE(IsCandidate("vortex_ring", Flight(12.0, 3.7)));
+  EXPECT_TRUE(IsCandidate("vortex_ring", Flight(0.0, 4.0)));
+  EXPECT_FALSE(IsCandidate("blade_element", Flight(15.0, 5.0)));
+}
+
+// Two flights of each with truths of natural size; scripts/effect_recovery flies many.
+class Recovered : public testing::TestWithParam<std::string> {};
+
+TEST_P(Recovered, ComesBackWithinThreeSigma) {
+  Vehicle vehicle = NominalVehicle();
+  vehicle.effects.push_back(GetParam());
+  const auto effect = EffectRegistry::Default().Make(GetParam(), vehicle);
+  for (const ParameterSpec& spec : effect->parameters()) {
+    ParameterSetting& setting = vehicle.parameters[GetParam() + "." + spec.name];
+    setting.value = spec.prior_value + (spec.prior_value == 0.0 ? 0.7 * spec.prior_sigma : 0.0);
+    setting.estimated = true;
+  }
+  vehicle = RecoveryVehicle(vehicle);
+  RecoveryOptions options;
+  options.simulation.trajectory = "aggressive";
+  options.simulation.duration_s = 20.0;
+  options.simulation.log_rate_hz = 200.0;
+  options.estimator.max_update_time_s = 10.0;
+  options.estimator.keyframe_rate_hz = 50.0;
+  options.seeds = 2;
+  options.jobs = 2;
+  int checked = 0;
+  for (const ParameterRecovery& p : Recover(vehicle, options).parameters) {
+    if (p.full_name.rfind(GetParam() + ".", 0) != 0) continue;
+    EXPECT_EQ(p.coverage_3sigma, 1.0) << p.full_name << " is off by " << p.median_error_over_sigma
+                                      << " sigma";
+    ++checked;
+  }
+  EXPECT_EQ(checked, static_cast<int>(effect->parameters().size()));
+}
+
+INSTANTIATE_TEST_SUITE_P(FastFlight, Recovered,
+                         testing::Values("inflow_drag", "saturating_lift", "vortex_ring",
+                                         "vertical_drag", "body_moment", "rotor_interference",
+                                         "blade_element"),
+                         [](const auto& name) { return name.param; });
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc
