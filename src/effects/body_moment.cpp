@@ -38,7 +38,7 @@ class BodyMoment final : public Effect {
   static ParameterSpec Coefficient(const std::string& name, const std::string& description,
                                    const Vehicle& vehicle) {
     const double natural = 0.02 * vehicle.mass_kg * vehicle.ArmLength();
-    return {name, "kg", description, 0.0, 3.0 * natural, natural};
+    return {name, "kg", description, 0.0, natural, natural};
   }
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
