@@ -32,7 +32,7 @@ double InflowSquaredPerThrust(const Rotor& rotor) {
 }
 
 std::vector<EffectTrial> FastTrials(const Vehicle& vehicle, const FlownRange& flown) {
-  constexpr double kSecondOrder = 0.1;
+  constexpr double kSecondOrder = 0.15;
   const double speed = HoverSpeed(vehicle);
   for (const Rotor& rotor : vehicle.rotors) {
     if (flown.speed_m_s > kSecondOrder * speed * rotor.radius_m) return {EffectTrial()};

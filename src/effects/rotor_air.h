@@ -22,8 +22,8 @@ double InflowSquaredPerThrust(const Rotor& rotor);
 
 /// The trials of an effect of second order in the advance ratio (air speed over tip speed): one
 /// where the flight is fast enough to show it, else none. Such effects change thrust by the square of
-/// that ratio, or by an inflow ratio near 0.1 times it: at 0.1 by 1 %, which is what a calibrated
-/// model misses of the force anyway.
+/// that ratio, or by an inflow ratio near 0.1 times it: at 0.15 by 2 %, which is what a calibrated
+/// model without them misses of the weight at 6 m/s (docs/effects.md).
 std::vector<EffectTrial> FastTrials(const Vehicle& vehicle, const FlownRange& flown);
 
 /// Air velocity of a hub, u_j = v_AB_B + w × r_j [m/s].

@@ -189,10 +189,10 @@ bool IsCandidate(const std::string& name, const FlightMotion& flight) {
 }
 
 TEST(FastFlightEffects, AreAskedForOnFastFlightsOnly) {
-  // Tip speed of the nominal vehicle in hover: 70.3 m/s.
+  // Tip speed of the nominal vehicle in hover: 70.3 m/s, of which 0.15 is 10.5 m/s.
   for (const std::string& name : kFast) {
-    EXPECT_FALSE(IsCandidate(name, Flight(6.9, 0.0))) << name;
-    EXPECT_TRUE(IsCandidate(name, Flight(7.2, 0.0))) << name;
+    EXPECT_FALSE(IsCandidate(name, Flight(10.4, 0.0))) << name;
+    EXPECT_TRUE(IsCandidate(name, Flight(10.7, 0.0))) << name;
   }
   // Induced velocity of hover 7.7 m/s.
   EXPECT_FALSE(IsCandidate("vortex_ring", Flight(12.0, 3.7)));
