@@ -12,8 +12,10 @@
 namespace odmc {
 namespace {
 
-constexpr double kMostSpread_s = 0.01;  // between the stamps of one message's entries
 constexpr double kLeastPulse_us = 500.0;  // an output without pulses reads 0
+
+constexpr double kLeastDate_s = 1e9;     // of 2001: no clock runs so long from its start
+constexpr double kSameClock_s = 1.0;     // between a date and the message that brought it
 
 enum Note { kArrival, kZeroStamp, kMd5, kUnit, kPadded };
 
@@ -105,6 +107,15 @@ double RotorSpeedScale(const std::string& unit, int pole_pairs) {
   return rpm / pole_pairs;
 }
 
+double StampScale(const std::string& unit) {
+  if (unit == "auto") return 0.0;
+  if (unit == "s") return 1.0;
+  if (unit == "ms") return 1e-3;
+  if (unit == "us") return 1e-6;
+  if (unit == "ns") return 1e-9;
+  throw std::invalid_argument("rotor_stamp_unit must be auto, s, ms, us or ns, not '" + unit + "'");
+}
+
 std::vector<int> ParseOrder(const std::string& text) {
   std::string plain;
   for (const char c : text) {
@@ -188,8 +199,27 @@ void ForeignStream::Settle(const FieldOptions& options, const MessageDescription
     stamp_ = layout_.Find("header.stamp");
     if (stamp_->kind != FieldKind::kTime) stamp_.reset();
   }
-  if (is_the_known_field && *known->entry_stamps != '\0' && layout_.Has(known->entry_stamps)) {
-    entry_stamps_ = layout_.Find(known->entry_stamps);
+  SettleStamp(options, is_the_known_field ? known : nullptr);
+}
+
+/// @param known  what is known of the field of the numbers; null: nothing
+void ForeignStream::SettleStamp(const FieldOptions& options, const KnownMessage* known) {
+  const bool has_known =
+      known != nullptr && *known->entry_stamps != '\0' && layout_.Has(known->entry_stamps);
+  if (options.stamp_field.empty()) {
+    if (has_known) entry_stamps_ = layout_.Find(known->entry_stamps);
+    return;
+  }
+  entry_stamps_ = layout_.Find(options.stamp_field);
+  const FieldKind kind = entry_stamps_->kind;
+  if (kind == FieldKind::kString) layout_.Numbers(*entry_stamps_, nullptr, 0);  // says what it is
+  const bool is_time = kind == FieldKind::kTime || kind == FieldKind::kDuration;
+  if (is_time) return;
+  stamp_scale_ = StampScale(options.stamp_unit);
+  if (stamp_scale_ == 0.0) {
+    throw std::invalid_argument(layout_.type() + " does not say in which unit " +
+                                options.stamp_field +
+                                " is: give rotor_stamp_unit (s, ms, us, ns)");
   }
 }
 
@@ -198,6 +228,13 @@ std::string ForeignStream::Describe() const {
                             : stamp_      ? stamp_->text
                                           : "time of arrival";
   return field_.text + " in " + unit_ + ", " + stamp;
+}
+
+std::string ForeignStream::StampSource() const {
+  const std::string message = is_arrival_ ? "time of arrival" : "header.stamp";
+  if (!entry_stamps_) return message;
+  return entry_stamps_->text +
+         (has_own_clock_.value_or(false) ? ", a clock of its own laid on " + message : "");
 }
 
 void ForeignStream::NoteOnce(int kind, const std::string& sentence) {
@@ -217,19 +254,56 @@ std::optional<ForeignReading> ForeignStream::Read(const std::uint8_t* data, size
   std::vector<double> values = Choose(entries);
   for (double& value : values) value = ToUnit(value);
   if (!entry_stamps_) return ForeignReading{StampOf(data, size, arrival), std::move(values)};
-  const std::vector<Stamp> all = layout_.Stamps(*entry_stamps_, data, size);
-  if (all.empty()) return ForeignReading{StampOf(data, size, arrival), std::move(values)};
+  const std::vector<Stamp> stamps = EntryStamps(data, size, entries.size(), values.size());
+  if (stamps.empty()) return ForeignReading{StampOf(data, size, arrival), std::move(values)};
+  const Stamp newest = *std::max_element(stamps.begin(), stamps.end());
+  if (newest == 0) return std::nullopt;
+  const Stamp offset = OffsetOf(newest, data, size, arrival);
+  std::optional<ForeignReading> reading = aligner_.Add(values, stamps);
+  if (reading) reading->stamp += offset;
+  return reading;
+}
+
+/// Of the values that were chosen; empty where the message has none.
+std::vector<Stamp> ForeignStream::EntryStamps(const std::uint8_t* data, size_t size,
+                                              size_t entries, size_t values) const {
+  std::vector<Stamp> all;
+  if (stamp_scale_ == 0.0) {
+    all = layout_.Stamps(*entry_stamps_, data, size);
+  } else {
+    for (const double number : layout_.Numbers(*entry_stamps_, data, size)) {
+      const double stamp_ns = number * stamp_scale_ * 1e9;
+      const bool fits = std::abs(stamp_ns) < 9e18;  // else, or not a number: none
+      all.push_back(fits ? static_cast<Stamp>(std::llround(stamp_ns)) : 0);
+    }
+  }
+  const bool is_of_all = std::none_of(entry_stamps_->steps.begin(), entry_stamps_->steps.end(),
+                                      [](const FieldPath::Step& step) { return step.all; });
+  if (is_of_all && all.size() == 1) return std::vector<Stamp>(values, all.front());
   std::vector<Stamp> stamps;
-  for (size_t i = 0; i < values.size(); ++i) {
+  for (size_t i = 0; i < values && !all.empty(); ++i) {
     const size_t entry = order_.empty() ? i : static_cast<size_t>(order_[i]) - 1;
     if (entry >= all.size()) {
       throw std::invalid_argument(layout_.type() + ": " + entry_stamps_->text + " has " +
                                   std::to_string(all.size()) + " stamps for " +
-                                  std::to_string(entries.size()) + " entries of " + field_.text);
+                                  std::to_string(entries) + " entries of " + field_.text);
     }
     stamps.push_back(all[entry]);
   }
-  return Align(values, std::move(stamps));
+  return stamps;
+}
+
+/// From the entries' clock to that of the messages. Times of ROS are on it already.
+Stamp ForeignStream::OffsetOf(Stamp newest, const std::uint8_t* data, size_t size,
+                              Stamp arrival) {
+  if (entry_stamps_->kind == FieldKind::kTime) return 0;
+  const Stamp message = StampOf(data, size, arrival);
+  if (!has_own_clock_) {
+    const bool is_date = ToSeconds(newest) > kLeastDate_s &&
+                         std::abs(ToSeconds(message - newest)) < kSameClock_s;
+    has_own_clock_ = !is_date;
+  }
+  return *has_own_clock_ ? offset_.Follow(newest, message) : 0;
 }
 
 /// The entries that are rotors, in their order.
@@ -270,40 +344,18 @@ double ForeignStream::ToUnit(double value) const {
 Stamp ForeignStream::StampOf(const std::uint8_t* data, size_t size, Stamp arrival) {
   if (stamp_) {
     const Stamp stamp = layout_.Stamps(*stamp_, data, size).front();
+    is_arrival_ = stamp == 0;
     if (stamp != 0) return stamp;
     NoteOnce(kZeroStamp, layout_.type() +
                              ": headers without a stamp: took the time of arrival, which is late "
                              "by what the link takes");
     return arrival;
   }
+  is_arrival_ = true;
   NoteOnce(kArrival, layout_.type() +
                          " has no stamp: took the time of arrival, which is late by what the link "
                          "takes");
   return arrival;
-}
-
-/// Values at the earliest of their stamps, each on the line from its reading before.
-std::optional<ForeignReading> ForeignStream::Align(const std::vector<double>& values,
-                                                   std::vector<Stamp> stamps) {
-  const auto [first, last] = std::minmax_element(stamps.begin(), stamps.end());
-  const bool is_apart = ToSeconds(*last - *first) > kMostSpread_s;
-  ForeignReading reading{*first, values};
-  const bool has_last = last_stamps_.size() == stamps.size();
-  bool is_known = !is_apart;
-  for (size_t i = 0; i < stamps.size(); ++i) {
-    if (stamps[i] == reading.stamp) continue;
-    if (!has_last || last_stamps_[i] > reading.stamp) {
-      is_known = false;
-      break;
-    }
-    const double share = static_cast<double>(reading.stamp - last_stamps_[i]) /
-                         static_cast<double>(stamps[i] - last_stamps_[i]);
-    reading.values[i] = last_values_[i] + share * (values[i] - last_values_[i]);
-  }
-  last_values_ = values;
-  last_stamps_ = std::move(stamps);
-  if (!is_known) return std::nullopt;
-  return reading;
 }
 
 }  // namespace odmc

@@ -5,6 +5,7 @@
 #include <ros/init.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/image_encodings.h>
+#include <std_msgs/Float64.h>
 #include <std_msgs/String.h>
 #include <sys/resource.h>
 #include <sys/syscall.h>
@@ -54,6 +55,7 @@ constexpr int kWatchNiceness = 10;
 constexpr double kCommandsLost_s = 0.5;  // RotorSource then watches no longer
 constexpr size_t kBatch = 300;           // samples taken from the queue at once
 constexpr size_t kTimedUpdates = 1000;   // the percentiles look back this far
+constexpr double kPathSpacing_s = 0.05;
 constexpr char kCalibrated[] = "_calibrated";
 
 /// Date and time in ISO 8601, UTC.
@@ -176,6 +178,11 @@ bool EstimatorNodeOptions::IsValid(std::string* error) const {
     return fail("on_time_reset must be restart or stop, not '" + on_time_reset + "'");
   }
   if (!(publish_rate_hz > 0.0)) return fail("publish_rate_hz must be positive");
+  if (!(display_rate_hz > 0.0)) return fail("display_rate_hz must be positive");
+  if (!(path_length_s > 0.0)) return fail("path_length_s must be positive");
+  if (body_tf != "never" && body_tf != "auto" && body_tf != "always") {
+    return fail("body_tf must be never, auto or always, not '" + body_tf + "'");
+  }
   if (queue_size < 100) return fail("queue_size must be at least 100");
   if (rotor_radius_m < 0.0) return fail("rotor_radius_m must not be negative");
   if (body_frame.empty()) return fail("body_frame must not be empty");
@@ -239,10 +246,12 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
                              EstimatorNodeSetup setup)
     : setup_(std::move(setup)),
       node_(node),
+      private_node_(private_node),
       declared_effects_(setup_.vehicle.effects),
       declared_parameters_(setup_.vehicle.parameters),
       intake_(setup_.options.twist_frame, IntakeOf(setup_)),
-      acceptance_(setup_.options.acceptance) {
+      acceptance_(setup_.options.acceptance),
+      path_(setup_.options.path_length_s, kPathSpacing_s) {
   parameters_publisher_ = node_.advertise<DynamicParameters>("parameters", 10);
   accepted_publisher_ = node_.advertise<DynamicParameters>("parameters_accepted", 1, true);
   state_publisher_ = node_.advertise<nav_msgs::Odometry>("state", 10);
@@ -251,7 +260,15 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
   phase_publisher_ = node_.advertise<std_msgs::String>("phase", 10, true);
   diagnostics_publisher_ = node_.advertise<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10);
   image_publisher_ = node_.advertise<sensor_msgs::Image>("live_image", 1);
+  displays_publisher_ =
+      private_node_.advertise<visualization_msgs::MarkerArray>("displays", 10);
+  path_publisher_ = private_node_.advertise<nav_msgs::Path>("path", 10);
+  plot_publisher_ = private_node_.advertise<sensor_msgs::JointState>("estimates_plot", 10);
   tf_listener_ = std::make_unique<tf2_ros::TransformListener>(tf_buffer_);
+  const EstimatorNodeOptions& options = setup_.options;
+  if (options.uses_tf()) {
+    tf_odometry_.emplace(options.odometry_tf_parent, options.odometry_tf_child);
+  }
   if (setup_.history) history_watch_.emplace(*setup_.history);
   const std::optional<Actuator>& actuator = setup_.vehicle.actuator;
   if (actuator && actuator->knows_dynamics) {
@@ -266,8 +283,7 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
   reporting_thread_ = std::thread(&EstimatorNode::RunReporting, this);
   watching_thread_ = std::thread(&EstimatorNode::RunWatching, this);
   for (const StreamRole& role : StreamRoles()) {
-    // Nobody could make anything of commands without the actuator.
-    if (role.stream != InputStream::kMotorCommands || rotor_source_) Subscribe(role.stream);
+    if (IsWanted(role.stream)) Subscribe(role.stream);
   }
   Offer(private_node);
 }
@@ -291,6 +307,14 @@ bool EstimatorNode::Stop() {
 
 // ---- ROS threads -------------------------------------------------------------------------------
 
+bool EstimatorNode::IsWanted(InputStream stream) const {
+  // Nobody could make anything of commands without the actuator.
+  if (stream == InputStream::kMotorCommands) return rotor_source_.has_value();
+  if (IsTf(stream)) return tf_odometry_.has_value();
+  const bool is_motion = stream == InputStream::kOdometry || stream == InputStream::kPose;
+  return !is_motion || !tf_odometry_;
+}
+
 /// Topics may have messages of any type: publishers bring the definition with them.
 void EstimatorNode::Subscribe(InputStream stream) {
   const auto reader =
@@ -300,7 +324,8 @@ void EstimatorNode::Subscribe(InputStream stream) {
         Take(stream, *event.getConstMessage(), FromRos(event.getReceiptTime()), reader.get());
       };
   ros::SubscribeOptions options;
-  options.initByFullCallbackType<const ros::MessageEvent<const RawMessage>&>(NameOf(stream), 2000,
+  const std::string topic = (IsTf(stream) ? "/" : "") + std::string(NameOf(stream));
+  options.initByFullCallbackType<const ros::MessageEvent<const RawMessage>&>(topic, 2000,
                                                                             callback);
   options.transport_hints = ros::TransportHints().tcpNoDelay();
   subscribers_.push_back(node_.subscribe(options));
@@ -309,11 +334,13 @@ void EstimatorNode::Subscribe(InputStream stream) {
 void EstimatorNode::Take(InputStream stream, const RawMessage& message, Stamp arrival,
                          StreamReader* reader) {
   try {
+    if (IsTf(stream)) return TakeTransforms(stream, message);
     std::optional<InputSample> input = reader->Read(message, arrival);
     for (const std::string& note : reader->TakeNotes()) {
       Warn(std::string(NameOf(stream)) + ": " + Printable(note));
     }
     if (!input) return CountPassedOver(stream);
+    NoteStamps(stream, reader->stamp_source());
     WarnOfSigns(*input);
     std::optional<InputSample> accepted = Accepted(*std::move(input));
     if (!accepted) return Refuse(stream, "");
@@ -323,6 +350,38 @@ void EstimatorNode::Take(InputStream stream, const RawMessage& message, Stamp ar
     ROS_WARN_THROTTLE(10.0, "%s: %s", NameOf(stream), refusal.c_str());
     Refuse(stream, refusal);
   }
+}
+
+/// Poses that a message of tf completes.
+void EstimatorNode::TakeTransforms(InputStream stream, const RawMessage& message) {
+  std::vector<InputSample> ready;
+  for (OdometryInput& pose : tf_odometry_->Read(message, stream)) {
+    std::optional<InputSample> accepted = Accepted(InputSample(std::move(pose)));
+    if (!accepted) continue;
+    for (InputSample& sample : Paired(InputStream::kPose, *std::move(accepted))) {
+      ready.push_back(std::move(sample));
+    }
+    tf_leads_ = true;
+  }
+  const Clock::time_point now = Clock::now();
+  if (!tf_leads_ && now - tf_described_ > kTfPatience) {
+    tf_described_ = now;
+    const std::lock_guard<std::mutex> lock(queue_mutex_);
+    streams_[static_cast<size_t>(InputStream::kTf)].refusal = Printable(tf_odometry_->Describe());
+  } else if (tf_leads_ && stream == InputStream::kTf) {
+    NoteStamps(stream, "those of tf");
+  }
+  Push(stream, std::move(ready));
+}
+
+void EstimatorNode::NoteStamps(InputStream stream, const std::string& stamps) {
+  std::string& noted = stamps_[static_cast<size_t>(stream)];
+  if (noted == stamps) return;
+  noted = stamps;
+  const std::lock_guard<std::mutex> lock(queue_mutex_);
+  StreamStatus& status = streams_[static_cast<size_t>(stream)];
+  status.stamps = stamps;
+  if (IsTf(stream)) status.refusal.clear();  // the frames hang together now
 }
 
 /// What is ready for the queue: poses may have to wait for the twist after them.
@@ -560,6 +619,7 @@ void EstimatorNode::OnClockStepBack() {
     acceptance_.Reset();
     if (watch_) watch_->Clear();
     if (streams_seen_) streams_seen_->Clear();
+    path_.Clear();
     const std::lock_guard<std::mutex> lock(status_mutex_);
     history_.Clear();  // its time axis would run backwards
   }
@@ -574,7 +634,7 @@ bool EstimatorNode::ResolveMounts() {
   if (!waiting_for_tf_since_) waiting_for_tf_since_ = now;
   const bool patient = now - *waiting_for_tf_since_ < kTfPatience;
   Vehicle& vehicle = setup_.vehicle;
-  const std::string& odometry_frame = intake_.sensor_frame_id();
+  const std::string& odometry_frame = SensorFrame();
   std::optional<SensorMount> odometry, imu;
   const bool needs_odometry = !setup_.odometry_mount_known && !odometry_frame.empty();
   const bool needs_imu = !vehicle.imu && intake_.imu_frame_id();
@@ -786,6 +846,7 @@ void EstimatorNode::StepWhileThereIsMore() {
         last_is_published_ = false;
       }
       PublishParameters(*last_);
+      PublishDisplays(*last_);
     }
     ShareStatus();
   }
@@ -914,7 +975,10 @@ void EstimatorNode::PublishEstimate(const Snapshot& snapshot) {
   const std::string& body_frame = setup_.options.body_frame;
   state_publisher_.publish(BodyOdometry(snapshot, intake_.frame_id(), body_frame));
   wrench_publisher_.publish(ResidualWrench(snapshot, body_frame));
+  path_.Add(snapshot);
   PublishParameters(snapshot);
+  PublishBodyTransform(snapshot);
+  PublishDisplays(snapshot);
 }
 
 void EstimatorNode::PublishParameters(const Snapshot& snapshot) {
@@ -930,6 +994,7 @@ void EstimatorNode::PublishParameters(const Snapshot& snapshot) {
   message.trust_reasons = TrustReasons(findings_);
   message.phase = phase_;
   parameters_publisher_.publish(message);
+  PublishPlots(snapshot);
   PublishTransforms(snapshot);
   if (message.accepted && snapshot.airborne && interrupted_.empty() &&
       time - accepted_published_ >= kAcceptedPeriod) {
@@ -953,7 +1018,7 @@ void EstimatorNode::PublishTransforms(const Snapshot& snapshot) {
   const std::string& body_frame = setup_.options.body_frame;
   std::vector<geometry_msgs::TransformStamped> transforms;
   if (IsEstimated(*last_model_, "odometry_extrinsics")) {
-    const std::string& frame = intake_.sensor_frame_id();
+    const std::string& frame = SensorFrame();
     transforms.push_back(ToTransform(snapshot.stamp, body_frame,
                                      (frame.empty() ? "odometry" : frame) + kCalibrated,
                                      snapshot.body.p_BS, snapshot.body.R_BS));
@@ -965,6 +1030,70 @@ void EstimatorNode::PublishTransforms(const Snapshot& snapshot) {
                                      snapshot.body.p_BI, snapshot.body.R_BI));
   }
   if (!transforms.empty()) tf_broadcaster_.sendTransform(transforms);
+}
+
+/// RViz refuses a frame without a name, as some odometry has it.
+std::string EstimatorNode::WorldFrame() const {
+  return intake_.frame_id().empty() ? "world" : intake_.frame_id();
+}
+
+/// Of the odometry's sensor; empty where nobody says.
+const std::string& EstimatorNode::SensorFrame() const {
+  const EstimatorNodeOptions& options = setup_.options;
+  return options.uses_tf() ? options.odometry_tf_child : intake_.sensor_frame_id();
+}
+
+void EstimatorNode::PublishDisplays(const Snapshot& snapshot) {
+  const Clock::time_point time = Clock::now();
+  const std::chrono::duration<double> period(1.0 / setup_.options.display_rate_hz);
+  if (!ros::ok() || time - displayed_ < period) return;
+  displayed_ = time;
+  if (displays_publisher_.getNumSubscribers() > 0) {
+    const std::string verdict = !snapshot.airborne         ? ""
+                                : acceptance_.accepted() ? "accepted"
+                                                         : "not accepted";
+    displays_publisher_.publish(DisplayMarkers(
+        *last_model_, snapshot, {WorldFrame(), setup_.options.body_frame, phase_, verdict}));
+  }
+  if (path_publisher_.getNumSubscribers() > 0) path_publisher_.publish(path_.Message(WorldFrame()));
+}
+
+// Two publishers of one transform would have the vehicle leap to and fro: where it is left to the
+// node, it waits whether somebody else does it.
+void EstimatorNode::PublishBodyTransform(const Snapshot& snapshot) {
+  const std::string& body_tf = setup_.options.body_tf;
+  const std::string& body_frame = setup_.options.body_frame;
+  if (body_tf == "never") return;
+  if (body_tf == "auto") {
+    if (!has_body_tf_ && Clock::now() - started_ > kTfPatience) {
+      has_body_tf_ = tf_buffer_.canTransform(WorldFrame(), body_frame, ros::Time(0));
+    }
+    if (has_body_tf_.value_or(true)) return;
+  }
+  const nav_msgs::Odometry state = BodyOdometry(snapshot, WorldFrame(), body_frame);
+  tf_broadcaster_.sendTransform(ToTransform(
+      snapshot.stamp, WorldFrame(), body_frame, ToEigen(state.pose.pose.position),
+      ToEigen(state.pose.pose.orientation).toRotationMatrix()));
+}
+
+void EstimatorNode::PublishPlots(const Snapshot& snapshot) {
+  const sensor_msgs::JointState plot =
+      PlottedEstimates(*last_model_, snapshot, setup_.options.body_frame);
+  plot_publisher_.publish(plot);
+  if (!setup_.options.plot_topics) return;
+  for (size_t i = 0; i < plot.name.size(); ++i) {
+    auto& [value, sigma] = plot_publishers_[plot.name[i]];
+    if (!value) {
+      const std::string topic = "plot/" + PlotTopic(plot.name[i]);
+      value = private_node_.advertise<std_msgs::Float64>(topic + "/value", 10);
+      sigma = private_node_.advertise<std_msgs::Float64>(topic + "/sigma", 10);
+    }
+    std_msgs::Float64 number;
+    number.data = plot.position[i];
+    value.publish(number);
+    number.data = plot.velocity[i];
+    sigma.publish(number);
+  }
 }
 
 void EstimatorNode::Warn(const std::string& sentence) {
@@ -1028,6 +1157,10 @@ void EstimatorNode::ShareStatus() {
   s.not_finite = not_finite_;
   if (rotor_source_) s.rotors = RotorsNow();
   s.waiting_for = intake_.WaitingFor();
+  if (tf_odometry_ && s.waiting_for == "odometry or pose") {
+    s.waiting_for = "tf from " + setup_.options.odometry_tf_parent + " to " +
+                    setup_.options.odometry_tf_child;
+  }
   if (intake_.phase() == IntakePhase::kRefused) {
     s.fatal = "the twist of the odometry fits neither frame: " + intake_.twist().Describe() +
               "; state twist_frame if the position is at fault";

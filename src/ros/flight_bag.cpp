@@ -26,6 +26,7 @@
 #include "odmc/io/printable_text.h"
 #include "odmc/ros/message_values.h"
 #include "odmc/ros/pose_twist.h"
+#include "odmc/ros/tf_odometry.h"
 #include "odmc/sensing/flight_checks.h"
 #include "odmc/sensing/twist_frame.h"
 
@@ -84,6 +85,10 @@ class BagSource {
   template <typename Use>
   void ReadRaw(const std::string& topic, Use use);
 
+  /// Poses of one frame in another, from all messages of tf.
+  std::vector<OdometryInput> ReadTf(const std::string& parent, const std::string& child,
+                                    FlightLog* log);
+
   /// Number of messages of a topic.
   size_t Count(const std::string& topic) {
     return rosbag::View(bag_, rosbag::TopicQuery(topic)).size();
@@ -96,6 +101,8 @@ class BagSource {
   void CheckMap() const;
   std::set<std::string> KnownTopics(ForeignUse use) const;
   std::string OneOf(const std::set<std::string>& topics, const std::string& role) const;
+  std::string TfTopic(InputStream stream) const;
+  void AddTf(InputStream stream, TfOdometry* tf, std::vector<OdometryInput>* poses);
 
   std::string file_;
   const BagOptions& options_;
@@ -218,6 +225,9 @@ void BagSource::Read(const std::string& topic, InputStream stream, int num_rotor
     for (const std::string& note : reader.TakeNotes()) {
       log->warnings.push_back(source + ": " + note);
     }
+    const bool are_named =
+        stream == InputStream::kRotorSpeeds && !options_.rotor_stamp_field.empty();
+    if (are_named) log->warnings.push_back(source + ": stamps are " + reader.stamp_source());
   } catch (const std::invalid_argument& e) {
     Fail(file_, "topic " + topic + ": " + e.what());
   }
@@ -241,6 +251,50 @@ void BagSource::ReadRaw(const std::string& topic, Use use) {
   } catch (const std::invalid_argument& e) {
     Fail(file_, "topic " + topic + ": " + e.what());
   }
+}
+
+/// By the name: both topics of tf have the same type.
+std::string BagSource::TfTopic(InputStream stream) const {
+  const StreamRole& role = RoleOf(stream);
+  if (options_.topics.count(role.name) > 0) return TopicOf(role.name);
+  std::set<std::string> topics;
+  for (const auto& [topic, type] : types_) {
+    if (std::count(role.types.begin(), role.types.end(), type) > 0 && EndsIn(topic, role.name)) {
+      topics.insert(topic);
+    }
+  }
+  return OneOf(topics, role.name);
+}
+
+void BagSource::AddTf(InputStream stream, TfOdometry* tf, std::vector<OdometryInput>* poses) {
+  const std::string topic = TfTopic(stream);
+  if (topic.empty()) return;
+  try {
+    rosbag::View view(bag_, rosbag::TopicQuery(topic));
+    for (const rosbag::MessageInstance& instance : view) {
+      const auto message = instance.instantiate<RawMessage>();
+      if (message == nullptr) continue;
+      for (OdometryInput& pose : tf->Read(*message, stream)) poses->push_back(std::move(pose));
+    }
+  } catch (const std::invalid_argument& e) {
+    Fail(file_, "topic " + topic + ": " + e.what());
+  }
+}
+
+std::vector<OdometryInput> BagSource::ReadTf(const std::string& parent, const std::string& child,
+                                             FlightLog* log) {
+  TfOdometry tf(parent, child);
+  std::vector<OdometryInput> poses;
+  AddTf(InputStream::kStaticTf, &tf, &poses);  // whenever they were recorded, they hold always
+  AddTf(InputStream::kTf, &tf, &poses);
+  if (poses.empty()) Fail(file_, tf.Describe());
+  if (tf.unmatched() > 0) {
+    log->dropped += tf.unmatched();
+    log->warnings.push_back(file_ + ": tf: " + std::to_string(tf.unmatched()) + " poses of " +
+                            child + " dropped: the way to " + parent +
+                            " has a hole at their stamps");
+  }
+  return poses;
 }
 
 // ---- Messages to samples -----------------------------------------------------------------------
@@ -371,13 +425,11 @@ bool IsOlder(const OdometryInput& a, const OdometryInput& b) {
 
 /// Poses with the velocities of a topic of twists, where the user names one: nobody else knows
 /// whether it is of the same source.
-std::vector<OdometrySample> ReadPoses(BagSource* bag, const std::string& topic,
-                                      const BagOptions& options, FlightLog* log) {
-  RawOdometries poses, twists, messages;
+std::vector<OdometrySample> WithTwists(BagSource* bag, const std::string& source,
+                                       RawOdometries poses, const BagOptions& options,
+                                       FlightLog* log) {
+  RawOdometries twists, messages;
   const bool has_twists = options.topics.count("twist") > 0;
-  bag->Read<OdometryInput>(topic, InputStream::kPose, 0, log,
-                           [&](const OdometryInput& m) { poses.push_back(m); });
-  const std::string source = bag->file() + ": " + topic;
   if (!has_twists) {
     std::vector<OdometrySample> samples;
     for (const OdometryInput& m : poses) samples.push_back(m.sample);
@@ -403,6 +455,28 @@ std::vector<OdometrySample> ReadPoses(BagSource* bag, const std::string& topic,
   take(pairing.Flush());
   if (messages.empty()) Fail(source, "no message");
   return SamplesOf(source, messages, options, log);
+}
+
+std::vector<OdometrySample> ReadPoses(BagSource* bag, const std::string& topic,
+                                      const BagOptions& options, FlightLog* log) {
+  RawOdometries poses;
+  bag->Read<OdometryInput>(topic, InputStream::kPose, 0, log,
+                           [&](const OdometryInput& m) { poses.push_back(m); });
+  return WithTwists(bag, bag->file() + ": " + topic, std::move(poses), options, log);
+}
+
+/// What tf says of the two frames, where the user names them.
+std::vector<OdometrySample> ReadTfPoses(BagSource* bag, const BagOptions& options,
+                                        FlightLog* log) {
+  for (const char* role : {"odometry", "pose"}) {
+    if (options.topics.count(role) > 0) {
+      Fail(bag->file(), std::string("odometry comes from tf (odometry_tf_child is ") +
+                            options.odometry_tf_child + "): --topic " + role + " is not read");
+    }
+  }
+  return WithTwists(bag, bag->file() + ": tf",
+                    bag->ReadTf(options.odometry_tf_parent, options.odometry_tf_child, log),
+                    options, log);
 }
 
 bool IsFinite(const ImuSample& s) {
@@ -515,7 +589,8 @@ constexpr char kBlackbirdState[] = "/blackbird/state", kBlackbirdRotors[] = "/bl
 
 /// Poses of the data set are NED, which no type says: its own topic name does.
 bool IsBlackbird(const BagSource& bag, const BagOptions& options) {
-  return options.topics.empty() && bag.TypeOf(kBlackbirdState) == "geometry_msgs/PoseStamped";
+  return options.topics.empty() && !options.uses_tf() &&
+         bag.TypeOf(kBlackbirdState) == "geometry_msgs/PoseStamped";
 }
 
 BlackbirdFlight::RotorMessage RotorMessageOf(const std::string& file, const MessageLayout& layout,
@@ -570,10 +645,13 @@ FlightLog ReadBlackbirdBag(BagSource* bag, const FlightReadOptions& read) {
   return log;
 }
 
-FlightLog ReadOpenBag(BagSource* bag, const FlightReadOptions& read, const BagOptions& options) {
-  if (IsBlackbird(*bag, options)) return ReadBlackbirdBag(bag, read);
-  FlightLog log;
-  log.file = std::filesystem::path(bag->file()).filename().string();
+/// Odometry, or poses where there is none or mocap is wanted; or tf.
+void ReadMotion(BagSource* bag, const FlightReadOptions& read, const BagOptions& options,
+                FlightLog* log) {
+  if (options.uses_tf()) {
+    if (read.part != FlightPart::kOnboard) UseMocapPoses(ReadTfPoses(bag, options, log), log);
+    return;
+  }
   const bool poses_mapped =
       options.topics.count("pose") > 0 && options.topics.count("odometry") == 0;
   const std::string odometry_topic = poses_mapped ? "" : bag->TopicOf("odometry");
@@ -582,12 +660,19 @@ FlightLog ReadOpenBag(BagSource* bag, const FlightReadOptions& read, const BagOp
   if (wants_poses && pose_topic.empty() && read.part != FlightPart::kOnboard) {
     Fail(bag->file(),
          "no odometry (nav_msgs/Odometry or geometry_msgs/PoseStamped, PoseWithCovarianceStamped, "
-         "TransformStamped); " +
+         "TransformStamped; of tf with --odometry-tf-parent and --odometry-tf-child); " +
              bag->Contents());
   }
+  if (!odometry_topic.empty()) log->odometry = ReadOdometry(bag, odometry_topic, options, log);
+  if (!pose_topic.empty()) UseMocapPoses(ReadPoses(bag, pose_topic, options, log), log);
+}
+
+FlightLog ReadOpenBag(BagSource* bag, const FlightReadOptions& read, const BagOptions& options) {
+  if (IsBlackbird(*bag, options)) return ReadBlackbirdBag(bag, read);
+  FlightLog log;
+  log.file = std::filesystem::path(bag->file()).filename().string();
   if (read.part != FlightPart::kPoses) ReadImu(bag, &log);
-  if (!odometry_topic.empty()) log.odometry = ReadOdometry(bag, odometry_topic, options, &log);
-  if (!pose_topic.empty()) UseMocapPoses(ReadPoses(bag, pose_topic, options, &log), &log);
+  ReadMotion(bag, read, options, &log);
   if (read.part == FlightPart::kPoses) {
     log.imu.clear();
   } else {

@@ -189,6 +189,7 @@ DiagnosticStatus InputDiagnostic(const std::array<StreamStatus, kNumInputStreams
     Put(stream + "_overflowed", s.overflowed, &status);
     if (s.passed_over > 0) Put(stream + "_passed_over", s.passed_over, &status);
     if (!s.refusal.empty()) Put(stream + "_refused_because", s.refusal, &status);
+    if (!s.stamps.empty()) Put(stream + "_stamps", s.stamps, &status);
     if (s.overflowed > before[i].overflowed) {
       status.level = DiagnosticStatus::WARN;
       status.message = stream + ": samples lost, the estimator does not keep up";

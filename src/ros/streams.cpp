@@ -22,21 +22,6 @@ namespace {
 constexpr double kMissing = -1.0;  // as a first variance
 constexpr char kJointState[] = "sensor_msgs/JointState";
 
-/// The message itself, of a type that is compiled in.
-template <typename Message>
-Message Decode(const RawMessage& raw) {
-  if (raw.md5() != ros::message_traits::MD5Sum<Message>::value()) {
-    throw std::invalid_argument("holds another version of " + raw.type() +
-                                " (its definition differs)");
-  }
-  // The stream reads only.
-  auto* bytes = const_cast<std::uint8_t*>(raw.bytes.data());
-  ros::serialization::IStream stream(bytes, static_cast<std::uint32_t>(raw.bytes.size()));
-  Message message;
-  ros::serialization::deserialize(stream, message);
-  return message;
-}
-
 OdometryInput PoseOf(const std_msgs::Header& header, const geometry_msgs::Point& p,
                      const geometry_msgs::Quaternion& q) {
   OdometryInput input;
@@ -121,6 +106,8 @@ const std::vector<StreamRole>& StreamRoles() {
       {InputStream::kTwist,
        "twist",
        {"geometry_msgs/TwistStamped", "geometry_msgs/TwistWithCovarianceStamped"}},
+      {InputStream::kTf, "tf", {"tf2_msgs/TFMessage", "tf/tfMessage"}},
+      {InputStream::kStaticTf, "tf_static", {"tf2_msgs/TFMessage", "tf/tfMessage"}},
   };
   return roles;
 }
@@ -129,11 +116,26 @@ const StreamRole& RoleOf(InputStream stream) { return StreamRoles()[static_cast<
 
 const char* NameOf(InputStream stream) { return RoleOf(stream).name; }
 
+bool IsTf(InputStream stream) {
+  return stream == InputStream::kTf || stream == InputStream::kStaticTf;
+}
+
 void StreamOptions::Check(int num_rotors) const {
   RotorSpeedScale(rotor_speed_unit, pole_pairs);
   if (command_unit != "auto" && !CommandUnitNamed(command_unit)) {
     throw std::invalid_argument("command_unit must be auto, fraction, us or raw16, not '" +
                                 command_unit + "'");
+  }
+  StampScale(rotor_stamp_unit);
+  if (odometry_tf_parent.empty() != odometry_tf_child.empty()) {
+    throw std::invalid_argument(
+        std::string(odometry_tf_parent.empty() ? "odometry_tf_parent" : "odometry_tf_child") +
+        " is missing: odometry from tf needs the frame of the world (parent) and of the body "
+        "(child)");
+  }
+  if (uses_tf() && odometry_tf_parent == odometry_tf_child) {
+    throw std::invalid_argument("odometry_tf_parent and odometry_tf_child are the same frame, " +
+                                odometry_tf_child);
   }
   CheckOrder("rotor_order", rotor_order, num_rotors);
   CheckOrder("command_order", command_order, num_rotors);
@@ -190,6 +192,11 @@ std::optional<InputSample> StreamReader::Read(const RawMessage& message, Stamp a
   if (!is_own) {
     throw std::invalid_argument("is a " + type + ", but " + role_.name + " must be a " + types[0]);
   }
+  if (role_.stream == InputStream::kRotorSpeeds && !options_.rotor_stamp_field.empty()) {
+    throw std::invalid_argument("is a " + type + ", whose header has the stamp: " +
+                                "rotor_stamp_field is for messages of other packages");
+  }
+  stamp_source_ = "header.stamp";
   return ReadOwn(message);
 }
 
@@ -220,7 +227,7 @@ FieldOptions StreamReader::Fields() const {
   switch (role_.stream) {
     case InputStream::kRotorSpeeds:
       return {options_.rotor_topic_field, options_.rotor_speed_unit, options_.pole_pairs,
-              options_.rotor_order};
+              options_.rotor_order, options_.rotor_stamp_field, options_.rotor_stamp_unit};
     case InputStream::kMotorCommands:
       return {options_.command_topic_field, options_.command_unit, options_.pole_pairs,
               options_.command_order};
@@ -243,6 +250,7 @@ std::optional<InputSample> StreamReader::ReadForeign(const RawMessage& message, 
   const std::optional<ForeignReading> reading =
       foreign_->Read(message.bytes.data(), message.bytes.size(), arrival);
   for (std::string& note : foreign_->TakeNotes()) notes_.push_back(std::move(note));
+  if (reading) stamp_source_ = foreign_->StampSource();
   if (!reading) return std::nullopt;
   switch (*role_.foreign) {
     case ForeignUse::kVoltage: return BatterySample{reading->stamp, reading->values.front()};

@@ -369,8 +369,8 @@ void FlightArguments::AddOptionsTo(CLI::App* app) {
   AddOdometryTo(app);
   app->add_option("--topic", topics,
                   "topic of a bag by role, as odometry:=/vio/odom; roles: odometry, pose, imu, "
-                  "rotor_speeds, joint_states, battery_state, motor_commands, twist; may be given "
-                  "several times")
+                  "rotor_speeds, joint_states, battery_state, motor_commands, twist, tf, tf_static; "
+                  "may be given several times")
       ->allow_extra_args(false)
       ->type_name("NAME:=/topic");
   app->add_option("--twist-frame", bag.twist_frame,
@@ -378,6 +378,12 @@ void FlightArguments::AddOptionsTo(CLI::App* app) {
       ->check(CLI::IsMember({"auto", "body", "world"}).description(""))
       ->type_name("auto|body|world")
       ->capture_default_str();
+  app->add_option("--odometry-tf-parent", bag.odometry_tf_parent,
+                  "take the odometry from the bag's tf: frame of the world")
+      ->type_name("FRAME");
+  app->add_option("--odometry-tf-child", bag.odometry_tf_child,
+                  "the same: frame of the body, or of the sensor that the vehicle file mounts")
+      ->type_name("FRAME");
   app->add_option("--rotor-speed-unit", bag.rotor_speed_unit,
                   "unit of a bag's rotor speeds; auto: as the type of the message says, rad_s for "
                   "joint_states")
@@ -426,6 +432,15 @@ void FlightArguments::AddFieldsTo(CLI::App* app) {
                   "where the rotor speeds are in messages of the topic rotor_speeds, as "
                   "esc_status[].rpm; types that are known need none")
       ->type_name("PATH");
+  app->add_option("--rotor-stamp-field", bag.rotor_stamp_field,
+                  "where the stamps of the rotor speeds are, one per rotor or one for all, as "
+                  "esc_status[].timestamp [header.stamp]")
+      ->type_name("PATH");
+  app->add_option("--rotor-stamp-unit", bag.rotor_stamp_unit,
+                  "unit of these stamps where they are numbers; auto: they are times of ROS")
+      ->check(CLI::IsMember({"auto", "s", "ms", "us", "ns"}).description(""))
+      ->type_name("auto|s|ms|us|ns")
+      ->capture_default_str();
   AddOrders(app, &bag);
   app->add_option("--command-topic-field", bag.command_topic_field,
                   "the same for commands, as channels[]")
@@ -473,10 +488,13 @@ void FlightArguments::CheckOptions(const FlightReaders& readers, const std::stri
   if (!is_bag && !IsBag(readers, poses)) {
     if (!topics.empty()) refuse("--topic");
     if (bag.twist_frame != defaults.twist_frame) refuse("--twist-frame");
+    if (!bag.odometry_tf_parent.empty()) refuse("--odometry-tf-parent");
+    if (!bag.odometry_tf_child.empty()) refuse("--odometry-tf-child");
   }
   if (is_bag) return;
   if (bag.rotor_speed_unit != defaults.rotor_speed_unit) refuse("--rotor-speed-unit");
   if (!bag.rotor_topic_field.empty()) refuse("--rotor-topic-field");
+  if (!bag.rotor_stamp_field.empty()) refuse("--rotor-stamp-field");
   if (!bag.rotor_order.empty()) refuse("--rotor-order");
   if (!bag.command_topic_field.empty()) refuse("--command-topic-field");
   if (bag.command_unit != defaults.command_unit) refuse("--command-unit");

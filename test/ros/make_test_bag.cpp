@@ -9,6 +9,8 @@
 //   make_test_bag OUT.bag SECONDS actuators|esc_status|made_up|made_up_stamped  as plain, rotor speeds in
 //                           messages of packages that are not installed (support/foreign_bag.h)
 //   make_test_bag OUT.bag SECONDS pose_twist   odometry as TransformStamped and TwistStamped
+//   make_test_bag OUT.bag SECONDS tf           odometry as tf: map -> odom (static) -> base_link, each twice
+//   make_test_bag OUT.bag SECONDS esc_stamps   rotor speeds as an own type, each with its own stamp
 //   make_test_bag OUT.bag SECONDS dead_sensor  motor commands, and rotor 2 reads 0 from the middle on
 
 #include <geometry_msgs/TransformStamped.h>
@@ -16,6 +18,7 @@
 #include <nav_msgs/Odometry.h>
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
+#include <tf2_msgs/TFMessage.h>
 
 #include <cmath>
 #include <cstdio>
@@ -23,6 +26,7 @@
 #include <exception>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "odmc/actuator/flight_actuator.h"
@@ -42,7 +46,7 @@ namespace {
 const std::string kFolder = ODMC_SOURCE_DIR;
 constexpr double kQuadraticDrag_kg_m = 0.05;
 constexpr int kDeadRotor = 1;
-constexpr double kLate_s = 0.04;
+constexpr double kLate_s = 0.04, kApart_s = 1e-5;
 
 using Json = nlohmann::json;
 
@@ -132,6 +136,63 @@ void WritePoseTwist(const std::string& from, const std::string& to) {
   }
 }
 
+/// The odometry of `from` as transforms, the last of them in the world.
+void WriteTf(const std::string& from, const std::string& to) {
+  rosbag::Bag in(from, rosbag::bagmode::Read), out(to, rosbag::bagmode::Write);
+  tf2_msgs::TFMessage fixed;
+  fixed.transforms.resize(1);
+  fixed.transforms[0].header.frame_id = "map";
+  fixed.transforms[0].child_frame_id = "odom";
+  fixed.transforms[0].transform.translation.x = 5.0;
+  fixed.transforms[0].transform.rotation.w = 1.0;
+  bool is_first = true;
+  for (const rosbag::MessageInstance& m : rosbag::View(in)) {
+    if (std::exchange(is_first, false)) out.write("/tf_static", m.getTime(), fixed);
+    const auto odometry = m.instantiate<nav_msgs::Odometry>();
+    if (odometry == nullptr) {
+      out.write(m.getTopic(), m.getTime(), m);
+      continue;
+    }
+    tf2_msgs::TFMessage moving;
+    moving.transforms.resize(1);
+    moving.transforms[0].header.stamp = odometry->header.stamp;
+    moving.transforms[0].header.frame_id = "odom";
+    moving.transforms[0].child_frame_id = "base_link";
+    const auto& p = odometry->pose.pose.position;
+    moving.transforms[0].transform.translation = ToVector3(ToEigen(p));
+    moving.transforms[0].transform.rotation = odometry->pose.pose.orientation;
+    out.write("/tf", m.getTime(), moving);
+    out.write("/tf", m.getTime(), moving);
+  }
+}
+
+/// Telemetry of `from`'s rotor speeds: a header that is late by up to 2 ms, of four ESCs on a clock
+/// of their own.
+void WriteEscStamps(const std::string& from, const std::string& to) {
+  const std::string definition = testing_support::With(
+      testing_support::WithHeader("Header header\nEsc[4] escs\n"), "garage_quad/Esc",
+      "uint64 timestamp\nfloat64 rpm\n");
+  constexpr Stamp kOwnStart = 123456789;
+  rosbag::Bag in(from, rosbag::bagmode::Read), out(to, rosbag::bagmode::Write);
+  int count = 0;
+  for (const rosbag::MessageInstance& m : rosbag::View(in)) {
+    const auto rotors = m.instantiate<RotorSpeeds>();
+    if (rotors == nullptr) {
+      out.write(m.getTopic(), m.getTime(), m);
+      continue;
+    }
+    const Stamp stamp = FromRos(rotors->header.stamp);
+    testing_support::MessageBytes bytes;
+    bytes.AddHeader(stamp + 500000 * (count++ % 5), "");
+    for (const double speed : rotors->angular_velocity_rad_s) {
+      bytes.Add(static_cast<std::uint64_t>((stamp + kOwnStart) / 1000));
+      bytes.Add(speed * 30.0 / M_PI);
+    }
+    out.write("/escs", m.getTime(), testing_support::Raw("garage_quad/Escs", "0123456789abcdef0123456789abcdee",
+                                             definition, bytes));
+  }
+}
+
 /// What the ESCs must have been told for the rotors to turn as they did: each command reaches the
 /// speed that the rotor has when the next one begins to act.
 std::vector<CommandSample> CommandsOf(const SimulatedFlight& flight, const Actuator& actuator) {
@@ -186,6 +247,8 @@ void Run(const std::string& file, double duration_s, const std::string& kind) {
   options.log_rate_hz = 200.0;
   SimulatedFlight flight = Simulate(model, truth, options);
   if (late) ShiftRotors(-kLate_s, &flight.log);
+  // Microseconds more or less must not put a speed before or after the pose of the same stamp.
+  if (kind == "esc_stamps") ShiftRotors(-kApart_s, &flight.log);
   Json json = {{"truth", ByName(model, truth)},
                {"effects", vehicle.effects},
                {"late_s", late ? kLate_s : 0.0}};
@@ -201,6 +264,26 @@ void Run(const std::string& file, double duration_s, const std::string& kind) {
     BagOptions reading;
     reading.topics["twist"] = "/velocity";
     json["offline"] = Offline(file, kind, reading);
+  } else if (kind == "tf" || kind == "esc_stamps") {
+    const std::string plain = file + ".plain";
+    WriteFlightBag(flight.log, plain);
+    BagOptions reading;
+    if (kind == "tf") {
+      WriteTf(plain, file);
+      reading.odometry_tf_parent = "map";
+      reading.odometry_tf_child = "base_link";
+      json["offline"] = Offline(file, kind, reading);
+    } else {
+      WriteEscStamps(plain, file);
+      reading.topics["rotor_speeds"] = "/escs";
+      reading.rotor_topic_field = "escs[].rpm";
+      reading.rotor_speed_unit = "rpm";
+      reading.rotor_stamp_field = "escs[].timestamp";
+      reading.rotor_stamp_unit = "us";
+      json["offline"] = Offline(file, kind, reading);
+      json["plain"] = Offline(plain, kind);  // as with odmc/RotorSpeeds
+    }
+    std::remove(plain.c_str());
   } else if (IsForeign(kind)) {
     const std::string plain = file + ".plain";
     WriteFlightBag(flight.log, plain);
@@ -222,7 +305,7 @@ int main(int argc, char** argv) {
     if (argc != 4)
       throw std::invalid_argument(
           "usage: make_test_bag OUT.bag SECONDS plain|hover|frames|undeclared|commands|"
-          "late_rotors|actuators|esc_status|made_up|made_up_stamped|pose_twist|dead_sensor");
+          "late_rotors|actuators|esc_status|made_up|made_up_stamped|pose_twist|tf|esc_stamps|dead_sensor");
     odmc::Run(argv[1], std::atof(argv[2]), argv[3]);
   } catch (const std::exception& e) {
     std::fprintf(stderr, "make_test_bag: %s\n", e.what());

@@ -129,6 +129,43 @@ TEST_F(ForeignBag, StampsOfAHeaderCountWhereverTheTypeIsFrom) {
   EXPECT_TRUE(log.warnings.empty()) << log.warnings[0];
 }
 
+// ESCs with microseconds of their own beside a header that is 4 ms late.
+TEST_F(ForeignBag, StampsOfTheRotorsCountWhereTheyAreNamed) {
+  const std::string definition = testing_support::With(
+      WithHeader("Header header\nEsc[4] escs\n"), "my/Esc", "uint64 timestamp\nfloat64 rpm\n");
+  const FlightLog flight = Flight();
+  WriteBag([&](rosbag::Bag* bag) {
+    for (const RotorSample& sample : flight.rotors) {
+      MessageBytes bytes;
+      bytes.AddHeader(sample.stamp + 4000000, "");
+      for (int j = 0; j < 4; ++j) {
+        bytes.Add(static_cast<std::uint64_t>((sample.stamp - kStart + 1000000000) / 1000));
+        bytes.Add(sample.speed[j] / kRpm);
+      }
+      bag->write("/escs", ToRos(sample.stamp + 6000000), Raw("my/Escs", "", definition, bytes));
+    }
+  });
+  BagOptions options;
+  options.topics["rotor_speeds"] = "/escs";
+  options.rotor_topic_field = "escs[].rpm";
+  options.rotor_speed_unit = "rpm";
+  options.rotor_stamp_field = "escs[].timestamp";
+  options.rotor_stamp_unit = "us";
+  const FlightLog log = Read(options);
+  ASSERT_EQ(log.rotors.size(), flight.rotors.size());
+  for (size_t i = 0; i < log.rotors.size(); ++i) {
+    // Late by what every header is; to a microsecond, and the clocks' drift.
+    EXPECT_NEAR(ToSeconds(log.rotors[i].stamp - flight.rotors[i].stamp), 0.004, 3e-6);
+  }
+  ASSERT_EQ(log.warnings.size(), 1u);
+  EXPECT_TRUE(Contains(log.warnings[0], "/escs: stamps are escs[].timestamp, a clock of its own "
+                                        "laid on header.stamp")) << log.warnings[0];
+  WriteFlightBag(Flight(), File());
+  BagOptions own;
+  own.rotor_stamp_field = "escs[].timestamp";
+  ODMC_EXPECT_ERROR(Read(own), "/rotor_speeds: is a odmc/RotorSpeeds, whose header has the stamp");
+}
+
 // The order counts for our own messages, too.
 TEST_F(ForeignBag, OrderHoldsForEveryType) {
   WriteFlightBag(Flight(), File());

@@ -114,6 +114,10 @@ class ToolsTest(unittest.TestCase):
         self.expect(2, '--rotor-order is for bags', 'calibrate', *common, '--rotor-order', '2,1,4,3')
         self.expect(2, '--rotor-topic-field is for bags', 'calibrate', *common,
                     '--rotor-topic-field', 'esc_status[].rpm')
+        self.expect(2, '--rotor-stamp-field is for bags', 'calibrate', *common,
+                    '--rotor-stamp-field', 'esc_status[].timestamp')
+        self.expect(2, '--odometry-tf-child is for bags', 'calibrate', *common,
+                    '--odometry-tf-child', 'base_link')
         self.expect(2, "'1,1,2' is no order of rotors", 'calibrate', *common, '--rotor-order',
                     '1,1,2')
         self.expect(2, '.bag or .csv', 'simulate', *vehicle, '--trajectory', 'octo', '--seed', '1',

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "odmc/io/entry_stamps.h"
 #include "odmc/io/message_layout.h"
 #include "odmc/sensing/samples.h"
 
@@ -40,8 +41,16 @@ struct FieldOptions {
   std::string unit = "auto";  ///< as in KnownMessage, and erpm; auto: that of the known type
   int pole_pairs = 7;         ///< for erpm
   /// Which entry, from 1, is rotor 1, 2, ...; empty: as they come.
-  std::vector<int> order;
+  std::vector<int> order = {};
+  /// Path of the stamp of each entry, or of all of them; empty: that of the known type, else
+  /// header.stamp.
+  std::string stamp_field = {};
+  std::string stamp_unit = "auto";  ///< of a stamp that is a number: s, ms, us, ns
 };
+
+/// Factor that takes a stamp in `unit` to seconds; 0 for auto.
+/// @throws std::invalid_argument for other units than auto, s, ms, us, ns
+double StampScale(const std::string& unit);
 
 /// Factor that takes a speed in `unit` (rad_s, rpm, erpm; auto counts as rad_s) to rad/s.
 /// @throws std::invalid_argument for other units or pole pairs below 1
@@ -61,15 +70,10 @@ struct MessageDescription {
   std::string type, md5, definition;
 };
 
-/// Numbers of one message.
-struct ForeignReading {
-  Stamp stamp = 0;
-  std::vector<double> values;  ///< rad/s, throttle 0 to 1, or V; in the order of the rotors
-};
-
 /// Reads one topic of a foreign type. Stamps are header.stamp; where there is none, or it is zero,
-/// the time of arrival. Where every entry has a stamp of its own, speeds are brought to the
-/// earliest of them, on the line between an entry's last two readings. Thread-compatible.
+/// the time of arrival. Where every entry has a stamp of its own, speeds are brought to one time
+/// (EntryAligner). A stamp that is a number and no date (seconds since 1970, within a second of the
+/// message) is of a clock of its own, laid on that of the messages (OwnClock). Thread-compatible.
 class ForeignStream {
  public:
   /// @param count  of numbers wanted: rotors of the vehicle; 0: as many as there are
@@ -79,8 +83,8 @@ class ForeignStream {
                 int count);
 
   /// @param arrival  when the message came or was recorded
-  /// @returns nothing for a message to be passed over: without entries yet, or whose entries were
-  ///   read too far apart
+  /// @returns nothing for a message to be passed over: without entries yet, or with nothing new of
+  ///   one of them
   /// @throws std::invalid_argument naming type and field where the bytes do not fit the definition,
   ///   or the number of entries does not fit the vehicle
   std::optional<ForeignReading> Read(const std::uint8_t* data, size_t size, Stamp arrival);
@@ -91,13 +95,19 @@ class ForeignStream {
   /// "esc_status[].rpm in rpm, header.stamp"
   std::string Describe() const;
 
+  /// What the newest reading's stamp is: "header.stamp", "time of arrival", "esc_status[].timestamp
+  /// [us], a clock of its own".
+  std::string StampSource() const;
+
  private:
+  void SettleStamp(const FieldOptions& options, const KnownMessage* known);
+  std::vector<Stamp> EntryStamps(const std::uint8_t* data, size_t size, size_t entries,
+                                 size_t values) const;
+  Stamp OffsetOf(Stamp newest, const std::uint8_t* data, size_t size, Stamp arrival);
   void Settle(const FieldOptions& options, const MessageDescription& message);
   std::vector<double> Choose(std::vector<double> entries);
   double ToUnit(double value) const;
   Stamp StampOf(const std::uint8_t* data, size_t size, Stamp arrival);
-  std::optional<ForeignReading> Align(const std::vector<double>& values,
-                                      std::vector<Stamp> stamps);
   void NoteOnce(int kind, const std::string& sentence);
 
   ForeignUse use_;
@@ -109,8 +119,11 @@ class ForeignStream {
   std::string unit_;
   double scale_ = 1.0;
   bool is_padded_ = false;
-  std::vector<double> last_values_;  // with a stamp each
-  std::vector<Stamp> last_stamps_;
+  double stamp_scale_ = 0.0;  // of entry_stamps_ to seconds; 0: times
+  EntryAligner aligner_;
+  OwnClock offset_;
+  std::optional<bool> has_own_clock_;  // known from the first message on
+  bool is_arrival_ = false;            // the message's own stamp, as of the newest reading
   std::vector<int> noted_;
   std::vector<std::string> notes_;
 };

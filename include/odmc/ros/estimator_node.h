@@ -33,11 +33,13 @@
 #include "odmc/fleet/unlike_history.h"
 #include "odmc/inspection/live_mender.h"
 #include "odmc/inspection/stream_watch.h"
+#include "odmc/ros/displays.h"
 #include "odmc/ros/live_image.h"
 #include "odmc/ros/node_status.h"
 #include "odmc/ros/pose_twist.h"
 #include "odmc/ros/sample_intake.h"
 #include "odmc/ros/streams.h"
+#include "odmc/ros/tf_odometry.h"
 
 namespace odmc {
 
@@ -54,6 +56,11 @@ struct EstimatorNodeOptions : StreamOptions {
   std::string on_time_reset = "restart";  ///< restart | stop, where the clock steps back
   double publish_rate_hz = 20.0;          ///< of `parameters`, at most [Hz], > 0
   bool live_image = false;                ///< draw also while nobody listens
+  double display_rate_hz = 10.0;  ///< of `~displays` and `~path`, at most [Hz], > 0
+  double path_length_s = 60.0;    ///< flight time that `~path` looks back [s], > 0
+  bool plot_topics = false;       ///< a topic per parameter below `~plot`
+  /// never | auto | always: publish the body's pose as a transform; auto: where nobody else does.
+  std::string body_tf = "never";
   std::string output_dir;                 ///< parameters.yaml goes there at the end; empty: none
   int queue_size = 20000;                 ///< samples waiting for the estimator, at most
   /// Effects the node may add to the model in flight once residual_watch_confirmations looks in a
@@ -76,6 +83,10 @@ struct EstimatorNodeOptions : StreamOptions {
     v->Field("on_time_reset", &on_time_reset);
     v->Field("publish_rate_hz", &publish_rate_hz);
     v->Field("live_image", &live_image);
+    v->Field("display_rate_hz", &display_rate_hz);
+    v->Field("path_length_s", &path_length_s);
+    v->Field("plot_topics", &plot_topics);
+    v->Field("body_tf", &body_tf);
     v->Field("output_dir", &output_dir);
     v->Field("queue_size", &queue_size);
     v->Field("add_effects", &add_effects);
@@ -126,7 +137,10 @@ class EstimatorNode {
   void Offer(ros::NodeHandle private_node);
   Answer Ask(std::function<Answer()> act);
   void Subscribe(InputStream stream);
+  bool IsWanted(InputStream stream) const;
   void Take(InputStream stream, const RawMessage& message, Stamp arrival, StreamReader* reader);
+  void TakeTransforms(InputStream stream, const RawMessage& message);
+  void NoteStamps(InputStream stream, const std::string& stamps);
   std::vector<InputSample> Paired(InputStream stream, InputSample input);
   void Push(InputStream stream, std::vector<InputSample> inputs);
   void Refuse(InputStream stream, const std::string& refusal);
@@ -170,6 +184,11 @@ class EstimatorNode {
   void PublishParameters(const Snapshot& snapshot);
   void PublishAccepted(const Snapshot& snapshot);
   void PublishTransforms(const Snapshot& snapshot);
+  void PublishDisplays(const Snapshot& snapshot);
+  void PublishBodyTransform(const Snapshot& snapshot);
+  void PublishPlots(const Snapshot& snapshot);
+  std::string WorldFrame() const;
+  const std::string& SensorFrame() const;
   void ShareStatus();
   std::string Interruption();
   std::string MissingStream() const;
@@ -198,14 +217,19 @@ class EstimatorNode {
   // Set once in the constructor. The estimator thread completes the mounts of setup_.vehicle and
   // adds effects; of the vehicle the others read only name and rotors.
   EstimatorNodeSetup setup_;
-  ros::NodeHandle node_;
+  ros::NodeHandle node_, private_node_;
   ros::Publisher parameters_publisher_, accepted_publisher_, state_publisher_, wrench_publisher_,
-      unexplained_publisher_, phase_publisher_, diagnostics_publisher_, image_publisher_;
+      unexplained_publisher_, phase_publisher_, diagnostics_publisher_, image_publisher_,
+      displays_publisher_, path_publisher_, plot_publisher_;
   tf2_ros::Buffer tf_buffer_;
   std::unique_ptr<tf2_ros::TransformListener> tf_listener_;
   std::vector<ros::Subscriber> subscribers_;
   // Of the one ROS thread.
   PoseTwistPairing pairing_;
+  std::optional<TfOdometry> tf_odometry_;  // where odometry comes from tf
+  bool tf_leads_ = false;                  // from parent to child: poses have come
+  Clock::time_point tf_described_;
+  std::array<std::string, kNumInputStreams> stamps_;  // as noted in streams_
   bool told_of_signs_ = false, told_of_late_twists_ = false;
   std::vector<ros::ServiceServer> services_;
   const std::vector<std::string> declared_effects_;  // of the vehicle file
@@ -230,6 +254,10 @@ class EstimatorNode {
   std::unique_ptr<Estimator> estimator_;
   Acceptance acceptance_;
   tf2_ros::TransformBroadcaster tf_broadcaster_;
+  std::optional<bool> has_body_tf_;  // somebody else publishes it; known after a while
+  PathTrail path_;
+  Clock::time_point displayed_;
+  std::map<std::string, std::pair<ros::Publisher, ros::Publisher>> plot_publishers_;
   std::optional<Clock::time_point> waiting_for_tf_since_;
   bool stopped_by_clock_ = false, ignores_imu_ = false, frozen_ = false;
   std::optional<Snapshot> last_;

@@ -22,6 +22,7 @@ struct StreamStatus {
   long refused = 0;     ///< not finite, no stamp, wrong number of rotors, unreadable
   long passed_over = 0;  ///< nothing in them yet
   std::string refusal;   ///< why the last one was refused, as far as a sentence says it
+  std::string stamps;    ///< what its samples' stamps are: "header.stamp", "time of arrival", ...
   long overflowed = 0;  ///< lost because the queue was full
 };
 

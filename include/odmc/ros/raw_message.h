@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <cstring>
 #include <map>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -91,3 +92,23 @@ struct PreDeserialize<odmc::RawMessage> {
 
 }  // namespace serialization
 }  // namespace ros
+
+namespace odmc {
+
+/// The message itself, of a type that is compiled in.
+/// @throws std::invalid_argument where it was of another version of the type
+template <typename Message>
+Message Decode(const RawMessage& raw) {
+  if (raw.md5() != ros::message_traits::MD5Sum<Message>::value()) {
+    throw std::invalid_argument("holds another version of " + raw.type() +
+                                " (its definition differs)");
+  }
+  // The stream reads only.
+  auto* bytes = const_cast<std::uint8_t*>(raw.bytes.data());
+  ros::serialization::IStream stream(bytes, static_cast<std::uint32_t>(raw.bytes.size()));
+  Message message;
+  ros::serialization::deserialize(stream, message);
+  return message;
+}
+
+}  // namespace odmc

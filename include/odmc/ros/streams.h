@@ -31,8 +31,10 @@ enum class InputStream {
   kBatteryState,
   kMotorCommands,
   kTwist,
+  kTf,
+  kStaticTf,
 };
-constexpr int kNumInputStreams = 8;
+constexpr int kNumInputStreams = 10;
 
 /// One line of the table.
 struct StreamRole {
@@ -48,6 +50,9 @@ struct StreamRole {
 const std::vector<StreamRole>& StreamRoles();
 const StreamRole& RoleOf(InputStream stream);
 const char* NameOf(InputStream stream);
+/// Of transforms: read only where odometry comes from them (tf_odometry.h), and always of the root
+/// namespace.
+bool IsTf(InputStream stream);
 
 /// How messages are to be read: options of the tools, parameters of the node.
 struct StreamOptions {
@@ -61,6 +66,13 @@ struct StreamOptions {
   std::string command_unit = "auto";  ///< auto | fraction | us | raw16
   std::vector<int> command_order;     ///< as rotor_order
   std::string battery_topic_field;    ///< of the voltage [V]
+  /// Path of the stamp of each speed, or of all, as esc_status[].timestamp; empty: header.stamp.
+  std::string rotor_stamp_field;
+  std::string rotor_stamp_unit = "auto";  ///< s | ms | us | ns; auto: the field is a time of ROS
+  /// Frames of the world and of the body or sensor: odometry is what tf says of them. Empty: not.
+  std::string odometry_tf_parent, odometry_tf_child;
+
+  bool uses_tf() const { return !odometry_tf_child.empty(); }
 
   template <typename Visitor>
   void Visit(Visitor* v) {
@@ -72,6 +84,10 @@ struct StreamOptions {
     v->Field("command_unit", &command_unit);
     v->Field("command_order", &command_order);
     v->Field("battery_topic_field", &battery_topic_field);
+    v->Field("rotor_stamp_field", &rotor_stamp_field);
+    v->Field("rotor_stamp_unit", &rotor_stamp_unit);
+    v->Field("odometry_tf_parent", &odometry_tf_parent);
+    v->Field("odometry_tf_child", &odometry_tf_child);
   }
 
   /// @param num_rotors  0: not known yet
@@ -126,6 +142,10 @@ class StreamReader {
   /// Sentences for the user about what was read so far, each once.
   std::vector<std::string> TakeNotes();
 
+  /// What the newest sample's stamp is: "header.stamp", "time of arrival", a field with its clock;
+  /// empty before the first.
+  const std::string& stamp_source() const { return stamp_source_; }
+
  private:
   InputSample ReadOwn(const RawMessage& message) const;
   std::optional<InputSample> ReadForeign(const RawMessage& message, Stamp arrival);
@@ -143,6 +163,7 @@ class StreamReader {
   std::string foreign_type_, foreign_md5_;
   std::optional<ForeignStream> foreign_;
   std::vector<std::string> notes_;
+  std::string stamp_source_;
 };
 
 }  // namespace odmc
