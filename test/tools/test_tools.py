@@ -370,6 +370,14 @@ class ToolsTest(unittest.TestCase):
         os.rename(poses, self.path('recordings/LOG1.csv'))
         again = self.parameters_of(log, '--odometry', self.path('recordings'), '--vehicle', vehicle)
         self.assertEqual(again, found)
+        os.makedirs(self.path('logs'))
+        os.rename(log, self.path('logs/LOG1.bbl'))
+        done = subprocess.run([os.path.join(ROOT, 'scripts', 'fleet'), self.path('logs'), '--vehicle', vehicle, '--odometry',
+                               self.path('recordings'), '--out', self.path('fleet'), '--no-verdicts', '--jobs', '1'],
+                              capture_output=True, text=True, check=False, timeout=600,
+                              env={**os.environ, 'ODMC_TOOLS': TOOLS})
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        log = self.path('logs/LOG1.bbl')
         for tool, more in (('inspect', ()), ('evaluate', ('--parameters', self.path('found/parameters.yaml')))):
             done = run(tool, log, '--odometry', self.path('recordings'), '--vehicle', vehicle, '--out', self.path(tool),
                        '--no-report', *more)
