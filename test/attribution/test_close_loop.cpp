@@ -260,6 +260,7 @@ TEST(CloseLoop, SeesNoLoadWhereNoneHangs) {
 /// A flight whose poses are those of a point beside the body's origin, of which the file knows nothing.
 SimulatedFlight RecordedBeside(const Eigen::Vector3d& p_BS, Vehicle* file) {
   *file = NominalVehicle();
+  file->odometry = SensorMount();
   Vehicle mounted = *file;
   mounted.odometry.p_BS = p_BS;
   const DynamicModel model(mounted, mounted.effects);
