@@ -72,16 +72,18 @@ PredictionSample PredictSample(const FilteredMotion& motion, const Vector3d& loa
   const Matrix3d R_FB = R_FS * body.R_BS.transpose();
   // From Bcm to the origin of F: So is p_BS from Bo, and Fo lies at R p_SF from So.
   const Vector3d p_BcmFo = body.p_BS + R_FB.transpose() * p_SF_F - body.p_BBcm;
-  const Vector3d swing = w_dot_B.cross(p_BcmFo) + w_B.cross(w_B.cross(p_BcmFo));
   const Vector3d tilt = R_WB.transpose() * (body.g_W + g_up);
-  const Vector3d specific = F / body.mass + swing + tilt;
-  out.predicted_force = R_FB * (vehicle.mass_kg * specific);
+  const Vector3d steady = F / body.mass + w_B.cross(w_B.cross(p_BcmFo)) + tilt;
+  out.predicted_force = R_FB * (vehicle.mass_kg * (steady + w_dot_B.cross(p_BcmFo)));
   // Products of inertia are not in the measured torque, so they are in the predicted one.
   Matrix3d products = body.I_BBcm_B;
   products.diagonal().setZero();
   out.predicted_torque = R_FB * (tau - products * w_dot_B - w_B.cross(products * w_B));
-  out.predicted_angular_acceleration =
-      R_FB * (body.I_BBcm_B.inverse() * (tau - w_B.cross(body.I_BBcm_B * w_B)));
+  const Vector3d predicted_w_dot_B =
+      body.I_BBcm_B.inverse() * (tau - w_B.cross(body.I_BBcm_B * w_B));
+  out.predicted_angular_acceleration = R_FB * predicted_w_dot_B;
+  out.predicted_swing_force =
+      R_FB * (vehicle.mass_kg * (steady + predicted_w_dot_B.cross(p_BcmFo)));
   const Vector3d arm = body.p_BI - body.p_BBcm;
   out.predicted_specific_force =
       body.R_BI.transpose() * (F / body.mass + w_dot_B.cross(arm) + w_B.cross(w_B.cross(arm)));
@@ -109,6 +111,7 @@ Vector3d PredictionSummary::AxisSums::Explained(double n) const {
 void PredictionSummary::Add(const PredictionSample& s) {
   ++samples_;
   force_.Add(s.measured_force, s.predicted_force);
+  swing_force_.Add(s.measured_force, s.predicted_swing_force);
   torque_.Add(s.measured_torque, s.predicted_torque);
   acceleration_.Add(s.measured_angular_acceleration, s.predicted_angular_acceleration);
   if (s.measured_specific_force) {
@@ -139,6 +142,7 @@ PredictionFigures PredictionSummary::Figures(bool with_torque, const Vehicle& ve
         vehicle.mass_kg * (felt_error2_ / felt - bias.cwiseAbs2()).cwiseMax(0.0).cwiseSqrt();
   }
   if (!with_torque) return figures;
+  figures.predicted_swing_force_rmse_N = swing_force_.Rmse(n);
   figures.torque_rmse_Nm = torque_.Rmse(n);
   figures.zero_torque_rmse_Nm = torque_.Zero(n);
   figures.torque_explained = torque_.Explained(n);

@@ -33,6 +33,7 @@ Json FlightJson(const FlightFigures& f) {
 
 Json PredictionJson(const PredictionFigures& f) {
   return {{"force_rmse_N", Axes(f.force_rmse_N)},
+          {"predicted_swing_force_rmse_N", Axes(f.predicted_swing_force_rmse_N)},
           {"zero_force_rmse_N", Axes(f.zero_force_rmse_N)},
           {"accelerometer_force_rmse_N", Axes(f.accelerometer_force_rmse_N)},
           {"torque_rmse_Nm", Axes(f.torque_rmse_Nm)},

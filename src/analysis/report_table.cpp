@@ -46,9 +46,18 @@ void AddAxes(const std::string& name, const std::string& unit, const PredictionF
   rows->push_back(row);
 }
 
+/// True if the measured angular acceleration tells a part of the force that is to be predicted.
+bool GivesAway(const PredictionFigures& f) {
+  constexpr double kShown = 0.01;  // of the error
+  if (!f.force_rmse_N || !f.predicted_swing_force_rmse_N) return false;
+  const Eigen::Vector3d more = *f.predicted_swing_force_rmse_N - *f.force_rmse_N;
+  return (more.cwiseAbs().array() > kShown * f.force_rmse_N->array()).any();
+}
+
 std::string PredictionTable(const PredictionFigures& f) {
   std::vector<Row> rows = {{"prediction", "unit", "x", "y", "z"}};
   AddAxes("force RMSE", "N", f.force_rmse_N, &rows);
+  if (GivesAway(f)) AddAxes("  with predicted swing", "N", f.predicted_swing_force_rmse_N, &rows);
   AddAxes("  predicting zero", "N", f.zero_force_rmse_N, &rows);
   AddAxes("  explained", "", f.force_explained, &rows);
   if (f.accelerometer_force_rmse_N) {

@@ -179,6 +179,7 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
   const Variant& v = evidence.variants()[variant];
   ranked.name = v.candidate.effect;
   ranked.settings = v.candidate.settings;
+  ranked.freed = v.candidate.freed;
   VariantSet without = set;
   without.erase(variant);
   const EffectFit posterior = evidence.Solve(set);

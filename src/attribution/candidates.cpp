@@ -144,6 +144,9 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
     for (const EffectTrial& trial : effect->Trials(flown, fits_thrust)) {
       candidates.push_back(
           {name, Full(name, trial.settings), Full(name, trial.start), effect->refinements()});
+      for (const std::string& freed : trial.freed) {
+        candidates.back().freed.push_back(name + "." + freed);
+      }
     }
   }
   return candidates;

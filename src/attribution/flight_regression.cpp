@@ -185,8 +185,8 @@ FlightRegression::Seen FlightRegression::See(const Candidate& candidate, const s
   // From an onset on an effect acts as one that has acted all along, so all onsets share a column.
   const auto own = std::find(model.effect_names().begin(), model.effect_names().end(),
                              candidate.effect);
-  const std::string onset =
-      model.effect(static_cast<int>(own - model.effect_names().begin())).onset_parameter();
+  const Effect& effect = model.effect(static_cast<int>(own - model.effect_names().begin()));
+  const std::string onset = effect.onset_parameter();
   double from_s = 0.0;
   if (!onset.empty()) {
     double& setting = values[model.IndexOf(candidate.effect + "." + onset)];
@@ -209,8 +209,14 @@ FlightRegression::Seen FlightRegression::See(const Candidate& candidate, const s
       seen.offset->likely.row(i).setZero();
     }
   }
-  for (Regressor& column : seen.columns) column.foreseen = Foreseen(column);
-  if (seen.offset) seen.offset->foreseen = Foreseen(*seen.offset);
+  // What follows from the motion alone needs no instruments: no rotor answers to it, and noise of the
+  // motion makes it seem less than it is, not more.
+  const auto foresee = [&](const Regressor& column) -> Wrenches {
+    return effect.is_kinematic() && !residual_->from_accelerometer() ? column.d_wrench
+                                                                     : Foreseen(column);
+  };
+  for (Regressor& column : seen.columns) column.foreseen = foresee(column);
+  if (seen.offset) seen.offset->foreseen = foresee(*seen.offset);
   if (what != kAll) {
     seen.columns.erase(std::remove_if(seen.columns.begin(), seen.columns.end(),
                                       [&](const Regressor& c) {

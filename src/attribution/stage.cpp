@@ -40,7 +40,16 @@ Vehicle With(const Vehicle& vehicle, const Candidate& candidate) {
     extended.parameters[name].value = value;
     extended.parameters[name].estimated = false;
   }
+  for (const std::string& name : candidate.freed) extended.parameters[name].estimated = true;
   return extended;
+}
+
+Vehicle With(const Vehicle& vehicle, const RankedEffect& effect) {
+  Candidate candidate;
+  candidate.effect = effect.name;
+  candidate.settings = effect.settings;
+  candidate.freed = effect.freed;
+  return With(vehicle, candidate);
 }
 
 Vehicle WithPriorsOf(const Vehicle& file_vehicle, const Vehicle& vehicle) {
@@ -81,7 +90,7 @@ Vehicle Extended(const Vehicle& vehicle, const Stage& stage,
     extended.parameters[p.full_name].sigma = p.spec.prior_sigma;
   }
   for (const RankedEffect& effect : effects) {
-    extended = With(extended, {effect.name, effect.settings});
+    extended = With(extended, effect);
     for (const ParameterEstimate& p : effect.parameters) {
       if (p.estimated) extended.parameters[p.full_name].value = p.value;
     }

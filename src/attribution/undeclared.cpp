@@ -518,9 +518,18 @@ std::string FormatMount(const SensorMount& mount) {
   char text[256];
   std::snprintf(text, sizeof text,
                 "{frame: sensor, p_BS_m: [%.9g, %.9g, %.9g], q_BS_xyzw: [%.12g, %.12g, %.12g, "
-                "%.12g], estimate: %s}",
+                "%.12g], estimate: %s",
                 p.x(), p.y(), p.z(), q.x(), q.y(), q.z(), q.w(), mount.estimate ? "true" : "false");
-  return text;
+  std::string all = text;
+  const auto add = [&all](const char* key, const std::optional<double>& sigma) {
+    char pair[64];
+    if (!sigma) return;
+    std::snprintf(pair, sizeof pair, ", %s: %.9g", key, *sigma);
+    all += pair;
+  };
+  add("p_BS_sigma_m", mount.p_BS_sigma_m);
+  add("q_BS_sigma_rad", mount.q_BS_sigma_rad);
+  return all + "}";
 }
 
 }  // namespace

@@ -180,7 +180,10 @@ void Degrade(const RecordingConditions& c, int seed, FlightLog* log) {
 }
 
 void DeclareSensors(const RecordingConditions& c, Vehicle* vehicle) {
+  constexpr double kMeasured_m = 0.001;
   vehicle->odometry = c.odometry;
+  // A mount that is declared was measured.
+  if (!c.odometry.p_BS.isZero(0.0)) vehicle->odometry.p_BS_sigma_m = kMeasured_m;
   if (!c.imu) return;
   vehicle->imu.emplace();
   vehicle->imu->estimate = true;

@@ -19,8 +19,20 @@ class Extrinsics final : public Effect {
     return {sensor_ == Sensor::kOdometry ? kRowOdometryPosition : kRowImuPosition, 6};
   }
 
-  /// No candidate: it turns the frame in which all others are seen.
-  std::vector<EffectTrial> Trials(const FlownRange&, bool) const override { return {}; }
+  /// The odometry's: a point that moves otherwise than the body's origin does so by the motion alone.
+  bool is_kinematic() const override { return sensor_ == Sensor::kOdometry; }
+
+  /// Where it sits, unless that was measured. Never how it is turned: that is the frame in which all
+  /// others are seen, and a torque that no effect explains would turn it.
+  std::vector<EffectTrial> Trials(const FlownRange&, bool) const override {
+    if (MountOf(vehicle(), sensor_).p_BS_sigma_m) return {};
+    EffectTrial trial;
+    trial.freed = {"px", "py", "pz"};
+    return {trial};
+  }
+  std::vector<DerivedFigure> DerivedFigures(const Eigen::VectorXd& own) const override {
+    return {{"distance", "m", own.head<3>().norm()}};
+  }
   std::vector<std::string> shown_by() const override { return {}; }
 
  private:
@@ -32,22 +44,28 @@ class Extrinsics final : public Effect {
             "pz is one with c_z, roll and pitch with gravity at constant heading (model.md 10)"};
   }
 
+  static SensorMount MountOf(const Vehicle& vehicle, Sensor sensor) {
+    return sensor == Sensor::kOdometry ? vehicle.odometry : vehicle.imu.value_or(SensorMount());
+  }
+
   static std::vector<ParameterSpec> Parameters(const Vehicle& vehicle, Sensor sensor) {
-    const SensorMount mount =
-        sensor == Sensor::kOdometry ? vehicle.odometry : vehicle.imu.value_or(SensorMount());
+    constexpr double kNaturalTurn_rad = 0.1;
+    const SensorMount mount = MountOf(vehicle, sensor);
     const Eigen::Vector3d rotation = Log(mount.q_BS.normalized());
     const double length = 0.3 * vehicle.ArmLength();
+    const double length_sigma = mount.p_BS_sigma_m.value_or(length);
+    const double turn_sigma = mount.q_BS_sigma_rad.value_or(kNaturalTurn_rad);
     std::vector<ParameterSpec> specs;
     specs.reserve(6);
     for (int i = 0; i < 3; ++i) {
       specs.push_back({std::string("p") + "xyz"[i], "m",
-                       std::string("sensor position, body ") + "xyz"[i], mount.p_BS[i], length,
-                       length});
+                       std::string("sensor position, body ") + "xyz"[i], mount.p_BS[i],
+                       length_sigma, length});
     }
     for (int i = 0; i < 3; ++i) {
       specs.push_back({std::string("r") + "xyz"[i], "rad",
-                       std::string("sensor rotation vector, body ") + "xyz"[i], rotation[i], 0.1,
-                       0.1});
+                       std::string("sensor rotation vector, body ") + "xyz"[i], rotation[i],
+                       turn_sigma, kNaturalTurn_rad});
     }
     for (ParameterSpec& spec : specs) spec.frozen_by_default = !mount.estimate;
     return specs;

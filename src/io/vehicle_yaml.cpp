@@ -89,8 +89,15 @@ Eigen::Quaterniond ReadRotation(const YamlValue& value) {
 }
 
 SensorMount ReadMount(const YamlValue& value) {
-  value.AllowKeys({"frame", "p_BS_m", "q_BS_xyzw", "estimate"});
+  value.AllowKeys(
+      {"frame", "p_BS_m", "q_BS_xyzw", "estimate", "p_BS_sigma_m", "q_BS_sigma_rad"});
   SensorMount mount;
+  if (const auto sigma = value.Find("p_BS_sigma_m")) {
+    mount.p_BS_sigma_m = Plausible(*sigma, 1e-5, 1.0, "is it in metres, and positive?");
+  }
+  if (const auto sigma = value.Find("q_BS_sigma_rad")) {
+    mount.q_BS_sigma_rad = Plausible(*sigma, 1e-5, 1.0, "is it in radians, and positive?");
+  }
   if (const auto estimate = value.Find("estimate")) mount.estimate = estimate->Bool();
   const auto position = value.Find("p_BS_m");
   const auto rotation = value.Find("q_BS_xyzw");

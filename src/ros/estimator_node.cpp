@@ -947,7 +947,7 @@ void EstimatorNode::AddWhatWasFound() {
   if (!found || found->model != model_ || last_model_ != model_ || frozen_) return;
   const std::string& name = found->candidate->name;
   try {
-    const Vehicle extended = With(setup_.vehicle, Candidate{name, found->candidate->settings});
+    const Vehicle extended = With(setup_.vehicle, *found->candidate);
     const Vehicle warm =
         WarmStarted(extended, Estimator::ToParameterSet(*last_model_, *last_), *found);
     auto model = std::make_shared<DynamicModel>(warm, warm.effects);

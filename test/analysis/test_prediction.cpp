@@ -91,6 +91,26 @@ TEST(Predict, TakesEstimatedExtrinsicsIntoThePredictionOnly) {
   }
 }
 
+TEST(Predict, TellsWhatTheMeasuredSwingGivesAway) {
+  // The recorded point swings about the centre of mass; a model that has no torque knows nothing of
+  // that, but for what was measured.
+  const Flight flight = Fly(Displaced());
+  const auto figures = [&](const ModelValues& values) {
+    return Predict(flight.log, flight.vehicle, flight.model, values, {}).figures;
+  };
+  const PredictionFigures right = figures(flight.truth);
+  const double whole = right.zero_force_rmse_N->maxCoeff();
+  EXPECT_LT((*right.predicted_swing_force_rmse_N - *right.force_rmse_N).cwiseAbs().maxCoeff(),
+            2e-3 * whole);
+  ModelValues wrong = flight.truth;
+  for (const char* axis : {"x", "y", "z"}) {
+    wrong[flight.model.IndexOf(std::string("inertia.") + axis)] *= 2.0;
+  }
+  const PredictionFigures told = figures(wrong);
+  EXPECT_NEAR(told.force_rmse_N->x(), right.force_rmse_N->x(), 1e-9);
+  EXPECT_GT(told.predicted_swing_force_rmse_N->x(), 3.0 * told.force_rmse_N->x());
+}
+
 TEST(Predict, SaysHowWellTheAccelerometerIsFollowed) {
   Flight flight = Fly({}, 0.0, true);
   const auto figures = [&](const ModelValues& values) {

@@ -257,6 +257,61 @@ TEST(CloseLoop, SeesNoLoadWhereNoneHangs) {
   EXPECT_EQ(loop.verdict, Verdict::kNone) << CloseLoopTable(loop);
 }
 
+/// A flight whose poses are those of a point beside the body's origin, of which the file knows nothing.
+SimulatedFlight RecordedBeside(const Eigen::Vector3d& p_BS, Vehicle* file) {
+  *file = NominalVehicle();
+  file->odometry = SensorMount();
+  Vehicle mounted = *file;
+  mounted.odometry.p_BS = p_BS;
+  const DynamicModel model(mounted, mounted.effects);
+  SimulationOptions options;
+  options.trajectory = "aggressive";
+  options.duration_s = 20.0;
+  return Simulate(model, DefaultTruth(model), options, SimulationNoise());
+}
+
+TEST(CloseLoop, FindsThePointThatWasRecorded) {
+  const Eigen::Vector3d p_BS(-0.02, -0.033, 0.0);
+  Vehicle file;
+  const SimulatedFlight flight = RecordedBeside(p_BS, &file);
+  const ClosedLoop loop = CloseLoop(flight.log, file, file, CloseLoopOptions());
+  ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
+  EXPECT_EQ(loop.effects.front().effect.name, "odometry_extrinsics") << CloseLoopTable(loop);
+  for (int i = 0; i < 2; ++i) {
+    const ParameterEstimate* p = loop.parameters.Find(std::string("odometry_extrinsics.p") + "xyz"[i]);
+    ASSERT_NE(p, nullptr);
+    EXPECT_NEAR(p->value, p_BS[i], 0.004);
+    EXPECT_TRUE(p->estimated);
+  }
+  const ParameterEstimate* turned = loop.parameters.Find("odometry_extrinsics.rz");
+  ASSERT_NE(turned, nullptr);
+  EXPECT_FALSE(turned->estimated);
+  EXPECT_NE(CloseLoopReport(loop).find("odometry_extrinsics.distance"), std::string::npos);
+}
+
+TEST(CloseLoop, FindsNoPointWhereTheOriginWasRecorded) {
+  Vehicle file;
+  const SimulatedFlight flight = RecordedBeside(Eigen::Vector3d::Zero(), &file);
+  const ClosedLoop loop = CloseLoop(flight.log, file, file, CloseLoopOptions());
+  EXPECT_EQ(loop.verdict, Verdict::kNone) << CloseLoopTable(loop);
+}
+
+TEST(Candidates, NoPointIsAskedAboutThatWasMeasured) {
+  FlightMotion motion;
+  motion.samples.resize(2);
+  const auto asks = [&](const Vehicle& vehicle) {
+    for (const Candidate& candidate : CandidatesFor(vehicle, motion)) {
+      if (candidate.effect == "odometry_extrinsics") return candidate.freed;
+    }
+    return std::vector<std::string>();
+  };
+  Vehicle vehicle = NominalVehicle();
+  EXPECT_EQ(asks(vehicle), (std::vector<std::string>{"odometry_extrinsics.px", "odometry_extrinsics.py",
+                                                     "odometry_extrinsics.pz"}));
+  vehicle.odometry.p_BS_sigma_m = 0.002;
+  EXPECT_TRUE(asks(vehicle).empty());
+}
+
 // The score is best at 0.47 m and a damping ratio of 0.03, off the grid.
 TEST(Candidates, ALengthIsRefinedBetweenTheGridsValues) {
   const auto effect = EffectRegistry::Default().Make("suspended_load", NominalVehicle());

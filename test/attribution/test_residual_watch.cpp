@@ -56,7 +56,7 @@ class Pilot {
 
   /// As the node adds an effect in flight.
   void Add(const ResidualLook& found) {
-    declared_ = With(declared_, Candidate{found.candidate->name, found.candidate->settings});
+    declared_ = With(declared_, *found.candidate);
     const DynamicModel declared(declared_, declared_.effects);
     const Vehicle warm = WarmStarted(declared_, Estimator::ToParameterSet(*model_, *last_), found);
     auto model = std::make_shared<DynamicModel>(warm, warm.effects);

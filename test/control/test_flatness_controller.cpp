@@ -380,8 +380,11 @@ TEST(FlatnessController, FiltersRotorTorqueAndAccelerationAlike) {
 
 TEST(FlatnessController, SeesTheBodyThroughMountedSensors) {
   Known known;
-  const SensorMount S = {{-0.03, 0.02, 0.04}, Exp({0.1, -0.2, 0.5})};
-  const SensorMount I = {{0.05, -0.04, 0.02}, Exp({-0.3, 0.1, 0.2})};
+  SensorMount S, I;
+  S.p_BS = {-0.03, 0.02, 0.04};
+  S.q_BS = Exp({0.1, -0.2, 0.5});
+  I.p_BS = {0.05, -0.04, 0.02};
+  I.q_BS = Exp({-0.3, 0.1, 0.2});
   known.vehicle.odometry = S;
   known.vehicle.imu = I;
   known.model = std::make_shared<DynamicModel>(known.vehicle, known.vehicle.effects);

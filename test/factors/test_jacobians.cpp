@@ -38,7 +38,10 @@ std::vector<std::string> Effects() {
 Vehicle TurnedVehicle() {
   Vehicle vehicle = NominalVehicle();
   vehicle.odometry.q_BS = Exp(Vector3d(0.3, -0.2, 0.9));
-  vehicle.imu = SensorMount{{0.05, 0.03, -0.02}, Exp(Vector3d(-0.4, 0.5, 1.2)), true};
+  vehicle.imu.emplace();
+  vehicle.imu->p_BS = {0.05, 0.03, -0.02};
+  vehicle.imu->q_BS = Exp(Vector3d(-0.4, 0.5, 1.2));
+  vehicle.imu->estimate = true;
   // Rotors at different heights, so that no term of the torque cancels.
   for (int j = 0; j < vehicle.num_rotors(); ++j) {
     vehicle.rotors[j].p_BP += Vector3d(0.004 * j, -0.003 * j, 0.01 * j);

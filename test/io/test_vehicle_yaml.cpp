@@ -198,6 +198,9 @@ TEST(VehicleYaml, UnknownEffectsAndParametersAreRefused) {
 
 TEST(VehicleYaml, BodyFrameFixesTheMount) {
   EXPECT_EQ(With("odometry: {frame: body, estimate: false}\n").odometry.p_BS.norm(), 0.0);
+  EXPECT_EQ(With("odometry: {frame: body, p_BS_sigma_m: 0.002}\n").odometry.p_BS_sigma_m, 0.002);
+  ODMC_EXPECT_ERROR(With("odometry: {frame: body, p_BS_sigma_m: 2}\n"), "is it in metres");
+  ODMC_EXPECT_ERROR(With("imu: {frame: body, q_BS_sigma_rad: 10}\n"), "is it in radians");
   ODMC_EXPECT_ERROR(With("odometry: {frame: body, p_BS_m: [0, 0, 0.1]}\n"),
                     "odometry.p_BS_m: needs frame: sensor");
   ODMC_EXPECT_ERROR(With("imu: {frame: body, q_BS_xyzw: [0, 0, 0, 1]}\n"),

@@ -20,7 +20,10 @@ using Eigen::Vector3d;
 
 Vehicle VehicleWithImu() {
   Vehicle vehicle = NominalVehicle();
-  vehicle.imu = SensorMount{{0.05, 0.03, -0.02}, Exp(Vector3d(-0.4, 0.5, 1.2)), true};
+  vehicle.imu.emplace();
+  vehicle.imu->p_BS = {0.05, 0.03, -0.02};
+  vehicle.imu->q_BS = Exp(Vector3d(-0.4, 0.5, 1.2));
+  vehicle.imu->estimate = true;
   vehicle.odometry.q_BS = Exp(Vector3d(0.3, -0.2, 0.9));
   return vehicle;
 }

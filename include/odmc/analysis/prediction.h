@@ -19,6 +19,9 @@ struct PredictionSample {
   double height_m = 0.0, climb_m_s = 0.0;  ///< of Bo in W
   Eigen::Vector3d v_AB_B, w_WB_B;  ///< relative to the air, angular velocity [m/s, rad/s]
   Eigen::Vector3d measured_force, predicted_force;                                ///< [N]
+  /// predicted_force, but with the angular acceleration that the model predicts in the place of the
+  /// measured one wherever a point off the centre of mass swings [N].
+  Eigen::Vector3d predicted_swing_force;
   Eigen::Vector3d measured_torque, predicted_torque;                              ///< [N m]
   Eigen::Vector3d measured_angular_acceleration, predicted_angular_acceleration;  ///< [rad/s²]
   Eigen::Vector3d predicted_specific_force;  ///< of an accelerometer at the model's IMU mount, in
@@ -32,6 +35,9 @@ struct PredictionSample {
 struct PredictionFigures {
   using Axes = std::optional<Eigen::Vector3d>;
   Axes force_rmse_N, zero_force_rmse_N, force_explained;
+  /// The force's error where the recorded point swings about the centre of mass as the model has it,
+  /// not as it was measured: nothing of the answer is given away.
+  Axes predicted_swing_force_rmse_N;
   /// Mass times what is missed of the accelerometer's reading, in its axes, the mean (its bias)
   /// taken off; of the samples that have one, where those are more than half.
   Axes accelerometer_force_rmse_N;
@@ -106,7 +112,7 @@ class PredictionSummary {
   };
 
   long samples_ = 0, felt_ = 0;  // with an accelerometer
-  AxisSums force_, torque_, acceleration_;
+  AxisSums force_, swing_force_, torque_, acceleration_;
   Eigen::Vector3d felt_error_ = Eigen::Vector3d::Zero(), felt_error2_ = Eigen::Vector3d::Zero();
   Eigen::Vector3d rotor_other_ = Eigen::Vector3d::Zero(), rotor_rotor_ = Eigen::Vector3d::Zero();
 };

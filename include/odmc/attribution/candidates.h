@@ -20,6 +20,8 @@ struct Candidate {
   std::map<std::string, double> start = {};
   /// How its settings are refined; short names.
   std::vector<SettingRefinement> refinements = {};
+  /// Parameters that are estimated although the model has them frozen; full names.
+  std::vector<std::string> freed = {};
 };
 
 /// Every effect of the catalogue that `vehicle`'s model lacks and that may be added to it, with the

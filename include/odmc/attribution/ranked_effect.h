@@ -22,6 +22,7 @@ struct RankedEffect {
   double p_value = 1.0;      ///< chance that any candidate gains as much where nothing acts
   double probability = 0.0;  ///< a posteriori that it acts, of the sets that were looked at
   std::map<std::string, double> settings;  ///< frozen parameters it was tried with, full names
+  std::vector<std::string> freed;          ///< parameters it frees that the model has frozen
   std::vector<ParameterEstimate> parameters;
   Eigen::MatrixXd covariance;             ///< of the estimated ones, initial states left out
   std::vector<std::string> alternatives;  ///< that explain the same on this flight

@@ -23,8 +23,10 @@ struct Stage {
   Stage OfFlight(size_t flight) const;
 };
 
-/// The vehicle with a candidate added, what it was tried with frozen.
+/// The vehicle with a candidate added, what it was tried with frozen, what it frees estimated.
 Vehicle With(const Vehicle& vehicle, const Candidate& candidate);
+/// The same with an effect that was found, as it was tried.
+Vehicle With(const Vehicle& vehicle, const RankedEffect& effect);
 
 /// A vehicle as attribution asks about it: what is estimated has the priors of the vehicle file
 /// again, and starts there; of effects the file does not list, the values stay. The sigmas of an

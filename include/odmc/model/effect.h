@@ -58,6 +58,9 @@ class Effect {
   virtual bool shapes_body() const { return !adds_wrench(); }
   /// Where it shapes the body: the rows its derivative may fill. Fewer make the estimator faster.
   virtual BodyPropertyRows shaped_rows() const { return {0, kNumBodyPropertyRows}; }
+  /// True if it changes what a sensor sees of a motion, and no force: what its parameters do follows
+  /// from the measured motion alone, whatever the rotors and the air do.
+  virtual bool is_kinematic() const { return false; }
   /// Name of the own parameter that is the time from which on the effect acts [s], and before which
   /// it does nothing; empty: it acts throughout.
   virtual std::string onset_parameter() const { return ""; }

@@ -4,6 +4,7 @@
 #include <limits>
 #include <map>
 #include <string>
+#include <vector>
 
 namespace odmc {
 
@@ -24,6 +25,8 @@ struct EffectTrial {
   std::map<std::string, double> settings = {};  ///< parameters frozen at these values
   /// Where to linearize first, for parameters that do nothing at zero (a place of no mass).
   std::map<std::string, double> start = {};
+  /// Own parameters that are estimated then, although the model has them frozen.
+  std::vector<std::string> freed = {};
 };
 
 /// How a setting is refined between its grid's values. Exactly one of `ratio` and `step` is set.
