@@ -64,6 +64,21 @@ FlownRange RangeOf(const FlightMotion& flight, const Vehicle& vehicle) {
           heights[high] - heights[tail], speeds[high], std::max(0.0, descents[high])};
 }
 
+/// True if the motion would tell where a sensor sits: a point at a natural distance from the body's
+/// origin swings by more than what a good model leaves of the force (2 to 3 % of the weight on recorded
+/// flights). On calmer flights its regressors would fit what else is missing.
+/// @pre the flight has samples
+bool SwingsPoints(const FlightMotion& flight, const Vehicle& vehicle) {
+  constexpr double kLeastShare = 0.03;  // of gravity
+  constexpr double kNatural = 0.3;      // of the arms' length
+  double sum = 0.0;
+  for (const FilteredMotion& m : flight.samples) {
+    sum += m.w_dot_S.squaredNorm() + std::pow(m.w_S.squaredNorm(), 2);
+  }
+  const double per_metre_1_s2 = std::sqrt(sum / static_cast<double>(flight.samples.size()));
+  return kNatural * vehicle.ArmLength() * per_metre_1_s2 > kLeastShare * vehicle.gravity_m_s2;
+}
+
 /// By full names what an effect has by short ones.
 std::map<std::string, double> Full(const std::string& effect,
                                    const std::map<std::string, double>& values) {
@@ -142,6 +157,8 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
     if (IsListed(vehicle.effects, name)) continue;
     const std::unique_ptr<Effect> effect = EffectRegistry::Default().Make(name, vehicle);
     for (const EffectTrial& trial : effect->Trials(flown, fits_thrust)) {
+      const bool is_place = !effect->adds_wrench() && !trial.freed.empty();
+      if (is_place && !SwingsPoints(flight, vehicle)) continue;
       candidates.push_back(
           {name, Full(name, trial.settings), Full(name, trial.start), effect->refinements()});
       for (const std::string& freed : trial.freed) {

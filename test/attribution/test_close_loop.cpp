@@ -299,6 +299,10 @@ TEST(CloseLoop, FindsNoPointWhereTheOriginWasRecorded) {
 TEST(Candidates, NoPointIsAskedAboutThatWasMeasured) {
   FlightMotion motion;
   motion.samples.resize(2);
+  for (FilteredMotion& sample : motion.samples) {
+    sample.w_S.setZero();
+    sample.w_dot_S = Eigen::Vector3d(40.0, 0.0, 0.0);
+  }
   const auto asks = [&](const Vehicle& vehicle) {
     for (const Candidate& candidate : CandidatesFor(vehicle, motion)) {
       if (candidate.effect == "odometry_extrinsics") return candidate.freed;
@@ -309,6 +313,10 @@ TEST(Candidates, NoPointIsAskedAboutThatWasMeasured) {
   EXPECT_EQ(asks(vehicle), (std::vector<std::string>{"odometry_extrinsics.px", "odometry_extrinsics.py",
                                                      "odometry_extrinsics.pz"}));
   vehicle.odometry.p_BS_sigma_m = 0.002;
+  EXPECT_TRUE(asks(vehicle).empty());
+  // A calm flight does not show it.
+  vehicle.odometry.p_BS_sigma_m.reset();
+  for (FilteredMotion& sample : motion.samples) sample.w_dot_S.setZero();
   EXPECT_TRUE(asks(vehicle).empty());
 }
 
