@@ -247,11 +247,11 @@ def rotor_mistakes() -> List[Mistake]:
         add('hz', 'turns per second', r'rotor speeds.*(\bHz\b|turns per second)',
             rotor_unit(0.5 / np.pi)),
         add('krpm', 'thousands of rpm', r'rotor speeds.*\bkrpm\b', rotor_unit(1e-3 * RPM)),
-        add('one_dead', 'one rotor reads zero', r'rotor1\b.*\bzero', one_rotor(0, lambda x: 0.0 * x)),
+        add('one_dead', 'one rotor reads zero', r'rotor1\b.*(\bzero|reads 0)', one_rotor(0, lambda x: 0.0 * x)),
         add('one_stuck', 'one rotor reads its mean',
             r'rotor2\b.*(stuck at one value|does not change)',
             one_rotor(1, lambda x: np.full_like(x, x.mean()))),
-        add('one_scaled', 'one rotor reads 20 % too much', r'^rotor_scale: rotor3\b.*too high',
+        add('one_scaled', 'one rotor reads 20 % too much', r'rotor3\b.*(too high|reads 1\.\d+ times)',
             one_rotor(2, lambda x: 1.2 * x)),
         add('clipped', 'readings end at a limit', r'rotor.*(clipped|limit)', of_recording(clipped)),
         add('rotors_late', 'rotor speeds 40 ms late', 'rotor speeds are ' + LATE,
@@ -304,7 +304,7 @@ def imu_mistakes() -> List[Mistake]:
     return [
         add('rates_world', 'rates in the world frame', RATES + ': .*world frame',
             of_recording(in_world), HAS_W),
-        add('rates_degrees', 'rates in deg/s', RATES + ': .*(degrees|deg/s)',
+        add('rates_degrees', 'rates in deg/s', r'(body[_ ]rates|gyro)\b.*(degrees|deg/s)',
             rates_times(180.0 / np.pi), HAS_W),
         add('rates_swapped', 'rates about x and y exchanged', RATES + ': .*axes y, x, z',
             of_recording(rates_swapped), HAS_W),
@@ -336,7 +336,7 @@ def file_mistakes() -> List[Mistake]:
         add('k_f_triple', 'k_f three times', r'^weight: .*thrust\.k_f', k_f(3.0)),
         add('inertia_g_cm2', 'inertia in g cm^2', r'inertia.*g cm',
             lambda v: signals.scale_inertia(v, 1e7)),
-        add('arms_mm', 'rotor positions in mm', r'(position|arm).*\bmm\b',
+        add('arms_mm', 'rotor positions in mm', r'position.*(\bmm\b|millimet)',
             lambda v: signals.scale_arms(v, 1e3)),
         add('arms_ten', 'rotor positions ten times', r'(position|arm).*\b10 times',
             lambda v: signals.scale_arms(v, 10.0)),
@@ -349,7 +349,7 @@ def stamp_mistakes() -> List[Mistake]:
             needs: Any = ()) -> Mistake:
         return Mistake(name, 'stamps', title, says(named), of_recording(spoil), needs)
     return [
-        add('stamps_ms', 'stamps in ms', r'millisecond|\bin ms\b', milliseconds),
+        add('stamps_ms', 'stamps in ms', r'column t\b.*second', milliseconds),
         add('stamps_repeat', 'several samples with one stamp', r'repeat|same stamp|one stamp',
             coarse_stamps),
         add('holes', 'three times half a second missing', r'^(gaps|holes): |missing.*0\.5', holes),

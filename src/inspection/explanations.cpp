@@ -19,10 +19,38 @@ std::vector<double> BlockSquares(const Eigen::Matrix3Xd& error, int windows) {
   return squares;
 }
 
+/// How far the truth lies from `first` towards `best`, and its sigma by blocks of windows.
+void Towards(const Eigen::Matrix3Xd& first, const Eigen::Matrix3Xd& best, int windows,
+             Verdict* verdict) {
+  std::vector<double> along, square;
+  double sum = 0.0, weight = 0.0;
+  for (Eigen::Index i = 0; i + windows <= first.cols(); i += windows) {
+    const Eigen::Matrix3Xd error = first.middleCols(i, windows);
+    const Eigen::Matrix3Xd apart = best.middleCols(i, windows) - error;
+    along.push_back(-error.cwiseProduct(apart).sum());
+    square.push_back(apart.squaredNorm());
+    sum += along.back();
+    weight += square.back();
+  }
+  if (!(weight > 0.0)) return;
+  verdict->towards = sum / weight;
+  double scatter = 0.0;  // of neighbouring blocks together: what is off lasts for a second
+  for (size_t b = 0; b + 1 < along.size(); b += 2) {
+    const double off = along[b] + along[b + 1] - verdict->towards * (square[b] + square[b + 1]);
+    scatter += off * off;
+  }
+  verdict->towards_sigma = std::sqrt(scatter) / weight;
+}
+
 }  // namespace
 
 bool Verdict::mistaken() const {
-  return best != 0 && share < kMistakeShare && sigmas > kMistakeSigmas;
+  if (best == 0) return false;
+  if (share < kMistakeShare && sigmas > kMistakeSigmas) return true;
+  if (fitted) return false;
+  const double variance = towards_sigma * towards_sigma + kTowardsSpread * kTowardsSpread;
+  const double nats = (2.0 * towards - 1.0) / (2.0 * variance);
+  return nats > std::log((1.0 - kMistakesAre) / (kMistakesAre * kFalselyMistaken));
 }
 
 Verdict Judge(const std::vector<Explanation>& explanations, int windows_per_block) {
@@ -34,8 +62,13 @@ Verdict Judge(const std::vector<Explanation>& explanations, int windows_per_bloc
   if (squares.empty() || squares.front().size() < kLeastBlocks) return verdict;
   std::vector<double> medians;
   for (const auto& blocks : squares) medians.push_back(Median(blocks));
+  const double least = *std::min_element(medians.begin(), medians.end());
+  const auto as_good = [least](double median) { return median <= kAsGood * least; };
   verdict.best =
-      static_cast<int>(std::min_element(medians.begin(), medians.end()) - medians.begin());
+      static_cast<int>(std::find_if(medians.begin(), medians.end(), as_good) - medians.begin());
+  verdict.fitted = explanations[static_cast<size_t>(verdict.best)].fitted;
+  Towards(explanations.front().error, explanations[static_cast<size_t>(verdict.best)].error,
+          windows_per_block, &verdict);
   verdict.error_rms = std::sqrt(medians.front());
   verdict.best_error_rms = std::sqrt(medians[verdict.best]);
   std::vector<double> ratios;
