@@ -290,6 +290,7 @@ Quaterniond AboutZ(double angle, const Quaterniond& q) {
   return Quaterniond(Eigen::AngleAxisd(angle, Vector3d::UnitZ())) * q;
 }
 Quaterniond HalfTurn(const Quaterniond& q) { return AboutZ(M_PI, q); }
+Quaterniond BodyHalfTurn(const Quaterniond& q) { return q * AboutZ(M_PI, Quaterniond::Identity()); }
 Quaterniond QuarterLeft(const Quaterniond& q) { return AboutZ(0.5 * M_PI, q); }
 Quaterniond QuarterRight(const Quaterniond& q) { return AboutZ(-0.5 * M_PI, q); }
 
@@ -309,6 +310,8 @@ const std::vector<PoseMistake>& PoseMistakes() {
       {"in a world with z down and a body with z down (NED, FRD)", kFrames, AsIs, true, true},
       {"in a world with z down (NED)", kFrames, AsIs, true, false},
       {"with a body whose z points down (FRD)", kFrames, AsIs, false, true},
+      {"a body frame of the attitude that is turned by 180 degrees about z",
+       "turn the attitude, or odometry.q_BS_xyzw", BodyHalfTurn, false, false},
       {"a position in mm", kMetres, AsIs, false, false, 1e-3},
       {"a position in cm", kMetres, AsIs, false, false, 1e-2},
       {"a world of the attitude that is turned by 180 degrees about z against the position's",
@@ -350,22 +353,41 @@ Matrix3Xd OffTurn(const MotionWindows& w, const PoseMistake& mistake) {
   return off;
 }
 
-// Two readings that send the thrust nearly the same way differ in the turn that rates see.
-constexpr double kNearlyAsGood = 4.0, kTurnsBetter = 0.25;
+/// Specific force beside what the sum of the squared rotor speeds says, in a first row; empty
+/// without rotor speeds. Only the world's z and the position's unit change it.
+Matrix3Xd OffThrust(const MotionWindows& w, const Vehicle& vehicle, const PoseMistake& mistake) {
+  const double up = mistake.world_down ? -1.0 : 1.0;
+  std::vector<double> force, ratios;
+  for (Eigen::Index i = 0; i < w.rotors.cols(); ++i) {
+    const Vector3d a_W = mistake.position * w.acceleration_W.col(i);
+    force.push_back((up * a_W + vehicle.gravity_m_s2 * Vector3d::UnitZ()).norm());
+    ratios.push_back(force.back() / std::max(w.rotors.col(i).sum(), 1e-30));
+  }
+  const double per_square = Median(ratios);
+  Matrix3Xd off = Matrix3Xd::Zero(3, w.rotors.cols());
+  for (Eigen::Index i = 0; i < w.rotors.cols(); ++i) {
+    off(0, i) = force[static_cast<size_t>(i)] - per_square * w.rotors.col(i).sum();
+  }
+  return off;
+}
 
-/// The reading that fits the thrust best; of those nearly as good, the one whose turn the rates show
-/// (recorded in the frame of the pose, as it is).
-size_t BestPose(const MotionWindows& w, const std::vector<Explanation>& readings, size_t best) {
+/// Readings that send the thrust nearly the same way are told apart by the turn that rates show
+/// (recorded in the frame of the pose, as it is), and by the size of the thrust.
+constexpr double kNearlyAsGood = 4.0;
+
+size_t BestPose(const MotionWindows& w, const Vehicle& vehicle,
+                const std::vector<Explanation>& readings, size_t best) {
   const double least = MedianSquare(readings[best].error);
-  const double off = MedianSquare(OffTurn(w, PoseMistakes()[best]));
-  double least_off = kTurnsBetter * off;
-  const size_t first = best;
+  const auto fits_better = [&](size_t i) {
+    const PoseMistake &now = PoseMistakes()[best], &other = PoseMistakes()[i];
+    const std::vector<Explanation> turn = {{"", OffTurn(w, now)}, {"", OffTurn(w, other)}};
+    const std::vector<Explanation> thrust = {{"", OffThrust(w, vehicle, now)},
+                                             {"", OffThrust(w, vehicle, other)}};
+    return Judge(turn, kWindowsPerBlock).mistaken() || Judge(thrust, kWindowsPerBlock).mistaken();
+  };
   for (size_t i = 1; i < readings.size(); ++i) {
-    if (i == first || MedianSquare(readings[i].error) > kNearlyAsGood * least) continue;
-    const double other = MedianSquare(OffTurn(w, PoseMistakes()[i]));
-    if (!(other < least_off)) continue;
-    least_off = other;
-    best = i;
+    if (i == best || MedianSquare(readings[i].error) > kNearlyAsGood * least) continue;
+    if (fits_better(i)) best = i;
   }
   return best;
 }
@@ -377,7 +399,7 @@ void CheckAttitude(const MotionWindows& w, const Vehicle& vehicle, StreamInspect
   }
   const Verdict verdict = Judge(readings, kWindowsPerBlock);
   if (!verdict.mistaken()) return;
-  const size_t best = BestPose(w, readings, static_cast<size_t>(verdict.best));
+  const size_t best = BestPose(w, vehicle, readings, static_cast<size_t>(verdict.best));
   const PoseMistake& mistake = PoseMistakes()[best];
   const bool is_position = mistake.position != 1.0;
   const std::string what = is_position

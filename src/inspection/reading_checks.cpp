@@ -96,13 +96,15 @@ void CheckHoles(const FlightLog& log, std::vector<Finding>* findings) {
 
 // ---- Poses ---------------------------------------------------------------------------------------
 
-// A position that follows the one before: what is off is the error of the source and an
-// acceleration of 20 g between two samples. Corrections of filters have tails that fall like an
-// exponential; five times what one in a hundred steps has then comes once in 10^10 samples.
+// A position that follows the one before: what is off is the error of the source, an acceleration
+// of 20 g between two samples, and a stamp that is off by a step. Errors have tails that fall like an
+// exponential (corrections of filters) or faster: every tenth of the probability adds no more than
+// the one from a tenth to a hundredth. What one sample in 10^10 has by that is an event.
 constexpr double kMostAcceleration_m_s2 = 200.0;
-constexpr double kRare = 0.99, kTimesRare = 5.0;
+constexpr double kDecades = 8.0;  // from 10^-2 on
 constexpr double kLongestStep_s = 0.1;
 constexpr double kLeastJump_m = 0.02;
+constexpr double kFastest_m_s = 20.0;
 
 std::optional<Finding> CheckJumps(const FlightLog& log) {
   const auto& poses = log.odometry;
@@ -121,14 +123,17 @@ std::optional<Finding> CheckJumps(const FlightLog& log) {
     if (before_s < kLongestStep_s && step_s < kLongestStep_s) {
       const Eigen::Vector3d on = b->p_WS + (b->p_WS - a->p_WS) * (step_s / before_s);
       const double span_s = step_s * (step_s + before_s);
-      off_m.push_back((poses[i].p_WS - on).norm() - 0.5 * kMostAcceleration_m_s2 * span_s);
+      const double a_step_m = (b->p_WS - a->p_WS).norm() * std::max(1.0, step_s / before_s);
+      off_m.push_back((poses[i].p_WS - on).norm() - 0.5 * kMostAcceleration_m_s2 * span_s -
+                      std::min(a_step_m, kFastest_m_s * step_s));
       times_s.push_back(Since(poses[i].stamp, log));
     }
     a = b;
     b = &poses[i];
   }
   if (off_m.empty()) return std::nullopt;
-  const double least_m = std::max(kLeastJump_m, kTimesRare * std::max(0.0, Quantile(off_m, kRare)));
+  const double rare_m = Quantile(off_m, 0.99), seldom_m = Quantile(off_m, 0.9);
+  const double least_m = std::max(kLeastJump_m, rare_m + kDecades * (rare_m - seldom_m));
   long count = 0;
   double first_s = 0.0, largest_m = 0.0, last_s = -1.0;
   for (size_t i = 0; i < off_m.size(); ++i) {

@@ -4,8 +4,10 @@
 #include <cmath>
 #include <cstdio>
 
+#include "odmc/inspection/motion_signals.h"
 #include "odmc/math/statistics.h"
 #include "odmc/sensing/plausible.h"
+#include "rotor_unit_check.h"
 
 namespace odmc {
 namespace {
@@ -13,6 +15,7 @@ namespace {
 constexpr double kRpm = 30.0 / M_PI;
 constexpr int kLeastPolePairs = 2, kMostPolePairs = 14;
 constexpr double kRunnerUp = 0.05;  // of the probability
+constexpr size_t kFewWindows = 10;
 
 // Four files in five know k_f as well as they say, but for 25 % at least: battery, other
 // propellers, ground effect, the mass on the day.
@@ -94,7 +97,9 @@ RotorUnit FindRotorUnit(double carrying_k_f, const Vehicle& vehicle) {
   result.best = units[0].name;
   result.best_share = units[0].prior / sum;
   result.mend = units[0].mend;
-  if (units[1].prior > kRunnerUp * sum) result.or_best = units[1].name;
+  for (size_t i = 1; i < units.size() && units[i].prior > kRunnerUp * sum; ++i) {
+    result.or_best += (i == 1 ? "" : ", ") + units[i].name;
+  }
   return result;
 }
 
@@ -111,18 +116,39 @@ std::optional<Finding> RotorUnitFinding(double carrying_k_f, const Vehicle& vehi
                  unit.mend};
 }
 
-std::string ImpossibleRotorUnit(const std::vector<RotorSample>& rotors, const Vehicle& vehicle) {
-  std::vector<double> fastest, squares;
-  for (const RotorSample& sample : rotors) {
+namespace {
+
+/// k_f that carries the mass, wherever the thrust points and however the body turns.
+std::optional<double> CarryingThrust(const MotionWindows& w, const Vehicle& vehicle) {
+  std::vector<double> ratios;
+  for (int i = 0; i < w.rotors.cols(); ++i) {
+    const Eigen::Vector3d force_W = Eigen::Vector3d(w.acceleration_W.col(i)) +
+                                    vehicle.gravity_m_s2 * Eigen::Vector3d::UnitZ();
+    const double squares = w.rotors.col(i).sum();
+    if (squares > 0.0) ratios.push_back(vehicle.mass_kg * force_W.norm() / squares);
+  }
+  if (ratios.size() < kFewWindows) return std::nullopt;
+  return Median(ratios);
+}
+
+}  // namespace
+
+std::optional<Finding> CheckRotorUnit(const MotionWindows& windows, const Vehicle& vehicle) {
+  const auto k_f = CarryingThrust(windows, vehicle);
+  return k_f ? RotorUnitFinding(*k_f, vehicle) : std::nullopt;
+}
+
+std::string ImpossibleRotorUnit(const FlightLog& log, const Vehicle& vehicle) {
+  std::vector<double> fastest;
+  for (const RotorSample& sample : log.rotors) {
     if (!sample.speed.allFinite() || sample.speed.size() == 0) continue;
     const double most = sample.speed.cwiseAbs().maxCoeff();
-    if (most == 0.0) continue;
-    fastest.push_back(most);
-    squares.push_back(sample.speed.squaredNorm());
+    if (most > 0.0) fastest.push_back(most);
   }
   if (!(Median(fastest) > kMostRotorSpeed_rad_s)) return "";
-  const double weight_N = vehicle.mass_kg * vehicle.gravity_m_s2;
-  const auto finding = RotorUnitFinding(weight_N / Median(squares), vehicle);
+  const std::optional<MotionSignals> signals = SignalsOf(log);
+  if (!signals) return "";
+  const auto finding = CheckRotorUnit(WindowsOf(*signals, FindFlight(*signals)), vehicle);
   return finding ? Sentence(*finding) : "";
 }
 

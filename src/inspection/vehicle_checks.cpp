@@ -7,9 +7,9 @@
 #include <optional>
 
 #include "motion_windows.h"
-#include "odmc/inspection/rotor_units.h"
 #include "odmc/math/statistics.h"
 #include "odmc/model/vehicle_units.h"
+#include "rotor_unit_check.h"
 
 namespace odmc {
 namespace {
@@ -36,7 +36,6 @@ constexpr double kLeanNotWind_rad = 0.2;
 constexpr double kCalm_rad_s = 3.0;
 constexpr double kLeastGravity = 9.7, kMostGravity = 9.9;  // 9.764 (Huascaran) to 9.834 (Arctic)
 constexpr int kLeastWindows = 10 * kWindowsPerBlock;
-constexpr size_t kFewWindows = 10;
 
 std::string Text(double value) {
   char text[32];
@@ -59,20 +58,6 @@ BodyMotion MotionOf(const MotionWindows& w, const Vehicle& vehicle) {
     motion.velocity.col(i) = R_BW * Vector3d(w.displacement_m_s.col(i));
   }
   return motion;
-}
-
-/// k_f that carries the mass, wherever the thrust points and the body turns: enough to tell units.
-/// Empty where rotor speeds are missing.
-std::optional<double> RoughThrust(const MotionWindows& w, const Vehicle& vehicle) {
-  std::vector<double> ratios;
-  for (int i = 0; i < w.rotors.cols(); ++i) {
-    const Vector3d force_W =
-        Vector3d(w.acceleration_W.col(i)) + vehicle.gravity_m_s2 * Vector3d::UnitZ();
-    const double squares = w.rotors.col(i).sum();
-    if (squares > 0.0) ratios.push_back(vehicle.mass_kg * force_W.norm() / squares);
-  }
-  if (ratios.size() < kFewWindows) return std::nullopt;
-  return Median(ratios);
 }
 
 /// k_f that carries the mass; empty where rotor speeds are missing.
@@ -250,12 +235,10 @@ void CheckGravity(const Vehicle& vehicle, StreamInspection* inspection) {
 void CheckThrust(const MotionSignals& signals, const Vehicle& vehicle,
                  const std::vector<bool>& flight, StreamInspection* inspection) {
   const MotionWindows all = WindowsOf(signals, flight);
-  if (const auto rough = RoughThrust(all, vehicle)) {
-    if (const auto unit = RotorUnitFinding(*rough, vehicle)) {
-      inspection->findings.push_back(*unit);
-      inspection->refusal = Sentence(*unit);
-      return;
-    }
+  if (const auto unit = CheckRotorUnit(all, vehicle)) {
+    inspection->findings.push_back(*unit);
+    inspection->refusal = Sentence(*unit);
+    return;
   }
   const MotionWindows w = CalmOnes(all, kCalm_rad_s);
   if (w.size() < kLeastWindows) return;

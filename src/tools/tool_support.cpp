@@ -559,7 +559,7 @@ FlightLog FlightArguments::ReadAsRecorded(const std::string& flight, int num_rot
 
 FlightLog FlightArguments::Read(const std::string& flight, const Vehicle& vehicle) const {
   FlightLog log = ReadAsRecorded(flight, vehicle.num_rotors());
-  const std::string unit = ImpossibleRotorUnit(log.rotors, vehicle);
+  const std::string unit = ImpossibleRotorUnit(log, vehicle);
   if (!unit.empty()) throw std::invalid_argument(flight + ": " + unit);
   MendFlight(&log);
   if (log.rotors.empty() && !log.commands.empty() && !from_commands) {

@@ -42,8 +42,8 @@ constexpr double kMistakeShare = 0.25, kMistakeSigmas = 5.0;
 constexpr double kTowardsSpread = 0.15, kMistakesAre = 0.01, kFalselyMistaken = 1e-4;
 
 /// Readings that explain all but as much cannot be told apart: of these, the one that comes first is
-/// taken. (Mean square over the least, median of the blocks.)
-constexpr double kAsGood = 1.1;
+/// taken. (Mean square over the least, median of the blocks; log ratio in standard errors.)
+constexpr double kAsGood = 1.1, kAsGoodSigmas = 3.0;
 
 /// Compares explanations (the first: as it is; then the likeliest first). @param windows_per_block > 0
 Verdict Judge(const std::vector<Explanation>& explanations, int windows_per_block);

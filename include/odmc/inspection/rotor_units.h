@@ -15,7 +15,7 @@ struct RotorUnit {
   double declared_share = 1.0;  ///< probability of rad/s
   double best_share = 0.0;
   std::string best;             ///< "rpm", "erpm of 7 pole pairs (14 poles)"
-  std::string or_best;          ///< the next, where it is not much less likely; or empty
+  std::string or_best;          ///< the next ones, where they are not much less likely; or empty
   std::string mend;
 
   /// Speeds that are in rad/s are refuted once in 10 000 recordings.
@@ -33,6 +33,6 @@ std::optional<Finding> RotorUnitFinding(double carrying_k_f, const Vehicle& vehi
 
 /// The same for readings that no rotor has in rad/s, which readers drop: to be asked before.
 /// @returns a sentence; empty if fewer than half of the readings are so
-std::string ImpossibleRotorUnit(const std::vector<RotorSample>& rotors, const Vehicle& vehicle);
+std::string ImpossibleRotorUnit(const FlightLog& log, const Vehicle& vehicle);
 
 }  // namespace odmc
