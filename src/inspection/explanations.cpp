@@ -68,7 +68,7 @@ void Towards(const Eigen::Matrix3Xd& first, const Eigen::Matrix3Xd& best, int wi
 bool Verdict::mistaken() const {
   if (best == 0) return false;
   if (share < kMistakeShare && sigmas > kMistakeSigmas) return true;
-  if (fitted) return false;
+  if (fitted || share > kTowardsShare) return false;
   const double variance = towards_sigma * towards_sigma + kTowardsSpread * kTowardsSpread;
   const double nats = (2.0 * towards - 1.0) / (2.0 * variance);
   return nats > std::log((1.0 - kMistakesAre) / (kMistakesAre * kFalselyMistaken));

@@ -294,6 +294,8 @@ Quaterniond BodyHalfTurn(const Quaterniond& q) { return q * AboutZ(M_PI, Quatern
 Quaterniond QuarterLeft(const Quaterniond& q) { return AboutZ(0.5 * M_PI, q); }
 Quaterniond QuarterRight(const Quaterniond& q) { return AboutZ(-0.5 * M_PI, q); }
 
+constexpr size_t kQuaternionMistakes = 3;  // after the first: those of the quaternion itself
+
 /// The likeliest first.
 const std::vector<PoseMistake>& PoseMistakes() {
   static const char kOrder[] = "give the quaternion as qw, qx, qy, qz";
@@ -339,6 +341,18 @@ Matrix3Xd AcrossThrust(const MotionWindows& w, const Vehicle& vehicle, const Pos
     across.col(i) = force_B;
   }
   return across;
+}
+
+// Multirotors accelerate by some 3 m/s² (RMS), ten times more or less: in a smaller unit than metres
+// by as many times more. What is nearer to that than to what smaller numbers would be is no metre.
+constexpr double kUsualAcceleration_m_s2 = 3.0;
+
+/// True if the position's numbers may be in the unit of this mistake: a hovering vehicle's that are
+/// mostly noise fit anything smaller.
+bool IsPossible(const MotionWindows& w, const PoseMistake& mistake) {
+  if (mistake.position == 1.0) return true;
+  const double least_m_s2 = kUsualAcceleration_m_s2 / std::sqrt(mistake.position);
+  return MedianSquare(w.acceleration_W) > least_m_s2 * least_m_s2;
 }
 
 /// Body rates beside the turn of the attitude that a mistake leaves; empty without rates.
@@ -392,23 +406,55 @@ size_t BestPose(const MotionWindows& w, const Vehicle& vehicle,
   return best;
 }
 
+/// Where the thrust does not tell (a calm flight): the reading of the quaternion whose turn the rates
+/// show, if the thrust, too, fits it rather than the quaternion as it is; otherwise 0.
+size_t PoseByTurn(const MotionWindows& w, const std::vector<Explanation>& readings) {
+  const Matrix3Xd as_is = OffTurn(w, PoseMistakes()[0]);
+  if (as_is.cols() == 0) return 0;
+  const Matrix3Xd& rates = w.rates.cols() > 0 ? w.rates : w.gyro;
+  if (MedianSquare(rates) < kLeastMotion * kLeastMotion) return 0;
+  size_t best = 0;
+  double least = MedianSquare(as_is);
+  for (size_t i = 1; i <= kQuaternionMistakes; ++i) {
+    const Matrix3Xd turn = OffTurn(w, PoseMistakes()[i]);
+    if (!(MedianSquare(turn) < least)) continue;
+    if (!Judge({{"", as_is}, {"", turn}}, kWindowsPerBlock).mistaken()) continue;
+    const Verdict thrust = Judge({readings[0], readings[i]}, kWindowsPerBlock);
+    if (thrust.best == 0 || thrust.towards - thrust.towards_sigma < 0.5) continue;
+    best = i;
+    least = MedianSquare(turn);
+  }
+  return best;
+}
+
 void CheckAttitude(const MotionWindows& w, const Vehicle& vehicle, StreamInspection* inspection) {
   std::vector<Explanation> readings;
   for (const PoseMistake& mistake : PoseMistakes()) {
-    readings.push_back({mistake.name, AcrossThrust(w, vehicle, mistake)});
+    const bool is_possible = IsPossible(w, mistake);
+    readings.push_back(
+        {mistake.name, AcrossThrust(w, vehicle, is_possible ? mistake : PoseMistakes().front())});
   }
   const Verdict verdict = Judge(readings, kWindowsPerBlock);
-  if (!verdict.mistaken()) return;
-  const size_t best = BestPose(w, vehicle, readings, static_cast<size_t>(verdict.best));
+  const size_t best = verdict.mistaken()
+                          ? BestPose(w, vehicle, readings, static_cast<size_t>(verdict.best))
+                          : PoseByTurn(w, readings);
+  if (best == 0) return;
   const PoseMistake& mistake = PoseMistakes()[best];
   const bool is_position = mistake.position != 1.0;
   const std::string what = is_position
                                ? "the position does not move as attitude and thrust say"
                                : "the attitude does not point the thrust where the vehicle accelerates";
+  const auto rms = [&](size_t i) { return Text(std::sqrt(MedianSquare(readings[i].error))); };
   inspection->refusal = what + ": it fits " + mistake.name +
-                        " (specific force across the thrust axis " +
-                        Text(std::sqrt(MedianSquare(readings[best].error))) +
-                        " m/s^2 RMS instead of " + Text(verdict.error_rms) + ")";
+                        " (specific force across the thrust axis " + rms(best) +
+                        " m/s^2 RMS instead of " + rms(0);
+  const Matrix3Xd as_is = OffTurn(w, PoseMistakes()[0]);
+  if (as_is.cols() > 0) {
+    inspection->refusal += "; turn beside the rates " +
+                           Text(std::sqrt(MedianSquare(OffTurn(w, mistake)))) +
+                           " rad/s RMS instead of " + Text(std::sqrt(MedianSquare(as_is)));
+  }
+  inspection->refusal += ")";
   inspection->findings.push_back({is_position ? "position" : "attitude", Trust::kBad,
                                   inspection->refusal, mistake.mend});
   inspection->refusal += "; " + mistake.mend;
