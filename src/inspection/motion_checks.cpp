@@ -385,6 +385,16 @@ Matrix3Xd OffThrust(const MotionWindows& w, const Vehicle& vehicle, const PoseMi
   return off;
 }
 
+/// True if the truth is nearer to the second of two mistakes, neither of which is likelier beforehand.
+bool IsNearer(const Matrix3Xd& first, const Matrix3Xd& second) {
+  constexpr double kSigmas = 3.0;
+  std::vector<Explanation> two(2);
+  two[0].error = first;
+  two[1].error = second;
+  const Verdict verdict = Judge(two, kWindowsPerBlock);
+  return verdict.best != 0 && verdict.towards - kSigmas * verdict.towards_sigma > 0.5;
+}
+
 /// Readings that send the thrust nearly the same way are told apart by the turn that rates show
 /// (recorded in the frame of the pose, as it is), and by the size of the thrust.
 constexpr double kNearlyAsGood = 4.0;
@@ -394,10 +404,8 @@ size_t BestPose(const MotionWindows& w, const Vehicle& vehicle,
   const double least = MedianSquare(readings[best].error);
   const auto fits_better = [&](size_t i) {
     const PoseMistake &now = PoseMistakes()[best], &other = PoseMistakes()[i];
-    const std::vector<Explanation> turn = {{"", OffTurn(w, now)}, {"", OffTurn(w, other)}};
-    const std::vector<Explanation> thrust = {{"", OffThrust(w, vehicle, now)},
-                                             {"", OffThrust(w, vehicle, other)}};
-    return Judge(turn, kWindowsPerBlock).mistaken() || Judge(thrust, kWindowsPerBlock).mistaken();
+    return IsNearer(OffTurn(w, now), OffTurn(w, other)) ||
+           IsNearer(OffThrust(w, vehicle, now), OffThrust(w, vehicle, other));
   };
   for (size_t i = 1; i < readings.size(); ++i) {
     if (i == best || MedianSquare(readings[i].error) > kNearlyAsGood * least) continue;

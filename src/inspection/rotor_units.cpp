@@ -65,17 +65,12 @@ double Density(double x, double sigma) {
   return std::exp(-0.5 * x * x / (sigma * sigma)) / sigma;
 }
 
-/// Of a thrust coefficient, up to a factor.
-double PriorOf(double k_f, const Vehicle& vehicle) {
+/// Of a thrust coefficient, up to a factor. @param setting what the file says of it
+double PriorOf(double k_f, const ParameterSetting& setting, const Vehicle& vehicle) {
   const double radius = vehicle.rotors.front().radius_m;
   const double by_size = Density(std::log(k_f / (kPerRadius4 * std::pow(radius, 4))), kLogSigma);
-  const auto setting = vehicle.parameters.find("thrust.k_f");
-  if (setting == vehicle.parameters.end() || !setting->second.value ||
-      !(*setting->second.value > 0.0)) {
-    return by_size;
-  }
-  const double file = *setting->second.value;
-  const double relative = setting->second.sigma ? *setting->second.sigma / file : kLogSigma;
+  const double file = *setting.value;
+  const double relative = setting.sigma ? *setting.sigma / file : kLogSigma;
   const double sigma = std::clamp(relative, kLeastSigma, kLogSigma);
   return kFileKnows * Density(std::log(k_f / file), sigma) + (1.0 - kFileKnows) * by_size;
 }
@@ -84,10 +79,13 @@ double PriorOf(double k_f, const Vehicle& vehicle) {
 
 RotorUnit FindRotorUnit(double carrying_k_f, const Vehicle& vehicle) {
   if (!(carrying_k_f > 0.0) || !std::isfinite(carrying_k_f)) return {};
+  const auto setting = vehicle.parameters.find("thrust.k_f");
+  if (setting == vehicle.parameters.end() || !setting->second.value) return {};
+  if (!(*setting->second.value > 0.0)) return {};
   std::vector<Unit> units = Units();
   double sum = 0.0;
   for (Unit& unit : units) {
-    unit.prior *= PriorOf(carrying_k_f * unit.factor * unit.factor, vehicle);
+    unit.prior *= PriorOf(carrying_k_f * unit.factor * unit.factor, setting->second, vehicle);
     sum += unit.prior;
   }
   if (!(sum > 0.0)) return {};

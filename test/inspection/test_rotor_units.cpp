@@ -55,12 +55,19 @@ TEST(RotorUnits, NamesTheUnit) {
   named(2.0 * kRpm, "erpm of 2 pole pairs");
 }
 
-TEST(RotorUnits, PropellersTellWhereTheFileHasNoThrustCoefficient) {
+TEST(RotorUnits, PropellersTellWhereTheFilesThrustCoefficientIsNonsense) {
+  Vehicle vehicle = Known();
+  const double k_f = FileThrust(vehicle);
+  vehicle.parameters["thrust.k_f"].value = k_f / 91.19;  // in N/rpm^2
+  vehicle.parameters["thrust.k_f"].sigma = 0.2 * k_f / 91.19;
+  EXPECT_FALSE(FindRotorUnit(k_f, vehicle).Refutes());
+}
+
+TEST(RotorUnits, NothingIsSaidWithoutAThrustCoefficient) {
   Vehicle vehicle = Known();
   const double k_f = FileThrust(vehicle);
   vehicle.parameters.erase("thrust.k_f");
-  EXPECT_FALSE(FindRotorUnit(k_f, vehicle).Refutes());
-  EXPECT_EQ(FindRotorUnit(k_f / (kRpm * kRpm), vehicle).best, "rpm");
+  EXPECT_FALSE(FindRotorUnit(k_f / (kRpm * kRpm), vehicle).Refutes());
 }
 
 TEST(RotorUnits, FindingSaysWhatToWrite) {

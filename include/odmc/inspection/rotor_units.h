@@ -24,7 +24,8 @@ struct RotorUnit {
 
 /// Weighs rad/s, rpm, krpm, turns per second, deg/s, and eRPM and electric rad/s of 2 to 14 pole
 /// pairs. Each says what the thrust coefficient would be; most vehicle files know that within their
-/// own sigma, and those that do not still have propellers of a known size.
+/// own sigma, and those that do not still have propellers of a known size. Says nothing where the file
+/// has no thrust.k_f.
 /// @param carrying_k_f coefficient with which the thrust of the numbers as they are carries the mass
 RotorUnit FindRotorUnit(double carrying_k_f, const Vehicle& vehicle);
 
