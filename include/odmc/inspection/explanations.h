@@ -37,8 +37,8 @@ constexpr double kMistakeShare = 0.25, kMistakeSigmas = 5.0;
 /// Mistakes too small for that (a velocity in the body frame of a vehicle that hardly tilts) still
 /// lie on one line with the right reading: by Bayes' rule, with one recording in a hundred mistaken,
 /// so that a right one is called mistaken once in 10 000. What filters and wrong scales pull along
-/// that line has this spread: twice the 0.08 RMS of 9400 wrong readings of 67 right recordings of
-/// nine vehicles. Signals that are mostly noise pull farther, so half of the mean square must go, too.
+/// that line has this spread: twice the 0.08 RMS of 9400 wrong readings of 58 right recordings of
+/// eight vehicles. Signals that are mostly noise pull farther, so half of the mean square must go, too.
 constexpr double kTowardsSpread = 0.15, kMistakesAre = 0.01, kFalselyMistaken = 1e-4;
 constexpr double kTowardsShare = 0.5;
 
