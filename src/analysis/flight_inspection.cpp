@@ -117,40 +117,6 @@ std::vector<Lesson> LessonsOf(const DynamicModel& model, const Snapshot& last) {
   return lessons;
 }
 
-/// Poses that stay to the last digit while the rotors carry the vehicle: a source that froze.
-std::optional<Finding> FrozenPose(const FlightLog& log, const Vehicle& vehicle) {
-  constexpr double kFrozen_s = 0.2;
-  constexpr double kCarried = 0.5;  // of the weight
-  const DynamicModel model(vehicle, vehicle.effects);
-  const int k_f = model.IndexOf("thrust.k_f");
-  if (k_f < 0 || log.odometry.empty()) return std::nullopt;
-  const auto carries = [&](Stamp from, Stamp to) {
-    double sum = 0.0, n = 0.0;
-    for (const RotorSample& s : log.rotors) {
-      if (s.stamp < from || s.stamp > to) continue;
-      sum += s.speed.squaredNorm();
-      n += 1.0;
-    }
-    const double weight_N = vehicle.mass_kg * vehicle.gravity_m_s2;
-    return n > 0.0 && model.InitialValues()[k_f] * sum / n > kCarried * weight_N;
-  };
-  for (size_t i = 0, first = 0; i <= log.odometry.size(); ++i) {
-    if (i < log.odometry.size() && IsSame(log.odometry[i], log.odometry[first])) continue;
-    const Stamp from = log.odometry[first].stamp, to = log.odometry[i - (i > 0 ? 1 : 0)].stamp;
-    if (ToSeconds(to - from) > kFrozen_s && carries(from, to)) {
-      const double zero_s = ToSeconds(from - log.odometry.front().stamp);
-      return Finding{"frozen_pose", Trust::kDoubtful,
-                     "the pose stays to the last digit for " + Number(ToSeconds(to - from)) +
-                         " s in flight",
-                     "its source stalls: look there, or cut the flight before (--end " +
-                         Number(zero_s) + ")",
-                     std::make_pair(zero_s, zero_s + ToSeconds(to - from))};
-    }
-    first = i;
-  }
-  return std::nullopt;
-}
-
 /// What fits of the thrust coefficient beside what the file says: mass and k_f are one in flight.
 std::optional<Finding> ThrustOffTheFile(const std::vector<Lesson>& lessons,
                                         const DynamicModel& model) {
@@ -301,9 +267,7 @@ FlightInspection InspectFlight(FlightLog log, const Vehicle& vehicle) {
     result.first_stamp = log.odometry.front().stamp;
     result.duration_s = ToSeconds(log.odometry.back().stamp - result.first_stamp);
   }
-  const std::optional<Finding> frozen = FrozenPose(log, vehicle);
   result.inspection = InspectRecording(vehicle, &log);
-  if (frozen) result.inspection.findings.push_back(*frozen);
   if (result.inspection.refusal.empty()) Learn(std::move(log), vehicle, &result);
   return result;
 }

@@ -43,10 +43,12 @@ std::string AxesText(const Matrix3d& axes) {
   return text;
 }
 
-/// All 48 ways to confuse axes and signs, the right one first.
+/// All 48 ways to confuse axes and signs: the right one, then y right and z down, all signs, turns
+/// about z, then the others.
 std::vector<Matrix3d> AxisMistakes() {
-  const int orders[6][3] = {{0, 1, 2}, {0, 2, 1}, {1, 0, 2}, {1, 2, 0}, {2, 0, 1}, {2, 1, 0}};
-  std::vector<Matrix3d> all;
+  const int orders[6][3] = {{0, 1, 2}, {1, 0, 2}, {0, 2, 1}, {1, 2, 0}, {2, 0, 1}, {2, 1, 0}};
+  std::vector<Matrix3d> all = {Matrix3d::Identity(), Vector3d(1.0, -1.0, -1.0).asDiagonal(),
+                               -Matrix3d::Identity(), Vector3d(-1.0, -1.0, 1.0).asDiagonal()};
   for (const auto& order : orders) {
     for (int signs = 0; signs < 8; ++signs) {
       Matrix3d axes = Matrix3d::Zero();
@@ -81,21 +83,39 @@ double ScaleOf(const Matrix3Xd& x, const Matrix3Xd& y) {
   return square > 0.0 ? x.cwiseProduct(y).sum() / square : 0.0;
 }
 
-/// Readings of a stream `x` that should be `y`: turned by every rotation, confused axes, degrees.
+/// Another unit: what it must be multiplied with.
+struct UnitMistake {
+  std::string name;
+  double factor;
+};
+
+/// "; or the pose's body frame is turned by 180 degrees about z": what looks the same.
+std::string TurnText(const Matrix3d& axes) {
+  if (axes(2, 2) != 1.0 || axes.determinant() < 0.0) return "";
+  const bool half = axes(0, 0) == -1.0;
+  return std::string(", or the pose's body frame is turned by ") + (half ? "180" : "90") +
+         " degrees about z";
+}
+
+/// Readings of a stream `x` that should be `y`: turned by every rotation, of other units, confused
+/// axes.
 std::vector<Explanation> Readings(const Matrix3Xd& x, const Matrix3Xd& y,
-                                  const std::vector<Quaterniond>& q, bool world_is_right) {
+                                  const std::vector<Quaterniond>& q, bool world_is_right,
+                                  const std::vector<UnitMistake>& units) {
   std::vector<Explanation> all = {{"as it is", x - y}};
   all.push_back({world_is_right ? "written in the body frame" : "written in the world frame",
                  Turned(q, x, !world_is_right) - y});
-  all.push_back({"in degrees", kDegree * x - y});
+  for (const UnitMistake& unit : units) all.push_back({unit.name, unit.factor * x - y});
   for (const Matrix3d& axes : AxisMistakes()) {
     if (axes.isIdentity()) continue;
-    all.push_back({"with axes " + AxesText(axes), axes * x - y});
+    all.push_back({"with axes " + AxesText(axes) + TurnText(axes), axes * x - y});
   }
   const double scale = ScaleOf(x, y);
   if (scale > kLeastScale && scale < 1.0 / kLeastScale) return all;
-  if (std::abs(scale / kDegree - 1.0) < 0.1) return all;  // degrees are among them
-  all.push_back({Text(1.0 / scale) + " times too large", scale * x - y});
+  for (const UnitMistake& unit : units) {
+    if (std::abs(scale / unit.factor - 1.0) < 0.1) return all;  // is among them
+  }
+  all.push_back({Text(1.0 / scale) + " times too large", scale * x - y, true});
   return all;
 }
 
@@ -136,7 +156,7 @@ void AddOtherPoint(const MotionWindows& w, std::vector<Explanation>* readings) {
   for (Eigen::Index i = 0; i < error.cols(); ++i) left.col(i) -= lever(i) * r;
   readings->push_back({"of a point " + Text(r.norm()) + " m away (" + Text(r.x()) + ", " +
                            Text(r.y()) + ", " + Text(r.z()) + " in the sensor's frame)",
-                       left});
+                       left, true});
 }
 
 /// The velocity over what the position's derivative is, with its sigma: by either regression, as
@@ -158,6 +178,9 @@ RareError VelocityScale(const MotionWindows& w) {
   return Posterior(scale - 1.0, std::max(sigma, 1e-3), kScalesAre, kScaleSize);
 }
 
+const std::vector<UnitMistake> kVelocityUnits = {
+    {"in km/h", 1.0 / 3.6}, {"in cm/s", 0.01}, {"in mm/s", 0.001}, {"in ft/s", 0.3048}};
+
 void CheckVelocity(const MotionWindows& w, MotionSignals* s, StreamInspection* inspection) {
   if (w.velocity.cols() == 0) return;
   if (MedianSquare(w.displacement_m_s) < kLeastMotion * kLeastMotion) return;
@@ -172,7 +195,7 @@ void CheckVelocity(const MotionWindows& w, MotionSignals* s, StreamInspection* i
     return drop("its axis " + stuck + " does not change while the position does",
                 "record the whole velocity, or none");
   }
-  std::vector<Explanation> readings = Readings(w.velocity, w.displacement_m_s, w.q_WS, true);
+  std::vector<Explanation> readings = Readings(w.velocity, w.displacement_m_s, w.q_WS, true, kVelocityUnits);
   AddOtherPoint(w, &readings);
   const Verdict verdict = Judge(readings, kWindowsPerBlock);
   if (verdict.mistaken()) {
@@ -201,6 +224,8 @@ void CheckVelocity(const MotionWindows& w, MotionSignals* s, StreamInspection* i
 
 // ---- Rates --------------------------------------------------------------------------------------
 
+const std::vector<UnitMistake> kRateUnits = {{"in degrees", kDegree}};
+
 /// What the attitude's own turn says the rates are.
 Matrix3Xd Turns(const MotionWindows& w) {
   Matrix3Xd turns(3, w.size());
@@ -216,7 +241,7 @@ std::string WrongRates(const MotionWindows& w, const Matrix3Xd& x, const Matrix3
   Matrix3Xd turns = Turns(w);
   if (MedianSquare(turns) < kLeastMotion * kLeastMotion) return "";
   const Matrix3Xd in_S = R_SX * x;
-  const std::vector<Explanation> readings = Readings(in_S, turns, w.q_WS, false);
+  const std::vector<Explanation> readings = Readings(in_S, turns, w.q_WS, false, kRateUnits);
   const Verdict verdict = Judge(readings, kWindowsPerBlock);
   if (!verdict.mistaken()) return "";
   return "fits " + readings[verdict.best].name + " (" + Text(verdict.best_error_rms) +
@@ -247,11 +272,13 @@ void CheckRates(const MotionWindows& w, const Vehicle& vehicle, MotionSignals* s
 
 // ---- Attitude -----------------------------------------------------------------------------------
 
-/// A mistake in reading a pose: of the quaternion, and of the axes of world and body.
+/// A mistake in reading a pose: of the quaternion, of the axes of world and body, of the position's
+/// unit.
 struct PoseMistake {
   std::string name, mend;
   Quaterniond (*read)(const Quaterniond& q);
   bool world_down, body_down;
+  double position = 1.0;  ///< what it must be multiplied with
 };
 
 Quaterniond AsIs(const Quaterniond& q) { return q; }
@@ -259,11 +286,23 @@ Quaterniond Conjugate(const Quaterniond& q) { return q.conjugate(); }
 // The file holds x, y, z, w and was read as w, x, y, z; and the other way round.
 Quaterniond LastIsW(const Quaterniond& q) { return {q.z(), q.w(), q.x(), q.y()}; }
 Quaterniond FirstIsW(const Quaterniond& q) { return {q.x(), q.y(), q.z(), q.w()}; }
+Quaterniond AboutZ(double angle, const Quaterniond& q) {
+  return Quaterniond(Eigen::AngleAxisd(angle, Vector3d::UnitZ())) * q;
+}
+Quaterniond HalfTurn(const Quaterniond& q) { return AboutZ(M_PI, q); }
+Quaterniond BodyHalfTurn(const Quaterniond& q) { return q * AboutZ(M_PI, Quaterniond::Identity()); }
+Quaterniond QuarterLeft(const Quaterniond& q) { return AboutZ(0.5 * M_PI, q); }
+Quaterniond QuarterRight(const Quaterniond& q) { return AboutZ(-0.5 * M_PI, q); }
 
+constexpr size_t kQuaternionMistakes = 3;  // after the first: those of the quaternion itself
+
+/// The likeliest first.
 const std::vector<PoseMistake>& PoseMistakes() {
   static const char kOrder[] = "give the quaternion as qw, qx, qy, qz";
   static const char kFrames[] = "turn the pose into a world with z up and a body with x forward, "
                                 "y left, z up";
+  static const char kWorlds[] = "give position and attitude in one world frame";
+  static const char kMetres[] = "give the position in m (columns px, py, pz)";
   static const std::vector<PoseMistake> kAll = {
       {"as it is", "", AsIs, false, false},
       {"as a conjugated quaternion (world to body)", "conjugate it: it must take body vectors into "
@@ -272,7 +311,17 @@ const std::vector<PoseMistake>& PoseMistakes() {
       {"as a quaternion whose first number was taken for the last", kOrder, FirstIsW, false, false},
       {"in a world with z down and a body with z down (NED, FRD)", kFrames, AsIs, true, true},
       {"in a world with z down (NED)", kFrames, AsIs, true, false},
-      {"with a body whose z points down (FRD)", kFrames, AsIs, false, true}};
+      {"with a body whose z points down (FRD)", kFrames, AsIs, false, true},
+      {"a body frame of the attitude that is turned by 180 degrees about z",
+       "turn the attitude, or odometry.q_BS_xyzw", BodyHalfTurn, false, false},
+      {"a position in mm", kMetres, AsIs, false, false, 1e-3},
+      {"a position in cm", kMetres, AsIs, false, false, 1e-2},
+      {"a world of the attitude that is turned by 180 degrees about z against the position's",
+       kWorlds, HalfTurn, false, false},
+      {"a world of the attitude that is turned by 90 degrees about z against the position's",
+       kWorlds, QuarterLeft, false, false},
+      {"a world of the attitude that is turned by -90 degrees about z against the position's",
+       kWorlds, QuarterRight, false, false}};
   return kAll;
 }
 
@@ -285,7 +334,7 @@ Matrix3Xd AcrossThrust(const MotionWindows& w, const Vehicle& vehicle, const Pos
   Matrix3Xd across(3, w.size());
   for (int i = 0; i < w.size(); ++i) {
     const Matrix3d R_WS = world * mistake.read(w.q_WS[i]).toRotationMatrix() * body;
-    const Vector3d a_W = w.acceleration_W.col(i);
+    const Vector3d a_W = mistake.position * w.acceleration_W.col(i);
     const Vector3d force_W = world * a_W + vehicle.gravity_m_s2 * Vector3d::UnitZ();
     Vector3d force_B = R_BS * R_WS.transpose() * force_W;
     force_B.z() = force_B.z() - force_W.norm();
@@ -294,19 +343,128 @@ Matrix3Xd AcrossThrust(const MotionWindows& w, const Vehicle& vehicle, const Pos
   return across;
 }
 
+// Multirotors accelerate by some 3 m/s² (RMS), ten times more or less: in a smaller unit than metres
+// by as many times more. What is nearer to that than to what smaller numbers would be is no metre.
+constexpr double kUsualAcceleration_m_s2 = 3.0;
+
+/// True if the position's numbers may be in the unit of this mistake: a hovering vehicle's that are
+/// mostly noise fit anything smaller.
+bool IsPossible(const MotionWindows& w, const PoseMistake& mistake) {
+  if (mistake.position == 1.0) return true;
+  const double least_m_s2 = kUsualAcceleration_m_s2 / std::sqrt(mistake.position);
+  return MedianSquare(w.acceleration_W) > least_m_s2 * least_m_s2;
+}
+
+/// Body rates beside the turn of the attitude that a mistake leaves; empty without rates.
+Matrix3Xd OffTurn(const MotionWindows& w, const PoseMistake& mistake) {
+  const Matrix3Xd& rates = w.rates.cols() > 0 ? w.rates : w.gyro;
+  Matrix3Xd off(3, rates.cols());
+  for (Eigen::Index i = 0; i < rates.cols(); ++i) {
+    const auto k = static_cast<size_t>(i);
+    off.col(i) = rates.col(i) -
+                 Log(mistake.read(w.q0[k]).conjugate() * mistake.read(w.q1[k])) / kWindow_s;
+  }
+  return off;
+}
+
+/// Specific force beside what the sum of the squared rotor speeds says, in a first row; empty
+/// without rotor speeds. Only the world's z and the position's unit change it.
+Matrix3Xd OffThrust(const MotionWindows& w, const Vehicle& vehicle, const PoseMistake& mistake) {
+  const double up = mistake.world_down ? -1.0 : 1.0;
+  std::vector<double> force, ratios;
+  for (Eigen::Index i = 0; i < w.rotors.cols(); ++i) {
+    const Vector3d a_W = mistake.position * w.acceleration_W.col(i);
+    force.push_back((up * a_W + vehicle.gravity_m_s2 * Vector3d::UnitZ()).norm());
+    ratios.push_back(force.back() / std::max(w.rotors.col(i).sum(), 1e-30));
+  }
+  const double per_square = Median(ratios);
+  Matrix3Xd off = Matrix3Xd::Zero(3, w.rotors.cols());
+  for (Eigen::Index i = 0; i < w.rotors.cols(); ++i) {
+    off(0, i) = force[static_cast<size_t>(i)] - per_square * w.rotors.col(i).sum();
+  }
+  return off;
+}
+
+/// True if the truth is nearer to the second of two mistakes, neither of which is likelier beforehand.
+bool IsNearer(const Matrix3Xd& first, const Matrix3Xd& second) {
+  constexpr double kSigmas = 3.0;
+  std::vector<Explanation> two(2);
+  two[0].error = first;
+  two[1].error = second;
+  const Verdict verdict = Judge(two, kWindowsPerBlock);
+  return verdict.best != 0 && verdict.towards - kSigmas * verdict.towards_sigma > 0.5;
+}
+
+/// Readings that send the thrust nearly the same way are told apart by the turn that rates show
+/// (recorded in the frame of the pose, as it is), and by the size of the thrust.
+constexpr double kNearlyAsGood = 4.0;
+
+size_t BestPose(const MotionWindows& w, const Vehicle& vehicle,
+                const std::vector<Explanation>& readings, size_t best) {
+  const double least = MedianSquare(readings[best].error);
+  const auto fits_better = [&](size_t i) {
+    const PoseMistake &now = PoseMistakes()[best], &other = PoseMistakes()[i];
+    return IsNearer(OffTurn(w, now), OffTurn(w, other)) ||
+           IsNearer(OffThrust(w, vehicle, now), OffThrust(w, vehicle, other));
+  };
+  for (size_t i = 1; i < readings.size(); ++i) {
+    if (i == best || MedianSquare(readings[i].error) > kNearlyAsGood * least) continue;
+    if (fits_better(i)) best = i;
+  }
+  return best;
+}
+
+/// Where the thrust does not tell (a calm flight): the reading of the quaternion whose turn the rates
+/// show, if the thrust, too, fits it rather than the quaternion as it is; otherwise 0.
+size_t PoseByTurn(const MotionWindows& w, const std::vector<Explanation>& readings) {
+  const Matrix3Xd as_is = OffTurn(w, PoseMistakes()[0]);
+  if (as_is.cols() == 0) return 0;
+  const Matrix3Xd& rates = w.rates.cols() > 0 ? w.rates : w.gyro;
+  if (MedianSquare(rates) < kLeastMotion * kLeastMotion) return 0;
+  size_t best = 0;
+  double least = MedianSquare(as_is);
+  for (size_t i = 1; i <= kQuaternionMistakes; ++i) {
+    const Matrix3Xd turn = OffTurn(w, PoseMistakes()[i]);
+    if (!(MedianSquare(turn) < least)) continue;
+    if (!Judge({{"", as_is}, {"", turn}}, kWindowsPerBlock).mistaken()) continue;
+    const Verdict thrust = Judge({readings[0], readings[i]}, kWindowsPerBlock);
+    if (thrust.best == 0 || thrust.towards - thrust.towards_sigma < 0.5) continue;
+    best = i;
+    least = MedianSquare(turn);
+  }
+  return best;
+}
+
 void CheckAttitude(const MotionWindows& w, const Vehicle& vehicle, StreamInspection* inspection) {
   std::vector<Explanation> readings;
   for (const PoseMistake& mistake : PoseMistakes()) {
-    readings.push_back({mistake.name, AcrossThrust(w, vehicle, mistake)});
+    const bool is_possible = IsPossible(w, mistake);
+    readings.push_back(
+        {mistake.name, AcrossThrust(w, vehicle, is_possible ? mistake : PoseMistakes().front())});
   }
   const Verdict verdict = Judge(readings, kWindowsPerBlock);
-  if (!verdict.mistaken()) return;
-  const PoseMistake& mistake = PoseMistakes()[verdict.best];
-  inspection->refusal = "the attitude does not point the thrust where the vehicle accelerates: it "
-                        "fits " + mistake.name + " (specific force across the thrust axis " +
-                        Text(verdict.best_error_rms) + " m/s^2 RMS instead of " +
-                        Text(verdict.error_rms) + ")";
-  inspection->findings.push_back({"attitude", Trust::kBad, inspection->refusal, mistake.mend});
+  const size_t best = verdict.mistaken()
+                          ? BestPose(w, vehicle, readings, static_cast<size_t>(verdict.best))
+                          : PoseByTurn(w, readings);
+  if (best == 0) return;
+  const PoseMistake& mistake = PoseMistakes()[best];
+  const bool is_position = mistake.position != 1.0;
+  const std::string what = is_position
+                               ? "the position does not move as attitude and thrust say"
+                               : "the attitude does not point the thrust where the vehicle accelerates";
+  const auto rms = [&](size_t i) { return Text(std::sqrt(MedianSquare(readings[i].error))); };
+  inspection->refusal = what + ": it fits " + mistake.name +
+                        " (specific force across the thrust axis " + rms(best) +
+                        " m/s^2 RMS instead of " + rms(0);
+  const Matrix3Xd as_is = OffTurn(w, PoseMistakes()[0]);
+  if (as_is.cols() > 0) {
+    inspection->refusal += "; turn beside the rates " +
+                           Text(std::sqrt(MedianSquare(OffTurn(w, mistake)))) +
+                           " rad/s RMS instead of " + Text(std::sqrt(MedianSquare(as_is)));
+  }
+  inspection->refusal += ")";
+  inspection->findings.push_back({is_position ? "position" : "attitude", Trust::kBad,
+                                  inspection->refusal, mistake.mend});
   inspection->refusal += "; " + mistake.mend;
 }
 

@@ -149,6 +149,8 @@ Finding OffsetFinding(const TimeOffset& offset, bool taken_off) {
 
 StreamInspection InspectStreams(const FlightLog& log, const Vehicle& vehicle) {
   StreamInspection inspection;
+  CheckVehicleUnits(vehicle, &inspection);
+  if (!inspection.refusal.empty()) return inspection;
   CheckInertiaBounds(vehicle, &inspection);
   CheckGravity(vehicle, &inspection);
   std::optional<MotionSignals> signals = SignalsOf(log);
@@ -157,6 +159,7 @@ StreamInspection InspectStreams(const FlightLog& log, const Vehicle& vehicle) {
   CheckMotion(vehicle, flight, &*signals, &inspection);
   if (!inspection.refusal.empty()) return inspection;
   CheckThrust(*signals, vehicle, flight, &inspection);
+  if (!inspection.refusal.empty()) return inspection;
   InspectOffsets(*signals, vehicle, flight, &inspection);
   return inspection;
 }

@@ -1,5 +1,6 @@
 #include "odmc/inspection/stream_watch.h"
 
+#include <algorithm>
 #include <stdexcept>
 
 namespace odmc {
@@ -37,12 +38,21 @@ bool StreamWatch::IsDue() const {
          ToSeconds(odometry_.back().stamp - *last_look_) >= options_.every_s;
 }
 
+template <typename Sample>
+std::vector<Sample> StreamWatch::Newest(const std::deque<Sample>& stream) const {
+  if (odometry_.empty()) return {stream.begin(), stream.end()};
+  const Stamp oldest = odometry_.back().stamp - FromSeconds(options_.keep_s);
+  const auto first = std::lower_bound(stream.begin(), stream.end(), oldest,
+                                      [](const Sample& s, Stamp t) { return s.stamp < t; });
+  return {first, stream.end()};
+}
+
 FlightLog StreamWatch::TakeLook() {
   if (!odometry_.empty()) last_look_ = odometry_.back().stamp;
   FlightLog log;
   log.odometry.assign(odometry_.begin(), odometry_.end());
-  log.imu.assign(imu_.begin(), imu_.end());
-  log.rotors.assign(rotors_.begin(), rotors_.end());
+  log.imu = Newest(imu_);
+  log.rotors = Newest(rotors_);
   return log;
 }
 

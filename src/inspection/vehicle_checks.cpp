@@ -8,6 +8,8 @@
 
 #include "motion_windows.h"
 #include "odmc/math/statistics.h"
+#include "odmc/model/vehicle_units.h"
+#include "rotor_unit_check.h"
 
 namespace odmc {
 namespace {
@@ -189,6 +191,16 @@ void CheckLean(const MotionWindows& w, const BodyMotion& motion, const Vehicle& 
 
 }  // namespace
 
+void CheckVehicleUnits(const Vehicle& vehicle, StreamInspection* inspection) {
+  const UnitSlip slip = FindUnitSlip(vehicle);
+  if (!slip.Refutes()) return;
+  const std::string what = slip.Sentence();
+  const size_t mend = what.find("; ");
+  inspection->findings.push_back(
+      {"vehicle_units", Trust::kBad, what.substr(0, mend), what.substr(mend + 2)});
+  if (inspection->refusal.empty()) inspection->refusal = what;
+}
+
 void CheckInertiaBounds(const Vehicle& vehicle, StreamInspection* inspection) {
   double hub = 0.0, edge = 0.0;
   for (const Rotor& rotor : vehicle.rotors) {
@@ -222,7 +234,13 @@ void CheckGravity(const Vehicle& vehicle, StreamInspection* inspection) {
 
 void CheckThrust(const MotionSignals& signals, const Vehicle& vehicle,
                  const std::vector<bool>& flight, StreamInspection* inspection) {
-  const MotionWindows w = CalmOnes(WindowsOf(signals, flight), kCalm_rad_s);
+  const MotionWindows all = WindowsOf(signals, flight);
+  if (const auto unit = CheckRotorUnit(all, vehicle)) {
+    inspection->findings.push_back(*unit);
+    inspection->refusal = Sentence(*unit);
+    return;
+  }
+  const MotionWindows w = CalmOnes(all, kCalm_rad_s);
   if (w.size() < kLeastWindows) return;
   const BodyMotion motion = MotionOf(w, vehicle);
   if (const auto k_f = CarryingThrust(w, motion, vehicle)) CheckWeight(*k_f, vehicle, inspection);

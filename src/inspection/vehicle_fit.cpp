@@ -186,7 +186,8 @@ void FitRotors(const FlightLog& log, const Vehicle& nominal, VehicleFit* fit) {
 }  // namespace
 
 bool IsOfVehicle(const Finding& finding) {
-  for (const char* check : {"inertia_bounds", "inertia", "gravity", "weight", "body_lean"}) {
+  for (const char* check : {"vehicle_units", "inertia_bounds", "inertia", "gravity", "weight", "body_lean",
+                            "rotor_unit", "battery_unit"}) {
     if (finding.check == check) return true;
   }
   return false;

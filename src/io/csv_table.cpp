@@ -146,6 +146,17 @@ void CsvTable::DropLast() {
   }
 }
 
+namespace {
+
+/// Flights are recorded at 5 to 5000 Hz.
+std::string UnitOfSteps(double step) {
+  constexpr double kLongest_s = 0.2;
+  if (step < 1e3 * kLongest_s) return "milliseconds";
+  return step < 1e6 * kLongest_s ? "microseconds" : "nanoseconds or ticks";
+}
+
+}  // namespace
+
 /// Milliseconds or ticks in place of seconds are not a flight.
 void CsvTable::CheckSteps() const {
   if (size() < 3) return;
@@ -153,7 +164,10 @@ void CsvTable::CheckSteps() const {
   for (size_t i = 1; i < size(); ++i) steps.push_back(stamps_[i] - stamps_[i - 1]);
   std::nth_element(steps.begin(), steps.begin() + steps.size() / 2, steps.end());
   const double step = ToSeconds(steps[steps.size() / 2]);
-  if (step > 1.0) Fail("column t steps by " + FormatNumber(step) + " s; is it in seconds?");
+  if (step > 1.0) {
+    Fail("column t steps by " + FormatNumber(step) + " s; is it in seconds? It looks like " +
+         UnitOfSteps(step));
+  }
 }
 
 void CsvTable::CheckAllOrNone(const Strings& names) const {

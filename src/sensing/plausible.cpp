@@ -167,6 +167,30 @@ void MendNamed(const std::string& stream, Stamp zero, std::vector<Sample>* sampl
   }
 }
 
+// Single readings that no sensor has are glitches; so many of them are another unit.
+constexpr double kOtherUnit = 0.02;
+
+/// Leaves rates out where too many are beyond what a sensor reads: by their size they are in deg/s.
+template <typename Sample, typename Member>
+void DropRatesOfOtherUnit(const std::string& check, Member rates, std::vector<Sample>* samples,
+                          FlightLog* log) {
+  long beyond = 0, all = 0;
+  for (const Sample& sample : *samples) {
+    if (!(sample.*rates) || !(sample.*rates)->allFinite()) continue;
+    ++all;
+    if ((sample.*rates)->cwiseAbs().maxCoeff() > kMostRate_rad_s) ++beyond;
+  }
+  const double share = all > 0 ? static_cast<double>(beyond) / static_cast<double>(all) : 0.0;
+  if (share < kOtherUnit) return;
+  for (Sample& sample : *samples) (sample.*rates).reset();
+  char text[200];
+  std::snprintf(text, sizeof text,
+                ": %.0f %% are beyond what a sensor reads (%.0f rad/s): in degrees (deg/s)? They are "
+                "not used",
+                100.0 * share, kMostRate_rad_s);
+  log->warnings.push_back(check + text);
+}
+
 template <typename Sample>
 bool HasNeighbour(const Ring<Sample>& queue) {
   const size_t n = queue.size();
@@ -260,6 +284,12 @@ bool MendGlitch(Ring<ImuSample>* queue) { return MendLastButOne(queue); }
 void MendFlight(FlightLog* log) {
   if (log->odometry.empty()) return;
   const Stamp zero = log->odometry.front().stamp;
+  DropRatesOfOtherUnit("body rates", &OdometrySample::w_WS_S, &log->odometry, log);
+  DropRatesOfOtherUnit("gyro", &ImuSample::gyro_I, &log->imu, log);
+  auto& imu = log->imu;
+  imu.erase(std::remove_if(imu.begin(), imu.end(),
+                           [](const ImuSample& s) { return !s.gyro_I && !s.specific_force_I; }),
+            imu.end());
   MendNamed("odometry", zero, &log->odometry, log);
   MendNamed("the IMU", zero, &log->imu, log);
   MendNamed("rotor speeds", zero, &log->rotors, log);

@@ -18,6 +18,7 @@
 #include "odmc/effects/effects.h"
 #include "odmc/inspection/join_odometry.h"
 #include "odmc/inspection/recording_inspection.h"
+#include "odmc/inspection/rotor_units.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/number_text.h"
 #include "odmc/io/options_yaml.h"
@@ -558,6 +559,8 @@ FlightLog FlightArguments::ReadAsRecorded(const std::string& flight, int num_rot
 
 FlightLog FlightArguments::Read(const std::string& flight, const Vehicle& vehicle) const {
   FlightLog log = ReadAsRecorded(flight, vehicle.num_rotors());
+  const std::string unit = ImpossibleRotorUnit(log, vehicle);
+  if (!unit.empty()) throw std::invalid_argument(flight + ": " + unit);
   MendFlight(&log);
   if (log.rotors.empty() && !log.commands.empty() && !from_commands) {
     throw std::invalid_argument(flight +

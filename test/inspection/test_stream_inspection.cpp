@@ -201,7 +201,8 @@ TEST(StreamInspection, NamesWhatIsWrongWithTheVelocity) {
   check([](FlightLog* log) {
     ForPoses(log, [](auto* s) { *s->v_WS = s->q_WS.conjugate() * *s->v_WS; });
   }, "written in the body frame");
-  check([](FlightLog* log) { ForPoses(log, [](auto* s) { *s->v_WS *= 3.6; }); }, "times too large");
+  check([](FlightLog* log) { ForPoses(log, [](auto* s) { *s->v_WS *= 3.6; }); }, "in km/h");
+  check([](FlightLog* log) { ForPoses(log, [](auto* s) { *s->v_WS *= 2.2; }); }, "times too large");
   check([](FlightLog* log) {
     ForPoses(log, [](auto* s) { *s->v_WS = Vector3d(1, -1, -1).cwiseProduct(*s->v_WS); });
   }, "with axes x, -y, -z");
@@ -304,11 +305,47 @@ TEST(StreamInspection, NamesAMassAndInertiaThatCannotBe) {
   vehicle = TestVehicle();
   vehicle.inertia_kg_m2 *= 1000.0;
   const StreamInspection absurd = InspectStreams(Octo(), vehicle);
-  ExpectNamed(absurd, "inertia_bounds", "cannot belong");
+  ExpectNamed(absurd, "vehicle_units", "inertia (inertia_kg_m2) is in g m^2");
   EXPECT_FALSE(absurd.refusal.empty());
+  vehicle = TestVehicle();
+  vehicle.inertia_kg_m2.z() *= 10.0;
+  ExpectNamed(InspectStreams(Octo(), vehicle), "inertia_bounds", "cannot belong");
   vehicle = TestVehicle();
   vehicle.inertia_kg_m2 *= 5.0;
   ExpectNamed(InspectStreams(Fly("aggressive", 7, 0.0005), vehicle), "inertia", "times the file's");
+}
+
+TEST(StreamInspection, RefusesRotorSpeedsOfAnotherUnit) {
+  const StreamInspection found = Spoiled([](FlightLog* log) {
+    for (RotorSample& s : log->rotors) s.speed *= 30.0 / M_PI;
+  });
+  ExpectNamed(found, "rotor_unit", "in rpm");
+  EXPECT_FALSE(found.refusal.empty());
+}
+
+TEST(StreamInspection, RefusesAPositionInMillimetres) {
+  const StreamInspection found = Spoiled([](FlightLog* log) {
+    ForPoses(log, [](auto* s) { s->p_WS *= 1e3; });
+  });
+  ExpectNamed(found, "position", "in mm");
+  EXPECT_FALSE(found.refusal.empty());
+}
+
+TEST(StreamInspection, TellsATurnedWorldFromOneUpsideDown) {
+  const Quaterniond half(Eigen::AngleAxisd(M_PI, Vector3d::UnitZ()));
+  const StreamInspection turned = Spoiled([&](FlightLog* log) {
+    ForPoses(log, [&](auto* s) { s->q_WS = half * s->q_WS; });
+  });
+  ExpectNamed(turned, "attitude", "turned by 180 degrees about z");
+}
+
+TEST(StreamInspection, RatesTellTheOrderOfAQuaternionInHover) {
+  FlightLog log = Fly("yaw", 8);
+  ForPoses(&log, [](auto* s) {
+    s->q_WS = Quaterniond(s->q_WS.x(), s->q_WS.y(), s->q_WS.z(), s->q_WS.w());
+  });
+  const StreamInspection found = InspectStreams(log, TestVehicle());
+  ExpectNamed(found, "attitude", "x, y, z, w");
 }
 
 // ---- Recordings --------------------------------------------------------------------------------

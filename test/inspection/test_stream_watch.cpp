@@ -44,6 +44,15 @@ TEST(StreamWatch, MemoryIsBoundedWhateverTheRate) {
   EXPECT_EQ(watch.TakeLook().rotors.size(), 100u);
 }
 
+TEST(StreamWatch, AStreamThatStoppedLongAgoIsNotLookedAt) {
+  StreamWatch::Options options;
+  options.keep_s = 5.0;
+  StreamWatch watch(Vehicle(), options);
+  for (int i = 0; i < 300; ++i) watch.Add(Rotors(0.01 * i));
+  for (int i = 0; i < 2000; ++i) watch.Add(Pose(0.01 * i));
+  EXPECT_TRUE(watch.TakeLook().rotors.empty());
+}
+
 TEST(StreamWatch, AClockThatStepsBackStartsAnew) {
   StreamWatch watch{Vehicle()};
   for (int i = 0; i < 100; ++i) watch.Add(Pose(10.0 + 0.01 * i));

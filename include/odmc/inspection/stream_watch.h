@@ -2,6 +2,7 @@
 
 #include <deque>
 #include <optional>
+#include <vector>
 
 #include "odmc/inspection/stream_inspection.h"
 
@@ -37,6 +38,9 @@ class StreamWatch {
  private:
   template <typename Sample>
   void Push(const Sample& sample, std::deque<Sample>* stream);
+  /// Samples that are not older than the odometry that is kept: a stream may have stopped.
+  template <typename Sample>
+  std::vector<Sample> Newest(const std::deque<Sample>& stream) const;
 
   Vehicle vehicle_;
   Options options_;

@@ -7,6 +7,10 @@
 
 namespace odmc {
 
+/// Is a quantity of the file in another unit, see FindUnitSlip()? Needs no flight. Check
+/// "vehicle_units".
+void CheckVehicleUnits(const Vehicle& vehicle, StreamInspection* inspection);
+
 /// Can the inertia belong to a body of this mass and size? Needs no flight.
 void CheckInertiaBounds(const Vehicle& vehicle, StreamInspection* inspection);
 
@@ -14,7 +18,7 @@ void CheckInertiaBounds(const Vehicle& vehicle, StreamInspection* inspection);
 void CheckGravity(const Vehicle& vehicle, StreamInspection* inspection);
 
 /// Does thrust carry the weight with the file's k_f and mass, and does it point up: along the
-/// body's z and against the world's?
+/// body's z and against the world's? Are the rotor speeds in rad/s, see FindRotorUnit()?
 void CheckThrust(const MotionSignals& signals, const Vehicle& vehicle,
                  const std::vector<bool>& flight, StreamInspection* inspection);
 
