@@ -213,7 +213,10 @@ class ToolsTest(unittest.TestCase):
                 writer = csv.DictWriter(file, table[0].keys())
                 writer.writeheader()
                 writer.writerows(table)
-        self.assertIn('check the unit of the rotor speeds', self.warnings_of(flight))
+        done = run('calibrate', flight, '--vehicle', VEHICLE, '--no-report', '--out', self.path('refused'))
+        self.assertEqual(done.returncode, 1, done.stderr)
+        self.assertIn('rpm.csv: the rotor speeds are not in rad/s but in rpm', done.stderr)
+        self.assertIn('check the unit of the rotor speeds', self.warnings_of(flight, '--force'))
         self.warnings_of(self.flight())
         with open(VEHICLE, encoding='utf-8') as file:
             heavy = file.read().replace('mass_kg: 0.75', 'mass_kg: 1.5')
