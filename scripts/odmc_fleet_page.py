@@ -213,7 +213,8 @@ def recurrent(report: Dict[str, Any]) -> Optional[Dict[str, Any]]:
         said += f' The {MOST_ROWS} largest beside the error; fleet.json has all.'
     pairs = list(dict.fromkeys((b['channel'], b['quantity']) for b in found))[:MOST_PANELS]
     rows = [[spelled(b['channel'])[0], interval(b), f"{number(b['mean'], 3)} {spelled(b['channel'])[1]}",
-             number(b['sigma'], 2), f"{100.0 * b['share_of_error']:.0f} %", f"{b['same_sign']} of {b['flights']}", number(b['p_value'], 1)] for b in found[:MOST_ROWS]]
+             number(b['sigma'], 2), f"{100.0 * b['share_of_error']:.0f} %",
+             f"{b['same_sign']} of {b['flights']}", number(b['p_value'], 1)] for b in found[:MOST_ROWS]]
     return {'said': said, 'rows': rows, 'picture': curves(report, pairs) if pairs else ''}
 
 
@@ -247,7 +248,8 @@ def errors_table(name: str, flights: List[Dict[str, Any]]) -> Optional[Dict[str,
         if not pairs:
             continue
         one, other = (np.sqrt(np.mean(np.square([p[k] for p in pairs]), axis=0)) for k in (0, 1))
-        rows.append([label, axes(list(one)), axes(list(other)), ' '.join(f'{b / a:.2f}' if a > 0 else '-' for a, b in zip(one, other))])
+        rows.append([label, axes(list(one)), axes(list(other)),
+                     ' '.join(f'{b / a:.2f}' if a > 0 else '-' for a, b in zip(one, other))])
     return {'name': name, 'rows': rows} if rows else None
 
 

@@ -6,7 +6,6 @@ import subprocess
 
 import geometry_msgs.msg
 import nav_msgs.msg
-import rospy
 import sensor_msgs.msg
 import trajectory_msgs.msg
 

@@ -54,7 +54,8 @@ def write_ulog(rows: Sequence[Row], path: str) -> None:
 
     formats = ('vehicle_odometry:uint64_t timestamp;float[3] position;float[4] q;float[3] velocity;float[3] angular_velocity;'
                'uint8_t velocity_frame;', 'sensor_combined:uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;',
-               'esc_report:uint64_t timestamp;int32_t esc_rpm;', 'esc_status:uint64_t timestamp;uint8_t esc_count;esc_report[8] esc;',
+               'esc_report:uint64_t timestamp;int32_t esc_rpm;',
+               'esc_status:uint64_t timestamp;uint8_t esc_count;esc_report[8] esc;',
                'battery_status:uint64_t timestamp;float voltage_v;')
     with open(path, 'wb') as file:
         file.write(b'ULog\x01\x12\x35\x01' + struct.pack('<Q', 0) + message(b'B', bytes(40)))
