@@ -1,0 +1,10 @@
+// PX4 logs.
+#include "fuzz/fuzz.h"
+#include "odmc/io/autopilot_logs.h"
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, size_t size) {
+  odmc::fuzz::ReadFlightBytes(data, size, [](const std::string& file) {
+    return odmc::ReadULog(file, odmc::FlightReadOptions{});
+  });
+  return 0;
+}
