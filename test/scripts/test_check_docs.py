@@ -1,0 +1,83 @@
+"""scripts/check_docs finds what is wrong in a document, and nothing in one that is right."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import unittest
+from typing import List
+
+ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.realpath(__file__))))
+TOOLS = os.path.join(ROOT, 'build', 'devel', 'lib', 'odmc')
+
+RIGHT = '''# A page
+
+`rosrun odmc calibrate flight.bag --vehicle my_quad.yaml --out out`, `--leave-out`, `config/vehicles/generic.yaml`,
+`config/vehicles/my_quad.yaml`, `TOOL --no-such-option`, [here](#a-page).
+
+    $ rosrun odmc inspect f.bag --vehicle my_quad.yaml
+
+```
+./scripts/fleet flights --vehicle my_quad.yaml \\
+  --out fleet            # --not-an-option, as this is a comment
+roslaunch odmc estimator.launch odom_topic:=/odom
+cmake -S . -B build --fresh
+```
+'''
+WRONG = '''# A page
+
+`rosrun odmc calibrat flight.bag`, `calibrate f.bag --vehicl F`, `config/vehicles/nix.yaml`, `--no-such-option`,
+[gone](gone.md), [no heading](#nowhere).
+
+    $ rosrun odmc inspect f.bag --vehcle my_quad.yaml
+
+```
+./scripts/fleet flights \\
+  --ot fleet
+roslaunch odmc estimator.launch odm_topic:=/odom
+roslaunch odmc estimater.launch
+build/devel/lib/odmc/calibrater f.bag
+```
+'''
+
+
+def check(text: str) -> List[str]:
+    """What check_docs says of one document: 'LINE: what' each."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = os.path.join(folder, 'page.md')
+        with open(path, 'w', encoding='utf-8') as file:
+            file.write(text)
+        done = subprocess.run([sys.executable, os.path.join(ROOT, 'scripts', 'check_docs'), path], check=False, text=True,
+                              stdout=subprocess.PIPE)
+    lines = [line.split('page.md:')[1] for line in done.stdout.splitlines() if 'page.md:' in line]
+    assert bool(lines) == (done.returncode == 1), done
+    return lines
+
+
+class CheckDocsTest(unittest.TestCase):
+    """One right and one wrong page."""
+
+    def setUp(self) -> None:
+        if not os.path.exists(os.path.join(TOOLS, 'calibrate')):
+            self.skipTest('the tools are not built')
+
+    def test_nothing_is_wrong_with_a_right_page(self) -> None:
+        self.assertEqual(check(RIGHT), [])
+
+    def test_every_mistake_is_named_with_its_line(self) -> None:
+        self.assertEqual(sorted(check(WRONG)), sorted([
+            '3: rosrun odmc calibrat: there is no such tool',
+            '3: calibrate has no option --vehicl',
+            '3: config/vehicles/nix.yaml does not exist',
+            '3: no tool has an option --no-such-option',
+            '4: link to gone.md, which does not exist',
+            '4: link to #nowhere, which has no such heading',
+            '6: inspect has no option --vehcle',
+            '9: fleet has no option --ot',
+            '11: estimator.launch has no argument odm_topic',
+            '12: roslaunch odmc estimater.launch: there is no such launch file',
+            '13: build/devel/lib/odmc/calibrater: there is no such tool']))
+
+
+if __name__ == '__main__':
+    unittest.main()
