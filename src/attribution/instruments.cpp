@@ -217,8 +217,15 @@ MatrixXd Instruments::ForeseenBatch(const MatrixXd& columns, const MatrixXd& lik
       Eigen::Matrix<double, kOwn, kOwn> H =
           s.topLeftCorner(kOwn, kOwn) - b_c.leftCols(kOwn).transpose() * solved_c.leftCols(kOwn);
       H.diagonal().array() += kRidge * static_cast<double>(m);
-      of_own.col(c) = H.ldlt().solve(s.topRightCorner(kOwn, 1) -
-                                     b_c.leftCols(kOwn).transpose() * solved_c.col(kOwn));
+      const Eigen::Matrix<double, kOwn, 1> g =
+          s.topRightCorner(kOwn, 1) - b_c.leftCols(kOwn).transpose() * solved_c.col(kOwn);
+      of_own.col(c) = H.ldlt().solve(g);
+      // What it would be in the likely motion counts for it or not at all. That motion is foreseen
+      // fold by fold, too, from rows of this one among others: a weight below zero undoes that, and
+      // gives the fold back what is its own.
+      if (of_own(kLagged, c) < 0.0) {
+        of_own.col(c) << H.topLeftCorner<kLagged, kLagged>().ldlt().solve(g.head<kLagged>()), 0.0;
+      }
       of_z.col(c) = solved_c.col(kOwn) - solved_c.leftCols(kOwn) * of_own.col(c);
     }
     auto of_fold = value.middleRows(folds_[f].first, folds_[f].size);

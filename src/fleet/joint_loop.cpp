@@ -6,6 +6,7 @@
 #include <cmath>
 #include <map>
 #include <optional>
+#include <set>
 #include <stdexcept>
 
 #include "odmc/analysis/flight_motion.h"
@@ -112,19 +113,59 @@ double ChanceOf(const FleetCalibration& fleet, const std::vector<Eigen::Index>& 
   return boost::math::cdf(boost::math::complement(distribution, statistic));
 }
 
-/// Share of flights on which the steadiest of an effect's parameters, of those that are not zero
-/// within their sigma, has the other sign.
-/// @param sigmas beyond which a parameter is not zero
-double OppositeShare(const FleetCalibration& fleet, const std::vector<Eigen::Index>& own,
-                     double sigmas) {
-  double least = 0.5;
+/// Name of a parameter whose sign physics has fixed and which has the other one; empty if none has.
+std::string OfImpossibleSign(const FleetCalibration& fleet, const std::vector<Eigen::Index>& own,
+                             const Vehicle& vehicle, const std::string& effect) {
+  const FlightFactor& factor = fleet.flights[static_cast<size_t>(fleet.used().front())].factor;
+  const DynamicModel model(vehicle, {effect});
   for (const Eigen::Index k : own) {
-    const double size = std::abs(fleet.joint.value[k]);
-    if (size < sigmas * fleet.joint.sigma[k]) continue;
-    const double steady = size / std::max(fleet.joint.fit.scatter[k], 1e-300);
-    least = std::min(least, 0.5 * std::erfc(steady / std::sqrt(2.0)));
+    const std::string& name = factor.names[static_cast<size_t>(k)];
+    const ParameterSpec& spec = model.parameters()[static_cast<size_t>(model.IndexOf(name))].spec;
+    if (!spec.certain_sign || spec.sign == PhysicalSign::kAny) continue;
+    const double towards = spec.sign == PhysicalSign::kPositive ? 1.0 : -1.0;
+    if (towards * fleet.joint.value[k] < 0.0) return name;
   }
-  return least;
+  return "";
+}
+
+/// Share of flights on which an effect points the other way, along the direction in which all flights
+/// together tell it from zero best.
+double OppositeShare(const FleetCalibration& fleet, const std::vector<Eigen::Index>& own) {
+  const Eigen::VectorXd value = fleet.joint.value(own);
+  Eigen::MatrixXd C = fleet.joint.covariance(own, own);
+  C.diagonal() *= 1.0 + 1e-9;
+  const Eigen::VectorXd along = C.ldlt().solve(value);
+  const double scatter = along.cwiseProduct(fleet.joint.fit.scatter(own)).norm();
+  return 0.5 * std::erfc(along.dot(value) / std::max(scatter, 1e-300) / std::sqrt(2.0));
+}
+
+/// Of the flights that say something of an effect, by clear odds, the share that speaks against it.
+double AgainstShare(const RankedEffect& effect, double nats) {
+  double speak_for = 0.0, against = 0.0;
+  for (const FlightSays& says : effect.by_flight) {
+    speak_for += says.nats > nats ? 1.0 : 0.0;
+    against += says.nats < -nats ? 1.0 : 0.0;
+  }
+  return against / std::max(1.0, speak_for + against);
+}
+
+/// How much worse each flight is predicted by the parameters of all others with one model than with
+/// another: mean logarithm of the errors' ratio, over flights and axes of force and torque.
+double LeftOutLoss(const FleetCalibration& of, const FleetCalibration& over) {
+  double sum = 0.0;
+  int count = 0;
+  for (size_t f = 0; f < std::min(of.flights.size(), over.flights.size()); ++f) {
+    for (const auto figure : {&PredictionFigures::force_rmse_N, &PredictionFigures::torque_rmse_Nm}) {
+      const auto &a = of.flights[f].left_out.*figure, &b = over.flights[f].left_out.*figure;
+      if (!a || !b) continue;
+      for (int axis = 0; axis < 3; ++axis) {
+        if (!((*a)[axis] > 0.0 && (*b)[axis] > 0.0)) continue;
+        sum += std::log((*a)[axis] / (*b)[axis]);
+        ++count;
+      }
+    }
+  }
+  return count > 0 ? sum / count : 0.0;
 }
 
 std::vector<CoefficientSpread> SpreadsOf(const RankedEffect& effect,
@@ -201,8 +242,17 @@ class JointSession {
   using Progress = std::function<void(double)>;
 
   void Find(const Progress& progress);
-  /// Takes out what is zero, or jumps, and calibrates with what remains.
+  /// Takes out what is none of the vehicle's, and calibrates with what remains.
   void Confirm(const Progress& progress);
+  /// Takes out effects that all flights together show of an impossible sign, or that jump.
+  /// @returns true if there were any
+  bool TakeOutRefused(const FleetCalibration& fleet);
+  /// Takes out the weakest effect whose size all flights together do not tell from zero, unless the
+  /// flights left out are predicted better with it. `*fleet` is then the calibration without it.
+  /// @param kept effects that have proved themselves so
+  /// @returns true if one was taken out
+  bool TakeOutUnproved(FleetCalibration* fleet, std::set<std::string>* kept,
+                       const Progress& progress);
   void Add(const std::vector<std::string>& held_out);
   FleetCalibration CalibrateWith(const Vehicle& vehicle, const Progress& progress) const {
     return CalibrateFleet(files_, source_, file_vehicle_, vehicle, options_.calibration, {},
@@ -257,27 +307,63 @@ void JointSession::Find(const Progress& progress) {
   }
 }
 
-void JointSession::Confirm(const Progress& progress) {
-  while (!effects_.empty()) {
-    FleetCalibration fleet = CalibrateWith(With(effects_), progress);
-    std::vector<std::string> gone;
-    for (const RankedEffect& effect : effects_) {
-      const std::string why =
-          WhyNotTheVehicles(effect.name, fleet, vehicle_, options_.attribution);
-      if (why.empty()) continue;
-      loop_.warnings.push_back(effect.name + " gains " + Text(effect.score) + " nats, but " + why);
-      gone.push_back(effect.name);
+bool JointSession::TakeOutRefused(const FleetCalibration& fleet) {
+  const size_t before = effects_.size();
+  for (size_t k = 0; k < effects_.size();) {
+    const std::string why = WhyNotTheVehicles(effects_[k], fleet, vehicle_, options_.attribution);
+    if (why.empty()) {
+      ++k;
+      continue;
     }
-    if (gone.empty()) {
-      loop_.after = std::move(fleet);
-      return;
-    }
-    effects_.erase(std::remove_if(effects_.begin(), effects_.end(),
-                                  [&](const RankedEffect& e) {
-                                    return std::count(gone.begin(), gone.end(), e.name) > 0;
-                                  }),
-                   effects_.end());
+    loop_.warnings.push_back(effects_[k].name + " gains " + Text(effects_[k].score) + " nats, but " + why);
+    effects_.erase(effects_.begin() + static_cast<std::ptrdiff_t>(k));
   }
+  return effects_.size() < before;
+}
+
+bool JointSession::TakeOutUnproved(FleetCalibration* fleet, std::set<std::string>* kept,
+                                   const Progress& progress) {
+  while (true) {
+    auto weakest = effects_.end();
+    for (auto e = effects_.begin(); e != effects_.end(); ++e) {
+      if (kept->count(e->name) > 0 ||
+          ChanceOfNoSize(e->name, *fleet, vehicle_) <= options_.attribution.false_alarm_rate) {
+        continue;
+      }
+      if (weakest == effects_.end() || e->score < weakest->score) weakest = e;
+    }
+    if (weakest == effects_.end()) return false;
+    std::vector<RankedEffect> others = effects_;
+    others.erase(others.begin() + (weakest - effects_.begin()));
+    FleetCalibration without =
+        others.empty() ? loop_.before : CalibrateWith(With(others), progress);
+    if (LeftOutLoss(without, *fleet) > 0.0) {
+      kept->insert(weakest->name);
+      continue;
+    }
+    loop_.warnings.push_back(
+        weakest->name + " gains " + Text(weakest->score) +
+        " nats, but what tells its size is zero on all flights together, within its uncertainty (p " +
+        Text(ChanceOfNoSize(weakest->name, *fleet, vehicle_)) +
+        "), and each flight is predicted no worse without it by the parameters of all others");
+    effects_ = std::move(others);
+    *fleet = std::move(without);
+    return true;
+  }
+}
+
+void JointSession::Confirm(const Progress& progress) {
+  if (effects_.empty()) return;
+  FleetCalibration fleet = CalibrateWith(With(effects_), progress);
+  std::set<std::string> kept;
+  while (!effects_.empty()) {
+    if (TakeOutRefused(fleet)) {
+      if (!effects_.empty()) fleet = CalibrateWith(With(effects_), progress);
+    } else if (!TakeOutUnproved(&fleet, &kept, progress)) {
+      break;
+    }
+  }
+  if (!effects_.empty()) loop_.after = std::move(fleet);
 }
 
 void JointSession::Add(const std::vector<std::string>& held_out) {
@@ -341,20 +427,27 @@ JointLoop JointSession::Run(const std::vector<std::string>& files,
 
 }  // namespace
 
-std::string WhyNotTheVehicles(const std::string& effect, const FleetCalibration& fleet,
-                              const Vehicle& vehicle, const AttributionOptions& options) {
+double ChanceOfNoSize(const std::string& effect, const FleetCalibration& fleet,
+                      const Vehicle& vehicle) {
   const FlightFactor& factor =
       fleet.flights[static_cast<size_t>(fleet.used().front())].factor;
   const std::vector<Eigen::Index> sizes = SizesOf(effect, factor, vehicle);
+  return sizes.empty() ? 0.0 : ChanceOf(fleet, sizes);
+}
+
+std::string WhyNotTheVehicles(const RankedEffect& effect, const FleetCalibration& fleet,
+                              const Vehicle& vehicle, const AttributionOptions& options) {
+  const FlightFactor& factor =
+      fleet.flights[static_cast<size_t>(fleet.used().front())].factor;
+  const std::vector<Eigen::Index> sizes = SizesOf(effect.name, factor, vehicle);
   if (sizes.empty()) return "";  // each flight's own
-  const double chance = ChanceOf(fleet, sizes);
-  if (chance > options.false_alarm_rate) {
-    return "what tells its size is zero on all flights together, within its uncertainty (p " +
-           Text(chance) + ")";
+  const std::string impossible = OfImpossibleSign(fleet, sizes, vehicle, effect.name);
+  if (!impossible.empty()) {
+    return impossible + " has a sign that it cannot have on all flights together";
   }
-  const double opposite =
-      OppositeShare(fleet, SharedOf(effect, factor), options.significant_sigmas);
-  if (opposite > options.opposite_share) {
+  const double opposite = OppositeShare(fleet, SharedOf(effect.name, factor));
+  if (opposite > options.opposite_share &&
+      AgainstShare(effect, options.even_odds) > options.opposite_share) {
     return "its coefficient jumps: " + Text(100.0 * opposite) +
            " % of flights would have it with the other sign";
   }

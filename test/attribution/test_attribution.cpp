@@ -17,6 +17,7 @@
 #include "odmc/attribution/flexible_features.h"
 #include "odmc/attribution/instruments.h"
 #include "odmc/attribution/undeclared.h"
+#include "odmc/estimator/gates.h"
 #include "odmc/sim/gaussian.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
@@ -216,6 +217,26 @@ TEST_F(OctoFlight, InstrumentsNeedAPast) {
   const Instruments instruments(flown_->flight, flown_->vehicle);
   for (int i = 0; i < 8; ++i) EXPECT_FALSE(instruments.Sees(i));
   EXPECT_TRUE(instruments.Sees(8));
+}
+
+// The likely motion is foreseen from other folds, this one among them. Rows must not learn their own
+// noise back from it: of a torque that is noise of rotor speeds nothing is foreseen.
+TEST(Instruments, ForeseeNoTorqueThatIsNoiseOfRotorSpeeds) {
+  for (const int seed : {71, 72, 73, 74}) {
+    const Flown flown = Filtered(Make({}, 0.0, "yaw", 1, seed));
+    const Instruments instruments(flown.flight, flown.vehicle);
+    const auto rolling = [&](const ThinnedFlight& flight) {
+      ResidualModel::Wrenches torque = ResidualModel::Wrenches::Zero(flight.size(), kNumChannels);
+      for (int i = 0; i < flight.size(); ++i) {
+        torque(i, 3) = RotorTorqueDirection(flown.vehicle, flight.sample(i).rotors.speed_squared).x();
+      }
+      torque.col(3).array() -= torque.col(3).mean();
+      return torque;
+    };
+    const ResidualModel::Wrenches torque = rolling(flown.flight);
+    const auto foreseen = instruments.Foreseen(torque, rolling(instruments.likely_flight()));
+    EXPECT_LT(foreseen.col(3).squaredNorm(), 0.1 * torque.col(3).squaredNorm()) << seed;
+  }
 }
 
 // Noise of rotor speeds makes the inertia that fits best a multiple of the true one; seen by what

@@ -171,18 +171,65 @@ FleetCalibration FleetWith(const std::vector<std::string>& names, const Eigen::V
   return fleet;
 }
 
-// Where a load hangs says nothing of whether one does: its mass must differ from zero.
+RankedEffect Ranked(const std::string& name, double score, const std::vector<std::string>& names,
+                    const Eigen::VectorXd& value, const Eigen::VectorXd& sigma) {
+  RankedEffect effect;
+  effect.name = name;
+  effect.score = score;
+  for (size_t k = 0; k < names.size(); ++k) {
+    ParameterEstimate p;
+    p.full_name = names[k];
+    p.value = value[static_cast<Eigen::Index>(k)];
+    p.estimated = true;
+    effect.parameters.push_back(p);
+  }
+  effect.covariance = sigma.cwiseAbs2().asDiagonal();
+  return effect;
+}
+
+// Where a load hangs says nothing of whether one does: its mass must differ from zero, and be one.
 TEST(JointLoop, NamesNoLoadWithoutMass) {
   const std::vector<std::string> names = {"suspended_load.mass", "suspended_load.z"};
   const AttributionOptions options;
-  const FleetCalibration nothing =
-      FleetWith(names, Eigen::Vector2d(-0.008, 0.05), Eigen::Vector2d(0.006, 0.005));
-  const std::string why =
-      WhyNotTheVehicles("suspended_load", nothing, Hangar::vehicle(), options);
-  EXPECT_NE(why.find("zero"), std::string::npos) << why;
-  const FleetCalibration load =
-      FleetWith(names, Eigen::Vector2d(0.08, 0.05), Eigen::Vector2d(0.006, 0.005));
-  EXPECT_EQ(WhyNotTheVehicles("suspended_load", load, Hangar::vehicle(), options), "");
+  const auto why = [&](const Eigen::Vector2d& joint, double score) {
+    const Eigen::Vector2d sigma(0.006, 0.005);
+    return WhyNotTheVehicles(
+        Ranked("suspended_load", score, names, Eigen::Vector2d(0.08, 0.05), sigma),
+        FleetWith(names, joint, sigma), Hangar::vehicle(), options);
+  };
+  EXPECT_NE(why({-0.008, 0.05}, 20.0).find("sign"), std::string::npos);
+  EXPECT_NE(why({-0.008, 0.05}, 500.0).find("sign"), std::string::npos);
+  EXPECT_EQ(why({0.08, 0.05}, 20.0), "");
+  const auto chance = [&](double mass) {
+    return ChanceOfNoSize("suspended_load",
+                          FleetWith(names, Eigen::Vector2d(mass, 0.05), Eigen::Vector2d(0.006, 0.005)),
+                          Hangar::vehicle());
+  };
+  EXPECT_NEAR(chance(0.006), 0.317, 0.001);  // one sigma
+  EXPECT_LT(chance(0.08), 1e-6);
+}
+
+// Three flights leave a scatter so uncertain that hardly anything differs from zero, and seems to
+// jump. It does where flights contradict each other.
+TEST(JointLoop, RefusesWhatJumpsWhereFlightsContradictEachOther) {
+  const std::vector<std::string> names = {"odometry_extrinsics.px", "odometry_extrinsics.py"};
+  const AttributionOptions options;
+  const Eigen::Vector2d joint(-0.017, -0.020), sigma(0.012, 0.016);
+  FleetCalibration fleet = FleetWith(names, joint, sigma);
+  fleet.joint.fit.scatter = Eigen::Vector2d(0.02, 0.028);
+  RankedEffect effect = Ranked("odometry_extrinsics", 270.0, names, Eigen::Vector2d(-0.017, -0.033),
+                               Eigen::Vector2d(0.001, 0.001));
+  const auto says = [](std::initializer_list<double> nats) {
+    std::vector<FlightSays> flights;
+    for (const double n : nats) flights.push_back({n, {}});
+    return flights;
+  };
+  effect.by_flight = says({120.0, 1.0, 150.0});
+  EXPECT_EQ(WhyNotTheVehicles(effect, fleet, Hangar::vehicle(), options), "");
+  EXPECT_GT(ChanceOfNoSize("odometry_extrinsics", fleet, Hangar::vehicle()), 0.01);
+  effect.by_flight = says({180.0, -60.0, 150.0});
+  EXPECT_NE(WhyNotTheVehicles(effect, fleet, Hangar::vehicle(), options).find("jumps"),
+            std::string::npos);
 }
 
 }  // namespace

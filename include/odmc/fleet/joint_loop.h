@@ -53,11 +53,19 @@ struct JointLoop {
   std::vector<std::string> warnings;
 };
 
-/// Why an effect that all flights were calibrated with is not the vehicle's, in words that go on
-/// after "it gains ... nats, but": its size is zero within its uncertainty, scatter between flights
-/// included, or has another sign from flight to flight. Empty where it is, and for effects that are
+/// Chance that what tells an effect's size differs from zero by as much as it does on all flights
+/// together, were it zero (Wald's test; the scatter between flights counts). 0 for effects that are
 /// each flight's own.
-std::string WhyNotTheVehicles(const std::string& effect, const FleetCalibration& fleet,
+double ChanceOfNoSize(const std::string& effect, const FleetCalibration& fleet,
+                      const Vehicle& vehicle);
+
+/// Why an effect that all flights were calibrated with is not the vehicle's, in words that go on
+/// after "it gains ... nats, but". Empty where it is, and for effects that are each flight's own. It
+/// is not where, scatter between flights included,
+/// - a size has a sign that it cannot have, such as a negative mass;
+/// - it would have the other sign on too many flights, and as many of those that say something speak
+///   against it.
+std::string WhyNotTheVehicles(const RankedEffect& effect, const FleetCalibration& fleet,
                               const Vehicle& vehicle, const AttributionOptions& options);
 
 /// Calibrates the declared model on all flights together, looks in what it leaves on all of them
