@@ -315,7 +315,7 @@ ULogContent Decoder::Run() {
   if (!IsULog(bytes_)) Fail("is no ULog: it does not start as one");
   if (bytes_.size() < kFileHeader) Fail("byte 7: the ULog is cut off in its header");
   size_t begin = kFileHeader;
-  if (IsPlausible(begin, bytes_.size(), 0) && bytes_[begin + 2] == 'B') {
+  if (begin < bytes_.size() && IsPlausible(begin, bytes_.size(), 0) && bytes_[begin + 2] == 'B') {
     const size_t size = ByteReader(bytes_, begin).Number<std::uint16_t>();
     ReadFlags(bytes_.substr(begin + kMessageHeader, size));
     begin += kMessageHeader + size;
