@@ -60,9 +60,8 @@ ParameterEstimate ReadEstimate(const std::string& name, const YamlValue& value,
 
 void ReadEstimates(const YamlValue& value, ParameterSet* set) {
   // The file does not say how many rotors its vehicle has; some effects have parameters of each.
-  constexpr int kMostRotors = 16;
   Vehicle vehicle;
-  vehicle.rotors.resize(kMostRotors);
+  vehicle.rotors.resize(kMaxRotors);
   const std::map<std::string, ParameterSpec> specs = KnownParameters(vehicle);
   value.AllowKeys(NamesOf(specs));
   for (const auto& [name, entry] : value.Entries()) {

@@ -138,6 +138,8 @@ TEST(ParametersYaml, BadFilesAreRefused) {
   ODMC_EXPECT_ERROR(Parse(head + "parameters: {thrust.k_f: {value: .nan}}\n"), "finite");
   ODMC_EXPECT_ERROR(Parse(head + "parameters: {thrust.k_f: {value: -1.0}}\n"), "positive");
   ODMC_EXPECT_ERROR(Parse(head + "parameters: {thrust.kf: {value: 1.0}}\n"), "mean thrust.k_f?");
+  ODMC_EXPECT_ERROR(Parse(head + "parameters: {rotor_tilt.alpha_9x: {value: 0.0}}\n"),
+                    "rotor_tilt.alpha_9x");  // no vehicle has a ninth rotor
   ODMC_EXPECT_ERROR(Parse(head + "parameters: {thrust.k_f: {value: 1.0, unit: g}}\n"),
                     "thrust.k_f.unit: is 'g'");
   const std::string one = head + "parameters: {thrust.k_f: {value: 1.0}}\n";
