@@ -151,10 +151,11 @@ void RotorReadings::Add(Stamp stamp, double speed) {
 std::vector<RotorSample> OnOneClock(const std::vector<RotorReadings>& rotors) {
   std::vector<RotorSample> samples;
   if (rotors.empty()) return samples;
+  constexpr double kLongest_s = 1e6;  // damaged stamps may ask for more than a Stamp holds
   std::vector<Stamp> longest_gaps;
   for (const RotorReadings& rotor : rotors) {
     const double rate = UsualRate(rotor.stamps);
-    longest_gaps.push_back(rate > 0.0 ? FromSeconds(4.0 / rate) : 0);
+    longest_gaps.push_back(rate > 0.0 ? FromSeconds(std::min(4.0 / rate, kLongest_s)) : 0);
   }
   std::vector<size_t> next(rotors.size(), 0);
   for (const Stamp stamp : rotors[0].stamps) {
