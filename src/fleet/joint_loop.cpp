@@ -150,22 +150,23 @@ double AgainstShare(const RankedEffect& effect, double nats) {
 }
 
 /// How much worse each flight is predicted by the parameters of all others with one model than with
-/// another: mean logarithm of the errors' ratio, over flights and axes of force and torque.
-double LeftOutLoss(const FleetCalibration& of, const FleetCalibration& over) {
-  double sum = 0.0;
-  int count = 0;
+/// another: mean logarithm of the errors' ratio over the flights, by axis of force and torque.
+Eigen::Matrix<double, 6, 1> LeftOutLoss(const FleetCalibration& of, const FleetCalibration& over) {
+  Eigen::Matrix<double, 6, 1> sum = Eigen::Matrix<double, 6, 1>::Zero();
+  Eigen::Matrix<double, 6, 1> count = sum;
+  const auto figures = {&PredictionFigures::force_rmse_N, &PredictionFigures::torque_rmse_Nm};
   for (size_t f = 0; f < std::min(of.flights.size(), over.flights.size()); ++f) {
-    for (const auto figure : {&PredictionFigures::force_rmse_N, &PredictionFigures::torque_rmse_Nm}) {
+    int at = 0;
+    for (const auto figure : figures) {
       const auto &a = of.flights[f].left_out.*figure, &b = over.flights[f].left_out.*figure;
-      if (!a || !b) continue;
-      for (int axis = 0; axis < 3; ++axis) {
-        if (!((*a)[axis] > 0.0 && (*b)[axis] > 0.0)) continue;
-        sum += std::log((*a)[axis] / (*b)[axis]);
-        ++count;
+      for (int axis = 0; axis < 3; ++axis, ++at) {
+        if (!a || !b || !((*a)[axis] > 0.0 && (*b)[axis] > 0.0)) continue;
+        sum[at] += std::log((*a)[axis] / (*b)[axis]);
+        count[at] += 1.0;
       }
     }
   }
-  return count > 0 ? sum / count : 0.0;
+  return sum.cwiseQuotient(count.cwiseMax(1.0));
 }
 
 std::vector<CoefficientSpread> SpreadsOf(const RankedEffect& effect,
@@ -247,8 +248,8 @@ class JointSession {
   /// Takes out effects that all flights together show of an impossible sign, or that jump.
   /// @returns true if there were any
   bool TakeOutRefused(const FleetCalibration& fleet);
-  /// Takes out the weakest effect whose size all flights together do not tell from zero, unless the
-  /// flights left out are predicted better with it. `*fleet` is then the calibration without it.
+  /// Takes out the weakest effect whose size all flights together do not tell from zero, unless
+  /// flights left out are predicted better with it, on some axis by what counts (`least_ratio`). `*fleet` is then the calibration without it.
   /// @param kept effects that have proved themselves so
   /// @returns true if one was taken out
   bool TakeOutUnproved(FleetCalibration* fleet, std::set<std::string>* kept,
@@ -337,7 +338,8 @@ bool JointSession::TakeOutUnproved(FleetCalibration* fleet, std::set<std::string
     others.erase(others.begin() + (weakest - effects_.begin()));
     FleetCalibration without =
         others.empty() ? loop_.before : CalibrateWith(With(others), progress);
-    if (LeftOutLoss(without, *fleet) > 0.0) {
+    const Eigen::Matrix<double, 6, 1> loss = LeftOutLoss(without, *fleet);
+    if (loss.sum() > 0.0 && loss.maxCoeff() > -std::log(options_.attribution.least_ratio)) {
       kept->insert(weakest->name);
       continue;
     }
@@ -345,7 +347,7 @@ bool JointSession::TakeOutUnproved(FleetCalibration* fleet, std::set<std::string
         weakest->name + " gains " + Text(weakest->score) +
         " nats, but what tells its size is zero on all flights together, within its uncertainty (p " +
         Text(ChanceOfNoSize(weakest->name, *fleet, vehicle_)) +
-        "), and each flight is predicted no worse without it by the parameters of all others");
+        "), and flights left out are predicted no worse without it");
     effects_ = std::move(others);
     *fleet = std::move(without);
     return true;
