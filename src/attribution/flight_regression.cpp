@@ -98,8 +98,7 @@ void FlightRegression::AddBase() {
                      model.pendulum() ? Wrenches(Wrenches::Zero(y_.rows(), kNumChannels))
                                       : likely_.Derivative(model, values, k),
                      {}};
-    column.foreseen = instruments_->Foreseen(column.d_wrench, column.likely,
-                                             Instruments::OwnNoise::kInResidual);
+    column.foreseen = instruments_->Foreseen(column.d_wrench, column.likely);
     if (column.d_wrench.squaredNorm() > 0.0) columns_.push_back(std::move(column));
   }
   AddNuisances();

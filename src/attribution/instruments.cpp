@@ -143,25 +143,22 @@ std::vector<FilteredMotion> Instruments::LikelyMotion(const ThinnedFlight& fligh
 }
 
 ResidualModel::Wrenches Instruments::Foreseen(const ResidualModel::Wrenches& column,
-                                              const ResidualModel::Wrenches& likely,
-                                              OwnNoise noise) const {
-  return ForeseenBatch(column, likely, noise);
+                                              const ResidualModel::Wrenches& likely) const {
+  return ForeseenBatch(column, likely);
 }
 
-MatrixXd Instruments::Foreseen(const MatrixXd& columns, const MatrixXd& likely,
-                               OwnNoise noise) const {
+MatrixXd Instruments::Foreseen(const MatrixXd& columns, const MatrixXd& likely) const {
   constexpr Index kBatch = 16;
   MatrixXd foreseen(columns.rows(), columns.cols());
   for (Index c = 0; c < columns.cols(); c += kBatch) {
     const Index size = std::min(kBatch, columns.cols() - c);
     foreseen.middleCols(c, size) =
-        ForeseenBatch(columns.middleCols(c, size), likely.middleCols(c, size), noise);
+        ForeseenBatch(columns.middleCols(c, size), likely.middleCols(c, size));
   }
   return foreseen;
 }
 
-MatrixXd Instruments::ForeseenBatch(const MatrixXd& columns, const MatrixXd& likely,
-                                    OwnNoise noise) const {
+MatrixXd Instruments::ForeseenBatch(const MatrixXd& columns, const MatrixXd& likely) const {
   constexpr Index kLagged = static_cast<Index>(kLags.size());
   constexpr Index kOwn = kLagged + 1;
   constexpr Index kWidth = kOwn + 1;
@@ -223,7 +220,10 @@ MatrixXd Instruments::ForeseenBatch(const MatrixXd& columns, const MatrixXd& lik
       const Eigen::Matrix<double, kOwn, 1> g =
           s.topRightCorner(kOwn, 1) - b_c.leftCols(kOwn).transpose() * solved_c.col(kOwn);
       of_own.col(c) = H.ldlt().solve(g);
-      if (noise == OwnNoise::kInResidual && of_own(kLagged, c) < 0.0) {
+      // What it would be in the likely motion counts for it or not at all. That motion is foreseen
+      // fold by fold, too, from rows of this one among others: a weight below zero undoes that, and
+      // gives the fold back what is its own.
+      if (of_own(kLagged, c) < 0.0) {
         of_own.col(c) << H.topLeftCorner<kLagged, kLagged>().ldlt().solve(g.head<kLagged>()), 0.0;
       }
       of_z.col(c) = solved_c.col(kOwn) - solved_c.leftCols(kOwn) * of_own.col(c);

@@ -234,8 +234,7 @@ TEST(Instruments, ForeseeNoTorqueThatIsNoiseOfRotorSpeeds) {
       return torque;
     };
     const ResidualModel::Wrenches torque = rolling(flown.flight);
-    const auto foreseen = instruments.Foreseen(torque, rolling(instruments.likely_flight()),
-                                                Instruments::OwnNoise::kInResidual);
+    const auto foreseen = instruments.Foreseen(torque, rolling(instruments.likely_flight()));
     EXPECT_LT(foreseen.col(3).squaredNorm(), 0.1 * torque.col(3).squaredNorm()) << seed;
   }
 }

@@ -25,14 +25,6 @@ class Instruments {
  public:
   static constexpr int kFolds = 5;
 
-  /// The likely motion of a fold is foreseen from the others, and these are fitted with it: with a
-  /// negative weight of what a column would be in that motion, some of a fold's own noise comes back
-  /// to it. That does no harm where the noise is not in the residual, and shows what is quick, such as
-  /// a rotor's reaction. Noise of rotor speeds is in the torque that declared parameters turn the
-  /// vehicle with, and in the residual: those columns take no negative weight, or a vehicle that
-  /// hardly rolls seems to have a multiple of its inertia.
-  enum class OwnNoise { kElsewhere, kInResidual };
-
   Instruments(const ThinnedFlight& flight, const Vehicle& file_vehicle);
 
   /// True if the sample has a past.
@@ -43,13 +35,10 @@ class Instruments {
 
   /// The part that was foreseen (N×6); what has no past is zero.
   /// @param likely the same column in likely_flight(), or zero where that is not known
-  /// @param noise whether the residual holds the column's own noise
   ResidualModel::Wrenches Foreseen(const ResidualModel::Wrenches& column,
-                                   const ResidualModel::Wrenches& likely,
-                                   OwnNoise noise = OwnNoise::kElsewhere) const;
+                                   const ResidualModel::Wrenches& likely) const;
   /// The same of any columns (N×k).
-  Eigen::MatrixXd Foreseen(const Eigen::MatrixXd& columns, const Eigen::MatrixXd& likely,
-                           OwnNoise noise = OwnNoise::kElsewhere) const;
+  Eigen::MatrixXd Foreseen(const Eigen::MatrixXd& columns, const Eigen::MatrixXd& likely) const;
 
   /// Fold of a sample.
   static int FoldAt(double t_s);
@@ -61,8 +50,7 @@ class Instruments {
   };
 
   /// A few columns at once; those that are zero stay zero.
-  Eigen::MatrixXd ForeseenBatch(const Eigen::MatrixXd& columns, const Eigen::MatrixXd& likely,
-                                OwnNoise noise) const;
+  Eigen::MatrixXd ForeseenBatch(const Eigen::MatrixXd& columns, const Eigen::MatrixXd& likely) const;
   std::vector<FilteredMotion> LikelyMotion(const ThinnedFlight& flight) const;
 
   std::vector<bool> sees_;
