@@ -19,8 +19,10 @@ namespace fuzz {
 /// The bytes of a fuzz target as a file in memory.
 class MemoryFile {
  public:
-  MemoryFile(const std::uint8_t* data, size_t size) : descriptor_(memfd_create("fuzz", MFD_CLOEXEC)) {
-    if (descriptor_ < 0 || write(descriptor_, data, size) != static_cast<ssize_t>(size)) std::abort();
+  MemoryFile(const std::uint8_t* data, size_t size)
+      : descriptor_(memfd_create("fuzz", MFD_CLOEXEC)) {
+    if (descriptor_ < 0 || write(descriptor_, data, size) != static_cast<ssize_t>(size))
+      std::abort();
   }
   ~MemoryFile() { close(descriptor_); }
   MemoryFile(const MemoryFile&) = delete;

@@ -11,7 +11,8 @@ void ReadAs(std::uint8_t kind, const std::uint8_t* data, size_t size) {
   const FlightReadOptions options;
   switch (kind) {
     case 'n':
-      fuzz::ReadFlightBytes(data, size, [&](const std::string& file) { return ReadNeurobem(file, options); });
+      fuzz::ReadFlightBytes(data, size,
+                            [&](const std::string& file) { return ReadNeurobem(file, options); });
       return;
     case 'b': {
       const fuzz::MemoryFile file(data, size);
@@ -19,7 +20,8 @@ void ReadAs(std::uint8_t kind, const std::uint8_t* data, size_t size) {
       return;
     }
     default:
-      fuzz::ReadFlightBytes(data, size, [&](const std::string& file) { return ReadFlightCsv(file, options); });
+      fuzz::ReadFlightBytes(data, size,
+                            [&](const std::string& file) { return ReadFlightCsv(file, options); });
   }
 }
 

@@ -34,7 +34,8 @@ void ReadAs(std::uint8_t kind, const std::string& text) {
         ParseWaypoints(text, "f");
         return;
       case 'o': {
-        const fuzz::MemoryFile file(reinterpret_cast<const std::uint8_t*>(text.data()), text.size());
+        const fuzz::MemoryFile file(reinterpret_cast<const std::uint8_t*>(text.data()),
+                                    text.size());
         WorldOptions options;
         LoadOptions(file.name(), &options);
         return;

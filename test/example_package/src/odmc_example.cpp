@@ -18,10 +18,12 @@ void Run(const char* flight_file, const char* vehicle_file) {
   reading.num_rotors = static_cast<int>(vehicle.rotors.size());
   const odmc::FlightLog log = odmc::FlightReaders::Core().Read(flight_file, reading);
 
-  const odmc::Calibration found = odmc::Calibrate(log, log, vehicle, model, odmc::EstimatorOptions{});
+  const odmc::Calibration found =
+      odmc::Calibrate(log, log, vehicle, model, odmc::EstimatorOptions{});
   for (const odmc::ParameterEstimate& parameter : found.parameters.parameters) {
-    std::printf("%-24s %12.5g +- %.2g %s%s\n", parameter.full_name.c_str(), parameter.value, parameter.sigma,
-                parameter.unit.c_str(), parameter.observable ? "" : " (not shown by this flight)");
+    std::printf("%-24s %12.5g +- %.2g %s%s\n", parameter.full_name.c_str(), parameter.value,
+                parameter.sigma, parameter.unit.c_str(),
+                parameter.observable ? "" : " (not shown by this flight)");
   }
 }
 
