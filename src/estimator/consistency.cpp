@@ -27,8 +27,18 @@ Consistency::Consistency(int num_parameters)
       steps_(Eigen::MatrixXd::Zero(n_, kMaxBlocks)),
       scaled_(score_),
       sum_(score_),
+      shift_(score_),
       sum_of_squares_(score_),
+      white_(score_),
       inflation_(score_) {}
+
+void Consistency::SetWalking(const std::vector<int>& entries) { walking_ = entries; }
+
+template <typename Difference>
+void Consistency::Shift(const Difference& difference, Eigen::VectorXd* shift) const {
+  *shift = difference;
+  for (const int i : walking_) (*shift)[i] = 0.0;
+}
 
 void Consistency::Add(double dt, const Eigen::Ref<const Eigen::VectorXd>& score,
                       const Eigen::Ref<const Eigen::VectorXd>& eta) {
@@ -53,6 +63,11 @@ void Consistency::CloseBlock(const Eigen::MatrixXd& left) {
   if (num_blocks_ == kMaxBlocks) Merge();
 }
 
+void Consistency::Walked(const Eigen::MatrixXd& before, const Eigen::MatrixXd& after) {
+  left_ -= before;
+  left_ += after;
+}
+
 /// Makes one block of every two.
 void Consistency::Merge() {
   for (size_t i = 0; 2 * i < kMaxBlocks; ++i) {
@@ -62,8 +77,10 @@ void Consistency::Merge() {
     // Scores of both halves at one common estimate.
     sum_ = (a.length_s * a.eta + b.length_s * b.eta) / length;
     scaled_ = a.score + b.score;
-    scaled_.noalias() += a.information * (sum_ - a.eta);
-    scaled_.noalias() += b.information * (sum_ - b.eta);
+    Shift(sum_ - a.eta, &shift_);
+    scaled_.noalias() += a.information * shift_;
+    Shift(sum_ - b.eta, &shift_);
+    scaled_.noalias() += b.information * shift_;
     merged.information = a.information + b.information;
     merged.score = scaled_;
     merged.eta = sum_;
@@ -114,10 +131,12 @@ const Eigen::VectorXd& Consistency::Inflation(const Eigen::Ref<const Eigen::Vect
   const int num_steps = std::max(num_blocks_ - 1, 0);
   for (int k = 0; k < num_steps; ++k) {
     const Block& b = blocks_[static_cast<size_t>(k + 1)];
-    sum_ = eta - b.eta;
+    Shift(eta - b.eta, &shift_);
     scaled_ = b.score;
-    scaled_.noalias() += b.information * sum_;
+    scaled_.noalias() += b.information * shift_;
     steps_.col(k).noalias() = covariance * scaled_;
+    // Of what walks, the present covariance is about the present: the scores by their own size.
+    for (const int i : walking_) steps_(i, k) = b.score[i];
   }
   // Coarser and coarser groups see longer and longer correlation; the largest variance counts.
   for (int group = 1; num_steps / group >= kMinGroups; group *= 2) {
@@ -129,8 +148,15 @@ const Eigen::VectorXd& Consistency::Inflation(const Eigen::Ref<const Eigen::Vect
       sum_of_squares_ += sum_.cwiseAbs2();
     }
     const double m = groups;
+    white_ = covariance.diagonal();
+    for (const int i : walking_) {
+      white_[i] = 0.0;
+      for (int k = 0; k < groups * group; ++k) {
+        white_[i] += std::max(0.0, blocks_[static_cast<size_t>(k + 1)].information(i, i));
+      }
+    }
     for (int i = 0; i < n_; ++i) {
-      const double ratio = sum_of_squares_[i] / std::max(1e-300, covariance(i, i));
+      const double ratio = sum_of_squares_[i] / std::max(1e-300, white_[i]);
       const double variance = (m * ratio + kPriorGroups) / (m + kPriorGroups);
       inflation_[i] = std::max(inflation_[i], std::sqrt(variance));
     }
@@ -155,7 +181,8 @@ std::vector<ThirdOfFlight> Consistency::Thirds(const Eigen::Ref<const Eigen::Vec
     for (; next < num_blocks_ && (t == 3 || passed_s < t * total_s / 3.0 - 1e-9); ++next) {
       const Block& block = blocks_[static_cast<size_t>(next)];
       information += block.information;
-      gradient += block.score + block.information * (eta - block.eta);
+      Shift(eta - block.eta, &shift_);
+      gradient += block.score + block.information * shift_;
       passed_s += block.length_s;
       third.length_s += block.length_s;
     }

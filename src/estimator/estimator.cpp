@@ -29,6 +29,7 @@ constexpr double kAlignmentGrowth = 1.2;   // of the window, from one alignment 
 constexpr double kChangeDelay_s = 0.15;    // age of the intervals that show a change
 constexpr double kSigmaAfterChange = 0.3;  // least sigma then, of the prior's
 constexpr double kGateEvery_s = 0.1, kGateKept_s = 3.0;  // copies of the gate on inertia
+constexpr double kWalkEvery_s = 0.1;  // of flight that has left the window
 constexpr double kMostHeld_s = 2.0;  // that the window grows while contact is suspected
 
 double ThreadCpuSeconds() {
@@ -178,6 +179,7 @@ bool EstimatorOptions::IsValid(std::string* error) const {
         Named{"rate_noise_rad_s", rate_noise_rad_s},
         Named{"rotor_speed_noise_rad_s", rotor_speed_noise_rad_s},
         Named{"function_tolerance", function_tolerance},
+        Named{"k_f_walk_rate", k_f_walk_rate},
         Named{"take_off_height_m", phases.take_off_height_m},
         Named{"take_off_speed_m_s", phases.take_off_speed_m_s},
         Named{"landed_thrust_ratio", phases.landed_thrust_ratio},
@@ -228,6 +230,13 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
   for (const char* axis : {"inertia.x", "inertia.y", "inertia.z"}) {
     const int k = model->IndexOf(axis);
     estimates_inertia_ = estimates_inertia_ || (k >= 0 && model->parameters()[k].estimated);
+  }
+  if (options.k_f_walk_rate > 0.0) {
+    for (const char* name : {"thrust.k_f", "rotor_torque.k_m"}) {
+      const int k = model->IndexOf(name);
+      if (k >= 0 && layout_.EntryOf(k) >= 0) walking_.push_back(layout_.EntryOf(k));
+    }
+    consistency_.SetWalking(walking_);
   }
   if (options.huber_width > 0.0) {
     loss_ = std::make_unique<ceres::HuberLoss>(options.huber_width);
@@ -574,6 +583,8 @@ void Estimator::StartAnew() {
   window_.SetAnchorEntry(anchor_entry);
   solver_ = MakeSolver(options_, *model_);
   consistency_ = Consistency(n);
+  consistency_.SetWalking(walking_);
+  walk_owed_s_ = 0.0;
   regressor_noise_ = RegressorNoise(n);
   consistency_inflation_ = noise_inflation_ = inflation_ = Eigen::VectorXd::Ones(n);
   sigma_eta_ = PriorSigmas(layout_);
@@ -613,6 +624,7 @@ std::vector<ThirdsDifference> Estimator::LastLook() {
   const int n = layout_.num_estimated();
   const double threshold = LastLookThreshold(n);
   for (int i = 0; i < n; ++i) {
+    if (std::find(walking_.begin(), walking_.end(), i) != walking_.end()) continue;
     const double inflation = inflation_[i] * inflation_[i];
     double weights = 0.0, mean = 0.0, chi_squared = 0.0;
     bool is_seen = true;
@@ -1167,8 +1179,19 @@ void Estimator::MarginalizeOld() {
 }
 
 void Estimator::LetVary(double dt) {
+  if (model_->processes().empty() && walking_.empty()) return;
   const ModelValues values = window_.values();
   const ParameterVector chain = layout_.ChainFactors(values);
+  walk_owed_s_ += dt;
+  if (!walking_.empty() && walk_owed_s_ >= kWalkEvery_s) {
+    ParameterVector relative = ParameterVector::Zero(layout_.num_estimated());
+    for (const int i : walking_) relative[i] = values[layout_.model_index(i)] / chain[i];
+    const double rate = options_.k_f_walk_rate;
+    before_walk_ = solver_->PastInformation(window_);
+    solver_->LetPastWalk(relative, rate * rate * walk_owed_s_, &window_);
+    consistency_.Walked(before_walk_, solver_->PastInformation(window_));
+    walk_owed_s_ = 0.0;
+  }
   for (const DynamicModel::ProcessParameter& p : model_->processes()) {
     for (int i = 0; i < layout_.num_estimated(); ++i) {
       if (layout_.model_index(i) != p.index) continue;

@@ -49,6 +49,12 @@ void BatchWindowSolver::LetPastVary(int index, const ProcessStep& step, Window* 
   information_.Forget();  // what it keeps does not know of the variation
 }
 
+void BatchWindowSolver::LetPastWalk(const Eigen::Ref<const Eigen::VectorXd>& direction,
+                                    double variance, Window* window) {
+  LetPriorWalk(direction, variance, window);
+  information_.Forget();
+}
+
 const Eigen::MatrixXd& BatchWindowSolver::PastInformation(const Window& window) {
   const Prior& prior = window.prior();
   const int n = window.layout().num_estimated();

@@ -963,6 +963,12 @@ void IncrementalWindowSolver::LetPastVary(int index, const ProcessStep& step, Wi
   batch_.LetPastVary(index, step, window);
 }
 
+void IncrementalWindowSolver::LetPastWalk(const Eigen::Ref<const Eigen::VectorXd>& direction,
+                                          double variance, Window* window) {
+  if (!Follows(*window)) return batch_.LetPastWalk(direction, variance, window);
+  ChangePast([&] { past_.LetWalk(direction, variance, &workspace_); });
+}
+
 const Eigen::MatrixXd& IncrementalWindowSolver::PastInformation(const Window& window) {
   if (!Follows(window)) return batch_.PastInformation(window);
   const int n = past_.columns().n;

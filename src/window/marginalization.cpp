@@ -113,22 +113,28 @@ LinearSystem Eliminate(const LinearSystem& system, double tolerance) {
   return result;
 }
 
+namespace {
+
+/// Turns the prior's rows so that the last ones are about the parameters alone.
+/// @returns the first of these
+Eigen::Index SplitOffParameters(Eigen::Index num_parameters, Prior* prior) {
+  const auto others = prior->A.cols() - num_parameters;  // of the state and the bias
+  if (others == 0) return 0;
+  const Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(prior->A.leftCols(others));
+  prior->A.applyOnTheLeft(qr.householderQ().adjoint());
+  prior->b.applyOnTheLeft(qr.householderQ().adjoint());
+  prior->A.bottomLeftCorner(prior->b.size() - qr.rank(), others).setZero();
+  return qr.rank();
+}
+
+}  // namespace
+
 Eigen::MatrixXd RescalePrior(const Eigen::Ref<const Eigen::VectorXd>& scale, Window* window) {
   Prior& prior = window->prior();
   const auto n = scale.size();
   const auto rows = prior.b.size();
-  const auto others = prior.A.cols() - n;  // of the state and the bias
   if (rows == 0) return Eigen::MatrixXd(scale.cwiseSqrt().asDiagonal());
-  // What it says of the state given the parameters stays; below that it says something of the
-  // parameters alone.
-  Eigen::Index rank = 0;
-  if (others > 0) {
-    const Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(prior.A.leftCols(others));
-    rank = qr.rank();
-    prior.A.applyOnTheLeft(qr.householderQ().adjoint());
-    prior.b.applyOnTheLeft(qr.householderQ().adjoint());
-    prior.A.bottomLeftCorner(rows - rank, others).setZero();
-  }
+  const Eigen::Index rank = SplitOffParameters(n, &prior);
   const Eigen::MatrixXd alone = prior.A.bottomRightCorner(rows - rank, n);
   if (alone.rows() == 0) return Eigen::MatrixXd(scale.cwiseSqrt().asDiagonal());
   const Eigen::JacobiSVD<Eigen::MatrixXd> svd(alone, Eigen::ComputeThinU | Eigen::ComputeFullV);
@@ -169,6 +175,24 @@ void LetPriorVary(int index, const ProcessStep& step, Prior* prior) {
   const double gain = (1.0 - 1.0 / std::sqrt(1.0 + step.variance * square)) / square;
   prior->A -= gain * v * (v.transpose() * prior->A).eval();
   prior->b -= gain * v.dot(prior->b) * v;
+}
+
+void LetPriorWalk(const Eigen::Ref<const Eigen::VectorXd>& direction, double variance,
+                  Window* window) {
+  Prior& prior = window->prior();
+  const auto n = direction.size();
+  const auto rows = prior.b.size();
+  if (rows == 0) return;
+  const Eigen::Index first = SplitOffParameters(n, &prior);
+  auto A = prior.A.bottomRightCorner(rows - first, n);
+  auto b = prior.b.tail(rows - first);
+  // As in LetPriorVary().
+  const Eigen::VectorXd v = A * direction;
+  const double square = v.squaredNorm();
+  if (!(square * variance > 0.0)) return;
+  const double gain = (1.0 - 1.0 / std::sqrt(1.0 + variance * square)) / square;
+  A -= gain * v * (v.transpose() * A).eval();
+  b -= gain * v.dot(b) * v;
 }
 
 bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,

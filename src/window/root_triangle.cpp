@@ -176,6 +176,20 @@ void RootTriangle::ScaleParameters(const Eigen::Ref<const Eigen::VectorXd>& scal
   SetParameterRows(w->A, w->B);
 }
 
+void RootTriangle::LetWalk(const Eigen::Ref<const Eigen::VectorXd>& direction, double variance,
+                           Workspace* w) {
+  GetParameterRows(&w->A, &w->B);
+  w->roots.noalias() = w->A * direction;
+  const double square = w->roots.squaredNorm();
+  if (!(square * variance > 0.0)) return;
+  const double gain = (1.0 - 1.0 / std::sqrt(1.0 + variance * square)) / square;
+  w->along.noalias() = gain * w->roots.transpose() * w->A;
+  w->shares.noalias() = gain * w->roots.transpose() * w->B;
+  w->A.noalias() -= w->roots * w->along;
+  w->B.noalias() -= w->roots * w->shares;
+  SetParameterRows(w->A, w->B);
+}
+
 void RootTriangle::ParameterNormal(Workspace* workspace, Eigen::MatrixXd* normal) const {
   const int n = columns_.n;
   GetParameterRows(&workspace->A, &workspace->B);

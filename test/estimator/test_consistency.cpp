@@ -108,6 +108,43 @@ TEST(Consistency, FollowsAScaleOfThePast) {
   EXPECT_LT(Median(factors), 5.7);
 }
 
+// A number that walks, followed by a Kalman filter that takes AR(1) noise for white.
+double InflationOfAWalk(double rho, unsigned seed) {
+  Random random(seed);
+  Consistency consistency(1);
+  consistency.SetWalking({0});
+  const double step = 1e-3, root = std::sqrt(kInformation);  // of the walk, an interval
+  double truth = 0.0, noise = random.Normal(), information = 1e-6, estimate = 0.0, left = 0.0;
+  for (int i = 0; i < 6000; ++i) {
+    truth += step * random.Normal();
+    noise = rho * noise + std::sqrt(1.0 - rho * rho) * random.Normal();
+    const double walked = 1.0 / (1.0 / information + step * step);
+    consistency.Walked(MatrixXd::Constant(1, 1, left),
+                       MatrixXd::Constant(1, 1, left + walked - information));
+    left += walked - information + kInformation;
+    information = walked + kInformation;
+    const double reading = truth + noise / root;
+    const double score = kInformation * (estimate - reading);
+    estimate -= score / information;
+    consistency.Add(kDt, VectorXd::Constant(1, score), VectorXd::Constant(1, estimate));
+    if (consistency.BlockIsFull()) consistency.CloseBlock(MatrixXd::Constant(1, 1, left));
+  }
+  return consistency.Inflation(VectorXd::Constant(1, estimate),
+                               MatrixXd::Constant(1, 1, 1.0 / information))[0];
+}
+
+TEST(Consistency, OfAWalkCountsTheNoiseAndNotTheWalk) {
+  std::vector<double> white, correlated;
+  for (unsigned i = 0; i < 50; ++i) {
+    white.push_back(InflationOfAWalk(0.0, 200 + i));
+    correlated.push_back(InflationOfAWalk(0.9, 200 + i));
+  }
+  EXPECT_GE(Median(white), 1.0);
+  EXPECT_LT(Median(white), 1.3);
+  const double expected = std::sqrt(1.9 / 0.1);
+  EXPECT_NEAR(Median(correlated) / expected, 1.0, 0.3);
+}
+
 TEST(Consistency, TreatsEachParameterByItself) {
   Random random(5);
   Consistency consistency(2);

@@ -88,6 +88,68 @@ TEST_F(HeldOut, IsStillFlight) {
 
 // ---- Effects that act in time ------------------------------------------------------------------
 
+// ---- Thrust coefficient that walks -------------------------------------------------------------
+
+/// A flight whose thrust grows by a share of k_f a second, and a model that does not know.
+class ThrustWalk : public testing::Test {
+ protected:
+  static constexpr double kDuration_s = 40.0, kRate_1_s = 5e-4;  // 2 % in all
+
+  ReplayResult Run(double walk_rate, const std::string& solver = "incremental",
+                   double end_s = 0.0) const {
+    FlightLog log = flight_.log;
+    CutFlight(0.0, end_s, &log);
+    EstimatorOptions options;
+    options.k_f_walk_rate = walk_rate;
+    options.solver = solver;
+    options.max_update_time_s = 1.0;
+    Estimator estimator(&model_, options, true);
+    return Replay(log, &estimator);
+  }
+  double TrueAt(double t_s) const {
+    return truth_[truth_model_.IndexOf("thrust.k_f")] * (1.0 + kRate_1_s * t_s);
+  }
+
+  const Vehicle vehicle_ = NominalVehicle();
+  const DynamicModel model_{vehicle_, vehicle_.effects};
+  const Vehicle drifting_ = With("thrust_drift", {{"thrust_drift.rate", kRate_1_s}});
+  const DynamicModel truth_model_{drifting_, drifting_.effects};
+  const ModelValues truth_ = Truth(truth_model_, {{"thrust_drift.rate", kRate_1_s}});
+  const SimulatedFlight flight_ = Simulate(truth_model_, truth_, Octo(kDuration_s));
+  const int k_f_ = model_.IndexOf("thrust.k_f");
+};
+
+TEST_F(ThrustWalk, FollowsACoefficientThatAConstantDoesNot) {
+  const ReplayResult constant = Run(0.0), walking = Run(2e-3);
+  ASSERT_TRUE(constant.last && walking.last);
+  const double truth = TrueAt(walking.last->time_s);
+  EXPECT_GT(std::abs(constant.last->values[k_f_] / truth - 1.0), 7e-3);
+  EXPECT_LT(std::abs(walking.last->values[k_f_] / truth - 1.0), 3e-3);
+  EXPECT_LT(std::abs(walking.last->values[k_f_] - truth), 3.0 * walking.last->sigma[k_f_]);
+  EXPECT_LT(walking.last->sigma[k_f_], 5e-3 * truth);
+  // Everything else is as well known as before.
+  const int d_x = model_.IndexOf("drag.d_x");
+  EXPECT_LT(walking.last->sigma[d_x], 1.5 * constant.last->sigma[d_x]);
+}
+
+TEST_F(ThrustWalk, StaysWithinThreeSigmaAllAlong) {
+  long rows = 0, inside = 0;
+  for (const HistoryRow& row : Run(2e-3).history) {
+    if (row.t_s < 5.0) continue;
+    ++rows;
+    inside += std::abs(row.values[k_f_] - TrueAt(row.t_s)) < 3.0 * row.sigma[k_f_];
+  }
+  ASSERT_GT(rows, 3000);
+  EXPECT_GT(static_cast<double>(inside) / static_cast<double>(rows), 0.99);
+}
+
+TEST_F(ThrustWalk, IsTheSameWithEverySolver) {
+  const ReplayResult ours = Run(2e-3, "incremental", 9.0), batch = Run(2e-3, "elimination", 9.0);
+  ASSERT_TRUE(ours.last && batch.last);
+  EXPECT_NEAR(ours.last->values[k_f_], batch.last->values[k_f_], 0.1 * batch.last->sigma[k_f_]);
+  EXPECT_NEAR(ours.last->sigma[k_f_], batch.last->sigma[k_f_], 0.05 * batch.last->sigma[k_f_]);
+}
+
 TEST(MassChange, IsFoundFromItsInstantOn) {
   const std::map<std::string, double> when = {{"mass_change.from", 10.0}};
   const Vehicle vehicle = With("mass_change", when);

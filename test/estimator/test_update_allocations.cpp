@@ -18,7 +18,7 @@ struct Counted {
 };
 
 /// Flies `duration_s` and counts from `from_s` on.
-Counted CountUpdates(double duration_s, double from_s, bool imu) {
+Counted CountUpdates(double duration_s, double from_s, bool imu, double walk_rate) {
   const DynamicModel model(NominalVehicle(), NominalVehicle().effects);
   SimulationOptions simulation;
   simulation.duration_s = duration_s;
@@ -28,6 +28,7 @@ Counted CountUpdates(double duration_s, double from_s, bool imu) {
   const FlightLog log = Simulate(model, DefaultTruth(model), simulation, noise).log;
   EstimatorOptions options;
   options.max_update_time_s = 10.0;
+  options.k_f_walk_rate = walk_rate;
   Estimator estimator(&model, options, true);
   Counted counted;
   size_t rotor = 0, inertial = 0;
@@ -57,8 +58,12 @@ Counted CountUpdates(double duration_s, double from_s, bool imu) {
 }
 
 TEST(UpdateAllocations, AreNoneInASteadyUpdate) {
-  for (const bool imu : {false, true}) {
-    const Counted counted = CountUpdates(14.0, 6.0, imu);
+  struct Case {
+    bool imu;
+    double walk_rate;
+  };
+  for (const Case& c : {Case{false, 0.0}, Case{true, 0.0}, Case{true, 2e-3}}) {
+    const Counted counted = CountUpdates(14.0, 6.0, c.imu, c.walk_rate);
     std::printf("%d updates, %d with allocations (%ld)\n", counted.updates,
                 counted.with_allocations, counted.allocations);
     ASSERT_GT(counted.updates, 700);

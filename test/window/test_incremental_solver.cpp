@@ -228,6 +228,28 @@ TEST_P(SlidingWindow, ScalesThePastAsTheBatchSolverDoes) {
   }
 }
 
+TEST_P(SlidingWindow, LetsThePastWalkAsTheBatchSolverDoes) {
+  Start(GetParam(), 36);
+  const VectorXd direction = (VectorXd(4) << 1.0, 0.0, 0.7, 0.0).finished();
+  for (int k = 0; k < 30; ++k) {
+    AddKeyframe();
+    SolveBoth();
+    if (k >= 10) DropOldest();
+    if (k % 3 != 2 || k < 12) continue;
+    MatrixXd before, after;
+    ASSERT_TRUE(solver_.ParameterCovariance(ours_, sigma_, &before));
+    solver_.LetPastWalk(direction, 0.01, &ours_);
+    ceres_.LetPastWalk(direction, 0.01, &reference_);
+    ASSERT_TRUE(solver_.ParameterCovariance(ours_, sigma_, &after));
+    EXPECT_GT(after(2, 2), 1.0001 * before(2, 2));
+    SolveBoth();
+    if (!GetParam().anchored) {
+      EXPECT_LT(Difference(), 1e-7) << "keyframe " << k;
+    }
+    EXPECT_LT(CovarianceDifference(), 1e-6) << "keyframe " << k;
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(Shapes, SlidingWindow,
                          testing::Values(Shape{0, -1, false}, Shape{0, 5, false},
                                          Shape{3, -1, false}, Shape{1, -1, false},

@@ -392,6 +392,32 @@ TEST_F(Marginalization, RescaledPriorMakesNothingUp) {
   EXPECT_LT(PriorResidual(window).norm(), 2.0 * before);
 }
 
+TEST_F(Marginalization, AWalkWidensTheParametersAlongItsDirectionAndNothingElse) {
+  Window window(&layout_);
+  LinearWindowMaker(&window, LinearWindowOptions(), 27).Fill();
+  for (int i = 0; i < 3; ++i) ASSERT_TRUE(MarginalizeOldest(&window, Threshold(kNever)));
+  Prior& prior = window.prior();
+  const auto of_state = prior.A.cols() - 4;
+  const MatrixXd before = prior.A.transpose() * prior.A;
+  const VectorXd optimum = -prior.A.completeOrthogonalDecomposition().solve(prior.b);
+  const auto alone = [&](const MatrixXd& H) {
+    const MatrixXd across = H.topRightCorner(of_state, 4);
+    return MatrixXd(
+        H.bottomRightCorner(4, 4) -
+        across.transpose() *
+            H.topLeftCorner(of_state, of_state).completeOrthogonalDecomposition().solve(across));
+  };
+  const VectorXd d = (VectorXd(4) << 0.5, 0.0, -1.5, 0.0).finished();
+  constexpr double kVariance = 0.3;
+  LetPriorWalk(d, kVariance, &window);
+  const MatrixXd after = prior.A.transpose() * prior.A;
+  EXPECT_LT((after.leftCols(of_state) - before.leftCols(of_state)).norm(), kExact * before.norm());
+  const MatrixXd wider = alone(before).inverse() + kVariance * d * d.transpose();
+  EXPECT_LT((alone(after).inverse() - wider).norm(), 1e-8 * wider.norm());
+  const VectorXd gradient = prior.A.transpose() * (prior.b + prior.A * optimum);
+  EXPECT_LT(gradient.norm(), kExact * before.norm());
+}
+
 TEST_F(Marginalization, AProcessStepIsThatOfAKalmanFilter) {
   Window window(&layout_);
   LinearWindowMaker(&window, LinearWindowOptions(), 28).Fill();

@@ -18,6 +18,9 @@ class Consistency {
  public:
   explicit Consistency(int num_parameters);
 
+  /// Entries whose value follows the flight: each block is judged about the value of its time.
+  void SetWalking(const std::vector<int>& entries);
+
   /// One interval's score at the estimate `eta`.
   void Add(double dt, const Eigen::Ref<const Eigen::VectorXd>& score,
            const Eigen::Ref<const Eigen::VectorXd>& eta);
@@ -27,6 +30,9 @@ class Consistency {
 
   /// Ends the block; `left` is the information of everything that has left the window so far (n×n).
   void CloseBlock(const Eigen::MatrixXd& left);
+
+  /// Tells that a walk has made `before`, the information of what left, to `after` (n×n each).
+  void Walked(const Eigen::MatrixXd& before, const Eigen::MatrixXd& after);
 
   /// Scales everything so far by what RescalePrior() returns.
   void Rescale(const Eigen::MatrixXd& root);
@@ -46,6 +52,9 @@ class Consistency {
  private:
   void ApplyRescaling();
   void Merge();
+  /// From one estimate to another, as far as a block's score has to be taken there.
+  template <typename Difference>
+  void Shift(const Difference& difference, Eigen::VectorXd* shift) const;
 
   struct Block {
     Eigen::VectorXd score, eta;
@@ -54,6 +63,7 @@ class Consistency {
   };
 
   int n_;
+  std::vector<int> walking_;
   double block_length_s_ = 0.25;
   double block_s_ = 0.0;
   Eigen::VectorXd score_, eta_sum_;
@@ -64,7 +74,7 @@ class Consistency {
   bool rescaled_ = false;
   Eigen::MatrixXd pending_root_, pending_scale_;
   Eigen::MatrixXd scale_, half_, steps_;
-  Eigen::VectorXd scaled_, sum_, sum_of_squares_, inflation_;
+  Eigen::VectorXd scaled_, sum_, shift_, sum_of_squares_, white_, inflation_;
 };
 
 }  // namespace odmc

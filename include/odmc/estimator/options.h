@@ -46,6 +46,8 @@ struct EstimatorOptions {
   /// from where it stands (ChangeDetector). For vehicles whose load changes in flight.
   bool detect_changes = false;
   double inertia_gate_r_squared = 0.5;  ///< see InertiaGate; 0 always lets the inertia free
+  /// k_f, and k_m with it, as a random walk: relative change [1/sqrt(s)]; 0: constants.
+  double k_f_walk_rate = 0.0;
   PhaseOptions phases;
 
   template <typename Visitor>
@@ -78,6 +80,7 @@ struct EstimatorOptions {
     v->Field("accelerometer_bias_walk", &accelerometer_bias_walk);
     v->Field("detect_changes", &detect_changes);
     v->Field("inertia_gate_r_squared", &inertia_gate_r_squared);
+    v->Field("k_f_walk_rate", &k_f_walk_rate);
     phases.Visit(v);
   }
 

@@ -82,6 +82,8 @@ class IncrementalWindowSolver final : public WindowSolver {
                                  std::function<void(Keyframe*)> weigh, Window* window) override;
   /// Falls back to the batch solve: the step changes what every state says.
   void LetPastVary(int index, const ProcessStep& step, Window* window) override;
+  void LetPastWalk(const Eigen::Ref<const Eigen::VectorXd>& direction, double variance,
+                   Window* window) override;
   const Eigen::MatrixXd& PastInformation(const Window& window) override;
   void WritePrior(Window* window) override;
   void Release(Window* window) override {

@@ -76,12 +76,17 @@ class RootTriangle {
     Eigen::MatrixXd left, right;
     Eigen::VectorXd roots;
     Eigen::RowVector2d shares;
+    Eigen::RowVectorXd along;
   };
 
   /// Scales what it says of the parameters alone as RescalePrior() does; its optimum stays.
   /// @param root becomes the root of the scale (n×n)
   void ScaleParameters(const Eigen::Ref<const Eigen::VectorXd>& scale, Workspace* workspace,
                        Eigen::MatrixXd* root);
+
+  /// What it says of the parameters alone fades along a direction as by LetPriorWalk().
+  void LetWalk(const Eigen::Ref<const Eigen::VectorXd>& direction, double variance,
+               Workspace* workspace);
 
   /// The normal equations of the parameters, Aᵀ[A B] (n×(n+2)).
   void ParameterNormal(Workspace* workspace, Eigen::MatrixXd* normal) const;

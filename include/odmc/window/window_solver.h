@@ -85,6 +85,10 @@ class WindowSolver {
   /// LetPriorVary() of what has left.
   virtual void LetPastVary(int index, const ProcessStep& step, Window* window) = 0;
 
+  /// LetPriorWalk() of what has left.
+  virtual void LetPastWalk(const Eigen::Ref<const Eigen::VectorXd>& direction, double variance,
+                           Window* window) = 0;
+
   /// Information of what has left about the parameters alone (n×n), until the next call.
   virtual const Eigen::MatrixXd& PastInformation(const Window& window) = 0;
 
@@ -108,6 +112,8 @@ class BatchWindowSolver : public WindowSolver {
   const Eigen::MatrixXd& Reweigh(const Eigen::Ref<const Eigen::VectorXd>& scale,
                                  std::function<void(Keyframe*)> weigh, Window* window) override;
   void LetPastVary(int index, const ProcessStep& step, Window* window) override;
+  void LetPastWalk(const Eigen::Ref<const Eigen::VectorXd>& direction, double variance,
+                   Window* window) override;
   const Eigen::MatrixXd& PastInformation(const Window& window) override;
   void WritePrior(Window*) override {}
   void Release(Window*) override { Forget(); }
