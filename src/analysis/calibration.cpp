@@ -1,6 +1,7 @@
 #include "odmc/analysis/calibration.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
 #include <stdexcept>
@@ -108,6 +109,11 @@ PredictionFigures::Axes GainByEstimate(const DynamicModel& model, const ModelVal
   return gain;
 }
 
+void WarnOfReaction(const TorqueBands& bands, std::vector<std::string>* warnings) {
+  const std::string warning = ReactionWarning(bands);
+  if (!warning.empty()) warnings->push_back(warning);
+}
+
 /// Brings the sigmas to what the thirds of the flight show.
 void WidenBy(const std::vector<ThirdsDifference>& thirds, Snapshot* snapshot) {
   for (const ThirdsDifference& d : thirds) {
@@ -213,6 +219,10 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   result.prediction.figures =
       PredictEach(recording, file_vehicle, model, last.values, replay.ground_spans, {},
                   predicted ? predicted : PredictionSink(keep));
+  const int k_f = model.IndexOf("thrust.k_f");
+  result.nominal_inertia = file_vehicle.inertia_kg_m2;
+  result.bands = FindTorqueBands(recording, model, last.values, k_f >= 0 ? last.sigma[k_f] : 0.0,
+                                 replay.ground_spans);
   result.convergence_s = Convergence(replay.history, last.observable);
   result.wall = SummariseTiming(replay, &UpdateTiming::wall_ms);
   result.cpu = SummariseTiming(replay, &UpdateTiming::cpu_ms);
@@ -223,6 +233,7 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   result.warnings = FlightWarnings(log, replay);
   Append(ModelWarnings(model, last.values, last.sigma, result.prediction.figures),
          &result.warnings);
+  WarnOfReaction(result.bands, &result.warnings);
   Append(LastLookFindings(model, last.values, thirds), &result.findings);
   Append(LittleFlight(replay, model), &result.findings);
   Append(PhaseFindings(replay, options.detect_changes, result.first_stamp), &result.findings);
@@ -339,7 +350,8 @@ LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,
 }
 
 Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
-                    const ParameterSet& parameters, const PredictionSink& predicted) {
+                    const ParameterSet& parameters, const PredictionSink& predicted,
+                    const ValueVariation& thrust) {
   const ModelValues values = model.InitialValues();
   Eigen::VectorXd sigma = Eigen::VectorXd::Zero(model.num_parameters());
   for (int i = 0; i < model.num_parameters(); ++i) {
@@ -351,9 +363,14 @@ Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const Dyn
   result.flight = {log.file, DurationOf(log), ground.on_ground_s, ground.airborne_keyframes,
                    log.dropped};
   const auto keep = [&](const PredictionSample& s) { result.prediction.samples.push_back(s); };
-  result.prediction.figures = PredictEach(log, file_vehicle, model, values, ground.spans, {},
+  result.prediction.figures = PredictEach(log, file_vehicle, model, values, ground.spans, thrust,
                                           predicted ? predicted : PredictionSink(keep));
+  const int k_f = model.IndexOf("thrust.k_f");
+  result.nominal_inertia = file_vehicle.inertia_kg_m2;
+  result.bands =
+      FindTorqueBands(log, model, values, k_f >= 0 ? sigma[k_f] : 0.0, ground.spans);
   result.warnings = log.warnings;
+  WarnOfReaction(result.bands, &result.warnings);
   WarnOfOtherMass(parameters, file_vehicle, &result.warnings);
   if (result.prediction.figures.samples == 0) {
     result.warnings.push_back(
@@ -361,6 +378,44 @@ Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const Dyn
   }
   Append(ModelWarnings(model, values, sigma, result.prediction.figures), &result.warnings);
   return result;
+}
+
+ValueVariation FollowThrust(const FlightLog& log, const Vehicle& vehicle,
+                            const EstimatorOptions& options) {
+  constexpr double kBefore_s = 0.1;
+  const std::array<const char*, 2> names = {"thrust.k_f", "rotor_torque.k_m"};
+  Vehicle held = vehicle;
+  const DynamicModel full(vehicle, vehicle.effects);
+  for (const ModelParameter& p : full.parameters()) {
+    const bool follows = p.estimated && (p.full_name == names[0] || p.full_name == names[1]);
+    held.parameters[p.full_name].estimated = follows;
+  }
+  const DynamicModel model(held, held.effects);
+  const std::array<int, 2> index = {model.IndexOf(names[0]), model.IndexOf(names[1])};
+  if (index[0] < 0 || !model.parameters()[index[0]].estimated) {
+    throw std::invalid_argument("thrust.k_f cannot follow the flight: the parameters hold it");
+  }
+  Estimator estimator(&model, options, !log.rotor_rms_only);
+  struct Point {
+    double t_s;
+    std::array<double, 2> values;
+  };
+  std::vector<Point> points;
+  const ReplayResult replay = Replay(log, &estimator);
+  for (const HistoryRow& row : replay.history) {
+    points.push_back({row.t_s, {row.values[index[0]], index[1] < 0 ? 0.0 : row.values[index[1]]}});
+  }
+  const double start_s =
+      replay.last ? ToSeconds(replay.last->stamp - log.odometry.front().stamp) - replay.last->time_s
+                  : 0.0;
+  return [points, index, start_s](double t_s, ModelValues* values) {
+    const auto after = std::upper_bound(points.begin(), points.end(), t_s - start_s - kBefore_s,
+                                        [](double t, const Point& p) { return t < p.t_s; });
+    if (after == points.begin()) return;
+    for (size_t k = 0; k < 2; ++k) {
+      if (index[k] >= 0) (*values)[index[k]] = (after - 1)->values[k];
+    }
+  };
 }
 
 std::vector<std::optional<double>> Convergence(const History& history,

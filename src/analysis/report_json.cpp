@@ -3,6 +3,7 @@
 
 #include "odmc/analysis/inspection_json.h"
 #include "odmc/analysis/report.h"
+#include "odmc/analysis/torque_bands_report.h"
 
 namespace odmc {
 namespace {
@@ -127,6 +128,7 @@ std::string CalibrationReport(const Calibration& c, const DynamicModel& model) {
   json["parameters"] = parameters;
   json["convergence_s"] = convergence;
   json["prediction"] = PredictionJson(c.prediction.figures);
+  json["inertia_by_band"] = TorqueBandsJson(c.bands, c.nominal_inertia);
   if (c.left_out) {
     json["prediction_left_out"] = PredictionJson(c.left_out->figures);
     json["prediction_left_out"]["block_s"] = c.left_out->block_s;
@@ -163,6 +165,7 @@ std::string EvaluationReport(const Evaluation& e, const DynamicModel& model) {
   json["effects"] = model.effect_names();
   json["flight"] = FlightJson(e.flight);
   json["prediction"] = PredictionJson(e.prediction.figures);
+  json["inertia_by_band"] = TorqueBandsJson(e.bands, e.nominal_inertia);
   json["trust"] = Name(TrustOf(e.findings));
   json["trust_reasons"] = TrustReasons(e.findings);
   json["findings"] = FindingsJson(e.findings);

@@ -3,6 +3,7 @@
 #include <cstdio>
 
 #include "odmc/analysis/report.h"
+#include "odmc/analysis/torque_bands_report.h"
 
 namespace odmc {
 namespace {
@@ -142,14 +143,15 @@ std::string CalibrationTable(const Calibration& c) {
       TimingRow({"wall [ms]"}, c.wall),
       TimingRow({"CPU [ms]"}, c.cpu)};
   text += "\n" + PredictionTable(c.prediction.figures);
+  text += "\n" + TorqueBandsTable(c.bands, c.nominal_inertia);
   if (c.left_out) text += "\n" + LeftOutTable(*c.left_out);
   return text + "\n" + Align(timing, 1) + WarningLines(c.warnings) +
          TrustLines(c.findings, c.warnings);
 }
 
 std::string EvaluationTable(const Evaluation& e) {
-  return FlightLine(e.flight) + "\n" + PredictionTable(e.prediction.figures) +
-         WarningLines(e.warnings) + TrustLines(e.findings, e.warnings);
+  return FlightLine(e.flight) + "\n" + PredictionTable(e.prediction.figures) + "\n" +
+         TorqueBandsTable(e.bands, e.nominal_inertia) + WarningLines(e.warnings) + TrustLines(e.findings, e.warnings);
 }
 
 std::string RecoveryTable(const Recovery& recovery) {

@@ -7,6 +7,7 @@
 #include <stdexcept>
 
 #include "odmc/analysis/inspection_json.h"
+#include "odmc/analysis/torque_bands_report.h"
 
 namespace odmc {
 namespace {
@@ -87,6 +88,7 @@ std::string CloseLoopReport(const ClosedLoop& loop) {
   }
   json["rotor_torque_gain"] = Axes(loop.after.rotor_torque_gain);
   json["inertia_over_nominal"] = Axes(loop.after.inertia_over_nominal);
+  json["inertia_by_band"] = TorqueBandsJson(loop.bands, loop.nominal_inertia);
   json["held_out"] = true;
   Json channels = Json::object();
   for (const ChannelStructure& channel : loop.structure) {
@@ -145,6 +147,7 @@ std::string CloseLoopTable(const ClosedLoop& loop) {
   text += Row("force [N]", loop.before.force_rmse_N, loop.after.force_rmse_N);
   text += Row("torque [N m]", loop.before.torque_rmse_Nm, loop.after.torque_rmse_Nm);
   text += Row("by IMU [N]", loop.accelerometer_before, loop.accelerometer_after);
+  text += TorqueBandsTable(loop.bands, loop.nominal_inertia);
   for (const std::string& warning : loop.warnings) text += "warning: " + warning + "\n";
   return text;
 }

@@ -32,4 +32,16 @@ double RobustSigmaInPlace(std::vector<double>* sample) {
   return 1.4826 * QuantileInPlace(sample, 0.5);
 }
 
+double ChiSquaredTail(double x, int freedom) {
+  if (!(x > 0.0)) return 1.0;
+  // Q(a + 1, y) = Q(a, y) + y^a e^-y / Gamma(a + 1), from Q(1, y) = e^-y or Q(1/2, y) = erfc(sqrt y).
+  const double y = 0.5 * x;
+  double a = freedom % 2 == 0 ? 1.0 : 0.5;
+  double tail = freedom % 2 == 0 ? std::exp(-y) : std::erfc(std::sqrt(y));
+  for (; a + 0.5 < 0.5 * freedom; a += 1.0) {
+    tail += std::exp(a * std::log(y) - y - std::lgamma(a + 1.0));
+  }
+  return std::min(tail, 1.0);
+}
+
 }  // namespace odmc

@@ -13,11 +13,17 @@ int main(int argc, char** argv) {
   tools::FlightArguments flight;
   std::string vehicle_file, parameters_file, folder;
   bool no_report = false, force = false;
+  double walk_rate = 0.0;
   flight.AddTo(&app);
   tools::AddVehicle(&app, &vehicle_file);
   app.add_option("--parameters", parameters_file, "parameters.yaml as calibrate writes it")
       ->required()
       ->type_name("FILE");
+  app.add_option("--k-f-walk-rate", walk_rate,
+                 "k_f, and k_m where it was estimated, follow the flight as the online estimator does, "
+                 "as a random walk of this relative change [1/sqrt(s)]; each sample is predicted by "
+                 "the estimate of 0.1 s before")
+      ->check(tools::NotNegative());
   tools::AddFolder(&app, &folder, &no_report);
   tools::AddForce(&app, &force);
   tools::AddExitStatus(&app);
@@ -31,9 +37,15 @@ int main(int argc, char** argv) {
     const StreamInspection inspection = tools::InspectFlight(vehicle, force, &log);
     tools::MakeFolder(folder);
     PredictionFile prediction(tools::In(folder, "prediction.csv"), !log.rotor_rms_only);
-    Evaluation result =
-        Evaluate(log, file_vehicle, model, parameters,
-                 [&](const PredictionSample& sample) { prediction.Add(sample); });
+    ValueVariation thrust;
+    if (app.count("--k-f-walk-rate") > 0) {
+      EstimatorOptions options = tools::AttributionEstimatorOptions();
+      options.k_f_walk_rate = walk_rate;
+      thrust = FollowThrust(log, vehicle, options);
+    }
+    Evaluation result = Evaluate(
+        log, file_vehicle, model, parameters,
+        [&](const PredictionSample& sample) { prediction.Add(sample); }, thrust);
     prediction.Close();
     AddInspection(inspection, &result);
     WriteText(EvaluationReport(result, model), tools::In(folder, "report.json"));

@@ -7,6 +7,7 @@
 
 #include "odmc/analysis/prediction.h"
 #include "odmc/analysis/replay.h"
+#include "odmc/analysis/torque_bands.h"
 #include "odmc/inspection/finding.h"
 #include "odmc/inspection/stream_inspection.h"
 
@@ -41,6 +42,8 @@ struct Calibration {
   Eigen::VectorXd inflation;
   ReplayResult replay;
   Prediction prediction;
+  TorqueBands bands;
+  Eigen::Vector3d nominal_inertia = Eigen::Vector3d::Ones();  ///< of the vehicle file [kg m²]
   std::optional<LeftOut> left_out;                   ///< where it was asked for
   std::vector<std::optional<double>> convergence_s;  ///< per parameter
   TimingFigures wall, cpu;
@@ -57,6 +60,8 @@ struct Calibration {
 struct Evaluation {
   FlightFigures flight;
   Prediction prediction;
+  TorqueBands bands;
+  Eigen::Vector3d nominal_inertia = Eigen::Vector3d::Ones();  ///< of the vehicle file [kg m²]
   std::vector<Finding> findings;         ///< what costs trust, and remarks
   std::vector<TimeOffset> time_offsets;  ///< of the streams, as recorded
   std::vector<std::string> warnings;     ///< the findings' sentences among them
@@ -113,8 +118,19 @@ LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,
 
 /// Predicts a flight with `parameters` as they are; no fitting.
 /// @param predicted as in Calibrate()
+/// @param thrust where k_f follows the flight: FollowThrust()
 Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
-                    const ParameterSet& parameters, const PredictionSink& predicted = {});
+                    const ParameterSet& parameters, const PredictionSink& predicted = {},
+                    const ValueVariation& thrust = {});
+
+/// k_f (and k_m, where the vehicle's parameters estimate it) as the online estimator follows them on
+/// a flight, everything else held. At each time the estimate is of 0.1 s before: it has seen nothing
+/// of what a sample there is filtered from.
+/// @param vehicle with the parameters in it; their sigma is how far the flight may lie from them
+/// @param options with k_f_walk_rate
+/// @throws std::invalid_argument if the vehicle's parameters hold k_f
+ValueVariation FollowThrust(const FlightLog& log, const Vehicle& vehicle,
+                            const EstimatorOptions& options);
 
 /// From the first airborne sample until the parameter stays within the larger of 5 % of its final
 /// value and its final sigma [s]; empty where not observable.

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "odmc/analysis/calibration.h"
+#include "odmc/analysis/torque_bands.h"
 #include "odmc/attribution/attribution.h"
 #include "odmc/attribution/structure.h"
 #include "odmc/estimator/options.h"
@@ -61,6 +62,8 @@ struct ClosedLoop {
   PredictionFigures before, after;  ///< on blocks held out
   /// Force by the accelerometer instead, its mean taken off; empty without one.
   PredictionFigures::Axes accelerometer_before, accelerometer_after;
+  TorqueBands bands;  ///< of the whole flight, with the model as extended
+  Eigen::Vector3d nominal_inertia = Eigen::Vector3d::Ones();  ///< of the vehicle file [kg m²]
   std::vector<LoopSample> samples;
   ParameterSet declared_parameters;  ///< of the model as declared
   ParameterSet parameters;           ///< of the model as extended (as declared without an effect)

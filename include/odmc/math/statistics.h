@@ -16,4 +16,7 @@ double RobustSigma(std::vector<double> sample);
 /// The same without a copy: leaves the magnitudes in `sample`, in any order.
 double RobustSigmaInPlace(std::vector<double>* sample);
 
+/// Chance that a chi-squared of `freedom` degrees of freedom, >= 1, exceeds `x`.
+double ChiSquaredTail(double x, int freedom);
+
 }  // namespace odmc

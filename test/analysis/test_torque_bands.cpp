@@ -1,0 +1,253 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "odmc/analysis/torque_bands.h"
+#include "odmc/sim/simulator.h"
+#include "odmc/sim/truth_vehicle.h"
+#include "support/jacobian_check.h"
+#include "support/test_vehicle.h"
+
+namespace odmc {
+namespace test {
+namespace {
+
+using Eigen::Vector3d;
+
+constexpr double kRate_Hz = 500.0, kInertia = 2.5e-3, kInertiaZ = 4e-3;
+constexpr double kPi = 3.14159265358979323846;
+
+/// Noise below a corner frequency, of size one.
+class Coloured {
+ public:
+  Coloured(double corner_Hz, unsigned seed)
+      : random_(seed), share_(std::exp(-2.0 * kPi * corner_Hz / kRate_Hz)) {}
+  double Next() {
+    value_ = share_ * value_ + std::sqrt(1.0 - share_ * share_) * random_.Normal();
+    return value_;
+  }
+
+ private:
+  Random random_;
+  double share_, value_ = 0.0;
+};
+
+/// A body about one axis under a controller with a motor's lag. Pilot and air as they come.
+struct Loop {
+  double pilot_rad_s = 0.0, pilot_corner_Hz = 10.0;
+  double gust_Nm = 0.0, gust_corner_Hz = 1.0;
+  double rate_noise = 0.0, torque_noise = 0.0;
+  int late = 0;  // samples by which the rate comes late
+  double seconds = 40.0;
+  unsigned seed = 1;
+
+  TorqueBands Fly(const TorqueSpectra::Noise& noise = {}) const {
+    constexpr double kGain = 15.0 * kInertia, kAngle = 5.0, kLag_s = 0.03;  // 2.4 Hz bandwidth
+    constexpr int kFine = 4;
+    TorqueSpectra spectra(kRate_Hz, 2.0, kInertiaZ);
+    Coloured pilot(pilot_corner_Hz, seed), gust(gust_corner_Hz, seed + 1000);
+    Random random(seed + 2000);
+    double rate = 0.0, angle = 0.0, torque = 0.0;
+    std::vector<double> rates;
+    for (int i = 0; i < static_cast<int>(seconds * kRate_Hz); ++i) {
+      const double wanted = pilot_rad_s * pilot.Next(), air = gust_Nm * gust.Next();
+      for (int k = 0; k < kFine; ++k) {
+        const double dt = 1.0 / (kFine * kRate_Hz);
+        const double command = kGain * (wanted - rate - kAngle * angle);
+        torque += dt / kLag_s * (command - torque);
+        rate += dt / kInertia * (torque + air);
+        angle += dt * rate;
+      }
+      rates.push_back(rate);
+      const size_t shown = rates.size() > static_cast<size_t>(late)
+                               ? rates.size() - 1 - static_cast<size_t>(late)
+                               : 0;
+      TorqueSpectra::Sample sample;
+      const double read = torque + torque_noise * random.Normal();
+      sample.torque = Vector3d(read, read, 0.0);
+      sample.rate = Vector3d::Constant(rates[shown] + rate_noise * random.Normal());
+      spectra.Add(sample);
+    }
+    return spectra.Bands(noise, 60.0);
+  }
+};
+
+TEST(TorqueSpectra, FindInertiaWhereTorqueLeads) {
+  int inside = 0;
+  for (unsigned seed = 1; seed <= 20; ++seed) {
+    Loop loop;
+    loop.pilot_rad_s = 3.0;
+    loop.rate_noise = 0.01;
+    loop.gust_Nm = 1e-4;
+    loop.seed = seed;
+    const TorqueBands bands = loop.Fly();
+    const BandedQuantity& I = bands.inertia[0];
+    ASSERT_TRUE(I.value) << I.why;
+    EXPECT_NEAR(*I.value / kInertia, 1.0, 0.05) << "seed " << seed;
+    EXPECT_LT(I.sigma / kInertia, 0.1);
+    for (const BandEstimate& band : I.bands) {
+      if (band.high_Hz < 12.0) {
+        EXPECT_NEAR(band.value / kInertia, 1.0, 0.1) << "from " << band.low_Hz;
+      }
+    }
+    inside += std::abs(*I.value - kInertia) < 3.0 * I.sigma;
+  }
+  EXPECT_EQ(inside, 20);
+}
+
+TEST(TorqueSpectra, SayNothingWhereTorqueAnswersDisturbances) {
+  int said = 0;
+  for (unsigned seed = 1; seed <= 20; ++seed) {
+    Loop loop;
+    loop.gust_Nm = 0.02;
+    loop.gust_corner_Hz = 5.0;
+    loop.rate_noise = 0.005;
+    loop.seed = seed;
+    const BandedQuantity I = loop.Fly().inertia[0];
+    said += I.value && std::abs(*I.value - kInertia) > 3.0 * I.sigma;
+    if (!I.value) {
+      EXPECT_FALSE(I.why.empty());
+    }
+  }
+  EXPECT_EQ(said, 0);
+}
+
+// The trap: over all frequencies, torque against acceleration gives far too much.
+TEST(TorqueSpectra, AreNotTakenInByLowBandsThatAnswerDisturbances) {
+  Loop loop;
+  loop.pilot_rad_s = 2.0;
+  loop.pilot_corner_Hz = 30.0;
+  loop.gust_Nm = 0.03;
+  loop.gust_corner_Hz = 0.3;
+  loop.seconds = 80.0;
+  const BandedQuantity I = loop.Fly().inertia[0];
+  ASSERT_TRUE(I.value) << I.why;
+  EXPECT_GT(I.bands.front().value, 1.5 * kInertia);
+  EXPECT_LT(*I.value, 0.8 * I.bands.front().value);
+  EXPECT_NEAR(*I.value / kInertia, 1.0, 0.1);
+  EXPECT_LT(std::abs(*I.value - kInertia), 3.0 * I.sigma);
+}
+
+TEST(TorqueSpectra, FindTheDelayBetweenTheStreams) {
+  Loop loop;
+  loop.pilot_rad_s = 3.0;
+  loop.late = 3;
+  const TorqueBands late = loop.Fly();
+  loop.late = 0;
+  const TorqueBands prompt = loop.Fly();
+  EXPECT_NEAR(late.delay_s - prompt.delay_s, 3.0 / kRate_Hz, 5e-4);
+  ASSERT_TRUE(late.inertia[1].value && prompt.inertia[1].value);
+  EXPECT_NEAR(*late.inertia[1].value / *prompt.inertia[1].value, 1.0, 0.03);
+}
+
+TEST(TorqueSpectra, TakeOffWhatNoiseOfRotorSpeedsAdds) {
+  Loop loop;
+  loop.pilot_rad_s = 2.0;
+  loop.seconds = 80.0;
+  loop.torque_noise = 0.05;
+  TorqueSpectra::Noise noise;
+  const BandedQuantity blind = loop.Fly(noise).inertia[0];
+  noise.torque_x = noise.torque_y = loop.torque_noise;
+  const BandedQuantity knows = loop.Fly(noise).inertia[0];
+  ASSERT_TRUE(knows.value) << knows.why;
+  EXPECT_LT(std::abs(*knows.value - kInertia), 3.0 * knows.sigma);
+  ASSERT_EQ(blind.bands.size(), knows.bands.size());
+  // At 11 Hz torque is as large as its noise.
+  for (size_t i = 0; i < knows.bands.size(); ++i) {
+    if (knows.bands[i].low_Hz < 10.0 || knows.bands[i].low_Hz > 12.0) continue;
+    EXPECT_GT(blind.bands[i].value, 1.1 * knows.bands[i].value);
+    EXPECT_NEAR(knows.bands[i].value / kInertia, 1.0, 0.1);
+  }
+}
+
+TEST(TorqueSpectra, TellReactionOfTheBladesFromThatOfTheRotors) {
+  constexpr double kKmOverI = 2e-8 / kInertiaZ, kJrOverI = 1e-6 / kInertiaZ, kHover = 1000.0;
+  TorqueSpectra spectra(kRate_Hz, 2.0, kInertiaZ);
+  Coloured speed(10.0, 5);
+  Random random(6);
+  double rate = 0.0, last_drag = 0.0, last_spin = 0.0;
+  Coloured torque(10.0, 7);
+  double other_rate = 0.0, last_torque = 0.0;
+  for (int i = 0; i < 20000; ++i) {
+    const double delta = 20.0 * speed.Next();
+    const double drag = 4.0 * 2.0 * kHover * delta, spin = 4.0 * delta;
+    rate += 0.5 * kKmOverI * (drag + last_drag) / kRate_Hz + kJrOverI * (spin - last_spin);
+    last_drag = drag;
+    last_spin = spin;
+    TorqueSpectra::Sample sample;
+    const double about_x = 0.01 * torque.Next();
+    other_rate += 0.5 * (about_x + last_torque) / kInertia / kRate_Hz;
+    last_torque = about_x;
+    sample.torque = Vector3d(about_x, about_x, 0.0);
+    sample.rate = Vector3d(other_rate, other_rate, rate + 1e-3 * random.Normal());
+    sample.drag = drag;
+    sample.spin = spin;
+    spectra.Add(sample);
+  }
+  const TorqueBands bands = spectra.Bands({}, 40.0);
+  ASSERT_TRUE(bands.k_m_over_I.value) << bands.k_m_over_I.why;
+  ASSERT_TRUE(bands.J_r_over_I.value) << bands.J_r_over_I.why;
+  EXPECT_NEAR(*bands.k_m_over_I.value / kKmOverI, 1.0, 0.05);
+  EXPECT_NEAR(*bands.J_r_over_I.value / kJrOverI, 1.0, 0.05);
+}
+
+TEST(TorqueSpectra, SayWhatIsTooShort) {
+  Loop loop;
+  loop.seconds = 5.0;
+  const TorqueBands bands = loop.Fly();
+  EXPECT_FALSE(bands.inertia[0].value);
+  EXPECT_NE(bands.why.find("stretches"), std::string::npos);
+}
+
+class FlightBands : public testing::Test {
+ protected:
+  /// A flight whose rotors' reaction is `share` of what the model holds.
+  static TorqueBands Of(double share) {
+    Vehicle vehicle = NominalVehicle();
+    const DynamicModel flown(vehicle, vehicle.effects);
+    const ModelValues truth = DefaultTruth(flown);
+    SimulationOptions options;
+    options.trajectory = "aggressive";
+    options.duration_s = 30.0;
+    options.log_rate_hz = 400.0;
+    SimulationNoise noise;
+    noise.rotor_speed_rad_s = 0.3;
+    const FlightLog log = Simulate(flown, truth, options, noise).log;
+    const int k_m = flown.IndexOf("rotor_torque.k_m");
+    vehicle.parameters["rotor_torque.k_m"].value = truth[k_m] / share;
+    vehicle.parameters["rotor_torque.k_m"].estimated = false;
+    vehicle.inertia_kg_m2.z() = truth[flown.IndexOf("inertia.z")];
+    vehicle.parameters["inertia.z"].sigma = 0.1 * vehicle.inertia_kg_m2.z();
+    const DynamicModel model(vehicle, vehicle.effects);
+    ModelValues values = truth;
+    values[model.IndexOf("rotor_torque.k_m")] = truth[k_m] / share;
+    true_inertia_ = {truth[flown.IndexOf("inertia.x")], truth[flown.IndexOf("inertia.y")]};
+    return FindTorqueBands(log, model, values, 0.0, {});
+  }
+  static std::array<double, 2> true_inertia_;
+};
+std::array<double, 2> FlightBands::true_inertia_;
+
+TEST_F(FlightBands, ShowTheInertia) {
+  const TorqueBands bands = Of(1.0);
+  for (size_t axis = 0; axis < 2; ++axis) {
+    ASSERT_TRUE(bands.inertia[axis].value) << bands.inertia[axis].why;
+    EXPECT_LT(std::abs(*bands.inertia[axis].value - true_inertia_[axis]),
+              3.0 * bands.inertia[axis].sigma);
+    EXPECT_LT(bands.inertia[axis].sigma, 0.15 * true_inertia_[axis]);
+  }
+}
+
+TEST_F(FlightBands, ContradictAReactionThatIsTooSmall) {
+  const TorqueBands wrong = Of(2.0), right = Of(1.0);
+  ASSERT_TRUE(wrong.k_m && right.k_m) << wrong.k_m_over_I.why << right.k_m_over_I.why;
+  EXPECT_TRUE(wrong.k_m->contradicted);
+  EXPECT_NEAR(wrong.k_m->fits / wrong.k_m->in_use, 2.0, 0.3);
+  EXPECT_NE(ReactionWarning(wrong).find("contradicts"), std::string::npos);
+  EXPECT_FALSE(right.k_m->contradicted);
+  EXPECT_TRUE(ReactionWarning(right).empty());
+}
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc
