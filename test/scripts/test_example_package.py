@@ -57,5 +57,21 @@ class ExamplePackageTest(unittest.TestCase):
         self.assertEqual((done.returncode, done.stderr), (2, 'usage: odmc_example FLIGHT VEHICLE.yaml\n'))
 
 
+class VersionTest(unittest.TestCase):
+    """The version stands in package.xml; all else follows."""
+
+    def test_tools_cmake_and_changelog_have_it(self) -> None:
+        with open(os.path.join(ROOT, 'package.xml'), encoding='utf-8') as file:
+            version = re.search(r'<version>(\d+\.\d+\.\d+)</version>', file.read()).group(1)
+        with open(os.path.join(ROOT, 'CHANGELOG.rst'), encoding='utf-8') as file:
+            released = re.findall(r'^(\d+\.\d+\.\d+) \(\d{4}-\d{2}-\d{2}\)\n-+$', file.read(), flags=re.MULTILINE)
+        self.assertEqual(released[0], version)
+        config = os.path.join(DEVEL, 'share', 'odmc', 'cmake', 'odmcConfig-version.cmake')
+        if not os.path.exists(config):
+            self.skipTest('odmc is not built')
+        with open(config, encoding='utf-8') as file:
+            self.assertIn(f'"{version}"', file.read())
+
+
 if __name__ == '__main__':
     unittest.main()
