@@ -367,8 +367,7 @@ Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const Dyn
                                           predicted ? predicted : PredictionSink(keep));
   const int k_f = model.IndexOf("thrust.k_f");
   result.nominal_inertia = file_vehicle.inertia_kg_m2;
-  result.bands =
-      FindTorqueBands(log, model, values, k_f >= 0 ? sigma[k_f] : 0.0, ground.spans);
+  result.bands = FindTorqueBands(log, model, values, k_f >= 0 ? sigma[k_f] : 0.0, ground.spans);
   result.warnings = log.warnings;
   WarnOfReaction(result.bands, &result.warnings);
   WarnOfOtherMass(parameters, file_vehicle, &result.warnings);

@@ -151,7 +151,8 @@ std::string CalibrationTable(const Calibration& c) {
 
 std::string EvaluationTable(const Evaluation& e) {
   return FlightLine(e.flight) + "\n" + PredictionTable(e.prediction.figures) + "\n" +
-         TorqueBandsTable(e.bands, e.nominal_inertia) + WarningLines(e.warnings) + TrustLines(e.findings, e.warnings);
+         TorqueBandsTable(e.bands, e.nominal_inertia) + WarningLines(e.warnings) +
+         TrustLines(e.findings, e.warnings);
 }
 
 std::string RecoveryTable(const Recovery& recovery) {

@@ -17,14 +17,14 @@ using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
 constexpr double kPi = 3.14159265358979323846;
-constexpr double kErrorRate = 1e-3;     // of every test here
-constexpr double kErrorSigmas = 3.29;   // the same, two-sided, normal
-constexpr double kShown = 0.5;          // relative sigma above which nothing is shown
+constexpr double kErrorRate = 1e-3;    // of every test here
+constexpr double kErrorSigmas = 3.29;  // the same, two-sided, normal
+constexpr double kShown = 0.5;         // relative sigma above which nothing is shown
 constexpr double kLowest_Hz = 1.0;
 constexpr double kBandRatio = 1.4142135623730951;  // half an octave
 constexpr double kLongestSegment_s = 2.0, kShortestSegment_s = 0.5;
-constexpr int kSegments = 8;            // at least, of a flight
-constexpr double kHighestShare = 0.2;   // of the slowest stream's rate
+constexpr int kSegments = 8;           // at least, of a flight
+constexpr double kHighestShare = 0.2;  // of the slowest stream's rate
 constexpr double kLongestGap_s = 0.03;
 constexpr double kMostDelay_s = 0.03;
 constexpr double kLoop = 0.70710678118654752;  // RMS of the real part of a number of size one
@@ -66,8 +66,8 @@ struct TorqueSpectra::Band {
   Matrix3d gram = Matrix3d::Zero(), gram_noise = Matrix3d::Zero();
   Vector3d right = Vector3d::Zero();
   double zz = 0.0;
-  double frequency_Hz = 0.0;   // middle
-  double independent = 0.0;    // complex numbers that are independent of each other
+  double frequency_Hz = 0.0;  // middle
+  double independent = 0.0;   // complex numbers that are independent of each other
 };
 
 TorqueSpectra::TorqueSpectra(double rate_Hz, double segment_s, double inertia_z)
@@ -218,8 +218,7 @@ void TorqueSpectra::FindDelay(const std::vector<std::pair<double, double>>& edge
         if (!(coherence > 0.0)) continue;
         const double rest = (1.0 - coherence) / coherence;
         // Noise, and what of the rest comes back through the loop, in quadrature.
-        const double variance =
-            rest / (2.0 * band.independent) + kLoop * kLoop * rest * rest;
+        const double variance = rest / (2.0 * band.independent) + kLoop * kLoop * rest * rest;
         const double w = 2.0 * kPi * band.frequency_Hz;
         sum += w * std::arg(axis.uy) / variance;
         weights += w * w / variance;
@@ -237,8 +236,8 @@ TorqueBands TorqueSpectra::Bands(const Noise& noise, double highest_Hz) const {
   if (segments_ < kSegments) {
     result.why = "less than " + std::to_string(kSegments) + " whole stretches of " +
                  Text(length_ / rate_Hz_) + " s";
-    for (BandedQuantity* q : {&result.inertia[0], &result.inertia[1], &result.k_m_over_I,
-                              &result.J_r_over_I}) {
+    for (BandedQuantity* q :
+         {&result.inertia[0], &result.inertia[1], &result.k_m_over_I, &result.J_r_over_I}) {
       q->why = result.why;
     }
     return result;
@@ -298,8 +297,8 @@ void TorqueSpectra::AddReaction(const Band& band, double low_Hz, double high_Hz,
     estimate.coherence = fitted / (fitted + rest_power);
     const double noisy = band.gram_noise(i, i) / G(i, i);
     const double n = band.independent;
-    estimate.noise_sigma = std::sqrt(0.5 * rest_power * inverse(i, i) / n +
-                                     x[i] * x[i] * noisy * noisy / n);
+    estimate.noise_sigma =
+        std::sqrt(0.5 * rest_power * inverse(i, i) / n + x[i] * x[i] * noisy * noisy / n);
     const double loop = kLoop * rest * std::sqrt(fitted / G(i, i));
     // A delay turns one of the two into the other: they are a quarter of a turn apart.
     const int other = 1 - i;
@@ -324,7 +323,9 @@ Join JoinRange(const std::vector<BandEstimate>& bands, size_t from, size_t to) {
     const double relative = std::max(1e-6, bands[i].sigma / bands[i].value);
     return 1.0 / (relative * relative);
   };
-  const auto frequency = [&](size_t i) { return 0.5 * std::log(bands[i].low_Hz * bands[i].high_Hz); };
+  const auto frequency = [&](size_t i) {
+    return 0.5 * std::log(bands[i].low_Hz * bands[i].high_Hz);
+  };
   for (size_t i = from; i < to; ++i) {
     join.weight += weight(i);
     of_log += weight(i) * std::log(bands[i].value);
@@ -378,9 +379,10 @@ void JoinBands(BandedQuantity* q) {
     }
   }
   if (best.weight == 0.0) {
-    q->why = agree ? "where bands agree, they are too uncertain to tell rotor torque that leads from "
-                     "rotor torque that answers disturbances"
-                   : "no two bands agree";
+    q->why = agree
+                 ? "where bands agree, they are too uncertain to tell rotor torque that leads from "
+                   "rotor torque that answers disturbances"
+                 : "no two bands agree";
     return;
   }
   for (size_t i = first; i < last; ++i) q->bands[i].used = true;
@@ -502,8 +504,7 @@ class TorqueReader {
     state.p_WB = (1.0 - x) * a.p_WS + x * b.p_WS - state.R_WB * body_.p_BS;
     state.v_AB_B = state.R_WB.transpose() * (v_WS - body_.wind_W) - w_B.cross(body_.p_BS);
     const double y = rotors_.share();
-    const RotorVector speed =
-        (1.0 - y) * rotors_.before().speed + y * rotors_.after().speed;
+    const RotorVector speed = (1.0 - y) * rotors_.before().speed + y * rotors_.after().speed;
     state.rotors = RotorState::Steady(speed);
     Vector3d f_B, tau_B;
     model_.EvaluateWrench(state, values_, body_.p_BBcm, &f_B, &tau_B);
@@ -569,8 +570,8 @@ bool IsInside(Stamp stamp, const std::vector<std::pair<Stamp, Stamp>>& spans) {
 
 /// I_z by what the vehicle file says, as far as it does, and by the other two: a body has at most
 /// their sum, and a vehicle that is wider than high at least the larger.
-void TakeInertiaZ(const DynamicModel& model, const ModelValues& values,
-                  const TorqueBands& bands, ReactionCheck* check) {
+void TakeInertiaZ(const DynamicModel& model, const ModelValues& values, const TorqueBands& bands,
+                  ReactionCheck* check) {
   const int k = model.IndexOf("inertia.z");
   double mean = std::log(model.vehicle().inertia_kg_m2.z()), variance = 0.0;
   if (k >= 0) {
@@ -614,10 +615,9 @@ TorqueBands FindTorqueBands(const FlightLog& log, const DynamicModel& model,
   TorqueReader reader(log, model, values);
   const Rates rates = RatesOf(log, reader.body());
   if (rates.stamps.size() < 2) return refuse("there are no angular rates");
-  const double step_s =
-      MedianStep_s<Stamp>(rates.stamps, [](const Stamp& stamp) { return stamp; });
-  const double rotor_step_s = MedianStep_s<RotorSample>(
-      log.rotors, [](const RotorSample& sample) { return sample.stamp; });
+  const double step_s = MedianStep_s<Stamp>(rates.stamps, [](const Stamp& stamp) { return stamp; });
+  const double rotor_step_s =
+      MedianStep_s<RotorSample>(log.rotors, [](const RotorSample& sample) { return sample.stamp; });
   const double pose_step_s = MedianStep_s<OdometrySample>(
       log.odometry, [](const OdometrySample& sample) { return sample.stamp; });
   if (!(step_s > 0.0) || !(rotor_step_s > 0.0)) return refuse("stamps stand still");
@@ -673,10 +673,10 @@ TorqueBands FindTorqueBands(const FlightLog& log, const DynamicModel& model,
 std::string ReactionWarning(const TorqueBands& bands) {
   if (!bands.k_m || !bands.k_m->contradicted) return "";
   const ReactionCheck& c = *bands.k_m;
-  return "rotor_torque.k_m is held at " + Text(c.in_use) + " N m s^2, and the flight contradicts it: " +
-         Text(c.fits) + " +- " + Text(c.sigma) + " fits where rotor torque leads (chance in " +
-         Text(100.0 * c.p) + " %, with I_z " + Text(c.inertia_z) + " +- " + Text(c.inertia_z_sigma) +
-         " kg m^2)";
+  return "rotor_torque.k_m is held at " + Text(c.in_use) +
+         " N m s^2, and the flight contradicts it: " + Text(c.fits) + " +- " + Text(c.sigma) +
+         " fits where rotor torque leads (chance in " + Text(100.0 * c.p) + " %, with I_z " +
+         Text(c.inertia_z) + " +- " + Text(c.inertia_z_sigma) + " kg m^2)";
 }
 
 }  // namespace odmc

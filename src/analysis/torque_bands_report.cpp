@@ -55,7 +55,8 @@ std::string Used(const BandedQuantity& q) {
 
 std::string Row(const char* name, const BandedQuantity& q, double scale, const char* unit) {
   if (!q.value) return Line("%-12s -  ", name) + q.why + "\n";
-  return Line("%-12s %.4g +- %.2g %s (", name, scale * *q.value, scale * q.sigma, unit) + Used(q) + ")";
+  return Line("%-12s %.4g +- %.2g %s (", name, scale * *q.value, scale * q.sigma, unit) + Used(q) +
+         ")";
 }
 
 }  // namespace
@@ -99,8 +100,9 @@ std::string TorqueBandsTable(const TorqueBands& bands, const Eigen::Vector3d& no
   text += Row("  k_m / I_z", bands.k_m_over_I, 1.0, "1/rad^2");
   if (bands.k_m) {
     const ReactionCheck& c = *bands.k_m;
-    text += Line(":\n%-12s %.4g +- %.2g N m s^2 with I_z %.3g +- %.2g kg m^2, %.2f of the one in use\n",
-                 "    k_m", c.fits, c.sigma, c.inertia_z, c.inertia_z_sigma, c.fits / c.in_use);
+    text +=
+        Line(":\n%-12s %.4g +- %.2g N m s^2 with I_z %.3g +- %.2g kg m^2, %.2f of the one in use\n",
+             "    k_m", c.fits, c.sigma, c.inertia_z, c.inertia_z_sigma, c.fits / c.in_use);
   } else if (bands.k_m_over_I.value) {
     text += "\n";
   }

@@ -619,9 +619,9 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   const ReplayResult& final_replay = effects.empty() ? replay : run->replay;
   const int k_f = final_model.IndexOf("thrust.k_f");
   result.nominal_inertia = file_vehicle.inertia_kg_m2;
-  result.bands = FindTorqueBands(log, final_model, final_replay.last->values,
-                                 k_f >= 0 ? final_replay.last->sigma[k_f] : 0.0,
-                                 final_replay.ground_spans);
+  result.bands =
+      FindTorqueBands(log, final_model, final_replay.last->values,
+                      k_f >= 0 ? final_replay.last->sigma[k_f] : 0.0, final_replay.ground_spans);
   const std::string reaction = ReactionWarning(result.bands);
   if (!reaction.empty()) result.warnings.push_back(reaction);
   return result;

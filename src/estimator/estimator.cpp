@@ -29,7 +29,7 @@ constexpr double kAlignmentGrowth = 1.2;   // of the window, from one alignment 
 constexpr double kChangeDelay_s = 0.15;    // age of the intervals that show a change
 constexpr double kSigmaAfterChange = 0.3;  // least sigma then, of the prior's
 constexpr double kGateEvery_s = 0.1, kGateKept_s = 3.0;  // copies of the gate on inertia
-constexpr double kWalkEvery_s = 0.1;  // of flight that has left the window
+constexpr double kWalkEvery_s = 0.1;                     // of flight that has left the window
 constexpr double kMostHeld_s = 2.0;  // that the window grows while contact is suspected
 
 double ThreadCpuSeconds() {
@@ -178,8 +178,7 @@ bool EstimatorOptions::IsValid(std::string* error) const {
         Named{"velocity_noise_m_s", velocity_noise_m_s},
         Named{"rate_noise_rad_s", rate_noise_rad_s},
         Named{"rotor_speed_noise_rad_s", rotor_speed_noise_rad_s},
-        Named{"function_tolerance", function_tolerance},
-        Named{"k_f_walk_rate", k_f_walk_rate},
+        Named{"function_tolerance", function_tolerance}, Named{"k_f_walk_rate", k_f_walk_rate},
         Named{"take_off_height_m", phases.take_off_height_m},
         Named{"take_off_speed_m_s", phases.take_off_speed_m_s},
         Named{"landed_thrust_ratio", phases.landed_thrust_ratio},

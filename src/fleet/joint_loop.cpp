@@ -128,8 +128,8 @@ std::string OfImpossibleSign(const FleetCalibration& fleet, const std::vector<Ei
   return "";
 }
 
-/// Share of flights on which an effect points the other way, along the direction in which all flights
-/// together tell it from zero best.
+/// Share of flights on which an effect points the other way, along the direction in which all
+/// flights together tell it from zero best.
 double OppositeShare(const FleetCalibration& fleet, const std::vector<Eigen::Index>& own) {
   const Eigen::VectorXd value = fleet.joint.value(own);
   Eigen::MatrixXd C = fleet.joint.covariance(own, own);
@@ -249,7 +249,8 @@ class JointSession {
   /// @returns true if there were any
   bool TakeOutRefused(const FleetCalibration& fleet);
   /// Takes out the weakest effect whose size all flights together do not tell from zero, unless
-  /// flights left out are predicted better with it, on some axis by what counts (`least_ratio`). `*fleet` is then the calibration without it.
+  /// flights left out are predicted better with it, on some axis by what counts (`least_ratio`).
+  /// `*fleet` is then the calibration without it.
   /// @param kept effects that have proved themselves so
   /// @returns true if one was taken out
   bool TakeOutUnproved(FleetCalibration* fleet, std::set<std::string>* kept,
@@ -316,7 +317,8 @@ bool JointSession::TakeOutRefused(const FleetCalibration& fleet) {
       ++k;
       continue;
     }
-    loop_.warnings.push_back(effects_[k].name + " gains " + Text(effects_[k].score) + " nats, but " + why);
+    loop_.warnings.push_back(effects_[k].name + " gains " + Text(effects_[k].score) +
+                             " nats, but " + why);
     effects_.erase(effects_.begin() + static_cast<std::ptrdiff_t>(k));
   }
   return effects_.size() < before;
@@ -343,11 +345,11 @@ bool JointSession::TakeOutUnproved(FleetCalibration* fleet, std::set<std::string
       kept->insert(weakest->name);
       continue;
     }
-    loop_.warnings.push_back(
-        weakest->name + " gains " + Text(weakest->score) +
-        " nats, but what tells its size is zero on all flights together, within its uncertainty (p " +
-        Text(ChanceOfNoSize(weakest->name, *fleet, vehicle_)) +
-        "), and flights left out are predicted no worse without it");
+    loop_.warnings.push_back(weakest->name + " gains " + Text(weakest->score) +
+                             " nats, but what tells its size is zero on all flights together, "
+                             "within its uncertainty (p " +
+                             Text(ChanceOfNoSize(weakest->name, *fleet, vehicle_)) +
+                             "), and flights left out are predicted no worse without it");
     effects_ = std::move(others);
     *fleet = std::move(without);
     return true;
@@ -439,8 +441,7 @@ double ChanceOfNoSize(const std::string& effect, const FleetCalibration& fleet,
 
 std::string WhyNotTheVehicles(const RankedEffect& effect, const FleetCalibration& fleet,
                               const Vehicle& vehicle, const AttributionOptions& options) {
-  const FlightFactor& factor =
-      fleet.flights[static_cast<size_t>(fleet.used().front())].factor;
+  const FlightFactor& factor = fleet.flights[static_cast<size_t>(fleet.used().front())].factor;
   const std::vector<Eigen::Index> sizes = SizesOf(effect.name, factor, vehicle);
   if (sizes.empty()) return "";  // each flight's own
   const std::string impossible = OfImpossibleSign(fleet, sizes, vehicle, effect.name);

@@ -34,7 +34,8 @@ double RobustSigmaInPlace(std::vector<double>* sample) {
 
 double ChiSquaredTail(double x, int freedom) {
   if (!(x > 0.0)) return 1.0;
-  // Q(a + 1, y) = Q(a, y) + y^a e^-y / Gamma(a + 1), from Q(1, y) = e^-y or Q(1/2, y) = erfc(sqrt y).
+  // Q(a + 1, y) = Q(a, y) + y^a e^-y / Gamma(a + 1), from Q(1, y) = e^-y or Q(1/2, y) = erfc(sqrt
+  // y).
   const double y = 0.5 * x;
   double a = freedom % 2 == 0 ? 1.0 : 0.5;
   double tail = freedom % 2 == 0 ? std::exp(-y) : std::erfc(std::sqrt(y));

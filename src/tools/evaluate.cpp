@@ -19,10 +19,11 @@ int main(int argc, char** argv) {
   app.add_option("--parameters", parameters_file, "parameters.yaml as calibrate writes it")
       ->required()
       ->type_name("FILE");
-  app.add_option("--k-f-walk-rate", walk_rate,
-                 "k_f, and k_m where it was estimated, follow the flight as the online estimator does, "
-                 "as a random walk of this relative change [1/sqrt(s)]; each sample is predicted by "
-                 "the estimate of 0.1 s before")
+  app.add_option(
+         "--k-f-walk-rate", walk_rate,
+         "k_f, and k_m where it was estimated, follow the flight as the online estimator does, "
+         "as a random walk of this relative change [1/sqrt(s)]; each sample is predicted by "
+         "the estimate of 0.1 s before")
       ->check(tools::NotNegative());
   tools::AddFolder(&app, &folder, &no_report);
   tools::AddForce(&app, &force);

@@ -1,10 +1,10 @@
 // How effects are told from noise and from what nobody has a name for.
 
-#include <fstream>
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
+#include <fstream>
 #include <map>
 #include <string>
 #include <vector>
@@ -219,8 +219,8 @@ TEST_F(OctoFlight, InstrumentsNeedAPast) {
   EXPECT_TRUE(instruments.Sees(8));
 }
 
-// The likely motion is foreseen from other folds, this one among them. Rows must not learn their own
-// noise back from it: of a torque that is noise of rotor speeds nothing is foreseen.
+// The likely motion is foreseen from other folds, this one among them. Rows must not learn their
+// own noise back from it: of a torque that is noise of rotor speeds nothing is foreseen.
 TEST(Instruments, ForeseeNoTorqueThatIsNoiseOfRotorSpeeds) {
   for (const int seed : {71, 72, 73, 74}) {
     const Flown flown = Filtered(Make({}, 0.0, "yaw", 1, seed));
@@ -228,7 +228,8 @@ TEST(Instruments, ForeseeNoTorqueThatIsNoiseOfRotorSpeeds) {
     const auto rolling = [&](const ThinnedFlight& flight) {
       ResidualModel::Wrenches torque = ResidualModel::Wrenches::Zero(flight.size(), kNumChannels);
       for (int i = 0; i < flight.size(); ++i) {
-        torque(i, 3) = RotorTorqueDirection(flown.vehicle, flight.sample(i).rotors.speed_squared).x();
+        torque(i, 3) =
+            RotorTorqueDirection(flown.vehicle, flight.sample(i).rotors.speed_squared).x();
       }
       torque.col(3).array() -= torque.col(3).mean();
       return torque;

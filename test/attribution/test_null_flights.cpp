@@ -44,8 +44,8 @@ TEST(NullFlights, NameNothingWhateverTheNoise) {
 
 // A vehicle that turns at one place hardly rolls and pitches: its rotors'
 // noise is most of the torque that they seem to give, of which the past foresees some per cent.
-// Instruments that hold more of that noise make inertia a multiple of the true one, and then whatever
-// follows the motion looks like an effect, by up to 25 nats.
+// Instruments that hold more of that noise make inertia a multiple of the true one, and then
+// whatever follows the motion looks like an effect, by up to 25 nats.
 TEST(NullFlights, NameNothingWhereTorqueIsMostlyNoiseOfRotorSpeeds) {
   constexpr int kOfSeed = 20;
   const std::pair<int, int> flights[] = {{90003, 14}, {90001, 9}};

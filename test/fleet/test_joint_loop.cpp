@@ -201,9 +201,10 @@ TEST(JointLoop, NamesNoLoadWithoutMass) {
   EXPECT_NE(why({-0.008, 0.05}, 500.0).find("sign"), std::string::npos);
   EXPECT_EQ(why({0.08, 0.05}, 20.0), "");
   const auto chance = [&](double mass) {
-    return ChanceOfNoSize("suspended_load",
-                          FleetWith(names, Eigen::Vector2d(mass, 0.05), Eigen::Vector2d(0.006, 0.005)),
-                          Hangar::vehicle());
+    return ChanceOfNoSize(
+        "suspended_load",
+        FleetWith(names, Eigen::Vector2d(mass, 0.05), Eigen::Vector2d(0.006, 0.005)),
+        Hangar::vehicle());
   };
   EXPECT_NEAR(chance(0.006), 0.317, 0.001);  // one sigma
   EXPECT_LT(chance(0.08), 1e-6);

@@ -123,9 +123,9 @@ Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const Dyn
                     const ParameterSet& parameters, const PredictionSink& predicted = {},
                     const ValueVariation& thrust = {});
 
-/// k_f (and k_m, where the vehicle's parameters estimate it) as the online estimator follows them on
-/// a flight, everything else held. At each time the estimate is of 0.1 s before: it has seen nothing
-/// of what a sample there is filtered from.
+/// k_f (and k_m, where the vehicle's parameters estimate it) as the online estimator follows them
+/// on a flight, everything else held. At each time the estimate is of 0.1 s before: it has seen
+/// nothing of what a sample there is filtered from.
 /// @param vehicle with the parameters in it; their sigma is how far the flight may lie from them
 /// @param options with k_f_walk_rate
 /// @throws std::invalid_argument if the vehicle's parameters hold k_f

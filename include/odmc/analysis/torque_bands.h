@@ -15,9 +15,9 @@
 namespace odmc {
 
 /// Inertia and reaction torque of the rotors by bands of frequency. Over all frequencies the torque
-/// equation, rotor torque = inertia times angular acceleration, rewards inertia without end: below the
-/// bandwidth of the controller rotor torque answers disturbances. docs/estimator.md, "By bands of
-/// frequency", derives what is done here.
+/// equation, rotor torque = inertia times angular acceleration, rewards inertia without end: below
+/// the bandwidth of the controller rotor torque answers disturbances. docs/estimator.md, "By bands
+/// of frequency", derives what is done here.
 
 /// What one band says of a quantity.
 struct BandEstimate {
@@ -25,8 +25,8 @@ struct BandEstimate {
   double value = 0.0;
   double sigma = 0.0;        ///< all of it
   double noise_sigma = 0.0;  ///< of it, what more flight would make smaller
-  double coherence = 0.0;    ///< of torque and angular acceleration, noise of rotor speeds taken off
-  bool used = false;         ///< the result rests on it
+  double coherence = 0.0;  ///< of torque and angular acceleration, noise of rotor speeds taken off
+  bool used = false;       ///< the result rests on it
 };
 
 /// What all bands say together.
@@ -42,11 +42,11 @@ struct BandedQuantity {
 
 /// k_m as the bands have it, against the one in use.
 struct ReactionCheck {
-  double in_use = 0.0;   ///< [N m s²]
-  double fits = 0.0;     ///< the same for the inertia below
-  double sigma = 0.0;    ///< with that of the inertia
+  double in_use = 0.0;                            ///< [N m s²]
+  double fits = 0.0;                              ///< the same for the inertia below
+  double sigma = 0.0;                             ///< with that of the inertia
   double inertia_z = 0.0, inertia_z_sigma = 0.0;  ///< taken for I_z [kg m²]
-  double p = 1.0;        ///< chance of a difference like this
+  double p = 1.0;                                 ///< chance of a difference like this
   bool contradicted = false;
 };
 

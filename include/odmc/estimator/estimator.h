@@ -249,8 +249,8 @@ class Estimator {
   Window window_;
   std::unique_ptr<WindowSolver> solver_;
   std::unique_ptr<ceres::LossFunction> loss_;
-  std::vector<int> walking_;   // entries of eta that walk together
-  double walk_owed_s_ = 0.0;   // of flight that has left the window since they last did
+  std::vector<int> walking_;     // entries of eta that walk together
+  double walk_owed_s_ = 0.0;     // of flight that has left the window since they last did
   Eigen::MatrixXd before_walk_;  // information of the past
   Consistency consistency_;
   RegressorNoise regressor_noise_;

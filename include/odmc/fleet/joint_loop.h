@@ -60,10 +60,11 @@ double ChanceOfNoSize(const std::string& effect, const FleetCalibration& fleet,
                       const Vehicle& vehicle);
 
 /// Why an effect that all flights were calibrated with is not the vehicle's, in words that go on
-/// after "it gains ... nats, but". Empty where it is, and for effects that are each flight's own. It
-/// is not where, scatter between flights included,
+/// after "it gains ... nats, but". Empty where it is, and for effects that are each flight's own.
+/// It is not where, scatter between flights included,
 /// - a size has a sign that it cannot have, such as a negative mass;
-/// - it would have the other sign on too many flights, and as many of those that say something speak
+/// - it would have the other sign on too many flights, and as many of those that say something
+/// speak
 ///   against it.
 std::string WhyNotTheVehicles(const RankedEffect& effect, const FleetCalibration& fleet,
                               const Vehicle& vehicle, const AttributionOptions& options);

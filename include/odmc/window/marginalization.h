@@ -53,8 +53,8 @@ Eigen::MatrixXd RescalePrior(const Eigen::Ref<const Eigen::VectorXd>& scale, Win
 void DirectionScales(const Eigen::MatrixXd& directions,
                      const Eigen::Ref<const Eigen::VectorXd>& scale, Eigen::VectorXd* roots);
 
-/// Lets the parameters have moved together since the prior was made, from eta to eta + n d with n of
-/// this variance (a step of a random walk): what the prior says about the parameters alone fades
+/// Lets the parameters have moved together since the prior was made, from eta to eta + n d with n
+/// of this variance (a step of a random walk): what the prior says about the parameters alone fades
 /// along d. What it says of the state given the parameters stays.
 /// @param direction d (n)
 void LetPriorWalk(const Eigen::Ref<const Eigen::VectorXd>& direction, double variance,
