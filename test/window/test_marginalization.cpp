@@ -334,6 +334,15 @@ TEST_F(Marginalization, ScoreIsTheGradientOfTheLeavingParameterFactors) {
   EXPECT_LT((leaving.score - expected).norm(), 1e-12);
 }
 
+/// What a prior's information says of its last four columns, the parameters, with the state eliminated.
+MatrixXd OfParametersAlone(const MatrixXd& H) {
+  const auto of_state = H.cols() - 4;
+  const MatrixXd across = H.topRightCorner(of_state, 4);
+  return H.bottomRightCorner(4, 4) -
+         across.transpose() *
+             H.topLeftCorner(of_state, of_state).completeOrthogonalDecomposition().solve(across);
+}
+
 TEST_F(Marginalization, RescaledPriorKeepsItsOptimumAndWhatItSaysOfTheState) {
   Window window(&layout_);
   LinearWindowMaker(&window, LinearWindowOptions(), 27).Fill();
@@ -342,18 +351,11 @@ TEST_F(Marginalization, RescaledPriorKeepsItsOptimumAndWhatItSaysOfTheState) {
   const auto of_state = prior.A.cols() - 4;
   const MatrixXd before = prior.A.transpose() * prior.A;
   const VectorXd optimum = -prior.A.completeOrthogonalDecomposition().solve(prior.b);
-  const auto alone = [&](const MatrixXd& H) {
-    const MatrixXd across = H.topRightCorner(of_state, 4);
-    return MatrixXd(
-        H.bottomRightCorner(4, 4) -
-        across.transpose() *
-            H.topLeftCorner(of_state, of_state).completeOrthogonalDecomposition().solve(across));
-  };
   constexpr double kScale = 0.4;
   const MatrixXd root = RescalePrior(VectorXd::Constant(4, kScale), &window);
   const MatrixXd after = prior.A.transpose() * prior.A;
   EXPECT_LT((after.leftCols(of_state) - before.leftCols(of_state)).norm(), kExact * before.norm());
-  EXPECT_LT((alone(after) - kScale * alone(before)).norm(), kExact * before.norm());
+  EXPECT_LT((OfParametersAlone(after) - kScale * OfParametersAlone(before)).norm(), kExact * before.norm());
   EXPECT_LT((root - std::sqrt(kScale) * MatrixXd::Identity(4, 4)).norm(), kExact);
   const VectorXd gradient = prior.A.transpose() * (prior.b + prior.A * optimum);
   EXPECT_LT(gradient.norm(), kExact * before.norm());
@@ -400,20 +402,13 @@ TEST_F(Marginalization, AWalkWidensTheParametersAlongItsDirectionAndNothingElse)
   const auto of_state = prior.A.cols() - 4;
   const MatrixXd before = prior.A.transpose() * prior.A;
   const VectorXd optimum = -prior.A.completeOrthogonalDecomposition().solve(prior.b);
-  const auto alone = [&](const MatrixXd& H) {
-    const MatrixXd across = H.topRightCorner(of_state, 4);
-    return MatrixXd(
-        H.bottomRightCorner(4, 4) -
-        across.transpose() *
-            H.topLeftCorner(of_state, of_state).completeOrthogonalDecomposition().solve(across));
-  };
   const VectorXd d = (VectorXd(4) << 0.5, 0.0, -1.5, 0.0).finished();
   constexpr double kVariance = 0.3;
   LetPriorWalk(d, kVariance, &window);
   const MatrixXd after = prior.A.transpose() * prior.A;
   EXPECT_LT((after.leftCols(of_state) - before.leftCols(of_state)).norm(), kExact * before.norm());
-  const MatrixXd wider = alone(before).inverse() + kVariance * d * d.transpose();
-  EXPECT_LT((alone(after).inverse() - wider).norm(), 1e-8 * wider.norm());
+  const MatrixXd wider = OfParametersAlone(before).inverse() + kVariance * d * d.transpose();
+  EXPECT_LT((OfParametersAlone(after).inverse() - wider).norm(), 1e-8 * wider.norm());
   const VectorXd gradient = prior.A.transpose() * (prior.b + prior.A * optimum);
   EXPECT_LT(gradient.norm(), kExact * before.norm());
 }
