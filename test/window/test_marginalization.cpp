@@ -334,7 +334,8 @@ TEST_F(Marginalization, ScoreIsTheGradientOfTheLeavingParameterFactors) {
   EXPECT_LT((leaving.score - expected).norm(), 1e-12);
 }
 
-/// What a prior's information says of its last four columns, the parameters, with the state eliminated.
+/// What a prior's information says of its last four columns, the parameters, with the state
+/// eliminated.
 MatrixXd OfParametersAlone(const MatrixXd& H) {
   const auto of_state = H.cols() - 4;
   const MatrixXd across = H.topRightCorner(of_state, 4);
@@ -355,7 +356,8 @@ TEST_F(Marginalization, RescaledPriorKeepsItsOptimumAndWhatItSaysOfTheState) {
   const MatrixXd root = RescalePrior(VectorXd::Constant(4, kScale), &window);
   const MatrixXd after = prior.A.transpose() * prior.A;
   EXPECT_LT((after.leftCols(of_state) - before.leftCols(of_state)).norm(), kExact * before.norm());
-  EXPECT_LT((OfParametersAlone(after) - kScale * OfParametersAlone(before)).norm(), kExact * before.norm());
+  EXPECT_LT((OfParametersAlone(after) - kScale * OfParametersAlone(before)).norm(),
+            kExact * before.norm());
   EXPECT_LT((root - std::sqrt(kScale) * MatrixXd::Identity(4, 4)).norm(), kExact);
   const VectorXd gradient = prior.A.transpose() * (prior.b + prior.A * optimum);
   EXPECT_LT(gradient.norm(), kExact * before.norm());
