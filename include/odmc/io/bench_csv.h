@@ -17,7 +17,7 @@ enum class SpeedUnit {
 std::optional<SpeedUnit> SpeedUnitNamed(const std::string& name);  ///< rad_s, rpm, erpm
 
 /// Units and roles of the columns of a bench file, as its user declares them. Columns that are not
-/// declared are those of the data README's names, where the file has them: t; pwm_us, pwm, throttle
+/// declared are those of docs/actuator.md, where the file has them: t; pwm_us, pwm, throttle
 /// or command, or the same with the motor's number (pwm1_us ..); rotor1 .. or rotor_speed,
 /// rotor_optical, rotor_electrical; vbat; thrust_N or thrust_total_N; torque_Nm.
 struct BenchColumns {

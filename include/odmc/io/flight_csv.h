@@ -7,7 +7,7 @@
 
 namespace odmc {
 
-/// Reads a flight in the CSV form of the data README: columns by header name in any order. A
+/// Reads a flight in the CSV form of docs/flights.md: columns by header name in any order. A
 /// sibling NAME_rotor.csv replaces the rotor columns; NAME_mocap.csv replaces pose and velocity
 /// with PoseSource::kMocap (body rates stay, on their own stamps: they become the IMU's gyro unless
 /// the file has one). Columns it does not know are named once in the log's warnings and ignored.
@@ -28,7 +28,7 @@ namespace odmc {
 FlightLog ReadFlightCsv(const std::string& file, const FlightReadOptions& options);
 FlightLog ReadFlightCsv(const std::string& file, int num_rotors, PoseSource pose);
 
-/// Writes a flight in the CSV form of the data README, one row per odometry stamp, numbers with all
+/// Writes a flight in the CSV form of docs/flights.md, one row per odometry stamp, numbers with all
 /// their digits. Columns: t, p, q and, where the flight has them, v, w, a, g, rotorN (or
 /// rotor_rms), commands, vbat. Streams with the odometry's stamps are written as they are and read back
 /// bit-equal. Rotor speeds with other stamps go to the sibling NAME_rotor.csv as they are (else an

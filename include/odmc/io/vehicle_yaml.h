@@ -6,7 +6,7 @@
 
 namespace odmc {
 
-/// Reads a vehicle file (schema in the README).
+/// Reads a vehicle file (docs/vehicle_file.md).
 /// @throws std::invalid_argument with a sentence that names file and key: unknown keys, wrong
 /// types,
 ///   missing keys, non-positive masses, NaN, duplicate rotors, unknown effects or parameters.
