@@ -2,21 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <stdexcept>
 #include <utility>
+
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
 
 constexpr double kTurning_rad_s = 20.0;  // slower ones may rightly read anything
 constexpr double kLongestStep_s = 0.5;   // a longer hole starts anew
-
-std::string Text(const char* format, double value) {
-  char text[120];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
-}
 
 }  // namespace
 
@@ -107,9 +102,9 @@ bool RotorSource::Watch(double dt, double measured, double predicted, RotorWatch
     rotor->failed = true;
     // The mean lags behind: the reading itself says more, unless it happens to be right.
     const double shown = std::abs(ratio - 1.0) > kFault ? ratio : *rotor->mean;
-    *reason = frozen         ? Text("its sensor is frozen at %.0f rad/s", measured)
+    *reason = frozen         ? Format("its sensor is frozen at %.0f rad/s", measured)
               : shown < 0.02 ? std::string("its sensor reads 0")
-                             : Text("its sensor reads %.2f times what its commands give", shown);
+                             : Format("its sensor reads %.2f times what its commands give", shown);
   } else if (rotor->failed && rotor->sound_s >= kBack_s) {
     rotor->failed = false;
     *reason = "its sensor agrees with its commands again";

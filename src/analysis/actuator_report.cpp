@@ -1,46 +1,42 @@
 #include "odmc/analysis/actuator_report.h"
 
 #include <cmath>
-#include <cstdio>
 #include <fstream>
-#include <nlohmann/json.hpp>
 #include <stdexcept>
 
 #include "odmc/actuator/free_run.h"
-#include "odmc/io/number_text.h"
+#include "odmc/analysis/json.h"
+#include "odmc/text/format.h"
+#include "odmc/text/number_text.h"
 
 namespace odmc {
 namespace {
 
 using Json = nlohmann::ordered_json;
 
-Json Number(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
-
-Json Number(const std::optional<double>& value) { return value ? Number(*value) : Json(nullptr); }
-
 Json ParameterJson(const ActuatorParameter& p) {
   if (!p.found) return nullptr;
-  return {{"value", Number(p.found->value)}, {"sigma", Number(p.found->sigma)}, {"unit", p.unit}};
+  return {{"value", JsonNumber(p.found->value)}, {"sigma", JsonNumber(p.found->sigma)}, {"unit", p.unit}};
 }
 
 // Share of the speed range, or of the mean speed, in percent; null where nothing was measured.
 Json Percent(double part, double whole, bool known) {
-  return known && whole > 0.0 ? Number(100.0 * part / whole) : Json(nullptr);
+  return known && whole > 0.0 ? JsonNumber(100.0 * part / whole) : Json(nullptr);
 }
 
 Json ErrorJson(const FreeRunError& e, bool has_time) {
   Json json;
-  json["sigma_steady_rad_s"] = e.steady > 0 ? Number(e.steady_rad_s) : Json(nullptr);
+  json["sigma_steady_rad_s"] = e.steady > 0 ? JsonNumber(e.steady_rad_s) : Json(nullptr);
   json["sigma_response_rad_s"] =
-      has_time && e.response > 0 ? Number(e.response_rad_s) : Json(nullptr);
+      has_time && e.response > 0 ? JsonNumber(e.response_rad_s) : Json(nullptr);
   json["steady_error_percent"] = Percent(e.steady_rad_s, e.speed_range_rad_s, e.steady > 0);
   json["response_error_percent"] =
       Percent(e.response_rad_s, e.speed_range_rad_s, has_time && e.response > 0);
   const bool measured = e.steady + e.response > 0;
-  json["free_run_rms_rad_s"] = measured ? Number(e.all_rad_s) : Json(nullptr);
+  json["free_run_rms_rad_s"] = measured ? JsonNumber(e.all_rad_s) : Json(nullptr);
   json["free_run_percent_of_mean"] = Percent(e.all_rad_s, e.mean_speed_rad_s, measured);
-  json["mean_speed_rad_s"] = Number(e.mean_speed_rad_s);
-  json["speed_range_rad_s"] = Number(e.speed_range_rad_s);
+  json["mean_speed_rad_s"] = JsonNumber(e.mean_speed_rad_s);
+  json["speed_range_rad_s"] = JsonNumber(e.speed_range_rad_s);
   json["steady_samples"] = e.steady;
   json["response_samples"] = e.response;
   json["outliers"] = e.outliers;
@@ -52,9 +48,9 @@ Json StandJson(const std::optional<StandFit>& fit, const char* unit) {
   Json offsets = Json::array();  // in the order of the files
   for (const Measured& offset : fit->offsets)
     offsets.push_back(
-        {{"value", Number(offset.value)}, {"sigma", Number(offset.sigma)}, {"unit", unit}});
+        {{"value", JsonNumber(offset.value)}, {"sigma", JsonNumber(offset.sigma)}, {"unit", unit}});
   return {{"offsets", offsets},
-          {"rmse", Number(fit->rmse)},
+          {"rmse", JsonNumber(fit->rmse)},
           {"rows", fit->rows},
           {"outliers", fit->outliers}};
 }
@@ -62,12 +58,6 @@ Json StandJson(const std::optional<StandFit>& fit, const char* unit) {
 // "name                value", the name padded.
 std::string Line(const std::string& name, const std::string& value) {
   return name + std::string(name.size() < 19 ? 19 - name.size() : 1, ' ') + value + "\n";
-}
-
-std::string Text(const char* format, double a, double b = 0.0) {
-  char text[160];
-  std::snprintf(text, sizeof text, format, a, b);
-  return text;
 }
 
 double PercentOf(double part, double whole) { return whole > 0.0 ? 100.0 * part / whole : 0.0; }
@@ -85,7 +75,7 @@ std::string ActuatorReport(const ActuatorCalibration& c, const std::vector<Bench
   for (const ActuatorParameter& p : c.parameters) {
     if (p.found) json["identifiable"].push_back(p.name);
   }
-  json["lag_s"] = Number(c.fit.common.lag_s);
+  json["lag_s"] = JsonNumber(c.fit.common.lag_s);
   json["command_unit"] = NameOf(c.fit.command_unit);
   json["uses_voltage"] = c.fit.uses_voltage;
   json["thrust_cell"] = StandJson(c.thrust, "N");
@@ -96,7 +86,7 @@ std::string ActuatorReport(const ActuatorCalibration& c, const std::vector<Bench
     for (const ActuatorParameter& p : motor.parameters)
       one["parameters"][p.name] = ParameterJson(p);
     one["error"] = ErrorJson(motor.error, has_time);
-    one["lag_s"] = Number(motor.lag_s);
+    one["lag_s"] = JsonNumber(motor.lag_s);
     json["motors"].push_back(one);
   }
   for (const BenchRun& run : runs) {
@@ -112,7 +102,7 @@ std::string ActuatorReport(const ActuatorCalibration& c, const std::vector<Bench
     json["evaluated"].push_back(one);
   }
   json["warnings"] = c.warnings;
-  return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+  return JsonText(json);
 }
 
 std::string ActuatorTable(const ActuatorCalibration& c,
@@ -120,24 +110,24 @@ std::string ActuatorTable(const ActuatorCalibration& c,
   std::string text;
   for (const ActuatorParameter& p : c.parameters) {
     text +=
-        Line(p.name, p.found ? Text("%12.5g +- %-9.2g ", p.found->value, p.found->sigma) + p.unit
+        Line(p.name, p.found ? Format("%12.5g +- %-9.2g ", p.found->value, p.found->sigma) + p.unit
                              : "not identifiable from these runs");
   }
   const FreeRunError& e = c.error;
   const char* of_range = "%8.2f rad/s, %5.2f %% of the speed range";
   text += Line("steady error",
-               Text(of_range, e.steady_rad_s, PercentOf(e.steady_rad_s, e.speed_range_rad_s)));
+               Format(of_range, e.steady_rad_s, PercentOf(e.steady_rad_s, e.speed_range_rad_s)));
   if (c.fit.has_time) {
-    text += Line("response error", Text(of_range, e.response_rad_s,
+    text += Line("response error", Format(of_range, e.response_rad_s,
                                         PercentOf(e.response_rad_s, e.speed_range_rad_s)));
     if (c.fit.common.lag_s)
-      text += Line("correlation lag", Text("%8.1f ms", 1e3 * *c.fit.common.lag_s));
+      text += Line("correlation lag", Format("%8.1f ms", 1e3 * *c.fit.common.lag_s));
   }
   for (const ActuatorEvaluation& evaluation : evaluations) {
     for (size_t j = 0; j < evaluation.motors.size(); ++j) {
       const FreeRunError& m = evaluation.motors[j];
       text += Line("held out, motor " + std::to_string(j + 1),
-                   Text("%8.2f rad/s, %5.2f %% of the mean speed, ", m.all_rad_s,
+                   Format("%8.2f rad/s, %5.2f %% of the mean speed, ", m.all_rad_s,
                         PercentOf(m.all_rad_s, m.mean_speed_rad_s)) +
                        evaluation.file);
     }

@@ -3,19 +3,18 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
 #include <stdexcept>
 
 #include "odmc/analysis/ground_spans.h"
 #include "odmc/analysis/phase_findings.h"
-#include "odmc/io/number_text.h"
 #include "odmc/math/statistics.h"
 #include "odmc/model/plausibility.h"
+#include "odmc/text/format.h"
+#include "odmc/text/number_text.h"
 
 namespace odmc {
 namespace {
 
-constexpr double kSettling_s = 2.0;       // left out of the timing
 constexpr double kConvergedShare = 0.05;  // of the final value
 constexpr double kLeastFlight_s = 3.0;    // what the window holds before anything may leave it
 constexpr double kLongestDoubt_s = 60.0;
@@ -25,19 +24,14 @@ constexpr double kSignSigmas = 3.0;      // one-sided, by chance once in 740 par
 constexpr double kKnownInertia = 0.1;    // of the value: far below the vehicle file's 40 %
 constexpr double kGainLow = 0.85, kGainHigh = 1.15;
 
-std::string Text(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.3g", value);
-  return text;
-}
-
 double DurationOf(const FlightLog& log) {
   return log.odometry.empty() ? 0.0
                               : ToSeconds(log.odometry.back().stamp - log.odometry.front().stamp);
 }
 
-bool Counts(const std::pair<double, UpdateTiming>& update, const ReplayResult& replay) {
-  return update.second.window_full && update.first >= replay.first_airborne_s + kSettling_s;
+bool IsIn(TimingPart part, double time_s, const ReplayResult& replay) {
+  const bool is_start = time_s < replay.first_airborne_s + kTimingStart_s;
+  return is_start == (part == TimingPart::kStart);
 }
 
 /// "x 0.4, z 1.2" of the axes where `wrong` holds; empty if none.
@@ -46,7 +40,7 @@ std::string Axes(const PredictionFigures::Axes& figure, Wrong wrong) {
   std::string text;
   for (int i = 0; figure && i < 3; ++i) {
     if (!wrong(i)) continue;
-    text += (text.empty() ? "" : ", ") + std::string(1, "xyz"[i]) + " " + Text((*figure)[i]);
+    text += (text.empty() ? "" : ", ") + std::string(1, "xyz"[i]) + " " + Rounded((*figure)[i]);
   }
   return text;
 }
@@ -56,7 +50,7 @@ void WarnOutside(const PredictionFigures::Axes& figure, double low, double high,
   const std::string axes =
       Axes(figure, [&](int i) { return (*figure)[i] < low || (*figure)[i] > high; });
   if (axes.empty()) return;
-  warnings->push_back(what + " is outside " + Text(low) + " to " + Text(high) + ": " + axes);
+  warnings->push_back(what + " is outside " + Rounded(low) + " to " + Rounded(high) + ": " + axes);
 }
 
 void WarnCount(long count, const std::string& one, const std::string& many,
@@ -74,8 +68,8 @@ template <typename Sample>
 std::string Span(const std::vector<Sample>& samples, const FlightLog& log) {
   if (samples.empty()) return "none";
   const Stamp zero = log.odometry.front().stamp;
-  return "from " + Text(ToSeconds(samples.front().stamp - zero)) + " to " +
-         Text(ToSeconds(samples.back().stamp - zero)) + " s after the first pose";
+  return "from " + Rounded(ToSeconds(samples.front().stamp - zero)) + " to " +
+         Rounded(ToSeconds(samples.back().stamp - zero)) + " s after the first pose";
 }
 
 /// Where every pose is a gap after the one before.
@@ -90,7 +84,7 @@ void WarnOfSlowOdometry(const FlightLog& log, const ReplayResult& replay,
   warnings->push_back(
       "hardly anything can be learned: between most keyframes there is a gap. "
       "Odometry comes every " +
-      Text(Median(steps_s)) + " s; compare max_gap_s, and the times of the rotor speeds (" +
+      Rounded(Median(steps_s)) + " s; compare max_gap_s, and the times of the rotor speeds (" +
       Span(log.rotors, log) + ")");
 }
 
@@ -134,7 +128,7 @@ std::vector<Finding> LittleFlight(const ReplayResult& replay, const DynamicModel
   Finding finding;
   finding.check = "short_flight";
   finding.leaves = Trust::kDoubtful;
-  finding.what = "the estimate rests on " + Text(replay.counters.airborne_s) + " s of free flight";
+  finding.what = "the estimate rests on " + Rounded(replay.counters.airborne_s) + " s of free flight";
   if (is_hidden) finding.what += ", which do not show thrust.k_f";
   finding.mend = "a longer flight";
   return {finding};
@@ -154,10 +148,10 @@ std::vector<std::string> FlightWarnings(const FlightLog& log, const ReplayResult
         s.glitches,
         "reading (rotor speed, gyro, accelerometer or body rate) leapt away and came back and "
         "was not used: at " +
-            Text(t_s) + " s",
+            Rounded(t_s) + " s",
         "readings (rotor speed, gyro, accelerometer or body rate) leapt away and came back "
         "and were not used: the first at " +
-            Text(t_s) + " s",
+            Rounded(t_s) + " s",
         &warnings);
   }
   WarnCount(s.rotor_dropouts, "time rotor speeds fell to nothing and came back at once: missing",
@@ -182,8 +176,8 @@ void WarnOfOtherMass(const ParameterSet& parameters, const Vehicle& vehicle,
   double mass_kg = 0.0;
   if (fitted == parameters.provenance.end() || !ParseNumber(fitted->second, &mass_kg)) return;
   if (std::abs(mass_kg - vehicle.mass_kg) < 1e-6 * vehicle.mass_kg) return;
-  warnings->push_back("the parameters belong to a mass of " + Text(mass_kg) +
-                      " kg, the vehicle file says " + Text(vehicle.mass_kg) + " kg");
+  warnings->push_back("the parameters belong to a mass of " + Rounded(mass_kg) +
+                      " kg, the vehicle file says " + Rounded(vehicle.mass_kg) + " kg");
 }
 
 Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Vehicle& file_vehicle,
@@ -202,7 +196,7 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   if (!replay.last) {
     throw std::invalid_argument(
         log.file + ": never airborne: thrust stays below " +
-        Text(options.phases.landed_thrust_ratio) +
+        Rounded(options.phases.landed_thrust_ratio) +
         " of the weight or the vehicle does not rise; check thrust.k_f, mass_kg and the unit of "
         "the rotor speeds");
   }
@@ -226,6 +220,7 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   result.convergence_s = Convergence(replay.history, last.observable);
   result.wall = SummariseTiming(replay, &UpdateTiming::wall_ms);
   result.cpu = SummariseTiming(replay, &UpdateTiming::cpu_ms);
+  result.wall_start = SummariseTiming(replay, &UpdateTiming::wall_ms, TimingPart::kStart);
   result.states_in_window = StatesInWindow(replay);
   result.threads = options.num_threads;
   result.first_stamp = log.odometry.front().stamp;
@@ -318,12 +313,12 @@ LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,
                        const EstimatorOptions& options, double block_s) {
   const double duration_s = DurationOf(log);
   if (!(block_s > 0.0) || duration_s < 2.0 * block_s) {
-    throw std::invalid_argument(log.file + ": " + Text(duration_s) + " s are no two blocks of " +
-                                Text(block_s) + " s to leave out");
+    throw std::invalid_argument(log.file + ": " + Rounded(duration_s) + " s are no two blocks of " +
+                                Rounded(block_s) + " s to leave out");
   }
   if (duration_s > kMostBlocks * block_s) {
-    throw std::invalid_argument(log.file + ": blocks of " + Text(block_s) + " s are more than " +
-                                Text(kMostBlocks) + " in " + Text(duration_s) + " s");
+    throw std::invalid_argument(log.file + ": blocks of " + Rounded(block_s) + " s are more than " +
+                                Rounded(kMostBlocks) + " in " + Rounded(duration_s) + " s");
   }
   const bool with_torque = !log.rotor_rms_only;
   const Stamp first = log.odometry.front().stamp;
@@ -336,7 +331,7 @@ LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,
     const ReplayResult replay = Replay(log, &estimator);
     if (!replay.last) {
       throw std::invalid_argument(log.file + ": never airborne outside the block left out from " +
-                                  Text(block * block_s) + " s on");
+                                  Rounded(block * block_s) + " s on");
     }
     values = replay.last->values;
     PredictEach(recording, file_vehicle, model, values, replay.ground_spans, {},
@@ -435,10 +430,11 @@ std::vector<std::optional<double>> Convergence(const History& history,
   return result;
 }
 
-TimingFigures SummariseTiming(const ReplayResult& replay, double UpdateTiming::*clock) {
+TimingFigures SummariseTiming(const ReplayResult& replay, double UpdateTiming::*clock,
+                              TimingPart part) {
   std::vector<double> times;
   for (const auto& update : replay.timing) {
-    if (Counts(update, replay)) times.push_back(update.second.*clock);
+    if (IsIn(part, update.first, replay)) times.push_back(update.second.*clock);
   }
   TimingFigures figures;
   figures.updates = static_cast<long>(times.size());
@@ -453,7 +449,7 @@ TimingFigures SummariseTiming(const ReplayResult& replay, double UpdateTiming::*
 int StatesInWindow(const ReplayResult& replay) {
   std::vector<double> states;
   for (const auto& update : replay.timing) {
-    if (Counts(update, replay)) states.push_back(update.second.states);
+    if (IsIn(TimingPart::kRest, update.first, replay)) states.push_back(update.second.states);
   }
   return static_cast<int>(std::lround(Median(states)));
 }
@@ -469,7 +465,7 @@ std::vector<std::string> ModelWarnings(const DynamicModel& model, const ModelVal
     const ModelParameter& p = model.parameters()[i];
     if (HasWrongSign(p.spec.sign, values[i], kSignSigmas * sigma[i])) {
       const bool feeds = p.spec.sign == PhysicalSign::kNegative;
-      warnings.push_back(p.full_name + " = " + Text(values[i]) + " " + p.spec.unit +
+      warnings.push_back(p.full_name + " = " + Rounded(values[i]) + " " + p.spec.unit +
                          " has an unphysical sign" + (feeds ? " (it feeds energy in)" : ""));
     }
   }

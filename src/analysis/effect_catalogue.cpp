@@ -1,20 +1,14 @@
 #include "odmc/analysis/effect_catalogue.h"
 
 #include <algorithm>
-#include <cstdio>
 #include <string>
 #include <vector>
 
 #include "odmc/model/dynamic_model.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
-
-std::string Text(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.3g", value);
-  return text;
-}
 
 std::string SignOf(PhysicalSign sign) {
   if (sign == PhysicalSign::kAny) return "any";
@@ -52,7 +46,7 @@ std::string CatalogueText(const Vehicle& vehicle) {
             "\n  source: " + d.source + "\n  limits: " + d.validity + "\n";
     for (const ModelParameter& p : model.parameters()) {
       text += "    " + p.full_name + " [" + p.spec.unit + "]  " + p.spec.description + "; prior " +
-              Text(p.spec.prior_value) + " +- " + Text(p.spec.prior_sigma) + ", sign " +
+              Rounded(p.spec.prior_value) + " +- " + Rounded(p.spec.prior_sigma) + ", sign " +
               SignOf(p.spec.sign) + ", " + StateOf(p) + "\n";
     }
   }
@@ -72,8 +66,8 @@ std::string CatalogueMarkdown(const Vehicle& vehicle) {
   for (const DynamicModel& model : models) {
     for (const ModelParameter& p : model.parameters()) {
       text += "| `" + p.full_name + "` | " + Cell(p.spec.unit) + " | " + Cell(p.spec.description) +
-              " | " + SignOf(p.spec.sign) + " | " + Text(p.spec.prior_value) + " ± " +
-              Text(p.spec.prior_sigma) + " | " + StateOf(p) + " |\n";
+              " | " + SignOf(p.spec.sign) + " | " + Rounded(p.spec.prior_value) + " ± " +
+              Rounded(p.spec.prior_sigma) + " | " + StateOf(p) + " |\n";
     }
   }
   return text;

@@ -3,13 +3,13 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <nlohmann/json.hpp>
-#include <stdexcept>
 
 #include "odmc/analysis/inspection_json.h"
+#include "odmc/analysis/json.h"
 #include "odmc/inspection/recording_inspection.h"
 #include "odmc/model/dynamic_model.h"
 #include "odmc/model/effect.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -22,12 +22,6 @@ constexpr double kIqr = 1.349;       // interquartile range of a normal variable
 constexpr double kFast = 0.99;       // percentile that counts as the largest
 constexpr double kVagueLag_s = 0.02;  // sigma of a delay that says nothing
 constexpr double kMostLook_s = 120.0;  // of flight, for what it teaches
-
-std::string Number(double value, const char* format = "%.3g") {
-  char text[40];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
-}
 
 double Quantile(std::vector<double> values, double share) {
   if (values.empty()) return 0.0;
@@ -128,9 +122,9 @@ std::optional<Finding> ThrustOffTheFile(const std::vector<Lesson>& lessons,
     const double ratio = l.value / file;
     if (std::abs(ratio - 1.0) < std::max(kShare, 3.0 * l.sigma / file)) return std::nullopt;
     return Finding{"weight", Trust::kGood,
-                   "the thrust coefficient that carries the vehicle is " + Number(l.value) +
-                       " N s^2, " + Number(ratio) + " times the file's",
-                   "check mass_kg (" + Number(model.vehicle().mass_kg / ratio) +
+                   "the thrust coefficient that carries the vehicle is " + Rounded(l.value) +
+                       " N s^2, " + Rounded(ratio) + " times the file's",
+                   "check mass_kg (" + Rounded(model.vehicle().mass_kg / ratio) +
                        " would fit the file's k_f), thrust.k_f" +
                        (ratio > kAbsurd || ratio * kAbsurd < 1.0
                             ? " or the unit of the rotor speeds (rpm for rad/s: 0.011 times)"
@@ -164,8 +158,6 @@ void Learn(FlightLog log, const Vehicle& vehicle, FlightInspection* result) {
   if (thrust && !has) result->inspection.findings.push_back(*thrust);
 }
 
-Json NumberJson(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
-
 std::string Joined(const std::vector<std::string>& parts) {
   std::string text;
   for (const std::string& part : parts) text += (text.empty() ? "" : ", ") + part;
@@ -175,13 +167,13 @@ std::string Joined(const std::vector<std::string>& parts) {
 std::string StreamLine(const StreamFigures& s) {
   std::string line = "  " + s.name;
   line.resize(std::max<size_t>(line.size() + 1, 16), ' ');
-  line += std::to_string(s.samples) + " at " + Number(s.rate_Hz) + " Hz";
+  line += std::to_string(s.samples) + " at " + Rounded(s.rate_Hz) + " Hz";
   if (s.gaps > 0) {
     line += ", " + std::to_string(s.gaps) + (s.gaps == 1 ? " gap, of " : " gaps, the longest ") +
-            Number(s.longest_gap_s) + " s";
+            Rounded(s.longest_gap_s) + " s";
   }
   if (s.rate_Hz > 0.0 && s.jitter_s * s.rate_Hz > 0.05) {
-    line += ", steps spread by " + Number(1e3 * s.jitter_s) + " ms";
+    line += ", steps spread by " + Rounded(1e3 * s.jitter_s) + " ms";
   }
   if (10 * s.repeated > s.samples) line += ", " + std::to_string(s.repeated) + " repeat the one before";
   if (!s.holds.empty()) line += "; with " + Joined(s.holds);
@@ -203,8 +195,8 @@ std::string LessonLine(const Lesson& l, bool has_value) {
 /// "found" or "guessed", with what it rests on.
 std::string Mark(bool told, double probability) {
   if (told && probability > 0.9999) return "found, probability above 0.9999";
-  if (told) return "found, probability " + Number(probability, "%.4f");
-  return probability > 0.0 ? "a guess, probability " + Number(probability, "%.3f") : "a guess";
+  if (told) return "found, probability " + Fixed(probability, 4);
+  return probability > 0.0 ? "a guess, probability " + Fixed(probability, 3) : "a guess";
 }
 
 std::string RotorsText(const RotorGuess& rotors) {
@@ -214,7 +206,7 @@ std::string RotorsText(const RotorGuess& rotors) {
   text += "  spins: " + Joined(rotors.spins) + " (" +
           Mark(rotors.spins_told, rotors.spins_probability) + ")\n";
   if (rotors.hover_speed_rad_s) {
-    text += "  each hovers at " + Number(*rotors.hover_speed_rad_s, "%.4g") + " rad/s\n";
+    text += "  each hovers at " + Rounded(*rotors.hover_speed_rad_s, 4) + " rad/s\n";
   }
   for (const std::string& advice : rotors.advice) text += "  note: " + advice + "\n";
   return text;
@@ -224,12 +216,12 @@ Json RotorsJson(const RotorGuess& rotors) {
   Json json = {{"frame", rotors.frame},
                {"places", rotors.places},
                {"places_told", rotors.places_told},
-               {"places_probability", NumberJson(rotors.places_probability)},
+               {"places_probability", JsonNumber(rotors.places_probability)},
                {"spins", rotors.spins},
                {"spins_told", rotors.spins_told},
-               {"spins_probability", NumberJson(rotors.spins_probability)},
+               {"spins_probability", JsonNumber(rotors.spins_probability)},
                {"advice", rotors.advice}};
-  if (rotors.hover_speed_rad_s) json["hover_speed_rad_s"] = NumberJson(*rotors.hover_speed_rad_s);
+  if (rotors.hover_speed_rad_s) json["hover_speed_rad_s"] = JsonNumber(*rotors.hover_speed_rad_s);
   return json;
 }
 
@@ -276,16 +268,16 @@ std::string InspectionReport(const FlightInspection& inspection) {
   Json json;
   json["flight"] = inspection.file;
   json["vehicle"] = inspection.vehicle;
-  json["duration_s"] = NumberJson(inspection.duration_s);
+  json["duration_s"] = JsonNumber(inspection.duration_s);
   json["streams"] = Json::array();
   for (const StreamFigures& s : inspection.streams) {
     json["streams"].push_back({{"name", s.name},
                                {"holds", s.holds},
                                {"samples", s.samples},
-                               {"rate_Hz", NumberJson(s.rate_Hz)},
+                               {"rate_Hz", JsonNumber(s.rate_Hz)},
                                {"gaps", s.gaps},
-                               {"longest_gap_s", NumberJson(s.longest_gap_s)},
-                               {"jitter_s", NumberJson(s.jitter_s)},
+                               {"longest_gap_s", JsonNumber(s.longest_gap_s)},
+                               {"jitter_s", JsonNumber(s.jitter_s)},
                                {"repeated", s.repeated}});
   }
   json["trust"] = Name(TrustOf(inspection.inspection.findings));
@@ -300,38 +292,38 @@ std::string InspectionReport(const FlightInspection& inspection) {
   }
   if (inspection.flown) {
     const FlownFigures& f = *inspection.flown;
-    json["flown"] = {{"flight_s", NumberJson(f.flight_s)},
-                     {"speed_m_s", NumberJson(f.speed_m_s)},
-                     {"climb_m_s", NumberJson(f.climb_m_s)},
-                     {"rate_rad_s", NumberJson(f.rate_rad_s)},
-                     {"height_range_m", NumberJson(f.height_range_m)}};
+    json["flown"] = {{"flight_s", JsonNumber(f.flight_s)},
+                     {"speed_m_s", JsonNumber(f.speed_m_s)},
+                     {"climb_m_s", JsonNumber(f.climb_m_s)},
+                     {"rate_rad_s", JsonNumber(f.rate_rad_s)},
+                     {"height_range_m", JsonNumber(f.height_range_m)}};
   }
   if (inspection.rotors) json["rotors"] = RotorsJson(*inspection.rotors);
   json["parameters"] = Json::object();
   for (const Lesson& l : inspection.lessons) {
     Json entry = {{"unit", l.unit}, {"shown", l.is_shown}};
     if (!inspection.rotors) {
-      entry["value"] = NumberJson(l.value);
-      entry["sigma"] = NumberJson(l.sigma);
-      entry["prior_sigma"] = NumberJson(l.prior_sigma);
+      entry["value"] = JsonNumber(l.value);
+      entry["sigma"] = JsonNumber(l.sigma);
+      entry["prior_sigma"] = JsonNumber(l.prior_sigma);
     }
     json["parameters"][l.full_name] = entry;
     if (!l.manoeuvre.empty()) json["parameters"][l.full_name]["manoeuvre"] = l.manoeuvre;
   }
   json["notes"] = inspection.notes;
-  return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+  return JsonText(json);
 }
 
 std::string InspectionText(const FlightInspection& inspection) {
   std::string text =
-      inspection.file + ": " + Number(inspection.duration_s) + " s, " +
+      inspection.file + ": " + Rounded(inspection.duration_s) + " s, " +
       (inspection.rotors ? "no vehicle file" : "vehicle " + inspection.vehicle) + "\n";
   text += "streams\n";
   for (const StreamFigures& s : inspection.streams) text += StreamLine(s);
   for (const TimeOffset& offset : inspection.inspection.offsets) {
     if (!offset.lag.determined() || offset.lag.sigma_s() > kVagueLag_s) continue;
-    text += "  " + offset.stream + ": " + Number(1e3 * offset.lag.lag_s) + " +- " +
-            Number(1e3 * offset.lag.sigma_s(), "%.2g") + " ms late against " + offset.against + "\n";
+    text += "  " + offset.stream + ": " + Rounded(1e3 * offset.lag.lag_s) + " +- " +
+            Rounded(1e3 * offset.lag.sigma_s(), 2) + " ms late against " + offset.against + "\n";
   }
   text += "findings\n";
   for (const Finding& f : inspection.inspection.findings) {
@@ -353,9 +345,9 @@ std::string InspectionText(const FlightInspection& inspection) {
     return text;
   }
   const FlownFigures& f = *inspection.flown;
-  text += "flown: " + Number(f.flight_s) + " s, up to " + Number(f.speed_m_s) + " m/s, climb " +
-          Number(f.climb_m_s) + " m/s, " + Number(f.rate_rad_s) + " rad/s, heights over " +
-          Number(f.height_range_m) + " m\n";
+  text += "flown: " + Rounded(f.flight_s) + " s, up to " + Rounded(f.speed_m_s) + " m/s, climb " +
+          Rounded(f.climb_m_s) + " m/s, " + Rounded(f.rate_rad_s) + " rad/s, heights over " +
+          Rounded(f.height_range_m) + " m\n";
   text += "what can be learned from it\n";
   for (const Lesson& l : inspection.lessons) {
     text += LessonLine(l, !inspection.rotors);

@@ -1,16 +1,10 @@
 #include "odmc/analysis/inspection_json.h"
 
-#include <cmath>
-#include <nlohmann/json.hpp>
+#include "odmc/analysis/json.h"
 
 namespace odmc {
-namespace {
 
 using Json = nlohmann::ordered_json;
-
-Json Number(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
-
-}  // namespace
 
 Json FindingsJson(const std::vector<Finding>& findings) {
   Json json = Json::array();
@@ -18,8 +12,8 @@ Json FindingsJson(const std::vector<Finding>& findings) {
     Json entry = {{"check", f.check}, {"leaves", Name(f.leaves)}, {"what", f.what}};
     if (!f.mend.empty()) entry["mend"] = f.mend;
     if (f.span_s) {
-      entry["from_s"] = Number(f.span_s->first);
-      entry["to_s"] = Number(f.span_s->second);
+      entry["from_s"] = JsonNumber(f.span_s->first);
+      entry["to_s"] = JsonNumber(f.span_s->second);
     }
     json.push_back(entry);
   }
@@ -32,13 +26,13 @@ Json TimeOffsetsJson(const std::vector<TimeOffset>& offsets) {
     const Lag& lag = offset.lag;
     Json entry = {{"value_s", nullptr}, {"sigma_s", nullptr}};
     if (lag.determined()) {
-      entry["value_s"] = Number(lag.lag_s);
-      entry["sigma_s"] = Number(lag.sigma_s());
-      entry["scatter_s"] = Number(lag.scatter_s);
+      entry["value_s"] = JsonNumber(lag.lag_s);
+      entry["sigma_s"] = JsonNumber(lag.sigma_s());
+      entry["scatter_s"] = JsonNumber(lag.scatter_s);
     }
     entry["against"] = offset.against;
     entry["compensated"] = offset.compensated_s != 0.0;
-    entry["compensated_s"] = Number(offset.compensated_s);
+    entry["compensated_s"] = JsonNumber(offset.compensated_s);
     json[offset.stream] = entry;
   }
   return json;

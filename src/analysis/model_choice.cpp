@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include "odmc/sim/gaussian.h"
+#include "odmc/math/gaussian.h"
 
 namespace odmc {
 namespace {

@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <cstdlib>
 #include <stdexcept>
 
 #include "odmc/effects/effects.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -23,14 +23,8 @@ constexpr double kOddsOfNumbers = 10.0;
 constexpr double kOtherFrame = 7.0;      // nats: a thousand to one
 constexpr double kBadScatter = 0.1;      // of k_f: the rotors hardly explain the motion
 
-std::string Text(double value, const char* format = "%.3g") {
-  char text[40];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
-}
-
 /// To four digits: what is guessed or found has no more.
-double Rounded(double value) { return std::strtod(Text(value, "%.4g").c_str(), nullptr); }
+double ToFourDigits(double value) { return std::strtod(Rounded(value, 4).c_str(), nullptr); }
 
 std::string Join(const std::vector<std::string>& words) {
   std::string text;
@@ -83,7 +77,7 @@ std::vector<Rotor> RotorsOf(const KnownVehicle& known) {
   std::vector<Rotor> rotors;
   for (const FramePlace& place : places) {
     const Eigen::Vector3d p_BP = arm_m * place.direction;
-    rotors.push_back({p_BP.unaryExpr(&Rounded), place.spin, 0.0});
+    rotors.push_back({p_BP.unaryExpr(&ToFourDigits), place.spin, 0.0});
   }
   return rotors;
 }
@@ -155,15 +149,15 @@ class Maker {
       if (tested() && fit_->order_choice.is_told && fit_->order != made_.order) {
         made_.advice.push_back("the flight says that readings are those of motors " +
                                NumbersOf(fit_->order) + " (" +
-                               Text(fit_->order_choice.lead_nats) +
+                               Rounded(fit_->order_choice.lead_nats) +
                                " nats); what was asked for stays");
       }
     } else if (tested() && fit_->order_choice.is_told) {
       made_.order = fit_->order;
       order_mark_ = "found";
       order_why_ = "readings are those of motors " + NumbersOf(made_.order) + " of " + Numbering() + ", " +
-                   Text(fit_->order_choice.lead_nats) + " nats before any other order (" +
-                   Text(fit_->flight_s) + " s of flight)";
+                   Rounded(fit_->order_choice.lead_nats) + " nats before any other order (" +
+                   Rounded(fit_->flight_s) + " s of flight)";
     } else {
       GuessOrder();
     }
@@ -191,10 +185,10 @@ class Maker {
       order_why_ = "readings are those of motors " + NumbersOf(made_.order) + " of " + Numbering();
     }
     order_why_ += "; the flight does not tell orders apart: the likeliest, " + NumbersOf(fit_->order) +
-                  ", has a probability of " + Text(likeliest);
+                  ", has a probability of " + Rounded(likeliest);
     made_.advice.push_back("the flight does not tell the rotors' order (likeliest " +
                            NumbersOf(fit_->order) + ", probability " +
-                           Text(fit_->order_choice.probability) +
+                           Rounded(fit_->order_choice.probability) +
                            "): fly brisk rolls and pitches, one after the other, for ten seconds");
   }
 
@@ -212,7 +206,7 @@ class Maker {
     } else if (tested() && fit_->spin_choice.is_told) {
       spins = fit_->spin;
       spin_mark_ = "found";
-      spin_why_ = SpinText(spins) + ", " + Text(fit_->spin_choice.lead_nats) +
+      spin_why_ = SpinText(spins) + ", " + Rounded(fit_->spin_choice.lead_nats) +
                   " nats before any others by the yaw motion";
       if (!fit_->spins_are_usual) spin_why_ += "; no usual frame has these: look at the propellers";
     } else {
@@ -227,10 +221,10 @@ class Maker {
   void GuessSpins(std::vector<double>* spins) {
     if (order_is_fits()) *spins = fit_->spin;
     spin_why_ = SpinText(*spins) + ", the likeliest (probability " +
-                Text(fit_->spin_choice.probability) +
+                Rounded(fit_->spin_choice.probability) +
                 "; before the flight 80 % for those of " + Numbering() + "): yaw is hardly excited";
     made_.advice.push_back("the flight does not tell the rotors' spins (likeliest " +
-                           SpinText(*spins) + ", probability " + Text(fit_->spin_choice.probability) +
+                           SpinText(*spins) + ", probability " + Rounded(fit_->spin_choice.probability) +
                            "): look at the propellers, or fly quick yaw steps for ten seconds");
   }
 
@@ -240,10 +234,10 @@ class Maker {
     if (known_.drawing) {
       why += "Places asked: the drawing's.";
     } else if (known_.half_m) {
-      why += "Places asked: " + known_.frame + ", x " + Text(known_.half_m->x()) + " m, y " +
-             Text(known_.half_m->y()) + " m.";
+      why += "Places asked: " + known_.frame + ", x " + Rounded(known_.half_m->x()) + " m, y " +
+             Rounded(known_.half_m->y()) + " m.";
     } else if (known_.arm_m) {
-      why += "Places asked: " + known_.frame + ", arm " + Text(*known_.arm_m) + " m.";
+      why += "Places asked: " + known_.frame + ", arm " + Rounded(*known_.arm_m) + " m.";
     } else {
       why += "Places guessed: " + known_.frame + ", arm 0.13 m (m/kg)^(1/3), x and y alike; a flight "
              "shows arm over inertia, not the arm: measure it.";
@@ -258,7 +252,7 @@ class Maker {
     made_.report.push_back("places " + std::string(known_.drawing || known_.half_m || known_.arm_m
                                                        ? "asked"
                                                        : "guessed") +
-                           ": arm " + Text(made_.vehicle.ArmLength()) + " m");
+                           ": arm " + Rounded(made_.vehicle.ArmLength()) + " m");
     if (known_.drawing) return;
     const std::vector<FramePlace> places = FrameLayout(known_.frame, known_.autopilot);
     for (const int place : made_.order) {
@@ -279,7 +273,7 @@ class Maker {
     Eigen::Vector3d& inertia = made_.vehicle.inertia_kg_m2;
     inertia.x() = Refined(nominal_.inertia_kg_m2.x(), *fit_->inertia_x);
     inertia.y() = Refined(nominal_.inertia_kg_m2.y(), *fit_->inertia_y);
-    inertia.z() = Rounded(kYawShare * (inertia.x() + inertia.y()));
+    inertia.z() = ToFourDigits(kYawShare * (inertia.x() + inertia.y()));
     std::string error;
     if (!made_.vehicle.IsValid(&error)) {
       inertia = nominal_.inertia_kg_m2;
@@ -287,7 +281,7 @@ class Maker {
     }
     Mark("inertia_kg_m2", "found",
          "about x and y the mean of what thrust, arm and angular acceleration show (" +
-             Text(fit_->inertia_x->value_kg_m2) + " and " + Text(fit_->inertia_y->value_kg_m2) +
+             Rounded(fit_->inertia_x->value_kg_m2) + " and " + Rounded(fit_->inertia_y->value_kg_m2) +
              ", +- 30 %) and the guess " + formula + "; guessed: " + yaw);
   }
 
@@ -295,7 +289,7 @@ class Maker {
   static double Refined(double guess, const ShownInertia& shown) {
     const double by_guess = std::pow(kInertiaGuessSigma, -2);
     const double by_motion = std::pow(shown.relative_sigma, -2);
-    return Rounded(std::exp((by_guess * std::log(guess) + by_motion * std::log(shown.value_kg_m2)) /
+    return ToFourDigits(std::exp((by_guess * std::log(guess) + by_motion * std::log(shown.value_kg_m2)) /
                             (by_guess + by_motion)));
   }
 
@@ -322,25 +316,25 @@ class Maker {
              " degrees against the thrust axis; its turn about z and its origin are taken for B's");
   }
 
-  static std::string Degrees(double angle_rad) { return Text(angle_rad * 180.0 / M_PI, "%.2g"); }
+  static std::string Degrees(double angle_rad) { return Rounded(angle_rad * 180.0 / M_PI, 2); }
 
   void Thrust() {
     ParameterSetting& k_f = made_.vehicle.parameters["thrust.k_f"];
     k_f.estimated = true;
     if (has_balance()) {
       const ForceBalance& b = *fit_->balance;
-      k_f.value = Rounded(known_.mass_kg * b.k_f_over_mass);
-      k_f.sigma = Rounded(kThrustSigma * *k_f.value);
+      k_f.value = ToFourDigits(known_.mass_kg * b.k_f_over_mass);
+      k_f.sigma = ToFourDigits(kThrustSigma * *k_f.value);
       return Mark("thrust.k_f", "found",
-                  Text(*k_f.value) + " N s^2 +- " + Text(100.0 * b.relative_sigma, "%.2g") +
-                      " % carries the mass over " + Text(0.1 * b.windows) +
-                      " s of flight (hover at " + Text(b.hover_speed_rad_s, "%.0f") +
+                  Rounded(*k_f.value) + " N s^2 +- " + Rounded(100.0 * b.relative_sigma, 2) +
+                      " % carries the mass over " + Rounded(0.1 * b.windows) +
+                      " s of flight (hover at " + Fixed(b.hover_speed_rad_s, 0) +
                       " rad/s); the prior is 20 % wide, for calibrate may see the same flight");
     }
     const double speed = kTipSpeed_m_s / made_.vehicle.rotors.front().radius_m;
     const double weight_N = known_.mass_kg * nominal_.gravity_m_s2;
-    k_f.value = Rounded(weight_N / (nominal_.num_rotors() * speed * speed));
-    k_f.sigma = Rounded(kGuessedThrustSigma * *k_f.value);
+    k_f.value = ToFourDigits(weight_N / (nominal_.num_rotors() * speed * speed));
+    k_f.sigma = ToFourDigits(kGuessedThrustSigma * *k_f.value);
     Mark("thrust.k_f", "guessed", "hover with propeller tips at 60 m/s");
     if (fit_ != nullptr) {
       made_.advice.push_back(
@@ -350,9 +344,9 @@ class Maker {
 
   void Reaction() {
     ParameterSetting& k_m = made_.vehicle.parameters["rotor_torque.k_m"];
-    k_m.value = Rounded(kReactionShare * made_.vehicle.rotors.front().radius_m *
+    k_m.value = ToFourDigits(kReactionShare * made_.vehicle.rotors.front().radius_m *
                         *made_.vehicle.parameters["thrust.k_f"].value);
-    k_m.sigma = Rounded(kReactionSigma * *k_m.value);
+    k_m.sigma = ToFourDigits(kReactionSigma * *k_m.value);
     k_m.estimated = false;
     Mark("rotor_torque.k_m", "guessed",
          "k_f times 0.2 propeller radii; frozen, since gentle flight can't tell it from the inertia "
@@ -364,7 +358,7 @@ class Maker {
     for (const FrameFit& other : fit_->other_frames) {
       if (other.frame == known_.frame || other.nats < kOtherFrame) continue;
       made_.advice.push_back("the rotors' places fit " + other.frame + " better than " +
-                             known_.frame + ", by " + Text(other.nats) + " nats: --frame " +
+                             known_.frame + ", by " + Rounded(other.nats) + " nats: --frame " +
                              other.frame);
     }
   }
@@ -386,10 +380,10 @@ Vehicle VehicleBeforeFlight(const KnownVehicle& known) {
     vehicle.inertia_kg_m2 *= known.mass_kg / vehicle.mass_kg;
   } else {
     vehicle.rotors = RotorsOf(known);
-    const double radius_m = known.radius_m.value_or(Rounded(kRadiusShare * HalfGap(vehicle.rotors)));
+    const double radius_m = known.radius_m.value_or(ToFourDigits(kRadiusShare * HalfGap(vehicle.rotors)));
     for (Rotor& rotor : vehicle.rotors) rotor.radius_m = radius_m;
     const double about_x = kInertiaShare * known.mass_kg * std::pow(vehicle.ArmLength(), 2);
-    vehicle.inertia_kg_m2 = {Rounded(about_x), Rounded(about_x), Rounded(2.0 * kYawShare * about_x)};
+    vehicle.inertia_kg_m2 = {ToFourDigits(about_x), ToFourDigits(about_x), ToFourDigits(2.0 * kYawShare * about_x)};
     vehicle.effects = DefaultEffects();
   }
   vehicle.name = known.name;

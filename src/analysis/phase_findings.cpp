@@ -1,15 +1,10 @@
 #include "odmc/analysis/phase_findings.h"
 
-#include <cstdio>
+
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
-
-std::string Text(const char* format, double a, double b = 0.0, double c = 0.0) {
-  char text[240];
-  std::snprintf(text, sizeof text, format, a, b, c);
-  return text;
-}
 
 /// A stretch in the middle of a flight that was set aside.
 Finding SetAside(const PhaseSpan& span, Stamp zero) {
@@ -18,7 +13,7 @@ Finding SetAside(const PhaseSpan& span, Stamp zero) {
   finding.check = is_crash ? "crash" : "contact";
   finding.span_s = {ToSeconds(span.from - zero), ToSeconds(span.to - zero)};
   finding.what = std::string(is_crash ? "the vehicle crashed" : "a force acts that is not the model's") +
-                 Text(" from %.2f to %.2f s (%.2f of the weight)", finding.span_s->first,
+                 Format(" from %.2f to %.2f s (%.2f of the weight)", finding.span_s->first,
                       finding.span_s->second, span.missing_force) +
                  ": nothing was learned there";
   return finding;
@@ -41,7 +36,7 @@ Finding VehicleChanged(Stamp stamp, Stamp zero) {
   finding.check = "vehicle_changed";
   finding.leaves = Trust::kDoubtful;
   finding.span_s = {ToSeconds(stamp - zero), ToSeconds(stamp - zero)};
-  finding.what = Text("at %.2f s the vehicle became another one: thrust carries it by a steady share "
+  finding.what = Format("at %.2f s the vehicle became another one: thrust carries it by a steady share "
                       "more or less than before", finding.span_s->first);
   finding.mend = "a load, a propeller, a battery, or a rotor-speed sensor; split the recording there, "
                  "or use detect_changes";

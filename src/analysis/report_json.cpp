@@ -1,8 +1,7 @@
-#include <cmath>
-#include <nlohmann/json.hpp>
-
 #include "odmc/analysis/inspection_json.h"
+#include "odmc/analysis/json.h"
 #include "odmc/analysis/report.h"
+#include "odmc/analysis/timing_report.h"
 #include "odmc/analysis/torque_bands_report.h"
 
 namespace odmc {
@@ -10,94 +9,43 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-Json Number(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
-
-Json Number(const std::optional<double>& value) { return value ? Number(*value) : Json(nullptr); }
-
-Json Axes(const PredictionFigures::Axes& value) {
-  if (!value) return nullptr;
-  return Json::array({Number(value->x()), Number(value->y()), Number(value->z())});
-}
-
-/// Text of any bytes: what is not UTF-8 (a file name may be) is replaced.
-std::string Dump(const Json& json) {
-  return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
-}
-
 Json FlightJson(const FlightFigures& f) {
   return {{"file", f.file},
-          {"duration_s", Number(f.duration_s)},
-          {"on_ground_s", Number(f.on_ground_s)},
+          {"duration_s", JsonNumber(f.duration_s)},
+          {"on_ground_s", JsonNumber(f.on_ground_s)},
           {"keyframes", f.keyframes},
           {"dropped", f.dropped}};
 }
 
 Json PredictionJson(const PredictionFigures& f) {
-  return {{"force_rmse_N", Axes(f.force_rmse_N)},
-          {"predicted_swing_force_rmse_N", Axes(f.predicted_swing_force_rmse_N)},
-          {"zero_force_rmse_N", Axes(f.zero_force_rmse_N)},
-          {"accelerometer_force_rmse_N", Axes(f.accelerometer_force_rmse_N)},
-          {"torque_rmse_Nm", Axes(f.torque_rmse_Nm)},
-          {"zero_torque_rmse_Nm", Axes(f.zero_torque_rmse_Nm)},
-          {"rotor_torque_gain", Axes(f.rotor_torque_gain)},
-          {"angular_acceleration_rmse_rad_s2", Axes(f.angular_acceleration_rmse_rad_s2)},
-          {"force_explained", Axes(f.force_explained)},
-          {"torque_explained", Axes(f.torque_explained)},
-          {"inertia_over_nominal", Axes(f.inertia_over_nominal)}};
+  return {{"force_rmse_N", JsonAxes(f.force_rmse_N)},
+          {"predicted_swing_force_rmse_N", JsonAxes(f.predicted_swing_force_rmse_N)},
+          {"zero_force_rmse_N", JsonAxes(f.zero_force_rmse_N)},
+          {"accelerometer_force_rmse_N", JsonAxes(f.accelerometer_force_rmse_N)},
+          {"torque_rmse_Nm", JsonAxes(f.torque_rmse_Nm)},
+          {"zero_torque_rmse_Nm", JsonAxes(f.zero_torque_rmse_Nm)},
+          {"rotor_torque_gain", JsonAxes(f.rotor_torque_gain)},
+          {"angular_acceleration_rmse_rad_s2", JsonAxes(f.angular_acceleration_rmse_rad_s2)},
+          {"force_explained", JsonAxes(f.force_explained)},
+          {"torque_explained", JsonAxes(f.torque_explained)},
+          {"inertia_over_nominal", JsonAxes(f.inertia_over_nominal)}};
 }
 
 Json TimingJson(const TimingFigures& f, int states, int threads) {
-  return {{"median", Number(f.median)}, {"p95", Number(f.p95)}, {"p99", Number(f.p99)},
-          {"max", Number(f.max)},       {"updates", f.updates}, {"states_in_window", states},
+  return {{"median", JsonNumber(f.median)}, {"p95", JsonNumber(f.p95)}, {"p99", JsonNumber(f.p99)},
+          {"max", JsonNumber(f.max)},       {"updates", f.updates}, {"states_in_window", states},
           {"threads", threads}};
-}
-
-Json QuantilesJson(const TimingFigures& f) {
-  return {{"median", Number(f.median)},
-          {"p95", Number(f.p95)},
-          {"p99", Number(f.p99)},
-          {"max", Number(f.max)}};
-}
-
-Json StagesJson(const BenchmarkRow& row) {
-  Json json = Json::object();
-  for (size_t i = 0; i < kUpdateStages.size(); ++i) {
-    json[kUpdateStages[i].name] = QuantilesJson(row.stages[i]);
-  }
-  return json;
-}
-
-Json WorkJson(const std::optional<IncrementalWork>& work) {
-  if (!work) return nullptr;
-  return {{"aligned_share", Number(work->aligned_share)},
-          {"sweeping_share", Number(work->sweeping_share)},
-          {"eliminated_median", Number(work->eliminated_median)}};
-}
-
-Json ComparisonJson(const std::optional<SolverComparison>& c) {
-  if (!c) return nullptr;
-  Json json = {{"compared", c->compared}, {"failed", c->failed}};
-  if (c->compared == 0) return json;
-  json["largest_parameter_difference_sigma"] = Number(c->largest_parameter_difference);
-  json["p95_parameter_difference_sigma"] = Number(c->p95_parameter_difference);
-  json["parameter"] = c->parameter;
-  json["parameter_at_s"] = Number(c->parameter_at_s);
-  json["largest_sigma_difference"] = Number(c->largest_sigma_difference);
-  json["p95_sigma_difference"] = Number(c->p95_sigma_difference);
-  json["sigma_parameter"] = c->sigma_parameter;
-  json["sigma_parameter_at_s"] = Number(c->sigma_parameter_at_s);
-  return json;
 }
 
 Json PhasesJson(const std::vector<PhaseSpan>& phases, Stamp zero) {
   Json json = Json::array();
   for (const PhaseSpan& p : phases) {
     json.push_back({{"phase", Name(p.phase)},
-                    {"from_s", Number(ToSeconds(p.from - zero))},
-                    {"to_s", Number(ToSeconds(p.to - zero))},
+                    {"from_s", JsonNumber(ToSeconds(p.from - zero))},
+                    {"to_s", JsonNumber(ToSeconds(p.to - zero))},
                     {"teaches", Teaches(p.phase)},
-                    {"thrust_over_weight", Number(p.thrust_ratio)},
-                    {"missing_force_over_weight", Number(p.missing_force)}});
+                    {"thrust_over_weight", JsonNumber(p.thrust_ratio)},
+                    {"missing_force_over_weight", JsonNumber(p.missing_force)}});
   }
   return json;
 }
@@ -118,12 +66,12 @@ std::string CalibrationReport(const Calibration& c, const DynamicModel& model) {
   Json parameters = Json::object(), convergence = Json::object();
   for (size_t i = 0; i < c.parameters.parameters.size(); ++i) {
     const ParameterEstimate& p = c.parameters.parameters[i];
-    parameters[p.full_name] = {{"value", Number(p.value)},
-                               {"sigma", Number(p.estimated ? p.sigma : 0.0)},
+    parameters[p.full_name] = {{"value", JsonNumber(p.value)},
+                               {"sigma", JsonNumber(p.estimated ? p.sigma : 0.0)},
                                {"unit", p.unit},
                                {"state", p.estimated ? "estimated" : "frozen"},
                                {"observable", p.observable}};
-    convergence[p.full_name] = Number(c.convergence_s[i]);
+    convergence[p.full_name] = JsonNumber(c.convergence_s[i]);
   }
   json["parameters"] = parameters;
   json["convergence_s"] = convergence;
@@ -135,6 +83,8 @@ std::string CalibrationReport(const Calibration& c, const DynamicModel& model) {
   }
   json["timing_ms"] = TimingJson(c.wall, c.states_in_window, c.threads);
   json["timing_cpu_ms"] = TimingJson(c.cpu, c.states_in_window, c.threads);
+  json["timing_start_ms"] = QuantilesJson(c.wall_start);
+  json["timing_start_ms"]["updates"] = c.wall_start.updates;
   json["phases"] = PhasesJson(c.replay.phases, c.first_stamp);
   json["trust"] = Name(TrustOf(c.findings));
   json["trust_reasons"] = TrustReasons(c.findings);
@@ -156,7 +106,7 @@ std::string CalibrationReport(const Calibration& c, const DynamicModel& model) {
   left_out["repeated_poses"] = streams.repeated_pose;
   left_out["keyframes_without_all_streams"] = streams.uncovered;
   json["left_out"] = left_out;
-  return Dump(json);
+  return JsonText(json);
 }
 
 std::string EvaluationReport(const Evaluation& e, const DynamicModel& model) {
@@ -172,56 +122,7 @@ std::string EvaluationReport(const Evaluation& e, const DynamicModel& model) {
   json["time_offsets"] = TimeOffsetsJson(e.time_offsets);
   json["warnings"] = e.warnings;
   json["left_out"] = PredictionCounts(e.prediction.figures);
-  return Dump(json);
-}
-
-std::string RecoveryReport(const Recovery& recovery, const RecoveryOptions& options,
-                           const Vehicle& vehicle) {
-  Json parameters = Json::object();
-  for (const ParameterRecovery& p : recovery.parameters) {
-    parameters[p.full_name] = {{"unit", p.unit},
-                               {"truth", Number(p.truth)},
-                               {"median_error", Number(p.median_error)},
-                               {"median_relative_error", Number(p.median_relative_error)},
-                               {"median_error_over_sigma", Number(p.median_error_over_sigma)},
-                               {"coverage_3sigma", Number(p.coverage_3sigma)},
-                               {"observable_share", Number(p.observable_share)}};
-  }
-  Json json;
-  json["vehicle"] = vehicle.name;
-  json["effects"] = vehicle.effects;
-  json["recovery"] = {{"trajectory", options.simulation.trajectory},
-                      {"seeds", options.seeds},
-                      {"duration_s", options.simulation.duration_s},
-                      {"pooled_coverage_3sigma", Number(recovery.pooled_coverage_3sigma)},
-                      {"parameters", parameters}};
-  if (options.start_thrust_factor > 0.0) {
-    json["recovery"]["start_thrust_factor"] = options.start_thrust_factor;
-  }
-  return Dump(json);
-}
-
-std::string BenchmarkReport(const std::vector<BenchmarkRow>& rows, const FlightLog& log,
-                            const Vehicle& vehicle) {
-  Json json;
-  json["vehicle"] = vehicle.name;
-  json["flight"] = {{"file", log.file}};
-  json["benchmark"] = Json::array();
-  for (const BenchmarkRow& row : rows) {
-    json["benchmark"].push_back({{"solver", row.solver},
-                                 {"window_s", row.window_s},
-                                 {"keyframe_rate_hz", row.keyframe_rate_hz},
-                                 {"states", row.states_in_window},
-                                 {"threads", row.threads},
-                                 {"updates", row.wall.updates},
-                                 {"wall_ms", QuantilesJson(row.wall)},
-                                 {"cpu_ms", QuantilesJson(row.cpu)},
-                                 {"stages_wall_ms", StagesJson(row)},
-                                 {"real_time_factor", Number(row.real_time_factor)},
-                                 {"incremental", WorkJson(row.work)},
-                                 {"comparison", ComparisonJson(row.comparison)}});
-  }
-  return Dump(json);
+  return JsonText(json);
 }
 
 }  // namespace odmc

@@ -3,12 +3,12 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 #include <unsupported/Eigen/FFT>
 
 #include "odmc/estimator/noise_estimation.h"
 #include "odmc/math/statistics.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -28,12 +28,6 @@ constexpr double kHighestShare = 0.2;  // of the slowest stream's rate
 constexpr double kLongestGap_s = 0.03;
 constexpr double kMostDelay_s = 0.03;
 constexpr double kLoop = 0.70710678118654752;  // RMS of the real part of a number of size one
-
-std::string Text(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.3g", value);
-  return text;
-}
 
 std::vector<std::pair<double, double>> Edges(double lowest_Hz, double highest_Hz) {
   std::vector<std::pair<double, double>> edges;
@@ -235,7 +229,7 @@ TorqueBands TorqueSpectra::Bands(const Noise& noise, double highest_Hz) const {
   result.flight_s = Seconds();
   if (segments_ < kSegments) {
     result.why = "less than " + std::to_string(kSegments) + " whole stretches of " +
-                 Text(length_ / rate_Hz_) + " s";
+                 Rounded(length_ / rate_Hz_) + " s";
     for (BandedQuantity* q :
          {&result.inertia[0], &result.inertia[1], &result.k_m_over_I, &result.J_r_over_I}) {
       q->why = result.why;
@@ -673,10 +667,10 @@ TorqueBands FindTorqueBands(const FlightLog& log, const DynamicModel& model,
 std::string ReactionWarning(const TorqueBands& bands) {
   if (!bands.k_m || !bands.k_m->contradicted) return "";
   const ReactionCheck& c = *bands.k_m;
-  return "rotor_torque.k_m is held at " + Text(c.in_use) +
-         " N m s^2, and the flight contradicts it: " + Text(c.fits) + " +- " + Text(c.sigma) +
-         " fits where rotor torque leads (chance in " + Text(100.0 * c.p) + " %, with I_z " +
-         Text(c.inertia_z) + " +- " + Text(c.inertia_z_sigma) + " kg m^2)";
+  return "rotor_torque.k_m is held at " + Rounded(c.in_use) +
+         " N m s^2, and the flight contradicts it: " + Rounded(c.fits) + " +- " + Rounded(c.sigma) +
+         " fits where rotor torque leads (chance in " + Rounded(100.0 * c.p) + " %, with I_z " +
+         Rounded(c.inertia_z) + " +- " + Rounded(c.inertia_z_sigma) + " kg m^2)";
 }
 
 }  // namespace odmc

@@ -1,46 +1,36 @@
 #include "odmc/analysis/torque_bands_report.h"
 
-#include <cmath>
-#include <cstdio>
-#include <nlohmann/json.hpp>
+#include "odmc/analysis/json.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
 
 using Json = nlohmann::ordered_json;
 
-Json Number(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
-
 Json QuantityJson(const BandedQuantity& q, const std::string& unit) {
   Json json = {{"unit", unit}};
-  json["value"] = q.value ? Number(*q.value) : Json(nullptr);
-  json["sigma"] = q.value ? Number(q.sigma) : Json(nullptr);
+  json["value"] = JsonNumber(q.value);
+  json["sigma"] = q.value ? JsonNumber(q.sigma) : Json(nullptr);
   if (q.value) {
-    json["chi_squared"] = Number(q.chi_squared);
+    json["chi_squared"] = JsonNumber(q.chi_squared);
     json["degrees_of_freedom"] = q.freedom;
-    json["log_slope"] = Number(q.slope);
-    json["log_slope_sigma"] = Number(q.slope_sigma);
+    json["log_slope"] = JsonNumber(q.slope);
+    json["log_slope_sigma"] = JsonNumber(q.slope_sigma);
   } else {
     json["why"] = q.why;
   }
   json["bands"] = Json::array();
   for (const BandEstimate& band : q.bands) {
-    json["bands"].push_back({{"low_Hz", Number(band.low_Hz)},
-                             {"high_Hz", Number(band.high_Hz)},
-                             {"value", Number(band.value)},
-                             {"sigma", Number(band.sigma)},
-                             {"noise_sigma", Number(band.noise_sigma)},
-                             {"coherence", Number(band.coherence)},
+    json["bands"].push_back({{"low_Hz", JsonNumber(band.low_Hz)},
+                             {"high_Hz", JsonNumber(band.high_Hz)},
+                             {"value", JsonNumber(band.value)},
+                             {"sigma", JsonNumber(band.sigma)},
+                             {"noise_sigma", JsonNumber(band.noise_sigma)},
+                             {"coherence", JsonNumber(band.coherence)},
                              {"used", band.used}});
   }
   return json;
-}
-
-template <typename... Values>
-std::string Line(const char* format, Values... values) {
-  char line[240];
-  std::snprintf(line, sizeof line, format, values...);
-  return line;
 }
 
 std::string Used(const BandedQuantity& q) {
@@ -50,12 +40,12 @@ std::string Used(const BandedQuantity& q) {
     if (low == 0.0) low = band.low_Hz;
     high = band.high_Hz;
   }
-  return Line("%.1f to %.1f Hz, chi^2 %.1f of %d", low, high, q.chi_squared, q.freedom);
+  return Format("%.1f to %.1f Hz, chi^2 %.1f of %d", low, high, q.chi_squared, q.freedom);
 }
 
 std::string Row(const char* name, const BandedQuantity& q, double scale, const char* unit) {
-  if (!q.value) return Line("%-12s -  ", name) + q.why + "\n";
-  return Line("%-12s %.4g +- %.2g %s (", name, scale * *q.value, scale * q.sigma, unit) + Used(q) +
+  if (!q.value) return Format("%-12s -  ", name) + q.why + "\n";
+  return Format("%-12s %.4g +- %.2g %s (", name, scale * *q.value, scale * q.sigma, unit) + Used(q) +
          ")";
 }
 
@@ -63,13 +53,13 @@ std::string Row(const char* name, const BandedQuantity& q, double scale, const c
 
 Json TorqueBandsJson(const TorqueBands& bands, const Eigen::Vector3d& nominal) {
   if (!bands.why.empty()) return {{"why", bands.why}};
-  Json json = {{"flight_s", Number(bands.flight_s)},
-               {"rotor_lead_s", Number(bands.delay_s)},
-               {"rotor_lead_sigma_s", Number(bands.delay_sigma_s)}};
+  Json json = {{"flight_s", JsonNumber(bands.flight_s)},
+               {"rotor_lead_s", JsonNumber(bands.delay_s)},
+               {"rotor_lead_sigma_s", JsonNumber(bands.delay_sigma_s)}};
   for (int axis = 0; axis < 2; ++axis) {
     const BandedQuantity& q = bands.inertia[static_cast<size_t>(axis)];
     Json entry = QuantityJson(q, "kg m^2");
-    entry["over_nominal"] = q.value ? Number(*q.value / nominal[axis]) : Json(nullptr);
+    entry["over_nominal"] = q.value ? JsonNumber(*q.value / nominal[axis]) : Json(nullptr);
     json[axis == 0 ? "x" : "y"] = entry;
   }
   json["k_m_over_inertia_z"] = QuantityJson(bands.k_m_over_I, "1/rad^2");
@@ -77,12 +67,12 @@ Json TorqueBandsJson(const TorqueBands& bands, const Eigen::Vector3d& nominal) {
   if (bands.k_m) {
     const ReactionCheck& c = *bands.k_m;
     json["k_m"] = {{"unit", "N m s^2"},
-                   {"in_use", Number(c.in_use)},
-                   {"fits", Number(c.fits)},
-                   {"sigma", Number(c.sigma)},
-                   {"inertia_z_kg_m2", Number(c.inertia_z)},
-                   {"inertia_z_sigma_kg_m2", Number(c.inertia_z_sigma)},
-                   {"p", Number(c.p)},
+                   {"in_use", JsonNumber(c.in_use)},
+                   {"fits", JsonNumber(c.fits)},
+                   {"sigma", JsonNumber(c.sigma)},
+                   {"inertia_z_kg_m2", JsonNumber(c.inertia_z)},
+                   {"inertia_z_sigma_kg_m2", JsonNumber(c.inertia_z_sigma)},
+                   {"p", JsonNumber(c.p)},
                    {"contradicted", c.contradicted}};
   }
   return json;
@@ -90,25 +80,25 @@ Json TorqueBandsJson(const TorqueBands& bands, const Eigen::Vector3d& nominal) {
 
 std::string TorqueBandsTable(const TorqueBands& bands, const Eigen::Vector3d& nominal) {
   if (!bands.why.empty()) return "inertia by band: " + bands.why + "\n";
-  std::string text = Line("inertia by band; rotor speeds lead angular rates by %.1f +- %.1f ms\n",
+  std::string text = Format("inertia by band; rotor speeds lead angular rates by %.1f +- %.1f ms\n",
                           1e3 * bands.delay_s, 1e3 * bands.delay_sigma_s);
   for (int axis = 0; axis < 2; ++axis) {
     const BandedQuantity& q = bands.inertia[static_cast<size_t>(axis)];
     text += Row(axis == 0 ? "  I_x" : "  I_y", q, 1.0, "kg m^2");
-    if (q.value) text += Line(", %.2f of the vehicle file's\n", *q.value / nominal[axis]);
+    if (q.value) text += Format(", %.2f of the vehicle file's\n", *q.value / nominal[axis]);
   }
   text += Row("  k_m / I_z", bands.k_m_over_I, 1.0, "1/rad^2");
   if (bands.k_m) {
     const ReactionCheck& c = *bands.k_m;
     text +=
-        Line(":\n%-12s %.4g +- %.2g N m s^2 with I_z %.3g +- %.2g kg m^2, %.2f of the one in use\n",
+        Format(":\n%-12s %.4g +- %.2g N m s^2 with I_z %.3g +- %.2g kg m^2, %.2f of the one in use\n",
              "    k_m", c.fits, c.sigma, c.inertia_z, c.inertia_z_sigma, c.fits / c.in_use);
   } else if (bands.k_m_over_I.value) {
     text += "\n";
   }
   text += Row("  J_r / I_z", bands.J_r_over_I, 1.0, "");
   if (bands.J_r_over_I.value && bands.k_m) {
-    text += Line(":\n%-12s %.3g kg m^2 with the same\n", "    J_r",
+    text += Format(":\n%-12s %.3g kg m^2 with the same\n", "    J_r",
                  *bands.J_r_over_I.value * bands.k_m->inertia_z);
   } else if (bands.J_r_over_I.value) {
     text += "\n";

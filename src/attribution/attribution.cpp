@@ -8,6 +8,8 @@
 #include <set>
 #include <utility>
 
+#include "odmc/text/format.h"
+
 namespace odmc {
 namespace {
 
@@ -94,18 +96,18 @@ void Attribution::Screen(Evidence* evidence) const {
   std::vector<Chosen> all;
   for (const auto& [effect, settings] : by_effect) {
     if (settings.size() < 2 || GivesUp()) continue;
-    std::vector<Evidence::Promise> promises;
-    for (const Candidate* c : settings) promises.push_back(evidence->PromiseOf(*c));
+    std::vector<Evidence::GainBound> promises;
+    for (const Candidate* c : settings) promises.push_back(evidence->GainBoundOf(*c));
     std::set<size_t> chosen;
-    const auto choose = [&](double Evidence::Promise::*by) {
+    const auto choose = [&](double Evidence::GainBound::*by) {
       std::vector<size_t> order(promises.size());
       std::iota(order.begin(), order.end(), size_t{0});
       std::sort(order.begin(), order.end(),
                 [&](size_t a, size_t b) { return promises[a].*by > promises[b].*by; });
       chosen.insert(order.begin(), order.begin() + std::min(order.size(), kFittedSettings));
     };
-    choose(&Evidence::Promise::serial);
-    choose(&Evidence::Promise::white);
+    choose(&Evidence::GainBound::serial);
+    choose(&Evidence::GainBound::white);
     const double log_prior = -std::log(static_cast<double>(settings.size()));
     const auto most = static_cast<size_t>(
         std::max_element(promises.begin(), promises.end(),
@@ -113,7 +115,7 @@ void Attribution::Screen(Evidence* evidence) const {
         promises.begin());
     for (const size_t i : chosen) all.push_back({*settings[i], log_prior});
     const Candidate refined = Refined(*settings[most], [&](const Candidate& other) {
-      return evidence->PromiseOf(other).white;
+      return evidence->GainBoundOf(other).white;
     });
     if (refined.settings != settings[most]->settings) all.push_back({refined, log_prior});
   }
@@ -185,7 +187,7 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
   const EffectFit posterior = evidence.Solve(set);
   ranked.score = ScoreOf(evidence, set, without);
   ranked.p_value = PValue(ranked.score);
-  const Vehicle extended = With(evidence.stage().vehicle, v.candidate);
+  const Vehicle extended = VehicleWith(evidence.stage().vehicle, v.candidate);
   const DynamicModel model(extended, extended.effects);
   std::vector<Eigen::Index> own;
   for (size_t k = 0; k < posterior.columns.size(); ++k) {
@@ -199,9 +201,9 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
         {column.name, spec.unit, value, sigma, true, sigma < 0.5 * spec.prior_sigma});
     if (!column.initial_state) own.push_back(at);
     if (HasWrongSign(spec.sign, value, 2.0 * sigma)) {
-      ranked.remarks.push_back(column.name + " = " + Text(value) + kUnphysical);
+      ranked.remarks.push_back(column.name + " = " + Rounded(value) + kUnphysical);
     } else if (std::abs(value - spec.prior_value) > 4.0 * spec.prior_sigma) {
-      ranked.remarks.push_back(column.name + " = " + Text(value) + " is strangely large");
+      ranked.remarks.push_back(column.name + " = " + Rounded(value) + " is strangely large");
     }
   }
   for (const auto& [name, value] : ranked.settings) {
@@ -217,7 +219,7 @@ std::vector<FlightSays> Attribution::ByFlight(const Evidence& evidence, int vari
   VariantSet without = set;
   without.erase(variant);
   const std::string& name = evidence.variants()[variant].candidate.effect;
-  const Vehicle extended = With(evidence.stage().vehicle, evidence.variants()[variant].candidate);
+  const Vehicle extended = VehicleWith(evidence.stage().vehicle, evidence.variants()[variant].candidate);
   const DynamicModel model(extended, extended.effects);
   std::vector<FlightSays> by_flight;
   for (const double nats : evidence.GainByFlight(set, without)) {
@@ -331,17 +333,17 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
       const double shadow = ShadowOf(evidence.EnergyOf(v, fit), others);
       std::string objection;
       if (PValue(score) >= options_.false_alarm_rate) {
-        objection = "chance may gain as much in " + Text(100.0 * PValue(score)) + " % of such flights";
+        objection = "chance may gain as much in " + Rounded(100.0 * PValue(score)) + " % of such flights";
       } else if (margin <= 0.0) {
-        objection = "what follows \"" + rival + "\" explains the same by " + Text(instead) +
-                    " nats, against " + Text(gain + flexible_gain_);
+        objection = "what follows \"" + rival + "\" explains the same by " + Rounded(instead) +
+                    " nats, against " + Rounded(gain + flexible_gain_);
       } else if (score <= shadow) {
-        objection = "a slightly wrong formula of the other effects would leave " + Text(shadow);
+        objection = "a slightly wrong formula of the other effects would leave " + Rounded(shadow);
       }
       if (objection.empty() || (weakest && margin >= least)) continue;
       weakest = v;
       least = margin;
-      why = "gains " + Text(score) + " nats" +
+      why = "gains " + Rounded(score) + " nats" +
             (without.empty() ? "" : " beside " + NamesOf(evidence, without)) + ", but " + objection;
     }
     if (!weakest) break;
@@ -355,7 +357,7 @@ std::vector<int> Attribution::BestAlone(const Evidence& evidence) const {
   constexpr size_t kTried = 3;
   std::map<std::string, std::pair<double, int>> best;
   for (int v = 0; v < static_cast<int>(evidence.variants().size()); ++v) {
-    const double gain = evidence.Gain({v});
+    const double gain = evidence.GainInNats({v});
     const auto it = best.emplace(evidence.variants()[v].candidate.effect, std::pair(gain, v)).first;
     if (gain > it->second.first) it->second = {gain, v};
   }
@@ -373,7 +375,7 @@ void Attribution::FindAlternatives(const Evidence& evidence, const VariantSet& s
                                    RankedEffect* ranked) const {
   VariantSet without = set;
   without.erase(variant);
-  const double best = evidence.Gain(set), base = evidence.Gain(without);
+  const double best = evidence.GainInNats(set), base = evidence.GainInNats(without);
   std::map<std::string, double> close;
   for (int v = 0; v < static_cast<int>(evidence.variants().size()); ++v) {
     const std::string& name = evidence.variants()[v].candidate.effect;
@@ -385,7 +387,7 @@ void Attribution::FindAlternatives(const Evidence& evidence, const VariantSet& s
     }
     VariantSet other = without;
     other.insert(v);
-    const double gain = evidence.Gain(other);
+    const double gain = evidence.GainInNats(other);
     if (PValue(gain - base) > options_.false_alarm_rate) continue;
     const Evidence::Lead lead = evidence.LeadOf(set, other);
     if (best - gain > options_.even_odds && lead.nats > options_.telling_sigmas * lead.sigma) {
@@ -414,7 +416,7 @@ VariantSet Attribution::WithoutStrangers(const Evidence& evidence, VariantSet se
       if (std::count(ranked.alternatives.begin(), ranked.alternatives.end(), name) == 0) continue;
       VariantSet with = without;
       with.insert(a);
-      const double gain = evidence.Gain(with);
+      const double gain = evidence.GainInNats(with);
       if (IsUnphysical(Describe(evidence, a, with)) || (other && gain <= most)) continue;
       other = a;
       most = gain;
@@ -470,7 +472,7 @@ void Attribution::Run() {
     for (const int v : BestAlone(evidence)) {
       if (set.count(v) > 0) break;
       const VariantSet alone = Confirmed(evidence, {v});
-      if (!alone.empty() && evidence.Gain(alone) > evidence.Gain(set)) set = alone;
+      if (!alone.empty() && evidence.GainInNats(alone) > evidence.GainInNats(set)) set = alone;
       if (!set.empty()) break;
     }
     if (set.empty()) return;
@@ -481,7 +483,7 @@ void Attribution::Run() {
     for (const int v : set) {
       VariantSet without = set;
       without.erase(v);
-      scores[v] = evidence.Gain(set) - evidence.Gain(without);
+      scores[v] = evidence.GainInNats(set) - evidence.GainInNats(without);
       most = std::max(most, scores[v]);
     }
     for (const auto& [v, score] : scores) {
@@ -495,7 +497,7 @@ void Attribution::Run() {
       FindAlternatives(evidence, set, v, &added.back());
       if (evidence.num_flights() > 1) added.back().by_flight = ByFlight(evidence, v, set);
     }
-    const double gain = evidence.Gain(set);
+    const double gain = evidence.GainInNats(set);
     const EffectFit fit = evidence.Solve(set);
     for (const int v : set) {
       const auto energy = evidence.EnergyOf(v, fit);

@@ -14,6 +14,7 @@
 #include "odmc/attribution/gust_test.h"
 #include "odmc/attribution/structure.h"
 #include "odmc/model/plausibility.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -46,11 +47,11 @@ std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedF
   const auto quantity = std::max_element(worst->dependence.begin(), worst->dependence.end(),
                                          [](auto& a, auto& b) { return a.second < b.second; });
   std::string text =
-      worst->name + ", strongest near " + Text(worst->whiteness.peak_Hz) + " Hz and in ";
+      worst->name + ", strongest near " + Rounded(worst->whiteness.peak_Hz) + " Hz and in ";
   text +=
-      "block " + std::to_string(block) + " (RMS " + Text(std::sqrt(most)) + " " + worst->unit + ")";
+      "block " + std::to_string(block) + " (RMS " + Rounded(std::sqrt(most)) + " " + worst->unit + ")";
   return text + "; of the quantities it lines up best with " + quantity->first + " (" +
-         Text(100.0 * quantity->second) + " % of its variance)";
+         Rounded(100.0 * quantity->second) + " % of its variance)";
 }
 
 /// True if parameters differ from zero together by `sigmas` (Wald's test; the limit
@@ -314,8 +315,8 @@ std::string Estimates(const RankedEffect& effect, const ParameterSet& online,
   std::string text;
   for (const Eigen::Index i : EstimatesOf(effect, online, model)) {
     const ParameterEstimate& p = online.parameters[static_cast<size_t>(i)];
-    text += (text.empty() ? " " : ", ") + p.full_name + " = " + Text(p.value) + " +- " +
-            Text(p.sigma);
+    text += (text.empty() ? " " : ", ") + p.full_name + " = " + Rounded(p.value) + " +- " +
+            Rounded(p.sigma);
   }
   return text;
 }
@@ -430,8 +431,8 @@ std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
   }
   if (!IsSignificant(difference, covariance, options.significant_sigmas)) return "";
   const ParameterEstimate& p = online.parameters[own[static_cast<size_t>(worst)]];
-  return "it finds " + p.full_name + " = " + Text(p.value) + ", the fit that chose the effect " +
-         Text(p.value - difference[worst]);
+  return "it finds " + p.full_name + " = " + Rounded(p.value) + ", the fit that chose the effect " +
+         Rounded(p.value - difference[worst]);
 }
 
 void HoldKnownThrust(const AttributionOptions& options, Vehicle* vehicle) {
@@ -499,7 +500,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   if (!judged) {
     result.warnings.push_back(
         "no stretch without gaps is long enough to tell structure from noise: " +
-        Text(kShortestRun * flight.step_s()) + " s are needed");
+        Rounded(kShortestRun * flight.step_s()) + " s are needed");
   }
   if (progress) progress(0.6);
 
@@ -530,7 +531,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   };
   const auto drop_all = [&](const std::string& why) {
     for (const RankedEffect& effect : effects) {
-      result.warnings.push_back(effect.name + " gains " + Text(effect.score) + " nats, but " + why);
+      result.warnings.push_back(effect.name + " gains " + Rounded(effect.score) + " nats, but " + why);
     }
     effects.clear();
   };
@@ -543,7 +544,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     run = run_with(effects, 1.0);
     if (!run ||
         LeastRatio(before.held_out, run->held_out) > options.attribution.telling_ratio) {
-      drop_all(Text(100.0 * unexplained) + " % of the structure stays unexplained beside it");
+      drop_all(Rounded(100.0 * unexplained) + " % of the structure stays unexplained beside it");
       run.reset();
     }
   }
@@ -564,7 +565,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     const auto idle = [&](const RankedEffect& effect) {
       if (predicts || IsThere(effect, run->parameters, model, options.attribution)) return false;
       if (NatsAgainst(effect, run->parameters, model) < effect.score) return false;
-      result.warnings.push_back(effect.name + " gains " + Text(effect.score) +
+      result.warnings.push_back(effect.name + " gains " + Rounded(effect.score) +
                                 " nats, but the online estimate is zero within its sigma:" +
                                 Estimates(effect, run->parameters, model));
       return true;

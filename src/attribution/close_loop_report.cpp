@@ -3,10 +3,10 @@
 #include <cmath>
 #include <cstdio>
 #include <fstream>
-#include <nlohmann/json.hpp>
 #include <stdexcept>
 
 #include "odmc/analysis/inspection_json.h"
+#include "odmc/analysis/json.h"
 #include "odmc/analysis/torque_bands_report.h"
 
 namespace odmc {
@@ -14,18 +14,11 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-Json Number(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
-
-Json Axes(const PredictionFigures::Axes& value) {
-  if (!value) return nullptr;
-  return Json::array({Number(value->x()), Number(value->y()), Number(value->z())});
-}
-
 Json ParametersJson(const std::vector<ParameterEstimate>& parameters) {
   Json json = Json::object();
   for (const ParameterEstimate& p : parameters) {
-    json[p.full_name] = {{"value", Number(p.value)},
-                         {"sigma", Number(p.sigma)},
+    json[p.full_name] = {{"value", JsonNumber(p.value)},
+                         {"sigma", JsonNumber(p.sigma)},
                          {"unit", p.unit},
                          {"state", p.estimated ? "estimated" : "frozen"}};
   }
@@ -50,17 +43,17 @@ std::string Row(const char* name, const PredictionFigures::Axes& before,
 std::string CloseLoopReport(const ClosedLoop& loop) {
   Json json;
   json["flight"] = loop.flight.file;
-  json["flight_info"] = {{"duration_s", Number(loop.flight.duration_s)},
-                         {"on_ground_s", Number(loop.flight.on_ground_s)},
+  json["flight_info"] = {{"duration_s", JsonNumber(loop.flight.duration_s)},
+                         {"on_ground_s", JsonNumber(loop.flight.on_ground_s)},
                          {"keyframes", loop.flight.keyframes},
                          {"dropped", loop.flight.dropped}};
   json["verdict"] = ToString(loop.verdict);
   json["effects"] = Json::array();
   for (const AddedEffect& added : loop.effects) {
     Json effect = {{"name", added.effect.name},
-                   {"score", Number(added.effect.score)},
-                   {"p_value", Number(added.effect.p_value)},
-                   {"probability", Number(added.effect.probability)},
+                   {"score", JsonNumber(added.effect.score)},
+                   {"p_value", JsonNumber(added.effect.p_value)},
+                   {"probability", JsonNumber(added.effect.probability)},
                    {"alternatives", added.alternatives},
                    {"parameters", ParametersJson(added.effect.parameters)}};
     if (!added.derived.empty()) effect["derived"] = ParametersJson(added.derived);
@@ -70,42 +63,42 @@ std::string CloseLoopReport(const ClosedLoop& loop) {
   json["ranking"] = Json::array();
   for (const RankedEffect& ranked : loop.ranking) {
     Json entry = {{"name", ranked.name},
-                  {"score", Number(ranked.score)},
-                  {"p_value", Number(ranked.p_value)}};
+                  {"score", JsonNumber(ranked.score)},
+                  {"p_value", JsonNumber(ranked.p_value)}};
     if (!ranked.remarks.empty()) entry["remarks"] = ranked.remarks;
     entry["parameters"] = ParametersJson(ranked.parameters);
     json["ranking"].push_back(entry);
   }
-  json["force_rmse_before"] = Axes(loop.before.force_rmse_N);
-  json["force_rmse_after"] = Axes(loop.after.force_rmse_N);
-  json["torque_rmse_before"] = Axes(loop.before.torque_rmse_Nm);
-  json["torque_rmse_after"] = Axes(loop.after.torque_rmse_Nm);
-  json["angular_acceleration_rmse_before"] = Axes(loop.before.angular_acceleration_rmse_rad_s2);
-  json["angular_acceleration_rmse_after"] = Axes(loop.after.angular_acceleration_rmse_rad_s2);
+  json["force_rmse_before"] = JsonAxes(loop.before.force_rmse_N);
+  json["force_rmse_after"] = JsonAxes(loop.after.force_rmse_N);
+  json["torque_rmse_before"] = JsonAxes(loop.before.torque_rmse_Nm);
+  json["torque_rmse_after"] = JsonAxes(loop.after.torque_rmse_Nm);
+  json["angular_acceleration_rmse_before"] = JsonAxes(loop.before.angular_acceleration_rmse_rad_s2);
+  json["angular_acceleration_rmse_after"] = JsonAxes(loop.after.angular_acceleration_rmse_rad_s2);
   if (loop.accelerometer_before) {
-    json["accelerometer_force_rmse_before"] = Axes(loop.accelerometer_before);
-    json["accelerometer_force_rmse_after"] = Axes(loop.accelerometer_after);
+    json["accelerometer_force_rmse_before"] = JsonAxes(loop.accelerometer_before);
+    json["accelerometer_force_rmse_after"] = JsonAxes(loop.accelerometer_after);
   }
-  json["rotor_torque_gain"] = Axes(loop.after.rotor_torque_gain);
-  json["inertia_over_nominal"] = Axes(loop.after.inertia_over_nominal);
+  json["rotor_torque_gain"] = JsonAxes(loop.after.rotor_torque_gain);
+  json["inertia_over_nominal"] = JsonAxes(loop.after.inertia_over_nominal);
   json["inertia_by_band"] = TorqueBandsJson(loop.bands, loop.nominal_inertia);
   json["held_out"] = true;
   Json channels = Json::object();
   for (const ChannelStructure& channel : loop.structure) {
     Json dependence = Json::object();
-    for (const auto& [name, share] : channel.dependence) dependence[name] = Number(share);
-    channels[channel.name] = {{"rmse", Number(channel.rmse)},
+    for (const auto& [name, share] : channel.dependence) dependence[name] = JsonNumber(share);
+    channels[channel.name] = {{"rmse", JsonNumber(channel.rmse)},
                               {"unit", channel.unit},
-                              {"structured_share", Number(channel.whiteness.structured_share)},
-                              {"whiteness_p", Number(channel.whiteness.p)},
-                              {"peak_Hz", Number(channel.whiteness.peak_Hz)},
+                              {"structured_share", JsonNumber(channel.whiteness.structured_share)},
+                              {"whiteness_p", JsonNumber(channel.whiteness.p)},
+                              {"peak_Hz", JsonNumber(channel.whiteness.peak_Hz)},
                               {"autocorrelation_40ms", channel.autocorrelation},
                               {"dependence", dependence}};
   }
-  json["residual"] = {{"structured_share", Number(loop.structured_share)},
-                      {"whiteness_p", Number(loop.whiteness_p)},
-                      {"effects_gain_nats", Number(loop.named_gain)},
-                      {"functions_gain_nats", Number(loop.flexible_gain)},
+  json["residual"] = {{"structured_share", JsonNumber(loop.structured_share)},
+                      {"whiteness_p", JsonNumber(loop.whiteness_p)},
+                      {"effects_gain_nats", JsonNumber(loop.named_gain)},
+                      {"functions_gain_nats", JsonNumber(loop.flexible_gain)},
                       {"channels", channels}};
   if (!loop.where.empty()) json["residual"]["where"] = loop.where;
   json["provenance"] = loop.parameters.provenance;
@@ -115,7 +108,7 @@ std::string CloseLoopReport(const ClosedLoop& loop) {
   json["findings"] = FindingsJson(loop.findings);
   json["time_offsets"] = TimeOffsetsJson(loop.time_offsets);
   json["warnings"] = loop.warnings;
-  return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+  return JsonText(json);
 }
 
 std::string CloseLoopTable(const ClosedLoop& loop) {

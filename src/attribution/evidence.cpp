@@ -408,7 +408,7 @@ EffectFit Evidence::Solve(const VariantSet& set) const {
   return SolveWith(gram_, ColumnsOf(set), set);
 }
 
-double Evidence::Gain(const VariantSet& set) const {
+double Evidence::GainInNats(const VariantSet& set) const {
   return Solve(set).log_evidence - Solve({}).log_evidence;
 }
 
@@ -420,7 +420,7 @@ VectorXd Evidence::PriorSigmas(const std::vector<int>& columns) const {
   return sigmas;
 }
 
-Evidence::Promise Evidence::PromiseOf(const Candidate& candidate) const {
+Evidence::GainBound Evidence::GainBoundOf(const Candidate& candidate) const {
   std::vector<FlightRegression::Glance> glances(flights_.size());
   ForEachOf(num_flights(), jobs_, [&](int f) {
     glances[static_cast<size_t>(f)] = flights_[static_cast<size_t>(f)].GlanceAt(candidate, {});
@@ -685,7 +685,7 @@ Stage Evidence::Moved(const VariantSet& set, const EffectFit& fit) const {
   for (const int v : set) {
     const Candidate& candidate = variants_[static_cast<size_t>(v)].candidate;
     for (const auto& [name, value] : candidate.settings) next.values[name] = value;
-    next.vehicle = With(next.vehicle, candidate);
+    next.vehicle = VehicleWith(next.vehicle, candidate);
   }
   return next;
 }

@@ -176,7 +176,7 @@ void FlightRegression::AddNuisances() {
 
 FlightRegression::Seen FlightRegression::See(const Candidate& candidate, const std::map<std::string, double>& at,
                              What what) const {
-  const Vehicle extended = With(stage_.vehicle, candidate);
+  const Vehicle extended = VehicleWith(stage_.vehicle, candidate);
   const DynamicModel model(extended, extended.effects);
   ModelValues values = ValuesOf(model, stage_.values);
   for (const auto* some : {&candidate.start, &at}) {

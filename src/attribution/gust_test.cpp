@@ -166,7 +166,7 @@ class Hypothesis {
   /// Makes the residual most likely.
   void Fit() {
     FitFromHere();
-    const VectorXd start = Awake();
+    const VectorXd start = DragToStartFrom();
     if (dH_.empty() || start.isZero()) return;
     Hypothesis other = *this;
     other.x_.head(num_drag_) = start;
@@ -202,7 +202,7 @@ class Hypothesis {
 
   std::vector<Vector3d> States() const {
     std::vector<Vector3d> states;
-    const Seen seen = With(x_);
+    const Seen seen = SeenAt(x_);
     Follow(*flight_, *looked_at_, seen.y, seen.H, NoiseOf(x_), SizeOf(x_), time_constant_s(), &states);
     return states;
   }
@@ -220,7 +220,7 @@ class Hypothesis {
 
   /// A change that gives some drag to each axis that has next to none: wind cannot act there, and
   /// so nothing would tell that there should be more.
-  VectorXd Awake() const {
+  VectorXd DragToStartFrom() const {
     constexpr double kNextToNone = 0.05, kSome = 0.3;  // natural sizes
     VectorXd change = VectorXd::Zero(num_drag_);
     for (Index k = 0; k < num_drag_; ++k) {
@@ -231,7 +231,7 @@ class Hypothesis {
     return change;
   }
 
-  Seen With(const VectorXd& x) const {
+  Seen SeenAt(const VectorXd& x) const {
     Seen seen{*residual_, H_};
     for (Index k = 0; k < num_drag_; ++k) {
       seen.y -= x[k] * (*drag_)[k].d_wrench;
@@ -253,11 +253,11 @@ class Hypothesis {
   Vector3d NoiseOf(const VectorXd& x) const {
     return noise_.cwiseProduct(Vector3d(x.tail<3>().array().exp()));
   }
-  double Likelihood(const VectorXd& x) const { return Likelihood(With(x), x); }
+  double Likelihood(const VectorXd& x) const { return Likelihood(SeenAt(x), x); }
 
   /// The best of a few sizes and correlation times.
   void FitProcess() {
-    const Seen seen = With(x_);
+    const Seen seen = SeenAt(x_);
     VectorXd x = x_;
     likelihood_ = -std::numeric_limits<double>::infinity();
     for (const double time_constant_s : kTimeConstants_s) {

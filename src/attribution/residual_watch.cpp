@@ -5,6 +5,8 @@
 #include <limits>
 #include <stdexcept>
 
+#include "odmc/text/refusal.h"
+
 namespace odmc {
 namespace {
 
@@ -72,17 +74,13 @@ void Summarise(const std::vector<ChannelStructure>& channels, const AttributionO
 }  // namespace
 
 bool ResidualWatchOptions::IsValid(std::string* error) const {
-  const auto fail = [error](const char* what) {
-    if (error != nullptr) *error = what;
-    return false;
-  };
   if (!(residual_watch_period_s >= 0.0))
-    return fail("residual_watch_period_s must not be negative");
+    return Invalid(error, "residual_watch_period_s must not be negative");
   if (!(residual_watch_window_s >= 10.0 && residual_watch_window_s <= 120.0)) {
-    return fail("residual_watch_window_s must be in [10, 120]");
+    return Invalid(error, "residual_watch_window_s must be in [10, 120]");
   }
   if (residual_watch_confirmations < 1) {
-    return fail("residual_watch_confirmations must be at least 1");
+    return Invalid(error, "residual_watch_confirmations must be at least 1");
   }
   return true;
 }

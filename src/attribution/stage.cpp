@@ -33,7 +33,7 @@ Stage Stage::OfFlight(size_t flight) const {
   return one;
 }
 
-Vehicle With(const Vehicle& vehicle, const Candidate& candidate) {
+Vehicle VehicleWith(const Vehicle& vehicle, const Candidate& candidate) {
   Vehicle extended = vehicle;
   extended.effects.push_back(candidate.effect);
   for (const auto& [name, value] : candidate.settings) {
@@ -44,12 +44,12 @@ Vehicle With(const Vehicle& vehicle, const Candidate& candidate) {
   return extended;
 }
 
-Vehicle With(const Vehicle& vehicle, const RankedEffect& effect) {
+Vehicle VehicleWith(const Vehicle& vehicle, const RankedEffect& effect) {
   Candidate candidate;
   candidate.effect = effect.name;
   candidate.settings = effect.settings;
   candidate.freed = effect.freed;
-  return With(vehicle, candidate);
+  return VehicleWith(vehicle, candidate);
 }
 
 Vehicle WithPriorsOf(const Vehicle& file_vehicle, const Vehicle& vehicle) {
@@ -90,7 +90,7 @@ Vehicle Extended(const Vehicle& vehicle, const Stage& stage,
     extended.parameters[p.full_name].sigma = p.spec.prior_sigma;
   }
   for (const RankedEffect& effect : effects) {
-    extended = With(extended, effect);
+    extended = VehicleWith(extended, effect);
     for (const ParameterEstimate& p : effect.parameters) {
       if (p.estimated) extended.parameters[p.full_name].value = p.value;
     }

@@ -3,7 +3,8 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
+
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -14,12 +15,6 @@ const char* const kChannelNames[] = {"force_x",  "force_y",  "force_z",
                                      "torque_x", "torque_y", "torque_z"};
 
 }  // namespace
-
-std::string Text(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.3g", value);
-  return text;
-}
 
 std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
                                         const ResidualModel::Wrenches& residual, int num_channels,

@@ -2,6 +2,8 @@
 
 #include <cmath>
 
+#include "odmc/text/refusal.h"
+
 namespace odmc {
 namespace {
 
@@ -11,11 +13,6 @@ constexpr double kYawAttitude = 1.0 / 3.0, kYawRate = 0.5;  // of the gains abou
 
 Eigen::Vector3d OrDerived(const Eigen::Vector3d& stated, const Eigen::Vector3d& derived) {
   return (stated.array() > 0.0).select(stated, derived);
-}
-
-bool Fail(std::string* error, const std::string& what) {
-  if (error != nullptr) *error = what;
-  return false;
 }
 
 }  // namespace
@@ -39,26 +36,26 @@ bool ControllerOptions::IsValid(std::string* error) const {
   for (const Eigen::Vector3d* gain :
        {&position_gain_1_s2, &velocity_gain_1_s, &attitude_gain_1_s, &rate_gain_1_s}) {
     if (!gain->allFinite() || gain->minCoeff() < 0.0)
-      return Fail(error, "a gain must be positive, or 0 to derive it from the motors");
+      return Invalid(error, "a gain must be positive, or 0 to derive it from the motors");
   }
-  if (!(motor_time_constant_s > 0.0)) return Fail(error, "motor_time_constant_s must be positive");
-  if (!(motor_lead >= 1.0 && motor_lead <= 4.0)) return Fail(error, "motor_lead must be 1 to 4");
+  if (!(motor_time_constant_s > 0.0)) return Invalid(error, "motor_time_constant_s must be positive");
+  if (!(motor_lead >= 1.0 && motor_lead <= 4.0)) return Invalid(error, "motor_lead must be 1 to 4");
   if (!(nominal_battery_voltage_V > 0.0))
-    return Fail(error, "nominal_battery_voltage_V must be positive");
-  if (!(filter_hz > 0.0)) return Fail(error, "filter_hz must be positive");
+    return Invalid(error, "nominal_battery_voltage_V must be positive");
+  if (!(filter_hz > 0.0)) return Invalid(error, "filter_hz must be positive");
   if (!(max_tilt_rad > 0.0 && max_tilt_rad < M_PI_2))
-    return Fail(error, "max_tilt_rad must be above 0 and below pi/2");
+    return Invalid(error, "max_tilt_rad must be above 0 and below pi/2");
   if (!(max_rotor_speed_rad_s >= 0.0))
-    return Fail(error, "max_rotor_speed_rad_s must be positive, or 0 to derive it");
+    return Invalid(error, "max_rotor_speed_rad_s must be positive, or 0 to derive it");
   if (!(max_thrust_over_weight > 1.0))
-    return Fail(error, "max_thrust_over_weight must be above 1: with less nothing flies");
+    return Invalid(error, "max_thrust_over_weight must be above 1: with less nothing flies");
   if (!(min_thrust_over_weight >= 0.0 && min_thrust_over_weight < 1.0))
-    return Fail(error, "min_thrust_over_weight must be 0 to below 1");
-  if (!(max_feedback_m_s2 > 0.0)) return Fail(error, "max_feedback_m_s2 must be positive");
-  if (!(correction_time_s > 0.0)) return Fail(error, "correction_time_s must be positive");
-  if (!(max_odometry_age_s > 0.0)) return Fail(error, "max_odometry_age_s must be positive");
+    return Invalid(error, "min_thrust_over_weight must be 0 to below 1");
+  if (!(max_feedback_m_s2 > 0.0)) return Invalid(error, "max_feedback_m_s2 must be positive");
+  if (!(correction_time_s > 0.0)) return Invalid(error, "correction_time_s must be positive");
+  if (!(max_odometry_age_s > 0.0)) return Invalid(error, "max_odometry_age_s must be positive");
   if (!(failsafe_sink_share >= 0.0 && failsafe_sink_share < 0.5))
-    return Fail(error, "failsafe_sink_share must be 0 to below 0.5");
+    return Invalid(error, "failsafe_sink_share must be 0 to below 0.5");
   return true;
 }
 

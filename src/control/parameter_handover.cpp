@@ -2,11 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <stdexcept>
 #include <utility>
 
 #include "odmc/model/plausibility.h"
+#include "odmc/text/format.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -15,12 +16,6 @@ constexpr double kNoChange = 0.02;   // a smaller one is not put on trial
 constexpr double kBackFaster = 4.0;  // a roll-back moves that much faster
 constexpr double kLongestStep_s = 0.1;
 constexpr double kArrived = 1e-12;
-
-std::string Text(const char* format, double a, double b) {
-  char text[160];
-  std::snprintf(text, sizeof text, format, a, b);
-  return text;
-}
 
 // The same values in the parameters of another model; what is new there starts at its prior.
 ModelValues Translated(const ModelValues& values, const DynamicModel& from,
@@ -31,11 +26,6 @@ ModelValues Translated(const ModelValues& values, const DynamicModel& from,
     if (k >= 0) translated[i] = values[k];
   }
   return translated;
-}
-
-bool Fail(std::string* error, const std::string& what) {
-  if (error != nullptr) *error = what;
-  return false;
 }
 
 }  // namespace
@@ -58,12 +48,12 @@ bool HandoverOptions::IsValid(std::string* error) const {
   for (const double positive :
        {handover_max_age_s, handover_max_relative_sigma, handover_stale_s, handover_hold_s,
         handover_change_1_s, handover_judge_s, handover_worse_floor_m}) {
-    if (!(positive > 0.0)) return Fail(error, "every handover_ option must be positive");
+    if (!(positive > 0.0)) return Invalid(error, "every handover_ option must be positive");
   }
-  if (!(handover_worse_ratio > 1.0)) return Fail(error, "handover_worse_ratio must be above 1");
+  if (!(handover_worse_ratio > 1.0)) return Invalid(error, "handover_worse_ratio must be above 1");
   if (!(handover_max_thrust_ratio > 1.0))
-    return Fail(error, "handover_max_thrust_ratio must be above 1");
-  if (!(handover_refuse_s >= 0.0)) return Fail(error, "handover_refuse_s must not be negative");
+    return Invalid(error, "handover_max_thrust_ratio must be above 1");
+  if (!(handover_refuse_s >= 0.0)) return Invalid(error, "handover_refuse_s must not be negative");
   return true;
 }
 
@@ -102,7 +92,7 @@ std::string ParameterHandover::Objection(const ParameterSet& set, const DynamicM
                                          Stamp stamp, Stamp now) const {
   const double age_s = ToSeconds(now - stamp);
   if (age_s > options_.handover_max_age_s || age_s < -options_.handover_max_age_s)
-    return Text("is %.2f s old (at most %.2f)", age_s, options_.handover_max_age_s);
+    return Format("is %.2f s old (at most %.2f)", age_s, options_.handover_max_age_s);
   if (goal_.stamp != 0 && stamp <= goal_.stamp) return "is no newer than the one in use";
   if (refuse_until_ && now < *refuse_until_) return "tracking got worse with the last one";
   const std::vector<std::string> sentences = UnphysicalValues(model, values, sigma);
@@ -111,20 +101,20 @@ std::string ParameterHandover::Objection(const ParameterSet& set, const DynamicM
   const double ratio = k_f < 0 ? 1.0 : values[k_f] / model.parameters()[k_f].spec.prior_value;
   const double most = options_.handover_max_thrust_ratio;
   if (!(ratio < most && ratio > 1.0 / most))
-    return Text("thrust.k_f is %.2f times nominal (limit %.1f)", ratio, most);
+    return Format("thrust.k_f is %.2f times nominal (limit %.1f)", ratio, most);
   for (const char* name : {"thrust.k_f", "inertia.x", "inertia.y"}) {
     const ParameterEstimate* p = set.Find(name);
     if (p == nullptr || !p->estimated || !p->observable) continue;
     const double share = p->sigma / std::abs(p->value);
     if (!(share <= options_.handover_max_relative_sigma)) {
-      return name + Text(" is known to %.0f %% only (limit %.0f %%)", 100.0 * share,
+      return name + Format(" is known to %.0f %% only (limit %.0f %%)", 100.0 * share,
                          100.0 * options_.handover_max_relative_sigma);
     }
   }
   return "";
 }
 
-std::string ParameterHandover::Offer(const ParameterSet& set, Stamp stamp, Stamp now) {
+std::string ParameterHandover::Consider(const ParameterSet& set, Stamp stamp, Stamp now) {
   std::shared_ptr<const DynamicModel> model = model_;
   std::string objection;
   ModelValues values;
@@ -253,7 +243,7 @@ void ParameterHandover::Judge(Stamp now) {
     return;
   }
   const std::string reason =
-      Text("tracking got worse: %.3f m RMS, %.3f m before the change", rmse_m, before_m);
+      Format("tracking got worse: %.3f m RMS, %.3f m before the change", rmse_m, before_m);
   refuse_until_ = now + FromSeconds(options_.handover_refuse_s);
   const bool was_nominal = proven_.stamp == 0;
   GoTo(proven_);

@@ -3,23 +3,17 @@
 #include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 #include <utility>
 
 #include "odmc/model/plausibility.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
 
 constexpr double kStaysSure = 1.5;     // times the limit: what was sure once does not come and go
 constexpr double kShareOfPrior = 2.0;  // 10 % of the prior's sigma where 5 % of the value is asked
-
-std::string Text(const char* format, double a, double b) {
-  char text[160];
-  std::snprintf(text, sizeof text, format, a, b);
-  return text;
-}
 
 /// Largest sigma to accept. A value that may be zero is judged against what was known before, too:
 /// its prior or its natural size.
@@ -83,14 +77,14 @@ std::string Acceptance::Objection(const ModelParameter& parameter, int index,
                                   const Snapshot& snapshot) const {
   const double value = snapshot.values[index], sigma = snapshot.sigma[index];
   if (HasWrongSign(parameter.spec.sign, value, sigma)) {
-    return parameter.full_name + Text(" = %.3g +- %.2g", value, sigma) + " " + parameter.spec.unit +
+    return parameter.full_name + Format(" = %.3g +- %.2g", value, sigma) + " " + parameter.spec.unit +
            " has the wrong sign";
   }
   const bool was_sure = index < static_cast<int>(sure_.size()) && sure_[index];
   const double limit = (was_sure ? kStaysSure : 1.0) *
                        SigmaLimit(parameter.spec, value, options_.accept_relative_sigma);
   if (sigma <= limit) return "";
-  return parameter.full_name + Text(": sigma %.2g is above %.2g ", sigma, limit) +
+  return parameter.full_name + Format(": sigma %.2g is above %.2g ", sigma, limit) +
          parameter.spec.unit;
 }
 
@@ -107,7 +101,7 @@ void Acceptance::HoldBack(const DynamicModel& model, const Snapshot& snapshot,
       if (!HasWrongSign(p.spec.sign, value, sigma)) continue;
       sure[i] = false;
       again = true;
-      held_back_.push_back(p.full_name + Text(" = %.3g +- %.2g", value, sigma) + " " + p.spec.unit +
+      held_back_.push_back(p.full_name + Format(" = %.3g +- %.2g", value, sigma) + " " + p.spec.unit +
                            " has the wrong sign beside what is held back");
     }
   }

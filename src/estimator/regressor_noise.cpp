@@ -115,11 +115,9 @@ void RegressorNoise::Look(const Window& window, const DynamicModel& model,
       rate_.noalias() += change.transpose() * change;
     }
   }
-  for (const Factor& factor : from.factors) {
-    if (factor.kind != FactorKind::kDynamics) continue;
-    AddPull(static_cast<const DynamicsFactor&>(*factor.cost).measurement(), window, from, to, model,
-            levels, flown_s);
-  }
+  from.ForEach<DynamicsFactor>([&](const Factor&, const DynamicsFactor& dynamics) {
+    AddPull(dynamics.measurement(), window, from, to, model, levels, flown_s);
+  });
   feigned_ += (flown_s - counted_s_) / dt * rate_;
   counted_s_ = flown_s;
 }

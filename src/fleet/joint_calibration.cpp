@@ -30,7 +30,7 @@ Vehicle StartedAt(const Vehicle& vehicle, const ParameterSet& start) {
 }
 
 /// A flight's estimate with the shared parameters at other values.
-ParameterSet With(const FlightFactor& factor, const Eigen::VectorXd& values) {
+ParameterSet ParametersWith(const FlightFactor& factor, const Eigen::VectorXd& values) {
   ParameterSet set = factor.estimate;
   for (ParameterEstimate& p : set.parameters) {
     const auto it = std::find(factor.names.begin(), factor.names.end(), p.full_name);
@@ -177,7 +177,7 @@ void AddSharedDoubts(const FlightSource& source, const Vehicle& vehicle,
 PredictionFigures FiguresWith(const FleetFlight& flight, const Eigen::VectorXd& values,
                               const FlightSource& source, const Vehicle& file_vehicle,
                               const Vehicle& vehicle, const PredictionSink& predicted) {
-  const ParameterSet others = With(flight.factor, values);
+  const ParameterSet others = ParametersWith(flight.factor, values);
   Vehicle as_expected = vehicle;
   ApplyParameters(others, &as_expected);
   const DynamicModel model(as_expected, as_expected.effects);
@@ -350,7 +350,7 @@ FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const Fli
       const Eigen::VectorXd& at = fleet.joint.fit.of_flight[k];
       if (!IsFar(flight.factor, at, options.relinearize_share)) continue;
       far.push_back(used[k]);
-      starts[static_cast<size_t>(used[k])] = With(flight.factor, at);
+      starts[static_cast<size_t>(used[k])] = ParametersWith(flight.factor, at);
     }
     if (far.empty()) break;
     ForEachOf(static_cast<int>(far.size()), options.jobs, [&](int k) {

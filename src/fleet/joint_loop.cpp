@@ -15,6 +15,7 @@
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/stage.h"
 #include "odmc/model/plausibility.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -304,7 +305,7 @@ void JointSession::Find(const Progress& progress) {
   const double unexplained =
       effects_.empty() ? 0.0 : UnexplainedShare(attribution, looked, options_.attribution);
   if (unexplained > options_.attribution.most_unexplained) {
-    loop_.warnings.push_back(Text(100.0 * unexplained) +
+    loop_.warnings.push_back(Rounded(100.0 * unexplained) +
                              " % of the residual's structure stays unexplained beside the effects");
   }
 }
@@ -317,7 +318,7 @@ bool JointSession::TakeOutRefused(const FleetCalibration& fleet) {
       ++k;
       continue;
     }
-    loop_.warnings.push_back(effects_[k].name + " gains " + Text(effects_[k].score) +
+    loop_.warnings.push_back(effects_[k].name + " gains " + Rounded(effects_[k].score) +
                              " nats, but " + why);
     effects_.erase(effects_.begin() + static_cast<std::ptrdiff_t>(k));
   }
@@ -345,10 +346,10 @@ bool JointSession::TakeOutUnproved(FleetCalibration* fleet, std::set<std::string
       kept->insert(weakest->name);
       continue;
     }
-    loop_.warnings.push_back(weakest->name + " gains " + Text(weakest->score) +
+    loop_.warnings.push_back(weakest->name + " gains " + Rounded(weakest->score) +
                              " nats, but what tells its size is zero on all flights together, "
                              "within its uncertainty (p " +
-                             Text(ChanceOfNoSize(weakest->name, *fleet, vehicle_)) +
+                             Rounded(ChanceOfNoSize(weakest->name, *fleet, vehicle_)) +
                              "), and flights left out are predicted no worse without it");
     effects_ = std::move(others);
     *fleet = std::move(without);
@@ -451,7 +452,7 @@ std::string WhyNotTheVehicles(const RankedEffect& effect, const FleetCalibration
   const double opposite = OppositeShare(fleet, SharedOf(effect.name, factor));
   if (opposite > options.opposite_share &&
       AgainstShare(effect, options.even_odds) > options.opposite_share) {
-    return "its coefficient jumps: " + Text(100.0 * opposite) +
+    return "its coefficient jumps: " + Rounded(100.0 * opposite) +
            " % of flights would have it with the other sign";
   }
   return "";

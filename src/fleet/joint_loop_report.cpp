@@ -1,38 +1,30 @@
 #include <algorithm>
-#include <cmath>
 #include <cstdio>
-#include <nlohmann/json.hpp>
 
+#include "odmc/analysis/json.h"
 #include "odmc/fleet/joint_loop.h"
-#include "odmc/io/number_text.h"
+#include "odmc/text/format.h"
+#include "odmc/text/number_text.h"
 
 namespace odmc {
 namespace {
 
 using Json = nlohmann::ordered_json;
 
-Json Number(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
-
-std::string Format(const char* format, double value) {
-  char text[40];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
-}
-
 Json ParametersJson(const std::vector<ParameterEstimate>& parameters) {
   Json json = Json::object();
   for (const ParameterEstimate& p : parameters) {
     json[p.full_name] = {
-        {"value", Number(p.value)}, {"sigma", Number(p.sigma)}, {"unit", p.unit}};
+        {"value", JsonNumber(p.value)}, {"sigma", JsonNumber(p.sigma)}, {"unit", p.unit}};
   }
   return json;
 }
 
 Json EffectJson(const JointEffect& joint, const std::vector<std::string>& flights) {
   Json json = {{"name", joint.effect.name},
-               {"score", Number(joint.effect.score)},
-               {"p_value", Number(joint.effect.p_value)},
-               {"probability", Number(joint.effect.probability)},
+               {"score", JsonNumber(joint.effect.score)},
+               {"p_value", JsonNumber(joint.effect.p_value)},
+               {"probability", JsonNumber(joint.effect.probability)},
                {"alternatives", joint.effect.alternatives},
                {"flights_for", joint.speak_for},
                {"flights_against", joint.against},
@@ -41,13 +33,13 @@ Json EffectJson(const JointEffect& joint, const std::vector<std::string>& flight
   if (!joint.manoeuvre.empty()) json["told_apart_by"] = joint.manoeuvre;
   Json spreads = Json::object();
   for (const CoefficientSpread& s : joint.spreads) {
-    spreads[s.full_name] = {{"mean", Number(s.mean)},       {"sigma", Number(s.sigma)},
-                            {"scatter", Number(s.scatter)}, {"unit", s.unit},
+    spreads[s.full_name] = {{"mean", JsonNumber(s.mean)},       {"sigma", JsonNumber(s.sigma)},
+                            {"scatter", JsonNumber(s.scatter)}, {"unit", s.unit},
                             {"flights_within_2_sigma", s.agreeing},
                             {"by_flight", Json::array()}};
     for (const CoefficientSpread::OfFlight& of : s.by_flight) {
       spreads[s.full_name]["by_flight"].push_back(
-          {{"value", Number(of.value)}, {"sigma", Number(of.sigma)}});
+          {{"value", JsonNumber(of.value)}, {"sigma", JsonNumber(of.sigma)}});
     }
   }
   json["between_flights"] = spreads;
@@ -55,15 +47,10 @@ Json EffectJson(const JointEffect& joint, const std::vector<std::string>& flight
   for (size_t f = 0; f < joint.effect.by_flight.size(); ++f) {
     const FlightSays& says = joint.effect.by_flight[f];
     json["by_flight"].push_back({{"file", flights[f]},
-                                 {"gain_nats", Number(says.nats)},
+                                 {"gain_nats", JsonNumber(says.nats)},
                                  {"parameters", ParametersJson(says.parameters)}});
   }
   return json;
-}
-
-Json AxesJson(const PredictionFigures::Axes& axes) {
-  if (!axes) return nullptr;
-  return {Number(axes->x()), Number(axes->y()), Number(axes->z())};
 }
 
 Json ErrorsJson(const std::vector<FleetFlight>& before, const std::vector<FleetFlight>& after) {
@@ -72,14 +59,14 @@ Json ErrorsJson(const std::vector<FleetFlight>& before, const std::vector<FleetF
     if (!before[f].failure.empty() || !after[f].failure.empty()) continue;
     const PredictionFigures &b = before[f].left_out, &a = after[f].left_out;
     json.push_back({{"file", before[f].file},
-                    {"force_rmse_before_N", AxesJson(b.force_rmse_N)},
-                    {"force_rmse_after_N", AxesJson(a.force_rmse_N)},
-                    {"torque_rmse_before_Nm", AxesJson(b.torque_rmse_Nm)},
-                    {"torque_rmse_after_Nm", AxesJson(a.torque_rmse_Nm)},
-                    {"accelerometer_force_rmse_before_N", AxesJson(b.accelerometer_force_rmse_N)},
-                    {"accelerometer_force_rmse_after_N", AxesJson(a.accelerometer_force_rmse_N)},
-                    {"own_fit_force_rmse_N", AxesJson(after[f].own_fit.force_rmse_N)},
-                    {"own_fit_torque_rmse_Nm", AxesJson(after[f].own_fit.torque_rmse_Nm)}});
+                    {"force_rmse_before_N", JsonAxes(b.force_rmse_N)},
+                    {"force_rmse_after_N", JsonAxes(a.force_rmse_N)},
+                    {"torque_rmse_before_Nm", JsonAxes(b.torque_rmse_Nm)},
+                    {"torque_rmse_after_Nm", JsonAxes(a.torque_rmse_Nm)},
+                    {"accelerometer_force_rmse_before_N", JsonAxes(b.accelerometer_force_rmse_N)},
+                    {"accelerometer_force_rmse_after_N", JsonAxes(a.accelerometer_force_rmse_N)},
+                    {"own_fit_force_rmse_N", JsonAxes(after[f].own_fit.force_rmse_N)},
+                    {"own_fit_torque_rmse_Nm", JsonAxes(after[f].own_fit.torque_rmse_Nm)}});
   }
   return json;
 }
@@ -128,20 +115,20 @@ std::string JointLoopReport(const JointLoop& loop, const DynamicModel& model) {
   found["ranking"] = Json::array();
   for (const RankedEffect& r : loop.ranking) {
     Json entry = {
-        {"name", r.name}, {"score", Number(r.score)}, {"p_value", Number(r.p_value)}};
+        {"name", r.name}, {"score", JsonNumber(r.score)}, {"p_value", JsonNumber(r.p_value)}};
     if (!r.remarks.empty()) entry["remarks"] = r.remarks;
     entry["parameters"] = ParametersJson(r.parameters);
     found["ranking"].push_back(entry);
   }
-  found["effects_gain_nats"] = Number(loop.named_gain);
-  found["functions_gain_nats"] = Number(loop.flexible_gain);
+  found["effects_gain_nats"] = JsonNumber(loop.named_gain);
+  found["functions_gain_nats"] = JsonNumber(loop.flexible_gain);
   found["structured_on_flights"] = Json::object();
   for (const auto& [name, count] : loop.structured) found["structured_on_flights"][name] = count;
   found["left_out_in_turn"] = ErrorsJson(loop.before.flights, loop.after.flights);
   found["held_out"] = ErrorsJson(loop.held_out_before, loop.held_out_after);
   found["warnings"] = loop.warnings;
   json["close_loop"] = found;
-  return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+  return JsonText(json);
 }
 
 std::string JointLoopTable(const JointLoop& loop) {

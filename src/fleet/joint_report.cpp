@@ -1,35 +1,21 @@
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
-#include <nlohmann/json.hpp>
 
+#include "odmc/analysis/json.h"
 #include "odmc/fleet/joint_calibration.h"
-#include "odmc/io/number_text.h"
+#include "odmc/text/format.h"
+#include "odmc/text/number_text.h"
 
 namespace odmc {
 namespace {
 
 using Json = nlohmann::ordered_json;
 
-Json Number(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
-
-Json Axes(const PredictionFigures::Axes& axes) {
-  if (!axes) return nullptr;
-  return {Number(axes->x()), Number(axes->y()), Number(axes->z())};
-}
-
 Json FiguresJson(const PredictionFigures& f) {
-  return {{"force_rmse_N", Axes(f.force_rmse_N)},
-          {"torque_rmse_Nm", Axes(f.torque_rmse_Nm)},
-          {"accelerometer_force_rmse_N", Axes(f.accelerometer_force_rmse_N)},
+  return {{"force_rmse_N", JsonAxes(f.force_rmse_N)},
+          {"torque_rmse_Nm", JsonAxes(f.torque_rmse_Nm)},
+          {"accelerometer_force_rmse_N", JsonAxes(f.accelerometer_force_rmse_N)},
           {"samples", f.samples}};
-}
-
-std::string Text(double value, const char* format = "%.4g") {
-  if (!std::isfinite(value)) return "-";
-  char text[40];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
 }
 
 std::string Name(VehicleChange::Kind kind) {
@@ -63,7 +49,7 @@ std::string Ratios(const std::vector<FleetFlight>& flights,
       others += std::pow((*a)[axis], 2);
       own += std::pow((*b)[axis], 2);
     }
-    text += " " + (own > 0.0 ? Text(std::sqrt(others / own), "%.3f") : "-");
+    text += " " + (own > 0.0 ? Fixed(std::sqrt(others / own), 3) : "-");
   }
   return text;
 }
@@ -71,15 +57,15 @@ std::string Ratios(const std::vector<FleetFlight>& flights,
 Json RecurrentJson(const RecurrentResidual& r) {
   return {{"channel", kResidualChannelNames[static_cast<size_t>(r.channel)]},
           {"quantity", kResidualQuantityTable[static_cast<size_t>(r.quantity)].name},
-          {"from", Number(r.from)},
-          {"to", Number(r.to)},
-          {"mean", Number(r.mean)},
-          {"sigma", Number(r.sigma)},
-          {"scatter", Number(r.scatter)},
-          {"share_of_error", Number(r.share_of_error)},
+          {"from", JsonNumber(r.from)},
+          {"to", JsonNumber(r.to)},
+          {"mean", JsonNumber(r.mean)},
+          {"sigma", JsonNumber(r.sigma)},
+          {"scatter", JsonNumber(r.scatter)},
+          {"share_of_error", JsonNumber(r.share_of_error)},
           {"flights", r.flights},
           {"same_sign", r.same_sign},
-          {"p_value", Number(r.p_value)}};
+          {"p_value", JsonNumber(r.p_value)}};
 }
 
 /// All bins that were looked at, the least likely by chance first; null where there are none.
@@ -87,18 +73,18 @@ Json RecurrentJson(const FleetCalibration& fleet) {
   if (fleet.recurrent.empty()) return nullptr;
   Json bins = Json::array();
   for (const RecurrentResidual& r : fleet.recurrent) bins.push_back(RecurrentJson(r));
-  return {{"false_alarm_rate", Number(fleet.false_alarm_rate)},
+  return {{"false_alarm_rate", JsonNumber(fleet.false_alarm_rate)},
           {"least_share_of_error", kLeastResidualShare},
           {"bins", bins}};
 }
 
 std::string RecurrentText(const RecurrentResidual& r) {
   const std::string channel = kResidualChannelNames[static_cast<size_t>(r.channel)];
-  return "recurrent: " + channel + " off by " + Text(r.mean, "%.3g") + " +- " +
-         Text(r.sigma, "%.2g") + " where " +
-         kResidualQuantityTable[static_cast<size_t>(r.quantity)].name + " is " + Text(r.from) +
-         " to " + Text(r.to) + ", that sign in " + std::to_string(r.same_sign) + " of " +
-         std::to_string(r.flights) + " flights (p " + Text(r.p_value, "%.1g") + ")\n";
+  return "recurrent: " + channel + " off by " + Rounded(r.mean) + " +- " +
+         Rounded(r.sigma, 2) + " where " +
+         kResidualQuantityTable[static_cast<size_t>(r.quantity)].name + " is " + Rounded(r.from, 4) +
+         " to " + Rounded(r.to, 4) + ", that sign in " + std::to_string(r.same_sign) + " of " +
+         std::to_string(r.flights) + " flights (p " + Rounded(r.p_value, 1) + ")\n";
 }
 
 /// The largest of those that count.
@@ -134,12 +120,12 @@ std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model
   for (int k = 0; k < first.size(); ++k) {
     const ParameterEstimate* p = fleet.parameters.Find(first.names[static_cast<size_t>(k)]);
     parameters[p->full_name] = {
-        {"value", Number(p->value)},
-        {"sigma", Number(p->sigma)},
-        {"scatter", Number(fit.scatter[k])},
-        {"scatter_sigma", Number(fit.scatter_sigma[k])},
-        {"new_flight_sigma", Number(std::hypot(p->sigma, p->scatter))},
-        {"degrees_of_freedom", Number(fit.degrees_of_freedom[k])},
+        {"value", JsonNumber(p->value)},
+        {"sigma", JsonNumber(p->sigma)},
+        {"scatter", JsonNumber(fit.scatter[k])},
+        {"scatter_sigma", JsonNumber(fit.scatter_sigma[k])},
+        {"new_flight_sigma", JsonNumber(std::hypot(p->sigma, p->scatter))},
+        {"degrees_of_freedom", JsonNumber(fit.degrees_of_freedom[k])},
         {"unit", p->unit},
         {"observable", p->observable}};
   }
@@ -153,18 +139,18 @@ std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model
                                {"parameter", first.names[static_cast<size_t>(c.parameter)]},
                                {"from_flight", c.from},
                                {"from_file", place(static_cast<size_t>(c.from))},
-                               {"size", Number(c.size)},
-                               {"sigma", Number(c.sigma)},
-                               {"p_value", Number(c.p_value)}});
+                               {"size", JsonNumber(c.size)},
+                               {"sigma", JsonNumber(c.sigma)},
+                               {"p_value", JsonNumber(c.p_value)}});
   }
   json["outliers"] = Json::array();
   for (const OutlierFlight& o : fleet.joint.outliers) {
     json["outliers"].push_back({{"flight", o.flight},
                                 {"file", place(static_cast<size_t>(o.flight))},
                                 {"parameter", first.names[static_cast<size_t>(o.parameter)]},
-                                {"by", Number(o.by)},
-                                {"sigma", Number(o.sigma)},
-                                {"p_value", Number(o.p_value)}});
+                                {"by", JsonNumber(o.by)},
+                                {"sigma", JsonNumber(o.sigma)},
+                                {"p_value", JsonNumber(o.p_value)}});
   }
   json["recurrent_residuals"] = RecurrentJson(fleet);
   json["flights"] = Json::array();
@@ -173,16 +159,16 @@ std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model
     Json of = Json::object();
     for (int p = 0; p < first.size(); ++p) {
       const double z = ZScore(fleet, k, p);
-      of[first.names[static_cast<size_t>(p)]] = {{"value", Number(flight.factor.value[p])},
-                                                 {"sigma", Number(flight.factor.sigma[p])},
-                                                 {"given_all", Number(fit.of_flight[k][p])},
-                                                 {"expected", Number(fit.of_flight[k][p] -
+      of[first.names[static_cast<size_t>(p)]] = {{"value", JsonNumber(flight.factor.value[p])},
+                                                 {"sigma", JsonNumber(flight.factor.sigma[p])},
+                                                 {"given_all", JsonNumber(fit.of_flight[k][p])},
+                                                 {"expected", JsonNumber(fit.of_flight[k][p] -
                                                                      fit.own[k][p])},
-                                                 {"z", Number(z)}};
+                                                 {"z", JsonNumber(z)}};
     }
     json["flights"].push_back({{"file", flight.file},
-                               {"start_s", Number(flight.factor.start_s)},
-                               {"duration_s", Number(flight.factor.duration_s)},
+                               {"start_s", JsonNumber(flight.factor.start_s)},
+                               {"duration_s", JsonNumber(flight.factor.duration_s)},
                                {"passes", flight.passes},
                                {"parameters", of},
                                {"own_fit", FiguresJson(flight.own_fit)},
@@ -194,7 +180,7 @@ std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model
     if (flight.failure.empty()) continue;
     json["failed"].push_back({{"file", flight.file}, {"why", flight.failure}});
   }
-  return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+  return JsonText(json);
 }
 
 std::string FleetTable(const FleetCalibration& fleet) {
@@ -208,8 +194,8 @@ std::string FleetTable(const FleetCalibration& fleet) {
     double own = 0.0;
     for (const int i : used) own += std::pow(fleet.flights[static_cast<size_t>(i)].factor.sigma[k], 2);
     own = std::sqrt(own / static_cast<double>(used.size()));
-    text += Pad(p->full_name, 26) + Pad(Text(p->value, "%.5g"), 13) + Pad(Text(p->sigma, "%.3g"), 11) +
-            Pad(Text(fleet.joint.fit.scatter[k], "%.3g"), 17) + Pad(Text(own, "%.3g"), 10) + p->unit +
+    text += Pad(p->full_name, 26) + Pad(Rounded(p->value, 5), 13) + Pad(Rounded(p->sigma), 11) +
+            Pad(Rounded(fleet.joint.fit.scatter[k]), 17) + Pad(Rounded(own), 10) + p->unit +
             (p->observable ? "" : "  (hardly shown)") + "\n";
   }
   const auto place = [&](int flight) {
@@ -217,16 +203,16 @@ std::string FleetTable(const FleetCalibration& fleet) {
   };
   for (const VehicleChange& c : fleet.joint.changes) {
     const std::string& name = first.names[static_cast<size_t>(c.parameter)];
-    const std::string size = Text(c.size) + " +- " + Text(c.sigma, "%.2g");
+    const std::string size = Rounded(c.size, 4) + " +- " + Rounded(c.sigma, 2);
     text += c.kind == VehicleChange::Kind::kStep
                 ? "step: " + name + " by " + size + " from " + place(c.from) + " on"
                 : "trend: " + name + " by " + size + " over all flights";
-    text += " (p " + Text(c.p_value, "%.1g") + ")\n";
+    text += " (p " + Rounded(c.p_value, 1) + ")\n";
   }
   for (const OutlierFlight& o : fleet.joint.outliers) {
     text += "outlier: " + place(o.flight) + ", " + first.names[static_cast<size_t>(o.parameter)] +
-            " off by " + Text(o.by) + " +- " + Text(o.sigma, "%.2g") + " (p " +
-            Text(o.p_value, "%.1g") + "); not averaged in\n";
+            " off by " + Rounded(o.by, 4) + " +- " + Rounded(o.sigma, 2) + " (p " +
+            Rounded(o.p_value, 1) + "); not averaged in\n";
   }
   if (used.size() > 1) {
     text += "error by the parameters of all others over that of the flight's own fit (x y z):\n";

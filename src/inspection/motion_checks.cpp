@@ -3,12 +3,12 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
 #include "motion_windows.h"
 #include "odmc/inspection/explanations.h"
 #include "odmc/math/so3.h"
 #include "odmc/math/statistics.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -25,12 +25,6 @@ constexpr double kLeastScale = 0.85;   // observers are off by up to 10 %
 constexpr double kScalesAre = 0.1, kScaleSize = 0.1;
 constexpr double kNoScale = 0.005;     // changes nothing worth a replay
 constexpr double kNothingAlike = 0.5;  // of a signal's mean square, by whichever reading
-
-std::string Text(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.2g", value);
-  return text;
-}
 
 /// Axes as a reader names them: "x, -y, -z".
 std::string AxesText(const Matrix3d& axes) {
@@ -115,7 +109,7 @@ std::vector<Explanation> Readings(const Matrix3Xd& x, const Matrix3Xd& y,
   for (const UnitMistake& unit : units) {
     if (std::abs(scale / unit.factor - 1.0) < 0.1) return all;  // is among them
   }
-  all.push_back({Text(1.0 / scale) + " times too large", scale * x - y, true});
+  all.push_back({Rounded(1.0 / scale, 2) + " times too large", scale * x - y, true});
   return all;
 }
 
@@ -154,8 +148,8 @@ void AddOtherPoint(const MotionWindows& w, std::vector<Explanation>* readings) {
   const Vector3d r = normal.ldlt().solve(right);
   Matrix3Xd left = error;
   for (Eigen::Index i = 0; i < error.cols(); ++i) left.col(i) -= lever(i) * r;
-  readings->push_back({"of a point " + Text(r.norm()) + " m away (" + Text(r.x()) + ", " +
-                           Text(r.y()) + ", " + Text(r.z()) + " in the sensor's frame)",
+  readings->push_back({"of a point " + Rounded(r.norm(), 2) + " m away (" + Rounded(r.x(), 2) + ", " +
+                           Rounded(r.y(), 2) + ", " + Rounded(r.z(), 2) + " in the sensor's frame)",
                        left, true});
 }
 
@@ -199,8 +193,8 @@ void CheckVelocity(const MotionWindows& w, MotionSignals* s, StreamInspection* i
   AddOtherPoint(w, &readings);
   const Verdict verdict = Judge(readings, kWindowsPerBlock);
   if (verdict.mistaken()) {
-    return drop("it fits " + readings[verdict.best].name + " (" + Text(verdict.best_error_rms) +
-                    " m/s RMS left instead of " + Text(verdict.error_rms) + ")",
+    return drop("it fits " + readings[verdict.best].name + " (" + Rounded(verdict.best_error_rms, 2) +
+                    " m/s RMS left instead of " + Rounded(verdict.error_rms, 2) + ")",
                 "columns vx, vy, vz are the velocity of the pose's own point in the world frame, "
                 "in m/s");
   }
@@ -210,8 +204,8 @@ void CheckVelocity(const MotionWindows& w, MotionSignals* s, StreamInspection* i
       verdict.best_error_rms * verdict.best_error_rms / MedianSquare(w.displacement_m_s);
   const double whole = (w.velocity - w.displacement_m_s).squaredNorm();
   if (unlike > 1.0 && unlike_best > kNothingAlike && whole > w.displacement_m_s.squaredNorm()) {
-    drop("they differ by " + Text(verdict.error_rms) + " m/s RMS, and by " +
-             Text(verdict.best_error_rms) + " in any other frame",
+    drop("they differ by " + Rounded(verdict.error_rms, 2) + " m/s RMS, and by " +
+             Rounded(verdict.best_error_rms, 2) + " in any other frame",
          "record the velocity of the same source as the pose, or none");
     return;
   }
@@ -244,8 +238,8 @@ std::string WrongRates(const MotionWindows& w, const Matrix3Xd& x, const Matrix3
   const std::vector<Explanation> readings = Readings(in_S, turns, w.q_WS, false, kRateUnits);
   const Verdict verdict = Judge(readings, kWindowsPerBlock);
   if (!verdict.mistaken()) return "";
-  return "fits " + readings[verdict.best].name + " (" + Text(verdict.best_error_rms) +
-         " rad/s RMS left instead of " + Text(verdict.error_rms) + ")";
+  return "fits " + readings[verdict.best].name + " (" + Rounded(verdict.best_error_rms, 2) +
+         " rad/s RMS left instead of " + Rounded(verdict.error_rms, 2) + ")";
 }
 
 void CheckRates(const MotionWindows& w, const Vehicle& vehicle, MotionSignals* s,
@@ -452,15 +446,15 @@ void CheckAttitude(const MotionWindows& w, const Vehicle& vehicle, StreamInspect
   const std::string what = is_position
                                ? "the position does not move as attitude and thrust say"
                                : "the attitude does not point the thrust where the vehicle accelerates";
-  const auto rms = [&](size_t i) { return Text(std::sqrt(MedianSquare(readings[i].error))); };
+  const auto rms = [&](size_t i) { return Rounded(std::sqrt(MedianSquare(readings[i].error)), 2); };
   inspection->refusal = what + ": it fits " + mistake.name +
                         " (specific force across the thrust axis " + rms(best) +
                         " m/s^2 RMS instead of " + rms(0);
   const Matrix3Xd as_is = OffTurn(w, PoseMistakes()[0]);
   if (as_is.cols() > 0) {
     inspection->refusal += "; turn beside the rates " +
-                           Text(std::sqrt(MedianSquare(OffTurn(w, mistake)))) +
-                           " rad/s RMS instead of " + Text(std::sqrt(MedianSquare(as_is)));
+                           Rounded(std::sqrt(MedianSquare(OffTurn(w, mistake))), 2) +
+                           " rad/s RMS instead of " + Rounded(std::sqrt(MedianSquare(as_is)), 2);
   }
   inspection->refusal += ")";
   inspection->findings.push_back({is_position ? "position" : "attitude", Trust::kBad,
@@ -498,8 +492,8 @@ void CheckAccelerometer(const MotionWindows& w, const Vehicle& vehicle, MotionSi
   inspection->findings.push_back(
       Dropped("accelerometer",
               "the accelerometer is not the specific force that the pose shows: it fits " +
-                  readings[verdict.best].name + " (" + Text(verdict.best_error_rms) +
-                  " m/s^2 RMS left instead of " + Text(verdict.error_rms) + ")",
+                  readings[verdict.best].name + " (" + Rounded(verdict.best_error_rms, 2) +
+                  " m/s^2 RMS left instead of " + Rounded(verdict.error_rms, 2) + ")",
               "columns ax, ay, az are specific force in the sensor's frame, +9.8 on z at hover, "
               "in m/s^2"));
   inspection->drop_accelerometer = true;

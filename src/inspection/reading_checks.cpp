@@ -2,22 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <map>
 #include <optional>
 #include <string>
 #include <utility>
 
 #include "odmc/math/statistics.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
-
-std::string Text(const char* format, double value) {
-  char text[40];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
-}
 
 double Since(Stamp stamp, const FlightLog& log) {
   return ToSeconds(stamp - log.odometry.front().stamp);
@@ -34,8 +28,8 @@ std::optional<Finding> CheckClocks(const FlightLog& log) {
   if (to_s > 0.0 && from_s < end_s) return std::nullopt;
   return Finding{"clocks", Trust::kBad,
                  "rotor speeds and poses have no time in common: poses last " +
-                     Text("%.4g", end_s) + " s, rotor speeds are stamped from " +
-                     Text("%.6g", from_s) + " to " + Text("%.6g", to_s) +
+                     Format("%.4g", end_s) + " s, rotor speeds are stamped from " +
+                     Format("%.6g", from_s) + " to " + Format("%.6g", to_s) +
                      " s after the first pose: by another clock",
                  "stamp both by one clock"};
 }
@@ -78,8 +72,8 @@ void CheckHoles(const FlightLog& log, std::vector<Finding>* findings) {
     if (holes.count == 0) return;
     what += (what.empty() ? "" : ", ") + stream + " are missing " + std::to_string(holes.count) +
             (holes.count == 1 ? " time, for " : " times, the longest for ") +
-            Text("%.2g", holes.longest_s) + " s at " + Text("%.4g", holes.at_s) + " s (" +
-            Text("%.3g", holes.missing_s) + " s in all)";
+            Format("%.2g", holes.longest_s) + " s at " + Format("%.4g", holes.at_s) + " s (" +
+            Format("%.3g", holes.missing_s) + " s in all)";
     if (holes.longest_s <= longest_s) return;
     longest_s = holes.longest_s;
     from_s = holes.at_s;
@@ -146,8 +140,8 @@ std::optional<Finding> CheckJumps(const FlightLog& log) {
   if (count == 0) return std::nullopt;
   return Finding{"pose_jump", Trust::kGood,
                  "the position jumps " + std::string(count == 1 ? "once" : std::to_string(count) + " times") +
-                     ", by up to " + Text("%.2g", largest_m) + " m (the first at " +
-                     Text("%.4g", first_s) + " s), which no vehicle can",
+                     ", by up to " + Format("%.2g", largest_m) + " m (the first at " +
+                     Format("%.4g", first_s) + " s), which no vehicle can",
                  "markers exchanged, or a filter that was corrected: look at the pose's source",
                  std::make_pair(first_s, first_s)};
 }
@@ -184,9 +178,9 @@ std::optional<Finding> CheckFrozen(const FlightLog& log) {
     if (long_s <= kFrozen_s || !(SquaresIn(from, to, log) > kCarried * usual)) continue;
     const double zero_s = Since(from, log);
     return Finding{"frozen_pose", Trust::kGood,
-                   "the pose stays to the last digit for " + Text("%.3g", long_s) + " s in flight",
+                   "the pose stays to the last digit for " + Format("%.3g", long_s) + " s in flight",
                    "its source stalls: look there, or cut the flight before (--end " +
-                       Text("%.3g", zero_s) + ")",
+                       Format("%.3g", zero_s) + ")",
                    std::make_pair(zero_s, zero_s + long_s)};
   }
   return std::nullopt;
@@ -235,8 +229,8 @@ std::optional<Finding> CheckLimit(const FlightLog& log) {
   }
   if (names.empty()) return std::nullopt;
   return Finding{"rotor_limit", most > kHarmful ? Trust::kDoubtful : Trust::kGood,
-                 "readings of " + names + " are clipped: up to " + Text("%.2g", 100.0 * most) +
-                     " % of them are exactly " + Text("%.4g", limit) +
+                 "readings of " + names + " are clipped: up to " + Format("%.2g", 100.0 * most) +
+                     " % of them are exactly " + Format("%.4g", limit) +
                      " rad/s, and none is above; the rotors turn faster",
                  "widen the range of the speed's sensor or message"};
 }
@@ -272,9 +266,9 @@ std::optional<Finding> CheckBattery(const FlightLog& log, const Vehicle& vehicle
   }
   if (best == nullptr || !(right < 1e-4 * sum)) return std::nullopt;
   return Finding{"battery_unit", Trust::kGood,
-                 "the battery's voltage, " + Text("%.4g", median) + ", is not in V but in " +
-                     best->name + " (probability " + Text("%.2g", most / sum) + ")",
-                 "divide it by " + Text("%g", best->factor) + " (column vbat, BatteryState.voltage)"};
+                 "the battery's voltage, " + Format("%.4g", median) + ", is not in V but in " +
+                     best->name + " (probability " + Format("%.2g", most / sum) + ")",
+                 "divide it by " + Format("%g", best->factor) + " (column vbat, BatteryState.voltage)"};
 }
 
 }  // namespace

@@ -3,13 +3,13 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 #include <map>
 #include <numeric>
 #include <string>
 
 #include "odmc/model/frame_layout.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -424,12 +424,6 @@ Table<Spins> AllSpins(const RotorResponse& response, const Vehicle& vehicle, con
   return table;
 }
 
-std::string Text(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.3g", value);
-  return text;
-}
-
 std::string Join(const std::vector<std::string>& words) {
   std::string text;
   for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
@@ -477,14 +471,14 @@ std::string OtherCause(const Vehicle& vehicle, const Order& order) {
 }
 
 std::string Figures(const AssignmentTest& test) {
-  return " with " + Text(test.nats) +
-         " nats more than the vehicle file's (which has a probability of " + Text(test.file_share) +
+  return " with " + Rounded(test.nats) +
+         " nats more than the vehicle file's (which has a probability of " + Rounded(test.file_share) +
          ")";
 }
 
 /// Where more than one fits.
 std::string Likeliest(const std::string& best, const AssignmentTest& test) {
-  return ": the likeliest, " + best + " (probability " + Text(test.best_share) + "), fits" +
+  return ": the likeliest, " + best + " (probability " + Rounded(test.best_share) + "), fits" +
          Figures(test) + ", but the flight does not tell it from others";
 }
 
@@ -495,7 +489,7 @@ std::string Lines(const RotorAssignment& assignment, const Vehicle& vehicle, boo
     const auto place = static_cast<size_t>(assignment.order[j]);
     const Eigen::Vector3d& p = vehicle.rotors[place].p_BP;
     const double spin = with_spin ? assignment.spin[j] : vehicle.rotors[place].spin;
-    lines.push_back("{position_m: [" + Text(p.x()) + ", " + Text(p.y()) + ", " + Text(p.z()) +
+    lines.push_back("{position_m: [" + Rounded(p.x()) + ", " + Rounded(p.y()) + ", " + Rounded(p.z()) +
                     "], spin: " + (spin > 0.0 ? "cw" : "ccw") + "}");
   }
   return "rotors would be " + Join(lines);

@@ -3,8 +3,9 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <string>
+
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -171,12 +172,6 @@ std::vector<StreamDoubt> Doubts(const std::vector<Balance::Fit>& fits, double de
   return doubts;
 }
 
-std::string Text(const char* format, double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
-}
-
 RotorScale Compare(const std::vector<Balance::Fit>& fits, double chi_without, double degrees,
                    const VectorXd& share) {
   RotorScale result;
@@ -245,13 +240,13 @@ std::vector<Finding> ScaleFindings(const RotorScale& scale, const Vehicle& vehic
   if (std::abs(scale.k_f_shift) > kHarmful) finding.leaves = Trust::kDoubtful;
   finding.what =
       rotor + (scale.or_rotor ? " (or rotor" + std::to_string(*scale.or_rotor + 1) + ")" : "") +
-      " reads " + Text("%.0f", std::abs(percent)) + " +- " + Text("%.0f", 100.0 * scale.sigma) +
+      " reads " + Format("%.0f", std::abs(percent)) + " +- " + Format("%.0f", 100.0 * scale.sigma) +
       " % too " + (percent > 0.0 ? "high" : "low") + " beside the others (" +
-      Text("%.1f", scale.significance) + " sigma), or its propeller gives " +
-      Text("%.0f", 100.0 * std::abs(1.0 / (scale.factor * scale.factor) - 1.0)) + " % " +
+      Format("%.1f", scale.significance) + " sigma), or its propeller gives " +
+      Format("%.0f", 100.0 * std::abs(1.0 / (scale.factor * scale.factor) - 1.0)) + " % " +
       (percent > 0.0 ? "less" : "more") + " thrust than theirs";
   finding.mend = "check its sensor and propeller; k_f is off by " +
-                 Text("%+.0f", 100.0 * scale.k_f_shift) + " %";
+                 Format("%+.0f", 100.0 * scale.k_f_shift) + " %";
   return {finding};
 }
 

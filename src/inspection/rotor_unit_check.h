@@ -3,7 +3,7 @@
 #include <optional>
 
 #include "motion_windows.h"
-#include "odmc/inspection/finding.h"
+#include "odmc/text/finding.h"
 
 namespace odmc {
 

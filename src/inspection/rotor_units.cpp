@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
 #include "odmc/inspection/motion_signals.h"
 #include "odmc/math/statistics.h"
 #include "odmc/sensing/plausible.h"
+#include "odmc/text/format.h"
 #include "rotor_unit_check.h"
 
 namespace odmc {
@@ -30,12 +30,6 @@ struct Unit {
   double prior;
 };
 
-std::string Text(const char* format, double value) {
-  char text[40];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
-}
-
 std::string Divide(const std::string& by) {
   return "divide the readings (columns rotor1, ...) by " + by;
 }
@@ -52,7 +46,7 @@ std::vector<Unit> Units() {
     const std::string of =
         " of " + std::to_string(p) + " pole pairs (" + std::to_string(2 * p) + " poles)";
     units.push_back({"erpm" + of,
-                     Divide(Text("%.4g", p * kRpm)) +
+                     Divide(Format("%.4g", p * kRpm)) +
                          "; of a bag: rotor_speed_unit: erpm, pole_pairs: " + std::to_string(p),
                      p * kRpm, 0.1 / pairs});
     units.push_back(
@@ -107,10 +101,10 @@ std::optional<Finding> RotorUnitFinding(double carrying_k_f, const Vehicle& vehi
   const std::string alternative = unit.or_best.empty() ? "" : ", or " + unit.or_best;
   return Finding{"rotor_unit", Trust::kBad,
                  "the rotor speeds are not in rad/s but in " + unit.best + " (probability " +
-                     Text("%.2g", unit.best_share) + alternative + "; of rad/s " +
-                     Text("%.1g", unit.declared_share) +
+                     Format("%.2g", unit.best_share) + alternative + "; of rad/s " +
+                     Format("%.1g", unit.declared_share) +
                      "): as they are, the vehicle would fly with a k_f of " +
-                     Text("%.2g", carrying_k_f) + " N s^2",
+                     Format("%.2g", carrying_k_f) + " N s^2",
                  unit.mend};
 }
 

@@ -3,12 +3,12 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <optional>
 
 #include "motion_windows.h"
 #include "odmc/math/statistics.h"
 #include "odmc/model/vehicle_units.h"
+#include "odmc/text/format.h"
 #include "rotor_unit_check.h"
 
 namespace odmc {
@@ -36,12 +36,6 @@ constexpr double kLeanNotWind_rad = 0.2;
 constexpr double kCalm_rad_s = 3.0;
 constexpr double kLeastGravity = 9.7, kMostGravity = 9.9;  // 9.764 (Huascaran) to 9.834 (Arctic)
 constexpr int kLeastWindows = 10 * kWindowsPerBlock;
-
-std::string Text(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.2g", value);
-  return text;
-}
 
 /// Specific force of the body in B, and the velocity in B.
 struct BodyMotion {
@@ -81,9 +75,9 @@ void CheckWeight(double k_f, const Vehicle& vehicle, StreamInspection* inspectio
   if (!(k_f > 0.0) || std::abs(off) < std::max(kSigmas * relative, std::log(kLeastFactor))) return;
   inspection->findings.push_back(
       {"weight", Trust::kDoubtful,
-       "in flight thrust is " + Text(file / k_f) + " times the weight by the file's k_f and mass",
-       "check mass_kg (" + Text(vehicle.mass_kg * file / k_f) + " would fit) or thrust.k_f (" +
-           Text(k_f) + " would fit), and the unit of the rotor speeds"});
+       "in flight thrust is " + Rounded(file / k_f, 2) + " times the weight by the file's k_f and mass",
+       "check mass_kg (" + Rounded(vehicle.mass_kg * file / k_f, 2) + " would fit) or thrust.k_f (" +
+           Rounded(k_f, 2) + " would fit), and the unit of the rotor speeds"});
 }
 
 // ---- Lean --------------------------------------------------------------------------------------
@@ -132,8 +126,8 @@ Lean FitLean(const BodyMotion& motion, const Matrix3Xd& along_x, const Matrix3Xd
 
 std::string Degrees(const Eigen::Vector2d& angle) {
   const Eigen::Vector2d degrees = angle * 180.0 / M_PI;
-  return Text(degrees.norm()) + " degrees (" + Text(degrees.x()) + " towards x, " +
-         Text(degrees.y()) + " towards y)";
+  return Rounded(degrees.norm(), 2) + " degrees (" + Rounded(degrees.x(), 2) + " towards x, " +
+         Rounded(degrees.y(), 2) + " towards y)";
 }
 
 /// What the accelerometer feels beyond what the pose says, as gravity that leans; the sensor's own
@@ -213,9 +207,9 @@ void CheckInertiaBounds(const Vehicle& vehicle, StreamInspection* inspection) {
   const double smallest = vehicle.inertia_kg_m2.minCoeff();
   if (largest <= most && smallest >= least) return;
   const double wrong = largest > most ? largest : smallest;
-  const std::string what = "inertia_kg_m2 " + Text(wrong) + " cannot belong to " +
-                           Text(vehicle.mass_kg) + " kg within " + Text(edge) +
-                           " m: that has between " + Text(least) + " and " + Text(most);
+  const std::string what = "inertia_kg_m2 " + Rounded(wrong, 2) + " cannot belong to " +
+                           Rounded(vehicle.mass_kg, 2) + " kg within " + Rounded(edge, 2) +
+                           " m: that has between " + Rounded(least, 2) + " and " + Rounded(most, 2);
   const bool absurd = largest > kBeyondGuessing * most || kBeyondGuessing * smallest < least;
   const std::string mend = "check inertia_kg_m2, mass_kg and the rotors' positions";
   inspection->findings.push_back({"inertia_bounds", absurd ? Trust::kBad : Trust::kDoubtful, what,
@@ -227,7 +221,7 @@ void CheckGravity(const Vehicle& vehicle, StreamInspection* inspection) {
   const double g = vehicle.gravity_m_s2;
   if (g > kLeastGravity && g < kMostGravity) return;
   inspection->findings.push_back({"gravity", Trust::kDoubtful,
-                                  "gravity_m_s2 of the vehicle file is " + Text(g) +
+                                  "gravity_m_s2 of the vehicle file is " + Rounded(g, 2) +
                                       ": nowhere on Earth is it outside 9.76 to 9.84",
                                   "write 9.81; thrust and drag scale with it"});
 }
@@ -270,9 +264,9 @@ void CheckInertia(const MotionSignals& signals, const Vehicle& vehicle,
     if (ratio < kInertiaFactor && ratio > 1.0 / kInertiaFactor) continue;
     inspection->findings.push_back(
         {"inertia", Trust::kDoubtful,
-         std::string("inertia about ") + "xy"[axis] + " is " + Text(ratio) +
+         std::string("inertia about ") + "xy"[axis] + " is " + Rounded(ratio, 2) +
              " times the file's by the rotors' torque between 3 and 20 Hz",
-         "check inertia_kg_m2 (about " + Text(inertia) + " would fit) and the rotors' positions"});
+         "check inertia_kg_m2 (about " + Rounded(inertia, 2) + " would fit) and the rotors' positions"});
   }
 }
 

@@ -4,7 +4,7 @@
 #include <fstream>
 #include <stdexcept>
 
-#include "odmc/io/number_text.h"
+#include "odmc/text/number_text.h"
 #include "text_file.h"
 #include "yaml_reader.h"
 
@@ -38,7 +38,7 @@ Motor ReadMotor(const YamlValue& value, CommandUnit unit) {
   return motor;
 }
 
-std::string Text(const Measured& m) {
+std::string YamlMeasured(const Measured& m) {
   return "{value: " + FormatYamlNumber(m.value) + ", sigma: " + FormatYamlNumber(m.sigma) + "}";
 }
 
@@ -78,8 +78,8 @@ std::string FormatActuator(const Actuator& actuator, const std::string& provenan
   text += std::string("knows_dynamics: ") + (actuator.knows_dynamics ? "true" : "false") + "\n";
   text += "sigma_steady_rad_s: " + number(actuator.sigma_steady_rad_s) + "\n";
   text += "sigma_response_rad_s: " + number(actuator.sigma_response_rad_s) + "\n";
-  if (actuator.k_f) text += "k_f: " + Text(*actuator.k_f) + "\n";
-  if (actuator.k_m) text += "k_m: " + Text(*actuator.k_m) + "\n";
+  if (actuator.k_f) text += "k_f: " + YamlMeasured(*actuator.k_f) + "\n";
+  if (actuator.k_m) text += "k_m: " + YamlMeasured(*actuator.k_m) + "\n";
   text += "motors:  # one for all rotors, or one each in the vehicle file's order\n";
   for (const Motor& motor : actuator.motors) {
     text += "  - {root: " + number(motor.esc.root) + ", linear: " + number(motor.esc.linear) +

@@ -6,14 +6,14 @@
 #include <filesystem>
 #include <functional>
 #include <map>
-#include <stdexcept>
 
 #include "csv_table.h"
 #include "csv_text.h"
 #include "odmc/io/data_sets.h"
-#include "odmc/io/number_text.h"
-#include "odmc/io/printable_text.h"
 #include "odmc/sensing/flight_checks.h"
+#include "odmc/text/number_text.h"
+#include "odmc/text/printable_text.h"
+#include "odmc/text/refusal.h"
 #include "text_file.h"
 
 namespace odmc {
@@ -22,10 +22,6 @@ namespace {
 using Strings = std::vector<std::string>;
 
 constexpr Stamp kSecond = 1000000000;
-
-[[noreturn]] void Fail(const std::string& file, const std::string& what) {
-  throw std::invalid_argument(file + ": " + what);
-}
 
 /// Cells of a line; commas within quotes belong to their cell.
 Strings SplitQuoted(std::string_view line) {
@@ -108,14 +104,14 @@ class Row {
   double Parse(const std::string& cell, const std::string& name) const {
     double value = 0.0;
     if (ParseNumber(Unquoted(cell), &value)) return value;
-    Fail(file_, "line " + std::to_string(line_) + ": column '" + name + "': cannot read '" +
+    RefuseFile(file_, "line " + std::to_string(line_) + ": column '" + name + "': cannot read '" +
                     Printable(cell, 40) + "' as a number");
   }
   Stamp Whole(size_t i) const {
     const std::string& cell = cells_[i];
     if (cell.empty() || cell.size() > 10 ||
         cell.find_first_not_of("0123456789") != std::string::npos) {
-      Fail(file_, "line " + std::to_string(line_) + ": columns 'secs', 'nsecs': cannot read '" +
+      RefuseFile(file_, "line " + std::to_string(line_) + ": columns 'secs', 'nsecs': cannot read '" +
                       Printable(cell, 20) + "' as a stamp");
     }
     return std::atoll(cell.c_str());
@@ -131,7 +127,7 @@ class Export {
  public:
   explicit Export(std::string file) : file_(std::move(file)), lines_(file_) {
     std::string_view line;
-    if (!lines_.Next(&line)) Fail(file_, "is empty");
+    if (!lines_.Next(&line)) RefuseFile(file_, "is empty");
     names_ = QualifiedNames(SplitQuoted(line));
     for (const std::string& name : names_) {
       if (name != "-") plain_.push_back(name);
@@ -170,7 +166,7 @@ class Export {
       if (found == plain_.end()) missing += (missing.empty() ? "'" : ", '") + name + "'";
       columns.push_back(static_cast<size_t>(found - plain_.begin()));
     }
-    if (!missing.empty()) Fail(file_, "line 1: missing column " + missing);
+    if (!missing.empty()) RefuseFile(file_, "line 1: missing column " + missing);
     return columns;
   }
   Strings WithValues(const Strings& cells) const {
@@ -235,7 +231,7 @@ void ReadRotors(const std::string& file, FlightLog* log, BlackbirdFlight* flight
     for (size_t i = 3; i + 1 < wanted.size(); i += 2) message.stamps.push_back(row.StampAt(i));
     if (message.stamps.empty()) message.stamps.assign(message.rpm.size(), row.StampAt(0));
     if (message.rpm.empty() || message.stamps.size() != message.rpm.size()) {
-      Fail(file, std::to_string(message.stamps.size()) + " stamps for " +
+      RefuseFile(file, std::to_string(message.stamps.size()) + " stamps for " +
                      std::to_string(message.rpm.size()) + " rotor speeds");
     }
     flight->rotors.push_back(std::move(message));
@@ -288,7 +284,7 @@ std::vector<size_t> PoseColumns(const std::string& file, const Strings& first) {
       for (char& c : name) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
       if (std::find(choices.begin(), choices.end(), name) != choices.end()) column = std::min(column, i);
     }
-    if (column == first.size()) Fail(file, "line 1: missing column '" + choices.front() + "'");
+    if (column == first.size()) RefuseFile(file, "line 1: missing column '" + choices.front() + "'");
     columns.push_back(column);
   }
   return columns;
@@ -314,7 +310,7 @@ void ReadGroundTruth(const std::string& file, FlightLog* log, BlackbirdFlight* f
     std::array<double, 8> v{};
     for (size_t i = 0; i < v.size(); ++i) {
       if (ParseNumber(cells[columns[i]], &v[i])) continue;
-      Fail(file, "line " + std::to_string(lines.number()) + ": column '" + kPoseNames[i].front() +
+      RefuseFile(file, "line " + std::to_string(lines.number()) + ": column '" + kPoseNames[i].front() +
                      "': cannot read '" + Printable(cells[columns[i]], 40) + "' as a number");
     }
     flight->poses.push_back({EpochStamp(cells[columns[0]], v[0]),
@@ -355,9 +351,9 @@ FlightLog ReadBlackbird(const std::string& folder, const FlightReadOptions& opti
                     imu = ExportOf(folder, "imu"), pwm = ExportOf(folder, "pwm"),
                     truth = FileOf(folder, {"groundTruthPoses.csv"});
   if (state.empty() && truth.empty()) {
-    Fail(folder, "neither blackbird_slash_state.csv nor groundTruthPoses.csv, here or in csv/");
+    RefuseFile(folder, "neither blackbird_slash_state.csv nor groundTruthPoses.csv, here or in csv/");
   }
-  if (rotors.empty()) Fail(folder, "no blackbird_slash_rotor_rpm.csv, here or in csv/");
+  if (rotors.empty()) RefuseFile(folder, "no blackbird_slash_rotor_rpm.csv, here or in csv/");
   FlightLog log;
   log.file = PrintableName(folder);
   BlackbirdFlight flight;

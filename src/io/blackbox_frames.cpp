@@ -5,7 +5,7 @@
 #include <stdexcept>
 
 #include "binary_file.h"
-#include "odmc/io/printable_text.h"
+#include "odmc/text/printable_text.h"
 
 namespace odmc {
 namespace {

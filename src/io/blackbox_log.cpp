@@ -7,7 +7,8 @@
 #include "blackbox_frames.h"
 #include "log_streams.h"
 #include "odmc/io/autopilot_logs.h"
-#include "odmc/io/printable_text.h"
+#include "odmc/text/printable_text.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -19,10 +20,6 @@ constexpr double kPosition_m = 1e-3, kVelocity_m_s = 1e-2, kVoltage_V = 1e-2;
 constexpr double kStandardGravity_m_s2 = 9.80665;
 constexpr double kDegree = M_PI / 180.0;
 constexpr double kHundredRpm = 100.0 * M_PI / 30.0;
-
-[[noreturn]] void Fail(const std::string& file, const std::string& what) {
-  throw std::invalid_argument(file + ": " + what);
-}
 
 std::string Indexed(const std::string& name, int i) { return name + "[" + std::to_string(i) + "]"; }
 
@@ -91,7 +88,7 @@ struct Decoded {
 Decoded DecodeLongest(const std::string& file, std::string_view bytes, int num_rotors,
                       FlightLog* log) {
   std::vector<size_t> starts = Starts(bytes);
-  if (starts.empty()) Fail(file, "is no blackbox log: it has no line 'H Product:Blackbox'");
+  if (starts.empty()) RefuseFile(file, "is no blackbox log: it has no line 'H Product:Blackbox'");
   starts.push_back(bytes.size());
   std::optional<Decoded> longest;
   size_t number = 0;
@@ -119,7 +116,7 @@ Decoded DecodeLongest(const std::string& file, std::string_view bytes, int num_r
 
 void Report(const std::string& file, const BlackboxFrames& frames, size_t bytes, FlightLog* log) {
   if (frames.stamps.size() < 2) {
-    Fail(file, "blackbox log: no frame can be decoded after the header" +
+    RefuseFile(file, "blackbox log: no frame can be decoded after the header" +
                    (frames.damaged > 0
                         ? " (damaged from byte " + std::to_string(frames.first_damaged) + " on)"
                         : std::string()));
@@ -134,7 +131,7 @@ void ReadPoses(const std::string& file, const Decoded& decoded, FlightPart part,
   const Fields p(frames, "pos", 3), q(frames, "quat", 4), v(frames, "vel", 3);
   if (!p.present() || !q.present()) {
     if (part == FlightPart::kOnboard) return;
-    Fail(file, "this blackbox log (" + Printable(decoded.header.Text("Firmware revision"), 80) +
+    RefuseFile(file, "this blackbox log (" + Printable(decoded.header.Text("Firmware revision"), 80) +
                    ") has no pose: fields pos[0..2], quat[0..3] are missing, Betaflight writes "
                    "none. --odometry FILE takes it from a recording beside the log (a rosbag or "
                    "CSV file of motion capture or VIO)");
@@ -183,7 +180,7 @@ double RotorScale(const std::string& file, const BlackboxHeader& header, bool is
   const auto poles = header.Number("motor_poles");
   if (!pole_pairs && !is_electrical) return 1.0;
   if ((!poles || *poles < 2) && (is_electrical ? !pole_pairs : true)) {
-    Fail(file, "the header has no motor_poles; --pole-pairs says them");
+    RefuseFile(file, "the header has no motor_poles; --pole-pairs says them");
   }
   const double log_pairs = poles ? 0.5 * static_cast<double>(*poles) : 0.0;
   if (!is_electrical) return log_pairs / *pole_pairs;
@@ -212,7 +209,7 @@ void ReadCommands(const std::string& file, const Decoded& decoded, int num_rotor
   int motors = 0;
   while (decoded.header.FieldNamed(Indexed("motor", motors))) ++motors;
   if (motors > 0 && motors != num_rotors) {
-    Fail(file, "has " + std::to_string(motors) + " motors, the vehicle has " +
+    RefuseFile(file, "has " + std::to_string(motors) + " motors, the vehicle has " +
                    std::to_string(num_rotors) + " rotors");
   }
   const auto low = decoded.header.Number("motorOutput", 0);
@@ -247,7 +244,7 @@ bool IsBlackbox(std::string_view head) { return head.substr(0, kStart.size()) ==
 
 FlightLog ReadBlackbox(const std::string& file, const FlightReadOptions& options) {
   if (options.pose == PoseSource::kMocap) {
-    Fail(file, "--pose mocap is for CSV files and bags; a blackbox log has the observer's pose");
+    RefuseFile(file, "--pose mocap is for CSV files and bags; a blackbox log has the observer's pose");
   }
   const std::string bytes = ReadBinary(file);
   FlightLog log;
@@ -261,7 +258,7 @@ FlightLog ReadBlackbox(const std::string& file, const FlightReadOptions& options
     ReadRotors(file, decoded, options, &log);
     ReadBattery(decoded, &log);
     if (log.rotors.empty() && log.commands.empty()) {
-      Fail(file,
+      RefuseFile(file,
            "has no rotor speeds (fields omega or eRPM): switch on bidirectional DShot "
            "(set dshot_bidir = ON) and log RPM");
     }

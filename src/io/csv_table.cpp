@@ -3,8 +3,8 @@
 #include <filesystem>
 
 #include "csv_text.h"
-#include "odmc/io/number_text.h"
-#include "odmc/io/printable_text.h"
+#include "odmc/text/number_text.h"
+#include "odmc/text/printable_text.h"
 #include "text_file.h"
 #include "yaml_reader.h"
 

@@ -5,8 +5,8 @@
 #include <set>
 #include <stdexcept>
 
-#include "odmc/io/number_text.h"
-#include "odmc/io/printable_text.h"
+#include "odmc/text/number_text.h"
+#include "odmc/text/printable_text.h"
 
 namespace odmc {
 namespace {

@@ -104,7 +104,7 @@ double ValueOf(char letter, std::string_view bytes) {
   }
 }
 
-std::string Text(std::string_view bytes) { return std::string(bytes.substr(0, bytes.find('\0'))); }
+std::string UntilZero(std::string_view bytes) { return std::string(bytes.substr(0, bytes.find('\0'))); }
 
 struct Column {
   std::string name;
@@ -159,9 +159,9 @@ void Decoder::Define(std::string_view body) {
   const std::uint8_t type = in.Byte();
   Format format;
   format.length = in.Byte();
-  format.name = Text(in.Take(4));
-  const std::string letters = Text(in.Take(16));
-  std::string labels = Text(in.Take(64));
+  format.name = UntilZero(in.Take(4));
+  const std::string letters = UntilZero(in.Take(16));
+  std::string labels = UntilZero(in.Take(64));
   size_t offset = 0;
   for (const char letter : letters) {
     const size_t end = std::min(labels.find(','), labels.size());
@@ -193,7 +193,7 @@ void Decoder::ReadUnits(std::string_view body) {
   ByteReader in(body);
   in.Take(8);
   Format& format = formats_[in.Byte()];
-  const std::string units = Text(in.Take(16)), factors = Text(in.Take(16));
+  const std::string units = UntilZero(in.Take(16)), factors = UntilZero(in.Take(16));
   for (size_t i = 0; i < format.columns.size(); ++i) {
     Column& column = format.columns[i];
     if (i < units.size() && units[i] == '#' && column.letter == 'B') format.instance = i;
@@ -207,7 +207,7 @@ void Decoder::ReadParameter(const Format& format, std::string_view body) {
   std::string name;
   for (const Column& column : format.columns) {
     const std::string_view raw = body.substr(column.offset, SizeOf(column.letter));
-    if (column.name == "Name" && IsText(column.letter)) name = Text(raw);
+    if (column.name == "Name" && IsText(column.letter)) name = UntilZero(raw);
     if (column.name == "Value" && !IsText(column.letter) && !name.empty()) {
       content_.parameters[name] = ValueOf(column.letter, raw);
     }

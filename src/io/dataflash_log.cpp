@@ -2,13 +2,13 @@
 #include <cmath>
 #include <filesystem>
 #include <set>
-#include <stdexcept>
 
 #include "binary_file.h"
 #include "dataflash_file.h"
 #include "log_streams.h"
 #include "odmc/io/autopilot_logs.h"
-#include "odmc/io/printable_text.h"
+#include "odmc/text/printable_text.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -24,10 +24,6 @@ const RateHints kHints = {
     "has "
     "the rate SERVO_BLH_TRATE",
     "set bit 18 of LOG_BITMASK (fast IMU: LOG_BITMASK + 262144)"};
-
-[[noreturn]] void Fail(const std::string& file, const std::string& what) {
-  throw std::invalid_argument(file + ": " + what);
-}
 
 /// The first of several messages that the log has.
 const MessageColumns* FirstOf(const DataflashContent& content,
@@ -104,15 +100,15 @@ void ReadPoses(const std::string& file, const DataflashContent& content, FlightP
   if (log->odometry.empty() && global != nullptr) log->odometry = GlobalPositions(*global);
   if (log->odometry.empty()) {
     if (part == FlightPart::kOnboard) return;
-    Fail(file, "no position: neither XKF1 (or NKF1) nor POS; " + kHints.pose);
+    RefuseFile(file, "no position: neither XKF1 (or NKF1) nor POS; " + kHints.pose);
   }
   const std::vector<AttitudeReading> attitudes = ReadAttitudes(content);
   if (attitudes.empty() && part != FlightPart::kOnboard) {
-    Fail(file, "no attitude: none of XKQ, NKQ, ATT, AHR2; " + kHints.pose);
+    RefuseFile(file, "no attitude: none of XKQ, NKQ, ATT, AHR2; " + kHints.pose);
   }
   JoinAttitudes(attitudes, &log->odometry, log);
   if (log->odometry.empty() && part != FlightPart::kOnboard)
-    Fail(file, "positions and attitudes are nowhere at the same time");
+    RefuseFile(file, "positions and attitudes are nowhere at the same time");
 }
 
 // ---- The other streams -------------------------------------------------------------------------
@@ -150,12 +146,12 @@ void ReadRotors(const std::string& file, const DataflashContent& content,
   }
   if (rotors.empty()) return;
   if (static_cast<int>(rotors.size()) != options.num_rotors) {
-    Fail(file, "has ESC messages of " + std::to_string(rotors.size()) + " ESCs, the vehicle has " +
+    RefuseFile(file, "has ESC messages of " + std::to_string(rotors.size()) + " ESCs, the vehicle has " +
                    std::to_string(options.num_rotors) + " rotors");
   }
   log->rotors = OnOneClock(rotors);
   if (log->rotors.empty())
-    Fail(file, "ESC: the ESCs never answer within four readings of each other");
+    RefuseFile(file, "ESC: the ESCs never answer within four readings of each other");
 }
 
 void ReadCommands(const DataflashContent& content, int num_rotors, FlightLog* log) {
@@ -189,11 +185,11 @@ void ReadBattery(const DataflashContent& content, FlightLog* log) {
 
 FlightLog ReadDataflash(const std::string& file, const FlightReadOptions& options) {
   if (options.pose == PoseSource::kMocap) {
-    Fail(file, "--pose mocap is for CSV files and bags; an ArduPilot log has the filter's pose");
+    RefuseFile(file, "--pose mocap is for CSV files and bags; an ArduPilot log has the filter's pose");
   }
   const std::string bytes = ReadBinary(file);
   if (!IsDataflash(bytes)) {
-    Fail(file, "is no ArduPilot dataflash log: it does not start with FMT messages");
+    RefuseFile(file, "is no ArduPilot dataflash log: it does not start with FMT messages");
   }
   FlightLog log;
   log.file = Printable(std::filesystem::path(file).filename().string());
@@ -209,7 +205,7 @@ FlightLog ReadDataflash(const std::string& file, const FlightReadOptions& option
     ReadRotors(file, content, options, &log);
     ReadBattery(content, &log);
     if (log.rotors.empty() && log.commands.empty()) {
-      Fail(file,
+      RefuseFile(file,
            "no rotor speeds: there are no ESC messages. ESCs that tell their speed are needed: " +
                kHints.rotors);
     }

@@ -18,9 +18,9 @@
 
 #include "csv_table.h"
 #include "csv_text.h"
-#include "odmc/io/number_text.h"
-#include "odmc/io/printable_text.h"
 #include "odmc/sensing/flight_checks.h"
+#include "odmc/text/number_text.h"
+#include "odmc/text/printable_text.h"
 #include "text_file.h"
 #include "yaml_reader.h"
 

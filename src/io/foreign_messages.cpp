@@ -153,7 +153,7 @@ std::optional<std::vector<double>> InOrder(const std::vector<double>& entries,
 ForeignStream::ForeignStream(ForeignUse use, const MessageDescription& message,
                              const FieldOptions& options, int count)
     : use_(use), layout_(message.type, message.definition), order_(options.order), count_(count) {
-  Settle(options, message);
+  ChooseField(options, message);
   if (use == ForeignUse::kRotorSpeeds) scale_ = RotorSpeedScale(unit_, options.pole_pairs);
   if (use == ForeignUse::kCommands && !CommandUnitNamed(unit_)) {
     throw std::invalid_argument("command_unit must be fraction, us or raw16, not '" + unit_ + "'");
@@ -164,7 +164,7 @@ ForeignStream::ForeignStream(ForeignUse use, const MessageDescription& message,
   }
 }
 
-void ForeignStream::Settle(const FieldOptions& options, const MessageDescription& message) {
+void ForeignStream::ChooseField(const FieldOptions& options, const MessageDescription& message) {
   const KnownMessage* known = FindKnown(use_, message.type);
   const bool is_the_known_field =
       known != nullptr && (options.field.empty() || options.field == known->field);

@@ -8,7 +8,7 @@
 #include <sstream>
 #include <stdexcept>
 
-#include "odmc/io/printable_text.h"
+#include "odmc/text/printable_text.h"
 
 namespace odmc {
 namespace {

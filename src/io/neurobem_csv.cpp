@@ -5,6 +5,7 @@
 #include "csv_text.h"
 #include "frame_checks.h"
 #include "odmc/io/data_sets.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -34,10 +35,6 @@ struct Rows {
     return turns;
   }
 };
-
-[[noreturn]] void Fail(const std::string& file, const std::string& what) {
-  throw std::invalid_argument(file + ": " + what);
-}
 
 Eigen::Matrix3Xd Pick(const CsvTable& table, const Strings& names, const std::vector<size_t>& rows) {
   Eigen::Matrix3Xd values(3, static_cast<Eigen::Index>(rows.size()));
@@ -69,12 +66,12 @@ std::vector<size_t> SoundRows(const CsvTable& table, bool has_velocity, FlightLo
     }
   }
   if (static_cast<size_t>(not_unit.count) > rows.size()) {
-    Fail(table.file(), "the quaternions are not unit: " + std::to_string(not_unit.count) +
+    RefuseFile(table.file(), "the quaternions are not unit: " + std::to_string(not_unit.count) +
                            " are off by more than 5 % (first: " + not_unit.first + ")");
   }
   not_finite.Report(table.name(), "rows that are not finite", log);
   not_unit.Report(table.name(), "rows whose quaternion is not unit", log);
-  if (rows.empty()) Fail(table.file(), "no usable row");
+  if (rows.empty()) RefuseFile(table.file(), "no usable row");
   return rows;
 }
 
@@ -207,11 +204,11 @@ bool IsNeurobem(std::string_view head) {
 
 FlightLog ReadNeurobem(const std::string& file, const FlightReadOptions& options) {
   if (options.num_rotors != 4) {
-    Fail(file, "a NeuroBEM flight has 4 rotors, the vehicle has " +
+    RefuseFile(file, "a NeuroBEM flight has 4 rotors, the vehicle has " +
                    std::to_string(options.num_rotors));
   }
   if (options.pose == PoseSource::kMocap) {
-    Fail(file, "--pose mocap is for CSV files and bags; a NeuroBEM flight has one pose");
+    RefuseFile(file, "--pose mocap is for CSV files and bags; a NeuroBEM flight has one pose");
   }
   FlightLog log;
   log.file = PrintableName(file);
@@ -222,7 +219,7 @@ FlightLog ReadNeurobem(const std::string& file, const FlightReadOptions& options
   }
   const Rows rows = ReadRows(CsvTable(file, wanted, {}, &log), &log);
   if (options.accelerometer && (rows.acceleration.t_s.empty() || rows.velocity.t_s.empty())) {
-    Fail(file, "--accelerometer needs the columns 'acc' and 'vel'");
+    RefuseFile(file, "--accelerometer needs the columns 'acc' and 'vel'");
   }
   try {
     const Findings findings = Check(rows);
@@ -240,7 +237,7 @@ FlightLog ReadNeurobem(const std::string& file, const FlightReadOptions& options
     }
     AddSamples(rows, turns, v_WB, options.accelerometer, &log);
   } catch (const std::invalid_argument& e) {
-    Fail(file, e.what());
+    RefuseFile(file, e.what());
   }
   NormaliseAttitudes(file, &log.odometry, &log);
   TakeSpeedMagnitudes(log.file, &log);

@@ -1,6 +1,6 @@
 #include "odmc/io/options_yaml.h"
 
-#include "odmc/io/number_text.h"
+#include "odmc/text/number_text.h"
 #include "text_file.h"
 #include "yaml_reader.h"
 

@@ -8,8 +8,8 @@
 #include <stdexcept>
 
 #include "known_parameters.h"
-#include "odmc/io/number_text.h"
 #include "odmc/model/effect.h"
+#include "odmc/text/number_text.h"
 #include "text_file.h"
 #include "yaml_reader.h"
 

@@ -1,9 +1,9 @@
 #include "text_file.h"
 
 #include <filesystem>
-#include <stdexcept>
 
 #include "csv_text.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -13,28 +13,24 @@ constexpr size_t kMostSettings = 2 << 20;
 constexpr size_t kBlock = 1 << 20;
 constexpr size_t kLongestLine = 1 << 20;  // of numbers: 50000 columns
 
-[[noreturn]] void Fail(const std::string& file, const std::string& what) {
-  throw std::invalid_argument(file + ": " + what);
-}
-
 /// Opens a regular file. @returns its length
 std::uint64_t OpenRegular(const std::string& file, std::ifstream* in) {
   std::error_code error;
   const auto status = std::filesystem::status(file, error);
-  if (std::filesystem::is_directory(status)) Fail(file, "is a folder");
+  if (std::filesystem::is_directory(status)) RefuseFile(file, "is a folder");
   if (std::filesystem::exists(status) && !std::filesystem::is_regular_file(status)) {
-    Fail(file, "is no regular file (a device or a pipe)");
+    RefuseFile(file, "is no regular file (a device or a pipe)");
   }
   in->open(file, std::ios::binary);
   const auto bytes = std::filesystem::file_size(file, error);
-  if (!*in || error) Fail(file, "cannot be opened");
+  if (!*in || error) RefuseFile(file, "cannot be opened");
   return bytes;
 }
 
 /// Refuses what text editors do not write.
 void CheckIsText(const std::string& file, std::string_view block) {
   if (block.find('\0') == std::string_view::npos) return;
-  Fail(file, "holds zero bytes and is no text; a text in UTF-16 must be saved as UTF-8");
+  RefuseFile(file, "holds zero bytes and is no text; a text in UTF-16 must be saved as UTF-8");
 }
 
 }  // namespace
@@ -45,7 +41,7 @@ std::string ReadText(const std::string& file) {
   std::string text(kMostSettings + 1, '\0');
   in.read(text.data(), static_cast<std::streamsize>(text.size()));
   text.resize(static_cast<size_t>(in.gcount()));
-  if (text.size() > kMostSettings) Fail(file, "is too long; a file of settings has at most 2 MB");
+  if (text.size() > kMostSettings) RefuseFile(file, "is too long; a file of settings has at most 2 MB");
   CheckIsText(file, text);
   return text;
 }
@@ -57,7 +53,7 @@ bool LineReader::Fill() {
   next_ = 0;
   const size_t kept = block_.size();
   if (kept > kLongestLine) {
-    Fail(file_, "line " + std::to_string(number_ + 1) +
+    RefuseFile(file_, "line " + std::to_string(number_ + 1) +
                     " has more than 1 MB; this is no table of numbers");
   }
   block_.resize(kept + kBlock);

@@ -1,12 +1,12 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <stdexcept>
 
 #include "binary_file.h"
 #include "log_streams.h"
 #include "odmc/io/autopilot_logs.h"
-#include "odmc/io/printable_text.h"
+#include "odmc/text/printable_text.h"
+#include "odmc/text/refusal.h"
 #include "ulog_file.h"
 
 namespace odmc {
@@ -24,10 +24,6 @@ const RateHints kHints = {
     "etc/logging/logger_topics.txt on the SD card (docs/logs.md has all lines)",
     "add the line 'sensor_combined 0' to etc/logging/logger_topics.txt on the SD card "
     "(docs/logs.md has all lines)"};
-
-[[noreturn]] void Fail(const std::string& file, const std::string& what) {
-  throw std::invalid_argument(file + ": " + what);
-}
 
 const Strings kPosition = Elements("position", 3), kQuaternion = Elements("q", 4),
               kVelocity = Elements("velocity", 3), kRates = Elements("angular_velocity", 3);
@@ -147,7 +143,7 @@ void ReadPoses(const std::string& file, const ULogContent& log_file, FlightPart 
     if (!joined.empty()) log->odometry = std::move(joined);
   }
   if (log->odometry.empty() && part != FlightPart::kOnboard) {
-    Fail(file,
+    RefuseFile(file,
          "no pose: neither vehicle_odometry nor vehicle_local_position with "
          "vehicle_attitude; " +
              kHints.pose +
@@ -255,7 +251,7 @@ void ReadRotors(const std::string& file, const ULogContent& log_file,
   if (table == nullptr) return;
   const double count = table->Has("esc_count") ? Median(table->values.at("esc_count")) : 0.0;
   if (count > 0.0 && static_cast<int>(count) != options.num_rotors) {
-    Fail(file, "esc_status has " + std::to_string(static_cast<int>(count)) +
+    RefuseFile(file, "esc_status has " + std::to_string(static_cast<int>(count)) +
                    " ESCs, the vehicle has " + std::to_string(options.num_rotors) + " rotors");
   }
   const double scale =
@@ -263,14 +259,14 @@ void ReadRotors(const std::string& file, const ULogContent& log_file,
   std::vector<RotorReadings> rotors;
   for (const int esc : MotorOrder(*table, options.num_rotors)) {
     if (!table->Has("esc[" + std::to_string(esc) + "].esc_rpm")) {
-      Fail(file, "esc_status has no entry " + std::to_string(esc) + " with esc_rpm");
+      RefuseFile(file, "esc_status has no entry " + std::to_string(esc) + " with esc_rpm");
     }
     rotors.push_back(ReadingsOf(*table, esc, scale));
   }
   const double rate = UsualRate(rotors.front().stamps);
   log->rotors = OnOneClock(rotors);
   if (log->rotors.empty() && rate > 0.0) {
-    Fail(file, "esc_status: the ESCs never answer within four readings of each other");
+    RefuseFile(file, "esc_status: the ESCs never answer within four readings of each other");
   }
 }
 
@@ -319,7 +315,7 @@ void Report(const std::string& file, const ULogContent& log_file, size_t bytes, 
   ReportDamage(
       file, {log_file.damaged, log_file.first_damaged, log_file.skipped_bytes, log_file.is_cut_off},
       bytes, log);
-  if (log_file.topic_names.empty()) Fail(file, "ULog: holds no topic: cut off or damaged");
+  if (log_file.topic_names.empty()) RefuseFile(file, "ULog: holds no topic: cut off or damaged");
   if (log_file.lost_s > 0.0) {
     char text[80];
     std::snprintf(text, sizeof text, ": the logger lost %.2f s (a slow SD card)", log_file.lost_s);
@@ -331,7 +327,7 @@ void Report(const std::string& file, const ULogContent& log_file, size_t bytes, 
 
 FlightLog ReadULog(const std::string& file, const FlightReadOptions& options) {
   if (options.pose == PoseSource::kMocap) {
-    Fail(file, "--pose mocap is for CSV files and bags; a PX4 log has the estimator's pose");
+    RefuseFile(file, "--pose mocap is for CSV files and bags; a PX4 log has the estimator's pose");
   }
   const std::string bytes = ReadBinary(file);
   FlightLog log;
@@ -345,7 +341,7 @@ FlightLog ReadULog(const std::string& file, const FlightReadOptions& options) {
     ReadRotors(file, content, options, &log);
     ReadBattery(content, &log);
     if (log.rotors.empty() && log.commands.empty()) {
-      Fail(file,
+      RefuseFile(file,
            "no rotor speeds: there is no esc_status. ESCs that tell their speed are needed "
            "(bidirectional DShot, DShot telemetry or UAVCAN); then " +
                kHints.rotors);

@@ -4,8 +4,8 @@
 #include <cstdio>
 #include <cstdlib>
 
-#include "odmc/io/number_text.h"
-#include "odmc/io/printable_text.h"
+#include "odmc/text/number_text.h"
+#include "odmc/text/printable_text.h"
 
 namespace odmc {
 namespace {
@@ -13,7 +13,7 @@ namespace {
 constexpr size_t kColumns = 100;
 
 /// To six digits; what is below a nanometre is zero.
-std::string Text(double value) {
+std::string YamlNumber(double value) {
   char text[40];
   std::snprintf(text, sizeof text, "%.6g", value);
   const double rounded = std::strtod(text, nullptr);
@@ -21,7 +21,7 @@ std::string Text(double value) {
 }
 
 std::string List(const Eigen::Vector3d& v) {
-  return "[" + Text(v.x()) + ", " + Text(v.y()) + ", " + Text(v.z()) + "]";
+  return "[" + YamlNumber(v.x()) + ", " + YamlNumber(v.y()) + ", " + YamlNumber(v.z()) + "]";
 }
 
 /// Broken at blanks, every line after `indent` and "# ".
@@ -57,8 +57,8 @@ std::string MountText(const SensorMount& mount) {
       mount.p_BS.isZero(0.0) && mount.q_BS.isApprox(Eigen::Quaterniond::Identity(), 1e-12);
   if (is_body && !mount.estimate) return "{frame: body}";
   const Eigen::Quaterniond& q = mount.q_BS;
-  return "{frame: sensor, p_BS_m: " + List(mount.p_BS) + ", q_BS_xyzw: [" + Text(q.x()) + ", " +
-         Text(q.y()) + ", " + Text(q.z()) + ", " + Text(q.w()) +
+  return "{frame: sensor, p_BS_m: " + List(mount.p_BS) + ", q_BS_xyzw: [" + YamlNumber(q.x()) + ", " +
+         YamlNumber(q.y()) + ", " + YamlNumber(q.z()) + ", " + YamlNumber(q.w()) +
          "], estimate: " + (mount.estimate ? "true" : "false") + "}";
 }
 
@@ -84,7 +84,7 @@ class Writer {
     for (size_t j = 0; j < rotors.size(); ++j) {
       text_ += "  - {position_m: " + List(rotors[j].p_BP) +
                ", spin: " + (rotors[j].spin > 0.0 ? "cw" : "ccw") +
-               ", radius_m: " + Text(rotors[j].radius_m) + "}";
+               ", radius_m: " + YamlNumber(rotors[j].radius_m) + "}";
       if (j < comments_.rotor.size()) text_ += "  # " + Printable(comments_.rotor[j]);
       text_ += "\n";
     }
@@ -104,8 +104,8 @@ class Writer {
       const auto add = [&entry](const std::string& key, const std::string& value) {
         entry += (entry.empty() ? "" : ", ") + key + ": " + value;
       };
-      if (setting.value) add("value", Text(*setting.value));
-      if (setting.sigma) add("sigma", Text(*setting.sigma));
+      if (setting.value) add("value", YamlNumber(*setting.value));
+      if (setting.sigma) add("sigma", YamlNumber(*setting.sigma));
       if (setting.estimated) add("state", *setting.estimated ? "estimated" : "frozen");
       Line(name, "{" + entry + "}", "  ");
     }
@@ -124,8 +124,8 @@ std::string VehicleText(const Vehicle& vehicle, const VehicleComments& comments)
   Writer writer(comments);
   writer.Head();
   writer.Line("name", Quoted(vehicle.name));
-  writer.Line("mass_kg", Text(vehicle.mass_kg));
-  writer.Line("gravity_m_s2", Text(vehicle.gravity_m_s2));
+  writer.Line("mass_kg", YamlNumber(vehicle.mass_kg));
+  writer.Line("gravity_m_s2", YamlNumber(vehicle.gravity_m_s2));
   writer.Line("inertia_kg_m2", List(vehicle.inertia_kg_m2));
   writer.Rotors(vehicle.rotors);
   writer.Line("odometry", MountText(vehicle.odometry));

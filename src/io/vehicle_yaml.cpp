@@ -8,10 +8,10 @@
 #include "known_parameters.h"
 #include "odmc/effects/effects.h"
 #include "odmc/io/actuator_yaml.h"
-#include "odmc/io/number_text.h"
-#include "odmc/io/printable_text.h"
 #include "odmc/model/effect.h"
 #include "odmc/model/plausibility.h"
+#include "odmc/text/number_text.h"
+#include "odmc/text/printable_text.h"
 #include "text_file.h"
 #include "yaml_reader.h"
 

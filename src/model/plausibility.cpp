@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstdio>
 
+#include "odmc/text/format.h"
+
 namespace odmc {
 namespace {
 
@@ -12,12 +14,6 @@ constexpr double kMostTilt = 0.35;                                   // of gravi
 // Largest moment over the sum of the others; beyond 1 by rounding and by what a nominal one is off.
 constexpr double kMostOverOthers = 1.1;
 constexpr double kSigmas = 3.0;
-
-std::string Text(const char* format, double a, double b) {
-  char text[160];
-  std::snprintf(text, sizeof text, format, a, b);
-  return text;
-}
 
 double OverOthers(const Eigen::Vector3d& inertia) {
   const double largest = inertia.maxCoeff();
@@ -42,7 +38,7 @@ void CheckInertia(const DynamicModel& model, const BodyProperties& body,
     if (ratio[i] >= kLeastInertiaRatio && ratio[i] <= kMostInertiaRatio) continue;
     sentences->push_back(
         std::string("inertia.") + "xyz"[i] +
-        Text(" is %.2f times the nominal %.3g kg m^2", ratio[i], model.vehicle().inertia_kg_m2[i]));
+        Format(" is %.2f times the nominal %.3g kg m^2", ratio[i], model.vehicle().inertia_kg_m2[i]));
   }
   // No moment exceeds the sum of the others, but for its own uncertainty, a few per cent, and what
   // the vehicle file has: a frozen one stays there.
@@ -50,7 +46,7 @@ void CheckInertia(const DynamicModel& model, const BodyProperties& body,
   const double most =
       kMostOverOthers * std::max(1.0, OverOthers(model.vehicle().inertia_kg_m2));
   if (largest > most * (inertia.sum() - largest) + InertiaLeeway(model, sigma)) {
-    sentences->push_back(Text("inertia: %.3g kg m^2 is more than the other two together (%.3g)",
+    sentences->push_back(Format("inertia: %.3g kg m^2 is more than the other two together (%.3g)",
                               largest, inertia.sum() - largest));
   }
 }
@@ -59,13 +55,13 @@ void CheckGeometry(const DynamicModel& model, const BodyProperties& body,
                    std::vector<std::string>* sentences) {
   const double offset = body.p_BBcm.norm(), arm = model.vehicle().ArmLength();
   if (offset > arm) {
-    sentences->push_back(Text(
+    sentences->push_back(Format(
         "centre_of_gravity: %.3f m from the origin, outside the rotors (%.3f m)", offset, arm));
   }
   const Eigen::Vector3d& g_W = body.g_W;
   const double tilt = std::atan2(g_W.head<2>().norm(), -g_W.z());
   if (tilt > kMostTilt) {
-    sentences->push_back(Text("gravity: %.2f rad off vertical (at most %.2f)", tilt, kMostTilt));
+    sentences->push_back(Format("gravity: %.2f rad off vertical (at most %.2f)", tilt, kMostTilt));
   }
 }
 
@@ -112,7 +108,7 @@ std::vector<std::string> UnphysicalValues(const DynamicModel& model, const Model
       return {p.full_name + " is not a number, or its sigma is none"};
     }
     if (!HasWrongSign(p.spec.sign, values[i], sigma[i])) continue;
-    sentences.push_back(p.full_name + Text(" = %.3g +- %.2g", values[i], sigma[i]) + " " +
+    sentences.push_back(p.full_name + Format(" = %.3g +- %.2g", values[i], sigma[i]) + " " +
                         p.spec.unit +
                         (p.spec.sign == PhysicalSign::kNegative ? ": positive, feeds energy in"
                                                                 : ": negative, unphysical"));

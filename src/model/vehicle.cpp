@@ -5,19 +5,15 @@
 
 #include "odmc/model/plausibility.h"
 #include "odmc/model/vehicle_units.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
 
-bool Fail(std::string* error, const std::string& what) {
-  if (error != nullptr) *error = what;
-  return false;
-}
-
 bool IsValidMount(const SensorMount& mount, const std::string& key, std::string* error) {
-  if (!mount.p_BS.allFinite()) return Fail(error, key + ".p_BS_m is not finite");
+  if (!mount.p_BS.allFinite()) return Invalid(error, key + ".p_BS_m is not finite");
   if (std::abs(mount.q_BS.norm() - 1.0) > 1e-3) {
-    return Fail(error, key + ".q_BS_xyzw is not a unit quaternion");
+    return Invalid(error, key + ".q_BS_xyzw is not a unit quaternion");
   }
   return true;
 }
@@ -54,38 +50,38 @@ double Vehicle::ArmLength() const {
 
 bool Vehicle::IsValid(std::string* error) const {
   if (!(mass_kg > 0.0) || !std::isfinite(mass_kg)) {
-    return Fail(error, "mass_kg must be a positive number of kilograms");
+    return Invalid(error, "mass_kg must be a positive number of kilograms");
   }
   if (!(gravity_m_s2 > 0.0) || !std::isfinite(gravity_m_s2)) {
-    return Fail(error, "gravity_m_s2 must be a positive number");
+    return Invalid(error, "gravity_m_s2 must be a positive number");
   }
   if (!inertia_kg_m2.allFinite() || inertia_kg_m2.minCoeff() <= 0.0) {
-    return Fail(error, "inertia_kg_m2 must be three positive numbers");
+    return Invalid(error, "inertia_kg_m2 must be three positive numbers");
   }
   const double largest = inertia_kg_m2.maxCoeff();
   if (largest > kMostOverOthers * (inertia_kg_m2.sum() - largest)) {
-    return Fail(error,
+    return Invalid(error,
                 "inertia_kg_m2: one moment is more than twice the sum of the others, which no body "
                 "has (triangle inequality)");
   }
   if (rotors.size() < 3 || num_rotors() > kMaxRotors) {
-    return Fail(error, "rotors must list 3 to " + std::to_string(kMaxRotors) + " rotors, not " +
+    return Invalid(error, "rotors must list 3 to " + std::to_string(kMaxRotors) + " rotors, not " +
                            std::to_string(rotors.size()));
   }
   for (size_t i = 0; i < rotors.size(); ++i) {
     const std::string key = "rotors[" + std::to_string(i) + "]";
-    if (!rotors[i].p_BP.allFinite()) return Fail(error, key + ".position_m is not finite");
-    if (std::abs(rotors[i].spin) != 1.0) return Fail(error, key + ".spin must be cw or ccw");
-    if (!(rotors[i].radius_m > 0.0)) return Fail(error, key + ".radius_m must be positive");
+    if (!rotors[i].p_BP.allFinite()) return Invalid(error, key + ".position_m is not finite");
+    if (std::abs(rotors[i].spin) != 1.0) return Invalid(error, key + ".spin must be cw or ccw");
+    if (!(rotors[i].radius_m > 0.0)) return Invalid(error, key + ".radius_m must be positive");
     for (size_t j = 0; j < i; ++j) {
       if ((rotors[i].p_BP - rotors[j].p_BP).norm() < 1e-6) {
-        return Fail(error, key + ".position_m is the same as that of rotors[" + std::to_string(j) +
+        return Invalid(error, key + ".position_m is the same as that of rotors[" + std::to_string(j) +
                                "]: each rotor has its own place");
       }
     }
   }
   const std::string impossible = ImpossibleInertia(*this);
-  if (!impossible.empty()) return Fail(error, impossible);
+  if (!impossible.empty()) return Invalid(error, impossible);
   if (!IsValidMount(odometry, "odometry", error)) return false;
   return !imu || IsValidMount(*imu, "imu", error);
 }

@@ -6,7 +6,7 @@
 #include <variant>
 
 #include "bindings.h"
-#include "odmc/actuator/flight_actuator.h"
+#include "odmc/identification/flight_actuator.h"
 #include "odmc/inspection/recording_inspection.h"
 #include "odmc/ros/flight_bag.h"
 #include "odmc/sensing/flight_checks.h"

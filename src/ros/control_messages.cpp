@@ -1,6 +1,6 @@
 #include "odmc/ros/control_messages.h"
 
-#include "odmc/inspection/finding.h"
+#include "odmc/text/finding.h"
 
 #include <cmath>
 #include <limits>

@@ -15,6 +15,7 @@
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/ros/control_messages.h"
 #include "odmc/ros/parameter_reader.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -33,19 +34,15 @@ Stamp Now() { return FromRos(ros::Time::now()); }
 // ---- Set-up ------------------------------------------------------------------------------------
 
 bool ControllerNodeOptions::IsValid(std::string* error) const {
-  const auto fail = [error](const std::string& what) {
-    if (error != nullptr) *error = what;
-    return false;
-  };
-  if (vehicle_file.empty()) return fail("vehicle_file must name a vehicle YAML");
+  if (vehicle_file.empty()) return Invalid(error, "vehicle_file must name a vehicle YAML");
   if (!(control_rate_hz >= 50.0 && control_rate_hz <= 2000.0)) {
-    return fail("control_rate_hz must be 50 to 2000");
+    return Invalid(error, "control_rate_hz must be 50 to 2000");
   }
   if (twist_frame != "auto" && twist_frame != "body" && twist_frame != "world") {
-    return fail("twist_frame must be body, world or auto, not '" + twist_frame + "'");
+    return Invalid(error, "twist_frame must be body, world or auto, not '" + twist_frame + "'");
   }
-  if (!(reference_timeout_s > 0.0)) return fail("reference_timeout_s must be positive");
-  if (body_frame.empty()) return fail("body_frame must not be empty");
+  if (!(reference_timeout_s > 0.0)) return Invalid(error, "reference_timeout_s must be positive");
+  if (body_frame.empty()) return Invalid(error, "body_frame must not be empty");
   return true;
 }
 
@@ -259,7 +256,7 @@ void ControllerNode::OnAccepted(const DynamicParameters::ConstPtr& message) {
     ROS_WARN_THROTTLE(5.0, "an estimate was refused: %s", objection.c_str());
     return;
   }
-  if (report_.uses_estimate) handover_.Offer(*set, FromRos(message->header.stamp), Now());
+  if (report_.uses_estimate) handover_.Consider(*set, FromRos(message->header.stamp), Now());
 }
 
 bool ControllerNode::OnResetParameters(std_srvs::Trigger::Request&,
@@ -307,7 +304,7 @@ void ControllerNode::StepIfDue(Stamp now, bool on_imu) {
 void ControllerNode::Step(Stamp now) {
   const auto start = std::chrono::steady_clock::now();
   if (setup_.saved && report_.uses_estimate) {
-    handover_.Offer(*setup_.saved, now, now);
+    handover_.Consider(*setup_.saved, now, now);
     setup_.saved.reset();
   }
   const std::optional<FlatReference> reference = references_.At(now);

@@ -23,12 +23,13 @@
 #include "odmc/MotorCommands.h"
 #include "odmc/RotorSpeeds.h"
 #include "odmc/io/data_sets.h"
-#include "odmc/io/printable_text.h"
 #include "odmc/ros/message_values.h"
 #include "odmc/ros/pose_twist.h"
 #include "odmc/ros/tf_odometry.h"
 #include "odmc/sensing/flight_checks.h"
 #include "odmc/sensing/twist_frame.h"
+#include "odmc/text/printable_text.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -36,10 +37,6 @@ namespace {
 constexpr Stamp kSecond = 1000000000;
 constexpr char kShiftTopic[] = "/stamp_shift";
 constexpr char kWorldFrame[] = "world";
-
-[[noreturn]] void Fail(const std::string& file, const std::string& what) {
-  throw std::invalid_argument(file + ": " + what);
-}
 
 // ---- Stamps and topics -------------------------------------------------------------------------
 
@@ -115,11 +112,11 @@ BagSource::BagSource(const std::string& file, const BagOptions& options)
   try {
     bag_.open(file, rosbag::bagmode::Read);
   } catch (const rosbag::BagUnindexedException&) {
-    Fail(file,
+    RefuseFile(file,
          "has no index: recording was cut off or the file is truncated; "
          "`rosbag reindex` rescues what is there");
   } catch (const rosbag::BagException& e) {
-    Fail(file, std::string("is not a bag or truncated: ") + e.what());
+    RefuseFile(file, std::string("is not a bag or truncated: ") + e.what());
   }
   rosbag::View view(bag_);
   for (const rosbag::ConnectionInfo* info : view.getConnections()) {
@@ -141,11 +138,11 @@ void BagSource::CheckMap() const {
     if (role == StreamRoles().end()) {
       std::set<std::string> known;
       for (const StreamRole& r : StreamRoles()) known.insert(r.name);
-      Fail(file_, "unknown topic role '" + name + "'; known are: " + Join(known));
+      RefuseFile(file_, "unknown topic role '" + name + "'; known are: " + Join(known));
     }
     const std::string found = TopicOf(name), type = types_.at(found);
     if (!role->foreign && std::count(role->types.begin(), role->types.end(), type) == 0) {
-      Fail(file_, "topic " + found + " is a " + type + ", but " + name + " must be a " +
+      RefuseFile(file_, "topic " + found + " is a " + type + ", but " + name + " must be a " +
                       role->types.front());
     }
   }
@@ -157,7 +154,7 @@ std::string BagSource::TopicOf(const std::string& name) const {
     for (const auto& [topic, type] : types_) {
       if (WithSlash(topic) == WithSlash(mapped->second)) return topic;
     }
-    Fail(file_, "has no topic " + mapped->second + " for " + name + "; " + Contents());
+    RefuseFile(file_, "has no topic " + mapped->second + " for " + name + "; " + Contents());
   }
   for (const StreamRole& role : StreamRoles()) {
     if (role.name != name) continue;
@@ -196,7 +193,7 @@ std::string BagSource::OneOf(const std::set<std::string>& topics, const std::str
   const std::set<std::string>& candidates = named.empty() ? topics : named;
   if (candidates.empty()) return "";
   if (candidates.size() > 1) {
-    Fail(file_, "several topics could be " + role + ": " + Join(candidates) +
+    RefuseFile(file_, "several topics could be " + role + ": " + Join(candidates) +
                     "; choose with --topic " + role + ":=" + *candidates.begin());
   }
   return *candidates.begin();
@@ -229,7 +226,7 @@ void BagSource::Read(const std::string& topic, InputStream stream, int num_rotor
         stream == InputStream::kRotorSpeeds && !options_.rotor_stamp_field.empty();
     if (are_named) log->warnings.push_back(source + ": stamps are " + reader.stamp_source());
   } catch (const std::invalid_argument& e) {
-    Fail(file_, "topic " + topic + ": " + e.what());
+    RefuseFile(file_, "topic " + topic + ": " + e.what());
   }
   if (passed_over.count > 1) {
     passed_over.Report(source, "messages without an entry, or whose entries are not of one time",
@@ -249,7 +246,7 @@ void BagSource::ReadRaw(const std::string& topic, Use use) {
       use(*layout, *message);
     }
   } catch (const std::invalid_argument& e) {
-    Fail(file_, "topic " + topic + ": " + e.what());
+    RefuseFile(file_, "topic " + topic + ": " + e.what());
   }
 }
 
@@ -277,7 +274,7 @@ void BagSource::AddTf(InputStream stream, TfOdometry* tf, std::vector<OdometryIn
       for (OdometryInput& pose : tf->Read(*message, stream)) poses->push_back(std::move(pose));
     }
   } catch (const std::invalid_argument& e) {
-    Fail(file_, "topic " + topic + ": " + e.what());
+    RefuseFile(file_, "topic " + topic + ": " + e.what());
   }
 }
 
@@ -287,7 +284,7 @@ std::vector<OdometryInput> BagSource::ReadTf(const std::string& parent, const st
   std::vector<OdometryInput> poses;
   AddTf(InputStream::kStaticTf, &tf, &poses);  // whenever they were recorded, they hold always
   AddTf(InputStream::kTf, &tf, &poses);
-  if (poses.empty()) Fail(file_, tf.Describe());
+  if (poses.empty()) RefuseFile(file_, tf.Describe());
   if (tf.unmatched() > 0) {
     log->dropped += tf.unmatched();
     log->warnings.push_back(file_ + ": tf: " + std::to_string(tf.unmatched()) + " poses of " +
@@ -357,7 +354,7 @@ TwistFrame FindTwistFrame(const std::string& source, const RawOdometries& messag
   }
   const TwistFrameDecision& decision = detector.decision();
   if (decision.frame == TwistFrame::kNeither) {
-    Fail(source, "the twist fits neither frame: " + decision.Describe() +
+    RefuseFile(source, "the twist fits neither frame: " + decision.Describe() +
                      "; state twist_frame if the position is at fault");
   }
   const TwistFrame frame = ResolveTwistFrame(
@@ -382,7 +379,7 @@ void FinishOdometry(const std::string& source, std::vector<OdometrySample>* samp
   KeepFinite(source, samples, IsFinite, log);
   KeepForward(source, samples, log);
   NormaliseAttitudes(source, samples, log);
-  if (samples->empty()) Fail(source, "no usable message");
+  if (samples->empty()) RefuseFile(source, "no usable message");
 }
 
 /// Samples with the velocity in the world, in order and sound.
@@ -415,7 +412,7 @@ std::vector<OdometrySample> ReadOdometry(BagSource* bag, const std::string& topi
   bag->Read<OdometryInput>(topic, InputStream::kOdometry, 0, log,
                            [&](const OdometryInput& m) { messages.push_back(m); });
   const std::string source = bag->file() + ": " + topic;
-  if (messages.empty()) Fail(source, "no message");
+  if (messages.empty()) RefuseFile(source, "no message");
   return SamplesOf(source, messages, options, log);
 }
 
@@ -453,7 +450,7 @@ std::vector<OdometrySample> WithTwists(BagSource* bag, const std::string& source
   }
   for (; next < twists.size(); ++next) take(pairing.AddTwist(twists[next]));
   take(pairing.Flush());
-  if (messages.empty()) Fail(source, "no message");
+  if (messages.empty()) RefuseFile(source, "no message");
   return SamplesOf(source, messages, options, log);
 }
 
@@ -470,7 +467,7 @@ std::vector<OdometrySample> ReadTfPoses(BagSource* bag, const BagOptions& option
                                         FlightLog* log) {
   for (const char* role : {"odometry", "pose"}) {
     if (options.topics.count(role) > 0) {
-      Fail(bag->file(), std::string("odometry comes from tf (odometry_tf_child is ") +
+      RefuseFile(bag->file(), std::string("odometry comes from tf (odometry_tf_child is ") +
                             options.odometry_tf_child + "): --topic " + role + " is not read");
     }
   }
@@ -510,7 +507,7 @@ void ReadCommands(BagSource* bag, int num_rotors, FlightLog* log) {
 std::pair<std::string, InputStream> FindRotors(BagSource* bag, const BagOptions& options) {
   const bool is_mapped = options.topics.count("rotor_speeds") > 0;
   if (!options.rotor_topic_field.empty() && !is_mapped) {
-    Fail(bag->file(), "which topic has the field " + options.rotor_topic_field +
+    RefuseFile(bag->file(), "which topic has the field " + options.rotor_topic_field +
                           "? Say so by --topic rotor_speeds:=/name; " + bag->Contents());
   }
   // A mapped joint_states says which of the two the user means.
@@ -525,7 +522,7 @@ void ReadRotors(BagSource* bag, int num_rotors, const BagOptions& options, Fligh
   const std::string source = bag->file() + ": " + topic;
   if (topic.empty()) {
     if (!log->commands.empty()) return;  // no sensor: commands may stand in
-    Fail(bag->file(),
+    RefuseFile(bag->file(),
          "no rotor speeds (odmc/RotorSpeeds, sensor_msgs/JointState, or a type that is known); "
          "--topic rotor_speeds:=/name and --rotor-topic-field read any other; " +
              bag->Contents());
@@ -537,7 +534,7 @@ void ReadRotors(BagSource* bag, int num_rotors, const BagOptions& options, Fligh
   KeepFinite(
       source, &log->rotors, [](const RotorSample& s) { return s.speed.allFinite(); }, log);
   KeepForward(source, &log->rotors, log);
-  if (log->rotors.empty()) Fail(source, "no usable rotor speeds");
+  if (log->rotors.empty()) RefuseFile(source, "no usable rotor speeds");
   TakeSpeedMagnitudes(source, log);
   WarnOfDeadRotors(source, log);
 }
@@ -575,7 +572,7 @@ Stamp ReadShift(BagSource* bag) {
     const auto m = instance.instantiate<std_msgs::Int64>();
     if (m == nullptr) continue;
     if (m->data < -kMost || m->data > kMost) {
-      Fail(bag->file(), std::string("is damaged: ") + kShiftTopic + " holds no shift of stamps");
+      RefuseFile(bag->file(), std::string("is damaged: ") + kShiftTopic + " holds no shift of stamps");
     }
     return m->data;
   }
@@ -607,7 +604,7 @@ BlackbirdFlight::RotorMessage RotorMessageOf(const std::string& file, const Mess
   }
   if (rotors.stamps.size() == 1) rotors.stamps.resize(rotors.rpm.size(), rotors.stamps.front());
   if (rotors.rpm.empty() || rotors.rpm.size() != rotors.stamps.size()) {
-    Fail(file, std::to_string(rotors.stamps.size()) + " stamps for " +
+    RefuseFile(file, std::to_string(rotors.stamps.size()) + " stamps for " +
                    std::to_string(rotors.rpm.size()) + " rotor speeds");
   }
   return rotors;
@@ -618,7 +615,7 @@ FlightLog ReadBlackbirdBag(BagSource* bag, const FlightReadOptions& read) {
   log.file = std::filesystem::path(bag->file()).filename().string();
   for (const char* topic : {kBlackbirdState, kBlackbirdRotors}) {
     if (bag->TypeOf(topic).empty() || bag->Count(topic) == 0) {
-      Fail(bag->file(), std::string("no messages on ") + topic + "; " + bag->Contents());
+      RefuseFile(bag->file(), std::string("no messages on ") + topic + "; " + bag->Contents());
     }
   }
   BlackbirdFlight flight;
@@ -658,7 +655,7 @@ void ReadMotion(BagSource* bag, const FlightReadOptions& read, const BagOptions&
   const bool wants_poses = odometry_topic.empty() || read.pose == PoseSource::kMocap;
   const std::string pose_topic = wants_poses ? bag->TopicOf("pose") : "";
   if (wants_poses && pose_topic.empty() && read.part != FlightPart::kOnboard) {
-    Fail(bag->file(),
+    RefuseFile(bag->file(),
          "no odometry (nav_msgs/Odometry or geometry_msgs/PoseStamped, PoseWithCovarianceStamped, "
          "TransformStamped; of tf with --odometry-tf-parent and --odometry-tf-child); " +
              bag->Contents());
@@ -688,17 +685,17 @@ FlightLog ReadOpenActuatorBag(BagSource* bag, const BagOptions& options) {
   FlightLog log;
   log.file = std::filesystem::path(bag->file()).filename().string();
   const std::string topic = bag->TopicOf("motor_commands");
-  if (topic.empty()) Fail(bag->file(), "no odmc/MotorCommands; " + bag->Contents());
+  if (topic.empty()) RefuseFile(bag->file(), "no odmc/MotorCommands; " + bag->Contents());
   int num_rotors = 0;  // of the first message
   FlightLog unused;
   bag->Read<CommandSample>(topic, InputStream::kMotorCommands, 0, &unused,
                            [&](const CommandSample& m) {
                              if (num_rotors == 0) num_rotors = static_cast<int>(m.throttle.size());
                            });
-  if (num_rotors == 0) Fail(bag->file(), topic + " has no message");
+  if (num_rotors == 0) RefuseFile(bag->file(), topic + " has no message");
   ReadCommands(bag, num_rotors, &log);
   ReadRotors(bag, num_rotors, options, &log);
-  if (log.rotors.empty()) Fail(bag->file(), "no rotor speeds; " + bag->Contents());
+  if (log.rotors.empty()) RefuseFile(bag->file(), "no rotor speeds; " + bag->Contents());
   ReadBattery(bag, &log);
   return log;
 }
@@ -718,7 +715,7 @@ void CheckOptions(const std::string& file, const BagOptions& options) {
   try {
     options.Check();
   } catch (const std::invalid_argument& e) {
-    Fail(file, e.what());
+    RefuseFile(file, e.what());
   }
 }
 
@@ -733,17 +730,17 @@ FlightLog ReadOpened(const std::string& file, const BagOptions& options, const R
   } catch (const std::invalid_argument&) {
     throw;
   } catch (const std::bad_alloc&) {
-    Fail(file, "is damaged: a length in it asks for more memory than the whole bag needs");
+    RefuseFile(file, "is damaged: a length in it asks for more memory than the whole bag needs");
   } catch (const std::exception& e) {
     // A damaged chunk or record shows as any of a dozen exceptions of rosbag and its libraries.
-    Fail(file, std::string("is damaged or truncated: ") + e.what());
+    RefuseFile(file, std::string("is damaged or truncated: ") + e.what());
   }
 }
 
 /// The bag library takes lengths and counts as it finds them: a child process reads.
 template <typename Read>
 FlightLog WithOpenBag(const std::string& file, const BagOptions& options, const Read& read) {
-  if (!std::filesystem::is_regular_file(file)) Fail(file, "cannot be opened");
+  if (!std::filesystem::is_regular_file(file)) RefuseFile(file, "cannot be opened");
   FlightLog log = ReadInChild(file, [&] { return ReadOpened(file, options, read); });
   log.file = Printable(log.file);
   for (std::string& warning : log.warnings) warning = Printable(warning);  // names of topics
@@ -754,7 +751,7 @@ FlightLog ReadBag(const std::string& file, const FlightReadOptions& read,
                   const BagOptions& options) {
   if (options.twist_frame != "auto" && options.twist_frame != "body" &&
       options.twist_frame != "world") {
-    Fail(file, "twist_frame must be auto, body or world, not '" + options.twist_frame + "'");
+    RefuseFile(file, "twist_frame must be auto, body or world, not '" + options.twist_frame + "'");
   }
   return WithOpenBag(file, options,
                      [&](BagSource* bag) { return ReadOpenBag(bag, read, options); });

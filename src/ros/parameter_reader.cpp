@@ -9,7 +9,7 @@
 #include <sstream>
 #include <stdexcept>
 
-#include "odmc/io/number_text.h"
+#include "odmc/text/number_text.h"
 
 namespace odmc {
 namespace {

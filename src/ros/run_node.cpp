@@ -8,7 +8,7 @@
 #include <cstring>
 #include <exception>
 
-#include "odmc/io/printable_text.h"
+#include "odmc/text/printable_text.h"
 
 namespace odmc {
 

@@ -11,7 +11,6 @@
 #include <stdexcept>
 #include <utility>
 
-#include "odmc/io/number_text.h"
 #include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
@@ -20,6 +19,8 @@
 #include "odmc/ros/diagnostic_values.h"
 #include "odmc/ros/parameter_reader.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "odmc/text/number_text.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -110,15 +111,11 @@ std::string JumpOdometry(const WorldOptions& sizes, World* world) {
 // ---- Set-up ------------------------------------------------------------------------------------
 
 bool SimulatorNodeOptions::IsValid(std::string* error) const {
-  const auto fail = [error](const std::string& what) {
-    if (error != nullptr) *error = what;
-    return false;
-  };
-  if (vehicle_file.empty()) return fail("vehicle_file must name a vehicle YAML");
-  if (!(real_time_factor > 0.0)) return fail("real_time_factor must be positive");
-  if (!(command_lag_s >= 0.0)) return fail("command_lag_s must be positive, or 0 not to wait");
+  if (vehicle_file.empty()) return Invalid(error, "vehicle_file must name a vehicle YAML");
+  if (!(real_time_factor > 0.0)) return Invalid(error, "real_time_factor must be positive");
+  if (!(command_lag_s >= 0.0)) return Invalid(error, "command_lag_s must be positive, or 0 not to wait");
   if (world_frame.empty() || body_frame.empty()) {
-    return fail("world_frame and body_frame must not be empty");
+    return Invalid(error, "world_frame and body_frame must not be empty");
   }
   return trajectory.IsValid(error);
 }
@@ -207,18 +204,18 @@ void SimulatorNode::Advertise() {
                                         ros::TransportHints().tcpNoDelay());
   }
 
-  Offer("attach_payload", AttachPayload);
-  Offer("drop_payload", DropPayload);
-  Offer("shift_cog", ShiftCentreOfGravity);
-  Offer("damage_propeller", DamagePropeller);
-  Offer("repair", Repair);
-  Offer("jump_odometry", JumpOdometry);
+  AdvertiseFault("attach_payload", AttachPayload);
+  AdvertiseFault("drop_payload", DropPayload);
+  AdvertiseFault("shift_cog", ShiftCentreOfGravity);
+  AdvertiseFault("damage_propeller", DamagePropeller);
+  AdvertiseFault("repair", Repair);
+  AdvertiseFault("jump_odometry", JumpOdometry);
   services_.push_back(private_node_.advertiseService("pause", &SimulatorNode::OnPause, this));
 }
 
 // ---- ROS threads -------------------------------------------------------------------------------
 
-void SimulatorNode::Offer(const std::string& service,
+void SimulatorNode::AdvertiseFault(const std::string& service,
                           std::string (*act)(const WorldOptions& sizes, World* world)) {
   const boost::function<bool(std_srvs::Trigger::Request&, std_srvs::Trigger::Response&)> callback =
       [this, service, act](std_srvs::Trigger::Request&, std_srvs::Trigger::Response& answer) {

@@ -11,8 +11,8 @@
 #include <stdexcept>
 #include <vector>
 
-#include "odmc/io/number_text.h"
 #include "odmc/io/vehicle_yaml.h"
+#include "odmc/text/number_text.h"
 
 namespace odmc {
 namespace {

@@ -7,13 +7,14 @@
 #include <stdexcept>
 #include <utility>
 
+#include "odmc/math/gaussian.h"
 #include "odmc/sim/disturbance.h"
-#include "odmc/sim/gaussian.h"
 #include "odmc/sim/hanging_load.h"
 #include "odmc/sim/motor_drive.h"
 #include "odmc/sim/random_streams.h"
 #include "odmc/sim/sensors.h"
 #include "odmc/sim/tracking_controller.h"
+#include "odmc/text/refusal.h"
 #include "odmc/trajectory/flatness.h"
 #include "odmc/trajectory/trajectory.h"
 
@@ -23,11 +24,6 @@ namespace {
 constexpr double kControlPeriod_s = 0.0025;    // longest
 constexpr double kLostDistance_m = 5.0;        // from the reference: the pilot has lost it
 constexpr double kSpoolThrustOverHover = 0.9;  // on the ground, at the end of spooling up
-
-bool Fail(std::string* error, const std::string& what) {
-  if (error != nullptr) *error = what;
-  return false;
-}
 
 // Whole pieces of at most `longest` that make up `whole`.
 int PiecesOf(double whole, double longest) {
@@ -246,19 +242,19 @@ bool SimulationOptions::IsValid(std::string* error) const {
   flown.name = trajectory;
   if (!flown.IsValid(error)) return false;
   if (!(duration_s > 0.0 && duration_s <= 3600.0)) {
-    return Fail(error, "duration_s must be above 0 and at most 3600 seconds");
+    return Invalid(error, "duration_s must be above 0 and at most 3600 seconds");
   }
   if (!(step_s > 0.0 && step_s <= 0.001)) {
-    return Fail(error, "step_s must be above 0 and at most 0.001 seconds");
+    return Invalid(error, "step_s must be above 0 and at most 0.001 seconds");
   }
   if (!(log_rate_hz >= 1.0 && log_rate_hz <= 1000.0)) {
-    return Fail(error, "log_rate_hz must be 1 to 1000");
+    return Invalid(error, "log_rate_hz must be 1 to 1000");
   }
   if (!(ground_s >= 0.0 && ground_s < duration_s)) {
-    return Fail(error, "ground_s must be at least 0 and less than duration_s");
+    return Invalid(error, "ground_s must be at least 0 and less than duration_s");
   }
   if (!(pilot_bandwidth >= 0.5 && pilot_bandwidth <= 1.5)) {
-    return Fail(error, "pilot_bandwidth must be 0.5 to 1.5");
+    return Invalid(error, "pilot_bandwidth must be 0.5 to 1.5");
   }
   return true;
 }
@@ -287,12 +283,12 @@ bool SimulationNoise::IsValid(std::string* error) const {
   };
   for (const auto& [key, value] : values) {
     if (!(value >= 0.0) || !std::isfinite(value)) {
-      return Fail(error, std::string(key) + " must be a number of at least 0");
+      return Invalid(error, std::string(key) + " must be a number of at least 0");
     }
   }
-  if (!gyro_bias.allFinite()) return Fail(error, "gyro_bias is not finite");
-  if (!accelerometer_bias.allFinite()) return Fail(error, "accelerometer_bias is not finite");
-  if (!std::isfinite(battery_slope_V_s)) return Fail(error, "battery_slope_V_s is not finite");
+  if (!gyro_bias.allFinite()) return Invalid(error, "gyro_bias is not finite");
+  if (!accelerometer_bias.allFinite()) return Invalid(error, "accelerometer_bias is not finite");
+  if (!std::isfinite(battery_slope_V_s)) return Invalid(error, "battery_slope_V_s is not finite");
   return true;
 }
 

@@ -4,6 +4,8 @@
 #include <sstream>
 #include <utility>
 
+#include "odmc/text/refusal.h"
+
 namespace odmc {
 namespace {
 
@@ -13,11 +15,6 @@ struct Range {
   const char* key;
   double value, low, high;
 };
-
-bool Fail(std::string* error, const std::string& what) {
-  if (error != nullptr) *error = what;
-  return false;
-}
 
 bool IsInside(const Range& range, std::string* error) {
   if (range.value >= range.low && range.value <= range.high) return true;
@@ -29,7 +26,7 @@ bool IsInside(const Range& range, std::string* error) {
     text << "a number of at least " << range.low;
   }
   text << ", not " << range.value;
-  return Fail(error, text.str());
+  return Invalid(error, text.str());
 }
 
 bool AreFinite(const WorldOptions& o, std::string* error) {
@@ -42,7 +39,7 @@ bool AreFinite(const WorldOptions& o, std::string* error) {
       {"cog_shift_m", &o.cog_shift_m},
   };
   for (const auto& [key, vector] : vectors) {
-    if (!vector->allFinite()) return Fail(error, std::string(key) + " is not finite");
+    if (!vector->allFinite()) return Invalid(error, std::string(key) + " is not finite");
   }
   return true;
 }
@@ -102,10 +99,10 @@ bool WorldOptions::IsValid(std::string* error) const {
   }
   if (!AreFinite(*this, error)) return false;
   if (motor_S2 > 0.0 && motor_S1 <= 0.0) {
-    return Fail(error, "motor_S1 must be positive where motor_S2 is");
+    return Invalid(error, "motor_S1 must be positive where motor_S2 is");
   }
   if (payload_attach_at_s > 0.0 && payload_kg <= 0.0) {
-    return Fail(error, "payload_kg must be positive where payload_attach_at_s is");
+    return Invalid(error, "payload_kg must be positive where payload_attach_at_s is");
   }
   return true;
 }

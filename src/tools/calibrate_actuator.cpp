@@ -1,9 +1,9 @@
 #include <iostream>
 
-#include "odmc/actuator/flight_actuator.h"
 #include "odmc/actuator/rotor_inertia.h"
 #include "odmc/analysis/actuator_report.h"
 #include "odmc/analysis/report.h"
+#include "odmc/identification/flight_actuator.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/bench_csv.h"
 #include "tool_support.h"

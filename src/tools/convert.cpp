@@ -5,7 +5,7 @@
 #include "odmc/analysis/replay.h"
 #include "odmc/io/autopilot_log_writers.h"
 #include "odmc/io/flight_csv.h"
-#include "odmc/io/printable_text.h"
+#include "odmc/text/printable_text.h"
 #include "tool_support.h"
 
 namespace {

@@ -1,7 +1,7 @@
 #include <iostream>
 
 #include "odmc/analysis/report.h"
-#include "odmc/experiment/experiments.h"
+#include "odmc/bench/experiments.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "tool_support.h"
 

@@ -7,10 +7,10 @@
 #include "odmc/analysis/new_vehicle.h"
 #include "odmc/analysis/report.h"
 #include "odmc/io/foreign_messages.h"
-#include "odmc/io/number_text.h"
-#include "odmc/io/printable_text.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/ros/urdf_vehicle.h"
+#include "odmc/text/number_text.h"
+#include "odmc/text/printable_text.h"
 #include "tool_support.h"
 
 namespace {

@@ -1,6 +1,7 @@
 #include <iostream>
 
 #include "odmc/analysis/report.h"
+#include "odmc/bench/bench_report.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "tool_support.h"
 

@@ -5,7 +5,7 @@
 
 #include "odmc/analysis/parallel.h"
 #include "odmc/analysis/report.h"
-#include "odmc/attribution/undeclared.h"
+#include "odmc/bench/undeclared.h"
 #include "odmc/io/flight_csv.h"
 #include "odmc/io/parameters_yaml.h"
 #include "tool_support.h"

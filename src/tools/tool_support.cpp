@@ -13,18 +13,18 @@
 #include <iostream>
 #include <set>
 
-#include "odmc/actuator/flight_actuator.h"
 #include "odmc/analysis/report.h"
 #include "odmc/effects/effects.h"
+#include "odmc/identification/flight_actuator.h"
 #include "odmc/inspection/join_odometry.h"
 #include "odmc/inspection/recording_inspection.h"
 #include "odmc/inspection/rotor_units.h"
 #include "odmc/io/actuator_yaml.h"
-#include "odmc/io/number_text.h"
 #include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
-#include "odmc/io/printable_text.h"
 #include "odmc/sensing/plausible.h"
+#include "odmc/text/number_text.h"
+#include "odmc/text/printable_text.h"
 #include "odmc/trajectory/trajectory.h"
 
 namespace odmc::tools {

@@ -6,7 +6,8 @@
 #include <limits>
 #include <stdexcept>
 
-#include "odmc/io/number_text.h"
+#include "odmc/text/number_text.h"
+#include "odmc/text/refusal.h"
 #include "odmc/trajectory/flatness.h"
 
 namespace odmc {
@@ -65,11 +66,6 @@ void CompareAll(const FlightLimits& limits, Feasibility* found) {
   }
 }
 
-bool Fail(std::string* error, const std::string& sentence) {
-  *error = sentence;
-  return false;
-}
-
 // Visitor that says which field is not positive.
 struct PositiveCheck {
   std::string error;
@@ -84,13 +80,13 @@ struct PositiveCheck {
 bool FlightLimits::IsValid(std::string* error) const {
   PositiveCheck check;
   FlightLimits(*this).Visit(&check);
-  if (!check.error.empty()) return Fail(error, check.error);
+  if (!check.error.empty()) return Invalid(error, check.error);
   if (!(max_thrust_over_weight > 1.0)) {
-    return Fail(error, "max_thrust_over_weight must be above 1, the thrust of hover, not " +
+    return Invalid(error, "max_thrust_over_weight must be above 1, the thrust of hover, not " +
                            FormatNumber(max_thrust_over_weight));
   }
   if (!(min_thrust_over_weight < 1.0)) {
-    return Fail(error, "min_thrust_over_weight must be below 1, the thrust of hover, not " +
+    return Invalid(error, "min_thrust_over_weight must be below 1, the thrust of hover, not " +
                            FormatNumber(min_thrust_over_weight));
   }
   return true;

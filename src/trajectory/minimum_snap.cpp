@@ -5,7 +5,7 @@
 #include <numeric>
 #include <stdexcept>
 
-#include "odmc/io/number_text.h"
+#include "odmc/text/number_text.h"
 #include "smooth_spline.h"
 
 namespace odmc {

@@ -7,8 +7,8 @@
 #include <functional>
 #include <utility>
 
-#include "odmc/io/waypoints_yaml.h"
 #include "odmc/trajectory/minimum_snap.h"
+#include "odmc/trajectory/waypoints_yaml.h"
 
 namespace odmc {
 namespace {

@@ -5,7 +5,8 @@
 #include <limits>
 #include <stdexcept>
 
-#include "odmc/io/number_text.h"
+#include "odmc/text/number_text.h"
+#include "odmc/text/refusal.h"
 #include "path.h"
 
 namespace odmc {
@@ -29,11 +30,6 @@ std::string Listed(const std::vector<std::string>& names) {
   std::string text;
   for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
   return text;
-}
-
-bool Fail(std::string* error, const std::string& sentence) {
-  *error = sentence;
-  return false;
 }
 
 TrajectoryOptions Checked(const TrajectoryOptions& options) {
@@ -87,17 +83,17 @@ void SetHeight(const Derivatives& z, FlatReference* reference) {
 
 bool TrajectoryOptions::IsValid(std::string* error) const {
   if (!Trajectory::IsKnown(name)) {
-    return Fail(error, "there is no trajectory '" + name + "'; known are: " +
+    return Invalid(error, "there is no trajectory '" + name + "'; known are: " +
                            Listed(Trajectory::Names()) + ", or a waypoint file (*.yaml)");
   }
   if (!(ground_s >= 0.0 && std::isfinite(ground_s))) {
-    return Fail(error, "ground_s must be at least 0, not " + FormatNumber(ground_s));
+    return Invalid(error, "ground_s must be at least 0, not " + FormatNumber(ground_s));
   }
   if (!(top_speed_m_s >= 0.0 && std::isfinite(top_speed_m_s))) {
-    return Fail(error, "top_speed_m_s must be at least 0, not " + FormatNumber(top_speed_m_s));
+    return Invalid(error, "top_speed_m_s must be at least 0, not " + FormatNumber(top_speed_m_s));
   }
   if (!(duration_s == 0.0 || (duration_s >= 2.0 * kRamp_s && std::isfinite(duration_s)))) {
-    return Fail(error, "duration_s must be 0 (for ever) or at least " +
+    return Invalid(error, "duration_s must be 0 (for ever) or at least " +
                            FormatNumber(2.0 * kRamp_s) + ", the time to start and to stop, not " +
                            FormatNumber(duration_s));
   }

@@ -23,7 +23,7 @@ constexpr double kFirstBend = 0.3;        // error [sigmas] of fronts evaluated 
 constexpr double kBendMemory = 0.7;
 constexpr size_t kSoonInTurn = 5;         // updates: short windows need no more than their turn
 constexpr double kWeightMoved = 1.1;      // of a recent factor: root of the robust loss' slope
-constexpr double kHopeless = 0.3;         // to be corrected [sigmas]
+constexpr double kLeastHopeForCorrection = 0.3;         // to be corrected [sigmas]
 constexpr double kLeastDistance = 0.01;   // to learn it from [sigmas]
 constexpr double kBiasThreshold = 0.05;   // of biases for wildfire [rad/s, m/s²]
 constexpr double kIntolerable = 0.8;      // before it takes all the time there is
@@ -35,7 +35,7 @@ constexpr int kAlignmentIterations = 10;  // of the batch solve
 
 /// How errors of a linearization grow with the distance [sigmas] from its point: as its square, but
 /// for small ones, where other errors are larger.
-double Bend(double distance) { return distance * std::max(1.0, distance); }
+double CurvedDistance(double distance) { return distance * std::max(1.0, distance); }
 
 /// The distance [sigmas] at which they reach `error`, both in tolerances.
 double DistanceAt(double error, double curvature) {
@@ -519,7 +519,7 @@ bool IncrementalWindowSolver::Correct(Window* window, const InTime& in_time, boo
     if (expected < options_.allowed_lag || chosen == nullptr || !in_time()) return true;
     const size_t in_turn = kSoonInTurn * static_cast<size_t>(options_.corrected_segments);
     if (segments_.size() <= in_turn && !sweep_.has_reweighed) return true;
-    if (expected > std::max(expected_before, kHopeless)) {
+    if (expected > std::max(expected_before, kLeastHopeForCorrection)) {
       sweep_.urgent = true;  // by Jacobians this old it might not converge
       return true;
     }
@@ -544,7 +544,7 @@ void IncrementalWindowSolver::LearnCurvature() {
   const double sigmas = (before_.sigma.cwiseQuotient(sigma).array() - 1.0).abs().maxCoeff();
   const double measured = sigmas / options_.sigma_tolerance;
   curvature_ =
-      std::max({measured / Bend(distance), kCurvatureMemory * curvature_, kLeastCurvature});
+      std::max({measured / CurvedDistance(distance), kCurvatureMemory * curvature_, kLeastCurvature});
 }
 
 /// True if putting the relinearization off might cost more than `error` tolerances.

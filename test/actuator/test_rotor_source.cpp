@@ -2,7 +2,7 @@
 
 #include <cmath>
 
-#include "odmc/actuator/flight_actuator.h"
+#include "odmc/identification/flight_actuator.h"
 #include "support/bench.h"
 
 namespace odmc {

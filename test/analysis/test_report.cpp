@@ -50,24 +50,26 @@ TEST(Convergence, IsMissingWhereNotObservableOrNeverFlown) {
   EXPECT_FALSE(Convergence({}, {true})[0].has_value());
 }
 
-TEST(Timing, LeavesOutTheStartAndWindowsThatAreNotFull) {
+TEST(Timing, CountsEveryUpdateTheStartApart) {
   ReplayResult replay;
   replay.first_airborne_s = 1.0;
-  const auto add = [&](double t_s, double wall_ms, bool full) {
+  const auto add = [&](double t_s, double wall_ms, int states) {
     UpdateTiming timing;
     timing.wall_ms = wall_ms;
-    timing.window_full = full;
-    timing.states = 100;
+    timing.states = states;
     replay.timing.emplace_back(t_s, timing);
   };
-  add(2.5, 50.0, true);
-  add(3.5, 50.0, false);
-  for (int i = 1; i <= 4; ++i) add(4.0 + i, i, true);
+  add(1.0, 40.0, 3);
+  add(3.9, 50.0, 300);
+  for (int i = 1; i <= 4; ++i) add(4.0 + i, i, 100);
   const TimingFigures figures = SummariseTiming(replay, &UpdateTiming::wall_ms);
   EXPECT_EQ(figures.updates, 4);
   EXPECT_DOUBLE_EQ(figures.median.value(), 2.5);
   EXPECT_DOUBLE_EQ(figures.max.value(), 4.0);
   EXPECT_EQ(StatesInWindow(replay), 100);
+  const TimingFigures start = SummariseTiming(replay, &UpdateTiming::wall_ms, TimingPart::kStart);
+  EXPECT_EQ(start.updates, 2);
+  EXPECT_DOUBLE_EQ(start.max.value(), 50.0);
 }
 
 TEST(Timing, IsMissingWithoutUpdates) {

@@ -11,7 +11,7 @@
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/close_loop.h"
 #include "odmc/attribution/close_loop_report.h"
-#include "odmc/attribution/undeclared.h"
+#include "odmc/bench/undeclared.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/math/so3.h"
 #include "odmc/model/effect.h"

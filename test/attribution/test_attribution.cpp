@@ -16,9 +16,9 @@
 #include "odmc/attribution/evidence.h"
 #include "odmc/attribution/flexible_features.h"
 #include "odmc/attribution/instruments.h"
-#include "odmc/attribution/undeclared.h"
+#include "odmc/bench/undeclared.h"
 #include "odmc/estimator/gates.h"
-#include "odmc/sim/gaussian.h"
+#include "odmc/math/gaussian.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
 

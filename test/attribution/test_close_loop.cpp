@@ -7,7 +7,7 @@
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/close_loop.h"
 #include "odmc/attribution/close_loop_report.h"
-#include "odmc/attribution/undeclared.h"
+#include "odmc/bench/undeclared.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/model/effect.h"
 #include "odmc/sim/simulator.h"
@@ -44,7 +44,7 @@ bool Names(const AddedEffect& added, const std::string& effect) {
 /// A pressure centre as a fit found it, and the same online with other values.
 class Agreement : public testing::Test {
  protected:
-  Agreement() : model_(With(NominalVehicle(), Candidate{"pressure_centre", {}, {}}), Effects()) {
+  Agreement() : model_(VehicleWith(NominalVehicle(), Candidate{"pressure_centre", {}, {}}), Effects()) {
     online_.effects = Effects();
     for (const char* axis : {"x", "y", "z"}) {
       const std::string name = std::string("pressure_centre.") + axis;

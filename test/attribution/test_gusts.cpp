@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "odmc/attribution/gust_test.h"
-#include "odmc/sim/gaussian.h"
+#include "odmc/math/gaussian.h"
 
 namespace odmc {
 namespace {

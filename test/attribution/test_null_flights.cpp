@@ -8,7 +8,7 @@
 
 #include "odmc/analysis/parallel.h"
 #include "odmc/attribution/close_loop.h"
-#include "odmc/attribution/undeclared.h"
+#include "odmc/bench/undeclared.h"
 #include "odmc/io/vehicle_yaml.h"
 
 namespace odmc {

@@ -4,9 +4,9 @@
 #include <limits>
 
 #include "odmc/attribution/residual_watch.h"
-#include "odmc/attribution/undeclared.h"
+#include "odmc/bench/undeclared.h"
 #include "odmc/estimator/estimator.h"
-#include "odmc/sim/gaussian.h"
+#include "odmc/math/gaussian.h"
 #include "support/test_vehicle.h"
 
 namespace odmc {
@@ -56,7 +56,7 @@ class Pilot {
 
   /// As the node adds an effect in flight.
   void Add(const ResidualLook& found) {
-    declared_ = With(declared_, *found.candidate);
+    declared_ = VehicleWith(declared_, *found.candidate);
     const DynamicModel declared(declared_, declared_.effects);
     const Vehicle warm = WarmStarted(declared_, Estimator::ToParameterSet(*model_, *last_), found);
     auto model = std::make_shared<DynamicModel>(warm, warm.effects);
@@ -184,7 +184,7 @@ TEST(ResidualWatch, WarmStartWidensWhatTheEffectMoves) {
                         {"thrust.k_f", "N s^2", 1.5e-6, 2e-9, true, true},
                         {"rotor_torque.k_m", "N m s^2", 2e-8, 0.0, false, false}};
   const Vehicle warm =
-      WarmStarted(With(NominalVehicle(), Candidate{"quadratic_drag", {}}), present, look);
+      WarmStarted(VehicleWith(NominalVehicle(), Candidate{"quadratic_drag", {}}), present, look);
   EXPECT_EQ(warm.effects.back(), "quadratic_drag");
   EXPECT_EQ(*warm.parameters.at("drag.d_x").value, -0.5) << "starts where it is";
   EXPECT_NEAR(*warm.parameters.at("drag.d_x").sigma, std::hypot(0.03, 0.3), 1e-12);

@@ -3,7 +3,7 @@
 #include <cmath>
 
 #include "odmc/attribution/spectrum.h"
-#include "odmc/sim/gaussian.h"
+#include "odmc/math/gaussian.h"
 
 namespace odmc {
 namespace test {

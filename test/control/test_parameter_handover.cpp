@@ -29,13 +29,13 @@ class HandoverTest : public ::testing::Test {
     return set;
   }
 
-  std::string Offer(const ParameterSet& set) { return handover_.Offer(set, now_, now_); }
+  std::string Consider(const ParameterSet& set) { return handover_.Consider(set, now_, now_); }
 
   // Flies on; with `set`, an estimate comes in five times a second.
   void Fly(double seconds, double error_m, const ParameterSet* set = nullptr) {
     for (int k = 0; k < std::lround(seconds / kStep_s); ++k) {
       now_ += FromSeconds(kStep_s);
-      if (set != nullptr && k % 20 == 0) Offer(*set);
+      if (set != nullptr && k % 20 == 0) Consider(*set);
       const ModelValues before = handover_.values();
       handover_.Update(now_, error_m);
       if (before.size() == handover_.values().size())
@@ -85,10 +85,10 @@ TEST_F(HandoverTest, ThrustDoesNotWaitForWhatHasFartherToGo) {
 
 TEST_F(HandoverTest, RefusesWhatIsNotANumber) {
   for (const double wrong : {std::nan(""), std::numeric_limits<double>::infinity()}) {
-    EXPECT_NE(Offer(Estimate(wrong)), "");
+    EXPECT_NE(Consider(Estimate(wrong)), "");
     ParameterSet set = Estimate(1.0);
     set.parameters.back().sigma = wrong;
-    EXPECT_NE(Offer(set), "");
+    EXPECT_NE(Consider(set), "");
   }
   Fly(1.0, 0.05);
   EXPECT_EQ(handover_.state(), HandoverState::kNominal);
@@ -101,28 +101,28 @@ TEST_F(HandoverTest, RefusesWhatIsOutOfBoundsAndKeepsWhatItHas) {
   Fly(5.0, 0.05, &good);
   for (const ParameterSet& bad : {Estimate(3.5), Estimate(0.2), Estimate(1.1, +0.5)}) {
     now_ += FromSeconds(0.1);
-    EXPECT_NE(Offer(bad), "");
+    EXPECT_NE(Consider(bad), "");
   }
   ParameterSet uncertain = Estimate(1.1);
   for (ParameterEstimate& p : uncertain.parameters) {
     if (p.full_name == "thrust.k_f") p.sigma = 0.3 * p.value;
   }
-  EXPECT_NE(Offer(uncertain).find("k_f"), std::string::npos);
+  EXPECT_NE(Consider(uncertain).find("k_f"), std::string::npos);
   Fly(1.0, 0.05);
   EXPECT_NEAR(ThrustOverNominal(), 1.1, 1e-9);
 }
 
 TEST_F(HandoverTest, RefusesOldOnesAndRepetitions) {
   Fly(3.0, 0.05);
-  EXPECT_NE(handover_.Offer(Estimate(1.1), now_ - FromSeconds(1.5), now_), "");
-  EXPECT_EQ(Offer(Estimate(1.1)), "");
-  EXPECT_NE(Offer(Estimate(1.1)), "");
+  EXPECT_NE(handover_.Consider(Estimate(1.1), now_ - FromSeconds(1.5), now_), "");
+  EXPECT_EQ(Consider(Estimate(1.1)), "");
+  EXPECT_NE(Consider(Estimate(1.1)), "");
 }
 
 TEST_F(HandoverTest, RefusesUnknownEffects) {
   ParameterSet set = Estimate(1.0);
   set.effects.push_back("magic");
-  EXPECT_NE(Offer(set).find("magic"), std::string::npos);
+  EXPECT_NE(Consider(set).find("magic"), std::string::npos);
 }
 
 TEST_F(HandoverTest, TakesAModelWithOneMoreEffect) {
@@ -132,7 +132,7 @@ TEST_F(HandoverTest, TakesAModelWithOneMoreEffect) {
   more.effects.push_back("wind");
   more.parameters.push_back({"wind.w_x", "m/s", 2.0, 0.1, true, true});
   now_ += FromSeconds(0.1);
-  EXPECT_EQ(Offer(more), "");
+  EXPECT_EQ(Consider(more), "");
   EXPECT_NEAR(ThrustOverNominal(), 1.1, 1e-9);  // no step
   Fly(5.0, 0.05, &more);
   EXPECT_NEAR(handover_.values()[handover_.model()->IndexOf("wind.w_x")], 2.0, 1e-9);

@@ -5,8 +5,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "odmc/analysis/recovery.h"
 #include "odmc/attribution/candidates.h"
+#include "odmc/bench/recovery.h"
 #include "odmc/effects/effects.h"
 #include "odmc/model/dynamic_model.h"
 #include "support/jacobian_check.h"

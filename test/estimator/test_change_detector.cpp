@@ -1,7 +1,7 @@
 #include <gtest/gtest.h>
 
 #include "odmc/estimator/change_detector.h"
-#include "odmc/sim/gaussian.h"
+#include "odmc/math/gaussian.h"
 
 namespace odmc {
 namespace {

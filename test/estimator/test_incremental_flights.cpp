@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "odmc/analysis/replay.h"
+#include "odmc/bench/full_solve.h"
 #include "odmc/io/flight_csv.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/sim/simulator.h"
@@ -63,10 +64,10 @@ Differences Compare(const FlightLog& log, const DynamicModel& model, const Case&
     estimator.SetHeldOut([&](Stamp stamp) { return c.held_out(ToSeconds(stamp - first)); });
   }
   int update = 0;
-  estimator.SetObserver([&] {
+  estimator.SetObserver([&](const SolvedWindow& solved) {
     ++update;
     if (update % every != 0 || update < kAligned_s * c.options.keyframe_rate_hz) return;
-    const auto difference = estimator.CompareWithFullSolve();
+    const auto difference = CompareWithFullSolve(solved);
     ++worst.compared;
     if (!difference) {
       ++worst.failed;

@@ -9,12 +9,12 @@
 #include <map>
 #include <optional>
 
-#include "odmc/actuator/flight_actuator.h"
 #include "odmc/actuator/free_run.h"
-#include "odmc/analysis/recovery.h"
 #include "odmc/analysis/replay.h"
-#include "odmc/attribution/undeclared.h"
-#include "odmc/attribution/undeclared_recording.h"
+#include "odmc/bench/recovery.h"
+#include "odmc/bench/undeclared.h"
+#include "odmc/bench/undeclared_recording.h"
+#include "odmc/identification/flight_actuator.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "support/test_actuator.h"
 

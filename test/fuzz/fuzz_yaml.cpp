@@ -5,8 +5,8 @@
 #include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
-#include "odmc/io/waypoints_yaml.h"
 #include "odmc/sim/world_options.h"
+#include "odmc/trajectory/waypoints_yaml.h"
 
 namespace odmc {
 namespace {

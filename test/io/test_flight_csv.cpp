@@ -6,7 +6,7 @@
 #include <random>
 
 #include "odmc/io/flight_csv.h"
-#include "odmc/io/number_text.h"
+#include "odmc/text/number_text.h"
 #include "support/error_text.h"
 #include "support/temporary_folder.h"
 

@@ -4,8 +4,8 @@
 #include <limits>
 #include <regex>
 
-#include "odmc/io/number_text.h"
 #include "odmc/io/parameters_yaml.h"
+#include "odmc/text/number_text.h"
 #include "support/error_text.h"
 #include "support/temporary_folder.h"
 

@@ -29,8 +29,8 @@
 #include <utility>
 #include <vector>
 
-#include "odmc/actuator/flight_actuator.h"
 #include "odmc/analysis/replay.h"
+#include "odmc/identification/flight_actuator.h"
 #include "odmc/inspection/stream_inspection.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/vehicle_yaml.h"

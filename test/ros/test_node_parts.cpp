@@ -4,10 +4,12 @@
 #include <cstdlib>
 #include <fstream>
 #include <limits>
+#include <thread>
 
 #include "odmc/estimator/acceptance.h"
 #include "odmc/ros/conversions.h"
 #include "odmc/ros/estimate_messages.h"
+#include "odmc/ros/input_queue.h"
 #include "odmc/ros/live_image.h"
 #include "odmc/ros/node_status.h"
 #include "odmc/ros/sample_intake.h"
@@ -90,6 +92,50 @@ TEST(Conversions, JointsAreTakenByTheNumbersInTheirNames) {
   EXPECT_EQ(SpeedsOfJoints(m)[0], 400.0);
   m.name = {"rotor_1", "rotor_1", "rotor_2", "rotor_3"};
   EXPECT_EQ(SpeedsOfJoints(m)[0], 400.0);
+}
+
+TEST(InputQueue, CountsWhatComesAndWhatItHasNoRoomFor) {
+  InputQueue queue(2);
+  for (int i = 0; i < 3; ++i) queue.Push(InputStream::kImu, {ImuInput()});
+  queue.Refuse(InputStream::kImu, "is not finite");
+  queue.CountPassedOver(InputStream::kRotorSpeeds);
+  const InputQueue::Look look = queue.Snapshot();
+  const StreamStatus& imu = look.streams[static_cast<size_t>(InputStream::kImu)];
+  EXPECT_EQ(look.queued, 2u);
+  EXPECT_EQ(imu.received, 4);
+  EXPECT_EQ(imu.overflowed, 1);
+  EXPECT_EQ(imu.refused, 1);
+  EXPECT_EQ(imu.refusal, "is not finite");
+  EXPECT_EQ(look.streams[static_cast<size_t>(InputStream::kRotorSpeeds)].passed_over, 1);
+  std::deque<InputSample> batch;
+  EXPECT_TRUE(queue.TakeBatch(&batch));
+  EXPECT_EQ(batch.size(), 2u);
+  EXPECT_FALSE(queue.TakeBatch(&batch));
+}
+
+TEST(InputQueue, AnswersComeFromTheThreadThatTakesTheInput) {
+  InputQueue queue(100);
+  std::thread::id answered_by;
+  std::thread estimator([&] {
+    std::deque<InputSample> batch;
+    while (queue.WaitForInput(&batch)) queue.AnswerRequests();
+  });
+  const std::thread::id estimator_id = estimator.get_id();
+  const InputQueue::Answer answer = queue.Ask([&] {
+    answered_by = std::this_thread::get_id();
+    return InputQueue::Answer(true, "done");
+  });
+  EXPECT_TRUE(answer.first);
+  EXPECT_EQ(answer.second, "done");
+  EXPECT_EQ(answered_by, estimator_id);
+  const InputQueue::Answer failed =
+      queue.Ask([]() -> InputQueue::Answer { throw std::runtime_error("no disk"); });
+  EXPECT_FALSE(failed.first);
+  EXPECT_EQ(failed.second, "no disk");
+  EXPECT_FALSE(queue.SleepUnlessStopping(std::chrono::milliseconds(1)));
+  queue.Stop();
+  estimator.join();
+  EXPECT_TRUE(queue.SleepUnlessStopping(std::chrono::hours(1)));
 }
 
 TEST(EstimatorDiagnostic, WarnsWhileNothingIsLearned) {

@@ -1,6 +1,6 @@
 #include <gtest/gtest.h>
 
-#include "odmc/io/waypoints_yaml.h"
+#include "odmc/trajectory/waypoints_yaml.h"
 #include "support/error_text.h"
 
 namespace odmc {

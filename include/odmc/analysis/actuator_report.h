@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include "odmc/actuator/actuator_calibration.h"
+#include "odmc/identification/actuator_calibration.h"
 
 namespace odmc {
 

@@ -8,8 +8,8 @@
 #include "odmc/analysis/prediction.h"
 #include "odmc/analysis/replay.h"
 #include "odmc/analysis/torque_bands.h"
-#include "odmc/inspection/finding.h"
 #include "odmc/inspection/stream_inspection.h"
+#include "odmc/text/finding.h"
 
 namespace odmc {
 
@@ -46,7 +46,8 @@ struct Calibration {
   Eigen::Vector3d nominal_inertia = Eigen::Vector3d::Ones();  ///< of the vehicle file [kg m²]
   std::optional<LeftOut> left_out;                   ///< where it was asked for
   std::vector<std::optional<double>> convergence_s;  ///< per parameter
-  TimingFigures wall, cpu;
+  TimingFigures wall, cpu;    ///< of the updates after the start
+  TimingFigures wall_start;  ///< of those in it
   int states_in_window = 0;
   int threads = 1;
   Stamp first_stamp = 0;  ///< of the first odometry sample
@@ -137,12 +138,16 @@ ValueVariation FollowThrust(const FlightLog& log, const Vehicle& vehicle,
 std::vector<std::optional<double>> Convergence(const History& history,
                                                const std::vector<bool>& observable);
 
-/// Updates with a window of the configured length (it is longer in the first 3 s of flight), the
-/// first 2 s after take-off left out.
-/// @param clock member of UpdateTiming, wall_ms or cpu_ms
-TimingFigures SummariseTiming(const ReplayResult& replay, double UpdateTiming::*clock);
+/// Every update of a flight is in one of two parts: its start, in which nothing leaves the window
+/// and much is solved as a whole, and the rest.
+enum class TimingPart { kStart, kRest };
+constexpr double kTimingStart_s = 3.0;  ///< after take-off
 
-/// Median number of states in the window of these updates.
+/// @param clock member of UpdateTiming, wall_ms or cpu_ms
+TimingFigures SummariseTiming(const ReplayResult& replay, double UpdateTiming::*clock,
+                              TimingPart part = TimingPart::kRest);
+
+/// Median number of states in the window after the start.
 int StatesInWindow(const ReplayResult& replay);
 
 /// What a recording and its replay lack: samples dropped, gaps, jumps.

@@ -3,7 +3,7 @@
 #include <vector>
 
 #include "odmc/analysis/replay.h"
-#include "odmc/inspection/finding.h"
+#include "odmc/text/finding.h"
 
 namespace odmc {
 

@@ -4,9 +4,8 @@
 #include <string>
 #include <vector>
 
-#include "odmc/analysis/benchmark.h"
 #include "odmc/analysis/calibration.h"
-#include "odmc/analysis/recovery.h"
+#include "odmc/sim/truth_sample.h"
 
 namespace odmc {
 
@@ -18,17 +17,11 @@ namespace odmc {
 
 std::string CalibrationReport(const Calibration& calibration, const DynamicModel& model);
 std::string EvaluationReport(const Evaluation& evaluation, const DynamicModel& model);
-std::string RecoveryReport(const Recovery& recovery, const RecoveryOptions& options,
-                           const Vehicle& vehicle);
-std::string BenchmarkReport(const std::vector<BenchmarkRow>& rows, const FlightLog& log,
-                            const Vehicle& vehicle);
 
 // ---- Tables for a terminal ---------------------------------------------------------------------
 
 std::string CalibrationTable(const Calibration& calibration);
 std::string EvaluationTable(const Evaluation& evaluation);
-std::string RecoveryTable(const Recovery& recovery);
-std::string BenchmarkTable(const std::vector<BenchmarkRow>& rows);
 
 // ---- CSV files; all throw std::runtime_error if the file cannot be written ---------------------
 

@@ -90,14 +90,14 @@ class Evidence {
 
   EffectFit Solve(const VariantSet& set) const;
   /// The evidence alone, relative to that of the declared model.
-  double Gain(const VariantSet& set) const;
+  double GainInNats(const VariantSet& set) const;
 
   /// What a single variant that is not (yet) among the columns would gain at most [nats]: by the
   /// noise, and as if that were white.
-  struct Promise {
+  struct GainBound {
     double serial = 0.0, white = 0.0;
   };
-  Promise PromiseOf(const Candidate& candidate) const;
+  GainBound GainBoundOf(const Candidate& candidate) const;
 
   /// What a variant of a fitted set does, by channel, over the noise [nats].
   std::array<double, kNumChannels> EnergyOf(int variant, const EffectFit& fit) const;

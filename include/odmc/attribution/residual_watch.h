@@ -133,7 +133,7 @@ class ResidualWatch {
 /// Parameters start where they are, with their present sigma, widened by what the effect moves them
 /// (they have stood in for it); the effect's own start at what the look estimated, with the sigmas
 /// of the vehicle file or the catalogue.
-/// @param extended the vehicle with the effect, see With()
+/// @param extended the vehicle with the effect, see VehicleWith()
 /// @param present the newest estimate of `found.model`
 Vehicle WarmStarted(const Vehicle& extended, const ParameterSet& present,
                     const ResidualLook& found);

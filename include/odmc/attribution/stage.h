@@ -24,9 +24,9 @@ struct Stage {
 };
 
 /// The vehicle with a candidate added, what it was tried with frozen, what it frees estimated.
-Vehicle With(const Vehicle& vehicle, const Candidate& candidate);
+Vehicle VehicleWith(const Vehicle& vehicle, const Candidate& candidate);
 /// The same with an effect that was found, as it was tried.
-Vehicle With(const Vehicle& vehicle, const RankedEffect& effect);
+Vehicle VehicleWith(const Vehicle& vehicle, const RankedEffect& effect);
 
 /// A vehicle as attribution asks about it: what is estimated has the priors of the vehicle file
 /// again, and starts there; of effects the file does not list, the values stay. The sigmas of an

@@ -18,9 +18,6 @@ struct ChannelStructure {
   std::map<std::string, double> dependence;  ///< share of variance by a quadratic in each quantity
 };
 
-/// A number in three digits, for sentences.
-std::string Text(double value);
-
 /// Structure of every channel of a residual.
 /// @param in_use_only true if its spectrum shall not see the blocks held out
 std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,

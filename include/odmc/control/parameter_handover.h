@@ -75,7 +75,7 @@ class ParameterHandover {
   /// Offers an estimate the estimator has accepted.
   /// @param stamp of the estimate
   /// @returns a sentence why it is refused; empty if it is taken
-  std::string Offer(const ParameterSet& set, Stamp stamp, Stamp now);
+  std::string Consider(const ParameterSet& set, Stamp stamp, Stamp now);
 
   /// Moves the parameters in use, judges changes. To be called at a steady rate.
   /// @param tracking_error_m distance from the reference; nothing while nothing is tracked

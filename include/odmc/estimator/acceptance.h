@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "odmc/estimator/estimator.h"
-#include "odmc/inspection/finding.h"
+#include "odmc/text/finding.h"
 
 namespace odmc {
 

@@ -1,80 +1,27 @@
 #pragma once
 
-#include <Eigen/Core>
-#include <Eigen/Eigenvalues>
-#include <array>
 #include <functional>
 #include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
-#include "odmc/estimator/change_detector.h"
-#include "odmc/estimator/consistency.h"
-#include "odmc/estimator/gates.h"
-#include "odmc/estimator/load_observer.h"
-#include "odmc/estimator/noise_estimation.h"
+#include "odmc/estimator/change_watch.h"
+#include "odmc/estimator/factor_builder.h"
+#include "odmc/estimator/front_end.h"
+#include "odmc/estimator/learning_schedule.h"
+#include "odmc/estimator/model_noise.h"
 #include "odmc/estimator/options.h"
-#include "odmc/estimator/phase_watch.h"
-#include "odmc/estimator/regressor_noise.h"
+#include "odmc/estimator/residual_level.h"
+#include "odmc/estimator/snapshot.h"
+#include "odmc/estimator/uncertainty.h"
 #include "odmc/model/parameter_set.h"
-#include "odmc/preintegration/imu_interval.h"
-#include "odmc/preintegration/rotor_interval.h"
-#include "odmc/preintegration/rotor_rate_smoother.h"
-#include "odmc/sensing/synchroniser.h"
 #include "odmc/window/window.h"
 #include "odmc/window/window_solver.h"
 
 namespace odmc {
 
-/// Wall and CPU time of one update [ms], and what they depend on.
-struct UpdateTiming {
-  double wall_ms = 0.0;
-  double cpu_ms = 0.0;
-  // Wall time of the stages of an update, in their order; their sum is wall_ms.
-  double read_ms = 0.0;         ///< synchronise the streams, look for the ground, preintegrate
-  double build_ms = 0.0;        ///< the keyframe and its factors
-  double solve_ms = 0.0;        ///< the window
-  double snapshot_ms = 0.0;     ///< covariances, residuals
-  double marginalize_ms = 0.0;  ///< the oldest keyframe; statistics of its residual
-  int states = 0;               ///< in the window
-  bool window_full = false;     ///< the window had its length, no less and not much more
-  // As in SolveReport.
-  int eliminated = 0;
-  bool sweeping = false, aligned = false;
-};
-
-/// Where the estimate stands after one update.
-struct Snapshot {
-  Stamp stamp = 0;      ///< of the newest keyframe
-  double time_s = 0.0;  ///< since the first keyframe
-  bool airborne = false;
-  State state;  ///< newest keyframe, sensor frame S
-  /// Of its tangent (p, theta, v, w), not inflated; NaN where a direction is not known.
-  WindowSolver::StateMatrix state_covariance;
-  BodyProperties body;    ///< at the estimate: mounts, centre of mass, gravity
-  ModelValues values;     ///< of the model's parameters
-  Eigen::VectorXd sigma;  ///< of each, 0 where frozen; inflated for serial correlation
-  /// Of each, at least 1: `sigma` over what the window's information alone gives.
-  Eigen::VectorXd inflation;
-  std::vector<bool> observable;
-  std::vector<std::string> unobservable;  ///< directions nobody measured, in words
-  Eigen::MatrixXd covariance;             ///< of all parameters, 0 where frozen
-  SolveReport solve;
-  UpdateTiming timing;
-  Eigen::Vector3d residual_force_B = Eigen::Vector3d::Zero();   ///< newest interval [N]
-  Eigen::Vector3d residual_torque_B = Eigen::Vector3d::Zero();  ///< newest interval [N m]
-  double residual_force_rms_N = 0.0;    ///< running, about a window long, all axes
-  double residual_torque_rms_Nm = 0.0;  ///< running, about a window long, all axes
-  double battery_voltage_V = 0.0;
-};
-
-/// How far an estimate is from that of a batch solve of the same window to convergence.
-struct FullSolveDifference {
-  double parameters = 0.0;  ///< largest, in standard deviations of the full solve
-  double sigmas = 0.0;      ///< largest relative difference of a standard deviation
-  std::string worst_parameter, worst_sigma;  ///< full names
-};
+class UpdateTimer;
 
 /// What happened so far, in numbers.
 struct EstimatorCounters {
@@ -92,8 +39,22 @@ struct EstimatorCounters {
   double airborne_s = 0.0;
 };
 
+/// The window between the solve of an update and its marginalization, for benchmarks and tests.
+struct SolvedWindow {
+  const DynamicModel& model;
+  const SolveReport& solve;
+  const Eigen::VectorXd& sigma_eta;  ///< of eta, not inflated
+  const ModelNoise& model_noise;
+  Window* window;
+  WindowSolver* solver;
+};
+
 /// The pipeline in one object: samples go in, snapshots come out. Runs the same offline and live.
-/// Thread-compatible: one thread owns it.
+///
+///   FrontEnd -> FactorBuilder -> Window -> WindowSolver -> Snapshot (Uncertainty) -> marginalize
+///
+/// LearningSchedule says how hard to solve and when keyframes leave, ModelNoise how much to believe
+/// the model. Thread-compatible: one thread owns it.
 class Estimator {
  public:
   /// @param model must outlive the estimator
@@ -101,11 +62,12 @@ class Estimator {
   Estimator(const DynamicModel* model, const EstimatorOptions& options, bool with_torque);
   ~Estimator();
 
-  void Add(const OdometrySample& sample);
-  void Add(const ImuSample& sample);
-  void Add(const RotorSample& sample);
-  void Add(const BatterySample& sample);
-  void Finish();
+  void Add(const OdometrySample& sample) { front_end_.Add(sample); }
+  void Add(const ImuSample& sample) { front_end_.Add(sample); }
+  void Add(const RotorSample& sample) { front_end_.Add(sample); }
+  void Add(const BatterySample& sample) { front_end_.Add(sample); }
+  /// No sample follows.
+  void Finish() { front_end_.Finish(); }
 
   /// Processes at most one keyframe. @returns a snapshot, good until the next call, if one was
   /// processed in free flight, or if something that was learned had to be taken back; else null
@@ -115,7 +77,7 @@ class Estimator {
   bool made_progress() const { return made_progress_; }
 
   /// Stamp of the keyframe the last Step() consumed.
-  Stamp last_keyframe_stamp() const { return last_ ? last_->stamp : 0; }
+  Stamp last_keyframe_stamp() const { return front_end_.last() ? front_end_.last()->stamp : 0; }
 
   /// Forgets samples and states, keeps what was learned about the parameters (a new flight or a
   /// clock that stepped back).
@@ -132,156 +94,75 @@ class Estimator {
   void CarryOn(const Estimator& before, const DynamicModel& declared);
 
   /// Stamp from which flight time counts; 0 before the first keyframe.
-  Stamp start() const { return first_stamp_.value_or(0); }
+  Stamp start() const { return front_end_.start(); }
 
   const EstimatorCounters& counters() const { return counters_; }
-  const SynchroniserCounters& stream_counters() const { return synchroniser_.counters(); }
-  const std::string& waiting_for() const { return synchroniser_.waiting_for(); }
+  const SynchroniserCounters& stream_counters() const { return front_end_.streams().counters(); }
+  const std::string& waiting_for() const { return front_end_.streams().waiting_for(); }
   /// True while the flight teaches: nothing but the air acts on the vehicle.
-  bool airborne() const { return phases_.detector().has_begun() && phases_.detector().teaches(); }
-  const PhaseDetector& phases() const { return phases_.detector(); }
+  bool airborne() const { return phases().has_begun() && phases().teaches(); }
+  const PhaseDetector& phases() const { return front_end_.phase_detector(); }
   const DynamicModel& model() const { return *model_; }
   const EstimatorOptions& options() const { return options_; }
   /// Keyframes for whose stamp this is true teach the estimate nothing: what is judged on them has
   /// not seen them.
   void SetHeldOut(std::function<bool(Stamp)> is_held_out) { is_held_out_ = std::move(is_held_out); }
 
-  /// Solves the window as it stands once more with Ceres, to convergence, and leaves it as it was.
-  /// For benchmarks and tests. @returns nothing without states, or where a solve failed
-  std::optional<FullSolveDifference> CompareWithFullSolve();
-
   /// Compares what the thirds of the flight so far say by themselves. @returns the parameters about
   /// which they disagree beyond sampling error (LastLookThreshold()), serial correlation included
-  std::vector<ThirdsDifference> LastLook();
+  std::vector<ThirdsDifference> LastLook() { return uncertainty_.CompareThirds(window_); }
 
   /// Calls `observe` in every update between the solve and the marginalization, untimed.
-  void SetObserver(std::function<void()> observe) { observe_ = std::move(observe); }
+  void SetObserver(std::function<void(const SolvedWindow&)> observe) {
+    observe_ = std::move(observe);
+  }
 
-  const InertiaGate& inertia_gate() const { return inertia_gate_; }
-  OdometryNoise odometry_noise() const { return stream_noise_.odometry(); }
+  const InertiaGate& inertia_gate() const { return schedule_.gate(); }
+  OdometryNoise odometry_noise() const { return front_end_.noise().odometry(); }
 
   /// The estimate as a parameter set, for files and messages.
   static ParameterSet ToParameterSet(const DynamicModel& model, const Snapshot& snapshot);
 
  private:
-  struct Interval;  // what lies between two keyframes
-
+  const Snapshot* Update(const OdometrySample& sample, UpdateTimer* timer);
+  PhaseVerdict FollowPhase(const OdometrySample& sample);
+  void CountTime(double dt, bool teaches);
+  bool IsLeftOut(const OdometrySample& sample) const;
+  std::optional<KeyframeInterval> ReadInterval(const OdometrySample& sample);
+  /// The next keyframe does not follow on the last one.
+  void BreakChain();
   void EmptyWindow();
-  bool FreeInertia();
-  bool InertiaIsFree(int axis) const;
-  void FollowLoad(const OdometrySample& sample);
+  const Snapshot* TakeBack(Stamp since);
+  void LearnAnew();
+  void TakeSnapshot(Stamp stamp, const SolveReport& report);
+  void Describe(const SolveReport& report, UpdateTiming* timing) const;
+  void TellPhases(Stamp stamp);
+  void MarginalizeOld();
   /// Parameters that vary may have moved by what they do in `dt`.
   void LetVary(double dt);
-  bool AlignmentIsDue() const;
-  bool FollowPhase(const OdometrySample& sample);
-  const Snapshot* TakeBack(Stamp since);
-  void CountTime(double dt, bool teaches);
-  void TellPhases(Stamp stamp);
-  void RestoreGate(Stamp since);
-  std::optional<Interval> ReadInterval(const OdometrySample& sample);
-  bool IsJump(const OdometrySample& sample, double dt) const;
-  State InitialState(const OdometrySample& sample, const Interval* interval) const;
-  /// Body rate in S that the gyro reads at `stamp`, its bias taken off; nothing without samples
-  /// around it.
-  std::optional<Eigen::Vector3d> GyroRate(Stamp stamp) const;
-  /// A cost function, from the window's spares where there are any.
-  template <typename T, typename... Arguments>
-  std::unique_ptr<ceres::CostFunction> MakeCost(FactorKind kind, const Arguments&... arguments);
-  std::int64_t CurrentBias(Stamp stamp, bool has_imu);
-  void AddKeyframe(const OdometrySample& sample, const std::optional<Interval>& interval);
-  void AddIntervalFactors(const Interval& interval, std::int64_t id);
-  DynamicsNoise NoiseOf(const Interval& interval) const;
-  double RotorSpeedNoise() const;
-  void SeeRotorScale(const RotorInterval& rotors);
-  /// What an error of scale in modelled rotor speeds does to the coefficients of their squares.
-  void AddScaleError(Snapshot* snapshot) const;
-  /// Averages the rotors' accelerations of the newest intervals, as far as those after them go.
-  void SmoothRotorRates(const Interval& interval, std::int64_t id);
-  void TakeSnapshot(const OdometrySample& sample, const SolveReport& report);
-  void FillResiduals(Snapshot* snapshot);
-  void LookForChange();
-  void LearnAnew();
-  /// True while the whole flight stays in the window.
-  bool IsLearning() const;
-  void MarginalizeOld();
-  /// Looks at what the newest settled intervals leave unexplained.
-  void FollowNoise();
-  /// Weighs all that was measured anew where that has grown or shrunk.
+  /// Weighs all that was measured anew where its size has grown or shrunk.
   void RescaleNoise();
-  /// Gives a keyframe's factors the sizes of what is not modelled.
-  void SetModelNoise(const ProcessNoiseEstimator& noise, Keyframe* keyframe);
-  Eigen::Vector3d AccelerometerSigma(const Eigen::Vector3d& force_N) const;
-  void RefreshConsistency(const Eigen::MatrixXd& covariance);
-  void RefreshInflation(const Eigen::MatrixXd& covariance);
 
   const DynamicModel* model_;
   EstimatorOptions options_;
   bool with_torque_;
-  DynamicsForm form_;
   ParameterLayout layout_;
-  Synchroniser synchroniser_;
-  PhaseWatch phases_;
-  struct {
-    double dt = 0.0;                      // since the keyframe before, 0: none
-    std::optional<RotorInterval> rotors;  // since then
-    bool is_gap = false, is_jump = false;
-    std::optional<Stamp> take_back;
-  } step_;  // the newest keyframe, before it is used
-  InertiaGate inertia_gate_;
-  Ring<std::pair<Stamp, InertiaGate::Statistics>> gate_before_;  // one a tenth of a second
-  LoadObserver load_;
-  LoadPull load_pull_;  // over the newest interval
-  std::function<bool(Stamp)> is_held_out_;
-  std::function<void()> observe_;
-  StreamNoise stream_noise_;
-  double rotor_scale_sigma_ = 0.0;  // of rotor speeds, mean over the flight, 0: none modelled
-  RotorRateSmoother rotor_rates_;
-  ProcessNoiseEstimator process_noise_;
-  std::int64_t noise_seen_ = -1;  // newest keyframe whose interval it was given
-  struct NoiseStep {
-    ProcessNoiseEstimator before;
-    std::int64_t newest = -1;   // keyframe before it
-    std::int64_t reached = -1;  // newest of those that has the new sizes by now
-  };
-  std::optional<NoiseStep> noise_step_;  // the last one
-  ChangeDetector change_detector_;
-  Stamp change_seen_ = 0;  // start of the newest interval it was given
+  FrontEnd front_end_;
   Window window_;
   std::unique_ptr<WindowSolver> solver_;
-  std::unique_ptr<ceres::LossFunction> loss_;
-  std::vector<int> walking_;     // entries of eta that walk together
-  double walk_owed_s_ = 0.0;     // of flight that has left the window since they last did
-  Eigen::MatrixXd before_walk_;  // information of the past
-  Consistency consistency_;
-  RegressorNoise regressor_noise_;
-  Eigen::VectorXd consistency_inflation_, noise_inflation_, inflation_;  // the last: both
-  Eigen::VectorXd prior_sigma_eta_;  // by which parameters count as observable
-  Eigen::VectorXd sigma_eta_;        // of the last update, not inflated
-  Eigen::VectorXd force_information_, torque_information_;  // what has informed each parameter
-  std::vector<std::string> unobservable_;
-  struct {
-    Eigen::MatrixXd in_priors;  // covariance in units of the priors' sigmas
-    Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen;
-  } directions_;
+  LearningSchedule schedule_;
+  ModelNoise model_noise_;
+  FactorBuilder factors_;
+  ChangeWatch changes_;
+  Uncertainty uncertainty_;
+  ResidualLevel residuals_;
   Snapshot snapshot_;  // the newest, filled in place
-  Eigen::MatrixXd covariance_;
-  LeavingFactors leaving_;
-  double residual_force_power_ = 0.0, residual_torque_power_ = 0.0;  // running mean squares
   EstimatorCounters counters_;
-  std::optional<OdometrySample> last_;  // newest keyframe's odometry
-  std::optional<OdometrySample> before_last_;
-  bool last_in_window_ = false;
-  double learned_s_ = 0.0;  // flown since the parameters were last new
-  bool was_learning_ = false;
-  bool estimates_inertia_ = false;  // about any axis
-  std::optional<Stamp> first_stamp_;
-  std::optional<Stamp> bias_since_;
-  std::array<bool, 3> inertia_was_free_ = {false, false, false};
-  std::vector<Factor> pending_;  // of a bias whose first keyframe is about to come
-  Stamp noise_ready_ = 0;
+  std::function<bool(Stamp)> is_held_out_;
+  std::function<void(const SolvedWindow&)> observe_;
   bool made_progress_ = false;
-  double aligned_states_ = 0.0;         // in the window at the last alignment
-  bool needs_more_iterations_ = false;  // the last solve took no step
+  bool last_in_window_ = false;  // the keyframe before the newest
+  double walk_owed_s_ = 0.0;     // of flight that has left since parameters last walked
 };
 
 }  // namespace odmc

@@ -2,8 +2,8 @@
 
 #include <vector>
 
-#include "odmc/inspection/finding.h"
 #include "odmc/inspection/rotor_regression.h"
+#include "odmc/text/finding.h"
 
 namespace odmc {
 

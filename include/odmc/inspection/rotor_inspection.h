@@ -2,10 +2,10 @@
 
 #include <vector>
 
-#include "odmc/inspection/finding.h"
 #include "odmc/inspection/stream_doubt.h"
 #include "odmc/model/vehicle.h"
 #include "odmc/sensing/samples.h"
+#include "odmc/text/finding.h"
 
 namespace odmc {
 

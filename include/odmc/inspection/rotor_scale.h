@@ -3,9 +3,9 @@
 #include <optional>
 #include <vector>
 
-#include "odmc/inspection/finding.h"
 #include "odmc/inspection/rotor_regression.h"
 #include "odmc/inspection/stream_doubt.h"
+#include "odmc/text/finding.h"
 
 namespace odmc {
 

@@ -4,9 +4,9 @@
 #include <string>
 #include <vector>
 
-#include "odmc/inspection/finding.h"
 #include "odmc/model/vehicle.h"
 #include "odmc/sensing/samples.h"
+#include "odmc/text/finding.h"
 
 namespace odmc {
 

@@ -2,8 +2,8 @@
 
 #include <vector>
 
-#include "odmc/inspection/finding.h"
 #include "odmc/sensing/samples.h"
+#include "odmc/text/finding.h"
 
 namespace odmc {
 

@@ -3,9 +3,9 @@
 #include <string>
 #include <vector>
 
-#include "odmc/inspection/finding.h"
 #include "odmc/inspection/stream_doubt.h"
 #include "odmc/inspection/time_offsets.h"
+#include "odmc/text/finding.h"
 
 namespace odmc {
 

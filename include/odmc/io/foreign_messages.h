@@ -104,7 +104,7 @@ class ForeignStream {
   std::vector<Stamp> EntryStamps(const std::uint8_t* data, size_t size, size_t entries,
                                  size_t values) const;
   Stamp OffsetOf(Stamp newest, const std::uint8_t* data, size_t size, Stamp arrival);
-  void Settle(const FieldOptions& options, const MessageDescription& message);
+  void ChooseField(const FieldOptions& options, const MessageDescription& message);
   std::vector<double> Choose(std::vector<double> entries);
   double ToUnit(double value) const;
   Stamp StampOf(const std::uint8_t* data, size_t size, Stamp arrival);

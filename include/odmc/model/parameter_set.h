@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
-#include "odmc/inspection/finding.h"
 #include "odmc/model/vehicle.h"
+#include "odmc/text/finding.h"
 
 namespace odmc {
 

@@ -95,7 +95,7 @@ class SimulatorNode {
 
   // ROS threads.
   void Advertise();
-  void Offer(const std::string& service,
+  void AdvertiseFault(const std::string& service,
              std::string (*act)(const WorldOptions& sizes, World* world));
   void OnCommand(const RotorSpeeds::ConstPtr& message);
   void OnMotorCommand(const MotorCommands::ConstPtr& message);

@@ -8,7 +8,8 @@
 #include <variant>
 #include <vector>
 
-#include "odmc/model/vehicle.h"
+#include "odmc/math/rotor_vector.h"
+#include "odmc/sensing/command_unit.h"
 
 namespace odmc {
 

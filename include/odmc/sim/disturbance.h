@@ -1,8 +1,8 @@
 #pragma once
 
+#include "odmc/math/gaussian.h"
 #include "odmc/model/body_wrench.h"
 #include "odmc/model/dynamic_model.h"
-#include "odmc/sim/gaussian.h"
 #include "odmc/sim/rigid_body.h"
 
 namespace odmc {

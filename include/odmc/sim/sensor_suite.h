@@ -3,8 +3,8 @@
 #include <Eigen/Core>
 #include <vector>
 
+#include "odmc/math/gaussian.h"
 #include "odmc/sensing/samples.h"
-#include "odmc/sim/gaussian.h"
 #include "odmc/sim/sensors.h"
 #include "odmc/sim/world_options.h"
 

@@ -2,9 +2,9 @@
 
 #include <Eigen/Core>
 
+#include "odmc/math/gaussian.h"
 #include "odmc/model/body_properties.h"
 #include "odmc/sensing/samples.h"
-#include "odmc/sim/gaussian.h"
 #include "odmc/sim/truth_sample.h"
 
 namespace odmc {

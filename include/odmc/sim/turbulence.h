@@ -2,7 +2,7 @@
 
 #include <Eigen/Core>
 
-#include "odmc/sim/gaussian.h"
+#include "odmc/math/gaussian.h"
 
 namespace odmc {
 

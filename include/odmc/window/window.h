@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <type_traits>
 #include <vector>
 
 #include "odmc/factors/manifolds.h"
@@ -16,6 +17,15 @@
 #include "odmc/math/ring.h"
 
 namespace odmc {
+
+class AccelerometerFactor;
+class BiasWalkFactor;
+class BlockPriorFactor;
+class DynamicsFactor;
+class GyroFactor;
+class GyroPreintegrationFactor;
+class KinematicFactor;
+class OdometryFactor;
 
 /// What a factor says, so that others can find the ones they need.
 enum class FactorKind {
@@ -30,6 +40,28 @@ enum class FactorKind {
 };
 constexpr int kNumFactorKinds = static_cast<int>(FactorKind::kBiasWalk) + 1;
 
+/// The kind of a type of cost function.
+template <typename T>
+struct FactorKindOf;
+template <FactorKind kind>
+using IsFactorKind = std::integral_constant<FactorKind, kind>;
+template <>
+struct FactorKindOf<OdometryFactor> : IsFactorKind<FactorKind::kOdometry> {};
+template <>
+struct FactorKindOf<KinematicFactor> : IsFactorKind<FactorKind::kKinematic> {};
+template <>
+struct FactorKindOf<DynamicsFactor> : IsFactorKind<FactorKind::kDynamics> {};
+template <>
+struct FactorKindOf<AccelerometerFactor> : IsFactorKind<FactorKind::kAccelerometer> {};
+template <>
+struct FactorKindOf<GyroFactor> : IsFactorKind<FactorKind::kGyro> {};
+template <>
+struct FactorKindOf<GyroPreintegrationFactor> : IsFactorKind<FactorKind::kGyroPreintegration> {};
+template <>
+struct FactorKindOf<BlockPriorFactor> : IsFactorKind<FactorKind::kBiasPrior> {};
+template <>
+struct FactorKindOf<BiasWalkFactor> : IsFactorKind<FactorKind::kBiasWalk> {};
+
 /// A cost function and the variables it touches. Its blocks are, in order: state0, state1, bias0,
 /// bias1 (those that are set), then eta if `parameters`, then the anchor if `anchored`.
 struct Factor {
@@ -43,6 +75,12 @@ struct Factor {
   /// Grows whenever the cost function is changed in place; solvers that keep linearizations then
   /// evaluate it anew.
   int revision = 0;
+
+  /// The cost function if it is a `T`, else null. The kind tells: it is the only cast.
+  template <typename T>
+  T* As() const {
+    return kind == FactorKindOf<T>::value ? static_cast<T*>(cost.get()) : nullptr;
+  }
 };
 
 /// Pointers to the blocks of one factor, as Ceres takes them.
@@ -64,6 +102,20 @@ struct Keyframe {
   bool in_prior = false;   ///< the prior touches it; `x_lin` is then its linearization point
   std::array<double, kStateSize> x_lin;
   std::vector<Factor> factors;
+
+  /// Calls `use(factor, cost)` for each of the factors whose cost function is a `T`.
+  template <typename T, typename Use>
+  void ForEach(const Use& use) {
+    for (Factor& factor : factors) {
+      if (T* const cost = factor.As<T>()) use(&factor, cost);
+    }
+  }
+  template <typename T, typename Use>
+  void ForEach(const Use& use) const {
+    for (const Factor& factor : factors) {
+      if (const T* const cost = factor.As<T>()) use(factor, *cost);
+    }
+  }
 };
 
 /// One IMU bias (gyro, accelerometer) in force over a few keyframes.
@@ -118,9 +170,20 @@ class Window {
   /// Takes the oldest keyframe off; its cost functions become spares.
   void DropOldestKeyframe();
 
-  /// A cost function of this kind that is no longer needed, for its maker to set anew without
-  /// allocating; null if there is none.
-  std::unique_ptr<ceres::CostFunction> TakeSpare(FactorKind kind);
+  /// A factor with a cost function `T`, one that is no longer needed set anew where there is any:
+  /// nothing is allocated then. Its variables are still to be named.
+  template <typename T, typename... Arguments>
+  Factor MakeFactor(const Arguments&... arguments) {
+    Factor factor;
+    factor.kind = FactorKindOf<T>::value;
+    factor.cost = TakeSpare(factor.kind);
+    if (factor.cost == nullptr) {
+      factor.cost = std::make_unique<T>(arguments...);
+    } else {
+      factor.As<T>()->Set(arguments...);
+    }
+    return factor;
+  }
 
   const ParameterLayout& layout() const { return *layout_; }
   Ring<Keyframe>& keyframes() { return keyframes_; }
@@ -163,6 +226,8 @@ class Window {
   std::vector<double*> PriorBlocks();
 
  private:
+  std::unique_ptr<ceres::CostFunction> TakeSpare(FactorKind kind);
+
   const ParameterLayout* layout_;
   Ring<Keyframe> keyframes_;
   Ring<Bias> biases_;

@@ -1,0 +1,51 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "odmc/estimator/estimator.h"
+#include "odmc/inspection/live_mender.h"
+#include "odmc/ros/background_looks.h"
+#include "odmc/text/finding.h"
+
+namespace odmc {
+
+/// What speaks against the estimate: what is wrong with the streams, as far as it is mended and as
+/// far as it is not, and whether the thirds of the flight agree. Of the estimator thread.
+class EstimateTrust {
+ public:
+  /// Mends a sample by what was found so far.
+  void Mend(Sample* sample);
+  double OffsetOf(const std::string& stream) const { return mender_.OffsetOf(stream); }
+
+  /// What a comparison of the streams has found. @returns true if streams are mended otherwise from
+  ///   now on: they are others
+  bool Adopt(BackgroundLooks::StreamsFound found);
+  /// Every ten seconds of flight: do its thirds agree?
+  /// @param values of the estimate, null: none
+  void LookBack(const ModelValues* values, bool detects_changes, Estimator* estimator);
+  /// What was learned is forgotten.
+  void ForgetEstimate();
+
+  /// What may be wrong with the streams, and was not taken off, belongs to the estimate's sigma.
+  /// @param model of the snapshot
+  void Widen(const std::shared_ptr<const DynamicModel>& model, Snapshot* snapshot) const;
+
+  const std::vector<Finding>& findings() const { return findings_; }
+
+ private:
+  void Renew();
+
+  LiveMender mender_;
+  std::shared_ptr<const DynamicModel> doubted_;  // whose parameters doubts_ are of
+  std::vector<Eigen::VectorXd> doubts_;          // what each doubt may make of them
+  std::set<std::string> told_;                   // checks that were written to the log
+  std::vector<Finding> look_back_;               // by the thirds of the flight
+  std::vector<Finding> findings_;                // all of them
+  double last_look_s_ = 0.0;                     // flight time of the last look at the thirds
+};
+
+}  // namespace odmc

@@ -1,0 +1,69 @@
+#pragma once
+
+#include <array>
+#include <chrono>
+#include <condition_variable>
+#include <deque>
+#include <functional>
+#include <future>
+#include <mutex>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "odmc/ros/node_status.h"
+#include "odmc/ros/streams.h"
+
+namespace odmc {
+
+/// What topics and services bring, for the one thread that estimates, with its counts by topic; and
+/// the sign to stop, for all threads. Every member is under one lock.
+class InputQueue {
+ public:
+  /// What a service has to say: whether it worked, and a sentence.
+  using Answer = std::pair<bool, std::string>;
+  using Streams = std::array<StreamStatus, kNumInputStreams>;
+  struct Look {
+    Streams streams;
+    size_t queued = 0;
+  };
+
+  /// @param capacity samples that wait, at most
+  explicit InputQueue(int capacity) : capacity_(static_cast<size_t>(capacity)) {}
+
+  /// Counts a message and queues what came of it.
+  void Push(InputStream stream, std::vector<InputSample> inputs);
+  /// Counts a message that can't be used. @param refusal why; may be empty
+  void Refuse(InputStream stream, const std::string& refusal);
+  /// Counts a message with nothing in it yet.
+  void CountPassedOver(InputStream stream);
+  void NoteStamps(InputStream stream, const std::string& stamps);
+  void NoteRefusal(InputStream stream, const std::string& refusal);
+  /// Has the estimator thread do it, between two batches of samples. @returns what it answers
+  Answer Ask(std::function<Answer()> act);
+  Look Snapshot();
+
+  void Stop();
+  bool stopping();
+  /// Sleeps for `period`, or until there is the sign to stop. @returns whether there is
+  bool SleepUnlessStopping(std::chrono::milliseconds period);
+
+  // The estimator thread.
+
+  /// Waits a moment for input. @returns false once there is the sign to stop
+  bool WaitForInput(std::deque<InputSample>* batch);
+  /// @returns false if there is none
+  bool TakeBatch(std::deque<InputSample>* batch);
+  void AnswerRequests();
+
+ private:
+  const size_t capacity_;
+  std::mutex mutex_;
+  std::condition_variable input_came_, stops_;
+  std::deque<InputSample> queue_;
+  std::deque<std::packaged_task<Answer()>> requests_;
+  Streams streams_;
+  bool stopping_ = false;
+};
+
+}  // namespace odmc

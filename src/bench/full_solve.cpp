@@ -1,0 +1,110 @@
+#include "odmc/bench/full_solve.h"
+
+#include <array>
+#include <cmath>
+#include <vector>
+
+namespace odmc {
+namespace {
+
+/// The variables of a window, and where they are linearized.
+class SavedPoint {
+ public:
+  explicit SavedPoint(const Window& window)
+      : eta_(window.eta()),
+        biases_(window.biases()),
+        prior_(window.prior()),
+        anchor_(window.anchor()) {
+    for (const Keyframe& k : window.keyframes()) keyframes_.push_back({k.x, k.x_lin, k.in_prior});
+  }
+
+  void Restore(Window* window) const {
+    window->eta() = eta_;
+    window->biases() = biases_;
+    window->prior() = prior_;
+    window->anchor() = anchor_;
+    for (size_t i = 0; i < keyframes_.size(); ++i) {
+      Keyframe& keyframe = window->keyframes()[i];
+      keyframe.x = keyframes_[i].x;
+      keyframe.x_lin = keyframes_[i].x_lin;
+      keyframe.in_prior = keyframes_[i].in_prior;
+    }
+  }
+
+  const ParameterVector& eta() const { return eta_; }
+
+ private:
+  struct OfKeyframe {
+    std::array<double, kStateSize> x, x_lin;
+    bool in_prior;
+  };
+  ParameterVector eta_;
+  Ring<Bias> biases_;
+  Prior prior_;
+  double anchor_;
+  std::vector<OfKeyframe> keyframes_;
+};
+
+/// @returns the covariance of eta (n×n); nothing where the solve failed
+std::optional<Eigen::MatrixXd> SolveToConvergence(Window* window) {
+  SolverOptions options;
+  options.max_iterations = 30;
+  options.max_time_s = 60.0;
+  options.function_tolerance = 1e-12;
+  CeresWindowSolver reference;
+  for (int pass = 0; pass < 2; ++pass) {  // the anchor follows the solution
+    if (!reference.Solve(window, options).usable) return std::nullopt;
+  }
+  Eigen::MatrixXd covariance;
+  const Eigen::VectorXd unknown = Eigen::VectorXd::Zero(window->eta().size());
+  if (!reference.ParameterCovariance(*window, unknown, &covariance)) return std::nullopt;
+  return covariance;
+}
+
+FullSolveDifference Difference(const SolvedWindow& solved, const ParameterVector& our_eta,
+                               const Eigen::MatrixXd& ours, const Eigen::MatrixXd& full) {
+  FullSolveDifference difference;
+  for (int i = 0; i < our_eta.size(); ++i) {
+    const double sigma = std::sqrt(full(i, i));
+    const double moved = std::abs(our_eta[i] - solved.window->eta()[i]) / sigma;
+    const double wider = std::abs(std::sqrt(ours(i, i)) / sigma - 1.0);
+    const int k = solved.window->layout().model_index(i);
+    const std::string& name = solved.model.parameters()[k].full_name;
+    if (moved > difference.parameters) {
+      difference.parameters = moved;
+      difference.worst_parameter = name;
+    }
+    if (wider > difference.sigmas) {
+      difference.sigmas = wider;
+      difference.worst_sigma = name;
+    }
+  }
+  return difference;
+}
+
+}  // namespace
+
+std::optional<FullSolveDifference> CompareWithFullSolve(const SolvedWindow& solved) {
+  Window* const window = solved.window;
+  Eigen::MatrixXd ours;
+  if (window->keyframes().empty() ||
+      !solved.solver->ParameterCovariance(*window, solved.sigma_eta, &ours)) {
+    return std::nullopt;
+  }
+  const SavedPoint point(*window);
+  solved.solver->WritePrior(window);
+  std::optional<FullSolveDifference> difference;
+  const auto compare = [&] {
+    const std::optional<Eigen::MatrixXd> full = SolveToConvergence(window);
+    if (full) difference = Difference(solved, point.eta(), ours, *full);
+  };
+  if (solved.solve.reweighing) {  // the problem it solves has the old weights
+    solved.model_noise.WithSizesBefore(window, compare);
+  } else {
+    compare();
+  }
+  point.Restore(window);
+  return difference;
+}
+
+}  // namespace odmc

@@ -1,0 +1,569 @@
+#include "odmc/bench/undeclared.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+#include <memory>
+#include <stdexcept>
+
+#include "odmc/analysis/model_choice.h"
+#include "odmc/attribution/residual.h"
+#include "odmc/effects/effects.h"
+#include "odmc/math/gaussian.h"
+#include "odmc/math/so3.h"
+#include "odmc/sim/truth_vehicle.h"
+
+namespace odmc {
+namespace {
+
+using Eigen::Vector3d;
+
+constexpr double kDuration_s = 24.0;
+constexpr double kAbsurd = 3.0;        // natural sizes (prior sigmas) no effect should need
+constexpr double kNotExcited = 0.015;  // share below which an effect does not show
+constexpr double kLeastShown = 0.7;    // of the planned share
+constexpr int kSizings = 8;            // rounds, at most
+constexpr double kSized = 0.03;        // change of size (log) that ends them
+constexpr int kVehicleStream = 201, kUnknownStream = 203;
+
+/// How strong an effect is: its share of the residual's variance.
+struct Level {
+  const char* name;
+  double share;
+};
+const Level kLevels[] = {{"strong", 0.8}, {"medium", 0.3}, {"weak", 0.08}};
+
+const std::vector<std::string> kFlown = {"octo", "aggressive", "circle", "vertical", "yaw"};
+
+/// An effect with trajectories that show it, best first.
+struct Excited {
+  std::string effect;
+  std::vector<std::string> trajectories;
+};
+
+/// Every effect that test flights are made with.
+std::vector<Excited> Catalogue() {
+  const Vehicle vehicle = UndeclaredVehicles().front();
+  std::vector<Excited> list;
+  for (const std::string& name : EffectRegistry::Default().names()) {
+    const std::vector<std::string>& declared = vehicle.effects;
+    if (std::find(declared.begin(), declared.end(), name) != declared.end()) continue;
+    const auto trajectories = EffectRegistry::Default().Make(name, vehicle)->shown_by();
+    if (!trajectories.empty()) list.push_back({name, trajectories});
+  }
+  return list;
+}
+
+/// The flights on which an effect acts and does not show, in the order of the plan: a trajectory
+/// that leaves it alone.
+const std::vector<std::pair<std::string, std::string>> kHidden = {
+    {"quadratic_drag", "hover"}, {"rotor_hvt", "vertical"},     {"anisotropic_hvt", "hover"},
+    {"hub_moment", "hover"},     {"rotor_gyroscopic", "hover"}, {"products_of_inertia", "hover"},
+    {"rotor_drag", "hover"},     {"axial_inflow", "hover"},     {"rotor_delay", "hover"},
+    {"pressure_centre", "yaw"},  {"rotor_asymmetry", "hover"},  {"wind", "hover"},
+    {"rotor_reaction", "hover"}, {"quadratic_drag", "yaw"},     {"anisotropic_hvt", "vertical"},
+};
+
+Vehicle Made(const std::string& name, double mass, const Vector3d& inertia, double x, double y,
+             double z, double radius, double k_f, bool plus) {
+  Vehicle v;
+  v.name = name;
+  v.mass_kg = mass;
+  v.inertia_kg_m2 = inertia;
+  if (plus) {
+    const double a = std::hypot(x, y);
+    v.rotors = {{{a, 0.0, z}, 1.0, radius},
+                {{0.0, -a, z}, -1.0, radius},
+                {{-a, 0.0, z}, 1.0, radius},
+                {{0.0, a, z}, -1.0, radius}};
+  } else {
+    v.rotors = {{{x, y, z}, 1.0, radius},
+                {{x, -y, z}, -1.0, radius},
+                {{-x, -y, z}, 1.0, radius},
+                {{-x, y, z}, -1.0, radius}};
+  }
+  v.effects = DefaultEffects();
+  v.parameters["thrust.k_f"] = {k_f, 0.3 * k_f, true};
+  v.parameters["rotor_torque.k_m"] = {0.2 * radius * k_f, 0.06 * radius * k_f, false};
+  return v;
+}
+
+/// The declared vehicle's true parameters: the usual ones, each a little off.
+ModelValues TrueValues(const DynamicModel& model, Gaussian* random) {
+  ModelValues truth = DefaultTruth(model);
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    const ModelParameter& p = model.parameters()[i];
+    if (!p.estimated) continue;
+    truth[i] *= 1.0 + std::clamp(0.08 * random->Next(), -0.2, 0.2);
+    // What is usually zero is a little off, too.
+    if (truth[i] == 0.0) truth[i] = p.spec.prior_sigma / 5.0 * random->Next();
+  }
+  return truth;
+}
+
+/// An undeclared effect at a natural size.
+struct DrawnEffect {
+  std::unique_ptr<Effect> effect;
+  Eigen::VectorXd values;  ///< of its parameters
+};
+
+DrawnEffect DrawEffect(const std::string& name, const Vehicle& vehicle, Gaussian* random) {
+  DrawnEffect drawn;
+  drawn.effect = EffectRegistry::Default().Make(name, vehicle);
+  drawn.values = drawn.effect->Draw([random] { return random->Next(); });
+  return drawn;
+}
+
+/// Writes an effect, `scale` times as large as drawn, to the values of `model`.
+void SetScaled(const DrawnEffect& drawn, double scale, const DynamicModel& model,
+               ModelValues* values) {
+  const std::vector<std::string> scaled = drawn.effect->size_parameters();
+  const std::vector<ParameterSpec>& specs = drawn.effect->parameters();
+  for (size_t i = 0; i < specs.size(); ++i) {
+    const bool is_size =
+        scaled.empty() || std::find(scaled.begin(), scaled.end(), specs[i].name) != scaled.end();
+    const double factor = is_size ? scale : 1.0;
+    (*values)[model.IndexOf(drawn.effect->name() + "." + specs[i].name)] =
+        factor * drawn.values[static_cast<Eigen::Index>(i)];
+  }
+}
+
+/// A disturbance outside every catalogue, of unit size in units of weight and weight times arm.
+Unmodelled DrawUnknown(const Vehicle& vehicle, double scale, int seed) {
+  auto random = std::make_shared<Gaussian>(seed, kUnknownStream);
+  const double force = scale * vehicle.mass_kg * vehicle.gravity_m_s2;
+  const double torque = force * vehicle.ArmLength();
+  const int kind = seed % 6;
+  const Vector3d direction = random->Next3().normalized();
+  const double phase = random->Next();
+  const double frequency = 0.4 + 1.2 * std::min(1.5, std::abs(random->Next()));
+  std::vector<Vector3d> waves, angles;
+  for (int i = 0; i < 24; ++i) {
+    waves.push_back(random->Next3());
+    angles.push_back(3.0 * random->Next3());
+  }
+  // A sum of waves with a first-order spectrum.
+  const auto wander = [waves, angles](double t) {
+    Vector3d sum = Vector3d::Zero();
+    for (size_t i = 0; i < waves.size(); ++i) {
+      const double f = 0.06 * std::pow(1.18, static_cast<double>(i));
+      const double weight = std::sqrt(f) / (1.0 + f / 0.3);
+      for (int k = 0; k < 3; ++k) {
+        sum[k] += weight * waves[i][k] * std::sin(6.2832 * f * t + angles[i][k]);
+      }
+    }
+    return sum;
+  };
+  return [=](const FlightState& s) {
+    BodyWrench w;
+    const double t = s.time_s;
+    switch (kind) {
+      case 0:  // something on board that shakes
+        w.f_B = force * std::sin(6.2832 * frequency * t + phase) * direction;
+        break;
+      case 1:  // a torque that wanders
+        w.tau_Bcm_B = torque * wander(t);
+        break;
+      case 2: {  // knocks
+        const double at = std::fmod(t + 1.3 + phase, 3.7);
+        const int which = static_cast<int>((t + 1.3 + phase) / 3.7);
+        if (at < 0.8) {
+          w.f_B = 3.0 * force * std::sin(3.1416 * at / 0.8) * waves[which % 24].normalized();
+        }
+        break;
+      }
+      case 3: {  // jets of air at places in the room
+        const Vector3d p = s.p_WB;
+        const double size = std::sin(4.0 * p.x() + phase) * std::cos(5.0 * p.y() - phase);
+        w.f_B = 2.0 * force * size * (s.R_WB.transpose() * direction);
+        break;
+      }
+      case 4:  // a tether that drags about the body
+        w.f_B = force * wander(t).cwiseProduct(Vector3d(1.0, 0.3, 1.5));
+        break;
+      default:  // a loose part that rattles about the yaw and roll axes
+        w.tau_Bcm_B = torque * std::sin(6.2832 * frequency * t + phase) * Vector3d(0.7, 0.0, 0.7) *
+                      (std::sin(0.9 * t + phase) > 0.0 ? 1.0 : 0.2);
+        break;
+    }
+    return w;
+  };
+}
+
+using ChannelVariance = Eigen::Matrix<double, kNumChannels, 1>;
+
+ChannelVariance VarianceOf(const ResidualModel::Wrenches& y) {
+  return (y.colwise().squaredNorm() / y.rows()).transpose();
+}
+
+/// Variance per channel of the declared model's residual, its parameters fitted to it as an
+/// estimator would: what the channels weigh comes from the sensors' noise (a flight without noise
+/// would weigh the best fitted channel most), and priors hold what the flight does not show.
+ChannelVariance FittedVariance(const FlightLog& log, const Vehicle& vehicle,
+                               const DynamicModel& model, const ModelValues& start,
+                               const ChannelVariance& noise) {
+  constexpr int kRounds = 6;
+  const ThinnedFlight flight(FilterFlight(log, vehicle.num_rotors(), {}), {2.5, 1});
+  const ResidualModel residual(&flight, &vehicle, true);
+  const ChannelVariance weight = noise.cwiseMax(1e-18).cwiseInverse();
+  std::vector<int> free;
+  for (int k = 0; k < model.num_parameters(); ++k) {
+    if (model.parameters()[k].estimated) free.push_back(k);
+  }
+  const auto n = static_cast<Eigen::Index>(free.size());
+  const ModelValues prior = model.InitialValues();
+  const auto cost = [&](const ResidualModel::Wrenches& y, const ModelValues& values) {
+    double sum = (y.colwise().squaredNorm() * weight)(0);
+    for (const int k : free) {
+      sum += std::pow((values[k] - prior[k]) / model.parameters()[k].spec.prior_sigma, 2);
+    }
+    return sum;
+  };
+  ModelValues values = start;
+  ResidualModel::Wrenches y = residual.Residual(model, values);
+  for (int round = 0; round < kRounds; ++round) {
+    Eigen::MatrixXd H = Eigen::MatrixXd::Zero(n, n);
+    Eigen::VectorXd g = Eigen::VectorXd::Zero(n);
+    std::vector<ResidualModel::Wrenches> columns;
+    for (const int k : free) columns.push_back(residual.Derivative(model, values, k));
+    for (Eigen::Index a = 0; a < n; ++a) {
+      const double information = 1.0 / std::pow(model.parameters()[free[a]].spec.prior_sigma, 2);
+      g[a] = information * (prior[free[a]] - values[free[a]]);
+      H(a, a) = information;
+      const ResidualModel::Wrenches weighted = columns[a] * weight.asDiagonal();
+      g[a] += weighted.cwiseProduct(y).sum();
+      for (Eigen::Index b = 0; b < n; ++b) H(a, b) += weighted.cwiseProduct(columns[b]).sum();
+    }
+    const Eigen::VectorXd scale = H.diagonal().cwiseSqrt().cwiseInverse();
+    const Eigen::MatrixXd scaled = scale.asDiagonal() * H * scale.asDiagonal();
+    const Eigen::VectorXd step = scale.asDiagonal() * scaled.ldlt().solve(scale.cwiseProduct(g));
+    const double before = cost(y, values);
+    bool better = false;
+    for (double share = 1.0; share > 0.05 && !better; share *= 0.5) {
+      ModelValues tried = values;
+      bool sensible = true;
+      for (Eigen::Index a = 0; a < n; ++a) {
+        double& value = tried[free[a]];
+        value += share * step[a];
+        const bool positive =
+            model.parameters()[free[a]].spec.transform == ParameterTransform::kLog;
+        sensible = sensible && (!positive || value > 0.0);
+      }
+      if (!sensible) continue;
+      const ResidualModel::Wrenches rest = residual.Residual(model, tried);
+      better = cost(rest, tried) < before;
+      if (!better) continue;
+      values = tried;
+      y = rest;
+    }
+    if (!better) break;
+  }
+  return VarianceOf(y);
+}
+
+}  // namespace
+
+std::vector<Vehicle> UndeclaredVehicles() {
+  return {
+      Made("five_inch", 0.75, {2.5e-3, 2.1e-3, 4.3e-3}, 0.095, 0.11, 0.0, 0.0635, 1.5e-6, false),
+      Made("seven_inch", 1.6, {9.0e-3, 1.1e-2, 1.8e-2}, 0.14, 0.12, 0.02, 0.089, 5.5e-6, false),
+      Made("three_inch", 0.25, {2.6e-4, 2.4e-4, 4.5e-4}, 0.055, 0.055, 0.01, 0.038, 2.6e-7, false),
+      Made("plus", 1.0, {5.5e-3, 5.0e-3, 9.5e-3}, 0.12, 0.12, 0.015, 0.0635, 2.2e-6, true),
+  };
+}
+
+std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
+  const int nothing = (flights * 5 + 15) / 16, hidden = (flights * 3 + 31) / 32,
+            unknown = (flights + 7) / 8, two = (flights + 15) / 16;
+  const std::vector<Excited> catalogue = Catalogue();
+  const int num = static_cast<int>(catalogue.size());
+  std::vector<UndeclaredPlan> plans;
+  for (int i = 0; i < flights; ++i) {
+    UndeclaredPlan plan;
+    plan.number = i;
+    plan.seed = seed * 1000 + i;
+    plan.vehicle = (i + i / 4) % 4;
+    if (i < nothing) {
+      plan.trajectory = kFlown[i % kFlown.size()];
+    } else if (i < nothing + hidden) {
+      const auto& [effect, trajectory] = kHidden[(i - nothing) % kHidden.size()];
+      plan.kind = Undeclared::kNotExcited;
+      plan.effects = {effect};
+      plan.trajectory = trajectory;
+    } else if (i < nothing + hidden + unknown) {
+      plan.kind = Undeclared::kUnknown;
+      plan.trajectory = kFlown[i % kFlown.size()];
+      const int k = (i - nothing - hidden) % 2;
+      plan.strength = kLevels[k].name;
+      plan.share = kLevels[k].share;
+    } else if (i < nothing + hidden + unknown + two) {
+      const int k = i - nothing - hidden - unknown;
+      plan.kind = Undeclared::kTwoEffects;
+      const Excited& a = catalogue[(5 * k + seed) % num];
+      const Excited& b = catalogue[(5 * k + 7 + seed) % num];
+      plan.effects = {a.effect, b.effect};
+      plan.trajectory = a.trajectories.front();
+      plan.strength = "strong";
+      plan.share = 0.8;
+    } else {
+      const int k = i - nothing - hidden - unknown - two;
+      const Excited& a = catalogue[k % num];
+      plan.kind = Undeclared::kOneEffect;
+      plan.effects = {a.effect};
+      plan.trajectory = a.trajectories[(k / num) % a.trajectories.size()];
+      const Level& level = kLevels[(k / num + k) % 3];
+      plan.strength = level.name;
+      plan.share = level.share;
+    }
+    plans.push_back(plan);
+  }
+  return plans;
+}
+
+std::vector<UndeclaredPlan> PlanNothing(int seed, int flights) {
+  std::vector<UndeclaredPlan> plans;
+  for (int i = 0; i < flights; ++i) {
+    UndeclaredPlan plan;
+    plan.number = i;
+    plan.seed = seed * 1000 + i;
+    plan.vehicle = (i + i / 4) % 4;
+    plan.trajectory = kFlown[i % kFlown.size()];
+    plans.push_back(plan);
+  }
+  return plans;
+}
+
+namespace {
+
+/// One flight as planned, whatever that shows.
+UndeclaredFlight MakeAsPlanned(const UndeclaredPlan& plan) {
+  UndeclaredFlight flight;
+  flight.plan = plan;
+  flight.declared = UndeclaredVehicles().at(plan.vehicle);
+  Gaussian random(plan.seed, kVehicleStream);
+  flight.recording = DrawRecording(plan.recording, plan.seed, flight.declared);
+  const RecordingConditions& recording = flight.recording;
+  Vehicle vehicle = flight.declared;  // with its sensors where they are
+  vehicle.odometry = recording.odometry;
+  vehicle.imu = recording.imu;
+  const DynamicModel declared(vehicle, vehicle.effects);
+  const ModelValues base = TrueValues(declared, &random);
+  SimulationOptions options;
+  options.duration_s = kDuration_s;
+  options.log_rate_hz = recording.log_rate_hz;
+  options.pilot_bandwidth = recording.pilot_bandwidth;
+  options.seed = plan.seed;
+  options.trajectory = plan.trajectory;
+
+  // Truth with the effects at a natural size.
+  Vehicle with = vehicle;
+  std::vector<DrawnEffect> drawn;
+  for (const std::string& name : plan.effects) {
+    with.effects.push_back(name);
+    drawn.push_back(DrawEffect(name, vehicle, &random));
+  }
+  const DynamicModel model(with, with.effects);
+  const auto truth_at = [&](const std::vector<double>& scales) {
+    ModelValues truth = model.InitialValues();
+    for (int i = 0; i < declared.num_parameters(); ++i) {
+      truth[model.IndexOf(declared.parameters()[i].full_name)] = base[i];
+    }
+    for (size_t e = 0; e < drawn.size(); ++e) SetScaled(drawn[e], scales[e], model, &truth);
+    return truth;
+  };
+  const std::vector<double> off(plan.effects.size(), 0.0);
+  std::vector<double> scales(plan.effects.size(), 1.0);
+  double unknown_scale = 0.02;
+  const bool sized = plan.share > 0.0;
+  const auto simulate = [&](bool noisy, const std::vector<double>& at, double unknown) {
+    Unmodelled extra;
+    if (plan.kind == Undeclared::kUnknown && unknown > 0.0) {
+      extra = DrawUnknown(vehicle, unknown, plan.seed);
+    }
+    SimulatedFlight flown = Simulate(model, truth_at(at), options,
+                                     noisy ? recording.noise : SimulationNoise::None(), extra);
+    if (noisy) Degrade(recording, plan.seed, &flown.log);
+    return flown;
+  };
+  // What the sensors' noise alone makes of the residual.
+  const FlightLog quiet = simulate(true, off, 0.0).log;
+  double lowest_m = std::numeric_limits<double>::max();
+  for (const auto& sample : quiet.odometry) lowest_m = std::min(lowest_m, sample.p_WS.z());
+  for (DrawnEffect& effect : drawn) effect.effect->Place(lowest_m, &effect.values);
+  const ThinnedFlight thinned(FilterFlight(quiet, vehicle.num_rotors(), {}), {2.5, 1});
+  const ChannelVariance noise_floor =
+      VarianceOf(ResidualModel(&thinned, &vehicle, true).Residual(declared, base));
+  const auto variance = [&](const FlightLog& log) {
+    return FittedVariance(log, vehicle, declared, base, noise_floor);
+  };
+  // What cannot be flown is made weaker.
+  const auto fly = [&](bool noisy) {
+    constexpr int kTries = 8;
+    for (int attempt = 1;; ++attempt) {
+      try {
+        return simulate(noisy, scales, sized ? unknown_scale : 0.0);
+      } catch (const std::runtime_error&) {
+        if (attempt == kTries) throw;
+        for (double& scale : scales) scale *= 0.7;
+        unknown_scale *= 0.7;
+      }
+    }
+  };
+  const ChannelVariance floor = variance(quiet);
+  if (sized) {
+    // What an effect makes of the residual grows with its size to some power, which the sizes flown
+    // tell: two, unless the fit bends.
+    struct Sizing {
+      double scale = 0.0, ratio = 0.0, power = 2.0;
+    };
+    std::vector<Sizing> sizings(std::max<size_t>(1, scales.size()));
+    const auto resize = [&](const ChannelVariance& noisy, double share, double most, Sizing* sizing,
+                            double* scale) {
+      const double ratio = std::max(noisy.cwiseQuotient(floor).maxCoeff() - 1.0, 1e-3);
+      const double wanted = share / (1.0 - plan.share);
+      if (sizing->scale > 0.0 && std::abs(std::log(*scale / sizing->scale)) > 1e-3) {
+        const double power = std::log(ratio / sizing->ratio) / std::log(*scale / sizing->scale);
+        sizing->power = std::clamp(power, 0.7, 4.0);
+      }
+      *sizing = {*scale, ratio, sizing->power};
+      const double factor = std::clamp(std::pow(wanted / ratio, 1.0 / sizing->power), 0.05, 20.0);
+      *scale = std::min(most, *scale * factor);
+      return std::abs(std::log(*scale / sizing->scale));
+    };
+    for (int round = 0; round < kSizings; ++round) {
+      double change = 0.0;
+      if (plan.kind == Undeclared::kUnknown) {
+        const ChannelVariance noisy = variance(fly(true).log);
+        change = resize(noisy, plan.share, kAbsurd, &sizings[0], &unknown_scale);
+      }
+      for (size_t e = 0; e < scales.size(); ++e) {
+        const std::vector<double> all = scales;
+        scales.assign(all.size(), 0.0);
+        scales[e] = all[e];
+        const ChannelVariance noisy = variance(fly(true).log);
+        const double flown = scales[e];
+        scales = all;
+        scales[e] = flown;
+        // Of two effects the second makes up half as much.
+        const double share = plan.share * (e == 0 ? 1.0 : 0.5);
+        change = std::max(change, resize(noisy, share, kAbsurd, &sizings[e], &scales[e]));
+      }
+      if (change < kSized) break;
+    }
+  }
+  if (plan.kind == Undeclared::kNotExcited) {
+    const auto shows = [&] {
+      const FlightLog still = simulate(false, scales, 0.0).log;
+      return variance(still).cwiseQuotient(floor).maxCoeff() > kNotExcited / 2.0;
+    };
+    for (int attempt = 0; attempt < kSizings && shows(); ++attempt) scales[0] *= 0.5;
+  }
+  const SimulatedFlight flown = fly(true);
+  flight.log = flown.log;
+  flight.truth = ExactParameters(model, truth_at(scales));
+  DeclareSensors(recording, &flight.declared);
+
+  const ChannelVariance total = variance(flown.log);
+  // An effect at its natural size may be far smaller than what two flights differ by.
+  const ChannelVariance without =
+      sized ? floor : ChannelVariance(total - variance(simulate(false, scales, 0.0).log));
+  for (int c = 0; c < kNumChannels; ++c) {
+    flight.axis_share.push_back(
+        std::clamp(1.0 - without[c] / std::max(total[c], 1e-300), 0.0, 1.0));
+  }
+  flight.share = *std::max_element(flight.axis_share.begin(), flight.axis_share.end());
+  if (plan.kind == Undeclared::kNothing) flight.share = 0.0;
+  if (plan.kind == Undeclared::kNothing || flight.share < kNotExcited) {
+    flight.right_answer = "none";
+  } else {
+    flight.right_answer = plan.kind == Undeclared::kUnknown ? "unexplained" : "effect";
+  }
+  return flight;
+}
+
+}  // namespace
+
+UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan) {
+  UndeclaredFlight flight = MakeAsPlanned(plan);
+  if (plan.kind != Undeclared::kOneEffect) return flight;
+  // Where no sensible size shows as much as planned, on another trajectory it may.
+  for (const Excited& excited : Catalogue()) {
+    if (plan.effects.front() != excited.effect) continue;
+    for (const std::string& trajectory : excited.trajectories) {
+      if (flight.share > kLeastShown * plan.share) break;
+      UndeclaredPlan other = plan;
+      other.trajectory = trajectory;
+      UndeclaredFlight flown = MakeAsPlanned(other);
+      if (flown.share > flight.share) flight = std::move(flown);
+    }
+  }
+  // What shows nowhere as much as planned is called what it is.
+  for (const Level& level : kLevels) {
+    if (level.share >= flight.plan.share) continue;
+    if (flight.share < std::sqrt(level.share * flight.plan.share)) {
+      flight.plan.strength = level.name;
+      flight.plan.share = level.share;
+    }
+  }
+  return flight;
+}
+
+namespace {
+
+std::string FormatMount(const SensorMount& mount) {
+  const Vector3d& p = mount.p_BS;
+  const Eigen::Quaterniond& q = mount.q_BS;
+  char text[256];
+  std::snprintf(text, sizeof text,
+                "{frame: sensor, p_BS_m: [%.9g, %.9g, %.9g], q_BS_xyzw: [%.12g, %.12g, %.12g, "
+                "%.12g], estimate: %s",
+                p.x(), p.y(), p.z(), q.x(), q.y(), q.z(), q.w(), mount.estimate ? "true" : "false");
+  std::string all = text;
+  const auto add = [&all](const char* key, const std::optional<double>& sigma) {
+    char pair[64];
+    if (!sigma) return;
+    std::snprintf(pair, sizeof pair, ", %s: %.9g", key, *sigma);
+    all += pair;
+  };
+  add("p_BS_sigma_m", mount.p_BS_sigma_m);
+  add("q_BS_sigma_rad", mount.q_BS_sigma_rad);
+  return all + "}";
+}
+
+}  // namespace
+
+std::string FormatVehicle(const Vehicle& v) {
+  char line[256];
+  std::string text = "name: " + v.name + "\n";
+  std::snprintf(line, sizeof line, "mass_kg: %.9g\ngravity_m_s2: %.9g\n", v.mass_kg,
+                v.gravity_m_s2);
+  text += line;
+  std::snprintf(line, sizeof line, "inertia_kg_m2: [%.9e, %.9e, %.9e]\nrotors:\n",
+                v.inertia_kg_m2.x(), v.inertia_kg_m2.y(), v.inertia_kg_m2.z());
+  text += line;
+  for (const Rotor& r : v.rotors) {
+    std::snprintf(line, sizeof line,
+                  "  - {position_m: [%.9g, %.9g, %.9g], spin: %s, radius_m: %.9g}\n", r.p_BP.x(),
+                  r.p_BP.y(), r.p_BP.z(), r.spin > 0.0 ? "cw" : "ccw", r.radius_m);
+    text += line;
+  }
+  const SensorMount body;
+  const bool has_mount = v.odometry.p_BS != body.p_BS || v.odometry.estimate ||
+                         v.odometry.q_BS.coeffs() != body.q_BS.coeffs();
+  text += "odometry: " + (has_mount ? FormatMount(v.odometry) : "{frame: body}") + "\n";
+  if (v.imu) text += "imu: " + FormatMount(*v.imu) + "\n";
+  text += "effects: [";
+  for (size_t i = 0; i < v.effects.size(); ++i) text += (i == 0 ? "" : ", ") + v.effects[i];
+  text += "]\nparameters:\n";
+  for (const auto& [name, p] : v.parameters) {
+    std::snprintf(line, sizeof line, "  %s: {value: %.9e, sigma: %.9e, state: %s}\n", name.c_str(),
+                  p.value.value_or(0.0), p.sigma.value_or(1.0),
+                  p.estimated.value_or(true) ? "estimated" : "frozen");
+    text += line;
+  }
+  return text;
+}
+
+}  // namespace odmc

@@ -1,0 +1,185 @@
+#include "odmc/estimator/front_end.h"
+
+#include <algorithm>
+
+#include "odmc/math/so3.h"
+
+namespace odmc {
+namespace {
+
+using Eigen::Vector3d;
+
+constexpr double kNoiseWarmUp_s = 0.3;  // of odometry before the first keyframe
+
+OdometryNoise Configured(const EstimatorOptions& options) {
+  return {options.position_noise_m, options.attitude_noise_rad, options.velocity_noise_m_s,
+          options.rate_noise_rad_s};
+}
+
+/// Gyro bias in force; zero where there is none yet.
+Vector3d GyroBias(const Window& window) {
+  if (window.biases().empty()) return Vector3d::Zero();
+  return Eigen::Map<const Vector3d>(window.biases().back().x.data());
+}
+
+}  // namespace
+
+FrontEnd::FrontEnd(const DynamicModel* model, const EstimatorOptions* options)
+    : model_(model),
+      options_(options),
+      synchroniser_(options->keyframe_rate_hz, options->patience_s),
+      stream_noise_(Configured(*options)),
+      phases_(model, options->phases, options->detect_changes),
+      load_(*model, true) {}
+
+void FrontEnd::Add(const OdometrySample& sample) {
+  if (synchroniser_.Add(sample)) stream_noise_.Add(sample);
+  if (noise_ready_ == 0) noise_ready_ = sample.stamp + FromSeconds(kNoiseWarmUp_s);
+}
+
+void FrontEnd::Add(const RotorSample& sample) {
+  synchroniser_.Add(sample);
+  stream_noise_.Add(sample);
+}
+
+void FrontEnd::Finish() {
+  synchroniser_.Finish();
+  noise_ready_ = std::min(noise_ready_, synchroniser_.newest_odometry());
+}
+
+void FrontEnd::Restart() {
+  synchroniser_.Clear();
+  stream_noise_.Restart();
+  phases_.Restart();
+  load_.Reset();
+  last_.reset();
+  before_last_.reset();
+  noise_ready_ = 0;
+}
+
+void FrontEnd::CarryOn(const FrontEnd& before) {
+  synchroniser_ = before.synchroniser_;
+  phases_.CarryOn(before.phases_);
+  stream_noise_ = before.stream_noise_;
+  last_ = before.last_;
+  before_last_ = before.before_last_;
+  first_stamp_ = before.first_stamp_;
+  noise_ready_ = before.noise_ready_;
+}
+
+std::optional<OdometrySample> FrontEnd::NextKeyframe() {
+  // The first keyframe waits until the noise of the streams is known.
+  if (!last_ && !synchroniser_.HasReached(noise_ready_)) return std::nullopt;
+  std::optional<OdometrySample> sample = synchroniser_.NextKeyframe();
+  if (!sample) return sample;
+  if (!first_stamp_) first_stamp_ = sample->stamp;
+  stream_noise_.AdvanceTo(std::max(sample->stamp, noise_ready_));
+  return sample;
+}
+
+PhaseVerdict FrontEnd::FollowPhase(const OdometrySample& newest) {
+  step_.dt = last_ ? ToSeconds(newest.stamp - last_->stamp) : 0.0;
+  step_.rotors.reset();
+  // Keyframes may be meant to be farther apart than a gap is long.
+  step_.is_gap = step_.dt > std::max(options_->max_gap_s, 1.5 / options_->keyframe_rate_hz);
+  step_.is_jump = last_ && !step_.is_gap && IsJump(newest, step_.dt);
+  if (last_ && !step_.is_gap) {
+    step_.rotors =
+        ReduceRotors(synchroniser_.rotors(), last_->stamp, newest.stamp, options_->max_gap_s);
+  }
+  const bool is_first = !last_ || step_.is_gap || step_.is_jump;
+  return phases_.Update(newest, step_.rotors, stream_noise_.odometry(), is_first);
+}
+
+void FrontEnd::FollowLoad(const OdometrySample& newest, const ModelValues& values) {
+  // Differences of one and the same velocity, so that its noise does not add up.
+  if (!last_ || !newest.v_WS || !last_->v_WS) return;
+  const double dt = ToSeconds(newest.stamp - last_->stamp);
+  load_pull_ = load_.Advance(*last_->v_WS, *newest.v_WS, dt, values);
+}
+
+std::optional<KeyframeInterval> FrontEnd::Read(const OdometrySample& newest,
+                                               const Window& window) const {
+  if (!last_ || is_gap() || is_jump()) return std::nullopt;
+  KeyframeInterval interval;
+  interval.dt = step_.dt;
+  interval.rotors = *step_.rotors;
+  interval.load = load_pull_;
+  if (has_imu()) {
+    interval.imu = PreintegrateImu(synchroniser_.imu(), last_->stamp, newest.stamp,
+                                   GyroBias(window), options_->max_gap_s);
+  }
+  return interval;
+}
+
+State FrontEnd::InitialState(const OdometrySample& newest, const KeyframeInterval* interval,
+                             const Window& window) const {
+  State state;
+  state.p_WS = newest.p_WS;
+  state.q_WS = newest.q_WS;
+  const State before =
+      interval != nullptr ? State::FromBlock(window.keyframes().back().x.data()) : State();
+  if (newest.v_WS) {
+    state.v_WS = *newest.v_WS;
+  } else if (interval != nullptr) {
+    state.v_WS = (newest.p_WS - last_->p_WS) / interval->dt;
+  }
+  // Turns between noisy poses are a poor rate, and that of the interval's middle.
+  if (newest.w_WS_S) {
+    state.w_WS_S = *newest.w_WS_S;
+  } else if (const std::optional<Vector3d> rate = GyroRate(newest.stamp, window)) {
+    state.w_WS_S = *rate;
+  } else if (interval != nullptr) {
+    state.w_WS_S = Log(before.q_WS.conjugate() * newest.q_WS) / interval->dt;
+  }
+  return state;
+}
+
+void FrontEnd::Keep(const OdometrySample& newest) {
+  before_last_ = last_;
+  last_ = newest;
+  synchroniser_.Trim(newest.stamp);
+}
+
+/// A pose that moves without velocity is a relabelled marker or a loop closure, not flight.
+bool FrontEnd::IsJump(const OdometrySample& newest, double dt) const {
+  const OdometryNoise noise = stream_noise_.odometry();
+  if (newest.v_WS && last_->v_WS) {
+    const Vector3d step = newest.p_WS - last_->p_WS - 0.5 * dt * (*newest.v_WS + *last_->v_WS);
+    return step.norm() > 0.01 + 8.0 * noise.position_m + dt * (0.5 + 8.0 * noise.velocity_m_s);
+  }
+  if (!before_last_) return false;
+  const double dt0 = ToSeconds(last_->stamp - before_last_->stamp);
+  if (!(dt0 > 0.0) || dt0 > options_->max_gap_s) return false;
+  // Without velocities: what no vehicle can accelerate, 40 m/s² and 300 rad/s².
+  const double wider = dt * std::max(dt, dt0);
+  const double share = dt / dt0;
+  const Vector3d step = newest.p_WS - last_->p_WS - share * (last_->p_WS - before_last_->p_WS);
+  const Vector3d turn = Log(last_->q_WS.conjugate() * newest.q_WS) -
+                        share * Log(before_last_->q_WS.conjugate() * last_->q_WS);
+  return step.norm() > 0.002 + 8.0 * noise.position_m * (1.0 + share) + 40.0 * wider ||
+         turn.norm() > 0.01 + 8.0 * noise.attitude_rad * (1.0 + share) + 300.0 * wider;
+}
+
+/// Body rate in S that the gyro reads at `stamp`, its bias taken off; nothing without samples
+/// around it.
+std::optional<Vector3d> FrontEnd::GyroRate(Stamp stamp, const Window& window) const {
+  const Ring<ImuSample>& imu = synchroniser_.imu();
+  const auto after = std::upper_bound(imu.begin(), imu.end(), stamp,
+                                      [](Stamp s, const ImuSample& m) { return s < m.stamp; });
+  if (after == imu.begin()) return std::nullopt;
+  const ImuSample& a = *(after - 1);
+  if (!a.gyro_I) return std::nullopt;
+  Vector3d gyro_I = *a.gyro_I;
+  if (a.stamp != stamp) {
+    if (after == imu.end() || !after->gyro_I) return std::nullopt;
+    const double span_s = ToSeconds(after->stamp - a.stamp);
+    if (span_s > options_->max_gap_s) return std::nullopt;
+    gyro_I += ToSeconds(stamp - a.stamp) / span_s * (*after->gyro_I - *a.gyro_I);
+  }
+  if (!window.biases().empty()) gyro_I -= GyroBias(window);
+  const BodyProperties body = model_->Properties(window.values());
+  return body.R_BS.transpose() * (body.R_BI * gyro_I);
+}
+
+}  // namespace odmc

@@ -1,0 +1,95 @@
+#include "odmc/ros/background_looks.h"
+
+#include <ros/console.h>
+#include <sys/resource.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include <utility>
+
+#include "odmc/analysis/calibration.h"
+#include "odmc/inspection/recording_inspection.h"
+
+namespace odmc {
+namespace {
+
+constexpr std::chrono::milliseconds kIdle(200);
+constexpr int kNiceness = 10;
+constexpr double kDoubted_s = 20.0;  // of flight that is replayed without each doubt
+
+}  // namespace
+
+BackgroundLooks::BackgroundLooks(const EstimatorOptions& estimator,
+                                 std::function<void(const ResidualLook&)> on_look,
+                                 InputQueue* queue)
+    : estimator_(estimator), on_look_(std::move(on_look)), queue_(queue) {
+  estimator_.num_threads = 1;
+  thread_ = std::thread(&BackgroundLooks::Run, this);
+}
+
+void BackgroundLooks::Join() {
+  if (thread_.joinable()) thread_.join();
+}
+
+void BackgroundLooks::Watch(std::shared_ptr<ResidualWatch> watch) {
+  shared_.With([&](Shared* s) { s->watch = std::move(watch); });
+}
+
+std::shared_ptr<ResidualWatch> BackgroundLooks::watch() {
+  return shared_.With([](Shared* s) { return s->watch; });
+}
+
+void BackgroundLooks::Inspect(StreamsSeen seen) {
+  shared_.With([&](Shared* s) { s->seen = std::move(seen); });
+}
+
+std::optional<BackgroundLooks::StreamsFound> BackgroundLooks::TakeInspection() {
+  std::optional<StreamsFound> found;
+  shared_.TryWith([&](Shared* s) { found.swap(s->found); });
+  return found;
+}
+
+std::optional<ResidualLook> BackgroundLooks::TakeProposal() {
+  return shared_.With([](Shared* s) { return std::exchange(s->proposal, std::nullopt); });
+}
+
+void BackgroundLooks::Propose(const ResidualLook& look) {
+  shared_.With([&](Shared* s) { s->proposal = look; });
+}
+
+void BackgroundLooks::Run() {
+  setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), kNiceness);
+  while (!queue_->SleepUnlessStopping(kIdle)) {
+    InspectIfDue();
+    const std::shared_ptr<ResidualWatch> looking = watch();
+    if (!looking) continue;
+    try {
+      const std::optional<ResidualLook> look =
+          looking->Look([this] { return queue_->stopping(); });
+      if (look) on_look_(*look);
+    } catch (const std::exception& e) {
+      ROS_ERROR_THROTTLE(10.0, "the residual cannot be looked at: %s", e.what());
+    }
+  }
+}
+
+void BackgroundLooks::InspectIfDue() {
+  std::optional<StreamsSeen> seen =
+      shared_.With([](Shared* s) { return std::exchange(s->seen, std::nullopt); });
+  if (!seen) return;
+  try {
+    StreamsFound found;
+    found.inspection = InspectRecording(seen->vehicle, &seen->log);
+    found.model = seen->model;
+    const Stamp from = seen->log.odometry.empty()
+                           ? 0
+                           : seen->log.odometry.back().stamp - FromSeconds(kDoubted_s);
+    found.changes =
+        ChangesWithout(found.inspection.doubts, seen->log, from, *seen->model, estimator_);
+    shared_.With([&](Shared* s) { s->found = std::move(found); });
+  } catch (const std::exception& e) {
+    ROS_ERROR_THROTTLE(10.0, "the streams cannot be compared: %s", e.what());
+  }
+}
+
+}  // namespace odmc

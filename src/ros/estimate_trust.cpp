@@ -1,0 +1,70 @@
+#include "odmc/ros/estimate_trust.h"
+
+#include <ros/console.h>
+
+#include <cmath>
+#include <utility>
+
+#include "odmc/analysis/phase_findings.h"
+
+namespace odmc {
+namespace {
+
+constexpr double kLookEvery_s = 10.0;
+
+}  // namespace
+
+void EstimateTrust::Mend(Sample* sample) {
+  std::visit([this](auto& s) { mender_.Mend(&s); }, *sample);
+}
+
+bool EstimateTrust::Adopt(BackgroundLooks::StreamsFound found) {
+  const bool is_new = mender_.Adopt(found.inspection);
+  doubted_ = found.model;
+  doubts_ = std::move(found.changes);
+  for (const Finding& finding : mender_.findings()) {
+    if (told_.insert(finding.check).second) ROS_WARN("%s", Sentence(finding).c_str());
+  }
+  Renew();
+  return is_new;
+}
+
+void EstimateTrust::LookBack(const ModelValues* values, bool detects_changes,
+                             Estimator* estimator) {
+  const EstimatorCounters& counters = estimator->counters();
+  if (counters.airborne_s < last_look_s_ + kLookEvery_s) return;
+  last_look_s_ = counters.airborne_s;
+  const std::vector<ThirdsDifference> thirds = estimator->LastLook();
+  look_back_.clear();
+  if (values != nullptr) look_back_ = LastLookFindings(estimator->model(), *values, thirds);
+  if (counters.changes > 0 && !detects_changes) {
+    look_back_.push_back(VehicleChanged(counters.last_change, estimator->start()));
+  }
+  Renew();
+}
+
+void EstimateTrust::ForgetEstimate() {
+  look_back_.clear();
+  last_look_s_ = 0.0;
+  Renew();
+}
+
+void EstimateTrust::Widen(const std::shared_ptr<const DynamicModel>& model,
+                          Snapshot* snapshot) const {
+  if (doubted_ != model) return;
+  for (const Eigen::VectorXd& change : doubts_) {
+    for (Eigen::Index i = 0; i < change.size(); ++i) {
+      if (snapshot->sigma[i] > 0.0) snapshot->sigma[i] = std::hypot(snapshot->sigma[i], change[i]);
+    }
+    if (snapshot->covariance.rows() == change.size()) {
+      snapshot->covariance += change * change.transpose();
+    }
+  }
+}
+
+void EstimateTrust::Renew() {
+  findings_ = mender_.findings();
+  findings_.insert(findings_.end(), look_back_.begin(), look_back_.end());
+}
+
+}  // namespace odmc

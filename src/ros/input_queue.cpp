@@ -1,0 +1,125 @@
+#include "odmc/ros/input_queue.h"
+
+#include <algorithm>
+#include <iterator>
+
+namespace odmc {
+namespace {
+
+constexpr std::chrono::milliseconds kIdle(100);
+constexpr std::chrono::seconds kAnswerPatience(5);
+constexpr size_t kBatch = 300;  // samples taken from the queue at once
+
+}  // namespace
+
+void InputQueue::Push(InputStream stream, std::vector<InputSample> inputs) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  StreamStatus& status = streams_[static_cast<size_t>(stream)];
+  ++status.received;
+  for (InputSample& input : inputs) {
+    if (queue_.size() >= capacity_) {
+      ++status.overflowed;
+    } else {
+      queue_.push_back(std::move(input));
+      input_came_.notify_one();
+    }
+  }
+}
+
+void InputQueue::Refuse(InputStream stream, const std::string& refusal) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  StreamStatus& status = streams_[static_cast<size_t>(stream)];
+  ++status.received;
+  ++status.refused;
+  status.refusal = refusal;
+}
+
+void InputQueue::CountPassedOver(InputStream stream) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  StreamStatus& status = streams_[static_cast<size_t>(stream)];
+  ++status.received;
+  ++status.passed_over;
+}
+
+void InputQueue::NoteStamps(InputStream stream, const std::string& stamps) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  streams_[static_cast<size_t>(stream)].stamps = stamps;
+}
+
+void InputQueue::NoteRefusal(InputStream stream, const std::string& refusal) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  streams_[static_cast<size_t>(stream)].refusal = refusal;
+}
+
+InputQueue::Answer InputQueue::Ask(std::function<Answer()> act) {
+  std::packaged_task<Answer()> task(std::move(act));
+  std::future<Answer> answer = task.get_future();
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    requests_.push_back(std::move(task));
+  }
+  input_came_.notify_one();
+  if (answer.wait_for(kAnswerPatience) != std::future_status::ready) {
+    return {false, "the estimator does not answer"};
+  }
+  try {
+    return answer.get();
+  } catch (const std::exception& e) {
+    return {false, e.what()};
+  }
+}
+
+InputQueue::Look InputQueue::Snapshot() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return {streams_, queue_.size()};
+}
+
+void InputQueue::Stop() {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    stopping_ = true;
+  }
+  input_came_.notify_all();
+  stops_.notify_all();
+}
+
+bool InputQueue::stopping() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return stopping_;
+}
+
+bool InputQueue::SleepUnlessStopping(std::chrono::milliseconds period) {
+  std::unique_lock<std::mutex> lock(mutex_);
+  return stops_.wait_for(lock, period, [this] { return stopping_; });
+}
+
+bool InputQueue::WaitForInput(std::deque<InputSample>* batch) {
+  {
+    std::unique_lock<std::mutex> lock(mutex_);
+    input_came_.wait_for(lock, kIdle,
+                         [this] { return stopping_ || !queue_.empty() || !requests_.empty(); });
+    if (stopping_) return false;
+  }
+  TakeBatch(batch);
+  return true;
+}
+
+bool InputQueue::TakeBatch(std::deque<InputSample>* batch) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  // Not all at once: a long batch would hide the queue's length and delay the end.
+  const auto end = queue_.begin() + static_cast<std::ptrdiff_t>(std::min(queue_.size(), kBatch));
+  batch->assign(std::make_move_iterator(queue_.begin()), std::make_move_iterator(end));
+  queue_.erase(queue_.begin(), end);
+  return !batch->empty();
+}
+
+void InputQueue::AnswerRequests() {
+  std::deque<std::packaged_task<Answer()>> requests;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    requests.swap(requests_);
+  }
+  for (auto& request : requests) request();
+}
+
+}  // namespace odmc
