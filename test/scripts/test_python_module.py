@@ -26,7 +26,7 @@ sys.path.insert(0, MODULES)
 BUILT = importlib.util.find_spec('odmc') is not None and importlib.util.find_spec('odmc._native') is not None
 if BUILT:
     import odmc
-CLOCKS = ('timing_ms', 'timing_cpu_ms')
+CLOCKS = ('timing_ms', 'timing_cpu_ms', 'timing_start_ms')
 
 
 def run(tool: str, *arguments: str) -> None:

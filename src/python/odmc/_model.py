@@ -44,7 +44,7 @@ class Effect:
 def list_effects(vehicle: Optional[VehicleLike] = None) -> List[Effect]:
     """Every effect that a model can have, with the priors of its parameters for this vehicle (docs/effects.md).
 
-    Without a vehicle the priors are those of the quadrotor of docs/model.md, 0.75 kg.
+    Without a vehicle the priors are those of docs/model.md's quadrotor of 0.75 kg.
     """
     native = as_vehicle(vehicle).native if vehicle is not None else _native.nominal_vehicle()
     effects = []
