@@ -64,6 +64,7 @@ PYBIND11_MODULE(_native, m) {
   namespace py = pybind11;
   m.doc() = "Compiled part of odmc; import odmc instead.";
   m.attr("version") = ODMC_VERSION;
+  // NOLINTNEXTLINE(performance-unnecessary-value-param): its type is pybind11's
   py::register_local_exception_translator([](std::exception_ptr thrown) {
     try {
       if (thrown) std::rethrow_exception(thrown);

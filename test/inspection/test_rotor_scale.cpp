@@ -53,7 +53,7 @@ TEST(RotorScale, CentreOfGravityAndWindAreNoScale) {
   ModelValues truth = model.InitialValues();
   truth[model.IndexOf("centre_of_gravity.x")] = 0.006;
   truth[model.IndexOf("centre_of_gravity.y")] = -0.005;
-  truth[model.IndexOf("wind.x")] = 2.0;
+  truth[model.IndexOf("wind.w_x")] = 2.0;
   for (const char* trajectory : {"hover", "yaw", "octo", "circle"}) {
     SimulationOptions options;
     options.trajectory = trajectory;

@@ -85,7 +85,7 @@ class Vehicle:
         return self._parameters
 
     def __repr__(self) -> str:
-        return f'<odmc.Vehicle {self.name}: {self.mass_kg:g} kg, {self.num_rotors} rotors, effects {", ".join(self.effects)}>'
+        return f'<odmc.Vehicle {self.name}: {self.mass_kg:g} kg, {self.num_rotors} rotors, {len(self.effects)} effects>'
 
 
 VehicleLike = Union[Vehicle, str, 'os.PathLike[str]']
