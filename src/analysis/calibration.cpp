@@ -265,12 +265,13 @@ std::vector<Eigen::VectorXd> ChangesWithout(const std::vector<StreamDoubt>& doub
                                             const FlightLog& log, Stamp from,
                                             const DynamicModel& model,
                                             const EstimatorOptions& options,
-                                            const ModelValues* values) {
+                                            const ModelValues* values,
+                                            const std::function<bool()>& give_up) {
   std::vector<Eigen::VectorXd> changes;
   if (doubts.empty() || log.odometry.empty()) return changes;
   const auto values_of = [&](const FlightLog& flight) {
     Estimator estimator(&model, options, !log.rotor_rms_only);
-    return Replay(flight, &estimator).last;
+    return Replay(flight, &estimator, {}, give_up).last;
   };
   const FlightLog part = Since(from, log);
   Eigen::VectorXd with;
@@ -286,6 +287,7 @@ std::vector<Eigen::VectorXd> ChangesWithout(const std::vector<StreamDoubt>& doub
     Undo(doubt, &undone);
     if (const auto last = values_of(undone)) changes.push_back(last->values - with);
   }
+  if (give_up && give_up()) changes.clear();
   return changes;
 }
 
@@ -454,6 +456,10 @@ int StatesInWindow(const ReplayResult& replay) {
   return static_cast<int>(std::lround(Median(states)));
 }
 
+bool IsSignUnphysical(const ParameterSpec& spec, double value, double sigma) {
+  return HasWrongSign(spec.sign, value, kSignSigmas * sigma);
+}
+
 std::vector<std::string> ModelWarnings(const DynamicModel& model, const ModelValues& values,
                                        const Eigen::VectorXd& sigma,
                                        const PredictionFigures& figures) {
@@ -463,7 +469,7 @@ std::vector<std::string> ModelWarnings(const DynamicModel& model, const ModelVal
   }
   for (int i = 0; i < model.num_parameters(); ++i) {
     const ModelParameter& p = model.parameters()[i];
-    if (HasWrongSign(p.spec.sign, values[i], kSignSigmas * sigma[i])) {
+    if (IsSignUnphysical(p.spec, values[i], sigma[i])) {
       const bool feeds = p.spec.sign == PhysicalSign::kNegative;
       warnings.push_back(p.full_name + " = " + Rounded(values[i]) + " " + p.spec.unit +
                          " has an unphysical sign" + (feeds ? " (it feeds energy in)" : ""));

@@ -76,10 +76,12 @@ Stamp StartOf(const FlightLog& log) {
 }  // namespace
 
 ReplayResult Replay(const FlightLog& log, Estimator* estimator,
-                    const std::function<void(double)>& progress) {
+                    const std::function<void(double)>& progress,
+                    const std::function<bool()>& give_up) {
   ReplayResult result;
   Recorder recorder(estimator, &result);
   size_t imu = 0, rotors = 0, battery = 0;
+  bool given_up = false;
   for (size_t i = 0; i < log.odometry.size(); ++i) {
     const Stamp stamp = log.odometry[i].stamp;
     FeedUntil(log.rotors, stamp, &rotors, estimator);
@@ -87,12 +89,17 @@ ReplayResult Replay(const FlightLog& log, Estimator* estimator,
     FeedUntil(log.battery, stamp, &battery, estimator);
     estimator->Add(log.odometry[i]);
     recorder.Drain();
-    if (progress && i % 64 == 0) {
-      progress(static_cast<double>(i) / static_cast<double>(log.odometry.size()));
+    if (i % 64 != 0) continue;
+    if (progress) progress(static_cast<double>(i) / static_cast<double>(log.odometry.size()));
+    if (give_up && give_up()) {
+      given_up = true;
+      break;
     }
   }
-  FeedUntil(log.rotors, std::numeric_limits<Stamp>::max(), &rotors, estimator);
-  FeedUntil(log.imu, std::numeric_limits<Stamp>::max(), &imu, estimator);
+  const Stamp end =
+      given_up ? std::numeric_limits<Stamp>::min() : std::numeric_limits<Stamp>::max();
+  FeedUntil(log.rotors, end, &rotors, estimator);
+  FeedUntil(log.imu, end, &imu, estimator);
   estimator->Finish();
   recorder.Drain();
   if (progress) progress(1.0);

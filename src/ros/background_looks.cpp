@@ -84,8 +84,11 @@ void BackgroundLooks::InspectIfDue() {
     const Stamp from = seen->log.odometry.empty()
                            ? 0
                            : seen->log.odometry.back().stamp - FromSeconds(kDoubted_s);
-    found.changes =
-        ChangesWithout(found.inspection.doubts, seen->log, from, *seen->model, estimator_);
+    // Of low priority, on a busy machine, this could hold the node's end up for half a minute.
+    const auto give_up = [this] { return queue_->stopping(); };
+    found.changes = ChangesWithout(found.inspection.doubts, seen->log, from, *seen->model,
+                                   estimator_, nullptr, give_up);
+    if (give_up()) return;
     shared_.With([&](Shared* s) { s->found = std::move(found); });
   } catch (const std::exception& e) {
     ROS_ERROR_THROTTLE(10.0, "the streams cannot be compared: %s", e.what());

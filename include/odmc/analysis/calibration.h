@@ -95,11 +95,14 @@ void AddInspection(const StreamInspection& inspection, Result* result) {
 /// By how much the parameters would be others without each of the errors: replays the flight from
 /// `from` on with them, and once without each.
 /// @param values what the whole of `log` teaches with them, if known: saves a replay
+/// @param give_up asked now and then: true ends it there; may be empty
+/// @returns one for each error, none if it was given up
 std::vector<Eigen::VectorXd> ChangesWithout(const std::vector<StreamDoubt>& doubts,
                                             const FlightLog& log, Stamp from,
                                             const DynamicModel& model,
                                             const EstimatorOptions& options,
-                                            const ModelValues* values = nullptr);
+                                            const ModelValues* values = nullptr,
+                                            const std::function<bool()>& give_up = {});
 
 /// Adds to sigmas and covariance what may be wrong with the streams: the flight (of a long one the
 /// last minute) is replayed once without each error, and the change of the parameters squared
@@ -157,6 +160,11 @@ std::vector<std::string> FlightWarnings(const FlightLog& log, const ReplayResult
 /// vehicle file's.
 void WarnOfOtherMass(const ParameterSet& parameters, const Vehicle& vehicle,
                      std::vector<std::string>* warnings);
+
+/// True if an estimate's sign is one that physics does not allow, by more than chance (three
+/// sigma).
+/// @param sigma 0 where frozen
+bool IsSignUnphysical(const ParameterSpec& spec, double value, double sigma);
 
 /// What a reader of the figures must know: coefficients of unphysical sign (beyond three sigma),
 /// inertia over nominal outside 0.5 to 2, rotor torque gain outside 0.85 to 1.15, torque worse than

@@ -25,8 +25,10 @@ struct ReplayResult {
 
 /// Feeds a recorded flight to the estimator in the order of stamps, causally, as fast as it goes.
 /// @param progress called with the share done (0 to 1), may be empty
+/// @param give_up asked now and then: true ends it there, as if the recording did; may be empty
 ReplayResult Replay(const FlightLog& log, Estimator* estimator,
-                    const std::function<void(double)>& progress = {});
+                    const std::function<void(double)>& progress = {},
+                    const std::function<bool()>& give_up = {});
 
 /// Cuts every stream to [start_s, end_s] after the first odometry sample; end_s <= 0: no end.
 void CutFlight(double start_s, double end_s, FlightLog* log);

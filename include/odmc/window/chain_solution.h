@@ -1,0 +1,48 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "odmc/window/chain.h"
+#include "odmc/window/incremental_options.h"
+#include "odmc/window/linearisation_error.h"
+#include "odmc/window/window.h"
+
+namespace odmc {
+
+/// The estimate from an eliminated chain: shared variables from its root, states by
+/// back-substitution, the newest first and as far as a change reaches (wildfire).
+class ChainSolution {
+ public:
+  /// @param options, chain, error must outlive it
+  ChainSolution(const IncrementalOptions* options, Chain* chain, const LinearisationError* error)
+      : options_(options), chain_(chain), error_(error) {}
+
+  /// Starts from the window's parameters. @param stride of the chain's roots
+  void Reset(const Window& window, int stride);
+  void ForgetPass() { pass_ = -1; }
+
+  /// Shared variables from the chain's root. @returns false, leaving the window, if the step is too
+  /// long for a linear model or not a number
+  bool SolveRoot(Window* window);
+
+  /// States from them: the recent ones, and older ones until they hardly change, or all.
+  /// @returns true if an older state has left its point of linearization
+  bool BackSubstitute(Window* window, bool everything);
+
+  int back_substituted = 0;  ///< fronts; counts on
+
+ private:
+  double BackSubstitute(std::int64_t id, Window* window);
+  bool SharedHaveMoved() const;
+
+  const IncrementalOptions* options_;
+  Chain* chain_;
+  const LinearisationError* error_;
+  std::vector<double> shared_, propagated_;  // solution of the border; at the last full pass
+  std::vector<double> border_;               // its candidate
+  std::vector<double> substituted_;          // solution of the front at hand
+  std::int64_t pass_ = -1;                   // a full pass goes on here, -1: done
+};
+
+}  // namespace odmc
