@@ -66,11 +66,15 @@ std::string CalibrationReport(const Calibration& c, const DynamicModel& model) {
   Json parameters = Json::object(), convergence = Json::object();
   for (size_t i = 0; i < c.parameters.parameters.size(); ++i) {
     const ParameterEstimate& p = c.parameters.parameters[i];
+    const double sigma = p.estimated ? p.sigma : 0.0;
+    const int k = model.IndexOf(p.full_name);
+    const bool unphysical = k >= 0 && IsSignUnphysical(model.parameters()[k].spec, p.value, sigma);
     parameters[p.full_name] = {{"value", JsonNumber(p.value)},
-                               {"sigma", JsonNumber(p.estimated ? p.sigma : 0.0)},
+                               {"sigma", JsonNumber(sigma)},
                                {"unit", p.unit},
                                {"state", p.estimated ? "estimated" : "frozen"},
-                               {"observable", p.observable}};
+                               {"observable", p.observable},
+                               {"sign_unphysical", unphysical}};
     convergence[p.full_name] = JsonNumber(c.convergence_s[i]);
   }
   json["parameters"] = parameters;

@@ -103,6 +103,28 @@ TEST(CalibrationReport, HasNullForWhatCannotBeHad) {
   EXPECT_EQ(json["timing_ms"]["updates"], 0);
 }
 
+TEST(CalibrationReport, TellsOfSignsThatPhysicsDoesNotAllow) {
+  const DynamicModel model(test::NominalVehicle(), {"thrust", "drag"});
+  Calibration c;
+  c.replay.last.emplace();
+  c.parameters = ExactParameters(model, model.InitialValues());
+  c.convergence_s.assign(c.parameters.parameters.size(), std::nullopt);
+  const auto set = [&](const char* name, double value, double sigma) {
+    ParameterEstimate& p = c.parameters.parameters[static_cast<size_t>(model.IndexOf(name))];
+    p.estimated = true;
+    p.value = value;
+    p.sigma = sigma;
+  };
+  set("drag.d_x", 0.04, 0.01);
+  set("drag.d_y", 0.02, 0.01);  // chance does that
+  set("drag.d_z", -0.04, 0.01);
+  const auto json = nlohmann::json::parse(CalibrationReport(c, model))["parameters"];
+  EXPECT_EQ(json["drag.d_x"]["sign_unphysical"], true);
+  EXPECT_EQ(json["drag.d_y"]["sign_unphysical"], false);
+  EXPECT_EQ(json["drag.d_z"]["sign_unphysical"], false);
+  EXPECT_EQ(json["thrust.k_f"]["sign_unphysical"], false);
+}
+
 TEST(ModelWarnings, NameWhatIsUnphysical) {
   const DynamicModel model(test::NominalVehicle(), {"thrust", "drag", "hvt"});
   ModelValues values = model.InitialValues();

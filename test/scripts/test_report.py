@@ -32,7 +32,8 @@ def parameter(name: str, unit: str) -> Dict[str, Any]:
     value = VALUES.get(name, -1e-3)
     frozen = name == 'rotor_torque.k_m'
     return {'value': value, 'sigma': 0.0 if frozen else abs(value) * 0.02, 'unit': unit,
-            'state': 'frozen' if frozen else 'estimated', 'observable': name != 'inertia.z'}
+            'state': 'frozen' if frozen else 'estimated', 'observable': name != 'inertia.z',
+            'sign_unphysical': name == 'drag.d_z'}
 
 
 def full_report() -> Dict[str, Any]:
