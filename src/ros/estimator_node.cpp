@@ -306,7 +306,10 @@ void EstimatorNode::Process(std::deque<InputSample>* batch) {
   if (!estimator_ || stopped_by_clock_) return;
   const std::vector<Sample> samples = intake_.Take();
   rotors_.FindVoltage(samples);
-  for (const Sample& sample : samples) Feed(sample);
+  for (const Sample& sample : samples) {
+    if (queue_.StoppedBefore(kFinishPatience)) break;
+    Feed(sample);
+  }
 }
 
 void EstimatorNode::OnClockStepBack() {
@@ -513,10 +516,15 @@ void EstimatorNode::AddWhatWasFound() {
 }
 
 void EstimatorNode::Finish() {
-  const Clock::time_point give_up = Clock::now() + kFinishPatience;
   std::deque<InputSample> batch;
-  while (queue_.TakeBatch(&batch) && Clock::now() < give_up) Process(&batch);
-  if (estimator_ && batch.empty() && !stopped_by_clock_) {
+  bool is_all = false;
+  while (!is_all && !queue_.StoppedBefore(kFinishPatience)) {
+    is_all = !queue_.TakeBatch(&batch);
+    if (!is_all) Process(&batch);
+  }
+  if (!is_all) {
+    Tell("the newest samples may be missing: no time to work off all that was queued");
+  } else if (estimator_ && !stopped_by_clock_) {
     estimator_->Finish();
     StepWhileThereIsMore();
   }

@@ -78,6 +78,7 @@ void InputQueue::Stop() {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     stopping_ = true;
+    stopped_at_ = std::chrono::steady_clock::now();
   }
   input_came_.notify_all();
   stops_.notify_all();
@@ -86,6 +87,11 @@ void InputQueue::Stop() {
 bool InputQueue::stopping() {
   const std::lock_guard<std::mutex> lock(mutex_);
   return stopping_;
+}
+
+bool InputQueue::StoppedBefore(std::chrono::milliseconds patience) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return stopping_ && std::chrono::steady_clock::now() > stopped_at_ + patience;
 }
 
 bool InputQueue::SleepUnlessStopping(std::chrono::milliseconds period) {

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <cmath>
 #include <cstdlib>
 #include <fstream>
@@ -136,6 +137,17 @@ TEST(InputQueue, AnswersComeFromTheThreadThatTakesTheInput) {
   queue.Stop();
   estimator.join();
   EXPECT_TRUE(queue.SleepUnlessStopping(std::chrono::hours(1)));
+}
+
+TEST(InputQueue, TellsHowLongAgoItWasStopped) {
+  InputQueue queue(100);
+  const std::chrono::milliseconds soon(20), late(600000);
+  std::this_thread::sleep_for(2 * soon);
+  EXPECT_FALSE(queue.StoppedBefore(soon));  // not stopped at all
+  queue.Stop();
+  std::this_thread::sleep_for(2 * soon);
+  EXPECT_TRUE(queue.StoppedBefore(soon));
+  EXPECT_FALSE(queue.StoppedBefore(late));
 }
 
 TEST(EstimatorDiagnostic, WarnsWhileNothingIsLearned) {

@@ -45,6 +45,8 @@ class InputQueue {
 
   void Stop();
   bool stopping();
+  /// True once the sign to stop is older than `patience`.
+  bool StoppedBefore(std::chrono::milliseconds patience);
   /// Sleeps for `period`, or until there is the sign to stop. @returns whether there is
   bool SleepUnlessStopping(std::chrono::milliseconds period);
 
@@ -64,6 +66,7 @@ class InputQueue {
   std::deque<std::packaged_task<Answer()>> requests_;
   Streams streams_;
   bool stopping_ = false;
+  std::chrono::steady_clock::time_point stopped_at_;
 };
 
 }  // namespace odmc
