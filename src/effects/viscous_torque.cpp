@@ -12,7 +12,7 @@ class ViscousTorque final : public Effect {
       : Effect(vehicle,
                {"viscous_torque", "Viscous torque", "tau = diag(b) w_WB_B",
                 "model.md section 2; paper Eq. (1)",
-                "a positive b feeds energy in: it then stands in for an effect the model lacks"},
+                "a positive b feeds energy in: it has taken up an effect the model lacks"},
                {Axis(0, vehicle), Axis(1, vehicle), Axis(2, vehicle)}) {}
 
   std::string manoeuvre(size_t k) const override {
