@@ -664,6 +664,19 @@ TorqueBands FindTorqueBands(const FlightLog& log, const DynamicModel& model,
   return bands;
 }
 
+std::map<std::string, ParameterSetting> KnownByBands(const TorqueBands& bands,
+                                                     const DynamicModel& model,
+                                                     const ModelValues& values) {
+  std::map<std::string, ParameterSetting> known;
+  const int k = model.IndexOf("rotor_reaction.J_r");
+  if (k < 0 || !model.parameters()[k].estimated || !bands.J_r_over_I.value) return known;
+  const double inertia = model.Properties(values).I_BBcm_B(2, 2);
+  ParameterSetting& setting = known[model.parameters()[k].full_name];
+  setting.value = inertia * *bands.J_r_over_I.value;
+  setting.sigma = inertia * bands.J_r_over_I.sigma;
+  return known;
+}
+
 std::string ReactionWarning(const TorqueBands& bands) {
   if (!bands.k_m || !bands.k_m->contradicted) return "";
   const ReactionCheck& c = *bands.k_m;

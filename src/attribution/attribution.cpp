@@ -157,9 +157,7 @@ double Attribution::NullGain(double share) const {
 }
 
 double Attribution::PValue(double gain) const {
-  std::set<std::string> names;
-  for (const Candidate& candidate : candidates_) names.insert(candidate.effect);
-  const double markov = static_cast<double>(names.size()) * std::exp(-gain);
+  const double markov = static_cast<double>(EffectsOf(candidates_).size()) * std::exp(-gain);
   return std::min(1.0, std::max(SurrogatePValue(gain), markov));
 }
 

@@ -189,6 +189,12 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle,
   return all;
 }
 
+std::set<std::string> EffectsOf(const std::vector<Candidate>& candidates) {
+  std::set<std::string> names;
+  for (const Candidate& candidate : candidates) names.insert(candidate.effect);
+  return names;
+}
+
 Candidate Refined(const Candidate& candidate,
                   const std::function<double(const Candidate&)>& score) {
   Candidate best = candidate;

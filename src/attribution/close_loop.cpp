@@ -12,6 +12,7 @@
 #include "odmc/analysis/calibration.h"
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/gust_test.h"
+#include "odmc/attribution/online_evidence.h"
 #include "odmc/attribution/structure.h"
 #include "odmc/model/plausibility.h"
 #include "odmc/text/format.h"
@@ -266,12 +267,16 @@ bool IsGusty(const Gusts& gusts, const AttributionOptions& options) {
          gusts.test.over_others > -std::log(options.false_alarm_rate);
 }
 
+bool HasEffect(const std::vector<RankedEffect>& effects, const std::string& name) {
+  return std::any_of(effects.begin(), effects.end(),
+                     [&](const RankedEffect& e) { return e.name == name; });
+}
+
 /// Gusts are wind that comes and goes: not beside itself.
 bool CanBlow(const Vehicle& vehicle, const std::vector<RankedEffect>& effects) {
   const bool has = std::find(vehicle.effects.begin(), vehicle.effects.end(), "gust") !=
                    vehicle.effects.end();
-  return !has && std::none_of(effects.begin(), effects.end(),
-                              [](const RankedEffect& e) { return e.name == "gust"; });
+  return !has && !HasEffect(effects, "gust");
 }
 
 /// Smallest ratio of errors, after over before, of any axis.
@@ -483,9 +488,9 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     return result;
   }
   const ResidualModel residual(&flight, &file_vehicle, with_torque);
-  Attribution attribution(&residual,
-                          StageOf(declared, replay.last->values),
-                          CandidatesFor(vehicle, flight.motion()), options.attribution);
+  const std::vector<Candidate> candidates = CandidatesFor(vehicle, flight.motion());
+  Attribution attribution(&residual, StageOf(declared, replay.last->values), candidates,
+                          options.attribution);
   attribution.Run();
   result.ranking = attribution.ranking();
   result.named_gain = attribution.gain();
@@ -537,6 +542,33 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   };
   const std::string grounded = "with it the online estimator takes the flight for contact";
   std::optional<Pass> run;
+  const auto ask_online = [&](const std::string& name) {
+    std::vector<RankedEffect> with = effects;
+    with.emplace_back().name = name;
+    std::optional<Pass> pass = run_with(with, 1.0);
+    if (!pass) return;
+    const Vehicle extended = Extended(vehicle, attribution.stage(), with, known);
+    const DynamicModel model(extended, extended.effects);
+    with.back() = RankedByEstimate(name, pass->parameters, model, EffectsOf(candidates).size());
+    const RankedEffect& asked = with.back();
+    const auto ranked = std::find_if(result.ranking.begin(), result.ranking.end(),
+                                     [&](const RankedEffect& e) { return e.name == name; });
+    if (!(asked.p_value < options.attribution.false_alarm_rate)) return;
+    if (ranked != result.ranking.end()) *ranked = asked;
+    effects = with;
+    const ReplayResult& replayed = pass->replay;
+    const int k_f = model.IndexOf("thrust.k_f");
+    const auto by_bands = KnownByBands(
+        FindTorqueBands(log, model, replayed.last->values,
+                        k_f >= 0 ? replayed.last->sigma[k_f] : 0.0, replayed.ground_spans),
+        model, replayed.last->values);
+    if (!by_bands.empty()) {
+      known.insert(by_bands.begin(), by_bands.end());
+      std::optional<Pass> better = run_with(effects, 1.0);
+      if (better) pass = std::move(better);
+    }
+    run = std::move(pass);
+  };
   if (!effects.empty() && unexplained > options.attribution.most_unexplained) {
     is_gusty = false;  // it was looked for beside them
     // A flexible disturbance explains more of it than they do. What predicts blocks held out so much
@@ -577,6 +609,12 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   if (!effects.empty() && !run) {
     run = run_with(effects, 1.0);
     if (!run) drop_all(grounded);
+  }
+  for (const std::string& name : QuickEffects(vehicle, candidates)) {
+    if (with_torque && static_cast<int>(effects.size()) < options.attribution.most_effects &&
+        !HasEffect(effects, name)) {
+      ask_online(name);
+    }
   }
   if (!effects.empty()) {
     const Vehicle extended = Extended(vehicle, attribution.stage(), effects, known);

@@ -111,6 +111,14 @@ MatrixXd SurrogatesOf(const FlightRegression& flight, int count, std::mt19937* r
 
 }  // namespace
 
+double LogSignOdds(PhysicalSign sign, bool is_certain, double value, double sigma) {
+  if (sign == PhysicalSign::kAny) return 0.0;
+  const double towards = sign == PhysicalSign::kPositive ? 1.0 : -1.0;
+  const double right = Phi(towards * value / std::max(sigma, 1e-300));
+  const double wrong = is_certain ? 0.0 : Evidence::kStrange;
+  return std::log(std::max(1e-300, (1.0 - wrong) * right + wrong * (1.0 - right)) / 0.5);
+}
+
 Evidence::Evidence(const std::vector<SeenFlight>& flights, const Stage& stage, int jobs)
     : stage_(stage), jobs_(jobs) {
   if (flights.empty()) throw std::invalid_argument("evidence needs a flight");
@@ -324,13 +332,8 @@ double Evidence::SignTerm(const std::vector<int>& columns, const VectorXd& coeff
   double sum = 0.0;
   for (size_t k = 0; k < columns.size(); ++k) {
     const Column& column = columns_[columns[k]];
-    if (column.sign == PhysicalSign::kAny) continue;
     const auto i = static_cast<Index>(k);
-    const double towards = column.sign == PhysicalSign::kPositive ? 1.0 : -1.0;
-    const double right =
-        Phi(towards * (column.about + coefficients[i]) / std::max(sigma[i], 1e-300));
-    const double wrong = column.certain_sign ? 0.0 : kStrange;
-    sum += std::log(std::max(1e-300, (1.0 - wrong) * right + wrong * (1.0 - right)) / 0.5);
+    sum += LogSignOdds(column.sign, column.certain_sign, column.about + coefficients[i], sigma[i]);
   }
   return sum;
 }

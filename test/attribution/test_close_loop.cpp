@@ -7,6 +7,7 @@
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/close_loop.h"
 #include "odmc/attribution/close_loop_report.h"
+#include "odmc/attribution/online_evidence.h"
 #include "odmc/bench/undeclared.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/model/effect.h"
@@ -158,6 +159,65 @@ TEST(CloseLoop, ConfirmsADelayInSpiteOfTheNoiseItBrings) {
   EXPECT_TRUE(Names(loop.effects.front(), "rotor_delay")) << CloseLoopTable(loop);
   EXPECT_GT(loop.parameters.Find("rotor_delay.delay")->value,
             0.6 * flight.truth.Find("rotor_delay.delay")->value);
+}
+
+// Where rotors speed up and slow down by what the gyro's noise makes the controller do, the past foresees
+// nothing of the torque that they push back with: the online estimate says whether it is there.
+TEST(CloseLoop, AsksTheEstimatorForWhatNoPastForesees) {
+  const UndeclaredFlight flight =
+      MakeUndeclared(Plan(Undeclared::kOneEffect, {"rotor_reaction"}, 0.8, "octo", 3, 83));
+  const ClosedLoop loop = Close(flight);
+  ASSERT_EQ(loop.verdict, Verdict::kEffect);
+  ASSERT_EQ(loop.effects.size(), 1u);
+  const RankedEffect& effect = loop.effects[0].effect;
+  EXPECT_EQ(effect.name, "rotor_reaction");
+  EXPECT_LT(effect.p_value, 1e-6);
+  const double truth = flight.truth.Find("rotor_reaction.J_r")->value;
+  EXPECT_NEAR(effect.Find("rotor_reaction.J_r")->value, truth, 0.1 * truth);
+}
+
+/// The reaction of rotors as an online run has it.
+class OnlineEvidence : public testing::Test {
+ protected:
+  OnlineEvidence() : vehicle_(VehicleWith(NominalVehicle(), Candidate{"rotor_reaction", {}, {}})),
+                     model_(vehicle_, vehicle_.effects) {}
+
+  const ParameterSpec& spec() const {
+    return model_.parameters()[model_.IndexOf("rotor_reaction.J_r")].spec;
+  }
+  RankedEffect Ranked(double value, double sigma, bool estimated = true) const {
+    ParameterSet online;
+    online.parameters.push_back(
+        {"rotor_reaction.J_r", "kg m^2", value, sigma, estimated, estimated});
+    online.covariance = Eigen::MatrixXd::Constant(1, 1, sigma * sigma);
+    return RankedByEstimate("rotor_reaction", online, model_, 20);
+  }
+
+  Vehicle vehicle_;
+  DynamicModel model_;
+};
+
+TEST_F(OnlineEvidence, IsTheDensityAtZeroBeforeOverAfter) {
+  const double sigma = 0.01 * spec().prior_sigma;
+  const RankedEffect ranked = Ranked(5.0 * sigma, sigma);
+  // A hundred times better known, and of the sign it has for certain.
+  ASSERT_TRUE(spec().certain_sign);
+  EXPECT_NEAR(ranked.score, 12.5 - std::log(100.0) + std::log(2.0), 1e-6);
+  EXPECT_NEAR(ranked.p_value, 20.0 * std::exp(-ranked.score), 1e-12);
+  ASSERT_NE(ranked.Find("rotor_reaction.J_r"), nullptr);
+}
+
+TEST_F(OnlineEvidence, IsAgainstTheWrongSignAndWhatIsNotKnown) {
+  const double sigma = 0.01 * spec().prior_sigma;
+  EXPECT_LT(Ranked(-5.0 * sigma, sigma).score, Ranked(5.0 * sigma, sigma).score - 2.0);
+  EXPECT_LT(Ranked(sigma, sigma).score, 0.0);
+  EXPECT_EQ(Ranked(sigma, 0.0, false).p_value, 1.0);
+}
+
+TEST(QuickEffects, FollowRotorAccelerationsWithASignThatPhysicsGives) {
+  const std::vector<Candidate> candidates = {
+      {"rotor_delay", {}, {}}, {"rotor_reaction", {}, {}}, {"rotor_drag", {}, {}}, {"rotor_reaction", {}, {}}};
+  EXPECT_EQ(QuickEffects(NominalVehicle(), candidates), std::vector<std::string>{"rotor_reaction"});
 }
 
 TEST(CloseLoop, SaysWhereGapsLeaveNothingToJudgeBy) {

@@ -4,6 +4,7 @@
 #include <array>
 #include <complex>
 #include <functional>
+#include <map>
 #include <optional>
 #include <string>
 #include <utility>
@@ -140,6 +141,12 @@ void JoinBands(BandedQuantity* quantity);
 TorqueBands FindTorqueBands(const FlightLog& log, const DynamicModel& model,
                             const ModelValues& values, double k_f_sigma,
                             const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
+
+/// What bands know of parameters that the estimator sees at all frequencies: the inertia of a rotor, as
+/// a share of the I_z in `values`; by full name. Empty where they show it not, or the model has none.
+std::map<std::string, ParameterSetting> KnownByBands(const TorqueBands& bands,
+                                                     const DynamicModel& model,
+                                                     const ModelValues& values);
 
 /// One sentence where the bands contradict the k_m in use; else empty.
 std::string ReactionWarning(const TorqueBands& bands);

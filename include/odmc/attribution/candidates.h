@@ -2,6 +2,7 @@
 
 #include <functional>
 #include <map>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -33,6 +34,9 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
 /// some time of a flight is tried from each flight's start only.
 std::vector<Candidate> CandidatesFor(const Vehicle& vehicle,
                                      const std::vector<const FlightMotion*>& flights);
+
+/// The effects among candidates, each once.
+std::set<std::string> EffectsOf(const std::vector<Candidate>& candidates);
 
 /// The candidate with what its grid holds coarsely (a cable's length and damping, the time of a
 /// change) moved to where `score` is best between the grid's neighbours, one after the other.

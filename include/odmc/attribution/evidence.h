@@ -34,6 +34,11 @@ struct EffectFit {
   Eigen::MatrixXd covariance;    ///< n×n
 };
 
+/// What a physical sign says of a coefficient: log of its prior density over that of a symmetric one,
+/// integrated over what is known of it [nats]. The sign is right with probability 1 - `kStrange`, or
+/// for certain.
+double LogSignOdds(PhysicalSign sign, bool is_certain, double value, double sigma);
+
 /// The residual wrench of one flight, or of several of one vehicle, under the declared model as a
 /// linear regression with Gaussian priors: what every decision of attribution is made by. The
 /// evidence of a set of effects is the marginal likelihood of the residual with all coefficients
