@@ -499,16 +499,26 @@ std::array<double, kNumChannels> Evidence::EnergyOf(int variant, const EffectFit
   return energy;
 }
 
-double Evidence::GivenUp(const EffectFit& with, const EffectFit& without) const {
+double Evidence::UnforeseenChange(const VariantSet& set, const VariantSet& without) const {
   VectorXd change = VectorXd::Zero(gram_.rows());
-  for (size_t l = 0; l < without.columns.size(); ++l) {
-    for (size_t k = 0; k < with.columns.size(); ++k) {
-      if (with.columns[k] != without.columns[l]) continue;
-      change[with.columns[k]] = with.coefficients[static_cast<Index>(k)] -
-                                without.coefficients[static_cast<Index>(l)];
+  const auto add = [&](const VariantSet& of, double sign) {
+    const EffectFit fit = Solve(of);
+    for (size_t k = 0; k < fit.columns.size(); ++k) {
+      change[fit.columns[k]] += sign * fit.coefficients[static_cast<Index>(k)];
     }
+    for (const int v : of) {
+      if (variants_[v].offset >= 0) change[variants_[v].offset] += sign;
+    }
+  };
+  add(set, 1.0);
+  add(without, -1.0);
+  double sum = 0.0;
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    VectorXd local = VectorXd::Zero(flights_[f].unforeseen_gram().rows());
+    for (size_t k = 0; k < place_[f].size(); ++k) local[static_cast<Index>(k)] = change[place_[f][k]];
+    sum += local.dot(flights_[f].unforeseen_gram() * local);
   }
-  return 0.5 * change.dot(gram_ * change);
+  return 0.5 * sum;
 }
 
 double Evidence::PredictiveGain(const VariantSet& set, const VariantSet& over) const {

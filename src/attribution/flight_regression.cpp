@@ -428,17 +428,11 @@ void FlightRegression::EstimateNoise() {
 
 void FlightRegression::Project() {
   const auto n = static_cast<Index>(columns_.size());
-  MatrixXd of_whole(n, n);
-  constexpr Index kBatch = 16;
-  MatrixXd whole(white_.rows(), kBatch);
-  for (Index from = 0; from < n; from += kBatch) {
-    const Index size = std::min(kBatch, n - from);
-    for (Index k = 0; k < size; ++k) {
-      whole.col(k) = Whitened(columns_[static_cast<size_t>(from + k)].d_wrench, rows_, weight_);
-    }
-    of_whole.middleCols(from, size).noalias() =
-        white_.leftCols(n).transpose() * whole.leftCols(size);
+  MatrixXd whole(white_.rows(), n);
+  for (Index k = 0; k < n; ++k) {
+    whole.col(k) = Whitened(columns_[static_cast<size_t>(k)].d_wrench, rows_, weight_);
   }
+  const MatrixXd of_whole = white_.leftCols(n).transpose() * whole;
   MatrixXd gram = gram_.topLeftCorner(n, n);
   const VectorXd size = gram.diagonal().cwiseSqrt();
   const VectorXd unit = (size.array() > 0.0).select(size.cwiseInverse(), 0.0);  // 0: unforeseen
@@ -446,6 +440,10 @@ void FlightRegression::Project() {
   gram.diagonal().array() = 1.0 + kCollinear;
   const MatrixXd share = unit.asDiagonal() * gram.ldlt().solve(unit.asDiagonal() * of_whole);
   white_.leftCols(n) = (white_.leftCols(n) * share).eval();
+  whole -= white_.leftCols(n);
+  unforeseen_gram_.setZero(n + 1, n + 1);
+  unforeseen_gram_.topLeftCorner(n, n).selfadjointView<Eigen::Lower>().rankUpdate(whole.transpose());
+  unforeseen_gram_.triangularView<Eigen::StrictlyUpper>() = unforeseen_gram_.transpose();
   // Held-out columns stay as they were foreseen: how many of them combine was fitted elsewhere.
   SumUp();
 }
@@ -543,6 +541,7 @@ int FlightRegression::AddFeature(int channel, const VectorXd& whitened, const st
   white_.conservativeResize(Eigen::NoChange, y_at + 2);
   white_.col(y_at + 1) = white_.col(y_at);
   white_.col(y_at).setZero();
+  unforeseen_gram_.conservativeResizeLike(MatrixXd::Zero(y_at + 2, y_at + 2));
   white_.col(y_at).segment(channel * n, n) = whitened;
   SumUp();
   return static_cast<int>(y_at);

@@ -107,9 +107,10 @@ class Evidence {
   /// What a variant of a fitted set does, by channel, over the noise [nats].
   std::array<double, kNumChannels> EnergyOf(int variant, const EffectFit& fit) const;
 
-  /// What the parameters that two fits share do differently, over the noise [nats]: what an effect
-  /// does and changes of the others cancel.
-  double GivenUp(const EffectFit& with, const EffectFit& without) const;
+  /// What two fits do differently by what of their regressors was not foreseen, over the noise [nats].
+  /// Where an effect and changes of other parameters cancel, this is what is left of the regressors'
+  /// noise.
+  double UnforeseenChange(const VariantSet& set, const VariantSet& without) const;
 
   /// By how much `set` predicts parts better than `over`, each by the others [nats]: blocks of time
   /// of a single flight, whole flights of several.

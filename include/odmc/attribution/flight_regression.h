@@ -89,6 +89,8 @@ class FlightRegression {
   /// Their sums of products; of folds of blocks of time.
   const Eigen::MatrixXd& gram() const { return gram_; }
   const Eigen::MatrixXd& fold_gram(int fold) const { return fold_gram_[fold]; }
+  /// The same sums of what of the whitened columns was not foreseen: noise, and all that is quick.
+  const Eigen::MatrixXd& unforeseen_gram() const { return unforeseen_gram_; }
 
   /// Sums of products of the declared model's columns, a candidate's, and the residual less what
   /// the candidate does beyond its linearization: by the noise, and as if that were white.
@@ -168,7 +170,7 @@ class FlightRegression {
   int noise_columns_ = -1;  // for which it was estimated; -1: not yet
   Eigen::MatrixXd weight_, held_out_weight_;  // of samples, by channel: wild ones count less
   Eigen::MatrixXd white_, held_out_white_;    // rows × columns (X), y last
-  Eigen::MatrixXd gram_;
+  Eigen::MatrixXd gram_, unforeseen_gram_;
   std::vector<Eigen::MatrixXd> fold_gram_;  // of folds of blocks of time
   Eigen::VectorXd innovation_;  // whitened residual of everything
   // How much of it the fit of everything may have taken: whitened columns, and the root of the
