@@ -398,6 +398,28 @@ void Attribution::FindAlternatives(const Evidence& evidence, const VariantSet& s
   for (const auto& entry : order) ranked->alternatives.push_back(entry.second);
 }
 
+VariantSet Attribution::Largest(const Evidence& evidence, const VariantSet& confirmed) const {
+  double most = 0.0;
+  std::map<int, double> gains;
+  for (const int v : confirmed) {
+    VariantSet without = confirmed;
+    without.erase(v);
+    gains[v] = evidence.GainInNats(confirmed) - evidence.GainInNats(without);
+    most = std::max(most, gains[v]);
+  }
+  VariantSet set = confirmed;
+  for (const auto& [v, gain] : gains) {
+    if (gain < options_.large_share * most) set.erase(v);
+  }
+  // One that was confirmed beside what has just left may be nothing without it.
+  for (const int v : VariantSet(set)) {
+    VariantSet without = set;
+    without.erase(v);
+    if (PValue(ScoreOf(evidence, set, without)) >= options_.false_alarm_rate) set.erase(v);
+  }
+  return set.empty() ? confirmed : set;
+}
+
 VariantSet Attribution::WithoutStrangers(const Evidence& evidence, VariantSet set) const {
   for (const int v : VariantSet(set)) {
     RankedEffect ranked = Describe(evidence, v, set);
@@ -472,21 +494,8 @@ void Attribution::Run() {
       if (!set.empty()) break;
     }
     if (set.empty()) return;
-    // What is small beside the largest may be its shadow: that is looked at again once the model is
-    // linearized about the largest.
-    double most = 0.0;
-    std::map<int, double> scores;
-    for (const int v : set) {
-      VariantSet without = set;
-      without.erase(v);
-      scores[v] = evidence.GainInNats(set) - evidence.GainInNats(without);
-      most = std::max(most, scores[v]);
-    }
-    for (const auto& [v, score] : scores) {
-      if (score < options_.large_share * most) set.erase(v);
-    }
     std::vector<RankedEffect> added;
-    set = WithoutStrangers(evidence, set);
+    set = WithoutStrangers(evidence, Largest(evidence, set));
     for (const int v : set) {
       added.push_back(Describe(evidence, v, set));
       added.back().probability = found.ProbabilityOf(added.back().name, evidence);

@@ -96,6 +96,9 @@ class Attribution {
   std::vector<FlightSays> ByFlight(const Evidence& evidence, int variant, const VariantSet& set) const;
   void FindAlternatives(const Evidence& evidence, const VariantSet& set, int variant,
                         RankedEffect* ranked) const;
+  /// The effects of a confirmed set that are looked at first. What is small beside the largest may be
+  /// its shadow: it has another look once the model is linearized about the largest.
+  VariantSet Largest(const Evidence& evidence, const VariantSet& confirmed) const;
   /// In the place of what has an unphysical sign, the most probable effect that the data do not tell
   /// from it and that has none, if there is one.
   VariantSet WithoutStrangers(const Evidence& evidence, VariantSet set) const;
