@@ -253,11 +253,15 @@ void Attribution::Rank(const Evidence& evidence) {
 
 double Attribution::ScoreOf(const Evidence& evidence, const VariantSet& set,
                             const VariantSet& without) const {
-  const double gain = std::min(evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence,
+  const EffectFit with = evidence.Solve(set), other = evidence.Solve(without);
+  const double gain = std::min(with.log_evidence - other.log_evidence,
                                evidence.PredictiveGain(set, without));
   // Of the regressors' noise, what the fit of all foreseen parts to so few samples keeps.
   const double kept = evidence.num_columns() / static_cast<double>(evidence.num_rows());
-  return gain - kept * evidence.UnforeseenChange(set, without);
+  const double noise =
+      std::min(evidence.UnforeseenChange(set, without),
+               std::pow(options_.regressor_noise, 2) * evidence.GivenUp(with, other));
+  return gain - kept * noise;
 }
 
 double Attribution::ShadowOf(const std::array<double, kNumChannels>& energy,

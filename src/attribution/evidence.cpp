@@ -499,6 +499,18 @@ std::array<double, kNumChannels> Evidence::EnergyOf(int variant, const EffectFit
   return energy;
 }
 
+double Evidence::GivenUp(const EffectFit& with, const EffectFit& without) const {
+  VectorXd change = VectorXd::Zero(gram_.rows());
+  for (size_t l = 0; l < without.columns.size(); ++l) {
+    for (size_t k = 0; k < with.columns.size(); ++k) {
+      if (with.columns[k] != without.columns[l]) continue;
+      change[with.columns[k]] = with.coefficients[static_cast<Index>(k)] -
+                                without.coefficients[static_cast<Index>(l)];
+    }
+  }
+  return 0.5 * change.dot(gram_ * change);
+}
+
 double Evidence::UnforeseenChange(const VariantSet& set, const VariantSet& without) const {
   VectorXd change = VectorXd::Zero(gram_.rows());
   const auto add = [&](const VariantSet& of, double sign) {

@@ -14,6 +14,7 @@ struct AttributionOptions {
   int most_effects = 6;
   double most_flight_s = 240.0;
   double least_share = 0.03;
+  double regressor_noise = 0.1;
   double clear_odds = 4.6;
   double form_share = 0.1;
   double large_share = 0.3;

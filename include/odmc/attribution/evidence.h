@@ -107,6 +107,9 @@ class Evidence {
   /// What a variant of a fitted set does, by channel, over the noise [nats].
   std::array<double, kNumChannels> EnergyOf(int variant, const EffectFit& fit) const;
 
+  /// What the parameters that two fits share do differently, over the noise [nats]: what an effect
+  /// does and changes of the others cancel.
+  double GivenUp(const EffectFit& with, const EffectFit& without) const;
   /// What two fits do differently by what of their regressors was not foreseen, over the noise [nats].
   /// Where an effect and changes of other parameters cancel, this is what is left of the regressors'
   /// noise.
