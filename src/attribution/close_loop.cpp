@@ -542,6 +542,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   };
   const std::string grounded = "with it the online estimator takes the flight for contact";
   std::optional<Pass> run;
+  // Adds an effect of which the regression is no judge, where the online estimate shows it.
   const auto ask_online = [&](const std::string& name) {
     std::vector<RankedEffect> with = effects;
     with.emplace_back().name = name;
@@ -551,9 +552,9 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     const DynamicModel model(extended, extended.effects);
     with.back() = RankedByEstimate(name, pass->parameters, model, EffectsOf(candidates).size());
     const RankedEffect& asked = with.back();
+    if (!(asked.p_value < options.attribution.false_alarm_rate)) return;
     const auto ranked = std::find_if(result.ranking.begin(), result.ranking.end(),
                                      [&](const RankedEffect& e) { return e.name == name; });
-    if (!(asked.p_value < options.attribution.false_alarm_rate)) return;
     if (ranked != result.ranking.end()) *ranked = asked;
     effects = with;
     const ReplayResult& replayed = pass->replay;
@@ -563,9 +564,14 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
                         k_f >= 0 ? replayed.last->sigma[k_f] : 0.0, replayed.ground_spans),
         model, replayed.last->values);
     if (!by_bands.empty()) {
+      const std::map<std::string, ParameterSetting> without = known;
       known.insert(by_bands.begin(), by_bands.end());
       std::optional<Pass> better = run_with(effects, 1.0);
-      if (better) pass = std::move(better);
+      if (better) {
+        pass = std::move(better);
+      } else {
+        known = without;
+      }
     }
     run = std::move(pass);
   };

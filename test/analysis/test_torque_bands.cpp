@@ -248,6 +248,25 @@ TEST_F(FlightBands, ContradictAReactionThatIsTooSmall) {
   EXPECT_TRUE(ReactionWarning(right).empty());
 }
 
+TEST(KnownByBands, IsARotorsInertiaByThatOfTheBody) {
+  Vehicle vehicle = NominalVehicle();
+  TorqueBands bands;
+  bands.J_r_over_I.value = 1e-3;
+  bands.J_r_over_I.sigma = 5e-5;
+  const DynamicModel without(vehicle, vehicle.effects);
+  EXPECT_TRUE(KnownByBands(bands, without, without.InitialValues()).empty());
+  vehicle.effects.push_back("rotor_reaction");
+  const DynamicModel model(vehicle, vehicle.effects);
+  ModelValues values = model.InitialValues();
+  values[model.IndexOf("inertia.z")] = 4e-3;
+  const auto known = KnownByBands(bands, model, values);
+  ASSERT_EQ(known.count("rotor_reaction.J_r"), 1u);
+  EXPECT_NEAR(*known.at("rotor_reaction.J_r").value, 4e-6, 1e-12);
+  EXPECT_NEAR(*known.at("rotor_reaction.J_r").sigma, 2e-7, 1e-13);
+  bands.J_r_over_I.value.reset();
+  EXPECT_TRUE(KnownByBands(bands, model, values).empty());
+}
+
 }  // namespace
 }  // namespace test
 }  // namespace odmc
