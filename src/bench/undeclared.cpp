@@ -274,6 +274,20 @@ std::vector<Vehicle> UndeclaredVehicles() {
   };
 }
 
+namespace {
+
+/// Flight `i` of a set, on which nothing undeclared acts.
+UndeclaredPlan PlanOf(int seed, int i) {
+  UndeclaredPlan plan;
+  plan.number = i;
+  plan.seed = seed * 1000 + i;
+  plan.vehicle = (i + i / 4) % 4;
+  plan.trajectory = kFlown[i % kFlown.size()];
+  return plan;
+}
+
+}  // namespace
+
 std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
   const int nothing = (flights * 5 + 15) / 16, hidden = (flights * 3 + 31) / 32,
             unknown = (flights + 7) / 8, two = (flights + 15) / 16;
@@ -281,20 +295,18 @@ std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
   const int num = static_cast<int>(catalogue.size());
   std::vector<UndeclaredPlan> plans;
   for (int i = 0; i < flights; ++i) {
-    UndeclaredPlan plan;
-    plan.number = i;
-    plan.seed = seed * 1000 + i;
-    plan.vehicle = (i + i / 4) % 4;
+    UndeclaredPlan plan = PlanOf(seed, i);
     if (i < nothing) {
-      plan.trajectory = kFlown[i % kFlown.size()];
-    } else if (i < nothing + hidden) {
+      plans.push_back(plan);
+      continue;
+    }
+    if (i < nothing + hidden) {
       const auto& [effect, trajectory] = kHidden[(i - nothing) % kHidden.size()];
       plan.kind = Undeclared::kNotExcited;
       plan.effects = {effect};
       plan.trajectory = trajectory;
     } else if (i < nothing + hidden + unknown) {
       plan.kind = Undeclared::kUnknown;
-      plan.trajectory = kFlown[i % kFlown.size()];
       const int k = (i - nothing - hidden) % 2;
       plan.strength = kLevels[k].name;
       plan.share = kLevels[k].share;
@@ -325,12 +337,7 @@ std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
 std::vector<UndeclaredPlan> PlanNothing(int seed, int flights) {
   std::vector<UndeclaredPlan> plans;
   for (int i = 0; i < flights; ++i) {
-    UndeclaredPlan plan;
-    plan.number = i;
-    plan.seed = seed * 1000 + i;
-    plan.vehicle = (i + i / 4) % 4;
-    plan.trajectory = kFlown[i % kFlown.size()];
-    plans.push_back(plan);
+    plans.push_back(PlanOf(seed, i));
   }
   return plans;
 }

@@ -1,6 +1,7 @@
 #include "odmc/inspection/recording_inspection.h"
 
 #include <algorithm>
+#include <stdexcept>
 
 #include "odmc/inspection/reading_checks.h"
 #include "odmc/inspection/rotor_inspection.h"
@@ -35,6 +36,16 @@ StreamInspection InspectRecording(const Vehicle& vehicle, FlightLog* log) {
     if (finding.leaves == Trust::kBad && inspection.refusal.empty()) {
       inspection.refusal = Sentence(finding);
     }
+  }
+  return inspection;
+}
+
+StreamInspection InspectOrRefuse(const Vehicle& vehicle, bool force, const std::string& option,
+                                 FlightLog* log) {
+  StreamInspection inspection = InspectRecording(vehicle, log);
+  if (!inspection.refusal.empty() && !force) {
+    throw std::invalid_argument(log->file + ": " + inspection.refusal + " (" + option +
+                                " goes on all the same)");
   }
   return inspection;
 }

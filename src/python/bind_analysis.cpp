@@ -38,12 +38,7 @@ struct EstimatorSettings {
 
 /// Compares the streams and mends the log; refuses what nothing can be learned from.
 StreamInspection Inspect(const Vehicle& vehicle, bool force, FlightLog* log) {
-  StreamInspection inspection = InspectRecording(vehicle, log);
-  if (!inspection.refusal.empty() && !force) {
-    throw std::invalid_argument(log->file + ": " + inspection.refusal +
-                                " (force=True goes on all the same)");
-  }
-  return inspection;
+  return InspectOrRefuse(vehicle, force, "force=True", log);
 }
 
 /// Prediction as a table with the columns of prediction.csv; without torque nothing that turns.

@@ -583,12 +583,7 @@ FlightLog FlightArguments::Read(const std::string& flight, const Vehicle& vehicl
 }
 
 StreamInspection InspectFlight(const Vehicle& vehicle, bool force, FlightLog* log) {
-  StreamInspection inspection = InspectRecording(vehicle, log);
-  if (!inspection.refusal.empty() && !force) {
-    throw std::invalid_argument(log->file + ": " + inspection.refusal +
-                                " (--force goes on all the same)");
-  }
-  return inspection;
+  return InspectOrRefuse(vehicle, force, "--force", log);
 }
 
 void AddForce(CLI::App* app, bool* force) {
