@@ -16,7 +16,9 @@ using Json = nlohmann::ordered_json;
 
 Json ParameterJson(const ActuatorParameter& p) {
   if (!p.found) return nullptr;
-  return {{"value", JsonNumber(p.found->value)}, {"sigma", JsonNumber(p.found->sigma)}, {"unit", p.unit}};
+  return {{"value", JsonNumber(p.found->value)},
+          {"sigma", JsonNumber(p.found->sigma)},
+          {"unit", p.unit}};
 }
 
 // Share of the speed range, or of the mean speed, in percent; null where nothing was measured.
@@ -119,7 +121,7 @@ std::string ActuatorTable(const ActuatorCalibration& c,
                Format(of_range, e.steady_rad_s, PercentOf(e.steady_rad_s, e.speed_range_rad_s)));
   if (c.fit.has_time) {
     text += Line("response error", Format(of_range, e.response_rad_s,
-                                        PercentOf(e.response_rad_s, e.speed_range_rad_s)));
+                                          PercentOf(e.response_rad_s, e.speed_range_rad_s)));
     if (c.fit.common.lag_s)
       text += Line("correlation lag", Format("%8.1f ms", 1e3 * *c.fit.common.lag_s));
   }
@@ -128,7 +130,7 @@ std::string ActuatorTable(const ActuatorCalibration& c,
       const FreeRunError& m = evaluation.motors[j];
       text += Line("held out, motor " + std::to_string(j + 1),
                    Format("%8.2f rad/s, %5.2f %% of the mean speed, ", m.all_rad_s,
-                        PercentOf(m.all_rad_s, m.mean_speed_rad_s)) +
+                          PercentOf(m.all_rad_s, m.mean_speed_rad_s)) +
                        evaluation.file);
     }
   }

@@ -18,10 +18,10 @@ namespace {
 constexpr double kConvergedShare = 0.05;  // of the final value
 constexpr double kLeastFlight_s = 3.0;    // what the window holds before anything may leave it
 constexpr double kLongestDoubt_s = 60.0;
-constexpr double kMostBlocks = 1000.0;    // to leave out in turn
+constexpr double kMostBlocks = 1000.0;  // to leave out in turn
 constexpr double kInertiaLow = 0.5, kInertiaHigh = 2.0;
-constexpr double kSignSigmas = 3.0;      // one-sided, by chance once in 740 parameters
-constexpr double kKnownInertia = 0.1;    // of the value: far below the vehicle file's 40 %
+constexpr double kSignSigmas = 3.0;    // one-sided, by chance once in 740 parameters
+constexpr double kKnownInertia = 0.1;  // of the value: far below the vehicle file's 40 %
 constexpr double kGainLow = 0.85, kGainHigh = 1.15;
 
 double DurationOf(const FlightLog& log) {
@@ -128,7 +128,8 @@ std::vector<Finding> LittleFlight(const ReplayResult& replay, const DynamicModel
   Finding finding;
   finding.check = "short_flight";
   finding.leaves = Trust::kDoubtful;
-  finding.what = "the estimate rests on " + Rounded(replay.counters.airborne_s) + " s of free flight";
+  finding.what =
+      "the estimate rests on " + Rounded(replay.counters.airborne_s) + " s of free flight";
   if (is_hidden) finding.what += ", which do not show thrust.k_f";
   finding.mend = "a longer flight";
   return {finding};
@@ -296,9 +297,8 @@ void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
                     Calibration* calibration) {
   const Snapshot& last = *calibration->replay.last;
   ParameterSet& set = calibration->parameters;
-  for (const Eigen::VectorXd& change :
-       ChangesWithout(doubts, log, last.stamp - FromSeconds(kLongestDoubt_s), model, options,
-                      &last.values)) {
+  for (const Eigen::VectorXd& change : ChangesWithout(
+           doubts, log, last.stamp - FromSeconds(kLongestDoubt_s), model, options, &last.values)) {
     for (size_t i = 0; i < set.parameters.size(); ++i) {
       ParameterEstimate& p = set.parameters[i];
       if (!p.estimated || !(p.sigma > 0.0)) continue;

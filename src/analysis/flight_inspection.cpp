@@ -17,16 +17,16 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr double kKeyframeRate_Hz = 25.0;
-constexpr double kGap = 3.0;         // median steps
-constexpr double kIqr = 1.349;       // interquartile range of a normal variable of sigma one
-constexpr double kFast = 0.99;       // percentile that counts as the largest
-constexpr double kVagueLag_s = 0.02;  // sigma of a delay that says nothing
+constexpr double kGap = 3.0;           // median steps
+constexpr double kIqr = 1.349;         // interquartile range of a normal variable of sigma one
+constexpr double kFast = 0.99;         // percentile that counts as the largest
+constexpr double kVagueLag_s = 0.02;   // sigma of a delay that says nothing
 constexpr double kMostLook_s = 120.0;  // of flight, for what it teaches
 
 double Quantile(std::vector<double> values, double share) {
   if (values.empty()) return 0.0;
-  const auto at = values.begin() + static_cast<std::ptrdiff_t>(
-                                       share * static_cast<double>(values.size() - 1));
+  const auto at =
+      values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
   std::nth_element(values.begin(), at, values.end());
   return *at;
 }
@@ -103,8 +103,13 @@ std::vector<Lesson> LessonsOf(const DynamicModel& model, const Snapshot& last) {
   for (int k = 0; k < model.num_parameters(); ++k) {
     const ModelParameter& p = model.parameters()[k];
     if (!p.estimated) continue;
-    Lesson lesson{p.full_name, p.spec.unit, last.values[k], last.sigma[k], p.spec.prior_sigma,
-                  last.observable[static_cast<size_t>(k)], ""};
+    Lesson lesson{p.full_name,
+                  p.spec.unit,
+                  last.values[k],
+                  last.sigma[k],
+                  p.spec.prior_sigma,
+                  last.observable[static_cast<size_t>(k)],
+                  ""};
     if (!lesson.is_shown) lesson.manoeuvre = ManoeuvreFor(model, k);
     lessons.push_back(std::move(lesson));
   }
@@ -175,7 +180,8 @@ std::string StreamLine(const StreamFigures& s) {
   if (s.rate_Hz > 0.0 && s.jitter_s * s.rate_Hz > 0.05) {
     line += ", steps spread by " + Rounded(1e3 * s.jitter_s) + " ms";
   }
-  if (10 * s.repeated > s.samples) line += ", " + std::to_string(s.repeated) + " repeat the one before";
+  if (10 * s.repeated > s.samples)
+    line += ", " + std::to_string(s.repeated) + " repeat the one before";
   if (!s.holds.empty()) line += "; with " + Joined(s.holds);
   return line + "\n";
 }
@@ -183,8 +189,8 @@ std::string StreamLine(const StreamFigures& s) {
 std::string LessonLine(const Lesson& l, bool has_value) {
   char line[240];
   if (has_value) {
-    std::snprintf(line, sizeof line, "  %-24s %12.4g +- %-9.2g %-8s %s", l.full_name.c_str(), l.value,
-                  l.sigma, l.unit.c_str(), l.is_shown ? "" : "hardly shown");
+    std::snprintf(line, sizeof line, "  %-24s %12.4g +- %-9.2g %-8s %s", l.full_name.c_str(),
+                  l.value, l.sigma, l.unit.c_str(), l.is_shown ? "" : "hardly shown");
   } else {
     std::snprintf(line, sizeof line, "  %-24s %s", l.full_name.c_str(),
                   l.is_shown ? "shown" : "hardly shown");
@@ -233,7 +239,8 @@ std::vector<StreamFigures> StreamsOf(const FlightLog& log) {
     return std::any_of(samples.begin(), samples.end(), has);
   };
   std::vector<std::string> pose, imu;
-  if (any(log.odometry, [](const auto& s) { return s.v_WS.has_value(); })) pose.push_back("velocity");
+  if (any(log.odometry, [](const auto& s) { return s.v_WS.has_value(); }))
+    pose.push_back("velocity");
   if (any(log.odometry, [](const auto& s) { return s.w_WS_S.has_value(); })) {
     pose.push_back("body rates");
   }
@@ -315,9 +322,9 @@ std::string InspectionReport(const FlightInspection& inspection) {
 }
 
 std::string InspectionText(const FlightInspection& inspection) {
-  std::string text =
-      inspection.file + ": " + Rounded(inspection.duration_s) + " s, " +
-      (inspection.rotors ? "no vehicle file" : "vehicle " + inspection.vehicle) + "\n";
+  std::string text = inspection.file + ": " + Rounded(inspection.duration_s) + " s, " +
+                     (inspection.rotors ? "no vehicle file" : "vehicle " + inspection.vehicle) +
+                     "\n";
   text += "streams\n";
   for (const StreamFigures& s : inspection.streams) text += StreamLine(s);
   for (const TimeOffset& offset : inspection.inspection.offsets) {
@@ -340,8 +347,9 @@ std::string InspectionText(const FlightInspection& inspection) {
     text += "  " + span.Describe(inspection.first_stamp) + "\n";
   }
   if (!inspection.flown) {
-    text += "never airborne: thrust stays below the weight; check thrust.k_f, mass_kg and the unit of "
-            "the rotor speeds\n";
+    text +=
+        "never airborne: thrust stays below the weight; check thrust.k_f, mass_kg and the unit of "
+        "the rotor speeds\n";
     return text;
   }
   const FlownFigures& f = *inspection.flown;

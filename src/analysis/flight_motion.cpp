@@ -133,8 +133,10 @@ FilteredMotion MotionAt(const Collector& c, const LocalPolynomial& fit) {
   motion.p_WS = fit.value.segment<3>(kPosition);
   const Eigen::Quaterniond q(Eigen::Vector4d(fit.value.segment<4>(kQuaternion).normalized()));
   motion.R_WS = q.toRotationMatrix();
-  motion.v_WS = c.has_velocity() ? fit.value.segment<3>(kVelocity) : fit.first.segment<3>(kPosition);
-  motion.a_WS = c.has_velocity() ? fit.first.segment<3>(kVelocity) : fit.second.segment<3>(kPosition);
+  motion.v_WS =
+      c.has_velocity() ? fit.value.segment<3>(kVelocity) : fit.first.segment<3>(kPosition);
+  motion.a_WS =
+      c.has_velocity() ? fit.first.segment<3>(kVelocity) : fit.second.segment<3>(kPosition);
   if (c.has_rate()) {
     motion.w_S = fit.value.segment<3>(kRate);
     motion.w_dot_S = fit.first.segment<3>(kRate);

@@ -51,8 +51,7 @@ GroundSpans FindGroundSpans(const FlightLog& log, const DynamicModel& model,
     noise.Add(sample);
     const double dt = last != nullptr ? ToSeconds(sample.stamp - last->stamp) : 0.0;
     if (last != nullptr && dt < least_step_s) continue;
-    const bool is_first =
-        last == nullptr || dt > std::max(kMaxGap_s, 1.5 / keyframe_rate_hz);
+    const bool is_first = last == nullptr || dt > std::max(kMaxGap_s, 1.5 / keyframe_rate_hz);
     phases.Update(sample, is_first ? std::nullopt : rotors.Read(last->stamp, sample.stamp),
                   noise.Noise(), is_first);
     last = &sample;

@@ -13,15 +13,15 @@ namespace {
 
 constexpr double kArm_m = 0.13, kRadiusShare = 0.8;
 constexpr double kInertiaShare = 0.22, kYawShare = 0.85, kInertiaGuessSigma = 0.3;
-constexpr double kReactionShare = 0.2;   // k_m over k_f and the propeller's radius
+constexpr double kReactionShare = 0.2;  // k_m over k_f and the propeller's radius
 constexpr double kReactionSigma = 0.3;
-constexpr double kThrustSigma = 0.2;     // what was found is not counted twice: a wide prior
+constexpr double kThrustSigma = 0.2;  // what was found is not counted twice: a wide prior
 // Without a flight: tips of propellers hover at 40 to 100 m/s.
 constexpr double kTipSpeed_m_s = 60.0, kGuessedThrustSigma = 0.7;
 // Readings come in the order of the autopilot's numbers far more often than in any other.
 constexpr double kOddsOfNumbers = 10.0;
-constexpr double kOtherFrame = 7.0;      // nats: a thousand to one
-constexpr double kBadScatter = 0.1;      // of k_f: the rotors hardly explain the motion
+constexpr double kOtherFrame = 7.0;  // nats: a thousand to one
+constexpr double kBadScatter = 0.1;  // of k_f: the rotors hardly explain the motion
 
 /// To four digits: what is guessed or found has no more.
 double ToFourDigits(double value) { return std::strtod(Rounded(value, 4).c_str(), nullptr); }
@@ -123,7 +123,8 @@ class Maker {
         ". found: the flight shows it (nats: log odds against the next likely). guessed: by the "
         "formula beside it. asked: given on the command line.");
     made_.comments.head.push_back(
-        "Frame B: x forward, y left, z up, origin in the middle of the rotor hubs. All numbers in SI "
+        "Frame B: x forward, y left, z up, origin in the middle of the rotor hubs. All numbers in "
+        "SI "
         "units, with a decimal point (1.0e-06, not 1e-06).");
   }
 
@@ -147,16 +148,15 @@ class Maker {
       order_mark_ = "asked";
       order_why_ = "readings are those of motors " + NumbersOf(made_.order) + " of " + Numbering();
       if (tested() && fit_->order_choice.is_told && fit_->order != made_.order) {
-        made_.advice.push_back("the flight says that readings are those of motors " +
-                               NumbersOf(fit_->order) + " (" +
-                               Rounded(fit_->order_choice.lead_nats) +
-                               " nats); what was asked for stays");
+        made_.advice.push_back(
+            "the flight says that readings are those of motors " + NumbersOf(fit_->order) + " (" +
+            Rounded(fit_->order_choice.lead_nats) + " nats); what was asked for stays");
       }
     } else if (tested() && fit_->order_choice.is_told) {
       made_.order = fit_->order;
       order_mark_ = "found";
-      order_why_ = "readings are those of motors " + NumbersOf(made_.order) + " of " + Numbering() + ", " +
-                   Rounded(fit_->order_choice.lead_nats) + " nats before any other order (" +
+      order_why_ = "readings are those of motors " + NumbersOf(made_.order) + " of " + Numbering() +
+                   ", " + Rounded(fit_->order_choice.lead_nats) + " nats before any other order (" +
                    Rounded(fit_->flight_s) + " s of flight)";
     } else {
       GuessOrder();
@@ -172,7 +172,8 @@ class Maker {
     if (fit_ == nullptr) return;
     if (!tested()) {
       made_.advice.push_back(
-          "the flight says nothing of the rotors' order and spins: it needs rotor speeds and poses or "
+          "the flight says nothing of the rotors' order and spins: it needs rotor speeds and poses "
+          "or "
           "body rates at 15 Hz and more, " +
           std::to_string(std::max(5, nominal_.num_rotors() + 1)) +
           " blocks of half a second in flight; fly ten seconds with brisk rolls, pitches and yaws");
@@ -184,8 +185,8 @@ class Maker {
       order_mark_ = "guessed";
       order_why_ = "readings are those of motors " + NumbersOf(made_.order) + " of " + Numbering();
     }
-    order_why_ += "; the flight does not tell orders apart: the likeliest, " + NumbersOf(fit_->order) +
-                  ", has a probability of " + Rounded(likeliest);
+    order_why_ += "; the flight does not tell orders apart: the likeliest, " +
+                  NumbersOf(fit_->order) + ", has a probability of " + Rounded(likeliest);
     made_.advice.push_back("the flight does not tell the rotors' order (likeliest " +
                            NumbersOf(fit_->order) + ", probability " +
                            Rounded(fit_->order_choice.probability) +
@@ -221,10 +222,11 @@ class Maker {
   void GuessSpins(std::vector<double>* spins) {
     if (order_is_fits()) *spins = fit_->spin;
     spin_why_ = SpinText(*spins) + ", the likeliest (probability " +
-                Rounded(fit_->spin_choice.probability) +
-                "; before the flight 80 % for those of " + Numbering() + "): yaw is hardly excited";
+                Rounded(fit_->spin_choice.probability) + "; before the flight 80 % for those of " +
+                Numbering() + "): yaw is hardly excited";
     made_.advice.push_back("the flight does not tell the rotors' spins (likeliest " +
-                           SpinText(*spins) + ", probability " + Rounded(fit_->spin_choice.probability) +
+                           SpinText(*spins) + ", probability " +
+                           Rounded(fit_->spin_choice.probability) +
                            "): look at the propellers, or fly quick yaw steps for ten seconds");
   }
 
@@ -239,7 +241,8 @@ class Maker {
     } else if (known_.arm_m) {
       why += "Places asked: " + known_.frame + ", arm " + Rounded(*known_.arm_m) + " m.";
     } else {
-      why += "Places guessed: " + known_.frame + ", arm 0.13 m (m/kg)^(1/3), x and y alike; a flight "
+      why += "Places guessed: " + known_.frame +
+             ", arm 0.13 m (m/kg)^(1/3), x and y alike; a flight "
              "shows arm over inertia, not the arm: measure it.";
     }
     if (!known_.drawing) {
@@ -249,10 +252,10 @@ class Maker {
     made_.comments.key["rotors"] = why;
     made_.report.push_back("rotor order " + order_mark_ + ": " + order_why_);
     made_.report.push_back("spins " + spin_mark_ + ": " + spin_why_);
-    made_.report.push_back("places " + std::string(known_.drawing || known_.half_m || known_.arm_m
-                                                       ? "asked"
-                                                       : "guessed") +
-                           ": arm " + Rounded(made_.vehicle.ArmLength()) + " m");
+    made_.report.push_back(
+        "places " +
+        std::string(known_.drawing || known_.half_m || known_.arm_m ? "asked" : "guessed") +
+        ": arm " + Rounded(made_.vehicle.ArmLength()) + " m");
     if (known_.drawing) return;
     const std::vector<FramePlace> places = FrameLayout(known_.frame, known_.autopilot);
     for (const int place : made_.order) {
@@ -281,16 +284,18 @@ class Maker {
     }
     Mark("inertia_kg_m2", "found",
          "about x and y the mean of what thrust, arm and angular acceleration show (" +
-             Rounded(fit_->inertia_x->value_kg_m2) + " and " + Rounded(fit_->inertia_y->value_kg_m2) +
-             ", +- 30 %) and the guess " + formula + "; guessed: " + yaw);
+             Rounded(fit_->inertia_x->value_kg_m2) + " and " +
+             Rounded(fit_->inertia_y->value_kg_m2) + ", +- 30 %) and the guess " + formula +
+             "; guessed: " + yaw);
   }
 
   /// Geometric mean, weighed by relative sigmas.
   static double Refined(double guess, const ShownInertia& shown) {
     const double by_guess = std::pow(kInertiaGuessSigma, -2);
     const double by_motion = std::pow(shown.relative_sigma, -2);
-    return ToFourDigits(std::exp((by_guess * std::log(guess) + by_motion * std::log(shown.value_kg_m2)) /
-                            (by_guess + by_motion)));
+    return ToFourDigits(
+        std::exp((by_guess * std::log(guess) + by_motion * std::log(shown.value_kg_m2)) /
+                 (by_guess + by_motion)));
   }
 
   void Odometry() {
@@ -306,8 +311,8 @@ class Maker {
       return Mark("odometry", "guessed", "the pose is taken for that of B");
     }
     SensorMount& mount = made_.vehicle.odometry;
-    mount.q_BS = Eigen::Quaterniond::FromTwoVectors(fit_->balance->thrust_axis_S,
-                                                    Eigen::Vector3d::UnitZ());
+    mount.q_BS =
+        Eigen::Quaterniond::FromTwoVectors(fit_->balance->thrust_axis_S, Eigen::Vector3d::UnitZ());
     mount.estimate = true;
     made_.vehicle.effects.push_back("odometry_extrinsics");
     Mark("odometry", "found",
@@ -338,19 +343,21 @@ class Maker {
     Mark("thrust.k_f", "guessed", "hover with propeller tips at 60 m/s");
     if (fit_ != nullptr) {
       made_.advice.push_back(
-          "the flight does not show k_f: fly ten seconds of hover and slow figures, with rotor speeds");
+          "the flight does not show k_f: fly ten seconds of hover and slow figures, with rotor "
+          "speeds");
     }
   }
 
   void Reaction() {
     ParameterSetting& k_m = made_.vehicle.parameters["rotor_torque.k_m"];
     k_m.value = ToFourDigits(kReactionShare * made_.vehicle.rotors.front().radius_m *
-                        *made_.vehicle.parameters["thrust.k_f"].value);
+                             *made_.vehicle.parameters["thrust.k_f"].value);
     k_m.sigma = ToFourDigits(kReactionSigma * *k_m.value);
     k_m.estimated = false;
-    Mark("rotor_torque.k_m", "guessed",
-         "k_f times 0.2 propeller radii; frozen, since gentle flight can't tell it from the inertia "
-         "about z");
+    Mark(
+        "rotor_torque.k_m", "guessed",
+        "k_f times 0.2 propeller radii; frozen, since gentle flight can't tell it from the inertia "
+        "about z");
   }
 
   void OtherFrames() {
@@ -380,10 +387,12 @@ Vehicle VehicleBeforeFlight(const KnownVehicle& known) {
     vehicle.inertia_kg_m2 *= known.mass_kg / vehicle.mass_kg;
   } else {
     vehicle.rotors = RotorsOf(known);
-    const double radius_m = known.radius_m.value_or(ToFourDigits(kRadiusShare * HalfGap(vehicle.rotors)));
+    const double radius_m =
+        known.radius_m.value_or(ToFourDigits(kRadiusShare * HalfGap(vehicle.rotors)));
     for (Rotor& rotor : vehicle.rotors) rotor.radius_m = radius_m;
     const double about_x = kInertiaShare * known.mass_kg * std::pow(vehicle.ArmLength(), 2);
-    vehicle.inertia_kg_m2 = {ToFourDigits(about_x), ToFourDigits(about_x), ToFourDigits(2.0 * kYawShare * about_x)};
+    vehicle.inertia_kg_m2 = {ToFourDigits(about_x), ToFourDigits(about_x),
+                             ToFourDigits(2.0 * kYawShare * about_x)};
     vehicle.effects = DefaultEffects();
   }
   vehicle.name = known.name;
@@ -396,7 +405,8 @@ Vehicle VehicleBeforeFlight(const KnownVehicle& known) {
   return vehicle;
 }
 
-NewVehicle MakeVehicle(const KnownVehicle& known, const VehicleFit* fit, const std::string& flight) {
+NewVehicle MakeVehicle(const KnownVehicle& known, const VehicleFit* fit,
+                       const std::string& flight) {
   return Maker(known, fit, flight).Make();
 }
 

@@ -1,6 +1,5 @@
 #include "odmc/analysis/phase_findings.h"
 
-
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -12,10 +11,11 @@ Finding SetAside(const PhaseSpan& span, Stamp zero) {
   const bool is_crash = span.phase == FlightPhase::kCrashed;
   finding.check = is_crash ? "crash" : "contact";
   finding.span_s = {ToSeconds(span.from - zero), ToSeconds(span.to - zero)};
-  finding.what = std::string(is_crash ? "the vehicle crashed" : "a force acts that is not the model's") +
-                 Format(" from %.2f to %.2f s (%.2f of the weight)", finding.span_s->first,
-                      finding.span_s->second, span.missing_force) +
-                 ": nothing was learned there";
+  finding.what =
+      std::string(is_crash ? "the vehicle crashed" : "a force acts that is not the model's") +
+      Format(" from %.2f to %.2f s (%.2f of the weight)", finding.span_s->first,
+             finding.span_s->second, span.missing_force) +
+      ": nothing was learned there";
   return finding;
 }
 
@@ -23,8 +23,9 @@ Finding NeverMoved() {
   Finding finding;
   finding.check = "never_moved";
   finding.leaves = Trust::kDoubtful;
-  finding.what = "the vehicle was never seen to move by its own thrust: it hovers on the spot, or "
-                 "stands on the ground";
+  finding.what =
+      "the vehicle was never seen to move by its own thrust: it hovers on the spot, or "
+      "stands on the ground";
   finding.mend = "fly some metres, so that the thrust coefficient shows";
   return finding;
 }
@@ -36,10 +37,13 @@ Finding VehicleChanged(Stamp stamp, Stamp zero) {
   finding.check = "vehicle_changed";
   finding.leaves = Trust::kDoubtful;
   finding.span_s = {ToSeconds(stamp - zero), ToSeconds(stamp - zero)};
-  finding.what = Format("at %.2f s the vehicle became another one: thrust carries it by a steady share "
-                      "more or less than before", finding.span_s->first);
-  finding.mend = "a load, a propeller, a battery, or a rotor-speed sensor; split the recording there, "
-                 "or use detect_changes";
+  finding.what = Format(
+      "at %.2f s the vehicle became another one: thrust carries it by a steady share "
+      "more or less than before",
+      finding.span_s->first);
+  finding.mend =
+      "a load, a propeller, a battery, or a rotor-speed sensor; split the recording there, "
+      "or use detect_changes";
   return finding;
 }
 

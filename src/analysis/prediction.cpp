@@ -178,8 +178,7 @@ PredictionFigures PredictEach(const FlightLog& log, const Vehicle& file_vehicle,
     summary.Add(sample);
     use(sample);
   };
-  const MotionCounts counts =
-      FilterEach(log, file_vehicle.num_rotors(), ground_spans, predict);
+  const MotionCounts counts = FilterEach(log, file_vehicle.num_rotors(), ground_spans, predict);
   PredictionFigures figures = summary.Figures(!log.rotor_rms_only, file_vehicle, model, values);
   figures.left_out_gaps = counts.left_out_gaps;
   figures.left_out_ground = counts.left_out_ground;

@@ -32,8 +32,12 @@ Json PredictionJson(const PredictionFigures& f) {
 }
 
 Json TimingJson(const TimingFigures& f, int states, int threads) {
-  return {{"median", JsonNumber(f.median)}, {"p95", JsonNumber(f.p95)}, {"p99", JsonNumber(f.p99)},
-          {"max", JsonNumber(f.max)},       {"updates", f.updates}, {"states_in_window", states},
+  return {{"median", JsonNumber(f.median)},
+          {"p95", JsonNumber(f.p95)},
+          {"p99", JsonNumber(f.p99)},
+          {"max", JsonNumber(f.max)},
+          {"updates", f.updates},
+          {"states_in_window", states},
           {"threads", threads}};
 }
 

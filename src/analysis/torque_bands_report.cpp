@@ -45,8 +45,8 @@ std::string Used(const BandedQuantity& q) {
 
 std::string Row(const char* name, const BandedQuantity& q, double scale, const char* unit) {
   if (!q.value) return Format("%-12s -  ", name) + q.why + "\n";
-  return Format("%-12s %.4g +- %.2g %s (", name, scale * *q.value, scale * q.sigma, unit) + Used(q) +
-         ")";
+  return Format("%-12s %.4g +- %.2g %s (", name, scale * *q.value, scale * q.sigma, unit) +
+         Used(q) + ")";
 }
 
 }  // namespace
@@ -81,7 +81,7 @@ Json TorqueBandsJson(const TorqueBands& bands, const Eigen::Vector3d& nominal) {
 std::string TorqueBandsTable(const TorqueBands& bands, const Eigen::Vector3d& nominal) {
   if (!bands.why.empty()) return "inertia by band: " + bands.why + "\n";
   std::string text = Format("inertia by band; rotor speeds lead angular rates by %.1f +- %.1f ms\n",
-                          1e3 * bands.delay_s, 1e3 * bands.delay_sigma_s);
+                            1e3 * bands.delay_s, 1e3 * bands.delay_sigma_s);
   for (int axis = 0; axis < 2; ++axis) {
     const BandedQuantity& q = bands.inertia[static_cast<size_t>(axis)];
     text += Row(axis == 0 ? "  I_x" : "  I_y", q, 1.0, "kg m^2");
@@ -90,16 +90,16 @@ std::string TorqueBandsTable(const TorqueBands& bands, const Eigen::Vector3d& no
   text += Row("  k_m / I_z", bands.k_m_over_I, 1.0, "1/rad^2");
   if (bands.k_m) {
     const ReactionCheck& c = *bands.k_m;
-    text +=
-        Format(":\n%-12s %.4g +- %.2g N m s^2 with I_z %.3g +- %.2g kg m^2, %.2f of the one in use\n",
-             "    k_m", c.fits, c.sigma, c.inertia_z, c.inertia_z_sigma, c.fits / c.in_use);
+    text += Format(
+        ":\n%-12s %.4g +- %.2g N m s^2 with I_z %.3g +- %.2g kg m^2, %.2f of the one in use\n",
+        "    k_m", c.fits, c.sigma, c.inertia_z, c.inertia_z_sigma, c.fits / c.in_use);
   } else if (bands.k_m_over_I.value) {
     text += "\n";
   }
   text += Row("  J_r / I_z", bands.J_r_over_I, 1.0, "");
   if (bands.J_r_over_I.value && bands.k_m) {
     text += Format(":\n%-12s %.3g kg m^2 with the same\n", "    J_r",
-                 *bands.J_r_over_I.value * bands.k_m->inertia_z);
+                   *bands.J_r_over_I.value * bands.k_m->inertia_z);
   } else if (bands.J_r_over_I.value) {
     text += "\n";
   }

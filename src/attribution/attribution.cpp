@@ -17,9 +17,9 @@ constexpr size_t kFittedSettings = 3;  // by either measure, and their refinemen
 constexpr int kPolishes = 3;           // linearizations of what is not linear
 constexpr int kRefits = 5;             // at most
 constexpr int kInertiaRefits = 2;
-constexpr int kSurrogates = 300;       // their 30 largest give the tail to 18 %
-constexpr size_t kMostFeatures = 10;   // that complete a set
-constexpr double kTail = 0.1;          // share of surrogates whose excess gives the tail
+constexpr int kSurrogates = 300;      // their 30 largest give the tail to 18 %
+constexpr size_t kMostFeatures = 10;  // that complete a set
+constexpr double kTail = 0.1;         // share of surrogates whose excess gives the tail
 
 constexpr const char* kUnphysical = " has an unphysical sign";
 
@@ -50,7 +50,8 @@ bool IsStructured(const ChannelStructure& channel, const AttributionOptions& opt
          channel.whiteness.structured_share > options.least_structured;
 }
 
-double UnexplainedStructure(const ResidualModel::Wrenches& before, const ResidualModel::Wrenches& after,
+double UnexplainedStructure(const ResidualModel::Wrenches& before,
+                            const ResidualModel::Wrenches& after,
                             const std::vector<ChannelStructure>& of_before,
                             const std::vector<ChannelStructure>& of_after,
                             const AttributionOptions& options) {
@@ -217,7 +218,8 @@ std::vector<FlightSays> Attribution::ByFlight(const Evidence& evidence, int vari
   VariantSet without = set;
   without.erase(variant);
   const std::string& name = evidence.variants()[variant].candidate.effect;
-  const Vehicle extended = VehicleWith(evidence.stage().vehicle, evidence.variants()[variant].candidate);
+  const Vehicle extended =
+      VehicleWith(evidence.stage().vehicle, evidence.variants()[variant].candidate);
   const DynamicModel model(extended, extended.effects);
   std::vector<FlightSays> by_flight;
   for (const double nats : evidence.GainByFlight(set, without)) {
@@ -230,9 +232,9 @@ std::vector<FlightSays> Attribution::ByFlight(const Evidence& evidence, int vari
       if (column.effect != name || (column.flight >= 0 && column.flight != flight)) continue;
       const auto at = static_cast<Eigen::Index>(k);
       const double sigma = std::sqrt(std::max(0.0, fit.covariance(at, at)));
-      says.parameters.push_back({column.name, model.parameters()[model.IndexOf(column.name)].spec.unit,
-                                 fit.coefficients[at], sigma, true,
-                                 sigma < 0.5 * column.prior_sigma});
+      says.parameters.push_back(
+          {column.name, model.parameters()[model.IndexOf(column.name)].spec.unit,
+           fit.coefficients[at], sigma, true, sigma < 0.5 * column.prior_sigma});
     }
     by_flight.push_back(std::move(says));
   }
@@ -254,8 +256,8 @@ void Attribution::Rank(const Evidence& evidence) {
 double Attribution::ScoreOf(const Evidence& evidence, const VariantSet& set,
                             const VariantSet& without) const {
   const EffectFit with = evidence.Solve(set), other = evidence.Solve(without);
-  const double gain = std::min(with.log_evidence - other.log_evidence,
-                               evidence.PredictiveGain(set, without));
+  const double gain =
+      std::min(with.log_evidence - other.log_evidence, evidence.PredictiveGain(set, without));
   // Of the regressors' noise, what the fit of all foreseen parts to so few samples keeps.
   const double kept = evidence.num_columns() / static_cast<double>(evidence.num_rows());
   const double noise =
@@ -326,14 +328,14 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
         const auto energy = evidence.EnergyOf(other, fit);
         for (int c = 0; c < kNumChannels; ++c) others[c] += energy[c];
       }
-      const double gain =
-          evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence;
-      const double margin = (1.0 + options_.form_share) * gain + flexible_gain_ - instead -
-                            options_.clear_odds;
+      const double gain = evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence;
+      const double margin =
+          (1.0 + options_.form_share) * gain + flexible_gain_ - instead - options_.clear_odds;
       const double shadow = ShadowOf(evidence.EnergyOf(v, fit), others);
       std::string objection;
       if (PValue(score) >= options_.false_alarm_rate) {
-        objection = "chance may gain as much in " + Rounded(100.0 * PValue(score)) + " % of such flights";
+        objection =
+            "chance may gain as much in " + Rounded(100.0 * PValue(score)) + " % of such flights";
       } else if (margin <= 0.0) {
         objection = "what follows \"" + rival + "\" explains the same by " + Rounded(instead) +
                     " nats, against " + Rounded(gain + flexible_gain_);
@@ -460,8 +462,8 @@ std::vector<ResidualModel::Wrenches> Attribution::Refit(Stage* stage) const {
     double moved = 0.0;
     for (size_t k = 0; k < posterior.columns.size(); ++k) {
       const auto at = static_cast<Eigen::Index>(k);
-      moved = std::max(moved, std::abs(posterior.coefficients[at]) /
-                                  std::sqrt(posterior.covariance(at, at)));
+      moved = std::max(
+          moved, std::abs(posterior.coefficients[at]) / std::sqrt(posterior.covariance(at, at)));
     }
     Stage next = evidence.Moved({}, posterior);
     for (const auto& [name, value] : stage->values) {

@@ -38,7 +38,8 @@ const std::vector<DecisionNumber>& DecisionNumbers() {
       {"least_share", "1", &O::least_share, 0.0, 1.0,
        "judgement: formulas are good to some per cent, the rest is a strong effect's shadow"},
       {"regressor_noise", "1", &O::regressor_noise, 0.0, 1.0,
-       "judgement: share of a regressor that is noise, at most; less where less of it is unforeseen"},
+       "judgement: share of a regressor that is noise, at most; less where less of it is "
+       "unforeseen"},
       {"clear_odds", "nats", &O::clear_odds, 0.0, 50.0,
        "ln 100: likelihood ratio that chance exceeds once in a hundred times at most"},
       {"form_share", "1", &O::form_share, 0.0, 1.0,

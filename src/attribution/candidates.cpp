@@ -60,13 +60,17 @@ FlownRange RangeOf(const FlightMotion& flight, const Vehicle& vehicle) {
     std::sort(sorted->begin(), sorted->end());
   }
   const size_t tail = heights.size() / 20, high = heights.size() - 1 - tail;
-  return {flight.samples.front().t_s, flight.samples.back().t_s, heights.front(),
-          heights[high] - heights[tail], speeds[high], std::max(0.0, descents[high])};
+  return {flight.samples.front().t_s,
+          flight.samples.back().t_s,
+          heights.front(),
+          heights[high] - heights[tail],
+          speeds[high],
+          std::max(0.0, descents[high])};
 }
 
 /// True if the motion would tell where a sensor sits: a point at a natural distance from the body's
-/// origin swings by more than what a good model leaves of the force (2 to 3 % of the weight on recorded
-/// flights). On calmer flights its regressors would fit what else is missing.
+/// origin swings by more than what a good model leaves of the force (2 to 3 % of the weight on
+/// recorded flights). On calmer flights its regressors would fit what else is missing.
 /// @pre the flight has samples
 bool SwingsPoints(const FlightMotion& flight, const Vehicle& vehicle) {
   constexpr double kLeastShare = 0.03;  // of gravity
@@ -222,8 +226,8 @@ std::vector<ParameterEstimate> DerivedFigures(const Vehicle& vehicle, const std:
     const ParameterEstimate* p = online.Find(name + "." + spec.name);
     own[static_cast<Eigen::Index>(i)] = p != nullptr ? p->value : spec.prior_value;
     if (p == nullptr || !IsAddedMass(*effect, p->full_name)) continue;
-    derived.push_back({name + ".total_mass", p->unit, mass_kg, p->sigma, p->estimated,
-                       p->observable});
+    derived.push_back(
+        {name + ".total_mass", p->unit, mass_kg, p->sigma, p->estimated, p->observable});
   }
   for (const DerivedFigure& figure : effect->DerivedFigures(own)) {
     derived.push_back({name + "." + figure.name, figure.unit, figure.value, 0.0, false, false});

@@ -20,9 +20,9 @@
 namespace odmc {
 namespace {
 
-constexpr int kLeastSamples = 50;  // to look for effects in
+constexpr int kLeastSamples = 50;           // to look for effects in
 constexpr double kSlightestGust_m_s = 0.1;  // slighter ones through much drag are a force, no wind
-constexpr double kTooLarge = 4.0;    // natural sizes
+constexpr double kTooLarge = 4.0;           // natural sizes
 
 std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedFlight& flight,
                   const ResidualModel::Wrenches& residual) {
@@ -49,8 +49,8 @@ std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedF
                                          [](auto& a, auto& b) { return a.second < b.second; });
   std::string text =
       worst->name + ", strongest near " + Rounded(worst->whiteness.peak_Hz) + " Hz and in ";
-  text +=
-      "block " + std::to_string(block) + " (RMS " + Rounded(std::sqrt(most)) + " " + worst->unit + ")";
+  text += "block " + std::to_string(block) + " (RMS " + Rounded(std::sqrt(most)) + " " +
+          worst->unit + ")";
   return text + "; of the quantities it lines up best with " + quantity->first + " (" +
          Rounded(100.0 * quantity->second) + " % of its variance)";
 }
@@ -137,11 +137,11 @@ ValueVariation GustsOf(const FlightLog& log, const Vehicle& file_vehicle, const 
     w[k] = model.IndexOf(std::string("gust.w_") + "xyz"[k]);
     still[w[k]] = 0.0;
   }
-  const std::vector<Eigen::Vector3d> wind = PredictGusts(
-      flight, residual.Residual(model, still), ByWind(residual, model, still, "gust"),
-      {estimate[model.IndexOf("gust.sigma")], estimate[model.IndexOf("gust.sigma")],
-       estimate[model.IndexOf("gust.vertical_sigma")]},
-      estimate[model.IndexOf("gust.time_constant")], kAhead);
+  const std::vector<Eigen::Vector3d> wind =
+      PredictGusts(flight, residual.Residual(model, still), ByWind(residual, model, still, "gust"),
+                   {estimate[model.IndexOf("gust.sigma")], estimate[model.IndexOf("gust.sigma")],
+                    estimate[model.IndexOf("gust.vertical_sigma")]},
+                   estimate[model.IndexOf("gust.time_constant")], kAhead);
   std::vector<double> times;
   times.reserve(static_cast<size_t>(flight.size()));
   for (int i = 0; i < flight.size(); ++i) times.push_back(flight.sample(i).t_s);
@@ -168,9 +168,9 @@ struct Pass {
 };
 
 /// @returns nothing if the vehicle never flies as the model has it
-std::optional<Pass> Run(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
-         const EstimatorOptions& options, const CloseLoopOptions& loop,
-         const std::function<void(double)>& progress) {
+std::optional<Pass> Run(const FlightLog& log, const Vehicle& file_vehicle,
+                        const DynamicModel& model, const EstimatorOptions& options,
+                        const CloseLoopOptions& loop, const std::function<void(double)>& progress) {
   Pass pass;
   const bool with_torque = !log.rotor_rms_only;
   Estimator estimator(&model, options, with_torque);
@@ -274,8 +274,8 @@ bool HasEffect(const std::vector<RankedEffect>& effects, const std::string& name
 
 /// Gusts are wind that comes and goes: not beside itself.
 bool CanBlow(const Vehicle& vehicle, const std::vector<RankedEffect>& effects) {
-  const bool has = std::find(vehicle.effects.begin(), vehicle.effects.end(), "gust") !=
-                   vehicle.effects.end();
+  const bool has =
+      std::find(vehicle.effects.begin(), vehicle.effects.end(), "gust") != vehicle.effects.end();
   return !has && !HasEffect(effects, "gust");
 }
 
@@ -335,7 +335,8 @@ double NatsAgainst(const RankedEffect& effect, const ParameterSet& online,
   if (n == 0 || effect.covariance.rows() != n) return std::numeric_limits<double>::infinity();
   Eigen::VectorXd difference(n);
   for (Eigen::Index k = 0; k < n; ++k) {
-    const ParameterEstimate& p = online.parameters[static_cast<size_t>(own[static_cast<size_t>(k)])];
+    const ParameterEstimate& p =
+        online.parameters[static_cast<size_t>(own[static_cast<size_t>(k)])];
     difference[k] = p.value - effect.Find(p.full_name)->value;
   }
   Eigen::MatrixXd C = online.covariance(own, own) + effect.covariance;
@@ -536,7 +537,8 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   };
   const auto drop_all = [&](const std::string& why) {
     for (const RankedEffect& effect : effects) {
-      result.warnings.push_back(effect.name + " gains " + Rounded(effect.score) + " nats, but " + why);
+      result.warnings.push_back(effect.name + " gains " + Rounded(effect.score) + " nats, but " +
+                                why);
     }
     effects.clear();
   };
@@ -577,11 +579,10 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   };
   if (!effects.empty() && unexplained > options.attribution.most_unexplained) {
     is_gusty = false;  // it was looked for beside them
-    // A flexible disturbance explains more of it than they do. What predicts blocks held out so much
-    // better is no stand-in all the same.
+    // A flexible disturbance explains more of it than they do. What predicts blocks held out so
+    // much better is no stand-in all the same.
     run = run_with(effects, 1.0);
-    if (!run ||
-        LeastRatio(before.held_out, run->held_out) > options.attribution.telling_ratio) {
+    if (!run || LeastRatio(before.held_out, run->held_out) > options.attribution.telling_ratio) {
       drop_all(Rounded(100.0 * unexplained) + " % of the structure stays unexplained beside it");
       run.reset();
     }
@@ -635,7 +636,8 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     result.samples = Samples(before.misses, after.misses, options.blocks);
     for (RankedEffect& ranked : effects) {
       const std::string other = Disagreement(ranked, after.parameters, model, options.attribution);
-      if (!other.empty()) result.warnings.push_back(ranked.name + ": the online run disagrees, " + other);
+      if (!other.empty())
+        result.warnings.push_back(ranked.name + ": the online run disagrees, " + other);
       AddedEffect effect;
       effect.effect = ranked;
       effect.alternatives = ranked.alternatives;

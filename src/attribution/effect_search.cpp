@@ -41,8 +41,8 @@ class Search {
   double Look(const VariantSet& set) {
     const auto it = seen_.find(set);
     if (it != seen_.end()) return it->second;
-    const double log_posterior = evidence_.Solve(set).log_evidence - declared_ +
-                                 static_cast<double>(set.size()) * log_odds_;
+    const double log_posterior =
+        evidence_.Solve(set).log_evidence - declared_ + static_cast<double>(set.size()) * log_odds_;
     return seen_[set] = log_posterior;
   }
 

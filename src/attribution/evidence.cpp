@@ -70,8 +70,8 @@ double MostGain(const MatrixXd& gram, const VectorXd& base_sigma, const VectorXd
   const MatrixXd BX = gram.block(0, n, n, k);
   MatrixXd S = gram.block(n, n, k, k) - BX.transpose() * llt.solve(BX);
   S.diagonal() += sigma.cwiseAbs2().cwiseInverse();
-  const VectorXd g = gram.block(n, n + k, k, 1) -
-                     BX.transpose() * llt.solve(gram.block(0, n + k, n, 1));
+  const VectorXd g =
+      gram.block(n, n + k, k, 1) - BX.transpose() * llt.solve(gram.block(0, n + k, n, 1));
   return 0.5 * g.dot(S.llt().solve(g));
 }
 
@@ -85,11 +85,11 @@ double Changed(const Coefficient& coefficient, double value, double change) {
   return value + change;
 }
 
-/// Surrogates of a flight's noise: as it may have been, shifted in time, its sign random; by column.
+/// Surrogates of a flight's noise: as it may have been, shifted in time, its sign random; by
+/// column.
 MatrixXd SurrogatesOf(const FlightRegression& flight, int count, std::mt19937* random) {
   const auto n = static_cast<Index>(flight.rows().size());
-  const Index least =
-      std::min(n / 4, static_cast<Index>(kLeastShift_s / flight.flight().step_s()));
+  const Index least = std::min(n / 4, static_cast<Index>(kLeastShift_s / flight.flight().step_s()));
   std::uniform_int_distribution<Index> shift(least, std::max(least, n - least));
   std::bernoulli_distribution flip;
   std::normal_distribution<double> normal;
@@ -163,8 +163,8 @@ void Evidence::Place(size_t f, const std::vector<int>& local, std::map<std::stri
     const Coefficient& coefficient = flights_[f].column(k);
     const bool is_own = IsOwn(coefficient);
     // Of a single flight nothing is shared.
-    const auto known = flights_.size() > 1 && !is_own ? shared->find(coefficient.name)
-                                                      : shared->end();
+    const auto known =
+        flights_.size() > 1 && !is_own ? shared->find(coefficient.name) : shared->end();
     int at = num_columns();
     if (known != shared->end()) {
       at = known->second;
@@ -285,8 +285,7 @@ Evidence::FlexibleGain Evidence::BestFlexible(const VariantSet& set,
       for (size_t l = 0; l < place_[f].size(); ++l) {
         const auto at = std::find(fit.columns.begin(), fit.columns.end(), place_[f][l]);
         if (at == fit.columns.end()) continue;
-        own.col(at - fit.columns.begin()) =
-            r.white().col(static_cast<Index>(l)).segment(c * n, n);
+        own.col(at - fit.columns.begin()) = r.white().col(static_cast<Index>(l)).segment(c * n, n);
       }
       cross.noalias() += own.transpose() * phi;
     }
@@ -303,8 +302,8 @@ Evidence::FlexibleGain Evidence::BestFlexible(const VariantSet& set,
 
 int Evidence::AddFlexible(const FlexibleGain& gain, const FlexibleFeatures& features) {
   Variant variant;
-  variant.candidate.effect = features.names[static_cast<size_t>(gain.feature)] + " " +
-                             std::to_string(gain.channel);
+  variant.candidate.effect =
+      features.names[static_cast<size_t>(gain.feature)] + " " + std::to_string(gain.channel);
   std::map<std::string, int> shared;
   for (size_t f = 0; f < flights_.size(); ++f) {
     const VectorXd whitened = flights_[f].WhitenedFeature(
@@ -388,8 +387,8 @@ EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& colu
   int wide = 0;
   for (const int v : set) {
     const auto size = static_cast<Index>(variants_[v].columns.size());
-    const VectorXd z = (best.coefficients - mean).segment(at, size).cwiseQuotient(
-        sigma.segment(at, size));
+    const VectorXd z =
+        (best.coefficients - mean).segment(at, size).cwiseQuotient(sigma.segment(at, size));
     if (z.cwiseAbs().maxCoeff() > kWideFrom) {
       widened.segment(at, size) *= kWide;
       ++wide;
@@ -438,8 +437,8 @@ Evidence::GainBound Evidence::GainBoundOf(const Candidate& candidate) const {
     }
     for (const Coefficient& c : glances[f].columns) {
       const auto known = IsOwn(c) ? shared.end() : shared.find(c.name);
-      const int at = known != shared.end() ? known->second
-                                           : num_base_ + static_cast<int>(sigmas.size());
+      const int at =
+          known != shared.end() ? known->second : num_base_ + static_cast<int>(sigmas.size());
       if (known == shared.end()) sigmas.push_back(c.prior_sigma);
       if (!IsOwn(c)) shared[c.name] = at;
       places[f].push_back(at);
@@ -504,8 +503,8 @@ double Evidence::GivenUp(const EffectFit& with, const EffectFit& without) const 
   for (size_t l = 0; l < without.columns.size(); ++l) {
     for (size_t k = 0; k < with.columns.size(); ++k) {
       if (with.columns[k] != without.columns[l]) continue;
-      change[with.columns[k]] = with.coefficients[static_cast<Index>(k)] -
-                                without.coefficients[static_cast<Index>(l)];
+      change[with.columns[k]] =
+          with.coefficients[static_cast<Index>(k)] - without.coefficients[static_cast<Index>(l)];
     }
   }
   return 0.5 * change.dot(gram_ * change);
@@ -527,7 +526,8 @@ double Evidence::UnforeseenChange(const VariantSet& set, const VariantSet& witho
   double sum = 0.0;
   for (size_t f = 0; f < flights_.size(); ++f) {
     VectorXd local = VectorXd::Zero(flights_[f].unforeseen_gram().rows());
-    for (size_t k = 0; k < place_[f].size(); ++k) local[static_cast<Index>(k)] = change[place_[f][k]];
+    for (size_t k = 0; k < place_[f].size(); ++k)
+      local[static_cast<Index>(k)] = change[place_[f][k]];
     sum += local.dot(flights_[f].unforeseen_gram() * local);
   }
   return 0.5 * sum;
@@ -592,8 +592,7 @@ double Evidence::HeldOutLoss(const VariantSet& set) const {
           std::find(fit.columns.begin(), fit.columns.end(), place_[f][static_cast<size_t>(l)]);
       if (at != fit.columns.end()) X.col(at - fit.columns.begin()) = white.col(l);
     }
-    const VectorXd variance =
-        1.0 + (X * fit.covariance).cwiseProduct(X).rowwise().sum().array();
+    const VectorXd variance = 1.0 + (X * fit.covariance).cwiseProduct(X).rowwise().sum().array();
     sum += 0.5 * (e.cwiseAbs2().cwiseQuotient(variance).sum() + variance.array().log().sum());
   }
   return sum;
@@ -647,8 +646,8 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
     test.columns = base;
     test.columns.insert(test.columns.end(), own.begin(), own.end());
     const VectorXd sigma = PriorSigmas(test.columns);
-    MatrixXd H = sigma.asDiagonal() * Picked(gram_, test.columns, test.columns) *
-                 sigma.asDiagonal();
+    MatrixXd H =
+        sigma.asDiagonal() * Picked(gram_, test.columns, test.columns) * sigma.asDiagonal();
     H.diagonal().array() += 1.0;
     const MatrixXd inverse = H.llt().solve(MatrixXd::Identity(sigma.size(), sigma.size()));
     const MatrixXd covariance = inverse.bottomRightCorner(k, k);

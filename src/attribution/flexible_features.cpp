@@ -11,11 +11,11 @@ namespace {
 using Eigen::Index;
 using Eigen::MatrixXd;
 
-const char* const kNames[] = {
-    "forward speed", "sideways speed", "climb speed", "speed",         "roll rate",
-    "pitch rate",    "yaw rate",       "tilt x",      "tilt y",        "heading x",
-    "heading y",     "thrust",         "roll torque", "pitch torque",  "yaw torque",
-    "place x",       "place y",        "height",      "time"};
+const char* const kNames[] = {"forward speed", "sideways speed", "climb speed", "speed",
+                              "roll rate",     "pitch rate",     "yaw rate",    "tilt x",
+                              "tilt y",        "heading x",      "heading y",   "thrust",
+                              "roll torque",   "pitch torque",   "yaw torque",  "place x",
+                              "place y",       "height",         "time"};
 constexpr Index kSignals = static_cast<Index>(std::size(kNames));
 
 Eigen::Matrix<double, kSignals, 1> SignalsOf(const FilteredMotion& s, const Vehicle& vehicle) {

@@ -21,12 +21,12 @@ struct NoiseRounds {
 constexpr NoiseRounds kFirstNoise = {3, 3};
 constexpr NoiseRounds kMoreColumns = {1, 2};
 constexpr NoiseRounds kMovedColumns = {0, 1};
-constexpr Index kMostDraws = 32;       // of the fit, for an expectation: its sums to some per cent
-constexpr double kAveraged = 40.0;     // values of which a spectrum's ordinate is the mean: to 22 %
-constexpr double kWildSigmas = 5.0;    // innovations beyond count as this many
-constexpr double kBias_m_s2 = 0.3;     // of an accelerometer
+constexpr Index kMostDraws = 32;     // of the fit, for an expectation: its sums to some per cent
+constexpr double kAveraged = 40.0;   // values of which a spectrum's ordinate is the mean: to 22 %
+constexpr double kWildSigmas = 5.0;  // innovations beyond count as this many
+constexpr double kBias_m_s2 = 0.3;   // of an accelerometer
 constexpr int kFolds = Instruments::kFolds;
-constexpr double kCollinear = 1e-6;    // of a column's sum of squares, for columns that are one
+constexpr double kCollinear = 1e-6;  // of a column's sum of squares, for columns that are one
 
 /// Samples whose `order` predecessors follow each other and are, with it, in use or held out.
 std::vector<int> RowsOf(const ThinnedFlight& flight, const Instruments& instruments, bool held_out,
@@ -43,10 +43,14 @@ std::vector<int> RowsOf(const ThinnedFlight& flight, const Instruments& instrume
 
 Coefficient CoefficientOf(const DynamicModel& model, const ModelParameter& p, double about,
                           double prior_mean) {
-  return {p.full_name,         p.effect,
-          about,               prior_mean,
-          p.spec.prior_sigma,  p.spec.sign,
-          p.spec.certain_sign, p.spec.initial_state,
+  return {p.full_name,
+          p.effect,
+          about,
+          prior_mean,
+          p.spec.prior_sigma,
+          p.spec.sign,
+          p.spec.certain_sign,
+          p.spec.initial_state,
           BelongsToFlight(model, p)};
 }
 
@@ -67,7 +71,7 @@ MatrixXd GramOf(const MatrixXd& B, const MatrixXd& BB, const MatrixXd& X, const 
 }  // namespace
 
 FlightRegression::FlightRegression(const ResidualModel* residual, const Instruments* instruments,
-                   const Stage& stage)
+                                   const Stage& stage)
     : residual_(residual),
       instruments_(instruments),
       likely_(&instruments->likely_flight(), &residual->file_vehicle(),
@@ -130,8 +134,8 @@ VectorXd FlightRegression::Stacked(const Wrenches& column) const {
 }
 
 Wrenches FlightRegression::Foreseen(const Regressor& column) const {
-  const VectorXd share = base_size_.cwiseInverse().cwiseProduct(
-      base_gram_.solve(base_size_.cwiseInverse().cwiseProduct(base_.transpose() * Stacked(column.d_wrench))));
+  const VectorXd share = base_size_.cwiseInverse().cwiseProduct(base_gram_.solve(
+      base_size_.cwiseInverse().cwiseProduct(base_.transpose() * Stacked(column.d_wrench))));
   Wrenches own = column.d_wrench, likely = column.likely;
   Wrenches of_base = Wrenches::Zero(own.rows(), kNumChannels);
   for (int k = 0; k < num_base_; ++k) {
@@ -169,13 +173,15 @@ void FlightRegression::AddNuisances() {
     for (int axis = 0; axis < 3; ++axis) {
       Wrenches ones = Wrenches::Zero(y_.rows(), kNumChannels);
       ones.col(axis).setOnes();
-      add(std::string("accelerometer bias ") + "xyz"[axis], kBias_m_s2 * stage_.vehicle.mass_kg, std::move(ones));
+      add(std::string("accelerometer bias ") + "xyz"[axis], kBias_m_s2 * stage_.vehicle.mass_kg,
+          std::move(ones));
     }
   }
 }
 
-FlightRegression::Seen FlightRegression::See(const Candidate& candidate, const std::map<std::string, double>& at,
-                             What what) const {
+FlightRegression::Seen FlightRegression::See(const Candidate& candidate,
+                                             const std::map<std::string, double>& at,
+                                             What what) const {
   const Vehicle extended = VehicleWith(stage_.vehicle, candidate);
   const DynamicModel model(extended, extended.effects);
   ModelValues values = ValuesOf(model, stage_.values);
@@ -183,8 +189,8 @@ FlightRegression::Seen FlightRegression::See(const Candidate& candidate, const s
     for (const auto& [name, value] : *some) values[model.IndexOf(name)] = value;
   }
   // From an onset on an effect acts as one that has acted all along, so all onsets share a column.
-  const auto own = std::find(model.effect_names().begin(), model.effect_names().end(),
-                             candidate.effect);
+  const auto own =
+      std::find(model.effect_names().begin(), model.effect_names().end(), candidate.effect);
   const Effect& effect = model.effect(static_cast<int>(own - model.effect_names().begin()));
   const std::string onset = effect.onset_parameter();
   double from_s = 0.0;
@@ -195,7 +201,8 @@ FlightRegression::Seen FlightRegression::See(const Candidate& candidate, const s
   }
   const std::string key = onset.empty() || !at.empty() ? "" : candidate.effect;
   const auto known = seen_.find(key);
-  Seen seen = known != seen_.end() ? known->second : SeeFully(candidate, model, values, key.empty() ? what : kAll);
+  Seen seen = known != seen_.end() ? known->second
+                                   : SeeFully(candidate, model, values, key.empty() ? what : kAll);
   if (!key.empty() && known == seen_.end()) seen_[key] = seen;
   if (!onset.empty()) {
     for (int i = 0; i < residual_->flight().size(); ++i) {
@@ -209,8 +216,8 @@ FlightRegression::Seen FlightRegression::See(const Candidate& candidate, const s
       seen.offset->likely.row(i).setZero();
     }
   }
-  // What follows from the motion alone needs no instruments: no rotor answers to it, and noise of the
-  // motion makes it seem less than it is, not more.
+  // What follows from the motion alone needs no instruments: no rotor answers to it, and noise of
+  // the motion makes it seem less than it is, not more.
   const auto foresee = [&](const Regressor& column) -> Wrenches {
     return effect.is_kinematic() && !residual_->from_accelerometer() ? column.d_wrench
                                                                      : Foreseen(column);
@@ -228,8 +235,9 @@ FlightRegression::Seen FlightRegression::See(const Candidate& candidate, const s
   return seen;
 }
 
-FlightRegression::Seen FlightRegression::SeeFully(const Candidate& candidate, const DynamicModel& model,
-                                  const ModelValues& values, What what) const {
+FlightRegression::Seen FlightRegression::SeeFully(const Candidate& candidate,
+                                                  const DynamicModel& model,
+                                                  const ModelValues& values, What what) const {
   Seen seen;
   const Wrenches residual = residual_->Residual(model, values);
   const Wrenches nothing = Wrenches::Zero(residual.rows(), kNumChannels);
@@ -261,7 +269,7 @@ FlightRegression::Seen FlightRegression::SeeFully(const Candidate& candidate, co
 }
 
 VectorXd FlightRegression::Whitened(const Wrenches& column, const std::vector<int>& rows,
-                            const MatrixXd& weight) const {
+                                    const MatrixXd& weight) const {
   const auto n = static_cast<Index>(rows.size());
   VectorXd white(n * num_channels_);
   for (int c = 0; c < num_channels_; ++c) {
@@ -329,8 +337,7 @@ FlightRegression::Noise FlightRegression::FitNoise(const MatrixXd& e) const {
   // finer one takes the few cycles of a manoeuvre, and with them all that follows it, for noise
   // (Blackman and Tukey, The Measurement of Power Spectra, 1958; a Gaussian window).
   const double step_s = residual_->flight().step_s();
-  const double bandwidth_Hz =
-      0.5 * kAveraged / (static_cast<double>(rows_.size()) * step_s);
+  const double bandwidth_Hz = 0.5 * kAveraged / (static_cast<double>(rows_.size()) * step_s);
   const double sigma_rad = std::sqrt(M_PI) * bandwidth_Hz * step_s;
   for (int i = 0; i <= kOrder; ++i) {
     for (int k = 0; k <= kOrder; ++k) S(i, k) *= std::exp(-0.5 * std::pow(sigma_rad * (i - k), 2));
@@ -382,8 +389,8 @@ void FlightRegression::EstimateNoise() {
       innovation_ = white_.col(m) - fitted_ * x;
       break;
     }
-    // The noise is not what is left: the fit has taken a part of it. Its second moments are those of
-    // the rest and of what the fit may as well have been (expectation step; Dempster, Laird and
+    // The noise is not what is left: the fit has taken a part of it. Its second moments are those
+    // of the rest and of what the fit may as well have been (expectation step; Dempster, Laird and
     // Rubin, J. R. Stat. Soc. B 39, 1977), by a few draws of that.
     // (Not before the residual's size is the noise's: what the fit may have taken would be of the
     // size of the effects.)
@@ -442,7 +449,8 @@ void FlightRegression::Project() {
   white_.leftCols(n) = (white_.leftCols(n) * share).eval();
   whole -= white_.leftCols(n);
   unforeseen_gram_.setZero(n + 1, n + 1);
-  unforeseen_gram_.topLeftCorner(n, n).selfadjointView<Eigen::Lower>().rankUpdate(whole.transpose());
+  unforeseen_gram_.topLeftCorner(n, n).selfadjointView<Eigen::Lower>().rankUpdate(
+      whole.transpose());
   unforeseen_gram_.triangularView<Eigen::StrictlyUpper>() = unforeseen_gram_.transpose();
   // Held-out columns stay as they were foreseen: how many of them combine was fitted elsewhere.
   SumUp();
@@ -514,8 +522,8 @@ FlightRegression::Glance FlightRegression::GlanceAt(const Candidate& candidate,
       GramOf(white_.leftCols(num_base_), gram_.topLeftCorner(num_base_, num_base_), X, y);
   // As if the noise were white, as large as what the declared model leaves.
   for (Index i = 0; i < k; ++i) X.col(i) = Raw(seen.columns[i].foreseen);
-  glance.white = GramOf(raw_base_, raw_gram_, X,
-                        Raw(seen.offset ? Wrenches(y_ - seen.offset->d_wrench) : y_));
+  glance.white =
+      GramOf(raw_base_, raw_gram_, X, Raw(seen.offset ? Wrenches(y_ - seen.offset->d_wrench) : y_));
   return glance;
 }
 

@@ -19,10 +19,10 @@ using Eigen::Vector3d;
 using Eigen::VectorXd;
 
 constexpr double kTimeConstants_s[] = {0.3, 0.7, 1.5, 3.0, 6.0};
-constexpr int kLeastSamples = 40;  // 4 s
+constexpr int kLeastSamples = 40;        // 4 s
 constexpr double kLeastCurvature = 1.0;  // the natural size alone
 constexpr double kSizes[] = {0.35, 0.6, 1.0, 1.6, 2.5};
-constexpr double kMostSteady = 10.0;  // of a steady force, over the slow part's size
+constexpr double kMostSteady = 10.0;        // of a steady force, over the slow part's size
 constexpr double kVertical[] = {0.1, 1.0};  // third axis over the others
 constexpr double kNoiseShares[] = {0.02, 0.1, 0.4, 1.0};  // of the quick part's variance
 // The filter's window is 0.1 s: samples so far apart share less than 2 % of their noise's variance,
@@ -44,14 +44,15 @@ std::vector<int> SamplesApart(const ThinnedFlight& flight, double apart_s) {
   return apart;
 }
 
-/// A first-order process x of standard deviation `sigma` by axis and correlation time `time_constant_s`,
-/// seen as H_i x in white noise, by a Kalman filter that looks at some samples.
+/// A first-order process x of standard deviation `sigma` by axis and correlation time
+/// `time_constant_s`, seen as H_i x in white noise, by a Kalman filter that looks at some samples.
 /// @param looked_at numbers of these, ascending
 /// @param states estimates at every sample from all it has looked at by then, may be null
 /// @returns the residual's log-likelihood
 double Follow(const ThinnedFlight& flight, const std::vector<int>& looked_at,
-              const ResidualModel::Wrenches& y, const std::vector<Matrix3d>& H, const Vector3d& noise_variance, const Vector3d& sigma,
-              double time_constant_s, std::vector<Vector3d>* states = nullptr) {
+              const ResidualModel::Wrenches& y, const std::vector<Matrix3d>& H,
+              const Vector3d& noise_variance, const Vector3d& sigma, double time_constant_s,
+              std::vector<Vector3d>* states = nullptr) {
   Vector3d x = Vector3d::Zero();
   const Matrix3d wide = sigma.cwiseAbs2().asDiagonal();
   Matrix3d P = wide;
@@ -139,8 +140,9 @@ class Hypothesis {
   /// @param by_drag true if the drag's change changes H
   /// @param size natural standard deviation of w
   Hypothesis(const ThinnedFlight* flight, const std::vector<int>* looked_at,
-             const ResidualModel::Wrenches* residual, std::vector<Matrix3d> H, const std::vector<DragCoefficient>* drag, bool by_drag,
-             const Vector3d& noise, double size)
+             const ResidualModel::Wrenches* residual, std::vector<Matrix3d> H,
+             const std::vector<DragCoefficient>* drag, bool by_drag, const Vector3d& noise,
+             double size)
       : flight_(flight),
         looked_at_(looked_at),
         residual_(residual),
@@ -203,7 +205,8 @@ class Hypothesis {
   std::vector<Vector3d> States() const {
     std::vector<Vector3d> states;
     const Seen seen = SeenAt(x_);
-    Follow(*flight_, *looked_at_, seen.y, seen.H, NoiseOf(x_), SizeOf(x_), time_constant_s(), &states);
+    Follow(*flight_, *looked_at_, seen.y, seen.H, NoiseOf(x_), SizeOf(x_), time_constant_s(),
+           &states);
     return states;
   }
 
@@ -242,8 +245,8 @@ class Hypothesis {
   }
 
   double Likelihood(const Seen& seen, const VectorXd& x) const {
-    return Follow(*flight_, *looked_at_, seen.y, seen.H, NoiseOf(x),
-                  SizeOf(x), std::exp(x[num_drag_ + 1])) -
+    return Follow(*flight_, *looked_at_, seen.y, seen.H, NoiseOf(x), SizeOf(x),
+                  std::exp(x[num_drag_ + 1])) -
            0.5 * x.head(num_drag_).squaredNorm();
   }
   Vector3d SizeOf(const VectorXd& x) const {
@@ -384,8 +387,8 @@ double SteadySwing(const ThinnedFlight& flight, const std::vector<int>& used,
 }
 
 /// Log-likelihood of a force that depends on the place alone, fixed in the world, in white noise of
-/// a share of the variance `quick` [N²]: a Gaussian process over position with a squared-exponential kernel, in its
-/// approximation by few centres, the noise, its size and width
+/// a share of the variance `quick` [N²]: a Gaussian process over position with a
+/// squared-exponential kernel, in its approximation by few centres, the noise, its size and width
 /// those that make the force most likely.
 double FieldOverPosition(const ThinnedFlight& flight, const std::vector<int>& used,
                          const ResidualModel::Wrenches& residual,
@@ -421,8 +424,7 @@ double FieldOverPosition(const ThinnedFlight& flight, const std::vector<int>& us
     for (Index k = 0; k < n; ++k) {
       const int i = used[static_cast<size_t>(k)];
       D.col(d).segment<3>(3 * k) =
-          flight.R_WB(i) *
-          drag[static_cast<size_t>(d)].d_wrench.row(i).head<3>().transpose();
+          flight.R_WB(i) * drag[static_cast<size_t>(d)].d_wrench.row(i).head<3>().transpose();
     }
   }
   double best = -std::numeric_limits<double>::infinity();
@@ -468,7 +470,7 @@ double FieldOverPosition(const ThinnedFlight& flight, const std::vector<int>& us
     }
   }
   return best - std::log(static_cast<double>(std::size(kWidths) * std::size(kFieldSizes) *
-                                              std::size(kNoiseShares)));
+                                             std::size(kNoiseShares)));
 }
 
 }  // namespace
@@ -504,7 +506,8 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
     drag.push_back(std::move(steady));
   }
   const double none = Follow(flight, apart, residual, body, total, Vector3d::Zero(), 1.0);
-  Hypothesis gust(&flight, &apart, &residual, std::move(wind), &drag, true, quick, natural / response);
+  Hypothesis gust(&flight, &apart, &residual, std::move(wind), &drag, true, quick,
+                  natural / response);
   Hypothesis free_world(&flight, &apart, &residual, std::move(world), &drag, false, quick, natural);
   Hypothesis free_body(&flight, &apart, &residual, std::move(body), &drag, false, quick, natural);
   for (Hypothesis* hypothesis : {&gust, &free_world, &free_body}) hypothesis->Fit();
@@ -518,11 +521,12 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   test.peakedness = fourth / std::max(1e-300, moment.trace() * moment.trace());
   test.one_sidedness = spread.sum() > 0.0 ? spread[2] / spread.sum() : 1.0;
   test.gain = gust.likelihood() - none;
-  test.over_others = gust.likelihood() - std::max({free_world.likelihood(), free_body.likelihood(),
-                                                   SteadySwing(flight, apart, residual, true),
-                                                   SteadySwing(flight, apart, residual, false),
-                                                   FieldOverPosition(flight, apart, residual, drag,
-                                                                     quick.mean(), natural)});
+  test.over_others =
+      gust.likelihood() -
+      std::max({free_world.likelihood(), free_body.likelihood(),
+                SteadySwing(flight, apart, residual, true),
+                SteadySwing(flight, apart, residual, false),
+                FieldOverPosition(flight, apart, residual, drag, quick.mean(), natural)});
   const std::vector<int> unrounded = SamplesApart(flight, kUnrounded_s);
   const Hypothesis slow = gust.LookingAt(&unrounded);
   test.sigma_m_s = slow.sigma();

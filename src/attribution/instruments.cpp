@@ -19,9 +19,9 @@ using Eigen::VectorXd;
 constexpr std::array<int, 3> kLags = {3, 5, 8};
 constexpr int kReach = 8;
 constexpr int kSignals = 17;
-constexpr double kRidge = 1e-3;  // of a signal's sum of squares
+constexpr double kRidge = 1e-3;         // of a signal's sum of squares
 constexpr double kLeastForeseen = 0.2;  // of a column's sum of squares
-constexpr double kFoldBlock_s = 1.0;  // a manoeuvre spans more than one
+constexpr double kFoldBlock_s = 1.0;    // a manoeuvre spans more than one
 
 Eigen::Matrix<double, kSignals, 1> SignalsOf(const FilteredMotion& s, const Vehicle& vehicle) {
   const Eigen::Matrix3d R_BS = vehicle.odometry.q_BS.toRotationMatrix();
@@ -210,8 +210,8 @@ MatrixXd Instruments::ForeseenBatch(const MatrixXd& columns, const MatrixXd& lik
     const MatrixXd solved = without_[f].solve(b);
     MatrixXd of_z(z_.cols(), n), of_own(kOwn, n);
     for (Index c = 0; c < n; ++c) {
-      const MatrixXd s = all_xx.middleCols(c * kWidth, kWidth) -
-                         xx[f].middleCols(c * kWidth, kWidth);
+      const MatrixXd s =
+          all_xx.middleCols(c * kWidth, kWidth) - xx[f].middleCols(c * kWidth, kWidth);
       const auto b_c = b.middleCols(c * kWidth, kWidth);
       const auto solved_c = solved.middleCols(c * kWidth, kWidth);
       Eigen::Matrix<double, kOwn, kOwn> H =

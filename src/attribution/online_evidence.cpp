@@ -15,9 +15,8 @@ std::vector<std::string> QuickEffects(const Vehicle& vehicle,
   for (const Candidate& candidate : candidates) {
     const auto effect = EffectRegistry::Default().Make(candidate.effect, vehicle);
     const std::vector<ParameterSpec>& parameters = effect->parameters();
-    const bool is_signed = std::all_of(parameters.begin(), parameters.end(), [](const auto& p) {
-      return p.sign != PhysicalSign::kAny;
-    });
+    const bool is_signed = std::all_of(parameters.begin(), parameters.end(),
+                                       [](const auto& p) { return p.sign != PhysicalSign::kAny; });
     if (!effect->description().from_rotor_rates || !is_signed) continue;
     if (std::count(names.begin(), names.end(), candidate.effect) == 0) {
       names.push_back(candidate.effect);
@@ -41,8 +40,8 @@ RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& onl
     if (!p.estimated || !(p.sigma > 0.0)) continue;
     const ParameterSpec& spec = model.parameters()[k].spec;
     own.push_back(static_cast<Eigen::Index>(i));
-    log_prior += std::log(spec.prior_sigma) +
-                 0.5 * std::pow(spec.prior_value / spec.prior_sigma, 2);
+    log_prior +=
+        std::log(spec.prior_sigma) + 0.5 * std::pow(spec.prior_value / spec.prior_sigma, 2);
     signs += LogSignOdds(spec.sign, spec.certain_sign, p.value, p.sigma);
   }
   const auto n = static_cast<Eigen::Index>(own.size());

@@ -34,7 +34,8 @@ ThinnedFlight::ThinnedFlight(FlightMotion flight, const BlockSplit& blocks,
 
 void ThinnedFlight::TakeStretches(double most_s) {
   // Blocks in use and held out are taken alike.
-  const double stretch_s = kBlocksOfAStretch * std::max(1, blocks_.hold_out_every) * blocks_.block_s;
+  const double stretch_s =
+      kBlocksOfAStretch * std::max(1, blocks_.hold_out_every) * blocks_.block_s;
   const double period_s = stretch_s * size() * step_s_ / most_s;
   std::vector<size_t> index;
   std::vector<bool> next;
@@ -95,9 +96,8 @@ ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
   if (model.pendulum()) pulls = LoadPulls(flight_->motion(), model, values);
   const Eigen::Vector3d hanging(0.0, 0.0, -file_vehicle_->gravity_m_s2);
   const BodyProperties body = model.Properties(values);
-  const Eigen::Matrix3d R_BI = file_vehicle_->imu
-                                   ? file_vehicle_->imu->q_BS.toRotationMatrix()
-                                   : Eigen::Matrix3d::Identity();
+  const Eigen::Matrix3d R_BI = file_vehicle_->imu ? file_vehicle_->imu->q_BS.toRotationMatrix()
+                                                  : Eigen::Matrix3d::Identity();
   for (int i = 0; i < flight_->size(); ++i) {
     const Eigen::Vector3d& pull = pulls.empty() ? hanging : pulls[flight_->index(i)];
     const FilteredMotion& motion = flight_->sample(i);
@@ -135,9 +135,9 @@ ResidualModel::Wrenches ResidualModel::ResidualAt(const DynamicModel& model, Mod
 ResidualModel::Wrenches ResidualModel::Derivative(const DynamicModel& model,
                                                   const ModelValues& values, int index) const {
   const double step = StepOf(model.parameters()[index], values[index]);
-  Wrenches derivative = (ResidualAt(model, values, index, -step) -
-                         ResidualAt(model, values, index, step)) /
-                        (2.0 * step);
+  Wrenches derivative =
+      (ResidualAt(model, values, index, -step) - ResidualAt(model, values, index, step)) /
+      (2.0 * step);
   if (IsAnchoredByForce(model.parameters()[index].full_name)) derivative.rightCols<3>().setZero();
   return derivative;
 }

@@ -229,14 +229,13 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
   ResidualLook found;
   found.model = estimate.model;
   const Vehicle asked = WithPriorsOf(file_vehicle_, model.vehicle());
-  Attribution attribution(&residual,
-                          StageOf(DynamicModel(asked, asked.effects), estimate.values),
+  Attribution attribution(&residual, StageOf(DynamicModel(asked, asked.effects), estimate.values),
                           CandidatesFor(asked, flight.motion()), decision_, give_up);
   attribution.Run();
   const std::vector<ChannelStructure> before =
       Structure(flight, attribution.residual_before(), channels);
-  Summarise(LessStructured(before, Structure(flight, residual.Residual(model, estimate.values),
-                                             channels)),
+  Summarise(LessStructured(before,
+                           Structure(flight, residual.Residual(model, estimate.values), channels)),
             decision_, &found);
   const std::vector<RankedEffect>& effects = attribution.effects();
   if (effects.empty()) return found;

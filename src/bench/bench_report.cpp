@@ -98,8 +98,8 @@ std::string BenchmarkReport(const std::vector<BenchmarkRow>& rows, const FlightL
 }
 
 std::string RecoveryTable(const Recovery& recovery) {
-  std::vector<TableRow> rows = {{"parameter", "unit", "truth", "median error", "relative", "error/sigma",
-                            "in 3 sigma", "observable"}};
+  std::vector<TableRow> rows = {{"parameter", "unit", "truth", "median error", "relative",
+                                 "error/sigma", "in 3 sigma", "observable"}};
   for (const ParameterRecovery& p : recovery.parameters) {
     rows.push_back(
         {p.full_name, p.unit, Rounded(p.truth, 4), Rounded(p.median_error, 3),
@@ -113,16 +113,18 @@ std::string RecoveryTable(const Recovery& recovery) {
 
 std::string BenchmarkTable(const std::vector<BenchmarkRow>& rows) {
   std::vector<TableRow> times = {{"solver", "window [s]", "states", "CPU median [ms]", "p95", "p99",
-                             "max", "updates", "wall median", "p99", "max", "start p99", "start max", "times real time"}};
+                                  "max", "updates", "wall median", "p99", "max", "start p99",
+                                  "start max", "times real time"}};
   std::vector<TableRow> stages = {{"median/p99 [ms]", "window [s]"}};
-  std::vector<TableRow> differences = {{"full solves", "window [s]", "compared", "parameters [sigma]",
-                                   "p95", "sigmas [%]", "p95", "largest"}};
+  std::vector<TableRow> differences = {{"full solves", "window [s]", "compared",
+                                        "parameters [sigma]", "p95", "sigmas [%]", "p95",
+                                        "largest"}};
   for (const UpdateStage& stage : kUpdateStages) stages[0].emplace_back(stage.name);
   for (const BenchmarkRow& row : rows) {
     const std::string window = Rounded(row.window_s, 4);
     TableRow time = TimingRow({row.solver, window, std::to_string(row.states_in_window)}, row.cpu);
-    for (const auto& ms : {row.wall.median, row.wall.p99, row.wall.max, row.wall_start.p99,
-                           row.wall_start.max}) {
+    for (const auto& ms :
+         {row.wall.median, row.wall.p99, row.wall.max, row.wall_start.p99, row.wall_start.max}) {
       time.push_back(Fixed(ms, 2));
     }
     time.push_back(Fixed(row.real_time_factor, 1));
@@ -134,9 +136,8 @@ std::string BenchmarkTable(const std::vector<BenchmarkRow>& rows) {
     if (!row.comparison || row.comparison->compared == 0) continue;
     const SolverComparison& c = *row.comparison;
     differences.push_back(
-        {row.solver, window, std::to_string(c.compared),
-         Fixed(c.largest_parameter_difference, 3), Fixed(c.p95_parameter_difference, 3),
-         Fixed(100.0 * c.largest_sigma_difference, 2),
+        {row.solver, window, std::to_string(c.compared), Fixed(c.largest_parameter_difference, 3),
+         Fixed(c.p95_parameter_difference, 3), Fixed(100.0 * c.largest_sigma_difference, 2),
          Fixed(100.0 * c.p95_sigma_difference, 2),
          At(c.parameter, c.parameter_at_s) + ", " + At(c.sigma_parameter, c.sigma_parameter_at_s)});
   }

@@ -38,7 +38,8 @@ bool ControllerOptions::IsValid(std::string* error) const {
     if (!gain->allFinite() || gain->minCoeff() < 0.0)
       return Invalid(error, "a gain must be positive, or 0 to derive it from the motors");
   }
-  if (!(motor_time_constant_s > 0.0)) return Invalid(error, "motor_time_constant_s must be positive");
+  if (!(motor_time_constant_s > 0.0))
+    return Invalid(error, "motor_time_constant_s must be positive");
   if (!(motor_lead >= 1.0 && motor_lead <= 4.0)) return Invalid(error, "motor_lead must be 1 to 4");
   if (!(nominal_battery_voltage_V > 0.0))
     return Invalid(error, "nominal_battery_voltage_V must be positive");

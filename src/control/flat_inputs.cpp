@@ -8,7 +8,7 @@ namespace odmc {
 namespace {
 
 constexpr double kStep_s = 0.004;  // of differences along the reference
-constexpr int kRounds = 4;        // attitude and the air's force, each from the other
+constexpr int kRounds = 4;         // attitude and the air's force, each from the other
 
 // Motion along a reference, to second order about its instant.
 class Along {

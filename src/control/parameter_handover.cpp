@@ -108,7 +108,7 @@ std::string ParameterHandover::Objection(const ParameterSet& set, const DynamicM
     const double share = p->sigma / std::abs(p->value);
     if (!(share <= options_.handover_max_relative_sigma)) {
       return name + Format(" is known to %.0f %% only (limit %.0f %%)", 100.0 * share,
-                         100.0 * options_.handover_max_relative_sigma);
+                           100.0 * options_.handover_max_relative_sigma);
     }
   }
   return "";

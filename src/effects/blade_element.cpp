@@ -22,9 +22,9 @@ struct Blades {
   Number hover_inflow;          ///< induced velocity of hover over tip speed
 };
 
-/// What a rotor does at its hub beyond its static thrust and torque, in the axes of the body, without
-/// the sign of its spin. Pitch and roll are about the axes across and along the in-plane air
-/// velocity u_h: pitch (u_h × e3), roll u_h.
+/// What a rotor does at its hub beyond its static thrust and torque, in the axes of the body,
+/// without the sign of its spin. Pitch and roll are about the axes across and along the in-plane
+/// air velocity u_h: pitch (u_h × e3), roll u_h.
 struct HubWrench {
   Number thrust;    ///< along e3 [N]
   Number in_plane;  ///< along -u_h [N s/m]
@@ -39,15 +39,16 @@ struct HubWrench {
 class BladeElement final : public Effect {
  public:
   explicit BladeElement(const Vehicle& vehicle)
-      : Effect(vehicle,
-               {"blade_element", "Blade elements and momentum",
-                "at hub j: (T(u_j) - k_f Omega_j^2) e3 - (H + f T a_1) u_h/|u_h|, moments of the "
-                "advancing blade and of the skewed wake, s_j (Q(u_j) - Q(0)) e3; T = 2 rho A v W",
-                "model.md 12.1, 12.3, 12.4 and 12.5 from one rotor model; Glauert 1926; Leishman "
-                "2006, ch. 2 and 3; Johnson 1980; docs/effects.md",
-                "advance ratio below 0.4, attached flow; quasi-steady; in place of rotor_drag, drag "
-                "along x and y, axial_inflow, hvt, hub_moment and vortex_ring"},
-               Specs(), {"thrust.k_f"}) {}
+      : Effect(
+            vehicle,
+            {"blade_element", "Blade elements and momentum",
+             "at hub j: (T(u_j) - k_f Omega_j^2) e3 - (H + f T a_1) u_h/|u_h|, moments of the "
+             "advancing blade and of the skewed wake, s_j (Q(u_j) - Q(0)) e3; T = 2 rho A v W",
+             "model.md 12.1, 12.3, 12.4 and 12.5 from one rotor model; Glauert 1926; Leishman "
+             "2006, ch. 2 and 3; Johnson 1980; docs/effects.md",
+             "advance ratio below 0.4, attached flow; quasi-steady; in place of rotor_drag, drag "
+             "along x and y, axial_inflow, hvt, hub_moment and vortex_ring"},
+            Specs(), {"thrust.k_f"}) {}
 
   /// No candidate: it replaces other effects.
   std::vector<EffectTrial> Trials(const FlownRange&, bool) const override { return {}; }
@@ -58,10 +59,10 @@ class BladeElement final : public Effect {
     if (vehicle().rotors.empty()) return {};
     const auto it = vehicle().parameters.find("thrust.k_f");
     const double speed = HoverSpeed(vehicle());
-    const double k_f = it != vehicle().parameters.end() && it->second.value
-                           ? *it->second.value
-                           : vehicle().mass_kg * vehicle().gravity_m_s2 /
-                                 (vehicle().num_rotors() * speed * speed);
+    const double k_f =
+        it != vehicle().parameters.end() && it->second.value
+            ? *it->second.value
+            : vehicle().mass_kg * vehicle().gravity_m_s2 / (vehicle().num_rotors() * speed * speed);
     Eigen::VectorXd values(own.size() + 1);
     values << own, k_f;
     return {{"pitch", "rad", BladesOf(values, vehicle().rotors.front().radius_m).pitch.v}};
@@ -73,7 +74,8 @@ class BladeElement final : public Effect {
     const auto linear = ParameterTransform::kLinear;
     return {
         // Two to three blades of 0.03 to 0.06 each; 4 to 5.7 per radian at their Reynolds numbers.
-        {"lift", "1", "lift slope times solidity", 0.7, 0.3, 0.7, ParameterTransform::kLog, positive},
+        {"lift", "1", "lift slope times solidity", 0.7, 0.3, 0.7, ParameterTransform::kLog,
+         positive},
         // A screw of constant geometric pitch, 0.8 to 0.9 of the diameter.
         {"twist", "rad", "pitch at the tip less that at the root, linear", -0.4, 0.2, 0.2, linear,
          negative},
@@ -104,11 +106,12 @@ class BladeElement final : public Effect {
     return b;
   }
 
-  /// Induced velocity with its derivatives: those of 2 v W - blades' thrust over its slope, which is
-  /// the implicit function theorem.
+  /// Induced velocity with its derivatives: those of 2 v W - blades' thrust over its slope, which
+  /// is the implicit function theorem.
   static Number InducedVelocityOf(const BladeFlow<Number>& flow) {
-    const BladeFlow<double> plain{flow.in_plane_squared.v, flow.axial.v, flow.tip,
-                                  flow.lift.v,             flow.pitch.v, flow.pitch_at_half.v};
+    const BladeFlow<double> plain{
+        flow.in_plane_squared.v, flow.axial.v, flow.tip, flow.lift.v, flow.pitch.v,
+        flow.pitch_at_half.v};
     const double v = InducedVelocity(plain);
     const Number excess = 2.0 * v * sqrt(DiscSpeedSquared(flow, v)) - BladeThrust(flow, v);
     return Number(v, -excess.d / InflowSlope(plain, v));
@@ -116,12 +119,12 @@ class BladeElement final : public Effect {
 
   static HubWrench WrenchOf(const Blades& b, const Number& k_f, const Vector3d& air, double tip,
                             double radius) {
-    constexpr double kSlowestTip = 5.0;   // [m/s]: what is over the tip speed stays finite
-    constexpr double kInflow = 0.5;       // [m/s]: smooth |w|
+    constexpr double kSlowestTip = 5.0;  // [m/s]: what is over the tip speed stays finite
+    constexpr double kInflow = 0.5;      // [m/s]: smooth |w|
     constexpr double kPittPeters = 15.0 * M_PI / 32.0;
     const Number x = Number::Variable(air.x(), kAir), y = Number::Variable(air.y(), kAir + 1);
-    const BladeFlow<Number> flow{x * x + y * y, Number::Variable(air.z(), kAir + 2), tip,
-                                 b.lift,        b.pitch,                             b.pitch_at_half};
+    const BladeFlow<Number> flow{
+        x * x + y * y, Number::Variable(air.z(), kAir + 2), tip, b.lift, b.pitch, b.pitch_at_half};
     const Number v = InducedVelocityOf(flow);
     const Number w = flow.axial + v, w0 = tip * b.hover_inflow;
     const double disc = kAirDensity * M_PI * radius * radius;
@@ -141,11 +144,10 @@ class BladeElement final : public Effect {
                    b.flapping * thrust * tilt;
     hub.pitch = b.lag * advancing + (1.0 - b.flapping) * skewed;
     hub.roll = (1.0 - b.flapping) * advancing - b.lag * skewed;
-    hub.torque =
-        disc * radius *
-        (half_lift * (tip / 3.0 * b.pitch * (w - w0) - 0.5 * (w * w - w0 * w0) -
-                      0.125 * flow.in_plane_squared * gradient * gradient) +
-         0.125 * b.profile_drag * flow.in_plane_squared);
+    hub.torque = disc * radius *
+                 (half_lift * (tip / 3.0 * b.pitch * (w - w0) - 0.5 * (w * w - w0 * w0) -
+                               0.125 * flow.in_plane_squared * gradient * gradient) +
+                  0.125 * b.profile_drag * flow.in_plane_squared);
     return hub;
   }
 

@@ -38,7 +38,8 @@ double InducedVelocity(const BladeFlow<double>& flow, int* steps) {
   };
   const double at_zero = BladeThrust(flow, 0.0);
   const double sign = at_zero < 0.0 ? -1.0 : 1.0;
-  // Where 2 v² alone is the thrust at v = 0: the induced velocity of hover with these blades, or so.
+  // Where 2 v² alone is the thrust at v = 0: the induced velocity of hover with these blades, or
+  // so.
   double far = sign * std::max(1e-6, std::sqrt(0.5 * std::abs(at_zero)));
   double near = 0.0, v = far;
   Slope at = excess(v);
@@ -55,7 +56,8 @@ double InducedVelocity(const BladeFlow<double>& flow, int* steps) {
     if (!inside) next = 0.5 * (near + far);
     const double step = std::abs(next - v);
     v = next;
-    if (step <= kTolerance * std::abs(far) || std::abs(far - near) <= kTolerance * std::abs(far)) break;
+    if (step <= kTolerance * std::abs(far) || std::abs(far - near) <= kTolerance * std::abs(far))
+      break;
     at = excess(v);
   }
   if (steps != nullptr) *steps = count;

@@ -5,8 +5,8 @@ namespace odmc {
 namespace {
 
 /// Moment of the air on the body: τ = (-(p_x |u| + q_x u_z) u_y, (p_y |u| + q_y u_z) u_x, 0),
-/// u = v_AB_B. p is drag off the centre of mass, q the moment of a slender body or plate at an angle
-/// to the air (Munk 1924: it grows with the product of the axial and the transverse speed).
+/// u = v_AB_B. p is drag off the centre of mass, q the moment of a slender body or plate at an
+/// angle to the air (Munk 1924: it grows with the product of the axial and the transverse speed).
 ///                                                   model.md 12.9; docs/effects.md
 class BodyMoment final : public Effect {
  public:
@@ -26,8 +26,11 @@ class BodyMoment final : public Effect {
     return FastTrials(vehicle(), flown);
   }
   std::vector<TellingPair> telling_pairs() const override {
-    const std::string course = "the same course at half and at full speed, with climbs and descents";
-    return {{"hub_moment", course}, {"anisotropic_hub_moment", course}, {"pressure_centre", course},
+    const std::string course =
+        "the same course at half and at full speed, with climbs and descents";
+    return {{"hub_moment", course},
+            {"anisotropic_hub_moment", course},
+            {"pressure_centre", course},
             {"rotor_interference", course}};
   }
   /// Test flights are too slow for it.
@@ -50,7 +53,8 @@ class BodyMoment final : public Effect {
     wrench->AddCouple({-slope_x * u.y(), slope_y * u.x(), 0.0});
     if (J == nullptr) return;
     const Eigen::Vector3d e3 = Eigen::Vector3d::UnitZ();
-    const Eigen::Vector3d d_speed = speed > 0.0 ? Eigen::Vector3d(u / speed) : Eigen::Vector3d(0, 0, 0);
+    const Eigen::Vector3d d_speed =
+        speed > 0.0 ? Eigen::Vector3d(u / speed) : Eigen::Vector3d(0, 0, 0);
     Eigen::Matrix3d d_u = Eigen::Matrix3d::Zero();
     d_u.row(0) = -u.y() * (values[0] * d_speed + values[1] * e3);
     d_u.row(1) = u.x() * (values[2] * d_speed + values[3] * e3);

@@ -1,6 +1,6 @@
-#include "odmc/effects/effects.h"
-
 #include <algorithm>
+
+#include "odmc/effects/effects.h"
 
 namespace odmc {
 namespace {
@@ -21,7 +21,8 @@ class CentreOfGravity final : public Effect {
   BodyPropertyRows shaped_rows() const override { return {kRowCom, 3}; }
 
   std::string manoeuvre(size_t k) const override {
-    static const std::vector<std::string> kShownBy = {"pitches forward and back", "rolls to both sides", "quick changes of direction at speed"};
+    static const std::vector<std::string> kShownBy = {
+        "pitches forward and back", "rolls to both sides", "quick changes of direction at speed"};
     return kShownBy[std::min(k, kShownBy.size() - 1)];
   }
 

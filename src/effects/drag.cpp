@@ -1,6 +1,6 @@
-#include "odmc/effects/effects.h"
-
 #include <algorithm>
+
+#include "odmc/effects/effects.h"
 
 namespace odmc {
 namespace {
@@ -17,7 +17,9 @@ class Drag final : public Effect {
                {Axis("d_x", vehicle), Axis("d_y", vehicle), Axis("d_z", vehicle)}) {}
 
   std::string manoeuvre(size_t k) const override {
-    static const std::vector<std::string> kShownBy = {"forward and back at several speeds", "sideways at several speeds", "up and down at several speeds"};
+    static const std::vector<std::string> kShownBy = {"forward and back at several speeds",
+                                                      "sideways at several speeds",
+                                                      "up and down at several speeds"};
     return kShownBy[std::min(k, kShownBy.size() - 1)];
   }
 

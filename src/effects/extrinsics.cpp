@@ -19,11 +19,12 @@ class Extrinsics final : public Effect {
     return {sensor_ == Sensor::kOdometry ? kRowOdometryPosition : kRowImuPosition, 6};
   }
 
-  /// The odometry's: a point that moves otherwise than the body's origin does so by the motion alone.
+  /// The odometry's: a point that moves otherwise than the body's origin does so by the motion
+  /// alone.
   bool is_kinematic() const override { return sensor_ == Sensor::kOdometry; }
 
-  /// Where it sits, unless that was measured. Never how it is turned: that is the frame in which all
-  /// others are seen, and a torque that no effect explains would turn it.
+  /// Where it sits, unless that was measured. Never how it is turned: that is the frame in which
+  /// all others are seen, and a torque that no effect explains would turn it.
   std::vector<EffectTrial> Trials(const FlownRange&, bool) const override {
     if (MountOf(vehicle(), sensor_).p_BS_sigma_m) return {};
     EffectTrial trial;

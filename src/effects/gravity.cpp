@@ -1,7 +1,6 @@
-#include "odmc/effects/effects.h"
-
 #include <algorithm>
 
+#include "odmc/effects/effects.h"
 #include "odmc/math/so3.h"
 
 namespace odmc {
@@ -29,7 +28,9 @@ class Gravity final : public Effect {
   }
 
   std::string manoeuvre(size_t k) const override {
-    static const std::vector<std::string> kShownBy = {"turns of the heading by 90 degrees and more in hover", "turns of the heading by 90 degrees and more in hover"};
+    static const std::vector<std::string> kShownBy = {
+        "turns of the heading by 90 degrees and more in hover",
+        "turns of the heading by 90 degrees and more in hover"};
     return kShownBy[std::min(k, kShownBy.size() - 1)];
   }
 

@@ -1,6 +1,6 @@
-#include "odmc/effects/effects.h"
-
 #include <algorithm>
+
+#include "odmc/effects/effects.h"
 
 namespace odmc {
 namespace {
@@ -20,7 +20,8 @@ class Hvt final : public Effect {
                  PhysicalSign::kPositive}}) {}
 
   std::string manoeuvre(size_t k) const override {
-    static const std::vector<std::string> kShownBy = {"level flight at several speeds, fast ones among them"};
+    static const std::vector<std::string> kShownBy = {
+        "level flight at several speeds, fast ones among them"};
     return kShownBy[std::min(k, kShownBy.size() - 1)];
   }
 

@@ -1,6 +1,6 @@
-#include "odmc/effects/effects.h"
-
 #include <algorithm>
+
+#include "odmc/effects/effects.h"
 
 namespace odmc {
 namespace {
@@ -22,7 +22,8 @@ class Inertia final : public Effect {
   std::vector<EffectTrial> Trials(const FlownRange&, bool) const override { return {}; }
 
   std::string manoeuvre(size_t k) const override {
-    static const std::vector<std::string> kShownBy = {"quick rolls", "quick pitches", "quick turns of the heading"};
+    static const std::vector<std::string> kShownBy = {"quick rolls", "quick pitches",
+                                                      "quick turns of the heading"};
     return kShownBy[std::min(k, kShownBy.size() - 1)];
   }
 

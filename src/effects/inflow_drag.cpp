@@ -4,10 +4,10 @@
 namespace odmc {
 namespace {
 
-/// In-plane force of the rotors that the axial flow adds: f = -c u_z (u_x, u_y, 0) at Bcm. A blade's
-/// lift leans back by the inflow angle, so the advancing side drags more the more air comes from
-/// above: rotor drag grows in climb and falls in descent. The product of axial and in-plane air
-/// speed in the H-force of blade-element theory, ρ A σa θ λ μ / 4.
+/// In-plane force of the rotors that the axial flow adds: f = -c u_z (u_x, u_y, 0) at Bcm. A
+/// blade's lift leans back by the inflow angle, so the advancing side drags more the more air comes
+/// from above: rotor drag grows in climb and falls in descent. The product of axial and in-plane
+/// air speed in the H-force of blade-element theory, ρ A σa θ λ μ / 4.
 ///                                                   model.md 12.1; docs/effects.md
 class InflowDrag final : public Effect {
  public:
@@ -35,8 +35,14 @@ class InflowDrag final : public Effect {
   /// way to the axial flow, takes half.
   static ParameterSpec Coefficient(const Vehicle& vehicle) {
     const double natural = 0.05 * kAirDensity * DiscArea(vehicle);
-    return {"c", "kg/m", "in-plane drag per axial and in-plane air speed", 0.0, natural, natural,
-            ParameterTransform::kLinear, PhysicalSign::kPositive};
+    return {"c",
+            "kg/m",
+            "in-plane drag per axial and in-plane air speed",
+            0.0,
+            natural,
+            natural,
+            ParameterTransform::kLinear,
+            PhysicalSign::kPositive};
   }
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,

@@ -17,13 +17,14 @@ constexpr double kAirDensity = 1.225;
 /// Area of all rotor discs [m²].
 double DiscArea(const Vehicle& vehicle);
 
-/// Squared induced velocity of hover over thrust of one rotor, by momentum theory: 1 / (2 ρ A) [m/kg].
+/// Squared induced velocity of hover over thrust of one rotor, by momentum theory: 1 / (2 ρ A)
+/// [m/kg].
 double InflowSquaredPerThrust(const Rotor& rotor);
 
 /// The trials of an effect of second order in the advance ratio (air speed over tip speed): one
-/// where the flight is fast enough to show it, else none. Such effects change thrust by the square of
-/// that ratio, or by an inflow ratio near 0.1 times it: at 0.15 by 2 %, which is what a calibrated
-/// model without them misses of the weight at 6 m/s (docs/effects.md).
+/// where the flight is fast enough to show it, else none. Such effects change thrust by the square
+/// of that ratio, or by an inflow ratio near 0.1 times it: at 0.15 by 2 %, which is what a
+/// calibrated model without them misses of the weight at 6 m/s (docs/effects.md).
 std::vector<EffectTrial> FastTrials(const Vehicle& vehicle, const FlownRange& flown);
 
 /// Air velocity of a hub, u_j = v_AB_B + w × r_j [m/s].

@@ -12,13 +12,13 @@ namespace {
 class RotorAsymmetry final : public Effect {
  public:
   explicit RotorAsymmetry(const Vehicle& vehicle)
-      : Effect(vehicle,
-               {"rotor_asymmetry", "Thrust and torque differ from rotor to rotor",
-                "f_j = k_f (delta_j - mean(delta)) Omega_j^2 e3 at hub j, couple s_j k_m "
-                "(delta_j - mean(delta)) Omega_j^2 e3",
-                "model.md 12.8",
-                "in steady hover one with the centre of gravity; needs manoeuvres"},
-               Deltas(vehicle), {"thrust.k_f", "rotor_torque.k_m"}) {}
+      : Effect(
+            vehicle,
+            {"rotor_asymmetry", "Thrust and torque differ from rotor to rotor",
+             "f_j = k_f (delta_j - mean(delta)) Omega_j^2 e3 at hub j, couple s_j k_m "
+             "(delta_j - mean(delta)) Omega_j^2 e3",
+             "model.md 12.8", "in steady hover one with the centre of gravity; needs manoeuvres"},
+            Deltas(vehicle), {"thrust.k_f", "rotor_torque.k_m"}) {}
 
   std::vector<TellingPair> telling_pairs() const override {
     return {{"centre_of_gravity", "strong differential thrust: rolls and pitches"},

@@ -5,13 +5,13 @@
 namespace odmc {
 namespace {
 
-/// Induced and flapping drag of each rotor, in its plane: f_j = -k_d Ω_j Π u_j, u_j the air velocity
-/// at hub j. Where on the rotor it acts differs from vehicle to vehicle, so its moment has
-/// coefficients of its own: with k_c = k_d h it acts at a height h above the centre of mass, and with
-/// k_y = k_d its yaw moment is that of forces at the hubs (k_y = 0: at the centre of mass, without
-/// yaw damping and without a yaw moment where the rotors on one side turn faster).
-/// (They are no products of k_d. What nothing but this effect tells, times what it is, has a valley
-/// at zero: with the height of the centre of mass as its arm the online estimate, linearized anew as
+/// Induced and flapping drag of each rotor, in its plane: f_j = -k_d Ω_j Π u_j, u_j the air
+/// velocity at hub j. Where on the rotor it acts differs from vehicle to vehicle, so its moment has
+/// coefficients of its own: with k_c = k_d h it acts at a height h above the centre of mass, and
+/// with k_y = k_d its yaw moment is that of forces at the hubs (k_y = 0: at the centre of mass,
+/// without yaw damping and without a yaw moment where the rotors on one side turn faster). (They
+/// are no products of k_d. What nothing but this effect tells, times what it is, has a valley at
+/// zero: with the height of the centre of mass as its arm the online estimate, linearized anew as
 /// it moved, ended at k_d = 0 and was sure of it.)
 ///                                                                       model.md 12.1
 class RotorDrag final : public Effect {
@@ -28,7 +28,8 @@ class RotorDrag final : public Effect {
                 CoupleSpec(vehicle),
                 HubDampingSpec("k_y", "k_d as its yaw moment has it", vehicle)}) {}
 
-  /// Through the centre of mass, at a height, or anywhere: what a flight does not tell costs evidence.
+  /// Through the centre of mass, at a height, or anywhere: what a flight does not tell costs
+  /// evidence.
   std::vector<EffectTrial> Trials(const FlownRange&, bool) const override {
     return {{{{"k_c", 0.0}, {"k_y", 0.0}}, {}}, {{{"k_y", 0.0}}, {}}, {}};
   }
@@ -50,8 +51,8 @@ class RotorDrag final : public Effect {
   /// Prior: a fifth of an arm above or below the centre of mass.
   static ParameterSpec CoupleSpec(const Vehicle& vehicle) {
     const double natural = 0.2 * vehicle.ArmLength() * HubDampingSpec("", "", vehicle).prior_sigma;
-    return {"k_c", "N s^2", "k_d times the height above the centre of mass it acts at", 0.0,
-            10.0 * natural, natural};
+    return {"k_c", "N s^2",        "k_d times the height above the centre of mass it acts at",
+            0.0,   10.0 * natural, natural};
   }
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,

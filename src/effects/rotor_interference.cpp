@@ -5,9 +5,9 @@ namespace odmc {
 namespace {
 
 /// Front against rear rotors: those behind fly in the downwash of those in front and lose thrust,
-/// f_j = k_i k_f Ω_j² (r_j · u_h / a) |u_h| / (v² + |u_h|²) e3 at hub j, u_h the in-plane air velocity
-/// of the hub, a the arm length and v = Ω_j sqrt(k_f / (2 ρ A)) the induced velocity of hover. In
-/// hover the wakes go straight down and miss the neighbours; forward speed skews them,
+/// f_j = k_i k_f Ω_j² (r_j · u_h / a) |u_h| / (v² + |u_h|²) e3 at hub j, u_h the in-plane air
+/// velocity of the hub, a the arm length and v = Ω_j sqrt(k_f / (2 ρ A)) the induced velocity of
+/// hover. In hover the wakes go straight down and miss the neighbours; forward speed skews them,
 /// sin²(skew) = |u_h|² / (v² + |u_h|²) of a wake that moves at v. What the mean rotor loses is the
 /// translational lift's to say.                                           docs/effects.md
 class RotorInterference final : public Effect {
@@ -19,8 +19,8 @@ class RotorInterference final : public Effect {
                 "in-plane air velocity, a arm length, v induced velocity of hover at Omega_j",
                 "model.md 12.4 per rotor; Luo et al. 2015; Russell et al. 2016; docs/effects.md",
                 "level and climbing flight; its torque is nearly a hub moment until it saturates"},
-               {{"k_i", "1", "share of thrust a rotor at the front gains, one at the rear loses", 0.0,
-                 0.3, 0.1, ParameterTransform::kLinear, PhysicalSign::kPositive}},
+               {{"k_i", "1", "share of thrust a rotor at the front gains, one at the rear loses",
+                 0.0, 0.3, 0.1, ParameterTransform::kLinear, PhysicalSign::kPositive}},
                {"thrust.k_f"}) {}
 
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool) const override {
@@ -28,7 +28,8 @@ class RotorInterference final : public Effect {
   }
   std::vector<TellingPair> telling_pairs() const override {
     const std::string course = "the same course at half and at full speed";
-    return {{"hub_moment", course}, {"anisotropic_hub_moment", course}, {"pressure_centre", course}};
+    return {
+        {"hub_moment", course}, {"anisotropic_hub_moment", course}, {"pressure_centre", course}};
   }
   /// Test flights are too slow for it.
   std::vector<std::string> shown_by() const override { return {}; }

@@ -6,7 +6,7 @@
 namespace odmc {
 namespace {
 
-constexpr int kFirstSwing = 6;  // of the parameters
+constexpr int kFirstSwing = 6;                          // of the parameters
 constexpr double kShortest_m = 0.08, kLongest_m = 2.6;  // cables to try
 constexpr double kLengthRatio = 1.15;                   // from one length to the next
 constexpr double kDampingRatio = 4.0;
@@ -22,9 +22,19 @@ class SuspendedLoad final : public Effect {
                 "pendulum of length l driven by the vehicle's motion",
                 "model.md 12.17; Sreenath, Lee and Kumar 2013",
                 "taut cable; driven outside the window; first order in the swing at the start"},
-               {{"mass", "kg", "mass of the load", 0.0, 0.5 * vehicle.mass_kg,
-                 0.1 * vehicle.mass_kg, ParameterTransform::kLinear, PhysicalSign::kPositive, false, {}, {},
-                 false, true},
+               {{"mass",
+                 "kg",
+                 "mass of the load",
+                 0.0,
+                 0.5 * vehicle.mass_kg,
+                 0.1 * vehicle.mass_kg,
+                 ParameterTransform::kLinear,
+                 PhysicalSign::kPositive,
+                 false,
+                 {},
+                 {},
+                 false,
+                 true},
                 {"length", "m", "length of the cable, to the load's centre", 0.5, 0.5, 0.5,
                  ParameterTransform::kLog, PhysicalSign::kPositive, true},
                 {"damping", "1", "damping ratio of the swing", 0.03, 0.03, 0.03,

@@ -1,6 +1,6 @@
-#include "odmc/effects/effects.h"
-
 #include <algorithm>
+
+#include "odmc/effects/effects.h"
 
 namespace odmc {
 namespace {
@@ -16,7 +16,8 @@ class ViscousTorque final : public Effect {
                {Axis(0, vehicle), Axis(1, vehicle), Axis(2, vehicle)}) {}
 
   std::string manoeuvre(size_t k) const override {
-    static const std::vector<std::string> kShownBy = {"quick rolls", "quick pitches", "quick turns of the heading"};
+    static const std::vector<std::string> kShownBy = {"quick rolls", "quick pitches",
+                                                      "quick turns of the heading"};
     return kShownBy[std::min(k, kShownBy.size() - 1)];
   }
 

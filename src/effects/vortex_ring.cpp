@@ -8,10 +8,11 @@ namespace odmc {
 namespace {
 
 /// Thrust lost in slow descent, where a rotor meets its own wake again (vortex ring state):
-/// f_j = -k_v k_f Ω_j² h e3 at hub j, h = 4 d² v² / (v² + d² + u_jx² + u_jy²)², d = max(0, -u_jz) the
-/// speed of descent along the axis and v = Ω_j sqrt(k_f / (2 ρ A)) the induced velocity of hover.
-/// h is 1 at d = v, straight down; it vanishes in hover with its slope (what is linear in u_z is
-/// axial_inflow), in fast descent (windmill) and in forward flight, which leaves the wake behind.
+/// f_j = -k_v k_f Ω_j² h e3 at hub j, h = 4 d² v² / (v² + d² + u_jx² + u_jy²)², d = max(0, -u_jz)
+/// the speed of descent along the axis and v = Ω_j sqrt(k_f / (2 ρ A)) the induced velocity of
+/// hover. h is 1 at d = v, straight down; it vanishes in hover with its slope (what is linear in
+/// u_z is axial_inflow), in fast descent (windmill) and in forward flight, which leaves the wake
+/// behind.
 ///                                                                       docs/effects.md
 class VortexRing final : public Effect {
  public:
@@ -26,10 +27,11 @@ class VortexRing final : public Effect {
                  0.0, 0.5, 0.2, ParameterTransform::kLinear, PhysicalSign::kPositive}},
                {"thrust.k_f"}) {}
 
-  /// Needs descent along the rotors' axes at half the induced velocity of hover: there it takes 0.64
-  /// of what it takes at the most.
+  /// Needs descent along the rotors' axes at half the induced velocity of hover: there it takes
+  /// 0.64 of what it takes at the most.
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool) const override {
-    const double thrust = vehicle().mass_kg * vehicle().gravity_m_s2 / std::max(1, vehicle().num_rotors());
+    const double thrust =
+        vehicle().mass_kg * vehicle().gravity_m_s2 / std::max(1, vehicle().num_rotors());
     for (const Rotor& rotor : vehicle().rotors) {
       const double inflow = std::sqrt(InflowSquaredPerThrust(rotor) * thrust);
       if (flown.descent_m_s > 0.5 * inflow) return {EffectTrial()};

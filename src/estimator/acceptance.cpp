@@ -77,8 +77,8 @@ std::string Acceptance::Objection(const ModelParameter& parameter, int index,
                                   const Snapshot& snapshot) const {
   const double value = snapshot.values[index], sigma = snapshot.sigma[index];
   if (HasWrongSign(parameter.spec.sign, value, sigma)) {
-    return parameter.full_name + Format(" = %.3g +- %.2g", value, sigma) + " " + parameter.spec.unit +
-           " has the wrong sign";
+    return parameter.full_name + Format(" = %.3g +- %.2g", value, sigma) + " " +
+           parameter.spec.unit + " has the wrong sign";
   }
   const bool was_sure = index < static_cast<int>(sure_.size()) && sure_[index];
   const double limit = (was_sure ? kStaysSure : 1.0) *
@@ -101,8 +101,8 @@ void Acceptance::HoldBack(const DynamicModel& model, const Snapshot& snapshot,
       if (!HasWrongSign(p.spec.sign, value, sigma)) continue;
       sure[i] = false;
       again = true;
-      held_back_.push_back(p.full_name + Format(" = %.3g +- %.2g", value, sigma) + " " + p.spec.unit +
-                           " has the wrong sign beside what is held back");
+      held_back_.push_back(p.full_name + Format(" = %.3g +- %.2g", value, sigma) + " " +
+                           p.spec.unit + " has the wrong sign beside what is held back");
     }
   }
 }

@@ -8,7 +8,7 @@ namespace {
 
 constexpr int kMaxBlocks = 128;  // even
 constexpr double kLeastInflation = 0.5;
-constexpr int kMinGroups = 8;         // fewer block sums than this say nothing about a variance
+constexpr int kMinGroups = 8;  // fewer block sums than this say nothing about a variance
 constexpr int kMinBlocksForThirds = 6;
 constexpr double kPriorGroups = 8.0;  // weight of "white" against a small sample of block sums
 

@@ -10,9 +10,9 @@
 namespace odmc {
 namespace {
 
-constexpr int kMostLeaving = 20;     // keyframes an update after learning
-constexpr double kSettled_s = 1.0;   // age at which an interval's residual is looked at
-constexpr double kMostHeld_s = 2.0;  // that the window grows while contact is suspected
+constexpr int kMostLeaving = 20;      // keyframes an update after learning
+constexpr double kSettled_s = 1.0;    // age at which an interval's residual is looked at
+constexpr double kMostHeld_s = 2.0;   // that the window grows while contact is suspected
 constexpr double kWalkEvery_s = 0.1;  // of flight that has left the window
 
 /// Newest keyframes whose factors change after they were added: averages of rotor accelerations
@@ -130,8 +130,8 @@ const Snapshot* Estimator::Update(const OdometrySample& sample, UpdateTimer* tim
   }
 
   Describe(report, &timing);
-  model_noise_.Follow(window_, std::min(options_.window_s, kSettled_s) -
-                                   1.5 / options_.keyframe_rate_hz);
+  model_noise_.Follow(window_,
+                      std::min(options_.window_s, kSettled_s) - 1.5 / options_.keyframe_rate_hz);
   if (!report.reweighing) {  // what leaves has one weight
     MarginalizeOld();
     RescaleNoise();
@@ -225,8 +225,7 @@ const Snapshot* Estimator::TakeBack(Stamp since) {
   std::int64_t first = keyframes.back().id;
   while (first > keyframes.front().id + 2 && window_.keyframe(first - 1).stamp > since) --first;
   const long dropped = static_cast<long>(keyframes.back().id - first) + 1;
-  const double dropped_s =
-      ToSeconds(keyframes.back().stamp - window_.keyframe(first - 1).stamp);
+  const double dropped_s = ToSeconds(keyframes.back().stamp - window_.keyframe(first - 1).stamp);
   solver_->Release(&window_);
   window_.DropNewestKeyframes(first);
   factors_.TakeBack();
@@ -289,10 +288,10 @@ void Estimator::TakeSnapshot(Stamp stamp, const SolveReport& report) {
   snapshot_.body = model_->Properties(snapshot_.values);
   snapshot_.solve = report;
   snapshot_.battery_voltage_V = front_end_.streams().battery_voltage_V();
-  uncertainty_.Fill(window_,
-                    {model_noise_.estimator().in_use(), counters_.airborne_s,
-                     factors_.rotor_scale_sigma()},
-                    solver_.get(), &snapshot_);
+  uncertainty_.Fill(
+      window_,
+      {model_noise_.estimator().in_use(), counters_.airborne_s, factors_.rotor_scale_sigma()},
+      solver_.get(), &snapshot_);
   residuals_.Fill(window_, &snapshot_);
 }
 

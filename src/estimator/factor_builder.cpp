@@ -106,8 +106,8 @@ std::int64_t FactorBuilder::AddBias(bool is_first) {
     pending_.push_back(std::move(factor));
   } else {
     const double root_s = std::sqrt(options_->bias_interval_s);
-    const Vector6d sigma = Stacked(options_->gyro_bias_walk * root_s,
-                                   options_->accelerometer_bias_walk * root_s);
+    const Vector6d sigma =
+        Stacked(options_->gyro_bias_walk * root_s, options_->accelerometer_bias_walk * root_s);
     Factor factor = window_->MakeFactor<BiasWalkFactor>(sigma);
     factor.bias0 = id - 1;
     factor.bias1 = id;
@@ -212,13 +212,12 @@ void FactorBuilder::AddImuFactors(const ImuInterval& imu, const DynamicsMeasurem
   ImuNoise noise;
   noise.gyro_rad_s = options_->gyro_noise_rad_s;
   noise.specific_force_m_s2 = options_->accelerometer_noise_m_s2;
-  noise.preintegration_rad = std::hypot(options_->gyro_noise_rad_s * measurement.dt /
-                                            std::sqrt(static_cast<double>(imu.num_samples)),
-                                        0.2 * options_->kinematic_rotation_rad);
+  noise.preintegration_rad = std::hypot(
+      options_->gyro_noise_rad_s * measurement.dt / std::sqrt(static_cast<double>(imu.num_samples)),
+      0.2 * options_->kinematic_rotation_rad);
   if (imu.has_gyro) {
-    AddToInterval(
-        window_->MakeFactor<GyroPreintegrationFactor>(imu, noise, model_, layout_), id,
-        true, true);
+    AddToInterval(window_->MakeFactor<GyroPreintegrationFactor>(imu, noise, model_, layout_), id,
+                  true, true);
     Factor gyro = window_->MakeFactor<GyroFactor>(imu.gyro_at_end, noise, model_, layout_);
     gyro.state0 = id;
     gyro.bias0 = window_->keyframe(id).bias;
@@ -260,8 +259,7 @@ void FactorBuilder::SeeRotorScale(const RotorInterval& rotors, long keyframes) {
   const double speed = rotors.mean.speed.sum();
   if (!(speed > 0.0)) return;
   const double share = std::min(rotors.model_sigma.sum() / speed, 1.0);
-  rotor_scale_sigma_ +=
-      (share - rotor_scale_sigma_) / static_cast<double>(std::max(keyframes, 1L));
+  rotor_scale_sigma_ += (share - rotor_scale_sigma_) / static_cast<double>(std::max(keyframes, 1L));
 }
 
 }  // namespace odmc

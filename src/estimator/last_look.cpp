@@ -11,8 +11,7 @@ constexpr double kFalseAlarms = 0.01;  // per flight
 constexpr double kNothing = 0.005;     // of the value: nobody minds
 
 double Apart(const ThirdsDifference& difference) {
-  const auto [low, high] =
-      std::minmax_element(difference.values.begin(), difference.values.end());
+  const auto [low, high] = std::minmax_element(difference.values.begin(), difference.values.end());
   return *high - *low;
 }
 
@@ -46,8 +45,7 @@ std::vector<Finding> LastLookFindings(const DynamicModel& model, const ModelValu
     std::snprintf(text, sizeof text,
                   "%s is %.3g in the first third of the flight, %.3g in the second and %.3g in the "
                   "last %s: more than chance makes of it",
-                  p.full_name.c_str(), d.values[0], d.values[1], d.values[2],
-                  p.spec.unit.c_str());
+                  p.full_name.c_str(), d.values[0], d.values[1], d.values[2], p.spec.unit.c_str());
     Finding finding;
     finding.check = "last_look";
     finding.what = text;

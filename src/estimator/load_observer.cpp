@@ -51,7 +51,8 @@ void LoadObserver::Reset() {
 
 void LoadObserver::Start(const ModelValues& values) {
   smooth_acceleration_W_.setZero();
-  start_ = is_first_recording_ ? Swing(values.segment<4>(parameters_->swing)) : Swing(Swing::Zero());
+  start_ =
+      is_first_recording_ ? Swing(values.segment<4>(parameters_->swing)) : Swing(Swing::Zero());
   const auto with = [&](const Swing& swing) {
     return Pendulum(values[parameters_->length], values[parameters_->damping], gravity_, swing);
   };

@@ -26,20 +26,20 @@ void ModelNoise::Follow(const Window& window, double settled_s) {
   for (std::int64_t id = std::max(seen_ + 1, keyframes.front().id);
        id < keyframes.back().id && window.keyframe(id).stamp <= until; ++id) {
     seen_ = id;
-    window.keyframe(id).ForEach<DynamicsFactor>([&](const Factor& factor,
-                                                    const DynamicsFactor& dynamics) {
-      Eigen::Matrix<double, kNumDynamicsRows, 1> e;
-      if (!dynamics.UnwhitenedResidual(window.Blocks(factor, false).data(), &e)) return;
-      const DynamicsNoise& noise = dynamics.noise();
-      IntervalResidual residual;
-      residual.dt = dynamics.measurement().dt;
-      residual.force_N = e.segment<3>(kRowVelocity) / residual.dt;
-      residual.torque_Nm =
-          noise.nominal_inertia.cwiseProduct(e.segment<3>(kRowAngular)) / residual.dt;
-      residual.rotor_force_N.z() = noise.rotor_force_N;
-      residual.rotor_torque_Nm = noise.rotor_torque_Nm;
-      estimator_.Add(residual, with_torque_);
-    });
+    window.keyframe(id).ForEach<DynamicsFactor>(
+        [&](const Factor& factor, const DynamicsFactor& dynamics) {
+          Eigen::Matrix<double, kNumDynamicsRows, 1> e;
+          if (!dynamics.UnwhitenedResidual(window.Blocks(factor, false).data(), &e)) return;
+          const DynamicsNoise& noise = dynamics.noise();
+          IntervalResidual residual;
+          residual.dt = dynamics.measurement().dt;
+          residual.force_N = e.segment<3>(kRowVelocity) / residual.dt;
+          residual.torque_Nm =
+              noise.nominal_inertia.cwiseProduct(e.segment<3>(kRowAngular)) / residual.dt;
+          residual.rotor_force_N.z() = noise.rotor_force_N;
+          residual.rotor_torque_Nm = noise.rotor_torque_Nm;
+          estimator_.Add(residual, with_torque_);
+        });
   }
 }
 

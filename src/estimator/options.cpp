@@ -11,7 +11,8 @@ bool EstimatorOptions::IsValid(std::string* error) const {
   if (!(keyframe_rate_hz >= 5.0 && keyframe_rate_hz <= 1000.0)) {
     return Invalid(error, "keyframe_rate_hz must be in [5, 1000]");
   }
-  if (window_s * keyframe_rate_hz < 3.0) return Invalid(error, "window_s must hold at least 3 keyframes");
+  if (window_s * keyframe_rate_hz < 3.0)
+    return Invalid(error, "window_s must hold at least 3 keyframes");
   if (dynamics_form != "midpoint" && dynamics_form != "euler") {
     return Invalid(error, "dynamics_form must be midpoint or euler");
   }
@@ -36,7 +37,8 @@ bool EstimatorOptions::IsValid(std::string* error) const {
                               Named{"accelerometer_bias_sigma_m_s2", accelerometer_bias_sigma_m_s2},
                               Named{"gyro_bias_walk", gyro_bias_walk},
                               Named{"accelerometer_bias_walk", accelerometer_bias_walk}}) {
-    if (!is_positive(option.value)) return Invalid(error, std::string(option.name) + " must be positive");
+    if (!is_positive(option.value))
+      return Invalid(error, std::string(option.name) + " must be positive");
   }
   for (const Named& option :
        {Named{"huber_width", huber_width}, Named{"position_noise_m", position_noise_m},
@@ -44,8 +46,7 @@ bool EstimatorOptions::IsValid(std::string* error) const {
         Named{"velocity_noise_m_s", velocity_noise_m_s},
         Named{"rate_noise_rad_s", rate_noise_rad_s},
         Named{"rotor_speed_noise_rad_s", rotor_speed_noise_rad_s},
-        Named{"function_tolerance", function_tolerance},
-        Named{"k_f_walk_rate", k_f_walk_rate},
+        Named{"function_tolerance", function_tolerance}, Named{"k_f_walk_rate", k_f_walk_rate},
         Named{"take_off_height_m", phases.take_off_height_m},
         Named{"take_off_speed_m_s", phases.take_off_speed_m_s},
         Named{"landed_thrust_ratio", phases.landed_thrust_ratio},
@@ -57,7 +58,8 @@ bool EstimatorOptions::IsValid(std::string* error) const {
   if (!(inertia_gate_r_squared >= 0.0 && inertia_gate_r_squared <= 1.0)) {
     return Invalid(error, "inertia_gate_r_squared must be in [0, 1]");
   }
-  if (phases.landed_thrust_ratio >= 1.0) return Invalid(error, "landed_thrust_ratio must be below 1");
+  if (phases.landed_thrust_ratio >= 1.0)
+    return Invalid(error, "landed_thrust_ratio must be below 1");
   if (max_iterations < 1) return Invalid(error, "max_iterations must be at least 1");
   if (num_threads < 1) return Invalid(error, "num_threads must be at least 1");
   return true;

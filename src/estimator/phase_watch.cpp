@@ -13,7 +13,8 @@ using Eigen::Vector3d;
 
 constexpr double kBaseline_s = 0.05;
 constexpr double kReferenceEvery_s = 0.1;
-// Between an estimate and the plain mean of thrust; drag and inflow are in one and not in the other.
+// Between an estimate and the plain mean of thrust; drag and inflow are in one and not in the
+// other.
 constexpr double kAgrees = 0.1;
 constexpr double kKnownSigma = 0.05;   // of a prior that says as much as a flight
 constexpr double kUnknownSigma = 0.3;  // of a thrust coefficient that has no prior
@@ -115,8 +116,8 @@ State PhaseWatch::MotionOf(const OdometrySample& sample) const {
 }
 
 bool PhaseWatch::HasVelocity(const OdometrySample& sample) const {
-  return sample.v_WS || (!poses_.empty() &&
-                         ToSeconds(sample.stamp - poses_.front().stamp) > 0.8 * kBaseline_s);
+  return sample.v_WS ||
+         (!poses_.empty() && ToSeconds(sample.stamp - poses_.front().stamp) > 0.8 * kBaseline_s);
 }
 
 /// Keeps the poses of the last kBaseline_s.
@@ -167,8 +168,8 @@ PhaseVerdict PhaseWatch::Update(const OdometrySample& sample,
   e.velocity_noise_m_s =
       sample.v_WS ? noise.velocity_m_s : std::sqrt(2.0) * noise.position_m / kBaseline_s;
   // Half the speed that pose noise alone would show is not motion.
-  e.speed_m_s =
-      sample.v_WS ? state.v_WS.norm() : std::max(0.0, state.v_WS.norm() - 2.0 * e.velocity_noise_m_s);
+  e.speed_m_s = sample.v_WS ? state.v_WS.norm()
+                            : std::max(0.0, state.v_WS.norm() - 2.0 * e.velocity_noise_m_s);
   e.rate_rad_s = state.w_WS_S.norm();
   if (last_ && rotors) AddForces(*last_, state, *rotors, &e);
   last_.reset();

@@ -224,8 +224,8 @@ std::vector<ThirdsDifference> Uncertainty::CompareThirds(const Window& window) {
     bool is_seen = true;
     for (const ThirdOfFlight& third : thirds) {
       const double variance = inflation * third.variance[i];
-      is_seen = is_seen && variance > 0.0 &&
-                std::sqrt(variance) < kObservableShare * prior_sigma_eta_[i];
+      is_seen =
+          is_seen && variance > 0.0 && std::sqrt(variance) < kObservableShare * prior_sigma_eta_[i];
       weights += 1.0 / variance;
       mean += third.step[i] / variance;
     }

@@ -44,32 +44,32 @@ PredictionFigures::Axes AxesOf(const Json& json) {
 
 Json ToJson(const FlightFactor& factor) {
   return {{"flight", factor.flight},
-               {"start_s", factor.start_s},
-               {"duration_s", factor.duration_s},
-               {"names", factor.names},
-               {"units", factor.units},
-               {"prior_value", ToJson(factor.prior_value)},
-               {"prior_sigma", ToJson(factor.prior_sigma)},
-               {"value", ToJson(factor.value)},
-               {"sigma", ToJson(factor.sigma)},
-               {"linearized_at", ToJson(factor.linearized_at)},
-               {"root", ToJson(factor.root)},
-               {"rhs", ToJson(factor.rhs)},
-               {"estimate", FormatParameters(factor.estimate)}};
+          {"start_s", factor.start_s},
+          {"duration_s", factor.duration_s},
+          {"names", factor.names},
+          {"units", factor.units},
+          {"prior_value", ToJson(factor.prior_value)},
+          {"prior_sigma", ToJson(factor.prior_sigma)},
+          {"value", ToJson(factor.value)},
+          {"sigma", ToJson(factor.sigma)},
+          {"linearized_at", ToJson(factor.linearized_at)},
+          {"root", ToJson(factor.root)},
+          {"rhs", ToJson(factor.rhs)},
+          {"estimate", FormatParameters(factor.estimate)}};
 }
 
 }  // namespace
 
 std::string FormatFleetFlight(const FleetFlight& flight) {
-  const Json json = {{"file", flight.file},
-                     {"warnings", flight.warnings},
-                     {"factor", ToJson(flight.factor)},
-                     {"own_fit",
-                      {{"force_rmse_N", ToJson(flight.own_fit.force_rmse_N)},
-                       {"torque_rmse_Nm", ToJson(flight.own_fit.torque_rmse_Nm)},
-                       {"accelerometer_force_rmse_N",
-                        ToJson(flight.own_fit.accelerometer_force_rmse_N)},
-                       {"samples", flight.own_fit.samples}}}};
+  const Json json = {
+      {"file", flight.file},
+      {"warnings", flight.warnings},
+      {"factor", ToJson(flight.factor)},
+      {"own_fit",
+       {{"force_rmse_N", ToJson(flight.own_fit.force_rmse_N)},
+        {"torque_rmse_Nm", ToJson(flight.own_fit.torque_rmse_Nm)},
+        {"accelerometer_force_rmse_N", ToJson(flight.own_fit.accelerometer_force_rmse_N)},
+        {"samples", flight.own_fit.samples}}}};
   return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

@@ -87,8 +87,9 @@ FlightFactor FactorOf(const DynamicModel& model, const ParameterSet& estimate,
   factor.linearized_at = vector(value);
   const Eigen::VectorXd widened = inflation(at);
   const Eigen::VectorXd narrow = widened.cwiseInverse();
-  SetLikelihood(vector(value), narrow.asDiagonal() * estimate.covariance(at, at) * narrow.asDiagonal(),
-                widened, vector(prior_value), vector(prior_sigma), &factor);
+  SetLikelihood(vector(value),
+                narrow.asDiagonal() * estimate.covariance(at, at) * narrow.asDiagonal(), widened,
+                vector(prior_value), vector(prior_sigma), &factor);
   return factor;
 }
 

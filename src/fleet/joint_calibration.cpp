@@ -54,8 +54,7 @@ void SetPriors(const DynamicModel& model, FlightFactor* factor) {
 bool IsFar(const FlightFactor& factor, const Eigen::VectorXd& at, double share) {
   for (int k = 0; k < factor.size(); ++k) {
     const double shown = factor.root.col(k).norm() * factor.prior_sigma[k];
-    const bool moved =
-        std::abs(at[k] - factor.linearized_at[k]) > share * factor.prior_sigma[k];
+    const bool moved = std::abs(at[k] - factor.linearized_at[k]) > share * factor.prior_sigma[k];
     if (shown > 1.0 && moved) return true;
   }
   return false;
@@ -94,8 +93,8 @@ std::optional<Eigen::VectorXd> ErrorOfRotorReadings(const FlightLog& log, const 
   return Eigen::VectorXd(*coarser - with);
 }
 
-/// By how much a flight's estimate is off, error by error: those of the streams, of the step between
-/// keyframes, and of the rotor speeds between their readings.
+/// By how much a flight's estimate is off, error by error: those of the streams, of the step
+/// between keyframes, and of the rotor speeds between their readings.
 std::vector<Eigen::VectorXd> ErrorsOf(const InspectedFlight& flight, const DynamicModel& model,
                                       const EstimatorOptions& options) {
   const auto with = ValuesOf(flight.log, model, options);
@@ -328,16 +327,16 @@ FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const Fli
   FleetCalibration fleet;
   fleet.false_alarm_rate = options.joint.false_alarm_rate;
   fleet.flights.resize(files.size());
-  ForEachOf(static_cast<int>(files.size()), options.jobs,
-            [&](int i) {
-              const auto at = static_cast<size_t>(i);
-              const auto it = by_file.find(files[at]);
-              fleet.flights[at] =
-                  it != by_file.end()
-                      ? *it->second
-                      : CalibrateFlight(files[at], source, file_vehicle, vehicle, options);
-            },
-            part(0.0, kShareOfPasses));
+  ForEachOf(
+      static_cast<int>(files.size()), options.jobs,
+      [&](int i) {
+        const auto at = static_cast<size_t>(i);
+        const auto it = by_file.find(files[at]);
+        fleet.flights[at] = it != by_file.end() ? *it->second
+                                                : CalibrateFlight(files[at], source, file_vehicle,
+                                                                  vehicle, options);
+      },
+      part(0.0, kShareOfPasses));
   Order(&fleet.flights);
   Combine(joint, &fleet);
 
@@ -355,9 +354,8 @@ FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const Fli
     if (far.empty()) break;
     ForEachOf(static_cast<int>(far.size()), options.jobs, [&](int k) {
       FleetFlight& flight = fleet.flights[static_cast<size_t>(far[static_cast<size_t>(k)])];
-      FleetFlight anew =
-          CalibrateFlight(flight.file, source, file_vehicle, vehicle, options,
-                          &starts[static_cast<size_t>(far[static_cast<size_t>(k)])]);
+      FleetFlight anew = CalibrateFlight(flight.file, source, file_vehicle, vehicle, options,
+                                         &starts[static_cast<size_t>(far[static_cast<size_t>(k)])]);
       if (!anew.failure.empty()) return;  // what is known stays
       flight.factor = std::move(anew.factor);
       ++flight.passes;
@@ -372,16 +370,16 @@ FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const Fli
   if (!options.predict_left_out || used.size() < 2) return fleet;
   const std::vector<Eigen::VectorXd> expected =
       ExpectedOfLeftOut(FactorsOf(fleet), fleet.joint.model, fleet.joint.fit);
-  ForEachOf(static_cast<int>(used.size()), options.jobs,
-            [&](int k) {
-              FleetFlight& flight =
-                  fleet.flights[static_cast<size_t>(used[static_cast<size_t>(k)])];
-              const double weight_N = file_vehicle.mass_kg * file_vehicle.gravity_m_s2;
-              flight.left_out = FiguresWith(
-                  flight, expected[static_cast<size_t>(k)], source, file_vehicle, vehicle,
-                  [&](const PredictionSample& sample) { flight.residuals.Add(sample, weight_N); });
-            },
-            part(kShareOfPasses, 1.0));
+  ForEachOf(
+      static_cast<int>(used.size()), options.jobs,
+      [&](int k) {
+        FleetFlight& flight = fleet.flights[static_cast<size_t>(used[static_cast<size_t>(k)])];
+        const double weight_N = file_vehicle.mass_kg * file_vehicle.gravity_m_s2;
+        flight.left_out = FiguresWith(
+            flight, expected[static_cast<size_t>(k)], source, file_vehicle, vehicle,
+            [&](const PredictionSample& sample) { flight.residuals.Add(sample, weight_N); });
+      },
+      part(kShareOfPasses, 1.0));
   fleet.recurrent = RecurrentOf(fleet);
   return fleet;
 }
@@ -393,17 +391,17 @@ std::vector<FleetFlight> PredictHeldOut(const std::vector<std::string>& files,
                                         const FleetCalibration& fleet,
                                         const std::function<void(double)>& progress) {
   std::vector<FleetFlight> flights(files.size());
-  ForEachOf(static_cast<int>(files.size()), options.jobs,
-            [&](int i) {
-              FleetFlight& flight = flights[static_cast<size_t>(i)];
-              flight = CalibrateFlight(files[static_cast<size_t>(i)], source, file_vehicle, vehicle,
-                                       options);
-              if (!flight.failure.empty()) return;
-              flight.left_out =
-                  FiguresWith(flight, fleet.joint.value, source, file_vehicle, vehicle,
-                              [](const PredictionSample&) {});
-            },
-            progress);
+  ForEachOf(
+      static_cast<int>(files.size()), options.jobs,
+      [&](int i) {
+        FleetFlight& flight = flights[static_cast<size_t>(i)];
+        flight =
+            CalibrateFlight(files[static_cast<size_t>(i)], source, file_vehicle, vehicle, options);
+        if (!flight.failure.empty()) return;
+        flight.left_out = FiguresWith(flight, fleet.joint.value, source, file_vehicle, vehicle,
+                                      [](const PredictionSample&) {});
+      },
+      progress);
   return flights;
 }
 

@@ -22,8 +22,8 @@ double Widening(double freedom) {
   return boost::math::quantile(t, kThreeSigma) / 3.0;
 }
 
-/// Of a value that every flight has its own of, for the flight after `count` of them: of few flights
-/// the spread is not known well, nor is the mean.
+/// Of a value that every flight has its own of, for the flight after `count` of them: of few
+/// flights the spread is not known well, nor is the mean.
 double SigmaOfNext(double count, double variance, double noise) {
   if (count < 2.0) return std::sqrt(variance + noise);
   const double spread = variance * count / (count - 1.0);
@@ -114,8 +114,8 @@ void SetToday(const std::vector<FlightFactor>& factors, JointEstimate* joint) {
   joint->covariance = widening.asDiagonal() * joint->covariance * widening.asDiagonal();
   joint->sigma = joint->covariance.diagonal().cwiseSqrt();
   joint->new_flight_sigma =
-      (joint->sigma.cwiseAbs2() +
-       joint->fit.scatter.cwiseProduct(widening).cwiseAbs2()).cwiseSqrt();
+      (joint->sigma.cwiseAbs2() + joint->fit.scatter.cwiseProduct(widening).cwiseAbs2())
+          .cwiseSqrt();
 }
 
 }  // namespace
@@ -138,7 +138,8 @@ JointEstimate EstimateJointly(const std::vector<FlightFactor>& factors,
     std::vector<Found> now;
     for (int k = 0; k < n; ++k) {
       const ScalarHistory history = HistoryOf(k, factors, joint.model, joint.fit, times);
-      const HistoryFit fit = ExamineHistory(history, options.false_alarm_rate * shares[static_cast<size_t>(k)]);
+      const HistoryFit fit =
+          ExamineHistory(history, options.false_alarm_rate * shares[static_cast<size_t>(k)]);
       for (const HistoryFinding& finding : fit.findings) now.push_back({k, finding});
     }
     FleetModel model = ModelOf(now, axis, flights);
@@ -149,7 +150,8 @@ JointEstimate EstimateJointly(const std::vector<FlightFactor>& factors,
   }
   for (const Found& found : all) {
     const HistoryFinding& f = found.finding;
-    const double p = std::min(1.0, std::exp(f.log_p) / shares[static_cast<size_t>(found.parameter)]);
+    const double p =
+        std::min(1.0, std::exp(f.log_p) / shares[static_cast<size_t>(found.parameter)]);
     if (f.kind == HistoryFinding::Kind::kOutlier) {
       joint.outliers.push_back({f.flight, found.parameter, f.size, f.sigma, p});
     } else {
@@ -178,8 +180,8 @@ ParameterSet ToParameterSet(const JointEstimate& joint, const std::vector<Flight
     ParameterEstimate& p = set.parameters[static_cast<size_t>(at[k])];
     p.value = joint.value[i];
     p.sigma = joint.sigma[i];
-    p.scatter = std::sqrt(std::max(
-        0.0, std::pow(joint.new_flight_sigma[i], 2) - std::pow(joint.sigma[i], 2)));
+    p.scatter = std::sqrt(
+        std::max(0.0, std::pow(joint.new_flight_sigma[i], 2) - std::pow(joint.sigma[i], 2)));
     p.observable = joint.sigma[i] < 0.5 * first.prior_sigma[i];
     for (size_t l = 0; l < at.size(); ++l) {
       set.covariance(at[k], at[l]) = joint.covariance(i, static_cast<Index>(l));

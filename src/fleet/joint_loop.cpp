@@ -74,10 +74,11 @@ Stage StageOfFleet(const FleetCalibration& fleet, const DynamicModel& model) {
       squares += std::pow(fleet.joint.fit.of_flight[f][k] - fleet.joint.value[k], 2);
       noise += std::pow(fleet.flights[static_cast<size_t>(used[f])].factor.sigma[k], -2);
     }
-    const double scatter = std::max(fleet.joint.fit.scatter[k],
-                                    std::sqrt(squares / static_cast<double>(used.size())));
+    const double scatter =
+        std::max(fleet.joint.fit.scatter[k], std::sqrt(squares / static_cast<double>(used.size())));
     // Beside what all flights together know of it less would not count.
-    if (scatter * scatter * noise > 1.0) stage.scatter[first.names[static_cast<size_t>(k)]] = scatter;
+    if (scatter * scatter * noise > 1.0)
+      stage.scatter[first.names[static_cast<size_t>(k)]] = scatter;
   }
   return stage;
 }
@@ -184,8 +185,8 @@ std::vector<CoefficientSpread> SpreadsOf(const RankedEffect& effect,
     spread.mean = fleet.joint.value[k];
     spread.sigma = fleet.joint.sigma[k];
     spread.scatter = fleet.joint.fit.scatter[k];
-    for (const Departure& d : DeparturesOf(static_cast<int>(k), factors, fleet.joint.model,
-                                           fleet.joint.fit)) {
+    for (const Departure& d :
+         DeparturesOf(static_cast<int>(k), factors, fleet.joint.model, fleet.joint.fit)) {
       spread.by_flight.push_back({spread.mean + d.value, d.sigma});
       if (std::abs(d.value) < 2.0 * std::hypot(d.sigma, spread.scatter)) ++spread.agreeing;
     }
@@ -283,10 +284,9 @@ void JointSession::Find(const Progress& progress) {
     residuals.push_back(&*look.residual);
     motions.push_back(&look.flight->motion());
   }
-  Attribution attribution(residuals,
-                          StageOfFleet(loop_.before, DynamicModel(vehicle_, vehicle_.effects)),
-                          CandidatesFor(vehicle_, motions), options_.attribution, {},
-                          options_.calibration.jobs);
+  Attribution attribution(
+      residuals, StageOfFleet(loop_.before, DynamicModel(vehicle_, vehicle_.effects)),
+      CandidatesFor(vehicle_, motions), options_.attribution, {}, options_.calibration.jobs);
   attribution.Run();
   stage_ = attribution.stage();
   effects_ = attribution.effects();
@@ -386,7 +386,8 @@ void JointSession::Add(const std::vector<std::string>& held_out) {
       if (says.nats < -options_.attribution.even_odds) ++effect.against;
     }
     for (const std::string& name : ranked.alternatives) {
-      if (effect.manoeuvre.empty()) effect.manoeuvre = TellingManoeuvre(vehicle_, ranked.name, name);
+      if (effect.manoeuvre.empty())
+        effect.manoeuvre = TellingManoeuvre(vehicle_, ranked.name, name);
     }
     loop_.effects.push_back(std::move(effect));
   }
@@ -397,8 +398,7 @@ void JointSession::Add(const std::vector<std::string>& held_out) {
     return PredictHeldOut(held_out, source_, file_vehicle_, vehicle, options_.calibration, fleet);
   };
   loop_.held_out_before = predict(vehicle_, loop_.before);
-  loop_.held_out_after =
-      effects_.empty() ? loop_.held_out_before : predict(extended, loop_.after);
+  loop_.held_out_after = effects_.empty() ? loop_.held_out_before : predict(extended, loop_.after);
 }
 
 JointLoop JointSession::Run(const std::vector<std::string>& files,
@@ -434,8 +434,7 @@ JointLoop JointSession::Run(const std::vector<std::string>& files,
 
 double ChanceOfNoSize(const std::string& effect, const FleetCalibration& fleet,
                       const Vehicle& vehicle) {
-  const FlightFactor& factor =
-      fleet.flights[static_cast<size_t>(fleet.used().front())].factor;
+  const FlightFactor& factor = fleet.flights[static_cast<size_t>(fleet.used().front())].factor;
   const std::vector<Eigen::Index> sizes = SizesOf(effect, factor, vehicle);
   return sizes.empty() ? 0.0 : ChanceOf(fleet, sizes);
 }

@@ -33,10 +33,9 @@ Json EffectJson(const JointEffect& joint, const std::vector<std::string>& flight
   if (!joint.manoeuvre.empty()) json["told_apart_by"] = joint.manoeuvre;
   Json spreads = Json::object();
   for (const CoefficientSpread& s : joint.spreads) {
-    spreads[s.full_name] = {{"mean", JsonNumber(s.mean)},       {"sigma", JsonNumber(s.sigma)},
-                            {"scatter", JsonNumber(s.scatter)}, {"unit", s.unit},
-                            {"flights_within_2_sigma", s.agreeing},
-                            {"by_flight", Json::array()}};
+    spreads[s.full_name] = {{"mean", JsonNumber(s.mean)},           {"sigma", JsonNumber(s.sigma)},
+                            {"scatter", JsonNumber(s.scatter)},     {"unit", s.unit},
+                            {"flights_within_2_sigma", s.agreeing}, {"by_flight", Json::array()}};
     for (const CoefficientSpread::OfFlight& of : s.by_flight) {
       spreads[s.full_name]["by_flight"].push_back(
           {{"value", JsonNumber(of.value)}, {"sigma", JsonNumber(of.sigma)}});
@@ -136,18 +135,18 @@ std::string JointLoopTable(const JointLoop& loop) {
   std::string text = "verdict of " + all + " flights: " + ToString(loop.verdict) + "\n";
   for (const JointEffect& joint : loop.effects) {
     text += "  " + joint.effect.name + " (gain " + Format("%.1f", joint.effect.score) + " nats; " +
-            std::to_string(joint.speak_for) + " flights for it, " +
-            std::to_string(joint.against) + " against)";
+            std::to_string(joint.speak_for) + " flights for it, " + std::to_string(joint.against) +
+            " against)";
     for (size_t i = 0; i < joint.effect.alternatives.size(); ++i) {
       text += (i == 0 ? ", not told from " : ", ") + joint.effect.alternatives[i];
     }
     text += "\n";
     for (const CoefficientSpread& s : joint.spreads) {
       char line[200];
-      std::snprintf(line, sizeof line,
-                    "    %-28s %12.5g +- %-10.3g %s, between flights %.2g, %d of %s within 2 sigma\n",
-                    s.full_name.c_str(), s.mean, s.sigma, s.unit.c_str(), s.scatter, s.agreeing,
-                    all.c_str());
+      std::snprintf(
+          line, sizeof line,
+          "    %-28s %12.5g +- %-10.3g %s, between flights %.2g, %d of %s within 2 sigma\n",
+          s.full_name.c_str(), s.mean, s.sigma, s.unit.c_str(), s.scatter, s.agreeing, all.c_str());
       text += line;
     }
     for (const std::string& remark : joint.effect.remarks) text += "    " + remark + "\n";
@@ -171,15 +170,16 @@ std::string JointLoopCsv(const JointLoop& loop) {
       const FlightSays& says = joint.effect.by_flight[f];
       std::string file = loop.flights[f];
       std::replace(file.begin(), file.end(), ',', '_');
-      const std::string start = file + "," + joint.effect.name + "," + FormatNumber(says.nats) + ",";
+      const std::string start =
+          file + "," + joint.effect.name + "," + FormatNumber(says.nats) + ",";
       for (const CoefficientSpread& s : joint.spreads) {
-        text += start + s.full_name + "," + s.unit + "," + FormatNumber(s.by_flight[f].value) + "," +
-                FormatNumber(s.by_flight[f].sigma) + "\n";
+        text += start + s.full_name + "," + s.unit + "," + FormatNumber(s.by_flight[f].value) +
+                "," + FormatNumber(s.by_flight[f].sigma) + "\n";
       }
       for (const ParameterEstimate& p : says.parameters) {
-        const bool is_shared = std::any_of(
-            joint.spreads.begin(), joint.spreads.end(),
-            [&](const CoefficientSpread& s) { return s.full_name == p.full_name; });
+        const bool is_shared =
+            std::any_of(joint.spreads.begin(), joint.spreads.end(),
+                        [&](const CoefficientSpread& s) { return s.full_name == p.full_name; });
         if (is_shared) continue;
         text += start + p.full_name + "," + p.unit + "," + FormatNumber(p.value) + "," +
                 FormatNumber(p.sigma) + "\n";

@@ -80,11 +80,11 @@ Json RecurrentJson(const FleetCalibration& fleet) {
 
 std::string RecurrentText(const RecurrentResidual& r) {
   const std::string channel = kResidualChannelNames[static_cast<size_t>(r.channel)];
-  return "recurrent: " + channel + " off by " + Rounded(r.mean) + " +- " +
-         Rounded(r.sigma, 2) + " where " +
-         kResidualQuantityTable[static_cast<size_t>(r.quantity)].name + " is " + Rounded(r.from, 4) +
-         " to " + Rounded(r.to, 4) + ", that sign in " + std::to_string(r.same_sign) + " of " +
-         std::to_string(r.flights) + " flights (p " + Rounded(r.p_value, 1) + ")\n";
+  return "recurrent: " + channel + " off by " + Rounded(r.mean) + " +- " + Rounded(r.sigma, 2) +
+         " where " + kResidualQuantityTable[static_cast<size_t>(r.quantity)].name + " is " +
+         Rounded(r.from, 4) + " to " + Rounded(r.to, 4) + ", that sign in " +
+         std::to_string(r.same_sign) + " of " + std::to_string(r.flights) + " flights (p " +
+         Rounded(r.p_value, 1) + ")\n";
 }
 
 /// The largest of those that count.
@@ -119,15 +119,14 @@ std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model
   Json parameters = Json::object();
   for (int k = 0; k < first.size(); ++k) {
     const ParameterEstimate* p = fleet.parameters.Find(first.names[static_cast<size_t>(k)]);
-    parameters[p->full_name] = {
-        {"value", JsonNumber(p->value)},
-        {"sigma", JsonNumber(p->sigma)},
-        {"scatter", JsonNumber(fit.scatter[k])},
-        {"scatter_sigma", JsonNumber(fit.scatter_sigma[k])},
-        {"new_flight_sigma", JsonNumber(std::hypot(p->sigma, p->scatter))},
-        {"degrees_of_freedom", JsonNumber(fit.degrees_of_freedom[k])},
-        {"unit", p->unit},
-        {"observable", p->observable}};
+    parameters[p->full_name] = {{"value", JsonNumber(p->value)},
+                                {"sigma", JsonNumber(p->sigma)},
+                                {"scatter", JsonNumber(fit.scatter[k])},
+                                {"scatter_sigma", JsonNumber(fit.scatter_sigma[k])},
+                                {"new_flight_sigma", JsonNumber(std::hypot(p->sigma, p->scatter))},
+                                {"degrees_of_freedom", JsonNumber(fit.degrees_of_freedom[k])},
+                                {"unit", p->unit},
+                                {"observable", p->observable}};
   }
   json["parameters"] = parameters;
   const auto place = [&](size_t flight) {
@@ -159,12 +158,12 @@ std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model
     Json of = Json::object();
     for (int p = 0; p < first.size(); ++p) {
       const double z = ZScore(fleet, k, p);
-      of[first.names[static_cast<size_t>(p)]] = {{"value", JsonNumber(flight.factor.value[p])},
-                                                 {"sigma", JsonNumber(flight.factor.sigma[p])},
-                                                 {"given_all", JsonNumber(fit.of_flight[k][p])},
-                                                 {"expected", JsonNumber(fit.of_flight[k][p] -
-                                                                     fit.own[k][p])},
-                                                 {"z", JsonNumber(z)}};
+      of[first.names[static_cast<size_t>(p)]] = {
+          {"value", JsonNumber(flight.factor.value[p])},
+          {"sigma", JsonNumber(flight.factor.sigma[p])},
+          {"given_all", JsonNumber(fit.of_flight[k][p])},
+          {"expected", JsonNumber(fit.of_flight[k][p] - fit.own[k][p])},
+          {"z", JsonNumber(z)}};
     }
     json["flights"].push_back({{"file", flight.file},
                                {"start_s", JsonNumber(flight.factor.start_s)},
@@ -192,7 +191,8 @@ std::string FleetTable(const FleetCalibration& fleet) {
   for (int k = 0; k < first.size(); ++k) {
     const ParameterEstimate* p = fleet.parameters.Find(first.names[static_cast<size_t>(k)]);
     double own = 0.0;
-    for (const int i : used) own += std::pow(fleet.flights[static_cast<size_t>(i)].factor.sigma[k], 2);
+    for (const int i : used)
+      own += std::pow(fleet.flights[static_cast<size_t>(i)].factor.sigma[k], 2);
     own = std::sqrt(own / static_cast<double>(used.size()));
     text += Pad(p->full_name, 26) + Pad(Rounded(p->value, 5), 13) + Pad(Rounded(p->sigma), 11) +
             Pad(Rounded(fleet.joint.fit.scatter[k]), 17) + Pad(Rounded(own), 10) + p->unit +

@@ -15,15 +15,15 @@ using Eigen::VectorXd;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr int kMostIterations = 500;
-constexpr double kSettled = 1e-4;       // nats of a step of the scatter
+constexpr double kSettled = 1e-4;         // nats of a step of the scatter
 constexpr double kLeastVariance = 1e-14;  // in units of the priors' variances
-constexpr double kFree = 1e4;           // variance of what is a flight's own, in the same
+constexpr double kFree = 1e4;             // variance of what is a flight's own, in the same
 
 /// One flight in units of the priors' sigmas, from the priors' centres.
 struct Scaled {
-  MatrixXd root;   // n×n
-  VectorXd rhs;    // n×1
-  MatrixXd design;  // n×q
+  MatrixXd root;          // n×n
+  VectorXd rhs;           // n×1
+  MatrixXd design;        // n×q
   VectorXd own_variance;  // n×1: kFree for outliers, else 0
 };
 
@@ -238,9 +238,9 @@ RandomEffects FitRandomEffects(const std::vector<FlightFactor>& factors, const F
   for (Index k = 0; k < n; ++k) {
     // Of a variance v with sigma s: that of its root; where v is small beside s, the root of s.
     const double root = std::sqrt(std::max(0.0, variance[k]));
-    fit.scatter_sigma[k] = first.prior_sigma[k] *
-                           std::min(variance_sigma[k] / std::max(2.0 * root, 1e-300),
-                                    std::sqrt(variance_sigma[k]));
+    fit.scatter_sigma[k] =
+        first.prior_sigma[k] *
+        std::min(variance_sigma[k] / std::max(2.0 * root, 1e-300), std::sqrt(variance_sigma[k]));
   }
   for (size_t i = 0; i < flights.size(); ++i) {
     const VectorXd own = (variance + flights[i].own_variance).cwiseProduct(e.pull[i]);
@@ -291,7 +291,8 @@ std::vector<Departure> DeparturesOf(int parameter, const std::vector<FlightFacto
   VectorXd scaled_beta = fit.beta;
   scaled_beta.head(n) -= first.prior_value;
   for (Index c = 0; c < scaled_beta.size(); ++c) {
-    const int of = c < n ? static_cast<int>(c) : model.changes[static_cast<size_t>(c - n)].parameter;
+    const int of =
+        c < n ? static_cast<int>(c) : model.changes[static_cast<size_t>(c - n)].parameter;
     scaled_beta[c] /= first.prior_sigma[of];
   }
   std::vector<Departure> departures;

@@ -38,11 +38,11 @@ double ThrustOf(const PredictionSample& sample) {
   return 0.0;
 }
 
-std::array<double, kResidualQuantities> QuantitiesOf(const PredictionSample& s, double flight_time_s,
-                                                     double weight_N) {
-  return {s.v_AB_B.norm(), s.climb_m_s,  s.v_AB_B.x(), s.v_AB_B.y(),
-          s.v_AB_B.z(),    s.w_WB_B.x(), s.w_WB_B.y(), s.w_WB_B.z(),
-          ThrustOf(s) / weight_N, s.height_m, flight_time_s};
+std::array<double, kResidualQuantities> QuantitiesOf(const PredictionSample& s,
+                                                     double flight_time_s, double weight_N) {
+  return {s.v_AB_B.norm(),        s.climb_m_s,  s.v_AB_B.x(), s.v_AB_B.y(),
+          s.v_AB_B.z(),           s.w_WB_B.x(), s.w_WB_B.y(), s.w_WB_B.z(),
+          ThrustOf(s) / weight_N, s.height_m,   flight_time_s};
 }
 
 /// A bin's means, one per flight that has been in it long enough.

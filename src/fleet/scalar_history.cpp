@@ -12,11 +12,11 @@ namespace {
 
 using Kind = HistoryFinding::Kind;
 
-constexpr int kRefitted = 8;         // candidates of a kind whose scatter is fitted anew
+constexpr int kRefitted = 8;  // candidates of a kind whose scatter is fitted anew
 constexpr size_t kMostFindings = 20;
 constexpr size_t kLookAhead = 3;
 constexpr int kFlightsPerFinding = 5;  // fewer explain anything
-constexpr double kKinds = 3.0;  // that a finding is one of
+constexpr double kKinds = 3.0;         // that a finding is one of
 
 /// Weighted least squares of flights at a variance of the scatter.
 struct Fitted {
@@ -235,7 +235,8 @@ class Examination {
       for (size_t k = 0; k < kind.size(); ++k) gains.emplace_back(-sigmas[k], k);
       std::sort(gains.begin(), gains.end());
       std::vector<HistoryFinding> best;
-      for (int k = 0; k < kRefitted; ++k) best.push_back(kind[gains[static_cast<size_t>(k)].second]);
+      for (int k = 0; k < kRefitted; ++k)
+        best.push_back(kind[gains[static_cast<size_t>(k)].second]);
       kind = std::move(best);
     }
     return kinds;
@@ -256,15 +257,17 @@ class Examination {
   }
 
   /// How often chance makes the last of these as large: two-sided, averaged over what the flights
-  /// leave open about the scatter (its restricted likelihood, times Jeffreys' prior 1 / (noise + v)).
-  /// Where scatter is all there is, this is the t test.
+  /// leave open about the scatter (its restricted likelihood, times Jeffreys' prior 1 / (noise +
+  /// v)). Where scatter is all there is, this is the t test.
   double TailOf(const std::vector<HistoryFinding>& findings) const {
     constexpr int kPoints = 60;
-    constexpr double kFrom = 1e-3, kTo = 1e6;  // in units of the noise's and the residual's variance
+    constexpr double kFrom = 1e-3,
+                     kTo = 1e6;  // in units of the noise's and the residual's variance
     const Eigen::MatrixXd X = DesignOf(findings);
     const double noise = static_cast<double>(size()) / noise_.cwiseInverse().sum();
     const double spread = std::max(noise, FitColumns(X, 0.0).residual_variance);
-    const double low = kFrom * std::min(noise, spread), ratio = std::log(kTo * spread / low) / kPoints;
+    const double low = kFrom * std::min(noise, spread),
+                 ratio = std::log(kTo * spread / low) / kPoints;
     std::vector<double> log_weight, tail;
     for (int i = -1; i <= kPoints; ++i) {
       const double v = i < 0 ? 0.0 : low * std::exp(ratio * i);

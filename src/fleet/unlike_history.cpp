@@ -10,8 +10,8 @@ namespace odmc {
 
 namespace {
 
-/// Wind and how a load hangs are new on every flight and say nothing about the vehicle; where gravity
-/// points does: mounts and centre of the thrust's axis are in it.
+/// Wind and how a load hangs are new on every flight and say nothing about the vehicle; where
+/// gravity points does: mounts and centre of the thrust's axis are in it.
 bool IsOfTheDay(const DynamicModel& model, const ModelParameter& p) {
   return BelongsToFlight(model, p) && p.effect != "gravity";
 }
@@ -33,10 +33,11 @@ std::string Distance(const UnlikeHistory& u, const std::string& unit) {
 
 std::string UnlikeHistory::Sentence(const std::string& unit) const {
   char text[200];
-  std::snprintf(text, sizeof text,
-                " is %.4g %s, %s %s what earlier flights let expect (%.4g +- %.2g; chance in %.1g %%)",
-                value, unit.c_str(), Distance(*this, unit).c_str(),
-                value < expected ? "below" : "above", expected, expected_sigma, 100.0 * p_value);
+  std::snprintf(
+      text, sizeof text,
+      " is %.4g %s, %s %s what earlier flights let expect (%.4g +- %.2g; chance in %.1g %%)", value,
+      unit.c_str(), Distance(*this, unit).c_str(), value < expected ? "below" : "above", expected,
+      expected_sigma, 100.0 * p_value);
   return full_name + text;
 }
 

@@ -68,14 +68,14 @@ std::vector<std::string> Warnings(const std::vector<BenchRun>& runs, const Actua
     warnings.push_back(
         runs[k].file +
         Format(": the torque cell has an offset of %.3g +- %.1g N m, which is taken off",
-             offset.value, offset.sigma));
+               offset.value, offset.sigma));
   }
   for (const ActuatorParameter& p : c.parameters) {
     if (p.name != "delay_s" || !p.found || p.found->value > -2.0 * p.found->sigma) continue;
     warnings.push_back(
         Format("speeds answer %.1f +- %.1f ms before their command: stamps are off by "
-             "at least that",
-             -1e3 * p.found->value, 1e3 * p.found->sigma));
+               "at least that",
+               -1e3 * p.found->value, 1e3 * p.found->sigma));
   }
   if (c.error.outliers > 0)
     warnings.push_back("left out " + std::to_string(c.error.outliers) + " outliers among " +

@@ -19,7 +19,8 @@ constexpr double kCalm_rad_s = 3.0;  // as CheckThrust(): sensors beside the cen
 constexpr int kLeastWindows = 4 * kWindowsPerBlock;
 constexpr int kIterations = 8;
 constexpr double kDegrees = 4.0;  // of Student's t over a block
-// Priors: a vehicle that falls at 10 m/s by drag has 1 m/s² per m/s; thrust grows by half at 10 m/s.
+// Priors: a vehicle that falls at 10 m/s by drag has 1 m/s² per m/s; thrust grows by half at 10
+// m/s.
 constexpr double kDrag = 1.0, kThrustOfSpeed = 0.05;
 constexpr double kUsualNoise = 0.3;  // of a window [m/s²], beside these priors
 constexpr int kRegressors = 5;       // sum of squares, velocity, squared velocity
@@ -47,7 +48,8 @@ Rows RowsOf(const MotionWindows& w, double gravity_m_s2) {
 /// Least squares with a weight for every block of windows.
 class Fit {
  public:
-  explicit Fit(const Rows& rows) : rows_(rows), blocks_((rows.x.rows() - 1) / kWindowsPerBlock + 1) {
+  explicit Fit(const Rows& rows)
+      : rows_(rows), blocks_((rows.x.rows() - 1) / kWindowsPerBlock + 1) {
     weight_ = VectorXd::Ones(blocks_);
     VectorXd precision = VectorXd::Zero(kRegressors);
     precision.segment<3>(1).setConstant(std::pow(kUsualNoise / kDrag, 2));
@@ -78,12 +80,8 @@ class Fit {
   Eigen::Index SizeOf(Eigen::Index b) const {
     return std::min<Eigen::Index>(kWindowsPerBlock, rows_.x.rows() - b * kWindowsPerBlock);
   }
-  MatrixXd XOf(Eigen::Index b) const {
-    return rows_.x.middleRows(b * kWindowsPerBlock, SizeOf(b));
-  }
-  MatrixXd YOf(Eigen::Index b) const {
-    return rows_.y.middleRows(b * kWindowsPerBlock, SizeOf(b));
-  }
+  MatrixXd XOf(Eigen::Index b) const { return rows_.x.middleRows(b * kWindowsPerBlock, SizeOf(b)); }
+  MatrixXd YOf(Eigen::Index b) const { return rows_.y.middleRows(b * kWindowsPerBlock, SizeOf(b)); }
   MatrixXd LeftOf(Eigen::Index b) const { return YOf(b) - XOf(b) * coefficients_; }
 
   void Solve() {

@@ -75,7 +75,8 @@ class Correlator {
     std::vector<std::complex<double>> sums;
     fft_.inv(sums, product);
     VectorXd result(size_a_ + size_b_ - 1);
-    for (Eigen::Index i = 0; i < result.size(); ++i) result[i] = sums[static_cast<size_t>(i)].real();
+    for (Eigen::Index i = 0; i < result.size(); ++i)
+      result[i] = sums[static_cast<size_t>(i)].real();
     return result;
   }
 
@@ -91,9 +92,9 @@ class Correlator {
   Eigen::FFT<double> fft_;
 };
 
-/// Likelihood gained over no relation by the correlation of the speeds of turning, for every shift of
-/// the poses' grid against the gyro's [nats]; 0 where they overlap too little or turn against each
-/// other.
+/// Likelihood gained over no relation by the correlation of the speeds of turning, for every shift
+/// of the poses' grid against the gyro's [nats]; 0 where they overlap too little or turn against
+/// each other.
 VectorXd SpeedGains(const GridRates& poses, const GridRates& gyro) {
   const VectorXd x = poses.rates.colwise().norm().transpose(),
                  y = gyro.rates.colwise().norm().transpose();
@@ -246,9 +247,9 @@ Match CoarseOffset(const SampledSignal& gyro, const SampledSignal& attitude, dou
   return match;
 }
 
-/// Sigma of a lag by leaving out one stretch of the flight after the other (delete-a-group jackknife):
-/// what noise of the poses, lines between them and drift of the clocks do is in it, whatever the blocks
-/// of the regression say.
+/// Sigma of a lag by leaving out one stretch of the flight after the other (delete-a-group
+/// jackknife): what noise of the poses, lines between them and drift of the clocks do is in it,
+/// whatever the blocks of the regression say.
 double JackknifeSigma(const MotionSignals& signals, size_t steps) {
   constexpr size_t kStretches = 8;
   std::vector<double> lags;
@@ -286,8 +287,8 @@ ClockOffset FindClockOffset(const std::vector<ImuSample>& imu,
              kept.end());
   const std::optional<MotionSignals> signals = SignalsOf(pair);
   if (!signals) throw std::invalid_argument("there are fewer than 5 different poses");
-  const std::vector<bool> all(
-      static_cast<size_t>(signals->position.last_s() / kFlightStep_s) + 1, true);
+  const std::vector<bool> all(static_cast<size_t>(signals->position.last_s() / kFlightStep_s) + 1,
+                              true);
   const std::optional<TimeOffset> fine = GyroOffset(*signals, all);
   if (!fine || !fine->lag.determined()) {
     throw std::invalid_argument("the motion does not tell the offset of their clocks");

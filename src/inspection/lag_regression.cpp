@@ -17,11 +17,11 @@ using Eigen::VectorXd;
 
 constexpr double kLongestBlock_s = 1.0, kShortestBlock_s = 0.25;  // longer than that memory
 constexpr int kWantedBlocks = 16, kLeastBlocks = 6;
-constexpr int kLeastRows = 8;         // of a block
-constexpr double kQuietest = 0.3;     // of the median block's size: the least that counts
-constexpr double kElsewhere_s = 0.02; // what lies closer belongs to the same peak
-constexpr int kRounds = 4;            // of colour and sizes of the noise
-constexpr double kHighPass_s = 0.3;   // 3 Hz
+constexpr int kLeastRows = 8;          // of a block
+constexpr double kQuietest = 0.3;      // of the median block's size: the least that counts
+constexpr double kElsewhere_s = 0.02;  // what lies closer belongs to the same peak
+constexpr int kRounds = 4;             // of colour and sizes of the noise
+constexpr double kHighPass_s = 0.3;    // 3 Hz
 constexpr double kLeastShare = 0.333;
 // A disturbance's torque is answered through the motors, tens of milliseconds later and in part. In
 // proportion to what disturbances have of the signal, the answer is taken for the cause, and moves
@@ -29,8 +29,8 @@ constexpr double kLeastShare = 0.333;
 // 15 flights of shared data and simulators with shares of 0.01 to 1 stay within 3 sigma of it.)
 constexpr double kAnswer_s = 0.005;
 constexpr double kMostNoise = 0.1, kLeastLeft = 0.1;  // shares
-constexpr double kFinest_s = 0.0004;   // parabolas are refined down to
-constexpr double kSlopeStep = 0.25;   // of the grid: slopes of the likelihood are taken over
+constexpr double kFinest_s = 0.0004;                  // parabolas are refined down to
+constexpr double kSlopeStep = 0.25;  // of the grid: slopes of the likelihood are taken over
 
 /// What one lag explains.
 struct Fit {
@@ -69,9 +69,7 @@ class Regression {
   void Colour(const MatrixXd& noise);
   void Weigh(const MatrixXd& whitened);
   Fit At(const MatrixXd& moving_in_use) const;
-  Fit AtLag(double lag_s) const {
-    return At(InUse(Whitened(Means(*p_.moving, lag_s, 0, 0)), 0));
-  }
+  Fit AtLag(double lag_s) const { return At(InUse(Whitened(Means(*p_.moving, lag_s, 0, 0)), 0)); }
   MatrixXd GainOf(const MatrixXd& moving_in_use) const;
   VectorXd Nats(const MatrixXd& residual, const MatrixXd& moving_gain) const;
   void Scan();
@@ -117,8 +115,7 @@ Regression::Regression(const LagProblem& problem)
 }
 
 // Means over p_.width_s about every time of the grid and some before and after it.
-MatrixXd Regression::Means(const SampledSignal& signal, double lag_s, int before,
-                           int after) const {
+MatrixXd Regression::Means(const SampledSignal& signal, double lag_s, int before, int after) const {
   MatrixXd x = MatrixXd::Zero(n_ + before + after, signal.channels());
   for (int i = -before; i < n_ + after; ++i) {
     const double t = p_.first_s + i * p_.step_s + lag_s;
@@ -320,8 +317,8 @@ double Regression::Contrast(const Fit& best, double lag_s) const {
   const VectorXd sums = scanned_.colwise().sum().transpose();
   for (int j = 0; j < sums.size(); ++j) {
     if (std::abs(LagOf(j) - lag_s) < std::max(kElsewhere_s, 2.0 * p_.step_s)) continue;
-    const bool peak = (j == 0 || sums[j] >= sums[j - 1]) &&
-                      (j + 1 == sums.size() || sums[j] >= sums[j + 1]);
+    const bool peak =
+        (j == 0 || sums[j] >= sums[j - 1]) && (j + 1 == sums.size() || sums[j] >= sums[j + 1]);
     if (peak) contrast = std::min(contrast, OverItsError(best.nats - scanned_.col(j)));
   }
   return contrast;
@@ -347,8 +344,7 @@ MatrixXd Smoothed(const MatrixXd& x) {
   MatrixXd y = x;
   const Eigen::Index n = x.rows() - 2;
   if (n > 0) {
-    y.middleRows(1, n) =
-        0.25 * (x.topRows(n) + 2.0 * x.middleRows(1, n) + x.bottomRows(n));
+    y.middleRows(1, n) = 0.25 * (x.topRows(n) + 2.0 * x.middleRows(1, n) + x.bottomRows(n));
   }
   return y;
 }

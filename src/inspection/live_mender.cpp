@@ -19,8 +19,8 @@ bool Raise(bool now, bool* flag) { return now && !std::exchange(*flag, true); }
 }  // namespace
 
 double LiveMender::OffsetOf(const std::string& stream) const {
-  const auto found = offset_s_.find(HasOwnStamps(stream) && stream != "rotor_speeds" ? "imu"
-                                                                                     : stream);
+  const auto found =
+      offset_s_.find(HasOwnStamps(stream) && stream != "rotor_speeds" ? "imu" : stream);
   return found == offset_s_.end() ? 0.0 : found->second;
 }
 

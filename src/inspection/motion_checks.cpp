@@ -20,7 +20,7 @@ using Eigen::Vector3d;
 
 constexpr double kDegree = M_PI / 180.0;
 constexpr double kLeastMotion = 0.1;  // m/s or rad/s RMS: what shows less says nothing
-constexpr double kLeastScale = 0.85;   // observers are off by up to 10 %
+constexpr double kLeastScale = 0.85;  // observers are off by up to 10 %
 // One velocity in ten is scaled (an observer's, a wrong unit of flow), by some 10 %.
 constexpr double kScalesAre = 0.1, kScaleSize = 0.1;
 constexpr double kNoScale = 0.005;     // changes nothing worth a replay
@@ -148,8 +148,9 @@ void AddOtherPoint(const MotionWindows& w, std::vector<Explanation>* readings) {
   const Vector3d r = normal.ldlt().solve(right);
   Matrix3Xd left = error;
   for (Eigen::Index i = 0; i < error.cols(); ++i) left.col(i) -= lever(i) * r;
-  readings->push_back({"of a point " + Rounded(r.norm(), 2) + " m away (" + Rounded(r.x(), 2) + ", " +
-                           Rounded(r.y(), 2) + ", " + Rounded(r.z(), 2) + " in the sensor's frame)",
+  readings->push_back({"of a point " + Rounded(r.norm(), 2) + " m away (" + Rounded(r.x(), 2) +
+                           ", " + Rounded(r.y(), 2) + ", " + Rounded(r.z(), 2) +
+                           " in the sensor's frame)",
                        left, true});
 }
 
@@ -189,17 +190,18 @@ void CheckVelocity(const MotionWindows& w, MotionSignals* s, StreamInspection* i
     return drop("its axis " + stuck + " does not change while the position does",
                 "record the whole velocity, or none");
   }
-  std::vector<Explanation> readings = Readings(w.velocity, w.displacement_m_s, w.q_WS, true, kVelocityUnits);
+  std::vector<Explanation> readings =
+      Readings(w.velocity, w.displacement_m_s, w.q_WS, true, kVelocityUnits);
   AddOtherPoint(w, &readings);
   const Verdict verdict = Judge(readings, kWindowsPerBlock);
   if (verdict.mistaken()) {
-    return drop("it fits " + readings[verdict.best].name + " (" + Rounded(verdict.best_error_rms, 2) +
-                    " m/s RMS left instead of " + Rounded(verdict.error_rms, 2) + ")",
+    return drop("it fits " + readings[verdict.best].name + " (" +
+                    Rounded(verdict.best_error_rms, 2) + " m/s RMS left instead of " +
+                    Rounded(verdict.error_rms, 2) + ")",
                 "columns vx, vy, vz are the velocity of the pose's own point in the world frame, "
                 "in m/s");
   }
-  const double unlike =
-      verdict.error_rms * verdict.error_rms / MedianSquare(w.displacement_m_s);
+  const double unlike = verdict.error_rms * verdict.error_rms / MedianSquare(w.displacement_m_s);
   const double unlike_best =
       verdict.best_error_rms * verdict.best_error_rms / MedianSquare(w.displacement_m_s);
   const double whole = (w.velocity - w.displacement_m_s).squaredNorm();
@@ -252,9 +254,9 @@ void CheckRates(const MotionWindows& w, const Vehicle& vehicle, MotionSignals* s
     inspection->drop_rates = true;
     s->rates.reset();
   }
-  const Matrix3d R_SI = vehicle.imu ? (vehicle.odometry.q_BS.conjugate() * vehicle.imu->q_BS)
-                                          .toRotationMatrix()
-                                    : Matrix3d::Identity();
+  const Matrix3d R_SI =
+      vehicle.imu ? (vehicle.odometry.q_BS.conjugate() * vehicle.imu->q_BS).toRotationMatrix()
+                  : Matrix3d::Identity();
   const std::string gyro = WrongRates(w, w.gyro, R_SI);
   if (gyro.empty()) return;
   inspection->findings.push_back(
@@ -293,14 +295,17 @@ constexpr size_t kQuaternionMistakes = 3;  // after the first: those of the quat
 /// The likeliest first.
 const std::vector<PoseMistake>& PoseMistakes() {
   static const char kOrder[] = "give the quaternion as qw, qx, qy, qz";
-  static const char kFrames[] = "turn the pose into a world with z up and a body with x forward, "
-                                "y left, z up";
+  static const char kFrames[] =
+      "turn the pose into a world with z up and a body with x forward, "
+      "y left, z up";
   static const char kWorlds[] = "give position and attitude in one world frame";
   static const char kMetres[] = "give the position in m (columns px, py, pz)";
   static const std::vector<PoseMistake> kAll = {
       {"as it is", "", AsIs, false, false},
-      {"as a conjugated quaternion (world to body)", "conjugate it: it must take body vectors into "
-       "the world", Conjugate, false, false},
+      {"as a conjugated quaternion (world to body)",
+       "conjugate it: it must take body vectors into "
+       "the world",
+       Conjugate, false, false},
       {"as a quaternion in the order x, y, z, w", kOrder, LastIsW, false, false},
       {"as a quaternion whose first number was taken for the last", kOrder, FirstIsW, false, false},
       {"in a world with z down and a body with z down (NED, FRD)", kFrames, AsIs, true, true},
@@ -337,8 +342,9 @@ Matrix3Xd AcrossThrust(const MotionWindows& w, const Vehicle& vehicle, const Pos
   return across;
 }
 
-// Multirotors accelerate by some 3 m/s² (RMS), ten times more or less: in a smaller unit than metres
-// by as many times more. What is nearer to that than to what smaller numbers would be is no metre.
+// Multirotors accelerate by some 3 m/s² (RMS), ten times more or less: in a smaller unit than
+// metres by as many times more. What is nearer to that than to what smaller numbers would be is no
+// metre.
 constexpr double kUsualAcceleration_m_s2 = 3.0;
 
 /// True if the position's numbers may be in the unit of this mistake: a hovering vehicle's that are
@@ -355,8 +361,8 @@ Matrix3Xd OffTurn(const MotionWindows& w, const PoseMistake& mistake) {
   Matrix3Xd off(3, rates.cols());
   for (Eigen::Index i = 0; i < rates.cols(); ++i) {
     const auto k = static_cast<size_t>(i);
-    off.col(i) = rates.col(i) -
-                 Log(mistake.read(w.q0[k]).conjugate() * mistake.read(w.q1[k])) / kWindow_s;
+    off.col(i) =
+        rates.col(i) - Log(mistake.read(w.q0[k]).conjugate() * mistake.read(w.q1[k])) / kWindow_s;
   }
   return off;
 }
@@ -379,7 +385,8 @@ Matrix3Xd OffThrust(const MotionWindows& w, const Vehicle& vehicle, const PoseMi
   return off;
 }
 
-/// True if the truth is nearer to the second of two mistakes, neither of which is likelier beforehand.
+/// True if the truth is nearer to the second of two mistakes, neither of which is likelier
+/// beforehand.
 bool IsNearer(const Matrix3Xd& first, const Matrix3Xd& second) {
   constexpr double kSigmas = 3.0;
   std::vector<Explanation> two(2);
@@ -408,8 +415,8 @@ size_t BestPose(const MotionWindows& w, const Vehicle& vehicle,
   return best;
 }
 
-/// Where the thrust does not tell (a calm flight): the reading of the quaternion whose turn the rates
-/// show, if the thrust, too, fits it rather than the quaternion as it is; otherwise 0.
+/// Where the thrust does not tell (a calm flight): the reading of the quaternion whose turn the
+/// rates show, if the thrust, too, fits it rather than the quaternion as it is; otherwise 0.
 size_t PoseByTurn(const MotionWindows& w, const std::vector<Explanation>& readings) {
   const Matrix3Xd as_is = OffTurn(w, PoseMistakes()[0]);
   if (as_is.cols() == 0) return 0;
@@ -443,9 +450,9 @@ void CheckAttitude(const MotionWindows& w, const Vehicle& vehicle, StreamInspect
   if (best == 0) return;
   const PoseMistake& mistake = PoseMistakes()[best];
   const bool is_position = mistake.position != 1.0;
-  const std::string what = is_position
-                               ? "the position does not move as attitude and thrust say"
-                               : "the attitude does not point the thrust where the vehicle accelerates";
+  const std::string what =
+      is_position ? "the position does not move as attitude and thrust say"
+                  : "the attitude does not point the thrust where the vehicle accelerates";
   const auto rms = [&](size_t i) { return Rounded(std::sqrt(MedianSquare(readings[i].error)), 2); };
   inspection->refusal = what + ": it fits " + mistake.name +
                         " (specific force across the thrust axis " + rms(best) +
@@ -457,8 +464,8 @@ void CheckAttitude(const MotionWindows& w, const Vehicle& vehicle, StreamInspect
                            " rad/s RMS instead of " + Rounded(std::sqrt(MedianSquare(as_is)), 2);
   }
   inspection->refusal += ")";
-  inspection->findings.push_back({is_position ? "position" : "attitude", Trust::kBad,
-                                  inspection->refusal, mistake.mend});
+  inspection->findings.push_back(
+      {is_position ? "position" : "attitude", Trust::kBad, inspection->refusal, mistake.mend});
   inspection->refusal += "; " + mistake.mend;
 }
 
@@ -468,9 +475,9 @@ void CheckAccelerometer(const MotionWindows& w, const Vehicle& vehicle, MotionSi
                         StreamInspection* inspection) {
   if (w.accelerometer.cols() == 0) return;
   const double g = vehicle.gravity_m_s2;
-  const Matrix3d R_IS = vehicle.imu ? (vehicle.imu->q_BS.conjugate() * vehicle.odometry.q_BS)
-                                          .toRotationMatrix()
-                                    : Matrix3d::Identity();
+  const Matrix3d R_IS =
+      vehicle.imu ? (vehicle.imu->q_BS.conjugate() * vehicle.odometry.q_BS).toRotationMatrix()
+                  : Matrix3d::Identity();
   const Matrix3Xd up_W = (g * Vector3d::UnitZ()).replicate(1, w.size());
   const Matrix3Xd up_I = R_IS * Turned(w.q_WS, up_W, true);
   const Matrix3Xd force_I = R_IS * Turned(w.q_WS, w.acceleration_W + up_W, true);

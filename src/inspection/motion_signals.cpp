@@ -26,8 +26,7 @@ constexpr double kLeastThrust = 0.3;
 class Excerpt {
  public:
   explicit Excerpt(double duration_s)
-      : whole_(duration_s <= kLongestLook_s),
-        period_s_(duration_s * kStretch_s / kLongestLook_s) {}
+      : whole_(duration_s <= kLongestLook_s), period_s_(duration_s * kStretch_s / kLongestLook_s) {}
 
   bool Has(double t_s) const {
     return whole_ || (t_s >= 0.0 && std::fmod(t_s, period_s_) < kStretch_s);

@@ -13,18 +13,18 @@ namespace odmc {
 /// Means and differences over short windows of flight, one column a window. Streams that are not
 /// there have no columns.
 struct MotionWindows {
-  std::vector<double> t_s;                        ///< middles
-  std::vector<Eigen::Quaterniond> q_WS, q0, q1;   ///< in the middle, at both ends
-  Eigen::Matrix3Xd displacement_m_s;              ///< of the position, over the window's length
-  Eigen::Matrix3Xd acceleration_W;                ///< second difference of the position
+  std::vector<double> t_s;                       ///< middles
+  std::vector<Eigen::Quaterniond> q_WS, q0, q1;  ///< in the middle, at both ends
+  Eigen::Matrix3Xd displacement_m_s;             ///< of the position, over the window's length
+  Eigen::Matrix3Xd acceleration_W;               ///< second difference of the position
   Eigen::Matrix3Xd velocity, rates, gyro, accelerometer;  ///< means
-  Eigen::MatrixXd rotors;                         ///< means of the squares
+  Eigen::MatrixXd rotors;                                 ///< means of the squares
 
   int size() const { return static_cast<int>(t_s.size()); }
 };
 
-constexpr double kWindow_s = 0.1;      ///< means; accelerations are over three of them
-constexpr int kWindowsPerBlock = 5;    ///< half a second of flight
+constexpr double kWindow_s = 0.1;    ///< means; accelerations are over three of them
+constexpr int kWindowsPerBlock = 5;  ///< half a second of flight
 
 /// Those of the windows in which the attitude turns slower than this [rad/s].
 MotionWindows CalmOnes(const MotionWindows& windows, double most_rad_s);

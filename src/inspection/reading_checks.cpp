@@ -17,7 +17,8 @@ double Since(Stamp stamp, const FlightLog& log) {
   return ToSeconds(stamp - log.odometry.front().stamp);
 }
 
-// ---- Clocks --------------------------------------------------------------------------------------
+// ---- Clocks
+// --------------------------------------------------------------------------------------
 
 /// Streams that have no time in common were stamped by different clocks.
 std::optional<Finding> CheckClocks(const FlightLog& log) {
@@ -34,7 +35,8 @@ std::optional<Finding> CheckClocks(const FlightLog& log) {
                  "stamp both by one clock"};
 }
 
-// ---- Holes ---------------------------------------------------------------------------------------
+// ---- Holes
+// ---------------------------------------------------------------------------------------
 
 // Longer than anything that lines between samples can bridge, and than packets lost in a row.
 constexpr double kHole_s = 0.2;
@@ -88,12 +90,13 @@ void CheckHoles(const FlightLog& log, std::vector<Finding>* findings) {
                        std::make_pair(from_s, to_s)});
 }
 
-// ---- Poses ---------------------------------------------------------------------------------------
+// ---- Poses
+// ---------------------------------------------------------------------------------------
 
 // A position that follows the one before: what is off is the error of the source, an acceleration
-// of 20 g between two samples, and a stamp that is off by a step. Errors have tails that fall like an
-// exponential (corrections of filters) or faster: every tenth of the probability adds no more than
-// the one from a tenth to a hundredth. What one sample in 10^10 has by that is an event.
+// of 20 g between two samples, and a stamp that is off by a step. Errors have tails that fall like
+// an exponential (corrections of filters) or faster: every tenth of the probability adds no more
+// than the one from a tenth to a hundredth. What one sample in 10^10 has by that is an event.
 constexpr double kMostAcceleration_m_s2 = 200.0;
 constexpr double kDecades = 8.0;  // from 10^-2 on
 constexpr double kLongestStep_s = 0.1;
@@ -139,7 +142,8 @@ std::optional<Finding> CheckJumps(const FlightLog& log) {
   }
   if (count == 0) return std::nullopt;
   return Finding{"pose_jump", Trust::kGood,
-                 "the position jumps " + std::string(count == 1 ? "once" : std::to_string(count) + " times") +
+                 "the position jumps " +
+                     std::string(count == 1 ? "once" : std::to_string(count) + " times") +
                      ", by up to " + Format("%.2g", largest_m) + " m (the first at " +
                      Format("%.4g", first_s) + " s), which no vehicle can",
                  "markers exchanged, or a filter that was corrected: look at the pose's source",
@@ -177,22 +181,24 @@ std::optional<Finding> CheckFrozen(const FlightLog& log) {
     const double long_s = ToSeconds(to - from);
     if (long_s <= kFrozen_s || !(SquaresIn(from, to, log) > kCarried * usual)) continue;
     const double zero_s = Since(from, log);
-    return Finding{"frozen_pose", Trust::kGood,
-                   "the pose stays to the last digit for " + Format("%.3g", long_s) + " s in flight",
-                   "its source stalls: look there, or cut the flight before (--end " +
-                       Format("%.3g", zero_s) + ")",
-                   std::make_pair(zero_s, zero_s + long_s)};
+    return Finding{
+        "frozen_pose", Trust::kGood,
+        "the pose stays to the last digit for " + Format("%.3g", long_s) + " s in flight",
+        "its source stalls: look there, or cut the flight before (--end " + Format("%.3g", zero_s) +
+            ")",
+        std::make_pair(zero_s, zero_s + long_s)};
   }
   return std::nullopt;
 }
 
-// ---- Rotor speeds --------------------------------------------------------------------------------
+// ---- Rotor speeds
+// --------------------------------------------------------------------------------
 
 constexpr long kLeastAtLimit = 20;
-constexpr size_t kNeighbours = 5;    // values next to the largest
-constexpr double kTimesMore = 3.0;   // than the most frequent of these
-constexpr double kAccident = 1e-6;   // probability by Poisson's law
-constexpr double kHarmful = 0.02;    // share of readings
+constexpr size_t kNeighbours = 5;   // values next to the largest
+constexpr double kTimesMore = 3.0;  // than the most frequent of these
+constexpr double kAccident = 1e-6;  // probability by Poisson's law
+constexpr double kHarmful = 0.02;   // share of readings
 
 /// Upper bound of the probability of `n` or more where `mean` are expected (Chernoff).
 double PoissonTail(double n, double mean) {
@@ -235,15 +241,18 @@ std::optional<Finding> CheckLimit(const FlightLog& log) {
                  "widen the range of the speed's sensor or message"};
 }
 
-// ---- Battery -------------------------------------------------------------------------------------
+// ---- Battery
+// -------------------------------------------------------------------------------------
 
 struct VoltageUnit {
   const char* name;
   double factor, prior;
 };
 
-constexpr VoltageUnit kVoltageUnits[] = {
-    {"V", 1.0, 0.9}, {"mV", 1e3, 0.06}, {"hundredths of V (cV)", 1e2, 0.03}, {"tenths of V (dV)", 10.0, 0.01}};
+constexpr VoltageUnit kVoltageUnits[] = {{"V", 1.0, 0.9},
+                                         {"mV", 1e3, 0.06},
+                                         {"hundredths of V (cV)", 1e2, 0.03},
+                                         {"tenths of V (dV)", 10.0, 0.01}};
 // Voltage over the mass to the power 0.4: 3.8 V at 35 g, 15 V at 0.8 kg, 45 V at 10 kg.
 constexpr double kVoltsAtOneKilogram = 16.0, kPower = 0.4, kLogSigma = 0.6;
 
@@ -265,10 +274,11 @@ std::optional<Finding> CheckBattery(const FlightLog& log, const Vehicle& vehicle
     best = &unit;
   }
   if (best == nullptr || !(right < 1e-4 * sum)) return std::nullopt;
-  return Finding{"battery_unit", Trust::kGood,
-                 "the battery's voltage, " + Format("%.4g", median) + ", is not in V but in " +
-                     best->name + " (probability " + Format("%.2g", most / sum) + ")",
-                 "divide it by " + Format("%g", best->factor) + " (column vbat, BatteryState.voltage)"};
+  return Finding{
+      "battery_unit", Trust::kGood,
+      "the battery's voltage, " + Format("%.4g", median) + ", is not in V but in " + best->name +
+          " (probability " + Format("%.2g", most / sum) + ")",
+      "divide it by " + Format("%g", best->factor) + " (column vbat, BatteryState.voltage)"};
 }
 
 }  // namespace

@@ -96,7 +96,8 @@ struct Levers {
     const int n = vehicle.num_rotors();
     for (int j = 0; j < n; ++j) {
       for (int i = 0; i < j; ++i) {
-        if (IsCoaxial(vehicle.rotors[static_cast<size_t>(i)], vehicle.rotors[static_cast<size_t>(j)])) {
+        if (IsCoaxial(vehicle.rotors[static_cast<size_t>(i)],
+                      vehicle.rotors[static_cast<size_t>(j)])) {
           coaxial.emplace_back(i, j);
         }
       }
@@ -472,8 +473,8 @@ std::string OtherCause(const Vehicle& vehicle, const Order& order) {
 
 std::string Figures(const AssignmentTest& test) {
   return " with " + Rounded(test.nats) +
-         " nats more than the vehicle file's (which has a probability of " + Rounded(test.file_share) +
-         ")";
+         " nats more than the vehicle file's (which has a probability of " +
+         Rounded(test.file_share) + ")";
 }
 
 /// Where more than one fits.
@@ -489,8 +490,8 @@ std::string Lines(const RotorAssignment& assignment, const Vehicle& vehicle, boo
     const auto place = static_cast<size_t>(assignment.order[j]);
     const Eigen::Vector3d& p = vehicle.rotors[place].p_BP;
     const double spin = with_spin ? assignment.spin[j] : vehicle.rotors[place].spin;
-    lines.push_back("{position_m: [" + Rounded(p.x()) + ", " + Rounded(p.y()) + ", " + Rounded(p.z()) +
-                    "], spin: " + (spin > 0.0 ? "cw" : "ccw") + "}");
+    lines.push_back("{position_m: [" + Rounded(p.x()) + ", " + Rounded(p.y()) + ", " +
+                    Rounded(p.z()) + "], spin: " + (spin > 0.0 ? "cw" : "ccw") + "}");
   }
   return "rotors would be " + Join(lines);
 }

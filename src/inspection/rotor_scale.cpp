@@ -215,8 +215,7 @@ RotorScale FindRotorScale(const RotorResponse& response, const Vehicle& vehicle)
   result = Compare(fits, balance.Solve(-1).chi, balance.degrees(), response.share);
   result.doubts = Doubts(fits, balance.degrees());
   const double sign = result.factor < 1.0 ? 1.0 : -1.0;
-  result.effects_say =
-      sign * Says(Balance(response, vehicle, Witness::kEffects), result.rotor);
+  result.effects_say = sign * Says(Balance(response, vehicle, Witness::kEffects), result.rotor);
   result.steady_says = sign * Says(Balance(response, vehicle, Witness::kSteady), result.rotor);
   return result;
 }

@@ -55,9 +55,7 @@ std::vector<Unit> Units() {
   return units;
 }
 
-double Density(double x, double sigma) {
-  return std::exp(-0.5 * x * x / (sigma * sigma)) / sigma;
-}
+double Density(double x, double sigma) { return std::exp(-0.5 * x * x / (sigma * sigma)) / sigma; }
 
 /// Of a thrust coefficient, up to a factor. @param setting what the file says of it
 double PriorOf(double k_f, const ParameterSetting& setting, const Vehicle& vehicle) {
@@ -85,7 +83,8 @@ RotorUnit FindRotorUnit(double carrying_k_f, const Vehicle& vehicle) {
   if (!(sum > 0.0)) return {};
   RotorUnit result;
   result.declared_share = units.front().prior / sum;
-  std::sort(units.begin(), units.end(), [](const Unit& a, const Unit& b) { return a.prior > b.prior; });
+  std::sort(units.begin(), units.end(),
+            [](const Unit& a, const Unit& b) { return a.prior > b.prior; });
   result.best = units[0].name;
   result.best_share = units[0].prior / sum;
   result.mend = units[0].mend;
@@ -114,8 +113,8 @@ namespace {
 std::optional<double> CarryingThrust(const MotionWindows& w, const Vehicle& vehicle) {
   std::vector<double> ratios;
   for (int i = 0; i < w.rotors.cols(); ++i) {
-    const Eigen::Vector3d force_W = Eigen::Vector3d(w.acceleration_W.col(i)) +
-                                    vehicle.gravity_m_s2 * Eigen::Vector3d::UnitZ();
+    const Eigen::Vector3d force_W =
+        Eigen::Vector3d(w.acceleration_W.col(i)) + vehicle.gravity_m_s2 * Eigen::Vector3d::UnitZ();
     const double squares = w.rotors.col(i).sum();
     if (squares > 0.0) ratios.push_back(vehicle.mass_kg * force_W.norm() / squares);
   }

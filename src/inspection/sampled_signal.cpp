@@ -42,8 +42,7 @@ bool SampledSignal::Covers(double from_s, double to_s) const {
 Eigen::VectorXd SampledSignal::At(double t_s) const {
   const int i = Before(t_s);
   if (size() < 2) return values_.col(0);
-  const double share =
-      std::clamp((t_s - times_s_[i]) / (times_s_[i + 1] - times_s_[i]), 0.0, 1.0);
+  const double share = std::clamp((t_s - times_s_[i]) / (times_s_[i + 1] - times_s_[i]), 0.0, 1.0);
   return (1.0 - share) * values_.col(i) + share * values_.col(i + 1);
 }
 

@@ -12,8 +12,8 @@ RareError Posterior(double value, double sigma, double prior, double size) {
   const double all = sigma * sigma + size * size;  // variance of the measurement if there is one
   const double share = size * size / all;
   // Logarithm of the likelihoods' ratio; beyond 500 the answer is known.
-  const double nats = std::log(sigma / std::sqrt(all)) +
-                      0.5 * value * value * (1.0 / (sigma * sigma) - 1.0 / all);
+  const double nats =
+      std::log(sigma / std::sqrt(all)) + 0.5 * value * value * (1.0 / (sigma * sigma) - 1.0 / all);
   const double odds = prior / (1.0 - prior) * std::exp(std::fmin(nats, 500.0));
   return {odds / (1.0 + odds), share * value, std::sqrt(share) * sigma};
 }

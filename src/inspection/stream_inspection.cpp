@@ -138,9 +138,8 @@ Finding OffsetFinding(const TimeOffset& offset, bool taken_off) {
   finding.check = offset.stream + "_offset";
   finding.leaves = sure && taken_off ? Trust::kGood : Trust::kDoubtful;
   finding.what = Called(offset.stream) + " stamped " + Milliseconds(lag.lag_s) +
-                 (lag.lag_s > 0.0 ? " late" : " early") + " (sigma " +
-                 Milliseconds(lag.sigma_s()) + ", against " + offset.against + ")" +
-                 (taken_off ? "; this was taken off" : "");
+                 (lag.lag_s > 0.0 ? " late" : " early") + " (sigma " + Milliseconds(lag.sigma_s()) +
+                 ", against " + offset.against + ")" + (taken_off ? "; this was taken off" : "");
   finding.mend = sure ? "mend the stamps at the source"
                       : "mend the stamps at the source, or fly livelier: the flight shows the "
                         "offset badly";

@@ -142,9 +142,7 @@ std::optional<TimeOffset> RotorOffset(const MotionSignals& s, const Vehicle& veh
                                       const std::vector<bool>& flight) {
   if (!s.rotors) return std::nullopt;
   const bool from_gyro = !s.rates && s.gyro && vehicle.imu;
-  const SampledSignal rates = s.rates     ? *s.rates
-                              : from_gyro ? *s.gyro
-                                          : TurnsOf(s.attitude);
+  const SampledSignal rates = s.rates ? *s.rates : from_gyro ? *s.gyro : TurnsOf(s.attitude);
   const Eigen::Matrix3d R_BS =
       (from_gyro ? vehicle.imu->q_BS : vehicle.odometry.q_BS).toRotationMatrix();
   const SampledSignal velocity = s.velocity ? *s.velocity : DifferencesOf(s.position);
@@ -154,8 +152,7 @@ std::optional<TimeOffset> RotorOffset(const MotionSignals& s, const Vehicle& veh
     const double t = 0.5 * (from + to), h = to - from;
     if (!rates.Covers(t - h, t + h) || !velocity.Covers(t - h, t + h)) return false;
     const Vector3d w_B = R_BS * Vector3d(rates.Mean(t - h, t + h));
-    const Vector3d w_dot_B =
-        R_BS * Vector3d((rates.Mean(t, t + h) - rates.Mean(t - h, t)) / h);
+    const Vector3d w_dot_B = R_BS * Vector3d((rates.Mean(t, t + h) - rates.Mean(t - h, t)) / h);
     const Vector3d v_B = R_BS * (s.q_WS(t).conjugate() * Vector3d(velocity.Mean(t - h, t + h)));
     p.y.row(i) = w_dot_B.head<2>().transpose();
     p.fixed.row(i) << w_B.transpose(), v_B.transpose(), w_B.y() * w_B.z(), w_B.x() * w_B.z(), 1.0;
@@ -215,4 +212,3 @@ std::optional<TimeOffset> Together(const std::optional<TimeOffset>& a,
 }
 
 }  // namespace odmc
-

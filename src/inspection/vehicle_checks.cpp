@@ -73,11 +73,12 @@ void CheckWeight(double k_f, const Vehicle& vehicle, StreamInspection* inspectio
   const double relative = setting->second.sigma ? *setting->second.sigma / file : 1.0;
   const double off = std::log(k_f / file);
   if (!(k_f > 0.0) || std::abs(off) < std::max(kSigmas * relative, std::log(kLeastFactor))) return;
-  inspection->findings.push_back(
-      {"weight", Trust::kDoubtful,
-       "in flight thrust is " + Rounded(file / k_f, 2) + " times the weight by the file's k_f and mass",
-       "check mass_kg (" + Rounded(vehicle.mass_kg * file / k_f, 2) + " would fit) or thrust.k_f (" +
-           Rounded(k_f, 2) + " would fit), and the unit of the rotor speeds"});
+  inspection->findings.push_back({"weight", Trust::kDoubtful,
+                                  "in flight thrust is " + Rounded(file / k_f, 2) +
+                                      " times the weight by the file's k_f and mass",
+                                  "check mass_kg (" + Rounded(vehicle.mass_kg * file / k_f, 2) +
+                                      " would fit) or thrust.k_f (" + Rounded(k_f, 2) +
+                                      " would fit), and the unit of the rotor speeds"});
 }
 
 // ---- Lean --------------------------------------------------------------------------------------
@@ -144,11 +145,11 @@ bool CheckFeltGravity(const MotionWindows& w, const BodyMotion& motion, const Ma
   const Lean lean = FitLean(felt, world_x, world_y);
   if (lean.sigma > kLean_rad / kLeanSigmas) return false;
   if (lean.angle.norm() < std::max(kLean_rad, kLeanSigmas * lean.sigma)) return true;
-  inspection->findings.push_back(
-      {"gravity_lean", Trust::kDoubtful,
-       "the world's z leans by " + Degrees(lean.angle) + " against the gravity that the "
-       "accelerometer feels",
-       "level the motion capture or the filter's world frame"});
+  inspection->findings.push_back({"gravity_lean", Trust::kDoubtful,
+                                  "the world's z leans by " + Degrees(lean.angle) +
+                                      " against the gravity that the "
+                                      "accelerometer feels",
+                                  "level the motion capture or the filter's world frame"});
   return true;
 }
 
@@ -212,8 +213,8 @@ void CheckInertiaBounds(const Vehicle& vehicle, StreamInspection* inspection) {
                            " m: that has between " + Rounded(least, 2) + " and " + Rounded(most, 2);
   const bool absurd = largest > kBeyondGuessing * most || kBeyondGuessing * smallest < least;
   const std::string mend = "check inertia_kg_m2, mass_kg and the rotors' positions";
-  inspection->findings.push_back({"inertia_bounds", absurd ? Trust::kBad : Trust::kDoubtful, what,
-                                  mend});
+  inspection->findings.push_back(
+      {"inertia_bounds", absurd ? Trust::kBad : Trust::kDoubtful, what, mend});
   if (absurd && inspection->refusal.empty()) inspection->refusal = what + "; " + mend;
 }
 
@@ -266,7 +267,8 @@ void CheckInertia(const MotionSignals& signals, const Vehicle& vehicle,
         {"inertia", Trust::kDoubtful,
          std::string("inertia about ") + "xy"[axis] + " is " + Rounded(ratio, 2) +
              " times the file's by the rotors' torque between 3 and 20 Hz",
-         "check inertia_kg_m2 (about " + Rounded(inertia, 2) + " would fit) and the rotors' positions"});
+         "check inertia_kg_m2 (about " + Rounded(inertia, 2) +
+             " would fit) and the rotors' positions"});
   }
 }
 

@@ -17,7 +17,8 @@ using Eigen::VectorXd;
 
 constexpr double kTold = 0.99;
 // Hardly anybody builds a frame whose spins are neither the drawing's nor their mirror image. Where
-// the flight does not tell these two apart, the drawing is four times as likely as propellers "out".
+// the flight does not tell these two apart, the drawing is four times as likely as propellers
+// "out".
 constexpr double kOdd = 0.01, kAsDrawn = 0.8;
 // Where the rotors explain this share of the turning, the torque regression was within 4 % on
 // simulated flights, and within 20 % (filtered rates: 50 to 110 %) of what is published of five
@@ -186,8 +187,8 @@ void FitRotors(const FlightLog& log, const Vehicle& nominal, VehicleFit* fit) {
 }  // namespace
 
 bool IsOfVehicle(const Finding& finding) {
-  for (const char* check : {"vehicle_units", "inertia_bounds", "inertia", "gravity", "weight", "body_lean",
-                            "rotor_unit", "battery_unit"}) {
+  for (const char* check : {"vehicle_units", "inertia_bounds", "inertia", "gravity", "weight",
+                            "body_lean", "rotor_unit", "battery_unit"}) {
     if (finding.check == check) return true;
   }
   return false;
@@ -205,13 +206,12 @@ VehicleFit FitVehicle(FlightLog log, const Vehicle& nominal) {
   const std::vector<bool> flight = FindFlight(*signals);
   fit.balance = BalanceForces(*signals, nominal.gravity_m_s2, flight);
   const auto& findings = fit.streams.findings;
-  fit.leans = fit.balance && std::any_of(findings.begin(), findings.end(), [](const Finding& f) {
-                return f.check == "body_lean";
-              });
+  fit.leans = fit.balance && std::any_of(findings.begin(), findings.end(),
+                                         [](const Finding& f) { return f.check == "body_lean"; });
   Vehicle upright = nominal;
   if (fit.leans) {
-    upright.odometry.q_BS = Eigen::Quaterniond::FromTwoVectors(fit.balance->thrust_axis_S,
-                                                               Eigen::Vector3d::UnitZ());
+    upright.odometry.q_BS =
+        Eigen::Quaterniond::FromTwoVectors(fit.balance->thrust_axis_S, Eigen::Vector3d::UnitZ());
   }
   FitRotors(log, upright, &fit);
   FitInertia(*signals, flight, upright, &fit);

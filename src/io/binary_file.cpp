@@ -18,7 +18,8 @@ std::string ReadBinary(const std::string& file) {
   if (size > kMost) RefuseFile(file, "has more than 2 GB: cut the flight out first");
   std::string bytes(static_cast<size_t>(size), '\0');
   std::ifstream in(file, std::ios::binary);
-  if (!in.read(bytes.data(), static_cast<std::streamsize>(size))) RefuseFile(file, "cannot be read");
+  if (!in.read(bytes.data(), static_cast<std::streamsize>(size)))
+    RefuseFile(file, "cannot be read");
   return bytes;
 }
 

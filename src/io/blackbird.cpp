@@ -43,16 +43,21 @@ std::string AtTime(Stamp stamp) {
 Vector3d FluFromImu(const Vector3d& v, int yaw_deg) {
   const double x = v.x(), y = v.y();
   switch (yaw_deg) {
-    case 0: return {x, -y, -v.z()};
-    case 90: return {-y, -x, -v.z()};
-    case 180: return {-x, y, -v.z()};
-    default: return {y, x, -v.z()};
+    case 0:
+      return {x, -y, -v.z()};
+    case 90:
+      return {-y, -x, -v.z()};
+    case 180:
+      return {-x, y, -v.z()};
+    default:
+      return {y, x, -v.z()};
   }
 }
 
 Matrix3Xd FluFromImu(const Matrix3Xd& v, int yaw_deg) {
   Matrix3Xd turned(3, v.cols());
-  for (Eigen::Index i = 0; i < v.cols(); ++i) turned.col(i) = FluFromImu(Vector3d(v.col(i)), yaw_deg);
+  for (Eigen::Index i = 0; i < v.cols(); ++i)
+    turned.col(i) = FluFromImu(Vector3d(v.col(i)), yaw_deg);
   return turned;
 }
 
@@ -130,8 +135,8 @@ TimedTurns TurnsOf(const std::vector<BlackbirdFlight::Pose>& poses,
 }
 
 /// Of the gyro or the accelerometer, in the IMU's axes.
-TimedVectors SignalOf(const std::vector<ImuSample>& imu,
-                      std::optional<Vector3d> ImuSample::*value, Stamp zero) {
+TimedVectors SignalOf(const std::vector<ImuSample>& imu, std::optional<Vector3d> ImuSample::*value,
+                      Stamp zero) {
   TimedVectors signal;
   signal.values.resize(3, static_cast<Eigen::Index>(imu.size()));
   for (size_t i = 0; i < imu.size(); ++i) {
@@ -202,18 +207,19 @@ Findings CheckImu(const std::vector<BlackbirdFlight::Pose>& poses,
     return *std::find_if(choices.begin(), choices.end(),
                          [&](const Findings& f) { return f.Text() == text; });
   };
-  return choice(FirstAccepted(
-      residuals.Fitting(Findings().Text(), 0.3, 0.1, "attitude against gyro"),
-      [&](const std::string& text) {
-        const Findings findings = choice(text);
-        CheckGravity(TurnsOf(poses, ReadingNamed(findings.quaternion)), force,
-                     findings.imu_yaw_deg);
-      }));
+  return choice(
+      FirstAccepted(residuals.Fitting(Findings().Text(), 0.3, 0.1, "attitude against gyro"),
+                    [&](const std::string& text) {
+                      const Findings findings = choice(text);
+                      CheckGravity(TurnsOf(poses, ReadingNamed(findings.quaternion)), force,
+                                   findings.imu_yaw_deg);
+                    }));
 }
 
 Findings Check(const BlackbirdFlight& flight, FlightLog* log) {
   const std::vector<BlackbirdFlight::Pose> poses = Sparse(flight.poses);
-  if (poses.size() < 3) throw std::invalid_argument("only " + std::to_string(poses.size()) + " poses");
+  if (poses.size() < 3)
+    throw std::invalid_argument("only " + std::to_string(poses.size()) + " poses");
   if (!flight.imu.empty()) return CheckImu(poses, flight.imu);
   log->warnings.push_back(log->file + ": no IMU, only the direction of gravity is checked");
   const TimedTurns turns = TurnsOf(poses, QuaternionReadings().front());
@@ -241,9 +247,8 @@ class RotorAligner {
     while (!pending_.empty() && IsReached(pending_.front())) {
       const Stamp stamp = pending_.front();
       pending_.pop_front();
-      const bool is_covered = std::all_of(histories_.begin(), histories_.end(), [&](const auto& h) {
-        return h.front().stamp <= stamp;
-      });
+      const bool is_covered = std::all_of(histories_.begin(), histories_.end(),
+                                          [&](const auto& h) { return h.front().stamp <= stamp; });
       if (!is_covered) {
         ++not_covered_;
         continue;
@@ -258,8 +263,9 @@ class RotorAligner {
 
   void Report(FlightLog* log) {
     not_covered_ += static_cast<long>(pending_.size());
-    Tell(spread_too_far_, "rotor messages left out: their stamps differ by more than " +
-                              std::to_string(most_spread_ / 1000000) + " ms",
+    Tell(spread_too_far_,
+         "rotor messages left out: their stamps differ by more than " +
+             std::to_string(most_spread_ / 1000000) + " ms",
          log);
     Tell(not_covered_, "rotor messages left out: no sample of every rotor on both sides", log);
   }
@@ -294,9 +300,8 @@ class RotorAligner {
   }
 
   bool IsReached(Stamp stamp) const {
-    return std::all_of(histories_.begin(), histories_.end(), [&](const auto& h) {
-      return !h.empty() && h.back().stamp >= stamp;
-    });
+    return std::all_of(histories_.begin(), histories_.end(),
+                       [&](const auto& h) { return !h.empty() && h.back().stamp >= stamp; });
   }
 
   static double At(Stamp stamp, std::deque<Reading>* history) {
@@ -373,7 +378,8 @@ void Convert(BlackbirdFlight* flight, const FlightReadOptions& options, FlightLo
   aligner.Report(log);
   if (log->rotors.empty()) throw std::invalid_argument("no usable rotor speeds");
   CheckCount(static_cast<size_t>(log->rotors.front().speed.size()), options.num_rotors);
-  for (const auto& command : flight->commands) CheckCount(command.pwm_us.size(), options.num_rotors);
+  for (const auto& command : flight->commands)
+    CheckCount(command.pwm_us.size(), options.num_rotors);
 }
 
 }  // namespace

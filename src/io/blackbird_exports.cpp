@@ -105,14 +105,15 @@ class Row {
     double value = 0.0;
     if (ParseNumber(Unquoted(cell), &value)) return value;
     RefuseFile(file_, "line " + std::to_string(line_) + ": column '" + name + "': cannot read '" +
-                    Printable(cell, 40) + "' as a number");
+                          Printable(cell, 40) + "' as a number");
   }
   Stamp Whole(size_t i) const {
     const std::string& cell = cells_[i];
     if (cell.empty() || cell.size() > 10 ||
         cell.find_first_not_of("0123456789") != std::string::npos) {
-      RefuseFile(file_, "line " + std::to_string(line_) + ": columns 'secs', 'nsecs': cannot read '" +
-                      Printable(cell, 20) + "' as a stamp");
+      RefuseFile(file_, "line " + std::to_string(line_) +
+                            ": columns 'secs', 'nsecs': cannot read '" + Printable(cell, 20) +
+                            "' as a stamp");
     }
     return std::atoll(cell.c_str());
   }
@@ -153,8 +154,7 @@ class Export {
       for (const size_t column : columns) picked.push_back(cells[column]);
       use(Row(file_, lines_.number(), wanted, std::move(picked)));
     }
-    refusals.Report(PrintableName(file_),
-                    "rows with fewer or more cells than the header", log);
+    refusals.Report(PrintableName(file_), "rows with fewer or more cells than the header", log);
   }
 
  private:
@@ -197,10 +197,9 @@ void ReadState(const std::string& file, FlightLog* log, BlackbirdFlight* flight)
       WithStamp({"position.x", "position.y", "position.z", "orientation.w", "orientation.x",
                  "orientation.y", "orientation.z"}),
       log, [&](const Row& row) {
-        flight->poses.push_back(
-            {row.StampAt(0),
-             {row.Number(2), row.Number(3), row.Number(4)},
-             {row.Number(5), row.Number(6), row.Number(7), row.Number(8)}});
+        flight->poses.push_back({row.StampAt(0),
+                                 {row.Number(2), row.Number(3), row.Number(4)},
+                                 {row.Number(5), row.Number(6), row.Number(7), row.Number(8)}});
       });
 }
 
@@ -232,7 +231,7 @@ void ReadRotors(const std::string& file, FlightLog* log, BlackbirdFlight* flight
     if (message.stamps.empty()) message.stamps.assign(message.rpm.size(), row.StampAt(0));
     if (message.rpm.empty() || message.stamps.size() != message.rpm.size()) {
       RefuseFile(file, std::to_string(message.stamps.size()) + " stamps for " +
-                     std::to_string(message.rpm.size()) + " rotor speeds");
+                           std::to_string(message.rpm.size()) + " rotor speeds");
     }
     flight->rotors.push_back(std::move(message));
   });
@@ -249,7 +248,8 @@ void ReadCommands(const std::string& file, FlightLog* log, BlackbirdFlight* flig
 /// Nanoseconds of a time since 1970 whose unit (s, ms, us, ns) is told by its size; digits of whole
 /// numbers are kept exactly.
 Stamp EpochStamp(const std::string& text, double value) {
-  const bool is_whole = text.find_first_not_of("0123456789") == std::string::npos && text.size() < 19;
+  const bool is_whole =
+      text.find_first_not_of("0123456789") == std::string::npos && text.size() < 19;
   for (const auto& [limit, scale] :
        {std::pair{1e17, Stamp{1}}, {1e14, Stamp{1000}}, {1e11, Stamp{1000000}}}) {
     if (value < limit) continue;
@@ -264,10 +264,14 @@ Stamp EpochStamp(const std::string& text, double value) {
   return static_cast<Stamp>(whole) * kSecond + FromSeconds(fraction);
 }
 
-const std::vector<Strings> kPoseNames = {
-    {"timestamp", "time", "t"}, {"x", "px", "p_x", "tx"}, {"y", "py", "p_y", "ty"},
-    {"z", "pz", "p_z", "tz"},   {"qw", "q_w"},            {"qx", "q_x"},
-    {"qy", "q_y"},              {"qz", "q_z"}};
+const std::vector<Strings> kPoseNames = {{"timestamp", "time", "t"},
+                                         {"x", "px", "p_x", "tx"},
+                                         {"y", "py", "p_y", "ty"},
+                                         {"z", "pz", "p_z", "tz"},
+                                         {"qw", "q_w"},
+                                         {"qx", "q_x"},
+                                         {"qy", "q_y"},
+                                         {"qz", "q_z"}};
 
 /// Columns by the header; in the documented order where the file has none.
 std::vector<size_t> PoseColumns(const std::string& file, const Strings& first) {
@@ -282,9 +286,11 @@ std::vector<size_t> PoseColumns(const std::string& file, const Strings& first) {
     for (size_t i = 0; i < first.size(); ++i) {
       std::string name = CleanName(first[i]);
       for (char& c : name) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-      if (std::find(choices.begin(), choices.end(), name) != choices.end()) column = std::min(column, i);
+      if (std::find(choices.begin(), choices.end(), name) != choices.end())
+        column = std::min(column, i);
     }
-    if (column == first.size()) RefuseFile(file, "line 1: missing column '" + choices.front() + "'");
+    if (column == first.size())
+      RefuseFile(file, "line 1: missing column '" + choices.front() + "'");
     columns.push_back(column);
   }
   return columns;
@@ -310,12 +316,12 @@ void ReadGroundTruth(const std::string& file, FlightLog* log, BlackbirdFlight* f
     std::array<double, 8> v{};
     for (size_t i = 0; i < v.size(); ++i) {
       if (ParseNumber(cells[columns[i]], &v[i])) continue;
-      RefuseFile(file, "line " + std::to_string(lines.number()) + ": column '" + kPoseNames[i].front() +
-                     "': cannot read '" + Printable(cells[columns[i]], 40) + "' as a number");
+      RefuseFile(file, "line " + std::to_string(lines.number()) + ": column '" +
+                           kPoseNames[i].front() + "': cannot read '" +
+                           Printable(cells[columns[i]], 40) + "' as a number");
     }
-    flight->poses.push_back({EpochStamp(cells[columns[0]], v[0]),
-                             {v[1], v[2], v[3]},
-                             {v[4], v[5], v[6], v[7]}});
+    flight->poses.push_back(
+        {EpochStamp(cells[columns[0]], v[0]), {v[1], v[2], v[3]}, {v[4], v[5], v[6], v[7]}});
   }
   refusals.Report(PrintableName(file), "rows with fewer or more cells than the header", log);
 }
@@ -333,8 +339,8 @@ std::string FileOf(const std::string& folder, const Strings& names) {
 }
 
 std::string ExportOf(const std::string& folder, const std::string& topic) {
-  return FileOf(folder, {"blackbird_slash_" + topic + ".csv",
-                         "_slash_blackbird_slash_" + topic + ".csv"});
+  return FileOf(folder,
+                {"blackbird_slash_" + topic + ".csv", "_slash_blackbird_slash_" + topic + ".csv"});
 }
 
 }  // namespace
@@ -351,7 +357,8 @@ FlightLog ReadBlackbird(const std::string& folder, const FlightReadOptions& opti
                     imu = ExportOf(folder, "imu"), pwm = ExportOf(folder, "pwm"),
                     truth = FileOf(folder, {"groundTruthPoses.csv"});
   if (state.empty() && truth.empty()) {
-    RefuseFile(folder, "neither blackbird_slash_state.csv nor groundTruthPoses.csv, here or in csv/");
+    RefuseFile(folder,
+               "neither blackbird_slash_state.csv nor groundTruthPoses.csv, here or in csv/");
   }
   if (rotors.empty()) RefuseFile(folder, "no blackbird_slash_rotor_rpm.csv, here or in csv/");
   FlightLog log;

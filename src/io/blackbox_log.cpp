@@ -117,9 +117,9 @@ Decoded DecodeLongest(const std::string& file, std::string_view bytes, int num_r
 void Report(const std::string& file, const BlackboxFrames& frames, size_t bytes, FlightLog* log) {
   if (frames.stamps.size() < 2) {
     RefuseFile(file, "blackbox log: no frame can be decoded after the header" +
-                   (frames.damaged > 0
-                        ? " (damaged from byte " + std::to_string(frames.first_damaged) + " on)"
-                        : std::string()));
+                         (frames.damaged > 0 ? " (damaged from byte " +
+                                                   std::to_string(frames.first_damaged) + " on)"
+                                             : std::string()));
   }
   ReportDamage(file,
                {frames.damaged, frames.first_damaged, frames.skipped_bytes, frames.is_cut_off},
@@ -131,7 +131,8 @@ void ReadPoses(const std::string& file, const Decoded& decoded, FlightPart part,
   const Fields p(frames, "pos", 3), q(frames, "quat", 4), v(frames, "vel", 3);
   if (!p.present() || !q.present()) {
     if (part == FlightPart::kOnboard) return;
-    RefuseFile(file, "this blackbox log (" + Printable(decoded.header.Text("Firmware revision"), 80) +
+    RefuseFile(file,
+               "this blackbox log (" + Printable(decoded.header.Text("Firmware revision"), 80) +
                    ") has no pose: fields pos[0..2], quat[0..3] are missing, Betaflight writes "
                    "none. --odometry FILE takes it from a recording beside the log (a rosbag or "
                    "CSV file of motion capture or VIO)");
@@ -210,7 +211,7 @@ void ReadCommands(const std::string& file, const Decoded& decoded, int num_rotor
   while (decoded.header.FieldNamed(Indexed("motor", motors))) ++motors;
   if (motors > 0 && motors != num_rotors) {
     RefuseFile(file, "has " + std::to_string(motors) + " motors, the vehicle has " +
-                   std::to_string(num_rotors) + " rotors");
+                         std::to_string(num_rotors) + " rotors");
   }
   const auto low = decoded.header.Number("motorOutput", 0);
   const auto high = decoded.header.Number("motorOutput", 1);
@@ -244,7 +245,8 @@ bool IsBlackbox(std::string_view head) { return head.substr(0, kStart.size()) ==
 
 FlightLog ReadBlackbox(const std::string& file, const FlightReadOptions& options) {
   if (options.pose == PoseSource::kMocap) {
-    RefuseFile(file, "--pose mocap is for CSV files and bags; a blackbox log has the observer's pose");
+    RefuseFile(file,
+               "--pose mocap is for CSV files and bags; a blackbox log has the observer's pose");
   }
   const std::string bytes = ReadBinary(file);
   FlightLog log;
@@ -259,8 +261,8 @@ FlightLog ReadBlackbox(const std::string& file, const FlightReadOptions& options
     ReadBattery(decoded, &log);
     if (log.rotors.empty() && log.commands.empty()) {
       RefuseFile(file,
-           "has no rotor speeds (fields omega or eRPM): switch on bidirectional DShot "
-           "(set dshot_bidir = ON) and log RPM");
+                 "has no rotor speeds (fields omega or eRPM): switch on bidirectional DShot "
+                 "(set dshot_bidir = ON) and log RPM");
     }
   }
   const std::string rate =

@@ -24,7 +24,7 @@ constexpr int kIntraEvery = 32;  // frames
 struct Fields {
   std::string name;  ///< of NAME[0], NAME[1], ...; one alone has no brackets
   bool is_signed = true;
-  double scale = 1.0;  ///< units of the log per ours
+  double scale = 1.0;   ///< units of the log per ours
   double offset = 0.0;  ///< in units of the log
 };
 
@@ -81,8 +81,8 @@ void AddPoses(const FlightLog& log, std::vector<Stream>* streams) {
 
 void AddImu(const std::vector<ImuSample>& imu, bool is_betaflight, std::vector<Stream>* streams) {
   Stream gyro = Named(is_betaflight ? "gyroADC" : "gyroADCafterRpm", true, kFine / kDegree);
-  Stream acc = Named(is_betaflight ? "accSmooth" : "accUnfiltered", true,
-                     kOneG / kStandardGravity_m_s2);
+  Stream acc =
+      Named(is_betaflight ? "accSmooth" : "accUnfiltered", true, kOneG / kStandardGravity_m_s2);
   for (const ImuSample& s : imu) {
     if (s.gyro_I) gyro.line.Add(s.stamp, *s.gyro_I);
     if (s.specific_force_I) acc.line.Add(s.stamp, *s.specific_force_I);
@@ -154,13 +154,15 @@ class Writer {
     Line("Field I predictor", List([this](size_t) { return Number(0); }));
     Line("Field I encoding", List([this](size_t i) { return Number(signed_[i] ? 0 : 1); }));
     // The loop counts on, time goes on as it did, everything else is near what it was.
-    Line("Field P predictor", List([this](size_t i) { return Number(i == 0 ? 6 : i == 1 ? 2 : 1); }));
+    Line("Field P predictor", List([this](size_t i) {
+           return Number(i == 0 ? 6 : i == 1 ? 2 : 1);
+         }));
     Line("Field P encoding", List([this](size_t i) { return Number(i == 0 ? 9 : 0); }));
     Line("minthrottle", "1070");
     Line("maxthrottle", "2000");
     Line("gyro_scale", "0x3f800000");
-    Line("motorOutput", Number(static_cast<int>(kMotorLow)) + "," +
-                            Number(static_cast<int>(kMotorHigh)));
+    Line("motorOutput",
+         Number(static_cast<int>(kMotorLow)) + "," + Number(static_cast<int>(kMotorHigh)));
     Line("acc_1G", Number(static_cast<int>(kOneG)));
     Line("vbatref", "0");
     Line("motor_poles", Number(static_cast<int>(2.0 * kPolePairs)));
@@ -181,9 +183,10 @@ class Writer {
   }
 
   const std::string& Finish() {
-    out_.Text(std::string_view("E\xff"
-                               "End of log\0",
-                               13));
+    out_.Text(
+        std::string_view("E\xff"
+                         "End of log\0",
+                         13));
     return out_.bytes();
   }
 

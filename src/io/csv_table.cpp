@@ -52,14 +52,15 @@ CsvTable::CsvTable(const std::string& file, const Strings& wanted,
   ReadHeader(line, wanted, whole);
   while (lines.Next(&line)) {
     if (line.find_first_not_of(" \t") == std::string_view::npos) continue;
-    if (lines.number() == 2) Reserve(lines.file_bytes() / std::max(line.size(), 2 * header_.size()));
+    if (lines.number() == 2)
+      Reserve(lines.file_bytes() / std::max(line.size(), 2 * header_.size()));
     ReadRow(line, lines.number());
   }
   const auto rows = static_cast<size_t>(out_of_order_.count) + size();
   if (static_cast<size_t>(no_time_.count) > rows) {
     Fail("column t is no time in " + std::to_string(no_time_.count) + " of " +
-         std::to_string(rows + static_cast<size_t>(no_time_.count)) + " rows (first: " +
-         no_time_.first + ")");
+         std::to_string(rows + static_cast<size_t>(no_time_.count)) +
+         " rows (first: " + no_time_.first + ")");
   }
   if (rows == 0) Fail("has a header but no usable row");
   if (2 * size() < rows) {
@@ -73,7 +74,8 @@ CsvTable::CsvTable(const std::string& file, const Strings& wanted,
   out_of_order_.Report(name(), "rows whose t steps back or repeats", log);
 }
 
-void CsvTable::ReadHeader(std::string_view line, Strings wanted, const std::vector<Strings>& whole) {
+void CsvTable::ReadHeader(std::string_view line, Strings wanted,
+                          const std::vector<Strings>& whole) {
   while (!line.empty() && (line.front() == '#' || line.front() == ' ')) line.remove_prefix(1);
   header_ = SplitHeader(line, file_);
   for (const Strings& group : whole) {

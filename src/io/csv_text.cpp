@@ -34,8 +34,8 @@ std::vector<std::string> SplitHeader(std::string_view line, const std::string& f
   constexpr size_t kMostColumns = 1000;  // autopilots log some hundred
   const size_t cells = 1 + static_cast<size_t>(std::count(line.begin(), line.end(), ','));
   if (cells > kMostColumns) {
-    throw std::invalid_argument(file + ": line 1: " + std::to_string(cells) +
-                                " columns; at most " + std::to_string(kMostColumns) + " are read");
+    throw std::invalid_argument(file + ": line 1: " + std::to_string(cells) + " columns; at most " +
+                                std::to_string(kMostColumns) + " are read");
   }
   std::vector<std::string> names;
   std::set<std::string> seen;

@@ -104,7 +104,9 @@ double ValueOf(char letter, std::string_view bytes) {
   }
 }
 
-std::string UntilZero(std::string_view bytes) { return std::string(bytes.substr(0, bytes.find('\0'))); }
+std::string UntilZero(std::string_view bytes) {
+  return std::string(bytes.substr(0, bytes.find('\0')));
+}
 
 struct Column {
   std::string name;

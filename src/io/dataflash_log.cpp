@@ -146,8 +146,9 @@ void ReadRotors(const std::string& file, const DataflashContent& content,
   }
   if (rotors.empty()) return;
   if (static_cast<int>(rotors.size()) != options.num_rotors) {
-    RefuseFile(file, "has ESC messages of " + std::to_string(rotors.size()) + " ESCs, the vehicle has " +
-                   std::to_string(options.num_rotors) + " rotors");
+    RefuseFile(file, "has ESC messages of " + std::to_string(rotors.size()) +
+                         " ESCs, the vehicle has " + std::to_string(options.num_rotors) +
+                         " rotors");
   }
   log->rotors = OnOneClock(rotors);
   if (log->rotors.empty())
@@ -185,7 +186,8 @@ void ReadBattery(const DataflashContent& content, FlightLog* log) {
 
 FlightLog ReadDataflash(const std::string& file, const FlightReadOptions& options) {
   if (options.pose == PoseSource::kMocap) {
-    RefuseFile(file, "--pose mocap is for CSV files and bags; an ArduPilot log has the filter's pose");
+    RefuseFile(file,
+               "--pose mocap is for CSV files and bags; an ArduPilot log has the filter's pose");
   }
   const std::string bytes = ReadBinary(file);
   if (!IsDataflash(bytes)) {
@@ -205,9 +207,10 @@ FlightLog ReadDataflash(const std::string& file, const FlightReadOptions& option
     ReadRotors(file, content, options, &log);
     ReadBattery(content, &log);
     if (log.rotors.empty() && log.commands.empty()) {
-      RefuseFile(file,
-           "no rotor speeds: there are no ESC messages. ESCs that tell their speed are needed: " +
-               kHints.rotors);
+      RefuseFile(
+          file,
+          "no rotor speeds: there are no ESC messages. ESCs that tell their speed are needed: " +
+              kHints.rotors);
     }
   }
   FinishLog(file, kHints, options.part, &log);

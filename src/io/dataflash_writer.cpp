@@ -39,13 +39,12 @@ constexpr Definition kDefinitions[] = {
     {kQuaternion, "XKQ", "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4"},
     {kImu, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"},
     {kEsc, "ESC", "QBf", "TimeUS,Instance,RPM"},
-    {kOutputs, "RCOU", "QHHHHHHHHHHHHHH",
-     "TimeUS,C1,C2,C3,C4,C5,C6,C7,C8,C9,C10,C11,C12,C13,C14"},
+    {kOutputs, "RCOU", "QHHHHHHHHHHHHHH", "TimeUS,C1,C2,C3,C4,C5,C6,C7,C8,C9,C10,C11,C12,C13,C14"},
     {kBattery, "BAT", "QBf", "TimeUS,Inst,Volt"},
 };
 
 size_t LengthOf(std::string_view letters) {
-  static const std::map<char, size_t> sizes = {{'Q', 8}, {'B', 1}, {'H', 2}, {'f', 4},
+  static const std::map<char, size_t> sizes = {{'Q', 8}, {'B', 1},  {'H', 2}, {'f', 4},
                                                {'n', 4}, {'N', 16}, {'Z', 64}};
   size_t length = 3;  // mark and kind
   for (const char letter : letters) length += sizes.at(letter);

@@ -338,8 +338,8 @@ class Resampled {
     if (after_stamp == stamp) return get_(samples_[next_]);
     if (!resample_ || !before_) return std::nullopt;
     const Stamp before_stamp = samples_[*before_].stamp;
-    const double share = static_cast<double>(stamp - before_stamp) /
-                         static_cast<double>(after_stamp - before_stamp);
+    const double share =
+        static_cast<double>(stamp - before_stamp) / static_cast<double>(after_stamp - before_stamp);
     const Eigen::Vector3d low = *get_(samples_[*before_]), high = *get_(samples_[next_]);
     return low + share * (high - low);
   }
@@ -379,8 +379,7 @@ void AddOdometry(const FlightLog& log, TableWriter* table) {
   table->Add(Concatenate({kPosition, kAttitude}), [&log](Stamp, size_t row, Cells* cells) {
     const OdometrySample& s = log.odometry[row];
     const Eigen::Quaterniond& q = s.q_WS;
-    cells->insert(cells->end(),
-                  {s.p_WS.x(), s.p_WS.y(), s.p_WS.z(), q.w(), q.x(), q.y(), q.z()});
+    cells->insert(cells->end(), {s.p_WS.x(), s.p_WS.y(), s.p_WS.z(), q.w(), q.x(), q.y(), q.z()});
   });
   AddVector(
       kVelocity, log.odometry, [](const OdometrySample& s) { return s.v_WS; }, false, table);
@@ -455,8 +454,8 @@ void ReadActuators(const std::string& file, const CsvTable& table, const std::ve
     ReadRotors(table, rows, num_rotors, log);
     return;
   }
-  const CsvTable rotor_table(
-      rotor_file, Concatenate({kTime, RotorColumns(num_rotors), kRotorRms}), commands, log);
+  const CsvTable rotor_table(rotor_file, Concatenate({kTime, RotorColumns(num_rotors), kRotorRms}),
+                             commands, log);
   WarnOfUnknown(rotor_table.unknown(), PrintableName(rotor_file), log);
   ReadCommands(rotor_table, AllRows(rotor_table), num_rotors, log);
   if (log->commands.empty()) ReadCommands(table, rows, num_rotors, log);
@@ -467,8 +466,8 @@ void ReadActuators(const std::string& file, const CsvTable& table, const std::ve
 FlightLog ReadPosesCsv(const std::string& file) {
   FlightLog log;
   log.file = PrintableName(file);
-  const CsvTable table(
-      file, Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates}), {}, &log);
+  const CsvTable table(file, Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates}), {},
+                       &log);
   log.odometry = ReadOdometry(table, true, &log);
   return log;
 }
@@ -498,8 +497,8 @@ FlightLog ReadFlightCsv(const std::string& file, const FlightReadOptions& option
                               kGyro, kBattery, RotorColumns(options.num_rotors), kRotorRms}),
                  commands, &log);
   WarnOfUnknown(table.unknown(), log.file, &log);
-  const bool has_poses = options.part == FlightPart::kWhole ||
-                         table.HasAny(Concatenate({kPosition, kAttitude}));
+  const bool has_poses =
+      options.part == FlightPart::kWhole || table.HasAny(Concatenate({kPosition, kAttitude}));
   if (has_poses) log.odometry = ReadOdometry(table, true, &log);
   const std::vector<size_t> rows = has_poses ? UsableRows(table) : AllRows(table);
   table.Release(Concatenate({kTime, kPosition, kAttitude, kVelocity, kBodyRates}));

@@ -26,8 +26,8 @@ bool EndsWith(const std::string& text, const std::string& end) {
 
 bool IsCompanion(const std::string& file) {
   const std::string stem = std::filesystem::path(file).stem().string();
-  return LowerEnding(file) == ".csv" && (EndsWith(stem, "_mocap") || EndsWith(stem, "_rotor") ||
-                                         EndsWith(stem, "_truth"));
+  return LowerEnding(file) == ".csv" &&
+         (EndsWith(stem, "_mocap") || EndsWith(stem, "_rotor") || EndsWith(stem, "_truth"));
 }
 
 bool HasEnding(const FlightReader& reader, const std::string& ending) {
@@ -62,8 +62,12 @@ FlightReaders FlightReaders::Core() {
   FlightReaders readers;
   readers.Add(CsvReader());
   readers.Add({"a NeuroBEM flight (.csv)", {".csv"}, IsNeurobem, false, ReadNeurobem});
-  readers.Add({"a Blackbird flight (folder)", {}, [](std::string_view) { return false; }, false,
-               ReadBlackbird, IsBlackbirdFolder});
+  readers.Add({"a Blackbird flight (folder)",
+               {},
+               [](std::string_view) { return false; },
+               false,
+               ReadBlackbird,
+               IsBlackbirdFolder});
   readers.Add({"a blackbox log (.bfl, .bbl)", {".bfl", ".bbl"}, IsBlackbox, false, ReadBlackbox});
   readers.Add({"a PX4 log (.ulg)", {".ulg"}, IsULog, false, ReadULog});
   readers.Add({"an ArduPilot log (.bin)", {".bin"}, IsDataflash, true, ReadDataflash});

@@ -14,16 +14,19 @@ namespace {
 
 constexpr double kLeastPulse_us = 500.0;  // an output without pulses reads 0
 
-constexpr double kLeastDate_s = 1e9;     // of 2001: no clock runs so long from its start
-constexpr double kSameClock_s = 1.0;     // between a date and the message that brought it
+constexpr double kLeastDate_s = 1e9;  // of 2001: no clock runs so long from its start
+constexpr double kSameClock_s = 1.0;  // between a date and the message that brought it
 
 enum Note { kArrival, kZeroStamp, kMd5, kUnit, kPadded };
 
 const char* NameOf(ForeignUse use) {
   switch (use) {
-    case ForeignUse::kRotorSpeeds: return "rotor speeds";
-    case ForeignUse::kCommands: return "commands";
-    default: return "the voltage";
+    case ForeignUse::kRotorSpeeds:
+      return "rotor speeds";
+    case ForeignUse::kCommands:
+      return "commands";
+    default:
+      return "the voltage";
   }
 }
 
@@ -35,9 +38,12 @@ const char* UnitOption(ForeignUse use) {
 
 const char* FieldOption(ForeignUse use) {
   switch (use) {
-    case ForeignUse::kRotorSpeeds: return "rotor_topic_field";
-    case ForeignUse::kCommands: return "command_topic_field";
-    default: return "battery_topic_field";
+    case ForeignUse::kRotorSpeeds:
+      return "rotor_topic_field";
+    case ForeignUse::kCommands:
+      return "command_topic_field";
+    default:
+      return "battery_topic_field";
   }
 }
 
@@ -172,8 +178,7 @@ void ForeignStream::ChooseField(const FieldOptions& options, const MessageDescri
   const std::string field = takes_known ? known->field : options.field;
   if (field.empty()) {
     throw std::invalid_argument(message.type + " is not known: say which of its fields holds " +
-                                NameOf(use_) + " (" + FieldOption(use_) +
-                                ", as esc_status[].rpm)");
+                                NameOf(use_) + " (" + FieldOption(use_) + ", as esc_status[].rpm)");
   }
   field_ = layout_.Find(field);
   if (field_.kind == FieldKind::kString) layout_.Numbers(field_, nullptr, 0);  // says what it is
@@ -218,8 +223,7 @@ void ForeignStream::SettleStamp(const FieldOptions& options, const KnownMessage*
   stamp_scale_ = StampScale(options.stamp_unit);
   if (stamp_scale_ == 0.0) {
     throw std::invalid_argument(layout_.type() + " does not say in which unit " +
-                                options.stamp_field +
-                                " is: give rotor_stamp_unit (s, ms, us, ns)");
+                                options.stamp_field + " is: give rotor_stamp_unit (s, ms, us, ns)");
   }
 }
 
@@ -265,8 +269,8 @@ std::optional<ForeignReading> ForeignStream::Read(const std::uint8_t* data, size
 }
 
 /// Of the values that were chosen; empty where the message has none.
-std::vector<Stamp> ForeignStream::EntryStamps(const std::uint8_t* data, size_t size,
-                                              size_t entries, size_t values) const {
+std::vector<Stamp> ForeignStream::EntryStamps(const std::uint8_t* data, size_t size, size_t entries,
+                                              size_t values) const {
   std::vector<Stamp> all;
   if (stamp_scale_ == 0.0) {
     all = layout_.Stamps(*entry_stamps_, data, size);
@@ -294,13 +298,12 @@ std::vector<Stamp> ForeignStream::EntryStamps(const std::uint8_t* data, size_t s
 }
 
 /// From the entries' clock to that of the messages. Times of ROS are on it already.
-Stamp ForeignStream::OffsetOf(Stamp newest, const std::uint8_t* data, size_t size,
-                              Stamp arrival) {
+Stamp ForeignStream::OffsetOf(Stamp newest, const std::uint8_t* data, size_t size, Stamp arrival) {
   if (entry_stamps_->kind == FieldKind::kTime) return 0;
   const Stamp message = StampOf(data, size, arrival);
   if (!has_own_clock_) {
-    const bool is_date = ToSeconds(newest) > kLeastDate_s &&
-                         std::abs(ToSeconds(message - newest)) < kSameClock_s;
+    const bool is_date =
+        ToSeconds(newest) > kLeastDate_s && std::abs(ToSeconds(message - newest)) < kSameClock_s;
     has_own_clock_ = !is_date;
   }
   return *has_own_clock_ ? offset_.Follow(newest, message) : 0;
@@ -308,8 +311,8 @@ Stamp ForeignStream::OffsetOf(Stamp newest, const std::uint8_t* data, size_t siz
 
 /// The entries that are rotors, in their order.
 std::vector<double> ForeignStream::Choose(std::vector<double> entries) {
-  const std::string has = layout_.type() + ": " + field_.text + " has " +
-                          std::to_string(entries.size()) + " entries, ";
+  const std::string has =
+      layout_.type() + ": " + field_.text + " has " + std::to_string(entries.size()) + " entries, ";
   if (!order_.empty()) {
     std::optional<std::vector<double>> ordered = InOrder(entries, order_);
     if (ordered) return *std::move(ordered);

@@ -44,8 +44,7 @@ class Integral {
     sum_.col(0).setZero();
     for (Eigen::Index i = 1; i < sum_.cols(); ++i) {
       const double dt = signal.t_s[static_cast<size_t>(i)] - signal.t_s[static_cast<size_t>(i) - 1];
-      sum_.col(i) =
-          sum_.col(i - 1) + 0.5 * dt * (signal.values.col(i) + signal.values.col(i - 1));
+      sum_.col(i) = sum_.col(i - 1) + 0.5 * dt * (signal.values.col(i) + signal.values.col(i - 1));
     }
   }
   Vector3d At(double t_s) const {
@@ -146,8 +145,7 @@ void ReadingResiduals::Add(const std::string& reading, const Matrix3Xd& residual
 }
 
 std::vector<std::string> ReadingResiduals::Fitting(const std::string& documented, double relative,
-                                                   double absolute,
-                                                   const std::string& what) const {
+                                                   double absolute, const std::string& what) const {
   if (is_empty_) return {documented};
   const double limit = relative * signal_rms_ + absolute;
   auto sorted = rms_;
@@ -196,17 +194,18 @@ void CheckThrustIsUp(const TimedVectors& position, const std::vector<Eigen::Quat
         (position.values.col(k + s) - position.values.col(k)) / (t[i + stride] - t[i]);
     const Vector3d earlier =
         (position.values.col(k) - position.values.col(k - s)) / (t[i] - t[i - stride]);
-    const Vector3d force =
-        (later - earlier) / (0.5 * (t[i + stride] - t[i - stride])) + kGravity_m_s2 * Vector3d::UnitZ();
+    const Vector3d force = (later - earlier) / (0.5 * (t[i + stride] - t[i - stride])) +
+                           kGravity_m_s2 * Vector3d::UnitZ();
     sum += q_WB[i].normalized().conjugate() * force;
   }
   const Vector3d mean = sum / static_cast<double>(t.size() - 2 * stride);
   if (mean.z() >= kLeastUpright * mean.norm()) return;
   char text[200];
-  std::snprintf(text, sizeof text,
-                "the mean specific force in the body is (%.2f, %.2f, %.2f) m/s^2, not along +z: the "
-                "world is not z up or the body is not FLU",
-                mean.x(), mean.y(), mean.z());
+  std::snprintf(
+      text, sizeof text,
+      "the mean specific force in the body is (%.2f, %.2f, %.2f) m/s^2, not along +z: the "
+      "world is not z up or the body is not FLU",
+      mean.x(), mean.y(), mean.z());
   throw std::invalid_argument(text);
 }
 

@@ -75,8 +75,8 @@ class ReadingResiduals {
 std::string FirstAccepted(const std::vector<std::string>& readings,
                           const std::function<void(const std::string& reading)>& judge);
 
-/// World z up and body z along the thrust: rotors push against gravity on average. The specific force
-/// is from second differences of the position over 0.1 s.
+/// World z up and body z along the thrust: rotors push against gravity on average. The specific
+/// force is from second differences of the position over 0.1 s.
 /// @throws std::invalid_argument where it is not up along the body's z
 void CheckThrustIsUp(const TimedVectors& position, const std::vector<Eigen::Quaterniond>& q_WB);
 

@@ -257,8 +257,10 @@ double PoleScale(const std::string& file, const std::map<std::string, double>& p
 }
 
 void FinishLog(const std::string& file, const RateHints& hints, FlightPart part, FlightLog* log) {
-  KeepSound(log->file + ": pose", &log->odometry, [](const auto& s) { return IsFinite(s); }, log);
-  KeepSound(log->file + ": IMU", &log->imu, [](const auto& s) { return IsFinite(s); }, log);
+  KeepSound(
+      log->file + ": pose", &log->odometry, [](const auto& s) { return IsFinite(s); }, log);
+  KeepSound(
+      log->file + ": IMU", &log->imu, [](const auto& s) { return IsFinite(s); }, log);
   KeepSound(
       log->file + ": rotor speeds", &log->rotors, [](const auto& s) { return s.speed.allFinite(); },
       log);

@@ -62,7 +62,8 @@ inline std::uint64_t LogMicroseconds(Stamp stamp, Stamp shift) {
 /// @throws std::invalid_argument where it has neither
 int RotorsOf(const FlightLog& log, const std::string& file);
 
-/// The IMU; body rates of the odometry where no sample has a gyro (body and IMU are then one frame).
+/// The IMU; body rates of the odometry where no sample has a gyro (body and IMU are then one
+/// frame).
 std::vector<ImuSample> ImuWithRates(const FlightLog& log);
 
 /// Calls writers of several streams in the order of their stamps; of equal ones, in that of Add().
@@ -70,8 +71,7 @@ class StampOrder {
  public:
   template <typename Sample, typename Write>
   void Add(const std::vector<Sample>& samples, Write write) {
-    streams_.push_back({0, samples.size(),
-                        [&samples](size_t i) { return samples[i].stamp; },
+    streams_.push_back({0, samples.size(), [&samples](size_t i) { return samples[i].stamp; },
                         [&samples, write](size_t i) { write(samples[i]); }});
   }
   void WriteAll();

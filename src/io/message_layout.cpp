@@ -13,8 +13,8 @@
 namespace odmc {
 namespace {
 
-constexpr size_t kMostDefinition = 1 << 20;   // bytes; the longest real ones have some 20,000
-constexpr int kMostDepth = 32;                // messages within messages
+constexpr size_t kMostDefinition = 1 << 20;       // bytes; the longest real ones have some 20,000
+constexpr int kMostDepth = 32;                    // messages within messages
 constexpr std::uint64_t kMostBytes = 1ULL << 40;  // more than any message: sums stop there
 constexpr std::uint64_t kMostLength = std::numeric_limits<std::uint32_t>::max();
 
@@ -25,13 +25,13 @@ struct Builtin {
 };
 
 constexpr Builtin kBuiltins[] = {
-    {"bool", FieldKind::kBool, 1},       {"int8", FieldKind::kInt8, 1},
-    {"byte", FieldKind::kInt8, 1},       {"uint8", FieldKind::kUint8, 1},
-    {"char", FieldKind::kUint8, 1},      {"int16", FieldKind::kInt16, 2},
-    {"uint16", FieldKind::kUint16, 2},   {"int32", FieldKind::kInt32, 4},
-    {"uint32", FieldKind::kUint32, 4},   {"int64", FieldKind::kInt64, 8},
-    {"uint64", FieldKind::kUint64, 8},   {"float32", FieldKind::kFloat32, 4},
-    {"float64", FieldKind::kFloat64, 8}, {"time", FieldKind::kTime, 8},
+    {"bool", FieldKind::kBool, 1},         {"int8", FieldKind::kInt8, 1},
+    {"byte", FieldKind::kInt8, 1},         {"uint8", FieldKind::kUint8, 1},
+    {"char", FieldKind::kUint8, 1},        {"int16", FieldKind::kInt16, 2},
+    {"uint16", FieldKind::kUint16, 2},     {"int32", FieldKind::kInt32, 4},
+    {"uint32", FieldKind::kUint32, 4},     {"int64", FieldKind::kInt64, 8},
+    {"uint64", FieldKind::kUint64, 8},     {"float32", FieldKind::kFloat32, 4},
+    {"float64", FieldKind::kFloat64, 8},   {"time", FieldKind::kTime, 8},
     {"duration", FieldKind::kDuration, 8}, {"string", FieldKind::kString, 4},
 };
 
@@ -100,8 +100,7 @@ bool ParseField(const std::string& line, MessageLayout::Field* field) {
   field->name = Trimmed(line.substr(space));
   if (!IsName(field->name, false)) return false;
   if (type.has_brackets) {
-    field->array =
-        type.has_number ? MessageLayout::Array::kFixed : MessageLayout::Array::kVariable;
+    field->array = type.has_number ? MessageLayout::Array::kFixed : MessageLayout::Array::kVariable;
     if (type.has_number) field->length = type.number;
   }
   field->kind = FieldKind::kMessage;
@@ -154,17 +153,25 @@ Stamp StampOf(FieldKind kind, const std::uint8_t* data) {
 double NumberOf(FieldKind kind, const std::uint8_t* data) {
   const std::uint64_t bits = LittleEndian(data, LeastBytes(kind));
   switch (kind) {
-    case FieldKind::kBool: return bits != 0 ? 1.0 : 0.0;
-    case FieldKind::kInt8: return BitsAs<std::int8_t, std::uint8_t>(bits);
-    case FieldKind::kInt16: return BitsAs<std::int16_t, std::uint16_t>(bits);
-    case FieldKind::kInt32: return BitsAs<std::int32_t, std::uint32_t>(bits);
+    case FieldKind::kBool:
+      return bits != 0 ? 1.0 : 0.0;
+    case FieldKind::kInt8:
+      return BitsAs<std::int8_t, std::uint8_t>(bits);
+    case FieldKind::kInt16:
+      return BitsAs<std::int16_t, std::uint16_t>(bits);
+    case FieldKind::kInt32:
+      return BitsAs<std::int32_t, std::uint32_t>(bits);
     case FieldKind::kInt64:
       return static_cast<double>(BitsAs<std::int64_t, std::uint64_t>(bits));
-    case FieldKind::kFloat32: return BitsAs<float, std::uint32_t>(bits);
-    case FieldKind::kFloat64: return BitsAs<double, std::uint64_t>(bits);
+    case FieldKind::kFloat32:
+      return BitsAs<float, std::uint32_t>(bits);
+    case FieldKind::kFloat64:
+      return BitsAs<double, std::uint64_t>(bits);
     case FieldKind::kTime:
-    case FieldKind::kDuration: return ToSeconds(StampOf(kind, data));
-    default: return static_cast<double>(bits);
+    case FieldKind::kDuration:
+      return ToSeconds(StampOf(kind, data));
+    default:
+      return static_cast<double>(bits);
   }
 }
 
@@ -175,8 +182,8 @@ class Walk {
   using Type = MessageLayout::Type;
   using Field = MessageLayout::Field;
 
-  Walk(const std::vector<Type>& types, const FieldPath& path, const std::uint8_t* data,
-       size_t size, Sink sink)
+  Walk(const std::vector<Type>& types, const FieldPath& path, const std::uint8_t* data, size_t size,
+       Sink sink)
       : types_(types), path_(path), data_(data), size_(size), sink_(sink) {}
 
   void Run() {
@@ -206,8 +213,8 @@ class Walk {
     const std::uint64_t least =
         is_message ? types_[field.type].least_bytes : LeastBytes(field.kind);
     Need(Times(count, least));
-    const bool is_fixed = is_message ? types_[field.type].is_fixed
-                                     : field.kind != FieldKind::kString;
+    const bool is_fixed =
+        is_message ? types_[field.type].is_fixed : field.kind != FieldKind::kString;
     if (step == kAside && is_fixed) {
       at_ += static_cast<size_t>(count * least);
       return;
@@ -417,8 +424,8 @@ FieldPath MessageLayout::Find(const std::string& text) const {
     if (wanted.has_number && found->array == Array::kFixed && wanted.number >= found->length) {
       refuse("'" + wanted.name + "' has " + std::to_string(found->length) + " entries");
     }
-    path.steps.push_back({static_cast<size_t>(found - fields.begin()), all,
-                          static_cast<size_t>(wanted.number)});
+    path.steps.push_back(
+        {static_cast<size_t>(found - fields.begin()), all, static_cast<size_t>(wanted.number)});
     path.kind = found->kind;
     path.text = wanted.name;
     is_done = found->kind != FieldKind::kMessage;

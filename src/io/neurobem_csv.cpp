@@ -36,7 +36,8 @@ struct Rows {
   }
 };
 
-Eigen::Matrix3Xd Pick(const CsvTable& table, const Strings& names, const std::vector<size_t>& rows) {
+Eigen::Matrix3Xd Pick(const CsvTable& table, const Strings& names,
+                      const std::vector<size_t>& rows) {
   Eigen::Matrix3Xd values(3, static_cast<Eigen::Index>(rows.size()));
   const auto group = table.Columns<3>(names);
   for (size_t i = 0; i < rows.size(); ++i) {
@@ -67,7 +68,7 @@ std::vector<size_t> SoundRows(const CsvTable& table, bool has_velocity, FlightLo
   }
   if (static_cast<size_t>(not_unit.count) > rows.size()) {
     RefuseFile(table.file(), "the quaternions are not unit: " + std::to_string(not_unit.count) +
-                           " are off by more than 5 % (first: " + not_unit.first + ")");
+                                 " are off by more than 5 % (first: " + not_unit.first + ")");
   }
   not_finite.Report(table.name(), "rows that are not finite", log);
   not_unit.Report(table.name(), "rows whose quaternion is not unit", log);
@@ -95,7 +96,8 @@ Rows ReadRows(const CsvTable& table, FlightLog* log) {
   rows.position = {rows.t_s, Pick(table, kPosition, sound)};
   rows.rates = {rows.t_s, Pick(table, kRates, sound)};
   if (has_velocity) rows.velocity = {rows.t_s, Pick(table, kVelocity, sound)};
-  if (table.HasAll(kAcceleration)) rows.acceleration = {rows.t_s, Pick(table, kAcceleration, sound)};
+  if (table.HasAll(kAcceleration))
+    rows.acceleration = {rows.t_s, Pick(table, kAcceleration, sound)};
   return rows;
 }
 
@@ -205,7 +207,7 @@ bool IsNeurobem(std::string_view head) {
 FlightLog ReadNeurobem(const std::string& file, const FlightReadOptions& options) {
   if (options.num_rotors != 4) {
     RefuseFile(file, "a NeuroBEM flight has 4 rotors, the vehicle has " +
-                   std::to_string(options.num_rotors));
+                         std::to_string(options.num_rotors));
   }
   if (options.pose == PoseSource::kMocap) {
     RefuseFile(file, "--pose mocap is for CSV files and bags; a NeuroBEM flight has one pose");
@@ -213,8 +215,7 @@ FlightLog ReadNeurobem(const std::string& file, const FlightReadOptions& options
   FlightLog log;
   log.file = PrintableName(file);
   Strings wanted = {"t", "vbat"};
-  for (const Strings& group :
-       {kPosition, kQuaternion, kVelocity, kRates, kMotors, kAcceleration}) {
+  for (const Strings& group : {kPosition, kQuaternion, kVelocity, kRates, kMotors, kAcceleration}) {
     wanted.insert(wanted.end(), group.begin(), group.end());
   }
   const Rows rows = ReadRows(CsvTable(file, wanted, {}, &log), &log);
@@ -225,9 +226,9 @@ FlightLog ReadNeurobem(const std::string& file, const FlightReadOptions& options
     const Findings findings = Check(rows);
     Tell(findings, &log);
     const TimedTurns turns = rows.Turns(ReadingNamed(findings.quaternion));
-    const TimedVectors v_WB =
-        findings.velocity_in_world || rows.velocity.t_s.empty() ? rows.velocity
-                                                                : Turned(turns, rows.velocity);
+    const TimedVectors v_WB = findings.velocity_in_world || rows.velocity.t_s.empty()
+                                  ? rows.velocity
+                                  : Turned(turns, rows.velocity);
     if (options.accelerometer) {
       try {
         CheckAccelerometer(rows, turns, v_WB);

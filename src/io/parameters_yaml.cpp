@@ -88,8 +88,7 @@ void CheckCovariance(const Eigen::MatrixXd& covariance, const YamlValue& matrix)
   if (covariance.size() == 0) return;
   if (covariance.diagonal().minCoeff() < 0.0) matrix.Fail("has a negative variance");
   const Eigen::VectorXd sigma = covariance.diagonal().cwiseSqrt();
-  const Eigen::VectorXd inverse =
-      sigma.unaryExpr([](double s) { return s > 0.0 ? 1.0 / s : 0.0; });
+  const Eigen::VectorXd inverse = sigma.unaryExpr([](double s) { return s > 0.0 ? 1.0 / s : 0.0; });
   const Eigen::MatrixXd correlation = inverse.asDiagonal() * covariance * inverse.asDiagonal();
   if (!correlation.allFinite()) matrix.Fail("is not finite once scaled to correlations");
   for (Eigen::Index i = 0; i < sigma.size(); ++i) {
@@ -153,8 +152,7 @@ std::string FormatEstimate(const ParameterEstimate& p) {
   return "  " + p.full_name + ": {value: " + Finite(p.value, p.full_name + ".value") +
          ", sigma: " + Finite(p.sigma, p.full_name + ".sigma") +
          (p.scatter > 0.0 ? ", scatter: " + Finite(p.scatter, p.full_name + ".scatter") : "") +
-         ", unit: " + Quoted(p.unit) +
-         ", state: " + (p.estimated ? "estimated" : "frozen") +
+         ", unit: " + Quoted(p.unit) + ", state: " + (p.estimated ? "estimated" : "frozen") +
          ", observable: " + (p.observable ? "true" : "false") + "}\n";
 }
 

@@ -41,12 +41,14 @@ std::string ReadText(const std::string& file) {
   std::string text(kMostSettings + 1, '\0');
   in.read(text.data(), static_cast<std::streamsize>(text.size()));
   text.resize(static_cast<size_t>(in.gcount()));
-  if (text.size() > kMostSettings) RefuseFile(file, "is too long; a file of settings has at most 2 MB");
+  if (text.size() > kMostSettings)
+    RefuseFile(file, "is too long; a file of settings has at most 2 MB");
   CheckIsText(file, text);
   return text;
 }
 
-LineReader::LineReader(const std::string& file) : file_(file), file_bytes_(OpenRegular(file, &in_)) {}
+LineReader::LineReader(const std::string& file)
+    : file_(file), file_bytes_(OpenRegular(file, &in_)) {}
 
 bool LineReader::Fill() {
   block_.erase(0, next_);
@@ -54,7 +56,7 @@ bool LineReader::Fill() {
   const size_t kept = block_.size();
   if (kept > kLongestLine) {
     RefuseFile(file_, "line " + std::to_string(number_ + 1) +
-                    " has more than 1 MB; this is no table of numbers");
+                          " has more than 1 MB; this is no table of numbers");
   }
   block_.resize(kept + kBlock);
   in_.read(block_.data() + kept, kBlock);

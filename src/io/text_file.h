@@ -8,7 +8,8 @@
 namespace odmc {
 
 /// Whole content of a file of settings (YAML).
-/// @throws std::invalid_argument "FILE: ..." where it cannot be opened, is no regular file (a device
+/// @throws std::invalid_argument "FILE: ..." where it cannot be opened, is no regular file (a
+/// device
 ///   or a pipe may never end), has more than 2 MB, or is no text
 std::string ReadText(const std::string& file);
 

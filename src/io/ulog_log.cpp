@@ -143,16 +143,17 @@ void ReadPoses(const std::string& file, const ULogContent& log_file, FlightPart 
     if (!joined.empty()) log->odometry = std::move(joined);
   }
   if (log->odometry.empty() && part != FlightPart::kOnboard) {
-    RefuseFile(file,
-         "no pose: neither vehicle_odometry nor vehicle_local_position with "
-         "vehicle_attitude; " +
-             kHints.pose +
-             ". Without an estimator, --odometry FILE takes poses from a recording beside the log");
+    RefuseFile(
+        file,
+        "no pose: neither vehicle_odometry nor vehicle_local_position with "
+        "vehicle_attitude; " +
+            kHints.pose +
+            ". Without an estimator, --odometry FILE takes poses from a recording beside the log");
   }
 }
 
 void ReadVectors(const MessageColumns& table, const Strings& fields,
-                 std::optional<Eigen::Vector3d> ImuSample::* value, FlightLog* log) {
+                 std::optional<Eigen::Vector3d> ImuSample::*value, FlightLog* log) {
   const FieldGroup group(table, fields);
   for (size_t i = 0; group.present() && i < table.size(); ++i) {
     ImuSample sample;
@@ -252,7 +253,8 @@ void ReadRotors(const std::string& file, const ULogContent& log_file,
   const double count = table->Has("esc_count") ? Median(table->values.at("esc_count")) : 0.0;
   if (count > 0.0 && static_cast<int>(count) != options.num_rotors) {
     RefuseFile(file, "esc_status has " + std::to_string(static_cast<int>(count)) +
-                   " ESCs, the vehicle has " + std::to_string(options.num_rotors) + " rotors");
+                         " ESCs, the vehicle has " + std::to_string(options.num_rotors) +
+                         " rotors");
   }
   const double scale =
       kRpm * PoleScale(file, log_file.parameters, "MOT_POLE_COUNT", options.pole_pairs);
@@ -342,9 +344,9 @@ FlightLog ReadULog(const std::string& file, const FlightReadOptions& options) {
     ReadBattery(content, &log);
     if (log.rotors.empty() && log.commands.empty()) {
       RefuseFile(file,
-           "no rotor speeds: there is no esc_status. ESCs that tell their speed are needed "
-           "(bidirectional DShot, DShot telemetry or UAVCAN); then " +
-               kHints.rotors);
+                 "no rotor speeds: there is no esc_status. ESCs that tell their speed are needed "
+                 "(bidirectional DShot, DShot telemetry or UAVCAN); then " +
+                     kHints.rotors);
     }
   }
   FinishLog(file, kHints, options.part, &log);

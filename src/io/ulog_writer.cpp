@@ -11,7 +11,7 @@ namespace {
 using Eigen::Vector3d;
 
 constexpr double kRpm = M_PI / 30.0;
-constexpr int kMotor1 = 101;  // actuator_function of an ESC
+constexpr int kMotor1 = 101;                      // actuator_function of an ESC
 constexpr int kLeastEscs = 8, kLeastMotors = 12;  // array lengths of PX4's messages
 constexpr std::int32_t kPoles = 14;
 constexpr std::uint8_t kNed = 1;
@@ -44,8 +44,7 @@ class Writer {
                          "accelerometer_m_s2;"),
              std::string("esc_report:uint64_t timestamp;int32_t esc_rpm;uint8_t "
                          "actuator_function;uint8_t[3] _padding0;"),
-             "esc_status:uint64_t timestamp;esc_report[" + escs +
-                 "] esc;uint8_t esc_count;",
+             "esc_status:uint64_t timestamp;esc_report[" + escs + "] esc;uint8_t esc_count;",
              "actuator_motors:uint64_t timestamp;uint64_t timestamp_sample;float[" + motors +
                  "] control;",
              std::string("battery_status:uint64_t timestamp;float voltage_v;"),
@@ -113,10 +112,9 @@ class Writer {
     out_.Number(static_cast<std::uint16_t>(body.bytes().size())).Number(kind).Text(body.bytes());
   }
   void Keyed(char kind, std::string_view key, const ByteWriter& value) {
-    Message(kind, ByteWriter()
-                      .Number(static_cast<std::uint8_t>(key.size()))
-                      .Text(key)
-                      .Text(value.bytes()));
+    Message(
+        kind,
+        ByteWriter().Number(static_cast<std::uint8_t>(key.size())).Text(key).Text(value.bytes()));
   }
 
   Stamp shift_;

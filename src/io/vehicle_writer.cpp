@@ -57,8 +57,8 @@ std::string MountText(const SensorMount& mount) {
       mount.p_BS.isZero(0.0) && mount.q_BS.isApprox(Eigen::Quaterniond::Identity(), 1e-12);
   if (is_body && !mount.estimate) return "{frame: body}";
   const Eigen::Quaterniond& q = mount.q_BS;
-  return "{frame: sensor, p_BS_m: " + List(mount.p_BS) + ", q_BS_xyzw: [" + YamlNumber(q.x()) + ", " +
-         YamlNumber(q.y()) + ", " + YamlNumber(q.z()) + ", " + YamlNumber(q.w()) +
+  return "{frame: sensor, p_BS_m: " + List(mount.p_BS) + ", q_BS_xyzw: [" + YamlNumber(q.x()) +
+         ", " + YamlNumber(q.y()) + ", " + YamlNumber(q.z()) + ", " + YamlNumber(q.w()) +
          "], estimate: " + (mount.estimate ? "true" : "false") + "}";
 }
 

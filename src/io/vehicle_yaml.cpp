@@ -89,8 +89,7 @@ Eigen::Quaterniond ReadRotation(const YamlValue& value) {
 }
 
 SensorMount ReadMount(const YamlValue& value) {
-  value.AllowKeys(
-      {"frame", "p_BS_m", "q_BS_xyzw", "estimate", "p_BS_sigma_m", "q_BS_sigma_rad"});
+  value.AllowKeys({"frame", "p_BS_m", "q_BS_xyzw", "estimate", "p_BS_sigma_m", "q_BS_sigma_rad"});
   SensorMount mount;
   if (const auto sigma = value.Find("p_BS_sigma_m")) {
     mount.p_BS_sigma_m = Plausible(*sigma, 1e-5, 1.0, "is it in metres, and positive?");

@@ -70,8 +70,7 @@ YamlValue YamlValue::Parse(const std::string& text, const std::string& file) {
 }
 
 void YamlValue::Fail(const std::string& what) const {
-  throw std::invalid_argument(file_ + ": " +
-                              Printable((path_.empty() ? "" : path_ + ": ") + what));
+  throw std::invalid_argument(file_ + ": " + Printable((path_.empty() ? "" : path_ + ": ") + what));
 }
 
 std::vector<std::pair<std::string, YamlValue>> YamlValue::Entries() const {

@@ -36,18 +36,17 @@ void CheckInertia(const DynamicModel& model, const BodyProperties& body,
   const Eigen::Vector3d ratio = inertia.cwiseQuotient(model.vehicle().inertia_kg_m2);
   for (int i = 0; i < 3; ++i) {
     if (ratio[i] >= kLeastInertiaRatio && ratio[i] <= kMostInertiaRatio) continue;
-    sentences->push_back(
-        std::string("inertia.") + "xyz"[i] +
-        Format(" is %.2f times the nominal %.3g kg m^2", ratio[i], model.vehicle().inertia_kg_m2[i]));
+    sentences->push_back(std::string("inertia.") + "xyz"[i] +
+                         Format(" is %.2f times the nominal %.3g kg m^2", ratio[i],
+                                model.vehicle().inertia_kg_m2[i]));
   }
   // No moment exceeds the sum of the others, but for its own uncertainty, a few per cent, and what
   // the vehicle file has: a frozen one stays there.
   const double largest = inertia.maxCoeff();
-  const double most =
-      kMostOverOthers * std::max(1.0, OverOthers(model.vehicle().inertia_kg_m2));
+  const double most = kMostOverOthers * std::max(1.0, OverOthers(model.vehicle().inertia_kg_m2));
   if (largest > most * (inertia.sum() - largest) + InertiaLeeway(model, sigma)) {
     sentences->push_back(Format("inertia: %.3g kg m^2 is more than the other two together (%.3g)",
-                              largest, inertia.sum() - largest));
+                                largest, inertia.sum() - largest));
   }
 }
 
@@ -157,8 +156,8 @@ SettingDoubt DoubtOf(const std::string& full_name, const ParameterSpec& spec,
   const double size = SizeOf(spec, value), own = SizeOf(spec, spec.prior_value);
   char text[160];
   if (!(std::abs(value) <= kMostValue * own) || (is_log && !(value >= own / kMostValue))) {
-    std::snprintf(text, sizeof text, "%.3g %s is implausible; its natural size is %.2g",
-                  value, spec.unit.c_str(), own);
+    std::snprintf(text, sizeof text, "%.3g %s is implausible; its natural size is %.2g", value,
+                  spec.unit.c_str(), own);
     return {"value", text};
   }
   const double sigma = setting.sigma.value_or(size);

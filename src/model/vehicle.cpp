@@ -18,9 +18,9 @@ bool IsValidMount(const SensorMount& mount, const std::string& key, std::string*
   return true;
 }
 
-/// No moment of a rigid body exceeds the sum of the others; a flat one reaches it. Each of the three
-/// is a guess known to 40 % (their prior), which breaks that rule by half as often as not. By more
-/// than the sum again, they are not the moments of one body.
+/// No moment of a rigid body exceeds the sum of the others; a flat one reaches it. Each of the
+/// three is a guess known to 40 % (their prior), which breaks that rule by half as often as not. By
+/// more than the sum again, they are not the moments of one body.
 constexpr double kMostOverOthers = 2.0;
 
 /// What the geometry does not allow; empty if it allows all.
@@ -60,13 +60,14 @@ bool Vehicle::IsValid(std::string* error) const {
   }
   const double largest = inertia_kg_m2.maxCoeff();
   if (largest > kMostOverOthers * (inertia_kg_m2.sum() - largest)) {
-    return Invalid(error,
-                "inertia_kg_m2: one moment is more than twice the sum of the others, which no body "
-                "has (triangle inequality)");
+    return Invalid(
+        error,
+        "inertia_kg_m2: one moment is more than twice the sum of the others, which no body "
+        "has (triangle inequality)");
   }
   if (rotors.size() < 3 || num_rotors() > kMaxRotors) {
     return Invalid(error, "rotors must list 3 to " + std::to_string(kMaxRotors) + " rotors, not " +
-                           std::to_string(rotors.size()));
+                              std::to_string(rotors.size()));
   }
   for (size_t i = 0; i < rotors.size(); ++i) {
     const std::string key = "rotors[" + std::to_string(i) + "]";
@@ -75,8 +76,8 @@ bool Vehicle::IsValid(std::string* error) const {
     if (!(rotors[i].radius_m > 0.0)) return Invalid(error, key + ".radius_m must be positive");
     for (size_t j = 0; j < i; ++j) {
       if ((rotors[i].p_BP - rotors[j].p_BP).norm() < 1e-6) {
-        return Invalid(error, key + ".position_m is the same as that of rotors[" + std::to_string(j) +
-                               "]: each rotor has its own place");
+        return Invalid(error, key + ".position_m is the same as that of rotors[" +
+                                  std::to_string(j) + "]: each rotor has its own place");
       }
     }
   }

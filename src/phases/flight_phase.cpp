@@ -6,26 +6,37 @@ namespace odmc {
 
 const char* Name(FlightPhase phase) {
   switch (phase) {
-    case FlightPhase::kOff: return "off";
-    case FlightPhase::kIdling: return "idling";
-    case FlightPhase::kOnGround: return "on_ground";
-    case FlightPhase::kLiftingOff: return "lifting_off";
-    case FlightPhase::kFlying: return "flying";
-    case FlightPhase::kFalling: return "falling";
-    case FlightPhase::kTouchingDown: return "touching_down";
-    case FlightPhase::kInHand: return "in_hand";
-    case FlightPhase::kInContact: return "in_contact";
-    case FlightPhase::kUpsideDown: return "upside_down";
-    case FlightPhase::kCrashed: return "crashed";
+    case FlightPhase::kOff:
+      return "off";
+    case FlightPhase::kIdling:
+      return "idling";
+    case FlightPhase::kOnGround:
+      return "on_ground";
+    case FlightPhase::kLiftingOff:
+      return "lifting_off";
+    case FlightPhase::kFlying:
+      return "flying";
+    case FlightPhase::kFalling:
+      return "falling";
+    case FlightPhase::kTouchingDown:
+      return "touching_down";
+    case FlightPhase::kInHand:
+      return "in_hand";
+    case FlightPhase::kInContact:
+      return "in_contact";
+    case FlightPhase::kUpsideDown:
+      return "upside_down";
+    case FlightPhase::kCrashed:
+      return "crashed";
   }
   return "";
 }
 
 std::string PhaseSpan::Describe(Stamp zero) const {
   char text[160];
-  std::snprintf(text, sizeof text, "%s from %.2f to %.2f s: thrust %.2f of the weight, %.2f of it missing",
-                Name(phase), ToSeconds(from - zero), ToSeconds(to - zero), thrust_ratio,
-                missing_force);
+  std::snprintf(
+      text, sizeof text, "%s from %.2f to %.2f s: thrust %.2f of the weight, %.2f of it missing",
+      Name(phase), ToSeconds(from - zero), ToSeconds(to - zero), thrust_ratio, missing_force);
   return text;
 }
 

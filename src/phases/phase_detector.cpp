@@ -16,8 +16,8 @@ constexpr double kContactForce = 0.5;  // sigma of what a contact adds, over the
 // Errors of neighbouring blocks are alike (a manoeuvre lasts about three), so a block counts for a
 // third; a single one is not enough, but for a force of more than eight sigmas (a bounce).
 constexpr double kBlockCounts = 1.0 / 3.0, kMostPerBlock = 4.0, kBeyondDoubt_nats = 10.0;
-// A block of six sigmas (in flight once in 10^8) was a touch if contact follows soon: a landing gear
-// bounces.
+// A block of six sigmas (in flight once in 10^8) was a touch if contact follows soon: a landing
+// gear bounces.
 constexpr double kBump_nats = 3.0, kBumpKept_s = 0.8;
 constexpr double kStillWeight = 0.5;  // of a block in which the vehicle stands still
 constexpr double kFree_nats = 5.0;    // to fly again: odds of 150 to 1
@@ -30,15 +30,15 @@ constexpr double kStillAngle_rad = 1.0e-3, kStillWay_m = 3.0e-3, kStillNoise = 2
 constexpr double kStandVaries = 1.15;  // of thrust, while nothing moves: it does not carry
 constexpr double kGainDiffers = 0.05;  // thrust that carries so much better than before
 constexpr double kProof_s = 0.5;
-constexpr double kKnown_s = 1.0;       // of carried flight, to know the thrust coefficient
-constexpr double kClearWander = 3.0;   // times what a stand shows at most
-constexpr double kWandered_s = 1.0;    // as good as having moved away
+constexpr double kKnown_s = 1.0;        // of carried flight, to know the thrust coefficient
+constexpr double kClearWander = 3.0;    // times what a stand shows at most
+constexpr double kWandered_s = 1.0;     // as good as having moved away
 constexpr double kStandsAlone_s = 0.5;  // without rotor speeds; as long again as stillness takes
 constexpr double kTurned_rad = 0.1;
 constexpr double kCarried_m_s = 0.15;
 constexpr double kFallingForce = 0.3, kSupported = 0.5;  // felt, over g
-constexpr double kImpact = 3.0;        // felt, over g: harder than a landing
-constexpr double kSteady_s = 1.5;      // a missing force that goes with thrust: another vehicle
+constexpr double kImpact = 3.0;                          // felt, over g: harder than a landing
+constexpr double kSteady_s = 1.5;  // a missing force that goes with thrust: another vehicle
 constexpr double kSteadySpread = 0.1, kSteadySideways = 0.15;
 constexpr double kIdleThrust = 0.25, kOffThrust = 0.004;
 constexpr size_t kMostSpans = 1000;
@@ -102,11 +102,21 @@ void PhaseDetector::CloseBlock(PhaseVerdict* verdict) {
   b.thrust /= b.forced_s;
   hardest_ = std::max(0.9 * hardest_, b.felt.norm());
   switch (mode_) {
-    case Mode::kStart: Start(verdict); break;
-    case Mode::kWaiting: Wait(verdict); break;
-    case Mode::kProving: Prove(verdict); break;
-    case Mode::kFlying: Fly(verdict); break;
-    case Mode::kGrounded: Stand(verdict); break;
+    case Mode::kStart:
+      Start(verdict);
+      break;
+    case Mode::kWaiting:
+      Wait(verdict);
+      break;
+    case Mode::kProving:
+      Prove(verdict);
+      break;
+    case Mode::kFlying:
+      Fly(verdict);
+      break;
+    case Mode::kGrounded:
+      Stand(verdict);
+      break;
   }
   ExtendSpan();
 }

@@ -64,8 +64,7 @@ void BackgroundLooks::Run() {
     const std::shared_ptr<ResidualWatch> looking = watch();
     if (!looking) continue;
     try {
-      const std::optional<ResidualLook> look =
-          looking->Look([this] { return queue_->stopping(); });
+      const std::optional<ResidualLook> look = looking->Look([this] { return queue_->stopping(); });
       if (look) on_look_(*look);
     } catch (const std::exception& e) {
       ROS_ERROR_THROTTLE(10.0, "the residual cannot be looked at: %s", e.what());
@@ -81,9 +80,8 @@ void BackgroundLooks::InspectIfDue() {
     StreamsFound found;
     found.inspection = InspectRecording(seen->vehicle, &seen->log);
     found.model = seen->model;
-    const Stamp from = seen->log.odometry.empty()
-                           ? 0
-                           : seen->log.odometry.back().stamp - FromSeconds(kDoubted_s);
+    const Stamp from =
+        seen->log.odometry.empty() ? 0 : seen->log.odometry.back().stamp - FromSeconds(kDoubted_s);
     // Of low priority, on a busy machine, this could hold the node's end up for half a minute.
     const auto give_up = [this] { return queue_->stopping(); };
     found.changes = ChangesWithout(found.inspection.doubts, seen->log, from, *seen->model,

@@ -107,10 +107,9 @@ std::uint64_t UncompressedBytes(const BagRecords& bag, const Record& chunk) {
   const auto bytes = bag.Value<std::uint32_t>(chunk, "size");
   const auto compression = chunk.fields.find("compression");
   const std::string how = compression == chunk.fields.end() ? "" : compression->second;
-  const bool is_sound =
-      how == "none"  ? bytes == chunk.data_bytes
-      : how == "lz4" ? bytes <= kLz4Ratio * chunk.data_bytes + kLz4Frame
-                     : how == "bz2";
+  const bool is_sound = how == "none"  ? bytes == chunk.data_bytes
+                        : how == "lz4" ? bytes <= kLz4Ratio * chunk.data_bytes + kLz4Frame
+                                       : how == "bz2";
   if (!is_sound || bytes > kLargestChunk) bag.Fail(chunk.at, "a chunk's header is wrong");
   return bytes;
 }

@@ -1,11 +1,10 @@
 #include "odmc/ros/control_messages.h"
 
-#include "odmc/text/finding.h"
-
 #include <cmath>
 #include <limits>
 
 #include "odmc/ros/conversions.h"
+#include "odmc/text/finding.h"
 
 namespace odmc {
 namespace {

@@ -12,7 +12,7 @@ namespace {
 
 using visualization_msgs::Marker;
 
-constexpr double kArmsPerWeight = 20.0;      // a twentieth of the weight is an arm long
+constexpr double kArmsPerWeight = 20.0;       // a twentieth of the weight is an arm long
 constexpr double kArmsPerWeightArm = 1000.0;  // torques are smaller: a 1000th of weight times arm
 constexpr double kAhead_s = 0.1;  // velocities are drawn as what they travel in this time
 constexpr double kLeastArrow_m = 1e-6;

@@ -107,8 +107,8 @@ void EstimatePublisher::PublishTransforms(const Snapshot& snapshot, const Dynami
   }
   if (IsEstimated(model, "imu_extrinsics")) {
     transforms.push_back(ToTransform(snapshot.stamp, options_.body_frame,
-                                     NameOr(frames_.imu, "imu") + kCalibrated,
-                                     snapshot.body.p_BI, snapshot.body.R_BI));
+                                     NameOr(frames_.imu, "imu") + kCalibrated, snapshot.body.p_BI,
+                                     snapshot.body.R_BI));
   }
   if (!transforms.empty()) tf_broadcaster_.sendTransform(transforms);
 }
@@ -122,7 +122,7 @@ void EstimatePublisher::PublishDisplays(const Snapshot& snapshot, const Context&
   if (!ros::ok() || time - displayed_ < period) return;
   displayed_ = time;
   if (displays_.getNumSubscribers() > 0) {
-    const std::string verdict = !snapshot.airborne                ? ""
+    const std::string verdict = !snapshot.airborne               ? ""
                                 : context.acceptance->accepted() ? "accepted"
                                                                  : "not accepted";
     displays_.publish(DisplayMarkers(*context.model, snapshot,

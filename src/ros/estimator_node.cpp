@@ -112,9 +112,9 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
   reporter_ = std::make_unique<NodeReporter>(node, setup_.vehicle.name, setup_.options.live_image,
                                              &shared_, &queue_);
   estimator_thread_ = std::thread(&EstimatorNode::RunEstimator, this);
-  topics_ = std::make_unique<TopicIntake>(
-      node, setup_.options, setup_.vehicle.num_rotors(), rotors_.is_on(), &queue_,
-      [this](const std::string& sentence) { Warn(sentence); });
+  topics_ = std::make_unique<TopicIntake>(node, setup_.options, setup_.vehicle.num_rotors(),
+                                          rotors_.is_on(), &queue_,
+                                          [this](const std::string& sentence) { Warn(sentence); });
   AdvertiseServices(private_node);
 }
 
@@ -366,8 +366,8 @@ void EstimatorNode::MakeEstimator() {
   if (setup_.options.residual_watch.residual_watch_period_s > 0.0) {
     Vehicle filed = setup_.vehicle;
     filed.parameters = setup_.file_parameters;
-    looks_->Watch(std::make_shared<ResidualWatch>(filed, setup_.options.residual_watch,
-                                                  !intake_.rms_only()));
+    looks_->Watch(
+        std::make_shared<ResidualWatch>(filed, setup_.options.residual_watch, !intake_.rms_only()));
   }
 }
 
@@ -578,8 +578,8 @@ void EstimatorNode::ShareIntake(NodeStatus* s) const {
   if (rotors_.is_on()) s->rotors = rotors_.Now(intake_.rms_only());
   s->waiting_for = intake_.WaitingFor();
   if (setup_.options.uses_tf() && s->waiting_for == "odometry or pose") {
-    s->waiting_for = "tf from " + setup_.options.odometry_tf_parent + " to " +
-                     setup_.options.odometry_tf_child;
+    s->waiting_for =
+        "tf from " + setup_.options.odometry_tf_parent + " to " + setup_.options.odometry_tf_child;
   }
   if (intake_.phase() == IntakePhase::kRefused) {
     s->fatal = "the twist of the odometry fits neither frame: " + intake_.twist().Describe() +

@@ -70,7 +70,8 @@ bool EstimatorNodeOptions::IsValid(std::string* error) const {
     return Invalid(error, "twist_frame must be auto, body or world, not '" + twist_frame + "'");
   }
   if (rotor_speed_from != "sensor" && rotor_speed_from != "commands") {
-    return Invalid(error, "rotor_speed_from must be sensor or commands, not '" + rotor_speed_from + "'");
+    return Invalid(error,
+                   "rotor_speed_from must be sensor or commands, not '" + rotor_speed_from + "'");
   }
   if (on_time_reset != "restart" && on_time_reset != "stop") {
     return Invalid(error, "on_time_reset must be restart or stop, not '" + on_time_reset + "'");
@@ -119,9 +120,8 @@ EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
                                ": was not accepted when it was saved; the estimate starts from it");
     }
     ApplyParameters(set, &setup.vehicle);
-    const bool is_fleet =
-        std::any_of(set.parameters.begin(), set.parameters.end(),
-                    [](const ParameterEstimate& p) { return p.scatter > 0.0; });
+    const bool is_fleet = std::any_of(set.parameters.begin(), set.parameters.end(),
+                                      [](const ParameterEstimate& p) { return p.scatter > 0.0; });
     if (is_fleet) setup.history = set;
     const auto known = setup.vehicle.parameters.find("thrust.k_f");
     if (known != setup.vehicle.parameters.end()) {

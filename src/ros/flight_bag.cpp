@@ -12,8 +12,8 @@
 #include <filesystem>
 #include <functional>
 #include <limits>
-#include <set>
 #include <new>
+#include <set>
 #include <stdexcept>
 #include <utility>
 #include <vector>
@@ -113,8 +113,8 @@ BagSource::BagSource(const std::string& file, const BagOptions& options)
     bag_.open(file, rosbag::bagmode::Read);
   } catch (const rosbag::BagUnindexedException&) {
     RefuseFile(file,
-         "has no index: recording was cut off or the file is truncated; "
-         "`rosbag reindex` rescues what is there");
+               "has no index: recording was cut off or the file is truncated; "
+               "`rosbag reindex` rescues what is there");
   } catch (const rosbag::BagException& e) {
     RefuseFile(file, std::string("is not a bag or truncated: ") + e.what());
   }
@@ -143,7 +143,7 @@ void BagSource::CheckMap() const {
     const std::string found = TopicOf(name), type = types_.at(found);
     if (!role->foreign && std::count(role->types.begin(), role->types.end(), type) == 0) {
       RefuseFile(file_, "topic " + found + " is a " + type + ", but " + name + " must be a " +
-                      role->types.front());
+                            role->types.front());
     }
   }
 }
@@ -194,7 +194,7 @@ std::string BagSource::OneOf(const std::set<std::string>& topics, const std::str
   if (candidates.empty()) return "";
   if (candidates.size() > 1) {
     RefuseFile(file_, "several topics could be " + role + ": " + Join(candidates) +
-                    "; choose with --topic " + role + ":=" + *candidates.begin());
+                          "; choose with --topic " + role + ":=" + *candidates.begin());
   }
   return *candidates.begin();
 }
@@ -355,10 +355,10 @@ TwistFrame FindTwistFrame(const std::string& source, const RawOdometries& messag
   const TwistFrameDecision& decision = detector.decision();
   if (decision.frame == TwistFrame::kNeither) {
     RefuseFile(source, "the twist fits neither frame: " + decision.Describe() +
-                     "; state twist_frame if the position is at fault");
+                           "; state twist_frame if the position is at fault");
   }
-  const TwistFrame frame = ResolveTwistFrame(
-      decision.frame, messages.front().frame_id, messages.front().child_frame_id);
+  const TwistFrame frame =
+      ResolveTwistFrame(decision.frame, messages.front().frame_id, messages.front().child_frame_id);
   if (decision.frame == TwistFrame::kUndecided && decision.moving_s > 1.0) {
     log->warnings.push_back(source +
                             ": the motion does not tell the frame of the twist, took the " +
@@ -463,12 +463,12 @@ std::vector<OdometrySample> ReadPoses(BagSource* bag, const std::string& topic,
 }
 
 /// What tf says of the two frames, where the user names them.
-std::vector<OdometrySample> ReadTfPoses(BagSource* bag, const BagOptions& options,
-                                        FlightLog* log) {
+std::vector<OdometrySample> ReadTfPoses(BagSource* bag, const BagOptions& options, FlightLog* log) {
   for (const char* role : {"odometry", "pose"}) {
     if (options.topics.count(role) > 0) {
       RefuseFile(bag->file(), std::string("odometry comes from tf (odometry_tf_child is ") +
-                            options.odometry_tf_child + "): --topic " + role + " is not read");
+                                  options.odometry_tf_child + "): --topic " + role +
+                                  " is not read");
     }
   }
   return WithTwists(bag, bag->file() + ": tf",
@@ -508,7 +508,7 @@ std::pair<std::string, InputStream> FindRotors(BagSource* bag, const BagOptions&
   const bool is_mapped = options.topics.count("rotor_speeds") > 0;
   if (!options.rotor_topic_field.empty() && !is_mapped) {
     RefuseFile(bag->file(), "which topic has the field " + options.rotor_topic_field +
-                          "? Say so by --topic rotor_speeds:=/name; " + bag->Contents());
+                                "? Say so by --topic rotor_speeds:=/name; " + bag->Contents());
   }
   // A mapped joint_states says which of the two the user means.
   const bool joints_only = options.topics.count("joint_states") > 0;
@@ -522,10 +522,11 @@ void ReadRotors(BagSource* bag, int num_rotors, const BagOptions& options, Fligh
   const std::string source = bag->file() + ": " + topic;
   if (topic.empty()) {
     if (!log->commands.empty()) return;  // no sensor: commands may stand in
-    RefuseFile(bag->file(),
-         "no rotor speeds (odmc/RotorSpeeds, sensor_msgs/JointState, or a type that is known); "
-         "--topic rotor_speeds:=/name and --rotor-topic-field read any other; " +
-             bag->Contents());
+    RefuseFile(
+        bag->file(),
+        "no rotor speeds (odmc/RotorSpeeds, sensor_msgs/JointState, or a type that is known); "
+        "--topic rotor_speeds:=/name and --rotor-topic-field read any other; " +
+            bag->Contents());
   }
   bag->Read<RotorInput>(topic, stream, num_rotors, log, [&](const RotorInput& m) {
     log->rotors.push_back(m.sample);
@@ -572,7 +573,8 @@ Stamp ReadShift(BagSource* bag) {
     const auto m = instance.instantiate<std_msgs::Int64>();
     if (m == nullptr) continue;
     if (m->data < -kMost || m->data > kMost) {
-      RefuseFile(bag->file(), std::string("is damaged: ") + kShiftTopic + " holds no shift of stamps");
+      RefuseFile(bag->file(),
+                 std::string("is damaged: ") + kShiftTopic + " holds no shift of stamps");
     }
     return m->data;
   }
@@ -599,13 +601,12 @@ BlackbirdFlight::RotorMessage RotorMessageOf(const std::string& file, const Mess
                                 m.bytes.data(), m.bytes.size());
   // Messages of the first version, and those whose list is empty, have the header's for all.
   if (is_stamped && rotors.stamps.empty()) {
-    rotors.stamps =
-        layout.Stamps(layout.Find("header.stamp"), m.bytes.data(), m.bytes.size());
+    rotors.stamps = layout.Stamps(layout.Find("header.stamp"), m.bytes.data(), m.bytes.size());
   }
   if (rotors.stamps.size() == 1) rotors.stamps.resize(rotors.rpm.size(), rotors.stamps.front());
   if (rotors.rpm.empty() || rotors.rpm.size() != rotors.stamps.size()) {
     RefuseFile(file, std::to_string(rotors.stamps.size()) + " stamps for " +
-                   std::to_string(rotors.rpm.size()) + " rotor speeds");
+                         std::to_string(rotors.rpm.size()) + " rotor speeds");
   }
   return rotors;
 }
@@ -620,12 +621,11 @@ FlightLog ReadBlackbirdBag(BagSource* bag, const FlightReadOptions& read) {
   }
   BlackbirdFlight flight;
   flight.path = bag->file();
-  bag->Read<OdometryInput>(kBlackbirdState, InputStream::kPose, 0, &log,
-                           [&](const OdometryInput& m) {
-                             const Eigen::Quaterniond& q = m.sample.q_WS;
-                             flight.poses.push_back({m.sample.stamp, m.sample.p_WS,
-                                                     {q.w(), q.x(), q.y(), q.z()}});
-                           });
+  bag->Read<OdometryInput>(
+      kBlackbirdState, InputStream::kPose, 0, &log, [&](const OdometryInput& m) {
+        const Eigen::Quaterniond& q = m.sample.q_WS;
+        flight.poses.push_back({m.sample.stamp, m.sample.p_WS, {q.w(), q.x(), q.y(), q.z()}});
+      });
   if (!bag->TypeOf(kBlackbirdImu).empty()) {
     bag->Read<ImuInput>(kBlackbirdImu, InputStream::kImu, 0, &log,
                         [&](const ImuInput& m) { flight.imu.push_back(m.sample); });
@@ -655,10 +655,11 @@ void ReadMotion(BagSource* bag, const FlightReadOptions& read, const BagOptions&
   const bool wants_poses = odometry_topic.empty() || read.pose == PoseSource::kMocap;
   const std::string pose_topic = wants_poses ? bag->TopicOf("pose") : "";
   if (wants_poses && pose_topic.empty() && read.part != FlightPart::kOnboard) {
-    RefuseFile(bag->file(),
-         "no odometry (nav_msgs/Odometry or geometry_msgs/PoseStamped, PoseWithCovarianceStamped, "
-         "TransformStamped; of tf with --odometry-tf-parent and --odometry-tf-child); " +
-             bag->Contents());
+    RefuseFile(
+        bag->file(),
+        "no odometry (nav_msgs/Odometry or geometry_msgs/PoseStamped, PoseWithCovarianceStamped, "
+        "TransformStamped; of tf with --odometry-tf-parent and --odometry-tf-child); " +
+            bag->Contents());
   }
   if (!odometry_topic.empty()) log->odometry = ReadOdometry(bag, odometry_topic, options, log);
   if (!pose_topic.empty()) UseMocapPoses(ReadPoses(bag, pose_topic, options, log), log);
@@ -917,8 +918,10 @@ FlightLog ReadActuatorBag(const std::string& file, const BagOptions& options) {
 
 FlightReaders AllFlightReaders(const BagOptions& options) {
   FlightReaders readers = FlightReaders::Core();
-  readers.Add({"a rosbag (.bag)", {".bag"},
-               [](std::string_view head) { return head.substr(0, 9) == "#ROSBAG V"; }, false,
+  readers.Add({"a rosbag (.bag)",
+               {".bag"},
+               [](std::string_view head) { return head.substr(0, 9) == "#ROSBAG V"; },
+               false,
                [options](const std::string& file, const FlightReadOptions& read) {
                  return ReadBag(file, read, options);
                }});

@@ -144,9 +144,8 @@ void SampleIntake::Decide() {
     return first_[stream] ? ToSeconds(*last_[stream] - *first_[stream]) : -1.0;
   };
   const double poses_s = std::max(seen_for(kOdometry), seen_for(kPose));
-  const double rotors_s = rotors_.from_commands
-                              ? seen_for(kCommands)
-                              : std::max(seen_for(kRotors), seen_for(kJoints));
+  const double rotors_s =
+      rotors_.from_commands ? seen_for(kCommands) : std::max(seen_for(kRotors), seen_for(kJoints));
   if (poses_s < kSettle_s || rotors_s < kSettle_s) return;
   if (rotors_.needs_voltage && !first_[kBattery]) return;
   use_pose_ = !first_[kOdometry];
@@ -181,7 +180,8 @@ bool SampleIntake::KnowsFrame() const {
 }
 
 bool SampleIntake::HoverTellsNoMore() const {
-  return detector_.fits_both() && moves_since_ && ToSeconds(*last_[kOdometry] - *moves_since_) > kHover_s;
+  return detector_.fits_both() && moves_since_ &&
+         ToSeconds(*last_[kOdometry] - *moves_since_) > kHover_s;
 }
 
 /// Where the flow began without the frame of the twist.

@@ -113,7 +113,8 @@ std::string JumpOdometry(const WorldOptions& sizes, World* world) {
 bool SimulatorNodeOptions::IsValid(std::string* error) const {
   if (vehicle_file.empty()) return Invalid(error, "vehicle_file must name a vehicle YAML");
   if (!(real_time_factor > 0.0)) return Invalid(error, "real_time_factor must be positive");
-  if (!(command_lag_s >= 0.0)) return Invalid(error, "command_lag_s must be positive, or 0 not to wait");
+  if (!(command_lag_s >= 0.0))
+    return Invalid(error, "command_lag_s must be positive, or 0 not to wait");
   if (world_frame.empty() || body_frame.empty()) {
     return Invalid(error, "world_frame and body_frame must not be empty");
   }
@@ -216,7 +217,7 @@ void SimulatorNode::Advertise() {
 // ---- ROS threads -------------------------------------------------------------------------------
 
 void SimulatorNode::AdvertiseFault(const std::string& service,
-                          std::string (*act)(const WorldOptions& sizes, World* world)) {
+                                   std::string (*act)(const WorldOptions& sizes, World* world)) {
   const boost::function<bool(std_srvs::Trigger::Request&, std_srvs::Trigger::Response&)> callback =
       [this, service, act](std_srvs::Trigger::Request&, std_srvs::Trigger::Response& answer) {
         try {

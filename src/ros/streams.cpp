@@ -90,10 +90,7 @@ const std::vector<StreamRole>& StreamRoles() {
        {"geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped",
         "geometry_msgs/TransformStamped"}},
       {InputStream::kImu, "imu", {"sensor_msgs/Imu"}},
-      {InputStream::kRotorSpeeds,
-       "rotor_speeds",
-       {"odmc/RotorSpeeds"},
-       ForeignUse::kRotorSpeeds},
+      {InputStream::kRotorSpeeds, "rotor_speeds", {"odmc/RotorSpeeds"}, ForeignUse::kRotorSpeeds},
       {InputStream::kJointStates, "joint_states", {kJointState}},
       {InputStream::kBatteryState,
        "battery_state",
@@ -202,16 +199,22 @@ std::optional<InputSample> StreamReader::Read(const RawMessage& message, Stamp a
 
 InputSample StreamReader::ReadOwn(const RawMessage& message) const {
   switch (role_.stream) {
-    case InputStream::kOdometry: return InputOf(Decode<nav_msgs::Odometry>(message));
-    case InputStream::kPose: return PoseInputOf(message);
-    case InputStream::kTwist: return TwistInputOf(message);
-    case InputStream::kImu: return InputOf(Decode<sensor_msgs::Imu>(message));
-    case InputStream::kBatteryState: return InputOf(Decode<sensor_msgs::BatteryState>(message));
+    case InputStream::kOdometry:
+      return InputOf(Decode<nav_msgs::Odometry>(message));
+    case InputStream::kPose:
+      return PoseInputOf(message);
+    case InputStream::kTwist:
+      return TwistInputOf(message);
+    case InputStream::kImu:
+      return InputOf(Decode<sensor_msgs::Imu>(message));
+    case InputStream::kBatteryState:
+      return InputOf(Decode<sensor_msgs::BatteryState>(message));
     case InputStream::kMotorCommands: {
       const auto m = Decode<MotorCommands>(message);
       return CommandsOf(FromRos(m.header.stamp), m.throttle);
     }
-    default: break;
+    default:
+      break;
   }
   if (message.type() == kJointState) {
     const auto m = Decode<sensor_msgs::JointState>(message);
@@ -226,13 +229,15 @@ InputSample StreamReader::ReadOwn(const RawMessage& message) const {
 FieldOptions StreamReader::Fields() const {
   switch (role_.stream) {
     case InputStream::kRotorSpeeds:
-      return {options_.rotor_topic_field, options_.rotor_speed_unit, options_.pole_pairs,
-              options_.rotor_order, options_.rotor_stamp_field, options_.rotor_stamp_unit};
+      return {options_.rotor_topic_field, options_.rotor_speed_unit,  options_.pole_pairs,
+              options_.rotor_order,       options_.rotor_stamp_field, options_.rotor_stamp_unit};
     case InputStream::kMotorCommands:
       return {options_.command_topic_field, options_.command_unit, options_.pole_pairs,
               options_.command_order};
-    case InputStream::kBatteryState: return {options_.battery_topic_field, "auto", 1, {}};
-    default: return {};
+    case InputStream::kBatteryState:
+      return {options_.battery_topic_field, "auto", 1, {}};
+    default:
+      return {};
   }
 }
 
@@ -253,10 +258,12 @@ std::optional<InputSample> StreamReader::ReadForeign(const RawMessage& message, 
   if (reading) stamp_source_ = foreign_->StampSource();
   if (!reading) return std::nullopt;
   switch (*role_.foreign) {
-    case ForeignUse::kVoltage: return BatterySample{reading->stamp, reading->values.front()};
+    case ForeignUse::kVoltage:
+      return BatterySample{reading->stamp, reading->values.front()};
     case ForeignUse::kCommands:
       return CommandSample{reading->stamp, PerRotor(reading->values, {}, "commands")};
-    default: break;
+    default:
+      break;
   }
   RotorInput input;
   input.sample.stamp = reading->stamp;
@@ -288,10 +295,9 @@ RotorVector StreamReader::PerRotor(const std::vector<double>& entries,
   if (!fits) {
     const std::string has = "has " + std::to_string(entries.size()) + " " + what;
     throw std::invalid_argument(
-        !order.empty() ? has + ", an order of " + std::to_string(order.size()) + " was given"
-        : num_rotors_ > 0
-            ? has + ", the vehicle has " + std::to_string(num_rotors_) + " rotors"
-            : has);
+        !order.empty()    ? has + ", an order of " + std::to_string(order.size()) + " was given"
+        : num_rotors_ > 0 ? has + ", the vehicle has " + std::to_string(num_rotors_) + " rotors"
+                          : has);
   }
   return Eigen::Map<const Eigen::VectorXd>(ordered->data(), static_cast<Eigen::Index>(size));
 }

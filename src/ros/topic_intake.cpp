@@ -47,8 +47,7 @@ void TopicIntake::Subscribe(InputStream stream, int num_rotors) {
       };
   ros::SubscribeOptions options;
   const std::string topic = (IsTf(stream) ? "/" : "") + std::string(NameOf(stream));
-  options.initByFullCallbackType<const ros::MessageEvent<const RawMessage>&>(topic, 2000,
-                                                                            callback);
+  options.initByFullCallbackType<const ros::MessageEvent<const RawMessage>&>(topic, 2000, callback);
   options.transport_hints = ros::TransportHints().tcpNoDelay();
   subscribers_.push_back(node_.subscribe(options));
 }
@@ -120,8 +119,9 @@ void TopicIntake::TellOfSigns(const InputSample& input) {
   const auto* rotors = std::get_if<RotorInput>(&input);
   if (told_of_signs_ || rotors == nullptr || !(rotors->sample.speed.minCoeff() < 0.0)) return;
   told_of_signs_ = true;
-  ROS_INFO("rotor speeds have a sign: their magnitude is used, the direction of turning comes from "
-           "the vehicle file");
+  ROS_INFO(
+      "rotor speeds have a sign: their magnitude is used, the direction of turning comes from "
+      "the vehicle file");
 }
 
 }  // namespace odmc

@@ -184,10 +184,11 @@ void DropRatesOfOtherUnit(const std::string& check, Member rates, std::vector<Sa
   if (share < kOtherUnit) return;
   for (Sample& sample : *samples) (sample.*rates).reset();
   char text[200];
-  std::snprintf(text, sizeof text,
-                ": %.0f %% are beyond what a sensor reads (%.0f rad/s): in degrees (deg/s)? They are "
-                "not used",
-                100.0 * share, kMostRate_rad_s);
+  std::snprintf(
+      text, sizeof text,
+      ": %.0f %% are beyond what a sensor reads (%.0f rad/s): in degrees (deg/s)? They are "
+      "not used",
+      100.0 * share, kMostRate_rad_s);
   log->warnings.push_back(check + text);
 }
 

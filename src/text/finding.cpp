@@ -6,9 +6,12 @@ namespace odmc {
 
 const char* Name(Trust trust) {
   switch (trust) {
-    case Trust::kGood: return "good";
-    case Trust::kDoubtful: return "doubtful";
-    case Trust::kBad: return "bad";
+    case Trust::kGood:
+      return "good";
+    case Trust::kDoubtful:
+      return "doubtful";
+    case Trust::kBad:
+      return "bad";
   }
   return "";
 }

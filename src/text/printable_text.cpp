@@ -10,9 +10,11 @@ namespace {
 size_t Decode(std::string_view text, std::uint32_t* code) {
   const auto byte = [&](size_t i) { return static_cast<unsigned char>(text[i]); };
   const unsigned char first = byte(0);
-  const size_t length = first < 0x80 ? 1 : first >> 5 == 6 ? 2 : first >> 4 == 14 ? 3
-                                       : first >> 3 == 30  ? 4
-                                                           : 0;
+  const size_t length = first < 0x80       ? 1
+                        : first >> 5 == 6  ? 2
+                        : first >> 4 == 14 ? 3
+                        : first >> 3 == 30 ? 4
+                                           : 0;
   if (length == 0 || length > text.size()) return 0;
   *code = length == 1 ? first : first & (0x7fu >> length);
   for (size_t i = 1; i < length; ++i) {

@@ -169,7 +169,8 @@ int main(int argc, char** argv) {
   CLI::App app(
       "Calibrates a quadrotor's dynamic model on recorded flights with the online estimator.\n"
       "Of one flight it writes parameters.yaml, history.csv, prediction.csv, timing.csv,\n"
-      "report.json, report.html and flight.json (what a fleet needs of it). Of several it combines\n"
+      "report.json, report.html and flight.json (what a fleet needs of it). Of several it "
+      "combines\n"
       "what each says about the vehicle: parameters.yaml with the scatter between flights,\n"
       "report.json, flights.csv, report.html, and flights/NAME/ of each.");
   Arguments a;
@@ -196,10 +197,13 @@ int main(int argc, char** argv) {
       ->delimiter(',')
       ->allow_extra_args(false)
       ->type_name("a,b");
-  app.add_option("--jobs", a.jobs, "flights at a time")->check(tools::Positive())->capture_default_str();
-  app.add_option("--false-alarm-rate", a.false_alarm_rate,
-                 "share of fleets without any in which a step, a trend or an outlier is seen; the same "
-                 "share of those without in which a recurrent residual is")
+  app.add_option("--jobs", a.jobs, "flights at a time")
+      ->check(tools::Positive())
+      ->capture_default_str();
+  app.add_option(
+         "--false-alarm-rate", a.false_alarm_rate,
+         "share of fleets without any in which a step, a trend or an outlier is seen; the same "
+         "share of those without in which a recurrent residual is")
       ->check(CLI::Range(1e-9, 0.5))
       ->capture_default_str();
   app.add_flag("--no-left-out", a.no_left_out,

@@ -54,8 +54,9 @@ struct BenchArguments {
   BenchColumns Read() const {
     BenchColumns read = columns;
     if (command_unit.empty() || speed_unit.empty()) {
-      throw tools::UsageError(std::string(command_unit.empty() ? "--command-unit" : "--speed-unit") +
-                              " is required for CSV files and bags");
+      throw tools::UsageError(
+          std::string(command_unit.empty() ? "--command-unit" : "--speed-unit") +
+          " is required for CSV files and bags");
     }
     read.command_unit = *CommandUnitNamed(command_unit);
     read.speed_unit = *SpeedUnitNamed(speed_unit);
@@ -152,8 +153,10 @@ int main(int argc, char** argv) {
   std::vector<std::string> files, evaluate;
   std::string folder;
   bool no_report = false;
-  app.add_option("FILE", files, "CSV files, bags (odmc/MotorCommands) or autopilots' logs (.ulg, .bin, .bbl, .bfl) of the "
-                 "same motors")
+  app.add_option(
+         "FILE", files,
+         "CSV files, bags (odmc/MotorCommands) or autopilots' logs (.ulg, .bin, .bbl, .bfl) of the "
+         "same motors")
       ->required()
       ->check(CLI::ExistingPath);
   bench.AddTo(&app);

@@ -74,8 +74,8 @@ void CloseSeveral(const Arguments& a, const std::vector<std::string>& files,
   options.attribution = a.options.attribution;
   tools::MakeFolder(a.folder);
   tools::ProgressBar bar(std::to_string(learned.size()) + " flights");
-  JointLoop loop = CloseLoopOnSeveral(learned, held_out, source, file_vehicle, vehicle, options,
-                                      bar.Callback());
+  JointLoop loop =
+      CloseLoopOnSeveral(learned, held_out, source, file_vehicle, vehicle, options, bar.Callback());
   Vehicle extended = vehicle;
   extended.effects = loop.effect_names;
   loop.after.parameters.provenance =
@@ -100,7 +100,8 @@ int main(int argc, char** argv) {
       "and after on blocks of time that neither the choice nor the fit has seen.\n"
       "Writes report.json, residual.csv, parameters.yaml (of the extended model), report.html.\n"
       "Of several flights of one vehicle it weighs the evidence of all together: report.json with\n"
-      "each flight's coefficients, effects.csv, parameters.yaml of the extended vehicle; errors are\n"
+      "each flight's coefficients, effects.csv, parameters.yaml of the extended vehicle; errors "
+      "are\n"
       "those on each flight left out in turn, or on --held-out flights.\n"
       "With --parameters a thrust coefficient known to 5 % is held, so that a change of mass "
       "shows.");
@@ -108,10 +109,11 @@ int main(int argc, char** argv) {
   a.flight.AddSeveralTo(&app);
   tools::AddVehicle(&app, &a.vehicle_file);
   tools::AddFolder(&app, &a.folder, &a.no_report);
-  a.model.AddParametersTo(&app,
-                          "parameters.yaml with effects, frozen values and a thrust coefficient; its "
-                          "other sigmas are no priors here: whether its model lacks something is the "
-                          "question");
+  a.model.AddParametersTo(
+      &app,
+      "parameters.yaml with effects, frozen values and a thrust coefficient; its "
+      "other sigmas are no priors here: whether its model lacks something is the "
+      "question");
   a.model.AddTo(&app);
   a.estimator.defaults = tools::AttributionEstimatorOptions();
   a.estimator.AddTo(&app);
@@ -127,12 +129,15 @@ int main(int argc, char** argv) {
       ->delimiter(',')
       ->allow_extra_args(false)
       ->type_name("a,b");
-  app.add_option("--jobs", a.jobs, "flights at a time")->check(tools::Positive())->capture_default_str();
+  app.add_option("--jobs", a.jobs, "flights at a time")
+      ->check(tools::Positive())
+      ->capture_default_str();
   app.add_option("--most-effects", a.options.attribution.most_effects,
                  "add at most this many effects")
       ->capture_default_str()
       ->check(tools::NotNegative());
-  app.add_option("--decision", a.decision, "NAME=VALUE: changes a number of the decision, see below")
+  app.add_option("--decision", a.decision,
+                 "NAME=VALUE: changes a number of the decision, see below")
       ->take_all()
       ->allow_extra_args(false);
   app.footer(DescribeDecision() + "\n" + app.get_footer());

@@ -28,9 +28,9 @@ void StartAt(double start_s, FlightLog* log) {
 
 /// Writers of flights by the file's ending.
 using Writer = void (*)(const FlightLog& log, const std::string& file);
-const std::map<std::string, Writer> kWriters = {
-    {".bag", WriteFlightBag},   {".csv", WriteFlightCsv},  {".ulg", WriteULog},
-    {".bin", WriteDataflash},   {".bbl", WriteBlackbox},   {".bfl", WriteBlackbox}};
+const std::map<std::string, Writer> kWriters = {{".bag", WriteFlightBag}, {".csv", WriteFlightCsv},
+                                                {".ulg", WriteULog},      {".bin", WriteDataflash},
+                                                {".bbl", WriteBlackbox},  {".bfl", WriteBlackbox}};
 
 /// Streams by the names of --without.
 void Drop(const std::vector<std::string>& names, FlightLog* log) {
@@ -46,7 +46,8 @@ void Drop(const std::vector<std::string>& names, FlightLog* log) {
 /// Autopilots' logs can do without poses, our own forms cannot.
 void CheckPoses(const FlightLog& log, const std::string& flight, const std::string& ending) {
   if (log.odometry.empty() && (ending == ".bag" || ending == ".csv")) {
-    throw std::invalid_argument(flight + ": no poses to convert; --odometry FILE takes them from "
+    throw std::invalid_argument(flight +
+                                ": no poses to convert; --odometry FILE takes them from "
                                 "another recording");
   }
 }
@@ -61,8 +62,10 @@ int main(int argc, char** argv) {
   CLI::App app(
       "Converts a recorded flight of any format: pose, IMU, rotor speeds, commands and battery\n"
       "voltage with their stamps. To a rosbag (.bag) or a CSV file (.csv) in the package's frames\n"
-      "and units; a CSV file has one row per pose (an IMU with other stamps is interpolated), a bag\n"
-      "keeps all. Or as an autopilot would have logged it: PX4 (.ulg), ArduPilot (.bin), INDIflight\n"
+      "and units; a CSV file has one row per pose (an IMU with other stamps is interpolated), a "
+      "bag\n"
+      "keeps all. Or as an autopilot would have logged it: PX4 (.ulg), ArduPilot (.bin), "
+      "INDIflight\n"
       "or, without poses, Betaflight (.bbl).");
   tools::FlightArguments flight;
   std::string out;
@@ -78,7 +81,8 @@ int main(int argc, char** argv) {
   const CLI::Option* has_start = app.add_option("--start-time", start_time_s,
                                                 "time of the first pose in OUT [as in FLIGHT; s]")
                                      ->check(tools::NotNegative());
-  app.add_option("--without", without, "streams to leave out: poses, imu, rotors, commands, battery")
+  app.add_option("--without", without,
+                 "streams to leave out: poses, imu, rotors, commands, battery")
       ->delimiter(',')
       ->check(CLI::IsMember({"poses", "imu", "rotors", "commands", "battery"}).description(""))
       ->type_name("a,b");

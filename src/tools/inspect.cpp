@@ -26,11 +26,15 @@ FlightInspection Look(const tools::FlightArguments& flight, const std::string& v
 
 int main(int argc, char** argv) {
   CLI::App app(
-      "Looks at a recording as a colleague would: streams with rates, gaps and delays against each\n"
-      "other; units, frames, rotor order and spins as the data show them, against the vehicle file;\n"
-      "phases of the flight; which parameters can be learned from it, and what to fly for the others.\n"
+      "Looks at a recording as a colleague would: streams with rates, gaps and delays against "
+      "each\n"
+      "other; units, frames, rotor order and spins as the data show them, against the vehicle "
+      "file;\n"
+      "phases of the flight; which parameters can be learned from it, and what to fly for the "
+      "others.\n"
       "Each finding comes with its evidence, the trust it leaves and what would mend it.\n"
-      "Without --vehicle it says what needs none, and which order and spins of the rotors would fit.\n"
+      "Without --vehicle it says what needs none, and which order and spins of the rotors would "
+      "fit.\n"
       "With --out it writes report.json and report.html.");
   tools::FlightArguments flight;
   std::string vehicle_file, folder;

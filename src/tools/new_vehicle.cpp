@@ -1,10 +1,11 @@
+#include "odmc/analysis/new_vehicle.h"
+
 #include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <iostream>
 #include <sstream>
 
-#include "odmc/analysis/new_vehicle.h"
 #include "odmc/analysis/report.h"
 #include "odmc/io/foreign_messages.h"
 #include "odmc/io/vehicle_yaml.h"
@@ -121,16 +122,18 @@ void AddTo(CLI::App* app, Words* words, KnownVehicle* known) {
                   "distance of the hubs from the middle [m], or largest x and y of a hub [m] "
                   "[0.13 m times the cube root of the mass in kg]")
       ->type_name("M|X,Y");
-  app->add_option("--radius", words->radius_m, "of the propellers [m] [0.8 times half the least "
+  app->add_option("--radius", words->radius_m,
+                  "of the propellers [m] [0.8 times half the least "
                   "distance of two hubs]")
       ->check(tools::Positive());
   app->add_option("--inertia", words->inertia, "about x, y, z [kg m^2]")->type_name("X,Y,Z");
   app->add_option("--places", words->places,
                   "which motor of the frame reading 1, 2, ... is, as 2,4,1,3 [as the flight says]")
       ->type_name("i,j,..");
-  app->add_option("--spins", words->spins,
-                  "turning directions of the readings' rotors seen from above, as cw,ccw,cw,ccw [as "
-                  "the flight says, else as the autopilot's drawing]")
+  app->add_option(
+         "--spins", words->spins,
+         "turning directions of the readings' rotors seen from above, as cw,ccw,cw,ccw [as "
+         "the flight says, else as the autopilot's drawing]")
       ->type_name("a,b,..");
   app->add_option("--name", known->name, "of the vehicle [the file's]");
   app->add_flag("--force", words->force, "overwrite a file that is there");
@@ -148,7 +151,8 @@ void Warn(const VehicleFit& fit) {
 
 int main(int argc, char** argv) {
   CLI::App app(
-      "Writes a vehicle file from a recording, or from a drawing, and the mass. Order and spins of\n"
+      "Writes a vehicle file from a recording, or from a drawing, and the mass. Order and spins "
+      "of\n"
       "the rotors, k_f, the lean of the pose's frame and the inertia are taken from the flight as\n"
       "far as it shows them; each entry says whether it was found, guessed or asked for.");
   tools::FlightArguments flight;
@@ -174,7 +178,8 @@ int main(int argc, char** argv) {
       const FlightLog log = flight.Read(nominal);
       file = log.file;
       fit = FitVehicle(log, nominal);
-      if (!fit->streams.refusal.empty()) throw std::invalid_argument(file + ": " + fit->streams.refusal);
+      if (!fit->streams.refusal.empty())
+        throw std::invalid_argument(file + ": " + fit->streams.refusal);
       Warn(*fit);
     }
     const NewVehicle made = MakeVehicle(known, fit ? &*fit : nullptr, file);

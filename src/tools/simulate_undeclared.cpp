@@ -86,9 +86,10 @@ int main(int argc, char** argv) {
   app.add_option("--jobs", jobs, "flights at a time")
       ->capture_default_str()
       ->check(tools::Positive());
-  app.add_option("--recording", recording,
-                 "conditions of the recordings: drawn; white: white noise at 250 Hz, the body's own "
-                 "odometry; independent: with an IMU, as another author's simulator")
+  app.add_option(
+         "--recording", recording,
+         "conditions of the recordings: drawn; white: white noise at 250 Hz, the body's own "
+         "odometry; independent: with an IMU, as another author's simulator")
       ->capture_default_str()
       ->check(CLI::IsMember({"drawn", "white", "independent"}));
   app.add_flag("--nothing", nothing, "nothing undeclared acts on any flight");

@@ -225,8 +225,7 @@ namespace {
 void AddFlight(std::string* file, bool required, CLI::App* app) {
   app->add_option("FLIGHT", *file,
                   "recorded flight: a rosbag (.bag), a CSV file (.csv), an autopilot's log (" +
-                      std::string(kLogEndings) +
-                      "), or one of NeuroBEM or Blackbird as published")
+                      std::string(kLogEndings) + "), or one of NeuroBEM or Blackbird as published")
       ->required(required);
 }
 
@@ -301,8 +300,8 @@ void AddFlights(const std::string& name, std::set<std::string>* seen,
     found.push_back(name);
   } else if (fs::is_directory(name)) {
     for (fs::recursive_directory_iterator it(name), end; it != end; ++it) {
-      const bool is_flight = it->is_directory() ? readers.IsFlightFolder(it->path())
-                                                : readers.IsFlight(it->path());
+      const bool is_flight =
+          it->is_directory() ? readers.IsFlightFolder(it->path()) : readers.IsFlight(it->path());
       if (is_flight) found.push_back(it->path());
       if (is_flight && it->is_directory()) it.disable_recursion_pending();
     }
@@ -324,8 +323,8 @@ void AddFlights(const std::string& name, std::set<std::string>* seen,
   }
   if (found.empty()) {
     throw std::invalid_argument(name + (fs::is_directory(name)
-                                           ? ": holds no flight (" + readers.Names() + ")"
-                                           : ": no such file, folder or pattern of flights"));
+                                            ? ": holds no flight (" + readers.Names() + ")"
+                                            : ": no such file, folder or pattern of flights"));
   }
   std::sort(found.begin(), found.end(), NaturallyBefore);
   for (std::string& file : found) {
@@ -368,10 +367,11 @@ void FlightArguments::AddOptionsTo(CLI::App* app) {
       ->transform(CLI::CheckedTransformer(poses).description(""))
       ->type_name("ekf|mocap");
   AddOdometryTo(app);
-  app->add_option("--topic", topics,
-                  "topic of a bag by role, as odometry:=/vio/odom; roles: odometry, pose, imu, "
-                  "rotor_speeds, joint_states, battery_state, motor_commands, twist, tf, tf_static; "
-                  "may be given several times")
+  app->add_option(
+         "--topic", topics,
+         "topic of a bag by role, as odometry:=/vio/odom; roles: odometry, pose, imu, "
+         "rotor_speeds, joint_states, battery_state, motor_commands, twist, tf, tf_static; "
+         "may be given several times")
       ->allow_extra_args(false)
       ->type_name("NAME:=/topic");
   app->add_option("--twist-frame", bag.twist_frame,
@@ -397,19 +397,21 @@ void FlightArguments::AddOptionsTo(CLI::App* app) {
 }
 
 void FlightArguments::AddOdometryTo(CLI::App* app) {
-  app->add_option("--odometry", odometry,
-                  "recording of the flight's poses by another clock (motion capture, VIO), for logs "
-                  "that have none; the clocks' offset is found by the gyro. A folder: its file of "
-                  "the flight's name")
+  app->add_option(
+         "--odometry", odometry,
+         "recording of the flight's poses by another clock (motion capture, VIO), for logs "
+         "that have none; the clocks' offset is found by the gyro. A folder: its file of "
+         "the flight's name")
       ->check(CLI::ExistingPath.description(""))
       ->type_name("FILE");
   app->add_option("--odometry-offset", odometry_offset_s,
                   "to be added to the stamps of --odometry, in place of finding it [s]")
       ->check(CLI::Number.description(""))
       ->type_name("S");
-  app->add_flag("--accelerometer", accelerometer,
-                "NeuroBEM: take the columns acc as an accelerometer, where they are specific force; "
-                "the data set does not say whether they were measured");
+  app->add_flag(
+      "--accelerometer", accelerometer,
+      "NeuroBEM: take the columns acc as an accelerometer, where they are specific force; "
+      "the data set does not say whether they were measured");
   app->add_option("--max-spread", rotor_spread_s,
                   "Blackbird: largest difference of the stamps in a message of rotor speeds [s]")
       ->check(NotNegative())
@@ -446,9 +448,10 @@ void FlightArguments::AddFieldsTo(CLI::App* app) {
   app->add_option("--command-topic-field", bag.command_topic_field,
                   "the same for commands, as channels[]")
       ->type_name("PATH");
-  app->add_option("--command-unit", bag.command_unit,
-                  "unit of commands: us (1000 to 2000), raw16 (0 to 65535), fraction (0 to 1); auto: "
-                  "as the type of the message says")
+  app->add_option(
+         "--command-unit", bag.command_unit,
+         "unit of commands: us (1000 to 2000), raw16 (0 to 65535), fraction (0 to 1); auto: "
+         "as the type of the message says")
       ->check(CLI::IsMember({"auto", "fraction", "us", "raw16"}).description(""))
       ->type_name("auto|fraction|us|raw16")
       ->capture_default_str();
@@ -760,7 +763,8 @@ std::map<std::string, std::string> Provenance(const std::string& tool, const Veh
 
 void RenderReport(const std::string& folder, const std::string& script_name) {
   const auto warn = [&](const std::string& why) {
-    std::cerr << "warning: the pictures of " << Printable(folder) << " were not drawn: " << why << "\n";
+    std::cerr << "warning: the pictures of " << Printable(folder) << " were not drawn: " << why
+              << "\n";
   };
   const std::string script = FindScript(script_name);
   if (script.empty()) return warn(script_name + " is not installed");

@@ -83,11 +83,11 @@ bool FlightLimits::IsValid(std::string* error) const {
   if (!check.error.empty()) return Invalid(error, check.error);
   if (!(max_thrust_over_weight > 1.0)) {
     return Invalid(error, "max_thrust_over_weight must be above 1, the thrust of hover, not " +
-                           FormatNumber(max_thrust_over_weight));
+                              FormatNumber(max_thrust_over_weight));
   }
   if (!(min_thrust_over_weight < 1.0)) {
     return Invalid(error, "min_thrust_over_weight must be below 1, the thrust of hover, not " +
-                           FormatNumber(min_thrust_over_weight));
+                              FormatNumber(min_thrust_over_weight));
   }
   return true;
 }

@@ -84,7 +84,7 @@ void SetHeight(const Derivatives& z, FlatReference* reference) {
 bool TrajectoryOptions::IsValid(std::string* error) const {
   if (!Trajectory::IsKnown(name)) {
     return Invalid(error, "there is no trajectory '" + name + "'; known are: " +
-                           Listed(Trajectory::Names()) + ", or a waypoint file (*.yaml)");
+                              Listed(Trajectory::Names()) + ", or a waypoint file (*.yaml)");
   }
   if (!(ground_s >= 0.0 && std::isfinite(ground_s))) {
     return Invalid(error, "ground_s must be at least 0, not " + FormatNumber(ground_s));
@@ -94,8 +94,8 @@ bool TrajectoryOptions::IsValid(std::string* error) const {
   }
   if (!(duration_s == 0.0 || (duration_s >= 2.0 * kRamp_s && std::isfinite(duration_s)))) {
     return Invalid(error, "duration_s must be 0 (for ever) or at least " +
-                           FormatNumber(2.0 * kRamp_s) + ", the time to start and to stop, not " +
-                           FormatNumber(duration_s));
+                              FormatNumber(2.0 * kRamp_s) +
+                              ", the time to start and to stop, not " + FormatNumber(duration_s));
   }
   return true;
 }

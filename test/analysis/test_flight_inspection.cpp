@@ -103,9 +103,9 @@ TEST(FlightInspection, NamesAWrongRotorOrder) {
   FlightLog log = Fly("octo");
   for (RotorSample& s : log.rotors) std::swap(s.speed[0], s.speed[1]);
   const FlightInspection inspection = InspectFlight(log, NominalVehicle());
-  const bool named = std::any_of(inspection.inspection.findings.begin(),
-                                 inspection.inspection.findings.end(),
-                                 [](const Finding& f) { return f.check == "rotor_order"; });
+  const bool named =
+      std::any_of(inspection.inspection.findings.begin(), inspection.inspection.findings.end(),
+                  [](const Finding& f) { return f.check == "rotor_order"; });
   EXPECT_TRUE(named) << InspectionText(inspection);
   EXPECT_NE(InspectionText(inspection).find("rotor_order (bad)"), std::string::npos);
 }

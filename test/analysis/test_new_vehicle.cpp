@@ -1,10 +1,9 @@
-#include "odmc/analysis/new_vehicle.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 
 #include "odmc/analysis/flight_inspection.h"
+#include "odmc/analysis/new_vehicle.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "support/error_text.h"
 #include "support/rotor_frames.h"
@@ -34,7 +33,9 @@ NewVehicle MadeOf(const KnownVehicle& known, const FlightLog& log) {
 }
 
 bool Starts(const std::string& text, const std::string& with) { return text.rfind(with, 0) == 0; }
-bool Has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+bool Has(const std::string& text, const std::string& part) {
+  return text.find(part) != std::string::npos;
+}
 
 // Everything that is guessed follows the formulas that are written beside it.
 TEST(NewVehicle, GuessesFollowTheirFormulas) {
@@ -47,7 +48,8 @@ TEST(NewVehicle, GuessesFollowTheirFormulas) {
   const double k_f = *v.parameters.at("thrust.k_f").value;
   const double hover = std::sqrt(0.512 * 9.81 / 4.0 / k_f);
   EXPECT_NEAR(hover * v.rotors[0].radius_m, 60.0, 0.1);
-  EXPECT_NEAR(*v.parameters.at("rotor_torque.k_m").value / (0.2 * v.rotors[0].radius_m * k_f), 1.0, 1e-3);
+  EXPECT_NEAR(*v.parameters.at("rotor_torque.k_m").value / (0.2 * v.rotors[0].radius_m * k_f), 1.0,
+              1e-3);
   for (const char* key : {"inertia_kg_m2", "odometry", "thrust.k_f", "rotor_torque.k_m"}) {
     EXPECT_TRUE(Starts(made.comments.key.at(key), "guessed: ")) << key;
   }
@@ -57,8 +59,8 @@ TEST(NewVehicle, GuessesFollowTheirFormulas) {
 
 // Seven vehicles of the package and the data sets lie within what the header says of the formulas.
 TEST(NewVehicle, GuessesFitThePackagesVehicles) {
-  for (const char* name : {"imrc_cf21_brushless", "imrc_cf21_brushed", "neurobem", "blackbird_clover",
-                           "polyu_quad13", "generic"}) {
+  for (const char* name : {"imrc_cf21_brushless", "imrc_cf21_brushed", "neurobem",
+                           "blackbird_clover", "polyu_quad13", "generic"}) {
     const Vehicle real =
         LoadVehicle(std::string(ODMC_SOURCE_DIR) + "/config/vehicles/" + name + ".yaml");
     const Vehicle guess = VehicleBeforeFlight(Quad(real.mass_kg));
@@ -82,7 +84,8 @@ TEST(NewVehicle, AFlightGivesOrderSpinsAndThrust) {
     EXPECT_GT(is.y() * was.y(), 0.0) << j;
     EXPECT_EQ(read.rotors[j].spin, truth.rotors[j].spin) << j;
   }
-  EXPECT_NEAR(*read.parameters.at("thrust.k_f").value / *truth.parameters.at("thrust.k_f").value, 1.0, 0.02);
+  EXPECT_NEAR(*read.parameters.at("thrust.k_f").value / *truth.parameters.at("thrust.k_f").value,
+              1.0, 0.02);
   EXPECT_TRUE(Has(made.comments.key.at("rotors"), "order found: "));
   EXPECT_TRUE(Has(made.comments.key.at("rotors"), "Spins found: "));
   EXPECT_TRUE(Has(made.comments.key.at("rotors"), "not as the autopilot's drawing"));
@@ -239,11 +242,13 @@ TEST(InspectFlightAlone, SaysWhichRotorsWouldFit) {
 TEST(InspectFlightAlone, TellsAPlusFrame) {
   Vehicle truth = Truth();
   const std::vector<FramePlace> places = FrameLayout("quad_plus", Autopilot::kPx4);
-  for (size_t j = 0; j < 4; ++j) truth.rotors[j] = {0.13 * places[j].direction, places[j].spin, 0.0635};
+  for (size_t j = 0; j < 4; ++j)
+    truth.rotors[j] = {0.13 * places[j].direction, places[j].spin, 0.0635};
   const FlightInspection inspection = InspectFlightAlone(Flown(truth, "aggressive", 20.0), 4);
   ASSERT_TRUE(inspection.rotors.has_value());
   EXPECT_EQ(inspection.rotors->frame, "quad_plus");
-  EXPECT_EQ(inspection.rotors->places, (std::vector<std::string>{"right", "left", "front", "rear"}));
+  EXPECT_EQ(inspection.rotors->places,
+            (std::vector<std::string>{"right", "left", "front", "rear"}));
 }
 
 // A recording that is wrong is wrong without a vehicle file, too.

@@ -56,8 +56,7 @@ std::unique_ptr<Effect> MakeMagneticMoment(const Vehicle& vehicle) {
 bool IsPlanned(const std::string& name, Undeclared kind) {
   const std::vector<UndeclaredPlan> plans = PlanUndeclared(1, 160);
   return std::any_of(plans.begin(), plans.end(), [&](const UndeclaredPlan& plan) {
-    return plan.kind == kind &&
-           std::count(plan.effects.begin(), plan.effects.end(), name) > 0;
+    return plan.kind == kind && std::count(plan.effects.begin(), plan.effects.end(), name) > 0;
   });
 }
 

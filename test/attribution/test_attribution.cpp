@@ -70,8 +70,7 @@ Attribution Attribute(const Flown& flown, const ResidualModel& residual) {
 
 bool Has(const std::vector<RankedEffect>& effects, const std::string& name) {
   return std::any_of(effects.begin(), effects.end(), [&](const RankedEffect& e) {
-    return e.name == name ||
-           std::count(e.alternatives.begin(), e.alternatives.end(), name) > 0;
+    return e.name == name || std::count(e.alternatives.begin(), e.alternatives.end(), name) > 0;
   });
 }
 
@@ -156,15 +155,16 @@ class OctoFlight : public ::testing::Test {
   static ResidualModel::Wrenches Column(const std::function<double(double)>& value) {
     ResidualModel::Wrenches column =
         ResidualModel::Wrenches::Zero(flown_->flight.size(), kNumChannels);
-    for (int i = 0; i < flown_->flight.size(); ++i) column(i, 0) = value(flown_->flight.sample(i).t_s);
+    for (int i = 0; i < flown_->flight.size(); ++i)
+      column(i, 0) = value(flown_->flight.sample(i).t_s);
     return column;
   }
 
   /// Share of a column that its instruments foresee.
   static double ForeseenShare(const ResidualModel::Wrenches& column) {
     const Instruments instruments(flown_->flight, flown_->vehicle);
-    const ResidualModel::Wrenches foreseen = instruments.Foreseen(
-        column, ResidualModel::Wrenches::Zero(column.rows(), kNumChannels));
+    const ResidualModel::Wrenches foreseen =
+        instruments.Foreseen(column, ResidualModel::Wrenches::Zero(column.rows(), kNumChannels));
     double all = 0.0, seen = 0.0;
     for (int i = 0; i < flown_->flight.size(); ++i) {
       if (!instruments.Sees(i)) continue;
@@ -185,8 +185,8 @@ TEST_F(OctoFlight, InstrumentsForeseeAManoeuvreAndNoNoise) {
   const ResidualModel::Wrenches noise = Column([&](double) { return random.Next(); });
   EXPECT_EQ(ForeseenShare(noise), 0.0);
   // A fiftieth of its power is noise: none of that is foreseen.
-  const double share = ForeseenShare(
-      noise + Column([](double t) { return std::sqrt(98.0) * std::sin(2.0 * t); }));
+  const double share =
+      ForeseenShare(noise + Column([](double t) { return std::sqrt(98.0) * std::sin(2.0 * t); }));
   EXPECT_GT(share, 0.6);
   EXPECT_LT(share, 0.985);
 }
@@ -207,7 +207,8 @@ TEST_F(OctoFlight, InstrumentsForeseeProductsThroughTheLikelyMotion) {
   const auto rest = [&](const ResidualModel::Wrenches& likely) {
     const ResidualModel::Wrenches foreseen = instruments.Foreseen(column, likely);
     double sum = 0.0;
-    for (int i = 8; i < flown_->flight.size(); ++i) sum += std::pow(column(i, 0) - foreseen(i, 0), 2);
+    for (int i = 8; i < flown_->flight.size(); ++i)
+      sum += std::pow(column(i, 0) - foreseen(i, 0), 2);
     return sum;
   };
   EXPECT_LT(rest(product(instruments.likely_flight())), 0.7 * rest(0.0 * column));

@@ -45,7 +45,8 @@ bool Names(const AddedEffect& added, const std::string& effect) {
 /// A pressure centre as a fit found it, and the same online with other values.
 class Agreement : public testing::Test {
  protected:
-  Agreement() : model_(VehicleWith(NominalVehicle(), Candidate{"pressure_centre", {}, {}}), Effects()) {
+  Agreement()
+      : model_(VehicleWith(NominalVehicle(), Candidate{"pressure_centre", {}, {}}), Effects()) {
     online_.effects = Effects();
     for (const char* axis : {"x", "y", "z"}) {
       const std::string name = std::string("pressure_centre.") + axis;
@@ -161,8 +162,9 @@ TEST(CloseLoop, ConfirmsADelayInSpiteOfTheNoiseItBrings) {
             0.6 * flight.truth.Find("rotor_delay.delay")->value);
 }
 
-// Where rotors speed up and slow down by what the gyro's noise makes the controller do, the past foresees
-// nothing of the torque that they push back with: the online estimate says whether it is there.
+// Where rotors speed up and slow down by what the gyro's noise makes the controller do, the past
+// foresees nothing of the torque that they push back with: the online estimate says whether it is
+// there.
 TEST(CloseLoop, AsksTheEstimatorForWhatNoPastForesees) {
   const UndeclaredFlight flight =
       MakeUndeclared(Plan(Undeclared::kOneEffect, {"rotor_reaction"}, 0.8, "octo", 3, 83));
@@ -176,8 +178,8 @@ TEST(CloseLoop, AsksTheEstimatorForWhatNoPastForesees) {
   EXPECT_NEAR(effect.Find("rotor_reaction.J_r")->value, truth, 0.1 * truth);
 }
 
-// Thrust that hardly varies makes a torque that hardly varies, which the rotors' trim and other leans undo
-// in large part. It is foreseen to one per cent: no tenth of it is noise.
+// Thrust that hardly varies makes a torque that hardly varies, which the rotors' trim and other
+// leans undo in large part. It is foreseen to one per cent: no tenth of it is noise.
 TEST(CloseLoop, NamesTiltedRotorsOnAVerticalFlight) {
   for (const int seed : {87, 88, 89}) {
     UndeclaredPlan plan = Plan(Undeclared::kOneEffect, {"rotor_tilt"}, 0.8, "vertical", 3, seed);
@@ -192,8 +194,9 @@ TEST(CloseLoop, NamesTiltedRotorsOnAVerticalFlight) {
 /// The reaction of rotors as an online run has it.
 class OnlineEvidence : public testing::Test {
  protected:
-  OnlineEvidence() : vehicle_(VehicleWith(NominalVehicle(), Candidate{"rotor_reaction", {}, {}})),
-                     model_(vehicle_, vehicle_.effects) {}
+  OnlineEvidence()
+      : vehicle_(VehicleWith(NominalVehicle(), Candidate{"rotor_reaction", {}, {}})),
+        model_(vehicle_, vehicle_.effects) {}
 
   const ParameterSpec& spec() const {
     return model_.parameters()[model_.IndexOf("rotor_reaction.J_r")].spec;
@@ -228,8 +231,10 @@ TEST_F(OnlineEvidence, IsAgainstTheWrongSignAndWhatIsNotKnown) {
 }
 
 TEST(QuickEffects, FollowRotorAccelerationsWithASignThatPhysicsGives) {
-  const std::vector<Candidate> candidates = {
-      {"rotor_delay", {}, {}}, {"rotor_reaction", {}, {}}, {"rotor_drag", {}, {}}, {"rotor_reaction", {}, {}}};
+  const std::vector<Candidate> candidates = {{"rotor_delay", {}, {}},
+                                             {"rotor_reaction", {}, {}},
+                                             {"rotor_drag", {}, {}},
+                                             {"rotor_reaction", {}, {}}};
   EXPECT_EQ(QuickEffects(NominalVehicle(), candidates), std::vector<std::string>{"rotor_reaction"});
 }
 
@@ -330,7 +335,8 @@ TEST(CloseLoop, SeesNoLoadWhereNoneHangs) {
   EXPECT_EQ(loop.verdict, Verdict::kNone) << CloseLoopTable(loop);
 }
 
-/// A flight whose poses are those of a point beside the body's origin, of which the file knows nothing.
+/// A flight whose poses are those of a point beside the body's origin, of which the file knows
+/// nothing.
 SimulatedFlight RecordedBeside(const Eigen::Vector3d& p_BS, Vehicle* file) {
   *file = NominalVehicle();
   file->odometry = SensorMount();
@@ -351,7 +357,8 @@ TEST(CloseLoop, FindsThePointThatWasRecorded) {
   ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
   EXPECT_EQ(loop.effects.front().effect.name, "odometry_extrinsics") << CloseLoopTable(loop);
   for (int i = 0; i < 2; ++i) {
-    const ParameterEstimate* p = loop.parameters.Find(std::string("odometry_extrinsics.p") + "xyz"[i]);
+    const ParameterEstimate* p =
+        loop.parameters.Find(std::string("odometry_extrinsics.p") + "xyz"[i]);
     ASSERT_NE(p, nullptr);
     EXPECT_NEAR(p->value, p_BS[i], 0.004);
     EXPECT_TRUE(p->estimated);
@@ -383,8 +390,9 @@ TEST(Candidates, NoPointIsAskedAboutThatWasMeasured) {
     return std::vector<std::string>();
   };
   Vehicle vehicle = NominalVehicle();
-  EXPECT_EQ(asks(vehicle), (std::vector<std::string>{"odometry_extrinsics.px", "odometry_extrinsics.py",
-                                                     "odometry_extrinsics.pz"}));
+  EXPECT_EQ(asks(vehicle),
+            (std::vector<std::string>{"odometry_extrinsics.px", "odometry_extrinsics.py",
+                                      "odometry_extrinsics.pz"}));
   vehicle.odometry.p_BS_sigma_m = 0.002;
   EXPECT_TRUE(asks(vehicle).empty());
   // A calm flight does not show it.

@@ -14,8 +14,8 @@ namespace odmc {
 namespace test {
 namespace {
 
-// Several effects of the catalogue stand in for what its rotors do at speed: which of them are named
-// is no fact, what the extended model predicts is.
+// Several effects of the catalogue stand in for what its rotors do at speed: which of them are
+// named is no fact, what the extended model predicts is.
 TEST(MeasuredNeuroBem, HalvesTheErrorOnBlocksHeldOut) {
   const std::string file = RecordedFile("neurobem/test1_first18s.csv");
   if (file.empty()) GTEST_SKIP() << "no recorded data";
@@ -56,7 +56,8 @@ TEST(MeasuredCrazyflie, HasAHubMomentOnFlightsOfSeconds) {
     const ClosedLoop loop = CloseLoop(log, vehicle, vehicle, options);
     ASSERT_EQ(loop.verdict, Verdict::kEffect) << name << "\n" << CloseLoopTable(loop);
     const std::string& first = loop.effects.front().effect.name;
-    EXPECT_TRUE(first == "hub_moment" || first == "anisotropic_hub_moment") << name << ": " << first;
+    EXPECT_TRUE(first == "hub_moment" || first == "anisotropic_hub_moment")
+        << name << ": " << first;
     EXPECT_LT(loop.after.torque_rmse_Nm->y(), 0.6 * loop.before.torque_rmse_Nm->y()) << name;
   }
 }

@@ -87,7 +87,8 @@ TEST(InducedVelocity, IsGlauertsInClimbAndInFastFlight) {
   // In fast descent, too: a glide at 15 m/s.
   const BladeFlow<double> glide = Flow(15.0, -3.0);
   const double v = InducedVelocity(glide);
-  EXPECT_NEAR(2.0 * v * std::hypot(15.0, v - 3.0), BladeThrust(glide, v), 0.01 * BladeThrust(glide, v));
+  EXPECT_NEAR(2.0 * v * std::hypot(15.0, v - 3.0), BladeThrust(glide, v),
+              0.01 * BladeThrust(glide, v));
 }
 
 /// Induced velocity over that of hover at the same thrust, for an axial speed over the same.
@@ -201,7 +202,8 @@ struct Blade {
           normal = l * std::cos(phi) - d * std::sin(phi);
           chordwise = l * std::sin(phi) + d * std::cos(phi);
         }
-        const double element = 0.5 * kRho * M_PI * std::pow(kRadius, 2) * kTip * kTip / kRadii / kTurns;
+        const double element =
+            0.5 * kRho * M_PI * std::pow(kRadius, 2) * kTip * kTip / kRadii / kTurns;
         const Vector3d f = element * (normal * Vector3d::UnitZ() - chordwise * moving);
         sum.force += f;
         sum.torque += (r * kRadius * along).cross(f);
@@ -233,7 +235,8 @@ TEST(BladeElement, IsTheIntegralOverABlade) {
     const Result blades = blade.Integrate(air, InducedAt(values, air));
     const Result effect = AtRotor(air, values);
     const double thrust = still.force.z();
-    EXPECT_NEAR(effect.force.z(), (blades.force - still.force).z(), 2e-4 * thrust) << air.transpose();
+    EXPECT_NEAR(effect.force.z(), (blades.force - still.force).z(), 2e-4 * thrust)
+        << air.transpose();
     EXPECT_NEAR(effect.force.x(), blades.force.x(), 2e-4 * thrust) << air.transpose();
     // The effect smooths |w| in the skew over 0.5 m/s.
     const double moment = thrust * kRadius;
@@ -244,7 +247,8 @@ TEST(BladeElement, IsTheIntegralOverABlade) {
   }
 }
 
-// Angles are not small at the root of a propeller: within a tenth of the static thrust all the same.
+// Angles are not small at the root of a propeller: within a tenth of the static thrust all the
+// same.
 TEST(BladeElement, IsNearTheIntegralWithAnglesAsTheyAre) {
   const Values values = Typical();
   Blade blade = BladeOf(values);
@@ -254,7 +258,8 @@ TEST(BladeElement, IsNearTheIntegralWithAnglesAsTheyAre) {
     const Result blades = blade.Integrate(air, InducedAt(values, air));
     const Result effect = AtRotor(air, values);
     const double thrust = still.force.z();
-    EXPECT_NEAR(effect.force.z(), (blades.force - still.force).z(), 0.1 * thrust) << air.transpose();
+    EXPECT_NEAR(effect.force.z(), (blades.force - still.force).z(), 0.1 * thrust)
+        << air.transpose();
     EXPECT_NEAR(effect.force.x(), blades.force.x(), 0.05 * thrust) << air.transpose();
   }
 }
@@ -297,7 +302,8 @@ TEST(BladeElement, ShaftPaysForWakeAndFlight) {
   const Values values = Typical();
   const double static_torque =
       BladeOf(values).Integrate(Vector3d::Zero(), InducedAt(values, Vector3d::Zero())).torque.z();
-  for (const Vector3d& air : {Vector3d(0, 0, 0), Vector3d(0, 0, 4), Vector3d(8, 0, 0), Vector3d(12, 0, 5)}) {
+  for (const Vector3d& air :
+       {Vector3d(0, 0, 0), Vector3d(0, 0, 4), Vector3d(8, 0, 0), Vector3d(12, 0, 5)}) {
     const Result r = AtRotor(air, values);
     const double thrust = r.force.z() + kK_f * kOmega * kOmega;
     const double shaft = (r.torque.z() + static_torque) * kOmega;

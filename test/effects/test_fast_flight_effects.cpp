@@ -1,5 +1,5 @@
-// Effects of fast flight: their signs, limits and continuity, which flights ask for them, and whether
-// a simulated flight gives each back.
+// Effects of fast flight: their signs, limits and continuity, which flights ask for them, and
+// whether a simulated flight gives each back.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -107,7 +107,8 @@ TEST(BodyMoment, TurnsAboutTheAxisAcrossTheAir) {
   const Alone effect("body_moment", {1e-3, 2e-3, 3e-3, 4e-3});
   EXPECT_LT((effect.At({10, 0, 0}).torque - Vector3d(0.0, 0.3, 0.0)).norm(), 1e-12);
   EXPECT_LT((effect.At({0, 10, 0}).torque - Vector3d(-0.1, 0.0, 0.0)).norm(), 1e-12);
-  EXPECT_LT((effect.At({3, 0, 4}).torque - Vector3d(0.0, 3e-3 * 15.0 + 4e-3 * 12.0, 0.0)).norm(), 1e-12);
+  EXPECT_LT((effect.At({3, 0, 4}).torque - Vector3d(0.0, 3e-3 * 15.0 + 4e-3 * 12.0, 0.0)).norm(),
+            1e-12);
   EXPECT_EQ(effect.At({0, 0, 7}).torque.norm(), 0.0);
   EXPECT_EQ(effect.At({3, 4, 5}).force.norm(), 0.0);
 }
@@ -217,7 +218,8 @@ TEST_P(Recovered, ComesBackWithinThreeSigma) {
   }
   vehicle = RecoveryVehicle(vehicle);
   if (GetParam() == "blade_element") {
-    // Estimated, it comes out 2 % too large (docs/effects.md), and wake and flapping follow its torque.
+    // Estimated, it comes out 2 % too large (docs/effects.md), and wake and flapping follow its
+    // torque.
     for (const char* axis : {"x", "y", "z"}) {
       vehicle.parameters[std::string("inertia.") + axis].estimated = false;
     }
@@ -233,8 +235,8 @@ TEST_P(Recovered, ComesBackWithinThreeSigma) {
   int checked = 0;
   for (const ParameterRecovery& p : Recover(vehicle, options).parameters) {
     if (p.full_name.rfind(GetParam() + ".", 0) != 0) continue;
-    EXPECT_EQ(p.coverage_3sigma, 1.0) << p.full_name << " is off by " << p.median_error_over_sigma
-                                      << " sigma";
+    EXPECT_EQ(p.coverage_3sigma, 1.0)
+        << p.full_name << " is off by " << p.median_error_over_sigma << " sigma";
     ++checked;
   }
   EXPECT_EQ(checked, static_cast<int>(effect->parameters().size()));

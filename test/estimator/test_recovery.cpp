@@ -115,8 +115,8 @@ TEST(Recovery, SigmasHoldWhereAFlightShowsLittle) {
   }
 }
 
-// Motion capture beside an IMU. With body rates from differences of the noisy attitudes, inertia was
-// not learned at all, or its sigma was ten times as large.
+// Motion capture beside an IMU. With body rates from differences of the noisy attitudes, inertia
+// was not learned at all, or its sigma was ten times as large.
 TEST(Recovery, InertiaIsLearnedFromPosesWithoutTwistBesideAGyro) {
   Flight flight;
   Vehicle vehicle = FreeVehicle();

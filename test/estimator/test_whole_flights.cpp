@@ -76,8 +76,8 @@ class WholeFlight : public testing::Test {
       const double left = std::max(0.0, 1.0 - i / static_cast<double>(stop));
       const Vector3d v = left * *end.v_WS;
       p += v / kRate_hz;
-      Append(p, end.q_WS.slerp(1.0 - left, Quaterniond::Identity()), v, left * *end.w_WS_S,
-             thrust, log);
+      Append(p, end.q_WS.slerp(1.0 - left, Quaterniond::Identity()), v, left * *end.w_WS_S, thrust,
+             log);
     }
   }
 
@@ -104,7 +104,8 @@ class WholeFlight : public testing::Test {
     log.rotors.push_back({first.stamp, RotorVector::Constant(4, std::sqrt(thrust) * hover_rad_s_)});
     AppendStand(thrust, duration_s, &log);
     const Stamp shift = log.odometry.back().stamp + FromSeconds(1.0 / kRate_hz) - first.stamp;
-    for (OdometrySample s : log_.odometry) log.odometry.push_back(s), log.odometry.back().stamp += shift;
+    for (OdometrySample s : log_.odometry)
+      log.odometry.push_back(s), log.odometry.back().stamp += shift;
     for (RotorSample s : log_.rotors) log.rotors.push_back(s), log.rotors.back().stamp += shift;
     return log;
   }
@@ -184,7 +185,8 @@ TEST_F(WholeFlight, ItFliesOnAfterALanding) {
   AppendStand(0.5, 2.0, &log);
   const FlightLog second = log_;
   const Stamp shift = log.odometry.back().stamp + FromSeconds(0.2) - second.odometry.front().stamp;
-  for (OdometrySample s : second.odometry) log.odometry.push_back(s), log.odometry.back().stamp += shift;
+  for (OdometrySample s : second.odometry)
+    log.odometry.push_back(s), log.odometry.back().stamp += shift;
   for (RotorSample s : second.rotors) log.rotors.push_back(s), log.rotors.back().stamp += shift;
   const ReplayResult spoiled = Learn(log);
   ExpectSame(Learn(log_), spoiled, 2.0);  // the same truth, twice the flight
@@ -202,7 +204,8 @@ TEST_F(WholeFlight, TheThirdsTellWhatChangedInBetween) {
   };
   EXPECT_EQ(TrustOf(findings(log_)), Trust::kGood);
   FlightLog log = log_;
-  for (size_t i = 2 * log.rotors.size() / 3; i < log.rotors.size(); ++i) log.rotors[i].speed *= 0.93;
+  for (size_t i = 2 * log.rotors.size() / 3; i < log.rotors.size(); ++i)
+    log.rotors[i].speed *= 0.93;
   const std::vector<Finding> found = findings(log);
   EXPECT_EQ(TrustOf(found), Trust::kDoubtful);
   ASSERT_FALSE(found.empty());

@@ -1,10 +1,9 @@
-#include "odmc/fleet/joint_calibration.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <optional>
 
+#include "odmc/fleet/joint_calibration.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"

@@ -29,7 +29,9 @@ class Random {
  public:
   explicit Random(unsigned seed) : engine_(seed) {}
   double Normal() { return normal_(engine_); }
-  VectorXd Vector(Index n) { return VectorXd::NullaryExpr(n, [&] { return Normal(); }); }
+  VectorXd Vector(Index n) {
+    return VectorXd::NullaryExpr(n, [&] { return Normal(); });
+  }
   MatrixXd Matrix(Index n, Index m) {
     return MatrixXd::NullaryExpr(n, m, [&] { return Normal(); });
   }
@@ -95,7 +97,8 @@ TEST(FlightFactor, AnErrorAddsItsSquareToTheCovarianceAndLeavesTheCentre) {
     return MatrixXd((factor.root.transpose() * factor.root).inverse());
   };
   const MatrixXd before = covariance();
-  const VectorXd centre = factor.root.inverse() * factor.rhs, error = 0.3 * random.Vector(kParameters);
+  const VectorXd centre = factor.root.inverse() * factor.rhs,
+                 error = 0.3 * random.Vector(kParameters);
   AddError(error, &factor);
   EXPECT_LT((covariance() - before - error * error.transpose()).norm(), 1e-9 * before.norm());
   EXPECT_LT((factor.root.inverse() * factor.rhs - centre).norm(), 1e-9 * centre.norm());
@@ -144,8 +147,8 @@ TEST(FlightFactor, InflationWidensWithoutMoving) {
   const VectorXd value = PriorValue() + 0.3 * PriorSigma();
   const MatrixXd covariance = (0.01 * PriorSigma().cwiseAbs2()).asDiagonal();
   SetLikelihood(value, covariance, VectorXd::Ones(kParameters), PriorValue(), PriorSigma(), &plain);
-  SetLikelihood(value, covariance, VectorXd::Constant(kParameters, 3.0), PriorValue(),
-                PriorSigma(), &wide);
+  SetLikelihood(value, covariance, VectorXd::Constant(kParameters, 3.0), PriorValue(), PriorSigma(),
+                &wide);
   const auto centre = [](const FlightFactor& f) {
     return VectorXd(f.root.colPivHouseholderQr().solve(f.rhs));
   };
@@ -159,8 +162,8 @@ TEST(FlightFactor, RefusesACovarianceThatIsNone) {
   MatrixXd covariance = MatrixXd::Identity(kParameters, kParameters);
   covariance(0, 0) = -1.0;
   try {
-    SetLikelihood(PriorValue(), covariance, VectorXd::Ones(kParameters), PriorValue(),
-                  PriorSigma(), &factor);
+    SetLikelihood(PriorValue(), covariance, VectorXd::Ones(kParameters), PriorValue(), PriorSigma(),
+                  &factor);
     FAIL() << "no error";
   } catch (const std::invalid_argument& e) {
     EXPECT_NE(std::string(e.what()).find("day1.bag"), std::string::npos);
@@ -263,8 +266,8 @@ TEST(JointEstimate, DatesAStepAndNamesOutliers) {
     }
     const JointEstimate joint = EstimateJointly(factors);
     dated += std::any_of(joint.changes.begin(), joint.changes.end(), [](const VehicleChange& c) {
-      return c.kind == VehicleChange::Kind::kStep && c.parameter == 0 && std::abs(c.from - 30) <= 2 &&
-             std::abs(c.size - 0.3) < 3.0 * c.sigma + 0.03;
+      return c.kind == VehicleChange::Kind::kStep && c.parameter == 0 &&
+             std::abs(c.from - 30) <= 2 && std::abs(c.size - 0.3) < 3.0 * c.sigma + 0.03;
     });
     const auto has = [&](int flight, int parameter) {
       return std::any_of(joint.outliers.begin(), joint.outliers.end(), [&](const auto& o) {
@@ -375,8 +378,7 @@ TEST(UnlikeHistory, NamesAVehicleThatIsAnotherAndFewThatAreNot) {
   const DynamicModel model(vehicle, vehicle.effects);
   const int k_f = model.IndexOf("thrust.k_f");
   ParameterSet history;
-  history.parameters.push_back(
-      {"thrust.k_f", "N s^2", 1.5e-6, 2e-9, true, true, 1.5e-8});
+  history.parameters.push_back({"thrust.k_f", "N s^2", 1.5e-6, 2e-9, true, true, 1.5e-8});
   const double expected_sigma = std::hypot(2e-9, 1.5e-8), noise = 1e-8;
   ModelValues values = model.InitialValues();
   Eigen::VectorXd sigma = Eigen::VectorXd::Zero(model.num_parameters());

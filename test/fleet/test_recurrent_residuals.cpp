@@ -37,15 +37,18 @@ PredictionSample SampleAt(double t_s, double speed_m_s) {
   return s;
 }
 
-/// 20 s up to 8 m/s and back. All the flight is off by what scatters between flights, a share of the noise.
+/// 20 s up to 8 m/s and back. All the flight is off by what scatters between flights, a share of
+/// the noise.
 FlightResiduals Fly(Random* random, const std::function<double(double)>& missed_N, double scatter) {
   constexpr double kStep_s = 0.02, kDuration_s = 20.0;
   FlightResiduals flight;
-  const Eigen::Vector3d off = scatter * kNoise_N * Eigen::Vector3d::NullaryExpr([&] { return random->Normal(); });
+  const Eigen::Vector3d off =
+      scatter * kNoise_N * Eigen::Vector3d::NullaryExpr([&] { return random->Normal(); });
   for (double t_s = 0.0; t_s < kDuration_s; t_s += kStep_s) {
     const double speed = 4.0 - 4.0 * std::cos(2.0 * M_PI * t_s / kDuration_s);
     PredictionSample s = SampleAt(t_s, speed);
-    s.measured_force += off + kNoise_N * Eigen::Vector3d::NullaryExpr([&] { return random->Normal(); });
+    s.measured_force +=
+        off + kNoise_N * Eigen::Vector3d::NullaryExpr([&] { return random->Normal(); });
     s.measured_force.z() += missed_N(speed);
     flight.Add(s, kWeight_N);
   }
@@ -57,7 +60,8 @@ std::vector<FlightResiduals> FlyAll(int count, Random* random,
                                     double scatter = 0.3) {
   std::vector<FlightResiduals> flights;
   for (int i = 0; i < count; ++i) {
-    flights.push_back(Fly(random, [&](double speed) { return missed_N(i, speed); }, scatter));
+    flights.push_back(Fly(
+        random, [&](double speed) { return missed_N(i, speed); }, scatter));
   }
   return flights;
 }
@@ -141,7 +145,8 @@ TEST(RecurrentResiduals, ALongWideFlightTakesBoundedMemoryAndLosesNothing) {
       seconds += sum.seconds;
       impulse += sum.residual[0];
     }
-    EXPECT_NEAR(seconds, 199.99, 1e-6) << kResidualQuantityTable[static_cast<size_t>(quantity)].name;
+    EXPECT_NEAR(seconds, 199.99, 1e-6)
+        << kResidualQuantityTable[static_cast<size_t>(quantity)].name;
     EXPECT_NEAR(impulse, 199.99, 1e-6);
   }
 }

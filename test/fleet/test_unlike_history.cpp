@@ -1,4 +1,5 @@
-// A node that starts from a fleet's history: how soon it sees another vehicle, and how seldom one that is not.
+// A node that starts from a fleet's history: how soon it sees another vehicle, and how seldom one
+// that is not.
 
 #include <gtest/gtest.h>
 
@@ -97,19 +98,25 @@ Watched Watch(const Fleet& fleet, const FlightLog& log, double rate = 1e-3) {
 /// A parameter that is another one today, and how long hover may take to show it.
 struct Another {
   const char* name;
-  double by;       // of the value, or in its unit
-  double most_s;   // after take-off
+  double by;      // of the value, or in its unit
+  double most_s;  // after take-off
   double scatter = 0.01;
 };
 
 TEST(HistoryWatch, SecondsOfHoverShowAnotherVehicle) {
   constexpr int kFlights = 4;
-  // With a scatter of 1 %, 4 % are 3.8 standard deviations: at the edge of what a rate of 1e-3 allows.
-  for (const Another& c :
-       {Another{"thrust.k_f", 0.04, 6.0, 0.005}, {"thrust.k_f", -0.04, 6.0, 0.005}, {"thrust.k_f", 0.06, 4.5},
-        {"thrust.k_f", -0.06, 4.5}, {"thrust.k_f", 0.1, 4.5}, {"thrust.k_f", -0.1, 4.5},
-        {"centre_of_gravity.x", 0.003, 4.0}, {"centre_of_gravity.y", -0.003, 4.0},
-        {"gravity.x", 0.02, 5.5}, {"gravity.y", -0.02, 5.5}}) {
+  // With a scatter of 1 %, 4 % are 3.8 standard deviations: at the edge of what a rate of 1e-3
+  // allows.
+  for (const Another& c : {Another{"thrust.k_f", 0.04, 6.0, 0.005},
+                           {"thrust.k_f", -0.04, 6.0, 0.005},
+                           {"thrust.k_f", 0.06, 4.5},
+                           {"thrust.k_f", -0.06, 4.5},
+                           {"thrust.k_f", 0.1, 4.5},
+                           {"thrust.k_f", -0.1, 4.5},
+                           {"centre_of_gravity.x", 0.003, 4.0},
+                           {"centre_of_gravity.y", -0.003, 4.0},
+                           {"gravity.x", 0.02, 5.5},
+                           {"gravity.y", -0.02, 5.5}}) {
     const Fleet fleet(c.scatter);
     const int k = fleet.truth_model.IndexOf(c.name);
     ASSERT_GE(k, 0) << c.name;
@@ -138,7 +145,8 @@ TEST(HistoryWatch, KeepsItsRateOfFalseAlarms) {
     const FlightLog log = Fly(fleet, fleet.Draw(seed), trajectories[seed % 4], 8.0, seed).log;
     alarms += !Watch(fleet, log, kRate).first_s.empty();
   }
-  std::printf("%d of %d flights of the same vehicle named at a rate of %g\n", alarms, kFlights, kRate);
+  std::printf("%d of %d flights of the same vehicle named at a rate of %g\n", alarms, kFlights,
+              kRate);
   // Three sigma of a binomial.
   EXPECT_LE(alarms, kRate * kFlights + 3.0 * std::sqrt(kRate * (1.0 - kRate) * kFlights));
 }

@@ -1,9 +1,8 @@
-#include "odmc/inspection/force_balance.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
 
+#include "odmc/inspection/force_balance.h"
 #include "support/rotor_frames.h"
 
 namespace odmc {

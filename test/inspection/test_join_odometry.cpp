@@ -31,10 +31,11 @@ struct Recording {
 };
 
 constexpr Stamp kPoseClock = 1700000000000000000;  // far off the log's, which starts at 5 s
-constexpr double kPosesLater_s = 3.217;  // off the steps of the first search
+constexpr double kPosesLater_s = 3.217;            // off the steps of the first search
 
-/// The gyro at 500 Hz, in a frame turned against the body's, with bias and noise; poses at `rate_hz`
-/// with noise of 1 mrad, on another clock: they are right with `true_offset` added to their stamps.
+/// The gyro at 500 Hz, in a frame turned against the body's, with bias and noise; poses at
+/// `rate_hz` with noise of 1 mrad, on another clock: they are right with `true_offset` added to
+/// their stamps.
 Recording Record(double duration_s, double rate_hz, int kind_of_poses = 0, unsigned seed = 7) {
   std::mt19937 random(seed);
   std::normal_distribution<double> noise;
@@ -82,8 +83,8 @@ TEST(JoinOdometry, OffsetIsFoundWithinItsSigma) {
       ++count;
     }
   }
-  // Mean square of 18 errors over sigmas of 7 degrees of freedom each: 1.4, with a standard error of
-  // 0.66 (Student's t).
+  // Mean square of 18 errors over sigmas of 7 degrees of freedom each: 1.4, with a standard error
+  // of 0.66 (Student's t).
   EXPECT_LT(squares / count, 3.4);
   EXPECT_GT(squares / count, 0.1);
 }
@@ -166,14 +167,15 @@ TEST(JoinOdometry, RecordedFlightSplitInTwo) {
   // The observer's attitude is some steps of its filter away from the gyro in the recording itself.
   const std::optional<MotionSignals> signals = SignalsOf(whole);
   ASSERT_TRUE(signals);
-  const std::vector<bool> all(static_cast<size_t>(signals->position.last_s() / kFlightStep_s) + 1, true);
+  const std::vector<bool> all(static_cast<size_t>(signals->position.last_s() / kFlightStep_s) + 1,
+                              true);
   const std::optional<TimeOffset> own = GyroOffset(*signals, all);
   ASSERT_TRUE(own);
   const double error_s = found.offset_s + 777.123456789 - own->lag.lag_s;
   EXPECT_LT(std::abs(error_s), 1e-4);
   EXPECT_LT(found.sigma_s, 5e-4);
-  std::printf("own lag %.3f ms; offset off it by %.3f ms, sigma %.3f ms\n", 1e3 * own->lag.lag_s, 1e3 * error_s,
-              1e3 * found.sigma_s);
+  std::printf("own lag %.3f ms; offset off it by %.3f ms, sigma %.3f ms\n", 1e3 * own->lag.lag_s,
+              1e3 * error_s, 1e3 * found.sigma_s);
 }
 
 }  // namespace

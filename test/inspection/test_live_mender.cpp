@@ -1,6 +1,6 @@
-#include "odmc/inspection/live_mender.h"
-
 #include <gtest/gtest.h>
+
+#include "odmc/inspection/live_mender.h"
 
 namespace odmc {
 namespace {

@@ -95,9 +95,10 @@ TEST(MeasuredVehicleFit, ThrustIsWhatIsPublished) {
     const char* file;
     double mass_kg, k_f;
   };
-  for (const Published& set : {Published{"imrc_cf21_brushless/eckart00.csv", 0.037, 3.70e-8},
-                               Published{"indiflight/LOG00267.csv", 0.428, 2.66e-7},
-                               Published{"polyu_quad13/flight_2024-02-21_first70.csv", 0.949, 1.248e-6}}) {
+  for (const Published& set :
+       {Published{"imrc_cf21_brushless/eckart00.csv", 0.037, 3.70e-8},
+        Published{"indiflight/LOG00267.csv", 0.428, 2.66e-7},
+        Published{"polyu_quad13/flight_2024-02-21_first70.csv", 0.949, 1.248e-6}}) {
     const std::string file = RecordedFile(set.file);
     if (file.empty()) GTEST_SKIP() << "no recorded flights";
     FlightLog log = ReadFlightCsv(file, 4, PoseSource::kEkf);

@@ -1,10 +1,9 @@
-#include "odmc/inspection/reading_checks.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <functional>
 
+#include "odmc/inspection/reading_checks.h"
 #include "odmc/sim/simulator.h"
 #include "support/test_vehicle.h"
 
@@ -61,58 +60,67 @@ TEST(ReadingChecks, SoundFlightsGetNoFinding) {
 
 TEST(ReadingChecks, NamesRotorSpeedsOfAnotherClock) {
   const Finding finding = Only(Spoiled([](FlightLog* log) {
-    for (RotorSample& s : log->rotors) s.stamp += FromSeconds(1000.0);
-  }), "clocks");
+                                 for (RotorSample& s : log->rotors) s.stamp += FromSeconds(1000.0);
+                               }),
+                               "clocks");
   EXPECT_EQ(finding.leaves, Trust::kBad);
 }
 
 TEST(ReadingChecks, NamesHolesWithTheirLengthAndTime) {
   const Stamp zero = Octo().odometry.front().stamp;
   const Finding finding = Only(Spoiled([&](FlightLog* log) {
-    auto& poses = log->odometry;
-    poses.erase(std::remove_if(poses.begin(), poses.end(),
-                               [&](const OdometrySample& s) {
-                                 const double t_s = ToSeconds(s.stamp - zero);
-                                 return t_s > 5.0 && t_s < 5.5;
+                                 auto& poses = log->odometry;
+                                 poses.erase(std::remove_if(poses.begin(), poses.end(),
+                                                            [&](const OdometrySample& s) {
+                                                              const double t_s =
+                                                                  ToSeconds(s.stamp - zero);
+                                                              return t_s > 5.0 && t_s < 5.5;
+                                                            }),
+                                             poses.end());
                                }),
-                poses.end());
-  }), "holes");
+                               "holes");
   ASSERT_TRUE(finding.span_s);
   EXPECT_NEAR(finding.span_s->first, 5.0, 0.02);
   EXPECT_NEAR(finding.span_s->second, 5.5, 0.02);
 }
 
 TEST(ReadingChecks, NamesAPositionThatJumps) {
-  const Finding finding = Only(Spoiled([](FlightLog* log) {
-    for (size_t i = log->odometry.size() / 2; i < log->odometry.size(); ++i) {
-      log->odometry[i].p_WS.x() += 0.3;
-    }
-  }), "pose_jump");
+  const Finding finding =
+      Only(Spoiled([](FlightLog* log) {
+             for (size_t i = log->odometry.size() / 2; i < log->odometry.size(); ++i) {
+               log->odometry[i].p_WS.x() += 0.3;
+             }
+           }),
+           "pose_jump");
   ASSERT_TRUE(finding.span_s);
-  EXPECT_NEAR(finding.span_s->first, 0.5 * ToSeconds(Octo().odometry.back().stamp -
-                                                     Octo().odometry.front().stamp), 0.1);
+  EXPECT_NEAR(finding.span_s->first,
+              0.5 * ToSeconds(Octo().odometry.back().stamp - Octo().odometry.front().stamp), 0.1);
 }
 
 TEST(ReadingChecks, NamesAPoseThatStaysInFlight) {
   const Finding finding = Only(Spoiled([](FlightLog* log) {
-    for (size_t i = 1200; i < 1400; ++i) {
-      const Stamp stamp = log->odometry[i].stamp;
-      log->odometry[i] = log->odometry[1199];
-      log->odometry[i].stamp = stamp;
-    }
-  }), "frozen_pose");
+                                 for (size_t i = 1200; i < 1400; ++i) {
+                                   const Stamp stamp = log->odometry[i].stamp;
+                                   log->odometry[i] = log->odometry[1199];
+                                   log->odometry[i].stamp = stamp;
+                                 }
+                               }),
+                               "frozen_pose");
   ASSERT_TRUE(finding.span_s);
   EXPECT_NEAR(finding.span_s->second - finding.span_s->first, 1.0, 0.02);
 }
 
 TEST(ReadingChecks, NamesRotorSpeedsThatEndAtALimit) {
   const Finding finding = Only(Spoiled([](FlightLog* log) {
-    std::vector<double> second;
-    for (const RotorSample& s : log->rotors) second.push_back(s.speed[1]);
-    std::sort(second.begin(), second.end());
-    const double limit = second[second.size() * 9 / 10];
-    for (RotorSample& s : log->rotors) s.speed[1] = std::min(s.speed[1], limit);
-  }), "rotor_limit");
+                                 std::vector<double> second;
+                                 for (const RotorSample& s : log->rotors)
+                                   second.push_back(s.speed[1]);
+                                 std::sort(second.begin(), second.end());
+                                 const double limit = second[second.size() * 9 / 10];
+                                 for (RotorSample& s : log->rotors)
+                                   s.speed[1] = std::min(s.speed[1], limit);
+                               }),
+                               "rotor_limit");
   EXPECT_NE(finding.what.find("rotor2 "), std::string::npos) << finding.what;
 }
 
@@ -125,13 +133,15 @@ TEST(ReadingChecks, CoarseReadingsAreNoLimit) {
 
 TEST(ReadingChecks, NamesTheUnitOfTheBattery) {
   const Finding finding = Only(Spoiled([](FlightLog* log) {
-    for (BatterySample& s : log->battery) s.voltage_V *= 1e3;
-  }), "battery_unit");
+                                 for (BatterySample& s : log->battery) s.voltage_V *= 1e3;
+                               }),
+                               "battery_unit");
   EXPECT_NE(finding.what.find("mV"), std::string::npos) << finding.what;
   for (const double cells : {3.0, 6.0, 8.0}) {
     EXPECT_TRUE(Spoiled([&](FlightLog* log) {
                   for (BatterySample& s : log->battery) s.voltage_V = 3.8 * cells;
-                }).empty()) << cells;
+                }).empty())
+        << cells;
   }
 }
 

@@ -91,7 +91,8 @@ TEST(RotorAssignment, NamesOrdersOfSixAndEight) {
 TEST(RotorAssignment, AccusesNoRightFile) {
   for (const Vehicle& truth : {NominalVehicle(), NanoVehicle(), RoundVehicle(6)}) {
     for (const char* trajectory : {"hover", "yaw", "circle", "vertical", "aggressive"}) {
-      EXPECT_TRUE(InspectRotors(Flown(truth, trajectory, 20.0), truth).findings.empty()) << trajectory;
+      EXPECT_TRUE(InspectRotors(Flown(truth, trajectory, 20.0), truth).findings.empty())
+          << trajectory;
     }
   }
 }

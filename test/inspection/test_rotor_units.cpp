@@ -1,9 +1,8 @@
-#include "odmc/inspection/rotor_units.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 
+#include "odmc/inspection/rotor_units.h"
 #include "support/test_vehicle.h"
 
 namespace odmc {
@@ -11,9 +10,7 @@ namespace {
 
 constexpr double kRpm = 30.0 / M_PI;
 
-double FileThrust(const Vehicle& vehicle) {
-  return *vehicle.parameters.at("thrust.k_f").value;
-}
+double FileThrust(const Vehicle& vehicle) { return *vehicle.parameters.at("thrust.k_f").value; }
 
 /// A vehicle file whose k_f is as large as its propellers make it, known to 20 %.
 Vehicle Known() {

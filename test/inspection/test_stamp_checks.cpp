@@ -1,10 +1,10 @@
-#include "odmc/inspection/stamp_checks.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
 #include <random>
+
+#include "odmc/inspection/stamp_checks.h"
 
 namespace odmc {
 namespace {

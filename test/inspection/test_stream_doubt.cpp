@@ -1,8 +1,8 @@
-#include "odmc/inspection/stream_doubt.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
+
+#include "odmc/inspection/stream_doubt.h"
 
 namespace odmc {
 namespace {

@@ -1,11 +1,10 @@
-#include "odmc/inspection/stream_inspection.h"
-
 #include <gtest/gtest.h>
 
 #include <functional>
 #include <map>
 #include <random>
 
+#include "odmc/inspection/stream_inspection.h"
 #include "odmc/io/flight_csv.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/sensing/plausible.h"
@@ -102,8 +101,7 @@ TEST(StreamInspection, FindsShiftsOfRotorSpeedsOfEitherSign) {
   ASSERT_NE(Find(sound, "rotor_speeds"), nullptr) << Checks(sound);
   const Lag own = Find(sound, "rotor_speeds")->lag;
   for (const double late_s : {-0.06, -0.033, 0.02, 0.06}) {
-    const StreamInspection found =
-        Spoiled([late_s](FlightLog* log) { ShiftRotors(-late_s, log); });
+    const StreamInspection found = Spoiled([late_s](FlightLog* log) { ShiftRotors(-late_s, log); });
     const TimeOffset* offset = Find(found, "rotor_speeds");
     ASSERT_NE(offset, nullptr);
     EXPECT_NEAR(offset->lag.lag_s - own.lag_s, late_s,
@@ -198,19 +196,24 @@ TEST(StreamInspection, NamesWhatIsWrongWithTheVelocity) {
     EXPECT_TRUE(found.refusal.empty());
   };
   check([](FlightLog* log) { ForPoses(log, [](auto* s) { s->v_WS->x() = 0.0; }); }, "axis x");
-  check([](FlightLog* log) {
-    ForPoses(log, [](auto* s) { *s->v_WS = s->q_WS.conjugate() * *s->v_WS; });
-  }, "written in the body frame");
+  check(
+      [](FlightLog* log) {
+        ForPoses(log, [](auto* s) { *s->v_WS = s->q_WS.conjugate() * *s->v_WS; });
+      },
+      "written in the body frame");
   check([](FlightLog* log) { ForPoses(log, [](auto* s) { *s->v_WS *= 3.6; }); }, "in km/h");
   check([](FlightLog* log) { ForPoses(log, [](auto* s) { *s->v_WS *= 2.2; }); }, "times too large");
-  check([](FlightLog* log) {
-    ForPoses(log, [](auto* s) { *s->v_WS = Vector3d(1, -1, -1).cwiseProduct(*s->v_WS); });
-  }, "with axes x, -y, -z");
-  check([](FlightLog* log) {
-    ForPoses(log, [](auto* s) {
-      *s->v_WS += s->q_WS * s->w_WS_S->cross(Vector3d(0.5, 0.2, -0.4));
-    });
-  }, "of a point");
+  check(
+      [](FlightLog* log) {
+        ForPoses(log, [](auto* s) { *s->v_WS = Vector3d(1, -1, -1).cwiseProduct(*s->v_WS); });
+      },
+      "with axes x, -y, -z");
+  check(
+      [](FlightLog* log) {
+        ForPoses(log,
+                 [](auto* s) { *s->v_WS += s->q_WS * s->w_WS_S->cross(Vector3d(0.5, 0.2, -0.4)); });
+      },
+      "of a point");
 }
 
 TEST(StreamInspection, NamesWhatIsWrongWithTheRates) {
@@ -223,9 +226,8 @@ TEST(StreamInspection, NamesWhatIsWrongWithTheRates) {
   check([](FlightLog* log) { ForPoses(log, [](auto* s) { *s->w_WS_S *= 57.3; }); }, "in degrees");
   check([](FlightLog* log) { ForPoses(log, [](auto* s) { *s->w_WS_S = -*s->w_WS_S; }); },
         "with axes -x, -y, -z");
-  check([](FlightLog* log) {
-    ForPoses(log, [](auto* s) { *s->w_WS_S = s->q_WS * *s->w_WS_S; });
-  }, "written in the world frame");
+  check([](FlightLog* log) { ForPoses(log, [](auto* s) { *s->w_WS_S = s->q_WS * *s->w_WS_S; }); },
+        "written in the world frame");
   const StreamInspection gyro = Spoiled([](FlightLog* log) {
     for (ImuSample& s : log->imu) *s.gyro_I *= 57.3;
   });
@@ -241,18 +243,22 @@ TEST(StreamInspection, RefusesAnAttitudeThatPointsTheThrustElsewhere) {
     EXPECT_EQ(TrustOf(found.findings), Trust::kBad);
   };
   check([](OdometrySample* s) { s->q_WS = s->q_WS.conjugate(); }, "conjugated");
-  check([](OdometrySample* s) {
-    // The file held x, y, z, w and was read as w, x, y, z.
-    const Quaterniond q = s->q_WS;
-    s->q_WS = Quaterniond(q.x(), q.y(), q.z(), q.w());
-  }, "x, y, z, w");
-  check([](OdometrySample* s) {
-    const Matrix3d down = Vector3d(1.0, -1.0, -1.0).asDiagonal();
-    s->p_WS = down * s->p_WS;
-    s->q_WS = Quaterniond(Matrix3d(down * s->q_WS.toRotationMatrix() * down));
-    *s->v_WS = down * *s->v_WS;
-    *s->w_WS_S = down * *s->w_WS_S;
-  }, "NED, FRD");
+  check(
+      [](OdometrySample* s) {
+        // The file held x, y, z, w and was read as w, x, y, z.
+        const Quaterniond q = s->q_WS;
+        s->q_WS = Quaterniond(q.x(), q.y(), q.z(), q.w());
+      },
+      "x, y, z, w");
+  check(
+      [](OdometrySample* s) {
+        const Matrix3d down = Vector3d(1.0, -1.0, -1.0).asDiagonal();
+        s->p_WS = down * s->p_WS;
+        s->q_WS = Quaterniond(Matrix3d(down * s->q_WS.toRotationMatrix() * down));
+        *s->v_WS = down * *s->v_WS;
+        *s->w_WS_S = down * *s->w_WS_S;
+      },
+      "NED, FRD");
 }
 
 TEST(StreamInspection, NamesWhatIsWrongWithTheAccelerometer) {
@@ -272,9 +278,9 @@ TEST(StreamInspection, NamesWhatIsWrongWithTheAccelerometer) {
   check([](const Vector3d& f, const Quaterniond&) { return Vector3d(f / 9.81); }, "in g");
   check([](const Vector3d& f, const Quaterniond& q) { return Vector3d(q * f); },
         "in the world frame");
-  check([](const Vector3d& f, const Quaterniond& q) {
-    return Vector3d(f - q.conjugate() * Vector3d(0.0, 0.0, 9.81));
-  }, "without gravity");
+  check([](const Vector3d& f,
+           const Quaterniond& q) { return Vector3d(f - q.conjugate() * Vector3d(0.0, 0.0, 9.81)); },
+        "without gravity");
 }
 
 TEST(StreamInspection, NamesALeanAndWhereItIs) {
@@ -324,18 +330,16 @@ TEST(StreamInspection, RefusesRotorSpeedsOfAnotherUnit) {
 }
 
 TEST(StreamInspection, RefusesAPositionInMillimetres) {
-  const StreamInspection found = Spoiled([](FlightLog* log) {
-    ForPoses(log, [](auto* s) { s->p_WS *= 1e3; });
-  });
+  const StreamInspection found =
+      Spoiled([](FlightLog* log) { ForPoses(log, [](auto* s) { s->p_WS *= 1e3; }); });
   ExpectNamed(found, "position", "in mm");
   EXPECT_FALSE(found.refusal.empty());
 }
 
 TEST(StreamInspection, TellsATurnedWorldFromOneUpsideDown) {
   const Quaterniond half(Eigen::AngleAxisd(M_PI, Vector3d::UnitZ()));
-  const StreamInspection turned = Spoiled([&](FlightLog* log) {
-    ForPoses(log, [&](auto* s) { s->q_WS = half * s->q_WS; });
-  });
+  const StreamInspection turned =
+      Spoiled([&](FlightLog* log) { ForPoses(log, [&](auto* s) { s->q_WS = half * s->q_WS; }); });
   ExpectNamed(turned, "attitude", "turned by 180 degrees about z");
 }
 
@@ -380,8 +384,7 @@ TEST(MeasuredStreams, ShiftsAreFoundWithinTwoMilliseconds) {
       ShiftVelocity(-2.0 * late_s, &slow);
       const StreamInspection velocity = InspectStreams(slow, vehicle);
       EXPECT_NEAR(Find(velocity, "velocity")->lag.lag_s - Find(own, "velocity")->lag.lag_s,
-                  2.0 * late_s,
-                  std::max(0.002, 3.0 * Find(velocity, "velocity")->lag.scatter_s))
+                  2.0 * late_s, std::max(0.002, 3.0 * Find(velocity, "velocity")->lag.scatter_s))
           << r.flight;
     }
   }

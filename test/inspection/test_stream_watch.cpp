@@ -1,6 +1,6 @@
-#include "odmc/inspection/stream_watch.h"
-
 #include <gtest/gtest.h>
+
+#include "odmc/inspection/stream_watch.h"
 
 namespace odmc {
 namespace {

@@ -1,11 +1,10 @@
-#include "odmc/inspection/vehicle_fit.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <numeric>
 #include <random>
 
+#include "odmc/inspection/vehicle_fit.h"
 #include "odmc/model/frame_layout.h"
 #include "support/rotor_frames.h"
 
@@ -53,7 +52,8 @@ FlightLog WithColumns(FlightLog log, const std::vector<int>& order) {
 }
 
 /// True if each column is told to be at the nominal place nearest to where its rotor is.
-bool IsRightOrder(const VehicleFit& fit, const Vehicle& nominal, const std::vector<Rotor>& columns) {
+bool IsRightOrder(const VehicleFit& fit, const Vehicle& nominal,
+                  const std::vector<Rotor>& columns) {
   for (size_t j = 0; j < columns.size(); ++j) {
     const Eigen::Vector2d at = columns[j].p_BP.head<2>().normalized();
     const Rotor& told = nominal.rotors[static_cast<size_t>(fit.order[j])];
@@ -117,13 +117,14 @@ TEST(VehicleFit, FindsOrderAndSpinsOfMoreRotors) {
 TEST(VehicleFit, FindsThrustAndInertia) {
   for (const Vehicle& truth : {OfFrame("quad_x", 0.13), NanoVehicle()}) {
     Vehicle nominal = Guessed(truth, "quad_x");
-    nominal.rotors = RotorsAt(FrameLayout("quad_x", Autopilot::kPx4), truth.rotors[0].p_BP.cwiseAbs().x(),
-                              truth.rotors[0].p_BP.cwiseAbs().y(), 0.05);
+    nominal.rotors =
+        RotorsAt(FrameLayout("quad_x", Autopilot::kPx4), truth.rotors[0].p_BP.cwiseAbs().x(),
+                 truth.rotors[0].p_BP.cwiseAbs().y(), 0.05);
     const VehicleFit fit = FitVehicle(Flown(truth, "aggressive", 20.0), nominal);
     ASSERT_TRUE(fit.balance && fit.inertia_x && fit.inertia_y);
-    EXPECT_NEAR(fit.balance->k_f_over_mass * truth.mass_kg /
-                    *truth.parameters.at("thrust.k_f").value,
-                1.0, 0.02);
+    EXPECT_NEAR(
+        fit.balance->k_f_over_mass * truth.mass_kg / *truth.parameters.at("thrust.k_f").value, 1.0,
+        0.02);
     EXPECT_NEAR(fit.inertia_x->value_kg_m2 / truth.inertia_kg_m2.x(), 1.0, 0.1);
     EXPECT_NEAR(fit.inertia_y->value_kg_m2 / truth.inertia_kg_m2.y(), 1.0, 0.1);
   }

@@ -1,8 +1,8 @@
-#include "odmc/io/entry_stamps.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
+
+#include "odmc/io/entry_stamps.h"
 
 namespace odmc {
 namespace {

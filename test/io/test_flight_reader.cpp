@@ -52,7 +52,8 @@ TEST_F(FlightReaderRegistry, DataSetsAreToldByTheirColumnsAndFiles) {
 }
 
 TEST_F(FlightReaderRegistry, PartOfACsvFile) {
-  const std::string poses = folder_.Write("poses.csv", "t,px,py,pz,qw,qx,qy,qz,other\n0,0,0,1,1,0,0,0,7\n");
+  const std::string poses =
+      folder_.Write("poses.csv", "t,px,py,pz,qw,qx,qy,qz,other\n0,0,0,1,1,0,0,0,7\n");
   FlightReadOptions options;
   ODMC_EXPECT_ERROR(readers_.Read(poses, options), "rotor1");
   options.part = FlightPart::kPoses;

@@ -1,10 +1,9 @@
-#include "odmc/io/foreign_messages.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <set>
 
+#include "odmc/io/foreign_messages.h"
 #include "support/error_text.h"
 #include "support/message_bytes.h"
 
@@ -348,7 +347,8 @@ TEST(KnownMessages, HaveUnitsThatAreUnderstood) {
   std::set<std::pair<ForeignUse, std::string>> seen;
   for (const KnownMessage& known : KnownMessages()) {
     EXPECT_TRUE(seen.insert({known.use, known.type}).second) << known.type;
-    EXPECT_TRUE(std::string(known.md5).empty() || std::string(known.md5).size() == 32) << known.type;
+    EXPECT_TRUE(std::string(known.md5).empty() || std::string(known.md5).size() == 32)
+        << known.type;
     EXPECT_TRUE(*known.unit != '\0' || known.by_name_only) << known.type;
     if (known.use == ForeignUse::kRotorSpeeds && *known.unit != '\0') {
       EXPECT_GT(RotorSpeedScale(known.unit, 7), 0.0);

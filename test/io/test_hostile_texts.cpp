@@ -127,13 +127,14 @@ TEST_F(HostileTexts, LongListsOfNamesAreCut) {
 
 TEST_F(HostileTexts, OneStampThatLeapsIsLeftOut) {
   for (const std::string wrong : {"1e9", "1000000000", "5"}) {
-    const FlightLog log = Read(kHeader + RowAt("0") + RowAt("0.01") + RowAt(wrong) +
-                               RowAt("0.02") + RowAt("0.03") + RowAt("0.04"));
+    const FlightLog log = Read(kHeader + RowAt("0") + RowAt("0.01") + RowAt(wrong) + RowAt("0.02") +
+                               RowAt("0.03") + RowAt("0.04"));
     EXPECT_EQ(log.odometry.size(), 5u);
     EXPECT_EQ(log.odometry.back().stamp, 40000000);
     ASSERT_EQ(log.warnings.size(), 1u);
-    EXPECT_TRUE(Contains(log.warnings[0], "dropped 1 rows whose t leaps ahead of all after it "
-                                          "(first: line 4"))
+    EXPECT_TRUE(Contains(log.warnings[0],
+                         "dropped 1 rows whose t leaps ahead of all after it "
+                         "(first: line 4"))
         << log.warnings[0];
   }
   EXPECT_EQ(Read(kHeader + RowAt("1e9") + Rows(5)).odometry.size(), 5u);

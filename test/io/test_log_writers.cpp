@@ -16,7 +16,9 @@ using Eigen::Vector3d;
 
 constexpr Stamp kStart = 1700000000123456000;  // a clock since 1970, whole microseconds
 
-Vector3d PositionAt(double t) { return {std::sin(t), 2.0 + 0.3 * t, 1.5 + 0.2 * std::cos(2.0 * t)}; }
+Vector3d PositionAt(double t) {
+  return {std::sin(t), 2.0 + 0.3 * t, 1.5 + 0.2 * std::cos(2.0 * t)};
+}
 Vector3d VelocityAt(double t) { return {std::cos(t), 0.3, -0.4 * std::sin(2.0 * t)}; }
 Vector3d RatesAt(double t) { return {0.8 * std::sin(3.0 * t), -0.5, 0.3 * std::cos(t)}; }
 Vector3d ForceAt(double t) { return {0.4, -0.6 * std::sin(t), 9.8 + std::cos(4.0 * t)}; }
@@ -63,7 +65,8 @@ FlightLog MadeUpFlight(int num_rotors = 4) {
 
 /// Half a unit of each quantity in a log, and what interpolation adds.
 struct Resolution {
-  double position_m, attitude_rad, velocity_m_s, gyro_rad_s, force_m_s2, speed_rad_s, throttle, volt;
+  double position_m, attitude_rad, velocity_m_s, gyro_rad_s, force_m_s2, speed_rad_s, throttle,
+      volt;
 };
 
 void ExpectSame(const FlightLog& read, const Resolution& r, int num_rotors = 4) {
@@ -103,8 +106,8 @@ void ExpectSame(const FlightLog& read, const Resolution& r, int num_rotors = 4) 
 constexpr Resolution kULog = {2e-6, 1e-6, 1e-6, 1e-6, 3e-6, 0.0525, 1e-6, 2e-6};
 // Single precision, and whole microseconds of pulse length.
 constexpr Resolution kDataflash = {2e-6, 1e-6, 1e-6, 1e-6, 3e-6, 2e-4, 5.01e-4, 2e-6};
-// mm, 1/8127, cm/s, 0.1 deg/s, 1/2048 g, rad/s, 1/1889, 10 mV; each of a norm of three axes, and what
-// lines between samples are off the curves.
+// mm, 1/8127, cm/s, 0.1 deg/s, 1/2048 g, rad/s, 1/1889, 10 mV; each of a norm of three axes, and
+// what lines between samples are off the curves.
 constexpr Resolution kBlackbox = {1e-3, 3e-4, 1e-2, 2e-3, 5e-3, 0.51, 3e-4, 5.1e-3};
 
 class LogWriters : public ::testing::Test {
@@ -171,7 +174,8 @@ TEST_F(LogWriters, AFlightWithoutPosesIsReadWhereNoneAreWanted) {
     EXPECT_TRUE(read.odometry.empty()) << name;
     EXPECT_GT(read.imu.size(), 1900u) << name;
     EXPECT_GT(read.rotors.size(), 900u) << name;
-    EXPECT_NEAR(read.rotors[300].speed[2], SpeedAt(2, ToSeconds(read.rotors[300].stamp - 1123456000)),
+    EXPECT_NEAR(read.rotors[300].speed[2],
+                SpeedAt(2, ToSeconds(read.rotors[300].stamp - 1123456000)),
                 0.8)
         << name;  // Betaflight's unit is 1.5 rad/s
   }

@@ -1,11 +1,10 @@
-#include "odmc/io/message_layout.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <limits>
 #include <random>
 
+#include "odmc/io/message_layout.h"
 #include "support/error_text.h"
 #include "support/message_bytes.h"
 
@@ -43,12 +42,22 @@ TEST(MessageLayout, ReadsEveryBuiltinType) {
   const MessageLayout layout("a/Every", kEveryType);
   const MessageBytes bytes = EveryType();
   const std::vector<std::pair<std::string, double>> expected = {
-      {"a_bool", 1},       {"a_int8", -128},       {"a_byte", -1},
-      {"a_uint8", 255},    {"a_char", 200},        {"a_int16", -32768},
-      {"a_uint16", 65535}, {"a_int32", -2147483647}, {"a_uint32", 4294967295.0},
-      {"a_int64", -9007199254740992.0}, {"a_uint64", 9007199254740992.0},
-      {"a_float32", 0.1f}, {"a_float64", -1e300},  {"a_time", 1e-9 * 1700000000123456789},
-      {"a_duration", 0},   {"last", 42}};
+      {"a_bool", 1},
+      {"a_int8", -128},
+      {"a_byte", -1},
+      {"a_uint8", 255},
+      {"a_char", 200},
+      {"a_int16", -32768},
+      {"a_uint16", 65535},
+      {"a_int32", -2147483647},
+      {"a_uint32", 4294967295.0},
+      {"a_int64", -9007199254740992.0},
+      {"a_uint64", 9007199254740992.0},
+      {"a_float32", 0.1f},
+      {"a_float64", -1e300},
+      {"a_time", 1e-9 * 1700000000123456789},
+      {"a_duration", 0},
+      {"last", 42}};
   for (const auto& [name, value] : expected) {
     EXPECT_EQ(Numbers(layout, name, bytes), std::vector<double>{value}) << name;
   }
@@ -80,8 +89,7 @@ TEST(MessageLayout, PassesOverConstantsAndComments) {
 TEST(MessageLayout, FollowsPathsThroughArraysOfMessages) {
   const MessageLayout layout("mavros_msgs/ESCStatus", testing_support::EscStatusDefinition());
   const MessageBytes bytes = testing_support::EscStatus(5000000003, {100, -200, 300, 400});
-  EXPECT_EQ(Numbers(layout, "esc_status[].rpm", bytes),
-            (std::vector<double>{100, -200, 300, 400}));
+  EXPECT_EQ(Numbers(layout, "esc_status[].rpm", bytes), (std::vector<double>{100, -200, 300, 400}));
   EXPECT_EQ(Numbers(layout, "esc_status.rpm", bytes), Numbers(layout, "esc_status[].rpm", bytes));
   EXPECT_EQ(Numbers(layout, "esc_status[1].rpm", bytes), std::vector<double>{-200});
   EXPECT_EQ(layout.Stamps(layout.Find("header.stamp"), bytes.data(), bytes.size()),
@@ -121,15 +129,15 @@ TEST(MessageLayout, NamesWhatAPathMisses) {
   ODMC_EXPECT_ERROR(layout.Find("header[].stamp"), "'header' is no array");
   ODMC_EXPECT_ERROR(layout.Find("header.stamp.secs"), "nothing lies within 'stamp'");
   ODMC_EXPECT_ERROR(layout.Find(""), "is empty");
-  for (const std::string path : {".", "..", "[", "]", "[]", "esc_status[", "esc_status[x]",
-                                 "esc_status[-1].rpm", "esc_status[99999999999].rpm", "a b",
-                                 ".header", "header..stamp", "esc_status[].rpm."}) {
+  for (const std::string path :
+       {".", "..", "[", "]", "[]", "esc_status[", "esc_status[x]", "esc_status[-1].rpm",
+        "esc_status[99999999999].rpm", "a b", ".header", "header..stamp", "esc_status[].rpm."}) {
     EXPECT_FALSE(layout.Has(path) && path != "esc_status[].rpm.") << path;
   }
   const MessageBytes bytes = testing_support::EscStatus(1, {1});
   ODMC_EXPECT_ERROR(Numbers(layout, "header.frame_id", bytes), "is text, not a number");
-  ODMC_EXPECT_ERROR(
-      layout.Stamps(layout.Find("esc_status[].rpm"), bytes.data(), bytes.size()), "is no time");
+  ODMC_EXPECT_ERROR(layout.Stamps(layout.Find("esc_status[].rpm"), bytes.data(), bytes.size()),
+                    "is no time");
 }
 
 TEST(MessageLayout, RefusesMessagesCutAtAnyByte) {
@@ -209,9 +217,12 @@ TEST(MessageLayout, SizesThatGrowWithoutBoundAreRefusedWithTheMessage) {
   for (int i = 0; i < 20; ++i) {
     wide = With(wide, "c/T" + std::to_string(i), "c/T" + std::to_string(i + 1) + "[1000000] x\n");
   }
-  const MessageLayout layout("a/W", With(wide, "c/T20", "bool y\n") );
-  ODMC_EXPECT_ERROR(Numbers(layout, "x[].x[].x[].x[].x[].x[].x[].x[].x[].x[].x[].x[].x[].x[].x[].x[]"
-                                    ".x[].x[].x[].x[].x[].y", MessageBytes()), "ends at byte 0");
+  const MessageLayout layout("a/W", With(wide, "c/T20", "bool y\n"));
+  ODMC_EXPECT_ERROR(Numbers(layout,
+                            "x[].x[].x[].x[].x[].x[].x[].x[].x[].x[].x[].x[].x[].x[].x[].x[]"
+                            ".x[].x[].x[].x[].x[].y",
+                            MessageBytes()),
+                    "ends at byte 0");
 }
 
 // Whatever the bytes are, it ends, with an answer or a sentence.

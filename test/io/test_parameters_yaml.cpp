@@ -154,10 +154,11 @@ TEST(ParametersYaml, BadFilesAreRefused) {
 // In other units every entry has another size: correlations tell.
 TEST(ParametersYaml, CovariancesThatAreNoneAreRefused) {
   const auto with = [](const std::string& matrix) {
-    return Parse("effects: [thrust, drag]\n"
-                 "parameters: {thrust.k_f: {value: 1.0e-06}, drag.d_x: {value: -0.1}}\n"
-                 "covariance: {order: [thrust.k_f, drag.d_x], matrix: " +
-                 matrix + "}\n");
+    return Parse(
+        "effects: [thrust, drag]\n"
+        "parameters: {thrust.k_f: {value: 1.0e-06}, drag.d_x: {value: -0.1}}\n"
+        "covariance: {order: [thrust.k_f, drag.d_x], matrix: " +
+        matrix + "}\n");
   };
   EXPECT_NO_THROW(with("[[1.0e-18, 0.9e-10], [0.9e-10, 1.0e-02]]"));
   EXPECT_NO_THROW(with("[[1.0e-18, 1.0e-10], [1.0000001e-10, 1.0e-02]]"));  // rounded

@@ -1,9 +1,8 @@
-#include "odmc/io/vehicle_writer.h"
-
 #include <gtest/gtest.h>
 
 #include <filesystem>
 
+#include "odmc/io/vehicle_writer.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "support/test_vehicle.h"
 
@@ -84,7 +83,8 @@ TEST(VehicleWriter, CommentsStandBesideTheirEntries) {
   EXPECT_EQ(text.rfind("# First.\n#\n# Second.\n\nname: ", 0), 0u) << text;
   EXPECT_NE(text.find("# asked: weigh it\nmass_kg: 0.75\n"), std::string::npos) << text;
   EXPECT_NE(text.find("}  # front left\n"), std::string::npos) << text;
-  EXPECT_NE(text.find("\n  # " + std::string(60, 'y') + "\n  thrust.k_f: {"), std::string::npos) << text;
+  EXPECT_NE(text.find("\n  # " + std::string(60, 'y') + "\n  thrust.k_f: {"), std::string::npos)
+      << text;
   ExpectSame(NominalVehicle(), ParseVehicle(text, "a.yaml"));
 }
 

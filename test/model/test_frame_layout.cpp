@@ -1,10 +1,10 @@
-#include "odmc/model/frame_layout.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <map>
 #include <set>
+
+#include "odmc/model/frame_layout.h"
 
 namespace odmc {
 namespace test {
@@ -42,18 +42,21 @@ TEST(FrameLayout, NumbersAreTheAutopilots) {
             "front cw; rear ccw; rear left cw; front right ccw; front left ccw; rear right cw");
   EXPECT_EQ(Words("hexa_plus", Autopilot::kBetaflight),
             "rear right ccw; front right cw; rear left ccw; front left cw; front ccw; rear cw");
-  EXPECT_EQ(Words("octo_x", Autopilot::kPx4),
-            "front right cw; rear left cw; right front ccw; rear right ccw; front left ccw; left rear "
-            "ccw; left front cw; right rear cw");
+  EXPECT_EQ(
+      Words("octo_x", Autopilot::kPx4),
+      "front right cw; rear left cw; right front ccw; rear right ccw; front left ccw; left rear "
+      "ccw; left front cw; right rear cw");
   EXPECT_EQ(Words("octo_x", Autopilot::kBetaflight),
             "left front ccw; front right ccw; right rear ccw; rear left ccw; front left cw; right "
             "front cw; rear right cw; left rear cw");
-  EXPECT_EQ(Words("octo_plus", Autopilot::kArduPilot),
-            "front cw; rear cw; front right ccw; rear right ccw; front left ccw; rear left ccw; left "
-            "cw; right cw");
-  EXPECT_EQ(Words("octo_plus", Autopilot::kBetaflight),
-            "front left ccw; front right ccw; rear right ccw; rear left ccw; front cw; right cw; rear "
-            "cw; left cw");
+  EXPECT_EQ(
+      Words("octo_plus", Autopilot::kArduPilot),
+      "front cw; rear cw; front right ccw; rear right ccw; front left ccw; rear left ccw; left "
+      "cw; right cw");
+  EXPECT_EQ(
+      Words("octo_plus", Autopilot::kBetaflight),
+      "front left ccw; front right ccw; rear right ccw; rear left ccw; front cw; right cw; rear "
+      "cw; left cw");
   EXPECT_EQ(Words("y6", Autopilot::kPx4),
             "front right, upper cw; front right, lower ccw; rear, upper cw; rear, lower ccw; front "
             "left, upper cw; front left, lower ccw");
@@ -70,7 +73,9 @@ TEST(FrameLayout, DirectionsAreTheNames) {
   for (const std::string& frame : FrameNames()) {
     for (const Autopilot autopilot : kAll) {
       for (const FramePlace& place : FrameLayout(frame, autopilot)) {
-        const auto has = [&](const char* word) { return place.name.find(word) != std::string::npos; };
+        const auto has = [&](const char* word) {
+          return place.name.find(word) != std::string::npos;
+        };
         EXPECT_EQ(has("front"), place.direction.x() > 1e-6) << frame << place.name;
         EXPECT_EQ(has("rear"), place.direction.x() < -1e-6) << frame << place.name;
         EXPECT_EQ(has("left"), place.direction.y() > 1e-6) << frame << place.name;
@@ -125,8 +130,7 @@ TEST(FrameLayout, FramesHoverWithEqualSpeeds) {
 
 TEST(FrameLayout, RotorsReachTheHalves) {
   for (const std::string& frame : FrameNames()) {
-    const std::vector<Rotor> rotors =
-        RotorsAt(FrameLayout(frame, Autopilot::kPx4), 0.2, 0.3, 0.05);
+    const std::vector<Rotor> rotors = RotorsAt(FrameLayout(frame, Autopilot::kPx4), 0.2, 0.3, 0.05);
     Eigen::Vector3d most = Eigen::Vector3d::Zero();
     for (const Rotor& rotor : rotors) {
       most = most.cwiseMax(rotor.p_BP.cwiseAbs());
@@ -149,7 +153,8 @@ TEST(FrameLayout, UnknownFramesAreRefused) {
     FrameLayout("quad_y", Autopilot::kPx4);
     FAIL();
   } catch (const std::invalid_argument& e) {
-    EXPECT_NE(std::string(e.what()).find("'quad_y'; there are quad_x, quad_plus"), std::string::npos);
+    EXPECT_NE(std::string(e.what()).find("'quad_y'; there are quad_x, quad_plus"),
+              std::string::npos);
   }
 }
 

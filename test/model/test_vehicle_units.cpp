@@ -1,9 +1,8 @@
-#include "odmc/model/vehicle_units.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 
+#include "odmc/model/vehicle_units.h"
 #include "support/test_vehicle.h"
 
 namespace odmc {

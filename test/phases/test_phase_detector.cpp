@@ -17,10 +17,10 @@ class PhaseDetectorTest : public testing::Test {
  protected:
   /// What the vehicle does for a while.
   struct Doing {
-    double thrust = 1.0;              // over the weight
+    double thrust = 1.0;                 // over the weight
     Vector3d missing = {0.0, 0.0, 0.0};  // over the weight, in B
-    double speed = 0.0;               // forward [m/s]
-    double wobble = 0.01;             // of the attitude [rad]
+    double speed = 0.0;                  // forward [m/s]
+    double wobble = 0.01;                // of the attitude [rad]
     Quaterniond q = Quaterniond::Identity();
   };
 

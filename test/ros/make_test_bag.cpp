@@ -5,13 +5,15 @@
 //   make_test_bag OUT.bag SECONDS hover    as plain, take-off to hover after 2 s
 //   make_test_bag OUT.bag SECONDS undeclared  as plain, with a quadratic drag no vehicle file has
 //   make_test_bag OUT.bag SECONDS commands     motor commands, no rotor speeds
-//   make_test_bag OUT.bag SECONDS late_rotors  an aggressive flight, rotor speeds stamped 40 ms late
-//   make_test_bag OUT.bag SECONDS actuators|esc_status|made_up|made_up_stamped  as plain, rotor speeds in
+//   make_test_bag OUT.bag SECONDS late_rotors  an aggressive flight, rotor speeds stamped 40 ms
+//   late make_test_bag OUT.bag SECONDS actuators|esc_status|made_up|made_up_stamped  as plain,
+//   rotor speeds in
 //                           messages of packages that are not installed (support/foreign_bag.h)
 //   make_test_bag OUT.bag SECONDS pose_twist   odometry as TransformStamped and TwistStamped
-//   make_test_bag OUT.bag SECONDS tf           odometry as tf: map -> odom (static) -> base_link, each twice
-//   make_test_bag OUT.bag SECONDS esc_stamps   rotor speeds as an own type, each with its own stamp
-//   make_test_bag OUT.bag SECONDS dead_sensor  motor commands, and rotor 2 reads 0 from the middle on
+//   make_test_bag OUT.bag SECONDS tf           odometry as tf: map -> odom (static) -> base_link,
+//   each twice make_test_bag OUT.bag SECONDS esc_stamps   rotor speeds as an own type, each with
+//   its own stamp make_test_bag OUT.bag SECONDS dead_sensor  motor commands, and rotor 2 reads 0
+//   from the middle on
 
 #include <geometry_msgs/TransformStamped.h>
 #include <geometry_msgs/TwistStamped.h>
@@ -169,9 +171,9 @@ void WriteTf(const std::string& from, const std::string& to) {
 /// Telemetry of `from`'s rotor speeds: a header that is late by up to 2 ms, of four ESCs on a clock
 /// of their own.
 void WriteEscStamps(const std::string& from, const std::string& to) {
-  const std::string definition = testing_support::With(
-      testing_support::WithHeader("Header header\nEsc[4] escs\n"), "garage_quad/Esc",
-      "uint64 timestamp\nfloat64 rpm\n");
+  const std::string definition =
+      testing_support::With(testing_support::WithHeader("Header header\nEsc[4] escs\n"),
+                            "garage_quad/Esc", "uint64 timestamp\nfloat64 rpm\n");
   constexpr Stamp kOwnStart = 123456789;
   rosbag::Bag in(from, rosbag::bagmode::Read), out(to, rosbag::bagmode::Write);
   int count = 0;
@@ -188,8 +190,9 @@ void WriteEscStamps(const std::string& from, const std::string& to) {
       bytes.Add(static_cast<std::uint64_t>((stamp + kOwnStart) / 1000));
       bytes.Add(speed * 30.0 / M_PI);
     }
-    out.write("/escs", m.getTime(), testing_support::Raw("garage_quad/Escs", "0123456789abcdef0123456789abcdee",
-                                             definition, bytes));
+    out.write("/escs", m.getTime(),
+              testing_support::Raw("garage_quad/Escs", "0123456789abcdef0123456789abcdee",
+                                   definition, bytes));
   }
 }
 
@@ -305,7 +308,8 @@ int main(int argc, char** argv) {
     if (argc != 4)
       throw std::invalid_argument(
           "usage: make_test_bag OUT.bag SECONDS plain|hover|frames|undeclared|commands|"
-          "late_rotors|actuators|esc_status|made_up|made_up_stamped|pose_twist|tf|esc_stamps|dead_sensor");
+          "late_rotors|actuators|esc_status|made_up|made_up_stamped|pose_twist|tf|esc_stamps|dead_"
+          "sensor");
     odmc::Run(argv[1], std::atof(argv[2]), argv[3]);
   } catch (const std::exception& e) {
     std::fprintf(stderr, "make_test_bag: %s\n", e.what());

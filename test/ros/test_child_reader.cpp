@@ -1,5 +1,3 @@
-#include "../../src/ros/child_reader.h"
-
 #include <gtest/gtest.h>
 #include <unistd.h>
 
@@ -9,6 +7,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include "../../src/ros/child_reader.h"
 #include "support/error_text.h"
 
 namespace odmc {

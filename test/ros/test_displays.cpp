@@ -1,11 +1,10 @@
-#include "odmc/ros/displays.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <limits>
 #include <map>
 
+#include "odmc/ros/displays.h"
 #include "odmc/ros/message_values.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "support/test_vehicle.h"
@@ -59,8 +58,8 @@ class Displays : public ::testing::Test {
   }
 
   static void ExpectPoint(const geometry_msgs::Point& m, const Eigen::Vector3d& p) {
-    EXPECT_LT((ToEigen(m) - p).norm(), 1e-12) << ToEigen(m).transpose() << " is not "
-                                              << p.transpose();
+    EXPECT_LT((ToEigen(m) - p).norm(), 1e-12)
+        << ToEigen(m).transpose() << " is not " << p.transpose();
   }
 
   Vehicle vehicle_;

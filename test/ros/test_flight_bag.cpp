@@ -180,7 +180,8 @@ TEST_F(FlightBag, CsvAndBagGiveTheSameFlight) {
   WriteFlightCsv(log, folder_.File("f.csv"));
   ExpectSame(ReadFlight(folder_.File("f.csv"), 4, PoseSource::kEkf, {}),
              ReadFlight(File(), 4, PoseSource::kEkf, {}));
-  ODMC_EXPECT_ERROR(ReadFlight("f.txt", 4, PoseSource::kEkf, {}), "f.txt: cannot be opened; a flight is a CSV file (.csv), ");
+  ODMC_EXPECT_ERROR(ReadFlight("f.txt", 4, PoseSource::kEkf, {}),
+                    "f.txt: cannot be opened; a flight is a CSV file (.csv), ");
 }
 
 // ---- Messages of other sources -----------------------------------------------------------------
@@ -465,8 +466,8 @@ std::string Damaged(std::string bag, std::mt19937* generator) {
 TEST_F(FlightBag, DamageEndsInASentence) {
   std::mt19937 generator(11);
   int refused = 0;
-  for (const auto compression : {rosbag::CompressionType::Uncompressed, rosbag::CompressionType::LZ4,
-                                 rosbag::CompressionType::BZ2}) {
+  for (const auto compression : {rosbag::CompressionType::Uncompressed,
+                                 rosbag::CompressionType::LZ4, rosbag::CompressionType::BZ2}) {
     WriteBag([&](rosbag::Bag* bag) {
       bag->setCompression(compression);
       bag->setChunkThreshold(20000);
@@ -476,9 +477,9 @@ TEST_F(FlightBag, DamageEndsInASentence) {
     const std::string sound = Content(File());
     const size_t tail = sound.size() - 2000;
     for (int i = 0; i < 20; ++i) {
-      const std::string bag =
-          i % 2 == 0 ? Damaged(sound, &generator)
-                     : sound.substr(0, tail) + Damaged(sound.substr(tail), &generator);
+      const std::string bag = i % 2 == 0
+                                  ? Damaged(sound, &generator)
+                                  : sound.substr(0, tail) + Damaged(sound.substr(tail), &generator);
       folder_.Write("f.bag", bag);
       try {
         EXPECT_LE(Read().odometry.size(), 300u);

@@ -82,7 +82,8 @@ TEST_F(ForeignBag, ActuatorsGiveTheSameSamplesToTheLastBit) {
   const FlightLog log = Read();
   ExpectSameRotors(log, 0.0);
   ASSERT_EQ(log.warnings.size(), 1u);
-  EXPECT_TRUE(Contains(log.warnings[0], "200 samples have negative rotor speeds")) << log.warnings[0];
+  EXPECT_TRUE(Contains(log.warnings[0], "200 samples have negative rotor speeds"))
+      << log.warnings[0];
 }
 
 TEST_F(ForeignBag, EscStatusGivesTheSameSamplesToHalfAnRpm) {
@@ -94,8 +95,9 @@ TEST_F(ForeignBag, EscStatusGivesTheSameSamplesToHalfAnRpm) {
 
 TEST_F(ForeignBag, AnyTypeGivesTheSameSamplesByFieldUnitAndOrder) {
   WriteKind("made_up");
-  ODMC_EXPECT_ERROR(Read(), "no rotor speeds (odmc/RotorSpeeds, sensor_msgs/JointState, or a type "
-                            "that is known); --topic rotor_speeds:=/name and --rotor-topic-field");
+  ODMC_EXPECT_ERROR(Read(),
+                    "no rotor speeds (odmc/RotorSpeeds, sensor_msgs/JointState, or a type "
+                    "that is known); --topic rotor_speeds:=/name and --rotor-topic-field");
   BagOptions options;
   options.rotor_topic_field = testing_support::kMadeUpField;
   ODMC_EXPECT_ERROR(Read(options), "which topic has the field arms[].esc.erpm?");
@@ -107,11 +109,14 @@ TEST_F(ForeignBag, AnyTypeGivesTheSameSamplesByFieldUnitAndOrder) {
   const FlightLog log = Read(options);
   ExpectSameRotors(log, 1e-4);  // single precision
   ASSERT_EQ(log.warnings.size(), 1u);
-  EXPECT_TRUE(Contains(log.warnings[0], "/garage/motors: garage_quad/Motors has no stamp: took "
-                                        "the time of arrival")) << log.warnings[0];
+  EXPECT_TRUE(Contains(log.warnings[0],
+                       "/garage/motors: garage_quad/Motors has no stamp: took "
+                       "the time of arrival"))
+      << log.warnings[0];
   options.rotor_topic_field = "arms[].esc.rpm";
-  ODMC_EXPECT_ERROR(Read(options), "there is no 'rpm' in garage_quad/Esc, which has temperature, "
-                                   "on, erpm");
+  ODMC_EXPECT_ERROR(Read(options),
+                    "there is no 'rpm' in garage_quad/Esc, which has temperature, "
+                    "on, erpm");
   options.rotor_topic_field.clear();
   ODMC_EXPECT_ERROR(Read(options), "garage_quad/Motors is not known: say which of its fields");
 }
@@ -131,8 +136,8 @@ TEST_F(ForeignBag, StampsOfAHeaderCountWhereverTheTypeIsFrom) {
 
 // ESCs with microseconds of their own beside a header that is 4 ms late.
 TEST_F(ForeignBag, StampsOfTheRotorsCountWhereTheyAreNamed) {
-  const std::string definition = testing_support::With(
-      WithHeader("Header header\nEsc[4] escs\n"), "my/Esc", "uint64 timestamp\nfloat64 rpm\n");
+  const std::string definition = testing_support::With(WithHeader("Header header\nEsc[4] escs\n"),
+                                                       "my/Esc", "uint64 timestamp\nfloat64 rpm\n");
   const FlightLog flight = Flight();
   WriteBag([&](rosbag::Bag* bag) {
     for (const RotorSample& sample : flight.rotors) {
@@ -158,8 +163,10 @@ TEST_F(ForeignBag, StampsOfTheRotorsCountWhereTheyAreNamed) {
     EXPECT_NEAR(ToSeconds(log.rotors[i].stamp - flight.rotors[i].stamp), 0.004, 3e-6);
   }
   ASSERT_EQ(log.warnings.size(), 1u);
-  EXPECT_TRUE(Contains(log.warnings[0], "/escs: stamps are escs[].timestamp, a clock of its own "
-                                        "laid on header.stamp")) << log.warnings[0];
+  EXPECT_TRUE(Contains(log.warnings[0],
+                       "/escs: stamps are escs[].timestamp, a clock of its own "
+                       "laid on header.stamp"))
+      << log.warnings[0];
   WriteFlightBag(Flight(), File());
   BagOptions own;
   own.rotor_stamp_field = "escs[].timestamp";
@@ -254,22 +261,25 @@ TEST_F(ForeignBag, WhatDoesNotFitIsNamed) {
   EXPECT_EQ(log.rotors.size(), 10u);
   EXPECT_TRUE(Contains(log.warnings.at(0), "10 messages without an entry")) << log.warnings[0];
   esc_bag({6000, 6000, 6000});
-  ODMC_EXPECT_ERROR(Read(), "topic /mavros/esc_status: mavros_msgs/ESCStatus: esc_status[].rpm has "
-                            "3 entries, the vehicle has 4 rotors");
+  ODMC_EXPECT_ERROR(Read(),
+                    "topic /mavros/esc_status: mavros_msgs/ESCStatus: esc_status[].rpm has "
+                    "3 entries, the vehicle has 4 rotors");
   WriteBag([&](rosbag::Bag* bag) {
     RawMessage cut = testing_support::RawEscStatus(kStart, {6000, 6000, 6000, 6000});
     cut.bytes.resize(50);
     bag->write("/mavros/esc_status", ToRos(kStart), cut);
   });
-  ODMC_EXPECT_ERROR(Read(), "topic /mavros/esc_status: mavros_msgs/ESCStatus: a message ends at "
-                            "byte 50, but esc_status at byte 20 takes 112 more");
+  ODMC_EXPECT_ERROR(Read(),
+                    "topic /mavros/esc_status: mavros_msgs/ESCStatus: a message ends at "
+                    "byte 50, but esc_status at byte 20 takes 112 more");
   WriteBag([&](rosbag::Bag* bag) {
     RawMessage garbage = testing_support::RawEscStatus(kStart, {1, 2, 3, 4});
     (*garbage.connection)["message_definition"] = "\x01\xff nonsense [[[";
     bag->write("/mavros/esc_status", ToRos(kStart), garbage);
   });
-  ODMC_EXPECT_ERROR(Read(), "topic /mavros/esc_status: mavros_msgs/ESCStatus: line 1 of its "
-                            "definition is no field: '\\x01\\xff nonsense [[['");
+  ODMC_EXPECT_ERROR(Read(),
+                    "topic /mavros/esc_status: mavros_msgs/ESCStatus: line 1 of its "
+                    "definition is no field: '\\x01\\xff nonsense [[['");
 }
 
 TEST_F(ForeignBag, CommandedSpeedsAreNotTakenForMeasuredOnes) {

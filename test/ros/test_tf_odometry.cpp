@@ -1,5 +1,3 @@
-#include "odmc/ros/tf_odometry.h"
-
 #include <gtest/gtest.h>
 #include <rosbag/bag.h>
 #include <tf2_msgs/TFMessage.h>
@@ -8,6 +6,7 @@
 
 #include "odmc/ros/flight_bag.h"
 #include "odmc/ros/message_values.h"
+#include "odmc/ros/tf_odometry.h"
 #include "support/error_text.h"
 #include "support/temporary_folder.h"
 
@@ -87,10 +86,12 @@ TEST(TfOdometry, DropsWhatComesAgain) {
 TEST(TfOdometry, LeadsOverFramesBetween) {
   TfOdometry tf("map", "camera");
   EXPECT_TRUE(tf.Add({Transform("map", "odom", 0, kMapOdom),
-                      Transform("base_link", "camera", 0, kBodyCamera)}, true).empty());
+                      Transform("base_link", "camera", 0, kBodyCamera)},
+                     true)
+                  .empty());
   for (int i = 0; i < 50; ++i) {
-    EXPECT_TRUE(tf.Add({Transform("base_link", "gimbal", StampAt(i) + kMs, BodyAt(i))}, false)
-                    .empty());
+    EXPECT_TRUE(
+        tf.Add({Transform("base_link", "gimbal", StampAt(i) + kMs, BodyAt(i))}, false).empty());
     const auto poses = tf.Add({Transform("odom", "base_link", StampAt(i), BodyAt(i))}, false);
     ASSERT_EQ(poses.size(), 1u);
     ExpectPose(poses[0].sample, kMapOdom * BodyAt(i) * kBodyCamera);
@@ -233,8 +234,7 @@ TEST_F(TfBag, SaysWhatIsWrong) {
   ODMC_EXPECT_ERROR(ReadFlightBag(File(), 4, Frames("world", "base_link")),
                     "tf.bag: tf does not lead from world to base_link; it has odom -> base_link, "
                     "base_link -> camera");
-  ODMC_EXPECT_ERROR(ReadFlightBag(File(), 4, Frames("world", "")),
-                    "odometry_tf_child is missing");
+  ODMC_EXPECT_ERROR(ReadFlightBag(File(), 4, Frames("world", "")), "odometry_tf_child is missing");
   ODMC_EXPECT_ERROR(ReadFlightBag(File(), 4, Frames("map", "map")), "are the same frame, map");
   BagOptions both = Frames("map", "base_link");
   both.topics["odometry"] = "/odometry";

@@ -424,7 +424,8 @@ TEST(World, GivesSpeedsToAVehicleWithAnActuatorByItsInverse) {
   EXPECT_GE(speed[3], world.max_rotor_speed());
 }
 
-// One sample a stamp, of what holds from it on, at the rate of the rotors and where a command comes.
+// One sample a stamp, of what holds from it on, at the rate of the rotors and where a command
+// comes.
 TEST(World, TellsWhatTheEscsAreTold) {
   const Setting setting(test::VehicleWithActuator());
   World world = setting.In(Quiet());
@@ -440,7 +441,7 @@ TEST(World, TellsWhatTheEscsAreTold) {
   ASSERT_EQ(samples.size(), 11u);  // 0, 2, 4, 5, 6, ... 18 ms
   EXPECT_EQ(samples[3].stamp, FromSeconds(0.005));
   for (const CommandSample& sample : samples) {
-    const double told = sample.stamp >= FromSeconds(0.010)  ? 1.0
+    const double told = sample.stamp >= FromSeconds(0.010)   ? 1.0
                         : sample.stamp >= FromSeconds(0.005) ? 0.3
                                                              : 0.0;
     EXPECT_EQ(sample.throttle, setting.All(told)) << sample.stamp;

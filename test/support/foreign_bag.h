@@ -51,8 +51,9 @@ inline RawMessage RawEscStatus(Stamp stamp, const std::vector<std::int32_t>& rpm
 /// and arrays before them.
 /// @param stamp  of the header; 0: the type has none
 inline RawMessage RawMadeUp(Stamp stamp, const std::vector<double>& speeds) {
-  const std::string fields = "# of nobody's package\nstring CODE=#1 = not a comment\nbool armed\n"
-                             "uint8[] spare\nArm[4] arms\nuint16 crc\n";
+  const std::string fields =
+      "# of nobody's package\nstring CODE=#1 = not a comment\nbool armed\n"
+      "uint8[] spare\nArm[4] arms\nuint16 crc\n";
   const std::string definition =
       With(With(stamp == 0 ? fields : WithHeader("Header header\n" + fields), "garage_quad/Arm",
                 "string name\nEsc esc\nfloat32[3] hub_m\n"),

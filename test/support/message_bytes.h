@@ -88,7 +88,8 @@ inline MessageBytes Actuators(std::int64_t ns, const std::vector<double>& speeds
 inline MessageBytes EscStatus(std::int64_t ns, const std::vector<std::int32_t>& rpm) {
   MessageBytes bytes;
   bytes.AddHeader(ns, "").Add(static_cast<std::uint32_t>(rpm.size()));
-  for (const std::int32_t value : rpm) bytes.AddHeader(ns + 1, "esc").Add(value).Add(15.5f).Add(2.f);
+  for (const std::int32_t value : rpm)
+    bytes.AddHeader(ns + 1, "esc").Add(value).Add(15.5f).Add(2.f);
   return bytes;
 }
 

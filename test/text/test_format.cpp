@@ -1,11 +1,10 @@
-#include "odmc/text/format.h"
-
 #include <gtest/gtest.h>
 
 #include <limits>
 #include <stdexcept>
 #include <string>
 
+#include "odmc/text/format.h"
 #include "odmc/text/refusal.h"
 #include "odmc/text/table.h"
 

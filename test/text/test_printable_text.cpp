@@ -15,15 +15,19 @@ TEST(PrintableText, LeavesTextAsItIs) {
 TEST(PrintableText, ShowsWhatATerminalWouldObey) {
   EXPECT_EQ(Printable("\x1b[31mred\x07"), "\\x1b[31mred\\x07");
   EXPECT_EQ(Printable("a\r\nb\tc\x7f"), "a\\x0d\\x0ab\\x09c\\x7f");
-  EXPECT_EQ(Printable("\xc2\x9b" "2J"), "\\xc2\\x9b2J");          // one of the C1 controls
-  EXPECT_EQ(Printable("a\xe2\x80\xae" "b"), "a\\xe2\\x80\\xaeb");  // right to left from here
+  EXPECT_EQ(Printable("\xc2\x9b"
+                      "2J"),
+            "\\xc2\\x9b2J");  // one of the C1 controls
+  EXPECT_EQ(Printable("a\xe2\x80\xae"
+                      "b"),
+            "a\\xe2\\x80\\xaeb");  // right to left from here
   EXPECT_EQ(Printable(std::string("a\0b", 3)), "a\\x00b");
 }
 
 TEST(PrintableText, ShowsBytesThatAreNoUtf8) {
   EXPECT_EQ(Printable("\xff\xc3"), "\\xff\\xc3");
-  EXPECT_EQ(Printable("\xc0\xaf"), "\\xc0\\xaf");                  // a slash, too long
-  EXPECT_EQ(Printable("\xed\xa0\x80"), "\\xed\\xa0\\x80");         // half a pair of UTF-16
+  EXPECT_EQ(Printable("\xc0\xaf"), "\\xc0\\xaf");                    // a slash, too long
+  EXPECT_EQ(Printable("\xed\xa0\x80"), "\\xed\\xa0\\x80");           // half a pair of UTF-16
   EXPECT_EQ(Printable("\xf5\x80\x80\x80"), "\\xf5\\x80\\x80\\x80");  // beyond Unicode
 }
 

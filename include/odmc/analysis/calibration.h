@@ -44,17 +44,17 @@ struct Calibration {
   Prediction prediction;
   TorqueBands bands;
   Eigen::Vector3d nominal_inertia = Eigen::Vector3d::Ones();  ///< of the vehicle file [kg m²]
-  std::optional<LeftOut> left_out;                   ///< where it was asked for
-  std::vector<std::optional<double>> convergence_s;  ///< per parameter
-  TimingFigures wall, cpu;    ///< of the updates after the start
-  TimingFigures wall_start;  ///< of those in it
+  std::optional<LeftOut> left_out;                            ///< where it was asked for
+  std::vector<std::optional<double>> convergence_s;           ///< per parameter
+  TimingFigures wall, cpu;                                    ///< of the updates after the start
+  TimingFigures wall_start;                                   ///< of those in it
   int states_in_window = 0;
   int threads = 1;
-  Stamp first_stamp = 0;  ///< of the first odometry sample
-  double start_s = 0.0;   ///< of the replay's clock, after the first odometry sample
-  std::vector<Finding> findings;      ///< what costs trust, and remarks
+  Stamp first_stamp = 0;                 ///< of the first odometry sample
+  double start_s = 0.0;                  ///< of the replay's clock, after the first odometry sample
+  std::vector<Finding> findings;         ///< what costs trust, and remarks
   std::vector<TimeOffset> time_offsets;  ///< of the streams, as recorded
-  std::vector<std::string> warnings;  ///< the findings' sentences among them
+  std::vector<std::string> warnings;     ///< the findings' sentences among them
 };
 
 /// A flight predicted with fixed parameters.
@@ -63,9 +63,9 @@ struct Evaluation {
   Prediction prediction;
   TorqueBands bands;
   Eigen::Vector3d nominal_inertia = Eigen::Vector3d::Ones();  ///< of the vehicle file [kg m²]
-  std::vector<Finding> findings;         ///< what costs trust, and remarks
-  std::vector<TimeOffset> time_offsets;  ///< of the streams, as recorded
-  std::vector<std::string> warnings;     ///< the findings' sentences among them
+  std::vector<Finding> findings;                              ///< what costs trust, and remarks
+  std::vector<TimeOffset> time_offsets;                       ///< of the streams, as recorded
+  std::vector<std::string> warnings;  ///< the findings' sentences among them
 };
 
 /// Runs the estimator over `log`, then predicts `recording` with what it found.

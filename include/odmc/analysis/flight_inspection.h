@@ -15,11 +15,11 @@ struct StreamFigures {
   std::string name;                ///< poses, IMU, rotor speeds, battery, commands
   std::vector<std::string> holds;  ///< what is in it: velocity, body rates, gyro, accelerometer
   long samples = 0;
-  double rate_Hz = 0.0;         ///< one over the median step
+  double rate_Hz = 0.0;  ///< one over the median step
   double longest_gap_s = 0.0;
-  long gaps = 0;                ///< steps longer than three median ones
-  double jitter_s = 0.0;        ///< spread of the steps: their interquartile range over 1.35
-  long repeated = 0;            ///< samples that repeat the one before to the last digit
+  long gaps = 0;          ///< steps longer than three median ones
+  double jitter_s = 0.0;  ///< spread of the steps: their interquartile range over 1.35
+  long repeated = 0;      ///< samples that repeat the one before to the last digit
 };
 
 /// What a flight covers, on the ground left out.
@@ -41,12 +41,12 @@ struct Lesson {
 
 /// Which places and spins would fit the rotor speeds, where there is no vehicle file.
 struct RotorGuess {
-  std::string frame;                ///< "quad_x"
-  std::vector<std::string> places;  ///< per reading, "front left"
-  std::vector<std::string> spins;   ///< per reading, "cw" or "ccw"
-  bool places_told = false, spins_told = false;  ///< false: a guess
+  std::string frame;                                         ///< "quad_x"
+  std::vector<std::string> places;                           ///< per reading, "front left"
+  std::vector<std::string> spins;                            ///< per reading, "cw" or "ccw"
+  bool places_told = false, spins_told = false;              ///< false: a guess
   double places_probability = 0.0, spins_probability = 0.0;  ///< 0: the flight says nothing
-  std::optional<double> hover_speed_rad_s;  ///< of each rotor
+  std::optional<double> hover_speed_rad_s;                   ///< of each rotor
   std::vector<std::string> advice;  ///< what the flight does not tell, and what to fly
 };
 
@@ -73,8 +73,8 @@ std::vector<StreamFigures> StreamsOf(const FlightLog& log);
 /// the time.
 FlightInspection InspectFlight(FlightLog log, const Vehicle& vehicle);
 
-/// The same without a vehicle file: what needs none, and which order and spins would fit. Phases and
-/// what the flight teaches are those of the vehicle that FitVehicle() makes of the recording.
+/// The same without a vehicle file: what needs none, and which order and spins would fit. Phases
+/// and what the flight teaches are those of the vehicle that FitVehicle() makes of the recording.
 /// @throws std::invalid_argument where there is no frame of so many rotors
 FlightInspection InspectFlightAlone(const FlightLog& log, int num_rotors);
 

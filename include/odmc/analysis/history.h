@@ -19,8 +19,8 @@ struct HistoryRow {
 };
 
 /// Lines of a history, all of one length. A few megabytes are held; what is older waits in an
-/// unnamed file of the system's folder for temporary files (and is held, too, where there is no room
-/// for one). Rows are read back bit by bit as they were written. Thread-compatible.
+/// unnamed file of the system's folder for temporary files (and is held, too, where there is no
+/// room for one). Rows are read back bit by bit as they were written. Thread-compatible.
 class History {
  public:
   void push_back(const HistoryRow& row);

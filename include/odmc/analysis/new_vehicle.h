@@ -16,14 +16,14 @@ struct KnownVehicle {
   double mass_kg = 0.0;  ///< > 0
   std::string frame = "quad_x";
   Autopilot autopilot = Autopilot::kPx4;
-  bool autopilot_asked = false;            ///< else it is a guess
-  std::optional<double> arm_m;             ///< mean distance of the hubs from the origin
-  std::optional<Eigen::Vector2d> half_m;   ///< largest |x| and |y| of a hub, in its place
-  std::optional<double> radius_m;          ///< of the propellers
+  bool autopilot_asked = false;           ///< else it is a guess
+  std::optional<double> arm_m;            ///< mean distance of the hubs from the origin
+  std::optional<Eigen::Vector2d> half_m;  ///< largest |x| and |y| of a hub, in its place
+  std::optional<double> radius_m;         ///< of the propellers
   std::optional<Eigen::Vector3d> inertia_kg_m2;
-  std::vector<int> places;                 ///< per reading: the frame's motor number, from 1; or empty
-  std::vector<double> spins;               ///< per reading, as Rotor::spin; or empty
-  std::optional<Vehicle> drawing;          ///< geometry and inertia in the frame's place (a URDF)
+  std::vector<int> places;         ///< per reading: the frame's motor number, from 1; or empty
+  std::vector<double> spins;       ///< per reading, as Rotor::spin; or empty
+  std::optional<Vehicle> drawing;  ///< geometry and inertia in the frame's place (a URDF)
 };
 
 /// The vehicle as it is known before a flight: rotors in the order of the motor numbers, guesses

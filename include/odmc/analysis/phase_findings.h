@@ -7,8 +7,8 @@
 
 namespace odmc {
 
-/// What the phases of a flight mean for the estimate: contacts in flight and hard landings that were
-/// set aside, a vehicle that became another one, a vehicle that was never seen to fly.
+/// What the phases of a flight mean for the estimate: contacts in flight and hard landings that
+/// were set aside, a vehicle that became another one, a vehicle that was never seen to fly.
 /// @param zero stamp from which seconds count
 std::vector<Finding> PhaseFindings(const ReplayResult& replay, bool learns_changes, Stamp zero);
 

@@ -17,8 +17,8 @@ struct PredictionSample {
   double t_s = 0.0;
   double speed_m_s = 0.0;
   double height_m = 0.0, climb_m_s = 0.0;  ///< of Bo in W
-  Eigen::Vector3d v_AB_B, w_WB_B;  ///< relative to the air, angular velocity [m/s, rad/s]
-  Eigen::Vector3d measured_force, predicted_force;                                ///< [N]
+  Eigen::Vector3d v_AB_B, w_WB_B;          ///< relative to the air, angular velocity [m/s, rad/s]
+  Eigen::Vector3d measured_force, predicted_force;  ///< [N]
   /// predicted_force, but with the angular acceleration that the model predicts in the place of the
   /// measured one wherever a point off the centre of mass swings [N].
   Eigen::Vector3d predicted_swing_force;
@@ -35,8 +35,8 @@ struct PredictionSample {
 struct PredictionFigures {
   using Axes = std::optional<Eigen::Vector3d>;
   Axes force_rmse_N, zero_force_rmse_N, force_explained;
-  /// The force's error where the recorded point swings about the centre of mass as the model has it,
-  /// not as it was measured: nothing of the answer is given away.
+  /// The force's error where the recorded point swings about the centre of mass as the model has
+  /// it, not as it was measured: nothing of the answer is given away.
   Axes predicted_swing_force_rmse_N;
   /// Mass times what is missed of the accelerometer's reading, in its axes, the mean (its bias)
   /// taken off; of the samples that have one, where those are more than half.

@@ -18,7 +18,7 @@ struct ReplayResult {
   std::vector<std::pair<Stamp, Stamp>> ground_spans;    ///< of these, what is not free flight
   std::vector<PhaseDetector::Seen> seen;                ///< ten a second, what tells the phases
   bool has_flown = false;         ///< the vehicle was seen to move by its own thrust
-  double first_airborne_s = 0.0;                        ///< flight time of the first update
+  double first_airborne_s = 0.0;  ///< flight time of the first update
   EstimatorCounters counters;
   SynchroniserCounters stream_counters;
 };

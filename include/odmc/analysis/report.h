@@ -49,8 +49,8 @@ class PredictionFile {
   std::unique_ptr<CsvFile> csv_;
 };
 
-/// The same for the simulator's truth: t, on_ground, p, q, v (W), w, dw (B), speeds and commands of the rotors,
-/// force, torque, and the share of both that the model does not make.
+/// The same for the simulator's truth: t, on_ground, p, q, v (W), w, dw (B), speeds and commands of
+/// the rotors, force, torque, and the share of both that the model does not make.
 class TruthFile {
  public:
   explicit TruthFile(const std::string& file);

@@ -142,8 +142,9 @@ TorqueBands FindTorqueBands(const FlightLog& log, const DynamicModel& model,
                             const ModelValues& values, double k_f_sigma,
                             const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
 
-/// What bands know of parameters that the estimator sees at all frequencies: the inertia of a rotor, as
-/// a share of the I_z in `values`; by full name. Empty where they show it not, or the model has none.
+/// What bands know of parameters that the estimator sees at all frequencies: the inertia of a
+/// rotor, as a share of the I_z in `values`; by full name. Empty where they show it not, or the
+/// model has none.
 std::map<std::string, ParameterSetting> KnownByBands(const TorqueBands& bands,
                                                      const DynamicModel& model,
                                                      const ModelValues& values);

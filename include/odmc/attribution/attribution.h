@@ -19,7 +19,8 @@ bool IsStructured(const ChannelStructure& channel, const AttributionOptions& opt
 /// Share of the structure of a residual, in nats by which a flexible spectrum explains it beyond
 /// noise, that is still there after effects were added, of the channels in which they act. 0 where
 /// there was none.
-double UnexplainedStructure(const ResidualModel::Wrenches& before, const ResidualModel::Wrenches& after,
+double UnexplainedStructure(const ResidualModel::Wrenches& before,
+                            const ResidualModel::Wrenches& after,
                             const std::vector<ChannelStructure>& of_before,
                             const std::vector<ChannelStructure>& of_after,
                             const AttributionOptions& options);
@@ -56,13 +57,16 @@ class Attribution {
   double held_out_gain() const { return held_out_gain_; }
   size_t num_flights() const { return flights_.size(); }
   /// Residual that the fit of the declared model leaves, and that of the extended one (N×6).
-  const ResidualModel::Wrenches& residual_before(size_t flight = 0) const { return before_[flight]; }
+  const ResidualModel::Wrenches& residual_before(size_t flight = 0) const {
+    return before_[flight];
+  }
   const ResidualModel::Wrenches& residual_after(size_t flight = 0) const { return after_[flight]; }
   /// Largest gain of any candidate that a given share of flights without effect exceeds [nats].
   double NullGain(double share) const;
   /// Share of flights without effect on which some candidate gains more than `gain`, at most: the
   /// surrogates' share, or Markov's bound where that is larger. (Where the model of the noise is
-  /// right, the likelihood ratio of one candidate exceeds 1/p by chance with probability p at most.)
+  /// right, the likelihood ratio of one candidate exceeds 1/p by chance with probability p at
+  /// most.)
   double PValue(double gain) const;
   /// By surrogates alone.
   double SurrogatePValue(double gain) const;
@@ -93,14 +97,15 @@ class Attribution {
   VariantSet Confirmed(const Evidence& with, VariantSet set);
   RankedEffect Describe(const Evidence& evidence, int variant, const VariantSet& set) const;
   /// What each of several flights says of an effect of a set.
-  std::vector<FlightSays> ByFlight(const Evidence& evidence, int variant, const VariantSet& set) const;
+  std::vector<FlightSays> ByFlight(const Evidence& evidence, int variant,
+                                   const VariantSet& set) const;
   void FindAlternatives(const Evidence& evidence, const VariantSet& set, int variant,
                         RankedEffect* ranked) const;
-  /// The effects of a confirmed set that are looked at first. What is small beside the largest may be
-  /// its shadow: it has another look once the model is linearized about the largest.
+  /// The effects of a confirmed set that are looked at first. What is small beside the largest may
+  /// be its shadow: it has another look once the model is linearized about the largest.
   VariantSet Largest(const Evidence& evidence, const VariantSet& confirmed) const;
-  /// In the place of what has an unphysical sign, the most probable effect that the data do not tell
-  /// from it and that has none, if there is one.
+  /// In the place of what has an unphysical sign, the most probable effect that the data do not
+  /// tell from it and that has none, if there is one.
   VariantSet WithoutStrangers(const Evidence& evidence, VariantSet set) const;
   /// Fits all values of the stage, linearized anew until they stay.
   std::vector<ResidualModel::Wrenches> Refit(Stage* stage) const;

@@ -47,8 +47,8 @@ Candidate Refined(const Candidate& candidate, const std::function<double(const C
 std::vector<ParameterEstimate> DerivedFigures(const Vehicle& vehicle, const std::string& effect,
                                               const ParameterSet& online);
 
-/// True if a parameter of an effect tells how large it is (Effect::size_parameters(); all of them do
-/// where it names none): without a load's mass, its cable's place says nothing.
+/// True if a parameter of an effect tells how large it is (Effect::size_parameters(); all of them
+/// do where it names none): without a load's mass, its cable's place says nothing.
 /// @param full_name "suspended_load.mass"
 bool TellsSize(const Vehicle& vehicle, const std::string& full_name);
 

@@ -54,10 +54,10 @@ struct ClosedLoop {
   std::vector<AddedEffect> effects;
   std::vector<RankedEffect> ranking;  ///< of the first choice, best first
   std::vector<ChannelStructure> structure;
-  double structured_share = 0.0;    ///< of the most structured channel
-  double whiteness_p = 1.0;         ///< smallest of the channels, times their number
-  /// What the named (or, unexplained, the dropped) effects gain together, and what arbitrary functions
-  /// of the state gain beside them [nats].
+  double structured_share = 0.0;  ///< of the most structured channel
+  double whiteness_p = 1.0;       ///< smallest of the channels, times their number
+  /// What the named (or, unexplained, the dropped) effects gain together, and what arbitrary
+  /// functions of the state gain beside them [nats].
   double named_gain = 0.0, flexible_gain = 0.0;
   PredictionFigures before, after;  ///< on blocks held out
   /// Force by the accelerometer instead, its mean taken off; empty without one.
@@ -88,7 +88,8 @@ void HoldKnownThrust(const AttributionOptions& options, Vehicle* vehicle);
 /// Calibrates `vehicle`'s model on a flight, finds what it leaves unexplained, traces it to an
 /// effect of the catalogue, adds that and says what it changed. `progress` gets the share done.
 /// @param file_vehicle the vehicle file as it is: measured forces and torques come from it
-/// @param vehicle with the configured effects and parameters; the sigmas of an earlier estimate are no
+/// @param vehicle with the configured effects and parameters; the sigmas of an earlier estimate are
+/// no
 ///   priors here, see WithPriorsOf()
 /// @throws std::invalid_argument where the flight cannot be calibrated
 ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& vehicle,

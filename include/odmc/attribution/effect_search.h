@@ -12,7 +12,8 @@ namespace odmc {
 /// A set of variants with its evidence.
 struct ScoredSet {
   VariantSet variants;
-  double log_posterior = 0.0;  ///< gain over the declared model and prior odds of its effects [nats]
+  double log_posterior =
+      0.0;  ///< gain over the declared model and prior odds of its effects [nats]
 };
 
 /// Sets of effects about the most probable one.

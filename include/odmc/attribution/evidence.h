@@ -28,15 +28,15 @@ using VariantSet = std::set<int>;
 
 /// Parameters of a model as a set of variants finds them.
 struct EffectFit {
-  double log_evidence = 0.0;    ///< of the residual under the set, the same constant left out [nats]
-  std::vector<int> columns;     ///< in Evidence
+  double log_evidence = 0.0;  ///< of the residual under the set, the same constant left out [nats]
+  std::vector<int> columns;   ///< in Evidence
   Eigen::VectorXd coefficients;  ///< n
   Eigen::MatrixXd covariance;    ///< n×n
 };
 
-/// What a physical sign says of a coefficient: log of its prior density over that of a symmetric one,
-/// integrated over what is known of it [nats]. The sign is right with probability 1 - `kStrange`, or
-/// for certain.
+/// What a physical sign says of a coefficient: log of its prior density over that of a symmetric
+/// one, integrated over what is known of it [nats]. The sign is right with probability 1 -
+/// `kStrange`, or for certain.
 double LogSignOdds(PhysicalSign sign, bool is_certain, double value, double sigma);
 
 /// The residual wrench of one flight, or of several of one vehicle, under the declared model as a
@@ -110,9 +110,9 @@ class Evidence {
   /// What the parameters that two fits share do differently, over the noise [nats]: what an effect
   /// does and changes of the others cancel.
   double GivenUp(const EffectFit& with, const EffectFit& without) const;
-  /// What two fits do differently by what of their regressors was not foreseen, over the noise [nats].
-  /// Where an effect and changes of other parameters cancel, this is what is left of the regressors'
-  /// noise.
+  /// What two fits do differently by what of their regressors was not foreseen, over the noise
+  /// [nats]. Where an effect and changes of other parameters cancel, this is what is left of the
+  /// regressors' noise.
   double UnforeseenChange(const VariantSet& set, const VariantSet& without) const;
 
   /// By how much `set` predicts parts better than `over`, each by the others [nats]: blocks of time

@@ -17,8 +17,8 @@ namespace odmc {
 
 /// A coefficient of the residual's regression: a parameter's change from where it is linearized.
 struct Coefficient {
-  std::string name;  ///< full name
-  std::string effect;  ///< empty for a bias, and for what of a parameter is this flight's own
+  std::string name;         ///< full name
+  std::string effect;       ///< empty for a bias, and for what of a parameter is this flight's own
   double about = 0.0;       ///< value = about + coefficient
   double prior_mean = 0.0;  ///< of the coefficient
   double prior_sigma = 1.0;
@@ -162,17 +162,17 @@ class FlightRegression {
   int num_base_ = 0;
   Eigen::MatrixXd base_;  // 6N × base: Stacked()
   Eigen::VectorXd base_size_;
-  Eigen::LDLT<Eigen::MatrixXd> base_gram_;  // of base_ over its size
-  Eigen::MatrixXd raw_base_, raw_gram_;     // Raw() of what is foreseen of the base
+  Eigen::LDLT<Eigen::MatrixXd> base_gram_;    // of base_ over its size
+  Eigen::MatrixXd raw_base_, raw_gram_;       // Raw() of what is foreseen of the base
   mutable std::map<std::string, Seen> seen_;  // of effects with an onset, by effect
-  std::vector<int> rows_, held_out_rows_;  // samples whose predecessors are there
+  std::vector<int> rows_, held_out_rows_;     // samples whose predecessors are there
   std::array<Noise, kNumChannels> noise_;
-  int noise_columns_ = -1;  // for which it was estimated; -1: not yet
+  int noise_columns_ = -1;                    // for which it was estimated; -1: not yet
   Eigen::MatrixXd weight_, held_out_weight_;  // of samples, by channel: wild ones count less
   Eigen::MatrixXd white_, held_out_white_;    // rows × columns (X), y last
   Eigen::MatrixXd gram_, unforeseen_gram_;
   std::vector<Eigen::MatrixXd> fold_gram_;  // of folds of blocks of time
-  Eigen::VectorXd innovation_;  // whitened residual of everything
+  Eigen::VectorXd innovation_;              // whitened residual of everything
   // How much of it the fit of everything may have taken: whitened columns, and the root of the
   // covariance of their coefficients.
   Eigen::MatrixXd fitted_, fitted_root_;

@@ -9,11 +9,11 @@ namespace odmc {
 /// of the same kind fixed in the world and one fixed in the body, with one that swings steadily,
 /// and with noise alone.
 struct GustTest {
-  double gain = 0.0;           ///< of gusts over noise alone [nats]
-  double over_others = 0.0;    ///< of gusts over the best of the free forces [nats]
-  double sigma_m_s = 0.0;      ///< best standard deviation of the gusts along world x and y
+  double gain = 0.0;                ///< of gusts over noise alone [nats]
+  double over_others = 0.0;         ///< of gusts over the best of the free forces [nats]
+  double sigma_m_s = 0.0;           ///< best standard deviation of the gusts along world x and y
   double vertical_sigma_m_s = 0.0;  ///< along world z
-  double time_constant_s = 0;  ///< best correlation time
+  double time_constant_s = 0;       ///< best correlation time
   /// Change of each drag coefficient beside the gusts, and its sigma, in natural sizes.
   Eigen::VectorXd drag, drag_sigma;
   double one_sidedness = 1.0;  ///< share of the estimated wind's variance along its main line
@@ -50,7 +50,7 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
 std::vector<Eigen::Vector3d> PredictGusts(const ThinnedFlight& flight,
                                           const ResidualModel::Wrenches& residual,
                                           const WindDerivatives& d_wind,
-                                          const Eigen::Vector3d& sigma_m_s,
-                                          double time_constant_s, int ahead);
+                                          const Eigen::Vector3d& sigma_m_s, double time_constant_s,
+                                          int ahead);
 
 }  // namespace odmc

@@ -50,13 +50,14 @@ class Instruments {
   };
 
   /// A few columns at once; those that are zero stay zero.
-  Eigen::MatrixXd ForeseenBatch(const Eigen::MatrixXd& columns, const Eigen::MatrixXd& likely) const;
+  Eigen::MatrixXd ForeseenBatch(const Eigen::MatrixXd& columns,
+                                const Eigen::MatrixXd& likely) const;
   std::vector<FilteredMotion> LikelyMotion(const ThinnedFlight& flight) const;
 
   std::vector<bool> sees_;
   std::vector<int> rows_;  // samples with a past, fold by fold
   std::array<Fold, kFolds> folds_;
-  Eigen::MatrixXd z_;  // rows × instruments, of unit size
+  Eigen::MatrixXd z_;                                 // rows × instruments, of unit size
   std::vector<Eigen::LLT<Eigen::MatrixXd>> without_;  // sums of the other folds
   ThinnedFlight likely_flight_;
 };

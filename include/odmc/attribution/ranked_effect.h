@@ -24,9 +24,9 @@ struct RankedEffect {
   std::map<std::string, double> settings;  ///< frozen parameters it was tried with, full names
   std::vector<std::string> freed;          ///< parameters it frees that the model has frozen
   std::vector<ParameterEstimate> parameters;
-  Eigen::MatrixXd covariance;             ///< of the estimated ones, initial states left out
-  std::vector<std::string> alternatives;  ///< that explain the same on this flight
-  std::vector<std::string> remarks;       ///< what is strange about it
+  Eigen::MatrixXd covariance;              ///< of the estimated ones, initial states left out
+  std::vector<std::string> alternatives;   ///< that explain the same on this flight
+  std::vector<std::string> remarks;        ///< what is strange about it
   std::vector<FlightSays> by_flight = {};  ///< of several flights, in their order
 
   /// nullptr if it has no such parameter

@@ -35,12 +35,13 @@ Vehicle VehicleWith(const Vehicle& vehicle, const RankedEffect& effect);
 /// hub moment. What is frozen stays, as a thrust coefficient that is known.
 Vehicle WithPriorsOf(const Vehicle& file_vehicle, const Vehicle& vehicle);
 
-/// A model as the online estimator found it, inertia as the vehicle file has it: online it takes the
-/// noise of the rotor speeds, and what else acts, for its own.
+/// A model as the online estimator found it, inertia as the vehicle file has it: online it takes
+/// the noise of the rotor speeds, and what else acts, for its own.
 Stage StageOf(const DynamicModel& model, const ModelValues& values);
 
-/// The vehicle with what was found. Everything starts where the fit (which has not seen what is held
-/// out) has brought it: what multiplies each other, as wind and drag, has more than one valley.
+/// The vehicle with what was found. Everything starts where the fit (which has not seen what is
+/// held out) has brought it: what multiplies each other, as wind and drag, has more than one
+/// valley.
 /// @param vehicle with the declared effects
 /// @param known of other parameters, by full name: value and sigma
 Vehicle Extended(const Vehicle& vehicle, const Stage& stage,

@@ -56,8 +56,8 @@ struct BenchmarkRow {
   double keyframe_rate_hz = 0.0;
   int states_in_window = 0;
   int threads = 1;
-  TimingFigures wall, cpu;    ///< of all updates after the start
-  TimingFigures wall_start;  ///< of all in it
+  TimingFigures wall, cpu;                                 ///< of all updates after the start
+  TimingFigures wall_start;                                ///< of all in it
   std::array<TimingFigures, kUpdateStages.size()> stages;  ///< wall time, by kUpdateStages
   double real_time_factor = 0.0;               ///< duration of the flight over that of the replay
   std::optional<IncrementalWork> work;         ///< of the incremental solver only

@@ -16,8 +16,8 @@ enum class RecordingModel {
 };
 
 /// What a flight is recorded with. Nothing of it is an effect that the declared model lacks: the
-/// odometry's mount is in the vehicle file, an IMU's is estimated, and stamps are late by nothing on
-/// average (rotor stamps that are late are the effect rotor_delay).
+/// odometry's mount is in the vehicle file, an IMU's is estimated, and stamps are late by nothing
+/// on average (rotor stamps that are late are the effect rotor_delay).
 struct RecordingConditions {
   RecordingModel model = RecordingModel::kWhite;  ///< as drawn: kWhite for the quarter of kDrawn
   SimulationNoise noise;                          ///< white parts

@@ -30,8 +30,8 @@ const char* NameOf(ControlMode mode);
 struct ControlCommand {
   Stamp stamp = 0;
   ControlMode mode = ControlMode::kIdle;
-  RotorVector rotor_speed;                               ///< n×1 [rad/s]
-  RotorVector throttle;  ///< the same goal for ESCs, n×1, 0 to 1; empty without an actuator
+  RotorVector rotor_speed;  ///< n×1 [rad/s]
+  RotorVector throttle;     ///< the same goal for ESCs, n×1, 0 to 1; empty without an actuator
   double collective_thrust_N = 0.0;                      ///< along body z
   Eigen::Vector3d w_WB_B_cmd = Eigen::Vector3d::Zero();  ///< body rates [rad/s]
   Eigen::Quaterniond q_WB_cmd = Eigen::Quaterniond::Identity();
@@ -51,8 +51,8 @@ struct ControlCommand {
 /// torques is in the allocation (hubs seen from Bcm), what it does to forces in T_c. Reference
 /// rates account for the drag along the reference.
 ///
-/// Where the vehicle has an actuator, the goals Omega_c of the rotor speeds become throttles, too, by
-/// the actuator's inverse at the newest battery voltage. The motors are asked for
+/// Where the vehicle has an actuator, the goals Omega_c of the rotor speeds become throttles, too,
+/// by the actuator's inverse at the newest battery voltage. The motors are asked for
 ///   dOmega/dt = motor_lead (Omega_c - Omega) / motor_time_constant_s
 /// at the measured speed Omega, which is the lag the gains were made for at any speed; rotor_speed
 /// commands reach it near hover only. Without fresh speeds: for the steady Omega_c.
@@ -113,7 +113,7 @@ class FlatnessController {
   LowPass rate_filter_, torque_filter_;
   std::optional<ImuSample> imu_;
   std::optional<RotorSample> rotors_;
-  std::optional<double> voltage_V_;  // of the battery, newest
+  std::optional<double> voltage_V_;                           // of the battery, newest
   Eigen::Vector3d odometry_rates_ = Eigen::Vector3d::Zero();  // of the body, newest [rad/s]
   std::optional<Stamp> last_update_;
   long jumps_ = 0;

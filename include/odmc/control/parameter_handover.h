@@ -85,7 +85,8 @@ class ParameterHandover {
   const std::shared_ptr<const DynamicModel>& model() const { return model_; }
   const ModelValues& values() const { return values_; }
   HandoverState state() const { return state_; }
-  /// How far the parameters in use are on the way to their goal, 0 to 1: of the one with the longest.
+  /// How far the parameters in use are on the way to their goal, 0 to 1: of the one with the
+  /// longest.
   double progress() const { return progress_; }
   /// Stamp of the estimate in use or on the way; 0 for nominal ones.
   Stamp estimate_stamp() const { return goal_.stamp; }

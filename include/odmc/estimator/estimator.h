@@ -35,7 +35,7 @@ struct EstimatorCounters {
   long changes = 0;           ///< of the vehicle, after which it learned anew
   Stamp last_change = 0;      ///< when the last of these was seen
   long refused_updates = 0;   ///< solves that were not usable
-  double on_ground_s = 0.0;  ///< not in free flight
+  double on_ground_s = 0.0;   ///< not in free flight
   double airborne_s = 0.0;
 };
 

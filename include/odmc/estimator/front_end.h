@@ -90,7 +90,7 @@ class FrontEnd {
     double dt = 0.0;
     std::optional<RotorInterval> rotors;
     bool is_gap = false, is_jump = false;
-  } step_;                                           // to the newest keyframe
+  } step_;                                            // to the newest keyframe
   std::optional<OdometrySample> last_, before_last_;  // keyframes before the newest
   std::optional<Stamp> first_stamp_;
   Stamp noise_ready_ = 0;

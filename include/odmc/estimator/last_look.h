@@ -10,9 +10,9 @@
 
 namespace odmc {
 
-/// What one third of a flight asks of every estimated parameter by itself, in eta, the others as the
-/// whole flight has them: one Gauss-Newton step from the estimate with that third's information and
-/// the prior. (With all of them free a third would slide along what it does not tell apart.)
+/// What one third of a flight asks of every estimated parameter by itself, in eta, the others as
+/// the whole flight has them: one Gauss-Newton step from the estimate with that third's information
+/// and the prior. (With all of them free a third would slide along what it does not tell apart.)
 struct ThirdOfFlight {
   Eigen::VectorXd step;      ///< from the present estimate (n×1)
   Eigen::VectorXd variance;  ///< of each entry, white residuals of the assumed size (n×1)

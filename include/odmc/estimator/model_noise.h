@@ -21,7 +21,8 @@ class ModelNoise {
   /// Goes on with the sizes that another one has found.
   void CarryOn(const ModelNoise& before) { estimator_ = before.estimator_; }
 
-  /// Of the mean specific force over an interval [m/s²], where a force of `force_N` is not modelled.
+  /// Of the mean specific force over an interval [m/s²], where a force of `force_N` is not
+  /// modelled.
   Eigen::Vector3d AccelerometerSigma(const Eigen::Vector3d& force_N) const;
 
   /// Looks at what the newest settled intervals leave unexplained.
@@ -36,8 +37,8 @@ class ModelNoise {
   /// Gives a keyframe's factors the sizes in use.
   void Weigh(Keyframe* keyframe);
 
-  /// Runs `use` while all keyframes have the sizes before the last Step(): those that a solver which
-  /// takes its time with new weights still works with.
+  /// Runs `use` while all keyframes have the sizes before the last Step(): those that a solver
+  /// which takes its time with new weights still works with.
   void WithSizesBefore(Window* window, const std::function<void()>& use) const;
 
  private:

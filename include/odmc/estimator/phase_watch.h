@@ -61,9 +61,9 @@ class PhaseWatch {
   const DynamicModel* model_;
   PhaseDetector detector_;
   Reference reference_;
-  Ring<Reference> waiting_;  // not old enough yet, one a tenth of a second
-  std::optional<State> last_;     // motion at the keyframe before, if it is known
-  Ring<OdometrySample> poses_;    // of the last moments, oldest first
+  Ring<Reference> waiting_;     // not old enough yet, one a tenth of a second
+  std::optional<State> last_;   // motion at the keyframe before, if it is known
+  Ring<OdometrySample> poses_;  // of the last moments, oldest first
 };
 
 }  // namespace odmc

@@ -49,8 +49,8 @@ struct JointCalibrationOptions {
   JointOptions joint;
   std::vector<std::string> own;  ///< full names or effects that are each flight's own, too
   int jobs = 1;
-  /// A flight's pass is made anew, started at the joint estimate, where that is further from where it
-  /// was linearized than this share of the vehicle file's prior sigma.
+  /// A flight's pass is made anew, started at the joint estimate, where that is further from where
+  /// it was linearized than this share of the vehicle file's prior sigma.
   double relinearize_share = 0.5;
   int most_passes = 2;
   /// On which is tried what all flights share: errors of the streams, the step between keyframes.
@@ -71,9 +71,9 @@ FleetFlight CalibrateFlight(const std::string& file, const FlightSource& source,
                             const JointCalibrationOptions& options,
                             const ParameterSet* start = nullptr);
 
-/// Calibrates flights one by one (where `known` does not hold their factor), combines what they say,
-/// makes those anew that it moves far, and predicts each with what all others show. A flight that
-/// cannot be used is named and left out.
+/// Calibrates flights one by one (where `known` does not hold their factor), combines what they
+/// say, makes those anew that it moves far, and predicts each with what all others show. A flight
+/// that cannot be used is named and left out.
 /// @param known flights calibrated before, by file
 /// @throws std::invalid_argument if no flight can be used
 FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const FlightSource& source,

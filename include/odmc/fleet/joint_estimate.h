@@ -43,8 +43,8 @@ struct JointEstimate {
   std::vector<VehicleChange> changes;
   std::vector<OutlierFlight> outliers;
   Eigen::VectorXd value;  ///< n×1, after the last change
-  /// n×1: three of them hold the value as often as three of a normal variable's, however few flights
-  /// show the scatter.
+  /// n×1: three of them hold the value as often as three of a normal variable's, however few
+  /// flights show the scatter.
   Eigen::VectorXd sigma;
   Eigen::VectorXd new_flight_sigma;  ///< n×1, of a new flight's own value: scatter included
   Eigen::MatrixXd covariance;        ///< n×n, with `sigma`
@@ -52,8 +52,8 @@ struct JointEstimate {
 
 /// Fits all flights together; finds flights and parameters that do not go with the rest, and
 /// changes over time. Looks at one parameter after the other: what each flight says about it
-/// (DeparturesOf), for and against a change, by a test that is the t test where scatter is all (ExamineHistory);
-/// the least p-value of all dates and parameters counts (Bonferroni; weighted by
+/// (DeparturesOf), for and against a change, by a test that is the t test where scatter is all
+/// (ExamineHistory); the least p-value of all dates and parameters counts (Bonferroni; weighted by
 /// JointOptions::often_changed, which keeps the rate).
 /// @param factors in the order they were flown
 JointEstimate EstimateJointly(const std::vector<FlightFactor>& factors,

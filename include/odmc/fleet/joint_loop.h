@@ -41,7 +41,7 @@ struct JointLoop {
   Verdict verdict = Verdict::kNone;
   std::vector<std::string> flights;  ///< that the evidence is of
   std::vector<JointEffect> effects;
-  std::vector<RankedEffect> ranking;  ///< every candidate alone, best first
+  std::vector<RankedEffect> ranking;             ///< every candidate alone, best first
   double named_gain = 0.0, flexible_gain = 0.0;  ///< [nats]
   /// Channels of the residual that are structured, by number of flights; of the declared model.
   std::vector<std::pair<std::string, int>> structured;

@@ -22,10 +22,10 @@ struct FleetModel {
 };
 
 struct RandomEffects {
-  Eigen::VectorXd beta;        ///< (n + changes)×1
-  Eigen::MatrixXd covariance;  ///< of beta, the scatter taken as known
-  Eigen::VectorXd scatter;     ///< n×1, standard deviation between flights
-  Eigen::VectorXd scatter_sigma;       ///< n×1, of that; infinite where no two flights show it
+  Eigen::VectorXd beta;           ///< (n + changes)×1
+  Eigen::MatrixXd covariance;     ///< of beta, the scatter taken as known
+  Eigen::VectorXd scatter;        ///< n×1, standard deviation between flights
+  Eigen::VectorXd scatter_sigma;  ///< n×1, of that; infinite where no two flights show it
   /// (n + changes)×1, degrees of freedom of a sigma of beta: few where a scatter that few flights
   /// show makes it up (Satterthwaite, Biometrics Bulletin 2, 1946).
   Eigen::VectorXd degrees_of_freedom;
@@ -45,8 +45,8 @@ struct RandomEffects {
 RandomEffects FitRandomEffects(const std::vector<FlightFactor>& factors, const FleetModel& model,
                                const Eigen::VectorXd* known_scatter = nullptr);
 
-/// What all flights but one let expect of that one, for each: D_i beta with beta of the others, at the
-/// fit's scatter. n×1 each.
+/// What all flights but one let expect of that one, for each: D_i beta with beta of the others, at
+/// the fit's scatter. n×1 each.
 std::vector<Eigen::VectorXd> ExpectedOfLeftOut(const std::vector<FlightFactor>& factors,
                                                const FleetModel& model, const RandomEffects& fit);
 

@@ -25,8 +25,8 @@ struct UnlikeHistory {
 
 /// Compares an estimate that had the history as its prior with it. With prior N(x0, s0²) and a
 /// posterior sigma s, chance moves the estimate by sqrt(s0² - s²). Parameters that the flight has
-/// not shown yet (s above 0.8 s0) are not looked at. The flights' own ones (the direction of gravity)
-/// are among them: the history has their spread as sigma.
+/// not shown yet (s above 0.8 s0) are not looked at. The flights' own ones (the direction of
+/// gravity) are among them: the history has their spread as sigma.
 /// @param history a fleet's parameters.yaml
 /// @param values, sigma of `model`'s parameters
 /// @param rate of flights of the same vehicle on which something is named all the same

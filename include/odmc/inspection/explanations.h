@@ -15,17 +15,17 @@ struct Explanation {
 
 /// What blocks of windows say about explanations of the same windows.
 struct Verdict {
-  int best = 0;                ///< index of the explanation with the least error
-  double share = 1.0;          ///< its mean square over that of the first, median of the blocks
-  double sigmas = 0.0;         ///< of the mean log ratio over blocks, in standard errors
-  double error_rms = 0.0;      ///< of the first, median of the blocks
+  int best = 0;            ///< index of the explanation with the least error
+  double share = 1.0;      ///< its mean square over that of the first, median of the blocks
+  double sigmas = 0.0;     ///< of the mean log ratio over blocks, in standard errors
+  double error_rms = 0.0;  ///< of the first, median of the blocks
   double best_error_rms = 0.0;
   /// How far what should be read lies from the first reading towards the best one: 0 is the first,
   /// 1 the best; with the sigma that the scatter of blocks shows.
   double towards = 0.0, towards_sigma = 1e9;
   bool fitted = false;  ///< the best one
-  /// True if the first one is wrong and the best one right: see kMistakeShare and kMistakeSigmas, or
-  /// kTowardsSpread.
+  /// True if the first one is wrong and the best one right: see kMistakeShare and kMistakeSigmas,
+  /// or kTowardsSpread.
   bool mistaken() const;
 };
 
@@ -35,18 +35,20 @@ struct Verdict {
 constexpr double kMistakeShare = 0.25, kMistakeSigmas = 5.0;
 
 /// Mistakes too small for that (a velocity in the body frame of a vehicle that hardly tilts) still
-/// lie on one line with the right reading: by Bayes' rule, with one recording in a hundred mistaken,
-/// so that a right one is called mistaken once in 10 000. What filters and wrong scales pull along
-/// that line has this spread: twice the 0.08 RMS of 9400 wrong readings of 58 right recordings of
-/// eight vehicles. Signals that are mostly noise pull farther, so half of the mean square must go, too.
+/// lie on one line with the right reading: by Bayes' rule, with one recording in a hundred
+/// mistaken, so that a right one is called mistaken once in 10 000. What filters and wrong scales
+/// pull along that line has this spread: twice the 0.08 RMS of 9400 wrong readings of 58 right
+/// recordings of eight vehicles. Signals that are mostly noise pull farther, so half of the mean
+/// square must go, too.
 constexpr double kTowardsSpread = 0.15, kMistakesAre = 0.01, kFalselyMistaken = 1e-4;
 constexpr double kTowardsShare = 0.5;
 
-/// Readings that explain all but as much cannot be told apart: of these, the one that comes first is
-/// taken. (Mean square over the least, median of the blocks; log ratio in standard errors.)
+/// Readings that explain all but as much cannot be told apart: of these, the one that comes first
+/// is taken. (Mean square over the least, median of the blocks; log ratio in standard errors.)
 constexpr double kAsGood = 1.1, kAsGoodSigmas = 3.0;
 
-/// Compares explanations (the first: as it is; then the likeliest first). @param windows_per_block > 0
+/// Compares explanations (the first: as it is; then the likeliest first). @param windows_per_block
+/// > 0
 Verdict Judge(const std::vector<Explanation>& explanations, int windows_per_block);
 
 }  // namespace odmc

@@ -10,11 +10,11 @@ namespace odmc {
 
 /// How the rotors carry a vehicle of unknown mass.
 struct ForceBalance {
-  int windows = 0;               ///< of a tenth of a second of flight
-  double k_f_over_mass = 0.0;    ///< thrust per mass and squared speed [m/s² per rad²/s²]
-  double relative_sigma = 0.0;   ///< of it, by the scatter of blocks of half a second
+  int windows = 0;              ///< of a tenth of a second of flight
+  double k_f_over_mass = 0.0;   ///< thrust per mass and squared speed [m/s² per rad²/s²]
+  double relative_sigma = 0.0;  ///< of it, by the scatter of blocks of half a second
   Eigen::Vector3d thrust_axis_S = Eigen::Vector3d::UnitZ();  ///< unit vector
-  double lean_rad = 0.0;         ///< of the thrust axis from z of S
+  double lean_rad = 0.0;                                     ///< of the thrust axis from z of S
   double lean_sigma_rad = 0.0;
   double hover_speed_rad_s = 0.0;  ///< of each rotor, when all carry the weight alike
 };

@@ -18,11 +18,12 @@ struct ClockOffset {
   double explained = 0.0;  ///< share of the rates' variance that the gyro explains there
 };
 
-/// Finds where the gyro's rates and the turns of the poses fit. Both are of one body, in frames that
-/// are turned against each other by some constant. First by the speed of turning, over all offsets at
-/// which they overlap; the best of these by all axes; then to a part of a sample by generalised least
-/// squares (lag_regression.h), which gives the sigma, too.
-/// @throws std::invalid_argument where the motion does not tell: no gyro, less than 5 s of it, rates
+/// Finds where the gyro's rates and the turns of the poses fit. Both are of one body, in frames
+/// that are turned against each other by some constant. First by the speed of turning, over all
+/// offsets at which they overlap; the best of these by all axes; then to a part of a sample by
+/// generalised least squares (lag_regression.h), which gives the sigma, too.
+/// @throws std::invalid_argument where the motion does not tell: no gyro, less than 5 s of it,
+/// rates
 ///   that the gyro does not explain by half anywhere, or several places that fit alike
 ClockOffset FindClockOffset(const std::vector<ImuSample>& imu,
                             const std::vector<OdometrySample>& poses);

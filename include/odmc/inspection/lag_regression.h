@@ -45,8 +45,8 @@ struct Lag {
   int blocks = 0;
   Eigen::MatrixXd gain;       ///< k×c: of the moving channels at the best lag
   Eigen::MatrixXd band_gain;  ///< the same of 3 to 20 Hz; empty without memory
-  double explained = 0.0;   ///< share of the whitened signal's variance that moving explains
-  double band_share = 0.0;  ///< the same of 3 to 20 Hz, median of the blocks
+  double explained = 0.0;     ///< share of the whitened signal's variance that moving explains
+  double band_share = 0.0;    ///< the same of 3 to 20 Hz, median of the blocks
   /// Share of the disagreement without lag that the lag takes away; white noise left aside.
   double cured = 0.0;
 

@@ -30,8 +30,8 @@ struct RotorAssignment {
   AssignmentTest places, spins;
   double log_evidence = 0.0;  ///< of the best order, for comparing frames on one response
   double misfit = 1.0;        ///< what nats of orders are divided by, >= 1
-  /// Of every pattern of spins (index: bit j set where column j has spin +1), log evidence over that
-  /// of the best, <= 0; 2^n.
+  /// Of every pattern of spins (index: bit j set where column j has spin +1), log evidence over
+  /// that of the best, <= 0; 2^n.
   std::vector<double> spin_nats;
 };
 
@@ -43,8 +43,8 @@ struct RotorAssignment {
 /// beside the file's and an error of the regression (closed loop, coupling of axes); for yaw, those
 /// of reaction torque and rotor inertia, with leaning rotors. These errors bound the evidence, so
 /// that a long flight does not make nats out of a slightly wrong model. Where nothing fits, all
-/// nats are lowered until the best one does. Coaxial rotors have the same levers: orders that differ
-/// by which of them is the upper one count once.
+/// nats are lowered until the best one does. Coaxial rotors have the same levers: orders that
+/// differ by which of them is the upper one count once.
 RotorAssignment TestRotorAssignment(const RotorResponse& response, const Vehicle& vehicle);
 
 /// What the vehicle file has wrong, if it is refuted or doubtful: checks "rotor_order" and

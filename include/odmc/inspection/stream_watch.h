@@ -14,8 +14,8 @@ namespace odmc {
 class StreamWatch {
  public:
   struct Options {
-    double keep_s = 60.0;    ///< newest seconds that are kept
-    double every_s = 10.0;   ///< of time between two looks, by the samples' stamps
+    double keep_s = 60.0;       ///< newest seconds that are kept
+    double every_s = 10.0;      ///< of time between two looks, by the samples' stamps
     long most_samples = 60000;  ///< of each stream, whatever its rate
   };
 

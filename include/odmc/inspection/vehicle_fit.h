@@ -38,14 +38,14 @@ struct VehicleFit {
   bool leans = false;  ///< the pose's frame leans against the thrust axis (`balance` says how far)
   bool rotors_tested = false;  ///< false: nothing is known of the rotors, and the rest is empty
   double flight_s = 0.0;       ///< that the rotors were tested on
-  std::vector<int> order;      ///< per column of rotor speeds: the nominal rotor at whose place it is
+  std::vector<int> order;  ///< per column of rotor speeds: the nominal rotor at whose place it is
   Choice order_choice;
   double nominal_order_probability = 0.0;  ///< of readings in the order of the nominal rotors
-  std::vector<double> spin;    ///< per column: as Rotor::spin
+  std::vector<double> spin;                ///< per column: as Rotor::spin
   Choice spin_choice;
   bool spins_are_usual = true;  ///< those of the nominal places, or their mirror image
   std::optional<ShownInertia> inertia_x, inertia_y;  ///< for the nominal arms
-  std::vector<FrameFit> other_frames;  ///< of as many rotors
+  std::vector<FrameFit> other_frames;                ///< of as many rotors
 };
 
 /// Fits rotor order, spins, k_f over mass, lean of the pose's frame and inertia to a recording.
@@ -56,7 +56,8 @@ struct VehicleFit {
 ///    flight, any other pattern with 1 % for all of them; coaxial pairs may be either way round.
 ///    Where that tells nothing, the likeliest with 80 % for the nominal ones;
 ///  - k_f over mass: BalanceForces();
-///  - inertia about x and y: I = k_f sum l² / sum l g, with l the lever of each column's thrust and g
+///  - inertia about x and y: I = k_f sum l² / sum l g, with l the lever of each column's thrust and
+///  g
 ///    the angular acceleration per squared speed that RotorOffset() finds for it (its noise model
 ///    keeps the controller's answers out), where the rotors explain the turning well.
 /// @param nominal vehicle with rotors at their nominal places, in the order of its motor numbers;

@@ -12,9 +12,9 @@ enum class PoseSource {
 
 /// What of a flight is wanted.
 enum class FlightPart {
-  kWhole,     ///< poses, and rotor speeds or commands: a file without them is refused
-  kOnboard,   ///< all but poses; those it has are read, and none are needed
-  kPoses,     ///< poses alone: nothing else is read or needed
+  kWhole,    ///< poses, and rotor speeds or commands: a file without them is refused
+  kOnboard,  ///< all but poses; those it has are read, and none are needed
+  kPoses,    ///< poses alone: nothing else is read or needed
 };
 
 /// What every reader of flights is told.

@@ -16,8 +16,8 @@ struct VehicleComments {
 };
 
 /// A vehicle file as LoadVehicle() reads it: name, mass, gravity, inertia, rotors, mounts, effects
-/// and the parameters that have settings; the actuator's file is not among them. Numbers are rounded
-/// to six digits and have a decimal point, so that YAML 1.1 reads them, too.
+/// and the parameters that have settings; the actuator's file is not among them. Numbers are
+/// rounded to six digits and have a decimal point, so that YAML 1.1 reads them, too.
 std::string VehicleText(const Vehicle& vehicle, const VehicleComments& comments = {});
 
 }  // namespace odmc

@@ -58,8 +58,8 @@ class Effect {
   virtual bool shapes_body() const { return !adds_wrench(); }
   /// Where it shapes the body: the rows its derivative may fill. Fewer make the estimator faster.
   virtual BodyPropertyRows shaped_rows() const { return {0, kNumBodyPropertyRows}; }
-  /// True if it changes what a sensor sees of a motion, and no force: what its parameters do follows
-  /// from the measured motion alone, whatever the rotors and the air do.
+  /// True if it changes what a sensor sees of a motion, and no force: what its parameters do
+  /// follows from the measured motion alone, whatever the rotors and the air do.
   virtual bool is_kinematic() const { return false; }
   /// Name of the own parameter that is the time from which on the effect acts [s], and before which
   /// it does nothing; empty: it acts throughout.
@@ -91,8 +91,8 @@ class Effect {
   /// Its internal state, where it is a pendulum: indices in parameters().
   virtual std::optional<PendulumParameters> pendulum() const { return std::nullopt; }
 
-  /// What to fly so that a flight shows own parameter `k`, after "fly": "forward and back at several
-  /// speeds".
+  /// What to fly so that a flight shows own parameter `k`, after "fly": "forward and back at
+  /// several speeds".
   virtual std::string manoeuvre(size_t k) const;
 
   // What test flights with it need (simulate_undeclared). By default: sizes and signs at random

@@ -17,8 +17,8 @@ const char* Name(Autopilot autopilot);
 /// Where a motor of a frame sits, and which way it turns.
 struct FramePlace {
   std::string name;           ///< "front left", "rear, lower"
-  Eigen::Vector3d direction;  ///< of the hub from the origin, in B: horizontally a unit vector; z of
-                              ///< coaxial pairs is a tenth above or below
+  Eigen::Vector3d direction;  ///< of the hub from the origin, in B: horizontally a unit vector; z
+                              ///< of coaxial pairs is a tenth above or below
   double spin = 1.0;          ///< as Rotor::spin: +1 clockwise seen from above
 };
 

@@ -25,8 +25,8 @@ struct SensorMount {
   Eigen::Vector3d p_BS = Eigen::Vector3d::Zero();            ///< from Bo, in B [m]
   Eigen::Quaterniond q_BS = Eigen::Quaterniond::Identity();  ///< takes vectors from S to B
   bool estimate = false;                                     ///< free the 6 extrinsics
-  /// Standard deviation of p_BS [m] and of q_BS [rad], each axis, where the mount was measured. What
-  /// is not measured is asked about by attribution.
+  /// Standard deviation of p_BS [m] and of q_BS [rad], each axis, where the mount was measured.
+  /// What is not measured is asked about by attribution.
   std::optional<double> p_BS_sigma_m, q_BS_sigma_rad;
 };
 

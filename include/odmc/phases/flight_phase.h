@@ -37,11 +37,12 @@ inline bool Teaches(FlightPhase phase) {
 /// One stretch of a flight in one phase.
 struct PhaseSpan {
   FlightPhase phase = FlightPhase::kFlying;
-  Stamp from = 0, to = 0;     ///< first and last keyframe
+  Stamp from = 0, to = 0;      ///< first and last keyframe
   double missing_force = 0.0;  ///< mean of the force that the model does not give, over the weight
   double thrust_ratio = 0.0;   ///< mean thrust over the weight
 
-  /// "on_ground from 3.1 to 5.2 s: thrust 0.51 of the weight, 0.48 of it carried by something else".
+  /// "on_ground from 3.1 to 5.2 s: thrust 0.51 of the weight, 0.48 of it carried by something
+  /// else".
   /// @param zero stamp from which seconds count
   std::string Describe(Stamp zero) const;
 };

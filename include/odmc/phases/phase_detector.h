@@ -38,11 +38,11 @@ struct PhaseEvidence {
   bool has_force = false;  ///< the interval has velocities and rotor speeds
   Eigen::Vector3d felt_force = Eigen::Vector3d::Zero();     ///< measured specific force over g
   Eigen::Vector3d missing_force = Eigen::Vector3d::Zero();  ///< of that, what the model lacks
-  double thrust_ratio = 0.0;        ///< the model's thrust
-  double thrust_sigma = 0.0;        ///< of the thrust coefficient, relative
-  double velocity_noise_m_s = 0.0;  ///< of one keyframe's velocity
-  double attitude_noise_rad = 0.0;  ///< of one keyframe's attitude
-  double position_noise_m = 0.0;    ///< of one keyframe's position
+  double thrust_ratio = 0.0;                                ///< the model's thrust
+  double thrust_sigma = 0.0;                                ///< of the thrust coefficient, relative
+  double velocity_noise_m_s = 0.0;                          ///< of one keyframe's velocity
+  double attitude_noise_rad = 0.0;                          ///< of one keyframe's attitude
+  double position_noise_m = 0.0;                            ///< of one keyframe's position
 };
 
 /// What to do about the newest interval.
@@ -62,13 +62,13 @@ struct PhaseVerdict {
 /// *The coefficient is known* (KnowThrust()). Means of the missing force over
 /// blocks of 0.1 s are compared under two hypotheses, free flight (a Gaussian of the model's error,
 /// thrust_sigma and the sensors' noise) and contact (any force up to about the weight; for a
-/// vehicle that stands still, an upward one). Their log-likelihood ratio accumulates (Page's CUSUM);
-/// beyond kAlarm_nats the vehicle is in contact, from where the sum left zero. It flies again once
-/// the opposite sum has grown and it does not stand still.
+/// vehicle that stands still, an upward one). Their log-likelihood ratio accumulates (Page's
+/// CUSUM); beyond kAlarm_nats the vehicle is in contact, from where the sum left zero. It flies
+/// again once the opposite sum has grown and it does not stand still.
 ///
-/// *It is not known* (start of a recording). A vehicle that has not moved yet may stand. It is taken
-/// to fly if its thrust may carry it, until it has moved: if thrust then carries much better than
-/// before, it stood, and what was learned is worth nothing (`start_anew`). Thrust that changes
+/// *It is not known* (start of a recording). A vehicle that has not moved yet may stand. It is
+/// taken to fly if its thrust may carry it, until it has moved: if thrust then carries much better
+/// than before, it stood, and what was learned is worth nothing (`start_anew`). Thrust that changes
 /// while nothing moves says so earlier.
 ///
 /// Thread-compatible; no update allocates but one that begins a new phase.
@@ -165,8 +165,8 @@ class PhaseDetector {
   Mode mode_ = Mode::kStart;
   FlightPhase phase_ = FlightPhase::kFlying;
   bool knows_thrust_ = false, has_flown_ = false;
-  Block filling_, block_;               // the one being filled, the last whole one
-  std::array<Block, 5> recent_;         // whole ones, for stillness
+  Block filling_, block_;        // the one being filled, the last whole one
+  std::array<Block, 5> recent_;  // whole ones, for stillness
   int num_recent_ = 0, next_recent_ = 0;
   double wander_ = 1.0;  // over what a stand shows at most
   bool is_still_ = false, is_light_ = false;
@@ -174,10 +174,10 @@ class PhaseDetector {
   double contact_nats_ = 0.0, free_nats_ = 0.0;
   Stamp suspected_since_ = 0;
   std::optional<Stamp> bump_;  // begin of the last block that may have been a touch
-  double error_scale_ = 1.0;  // of the flight's own residual, over ModelError()'s
+  double error_scale_ = 1.0;   // of the flight's own residual, over ModelError()'s
   // While thrust is unknown: flight in which the rotors carry, what they do, and the model's.
   double carried_s_ = 0.0, carries_ = 0.0, model_carries_ = 0.0;
-  double hardest_ = 0.0;      // force felt around the last contact, over g
+  double hardest_ = 0.0;  // force felt around the last contact, over g
   // Before the first motion, and after: thrust that would carry, over the model's.
   double stood_thrust_ = 0.0, stood_missing_ = 0.0;
   double stood_s_ = 0.0, stood_gain_ = 0.0, moved_s_ = 0.0, moved_gain_ = 0.0, wandered_s_ = 0.0;

@@ -34,8 +34,8 @@ class BackgroundLooks {
 
   /// @param on_look called by the thread
   /// @param queue tells when to stop; outlives this
-  BackgroundLooks(const EstimatorOptions& estimator, std::function<void(const ResidualLook&)> on_look,
-                  InputQueue* queue);
+  BackgroundLooks(const EstimatorOptions& estimator,
+                  std::function<void(const ResidualLook&)> on_look, InputQueue* queue);
   ~BackgroundLooks() { Join(); }
   void Join();
 

@@ -86,10 +86,10 @@ struct ControllerNodeSetup {
 ControllerNodeSetup ReadControllerNodeSetup(const ros::NodeHandle& private_node);
 
 /// The controller on ROS: odometry, IMU, rotor speeds and a reference in; rotor speeds out, and
-/// body rates with thrust for vehicles that close the inner loop themselves. Where the vehicle has an
-/// actuator: battery voltage in, throttles out. Uses accepted
-/// estimates through a ParameterHandover. Everything runs on the one thread that spins; a step
-/// takes a fraction of a millisecond. Links no solver.
+/// body rates with thrust for vehicles that close the inner loop themselves. Where the vehicle has
+/// an actuator: battery voltage in, throttles out. Uses accepted estimates through a
+/// ParameterHandover. Everything runs on the one thread that spins; a step takes a fraction of a
+/// millisecond. Links no solver.
 class ControllerNode {
  public:
   /// @throws std::invalid_argument with a sentence for the user

@@ -32,7 +32,7 @@ struct ControllerReport {
   long estimates_declined = 0;  ///< by the hand-over
   long steps = 0, late_steps = 0, not_finite = 0, odometry_jumps = 0, clock_resets = 0;
   bool has_actuator = false;  ///< throttles are published, at the battery's voltage
-  double step_ms_max = 0.0;  ///< wall time since the last report
+  double step_ms_max = 0.0;   ///< wall time since the last report
 };
 
 ControllerStatus ToMessage(const ControllerReport& report, const std::string& body_frame);

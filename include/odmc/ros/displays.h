@@ -13,8 +13,8 @@
 namespace odmc {
 
 /// \file
-/// The estimate for RViz and plotting tools (docs/watching.md). No number that leaves here is NaN or
-/// infinite: what is not finite is left out.
+/// The estimate for RViz and plotting tools (docs/watching.md). No number that leaves here is NaN
+/// or infinite: what is not finite is left out.
 
 /// What of the node a display says besides the estimate.
 struct DisplayScene {

@@ -69,8 +69,8 @@ class EstimatePublisher {
   ros::NodeHandle private_node_;
   const EstimatorNodeOptions& options_;
   const tf2_ros::Buffer& tf_buffer_;
-  ros::Publisher parameters_, accepted_, state_, wrench_, phase_publisher_, displays_, path_publisher_,
-      plot_;
+  ros::Publisher parameters_, accepted_, state_, wrench_, phase_publisher_, displays_,
+      path_publisher_, plot_;
   std::map<std::string, std::pair<ros::Publisher, ros::Publisher>> plot_topics_;
   tf2_ros::TransformBroadcaster tf_broadcaster_;
   std::optional<bool> has_body_tf_;  // somebody else publishes it; known after a while

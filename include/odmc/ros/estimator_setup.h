@@ -30,13 +30,13 @@ struct EstimatorNodeOptions : StreamOptions {
   std::string on_time_reset = "restart";  ///< restart | stop, where the clock steps back
   double publish_rate_hz = 20.0;          ///< of `parameters`, at most [Hz], > 0
   bool live_image = false;                ///< draw also while nobody listens
-  double display_rate_hz = 10.0;  ///< of `~displays` and `~path`, at most [Hz], > 0
-  double path_length_s = 60.0;    ///< flight time that `~path` looks back [s], > 0
-  bool plot_topics = false;       ///< a topic per parameter below `~plot`
+  double display_rate_hz = 10.0;          ///< of `~displays` and `~path`, at most [Hz], > 0
+  double path_length_s = 60.0;            ///< flight time that `~path` looks back [s], > 0
+  bool plot_topics = false;               ///< a topic per parameter below `~plot`
   /// never | auto | always: publish the body's pose as a transform; auto: where nobody else does.
   std::string body_tf = "never";
-  std::string output_dir;                 ///< parameters.yaml goes there at the end; empty: none
-  int queue_size = 20000;                 ///< samples waiting for the estimator, at most
+  std::string output_dir;  ///< parameters.yaml goes there at the end; empty: none
+  int queue_size = 20000;  ///< samples waiting for the estimator, at most
   /// Effects the node may add to the model in flight once residual_watch_confirmations looks in a
   /// row found them; empty: none.
   std::vector<std::string> add_effects;
@@ -79,8 +79,8 @@ struct EstimatorNodeSetup {
   /// Priors of the vehicle file, with a thrust coefficient that an earlier flight knows.
   std::map<std::string, ParameterSetting> file_parameters;
   std::optional<ParameterSet> history;  ///< of a fleet's flights before, with their scatter
-  bool odometry_mount_known = false;  ///< the vehicle file says where the odometry's sensor sits
-  std::vector<std::string> warnings;  ///< for the user
+  bool odometry_mount_known = false;    ///< the vehicle file says where the odometry's sensor sits
+  std::vector<std::string> warnings;    ///< for the user
 };
 
 /// Reads private parameters, configuration and vehicle.

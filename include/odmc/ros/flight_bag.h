@@ -10,11 +10,11 @@
 namespace odmc {
 
 /// Topics of a bag, by role: odometry, pose, imu, rotor_speeds, joint_states, battery_state,
-/// motor_commands, twist. Where a role has no entry, the one topic of a fitting type whose name ends
-/// in the role's is taken, else the one topic of that type; for rotor_speeds, motor_commands and
-/// battery_state then of a foreign type that is known (foreign_messages.h). Several are an error
-/// that names them and the flag `--topic ROLE:=/name`. `twist`, the velocity of `pose`, is never
-/// looked for.
+/// motor_commands, twist. Where a role has no entry, the one topic of a fitting type whose name
+/// ends in the role's is taken, else the one topic of that type; for rotor_speeds, motor_commands
+/// and battery_state then of a foreign type that is known (foreign_messages.h). Several are an
+/// error that names them and the flag `--topic ROLE:=/name`. `twist`, the velocity of `pose`, is
+/// never looked for.
 using TopicMap = std::map<std::string, std::string>;
 
 /// How the messages of a bag are to be read; the node's parameters of the same names.
@@ -24,18 +24,18 @@ struct BagOptions : StreamOptions {
 };
 
 /// Reads a flight from a rosbag; needs no master. Stamps are header stamps; messages of other
-/// packages without one have the time of recording. `pose` serves where there is no odometry or only
-/// `pose` is mapped, with the velocity of `twist` where that is mapped; `joint_states` where there
-/// is no rotor_speeds or only joint_states is mapped; a bag with motor_commands may have neither, and
-/// the flight then has no rotor samples. Twist covariance[0] = -1 marks an odometry without velocity,
-/// [21] = -1 one without body rates, Imu covariances as in REP-145. The frame of the velocity is
-/// found as twist_frame.h says.
+/// packages without one have the time of recording. `pose` serves where there is no odometry or
+/// only `pose` is mapped, with the velocity of `twist` where that is mapped; `joint_states` where
+/// there is no rotor_speeds or only joint_states is mapped; a bag with motor_commands may have
+/// neither, and the flight then has no rotor samples. Twist covariance[0] = -1 marks an odometry
+/// without velocity, [21] = -1 one without body rates, Imu covariances as in REP-145. The frame of
+/// the velocity is found as twist_frame.h says.
 /// @throws std::invalid_argument naming file and topic: not a bag, truncated, no odometry, no rotor
 ///   speeds, twist that fits neither frame.
 FlightLog ReadFlightBag(const std::string& file, int num_rotors, const BagOptions& options);
 
-/// Reads only what actuators are identified from: motor_commands, rotor speeds, battery voltage. The
-/// number of rotors is that of the commands.
+/// Reads only what actuators are identified from: motor_commands, rotor speeds, battery voltage.
+/// The number of rotors is that of the commands.
 /// @throws std::invalid_argument as ReadFlightBag(), also where there are no commands
 FlightLog ReadActuatorBag(const std::string& file, const BagOptions& options);
 

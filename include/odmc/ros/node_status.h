@@ -19,11 +19,11 @@ namespace odmc {
 /// How one topic comes in.
 struct StreamStatus {
   long received = 0;
-  long refused = 0;     ///< not finite, no stamp, wrong number of rotors, unreadable
+  long refused = 0;      ///< not finite, no stamp, wrong number of rotors, unreadable
   long passed_over = 0;  ///< nothing in them yet
   std::string refusal;   ///< why the last one was refused, as far as a sentence says it
   std::string stamps;    ///< what its samples' stamps are: "header.stamp", "time of arrival", ...
-  long overflowed = 0;  ///< lost because the queue was full
+  long overflowed = 0;   ///< lost because the queue was full
 };
 
 /// Where rotor speeds come from, and which sensors are bad.
@@ -49,11 +49,11 @@ struct NodeStatus {
   std::vector<std::string> warnings;    ///< of the set-up, they stay
   std::vector<std::string> unphysical;  ///< of the newest estimate
   std::vector<std::string> unlike_history;  ///< sentences: what earlier flights did not let expect
-  std::string phase;                    ///< of the flight, Name(FlightPhase)
-  std::string trust;                    ///< in the newest estimate: good, doubtful or bad
-  std::string findings;                 ///< about streams and estimate, in sentences
+  std::string phase;                        ///< of the flight, Name(FlightPhase)
+  std::string trust;                        ///< in the newest estimate: good, doubtful or bad
+  std::string findings;                     ///< about streams and estimate, in sentences
   double rotor_speeds_late_s = 0.0, imu_late_s = 0.0;  ///< taken off their stamps
-  std::string twist;                    ///< verdict on the frame of the twist
+  std::string twist;                                   ///< verdict on the frame of the twist
   std::shared_ptr<const DynamicModel> model;
   bool airborne = false, accepted = false, has_estimate = false;
   bool frozen = false;  ///< by service: nothing more is learned

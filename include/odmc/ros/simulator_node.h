@@ -79,8 +79,8 @@ SimulatorNodeSetup ReadSimulatorNodeSetup(const ros::NodeHandle& private_node);
 
 /// A vehicle in its world, on ROS. One thread steps in real time and publishes what sensors
 /// deliver; where the machine is too slow, the clock slows down and no step is left out. Commands
-/// and services come in on ROS' threads. A vehicle with an actuator follows motor_commands; its rotor
-/// speeds are commanded only while nobody publishes these.
+/// and services come in on ROS' threads. A vehicle with an actuator follows motor_commands; its
+/// rotor speeds are commanded only while nobody publishes these.
 class SimulatorNode {
  public:
   /// @throws std::invalid_argument with a sentence for the user
@@ -96,7 +96,7 @@ class SimulatorNode {
   // ROS threads.
   void Advertise();
   void AdvertiseFault(const std::string& service,
-             std::string (*act)(const WorldOptions& sizes, World* world));
+                      std::string (*act)(const WorldOptions& sizes, World* world));
   void OnCommand(const RotorSpeeds::ConstPtr& message);
   void OnMotorCommand(const MotorCommands::ConstPtr& message);
   void Obey(Stamp stamp, const RotorVector& values, bool is_throttle);

@@ -116,8 +116,7 @@ struct RotorInput {
 };
 
 /// One message of any stream.
-using InputSample =
-    std::variant<OdometryInput, ImuInput, RotorInput, BatterySample, CommandSample>;
+using InputSample = std::variant<OdometryInput, ImuInput, RotorInput, BatterySample, CommandSample>;
 
 /// What a message says, sound or not. Covariances of -1 mark missing parts: twist[0] of the
 /// velocity, twist[21] of body rates, those of an Imu as in REP-145.
@@ -158,7 +157,7 @@ class StreamReader {
   const StreamRole& role_;
   const StreamOptions options_;
   const int num_rotors_;
-  double joint_scale_;  // to rad/s
+  double joint_scale_;                                                // to rad/s
   boost::shared_ptr<std::map<std::string, std::string>> connection_;  // foreign_ is of this one
   std::string foreign_type_, foreign_md5_;
   std::optional<ForeignStream> foreign_;

@@ -32,10 +32,10 @@ bool MayBeGlitch(const Ring<ImuSample>& queue);
 bool MendGlitch(Ring<RotorSample>* queue);
 bool MendGlitch(Ring<ImuSample>* queue);
 
-/// Leaves rates out where many are beyond what a sensor reads (another unit), then drops from a whole
-/// recording what IsPlausible() refuses, poses whose rates ContradictsTurn(),
-/// and readings that TakeDropouts() finds missing, and mends its glitches; a warning each names
-/// stream, number and first time.
+/// Leaves rates out where many are beyond what a sensor reads (another unit), then drops from a
+/// whole recording what IsPlausible() refuses, poses whose rates ContradictsTurn(), and readings
+/// that TakeDropouts() finds missing, and mends its glitches; a warning each names stream, number
+/// and first time.
 void MendFlight(FlightLog* log);
 
 }  // namespace odmc

@@ -11,7 +11,8 @@ namespace odmc {
 
 /// A simulated vehicle's ESCs: throttles on their way to the motors. Each acts after its motor's
 /// delay, wherever within a step that falls, and drives the motor at the present voltage. What acts
-/// is told as the speed it holds, which is what MotorLag follows. Times in seconds on any one clock.
+/// is told as the speed it holds, which is what MotorLag follows. Times in seconds on any one
+/// clock.
 class MotorDrive {
  public:
   /// @throws std::invalid_argument if the actuator does not fit `num_rotors`

@@ -102,10 +102,10 @@ using TruthSink = std::function<void(const TruthSample&)>;
 
 /// Flies `model` at the values `truth` along a trajectory in closed loop and records it with the
 /// vehicle's sensors at their true places. The same arguments give the same flight, and the noise
-/// of one sensor does not change that of another. A vehicle with an actuator is flown by throttles at
-/// the voltage of its battery, which are recorded (at every control step, 2.5 ms or less); others
-/// have motors with a lag of 25 ms. Parameters that vary (gusts) do so from `truth`
-/// on; a suspended load swings.
+/// of one sensor does not change that of another. A vehicle with an actuator is flown by throttles
+/// at the voltage of its battery, which are recorded (at every control step, 2.5 ms or less);
+/// others have motors with a lag of 25 ms. Parameters that vary (gusts) do so from `truth` on; a
+/// suspended load swings.
 /// @param truth physical values, model.num_parameters()×1
 /// @throws std::invalid_argument for options that are not valid; std::runtime_error if the vehicle
 ///   can't follow, naming time and trajectory

@@ -21,10 +21,10 @@
 
 namespace odmc {
 
-/// A vehicle in its world, in lock-step with whoever flies it: told rotor speeds or, where it has an
-/// actuator, throttles, it moves on by one step at a time and gives what its sensors deliver. The same arguments and calls give the
-/// same flight, and no sensor's errors hang on another's. Step() asks for no memory as long as
-/// samples are taken about once a second. Thread-compatible.
+/// A vehicle in its world, in lock-step with whoever flies it: told rotor speeds or, where it has
+/// an actuator, throttles, it moves on by one step at a time and gives what its sensors deliver.
+/// The same arguments and calls give the same flight, and no sensor's errors hang on another's.
+/// Step() asks for no memory as long as samples are taken about once a second. Thread-compatible.
 class World {
  public:
   /// @param model the truth; must outlive the world
@@ -54,8 +54,8 @@ class World {
   Stamp now() const { return now_; }
 
   /// What is so now, just after whatever steps now. The wrench is about the centre of mass of all
-  /// that flies; ground, disturbance and damage are external. The command is as limited; with an actuator it
-  /// is the speeds that the throttles which act now hold.
+  /// that flies; ground, disturbance and damage are external. The command is as limited; with an
+  /// actuator it is the speeds that the throttles which act now hold.
   TruthSample Truth() const;
 
   /// What arrived since the last call, in the order of arrival; of one instant, odometry last.
