@@ -13,8 +13,12 @@ namespace {
 #if defined(__x86_64__) && defined(__GNUC__)
 #define ODMC_WIDE_VECTORS
 #define ODMC_VECTORS_OF_4 __attribute__((target("avx2,fma")))
+#ifdef __clang__  // which takes the width from the types
+#define ODMC_VECTORS_OF_8 __attribute__((target("avx512f,avx512vl,avx512dq,fma")))
+#else
 #define ODMC_VECTORS_OF_8 \
   __attribute__((target("avx512f,avx512vl,avx512dq,fma,prefer-vector-width=512")))
+#endif
 int VectorWidth() {
   static const int width = [] {
     if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
@@ -30,29 +34,35 @@ int VectorWidth() {
 
 constexpr int kChunk = 8;
 static_assert(kChunk <= kRowPadding, "a chunk may reach into the padding only");
-// Rows begin anywhere. As wide as the machine has it, or in pieces.
-using Chunk = double
-    __attribute__((vector_size(kChunk * sizeof(double)), aligned(sizeof(double)), may_alias));
+// As wide as the machine has it, or in pieces.
+using Chunk = double __attribute__((vector_size(kChunk * sizeof(double))));
+/// A chunk of a row. Rows begin anywhere: what reads it must not count on a chunk's own alignment.
+struct __attribute__((may_alias)) RowChunk {
+  Chunk numbers __attribute__((packed, aligned(sizeof(double))));
+};
+static_assert(alignof(RowChunk) == alignof(double) && sizeof(RowChunk) == sizeof(Chunk), "");
+
+ODMC_INLINE RowChunk* At(double* p) { return reinterpret_cast<RowChunk*>(p); }
+ODMC_INLINE const RowChunk* At(const double* p) { return reinterpret_cast<const RowChunk*>(p); }
 
 /// Applies the reflection I - tau [1; v] [1; v]ᵀ to N chunks of `top` and of the rows of E, side by
 /// side: one sum would wait for itself.
 template <int N>
 ODMC_INLINE void ReflectChunks(const double* v, double tau, double* top, double* E, int e_stride,
                                int rows) {
-  const auto at = [](double* p, int k) -> Chunk& {
-    return *reinterpret_cast<Chunk*>(p + k * kChunk);
-  };
   Chunk w[N];
-  for (int k = 0; k < N; ++k) w[k] = at(top, k);
+  for (int k = 0; k < N; ++k) w[k] = At(top)[k].numbers;
   for (int i = 0; i < rows; ++i) {
-    for (int k = 0; k < N; ++k) w[k] += v[i] * at(E + i * e_stride, k);
+    const RowChunk* row = At(E + i * e_stride);
+    for (int k = 0; k < N; ++k) w[k] += v[i] * row[k].numbers;
   }
   for (int k = 0; k < N; ++k) {
     w[k] *= tau;
-    at(top, k) -= w[k];
+    At(top)[k].numbers -= w[k];
   }
   for (int i = 0; i < rows; ++i) {
-    for (int k = 0; k < N; ++k) at(E + i * e_stride, k) -= v[i] * w[k];
+    RowChunk* row = At(E + i * e_stride);
+    for (int k = 0; k < N; ++k) row[k].numbers -= v[i] * w[k];
   }
 }
 
@@ -138,7 +148,7 @@ ODMC_INLINE double ForwardSubstituteIn(double* U, int u_stride, int pivots, int 
     const double y = std::clamp(g[i] / row[i], -most, most);
     squares += y * y;
     for (int j = i; j < columns; j += kChunk) {
-      *reinterpret_cast<Chunk*>(g + j) -= y * *reinterpret_cast<const Chunk*>(row + j);
+      At(g + j)->numbers -= y * At(row + j)->numbers;
     }
     if (rhs >= 0) row[rhs] += y;
   }
@@ -151,7 +161,7 @@ ODMC_INLINE void BackSubstituteIn(const double* U, int u_stride, int pivots, int
     const double* row = U + i * u_stride;
     Chunk sums = {};
     for (int j = i + 1; j < columns; j += kChunk) {
-      sums += *reinterpret_cast<const Chunk*>(row + j) * *reinterpret_cast<const Chunk*>(x + j);
+      sums += At(row + j)->numbers * At(x + j)->numbers;
     }
     double sum = 0.0;
     for (int k = 0; k < kChunk; ++k) sum += sums[k];
