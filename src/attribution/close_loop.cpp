@@ -11,8 +11,9 @@
 
 #include "odmc/analysis/calibration.h"
 #include "odmc/attribution/candidates.h"
-#include "odmc/attribution/gust_test.h"
+#include "odmc/attribution/gust_case.h"
 #include "odmc/attribution/online_evidence.h"
+#include "odmc/attribution/online_pass.h"
 #include "odmc/attribution/structure.h"
 #include "odmc/model/plausibility.h"
 #include "odmc/text/format.h"
@@ -20,9 +21,7 @@
 namespace odmc {
 namespace {
 
-constexpr int kLeastSamples = 50;           // to look for effects in
-constexpr double kSlightestGust_m_s = 0.1;  // slighter ones through much drag are a force, no wind
-constexpr double kTooLarge = 4.0;           // natural sizes
+constexpr int kLeastSamples = 50;  // to look for effects in
 
 std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedFlight& flight,
                   const ResidualModel::Wrenches& residual) {
@@ -55,218 +54,6 @@ std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedF
          Rounded(100.0 * quantity->second) + " % of its variance)";
 }
 
-/// True if parameters differ from zero together by `sigmas` (Wald's test; the limit
-/// grows with their number).
-bool IsSignificant(const Eigen::VectorXd& estimate, const Eigen::MatrixXd& covariance,
-                   double sigmas) {
-  Eigen::MatrixXd C = covariance;
-  C.diagonal() *= 1.0 + 1e-9;
-  return estimate.dot(C.ldlt().solve(estimate)) >
-         sigmas * sigmas + 2.0 * (static_cast<double>(estimate.size()) - 1.0);
-}
-
-/// How the predicted wrench answers the wind of an effect.
-WindDerivatives ByWind(const ResidualModel& residual, const DynamicModel& model,
-                       const ModelValues& values, const std::string& effect) {
-  WindDerivatives d_wind;
-  for (int k = 0; k < 3; ++k) {
-    d_wind[k] = residual.Derivative(model, values, model.IndexOf(effect + ".w_" + "xyz"[k]));
-  }
-  return d_wind;
-}
-
-/// The coefficients that shape how the wrench answers wind.
-std::vector<DragCoefficient> DragOf(const ResidualModel& residual, const DynamicModel& model,
-                                    const ModelValues& values, const WindDerivatives& d_wind) {
-  constexpr double kDifference = 0.1;  // of a natural size
-  constexpr double kMatters = 0.01;    // a natural size changes the answer by this share
-  const auto size = [](const WindDerivatives& d) {
-    double sum = 0.0;
-    for (const ResidualModel::Wrenches& along : d) sum += along.leftCols<3>().squaredNorm();
-    return std::sqrt(sum);
-  };
-  std::vector<DragCoefficient> drag;
-  for (size_t i = 0; i < model.parameters().size(); ++i) {
-    const ModelParameter& parameter = model.parameters()[i];
-    const ParameterSpec& spec = parameter.spec;
-    const int index = static_cast<int>(i);
-    if (!parameter.estimated || parameter.effect == "wind") continue;
-    if (spec.initial_state || spec.prior_sigma <= 0.0) continue;
-    ModelValues moved = values;
-    moved[index] += kDifference * spec.prior_sigma;
-    DragCoefficient c;
-    c.index = index;
-    c.natural_size = spec.prior_sigma;
-    c.d_wind = ByWind(residual, model, moved, "wind");
-    for (int k = 0; k < 3; ++k) c.d_wind[k] = (c.d_wind[k] - d_wind[k]) / kDifference;
-    if (size(c.d_wind) < kMatters * size(d_wind)) continue;
-    c.d_wrench = spec.prior_sigma * residual.Derivative(model, values, index);
-    const double to_zero = -values[index] / spec.prior_sigma;
-    c.least = spec.sign == PhysicalSign::kPositive ? std::min(0.0, to_zero) : -kTooLarge;
-    c.most = spec.sign == PhysicalSign::kNegative ? std::max(0.0, to_zero) : kTooLarge;
-    drag.push_back(std::move(c));
-  }
-  return drag;
-}
-
-/// Estimated parameters that change the force.
-std::vector<std::string> ActingOnForce(const ResidualModel& residual, const DynamicModel& model,
-                                       const ModelValues& values) {
-  std::vector<std::string> names;
-  for (int i = 0; i < model.num_parameters(); ++i) {
-    const ModelParameter& p = model.parameters()[i];
-    if (!p.estimated || p.spec.initial_state || p.effect == "wind") continue;
-    if (residual.Derivative(model, values, i).leftCols<3>().isZero()) continue;
-    names.push_back(p.full_name);
-  }
-  return names;
-}
-
-/// Gusts as a Kalman filter predicts them, each from before the sample's own filter window. (The
-/// estimator's window takes a parameter for constant over its length and lags by half of that.)
-ValueVariation GustsOf(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
-                       const ModelValues& estimate,
-                       const std::vector<std::pair<Stamp, Stamp>>& ground_spans, bool with_torque) {
-  constexpr int kAhead = 3;  // samples of 40 ms
-  const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), ground_spans), {2.5, 1},
-                             file_vehicle.odometry.q_BS.toRotationMatrix());
-  const ResidualModel residual(&flight, &file_vehicle, with_torque);
-  ModelValues still = estimate;
-  std::array<int, 3> w{};
-  for (int k = 0; k < 3; ++k) {
-    w[k] = model.IndexOf(std::string("gust.w_") + "xyz"[k]);
-    still[w[k]] = 0.0;
-  }
-  const std::vector<Eigen::Vector3d> wind =
-      PredictGusts(flight, residual.Residual(model, still), ByWind(residual, model, still, "gust"),
-                   {estimate[model.IndexOf("gust.sigma")], estimate[model.IndexOf("gust.sigma")],
-                    estimate[model.IndexOf("gust.vertical_sigma")]},
-                   estimate[model.IndexOf("gust.time_constant")], kAhead);
-  std::vector<double> times;
-  times.reserve(static_cast<size_t>(flight.size()));
-  for (int i = 0; i < flight.size(); ++i) times.push_back(flight.sample(i).t_s);
-  return [wind, times, w](double t_s, ModelValues* values) {
-    const auto it = std::upper_bound(times.begin(), times.end(), t_s + 1e-6);
-    for (int k = 0; k < 3; ++k) {
-      (*values)[w[k]] = it == times.begin() ? 0.0 : wind[it - times.begin() - 1][k];
-    }
-  };
-}
-
-/// What a prediction misses at one sample: of force and torque, in the vehicle file's body axes.
-struct Miss {
-  double t_s, speed_m_s;
-  Eigen::Vector3d force, torque;
-};
-
-/// One pass of the online estimator, blocks held out, with what it misses of everything.
-struct Pass {
-  ReplayResult replay;  ///< without its history and timing
-  ParameterSet parameters;
-  std::vector<Miss> misses;
-  PredictionFigures held_out;  ///< on blocks held out
-};
-
-/// @returns nothing if the vehicle never flies as the model has it
-std::optional<Pass> Run(const FlightLog& log, const Vehicle& file_vehicle,
-                        const DynamicModel& model, const EstimatorOptions& options,
-                        const CloseLoopOptions& loop, const std::function<void(double)>& progress) {
-  Pass pass;
-  const bool with_torque = !log.rotor_rms_only;
-  Estimator estimator(&model, options, with_torque);
-  const Stamp first = log.odometry.empty() ? 0 : log.odometry.front().stamp;
-  estimator.SetHeldOut(
-      [=](Stamp stamp) { return loop.blocks.IsHeldOut(ToSeconds(stamp - first)); });
-  pass.replay = Replay(log, &estimator, progress);
-  pass.replay.history = {};
-  pass.replay.timing = {};
-  if (!pass.replay.last) return std::nullopt;
-  pass.parameters = Estimator::ToParameterSet(model, *pass.replay.last);
-  const ModelValues& values = pass.replay.last->values;
-  const ValueVariation vary =
-      !model.processes().empty()
-          ? GustsOf(log, file_vehicle, model, values, pass.replay.ground_spans, with_torque)
-          : ValueVariation();
-  std::vector<PredictionSample> unseen;
-  PredictEach(log, file_vehicle, model, values, pass.replay.ground_spans, vary,
-              [&](const PredictionSample& s) {
-                pass.misses.push_back({s.t_s, s.speed_m_s, s.measured_force - s.predicted_force,
-                                       s.measured_torque - s.predicted_torque});
-                if (!loop.blocks.IsHeldOut(s.t_s)) return;
-                unseen.push_back(s);
-                unseen.back().effects = {};
-              });
-  pass.held_out = SummarisePrediction(unseen, with_torque, file_vehicle, model, values);
-  return pass;
-}
-
-/// Indices in an online estimate of an effect's estimated parameters, initial states left out.
-std::vector<Eigen::Index> EstimatesOf(const RankedEffect& effect, const ParameterSet& online,
-                                      const DynamicModel& model) {
-  std::vector<Eigen::Index> own;
-  for (const ParameterEstimate& p : effect.parameters) {
-    const ParameterEstimate* found = online.Find(p.full_name);
-    if (found == nullptr || !found->estimated) continue;
-    if (model.parameters()[model.IndexOf(p.full_name)].spec.initial_state) continue;
-    own.push_back(found - online.parameters.data());
-  }
-  return own;
-}
-
-/// The case for gusts, and the values of the drag that goes with them.
-struct Gusts {
-  RankedEffect ranked;
-  GustTest test;
-  std::map<std::string, ParameterSetting> known;  // what it is known of others, by full name
-};
-
-/// The case for gusts behind what a model leaves; they vary, so that no fixed regressor shows them.
-/// @param declared the online estimate without effects added
-Gusts RankGusts(const ResidualModel& residual, const Stage& stage,
-                const ResidualModel::Wrenches& left, const ParameterSet& declared) {
-  Vehicle airy = stage.vehicle;
-  const bool has_wind =
-      std::find(airy.effects.begin(), airy.effects.end(), "wind") != airy.effects.end();
-  if (!has_wind) airy.effects.push_back("wind");
-  const DynamicModel model(airy, airy.effects);
-  const ModelValues values = ValuesOf(model, stage.values);
-  const WindDerivatives d_wind = ByWind(residual, model, values, "wind");
-  const std::vector<DragCoefficient> drag = DragOf(residual, model, values, d_wind);
-  Gusts gusts;
-  gusts.test = TestGusts(residual.flight(), left, d_wind, drag);
-  const GustTest& gust = gusts.test;
-  // The mean of gusts over a few correlation times is not zero, and looks like all that acts on the
-  // force: the estimate without them says more of it.
-  for (const std::string& name : ActingOnForce(residual, model, values)) {
-    const ParameterEstimate* p = declared.Find(name);
-    if (p == nullptr || !p->estimated || !(p->sigma > 0.0)) continue;
-    gusts.known[name] = {p->value, p->sigma, {}};
-  }
-  for (Eigen::Index i = 0; i < gust.drag.size(); ++i) {
-    const DragCoefficient& c = drag[i];
-    gusts.known[model.parameters()[c.index].full_name] = {
-        values[c.index] + gust.drag[i] * c.natural_size, gust.drag_sigma[i] * c.natural_size, {}};
-  }
-  RankedEffect& ranked = gusts.ranked;
-  ranked.name = "gust";
-  ranked.score = gust.gain;
-  ranked.settings = {{"gust.sigma", std::max(kSlightestGust_m_s, gust.sigma_m_s)},
-                     {"gust.vertical_sigma", std::max(0.01, gust.vertical_sigma_m_s)},
-                     {"gust.time_constant", std::max(0.1, gust.time_constant_s)}};
-  for (const auto& [name, value] : ranked.settings) {
-    ranked.parameters.push_back(
-        {name, name == "gust.time_constant" ? "s" : "m/s", value, 0.0, false, false});
-  }
-  return gusts;
-}
-
-/// True if a slow disturbance of the force is the wind's doing rather than any other's.
-bool IsGusty(const Gusts& gusts, const AttributionOptions& options) {
-  return gusts.test.sigma_m_s > kSlightestGust_m_s &&
-         gusts.test.gain > -std::log(options.false_alarm_rate) + options.gust_price &&
-         gusts.test.over_others > -std::log(options.false_alarm_rate);
-}
-
 bool HasEffect(const std::vector<RankedEffect>& effects, const std::string& name) {
   return std::any_of(effects.begin(), effects.end(),
                      [&](const RankedEffect& e) { return e.name == name; });
@@ -294,54 +81,6 @@ double LeastRatio(const PredictionFigures& before, const PredictionFigures& afte
     }
   }
   return least;
-}
-
-/// True if the online estimate of an effect differs from zero, or says nothing of it.
-bool IsThere(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model,
-             const AttributionOptions& options) {
-  std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
-  own.erase(std::remove_if(own.begin(), own.end(),
-                           [&](Eigen::Index i) {
-                             const auto& p = online.parameters[static_cast<size_t>(i)];
-                             return !TellsSize(model.vehicle(), p.full_name);
-                           }),
-            own.end());
-  if (own.empty()) return true;
-  Eigen::VectorXd estimate(static_cast<Eigen::Index>(own.size()));
-  for (size_t k = 0; k < own.size(); ++k) {
-    estimate[static_cast<Eigen::Index>(k)] = online.parameters[static_cast<size_t>(own[k])].value;
-  }
-  return IsSignificant(estimate, online.covariance(own, own), options.significant_sigmas);
-}
-
-/// What the online run says of an effect, " name = value +- sigma, ...".
-std::string Estimates(const RankedEffect& effect, const ParameterSet& online,
-                      const DynamicModel& model) {
-  std::string text;
-  for (const Eigen::Index i : EstimatesOf(effect, online, model)) {
-    const ParameterEstimate& p = online.parameters[static_cast<size_t>(i)];
-    text += (text.empty() ? " " : ", ") + p.full_name + " = " + Rounded(p.value) + " +- " +
-            Rounded(p.sigma);
-  }
-  return text;
-}
-
-/// How much an online estimate that is zero within its sigma speaks against what the regression
-/// found [nats].
-double NatsAgainst(const RankedEffect& effect, const ParameterSet& online,
-                   const DynamicModel& model) {
-  const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
-  const auto n = static_cast<Eigen::Index>(own.size());
-  if (n == 0 || effect.covariance.rows() != n) return std::numeric_limits<double>::infinity();
-  Eigen::VectorXd difference(n);
-  for (Eigen::Index k = 0; k < n; ++k) {
-    const ParameterEstimate& p =
-        online.parameters[static_cast<size_t>(own[static_cast<size_t>(k)])];
-    difference[k] = p.value - effect.Find(p.full_name)->value;
-  }
-  Eigen::MatrixXd C = online.covariance(own, own) + effect.covariance;
-  C.diagonal() *= 1.0 + 1e-9;
-  return 0.5 * difference.dot(C.ldlt().solve(difference));
 }
 
 FlightFigures FlownFlight(const FlightLog& log, const ReplayResult& replay) {
@@ -387,6 +126,334 @@ bool Summarise(const AttributionOptions& options, ClosedLoop* result) {
   return structured;
 }
 
+/// A flight's way through the loop: calibrated as declared, attributed, confirmed by the online
+/// estimator with what was named, concluded. The steps are called in this order.
+class LoopSession {
+ public:
+  LoopSession(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& configured,
+              const CloseLoopOptions& options, const std::function<void(double)>& progress);
+
+  /// Runs the online estimator with the model as declared. @throws std::invalid_argument
+  void Calibrate();
+  /// Thins the flight; false, with a warning, where too little of it is left to look at.
+  bool HasFlight();
+  /// Searches the catalogue for what explains the residual.
+  void Attribute();
+  /// Adds gusts to the ranking, and to the effects where they make their case.
+  void WeighGusts();
+  /// Runs the online estimator with the effects, and drops those that it does not bear out.
+  void Confirm();
+  /// Asks the online estimator for effects of which the regression is no judge.
+  void AskOnline();
+  /// The verdict, and the errors before and after.
+  void Conclude();
+
+  ClosedLoop TakeResult() { return std::move(result_); }
+
+ private:
+  /// Progress of a part of the whole.
+  std::function<void(double)> Part(double from, double to) const;
+  Vehicle Extended(const std::vector<RankedEffect>& effects) const;
+  std::optional<OnlinePass> RunWith(const std::vector<RankedEffect>& effects, double to) const;
+  std::vector<ChannelStructure> StructureInUse(const ResidualModel::Wrenches& residual) const;
+  /// Share of the structure that stays beside the effects, in the channels in which they act.
+  double Unexplained() const;
+  RankedEffect* RankedOf(const std::string& name);
+  void NoteRefused();
+  void DropAll(const std::string& why);
+  /// Drops all effects where a flexible disturbance explains more than they do. What predicts
+  /// blocks held out so much better is its cause all the same.
+  void DropUnexplained();
+  /// Drops what is zero within its sigma online, and predicts nothing better.
+  void DropIdle();
+  /// Adds an effect of which the regression is no judge, where the online estimate shows it.
+  void AskOnlineFor(const std::string& name);
+  /// Runs once more with what bands of frequency know, where they know something.
+  void RunWithBands(OnlinePass* pass);
+  TorqueBands BandsOf(const DynamicModel& model, const OnlinePass& pass) const;
+  AddedEffect Added(const RankedEffect& ranked, const DynamicModel& model);
+
+  const FlightLog& log_;
+  const Vehicle& file_vehicle_;
+  const Vehicle vehicle_;  ///< as declared
+  CloseLoopOptions options_;
+  std::function<void(double)> progress_;
+  const DynamicModel declared_;
+  OnlinePass before_;
+  std::unique_ptr<ThinnedFlight> flight_;
+  std::unique_ptr<ResidualModel> residual_;
+  std::vector<Candidate> candidates_;
+  std::unique_ptr<Attribution> attribution_;
+  std::optional<GustCase> gusts_;  ///< where they make their case
+  bool structured_ = false;
+  std::vector<RankedEffect> effects_;              ///< that are named so far
+  std::map<std::string, ParameterSetting> known_;  ///< what else the last run is told
+  std::optional<OnlinePass> after_;                ///< of the model with `effects_`
+  ClosedLoop result_;
+};
+
+LoopSession::LoopSession(const FlightLog& log, const Vehicle& file_vehicle,
+                         const Vehicle& configured, const CloseLoopOptions& options,
+                         const std::function<void(double)>& progress)
+    : log_(log),
+      file_vehicle_(file_vehicle),
+      vehicle_(WithPriorsOf(file_vehicle, configured)),
+      options_(options),
+      progress_(progress),
+      declared_(vehicle_, vehicle_.effects) {
+  if (log.odometry.empty()) return;
+  options_.blocks.FitTo(ToSeconds(log.odometry.back().stamp - log.odometry.front().stamp));
+}
+
+std::function<void(double)> LoopSession::Part(double from, double to) const {
+  return [this, from, to](double share) {
+    if (progress_) progress_(from + share * (to - from));
+  };
+}
+
+Vehicle LoopSession::Extended(const std::vector<RankedEffect>& effects) const {
+  return odmc::Extended(vehicle_, attribution_->stage(), effects, known_);
+}
+
+std::optional<OnlinePass> LoopSession::RunWith(const std::vector<RankedEffect>& effects,
+                                               double to) const {
+  const Vehicle extended = Extended(effects);
+  const DynamicModel model(extended, extended.effects);
+  return RunOnline(log_, file_vehicle_, model, options_.estimator, options_.blocks, Part(0.6, to));
+}
+
+void LoopSession::Calibrate() {
+  std::optional<OnlinePass> pass = RunOnline(log_, file_vehicle_, declared_, options_.estimator,
+                                             options_.blocks, Part(0.0, 0.4));
+  if (!pass) throw std::invalid_argument(log_.file + ": never airborne");
+  before_ = std::move(*pass);
+  result_.declared_parameters = result_.parameters = before_.parameters;
+  result_.effect_names = vehicle_.effects;
+  result_.before = result_.after = before_.held_out;
+  result_.warnings = FlightWarnings(log_, before_.replay);
+  const std::string doubt = InertiaDoubt(file_vehicle_);
+  if (!doubt.empty()) result_.warnings.push_back(doubt);
+  result_.flight = FlownFlight(log_, before_.replay);
+  result_.samples = Samples(before_.misses, before_.misses, options_.blocks);
+}
+
+bool LoopSession::HasFlight() {
+  flight_ = std::make_unique<ThinnedFlight>(
+      FilterFlight(log_, file_vehicle_.num_rotors(), NotLookedAt(before_.replay)), options_.blocks,
+      file_vehicle_.odometry.q_BS.toRotationMatrix(), options_.attribution.most_flight_s);
+  int in_use = 0;
+  for (int i = 0; i < flight_->size(); ++i) in_use += flight_->held_out(i) ? 0 : 1;
+  if (in_use >= kLeastSamples) return true;
+  result_.warnings.push_back("too little flight to look for effects: " + std::to_string(in_use) +
+                             " samples of 40 ms, at least " + std::to_string(kLeastSamples) +
+                             " are needed");
+  return false;
+}
+
+void LoopSession::Attribute() {
+  residual_ = std::make_unique<ResidualModel>(flight_.get(), &file_vehicle_, !log_.rotor_rms_only);
+  candidates_ = CandidatesFor(vehicle_, flight_->motion());
+  const ModelValues& values = before_.replay.last->values;
+  attribution_ = std::make_unique<Attribution>(residual_.get(), StageOf(declared_, values),
+                                               candidates_, options_.attribution);
+  attribution_->Run();
+  result_.ranking = attribution_->ranking();
+  result_.named_gain = attribution_->gain();
+  result_.flexible_gain = attribution_->flexible_gain();
+  const ResidualModel::Wrenches& before = attribution_->residual_before();
+  result_.structure = LessStructured(
+      Structure(*flight_, before, residual_->num_channels()),
+      Structure(*flight_, residual_->Residual(declared_, values), residual_->num_channels()));
+  structured_ = Summarise(options_.attribution, &result_);
+  const std::vector<std::vector<double>> runs = flight_->Runs(before.col(0));
+  const bool judged = std::any_of(runs.begin(), runs.end(),
+                                  [](const auto& run) { return run.size() >= kShortestRun; });
+  if (!judged) {
+    result_.warnings.push_back(
+        "no stretch without gaps is long enough to tell structure from noise: " +
+        Rounded(kShortestRun * flight_->step_s()) + " s are needed");
+  }
+  if (progress_) progress_(0.6);
+  effects_ = attribution_->effects();
+  NoteRefused();
+}
+
+RankedEffect* LoopSession::RankedOf(const std::string& name) {
+  const auto at = std::find_if(result_.ranking.begin(), result_.ranking.end(),
+                               [&](const RankedEffect& e) { return e.name == name; });
+  return at == result_.ranking.end() ? nullptr : &*at;
+}
+
+void LoopSession::NoteRefused() {
+  for (const auto& [name, why] : attribution_->refused()) {
+    RankedEffect* ranked = RankedOf(name);
+    if (HasEffect(effects_, name) || ranked == nullptr) continue;
+    ranked->remarks.push_back("not named: it " + why);
+  }
+}
+
+void LoopSession::WeighGusts() {
+  GustCase gusts = RankGusts(*residual_, attribution_->stage(), attribution_->residual_after(),
+                             before_.parameters);
+  result_.ranking.push_back(gusts.ranked);
+  if (IsGusty(gusts, options_.attribution) && CanBlow(vehicle_, effects_)) {
+    gusts_ = std::move(gusts);
+  }
+}
+
+std::vector<ChannelStructure> LoopSession::StructureInUse(
+    const ResidualModel::Wrenches& residual) const {
+  return Structure(*flight_, residual, residual_->num_channels(), true);
+}
+
+double LoopSession::Unexplained() const {
+  const ResidualModel::Wrenches& before = attribution_->residual_before();
+  const ResidualModel::Wrenches& after = attribution_->residual_after();
+  return UnexplainedStructure(before, after, StructureInUse(before), StructureInUse(after),
+                              options_.attribution);
+}
+
+void LoopSession::DropAll(const std::string& why) {
+  for (const RankedEffect& effect : effects_) {
+    result_.warnings.push_back(effect.name + " gains " + Rounded(effect.score) + " nats, but " +
+                               why);
+  }
+  effects_.clear();
+  after_.reset();
+}
+
+void LoopSession::DropUnexplained() {
+  const double unexplained = Unexplained();
+  if (effects_.empty() || unexplained <= options_.attribution.most_unexplained) return;
+  gusts_.reset();  // they were looked for beside the effects
+  after_ = RunWith(effects_, 1.0);
+  const double ratio = after_ ? LeastRatio(before_.held_out, after_->held_out) : 1.0;
+  if (after_ && ratio <= options_.attribution.telling_ratio) return;
+  DropAll(Rounded(100.0 * unexplained) + " % of the structure stays unexplained beside it");
+}
+
+void LoopSession::DropIdle() {
+  const Vehicle extended = Extended(effects_);
+  const DynamicModel model(extended, extended.effects);
+  const bool predicts =
+      LeastRatio(before_.held_out, after_->held_out, true) < options_.attribution.least_ratio;
+  const auto idle = [&](const RankedEffect& effect) {
+    if (predicts || IsThere(effect, after_->parameters, model, options_.attribution)) return false;
+    if (NatsAgainst(effect, after_->parameters, model) < effect.score) return false;
+    result_.warnings.push_back(effect.name + " gains " + Rounded(effect.score) +
+                               " nats, but the online estimate is zero within its sigma:" +
+                               EstimatesText(effect, after_->parameters, model));
+    return true;
+  };
+  const auto end = std::remove_if(effects_.begin(), effects_.end(), idle);
+  if (end != effects_.end()) after_.reset();
+  effects_.erase(end, effects_.end());
+}
+
+void LoopSession::Confirm() {
+  const char* const grounded = "with it the online estimator takes the flight for contact";
+  DropUnexplained();
+  if (gusts_) {
+    effects_.push_back(gusts_->ranked);
+    known_ = gusts_->known;
+  }
+  if (effects_.empty()) return;
+  if (!after_) after_ = RunWith(effects_, 0.8);
+  if (!after_) return DropAll(grounded);
+  DropIdle();
+  if (effects_.empty() || after_) return;
+  after_ = RunWith(effects_, 1.0);
+  if (!after_) DropAll(grounded);
+}
+
+TorqueBands LoopSession::BandsOf(const DynamicModel& model, const OnlinePass& pass) const {
+  const ReplayResult& replay = pass.replay;
+  const int k_f = model.IndexOf("thrust.k_f");
+  return FindTorqueBands(log_, model, replay.last->values, k_f >= 0 ? replay.last->sigma[k_f] : 0.0,
+                         replay.ground_spans);
+}
+
+void LoopSession::RunWithBands(OnlinePass* pass) {
+  const Vehicle extended = Extended(effects_);
+  const DynamicModel model(extended, extended.effects);
+  const auto by_bands = KnownByBands(BandsOf(model, *pass), model, pass->replay.last->values);
+  if (by_bands.empty()) return;
+  const std::map<std::string, ParameterSetting> without = known_;
+  known_.insert(by_bands.begin(), by_bands.end());
+  std::optional<OnlinePass> better = RunWith(effects_, 1.0);
+  if (better) {
+    *pass = std::move(*better);
+  } else {
+    known_ = without;
+  }
+}
+
+void LoopSession::AskOnlineFor(const std::string& name) {
+  std::vector<RankedEffect> with = effects_;
+  with.emplace_back().name = name;
+  std::optional<OnlinePass> pass = RunWith(with, 1.0);
+  if (!pass) return;
+  const Vehicle extended = Extended(with);
+  const DynamicModel model(extended, extended.effects);
+  with.back() = RankedByEstimate(name, pass->parameters, model, EffectsOf(candidates_).size());
+  if (!(with.back().p_value < options_.attribution.false_alarm_rate)) return;
+  if (RankedEffect* ranked = RankedOf(name)) *ranked = with.back();
+  effects_ = std::move(with);
+  RunWithBands(&*pass);
+  after_ = std::move(pass);
+}
+
+void LoopSession::AskOnline() {
+  if (log_.rotor_rms_only) return;
+  for (const std::string& name : QuickEffects(vehicle_, candidates_)) {
+    const bool room = static_cast<int>(effects_.size()) < options_.attribution.most_effects;
+    if (room && !HasEffect(effects_, name)) AskOnlineFor(name);
+  }
+}
+
+AddedEffect LoopSession::Added(const RankedEffect& ranked, const DynamicModel& model) {
+  const std::string other = Disagreement(ranked, after_->parameters, model, options_.attribution);
+  if (!other.empty()) {
+    result_.warnings.push_back(ranked.name + ": the online run disagrees, " + other);
+  }
+  AddedEffect effect;
+  effect.effect = ranked;
+  effect.alternatives = ranked.alternatives;
+  for (const std::string& name : effect.alternatives) {
+    if (!effect.manoeuvre.empty()) break;
+    effect.manoeuvre = TellingManoeuvre(vehicle_, ranked.name, name);
+  }
+  effect.derived = DerivedFigures(vehicle_, ranked.name, after_->parameters);
+  for (ParameterEstimate& p : effect.effect.parameters) {
+    const ParameterEstimate* online = after_->parameters.Find(p.full_name);
+    if (online != nullptr) p = *online;
+  }
+  return effect;
+}
+
+void LoopSession::Conclude() {
+  result_.accelerometer_before = result_.accelerometer_after =
+      before_.held_out.accelerometer_force_rmse_N;
+  const Vehicle final_vehicle = effects_.empty() ? vehicle_ : Extended(effects_);
+  const DynamicModel model(final_vehicle, final_vehicle.effects);
+  if (!effects_.empty()) {
+    result_.verdict = Verdict::kEffect;
+    result_.after = after_->held_out;
+    result_.accelerometer_after = after_->held_out.accelerometer_force_rmse_N;
+    result_.parameters = after_->parameters;
+    result_.effect_names = final_vehicle.effects;
+    result_.samples = Samples(before_.misses, after_->misses, options_.blocks);
+    for (const RankedEffect& ranked : effects_) result_.effects.push_back(Added(ranked, model));
+  } else if (structured_) {
+    result_.verdict = Verdict::kUnexplained;
+    result_.where = Where(result_.structure, *flight_, attribution_->residual_before());
+  }
+  result_.nominal_inertia = file_vehicle_.inertia_kg_m2;
+  result_.bands = BandsOf(model, effects_.empty() ? before_ : *after_);
+  const std::string reaction = ReactionWarning(result_.bands);
+  if (!reaction.empty()) result_.warnings.push_back(reaction);
+}
+
 }  // namespace
 
 std::vector<std::pair<Stamp, Stamp>> NotLookedAt(const ReplayResult& replay) {
@@ -415,32 +482,6 @@ std::string ToString(Verdict verdict) {
   }
 }
 
-std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
-                         const DynamicModel& model, const AttributionOptions& options) {
-  const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
-  const auto n = static_cast<Eigen::Index>(own.size());
-  if (n == 0 || effect.covariance.rows() != n) return "";
-  Eigen::MatrixXd covariance = online.covariance(own, own) + effect.covariance;
-  Eigen::VectorXd difference(n);
-  Eigen::Index worst = 0;
-  double most = 0.0;
-  for (Eigen::Index i = 0; i < n; ++i) {
-    const ParameterEstimate& p = online.parameters[own[static_cast<size_t>(i)]];
-    const double fitted = effect.Find(p.full_name)->value;
-    difference[i] = p.value - fitted;
-    const double share = options.agree_share * std::max(std::abs(p.value), std::abs(fitted));
-    covariance(i, i) += share * share;
-    const double sigmas = std::abs(difference[i]) / std::sqrt(covariance(i, i));
-    if (sigmas < most) continue;
-    most = sigmas;
-    worst = i;
-  }
-  if (!IsSignificant(difference, covariance, options.significant_sigmas)) return "";
-  const ParameterEstimate& p = online.parameters[own[static_cast<size_t>(worst)]];
-  return "it finds " + p.full_name + " = " + Rounded(p.value) + ", the fit that chose the effect " +
-         Rounded(p.value - difference[worst]);
-}
-
 void HoldKnownThrust(const AttributionOptions& options, Vehicle* vehicle) {
   const auto it = vehicle->parameters.find("thrust.k_f");
   if (it == vehicle->parameters.end() || !it->second.value || !it->second.sigma) return;
@@ -449,229 +490,17 @@ void HoldKnownThrust(const AttributionOptions& options, Vehicle* vehicle) {
 }
 
 ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& configured,
-                     const CloseLoopOptions& given, const std::function<void(double)>& progress) {
-  const Vehicle vehicle = WithPriorsOf(file_vehicle, configured);
-  CloseLoopOptions options = given;
-  if (!log.odometry.empty()) {
-    options.blocks.FitTo(ToSeconds(log.odometry.back().stamp - log.odometry.front().stamp));
+                     const CloseLoopOptions& options, const std::function<void(double)>& progress) {
+  LoopSession session(log, file_vehicle, configured, options, progress);
+  session.Calibrate();
+  if (session.HasFlight()) {
+    session.Attribute();
+    session.WeighGusts();
+    session.Confirm();
+    session.AskOnline();
+    session.Conclude();
   }
-  const auto part = [&](double from, double to) {
-    return [&progress, from, to](double share) {
-      if (progress) progress(from + share * (to - from));
-    };
-  };
-  ClosedLoop result;
-  const bool with_torque = !log.rotor_rms_only;
-  const DynamicModel declared(vehicle, vehicle.effects);
-  const std::optional<Pass> as_declared =
-      Run(log, file_vehicle, declared, options.estimator, options, part(0.0, 0.4));
-  if (!as_declared) throw std::invalid_argument(log.file + ": never airborne");
-  const Pass& before = *as_declared;
-  const ReplayResult& replay = before.replay;
-  result.declared_parameters = result.parameters = before.parameters;
-  result.effect_names = vehicle.effects;
-  result.before = result.after = before.held_out;
-  result.warnings = FlightWarnings(log, replay);
-  const std::string doubt = InertiaDoubt(file_vehicle);
-  if (!doubt.empty()) result.warnings.push_back(doubt);
-  result.flight = FlownFlight(log, replay);
-  result.samples = Samples(before.misses, before.misses, options.blocks);
-
-  const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), NotLookedAt(replay)),
-                             options.blocks, file_vehicle.odometry.q_BS.toRotationMatrix(),
-                             options.attribution.most_flight_s);
-  int in_use = 0;
-  for (int i = 0; i < flight.size(); ++i) in_use += flight.held_out(i) ? 0 : 1;
-  if (in_use < kLeastSamples) {
-    result.warnings.push_back("too little flight to look for effects: " + std::to_string(in_use) +
-                              " samples of 40 ms, at least " + std::to_string(kLeastSamples) +
-                              " are needed");
-    return result;
-  }
-  const ResidualModel residual(&flight, &file_vehicle, with_torque);
-  const std::vector<Candidate> candidates = CandidatesFor(vehicle, flight.motion());
-  Attribution attribution(&residual, StageOf(declared, replay.last->values), candidates,
-                          options.attribution);
-  attribution.Run();
-  result.ranking = attribution.ranking();
-  result.named_gain = attribution.gain();
-  result.flexible_gain = attribution.flexible_gain();
-  result.structure = LessStructured(
-      Structure(flight, attribution.residual_before(), residual.num_channels()),
-      Structure(flight, residual.Residual(declared, replay.last->values), residual.num_channels()));
-  const bool structured = Summarise(options.attribution, &result);
-  const std::vector<std::vector<double>> runs = flight.Runs(attribution.residual_before().col(0));
-  const bool judged = std::any_of(runs.begin(), runs.end(),
-                                  [](const auto& run) { return run.size() >= kShortestRun; });
-  if (!judged) {
-    result.warnings.push_back(
-        "no stretch without gaps is long enough to tell structure from noise: " +
-        Rounded(kShortestRun * flight.step_s()) + " s are needed");
-  }
-  if (progress) progress(0.6);
-
-  std::vector<RankedEffect> effects = attribution.effects();
-  for (const auto& [name, why] : attribution.refused()) {
-    const bool added = std::any_of(effects.begin(), effects.end(),
-                                   [&name = name](const auto& e) { return e.name == name; });
-    const auto ranked = std::find_if(result.ranking.begin(), result.ranking.end(),
-                                     [&name = name](const auto& e) { return e.name == name; });
-    if (!added && ranked != result.ranking.end()) ranked->remarks.push_back("not named: it " + why);
-  }
-  std::map<std::string, ParameterSetting> known;
-  const Gusts gusts =
-      RankGusts(residual, attribution.stage(), attribution.residual_after(), before.parameters);
-  result.ranking.push_back(gusts.ranked);
-
-  bool is_gusty = IsGusty(gusts, options.attribution) && CanBlow(vehicle, effects);
-  const auto seen = [&](const ResidualModel::Wrenches& of) {
-    return Structure(flight, of, residual.num_channels(), true);
-  };
-  const double unexplained = UnexplainedStructure(
-      attribution.residual_before(), attribution.residual_after(),
-      seen(attribution.residual_before()), seen(attribution.residual_after()), options.attribution);
-  const auto run_with = [&](const std::vector<RankedEffect>& added, double to) {
-    const Vehicle extended = Extended(vehicle, attribution.stage(), added, known);
-    const DynamicModel model(extended, extended.effects);
-    return Run(log, file_vehicle, model, options.estimator, options, part(0.6, to));
-  };
-  const auto drop_all = [&](const std::string& why) {
-    for (const RankedEffect& effect : effects) {
-      result.warnings.push_back(effect.name + " gains " + Rounded(effect.score) + " nats, but " +
-                                why);
-    }
-    effects.clear();
-  };
-  const std::string grounded = "with it the online estimator takes the flight for contact";
-  std::optional<Pass> run;
-  // Adds an effect of which the regression is no judge, where the online estimate shows it.
-  const auto ask_online = [&](const std::string& name) {
-    std::vector<RankedEffect> with = effects;
-    with.emplace_back().name = name;
-    std::optional<Pass> pass = run_with(with, 1.0);
-    if (!pass) return;
-    const Vehicle extended = Extended(vehicle, attribution.stage(), with, known);
-    const DynamicModel model(extended, extended.effects);
-    with.back() = RankedByEstimate(name, pass->parameters, model, EffectsOf(candidates).size());
-    const RankedEffect& asked = with.back();
-    if (!(asked.p_value < options.attribution.false_alarm_rate)) return;
-    const auto ranked = std::find_if(result.ranking.begin(), result.ranking.end(),
-                                     [&](const RankedEffect& e) { return e.name == name; });
-    if (ranked != result.ranking.end()) *ranked = asked;
-    effects = with;
-    const ReplayResult& replayed = pass->replay;
-    const int k_f = model.IndexOf("thrust.k_f");
-    const auto by_bands = KnownByBands(
-        FindTorqueBands(log, model, replayed.last->values,
-                        k_f >= 0 ? replayed.last->sigma[k_f] : 0.0, replayed.ground_spans),
-        model, replayed.last->values);
-    if (!by_bands.empty()) {
-      const std::map<std::string, ParameterSetting> without = known;
-      known.insert(by_bands.begin(), by_bands.end());
-      std::optional<Pass> better = run_with(effects, 1.0);
-      if (better) {
-        pass = std::move(better);
-      } else {
-        known = without;
-      }
-    }
-    run = std::move(pass);
-  };
-  if (!effects.empty() && unexplained > options.attribution.most_unexplained) {
-    is_gusty = false;  // it was looked for beside them
-    // A flexible disturbance explains more of it than they do. What predicts blocks held out so
-    // much better is no stand-in all the same.
-    run = run_with(effects, 1.0);
-    if (!run || LeastRatio(before.held_out, run->held_out) > options.attribution.telling_ratio) {
-      drop_all(Rounded(100.0 * unexplained) + " % of the structure stays unexplained beside it");
-      run.reset();
-    }
-  }
-  if (is_gusty) {
-    effects.push_back(gusts.ranked);
-    known = gusts.known;
-  }
-  if (!effects.empty()) {
-    // What is zero within its sigma, and predicts nothing better, is not there.
-    if (!run) run = run_with(effects, 0.8);
-    if (!run) drop_all(grounded);
-  }
-  if (!effects.empty()) {
-    const Vehicle extended = Extended(vehicle, attribution.stage(), effects, known);
-    const DynamicModel model(extended, extended.effects);
-    const bool predicts =
-        LeastRatio(before.held_out, run->held_out, true) < options.attribution.least_ratio;
-    const auto idle = [&](const RankedEffect& effect) {
-      if (predicts || IsThere(effect, run->parameters, model, options.attribution)) return false;
-      if (NatsAgainst(effect, run->parameters, model) < effect.score) return false;
-      result.warnings.push_back(effect.name + " gains " + Rounded(effect.score) +
-                                " nats, but the online estimate is zero within its sigma:" +
-                                Estimates(effect, run->parameters, model));
-      return true;
-    };
-    const auto end = std::remove_if(effects.begin(), effects.end(), idle);
-    if (end != effects.end()) run.reset();
-    effects.erase(end, effects.end());
-  }
-  if (!effects.empty() && !run) {
-    run = run_with(effects, 1.0);
-    if (!run) drop_all(grounded);
-  }
-  for (const std::string& name : QuickEffects(vehicle, candidates)) {
-    if (with_torque && static_cast<int>(effects.size()) < options.attribution.most_effects &&
-        !HasEffect(effects, name)) {
-      ask_online(name);
-    }
-  }
-  if (!effects.empty()) {
-    const Vehicle extended = Extended(vehicle, attribution.stage(), effects, known);
-    const DynamicModel model(extended, extended.effects);
-    const Pass& after = *run;
-    result.verdict = Verdict::kEffect;
-    result.after = after.held_out;
-    result.accelerometer_before = before.held_out.accelerometer_force_rmse_N;
-    result.accelerometer_after = after.held_out.accelerometer_force_rmse_N;
-    result.parameters = after.parameters;
-    result.effect_names = extended.effects;
-    result.samples = Samples(before.misses, after.misses, options.blocks);
-    for (RankedEffect& ranked : effects) {
-      const std::string other = Disagreement(ranked, after.parameters, model, options.attribution);
-      if (!other.empty())
-        result.warnings.push_back(ranked.name + ": the online run disagrees, " + other);
-      AddedEffect effect;
-      effect.effect = ranked;
-      effect.alternatives = ranked.alternatives;
-      for (const std::string& name : effect.alternatives) {
-        if (!effect.manoeuvre.empty()) break;
-        effect.manoeuvre = TellingManoeuvre(vehicle, ranked.name, name);
-      }
-      effect.derived = DerivedFigures(vehicle, ranked.name, result.parameters);
-      for (ParameterEstimate& p : effect.effect.parameters) {
-        const ParameterEstimate* online = result.parameters.Find(p.full_name);
-        if (online != nullptr) p = *online;
-      }
-      result.effects.push_back(std::move(effect));
-    }
-  } else {
-    result.accelerometer_before = result.accelerometer_after =
-        before.held_out.accelerometer_force_rmse_N;
-    if (structured) {
-      result.verdict = Verdict::kUnexplained;
-      result.where = Where(result.structure, flight, attribution.residual_before());
-    }
-  }
-  const Vehicle final_vehicle =
-      effects.empty() ? vehicle : Extended(vehicle, attribution.stage(), effects, known);
-  const DynamicModel final_model(final_vehicle, final_vehicle.effects);
-  const ReplayResult& final_replay = effects.empty() ? replay : run->replay;
-  const int k_f = final_model.IndexOf("thrust.k_f");
-  result.nominal_inertia = file_vehicle.inertia_kg_m2;
-  result.bands =
-      FindTorqueBands(log, final_model, final_replay.last->values,
-                      k_f >= 0 ? final_replay.last->sigma[k_f] : 0.0, final_replay.ground_spans);
-  const std::string reaction = ReactionWarning(result.bands);
-  if (!reaction.empty()) result.warnings.push_back(reaction);
-  return result;
+  return session.TakeResult();
 }
 
 }  // namespace odmc

@@ -6,8 +6,35 @@
 #include <limits>
 
 #include "odmc/attribution/evidence.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
+namespace {
+
+/// True if parameters differ from zero together by `sigmas` (Wald's test; the limit
+/// grows with their number).
+bool IsSignificant(const Eigen::VectorXd& estimate, const Eigen::MatrixXd& covariance,
+                   double sigmas) {
+  Eigen::MatrixXd C = covariance;
+  C.diagonal() *= 1.0 + 1e-9;
+  return estimate.dot(C.ldlt().solve(estimate)) >
+         sigmas * sigmas + 2.0 * (static_cast<double>(estimate.size()) - 1.0);
+}
+
+/// Indices in an online estimate of an effect's estimated parameters, initial states left out.
+std::vector<Eigen::Index> EstimatesOf(const RankedEffect& effect, const ParameterSet& online,
+                                      const DynamicModel& model) {
+  std::vector<Eigen::Index> own;
+  for (const ParameterEstimate& p : effect.parameters) {
+    const ParameterEstimate* found = online.Find(p.full_name);
+    if (found == nullptr || !found->estimated) continue;
+    if (model.parameters()[model.IndexOf(p.full_name)].spec.initial_state) continue;
+    own.push_back(found - online.parameters.data());
+  }
+  return own;
+}
+
+}  // namespace
 
 std::vector<std::string> QuickEffects(const Vehicle& vehicle,
                                       const std::vector<Candidate>& candidates) {
@@ -59,6 +86,76 @@ RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& onl
   if (!std::isfinite(ranked.score)) ranked.score = -std::numeric_limits<double>::infinity();
   ranked.p_value = std::min(1.0, static_cast<double>(candidates) * std::exp(-ranked.score));
   return ranked;
+}
+
+bool IsThere(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model,
+             const AttributionOptions& options) {
+  std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
+  own.erase(std::remove_if(own.begin(), own.end(),
+                           [&](Eigen::Index i) {
+                             const auto& p = online.parameters[static_cast<size_t>(i)];
+                             return !TellsSize(model.vehicle(), p.full_name);
+                           }),
+            own.end());
+  if (own.empty()) return true;
+  Eigen::VectorXd estimate(static_cast<Eigen::Index>(own.size()));
+  for (size_t k = 0; k < own.size(); ++k) {
+    estimate[static_cast<Eigen::Index>(k)] = online.parameters[static_cast<size_t>(own[k])].value;
+  }
+  return IsSignificant(estimate, online.covariance(own, own), options.significant_sigmas);
+}
+
+std::string EstimatesText(const RankedEffect& effect, const ParameterSet& online,
+                          const DynamicModel& model) {
+  std::string text;
+  for (const Eigen::Index i : EstimatesOf(effect, online, model)) {
+    const ParameterEstimate& p = online.parameters[static_cast<size_t>(i)];
+    text += (text.empty() ? " " : ", ") + p.full_name + " = " + Rounded(p.value) + " +- " +
+            Rounded(p.sigma);
+  }
+  return text;
+}
+
+double NatsAgainst(const RankedEffect& effect, const ParameterSet& online,
+                   const DynamicModel& model) {
+  const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
+  const auto n = static_cast<Eigen::Index>(own.size());
+  if (n == 0 || effect.covariance.rows() != n) return std::numeric_limits<double>::infinity();
+  Eigen::VectorXd difference(n);
+  for (Eigen::Index k = 0; k < n; ++k) {
+    const ParameterEstimate& p =
+        online.parameters[static_cast<size_t>(own[static_cast<size_t>(k)])];
+    difference[k] = p.value - effect.Find(p.full_name)->value;
+  }
+  Eigen::MatrixXd C = online.covariance(own, own) + effect.covariance;
+  C.diagonal() *= 1.0 + 1e-9;
+  return 0.5 * difference.dot(C.ldlt().solve(difference));
+}
+
+std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
+                         const DynamicModel& model, const AttributionOptions& options) {
+  const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
+  const auto n = static_cast<Eigen::Index>(own.size());
+  if (n == 0 || effect.covariance.rows() != n) return "";
+  Eigen::MatrixXd covariance = online.covariance(own, own) + effect.covariance;
+  Eigen::VectorXd difference(n);
+  Eigen::Index worst = 0;
+  double most = 0.0;
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const ParameterEstimate& p = online.parameters[own[static_cast<size_t>(i)]];
+    const double fitted = effect.Find(p.full_name)->value;
+    difference[i] = p.value - fitted;
+    const double share = options.agree_share * std::max(std::abs(p.value), std::abs(fitted));
+    covariance(i, i) += share * share;
+    const double sigmas = std::abs(difference[i]) / std::sqrt(covariance(i, i));
+    if (sigmas < most) continue;
+    most = sigmas;
+    worst = i;
+  }
+  if (!IsSignificant(difference, covariance, options.significant_sigmas)) return "";
+  const ParameterEstimate& p = online.parameters[own[static_cast<size_t>(worst)]];
+  return "it finds " + p.full_name + " = " + Rounded(p.value) + ", the fit that chose the effect " +
+         Rounded(p.value - difference[worst]);
 }
 
 }  // namespace odmc

@@ -74,13 +74,6 @@ struct ClosedLoop {
   std::vector<std::string> warnings;      ///< the findings' sentences among them
 };
 
-/// Two ways through the same data, the fit that chose an effect and the online estimator, find the
-/// same coefficients where the effect is what acts. Where it stands in for something else, what
-/// each finds depends on its weights (Hausman, Specification tests in econometrics, 1978).
-/// @returns what differs by more than three sigma and a third of itself; empty if they agree
-std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
-                         const DynamicModel& model, const AttributionOptions& options);
-
 /// Holds a thrust coefficient that is known to 5 % (from an earlier, unloaded flight) as it is:
 /// mass can then be found.
 void HoldKnownThrust(const AttributionOptions& options, Vehicle* vehicle);
@@ -89,8 +82,7 @@ void HoldKnownThrust(const AttributionOptions& options, Vehicle* vehicle);
 /// effect of the catalogue, adds that and says what it changed. `progress` gets the share done.
 /// @param file_vehicle the vehicle file as it is: measured forces and torques come from it
 /// @param vehicle with the configured effects and parameters; the sigmas of an earlier estimate are
-/// no
-///   priors here, see WithPriorsOf()
+///   no priors here, see WithPriorsOf()
 /// @throws std::invalid_argument where the flight cannot be calibrated
 ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& vehicle,
                      const CloseLoopOptions& options,

@@ -28,4 +28,25 @@ std::vector<std::string> QuickEffects(const Vehicle& vehicle,
 RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& online,
                               const DynamicModel& model, size_t candidates);
 
+/// True if the online estimate of an effect's size differs from zero by more than
+/// `significant_sigmas` (Wald's test), or says nothing of it.
+bool IsThere(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model,
+             const AttributionOptions& options);
+
+/// What the online run says of an effect, " name = value +- sigma, ...".
+std::string EstimatesText(const RankedEffect& effect, const ParameterSet& online,
+                          const DynamicModel& model);
+
+/// How much an online estimate speaks against what the regression found [nats]; infinite where the
+/// two do not have the same parameters.
+double NatsAgainst(const RankedEffect& effect, const ParameterSet& online,
+                   const DynamicModel& model);
+
+/// Two ways through the same data, the fit that chose an effect and the online estimator, find the
+/// same coefficients where the effect is what acts. Where it stands in for something else, what
+/// each finds depends on its weights (Hausman, Specification tests in econometrics, 1978).
+/// @returns what differs by more than three sigma and a third of itself; empty if they agree
+std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
+                         const DynamicModel& model, const AttributionOptions& options);
+
 }  // namespace odmc

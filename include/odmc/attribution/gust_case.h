@@ -1,0 +1,42 @@
+#pragma once
+
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "odmc/analysis/prediction.h"
+#include "odmc/attribution/attribution_options.h"
+#include "odmc/attribution/gust_test.h"
+#include "odmc/attribution/ranked_effect.h"
+#include "odmc/attribution/stage.h"
+#include "odmc/model/parameter_set.h"
+#include "odmc/sensing/samples.h"
+
+namespace odmc {
+
+/// The case for gusts, and the values of the drag that goes with them.
+struct GustCase {
+  RankedEffect ranked;
+  GustTest test;
+  std::map<std::string, ParameterSetting> known;  ///< what it is known of others, by full name
+};
+
+/// The case for gusts behind what a model leaves; they vary, so that no fixed regressor shows them.
+/// @param left what the model leaves of the wrench (N×6)
+/// @param declared the online estimate without effects added
+GustCase RankGusts(const ResidualModel& residual, const Stage& stage,
+                   const ResidualModel::Wrenches& left, const ParameterSet& declared);
+
+/// True if a slow disturbance of the force is the wind's doing rather than any other's.
+bool IsGusty(const GustCase& gusts, const AttributionOptions& options);
+
+/// Gusts as a Kalman filter predicts them, each from before the sample's own filter window. (The
+/// estimator's window takes a parameter for constant over its length and lags by half of that.)
+/// @pre the model has the effect `gust`
+ValueVariation PredictedGusts(const FlightLog& log, const Vehicle& file_vehicle,
+                              const DynamicModel& model, const ModelValues& estimate,
+                              const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
+                              bool with_torque);
+
+}  // namespace odmc

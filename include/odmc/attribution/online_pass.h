@@ -1,0 +1,41 @@
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <vector>
+
+#include "odmc/analysis/prediction.h"
+#include "odmc/analysis/replay.h"
+#include "odmc/attribution/residual.h"
+#include "odmc/estimator/options.h"
+#include "odmc/model/dynamic_model.h"
+#include "odmc/model/parameter_set.h"
+#include "odmc/sensing/samples.h"
+
+namespace odmc {
+
+/// What a prediction misses at one sample: of force [N] and torque [N m], in the vehicle file's
+/// body axes.
+struct Miss {
+  double t_s, speed_m_s;
+  Eigen::Vector3d force, torque;
+};
+
+/// One pass of the online estimator, which does not see the blocks held out, with what its last
+/// estimate misses of everything.
+struct OnlinePass {
+  ReplayResult replay;  ///< without its history and timing
+  ParameterSet parameters;
+  std::vector<Miss> misses;
+  PredictionFigures held_out;  ///< on blocks held out
+};
+
+/// @param file_vehicle the vehicle file as it is: measured forces and torques come from it
+/// @param progress gets the share done
+/// @returns nothing if the vehicle never flies as the model has it
+std::optional<OnlinePass> RunOnline(const FlightLog& log, const Vehicle& file_vehicle,
+                                    const DynamicModel& model, const EstimatorOptions& options,
+                                    const BlockSplit& blocks,
+                                    const std::function<void(double)>& progress);
+
+}  // namespace odmc

@@ -1,0 +1,147 @@
+#include "odmc/attribution/gust_case.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "odmc/model/dynamic_model.h"
+
+namespace odmc {
+namespace {
+
+constexpr double kSlightestGust_m_s = 0.1;  // slighter ones through much drag are a force, no wind
+constexpr double kTooLarge = 4.0;           // natural sizes
+
+/// How the predicted wrench answers the wind of an effect.
+WindDerivatives ByWind(const ResidualModel& residual, const DynamicModel& model,
+                       const ModelValues& values, const std::string& effect) {
+  WindDerivatives d_wind;
+  for (int k = 0; k < 3; ++k) {
+    d_wind[k] = residual.Derivative(model, values, model.IndexOf(effect + ".w_" + "xyz"[k]));
+  }
+  return d_wind;
+}
+
+/// The coefficients that shape how the wrench answers wind.
+std::vector<DragCoefficient> DragOf(const ResidualModel& residual, const DynamicModel& model,
+                                    const ModelValues& values, const WindDerivatives& d_wind) {
+  constexpr double kDifference = 0.1;  // of a natural size
+  constexpr double kMatters = 0.01;    // a natural size changes the answer by this share
+  const auto size = [](const WindDerivatives& d) {
+    double sum = 0.0;
+    for (const ResidualModel::Wrenches& along : d) sum += along.leftCols<3>().squaredNorm();
+    return std::sqrt(sum);
+  };
+  std::vector<DragCoefficient> drag;
+  for (size_t i = 0; i < model.parameters().size(); ++i) {
+    const ModelParameter& parameter = model.parameters()[i];
+    const ParameterSpec& spec = parameter.spec;
+    const int index = static_cast<int>(i);
+    if (!parameter.estimated || parameter.effect == "wind") continue;
+    if (spec.initial_state || spec.prior_sigma <= 0.0) continue;
+    ModelValues moved = values;
+    moved[index] += kDifference * spec.prior_sigma;
+    DragCoefficient c;
+    c.index = index;
+    c.natural_size = spec.prior_sigma;
+    c.d_wind = ByWind(residual, model, moved, "wind");
+    for (int k = 0; k < 3; ++k) c.d_wind[k] = (c.d_wind[k] - d_wind[k]) / kDifference;
+    if (size(c.d_wind) < kMatters * size(d_wind)) continue;
+    c.d_wrench = spec.prior_sigma * residual.Derivative(model, values, index);
+    const double to_zero = -values[index] / spec.prior_sigma;
+    c.least = spec.sign == PhysicalSign::kPositive ? std::min(0.0, to_zero) : -kTooLarge;
+    c.most = spec.sign == PhysicalSign::kNegative ? std::max(0.0, to_zero) : kTooLarge;
+    drag.push_back(std::move(c));
+  }
+  return drag;
+}
+
+/// Estimated parameters that change the force.
+std::vector<std::string> ActingOnForce(const ResidualModel& residual, const DynamicModel& model,
+                                       const ModelValues& values) {
+  std::vector<std::string> names;
+  for (int i = 0; i < model.num_parameters(); ++i) {
+    const ModelParameter& p = model.parameters()[i];
+    if (!p.estimated || p.spec.initial_state || p.effect == "wind") continue;
+    if (residual.Derivative(model, values, i).leftCols<3>().isZero()) continue;
+    names.push_back(p.full_name);
+  }
+  return names;
+}
+
+}  // namespace
+
+GustCase RankGusts(const ResidualModel& residual, const Stage& stage,
+                   const ResidualModel::Wrenches& left, const ParameterSet& declared) {
+  Vehicle airy = stage.vehicle;
+  const bool has_wind =
+      std::find(airy.effects.begin(), airy.effects.end(), "wind") != airy.effects.end();
+  if (!has_wind) airy.effects.push_back("wind");
+  const DynamicModel model(airy, airy.effects);
+  const ModelValues values = ValuesOf(model, stage.values);
+  const WindDerivatives d_wind = ByWind(residual, model, values, "wind");
+  const std::vector<DragCoefficient> drag = DragOf(residual, model, values, d_wind);
+  GustCase gusts;
+  gusts.test = TestGusts(residual.flight(), left, d_wind, drag);
+  const GustTest& gust = gusts.test;
+  // The mean of gusts over a few correlation times is not zero, and looks like all that acts on the
+  // force: the estimate without them says more of it.
+  for (const std::string& name : ActingOnForce(residual, model, values)) {
+    const ParameterEstimate* p = declared.Find(name);
+    if (p == nullptr || !p->estimated || !(p->sigma > 0.0)) continue;
+    gusts.known[name] = {p->value, p->sigma, {}};
+  }
+  for (Eigen::Index i = 0; i < gust.drag.size(); ++i) {
+    const DragCoefficient& c = drag[i];
+    gusts.known[model.parameters()[c.index].full_name] = {
+        values[c.index] + gust.drag[i] * c.natural_size, gust.drag_sigma[i] * c.natural_size, {}};
+  }
+  RankedEffect& ranked = gusts.ranked;
+  ranked.name = "gust";
+  ranked.score = gust.gain;
+  ranked.settings = {{"gust.sigma", std::max(kSlightestGust_m_s, gust.sigma_m_s)},
+                     {"gust.vertical_sigma", std::max(0.01, gust.vertical_sigma_m_s)},
+                     {"gust.time_constant", std::max(0.1, gust.time_constant_s)}};
+  for (const auto& [name, value] : ranked.settings) {
+    ranked.parameters.push_back(
+        {name, name == "gust.time_constant" ? "s" : "m/s", value, 0.0, false, false});
+  }
+  return gusts;
+}
+
+bool IsGusty(const GustCase& gusts, const AttributionOptions& options) {
+  return gusts.test.sigma_m_s > kSlightestGust_m_s &&
+         gusts.test.gain > -std::log(options.false_alarm_rate) + options.gust_price &&
+         gusts.test.over_others > -std::log(options.false_alarm_rate);
+}
+
+ValueVariation PredictedGusts(const FlightLog& log, const Vehicle& file_vehicle,
+                              const DynamicModel& model, const ModelValues& estimate,
+                              const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
+                              bool with_torque) {
+  constexpr int kAhead = 3;  // samples of 40 ms
+  const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), ground_spans), {2.5, 1},
+                             file_vehicle.odometry.q_BS.toRotationMatrix());
+  const ResidualModel residual(&flight, &file_vehicle, with_torque);
+  ModelValues still = estimate;
+  std::array<int, 3> w{};
+  for (int k = 0; k < 3; ++k) {
+    w[k] = model.IndexOf(std::string("gust.w_") + "xyz"[k]);
+    still[w[k]] = 0.0;
+  }
+  const std::vector<Eigen::Vector3d> wind =
+      PredictGusts(flight, residual.Residual(model, still), ByWind(residual, model, still, "gust"),
+                   {estimate[model.IndexOf("gust.sigma")], estimate[model.IndexOf("gust.sigma")],
+                    estimate[model.IndexOf("gust.vertical_sigma")]},
+                   estimate[model.IndexOf("gust.time_constant")], kAhead);
+  std::vector<double> times;
+  times.reserve(static_cast<size_t>(flight.size()));
+  for (int i = 0; i < flight.size(); ++i) times.push_back(flight.sample(i).t_s);
+  return [wind, times, w](double t_s, ModelValues* values) {
+    const auto it = std::upper_bound(times.begin(), times.end(), t_s + 1e-6);
+    for (int k = 0; k < 3; ++k) {
+      (*values)[w[k]] = it == times.begin() ? 0.0 : wind[it - times.begin() - 1][k];
+    }
+  };
+}
+
+}  // namespace odmc

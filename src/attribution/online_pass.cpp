@@ -1,0 +1,40 @@
+#include "odmc/attribution/online_pass.h"
+
+#include "odmc/attribution/gust_case.h"
+#include "odmc/estimator/estimator.h"
+
+namespace odmc {
+
+std::optional<OnlinePass> RunOnline(const FlightLog& log, const Vehicle& file_vehicle,
+                                    const DynamicModel& model, const EstimatorOptions& options,
+                                    const BlockSplit& blocks,
+                                    const std::function<void(double)>& progress) {
+  OnlinePass pass;
+  const bool with_torque = !log.rotor_rms_only;
+  Estimator estimator(&model, options, with_torque);
+  const Stamp first = log.odometry.empty() ? 0 : log.odometry.front().stamp;
+  estimator.SetHeldOut([=](Stamp stamp) { return blocks.IsHeldOut(ToSeconds(stamp - first)); });
+  pass.replay = Replay(log, &estimator, progress);
+  pass.replay.history = {};
+  pass.replay.timing = {};
+  if (!pass.replay.last) return std::nullopt;
+  pass.parameters = Estimator::ToParameterSet(model, *pass.replay.last);
+  const ModelValues& values = pass.replay.last->values;
+  const ValueVariation vary =
+      !model.processes().empty()
+          ? PredictedGusts(log, file_vehicle, model, values, pass.replay.ground_spans, with_torque)
+          : ValueVariation();
+  std::vector<PredictionSample> unseen;
+  PredictEach(log, file_vehicle, model, values, pass.replay.ground_spans, vary,
+              [&](const PredictionSample& s) {
+                pass.misses.push_back({s.t_s, s.speed_m_s, s.measured_force - s.predicted_force,
+                                       s.measured_torque - s.predicted_torque});
+                if (!blocks.IsHeldOut(s.t_s)) return;
+                unseen.push_back(s);
+                unseen.back().effects = {};
+              });
+  pass.held_out = SummarisePrediction(unseen, with_torque, file_vehicle, model, values);
+  return pass;
+}
+
+}  // namespace odmc
