@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <fstream>
@@ -38,6 +39,151 @@ Json Share(int count, int of) { return of == 0 ? Json(nullptr) : Json(double(cou
 
 bool Contains(const Json& list, const std::string& name) {
   return std::find(list.begin(), list.end(), Json(name)) != list.end();
+}
+
+/// What a report finds, held against the answers of all flights.
+class Score {
+ public:
+  /// @param answer the flight's of truth.json
+  /// @param report what close_loop says of it
+  void Count(const Json& answer, const Json& report);
+  void Print();
+  /// @param seconds what close_loop took, or null
+  Json ToJson(const Json& seconds);
+
+ private:
+  /// @returns true if the class is right
+  bool CountEffect(const Json& answer, const Json& report);
+  void CountTwo(const Json& answer, const std::vector<std::string>& found);
+  void GatherRatios(const Json& answer, const Json& report, Tally* tally) const;
+
+  std::map<std::string, Tally> tallies_;
+  int flights_ = 0, null_flights_ = 0, false_alarms_ = 0;
+  int unknown_ = 0, called_unexplained_ = 0, two_ = 0, both_of_two_ = 0;
+  Json mistakes_ = Json::array();
+};
+
+constexpr std::array<const char*, 3> kStrengths = {"strong", "medium", "weak"};
+
+std::vector<std::string> NamesIn(const Json& report) {
+  std::vector<std::string> names;
+  for (const Json& effect : report["effects"]) names.push_back(effect["name"]);
+  return names;
+}
+
+void Score::Count(const Json& answer, const Json& report) {
+  const std::string verdict = report["verdict"], right = answer["right_answer"];
+  bool correct = verdict == right;
+  ++flights_;
+  if (right == "none") {
+    ++null_flights_;
+    if (!correct) ++false_alarms_;
+  } else if (right == "unexplained") {
+    ++unknown_;
+    if (correct) ++called_unexplained_;
+  } else {
+    correct = CountEffect(answer, report);
+  }
+  if (correct) return;
+  mistakes_.push_back({{"flight", answer["flight"]},
+                       {"right", right},
+                       {"effects", answer["effects"]},
+                       {"strength", answer["strength"]},
+                       {"share", answer["share"]},
+                       {"trajectory", answer["trajectory"]},
+                       {"verdict", verdict},
+                       {"found", NamesIn(report)}});
+}
+
+bool Score::CountEffect(const Json& answer, const Json& report) {
+  Tally& tally = tallies_[answer["strength"]];
+  const Json& effects = answer["effects"];
+  const std::vector<std::string> found = NamesIn(report);
+  const bool first = !found.empty() && Contains(effects, found[0]);
+  bool in_class = first, in_two = first;
+  if (!found.empty()) {
+    for (const Json& other : report["effects"][0]["alternatives"]) {
+      in_class = in_class || Contains(effects, other);
+    }
+  }
+  if (found.size() > 1) in_two = in_two || Contains(effects, found[1]);
+  if (found.size() < 2 && report["ranking"].size() > 1) {
+    in_two = in_two || Contains(effects, report["ranking"][1]["name"]);
+  }
+  ++tally.flights;
+  tally.top1 += first;
+  tally.top2 += in_two;
+  tally.class_top1 += in_class;
+  CountTwo(answer, found);
+  if (report["verdict"] == "effect") GatherRatios(answer, report, &tally);
+  return in_class;
+}
+
+void Score::CountTwo(const Json& answer, const std::vector<std::string>& found) {
+  if (answer["effects"].size() < 2) return;
+  const auto hits = std::count_if(found.begin(), found.end(), [&](const std::string& name) {
+    return Contains(answer["effects"], name);
+  });
+  ++two_;
+  both_of_two_ += hits >= 2;
+}
+
+void Score::GatherRatios(const Json& answer, const Json& report, Tally* tally) const {
+  const auto gather = [&](const std::string& quantity, int from, std::vector<double>* into) {
+    const Json& before = report[quantity + "_rmse_before"];
+    const Json& after = report[quantity + "_rmse_after"];
+    for (int axis = 0; axis < 3 && !before.is_null(); ++axis) {
+      const double share = answer["axis_share"][from + axis];
+      if (share < 0.25 || share > 0.99) continue;
+      const double ratio = after[axis].get<double>() / before[axis].get<double>();
+      into->push_back(ratio / std::sqrt(1.0 - share));
+    }
+  };
+  gather("force", 0, &tally->over_best);
+  gather("force", 0, &tally->over_best_torque);
+  // The torque's own RMSE keeps the file's inertia, which no effect makes right.
+  gather("angular_acceleration", 3, &tally->over_best);
+  gather("torque", 3, &tally->over_best_torque);
+}
+
+void Score::Print() {
+  std::printf("%-10s %8s %8s %8s %12s %16s\n", "strength", "flights", "top-1", "top-2",
+              "class top-1", "after/best");
+  for (const char* strength : kStrengths) {
+    const Tally& t = tallies_[strength];
+    const double of = std::max(1, t.flights);
+    std::printf("%-10s %8d %7.0f%% %7.0f%% %11.0f%% %16.2f\n", strength, t.flights,
+                100.0 * t.top1 / of, 100.0 * t.top2 / of, 100.0 * t.class_top1 / of,
+                odmc::Median(t.over_best));
+  }
+  std::printf("false alarms %d of %d, unexplained %d of %d, both of two effects %d of %d\n",
+              false_alarms_, null_flights_, called_unexplained_, unknown_, both_of_two_, two_);
+  for (const Json& m : mistakes_) std::cout << m.dump() << "\n";
+}
+
+Json Score::ToJson(const Json& seconds) {
+  const auto of_each = [&](const auto& figure) {
+    Json figures = Json::object();
+    for (const char* strength : kStrengths) figures[strength] = figure(tallies_[strength]);
+    return figures;
+  };
+  const auto median = [](const std::vector<double>& values) {
+    return values.empty() ? Json(nullptr) : Json(odmc::Median(values));
+  };
+  Json score;
+  score["top1"] = of_each([](const Tally& t) { return Share(t.top1, t.flights); });
+  score["top2"] = of_each([](const Tally& t) { return Share(t.top2, t.flights); });
+  score["class_top1"] = of_each([](const Tally& t) { return Share(t.class_top1, t.flights); });
+  score["false_alarm"] = Share(false_alarms_, null_flights_);
+  score["unexplained_recall"] = Share(called_unexplained_, unknown_);
+  score["after_over_before"] = of_each([&](const Tally& t) { return median(t.over_best); });
+  score["after_over_before_with_torque_rmse"] =
+      of_each([&](const Tally& t) { return median(t.over_best_torque); });
+  score["both_of_two"] = Share(both_of_two_, two_);
+  score["flights"] = flights_;
+  score["seconds"] = seconds;
+  score["mistakes"] = mistakes_;
+  return score;
 }
 
 }  // namespace
@@ -91,110 +237,13 @@ int main(int argc, char** argv) {
         std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 
     // Only from here on the answers are looked at.
-    const Json truth = ReadJson(tools::In(folder, "truth.json"));
-    std::map<std::string, Tally> tallies;
-    int null_flights = 0, false_alarms = 0, unknown = 0, called_unexplained = 0, two = 0, both = 0;
-    Json mistakes = Json::array();
-    for (const Json& answer : truth) {
+    Score score;
+    for (const Json& answer : ReadJson(tools::In(folder, "truth.json"))) {
       const std::string name = answer["flight"];
-      const Json report = ReadJson(tools::In(results, name + ".json"));
-      const std::string verdict = report["verdict"], right = answer["right_answer"];
-      std::vector<std::string> found;
-      for (const Json& effect : report["effects"]) found.push_back(effect["name"]);
-      bool correct = verdict == right;
-      if (right == "none") {
-        ++null_flights;
-        if (verdict != "none") ++false_alarms;
-      } else if (right == "unexplained") {
-        ++unknown;
-        if (correct) ++called_unexplained;
-      } else {
-        Tally& tally = tallies[answer["strength"]];
-        const bool two_effects = answer["effects"].size() > 1;
-        ++tally.flights;
-        const bool first = !found.empty() && Contains(answer["effects"], found[0]);
-        bool in_class = first, in_two = first;
-        if (!found.empty()) {
-          for (const Json& other : report["effects"][0]["alternatives"]) {
-            in_class = in_class || Contains(answer["effects"], other);
-          }
-        }
-        for (size_t i = 1; i < found.size() && i < 2; ++i) {
-          in_two = in_two || Contains(answer["effects"], found[i]);
-        }
-        if (found.size() < 2 && report["ranking"].size() > 1 && !first) {
-          in_two = in_two || Contains(answer["effects"], report["ranking"][1]["name"]);
-        }
-        tally.top1 += first;
-        tally.top2 += in_two;
-        tally.class_top1 += in_class;
-        correct = in_class;
-        if (two_effects) {
-          ++two;
-          int hits = 0;
-          for (const std::string& f : found) hits += Contains(answer["effects"], f);
-          both += hits >= 2;
-        }
-        const auto gather = [&](const std::string& quantity, int from, std::vector<double>* into) {
-          const Json& before = report[quantity + "_rmse_before"];
-          const Json& after = report[quantity + "_rmse_after"];
-          for (int axis = 0; axis < 3 && verdict == "effect" && !before.is_null(); ++axis) {
-            const double share = answer["axis_share"][from + axis];
-            if (share < 0.25 || share > 0.99) continue;
-            const double ratio = after[axis].get<double>() / before[axis].get<double>();
-            into->push_back(ratio / std::sqrt(1.0 - share));
-          }
-        };
-        gather("force", 0, &tally.over_best);
-        gather("force", 0, &tally.over_best_torque);
-        // The torque's own RMSE keeps the file's inertia, which no effect makes right.
-        gather("angular_acceleration", 3, &tally.over_best);
-        gather("torque", 3, &tally.over_best_torque);
-      }
-      if (!correct) {
-        mistakes.push_back({{"flight", name},
-                            {"right", right},
-                            {"effects", answer["effects"]},
-                            {"strength", answer["strength"]},
-                            {"share", answer["share"]},
-                            {"trajectory", answer["trajectory"]},
-                            {"verdict", verdict},
-                            {"found", found}});
-      }
+      score.Count(answer, ReadJson(tools::In(results, name + ".json")));
     }
-    Json score;
-    Json top1 = Json::object(), top2 = top1, class_top1 = top1, over = top1, over_torque = top1;
-    std::printf("%-10s %8s %8s %8s %12s %16s\n", "strength", "flights", "top-1", "top-2",
-                "class top-1", "after/best");
-    for (const char* strength : {"strong", "medium", "weak"}) {
-      const Tally& t = tallies[strength];
-      top1[strength] = Share(t.top1, t.flights);
-      top2[strength] = Share(t.top2, t.flights);
-      class_top1[strength] = Share(t.class_top1, t.flights);
-      const auto median = [](const std::vector<double>& values) {
-        return values.empty() ? Json(nullptr) : Json(Median(values));
-      };
-      over[strength] = median(t.over_best);
-      over_torque[strength] = median(t.over_best_torque);
-      const double of = std::max(1, t.flights);
-      std::printf("%-10s %8d %7.0f%% %7.0f%% %11.0f%% %16.2f\n", strength, t.flights,
-                  100.0 * t.top1 / of, 100.0 * t.top2 / of, 100.0 * t.class_top1 / of,
-                  Median(t.over_best));
-    }
-    std::printf("false alarms %d of %d, unexplained %d of %d, both of two effects %d of %d\n",
-                false_alarms, null_flights, called_unexplained, unknown, both, two);
-    score["top1"] = top1;
-    score["top2"] = top2;
-    score["class_top1"] = class_top1;
-    score["false_alarm"] = Share(false_alarms, null_flights);
-    score["unexplained_recall"] = Share(called_unexplained, unknown);
-    score["after_over_before"] = over;
-    score["after_over_before_with_torque_rmse"] = over_torque;
-    score["both_of_two"] = Share(both, two);
-    score["flights"] = truth.size();
-    score["seconds"] = rescore ? Json(nullptr) : Json(seconds);
-    score["mistakes"] = mistakes;
-    WriteText(score.dump(2) + "\n", tools::In(folder, "score.json"));
-    for (const Json& m : mistakes) std::cout << m.dump() << "\n";
+    score.Print();
+    WriteText(score.ToJson(rescore ? Json(nullptr) : Json(seconds)).dump(2) + "\n",
+              tools::In(folder, "score.json"));
   });
 }
