@@ -1,6 +1,7 @@
 #include "odmc/actuator/thrust_stand.h"
 
 #include <Eigen/Dense>
+#include <algorithm>
 #include <cmath>
 
 #include "odmc/math/statistics.h"

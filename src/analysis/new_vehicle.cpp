@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "odmc/effects/effects.h"
+#include "odmc/math/rotation_between.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -311,8 +312,7 @@ class Maker {
       return Mark("odometry", "guessed", "the pose is taken for that of B");
     }
     SensorMount& mount = made_.vehicle.odometry;
-    mount.q_BS =
-        Eigen::Quaterniond::FromTwoVectors(fit_->balance->thrust_axis_S, Eigen::Vector3d::UnitZ());
+    mount.q_BS = RotationBetween(fit_->balance->thrust_axis_S, Eigen::Vector3d::UnitZ());
     mount.estimate = true;
     made_.vehicle.effects.push_back("odometry_extrinsics");
     Mark("odometry", "found",

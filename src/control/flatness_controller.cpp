@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "odmc/control/flat_inputs.h"
+#include "odmc/math/rotation_between.h"
 #include "odmc/math/so3.h"
 
 namespace odmc {
@@ -17,7 +18,7 @@ const Eigen::Vector3d kUp = Eigen::Vector3d::UnitZ();
 // Level, with the heading of `q_WB`, along the vertical of `g_W`.
 Eigen::Quaterniond Levelled(const Eigen::Quaterniond& q_WB, const Eigen::Vector3d& g_W) {
   const Eigen::Vector3d z_B = q_WB * kUp;
-  return Eigen::Quaterniond::FromTwoVectors(z_B, -g_W) * q_WB;
+  return RotationBetween(z_B, -g_W) * q_WB;
 }
 
 // Body state from a pose and a twist of the sensor's frame.                   model.md section 1

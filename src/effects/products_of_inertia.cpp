@@ -1,3 +1,5 @@
+#include <algorithm>
+
 #include "odmc/effects/effects.h"
 
 namespace odmc {

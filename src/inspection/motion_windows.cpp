@@ -1,5 +1,6 @@
 #include "motion_windows.h"
 
+#include <algorithm>
 #include <cmath>
 
 namespace odmc {

@@ -8,6 +8,7 @@
 
 #include "odmc/inspection/stamp_checks.h"
 #include "odmc/inspection/time_offsets.h"
+#include "odmc/math/rotation_between.h"
 #include "odmc/model/frame_layout.h"
 
 namespace odmc {
@@ -210,8 +211,7 @@ VehicleFit FitVehicle(FlightLog log, const Vehicle& nominal) {
                                          [](const Finding& f) { return f.check == "body_lean"; });
   Vehicle upright = nominal;
   if (fit.leans) {
-    upright.odometry.q_BS =
-        Eigen::Quaterniond::FromTwoVectors(fit.balance->thrust_axis_S, Eigen::Vector3d::UnitZ());
+    upright.odometry.q_BS = RotationBetween(fit.balance->thrust_axis_S, Eigen::Vector3d::UnitZ());
   }
   FitRotors(log, upright, &fit);
   FitInertia(*signals, flight, upright, &fit);

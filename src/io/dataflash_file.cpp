@@ -1,5 +1,6 @@
 #include "dataflash_file.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <limits>

@@ -1,5 +1,6 @@
 #include "odmc/model/vehicle_units.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdio>

@@ -6,6 +6,8 @@
 #include <stdexcept>
 #include <string>
 
+#include "odmc/math/rotation_between.h"
+
 namespace odmc {
 namespace {
 
@@ -104,7 +106,7 @@ void World::Place() {
   state_.rotor_speed = RotorVector::Zero(lost_.size());
   if (options_.start_height_m > 0.0) {
     state_.p_WB.z() = options_.start_height_m;
-    state_.q_WB.setFromTwoVectors(Eigen::Vector3d::UnitZ(), -body_.properties().g_W);
+    state_.q_WB = RotationBetween(Eigen::Vector3d::UnitZ(), -body_.properties().g_W);
     state_.rotor_speed = HoverSpeeds();
   }
   asked_ = state_.rotor_speed;

@@ -1,5 +1,7 @@
 #include <gtest/gtest.h>
 
+#include <stdexcept>
+
 #include "odmc/analysis/history.h"
 
 namespace odmc {

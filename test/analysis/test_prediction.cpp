@@ -1,5 +1,8 @@
 #include <gtest/gtest.h>
 
+#include <cmath>
+#include <stdexcept>
+
 #include "odmc/analysis/calibration.h"
 #include "odmc/analysis/ground_spans.h"
 #include "odmc/analysis/prediction.h"

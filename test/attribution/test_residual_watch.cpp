@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <limits>
+#include <stdexcept>
 
 #include "odmc/attribution/residual_watch.h"
 #include "odmc/bench/undeclared.h"

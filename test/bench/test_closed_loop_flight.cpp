@@ -1,7 +1,9 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdio>
 #include <memory>
+#include <stdexcept>
 
 #include "odmc/bench/closed_loop_flight.h"
 #include "odmc/bench/experiments.h"

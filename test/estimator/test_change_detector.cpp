@@ -1,5 +1,7 @@
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 #include "odmc/estimator/change_detector.h"
 #include "odmc/math/gaussian.h"
 

@@ -2,6 +2,8 @@
 // marginalization, blocks of statistics, new biases.
 #include <gtest/gtest.h>
 
+#include <cstdio>
+
 #include "odmc/estimator/estimator.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"

@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <memory>
 #include <optional>
+#include <stdexcept>
 
 #include "odmc/factors/dynamics_factor.h"
 #include "odmc/factors/imu_factors.h"

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cmath>
 #include <random>
+#include <stdexcept>
 
 #include "odmc/fleet/fleet_flight_json.h"
 #include "odmc/fleet/joint_estimate.h"

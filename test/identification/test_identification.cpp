@@ -1,7 +1,9 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <random>
+#include <stdexcept>
 
 #include "odmc/actuator/free_run.h"
 #include "odmc/actuator/rotor_inertia.h"

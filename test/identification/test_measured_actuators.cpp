@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <stdexcept>
 
 #include "odmc/analysis/replay.h"
 #include "odmc/identification/actuator_calibration.h"

@@ -1,5 +1,8 @@
 #include <gtest/gtest.h>
 
+#include <cmath>
+#include <cstdio>
+
 #include "odmc/inspection/vehicle_fit.h"
 #include "odmc/io/flight_csv.h"
 #include "odmc/io/flight_reader.h"

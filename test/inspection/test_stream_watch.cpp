@@ -1,5 +1,7 @@
 #include <gtest/gtest.h>
 
+#include <stdexcept>
+
 #include "odmc/inspection/stream_watch.h"
 
 namespace odmc {

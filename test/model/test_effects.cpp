@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <set>
+#include <stdexcept>
 
 #include "odmc/effects/effects.h"
 #include "odmc/factors/dynamics_factor.h"

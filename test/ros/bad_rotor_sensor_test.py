@@ -32,8 +32,7 @@ class BadRotorSensorTest(actuator_harness.ActuatorTest):
         self.assertIn(dead["rotor"], values["bad_rotor_sensors"])
 
     def test_bad_values_are_named(self):
-        find = ["catkin_find", "--first-only", "--libexec", "odmc", "estimator_node"]
-        program = subprocess.check_output(find, text=True).strip()
+        node = node_harness.program("estimator_node")
         vehicle = "_vehicle_file:=" + node_harness.VEHICLE
         for arguments, sentence in (
                 (["_rotor_speed_from:=magic"],
@@ -41,7 +40,7 @@ class BadRotorSensorTest(actuator_harness.ActuatorTest):
                 (["_rotor_speed_from:=commands"],
                  "parameter rotor_speed_from is commands, but the actuator is not known"),
                 (["_actuator:=/no/such.yaml"], "parameter actuator: /no/such.yaml")):
-            run = subprocess.run([program, vehicle, "__name:=refusing"] + arguments, text=True,
+            run = subprocess.run([node, vehicle, "__name:=refusing"] + arguments, text=True,
                                  capture_output=True, timeout=20, check=False)
             self.assertNotEqual(run.returncode, 0, arguments)
             self.assertIn(sentence, run.stdout + run.stderr)

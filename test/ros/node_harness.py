@@ -58,6 +58,12 @@ class Collector:
         return self.messages[-1]
 
 
+def program(name):
+    """Path of an executable of the build under test; rosrun passes over one below build/."""
+    find = ["catkin_find", "--first-only", "--libexec", "odmc", name]
+    return subprocess.check_output(find, text=True).strip()
+
+
 class NodeTest(unittest.TestCase):
     """A test with a folder and processes of its own."""
 
@@ -78,8 +84,7 @@ class NodeTest(unittest.TestCase):
     def make_bag(self, seconds, kind="plain"):
         """Simulates a flight; returns the bag and what make_test_bag says about it."""
         bag = self.file(kind + ".bag")
-        text = subprocess.check_output(
-            ["rosrun", "odmc", "make_test_bag", bag, str(seconds), kind])
+        text = subprocess.check_output([program("make_test_bag"), bag, str(seconds), kind])
         return bag, json.loads(text)
 
     def start(self, *command):
@@ -89,9 +94,7 @@ class NodeTest(unittest.TestCase):
 
     def start_node(self, name, *arguments, vehicle=VEHICLE):
         """estimator_node without rosrun between, so that signals and exit codes are its own."""
-        find = ["catkin_find", "--first-only", "--libexec", "odmc", "estimator_node"]
-        program = subprocess.check_output(find, text=True).strip()
-        process = self.start(program, "__name:=" + name, "_vehicle_file:=" + vehicle, *arguments)
+        process = self.start(program("estimator_node"), "__name:=" + name, "_vehicle_file:=" + vehicle, *arguments)
         return process
 
     def wait_for_node(self, topic):

@@ -78,9 +78,8 @@ class ShutdownTest(node_harness.NodeTest):
 
     def refusal(self, *arguments, vehicle=node_harness.VEHICLE):
         """What a node says that does not start."""
-        find = ["catkin_find", "--first-only", "--libexec", "odmc", "estimator_node"]
-        program = subprocess.check_output(find, text=True).strip()
-        command = [program, "__name:=refused", "_vehicle_file:=" + vehicle, *arguments]
+        command = [node_harness.program("estimator_node"), "__name:=refused", "_vehicle_file:=" + vehicle,
+                   *arguments]
         result = subprocess.run(command, stderr=subprocess.STDOUT, stdout=subprocess.PIPE,
                                 timeout=20, text=True, check=False)
         rospy.delete_param("/refused")

@@ -1,6 +1,7 @@
 #!/usr/bin/python3
-"""The include graph against the table of docs/layers.md."""
+"""The include graph against the table of docs/layers.md, and whether files include what they use."""
 
+import functools
 import os
 import re
 import unittest
@@ -15,6 +16,52 @@ PARTIES = {'Eigen': 'Eigen', 'unsupported': 'Eigen', 'boost': 'boost', 'yaml-cpp
            'ceres': 'ceres', 'nlohmann': 'nlohmann', 'CLI': 'CLI11', 'opencv2': 'opencv2',
            'urdf_model': 'urdf', 'urdf_parser': 'urdf', 'pybind11': 'pybind11'}
 SYSTEM = re.compile(r'[a-z_]+(\.h)?$|sys/|netinet/|linux/')
+
+# What CMakeLists.txt precompiles, by what uses it. With precompiled headers the compiler misses no include.
+USES = {
+    'Eigen/Cholesky': r'\.(ldlt|llt)\(|\bL[DL]*LT<',
+    'Eigen/Core': r'Eigen::',
+    'Eigen/Geometry': r'Eigen::(Quaterniond?|AngleAxisd?|Isometry3d|Translation3d)\b|\.cross\(',
+    'Eigen/LU': r'\.determinant\(|[pP]artialPivLU',
+    'Eigen/QR': r'[hH]ouseholderQ[rR]|ompleteOrthogonalDecomposition',
+    'algorithm': r'std::(sort|stable_sort|min|max|clamp|find_if|find|any_of|all_of|none_of|count_if|count|copy|fill|'
+                 r'transform|lower_bound|upper_bound|nth_element|remove_if|reverse|m[axin]+_element|unique|rotate)\(',
+    'array': r'std::array<',
+    'cmath': r'std::(sqrt|cbrt|abs|sin|cos|tan|atan2|atan|asin|acos|exp|log|log10|log2|pow|floor|ceil|round|lround|'
+             r'isfinite|isnan|hypot|fmod|tanh|erf|erfc|copysign|remainder)\(',
+    'cstdint': r'std::u?int(8|16|32|64)_t\b',
+    'cstdio': r'std::(printf|fprintf|snprintf|sscanf|puts|fputs|fopen|fclose|fflush|remove|FILE)\b',
+    'deque': r'std::deque<',
+    'filesystem': r'std::filesystem\b',
+    'fstream': r'std::[io]?fstream\b',
+    'functional': r'std::(function<|hash<|greater<|less<|bind\(|c?ref\()',
+    'gtest/gtest.h': r'\bTEST(_F|_P)?\(',
+    'limits': r'std::numeric_limits',
+    'map': r'std::(multi)?map<',
+    'memory': r'std::(unique_ptr|shared_ptr|weak_ptr|make_unique|make_shared)\b',
+    'optional': r'std::(optional|nullopt|make_optional)\b',
+    'ros/node_handle.h': r'ros::(Private)?NodeHandle\b',
+    'set': r'std::(multi)?set<',
+    'stdexcept': r'std::(runtime_error|invalid_argument|logic_error|out_of_range|domain_error|length_error)\b',
+    'string': r'std::(string|to_string|stod|stoi|getline)\b',
+    'string_view': r'std::string_view',
+    'variant': r'std::(variant|visit|get_if|holds_alternative|monostate)\b',
+    'vector': r'std::vector<',
+}
+# What headers are known to bring with them.
+BRINGS = {
+    'Eigen/Cholesky': ['Eigen/Core'],
+    'Eigen/Dense': ['Eigen/Cholesky', 'Eigen/Core', 'Eigen/Geometry', 'Eigen/LU', 'Eigen/QR'],
+    'Eigen/Eigenvalues': ['Eigen/Cholesky', 'Eigen/Core', 'Eigen/Geometry', 'Eigen/LU'],
+    'Eigen/Geometry': ['Eigen/Cholesky', 'Eigen/Core', 'Eigen/LU', 'Eigen/QR'],
+    'Eigen/LU': ['Eigen/Core'],
+    'Eigen/QR': ['Eigen/Cholesky', 'Eigen/Core'],
+    'Eigen/SVD': ['Eigen/Cholesky', 'Eigen/Core', 'Eigen/QR'],
+    'filesystem': ['string'], 'fstream': ['string'], 'iostream': ['string'], 'sstream': ['string'],
+    'gtest/gtest.h': ['limits', 'map', 'memory', 'set', 'string', 'vector'],
+    'ros/ros.h': ['ros/node_handle.h'],
+    'stdexcept': ['string'], 'string': ['string_view'],
+}
 
 
 def read_layers(table: str) -> List[Tuple[str, List[str], Set[str]]]:
@@ -38,6 +85,7 @@ def sources() -> Iterator[str]:
                     yield os.path.join(folder, name)
 
 
+@functools.lru_cache(maxsize=None)
 def includes(path: str) -> List[str]:
     """What a file includes, as it is written."""
     with open(path, encoding='utf-8') as file:
@@ -52,7 +100,7 @@ def room_of(path: str) -> str:
 
 def resolve(path: str, include: str) -> Optional[str]:
     """File of the package that an include names; None where it names a foreign one."""
-    for folder in (os.path.dirname(path), os.path.join(ROOT, 'include'), os.path.join(ROOT, 'src', 'tools')):
+    for folder in (os.path.dirname(path), *(os.path.join(ROOT, f) for f in ('include', 'src/tools', 'test'))):
         file = os.path.normpath(os.path.join(folder, include))
         if os.path.isfile(file):
             return file
@@ -104,6 +152,54 @@ def closure(path: str) -> Set[str]:
                 seen.add(target)
                 todo.append(target)
     return seen
+
+
+def missing(path: str, text: str) -> List[str]:
+    """Headers of USES that a file uses and neither includes nor gets from another of the package."""
+    have: Set[str] = {match[1] for match in INCLUDE.findall(text)}
+    for own in [file for file in (resolve(path, name) for name in sorted(have)) if file]:
+        for file in {own} | closure(own):
+            have.update(includes(file))
+    todo = list(have)
+    while todo:
+        brought = set(BRINGS.get(todo.pop(), ())) - have
+        have |= brought
+        todo += brought
+    code = re.sub(r'//.*', '', text)
+    return [header for header, use in USES.items() if header not in have and re.search(use, code)]
+
+
+class Includes(unittest.TestCase):
+    """Every file compiles without the precompiled headers."""
+
+    def test_files_include_what_they_use(self) -> None:
+        """No file uses a header that only the precompiled ones bring."""
+        tests = [os.path.join(folder, name) for folder, _, names in os.walk(os.path.join(ROOT, 'test'))
+                 for name in names if name.endswith(('.h', '.cpp'))]
+        found = []
+        for path in [*sources(), *tests]:
+            with open(path, encoding='utf-8') as file:
+                found += [f'{os.path.relpath(path, ROOT)} lacks <{h}>' for h in missing(path, file.read())]
+        self.assertEqual([], found)
+
+    def test_a_missing_include_is_seen(self) -> None:
+        """Each line of a source with includes taken away is found, and comments are not."""
+        path = os.path.join(ROOTS[1], 'nowhere', 'nothing.cpp')
+        text = '#include <vector>\nstd::vector<double> a; // std::map<int, int>\n'
+        self.assertEqual([], missing(path, text))
+        self.assertEqual(['vector'], missing(path, text.replace('#include', '//')))
+        self.assertEqual(['cmath', 'map'], missing(path, text + 'std::map<int, double> b = std::abs(a);'))
+        self.assertEqual(['Eigen/Cholesky'], missing(path, '#include <Eigen/Core>\nA.ldlt().solve(b);'))
+
+    def test_every_precompiled_header_is_known(self) -> None:
+        """What CMake precompiles is in USES, but what one header of ROS or nothing but types is."""
+        with open(os.path.join(ROOT, 'CMakeLists.txt'), encoding='utf-8') as file:
+            text = file.read()
+        common = re.search(r'set\(common_headers ([^)]*)\)', text)
+        self.assertIsNotNone(common)
+        names = re.findall(r'<([^>]+)>', common[1] if common else '')
+        self.assertGreater(len(names), 10)
+        self.assertEqual([], [name for name in names if name not in USES and name != 'utility'])
 
 
 class Layers(unittest.TestCase):
