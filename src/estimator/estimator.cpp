@@ -13,6 +13,7 @@ namespace {
 constexpr int kMostLeaving = 20;      // keyframes an update after learning
 constexpr double kSettled_s = 1.0;    // age at which an interval's residual is looked at
 constexpr double kMostHeld_s = 2.0;   // that the window grows while contact is suspected
+constexpr double kMostRoom = 1e5;     // keyframes
 constexpr double kWalkEvery_s = 0.1;  // of flight that has left the window
 
 /// Newest keyframes whose factors change after they were added: averages of rotor accelerations
@@ -20,6 +21,13 @@ constexpr double kWalkEvery_s = 0.1;  // of flight that has left the window
 int FreshKeyframes(const DynamicModel& model, const EstimatorOptions& options) {
   if (!model.takes_rotor_rates()) return 0;
   return static_cast<int>(std::ceil(0.5 * kRotorRatesWindow_s * options.keyframe_rate_hz));
+}
+
+/// In the window of a flight without contact; 0 for options that are refused anyway.
+int MostKeyframes(const EstimatorOptions& options) {
+  const double longest_s = std::max(options.window_s, LearningSchedule::kLearning_s);
+  const double keyframes = std::ceil(longest_s * options.keyframe_rate_hz) + 2.0;
+  return keyframes > 0.0 && keyframes < kMostRoom ? static_cast<int>(keyframes) : 0;
 }
 
 std::unique_ptr<WindowSolver> MakeSolver(const EstimatorOptions& options,
@@ -32,6 +40,7 @@ std::unique_ptr<WindowSolver> MakeSolver(const EstimatorOptions& options,
     return std::make_unique<EliminationWindowSolver>(3 + fresh);
   }
   IncrementalOptions incremental;
+  incremental.room_for_keyframes = MostKeyframes(options);
   incremental.recent_keyframes += fresh;
   // Form E ties positions to the force twice integrated, a hundred times tighter than odometry.
   if (options.dynamics_form == "euler") {
@@ -75,6 +84,7 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
       residuals_(options.window_s, with_torque) {
   std::string error;
   if (!options.IsValid(&error)) throw std::invalid_argument(error);
+  window_.keyframes().Reserve(static_cast<size_t>(MostKeyframes(options)));
   const int k_f = model->IndexOf("thrust.k_f");
   if (with_torque && k_f >= 0) window_.SetAnchorEntry(layout_.EntryOf(k_f));
   uncertainty_.SetWalking(Walking(options, *model, layout_));
@@ -250,6 +260,7 @@ void Estimator::StartAnew() {
   if (window_.keyframes().empty() && counters_.keyframes == 0) return;
   const int anchor_entry = window_.anchor_entry();
   window_ = Window(&layout_);
+  window_.keyframes().Reserve(static_cast<size_t>(MostKeyframes(options_)));
   window_.SetAnchorEntry(anchor_entry);
   solver_ = MakeSolver(options_, *model_);
   uncertainty_.Reset();

@@ -70,6 +70,7 @@ void ChainCorrections::Correct(const Window& window, ChainSegment* segment) {
   }
   for (std::int64_t id = oldest; id < end; ++id) {
     if (sweep_->active && id == sweep_->next && id > oldest) GiveFoundTo(&sweep_->root);
+    ++corrected;
     chain_->front(id).Correct(window, &chain_->front(id + 1), &chain_->scratch, found_.data());
   }
   const double change = GiveFoundToRoots(window, end);
@@ -83,6 +84,7 @@ void ChainCorrections::Correct(const Window& window, ChainSegment* segment) {
 void ChainCorrections::CorrectBeforeSweep(const Window& window, std::int64_t end) {
   std::fill(found_.begin(), found_.end(), 0.0);
   for (std::int64_t id = sweep_->next; id < end; ++id) {
+    ++corrected;
     chain_->front(id).Correct(window, &chain_->front(id + 1), &chain_->scratch, found_.data());
   }
   GiveFoundToRoots(window, end);

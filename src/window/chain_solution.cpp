@@ -13,6 +13,8 @@ namespace {
 
 constexpr int kState = kStateTangentSize;
 constexpr double kBiasThreshold = 0.05;  // of biases for wildfire [rad/s, m/s²]
+constexpr double kTighter = 2.0;         // from one try of damping to the next
+constexpr double kTightest = 1e9;        // of a prior's sigma
 
 double* BiasOf(Window* window, std::int64_t id) { return window->bias(id).x.data(); }
 
@@ -29,26 +31,50 @@ void ChainSolution::Reset(const Window& window, int stride) {
   }
 }
 
-bool ChainSolution::SolveRoot(Window* window) {
-  const RootTriangle& root = chain_->root;
-  root.Solve(window->anchor_entry(), window->anchor(), border_.data());
-  const int n = root.columns().n;
-  const double* eta = border_.data() + BorderColumns::kParameters;
-  for (int i = 0; i < root.columns().size(); ++i) {
-    if (!std::isfinite(border_[static_cast<size_t>(i)])) return false;
+/// The candidate of `root`. @returns false if it is not a number
+bool ChainSolution::SolveBorder(const RootTriangle& root, const Window& window) {
+  root.Solve(window.anchor_entry(), window.anchor(), border_.data());
+  const auto end = border_.begin() + root.columns().size();
+  return std::all_of(border_.begin(), end, [](double x) { return std::isfinite(x); });
+}
+
+/// True if the candidate is too far from `from` for a linear model.
+bool ChainSolution::IsFar(const ParameterVector& from, const Window& window) const {
+  for (int i = 0; i < from.size(); ++i) {
+    const double eta = border_[static_cast<size_t>(BorderColumns::kParameters + i)];
+    if (std::abs(eta - from[i]) > options_->largest_step * window.parameter_sigma()[i]) return true;
   }
-  for (int i = 0; i < n; ++i) {
-    const double step = std::abs(eta[i] - window->eta()[i]);
-    if (step > options_->largest_step * window->parameter_sigma()[i]) return false;
+  return false;
+}
+
+/// Holds the candidate to the point where the chain is linearized, in units of the priors' sigmas,
+/// no harder than needed. @returns false if it is not a number
+bool ChainSolution::Damp(const Window& window) {
+  const ParameterVector& from = error_->in_use_at();
+  for (double tighter = 1.0; IsFar(from, window); tighter *= kTighter) {
+    damped_ = chain_->root;
+    damped_.AbsorbPriors(from, window.parameter_sigma() / tighter);
+    if (!SolveBorder(damped_, window) || tighter > kTightest) return false;
+  }
+  return true;
+}
+
+ChainSolution::Step ChainSolution::SolveRoot(LongSteps long_steps, Window* window) {
+  if (!SolveBorder(chain_->root, *window)) return Step::kRefused;
+  Step step = Step::kWhole;
+  const bool damps = long_steps == LongSteps::kDamped;
+  if (IsFar(damps ? error_->in_use_at() : window->eta(), *window)) {
+    if (!damps || !Damp(*window)) return Step::kRefused;
+    step = Step::kDamped;
   }
   std::swap(shared_, border_);
-  for (int i = 0; i < n; ++i) {
+  for (int i = 0; i < chain_->root.columns().n; ++i) {
     window->eta()[i] = shared_[static_cast<size_t>(BorderColumns::kParameters + i)];
   }
   window->MoveAnchor();
   const std::int64_t bias = window->keyframes().back().bias;
   if (bias >= 0) std::copy_n(shared_.begin(), 6, BiasOf(window, bias));
-  return true;
+  return step;
 }
 
 /// Solves one front given the next. @returns the largest change, in thresholds

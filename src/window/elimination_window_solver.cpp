@@ -244,7 +244,9 @@ SolveReport EliminationWindowSolver::Solve(Window* window, const SolverOptions& 
   };
   window->MoveAnchor();
   SolveReport report;
+  const auto size = static_cast<int>(window->keyframes().size());
   std::optional<double> cost = impl_->Assemble(*window);
+  report.work = size;
   report.iterations = 1;  // the start counts as one, as with Ceres
   if (!cost) {
     report.message = "a factor cannot be evaluated at the present estimate";
@@ -259,6 +261,7 @@ SolveReport EliminationWindowSolver::Solve(Window* window, const SolverOptions& 
   for (int iteration = 0; iteration < options.max_iterations; ++iteration) {
     if (iteration > 0 && elapsed_s() >= options.max_time_s) break;
     if (!assembled) {
+      report.work += size;
       if (!impl_->Assemble(*window)) break;
       assembled = true;
     }
@@ -270,6 +273,7 @@ SolveReport EliminationWindowSolver::Solve(Window* window, const SolverOptions& 
       break;
     }
     ++report.iterations;
+    report.work += size;
     double promised = 0.0, change = -std::numeric_limits<double>::infinity();
     bool moved = false;
     if (impl_->Step(*window, radius, &step)) {

@@ -16,25 +16,34 @@ constexpr size_t kSoonInTurn = 5;      // updates: short windows need no more th
 constexpr double kWeightMoved = 1.1;   // of a recent factor: root of the robust loss' slope
 constexpr double kLeastHopeForCorrection = 0.3;  // to be corrected [sigmas]
 constexpr int kFaster = 4;                       // sweep where errors are not allowed
-constexpr size_t kMostHurried = 250;          // keyframes; in longer windows parameters move less
+constexpr size_t kMostHurried = 350;          // keyframes; in longer windows parameters move less
 constexpr int kMostHurriedSweeps = 4;         // in one update
 constexpr double kAlignmentTolerance = 1e-4;  // of its cost; the chain takes the last step
 constexpr int kAlignmentIterations = 10;      // of the batch solve
+constexpr int kLeastAlignmentIterations = 3;  // that must fit into an update
+constexpr int kMostFollowUps = 3;             // sweeps after an urgent one
+// Per keyframe, in units of an elimination of it, by the time they take.
+constexpr int kBatchIteration = 2;
+constexpr int kCorrectionsAWork = 2, kBackSubstitutionsAWork = 20;
 
 }  // namespace
 
-/// How long a solve may take.
-class IncrementalWindowSolver::Deadline {
+/// How much a solve may do, and how long it may take.
+class IncrementalWindowSolver::Allowance {
  public:
-  explicit Deadline(double max_time_s) : max_time_s_(max_time_s) {}
-  bool IsAhead() const {
-    return std::chrono::duration<double>(Clock::now() - start_).count() < max_time_s_;
+  Allowance(const SolverOptions& options, const IncrementalWindowSolver* solver)
+      : max_time_s_(options.max_time_s), max_work_(options.max_work), solver_(solver) {}
+  bool IsLeft() const {
+    return solver_->Work() < max_work_ &&
+           std::chrono::duration<double>(Clock::now() - start_).count() < max_time_s_;
   }
 
  private:
   using Clock = std::chrono::steady_clock;
   const Clock::time_point start_ = Clock::now();
   const double max_time_s_;
+  const int max_work_;
+  const IncrementalWindowSolver* const solver_;
 };
 
 IncrementalWindowSolver::IncrementalWindowSolver(const IncrementalOptions& options)
@@ -121,6 +130,9 @@ SolveReport IncrementalWindowSolver::Align(Window* window, const SolverOptions& 
   HandBack(window);
   SolverOptions thorough = options;
   thorough.max_iterations = std::max(options.max_iterations, kAlignmentIterations);
+  const int states = std::max(1, static_cast<int>(window->keyframes().size()));
+  const int fitting = (options.max_work / states - 1) / kBatchIteration;
+  thorough.max_iterations = std::clamp(fitting, 1, thorough.max_iterations);
   // From there the chain, which tells the covariance, takes the last step.
   thorough.function_tolerance = std::max(options.function_tolerance, kAlignmentTolerance);
   SolveReport report = batch_.Solve(window, thorough);
@@ -131,8 +143,28 @@ SolveReport IncrementalWindowSolver::Align(Window* window, const SolverOptions& 
     return report;
   }
   if (is_same) error_.SetCurvature(curvature);
-  if (solution_.SolveRoot(window)) BackSubstitute(window, true);
+  if (SolveRoot(window)) BackSubstitute(window, true);
+  report.work += Work();
   return report;
+}
+
+/// True if the batch solve of the window is little enough work for one update.
+bool IncrementalWindowSolver::BatchFits(const Window& window) const {
+  constexpr int kWork = kBatchIteration * kLeastAlignmentIterations + 1;
+  return static_cast<int>(window.keyframes().size()) <= max_work_ / kWork;
+}
+
+/// What the alignment of a longer window is: sweeps, as many an update as it may work, until the
+/// parameters have settled.
+void IncrementalWindowSolver::AskForAlignment(const Window& window) {
+  if (!sweep_.active) StartSweep(window);
+  sweep_.urgent = true;
+}
+
+/// What was done since the last solve, SolveReport::work.
+int IncrementalWindowSolver::Work() const {
+  return chain_.eliminated + corrections_.corrected / kCorrectionsAWork +
+         solution_.back_substituted / kBackSubstitutionsAWork;
 }
 
 // ---- The chain ----------------------------------------------------------------------------------
@@ -240,6 +272,7 @@ bool IncrementalWindowSolver::TakeOver(Window* window) {
   const bool known =
       have_root_ && !sweep_.urgent && !sweep_.reweighs && error_.SeeBefore(chain_.root);
   sweep_.has_reweighed = sweep_.reweighs;
+  is_to_settle_ = sweep_.urgent;
   sweep_.active = sweep_.urgent = sweep_.reweighs = false;
   chain_.RestartFrom(sweep_.next, sweep_.root);
   chain_.MovePoints(*window, sweep_.next + 1);
@@ -256,6 +289,8 @@ bool IncrementalWindowSolver::SweepAll(Window* window) {
   return Sweep(window, static_cast<int>(chain_.fronts.size()) + 1);
 }
 
+bool IncrementalWindowSolver::IsShort() const { return chain_.fronts.size() <= kMostHurried; }
+
 /// True if putting the relinearization off might cost more than `error` tolerances.
 bool IncrementalWindowSolver::MayCost(double error, const Window& window) const {
   return sweep_.urgent || error_.MayCost(error, window);
@@ -266,8 +301,11 @@ bool IncrementalWindowSolver::MayCost(double error, const Window& window) const 
 /// Corrects one portion in turn and then the segments that need it most, each once at most; `all`:
 /// every one, as far as time goes.
 /// @returns false if the step is too long for a linear model
-bool IncrementalWindowSolver::Correct(Window* window, const Deadline& deadline, bool all) {
+bool IncrementalWindowSolver::Correct(Window* window, const Allowance& allowance, bool all) {
   if (chain_.checkpoints.empty() || options_.corrected_segments == 0) return true;
+  const size_t in_turn = kSoonInTurn * static_cast<size_t>(options_.corrected_segments);
+  // New weights move states.
+  all = all || (sweep_.has_reweighed && corrections_.size() > in_turn && IsShort());
   const std::int64_t before = corrections_.turn();
   const double expected_before = corrections_.ExpectErrors(*window);
   for (bool first = true;; first = false) {
@@ -278,11 +316,10 @@ bool IncrementalWindowSolver::Correct(Window* window, const Deadline& deadline, 
       if (chosen == nullptr) break;
       corrections_.Correct(*window, chosen);
     }
-    if (!solution_.SolveRoot(window)) return false;
-    if (all && chosen != nullptr && deadline.IsAhead()) continue;
+    if (!SolveRoot(window)) return false;
+    if (all && chosen != nullptr && allowance.IsLeft()) continue;
     const double expected = corrections_.ExpectErrors(*window);
-    if (expected < options_.allowed_lag || chosen == nullptr || !deadline.IsAhead()) return true;
-    const size_t in_turn = kSoonInTurn * static_cast<size_t>(options_.corrected_segments);
+    if (expected < options_.allowed_lag || chosen == nullptr || !allowance.IsLeft()) return true;
     if (corrections_.size() <= in_turn && !sweep_.has_reweighed) return true;
     if (expected > std::max(expected_before, kLeastHopeForCorrection)) {
       sweep_.urgent = true;  // by Jacobians this old it might not converge
@@ -291,20 +328,43 @@ bool IncrementalWindowSolver::Correct(Window* window, const Deadline& deadline, 
   }
 }
 
+/// Parameters from the root. A step that is too long for a linear model is left to the batch solve
+/// where that fits into the update; else it is damped, and sweeps hurry on from where it ends.
+/// @returns false if the step is not to be taken
+bool IncrementalWindowSolver::SolveRoot(Window* window) {
+  using Step = ChainSolution::Step;
+  const Step step = solution_.SolveRoot(
+      BatchFits(*window) ? ChainSolution::LongSteps::kRefused : ChainSolution::LongSteps::kDamped,
+      window);
+  if (step == Step::kRefused) return false;
+  if (step == Step::kDamped) {
+    error_.ExpectNoLess();
+    sweep_.urgent = sweep_.wanted = true;
+  } else if (is_to_settle_) {
+    const bool moved =
+        error_.HaveMoved(*window, sweep_.begun_at, kSettled, options_.relinearise_share);
+    follow_ups_ = moved ? follow_ups_ + 1 : 0;
+    if (moved && follow_ups_ <= kMostFollowUps) sweep_.urgent = sweep_.wanted = true;
+    if (follow_ups_ > kMostFollowUps) follow_ups_ = 0;
+  }
+  is_to_settle_ = false;
+  return true;
+}
+
 void IncrementalWindowSolver::BackSubstitute(Window* window, bool everything) {
   if (solution_.BackSubstitute(window, everything) && !sweep_.active) sweep_.wanted = true;
 }
 
 /// Takes up what is new, and the sweep's next portion.
 IncrementalWindowSolver::Outcome IncrementalWindowSolver::Follow(Window* window,
-                                                                 const Deadline& deadline) {
+                                                                 const Allowance& allowance) {
   bool sound = CatchUp(window);
   if (sound && sweep_.active) {
     const int faster = MayCost(kAllowedError, *window) ? kFaster : sweep_.reweighs ? 2 : 1;
     sound = Sweep(window, faster * SweepSize());
   }
   if (!sound) return Outcome::kRefused;
-  if (!solution_.SolveRoot(window) || !Correct(window, deadline)) return Outcome::kTooLong;
+  if (!SolveRoot(window) || !Correct(window, allowance)) return Outcome::kTooLong;
   BackSubstitute(window, false);
   return Outcome::kDone;
 }
@@ -315,49 +375,63 @@ IncrementalWindowSolver::Outcome IncrementalWindowSolver::SettleRecent(Window* w
     const int before = chain_.eliminated;
     if (!RedoMovedRecent(window)) return Outcome::kRefused;
     if (chain_.eliminated == before) break;
-    if (!solution_.SolveRoot(window)) return Outcome::kTooLong;
+    if (!SolveRoot(window)) return Outcome::kTooLong;
     BackSubstitute(window, false);
   }
   return Outcome::kDone;
 }
 
-/// Where old linearizations may cost too much, one sweep after the other, as far as time allows;
-/// what a sweep weighed anew is corrected.
+/// Goes on with the sweep, or starts one, as far as the allowance goes.
+/// @returns false if a factor cannot be evaluated
+bool IncrementalWindowSolver::SweepOn(Window* window, const Allowance& allowance) {
+  if (!sweep_.active) StartSweep(*window);
+  bool sound = true;
+  while (sound && sweep_.active && allowance.IsLeft()) sound = Sweep(window, SweepSize(), false);
+  return sound;
+}
+
+/// Where old linearizations may cost too much, one sweep after the other, as far as the allowance
+/// goes; what a sweep weighed anew is corrected.
 IncrementalWindowSolver::Outcome IncrementalWindowSolver::Hurry(Window* window,
-                                                                const Deadline& deadline) {
+                                                                const Allowance& allowance) {
   const bool had_reweighed = sweep_.has_reweighed;
   bool has_hurried = false, has_reweighed = had_reweighed;
-  const bool is_short = chain_.fronts.size() <= kMostHurried;
-  const bool may_hurry = sweep_.urgent || is_short;
-  for (int i = 0; may_hurry && MayCost(kIntolerable, *window) && deadline.IsAhead(); ++i) {
-    if (i == kMostHurriedSweeps) return Outcome::kTooLong;  // steps want damping
-    if (!sweep_.active) StartSweep(*window);
-    bool sound = true;
-    while (sound && sweep_.active && deadline.IsAhead()) sound = Sweep(window, SweepSize(), false);
+  const bool may_hurry = sweep_.urgent || IsShort();
+  for (int i = 0; may_hurry && MayCost(kIntolerable, *window) && allowance.IsLeft(); ++i) {
+    if (i == kMostHurriedSweeps) {
+      if (BatchFits(*window)) return Outcome::kTooLong;  // steps want damping
+      break;
+    }
+    const bool sound = SweepOn(window, allowance);
     has_hurried = true;
     has_reweighed = has_reweighed || sweep_.has_reweighed;
     if (!sound) return Outcome::kRefused;
-    if (!solution_.SolveRoot(window)) return Outcome::kTooLong;
+    if (!SolveRoot(window)) return Outcome::kTooLong;
     BackSubstitute(window, false);
   }
   if (!(had_reweighed ? has_hurried : has_reweighed)) return Outcome::kDone;
-  BackSubstitute(window, is_short);  // weights move states
-  if (!Correct(window, deadline, is_short)) return Outcome::kTooLong;
+  BackSubstitute(window, IsShort());  // weights move states
+  if (!Correct(window, allowance, IsShort())) return Outcome::kTooLong;
   BackSubstitute(window, false);
   return Outcome::kDone;
 }
 
-/// Further iterations, if they were asked for: the whole window each.
+/// Further iterations, if they were asked for: the whole window each, over as many updates as the
+/// allowance makes of it.
 IncrementalWindowSolver::Outcome IncrementalWindowSolver::Iterate(Window* window,
                                                                   int max_iterations,
-                                                                  const Deadline& deadline) {
-  for (; report_.iterations < max_iterations && deadline.IsAhead(); ++report_.iterations) {
+                                                                  const Allowance& allowance) {
+  for (; report_.iterations < max_iterations && allowance.IsLeft(); ++report_.iterations) {
     BackSubstitute(window, true);
     const bool moved =
         error_.HaveMoved(*window, sweep_.begun_at, kSettled, options_.relinearise_share);
     if (!moved && chain_.MovePoints(*window, chain_.oldest() + 1) < 0) break;
-    if (!SweepAll(window)) return Outcome::kRefused;
-    if (!solution_.SolveRoot(window)) return Outcome::kTooLong;
+    if (!SweepOn(window, allowance)) return Outcome::kRefused;
+    if (!SolveRoot(window)) return Outcome::kTooLong;
+    if (sweep_.active) {
+      sweep_.urgent = true;
+      break;
+    }
   }
   return Outcome::kDone;
 }
@@ -373,20 +447,31 @@ void IncrementalWindowSolver::Refuse(const ParameterVector& eta, bool followed, 
 }
 
 SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& options) {
-  const Deadline deadline(options.max_time_s);
+  SolveReport report = SolveOnce(window, options);
+  // What the keyframes that leave now ask for counts as the next solve's.
+  chain_.eliminated = solution_.back_substituted = corrections_.corrected = 0;
+  return report;
+}
+
+SolveReport IncrementalWindowSolver::SolveOnce(Window* window, const SolverOptions& options) {
+  const Allowance allowance(options, this);
   report_ = SolveReport();
   report_.iterations = 1;
-  chain_.eliminated = solution_.back_substituted = 0;
   sweep_.has_reweighed = false;
-  if (options.align || window->keyframes().empty()) return Align(window, options);
+  max_work_ = options.max_work;
+  const bool starts = !Follows(*window) || chain_.fronts.empty();
+  if (window->keyframes().empty() || (options.align && (starts || BatchFits(*window)))) {
+    return Align(window, options);
+  }
+  if (options.align) AskForAlignment(*window);
   TellRootsOfPast();
   MoveParameterPoint(*window);
   const bool followed = Follows(*window);
   const ParameterVector eta = window->eta();
-  Outcome outcome = Follow(window, deadline);
+  Outcome outcome = Follow(window, allowance);
   if (outcome == Outcome::kDone) outcome = SettleRecent(window);
-  if (outcome == Outcome::kDone) outcome = Hurry(window, deadline);
-  if (outcome == Outcome::kDone) outcome = Iterate(window, options.max_iterations, deadline);
+  if (outcome == Outcome::kDone) outcome = Hurry(window, allowance);
+  if (outcome == Outcome::kDone) outcome = Iterate(window, options.max_iterations, allowance);
   if (outcome == Outcome::kTooLong) return Align(window, options);
   if (outcome == Outcome::kRefused) {
     Refuse(eta, followed, window);
@@ -401,6 +486,7 @@ SolveReport IncrementalWindowSolver::Solve(Window* window, const SolverOptions& 
   }
   report_.eliminated = chain_.eliminated;
   report_.back_substituted = solution_.back_substituted;
+  report_.work = Work();
   return report_;
 }
 

@@ -484,6 +484,38 @@ TEST_F(IncrementalSolver, LeavesStepsBeyondALinearModelToTheBatchSolve) {
   EXPECT_LT(Difference(), 1e-7);
 }
 
+TEST_F(IncrementalSolver, DampsStepsBeyondALinearModelWhereTheBatchSolveDoesNotFit) {
+  IncrementalOptions options = Exact();
+  options.largest_step = 0.01;
+  options.sweep_keyframes = 2;
+  options.recent_keyframes = 1;
+  options.recent_passes = 0;
+  IncrementalWindowSolver careful(options);
+  Start({0, -1, false}, 47);
+  for (int k = 0; k < 2; ++k) AddKeyframe();
+  SolverOptions hasty = Thorough();
+  hasty.max_iterations = 1;
+  ASSERT_TRUE(careful.Solve(&ours_, hasty).usable);
+  for (int k = 0; k < 28; ++k) AddKeyframe();
+  hasty.max_work = 20;  // of 30 keyframes
+  const VectorXd most = options.largest_step * ours_.parameter_sigma();
+  SolveReport report;
+  int updates = 0, long_ones = 0;
+  do {
+    const VectorXd before = ours_.eta();
+    report = careful.Solve(&ours_, hasty);
+    ASSERT_TRUE(report.usable);
+    EXPECT_FALSE(report.aligned);
+    const double step = (ours_.eta() - before).cwiseAbs().cwiseQuotient(most).maxCoeff();
+    EXPECT_LE(step, 2.0 + 1e-9);  // from one side of the point of linearization to the other
+    long_ones += step > 0.5 ? 1 : 0;
+    ASSERT_LT(++updates, 2000);
+  } while (report.sweeping);
+  EXPECT_GT(long_ones, 5);
+  SolveReference();
+  EXPECT_LT(Difference(), 1e-7);
+}
+
 /// Robust factors of parameters, and old fronts that are corrected, not eliminated anew.
 class RobustWindow : public IncrementalSolver {
  protected:

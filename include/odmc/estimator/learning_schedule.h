@@ -16,6 +16,11 @@ namespace odmc {
 /// leave the window, and which axes of the inertia the flight shows. Thread-compatible.
 class LearningSchedule {
  public:
+  /// Of flight in which nothing leaves [s]. What leaves the window is linearized for good; until
+  /// then, parameters that multiply each other (drag and the height of the centre of mass) are
+  /// guesses, and a guess would stay.
+  static constexpr double kLearning_s = 3.0;
+
   /// Both must outlive the schedule.
   LearningSchedule(const DynamicModel* model, const EstimatorOptions* options, bool with_torque);
 
@@ -51,6 +56,7 @@ class LearningSchedule {
 
  private:
   bool FreeInertia(Window* window);
+  int MostWork() const;
   bool AlignmentIsDue(const Window& window) const;
 
   const DynamicModel* model_;

@@ -44,6 +44,11 @@ class Ring {
   using iterator = Iterator<Ring, T>;
   using const_iterator = Iterator<const Ring, const T>;
 
+  /// Room for so many elements, so that it does not grow before.
+  void Reserve(std::size_t size) {
+    if (size > slots_.size()) GrowTo(size);
+  }
+
   std::size_t size() const { return size_; }
   bool empty() const { return size_ == 0; }
 
@@ -61,7 +66,7 @@ class Ring {
 
   /// A new element at the back, as one that left has left it.
   T& Append() {
-    if (size_ == slots_.size()) Grow();
+    if (size_ == slots_.size()) GrowTo(slots_.empty() ? 8 : 2 * slots_.size());
     ++size_;
     return back();
   }
@@ -81,8 +86,8 @@ class Ring {
     return at < slots_.size() ? at : at - slots_.size();
   }
 
-  void Grow() {
-    std::vector<T> larger(slots_.empty() ? 8 : 2 * slots_.size());
+  void GrowTo(std::size_t size) {
+    std::vector<T> larger(size);
     for (std::size_t i = 0; i < size_; ++i) larger[i] = std::move((*this)[i]);
     slots_ = std::move(larger);
     first_ = 0;

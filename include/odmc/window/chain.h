@@ -22,7 +22,9 @@ class Chain {
   };
 
   /// @param options must outlive it
-  explicit Chain(const IncrementalOptions* options) : options_(options) {}
+  explicit Chain(const IncrementalOptions* options) : options_(options) {
+    fronts.Reserve(static_cast<size_t>(options->room_for_keyframes));
+  }
 
   Ring<ChainFront> fronts;
   RowBlock triangle;  ///< of the newest state

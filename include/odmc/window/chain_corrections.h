@@ -40,6 +40,8 @@ class ChainCorrections {
   /// The sweep has passed all fronts before `next`.
   void NoteSwept(std::int64_t next);
 
+  int corrected = 0;  ///< fronts; counts on
+
   size_t size() const { return segments_.size(); }
   /// Corrections so far; segments whose turn is later have been done since.
   std::int64_t turn() const { return turn_; }

@@ -22,9 +22,15 @@ class ChainSolution {
   void Reset(const Window& window, int stride);
   void ForgetPass() { pass_ = -1; }
 
-  /// Shared variables from the chain's root. @returns false, leaving the window, if the step is too
-  /// long for a linear model or not a number
-  bool SolveRoot(Window* window);
+  /// What to do with a step that is too long for a linear model (IncrementalOptions::largest_step).
+  enum class LongSteps {
+    kRefused,  ///< nothing
+    kDamped,   ///< it ends at that distance from where the chain is linearized
+  };
+  enum class Step { kWhole, kDamped, kRefused };
+  /// Shared variables from the chain's root; the window is left as it was where the step is
+  /// refused: too long, or not a number.
+  Step SolveRoot(LongSteps long_steps, Window* window);
 
   /// States from them: the recent ones, and older ones until they hardly change, or all.
   /// @returns true if an older state has left its point of linearization
@@ -33,6 +39,9 @@ class ChainSolution {
   int back_substituted = 0;  ///< fronts; counts on
 
  private:
+  bool SolveBorder(const RootTriangle& root, const Window& window);
+  bool IsFar(const ParameterVector& from, const Window& window) const;
+  bool Damp(const Window& window);
   double BackSubstitute(std::int64_t id, Window* window);
   bool SharedHaveMoved() const;
 
@@ -41,8 +50,9 @@ class ChainSolution {
   const LinearisationError* error_;
   std::vector<double> shared_, propagated_;  // solution of the border; at the last full pass
   std::vector<double> border_;               // its candidate
-  std::vector<double> substituted_;          // solution of the front at hand
-  std::int64_t pass_ = -1;                   // a full pass goes on here, -1: done
+  RootTriangle damped_;
+  std::vector<double> substituted_;  // solution of the front at hand
+  std::int64_t pass_ = -1;           // a full pass goes on here, -1: done
 };
 
 }  // namespace odmc

@@ -22,8 +22,9 @@ namespace odmc {
 /// its oldest end, a few keyframes per update, beside the chain in use, and takes its place when it
 /// has caught up.
 ///
-/// The first alignment and steps that are too long for a linear model are left to the batch solve.
-/// No steady update allocates.
+/// The first alignment and steps that are too long for a linear model are left to the batch solve
+/// where that fits into what an update may work; in longer windows, sweeps over several updates
+/// align, and such steps are damped. No steady update allocates.
 class IncrementalWindowSolver final : public WindowSolver {
  public:
   explicit IncrementalWindowSolver(const IncrementalOptions& options = {});
@@ -53,7 +54,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   }
 
  private:
-  class Deadline;
+  class Allowance;
   enum class Outcome { kDone, kRefused, kTooLong };  // the last: a step, for a linear model
 
   bool Follows(const Window& window) const;
@@ -62,6 +63,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   void RootOfPastAlone(const Window& window);
   void HandBack(Window* window);
   void WritePrior(const RootTriangle& past, Window* window) const;
+  SolveReport SolveOnce(Window* window, const SolverOptions& options);
   SolveReport Align(Window* window, const SolverOptions& options);
 
   void AppendFront(const Window& window, std::int64_t id);
@@ -74,20 +76,26 @@ class IncrementalWindowSolver final : public WindowSolver {
   bool Sweep(Window* window, int budget, bool corrects = true);
   bool TakeOver(Window* window);
   bool SweepAll(Window* window);
+  bool IsShort() const;
   bool MayCost(double error, const Window& window) const;
 
-  bool Correct(Window* window, const Deadline& deadline, bool all = false);
+  bool Correct(Window* window, const Allowance& allowance, bool all = false);
+  bool SolveRoot(Window* window);
   void BackSubstitute(Window* window, bool everything);
-  Outcome Follow(Window* window, const Deadline& deadline);
+  Outcome Follow(Window* window, const Allowance& allowance);
   Outcome SettleRecent(Window* window);
-  Outcome Hurry(Window* window, const Deadline& deadline);
-  Outcome Iterate(Window* window, int max_iterations, const Deadline& deadline);
+  bool SweepOn(Window* window, const Allowance& allowance);
+  Outcome Hurry(Window* window, const Allowance& allowance);
+  Outcome Iterate(Window* window, int max_iterations, const Allowance& allowance);
+  void AskForAlignment(const Window& window);
+  int Work() const;
+  bool BatchFits(const Window& window) const;
   void Refuse(const ParameterVector& eta, bool followed, Window* window);
 
   void TellRootsOfPast();
 
   IncrementalOptions options_;
-  EliminationWindowSolver batch_;  // until aligned, and for the alignment
+  EliminationWindowSolver batch_;  // until aligned, and for alignments of short windows
   bool incremental_ = false;
   ChainPast past_;
   Chain chain_;
@@ -97,7 +105,10 @@ class IncrementalWindowSolver final : public WindowSolver {
   ChainSolution solution_;
   ParameterVector recent_at_;  // where recent fronts were evaluated together
   bool have_root_ = false;
-  SolveReport report_;  // of the solve at work
+  int max_work_ = 0;           // of the solve at work
+  bool is_to_settle_ = false;  // an urgent sweep is through, its step not taken yet
+  int follow_ups_ = 0;         // urgent sweeps because the one before moved parameters
+  SolveReport report_;         // of the solve at work
 };
 
 }  // namespace odmc

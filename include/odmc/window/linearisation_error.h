@@ -30,6 +30,7 @@ class LinearisationError {
 
   /// The chain in use is linearized at `at`.
   void SetInUse(const ParameterVector& at) { in_use_at_ = at; }
+  const ParameterVector& in_use_at() const { return in_use_at_; }
   /// Error in tolerances at a distance of one sigma.
   double curvature() const { return curvature_; }
   void SetCurvature(double curvature) { curvature_ = curvature; }
