@@ -63,9 +63,10 @@ ChainSolution::Step ChainSolution::SolveRoot(LongSteps long_steps, Window* windo
   if (!SolveBorder(chain_->root, *window)) return Step::kRefused;
   Step step = Step::kWhole;
   const bool damps = long_steps == LongSteps::kDamped;
-  if (IsFar(damps ? error_->in_use_at() : window->eta(), *window)) {
+  if (IsFar(window->eta(), *window) || (is_held_ && IsFar(error_->in_use_at(), *window))) {
     if (!damps || !Damp(*window)) return Step::kRefused;
     step = Step::kDamped;
+    is_held_ = true;
   }
   std::swap(shared_, border_);
   for (int i = 0; i < chain_->root.columns().n; ++i) {

@@ -16,12 +16,13 @@ constexpr size_t kSoonInTurn = 5;      // updates: short windows need no more th
 constexpr double kWeightMoved = 1.1;   // of a recent factor: root of the robust loss' slope
 constexpr double kLeastHopeForCorrection = 0.3;  // to be corrected [sigmas]
 constexpr int kFaster = 4;                       // sweep where errors are not allowed
-constexpr size_t kMostHurried = 350;          // keyframes; in longer windows parameters move less
-constexpr int kMostHurriedSweeps = 4;         // in one update
+constexpr int kFasterInShort = 3;      // windows: it is through within a few updates all the same
+constexpr size_t kMostHurried = 350;   // keyframes; in longer windows parameters move less
+constexpr int kMostHurriedSweeps = 4;  // in one update
 constexpr double kAlignmentTolerance = 1e-4;  // of its cost; the chain takes the last step
 constexpr int kAlignmentIterations = 10;      // of the batch solve
 constexpr int kLeastAlignmentIterations = 3;  // that must fit into an update
-constexpr int kMostFollowUps = 3;             // sweeps after an urgent one
+constexpr int kMostFollowUps = 3;             // sweeps after one that aligns
 // Per keyframe, in units of an elimination of it, by the time they take.
 constexpr int kBatchIteration = 2;
 constexpr int kCorrectionsAWork = 2, kBackSubstitutionsAWork = 20;
@@ -159,6 +160,7 @@ bool IncrementalWindowSolver::BatchFits(const Window& window) const {
 void IncrementalWindowSolver::AskForAlignment(const Window& window) {
   if (!sweep_.active) StartSweep(window);
   sweep_.urgent = true;
+  follow_ups_left_ = kMostFollowUps;
 }
 
 /// What was done since the last solve, SolveReport::work.
@@ -272,7 +274,7 @@ bool IncrementalWindowSolver::TakeOver(Window* window) {
   const bool known =
       have_root_ && !sweep_.urgent && !sweep_.reweighs && error_.SeeBefore(chain_.root);
   sweep_.has_reweighed = sweep_.reweighs;
-  is_to_settle_ = sweep_.urgent;
+  is_to_settle_ = sweep_.urgent && follow_ups_left_ > 0;
   sweep_.active = sweep_.urgent = sweep_.reweighs = false;
   chain_.RestartFrom(sweep_.next, sweep_.root);
   chain_.MovePoints(*window, sweep_.next + 1);
@@ -281,6 +283,7 @@ bool IncrementalWindowSolver::TakeOver(Window* window) {
   have_root_ = true;
   if (known) error_.LearnFrom(chain_.root, sweep_.begun_at);
   error_.SetInUse(sweep_.begun_at);
+  solution_.Release();
   return sound;
 }
 
@@ -298,17 +301,27 @@ bool IncrementalWindowSolver::MayCost(double error, const Window& window) const 
 
 // ---- One update ---------------------------------------------------------------------------------
 
-/// Corrects one portion in turn and then the segments that need it most, each once at most; `all`:
-/// every one, as far as time goes.
+/// True if what was corrected before the sweep took it is about as much as a turn: a fast sweep
+/// goes through all within a few updates.
+bool IncrementalWindowSolver::SweepHadTurn() const {
+  return 2 * corrections_.corrected > options_.corrected_segments * options_.segment_keyframes;
+}
+
+/// Corrects one portion in turn, unless a fast sweep has, and then the segments that need it most,
+/// each once at most; `all`: every one, as far as time goes.
 /// @returns false if the step is too long for a linear model
 bool IncrementalWindowSolver::Correct(Window* window, const Allowance& allowance, bool all) {
   if (chain_.checkpoints.empty() || options_.corrected_segments == 0) return true;
   const size_t in_turn = kSoonInTurn * static_cast<size_t>(options_.corrected_segments);
-  // New weights move states.
-  all = all || (sweep_.has_reweighed && corrections_.size() > in_turn && IsShort());
+  // New weights move states; in the long windows of a flight's start segments wait long for a turn.
+  all = all || (sweep_.has_reweighed && corrections_.size() > 2 * in_turn && IsShort());
   const std::int64_t before = corrections_.turn();
   const double expected_before = corrections_.ExpectErrors(*window);
-  for (bool first = true;; first = false) {
+  const bool had_turn = !all && !sweep_.has_reweighed && SweepHadTurn();
+  if (had_turn && (expected_before < options_.allowed_lag || corrections_.size() <= in_turn)) {
+    return true;
+  }
+  for (bool first = !had_turn;; first = false) {
     ChainSegment* chosen = nullptr;
     for (int i = 0; i < options_.corrected_segments; ++i) {
       // In turn: states move as well, and weights are followed step by step.
@@ -340,12 +353,12 @@ bool IncrementalWindowSolver::SolveRoot(Window* window) {
   if (step == Step::kDamped) {
     error_.ExpectNoLess();
     sweep_.urgent = sweep_.wanted = true;
+    follow_ups_left_ = kMostFollowUps;
   } else if (is_to_settle_) {
     const bool moved =
         error_.HaveMoved(*window, sweep_.begun_at, kSettled, options_.relinearise_share);
-    follow_ups_ = moved ? follow_ups_ + 1 : 0;
-    if (moved && follow_ups_ <= kMostFollowUps) sweep_.urgent = sweep_.wanted = true;
-    if (follow_ups_ > kMostFollowUps) follow_ups_ = 0;
+    follow_ups_left_ = moved ? follow_ups_left_ - 1 : 0;
+    if (moved) sweep_.urgent = sweep_.wanted = true;
   }
   is_to_settle_ = false;
   return true;
@@ -360,7 +373,8 @@ IncrementalWindowSolver::Outcome IncrementalWindowSolver::Follow(Window* window,
                                                                  const Allowance& allowance) {
   bool sound = CatchUp(window);
   if (sound && sweep_.active) {
-    const int faster = MayCost(kAllowedError, *window) ? kFaster : sweep_.reweighs ? 2 : 1;
+    const int fast = corrections_.size() <= kSoonInTurn ? kFasterInShort : kFaster;
+    const int faster = MayCost(kAllowedError, *window) ? fast : sweep_.reweighs ? 2 : 1;
     sound = Sweep(window, faster * SweepSize());
   }
   if (!sound) return Outcome::kRefused;

@@ -25,13 +25,15 @@ class ChainSolution {
   /// What to do with a step that is too long for a linear model (IncrementalOptions::largest_step).
   enum class LongSteps {
     kRefused,  ///< nothing
-    kDamped,   ///< it ends at that distance from where the chain is linearized
+    kDamped,   ///< it ends within that distance from where the chain is linearized
   };
   enum class Step { kWhole, kDamped, kRefused };
   /// Shared variables from the chain's root; the window is left as it was where the step is
   /// refused: too long, or not a number.
   Step SolveRoot(LongSteps long_steps, Window* window);
 
+  /// The chain is linearized anew: until then, what follows a damped step is held as well.
+  void Release() { is_held_ = false; }
   /// States from them: the recent ones, and older ones until they hardly change, or all.
   /// @returns true if an older state has left its point of linearization
   bool BackSubstitute(Window* window, bool everything);
@@ -51,6 +53,7 @@ class ChainSolution {
   std::vector<double> shared_, propagated_;  // solution of the border; at the last full pass
   std::vector<double> border_;               // its candidate
   RootTriangle damped_;
+  bool is_held_ = false;
   std::vector<double> substituted_;  // solution of the front at hand
   std::int64_t pass_ = -1;           // a full pass goes on here, -1: done
 };

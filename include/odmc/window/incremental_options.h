@@ -23,8 +23,8 @@ struct IncrementalOptions {
   double wildfire = 0.04;
   /// Error that old linearizations may bring to a sigma [relative]. Every sweep shows how much the
   /// distance between two points of linearization mattered; where half a tolerance may be reached
-  /// before the next one is through, it goes four times as fast, where 0.8 of one, in windows of up
-  /// to 250 keyframes, as fast as the time bound of a solve allows.
+  /// before the next one is through, it goes four times as fast (three in short windows), where 0.8
+  /// of one, in windows of up to 350 keyframes, as fast as the bounds of a solve allow.
   double sigma_tolerance = 0.05;
   /// Newest keyframes that are eliminated anew at once when their points move, >= 1.
   int recent_keyframes = 3;

@@ -79,6 +79,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   bool IsShort() const;
   bool MayCost(double error, const Window& window) const;
 
+  bool SweepHadTurn() const;
   bool Correct(Window* window, const Allowance& allowance, bool all = false);
   bool SolveRoot(Window* window);
   void BackSubstitute(Window* window, bool everything);
@@ -106,8 +107,8 @@ class IncrementalWindowSolver final : public WindowSolver {
   ParameterVector recent_at_;  // where recent fronts were evaluated together
   bool have_root_ = false;
   int max_work_ = 0;           // of the solve at work
-  bool is_to_settle_ = false;  // an urgent sweep is through, its step not taken yet
-  int follow_ups_ = 0;         // urgent sweeps because the one before moved parameters
+  int follow_ups_left_ = 0;    // sweeps that may follow one that aligns, until it has settled
+  bool is_to_settle_ = false;  // such a sweep is through, its step not taken yet
   SolveReport report_;         // of the solve at work
 };
 
