@@ -14,6 +14,7 @@ constexpr int kMostLeaving = 20;      // keyframes an update after learning
 constexpr double kSettled_s = 1.0;    // age at which an interval's residual is looked at
 constexpr double kMostHeld_s = 2.0;   // that the window grows while contact is suspected
 constexpr double kMostRoom = 1e5;     // keyframes
+constexpr double kWaiting = 1.1;      // of the window, at most, while it is weighed anew
 constexpr double kWalkEvery_s = 0.1;  // of flight that has left the window
 
 /// Newest keyframes whose factors change after they were added: averages of rotor accelerations
@@ -23,10 +24,12 @@ int FreshKeyframes(const DynamicModel& model, const EstimatorOptions& options) {
   return static_cast<int>(std::ceil(0.5 * kRotorRatesWindow_s * options.keyframe_rate_hz));
 }
 
-/// In the window of a flight without contact; 0 for options that are refused anyway.
+/// In the window of a flight without contact, with those that wait for new weights; 0 for options
+/// that are refused anyway.
 int MostKeyframes(const EstimatorOptions& options) {
   const double longest_s = std::max(options.window_s, LearningSchedule::kLearning_s);
-  const double keyframes = std::ceil(longest_s * options.keyframe_rate_hz) + 2.0;
+  const double keyframes =
+      std::ceil(kWaiting * longest_s * options.keyframe_rate_hz) + kMostLeaving;
   return keyframes > 0.0 && keyframes < kMostRoom ? static_cast<int>(keyframes) : 0;
 }
 
