@@ -11,8 +11,8 @@ namespace {
 constexpr double kSettling_s = 1.0;                      // of flight in which a step is not enough
 constexpr double kAlignmentGrowth = 1.2;                 // of the window, between alignments
 constexpr double kGateEvery_s = 0.1, kGateKept_s = 3.0;  // copies of the gate on inertia
-// Keyframes' eliminations, 7 to 12 us each: an update takes 0.35 to 0.6 of its keyframe's period.
-constexpr double kWorkPerSecond = 50000.0;
+// Keyframes' eliminations, 7 to 12 us each: an update takes 0.4 to 0.7 of its keyframe's period.
+constexpr double kWorkPerSecond = 60000.0;
 constexpr double kPatience = 10.0;  // times an update's time, where the window is solved as a whole
 
 bool EstimatesInertia(const DynamicModel& model) {

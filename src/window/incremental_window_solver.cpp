@@ -21,7 +21,7 @@ constexpr size_t kMostHurried = 350;   // keyframes; in longer windows parameter
 constexpr int kMostHurriedSweeps = 4;  // in one update
 constexpr double kAlignmentTolerance = 1e-4;  // of its cost; the chain takes the last step
 constexpr int kAlignmentIterations = 10;      // of the batch solve
-constexpr int kLeastAlignmentIterations = 3;  // that must fit into an update
+constexpr int kLeastAlignmentIterations = 2;  // that must fit into an update
 constexpr int kMostFollowUps = 3;             // sweeps after one that aligns
 // Per keyframe, in units of an elimination of it, by the time they take.
 constexpr int kBatchIteration = 2;
