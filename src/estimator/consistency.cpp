@@ -30,6 +30,7 @@ Consistency::Consistency(int num_parameters)
       shift_(score_),
       sum_of_squares_(score_),
       white_(score_),
+      flown_(score_),
       inflation_(score_) {}
 
 void Consistency::SetWalking(const std::vector<int>& entries) { walking_ = entries; }
@@ -123,10 +124,19 @@ void Consistency::ApplyRescaling() {
 }
 
 const Eigen::VectorXd& Consistency::Inflation(const Eigen::Ref<const Eigen::VectorXd>& eta,
-                                              const Eigen::MatrixXd& covariance) {
+                                              const Eigen::MatrixXd& covariance,
+                                              const Eigen::VectorXd& prior_sigma) {
   ApplyRescaling();
+  // Of the variance C = C (F + P) C, with F the flight's information and P the priors', the share
+  // that the flight's noise makes.
+  for (int i = 0; i < n_; ++i) {
+    const double priors = covariance.col(i).cwiseQuotient(prior_sigma).squaredNorm();
+    flown_[i] = std::max(0.0, 1.0 - priors / std::max(1e-300, covariance(i, i)));
+  }
+  for (const int i : walking_) flown_[i] = 1.0;
   // Until there are enough blocks to judge by, the white value; then whatever they show.
-  inflation_.setConstant(n_, num_blocks_ > kMinGroups ? kLeastInflation : 1.0);
+  inflation_.setConstant(n_, num_blocks_ > kMinGroups ? kLeastInflation * kLeastInflation : 1.0);
+  inflation_.array() *= flown_.array();
   // Each block's pull on the estimate.
   const int num_steps = std::max(num_blocks_ - 1, 0);
   for (int k = 0; k < num_steps; ++k) {
@@ -157,10 +167,11 @@ const Eigen::VectorXd& Consistency::Inflation(const Eigen::Ref<const Eigen::Vect
     }
     for (int i = 0; i < n_; ++i) {
       const double ratio = sum_of_squares_[i] / std::max(1e-300, white_[i]);
-      const double variance = (m * ratio + kPriorGroups) / (m + kPriorGroups);
-      inflation_[i] = std::max(inflation_[i], std::sqrt(variance));
+      const double variance = (m * ratio + kPriorGroups * flown_[i]) / (m + kPriorGroups);
+      inflation_[i] = std::max(inflation_[i], variance);
     }
   }
+  inflation_ = (Eigen::VectorXd::Ones(n_) - flown_ + inflation_).cwiseSqrt();
   return inflation_;
 }
 

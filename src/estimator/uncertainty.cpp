@@ -88,7 +88,8 @@ void Uncertainty::Fill(const Window& window, const Conditions& conditions, Windo
   }
   if (consistency_.BlockIsFull()) {
     consistency_.CloseBlock(solver->PastInformation(window));
-    consistency_inflation_ = consistency_.Inflation(window.eta(), covariance_);
+    consistency_inflation_ =
+        consistency_.Inflation(window.eta(), covariance_, window.parameter_sigma());
     RefreshInflation();
   }
   if (regressor_noise_.IsDue(conditions.flown_s)) {

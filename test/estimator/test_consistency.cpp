@@ -18,6 +18,9 @@ using Eigen::VectorXd;
 constexpr double kDt = 0.01;
 constexpr double kInformation = 4.0;  // of one interval
 
+/// Priors so wide that they say nothing.
+VectorXd NoPriors(int n) { return VectorXd::Constant(n, 1e9); }
+
 struct Run {
   double inflation = 1.0;  ///< the factor found
   double error = 0.0;      ///< of the estimate, over the sigma of white noise
@@ -48,8 +51,8 @@ Run Estimate(double rho, double seconds, unsigned seed, double scale_half_way = 
     }
   }
   const double eta = sum / left;
-  const VectorXd inflation =
-      consistency.Inflation(VectorXd::Constant(1, eta), MatrixXd::Constant(1, 1, 1.0 / left));
+  const VectorXd inflation = consistency.Inflation(
+      VectorXd::Constant(1, eta), MatrixXd::Constant(1, 1, 1.0 / left), NoPriors(1));
   return {inflation[0], eta * std::sqrt(left)};
 }
 
@@ -85,7 +88,7 @@ TEST(Consistency, FindsTheFactorOfCorrelatedScores) {
 }
 
 TEST(Consistency, MakesSigmasSmallerOnlyAsFarAsTheErrorsAre) {
-  EXPECT_EQ(Consistency(3).Inflation(VectorXd::Zero(3), MatrixXd::Identity(3, 3)),
+  EXPECT_EQ(Consistency(3).Inflation(VectorXd::Zero(3), MatrixXd::Identity(3, 3), NoPriors(3)),
             VectorXd::Ones(3));  // nothing seen: white
   // Readings that swing back: the estimate's error is smaller than white noise would make it.
   const double rho = -0.5, expected = std::sqrt((1.0 + rho) / (1.0 - rho));
@@ -130,7 +133,7 @@ double InflationOfAWalk(double rho, unsigned seed) {
     if (consistency.BlockIsFull()) consistency.CloseBlock(MatrixXd::Constant(1, 1, left));
   }
   return consistency.Inflation(VectorXd::Constant(1, estimate),
-                               MatrixXd::Constant(1, 1, 1.0 / information))[0];
+                               MatrixXd::Constant(1, 1, 1.0 / information), NoPriors(1))[0];
 }
 
 TEST(Consistency, OfAWalkCountsTheNoiseAndNotTheWalk) {
@@ -158,9 +161,35 @@ TEST(Consistency, TreatsEachParameterByItself) {
     consistency.Add(kDt, score, VectorXd::Zero(2));
     if (consistency.BlockIsFull()) consistency.CloseBlock(left);
   }
-  const VectorXd inflation = consistency.Inflation(VectorXd::Zero(2), left.inverse());
+  const VectorXd inflation = consistency.Inflation(VectorXd::Zero(2), left.inverse(), NoPriors(2));
   EXPECT_GT(inflation[0], 3.0);
   EXPECT_LT(inflation[1], 1.5);
+}
+
+// The flight shows the first number and nothing of the second; noise is half of what it was taken
+// for. What is not shown keeps the sigma of its prior.
+TEST(Consistency, LeavesThePriorsShareAsItIs) {
+  Random random(6);
+  Consistency consistency(2);
+  const VectorXd prior_sigma = VectorXd::Constant(2, 0.05);
+  MatrixXd left = MatrixXd::Zero(2, 2);
+  for (int i = 0; i < 6000; ++i) {
+    VectorXd score(2);
+    score << 0.5 * random.Normal(), 0.0;
+    left(0, 0) += 1.0;
+    consistency.Add(kDt, score, VectorXd::Zero(2));
+    if (consistency.BlockIsFull()) consistency.CloseBlock(left);
+  }
+  MatrixXd information = left;
+  information.diagonal().array() += 1.0 / (0.05 * 0.05);
+  const MatrixXd covariance = information.inverse();
+  const VectorXd inflation = consistency.Inflation(VectorXd::Zero(2), covariance, prior_sigma);
+  // Information 6000 of the flight, 400 of the prior; half of the noise is a quarter of the
+  // variance, and some blocks of the kind that was assumed count with it.
+  EXPECT_GT(inflation[0], std::sqrt(0.25 * 6000.0 / 6400.0 + 400.0 / 6400.0));
+  EXPECT_LT(inflation[0], 0.75);
+  EXPECT_NEAR(inflation[1], 1.0, 1e-9);
+  EXPECT_NEAR(std::sqrt(covariance(1, 1)) * inflation[1], 0.05, 1e-9);
 }
 
 }  // namespace

@@ -191,7 +191,7 @@ class Pipeline {
     consistency_.Add(dt, score_, eta_);
     if (!consistency_.BlockIsFull()) return;
     consistency_.CloseBlock(root_);
-    LookAt(consistency_.Inflation(eta_, root_)[0]);
+    LookAt(consistency_.Inflation(eta_, root_, prior_sigma_)[0]);
     ++blocks_;
   }
 
@@ -213,6 +213,7 @@ class Pipeline {
   LoadObserver load_{model_, true};
   Eigen::VectorXd score_ = Eigen::VectorXd::Ones(12);
   ParameterVector eta_ = ParameterVector::Ones(12);
+  Eigen::VectorXd prior_sigma_ = Eigen::VectorXd::Ones(12);
   Eigen::MatrixXd root_ = 0.99 * Eigen::MatrixXd::Identity(12, 12);
   Consistency consistency_{12};
 };

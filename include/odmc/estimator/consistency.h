@@ -37,11 +37,14 @@ class Consistency {
   /// Scales everything so far by what RescalePrior() returns.
   void Rescale(const Eigen::MatrixXd& root);
 
-  /// Factor on each parameter's standard deviation (n), >= 0.5: below 1 where the
-  /// assumed noise was larger than the flight's.
+  /// Factor on each parameter's standard deviation (n), >= 0.5: below 1 where the assumed noise was
+  /// larger than the flight's. The share of the variance that is the priors' stays as it is: of
+  /// what a flight does not show, the factor is 1.
   /// @param eta present estimate; @param covariance inverse of its information (n×n)
+  /// @param prior_sigma of the priors in that information (n)
   const Eigen::VectorXd& Inflation(const Eigen::Ref<const Eigen::VectorXd>& eta,
-                                   const Eigen::MatrixXd& covariance);
+                                   const Eigen::MatrixXd& covariance,
+                                   const Eigen::VectorXd& prior_sigma);
 
   /// What each third of the flight says by itself; empty while there are fewer than six blocks.
   /// @param eta present estimate
@@ -74,7 +77,7 @@ class Consistency {
   bool rescaled_ = false;
   Eigen::MatrixXd pending_root_, pending_scale_;
   Eigen::MatrixXd scale_, half_, steps_;
-  Eigen::VectorXd scaled_, sum_, shift_, sum_of_squares_, white_, inflation_;
+  Eigen::VectorXd scaled_, sum_, shift_, sum_of_squares_, white_, flown_, inflation_;
 };
 
 }  // namespace odmc
