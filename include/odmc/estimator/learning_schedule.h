@@ -16,8 +16,8 @@ namespace odmc {
 /// leave the window, and which axes of the inertia the flight shows. Thread-compatible.
 class LearningSchedule {
  public:
-  /// Of flight in which nothing leaves [s]. What leaves the window is linearized for good; until
-  /// then, parameters that multiply each other (drag and the height of the centre of mass) are
+  /// Of flight in which nothing leaves [s]. What leaves the window stays linearized where it was;
+  /// before, parameters that multiply each other (drag and the height of the centre of mass) are
   /// guesses, and a guess would stay.
   static constexpr double kLearning_s = 3.0;
 
