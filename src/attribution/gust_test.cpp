@@ -9,6 +9,8 @@
 #include <limits>
 #include <utility>
 
+#include "odmc/math/descent.h"
+
 namespace odmc {
 namespace {
 
@@ -193,7 +195,7 @@ class Hypothesis {
 
   /// Of the drag's change: from the likelihood's curvature, at most the natural size.
   VectorXd DragSigma() const {
-    const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(SlopeHere().curvature);
+    const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(SlopeAt(x_, likelihood_).curvature);
     const VectorXd variance =
         eigen.eigenvalues().cwiseAbs().cwiseMax(kLeastCurvature).cwiseInverse();
     return (eigen.eigenvectors() * variance.asDiagonal() * eigen.eigenvectors().transpose())
@@ -281,30 +283,28 @@ class Hypothesis {
 
   /// Newton's method within the bounds, from differences.
   void Climb() {
-    constexpr int kSteps = 12;
-    constexpr double kShorter = 0.4, kShortest = 0.003, kSmallGain = 0.05;  // the last in nats
-    for (int step = 0; step < kSteps; ++step) {
-      const VectorXd newton = NewtonStep();
-      const double before = likelihood_;
-      for (double share = 1.0; share > kShortest; share *= kShorter) {
-        const VectorXd x = (x_ + share * newton).cwiseMax(least_).cwiseMin(most_);
-        const double found = Likelihood(x);
-        if (found <= likelihood_) continue;
-        likelihood_ = found;
-        x_ = x;
-        break;
-      }
-      if (likelihood_ - before < kSmallGain) return;
-    }
+    DescentOptions options;
+    options.most_steps = 12;
+    options.shorter = 0.4;
+    options.shortest = 0.003;
+    options.least_gain = 0.05;  // nats
+    options.least = least_;
+    options.most = most_;
+    const CostAt best = Descend(
+        {x_, -likelihood_}, options,
+        [this](const CostAt& at) { return NewtonStep(at.x, -at.cost); },
+        [this](const VectorXd& x) { return -Likelihood(x); });
+    x_ = best.x;
+    likelihood_ = -best.cost;
   }
 
-  Slope SlopeHere() const {
+  Slope SlopeAt(const VectorXd& at, double likelihood) const {
     constexpr double kDifference = 0.05;
-    const Index n = x_.size();
+    const Index n = at.size();
     VectorXd slope(n), up(n);
     MatrixXd curvature(n, n);
-    const auto moved = [this](Index j, double by_j, Index k, double by_k) {
-      VectorXd x = x_;
+    const auto moved = [&](Index j, double by_j, Index k, double by_k) {
+      VectorXd x = at;
       x[j] += by_j;
       x[k] += by_k;
       return Likelihood(x);
@@ -314,10 +314,10 @@ class Hypothesis {
       up[k] = moved(k, h, k, 0.0);
       const double down = moved(k, -h, k, 0.0);
       slope[k] = (up[k] - down) / (2.0 * h);
-      curvature(k, k) = (up[k] + down - 2.0 * likelihood_) / (h * h);
+      curvature(k, k) = (up[k] + down - 2.0 * likelihood) / (h * h);
       for (Index j = 0; j < k; ++j) {
         curvature(j, k) = curvature(k, j) =
-            (moved(j, h, k, h) - up[j] - up[k] + likelihood_) / (h * h);
+            (moved(j, h, k, h) - up[j] - up[k] + likelihood) / (h * h);
       }
     }
     return {slope, curvature};
@@ -325,11 +325,11 @@ class Hypothesis {
 
   /// Uphill, against the curvature by its size; along what is at its bound and pushes outwards
   /// not at all.
-  VectorXd NewtonStep() const {
-    auto [slope, curvature] = SlopeHere();
-    for (Index k = 0; k < x_.size(); ++k) {
+  VectorXd NewtonStep(const VectorXd& x, double likelihood) const {
+    auto [slope, curvature] = SlopeAt(x, likelihood);
+    for (Index k = 0; k < x.size(); ++k) {
       const bool outwards =
-          (x_[k] >= most_[k] && slope[k] > 0.0) || (x_[k] <= least_[k] && slope[k] < 0.0);
+          (x[k] >= most_[k] && slope[k] > 0.0) || (x[k] <= least_[k] && slope[k] < 0.0);
       if (!outwards) continue;
       slope[k] = 0.0;
       curvature.row(k).setZero();

@@ -11,6 +11,7 @@
 #include "odmc/analysis/model_choice.h"
 #include "odmc/attribution/residual.h"
 #include "odmc/effects/effects.h"
+#include "odmc/math/descent.h"
 #include "odmc/math/gaussian.h"
 #include "odmc/math/so3.h"
 #include "odmc/sim/truth_vehicle.h"
@@ -198,69 +199,95 @@ ChannelVariance VarianceOf(const ResidualModel::Wrenches& y) {
   return (y.colwise().squaredNorm() / y.rows()).transpose();
 }
 
-/// Variance per channel of the declared model's residual, its parameters fitted to it as an
-/// estimator would: what the channels weigh comes from the sensors' noise (a flight without noise
-/// would weigh the best fitted channel most), and priors hold what the flight does not show.
-ChannelVariance FittedVariance(const FlightLog& log, const Vehicle& vehicle,
-                               const DynamicModel& model, const ModelValues& start,
-                               const ChannelVariance& noise) {
-  constexpr int kRounds = 6;
-  const ThinnedFlight flight(FilterFlight(log, vehicle.num_rotors(), {}), {2.5, 1});
-  const ResidualModel residual(&flight, &vehicle, true);
-  const ChannelVariance weight = noise.cwiseMax(1e-18).cwiseInverse();
-  std::vector<int> free;
-  for (int k = 0; k < model.num_parameters(); ++k) {
-    if (model.parameters()[k].estimated) free.push_back(k);
+/// The declared model's parameters, fitted to a flight's residual as an estimator would: what the
+/// channels weigh comes from the sensors' noise (a flight without noise would weigh the best fitted
+/// channel most), and priors hold what the flight does not show. x holds the parameters that are
+/// estimated.
+class DeclaredFit {
+ public:
+  DeclaredFit(const ResidualModel* residual, const DynamicModel* model, const ModelValues& start,
+              const ChannelVariance& noise)
+      : residual_(residual),
+        model_(model),
+        start_(start),
+        prior_(model->InitialValues()),
+        weight_(noise.cwiseMax(1e-18).cwiseInverse()) {
+    for (int k = 0; k < model->num_parameters(); ++k) {
+      if (model->parameters()[k].estimated) free_.push_back(k);
+    }
   }
-  const auto n = static_cast<Eigen::Index>(free.size());
-  const ModelValues prior = model.InitialValues();
-  const auto cost = [&](const ResidualModel::Wrenches& y, const ModelValues& values) {
-    double sum = (y.colwise().squaredNorm() * weight)(0);
-    for (const int k : free) {
-      sum += std::pow((values[k] - prior[k]) / model.parameters()[k].spec.prior_sigma, 2);
+
+  /// Variance per channel of the residual that the best parameters leave.
+  ChannelVariance Variance() const {
+    Eigen::VectorXd x(static_cast<Eigen::Index>(free_.size()));
+    for (size_t a = 0; a < free_.size(); ++a) x[static_cast<Eigen::Index>(a)] = start_[free_[a]];
+    DescentOptions options;
+    options.most_steps = 6;
+    const CostAt best = Descend(
+        {x, Cost(x)}, options, [this](const CostAt& at) { return Step(at.x); },
+        [this](const Eigen::VectorXd& at) { return Cost(at); });
+    return VarianceOf(residual_->Residual(*model_, ValuesAt(best.x)));
+  }
+
+ private:
+  const ParameterSpec& SpecOf(Eigen::Index a) const {
+    return model_->parameters()[free_[static_cast<size_t>(a)]].spec;
+  }
+
+  ModelValues ValuesAt(const Eigen::VectorXd& x) const {
+    ModelValues values = start_;
+    for (size_t a = 0; a < free_.size(); ++a) values[free_[a]] = x[static_cast<Eigen::Index>(a)];
+    return values;
+  }
+
+  double Cost(const Eigen::VectorXd& x) const {
+    for (Eigen::Index a = 0; a < x.size(); ++a) {
+      const bool is_positive = SpecOf(a).transform == ParameterTransform::kLog;
+      if (is_positive && x[a] <= 0.0) return std::numeric_limits<double>::infinity();
+    }
+    const ResidualModel::Wrenches y = residual_->Residual(*model_, ValuesAt(x));
+    double sum = (y.colwise().squaredNorm() * weight_)(0);
+    for (Eigen::Index a = 0; a < x.size(); ++a) {
+      sum += std::pow((x[a] - prior_[free_[a]]) / SpecOf(a).prior_sigma, 2);
     }
     return sum;
-  };
-  ModelValues values = start;
-  ResidualModel::Wrenches y = residual.Residual(model, values);
-  for (int round = 0; round < kRounds; ++round) {
+  }
+
+  /// Gauss and Newton's.
+  Eigen::VectorXd Step(const Eigen::VectorXd& x) const {
+    const Eigen::Index n = x.size();
+    const ModelValues values = ValuesAt(x);
+    const ResidualModel::Wrenches y = residual_->Residual(*model_, values);
     Eigen::MatrixXd H = Eigen::MatrixXd::Zero(n, n);
     Eigen::VectorXd g = Eigen::VectorXd::Zero(n);
     std::vector<ResidualModel::Wrenches> columns;
-    for (const int k : free) columns.push_back(residual.Derivative(model, values, k));
+    for (const int k : free_) columns.push_back(residual_->Derivative(*model_, values, k));
     for (Eigen::Index a = 0; a < n; ++a) {
-      const double information = 1.0 / std::pow(model.parameters()[free[a]].spec.prior_sigma, 2);
-      g[a] = information * (prior[free[a]] - values[free[a]]);
+      const double information = 1.0 / std::pow(SpecOf(a).prior_sigma, 2);
+      g[a] = information * (prior_[free_[a]] - x[a]);
       H(a, a) = information;
-      const ResidualModel::Wrenches weighted = columns[a] * weight.asDiagonal();
+      const ResidualModel::Wrenches weighted = columns[a] * weight_.asDiagonal();
       g[a] += weighted.cwiseProduct(y).sum();
       for (Eigen::Index b = 0; b < n; ++b) H(a, b) += weighted.cwiseProduct(columns[b]).sum();
     }
     const Eigen::VectorXd scale = H.diagonal().cwiseSqrt().cwiseInverse();
     const Eigen::MatrixXd scaled = scale.asDiagonal() * H * scale.asDiagonal();
-    const Eigen::VectorXd step = scale.asDiagonal() * scaled.ldlt().solve(scale.cwiseProduct(g));
-    const double before = cost(y, values);
-    bool better = false;
-    for (double share = 1.0; share > 0.05 && !better; share *= 0.5) {
-      ModelValues tried = values;
-      bool sensible = true;
-      for (Eigen::Index a = 0; a < n; ++a) {
-        double& value = tried[free[a]];
-        value += share * step[a];
-        const bool positive =
-            model.parameters()[free[a]].spec.transform == ParameterTransform::kLog;
-        sensible = sensible && (!positive || value > 0.0);
-      }
-      if (!sensible) continue;
-      const ResidualModel::Wrenches rest = residual.Residual(model, tried);
-      better = cost(rest, tried) < before;
-      if (!better) continue;
-      values = tried;
-      y = rest;
-    }
-    if (!better) break;
+    return scale.asDiagonal() * scaled.ldlt().solve(scale.cwiseProduct(g));
   }
-  return VarianceOf(y);
+
+  const ResidualModel* residual_;
+  const DynamicModel* model_;
+  ModelValues start_, prior_;
+  ChannelVariance weight_;
+  std::vector<int> free_;
+};
+
+ChannelVariance FittedVariance(const FlightLog& log, const Vehicle& vehicle,
+                               const DynamicModel& model, const ModelValues& start,
+                               const ChannelVariance& noise) {
+  const ThinnedFlight flight(FilterFlight(log, vehicle.num_rotors(), {}), {2.5, 1});
+  const ResidualModel residual(&flight, &vehicle, true);
+  return DeclaredFit(&residual, &model, start, noise).Variance();
 }
 
 }  // namespace
