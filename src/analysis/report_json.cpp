@@ -1,5 +1,6 @@
 #include "odmc/analysis/inspection_json.h"
 #include "odmc/analysis/json.h"
+#include "odmc/analysis/parameters_json.h"
 #include "odmc/analysis/report.h"
 #include "odmc/analysis/timing_report.h"
 #include "odmc/analysis/torque_bands_report.h"
@@ -67,21 +68,11 @@ std::string CalibrationReport(const Calibration& c, const DynamicModel& model) {
   json["vehicle"] = model.vehicle().name;
   json["effects"] = model.effect_names();
   json["flight"] = FlightJson(c.flight);
-  Json parameters = Json::object(), convergence = Json::object();
+  Json convergence = Json::object();
   for (size_t i = 0; i < c.parameters.parameters.size(); ++i) {
-    const ParameterEstimate& p = c.parameters.parameters[i];
-    const double sigma = p.estimated ? p.sigma : 0.0;
-    const int k = model.IndexOf(p.full_name);
-    const bool unphysical = k >= 0 && IsSignUnphysical(model.parameters()[k].spec, p.value, sigma);
-    parameters[p.full_name] = {{"value", JsonNumber(p.value)},
-                               {"sigma", JsonNumber(sigma)},
-                               {"unit", p.unit},
-                               {"state", p.estimated ? "estimated" : "frozen"},
-                               {"observable", p.observable},
-                               {"sign_unphysical", unphysical}};
-    convergence[p.full_name] = JsonNumber(c.convergence_s[i]);
+    convergence[c.parameters.parameters[i].full_name] = JsonNumber(c.convergence_s[i]);
   }
-  json["parameters"] = parameters;
+  json["parameters"] = ParametersJson(c.parameters.parameters, model);
   json["convergence_s"] = convergence;
   json["prediction"] = PredictionJson(c.prediction.figures);
   json["inertia_by_band"] = TorqueBandsJson(c.bands, c.nominal_inertia);

@@ -7,23 +7,13 @@
 
 #include "odmc/analysis/inspection_json.h"
 #include "odmc/analysis/json.h"
+#include "odmc/analysis/parameters_json.h"
 #include "odmc/analysis/torque_bands_report.h"
 
 namespace odmc {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-Json ParametersJson(const std::vector<ParameterEstimate>& parameters) {
-  Json json = Json::object();
-  for (const ParameterEstimate& p : parameters) {
-    json[p.full_name] = {{"value", JsonNumber(p.value)},
-                         {"sigma", JsonNumber(p.sigma)},
-                         {"unit", p.unit},
-                         {"state", p.estimated ? "estimated" : "frozen"}};
-  }
-  return json;
-}
 
 std::string Row(const char* name, const PredictionFigures::Axes& before,
                 const PredictionFigures::Axes& after) {
@@ -40,7 +30,8 @@ std::string Row(const char* name, const PredictionFigures::Axes& before,
 
 }  // namespace
 
-std::string CloseLoopReport(const ClosedLoop& loop) {
+std::string CloseLoopReport(const ClosedLoop& loop, const Vehicle& vehicle) {
+  const DynamicModel model(vehicle, loop.effect_names);
   Json json;
   json["flight"] = loop.flight.file;
   json["flight_info"] = {{"duration_s", JsonNumber(loop.flight.duration_s)},
@@ -55,7 +46,7 @@ std::string CloseLoopReport(const ClosedLoop& loop) {
                    {"p_value", JsonNumber(added.effect.p_value)},
                    {"probability", JsonNumber(added.effect.probability)},
                    {"alternatives", added.alternatives},
-                   {"parameters", ParametersJson(added.effect.parameters)}};
+                   {"parameters", ParametersJson(added.effect.parameters, model)}};
     if (!added.derived.empty()) effect["derived"] = ParametersJson(added.derived);
     if (!added.manoeuvre.empty()) effect["told_apart_by"] = added.manoeuvre;
     json["effects"].push_back(effect);
@@ -103,7 +94,7 @@ std::string CloseLoopReport(const ClosedLoop& loop) {
   if (!loop.where.empty()) json["residual"]["where"] = loop.where;
   json["provenance"] = loop.parameters.provenance;
   json["model"] = loop.effect_names;
-  json["parameters"] = ParametersJson(loop.parameters.parameters);
+  json["parameters"] = ParametersJson(loop.parameters.parameters, model);
   json["trust"] = Name(TrustOf(loop.findings));
   json["findings"] = FindingsJson(loop.findings);
   json["time_offsets"] = TimeOffsetsJson(loop.time_offsets);

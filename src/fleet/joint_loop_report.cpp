@@ -2,6 +2,7 @@
 #include <cstdio>
 
 #include "odmc/analysis/json.h"
+#include "odmc/analysis/parameters_json.h"
 #include "odmc/fleet/joint_loop.h"
 #include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
@@ -10,15 +11,6 @@ namespace odmc {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-Json ParametersJson(const std::vector<ParameterEstimate>& parameters) {
-  Json json = Json::object();
-  for (const ParameterEstimate& p : parameters) {
-    json[p.full_name] = {
-        {"value", JsonNumber(p.value)}, {"sigma", JsonNumber(p.sigma)}, {"unit", p.unit}};
-  }
-  return json;
-}
 
 Json EffectJson(const JointEffect& joint, const std::vector<std::string>& flights) {
   Json json = {{"name", joint.effect.name},

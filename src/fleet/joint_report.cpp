@@ -119,6 +119,9 @@ std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model
   Json parameters = Json::object();
   for (int k = 0; k < first.size(); ++k) {
     const ParameterEstimate* p = fleet.parameters.Find(first.names[static_cast<size_t>(k)]);
+    const int at = model.IndexOf(p->full_name);
+    const bool unphysical =
+        at >= 0 && IsSignUnphysical(model.parameters()[at].spec, p->value, p->sigma);
     parameters[p->full_name] = {{"value", JsonNumber(p->value)},
                                 {"sigma", JsonNumber(p->sigma)},
                                 {"scatter", JsonNumber(fit.scatter[k])},
@@ -126,7 +129,8 @@ std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model
                                 {"new_flight_sigma", JsonNumber(std::hypot(p->sigma, p->scatter))},
                                 {"degrees_of_freedom", JsonNumber(fit.degrees_of_freedom[k])},
                                 {"unit", p->unit},
-                                {"observable", p->observable}};
+                                {"observable", p->observable},
+                                {"sign_unphysical", unphysical}};
   }
   json["parameters"] = parameters;
   const auto place = [&](size_t flight) {

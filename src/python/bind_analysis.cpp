@@ -219,7 +219,8 @@ Found CloseOne(const FlightLog& flight, const Vehicle& file_vehicle, const Vehic
                         {{"flight", log.file},
                          {"estimator_options", tools::DescribeChanges(options.estimator)},
                          {"decision", DescribeChanges(options.attribution)}});
-  return {CloseLoopReport(loop), CloseLoopTable(loop), loop.parameters, ResidualsOf(loop), {}};
+  return {
+      CloseLoopReport(loop, vehicle), CloseLoopTable(loop), loop.parameters, ResidualsOf(loop), {}};
 }
 
 /// simulate: the flight and the truth behind it.

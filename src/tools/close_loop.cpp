@@ -41,7 +41,7 @@ void CloseOne(const Arguments& a, const std::string& file, const Vehicle& file_v
     WarnOfOtherMass(*a.model.choice.parameters, file_vehicle, &loop.warnings);
   }
   loop.parameters.provenance = ProvenanceOf(a, vehicle, {{"flight", log.file}});
-  WriteText(CloseLoopReport(loop), tools::In(a.folder, "report.json"));
+  WriteText(CloseLoopReport(loop, vehicle), tools::In(a.folder, "report.json"));
   WriteLoopSamples(loop, tools::In(a.folder, "residual.csv"));
   SaveParameters(loop.parameters, tools::In(a.folder, "parameters.yaml"));
   std::cout << CloseLoopTable(loop);

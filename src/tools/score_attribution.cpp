@@ -228,7 +228,7 @@ int main(int argc, char** argv) {
                                           vehicle.num_rotors(), PoseSource::kEkf);
       ClosedLoop loop = CloseLoop(log, vehicle, vehicle, options);
       loop.parameters.provenance["decision"] = DescribeChanges(options.attribution);
-      WriteText(CloseLoopReport(loop),
+      WriteText(CloseLoopReport(loop, vehicle),
                 tools::In(results, std::string(manifest[i]["flight"]) + ".json"));
     };
     const int flights = rescore ? 0 : static_cast<int>(manifest.size());

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <nlohmann/json.hpp>
 #include <set>
 
 #include "odmc/attribution/candidates.h"
@@ -132,7 +133,8 @@ TEST(CloseLoop, FindsAddsAndMeasuresAMissingEffect) {
   EXPECT_LT(after.minCoeff() / before.maxCoeff(), 0.8);
   EXPECT_NE(std::find(loop.effect_names.begin(), loop.effect_names.end(), "quadratic_drag"),
             loop.effect_names.end());
-  EXPECT_NE(CloseLoopReport(loop).find("\"verdict\": \"effect\""), std::string::npos);
+  EXPECT_NE(CloseLoopReport(loop, flight.declared).find("\"verdict\": \"effect\""),
+            std::string::npos);
 }
 
 // The earlier estimate is of the same incomplete model: its linear drag is what the quadratic one
@@ -327,7 +329,32 @@ TEST(CloseLoop, FindsALoadThatSwingsFromTheStart) {
   EXPECT_NEAR(derived("suspended_load.swing_frequency"), std::sqrt(9.81 / 0.45) / 6.2832, 0.06);
   const double whole = 1.1 * NominalVehicle().mass_kg;
   EXPECT_NEAR(derived("suspended_load.total_mass"), whole, 0.02 * whole);
-  EXPECT_NE(CloseLoopReport(loop).find("swing_frequency"), std::string::npos);
+  EXPECT_NE(CloseLoopReport(loop, NominalVehicle()).find("swing_frequency"), std::string::npos);
+}
+
+TEST(CloseLoopReport, TellsOfSignsThatPhysicsDoesNotAllow) {
+  ClosedLoop loop;
+  loop.effect_names = {"thrust", "drag", "quadratic_drag"};
+  const ParameterEstimate wrong = {"quadratic_drag.c_q", "N s^2/m^2", -0.04, 0.01, true, true};
+  loop.parameters.parameters = {{"thrust.k_f", "N s^2", 1e-6, 1e-8, true, true},
+                                {"drag.d_x", "N s/m", 0.04, 0.01, true, true},
+                                {"drag.d_y", "N s/m", 0.02, 0.01, true, true},  // chance does that
+                                {"drag.d_z", "N s/m", -0.04, 0.01, true, true},
+                                wrong};
+  AddedEffect added;
+  added.effect.name = "quadratic_drag";
+  added.effect.parameters = {wrong};
+  loop.effects = {added};
+  const auto report = nlohmann::json::parse(CloseLoopReport(loop, NominalVehicle()));
+  const auto& parameters = report["parameters"];
+  EXPECT_EQ(parameters["drag.d_x"]["sign_unphysical"], true);
+  EXPECT_EQ(parameters["drag.d_y"]["sign_unphysical"], false);
+  EXPECT_EQ(parameters["drag.d_z"]["sign_unphysical"], false);
+  EXPECT_EQ(parameters["thrust.k_f"]["sign_unphysical"], false);
+  EXPECT_EQ(parameters["thrust.k_f"]["observable"], true);
+  const auto& own = report["effects"][0]["parameters"]["quadratic_drag.c_q"];
+  EXPECT_EQ(own["sign_unphysical"], true);
+  EXPECT_EQ(own, parameters["quadratic_drag.c_q"]);
 }
 
 TEST(CloseLoop, SeesNoLoadWhereNoneHangs) {
@@ -366,7 +393,7 @@ TEST(CloseLoop, FindsThePointThatWasRecorded) {
   const ParameterEstimate* turned = loop.parameters.Find("odometry_extrinsics.rz");
   ASSERT_NE(turned, nullptr);
   EXPECT_FALSE(turned->estimated);
-  EXPECT_NE(CloseLoopReport(loop).find("odometry_extrinsics.distance"), std::string::npos);
+  EXPECT_NE(CloseLoopReport(loop, file).find("odometry_extrinsics.distance"), std::string::npos);
 }
 
 TEST(CloseLoop, FindsNoPointWhereTheOriginWasRecorded) {

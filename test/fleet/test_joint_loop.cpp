@@ -117,6 +117,7 @@ TEST(JointLoop, NamesWhatTheVehicleLacksByTheEvidenceOfAllFlights) {
   EXPECT_EQ(report["close_loop"]["effects"][0]["flights_for"], 3);
   EXPECT_EQ(report["close_loop"]["effects"][0]["by_flight"].size(), 3u);
   EXPECT_EQ(report["close_loop"]["held_out"].size(), 1u);
+  EXPECT_EQ(report["parameters"]["thrust.k_f"]["sign_unphysical"], false);
   EXPECT_NE(JointLoopCsv(loop).find("flight0," + found.effect.name), std::string::npos);
 }
 

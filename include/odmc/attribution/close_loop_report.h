@@ -7,7 +7,8 @@
 namespace odmc {
 
 /// report.json of close_loop.
-std::string CloseLoopReport(const ClosedLoop& loop);
+/// @param vehicle whose loop it is, with whatever effects
+std::string CloseLoopReport(const ClosedLoop& loop, const Vehicle& vehicle);
 
 /// The same in short, for a terminal.
 std::string CloseLoopTable(const ClosedLoop& loop);
