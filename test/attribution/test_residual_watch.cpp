@@ -8,6 +8,7 @@
 #include "odmc/bench/undeclared.h"
 #include "odmc/estimator/estimator.h"
 #include "odmc/math/gaussian.h"
+#include "support/flight_feed.h"
 #include "support/test_vehicle.h"
 
 namespace odmc {
@@ -31,7 +32,10 @@ UndeclaredFlight Fly(const std::vector<std::string>& effects, const std::string&
 class Pilot {
  public:
   Pilot(const UndeclaredFlight& flight, const ResidualWatchOptions& options)
-      : log_(flight.log), declared_(flight.declared), watch_(flight.declared, options, true) {
+      : log_(flight.log),
+        feed_(log_),
+        declared_(flight.declared),
+        watch_(flight.declared, options, true) {
     estimator_options_.keyframe_rate_hz = 50.0;
     estimator_options_.max_update_time_s = 1.0;
     model_ = std::make_shared<DynamicModel>(declared_, declared_.effects);
@@ -41,15 +45,11 @@ class Pilot {
   /// Flies on until `end_s`, looking whenever it is time.
   void FlyUntil(double end_s) {
     const Stamp end = log_.odometry.front().stamp + FromSeconds(end_s);
-    for (; at_ < log_.odometry.size() && log_.odometry[at_].stamp < end; ++at_) {
-      const OdometrySample& odometry = log_.odometry[at_];
-      while (rotors_ < log_.rotors.size() && log_.rotors[rotors_].stamp <= odometry.stamp) {
-        Feed(log_.rotors[rotors_++]);
-      }
-      while (imu_ < log_.imu.size() && log_.imu[imu_].stamp <= odometry.stamp) {
-        Feed(log_.imu[imu_++]);
-      }
-      Feed(odometry);
+    while (!feed_.AtEnd() && feed_.next_pose().stamp < end) {
+      feed_.Next([this](const auto& sample) {
+        watch_.Add(sample);
+        estimator_->Add(sample);
+      });
       Step();
       if (auto look = watch_.Look()) looks_.push_back(*std::move(look));
     }
@@ -76,12 +76,6 @@ class Pilot {
   double Sigma(const std::string& name) const { return last_->sigma[model_->IndexOf(name)]; }
 
  private:
-  template <typename Sample>
-  void Feed(const Sample& sample) {
-    watch_.Add(sample);
-    estimator_->Add(sample);
-  }
-
   void Step() {
     while (true) {
       const Snapshot* const snapshot = estimator_->Step();
@@ -94,6 +88,7 @@ class Pilot {
   }
 
   const FlightLog& log_;
+  testing_support::FlightFeed feed_;
   Vehicle declared_;
   EstimatorOptions estimator_options_;
   ResidualWatch watch_;
@@ -101,7 +96,6 @@ class Pilot {
   std::unique_ptr<Estimator> estimator_;
   std::optional<Snapshot> last_;
   std::vector<ResidualLook> looks_;
-  size_t at_ = 0, rotors_ = 0, imu_ = 0;
 };
 
 ResidualWatchOptions Often() {

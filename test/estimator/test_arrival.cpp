@@ -10,6 +10,7 @@
 #include "odmc/estimator/estimator.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "support/flight_feed.h"
 #include "support/test_vehicle.h"
 
 namespace odmc {
@@ -61,17 +62,13 @@ class Arrivals : public ::testing::Test {
                      [](const Arrival& a, const Arrival& b) { return a.time_s < b.time_s; });
     Estimator estimator(&model_, options_, true);
     std::vector<Eigen::VectorXd> estimates;
-    const auto step = [&] {
-      do {
-        if (const Snapshot* snapshot = estimator.Step()) estimates.push_back(snapshot->values);
-      } while (estimator.made_progress());
-    };
+    const auto keep = [&](const Snapshot& snapshot) { estimates.push_back(snapshot.values); };
     for (const Arrival& arrival : arrivals) {
       std::visit([&](const auto& sample) { estimator.Add(sample); }, arrival.sample);
-      step();
+      testing_support::Drain(&estimator, keep);
     }
     estimator.Finish();
-    step();
+    testing_support::Drain(&estimator, keep);
     return estimates;
   }
 

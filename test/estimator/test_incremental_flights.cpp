@@ -11,18 +11,22 @@
 #include <string>
 #include <vector>
 
-#include "odmc/analysis/replay.h"
 #include "odmc/bench/full_solve.h"
+#include "odmc/estimator/estimator.h"
 #include "odmc/io/flight_csv.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "support/flight_feed.h"
 #include "support/recorded_data.h"
 #include "support/test_vehicle.h"
 
 namespace odmc {
 namespace test {
 namespace {
+
+using testing_support::Drain;
+using testing_support::FlightFeed;
 
 constexpr double kParameters = 0.1, kSigmas = 0.05;
 constexpr double kAligned_s = 1.1;  // the first second is the batch solver's own
@@ -87,33 +91,21 @@ Differences Compare(const FlightLog& log, const DynamicModel& model, const Case&
       worst.sigma = difference->worst_sigma + " at update " + std::to_string(update);
     }
   });
-  const auto drain = [&] {
-    while (true) {
-      const Snapshot* snapshot = estimator.Step();
-      if (!estimator.made_progress()) return;
-      if (snapshot != nullptr && snapshot->time_s > 1.5 && snapshot->solve.aligned) {
-        ++worst.aligned;
-      }
-    }
+  const auto count_aligned = [&worst](const Snapshot& snapshot) {
+    if (snapshot.time_s > 1.5 && snapshot.solve.aligned) ++worst.aligned;
   };
-  size_t rotor = 0, imu = 0;
   bool restarted = false;
-  for (const OdometrySample& odometry : log.odometry) {
-    if (c.restart_s > 0.0 && !restarted && ToSeconds(odometry.stamp - first) >= c.restart_s) {
+  for (FlightFeed feed(log); !feed.AtEnd();) {
+    const double flown_s = ToSeconds(feed.next_pose().stamp - first);
+    if (c.restart_s > 0.0 && !restarted && flown_s >= c.restart_s) {
       restarted = true;
       estimator.RestartChain();
     }
-    while (rotor < log.rotors.size() && log.rotors[rotor].stamp <= odometry.stamp) {
-      estimator.Add(log.rotors[rotor++]);
-    }
-    while (imu < log.imu.size() && log.imu[imu].stamp <= odometry.stamp) {
-      estimator.Add(log.imu[imu++]);
-    }
-    estimator.Add(odometry);
-    drain();
+    feed.Next(&estimator);
+    Drain(&estimator, count_aligned);
   }
   estimator.Finish();
-  drain();
+  Drain(&estimator, count_aligned);
   worst.counters = estimator.counters();
   return worst;
 }

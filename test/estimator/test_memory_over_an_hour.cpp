@@ -7,11 +7,15 @@
 #include "odmc/estimator/estimator.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "support/flight_feed.h"
 #include "support/test_vehicle.h"
 
 namespace odmc {
 namespace test {
 namespace {
+
+using testing_support::Drain;
+using testing_support::FlightFeed;
 
 constexpr int kMinutes = 60;
 constexpr double kKeyframeRate_hz = 25.0;
@@ -19,22 +23,12 @@ constexpr double kKeyframeRate_hz = 25.0;
 double HeapInUse_KiB() { return static_cast<double>(mallinfo2().uordblks) / 1024.0; }
 
 void Fly(const FlightLog& log, Stamp later, Estimator* estimator, int* updates) {
-  size_t rotor = 0, imu = 0;
-  const auto moved = [later](auto sample) {
-    sample.stamp += later;
-    return sample;
-  };
-  for (const OdometrySample& odometry : log.odometry) {
-    while (rotor < log.rotors.size() && log.rotors[rotor].stamp <= odometry.stamp) {
-      estimator->Add(moved(log.rotors[rotor++]));
-    }
-    while (imu < log.imu.size() && log.imu[imu].stamp <= odometry.stamp) {
-      estimator->Add(moved(log.imu[imu++]));
-    }
-    estimator->Add(moved(odometry));
-    do {
-      if (estimator->Step() != nullptr) ++*updates;
-    } while (estimator->made_progress());
+  for (FlightFeed feed(log); !feed.AtEnd();) {
+    feed.Next([later, estimator](auto sample) {
+      sample.stamp += later;
+      estimator->Add(sample);
+    });
+    Drain(estimator, [updates](const Snapshot&) { ++*updates; });
   }
 }
 

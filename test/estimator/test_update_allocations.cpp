@@ -8,11 +8,15 @@
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "support/allocation_counter.h"
+#include "support/flight_feed.h"
 #include "support/test_vehicle.h"
 
 namespace odmc {
 namespace test {
 namespace {
+
+using testing_support::Drain;
+using testing_support::FlightFeed;
 
 struct Counted {
   int updates = 0, with_allocations = 0;
@@ -33,24 +37,15 @@ Counted CountUpdates(double duration_s, double from_s, bool imu, double walk_rat
   options.k_f_walk_rate = walk_rate;
   Estimator estimator(&model, options, true);
   Counted counted;
-  size_t rotor = 0, inertial = 0;
-  for (const OdometrySample& odometry : log.odometry) {
+  for (FlightFeed feed(log); !feed.AtEnd();) {
     const AllocationCounter counter;
     bool updated = false;
     double time_s = 0.0;
-    while (rotor < log.rotors.size() && log.rotors[rotor].stamp <= odometry.stamp) {
-      estimator.Add(log.rotors[rotor++]);
-    }
-    while (inertial < log.imu.size() && log.imu[inertial].stamp <= odometry.stamp) {
-      estimator.Add(log.imu[inertial++]);
-    }
-    estimator.Add(odometry);
-    do {
-      const Snapshot* snapshot = estimator.Step();
-      if (snapshot == nullptr) continue;
+    feed.Next(&estimator);
+    Drain(&estimator, [&](const Snapshot& snapshot) {
       updated = true;
-      time_s = snapshot->time_s;
-    } while (estimator.made_progress());
+      time_s = snapshot.time_s;
+    });
     if (!updated || time_s < from_s) continue;
     ++counted.updates;
     counted.allocations += counter.count();

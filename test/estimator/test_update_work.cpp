@@ -6,17 +6,21 @@
 #include <cstdio>
 #include <string>
 
-#include "odmc/analysis/replay.h"
+#include "odmc/estimator/estimator.h"
 #include "odmc/io/flight_csv.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "support/flight_feed.h"
 #include "support/recorded_data.h"
 #include "support/test_vehicle.h"
 
 namespace odmc {
 namespace test {
 namespace {
+
+using testing_support::Drain;
+using testing_support::FlightFeed;
 
 constexpr double kEliminationSeconds =
     12e-6;  // of a keyframe with an IMU, on the machine of README
@@ -30,25 +34,16 @@ void ExpectUpdatesWithinTheirPeriods(const FlightLog& log, const DynamicModel& m
   Estimator estimator(&model, options, true);
   const int bound = static_cast<int>(1.0 / (keyframe_rate_hz * kEliminationSeconds));
   int updates = 0, most = 0, longest_window = 0;
-  size_t rotor = 0, imu = 0;
-  for (const OdometrySample& odometry : log.odometry) {
-    while (rotor < log.rotors.size() && log.rotors[rotor].stamp <= odometry.stamp) {
-      estimator.Add(log.rotors[rotor++]);
-    }
-    while (imu < log.imu.size() && log.imu[imu].stamp <= odometry.stamp) {
-      estimator.Add(log.imu[imu++]);
-    }
-    estimator.Add(odometry);
-    do {
-      const Snapshot* snapshot = estimator.Step();
-      if (snapshot == nullptr) continue;
+  for (FlightFeed feed(log); !feed.AtEnd();) {
+    feed.Next(&estimator);
+    Drain(&estimator, [&](const Snapshot& snapshot) {
       ++updates;
-      most = std::max(most, snapshot->solve.work);
-      longest_window = std::max(longest_window, snapshot->timing.states);
-      EXPECT_GT(snapshot->solve.work, 0) << snapshot->time_s;
-      EXPECT_LE(snapshot->solve.work, bound)
-          << snapshot->time_s << " s, " << snapshot->timing.states << " states";
-    } while (estimator.made_progress());
+      most = std::max(most, snapshot.solve.work);
+      longest_window = std::max(longest_window, snapshot.timing.states);
+      EXPECT_GT(snapshot.solve.work, 0) << snapshot.time_s;
+      EXPECT_LE(snapshot.solve.work, bound)
+          << snapshot.time_s << " s, " << snapshot.timing.states << " states";
+    });
   }
   std::printf("%d updates of up to %d of %d keyframes' work\n", updates, most, bound);
   // All of the start was in the window, and sweeps over all of it were asked for.
