@@ -130,25 +130,22 @@ class Loop {
 
   void Deliver() {
     for (const Sample& sample : world_.TakeSamples()) {
+      Keep(sample, &flight_.log);
       std::visit([this](const auto& s) { Deliver(s); }, sample);
     }
   }
   void Deliver(const OdometrySample& sample) {
-    flight_.log.odometry.push_back(sample);
     controller_.Add(sample);
     if (estimator_) estimator_->Add(sample);
   }
   void Deliver(const ImuSample& sample) {
-    flight_.log.imu.push_back(sample);
     controller_.Add(sample);
     if (estimator_ && setup_.vehicle.imu) estimator_->Add(sample);
   }
   void Deliver(const RotorSample& sample) {
-    flight_.log.rotors.push_back(sample);
     if (!source_) UseSpeeds(sample);
   }
   void Deliver(const CommandSample& sample) {
-    flight_.log.commands.push_back(sample);
     if (!source_) return;
     if (const auto speeds = source_->Add(sample)) UseSpeeds(*speeds);
   }
@@ -157,7 +154,6 @@ class Loop {
     if (estimator_) estimator_->Add(sample);
   }
   void Deliver(const BatterySample& sample) {
-    flight_.log.battery.push_back(sample);
     controller_.Add(sample);
     if (source_) source_->Add(sample);
     if (estimator_) estimator_->Add(sample);

@@ -55,15 +55,18 @@ Eigen::Vector3d GroundContact::ForceOn(const Eigen::Vector3d& p_W, const Eigen::
 }
 
 BodyWrench GroundContact::Push(const RigidBodyState& state, const Eigen::Vector3d& p_BBcm) {
-  touches_ = false;
   BodyWrench wrench;
-  const bool far = state.p_WB.z() > plane_z_ + reach_;
+  if (state.p_WB.z() > plane_z_ + reach_) {
+    if (touches_) LetGo();
+    return wrench;
+  }
+  touches_ = false;
   const Eigen::Matrix3d R_WB = state.q_WB.toRotationMatrix();
   for (int i = 0; i < num_points_; ++i) {
     Point& point = points_[i];
     const Eigen::Vector3d p_WP = state.p_WB + R_WB * point.p_B;
     const double depth = plane_z_ - p_WP.z();
-    if (far || depth <= 0.0) {
+    if (depth <= 0.0) {
       point.down = false;
       continue;
     }
@@ -74,6 +77,11 @@ BodyWrench GroundContact::Push(const RigidBodyState& state, const Eigen::Vector3
     wrench.tau_Bcm_B += (point.p_B - p_BBcm).cross(f_B);
   }
   return wrench;
+}
+
+void GroundContact::LetGo() {
+  touches_ = false;
+  for (Point& point : points_) point.down = false;
 }
 
 }  // namespace odmc

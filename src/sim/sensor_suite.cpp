@@ -37,6 +37,18 @@ RotorVector RotorHistory::Delayed() const {
   return (1.0 - share) * StepsAgo(whole) + share * StepsAgo(whole + 1);
 }
 
+void Keep(const Sample& sample, FlightLog* log) {
+  struct {
+    FlightLog* log;
+    void operator()(const OdometrySample& s) const { log->odometry.push_back(s); }
+    void operator()(const ImuSample& s) const { log->imu.push_back(s); }
+    void operator()(const RotorSample& s) const { log->rotors.push_back(s); }
+    void operator()(const BatterySample& s) const { log->battery.push_back(s); }
+    void operator()(const CommandSample& s) const { log->commands.push_back(s); }
+  } const keep{log};
+  std::visit(keep, sample);
+}
+
 SensorSuite::SensorSuite(const WorldOptions& options, int seed)
     : options_(options),
       odometry_noise_{options.position_noise_m, options.attitude_noise_rad,
@@ -67,13 +79,15 @@ void SensorSuite::SenseImu(const TruthSample& truth, const BodyProperties& prope
 }
 
 void SensorSuite::Drift() {
+  if (options_.position_drift_m_sqrt_s == 0.0 && options_.yaw_drift_rad_sqrt_s == 0.0) return;
   const double root_period = 1.0 / std::sqrt(options_.odometry_rate_hz);
   offset_.p_W += options_.position_drift_m_sqrt_s * root_period * drift_random_.Next3();
   offset_.yaw += options_.yaw_drift_rad_sqrt_s * root_period * drift_random_.Next();
 }
 
-void SensorSuite::SenseOdometry(const TruthSample& truth, const BodyProperties& properties) {
-  OdometrySample sample = OdometryOf(truth, properties);
+void SensorSuite::SenseOdometry(Stamp now, const RigidBodyState& state,
+                                const BodyProperties& properties) {
+  OdometrySample sample = OdometryOf(now, state, properties);
   const Eigen::Quaterniond turn(Eigen::AngleAxisd(offset_.yaw, Eigen::Vector3d::UnitZ()));
   sample.p_WS = turn * sample.p_WS + offset_.p_W;
   sample.q_WS = turn * sample.q_WS;
@@ -99,6 +113,7 @@ void SensorSuite::SenseCommands(Stamp now, const RotorVector& throttle) {
 }
 
 void SensorSuite::Deliver(Stamp now) {
+  if (on_the_way_.empty()) return;
   const auto is_late = [&](const OdometrySample& s) { return s.stamp + odometry_delay_ > now; };
   const auto end = std::find_if(on_the_way_.begin(), on_the_way_.end(), is_late);
   arrived_.insert(arrived_.end(), on_the_way_.begin(), end);

@@ -6,14 +6,15 @@
 
 namespace odmc {
 
-OdometrySample OdometryOf(const TruthSample& truth, const BodyProperties& properties) {
+OdometrySample OdometryOf(Stamp stamp, const RigidBodyState& state,
+                          const BodyProperties& properties) {
   const Eigen::Quaterniond q_BS(properties.R_BS);
   OdometrySample sample;
-  sample.stamp = truth.stamp;
-  sample.p_WS = truth.p_WB + truth.q_WB * properties.p_BS;
-  sample.q_WS = (truth.q_WB * q_BS).normalized();
-  sample.v_WS = truth.v_WB + truth.q_WB * truth.w_WB_B.cross(properties.p_BS);
-  sample.w_WS_S = properties.R_BS.transpose() * truth.w_WB_B;
+  sample.stamp = stamp;
+  sample.p_WS = state.p_WB + state.q_WB * properties.p_BS;
+  sample.q_WS = (state.q_WB * q_BS).normalized();
+  sample.v_WS = state.v_WB + state.q_WB * state.w_WB_B.cross(properties.p_BS);
+  sample.w_WS_S = properties.R_BS.transpose() * state.w_WB_B;
   return sample;
 }
 

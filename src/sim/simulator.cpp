@@ -2,18 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
-#include <deque>
-#include <optional>
 #include <stdexcept>
 #include <utility>
+#include <variant>
 
 #include "odmc/math/gaussian.h"
-#include "odmc/sim/disturbance.h"
-#include "odmc/sim/hanging_load.h"
-#include "odmc/sim/motor_drive.h"
 #include "odmc/sim/random_streams.h"
-#include "odmc/sim/sensors.h"
 #include "odmc/sim/tracking_controller.h"
+#include "odmc/sim/world.h"
 #include "odmc/text/refusal.h"
 #include "odmc/trajectory/flatness.h"
 #include "odmc/trajectory/trajectory.h"
@@ -27,205 +23,78 @@ constexpr double kSpoolThrustOverHover = 0.9;  // on the ground, at the end of s
 
 // Whole pieces of at most `longest` that make up `whole`.
 int PiecesOf(double whole, double longest) {
-  return std::max(1, static_cast<int>(std::ceil(whole / longest - 1e-6)));
+  return std::max(1, static_cast<int>(std::ceil(whole / longest - 1e-9)));
 }
 
-double BatteryVoltage(const SimulationNoise& noise, double time_s) {
-  return std::max(0.0, noise.battery_start_V + noise.battery_slope_V_s * time_s);
-}
+// A period of the log, cut into controls and these into steps.
+struct Cut {
+  explicit Cut(const SimulationOptions& options)
+      : period(static_cast<Stamp>(std::llround(1e9 / options.log_rate_hz))),
+        controls(PiecesOf(ToSeconds(period), kControlPeriod_s)),
+        steps(PiecesOf(ToSeconds(period) / controls, options.step_s)),
+        samples(std::lround(options.duration_s / ToSeconds(period)) + 1) {}
 
-MotorLag MotorsOf(const Vehicle& vehicle) {
-  return vehicle.actuator ? MotorLag::Of(*vehicle.actuator, vehicle.num_rotors()) : MotorLag();
-}
+  double rate_hz() const { return 1e9 / static_cast<double>(period); }
+  double step_s() const { return ToSeconds(period) / controls / steps; }
 
-// The vehicle, its pilot and the world, advanced in control periods.
-class ClosedLoop {
+  Stamp period;
+  int controls, steps;  // per period, per control
+  long samples;         // of the whole log
+};
+
+// Flies a world along a trajectory: spools the rotors up on the ground, then tracks. Knows the true
+// model as it is at the start.
+class Pilot {
  public:
-  ClosedLoop(const RigidBody& body, const ModelValues& values, const SimulationOptions& options,
-             const SimulationNoise& noise, const Unmodelled& unmodelled)
-      : body_(body),
-        variation_(body.model(), values, options.seed),
-        load_(body.model(), values),
-        unmodelled_(unmodelled),
-        pilot_(body, options.pilot_bandwidth),
+  Pilot(const DynamicModel& model, const ModelValues& truth, const SimulationOptions& options,
+        const SimulationNoise& noise)
+      : body_(model, truth),
+        controller_(body_, options.pilot_bandwidth),
         trajectory_(options.trajectory, options.ground_s),
         ground_s_(options.ground_s),
-        noise_(noise),
-        disturbance_(body.model().vehicle(), noise.force_N, noise.torque_Nm, options.seed),
-        feedback_(options.seed, kFeedbackStream),
-        on_ground_(options.ground_s > 0.0) {
+        rate_noise_rad_s_(noise.feedback_rate_rad_s),
+        feedback_(options.seed, kFeedbackStream) {}
+
+  // Where the flight begins: in hover on the trajectory, or on the ground below it.
+  void Start(World* world) const {
     const FlatReference start = trajectory_.At(0.0);
-    state_.p_WB = start.p_WB;
-    state_.q_WB = FlatAttitudeOf(start, body.properties().g_W).q_WB;
-    state_.rotor_speed = pilot_.HoverSpeeds();
-    if (on_ground_) state_.rotor_speed.setZero();
-    command_ = state_.rotor_speed;
-    const Vehicle& vehicle = body.model().vehicle();
-    if (!vehicle.actuator) return;
-    drive_.emplace(*vehicle.actuator, vehicle.num_rotors());
-    drive_->Start(drive_->ThrottleFor(command_, BatteryVoltage(noise, 0.0)));
+    const RotorVector hover = controller_.HoverSpeeds();
+    if (ground_s_ > 0.0) {
+      const Eigen::Quaterniond q_WB(Eigen::AngleAxisd(start.yaw, Eigen::Vector3d::UnitZ()));
+      world->Put(start.p_WB, q_WB, RotorVector::Zero(hover.size()));
+    } else {
+      world->Put(start.p_WB, FlatAttitudeOf(start, body_.properties().g_W).q_WB, hover);
+    }
   }
 
-  // Chooses what the rotors are told from `time_s` on, and lets go of the ground.
-  void Control(double time_s) {
-    RigidBodyState seen = state_;
-    seen.w_WB_B += noise_.feedback_rate_rad_s * feedback_.Next3();
+  // Tells the rotors what to do from now on.
+  void Control(World* world) {
+    const double time_s = ToSeconds(world->now());
+    RigidBodyState seen = world->state();
+    seen.w_WB_B += rate_noise_rad_s_ * feedback_.Next3();
     if (time_s < ground_s_) {
-      Tell(time_s, std::sqrt(kSpoolThrustOverHover) * time_s / ground_s_ * pilot_.HoverSpeeds());
+      const double share = std::sqrt(kSpoolThrustOverHover) * time_s / ground_s_;
+      world->Command(share * controller_.HoverSpeeds());
       return;
     }
     const FlatReference reference = trajectory_.At(time_s);
-    CheckFollows(time_s, reference);
-    Tell(time_s, pilot_.Command(time_s, seen, reference));
-    if (on_ground_) on_ground_ = !LiftsOff(time_s);
-  }
-
-  void Step(double time_s, double step_s) {
-    if (on_ground_) {
-      Drive(time_s, step_s, [&](double, const RotorVector& speed_cmd, double piece_s) {
-        state_.rotor_speed = body_.motor().After(state_.rotor_speed, speed_cmd, piece_s);
-      });
+    const RotorVector command = controller_.Command(time_s, seen, reference);
+    const double distance_m = (seen.p_WB - reference.p_WB).norm();
+    if (distance_m < kLostDistance_m && command.allFinite()) {  // false for NaN, too
+      world->Command(command);
       return;
     }
-    variation_.Apply(time_s, &body_);
-    const BodyWrench external = ExternalAt(time_s);
-    load_.Swing(body_, time_s, command_, external, step_s, &state_);
-    Drive(time_s, step_s, [&](double at_s, const RotorVector& speed_cmd, double piece_s) {
-      state_ = body_.Step(at_s, state_, speed_cmd, external, piece_s);
-    });
-  }
-
-  TruthSample Sample(Stamp stamp) {
-    const double time_s = ToSeconds(stamp);
-    const BodyWrench external = on_ground_ ? GroundReaction(time_s) : ExternalAt(time_s);
-    TruthSample sample = TruthOf(body_, stamp, state_, command_, external);
-    sample.on_ground = on_ground_;
-    return sample;
-  }
-
-  // What the ESCs were told; empty for a vehicle without an actuator.
-  std::vector<CommandSample> TakeCommands() { return std::move(commands_); }
-
- private:
-  // Speeds to hold from `time_s` on; where there is an actuator, the throttles that hold them.
-  void Tell(double time_s, const RotorVector& speed_cmd) {
-    command_ = speed_cmd;
-    if (!drive_) return;
-    const double voltage = BatteryVoltage(noise_, time_s);
-    drive_->Command(time_s, drive_->ThrottleFor(speed_cmd, voltage));
-    command_ = drive_->SteadySpeeds(voltage);
-    commands_.push_back({FromSeconds(time_s), drive_->throttle()});
-  }
-
-  // Calls `move` with the speeds the motors are driven to, piece by piece.
-  template <typename Move>
-  void Drive(double time_s, double step_s, const Move& move) {
-    if (!drive_) {
-      move(time_s, command_, step_s);
-      return;
-    }
-    const double voltage = BatteryVoltage(noise_, time_s);
-    drive_->Advance(time_s, step_s, voltage, move);
-    command_ = drive_->SteadySpeeds(voltage);
-  }
-
-  // White noise, and what nobody's model knows.
-  BodyWrench ExternalAt(double time_s) {
-    const BodyWrench& wrench = disturbance_.At(time_s);
-    if (!unmodelled_) return wrench;
-    return wrench + unmodelled_(body_.FlightStateOf(time_s, state_, command_));
-  }
-
-  // What the ground does to a vehicle that rests on it: it bears what thrust does not.
-  BodyWrench GroundReaction(double time_s) const {
-    const BodyWrench model = body_.WrenchOf(body_.FlightStateOf(time_s, state_, command_));
-    const BodyProperties& properties = body_.properties();
-    const Eigen::Vector3d g_B = state_.q_WB.conjugate() * properties.g_W;
-    return {-properties.mass * g_B - model.f_B, -model.tau_Bcm_B};
-  }
-
-  bool LiftsOff(double time_s) const {
-    const Eigen::Vector3d ground_W = state_.q_WB * GroundReaction(time_s).f_B;
-    return ground_W.z() < 0.0;
-  }
-
-  void CheckFollows(double time_s, const FlatReference& reference) const {
-    const double distance = (state_.p_WB - reference.p_WB).norm();
-    if (distance < kLostDistance_m) return;  // false for NaN, too
     throw std::runtime_error("the vehicle can't follow the trajectory '" + trajectory_.name() +
                              "' with these parameters: lost after " + std::to_string(time_s) +
                              " s of simulated flight");
   }
 
-  RigidBody body_;
-  Variation variation_;
-  HangingLoad load_;
-  const Unmodelled& unmodelled_;
-  TrackingController pilot_;
-  Trajectory trajectory_;
-  double ground_s_;
-  SimulationNoise noise_;
-  Disturbance disturbance_;
-  Gaussian feedback_;
-  bool on_ground_;
-  RigidBodyState state_;
-  std::optional<MotorDrive> drive_;
-  RotorVector command_;  // speeds the motors are driven to
-  std::vector<CommandSample> commands_;
-};
-
-// Everything that sensors see of the truth, each with noise of its own.
-class Recorder {
- public:
-  Recorder(const BodyProperties& properties, const SimulationOptions& options,
-           const SimulationNoise& noise, double period_s)
-      : properties_(properties),
-        noise_(noise),
-        odometry_size_{noise.position_m, noise.attitude_rad, noise.velocity_m_s, noise.rate_rad_s},
-        imu_size_{noise.gyro_noise_density * std::sqrt(options.log_rate_hz),
-                  noise.accelerometer_noise_density * std::sqrt(options.log_rate_hz),
-                  noise.gyro_bias, noise.accelerometer_bias},
-        samples_late_(noise.rotor_delay_s / period_s),
-        odometry_(options.seed, kOdometryStream),
-        rotors_(options.seed, kRotorStream),
-        imu_(options.seed, kImuStream) {}
-
-  void Record(const TruthSample& truth, FlightLog* log) {
-    OdometrySample odometry = OdometryOf(truth, properties_);
-    AddNoise(odometry_size_, &odometry_, &odometry);
-    log->odometry.push_back(odometry);
-    RotorVector speed = LateSpeed(truth.rotor_speed);
-    AddNoise(noise_.rotor_speed_rad_s, &rotors_, &speed);
-    log->rotors.push_back({truth.stamp, speed});
-    log->battery.push_back({truth.stamp, BatteryVoltage(noise_, ToSeconds(truth.stamp))});
-    if (!noise_.imu) return;
-    ImuSample imu = ImuOf(truth, properties_);
-    AddNoise(imu_size_, &imu_, &imu);
-    log->imu.push_back(imu);
-  }
-
  private:
-  // True speeds of `rotor_delay_s` before, between samples on a straight line.
-  RotorVector LateSpeed(const RotorVector& now) {
-    speeds_.push_back(now);
-    const double at = std::max(0.0, static_cast<double>(count_) - samples_late_);
-    const auto low = static_cast<size_t>(at);
-    const double share = at - static_cast<double>(low);
-    for (; first_ < low; ++first_) speeds_.pop_front();
-    const RotorVector& before = speeds_.front();
-    const RotorVector& after = speeds_[std::min<size_t>(1, speeds_.size() - 1)];
-    ++count_;
-    return (1.0 - share) * before + share * after;
-  }
-
-  const BodyProperties& properties_;
-  const SimulationNoise& noise_;
-  OdometryErrors odometry_size_;
-  ImuErrors imu_size_;
-  double samples_late_;
-  Gaussian odometry_, rotors_, imu_;
-  std::deque<RotorVector> speeds_;  // of the samples from `first_` on
-  size_t count_ = 0, first_ = 0;
+  RigidBody body_;
+  TrackingController controller_;
+  Trajectory trajectory_;
+  double ground_s_, rate_noise_rad_s_;
+  Gaussian feedback_;
 };
 
 void Reserve(size_t samples, bool imu, FlightLog* log) {
@@ -244,8 +113,8 @@ bool SimulationOptions::IsValid(std::string* error) const {
   if (!(duration_s > 0.0 && duration_s <= 3600.0)) {
     return Invalid(error, "duration_s must be above 0 and at most 3600 seconds");
   }
-  if (!(step_s > 0.0 && step_s <= 0.001)) {
-    return Invalid(error, "step_s must be above 0 and at most 0.001 seconds");
+  if (!(step_s >= 2e-5 && step_s <= 0.001)) {
+    return Invalid(error, "step_s must be 2e-05 to 0.001 seconds");
   }
   if (!(log_rate_hz >= 1.0 && log_rate_hz <= 1000.0)) {
     return Invalid(error, "log_rate_hz must be 1 to 1000");
@@ -286,10 +155,39 @@ bool SimulationNoise::IsValid(std::string* error) const {
       return Invalid(error, std::string(key) + " must be a number of at least 0");
     }
   }
+  if (attitude_rad > 1.0) return Invalid(error, "attitude_rad must be at most 1");
+  if (rotor_delay_s > 1.0) return Invalid(error, "rotor_delay_s must be at most 1 second");
   if (!gyro_bias.allFinite()) return Invalid(error, "gyro_bias is not finite");
   if (!accelerometer_bias.allFinite()) return Invalid(error, "accelerometer_bias is not finite");
   if (!std::isfinite(battery_slope_V_s)) return Invalid(error, "battery_slope_V_s is not finite");
   return true;
+}
+
+WorldOptions WorldOf(const SimulationOptions& options, const SimulationNoise& noise) {
+  const Cut cut(options);
+  WorldOptions world;
+  world.step_s = cut.step_s();
+  world.max_thrust_over_weight = world.idle_speed_share = 0.0;
+  world.battery_full_V = world.battery_empty_V = noise.battery_start_V;
+  world.battery_resistance_ohm = 0.0;
+  world.battery_slope_V_s = noise.battery_slope_V_s;
+  world.disturbance_force_N = noise.force_N;
+  world.disturbance_torque_Nm = noise.torque_Nm;
+  world.ground = options.ground_s > 0.0;
+  world.odometry_rate_hz = world.rotor_rate_hz = world.battery_rate_hz = cut.rate_hz();
+  world.position_noise_m = noise.position_m;
+  world.attitude_noise_rad = noise.attitude_rad;
+  world.velocity_noise_m_s = noise.velocity_m_s;
+  world.rate_noise_rad_s = noise.rate_rad_s;
+  world.odometry_delay_s = 0.0;
+  world.imu_rate_hz = noise.imu ? cut.rate_hz() : 0.0;
+  world.gyro_noise_density = noise.gyro_noise_density;
+  world.accelerometer_noise_density = noise.accelerometer_noise_density;
+  world.gyro_bias_rad_s = noise.gyro_bias;
+  world.accelerometer_bias_m_s2 = noise.accelerometer_bias;
+  world.rotor_noise_rad_s = noise.rotor_speed_rad_s;
+  world.rotor_delay_s = noise.rotor_delay_s;
+  return world;
 }
 
 FlightLog SimulateLog(const DynamicModel& model, const ModelValues& truth,
@@ -297,36 +195,28 @@ FlightLog SimulateLog(const DynamicModel& model, const ModelValues& truth,
                       const Unmodelled& unmodelled, const TruthSink& truth_sink) {
   std::string error;
   if (!options.IsValid(&error) || !noise.IsValid(&error)) throw std::invalid_argument(error);
-  if (truth.size() != model.num_parameters() || !truth.allFinite()) {
-    throw std::invalid_argument("the true values must be one finite number per model parameter");
-  }
-  const Stamp period = static_cast<Stamp>(std::llround(1e9 / options.log_rate_hz));
-  const double period_s = ToSeconds(period);
-  const int num_controls = PiecesOf(period_s, kControlPeriod_s);
-  const int num_steps = PiecesOf(period_s / num_controls, options.step_s);
-  const double step_s = period_s / num_controls / num_steps;
-  const long num_samples = std::lround(options.duration_s / period_s) + 1;
-
-  const RigidBody body(model, truth, MotorsOf(model.vehicle()));
-  ClosedLoop loop(body, truth, options, noise, unmodelled);
-  Recorder recorder(body.properties(), options, noise, period_s);
+  const Cut cut(options);
+  World world(model, truth, WorldOf(options, noise), options.seed);
+  world.SetUnmodelled(unmodelled);
+  Pilot pilot(model, truth, options, noise);
+  pilot.Start(&world);
   FlightLog log;
   log.file = options.trajectory;
-  Reserve(static_cast<size_t>(num_samples), noise.imu, &log);
-  for (long k = 0; k < num_samples; ++k) {
-    const Stamp stamp = k * period;
-    for (int i = 0; i < num_controls * num_steps; ++i) {
-      const double time_s = ToSeconds(stamp) + i * step_s;
-      if (i % num_steps == 0) loop.Control(time_s);
-      if (i == 0) {
-        const TruthSample sample = loop.Sample(stamp);
-        truth_sink(sample);
-        recorder.Record(sample, &log);
+  Reserve(static_cast<size_t>(cut.samples), noise.imu, &log);
+  for (long k = 0; k < cut.samples; ++k) {
+    for (int control = 0; control < cut.controls; ++control) {
+      pilot.Control(&world);
+      if (control == 0) {
+        truth_sink(world.Truth());
+        for (const Sample& sample : world.TakeSamples()) Keep(sample, &log);
       }
-      loop.Step(time_s, step_s);
+      for (int step = 0; step < cut.steps; ++step) world.Step();
     }
   }
-  log.commands = loop.TakeCommands();
+  // Of the last period; what the sensors see at its end is not asked for.
+  for (const Sample& sample : world.TakeSamples()) {
+    if (std::holds_alternative<CommandSample>(sample)) Keep(sample, &log);
+  }
   return log;
 }
 
@@ -334,6 +224,7 @@ SimulatedFlight Simulate(const DynamicModel& model, const ModelValues& truth,
                          const SimulationOptions& options, const SimulationNoise& noise,
                          const Unmodelled& unmodelled) {
   SimulatedFlight flight;
+  if (options.IsValid(nullptr)) flight.truth.reserve(static_cast<size_t>(Cut(options).samples));
   flight.log = SimulateLog(model, truth, options, noise, unmodelled,
                            [&](const TruthSample& sample) { flight.truth.push_back(sample); });
   return flight;

@@ -3,6 +3,7 @@
 #include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 #include <string>
 
@@ -78,7 +79,7 @@ World::World(const DynamicModel& model, const ModelValues& values, const WorldOp
       body_(model, values_, MotorsOf(model.vehicle(), options)),
       map_(RotorMapAtRest(model, values_, body_.properties())),
       battery_(options.battery_full_V, options.battery_empty_V, options.battery_capacity_As,
-               options.battery_resistance_ohm),
+               options.battery_resistance_ohm, options.battery_slope_V_s),
       drive_(DriveOf(model.vehicle())),
       turbulence_(options.gust_m_s, options.gust_length_m, seed),
       disturbance_(model.vehicle(), options.disturbance_force_N, options.disturbance_torque_Nm,
@@ -90,27 +91,40 @@ World::World(const DynamicModel& model, const ModelValues& values, const WorldOp
                options.ground_friction}),
       sensors_(options_, seed),
       lost_(RotorVector::Zero(model.vehicle().num_rotors())),
-      mean_wind_W_(options.wind_m_s),
-      step_(FromSeconds(options.step_s)),
-      step_s_(ToSeconds(step_)) {
+      mean_wind_W_(options.wind_m_s) {
   const double hover_squared = HoverSquared(map_, body_.properties());
   full_speed_ = std::sqrt(options_.max_thrust_over_weight * hover_squared);
   idle_speed_ = options_.idle_speed_share * std::sqrt(hover_squared);
-  Place();
-  Surround();
-  Sense();
+  Start();
 }
 
 // Standing, or hovering with body z against gravity.
-void World::Place() {
-  state_.rotor_speed = RotorVector::Zero(lost_.size());
+void World::Start() {
+  BlowWind();
   if (options_.start_height_m > 0.0) {
-    state_.p_WB.z() = options_.start_height_m;
-    state_.q_WB = RotationBetween(Eigen::Vector3d::UnitZ(), -body_.properties().g_W);
-    state_.rotor_speed = HoverSpeeds();
+    const Eigen::Quaterniond q_WB =
+        RotationBetween(Eigen::Vector3d::UnitZ(), -body_.properties().g_W);
+    Put({0.0, 0.0, options_.start_height_m}, q_WB, HoverSpeeds());
+  } else {
+    Put(Eigen::Vector3d::Zero(), Eigen::Quaterniond::Identity(), RotorVector::Zero(lost_.size()));
   }
-  asked_ = state_.rotor_speed;
+}
+
+void World::Put(const Eigen::Vector3d& p_WB, const Eigen::Quaterniond& q_WB,
+                const RotorVector& rotor_speed) {
+  CheckCommand(rotor_speed, "speed");
+  CheckFinite(p_WB, "the place of the vehicle");
+  CheckFinite(q_WB.vec(), "the attitude of the vehicle");
+  const Eigen::Vector3d load_pull_W = state_.load_pull_W;
+  state_ = RigidBodyState();
+  state_.p_WB = p_WB;
+  state_.q_WB = q_WB;
+  state_.rotor_speed = asked_ = rotor_speed;
+  state_.load_pull_W = load_pull_W;
   if (drive_) drive_->Start(drive_->ThrottleFor(asked_, battery_.voltage_V()));
+  LimitCommand();
+  ground_.LetGo();
+  Surround();
 }
 
 RotorVector World::HoverSpeeds() const {
@@ -152,16 +166,29 @@ void World::CommandThrottle(const RotorVector& throttle) {
   LimitCommand();
 }
 
+// What limits rotors without an actuator.
+double World::MaxSpeed() const {
+  const double voltage_V = battery_.voltage_V();
+  double max_speed = std::numeric_limits<double>::infinity();
+  if (options_.max_thrust_over_weight > 0.0) {
+    const double full_V = options_.battery_full_V;
+    max_speed = full_V > 0.0 ? full_speed_ * voltage_V / full_V : 0.0;
+  }
+  if (options_.motor_S0 > 0.0 && options_.motor_S2 > 0.0)
+    max_speed = std::min(max_speed, SteadySpeed(options_, voltage_V));
+  return max_speed;
+}
+
+double World::max_rotor_speed() const {
+  return drive_ ? drive_->MaxSpeed(battery_.voltage_V()) : max_speed_;
+}
+
 void World::LimitCommand() {
   if (drive_) {
-    max_speed_ = drive_->MaxSpeed(battery_.voltage_V());
     command_ = drive_->SteadySpeeds(battery_.voltage_V());
     return;
   }
-  max_speed_ = full_speed_ * battery_.voltage_V() / options_.battery_full_V;
-  if (options_.motor_S0 > 0.0 && options_.motor_S2 > 0.0) {
-    max_speed_ = std::min(max_speed_, SteadySpeed(options_, battery_.voltage_V()));
-  }
+  max_speed_ = MaxSpeed();
   command_ = asked_.cwiseMax(idle_speed_).cwiseMin(max_speed_);
   for (int j = 0; j < asked_.size(); ++j) {
     if (asked_[j] <= 0.0) command_[j] = 0.0;
@@ -169,37 +196,46 @@ void World::LimitCommand() {
 }
 
 void World::Step() {
-  const double time_s = ToSeconds(now_);
+  Sense();
+  const double time_s = ToSeconds(now_), step_s = options_.step_s;
   if (drive_) sensors_.SenseCommands(now_, drive_->throttle());
-  load_.Swing(body_, time_s, command_, external_, step_s_, &state_);
-  const auto move = [this](double at_s, const RotorVector& speed_cmd, double piece_s) {
-    state_ = body_.Step(at_s, state_, speed_cmd, external_, piece_s);
+  const BodyWrench external = External();
+  load_.Swing(body_, time_s, command_, external, step_s, &state_);
+  const auto move = [&](double at_s, const RotorVector& speed_cmd, double piece_s) {
+    state_ = body_.Step(at_s, state_, speed_cmd, external, piece_s);
   };
   if (drive_) {
-    drive_->Advance(time_s, step_s_, battery_.voltage_V(), move);
+    drive_->Advance(time_s, step_s, battery_.voltage_V(), move);
   } else {
-    move(time_s, command_, step_s_);
-  }
-  battery_.Draw(PowerOfRotors(), step_s_);
-  if (options_.gust_m_s > 0.0) {
-    const double airspeed = (mean_wind_W_ - state_.v_WB).norm();
-    turbulence_.Advance(std::max(airspeed, kLeastAirspeed_m_s), step_s_);
+    move(time_s, command_, step_s);
   }
   const Stamp before = now_;
-  now_ += step_;
+  now_ = FromSeconds(static_cast<double>(++steps_) * step_s);
+  sensed_ = false;
+  battery_.Draw(PowerOfRotors(), ToSeconds(now_), step_s);
+  if (options_.gust_m_s > 0.0) {
+    const double airspeed = (mean_wind_W_ - state_.v_WB).norm();
+    turbulence_.Advance(std::max(airspeed, kLeastAirspeed_m_s), step_s);
+    BlowWind();
+  }
   RunSchedule(before);
   Surround();
-  Sense();
 }
 
 // What battery and air bring about at the present state.
 void World::Surround() {
   const double time_s = ToSeconds(now_);
   variation_.Apply(time_s, &body_);
-  BlowWind();
-  LimitCommand();
-  external_ =
-      ground_.Push(state_, body_.properties().p_BBcm) + disturbance_.At(time_s) + DamageWrench();
+  if (drive_ || MaxSpeed() != max_speed_) LimitCommand();
+  external_ = disturbance_.At(time_s);
+  if (options_.ground) external_ = ground_.Push(state_, body_.properties().p_BBcm) + external_;
+  if (is_damaged_) external_ = external_ + DamageWrench();
+}
+
+// On top of what the model makes. What is unmodelled may hang on the newest command.
+BodyWrench World::External() const {
+  if (!unmodelled_) return external_;
+  return external_ + unmodelled_(body_.FlightStateOf(ToSeconds(now_), state_, command_));
 }
 
 void World::BlowWind() {
@@ -224,12 +260,14 @@ BodyWrench World::DamageWrench() const {
 }
 
 void World::Sense() {
-  sensors_.Sense(now_, state_.rotor_speed, body_.properties(), battery_.voltage_V(),
+  if (sensed_) return;
+  sensed_ = true;
+  sensors_.Sense(now_, state_, body_.properties(), battery_.voltage_V(),
                  [this] { return Truth(); });
 }
 
 TruthSample World::Truth() const {
-  TruthSample truth = TruthOf(body_, now_, state_, command_, external_);
+  TruthSample truth = TruthOf(body_, now_, state_, command_, External());
   truth.on_ground = touches_ground();
   return truth;
 }
@@ -285,11 +323,13 @@ void World::DamagePropeller(int rotor, double share) {
     throw std::invalid_argument("the share a propeller loses must be 0 to 1");
   }
   lost_[rotor] = share;
+  is_damaged_ = true;
   Surround();
 }
 
 void World::Repair() {
   lost_.setZero();
+  is_damaged_ = false;
   Surround();
 }
 
@@ -301,6 +341,7 @@ void World::JumpOdometry(const Eigen::Vector3d& by_m) {
 void World::SetWind(const Eigen::Vector3d& mean_W) {
   CheckFinite(mean_W, "the wind");
   mean_wind_W_ = mean_W;
+  BlowWind();
   Surround();
 }
 

@@ -1,5 +1,6 @@
 #include "odmc/sim/world_options.h"
 
+#include <cmath>
 #include <limits>
 #include <sstream>
 #include <utility>
@@ -51,12 +52,13 @@ bool WorldOptions::IsValid(std::string* error) const {
   const Range ranges[] = {
       {"step_s", step_s, 1e-5, 0.001},
       {"motor_time_constant_s", motor_time_constant_s, 1e-4, 10.0},
-      {"max_thrust_over_weight", max_thrust_over_weight, 1.01, 100.0},
+      {"max_thrust_over_weight", max_thrust_over_weight, max_thrust_over_weight == 0.0 ? 0.0 : 1.01,
+       100.0},
       {"idle_speed_share", idle_speed_share, 0.0, 0.99},
       {"motor_S0", motor_S0, 0.0, kNoLimit},
       {"motor_S1", motor_S1, 0.0, kNoLimit},
       {"motor_S2", motor_S2, 0.0, kNoLimit},
-      {"battery_empty_V", battery_empty_V, 0.1, kNoLimit},
+      {"battery_empty_V", battery_empty_V, 0.0, kNoLimit},
       {"battery_full_V", battery_full_V, battery_empty_V, kNoLimit},
       {"battery_capacity_As", battery_capacity_As, 1.0, kNoLimit},
       {"battery_resistance_ohm", battery_resistance_ohm, 0.0, 10.0},
@@ -98,6 +100,7 @@ bool WorldOptions::IsValid(std::string* error) const {
     if (!IsInside(range, error)) return false;
   }
   if (!AreFinite(*this, error)) return false;
+  if (!std::isfinite(battery_slope_V_s)) return Invalid(error, "battery_slope_V_s is not finite");
   if (motor_S2 > 0.0 && motor_S1 <= 0.0) {
     return Invalid(error, "motor_S1 must be positive where motor_S2 is");
   }

@@ -340,30 +340,96 @@ TEST(Simulator, ImuFeelsThrustAtItsPlace) {
   EXPECT_LT(std::sqrt(sum / count), 0.03);
 }
 
-TEST(Simulator, StandsThenTakesOff) {
+SimulatedFlight FlyFromTheGround(const SimulationNoise& noise) {
   const Vehicle vehicle = test::NominalVehicle();
   const DynamicModel model(vehicle, vehicle.effects);
   SimulationOptions options;
   options.trajectory = "octo";
   options.duration_s = 10.0;
   options.ground_s = 2.0;
-  const SimulatedFlight flight = Simulate(model, DefaultTruth(model), options);
+  return Simulate(model, DefaultTruth(model), options, noise);
+}
+
+TEST(Simulator, StandsThenTakesOff) {
+  const SimulatedFlight flight = FlyFromTheGround({});
   EXPECT_TRUE(flight.truth.front().on_ground);
   EXPECT_EQ(flight.truth.front().rotor_speed.norm(), 0.0);
   double released_s = 0.0;
   for (const TruthSample& at : flight.truth) {
-    if (at.on_ground) {
-      released_s = ToSeconds(at.stamp);
-      EXPECT_EQ(at.p_WB.z(), 0.0);
-      EXPECT_EQ(at.v_WB.norm(), 0.0);
-      EXPECT_NEAR(at.f_B.norm(), 0.75 * 9.81, 1e-9);
-    }
+    if (at.on_ground) released_s = ToSeconds(at.stamp);
     EXPECT_GT(at.p_WB.z(), -0.02);
   }
   EXPECT_GT(released_s, 1.9);
   EXPECT_LT(released_s, 3.0);
   const Trajectory trajectory("octo", 2.0);
   EXPECT_LT((flight.truth.back().p_WB - trajectory.At(10.0).p_WB).norm(), 0.2);
+}
+
+// The ground bears what thrust does not: its springs give back the sink of the vehicle at rest in
+// proportion, behind by 2 zeta / omega = 21 ms of a rise of 2.7 mm/s at most.
+TEST(Simulator, StandsOnTheFeetOfItsWorld) {
+  const double weight = 0.75 * 9.81, sink = WorldOptions().ground_static_sink_m;
+  for (const TruthSample& at : FlyFromTheGround(SimulationNoise::None()).truth) {
+    if (ToSeconds(at.stamp) >= 2.0) break;
+    const double thrust = 1.5e-6 * at.rotor_speed.squaredNorm();
+    EXPECT_TRUE(at.on_ground);
+    EXPECT_NEAR(at.p_WB.z(), sink * thrust / weight, 6e-5) << ToSeconds(at.stamp);
+    EXPECT_LT(at.p_WB.head<2>().norm(), 3e-4);
+    EXPECT_NEAR(at.f_B.norm(), weight, 0.01) << ToSeconds(at.stamp);
+    EXPECT_NEAR(at.external_f_B.z(), weight - thrust, 0.01) << ToSeconds(at.stamp);
+  }
+}
+
+// The world knows what the options say, whatever the rate.
+TEST(Simulator, MakesAWorldOfItsOptions) {
+  SimulationOptions options;
+  SimulationNoise noise;
+  noise.imu = true;
+  std::string error;
+  for (const double step_s : {2e-5, 0.0003, 0.0005, 0.001}) {
+    options.step_s = step_s;
+    for (double rate_hz = 1.0; rate_hz <= 1000.0; rate_hz *= 1.0137) {
+      options.log_rate_hz = std::min(rate_hz, 1000.0);
+      const WorldOptions world = WorldOf(options, noise);
+      ASSERT_TRUE(world.IsValid(&error)) << rate_hz << ": " << error;
+      ASSERT_LE(world.step_s, step_s * (1.0 + 1e-9));
+    }
+  }
+  options.log_rate_hz = 400.0;
+  EXPECT_FALSE(WorldOf(options, noise).ground);
+  options.ground_s = 1.0;
+  const WorldOptions world = WorldOf(options, noise);
+  EXPECT_TRUE(world.ground);
+  EXPECT_EQ(world.imu_rate_hz, 400.0);
+  noise.imu = false;
+  EXPECT_EQ(WorldOf(options, noise).imu_rate_hz, 0.0);
+}
+
+// At a rate whose period is no whole number of steps in nanoseconds, stamps are still whole
+// periods.
+TEST(Simulator, StampsWholePeriodsAtAnyRate) {
+  const Vehicle vehicle = test::NominalVehicle();
+  const DynamicModel model(vehicle, vehicle.effects);
+  SimulationOptions options;
+  options.duration_s = 20.0;
+  options.log_rate_hz = 300.0;
+  const SimulatedFlight flight = Simulate(model, DefaultTruth(model), options);
+  ASSERT_EQ(flight.truth.size(), 6001u);
+  for (size_t k = 0; k < flight.truth.size(); ++k) {
+    ASSERT_EQ(flight.truth[k].stamp, static_cast<Stamp>(k) * 3333333);
+    ASSERT_EQ(flight.log.odometry[k].stamp, flight.truth[k].stamp);
+    ASSERT_EQ(flight.log.rotors[k].stamp, flight.truth[k].stamp);
+  }
+}
+
+TEST(Simulator, EmptiesItsBatteryWithTime) {
+  SimulationNoise noise;
+  noise.battery_start_V = 0.5;
+  noise.battery_slope_V_s = -0.1;  // empty after 5 s, and still it flies
+  const SimulatedFlight flight = Fly(test::NominalVehicle(), "hover", noise, 8.0);
+  for (const BatterySample& sample : flight.log.battery) {
+    EXPECT_NEAR(sample.voltage_V, std::max(0.0, 0.5 - 0.1 * ToSeconds(sample.stamp)), 1e-12);
+  }
 }
 
 TEST(Simulator, DelaysRotorSpeeds) {

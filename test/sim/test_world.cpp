@@ -229,7 +229,99 @@ TEST(World, TruthObeysNewtonAndEuler) {
   EXPECT_LT((b.q_WB.conjugate() * a_Bcm * body.mass - b.f_B).norm(), 1e-3);
 }
 
+// Puts what is on the ground at its place, too: its feet forget where they stood.
+TEST(World, PutsTheVehicleWhereItIsTold) {
+  const Setting setting;
+  World world = setting.In(Quiet());
+  RunFor(&world, 0.1);
+  const Eigen::Vector3d p_WB(2.0, -1.0, 0.0);
+  const Eigen::Quaterniond q_WB(Exp({0.0, 0.0, 0.7}));
+  world.Put(p_WB, q_WB, setting.All(0.0));
+  RunFor(&world, 1.0);
+  EXPECT_LT((world.Truth().p_WB - p_WB).norm(), 1e-9);
+  EXPECT_LT(Log(q_WB.conjugate() * world.Truth().q_WB).norm(), 1e-9);
+  EXPECT_TRUE(world.touches_ground());
+  world.Put({0.0, 0.0, 3.0}, Eigen::Quaterniond::Identity(), world.HoverSpeeds());
+  EXPECT_FALSE(world.touches_ground());
+  RunFor(&world, 0.5);
+  EXPECT_NEAR(world.Truth().p_WB.z(), 3.0, 1e-3);
+  EXPECT_EQ(world.state().rotor_speed, world.Truth().rotor_speed);
+  EXPECT_THROW(world.Put(p_WB, q_WB, RotorVector::Zero(3)), std::invalid_argument);
+  EXPECT_THROW(world.Put({0.0, 0.0, std::nan("")}, q_WB, setting.All(0.0)), std::invalid_argument);
+}
+
+TEST(World, FallsOnWhereThereIsNoGround) {
+  const Setting setting;
+  WorldOptions options = Quiet();
+  options.ground = false;
+  World world = setting.In(options);
+  RunFor(&world, 1.0);
+  EXPECT_LT(world.Truth().p_WB.z(), -4.0);
+  EXPECT_FALSE(world.Truth().on_ground);
+}
+
+// It is an external wrench, asked of the state and of the newest command.
+TEST(World, AddsWhatIsUnmodelled) {
+  const Setting setting;
+  WorldOptions options = Quiet();
+  options.start_height_m = 5.0;
+  options.odometry_rate_hz = options.imu_rate_hz = options.rotor_rate_hz = 0.0;
+  World world = setting.In(options);
+  int asked = 0;
+  world.SetUnmodelled([&](const FlightState& state) {
+    ++asked;
+    const double faster = state.rotors.acceleration[0];
+    return BodyWrench{{0.75, 0.0, state.time_s}, {0.0, 0.0, 1e-9 * faster}};
+  });
+  RunFor(&world, 0.5);
+  EXPECT_EQ(asked, 500);
+  EXPECT_NEAR(world.Truth().external_f_B.x(), 0.75, 1e-12);
+  EXPECT_NEAR(world.Truth().external_f_B.z(), 0.5, 1e-12);
+  const RotorVector now = world.Truth().rotor_speed;
+  world.Command(now + setting.All(25.0));  // through a lag of 25 ms
+  EXPECT_NEAR(world.Truth().external_tau_Bcm_B.z(), 1e-6, 1e-9);
+  EXPECT_GT(world.Truth().v_WB.x(), 0.3) << "1 m/s² for half a second, less drag";
+}
+
 // ---- Motors and battery ----
+
+TEST(World, TurnsRotorsAsToldWhereNothingLimitsThem) {
+  const Setting setting;
+  WorldOptions options = Quiet();
+  options.max_thrust_over_weight = options.idle_speed_share = 0.0;
+  options.battery_slope_V_s = -100.0;  // empty at once
+  World world = setting.In(options);
+  RotorVector command(4);
+  command << 0.0, 1.0, 100.0, 1e4;
+  world.Command(command);
+  RunFor(&world, 1.0);
+  EXPECT_LT((world.Truth().rotor_speed - command).norm(), 1e-6);
+  EXPECT_TRUE(std::isinf(world.max_rotor_speed()));
+}
+
+// By itself and by what is drawn.
+TEST(World, ABatteryFallsWithTime) {
+  const Setting setting;
+  for (const double slope_V_s : {0.0, -0.02, -2.0}) {
+    WorldOptions options = Quiet();
+    options.start_height_m = 5.0;
+    options.battery_capacity_As = 1000.0;
+    options.battery_slope_V_s = slope_V_s;
+    World world = setting.In(options);
+    RunFor(&world, 0.001);
+    double power = 0.0;
+    for (const double speed : world.Truth().rotor_speed)
+      power += setting.k_m() * std::pow(speed, 3);
+    RunFor(&world, 1.999);
+    const double voltage = 16.8 + 2.0 * slope_V_s;
+    const double drawn_As = 2.0 * power / 0.6 / (0.5 * (16.8 + voltage));
+    EXPECT_NEAR(world.battery_voltage_V(), voltage - 3.6 * drawn_As / 1000.0, 2e-2) << slope_V_s;
+    RunFor(&world, 8.0);
+    if (slope_V_s == -2.0) {
+      EXPECT_EQ(world.battery_voltage_V(), 0.0);
+    }
+  }
+}
 
 TEST(World, LimitsCommandsToWhatMotorsCan) {
   const Setting setting;
@@ -767,6 +859,33 @@ TEST(World, ImuFeelsTheMotionOfItsPlace) {
     const Eigen::Vector3d a = (v_WI[k + 1] - v_WI[k - 1]) / 0.002 + Eigen::Vector3d(0, 0, 9.81);
     const Eigen::Vector3d expected = (truth[k].q_WB * mount.q_BS).conjugate() * a;
     ASSERT_LT((*felt[k].specific_force_I - expected).norm(), 2e-3) << k;
+  }
+}
+
+// Whoever commands first and asks then gets what the command does, in truth and sensors.
+TEST(World, SensorsSeeTheCommandOfTheirInstant) {
+  Setting setting(WithImu(), {"thrust", "rotor_torque", "inertia", "rotor_reaction"});
+  setting.values[setting.model.IndexOf("rotor_reaction.J_r")] = 3e-5;
+  WorldOptions options = Quiet();
+  options.start_height_m = 5.0;
+  for (const bool commands_first : {true, false}) {
+    World world = setting.In(options);
+    RunFor(&world, 0.1);
+    world.TakeSamples();
+    RunFor(&world, 0.002);
+    const RotorVector command = world.HoverSpeeds().cwiseProduct(RotorVector::LinSpaced(4, 1, 1.3));
+    if (commands_first) world.Command(command);
+    const auto felt = Only<ImuSample>(world.TakeSamples());
+    ASSERT_EQ(felt.size(), 1u);
+    EXPECT_EQ(felt[0].stamp, world.now());
+    if (!commands_first) world.Command(command);
+    const ImuSample truth = ImuOf(world.Truth(), world.properties());
+    const double apart = (*felt[0].specific_force_I - *truth.specific_force_I).norm();
+    if (commands_first) {
+      EXPECT_LT(apart, 1e-12);
+    } else {
+      EXPECT_GT(apart, 1e-2);
+    }
   }
 }
 

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <fstream>
 #include <sstream>
 #include <string>
@@ -66,6 +67,15 @@ TEST(WorldOptions, SaysWhatIsWrong) {
   options.position_noise_m = -0.1;
   EXPECT_FALSE(options.IsValid(&error));
   EXPECT_EQ(error, "position_noise_m must be a number of at least 0, not -0.1");
+  options = WorldOptions();
+  options.max_thrust_over_weight = 0.5;
+  EXPECT_FALSE(options.IsValid(&error));
+  EXPECT_EQ(error, "max_thrust_over_weight must be 1.01 to 100, not 0.5");
+  options.max_thrust_over_weight = 0.0;
+  EXPECT_TRUE(options.IsValid(&error));
+  options.battery_slope_V_s = std::nan("");
+  EXPECT_FALSE(options.IsValid(&error));
+  EXPECT_EQ(error, "battery_slope_V_s is not finite");
   options = WorldOptions();
   options.motor_S2 = 0.01;
   EXPECT_FALSE(options.IsValid(&error));

@@ -1,11 +1,16 @@
 #pragma once
 
+#include <functional>
+
 #include "odmc/math/gaussian.h"
 #include "odmc/model/body_wrench.h"
 #include "odmc/model/dynamic_model.h"
 #include "odmc/sim/rigid_body.h"
 
 namespace odmc {
+
+/// Force and torque about Bcm, in B, that no model knows, at one flight state; empty: none.
+using Unmodelled = std::function<BodyWrench(const FlightState&)>;
 
 /// What no model knows: white force and torque about Bcm, along body axes, held over 10 ms.
 class Disturbance {

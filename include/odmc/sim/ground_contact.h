@@ -30,6 +30,9 @@ class GroundContact {
   /// Force and torque about the body's centre of mass; to be asked step by step.
   BodyWrench Push(const RigidBodyState& state, const Eigen::Vector3d& p_BBcm);
 
+  /// Forgets where the points held on, for a vehicle that is put elsewhere.
+  void LetGo();
+
   /// True if the last Push() was one.
   bool touches() const { return touches_; }
 

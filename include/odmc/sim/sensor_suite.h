@@ -51,23 +51,22 @@ struct OdometryOffset {
   double yaw = 0.0;                               ///< about the origin of W [rad]
 };
 
+/// Puts a sample to its stream.
+void Keep(const Sample& sample, FlightLog* log);
+
 /// The sensors of a World: each with its rate, its errors, its delay and its own random numbers.
 class SensorSuite {
  public:
   SensorSuite(const WorldOptions& options, int seed);
 
-  /// Takes what is due at `truth`; to be asked once per step.
+  /// Takes what is due in `state`; to be asked once per step.
   /// @param truth a function without arguments that gives the TruthSample of this step
   template <typename Truth>
-  void Sense(Stamp now, const RotorVector& rotor_speed, const BodyProperties& properties,
+  void Sense(Stamp now, const RigidBodyState& state, const BodyProperties& properties,
              double voltage_V, const Truth& truth) {
-    history_.Push(rotor_speed);
-    const bool imu = imu_clock_.Tick(now), odometry = odometry_clock_.Tick(now);
-    if (imu || odometry) {
-      const TruthSample sample = truth();
-      if (imu) SenseImu(sample, properties);
-      if (odometry) SenseOdometry(sample, properties);
-    }
+    history_.Push(state.rotor_speed);
+    if (imu_clock_.Tick(now)) SenseImu(truth(), properties);
+    if (odometry_clock_.Tick(now)) SenseOdometry(now, state, properties);
     if (rotor_clock_.Tick(now)) SenseRotors(now);
     if (battery_clock_.Tick(now)) arrived_.emplace_back(BatterySample{now, voltage_V});
     Deliver(now);
@@ -87,7 +86,7 @@ class SensorSuite {
 
  private:
   void SenseImu(const TruthSample& truth, const BodyProperties& properties);
-  void SenseOdometry(const TruthSample& truth, const BodyProperties& properties);
+  void SenseOdometry(Stamp now, const RigidBodyState& state, const BodyProperties& properties);
   void SenseRotors(Stamp now);
   void Drift();
   // Moves odometry that has been on its way for long enough.

@@ -25,8 +25,9 @@ struct ImuErrors {
   Eigen::Vector3d accelerometer_bias = Eigen::Vector3d::Zero();  ///< [m/s²]
 };
 
-/// Pose and twist of the sensor frame S of a vehicle at `truth`, exact.
-OdometrySample OdometryOf(const TruthSample& truth, const BodyProperties& properties);
+/// Pose and twist of the sensor frame S of a vehicle in `state`, exact.
+OdometrySample OdometryOf(Stamp stamp, const RigidBodyState& state,
+                          const BodyProperties& properties);
 
 /// What an IMU at frame I feels, exact.                                         model.md Eq. (C)
 ImuSample ImuOf(const TruthSample& truth, const BodyProperties& properties);

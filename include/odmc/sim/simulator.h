@@ -7,7 +7,9 @@
 
 #include "odmc/model/dynamic_model.h"
 #include "odmc/sensing/samples.h"
+#include "odmc/sim/disturbance.h"
 #include "odmc/sim/truth_sample.h"
+#include "odmc/sim/world_options.h"
 
 namespace odmc {
 
@@ -16,7 +18,7 @@ struct SimulationOptions {
   std::string trajectory = "octo";  ///< as in TrajectoryOptions::name
   double duration_s = 30.0;         ///< of the whole log, time on the ground included [s], > 0
   int seed = 1;                     ///< of all randomness
-  double step_s = 0.0005;           ///< longest integration step [s], > 0, <= 0.001
+  double step_s = 0.0005;           ///< longest integration step [s], 2e-5 to 0.001
   double log_rate_hz = 400.0;       ///< of every stream [Hz], 1 to 1000
   double ground_s = 0.0;            ///< time on the ground before take-off [s], >= 0
   double pilot_bandwidth = 1.0;     ///< of TrackingController, 0.5 to 1.5
@@ -41,22 +43,19 @@ struct SimulationOptions {
 /// sample, white. Defaults: model.md section 9.
 struct SimulationNoise {
   double position_m = 0.01;
-  double attitude_rad = 0.003;  ///< right perturbation of q_WS
+  double attitude_rad = 0.003;  ///< right perturbation of q_WS, <= 1
   double velocity_m_s = 0.03;
   double rate_rad_s = 0.01;
   double rotor_speed_rad_s = 2.0;
-  /// Unmodelled force and torque about Bcm, along body axes, held over 10 ms (so this is the
-  /// standard deviation of the 10 ms mean). For the vehicle of model.md section 8; for others the
-  /// force scales with weight and the torque with weight times arm length.
-  double force_N = 0.05;
-  double torque_Nm = 0.001;
+  double force_N = 0.05;                     ///< as WorldOptions::disturbance_force_N
+  double torque_Nm = 0.001;                  ///< as WorldOptions::disturbance_torque_Nm
   double feedback_rate_rad_s = 0.01;         ///< on the rates the pilot sees, not on those recorded
   bool imu = false;                          ///< record an IMU at its place in the vehicle
   double gyro_noise_density = 0.0;           ///< [rad/s/√Hz]
   double accelerometer_noise_density = 0.0;  ///< [m/s²/√Hz]
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();           ///< in I [rad/s]
   Eigen::Vector3d accelerometer_bias = Eigen::Vector3d::Zero();  ///< in I [m/s²]
-  double rotor_delay_s = 0.0;  ///< rotor samples show the speeds of this long before, >= 0 [s]
+  double rotor_delay_s = 0.0;  ///< rotor samples show the speeds of this long before, 0 to 1 [s]
   double battery_start_V = 16.2;
   double battery_slope_V_s = -0.01;
 
@@ -94,18 +93,19 @@ struct SimulatedFlight {
   std::vector<TruthSample> truth;
 };
 
-/// Force and torque about Bcm, in B, that no model knows, at one flight state; empty: none.
-using Unmodelled = std::function<BodyWrench(const FlightState&)>;
-
 /// Takes the truth of a flight, sample by sample.
 using TruthSink = std::function<void(const TruthSample&)>;
 
-/// Flies `model` at the values `truth` along a trajectory in closed loop and records it with the
-/// vehicle's sensors at their true places. The same arguments give the same flight, and the noise
-/// of one sensor does not change that of another. A vehicle with an actuator is flown by throttles
-/// at the voltage of its battery, which are recorded (at every control step, 2.5 ms or less);
-/// others have motors with a lag of 25 ms. Parameters that vary (gusts) do so from `truth` on; a
-/// suspended load swings.
+/// The world in which Simulate() flies: its sensors sample together, at the log's rate and without
+/// delay, its motors know no limits and its battery empties with time alone.
+WorldOptions WorldOf(const SimulationOptions& options, const SimulationNoise& noise);
+
+/// Flies `model` at the values `truth` along a trajectory in closed loop and records what the
+/// sensors of its World deliver, at their true places. The same arguments give the same flight, and
+/// the noise of one sensor does not change that of another. A vehicle with an actuator is flown by
+/// throttles at the voltage of its battery, which are recorded (at every control step, 2.5 ms or
+/// less); others have motors with a lag of 25 ms. Parameters that vary (gusts) do so from `truth`
+/// on; a suspended load swings.
 /// @param truth physical values, model.num_parameters()×1
 /// @throws std::invalid_argument for options that are not valid; std::runtime_error if the vehicle
 ///   can't follow, naming time and trajectory

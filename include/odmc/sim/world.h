@@ -51,18 +51,35 @@ class World {
   /// Moves on by one step.
   void Step();
 
+  /// Puts the vehicle somewhere else, at rest, its rotors steady at `rotor_speed` (n×1, rad/s) and
+  /// told to stay so. A load on a cable swings on as it was.
+  /// @throws std::invalid_argument for a wrong size or numbers that are not finite
+  void Put(const Eigen::Vector3d& p_WB, const Eigen::Quaterniond& q_WB,
+           const RotorVector& rotor_speed);
+
+  /// From now on this wrench acts, too, asked once per step at its start.
+  void SetUnmodelled(const Unmodelled& wrench) { unmodelled_ = wrench; }
+
   Stamp now() const { return now_; }
 
   /// What is so now, just after whatever steps now. The wrench is about the centre of mass of all
-  /// that flies; ground, disturbance and damage are external. The command is as limited; with an
-  /// actuator it is the speeds that the throttles which act now hold.
+  /// that flies; ground, disturbance, damage and what is unmodelled are external. The command is as
+  /// limited; with an actuator it is the speeds that the throttles which act now hold.
   TruthSample Truth() const;
 
-  /// What arrived since the last call, in the order of arrival; of one instant, odometry last.
-  std::vector<Sample> TakeSamples() { return sensors_.Take(); }
+  /// Where the vehicle is and how it moves.
+  const RigidBodyState& state() const { return state_; }
+
+  /// What arrived since the last call, in the order of arrival; of one instant, odometry last. The
+  /// sensors see an instant when it is asked for, or when it is over.
+  std::vector<Sample> TakeSamples() {
+    Sense();
+    return sensors_.Take();
+  }
 
   bool touches_ground() const { return ground_.touches(); }
-  double max_rotor_speed() const { return max_speed_; }    ///< at the present voltage [rad/s]
+  /// At the present voltage; infinite where nothing limits it [rad/s].
+  double max_rotor_speed() const;
   double idle_rotor_speed() const { return idle_speed_; }  ///< [rad/s]
   double battery_voltage_V() const { return battery_.voltage_V(); }
   /// Mean wind, gusts and the model's own wind, in W [m/s].
@@ -93,13 +110,15 @@ class World {
 
  private:
   void CheckCommand(const RotorVector& command, const std::string& what) const;
-  void Place();
+  void Start();
   void ChangeBody(const BodyChange& change);
   void RunSchedule(Stamp before);
   void BlowWind();
+  double MaxSpeed() const;
   void LimitCommand();
   double PowerOfRotors() const;
   BodyWrench DamageWrench() const;
+  BodyWrench External() const;
   void Surround();
   void Sense();
 
@@ -107,7 +126,8 @@ class World {
   ModelValues values_;
   RigidBody body_;
   RotorMap map_;  // about the present centre of mass
-  double full_speed_ = 0.0, idle_speed_ = 0.0, max_speed_ = 0.0;
+  double full_speed_ = 0.0, idle_speed_ = 0.0;
+  double max_speed_ = 0.0;  // to which command_ is limited, without an actuator
   Battery battery_;
   std::optional<MotorDrive> drive_;  // of a vehicle with an actuator
   Turbulence turbulence_;
@@ -117,13 +137,16 @@ class World {
   GroundContact ground_;
   SensorSuite sensors_;
   RotorVector lost_;  // share of each rotor's thrust that damage took
+  bool is_damaged_ = false;
   Eigen::Vector3d mean_wind_W_;
+  Unmodelled unmodelled_;
 
-  Stamp step_, now_ = 0;
-  double step_s_;
+  long steps_ = 0;
+  Stamp now_ = 0;
+  bool sensed_ = false;  // the present instant
   RigidBodyState state_;
   RotorVector asked_, command_;  // as told (without an actuator), as limited
-  BodyWrench external_;          // at the present state
+  BodyWrench external_;          // at the present state, but for what is unmodelled
 };
 
 }  // namespace odmc
