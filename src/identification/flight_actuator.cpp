@@ -49,7 +49,7 @@ std::vector<RotorSample> Run(const FlightLog& log, RotorSource* source) {
       if (const auto modelled = source->Add(log.commands[command])) used.push_back(*modelled);
     }
   };
-  // The first voltage stands in for those before it.
+  // The first voltage holds for the time before it, too.
   if (!log.battery.empty()) source->Add(log.battery.front());
   if (source->from_commands()) {
     commands_until(std::numeric_limits<Stamp>::max());
@@ -158,7 +158,7 @@ Actuator ActuatorFromFlight(const FlightLog& log, const std::vector<int>& bad) {
   for (int j = 0; j < all.num_motors(); ++j) {
     actuator.motors.push_back(Contains(bad, j) ? fit.common.motor : fit.motors[next++].motor);
   }
-  // What stands in for a bad sensor is the common motor: its error counts.
+  // A bad sensor's motor is the common one: its error counts.
   actuator.sigma_steady_rad_s = fit.common.error.steady_rad_s;
   actuator.sigma_response_rad_s = fit.common.error.response_rad_s;
   return actuator;

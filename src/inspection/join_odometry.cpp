@@ -300,7 +300,7 @@ ClockOffset FindClockOffset(const std::vector<ImuSample>& imu,
 
 void JoinOdometry(const FlightLog& poses, std::optional<double> offset_s, FlightLog* log) {
   const bool had_poses = !log->odometry.empty();
-  UseMocapPoses({}, log);  // the log's own poses go, their body rates stand in for a gyro
+  UseMocapPoses({}, log);  // the log's own poses go, their body rates replace a gyro
   std::optional<ClockOffset> found;
   if (!offset_s) {
     try {

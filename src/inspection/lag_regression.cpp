@@ -235,7 +235,7 @@ VectorXd Regression::Nats(const MatrixXd& residual, const MatrixXd& moving_gain)
 }
 
 // Least squares, less what noise in the moving signal adds to its own square: errors in it would
-// shrink its gain and let what goes along with its derivative (drag, damping) stand in for it.
+// shrink its gain and let what goes along with its derivative (drag, damping) take its place.
 MatrixXd Regression::GainOf(const MatrixXd& x) const {
   const int k = moving(), f = fixed();
   const MatrixXd weighted = weights_.asDiagonal() * x;

@@ -31,7 +31,7 @@ struct Candidate {
 std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion& flight);
 
 /// The same for several flights of one vehicle: every way that one of them offers. What begins at
-/// some time of a flight is tried from each flight's start only.
+/// some time of a flight is a candidate from each flight's start only.
 std::vector<Candidate> CandidatesFor(const Vehicle& vehicle,
                                      const std::vector<const FlightMotion*>& flights);
 

@@ -20,7 +20,7 @@ struct Variant {
   /// the parameter itself, not a step.
   std::vector<int> columns;
   int offset = -1;         ///< column of what it does beyond its linearization; -1: nothing
-  double log_prior = 0.0;  ///< of its settings among those that were tried for the effect
+  double log_prior = 0.0;  ///< of its settings among those of the effect's candidates
 };
 
 /// Variants that act together, by their numbers in Evidence; of an effect at most one.

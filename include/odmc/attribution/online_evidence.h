@@ -43,7 +43,7 @@ double NatsAgainst(const RankedEffect& effect, const ParameterSet& online,
                    const DynamicModel& model);
 
 /// Two ways through the same data, the fit that chose an effect and the online estimator, find the
-/// same coefficients where the effect is what acts. Where it stands in for something else, what
+/// same coefficients where the effect is what acts. Where something else acts, what
 /// each finds depends on its weights (Hausman, Specification tests in econometrics, 1978).
 /// @returns what differs by more than three sigma and a third of itself; empty if they agree
 std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,

@@ -21,7 +21,7 @@ struct RankedEffect {
   double score = 0.0;        ///< gain of log evidence, beside the other effects that act [nats]
   double p_value = 1.0;      ///< chance that any candidate gains as much where nothing acts
   double probability = 0.0;  ///< a posteriori that it acts, of the sets that were looked at
-  std::map<std::string, double> settings;  ///< frozen parameters it was tried with, full names
+  std::map<std::string, double> settings;  ///< its frozen parameters, full names
   std::vector<std::string> freed;          ///< parameters it frees that the model has frozen
   std::vector<ParameterEstimate> parameters;
   Eigen::MatrixXd covariance;              ///< of the estimated ones, initial states left out

@@ -131,7 +131,7 @@ class ResidualWatch {
 
 /// Start values and priors for an estimator that carries on with the effect that was found.
 /// Parameters start where they are, with their present sigma, widened by what the effect moves them
-/// (they have stood in for it); the effect's own start at what the look estimated, with the sigmas
+/// (they have made up for it); the effect's own start at what the look estimated, with the sigmas
 /// of the vehicle file or the catalogue.
 /// @param extended the vehicle with the effect, see VehicleWith()
 /// @param present the newest estimate of `found.model`

@@ -23,15 +23,15 @@ struct Stage {
   Stage OfFlight(size_t flight) const;
 };
 
-/// The vehicle with a candidate added, what it was tried with frozen, what it frees estimated.
+/// The vehicle with a candidate added, its settings frozen, what it frees estimated.
 Vehicle VehicleWith(const Vehicle& vehicle, const Candidate& candidate);
-/// The same with an effect that was found, as it was tried.
+/// The same with an effect that was found, and its settings.
 Vehicle VehicleWith(const Vehicle& vehicle, const RankedEffect& effect);
 
 /// A vehicle as attribution asks about it: what is estimated has the priors of the vehicle file
 /// again, and starts there; of effects the file does not list, the values stay. The sigmas of an
 /// earlier estimate (`parameters.yaml`) hold under its model, and whether that lacks something is
-/// the question: a viscous torque that stood in for a hub moment, known to 15 %, would forbid the
+/// the question: a viscous torque that took the place of a hub moment, known to 15 %, would forbid the
 /// hub moment. What is frozen stays, as a thrust coefficient that is known.
 Vehicle WithPriorsOf(const Vehicle& file_vehicle, const Vehicle& vehicle);
 

@@ -107,7 +107,7 @@ class DynamicsFactor final : public ceres::CostFunction {
     noise_.torque_Nm = torque_Nm;
   }
 
-  /// Lets the inertia about axis `i` free for good: the flight shows it.
+  /// Frees the inertia about axis `i` from here on: the flight shows it.
   void FreeInertia(int i) { measurement_.inertia_fixed[i] = false; }
 
   /// DynamicsResidual() at the blocks, in its own units. @returns false if it is not finite

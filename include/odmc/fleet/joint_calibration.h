@@ -53,7 +53,7 @@ struct JointCalibrationOptions {
   /// it was linearized than this share of the vehicle file's prior sigma.
   double relinearize_share = 0.5;
   int most_passes = 2;
-  /// On which is tried what all flights share: errors of the streams, the step between keyframes.
+  /// Flights that tell what all share: errors of the streams, the step between keyframes.
   int doubted_flights = 3;
   bool predict_left_out = true;
 };

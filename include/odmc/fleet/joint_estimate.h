@@ -7,7 +7,7 @@
 
 namespace odmc {
 
-/// A parameter that changed for good from a flight on, or drifts over all of them.
+/// A parameter that steps at a flight and stays there, or drifts over all flights.
 struct VehicleChange {
   enum class Kind { kStep, kTrend };
   Kind kind = Kind::kStep;
@@ -15,7 +15,7 @@ struct VehicleChange {
   int from = 0;       ///< first flight of what is new; of a trend 0
   double size = 0.0;  ///< of the step; of a trend from the first flight to the last
   double sigma = 0.0;
-  double p_value = 1.0;  ///< all dates and parameters that were tried accounted for
+  double p_value = 1.0;  ///< of all dates and parameters that it may have been
 };
 
 /// A flight on which a parameter was another one than on those around it.

@@ -19,14 +19,14 @@ namespace odmc {
 void WriteULog(const FlightLog& log, const std::string& file);
 
 /// ArduPilot's dataflash log: XKF1 and XKQ, IMU, ESC (a message per rotor), RCOU (whole µs), BAT,
-/// each at its own stamps, in single precision. Body rates of the odometry stand in for a missing
+/// each at its own stamps, in single precision. Body rates of the odometry replace a missing
 /// gyro.
 void WriteDataflash(const FlightLog& log, const std::string& file);
 
 /// Blackbox with one frame per IMU sample (without an IMU: per reading of the rotors): a flight
 /// with poses as INDIflight writes it (1 mm, 1 cm/s, 1 rad/s), one without as Betaflight does (eRPM
 /// hundreds, 14 poles). Streams of other stamps are taken linearly between their samples; frames
-/// are where all are known. Body rates of the odometry stand in for a missing gyro.
+/// are where all are known. Body rates of the odometry replace a missing gyro.
 void WriteBlackbox(const FlightLog& log, const std::string& file);
 
 }  // namespace odmc

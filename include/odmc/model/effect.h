@@ -73,7 +73,7 @@ class Effect {
   /// its parameters are looked for in a vehicle's history first.
   virtual bool changes_between_flights() const { return false; }
 
-  // What attribution needs to know of it. By default: it is tried once, without settings.
+  // What attribution needs to know of it. By default: one candidate, without settings.
 
   /// The ways to try the effect on a flight whose model lacks it; empty where it cannot be told
   /// there, or never (the base of every model).

@@ -21,7 +21,7 @@ class RotorSupervision {
   bool is_on() const { return source_.has_value(); }
   bool from_commands() const { return source_ && source_->from_commands(); }
 
-  /// The first voltage stands in for those before it, as in recorded flights.
+  /// Takes the first voltage for those before it, too, as in recorded flights.
   void FindVoltage(const std::vector<Sample>& samples);
   void Add(const BatterySample& sample);
   /// @returns speeds by the commands, where they are what is used

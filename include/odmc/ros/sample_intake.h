@@ -14,7 +14,7 @@ namespace odmc {
 
 /// Where a SampleIntake takes rotor speeds from.
 struct RotorIntake {
-  bool from_commands = false;  ///< the stream of commands stands in for rotor speeds
+  bool from_commands = false;  ///< the commands tell the rotor speeds
   bool needs_voltage = false;  ///< and says nothing before the first voltage
 };
 
