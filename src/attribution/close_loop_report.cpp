@@ -28,70 +28,92 @@ std::string Row(const char* name, const PredictionFigures::Axes& before,
   return text;
 }
 
+Json FlightJson(const FlightFigures& flight) {
+  return {{"duration_s", JsonNumber(flight.duration_s)},
+          {"on_ground_s", JsonNumber(flight.on_ground_s)},
+          {"keyframes", flight.keyframes},
+          {"dropped", flight.dropped}};
+}
+
+Json EffectJson(const AddedEffect& added, const DynamicModel& model) {
+  Json json = {{"name", added.effect.name},
+               {"score", JsonNumber(added.effect.score)},
+               {"p_value", JsonNumber(added.effect.p_value)},
+               {"probability", JsonNumber(added.effect.probability)},
+               {"alternatives", added.alternatives},
+               {"parameters", ParametersJson(added.effect.parameters, model)}};
+  if (!added.derived.empty()) json["derived"] = ParametersJson(added.derived);
+  if (!added.manoeuvre.empty()) json["told_apart_by"] = added.manoeuvre;
+  return json;
+}
+
+Json RankedJson(const RankedEffect& ranked) {
+  Json json = {{"name", ranked.name},
+               {"score", JsonNumber(ranked.score)},
+               {"p_value", JsonNumber(ranked.p_value)}};
+  if (!ranked.remarks.empty()) json["remarks"] = ranked.remarks;
+  json["parameters"] = ParametersJson(ranked.parameters);
+  return json;
+}
+
+/// Adds the errors on what was held out, before and after.
+void AddErrors(const ClosedLoop& loop, Json* json) {
+  Json& to = *json;
+  to["force_rmse_before"] = JsonAxes(loop.before.force_rmse_N);
+  to["force_rmse_after"] = JsonAxes(loop.after.force_rmse_N);
+  to["torque_rmse_before"] = JsonAxes(loop.before.torque_rmse_Nm);
+  to["torque_rmse_after"] = JsonAxes(loop.after.torque_rmse_Nm);
+  to["angular_acceleration_rmse_before"] = JsonAxes(loop.before.angular_acceleration_rmse_rad_s2);
+  to["angular_acceleration_rmse_after"] = JsonAxes(loop.after.angular_acceleration_rmse_rad_s2);
+  if (!loop.accelerometer_before) return;
+  to["accelerometer_force_rmse_before"] = JsonAxes(loop.accelerometer_before);
+  to["accelerometer_force_rmse_after"] = JsonAxes(loop.accelerometer_after);
+}
+
+Json ChannelJson(const ChannelStructure& channel) {
+  Json dependence = Json::object();
+  for (const auto& [name, share] : channel.dependence) dependence[name] = JsonNumber(share);
+  return {{"rmse", JsonNumber(channel.rmse)},
+          {"unit", channel.unit},
+          {"structured_share", JsonNumber(channel.whiteness.structured_share)},
+          {"whiteness_p", JsonNumber(channel.whiteness.p)},
+          {"peak_Hz", JsonNumber(channel.whiteness.peak_Hz)},
+          {"autocorrelation_40ms", channel.autocorrelation},
+          {"dependence", dependence}};
+}
+
+Json ResidualJson(const ClosedLoop& loop) {
+  Json channels = Json::object();
+  for (const ChannelStructure& channel : loop.structure) {
+    channels[channel.name] = ChannelJson(channel);
+  }
+  Json json = {{"structured_share", JsonNumber(loop.structured_share)},
+               {"whiteness_p", JsonNumber(loop.whiteness_p)},
+               {"effects_gain_nats", JsonNumber(loop.named_gain)},
+               {"functions_gain_nats", JsonNumber(loop.flexible_gain)},
+               {"channels", channels}};
+  if (!loop.where.empty()) json["where"] = loop.where;
+  return json;
+}
+
 }  // namespace
 
 std::string CloseLoopReport(const ClosedLoop& loop, const Vehicle& vehicle) {
   const DynamicModel model(vehicle, loop.effect_names);
   Json json;
   json["flight"] = loop.flight.file;
-  json["flight_info"] = {{"duration_s", JsonNumber(loop.flight.duration_s)},
-                         {"on_ground_s", JsonNumber(loop.flight.on_ground_s)},
-                         {"keyframes", loop.flight.keyframes},
-                         {"dropped", loop.flight.dropped}};
+  json["flight_info"] = FlightJson(loop.flight);
   json["verdict"] = ToString(loop.verdict);
   json["effects"] = Json::array();
-  for (const AddedEffect& added : loop.effects) {
-    Json effect = {{"name", added.effect.name},
-                   {"score", JsonNumber(added.effect.score)},
-                   {"p_value", JsonNumber(added.effect.p_value)},
-                   {"probability", JsonNumber(added.effect.probability)},
-                   {"alternatives", added.alternatives},
-                   {"parameters", ParametersJson(added.effect.parameters, model)}};
-    if (!added.derived.empty()) effect["derived"] = ParametersJson(added.derived);
-    if (!added.manoeuvre.empty()) effect["told_apart_by"] = added.manoeuvre;
-    json["effects"].push_back(effect);
-  }
+  for (const AddedEffect& added : loop.effects) json["effects"].push_back(EffectJson(added, model));
   json["ranking"] = Json::array();
-  for (const RankedEffect& ranked : loop.ranking) {
-    Json entry = {{"name", ranked.name},
-                  {"score", JsonNumber(ranked.score)},
-                  {"p_value", JsonNumber(ranked.p_value)}};
-    if (!ranked.remarks.empty()) entry["remarks"] = ranked.remarks;
-    entry["parameters"] = ParametersJson(ranked.parameters);
-    json["ranking"].push_back(entry);
-  }
-  json["force_rmse_before"] = JsonAxes(loop.before.force_rmse_N);
-  json["force_rmse_after"] = JsonAxes(loop.after.force_rmse_N);
-  json["torque_rmse_before"] = JsonAxes(loop.before.torque_rmse_Nm);
-  json["torque_rmse_after"] = JsonAxes(loop.after.torque_rmse_Nm);
-  json["angular_acceleration_rmse_before"] = JsonAxes(loop.before.angular_acceleration_rmse_rad_s2);
-  json["angular_acceleration_rmse_after"] = JsonAxes(loop.after.angular_acceleration_rmse_rad_s2);
-  if (loop.accelerometer_before) {
-    json["accelerometer_force_rmse_before"] = JsonAxes(loop.accelerometer_before);
-    json["accelerometer_force_rmse_after"] = JsonAxes(loop.accelerometer_after);
-  }
+  for (const RankedEffect& ranked : loop.ranking) json["ranking"].push_back(RankedJson(ranked));
+  AddErrors(loop, &json);
   json["rotor_torque_gain"] = JsonAxes(loop.after.rotor_torque_gain);
   json["inertia_over_nominal"] = JsonAxes(loop.after.inertia_over_nominal);
   json["inertia_by_band"] = TorqueBandsJson(loop.bands, loop.nominal_inertia);
   json["held_out"] = true;
-  Json channels = Json::object();
-  for (const ChannelStructure& channel : loop.structure) {
-    Json dependence = Json::object();
-    for (const auto& [name, share] : channel.dependence) dependence[name] = JsonNumber(share);
-    channels[channel.name] = {{"rmse", JsonNumber(channel.rmse)},
-                              {"unit", channel.unit},
-                              {"structured_share", JsonNumber(channel.whiteness.structured_share)},
-                              {"whiteness_p", JsonNumber(channel.whiteness.p)},
-                              {"peak_Hz", JsonNumber(channel.whiteness.peak_Hz)},
-                              {"autocorrelation_40ms", channel.autocorrelation},
-                              {"dependence", dependence}};
-  }
-  json["residual"] = {{"structured_share", JsonNumber(loop.structured_share)},
-                      {"whiteness_p", JsonNumber(loop.whiteness_p)},
-                      {"effects_gain_nats", JsonNumber(loop.named_gain)},
-                      {"functions_gain_nats", JsonNumber(loop.flexible_gain)},
-                      {"channels", channels}};
-  if (!loop.where.empty()) json["residual"]["where"] = loop.where;
+  json["residual"] = ResidualJson(loop);
   json["provenance"] = loop.parameters.provenance;
   json["model"] = loop.effect_names;
   json["parameters"] = ParametersJson(loop.parameters.parameters, model);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <random>
 #include <utility>
 
@@ -354,8 +355,15 @@ FlightRegression::Noise FlightRegression::FitNoise(const MatrixXd& e) const {
   return noise;
 }
 
-void FlightRegression::EstimateNoise() {
-  const auto n = static_cast<Index>(rows_.size());
+void FlightRegression::BeginWithWhiteNoise() {
+  weight_ = MatrixXd::Ones(static_cast<Index>(rows_.size()), kNumChannels);
+  for (int c = 0; c < num_channels_; ++c) {
+    noise_[c] = Noise();
+    noise_[c].variance = std::max(y_.col(c).squaredNorm() / double(y_.rows()), 1e-300);
+  }
+}
+
+VectorXd FlightRegression::FitColumns() {
   const auto m = static_cast<Index>(columns_.size());
   VectorXd sigma(m), mean(m);
   for (Index k = 0; k < m; ++k) {
@@ -363,27 +371,71 @@ void FlightRegression::EstimateNoise() {
     sigma[k] = column.prior_sigma;
     mean[k] = column.prior_mean;
   }
+  MatrixXd H = sigma.asDiagonal() * gram_.topLeftCorner(m, m) * sigma.asDiagonal();
+  H.diagonal().array() += 1.0;
+  const VectorXd b = sigma.cwiseProduct(gram_.col(m).head(m));
+  const Eigen::LLT<MatrixXd> llt(H);
+  // Root of the covariance of what was fitted.
+  fitted_root_ = sigma.asDiagonal() * MatrixXd(llt.matrixU().solve(MatrixXd::Identity(m, m)));
+  return sigma.cwiseProduct(llt.solve(b + mean.cwiseQuotient(sigma)));
+}
+
+MatrixXd FlightRegression::DrawsOfFit(const std::function<double()>& normal) const {
+  const Index m = fitted_root_.cols();
+  if (m <= kMostDraws) return fitted_root_;
+  MatrixXd z(m, kMostDraws);
+  for (Index k = 0; k < z.size(); ++k) z.data()[k] = normal();
+  return fitted_root_ * z / std::sqrt(static_cast<double>(kMostDraws));
+}
+
+void FlightRegression::ReestimateNoise(const VectorXd& x, const MatrixXd& draws) {
+  const auto m = static_cast<Index>(columns_.size());
+  MatrixXd fitted(m, 1 + draws.cols());
+  fitted << -x, draws;
+  MatrixXd columns(y_.rows(), m);
+  for (int c = 0; c < num_channels_; ++c) {
+    for (Index k = 0; k < m; ++k) {
+      columns.col(k) = columns_[static_cast<size_t>(k)].foreseen.col(c);
+    }
+    MatrixXd likely = columns * fitted;
+    likely.col(0) += y_.col(c);
+    noise_[c] = FitNoise(likely);
+    for (Index k = 0; k < static_cast<Index>(rows_.size()); ++k) {
+      const int i = rows_[static_cast<size_t>(k)];
+      double innovation = likely(i, 0);
+      for (int lag = 0; lag < kOrder; ++lag) {
+        innovation -= noise_[c].coefficients[lag] * likely(i - 1 - lag, 0);
+      }
+      const double sigmas = std::abs(innovation) / std::sqrt(noise_[c].variance);
+      weight_(k, c) = sigmas > kWildSigmas ? std::sqrt(kWildSigmas / sigmas) : 1.0;
+    }
+  }
+}
+
+void FlightRegression::WhitenHeldOut() {
+  const auto m = static_cast<Index>(columns_.size());
+  held_out_weight_ = MatrixXd::Ones(static_cast<Index>(held_out_rows_.size()), kNumChannels);
+  held_out_white_.resize(static_cast<Index>(held_out_rows_.size()) * num_channels_, m + 1);
+  for (Index k = 0; k <= m; ++k) {
+    const Wrenches& column = k < m ? columns_[static_cast<size_t>(k)].foreseen : y_;
+    held_out_white_.col(k) = Whitened(column, held_out_rows_, held_out_weight_);
+  }
+}
+
+void FlightRegression::EstimateNoise() {
+  const auto m = static_cast<Index>(columns_.size());
   NoiseRounds rounds = noise_columns_ == m ? kMovedColumns : kMoreColumns;
   if (noise_columns_ < 0) {
     rounds = kFirstNoise;
-    weight_ = MatrixXd::Ones(n, kNumChannels);
-    for (int c = 0; c < num_channels_; ++c) {
-      noise_[c] = Noise();
-      noise_[c].variance = std::max(y_.col(c).squaredNorm() / double(y_.rows()), 1e-300);
-    }
+    BeginWithWhiteNoise();
   }
   noise_columns_ = static_cast<int>(m);
   std::mt19937 random(1);
   std::normal_distribution<double> normal;
+  const auto draw = [&] { return normal(random); };
   for (int round = 0;; ++round) {
     WhitenAll();
-    MatrixXd H = sigma.asDiagonal() * gram_.topLeftCorner(m, m) * sigma.asDiagonal();
-    H.diagonal().array() += 1.0;
-    const VectorXd b = sigma.cwiseProduct(gram_.col(m).head(m));
-    const Eigen::LLT<MatrixXd> llt(H);
-    const VectorXd x = sigma.cwiseProduct(llt.solve(b + mean.cwiseQuotient(sigma)));
-    // Root of the covariance of what was fitted.
-    fitted_root_ = sigma.asDiagonal() * MatrixXd(llt.matrixU().solve(MatrixXd::Identity(m, m)));
+    const VectorXd x = FitColumns();
     if (round == rounds.rough + rounds.expectation) {
       fitted_ = white_.leftCols(m);
       innovation_ = white_.col(m) - fitted_ * x;
@@ -394,42 +446,10 @@ void FlightRegression::EstimateNoise() {
     // Rubin, J. R. Stat. Soc. B 39, 1977), by a few draws of that.
     // (Not before the residual's size is the noise's: what the fit may have taken would be of the
     // size of the effects.)
-    MatrixXd draws = MatrixXd::Zero(m, 0);
-    if (round >= rounds.rough) {
-      draws = fitted_root_;
-      if (m > kMostDraws) {
-        MatrixXd z(m, kMostDraws);
-        for (Index k = 0; k < z.size(); ++k) z.data()[k] = normal(random);
-        draws = fitted_root_ * z / std::sqrt(static_cast<double>(kMostDraws));
-      }
-    }
-    MatrixXd fitted(m, 1 + draws.cols());
-    fitted << -x, draws;
-    MatrixXd columns(y_.rows(), m);
-    for (int c = 0; c < num_channels_; ++c) {
-      for (Index k = 0; k < m; ++k) {
-        columns.col(k) = columns_[static_cast<size_t>(k)].foreseen.col(c);
-      }
-      MatrixXd likely = columns * fitted;
-      likely.col(0) += y_.col(c);
-      noise_[c] = FitNoise(likely);
-      for (Index k = 0; k < n; ++k) {
-        const int i = rows_[static_cast<size_t>(k)];
-        double innovation = likely(i, 0);
-        for (int lag = 0; lag < kOrder; ++lag) {
-          innovation -= noise_[c].coefficients[lag] * likely(i - 1 - lag, 0);
-        }
-        const double sigmas = std::abs(innovation) / std::sqrt(noise_[c].variance);
-        weight_(k, c) = sigmas > kWildSigmas ? std::sqrt(kWildSigmas / sigmas) : 1.0;
-      }
-    }
+    const bool is_rough = round < rounds.rough;
+    ReestimateNoise(x, is_rough ? MatrixXd(MatrixXd::Zero(m, 0)) : DrawsOfFit(draw));
   }
-  held_out_weight_ = MatrixXd::Ones(static_cast<Index>(held_out_rows_.size()), kNumChannels);
-  held_out_white_.resize(static_cast<Index>(held_out_rows_.size()) * num_channels_, m + 1);
-  for (Index k = 0; k <= m; ++k) {
-    const Wrenches& column = k < m ? columns_[static_cast<size_t>(k)].foreseen : y_;
-    held_out_white_.col(k) = Whitened(column, held_out_rows_, held_out_weight_);
-  }
+  WhitenHeldOut();
   Project();
 }
 

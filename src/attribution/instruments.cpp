@@ -158,95 +158,147 @@ MatrixXd Instruments::Foreseen(const MatrixXd& columns, const MatrixXd& likely) 
   return foreseen;
 }
 
-MatrixXd Instruments::ForeseenBatch(const MatrixXd& columns, const MatrixXd& likely) const {
-  constexpr Index kLagged = static_cast<Index>(kLags.size());
-  constexpr Index kOwn = kLagged + 1;
-  constexpr Index kWidth = kOwn + 1;
+/// Columns that are foreseen at once, those that are zero left out.
+struct Instruments::Batch {
+  static constexpr Index kLagged = static_cast<Index>(kLags.size());
+  static constexpr Index kOwn = kLagged + 1;
+  static constexpr Index kWidth = kOwn + 1;
+
+  std::vector<Index> acting;  // which they are
+  std::vector<double> size;   // root mean square
+  // Of each column, of unit size, its own past, what it would be in the likely motion, then itself.
+  MatrixXd own;
+
+  Index num_columns() const { return static_cast<Index>(acting.size()); }
+};
+
+/// Their sums of products, by fold and of all folds: with the instruments, and among a column's
+/// own.
+struct Instruments::Sums {
+  std::array<MatrixXd, kFolds> zx, xx;
+  MatrixXd all_zx, all_xx;
+};
+
+/// What foresees each column: of the instruments, and of what is its own.
+struct Instruments::Weights {
+  MatrixXd of_z, of_own;
+};
+
+Instruments::Batch Instruments::BatchOf(const MatrixXd& columns, const MatrixXd& likely) const {
   const auto m = static_cast<Index>(rows_.size());
-  MatrixXd foreseen = MatrixXd::Zero(columns.rows(), columns.cols());
-  std::vector<Index> acting;
-  std::vector<double> size;
+  Batch batch;
   for (Index c = 0; c < columns.cols(); ++c) {
     double sum = 0.0;
     for (const int i : rows_) sum += columns(i, c) * columns(i, c);
     if (!(sum > 0.0)) continue;
-    acting.push_back(c);
-    size.push_back(std::sqrt(sum / static_cast<double>(m)));
+    batch.acting.push_back(c);
+    batch.size.push_back(std::sqrt(sum / static_cast<double>(m)));
   }
-  const auto n = static_cast<Index>(acting.size());
-  if (n == 0) return foreseen;
-  // Of each column its own past, what it would be in the likely motion, then itself.
-  MatrixXd own(m, n * kWidth);
-  for (Index c = 0; c < n; ++c) {
-    const auto x = columns.col(acting[static_cast<size_t>(c)]);
-    const auto of_likely = likely.col(acting[static_cast<size_t>(c)]);
-    const double scale = 1.0 / size[static_cast<size_t>(c)];
+  batch.own.resize(m, batch.num_columns() * Batch::kWidth);
+  for (Index c = 0; c < batch.num_columns(); ++c) {
+    const auto x = columns.col(batch.acting[static_cast<size_t>(c)]);
+    const auto of_likely = likely.col(batch.acting[static_cast<size_t>(c)]);
+    const double scale = 1.0 / batch.size[static_cast<size_t>(c)];
     for (Index k = 0; k < m; ++k) {
       const int i = rows_[static_cast<size_t>(k)];
-      for (Index l = 0; l < kLagged; ++l) {
-        own(k, c * kWidth + l) = scale * x[i - kLags[static_cast<size_t>(l)]];
+      for (Index l = 0; l < Batch::kLagged; ++l) {
+        batch.own(k, c * Batch::kWidth + l) = scale * x[i - kLags[static_cast<size_t>(l)]];
       }
-      own(k, c * kWidth + kLagged) = scale * of_likely[i];
-      own(k, c * kWidth + kOwn) = scale * x[i];
+      batch.own(k, c * Batch::kWidth + Batch::kLagged) = scale * of_likely[i];
+      batch.own(k, c * Batch::kWidth + Batch::kOwn) = scale * x[i];
     }
   }
-  std::array<MatrixXd, kFolds> zx, xx;
-  MatrixXd all_zx = MatrixXd::Zero(z_.cols(), own.cols());
-  MatrixXd all_xx = MatrixXd::Zero(kWidth, own.cols());
+  return batch;
+}
+
+Instruments::Sums Instruments::SumsOf(const Batch& batch) const {
+  constexpr Index kWidth = Batch::kWidth;
+  Sums sums;
+  sums.all_zx = MatrixXd::Zero(z_.cols(), batch.own.cols());
+  sums.all_xx = MatrixXd::Zero(kWidth, batch.own.cols());
   for (size_t f = 0; f < kFolds; ++f) {
-    const auto rows = own.middleRows(folds_[f].first, folds_[f].in_use);
-    zx[f].noalias() = z_.middleRows(folds_[f].first, folds_[f].in_use).transpose() * rows;
-    xx[f].resize(kWidth, own.cols());
-    for (Index c = 0; c < n; ++c) {
+    const auto rows = batch.own.middleRows(folds_[f].first, folds_[f].in_use);
+    sums.zx[f].noalias() = z_.middleRows(folds_[f].first, folds_[f].in_use).transpose() * rows;
+    sums.xx[f].resize(kWidth, batch.own.cols());
+    for (Index c = 0; c < batch.num_columns(); ++c) {
       const auto of_column = rows.middleCols(c * kWidth, kWidth);
-      xx[f].middleCols(c * kWidth, kWidth) = of_column.transpose() * of_column;
+      sums.xx[f].middleCols(c * kWidth, kWidth) = of_column.transpose() * of_column;
     }
-    all_zx += zx[f];
-    all_xx += xx[f];
+    sums.all_zx += sums.zx[f];
+    sums.all_xx += sums.xx[f];
   }
-  MatrixXd value(m, n);
-  for (size_t f = 0; f < kFolds; ++f) {
-    const MatrixXd b = all_zx - zx[f];
-    const MatrixXd solved = without_[f].solve(b);
-    MatrixXd of_z(z_.cols(), n), of_own(kOwn, n);
-    for (Index c = 0; c < n; ++c) {
-      const MatrixXd s =
-          all_xx.middleCols(c * kWidth, kWidth) - xx[f].middleCols(c * kWidth, kWidth);
-      const auto b_c = b.middleCols(c * kWidth, kWidth);
-      const auto solved_c = solved.middleCols(c * kWidth, kWidth);
-      Eigen::Matrix<double, kOwn, kOwn> H =
-          s.topLeftCorner(kOwn, kOwn) - b_c.leftCols(kOwn).transpose() * solved_c.leftCols(kOwn);
-      H.diagonal().array() += kRidge * static_cast<double>(m);
-      const Eigen::Matrix<double, kOwn, 1> g =
-          s.topRightCorner(kOwn, 1) - b_c.leftCols(kOwn).transpose() * solved_c.col(kOwn);
-      of_own.col(c) = H.ldlt().solve(g);
-      // What it would be in the likely motion counts for it or not at all. That motion is foreseen
-      // fold by fold, too, from rows of this one among others: a weight below zero undoes that, and
-      // gives the fold back what is its own.
-      if (of_own(kLagged, c) < 0.0) {
-        of_own.col(c) << H.topLeftCorner<kLagged, kLagged>().ldlt().solve(g.head<kLagged>()), 0.0;
-      }
-      of_z.col(c) = solved_c.col(kOwn) - solved_c.leftCols(kOwn) * of_own.col(c);
-    }
-    auto of_fold = value.middleRows(folds_[f].first, folds_[f].size);
-    of_fold.noalias() = z_.middleRows(folds_[f].first, folds_[f].size) * of_z;
-    for (Index c = 0; c < n; ++c) {
-      of_fold.col(c).noalias() +=
-          own.block(folds_[f].first, c * kWidth, folds_[f].size, kOwn) * of_own.col(c);
-    }
-  }
+  return sums;
+}
+
+Instruments::Weights Instruments::WeightsWithout(size_t f, const Sums& sums) const {
+  constexpr Index kLagged = Batch::kLagged, kOwn = Batch::kOwn, kWidth = Batch::kWidth;
+  const Index n = sums.all_xx.cols() / kWidth;
+  const MatrixXd b = sums.all_zx - sums.zx[f];
+  const MatrixXd solved = without_[f].solve(b);
+  Weights weights{MatrixXd(z_.cols(), n), MatrixXd(kOwn, n)};
   for (Index c = 0; c < n; ++c) {
-    double with = 0.0, self = 0.0;
-    for (const Fold& fold : folds_) {
-      const auto in_use = value.col(c).segment(fold.first, fold.in_use);
-      with += in_use.dot(own.col(c * kWidth + kOwn).segment(fold.first, fold.in_use));
-      self += in_use.squaredNorm();
+    const MatrixXd s =
+        sums.all_xx.middleCols(c * kWidth, kWidth) - sums.xx[f].middleCols(c * kWidth, kWidth);
+    const auto b_c = b.middleCols(c * kWidth, kWidth);
+    const auto solved_c = solved.middleCols(c * kWidth, kWidth);
+    Eigen::Matrix<double, kOwn, kOwn> H =
+        s.topLeftCorner(kOwn, kOwn) - b_c.leftCols(kOwn).transpose() * solved_c.leftCols(kOwn);
+    H.diagonal().array() += kRidge * static_cast<double>(rows_.size());
+    const Eigen::Matrix<double, kOwn, 1> g =
+        s.topRightCorner(kOwn, 1) - b_c.leftCols(kOwn).transpose() * solved_c.col(kOwn);
+    auto own = weights.of_own.col(c);
+    own = H.ldlt().solve(g);
+    // What it would be in the likely motion counts for it or not at all. That motion is foreseen
+    // fold by fold, too, from rows of this one among others: a weight below zero undoes that, and
+    // gives the fold back what is its own.
+    if (own[kLagged] < 0.0) {
+      own << H.topLeftCorner<kLagged, kLagged>().ldlt().solve(g.head<kLagged>()), 0.0;
     }
-    double worth = self > 0.0 ? std::clamp(with / self, 0.0, 1.0) : 0.0;
-    if (worth * with < kLeastForeseen * all_xx(kOwn, c * kWidth + kOwn)) worth = 0.0;
-    for (Index k = 0; k < m; ++k) {
-      foreseen(rows_[static_cast<size_t>(k)], acting[static_cast<size_t>(c)]) =
-          worth * size[static_cast<size_t>(c)] * value(k, c);
+    weights.of_z.col(c) = solved_c.col(kOwn) - solved_c.leftCols(kOwn) * own;
+  }
+  return weights;
+}
+
+MatrixXd Instruments::ValueByFolds(const Batch& batch, const Sums& sums) const {
+  MatrixXd value(batch.own.rows(), batch.num_columns());
+  for (size_t f = 0; f < kFolds; ++f) {
+    const auto [first, in_use, size] = folds_[f];
+    const Weights weights = WeightsWithout(f, sums);
+    auto of_fold = value.middleRows(first, size);
+    of_fold.noalias() = z_.middleRows(first, size) * weights.of_z;
+    for (Index c = 0; c < batch.num_columns(); ++c) {
+      of_fold.col(c).noalias() +=
+          batch.own.block(first, c * Batch::kWidth, size, Batch::kOwn) * weights.of_own.col(c);
+    }
+  }
+  return value;
+}
+
+double Instruments::WorthOf(const Eigen::Ref<const VectorXd>& value,
+                            const Eigen::Ref<const VectorXd>& itself, double square) const {
+  double with = 0.0, self = 0.0;
+  for (const Fold& fold : folds_) {
+    const auto in_use = value.segment(fold.first, fold.in_use);
+    with += in_use.dot(itself.segment(fold.first, fold.in_use));
+    self += in_use.squaredNorm();
+  }
+  const double worth = self > 0.0 ? std::clamp(with / self, 0.0, 1.0) : 0.0;
+  return worth * with < kLeastForeseen * square ? 0.0 : worth;
+}
+
+MatrixXd Instruments::ForeseenBatch(const MatrixXd& columns, const MatrixXd& likely) const {
+  MatrixXd foreseen = MatrixXd::Zero(columns.rows(), columns.cols());
+  const Batch batch = BatchOf(columns, likely);
+  if (batch.num_columns() == 0) return foreseen;
+  const Sums sums = SumsOf(batch);
+  const MatrixXd value = ValueByFolds(batch, sums);
+  for (Index c = 0; c < batch.num_columns(); ++c) {
+    const Index itself = c * Batch::kWidth + Batch::kOwn;
+    const double worth =
+        WorthOf(value.col(c), batch.own.col(itself), sums.all_xx(Batch::kOwn, itself));
+    for (Index k = 0; k < value.rows(); ++k) {
+      foreseen(rows_[static_cast<size_t>(k)], batch.acting[static_cast<size_t>(c)]) =
+          worth * batch.size[static_cast<size_t>(c)] * value(k, c);
     }
   }
   return foreseen;

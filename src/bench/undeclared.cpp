@@ -131,32 +131,46 @@ void SetScaled(const DrawnEffect& drawn, double scale, const DynamicModel& model
   }
 }
 
-/// A disturbance outside every catalogue, of unit size in units of weight and weight times arm.
-Unmodelled DrawUnknown(const Vehicle& vehicle, double scale, int seed) {
-  auto random = std::make_shared<Gaussian>(seed, kUnknownStream);
-  const double force = scale * vehicle.mass_kg * vehicle.gravity_m_s2;
-  const double torque = force * vehicle.ArmLength();
-  const int kind = seed % 6;
-  const Vector3d direction = random->Next3().normalized();
-  const double phase = random->Next();
-  const double frequency = 0.4 + 1.2 * std::min(1.5, std::abs(random->Next()));
-  std::vector<Vector3d> waves, angles;
-  for (int i = 0; i < 24; ++i) {
-    waves.push_back(random->Next3());
-    angles.push_back(3.0 * random->Next3());
+/// A sum of waves with a first-order spectrum, each axis on its own.
+class Wander {
+ public:
+  explicit Wander(Gaussian* random) {
+    for (int i = 0; i < kWaves; ++i) {
+      waves_.push_back(random->Next3());
+      angles_.push_back(3.0 * random->Next3());
+    }
   }
-  // A sum of waves with a first-order spectrum.
-  const auto wander = [waves, angles](double t) {
+
+  Vector3d operator()(double t) const {
     Vector3d sum = Vector3d::Zero();
-    for (size_t i = 0; i < waves.size(); ++i) {
+    for (int i = 0; i < kWaves; ++i) {
       const double f = 0.06 * std::pow(1.18, static_cast<double>(i));
       const double weight = std::sqrt(f) / (1.0 + f / 0.3);
       for (int k = 0; k < 3; ++k) {
-        sum[k] += weight * waves[i][k] * std::sin(6.2832 * f * t + angles[i][k]);
+        sum[k] += weight * waves_[i][k] * std::sin(6.2832 * f * t + angles_[i][k]);
       }
     }
     return sum;
-  };
+  }
+
+  /// One of its waves' directions.
+  Vector3d Direction(int which) const { return waves_[which % kWaves].normalized(); }
+
+ private:
+  static constexpr int kWaves = 24;
+  std::vector<Vector3d> waves_, angles_;
+};
+
+/// A disturbance outside every catalogue, of unit size in units of weight and weight times arm.
+Unmodelled DrawUnknown(const Vehicle& vehicle, double scale, int seed) {
+  Gaussian random(seed, kUnknownStream);
+  const double force = scale * vehicle.mass_kg * vehicle.gravity_m_s2;
+  const double torque = force * vehicle.ArmLength();
+  const int kind = seed % 6;
+  const Vector3d direction = random.Next3().normalized();
+  const double phase = random.Next();
+  const double frequency = 0.4 + 1.2 * std::min(1.5, std::abs(random.Next()));
+  const Wander wander(&random);
   return [=](const FlightState& s) {
     BodyWrench w;
     const double t = s.time_s;
@@ -171,7 +185,7 @@ Unmodelled DrawUnknown(const Vehicle& vehicle, double scale, int seed) {
         const double at = std::fmod(t + 1.3 + phase, 3.7);
         const int which = static_cast<int>((t + 1.3 + phase) / 3.7);
         if (at < 0.8) {
-          w.f_B = 3.0 * force * std::sin(3.1416 * at / 0.8) * waves[which % 24].normalized();
+          w.f_B = 3.0 * force * std::sin(3.1416 * at / 0.8) * wander.Direction(which);
         }
         break;
       }
@@ -371,156 +385,236 @@ std::vector<UndeclaredPlan> PlanNothing(int seed, int flights) {
 
 namespace {
 
-/// One flight as planned, whatever that shows.
-UndeclaredFlight MakeAsPlanned(const UndeclaredPlan& plan) {
-  UndeclaredFlight flight;
-  flight.plan = plan;
-  flight.declared = UndeclaredVehicles().at(plan.vehicle);
-  Gaussian random(plan.seed, kVehicleStream);
-  flight.recording = DrawRecording(plan.recording, plan.seed, flight.declared);
-  const RecordingConditions& recording = flight.recording;
-  Vehicle vehicle = flight.declared;  // with its sensors where they are
+/// What an effect makes of the residual grows with its size to some power, which the sizes flown
+/// tell: two, unless the fit bends.
+class Sizing {
+ public:
+  /// Moves a size to where it should make as much of the residual as wanted.
+  /// @param ratio what it makes of it now, over what is there without it
+  /// @returns the change of its logarithm
+  double Resize(double ratio, double wanted, double* scale) {
+    if (scale_ > 0.0 && std::abs(std::log(*scale / scale_)) > 1e-3) {
+      power_ = std::clamp(std::log(ratio / ratio_) / std::log(*scale / scale_), 0.7, 4.0);
+    }
+    scale_ = *scale;
+    ratio_ = ratio;
+    const double factor = std::clamp(std::pow(wanted / ratio, 1.0 / power_), 0.05, 20.0);
+    *scale = std::min(kAbsurd, *scale * factor);
+    return std::abs(std::log(*scale / scale_));
+  }
+
+ private:
+  double scale_ = 0.0, ratio_ = 0.0, power_ = 2.0;
+};
+
+Vehicle WithSensorsOf(const RecordingConditions& recording, Vehicle vehicle) {
   vehicle.odometry = recording.odometry;
   vehicle.imu = recording.imu;
-  const DynamicModel declared(vehicle, vehicle.effects);
-  const ModelValues base = TrueValues(declared, &random);
+  return vehicle;
+}
+
+std::vector<std::string> Joined(std::vector<std::string> effects,
+                                const std::vector<std::string>& more) {
+  effects.insert(effects.end(), more.begin(), more.end());
+  return effects;
+}
+
+std::vector<DrawnEffect> DrawEffects(const std::vector<std::string>& names, const Vehicle& vehicle,
+                                     Gaussian* random) {
+  std::vector<DrawnEffect> drawn;
+  for (const std::string& name : names) drawn.push_back(DrawEffect(name, vehicle, random));
+  return drawn;
+}
+
+SimulationOptions OptionsOf(const UndeclaredPlan& plan, const RecordingConditions& recording) {
   SimulationOptions options;
   options.duration_s = kDuration_s;
   options.log_rate_hz = recording.log_rate_hz;
   options.pilot_bandwidth = recording.pilot_bandwidth;
   options.seed = plan.seed;
   options.trajectory = plan.trajectory;
+  return options;
+}
 
-  // Truth with the effects at a natural size.
-  Vehicle with = vehicle;
-  std::vector<DrawnEffect> drawn;
-  for (const std::string& name : plan.effects) {
-    with.effects.push_back(name);
-    drawn.push_back(DrawEffect(name, vehicle, &random));
+/// One flight as planned, whatever that shows: effects are drawn at a natural size, sized, flown.
+class PlannedFlight {
+ public:
+  explicit PlannedFlight(const UndeclaredPlan& plan)
+      : plan_(plan),
+        random_(plan.seed, kVehicleStream),
+        file_vehicle_(UndeclaredVehicles().at(plan.vehicle)),
+        recording_(DrawRecording(plan.recording, plan.seed, file_vehicle_)),
+        vehicle_(WithSensorsOf(recording_, file_vehicle_)),
+        declared_(vehicle_, vehicle_.effects),
+        base_(TrueValues(declared_, &random_)),
+        options_(OptionsOf(plan, recording_)),
+        drawn_(DrawEffects(plan.effects, vehicle_, &random_)),
+        model_(vehicle_, Joined(vehicle_.effects, plan.effects)),
+        scales_(plan.effects.size(), 1.0) {
+    const FlightLog quiet =
+        FlyAt(Recorded::kNoisy, std::vector<double>(scales_.size(), 0.0), 0.0).log;
+    PlaceEffects(quiet);
+    noise_ = NoiseIn(quiet);
+    floor_ = Variance(quiet);
   }
-  const DynamicModel model(with, with.effects);
-  const auto truth_at = [&](const std::vector<double>& scales) {
-    ModelValues truth = model.InitialValues();
-    for (int i = 0; i < declared.num_parameters(); ++i) {
-      truth[model.IndexOf(declared.parameters()[i].full_name)] = base[i];
+
+  UndeclaredFlight Make() {
+    if (IsSized()) SizeEffects();
+    if (plan_.kind == Undeclared::kNotExcited) HideEffect();
+    UndeclaredFlight flight;
+    flight.plan = plan_;
+    flight.declared = file_vehicle_;
+    flight.recording = recording_;
+    flight.log = Fly().log;
+    flight.truth = ExactParameters(model_, TruthAt(scales_));
+    DeclareSensors(recording_, &flight.declared);
+    SayWhatShows(&flight);
+    return flight;
+  }
+
+ private:
+  enum class Recorded { kNoisy, kExact };
+
+  bool IsSized() const { return plan_.share > 0.0; }
+
+  /// True parameters with the effects so many times as large as drawn.
+  ModelValues TruthAt(const std::vector<double>& scales) const {
+    ModelValues truth = model_.InitialValues();
+    for (int i = 0; i < declared_.num_parameters(); ++i) {
+      truth[model_.IndexOf(declared_.parameters()[i].full_name)] = base_[i];
     }
-    for (size_t e = 0; e < drawn.size(); ++e) SetScaled(drawn[e], scales[e], model, &truth);
+    for (size_t e = 0; e < drawn_.size(); ++e) SetScaled(drawn_[e], scales[e], model_, &truth);
     return truth;
-  };
-  const std::vector<double> off(plan.effects.size(), 0.0);
-  std::vector<double> scales(plan.effects.size(), 1.0);
-  double unknown_scale = 0.02;
-  const bool sized = plan.share > 0.0;
-  const auto simulate = [&](bool noisy, const std::vector<double>& at, double unknown) {
+  }
+
+  SimulatedFlight FlyAt(Recorded recorded, const std::vector<double>& scales,
+                        double unknown_scale) const {
     Unmodelled extra;
-    if (plan.kind == Undeclared::kUnknown && unknown > 0.0) {
-      extra = DrawUnknown(vehicle, unknown, plan.seed);
+    if (plan_.kind == Undeclared::kUnknown && unknown_scale > 0.0) {
+      extra = DrawUnknown(vehicle_, unknown_scale, plan_.seed);
     }
-    SimulatedFlight flown = Simulate(model, truth_at(at), options,
-                                     noisy ? recording.noise : SimulationNoise::None(), extra);
-    if (noisy) Degrade(recording, plan.seed, &flown.log);
+    const bool noisy = recorded == Recorded::kNoisy;
+    SimulatedFlight flown = Simulate(model_, TruthAt(scales), options_,
+                                     noisy ? recording_.noise : SimulationNoise::None(), extra);
+    if (noisy) Degrade(recording_, plan_.seed, &flown.log);
     return flown;
-  };
-  // What the sensors' noise alone makes of the residual.
-  const FlightLog quiet = simulate(true, off, 0.0).log;
-  double lowest_m = std::numeric_limits<double>::max();
-  for (const auto& sample : quiet.odometry) lowest_m = std::min(lowest_m, sample.p_WS.z());
-  for (DrawnEffect& effect : drawn) effect.effect->Place(lowest_m, &effect.values);
-  const ThinnedFlight thinned(FilterFlight(quiet, vehicle.num_rotors(), {}), {2.5, 1});
-  const ChannelVariance noise_floor =
-      VarianceOf(ResidualModel(&thinned, &vehicle, true).Residual(declared, base));
-  const auto variance = [&](const FlightLog& log) {
-    return FittedVariance(log, vehicle, declared, base, noise_floor);
-  };
-  // What cannot be flown is made weaker.
-  const auto fly = [&](bool noisy) {
+  }
+
+  /// At the present sizes. What cannot be flown is made weaker.
+  SimulatedFlight Fly() {
     constexpr int kTries = 8;
     for (int attempt = 1;; ++attempt) {
       try {
-        return simulate(noisy, scales, sized ? unknown_scale : 0.0);
+        return FlyAt(Recorded::kNoisy, scales_, IsSized() ? unknown_scale_ : 0.0);
       } catch (const std::runtime_error&) {
         if (attempt == kTries) throw;
-        for (double& scale : scales) scale *= 0.7;
-        unknown_scale *= 0.7;
+        for (double& scale : scales_) scale *= 0.7;
+        unknown_scale_ *= 0.7;
       }
     }
-  };
-  const ChannelVariance floor = variance(quiet);
-  if (sized) {
-    // What an effect makes of the residual grows with its size to some power, which the sizes flown
-    // tell: two, unless the fit bends.
-    struct Sizing {
-      double scale = 0.0, ratio = 0.0, power = 2.0;
-    };
-    std::vector<Sizing> sizings(std::max<size_t>(1, scales.size()));
-    const auto resize = [&](const ChannelVariance& noisy, double share, double most, Sizing* sizing,
-                            double* scale) {
-      const double ratio = std::max(noisy.cwiseQuotient(floor).maxCoeff() - 1.0, 1e-3);
-      const double wanted = share / (1.0 - plan.share);
-      if (sizing->scale > 0.0 && std::abs(std::log(*scale / sizing->scale)) > 1e-3) {
-        const double power = std::log(ratio / sizing->ratio) / std::log(*scale / sizing->scale);
-        sizing->power = std::clamp(power, 0.7, 4.0);
-      }
-      *sizing = {*scale, ratio, sizing->power};
-      const double factor = std::clamp(std::pow(wanted / ratio, 1.0 / sizing->power), 0.05, 20.0);
-      *scale = std::min(most, *scale * factor);
-      return std::abs(std::log(*scale / sizing->scale));
-    };
+  }
+
+  /// Puts effects that depend on the height where the flight is.
+  void PlaceEffects(const FlightLog& quiet) {
+    double lowest_m = std::numeric_limits<double>::max();
+    for (const auto& sample : quiet.odometry) lowest_m = std::min(lowest_m, sample.p_WS.z());
+    for (DrawnEffect& effect : drawn_) effect.effect->Place(lowest_m, &effect.values);
+  }
+
+  /// What the sensors' noise alone makes of the residual.
+  ChannelVariance NoiseIn(const FlightLog& quiet) const {
+    const ThinnedFlight thinned(FilterFlight(quiet, vehicle_.num_rotors(), {}), {2.5, 1});
+    return VarianceOf(ResidualModel(&thinned, &vehicle_, true).Residual(declared_, base_));
+  }
+
+  ChannelVariance Variance(const FlightLog& log) const {
+    return FittedVariance(log, vehicle_, declared_, base_, noise_);
+  }
+
+  /// What the effects in a flight make of the residual, over what is there without them.
+  double RatioIn(const FlightLog& log) const {
+    return std::max(Variance(log).cwiseQuotient(floor_).maxCoeff() - 1.0, 1e-3);
+  }
+
+  /// Searches the sizes at which the effects make up their share.
+  void SizeEffects() {
+    std::vector<Sizing> sizings(std::max<size_t>(1, scales_.size()));
     for (int round = 0; round < kSizings; ++round) {
       double change = 0.0;
-      if (plan.kind == Undeclared::kUnknown) {
-        const ChannelVariance noisy = variance(fly(true).log);
-        change = resize(noisy, plan.share, kAbsurd, &sizings[0], &unknown_scale);
+      if (plan_.kind == Undeclared::kUnknown) {
+        const double ratio = RatioIn(Fly().log);
+        change = sizings[0].Resize(ratio, plan_.share / (1.0 - plan_.share), &unknown_scale_);
       }
-      for (size_t e = 0; e < scales.size(); ++e) {
-        const std::vector<double> all = scales;
-        scales.assign(all.size(), 0.0);
-        scales[e] = all[e];
-        const ChannelVariance noisy = variance(fly(true).log);
-        const double flown = scales[e];
-        scales = all;
-        scales[e] = flown;
-        // Of two effects the second makes up half as much.
-        const double share = plan.share * (e == 0 ? 1.0 : 0.5);
-        change = std::max(change, resize(noisy, share, kAbsurd, &sizings[e], &scales[e]));
+      for (size_t e = 0; e < scales_.size(); ++e) {
+        change = std::max(change, SizeEffect(e, &sizings[e]));
       }
       if (change < kSized) break;
     }
   }
-  if (plan.kind == Undeclared::kNotExcited) {
-    const auto shows = [&] {
-      const FlightLog still = simulate(false, scales, 0.0).log;
-      return variance(still).cwiseQuotient(floor).maxCoeff() > kNotExcited / 2.0;
-    };
-    for (int attempt = 0; attempt < kSizings && shows(); ++attempt) scales[0] *= 0.5;
-  }
-  const SimulatedFlight flown = fly(true);
-  flight.log = flown.log;
-  flight.truth = ExactParameters(model, truth_at(scales));
-  DeclareSensors(recording, &flight.declared);
 
-  const ChannelVariance total = variance(flown.log);
-  // An effect at its natural size may be far smaller than what two flights differ by.
-  const ChannelVariance without =
-      sized ? floor : ChannelVariance(total - variance(simulate(false, scales, 0.0).log));
-  for (int c = 0; c < kNumChannels; ++c) {
-    flight.axis_share.push_back(
-        std::clamp(1.0 - without[c] / std::max(total[c], 1e-300), 0.0, 1.0));
+  /// One step of that for one effect, flown alone. @returns the change of its logarithm
+  double SizeEffect(size_t e, Sizing* sizing) {
+    const std::vector<double> all = scales_;
+    scales_.assign(all.size(), 0.0);
+    scales_[e] = all[e];
+    const double ratio = RatioIn(Fly().log);
+    const double flown = scales_[e];
+    scales_ = all;
+    scales_[e] = flown;
+    // Of two effects the second makes up half as much.
+    const double share = plan_.share * (e == 0 ? 1.0 : 0.5);
+    return sizing->Resize(ratio, share / (1.0 - plan_.share), &scales_[e]);
   }
-  flight.share = *std::max_element(flight.axis_share.begin(), flight.axis_share.end());
-  if (plan.kind == Undeclared::kNothing) flight.share = 0.0;
-  if (plan.kind == Undeclared::kNothing || flight.share < kNotExcited) {
-    flight.right_answer = "none";
-  } else {
-    flight.right_answer = plan.kind == Undeclared::kUnknown ? "unexplained" : "effect";
+
+  /// Makes an effect so small that it does not show.
+  void HideEffect() {
+    const auto shows = [this] {
+      const FlightLog still = FlyAt(Recorded::kExact, scales_, 0.0).log;
+      return Variance(still).cwiseQuotient(floor_).maxCoeff() > kNotExcited / 2.0;
+    };
+    for (int attempt = 0; attempt < kSizings && shows(); ++attempt) scales_[0] *= 0.5;
   }
-  return flight;
-}
+
+  /// How much of the residual the effects make up, and what a good attribution would answer.
+  void SayWhatShows(UndeclaredFlight* flight) const {
+    const ChannelVariance total = Variance(flight->log);
+    // An effect at its natural size may be far smaller than what two flights differ by.
+    const ChannelVariance without =
+        IsSized() ? floor_
+                  : ChannelVariance(total - Variance(FlyAt(Recorded::kExact, scales_, 0.0).log));
+    for (int c = 0; c < kNumChannels; ++c) {
+      flight->axis_share.push_back(
+          std::clamp(1.0 - without[c] / std::max(total[c], 1e-300), 0.0, 1.0));
+    }
+    flight->share = *std::max_element(flight->axis_share.begin(), flight->axis_share.end());
+    if (plan_.kind == Undeclared::kNothing) flight->share = 0.0;
+    if (plan_.kind == Undeclared::kNothing || flight->share < kNotExcited) {
+      flight->right_answer = "none";
+    } else {
+      flight->right_answer = plan_.kind == Undeclared::kUnknown ? "unexplained" : "effect";
+    }
+  }
+
+  const UndeclaredPlan plan_;
+  Gaussian random_;
+  const Vehicle file_vehicle_;
+  const RecordingConditions recording_;
+  const Vehicle vehicle_;  ///< with its sensors where they are
+  const DynamicModel declared_;
+  const ModelValues base_;  ///< true parameters of that model
+  const SimulationOptions options_;
+  std::vector<DrawnEffect> drawn_;
+  const DynamicModel model_;    ///< with the undeclared effects
+  std::vector<double> scales_;  ///< of the drawn effects
+  double unknown_scale_ = 0.02;
+  ChannelVariance noise_;  ///< that the sensors make of the residual
+  ChannelVariance floor_;  ///< of the fitted residual without the effects
+};
 
 }  // namespace
 
 UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan) {
-  UndeclaredFlight flight = MakeAsPlanned(plan);
+  UndeclaredFlight flight = PlannedFlight(plan).Make();
   if (plan.kind != Undeclared::kOneEffect) return flight;
   // Where no sensible size shows as much as planned, on another trajectory it may.
   for (const Excited& excited : Catalogue()) {
@@ -529,7 +623,7 @@ UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan) {
       if (flight.share > kLeastShown * plan.share) break;
       UndeclaredPlan other = plan;
       other.trajectory = trajectory;
-      UndeclaredFlight flown = MakeAsPlanned(other);
+      UndeclaredFlight flown = PlannedFlight(other).Make();
       if (flown.share > flight.share) flight = std::move(flown);
     }
   }

@@ -241,10 +241,85 @@ bool DynamicsFactor::Evaluate(double const* const* blocks, double* residual,
                                                    : EvaluateForm<6>(blocks, residual, jacobians);
 }
 
+namespace {
+
+/// What whitens the rows: one weight each; Form E also decorrelates e_v from e_p.
+template <int N>
+struct Whitening {
+  Vector3d inertia;                          // each row's own
+  Vector3d force_variance, torque_variance;  // the latter in (rad/s²)²
+  Vector3d force_sigma;
+  Vector3d d_log_weight_d_inertia;  // of the angular rows
+  Eigen::Matrix<double, N, 1> weight;
+  Eigen::Matrix2d sqrt_info;  // of e_p and e_v
+
+  Whitening(const DynamicsNoise& noise, const RotorRateNoise& rates, const Terms& terms,
+            double dt) {
+    constexpr int v = kVelocityRow<N>, a = kAngularRow<N>;
+    for (int i = 0; i < 3; ++i) inertia[i] = terms.of_row(i).I(i, i);
+    const Vector3d rotor_force(0.0, 0.0, noise.rotor_force_N);
+    force_variance = noise.force_N.cwiseAbs2() + rotor_force.cwiseAbs2() + rates.force_variance;
+    force_sigma = force_variance.cwiseSqrt();
+    for (int i = 0; i < 3; ++i) {
+      weight[v + i] = 1.0 / (dt * force_sigma[i]);
+      const double fixed = noise.torque_Nm[i] / noise.nominal_inertia[i];
+      const double rotor =
+          (noise.rotor_torque_Nm[i] * noise.rotor_torque_Nm[i] + rates.torque_variance[i]) /
+          (inertia[i] * inertia[i]);
+      torque_variance[i] = fixed * fixed + rotor;
+      weight[a + i] = 1.0 / (dt * std::sqrt(torque_variance[i]));
+      d_log_weight_d_inertia[i] =
+          terms.is_held[i] ? 0.0 : rotor / (torque_variance[i] * inertia[i]);
+    }
+    if constexpr (N == 9) {
+      sqrt_info = EulerTranslationCovariance(dt).llt().matrixL().solve(Eigen::Matrix2d::Identity());
+    }
+  }
+
+  /// Whitens a column, or each of several.
+  template <typename Columns>
+  void Apply(Columns* m) const {
+    if constexpr (N == 9) {
+      const auto scale = force_sigma.cwiseInverse().asDiagonal();
+      for (int c = 0; c < m->cols(); ++c) {
+        auto e_p = m->col(c).template head<3>();
+        auto e_v = m->col(c).template segment<3>(kVelocityRow<N>);
+        e_v = scale * (sqrt_info(1, 0) * e_p + sqrt_info(1, 1) * e_v);
+        e_p = scale * (sqrt_info(0, 0) * e_p);
+        m->col(c).template tail<3>().array() *= weight.template tail<3>().array();
+      }
+    } else {
+      for (int c = 0; c < m->cols(); ++c) m->col(c).array() *= weight.array();
+    }
+  }
+};
+
+/// The weights depend on coefficients of rotor rates, too.
+/// @param e whitened residual
+template <int N>
+void AddWeightDerivatives(const Whitening<N>& whitening, const RotorRateNoise& rates,
+                          const Eigen::Matrix<double, N, 1>& e, const ParameterLayout& layout,
+                          ValueJacobian<N>* d_values) {
+  constexpr int v = kVelocityRow<N>, a = kAngularRow<N>;
+  for (int i = 0; i < 3; ++i) {
+    const double inertia = whitening.inertia[i];
+    const double by_torque = -0.5 / (whitening.torque_variance[i] * inertia * inertia);
+    const double by_force = -0.5 / whitening.force_variance[i];
+    for (int c = 0; c < layout.num_estimated(); ++c) {
+      const int value = layout.model_index(c);
+      (*d_values)(a + i, c) += e[a + i] * by_torque * rates.d_torque(i, value);
+      (*d_values)(v + i, c) += e[v + i] * by_force * rates.d_force(i, value);
+      if constexpr (N == 9) (*d_values)(i, c) += e[i] * by_force * rates.d_force(i, value);
+    }
+  }
+}
+
+}  // namespace
+
 template <int N>
 bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_out,
                                   double** jacobians) const {
-  constexpr int v = kVelocityRow<N>, a = kAngularRow<N>;
+  constexpr int a = kAngularRow<N>;
   const int rows = num_residuals();
   const bool with_values = layout_->num_estimated() > 0;
   const ModelValues values = layout_->Decode(with_values ? blocks[2] : nullptr);
@@ -255,54 +330,17 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
                         *model_, values, with_torque_, jacobians != nullptr);
   Terms terms;
   Eigen::Matrix<double, N, 1> e = EvaluateRows<N>(measurement, k, &terms);
-  Vector3d inertia;  // each row's own
-  for (int i = 0; i < 3; ++i) inertia[i] = terms.of_row(i).I(i, i);
 
-  // Whitening: one weight a row; Form E also decorrelates e_v from e_p.
-  const double dt = measurement.dt;
   const bool rated = noise_.rotor_rate_rad_s2 > 0.0 && model_->takes_rotor_rates();
   RotorRateNoise rates;
   if (rated) {
     rates = NoiseOfRotorRates(measurement, noise_.rotor_rate_rad_s2, *model_, values,
                               jacobians != nullptr);
   }
-  const Vector3d rotor_force(0.0, 0.0, noise_.rotor_force_N);
-  const Vector3d force_variance =
-      noise_.force_N.cwiseAbs2() + rotor_force.cwiseAbs2() + rates.force_variance;
-  const Vector3d force_sigma = force_variance.cwiseSqrt();
-  Eigen::Matrix<double, N, 1> weight;
-  Vector3d torque_variance, d_log_weight_d_inertia;  // the variance in (rad/s²)²
-  for (int i = 0; i < 3; ++i) {
-    weight[v + i] = 1.0 / (dt * force_sigma[i]);
-    const double fixed = noise_.torque_Nm[i] / noise_.nominal_inertia[i];
-    const double rotor =
-        (noise_.rotor_torque_Nm[i] * noise_.rotor_torque_Nm[i] + rates.torque_variance[i]) /
-        (inertia[i] * inertia[i]);
-    torque_variance[i] = fixed * fixed + rotor;
-    weight[a + i] = 1.0 / (dt * std::sqrt(torque_variance[i]));
-    d_log_weight_d_inertia[i] = terms.is_held[i] ? 0.0 : rotor / (torque_variance[i] * inertia[i]);
-  }
-  Eigen::Matrix2d sqrt_info;
-  if constexpr (N == 9) {
-    sqrt_info = EulerTranslationCovariance(dt).llt().matrixL().solve(Eigen::Matrix2d::Identity());
-  }
-  const auto whiten = [&](auto* m) {
-    if constexpr (N == 9) {
-      const auto scale = force_sigma.cwiseInverse().asDiagonal();
-      for (int c = 0; c < m->cols(); ++c) {
-        auto e_p = m->col(c).template head<3>();
-        auto e_v = m->col(c).template segment<3>(v);
-        e_v = scale * (sqrt_info(1, 0) * e_p + sqrt_info(1, 1) * e_v);
-        e_p = scale * (sqrt_info(0, 0) * e_p);
-        m->col(c).template tail<3>().array() *= weight.template tail<3>().array();
-      }
-    } else {
-      for (int c = 0; c < m->cols(); ++c) m->col(c).array() *= weight.array();
-    }
-  };
+  const Whitening<N> whitening(noise_, rates, terms, measurement.dt);
   // The weights depend on the live inertia: as if e_alpha did.
-  const Vector3d by_inertia = e.template tail<3>().cwiseProduct(d_log_weight_d_inertia);
-  whiten(&e);
+  const Vector3d by_inertia = e.template tail<3>().cwiseProduct(whitening.d_log_weight_d_inertia);
+  whitening.Apply(&e);
   Eigen::Map<Eigen::VectorXd>(residual_out, rows) = e.head(rows);
   if (jacobians == nullptr) return e.allFinite();
   IntervalDerivatives<N> D = RowDerivatives<N>(measurement, k, terms);
@@ -314,33 +352,24 @@ bool DynamicsFactor::EvaluateForm(double const* const* blocks, double* residual_
                     by_state1 ? &d_state1 : nullptr, &d_values);
   if (anchor_entry_ >= 0 && jacobians[3] != nullptr) {
     const double chain = layout_->ChainFactor(anchor_entry_, measurement.anchor_value);
-    const Vector3d d_tau = -dt * chain * k.d_wrench.d_anchor;
+    const Vector3d d_tau = -measurement.dt * chain * k.d_wrench.d_anchor;
     std::fill_n(jacobians[3], rows, 0.0);
     for (int i = 0; i < (with_torque_ ? 3 : 0); ++i) {
-      jacobians[3][rows - 3 + i] = weight[a + i] * terms.of_row(i).I_inverse.row(i).dot(d_tau);
+      jacobians[3][rows - 3 + i] =
+          whitening.weight[a + i] * terms.of_row(i).I_inverse.row(i).dot(d_tau);
     }
   }
   if (by_state0) {
-    whiten(&d_state0);
+    whitening.Apply(&d_state0);
     WriteStateJacobian<N>(d_state0, rows, blocks[0], jacobians[0]);
   }
   if (by_state1) {
-    whiten(&d_state1);
+    whitening.Apply(&d_state1);
     WriteStateJacobian<N>(d_state1, rows, blocks[1], jacobians[1]);
   }
   if (!with_values || jacobians[2] == nullptr) return e.allFinite();
-  whiten(&d_values);
-  // They depend on coefficients of rotor rates, too.
-  for (int i = 0; i < (rated ? 3 : 0); ++i) {
-    const double by_torque = -0.5 / (torque_variance[i] * inertia[i] * inertia[i]);
-    const double by_force = -0.5 / force_variance[i];
-    for (int c = 0; c < layout_->num_estimated(); ++c) {
-      const int value = layout_->model_index(c);
-      d_values(a + i, c) += e[a + i] * by_torque * rates.d_torque(i, value);
-      d_values(v + i, c) += e[v + i] * by_force * rates.d_force(i, value);
-      if constexpr (N == 9) d_values(i, c) += e[i] * by_force * rates.d_force(i, value);
-    }
-  }
+  whitening.Apply(&d_values);
+  if (rated) AddWeightDerivatives<N>(whitening, rates, e, *layout_, &d_values);
   WriteParameterJacobian<N>(*layout_, values, d_values, rows, jacobians[2]);
   return e.allFinite();
 }

@@ -309,79 +309,126 @@ FleetFlight CalibrateFlight(const std::string& file, const FlightSource& source,
   return flight;
 }
 
+namespace {
+
+/// Many flights of a vehicle on their way to one estimate. The steps are called in this order.
+class FleetSession {
+ public:
+  FleetSession(const FlightSource& source, const Vehicle& file_vehicle, const Vehicle& vehicle,
+               const JointCalibrationOptions& options)
+      : source_(source),
+        file_vehicle_(file_vehicle),
+        vehicle_(vehicle),
+        options_(options),
+        joint_(options.joint) {
+    joint_.often_changed = OftenChanged(DynamicModel(vehicle, vehicle.effects));
+    fleet_.false_alarm_rate = options.joint.false_alarm_rate;
+  }
+
+  /// Calibrates each flight that is not known, and combines all.
+  void CalibrateEach(const std::vector<std::string>& files, const std::vector<FleetFlight>& known,
+                     const std::function<void(double)>& progress) {
+    std::map<std::string, const FleetFlight*> by_file;
+    for (const FleetFlight& flight : known) by_file[flight.file] = &flight;
+    fleet_.flights.resize(files.size());
+    ForEachOf(
+        static_cast<int>(files.size()), options_.jobs,
+        [&](int i) {
+          const auto at = static_cast<size_t>(i);
+          const auto it = by_file.find(files[at]);
+          fleet_.flights[at] =
+              it != by_file.end()
+                  ? *it->second
+                  : CalibrateFlight(files[at], source_, file_vehicle_, vehicle_, options_);
+        },
+        progress);
+    Order(&fleet_.flights);
+    Combine(joint_, &fleet_);
+  }
+
+  /// Calibrates anew, from the joint estimate, the flights that were linearized far from it.
+  /// @returns false if there is none
+  bool Relinearize() {
+    std::vector<int> far;
+    const std::vector<int> used = fleet_.used();
+    std::vector<ParameterSet> starts(fleet_.flights.size());
+    for (size_t k = 0; k < used.size(); ++k) {
+      const FleetFlight& flight = fleet_.flights[static_cast<size_t>(used[k])];
+      const Eigen::VectorXd& at = fleet_.joint.fit.of_flight[k];
+      if (!IsFar(flight.factor, at, options_.relinearize_share)) continue;
+      far.push_back(used[k]);
+      starts[static_cast<size_t>(used[k])] = ParametersWith(flight.factor, at);
+    }
+    if (far.empty()) return false;
+    ForEachOf(static_cast<int>(far.size()), options_.jobs, [&](int k) {
+      const auto at = static_cast<size_t>(far[static_cast<size_t>(k)]);
+      FleetFlight& flight = fleet_.flights[at];
+      FleetFlight anew =
+          CalibrateFlight(flight.file, source_, file_vehicle_, vehicle_, options_, &starts[at]);
+      if (!anew.failure.empty()) return;  // what is known stays
+      flight.factor = std::move(anew.factor);
+      ++flight.passes;
+    });
+    Combine(joint_, &fleet_);
+    return true;
+  }
+
+  void Doubt() {
+    if (WidenOutliers(source_, vehicle_, options_, &fleet_)) Combine(joint_, &fleet_);
+    AddSharedDoubts(source_, vehicle_, options_, &fleet_);
+  }
+
+  /// Predicts each flight by the others, and looks for what recurs in the errors.
+  void PredictLeftOut(const std::function<void(double)>& progress) {
+    const std::vector<int> used = fleet_.used();
+    if (!options_.predict_left_out || used.size() < 2) return;
+    const std::vector<Eigen::VectorXd> expected =
+        ExpectedOfLeftOut(FactorsOf(fleet_), fleet_.joint.model, fleet_.joint.fit);
+    const double weight_N = file_vehicle_.mass_kg * file_vehicle_.gravity_m_s2;
+    ForEachOf(
+        static_cast<int>(used.size()), options_.jobs,
+        [&](int k) {
+          FleetFlight& flight = fleet_.flights[static_cast<size_t>(used[static_cast<size_t>(k)])];
+          flight.left_out = FiguresWith(
+              flight, expected[static_cast<size_t>(k)], source_, file_vehicle_, vehicle_,
+              [&](const PredictionSample& sample) { flight.residuals.Add(sample, weight_N); });
+        },
+        progress);
+    fleet_.recurrent = RecurrentOf(fleet_);
+  }
+
+  FleetCalibration TakeResult() { return std::move(fleet_); }
+
+ private:
+  const FlightSource& source_;
+  const Vehicle& file_vehicle_;
+  const Vehicle& vehicle_;
+  const JointCalibrationOptions& options_;
+  JointOptions joint_;
+  FleetCalibration fleet_;
+};
+
+}  // namespace
+
 FleetCalibration CalibrateFleet(const std::vector<std::string>& files, const FlightSource& source,
                                 const Vehicle& file_vehicle, const Vehicle& vehicle,
                                 const JointCalibrationOptions& options,
                                 const std::vector<FleetFlight>& known,
                                 const std::function<void(double)>& progress) {
   constexpr double kShareOfPasses = 0.7;  // of the time
-  JointOptions joint = options.joint;
-  joint.often_changed = OftenChanged(DynamicModel(vehicle, vehicle.effects));
   const auto part = [&](double from, double to) {
     return [=](double share) {
       if (progress) progress(from + share * (to - from));
     };
   };
-  std::map<std::string, const FleetFlight*> by_file;
-  for (const FleetFlight& flight : known) by_file[flight.file] = &flight;
-  FleetCalibration fleet;
-  fleet.false_alarm_rate = options.joint.false_alarm_rate;
-  fleet.flights.resize(files.size());
-  ForEachOf(
-      static_cast<int>(files.size()), options.jobs,
-      [&](int i) {
-        const auto at = static_cast<size_t>(i);
-        const auto it = by_file.find(files[at]);
-        fleet.flights[at] = it != by_file.end() ? *it->second
-                                                : CalibrateFlight(files[at], source, file_vehicle,
-                                                                  vehicle, options);
-      },
-      part(0.0, kShareOfPasses));
-  Order(&fleet.flights);
-  Combine(joint, &fleet);
-
+  FleetSession session(source, file_vehicle, vehicle, options);
+  session.CalibrateEach(files, known, part(0.0, kShareOfPasses));
   for (int pass = 1; pass < options.most_passes; ++pass) {
-    std::vector<int> far;
-    const std::vector<int> used = fleet.used();
-    std::vector<ParameterSet> starts(fleet.flights.size());
-    for (size_t k = 0; k < used.size(); ++k) {
-      const FleetFlight& flight = fleet.flights[static_cast<size_t>(used[k])];
-      const Eigen::VectorXd& at = fleet.joint.fit.of_flight[k];
-      if (!IsFar(flight.factor, at, options.relinearize_share)) continue;
-      far.push_back(used[k]);
-      starts[static_cast<size_t>(used[k])] = ParametersWith(flight.factor, at);
-    }
-    if (far.empty()) break;
-    ForEachOf(static_cast<int>(far.size()), options.jobs, [&](int k) {
-      FleetFlight& flight = fleet.flights[static_cast<size_t>(far[static_cast<size_t>(k)])];
-      FleetFlight anew = CalibrateFlight(flight.file, source, file_vehicle, vehicle, options,
-                                         &starts[static_cast<size_t>(far[static_cast<size_t>(k)])]);
-      if (!anew.failure.empty()) return;  // what is known stays
-      flight.factor = std::move(anew.factor);
-      ++flight.passes;
-    });
-    Combine(joint, &fleet);
+    if (!session.Relinearize()) break;
   }
-
-  if (WidenOutliers(source, vehicle, options, &fleet)) Combine(joint, &fleet);
-  AddSharedDoubts(source, vehicle, options, &fleet);
-
-  const std::vector<int> used = fleet.used();
-  if (!options.predict_left_out || used.size() < 2) return fleet;
-  const std::vector<Eigen::VectorXd> expected =
-      ExpectedOfLeftOut(FactorsOf(fleet), fleet.joint.model, fleet.joint.fit);
-  ForEachOf(
-      static_cast<int>(used.size()), options.jobs,
-      [&](int k) {
-        FleetFlight& flight = fleet.flights[static_cast<size_t>(used[static_cast<size_t>(k)])];
-        const double weight_N = file_vehicle.mass_kg * file_vehicle.gravity_m_s2;
-        flight.left_out = FiguresWith(
-            flight, expected[static_cast<size_t>(k)], source, file_vehicle, vehicle,
-            [&](const PredictionSample& sample) { flight.residuals.Add(sample, weight_N); });
-      },
-      part(kShareOfPasses, 1.0));
-  fleet.recurrent = RecurrentOf(fleet);
-  return fleet;
+  session.Doubt();
+  session.PredictLeftOut(part(kShareOfPasses, 1.0));
+  return session.TakeResult();
 }
 
 std::vector<FleetFlight> PredictHeldOut(const std::vector<std::string>& files,

@@ -106,78 +106,102 @@ std::string RecurrentTable(const FleetCalibration& fleet) {
   return text;
 }
 
-}  // namespace
-
-std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model) {
-  const std::vector<int> used = fleet.used();
-  const FlightFactor& first = fleet.flights[static_cast<size_t>(used.front())].factor;
+Json ParametersJson(const FleetCalibration& fleet, const FlightFactor& first,
+                    const DynamicModel& model) {
   const RandomEffects& fit = fleet.joint.fit;
-  Json json;
-  json["vehicle"] = model.vehicle().name;
-  json["effects"] = model.effect_names();
-  json["flights_used"] = used.size();
-  Json parameters = Json::object();
+  Json json = Json::object();
   for (int k = 0; k < first.size(); ++k) {
     const ParameterEstimate* p = fleet.parameters.Find(first.names[static_cast<size_t>(k)]);
     const int at = model.IndexOf(p->full_name);
     const bool unphysical =
         at >= 0 && IsSignUnphysical(model.parameters()[at].spec, p->value, p->sigma);
-    parameters[p->full_name] = {{"value", JsonNumber(p->value)},
-                                {"sigma", JsonNumber(p->sigma)},
-                                {"scatter", JsonNumber(fit.scatter[k])},
-                                {"scatter_sigma", JsonNumber(fit.scatter_sigma[k])},
-                                {"new_flight_sigma", JsonNumber(std::hypot(p->sigma, p->scatter))},
-                                {"degrees_of_freedom", JsonNumber(fit.degrees_of_freedom[k])},
-                                {"unit", p->unit},
-                                {"observable", p->observable},
-                                {"sign_unphysical", unphysical}};
+    json[p->full_name] = {{"value", JsonNumber(p->value)},
+                          {"sigma", JsonNumber(p->sigma)},
+                          {"scatter", JsonNumber(fit.scatter[k])},
+                          {"scatter_sigma", JsonNumber(fit.scatter_sigma[k])},
+                          {"new_flight_sigma", JsonNumber(std::hypot(p->sigma, p->scatter))},
+                          {"degrees_of_freedom", JsonNumber(fit.degrees_of_freedom[k])},
+                          {"unit", p->unit},
+                          {"observable", p->observable},
+                          {"sign_unphysical", unphysical}};
   }
-  json["parameters"] = parameters;
-  const auto place = [&](size_t flight) {
-    return fleet.flights[static_cast<size_t>(used[flight])].file;
-  };
-  json["changes"] = Json::array();
+  return json;
+}
+
+/// Files of the flights that were used.
+std::vector<std::string> FilesOf(const FleetCalibration& fleet) {
+  std::vector<std::string> files;
+  for (const int i : fleet.used()) files.push_back(fleet.flights[static_cast<size_t>(i)].file);
+  return files;
+}
+
+Json ChangesJson(const FleetCalibration& fleet, const FlightFactor& first) {
+  const std::vector<std::string> files = FilesOf(fleet);
+  Json json = Json::array();
   for (const VehicleChange& c : fleet.joint.changes) {
-    json["changes"].push_back({{"kind", Name(c.kind)},
-                               {"parameter", first.names[static_cast<size_t>(c.parameter)]},
-                               {"from_flight", c.from},
-                               {"from_file", place(static_cast<size_t>(c.from))},
-                               {"size", JsonNumber(c.size)},
-                               {"sigma", JsonNumber(c.sigma)},
-                               {"p_value", JsonNumber(c.p_value)}});
+    json.push_back({{"kind", Name(c.kind)},
+                    {"parameter", first.names[static_cast<size_t>(c.parameter)]},
+                    {"from_flight", c.from},
+                    {"from_file", files[static_cast<size_t>(c.from)]},
+                    {"size", JsonNumber(c.size)},
+                    {"sigma", JsonNumber(c.sigma)},
+                    {"p_value", JsonNumber(c.p_value)}});
   }
-  json["outliers"] = Json::array();
+  return json;
+}
+
+Json OutliersJson(const FleetCalibration& fleet, const FlightFactor& first) {
+  const std::vector<std::string> files = FilesOf(fleet);
+  Json json = Json::array();
   for (const OutlierFlight& o : fleet.joint.outliers) {
-    json["outliers"].push_back({{"flight", o.flight},
-                                {"file", place(static_cast<size_t>(o.flight))},
-                                {"parameter", first.names[static_cast<size_t>(o.parameter)]},
-                                {"by", JsonNumber(o.by)},
-                                {"sigma", JsonNumber(o.sigma)},
-                                {"p_value", JsonNumber(o.p_value)}});
+    json.push_back({{"flight", o.flight},
+                    {"file", files[static_cast<size_t>(o.flight)]},
+                    {"parameter", first.names[static_cast<size_t>(o.parameter)]},
+                    {"by", JsonNumber(o.by)},
+                    {"sigma", JsonNumber(o.sigma)},
+                    {"p_value", JsonNumber(o.p_value)}});
   }
+  return json;
+}
+
+/// @param k which of the flights that were used
+Json FlightJson(const FleetCalibration& fleet, const FlightFactor& first, size_t k) {
+  const FleetFlight& flight = fleet.flights[static_cast<size_t>(fleet.used()[k])];
+  const RandomEffects& fit = fleet.joint.fit;
+  Json of = Json::object();
+  for (int p = 0; p < first.size(); ++p) {
+    of[first.names[static_cast<size_t>(p)]] = {
+        {"value", JsonNumber(flight.factor.value[p])},
+        {"sigma", JsonNumber(flight.factor.sigma[p])},
+        {"given_all", JsonNumber(fit.of_flight[k][p])},
+        {"expected", JsonNumber(fit.of_flight[k][p] - fit.own[k][p])},
+        {"z", JsonNumber(ZScore(fleet, k, p))}};
+  }
+  return {{"file", flight.file},
+          {"start_s", JsonNumber(flight.factor.start_s)},
+          {"duration_s", JsonNumber(flight.factor.duration_s)},
+          {"passes", flight.passes},
+          {"parameters", of},
+          {"own_fit", FiguresJson(flight.own_fit)},
+          {"left_out", FiguresJson(flight.left_out)},
+          {"warnings", flight.warnings}};
+}
+
+}  // namespace
+
+std::string FleetReport(const FleetCalibration& fleet, const DynamicModel& model) {
+  const std::vector<int> used = fleet.used();
+  const FlightFactor& first = fleet.flights[static_cast<size_t>(used.front())].factor;
+  Json json;
+  json["vehicle"] = model.vehicle().name;
+  json["effects"] = model.effect_names();
+  json["flights_used"] = used.size();
+  json["parameters"] = ParametersJson(fleet, first, model);
+  json["changes"] = ChangesJson(fleet, first);
+  json["outliers"] = OutliersJson(fleet, first);
   json["recurrent_residuals"] = RecurrentJson(fleet);
   json["flights"] = Json::array();
-  for (size_t k = 0; k < used.size(); ++k) {
-    const FleetFlight& flight = fleet.flights[static_cast<size_t>(used[k])];
-    Json of = Json::object();
-    for (int p = 0; p < first.size(); ++p) {
-      const double z = ZScore(fleet, k, p);
-      of[first.names[static_cast<size_t>(p)]] = {
-          {"value", JsonNumber(flight.factor.value[p])},
-          {"sigma", JsonNumber(flight.factor.sigma[p])},
-          {"given_all", JsonNumber(fit.of_flight[k][p])},
-          {"expected", JsonNumber(fit.of_flight[k][p] - fit.own[k][p])},
-          {"z", JsonNumber(z)}};
-    }
-    json["flights"].push_back({{"file", flight.file},
-                               {"start_s", JsonNumber(flight.factor.start_s)},
-                               {"duration_s", JsonNumber(flight.factor.duration_s)},
-                               {"passes", flight.passes},
-                               {"parameters", of},
-                               {"own_fit", FiguresJson(flight.own_fit)},
-                               {"left_out", FiguresJson(flight.left_out)},
-                               {"warnings", flight.warnings}});
-  }
+  for (size_t k = 0; k < used.size(); ++k) json["flights"].push_back(FlightJson(fleet, first, k));
   json["failed"] = Json::array();
   for (const FleetFlight& flight : fleet.flights) {
     if (flight.failure.empty()) continue;

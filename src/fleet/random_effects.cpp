@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <stdexcept>
+#include <utility>
 
 namespace odmc {
 namespace {
@@ -173,6 +174,78 @@ VectorXd DegreesOfFreedom(const std::vector<Scaled>& flights, const Evaluation& 
   return freedom;
 }
 
+/// Moves the variances, from where they are, to those that balance squares and noise.
+/// @param e at `variance`, follows it
+/// @returns the number of steps
+int FitVariance(const std::vector<Scaled>& flights, VectorXd* variance, Evaluation* e) {
+  const Index n = variance->size();
+  int iterations = 0;
+  for (; iterations < kMostIterations; ++iterations) {
+    const Balance balance = BalanceOf(flights, *e, n);
+    VectorXd next = *variance;
+    for (Index k = 0; k < n; ++k) {
+      if (balance.expected[k] <= 0.0 || (*variance)[k] <= kLeastVariance) continue;
+      next[k] = std::clamp((*variance)[k] * std::sqrt(balance.squares[k] / balance.expected[k]),
+                           kLeastVariance, 1.0);
+    }
+    Evaluation better = Evaluate(flights, next);
+    const double gained = better.log_likelihood - e->log_likelihood;
+    if (gained < 0.0 && iterations > 0) break;
+    *variance = std::move(next);
+    *e = std::move(better);
+    if (std::abs(gained) < kSettled) break;
+  }
+  return iterations;
+}
+
+/// Fisher's information of the variances.
+MatrixXd VarianceInformation(const std::vector<Scaled>& flights, const Evaluation& e, Index n) {
+  MatrixXd information = MatrixXd::Zero(n, n);
+  for (size_t i = 0; i < flights.size(); ++i) {
+    MatrixXd seen = e.weight[i] - e.weight[i] * flights[i].design * e.covariance *
+                                      flights[i].design.transpose() * e.weight[i];
+    for (Index k = 0; k < n; ++k) {
+      if (flights[i].own_variance[k] == 0.0) continue;
+      seen.row(k).setZero();
+      seen.col(k).setZero();
+    }
+    information += 0.5 * seen.cwiseAbs2();
+  }
+  return information;
+}
+
+/// Sigma of a root, from its square and the square's sigma; where the square is small beside that,
+/// the root of its sigma.
+double SigmaOfRoot(double square, double sigma) {
+  const double root = std::sqrt(std::max(0.0, square));
+  return std::min(sigma / std::max(2.0 * root, 1e-300), std::sqrt(sigma));
+}
+
+/// Fills in means with changes, from units of the priors' sigmas to the parameters' own.
+void SetMeans(const Evaluation& e, const FlightFactor& first, const FleetModel& model,
+              RandomEffects* fit) {
+  const Index n = first.size(), q = e.beta.size();
+  VectorXd scale(q);
+  scale.head(n) = first.prior_sigma;
+  for (Index c = n; c < q; ++c) {
+    scale[c] = first.prior_sigma[model.changes[static_cast<size_t>(c - n)].parameter];
+  }
+  fit->beta = e.beta.cwiseProduct(scale);
+  fit->beta.head(n) += first.prior_value;
+  fit->covariance = scale.asDiagonal() * e.covariance * scale.asDiagonal();
+}
+
+/// The same of what each flight has for itself.
+void SetFlights(const std::vector<Scaled>& flights, const Evaluation& e, const VectorXd& variance,
+                const FlightFactor& first, RandomEffects* fit) {
+  for (size_t i = 0; i < flights.size(); ++i) {
+    const VectorXd own = (variance + flights[i].own_variance).cwiseProduct(e.pull[i]);
+    fit->own.push_back(own.cwiseProduct(first.prior_sigma));
+    const VectorXd mean = flights[i].design * e.beta;
+    fit->of_flight.push_back(first.prior_value + (mean + own).cwiseProduct(first.prior_sigma));
+  }
+}
+
 }  // namespace
 
 RandomEffects FitRandomEffects(const std::vector<FlightFactor>& factors, const FleetModel& model,
@@ -187,34 +260,9 @@ RandomEffects FitRandomEffects(const std::vector<FlightFactor>& factors, const F
   Evaluation e = Evaluate(flights, variance);
   RandomEffects fit;
   const bool fits = known_scatter == nullptr && factors.size() > 1;
-  for (; fits && fit.iterations < kMostIterations; ++fit.iterations) {
-    const Balance balance = BalanceOf(flights, e, n);
-    VectorXd next = variance;
-    for (Index k = 0; k < n; ++k) {
-      if (balance.expected[k] <= 0.0 || variance[k] <= kLeastVariance) continue;
-      next[k] = std::clamp(variance[k] * std::sqrt(balance.squares[k] / balance.expected[k]),
-                           kLeastVariance, 1.0);
-    }
-    Evaluation better = Evaluate(flights, next);
-    const double gained = better.log_likelihood - e.log_likelihood;
-    if (gained < 0.0 && fit.iterations > 0) break;
-    variance = std::move(next);
-    e = std::move(better);
-    if (std::abs(gained) < kSettled) break;
-  }
+  if (fits) fit.iterations = FitVariance(flights, &variance, &e);
 
-  // Fisher's information of the variances.
-  MatrixXd information = MatrixXd::Zero(n, n);
-  for (size_t i = 0; i < flights.size(); ++i) {
-    MatrixXd seen = e.weight[i] - e.weight[i] * flights[i].design * e.covariance *
-                                      flights[i].design.transpose() * e.weight[i];
-    for (Index k = 0; k < n; ++k) {
-      if (flights[i].own_variance[k] == 0.0) continue;
-      seen.row(k).setZero();
-      seen.col(k).setZero();
-    }
-    information += 0.5 * seen.cwiseAbs2();
-  }
+  const MatrixXd information = VarianceInformation(flights, e, n);
   MatrixXd variance_covariance = MatrixXd::Zero(n, n);
   VectorXd variance_sigma = VectorXd::Constant(n, kInfinity);
   for (Index k = 0; k < n; ++k) {
@@ -223,31 +271,13 @@ RandomEffects FitRandomEffects(const std::vector<FlightFactor>& factors, const F
     variance_sigma[k] = std::sqrt(variance_covariance(k, k));
   }
   fit.degrees_of_freedom = DegreesOfFreedom(flights, e, variance_covariance);
-
-  const auto q = static_cast<Index>(e.beta.size());
-  VectorXd scale(q);
-  scale.head(n) = first.prior_sigma;
-  for (Index c = n; c < q; ++c) {
-    scale[c] = first.prior_sigma[model.changes[static_cast<size_t>(c - n)].parameter];
-  }
-  fit.beta = e.beta.cwiseProduct(scale);
-  fit.beta.head(n) += first.prior_value;
-  fit.covariance = scale.asDiagonal() * e.covariance * scale.asDiagonal();
+  SetMeans(e, first, model, &fit);
   fit.scatter = variance.cwiseMax(0.0).cwiseSqrt().cwiseProduct(first.prior_sigma);
   fit.scatter_sigma.resize(n);
   for (Index k = 0; k < n; ++k) {
-    // Of a variance v with sigma s: that of its root; where v is small beside s, the root of s.
-    const double root = std::sqrt(std::max(0.0, variance[k]));
-    fit.scatter_sigma[k] =
-        first.prior_sigma[k] *
-        std::min(variance_sigma[k] / std::max(2.0 * root, 1e-300), std::sqrt(variance_sigma[k]));
+    fit.scatter_sigma[k] = first.prior_sigma[k] * SigmaOfRoot(variance[k], variance_sigma[k]);
   }
-  for (size_t i = 0; i < flights.size(); ++i) {
-    const VectorXd own = (variance + flights[i].own_variance).cwiseProduct(e.pull[i]);
-    fit.own.push_back(own.cwiseProduct(first.prior_sigma));
-    const VectorXd mean = flights[i].design * e.beta;
-    fit.of_flight.push_back(first.prior_value + (mean + own).cwiseProduct(first.prior_sigma));
-  }
+  SetFlights(flights, e, variance, first, &fit);
   fit.log_likelihood = e.log_likelihood;
   return fit;
 }

@@ -142,6 +142,86 @@ void CheckThrottle(const BenchRun& run, const std::string& file, const Strings& 
   }
 }
 
+// The columns that are used, by what they hold.
+struct Roles {
+  Strings time, command, speed, voltage, thrust, torque;
+
+  Strings InWords() const {
+    Strings words;
+    const auto say = [&words](const std::string& role, const Strings& names) {
+      words.push_back(role + ": " + (names.empty() ? "none" : JoinNames(names)));
+    };
+    say("time", time);
+    say("command", command);
+    say("speed", speed);
+    say("voltage", voltage);
+    say("thrust", thrust);
+    say("torque", torque);
+    return words;
+  }
+};
+
+Roles RolesOf(const Columns& columns, const BenchColumns& declared) {
+  Roles roles;
+  roles.command =
+      Found(columns, declared.command,
+            {"pwm_us", "pwm%_us", "pwm", "pwm%", "throttle", "throttle%", "command", "command%"},
+            "the command", "--command");
+  roles.speed = Found(columns, declared.speed,
+                      {"rotor%", "rotor_speed", "rotor", "rotor_optical", "rotor_electrical"},
+                      "the rotor speed", "--speed");
+  if (roles.command.size() != 1 && roles.command.size() != roles.speed.size()) {
+    columns.Fail(std::to_string(roles.command.size()) + " commands for " +
+                 std::to_string(roles.speed.size()) +
+                 " rotor speeds; one for all or one each is wanted");
+  }
+  if (!declared.steady_readings) roles.time = FoundOne(columns, declared.time, {"t"}, "the time");
+  roles.voltage = FoundOne(columns, declared.voltage, {"vbat"}, "the voltage");
+  roles.thrust = FoundOne(columns, declared.thrust, {"thrust_N", "thrust_total_N"}, "the thrust");
+  roles.torque = FoundOne(columns, declared.torque, {"torque_Nm"}, "the torque");
+  return roles;
+}
+
+// Counts the rows, and refuses a file that has too few to use.
+void CountRows(const Columns& columns, const Roles& roles, size_t usable, BenchRun* run) {
+  const size_t all = columns.values.at(roles.command.front()).size();
+  run->rows = static_cast<long>(all) + columns.short_rows;
+  run->dropped = run->rows - static_cast<long>(usable);
+  if (2 * usable < all)
+    columns.Fail("only " + std::to_string(usable) + " of " + std::to_string(all) +
+                 " rows have a command and a time that steps forward; is there a jump in " +
+                 (roles.time.empty() ? "the commands" : "column " + roles.time.front()) + "?");
+  if (usable < 10)
+    columns.Fail("only " + std::to_string(usable) + " usable rows of " + std::to_string(run->rows) +
+                 "; time must step forward and commands be numbers");
+}
+
+void ReadSpeeds(const Columns& columns, const Roles& roles, const std::vector<size_t>& rows,
+                double factor, BenchRun* run) {
+  for (const std::string& name : roles.speed) {
+    run->speed_rad_s.push_back(Picked(columns.values.at(name), rows, factor));
+    for (double& x : run->speed_rad_s.back()) {
+      x = std::abs(x);  // a sign only tells the direction of turning
+      if (x == 0.0) {
+        x = std::numeric_limits<double>::quiet_NaN();
+        ++run->zero_speed;
+      }
+    }
+  }
+}
+
+void ReadVoltage(const Columns& columns, const Roles& roles, const std::vector<size_t>& rows,
+                 BenchRun* run) {
+  if (roles.voltage.empty()) return;
+  run->voltage_V = Picked(columns.values.at(roles.voltage.front()), rows, 1.0);
+  for (double& v : run->voltage_V) {
+    if (!(v > 0.0)) v = std::numeric_limits<double>::quiet_NaN();  // not read
+  }
+  if (std::none_of(run->voltage_V.begin(), run->voltage_V.end(),
+                   [](double v) { return std::isfinite(v); }))
+    run->voltage_V.clear();
+}
+
 }  // namespace
 
 std::optional<SpeedUnit> SpeedUnitNamed(const std::string& name) {
@@ -153,76 +233,27 @@ std::optional<SpeedUnit> SpeedUnitNamed(const std::string& name) {
 
 BenchRun ReadBenchCsv(const std::string& file, const BenchColumns& declared, Strings* used) {
   const Columns columns = ReadColumns(file);
-  const Strings command =
-      Found(columns, declared.command,
-            {"pwm_us", "pwm%_us", "pwm", "pwm%", "throttle", "throttle%", "command", "command%"},
-            "the command", "--command");
-  const Strings speed =
-      Found(columns, declared.speed,
-            {"rotor%", "rotor_speed", "rotor", "rotor_optical", "rotor_electrical"},
-            "the rotor speed", "--speed");
-  if (command.size() != 1 && command.size() != speed.size()) {
-    columns.Fail(std::to_string(command.size()) + " commands for " + std::to_string(speed.size()) +
-                 " rotor speeds; one for all or one each is wanted");
-  }
-  const Strings time =
-      declared.steady_readings ? Strings{} : FoundOne(columns, declared.time, {"t"}, "the time");
-  const Strings voltage = FoundOne(columns, declared.voltage, {"vbat"}, "the voltage");
-  const Strings thrust =
-      FoundOne(columns, declared.thrust, {"thrust_N", "thrust_total_N"}, "the thrust");
-  const Strings torque = FoundOne(columns, declared.torque, {"torque_Nm"}, "the torque");
-
+  const Roles roles = RolesOf(columns, declared);
   BenchRun run;
   run.file = std::filesystem::path(file).filename().string();
   run.command_unit = declared.command_unit;
-  const std::vector<size_t> rows = UsableRows(columns, command, time);
-  const size_t all = columns.values.at(command.front()).size();
-  run.rows = static_cast<long>(all) + columns.short_rows;
-  run.dropped = run.rows - static_cast<long>(rows.size());
-  if (2 * rows.size() < all)
-    columns.Fail("only " + std::to_string(rows.size()) + " of " + std::to_string(all) +
-                 " rows have a command and a time that steps forward; is there a jump in " +
-                 (time.empty() ? "the commands" : "column " + time.front()) + "?");
-  if (rows.size() < 10)
-    columns.Fail("only " + std::to_string(rows.size()) + " usable rows of " +
-                 std::to_string(run.rows) + "; time must step forward and commands be numbers");
-  if (!time.empty()) run.t_s = Picked(columns.values.at(time.front()), rows, 1.0);
-  for (const std::string& name : command) {
+  const std::vector<size_t> rows = UsableRows(columns, roles.command, roles.time);
+  CountRows(columns, roles, rows.size(), &run);
+  if (!roles.time.empty()) run.t_s = Picked(columns.values.at(roles.time.front()), rows, 1.0);
+  for (const std::string& name : roles.command) {
     run.throttle.push_back(Picked(columns.values.at(name), rows, 1.0));
     for (double& x : run.throttle.back()) x = ThrottleOf(x, declared.command_unit);
   }
-  CheckThrottle(run, file, command);
-  const double factor = SpeedFactor(declared, file);
-  for (const std::string& name : speed) {
-    run.speed_rad_s.push_back(Picked(columns.values.at(name), rows, factor));
-    for (double& x : run.speed_rad_s.back()) {
-      x = std::abs(x);  // a sign only tells the direction of turning
-      if (x == 0.0) {
-        x = std::numeric_limits<double>::quiet_NaN();
-        ++run.zero_speed;
-      }
-    }
-  }
-  if (!voltage.empty()) run.voltage_V = Picked(columns.values.at(voltage.front()), rows, 1.0);
-  for (double& v : run.voltage_V) {
-    if (!(v > 0.0)) v = std::numeric_limits<double>::quiet_NaN();  // not read
-  }
-  if (std::none_of(run.voltage_V.begin(), run.voltage_V.end(),
-                   [](double v) { return std::isfinite(v); }))
-    run.voltage_V.clear();
-  if (!thrust.empty())
-    run.thrust_N = Picked(columns.values.at(thrust.front()), rows, declared.thrust_unit_N);
-  if (!torque.empty()) run.torque_Nm = Picked(columns.values.at(torque.front()), rows, 1.0);
+  CheckThrottle(run, file, roles.command);
+  ReadSpeeds(columns, roles, rows, SpeedFactor(declared, file), &run);
+  ReadVoltage(columns, roles, rows, &run);
+  if (!roles.thrust.empty())
+    run.thrust_N = Picked(columns.values.at(roles.thrust.front()), rows, declared.thrust_unit_N);
+  if (!roles.torque.empty())
+    run.torque_Nm = Picked(columns.values.at(roles.torque.front()), rows, 1.0);
   if (used != nullptr) {
-    const auto say = [used](const std::string& role, const Strings& names) {
-      used->push_back(role + ": " + (names.empty() ? "none" : JoinNames(names)));
-    };
-    say("time", time);
-    say("command", command);
-    say("speed", speed);
-    say("voltage", voltage);
-    say("thrust", thrust);
-    say("torque", torque);
+    const Strings words = roles.InWords();
+    used->insert(used->end(), words.begin(), words.end());
   }
   return run;
 }

@@ -2,6 +2,8 @@
 #include <iostream>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <tuple>
+#include <utility>
 
 #include "odmc/analysis/parallel.h"
 #include "odmc/analysis/report.h"
@@ -67,6 +69,34 @@ Json RecordingJson(const odmc::RecordingConditions& c) {
   return json;
 }
 
+/// Writes a made flight's files. @returns its entries in the manifest and in the answer key
+std::pair<Json, Json> WriteFlight(const odmc::UndeclaredFlight& made, int number,
+                                  const std::string& input) {
+  using namespace odmc;
+  const std::string name = FlightName(number);
+  WriteFlightCsv(made.log, tools::In(input, name + ".csv"));
+  std::string vehicle = "vehicle_" + made.declared.name + ".yaml";
+  if (made.recording.model != RecordingModel::kWhite) {  // its sensors sit elsewhere
+    vehicle = "vehicle_" + name + ".yaml";
+    WriteText(FormatVehicle(made.declared), tools::In(input, vehicle));
+  }
+  Json parameters = Json::object();
+  for (const ParameterEstimate& p : made.truth.parameters) parameters[p.full_name] = p.value;
+  const Json manifest = {{"flight", name}, {"file", name + ".csv"}, {"vehicle", vehicle}};
+  const Json truth = {{"flight", name},
+                      {"kind", KindName(made.plan.kind)},
+                      {"right_answer", made.right_answer},
+                      {"effects", made.plan.effects},
+                      {"strength", made.plan.strength},
+                      {"share", made.share},
+                      {"axis_share", made.axis_share},
+                      {"trajectory", made.plan.trajectory},
+                      {"vehicle", made.declared.name},
+                      {"recording", RecordingJson(made.recording)},
+                      {"parameters", parameters}};
+  return {manifest, truth};
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -107,30 +137,8 @@ int main(int argc, char** argv) {
     std::vector<Json> manifest(plans.size()), truth(plans.size());
     tools::ProgressBar bar("simulating");
     const auto make = [&](int i) {
-      const UndeclaredFlight made = MakeUndeclared(plans[i]);
-      const std::string name = FlightName(plans[i].number);
-      WriteFlightCsv(made.log, tools::In(input, name + ".csv"));
-      std::string vehicle = "vehicle_" + made.declared.name + ".yaml";
-      if (made.recording.model != RecordingModel::kWhite) {  // its sensors sit elsewhere
-        vehicle = "vehicle_" + name + ".yaml";
-        WriteText(FormatVehicle(made.declared), tools::In(input, vehicle));
-      }
-      manifest[i] = {{"flight", name}, {"file", name + ".csv"}, {"vehicle", vehicle}};
-      Json parameters = Json::object();
-      for (const ParameterEstimate& p : made.truth.parameters) {
-        parameters[p.full_name] = p.value;
-      }
-      truth[i] = {{"flight", name},
-                  {"kind", KindName(made.plan.kind)},
-                  {"right_answer", made.right_answer},
-                  {"effects", made.plan.effects},
-                  {"strength", made.plan.strength},
-                  {"share", made.share},
-                  {"axis_share", made.axis_share},
-                  {"trajectory", made.plan.trajectory},
-                  {"vehicle", made.declared.name},
-                  {"recording", RecordingJson(made.recording)},
-                  {"parameters", parameters}};
+      std::tie(manifest[i], truth[i]) =
+          WriteFlight(MakeUndeclared(plans[i]), plans[i].number, input);
     };
     ForEachOf(static_cast<int>(plans.size()), jobs, make, [&](double share) { bar.Show(share); });
     WriteText(Json(manifest).dump(2) + "\n", tools::In(input, "manifest.json"));

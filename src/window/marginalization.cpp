@@ -4,6 +4,7 @@
 #include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
+#include <utility>
 #include <vector>
 
 #include "odmc/factors/dynamics_factor.h"
@@ -195,25 +196,19 @@ void LetPriorWalk(const Eigen::Ref<const Eigen::VectorXd>& direction, double var
   b -= gain * v.dot(b) * v;
 }
 
-bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
-                       LeavingFactors* leaving) {
-  MoveParameterPoint(window, relinearize);
-  Keyframe& oldest = window->keyframes().front();
-  const FrontColumns c(*window, oldest.id);
-  const Prior& old = window->prior();
-  if (leaving != nullptr) {
-    leaving->score = Eigen::VectorXd::Zero(window->layout().num_estimated());
-    leaving->force_information = leaving->torque_information = leaving->score;
-    for (const Factor& factor : oldest.factors) Observe(*window, factor, leaving);
-  }
+namespace {
 
-  int rows = static_cast<int>(old.b.size());
+/// The prior's rows, and room for the rows of the oldest keyframe's factors.
+LinearSystem SystemWithPrior(const Window& window, const FrontColumns& c) {
+  const Keyframe& oldest = window.keyframes().front();
+  const Prior& old = window.prior();
+  const int prior_rows = static_cast<int>(old.b.size());
+  int rows = prior_rows;
   for (const Factor& factor : oldest.factors) rows += factor.cost->num_residuals();
   LinearSystem system;
   system.A = Eigen::MatrixXd::Zero(rows, c.total);
   system.b = Eigen::VectorXd::Zero(rows);
   system.num_eliminated = c.num_eliminated;
-  const int prior_rows = static_cast<int>(old.b.size());
   system.b.head(prior_rows) = old.b;
   if (old.has_state) {
     system.A.topLeftCorner(prior_rows, kStateTangentSize) = old.A.leftCols<kStateTangentSize>();
@@ -222,59 +217,91 @@ bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
     system.A.block(0, c.BiasColumn(oldest.bias), prior_rows, 6) =
         old.A.middleCols<6>(old.state_columns());
   }
-  const int n = window->layout().num_estimated();
+  const int n = window.layout().num_estimated();
   system.A.block(0, c.parameters, prior_rows, n) = old.A.rightCols(n);
+  return system;
+}
 
-  bool sound = true;
-  bool links_next = false, links_bias = false;
-  int row = prior_rows;
-  for (const Factor& factor : oldest.factors) {
+/// What the oldest keyframe's factors link it to.
+struct Links {
+  bool next = false, bias = false;
+  bool sound = true;  ///< false if a factor was left out
+};
+
+Links StackFactors(const Window& window, const FrontColumns& c, LinearSystem* system) {
+  Links links;
+  int row = static_cast<int>(window.prior().b.size());
+  for (const Factor& factor : window.keyframes().front().factors) {
     LinearFactor linear;
-    if (!Linearize(*window, factor, true, &linear)) {
-      sound = false;
+    if (!Linearize(window, factor, true, &linear)) {
+      links.sound = false;
       continue;
     }
-    Stack(*window, factor, linear, c, row, &system);
+    Stack(window, factor, linear, c, row, system);
     row += static_cast<int>(linear.r.size());
-    links_next = links_next || factor.state1 >= 0;
-    links_bias = links_bias || factor.bias0 >= 0;
+    links.next = links.next || factor.state1 >= 0;
+    links.bias = links.bias || factor.bias0 >= 0;
   }
+  return links;
+}
 
-  LinearSystem remaining = Eliminate(system);
-  const bool has_next = c.next_state >= 0 && links_next;
-  const bool has_bias = c.kept_bias >= 0 && (links_bias || old.has_bias);
+/// The prior that is left of the system, about the next keyframe and the kept bias where they are
+/// linked.
+Prior PriorOf(const LinearSystem& remaining, const FrontColumns& c, bool has_next, bool has_bias,
+              const Prior& old) {
+  const auto n = old.eta_lin.size();
   Prior prior;
   prior.has_state = has_next;
   prior.has_bias = has_bias;
   prior.eta_lin = old.eta_lin;
   prior.b = remaining.b;
   prior.A.resize(remaining.A.rows(), prior.state_columns() + prior.bias_columns() + n);
-  int from = 0;
-  if (c.next_state >= 0) {
-    if (has_next) prior.A.leftCols<kStateTangentSize>() = remaining.A.leftCols<kStateTangentSize>();
-    from += kStateTangentSize;
-  }
-  if (c.kept_bias >= 0) {
-    if (has_bias) {
-      prior.A.middleCols<6>(prior.state_columns()) = remaining.A.middleCols<6>(from);
-    }
+  if (has_next) prior.A.leftCols<kStateTangentSize>() = remaining.A.leftCols<kStateTangentSize>();
+  if (has_bias) {
+    const int from = c.next_state >= 0 ? kStateTangentSize : 0;
+    prior.A.middleCols<6>(prior.state_columns()) = remaining.A.middleCols<6>(from);
   }
   prior.A.rightCols(n) = remaining.A.rightCols(n);
+  return prior;
+}
 
+/// Takes the oldest keyframe out of the window, which has the prior instead. What the prior is
+/// about keeps its linearization point from now on.
+void ReplaceOldest(Prior prior, const FrontColumns& c, Window* window) {
   if (c.leaving_bias >= 0 && !window->biases().empty()) window->biases().pop_front();
   window->DropOldestKeyframe();
-  if (has_next) {
+  if (prior.has_state) {
     Keyframe& next = window->keyframes().front();
     if (!next.in_prior) next.x_lin = next.x;
     next.in_prior = true;
   }
-  if (has_bias) {
+  if (prior.has_bias) {
     Bias& kept = window->bias(window->keyframes().front().bias);
     if (!kept.in_prior) kept.x_lin = kept.x;
     kept.in_prior = true;
   }
   window->prior() = std::move(prior);
-  return sound;
+}
+
+}  // namespace
+
+bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
+                       LeavingFactors* leaving) {
+  MoveParameterPoint(window, relinearize);
+  const Keyframe& oldest = window->keyframes().front();
+  const FrontColumns c(*window, oldest.id);
+  const Prior& old = window->prior();
+  if (leaving != nullptr) {
+    leaving->score = Eigen::VectorXd::Zero(window->layout().num_estimated());
+    leaving->force_information = leaving->torque_information = leaving->score;
+    for (const Factor& factor : oldest.factors) Observe(*window, factor, leaving);
+  }
+  LinearSystem system = SystemWithPrior(*window, c);
+  const Links links = StackFactors(*window, c, &system);
+  const bool has_next = c.next_state >= 0 && links.next;
+  const bool has_bias = c.kept_bias >= 0 && (links.bias || old.has_bias);
+  ReplaceOldest(PriorOf(Eliminate(system), c, has_next, has_bias, old), c, window);
+  return links.sound;
 }
 
 }  // namespace odmc

@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <array>
+#include <functional>
 #include <map>
 #include <optional>
 #include <string>
@@ -149,6 +150,15 @@ class FlightRegression {
   void Project();
   /// @param e N×K: second moments are summed over the columns
   Noise FitNoise(const Eigen::MatrixXd& e) const;
+  void BeginWithWhiteNoise();
+  /// Coefficients of all columns beside their priors, and the root of their covariance.
+  Eigen::VectorXd FitColumns();
+  /// Errors that the coefficients may have, a few of them as columns; all second moments where
+  /// there are few coefficients.
+  Eigen::MatrixXd DrawsOfFit(const std::function<double()>& normal) const;
+  /// @param x coefficients
+  void ReestimateNoise(const Eigen::VectorXd& x, const Eigen::MatrixXd& draws);
+  void WhitenHeldOut();
   int FoldOf(Eigen::Index row) const;
 
   const ResidualModel* residual_;

@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <array>
+#include <cstddef>
 #include <vector>
 
 #include "odmc/attribution/residual.h"
@@ -49,6 +50,21 @@ class Instruments {
     Eigen::Index first = 0, in_use = 0, size = 0;
   };
 
+  struct Batch;
+  struct Sums;
+  struct Weights;
+
+  /// The columns that are not zero (N×k), with what is their own.
+  Batch BatchOf(const Eigen::MatrixXd& columns, const Eigen::MatrixXd& likely) const;
+  Sums SumsOf(const Batch& batch) const;
+  /// Least squares over all folds but one.
+  Weights WeightsWithout(size_t fold, const Sums& sums) const;
+  /// Each fold as the others foresee it.
+  Eigen::MatrixXd ValueByFolds(const Batch& batch, const Sums& sums) const;
+  /// What a value foresees of the column itself, of which `square` is the sum of squares: the
+  /// factor, 0 to 1, by which it comes nearest; 0 where that is next to nothing.
+  double WorthOf(const Eigen::Ref<const Eigen::VectorXd>& value,
+                 const Eigen::Ref<const Eigen::VectorXd>& itself, double square) const;
   /// A few columns at once; those that are zero stay zero.
   Eigen::MatrixXd ForeseenBatch(const Eigen::MatrixXd& columns,
                                 const Eigen::MatrixXd& likely) const;

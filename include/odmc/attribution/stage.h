@@ -31,8 +31,8 @@ Vehicle VehicleWith(const Vehicle& vehicle, const RankedEffect& effect);
 /// A vehicle as attribution asks about it: what is estimated has the priors of the vehicle file
 /// again, and starts there; of effects the file does not list, the values stay. The sigmas of an
 /// earlier estimate (`parameters.yaml`) hold under its model, and whether that lacks something is
-/// the question: a viscous torque that took the place of a hub moment, known to 15 %, would forbid the
-/// hub moment. What is frozen stays, as a thrust coefficient that is known.
+/// the question: a viscous torque that took the place of a hub moment, known to 15 %, would forbid
+/// the hub moment. What is frozen stays, as a thrust coefficient that is known.
 Vehicle WithPriorsOf(const Vehicle& file_vehicle, const Vehicle& vehicle);
 
 /// A model as the online estimator found it, inertia as the vehicle file has it: online it takes
