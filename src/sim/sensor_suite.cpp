@@ -113,7 +113,6 @@ void SensorSuite::SenseCommands(Stamp now, const RotorVector& throttle) {
 }
 
 void SensorSuite::Deliver(Stamp now) {
-  if (on_the_way_.empty()) return;
   const auto is_late = [&](const OdometrySample& s) { return s.stamp + odometry_delay_ > now; };
   const auto end = std::find_if(on_the_way_.begin(), on_the_way_.end(), is_late);
   arrived_.insert(arrived_.end(), on_the_way_.begin(), end);

@@ -207,8 +207,8 @@ FlightLog SimulateLog(const DynamicModel& model, const ModelValues& truth,
     for (int control = 0; control < cut.controls; ++control) {
       pilot.Control(&world);
       if (control == 0) {
-        truth_sink(world.Truth());
         for (const Sample& sample : world.TakeSamples()) Keep(sample, &log);
+        truth_sink(world.Truth());
       }
       for (int step = 0; step < cut.steps; ++step) world.Step();
     }

@@ -91,7 +91,8 @@ World::World(const DynamicModel& model, const ModelValues& values, const WorldOp
                options.ground_friction}),
       sensors_(options_, seed),
       lost_(RotorVector::Zero(model.vehicle().num_rotors())),
-      mean_wind_W_(options.wind_m_s) {
+      mean_wind_W_(options.wind_m_s),
+      has_schedule_(HasSchedule()) {
   const double hover_squared = HoverSquared(map_, body_.properties());
   full_speed_ = std::sqrt(options_.max_thrust_over_weight * hover_squared);
   idle_speed_ = options_.idle_speed_share * std::sqrt(hover_squared);
@@ -184,6 +185,7 @@ double World::max_rotor_speed() const {
 }
 
 void World::LimitCommand() {
+  truth_.reset();
   if (drive_) {
     command_ = drive_->SteadySpeeds(battery_.voltage_V());
     return;
@@ -218,12 +220,18 @@ void World::Step() {
     turbulence_.Advance(std::max(airspeed, kLeastAirspeed_m_s), step_s);
     BlowWind();
   }
-  RunSchedule(before);
+  if (has_schedule_) RunSchedule(before);
   Surround();
+}
+
+void World::SetUnmodelled(const Unmodelled& wrench) {
+  truth_.reset();
+  unmodelled_ = wrench;
 }
 
 // What battery and air bring about at the present state.
 void World::Surround() {
+  truth_.reset();
   const double time_s = ToSeconds(now_);
   variation_.Apply(time_s, &body_);
   if (drive_ || MaxSpeed() != max_speed_) LimitCommand();
@@ -262,14 +270,24 @@ BodyWrench World::DamageWrench() const {
 void World::Sense() {
   if (sensed_) return;
   sensed_ = true;
-  sensors_.Sense(now_, state_, body_.properties(), battery_.voltage_V(),
-                 [this] { return Truth(); });
+  sensors_.Sense(now_, state_, body_.properties(), battery_.voltage_V(), [this] {
+    truth_ = Truth();
+    return *truth_;
+  });
 }
 
 TruthSample World::Truth() const {
+  if (truth_) return *truth_;
   TruthSample truth = TruthOf(body_, now_, state_, command_, External());
   truth.on_ground = touches_ground();
   return truth;
+}
+
+bool World::HasSchedule() const {
+  const WorldOptions& o = options_;
+  return o.payload_attach_at_s + o.payload_drop_at_s + o.cog_shift_at_s + o.damage_at_s +
+             o.jump_at_s >
+         0.0;
 }
 
 void World::RunSchedule(Stamp before) {

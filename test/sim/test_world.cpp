@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cmath>
+#include <functional>
 #include <memory>
 #include <stdexcept>
 
@@ -887,6 +888,31 @@ TEST(World, SensorsSeeTheCommandOfTheirInstant) {
       EXPECT_GT(apart, 1e-2);
     }
   }
+}
+
+// The IMU asks for the truth of its instant; whatever changes then shows in the next answer.
+TEST(World, TruthFollowsWhatChangesAfterASample) {
+  const Setting setting(WithImu());
+  WorldOptions options = Quiet();
+  options.start_height_m = 5.0;
+  World world = setting.In(options);
+  const auto change = [&](const std::function<void()>& act) {
+    RunFor(&world, 0.002);
+    ASSERT_EQ(Only<ImuSample>(world.TakeSamples()).back().stamp, world.now());
+    const double force = world.Truth().f_B.x();
+    act();
+    EXPECT_GT(std::abs(world.Truth().f_B.x() - force), 0.01);
+  };
+  change([&] { world.SetWind({3.0, 0.0, 0.0}); });
+  change([&] {
+    world.SetUnmodelled([](const FlightState&) { return BodyWrench{{1, 0, 0}, {}}; });
+  });
+  change([&] {
+    world.Put({0.0, 0.0, 4.0}, Eigen::Quaterniond(Exp({0.0, 0.0, 1.5})), world.HoverSpeeds());
+  });
+  const double stamp_s = ToSeconds(world.Truth().stamp);
+  RunFor(&world, 0.002);
+  EXPECT_NEAR(ToSeconds(world.Truth().stamp), stamp_s + 0.002, 1e-12);
 }
 
 // ---- Events ----

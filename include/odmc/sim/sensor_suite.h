@@ -69,7 +69,7 @@ class SensorSuite {
     if (odometry_clock_.Tick(now)) SenseOdometry(now, state, properties);
     if (rotor_clock_.Tick(now)) SenseRotors(now);
     if (battery_clock_.Tick(now)) arrived_.emplace_back(BatterySample{now, voltage_V});
-    Deliver(now);
+    if (!on_the_way_.empty()) Deliver(now);
   }
 
   /// Takes what the ESCs are told from `now` on, if it was just told or is due at the rate of the

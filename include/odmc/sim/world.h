@@ -58,7 +58,7 @@ class World {
            const RotorVector& rotor_speed);
 
   /// From now on this wrench acts, too, asked once per step at its start.
-  void SetUnmodelled(const Unmodelled& wrench) { unmodelled_ = wrench; }
+  void SetUnmodelled(const Unmodelled& wrench);
 
   Stamp now() const { return now_; }
 
@@ -112,6 +112,7 @@ class World {
   void CheckCommand(const RotorVector& command, const std::string& what) const;
   void Start();
   void ChangeBody(const BodyChange& change);
+  bool HasSchedule() const;
   void RunSchedule(Stamp before);
   void BlowWind();
   double MaxSpeed() const;
@@ -139,11 +140,13 @@ class World {
   RotorVector lost_;  // share of each rotor's thrust that damage took
   bool is_damaged_ = false;
   Eigen::Vector3d mean_wind_W_;
+  bool has_schedule_;
   Unmodelled unmodelled_;
 
   long steps_ = 0;
   Stamp now_ = 0;
-  bool sensed_ = false;  // the present instant
+  bool sensed_ = false;               // the present instant
+  std::optional<TruthSample> truth_;  // of the present instant, where a sensor asked for it
   RigidBodyState state_;
   RotorVector asked_, command_;  // as told (without an actuator), as limited
   BodyWrench external_;          // at the present state, but for what is unmodelled
