@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <iterator>
 #include <limits>
 #include <memory>
 #include <stdexcept>
@@ -379,6 +380,31 @@ std::vector<UndeclaredPlan> PlanNothing(int seed, int flights) {
   std::vector<UndeclaredPlan> plans;
   for (int i = 0; i < flights; ++i) {
     plans.push_back(PlanOf(seed, i));
+  }
+  return plans;
+}
+
+std::vector<UndeclaredPlan> PlanOneEffect(int seed, int flights, const std::string& effect) {
+  const std::vector<Excited> catalogue = Catalogue();
+  const auto flown = std::find_if(catalogue.begin(), catalogue.end(),
+                                  [&](const Excited& e) { return e.effect == effect; });
+  if (flown == catalogue.end()) {
+    std::string names;
+    for (const Excited& e : catalogue) names += (names.empty() ? "" : ", ") + e.effect;
+    throw std::invalid_argument("no test flights are made with '" + effect + "', only with " +
+                                names);
+  }
+  std::vector<UndeclaredPlan> plans;
+  const int num = static_cast<int>(flown->trajectories.size());
+  for (int i = 0; i < flights; ++i) {
+    const Level& level = kLevels[(i + i / num) % static_cast<int>(std::size(kLevels))];
+    UndeclaredPlan plan = PlanOf(seed, i);
+    plan.kind = Undeclared::kOneEffect;
+    plan.effects = {effect};
+    plan.trajectory = flown->trajectories[i % num];
+    plan.strength = level.name;
+    plan.share = level.share;
+    plans.push_back(plan);
   }
   return plans;
 }

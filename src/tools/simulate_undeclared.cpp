@@ -97,6 +97,13 @@ std::pair<Json, Json> WriteFlight(const odmc::UndeclaredFlight& made, int number
   return {manifest, truth};
 }
 
+std::vector<odmc::UndeclaredPlan> PlanFlights(int seed, int flights, bool nothing,
+                                              const std::string& effect) {
+  if (nothing) return odmc::PlanNothing(seed, flights);
+  if (!effect.empty()) return odmc::PlanOneEffect(seed, flights, effect);
+  return odmc::PlanUndeclared(seed, flights);
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -107,7 +114,7 @@ int main(int argc, char** argv) {
       "answer\n"
       "key DIR/truth.json.");
   int seed = 0, flights = 160, jobs = 1;
-  std::string folder, recording = "drawn";
+  std::string folder, recording = "drawn", effect;
   bool nothing = false;
   app.add_option("--seed", seed, "of all randomness")->required()->check(tools::NotNegative());
   app.add_option("--flights", flights, "number of flights")
@@ -122,7 +129,11 @@ int main(int argc, char** argv) {
          "odometry; independent: with an IMU, as another author's simulator")
       ->capture_default_str()
       ->check(CLI::IsMember({"drawn", "white", "independent"}));
-  app.add_flag("--nothing", nothing, "nothing undeclared acts on any flight");
+  CLI::Option* no_effect =
+      app.add_flag("--nothing", nothing, "nothing undeclared acts on any flight");
+  app.add_option("--effect", effect,
+                 "one effect on all flights: strong, medium, weak in turn (list_effects)")
+      ->excludes(no_effect);
   tools::AddFolder(&app, &folder);
   tools::AddExitStatus(&app);
   return tools::Run(&app, argc, argv, [&] {
@@ -131,8 +142,7 @@ int main(int argc, char** argv) {
     for (const Vehicle& vehicle : UndeclaredVehicles()) {
       WriteText(FormatVehicle(vehicle), tools::In(input, "vehicle_" + vehicle.name + ".yaml"));
     }
-    std::vector<UndeclaredPlan> plans =
-        nothing ? PlanNothing(seed, flights) : PlanUndeclared(seed, flights);
+    std::vector<UndeclaredPlan> plans = PlanFlights(seed, flights, nothing, effect);
     for (UndeclaredPlan& plan : plans) plan.recording = kRecordings.at(recording);
     std::vector<Json> manifest(plans.size()), truth(plans.size());
     tools::ProgressBar bar("simulating");

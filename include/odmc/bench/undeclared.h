@@ -53,6 +53,12 @@ std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights);
 /// A plan of flights on which nothing undeclared acts, over all vehicles and trajectories in turn.
 std::vector<UndeclaredPlan> PlanNothing(int seed, int flights);
 
+/// A plan of flights on which one effect acts, over all strengths, vehicles and the trajectories
+/// that show it in turn.
+/// @throws std::invalid_argument for an effect no test flight can be made with; names those there
+///   are
+std::vector<UndeclaredPlan> PlanOneEffect(int seed, int flights, const std::string& effect);
+
 /// The vehicles of the set, as files declare them.
 std::vector<Vehicle> UndeclaredVehicles();
 
