@@ -294,7 +294,7 @@ void LoopSession::NoteRefused() {
 
 void LoopSession::WeighGusts() {
   GustCase gusts = RankGusts(*residual_, attribution_->stage(), attribution_->residual_after(),
-                             before_.parameters);
+                             before_.parameters, options_.attribution);
   result_.ranking.push_back(gusts.ranked);
   if (IsGusty(gusts, options_.attribution) && CanBlow(vehicle_, effects_)) {
     gusts_ = std::move(gusts);

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "odmc/model/dynamic_model.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -45,8 +46,11 @@ std::vector<DragCoefficient> DragOf(const ResidualModel& residual, const Dynamic
     c.natural_size = spec.prior_sigma;
     c.d_wind = ByWind(residual, model, moved, "wind");
     for (int k = 0; k < 3; ++k) c.d_wind[k] = (c.d_wind[k] - d_wind[k]) / kDifference;
-    if (size(c.d_wind) < kMatters * size(d_wind)) continue;
     c.d_wrench = spec.prior_sigma * residual.Derivative(model, values, index);
+    if (c.d_wrench.leftCols<3>().isZero()) continue;
+    if (size(c.d_wind) < kMatters * size(d_wind)) {
+      c.d_wind.fill(ResidualModel::Wrenches::Zero(residual.flight().size(), kNumChannels));
+    }
     const double to_zero = -values[index] / spec.prior_sigma;
     c.least = spec.sign == PhysicalSign::kPositive ? std::min(0.0, to_zero) : -kTooLarge;
     c.most = spec.sign == PhysicalSign::kNegative ? std::max(0.0, to_zero) : kTooLarge;
@@ -68,10 +72,39 @@ std::vector<std::string> ActingOnForce(const ResidualModel& residual, const Dyna
   return names;
 }
 
+/// What gusts gain over noise once they have paid for what they fit [nats].
+double NetGain(const GustTest& gust, const AttributionOptions& options) {
+  return gust.gain - options.gust_price;
+}
+
+/// Whether gusts beat noise by more than chance does.
+bool BeatNoise(const GustTest& gust, const AttributionOptions& options) {
+  return gust.sigma_m_s > kSlightestGust_m_s &&
+         NetGain(gust, options) > -std::log(options.false_alarm_rate);
+}
+
+/// What speaks against gusts that beat noise; of free forces that explain the same, too.
+std::vector<std::string> RemarksOn(const GustTest& gust, const AttributionOptions& options) {
+  if (!BeatNoise(gust, options)) return {};
+  std::vector<std::string> remarks;
+  if (gust.over_others <= -options.clear_odds) {
+    remarks.push_back("not named: a force that no wind makes explains the same better, by " +
+                      Rounded(-gust.over_others) + " nats");
+  } else if (gust.over_others < options.clear_odds) {
+    remarks.push_back("a force of its own that varies slowly explains the same about as well");
+  }
+  if (gust.peakedness_p <= options.false_alarm_rate) {
+    remarks.push_back("not named: it comes in knocks, which gusts do at a chance of " +
+                      Rounded(gust.peakedness_p));
+  }
+  return remarks;
+}
+
 }  // namespace
 
 GustCase RankGusts(const ResidualModel& residual, const Stage& stage,
-                   const ResidualModel::Wrenches& left, const ParameterSet& declared) {
+                   const ResidualModel::Wrenches& left, const ParameterSet& declared,
+                   const AttributionOptions& options) {
   Vehicle airy = stage.vehicle;
   const bool has_wind =
       std::find(airy.effects.begin(), airy.effects.end(), "wind") != airy.effects.end();
@@ -98,6 +131,10 @@ GustCase RankGusts(const ResidualModel& residual, const Stage& stage,
   RankedEffect& ranked = gusts.ranked;
   ranked.name = "gust";
   ranked.score = gust.gain;
+  const double net = NetGain(gust, options);
+  ranked.p_value = std::exp(-std::max(0.0, net));
+  ranked.probability = 1.0 / (1.0 + std::exp(-net) + std::exp(-gust.over_others));
+  ranked.remarks = RemarksOn(gust, options);
   ranked.settings = {{"gust.sigma", std::max(kSlightestGust_m_s, gust.sigma_m_s)},
                      {"gust.vertical_sigma", std::max(0.01, gust.vertical_sigma_m_s)},
                      {"gust.time_constant", std::max(0.1, gust.time_constant_s)}};
@@ -109,9 +146,8 @@ GustCase RankGusts(const ResidualModel& residual, const Stage& stage,
 }
 
 bool IsGusty(const GustCase& gusts, const AttributionOptions& options) {
-  return gusts.test.sigma_m_s > kSlightestGust_m_s &&
-         gusts.test.gain > -std::log(options.false_alarm_rate) + options.gust_price &&
-         gusts.test.over_others > -std::log(options.false_alarm_rate);
+  return BeatNoise(gusts.test, options) && gusts.test.over_others > -options.clear_odds &&
+         gusts.test.peakedness_p > options.false_alarm_rate;
 }
 
 ValueVariation PredictedGusts(const FlightLog& log, const Vehicle& file_vehicle,

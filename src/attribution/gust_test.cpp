@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "odmc/math/descent.h"
+#include "odmc/math/gaussian.h"
 
 namespace odmc {
 namespace {
@@ -25,6 +26,8 @@ constexpr int kLeastSamples = 40;        // 4 s
 constexpr double kLeastCurvature = 1.0;  // the natural size alone
 constexpr double kSizes[] = {0.35, 0.6, 1.0, 1.6, 2.5};
 constexpr double kMostSteady = 10.0;        // of a steady force, over the slow part's size
+constexpr int kProcess = 7;                 // unknowns of Hypothesis beside the drag
+constexpr double kMostLateral = 3.0;        // of the logarithm of a ratio that is normal a priori
 constexpr double kVertical[] = {0.1, 1.0};  // third axis over the others
 constexpr double kNoiseShares[] = {0.02, 0.1, 0.4, 1.0};  // of the quick part's variance
 // The filter's window is 0.1 s: samples so far apart share less than 2 % of their noise's variance,
@@ -133,13 +136,14 @@ struct Seen {
 
 /// A slowly varying quantity w that acts as H w, the drag beside it unknown. Drag and size of w
 /// multiply each other, so that all is fitted together: x holds the drag's changes, and the
-/// logarithms of w's size (over its natural one), of its correlation time [s], of its third axis'
-/// size over that of the others, and of the noise's variance along each axis (over the quick
-/// part's).
+/// logarithms of w's size along its first axis (over its natural one), of its correlation time [s],
+/// of its third and its second axis' size over that of the first, and of the noise's variance along
+/// each axis (over the quick part's).
 class Hypothesis {
  public:
   /// @param H how w acts with the drag as it is
-  /// @param by_drag true if the drag's change changes H
+  /// @param by_drag true for wind: the drag's change changes H, and w is as large along the second
+  ///   axis as along the first
   /// @param size natural standard deviation of w
   Hypothesis(const ThinnedFlight* flight, const std::vector<int>* looked_at,
              const ResidualModel::Wrenches* residual, std::vector<Matrix3d> H,
@@ -153,7 +157,7 @@ class Hypothesis {
         size_(size),
         drag_(drag),
         num_drag_(static_cast<Index>(drag->size())),
-        x_(VectorXd::Zero(num_drag_ + 6)),
+        x_(VectorXd::Zero(num_drag_ + kProcess)),
         least_(x_),
         most_(x_) {
     for (Index k = 0; k < num_drag_; ++k) {
@@ -161,8 +165,11 @@ class Hypothesis {
       most_[k] = (*drag)[k].most;
     }
     const Vector3d one = Vector3d::Ones();
-    least_.tail<6>() << std::log(0.1), std::log(0.2), std::log(0.03), std::log(1e-3) * one;
-    most_.tail<6>() << std::log(10.0), std::log(10.0), std::log(2.0), std::log(2.0) * one;
+    const double lateral = by_drag ? 0.0 : kMostLateral;
+    least_.tail<kProcess>() << std::log(0.1), std::log(0.2), std::log(0.03), -lateral,
+        std::log(1e-3) * one;
+    most_.tail<kProcess>() << std::log(10.0), std::log(10.0), std::log(2.0), lateral,
+        std::log(2.0) * one;
     if (!by_drag) return;
     for (const DragCoefficient& c : *drag) dH_.push_back(Response(flight->size(), c.d_wind));
   }
@@ -204,12 +211,28 @@ class Hypothesis {
         .cwiseSqrt();
   }
 
-  std::vector<Vector3d> States() const {
-    std::vector<Vector3d> states;
-    const Seen seen = SeenAt(x_);
-    Follow(*flight_, *looked_at_, seen.y, seen.H, NoiseOf(x_), SizeOf(x_), time_constant_s(),
-           &states);
-    return states;
+  /// Mean fourth power of w over its mean square squared, as the filter sees w.
+  double Peakedness() const { return PeakednessOf(SeenAt(x_)); }
+
+  /// Chance that such a process, which is normal, looks as peaked: by drawing it anew.
+  double ChanceOfPeakedness(double peakedness) const {
+    constexpr int kDraws = 299;
+    Gaussian random(kDraws, 0);
+    Seen drawn = SeenAt(x_);
+    const Vector3d size = SizeOf(x_), noise = NoiseOf(x_).cwiseSqrt();
+    int peakier = 0;
+    for (int draw = 0; draw < kDraws; ++draw) {
+      Vector3d w = size.cwiseProduct(random.Next3());
+      double last_s = flight_->sample(0).t_s;
+      for (const int i : *looked_at_) {
+        const double decay = std::exp((last_s - flight_->sample(i).t_s) / time_constant_s());
+        last_s = flight_->sample(i).t_s;
+        w = decay * w + std::sqrt(1.0 - decay * decay) * size.cwiseProduct(random.Next3());
+        drawn.y.row(i).head<3>() = drawn.H[i] * w + noise.cwiseProduct(random.Next3());
+      }
+      peakier += PeakednessOf(drawn) >= peakedness ? 1 : 0;
+    }
+    return (1.0 + peakier) / (1.0 + kDraws);
   }
 
  private:
@@ -217,6 +240,18 @@ class Hypothesis {
     VectorXd slope;
     MatrixXd curvature;
   };
+
+  double PeakednessOf(const Seen& seen) const {
+    std::vector<Vector3d> states;
+    Follow(*flight_, *looked_at_, seen.y, seen.H, NoiseOf(x_), SizeOf(x_), time_constant_s(),
+           &states);
+    double square = 0.0, fourth = 0.0;
+    for (const Vector3d& w : states) {
+      square += w.squaredNorm();
+      fourth += w.squaredNorm() * w.squaredNorm();
+    }
+    return fourth * static_cast<double>(states.size()) / std::max(1e-300, square * square);
+  }
 
   void FitFromHere() {
     FitProcess();
@@ -249,11 +284,11 @@ class Hypothesis {
   double Likelihood(const Seen& seen, const VectorXd& x) const {
     return Follow(*flight_, *looked_at_, seen.y, seen.H, NoiseOf(x), SizeOf(x),
                   std::exp(x[num_drag_ + 1])) -
-           0.5 * x.head(num_drag_).squaredNorm();
+           0.5 * x.head(num_drag_).squaredNorm() - 0.5 * std::pow(x[num_drag_ + 3], 2);
   }
   Vector3d SizeOf(const VectorXd& x) const {
     const double size = size_ * std::exp(x[num_drag_]);
-    return {size, size, size * std::exp(x[num_drag_ + 2])};
+    return {size, size * std::exp(x[num_drag_ + 3]), size * std::exp(x[num_drag_ + 2])};
   }
   Vector3d NoiseOf(const VectorXd& x) const {
     return noise_.cwiseProduct(Vector3d(x.tail<3>().array().exp()));
@@ -269,8 +304,8 @@ class Hypothesis {
       for (const double size : kSizes) {
         for (const double noise : kNoiseShares) {
           for (const double vertical : kVertical) {
-            x.tail<6>() << std::log(size), std::log(time_constant_s), std::log(vertical),
-                Vector3d::Constant(std::log(noise));
+            x.tail<kProcess>() << std::log(size), std::log(time_constant_s), std::log(vertical),
+                0.0, Vector3d::Constant(std::log(noise));
             const double found = Likelihood(seen, x);
             if (found <= likelihood_) continue;
             likelihood_ = found;
@@ -511,15 +546,7 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   Hypothesis free_world(&flight, &apart, &residual, std::move(world), &drag, false, quick, natural);
   Hypothesis free_body(&flight, &apart, &residual, std::move(body), &drag, false, quick, natural);
   for (Hypothesis* hypothesis : {&gust, &free_world, &free_body}) hypothesis->Fit();
-  Matrix3d moment = Matrix3d::Zero();
-  double fourth = 0.0;
-  for (const Vector3d& x : gust.States()) {
-    moment += x * x.transpose() / n;
-    fourth += x.squaredNorm() * x.squaredNorm() / n;
-  }
-  const Vector3d spread = Eigen::SelfAdjointEigenSolver<Matrix3d>(moment).eigenvalues();
-  test.peakedness = fourth / std::max(1e-300, moment.trace() * moment.trace());
-  test.one_sidedness = spread.sum() > 0.0 ? spread[2] / spread.sum() : 1.0;
+  test.peakedness_p = gust.ChanceOfPeakedness(gust.Peakedness());
   test.gain = gust.likelihood() - none;
   test.over_others =
       gust.likelihood() -

@@ -409,6 +409,19 @@ std::vector<UndeclaredPlan> PlanOneEffect(int seed, int flights, const std::stri
   return plans;
 }
 
+std::vector<UndeclaredPlan> PlanUnknown(int seed, int flights) {
+  std::vector<UndeclaredPlan> plans;
+  for (int i = 0; i < flights; ++i) {
+    const Level& level = kLevels[i % 2];
+    UndeclaredPlan plan = PlanOf(seed, i);
+    plan.kind = Undeclared::kUnknown;
+    plan.strength = level.name;
+    plan.share = level.share;
+    plans.push_back(plan);
+  }
+  return plans;
+}
+
 namespace {
 
 /// What an effect makes of the residual grows with its size to some power, which the sizes flown

@@ -97,8 +97,9 @@ std::pair<Json, Json> WriteFlight(const odmc::UndeclaredFlight& made, int number
   return {manifest, truth};
 }
 
-std::vector<odmc::UndeclaredPlan> PlanFlights(int seed, int flights, bool nothing,
+std::vector<odmc::UndeclaredPlan> PlanFlights(int seed, int flights, bool nothing, bool unknown,
                                               const std::string& effect) {
+  if (unknown) return odmc::PlanUnknown(seed, flights);
   if (nothing) return odmc::PlanNothing(seed, flights);
   if (!effect.empty()) return odmc::PlanOneEffect(seed, flights, effect);
   return odmc::PlanUndeclared(seed, flights);
@@ -115,7 +116,7 @@ int main(int argc, char** argv) {
       "key DIR/truth.json.");
   int seed = 0, flights = 160, jobs = 1;
   std::string folder, recording = "drawn", effect;
-  bool nothing = false;
+  bool nothing = false, unknown = false;
   app.add_option("--seed", seed, "of all randomness")->required()->check(tools::NotNegative());
   app.add_option("--flights", flights, "number of flights")
       ->capture_default_str()
@@ -129,11 +130,15 @@ int main(int argc, char** argv) {
          "odometry; independent: with an IMU, as another author's simulator")
       ->capture_default_str()
       ->check(CLI::IsMember({"drawn", "white", "independent"}));
-  CLI::Option* no_effect =
+  CLI::Option* on_no_flight =
       app.add_flag("--nothing", nothing, "nothing undeclared acts on any flight");
+  CLI::Option* on_every_flight =
+      app.add_flag("--unknown", unknown, "something outside the catalogue acts on every flight")
+          ->excludes(on_no_flight);
   app.add_option("--effect", effect,
                  "one effect on all flights: strong, medium, weak in turn (list_effects)")
-      ->excludes(no_effect);
+      ->excludes(on_no_flight)
+      ->excludes(on_every_flight);
   tools::AddFolder(&app, &folder);
   tools::AddExitStatus(&app);
   return tools::Run(&app, argc, argv, [&] {
@@ -142,7 +147,7 @@ int main(int argc, char** argv) {
     for (const Vehicle& vehicle : UndeclaredVehicles()) {
       WriteText(FormatVehicle(vehicle), tools::In(input, "vehicle_" + vehicle.name + ".yaml"));
     }
-    std::vector<UndeclaredPlan> plans = PlanFlights(seed, flights, nothing, effect);
+    std::vector<UndeclaredPlan> plans = PlanFlights(seed, flights, nothing, unknown, effect);
     for (UndeclaredPlan& plan : plans) plan.recording = kRecordings.at(recording);
     std::vector<Json> manifest(plans.size()), truth(plans.size());
     tools::ProgressBar bar("simulating");

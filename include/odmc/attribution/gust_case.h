@@ -26,9 +26,12 @@ struct GustCase {
 /// @param left what the model leaves of the wrench (N×6)
 /// @param declared the online estimate without effects added
 GustCase RankGusts(const ResidualModel& residual, const Stage& stage,
-                   const ResidualModel::Wrenches& left, const ParameterSet& declared);
+                   const ResidualModel::Wrenches& left, const ParameterSet& declared,
+                   const AttributionOptions& options);
 
-/// True if a slow disturbance of the force is the wind's doing rather than any other's.
+/// True if gusts beat noise, and no other force explains the same clearly better: wind through
+/// nearly equal drag along all axes is nearly a free force, and of the two only wind is known to
+/// act on vehicles.
 bool IsGusty(const GustCase& gusts, const AttributionOptions& options);
 
 /// Gusts as a Kalman filter predicts them, each from before the sample's own filter window. (The

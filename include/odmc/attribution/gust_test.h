@@ -6,8 +6,8 @@ namespace odmc {
 
 /// Is a slowly varying force residual the wind acting on the vehicle's drag? Compares, by a Kalman
 /// filter's likelihood, a first-order Gauss-Markov wind seen through the model's drag with a force
-/// of the same kind fixed in the world and one fixed in the body, with one that swings steadily,
-/// and with noise alone.
+/// of the same kind fixed in the world and one fixed in the body, of any size along each axis, with
+/// one that swings steadily, with one that follows the place, and with noise alone.
 struct GustTest {
   double gain = 0.0;                ///< of gusts over noise alone [nats]
   double over_others = 0.0;         ///< of gusts over the best of the free forces [nats]
@@ -16,10 +16,8 @@ struct GustTest {
   double time_constant_s = 0;       ///< best correlation time
   /// Change of each drag coefficient beside the gusts, and its sigma, in natural sizes.
   Eigen::VectorXd drag, drag_sigma;
-  double one_sidedness = 1.0;  ///< share of the estimated wind's variance along its main line
-  /// Mean fourth power of the estimated wind's speed over its mean square squared: 5/3 for normal
-  /// wind from all sides, 3 for normal wind along one line, more for what comes in knocks.
-  double peakedness = 0.0;
+  /// Chance that gusts of this size, which are normal, look as peaked: small for knocks.
+  double peakedness_p = 1.0;
 };
 
 /// Derivatives of the predicted wrench by the wind along world x, y, z (N×6 each).

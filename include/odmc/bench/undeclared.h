@@ -59,6 +59,10 @@ std::vector<UndeclaredPlan> PlanNothing(int seed, int flights);
 ///   are
 std::vector<UndeclaredPlan> PlanOneEffect(int seed, int flights, const std::string& effect);
 
+/// A plan of flights on which something acts that no catalogue knows, strong and medium in turn,
+/// over all vehicles and trajectories.
+std::vector<UndeclaredPlan> PlanUnknown(int seed, int flights);
+
 /// The vehicles of the set, as files declare them.
 std::vector<Vehicle> UndeclaredVehicles();
 
