@@ -25,7 +25,6 @@ constexpr double kTimeConstants_s[] = {0.3, 0.7, 1.5, 3.0, 6.0};
 constexpr int kLeastSamples = 40;        // 4 s
 constexpr double kLeastCurvature = 1.0;  // the natural size alone
 constexpr double kSizes[] = {0.35, 0.6, 1.0, 1.6, 2.5};
-constexpr double kMostSteady = 10.0;        // of a steady force, over the slow part's size
 constexpr int kProcess = 7;                 // unknowns of Hypothesis beside the drag
 constexpr double kMostLateral = 3.0;        // of the logarithm of a ratio that is normal a priori
 constexpr double kVertical[] = {0.1, 1.0};  // third axis over the others
@@ -49,24 +48,33 @@ std::vector<int> SamplesApart(const ThinnedFlight& flight, double apart_s) {
   return apart;
 }
 
-/// A first-order process x of standard deviation `sigma` by axis and correlation time
-/// `time_constant_s`, seen as H_i x in white noise, by a Kalman filter that looks at some samples.
+/// A first-order process w of standard deviation `sigma` by axis and correlation time
+/// `time_constant_s`, seen as H_i w in white noise beside a steady force, by a Kalman filter that
+/// looks at some samples.
 /// @param looked_at numbers of these, ascending
-/// @param states estimates at every sample from all it has looked at by then, may be null
+/// @param steady derivative of the force by the steady one, each of whose components is of unit
+///   variance a priori; empty: there is none
+/// @param states estimates of w at every sample from all it has looked at by then, may be null
 /// @returns the residual's log-likelihood
 double Follow(const ThinnedFlight& flight, const std::vector<int>& looked_at,
               const ResidualModel::Wrenches& y, const std::vector<Matrix3d>& H,
-              const Vector3d& noise_variance, const Vector3d& sigma, double time_constant_s,
+              const std::vector<Matrix3d>& steady, const Vector3d& noise_variance,
+              const Vector3d& sigma, double time_constant_s,
               std::vector<Vector3d>* states = nullptr) {
-  Vector3d x = Vector3d::Zero();
+  using Vector6d = Eigen::Matrix<double, 6, 1>;
+  using Matrix6d = Eigen::Matrix<double, 6, 6>;
+  using Seeing = Eigen::Matrix<double, 3, 6>;
+  Vector6d x = Vector6d::Zero();  // w, the steady force
   const Matrix3d wide = sigma.cwiseAbs2().asDiagonal();
-  Matrix3d P = wide;
+  Matrix6d P = Matrix6d::Identity();
+  P.topLeftCorner<3, 3>() = wide;
   const Matrix3d noise = noise_variance.asDiagonal();
   double sum = 0.0, last_s = flight.sample(0).t_s;
   int next = 0;  // sample whose state is not told yet
   const auto tell_up_to = [&](int end) {
     for (; states != nullptr && next < end; ++next) {
-      states->push_back(std::exp(-(flight.sample(next).t_s - last_s) / time_constant_s) * x);
+      const double dt = flight.sample(next).t_s - last_s;
+      states->push_back(std::exp(-dt / time_constant_s) * x.head<3>());
     }
   };
   for (const int i : looked_at) {
@@ -74,15 +82,26 @@ double Follow(const ThinnedFlight& flight, const std::vector<int>& looked_at,
     const double dt = std::max(0.0, flight.sample(i).t_s - last_s);
     last_s = flight.sample(i).t_s;
     const double decay = std::exp(-dt / time_constant_s);
-    x *= decay;
-    P = decay * decay * P + (1.0 - decay * decay) * wide;
-    const Vector3d e = y.row(i).head<3>().transpose() - H[i] * x;
-    const Matrix3d S = H[i] * P * H[i].transpose() + noise;
-    const Matrix3d S_inverse = S.inverse();
-    sum -= 0.5 * (e.dot(S_inverse * e) + std::log(S.determinant()));
-    const Matrix3d K = P * H[i].transpose() * S_inverse;
-    x += K * e;
-    P = ((Matrix3d::Identity() - K * H[i]) * P).eval();
+    x.head<3>() *= decay;
+    P.topLeftCorner<3, 3>() *= decay * decay;
+    P.topLeftCorner<3, 3>() += (1.0 - decay * decay) * wide;
+    P.topRightCorner<3, 3>() *= decay;
+    P.bottomLeftCorner<3, 3>() *= decay;
+    Seeing seen;
+    seen.leftCols<3>() = H[i];
+    if (steady.empty()) {
+      seen.rightCols<3>().setZero();
+    } else {
+      seen.rightCols<3>() = steady[i];
+    }
+    const Vector3d e = y.row(i).head<3>().transpose() - seen * x;
+    const Seeing seen_P = seen * P;
+    const Eigen::LLT<Matrix3d> S(Matrix3d(seen_P * seen.transpose() + noise));
+    const Vector3d white = S.matrixL().solve(e);
+    const Seeing gain = S.matrixL().solve(seen_P);
+    sum -= 0.5 * white.squaredNorm() + S.matrixLLT().diagonal().array().log().sum();
+    x += gain.transpose() * white;
+    P -= gain.transpose() * gain;
   }
   tell_up_to(flight.size());
   return sum;
@@ -142,17 +161,19 @@ struct Seen {
 class Hypothesis {
  public:
   /// @param H how w acts with the drag as it is
+  /// @param steady how a steady force beside it acts, in units of its natural size
   /// @param by_drag true for wind: the drag's change changes H, and w is as large along the second
   ///   axis as along the first
   /// @param size natural standard deviation of w
   Hypothesis(const ThinnedFlight* flight, const std::vector<int>* looked_at,
              const ResidualModel::Wrenches* residual, std::vector<Matrix3d> H,
-             const std::vector<DragCoefficient>* drag, bool by_drag, const Vector3d& noise,
-             double size)
+             const std::vector<Matrix3d>* steady, const std::vector<DragCoefficient>* drag,
+             bool by_drag, const Vector3d& noise, double size)
       : flight_(flight),
         looked_at_(looked_at),
         residual_(residual),
         H_(std::move(H)),
+        steady_(steady),
         noise_(noise),
         size_(size),
         drag_(drag),
@@ -243,8 +264,8 @@ class Hypothesis {
 
   double PeakednessOf(const Seen& seen) const {
     std::vector<Vector3d> states;
-    Follow(*flight_, *looked_at_, seen.y, seen.H, NoiseOf(x_), SizeOf(x_), time_constant_s(),
-           &states);
+    Follow(*flight_, *looked_at_, seen.y, seen.H, *steady_, NoiseOf(x_), SizeOf(x_),
+           time_constant_s(), &states);
     double square = 0.0, fourth = 0.0;
     for (const Vector3d& w : states) {
       square += w.squaredNorm();
@@ -282,7 +303,7 @@ class Hypothesis {
   }
 
   double Likelihood(const Seen& seen, const VectorXd& x) const {
-    return Follow(*flight_, *looked_at_, seen.y, seen.H, NoiseOf(x), SizeOf(x),
+    return Follow(*flight_, *looked_at_, seen.y, seen.H, *steady_, NoiseOf(x), SizeOf(x),
                   std::exp(x[num_drag_ + 1])) -
            0.5 * x.head(num_drag_).squaredNorm() - 0.5 * std::pow(x[num_drag_ + 3], 2);
   }
@@ -307,7 +328,7 @@ class Hypothesis {
             x.tail<kProcess>() << std::log(size), std::log(time_constant_s), std::log(vertical),
                 0.0, Vector3d::Constant(std::log(noise));
             const double found = Likelihood(seen, x);
-            if (found <= likelihood_) continue;
+            if (!(found > likelihood_)) continue;
             likelihood_ = found;
             x_ = x;
           }
@@ -380,6 +401,7 @@ class Hypothesis {
   const std::vector<int>* looked_at_;
   const ResidualModel::Wrenches* residual_;
   std::vector<Matrix3d> H_;
+  const std::vector<Matrix3d>* steady_;
   std::vector<std::vector<Matrix3d>> dH_;
   Vector3d noise_;
   double size_;
@@ -427,7 +449,8 @@ double SteadySwing(const ThinnedFlight& flight, const std::vector<int>& used,
 /// those that make the force most likely.
 double FieldOverPosition(const ThinnedFlight& flight, const std::vector<int>& used,
                          const ResidualModel::Wrenches& residual,
-                         const std::vector<DragCoefficient>& drag, double quick, double natural) {
+                         const std::vector<DragCoefficient>& drag,
+                         const std::vector<Matrix3d>& steady, double quick, double natural) {
   constexpr size_t kCentres = 40;
   constexpr double kWidths[] = {0.15, 0.3, 0.6};  // of the flight's extent
   constexpr double kFieldSizes[] = {0.5, 1.0, 2.0, 4.0};
@@ -448,14 +471,18 @@ double FieldOverPosition(const ThinnedFlight& flight, const std::vector<int>& us
   }
   if (!(extent > 0.0)) return -std::numeric_limits<double>::infinity();
   const auto count = static_cast<Index>(centres.size());
-  const auto num_drag = static_cast<Index>(drag.size());
+  const auto num_drag = static_cast<Index>(drag.size()) + 3;  // the steady force's, too
   VectorXd y(3 * n);
   for (Index k = 0; k < n; ++k) {
     const int i = used[static_cast<size_t>(k)];
     y.segment<3>(3 * k) = flight.R_WB(i) * residual.row(i).head<3>().transpose();
   }
   MatrixXd D(3 * n, num_drag);
-  for (Index d = 0; d < num_drag; ++d) {
+  for (Index k = 0; k < n; ++k) {
+    const int i = used[static_cast<size_t>(k)];
+    D.block<3, 3>(3 * k, num_drag - 3) = flight.R_WB(i) * steady[static_cast<size_t>(i)];
+  }
+  for (Index d = 0; d < num_drag - 3; ++d) {
     for (Index k = 0; k < n; ++k) {
       const int i = used[static_cast<size_t>(k)];
       D.col(d).segment<3>(3 * k) =
@@ -511,7 +538,7 @@ double FieldOverPosition(const ThinnedFlight& flight, const std::vector<int>& us
 }  // namespace
 
 GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
-                   const WindDerivatives& d_wind, const std::vector<DragCoefficient>& given) {
+                   const WindDerivatives& d_wind, const std::vector<DragCoefficient>& drag) {
   GustTest test;
   const int n = flight.size();
   const std::vector<int> apart = SamplesApart(flight, kApart_s);
@@ -528,40 +555,32 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   const Vector3d quick = QuickVariance(flight, residual, &total);
   const double natural = std::sqrt(std::max(1e-12, (total - quick).cwiseMax(0.0).mean()));
   // A steady force is none of theirs: with its mean left in, what varies seems to vary more slowly.
-  std::vector<DragCoefficient> drag = given;
-  for (int axis = 0; axis < 3; ++axis) {
-    DragCoefficient steady;
-    steady.d_wrench = ResidualModel::Wrenches::Zero(n, kNumChannels);
-    for (int i = 0; i < n; ++i) {
-      steady.d_wrench.row(i).head<3>() = natural * world[i].col(axis).transpose();
-    }
-    steady.d_wind.fill(ResidualModel::Wrenches::Zero(n, kNumChannels));
-    steady.least = -kMostSteady;
-    steady.most = kMostSteady;
-    drag.push_back(std::move(steady));
-  }
-  const double none = Follow(flight, apart, residual, body, total, Vector3d::Zero(), 1.0);
-  Hypothesis gust(&flight, &apart, &residual, std::move(wind), &drag, true, quick,
+  std::vector<Matrix3d> steady(world);
+  for (Matrix3d& axes : steady) axes *= natural;
+  Hypothesis gust(&flight, &apart, &residual, std::move(wind), &steady, &drag, true, quick,
                   natural / response);
-  Hypothesis free_world(&flight, &apart, &residual, std::move(world), &drag, false, quick, natural);
-  Hypothesis free_body(&flight, &apart, &residual, std::move(body), &drag, false, quick, natural);
-  for (Hypothesis* hypothesis : {&gust, &free_world, &free_body}) hypothesis->Fit();
+  Hypothesis free_world(&flight, &apart, &residual, std::move(world), &steady, &drag, false, quick,
+                        natural);
+  Hypothesis free_body(&flight, &apart, &residual, std::move(body), &steady, &drag, false, quick,
+                       natural);
+  Hypothesis none(&flight, &apart, &residual, std::vector<Matrix3d>(n, Matrix3d::Zero()), &steady,
+                  &drag, false, total, natural);
+  for (Hypothesis* hypothesis : {&gust, &free_world, &free_body, &none}) hypothesis->Fit();
   test.peakedness_p = gust.ChanceOfPeakedness(gust.Peakedness());
-  test.gain = gust.likelihood() - none;
+  test.gain = gust.likelihood() - none.likelihood();
   test.over_others =
       gust.likelihood() -
       std::max({free_world.likelihood(), free_body.likelihood(),
                 SteadySwing(flight, apart, residual, true),
                 SteadySwing(flight, apart, residual, false),
-                FieldOverPosition(flight, apart, residual, drag, quick.mean(), natural)});
+                FieldOverPosition(flight, apart, residual, drag, steady, quick.mean(), natural)});
   const std::vector<int> unrounded = SamplesApart(flight, kUnrounded_s);
   const Hypothesis slow = gust.LookingAt(&unrounded);
   test.sigma_m_s = slow.sigma();
   test.vertical_sigma_m_s = slow.vertical_sigma();
   test.time_constant_s = slow.time_constant_s();
-  const auto num_given = static_cast<Index>(given.size());
-  test.drag = gust.drag_change().head(num_given);
-  test.drag_sigma = gust.DragSigma().head(num_given);
+  test.drag = gust.drag_change();
+  test.drag_sigma = gust.DragSigma();
   return test;
 }
 
@@ -577,7 +596,8 @@ std::vector<Vector3d> PredictGusts(const ThinnedFlight& flight,
   for (int i = 0; i < n; ++i) {
     if (!flight.held_out(i)) in_use.push_back(i);
   }
-  Follow(flight, in_use, residual, Response(n, d_wind), quick, sigma_m_s, time_constant_s, &states);
+  Follow(flight, in_use, residual, Response(n, d_wind), {}, quick, sigma_m_s, time_constant_s,
+         &states);
   for (int i = ahead; i < n; ++i) {
     const double dt = flight.sample(i).t_s - flight.sample(i - ahead).t_s;
     predicted[i] = std::exp(-dt / time_constant_s) * states[i - ahead];

@@ -304,6 +304,25 @@ TEST(CloseLoop, BlamesNoWindForAForceThatNoEffectMakes) {
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
 }
 
+// On these vehicles drag is nearly the same along all axes, and wind through it nearly a free
+// force.
+TEST(CloseLoop, NamesGustsOnEveryTrajectoryAndWithTheirSize) {
+  const std::vector<UndeclaredPlan> plans = PlanOneEffect(5, 12, "gust");
+  for (const int number : {0, 5, 7}) {  // strong: eight, vertical, circle
+    const UndeclaredPlan& plan = plans[static_cast<size_t>(number)];
+    SCOPED_TRACE(plan.trajectory);
+    ASSERT_EQ(plan.strength, "strong");
+    const UndeclaredFlight flight = MakeUndeclared(plan);
+    const ClosedLoop loop = Close(flight);
+    ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
+    ASSERT_EQ(loop.effects.front().effect.name, "gust") << CloseLoopTable(loop);
+    const double sigma = flight.truth.Find("gust.sigma")->value;
+    // 24 s hold some twelve correlation times of two axes: 1 / sqrt(2 * 24) = 0.14 of it.
+    EXPECT_NEAR(loop.effects.front().effect.settings.at("gust.sigma"), sigma, 0.45 * sigma);
+  }
+  EXPECT_THROW(PlanOneEffect(5, 12, "gusty"), std::invalid_argument);
+}
+
 TEST(CloseLoop, OutlivesEffectsWithWhichTheEstimatorNeverFlies) {
   // With the wind and the tilted rotors that stand in for its unknown force, the online estimator
   // takes the whole flight for contact.

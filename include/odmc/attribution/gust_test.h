@@ -9,7 +9,7 @@ namespace odmc {
 /// of the same kind fixed in the world and one fixed in the body, of any size along each axis, with
 /// one that swings steadily, with one that follows the place, and with noise alone.
 struct GustTest {
-  double gain = 0.0;                ///< of gusts over noise alone [nats]
+  double gain = 0.0;                ///< of gusts over noise alone, fitted with the same drag [nats]
   double over_others = 0.0;         ///< of gusts over the best of the free forces [nats]
   double sigma_m_s = 0.0;           ///< best standard deviation of the gusts along world x and y
   double vertical_sigma_m_s = 0.0;  ///< along world z
