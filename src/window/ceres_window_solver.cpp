@@ -53,6 +53,47 @@ class BudgetedCost final : public ceres::CostFunction {
   const JacobianBudget* budget_;
 };
 
+ceres::Solver::Options OptionsFor(const SolverOptions& options) {
+  ceres::Solver::Options solver_options;
+  solver_options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
+  solver_options.sparse_linear_algebra_library_type = ceres::SUITE_SPARSE;
+  solver_options.max_num_iterations = options.max_iterations;
+  solver_options.max_solver_time_in_seconds = options.max_time_s;
+  solver_options.function_tolerance = options.function_tolerance;
+  solver_options.num_threads = options.num_threads;
+  solver_options.logging_type = ceres::SILENT;
+  solver_options.initial_trust_region_radius = 1e6;
+  solver_options.jacobi_scaling = false;  // eta and states are of order one already
+  return solver_options;
+}
+
+/// Oldest state first, parameters last: the order in which a chain with a border fills least.
+std::shared_ptr<ceres::ParameterBlockOrdering> OrderingOf(const ceres::Problem& problem,
+                                                          Window* window) {
+  auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
+  int group = 0;
+  for (Keyframe& keyframe : window->keyframes()) {
+    ordering->AddElementToGroup(keyframe.x.data(), group++);
+  }
+  for (Bias& bias : window->biases()) {
+    if (problem.HasParameterBlock(bias.x.data())) ordering->AddElementToGroup(bias.x.data(), group);
+  }
+  if (window->eta().size() > 0) ordering->AddElementToGroup(window->eta().data(), group + 1);
+  return ordering;
+}
+
+SolveReport ReportOf(const ceres::Solver::Summary& summary, const Window& window) {
+  SolveReport report;
+  report.usable = summary.IsSolutionUsable() && window.eta().allFinite();
+  report.converged = summary.termination_type == ceres::CONVERGENCE;
+  report.iterations = static_cast<int>(summary.iterations.size());
+  report.improved = summary.num_successful_steps > 1;  // the starting point counts as one
+  report.initial_cost = summary.initial_cost;
+  report.final_cost = summary.final_cost;
+  if (!report.usable) report.message = summary.message;
+  return report;
+}
+
 }  // namespace
 
 struct CeresWindowSolver::Impl {
@@ -99,39 +140,11 @@ SolveReport CeresWindowSolver::Solve(Window* window, const SolverOptions& option
   if (problem.HasParameterBlock(&window->anchor())) {
     problem.SetParameterBlockConstant(&window->anchor());
   }
-  ceres::Solver::Options solver_options;
-  solver_options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
-  solver_options.sparse_linear_algebra_library_type = ceres::SUITE_SPARSE;
-  solver_options.max_num_iterations = options.max_iterations;
-  solver_options.max_solver_time_in_seconds = options.max_time_s;
-  solver_options.function_tolerance = options.function_tolerance;
-  solver_options.num_threads = options.num_threads;
-  solver_options.logging_type = ceres::SILENT;
-  solver_options.initial_trust_region_radius = 1e6;
-  solver_options.jacobi_scaling = false;  // eta and states are of order one already
-  // Oldest state first, parameters last: the order in which a chain with a border fills least.
-  auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
-  int group = 0;
-  for (Keyframe& keyframe : window->keyframes()) {
-    ordering->AddElementToGroup(keyframe.x.data(), group++);
-  }
-  for (Bias& bias : window->biases()) {
-    if (problem.HasParameterBlock(bias.x.data())) ordering->AddElementToGroup(bias.x.data(), group);
-  }
-  if (window->eta().size() > 0) ordering->AddElementToGroup(window->eta().data(), group + 1);
-  solver_options.linear_solver_ordering = ordering;
+  ceres::Solver::Options solver_options = OptionsFor(options);
+  solver_options.linear_solver_ordering = OrderingOf(problem, window);
   ceres::Solver::Summary summary;
   ceres::Solve(solver_options, &problem, &summary);
-
-  SolveReport report;
-  report.usable = summary.IsSolutionUsable() && window->eta().allFinite();
-  report.converged = summary.termination_type == ceres::CONVERGENCE;
-  report.iterations = static_cast<int>(summary.iterations.size());
-  report.improved = summary.num_successful_steps > 1;  // the starting point counts as one
-  report.initial_cost = summary.initial_cost;
-  report.final_cost = summary.final_cost;
-  if (!report.usable) report.message = summary.message;
-  return report;
+  return ReportOf(summary, *window);
 }
 
 }  // namespace odmc

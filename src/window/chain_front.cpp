@@ -157,6 +157,97 @@ bool ChainFront::Linearise(const Window& window, const ChainFront* next,
   return sound;
 }
 
+namespace {
+
+/// What a factor is evaluated at, and the first column of each block in the rows.
+struct PlacedBlocks {
+  std::array<const double*, 6> blocks{};
+  std::array<int, 6> at{};
+  int count = 0;
+  int states = 0;  // of these; they come first
+  double anchor = 0.0;
+
+  void Add(const double* block, int column) {
+    blocks[static_cast<size_t>(count)] = block;
+    at[static_cast<size_t>(count++)] = column;
+  }
+};
+
+/// Residual and ambient Jacobians of a cost, in the scratch. @returns false if one is not finite
+bool EvaluateCost(const ceres::CostFunction& cost, const PlacedBlocks& placed,
+                  FrontScratch* scratch, std::array<double*, 6>* jacobians) {
+  const int num_rows = cost.num_residuals();
+  const auto& sizes = cost.parameter_block_sizes();
+  size_t total = 0;
+  for (const int size : sizes) total += static_cast<size_t>(num_rows * size);
+  if (scratch->jacobians.size() < total) scratch->jacobians.resize(total);
+  if (scratch->residual.size() < static_cast<size_t>(num_rows)) scratch->residual.resize(num_rows);
+  double* end = scratch->jacobians.data();
+  for (int i = 0; i < placed.count; ++i) {
+    (*jacobians)[i] = end;
+    end += num_rows * sizes[i];
+  }
+  const double* r = scratch->residual.data();
+  if (!cost.Evaluate(placed.blocks.data(), scratch->residual.data(), jacobians->data())) {
+    return false;
+  }
+  double finite = 0.0, squares = 0.0;  // NaN or infinity times zero is NaN
+  for (const double* j = scratch->jacobians.data(); j != end; ++j) finite += 0.0 * *j;
+  for (int i = 0; i < num_rows; ++i) squares += r[i] * r[i];
+  return std::isfinite(finite + squares);
+}
+
+/// Writes them to rows, states' Jacobians minimal, the others' values taken off the right-hand
+/// side.
+void WriteRows(const PlacedBlocks& placed, const std::array<double*, 6>& jacobians,
+               const std::vector<int>& sizes, const double* r, int num_rows, int rhs, double* rows,
+               int stride) {
+  for (int i = 0; i < num_rows; ++i) rows[i * stride + rhs] = r[i];
+  for (int k = 0; k < placed.count; ++k) {
+    const int at = placed.at[k];
+    if (k < placed.states) {
+      WriteMinimal(jacobians[k], num_rows, placed.blocks[k], rows + at, stride);
+      continue;
+    }
+    for (int i = 0; i < num_rows; ++i) {
+      std::memcpy(rows + i * stride + at, jacobians[k] + i * sizes[k],
+                  sizeof(double) * static_cast<size_t>(sizes[k]));
+    }
+    SubtractProduct(jacobians[k], num_rows, sizes[k], placed.blocks[k], rows + rhs, stride);
+  }
+}
+
+/// Weighs rows as a loss says. The weight is that of the residual at the present states, not at
+/// their points.
+/// @param offsets of each state from its point
+/// @returns the weight
+double Weigh(const ceres::LossFunction& loss, const PlacedBlocks& placed,
+             const std::array<std::array<double, kStateTangentSize>, 2>& offsets, const double* r,
+             int num_rows, int rhs, double* rows, int stride) {
+  double squares = 0.0;
+  for (int i = 0; i < num_rows; ++i) {
+    const double* row = rows + i * stride;
+    double at_estimate = r[i];
+    for (int k = 0; k < placed.states; ++k) {
+      for (int j = 0; j < kStateTangentSize; ++j) {
+        at_estimate += row[placed.at[k] + j] * offsets[k][j];
+      }
+    }
+    squares += at_estimate * at_estimate;
+  }
+  double rho[3];
+  loss.Evaluate(squares, rho);
+  const double weight = std::sqrt(rho[1]);
+  if (weight != 1.0) {
+    for (int i = 0; i < num_rows; ++i) {
+      for (int j = 0; j <= rhs; ++j) rows[i * stride + j] *= weight;
+    }
+  }
+  return weight;
+}
+
+}  // namespace
+
 bool ChainFront::Evaluate(const Window& window, const Factor& factor, const ChainFront* next,
                           const ParameterVector& parameter_point, KeptFactor* kept,
                           FrontScratch* scratch) {
@@ -166,91 +257,37 @@ bool ChainFront::Evaluate(const Window& window, const Factor& factor, const Chai
   double* rows = block_of_rows.row(kept->row);
   const int stride = block_of_rows.stride;
   const int num_rows = cost.num_residuals();
-  const auto& sizes = cost.parameter_block_sizes();
   const BorderColumns columns(n_);
   const int border_at = in_pair ? border() : kState;
   for (int i = 0; i < num_rows; ++i) {
     std::fill_n(rows + i * stride, border_at + columns.size(), 0.0);
   }
 
-  // The blocks, and the first column of each.
-  std::array<const double*, 6> blocks{};
-  std::array<int, 6> at{};
-  int count = 0;
-  const auto add = [&](const double* block, int column) {
-    blocks[count] = block;
-    at[count++] = column;
-  };
+  PlacedBlocks placed;
   const auto bias_column = [&](std::int64_t bias) {
     return bias == bias_ && bias_leaves && in_pair ? kState : border_at + BorderColumns::kBias;
   };
-  if (factor.state0 >= 0) add(point.data(), 0);
-  if (factor.state1 >= 0) add(next->point.data(), pivots());
-  const int states = count;
-  if (factor.bias0 >= 0) add(window.bias(factor.bias0).x.data(), bias_column(factor.bias0));
-  if (factor.bias1 >= 0) add(window.bias(factor.bias1).x.data(), bias_column(factor.bias1));
+  if (factor.state0 >= 0) placed.Add(point.data(), 0);
+  if (factor.state1 >= 0) placed.Add(next->point.data(), pivots());
+  placed.states = placed.count;
+  if (factor.bias0 >= 0) placed.Add(window.bias(factor.bias0).x.data(), bias_column(factor.bias0));
+  if (factor.bias1 >= 0) placed.Add(window.bias(factor.bias1).x.data(), bias_column(factor.bias1));
   if (factor.parameters && n_ > 0) {
-    add(parameter_point.data(), border_at + BorderColumns::kParameters);
+    placed.Add(parameter_point.data(), border_at + BorderColumns::kParameters);
   }
-  const double anchor = window.anchor();
-  if (factor.anchored) add(&anchor, border_at + columns.anchor());
+  placed.anchor = window.anchor();
+  if (factor.anchored) placed.Add(&placed.anchor, border_at + columns.anchor());
 
-  size_t total = 0;
-  for (const int size : sizes) total += static_cast<size_t>(num_rows * size);
-  if (scratch->jacobians.size() < total) scratch->jacobians.resize(total);
-  if (scratch->residual.size() < static_cast<size_t>(num_rows)) scratch->residual.resize(num_rows);
   std::array<double*, 6> jacobians{};
-  double* end = scratch->jacobians.data();
-  for (int i = 0; i < count; ++i) {
-    jacobians[i] = end;
-    end += num_rows * sizes[i];
-  }
-  double* r = scratch->residual.data();
-  if (!cost.Evaluate(blocks.data(), r, jacobians.data())) return false;
-  double finite = 0.0, squares = 0.0;  // NaN or infinity times zero is NaN
-  for (const double* j = scratch->jacobians.data(); j != end; ++j) finite += 0.0 * *j;
-  for (int i = 0; i < num_rows; ++i) squares += r[i] * r[i];
-  if (!std::isfinite(finite + squares)) return false;
-
-  std::array<std::array<double, kState>, 2> offsets;
-  if (factor.loss != nullptr) {
-    if (factor.state0 >= 0) Offset(window, offsets[0].data());
-    if (factor.state1 >= 0) next->Offset(window, offsets[states - 1].data());
-  }
+  if (!EvaluateCost(cost, placed, scratch, &jacobians)) return false;
+  const double* r = scratch->residual.data();
   const int rhs = border_at + columns.rhs();
-  for (int i = 0; i < num_rows; ++i) rows[i * stride + rhs] = r[i];
-  for (int k = 0; k < count; ++k) {
-    if (k < states) {
-      WriteMinimal(jacobians[k], num_rows, blocks[k], rows + at[k], stride);
-      continue;
-    }
-    for (int i = 0; i < num_rows; ++i) {
-      std::memcpy(rows + i * stride + at[k], jacobians[k] + i * sizes[k],
-                  sizeof(double) * static_cast<size_t>(sizes[k]));
-    }
-    SubtractProduct(jacobians[k], num_rows, sizes[k], blocks[k], rows + rhs, stride);
-  }
-  if (factor.loss != nullptr) {
-    // The weight is that of the residual at the present states, not at their points.
-    squares = 0.0;
-    for (int i = 0; i < num_rows; ++i) {
-      const double* row = rows + i * stride;
-      double at_estimate = r[i];
-      for (int k = 0; k < states; ++k) {
-        for (int j = 0; j < kState; ++j) at_estimate += row[at[k] + j] * offsets[k][j];
-      }
-      squares += at_estimate * at_estimate;
-    }
-    double rho[3];
-    factor.loss->Evaluate(squares, rho);
-    const double weight = std::sqrt(rho[1]);
-    kept->weight = weight;
-    if (weight != 1.0) {
-      for (int i = 0; i < num_rows; ++i) {
-        for (int j = 0; j <= rhs; ++j) rows[i * stride + j] *= weight;
-      }
-    }
-  }
+  WriteRows(placed, jacobians, cost.parameter_block_sizes(), r, num_rows, rhs, rows, stride);
+  if (factor.loss == nullptr) return true;
+  std::array<std::array<double, kState>, 2> offsets;
+  if (factor.state0 >= 0) Offset(window, offsets[0].data());
+  if (factor.state1 >= 0) next->Offset(window, offsets[placed.states - 1].data());
+  kept->weight = Weigh(*factor.loss, placed, offsets, r, num_rows, rhs, rows, stride);
   return true;
 }
 
