@@ -48,7 +48,7 @@ Json ErrorJson(const FreeRunError& e, bool has_time) {
 Json StandJson(const std::optional<StandFit>& fit, const char* unit) {
   if (!fit) return nullptr;
   Json offsets = Json::array();  // in the order of the files
-  for (const Measured& offset : fit->offsets)
+  for (const MeasuredValue& offset : fit->offsets)
     offsets.push_back(
         {{"value", JsonNumber(offset.value)}, {"sigma", JsonNumber(offset.sigma)}, {"unit", unit}});
   return {{"offsets", offsets},

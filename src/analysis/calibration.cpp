@@ -285,7 +285,7 @@ std::vector<Eigen::VectorXd> ChangesWithout(const std::vector<StreamDoubt>& doub
   }
   for (const StreamDoubt& doubt : doubts) {
     FlightLog undone = part;
-    Undo(doubt, &undone);
+    UndoDoubt(doubt, &undone);
     if (const auto last = values_of(undone)) changes.push_back(last->values - with);
   }
   if (give_up && give_up()) changes.clear();
@@ -310,9 +310,9 @@ void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
   }
 }
 
-LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,
-                       const Vehicle& file_vehicle, const DynamicModel& model,
-                       const EstimatorOptions& options, double block_s) {
+LeftOutPrediction PredictLeftOut(const FlightLog& log, const FlightLog& recording,
+                                 const Vehicle& file_vehicle, const DynamicModel& model,
+                                 const EstimatorOptions& options, double block_s) {
   const double duration_s = DurationOf(log);
   if (!(block_s > 0.0) || duration_s < 2.0 * block_s) {
     throw std::invalid_argument(log.file + ": " + Rounded(duration_s) + " s are no two blocks of " +
@@ -341,7 +341,7 @@ LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,
                   if (block_at(sample.t_s) == block) unseen.Add(sample);
                 });
   }
-  LeftOut left_out{block_s, unseen.Figures(with_torque, file_vehicle, model, values)};
+  LeftOutPrediction left_out{block_s, unseen.Figures(with_torque, file_vehicle, model, values)};
   left_out.figures.inertia_over_nominal.reset();
   return left_out;
 }

@@ -44,7 +44,7 @@ std::string PredictionTable(const PredictionFigures& f) {
          " on the ground left out\n";
 }
 
-std::string LeftOutTable(const LeftOut& left_out) {
+std::string LeftOutTable(const LeftOutPrediction& left_out) {
   const PredictionFigures& f = left_out.figures;
   std::vector<TableRow> rows = {
       {"blocks of " + Rounded(left_out.block_s, 4) + " s left out in turn", "unit", "x", "y", "z"}};

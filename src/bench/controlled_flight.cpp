@@ -1,4 +1,4 @@
-#include "odmc/bench/closed_loop_flight.h"
+#include "odmc/bench/controlled_flight.h"
 
 #include <algorithm>
 #include <chrono>
@@ -27,7 +27,7 @@ double MillisecondsSince(std::chrono::steady_clock::time_point start) {
 }
 
 // The vehicle as the estimator starts from it.
-Vehicle Believed(const ClosedLoopSetup& setup) {
+Vehicle Believed(const ControlledFlightSetup& setup) {
   Vehicle vehicle = setup.vehicle;
   if (setup.warm_start) ApplyParameters(*setup.warm_start, &vehicle);
   return vehicle;
@@ -36,7 +36,7 @@ Vehicle Believed(const ClosedLoopSetup& setup) {
 // The estimator as a node runs it: samples in, accepted estimates out.
 class EstimatorInLoop {
  public:
-  explicit EstimatorInLoop(const ClosedLoopSetup& setup)
+  explicit EstimatorInLoop(const ControlledFlightSetup& setup)
       : model_(Believed(setup), setup.vehicle.effects),
         estimator_(&model_, setup.estimator, true),
         acceptance_(setup.acceptance) {}
@@ -71,7 +71,7 @@ class EstimatorInLoop {
 // Everybody of one flight.
 class Loop {
  public:
-  explicit Loop(const ClosedLoopSetup& setup)
+  explicit Loop(const ControlledFlightSetup& setup)
       : setup_(setup),
         trajectory_(setup.trajectory),
         world_(*setup.truth_model, setup.truth, setup.world, setup.seed),
@@ -90,7 +90,7 @@ class Loop {
                                    : std::numeric_limits<double>::infinity();
   }
 
-  ClosedLoopFlight Fly(double longest_s) {
+  ControlledFlight Fly(double longest_s) {
     const auto start = std::chrono::steady_clock::now();
     const Stamp end = FromSeconds(std::min(trajectory_.end_s(), longest_s));
     const Stamp period = FromSeconds(1.0 / setup_.control_rate_hz);
@@ -210,7 +210,7 @@ class Loop {
       flight_.crash = "touched the ground after " + std::to_string(t_s) + " s";
   }
 
-  const ClosedLoopSetup& setup_;
+  const ControlledFlightSetup& setup_;
   Trajectory trajectory_;
   World world_;
   ParameterHandover handover_;
@@ -221,16 +221,16 @@ class Loop {
   bool touched_ = false;
   double next_sample_s_ = 0.0;
   std::vector<double> control_ms_;
-  ClosedLoopFlight flight_;
+  ControlledFlight flight_;
 };
 
 }  // namespace
 
-ClosedLoopFlight FlyClosedLoop(const ClosedLoopSetup& setup, double longest_s) {
+ControlledFlight FlyControlled(const ControlledFlightSetup& setup, double longest_s) {
   return Loop(setup).Fly(longest_s);
 }
 
-TrackingErrors ErrorsBetween(const ClosedLoopFlight& flight, double from_s, double to_s) {
+TrackingErrors ErrorsBetween(const ControlledFlight& flight, double from_s, double to_s) {
   TrackingErrors errors;
   int count = 0;
   for (const TrackingSample& sample : flight.samples) {
@@ -244,7 +244,7 @@ TrackingErrors ErrorsBetween(const ClosedLoopFlight& flight, double from_s, doub
   return errors;
 }
 
-TrackingErrors ErrorsOf(const ClosedLoopFlight& flight) {
+TrackingErrors ErrorsOf(const ControlledFlight& flight) {
   return ErrorsBetween(flight, 0.0, std::numeric_limits<double>::infinity());
 }
 

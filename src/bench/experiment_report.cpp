@@ -69,7 +69,7 @@ std::string ExperimentTable(const std::vector<Experiment>& experiments) {
   return table;
 }
 
-std::string TrackingCsv(const ClosedLoopFlight& flight) {
+std::string TrackingCsv(const ControlledFlight& flight) {
   std::string csv =
       "t_s,counts,ref_x_m,ref_y_m,ref_z_m,p_x_m,p_y_m,p_z_m,v_x_m_s,v_y_m_s,v_z_m_s,handover\n";
   for (const TrackingSample& s : flight.samples) {

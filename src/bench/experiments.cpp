@@ -29,7 +29,7 @@ constexpr int kTruthStream = 77;   // of random numbers
 
 struct Variant {
   std::string name;
-  std::function<void(ClosedLoopSetup*)> change;
+  std::function<void(ControlledFlightSetup*)> change;
   /// Set where the torque is to be predicted: by a model without this effect (empty: with all).
   std::optional<std::string> predicts_without = {};
 };
@@ -37,25 +37,25 @@ struct Variant {
 struct Design {
   std::string description;
   bool warm_start;  // with what a figure of eight before taught
-  std::function<void(ClosedLoopSetup*)> common;
+  std::function<void(ControlledFlightSetup*)> common;
   std::vector<Variant> variants;
 };
 
-void NoChange(ClosedLoopSetup*) {}
+void NoChange(ControlledFlightSetup*) {}
 
 Variant Compensated() { return {"compensated", NoChange}; }
 
 Variant Uncompensated() {
   return {"uncompensated",
-          [](ClosedLoopSetup* s) { s->controller.compensation = Compensation::None(); }};
+          [](ControlledFlightSetup* s) { s->controller.compensation = Compensation::None(); }};
 }
 
-void Fly(const std::string& trajectory, double top_speed_m_s, ClosedLoopSetup* setup) {
+void Fly(const std::string& trajectory, double top_speed_m_s, ControlledFlightSetup* setup) {
   setup->trajectory.name = trajectory;
   setup->trajectory.top_speed_m_s = top_speed_m_s;
 }
 
-void ShiftTruth(const std::string& name, double by, ClosedLoopSetup* setup) {
+void ShiftTruth(const std::string& name, double by, ControlledFlightSetup* setup) {
   setup->truth[setup->truth_model->IndexOf(name)] += by;
 }
 
@@ -64,29 +64,29 @@ const std::map<std::string, Design>& Designs() {
       {"octo",
        {"figure of eight, top speed 5 m/s",
         false,
-        [](ClosedLoopSetup* s) { Fly("octo", 5.0, s); },
+        [](ControlledFlightSetup* s) { Fly("octo", 5.0, s); },
         {Compensated(), Uncompensated()}}},
       {"vshape",
        {"horizontal V forth and back, top speed 3.5 m/s, parameters saved from a figure of eight",
         true,
-        [](ClosedLoopSetup* s) { Fly("vshape", 3.5, s); },
+        [](ControlledFlightSetup* s) { Fly("vshape", 3.5, s); },
         {{"hvt_on", NoChange},
-         {"hvt_off", [](ClosedLoopSetup* s) { s->controller.compensation.hvt = false; }}}}},
+         {"hvt_off", [](ControlledFlightSetup* s) { s->controller.compensation.hvt = false; }}}}},
       {"cog_shift",
        {"figure of eight at 5 m/s, centre of gravity 1.0 cm further forward",
         false,
-        [](ClosedLoopSetup* s) {
+        [](ControlledFlightSetup* s) {
           Fly("octo", 5.0, s);
           ShiftTruth("centre_of_gravity.x", 0.01, s);
         },
         {{"cog_on", NoChange, ""},
          {"cog_off",
-          [](ClosedLoopSetup* s) { s->controller.compensation.centre_of_gravity = false; },
+          [](ControlledFlightSetup* s) { s->controller.compensation.centre_of_gravity = false; },
           "centre_of_gravity"}}}},
       {"payload",
        {"figure of eight at 3 m/s, 20 % of the mass attached and dropped in flight",
         false,
-        [](ClosedLoopSetup* s) {
+        [](ControlledFlightSetup* s) {
           Fly("octo", 3.0, s);
           s->world.payload_kg = 0.2 * s->vehicle.mass_kg;
           s->world.payload_p_B_m = {0.0, 0.0, -0.03};
@@ -95,7 +95,7 @@ const std::map<std::string, Design>& Designs() {
       {"wind",
        {"figure of eight at 5 m/s, wind of 3 m/s with gusts of 0.5 m/s",
         false,
-        [](ClosedLoopSetup* s) {
+        [](ControlledFlightSetup* s) {
           Fly("octo", 5.0, s);
           s->world.wind_m_s = {3.0 * std::cos(0.7), 3.0 * std::sin(0.7), 0.0};
           s->world.gust_m_s = 0.5;
@@ -108,12 +108,13 @@ const std::map<std::string, Design>& Designs() {
       {"damaged_propeller",
        {"figure of eight at 3 m/s, one rotor loses 15 % of its thrust in flight",
         false,
-        [](ClosedLoopSetup* s) {
+        [](ControlledFlightSetup* s) {
           Fly("octo", 3.0, s);
           s->world.damage_rotor = 1;
           s->world.damage_share = 0.15;
         },
-        {{"estimated", NoChange}, {"nominal", [](ClosedLoopSetup* s) { s->estimates = false; }}}}},
+        {{"estimated", NoChange},
+         {"nominal", [](ControlledFlightSetup* s) { s->estimates = false; }}}}},
   };
   return designs;
 }
@@ -127,13 +128,13 @@ const Design& DesignOf(const std::string& name) {
 }
 
 // Flight time at which a path event happens: its ramp is over by then.
-double EventTime(const ClosedLoopSetup& setup, double after_s) {
+double EventTime(const ControlledFlightSetup& setup, double after_s) {
   return Trajectory(setup.trajectory).start_s() + after_s;
 }
 
-ClosedLoopSetup SetupOf(const Design& design, const Variant& variant, const Vehicle& vehicle,
-                        const ExperimentOptions& options, int seed) {
-  ClosedLoopSetup setup;
+ControlledFlightSetup SetupOf(const Design& design, const Variant& variant, const Vehicle& vehicle,
+                              const ExperimentOptions& options, int seed) {
+  ControlledFlightSetup setup;
   setup.vehicle = vehicle;
   setup.truth_model = std::make_shared<DynamicModel>(vehicle, vehicle.effects);
   setup.truth = DrawTruth(*setup.truth_model, seed);
@@ -159,15 +160,15 @@ ClosedLoopSetup SetupOf(const Design& design, const Variant& variant, const Vehi
 }
 
 // What a figure of eight of 20 s teaches about the vehicle of `setup`.
-std::optional<ParameterSet> LearnFirst(ClosedLoopSetup setup) {
+std::optional<ParameterSet> LearnFirst(ControlledFlightSetup setup) {
   Fly("octo", 5.0, &setup);
   setup.trajectory.duration_s = 20.0;
-  return FlyClosedLoop(setup).accepted;
+  return FlyControlled(setup).accepted;
 }
 
 // Time after `event_s` at which the RMSE of the following kRecoveryWindow_s is within its limit for
 // the first time; up to `end_s` where it never is.
-double RecoveryTime(const ClosedLoopFlight& flight, double event_s, double end_s, double limit_m) {
+double RecoveryTime(const ControlledFlight& flight, double event_s, double end_s, double limit_m) {
   double t = event_s;
   while (t + kRecoveryWindow_s <= end_s &&
          ErrorsBetween(flight, t, t + kRecoveryWindow_s).rmse_m.norm() > limit_m) {
@@ -178,7 +179,7 @@ double RecoveryTime(const ClosedLoopFlight& flight, double event_s, double end_s
 
 // Torque that a model without the effect `without` predicts on the second half of the flight, once
 // it has been calibrated on the first, against what the motion shows.
-Eigen::Vector3d TorqueError(const ClosedLoopSetup& setup, const ClosedLoopFlight& flight,
+Eigen::Vector3d TorqueError(const ControlledFlightSetup& setup, const ControlledFlight& flight,
                             const std::string& without) {
   Vehicle vehicle = setup.vehicle;
   auto& effects = vehicle.effects;
@@ -201,8 +202,8 @@ struct Part {
   double recovery_s = -1.0;
 };
 
-std::map<std::string, Part> PartsOf(const std::string& variant, const ClosedLoopSetup& setup,
-                                    const ClosedLoopFlight& flight) {
+std::map<std::string, Part> PartsOf(const std::string& variant, const ControlledFlightSetup& setup,
+                                    const ControlledFlight& flight) {
   if (setup.world.payload_attach_at_s == 0.0) return {{variant, {ErrorsOf(flight), -1.0}}};
   const double attach_s = setup.world.payload_attach_at_s, drop_s = setup.world.payload_drop_at_s;
   const double end_s = flight.flown_s;
@@ -224,8 +225,8 @@ struct Collected {
   VariantFigures figures;
 };
 
-void Collect(const Part& part, const Variant& variant, const ClosedLoopSetup& setup,
-             const ClosedLoopFlight& flight, Collected* all) {
+void Collect(const Part& part, const Variant& variant, const ControlledFlightSetup& setup,
+             const ControlledFlight& flight, Collected* all) {
   VariantFigures& figures = all->figures;
   ++figures.seeds;
   if (!flight.crash.empty()) {
@@ -293,18 +294,18 @@ Experiment RunExperiment(const std::string& name, const Vehicle& vehicle,
                          const std::function<void(double)>& progress) {
   const Design& design = DesignOf(name);
   const int num_variants = static_cast<int>(design.variants.size());
-  std::vector<ClosedLoopSetup> setups;
+  std::vector<ControlledFlightSetup> setups;
   for (int seed = 0; seed < options.seeds; ++seed) {
     for (const Variant& variant : design.variants) {
       setups.push_back(SetupOf(design, variant, vehicle, options, options.first_seed + seed));
     }
   }
-  std::vector<ClosedLoopFlight> flights(setups.size());
+  std::vector<ControlledFlight> flights(setups.size());
   ForEachOf(
       static_cast<int>(setups.size()), options.jobs,
       [&](int i) {
         if (design.warm_start) setups[i].warm_start = LearnFirst(setups[i]);
-        flights[i] = FlyClosedLoop(setups[i], kLongest_s);
+        flights[i] = FlyControlled(setups[i], kLongest_s);
       },
       progress);
 

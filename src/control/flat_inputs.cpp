@@ -58,7 +58,7 @@ FlatReference Less(const FlatReference& reference, const Along& along) {
 
 }  // namespace
 
-FlatReference WithoutAir(const ControlModel& model, const FlatReference& reference) {
+FlatReference ReferenceWithoutAir(const ControlModel& model, const FlatReference& reference) {
   return Less(reference,
               Along(model, reference, FlatAttitudeOf(reference, model.properties().g_W)));
 }

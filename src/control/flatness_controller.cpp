@@ -184,7 +184,7 @@ FlatReference FlatnessController::Goal(const FlatReference& reference,
                                        const BodyState& state) const {
   const BodyProperties& properties = model_.properties();
   const Eigen::Matrix3d R_WB = state.q_WB.toRotationMatrix();
-  FlatReference goal = WithoutAir(model_, reference);
+  FlatReference goal = ReferenceWithoutAir(model_, reference);
 
   Eigen::Vector3d feedback = gains_.position_1_s2.cwiseProduct(reference.p_WB - state.p_WB) +
                              gains_.velocity_1_s.cwiseProduct(reference.v_WB - state.v_WB);

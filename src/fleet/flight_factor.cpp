@@ -47,7 +47,7 @@ void SetLikelihood(const Eigen::VectorXd& value, const Eigen::MatrixXd& covarian
 }
 
 // root x - rhs is noise of covariance 1 + root e eᵀ rootᵀ then; it is whitened anew.
-void AddError(const Eigen::VectorXd& error, FlightFactor* factor) {
+void AddErrorToFactor(const Eigen::VectorXd& error, FlightFactor* factor) {
   const Eigen::Index n = factor->size();
   const Eigen::VectorXd seen = factor->root * error;
   const Eigen::LLT<Eigen::MatrixXd> llt(Eigen::MatrixXd::Identity(n, n) + seen * seen.transpose());

@@ -136,7 +136,7 @@ bool WidenOutliers(const FlightSource& source, const Vehicle& vehicle,
     for (int i = 0; i < factor.size(); ++i) {
       shared[i] = (*error)[model.IndexOf(factor.names[static_cast<size_t>(i)])];
     }
-    AddError(shared, &factor);
+    AddErrorToFactor(shared, &factor);
   });
   return !flights.empty();
 }

@@ -41,7 +41,7 @@ ScalarHistory HistoryOf(int parameter, const std::vector<FlightFactor>& factors,
                         const std::vector<double>& times) {
   ScalarHistory history;
   history.time = times;
-  const std::vector<Departure> departures = DeparturesOf(parameter, factors, model, fit);
+  const std::vector<FlightDeparture> departures = DeparturesOf(parameter, factors, model, fit);
   const Index n = factors.front().size();
   for (size_t i = 0; i < factors.size(); ++i) {
     double value = departures[i].value;

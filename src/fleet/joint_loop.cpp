@@ -185,7 +185,7 @@ std::vector<CoefficientSpread> SpreadsOf(const RankedEffect& effect,
     spread.mean = fleet.joint.value[k];
     spread.sigma = fleet.joint.sigma[k];
     spread.scatter = fleet.joint.fit.scatter[k];
-    for (const Departure& d :
+    for (const FlightDeparture& d :
          DeparturesOf(static_cast<int>(k), factors, fleet.joint.model, fleet.joint.fit)) {
       spread.by_flight.push_back({spread.mean + d.value, d.sigma});
       if (std::abs(d.value) < 2.0 * std::hypot(d.sigma, spread.scatter)) ++spread.agreeing;

@@ -312,8 +312,8 @@ std::vector<VectorXd> ExpectedOfLeftOut(const std::vector<FlightFactor>& factors
   return expected;
 }
 
-std::vector<Departure> DeparturesOf(int parameter, const std::vector<FlightFactor>& factors,
-                                    const FleetModel& model, const RandomEffects& fit) {
+std::vector<FlightDeparture> DeparturesOf(int parameter, const std::vector<FlightFactor>& factors,
+                                          const FleetModel& model, const RandomEffects& fit) {
   const FlightFactor& first = factors.front();
   const std::vector<Scaled> flights = Scale(factors, model);
   const Index n = first.size();
@@ -325,7 +325,7 @@ std::vector<Departure> DeparturesOf(int parameter, const std::vector<FlightFacto
         c < n ? static_cast<int>(c) : model.changes[static_cast<size_t>(c - n)].parameter;
     scaled_beta[c] /= first.prior_sigma[of];
   }
-  std::vector<Departure> departures;
+  std::vector<FlightDeparture> departures;
   for (const Scaled& f : flights) {
     VectorXd t = fit.scatter.cwiseQuotient(first.prior_sigma).cwiseAbs2() + f.own_variance;
     t[parameter] = 0.0;
@@ -335,7 +335,7 @@ std::vector<Departure> DeparturesOf(int parameter, const std::vector<FlightFacto
     const VectorXd column = f.root.col(parameter);
     const VectorXd weighted = llt.solve(column);
     const double information = weighted.dot(column);
-    Departure d = {0.0, kInfinity};
+    FlightDeparture d = {0.0, kInfinity};
     constexpr double kLeast = 0.1;  // of the prior's: what shows less is not looked at
     if (information > kLeast) {
       d.value = unit * weighted.dot(f.rhs - f.root * (f.design * scaled_beta)) / information;

@@ -10,15 +10,15 @@ namespace odmc {
 namespace {
 
 // k_m = S_2 J: all a spin-up says about torque.                           model.md section 11
-std::optional<Measured> TorqueOfInertia(const ActuatorFit& fit,
-                                        const std::optional<Measured>& inertia) {
+std::optional<MeasuredValue> TorqueOfInertia(const ActuatorFit& fit,
+                                             const std::optional<MeasuredValue>& inertia) {
   if (!inertia) return std::nullopt;
   for (const ActuatorParameter& p : fit.common.parameters) {
     if (p.name != "S_2" || !p.found) continue;
     const double value = p.found->value * inertia->value;
     const double share =
         std::hypot(p.found->sigma / p.found->value, inertia->sigma / inertia->value);
-    return Measured{value, share * value};
+    return MeasuredValue{value, share * value};
   }
   return std::nullopt;
 }
@@ -63,7 +63,7 @@ std::vector<std::string> Warnings(const std::vector<BenchRun>& runs, const Actua
     warnings.push_back(
         "no battery voltage: the map from command to speed holds for that of the run");
   for (size_t k = 0; c.torque && k < c.torque->offsets.size(); ++k) {
-    const Measured& offset = c.torque->offsets[k];
+    const MeasuredValue& offset = c.torque->offsets[k];
     if (std::abs(offset.value) <= 2.0 * offset.sigma) continue;
     warnings.push_back(
         runs[k].file +
@@ -93,7 +93,7 @@ bool HasSpeeds(const BenchRun& run) {
 }
 
 ActuatorCalibration CalibrateActuator(const std::vector<BenchRun>& all_runs,
-                                      const std::optional<Measured>& rotor_inertia_kg_m2) {
+                                      const std::optional<MeasuredValue>& rotor_inertia_kg_m2) {
   ActuatorCalibration c;
   std::vector<BenchRun> runs;
   for (const BenchRun& run : all_runs) {

@@ -472,7 +472,7 @@ std::vector<ActuatorParameter> ParametersOfFit(const Refined& fit, const Scale& 
   const auto add = [&](const char* name, const std::string& unit_text, bool known, bool nonzero,
                        auto function) {
     ActuatorParameter parameter = {name, unit_text, std::nullopt};
-    const Measured found = {function(fit.p), SigmaOf(fit, function)};
+    const MeasuredValue found = {function(fit.p), SigmaOf(fit, function)};
     const bool away = !nonzero || std::abs(found.value) > kKnownSigmas * found.sigma;
     if (known && away && std::isfinite(found.value) && std::isfinite(found.sigma))
       parameter.found = found;
@@ -526,7 +526,7 @@ std::vector<ActuatorParameter> Combined(const std::vector<MotorFit>& motors) {
     const double mean = sum / weight;
     const double scatter = std::max(squares / weight - mean * mean, 0.0);
     const double more = known > 1 ? scatter / static_cast<double>(known - 1) : 0.0;
-    all[k].found = Measured{mean, std::sqrt(std::max(1.0 / weight, more))};
+    all[k].found = MeasuredValue{mean, std::sqrt(std::max(1.0 / weight, more))};
   }
   return all;
 }

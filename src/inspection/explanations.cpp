@@ -42,7 +42,7 @@ LogRatio Ratio(const std::vector<double>& a, const std::vector<double>& b) {
 
 /// How far the truth lies from `first` towards `best`, and its sigma by blocks of windows.
 void Towards(const Eigen::Matrix3Xd& first, const Eigen::Matrix3Xd& best, int windows,
-             Verdict* verdict) {
+             BestExplanation* verdict) {
   std::vector<double> along, square;
   double sum = 0.0, weight = 0.0;
   for (Eigen::Index i = 0; i + windows <= first.cols(); i += windows) {
@@ -65,7 +65,7 @@ void Towards(const Eigen::Matrix3Xd& first, const Eigen::Matrix3Xd& best, int wi
 
 }  // namespace
 
-bool Verdict::mistaken() const {
+bool BestExplanation::mistaken() const {
   if (best == 0) return false;
   if (share < kMistakeShare && sigmas > kMistakeSigmas) return true;
   if (fitted || share > kTowardsShare) return false;
@@ -74,8 +74,9 @@ bool Verdict::mistaken() const {
   return nats > std::log((1.0 - kMistakesAre) / (kMistakesAre * kFalselyMistaken));
 }
 
-Verdict Judge(const std::vector<Explanation>& explanations, int windows_per_block) {
-  Verdict verdict;
+BestExplanation CompareExplanations(const std::vector<Explanation>& explanations,
+                                    int windows_per_block) {
+  BestExplanation verdict;
   std::vector<std::vector<double>> squares;
   for (const Explanation& e : explanations) {
     squares.push_back(BlockSquares(e.error, windows_per_block));
@@ -85,7 +86,7 @@ Verdict Judge(const std::vector<Explanation>& explanations, int windows_per_bloc
   for (const auto& blocks : squares) medians.push_back(Median(blocks));
   const auto least = std::min_element(medians.begin(), medians.end());
   const std::vector<double>& best_squares = squares[static_cast<size_t>(least - medians.begin())];
-  while (medians[static_cast<size_t>(verdict.best)] > kAsGood * *least ||
+  while (medians[static_cast<size_t>(verdict.best)] > kAsGoodShare * *least ||
          Ratio(squares[static_cast<size_t>(verdict.best)], best_squares).sigmas > kAsGoodSigmas) {
     ++verdict.best;
   }

@@ -170,7 +170,7 @@ RareError VelocityScale(const MotionWindows& w) {
     scatter += slope * slope;
   }
   const double sigma = std::hypot(std::sqrt(scatter) / y.squaredNorm(), 0.5 * (most - least));
-  return Posterior(scale - 1.0, std::max(sigma, 1e-3), kScalesAre, kScaleSize);
+  return RareErrorPosterior(scale - 1.0, std::max(sigma, 1e-3), kScalesAre, kScaleSize);
 }
 
 const std::vector<UnitMistake> kVelocityUnits = {
@@ -193,7 +193,7 @@ void CheckVelocity(const MotionWindows& w, MotionSignals* s, StreamInspection* i
   std::vector<Explanation> readings =
       Readings(w.velocity, w.displacement_m_s, w.q_WS, true, kVelocityUnits);
   AddOtherPoint(w, &readings);
-  const Verdict verdict = Judge(readings, kWindowsPerBlock);
+  const BestExplanation verdict = CompareExplanations(readings, kWindowsPerBlock);
   if (verdict.mistaken()) {
     return drop("it fits " + readings[verdict.best].name + " (" +
                     Rounded(verdict.best_error_rms, 2) + " m/s RMS left instead of " +
@@ -238,7 +238,7 @@ std::string WrongRates(const MotionWindows& w, const Matrix3Xd& x, const Matrix3
   if (MedianSquare(turns) < kLeastMotion * kLeastMotion) return "";
   const Matrix3Xd in_S = R_SX * x;
   const std::vector<Explanation> readings = Readings(in_S, turns, w.q_WS, false, kRateUnits);
-  const Verdict verdict = Judge(readings, kWindowsPerBlock);
+  const BestExplanation verdict = CompareExplanations(readings, kWindowsPerBlock);
   if (!verdict.mistaken()) return "";
   return "fits " + readings[verdict.best].name + " (" + Rounded(verdict.best_error_rms, 2) +
          " rad/s RMS left instead of " + Rounded(verdict.error_rms, 2) + ")";
@@ -392,7 +392,7 @@ bool IsNearer(const Matrix3Xd& first, const Matrix3Xd& second) {
   std::vector<Explanation> two(2);
   two[0].error = first;
   two[1].error = second;
-  const Verdict verdict = Judge(two, kWindowsPerBlock);
+  const BestExplanation verdict = CompareExplanations(two, kWindowsPerBlock);
   return verdict.best != 0 && verdict.towards - kSigmas * verdict.towards_sigma > 0.5;
 }
 
@@ -427,8 +427,9 @@ size_t PoseByTurn(const MotionWindows& w, const std::vector<Explanation>& readin
   for (size_t i = 1; i <= kQuaternionMistakes; ++i) {
     const Matrix3Xd turn = OffTurn(w, PoseMistakes()[i]);
     if (!(MedianSquare(turn) < least)) continue;
-    if (!Judge({{"", as_is}, {"", turn}}, kWindowsPerBlock).mistaken()) continue;
-    const Verdict thrust = Judge({readings[0], readings[i]}, kWindowsPerBlock);
+    if (!CompareExplanations({{"", as_is}, {"", turn}}, kWindowsPerBlock).mistaken()) continue;
+    const BestExplanation thrust =
+        CompareExplanations({readings[0], readings[i]}, kWindowsPerBlock);
     if (thrust.best == 0 || thrust.towards - thrust.towards_sigma < 0.5) continue;
     best = i;
     least = MedianSquare(turn);
@@ -443,7 +444,7 @@ void CheckAttitude(const MotionWindows& w, const Vehicle& vehicle, StreamInspect
     readings.push_back(
         {mistake.name, AcrossThrust(w, vehicle, is_possible ? mistake : PoseMistakes().front())});
   }
-  const Verdict verdict = Judge(readings, kWindowsPerBlock);
+  const BestExplanation verdict = CompareExplanations(readings, kWindowsPerBlock);
   const size_t best = verdict.mistaken()
                           ? BestPose(w, vehicle, readings, static_cast<size_t>(verdict.best))
                           : PoseByTurn(w, readings);
@@ -494,7 +495,7 @@ void CheckAccelerometer(const MotionWindows& w, const Vehicle& vehicle, MotionSi
   for (const Matrix3d& axes : AxisMistakes()) {
     if (!axes.isIdentity()) readings.push_back({"with axes " + AxesText(axes), axes * x - force_I});
   }
-  const Verdict verdict = Judge(readings, kWindowsPerBlock);
+  const BestExplanation verdict = CompareExplanations(readings, kWindowsPerBlock);
   if (!verdict.mistaken()) return;
   inspection->findings.push_back(
       Dropped("accelerometer",

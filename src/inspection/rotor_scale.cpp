@@ -158,7 +158,7 @@ std::vector<StreamDoubt> Doubts(const std::vector<Balance::Fit>& fits, double de
     const double misfit = std::sqrt(std::max(1.0, fit.chi / degrees));
     const double sigma = std::hypot(fit.sigma * misfit, kThrustScatter);
     const double prior = kBadOnesAre / static_cast<double>(fits.size());
-    errors.push_back(Posterior(fit.scale, sigma, prior, kBadThrust));
+    errors.push_back(RareErrorPosterior(fit.scale, sigma, prior, kBadThrust));
     odds += errors.back().probability / (1.0 - errors.back().probability + 1e-12);
   }
   std::vector<StreamDoubt> doubts;

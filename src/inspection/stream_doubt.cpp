@@ -8,7 +8,7 @@ namespace odmc {
 
 double RareError::rms() const { return std::sqrt(probability) * std::hypot(mean, sigma); }
 
-RareError Posterior(double value, double sigma, double prior, double size) {
+RareError RareErrorPosterior(double value, double sigma, double prior, double size) {
   const double all = sigma * sigma + size * size;  // variance of the measurement if there is one
   const double share = size * size / all;
   // Logarithm of the likelihoods' ratio; beyond 500 the answer is known.
@@ -18,7 +18,7 @@ RareError Posterior(double value, double sigma, double prior, double size) {
   return {odds / (1.0 + odds), share * value, std::sqrt(share) * sigma};
 }
 
-void Undo(const StreamDoubt& doubt, FlightLog* log) {
+void UndoDoubt(const StreamDoubt& doubt, FlightLog* log) {
   if (doubt.late_s != 0.0) ShiftStream(doubt.stream, doubt.late_s, log);
   if (doubt.factor == 1.0) return;
   if (doubt.stream == "rotor_speeds") {

@@ -70,9 +70,9 @@ void AddDoubt(const TimeOffset& offset, StreamInspection* inspection) {
   if (offset.stream == "accelerometer") return;
   double late_s = lag.sigma_s();
   if (!lag.determined()) {  // the flight does not show it: what is known beforehand
-    late_s = Posterior(0.0, 1e3 * kOffsetSize_s, kOffsetsAre, kOffsetSize_s).rms();
+    late_s = RareErrorPosterior(0.0, 1e3 * kOffsetSize_s, kOffsetsAre, kOffsetSize_s).rms();
   } else if (offset.compensated_s == 0.0) {
-    late_s = Posterior(lag.lag_s, lag.sigma_s(), kOffsetsAre, kOffsetSize_s).rms();
+    late_s = RareErrorPosterior(lag.lag_s, lag.sigma_s(), kOffsetsAre, kOffsetSize_s).rms();
     late_s = std::copysign(late_s, lag.lag_s);
   }
   if (std::abs(late_s) < kNoOffset_s) return;
@@ -126,7 +126,7 @@ void InspectOffsets(const MotionSignals& signals, const Vehicle& vehicle,
   if (torque && torque->against == "gyro") Add(imu_s, &*torque);
   if (thrust && thrust->against == "velocity") Add(velocity_s, &*thrust);
   if (torque) CheckInertia(signals, vehicle, flight, *torque, inspection);
-  Take(Together(torque, thrust), inspection);
+  Take(CombinedOffset(torque, thrust), inspection);
 }
 
 }  // namespace

@@ -188,8 +188,8 @@ std::optional<TimeOffset> ThrustOffset(const MotionSignals& s, const Vehicle& ve
   }
   return offset;
 }
-std::optional<TimeOffset> Together(const std::optional<TimeOffset>& a,
-                                   const std::optional<TimeOffset>& b) {
+std::optional<TimeOffset> CombinedOffset(const std::optional<TimeOffset>& a,
+                                         const std::optional<TimeOffset>& b) {
   if (!a || !a->lag.determined()) return b && b->lag.determined() ? b : a;
   if (!b || !b->lag.determined()) return a;
   const auto precision = [](const TimeOffset& offset) {

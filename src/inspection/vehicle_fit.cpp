@@ -28,7 +28,7 @@ constexpr double kLeastExplained = 0.45, kInertiaSigma = 0.3;
 constexpr double kLeastLikeness = 0.8;  // of the torques found and the levers
 constexpr double kMostInertia = 5.0;    // over the nominal one: beyond, something else is wrong
 
-Choice ChoiceOf(double probability, double lead_nats) {
+FittedChoice ChoiceOf(double probability, double lead_nats) {
   return {probability > kTold, probability, lead_nats};
 }
 
@@ -64,7 +64,8 @@ SpinPriors DrawnPriors(const std::vector<Rotor>& rotors) {
 }
 
 /// The likeliest pattern. @param nats log evidence of every pattern over the best
-unsigned Likeliest(const std::vector<double>& nats, const SpinPriors& priors, Choice* choice) {
+unsigned Likeliest(const std::vector<double>& nats, const SpinPriors& priors,
+                   FittedChoice* choice) {
   const double odd = kOdd / std::max(1.0, static_cast<double>(nats.size() - priors.size()));
   std::vector<double> logs;
   for (unsigned pattern = 0; pattern < nats.size(); ++pattern) {

@@ -11,11 +11,11 @@
 namespace odmc {
 namespace {
 
-std::optional<Measured> ReadMeasured(const YamlValue& parent, const std::string& key) {
+std::optional<MeasuredValue> ReadMeasured(const YamlValue& parent, const std::string& key) {
   const auto value = parent.Find(key);
   if (!value) return std::nullopt;
   value->AllowKeys({"value", "sigma"});
-  return Measured{value->Get("value").PositiveNumber(), value->Get("sigma").PositiveNumber()};
+  return MeasuredValue{value->Get("value").PositiveNumber(), value->Get("sigma").PositiveNumber()};
 }
 
 double NotNegative(const YamlValue& value) {
@@ -38,7 +38,7 @@ Motor ReadMotor(const YamlValue& value, CommandUnit unit) {
   return motor;
 }
 
-std::string YamlMeasured(const Measured& m) {
+std::string YamlMeasured(const MeasuredValue& m) {
   return "{value: " + FormatYamlNumber(m.value) + ", sigma: " + FormatYamlNumber(m.sigma) + "}";
 }
 

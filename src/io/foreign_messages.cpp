@@ -143,8 +143,8 @@ std::vector<int> ParseOrder(const std::string& text) {
   return order;
 }
 
-std::optional<std::vector<double>> InOrder(const std::vector<double>& entries,
-                                           const std::vector<int>& order) {
+std::optional<std::vector<double>> EntriesInOrder(const std::vector<double>& entries,
+                                                  const std::vector<int>& order) {
   if (order.empty()) return entries;
   std::vector<double> ordered;
   for (const int entry : order) {
@@ -314,7 +314,7 @@ std::vector<double> ForeignStream::Choose(std::vector<double> entries) {
   const std::string has =
       layout_.type() + ": " + field_.text + " has " + std::to_string(entries.size()) + " entries, ";
   if (!order_.empty()) {
-    std::optional<std::vector<double>> ordered = InOrder(entries, order_);
+    std::optional<std::vector<double>> ordered = EntriesInOrder(entries, order_);
     if (ordered) return *std::move(ordered);
     const int last = *std::max_element(order_.begin(), order_.end());
     throw std::invalid_argument(has + "the order asks for entry " + std::to_string(last));

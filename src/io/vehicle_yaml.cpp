@@ -231,7 +231,8 @@ void IncludeActuator(const Actuator& actuator, Vehicle* vehicle) {
                                 " rotors");
   }
   vehicle->actuator = actuator;
-  const auto use = [vehicle](const std::string& name, const std::optional<Measured>& measured) {
+  const auto use = [vehicle](const std::string& name,
+                             const std::optional<MeasuredValue>& measured) {
     if (!measured) return;
     ParameterSetting& setting = vehicle->parameters[name];
     if (setting.value) return;

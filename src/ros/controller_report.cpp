@@ -47,8 +47,8 @@ void SetLevel(const ControllerReport& r, long refused_before, DiagnosticStatus* 
 }
 
 void PutInput(const std::string& stream, const ControlInput& input, DiagnosticStatus* status) {
-  Put(stream + "_received", input.received, status);
-  Put(stream + "_refused", input.refused, status);
+  PutValue(stream + "_received", input.received, status);
+  PutValue(stream + "_refused", input.refused, status);
 }
 
 }  // namespace
@@ -81,22 +81,22 @@ DiagnosticStatus ControllerDiagnostic(const ControllerReport& r, long refused_be
   DiagnosticStatus status;
   status.name = name;
   SetLevel(r, refused_before, &status);
-  Put("mode", NameOf(r.command.mode), &status);
-  Put("handover", NameOf(r.handover), &status);
-  Put("handover_progress", r.progress, &status);
-  Put("uses_estimate", r.uses_estimate, &status);
-  Put("last_transition", r.last_transition, &status);
-  Put("estimates_declined", r.estimates_declined, &status);
-  Put("tracking_error_m", r.tracking_error_m, &status);
-  Put("tracking_rmse_m", r.tracking_rmse_m, &status);
-  Put("indi", r.command.indi, &status);
-  Put("saturated", r.command.allocation.saturated(), &status);
-  Put("steps", r.steps, &status);
-  Put("late_steps", r.late_steps, &status);
-  Put("step_ms_max", r.step_ms_max, &status);
-  Put("odometry_jumps", r.odometry_jumps, &status);
-  Put("clock_resets", r.clock_resets, &status);
-  Put("not_finite_commands", r.not_finite, &status);
+  PutValue("mode", NameOf(r.command.mode), &status);
+  PutValue("handover", NameOf(r.handover), &status);
+  PutValue("handover_progress", r.progress, &status);
+  PutValue("uses_estimate", r.uses_estimate, &status);
+  PutValue("last_transition", r.last_transition, &status);
+  PutValue("estimates_declined", r.estimates_declined, &status);
+  PutValue("tracking_error_m", r.tracking_error_m, &status);
+  PutValue("tracking_rmse_m", r.tracking_rmse_m, &status);
+  PutValue("indi", r.command.indi, &status);
+  PutValue("saturated", r.command.allocation.saturated(), &status);
+  PutValue("steps", r.steps, &status);
+  PutValue("late_steps", r.late_steps, &status);
+  PutValue("step_ms_max", r.step_ms_max, &status);
+  PutValue("odometry_jumps", r.odometry_jumps, &status);
+  PutValue("clock_resets", r.clock_resets, &status);
+  PutValue("not_finite_commands", r.not_finite, &status);
   PutInput("odometry", r.odometry, &status);
   PutInput("imu", r.imu, &status);
   PutInput("rotor_speeds", r.rotors, &status);

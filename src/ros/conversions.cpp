@@ -85,7 +85,7 @@ DynamicParameter ToMessage(const ParameterEstimate& p) {
 
 // ---- Messages to samples -----------------------------------------------------------------------
 
-std::optional<InputSample> Accepted(InputSample input) {
+std::optional<InputSample> AcceptedInput(InputSample input) {
   return std::visit(
       [](auto& one) -> std::optional<InputSample> {
         auto accepted = AcceptedAs(std::move(one));

@@ -8,32 +8,32 @@ namespace odmc {
 
 using diagnostic_msgs::DiagnosticStatus;
 
-void Put(const std::string& key, const std::string& value, DiagnosticStatus* status) {
+void PutValue(const std::string& key, const std::string& value, DiagnosticStatus* status) {
   diagnostic_msgs::KeyValue pair;
   pair.key = key;
   pair.value = value;
   status->values.push_back(pair);
 }
 
-void Put(const std::string& key, const char* value, DiagnosticStatus* status) {
-  Put(key, std::string(value), status);
+void PutValue(const std::string& key, const char* value, DiagnosticStatus* status) {
+  PutValue(key, std::string(value), status);
 }
 
-void Put(const std::string& key, double value, DiagnosticStatus* status) {
+void PutValue(const std::string& key, double value, DiagnosticStatus* status) {
   char text[40];
   std::snprintf(text, sizeof text, "%.4g", value);
-  Put(key, std::string(text), status);
+  PutValue(key, std::string(text), status);
 }
 
-void Put(const std::string& key, long value, DiagnosticStatus* status) {
-  Put(key, std::to_string(value), status);
+void PutValue(const std::string& key, long value, DiagnosticStatus* status) {
+  PutValue(key, std::to_string(value), status);
 }
 
-void Put(const std::string& key, bool value, DiagnosticStatus* status) {
-  Put(key, std::string(value ? "true" : "false"), status);
+void PutValue(const std::string& key, bool value, DiagnosticStatus* status) {
+  PutValue(key, std::string(value ? "true" : "false"), status);
 }
 
-std::string Join(const std::vector<std::string>& sentences) {
+std::string JoinSentences(const std::vector<std::string>& sentences) {
   std::string text;
   for (const std::string& sentence : sentences) text += (text.empty() ? "" : "; ") + sentence;
   return text;

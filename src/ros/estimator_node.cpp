@@ -239,7 +239,7 @@ EstimatorNode::Answer EstimatorNode::Accept() {
   }
   const std::vector<std::string> reasons =
       UnphysicalValues(*last_model_, usable.values, usable.sigma);
-  if (!reasons.empty()) return {false, Join(reasons)};
+  if (!reasons.empty()) return {false, JoinSentences(reasons)};
   publisher_.PublishAccepted(*last_, ContextOfLast());
   return {true, "the present estimate is published as accepted"};
 }

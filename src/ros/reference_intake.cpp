@@ -47,7 +47,7 @@ FlatReference Held(const FlatReference& reference) {
 
 }  // namespace
 
-FlatReference Between(const TimedReference& from, const TimedReference& to, Stamp at) {
+FlatReference ReferenceBetween(const TimedReference& from, const TimedReference& to, Stamp at) {
   const double T = ToSeconds(to.stamp - from.stamp);
   const double u = ToSeconds(at - from.stamp) / T;
   const Derivatives a = ToDerivatives(from.reference), b = ToDerivatives(to.reference);
@@ -76,7 +76,7 @@ FlatReference Between(const TimedReference& from, const TimedReference& to, Stam
   return FromDerivatives(result, from.reference.standing);
 }
 
-FlatReference MovedOn(const FlatReference& reference, double dt) {
+FlatReference ReferenceMovedOn(const FlatReference& reference, double dt) {
   Derivatives d = ToDerivatives(reference);
   for (size_t i = 0; i < d.size(); ++i) {
     double factor = 1.0;
@@ -95,7 +95,8 @@ bool ReferenceIntake::FollowsTrajectory(Stamp now) const {
 
 FlatReference ReferenceIntake::After(const TimedReference& point, Stamp now) const {
   const double age_s = ToSeconds(now - point.stamp);
-  const FlatReference moved = MovedOn(point.reference, std::clamp(age_s, -kMovesOn_s, kMovesOn_s));
+  const FlatReference moved =
+      ReferenceMovedOn(point.reference, std::clamp(age_s, -kMovesOn_s, kMovesOn_s));
   return age_s > timeout_s_ ? Held(moved) : moved;
 }
 
@@ -108,7 +109,7 @@ std::optional<FlatReference> ReferenceIntake::At(Stamp now) const {
   if (now <= first.stamp) return Held(first.reference);
   const auto next = std::upper_bound(trajectory_.begin(), trajectory_.end(), now,
                                      [](Stamp t, const TimedReference& p) { return t < p.stamp; });
-  return Between(*(next - 1), *next, now);
+  return ReferenceBetween(*(next - 1), *next, now);
 }
 
 bool ReferenceIntake::IsLost(Stamp now) const {

@@ -503,21 +503,21 @@ diagnostic_msgs::DiagnosticStatus SimulatorNode::Diagnostic(double factor) {
                    : waits         ? "waiting for a controller"
                    : paused_       ? "paused"
                                    : "running";
-  Put("real_time_factor", factor, &status);
-  Put("real_time_factor_asked", asked, &status);
-  Put("time_s", ToSeconds(world_.now()), &status);
-  Put("trajectory", trajectory_.name(), &status);
-  Put("waits_for_commands", slow_downs_, &status);
+  PutValue("real_time_factor", factor, &status);
+  PutValue("real_time_factor_asked", asked, &status);
+  PutValue("time_s", ToSeconds(world_.now()), &status);
+  PutValue("trajectory", trajectory_.name(), &status);
+  PutValue("waits_for_commands", slow_downs_, &status);
   {
     const std::lock_guard<std::mutex> lock(world_mutex_);
-    Put("on_ground", world_.touches_ground(), &status);
-    Put("mass_kg", world_.mass(), &status);
-    Put("battery_voltage_V", world_.battery_voltage_V(), &status);
+    PutValue("on_ground", world_.touches_ground(), &status);
+    PutValue("mass_kg", world_.mass(), &status);
+    PutValue("battery_voltage_V", world_.battery_voltage_V(), &status);
   }
   const std::lock_guard<std::mutex> lock(command_mutex_);
-  Put("commands", commands_, &status);
-  Put("commands_refused", commands_refused_, &status);
-  if (command_) Put("command_age_s", ToSeconds(world_.now() - command_->stamp), &status);
+  PutValue("commands", commands_, &status);
+  PutValue("commands_refused", commands_refused_, &status);
+  if (command_) PutValue("command_age_s", ToSeconds(world_.now() - command_->stamp), &status);
   return status;
 }
 

@@ -35,12 +35,12 @@ OdometryInput PoseOf(const std_msgs::Header& header, const geometry_msgs::Point&
 OdometryInput PoseInputOf(const RawMessage& raw) {
   OdometryInput input;
   if (raw.type() == "geometry_msgs/PoseStamped") {
-    return InputOf(Decode<geometry_msgs::PoseStamped>(raw));
+    return InputOf(DecodeMessage<geometry_msgs::PoseStamped>(raw));
   } else if (raw.type() == "geometry_msgs/PoseWithCovarianceStamped") {
-    const auto m = Decode<geometry_msgs::PoseWithCovarianceStamped>(raw);
+    const auto m = DecodeMessage<geometry_msgs::PoseWithCovarianceStamped>(raw);
     input = PoseOf(m.header, m.pose.pose.position, m.pose.pose.orientation);
   } else {
-    const auto m = Decode<geometry_msgs::TransformStamped>(raw);
+    const auto m = DecodeMessage<geometry_msgs::TransformStamped>(raw);
     input = PoseOf(m.header, geometry_msgs::Point(), m.transform.rotation);
     input.sample.p_WS = ToEigen(m.transform.translation);
   }
@@ -59,10 +59,10 @@ OdometryInput TwistOf(const std_msgs::Header& header, const geometry_msgs::Vecto
 
 OdometryInput TwistInputOf(const RawMessage& raw) {
   if (raw.type() == "geometry_msgs/TwistStamped") {
-    const auto m = Decode<geometry_msgs::TwistStamped>(raw);
+    const auto m = DecodeMessage<geometry_msgs::TwistStamped>(raw);
     return TwistOf(m.header, m.twist.linear);
   }
-  const auto m = Decode<geometry_msgs::TwistWithCovarianceStamped>(raw);
+  const auto m = DecodeMessage<geometry_msgs::TwistWithCovarianceStamped>(raw);
   return TwistOf(m.header, m.twist.twist.linear);
 }
 
@@ -200,27 +200,27 @@ std::optional<InputSample> StreamReader::Read(const RawMessage& message, Stamp a
 InputSample StreamReader::ReadOwn(const RawMessage& message) const {
   switch (role_.stream) {
     case InputStream::kOdometry:
-      return InputOf(Decode<nav_msgs::Odometry>(message));
+      return InputOf(DecodeMessage<nav_msgs::Odometry>(message));
     case InputStream::kPose:
       return PoseInputOf(message);
     case InputStream::kTwist:
       return TwistInputOf(message);
     case InputStream::kImu:
-      return InputOf(Decode<sensor_msgs::Imu>(message));
+      return InputOf(DecodeMessage<sensor_msgs::Imu>(message));
     case InputStream::kBatteryState:
-      return InputOf(Decode<sensor_msgs::BatteryState>(message));
+      return InputOf(DecodeMessage<sensor_msgs::BatteryState>(message));
     case InputStream::kMotorCommands: {
-      const auto m = Decode<MotorCommands>(message);
+      const auto m = DecodeMessage<MotorCommands>(message);
       return CommandsOf(FromRos(m.header.stamp), m.throttle);
     }
     default:
       break;
   }
   if (message.type() == kJointState) {
-    const auto m = Decode<sensor_msgs::JointState>(message);
+    const auto m = DecodeMessage<sensor_msgs::JointState>(message);
     return RotorsOf(FromRos(m.header.stamp), SpeedsOfJoints(m), joint_scale_);
   }
-  const auto m = Decode<RotorSpeeds>(message);
+  const auto m = DecodeMessage<RotorSpeeds>(message);
   InputSample input = RotorsOf(FromRos(m.header.stamp), m.angular_velocity_rad_s, 1.0);
   std::get<RotorInput>(input).rms_only = m.rms_only;
   return input;
@@ -288,7 +288,7 @@ InputSample StreamReader::CommandsOf(Stamp stamp, const std::vector<double>& thr
 
 RotorVector StreamReader::PerRotor(const std::vector<double>& entries,
                                    const std::vector<int>& order, const char* what) const {
-  const std::optional<std::vector<double>> ordered = InOrder(entries, order);
+  const std::optional<std::vector<double>> ordered = EntriesInOrder(entries, order);
   const size_t size = ordered ? ordered->size() : 0;
   const bool fits = num_rotors_ > 0 ? size == static_cast<size_t>(num_rotors_)
                                     : size >= 1 && size <= static_cast<size_t>(kMaxRotors);

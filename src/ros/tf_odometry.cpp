@@ -39,7 +39,7 @@ TfOdometry::TfOdometry(std::string parent, std::string child)
       buffer_(ros::Duration(kCache_s)) {}
 
 std::vector<OdometryInput> TfOdometry::Read(const RawMessage& message, InputStream stream) {
-  const auto m = Decode<tf2_msgs::TFMessage>(message);
+  const auto m = DecodeMessage<tf2_msgs::TFMessage>(message);
   return Add(m.transforms, stream == InputStream::kStaticTf);
 }
 

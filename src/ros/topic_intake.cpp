@@ -63,7 +63,7 @@ void TopicIntake::Take(InputStream stream, const RawMessage& message, Stamp arri
     if (!input) return queue_->CountPassedOver(stream);
     NoteStamps(stream, reader->stamp_source());
     TellOfSigns(*input);
-    std::optional<InputSample> accepted = Accepted(*std::move(input));
+    std::optional<InputSample> accepted = AcceptedInput(*std::move(input));
     if (!accepted) return queue_->Refuse(stream, "");
     queue_->Push(stream, Paired(stream, *std::move(accepted)));
   } catch (const std::exception& e) {
@@ -77,7 +77,7 @@ void TopicIntake::Take(InputStream stream, const RawMessage& message, Stamp arri
 void TopicIntake::TakeTransforms(InputStream stream, const RawMessage& message) {
   std::vector<InputSample> ready;
   for (OdometryInput& pose : tf_odometry_->Read(message, stream)) {
-    std::optional<InputSample> accepted = Accepted(InputSample(std::move(pose)));
+    std::optional<InputSample> accepted = AcceptedInput(InputSample(std::move(pose)));
     if (!accepted) continue;
     for (InputSample& sample : Paired(InputStream::kPose, *std::move(accepted))) {
       ready.push_back(std::move(sample));

@@ -127,7 +127,7 @@ struct InertiaArguments {
     app->add_option("--bell-radius", geometry.bell_radius_m, "its outer radius, m")
         ->check(tools::NotNegative());
   }
-  std::optional<Measured> Read() const {
+  std::optional<MeasuredValue> Read() const {
     const bool drawn = geometry.blade_mass_kg > 0.0 || geometry.blade_length_m > 0.0;
     if (drawn && inertia_kg_m2 > 0.0)
       throw tools::UsageError("give --rotor-inertia or the blade's mass and length, not both");
@@ -135,7 +135,7 @@ struct InertiaArguments {
       throw tools::UsageError("--blade-mass and --blade-length go together");
     const double inertia = drawn ? RotorInertia(geometry) : inertia_kg_m2;
     if (!(inertia > 0.0)) return std::nullopt;
-    return Measured{inertia, share * inertia};
+    return MeasuredValue{inertia, share * inertia};
   }
 };
 
@@ -166,7 +166,7 @@ int main(int argc, char** argv) {
   tools::AddFolder(&app, &folder, &no_report);
   tools::AddExitStatus(&app);
   return tools::Run(&app, argc, argv, [&] {
-    const std::optional<Measured> rotor_inertia = inertia.Read();
+    const std::optional<MeasuredValue> rotor_inertia = inertia.Read();
     std::vector<BenchRun> runs;
     std::vector<std::string> used;
     for (const std::string& file : files) {

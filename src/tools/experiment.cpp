@@ -8,7 +8,7 @@
 int main(int argc, char** argv) {
   using namespace odmc;
   CLI::App app(
-      "Flies closed-loop experiments in lock-step, estimator in the loop: is control better with\n"
+      "Flies under the controller in lock-step, estimator in the loop: is control better with\n"
       "the estimate than without? Every seed flies another vehicle, whose true coefficients "
       "nobody\n"
       "on board knows; errors are against truth. Writes report.json, tables, pictures.\n"

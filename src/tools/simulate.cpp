@@ -11,7 +11,7 @@
 int main(int argc, char** argv) {
   using namespace odmc;
   CLI::App app(
-      "Simulates a flight of the model, tracked in closed loop, with motor lag and sensors.\n"
+      "Simulates a flight of the model, flown by a pilot, with motor lag and sensors.\n"
       "Where the vehicle file has an actuator, throttles fly it and are recorded.\n"
       "Writes FILE, and beside it NAME_truth.yaml (parameters) and NAME_truth.csv (states).");
   tools::ModelArguments model_arguments;

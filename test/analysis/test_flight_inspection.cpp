@@ -28,9 +28,9 @@ FlightLog Fly(const std::string& trajectory) {
   return log;
 }
 
-const Lesson* Find(const FlightInspection& inspection, const std::string& name) {
+const ParameterLesson* Find(const FlightInspection& inspection, const std::string& name) {
   const auto it = std::find_if(inspection.lessons.begin(), inspection.lessons.end(),
-                               [&](const Lesson& l) { return l.full_name == name; });
+                               [&](const ParameterLesson& l) { return l.full_name == name; });
   return it != inspection.lessons.end() ? &*it : nullptr;
 }
 

@@ -265,8 +265,8 @@ TEST(PredictLeftOut, PredictsABlockWithWhatTheOthersShow) {
   options.max_update_time_s = 10.0;
   const FlightLog log = HoverThenFly(model, DefaultTruth(model));
   const Calibration seen = Calibrate(log, log, vehicle, model, options);
-  const LeftOut halves = PredictLeftOut(log, log, vehicle, model, options, 10.0);
-  const LeftOut blocks = PredictLeftOut(log, log, vehicle, model, options, 2.5);
+  const LeftOutPrediction halves = PredictLeftOut(log, log, vehicle, model, options, 10.0);
+  const LeftOutPrediction blocks = PredictLeftOut(log, log, vehicle, model, options, 2.5);
   const double all = seen.prediction.figures.force_rmse_N->head<2>().norm();
   EXPECT_GT(halves.figures.force_rmse_N->head<2>().norm(), 2.0 * all);  // no drag was seen
   EXPECT_LT(blocks.figures.force_rmse_N->head<2>().norm(), 1.1 * all);

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <set>
+#include <stdexcept>
 
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/close_loop.h"

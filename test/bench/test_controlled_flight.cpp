@@ -5,7 +5,7 @@
 #include <memory>
 #include <stdexcept>
 
-#include "odmc/bench/closed_loop_flight.h"
+#include "odmc/bench/controlled_flight.h"
 #include "odmc/bench/experiments.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "support/test_actuator.h"
@@ -13,8 +13,8 @@
 namespace odmc {
 namespace {
 
-ClosedLoopSetup MakeSetup(const std::string& trajectory, double duration_s, int seed = 1) {
-  ClosedLoopSetup setup;
+ControlledFlightSetup MakeSetup(const std::string& trajectory, double duration_s, int seed = 1) {
+  ControlledFlightSetup setup;
   setup.vehicle = test::NominalVehicle();
   setup.truth_model = std::make_shared<DynamicModel>(setup.vehicle, setup.vehicle.effects);
   setup.truth = DrawTruth(*setup.truth_model, seed);
@@ -30,17 +30,17 @@ ClosedLoopSetup MakeSetup(const std::string& trajectory, double duration_s, int 
   return setup;
 }
 
-double Accepted(const ClosedLoopFlight& flight, const std::string& name) {
+double Accepted(const ControlledFlight& flight, const std::string& name) {
   return flight.accepted->Find(name)->value;
 }
 
-double Truth(const ClosedLoopSetup& setup, const std::string& name) {
+double Truth(const ControlledFlightSetup& setup, const std::string& name) {
   return setup.truth[setup.truth_model->IndexOf(name)];
 }
 
-TEST(ClosedLoopFlight, RepeatsExactly) {
-  const ClosedLoopSetup setup = MakeSetup("octo", 10.0);
-  const ClosedLoopFlight a = FlyClosedLoop(setup), b = FlyClosedLoop(setup);
+TEST(ControlledFlight, RepeatsExactly) {
+  const ControlledFlightSetup setup = MakeSetup("octo", 10.0);
+  const ControlledFlight a = FlyControlled(setup), b = FlyControlled(setup);
   ASSERT_EQ(a.samples.size(), b.samples.size());
   for (size_t i = 0; i < a.samples.size(); ++i) ASSERT_EQ(a.samples[i].p_WB, b.samples[i].p_WB);
 }
@@ -48,10 +48,10 @@ TEST(ClosedLoopFlight, RepeatsExactly) {
 // Take-off with nominal parameters, hand-over in flight, landing: the estimate is that of the
 // vehicle, and neither take-off nor touch-down has spoilt it. (Seed 2, here and below, is one that
 // ends with k_f off by a tenth or more where near_ground_m is 0.)
-TEST(ClosedLoopFlight, LearnsInFlightAndNotFromTheGround) {
+TEST(ControlledFlight, LearnsInFlightAndNotFromTheGround) {
   for (const int seed : {1, 2}) {
-    const ClosedLoopSetup setup = MakeSetup("octo", 20.0, seed);
-    const ClosedLoopFlight flight = FlyClosedLoop(setup);
+    const ControlledFlightSetup setup = MakeSetup("octo", 20.0, seed);
+    const ControlledFlight flight = FlyControlled(setup);
     EXPECT_EQ(flight.crash, "");
     ASSERT_TRUE(flight.accepted);
     EXPECT_LT(flight.first_accepted_s, 8.0);
@@ -64,21 +64,21 @@ TEST(ClosedLoopFlight, LearnsInFlightAndNotFromTheGround) {
   }
 }
 
-TEST(ClosedLoopFlight, BouncesWithoutLearning) {
-  ClosedLoopSetup setup = MakeSetup("hover", 12.0, 2);
+TEST(ControlledFlight, BouncesWithoutLearning) {
+  ControlledFlightSetup setup = MakeSetup("hover", 12.0, 2);
   setup.world.ground_damping_ratio = 0.2;
-  const ClosedLoopFlight flight = FlyClosedLoop(setup);
+  const ControlledFlight flight = FlyControlled(setup);
   EXPECT_EQ(flight.crash, "");
   ASSERT_TRUE(flight.accepted);
   EXPECT_NEAR(Accepted(flight, "thrust.k_f") / Truth(setup, "thrust.k_f"), 1.0, 0.02);
 }
 
-TEST(ClosedLoopFlight, HalvesTheErrorOfAnUncompensatedFlight) {
-  ClosedLoopSetup setup = MakeSetup("octo", 25.0);
+TEST(ControlledFlight, HalvesTheErrorOfAnUncompensatedFlight) {
+  ControlledFlightSetup setup = MakeSetup("octo", 25.0);
   setup.trajectory.top_speed_m_s = 5.0;
-  const TrackingErrors with = ErrorsOf(FlyClosedLoop(setup));
+  const TrackingErrors with = ErrorsOf(FlyControlled(setup));
   setup.controller.compensation = Compensation::None();
-  const TrackingErrors without = ErrorsOf(FlyClosedLoop(setup));
+  const TrackingErrors without = ErrorsOf(FlyControlled(setup));
   EXPECT_LT(with.rmse_m.x(), 0.5 * without.rmse_m.x());
   EXPECT_LT(with.rmse_m.y(), 0.5 * without.rmse_m.y());
   EXPECT_LT(with.rmse_m.x(), 0.034);
@@ -87,11 +87,11 @@ TEST(ClosedLoopFlight, HalvesTheErrorOfAnUncompensatedFlight) {
 }
 
 // Its last word stays in use.
-TEST(ClosedLoopFlight, FliesOnWithoutTheEstimator) {
-  ClosedLoopSetup setup = MakeSetup("octo", 25.0);
+TEST(ControlledFlight, FliesOnWithoutTheEstimator) {
+  ControlledFlightSetup setup = MakeSetup("octo", 25.0);
   setup.trajectory.top_speed_m_s = 5.0;
   setup.estimator_dies_at_s = 15.0;
-  const ClosedLoopFlight flight = FlyClosedLoop(setup);
+  const ControlledFlight flight = FlyControlled(setup);
   EXPECT_EQ(flight.crash, "");
   const TrackingErrors late = ErrorsBetween(flight, 20.0, 29.0);
   EXPECT_LT(late.rmse_m.norm(), 0.015);
@@ -99,30 +99,30 @@ TEST(ClosedLoopFlight, FliesOnWithoutTheEstimator) {
   EXPECT_EQ(flight.handover.back().to, HandoverState::kHolding);
 }
 
-TEST(ClosedLoopFlight, FliesOnWhenTheEstimatorDiesBeforeItSaidAnything) {
-  ClosedLoopSetup setup = MakeSetup("octo", 12.0);
+TEST(ControlledFlight, FliesOnWhenTheEstimatorDiesBeforeItSaidAnything) {
+  ControlledFlightSetup setup = MakeSetup("octo", 12.0);
   setup.estimator_dies_at_s = 1.5;
-  const ClosedLoopFlight flight = FlyClosedLoop(setup);
+  const ControlledFlight flight = FlyControlled(setup);
   EXPECT_EQ(flight.crash, "");
   EXPECT_FALSE(flight.accepted);
   EXPECT_EQ(flight.samples.back().handover, HandoverState::kNominal);
 }
 
 // Whoever takes a load in flight weighs a sixth less in thrust coefficients: the mass is fixed.
-TEST(ClosedLoopFlight, LearnsALoadAndItsDrop) {
-  ClosedLoopSetup setup = MakeSetup("octo", 30.0);
+TEST(ControlledFlight, LearnsALoadAndItsDrop) {
+  ControlledFlightSetup setup = MakeSetup("octo", 30.0);
   setup.world.payload_kg = 0.2 * setup.vehicle.mass_kg;
   setup.world.payload_p_B_m = {0.0, 0.0, -0.03};
   setup.world.payload_attach_at_s = 15.0;
-  const ClosedLoopFlight flight = FlyClosedLoop(setup);
+  const ControlledFlight flight = FlyControlled(setup);
   EXPECT_EQ(flight.crash, "");
   EXPECT_NEAR(1.2 * Accepted(flight, "thrust.k_f") / Truth(setup, "thrust.k_f"), 1.0, 0.02);
   EXPECT_LT(ErrorsBetween(flight, 20.0, 34.0).rmse_m.norm(), 0.02);
 }
 
 // Motors that are `gain` times as strong as everybody on board believes.
-ClosedLoopSetup MakeThrottleSetup(double gain, int seed = 1) {
-  ClosedLoopSetup setup = MakeSetup("octo", 20.0, seed);
+ControlledFlightSetup MakeThrottleSetup(double gain, int seed = 1) {
+  ControlledFlightSetup setup = MakeSetup("octo", 20.0, seed);
   Vehicle truth = setup.vehicle;
   setup.vehicle.actuator = test::GenericActuator();
   truth.actuator = test::WithGain(test::GenericActuator(), gain);
@@ -132,12 +132,12 @@ ClosedLoopSetup MakeThrottleSetup(double gain, int seed = 1) {
   return setup;
 }
 
-TEST(ClosedLoopFlight, FliesByThrottleWithAnActuatorThatIsNotQuiteRight) {
+TEST(ControlledFlight, FliesByThrottleWithAnActuatorThatIsNotQuiteRight) {
   double rmse_m[3];
   const double gains[] = {0.97, 1.0, 1.03};
   for (int i = 0; i < 3; ++i) {
-    const ClosedLoopSetup setup = MakeThrottleSetup(gains[i]);
-    const ClosedLoopFlight flight = FlyClosedLoop(setup);
+    const ControlledFlightSetup setup = MakeThrottleSetup(gains[i]);
+    const ControlledFlight flight = FlyControlled(setup);
     EXPECT_EQ(flight.crash, "");
     rmse_m[i] = ErrorsBetween(flight, 10.0, 21.0).rmse_m.norm();
     EXPECT_LT(rmse_m[i], 0.03) << gains[i];
@@ -151,12 +151,12 @@ TEST(ClosedLoopFlight, FliesByThrottleWithAnActuatorThatIsNotQuiteRight) {
 }
 
 // Nobody on board has a rotor-speed sensor.
-TEST(ClosedLoopFlight, LearnsFromCommandsAlone) {
+TEST(ControlledFlight, LearnsFromCommandsAlone) {
   for (const int seed : {1, 2}) {
-    ClosedLoopSetup setup = MakeThrottleSetup(1.01, seed);
+    ControlledFlightSetup setup = MakeThrottleSetup(1.01, seed);
     setup.rotor_speed_from_commands = true;
     setup.world.rotor_rate_hz = 0.0;
-    const ClosedLoopFlight flight = FlyClosedLoop(setup);
+    const ControlledFlight flight = FlyControlled(setup);
     EXPECT_EQ(flight.crash, "");
     EXPECT_TRUE(flight.log.rotors.empty());
     EXPECT_LT(ErrorsBetween(flight, 10.0, 21.0).rmse_m.norm(), 0.04);
@@ -169,50 +169,50 @@ TEST(ClosedLoopFlight, LearnsFromCommandsAlone) {
 }
 
 // The true actuator is inverted for whoever commands speeds.
-TEST(ClosedLoopFlight, FliesRotorSpeedsOfAVehicleWithAnActuator) {
-  ClosedLoopSetup setup = MakeThrottleSetup(1.03);
+TEST(ControlledFlight, FliesRotorSpeedsOfAVehicleWithAnActuator) {
+  ControlledFlightSetup setup = MakeThrottleSetup(1.03);
   setup.by_throttle = false;
   setup.vehicle.actuator.reset();
-  const ClosedLoopFlight flight = FlyClosedLoop(setup);
+  const ControlledFlight flight = FlyControlled(setup);
   EXPECT_EQ(flight.crash, "");
   EXPECT_LT(ErrorsBetween(flight, 10.0, 21.0).rmse_m.norm(), 0.02);
   setup.by_throttle = true;
-  EXPECT_THROW(FlyClosedLoop(setup), std::invalid_argument);
+  EXPECT_THROW(FlyControlled(setup), std::invalid_argument);
 }
 
-TEST(ClosedLoopFlight, SurvivesAJumpOfTheOdometry) {
-  ClosedLoopSetup setup = MakeSetup("hover", 15.0);
+TEST(ControlledFlight, SurvivesAJumpOfTheOdometry) {
+  ControlledFlightSetup setup = MakeSetup("hover", 15.0);
   setup.world.jump_at_s = 10.0;
   setup.world.jump_m = {0.8, 0.0, 0.0};
-  const ClosedLoopFlight flight = FlyClosedLoop(setup);
+  const ControlledFlight flight = FlyControlled(setup);
   EXPECT_EQ(flight.crash, "");
   EXPECT_NEAR(flight.samples.back().p_WB.x(), -0.8, 0.1);  // where odometry says 0
 }
 
-TEST(ClosedLoopFlight, SaysWhatACrashWas) {
-  ClosedLoopSetup setup = MakeSetup("octo", 20.0);
+TEST(ControlledFlight, SaysWhatACrashWas) {
+  ControlledFlightSetup setup = MakeSetup("octo", 20.0);
   setup.world.damage_at_s = 8.0;
   setup.world.damage_share = 1.0;  // a rotor gone
-  EXPECT_NE(FlyClosedLoop(setup).crash, "");
+  EXPECT_NE(FlyControlled(setup).crash, "");
 }
 
-TEST(ClosedLoopFlight, StartsWarmFromASavedSet) {
-  ClosedLoopSetup setup = MakeSetup("octo", 15.0);
-  const ClosedLoopFlight first = FlyClosedLoop(setup);
+TEST(ControlledFlight, StartsWarmFromASavedSet) {
+  ControlledFlightSetup setup = MakeSetup("octo", 15.0);
+  const ControlledFlight first = FlyControlled(setup);
   ASSERT_TRUE(first.accepted);
   setup.warm_start = first.accepted;
   setup.seed = 2;
-  const ClosedLoopFlight second = FlyClosedLoop(setup);
+  const ControlledFlight second = FlyControlled(setup);
   const double until_s = first.first_accepted_s;
   EXPECT_LT(ErrorsBetween(second, 0.0, until_s).rmse_m.z(),
             0.5 * ErrorsBetween(first, 0.0, until_s).rmse_m.z());
 }
 
 // Twenty times real time is asked of one core; machines that share theirs are slower.
-TEST(ClosedLoopFlight, IsMuchFasterThanRealTimeWithoutTheEstimator) {
-  ClosedLoopSetup setup = MakeSetup("octo", 30.0);
+TEST(ControlledFlight, IsMuchFasterThanRealTimeWithoutTheEstimator) {
+  ControlledFlightSetup setup = MakeSetup("octo", 30.0);
   setup.estimates = false;
-  const ClosedLoopFlight flight = FlyClosedLoop(setup);
+  const ControlledFlight flight = FlyControlled(setup);
   std::printf("%.0f times real time, control step p99 %.4f ms\n", flight.flown_s / flight.wall_s,
               flight.control_ms_p99);
   EXPECT_GT(flight.flown_s / flight.wall_s, 10.0);

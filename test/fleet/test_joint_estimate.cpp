@@ -100,7 +100,7 @@ TEST(FlightFactor, AnErrorAddsItsSquareToTheCovarianceAndLeavesTheCentre) {
   const MatrixXd before = covariance();
   const VectorXd centre = factor.root.inverse() * factor.rhs,
                  error = 0.3 * random.Vector(kParameters);
-  AddError(error, &factor);
+  AddErrorToFactor(error, &factor);
   EXPECT_LT((covariance() - before - error * error.transpose()).norm(), 1e-9 * before.norm());
   EXPECT_LT((factor.root.inverse() * factor.rhs - centre).norm(), 1e-9 * centre.norm());
   EXPECT_TRUE(factor.root.isUpperTriangular());

@@ -17,7 +17,7 @@ using test::BenchErrors;
 using test::StepBench;
 using test::TypicalMotor;
 
-Measured Found(const std::vector<ActuatorParameter>& parameters, const std::string& name) {
+MeasuredValue Found(const std::vector<ActuatorParameter>& parameters, const std::string& name) {
   for (const ActuatorParameter& p : parameters) {
     if (p.name == name && p.found) return *p.found;
   }
@@ -77,7 +77,7 @@ TEST(Identification, SigmaIsHonest) {
     for (const auto& [name, value] :
          {std::pair<const char*, double>{"time_constant_s", truth.dynamics.TimeConstant(speed)},
           {"delay_s", truth.delay_s}}) {
-      const Measured found = Found(fit.common.parameters, name);
+      const MeasuredValue found = Found(fit.common.parameters, name);
       const double z = (found.value - value) / found.sigma;
       worst = std::max(worst, std::abs(z));
       squares += z * z;
@@ -150,9 +150,9 @@ TEST(Identification, TorqueCoefficientNeedsTheInertia) {
   errors.noise_rad_s = 0.5;
   const BenchRun run = StepBench(TypicalMotor(), errors, 1);
   EXPECT_FALSE(Knows(CalibrateActuator({run}, std::nullopt).parameters, "k_m"));
-  const Measured inertia = {3e-6, 3e-7};
+  const MeasuredValue inertia = {3e-6, 3e-7};
   const ActuatorCalibration c = CalibrateActuator({run}, inertia);
-  const Measured k_m = Found(c.parameters, "k_m"), S2 = Found(c.parameters, "S_2");
+  const MeasuredValue k_m = Found(c.parameters, "k_m"), S2 = Found(c.parameters, "S_2");
   EXPECT_NEAR(k_m.value, S2.value * 3e-6, 1e-15);
   EXPECT_GT(k_m.sigma / k_m.value, 0.1);  // at least that of the inertia
   EXPECT_NEAR(k_m.value, 0.006 * 3e-6, 4.0 * k_m.sigma);

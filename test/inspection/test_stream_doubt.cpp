@@ -25,11 +25,11 @@ RareError ByNumbers(double value, double sigma, double prior, double size) {
   return {there / (there + not_there), mean, std::sqrt(square / all - mean * mean)};
 }
 
-TEST(Posterior, IsBayesRule) {
+TEST(RareErrorPosterior, IsBayesRule) {
   for (const double value : {-0.03, 0.0, 0.004, 0.012, 0.05}) {
     for (const double sigma : {0.001, 0.005, 0.02}) {
       const RareError expected = ByNumbers(value, sigma, 0.1, 0.02);
-      const RareError found = Posterior(value, sigma, 0.1, 0.02);
+      const RareError found = RareErrorPosterior(value, sigma, 0.1, 0.02);
       EXPECT_NEAR(found.probability, expected.probability, 1e-6) << value << " " << sigma;
       EXPECT_NEAR(found.mean, expected.mean, 1e-6);
       EXPECT_NEAR(found.sigma, expected.sigma, 1e-6);
@@ -37,14 +37,14 @@ TEST(Posterior, IsBayesRule) {
   }
 }
 
-TEST(Posterior, NothingMeasuredLeavesThePrior) {
-  const RareError error = Posterior(0.0, 1e6, 0.1, 0.02);
+TEST(RareErrorPosterior, NothingMeasuredLeavesThePrior) {
+  const RareError error = RareErrorPosterior(0.0, 1e6, 0.1, 0.02);
   EXPECT_NEAR(error.probability, 0.1, 1e-6);
   EXPECT_NEAR(error.rms(), std::sqrt(0.1) * 0.02, 1e-6);
-  EXPECT_NEAR(Posterior(1.0, 1e-6, 0.1, 0.02).probability, 1.0, 1e-12);  // and is finite
+  EXPECT_NEAR(RareErrorPosterior(1.0, 1e-6, 0.1, 0.02).probability, 1.0, 1e-12);  // and is finite
 }
 
-TEST(Undo, TakesTheErrorOutAgain) {
+TEST(UndoDoubt, TakesTheErrorOutAgain) {
   FlightLog log;
   for (int i = 0; i < 20; ++i) {
     RotorSample rotors;
@@ -56,12 +56,12 @@ TEST(Undo, TakesTheErrorOutAgain) {
     odometry.v_WS = Eigen::Vector3d(1.0, 2.0, 3.0);
     log.odometry.push_back(odometry);
   }
-  Undo({"rotor_speeds", 0.02}, &log);
+  UndoDoubt({"rotor_speeds", 0.02}, &log);
   EXPECT_EQ(log.rotors[0].stamp, FromSeconds(-0.02));
-  Undo({"rotor_speeds", 0.0, 1.25, 2}, &log);
+  UndoDoubt({"rotor_speeds", 0.0, 1.25, 2}, &log);
   EXPECT_DOUBLE_EQ(log.rotors[5].speed[2], 400.0);
   EXPECT_DOUBLE_EQ(log.rotors[5].speed[1], 500.0);
-  Undo({"velocity", 0.0, 2.0}, &log);
+  UndoDoubt({"velocity", 0.0, 2.0}, &log);
   EXPECT_DOUBLE_EQ(log.odometry[7].v_WS->y(), 1.0);
 }
 

@@ -100,7 +100,7 @@ TEST_F(BenchCsvTest, ActuatorFilesReadBackAndGoIntoVehicles) {
   actuator.motors = {test::TypicalMotor()};
   actuator.sigma_steady_rad_s = 3.5;
   actuator.sigma_response_rad_s = 7.0;
-  actuator.k_m = Measured{2.1e-8, 1e-10};
+  actuator.k_m = MeasuredValue{2.1e-8, 1e-10};
   SaveActuator(actuator, "made up", folder_.File("motors.yaml"));
   const Actuator read = LoadActuator(folder_.File("motors.yaml"));
   EXPECT_EQ(FormatActuator(read, "made up"), FormatActuator(actuator, "made up"));

@@ -1,4 +1,4 @@
-"""What the rostests of closed-loop flight share: launch/simulation.launch and what it publishes."""
+"""What the rostests of flight under the controller share: launch/simulation.launch and what it publishes."""
 
 import math
 import os

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A whole flight in closed loop: from the ground, along the octo, with the estimate, and down."""
+"""A whole flight under the controller: from the ground, along the octo, with the estimate, and down."""
 
 import os
 import sys

@@ -60,7 +60,7 @@ TEST(MotorCommandsMessage, IsRefusedWhereItIsNotSound) {
 
 // ---- References --------------------------------------------------------------------------------
 
-TEST(MovedOn, FollowsConstantSnap) {
+TEST(ReferenceMovedOn, FollowsConstantSnap) {
   FlatReference r;
   r.p_WB = {1.0, 0.0, 2.0};
   r.v_WB = {2.0, -1.0, 0.0};
@@ -71,7 +71,7 @@ TEST(MovedOn, FollowsConstantSnap) {
   r.d_yaw = 0.5;
   r.dd_yaw = 2.0;
   const double t = 0.5;
-  const FlatReference moved = MovedOn(r, t);
+  const FlatReference moved = ReferenceMovedOn(r, t);
   EXPECT_NEAR(moved.p_WB.x(), 1.0 + 2.0 * t + t * t * t, 1e-12);
   EXPECT_NEAR(moved.p_WB.y(), -t + 1.5 * t * t + std::pow(t, 4), 1e-12);
   EXPECT_NEAR(moved.v_WB.z(), 0.5 * t - 1.5 * t * t, 1e-12);
@@ -81,17 +81,17 @@ TEST(MovedOn, FollowsConstantSnap) {
   EXPECT_NEAR(moved.d_yaw, 0.5 + 2.0 * t, 1e-12);
 }
 
-TEST(Between, HasBothEndsAndDerivativesOfItself) {
+TEST(ReferenceBetween, HasBothEndsAndDerivativesOfItself) {
   const Trajectory octo("octo");
   const TimedReference from = PointOf(octo, 5.0), to = PointOf(octo, 5.2);
   for (const TimedReference& end : {from, to}) {
-    const FlatReference r = Between(from, to, end.stamp);
+    const FlatReference r = ReferenceBetween(from, to, end.stamp);
     EXPECT_NEAR((r.p_WB - end.reference.p_WB).norm(), 0.0, 1e-9);
     EXPECT_NEAR((r.v_WB - end.reference.v_WB).norm(), 0.0, 1e-9);
     EXPECT_NEAR((r.a_WB - end.reference.a_WB).norm(), 0.0, 1e-8);
   }
   const double h = 1e-4;
-  const auto at = [&](double t_s) { return Between(from, to, FromSeconds(t_s)); };
+  const auto at = [&](double t_s) { return ReferenceBetween(from, to, FromSeconds(t_s)); };
   const FlatReference low = at(5.1 - h), mid = at(5.1), high = at(5.1 + h);
   EXPECT_NEAR(((high.p_WB - low.p_WB) / (2.0 * h) - mid.v_WB).norm(), 0.0, 1e-5);
   EXPECT_NEAR(((high.a_WB - low.a_WB) / (2.0 * h) - mid.j_WB).norm(), 0.0, 1e-3);

@@ -10,9 +10,9 @@ namespace odmc {
 /// One coefficient of a thrust stand: force or torque = coefficient * sum of squared speeds +
 /// offset.
 struct StandFit {
-  Measured coefficient;           ///< of one rotor [N s²] or [N m s²]
-  std::vector<Measured> offsets;  ///< of the cell [N] or [N m], one per run; empty: not fitted
-  double rmse = 0.0;              ///< [N] or [N m], without outliers
+  MeasuredValue coefficient;           ///< of one rotor [N s²] or [N m s²]
+  std::vector<MeasuredValue> offsets;  ///< of the cell [N] or [N m], one per run; empty: not fitted
+  double rmse = 0.0;                   ///< [N] or [N m], without outliers
   long rows = 0, outliers = 0;
 };
 

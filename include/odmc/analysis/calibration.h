@@ -29,7 +29,7 @@ struct TimingFigures {
 };
 
 /// How a model predicts what its estimate has not seen: every block of a flight left out in turn.
-struct LeftOut {
+struct LeftOutPrediction {
   double block_s = 0.0;
   PredictionFigures figures;  ///< of all blocks; inertia_over_nominal empty: each has its own
 };
@@ -44,7 +44,7 @@ struct Calibration {
   Prediction prediction;
   TorqueBands bands;
   Eigen::Vector3d nominal_inertia = Eigen::Vector3d::Ones();  ///< of the vehicle file [kg m²]
-  std::optional<LeftOut> left_out;                            ///< where it was asked for
+  std::optional<LeftOutPrediction> left_out;                  ///< where it was asked for
   std::vector<std::optional<double>> convergence_s;           ///< per parameter
   TimingFigures wall, cpu;                                    ///< of the updates after the start
   TimingFigures wall_start;                                   ///< of those in it
@@ -116,9 +116,9 @@ void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
 /// @param log, recording, file_vehicle as in Calibrate()
 /// @throws std::invalid_argument if the flight is shorter than two blocks, or if the vehicle never
 ///   flies outside one of them
-LeftOut PredictLeftOut(const FlightLog& log, const FlightLog& recording,
-                       const Vehicle& file_vehicle, const DynamicModel& model,
-                       const EstimatorOptions& options, double block_s);
+LeftOutPrediction PredictLeftOut(const FlightLog& log, const FlightLog& recording,
+                                 const Vehicle& file_vehicle, const DynamicModel& model,
+                                 const EstimatorOptions& options, double block_s);
 
 /// Predicts a flight with `parameters` as they are; no fitting.
 /// @param predicted as in Calibrate()

@@ -14,7 +14,7 @@ namespace odmc {
 /// flight's motion and rotors, and on itself, 0.12 s and more ago; and on what it would be in the
 /// motion that these foresee, since products of states are foreseen as products.
 ///
-/// In closed loop the noise of the present is in the rotors a moment later, and so it is within the
+/// Under feedback the noise of the present is in the rotors a moment later, and so it is within the
 /// filter's window; noise of rotor speeds is in every torque. A regression on such columns takes
 /// both for physics. What the past says of them has neither (instrumental variables; Young,
 /// Recursive Estimation and Time-Series Analysis, 2011, ch. 7-9). What the past does not foresee is

@@ -17,7 +17,7 @@
 namespace odmc {
 
 /// A flight with the estimator in the loop, and everybody's idea of the vehicle.
-struct ClosedLoopSetup {
+struct ControlledFlightSetup {
   Vehicle vehicle;                                  ///< what estimator and controller start from
   std::shared_ptr<const DynamicModel> truth_model;  ///< what flies
   ModelValues truth;                                ///< its values
@@ -55,8 +55,8 @@ struct TrackingErrors {
   Eigen::Vector3d max_m = Eigen::Vector3d::Zero();  ///< largest absolute value
 };
 
-/// What a closed-loop flight left behind.
-struct ClosedLoopFlight {
+/// What a controlled flight left behind.
+struct ControlledFlight {
   std::vector<TrackingSample> samples;  ///< 100 a second
   std::vector<HandoverEvent> handover;
   std::optional<ParameterSet> accepted;  ///< the newest estimate that was accepted
@@ -77,11 +77,11 @@ struct ClosedLoopFlight {
 /// above 120 deg or an error above 2 m.
 /// @throws std::invalid_argument for options that are not valid, and for throttles or rotor speeds
 ///   from commands without the actuators these take
-ClosedLoopFlight FlyClosedLoop(const ClosedLoopSetup& setup, double longest_s = 60.0);
+ControlledFlight FlyControlled(const ControlledFlightSetup& setup, double longest_s = 60.0);
 
 /// Errors of the samples that count and lie in [from_s, to_s).
-TrackingErrors ErrorsBetween(const ClosedLoopFlight& flight, double from_s, double to_s);
+TrackingErrors ErrorsBetween(const ControlledFlight& flight, double from_s, double to_s);
 /// Of all that count.
-TrackingErrors ErrorsOf(const ClosedLoopFlight& flight);
+TrackingErrors ErrorsOf(const ControlledFlight& flight);
 
 }  // namespace odmc

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "odmc/bench/closed_loop_flight.h"
+#include "odmc/bench/controlled_flight.h"
 
 namespace odmc {
 
@@ -38,7 +38,7 @@ struct Experiment {
   std::string name, description;
   std::vector<std::string> variants;
   std::map<std::string, VariantFigures> figures;    ///< by variant
-  std::map<std::string, ClosedLoopFlight> example;  ///< by the flight's variant, first seed
+  std::map<std::string, ControlledFlight> example;  ///< by the flight's variant, first seed
   double recovery_limit_s = 0.0;
 };
 
@@ -60,6 +60,6 @@ std::string ExperimentReport(const std::vector<Experiment>& experiments);
 std::string ExperimentTable(const std::vector<Experiment>& experiments);
 
 /// Samples of one flight: t_s, reference, position, error, for pictures.
-std::string TrackingCsv(const ClosedLoopFlight& flight);
+std::string TrackingCsv(const ControlledFlight& flight);
 
 }  // namespace odmc

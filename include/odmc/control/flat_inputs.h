@@ -19,7 +19,7 @@ struct FlatInputs {
 
 /// The reference less what the air does along it: acceleration, jerk and snap that are left to
 /// rotors and gravity. Differences of 10 ms give the derivatives of the air's force.
-FlatReference WithoutAir(const ControlModel& model, const FlatReference& reference);
+FlatReference ReferenceWithoutAir(const ControlModel& model, const FlatReference& reference);
 
 /// Differential flatness with the model's own effects: fed open-loop to a vehicle that is on the
 /// reference and has this model, the rotor speeds keep it there.        model.md section 11

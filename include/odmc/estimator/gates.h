@@ -20,7 +20,7 @@ Eigen::Vector3d RotorTorqueDirection(const Vehicle& vehicle, const RotorVector& 
 /// Tells per axis whether the flight shows the inertia at all. Regresses the angular acceleration
 /// on the rotor torque (differences over 50 ms, damping and a torque in proportion to thrust taken
 /// out): regressed the other way round it gives 1/r² times the inertia, so below r² = 0.5 two
-/// honest procedures differ by more than two (closed-loop flight through unsteady air does that:
+/// honest procedures differ by more than two (feedback in unsteady air does that:
 /// the rotors fight a disturbance, and their torque goes with minus the disturbance instead of the
 /// acceleration). The inertia then stays at its prior.
 class InertiaGate {

@@ -40,7 +40,7 @@ void SetLikelihood(const Eigen::VectorXd& value, const Eigen::MatrixXd& covarian
 /// Lets the flight's estimate be off by an error of this size, of either sign: the covariance of
 /// its likelihood grows by the error's square, the centre stays.
 /// @param error n×1, in units of the parameters
-void AddError(const Eigen::VectorXd& error, FlightFactor* factor);
+void AddErrorToFactor(const Eigen::VectorXd& error, FlightFactor* factor);
 
 /// What an estimate says about the vehicle's parameters.
 /// @param model with which it was made: its priors are taken out

@@ -53,10 +53,10 @@ std::vector<Eigen::VectorXd> ExpectedOfLeftOut(const std::vector<FlightFactor>& 
 /// What the flights say about one parameter apart, the others where all of them have it: value
 /// minus D_i beta, and its sigma from what the flight itself cannot show (its noise, the scatter of
 /// the other parameters); an infinite sigma where it shows nothing.
-struct Departure {
+struct FlightDeparture {
   double value = 0.0, sigma = 0.0;
 };
-std::vector<Departure> DeparturesOf(int parameter, const std::vector<FlightFactor>& factors,
-                                    const FleetModel& model, const RandomEffects& fit);
+std::vector<FlightDeparture> DeparturesOf(int parameter, const std::vector<FlightFactor>& factors,
+                                          const FleetModel& model, const RandomEffects& fit);
 
 }  // namespace odmc

@@ -14,10 +14,10 @@ namespace odmc {
 struct ActuatorCalibration {
   ActuatorFit fit;
   std::optional<StandFit> thrust, torque;
-  std::optional<Measured> rotor_inertia_kg_m2;  ///< as it was given
-  std::vector<ActuatorParameter> parameters;    ///< k_f, k_m and those of all motors as one type
-  FreeRunError error;                           ///< of every motor's own fit, together
-  std::vector<std::string> warnings;            ///< one sentence each
+  std::optional<MeasuredValue> rotor_inertia_kg_m2;  ///< as it was given
+  std::vector<ActuatorParameter> parameters;  ///< k_f, k_m and those of all motors as one type
+  FreeRunError error;                         ///< of every motor's own fit, together
+  std::vector<std::string> warnings;          ///< one sentence each
 };
 
 /// Whether any motor of the run ever read a speed above 0.
@@ -28,7 +28,7 @@ bool HasSpeeds(const BenchRun& run);
 ///   torque
 /// @throws std::invalid_argument as IdentifyActuator()
 ActuatorCalibration CalibrateActuator(const std::vector<BenchRun>& runs,
-                                      const std::optional<Measured>& rotor_inertia_kg_m2);
+                                      const std::optional<MeasuredValue>& rotor_inertia_kg_m2);
 
 /// What a vehicle file includes.
 Actuator ActuatorOf(const ActuatorCalibration& calibration);

@@ -22,7 +22,7 @@ struct FreeRunError {
 /// A parameter of the actuator as reports show it; no value where the run can't give it.
 struct ActuatorParameter {
   std::string name, unit;
-  std::optional<Measured> found;
+  std::optional<MeasuredValue> found;
 };
 
 /// One motor, or all of a vehicle taken as one type, fitted to everything measured.

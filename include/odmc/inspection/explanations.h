@@ -14,7 +14,7 @@ struct Explanation {
 };
 
 /// What blocks of windows say about explanations of the same windows.
-struct Verdict {
+struct BestExplanation {
   int best = 0;            ///< index of the explanation with the least error
   double share = 1.0;      ///< its mean square over that of the first, median of the blocks
   double sigmas = 0.0;     ///< of the mean log ratio over blocks, in standard errors
@@ -45,10 +45,11 @@ constexpr double kTowardsShare = 0.5;
 
 /// Readings that explain all but as much cannot be told apart: of these, the one that comes first
 /// is taken. (Mean square over the least, median of the blocks; log ratio in standard errors.)
-constexpr double kAsGood = 1.1, kAsGoodSigmas = 3.0;
+constexpr double kAsGoodShare = 1.1, kAsGoodSigmas = 3.0;
 
 /// Compares explanations (the first: as it is; then the likeliest first). @param windows_per_block
 /// > 0
-Verdict Judge(const std::vector<Explanation>& explanations, int windows_per_block);
+BestExplanation CompareExplanations(const std::vector<Explanation>& explanations,
+                                    int windows_per_block);
 
 }  // namespace odmc

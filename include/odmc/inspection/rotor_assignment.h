@@ -40,7 +40,7 @@ struct RotorAssignment {
 ///
 /// Evidence of an assignment: the response's coefficients are the file's levers times a common gain
 /// (inertia and thrust may be off by a factor), with a scatter of every rotor, a centre of gravity
-/// beside the file's and an error of the regression (closed loop, coupling of axes); for yaw, those
+/// beside the file's and an error of the regression (feedback, coupling of axes); for yaw, those
 /// of reaction torque and rotor inertia, with leaning rotors. These errors bound the evidence, so
 /// that a long flight does not make nats out of a slightly wrong model. Where nothing fits, all
 /// nats are lowered until the best one does. Coaxial rotors have the same levers: orders that

@@ -19,7 +19,7 @@ struct RareError {
 /// @param value, sigma what was measured of it, Gaussian
 /// @param prior probability that there is one
 /// @param size standard deviation of those that there are
-RareError Posterior(double value, double sigma, double prior, double size);
+RareError RareErrorPosterior(double value, double sigma, double prior, double size);
 
 /// What may be wrong with a stream, but not so surely that it was mended: the estimate says by how
 /// much it would be another one.
@@ -31,6 +31,6 @@ struct StreamDoubt {
 };
 
 /// Turns the log into the one that would have been recorded without the error.
-void Undo(const StreamDoubt& doubt, FlightLog* log);
+void UndoDoubt(const StreamDoubt& doubt, FlightLog* log);
 
 }  // namespace odmc

@@ -41,7 +41,7 @@ std::optional<TimeOffset> ThrustOffset(const MotionSignals& signals, const Vehic
 
 /// Mean of two offsets of one stream, weighed by their precision; the sigma grows where they
 /// contradict each other. One that is not determined leaves the other.
-std::optional<TimeOffset> Together(const std::optional<TimeOffset>& a,
-                                   const std::optional<TimeOffset>& b);
+std::optional<TimeOffset> CombinedOffset(const std::optional<TimeOffset>& a,
+                                         const std::optional<TimeOffset>& b);
 
 }  // namespace odmc

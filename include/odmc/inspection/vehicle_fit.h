@@ -13,7 +13,7 @@
 namespace odmc {
 
 /// Which of several ways a flight says, by Bayes' rule.
-struct Choice {
+struct FittedChoice {
   bool is_told = false;      ///< the flight tells: right in 99 of a hundred such cases
   double probability = 0.0;  ///< of the one taken
   double lead_nats = 0.0;    ///< log odds of the one taken to the next likely one
@@ -39,10 +39,10 @@ struct VehicleFit {
   bool rotors_tested = false;  ///< false: nothing is known of the rotors, and the rest is empty
   double flight_s = 0.0;       ///< that the rotors were tested on
   std::vector<int> order;  ///< per column of rotor speeds: the nominal rotor at whose place it is
-  Choice order_choice;
+  FittedChoice order_choice;
   double nominal_order_probability = 0.0;  ///< of readings in the order of the nominal rotors
   std::vector<double> spin;                ///< per column: as Rotor::spin
-  Choice spin_choice;
+  FittedChoice spin_choice;
   bool spins_are_usual = true;  ///< those of the nominal places, or their mirror image
   std::optional<ShownInertia> inertia_x, inertia_y;  ///< for the nominal arms
   std::vector<FrameFit> other_frames;                ///< of as many rotors

@@ -62,8 +62,8 @@ std::vector<int> ParseOrder(const std::string& text);
 
 /// Entries of a message in the order of the vehicle's rotors.
 /// @returns nothing if the message has too few
-std::optional<std::vector<double>> InOrder(const std::vector<double>& entries,
-                                           const std::vector<int>& order);
+std::optional<std::vector<double>> EntriesInOrder(const std::vector<double>& entries,
+                                                  const std::vector<int>& order);
 
 /// Type of a message, as connections and bags describe it.
 struct MessageDescription {

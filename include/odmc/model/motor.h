@@ -60,7 +60,7 @@ struct Motor {
 };
 
 /// A value with its standard deviation.
-struct Measured {
+struct MeasuredValue {
   double value = 0.0;
   double sigma = 0.0;
 };
@@ -72,8 +72,8 @@ struct Actuator {
   bool knows_dynamics = true;  ///< false: from steady readings; S_1, S_2 and the delay are guesses
   std::vector<Motor> motors;   ///< one for all rotors, or one each in the vehicle file's order
   double sigma_steady_rad_s = 0.0, sigma_response_rad_s = 0.0;  ///< error of a free run, RMS
-  std::optional<Measured> k_f;  ///< of one rotor [N s²], where a stand measured thrust
-  std::optional<Measured> k_m;  ///< of one rotor [N m s²], where torque or inertia was known
+  std::optional<MeasuredValue> k_f;  ///< of one rotor [N s²], where a stand measured thrust
+  std::optional<MeasuredValue> k_m;  ///< of one rotor [N m s²], where torque or inertia was known
 
   /// Whether there is one motor for all rotors or one for each.
   bool Fits(int num_rotors) const {

@@ -36,7 +36,7 @@ DynamicParameter ToMessage(const ParameterEstimate& p);
 /// The input if a sensor can have measured it, its attitude made unit, its rotor speeds without
 /// their sign; nothing where it has no stamp, numbers that are not finite, an attitude that is not
 /// unit, or a throttle that is no share of full throttle but a pulse width or the like.
-std::optional<InputSample> Accepted(InputSample input);
+std::optional<InputSample> AcceptedInput(InputSample input);
 
 /// Messages to accepted inputs.
 std::optional<OdometryInput> ToInput(const nav_msgs::Odometry& message);

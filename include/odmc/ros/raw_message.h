@@ -98,7 +98,7 @@ namespace odmc {
 /// The message itself, of a type that is compiled in.
 /// @throws std::invalid_argument where it was of another version of the type
 template <typename Message>
-Message Decode(const RawMessage& raw) {
+Message DecodeMessage(const RawMessage& raw) {
   if (raw.md5() != ros::message_traits::MD5Sum<Message>::value()) {
     throw std::invalid_argument("holds another version of " + raw.type() +
                                 " (its definition differs)");

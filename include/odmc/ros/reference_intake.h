@@ -17,10 +17,10 @@ struct TimedReference {
 /// Between two points: the polynomials of degree 5 in x, y, z and yaw that have position, velocity
 /// and acceleration of both, which give jerk and snap, too. Yaw is not unwrapped.
 /// @pre from.stamp < to.stamp
-FlatReference Between(const TimedReference& from, const TimedReference& to, Stamp at);
+FlatReference ReferenceBetween(const TimedReference& from, const TimedReference& to, Stamp at);
 
 /// `reference` moved on by `dt` seconds of constant snap.
-FlatReference MovedOn(const FlatReference& reference, double dt);
+FlatReference ReferenceMovedOn(const FlatReference& reference, double dt);
 
 /// What a controller shall follow now, from messages that came earlier: single references, moved
 /// on to now by their derivatives, or trajectories. Single references go first while they come.
