@@ -119,6 +119,62 @@ void WidenBy(const std::vector<ThirdsDifference>& thirds, Snapshot* snapshot) {
   }
 }
 
+/// What the estimator makes of a flight.
+struct Learned {
+  ReplayResult replay;
+  std::vector<ThirdsDifference> thirds;  ///< by which the sigmas are widened
+};
+
+/// @param declared by whose priors it is judged what is observable
+Learned Learn(const FlightLog& log, const DynamicModel& model, const DynamicModel& declared,
+              const EstimatorOptions& options, const std::function<void(double)>& progress) {
+  Estimator estimator(&model, options, !log.rotor_rms_only);
+  estimator.JudgeBy(declared);
+  Learned learned;
+  learned.replay = Replay(log, &estimator, progress);
+  if (!learned.replay.last) return learned;
+  learned.thirds = estimator.LastLook();
+  WidenBy(learned.thirds, &*learned.replay.last);
+  return learned;
+}
+
+TorqueBands BandsOf(const FlightLog& log, const DynamicModel& model, const ReplayResult& replay) {
+  const int k_f = model.IndexOf("thrust.k_f");
+  return FindTorqueBands(log, model, replay.last->values, k_f >= 0 ? replay.last->sigma[k_f] : 0.0,
+                         replay.ground_spans);
+}
+
+/// The vehicle and the options with what bands know of its inertia.
+std::pair<Vehicle, EstimatorOptions> Told(const std::map<std::string, ParameterSetting>& by_bands,
+                                          const DynamicModel& model,
+                                          const EstimatorOptions& options) {
+  std::pair<Vehicle, EstimatorOptions> told(model.vehicle(), options);
+  told.first.effects.clear();
+  for (int i = 0; i < model.num_effects(); ++i) {
+    told.first.effects.push_back(model.effect(i).name());
+  }
+  for (const auto& [name, setting] : by_bands) {
+    ParameterSetting& own = told.first.parameters[name];
+    own.value = setting.value;
+    own.sigma = setting.sigma;
+    told.second.inertia_is_known[static_cast<size_t>(name.back() - 'x')] = true;
+  }
+  return told;
+}
+
+/// The same flight once more, with the inertia that bands know better than the estimate.
+void LearnWithBands(const FlightLog& log, const DynamicModel& model,
+                    const EstimatorOptions& options, const std::function<void(double)>& progress,
+                    Learned* learned, Calibration* result) {
+  const auto by_bands = InertiaByBands(result->bands, model, learned->replay.last->sigma);
+  if (by_bands.empty()) return;
+  const auto [vehicle, told] = Told(by_bands, model, options);
+  Learned again = Learn(log, DynamicModel(vehicle, vehicle.effects), model, told, progress);
+  if (!again.replay.last) return;
+  *learned = std::move(again);
+  result->by_bands = by_bands;
+}
+
 /// A result that rests on a few moments of flight, or shows no thrust.
 std::vector<Finding> LittleFlight(const ReplayResult& replay, const DynamicModel& model) {
   const int k_f = model.IndexOf("thrust.k_f");
@@ -190,19 +246,26 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
                    [](const auto& p) { return p.estimated; })) {
     throw std::invalid_argument("every parameter is frozen: there is nothing to estimate");
   }
-  Estimator estimator(&model, options, !log.rotor_rms_only);
+  const bool has_torque = !log.rotor_rms_only;
+  const auto part = [&](double from, double to) {
+    return [&progress, from, to](double share) {
+      if (progress) progress(from + share * (to - from));
+    };
+  };
   Calibration result;
-  result.replay = Replay(log, &estimator, progress);
-  const ReplayResult& replay = result.replay;
-  if (!replay.last) {
+  Learned learned = Learn(log, model, model, options, part(0.0, has_torque ? 0.5 : 1.0));
+  if (!learned.replay.last) {
     throw std::invalid_argument(
         log.file + ": never airborne: thrust stays below " +
         Rounded(options.phases.landed_thrust_ratio) +
         " of the weight or the vehicle does not rise; check thrust.k_f, mass_kg and the unit of "
         "the rotor speeds");
   }
-  const std::vector<ThirdsDifference> thirds = estimator.LastLook();
-  WidenBy(thirds, &*result.replay.last);
+  result.bands = BandsOf(recording, model, learned.replay);
+  if (has_torque) LearnWithBands(log, model, options, part(0.5, 1.0), &learned, &result);
+  if (progress) progress(1.0);
+  result.replay = std::move(learned.replay);
+  const ReplayResult& replay = result.replay;
   const Snapshot& last = *replay.last;
   const SynchroniserCounters& streams = replay.stream_counters;
   result.flight = {log.file, DurationOf(log), replay.counters.on_ground_s,
@@ -214,10 +277,7 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   result.prediction.figures =
       PredictEach(recording, file_vehicle, model, last.values, replay.ground_spans, {},
                   predicted ? predicted : PredictionSink(keep));
-  const int k_f = model.IndexOf("thrust.k_f");
   result.nominal_inertia = file_vehicle.inertia_kg_m2;
-  result.bands = FindTorqueBands(recording, model, last.values, k_f >= 0 ? last.sigma[k_f] : 0.0,
-                                 replay.ground_spans);
   result.convergence_s = Convergence(replay.history, last.observable);
   result.wall = SummariseTiming(replay, &UpdateTiming::wall_ms);
   result.cpu = SummariseTiming(replay, &UpdateTiming::cpu_ms);
@@ -230,7 +290,7 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   Append(ModelWarnings(model, last.values, last.sigma, result.prediction.figures),
          &result.warnings);
   WarnOfReaction(result.bands, &result.warnings);
-  Append(LastLookFindings(model, last.values, thirds), &result.findings);
+  Append(LastLookFindings(model, last.values, learned.thirds), &result.findings);
   Append(LittleFlight(replay, model), &result.findings);
   Append(PhaseFindings(replay, options.detect_changes, result.first_stamp), &result.findings);
   for (const Finding& finding : result.findings) {
@@ -297,8 +357,11 @@ void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
                     Calibration* calibration) {
   const Snapshot& last = *calibration->replay.last;
   ParameterSet& set = calibration->parameters;
-  for (const Eigen::VectorXd& change : ChangesWithout(
-           doubts, log, last.stamp - FromSeconds(kLongestDoubt_s), model, options, &last.values)) {
+  const auto [vehicle, told] = Told(calibration->by_bands, model, options);
+  const DynamicModel told_model(vehicle, vehicle.effects);
+  const Stamp from = last.stamp - FromSeconds(kLongestDoubt_s);
+  for (const Eigen::VectorXd& change :
+       ChangesWithout(doubts, log, from, told_model, told, &last.values)) {
     for (size_t i = 0; i < set.parameters.size(); ++i) {
       ParameterEstimate& p = set.parameters[i];
       if (!p.estimated || !(p.sigma > 0.0)) continue;

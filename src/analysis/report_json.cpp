@@ -76,6 +76,8 @@ std::string CalibrationReport(const Calibration& c, const DynamicModel& model) {
   json["convergence_s"] = convergence;
   json["prediction"] = PredictionJson(c.prediction.figures);
   json["inertia_by_band"] = TorqueBandsJson(c.bands, c.nominal_inertia);
+  json["taken_from_bands"] = Json::array();
+  for (const auto& entry : c.by_bands) json["taken_from_bands"].push_back(entry.first);
   if (c.left_out) {
     json["prediction_left_out"] = PredictionJson(c.left_out->figures);
     json["prediction_left_out"]["block_s"] = c.left_out->block_s;

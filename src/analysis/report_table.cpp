@@ -103,6 +103,7 @@ std::string CalibrationTable(const Calibration& c) {
       TimingRow({"wall, first " + Fixed(kTimingStart_s, 0) + " s of flight [ms]"}, c.wall_start)};
   text += "\n" + PredictionTable(c.prediction.figures);
   text += "\n" + TorqueBandsTable(c.bands, c.nominal_inertia);
+  for (const auto& [name, setting] : c.by_bands) text += "taken from bands: " + name + "\n";
   if (c.left_out) text += "\n" + LeftOutTable(*c.left_out);
   return text + "\n" + AlignColumns(timing, 1) + WarningLines(c.warnings) +
          TrustLines(c.findings, c.warnings);

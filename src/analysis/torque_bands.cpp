@@ -20,6 +20,7 @@ constexpr double kPi = 3.14159265358979323846;
 constexpr double kErrorRate = 1e-3;    // of every test here
 constexpr double kErrorSigmas = 3.29;  // the same, two-sided, normal
 constexpr double kShown = 0.5;         // relative sigma above which nothing is shown
+constexpr double kAnywhere = 10.0;  // answers to disturbances look like any inertia of this range
 constexpr double kLowest_Hz = 1.0;
 constexpr double kBandRatio = 1.4142135623730951;  // half an octave
 constexpr double kLongestSegment_s = 2.0, kShortestSegment_s = 0.5;
@@ -346,6 +347,39 @@ Join JoinRange(const std::vector<BandEstimate>& bands, size_t from, size_t to) {
   return join;
 }
 
+/// Bands [from, to) as those in which rotor torque leads.
+struct Range {
+  size_t from, to;
+  Join join;
+  double log_evidence;
+};
+
+/// How likely the bands' values are if those of the range are one, and every other band, as the
+/// value itself, lies anywhere within a factor of kAnywhere.
+double LogEvidence(const std::vector<BandEstimate>& bands, size_t from, size_t to,
+                   const Join& join) {
+  double sum = 0.5 * std::log(2.0 * kPi / join.weight) - 0.5 * join.chi_squared;
+  for (size_t i = from; i < to; ++i) {
+    const double relative = std::max(1e-6, bands[i].sigma / bands[i].value);
+    sum -= std::log(relative * std::sqrt(2.0 * kPi));
+  }
+  const double others = static_cast<double>(bands.size() - (to - from));
+  return sum - (1.0 + others) * std::log(std::log(kAnywhere));
+}
+
+/// Mean and standard deviation of the logarithm, whichever range it is.
+std::pair<double, double> AverageOf(const std::vector<Range>& ranges, double most) {
+  double weight = 0.0, mean = 0.0, square = 0.0;
+  for (const Range& range : ranges) {
+    const double w = std::exp(range.log_evidence - most);
+    weight += w;
+    mean += w * range.join.mean;
+    square += w * (range.join.sigma * range.join.sigma + range.join.mean * range.join.mean);
+  }
+  mean /= weight;
+  return {mean, std::sqrt(std::max(0.0, square / weight - mean * mean))};
+}
+
 }  // namespace
 
 void JoinBands(BandedQuantity* q) {
@@ -355,8 +389,7 @@ void JoinBands(BandedQuantity* q) {
     q->why = "fewer than two bands show it";
     return;
   }
-  Join best;
-  size_t first = 0, last = 0;
+  std::vector<Range> ranges;
   bool agree = false;
   for (size_t from = 0; from + 2 <= q->bands.size(); ++from) {
     for (size_t to = from + 2; to <= q->bands.size(); ++to) {
@@ -366,26 +399,27 @@ void JoinBands(BandedQuantity* q) {
       if (std::abs(join.slope) > kErrorSigmas * join.slope_sigma) continue;
       agree = true;
       if (join.slope + 1.0 < kErrorSigmas * join.slope_sigma || join.sigma > kShown) continue;
-      if (join.weight <= best.weight) continue;
-      best = join;
-      first = from;
-      last = to;
+      ranges.push_back({from, to, join, LogEvidence(q->bands, from, to, join)});
     }
   }
-  if (best.weight == 0.0) {
+  if (ranges.empty()) {
     q->why = agree
                  ? "where bands agree, they are too uncertain to tell rotor torque that leads from "
                    "rotor torque that answers disturbances"
                  : "no two bands agree";
     return;
   }
-  for (size_t i = first; i < last; ++i) q->bands[i].used = true;
-  q->value = std::exp(best.mean);
-  q->sigma = *q->value * best.sigma;
-  q->chi_squared = best.chi_squared;
-  q->freedom = static_cast<int>(last - first) - 1;
-  q->slope = best.slope;
-  q->slope_sigma = best.slope_sigma;
+  const Range best = *std::max_element(
+      ranges.begin(), ranges.end(),
+      [](const Range& a, const Range& b) { return a.log_evidence < b.log_evidence; });
+  for (size_t i = best.from; i < best.to; ++i) q->bands[i].used = true;
+  const auto [mean, sigma] = AverageOf(ranges, best.log_evidence);
+  q->value = std::exp(mean);
+  q->sigma = *q->value * sigma;
+  q->chi_squared = best.join.chi_squared;
+  q->freedom = static_cast<int>(best.to - best.from) - 1;
+  q->slope = best.join.slope;
+  q->slope_sigma = best.join.slope_sigma;
 }
 
 namespace {
@@ -674,6 +708,22 @@ std::map<std::string, ParameterSetting> KnownByBands(const TorqueBands& bands,
   ParameterSetting& setting = known[model.parameters()[k].full_name];
   setting.value = inertia * *bands.J_r_over_I.value;
   setting.sigma = inertia * bands.J_r_over_I.sigma;
+  return known;
+}
+
+std::map<std::string, ParameterSetting> InertiaByBands(const TorqueBands& bands,
+                                                       const DynamicModel& model,
+                                                       const Eigen::VectorXd& sigma) {
+  std::map<std::string, ParameterSetting> known;
+  for (size_t axis = 0; axis < bands.inertia.size(); ++axis) {
+    const BandedQuantity& inertia = bands.inertia[axis];
+    const int k = model.IndexOf(std::string("inertia.") + "xyz"[axis]);
+    if (k < 0 || !model.parameters()[k].estimated || !inertia.value) continue;
+    if (!(inertia.sigma < sigma[k])) continue;
+    ParameterSetting& setting = known[model.parameters()[k].full_name];
+    setting.value = *inertia.value;
+    setting.sigma = inertia.sigma;
+  }
   return known;
 }
 

@@ -112,6 +112,7 @@ bool LearningSchedule::AlignmentIsDue(const Window& window) const {
 }
 
 bool LearningSchedule::InertiaIsFree(int axis) const {
+  if (options_->inertia_is_known[static_cast<size_t>(axis)]) return false;
   return options_->inertia_gate_r_squared <= 0.0 || gate_.IsOpen(axis);
 }
 

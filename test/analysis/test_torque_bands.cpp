@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "odmc/analysis/calibration.h"
 #include "odmc/analysis/torque_bands.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
@@ -248,6 +249,43 @@ TEST_F(FlightBands, ContradictAReactionThatIsTooSmall) {
   EXPECT_TRUE(ReactionWarning(right).empty());
 }
 
+/// Bands of half octaves from 1 Hz on, each with this value and a sigma of 3 %.
+BandedQuantity Joined(const std::vector<double>& values) {
+  BandedQuantity quantity;
+  double low_Hz = 1.0;
+  for (const double value : values) {
+    BandEstimate band;
+    band.low_Hz = low_Hz;
+    band.high_Hz = low_Hz *= std::sqrt(2.0);
+    band.value = value;
+    band.sigma = band.noise_sigma = 0.03 * value;
+    quantity.bands.push_back(band);
+  }
+  JoinBands(&quantity);
+  return quantity;
+}
+
+TEST(JoinBands, TakeTheirMeanWhereAllAgree) {
+  const BandedQuantity all = Joined({1.02, 0.99, 1.01, 0.98, 1.0, 1.01, 0.99, 1.0});
+  ASSERT_TRUE(all.value);
+  EXPECT_NEAR(*all.value, 1.0, 0.005);
+  EXPECT_NEAR(all.sigma, 0.03 / std::sqrt(8.0), 0.003);
+  EXPECT_EQ(all.freedom, 7);
+}
+
+// Either half may be the one that answers disturbances, or neither.
+TEST(JoinBands, DoNotKnowTheRangeBetterThanTheFlight) {
+  const BandedQuantity halves = Joined({1.0, 1.0, 1.0, 1.0, 0.84, 0.84, 0.84, 0.84});
+  ASSERT_TRUE(halves.value);
+  EXPECT_NEAR(*halves.value, std::sqrt(0.84), 0.005);
+  EXPECT_GT(halves.sigma, 0.08);
+  // One band less of the first half: its evidence falls, and does not jump to nothing.
+  const BandedQuantity less = Joined({1.0, 1.0, 1.0, 0.84, 0.84, 0.84, 0.84});
+  ASSERT_TRUE(less.value);
+  EXPECT_GT(less.sigma, 0.02);
+  EXPECT_LT(std::abs(*halves.value - *less.value), 1.5 * halves.sigma);
+}
+
 TEST(KnownByBands, IsARotorsInertiaByThatOfTheBody) {
   Vehicle vehicle = NominalVehicle();
   TorqueBands bands;
@@ -265,6 +303,55 @@ TEST(KnownByBands, IsARotorsInertiaByThatOfTheBody) {
   EXPECT_NEAR(*known.at("rotor_reaction.J_r").sigma, 2e-7, 1e-13);
   bands.J_r_over_I.value.reset();
   EXPECT_TRUE(KnownByBands(bands, model, values).empty());
+}
+
+TEST(InertiaByBands, IsTakenWhereTheyKnowItBetter) {
+  Vehicle vehicle = NominalVehicle();
+  vehicle.parameters["inertia.y"].estimated = false;
+  const DynamicModel model(vehicle, vehicle.effects);
+  TorqueBands bands;
+  for (BandedQuantity& inertia : bands.inertia) {
+    inertia.value = 3e-3;
+    inertia.sigma = 2e-4;
+  }
+  Eigen::VectorXd sigma = Eigen::VectorXd::Constant(model.num_parameters(), 1e-3);
+  const auto known = InertiaByBands(bands, model, sigma);
+  ASSERT_EQ(known.size(), 1u);  // inertia.y is frozen
+  EXPECT_EQ(*known.at("inertia.x").value, 3e-3);
+  EXPECT_EQ(*known.at("inertia.x").sigma, 2e-4);
+  sigma[model.IndexOf("inertia.x")] = 1e-4;
+  EXPECT_TRUE(InertiaByBands(bands, model, sigma).empty());
+  sigma[model.IndexOf("inertia.x")] = 1e-3;
+  bands.inertia[0].value.reset();
+  EXPECT_TRUE(InertiaByBands(bands, model, sigma).empty());
+}
+
+// With its gate shut the estimator leaves the inertia at the file's value, 30 % off. Bands know it.
+TEST(Calibrate, TakesTheInertiaFromBandsWhereTheEstimatorDoesNotKnowIt) {
+  Vehicle vehicle = NominalVehicle();
+  const DynamicModel flown(vehicle, vehicle.effects);
+  const ModelValues truth = DefaultTruth(flown);
+  SimulationOptions simulation;
+  simulation.trajectory = "aggressive";
+  simulation.duration_s = 20.0;
+  const FlightLog log = Simulate(flown, truth, simulation, SimulationNoise()).log;
+  for (const char* name : {"inertia.x", "inertia.y"}) {
+    vehicle.parameters[name].value = 1.3 * truth[flown.IndexOf(name)];
+  }
+  const DynamicModel model(vehicle, vehicle.effects);
+  EstimatorOptions options;
+  options.inertia_gate_r_squared = 1.0;
+  const Calibration calibration = Calibrate(log, log, vehicle, model, options);
+  EXPECT_EQ(calibration.by_bands.size(), 2u);
+  for (const char* name : {"inertia.x", "inertia.y"}) {
+    const ParameterEstimate* p = calibration.parameters.Find(name);
+    ASSERT_NE(p, nullptr);
+    EXPECT_TRUE(p->observable) << name;
+    EXPECT_LT(std::abs(p->value - truth[flown.IndexOf(name)]), 3.0 * p->sigma) << name;
+    EXPECT_LT(p->sigma, 0.1 * p->value) << name;
+    ASSERT_EQ(calibration.by_bands.count(name), 1u) << name;
+    EXPECT_NEAR(p->sigma / *calibration.by_bands.at(name).sigma, 1.0, 0.05) << name;
+  }
 }
 
 }  // namespace

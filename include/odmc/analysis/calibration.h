@@ -1,6 +1,7 @@
 #pragma once
 
 #include <functional>
+#include <map>
 #include <optional>
 #include <string>
 #include <vector>
@@ -43,6 +44,8 @@ struct Calibration {
   ReplayResult replay;
   Prediction prediction;
   TorqueBands bands;
+  /// Inertia that was taken from bands, where they know it better than the estimator by itself.
+  std::map<std::string, ParameterSetting> by_bands;
   Eigen::Vector3d nominal_inertia = Eigen::Vector3d::Ones();  ///< of the vehicle file [kg m²]
   std::optional<LeftOutPrediction> left_out;                  ///< where it was asked for
   std::vector<std::optional<double>> convergence_s;           ///< per parameter

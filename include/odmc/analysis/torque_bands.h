@@ -27,7 +27,7 @@ struct BandEstimate {
   double sigma = 0.0;        ///< all of it
   double noise_sigma = 0.0;  ///< of it, what more flight would make smaller
   double coherence = 0.0;  ///< of torque and angular acceleration, noise of rotor speeds taken off
-  bool used = false;       ///< the result rests on it
+  bool used = false;       ///< of the range that is most likely
 };
 
 /// What all bands say together.
@@ -35,7 +35,7 @@ struct BandedQuantity {
   std::vector<BandEstimate> bands;
   std::optional<double> value;  ///< empty: the flight does not show it; `why` says so
   double sigma = 0.0;
-  double chi_squared = 0.0;  ///< of the bands used, about the value; `freedom` degrees of freedom
+  double chi_squared = 0.0;  ///< of the bands used, about their mean; `freedom` degrees of freedom
   int freedom = 0;
   double slope = 0.0, slope_sigma = 0.0;  ///< d log(value) / d log(frequency): 0 where torque leads
   std::string why;
@@ -131,8 +131,9 @@ class TorqueSpectra {
   long segments_ = 0;
 };
 
-/// Joins what bands say of one quantity: the bands that agree, where their values do not fall with
-/// frequency as answers to disturbances would.
+/// Joins what bands say of one quantity: the mean over all ranges of bands that agree, and whose
+/// values do not fall with frequency as answers to disturbances would, by how likely each makes
+/// what is seen. Its sigma knows that the range is not known.
 void JoinBands(BandedQuantity* quantity);
 
 /// The bands of a recorded flight, with thrust, centre of mass and mounts as `values` say.
@@ -148,6 +149,13 @@ TorqueBands FindTorqueBands(const FlightLog& log, const DynamicModel& model,
 std::map<std::string, ParameterSetting> KnownByBands(const TorqueBands& bands,
                                                      const DynamicModel& model,
                                                      const ModelValues& values);
+
+/// What bands know of I_x and I_y better than an estimate at all frequencies, which takes answers
+/// to disturbances for inertia: where their sigma is the smaller one; by full name.
+/// @param sigma of that estimate, by index in the model's parameters
+std::map<std::string, ParameterSetting> InertiaByBands(const TorqueBands& bands,
+                                                       const DynamicModel& model,
+                                                       const Eigen::VectorXd& sigma);
 
 /// One sentence where the bands contradict the k_m in use; else empty.
 std::string ReactionWarning(const TorqueBands& bands);

@@ -104,6 +104,9 @@ class Estimator {
   const PhaseDetector& phases() const { return front_end_.phase_detector(); }
   const DynamicModel& model() const { return *model_; }
   const EstimatorOptions& options() const { return options_; }
+  /// What is observable is judged by the priors of `declared`, not by this model's, which may know
+  /// more of the same flight.
+  void JudgeBy(const DynamicModel& declared) { uncertainty_.JudgeBy(declared); }
   /// Keyframes for whose stamp this is true teach the estimate nothing: what is judged on them has
   /// not seen them.
   void SetHeldOut(std::function<bool(Stamp)> is_held_out) { is_held_out_ = std::move(is_held_out); }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <string>
 
 #include "odmc/phases/phase_detector.h"
@@ -46,6 +47,9 @@ struct EstimatorOptions {
   /// from where it stands (ChangeDetector). For vehicles whose load changes in flight.
   bool detect_changes = false;
   double inertia_gate_r_squared = 0.5;  ///< see InertiaGate; 0 always lets the inertia free
+  /// Axes whose inertia stays at its prior, whatever a flight seems to show: it is known from
+  /// elsewhere. Set by programs, no field of a file.
+  std::array<bool, 3> inertia_is_known = {false, false, false};
   /// k_f, and k_m with it, as a random walk: relative change [1/sqrt(s)]; 0: constants.
   double k_f_walk_rate = 0.0;
   PhaseOptions phases;
