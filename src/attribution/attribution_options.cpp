@@ -63,7 +63,8 @@ const std::vector<DecisionNumber>& DecisionNumbers() {
       {"least_ratio", "1", &O::least_ratio, 0.0, 1.0,
        "judgement: the figures of two online runs differ by some 3 %"},
       {"gust_price", "nats", &O::gust_price, 0.0, 100.0,
-       "judgement: gusts over noise pay for their sizes and correlation time"},
+       "judgement: gusts pay for their sizes and correlation time, and for models that are not "
+       "exact"},
       {"significant_sigmas", "sigma", &O::significant_sigmas, 0.0, 20.0,
        "normal: noise alone exceeds three sigma once in 370 times"},
       {"agree_share", "1", &O::agree_share, 0.0, 1.0,

@@ -26,7 +26,7 @@ struct AttributionOptions {
   double most_unexplained = 0.5;
   double telling_ratio = 0.5;
   double least_ratio = 0.97;
-  double gust_price = 8.0;
+  double gust_price = 16.0;
   double significant_sigmas = 3.0;
   double agree_share = 1.0 / 3.0;
   double known_thrust_share = 0.05;
