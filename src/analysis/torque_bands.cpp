@@ -24,7 +24,9 @@ constexpr double kAnywhere = 10.0;  // answers to disturbances look like any ine
 constexpr double kLowest_Hz = 1.0;
 constexpr double kBandRatio = 1.4142135623730951;  // half an octave
 constexpr double kLongestSegment_s = 2.0, kShortestSegment_s = 0.5;
-constexpr int kSegments = 8;           // at least, of a flight
+constexpr int kSegments = 8;  // at least, of a flight, half a length apart
+// What Hann windows half a length apart say still depends on where the first one lies.
+constexpr int kSegmentsPerLength = 8;
 constexpr double kHighestShare = 0.2;  // of the slowest stream's rate
 constexpr double kLongestGap_s = 0.03;
 constexpr double kMostDelay_s = 0.03;
@@ -76,13 +78,17 @@ TorqueSpectra::TorqueSpectra(double rate_Hz, double segment_s, double inertia_z)
   }
 }
 
+double TorqueSpectra::Seconds() const {
+  return static_cast<double>(segments_ * (length_ / kSegmentsPerLength)) / rate_Hz_;
+}
+
 void TorqueSpectra::Break() { run_.clear(); }
 
 void TorqueSpectra::Add(const Sample& sample) {
   run_.push_back(sample);
   if (static_cast<int>(run_.size()) < length_ + 2) return;  // one on either side, to differentiate
   TakeSegment();
-  run_.erase(run_.begin(), run_.begin() + length_ / 2);
+  run_.erase(run_.begin(), run_.begin() + length_ / kSegmentsPerLength);
 }
 
 void TorqueSpectra::TakeSegment() {
@@ -228,7 +234,7 @@ void TorqueSpectra::FindDelay(const std::vector<std::pair<double, double>>& edge
 TorqueBands TorqueSpectra::Bands(const Noise& noise, double highest_Hz) const {
   TorqueBands result;
   result.flight_s = Seconds();
-  if (segments_ < kSegments) {
+  if (2 * segments_ < kSegments * kSegmentsPerLength) {
     result.why = "less than " + std::to_string(kSegments) + " whole stretches of " +
                  Rounded(length_ / rate_Hz_) + " s";
     for (BandedQuantity* q :

@@ -113,7 +113,7 @@ class TorqueSpectra {
   struct Band;
 
   void TakeSegment();
-  double Seconds() const { return 0.5 * length_ * static_cast<double>(segments_) / rate_Hz_; }
+  double Seconds() const;
   /// Sums over the bins of a band, torque shifted by `delay_s`, noise of rotor speeds taken off.
   Band SumOver(double low_Hz, double high_Hz, const Noise& noise, double delay_s) const;
   static void AddReaction(const Band& band, double low_Hz, double high_Hz, double delay_sigma_s,
