@@ -328,6 +328,16 @@ UndeclaredPlan PlanOf(int seed, int i) {
   return plan;
 }
 
+/// Makes one effect act, on a trajectory.
+void ActBy(const std::string& effect, const std::string& trajectory, const Level& level,
+           UndeclaredPlan* plan) {
+  plan->kind = Undeclared::kOneEffect;
+  plan->effects = {effect};
+  plan->trajectory = trajectory;
+  plan->strength = level.name;
+  plan->share = level.share;
+}
+
 }  // namespace
 
 std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
@@ -364,12 +374,8 @@ std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
     } else {
       const int k = i - nothing - hidden - unknown - two;
       const Excited& a = catalogue[k % num];
-      plan.kind = Undeclared::kOneEffect;
-      plan.effects = {a.effect};
-      plan.trajectory = a.trajectories[(k / num) % a.trajectories.size()];
-      const Level& level = kLevels[(k / num + k) % 3];
-      plan.strength = level.name;
-      plan.share = level.share;
+      ActBy(a.effect, a.trajectories[(k / num) % a.trajectories.size()], kLevels[(k / num + k) % 3],
+            &plan);
     }
     plans.push_back(plan);
   }
@@ -397,14 +403,9 @@ std::vector<UndeclaredPlan> PlanOneEffect(int seed, int flights, const std::stri
   std::vector<UndeclaredPlan> plans;
   const int num = static_cast<int>(flown->trajectories.size());
   for (int i = 0; i < flights; ++i) {
-    const Level& level = kLevels[(i + i / num) % static_cast<int>(std::size(kLevels))];
-    UndeclaredPlan plan = PlanOf(seed, i);
-    plan.kind = Undeclared::kOneEffect;
-    plan.effects = {effect};
-    plan.trajectory = flown->trajectories[i % num];
-    plan.strength = level.name;
-    plan.share = level.share;
-    plans.push_back(plan);
+    plans.push_back(PlanOf(seed, i));
+    ActBy(effect, flown->trajectories[i % num],
+          kLevels[(i + i / num) % static_cast<int>(std::size(kLevels))], &plans.back());
   }
   return plans;
 }

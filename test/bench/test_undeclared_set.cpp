@@ -3,7 +3,11 @@
 
 #include <algorithm>
 #include <cstdio>
+#include <set>
+#include <string>
 #include <thread>
+#include <utility>
+#include <vector>
 
 #include "odmc/analysis/parallel.h"
 #include "odmc/attribution/close_loop.h"
@@ -28,6 +32,23 @@ bool IsRight(const UndeclaredFlight& flight, const ClosedLoop& loop) {
   return Contains(flight.plan.effects, first.effect.name) ||
          std::any_of(first.alternatives.begin(), first.alternatives.end(),
                      [&](const std::string& name) { return Contains(flight.plan.effects, name); });
+}
+
+TEST(UndeclaredPlans, OfOneEffectHaveEveryStrengthOnEveryTrajectory) {
+  std::set<std::pair<std::string, std::string>> flown;
+  for (const UndeclaredPlan& plan : PlanOneEffect(kSeed, 9, "gust")) {
+    EXPECT_EQ(plan.effects, std::vector<std::string>{"gust"});
+    flown.insert({plan.trajectory, plan.strength});
+  }
+  EXPECT_EQ(flown.size(), 9u);  // three trajectories show gusts
+}
+
+TEST(UndeclaredPlans, OfUnknownEffectsNameNone) {
+  for (const UndeclaredPlan& plan : PlanUnknown(kSeed, 4)) {
+    EXPECT_EQ(plan.kind, Undeclared::kUnknown);
+    EXPECT_TRUE(plan.effects.empty());
+    EXPECT_GT(plan.share, 0.0);
+  }
 }
 
 TEST(UndeclaredSet, IsAnsweredAsMeasured) {
