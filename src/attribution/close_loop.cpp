@@ -426,7 +426,7 @@ AddedEffect LoopSession::Added(const RankedEffect& ranked, const DynamicModel& m
   effect.derived = DerivedFigures(vehicle_, ranked.name, after_->parameters);
   for (ParameterEstimate& p : effect.effect.parameters) {
     const ParameterEstimate* online = after_->parameters.Find(p.full_name);
-    if (online != nullptr) p = *online;
+    if (online != nullptr && (online->estimated || !p.estimated)) p = *online;
   }
   return effect;
 }

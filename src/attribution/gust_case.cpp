@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
 
 #include "odmc/model/dynamic_model.h"
 #include "odmc/text/format.h"
@@ -72,6 +73,16 @@ std::vector<std::string> ActingOnForce(const ResidualModel& residual, const Dyna
   return names;
 }
 
+/// What the catalogue says of the correlation time.
+TimeConstantPrior PriorOf(const Vehicle& vehicle) {
+  const std::unique_ptr<Effect> gust = EffectRegistry::Default().Make("gust", vehicle);
+  for (const ParameterSpec& spec : gust->parameters()) {
+    if (spec.name == "time_constant")
+      return {spec.prior_value, spec.prior_sigma / spec.prior_value};
+  }
+  return {};
+}
+
 /// What gusts gain over noise once they have paid for what they fit [nats].
 double NetGain(const GustTest& gust, const AttributionOptions& options) {
   return gust.gain - options.gust_price;
@@ -114,7 +125,7 @@ GustCase RankGusts(const ResidualModel& residual, const Stage& stage,
   const WindDerivatives d_wind = ByWind(residual, model, values, "wind");
   const std::vector<DragCoefficient> drag = DragOf(residual, model, values, d_wind);
   GustCase gusts;
-  gusts.test = TestGusts(residual.flight(), left, d_wind, drag);
+  gusts.test = TestGusts(residual.flight(), left, d_wind, drag, PriorOf(stage.vehicle));
   const GustTest& gust = gusts.test;
   // The mean of gusts over a few correlation times is not zero, and looks like all that acts on the
   // force: the estimate without them says more of it.
@@ -135,13 +146,15 @@ GustCase RankGusts(const ResidualModel& residual, const Stage& stage,
   ranked.p_value = std::exp(-std::max(0.0, net));
   ranked.probability = 1.0 / (1.0 + std::exp(-net) + std::exp(-gust.over_others));
   ranked.remarks = RemarksOn(gust, options);
-  ranked.settings = {{"gust.sigma", std::max(kSlightestGust_m_s, gust.sigma_m_s)},
-                     {"gust.vertical_sigma", std::max(0.01, gust.vertical_sigma_m_s)},
-                     {"gust.time_constant", std::max(0.1, gust.time_constant_s)}};
-  for (const auto& [name, value] : ranked.settings) {
-    ranked.parameters.push_back(
-        {name, name == "gust.time_constant" ? "s" : "m/s", value, 0.0, false, false});
-  }
+  const auto state = [&](const std::string& name, const std::string& unit, double value,
+                         double error) {
+    ranked.settings[name] = value;
+    ranked.parameters.push_back({name, unit, value, error * value, true, error < 1.0});
+  };
+  state("gust.sigma", "m/s", std::max(kSlightestGust_m_s, gust.sigma_m_s), gust.sigma_error);
+  state("gust.vertical_sigma", "m/s", std::max(0.01, gust.vertical_sigma_m_s),
+        gust.vertical_sigma_error);
+  state("gust.time_constant", "s", std::max(0.1, gust.time_constant_s), gust.time_constant_error);
   return gusts;
 }
 

@@ -22,7 +22,7 @@ class Gust final : public Effect {
                 Varying("z", "vertical_sigma"),
                 {"sigma", "m/s", "standard deviation of the gusts along world x and y", 1.0, 1.0,
                  1.0, ParameterTransform::kLog, PhysicalSign::kPositive, true},
-                {"time_constant", "s", "correlation time of the gusts", 2.0, 2.0, 2.0,
+                {"time_constant", "s", "correlation time of the gusts", 2.0, 1.4, 2.0,
                  ParameterTransform::kLog, PhysicalSign::kPositive, true},
                 {"vertical_sigma", "m/s", "standard deviation of the gusts along world z", 1.0, 1.0,
                  1.0, ParameterTransform::kLog, PhysicalSign::kPositive, true}}) {}

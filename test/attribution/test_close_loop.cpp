@@ -317,9 +317,15 @@ TEST(CloseLoop, NamesGustsOnEveryTrajectoryAndWithTheirSize) {
     const ClosedLoop loop = Close(flight);
     ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
     ASSERT_EQ(loop.effects.front().effect.name, "gust") << CloseLoopTable(loop);
-    const double sigma = flight.truth.Find("gust.sigma")->value;
-    // 24 s hold some twelve correlation times of two axes: 1 / sqrt(2 * 24) = 0.14 of it.
-    EXPECT_NEAR(loop.effects.front().effect.settings.at("gust.sigma"), sigma, 0.45 * sigma);
+    for (const std::string name : {"gust.sigma", "gust.time_constant"}) {
+      const ParameterEstimate* found = loop.effects.front().effect.Find(name);
+      ASSERT_NE(found, nullptr) << name;
+      const double truth = flight.truth.Find(name)->value, error = found->sigma / found->value;
+      EXPECT_NEAR(std::log(found->value / truth), 0.0, 3.0 * error) << name;
+      // 24 s hold some twelve correlation times, and tell the drag to a quarter.
+      EXPECT_LT(error, 0.6) << name;
+      EXPECT_GT(error, 0.1) << name;
+    }
   }
   EXPECT_THROW(PlanOneEffect(5, 12, "gusty"), std::invalid_argument);
 }

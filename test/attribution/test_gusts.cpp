@@ -18,6 +18,7 @@ using Eigen::Vector3d;
 
 constexpr double kNatural = 0.5;  // natural size of a drag coefficient [N s/m]
 constexpr double kDuration_s = 30.0;
+constexpr TimeConstantPrior kPrior{2.0, 0.7};
 
 /// A flight along an eight, turning and rolling, that goes `speed` m/s at most.
 FlightMotion Eight(double speed) {
@@ -84,8 +85,8 @@ struct Case {
     }
   }
 
-  GustTest Test() const { return TestGusts(flight, residual, d_wind, drag); }
-  GustTest TestWithoutDrag() const { return TestGusts(flight, residual, d_wind, {}); }
+  GustTest Test() const { return TestGusts(flight, residual, d_wind, drag, kPrior); }
+  GustTest TestWithoutDrag() const { return TestGusts(flight, residual, d_wind, {}, kPrior); }
 
   Vector3d FittedDrag(const GustTest& test) const { return believed + kNatural * test.drag; }
 };
@@ -114,8 +115,10 @@ TEST(GustTest, FitsTheDragBesideTheWind) {
     const GustTest test = windy.Test();
     EXPECT_GT(test.over_others, 0.0);
     EXPECT_GT(test.gain, 300.0);
-    EXPECT_NEAR(test.sigma_m_s, 2.0, 0.7);  // 30 s hold some ten correlation times
-    EXPECT_NEAR(test.time_constant_s, 1.5, 0.8);
+    EXPECT_NEAR(std::log(test.sigma_m_s / 2.0), 0.0, 3.0 * test.sigma_error);
+    EXPECT_NEAR(std::log(test.time_constant_s / 1.5), 0.0, 3.0 * test.time_constant_error);
+    EXPECT_LT(test.sigma_error, 0.35);  // 30 s hold some ten correlation times
+    EXPECT_LT(test.time_constant_error, 0.5);
     const Vector3d drag = windy.FittedDrag(test);
     for (int k = 0; k < 3; ++k) {
       const double sigma = kNatural * test.drag_sigma[k];
@@ -123,6 +126,39 @@ TEST(GustTest, FitsTheDragBesideTheWind) {
       EXPECT_LT(sigma, 0.15) << k;  // nobody knows the noise and the steady force beside it
     }
   }
+}
+
+// Over many flights the errors are as large as the standard errors say.
+TEST(GustTest, StandardErrorsHold) {
+  constexpr int kFlights = 16;
+  double size = 0.0, time_constant = 0.0;
+  for (int seed = 20; seed < 20 + kFlights; ++seed) {
+    const GustTest test = Windy(3.0, kWrongDrag, seed).Test();
+    size += std::pow(std::log(test.sigma_m_s / 2.0) / test.sigma_error, 2);
+    time_constant += std::pow(std::log(test.time_constant_s / 1.5) / test.time_constant_error, 2);
+  }
+  // Quantiles of chi square with 16 degrees of freedom, 0.1 % and 99.9 %.
+  for (const double sum : {size, time_constant}) {
+    EXPECT_GT(sum, 3.94);
+    EXPECT_LT(sum, 39.3);
+  }
+}
+
+// Wind that turns no corners changes less over short times than a first-order process does.
+TEST(GustTest, ASmoothWindHasItsCorrelationTime) {
+  constexpr double kTimeConstant_s = 2.4, kSmoothed_s = 0.5;
+  constexpr double kWhole_s = kTimeConstant_s + kSmoothed_s;  // integral of the correlation
+  constexpr int kFlights = 8;
+  double mean = 0.0;
+  for (int seed = 40; seed < 40 + kFlights; ++seed) {
+    Gaussian random(seed, 0);
+    std::vector<Vector3d> wind = Wander(kSamples, 2.0, kTimeConstant_s, &random);
+    const double share = 1.0 - std::exp(-ThinnedFlight::kStep_s / kSmoothed_s);
+    for (int i = 1; i < kSamples; ++i) wind[i] = wind[i - 1] + share * (wind[i] - wind[i - 1]);
+    const GustTest test = Case(3.0, kTrueDrag, kTrueDrag, wind, kNothing).Test();
+    mean += std::log(test.time_constant_s / kWhole_s) / kFlights;
+  }
+  EXPECT_NEAR(mean, 0.0, 0.25);
 }
 
 TEST(GustTest, WhatWasBelievedOfTheDragMattersNot) {

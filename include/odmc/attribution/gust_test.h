@@ -13,7 +13,9 @@ struct GustTest {
   double over_others = 0.0;         ///< of gusts over the best of the free forces [nats]
   double sigma_m_s = 0.0;           ///< best standard deviation of the gusts along world x and y
   double vertical_sigma_m_s = 0.0;  ///< along world z
-  double time_constant_s = 0;       ///< best correlation time
+  double time_constant_s = 0.0;     ///< best correlation time
+  /// Standard errors of these three over their values.
+  double sigma_error = 0.0, vertical_sigma_error = 0.0, time_constant_error = 0.0;
   /// Change of each drag coefficient beside the gusts, and its sigma, in natural sizes.
   Eigen::VectorXd drag, drag_sigma;
   /// Chance that gusts of this size, which are normal, look as peaked: small for knocks.
@@ -33,14 +35,22 @@ struct DragCoefficient {
   double least = 0.0, most = 0.0;    ///< the change's bounds: the coefficient's physical sign
 };
 
+/// What is known of the correlation time of gusts before the flight: its logarithm is normal.
+struct TimeConstantPrior {
+  double median_s = 0.0;
+  double log_sigma = 0.0;
+};
+
 /// Drag that is fitted beside gusts is off by more than noise explains, and wind seen through the
 /// wrong drag loses to a free force: every hypothesis fits the drag for itself. Blocks held out are
 /// not looked at.
 /// @param residual force residual in columns 0 to 2 (N×6)
 /// @param d_wind of the predicted force
-/// @param drag what all three hypotheses may change
+/// @param drag what all hypotheses may change
+/// @param prior of gusts and of the free forces alike
 GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
-                   const WindDerivatives& d_wind, const std::vector<DragCoefficient>& drag);
+                   const WindDerivatives& d_wind, const std::vector<DragCoefficient>& drag,
+                   const TimeConstantPrior& prior);
 
 /// Wind in the world at each sample [m/s], by a Kalman filter that has seen all but the last
 /// `ahead` samples before it.
