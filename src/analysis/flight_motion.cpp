@@ -243,11 +243,15 @@ FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
 
 Vector3d LoadPuller::PullAt(const FilteredMotion& now, const ModelValues& values) {
   // The filter takes its first half window; before that the vehicle stood still or was on course.
-  if (is_first_) v_W_ = now.v_WS - std::min(now.t_s, kFilterWidth_s) * now.a_WS;
+  const SensorMotion sensor{now.v_WS, now.R_WS, now.w_S};
+  if (is_first_) {
+    last_ = sensor;
+    last_.v_WS -= std::min(now.t_s, kFilterWidth_s) * now.a_WS;
+  }
   is_first_ = false;
   // Through gaps with their mean acceleration, which leaves the velocity right.
-  const Vector3d pull_W = load_.Advance(v_W_, now.v_WS, now.t_s - t_s_, values).pull_W;
-  v_W_ = now.v_WS;
+  const Vector3d pull_W = load_.Advance(last_, sensor, now.t_s - t_s_, values).pull_W;
+  last_ = sensor;
   t_s_ = now.t_s;
   return pull_W;
 }

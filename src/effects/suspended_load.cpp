@@ -6,7 +6,7 @@
 namespace odmc {
 namespace {
 
-constexpr int kFirstSwing = 6;                          // of the parameters
+constexpr int kPlace = 3, kFirstSwing = 6;              // of the parameters
 constexpr double kShortest_m = 0.08, kLongest_m = 2.6;  // cables to try
 constexpr double kLengthRatio = 1.15;                   // from one length to the next
 constexpr double kDampingRatio = 4.0;
@@ -71,7 +71,7 @@ class SuspendedLoad final : public Effect {
     return {{"swing_frequency", "Hz", std::sqrt(vehicle().gravity_m_s2 / own[1]) / kTurn}};
   }
   std::optional<PendulumParameters> pendulum() const override {
-    return PendulumParameters{1, 2, kFirstSwing};
+    return PendulumParameters{1, 2, kPlace, kFirstSwing};
   }
 
   std::vector<std::string> shown_by() const override { return {"octo", "aggressive", "circle"}; }
@@ -110,7 +110,7 @@ class SuspendedLoad final : public Effect {
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
                    WrenchJacobians* J) const override {
-    const Eigen::Vector3d p_BP = values.segment<3>(3);
+    const Eigen::Vector3d p_BP = values.segment<3>(kPlace);
     const Eigen::Matrix3d R_BW = state.R_WB.transpose();
     const Eigen::Vector3d pull_B = R_BW * state.load.For(values.segment<4>(kFirstSwing));
     wrench->AddForceAt(p_BP, values[0] * pull_B);
@@ -118,7 +118,7 @@ class SuspendedLoad final : public Effect {
     J->AddForceAt(p_BP, kColumnAttitude, values[0] * Hat(pull_B));
     J->AddForceAtParameter(p_BP, 0, pull_B);
     for (int i = 0; i < 3; ++i) {
-      J->AddCoupleParameter(3 + i, values[0] * Eigen::Vector3d::Unit(i).cross(pull_B));
+      J->AddCoupleParameter(kPlace + i, values[0] * Eigen::Vector3d::Unit(i).cross(pull_B));
     }
     for (int i = 0; i < 4; ++i) {
       J->AddForceAtParameter(p_BP, kFirstSwing + i, values[0] * R_BW * state.load.d_swing.col(i));

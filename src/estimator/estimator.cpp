@@ -101,7 +101,7 @@ const Snapshot* Estimator::Step() {
   made_progress_ = sample.has_value();
   if (!sample) return nullptr;
   const PhaseVerdict verdict = FollowPhase(*sample);
-  front_end_.FollowLoad(*sample, window_.values());
+  front_end_.FollowLoad(*sample, window_);
   const Snapshot* snapshot = nullptr;
   if (!Teaches(verdict.phase)) {
     ++counters_.ground_keyframes;

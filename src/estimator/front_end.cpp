@@ -52,6 +52,7 @@ void FrontEnd::Restart() {
   stream_noise_.Restart();
   phases_.Restart();
   load_.Reset();
+  carrier_.reset();
   last_.reset();
   before_last_.reset();
   noise_ready_ = 0;
@@ -91,11 +92,19 @@ PhaseVerdict FrontEnd::FollowPhase(const OdometrySample& newest) {
   return phases_.Update(newest, step_.rotors, stream_noise_.odometry(), is_first);
 }
 
-void FrontEnd::FollowLoad(const OdometrySample& newest, const ModelValues& values) {
+void FrontEnd::FollowLoad(const OdometrySample& newest, const Window& window) {
+  if (!model_->pendulum()) return;
+  const std::optional<Carrier> before = carrier_;
+  carrier_.reset();
+  if (!newest.v_WS) return;
+  const std::optional<Vector3d> w_S =
+      newest.w_WS_S ? newest.w_WS_S : GyroRate(newest.stamp, window);
+  carrier_ = {newest.stamp,
+              {*newest.v_WS, newest.q_WS.toRotationMatrix(), w_S.value_or(Vector3d::Zero())}};
   // Differences of one and the same velocity, so that its noise does not add up.
-  if (!last_ || !newest.v_WS || !last_->v_WS) return;
-  const double dt = ToSeconds(newest.stamp - last_->stamp);
-  load_pull_ = load_.Advance(*last_->v_WS, *newest.v_WS, dt, values);
+  if (!before) return;
+  const double dt = ToSeconds(newest.stamp - before->stamp);
+  load_pull_ = load_.Advance(before->motion, carrier_->motion, dt, window.values());
 }
 
 std::optional<KeyframeInterval> FrontEnd::Read(const OdometrySample& newest,

@@ -14,11 +14,12 @@ constexpr double kForgotten_s = 20.0;  // a gap this long leaves nothing of the 
 }  // namespace
 
 LoadObserver::LoadObserver(const DynamicModel& model, bool with_derivatives)
-    : parameters_(model.pendulum()),
+    : model_(&model),
+      parameters_(model.pendulum()),
       gravity_(model.vehicle().gravity_m_s2),
       with_derivatives_(with_derivatives) {}
 
-LoadPull LoadObserver::Advance(const Eigen::Vector3d& v0_W, const Eigen::Vector3d& v1_W, double dt,
+LoadPull LoadObserver::Advance(const SensorMotion& from, const SensorMotion& to, double dt,
                                const ModelValues& values) {
   LoadPull pull;
   pull.pull_W = Eigen::Vector3d(0.0, 0.0, -gravity_);
@@ -28,7 +29,13 @@ LoadPull LoadObserver::Advance(const Eigen::Vector3d& v0_W, const Eigen::Vector3
     return pull;
   }
   if (!pendulum_) Start(values);
-  const Eigen::Vector3d acceleration_W = (v1_W - v0_W) / dt;
+  const BodyProperties body = model_->Properties(values);
+  const Eigen::Vector3d p_BP = values.segment<3>(parameters_->place);
+  const Eigen::Vector3d p_SP_S = body.R_BS.transpose() * (p_BP - body.p_BS);
+  const auto velocity_W = [&](const SensorMotion& sensor) {
+    return Eigen::Vector3d(sensor.v_WS + sensor.R_WS * sensor.w_S.cross(p_SP_S));
+  };
+  const Eigen::Vector3d acceleration_W = (velocity_W(to) - velocity_W(from)) / dt;
   smooth_acceleration_W_ +=
       std::min(1.0, dt / kSmoothing_s) * (acceleration_W - smooth_acceleration_W_);
   AdvanceAll(acceleration_W, 0.5 * dt);

@@ -91,7 +91,8 @@ DynamicModel::DynamicModel(const Vehicle& vehicle, const std::vector<std::string
     }
     varies_ = varies_ || effects_[i]->depends_on_time();
     if (const auto own = effects_[i]->pendulum()) {
-      pendulum_ = {own->length + first_[i], own->damping + first_[i], own->swing + first_[i]};
+      pendulum_ = {own->length + first_[i], own->damping + first_[i], own->place + first_[i],
+                   own->swing + first_[i]};
     }
     for (const ParameterSpec& spec : effects_[i]->parameters()) {
       if (spec.process_sigma.empty()) continue;

@@ -6,6 +6,7 @@
 
 #include "odmc/analysis/replay.h"
 #include "odmc/estimator/load_observer.h"
+#include "odmc/math/so3.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "support/test_vehicle.h"
@@ -14,6 +15,7 @@ namespace odmc {
 namespace test {
 namespace {
 
+using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
 SimulationOptions Octo(double duration_s) {
@@ -228,8 +230,8 @@ TEST(LoadObserver, KnowsWhatAnotherSwingAtTheStartWouldDo) {
   for (int i = 0; i < 400; ++i) {
     const double t = 0.01 * i;
     const Vector3d next = v + 0.01 * Vector3d(2.0 * std::sin(3.0 * t), std::cos(2.0 * t), 0.0);
-    const LoadPull a = observer.Advance(v, next, 0.01, here);
-    const LoadPull b = other.Advance(v, next, 0.01, there);
+    const LoadPull a = observer.Advance({v}, {next}, 0.01, here);
+    const LoadPull b = other.Advance({v}, {next}, 0.01, there);
     const Swing started = there.segment<4>(first);
     EXPECT_LT((a.For(started) - b.pull_W).norm(), 0.001) << t;
     largest = std::max(largest, (a.pull_W - b.pull_W).norm());
@@ -239,9 +241,38 @@ TEST(LoadObserver, KnowsWhatAnotherSwingAtTheStartWouldDo) {
   EXPECT_GT(largest, 0.02);
   // In a new recording nothing is known of the swing, and nothing is learned of the first one's.
   observer.Reset();
-  const LoadPull fresh = observer.Advance(v, v, 0.01, here);
+  const LoadPull fresh = observer.Advance({v}, {v}, 0.01, here);
   EXPECT_EQ(fresh.d_swing.norm(), 0.0);
   EXPECT_LT((fresh.pull_W - Vector3d(0.0, 0.0, -9.81)).norm(), 1e-9);
+}
+
+// A vehicle that turns about the point where the cable is fixed does not make the load swing,
+// wherever its odometry sensor sits.
+TEST(LoadObserver, IsDrivenByThePointWhereTheCableIsFixed) {
+  Vehicle vehicle = With("suspended_load", {{"suspended_load.length", 0.5}});
+  vehicle.odometry.p_BS = Vector3d(0.12, -0.07, 0.09);
+  const Matrix3d R_BS = Exp(Vector3d(0.2, -0.1, 0.3)).toRotationMatrix();
+  vehicle.odometry.q_BS = R_BS;
+  const DynamicModel model(vehicle, vehicle.effects);
+  ModelValues values = model.InitialValues();
+  const Vector3d p_BP(0.02, -0.01, -0.05);
+  values.segment<3>(model.IndexOf("suspended_load.x")) = p_BP;
+  LoadObserver observer(model, false);
+  constexpr double kStep_s = 0.002;
+  Matrix3d R_WB = Matrix3d::Identity();
+  Vector3d pull_W = Vector3d::Zero();
+  SensorMotion before;
+  for (int i = 0; i < 1000; ++i) {
+    const Vector3d w_B(3.0 * std::sin(0.01 * i), 2.0 * std::cos(0.013 * i), 1.0);
+    R_WB = R_WB * Exp(Vector3d(kStep_s * w_B)).toRotationMatrix();
+    SensorMotion now;
+    now.R_WS = R_WB * R_BS;
+    now.w_S = R_BS.transpose() * w_B;
+    now.v_WS = R_WB * w_B.cross(Vector3d(vehicle.odometry.p_BS - p_BP));
+    if (i > 0) pull_W = observer.Advance(before, now, kStep_s, values).pull_W;
+    before = now;
+  }
+  EXPECT_LT((pull_W - Vector3d(0.0, 0.0, -9.81)).norm(), 1e-6);
 }
 
 TEST(Gust, FollowsAWindThatVaries) {

@@ -168,10 +168,14 @@ class Pipeline {
                   rotors->num_samples);
     smoother_.ForChanged([this](std::int64_t, const RotorRateSmoother::Rates&) { ++smoothed_; });
     inertia_gate_.Add(dt, *from.w_WS_S, *to.w_WS_S, rotors->mean.speed_squared);
-    load_.Advance(*from.v_WS, *to.v_WS, dt, model_.InitialValues());
+    load_.Advance(MotionOf(from), MotionOf(to), dt, model_.InitialValues());
     LookAt(odometry_noise_.Noise());
     LookAt(rotor_noise_.Sigma());
     AddResidual(dt);
+  }
+
+  static SensorMotion MotionOf(const OdometrySample& sample) {
+    return {*sample.v_WS, sample.q_WS.toRotationMatrix(), *sample.w_WS_S};
   }
 
   void AddResidual(double dt) {

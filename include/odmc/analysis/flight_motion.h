@@ -58,7 +58,7 @@ class LoadPuller {
   LoadObserver load_;
   bool is_first_ = true;
   double t_s_ = 0.0;
-  Eigen::Vector3d v_W_ = Eigen::Vector3d::Zero();
+  SensorMotion last_;
 };
 
 /// Pull of a suspended load per unit of load at every sample, in W [m/s²]; hanging still without

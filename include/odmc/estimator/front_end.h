@@ -48,9 +48,8 @@ class FrontEnd {
 
   /// Reads the streams up to the newest keyframe and asks what phase the flight is in.
   PhaseVerdict FollowPhase(const OdometrySample& newest);
-  /// Drives the suspended load with the vehicle's motion.
-  /// @param values of the model's parameters
-  void FollowLoad(const OdometrySample& newest, const ModelValues& values);
+  /// Drives the suspended load with the vehicle's motion, by the model's values of `window`.
+  void FollowLoad(const OdometrySample& newest, const Window& window);
 
   /// What was measured since the keyframe before, the gyro's bias taken off as `window` has it.
   /// @returns nothing across a gap or a jump
@@ -86,6 +85,11 @@ class FrontEnd {
   PhaseWatch phases_;
   LoadObserver load_;
   LoadPull load_pull_;  // over the newest interval
+  struct Carrier {
+    Stamp stamp;
+    SensorMotion motion;
+  };
+  std::optional<Carrier> carrier_;  // of a load, at the newest keyframe
   struct {
     double dt = 0.0;
     std::optional<RotorInterval> rotors;

@@ -9,17 +9,26 @@
 
 namespace odmc {
 
+/// How the odometry sensor moves at one instant.
+struct SensorMotion {
+  Eigen::Vector3d v_WS = Eigen::Vector3d::Zero();      ///< in W [m/s]
+  Eigen::Matrix3d R_WS = Eigen::Matrix3d::Identity();  ///< attitude
+  Eigen::Vector3d w_S = Eigen::Vector3d::Zero();       ///< angular rate, in S [rad/s]
+};
+
 /// Follows a suspended load by driving a pendulum with the vehicle's measured motion, from the
 /// swing that the model's values give it at the start of the recording. Does nothing for a model
 /// without the effect suspended_load. The cable's length and damping are those of the first call.
+/// `model` must outlive it.
 class LoadObserver {
  public:
   /// @param with_derivatives also find how the pull depends on the swing at the start
   LoadObserver(const DynamicModel& model, bool with_derivatives);
 
-  /// Over an interval of `dt` in which the velocity went from `v0_W` to `v1_W` [m/s].
+  /// Over an interval of `dt` [s] in which the sensor's motion went from `from` to `to`. The
+  /// pendulum is driven by the point where the cable is fixed.
   /// @returns the cable's pull in the interval's middle
-  LoadPull Advance(const Eigen::Vector3d& v0_W, const Eigen::Vector3d& v1_W, double dt,
+  LoadPull Advance(const SensorMotion& from, const SensorMotion& to, double dt,
                    const ModelValues& values);
 
   /// A new recording: how the load swings is not known, and taken to be not at all.
@@ -29,6 +38,7 @@ class LoadObserver {
   void Start(const ModelValues& values);
   void AdvanceAll(const Eigen::Vector3d& acceleration_W, double dt);
 
+  const DynamicModel* model_;
   std::optional<PendulumParameters> parameters_;  // in the model
   double gravity_;
   bool with_derivatives_;

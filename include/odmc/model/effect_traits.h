@@ -52,9 +52,10 @@ struct DerivedFigure {
 };
 
 /// Where the parameters of a pendulum are among those of an effect, or of a model: length [m],
-/// damping ratio, and the first of the four of its Swing at the start.
+/// damping ratio, the first of the three of the place where it hangs (from Bo, in B [m]), and the
+/// first of the four of its Swing at the start.
 struct PendulumParameters {
-  int length = 0, damping = 0, swing = 0;
+  int length = 0, damping = 0, place = 0, swing = 0;
 };
 
 /// Each call returns the next of a row of standard normal numbers.

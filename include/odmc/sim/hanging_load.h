@@ -21,6 +21,7 @@ class HangingLoad {
 
  private:
   std::optional<Pendulum> pendulum_;
+  Eigen::Vector3d p_BP_ = Eigen::Vector3d::Zero();  // where it hangs
 };
 
 }  // namespace odmc
