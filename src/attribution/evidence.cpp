@@ -332,9 +332,27 @@ double Evidence::SignTerm(const std::vector<int>& columns, const VectorXd& coeff
   for (size_t k = 0; k < columns.size(); ++k) {
     const Column& column = columns_[columns[k]];
     const auto i = static_cast<Index>(k);
-    sum += LogSignOdds(column.sign, column.certain_sign, column.about + coefficients[i], sigma[i]);
+    // Motion is linear in the inverse of inertia, which a coefficient as large as the inertia makes
+    // zero.
+    const double change = column.effect == "inertia" ? -coefficients[i] : coefficients[i];
+    sum += LogSignOdds(column.sign, column.certain_sign, column.about + change, sigma[i]);
   }
   return sum;
+}
+
+double Evidence::BeliefIn(const EffectFit& fit) const {
+  VectorXd sigma = fit.covariance.diagonal().cwiseSqrt();
+  double belief = 0.0;
+  std::vector<int> base;
+  for (size_t k = 0; k < fit.columns.size() && fit.columns[k] < num_base_; ++k) {
+    const Column& column = columns_[fit.columns[k]];
+    base.push_back(fit.columns[k]);
+    const double z =
+        (fit.coefficients[static_cast<Index>(k)] - column.prior_mean) / column.prior_sigma;
+    belief -= 0.5 * z * z;
+  }
+  const auto n = static_cast<Index>(base.size());
+  return belief + SignTerm(base, fit.coefficients.head(n), sigma.head(n));
 }
 
 EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& columns,

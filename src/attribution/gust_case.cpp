@@ -144,7 +144,9 @@ GustCase RankGusts(const ResidualModel& residual, const Stage& stage,
   ranked.score = gust.gain;
   const double net = NetGain(gust, options);
   ranked.p_value = std::exp(-std::max(0.0, net));
-  ranked.probability = 1.0 / (1.0 + std::exp(-net) + std::exp(-gust.over_others));
+  // Wind is known to act on vehicles, a free force is not.
+  const double over_rival = gust.over_others + options.clear_odds;
+  ranked.probability = 1.0 / (1.0 + std::exp(-net) + std::exp(-over_rival));
   ranked.remarks = RemarksOn(gust, options);
   const auto state = [&](const std::string& name, const std::string& unit, double value,
                          double error) {

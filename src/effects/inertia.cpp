@@ -38,7 +38,12 @@ class Inertia final : public Effect {
             0.4 * nominal,
             nominal,
             ParameterTransform::kLog,
-            PhysicalSign::kPositive};
+            PhysicalSign::kPositive,
+            false,
+            {},
+            {},
+            false,
+            true};
   }
 
   void DoShape(const ParameterValues& values, BodyProperties* body,

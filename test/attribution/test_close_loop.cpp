@@ -305,6 +305,21 @@ TEST(CloseLoop, BlamesNoWindForAForceThatNoEffectMakes) {
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
 }
 
+// In vertical flight tilted rotors turn the vehicle in yaw in proportion to thrust, and the
+// controller holds against that: an inertia without end, which answers no torque, predicts each part
+// of the flight as well. What is known of inertia beforehand says no.
+TEST(CloseLoop, BelievesInNoEndlessInertiaBesideTiltedRotors) {
+  const UndeclaredPlan plan = PlanOneEffect(8001, 12, "rotor_tilt")[7];
+  ASSERT_EQ(plan.trajectory, "vertical");
+  const ClosedLoop loop = Close(MakeUndeclared(plan));
+  ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
+  const RankedEffect& named = loop.effects.front().effect;
+  const std::vector<std::string>& others = loop.effects.front().alternatives;
+  EXPECT_TRUE(named.name == "rotor_tilt" ||
+              std::find(others.begin(), others.end(), "rotor_tilt") != others.end())
+      << CloseLoopTable(loop);
+}
+
 // On these vehicles drag is nearly the same along all axes, and wind through it nearly a free
 // force.
 TEST(CloseLoop, NamesGustsOnEveryTrajectoryAndWithTheirSize) {

@@ -115,6 +115,10 @@ class Evidence {
   /// regressors' noise.
   double UnforeseenChange(const VariantSet& set, const VariantSet& without) const;
 
+  /// What was known of the declared model's parameters before the flight says of what a fit finds
+  /// of them: log of the prior's density over that at its middle [nats].
+  double BeliefIn(const EffectFit& fit) const;
+
   /// By how much `set` predicts parts better than `over`, each by the others [nats]: blocks of time
   /// of a single flight, whole flights of several.
   double PredictiveGain(const VariantSet& set, const VariantSet& over) const;
