@@ -4,6 +4,8 @@
 #include <cmath>
 #include <vector>
 
+#include "odmc/window/ceres_window_solver.h"
+
 namespace odmc {
 namespace {
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "odmc/window/ceres_window_solver.h"
 #include "odmc/window/incremental_window_solver.h"
 #include "update_timer.h"
 
@@ -37,14 +38,10 @@ std::unique_ptr<WindowSolver> MakeSolver(const EstimatorOptions& options,
                                          const DynamicModel& model) {
   const int fresh = FreshKeyframes(model, options);
   if (options.solver == "ceres") return std::make_unique<CeresWindowSolver>(3 + fresh);
-  // Parameters that vary change what the past says of the oldest state at every update, and with it
-  // the whole chain: nothing is left to keep.
-  if (options.solver == "elimination" || !model.processes().empty()) {
-    return std::make_unique<EliminationWindowSolver>(3 + fresh);
-  }
   IncrementalOptions incremental;
   incremental.room_for_keyframes = MostKeyframes(options);
   incremental.recent_keyframes += fresh;
+  incremental.keeps_prior = !model.processes().empty();
   // Form E ties positions to the force twice integrated, a hundred times tighter than odometry.
   if (options.dynamics_form == "euler") {
     for (double& threshold : incremental.relinearise_state) threshold *= 0.05;

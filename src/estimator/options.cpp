@@ -16,8 +16,8 @@ bool EstimatorOptions::IsValid(std::string* error) const {
   if (dynamics_form != "midpoint" && dynamics_form != "euler") {
     return Invalid(error, "dynamics_form must be midpoint or euler");
   }
-  if (solver != "incremental" && solver != "elimination" && solver != "ceres") {
-    return Invalid(error, "solver must be incremental, elimination or ceres");
+  if (solver != "incremental" && solver != "ceres") {
+    return Invalid(error, "solver must be incremental or ceres");
   }
   const auto is_positive = [](double x) { return x > 0.0 && std::isfinite(x); };
   const auto is_not_negative = [](double x) { return x >= 0.0 && std::isfinite(x); };

@@ -19,7 +19,7 @@ void AddOptions(CLI::App* app, odmc::BenchmarkOptions* options) {
       ->capture_default_str()
       ->delimiter(',')
       ->allow_extra_args(false)
-      ->check(CLI::IsMember({"incremental", "elimination", "ceres"}).description(""))
+      ->check(CLI::IsMember({"incremental", "ceres"}).description(""))
       ->type_name("a,b");
   app->add_option("--windows", options->windows_s, "lengths of the sliding window [s]")
       ->capture_default_str()

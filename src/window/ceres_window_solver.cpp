@@ -1,14 +1,17 @@
+#include "odmc/window/ceres_window_solver.h"
+
 #include <ceres/evaluation_callback.h>
 #include <ceres/ordered_groups.h>
 #include <ceres/problem.h>
 #include <ceres/solver.h>
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <deque>
 #include <memory>
 
 #include "odmc/factors/state_factors.h"
-#include "odmc/window/window_solver.h"
+#include "odmc/window/marginalization.h"
 
 namespace odmc {
 namespace {
@@ -101,7 +104,7 @@ struct CeresWindowSolver::Impl {
 };
 
 CeresWindowSolver::CeresWindowSolver(int fresh)
-    : BatchWindowSolver(fresh), impl_(std::make_unique<Impl>()) {}
+    : impl_(std::make_unique<Impl>()), information_(fresh) {}
 CeresWindowSolver::~CeresWindowSolver() = default;
 
 SolveReport CeresWindowSolver::Solve(Window* window, const SolverOptions& options) {
@@ -145,6 +148,65 @@ SolveReport CeresWindowSolver::Solve(Window* window, const SolverOptions& option
   ceres::Solver::Summary summary;
   ceres::Solve(solver_options, &problem, &summary);
   return ReportOf(summary, *window);
+}
+
+bool CeresWindowSolver::ParameterCovariance(const Window& window, const Eigen::VectorXd& sigma,
+                                            Eigen::MatrixXd* covariance) {
+  const Eigen::MatrixXd& information = information_.Update(window, 0.3 * sigma);
+  const auto n = information.rows();
+  *covariance = information.ldlt().solve(Eigen::MatrixXd::Identity(n, n));
+  return covariance->allFinite() && (covariance->diagonal().array() > 0.0).all();
+}
+
+bool CeresWindowSolver::StateCovariance(const Window&, StateMatrix* covariance) {
+  const Eigen::MatrixXd& information = information_.newest();
+  if (information.rows() < kStateTangentSize) return false;
+  const Eigen::LLT<Eigen::MatrixXd> llt(information);
+  if (llt.info() != Eigen::Success) return false;
+  Eigen::MatrixXd state = Eigen::MatrixXd::Zero(information.rows(), kStateTangentSize);
+  state.topRows<kStateTangentSize>().setIdentity();
+  *covariance = llt.solve(state).topRows<kStateTangentSize>();
+  return covariance->allFinite();
+}
+
+bool CeresWindowSolver::MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
+                                          LeavingFactors* leaving) {
+  return odmc::MarginalizeOldest(window, relinearize, leaving);
+}
+
+const Eigen::MatrixXd& CeresWindowSolver::ScalePast(const Eigen::Ref<const Eigen::VectorXd>& scale,
+                                                    Window* window) {
+  root_ = RescalePrior(scale, window);
+  information_.Rescale(root_);
+  return root_;
+}
+
+const Eigen::MatrixXd& CeresWindowSolver::Reweigh(const Eigen::Ref<const Eigen::VectorXd>& scale,
+                                                  std::function<void(Keyframe*)> weigh,
+                                                  Window* window) {
+  for (Keyframe& keyframe : window->keyframes()) weigh(&keyframe);
+  root_ = RescalePrior(scale, window);
+  information_.Forget();
+  return root_;
+}
+
+void CeresWindowSolver::LetPastVary(int index, const ProcessStep& step, Window* window) {
+  LetPriorVary(index, step, &window->prior());
+  information_.Forget();  // what it keeps does not know of the variation
+}
+
+void CeresWindowSolver::LetPastWalk(const Eigen::Ref<const Eigen::VectorXd>& direction,
+                                    double variance, Window* window) {
+  LetPriorWalk(direction, variance, window);
+  information_.Forget();
+}
+
+const Eigen::MatrixXd& CeresWindowSolver::PastInformation(const Window& window) {
+  const Prior& prior = window.prior();
+  const int n = window.layout().num_estimated();
+  const LinearSystem left = Eliminate({prior.A, prior.b, static_cast<int>(prior.A.cols()) - n});
+  past_information_.noalias() = left.A.transpose() * left.A;
+  return past_information_;
 }
 
 }  // namespace odmc

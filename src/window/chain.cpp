@@ -74,6 +74,11 @@ bool Chain::Redo(const Window& window, std::int64_t from) {
   return sound;
 }
 
+bool Chain::EliminateAll(const Window& window, const RootTriangle& before) {
+  RestartFrom(oldest(), before);
+  return Redo(window, oldest());
+}
+
 void Chain::RestartFrom(std::int64_t id, const RootTriangle& before) {
   checkpoints.clear();
   Checkpoint& checkpoint = checkpoints.Append();

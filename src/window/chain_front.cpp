@@ -1,10 +1,12 @@
 #include "odmc/window/chain_front.h"
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <cassert>
 #include <cmath>
 #include <cstring>
 
+#include "odmc/math/so3.h"
 #include "odmc/window/householder.h"
 
 namespace odmc {
@@ -105,6 +107,26 @@ void ChainFront::MakeRoomForLeavingBias() {
 void ChainFront::MovePoint(const Window& window) {
   point = window.keyframe(id).x;
   ++point_version;
+}
+
+void ChainFront::MovePointWithMessage(const Window& window, FrontScratch* scratch) {
+  const std::array<double, kStateSize> from = point;
+  MovePoint(window);
+  Eigen::Matrix<double, kState, 1> d;
+  StateManifold().Minus(point.data(), from.data(), d.data());
+  if (d.isZero(0.0)) return;
+  const Eigen::Matrix3d turn = RightJacobianInverse(d.segment<3>(kTangentRotation));
+  const int rhs = kState + BorderColumns(n_).rhs();
+  RowBlock& rows = scratch->own;
+  rows.CopyFrom(message);
+  for (int i = 0; i < kState; ++i) {
+    double* row = rows.row(i);
+    row[rhs] += Eigen::Map<const Eigen::Matrix<double, kState, 1>>(row).dot(d);
+    Eigen::Map<Eigen::RowVector3d> of_rotation(row + kTangentRotation);
+    of_rotation = (of_rotation * turn).eval();
+  }
+  Triangularise(rows.data.data(), rows.stride, kState, kState, rhs + 1, message.data.data(),
+                message.stride);
 }
 
 bool ChainFront::Linearise(const Window& window, const ChainFront* next,
@@ -392,10 +414,13 @@ void ChainFront::LinearResidual(const Window& window, const Factor& factor, cons
     if (kept.in_pair) {
       for (int j = 0; j < kState; ++j) r += row[pivots() + j] * next_offset[j];
     }
-    if (factor.bias0 >= 0) {
-      const auto& bias = window.bias(factor.bias0).x;
-      for (int j = 0; j < kBiasSize; ++j) r += row[bias_at + j] * bias[static_cast<size_t>(j)];
-    }
+    const auto add_bias = [&](std::int64_t which, int from) {
+      if (which < 0) return;
+      const auto& bias = window.bias(which).x;
+      for (int j = 0; j < kBiasSize; ++j) r += row[from + j] * bias[static_cast<size_t>(j)];
+    };
+    add_bias(factor.bias0, bias_at);
+    add_bias(factor.bias1, at + BorderColumns::kBias);
     const double* of_parameters = row + at + BorderColumns::kParameters;
     for (int j = 0; j < n_; ++j) r += of_parameters[j] * window.eta()[j];
     residual[i] = r;

@@ -9,6 +9,19 @@ constexpr int kState = kStateTangentSize;
 
 }  // namespace
 
+void ReadChain(const Window& window, Chain* chain, ChainPast* past) {
+  chain->Clear();
+  for (const Keyframe& keyframe : window.keyframes()) {
+    chain->fronts.Append().Reset(window, keyframe.id);
+  }
+  ChainFront* const oldest = chain->fronts.empty() ? nullptr : &chain->fronts.front();
+  ReadChainPrior(window, oldest, past);
+  if (window.prior().has_state) {
+    oldest->point = window.keyframes().front().x_lin;
+    oldest->delta_version = -1;  // the state is elsewhere
+  }
+}
+
 void ReadChainPrior(const Window& window, ChainFront* oldest, ChainPast* past) {
   const int n = window.layout().num_estimated();
   past->Clear(n);

@@ -32,8 +32,8 @@ void ChainSolution::Reset(const Window& window, int stride) {
 }
 
 /// The candidate of `root`. @returns false if it is not a number
-bool ChainSolution::SolveBorder(const RootTriangle& root, const Window& window) {
-  root.Solve(window.anchor_entry(), window.anchor(), border_.data());
+bool ChainSolution::SolveBorder(const RootTriangle& root, int anchor_entry, const Window& window) {
+  root.Solve(anchor_entry, window.anchor(), border_.data());
   const auto end = border_.begin() + root.columns().size();
   return std::all_of(border_.begin(), end, [](double x) { return std::isfinite(x); });
 }
@@ -54,13 +54,13 @@ bool ChainSolution::Damp(const Window& window) {
   for (double tighter = 1.0; IsFar(from, window); tighter *= kTighter) {
     damped_ = chain_->root;
     damped_.AbsorbPriors(from, window.parameter_sigma() / tighter);
-    if (!SolveBorder(damped_, window) || tighter > kTightest) return false;
+    if (!SolveBorder(damped_, window.anchor_entry(), window) || tighter > kTightest) return false;
   }
   return true;
 }
 
 ChainSolution::Step ChainSolution::SolveRoot(LongSteps long_steps, Window* window) {
-  if (!SolveBorder(chain_->root, *window)) return Step::kRefused;
+  if (!SolveBorder(chain_->root, window->anchor_entry(), *window)) return Step::kRefused;
   Step step = Step::kWhole;
   const bool damps = long_steps == LongSteps::kDamped;
   if (IsFar(window->eta(), *window) || (is_held_ && IsFar(error_->in_use_at(), *window))) {
@@ -68,14 +68,25 @@ ChainSolution::Step ChainSolution::SolveRoot(LongSteps long_steps, Window* windo
     step = Step::kDamped;
     is_held_ = true;
   }
+  TakeBorder(window);
+  window->MoveAnchor();
+  return step;
+}
+
+bool ChainSolution::SolveRootAtAnchor(Window* window) {
+  if (!SolveBorder(chain_->root, -1, *window)) return false;
+  TakeBorder(window);
+  return true;
+}
+
+/// The candidate becomes the solution.
+void ChainSolution::TakeBorder(Window* window) {
   std::swap(shared_, border_);
   for (int i = 0; i < chain_->root.columns().n; ++i) {
     window->eta()[i] = shared_[static_cast<size_t>(BorderColumns::kParameters + i)];
   }
-  window->MoveAnchor();
   const std::int64_t bias = window->keyframes().back().bias;
   if (bias >= 0) std::copy_n(shared_.begin(), 6, BiasOf(window, bias));
-  return step;
 }
 
 /// Solves one front given the next. @returns the largest change, in thresholds

@@ -20,11 +20,11 @@ constexpr int kFasterInShort = 3;      // windows: it is through within a few up
 constexpr size_t kMostHurried = 350;   // keyframes; in longer windows parameters move less
 constexpr int kMostHurriedSweeps = 4;  // in one update
 constexpr double kAlignmentTolerance = 1e-4;  // of its cost; the chain takes the last step
-constexpr int kAlignmentIterations = 10;      // of the batch solve
+constexpr int kAlignmentIterations = 10;
 constexpr int kLeastAlignmentIterations = 2;  // that must fit into an update
 constexpr int kMostFollowUps = 3;             // sweeps after one that aligns
 // Per keyframe, in units of an elimination of it, by the time they take.
-constexpr int kBatchIteration = 2;
+constexpr int kAlignmentIteration = 2;
 constexpr int kCorrectionsAWork = 2, kBackSubstitutionsAWork = 20;
 
 }  // namespace
@@ -52,10 +52,11 @@ IncrementalWindowSolver::IncrementalWindowSolver(const IncrementalOptions& optio
       chain_(&options_),
       error_(&options_),
       corrections_(&options_, &chain_, &sweep_, &error_),
-      solution_(&options_, &chain_, &error_) {}
+      solution_(&options_, &chain_, &error_),
+      alignment_(&chain_, &solution_) {}
 IncrementalWindowSolver::~IncrementalWindowSolver() = default;
 
-// ---- Between the batch solve and the chain ------------------------------------------------------
+// ---- Between the window's prior and the chain ---------------------------------------------------
 
 /// True if the fronts are those of the window's oldest keyframes.
 bool IncrementalWindowSolver::Follows(const Window& window) const {
@@ -74,7 +75,6 @@ void IncrementalWindowSolver::Forget() {
   corrections_.Clear();
   error_.ForgetCurvature();
   solution_.ForgetPass();
-  batch_.Forget();
 }
 
 void IncrementalWindowSolver::WritePrior(Window* window) {
@@ -82,31 +82,33 @@ void IncrementalWindowSolver::WritePrior(Window* window) {
 }
 
 void IncrementalWindowSolver::WritePrior(const RootTriangle& past, Window* window) const {
+  if (options_.keeps_prior) return;  // it is what it was
   WriteChainPrior(past, chain_.fronts.empty() ? nullptr : &chain_.fronts.front(), window);
+}
+
+/// Takes the window over as it stands, the past from its prior; nothing is eliminated yet.
+void IncrementalWindowSolver::Read(const Window& window) {
+  ReadChain(window, &chain_, &past_);
+  for (const ChainFront& front : chain_.fronts) corrections_.Append(window, front.id);
+  solution_.Reset(window, past_.rows().stride());
+  corrections_.Reset(past_.columns().pivots());
 }
 
 /// Makes the chain from the window as it stands.
 bool IncrementalWindowSolver::Build(Window* window) {
   Forget();
-  for (const Keyframe& keyframe : window->keyframes()) AppendFront(*window, keyframe.id);
-  ChainFront* const oldest = chain_.fronts.empty() ? nullptr : &chain_.fronts.front();
-  if (oldest != nullptr && window->prior().has_state) {
-    oldest->point = window->keyframes().front().x_lin;
-    oldest->delta_version = -1;  // the state is elsewhere
-  }
-  ReadChainPrior(*window, oldest, &past_);
+  Read(*window);
   incremental_ = true;
   window->TakeTouched();
   window->MoveAnchor();
-  solution_.Reset(*window, past_.rows().stride());
-  corrections_.Reset(past_.columns().pivots());
   if (error_.sigma.size() != past_.num_parameters()) error_.sigma = window->parameter_sigma();
   error_.SetInUse(window->eta());
-  if (oldest == nullptr) {
+  if (chain_.fronts.empty()) {
     RootOfPastAlone(*window);
     sweep_.begun_at = window->eta();
     return true;
   }
+  chain_.fronts.front().MovePointWithMessage(*window, &chain_.scratch);
   return SweepAll(window);
 }
 
@@ -115,7 +117,7 @@ void IncrementalWindowSolver::RootOfPastAlone(const Window& window) {
   chain_.root.AbsorbPriors(window.parameter_centre(), window.parameter_sigma());
 }
 
-/// Puts the past back into the window, for the batch solver.
+/// Puts the past back into the window.
 void IncrementalWindowSolver::HandBack(Window* window) {
   TellRootsOfPast();
   sweep_.FinishReweighing(window);
@@ -123,35 +125,46 @@ void IncrementalWindowSolver::HandBack(Window* window) {
   Forget();
 }
 
+/// Solves the window as a whole and builds the chain where that ends.
+SolveReport IncrementalWindowSolver::SolveWhole(Window* window, const SolverOptions& options) {
+  HandBack(window);
+  SolveReport report;
+  report.usable = report.converged = window->keyframes().empty();
+  if (report.usable) return report;
+  Read(*window);
+  report = alignment_.Solve(past_.rows(), options, window);
+  if (!report.usable) {
+    Forget();
+  } else if (!Build(window)) {
+    HandBack(window);
+  }
+  return report;
+}
+
 SolveReport IncrementalWindowSolver::Align(Window* window, const SolverOptions& options) {
   // Asked for, it solves the same problem better; factors that were touched, or a step too long for
   // a linear model, make another problem of it.
   const bool is_same = options.align && window->TakeTouched() < 0;
   const double curvature = error_.curvature();
-  HandBack(window);
   SolverOptions thorough = options;
   thorough.max_iterations = std::max(options.max_iterations, kAlignmentIterations);
   const int states = std::max(1, static_cast<int>(window->keyframes().size()));
-  const int fitting = (options.max_work / states - 1) / kBatchIteration;
+  const int fitting = (options.max_work / states - 1) / kAlignmentIteration;
   thorough.max_iterations = std::clamp(fitting, 1, thorough.max_iterations);
-  // From there the chain, which tells the covariance, takes the last step.
+  // From there the chain takes the last step.
   thorough.function_tolerance = std::max(options.function_tolerance, kAlignmentTolerance);
-  SolveReport report = batch_.Solve(window, thorough);
+  SolveReport report = SolveWhole(window, thorough);
   report.aligned = true;
-  if (!report.usable || window->keyframes().empty()) return report;
-  if (!Build(window)) {
-    HandBack(window);
-    return report;
-  }
+  if (chain_.fronts.empty() || !Follows(*window)) return report;
   if (is_same) error_.SetCurvature(curvature);
   if (SolveRoot(window)) BackSubstitute(window, true);
   report.work += Work();
   return report;
 }
 
-/// True if the batch solve of the window is little enough work for one update.
-bool IncrementalWindowSolver::BatchFits(const Window& window) const {
-  constexpr int kWork = kBatchIteration * kLeastAlignmentIterations + 1;
+/// True if an alignment of the window is little enough work for one update.
+bool IncrementalWindowSolver::AlignmentFits(const Window& window) const {
+  constexpr int kWork = kAlignmentIteration * kLeastAlignmentIterations + 1;
   return static_cast<int>(window.keyframes().size()) <= max_work_ / kWork;
 }
 
@@ -341,14 +354,14 @@ bool IncrementalWindowSolver::Correct(Window* window, const Allowance& allowance
   }
 }
 
-/// Parameters from the root. A step that is too long for a linear model is left to the batch solve
+/// Parameters from the root. A step that is too long for a linear model is left to an alignment
 /// where that fits into the update; else it is damped, and sweeps hurry on from where it ends.
 /// @returns false if the step is not to be taken
 bool IncrementalWindowSolver::SolveRoot(Window* window) {
   using Step = ChainSolution::Step;
-  const Step step = solution_.SolveRoot(
-      BatchFits(*window) ? ChainSolution::LongSteps::kRefused : ChainSolution::LongSteps::kDamped,
-      window);
+  const Step step = solution_.SolveRoot(AlignmentFits(*window) ? ChainSolution::LongSteps::kRefused
+                                                               : ChainSolution::LongSteps::kDamped,
+                                        window);
   if (step == Step::kRefused) return false;
   if (step == Step::kDamped) {
     error_.ExpectNoLess();
@@ -371,6 +384,7 @@ void IncrementalWindowSolver::BackSubstitute(Window* window, bool everything) {
 /// Takes up what is new, and the sweep's next portion.
 IncrementalWindowSolver::Outcome IncrementalWindowSolver::Follow(Window* window,
                                                                  const Allowance& allowance) {
+  const bool is_new = !Follows(*window);
   bool sound = CatchUp(window);
   if (sound && sweep_.active) {
     const int fast = corrections_.size() <= kSoonInTurn ? kFasterInShort : kFaster;
@@ -379,7 +393,7 @@ IncrementalWindowSolver::Outcome IncrementalWindowSolver::Follow(Window* window,
   }
   if (!sound) return Outcome::kRefused;
   if (!SolveRoot(window) || !Correct(window, allowance)) return Outcome::kTooLong;
-  BackSubstitute(window, false);
+  BackSubstitute(window, is_new);
   return Outcome::kDone;
 }
 
@@ -413,7 +427,7 @@ IncrementalWindowSolver::Outcome IncrementalWindowSolver::Hurry(Window* window,
   const bool may_hurry = sweep_.urgent || IsShort();
   for (int i = 0; may_hurry && MayCost(kIntolerable, *window) && allowance.IsLeft(); ++i) {
     if (i == kMostHurriedSweeps) {
-      if (BatchFits(*window)) return Outcome::kTooLong;  // steps want damping
+      if (AlignmentFits(*window)) return Outcome::kTooLong;  // steps want damping
       break;
     }
     const bool sound = SweepOn(window, allowance);
@@ -473,8 +487,13 @@ SolveReport IncrementalWindowSolver::SolveOnce(Window* window, const SolverOptio
   report_.iterations = 1;
   sweep_.has_reweighed = false;
   max_work_ = options.max_work;
+  if (options_.keeps_prior) {
+    SolveReport report = SolveWhole(window, options);
+    report.work += Work();
+    return report;
+  }
   const bool starts = !Follows(*window) || chain_.fronts.empty();
-  if (window->keyframes().empty() || (options.align && (starts || BatchFits(*window)))) {
+  if (window->keyframes().empty() || (options.align && (starts || AlignmentFits(*window)))) {
     return Align(window, options);
   }
   if (options.align) AskForAlignment(*window);
@@ -484,7 +503,7 @@ SolveReport IncrementalWindowSolver::SolveOnce(Window* window, const SolverOptio
   const ParameterVector eta = window->eta();
   Outcome outcome = Follow(window, allowance);
   if (outcome == Outcome::kDone) outcome = SettleRecent(window);
-  if (outcome == Outcome::kDone) outcome = Hurry(window, allowance);
+  if (outcome == Outcome::kDone && followed) outcome = Hurry(window, allowance);
   if (outcome == Outcome::kDone) outcome = Iterate(window, options.max_iterations, allowance);
   if (outcome == Outcome::kTooLong) return Align(window, options);
   if (outcome == Outcome::kRefused) {
@@ -508,10 +527,13 @@ SolveReport IncrementalWindowSolver::SolveOnce(Window* window, const SolverOptio
 
 bool IncrementalWindowSolver::MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
                                                 LeavingFactors* leaving) {
-  if (!Follows(*window)) return batch_.MarginalizeOldest(window, relinearize, leaving);
+  if (options_.keeps_prior) {
+    HandBack(window);
+    return odmc::MarginalizeOldest(window, relinearize, leaving);
+  }
   const Ring<ChainFront>& fronts = chain_.fronts;
   bool sound = true;
-  if (fronts.size() < window->keyframes().size()) sound = CatchUp(window);
+  if (!Follows(*window) || fronts.size() < window->keyframes().size()) sound = CatchUp(window);
   if (sweep_.reweighs) sound = Sweep(window, static_cast<int>(fronts.size()) + 1) && sound;
   // The sweep stays ahead of what leaves.
   while (sweep_.active && sweep_.next == chain_.oldest() && fronts.size() > 1) {
@@ -539,23 +561,32 @@ bool IncrementalWindowSolver::MarginalizeOldest(Window* window, const Eigen::Vec
 }
 
 bool IncrementalWindowSolver::ParameterCovariance(const Window& window,
-                                                  const Eigen::VectorXd& sigma,
+                                                  const Eigen::VectorXd& /*sigma*/,
                                                   Eigen::MatrixXd* covariance) {
-  if (!Follows(window)) {
-    const bool known = batch_.ParameterCovariance(window, sigma, covariance);
-    if (known) error_.sigma = covariance->diagonal().cwiseSqrt();
-    return known;
+  if (Follows(window)) {
+    TellRootsOfPast();
+    if (chain_.fronts.empty()) RootOfPastAlone(window);
+  } else {
+    EliminateForOnce(window);
   }
-  TellRootsOfPast();
-  if (chain_.fronts.empty()) RootOfPastAlone(window);
   if (!chain_.root.Covariance(covariance)) return false;
   error_.sigma = covariance->diagonal().cwiseSqrt();  // finite, as the covariance is
   return true;
 }
 
-bool IncrementalWindowSolver::StateCovariance(const Window& window, StateMatrix* covariance) {
-  if (!Follows(window) || chain_.fronts.empty()) return batch_.StateCovariance(window, covariance);
-  return chain_.NewestCovariance(covariance);
+/// A chain for covariances only: the next solve builds it anew all the same.
+void IncrementalWindowSolver::EliminateForOnce(const Window& window) {
+  Forget();
+  Read(window);
+  RootOfPastAlone(window);
+  if (chain_.fronts.empty()) return;
+  chain_.fronts.front().MovePointWithMessage(window, &chain_.scratch);
+  chain_.MoveParameterPoint(window.eta());
+  chain_.EliminateAll(window, chain_.root);  // what cannot be evaluated says nothing
+}
+
+bool IncrementalWindowSolver::StateCovariance(const Window&, StateMatrix* covariance) {
+  return !chain_.fronts.empty() && chain_.NewestCovariance(covariance);
 }
 
 /// What changed in the past changes all roots that hold it by the same sum of squares.
@@ -573,7 +604,11 @@ void IncrementalWindowSolver::TellRootsOfPast() {
 const Eigen::MatrixXd& IncrementalWindowSolver::Reweigh(
     const Eigen::Ref<const Eigen::VectorXd>& scale, std::function<void(Keyframe*)> weigh,
     Window* window) {
-  if (!Follows(*window)) return batch_.Reweigh(scale, std::move(weigh), window);
+  if (options_.keeps_prior) HandBack(window);
+  if (!Follows(*window)) {
+    for (Keyframe& keyframe : window->keyframes()) weigh(&keyframe);
+    return ScalePast(scale, window);
+  }
   // The chain in use keeps the old weights, all of them, until a sweep is through.
   sweep_.past = past_.rows();
   const Eigen::MatrixXd& root = past_.ScaleUntold(scale);
@@ -586,23 +621,32 @@ const Eigen::MatrixXd& IncrementalWindowSolver::Reweigh(
 
 const Eigen::MatrixXd& IncrementalWindowSolver::ScalePast(
     const Eigen::Ref<const Eigen::VectorXd>& scale, Window* window) {
-  if (!Follows(*window)) return batch_.ScalePast(scale, window);
-  return past_.Scale(scale);
+  if (options_.keeps_prior) HandBack(window);
+  if (Follows(*window)) return past_.Scale(scale);
+  scale_root_ = RescalePrior(scale, window);
+  return scale_root_;
 }
 
 void IncrementalWindowSolver::LetPastVary(int index, const ProcessStep& step, Window* window) {
   HandBack(window);
-  batch_.LetPastVary(index, step, window);
+  LetPriorVary(index, step, &window->prior());
 }
 
 void IncrementalWindowSolver::LetPastWalk(const Eigen::Ref<const Eigen::VectorXd>& direction,
                                           double variance, Window* window) {
-  if (!Follows(*window)) return batch_.LetPastWalk(direction, variance, window);
-  past_.LetWalk(direction, variance);
+  if (options_.keeps_prior) HandBack(window);
+  if (Follows(*window)) {
+    past_.LetWalk(direction, variance);
+  } else {
+    LetPriorWalk(direction, variance, window);
+  }
 }
 
 const Eigen::MatrixXd& IncrementalWindowSolver::PastInformation(const Window& window) {
-  if (!Follows(window)) return batch_.PastInformation(window);
+  if (!Follows(window)) {
+    Forget();
+    Read(window);
+  }
   return past_.Information();
 }
 

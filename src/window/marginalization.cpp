@@ -8,7 +8,6 @@
 #include <vector>
 
 #include "odmc/factors/dynamics_factor.h"
-#include "odmc/window/front.h"
 
 namespace odmc {
 namespace {
@@ -17,40 +16,28 @@ namespace {
 /// the linearization points: residual(x_lin) = r(x) - J (x ⊖ x_lin).
 void Stack(const Window& window, const Factor& factor, const LinearFactor& linear,
            const FrontColumns& c, int row, LinearSystem* system) {
-  const int rows = static_cast<int>(linear.r.size());
-  system->b.segment(row, rows) = linear.r;
-  const auto put = [&](int from, int size, int to, const Eigen::VectorXd& offset) {
-    if (from < 0) return;
-    const auto block = linear.J.middleCols(from, size);
-    system->A.block(row, to, rows, size) += block;
-    if (offset.size() > 0) system->b.segment(row, rows) -= block * offset;
-  };
+  PlaceRows(factor, linear, c, row, &system->A);
+  auto b = system->b.segment(row, linear.r.size());
+  b = linear.r;
   const auto state = [&](std::int64_t id, int from) {
-    if (id < 0) return;
+    if (id < 0 || !window.keyframe(id).in_prior) return;
     const Keyframe& k = window.keyframe(id);
-    Eigen::VectorXd offset;
-    if (k.in_prior) {
-      offset.resize(kStateTangentSize);
-      StateManifold().Minus(k.x.data(), k.x_lin.data(), offset.data());
-    }
-    put(from, kStateTangentSize, c.StateColumn(id), offset);
+    Eigen::Matrix<double, kStateTangentSize, 1> offset;
+    StateManifold().Minus(k.x.data(), k.x_lin.data(), offset.data());
+    b -= linear.J.middleCols<kStateTangentSize>(from) * offset;
   };
   const auto bias = [&](std::int64_t id, int from) {
-    if (id < 0) return;
-    const Bias& b = window.bias(id);
-    Eigen::VectorXd offset;
-    if (b.in_prior) {
-      offset.resize(6);
-      for (int i = 0; i < 6; ++i) offset[i] = b.x[i] - b.x_lin[i];
-    }
-    put(from, 6, c.BiasColumn(id), offset);
+    if (id < 0 || !window.bias(id).in_prior) return;
+    const Bias& of = window.bias(id);
+    for (int i = 0; i < 6; ++i) b -= linear.J.col(from + i) * (of.x[i] - of.x_lin[i]);
   };
   state(factor.state0, linear.state0);
   state(factor.state1, linear.state1);
   bias(factor.bias0, linear.bias0);
   bias(factor.bias1, linear.bias1);
-  put(linear.parameters, window.layout().num_estimated(), c.parameters,
-      window.eta() - window.prior().eta_lin);
+  if (linear.parameters < 0) return;
+  const Eigen::VectorXd moved = window.eta() - window.prior().eta_lin;
+  b -= linear.J.middleCols(linear.parameters, moved.size()) * moved;
 }
 
 /// Moves the prior's linearization point of the parameters: the same affine function elsewhere.
@@ -75,6 +62,41 @@ void Observe(const Window& window, const Factor& factor, LeavingFactors* leaving
 }
 
 }  // namespace
+
+FrontColumns::FrontColumns(const Window& window, std::int64_t keyframe)
+    : id(keyframe), bias(window.keyframe(keyframe).bias) {
+  const bool has_next = keyframe < window.keyframes().back().id;
+  const std::int64_t next_bias = has_next ? window.keyframe(keyframe + 1).bias : -1;
+  int column = kStateTangentSize;
+  if (bias >= 0 && bias != next_bias) {
+    leaving_bias = column;
+    column += 6;
+  }
+  num_eliminated = column;
+  if (has_next) {
+    next_state = column;
+    column += kStateTangentSize;
+  }
+  if (next_bias >= 0) {
+    kept_bias = column;
+    column += 6;
+  }
+  parameters = column;
+  total = column + window.layout().num_estimated();
+}
+
+void PlaceRows(const Factor& factor, const LinearFactor& linear, const FrontColumns& columns,
+               int row, Eigen::MatrixXd* A) {
+  const Eigen::Index rows = linear.J.rows();
+  const auto put = [&](int from, int to, int size) {
+    if (from >= 0) A->block(row, to, rows, size) += linear.J.middleCols(from, size);
+  };
+  put(linear.state0, columns.StateColumn(factor.state0), kStateTangentSize);
+  put(linear.state1, columns.StateColumn(factor.state1), kStateTangentSize);
+  put(linear.bias0, columns.BiasColumn(factor.bias0), 6);
+  put(linear.bias1, columns.BiasColumn(factor.bias1), 6);
+  put(linear.parameters, columns.parameters, columns.total - columns.parameters);
+}
 
 LinearSystem Eliminate(const LinearSystem& system, double tolerance) {
   const int e = system.num_eliminated;

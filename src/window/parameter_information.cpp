@@ -1,26 +1,56 @@
 #include "odmc/window/parameter_information.h"
 
 #include <algorithm>
+#include <utility>
 
-#include "odmc/window/front.h"
+#include "odmc/window/marginalization.h"
 
 namespace odmc {
 namespace {
 
-/// Eliminates a front. A ridge keeps directions of the eliminated variables that nobody measured
-/// from failing; they carry no information either way. What can't be eliminated at all (a factor
-/// that is not a number) says nothing.
-Eigen::MatrixXd Eliminated(const FrontColumns& columns, Eigen::MatrixXd* front) {
-  EliminatedFront eliminated;
-  const int rest = columns.total + 1 - columns.num_eliminated;
-  Eigen::MatrixXd message = Eigen::MatrixXd::Zero(rest, rest);
-  auto diagonal = front->diagonal().head(columns.num_eliminated);
-  const double largest = diagonal.maxCoeff();
-  for (double ridge = 1e-12; ridge <= 1.0; ridge *= 100.0) {
-    diagonal.array() += ridge * largest + 1e-300;
-    if (EliminateFront(*front, columns, &eliminated, &message)) break;
+/// The window's prior as rows over its oldest state, that one's bias and the parameters, at the
+/// present estimate.
+Eigen::MatrixXd PriorRows(const Window& window) {
+  const Prior& prior = window.prior();
+  const int n = window.layout().num_estimated();
+  const bool with_bias = !window.keyframes().empty() && window.keyframes().front().bias >= 0;
+  const int others = kStateTangentSize + (with_bias ? 6 : 0);
+  Eigen::MatrixXd rows = Eigen::MatrixXd::Zero(prior.b.size(), others + n);
+  if (prior.has_state) rows.leftCols<kStateTangentSize>() = PriorStateJacobian(window);
+  if (prior.has_bias) {
+    rows.middleCols<6>(kStateTangentSize) = prior.A.middleCols<6>(prior.state_columns());
   }
-  return message;
+  rows.rightCols(n) = prior.A.rightCols(n);
+  return rows;
+}
+
+/// A keyframe's front: what all before it say, and its factors. What cannot be evaluated says
+/// nothing.
+Eigen::MatrixXd FrontRows(const Window& window, const FrontColumns& columns,
+                          const Eigen::MatrixXd& message) {
+  const std::vector<Factor>& factors = window.keyframe(columns.id).factors;
+  const int n = window.layout().num_estimated();
+  auto row = static_cast<int>(message.rows());
+  int rows = row;
+  for (const Factor& factor : factors) rows += factor.cost->num_residuals();
+  Eigen::MatrixXd A = Eigen::MatrixXd::Zero(rows, columns.total);
+  A.topLeftCorner(row, kStateTangentSize) = message.leftCols<kStateTangentSize>();
+  if (columns.bias >= 0) {
+    A.block(0, columns.BiasColumn(columns.bias), row, 6) = message.middleCols<6>(kStateTangentSize);
+  }
+  A.topRightCorner(row, n) = message.rightCols(n);
+  LinearFactor linear;
+  for (const Factor& factor : factors) {
+    if (!Linearize(window, factor, false, &linear)) continue;
+    PlaceRows(factor, linear, columns, row, &A);
+    row += static_cast<int>(linear.r.size());
+  }
+  return A;
+}
+
+/// Columns of variables of the next keyframe only, for the message to it.
+Eigen::MatrixXd MessageOf(const Eigen::MatrixXd& front, const FrontColumns& columns) {
+  return Eliminate({front, Eigen::VectorXd::Zero(front.rows()), columns.num_eliminated}).A;
 }
 
 }  // namespace
@@ -34,11 +64,7 @@ bool ParameterInformation::Reusable(const Window& window,
 void ParameterInformation::Rescale(const Eigen::MatrixXd& root) {
   const auto n = root.cols();
   for (Message& message : messages_) {
-    Eigen::MatrixXd H = message.normal.selfadjointView<Eigen::Upper>();
-    const auto first = H.cols() - 1 - n;
-    H.middleCols(first, n) *= root;
-    H.middleRows(first, n) = (root * H.middleRows(first, n)).eval();
-    message.normal = H.triangularView<Eigen::Upper>();
+    message.rows.rightCols(n) = (message.rows.rightCols(n) * root).eval();
   }
 }
 
@@ -61,34 +87,26 @@ const Eigen::MatrixXd& ParameterInformation::Update(const Window& window,
   Eigen::MatrixXd message;
   if (!messages_.empty()) {
     start = messages_.back().id;
-    message = std::move(messages_.back().normal);
+    message = std::move(messages_.back().rows);
     messages_.pop_back();
   } else {
-    message = PriorMessage(window);
+    message = PriorRows(window);
   }
 
-  LinearFactor linear;
-  Eigen::MatrixXd front;
+  const Eigen::VectorXd of_priors = window.parameter_sigma().cwiseAbs2().cwiseInverse();
   newest_.resize(0, 0);
   for (std::int64_t id = start; id <= newest; ++id) {
     const FrontColumns columns(window, id);
-    front.setZero(columns.total + 1, columns.total + 1);
-    AddToFront(message, columns, &front);
-    for (const Factor& factor : window.keyframe(id).factors) {
-      if (Linearize(window, factor, false, &linear)) {
-        AddToFront(factor, linear, columns, &front);
-      }
-    }
+    const Eigen::MatrixXd front = FrontRows(window, columns, message);
     messages_.push_back({id, std::move(message)});
     if (id == newest) {
-      newest_ = front.topLeftCorner(columns.total, columns.total).selfadjointView<Eigen::Upper>();
-      newest_.diagonal().tail(n) += window.parameter_sigma().cwiseAbs2().cwiseInverse();
+      newest_.noalias() = front.transpose() * front;
+      newest_.diagonal().tail(n) += of_priors;
     }
-    message = Eliminated(columns, &front);
+    message = MessageOf(front, columns);
   }
-  const auto of_parameters = message.bottomRightCorner(n + 1, n + 1).topLeftCorner(n, n);
-  information_ = of_parameters.selfadjointView<Eigen::Upper>();
-  information_.diagonal() += window.parameter_sigma().cwiseAbs2().cwiseInverse();
+  information_.noalias() = message.rightCols(n).transpose() * message.rightCols(n);
+  information_.diagonal() += of_priors;
   return information_;
 }
 

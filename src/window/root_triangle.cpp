@@ -61,13 +61,24 @@ void RootTriangle::Absorb(double* rows, int row_stride, int count) {
 }
 
 void RootTriangle::AbsorbPriors(const Eigen::VectorXd& centre, const Eigen::VectorXd& sigma) {
+  AbsorbPriorsFrom(BorderColumns::kParameters, centre, sigma);
+}
+
+void RootTriangle::AbsorbBiasPrior(const Eigen::VectorXd& centre, const Eigen::VectorXd& sigma) {
+  AbsorbPriorsFrom(BorderColumns::kBias, centre, sigma);
+}
+
+/// |(x - centre) / sigma|² of the columns from `first` on.
+void RootTriangle::AbsorbPriorsFrom(int first, const Eigen::VectorXd& centre,
+                                    const Eigen::VectorXd& sigma) {
   std::fill(scratch_.begin(), scratch_.end(), 0.0);
-  for (int i = 0; i < columns_.n; ++i) {
+  const auto rows = static_cast<int>(centre.size());
+  for (int i = 0; i < rows; ++i) {
     double* prior = scratch_.data() + i * stride_;
-    prior[BorderColumns::kParameters + i] = 1.0 / sigma[i];
+    prior[first + i] = 1.0 / sigma[i];
     prior[columns_.rhs()] = -centre[i] / sigma[i];
   }
-  Absorb(scratch_.data(), stride_, columns_.n);
+  Absorb(scratch_.data(), stride_, rows);
 }
 
 double RootTriangle::AddGradient(const std::vector<double>& gradient, double most_sigmas) {

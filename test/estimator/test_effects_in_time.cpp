@@ -146,7 +146,7 @@ TEST_F(ThrustWalk, StaysWithinThreeSigmaAllAlong) {
 }
 
 TEST_F(ThrustWalk, IsTheSameWithEverySolver) {
-  const ReplayResult ours = Run(2e-3, "incremental", 9.0), batch = Run(2e-3, "elimination", 9.0);
+  const ReplayResult ours = Run(2e-3, "incremental", 9.0), batch = Run(2e-3, "ceres", 9.0);
   ASSERT_TRUE(ours.last && batch.last);
   EXPECT_NEAR(ours.last->values[k_f_], batch.last->values[k_f_], 0.1 * batch.last->sigma[k_f_]);
   EXPECT_NEAR(ours.last->sigma[k_f_], batch.last->sigma[k_f_], 0.05 * batch.last->sigma[k_f_]);

@@ -12,7 +12,7 @@
 #include "odmc/preintegration/rotor_interval.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
-#include "odmc/window/window_solver.h"
+#include "odmc/window/ceres_window_solver.h"
 #include "support/test_vehicle.h"
 
 namespace odmc {

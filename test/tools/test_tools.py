@@ -558,12 +558,12 @@ class ToolsTest(unittest.TestCase):
 
     def test_benchmark_compares_only_when_asked(self) -> None:
         out = self.path('benchmark_quick')
-        done = run('benchmark', self.flight(), '--vehicle', VEHICLE, '--solver', 'elimination',
+        done = run('benchmark', self.flight(), '--vehicle', VEHICLE, '--solver', 'ceres',
                    '--windows', '0.2', '--full-solve-every', '0', '--no-report', '--out', out)
         self.assertEqual((done.returncode, done.stderr), (0, ''))
         self.assertEqual(os.listdir(out), ['report.json'])
         row, = read_json(out, 'report.json')['benchmark']
-        self.assertEqual((row['solver'], row['comparison']), ('elimination', None))
+        self.assertEqual((row['solver'], row['comparison']), ('ceres', None))
 
     def bench(self) -> str:
         """Steps of one motor: first-order lag of 30 ms, 700 rad/s at 20 %, 2000 per throttle."""

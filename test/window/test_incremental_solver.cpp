@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "odmc/window/ceres_window_solver.h"
 #include "odmc/window/incremental_window_solver.h"
 #include "support/linear_window.h"
 

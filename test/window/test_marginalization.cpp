@@ -6,8 +6,8 @@
 
 #include "odmc/factors/dynamics_factor.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "odmc/window/ceres_window_solver.h"
 #include "odmc/window/marginalization.h"
-#include "odmc/window/window_solver.h"
 #include "support/linear_window.h"
 
 namespace odmc {

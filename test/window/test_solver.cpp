@@ -6,8 +6,10 @@
 #include <memory>
 #include <string>
 
+#include "odmc/window/ceres_window_solver.h"
+#include "odmc/window/chain_alignment.h"
+#include "odmc/window/chain_prior.h"
 #include "odmc/window/marginalization.h"
-#include "odmc/window/window_solver.h"
 #include "support/linear_window.h"
 
 namespace odmc {
@@ -35,7 +37,18 @@ class WindowSolverTest : public testing::TestWithParam<const char*> {
   static SolveReport Solve(const std::string& solver, const SolverOptions& options,
                            Window* window) {
     if (solver == "ceres") return CeresWindowSolver().Solve(window, options);
-    return EliminationWindowSolver().Solve(window, options);
+    return SolveAlongChain(options, window);
+  }
+
+  static SolveReport SolveAlongChain(const SolverOptions& options, Window* window) {
+    const IncrementalOptions incremental;
+    const LinearisationError error(&incremental);
+    Chain chain(&incremental);
+    ChainPast past;
+    ChainSolution solution(&incremental, &chain, &error);
+    ReadChain(*window, &chain, &past);
+    solution.Reset(*window, past.rows().stride());
+    return ChainAlignment(&chain, &solution).Solve(past.rows(), options, window);
   }
 
   /// Gauss-Newton step of the whole window with the parameters' priors, states first.
@@ -128,7 +141,7 @@ TEST_P(WindowSolverTest, StopsAtItsIterationBound) {
   EXPECT_LE(report.iterations, 2);  // the start counts as one
 }
 
-INSTANTIATE_TEST_SUITE_P(All, WindowSolverTest, testing::Values("elimination", "ceres"),
+INSTANTIATE_TEST_SUITE_P(All, WindowSolverTest, testing::Values("chain", "ceres"),
                          [](const auto& name) { return std::string(name.param); });
 
 /// Windows with all that changes how they are eliminated.
@@ -179,7 +192,7 @@ TEST_F(SolversTest, TakeTheSameStepsOnEveryShapeOfWindow) {
       Window ours(&layout_), reference(&layout_);
       Make(shape, &ours);
       Make(shape, &reference);
-      const SolveReport a = Solve("elimination", Options(iterations), &ours);
+      const SolveReport a = Solve("chain", Options(iterations), &ours);
       const SolveReport b = Solve("ceres", Options(iterations), &reference);
       ASSERT_TRUE(a.usable && b.usable) << Name(shape);
       // Near the optimum one may stop a step of 1e-8 before the other.
@@ -251,7 +264,7 @@ TEST_F(SolversTest, RefuseAndAcceptTheSameStepsOfACurvedValley) {
     Window ours(&layout_), reference(&layout_);
     make(&ours);
     make(&reference);
-    const SolveReport a = Solve("elimination", Options(iterations), &ours);
+    const SolveReport a = Solve("chain", Options(iterations), &ours);
     const SolveReport b = Solve("ceres", Options(iterations), &reference);
     EXPECT_EQ(a.improved, b.improved) << iterations;
     EXPECT_NEAR(a.final_cost, b.final_cost, 1e-7 * b.initial_cost) << iterations;

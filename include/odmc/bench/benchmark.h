@@ -30,7 +30,7 @@ struct SolverComparison {
 
 /// What the incremental solver did per update.
 struct IncrementalWork {
-  double aligned_share = 0.0;      ///< of the updates, left to the batch solve
+  double aligned_share = 0.0;      ///< of the updates, solved as a whole
   double sweeping_share = 0.0;     ///< of the updates, older keyframes waited
   double eliminated_median = 0.0;  ///< keyframes
 };

@@ -17,8 +17,7 @@ struct EstimatorOptions {
   double max_gap_s = 0.06;   ///< a longer hole in a stream starts a new chain of states [s]
   double patience_s = 0.3;   ///< how long a silent stream is waited for [s]
 
-  /// incremental | elimination | ceres (the reference). Models with parameters that vary (gust) are
-  /// solved by elimination instead of incrementally.
+  /// incremental | ceres (the reference).
   std::string solver = "incremental";
   int max_iterations = 1;            ///< solver iterations per update, >= 1
   double max_update_time_s = 0.008;  ///< bound on one solve [s]

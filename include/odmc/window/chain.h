@@ -61,6 +61,8 @@ class Chain {
   bool Advance(const Window& window, std::int64_t id);
   /// Eliminates the chain anew from front `from` on, which has a checkpoint. @returns the same
   bool Redo(const Window& window, std::int64_t from);
+  /// Eliminates all fronts, given the root before them. @returns the same
+  bool EliminateAll(const Window& window, const RootTriangle& before);
   /// Makes `before`, the root before front `id`, the only checkpoint.
   void RestartFrom(std::int64_t id, const RootTriangle& before);
 

@@ -85,8 +85,11 @@ class ChainFront {
   int pivots() const { return kStateTangentSize + (bias_leaves ? 6 : 0); }
   int border() const { return pivots() + kStateTangentSize; }
 
-  /// Moves the state's linearization point to the present estimate.
+  /// Moves the state's linearization point to the present estimate, its message to be made anew.
   void MovePoint(const Window& window);
+
+  /// The same where the message stays: it is linearized there as well.
+  void MovePointWithMessage(const Window& window, FrontScratch* scratch);
 
   /// Evaluates the factors whose linearization is out of date: changed, or of a state whose point
   /// moved, or at another point of the parameters.

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "odmc/window/chain.h"
 #include "odmc/window/chain_front.h"
 #include "odmc/window/chain_past.h"
 #include "odmc/window/root_triangle.h"
@@ -7,7 +8,11 @@
 
 namespace odmc {
 
-/// The window's prior becomes the message to the oldest front and what is past.
+/// A front for every keyframe, none eliminated, at its present state, but for the oldest at that of
+/// the window's prior, which becomes its message and what is past.
+void ReadChain(const Window& window, Chain* chain, ChainPast* past);
+
+/// The same of the prior alone, linearized where the oldest front is.
 /// @param oldest null: the window has no keyframe
 void ReadChainPrior(const Window& window, ChainFront* oldest, ChainPast* past);
 

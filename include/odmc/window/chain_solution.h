@@ -32,6 +32,10 @@ class ChainSolution {
   /// refused: too long, or not a number.
   Step SolveRoot(LongSteps long_steps, Window* window);
 
+  /// Shared variables from the chain's root, the anchor as it is, however long the step.
+  /// @returns false, the window left as it was, if they are not numbers
+  bool SolveRootAtAnchor(Window* window);
+
   /// The chain is linearized anew: until then, what follows a damped step is held as well.
   void Release() { is_held_ = false; }
   /// States from them: the recent ones, and older ones until they hardly change, or all.
@@ -41,7 +45,8 @@ class ChainSolution {
   int back_substituted = 0;  ///< fronts; counts on
 
  private:
-  bool SolveBorder(const RootTriangle& root, const Window& window);
+  bool SolveBorder(const RootTriangle& root, int anchor_entry, const Window& window);
+  void TakeBorder(Window* window);
   bool IsFar(const ParameterVector& from, const Window& window) const;
   bool Damp(const Window& window);
   double BackSubstitute(std::int64_t id, Window* window);

@@ -46,9 +46,13 @@ struct IncrementalOptions {
   double allowed_lag = 0.03;
   /// Older keyframes back-substituted per update, >= 1.
   int back_substituted_keyframes = 50;
-  /// A step of a parameter beyond this share of its own prior's sigma asks for the batch solve, or
-  /// is damped where that does not fit into the update.
+  /// A step of a parameter beyond this share of its own prior's sigma asks for an alignment, or is
+  /// damped where that does not fit into the update.
   double largest_step = 0.5;
+  /// For parameters that vary (LetPastVary): what leaves joins the window's prior, linearized at
+  /// the parameters' first estimates (odmc::MarginalizeOldest), and every update solves the whole
+  /// window.
+  bool keeps_prior = false;
   /// Keyframes for which there is room from the start, >= 0; more of them cost an update that moves
   /// all.
   int room_for_keyframes = 0;

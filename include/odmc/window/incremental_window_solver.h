@@ -5,6 +5,7 @@
 #include <functional>
 
 #include "odmc/window/chain.h"
+#include "odmc/window/chain_alignment.h"
 #include "odmc/window/chain_corrections.h"
 #include "odmc/window/chain_past.h"
 #include "odmc/window/chain_solution.h"
@@ -22,9 +23,9 @@ namespace odmc {
 /// its oldest end, a few keyframes per update, beside the chain in use, and takes its place when it
 /// has caught up.
 ///
-/// The first alignment and steps that are too long for a linear model are left to the batch solve
-/// where that fits into what an update may work; in longer windows, sweeps over several updates
-/// align, and such steps are damped. No steady update allocates.
+/// The first alignment and steps that are too long for a linear model solve the window as a whole
+/// (ChainAlignment) where that fits into what an update may work; in longer windows, sweeps over
+/// several updates align, and such steps are damped. No steady update allocates.
 class IncrementalWindowSolver final : public WindowSolver {
  public:
   explicit IncrementalWindowSolver(const IncrementalOptions& options = {});
@@ -42,16 +43,13 @@ class IncrementalWindowSolver final : public WindowSolver {
                                    Window* window) override;
   const Eigen::MatrixXd& Reweigh(const Eigen::Ref<const Eigen::VectorXd>& scale,
                                  std::function<void(Keyframe*)> weigh, Window* window) override;
-  /// Falls back to the batch solve: the step changes what every state says.
+  /// The chain is built anew at the next solve: the step changes what every state is told.
   void LetPastVary(int index, const ProcessStep& step, Window* window) override;
   void LetPastWalk(const Eigen::Ref<const Eigen::VectorXd>& direction, double variance,
                    Window* window) override;
   const Eigen::MatrixXd& PastInformation(const Window& window) override;
   void WritePrior(Window* window) override;
-  void Release(Window* window) override {
-    HandBack(window);
-    batch_.Forget();
-  }
+  void Release(Window* window) override { HandBack(window); }
 
  private:
   class Allowance;
@@ -59,11 +57,14 @@ class IncrementalWindowSolver final : public WindowSolver {
 
   bool Follows(const Window& window) const;
   void Forget();
+  void Read(const Window& window);
   bool Build(Window* window);
+  void EliminateForOnce(const Window& window);
   void RootOfPastAlone(const Window& window);
   void HandBack(Window* window);
   void WritePrior(const RootTriangle& past, Window* window) const;
   SolveReport SolveOnce(Window* window, const SolverOptions& options);
+  SolveReport SolveWhole(Window* window, const SolverOptions& options);
   SolveReport Align(Window* window, const SolverOptions& options);
 
   void AppendFront(const Window& window, std::int64_t id);
@@ -90,20 +91,21 @@ class IncrementalWindowSolver final : public WindowSolver {
   Outcome Iterate(Window* window, int max_iterations, const Allowance& allowance);
   void AskForAlignment(const Window& window);
   int Work() const;
-  bool BatchFits(const Window& window) const;
+  bool AlignmentFits(const Window& window) const;
   void Refuse(const ParameterVector& eta, bool followed, Window* window);
 
   void TellRootsOfPast();
 
   IncrementalOptions options_;
-  EliminationWindowSolver batch_;  // until aligned, and for alignments of short windows
-  bool incremental_ = false;
+  bool incremental_ = false;  // false: the past is in the window's prior
   ChainPast past_;
   Chain chain_;
   ChainSweep sweep_;
   LinearisationError error_;
   ChainCorrections corrections_;
   ChainSolution solution_;
+  ChainAlignment alignment_;
+  Eigen::MatrixXd scale_root_;
   ParameterVector recent_at_;  // where recent fronts were evaluated together
   bool have_root_ = false;
   int max_work_ = 0;           // of the solve at work

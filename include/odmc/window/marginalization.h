@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstdint>
 
 #include "odmc/window/window.h"
 
@@ -18,6 +19,29 @@ struct LinearSystem {
 /// it has information (rank), at most the number of remaining columns. Squares no condition number.
 /// @param tolerance relative size below which a diagonal of R counts as zero
 LinearSystem Eliminate(const LinearSystem& system, double tolerance = 1e-10);
+
+/// Where the variables lie around one keyframe when the window is eliminated oldest state first:
+/// [its state (12), its bias if no later keyframe has it (6) | next state (12), bias in force there
+/// (6), parameters (n)]. What eliminating the first part says about the second is handed to the
+/// next keyframe.
+struct FrontColumns {
+  int leaving_bias = -1, next_state = -1, kept_bias = -1, parameters = -1;  ///< first, -1: none
+  int num_eliminated = 0, total = 0;
+  std::int64_t id = -1, bias = -1;  ///< the keyframe and its bias
+
+  /// @param keyframe id of a keyframe of the window
+  FrontColumns(const Window& window, std::int64_t keyframe);
+
+  /// First column of one of the front's states or biases.
+  int StateColumn(std::int64_t keyframe) const { return keyframe == id ? 0 : next_state; }
+  int BiasColumn(std::int64_t which) const {
+    return which == bias && leaving_bias >= 0 ? leaving_bias : kept_bias;
+  }
+};
+
+/// Adds a factor's Jacobian to the rows of a front from `row` on.
+void PlaceRows(const Factor& factor, const LinearFactor& linear, const FrontColumns& columns,
+               int row, Eigen::MatrixXd* A);
 
 /// What left the window with one keyframe, for statistics.
 struct LeavingFactors {

@@ -7,10 +7,11 @@
 
 namespace odmc {
 
-/// Information (inverse covariance) of the parameters alone, all states of the window and the prior
-/// taken into account: the chain of states is eliminated oldest first, and what an elimination
-/// hands to the next keyframe is kept. An update redoes only the newest `fresh` keyframes and those
-/// the kept part no longer fits; the whole chain when parameters moved by more than `relinearize`.
+/// For the reference solver: information (inverse covariance) of the parameters alone, all states
+/// of the window and the prior taken into account: the chain of states is eliminated oldest first,
+/// and what an elimination hands to the next keyframe is kept. An update redoes only the newest
+/// `fresh` keyframes and those the kept part no longer fits; the whole chain when parameters moved
+/// by more than `relinearize`.
 class ParameterInformation {
  public:
   /// @param fresh number of newest keyframes that are redone at every call
@@ -31,10 +32,11 @@ class ParameterInformation {
   const Eigen::MatrixXd& newest() const { return newest_; }
 
  private:
-  /// What all keyframes before one say about it, its bias and the parameters (see front.h).
+  /// What all keyframes before one say about it: rows over its state (12), its bias (6, if it has
+  /// one) and the parameters (n).
   struct Message {
     std::int64_t id = -1;
-    Eigen::MatrixXd normal;
+    Eigen::MatrixXd rows;
   };
 
   bool Reusable(const Window& window, const Eigen::VectorXd& relinearize) const;

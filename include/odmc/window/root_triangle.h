@@ -44,6 +44,8 @@ class RootTriangle {
 
   /// Takes in |(x - centre) / sigma|² of the parameters (n each).
   void AbsorbPriors(const Eigen::VectorXd& centre, const Eigen::VectorXd& sigma);
+  /// The same of the bias (6 each).
+  void AbsorbBiasPrior(const Eigen::VectorXd& centre, const Eigen::VectorXd& sigma);
 
   /// Adds gᵀx, g over bias and parameters, to the sum of squares (halved).
   /// @param most_sigmas by which it moves the optimum in any direction: what lies beyond is left
@@ -95,6 +97,8 @@ class RootTriangle {
   bool AddNormal(const Eigen::MatrixXd& difference, Workspace* workspace);
 
  private:
+  void AbsorbPriorsFrom(int first, const Eigen::VectorXd& centre, const Eigen::VectorXd& sigma);
+
   BorderColumns columns_{0};
   int stride_ = 0;
   std::vector<double> data_;

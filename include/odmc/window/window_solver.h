@@ -3,11 +3,9 @@
 #include <Eigen/Core>
 #include <functional>
 #include <limits>
-#include <memory>
 #include <string>
 
 #include "odmc/window/marginalization.h"
-#include "odmc/window/parameter_information.h"
 #include "odmc/window/window.h"
 
 namespace odmc {
@@ -33,7 +31,7 @@ struct SolveReport {
   int back_substituted = 0;  ///< keyframes
   bool reweighing = false;   ///< the estimate does not have the weights of Reweigh() yet
   bool sweeping = false;     ///< older keyframes wait for a new linearization
-  bool aligned = false;      ///< left to the batch solve
+  bool aligned = false;      ///< the window was solved as a whole (ChainAlignment)
 };
 
 /// Bounds of one solve.
@@ -44,7 +42,7 @@ struct SolverOptions {
   bool align = false;
   double max_time_s = 0.008;  ///< per update, > 0
   /// Of SolveReport::work, per update, > 0: what goes beyond is done in the next updates. The
-  /// incremental solver keeps to it, but for windows it has to take over from the batch solve.
+  /// incremental solver keeps to it, but where it has no chain to go on from.
   int max_work = std::numeric_limits<int>::max();
   double function_tolerance = 1e-6;  ///< relative change of cost that ends a solve
   int num_threads = 1;               ///< for Ceres' evaluation of factors, >= 1
@@ -102,62 +100,6 @@ class WindowSolver {
 
   /// Makes window->prior() hold what has left, for a solve by somebody else.
   virtual void WritePrior(Window* window) = 0;
-};
-
-/// A solver that keeps the past in the window's prior and solves the whole window at once.
-class BatchWindowSolver : public WindowSolver {
- public:
-  /// @param fresh newest keyframes whose factors may have changed (ParameterInformation)
-  explicit BatchWindowSolver(int fresh) : information_(fresh) {}
-
-  bool ParameterCovariance(const Window& window, const Eigen::VectorXd& sigma,
-                           Eigen::MatrixXd* covariance) override;
-  bool StateCovariance(const Window& window, StateMatrix* covariance) override;
-  bool MarginalizeOldest(Window* window, const Eigen::VectorXd& relinearize,
-                         LeavingFactors* leaving) override;
-  const Eigen::MatrixXd& ScalePast(const Eigen::Ref<const Eigen::VectorXd>& scale,
-                                   Window* window) override;
-  const Eigen::MatrixXd& Reweigh(const Eigen::Ref<const Eigen::VectorXd>& scale,
-                                 std::function<void(Keyframe*)> weigh, Window* window) override;
-  void LetPastVary(int index, const ProcessStep& step, Window* window) override;
-  void LetPastWalk(const Eigen::Ref<const Eigen::VectorXd>& direction, double variance,
-                   Window* window) override;
-  const Eigen::MatrixXd& PastInformation(const Window& window) override;
-  void WritePrior(Window*) override {}
-  void Release(Window*) override { Forget(); }
-
-  /// Forgets what it keeps of the window.
-  void Forget() { information_.Forget(); }
-
- private:
-  ParameterInformation information_;
-  Eigen::MatrixXd root_, past_information_;
-};
-
-/// Levenberg-Marquardt by eliminating the chain of states, oldest first and parameters last, in
-/// dense fronts. Takes the same steps as Ceres does, without building and analysing a sparse
-/// problem at every keyframe.
-class EliminationWindowSolver final : public BatchWindowSolver {
- public:
-  explicit EliminationWindowSolver(int fresh = 3);
-  ~EliminationWindowSolver() override;
-  SolveReport Solve(Window* window, const SolverOptions& options) override;
-
- private:
-  struct Impl;
-  std::unique_ptr<Impl> impl_;
-};
-
-/// Levenberg-Marquardt by Ceres with SuiteSparse's sparse Cholesky: the reference.
-class CeresWindowSolver final : public BatchWindowSolver {
- public:
-  explicit CeresWindowSolver(int fresh = 3);
-  ~CeresWindowSolver() override;
-  SolveReport Solve(Window* window, const SolverOptions& options) override;
-
- private:
-  struct Impl;
-  std::unique_ptr<Impl> impl_;
 };
 
 }  // namespace odmc
