@@ -145,34 +145,29 @@ std::vector<double*> Window::PriorBlocks() {
   return blocks;
 }
 
-bool Linearize(const Window& window, const Factor& factor, bool first_estimates,
-               LinearFactor* linear) {
-  const auto& cost = *factor.cost;
+namespace {
+
+/// Residual of a cost at `points` and its ambient Jacobians, row-major in a buffer of the thread.
+/// @returns false if it cannot be evaluated
+bool EvaluateWithJacobians(const ceres::CostFunction& cost, const FactorBlocks& points,
+                           Eigen::VectorXd* r, std::array<double*, 6>* jacobians) {
   const int rows = cost.num_residuals();
   const auto& sizes = cost.parameter_block_sizes();
-  const FactorBlocks blocks = window.Blocks(factor, false);
-  const FactorBlocks points = window.Blocks(factor, first_estimates);
-
-  using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-  // Ambient Jacobians, one after the other in one buffer.
   size_t total = 0;
   for (const int size : sizes) total += static_cast<size_t>(rows) * size;
   thread_local std::vector<double> buffer;
   if (buffer.size() < total) buffer.resize(total);
-  thread_local std::vector<double*> jacobians;
-  jacobians.clear();
   double* next = buffer.data();
-  for (const int size : sizes) {
-    jacobians.push_back(next);
-    next += static_cast<size_t>(rows) * size;
+  for (size_t i = 0; i < sizes.size(); ++i) {
+    (*jacobians)[i] = next;
+    next += static_cast<size_t>(rows) * sizes[i];
   }
-  linear->r.resize(rows);
-  if (!cost.Evaluate(points.data(), linear->r.data(), jacobians.data())) return false;
-  if (first_estimates && points != blocks &&
-      !cost.Evaluate(blocks.data(), linear->r.data(), nullptr)) {
-    return false;
-  }
+  r->resize(rows);
+  return cost.Evaluate(points.data(), r->data(), jacobians->data());
+}
 
+/// Names the columns of the factor's variables. @returns their number
+int PlaceColumns(const Factor& factor, int num_parameters, LinearFactor* linear) {
   int columns = 0;
   const auto take = [&columns](bool present, int size) {
     const int first = present ? columns : -1;
@@ -183,32 +178,52 @@ bool Linearize(const Window& window, const Factor& factor, bool first_estimates,
   linear->state1 = take(factor.state1 >= 0, kStateTangentSize);
   linear->bias0 = take(factor.bias0 >= 0, 6);
   linear->bias1 = take(factor.bias1 >= 0, 6);
-  const int n = window.layout().num_estimated();
-  linear->parameters = take(factor.parameters && n > 0, n);
-  linear->J.resize(rows, columns);
+  linear->parameters = take(factor.parameters && num_parameters > 0, num_parameters);
+  return columns;
+}
+
+/// Writes the minimal Jacobian. The anchor, an anchored factor's last block, is constant.
+void WriteMinimal(const Factor& factor, const FactorBlocks& points,
+                  const std::array<double*, 6>& jacobians, Eigen::MatrixXd* J) {
+  using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  const auto& sizes = factor.cost->parameter_block_sizes();
   const int num_states = (factor.state0 >= 0 ? 1 : 0) + (factor.state1 >= 0 ? 1 : 0);
+  const size_t num_blocks = sizes.size() - (factor.anchored ? 1 : 0);
   int column = 0;
-  const size_t num_blocks = sizes.size() - (factor.anchored ? 1 : 0);  // the anchor is constant
   for (size_t i = 0; i < num_blocks; ++i) {
-    const Eigen::Map<const RowMajor> ambient(jacobians[i], rows, sizes[i]);
-    if (static_cast<int>(i) < num_states) {
-      Eigen::Matrix<double, 13, 12, Eigen::RowMajor> plus;
-      StateManifold().PlusJacobian(points.pointers[i], plus.data());
-      linear->J.middleCols<3>(column) = ambient.leftCols<3>();
-      linear->J.middleCols<3>(column + 3).noalias() =
-          ambient.middleCols<4>(3) * plus.block<4, 3>(3, 3);
-      linear->J.middleCols<6>(column + 6) = ambient.rightCols<6>();
-      column += kStateTangentSize;
-    } else {
-      linear->J.middleCols(column, sizes[i]) = ambient;
+    const Eigen::Map<const RowMajor> ambient(jacobians[i], J->rows(), sizes[i]);
+    if (static_cast<int>(i) >= num_states) {
+      J->middleCols(column, sizes[i]) = ambient;
       column += sizes[i];
+      continue;
     }
+    Eigen::Matrix<double, 13, 12, Eigen::RowMajor> plus;
+    StateManifold().PlusJacobian(points.pointers[i], plus.data());
+    J->middleCols<3>(column) = ambient.leftCols<3>();
+    J->middleCols<3>(column + 3).noalias() = ambient.middleCols<4>(3) * plus.block<4, 3>(3, 3);
+    J->middleCols<6>(column + 6) = ambient.rightCols<6>();
+    column += kStateTangentSize;
   }
-  linear->cost = 0.5 * linear->r.squaredNorm();
+}
+
+}  // namespace
+
+bool Linearize(const Window& window, const Factor& factor, bool first_estimates,
+               LinearFactor* linear) {
+  const FactorBlocks blocks = window.Blocks(factor, false);
+  const FactorBlocks points = window.Blocks(factor, first_estimates);
+  std::array<double*, 6> jacobians{};
+  if (!EvaluateWithJacobians(*factor.cost, points, &linear->r, &jacobians)) return false;
+  if (first_estimates && points != blocks &&
+      !factor.cost->Evaluate(blocks.data(), linear->r.data(), nullptr)) {
+    return false;
+  }
+  const int columns = PlaceColumns(factor, window.layout().num_estimated(), linear);
+  linear->J.resize(linear->r.size(), columns);
+  WriteMinimal(factor, points, jacobians, &linear->J);
   if (factor.loss != nullptr) {
     double rho[3];
     factor.loss->Evaluate(linear->r.squaredNorm(), rho);
-    linear->cost = 0.5 * rho[0];
     const double weight = std::sqrt(rho[1]);
     linear->r *= weight;
     linear->J *= weight;

@@ -247,7 +247,6 @@ class Window {
 struct LinearFactor {
   Eigen::VectorXd r;
   Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic> J;
-  double cost = 0.0;  ///< half the square of its residual, robust loss applied
   int state0 = -1, state1 = -1, bias0 = -1, bias1 = -1, parameters = -1;  ///< first columns, or -1
 };
 
