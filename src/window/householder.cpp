@@ -66,34 +66,51 @@ ODMC_INLINE void ReflectChunks(const double* v, double tau, double* top, double*
   }
 }
 
-/// Applies a reflection to `top` and the rows of E from column `from` on.
+/// Applies a reflection to `top` and the rows of E from column `from` on, up to `kMost` chunks at a
+/// time: as many as there are registers for.
 /// @param v one number a row, `rows` of them
+template <int kMost>
 ODMC_INLINE void Reflect(const double* v, double tau, double* top, double* E, int e_stride,
                          int rows, int from, int columns) {
   int c = from;
-  for (; c + 3 * kChunk < columns; c += 4 * kChunk) {
-    ReflectChunks<4>(v, tau, top + c, E + c, e_stride, rows);
+  for (; c + (kMost - 1) * kChunk < columns; c += kMost * kChunk) {
+    ReflectChunks<kMost>(v, tau, top + c, E + c, e_stride, rows);
   }
   const int left = (columns - c + kChunk - 1) / kChunk;
-  if (left == 3) ReflectChunks<3>(v, tau, top + c, E + c, e_stride, rows);
-  if (left == 2) ReflectChunks<2>(v, tau, top + c, E + c, e_stride, rows);
-  if (left == 1) ReflectChunks<1>(v, tau, top + c, E + c, e_stride, rows);
+  if constexpr (kMost > 4) {
+    if (left == 7) return ReflectChunks<7>(v, tau, top + c, E + c, e_stride, rows);
+    if (left == 6) return ReflectChunks<6>(v, tau, top + c, E + c, e_stride, rows);
+    if (left == 5) return ReflectChunks<5>(v, tau, top + c, E + c, e_stride, rows);
+    if (left == 4) return ReflectChunks<4>(v, tau, top + c, E + c, e_stride, rows);
+  }
+  if (left == 3) return ReflectChunks<3>(v, tau, top + c, E + c, e_stride, rows);
+  if (left == 2) return ReflectChunks<2>(v, tau, top + c, E + c, e_stride, rows);
+  if (left == 1) return ReflectChunks<1>(v, tau, top + c, E + c, e_stride, rows);
 }
 
 /// Makes the reflection that takes column `j` of (top; E) to its first entry, and applies it.
 /// @returns false if the column is zero
+template <int kMost>
 ODMC_INLINE bool Eliminate(double* top, double* E, int e_stride, int rows, int j, int columns,
                            double* v) {
   int last = rows;
   while (last > 0 && E[(last - 1) * e_stride + j] == 0.0) --last;
-  double below = 0.0;
-  for (int i = 0; i < last; ++i) {
+  double even = 0.0, odd = 0.0;  // side by side: one sum would wait for itself
+  int i = 0;
+  for (; i + 1 < last; i += 2) {
     v[i] = E[i * e_stride + j];
-    below += v[i] * v[i];
+    v[i + 1] = E[(i + 1) * e_stride + j];
+    even += v[i] * v[i];
+    odd += v[i + 1] * v[i + 1];
   }
+  if (i < last) {
+    v[i] = E[i * e_stride + j];
+    even += v[i] * v[i];
+  }
+  const double below = even + odd;
   const double alpha = top[j];
   const double norm = std::sqrt(alpha * alpha + below);
-  for (int i = 0; i < last; ++i) E[i * e_stride + j] = 0.0;
+  for (i = 0; i < last; ++i) E[i * e_stride + j] = 0.0;
   if (norm < kLeastPivot) {
     top[j] = 0.0;
     return false;
@@ -101,27 +118,29 @@ ODMC_INLINE bool Eliminate(double* top, double* E, int e_stride, int rows, int j
   if (below == 0.0) return true;
   const double beta = alpha > 0.0 ? -norm : norm;
   const double scale = 1.0 / (alpha - beta);
-  for (int i = 0; i < last; ++i) v[i] *= scale;
+  for (i = 0; i < last; ++i) v[i] *= scale;
   top[j] = beta;
-  Reflect(v, (beta - alpha) / beta, top, E, e_stride, last, j + 1, columns);
+  Reflect<kMost>(v, (beta - alpha) / beta, top, E, e_stride, last, j + 1, columns);
   return true;
 }
 
 constexpr int kMostRows = 256;
 
+template <int kMost>
 ODMC_INLINE void AbsorbInto(double* U, int u_stride, double* E, int e_stride, int rows, int pivots,
                             int columns) {
   double v[kMostRows];
   while (rows > 0) {
     const int some = std::min(rows, kMostRows);
     for (int j = 0; j < pivots; ++j) {
-      Eliminate(U + j * u_stride, E, e_stride, some, j, columns, v);
+      Eliminate<kMost>(U + j * u_stride, E, e_stride, some, j, columns, v);
     }
     rows -= some;
     E += some * e_stride;
   }
 }
 
+template <int kMost>
 ODMC_INLINE int TriangulariseInto(double* E, int e_stride, int rows, int pivots, int columns,
                                   double* U, int u_stride) {
   assert(rows <= kMostRows);
@@ -132,20 +151,31 @@ ODMC_INLINE int TriangulariseInto(double* E, int e_stride, int rows, int pivots,
     std::memset(row, 0, sizeof(double) * static_cast<size_t>(columns + kRowPadding));
     if (taken == rows) continue;
     double* top = E + taken * e_stride;
-    if (!Eliminate(top, top + e_stride, e_stride, rows - taken - 1, j, columns, v)) continue;
+    if (!Eliminate<kMost>(top, top + e_stride, e_stride, rows - taken - 1, j, columns, v)) continue;
     std::memcpy(row + j, top + j, sizeof(double) * static_cast<size_t>(columns - j));
     ++taken;
   }
   return taken;
 }
 
+/// 1 over each pivot, 0 where nobody measured it: divisions need not wait for the solution.
+ODMC_INLINE void InvertPivots(const double* U, int u_stride, int pivots, double* inverse) {
+  assert(pivots <= kMostRows);
+  for (int i = 0; i < pivots; ++i) {
+    const double pivot = U[i * u_stride + i];
+    inverse[i] = std::abs(pivot) < kLeastPivot ? 0.0 : 1.0 / pivot;
+  }
+}
+
 ODMC_INLINE double ForwardSubstituteIn(double* U, int u_stride, int pivots, int columns, int rhs,
                                        double* g, double most) {
+  double inverse[kMostRows];
+  InvertPivots(U, u_stride, pivots, inverse);
   double squares = 0.0;
   for (int i = 0; i < pivots; ++i) {
     double* row = U + i * u_stride;
-    if (g[i] == 0.0 || std::abs(row[i]) < kLeastPivot) continue;
-    const double y = std::clamp(g[i] / row[i], -most, most);
+    if (g[i] == 0.0 || inverse[i] == 0.0) continue;
+    const double y = std::clamp(g[i] * inverse[i], -most, most);
     squares += y * y;
     for (int j = i; j < columns; j += kChunk) {
       At(g + j)->numbers -= y * At(row + j)->numbers;
@@ -155,17 +185,28 @@ ODMC_INLINE double ForwardSubstituteIn(double* U, int u_stride, int pivots, int 
   return std::sqrt(squares);
 }
 
+ODMC_INLINE double SumOf(const Chunk& c) {
+  return ((c[0] + c[1]) + (c[2] + c[3])) + ((c[4] + c[5]) + (c[6] + c[7]));
+}
+
 ODMC_INLINE void BackSubstituteIn(const double* U, int u_stride, int pivots, int columns,
                                   double* x) {
-  for (int i = pivots - 1; i >= 0; --i) {
+  double inverse[kMostRows];
+  InvertPivots(U, u_stride, pivots, inverse);
+  // What is known beforehand, for all rows; no row waits for another.
+  for (int i = 0; i < pivots; ++i) {
     const double* row = U + i * u_stride;
     Chunk sums = {};
-    for (int j = i + 1; j < columns; j += kChunk) {
+    for (int j = pivots; j < columns; j += kChunk) {
       sums += At(row + j)->numbers * At(x + j)->numbers;
     }
-    double sum = 0.0;
-    for (int k = 0; k < kChunk; ++k) sum += sums[k];
-    x[i] = std::abs(row[i]) < kLeastPivot ? 0.0 : -sum / row[i];
+    x[i] = SumOf(sums);
+  }
+  // Each solution goes to the rows above, which wait for nothing else.
+  for (int i = pivots - 1; i >= 0; --i) {
+    const double solution = -x[i] * inverse[i];
+    x[i] = solution;
+    for (int k = 0; k < i; ++k) x[k] += U[k * u_stride + i] * solution;
   }
 }
 
@@ -188,19 +229,19 @@ ODMC_VECTORS_OF_8 void BackSubstitute8(const double* U, int u_stride, int pivots
 }
 ODMC_VECTORS_OF_4 void Absorb4(double* U, int u_stride, double* E, int e_stride, int rows,
                                int pivots, int columns) {
-  AbsorbInto(U, u_stride, E, e_stride, rows, pivots, columns);
+  AbsorbInto<4>(U, u_stride, E, e_stride, rows, pivots, columns);
 }
 ODMC_VECTORS_OF_8 void Absorb8(double* U, int u_stride, double* E, int e_stride, int rows,
                                int pivots, int columns) {
-  AbsorbInto(U, u_stride, E, e_stride, rows, pivots, columns);
+  AbsorbInto<8>(U, u_stride, E, e_stride, rows, pivots, columns);
 }
 ODMC_VECTORS_OF_4 int Triangularise4(double* E, int e_stride, int rows, int pivots, int columns,
                                      double* U, int u_stride) {
-  return TriangulariseInto(E, e_stride, rows, pivots, columns, U, u_stride);
+  return TriangulariseInto<4>(E, e_stride, rows, pivots, columns, U, u_stride);
 }
 ODMC_VECTORS_OF_8 int Triangularise8(double* E, int e_stride, int rows, int pivots, int columns,
                                      double* U, int u_stride) {
-  return TriangulariseInto(E, e_stride, rows, pivots, columns, U, u_stride);
+  return TriangulariseInto<8>(E, e_stride, rows, pivots, columns, U, u_stride);
 }
 #endif
 
@@ -213,7 +254,7 @@ void AbsorbRows(double* U, int u_stride, double* E, int e_stride, int rows, int 
   if (width == 8) return Absorb8(U, u_stride, E, e_stride, rows, pivots, columns);
   if (width == 4) return Absorb4(U, u_stride, E, e_stride, rows, pivots, columns);
 #endif
-  AbsorbInto(U, u_stride, E, e_stride, rows, pivots, columns);
+  AbsorbInto<4>(U, u_stride, E, e_stride, rows, pivots, columns);
 }
 
 int Triangularise(double* E, int e_stride, int rows, int pivots, int columns, double* U,
@@ -223,7 +264,7 @@ int Triangularise(double* E, int e_stride, int rows, int pivots, int columns, do
   if (width == 8) return Triangularise8(E, e_stride, rows, pivots, columns, U, u_stride);
   if (width == 4) return Triangularise4(E, e_stride, rows, pivots, columns, U, u_stride);
 #endif
-  return TriangulariseInto(E, e_stride, rows, pivots, columns, U, u_stride);
+  return TriangulariseInto<4>(E, e_stride, rows, pivots, columns, U, u_stride);
 }
 
 double ForwardSubstitute(double* U, int u_stride, int pivots, int columns, int rhs, double* g,

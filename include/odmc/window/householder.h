@@ -42,6 +42,7 @@ int Triangularise(double* E, int e_stride, int rows, int pivots, int columns, do
 /// Solves Uᵀ y = g for the first `pivots` rows of a triangle: takes Uᵀ y off g and adds y to the
 /// triangle's right-hand side, so that |U x + b|² gains the gradient g as far as it knows of it.
 /// @param columns of g that are wanted; g has room for kRowPadding more
+/// @pre pivots <= 256
 /// @param rhs column of b, >= columns; -1: only g changes
 /// @param most what lies beyond it in an entry of y is left out
 /// @returns the norm of y
@@ -51,6 +52,7 @@ double ForwardSubstitute(double* U, int u_stride, int pivots, int columns, int r
 /// Solves U x = 0 for the first `pivots` entries of x, given the others. Those that nobody measured
 /// (kLeastPivot) become zero.
 /// @param x columns, and kRowPadding zeros behind them
+/// @pre pivots <= 256
 void BackSubstitute(const double* U, int u_stride, int pivots, int columns, double* x);
 
 }  // namespace odmc
