@@ -6,6 +6,7 @@
 #include <limits>
 #include <unsupported/Eigen/FFT>
 
+#include "block_scatter.h"
 #include "odmc/estimator/noise_estimation.h"
 #include "odmc/math/statistics.h"
 #include "odmc/text/format.h"
@@ -13,21 +14,29 @@
 namespace odmc {
 namespace {
 
-using Eigen::Matrix3d;
+using Eigen::Matrix4d;
 using Eigen::Vector3d;
+using Eigen::Vector4d;
 
 constexpr double kPi = 3.14159265358979323846;
-constexpr double kErrorRate = 1e-3;    // of every test here
-constexpr double kErrorSigmas = 3.29;  // the same, two-sided, normal
-constexpr double kShown = 0.5;         // relative sigma above which nothing is shown
+constexpr double kErrorRate = ReactionCheck::kErrorRate;  // of every test here
+constexpr double kErrorSigmas = 3.29;                     // the same, two-sided, normal
+constexpr double kShown = 0.5;      // relative sigma above which nothing is shown
 constexpr double kAnywhere = 10.0;  // answers to disturbances look like any inertia of this range
 constexpr double kLowest_Hz = 1.0;
+// Lines of whole segments lie on edges of bands: to which one they belong must not hang on how
+// stamps are rounded.
+constexpr double kAside = 0.99;
 constexpr double kBandRatio = 1.4142135623730951;  // half an octave
 constexpr double kLongestSegment_s = 2.0, kShortestSegment_s = 0.5;
 constexpr int kSegments = 8;  // at least, of a flight, half a length apart
 // What Hann windows half a length apart say still depends on where the first one lies.
 constexpr int kSegmentsPerLength = 8;
-constexpr double kHighestShare = 0.2;  // of the slowest stream's rate
+constexpr long kBlockSegments = 2;      // what a block starts with
+constexpr size_t kMostBlocks = 128;     // even
+constexpr double kNothing = 1e-9;       // of a power
+constexpr double kFewestDegrees = 2.0;  // of freedom: fewer do not show how blocks scatter
+constexpr double kHighestShare = 0.2;   // of the slowest stream's rate
 constexpr double kLongestGap_s = 0.03;
 constexpr double kMostDelay_s = 0.03;
 constexpr double kLoop = 0.70710678118654752;  // RMS of the real part of a number of size one
@@ -35,9 +44,45 @@ constexpr double kLoop = 0.70710678118654752;  // RMS of the real part of a numb
 std::vector<std::pair<double, double>> Edges(double lowest_Hz, double highest_Hz) {
   std::vector<std::pair<double, double>> edges;
   for (double low = kLowest_Hz; low * kBandRatio <= highest_Hz; low *= kBandRatio) {
-    if (low >= lowest_Hz) edges.emplace_back(low, low * kBandRatio);
+    if (low >= kAside * lowest_Hz) edges.emplace_back(low, low * kBandRatio);
   }
   return edges;
+}
+
+}  // namespace
+
+namespace {
+
+/// Of spectra of segments, an eighth of a length apart, in blocks of `size`: what two segments
+/// share of their variance is the square of how much their windows overlap.
+BlockOverlap OverlapOf(const std::vector<double>& window, long size) {
+  const size_t step = window.size() / kSegmentsPerLength;
+  std::array<double, kSegmentsPerLength> shared{};
+  for (size_t lag = 0; lag < shared.size(); ++lag) {
+    for (size_t i = lag * step; i < window.size(); ++i) {
+      shared[lag] += window[i] * window[i - lag * step];
+    }
+    shared[lag] *= shared[lag];
+  }
+  // Between the sums over two blocks, `apart` blocks from each other.
+  const auto between = [&](long apart) {
+    double sum = 0.0;
+    for (long lag = -size + 1; lag < size; ++lag) {
+      const auto distance = static_cast<size_t>(std::abs(lag + apart * size));
+      if (distance < shared.size())
+        sum += static_cast<double>(size - std::abs(lag)) * shared[distance];
+    }
+    return sum;
+  };
+  BlockOverlap overlap;
+  double squares = 1.0;
+  for (long apart = 1; apart <= kSegmentsPerLength; ++apart) {
+    const double correlation = between(apart) / between(0);
+    overlap.variance += 2.0 * correlation;
+    squares += 2.0 * correlation * correlation;
+  }
+  overlap.freedom = 1.0 / squares;
+  return overlap;
 }
 
 }  // namespace
@@ -51,6 +96,16 @@ struct TorqueSpectra::Band {
     Complex uy;
     /// Torque without what goes with the rate.
     double Own() const { return ww > 0.0 ? uu - uw * uw / ww : uu; }
+    /// Of acceleration on torque and rate. Rate and acceleration are a quarter of a turn apart.
+    Regression AsRegression(double share) const {
+      Regression r;
+      r.share = share;
+      r.gram = Eigen::Matrix2d{{uu, uw}, {uw, ww}};
+      r.noise = Eigen::Matrix2d{{noise, 0.0}, {0.0, 0.0}};
+      r.right = Eigen::Vector2d(uy.real(), 0.0);
+      r.power = yy;
+      return r;
+    }
     /// Of so few values it is not known to be closer to one.
     double Coherence(double independent) const {
       if (!(Own() > 0.0 && yy > 0.0)) return 0.0;
@@ -58,20 +113,79 @@ struct TorqueSpectra::Band {
       return std::min(1.0 - 0.5 / independent, shared);
     }
   };
+  BlockScatter ScatterOfAxis(size_t axis) const {
+    std::vector<Regression> parts;
+    for (const Band& block : blocks) parts.push_back(block.axes[axis].AsRegression(block.share));
+    return ScatterOf(axes[axis].AsRegression(share), parts, independent, overlap);
+  }
+  BlockScatter ScatterOfReaction() const {
+    std::vector<Regression> parts;
+    for (const Band& block : blocks) parts.push_back(block.Reaction(reaction_terms));
+    return ScatterOf(Reaction(reaction_terms), parts, independent, overlap);
+  }
+  /// With the first `terms` of the regressors.
+  Regression Reaction(Eigen::Index terms) const {
+    Regression r;
+    r.share = share;
+    r.gram = gram.topLeftCorner(terms, terms);
+    r.noise = gram_noise.topLeftCorner(terms, terms);
+    r.right = right.head(terms);
+    r.power = zz;
+    return r;
+  }
+  /// Relative variance that noise gives the inertia in a stationary flight. The rest is known no
+  /// better than so few values show it.
+  double StationaryNoise(size_t axis) const {
+    const Axis& a = axes[axis];
+    const double coherence = a.Coherence(independent), noisy = a.noise / a.Own();
+    const double rest = (1.0 - coherence) / std::max(1e-9, coherence);
+    return (1.0 + noisy) * rest / (2.0 * independent) + noisy * noisy / independent;
+  }
+  /// At least this, and as the blocks have it.
+  double RelativeNoise(size_t axis, const BlockScatter& scatter) const {
+    const double coefficient = axes[axis].uy.real() / axes[axis].Own();
+    return std::max(StationaryNoise(axis), scatter.variance[0] / (coefficient * coefficient));
+  }
+
+  double share = 1.0;        // of the flight
+  std::vector<Band> blocks;  // of the flight
+  BlockOverlap overlap;
   std::array<Axis, 2> axes;
-  // Drag, spin, rate.
-  Matrix3d gram = Matrix3d::Zero(), gram_noise = Matrix3d::Zero();
-  Vector3d right = Vector3d::Zero();
+  // Drag, spin, rate, known torque.
+  Matrix4d gram = Matrix4d::Zero(), gram_noise = Matrix4d::Zero();
+  Vector4d right = Vector4d::Zero();
+  Eigen::Index reaction_terms = 4;
   double zz = 0.0;
   double frequency_Hz = 0.0;  // middle
   double independent = 0.0;   // complex numbers that are independent of each other
 };
 
-TorqueSpectra::TorqueSpectra(double rate_Hz, double segment_s, double inertia_z)
+void TorqueSpectra::Bin::Add(const Bin& other) {
+  for (size_t axis = 0; axis < 2; ++axis) {
+    uu[axis] += other.uu[axis];
+    yy[axis] += other.yy[axis];
+    uy[axis] += other.uy[axis];
+  }
+  zz += other.zz;
+  known2 += other.known2;
+  drag2 += other.drag2;
+  spin2 += other.spin2;
+  known_z += other.known_z;
+  drag_spin += other.drag_spin;
+  drag_z += other.drag_z;
+  spin_z += other.spin_z;
+  drag_known += other.drag_known;
+  spin_known += other.spin_known;
+}
+
+TorqueSpectra::TorqueSpectra(double rate_Hz, double segment_s, double highest_Hz, double inertia_z)
     : rate_Hz_(rate_Hz),
       length_(2 * static_cast<int>(std::lround(0.5 * segment_s * rate_Hz))),
+      highest_Hz_(highest_Hz),
       inertia_z_(inertia_z),
-      bins_(static_cast<size_t>(length_ / 2)) {
+      num_bins_(std::min(static_cast<size_t>(length_ / 2),
+                         static_cast<size_t>(std::ceil(highest_Hz * length_ / rate_Hz)) + 1)),
+      block_segments_(kBlockSegments) {
   for (int i = 0; i < length_; ++i) {
     window_.push_back(0.5 - 0.5 * std::cos(2.0 * kPi * (i + 0.5) / length_));
     window_power_ += window_.back() * window_.back();
@@ -82,7 +196,22 @@ double TorqueSpectra::Seconds() const {
   return static_cast<double>(segments_ * (length_ / kSegmentsPerLength)) / rate_Hz_;
 }
 
-void TorqueSpectra::Break() { run_.clear(); }
+void TorqueSpectra::Break() {
+  run_.clear();
+  block_is_open_ = false;
+}
+
+void TorqueSpectra::MergeBlocks() {
+  for (size_t i = 0; 2 * i + 1 < blocks_.size(); ++i) {
+    Block pair = std::move(blocks_[2 * i]);
+    const Block& second = blocks_[2 * i + 1];
+    for (size_t k = 0; k < num_bins_; ++k) pair.bins[k].Add(second.bins[k]);
+    pair.segments += second.segments;
+    blocks_[i] = std::move(pair);
+  }
+  blocks_.resize(blocks_.size() / 2);
+  block_segments_ *= 2;
+}
 
 void TorqueSpectra::Add(const Sample& sample) {
   run_.push_back(sample);
@@ -125,11 +254,17 @@ void TorqueSpectra::TakeSegment() {
     }
     fft.fwd(spectra[c], x);
   }
-  for (size_t k = 1; k < bins_.size(); ++k) {
+  if (!block_is_open_ || blocks_.back().segments >= block_segments_) {
+    if (blocks_.size() == kMostBlocks) MergeBlocks();
+    blocks_.emplace_back().bins.resize(num_bins_);
+    block_is_open_ = true;
+  }
+  ++blocks_.back().segments;
+  for (size_t k = 1; k < num_bins_; ++k) {
     // What central differences take from a derivative.
     const double angle = 2.0 * kPi * static_cast<double>(k) / length_;
     const double mend = angle < 0.8 * kPi ? angle / std::sin(angle) : 1.0;  // nobody looks above
-    Bin& bin = bins_[k];
+    Bin& bin = blocks_.back().bins[k];
     for (size_t axis = 0; axis < 2; ++axis) {
       const Complex u = spectra[kTorqueX + axis][k], y = mend * spectra[kRateX + axis][k];
       bin.uu[axis] += std::norm(u);
@@ -152,15 +287,15 @@ void TorqueSpectra::TakeSegment() {
   ++segments_;
 }
 
-TorqueSpectra::Band TorqueSpectra::SumOver(double low_Hz, double high_Hz, const Noise& noise,
-                                           double delay_s) const {
+TorqueSpectra::Band TorqueSpectra::MeanOver(const Block& block, double low_Hz, double high_Hz,
+                                            const Noise& noise, double delay_s) const {
   Band band;
   band.frequency_Hz = std::sqrt(low_Hz * high_Hz);
   double count = 0.0;
-  for (size_t k = 1; k < bins_.size(); ++k) {
+  for (size_t k = 1; k < num_bins_; ++k) {
     const double f = static_cast<double>(k) * rate_Hz_ / length_;
-    if (f < low_Hz || f >= high_Hz) continue;
-    const Bin& bin = bins_[k];
+    if (f < kAside * low_Hz || f >= kAside * high_Hz) continue;
+    const Bin& bin = block.bins[k];
     const double w = 2.0 * kPi * f;
     const Complex shift = std::polar(1.0, -w * delay_s);
     count += 1.0;
@@ -175,18 +310,22 @@ TorqueSpectra::Band TorqueSpectra::SumOver(double low_Hz, double high_Hz, const 
     band.gram(2, 2) += bin.zz / (w * w);
     band.gram(0, 2) += std::real(shift * bin.drag_z * Complex(0.0, 1.0 / w));
     band.gram(1, 2) += std::real(shift * bin.spin_z * Complex(0.0, 1.0 / w));
-    // What is known of the torque is shifted as all torque is.
-    band.zz += bin.zz - 2.0 * std::real(shift * bin.known_z) + bin.known2;
+    band.zz += bin.zz;
     band.gram(0, 0) += bin.drag2;
     band.gram(1, 1) += bin.spin2;
     band.gram(0, 1) += bin.drag_spin.real();
-    band.right[0] += std::real(shift * bin.drag_z) - bin.drag_known.real();
-    band.right[1] += std::real(shift * bin.spin_z) - bin.spin_known.real();
+    band.right[0] += std::real(shift * bin.drag_z);
+    band.right[1] += std::real(shift * bin.spin_z);
+    band.gram(0, 3) += bin.drag_known.real();
+    band.gram(1, 3) += bin.spin_known.real();
+    band.gram(2, 3) += std::real(shift * bin.known_z * Complex(0.0, 1.0 / w));
+    band.gram(3, 3) += bin.known2;
+    band.right[3] += std::real(shift * bin.known_z);
     band.gram_noise(1, 1) += w * w * noise.spin * noise.spin;
     band.gram_noise(0, 0) += noise.drag * noise.drag;
   }
   if (count == 0.0) return band;
-  const double mean = 1.0 / (count * static_cast<double>(std::max(segments_, 1L)));
+  const double mean = 1.0 / (count * static_cast<double>(std::max(block.segments, 1L)));
   const std::array<double, 2> torque_noise = {noise.torque_x, noise.torque_y};
   for (size_t axis = 0; axis < 2; ++axis) {
     Band::Axis& a = band.axes[axis];
@@ -203,25 +342,39 @@ TorqueSpectra::Band TorqueSpectra::SumOver(double low_Hz, double high_Hz, const 
   band.gram -= band.gram_noise;
   band.right *= mean;
   band.zz *= mean;
+  band.share = static_cast<double>(block.segments) / static_cast<double>(segments_);
+  return band;
+}
+
+TorqueSpectra::Band TorqueSpectra::BandOf(const Block& flight, double low_Hz, double high_Hz,
+                                          const Noise& noise, double delay_s) const {
+  Band band = MeanOver(flight, low_Hz, high_Hz, noise, delay_s);
   band.independent = std::max(1.0, (high_Hz - low_Hz) * Seconds());
+  if (band.gram(3, 3) < kNothing * band.zz) band.reaction_terms = 3;
+  band.overlap = OverlapOf(window_, block_segments_);
+  for (const Block& block : blocks_) {
+    band.blocks.push_back(MeanOver(block, low_Hz, high_Hz, noise, delay_s));
+  }
   return band;
 }
 
 /// The phase of torque against acceleration grows with frequency where one stream is late.
-void TorqueSpectra::FindDelay(const std::vector<std::pair<double, double>>& edges,
+void TorqueSpectra::FindDelay(const Block& flight,
+                              const std::vector<std::pair<double, double>>& edges,
                               const Noise& noise, TorqueBands* bands) const {
   for (int round = 0; round < 5; ++round) {
     double sum = 0.0, weights = 0.0;
     for (const auto& [low, high] : edges) {
-      const Band band = SumOver(low, high, noise, bands->delay_s);
-      for (const Band::Axis& axis : band.axes) {
-        const double coherence = axis.Coherence(band.independent);
+      const Band band = BandOf(flight, low, high, noise, bands->delay_s);
+      for (size_t axis = 0; axis < 2; ++axis) {
+        const double coherence = band.axes[axis].Coherence(band.independent);
         if (!(coherence > 0.0)) continue;
         const double rest = (1.0 - coherence) / coherence;
         // Noise, and what of the rest comes back through the loop, in quadrature.
-        const double variance = rest / (2.0 * band.independent) + kLoop * kLoop * rest * rest;
+        const double variance =
+            band.RelativeNoise(axis, band.ScatterOfAxis(axis)) + kLoop * kLoop * rest * rest;
         const double w = 2.0 * kPi * band.frequency_Hz;
-        sum += w * std::arg(axis.uy) / variance;
+        sum += w * std::arg(band.axes[axis].uy) / variance;
         weights += w * w / variance;
       }
     }
@@ -231,7 +384,44 @@ void TorqueSpectra::FindDelay(const std::vector<std::pair<double, double>>& edge
   }
 }
 
-TorqueBands TorqueSpectra::Bands(const Noise& noise, double highest_Hz) const {
+namespace {
+
+/// Lets the bands' noise grow to what the flight's blocks say of it.
+void Widen(const PooledScatter& scatter, BandedQuantity* q) {
+  q->block_scatter = scatter.ratio();
+  q->block_freedom = scatter.freedom();
+  for (size_t k = 0; k < q->bands.size(); ++k) {
+    BandEstimate& band = q->bands[k];
+    const double stationary2 = band.noise_sigma * band.noise_sigma;
+    const double systematic2 = std::max(0.0, band.sigma * band.sigma - stationary2);
+    band.noise_sigma = std::sqrt(scatter.Variance(k, stationary2));
+    band.sigma = std::sqrt(systematic2 + band.noise_sigma * band.noise_sigma);
+  }
+}
+
+}  // namespace
+
+void TorqueSpectra::AddInertia(const Band& band, double low_Hz, double high_Hz, TorqueBands* result,
+                               Scatters* scatters) {
+  for (size_t axis = 0; axis < 2; ++axis) {
+    const Band::Axis& a = band.axes[axis];
+    if (!(a.Own() > 0.0) || !(a.uy.real() > 0.0)) continue;
+    const BlockScatter scatter = band.ScatterOfAxis(axis);
+    BandEstimate estimate;
+    estimate.low_Hz = low_Hz;
+    estimate.high_Hz = high_Hz;
+    estimate.coherence = a.Coherence(band.independent);
+    estimate.value = a.Own() / a.uy.real();
+    const double rest = (1.0 - estimate.coherence) / std::max(1e-9, estimate.coherence);
+    estimate.noise_sigma = estimate.value * std::sqrt(band.StationaryNoise(axis));
+    estimate.sigma = std::hypot(estimate.noise_sigma, estimate.value * kLoop * rest);
+    result->inertia[axis].bands.push_back(estimate);
+    const double coefficient = a.uy.real() / a.Own();
+    (*scatters)[axis].Add(scatter, 0, std::pow(estimate.value / coefficient, 2));
+  }
+}
+
+TorqueBands TorqueSpectra::Bands(const Noise& noise) const {
   TorqueBands result;
   result.flight_s = Seconds();
   if (2 * segments_ < kSegments * kSegmentsPerLength) {
@@ -243,51 +433,51 @@ TorqueBands TorqueSpectra::Bands(const Noise& noise, double highest_Hz) const {
     }
     return result;
   }
+  Block flight{std::vector<Bin>(num_bins_), segments_};
+  for (const Block& block : blocks_) {
+    for (size_t k = 0; k < num_bins_; ++k) flight.bins[k].Add(block.bins[k]);
+  }
   // Below twice the resolution a window's line is not told from zero.
-  const auto edges = Edges(2.0 * rate_Hz_ / length_, highest_Hz);
-  FindDelay(edges, noise, &result);
+  const auto edges = Edges(2.0 * rate_Hz_ / length_, highest_Hz_);
+  FindDelay(flight, edges, noise, &result);
+  Scatters scatters;
   for (const auto& [low, high] : edges) {
-    const Band band = SumOver(low, high, noise, result.delay_s);
-    const double n = band.independent;
-    for (size_t axis = 0; axis < 2; ++axis) {
-      const Band::Axis& a = band.axes[axis];
-      if (!(a.Own() > 0.0) || !(a.uy.real() > 0.0)) continue;
-      BandEstimate estimate;
-      estimate.low_Hz = low;
-      estimate.high_Hz = high;
-      estimate.coherence = a.Coherence(n);
-      estimate.value = a.Own() / a.uy.real();
-      const double rest = (1.0 - estimate.coherence) / std::max(1e-9, estimate.coherence);
-      const double noisy = a.noise / a.Own();
-      estimate.noise_sigma =
-          estimate.value * std::sqrt((1.0 + noisy) * rest / (2.0 * n) + noisy * noisy / n);
-      estimate.sigma = std::hypot(estimate.noise_sigma, estimate.value * kLoop * rest);
-      result.inertia[axis].bands.push_back(estimate);
-    }
+    const Band band = BandOf(flight, low, high, noise, result.delay_s);
+    AddInertia(band, low, high, &result, &scatters);
     // Where in its step a sample lies is nobody's to say.
     const double step_s = 1.0 / (rate_Hz_ * std::sqrt(12.0));
-    AddReaction(band, low, high, std::hypot(result.delay_sigma_s, step_s), &result);
+    AddReaction(band, low, high, std::hypot(result.delay_sigma_s, step_s), &result, &scatters);
   }
-  for (BandedQuantity* q :
-       {&result.inertia[0], &result.inertia[1], &result.k_m_over_I, &result.J_r_over_I}) {
-    JoinBands(q);
+  const std::array<BandedQuantity*, 4> quantities = {&result.inertia[0], &result.inertia[1],
+                                                     &result.k_m_over_I, &result.J_r_over_I};
+  for (size_t i = 0; i < quantities.size(); ++i) {
+    Widen(scatters[i], quantities[i]);
+    if (quantities[i]->bands.size() >= 2 && scatters[i].freedom() < kFewestDegrees) {
+      quantities[i]->why = "one stretch of the flight carries all that shows it";
+    } else {
+      JoinBands(quantities[i]);
+    }
   }
   return result;
 }
 
 void TorqueSpectra::AddReaction(const Band& band, double low_Hz, double high_Hz,
-                                double delay_sigma_s, TorqueBands* result) {
-  const Matrix3d& G = band.gram;
-  const Vector3d size = G.diagonal().cwiseMax(0.0).cwiseSqrt();
+                                double delay_sigma_s, TorqueBands* result, Scatters* scatters) {
+  const Regression regression = band.Reaction(band.reaction_terms);
+  const Regression::Gram& G = regression.gram;
+  const Regression::Terms size = G.diagonal().cwiseMax(0.0).cwiseSqrt();
   if (!(size.minCoeff() > 0.0)) return;
-  const Matrix3d unit = size.cwiseInverse().asDiagonal() * G * size.cwiseInverse().asDiagonal();
+  const Regression::Gram unit =
+      size.cwiseInverse().asDiagonal() * G * size.cwiseInverse().asDiagonal();
   if (!(unit.determinant() > 1e-6)) return;
-  const Matrix3d inverse = G.inverse();
-  const Vector3d x = inverse * band.right;
-  const double fitted = x.dot(G * x), rest_power = std::max(0.0, band.zz - x.dot(band.right));
+  const Regression::Gram inverse = G.inverse();
+  const Regression::Terms x = inverse * regression.right;
+  const double fitted = x.dot(G * x);
+  const double rest_power = std::max(0.0, band.zz - x.dot(regression.right));
   if (!(fitted > 0.0)) return;
   const double rest = std::max(rest_power / fitted, 0.5 / band.independent);
   const double w = 2.0 * kPi * band.frequency_Hz;
+  const BlockScatter scatter = band.ScatterOfReaction();
   const std::array<BandedQuantity*, 2> quantities = {&result->k_m_over_I, &result->J_r_over_I};
   for (int i = 0; i < 2; ++i) {
     if (!(x[i] > 0.0)) continue;
@@ -296,7 +486,7 @@ void TorqueSpectra::AddReaction(const Band& band, double low_Hz, double high_Hz,
     estimate.high_Hz = high_Hz;
     estimate.value = x[i];
     estimate.coherence = fitted / (fitted + rest_power);
-    const double noisy = band.gram_noise(i, i) / G(i, i);
+    const double noisy = regression.noise(i, i) / G(i, i);
     const double n = band.independent;
     estimate.noise_sigma =
         std::sqrt(0.5 * rest_power * inverse(i, i) / n + x[i] * x[i] * noisy * noisy / n);
@@ -306,6 +496,7 @@ void TorqueSpectra::AddReaction(const Band& band, double low_Hz, double high_Hz,
     const double late = w * delay_sigma_s * x[other] * std::sqrt(G(other, other) / G(i, i));
     estimate.sigma = std::hypot(estimate.noise_sigma, std::hypot(loop, late));
     quantities[static_cast<size_t>(i)]->bands.push_back(estimate);
+    (*scatters)[static_cast<size_t>(2 + i)].Add(scatter, i, 1.0);
   }
 }
 
@@ -657,7 +848,8 @@ TorqueBands FindTorqueBands(const FlightLog& log, const DynamicModel& model,
   if (!(step_s > 0.0) || !(rotor_step_s > 0.0)) return refuse("stamps stand still");
   const double flown_s = ToSeconds(rates.stamps.back() - rates.stamps.front());
   const double segment_s = std::clamp(flown_s / kSegments, kShortestSegment_s, kLongestSegment_s);
-  TorqueSpectra spectra(1.0 / step_s, segment_s, reader.body().I_BBcm_B(2, 2));
+  const double highest_Hz = kHighestShare / std::max(step_s, rotor_step_s);
+  TorqueSpectra spectra(1.0 / step_s, segment_s, highest_Hz, reader.body().I_BBcm_B(2, 2));
   const double hole_s = std::max(3.5 * step_s, kLongestGap_s);
   const double rotor_hole_s = std::max(3.5 * rotor_step_s, kLongestGap_s);
   const double pose_hole_s = std::max(3.5 * pose_step_s, 5.0 * kLongestGap_s);
@@ -680,8 +872,7 @@ TorqueBands FindTorqueBands(const FlightLog& log, const DynamicModel& model,
     }
     ++i;
   }
-  const double highest_Hz = kHighestShare / std::max(step_s, rotor_step_s);
-  bands = spectra.Bands(NoiseOf(log, model, values, reader.MeanSquaredSpeed()), highest_Hz);
+  bands = spectra.Bands(NoiseOf(log, model, values, reader.MeanSquaredSpeed()));
   const int k_f = model.IndexOf("thrust.k_f"), k_m = model.IndexOf("rotor_torque.k_m");
   const double of_thrust = k_f >= 0 ? k_f_sigma / values[k_f] : 0.0;
   for (BandedQuantity& inertia : bands.inertia) {
@@ -699,7 +890,7 @@ TorqueBands FindTorqueBands(const FlightLog& log, const DynamicModel& model,
     const double off = std::abs(std::log(check.fits / check.in_use)) / relative;
     check.p = std::erfc(off / std::sqrt(2.0));
   }
-  check.contradicted = !model.parameters()[k_m].estimated && check.p < kErrorRate;
+  check.contradicted = !model.parameters()[k_m].estimated && check.p < ReactionCheck::kErrorRate;
   bands.k_m = check;
   return bands;
 }
@@ -740,6 +931,17 @@ std::string ReactionWarning(const TorqueBands& bands) {
          " N m s^2, and the flight contradicts it: " + Rounded(c.fits) + " +- " + Rounded(c.sigma) +
          " fits where rotor torque leads (chance in " + Rounded(100.0 * c.p) + " %, with I_z " +
          Rounded(c.inertia_z) + " +- " + Rounded(c.inertia_z_sigma) + " kg m^2)";
+}
+
+void ReactionWatch::Add(const TorqueBands& bands) {
+  if (!bands.k_m) return;
+  ++looks_;
+  TorqueBands counted;
+  counted.k_m = bands.k_m;
+  ReactionCheck& check = *counted.k_m;
+  check.p = std::min(1.0, check.p * looks_);
+  check.contradicted = check.contradicted && check.p < ReactionCheck::kErrorRate;
+  sentence_ = ReactionWarning(counted);
 }
 
 }  // namespace odmc

@@ -20,6 +20,8 @@ Json QuantityJson(const BandedQuantity& q, const std::string& unit) {
   } else {
     json["why"] = q.why;
   }
+  json["block_scatter"] = JsonNumber(q.block_scatter);
+  json["block_freedom"] = JsonNumber(q.block_freedom);
   json["bands"] = Json::array();
   for (const BandEstimate& band : q.bands) {
     json["bands"].push_back({{"low_Hz", JsonNumber(band.low_Hz)},

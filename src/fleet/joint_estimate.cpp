@@ -1,9 +1,9 @@
 #include "odmc/fleet/joint_estimate.h"
 
 #include <algorithm>
-#include <boost/math/distributions/students_t.hpp>
 #include <cmath>
 
+#include "odmc/analysis/widening.h"
 #include "odmc/fleet/scalar_history.h"
 
 namespace odmc {
@@ -12,15 +12,6 @@ namespace {
 using Eigen::Index;
 
 constexpr int kMostRounds = 5;
-constexpr double kThreeSigma = 0.99865;  // one-sided, of a normal variable
-
-/// What three sigma of a normal variable become with so many degrees of freedom, over three.
-double Widening(double freedom) {
-  constexpr double kLeast = 2.0;  // two flights show next to nothing of their scatter
-  if (!(freedom < 1e6)) return 1.0;
-  const boost::math::students_t t(std::max(freedom, kLeast));
-  return boost::math::quantile(t, kThreeSigma) / 3.0;
-}
 
 /// Of a value that every flight has its own of, for the flight after `count` of them: of few
 /// flights the spread is not known well, nor is the mean.

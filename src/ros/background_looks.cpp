@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "odmc/analysis/calibration.h"
+#include "odmc/analysis/ground_spans.h"
 #include "odmc/inspection/recording_inspection.h"
 
 namespace odmc {
@@ -16,6 +17,11 @@ namespace {
 constexpr std::chrono::milliseconds kIdle(200);
 constexpr int kNiceness = 10;
 constexpr double kDoubted_s = 20.0;  // of flight that is replayed without each doubt
+
+bool HoldsReaction(const DynamicModel& model) {
+  const int k = model.IndexOf("rotor_torque.k_m");
+  return k >= 0 && !model.parameters()[k].estimated;
+}
 
 }  // namespace
 
@@ -72,6 +78,12 @@ void BackgroundLooks::Run() {
   }
 }
 
+TorqueBands BackgroundLooks::BandsOf(const StreamsSeen& seen) {
+  if (!seen.values || !HoldsReaction(*seen.model)) return {};
+  const GroundSpans ground = FindGroundSpans(seen.log, *seen.model, *seen.values);
+  return FindTorqueBands(seen.log, *seen.model, *seen.values, seen.k_f_sigma, ground.spans);
+}
+
 void BackgroundLooks::InspectIfDue() {
   std::optional<StreamsSeen> seen =
       shared_.With([](Shared* s) { return std::exchange(s->seen, std::nullopt); });
@@ -86,6 +98,8 @@ void BackgroundLooks::InspectIfDue() {
     const auto give_up = [this] { return queue_->stopping(); };
     found.changes = ChangesWithout(found.inspection.doubts, seen->log, from, *seen->model,
                                    estimator_, nullptr, give_up);
+    if (give_up()) return;
+    found.bands = BandsOf(*seen);
     if (give_up()) return;
     shared_.With([&](Shared* s) { s->found = std::move(found); });
   } catch (const std::exception& e) {

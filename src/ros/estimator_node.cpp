@@ -360,6 +360,7 @@ void EstimatorNode::Start() {
 void EstimatorNode::MakeEstimator() {
   model_ = std::make_shared<DynamicModel>(setup_.vehicle, setup_.vehicle.effects);
   estimator_ = std::make_unique<Estimator>(model_.get(), setup_.estimator, !intake_.rms_only());
+  reaction_watch_ = ReactionWatch();
   starts_anew_ = 0;
   HoldOut();
   if (!streams_seen_) streams_seen_.emplace(setup_.vehicle);
@@ -407,15 +408,30 @@ void EstimatorNode::InspectStreams() {
   if (streams_seen_->IsDue()) {
     FlightLog log = streams_seen_->TakeLook();
     log.rotor_rms_only = intake_.rms_only();
-    looks_->Inspect({std::move(log), setup_.vehicle, model_});
+    BackgroundLooks::StreamsSeen seen{std::move(log), setup_.vehicle, model_, {}, 0.0};
+    const int k_f = model_->IndexOf("thrust.k_f");
+    if (last_ && last_model_ == model_) {
+      seen.values = last_->values;
+      if (k_f >= 0) seen.k_f_sigma = last_->sigma[k_f];
+    }
+    looks_->Inspect(std::move(seen));
   }
   std::optional<BackgroundLooks::StreamsFound> found = looks_->TakeInspection();
   if (!found) return;
+  LearnOfReaction(*found);
   const bool is_new = trust_.Adopt(*std::move(found));
   if (is_new && !frozen_) {
     estimator_->StartAnew();
     ForgetEstimate("the streams are mended from now on");
   }
+}
+
+void EstimatorNode::LearnOfReaction(const BackgroundLooks::StreamsFound& found) {
+  if (found.model != model_) return;
+  const std::string before = reaction_watch_.sentence();
+  reaction_watch_.Add(found.bands);
+  const std::string& now = reaction_watch_.sentence();
+  if (!now.empty() && before.empty()) ROS_WARN("%s", now.c_str());
 }
 
 void EstimatorNode::StepWhileThereIsMore() {
@@ -615,6 +631,7 @@ void EstimatorNode::ShareEstimator(NodeStatus* s) const {
   }
   s->rotor_speeds_late_s = trust_.OffsetOf("rotor_speeds");
   s->imu_late_s = trust_.OffsetOf("gyro");
+  s->contradicted_k_m = reaction_watch_.sentence();
   s->counters = estimator_->counters();
   s->stream_counters = estimator_->stream_counters();
   s->noise = estimator_->odometry_noise();

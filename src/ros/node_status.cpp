@@ -23,6 +23,7 @@ void SetLevel(const NodeStatus& s, DiagnosticStatus* status) {
   if (!s.unphysical.empty()) return set(DiagnosticStatus::WARN, JoinSentences(s.unphysical));
   if (!s.unlike_history.empty())
     return set(DiagnosticStatus::WARN, JoinSentences(s.unlike_history));
+  if (!s.contradicted_k_m.empty()) return set(DiagnosticStatus::WARN, s.contradicted_k_m);
   if (s.rotors && !s.rotors->bad.empty()) {
     return set(DiagnosticStatus::WARN, JoinSentences(s.rotors->Sentences()));
   }
@@ -100,6 +101,7 @@ DiagnosticStatus EstimatorDiagnostic(const NodeStatus& s, const std::string& nam
   PutValue("warnings", JoinSentences(s.warnings), &status);
   PutValue("unphysical", JoinSentences(s.unphysical), &status);
   PutValue("unlike_history", JoinSentences(s.unlike_history), &status);
+  PutValue("contradicted_k_m", s.contradicted_k_m, &status);
   if (s.rotors) PutValue("bad_rotor_sensors", JoinSentences(s.rotors->Sentences()), &status);
   PutValue("twist_frame", s.twist, &status);
   PutCounters(s, &status);

@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <functional>
 
 #include "odmc/analysis/calibration.h"
 #include "odmc/analysis/torque_bands.h"
@@ -39,19 +40,21 @@ struct Loop {
   double gust_Nm = 0.0, gust_corner_Hz = 1.0;
   double rate_noise = 0.0, torque_noise = 0.0;
   int late = 0;  // samples by which the rate comes late
-  double seconds = 40.0;
+  double seconds = 40.0, highest_Hz = 60.0;
   unsigned seed = 1;
+  std::function<double(double)> strength;  // of pilot, gust and noise of the rate, at a time [s]
 
   TorqueBands Fly(const TorqueSpectra::Noise& noise = {}) const {
     constexpr double kGain = 15.0 * kInertia, kAngle = 5.0, kLag_s = 0.03;  // 2.4 Hz bandwidth
     constexpr int kFine = 4;
-    TorqueSpectra spectra(kRate_Hz, 2.0, kInertiaZ);
+    TorqueSpectra spectra(kRate_Hz, 2.0, highest_Hz, kInertiaZ);
     Coloured pilot(pilot_corner_Hz, seed), gust(gust_corner_Hz, seed + 1000);
     Random random(seed + 2000);
     double rate = 0.0, angle = 0.0, torque = 0.0;
     std::vector<double> rates;
     for (int i = 0; i < static_cast<int>(seconds * kRate_Hz); ++i) {
-      const double wanted = pilot_rad_s * pilot.Next(), air = gust_Nm * gust.Next();
+      const double now = strength ? strength(i / kRate_Hz) : 1.0;
+      const double wanted = now * pilot_rad_s * pilot.Next(), air = now * gust_Nm * gust.Next();
       for (int k = 0; k < kFine; ++k) {
         const double dt = 1.0 / (kFine * kRate_Hz);
         const double command = kGain * (wanted - rate - kAngle * angle);
@@ -66,10 +69,10 @@ struct Loop {
       TorqueSpectra::Sample sample;
       const double read = torque + torque_noise * random.Normal();
       sample.torque = Vector3d(read, read, 0.0);
-      sample.rate = Vector3d::Constant(rates[shown] + rate_noise * random.Normal());
+      sample.rate = Vector3d::Constant(rates[shown] + now * rate_noise * random.Normal());
       spectra.Add(sample);
     }
-    return spectra.Bands(noise, 60.0);
+    return spectra.Bands(noise);
   }
 };
 
@@ -163,33 +166,125 @@ TEST(TorqueSpectra, TakeOffWhatNoiseOfRotorSpeedsAdds) {
 
 TEST(TorqueSpectra, TellReactionOfTheBladesFromThatOfTheRotors) {
   constexpr double kKmOverI = 2e-8 / kInertiaZ, kJrOverI = 1e-6 / kInertiaZ, kHover = 1000.0;
-  TorqueSpectra spectra(kRate_Hz, 2.0, kInertiaZ);
+  constexpr double kPerRate = -20.0;
+  TorqueSpectra spectra(kRate_Hz, 2.0, 40.0, kInertiaZ);
   Coloured speed(10.0, 5);
   Random random(6);
   double rate = 0.0, last_drag = 0.0, last_spin = 0.0;
-  Coloured torque(10.0, 7);
+  Coloured torque(10.0, 7), tumbling(5.0, 8);
   double other_rate = 0.0, last_torque = 0.0;
   for (int i = 0; i < 20000; ++i) {
     const double delta = 20.0 * speed.Next();
     const double drag = 4.0 * 2.0 * kHover * delta, spin = 4.0 * delta;
-    rate += 0.5 * kKmOverI * (drag + last_drag) / kRate_Hz + kJrOverI * (spin - last_spin);
+    // Known torque that also goes with the rate, as w x I w may where all rates turn together; it
+    // is known but for the inertia.
+    const double known = kInertiaZ * (5.0 * tumbling.Next() + kPerRate * rate);
+    rate += 0.5 * kKmOverI * (drag + last_drag) / kRate_Hz + kJrOverI * (spin - last_spin) +
+            1.5 * known / kInertiaZ / kRate_Hz;
     last_drag = drag;
     last_spin = spin;
     TorqueSpectra::Sample sample;
     const double about_x = 0.01 * torque.Next();
     other_rate += 0.5 * (about_x + last_torque) / kInertia / kRate_Hz;
     last_torque = about_x;
-    sample.torque = Vector3d(about_x, about_x, 0.0);
+    sample.torque = Vector3d(about_x, about_x, known);
     sample.rate = Vector3d(other_rate, other_rate, rate + 1e-3 * random.Normal());
     sample.drag = drag;
     sample.spin = spin;
     spectra.Add(sample);
   }
-  const TorqueBands bands = spectra.Bands({}, 40.0);
+  const TorqueBands bands = spectra.Bands({});
   ASSERT_TRUE(bands.k_m_over_I.value) << bands.k_m_over_I.why;
   ASSERT_TRUE(bands.J_r_over_I.value) << bands.J_r_over_I.why;
   EXPECT_NEAR(*bands.k_m_over_I.value / kKmOverI, 1.0, 0.05);
   EXPECT_NEAR(*bands.J_r_over_I.value / kJrOverI, 1.0, 0.05);
+}
+
+/// Share of bands, and RMS, of what lies outside of three noise_sigma over many flights, where
+/// noise is all there is.
+struct Coverage {
+  int bands = 0, missed = 0;
+  double square = 0.0;
+
+  explicit Coverage(const std::function<double(double)>& strength, double torque_noise = 0.0) {
+    for (unsigned seed = 1; seed <= 30; ++seed) {
+      Loop loop;
+      loop.pilot_rad_s = 3.0;
+      loop.rate_noise = 0.1;
+      loop.gust_Nm = 2e-3;
+      loop.gust_corner_Hz = 20.0;
+      loop.torque_noise = torque_noise;
+      loop.seed = 100 + seed;
+      loop.strength = strength;
+      TorqueSpectra::Noise noise;
+      noise.torque_x = noise.torque_y = torque_noise;
+      const TorqueBands flown = loop.Fly(noise);
+      for (const BandEstimate& band : flown.inertia[0].bands) {
+        if (band.low_Hz < 5.0 || band.low_Hz > 20.0) continue;
+        const double z = std::log(band.value / kInertia) * band.value / band.noise_sigma;
+        ++bands;
+        missed += std::abs(z) > 3.0;
+        square += z * z;
+      }
+    }
+  }
+  double RmsZ() const { return std::sqrt(square / bands); }
+};
+
+// Chance of more than four of 120 outside three sigma: 2e-5.
+TEST(TorqueSpectra, KnowThatExcitationAndNoiseComeInBursts) {
+  const Coverage last([](double t) { return t > 32.0 ? 1.0 : 0.05; });
+  EXPECT_EQ(last.bands, 120);
+  EXPECT_LE(last.missed, 4);
+  EXPECT_GT(last.RmsZ(), 0.5);
+  EXPECT_LT(last.RmsZ(), 1.2);
+  const Coverage shorter_than_a_segment(
+      [](double t) { return std::fmod(t, 3.0) < 0.5 ? 1.0 : 0.1; });
+  EXPECT_LE(shorter_than_a_segment.missed, 4);
+  EXPECT_LT(shorter_than_a_segment.RmsZ(), 1.2);
+  const Coverage once([](double t) { return t > 21.3 && t < 23.3 ? 1.0 : 0.02; });
+  EXPECT_LE(once.missed, 4);
+  EXPECT_LT(once.RmsZ(), 1.3);  // two seconds do not show the noise well either
+  const Coverage stationary([](double) { return 1.0; });
+  EXPECT_LE(stationary.missed, 4);
+  EXPECT_GT(stationary.RmsZ(), 0.5);
+}
+
+TEST(TorqueSpectra, KnowWhatNoiseOfRotorSpeedsTakesFromTheirSigma) {
+  const Coverage noisy([](double) { return 1.0; }, 0.05);
+  EXPECT_LE(noisy.missed, 4);
+  EXPECT_LT(noisy.RmsZ(), 1.2);
+}
+
+TEST(TorqueSpectra, SayThatOneStretchCarriesAll) {
+  Loop loop;
+  loop.pilot_rad_s = 3.0;
+  loop.rate_noise = 0.1;
+  loop.highest_Hz = 2.5;  // two bands
+  loop.strength = [](double t) { return t > 24.1 && t < 24.2 ? 1.0 : 0.0; };
+  const BandedQuantity I = loop.Fly().inertia[0];
+  EXPECT_FALSE(I.value);
+  EXPECT_LT(I.block_freedom, 2.0);
+  EXPECT_NE(I.why.find("one stretch"), std::string::npos) << I.why;
+}
+
+// An hour in a minute's memory: blocks are merged, and say the same.
+TEST(TorqueSpectra, SayTheSameOfALongFlight) {
+  Loop loop;
+  loop.pilot_rad_s = 3.0;
+  loop.rate_noise = 0.1;
+  loop.seconds = 80.0;
+  const BandedQuantity shorter = loop.Fly().inertia[0];
+  loop.seconds = 600.0;
+  const BandedQuantity longer = loop.Fly().inertia[0];
+  ASSERT_TRUE(shorter.value && longer.value);
+  EXPECT_NEAR(*longer.value / *shorter.value, 1.0, 0.02);
+  EXPECT_NEAR(longer.block_scatter, 0.8, 0.25);
+  // From 8 Hz on; below, the shorter flight shows the coherence no better than its least.
+  for (size_t i = 6; i < 10; ++i) {
+    const double ratio = longer.bands[i].noise_sigma / shorter.bands[i].noise_sigma;
+    EXPECT_NEAR(ratio, std::sqrt(80.0 / 600.0), 0.1) << "from " << longer.bands[i].low_Hz;
+  }
 }
 
 TEST(TorqueSpectra, SayWhatIsTooShort) {
@@ -247,6 +342,25 @@ TEST_F(FlightBands, ContradictAReactionThatIsTooSmall) {
   EXPECT_NE(ReactionWarning(wrong).find("contradicts"), std::string::npos);
   EXPECT_FALSE(right.k_m->contradicted);
   EXPECT_TRUE(ReactionWarning(right).empty());
+}
+
+TEST(ReactionWatch, CountsItsLooks) {
+  TorqueBands bands;
+  bands.k_m.emplace();
+  bands.k_m->in_use = 1e-8;
+  bands.k_m->fits = 2e-8;
+  bands.k_m->p = 4e-4;
+  bands.k_m->contradicted = true;
+  ReactionWatch watch;
+  watch.Add(TorqueBands());  // shows nothing, and does not count
+  watch.Add(bands);
+  EXPECT_NE(watch.sentence().find("contradicts"), std::string::npos);
+  watch.Add(bands);  // twice 4e-4
+  EXPECT_FALSE(watch.sentence().empty());
+  watch.Add(TorqueBands());
+  EXPECT_FALSE(watch.sentence().empty());
+  watch.Add(bands);  // three times: by chance in more than 1e-3
+  EXPECT_TRUE(watch.sentence().empty());
 }
 
 /// Bands of half octaves from 1 Hz on, each with this value and a sigma of 3 %.

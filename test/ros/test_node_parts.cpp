@@ -8,6 +8,7 @@
 #include <thread>
 
 #include "odmc/estimator/acceptance.h"
+#include "odmc/ros/background_looks.h"
 #include "odmc/ros/conversions.h"
 #include "odmc/ros/estimate_messages.h"
 #include "odmc/ros/input_queue.h"
@@ -15,6 +16,7 @@
 #include "odmc/ros/node_status.h"
 #include "odmc/ros/sample_intake.h"
 #include "odmc/ros/urdf_vehicle.h"
+#include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "support/error_text.h"
 #include "support/test_vehicle.h"
@@ -157,6 +159,65 @@ TEST(EstimatorDiagnostic, WarnsWhileNothingIsLearned) {
   status.interrupted = "nothing is learned any more: no odometry";
   EXPECT_EQ(EstimatorDiagnostic(status, "n").level, diagnostic_msgs::DiagnosticStatus::WARN);
   EXPECT_EQ(EstimatorDiagnostic(status, "n").message, status.interrupted);
+}
+
+/// The newest seconds of a flight in which k_m is taken for `share` of the true one.
+BackgroundLooks::StreamsSeen SeenWith(double share, bool estimated) {
+  Vehicle vehicle = test::NominalVehicle();
+  const DynamicModel flown(vehicle, vehicle.effects);
+  const ModelValues truth = DefaultTruth(flown);
+  SimulationOptions options;
+  options.trajectory = "aggressive";
+  options.log_rate_hz = 200.0;
+  SimulationNoise noise;
+  noise.rotor_speed_rad_s = 0.3;
+  BackgroundLooks::StreamsSeen seen;
+  seen.log = Simulate(flown, truth, options, noise).log;
+  const int k_m = flown.IndexOf("rotor_torque.k_m");
+  vehicle.parameters["rotor_torque.k_m"].value = share * truth[k_m];
+  vehicle.parameters["rotor_torque.k_m"].estimated = estimated;
+  vehicle.inertia_kg_m2.z() = truth[flown.IndexOf("inertia.z")];
+  vehicle.parameters["inertia.z"].sigma = 0.1 * vehicle.inertia_kg_m2.z();
+  seen.vehicle = vehicle;
+  seen.model = std::make_shared<DynamicModel>(vehicle, vehicle.effects);
+  seen.values = truth;
+  (*seen.values)[seen.model->IndexOf("rotor_torque.k_m")] = share * truth[k_m];
+  return seen;
+}
+
+TEST(BackgroundLooks, AskWhetherAReactionThatIsHeldIsRight) {
+  const TorqueBands right = BackgroundLooks::BandsOf(SeenWith(1.0, false));
+  ASSERT_TRUE(right.k_m);
+  EXPECT_FALSE(right.k_m->contradicted);
+  // The estimator learns it: nobody has to look. Nor can anybody without an estimate.
+  EXPECT_FALSE(BackgroundLooks::BandsOf(SeenWith(0.5, true)).k_m);
+  BackgroundLooks::StreamsSeen early = SeenWith(0.5, false);
+  early.values.reset();
+  EXPECT_FALSE(BackgroundLooks::BandsOf(early).k_m);
+}
+
+TEST(BackgroundLooks, FindThatTheFlightContradictsAReaction) {
+  InputQueue queue(10);
+  BackgroundLooks looks(
+      {}, [](const ResidualLook&) {}, &queue);
+  looks.Inspect(SeenWith(0.5, false));
+  std::optional<BackgroundLooks::StreamsFound> found;
+  for (int i = 0; i < 1200 && !found; ++i) {  // of low priority, on a busy machine
+    std::this_thread::sleep_for(std::chrono::milliseconds(100));
+    found = looks.TakeInspection();
+  }
+  queue.Stop();
+  ASSERT_TRUE(found);
+  ReactionWatch watch;
+  watch.Add(found->bands);
+  NodeStatus status;
+  status.airborne = true;
+  EXPECT_EQ(EstimatorDiagnostic(status, "n").level, diagnostic_msgs::DiagnosticStatus::OK);
+  status.contradicted_k_m = watch.sentence();
+  const auto diagnostic = EstimatorDiagnostic(status, "n");
+  EXPECT_EQ(diagnostic.level, diagnostic_msgs::DiagnosticStatus::WARN);
+  EXPECT_NE(diagnostic.message.find("rotor_torque.k_m is held at"), std::string::npos);
+  EXPECT_NE(diagnostic.message.find("contradicts it"), std::string::npos);
 }
 
 TEST(Conversions, BodyMovesWithItsSensorLessTheLeverArm) {

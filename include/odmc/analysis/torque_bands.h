@@ -15,6 +15,8 @@
 
 namespace odmc {
 
+class PooledScatter;
+
 /// Inertia and reaction torque of the rotors by bands of frequency. Over all frequencies the torque
 /// equation, rotor torque = inertia times angular acceleration, rewards inertia without end: below
 /// the bandwidth of the controller rotor torque answers disturbances. docs/estimator.md, "By bands
@@ -25,7 +27,7 @@ struct BandEstimate {
   double low_Hz = 0.0, high_Hz = 0.0;
   double value = 0.0;
   double sigma = 0.0;        ///< all of it
-  double noise_sigma = 0.0;  ///< of it, what more flight would make smaller
+  double noise_sigma = 0.0;  ///< of it, what more flight would make smaller; it knows of bursts
   double coherence = 0.0;  ///< of torque and angular acceleration, noise of rotor speeds taken off
   bool used = false;       ///< of the range that is most likely
 };
@@ -38,11 +40,16 @@ struct BandedQuantity {
   double chi_squared = 0.0;  ///< of the bands used, about their mean; `freedom` degrees of freedom
   int freedom = 0;
   double slope = 0.0, slope_sigma = 0.0;  ///< d log(value) / d log(frequency): 0 where torque leads
+  /// Variance between stretches of the flight over that of excitation and noise that are stationary
+  /// within each, all bands together; and how many degrees of freedom show it.
+  double block_scatter = 1.0, block_freedom = 0.0;
   std::string why;
 };
 
 /// k_m as the bands have it, against the one in use.
 struct ReactionCheck {
+  static constexpr double kErrorRate = 1e-3;  ///< a p below it contradicts
+
   double in_use = 0.0;                            ///< [N m s²]
   double fits = 0.0;                              ///< the same for the inertia below
   double sigma = 0.0;                             ///< with that of the inertia
@@ -73,8 +80,9 @@ class TorqueSpectra {
   };
 
   /// @param segment_s length of a segment; the lowest band is a few of its inverse
+  /// @param highest_Hz frequencies above are not looked at
   /// @param inertia_z by which what is known of the torque about z is divided [kg m²]
-  TorqueSpectra(double rate_Hz, double segment_s, double inertia_z);
+  TorqueSpectra(double rate_Hz, double segment_s, double highest_Hz, double inertia_z);
 
   /// Adds the next sample; Break() tells that it does not follow the one before.
   void Add(const Sample& sample);
@@ -86,8 +94,7 @@ class TorqueSpectra {
   };
 
   /// What the bands say.
-  /// @param highest_Hz frequencies above are not looked at
-  TorqueBands Bands(const Noise& noise, double highest_Hz) const;
+  TorqueBands Bands(const Noise& noise) const;
 
  private:
   using Complex = std::complex<double>;
@@ -109,25 +116,45 @@ class TorqueSpectra {
     std::array<Complex, 2> uy{};
     double zz = 0.0, known2 = 0.0, drag2 = 0.0, spin2 = 0.0;
     Complex known_z, drag_spin, drag_z, spin_z, drag_known, spin_known;
+    void Add(const Bin& other);
+  };
+  /// Segments that follow each other, summed up. Their number is bounded: the longer the flight,
+  /// the longer they are.
+  struct Block {
+    std::vector<Bin> bins;
+    long segments = 0;
   };
   struct Band;
+  /// Of I_x, I_y, k_m / I_z, J_r / I_z.
+  using Scatters = std::array<PooledScatter, 4>;
 
   void TakeSegment();
+  void MergeBlocks();
   double Seconds() const;
-  /// Sums over the bins of a band, torque shifted by `delay_s`, noise of rotor speeds taken off.
-  Band SumOver(double low_Hz, double high_Hz, const Noise& noise, double delay_s) const;
+  /// Mean spectra over the bins of a band and some blocks, torque shifted by `delay_s`, noise of
+  /// rotor speeds taken off.
+  Band MeanOver(const Block& block, double low_Hz, double high_Hz, const Noise& noise,
+                double delay_s) const;
+  /// The band over the whole flight, and over each block.
+  Band BandOf(const Block& flight, double low_Hz, double high_Hz, const Noise& noise,
+              double delay_s) const;
+  static void AddInertia(const Band& band, double low_Hz, double high_Hz, TorqueBands* result,
+                         Scatters* scatters);
   static void AddReaction(const Band& band, double low_Hz, double high_Hz, double delay_sigma_s,
-                          TorqueBands* result);
-  void FindDelay(const std::vector<std::pair<double, double>>& edges, const Noise& noise,
-                 TorqueBands* bands) const;
+                          TorqueBands* result, Scatters* scatters);
+  void FindDelay(const Block& flight, const std::vector<std::pair<double, double>>& edges,
+                 const Noise& noise, TorqueBands* bands) const;
 
   double rate_Hz_;
   int length_;
-  double inertia_z_;
+  double highest_Hz_, inertia_z_;
   std::vector<Sample> run_;
   std::vector<double> window_;
   double window_power_ = 0.0;
-  std::vector<Bin> bins_;
+  size_t num_bins_;
+  std::vector<Block> blocks_;
+  long block_segments_;  // of a whole block
+  bool block_is_open_ = false;
   long segments_ = 0;
 };
 
@@ -159,5 +186,20 @@ std::map<std::string, ParameterSetting> InertiaByBands(const TorqueBands& bands,
 
 /// One sentence where the bands contradict the k_m in use; else empty.
 std::string ReactionWarning(const TorqueBands& bands);
+
+/// Whether a flight contradicts the k_m that is held, look after look at its newest seconds. That
+/// any of the looks does so by chance is ReactionCheck::kErrorRate: a look's p counts times the
+/// number of looks so far.
+class ReactionWatch {
+ public:
+  /// @param bands of one look; those that show no k_m change nothing
+  void Add(const TorqueBands& bands);
+  /// As ReactionWarning(), of the newest look that shows k_m.
+  const std::string& sentence() const { return sentence_; }
+
+ private:
+  int looks_ = 0;
+  std::string sentence_;
+};
 
 }  // namespace odmc

@@ -6,6 +6,7 @@
 #include <thread>
 #include <vector>
 
+#include "odmc/analysis/torque_bands.h"
 #include "odmc/attribution/residual_watch.h"
 #include "odmc/estimator/options.h"
 #include "odmc/inspection/stream_inspection.h"
@@ -15,9 +16,9 @@
 
 namespace odmc {
 
-/// A thread of low priority that looks at what the model leaves unexplained, and compares the
-/// streams with each other: a look takes a second or so and can wait, the estimator can't. What it
-/// shares with the estimator thread is under one lock.
+/// A thread of low priority that looks at what the model leaves unexplained, compares the streams
+/// with each other, and asks them whether a k_m that is held is right: a look takes a second or so
+/// and can wait, the estimator can't. What it shares with the estimator thread is under one lock.
 class BackgroundLooks {
  public:
   /// The newest minute of the streams as they come, and what they are inspected for.
@@ -25,11 +26,14 @@ class BackgroundLooks {
     FlightLog log;
     Vehicle vehicle;
     std::shared_ptr<const DynamicModel> model;
+    std::optional<ModelValues> values;  ///< of the model; empty: not estimated yet
+    double k_f_sigma = 0.0;             ///< [N s²]
   };
   struct StreamsFound {
     StreamInspection inspection;
     std::shared_ptr<const DynamicModel> model;
     std::vector<Eigen::VectorXd> changes;  ///< of its parameters, without each doubt
+    TorqueBands bands;                     ///< BandsOf() the same
   };
 
   /// @param on_look called by the thread
@@ -38,6 +42,10 @@ class BackgroundLooks {
                   std::function<void(const ResidualLook&)> on_look, InputQueue* queue);
   ~BackgroundLooks() { Join(); }
   void Join();
+
+  /// What the bands of frequency say where k_m is held and there are values; else nothing. Takes
+  /// some tenths of a second.
+  static TorqueBands BandsOf(const StreamsSeen& seen);
 
   // The estimator thread.
 

@@ -77,6 +77,7 @@ class EstimatorNode {
   void Feed(const Sample& sample);
   void Observe(const Sample& sample);
   void InspectStreams();
+  void LearnOfReaction(const BackgroundLooks::StreamsFound& found);
   void StepWhileThereIsMore();
   void AddWhatWasFound();
   void ForgetEstimate(const char* why);
@@ -113,6 +114,7 @@ class EstimatorNode {
   std::shared_ptr<const DynamicModel> model_;  // others get it by shared_
   std::unique_ptr<Estimator> estimator_;
   EstimateTrust trust_;
+  ReactionWatch reaction_watch_;
   Acceptance acceptance_;
   LearningProgress progress_;
   EstimatePublisher publisher_;

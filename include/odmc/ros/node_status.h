@@ -49,9 +49,10 @@ struct NodeStatus {
   std::vector<std::string> warnings;    ///< of the set-up, they stay
   std::vector<std::string> unphysical;  ///< of the newest estimate
   std::vector<std::string> unlike_history;  ///< sentences: what earlier flights did not let expect
-  std::string phase;                        ///< of the flight, Name(FlightPhase)
-  std::string trust;                        ///< in the newest estimate: good, doubtful or bad
-  std::string findings;                     ///< about streams and estimate, in sentences
+  std::string contradicted_k_m;  ///< a sentence if the flight contradicts the k_m held; else empty
+  std::string phase;             ///< of the flight, Name(FlightPhase)
+  std::string trust;             ///< in the newest estimate: good, doubtful or bad
+  std::string findings;          ///< about streams and estimate, in sentences
   double rotor_speeds_late_s = 0.0, imu_late_s = 0.0;  ///< taken off their stamps
   std::string twist;                                   ///< verdict on the frame of the twist
   std::shared_ptr<const DynamicModel> model;
