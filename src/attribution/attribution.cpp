@@ -256,8 +256,8 @@ void Attribution::Rank(const Evidence& evidence) {
 double Attribution::ScoreOf(const Evidence& evidence, const VariantSet& set,
                             const VariantSet& without) const {
   const EffectFit with = evidence.Solve(set), other = evidence.Solve(without);
-  // Parts of the flight are predicted as well by parameters that nobody believes in: what the effect
-  // makes of these believable counts, too. (What it strains is in the gain already.)
+  // Parts of the flight are predicted as well by parameters that nobody believes in: what the
+  // effect makes of these believable counts, too. (What it strains is in the gain already.)
   const double relief = std::max(0.0, evidence.BeliefIn(with) - evidence.BeliefIn(other));
   const double predictive = evidence.PredictiveGain(set, without) + relief;
   const double gain = std::min(with.log_evidence - other.log_evidence, predictive);

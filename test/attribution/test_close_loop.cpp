@@ -306,8 +306,8 @@ TEST(CloseLoop, BlamesNoWindForAForceThatNoEffectMakes) {
 }
 
 // In vertical flight tilted rotors turn the vehicle in yaw in proportion to thrust, and the
-// controller holds against that: an inertia without end, which answers no torque, predicts each part
-// of the flight as well. What is known of inertia beforehand says no.
+// controller holds against that: an inertia without end, which answers no torque, predicts each
+// part of the flight as well. What is known of inertia beforehand says no.
 TEST(CloseLoop, BelievesInNoEndlessInertiaBesideTiltedRotors) {
   const UndeclaredPlan plan = PlanOneEffect(8001, 12, "rotor_tilt")[7];
   ASSERT_EQ(plan.trajectory, "vertical");
