@@ -1,51 +1,12 @@
 #include "odmc/bench/full_solve.h"
 
-#include <array>
 #include <cmath>
-#include <vector>
 
 #include "odmc/window/ceres_window_solver.h"
+#include "odmc/window/saved_window.h"
 
 namespace odmc {
 namespace {
-
-/// The variables of a window, and where they are linearized.
-class SavedPoint {
- public:
-  explicit SavedPoint(const Window& window)
-      : eta_(window.eta()),
-        biases_(window.biases()),
-        prior_(window.prior()),
-        anchor_(window.anchor()) {
-    for (const Keyframe& k : window.keyframes()) keyframes_.push_back({k.x, k.x_lin, k.in_prior});
-  }
-
-  void Restore(Window* window) const {
-    window->eta() = eta_;
-    window->biases() = biases_;
-    window->prior() = prior_;
-    window->anchor() = anchor_;
-    for (size_t i = 0; i < keyframes_.size(); ++i) {
-      Keyframe& keyframe = window->keyframes()[i];
-      keyframe.x = keyframes_[i].x;
-      keyframe.x_lin = keyframes_[i].x_lin;
-      keyframe.in_prior = keyframes_[i].in_prior;
-    }
-  }
-
-  const ParameterVector& eta() const { return eta_; }
-
- private:
-  struct OfKeyframe {
-    std::array<double, kStateSize> x, x_lin;
-    bool in_prior;
-  };
-  ParameterVector eta_;
-  Ring<Bias> biases_;
-  Prior prior_;
-  double anchor_;
-  std::vector<OfKeyframe> keyframes_;
-};
 
 /// @returns the covariance of eta (n×n); nothing where the solve failed
 std::optional<Eigen::MatrixXd> SolveToConvergence(Window* window) {
@@ -93,7 +54,7 @@ std::optional<FullSolveDifference> CompareWithFullSolve(const SolvedWindow& solv
       !solved.solver->ParameterCovariance(*window, solved.sigma_eta, &ours)) {
     return std::nullopt;
   }
-  const SavedPoint point(*window);
+  const SavedWindow point(*window);
   solved.solver->WritePrior(window);
   std::optional<FullSolveDifference> difference;
   const auto compare = [&] {

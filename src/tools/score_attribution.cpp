@@ -56,10 +56,16 @@ class Score {
   bool CountEffect(const Json& answer, const Json& report);
   void CountTwo(const Json& answer, const std::vector<std::string>& found);
   void GatherRatios(const Json& answer, const Json& report, Tally* tally) const;
+  /// Coefficients of an effect that acts and is named, where the answers have them and the flight
+  /// shows them.
+  void CountCoefficients(const Json& answer, const Json& effect);
+  double RmsOfSigmas() const;
 
   std::map<std::string, Tally> tallies_;
   int flights_ = 0, null_flights_ = 0, false_alarms_ = 0;
   int unknown_ = 0, called_unexplained_ = 0, two_ = 0, both_of_two_ = 0;
+  int coefficients_ = 0, within_three_sigma_ = 0;
+  double squared_sigmas_ = 0.0;  // errors over their sigma
   Json mistakes_ = Json::array();
 };
 
@@ -115,6 +121,9 @@ bool Score::CountEffect(const Json& answer, const Json& report) {
   tally.top2 += in_two;
   tally.class_top1 += in_class;
   CountTwo(answer, found);
+  for (const Json& effect : report["effects"]) {
+    if (Contains(effects, effect["name"])) CountCoefficients(answer, effect);
+  }
   if (report["verdict"] == "effect") GatherRatios(answer, report, &tally);
   return in_class;
 }
@@ -146,6 +155,24 @@ void Score::GatherRatios(const Json& answer, const Json& report, Tally* tally) c
   gather("torque", 3, &tally->over_best_torque);
 }
 
+void Score::CountCoefficients(const Json& answer, const Json& effect) {
+  const auto truth = answer.find("parameters");
+  if (truth == answer.end()) return;
+  for (const auto& [name, found] : effect["parameters"].items()) {
+    const auto true_value = truth->find(name);
+    const double sigma = found["sigma"];
+    if (true_value == truth->end() || !found["observable"].get<bool>() || !(sigma > 0.0)) continue;
+    const double sigmas = (found["value"].get<double>() - true_value->get<double>()) / sigma;
+    ++coefficients_;
+    within_three_sigma_ += std::abs(sigmas) <= 3.0;
+    squared_sigmas_ += sigmas * sigmas;
+  }
+}
+
+double Score::RmsOfSigmas() const {
+  return std::sqrt(squared_sigmas_ / std::max(1, coefficients_));
+}
+
 void Score::Print() {
   std::printf("%-10s %8s %8s %8s %12s %16s\n", "strength", "flights", "top-1", "top-2",
               "class top-1", "after/best");
@@ -158,6 +185,9 @@ void Score::Print() {
   }
   std::printf("false alarms %d of %d, unexplained %d of %d, both of two effects %d of %d\n",
               false_alarms_, null_flights_, called_unexplained_, unknown_, both_of_two_, two_);
+  std::printf(
+      "coefficients of effects named: %d of %d within three sigma, errors %.2f sigma (RMS)\n",
+      within_three_sigma_, coefficients_, RmsOfSigmas());
   for (const Json& m : mistakes_) std::cout << m.dump() << "\n";
 }
 
@@ -180,6 +210,10 @@ Json Score::ToJson(const Json& seconds) {
   score["after_over_before_with_torque_rmse"] =
       of_each([&](const Tally& t) { return median(t.over_best_torque); });
   score["both_of_two"] = Share(both_of_two_, two_);
+  score["coefficients"] = {
+      {"count", coefficients_},
+      {"within_three_sigma", Share(within_three_sigma_, coefficients_)},
+      {"rms_sigmas", coefficients_ == 0 ? Json(nullptr) : Json(RmsOfSigmas())}};
   score["flights"] = flights_;
   score["seconds"] = seconds;
   score["mistakes"] = mistakes_;

@@ -142,13 +142,13 @@ int main(int argc, char** argv) {
   tools::AddFolder(&app, &folder);
   tools::AddExitStatus(&app);
   return tools::Run(&app, argc, argv, [&] {
+    std::vector<UndeclaredPlan> plans = PlanFlights(seed, flights, nothing, unknown, effect);
+    for (UndeclaredPlan& plan : plans) plan.recording = kRecordings.at(recording);
     const std::string input = tools::In(folder, "input");
     tools::MakeFolder(input);
     for (const Vehicle& vehicle : UndeclaredVehicles()) {
       WriteText(FormatVehicle(vehicle), tools::In(input, "vehicle_" + vehicle.name + ".yaml"));
     }
-    std::vector<UndeclaredPlan> plans = PlanFlights(seed, flights, nothing, unknown, effect);
-    for (UndeclaredPlan& plan : plans) plan.recording = kRecordings.at(recording);
     std::vector<Json> manifest(plans.size()), truth(plans.size());
     tools::ProgressBar bar("simulating");
     const auto make = [&](int i) {

@@ -5,7 +5,6 @@
 
 #include <Eigen/Cholesky>
 #include <algorithm>
-#include <array>
 #include <cstdio>
 #include <ostream>
 #include <string>
@@ -16,6 +15,7 @@
 #include "odmc/sim/truth_vehicle.h"
 #include "odmc/window/ceres_window_solver.h"
 #include "odmc/window/incremental_window_solver.h"
+#include "odmc/window/saved_window.h"
 #include "support/flight_feed.h"
 #include "support/linear_window.h"
 #include "support/test_vehicle.h"
@@ -31,42 +31,6 @@ using testing_support::FlightFeed;
 constexpr double kSame = 1e-9;      // of a sigma
 constexpr double kSettled = 1e-11;  // of a sigma, from one step to the next
 constexpr int kMostSteps = 200;
-
-/// The variables of a window; all of its factors stay.
-class SavedWindow {
- public:
-  explicit SavedWindow(const Window& window)
-      : eta_(window.eta()),
-        biases_(window.biases()),
-        prior_(window.prior()),
-        anchor_(window.anchor()) {
-    for (const Keyframe& k : window.keyframes()) states_.push_back({k.x, k.x_lin, k.in_prior});
-  }
-
-  void Restore(Window* window) const {
-    window->eta() = eta_;
-    window->biases() = biases_;
-    window->prior() = prior_;
-    window->anchor() = anchor_;
-    for (size_t i = 0; i < states_.size(); ++i) {
-      Keyframe& keyframe = window->keyframes()[i];
-      keyframe.x = states_[i].x;
-      keyframe.x_lin = states_[i].x_lin;
-      keyframe.in_prior = states_[i].in_prior;
-    }
-  }
-
- private:
-  struct OfKeyframe {
-    std::array<double, kStateSize> x, x_lin;
-    bool in_prior;
-  };
-  ParameterVector eta_;
-  Ring<Bias> biases_;
-  Prior prior_;
-  double anchor_;
-  std::vector<OfKeyframe> states_;
-};
 
 /// A minimum, and the parameters' sigmas there.
 struct Minimum {
