@@ -115,7 +115,7 @@ void Attribution::Screen(Evidence* evidence) const {
                          [](const auto& a, const auto& b) { return a.white < b.white; }) -
         promises.begin());
     for (const size_t i : chosen) all.push_back({*settings[i], log_prior});
-    const Candidate refined = Refined(*settings[most], [&](const Candidate& other) {
+    const Candidate refined = WithRefinedSettings(*settings[most], [&](const Candidate& other) {
       return evidence->GainBoundOf(other).white;
     });
     if (refined.settings != settings[most]->settings) all.push_back({refined, log_prior});
@@ -131,7 +131,7 @@ void Attribution::Polish(Evidence* evidence) const {
   for (int round = 0; round < kPolishes; ++round) {
     std::map<int, EffectFit> fits;
     for (int v = 0; v < static_cast<int>(evidence->variants().size()); ++v) {
-      const Variant& variant = evidence->variants()[v];
+      const EffectVariant& variant = evidence->variants()[v];
       if (variant.offset < 0 && variant.candidate.start.empty()) continue;
       fits[v] = evidence->Solve({v});
     }
@@ -177,7 +177,7 @@ double Attribution::SurrogatePValue(double gain) const {
 RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
                                    const VariantSet& set) const {
   RankedEffect ranked;
-  const Variant& v = evidence.variants()[variant];
+  const EffectVariant& v = evidence.variants()[variant];
   ranked.name = v.candidate.effect;
   ranked.settings = v.candidate.settings;
   ranked.freed = v.candidate.freed;

@@ -199,8 +199,8 @@ std::set<std::string> EffectsOf(const std::vector<Candidate>& candidates) {
   return names;
 }
 
-Candidate Refined(const Candidate& candidate,
-                  const std::function<double(const Candidate&)>& score) {
+Candidate WithRefinedSettings(const Candidate& candidate,
+                              const std::function<double(const Candidate&)>& score) {
   Candidate best = candidate;
   for (const SettingRefinement& refinement : candidate.refinements) {
     const auto setting = best.settings.find(candidate.effect + "." + refinement.parameter);

@@ -94,13 +94,13 @@ FlightFigures FlownFlight(const FlightLog& log, const ReplayResult& replay) {
   return figures;
 }
 
-std::vector<LoopSample> Samples(const std::vector<Miss>& before, const std::vector<Miss>& after,
-                                const BlockSplit& blocks) {
+std::vector<LoopSample> Samples(const std::vector<WrenchError>& before,
+                                const std::vector<WrenchError>& after, const BlockSplit& blocks) {
   std::vector<LoopSample> samples;
   const size_t n = std::min(before.size(), after.size());
   samples.reserve(n);
   for (size_t i = 0; i < n; ++i) {
-    const Miss &b = before[i], &a = after[i];
+    const WrenchError &b = before[i], &a = after[i];
     LoopSample sample{b.t_s, blocks.IsHeldOut(b.t_s), b.speed_m_s, {}, {}};
     for (int k = 0; k < 3; ++k) {
       sample.before[k] = b.force[k];
@@ -153,7 +153,7 @@ class LoopSession {
  private:
   /// Progress of a part of the whole.
   std::function<void(double)> Part(double from, double to) const;
-  Vehicle Extended(const std::vector<RankedEffect>& effects) const;
+  Vehicle VehicleWithEffects(const std::vector<RankedEffect>& effects) const;
   std::optional<OnlinePass> RunWith(const std::vector<RankedEffect>& effects, double to) const;
   std::vector<ChannelStructure> StructureInUse(const ResidualModel::Wrenches& residual) const;
   /// Share of the structure that stays beside the effects, in the channels in which they act.
@@ -211,13 +211,13 @@ std::function<void(double)> LoopSession::Part(double from, double to) const {
   };
 }
 
-Vehicle LoopSession::Extended(const std::vector<RankedEffect>& effects) const {
-  return odmc::Extended(vehicle_, attribution_->stage(), effects, known_);
+Vehicle LoopSession::VehicleWithEffects(const std::vector<RankedEffect>& effects) const {
+  return odmc::VehicleWithEffects(vehicle_, attribution_->stage(), effects, known_);
 }
 
 std::optional<OnlinePass> LoopSession::RunWith(const std::vector<RankedEffect>& effects,
                                                double to) const {
-  const Vehicle extended = Extended(effects);
+  const Vehicle extended = VehicleWithEffects(effects);
   const DynamicModel model(extended, extended.effects);
   return RunOnline(log_, file_vehicle_, model, options_.estimator, options_.blocks, Part(0.6, to));
 }
@@ -234,7 +234,7 @@ void LoopSession::Calibrate() {
   const std::string doubt = InertiaDoubt(file_vehicle_);
   if (!doubt.empty()) result_.warnings.push_back(doubt);
   result_.flight = FlownFlight(log_, before_.replay);
-  result_.samples = Samples(before_.misses, before_.misses, options_.blocks);
+  result_.samples = Samples(before_.errors, before_.errors, options_.blocks);
 }
 
 bool LoopSession::HasFlight() {
@@ -261,9 +261,10 @@ void LoopSession::Attribute() {
   result_.named_gain = attribution_->gain();
   result_.flexible_gain = attribution_->flexible_gain();
   const ResidualModel::Wrenches& before = attribution_->residual_before();
-  result_.structure = LessStructured(
-      Structure(*flight_, before, residual_->num_channels()),
-      Structure(*flight_, residual_->Residual(declared_, values), residual_->num_channels()));
+  result_.structure =
+      LessStructured(StructureByChannel(*flight_, before, residual_->num_channels()),
+                     StructureByChannel(*flight_, residual_->Residual(declared_, values),
+                                        residual_->num_channels()));
   structured_ = Summarise(options_.attribution, &result_);
   const std::vector<std::vector<double>> runs = flight_->Runs(before.col(0));
   const bool judged = std::any_of(runs.begin(), runs.end(),
@@ -303,7 +304,7 @@ void LoopSession::WeighGusts() {
 
 std::vector<ChannelStructure> LoopSession::StructureInUse(
     const ResidualModel::Wrenches& residual) const {
-  return Structure(*flight_, residual, residual_->num_channels(), true);
+  return StructureByChannel(*flight_, residual, residual_->num_channels(), true);
 }
 
 double LoopSession::Unexplained() const {
@@ -333,7 +334,7 @@ void LoopSession::DropUnexplained() {
 }
 
 void LoopSession::DropIdle() {
-  const Vehicle extended = Extended(effects_);
+  const Vehicle extended = VehicleWithEffects(effects_);
   const DynamicModel model(extended, extended.effects);
   const bool predicts =
       LeastRatio(before_.held_out, after_->held_out, true) < options_.attribution.least_ratio;
@@ -374,7 +375,7 @@ TorqueBands LoopSession::BandsOf(const DynamicModel& model, const OnlinePass& pa
 }
 
 void LoopSession::RunWithBands(OnlinePass* pass) {
-  const Vehicle extended = Extended(effects_);
+  const Vehicle extended = VehicleWithEffects(effects_);
   const DynamicModel model(extended, extended.effects);
   const auto by_bands = KnownByBands(BandsOf(model, *pass), model, pass->replay.last->values);
   if (by_bands.empty()) return;
@@ -393,7 +394,7 @@ void LoopSession::AskOnlineFor(const std::string& name) {
   with.emplace_back().name = name;
   std::optional<OnlinePass> pass = RunWith(with, 1.0);
   if (!pass) return;
-  const Vehicle extended = Extended(with);
+  const Vehicle extended = VehicleWithEffects(with);
   const DynamicModel model(extended, extended.effects);
   with.back() = RankedByEstimate(name, pass->parameters, model, EffectsOf(candidates_).size());
   if (!(with.back().p_value < options_.attribution.false_alarm_rate)) return;
@@ -434,7 +435,7 @@ AddedEffect LoopSession::Added(const RankedEffect& ranked, const DynamicModel& m
 void LoopSession::Conclude() {
   result_.accelerometer_before = result_.accelerometer_after =
       before_.held_out.accelerometer_force_rmse_N;
-  const Vehicle final_vehicle = effects_.empty() ? vehicle_ : Extended(effects_);
+  const Vehicle final_vehicle = effects_.empty() ? vehicle_ : VehicleWithEffects(effects_);
   const DynamicModel model(final_vehicle, final_vehicle.effects);
   if (!effects_.empty()) {
     result_.verdict = Verdict::kEffect;
@@ -442,7 +443,7 @@ void LoopSession::Conclude() {
     result_.accelerometer_after = after_->held_out.accelerometer_force_rmse_N;
     result_.parameters = after_->parameters;
     result_.effect_names = final_vehicle.effects;
-    result_.samples = Samples(before_.misses, after_->misses, options_.blocks);
+    result_.samples = Samples(before_.errors, after_->errors, options_.blocks);
     for (const RankedEffect& ranked : effects_) result_.effects.push_back(Added(ranked, model));
   } else if (structured_) {
     result_.verdict = Verdict::kUnexplained;

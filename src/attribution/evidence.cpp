@@ -192,7 +192,7 @@ int Evidence::Add(const Candidate& candidate) {
   ForEachOf(num_flights(), jobs_, [&](int f) {
     added[static_cast<size_t>(f)] = flights_[static_cast<size_t>(f)].Add(candidate, {});
   });
-  Variant variant;
+  EffectVariant variant;
   variant.candidate = candidate;
   std::map<std::string, int> shared;
   for (size_t f = 0; f < flights_.size(); ++f) {
@@ -209,7 +209,7 @@ int Evidence::Add(const Candidate& candidate) {
 }
 
 void Evidence::Relinearize(int v, const EffectFit& fit) {
-  Variant& variant = variants_[static_cast<size_t>(v)];
+  EffectVariant& variant = variants_[static_cast<size_t>(v)];
   std::map<std::string, int> shared;
   if (variant.offset >= 0) shared["offset"] = variant.offset;
   for (size_t f = 0; f < flights_.size(); ++f) {
@@ -301,7 +301,7 @@ Evidence::FlexibleGain Evidence::BestFlexible(const VariantSet& set,
 }
 
 int Evidence::AddFlexible(const FlexibleGain& gain, const FlexibleFeatures& features) {
-  Variant variant;
+  EffectVariant variant;
   variant.candidate.effect =
       features.names[static_cast<size_t>(gain.feature)] + " " + std::to_string(gain.channel);
   std::map<std::string, int> shared;

@@ -27,7 +27,7 @@ std::optional<OnlinePass> RunOnline(const FlightLog& log, const Vehicle& file_ve
   std::vector<PredictionSample> unseen;
   PredictEach(log, file_vehicle, model, values, pass.replay.ground_spans, vary,
               [&](const PredictionSample& s) {
-                pass.misses.push_back({s.t_s, s.speed_m_s, s.measured_force - s.predicted_force,
+                pass.errors.push_back({s.t_s, s.speed_m_s, s.measured_force - s.predicted_force,
                                        s.measured_torque - s.predicted_torque});
                 if (!blocks.IsHeldOut(s.t_s)) return;
                 unseen.push_back(s);

@@ -233,14 +233,15 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
                           CandidatesFor(asked, flight.motion()), decision_, give_up);
   attribution.Run();
   const std::vector<ChannelStructure> before =
-      Structure(flight, attribution.residual_before(), channels);
-  Summarise(LessStructured(before,
-                           Structure(flight, residual.Residual(model, estimate.values), channels)),
-            decision_, &found);
+      StructureByChannel(flight, attribution.residual_before(), channels);
+  Summarise(
+      LessStructured(
+          before, StructureByChannel(flight, residual.Residual(model, estimate.values), channels)),
+      decision_, &found);
   const std::vector<RankedEffect>& effects = attribution.effects();
   if (effects.empty()) return found;
   const std::vector<ChannelStructure> after =
-      Structure(flight, attribution.residual_after(), channels);
+      StructureByChannel(flight, attribution.residual_after(), channels);
   const double unexplained = UnexplainedStructure(
       attribution.residual_before(), attribution.residual_after(), before, after, decision_);
   // As in CloseLoop(): a stand-in explains less than is left.

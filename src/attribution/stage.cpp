@@ -79,9 +79,9 @@ Stage StageOf(const DynamicModel& model, const ModelValues& values) {
   return stage;
 }
 
-Vehicle Extended(const Vehicle& vehicle, const Stage& stage,
-                 const std::vector<RankedEffect>& effects,
-                 const std::map<std::string, ParameterSetting>& known) {
+Vehicle VehicleWithEffects(const Vehicle& vehicle, const Stage& stage,
+                           const std::vector<RankedEffect>& effects,
+                           const std::map<std::string, ParameterSetting>& known) {
   Vehicle extended = vehicle;
   const DynamicModel declared(vehicle, vehicle.effects);
   for (const ModelParameter& p : declared.parameters()) {

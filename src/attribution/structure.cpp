@@ -16,9 +16,9 @@ const char* const kChannelNames[] = {"force_x",  "force_y",  "force_z",
 
 }  // namespace
 
-std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
-                                        const ResidualModel::Wrenches& residual, int num_channels,
-                                        bool in_use_only) {
+std::vector<ChannelStructure> StructureByChannel(const ThinnedFlight& flight,
+                                                 const ResidualModel::Wrenches& residual,
+                                                 int num_channels, bool in_use_only) {
   std::vector<ChannelStructure> all;
   const double rate_Hz = 1.0 / flight.step_s();
   for (int c = 0; c < num_channels; ++c) {

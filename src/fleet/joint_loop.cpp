@@ -201,7 +201,7 @@ double UnexplainedShare(const Attribution& attribution, const std::vector<Looked
   double sum = 0.0;
   for (size_t f = 0; f < looked.size(); ++f) {
     const auto structure = [&](const ResidualModel::Wrenches& of) {
-      return Structure(*looked[f].flight, of, looked[f].residual->num_channels());
+      return StructureByChannel(*looked[f].flight, of, looked[f].residual->num_channels());
     };
     const auto &before = attribution.residual_before(f), &after = attribution.residual_after(f);
     sum += UnexplainedStructure(before, after, structure(before), structure(after), options);
@@ -216,8 +216,8 @@ std::vector<std::pair<std::string, int>> StructuredChannels(const Attribution& a
   std::vector<std::pair<std::string, int>> channels;
   for (size_t f = 0; f < looked.size(); ++f) {
     for (const ChannelStructure& channel :
-         Structure(*looked[f].flight, attribution.residual_before(f),
-                   looked[f].residual->num_channels())) {
+         StructureByChannel(*looked[f].flight, attribution.residual_before(f),
+                            looked[f].residual->num_channels())) {
       const auto known = std::find_if(channels.begin(), channels.end(),
                                       [&](const auto& c) { return c.first == channel.name; });
       const int more = IsStructured(channel, options) ? 1 : 0;
@@ -263,7 +263,7 @@ class JointSession {
                           progress);
   }
   Vehicle With(const std::vector<RankedEffect>& effects) const {
-    return Extended(vehicle_, stage_, effects);
+    return VehicleWithEffects(vehicle_, stage_, effects);
   }
   const FlightSource& source_;
   const Vehicle& file_vehicle_;

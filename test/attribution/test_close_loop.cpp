@@ -476,7 +476,7 @@ TEST(Candidates, ALengthIsRefinedBetweenTheGridsValues) {
                            {{"suspended_load.length", 0.45}, {"suspended_load.damping", 0.02}},
                            {},
                            effect->refinements()};
-  const Candidate best = Refined(start, [](const Candidate& c) {
+  const Candidate best = WithRefinedSettings(start, [](const Candidate& c) {
     return -std::pow(std::log(c.settings.at("suspended_load.length") / 0.47), 2) -
            std::pow(std::log(c.settings.at("suspended_load.damping") / 0.03), 2);
   });
@@ -488,14 +488,15 @@ TEST(Candidates, ALengthIsRefinedBetweenTheGridsValues) {
 TEST(Candidates, ATimeIsRefinedInHalvedSteps) {
   const auto effect = EffectRegistry::Default().Make("mass_change", NominalVehicle());
   Candidate other = {"mass_change", {{"mass_change.from", 3.0}}, {}, effect->refinements()};
-  EXPECT_EQ(Refined(other, [](const Candidate&) { return 0.0; }).settings, other.settings);
+  EXPECT_EQ(WithRefinedSettings(other, [](const Candidate&) { return 0.0; }).settings,
+            other.settings);
   const auto score = [](const Candidate& c) {
     return -std::abs(c.settings.at("mass_change.from") - 3.3);
   };
-  EXPECT_NEAR(Refined(other, score).settings.at("mass_change.from"), 3.3, 0.05);
+  EXPECT_NEAR(WithRefinedSettings(other, score).settings.at("mass_change.from"), 3.3, 0.05);
   // From the start on: there is no time to refine.
   other.settings["mass_change.from"] = 0.0;
-  EXPECT_EQ(Refined(other, score).settings, other.settings);
+  EXPECT_EQ(WithRefinedSettings(other, score).settings, other.settings);
 }
 
 TEST(Undeclared, PlansHoldEveryEffectAndEnoughOfEachKind) {

@@ -40,7 +40,8 @@ std::set<std::string> EffectsOf(const std::vector<Candidate>& candidates);
 
 /// The candidate with what its grid holds coarsely (a cable's length and damping, the time of a
 /// change) moved to where `score` is best between the grid's neighbours, one after the other.
-Candidate Refined(const Candidate& candidate, const std::function<double(const Candidate&)>& score);
+Candidate WithRefinedSettings(const Candidate& candidate,
+                              const std::function<double(const Candidate&)>& score);
 
 /// What follows from an effect's parameters and says more than these: the mass of the whole, all
 /// loads counted [kg], and Effect::DerivedFigures().

@@ -14,7 +14,7 @@
 namespace odmc {
 
 /// One way in which a candidate effect may act: its settings, linearized somewhere.
-struct Variant {
+struct EffectVariant {
   Candidate candidate;
   /// Columns of its parameters, in the order of Evidence's columns. The coefficient of a column is
   /// the parameter itself, not a step.
@@ -86,7 +86,7 @@ class Evidence {
   /// anything below, and again after Add() and Relinearize().
   void EstimateNoise();
 
-  const std::vector<Variant>& variants() const { return variants_; }
+  const std::vector<EffectVariant>& variants() const { return variants_; }
   const Stage& stage() const { return stage_; }
   int num_flights() const { return static_cast<int>(flights_.size()); }
   /// Number of samples (times channels) that count.
@@ -190,7 +190,7 @@ class Evidence {
   std::array<double, kNumChannels> plain_sigma_{};  // of the residual of all flights
   std::vector<Column> columns_;  // of the base, then of the variants; offsets among these
   int num_base_ = 0;
-  std::vector<Variant> variants_;
+  std::vector<EffectVariant> variants_;
   Eigen::MatrixXd gram_;
 };
 

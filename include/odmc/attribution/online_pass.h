@@ -16,7 +16,7 @@ namespace odmc {
 
 /// What a prediction misses at one sample: of force [N] and torque [N m], in the vehicle file's
 /// body axes.
-struct Miss {
+struct WrenchError {
   double t_s, speed_m_s;
   Eigen::Vector3d force, torque;
 };
@@ -26,7 +26,7 @@ struct Miss {
 struct OnlinePass {
   ReplayResult replay;  ///< without its history and timing
   ParameterSet parameters;
-  std::vector<Miss> misses;
+  std::vector<WrenchError> errors;
   PredictionFigures held_out;  ///< on blocks held out
 };
 

@@ -44,9 +44,9 @@ Stage StageOf(const DynamicModel& model, const ModelValues& values);
 /// valley.
 /// @param vehicle with the declared effects
 /// @param known of other parameters, by full name: value and sigma
-Vehicle Extended(const Vehicle& vehicle, const Stage& stage,
-                 const std::vector<RankedEffect>& effects,
-                 const std::map<std::string, ParameterSetting>& known = {});
+Vehicle VehicleWithEffects(const Vehicle& vehicle, const Stage& stage,
+                           const std::vector<RankedEffect>& effects,
+                           const std::map<std::string, ParameterSetting>& known = {});
 
 /// The model's initial values, but what is known.
 ModelValues ValuesOf(const DynamicModel& model, const std::map<std::string, double>& known);

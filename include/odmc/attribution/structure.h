@@ -20,9 +20,9 @@ struct ChannelStructure {
 
 /// Structure of every channel of a residual.
 /// @param in_use_only true if its spectrum shall not see the blocks held out
-std::vector<ChannelStructure> Structure(const ThinnedFlight& flight,
-                                        const ResidualModel::Wrenches& residual, int num_channels,
-                                        bool in_use_only = false);
+std::vector<ChannelStructure> StructureByChannel(const ThinnedFlight& flight,
+                                                 const ResidualModel::Wrenches& residual,
+                                                 int num_channels, bool in_use_only = false);
 
 /// Largest share of a structured channel's structured variance (p < whiteness_p) that a fit
 /// explains: all of it where noise accounts for what remains (p > noise_p). 1 if no channel is
