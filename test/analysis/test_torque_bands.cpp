@@ -4,8 +4,9 @@
 #include <cstdio>
 #include <functional>
 
+#include "odmc/analysis/band_join.h"
 #include "odmc/analysis/calibration.h"
-#include "odmc/analysis/torque_bands.h"
+#include "odmc/analysis/torque_spectra.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "support/jacobian_check.h"

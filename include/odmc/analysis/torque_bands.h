@@ -2,8 +2,6 @@
 
 #include <Eigen/Core>
 #include <array>
-#include <complex>
-#include <functional>
 #include <map>
 #include <optional>
 #include <string>
@@ -14,8 +12,6 @@
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
-
-class PooledScatter;
 
 /// Inertia and reaction torque of the rotors by bands of frequency. Over all frequencies the torque
 /// equation, rotor torque = inertia times angular acceleration, rewards inertia without end: below
@@ -67,101 +63,12 @@ struct TorqueBands {
   BandedQuantity J_r_over_I;                  ///< inertia of a rotor over I_z [-]
   std::optional<ReactionCheck> k_m;           ///< where bands show it
   std::string why;                            ///< nothing could be looked at; empty: it was
+
+  /// I_x, I_y, k_m / I_z, J_r / I_z.
+  std::array<BandedQuantity*, 4> Quantities();
+  /// Says of everything why it could not be looked at.
+  void Refuse(const std::string& reason);
 };
-
-/// Torque and angular acceleration, evenly sampled, summed up as spectra.
-class TorqueSpectra {
- public:
-  struct Sample {
-    Eigen::Vector3d torque;  ///< of thrust about Bcm, in B, less w × I w [N m]
-    Eigen::Vector3d rate;    ///< [rad/s]
-    double drag = 0.0;       ///< sum of s Ω² [rad²/s²]
-    double spin = 0.0;       ///< sum of s Ω [rad/s]
-  };
-
-  /// @param segment_s length of a segment; the lowest band is a few of its inverse
-  /// @param highest_Hz frequencies above are not looked at
-  /// @param inertia_z by which what is known of the torque about z is divided [kg m²]
-  TorqueSpectra(double rate_Hz, double segment_s, double highest_Hz, double inertia_z);
-
-  /// Adds the next sample; Break() tells that it does not follow the one before.
-  void Add(const Sample& sample);
-  void Break();
-
-  /// Noise of one sample that rotor speeds put into torque (x, y), drag and spin.
-  struct Noise {
-    double torque_x = 0.0, torque_y = 0.0, drag = 0.0, spin = 0.0;
-  };
-
-  /// What the bands say.
-  TorqueBands Bands(const Noise& noise) const;
-
- private:
-  using Complex = std::complex<double>;
-  enum Channel : size_t {
-    kTorqueX,
-    kTorqueY,
-    kKnownZ,
-    kRateX,
-    kRateY,
-    kRateZ,
-    kDrag,
-    kSpin,
-    kNumChannels
-  };
-  /// Sums over segments at one frequency: torque u and angular acceleration y about x and y; about
-  /// z acceleration, what is known of it, and the regressors: drag, and the rate of spin.
-  struct Bin {
-    std::array<double, 2> uu{}, yy{};
-    std::array<Complex, 2> uy{};
-    double zz = 0.0, known2 = 0.0, drag2 = 0.0, spin2 = 0.0;
-    Complex known_z, drag_spin, drag_z, spin_z, drag_known, spin_known;
-    void Add(const Bin& other);
-  };
-  /// Segments that follow each other, summed up. Their number is bounded: the longer the flight,
-  /// the longer they are.
-  struct Block {
-    std::vector<Bin> bins;
-    long segments = 0;
-  };
-  struct Band;
-  /// Of I_x, I_y, k_m / I_z, J_r / I_z.
-  using Scatters = std::array<PooledScatter, 4>;
-
-  void TakeSegment();
-  void MergeBlocks();
-  double Seconds() const;
-  /// Mean spectra over the bins of a band and some blocks, torque shifted by `delay_s`, noise of
-  /// rotor speeds taken off.
-  Band MeanOver(const Block& block, double low_Hz, double high_Hz, const Noise& noise,
-                double delay_s) const;
-  /// The band over the whole flight, and over each block.
-  Band BandOf(const Block& flight, double low_Hz, double high_Hz, const Noise& noise,
-              double delay_s) const;
-  static void AddInertia(const Band& band, double low_Hz, double high_Hz, TorqueBands* result,
-                         Scatters* scatters);
-  static void AddReaction(const Band& band, double low_Hz, double high_Hz, double delay_sigma_s,
-                          TorqueBands* result, Scatters* scatters);
-  void FindDelay(const Block& flight, const std::vector<std::pair<double, double>>& edges,
-                 const Noise& noise, TorqueBands* bands) const;
-
-  double rate_Hz_;
-  int length_;
-  double highest_Hz_, inertia_z_;
-  std::vector<Sample> run_;
-  std::vector<double> window_;
-  double window_power_ = 0.0;
-  size_t num_bins_;
-  std::vector<Block> blocks_;
-  long block_segments_;  // of a whole block
-  bool block_is_open_ = false;
-  long segments_ = 0;
-};
-
-/// Joins what bands say of one quantity: the mean over all ranges of bands that agree, and whose
-/// values do not fall with frequency as answers to disturbances would, by how likely each makes
-/// what is seen. Its sigma knows that the range is not known.
-void JoinBands(BandedQuantity* quantity);
 
 /// The bands of a recorded flight, with thrust, centre of mass and mounts as `values` say.
 /// @param k_f_sigma of thrust.k_f, which the inertia goes with [N s²]
