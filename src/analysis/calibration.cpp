@@ -237,15 +237,69 @@ void WarnOfOtherMass(const ParameterSet& parameters, const Vehicle& vehicle,
                       " kg, the vehicle file says " + Rounded(vehicle.mass_kg) + " kg");
 }
 
-Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Vehicle& file_vehicle,
-                      const DynamicModel& model, const EstimatorOptions& options,
-                      const std::function<void(double)>& progress,
-                      const PredictionSink& predicted) {
+namespace {
+
+void RefuseAllFrozen(const DynamicModel& model) {
   const auto& parameters = model.parameters();
   if (std::none_of(parameters.begin(), parameters.end(),
                    [](const auto& p) { return p.estimated; })) {
     throw std::invalid_argument("every parameter is frozen: there is nothing to estimate");
   }
+}
+
+void RefuseNeverAirborne(const FlightLog& log, const ReplayResult& replay,
+                         const EstimatorOptions& options) {
+  if (replay.last) return;
+  throw std::invalid_argument(
+      log.file + ": never airborne: thrust stays below " +
+      Rounded(options.phases.landed_thrust_ratio) +
+      " of the weight or the vehicle does not rise; check thrust.k_f, mass_kg and the unit of "
+      "the rotor speeds");
+}
+
+/// What the pass itself says: how long it took, and of which flight.
+void DescribePass(const FlightLog& log, const EstimatorOptions& options, Calibration* result) {
+  const ReplayResult& replay = result->replay;
+  const Snapshot& last = *replay.last;
+  const SynchroniserCounters& streams = replay.stream_counters;
+  result->flight = {log.file, DurationOf(log), replay.counters.on_ground_s,
+                    replay.counters.keyframes,
+                    log.dropped + streams.not_finite + streams.out_of_order};
+  result->inflation = last.inflation;
+  result->convergence_s = Convergence(replay.history, last.observable);
+  result->wall = SummariseTiming(replay, &UpdateTiming::wall_ms);
+  result->cpu = SummariseTiming(replay, &UpdateTiming::cpu_ms);
+  result->wall_start = SummariseTiming(replay, &UpdateTiming::wall_ms, TimingPart::kStart);
+  result->states_in_window = StatesInWindow(replay);
+  result->threads = options.num_threads;
+  result->first_stamp = log.odometry.front().stamp;
+  result->start_s = ToSeconds(last.stamp - log.odometry.front().stamp) - last.time_s;
+}
+
+/// Warnings and findings, once everything else is known.
+void Judge(const FlightLog& log, const DynamicModel& model, const EstimatorOptions& options,
+           const Learned& learned, Calibration* result) {
+  const ReplayResult& replay = result->replay;
+  const Snapshot& last = *replay.last;
+  result->warnings = FlightWarnings(log, replay);
+  Append(ModelWarnings(model, last.values, last.sigma, result->prediction.figures),
+         &result->warnings);
+  WarnOfReaction(result->bands, &result->warnings);
+  Append(LastLookFindings(model, last.values, learned.thirds), &result->findings);
+  Append(LittleFlight(replay, model), &result->findings);
+  Append(PhaseFindings(replay, options.detect_changes, result->first_stamp), &result->findings);
+  for (const Finding& finding : result->findings) {
+    if (finding.leaves != Trust::kGood) result->warnings.push_back(Sentence(finding));
+  }
+}
+
+}  // namespace
+
+Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Vehicle& file_vehicle,
+                      const DynamicModel& model, const EstimatorOptions& options,
+                      const std::function<void(double)>& progress,
+                      const PredictionSink& predicted) {
+  RefuseAllFrozen(model);
   const bool has_torque = !log.rotor_rms_only;
   const auto part = [&](double from, double to) {
     return [&progress, from, to](double share) {
@@ -254,48 +308,20 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   };
   Calibration result;
   Learned learned = Learn(log, model, model, options, part(0.0, has_torque ? 0.5 : 1.0));
-  if (!learned.replay.last) {
-    throw std::invalid_argument(
-        log.file + ": never airborne: thrust stays below " +
-        Rounded(options.phases.landed_thrust_ratio) +
-        " of the weight or the vehicle does not rise; check thrust.k_f, mass_kg and the unit of "
-        "the rotor speeds");
-  }
+  RefuseNeverAirborne(log, learned.replay, options);
   result.bands = BandsOf(recording, model, learned.replay);
   if (has_torque) LearnWithBands(log, model, options, part(0.5, 1.0), &learned, &result);
   if (progress) progress(1.0);
   result.replay = std::move(learned.replay);
-  const ReplayResult& replay = result.replay;
-  const Snapshot& last = *replay.last;
-  const SynchroniserCounters& streams = replay.stream_counters;
-  result.flight = {log.file, DurationOf(log), replay.counters.on_ground_s,
-                   replay.counters.keyframes,
-                   log.dropped + streams.not_finite + streams.out_of_order};
+  const Snapshot& last = *result.replay.last;
   result.parameters = Estimator::ToParameterSet(model, last);
-  result.inflation = last.inflation;
+  result.nominal_inertia = file_vehicle.inertia_kg_m2;
+  DescribePass(log, options, &result);
   const auto keep = [&](const PredictionSample& s) { result.prediction.samples.push_back(s); };
   result.prediction.figures =
-      PredictEach(recording, file_vehicle, model, last.values, replay.ground_spans, {},
+      PredictEach(recording, file_vehicle, model, last.values, result.replay.ground_spans, {},
                   predicted ? predicted : PredictionSink(keep));
-  result.nominal_inertia = file_vehicle.inertia_kg_m2;
-  result.convergence_s = Convergence(replay.history, last.observable);
-  result.wall = SummariseTiming(replay, &UpdateTiming::wall_ms);
-  result.cpu = SummariseTiming(replay, &UpdateTiming::cpu_ms);
-  result.wall_start = SummariseTiming(replay, &UpdateTiming::wall_ms, TimingPart::kStart);
-  result.states_in_window = StatesInWindow(replay);
-  result.threads = options.num_threads;
-  result.first_stamp = log.odometry.front().stamp;
-  result.start_s = ToSeconds(last.stamp - log.odometry.front().stamp) - last.time_s;
-  result.warnings = FlightWarnings(log, replay);
-  Append(ModelWarnings(model, last.values, last.sigma, result.prediction.figures),
-         &result.warnings);
-  WarnOfReaction(result.bands, &result.warnings);
-  Append(LastLookFindings(model, last.values, learned.thirds), &result.findings);
-  Append(LittleFlight(replay, model), &result.findings);
-  Append(PhaseFindings(replay, options.detect_changes, result.first_stamp), &result.findings);
-  for (const Finding& finding : result.findings) {
-    if (finding.leaves != Trust::kGood) result.warnings.push_back(Sentence(finding));
-  }
+  Judge(log, model, options, learned, &result);
   return result;
 }
 

@@ -355,68 +355,94 @@ double Evidence::BeliefIn(const EffectFit& fit) const {
   return belief + SignTerm(base, fit.coefficients.head(n), sigma.head(n));
 }
 
-EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& columns,
-                              const VariantSet& set) const {
-  const int y_at = static_cast<int>(columns_.size());
-  const auto n = static_cast<Index>(columns.size());
+/// A regression, and the priors of its coefficients.
+struct Evidence::NormalEquations {
+  std::vector<int> columns;
+  MatrixXd XX;
+  VectorXd Xy;
+  double yy = 0.0;
+  VectorXd mean, sigma;  // of the priors
+};
+
+Evidence::NormalEquations Evidence::EquationsOf(const MatrixXd& gram,
+                                                const std::vector<int>& columns,
+                                                const VariantSet& set) const {
   // The residual without what the variants do beyond their linearization.
   VectorXd u = VectorXd::Zero(gram.rows());
-  u[y_at] = 1.0;
-  double log_prior = 0.0;
+  u[num_columns()] = 1.0;
   for (const int v : set) {
     if (variants_[v].offset >= 0) u[variants_[v].offset] = -1.0;
-    log_prior += variants_[v].log_prior;
   }
   const VectorXd gram_u = gram * u;
-  const double yy = u.dot(gram_u);
-  const MatrixXd XX = Picked(gram, columns, columns);
-  VectorXd mean(n), sigma(n), Xy(n);
+  const auto n = static_cast<Index>(columns.size());
+  NormalEquations e;
+  e.columns = columns;
+  e.XX = Picked(gram, columns, columns);
+  e.Xy.resize(n);
+  e.yy = u.dot(gram_u);
+  e.mean.resize(n);
+  e.sigma.resize(n);
   for (Index k = 0; k < n; ++k) {
     const Column& column = columns_[columns[static_cast<size_t>(k)]];
-    mean[k] = column.prior_mean;
-    sigma[k] = column.prior_sigma;
-    Xy[k] = gram_u[columns[static_cast<size_t>(k)]];
+    e.mean[k] = column.prior_mean;
+    e.sigma[k] = column.prior_sigma;
+    e.Xy[k] = gram_u[columns[static_cast<size_t>(k)]];
   }
+  return e;
+}
+
+EffectFit Evidence::FitOf(const NormalEquations& e, const VectorXd& prior_sigma) const {
   // In units of the priors' sigmas, in which all is of the order of one.
-  const auto solve = [&](const VectorXd& prior_sigma) {
-    EffectFit p;
-    p.columns = columns;
-    const VectorXd centre = mean.cwiseQuotient(prior_sigma);
-    MatrixXd H = prior_sigma.asDiagonal() * XX * prior_sigma.asDiagonal();
-    H.diagonal().array() += 1.0;
-    const Eigen::LLT<MatrixXd> llt(H);
-    const VectorXd b = prior_sigma.cwiseProduct(Xy) + centre;
-    const VectorXd x = llt.solve(b);
-    const MatrixXd covariance = llt.solve(MatrixXd::Identity(n, n));
-    p.coefficients = prior_sigma.cwiseProduct(x);
-    p.covariance = prior_sigma.asDiagonal() * covariance * prior_sigma.asDiagonal();
-    p.log_evidence = 0.5 * (b.dot(x) - yy - centre.squaredNorm()) - 0.5 * LogDeterminant(llt) +
-                     SignTerm(columns, p.coefficients, p.covariance.diagonal().cwiseSqrt());
-    if (!std::isfinite(p.log_evidence)) {
-      p.log_evidence = -std::numeric_limits<double>::infinity();
-    }
-    return p;
-  };
-  EffectFit best = solve(sigma);
-  best.log_evidence += log_prior;
-  // Variants whose coefficients are strangely large.
+  EffectFit p;
+  p.columns = e.columns;
+  const Index n = prior_sigma.size();
+  const VectorXd centre = e.mean.cwiseQuotient(prior_sigma);
+  MatrixXd H = prior_sigma.asDiagonal() * e.XX * prior_sigma.asDiagonal();
+  H.diagonal().array() += 1.0;
+  const Eigen::LLT<MatrixXd> llt(H);
+  const VectorXd b = prior_sigma.cwiseProduct(e.Xy) + centre;
+  const VectorXd x = llt.solve(b);
+  const MatrixXd covariance = llt.solve(MatrixXd::Identity(n, n));
+  p.coefficients = prior_sigma.cwiseProduct(x);
+  p.covariance = prior_sigma.asDiagonal() * covariance * prior_sigma.asDiagonal();
+  p.log_evidence = 0.5 * (b.dot(x) - e.yy - centre.squaredNorm()) - 0.5 * LogDeterminant(llt) +
+                   SignTerm(e.columns, p.coefficients, p.covariance.diagonal().cwiseSqrt());
+  if (!std::isfinite(p.log_evidence)) {
+    p.log_evidence = -std::numeric_limits<double>::infinity();
+  }
+  return p;
+}
+
+int Evidence::WidenStrange(const VariantSet& set, const NormalEquations& e, const EffectFit& fit,
+                           VectorXd* prior_sigma) const {
   Index at = num_base_;
-  VectorXd widened = sigma;
   int wide = 0;
   for (const int v : set) {
     const auto size = static_cast<Index>(variants_[v].columns.size());
     const VectorXd z =
-        (best.coefficients - mean).segment(at, size).cwiseQuotient(sigma.segment(at, size));
+        (fit.coefficients - e.mean).segment(at, size).cwiseQuotient(e.sigma.segment(at, size));
     if (z.cwiseAbs().maxCoeff() > kWideFrom) {
-      widened.segment(at, size) *= kWide;
+      prior_sigma->segment(at, size) *= kWide;
       ++wide;
     }
     at += size;
   }
+  return wide;
+}
+
+EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& columns,
+                              const VariantSet& set) const {
+  const NormalEquations equations = EquationsOf(gram, columns, set);
+  double log_prior = 0.0;
+  for (const int v : set) log_prior += variants_[v].log_prior;
   const double usual = static_cast<double>(set.size()) * std::log(1.0 - kStrange);
+  EffectFit best = FitOf(equations, equations.sigma);
+  best.log_evidence += log_prior;
   best.log_evidence += usual;
+  VectorXd widened = equations.sigma;
+  const int wide = WidenStrange(set, equations, best, &widened);
   if (wide > 0) {
-    EffectFit other = solve(widened);
+    EffectFit other = FitOf(equations, widened);
     other.log_evidence +=
         log_prior + usual + wide * (std::log(kStrange) - std::log(1.0 - kStrange));
     if (other.log_evidence > best.log_evidence) return other;
@@ -642,27 +668,27 @@ Evidence::Lead Evidence::LeadOf(const VariantSet& a, const VariantSet& b) const 
   return lead;
 }
 
-std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count,
-                                             unsigned seed) const {
+struct Evidence::GainTest {
+  std::vector<int> columns, own;  // what it stands beside and then its own; its own
+  MatrixXd estimate;              // own coefficients by X'y
+  MatrixXd information;           // of these
+  VectorXd sigma, own_sigma;      // posterior, prior
+  double occam;
+};
+
+std::vector<Evidence::GainTest> Evidence::GainTests(const VariantSet& beside) const {
   const std::vector<int> base = ColumnsOf(beside);
-  struct Test {
-    std::vector<int> columns;   // the base's, then its own
-    MatrixXd estimate;          // own coefficients by X'y
-    MatrixXd information;       // of these
-    VectorXd sigma, own_sigma;  // posterior, prior
-    double occam;
-  };
-  std::vector<Test> tests;
-  for (size_t v = 0; v < variants_.size(); ++v) {
+  std::vector<GainTest> tests;
+  for (const EffectVariant& variant : variants_) {
     const bool has = std::any_of(beside.begin(), beside.end(), [&](int other) {
-      return variants_[other].candidate.effect == variants_[v].candidate.effect;
+      return variants_[other].candidate.effect == variant.candidate.effect;
     });
     if (has) continue;
-    const std::vector<int>& own = variants_[v].columns;
-    const auto k = static_cast<Index>(own.size());
-    Test test;
+    GainTest test;
+    test.own = variant.columns;
     test.columns = base;
-    test.columns.insert(test.columns.end(), own.begin(), own.end());
+    test.columns.insert(test.columns.end(), test.own.begin(), test.own.end());
+    const auto k = static_cast<Index>(test.own.size());
     const VectorXd sigma = PriorSigmas(test.columns);
     MatrixXd H =
         sigma.asDiagonal() * Picked(gram_, test.columns, test.columns) * sigma.asDiagonal();
@@ -674,35 +700,43 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
     test.information = of_own.solve(MatrixXd::Identity(k, k));
     test.own_sigma = sigma.tail(k);
     test.sigma = test.own_sigma.cwiseProduct(covariance.diagonal().cwiseSqrt());
-    test.occam = 0.5 * LogDeterminant(of_own) + std::log(1.0 - kStrange) + variants_[v].log_prior;
+    test.occam = 0.5 * LogDeterminant(of_own) + std::log(1.0 - kStrange) + variant.log_prior;
     tests.push_back(std::move(test));
   }
+  return tests;
+}
+
+double Evidence::GainOf(const GainTest& test, const VectorXd& Xe) const {
+  VectorXd g(static_cast<Index>(test.columns.size()));
+  for (size_t k = 0; k < test.columns.size(); ++k) g[static_cast<Index>(k)] = Xe[test.columns[k]];
+  const VectorXd x = test.estimate * g;
+  return 0.5 * x.dot(test.information * x) + test.occam +
+         SignTerm(test.own, x.cwiseProduct(test.own_sigma), test.sigma);
+}
+
+MatrixXd Evidence::SurrogateProducts(std::mt19937* random) const {
+  MatrixXd Xe = MatrixXd::Zero(num_columns() + 1, kShiftsOfADraw);
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    const MatrixXd of_flight =
+        flights_[f].white().transpose() * SurrogatesOf(flights_[f], kShiftsOfADraw, random);
+    for (size_t k = 0; k < place_[f].size(); ++k) {
+      Xe.row(place_[f][k]) += of_flight.row(static_cast<Index>(k));
+    }
+  }
+  return Xe;
+}
+
+std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count,
+                                             unsigned seed) const {
+  const std::vector<GainTest> tests = GainTests(beside);
   std::mt19937 random(seed);
   std::vector<double> largest;
   MatrixXd Xe;
   for (int s = 0; s < count; ++s) {
-    if (s % kShiftsOfADraw == 0) {
-      Xe.setZero(num_columns() + 1, kShiftsOfADraw);
-      for (size_t f = 0; f < flights_.size(); ++f) {
-        const MatrixXd& white = flights_[f].white();
-        const MatrixXd of_flight =
-            white.transpose() * SurrogatesOf(flights_[f], kShiftsOfADraw, &random);
-        for (size_t k = 0; k < place_[f].size(); ++k) {
-          Xe.row(place_[f][k]) += of_flight.row(static_cast<Index>(k));
-        }
-      }
-    }
+    if (s % kShiftsOfADraw == 0) Xe = SurrogateProducts(&random);
+    const VectorXd of_surrogate = Xe.col(s % kShiftsOfADraw);
     double most = -std::numeric_limits<double>::infinity();
-    for (const Test& test : tests) {
-      VectorXd g(static_cast<Index>(test.columns.size()));
-      for (size_t k = 0; k < test.columns.size(); ++k) {
-        g[static_cast<Index>(k)] = Xe(test.columns[k], s % kShiftsOfADraw);
-      }
-      const VectorXd x = test.estimate * g;
-      const std::vector<int> own(test.columns.end() - x.size(), test.columns.end());
-      most = std::max(most, 0.5 * x.dot(test.information * x) + test.occam +
-                                SignTerm(own, x.cwiseProduct(test.own_sigma), test.sigma));
-    }
+    for (const GainTest& test : tests) most = std::max(most, GainOf(test, of_surrogate));
     largest.push_back(most);
   }
   std::sort(largest.begin(), largest.end());

@@ -41,6 +41,39 @@ ModelParameter Configured(const Effect& effect, const ParameterSpec& spec, const
   return p;
 }
 
+/// What a borrowed parameter is where its lender is absent.
+double DefaultOf(const std::string& full_name, const Vehicle& vehicle,
+                 const EffectRegistry& registry) {
+  const size_t dot = full_name.find('.');
+  const auto lender = registry.Make(full_name.substr(0, dot), vehicle);
+  for (const ParameterSpec& spec : lender->parameters()) {
+    if (spec.name != full_name.substr(dot + 1)) continue;
+    return Configured(*lender, spec, vehicle).spec.prior_value;
+  }
+  return 0.0;
+}
+
+/// By index in the model, where an effect's own parameters begin at `first`.
+std::optional<PendulumParameters> PendulumOf(const Effect& effect, int first) {
+  const auto own = effect.pendulum();
+  if (!own) return {};
+  return PendulumParameters{own->length + first, own->damping + first, own->place + first,
+                            own->swing + first};
+}
+
+std::vector<DynamicModel::ProcessParameter> ProcessesOf(const Effect& effect,
+                                                        const DynamicModel& model) {
+  const std::string prefix = effect.name() + ".";
+  std::vector<DynamicModel::ProcessParameter> processes;
+  for (const ParameterSpec& spec : effect.parameters()) {
+    if (spec.process_sigma.empty()) continue;
+    processes.push_back({model.IndexOf(prefix + spec.name),
+                         model.IndexOf(prefix + spec.process_sigma),
+                         model.IndexOf(prefix + spec.process_time_constant)});
+  }
+  return processes;
+}
+
 }  // namespace
 
 DynamicModel::DynamicModel(const Vehicle& vehicle, const std::vector<std::string>& effects,
@@ -69,15 +102,7 @@ DynamicModel::DynamicModel(const Vehicle& vehicle, const std::vector<std::string
     std::vector<double> fallback;
     for (const std::string& full_name : effect->borrowed()) {
       index.push_back(IndexOf(full_name));
-      fallback.push_back(0.0);
-      if (index.back() >= 0) continue;
-      const size_t dot = full_name.find('.');
-      const auto lender = registry.Make(full_name.substr(0, dot), vehicle);
-      for (const ParameterSpec& spec : lender->parameters()) {
-        if (spec.name == full_name.substr(dot + 1)) {
-          fallback.back() = Configured(*lender, spec, vehicle).spec.prior_value;
-        }
-      }
+      fallback.push_back(index.back() >= 0 ? 0.0 : DefaultOf(full_name, vehicle, registry));
     }
     columns_.push_back(index);
     borrowed_default_.push_back(fallback);
@@ -89,18 +114,10 @@ DynamicModel::DynamicModel(const Vehicle& vehicle, const std::vector<std::string
       shaping_effects_.push_back(i);
       shaping_borrows_ = shaping_borrows_ || !effects_[i]->borrowed().empty();
     }
-    varies_ = varies_ || effects_[i]->depends_on_time();
-    if (const auto own = effects_[i]->pendulum()) {
-      pendulum_ = {own->length + first_[i], own->damping + first_[i], own->place + first_[i],
-                   own->swing + first_[i]};
-    }
-    for (const ParameterSpec& spec : effects_[i]->parameters()) {
-      if (spec.process_sigma.empty()) continue;
-      const std::string prefix = effects_[i]->name() + ".";
-      processes_.push_back({IndexOf(prefix + spec.name), IndexOf(prefix + spec.process_sigma),
-                            IndexOf(prefix + spec.process_time_constant)});
-      varies_ = true;
-    }
+    if (const auto own = PendulumOf(*effects_[i], first_[i])) pendulum_ = own;
+    const std::vector<ProcessParameter> own_processes = ProcessesOf(*effects_[i], *this);
+    processes_.insert(processes_.end(), own_processes.begin(), own_processes.end());
+    varies_ = varies_ || effects_[i]->depends_on_time() || !own_processes.empty();
   }
   FindRows();
 }

@@ -30,69 +30,91 @@ Frame Shared(const std::string& name, const DrawnMotors& both, const DrawnMotors
   return {name, both, both, betaflight};
 }
 
-const std::vector<Frame>& Frames() {
-  static const std::vector<Frame> kAll = {
-      Shared("quad_x", {{45, kCcw}, {-135, kCcw}, {-45, kCw}, {135, kCw}},
-             {{135, kCw}, {45, kCcw}, {-135, kCcw}, {-45, kCw}}),
-      Shared("quad_plus", {{90, kCcw}, {-90, kCcw}, {0, kCw}, {180, kCw}},
-             {{180, kCw}, {90, kCcw}, {-90, kCcw}, {0, kCw}}),
+using Frames = std::vector<Frame>;
+
+Frames Quads() {
+  return {Shared("quad_x", {{45, kCcw}, {-135, kCcw}, {-45, kCw}, {135, kCw}},
+                 {{135, kCw}, {45, kCcw}, {-135, kCcw}, {-45, kCw}}),
+          Shared("quad_plus", {{90, kCcw}, {-90, kCcw}, {0, kCw}, {180, kCw}},
+                 {{180, kCw}, {90, kCcw}, {-90, kCcw}, {0, kCw}})};
+}
+
+Frames Hexas() {
+  return {
       Shared("hexa_x", {{90, kCw}, {-90, kCcw}, {-30, kCw}, {150, kCcw}, {30, kCcw}, {-150, kCw}},
              {{150, kCcw}, {30, kCcw}, {-150, kCw}, {-30, kCw}, {90, kCw}, {-90, kCcw}}),
       Shared("hexa_plus", {{0, kCw}, {180, kCcw}, {-120, kCw}, {60, kCcw}, {-60, kCcw}, {120, kCw}},
-             {{120, kCcw}, {60, kCw}, {-120, kCcw}, {-60, kCw}, {0, kCcw}, {180, kCw}}),
-      Shared("octo_x",
-             {{22.5, kCw},
-              {-157.5, kCw},
-              {67.5, kCcw},
-              {157.5, kCcw},
-              {-22.5, kCcw},
-              {-112.5, kCcw},
-              {-67.5, kCw},
-              {112.5, kCw}},
-             {{-67.5, kCcw},
-              {22.5, kCcw},
-              {112.5, kCcw},
-              {-157.5, kCcw},
-              {-22.5, kCw},
-              {67.5, kCw},
-              {157.5, kCw},
-              {-112.5, kCw}}),
-      Shared("octo_plus",
-             {{0, kCw},
-              {180, kCw},
-              {45, kCcw},
-              {135, kCcw},
-              {-45, kCcw},
-              {-135, kCcw},
-              {-90, kCw},
-              {90, kCw}},
-             {{-45, kCcw},
-              {45, kCcw},
-              {135, kCcw},
-              {-135, kCcw},
-              {0, kCw},
-              {90, kCw},
-              {180, kCw},
-              {-90, kCw}}),
-      {"y6",
-       {{60, kCw, kUpper},
-        {60, kCcw, kLower},
-        {180, kCw, kUpper},
-        {180, kCcw, kLower},
-        {-60, kCw, kUpper},
-        {-60, kCcw, kLower}},
-       {{60, kCcw, kLower},
-        {-60, kCw, kUpper},
-        {-60, kCcw, kLower},
-        {180, kCw, kLower},
-        {60, kCw, kUpper},
-        {180, kCcw, kUpper}},
-       {{180, kCcw, kUpper},
-        {60, kCw, kUpper},
-        {-60, kCw, kUpper},
-        {180, kCw, kLower},
-        {60, kCcw, kLower},
-        {-60, kCcw, kLower}}}};
+             {{120, kCcw}, {60, kCw}, {-120, kCcw}, {-60, kCw}, {0, kCcw}, {180, kCw}})};
+}
+
+Frames Octos() {
+  return {Shared("octo_x",
+                 {{22.5, kCw},
+                  {-157.5, kCw},
+                  {67.5, kCcw},
+                  {157.5, kCcw},
+                  {-22.5, kCcw},
+                  {-112.5, kCcw},
+                  {-67.5, kCw},
+                  {112.5, kCw}},
+                 {{-67.5, kCcw},
+                  {22.5, kCcw},
+                  {112.5, kCcw},
+                  {-157.5, kCcw},
+                  {-22.5, kCw},
+                  {67.5, kCw},
+                  {157.5, kCw},
+                  {-112.5, kCw}}),
+          Shared("octo_plus",
+                 {{0, kCw},
+                  {180, kCw},
+                  {45, kCcw},
+                  {135, kCcw},
+                  {-45, kCcw},
+                  {-135, kCcw},
+                  {-90, kCw},
+                  {90, kCw}},
+                 {{-45, kCcw},
+                  {45, kCcw},
+                  {135, kCcw},
+                  {-135, kCcw},
+                  {0, kCw},
+                  {90, kCw},
+                  {180, kCw},
+                  {-90, kCw}})};
+}
+
+/// One rotor above the other.
+Frames Coaxial() {
+  return {Frame{"y6",
+                {{60, kCw, kUpper},
+                 {60, kCcw, kLower},
+                 {180, kCw, kUpper},
+                 {180, kCcw, kLower},
+                 {-60, kCw, kUpper},
+                 {-60, kCcw, kLower}},
+                {{60, kCcw, kLower},
+                 {-60, kCw, kUpper},
+                 {-60, kCcw, kLower},
+                 {180, kCw, kLower},
+                 {60, kCw, kUpper},
+                 {180, kCcw, kUpper}},
+                {{180, kCcw, kUpper},
+                 {60, kCw, kUpper},
+                 {-60, kCw, kUpper},
+                 {180, kCw, kLower},
+                 {60, kCcw, kLower},
+                 {-60, kCcw, kLower}}}};
+}
+
+const Frames& AllFrames() {
+  static const Frames kAll = [] {
+    Frames all;
+    for (const Frames& some : {Quads(), Hexas(), Octos(), Coaxial()}) {
+      all.insert(all.end(), some.begin(), some.end());
+    }
+    return all;
+  }();
   return kAll;
 }
 
@@ -133,7 +155,7 @@ const char* Name(Autopilot autopilot) {
 const std::vector<std::string>& FrameNames() {
   static const std::vector<std::string> kNames = [] {
     std::vector<std::string> names;
-    for (const Frame& frame : Frames()) names.push_back(frame.name);
+    for (const Frame& frame : AllFrames()) names.push_back(frame.name);
     return names;
   }();
   return kNames;
@@ -141,7 +163,7 @@ const std::vector<std::string>& FrameNames() {
 
 std::vector<std::string> FramesOf(int num_rotors) {
   std::vector<std::string> names;
-  for (const Frame& frame : Frames()) {
+  for (const Frame& frame : AllFrames()) {
     if (static_cast<int>(frame.px4.size()) == num_rotors) names.push_back(frame.name);
   }
   return names;
@@ -149,7 +171,7 @@ std::vector<std::string> FramesOf(int num_rotors) {
 
 std::vector<FramePlace> FrameLayout(const std::string& frame, Autopilot autopilot) {
   std::string known;
-  for (const Frame& candidate : Frames()) {
+  for (const Frame& candidate : AllFrames()) {
     known += (known.empty() ? "" : ", ") + candidate.name;
     if (candidate.name != frame) continue;
     std::vector<FramePlace> places;

@@ -161,6 +161,73 @@ void CalibrateSeveral(const Arguments& a, const std::vector<std::string>& names,
   if (!a.no_report) tools::RenderReport(a.folder, "render_fleet");
 }
 
+void AddOptionsOfOne(CLI::App* app, Arguments* a) {
+  app->add_option("--leave-out", a->left_out_s,
+                  "also leaves out every block of this many seconds in turn and predicts it with "
+                  "what the rest of the flight shows (one flight)")
+      ->check(tools::Positive());
+  app->add_option("--position-noise", a->noise_m,
+                  "adds white Gaussian noise to every odometry position the estimator sees, sigma "
+                  "per axis [m] (one flight)")
+      ->check(tools::NotNegative());
+  app->add_option("--seed", a->seed, "of the position noise")
+      ->capture_default_str()
+      ->check(tools::NotNegative());
+}
+
+/// Of several flights, and of what a fleet needs of one.
+void AddFleetOptions(CLI::App* app, Arguments* a) {
+  app->add_option("--own", a->own,
+                  "parameters or effects that are each flight's own, beside gravity and wind: "
+                  "odometry_extrinsics where the mount is taken off between flights")
+      ->delimiter(',')
+      ->allow_extra_args(false)
+      ->type_name("a,b");
+  app->add_option("--jobs", a->jobs, "flights at a time")
+      ->check(tools::Positive())
+      ->capture_default_str();
+  app->add_option(
+         "--false-alarm-rate", a->false_alarm_rate,
+         "share of fleets without any in which a step, a trend or an outlier is seen; the same "
+         "share of those without in which a recurrent residual is")
+      ->check(CLI::Range(1e-9, 0.5))
+      ->capture_default_str();
+  app->add_flag("--no-left-out", a->no_left_out,
+                "do not predict each flight with what all others show");
+  app->add_flag("--only-factor", a->only_factor,
+                "write nothing but flight.json, what a fleet needs of each flight; one flight");
+}
+
+void AddOptions(CLI::App* app, Arguments* a) {
+  a->flight.AddSeveralTo(app);
+  tools::AddVehicle(app, &a->vehicle_file);
+  tools::AddFolder(app, &a->folder, &a->no_report);
+  a->model.AddParametersTo(app, "parameters.yaml with effects, start values and priors");
+  a->model.AddTo(app);
+  a->estimator.AddTo(app);
+  AddOptionsOfOne(app, a);
+  AddFleetOptions(app, a);
+  tools::AddForce(app, &a->force);
+}
+
+void CalibrateFlights(Arguments* a) {
+  const std::vector<std::string> files = a->flight.Expand();
+  const Vehicle file_vehicle = LoadVehicle(a->vehicle_file);
+  a->estimator.Read();
+  const Vehicle vehicle = a->model.Configure(file_vehicle);
+  RefuseMassBesideThrust(DynamicModel(vehicle, vehicle.effects));
+  const bool is_one =
+      files.size() == 1 && std::filesystem::path(files.front()).extension() != ".json";
+  if (a->only_factor && !is_one) throw tools::UsageError("--only-factor is for one flight");
+  if (a->only_factor) {
+    WriteFactor(*a, files.front(), file_vehicle, vehicle);
+  } else if (is_one) {
+    CalibrateOne(*a, files.front(), file_vehicle, vehicle);
+  } else {
+    CalibrateSeveral(*a, files, file_vehicle, vehicle);
+  }
+}
+
 }  // namespace
 }  // namespace odmc
 
@@ -174,58 +241,6 @@ int main(int argc, char** argv) {
       "what each says about the vehicle: parameters.yaml with the scatter between flights,\n"
       "report.json, flights.csv, report.html, and flights/NAME/ of each.");
   Arguments a;
-  a.flight.AddSeveralTo(&app);
-  tools::AddVehicle(&app, &a.vehicle_file);
-  tools::AddFolder(&app, &a.folder, &a.no_report);
-  a.model.AddParametersTo(&app, "parameters.yaml with effects, start values and priors");
-  a.model.AddTo(&app);
-  a.estimator.AddTo(&app);
-  app.add_option("--leave-out", a.left_out_s,
-                 "also leaves out every block of this many seconds in turn and predicts it with "
-                 "what the rest of the flight shows (one flight)")
-      ->check(tools::Positive());
-  app.add_option("--position-noise", a.noise_m,
-                 "adds white Gaussian noise to every odometry position the estimator sees, sigma "
-                 "per axis [m] (one flight)")
-      ->check(tools::NotNegative());
-  app.add_option("--seed", a.seed, "of the position noise")
-      ->capture_default_str()
-      ->check(tools::NotNegative());
-  app.add_option("--own", a.own,
-                 "parameters or effects that are each flight's own, beside gravity and wind: "
-                 "odometry_extrinsics where the mount is taken off between flights")
-      ->delimiter(',')
-      ->allow_extra_args(false)
-      ->type_name("a,b");
-  app.add_option("--jobs", a.jobs, "flights at a time")
-      ->check(tools::Positive())
-      ->capture_default_str();
-  app.add_option(
-         "--false-alarm-rate", a.false_alarm_rate,
-         "share of fleets without any in which a step, a trend or an outlier is seen; the same "
-         "share of those without in which a recurrent residual is")
-      ->check(CLI::Range(1e-9, 0.5))
-      ->capture_default_str();
-  app.add_flag("--no-left-out", a.no_left_out,
-               "do not predict each flight with what all others show");
-  app.add_flag("--only-factor", a.only_factor,
-               "write nothing but flight.json, what a fleet needs of each flight; one flight");
-  tools::AddForce(&app, &a.force);
-  return tools::Run(&app, argc, argv, [&] {
-    const std::vector<std::string> files = a.flight.Expand();
-    const Vehicle file_vehicle = LoadVehicle(a.vehicle_file);
-    a.estimator.Read();
-    const Vehicle vehicle = a.model.Configure(file_vehicle);
-    RefuseMassBesideThrust(DynamicModel(vehicle, vehicle.effects));
-    const bool is_one =
-        files.size() == 1 && std::filesystem::path(files.front()).extension() != ".json";
-    if (a.only_factor && !is_one) throw tools::UsageError("--only-factor is for one flight");
-    if (a.only_factor) {
-      WriteFactor(a, files.front(), file_vehicle, vehicle);
-    } else if (is_one) {
-      CalibrateOne(a, files.front(), file_vehicle, vehicle);
-    } else {
-      CalibrateSeveral(a, files, file_vehicle, vehicle);
-    }
-  });
+  AddOptions(&app, &a);
+  return tools::Run(&app, argc, argv, [&] { CalibrateFlights(&a); });
 }

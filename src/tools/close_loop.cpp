@@ -89,6 +89,64 @@ void CloseSeveral(const Arguments& a, const std::vector<std::string>& files,
   if (!a.no_report) tools::RenderReport(a.folder, "render_fleet");
 }
 
+void AddOptions(CLI::App* app, Arguments* a) {
+  a->flight.AddSeveralTo(app);
+  tools::AddVehicle(app, &a->vehicle_file);
+  tools::AddFolder(app, &a->folder, &a->no_report);
+  a->model.AddParametersTo(
+      app,
+      "parameters.yaml with effects, frozen values and a thrust coefficient; its "
+      "other sigmas are no priors here: whether its model lacks something is the "
+      "question");
+  a->model.AddTo(app);
+  a->estimator.defaults = tools::AttributionEstimatorOptions();
+  a->estimator.AddTo(app);
+  app->add_option("--block", a->options.blocks.block_s,
+                  "length of a block of time [s] (one flight)")
+      ->capture_default_str()
+      ->check(tools::Positive());
+  app->add_option("--held-out", a->held_out,
+                  "flights that nothing is learned from; files, folders and patterns")
+      ->allow_extra_args(true)
+      ->type_name("FLIGHT");
+  app->add_option("--own", a->own,
+                  "parameters or effects that are each flight's own, beside gravity and wind")
+      ->delimiter(',')
+      ->allow_extra_args(false)
+      ->type_name("a,b");
+  app->add_option("--jobs", a->jobs, "flights at a time")
+      ->check(tools::Positive())
+      ->capture_default_str();
+  app->add_option("--most-effects", a->options.attribution.most_effects,
+                  "add at most this many effects")
+      ->capture_default_str()
+      ->check(tools::NotNegative());
+  app->add_option("--decision", a->decision,
+                  "NAME=VALUE: changes a number of the decision, see below")
+      ->take_all()
+      ->allow_extra_args(false);
+  app->footer(DescribeDecision() + "\n" + app->get_footer());
+  tools::AddForce(app, &a->force);
+}
+
+void CloseLoopOnFlights(Arguments* a) {
+  try {
+    for (const std::string& set : a->decision) SetDecision(set, &a->options.attribution);
+  } catch (const std::invalid_argument& error) {
+    throw tools::UsageError(error.what());
+  }
+  const std::vector<std::string> files = a->flight.Expand();
+  const Vehicle file_vehicle = LoadVehicle(a->vehicle_file);
+  a->options.estimator = a->estimator.Read();
+  Vehicle vehicle = a->model.Configure(file_vehicle);
+  if (!a->model.parameters_file.empty()) HoldKnownThrust(a->options.attribution, &vehicle);
+  if (files.size() == 1 && a->held_out.empty()) {
+    CloseOne(*a, files.front(), file_vehicle, vehicle);
+  } else {
+    CloseSeveral(*a, files, file_vehicle, vehicle);
+  }
+}
+
 }  // namespace
 }  // namespace odmc
 
@@ -106,57 +164,6 @@ int main(int argc, char** argv) {
       "With --parameters a thrust coefficient known to 5 % is held, so that a change of mass "
       "shows.");
   Arguments a;
-  a.flight.AddSeveralTo(&app);
-  tools::AddVehicle(&app, &a.vehicle_file);
-  tools::AddFolder(&app, &a.folder, &a.no_report);
-  a.model.AddParametersTo(
-      &app,
-      "parameters.yaml with effects, frozen values and a thrust coefficient; its "
-      "other sigmas are no priors here: whether its model lacks something is the "
-      "question");
-  a.model.AddTo(&app);
-  a.estimator.defaults = tools::AttributionEstimatorOptions();
-  a.estimator.AddTo(&app);
-  app.add_option("--block", a.options.blocks.block_s, "length of a block of time [s] (one flight)")
-      ->capture_default_str()
-      ->check(tools::Positive());
-  app.add_option("--held-out", a.held_out,
-                 "flights that nothing is learned from; files, folders and patterns")
-      ->allow_extra_args(true)
-      ->type_name("FLIGHT");
-  app.add_option("--own", a.own,
-                 "parameters or effects that are each flight's own, beside gravity and wind")
-      ->delimiter(',')
-      ->allow_extra_args(false)
-      ->type_name("a,b");
-  app.add_option("--jobs", a.jobs, "flights at a time")
-      ->check(tools::Positive())
-      ->capture_default_str();
-  app.add_option("--most-effects", a.options.attribution.most_effects,
-                 "add at most this many effects")
-      ->capture_default_str()
-      ->check(tools::NotNegative());
-  app.add_option("--decision", a.decision,
-                 "NAME=VALUE: changes a number of the decision, see below")
-      ->take_all()
-      ->allow_extra_args(false);
-  app.footer(DescribeDecision() + "\n" + app.get_footer());
-  tools::AddForce(&app, &a.force);
-  return tools::Run(&app, argc, argv, [&] {
-    try {
-      for (const std::string& set : a.decision) SetDecision(set, &a.options.attribution);
-    } catch (const std::invalid_argument& error) {
-      throw tools::UsageError(error.what());
-    }
-    const std::vector<std::string> files = a.flight.Expand();
-    const Vehicle file_vehicle = LoadVehicle(a.vehicle_file);
-    a.options.estimator = a.estimator.Read();
-    Vehicle vehicle = a.model.Configure(file_vehicle);
-    if (!a.model.parameters_file.empty()) HoldKnownThrust(a.options.attribution, &vehicle);
-    if (files.size() == 1 && a.held_out.empty()) {
-      CloseOne(a, files.front(), file_vehicle, vehicle);
-    } else {
-      CloseSeveral(a, files, file_vehicle, vehicle);
-    }
-  });
+  AddOptions(&app, &a);
+  return tools::Run(&app, argc, argv, [&] { CloseLoopOnFlights(&a); });
 }

@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <array>
 #include <map>
+#include <random>
 #include <set>
 #include <string>
 #include <vector>
@@ -170,11 +171,27 @@ class Evidence {
   int num_folds() const;
   EffectFit SolveWith(const Eigen::MatrixXd& gram, const std::vector<int>& columns,
                       const VariantSet& set) const;
+  struct NormalEquations;
+  NormalEquations EquationsOf(const Eigen::MatrixXd& gram, const std::vector<int>& columns,
+                              const VariantSet& set) const;
+  /// Its evidence without what is known of the set before.
+  EffectFit FitOf(const NormalEquations& equations, const Eigen::VectorXd& prior_sigma) const;
+  /// Widens the priors of variants whose coefficients a fit has strangely large.
+  /// @returns how many these are
+  int WidenStrange(const VariantSet& set, const NormalEquations& equations, const EffectFit& fit,
+                   Eigen::VectorXd* prior_sigma) const;
   std::vector<int> ColumnsOf(const VariantSet& set) const;
   /// The coefficients of a flight's columns; offsets of `set` at one.
   Eigen::VectorXd LocalCoefficients(size_t flight, const EffectFit& fit,
                                     const VariantSet& set) const;
   Eigen::VectorXd ErrorsOf(size_t flight, const VariantSet& set, const EffectFit& fit) const;
+  /// What gives a variant's gain beside others on any residual.
+  struct GainTest;
+  /// Of every variant whose effect is not among `beside`.
+  std::vector<GainTest> GainTests(const VariantSet& beside) const;
+  double GainOf(const GainTest& test, const Eigen::VectorXd& Xe) const;
+  /// Products of all columns with surrogates of the noise, by column.
+  Eigen::MatrixXd SurrogateProducts(std::mt19937* random) const;
   double HeldOutLoss(const VariantSet& set) const;
   double SignTerm(const std::vector<int>& columns, const Eigen::VectorXd& coefficients,
                   const Eigen::VectorXd& sigma) const;
