@@ -2,6 +2,7 @@
 #include <optional>
 
 #include "bindings.h"
+#include "model_arguments.h"
 #include "odmc/analysis/calibration.h"
 #include "odmc/analysis/model_choice.h"
 #include "odmc/analysis/report.h"

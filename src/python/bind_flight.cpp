@@ -6,12 +6,12 @@
 #include <variant>
 
 #include "bindings.h"
+#include "flight_arguments.h"
 #include "odmc/identification/flight_actuator.h"
 #include "odmc/inspection/recording_inspection.h"
 #include "odmc/ros/flight_bag.h"
 #include "odmc/sensing/flight_checks.h"
 #include "odmc/sensing/plausible.h"
-#include "tool_support.h"
 
 namespace odmc::python {
 namespace {

@@ -1,9 +1,10 @@
 // The compiled part of the Python package odmc; src/python/odmc is what people import.
 #include <map>
 #include <regex>
+#include <stdexcept>
+#include <string>
 
 #include "bindings.h"
-#include "tool_support.h"
 
 namespace odmc::python {
 namespace {

@@ -3,6 +3,8 @@
 #include <iostream>
 #include <map>
 
+#include "flight_arguments.h"
+#include "model_arguments.h"
 #include "odmc/analysis/report.h"
 #include "odmc/fleet/fleet_flight_json.h"
 #include "odmc/fleet/joint_calibration.h"

@@ -1,5 +1,6 @@
 #include <iostream>
 
+#include "flight_arguments.h"
 #include "odmc/actuator/rotor_inertia.h"
 #include "odmc/analysis/actuator_report.h"
 #include "odmc/analysis/report.h"

@@ -1,6 +1,8 @@
 #include <algorithm>
 #include <iostream>
 
+#include "flight_arguments.h"
+#include "model_arguments.h"
 #include "odmc/analysis/report.h"
 #include "odmc/attribution/close_loop_report.h"
 #include "odmc/fleet/joint_loop.h"

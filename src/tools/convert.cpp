@@ -2,6 +2,8 @@
 #include <iostream>
 #include <map>
 
+#include "flight_arguments.h"
+#include "flights_named.h"
 #include "odmc/analysis/replay.h"
 #include "odmc/io/autopilot_log_writers.h"
 #include "odmc/io/flight_csv.h"

@@ -1,5 +1,7 @@
 #include <iostream>
 
+#include "flight_arguments.h"
+#include "model_arguments.h"
 #include "odmc/analysis/report.h"
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"

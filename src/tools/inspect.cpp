@@ -1,5 +1,6 @@
 #include <iostream>
 
+#include "flight_arguments.h"
 #include "odmc/analysis/flight_inspection.h"
 #include "odmc/analysis/report.h"
 #include "odmc/io/vehicle_yaml.h"

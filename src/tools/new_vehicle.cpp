@@ -6,6 +6,7 @@
 #include <iostream>
 #include <sstream>
 
+#include "flight_arguments.h"
 #include "odmc/analysis/report.h"
 #include "odmc/io/foreign_messages.h"
 #include "odmc/io/vehicle_yaml.h"

@@ -1,5 +1,6 @@
 #include <iostream>
 
+#include "model_arguments.h"
 #include "odmc/analysis/report.h"
 #include "odmc/bench/bench_report.h"
 #include "odmc/io/vehicle_yaml.h"

@@ -7,6 +7,7 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
+#include "model_arguments.h"
 #include "odmc/analysis/parallel.h"
 #include "odmc/analysis/report.h"
 #include "odmc/attribution/close_loop_report.h"

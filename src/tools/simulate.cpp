@@ -1,10 +1,13 @@
 #include <filesystem>
 #include <iostream>
 
+#include "model_arguments.h"
 #include "odmc/analysis/report.h"
+#include "odmc/io/flight_csv.h"
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/model/plausibility.h"
+#include "odmc/ros/flight_bag.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "tool_support.h"
 
