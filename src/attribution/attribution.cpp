@@ -43,6 +43,28 @@ std::vector<SeenFlight> Seen(const std::vector<const ResidualModel*>& residuals,
   return seen;
 }
 
+/// What of the parameters' uncertainty comes from settings: their regression on these,
+/// Sigma_bt Sigma_tt^-1 Sigma_tb.
+/// @param settings among the fit's columns
+void SpreadBy(const std::vector<Eigen::Index>& settings, const Evidence& evidence,
+              const EffectFit& fit, RankedEffect* ranked) {
+  std::vector<Eigen::Index> others;
+  for (size_t k = 0; k < fit.columns.size(); ++k) {
+    const Evidence::Column& column = evidence.column(fit.columns[k]);
+    const auto at = static_cast<Eigen::Index>(k);
+    const bool is_setting = std::count(settings.begin(), settings.end(), at) > 0;
+    // Inertia is the file's here, and online the estimator's own.
+    if (is_setting || column.effect.empty() || column.effect == "inertia" || column.flight >= 0) {
+      continue;
+    }
+    others.push_back(at);
+    ranked->spread_of.push_back(column.name);
+  }
+  const Eigen::MatrixXd cross = fit.covariance(others, settings);
+  const Eigen::MatrixXd of_settings = fit.covariance(settings, settings);
+  ranked->spread = cross * of_settings.ldlt().solve(cross.transpose());
+}
+
 }  // namespace
 
 bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options) {
@@ -109,7 +131,9 @@ void Attribution::Screen(Evidence* evidence) const {
     };
     choose(&Evidence::GainBound::serial);
     choose(&Evidence::GainBound::white);
-    const double log_prior = -std::log(static_cast<double>(settings.size()));
+    std::set<std::map<std::string, double>> held;
+    for (const Candidate* c : settings) held.insert(c->settings);
+    const double log_prior = -std::log(static_cast<double>(held.size()));
     const auto most = static_cast<size_t>(
         std::max_element(promises.begin(), promises.end(),
                          [](const auto& a, const auto& b) { return a.white < b.white; }) -
@@ -188,28 +212,35 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
   ranked.p_value = PValue(ranked.score);
   const Vehicle extended = VehicleWith(evidence.stage().vehicle, v.candidate);
   const DynamicModel model(extended, extended.effects);
-  std::vector<Eigen::Index> own;
+  std::vector<Eigen::Index> own, fitted;
   for (size_t k = 0; k < posterior.columns.size(); ++k) {
     const Evidence::Column& column = evidence.column(posterior.columns[k]);
     if (column.effect != ranked.name || column.flight >= 0) continue;
     const auto at = static_cast<Eigen::Index>(k);
-    const double value = posterior.coefficients[at];
+    const bool is_setting = v.candidate.fitted.count(column.name) > 0;
+    const double value = is_setting ? column.linearized_at : posterior.coefficients[at];
     const double sigma = std::sqrt(std::max(0.0, posterior.covariance(at, at)));
     const ParameterSpec& spec = model.parameters()[model.IndexOf(column.name)].spec;
     ranked.parameters.push_back(
         {column.name, spec.unit, value, sigma, true, sigma < 0.5 * spec.prior_sigma});
-    if (!column.initial_state) own.push_back(at);
+    if (is_setting) {
+      ranked.settings[column.name] = value;
+      fitted.push_back(at);
+    } else if (!column.initial_state) {
+      own.push_back(at);
+    }
     if (HasWrongSign(spec.sign, value, 2.0 * sigma)) {
       ranked.remarks.push_back(column.name + " = " + Rounded(value) + kUnphysical);
     } else if (std::abs(value - spec.prior_value) > 4.0 * spec.prior_sigma) {
       ranked.remarks.push_back(column.name + " = " + Rounded(value) + " is strangely large");
     }
   }
-  for (const auto& [name, value] : ranked.settings) {
+  for (const auto& [name, value] : v.candidate.settings) {
     const int k = model.IndexOf(name);
     ranked.parameters.push_back({name, model.parameters()[k].spec.unit, value, 0.0, false, false});
   }
   ranked.covariance = posterior.covariance(own, own);
+  if (!fitted.empty()) SpreadBy(fitted, evidence, posterior, &ranked);
   return ranked;
 }
 

@@ -91,6 +91,12 @@ std::map<std::string, double> Full(const std::string& effect,
   return full;
 }
 
+/// How far from where it starts a setting may be fitted: to the grid's neighbours.
+std::pair<double, double> BoundsOf(const SettingRefinement& refinement, double start) {
+  if (refinement.ratio > 0.0) return {start / refinement.ratio, start * refinement.ratio};
+  return {start - refinement.step, start + refinement.step};
+}
+
 /// A setting where `score` is best, in steps that are halved; not more than half a step of the grid
 /// before where it was.
 Candidate RefinedByStep(const Candidate& candidate, const SettingRefinement& refinement,
@@ -163,10 +169,21 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
     for (const EffectTrial& trial : effect->Trials(flown, fits_thrust)) {
       const bool is_place = !effect->adds_wrench() && !trial.freed.empty();
       if (is_place && !SwingsPoints(flight, vehicle)) continue;
-      candidates.push_back(
-          {name, Full(name, trial.settings), Full(name, trial.start), effect->refinements()});
+      Candidate& candidate = candidates.emplace_back();
+      candidate.effect = name;
+      candidate.settings = Full(name, trial.settings);
+      candidate.start = Full(name, trial.start);
+      candidate.refinements = effect->refinements();
+      for (const std::string& size : effect->size_parameters()) {
+        if (trial.start.count(size) > 0) candidate.size = name + "." + size;
+      }
       for (const std::string& freed : trial.freed) {
-        candidates.back().freed.push_back(name + "." + freed);
+        candidate.freed.push_back(name + "." + freed);
+      }
+      for (const SettingRefinement& refinement : effect->refinements()) {
+        if (!IsListed(trial.fitted, refinement.parameter)) continue;
+        candidate.fitted[name + "." + refinement.parameter] =
+            BoundsOf(refinement, trial.start.at(refinement.parameter));
       }
     }
   }
@@ -185,7 +202,8 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle,
       const auto from = candidate.settings.find(onset);
       if (from != candidate.settings.end() && from->second > 0.0) continue;
       const bool known = std::any_of(all.begin(), all.end(), [&](const Candidate& other) {
-        return other.effect == candidate.effect && other.settings == candidate.settings;
+        return other.effect == candidate.effect && other.settings == candidate.settings &&
+               other.start == candidate.start;
       });
       if (!known) all.push_back(std::move(candidate));
     }

@@ -219,7 +219,11 @@ std::optional<OnlinePass> LoopSession::RunWith(const std::vector<RankedEffect>& 
                                                double to) const {
   const Vehicle extended = VehicleWithEffects(effects);
   const DynamicModel model(extended, extended.effects);
-  return RunOnline(log_, file_vehicle_, model, options_.estimator, options_.blocks, Part(0.6, to));
+  std::optional<OnlinePass> pass =
+      RunOnline(log_, file_vehicle_, model, options_.estimator, options_.blocks, Part(0.6, to));
+  if (!pass) return pass;
+  for (const RankedEffect& effect : effects) AddSpread(effect, &pass->parameters);
+  return pass;
 }
 
 void LoopSession::Calibrate() {

@@ -56,6 +56,31 @@ VectorXd Combined(const MatrixXd& columns, const VectorXd& coefficients) {
   return sum;
 }
 
+/// What the others of an effect's parameters do is in proportion to its size s, and what a fit
+/// linearized at s0 finds is their product with it: their step is worth s0/s where the size is s.
+/// Settings stay in their bounds, and nothing goes beyond what was ever likely.
+/// @param before where the fit was linearized
+/// @param at what it found; changed
+void Rescale(const Candidate& candidate, const std::vector<Coefficient>& before,
+             std::map<std::string, double>* at) {
+  constexpr double kLikely = 3.0;  // prior sigmas
+  const auto size = std::find_if(before.begin(), before.end(),
+                                 [&](const Coefficient& c) { return c.name == candidate.size; });
+  for (const Coefficient& c : before) {
+    const auto value = at->find(c.name);
+    if (value == at->end()) continue;
+    if (size != before.end() && c.name != candidate.size && at->at(candidate.size) != 0.0) {
+      const double ratio = size->linearized_at / at->at(candidate.size);
+      const double reach = std::max(kLikely * c.prior_sigma, std::abs(value->second - c.prior_mean));
+      value->second = std::clamp(c.linearized_at + ratio * (value->second - c.linearized_at),
+                                 c.prior_mean - reach, c.prior_mean + reach);
+    }
+    const auto bounds = candidate.fitted.find(c.name);
+    if (bounds == candidate.fitted.end()) continue;
+    value->second = std::clamp(value->second, bounds->second.first, bounds->second.second);
+  }
+}
+
 double LogDeterminant(const Eigen::LLT<MatrixXd>& llt) {
   return 2.0 * MatrixXd(llt.matrixL()).diagonal().array().log().sum();
 }
@@ -221,8 +246,15 @@ void Evidence::Relinearize(int v, const EffectFit& fit) {
       at[column.name] = fit.coefficients[static_cast<Index>(k)];
     }
     FlightRegression::Added& added = added_[f][static_cast<size_t>(v)];
+    std::vector<Coefficient> before_step;
+    for (const int k : added.columns) before_step.push_back(flights_[f].column(k));
+    Rescale(variant.candidate, before_step, &at);
     const int before = added.offset;
     flights_[f].Relinearize(variant.candidate, at, &added);
+    for (const int k : added.columns) {
+      columns_[static_cast<size_t>(place_[f][static_cast<size_t>(k)])].linearized_at =
+          flights_[f].column(k).linearized_at;
+    }
     if (added.offset == before) continue;
     std::vector<int> offset;
     Place(f, {added.offset}, &shared, &offset);
@@ -743,6 +775,12 @@ std::vector<double> Evidence::SurrogateGains(const VariantSet& beside, int count
   return largest;
 }
 
+bool Evidence::IsFitted(const VariantSet& set, const std::string& name) const {
+  return std::any_of(set.begin(), set.end(), [&](int v) {
+    return variants_[static_cast<size_t>(v)].candidate.fitted.count(name) > 0;
+  });
+}
+
 Stage Evidence::Moved(const VariantSet& set, const EffectFit& fit) const {
   Stage next = stage_;
   next.own.resize(flights_.size() > 1 ? flights_.size() : 0);
@@ -754,12 +792,21 @@ Stage Evidence::Moved(const VariantSet& set, const EffectFit& fit) const {
       next.own[static_cast<size_t>(column.flight)][column.name] = column.about + change;
       continue;
     }
+    if (IsFitted(set, column.name)) {
+      next.values[column.name] = column.linearized_at;
+      continue;
+    }
     const auto known = next.values.find(column.name);
     const bool is_shared = flights_.size() > 1 && known != next.values.end();
     next.values[column.name] = Changed(column, is_shared ? known->second : column.about, change);
   }
   for (const int v : set) {
-    const Candidate& candidate = variants_[static_cast<size_t>(v)].candidate;
+    // From now on what was fitted of its settings is held.
+    Candidate candidate = variants_[static_cast<size_t>(v)].candidate;
+    for (const auto& entry : candidate.fitted) {
+      candidate.settings[entry.first] = next.values.at(entry.first);
+    }
+    candidate.fitted.clear();
     for (const auto& [name, value] : candidate.settings) next.values[name] = value;
     next.vehicle = VehicleWith(next.vehicle, candidate);
   }

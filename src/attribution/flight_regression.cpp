@@ -55,6 +55,13 @@ Coefficient CoefficientOf(const DynamicModel& model, const ModelParameter& p, do
           BelongsToFlight(model, p)};
 }
 
+/// What candidates with an onset share, whatever that is: the effect, and where it is linearized.
+std::string KeyOf(const Candidate& candidate) {
+  std::string key = candidate.effect;
+  for (const auto& [name, value] : candidate.start) key += ' ' + name + ' ' + std::to_string(value);
+  return key;
+}
+
 /// Sums of products of a part that is known, of further columns, and of what they explain.
 MatrixXd GramOf(const MatrixXd& B, const MatrixXd& BB, const MatrixXd& X, const VectorXd& y) {
   const Index n = B.cols(), k = X.cols();
@@ -200,7 +207,7 @@ FlightRegression::Seen FlightRegression::See(const Candidate& candidate,
     from_s = setting;
     setting = 0.0;
   }
-  const std::string key = onset.empty() || !at.empty() ? "" : candidate.effect;
+  const std::string key = onset.empty() || !at.empty() ? "" : KeyOf(candidate);
   const auto known = seen_.find(key);
   Seen seen = known != seen_.end() ? known->second
                                    : SeeFully(candidate, model, values, key.empty() ? what : kAll);
@@ -251,11 +258,15 @@ FlightRegression::Seen FlightRegression::SeeFully(const Candidate& candidate,
   for (int k = 0; k < model.num_parameters(); ++k) {
     const ModelParameter& p = model.parameters()[k];
     if (p.effect != candidate.effect || !p.estimated) continue;
-    if (what == kAtAGlance && p.spec.initial_state) continue;
+    if (what == kAtAGlance &&
+        (p.spec.initial_state || candidate.fitted.count(p.full_name) > 0)) {
+      continue;
+    }
     Regressor column{CoefficientOf(model, p, 0.0, p.spec.prior_value),
                      residual_->Derivative(model, values, k, residual),
                      is_likely ? likely_.Derivative(model, values, k, likely) : nothing,
                      {}};
+    column.linearized_at = values[k];
     offset -= values[k] * column.d_wrench;
     likely_offset -= values[k] * column.likely;
     seen.columns.push_back(std::move(column));

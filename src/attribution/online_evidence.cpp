@@ -88,6 +88,21 @@ RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& onl
   return ranked;
 }
 
+void AddSpread(const RankedEffect& effect, ParameterSet* online) {
+  std::vector<Eigen::Index> from, to;
+  for (size_t k = 0; k < effect.spread_of.size(); ++k) {
+    const ParameterEstimate* p = online->Find(effect.spread_of[k]);
+    if (p == nullptr || !p->estimated) continue;
+    from.push_back(static_cast<Eigen::Index>(k));
+    to.push_back(p - online->parameters.data());
+  }
+  if (from.empty() || online->covariance.rows() == 0) return;
+  online->covariance(to, to) += effect.spread(from, from);
+  for (const Eigen::Index i : to) {
+    online->parameters[static_cast<size_t>(i)].sigma = std::sqrt(online->covariance(i, i));
+  }
+}
+
 bool IsThere(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model,
              const AttributionOptions& options) {
   std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);

@@ -21,7 +21,7 @@ class GroundEffect final : public Effect {
              "hub heights above one radius; nothing is left of it above four radii"},
             {{"k_ge", "1", "size relative to a single rotor's theory", 0.0, 5.0, 1.0,
               ParameterTransform::kLinear, PhysicalSign::kPositive},
-             {"z_0", "m", "height of the ground in the odometry's world", 0.0, 0.5, 0.1,
+             {"z_0", "m", "height of the ground in the odometry's world", 0.0, 2.0, 0.1,
               ParameterTransform::kLinear, PhysicalSign::kAny, true}},
             {"thrust.k_f"}) {}
 
@@ -30,11 +30,18 @@ class GroundEffect final : public Effect {
     // At one height the ground's share is one with the thrust coefficient, and ground that may lie
     // anywhere only turns bank into torque.
     if (flown.height_range_m < radius) return {};
-    std::vector<EffectTrial> trials = {{{{"z_0", 0.0}}}};
-    for (const double below : {1.5, 3.0}) {
-      trials.push_back({{{"z_0", flown.lowest_m - below * radius}}});
+    // Where the ground lies is fitted, from several places: far from it, the effect has no slope.
+    std::vector<EffectTrial> trials;
+    for (const double z : {0.0, flown.lowest_m - 1.5 * radius, flown.lowest_m - 3.0 * radius}) {
+      trials.push_back({{}, {{"k_ge", 1.0}, {"z_0", z}}, {}, {"z_0"}});
     }
     return trials;
+  }
+  std::vector<SettingRefinement> refinements() const override {
+    SettingRefinement height;
+    height.parameter = "z_0";
+    height.step = 0.75 * vehicle().rotors.front().radius_m;
+    return {height};
   }
   std::vector<TellingPair> telling_pairs() const override {
     return {{"hvt", "hover at several heights"}};

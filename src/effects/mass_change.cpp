@@ -38,13 +38,16 @@ class MassChange final : public Effect {
   bool depends_on_time() const override { return true; }
 
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool fits_thrust) const override {
-    const std::map<std::string, double> some = {{"mass", 0.05 * vehicle().mass_kg}};
     std::vector<EffectTrial> trials;
+    // Its moment alone does not tell more mass here from less mass there.
+    const auto try_from = [&](double t) {
+      for (const double share : {0.05, -0.05}) {
+        trials.push_back({{{"from", t}}, {{"mass", share * vehicle().mass_kg}}});
+      }
+    };
     // Over the whole flight a mass is one with the thrust coefficient.
-    if (!fits_thrust) trials.push_back({{{"from", 0.0}}, some});
-    for (double t = flown.start_s + kEdge_s; t < flown.end_s - kEdge_s; t += kStep_s) {
-      trials.push_back({{{"from", t}}, some});
-    }
+    if (!fits_thrust) try_from(0.0);
+    for (double t = flown.start_s + kEdge_s; t < flown.end_s - kEdge_s; t += kStep_s) try_from(t);
     return trials;
   }
   std::vector<SettingRefinement> refinements() const override {

@@ -53,7 +53,10 @@ class SuspendedLoad final : public Effect {
     for (double l = std::max(kShortest_m, arm); l < kLongest_m; l *= kLengthRatio) {
       for (const double damping : {0.02, 0.1}) {
         trials.push_back(
-            {{{"length", l}, {"damping", damping}}, {{"mass", 0.05 * vehicle().mass_kg}}});
+            {{},
+             {{"mass", 0.05 * vehicle().mass_kg}, {"length", l}, {"damping", damping}},
+             {},
+             {"length", "damping"}});
       }
     }
     return trials;

@@ -163,6 +163,8 @@ class Evidence {
   void Place(size_t f, const std::vector<int>& local, std::map<std::string, int>* shared,
              std::vector<int>* columns);
   bool IsOwn(const Coefficient& coefficient) const;
+  /// True if a parameter is a setting that a variant of the set fits.
+  bool IsFitted(const VariantSet& set, const std::string& name) const;
   void Assemble();
   /// Adds a flight's sums of products to those of all.
   void AddTo(const Eigen::MatrixXd& local, size_t flight, Eigen::MatrixXd* gram) const;

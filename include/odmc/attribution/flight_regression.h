@@ -27,6 +27,7 @@ struct Coefficient {
   bool certain_sign = false;
   bool initial_state = false;
   bool belongs_to_flight = false;  ///< of several flights each has its own
+  double linearized_at = 0.0;      ///< the coefficient, where its regressor is the derivative
 };
 
 /// What a coefficient does on a flight.
@@ -174,7 +175,7 @@ class FlightRegression {
   Eigen::VectorXd base_size_;
   Eigen::LDLT<Eigen::MatrixXd> base_gram_;    // of base_ over its size
   Eigen::MatrixXd raw_base_, raw_gram_;       // Raw() of what is foreseen of the base
-  mutable std::map<std::string, Seen> seen_;  // of effects with an onset, by effect
+  mutable std::map<std::string, Seen> seen_;  // of effects with an onset, by KeyOf()
   std::vector<int> rows_, held_out_rows_;     // samples whose predecessors are there
   std::array<Noise, kNumChannels> noise_;
   int noise_columns_ = -1;                    // for which it was estimated; -1: not yet

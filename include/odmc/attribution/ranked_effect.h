@@ -24,7 +24,11 @@ struct RankedEffect {
   std::map<std::string, double> settings;  ///< its frozen parameters, full names
   std::vector<std::string> freed;          ///< parameters it frees that the model has frozen
   std::vector<ParameterEstimate> parameters;
-  Eigen::MatrixXd covariance;              ///< of the estimated ones, initial states left out
+  Eigen::MatrixXd covariance;  ///< of the estimated ones; initial states and settings left out
+  /// What of the parameters' uncertainty comes from fitted settings, which the online model holds:
+  /// covariance of these parameters of the whole model (full names).
+  std::vector<std::string> spread_of = {};
+  Eigen::MatrixXd spread = {};
   std::vector<std::string> alternatives;   ///< that explain the same on this flight
   std::vector<std::string> remarks;        ///< what is strange about it
   std::vector<FlightSays> by_flight = {};  ///< of several flights, in their order
