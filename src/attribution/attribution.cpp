@@ -14,7 +14,8 @@ namespace odmc {
 namespace {
 
 constexpr size_t kFittedSettings = 3;  // by either measure, and their refinement
-constexpr int kPolishes = 3;           // linearizations of what is not linear
+constexpr int kPolishes = 8;           // linearizations of what is not linear, at most
+constexpr double kPolished = 0.2;      // sigmas: a smaller step ends them
 constexpr int kRefits = 5;             // at most
 constexpr int kInertiaRefits = 2;
 constexpr int kSurrogates = 300;      // their 30 largest give the tail to 18 %
@@ -46,8 +47,8 @@ std::vector<SeenFlight> Seen(const std::vector<const ResidualModel*>& residuals,
 /// What of the parameters' uncertainty comes from settings: their regression on these,
 /// Sigma_bt Sigma_tt^-1 Sigma_tb.
 /// @param settings among the fit's columns
-void SpreadBy(const std::vector<Eigen::Index>& settings, const Evidence& evidence,
-              const EffectFit& fit, RankedEffect* ranked) {
+void BeginSpread(const std::vector<Eigen::Index>& settings, const Evidence& evidence,
+                 const EffectFit& fit, RankedEffect* ranked) {
   std::vector<Eigen::Index> others;
   for (size_t k = 0; k < fit.columns.size(); ++k) {
     const Evidence::Column& column = evidence.column(fit.columns[k]);
@@ -60,9 +61,44 @@ void SpreadBy(const std::vector<Eigen::Index>& settings, const Evidence& evidenc
     others.push_back(at);
     ranked->spread_of.push_back(column.name);
   }
+  const auto n = static_cast<Eigen::Index>(others.size());
+  ranked->spread = Eigen::MatrixXd::Zero(n, n);
+  if (settings.empty()) return;
   const Eigen::MatrixXd cross = fit.covariance(others, settings);
   const Eigen::MatrixXd of_settings = fit.covariance(settings, settings);
   ranked->spread = cross * of_settings.ldlt().solve(cross.transpose());
+}
+
+/// The fit may as well lie in another valley, with a load of the other sign at the other side: adds
+/// that chance times the square of the way there.
+/// @param own columns of the effect in `fit`
+void SpreadByValley(const Evidence& evidence, const EffectFit& valley, const EffectFit& fit,
+                    const std::vector<Eigen::Index>& own, RankedEffect* ranked) {
+  constexpr double kSigmas = 3.0;  // nearer it is the same valley
+  const auto value = [&](const EffectFit& of, const std::string& name) -> std::optional<double> {
+    for (size_t k = 0; k < of.columns.size(); ++k) {
+      const Evidence::Column& column = evidence.column(of.columns[k]);
+      if (column.name == name) return of.coefficients[static_cast<Eigen::Index>(k)];
+    }
+    return std::nullopt;
+  };
+  Eigen::VectorXd way = Eigen::VectorXd::Zero(ranked->spread.rows());
+  for (Eigen::Index k = 0; k < way.size(); ++k) {
+    const std::string& name = ranked->spread_of[static_cast<size_t>(k)];
+    const auto there = value(valley, name), here = value(fit, name);
+    if (there && here) way[k] = *there - *here;
+  }
+  Eigen::VectorXd own_way(static_cast<Eigen::Index>(own.size()));
+  for (Eigen::Index k = 0; k < own_way.size(); ++k) {
+    const auto at = own[static_cast<size_t>(k)];
+    const std::string& name = evidence.column(fit.columns[static_cast<size_t>(at)]).name;
+    own_way[k] = value(valley, name).value_or(fit.coefficients[at]) - fit.coefficients[at];
+  }
+  if (own_way.dot(ranked->covariance.ldlt().solve(own_way)) < kSigmas * kSigmas) return;
+  const double chance = 1.0 / (1.0 + std::exp(fit.log_evidence - valley.log_evidence));
+  // Many starts end in the same valley: the farthest counts, not each.
+  const Eigen::MatrixXd spread = chance * way * way.transpose();
+  if (spread.trace() > ranked->spread.trace()) ranked->spread = spread;
 }
 
 }  // namespace
@@ -142,7 +178,8 @@ void Attribution::Screen(Evidence* evidence) const {
     const Candidate refined = WithRefinedSettings(*settings[most], [&](const Candidate& other) {
       return evidence->GainBoundOf(other).white;
     });
-    if (refined.settings != settings[most]->settings) all.push_back({refined, log_prior});
+    if (refined.settings != settings[most]->settings || refined.start != settings[most]->start)
+      all.push_back({refined, log_prior});
   }
   for (const Chosen& c : all) {
     const int added = evidence->Add(c.candidate);
@@ -152,12 +189,13 @@ void Attribution::Screen(Evidence* evidence) const {
 }
 
 void Attribution::Polish(Evidence* evidence) const {
-  for (int round = 0; round < kPolishes; ++round) {
+  for (int round = 0; round < kPolishes && !GivesUp(); ++round) {
     std::map<int, EffectFit> fits;
     for (int v = 0; v < static_cast<int>(evidence->variants().size()); ++v) {
       const EffectVariant& variant = evidence->variants()[v];
       if (variant.offset < 0 && variant.candidate.start.empty()) continue;
-      fits[v] = evidence->Solve({v});
+      EffectFit fit = evidence->Solve({v});
+      if (round == 0 || evidence->StepInSigmas(v, fit) > kPolished) fits[v] = std::move(fit);
     }
     if (fits.empty()) return;
     for (const auto& [v, fit] : fits) evidence->Relinearize(v, fit);
@@ -240,7 +278,13 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
     ranked.parameters.push_back({name, model.parameters()[k].spec.unit, value, 0.0, false, false});
   }
   ranked.covariance = posterior.covariance(own, own);
-  if (!fitted.empty()) SpreadBy(fitted, evidence, posterior, &ranked);
+  BeginSpread(fitted, evidence, posterior, &ranked);
+  for (int other = 0; other < static_cast<int>(evidence.variants().size()); ++other) {
+    if (other == variant || evidence.variants()[other].candidate.effect != ranked.name) continue;
+    VariantSet instead = without;
+    instead.insert(other);
+    SpreadByValley(evidence, evidence.Solve(instead), posterior, own, &ranked);
+  }
   return ranked;
 }
 

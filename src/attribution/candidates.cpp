@@ -91,12 +91,6 @@ std::map<std::string, double> Full(const std::string& effect,
   return full;
 }
 
-/// How far from where it starts a setting may be fitted: to the grid's neighbours.
-std::pair<double, double> BoundsOf(const SettingRefinement& refinement, double start) {
-  if (refinement.ratio > 0.0) return {start / refinement.ratio, start * refinement.ratio};
-  return {start - refinement.step, start + refinement.step};
-}
-
 /// A setting where `score` is best, in steps that are halved; not more than half a step of the grid
 /// before where it was.
 Candidate RefinedByStep(const Candidate& candidate, const SettingRefinement& refinement,
@@ -123,11 +117,12 @@ Candidate RefinedByStep(const Candidate& candidate, const SettingRefinement& ref
 Candidate RefinedByRatio(const Candidate& candidate, const SettingRefinement& refinement,
                          const std::function<double(const Candidate&)>& score) {
   const std::string name = candidate.effect + "." + refinement.parameter;
-  const double start = candidate.settings.at(name);
+  const bool is_fitted = candidate.fitted.count(name) > 0;
+  const double start = (is_fitted ? candidate.start : candidate.settings).at(name);
   Candidate best = candidate, trial = candidate;
-  best.settings[name] =
+  (is_fitted ? best.start : best.settings)[name] =
       BestBetween(start / refinement.ratio, start * refinement.ratio, [&](double value) {
-        trial.settings[name] = value;
+        (is_fitted ? trial.start : trial.settings)[name] = value;
         return score(trial);
       });
   return best;
@@ -180,10 +175,9 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
       for (const std::string& freed : trial.freed) {
         candidate.freed.push_back(name + "." + freed);
       }
-      for (const SettingRefinement& refinement : effect->refinements()) {
-        if (!IsListed(trial.fitted, refinement.parameter)) continue;
-        candidate.fitted[name + "." + refinement.parameter] =
-            BoundsOf(refinement, trial.start.at(refinement.parameter));
+      for (const std::string& fitted : trial.fitted) candidate.fitted.insert(name + "." + fitted);
+      for (const auto& [bounded, bounds] : trial.bounds) {
+        candidate.bounds[name + "." + bounded] = bounds;
       }
     }
   }
@@ -221,8 +215,10 @@ Candidate WithRefinedSettings(const Candidate& candidate,
                               const std::function<double(const Candidate&)>& score) {
   Candidate best = candidate;
   for (const SettingRefinement& refinement : candidate.refinements) {
-    const auto setting = best.settings.find(candidate.effect + "." + refinement.parameter);
-    if (setting == best.settings.end() || setting->second <= refinement.above) continue;
+    const std::string name = candidate.effect + "." + refinement.parameter;
+    const auto setting = best.settings.find(name);
+    const bool is_held = setting != best.settings.end() && setting->second > refinement.above;
+    if (!is_held && best.fitted.count(name) == 0) continue;
     best = refinement.ratio > 0.0 ? RefinedByRatio(best, refinement, score)
                                   : RefinedByStep(best, refinement, score);
   }

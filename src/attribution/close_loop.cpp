@@ -219,11 +219,7 @@ std::optional<OnlinePass> LoopSession::RunWith(const std::vector<RankedEffect>& 
                                                double to) const {
   const Vehicle extended = VehicleWithEffects(effects);
   const DynamicModel model(extended, extended.effects);
-  std::optional<OnlinePass> pass =
-      RunOnline(log_, file_vehicle_, model, options_.estimator, options_.blocks, Part(0.6, to));
-  if (!pass) return pass;
-  for (const RankedEffect& effect : effects) AddSpread(effect, &pass->parameters);
-  return pass;
+  return RunOnline(log_, file_vehicle_, model, options_.estimator, options_.blocks, Part(0.6, to));
 }
 
 void LoopSession::Calibrate() {
@@ -443,6 +439,7 @@ void LoopSession::Conclude() {
   const DynamicModel model(final_vehicle, final_vehicle.effects);
   if (!effects_.empty()) {
     result_.verdict = Verdict::kEffect;
+    for (const RankedEffect& effect : effects_) AddSpread(effect, &after_->parameters);
     result_.after = after_->held_out;
     result_.accelerometer_after = after_->held_out.accelerometer_force_rmse_N;
     result_.parameters = after_->parameters;

@@ -71,12 +71,13 @@ void Rescale(const Candidate& candidate, const std::vector<Coefficient>& before,
     if (value == at->end()) continue;
     if (size != before.end() && c.name != candidate.size && at->at(candidate.size) != 0.0) {
       const double ratio = size->linearized_at / at->at(candidate.size);
-      const double reach = std::max(kLikely * c.prior_sigma, std::abs(value->second - c.prior_mean));
+      const double reach =
+          std::max(kLikely * c.prior_sigma, std::abs(value->second - c.prior_mean));
       value->second = std::clamp(c.linearized_at + ratio * (value->second - c.linearized_at),
                                  c.prior_mean - reach, c.prior_mean + reach);
     }
-    const auto bounds = candidate.fitted.find(c.name);
-    if (bounds == candidate.fitted.end()) continue;
+    const auto bounds = candidate.bounds.find(c.name);
+    if (bounds == candidate.bounds.end()) continue;
     value->second = std::clamp(value->second, bounds->second.first, bounds->second.second);
   }
 }
@@ -260,6 +261,24 @@ void Evidence::Relinearize(int v, const EffectFit& fit) {
     Place(f, {added.offset}, &shared, &offset);
     variant.offset = place_[f].back();
   }
+}
+
+double Evidence::StepInSigmas(int v, const EffectFit& fit) const {
+  const EffectVariant& variant = variants_[static_cast<size_t>(v)];
+  double most = 0.0;
+  for (size_t k = 0; k < fit.columns.size(); ++k) {
+    const Column& column = columns_[static_cast<size_t>(fit.columns[k])];
+    if (column.effect != variant.candidate.effect) continue;
+    const auto at = static_cast<Index>(k);
+    double value = fit.coefficients[at];
+    const auto bounds = variant.candidate.bounds.find(column.name);
+    if (bounds != variant.candidate.bounds.end()) {
+      value = std::clamp(value, bounds->second.first, bounds->second.second);
+    }
+    const double sigma = std::sqrt(std::max(1e-300, fit.covariance(at, at)));
+    most = std::max(most, std::abs(value - column.linearized_at) / sigma);
+  }
+  return most;
 }
 
 void Evidence::EstimateNoise() {
@@ -803,8 +822,8 @@ Stage Evidence::Moved(const VariantSet& set, const EffectFit& fit) const {
   for (const int v : set) {
     // From now on what was fitted of its settings is held.
     Candidate candidate = variants_[static_cast<size_t>(v)].candidate;
-    for (const auto& entry : candidate.fitted) {
-      candidate.settings[entry.first] = next.values.at(entry.first);
+    for (const std::string& name : candidate.fitted) {
+      candidate.settings[name] = next.values.at(name);
     }
     candidate.fitted.clear();
     for (const auto& [name, value] : candidate.settings) next.values[name] = value;

@@ -258,8 +258,7 @@ FlightRegression::Seen FlightRegression::SeeFully(const Candidate& candidate,
   for (int k = 0; k < model.num_parameters(); ++k) {
     const ModelParameter& p = model.parameters()[k];
     if (p.effect != candidate.effect || !p.estimated) continue;
-    if (what == kAtAGlance &&
-        (p.spec.initial_state || candidate.fitted.count(p.full_name) > 0)) {
+    if (what == kAtAGlance && (p.spec.initial_state || candidate.fitted.count(p.full_name) > 0)) {
       continue;
     }
     Regressor column{CoefficientOf(model, p, 0.0, p.spec.prior_value),

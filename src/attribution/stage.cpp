@@ -41,7 +41,7 @@ Vehicle VehicleWith(const Vehicle& vehicle, const Candidate& candidate) {
     extended.parameters[name].estimated = false;
   }
   for (const std::string& name : candidate.freed) extended.parameters[name].estimated = true;
-  for (const auto& entry : candidate.fitted) extended.parameters[entry.first].estimated = true;
+  for (const std::string& name : candidate.fitted) extended.parameters[name].estimated = true;
   return extended;
 }
 

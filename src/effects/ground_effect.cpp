@@ -33,15 +33,10 @@ class GroundEffect final : public Effect {
     // Where the ground lies is fitted, from several places: far from it, the effect has no slope.
     std::vector<EffectTrial> trials;
     for (const double z : {0.0, flown.lowest_m - 1.5 * radius, flown.lowest_m - 3.0 * radius}) {
-      trials.push_back({{}, {{"k_ge", 1.0}, {"z_0", z}}, {}, {"z_0"}});
+      trials.push_back(
+          {{}, {{"k_ge", 1.0}, {"z_0", z}}, {}, {"z_0"}, {{"z_0", {z - radius, z + radius}}}});
     }
     return trials;
-  }
-  std::vector<SettingRefinement> refinements() const override {
-    SettingRefinement height;
-    height.parameter = "z_0";
-    height.step = 0.75 * vehicle().rotors.front().radius_m;
-    return {height};
   }
   std::vector<TellingPair> telling_pairs() const override {
     return {{"hvt", "hover at several heights"}};

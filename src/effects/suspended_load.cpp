@@ -9,7 +9,8 @@ namespace {
 constexpr int kPlace = 3, kFirstSwing = 6;              // of the parameters
 constexpr double kShortest_m = 0.08, kLongest_m = 2.6;  // cables to try
 constexpr double kLengthRatio = 1.15;                   // from one length to the next
-constexpr double kDampingRatio = 4.0;
+constexpr double kLengthReach = 1.5;                    // how far from there it is fitted
+constexpr double kLeastDamping = 0.002, kMostDamping = 0.4;
 
 /// A load on a cable: f = m_L R^T π at ξ, π the cable's pull per unit of load, from a pendulum that
 /// the measured motion drives (Pendulum).                              model.md 12.17
@@ -52,18 +53,17 @@ class SuspendedLoad final : public Effect {
     const double arm = vehicle().ArmLength();
     for (double l = std::max(kShortest_m, arm); l < kLongest_m; l *= kLengthRatio) {
       for (const double damping : {0.02, 0.1}) {
-        trials.push_back(
-            {{},
-             {{"mass", 0.05 * vehicle().mass_kg}, {"length", l}, {"damping", damping}},
-             {},
-             {"length", "damping"}});
+        trials.push_back({{},
+                          {{"mass", 0.05 * vehicle().mass_kg}, {"length", l}, {"damping", damping}},
+                          {},
+                          {"length", "damping"},
+                          {{"length", {l / kLengthReach, l * kLengthReach}},
+                           {"damping", {kLeastDamping, kMostDamping}}}});
       }
     }
     return trials;
   }
-  std::vector<SettingRefinement> refinements() const override {
-    return {{"length", kLengthRatio}, {"damping", kDampingRatio}};
-  }
+  std::vector<SettingRefinement> refinements() const override { return {{"length", kLengthRatio}}; }
   std::vector<TellingPair> telling_pairs() const override {
     return {{"mass_change", "side steps, so that the load swings"},
             {"wind", "side steps, so that the load swings"}};

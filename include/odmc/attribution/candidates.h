@@ -26,8 +26,10 @@ struct Candidate {
   std::vector<SettingRefinement> refinements = {};
   /// Parameters that are estimated although the model has them frozen; full names.
   std::vector<std::string> freed = {};
-  /// Settings that are fitted from `start` on (EffectTrial::fitted), with their bounds; full names.
-  std::map<std::string, std::pair<double, double>> fitted = {};
+  /// Settings that are fitted from `start` on (EffectTrial::fitted); full names.
+  std::set<std::string> fitted = {};
+  /// Between which values parameters are linearized; full names.
+  std::map<std::string, std::pair<double, double>> bounds = {};
 };
 
 /// Every effect of the catalogue that `vehicle`'s model lacks and that may be added to it, with the
@@ -43,8 +45,9 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle,
 /// The effects among candidates, each once.
 std::set<std::string> EffectsOf(const std::vector<Candidate>& candidates);
 
-/// The candidate with what its grid holds coarsely (a cable's length and damping, the time of a
-/// change) moved to where `score` is best between the grid's neighbours, one after the other.
+/// The candidate with what its grid holds, or starts from, coarsely (a cable's length and damping,
+/// the time of a change) moved to where `score` is best between the grid's neighbours, one after
+/// the other.
 Candidate WithRefinedSettings(const Candidate& candidate,
                               const std::function<double(const Candidate&)>& score);
 

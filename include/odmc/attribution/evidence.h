@@ -81,6 +81,8 @@ class Evidence {
   int Add(const Candidate& candidate);
   /// Linearizes a variant anew, about what a fit finds of it.
   void Relinearize(int variant, const EffectFit& fit);
+  /// How far what a fit finds of a variant is from where that is linearized, at most [sigma].
+  double StepInSigmas(int variant, const EffectFit& fit) const;
   void SetLogPrior(int variant, double log_prior) { variants_[variant].log_prior = log_prior; }
 
   /// Estimates each flight's noise, see FlightRegression::EstimateNoise(). To be called before

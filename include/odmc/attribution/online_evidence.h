@@ -28,8 +28,9 @@ std::vector<std::string> QuickEffects(const Vehicle& vehicle,
 RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& online,
                               const DynamicModel& model, size_t candidates);
 
-/// The online model holds an effect's settings, such as a cable's length, as if they were known. Adds
-/// what the fit that chose them does not know (RankedEffect::spread) to an online estimate.
+/// The online model holds an effect's settings, such as a cable's length, as if they were known,
+/// and knows one valley. Adds what the fit leaves open (RankedEffect::spread) to an online
+/// estimate.
 void AddSpread(const RankedEffect& effect, ParameterSet* online);
 
 /// True if the online estimate of an effect's size differs from zero by more than

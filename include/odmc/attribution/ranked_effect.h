@@ -25,8 +25,9 @@ struct RankedEffect {
   std::vector<std::string> freed;          ///< parameters it frees that the model has frozen
   std::vector<ParameterEstimate> parameters;
   Eigen::MatrixXd covariance;  ///< of the estimated ones; initial states and settings left out
-  /// What of the parameters' uncertainty comes from fitted settings, which the online model holds:
-  /// covariance of these parameters of the whole model (full names).
+  /// What of the parameters' uncertainty an online estimate does not see, which holds fitted
+  /// settings, and knows one valley: covariance of these parameters of the whole model (full
+  /// names).
   std::vector<std::string> spread_of = {};
   Eigen::MatrixXd spread = {};
   std::vector<std::string> alternatives;   ///< that explain the same on this flight

@@ -4,6 +4,7 @@
 #include <limits>
 #include <map>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace odmc {
@@ -27,13 +28,13 @@ struct EffectTrial {
   std::map<std::string, double> start = {};
   /// Own parameters that are estimated then, although the model has them frozen.
   std::vector<std::string> freed = {};
-  /// Of `start`, parameters that the regression fits too, within what their refinements span, and
-  /// the online model then holds: they have a derivative there, and none, or no safe one, online.
+  /// Of `start`, parameters that the regression fits too; the online model then holds them.
   std::vector<std::string> fitted = {};
+  /// Between which values parameters are linearized.
+  std::map<std::string, std::pair<double, double>> bounds = {};
 };
 
-/// How a setting is refined between its grid's values, or how far from its start it is fitted.
-/// Exactly one of `ratio` and `step` is set.
+/// How a setting is refined between its grid's values. Exactly one of `ratio` and `step` is set.
 struct SettingRefinement {
   std::string parameter;
   double ratio = 0.0;  ///< golden section in the logarithm, this factor to either side
