@@ -471,17 +471,29 @@ TEST(Candidates, NoPointIsAskedAboutThatWasMeasured) {
 
 // The score is best at 0.47 m and a damping ratio of 0.03, off the grid.
 TEST(Candidates, ALengthIsRefinedBetweenTheGridsValues) {
-  const auto effect = EffectRegistry::Default().Make("suspended_load", NominalVehicle());
-  const Candidate start = {"suspended_load",
-                           {{"suspended_load.length", 0.45}, {"suspended_load.damping", 0.02}},
-                           {},
-                           effect->refinements()};
-  const Candidate best = WithRefinedSettings(start, [](const Candidate& c) {
+  const Candidate held = {"suspended_load",
+                          {{"suspended_load.length", 0.45}, {"suspended_load.damping", 0.02}},
+                          {},
+                          {{"length", 1.15}, {"damping", 4.0}}};
+  const Candidate best = WithRefinedSettings(held, [](const Candidate& c) {
     return -std::pow(std::log(c.settings.at("suspended_load.length") / 0.47), 2) -
            std::pow(std::log(c.settings.at("suspended_load.damping") / 0.03), 2);
   });
   EXPECT_NEAR(best.settings.at("suspended_load.length"), 0.47, 0.005);
   EXPECT_NEAR(best.settings.at("suspended_load.damping"), 0.03, 0.003);
+}
+
+// What the regression fits is refined where it starts.
+TEST(Candidates, AStartIsRefinedBetweenTheGridsValues) {
+  const auto effect = EffectRegistry::Default().Make("suspended_load", NominalVehicle());
+  Candidate fitted = {
+      "suspended_load", {}, {{"suspended_load.length", 0.45}}, effect->refinements()};
+  const auto score = [](const Candidate& c) {
+    return -std::pow(std::log(c.start.at("suspended_load.length") / 0.47), 2);
+  };
+  EXPECT_EQ(WithRefinedSettings(fitted, score).start, fitted.start) << "a start, and not fitted";
+  fitted.fitted = {"suspended_load.length"};
+  EXPECT_NEAR(WithRefinedSettings(fitted, score).start.at("suspended_load.length"), 0.47, 0.005);
 }
 
 // A load is dropped at 3.3 s; the grid has whole seconds.

@@ -19,9 +19,6 @@ struct Candidate {
   std::map<std::string, double> settings;
   /// Where to linearize first, for parameters that do nothing at zero (a place of no mass).
   std::map<std::string, double> start = {};
-  /// Of `start`, the effect's size: what its other parameters do is in proportion to it. Full name;
-  /// empty where they do not wait for it.
-  std::string size = {};
   /// How its settings are refined; short names.
   std::vector<SettingRefinement> refinements = {};
   /// Parameters that are estimated although the model has them frozen; full names.
@@ -30,6 +27,9 @@ struct Candidate {
   std::set<std::string> fitted = {};
   /// Between which values parameters are linearized; full names.
   std::map<std::string, std::pair<double, double>> bounds = {};
+  /// Of `start`, the effect's size: what its other parameters do is in proportion to it. Full name;
+  /// empty where they do not wait for it.
+  std::string size = {};
 };
 
 /// Every effect of the catalogue that `vehicle`'s model lacks and that may be added to it, with the

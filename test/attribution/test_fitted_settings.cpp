@@ -1,0 +1,168 @@
+// What the regression fits beyond coefficients: where the ground is, how long a cable is, on which
+// side mass was added; and what of it the published sigma holds.
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include "odmc/analysis/flight_motion.h"
+#include "odmc/attribution/attribution.h"
+#include "odmc/attribution/candidates.h"
+#include "odmc/attribution/evidence.h"
+#include "odmc/attribution/instruments.h"
+#include "odmc/attribution/online_evidence.h"
+#include "odmc/bench/undeclared.h"
+
+namespace odmc {
+namespace {
+
+/// A flight with one undeclared effect, and what attribution needs of it.
+struct Flown {
+  Flown(const std::string& effect, double share, const std::string& trajectory, int vehicle,
+        int seed)
+      : made(Make(effect, share, trajectory, vehicle, seed)),
+        flight(FilterFlight(made.log, made.declared.num_rotors(), {}), BlockSplit(),
+               made.declared.odometry.q_BS.toRotationMatrix()),
+        residual(&flight, &made.declared, true),
+        candidates(CandidatesFor(made.declared, flight.motion())) {}
+
+  static UndeclaredFlight Make(const std::string& effect, double share,
+                               const std::string& trajectory, int vehicle, int seed) {
+    UndeclaredPlan plan;
+    plan.kind = Undeclared::kOneEffect;
+    plan.effects = {effect};
+    plan.share = share;
+    plan.trajectory = trajectory;
+    plan.vehicle = vehicle;
+    plan.seed = seed;
+    return MakeUndeclared(plan);
+  }
+
+  Stage stage() const {
+    const DynamicModel model(made.declared, made.declared.effects);
+    return StageOf(model, model.InitialValues());
+  }
+  double Truth(const std::string& name) const { return made.truth.Find(name)->value; }
+
+  UndeclaredFlight made;
+  ThinnedFlight flight;
+  ResidualModel residual;
+  std::vector<Candidate> candidates;
+};
+
+/// The effect as attribution has it, if it is named.
+const RankedEffect* Named(const Attribution& attribution, const std::string& effect) {
+  for (const RankedEffect& e : attribution.effects()) {
+    if (e.name == effect) return &e;
+  }
+  return nullptr;
+}
+
+/// Error of a parameter over its sigma, what its valley and its settings leave open included.
+double Sigmas(const RankedEffect& effect, const std::string& name, double truth) {
+  const ParameterEstimate* p = effect.Find(name);
+  double variance = p->sigma * p->sigma;
+  for (size_t k = 0; k < effect.spread_of.size(); ++k) {
+    const auto at = static_cast<Eigen::Index>(k);
+    if (effect.spread_of[k] == name) variance = std::max(variance, effect.spread(at, at));
+  }
+  return (p->value - truth) / std::sqrt(variance);
+}
+
+TEST(FittedSettings, CableIsFittedBetweenTheLengthsTried) {
+  for (const int seed : {4101, 4102}) {
+    const Flown flown("suspended_load", 0.5, "aggressive", 0, seed);
+    Attribution attribution(&flown.residual, flown.stage(), flown.candidates, {});
+    attribution.Run();
+    const RankedEffect* load = Named(attribution, "suspended_load");
+    ASSERT_NE(load, nullptr) << seed;
+    const double length = flown.Truth("suspended_load.length");
+    // Lengths are tried 15 % apart.
+    EXPECT_NEAR(load->Find("suspended_load.length")->value, length, 0.03 * length) << seed;
+    EXPECT_LT(load->Find("suspended_load.length")->sigma, 0.03 * length) << seed;
+    EXPECT_LT(std::abs(Sigmas(*load, "suspended_load.length", length)), 3.0) << seed;
+    EXPECT_TRUE(load->settings.count("suspended_load.length")) << "the online model holds it";
+  }
+}
+
+TEST(FittedSettings, GroundIsFoundWithItsSigma) {
+  for (const int seed : {4201, 4202}) {
+    const Flown flown("ground_effect", 0.6, "vertical", 0, seed);
+    Attribution attribution(&flown.residual, flown.stage(), flown.candidates, {});
+    attribution.Run();
+    const RankedEffect* ground = Named(attribution, "ground_effect");
+    ASSERT_NE(ground, nullptr) << seed;
+    const double radius = flown.made.declared.rotors.front().radius_m;
+    EXPECT_LT(ground->Find("ground_effect.z_0")->sigma, 0.5 * radius) << seed;
+    for (const std::string name : {"ground_effect.k_ge", "ground_effect.z_0"}) {
+      EXPECT_LT(std::abs(Sigmas(*ground, name, flown.Truth(name))), 3.0) << name << " " << seed;
+    }
+  }
+}
+
+// A load whose moment shows, and hardly its weight.
+TEST(FittedSettings, SigmaHoldsBothSidesOnWhichAMassMayBe) {
+  for (const int seed : {4301, 4302, 4303}) {
+    const Flown flown("mass_change", 0.1, "circle", 1, seed);
+    Attribution attribution(&flown.residual, flown.stage(), flown.candidates, {});
+    attribution.Run();
+    const RankedEffect* mass = Named(attribution, "mass_change");
+    if (mass == nullptr) continue;
+    for (const std::string name : {"mass_change.mass", "mass_change.x", "mass_change.y"}) {
+      EXPECT_LT(std::abs(Sigmas(*mass, name, flown.Truth(name))), 3.0) << name << " " << seed;
+    }
+  }
+}
+
+// The step of what waits for a size is worth s0/s: without that, linearizing again oscillates.
+TEST(Evidence, LinearizesAProductAgainWithoutOvershooting) {
+  const Flown flown("suspended_load", 0.7, "octo", 2, 4401);
+  const Instruments instruments(flown.flight, flown.made.declared);
+  Evidence evidence({{&flown.residual, &instruments}}, flown.stage());
+  Candidate candidate;
+  candidate.effect = "suspended_load";
+  candidate.size = "suspended_load.mass";
+  candidate.start = {{candidate.size, 0.05 * flown.made.declared.mass_kg}};
+  for (const std::string name : {"suspended_load.length", "suspended_load.damping"}) {
+    candidate.settings[name] = flown.Truth(name);
+  }
+  const int v = evidence.Add(candidate);
+  evidence.EstimateNoise();
+  double gain = evidence.GainInNats({v});
+  for (int round = 0; round < 4; ++round) {
+    evidence.Relinearize(v, evidence.Solve({v}));
+    evidence.EstimateNoise();
+    const double next = evidence.GainInNats({v});
+    EXPECT_GT(next, 0.8 * gain) << round;
+    gain = next;
+  }
+  const EffectFit fit = evidence.Solve({v});
+  EXPECT_LT(evidence.StepInSigmas(v, fit), 0.5);
+  for (size_t k = 0; k < fit.columns.size(); ++k) {
+    if (evidence.column(fit.columns[k]).name != candidate.size) continue;
+    const auto at = static_cast<Eigen::Index>(k);
+    EXPECT_NEAR(fit.coefficients[at], flown.Truth(candidate.size),
+                4.0 * std::sqrt(fit.covariance(at, at)));
+  }
+}
+
+TEST(AddSpread, WidensWhatIsEstimatedAndNothingElse) {
+  ParameterSet online;
+  online.parameters = {{"a", "1", 1.0, 0.3, true, true}, {"b", "1", 2.0, 0.0, false, false}};
+  online.covariance = Eigen::MatrixXd::Zero(2, 2);
+  online.covariance(0, 0) = 0.09;
+  RankedEffect effect;
+  effect.spread_of = {"b", "a", "elsewhere"};
+  effect.spread = Eigen::Vector3d(1.0, 0.16, 4.0).asDiagonal();
+  AddSpread(effect, &online);
+  EXPECT_NEAR(online.parameters[0].sigma, 0.5, 1e-12);
+  EXPECT_NEAR(online.covariance(0, 0), 0.25, 1e-12);
+  EXPECT_EQ(online.parameters[1].sigma, 0.0);
+  EXPECT_EQ(online.covariance(1, 1), 0.0);
+}
+
+}  // namespace
+}  // namespace odmc
