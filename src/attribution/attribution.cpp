@@ -96,7 +96,8 @@ void SpreadByValley(const Evidence& evidence, const EffectFit& valley, const Eff
   }
   if (own_way.dot(ranked->covariance.ldlt().solve(own_way)) < kSigmas * kSigmas) return;
   const double chance = 1.0 / (1.0 + std::exp(fit.log_evidence - valley.log_evidence));
-  // Many starts end in one valley, and what settings leave open leads to others: the largest counts.
+  // Many starts end in one valley, and what settings leave open leads to others: the largest
+  // counts.
   const Eigen::MatrixXd spread = chance * way * way.transpose();
   if (spread.trace() > ranked->spread.trace()) ranked->spread = spread;
 }
