@@ -15,6 +15,7 @@ namespace {
 
 constexpr size_t kFittedSettings = 3;  // by either measure, and their refinement
 constexpr int kPolishes = 8;           // linearizations of what is not linear, at most
+constexpr int kFirstPolishes = 3;      // of what gains nothing
 constexpr double kPolished = 0.2;      // sigmas: a smaller step ends them
 constexpr int kRefits = 5;             // at most
 constexpr int kInertiaRefits = 2;
@@ -192,10 +193,12 @@ void Attribution::Screen(Evidence* evidence) const {
 void Attribution::Polish(Evidence* evidence) const {
   for (int round = 0; round < kPolishes && !GivesUp(); ++round) {
     std::map<int, EffectFit> fits;
+    const double declared = evidence->Solve({}).log_evidence;
     for (int v = 0; v < static_cast<int>(evidence->variants().size()); ++v) {
       const EffectVariant& variant = evidence->variants()[v];
       if (variant.offset < 0 && variant.candidate.start.empty()) continue;
       EffectFit fit = evidence->Solve({v});
+      if (round >= kFirstPolishes && fit.log_evidence <= declared) continue;
       if (round == 0 || evidence->StepInSigmas(v, fit) > kPolished) fits[v] = std::move(fit);
     }
     if (fits.empty()) return;
