@@ -179,15 +179,8 @@ void AddOptionsOfOne(CLI::App* app, Arguments* a) {
 
 /// Of several flights, and of what a fleet needs of one.
 void AddFleetOptions(CLI::App* app, Arguments* a) {
-  app->add_option("--own", a->own,
-                  "parameters or effects that are each flight's own, beside gravity and wind: "
-                  "odometry_extrinsics where the mount is taken off between flights")
-      ->delimiter(',')
-      ->allow_extra_args(false)
-      ->type_name("a,b");
-  app->add_option("--jobs", a->jobs, "flights at a time")
-      ->check(tools::Positive())
-      ->capture_default_str();
+  tools::AddOwn(app, &a->own);
+  tools::AddJobs(app, &a->jobs);
   app->add_option(
          "--false-alarm-rate", a->false_alarm_rate,
          "share of fleets without any in which a step, a trend or an outlier is seen; the same "

@@ -111,14 +111,8 @@ void AddOptions(CLI::App* app, Arguments* a) {
                   "flights that nothing is learned from; files, folders and patterns")
       ->allow_extra_args(true)
       ->type_name("FLIGHT");
-  app->add_option("--own", a->own,
-                  "parameters or effects that are each flight's own, beside gravity and wind")
-      ->delimiter(',')
-      ->allow_extra_args(false)
-      ->type_name("a,b");
-  app->add_option("--jobs", a->jobs, "flights at a time")
-      ->check(tools::Positive())
-      ->capture_default_str();
+  tools::AddOwn(app, &a->own);
+  tools::AddJobs(app, &a->jobs);
   app->add_option("--most-effects", a->options.attribution.most_effects,
                   "add at most this many effects")
       ->capture_default_str()

@@ -22,9 +22,7 @@ int main(int argc, char** argv) {
       ->capture_default_str()
       ->check(tools::Positive());
   app.add_option("--seed", options.first_seed, "of the first flight")->capture_default_str();
-  app.add_option("--jobs", options.jobs, "flights at a time")
-      ->capture_default_str()
-      ->check(tools::Positive());
+  tools::AddJobs(&app, &options.jobs);
   app.add_option("--duration", options.duration_s, "of the path, s")
       ->capture_default_str()
       ->check(CLI::Range(20.0, 600.0));

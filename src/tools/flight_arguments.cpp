@@ -337,6 +337,15 @@ StreamInspection InspectFlight(const Vehicle& vehicle, bool force, FlightLog* lo
   return InspectOrRefuse(vehicle, force, "--force", log);
 }
 
+void AddOwn(CLI::App* app, std::vector<std::string>* own) {
+  app->add_option("--own", *own,
+                  "parameters or effects that are each flight's own, beside gravity and wind: "
+                  "odometry_extrinsics where the mount is taken off between flights")
+      ->delimiter(',')
+      ->allow_extra_args(false)
+      ->type_name("a,b");
+}
+
 void AddForce(CLI::App* app, bool* force) {
   app->add_flag("--force", *force,
                 "go on where the recording or the vehicle file is wrong beyond learning; the "

@@ -73,6 +73,9 @@ StreamInspection InspectFlight(const Vehicle& vehicle, bool force, FlightLog* lo
 /// Adds --rotor-order and --command-order.
 void AddOrders(CLI::App* app, StreamOptions* options);
 
+/// Adds --own.
+void AddOwn(CLI::App* app, std::vector<std::string>* own);
+
 /// Adds --force.
 void AddForce(CLI::App* app, bool* force);
 

@@ -22,9 +22,7 @@ int main(int argc, char** argv) {
   app.add_option("--seeds", options.seeds, "number of flights")
       ->required()
       ->check(tools::Positive());
-  app.add_option("--jobs", options.jobs, "flights at a time")
-      ->capture_default_str()
-      ->check(tools::Positive());
+  tools::AddJobs(&app, &options.jobs);
   tools::AddFolder(&app, &folder, &no_report);
   app.add_option("--seed", options.simulation.seed, "of the first flight")->capture_default_str();
   app.add_option("--noise", noise, "none, default (model.md section 9), or a YAML file")

@@ -234,9 +234,7 @@ int main(int argc, char** argv) {
   bool rescore = false;
   tools::EstimatorArguments estimator;
   app.add_option("DIR", folder, "folder of the set")->required();
-  app.add_option("--jobs", jobs, "flights at a time")
-      ->capture_default_str()
-      ->check(tools::Positive());
+  tools::AddJobs(&app, &jobs);
   app.add_flag("--rescore", rescore, "use the results that are there");
   estimator.defaults = tools::AttributionEstimatorOptions();
   estimator.AddTo(&app);

@@ -121,9 +121,7 @@ int main(int argc, char** argv) {
   app.add_option("--flights", flights, "number of flights")
       ->capture_default_str()
       ->check(tools::Positive());
-  app.add_option("--jobs", jobs, "flights at a time")
-      ->capture_default_str()
-      ->check(tools::Positive());
+  tools::AddJobs(&app, &jobs);
   app.add_option(
          "--recording", recording,
          "conditions of the recordings: drawn; white: white noise at 250 Hz, the body's own "

@@ -162,6 +162,10 @@ void AddFolder(CLI::App* app, std::string* folder, bool* no_report) {
   if (no_report != nullptr) app->add_flag("--no-report", *no_report, "do not draw report.html");
 }
 
+void AddJobs(CLI::App* app, int* jobs) {
+  app->add_option("--jobs", *jobs, "flights at a time")->check(Positive())->capture_default_str();
+}
+
 void MakeFolder(const std::string& folder) {
   std::error_code error;
   fs::create_directories(folder, error);

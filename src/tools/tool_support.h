@@ -62,6 +62,9 @@ void AddExitStatus(CLI::App* app);
 /// Adds the required --out DIR; --no-report too if `no_report` is given.
 void AddFolder(CLI::App* app, std::string* folder, bool* no_report = nullptr);
 
+/// Adds --jobs.
+void AddJobs(CLI::App* app, int* jobs);
+
 /// Makes a folder with its parents where missing.
 void MakeFolder(const std::string& folder);
 

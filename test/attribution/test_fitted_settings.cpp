@@ -45,6 +45,11 @@ struct Flown {
     const DynamicModel model(made.declared, made.declared.effects);
     return StageOf(model, model.InitialValues());
   }
+  Attribution Attribute() const {
+    Attribution attribution(&residual, stage(), candidates, {});
+    attribution.Run();
+    return attribution;
+  }
   double Truth(const std::string& name) const { return made.truth.Find(name)->value; }
 
   UndeclaredFlight made;
@@ -61,7 +66,7 @@ const RankedEffect* Named(const Attribution& attribution, const std::string& eff
   return nullptr;
 }
 
-/// Error of a parameter over its sigma, what its valley and its settings leave open included.
+/// Error of a parameter over its sigma, what its settings and another valley leave open included.
 double Sigmas(const RankedEffect& effect, const std::string& name, double truth) {
   const ParameterEstimate* p = effect.Find(name);
   double variance = p->sigma * p->sigma;
@@ -75,8 +80,7 @@ double Sigmas(const RankedEffect& effect, const std::string& name, double truth)
 TEST(FittedSettings, CableIsFittedBetweenTheLengthsTried) {
   for (const int seed : {4101, 4102}) {
     const Flown flown("suspended_load", 0.5, "aggressive", 0, seed);
-    Attribution attribution(&flown.residual, flown.stage(), flown.candidates, {});
-    attribution.Run();
+    const Attribution attribution = flown.Attribute();
     const RankedEffect* load = Named(attribution, "suspended_load");
     ASSERT_NE(load, nullptr) << seed;
     const double length = flown.Truth("suspended_load.length");
@@ -91,8 +95,7 @@ TEST(FittedSettings, CableIsFittedBetweenTheLengthsTried) {
 TEST(FittedSettings, GroundIsFoundWithItsSigma) {
   for (const int seed : {4201, 4202}) {
     const Flown flown("ground_effect", 0.6, "vertical", 0, seed);
-    Attribution attribution(&flown.residual, flown.stage(), flown.candidates, {});
-    attribution.Run();
+    const Attribution attribution = flown.Attribute();
     const RankedEffect* ground = Named(attribution, "ground_effect");
     ASSERT_NE(ground, nullptr) << seed;
     const double radius = flown.made.declared.rotors.front().radius_m;
@@ -115,8 +118,7 @@ TEST(FittedSettings, SigmaHoldsBothSidesOnWhichAMassMayBe) {
   int named = 0, on_either_side = 0;
   for (const int seed : {4301, 4302, 4303, 4304}) {
     const Flown flown("mass_change", 0.1, "octo", 3, seed);
-    Attribution attribution(&flown.residual, flown.stage(), flown.candidates, {});
-    attribution.Run();
+    const Attribution attribution = flown.Attribute();
     const RankedEffect* mass = Named(attribution, "mass_change");
     if (mass == nullptr) continue;
     ++named;
