@@ -70,37 +70,42 @@ void BeginSpread(const std::vector<Eigen::Index>& settings, const Evidence& evid
   ranked->spread = cross * of_settings.ldlt().solve(cross.transpose());
 }
 
-/// The fit may as well lie in another valley, with a load of the other sign at the other side: adds
-/// that chance times the square of the way there.
+/// Another valley in which a fit may as well lie, with a load of the other sign at the other side.
+struct Valley {
+  double weight =
+      0.0;  ///< chance that it is the right one, times the square of the way there [sigma]
+  Eigen::MatrixXd spread;  ///< that chance times the square of the way, of RankedEffect::spread_of
+};
+
 /// @param own columns of the effect in `fit`
-void SpreadByValley(const Evidence& evidence, const EffectFit& valley, const EffectFit& fit,
-                    const std::vector<Eigen::Index>& own, RankedEffect* ranked) {
+/// @returns weight 0 for the same valley
+Valley ValleyOf(const EffectFit& other, const Evidence& evidence, const EffectFit& fit,
+                const std::vector<Eigen::Index>& own, const RankedEffect& ranked) {
   constexpr double kSigmas = 3.0;  // nearer it is the same valley
-  const auto value = [&](const EffectFit& of, const std::string& name) -> std::optional<double> {
-    for (size_t k = 0; k < of.columns.size(); ++k) {
-      const Evidence::Column& column = evidence.column(of.columns[k]);
-      if (column.name == name) return of.coefficients[static_cast<Eigen::Index>(k)];
-    }
-    return std::nullopt;
+  const auto change = [&](const std::string& name) {
+    const auto value = [&](const EffectFit& of) -> std::optional<double> {
+      for (size_t k = 0; k < of.columns.size(); ++k) {
+        if (evidence.column(of.columns[k]).name != name) continue;
+        return of.coefficients[static_cast<Eigen::Index>(k)];
+      }
+      return std::nullopt;
+    };
+    const std::optional<double> there = value(other), here = value(fit);
+    return there && here ? *there - *here : 0.0;
   };
-  Eigen::VectorXd way = Eigen::VectorXd::Zero(ranked->spread.rows());
-  for (Eigen::Index k = 0; k < way.size(); ++k) {
-    const std::string& name = ranked->spread_of[static_cast<size_t>(k)];
-    const auto there = value(valley, name), here = value(fit, name);
-    if (there && here) way[k] = *there - *here;
-  }
   Eigen::VectorXd own_way(static_cast<Eigen::Index>(own.size()));
   for (Eigen::Index k = 0; k < own_way.size(); ++k) {
-    const auto at = own[static_cast<size_t>(k)];
-    const std::string& name = evidence.column(fit.columns[static_cast<size_t>(at)]).name;
-    own_way[k] = value(valley, name).value_or(fit.coefficients[at]) - fit.coefficients[at];
+    const auto at = static_cast<size_t>(own[static_cast<size_t>(k)]);
+    own_way[k] = change(evidence.column(fit.columns[at]).name);
   }
-  if (own_way.dot(ranked->covariance.ldlt().solve(own_way)) < kSigmas * kSigmas) return;
-  const double chance = 1.0 / (1.0 + std::exp(fit.log_evidence - valley.log_evidence));
-  // Many starts end in one valley, and what settings leave open leads to others: the largest
-  // counts.
-  const Eigen::MatrixXd spread = chance * way * way.transpose();
-  if (spread.trace() > ranked->spread.trace()) ranked->spread = spread;
+  const double distance = own_way.dot(ranked.covariance.ldlt().solve(own_way));
+  if (distance < kSigmas * kSigmas) return {};
+  Eigen::VectorXd way(ranked.spread.rows());
+  for (Eigen::Index k = 0; k < way.size(); ++k) {
+    way[k] = change(ranked.spread_of[static_cast<size_t>(k)]);
+  }
+  const double chance = 1.0 / (1.0 + std::exp(fit.log_evidence - other.log_evidence));
+  return {chance * distance, chance * way * way.transpose()};
 }
 
 }  // namespace
@@ -283,12 +288,15 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
   }
   ranked.covariance = posterior.covariance(own, own);
   BeginSpread(fitted, evidence, posterior, &ranked);
+  Valley most;  // many starts end in one: the largest counts, not each
   for (int other = 0; other < static_cast<int>(evidence.variants().size()); ++other) {
     if (other == variant || evidence.variants()[other].candidate.effect != ranked.name) continue;
     VariantSet instead = without;
     instead.insert(other);
-    SpreadByValley(evidence, evidence.Solve(instead), posterior, own, &ranked);
+    Valley valley = ValleyOf(evidence.Solve(instead), evidence, posterior, own, ranked);
+    if (valley.weight > most.weight) most = std::move(valley);
   }
+  if (most.weight > 0.0) ranked.spread += most.spread;
   return ranked;
 }
 
