@@ -197,44 +197,46 @@ inline Normal DenseNormal(const Window& window) {
     return states + 6 * static_cast<int>(id - window.biases().front().id);
   };
   Normal normal{Eigen::MatrixXd::Zero(size, size), Eigen::VectorXd::Zero(size)};
-  const auto add = [&](const Eigen::MatrixXd& J, const Eigen::VectorXd& r) {
-    normal.H += J.transpose() * J;
-    normal.g += J.transpose() * r;
+  // A factor's columns are few beside the window's: only their blocks are summed.
+  struct Columns {
+    int own, whole, count;
+  };
+  const auto add = [&](const Eigen::MatrixXd& J, const Eigen::VectorXd& r,
+                       const std::vector<Columns>& columns) {
+    for (const Columns& a : columns) {
+      const Eigen::MatrixXd Jt = J.middleCols(a.own, a.count).transpose();
+      normal.g.segment(a.whole, a.count) += Jt * r;
+      for (const Columns& b : columns) {
+        normal.H.block(a.whole, b.whole, a.count, b.count) += Jt * J.middleCols(b.own, b.count);
+      }
+    }
   };
   const Prior& prior = window.prior();
   if (prior.b.size() > 0) {
-    Eigen::MatrixXd J = Eigen::MatrixXd::Zero(prior.b.size(), size);
+    std::vector<Columns> columns;
     int column = 0;
     if (prior.has_state) {
-      J.leftCols(12) = prior.A.leftCols(12);
+      columns.push_back({0, 0, 12});
       column = 12;
     }
     if (prior.has_bias) {
-      J.middleCols(bias_column(window.keyframes().front().bias), 6) = prior.A.middleCols(column, 6);
+      columns.push_back({column, bias_column(window.keyframes().front().bias), 6});
       column += 6;
     }
-    J.rightCols(n) = prior.A.rightCols(n);
-    add(J, PriorResidual(window));
+    columns.push_back({static_cast<int>(prior.A.cols()) - n, size - n, n});
+    add(prior.A, PriorResidual(window), columns);
   }
   for (const Keyframe& keyframe : window.keyframes()) {
     for (const Factor& factor : keyframe.factors) {
       LinearFactor linear;
       if (!Linearize(window, factor, false, &linear)) continue;
-      Eigen::MatrixXd J = Eigen::MatrixXd::Zero(linear.r.size(), size);
-      if (linear.state0 >= 0) {
-        J.middleCols(state_column(factor.state0), 12) += linear.J.middleCols(linear.state0, 12);
-      }
-      if (linear.state1 >= 0) {
-        J.middleCols(state_column(factor.state1), 12) += linear.J.middleCols(linear.state1, 12);
-      }
-      if (linear.bias0 >= 0) {
-        J.middleCols(bias_column(factor.bias0), 6) += linear.J.middleCols(linear.bias0, 6);
-      }
-      if (linear.bias1 >= 0) {
-        J.middleCols(bias_column(factor.bias1), 6) += linear.J.middleCols(linear.bias1, 6);
-      }
-      if (linear.parameters >= 0) J.rightCols(n) += linear.J.middleCols(linear.parameters, n);
-      add(J, linear.r);
+      std::vector<Columns> columns;
+      if (linear.state0 >= 0) columns.push_back({linear.state0, state_column(factor.state0), 12});
+      if (linear.state1 >= 0) columns.push_back({linear.state1, state_column(factor.state1), 12});
+      if (linear.bias0 >= 0) columns.push_back({linear.bias0, bias_column(factor.bias0), 6});
+      if (linear.bias1 >= 0) columns.push_back({linear.bias1, bias_column(factor.bias1), 6});
+      if (linear.parameters >= 0) columns.push_back({linear.parameters, size - n, n});
+      add(linear.J, linear.r, columns);
     }
   }
   return normal;
