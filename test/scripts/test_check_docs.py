@@ -38,6 +38,10 @@ roslaunch odmc estimator.launch odm_topic:=/odom
 roslaunch odmc estimater.launch
 build/devel/lib/odmc/calibrater f.bag
 ```
+
+Two things:
+- one
+- the other
 '''
 
 
@@ -76,7 +80,8 @@ class CheckDocsTest(unittest.TestCase):
             '9: fleet has no option --ot',
             '11: estimator.launch has no argument odm_topic',
             '12: roslaunch odmc estimater.launch: there is no such launch file',
-            '13: build/devel/lib/odmc/calibrater: there is no such tool']))
+            '13: build/devel/lib/odmc/calibrater: there is no such tool',
+            '17: a list that no empty line parts from the paragraph']))
 
 
 if __name__ == '__main__':
