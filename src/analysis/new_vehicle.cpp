@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "odmc/effects/effects.h"
+#include "odmc/inspection/rotor_assignment.h"
 #include "odmc/math/rotation_between.h"
 #include "odmc/text/format.h"
 
@@ -31,12 +32,6 @@ std::string Join(const std::vector<std::string>& words) {
   std::string text;
   for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
   return text;
-}
-
-std::string SpinText(const std::vector<double>& spins) {
-  std::vector<std::string> words;
-  for (const double spin : spins) words.push_back(spin > 0.0 ? "cw" : "ccw");
-  return Join(words);
 }
 
 void RefuseLength(size_t length, size_t rotors, const std::string& what) {

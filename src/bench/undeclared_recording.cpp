@@ -5,6 +5,7 @@
 
 #include "odmc/math/gaussian.h"
 #include "odmc/math/so3.h"
+#include "odmc/math/units.h"
 
 namespace odmc {
 namespace {
@@ -83,7 +84,6 @@ RecordingConditions Drawn(int seed, const Vehicle& vehicle) {
 
 /// As the README of the recorded data's independent_simulator states.
 RecordingConditions Independent(int seed, const Vehicle& vehicle) {
-  constexpr double kDegree = kTwoPi / 360.0;
   Gaussian random(seed, kConditionStream);
   RecordingConditions c;
   c.model = RecordingModel::kIndependent;

@@ -8,6 +8,7 @@
 #include "odmc/inspection/explanations.h"
 #include "odmc/math/so3.h"
 #include "odmc/math/statistics.h"
+#include "odmc/math/units.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -18,7 +19,6 @@ using Eigen::Matrix3Xd;
 using Eigen::Quaterniond;
 using Eigen::Vector3d;
 
-constexpr double kDegree = M_PI / 180.0;
 constexpr double kLeastMotion = 0.1;  // m/s or rad/s RMS: what shows less says nothing
 constexpr double kLeastScale = 0.85;  // observers are off by up to 10 %
 // One velocity in ten is scaled (an observer's, a wrong unit of flow), by some 10 %.

@@ -8,6 +8,7 @@
 #include <numeric>
 #include <string>
 
+#include "odmc/math/units.h"
 #include "odmc/model/frame_layout.h"
 #include "odmc/text/format.h"
 
@@ -437,12 +438,6 @@ std::string OrderText(const Order& order) {
   return Join(numbers);
 }
 
-std::string SpinText(const std::vector<double>& spin) {
-  std::vector<std::string> words;
-  for (const double s : spin) words.push_back(s > 0.0 ? "cw" : "ccw");
-  return Join(words);
-}
-
 /// True if turning (and mirroring) the file's places by `R` gives those of `order`.
 bool IsTurned(const Vehicle& vehicle, const Order& order, const Matrix2d& R) {
   double off = 0.0, size = 0.0;
@@ -458,7 +453,7 @@ bool IsTurned(const Vehicle& vehicle, const Order& order, const Matrix2d& R) {
 /// What else than the order would look like it: "; or the body frame ...", or nothing.
 std::string OtherCause(const Vehicle& vehicle, const Order& order) {
   for (const int turn : {90, 180, 270}) {
-    const double angle = turn * M_PI / 180.0;
+    const double angle = turn * kDegree;
     const Matrix2d R = Eigen::Rotation2Dd(angle).toRotationMatrix();
     if (IsTurned(vehicle, order, R)) {
       return ", or the body frame of attitude and rates is turned by " +
@@ -534,6 +529,12 @@ Finding SpinFinding(const RotorAssignment& assignment, const Vehicle& vehicle) {
 }
 
 }  // namespace
+
+std::string SpinText(const std::vector<double>& spins) {
+  std::vector<std::string> words;
+  for (const double s : spins) words.push_back(s > 0.0 ? "cw" : "ccw");
+  return Join(words);
+}
 
 bool AssignmentTest::Refutes() const { return file_share < kRefuted; }
 bool AssignmentTest::Doubts() const { return file_share < kDoubtful; }

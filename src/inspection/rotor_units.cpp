@@ -12,7 +12,7 @@
 namespace odmc {
 namespace {
 
-constexpr double kRpm = 30.0 / M_PI;
+constexpr double kToRpm = 30.0 / M_PI;
 constexpr int kLeastPolePairs = 2, kMostPolePairs = 14;
 constexpr double kRunnerUp = 0.05;  // of the probability
 constexpr size_t kFewWindows = 10;
@@ -37,8 +37,8 @@ std::string Divide(const std::string& by) {
 std::vector<Unit> Units() {
   std::vector<Unit> units = {
       {"rad/s", "", 1.0, 0.7},
-      {"rpm", Divide("9.549") + "; of a bag: rotor_speed_unit: rpm", kRpm, 0.1},
-      {"krpm", Divide("0.009549"), 1e-3 * kRpm, 0.02},
+      {"rpm", Divide("9.549") + "; of a bag: rotor_speed_unit: rpm", kToRpm, 0.1},
+      {"krpm", Divide("0.009549"), 1e-3 * kToRpm, 0.02},
       {"turns per second (Hz)", Divide("0.1592"), 0.5 / M_PI, 0.05},
       {"deg/s", Divide("57.3"), 180.0 / M_PI, 0.01}};
   const double pairs = kMostPolePairs - kLeastPolePairs + 1;
@@ -46,9 +46,9 @@ std::vector<Unit> Units() {
     const std::string of =
         " of " + std::to_string(p) + " pole pairs (" + std::to_string(2 * p) + " poles)";
     units.push_back({"erpm" + of,
-                     Divide(Format("%.4g", p * kRpm)) +
+                     Divide(Format("%.4g", p * kToRpm)) +
                          "; of a bag: rotor_speed_unit: erpm, pole_pairs: " + std::to_string(p),
-                     p * kRpm, 0.1 / pairs});
+                     p * kToRpm, 0.1 / pairs});
     units.push_back(
         {"electric rad/s" + of, Divide(std::to_string(p)), static_cast<double>(p), 0.02 / pairs});
   }

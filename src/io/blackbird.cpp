@@ -7,6 +7,7 @@
 #include "frame_checks.h"
 #include "log_streams.h"
 #include "odmc/io/data_sets.h"
+#include "odmc/math/units.h"
 #include "odmc/sensing/flight_checks.h"
 
 namespace odmc {
@@ -16,7 +17,6 @@ using Eigen::Matrix3Xd;
 using Eigen::Quaterniond;
 using Eigen::Vector3d;
 
-constexpr double kRpm = M_PI / 30.0;
 constexpr double kUnitTolerance = 0.05;  // as NormaliseAttitudes()
 constexpr char kDocumentedReading[] = "as named";
 constexpr int kDocumentedYaw_deg = 90;

@@ -7,6 +7,7 @@
 #include "blackbox_frames.h"
 #include "log_streams.h"
 #include "odmc/io/autopilot_logs.h"
+#include "odmc/math/units.h"
 #include "odmc/text/printable_text.h"
 #include "odmc/text/refusal.h"
 
@@ -17,9 +18,7 @@ constexpr std::string_view kStart = "H Product:Blackbox";
 
 // Units of the fields; INDIflight's pose is NED/FRD, gyro and accelerometer are FLU.
 constexpr double kPosition_m = 1e-3, kVelocity_m_s = 1e-2, kVoltage_V = 1e-2;
-constexpr double kStandardGravity_m_s2 = 9.80665;
-constexpr double kDegree = M_PI / 180.0;
-constexpr double kHundredRpm = 100.0 * M_PI / 30.0;
+constexpr double kHundredRpm = 100.0 * kRpm;
 
 std::string Indexed(const std::string& name, int i) { return name + "[" + std::to_string(i) + "]"; }
 

@@ -5,19 +5,19 @@
 #include "log_streams.h"
 #include "log_writing.h"
 #include "odmc/io/autopilot_log_writers.h"
+#include "odmc/math/units.h"
 
 namespace odmc {
 namespace {
 
 using Eigen::VectorXd;
 
-constexpr double kStandardGravity_m_s2 = 9.80665, kOneG = 2048.0;
-constexpr double kDegree = M_PI / 180.0;
+constexpr double kOneG = 2048.0;
 constexpr double kFine = 10.0;  // of deg/s, with blackbox_high_resolution
 constexpr double kMotorLow = 158.0, kMotorHigh = 2047.0;
 constexpr double kQuaternionScale = 8127.0;
 constexpr double kPolePairs = 7.0;
-constexpr double kHundredRpm = 100.0 * M_PI / 30.0;
+constexpr double kHundredRpm = 100.0 * kRpm;
 constexpr int kIntraEvery = 32;  // frames
 
 /// Names and unit of numbers of one kind.

@@ -7,14 +7,13 @@
 #include "dataflash_file.h"
 #include "log_streams.h"
 #include "odmc/io/autopilot_logs.h"
+#include "odmc/math/units.h"
 #include "odmc/text/printable_text.h"
 #include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
 
-constexpr double kDegree = M_PI / 180.0;
-constexpr double kRpm = M_PI / 30.0;
 constexpr double kEarthRadius_m = 6378137.0;
 const RateHints kHints = {
     "set bit 0 of LOG_BITMASK (fast attitude: LOG_BITMASK + 1), which logs ATT, XKF1 and XKQ at "

@@ -5,13 +5,13 @@
 #include "log_streams.h"
 #include "log_writing.h"
 #include "odmc/io/autopilot_log_writers.h"
+#include "odmc/math/units.h"
 
 namespace odmc {
 namespace {
 
 using Eigen::Vector3d;
 
-constexpr double kRpm = M_PI / 30.0;
 constexpr float kPoles = 14.0F;
 constexpr int kMostOutputs = 14;  // columns C1 .. of RCOU
 

@@ -7,6 +7,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "odmc/math/units.h"
 #include "odmc/model/motor.h"
 
 namespace odmc {
@@ -101,16 +102,15 @@ const KnownMessage* FindKnown(ForeignUse use, const std::string& type) {
 }
 
 double RotorSpeedScale(const std::string& unit, int pole_pairs) {
-  const double rpm = M_PI / 30.0;
   if (unit == "rad_s" || unit == "auto") return 1.0;
-  if (unit == "rpm") return rpm;
+  if (unit == "rpm") return kRpm;
   if (unit != "erpm") {
     throw std::invalid_argument("rotor_speed_unit must be rad_s, rpm or erpm, not '" + unit + "'");
   }
   if (pole_pairs < 1) {
     throw std::invalid_argument("pole_pairs must be at least 1, not " + std::to_string(pole_pairs));
   }
-  return rpm / pole_pairs;
+  return kRpm / pole_pairs;
 }
 
 double StampScale(const std::string& unit) {

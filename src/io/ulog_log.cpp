@@ -6,6 +6,7 @@
 #include "binary_file.h"
 #include "log_streams.h"
 #include "odmc/io/autopilot_logs.h"
+#include "odmc/math/units.h"
 #include "odmc/text/printable_text.h"
 #include "odmc/text/refusal.h"
 #include "ulog_file.h"
@@ -15,7 +16,6 @@ namespace {
 
 using Strings = std::vector<std::string>;
 
-constexpr double kRpm = M_PI / 30.0;
 constexpr int kMotor1 = 101;   // actuator_function of esc_report
 constexpr int kBodyFrame = 3;  // velocity_frame of vehicle_odometry: FRD of the body
 const RateHints kHints = {

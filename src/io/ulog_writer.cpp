@@ -4,13 +4,13 @@
 #include "log_streams.h"
 #include "log_writing.h"
 #include "odmc/io/autopilot_log_writers.h"
+#include "odmc/math/units.h"
 
 namespace odmc {
 namespace {
 
 using Eigen::Vector3d;
 
-constexpr double kRpm = M_PI / 30.0;
 constexpr int kMotor1 = 101;                      // actuator_function of an ESC
 constexpr int kLeastEscs = 8, kLeastMotors = 12;  // array lengths of PX4's messages
 constexpr std::int32_t kPoles = 14;

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "odmc/math/units.h"
+
 namespace odmc {
 namespace {
 
@@ -176,7 +178,7 @@ std::vector<FramePlace> FrameLayout(const std::string& frame, Autopilot autopilo
     if (candidate.name != frame) continue;
     std::vector<FramePlace> places;
     for (const DrawnMotor& motor : MotorsOf(candidate, autopilot)) {
-      const double angle = motor.angle_deg * M_PI / 180.0;
+      const double angle = motor.angle_deg * kDegree;
       const Eigen::Vector3d direction(Rounded(std::cos(angle)), Rounded(-std::sin(angle)), motor.z);
       places.push_back({PlaceName(motor, frame == "octo_x"), direction, motor.spin});
     }

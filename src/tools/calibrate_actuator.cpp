@@ -7,6 +7,7 @@
 #include "odmc/identification/flight_actuator.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/bench_csv.h"
+#include "odmc/math/units.h"
 #include "tool_support.h"
 
 namespace {
@@ -63,7 +64,7 @@ struct BenchArguments {
     read.speed_unit = *SpeedUnitNamed(speed_unit);
     if (read.speed_unit == SpeedUnit::kErpm && read.pole_pairs <= 0)
       throw tools::UsageError("--speed-unit erpm needs --pole-pairs");
-    if (thrust_unit == "g") read.thrust_unit_N = 9.80665e-3;
+    if (thrust_unit == "g") read.thrust_unit_N = 1e-3 * kStandardGravity_m_s2;
     return read;
   }
 };

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <string>
 #include <vector>
 
 #include "odmc/inspection/rotor_regression.h"
@@ -46,6 +47,9 @@ struct RotorAssignment {
 /// nats are lowered until the best one does. Coaxial rotors have the same levers: orders that
 /// differ by which of them is the upper one count once.
 RotorAssignment TestRotorAssignment(const RotorResponse& response, const Vehicle& vehicle);
+
+/// Spins in words, in the order given: "cw, ccw".
+std::string SpinText(const std::vector<double>& spins);
 
 /// What the vehicle file has wrong, if it is refuted or doubtful: checks "rotor_order" and
 /// "rotor_spin".
