@@ -46,6 +46,7 @@ class ToolsTest(unittest.TestCase):
     """One short simulated flight, as a bag and as CSV, for all."""
 
     folder: tempfile.TemporaryDirectory
+    of_imu_flight: Dict[str, Any] = {}
 
     @classmethod
     def setUpClass(cls) -> None:
@@ -306,14 +307,22 @@ class ToolsTest(unittest.TestCase):
                     self.assertLess(difference, 0.1 * parameter['sigma'], f'{log}: {name}')
 
     def imu_flight(self) -> List[str]:
-        """A simulated flight with an IMU as a bag, and its vehicle file."""
-        with open(VEHICLE, encoding='utf-8') as file:
-            vehicle = self.write('with_imu.yaml', file.read().replace('# imu: {frame: sensor', 'imu: {frame: sensor'))
-        source = self.path('with_imu.bag')
-        done = run('simulate', '--vehicle', vehicle, '--trajectory', 'aggressive', '--out', source, '--seed', '5',
-                   '--duration', '12', '--noise', self.write('noise.yaml', 'imu: true\n'))
-        self.assertEqual(done.returncode, 0, done.stderr)
+        """A simulated flight with an IMU as a bag, and its vehicle file; made once."""
+        source, vehicle = self.path('with_imu.bag'), self.path('with_imu_of_bag.yaml')
+        if not os.path.exists(source):
+            with open(VEHICLE, encoding='utf-8') as file:
+                self.write('with_imu_of_bag.yaml', file.read().replace('# imu: {frame: sensor', 'imu: {frame: sensor'))
+            done = run('simulate', '--vehicle', vehicle, '--trajectory', 'aggressive', '--out', source, '--seed', '5',
+                       '--duration', '12', '--noise', self.write('noise.yaml', 'imu: true\n'))
+            self.assertEqual(done.returncode, 0, done.stderr)
         return [source, vehicle]
+
+    def parameters_of_imu_flight(self) -> Dict[str, Any]:
+        """What calibrate finds of it; asked once."""
+        if not ToolsTest.of_imu_flight:
+            source, vehicle = self.imu_flight()
+            ToolsTest.of_imu_flight = self.parameters_of(source, '--vehicle', vehicle)
+        return ToolsTest.of_imu_flight
 
     def parameters_of(self, *arguments: str) -> Dict[str, Any]:
         """What calibrate finds."""
@@ -332,7 +341,7 @@ class ToolsTest(unittest.TestCase):
         for ending in ('ulg', 'bin', 'bbl'):
             done = run('convert', source, self.path(f'written.{ending}'))
             self.assertEqual(done.returncode, 0, done.stderr)
-        whole = self.parameters_of(source, '--vehicle', vehicle)
+        whole = self.parameters_of_imu_flight()
         self.assert_near(whole, self.parameters_of(self.path('written.ulg'), '--vehicle', vehicle), 0.1)
         # The other two have no body rates beside the gyro, and blackbox counts whole rad/s, mm and cm/s.
         rows = self.path('no_rates.csv')
@@ -359,7 +368,7 @@ class ToolsTest(unittest.TestCase):
         out = ('--vehicle', vehicle, '--out', self.path('x'), '--no-report')
         self.expect(1, '--odometry FILE takes it from a recording', 'calibrate', log, *out)
         self.expect(2, 'goes with --odometry FILE', 'calibrate', log, '--odometry-offset', '1', *out)
-        whole = self.parameters_of(source, '--vehicle', vehicle)
+        whole = self.parameters_of_imu_flight()
         found = self.parameters_of(log, '--odometry', poses, '--vehicle', vehicle)
         self.assert_near(whole, found, 3.0)
         text = '\n'.join(read_json(self.path('found'), 'report.json')['warnings'])
