@@ -13,7 +13,6 @@ namespace {
 using Eigen::Vector3d;
 
 constexpr int kNoiseStream = 202, kConditionStream = 204, kSlowStream = 205, kJitterStream = 206;
-constexpr double kTwoPi = 6.283185307179586;
 constexpr double kShareAsWhite = 0.25;
 constexpr double kMostJitter = 0.4;  // sample periods: samples keep their order
 

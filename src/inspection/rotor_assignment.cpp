@@ -532,6 +532,7 @@ Finding SpinFinding(const RotorAssignment& assignment, const Vehicle& vehicle) {
 
 std::string SpinText(const std::vector<double>& spins) {
   std::vector<std::string> words;
+  words.reserve(spins.size());
   for (const double s : spins) words.push_back(s > 0.0 ? "cw" : "ccw");
   return Join(words);
 }

@@ -151,13 +151,11 @@ class Writer {
     Line("Firmware revision", firmware + " (written by odmc convert)");
     Line("Field I name", List([this](size_t i) { return names_[i]; }));
     Line("Field I signed", List([this](size_t i) { return Number(signed_[i] ? 1 : 0); }));
-    Line("Field I predictor", List([this](size_t) { return Number(0); }));
+    Line("Field I predictor", List([](size_t) { return Number(0); }));
     Line("Field I encoding", List([this](size_t i) { return Number(signed_[i] ? 0 : 1); }));
     // The loop counts on, time goes on as it did, everything else is near what it was.
-    Line("Field P predictor", List([this](size_t i) {
-           return Number(i == 0 ? 6 : i == 1 ? 2 : 1);
-         }));
-    Line("Field P encoding", List([this](size_t i) { return Number(i == 0 ? 9 : 0); }));
+    Line("Field P predictor", List([](size_t i) { return Number(i == 0 ? 6 : i == 1 ? 2 : 1); }));
+    Line("Field P encoding", List([](size_t i) { return Number(i == 0 ? 9 : 0); }));
     Line("minthrottle", "1070");
     Line("maxthrottle", "2000");
     Line("gyro_scale", "0x3f800000");
