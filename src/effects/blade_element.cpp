@@ -1,9 +1,9 @@
 #include <vector>
 
-#include "dual.h"
 #include "odmc/effects/blade_inflow.h"
 #include "odmc/effects/effects.h"
 #include "rotor_air.h"
+#include "rotor_wake.h"
 
 namespace odmc {
 namespace {
@@ -106,17 +106,6 @@ class BladeElement final : public Effect {
     return b;
   }
 
-  /// Induced velocity with its derivatives: those of 2 v W - blades' thrust over its slope, which
-  /// is the implicit function theorem.
-  static Number InducedVelocityOf(const BladeFlow<Number>& flow) {
-    const BladeFlow<double> plain{
-        flow.in_plane_squared.v, flow.axial.v, flow.tip, flow.lift.v, flow.pitch.v,
-        flow.pitch_at_half.v};
-    const double v = InducedVelocity(plain);
-    const Number excess = 2.0 * v * sqrt(DiscSpeedSquared(flow, v)) - BladeThrust(flow, v);
-    return Number(v, -excess.d / InflowSlope(plain, v));
-  }
-
   static HubWrench WrenchOf(const Blades& b, const Number& k_f, const Vector3d& air, double tip,
                             double radius) {
     constexpr double kSlowestTip = 5.0;  // [m/s]: what is over the tip speed stays finite
@@ -125,7 +114,7 @@ class BladeElement final : public Effect {
     const Number x = Number::Variable(air.x(), kAir), y = Number::Variable(air.y(), kAir + 1);
     const BladeFlow<Number> flow{
         x * x + y * y, Number::Variable(air.z(), kAir + 2), tip, b.lift, b.pitch, b.pitch_at_half};
-    const Number v = InducedVelocityOf(flow);
+    const Number v = InducedVelocityWithSlope(flow);
     const Number w = flow.axial + v, w0 = tip * b.hover_inflow;
     const double disc = kAirDensity * M_PI * radius * radius;
     const double turning = std::max(tip, kSlowestTip);

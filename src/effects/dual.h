@@ -35,6 +35,10 @@ struct Dual {
   friend Dual operator*(const Dual& a, double b) { return {a.v * b, a.d * b}; }
   friend Dual operator*(double a, const Dual& b) { return {a * b.v, a * b.d}; }
   friend Dual operator/(const Dual& a, double b) { return {a.v / b, a.d / b}; }
+  friend Dual operator/(double a, const Dual& b) {
+    const double q = a / b.v;
+    return {q, -q / b.v * b.d};
+  }
   friend bool operator<(const Dual& a, double b) { return a.v < b; }
   friend Dual sqrt(const Dual& a) {
     const double root = std::sqrt(a.v);

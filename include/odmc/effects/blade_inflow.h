@@ -19,15 +19,18 @@ struct BladeFlow {
   T lift;              ///< lift slope times solidity, σa, > 0
   T pitch;             ///< at three quarters of the radius [rad]
   T pitch_at_half;     ///< at half the radius [rad]
+  T given = T(0.0);    ///< thrust over ρA that does not follow the air [m²/s²]
 };
 
 /// Thrust of the blades over ρA for an induced velocity v [m²/s²]: blade-element theory of rigid
-/// blades with linear twist, small angles, mean over a turn (Leishman 2006, ch. 3).
+/// blades with linear twist, small angles, mean over a turn (Leishman 2006, ch. 3), and what is
+/// given.
 template <typename T, typename V>
 auto BladeThrust(const BladeFlow<T>& flow, const V& v) {
-  return 0.5 * flow.lift *
-         (flow.tip * flow.tip / 3.0 * flow.pitch +
-          0.5 * flow.in_plane_squared * flow.pitch_at_half - 0.5 * flow.tip * (flow.axial + v));
+  return flow.given +
+         0.5 * flow.lift *
+             (flow.tip * flow.tip / 3.0 * flow.pitch +
+              0.5 * flow.in_plane_squared * flow.pitch_at_half - 0.5 * flow.tip * (flow.axial + v));
 }
 
 /// Square of the speed W at which air passes the disc [m²/s²]: W² = in-plane² + (axial + v)²,

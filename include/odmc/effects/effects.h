@@ -49,7 +49,9 @@
   X(inflow_drag, MakeInflowDrag)                      \
   X(saturating_lift, MakeSaturatingLift)              \
   X(vortex_ring, MakeVortexRing)                      \
+  X(directional_lift, MakeDirectionalLift)            \
   X(vertical_drag, MakeVerticalDrag)                  \
+  X(wake_moment, MakeWakeMoment)                      \
   X(body_moment, MakeBodyMoment)                      \
   X(rotor_interference, MakeRotorInterference)        \
   X(blade_element, MakeBladeElement)

@@ -1,0 +1,49 @@
+#pragma once
+
+#include <cmath>
+
+#include "dual.h"
+#include "odmc/effects/blade_inflow.h"
+
+/// \file
+/// The wake of a rotor with its derivatives.
+
+namespace odmc {
+
+/// Induced velocity with its derivatives: those of 2 v W - BladeThrust() over its slope, which is
+/// the implicit function theorem [m/s].
+template <int N>
+Dual<N> InducedVelocityWithSlope(const BladeFlow<Dual<N>>& flow) {
+  const BladeFlow<double> plain{
+      flow.in_plane_squared.v, flow.axial.v, flow.tip, flow.lift.v, flow.pitch.v,
+      flow.pitch_at_half.v,    flow.given.v};
+  const double v = InducedVelocity(plain);
+  const Dual<N> excess = 2.0 * v * sqrt(DiscSpeedSquared(flow, v)) - BladeThrust(flow, v);
+  return Dual<N>(v, -excess.d / InflowSlope(plain, v));
+}
+
+/// The skewed wake of a rotor whose thrust is known: by momentum theory, Glauert 1926 with the
+/// vortex ring state (DiscSpeedSquared()).
+template <int N>
+struct RotorWake {
+  Dual<N> sine;      ///< sin(χ) over the in-plane air speed [s/m]: 1 / sqrt(u_h² + w²)
+  Dual<N> tan_half;  ///< tan(χ/2) over the in-plane air speed [s/m]
+};
+
+/// @param in_plane_squared u_h² [m²/s²]
+/// @param axial air speed along the rotor's axis, positive in climb [m/s]
+/// @param hover_squared squared induced velocity of hover, thrust over 2 ρ A [m²/s²], > 0
+template <int N>
+RotorWake<N> WakeOf(const Dual<N>& in_plane_squared, const Dual<N>& axial,
+                    const Dual<N>& hover_squared) {
+  constexpr double kSmooth = 0.25;  // [m²/s²]: |w| is rounded off below 0.5 m/s
+  BladeFlow<Dual<N>> flow;
+  flow.in_plane_squared = in_plane_squared;
+  flow.axial = axial;
+  flow.given = 2.0 * hover_squared;
+  const Dual<N> w = axial + InducedVelocityWithSlope(flow), through = w * w + kSmooth;
+  const Dual<N> speed = sqrt(in_plane_squared + through);
+  return {1.0 / speed, 1.0 / (speed + sqrt(through))};
+}
+
+}  // namespace odmc

@@ -1,0 +1,84 @@
+#include "odmc/effects/effects.h"
+#include "odmc/math/so3.h"
+#include "rotor_air.h"
+#include "rotor_wake.h"
+
+namespace odmc {
+namespace {
+
+/// Moment of the skewed wake: τ_j = k_f Ω_j² sin(χ) (l_x u_y, -l_y u_x, 0) / u_h. Where the wake is
+/// skewed, the inflow grows towards the rear of the disc, and the thrust acts ahead of the hub: by
+/// l sin(χ). By momentum theory k_f Ω² sin(χ) is 2 ρ A v u_h: the moment grows with the speed and
+/// saturates, where that of flapping (hub_moment) goes on growing.
+///                                                                         docs/effects.md
+class WakeMoment final : public Effect {
+ public:
+  explicit WakeMoment(const Vehicle& vehicle)
+      : Effect(vehicle,
+               {"wake_moment", "Moment of the skewed wake",
+                "tau_j = k_f Omega_j^2 sin(chi) (l_x u_y, -l_y u_x, 0)/u_h, u_h in-plane air "
+                "velocity of hub j, chi skew of its wake",
+                "Glauert 1926; Coleman et al. 1945; Pitt and Peters 1981; docs/effects.md",
+                "beside hub_moment; one with it while slow. Quasi-steady"},
+               {Lever("l_x", "about body x", vehicle), Lever("l_y", "about body y", vehicle)},
+               {"thrust.k_f"}) {}
+
+  std::vector<EffectTrial> Trials(const FlownRange& flown, bool) const override {
+    return FastTrials(vehicle(), flown);
+  }
+  std::vector<TellingPair> telling_pairs() const override {
+    const std::string course =
+        "the same course at half and at full speed, with climbs and descents";
+    return {{"hub_moment", course},
+            {"anisotropic_hub_moment", course},
+            {"pressure_centre", course},
+            {"body_moment", course}};
+  }
+  /// Test flights are too slow for it.
+  std::vector<std::string> shown_by() const override { return {}; }
+
+ private:
+  enum Variable : int { kAir = 0, kThrust = 3, kNumVariables = 4 };
+  using Number = Dual<kNumVariables>;
+
+  /// Natural size: the thrust of a disc whose lift grows to the front by a tenth of itself.
+  static ParameterSpec Lever(const std::string& name, const std::string& about,
+                             const Vehicle& vehicle) {
+    const double radius = vehicle.rotors.empty() ? 0.1 : vehicle.rotors.front().radius_m;
+    return {name, "m",          "how far ahead of the hub the thrust acts at most, moment " + about,
+            0.0,  0.5 * radius, 0.1 * radius};
+  }
+
+  void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,
+                   WrenchJacobians* J) const override {
+    for (int j = 0; j < vehicle().num_rotors(); ++j) {
+      const Rotor& rotor = vehicle().rotors[j];
+      const Number thrust = Number::Variable(values[2], kThrust) * state.rotors.speed_squared[j];
+      if (!(thrust.v > 0.0)) continue;
+      const Eigen::Vector3d u = HubAirVelocity(state, rotor);
+      const Number x = Number::Variable(u.x(), kAir), y = Number::Variable(u.y(), kAir + 1);
+      const Number force = thrust * WakeOf(x * x + y * y, Number::Variable(u.z(), kAir + 2),
+                                           thrust * InflowSquaredPerThrust(rotor))
+                                        .sine;
+      const Number roll = force * y, pitch = -(force * x);  // per lever
+      wrench->AddCouple({values[0] * roll.v, values[1] * pitch.v, 0.0});
+      if (J == nullptr) continue;
+      Eigen::Matrix3d d_air = Eigen::Matrix3d::Zero();
+      d_air.row(0) = values[0] * roll.d.segment<3>(kAir).transpose();
+      d_air.row(1) = values[1] * pitch.d.segment<3>(kAir).transpose();
+      J->AddCouple(kColumnAirVelocity, d_air);
+      J->AddCouple(kColumnAngularRate, TimesHat(d_air, -rotor.p_BP));
+      J->AddCoupleParameter(0, {roll.v, 0.0, 0.0});
+      J->AddCoupleParameter(1, {0.0, pitch.v, 0.0});
+      J->AddCoupleParameter(2, {values[0] * roll.d[kThrust], values[1] * pitch.d[kThrust], 0.0});
+    }
+  }
+};
+
+}  // namespace
+
+std::unique_ptr<Effect> MakeWakeMoment(const Vehicle& vehicle) {
+  return std::make_unique<WakeMoment>(vehicle);
+}
+
+}  // namespace odmc
