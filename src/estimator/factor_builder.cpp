@@ -178,6 +178,23 @@ void FactorBuilder::AddToInterval(Factor factor, std::int64_t id, bool bias, boo
   window_->AddFactor(std::move(factor));
 }
 
+/// Torque of the model per thrust coefficient [rad² m/s²], about z per torque coefficient
+/// [rad²/s²]: what the coefficients are at the moment is not in it. Of the rotors alone where the
+/// model has none.
+Vector3d FactorBuilder::TorqueSeen(const KeyframeInterval& interval, const IntervalModel& k) const {
+  const Vector3d& w = k.flight.w_WB_B;
+  const Vector3d torque = k.tau_B - w.cross(k.body.I_BBcm_B * w);
+  Vector3d seen = RotorTorqueDirection(model_->vehicle(), interval.rotors.mean.speed_squared);
+  const auto value = [&](const char* name) {
+    const int index = model_->IndexOf(name);
+    return index >= 0 ? window_->values()[index] : 0.0;
+  };
+  const double k_f = value("thrust.k_f"), k_m = value("rotor_torque.k_m");
+  if (k_f > 0.0) seen.head<2>() = torque.head<2>() / k_f;
+  if (k_m > 0.0) seen.z() = torque.z() / k_m;
+  return seen;
+}
+
 void FactorBuilder::AddIntervalFactors(const KeyframeInterval& interval, std::int64_t id,
                                        Stamp start, const ModelNoise& model_noise,
                                        double rotor_speed_noise, LearningSchedule* schedule) {
@@ -192,9 +209,9 @@ void FactorBuilder::AddIntervalFactors(const KeyframeInterval& interval, std::in
   if (with_torque_) {
     const State s0 = State::FromBlock(window_->keyframe(id - 1).x.data());
     const State s1 = State::FromBlock(window_->keyframe(id).x.data());
-    const Eigen::Matrix3d R_BS = model_->Properties(window_->values()).R_BS;
-    schedule->gate().Add(interval.dt, R_BS * s0.w_WS_S, R_BS * s1.w_WS_S,
-                         interval.rotors.mean.speed_squared);
+    const IntervalModel k(measurement, s0, s1, *model_, window_->values(), false, false);
+    schedule->gate().Add(interval.dt, k.m0.w_WB_B, k.m1.w_WB_B, TorqueSeen(interval, k),
+                         interval.rotors.mean.speed_squared.sum());
     for (int i = 0; i < 3; ++i) measurement.inertia_fixed[i] = !schedule->InertiaIsFree(i);
   }
   const DynamicsNoise noise = NoiseOf(interval, model_noise.estimator(), rotor_speed_noise);

@@ -20,10 +20,7 @@ Eigen::Vector3d RotorTorqueDirection(const Vehicle& vehicle, const RotorVector& 
   return torque;
 }
 
-InertiaGate::InertiaGate(const Vehicle& vehicle, double min_r_squared)
-    : vehicle_(vehicle), min_r_squared_(min_r_squared) {
-  Break();
-}
+InertiaGate::InertiaGate(double min_r_squared) : min_r_squared_(min_r_squared) { Break(); }
 
 void InertiaGate::Restore(const Statistics& before) {
   seen_ = before;
@@ -38,12 +35,12 @@ void InertiaGate::Break() {
 }
 
 void InertiaGate::Add(double dt, const Eigen::Vector3d& w0, const Eigen::Vector3d& w1,
-                      const RotorVector& speed_squared) {
+                      const Eigen::Vector3d& torque, double speed_squared) {
   if (block_s_ == 0.0) first_w_ = w0;
   last_w_ = w1;
-  torque_sum_ += dt * RotorTorqueDirection(vehicle_, speed_squared);
+  torque_sum_ += dt * torque;
   rate_sum_ += 0.5 * dt * (w0 + w1);
-  thrust_sum_ += dt * speed_squared.sum();
+  thrust_sum_ += dt * speed_squared;
   block_s_ += dt;
   if (block_s_ >= kBlock_s) CloseBlock();
 }

@@ -31,7 +31,7 @@ LearningSchedule::LearningSchedule(const DynamicModel* model, const EstimatorOpt
       options_(options),
       with_torque_(with_torque),
       estimates_inertia_(EstimatesInertia(*model)),
-      gate_(model->vehicle(), options->inertia_gate_r_squared) {}
+      gate_(options->inertia_gate_r_squared) {}
 
 void LearningSchedule::CountFlight(double dt) { learned_s_ = std::max(0.0, learned_s_ + dt); }
 

@@ -8,6 +8,26 @@
 #include <stdexcept>
 
 namespace odmc {
+namespace {
+
+/// By how much the directions of `eigen`, the covariance in units of the priors' sigmas, are known
+/// worse: the mean over what each parameter contributes of the factor on the variance that the
+/// flight's noise makes. (The share of a variance that is the prior's is not known worse.) Widened
+/// along the parameters, what a flight knows well of a sum of two would be known of another sum.
+Eigen::VectorXd InflationAlong(const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>& eigen,
+                               const Eigen::VectorXd& inflation) {
+  const Eigen::MatrixXd shares = eigen.eigenvectors().cwiseAbs2();  // parameter, direction
+  const Eigen::VectorXd &variance = eigen.eigenvalues(), total = shares * variance;
+  const Eigen::VectorXd flown = (1.0 - (shares * variance.cwiseAbs2()).array() / total.array())
+                                    .max(0.0)
+                                    .matrix();  // of the variance, without the prior's share
+  const Eigen::VectorXd widened = (inflation.cwiseAbs2() + flown).array() - 1.0;
+  const Eigen::VectorXd sum = shares.transpose() * widened.cwiseMax(flown);
+  const Eigen::VectorXd weight = shares.transpose() * flown;
+  return (weight.array() > 0.0).select(sum.cwiseQuotient(weight).cwiseSqrt(), 1.0);
+}
+
+}  // namespace
 
 void SetLikelihood(const Eigen::VectorXd& value, const Eigen::MatrixXd& covariance,
                    const Eigen::VectorXd& inflation, const Eigen::VectorXd& prior_value,
@@ -34,8 +54,9 @@ void SetLikelihood(const Eigen::VectorXd& value, const Eigen::MatrixXd& covarian
     const double most = gained < 1.0 ? kSigmas * root_gained[i] : std::abs(moved[i]);
     centre[i] = information / gained * std::clamp(moved[i], -most, most);
   }
-  const Eigen::MatrixXd root = root_gained.asDiagonal() * V.transpose() *
-                               inflation.cwiseInverse().cwiseProduct(inverse).asDiagonal();
+  const Eigen::MatrixXd root =
+      root_gained.cwiseQuotient(InflationAlong(eigen, inflation)).asDiagonal() * V.transpose() *
+      inverse.asDiagonal();
   const Eigen::VectorXd z = prior_value + prior_sigma.cwiseProduct(V * centre);
   const Eigen::HouseholderQR<Eigen::MatrixXd> qr(root);
   factor->root = qr.matrixQR().triangularView<Eigen::Upper>();

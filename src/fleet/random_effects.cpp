@@ -19,6 +19,11 @@ constexpr int kMostIterations = 500;
 constexpr double kSettled = 1e-4;         // nats of a step of the scatter
 constexpr double kLeastVariance = 1e-14;  // in units of the priors' variances
 constexpr double kFree = 1e4;             // variance of what is a flight's own, in the same
+// Rate of the prior of a scatter, exponential in units of the parameter's prior sigma. That sigma
+// is by what vehicles differ; one vehicle's flights differ by half of it once in a hundred
+// parameters. Few flights would else explain what they disagree on by scatter of all that acts
+// alike, and the mean of each would go to its prior, away from what they agree on.
+const double kScatterRate = -2.0 * std::log(0.01);
 
 /// One flight in units of the priors' sigmas, from the priors' centres.
 struct Scaled {
@@ -174,7 +179,11 @@ VectorXd DegreesOfFreedom(const std::vector<Scaled>& flights, const Evaluation& 
   return freedom;
 }
 
-/// Moves the variances, from where they are, to those that balance squares and noise.
+/// Logarithm of the scatter's prior.
+double LogPrior(const VectorXd& variance) { return -kScatterRate * variance.cwiseSqrt().sum(); }
+
+/// Moves the variances, from where they are, to those that balance squares, noise and prior (whose
+/// tangent is taken: it bounds the root from above, so that no step makes it worse).
 /// @param e at `variance`, follows it
 /// @returns the number of steps
 int FitVariance(const std::vector<Scaled>& flights, VectorXd* variance, Evaluation* e) {
@@ -185,11 +194,13 @@ int FitVariance(const std::vector<Scaled>& flights, VectorXd* variance, Evaluati
     VectorXd next = *variance;
     for (Index k = 0; k < n; ++k) {
       if (balance.expected[k] <= 0.0 || (*variance)[k] <= kLeastVariance) continue;
-      next[k] = std::clamp((*variance)[k] * std::sqrt(balance.squares[k] / balance.expected[k]),
+      const double expected = balance.expected[k] + kScatterRate / std::sqrt((*variance)[k]);
+      next[k] = std::clamp((*variance)[k] * std::sqrt(balance.squares[k] / expected),
                            kLeastVariance, 1.0);
     }
     Evaluation better = Evaluate(flights, next);
-    const double gained = better.log_likelihood - e->log_likelihood;
+    const double gained =
+        better.log_likelihood + LogPrior(next) - e->log_likelihood - LogPrior(*variance);
     if (gained < 0.0 && iterations > 0) break;
     *variance = std::move(next);
     *e = std::move(better);

@@ -103,6 +103,80 @@ TEST(VerticalDrag, NeverAddsEnergy) {
   EXPECT_EQ(effect.At(Vector3d::Zero()).force.norm(), 0.0);
 }
 
+TEST(VerticalDrag, ActsAtItsPlace) {
+  // 1 cm ahead of the centre of mass and 2 cm to its left.
+  const Alone effect("vertical_drag", {0.05, 5e-4, 1e-3});
+  const Result climb = effect.At({3, 0, 4});
+  const Vector3d moment = Vector3d(0.01, 0.02, 0.0).cross(climb.force);
+  EXPECT_LT((climb.torque - moment).norm(), 1e-12);
+  EXPECT_GT(moment.y(), 0.0);  // drag at the nose pushes it down in a climb
+}
+
+TEST(DirectionalLift, GainsAlongOneAxisWhatItLosesAlongTheOther) {
+  const double thrust = 4.0 * 1.5e-6 * kOmega * kOmega;
+  const Alone effect("directional_lift", {0.1});
+  EXPECT_EQ(effect.At(Vector3d::Zero()).force.norm(), 0.0);
+  const double along_x = effect.At({6, 0, 0}).force.z(), along_y = effect.At({0, 6, 0}).force.z();
+  EXPECT_GT(along_x, 0.0);
+  EXPECT_NEAR(along_x, -along_y, 1e-12);
+  EXPECT_NEAR(effect.At({-6, 0, 0}).force.z(), along_x, 1e-12);
+  EXPECT_NEAR(effect.At({4, 4, 0}).force.z(), 0.0, 1e-12);
+  EXPECT_NEAR(effect.At({4, 4, 0}).torque.norm(), 0.0, 1e-12);
+  // The wake of level flight: v = v_h² / W, tan(χ) = u / v, by bisection.
+  const double hover_squared = thrust / 4.0 / (2.0 * 1.225 * M_PI * 0.0635 * 0.0635);
+  double low = 0.0, high = 20.0;
+  while (high - low > 1e-12) {
+    const double v = 0.5 * (low + high);
+    (v * std::hypot(6.0, v) < hover_squared ? low : high) = v;
+  }
+  const double skew = std::atan2(6.0, low);
+  // Speeds are rounded off below 0.5 m/s, which is 0.35 % of the direction at 6 m/s and of w.
+  EXPECT_NEAR(along_x, 0.1 * thrust * std::tan(0.5 * skew), 0.01 * along_x);
+  // It saturates at k_w of the thrust; climb straightens the wake, so there is less of it.
+  EXPECT_NEAR(effect.At({500, 0, 0}).force.z(), 0.1 * thrust, 0.02 * 0.1 * thrust);
+  EXPECT_LT(effect.At({6, 0, 4}).force.z(), along_x);
+  EXPECT_EQ(effect.At({6, 0, 0}, 0.0).force.z(), 0.0);
+}
+
+TEST(WakeMoment, IsThatOfTheThrustAheadOfTheHub) {
+  const double thrust = 4.0 * 1.5e-6 * kOmega * kOmega;
+  const Alone effect("wake_moment", {0.004, 0.01});
+  EXPECT_EQ(effect.At(Vector3d::Zero()).torque.norm(), 0.0);
+  const Result forward = effect.At({6, 0, 0}), left = effect.At({0, 6, 0});
+  EXPECT_LT(forward.torque.y(), 0.0);  // nose up
+  EXPECT_GT(left.torque.x(), 0.0);
+  EXPECT_NEAR(left.torque.x() / forward.torque.y(), -0.4, 1e-12);
+  EXPECT_EQ(forward.force.norm(), 0.0);
+  // By momentum theory thrust times sin(χ) is 2 ρ A v u_h per rotor.
+  const double disc = 1.225 * M_PI * 0.0635 * 0.0635, hover_squared = thrust / 4.0 / (2.0 * disc);
+  double low = 0.0, high = 20.0;
+  while (high - low > 1e-12) {
+    const double v = 0.5 * (low + high);
+    (v * std::hypot(6.0, v + 2.0) < hover_squared ? low : high) = v;
+  }
+  EXPECT_NEAR(effect.At({6, 0, 2}).torque.y(), -0.01 * 4.0 * 2.0 * disc * low * 6.0,
+              0.005 * std::abs(forward.torque.y()));
+  EXPECT_NEAR(effect.At({500, 0, 0}).torque.y(), -0.01 * thrust, 1e-3 * 0.01 * thrust);
+}
+
+// A jump would stay as large where the step is a tenth.
+TEST(WakeMoment, HasNoJumpAnywhereInADescent) {
+  const Alone moment("wake_moment", {0.0, 0.01}), lift("directional_lift", {0.1});
+  const auto largest_step = [](double step, const auto& at) {
+    double largest = 0.0;
+    for (double descent = -2.0; descent < 40.0; descent += step) {
+      largest = std::max(largest, std::abs(at(descent + step) - at(descent)));
+    }
+    return largest;
+  };
+  for (const double speed : {1.0, 3.0, 10.0}) {
+    const auto moment_at = [&](double v) { return moment.At({speed, 0, -v}).torque.y(); };
+    const auto lift_at = [&](double v) { return lift.At({speed, 0, -v}).force.z(); };
+    EXPECT_LT(largest_step(1e-3, moment_at), 0.12 * largest_step(1e-2, moment_at)) << speed;
+    EXPECT_LT(largest_step(1e-3, lift_at), 0.12 * largest_step(1e-2, lift_at)) << speed;
+  }
+}
+
 TEST(BodyMoment, TurnsAboutTheAxisAcrossTheAir) {
   const Alone effect("body_moment", {1e-3, 2e-3, 3e-3, 4e-3});
   EXPECT_LT((effect.At({10, 0, 0}).torque - Vector3d(0.0, 0.3, 0.0)).norm(), 1e-12);
@@ -163,11 +237,12 @@ TEST_P(Borrowing, DerivativeByTheThrustCoefficient) {
 }
 
 INSTANTIATE_TEST_SUITE_P(FastFlight, Borrowing,
-                         testing::Values("vortex_ring", "rotor_interference", "blade_element"),
+                         testing::Values("vortex_ring", "rotor_interference", "blade_element",
+                                         "directional_lift", "wake_moment"),
                          [](const auto& name) { return name.param; });
 
-const std::vector<std::string> kFast = {"inflow_drag", "saturating_lift", "vertical_drag",
-                                        "body_moment", "rotor_interference"};
+const std::vector<std::string> kFast = {"inflow_drag", "saturating_lift",    "vertical_drag",
+                                        "body_moment", "rotor_interference", "wake_moment"};
 
 /// Level flight at one speed, sinking at another.
 FlightMotion Flight(double speed, double descent) {
@@ -201,10 +276,10 @@ TEST(FastFlightEffects, AreAskedForOnFastFlightsOnly) {
   EXPECT_FALSE(IsCandidate("blade_element", Flight(15.0, 5.0)));
 }
 
-// Two flights of each with truths of natural size; scripts/effect_recovery flies many.
+// Six flights of each with truths of natural size; scripts/effect_recovery flies many.
 class Recovered : public testing::TestWithParam<std::string> {};
 
-TEST_P(Recovered, ComesBackWithinThreeSigma) {
+TEST_P(Recovered, ComesBackWithinThreeSigmaOnAllFlightsButOne) {
   Vehicle vehicle = NominalVehicle();
   if (GetParam() == "blade_element") {  // replaces drag, hvt and the damping of roll and pitch
     vehicle.effects = {"thrust", "rotor_torque", "centre_of_gravity", "inertia", "gravity"};
@@ -230,12 +305,12 @@ TEST_P(Recovered, ComesBackWithinThreeSigma) {
   options.simulation.log_rate_hz = 200.0;
   options.estimator.max_update_time_s = 10.0;
   options.estimator.keyframe_rate_hz = 50.0;
-  options.seeds = 2;
+  options.seeds = 6;
   options.jobs = 2;
   int checked = 0;
   for (const ParameterRecovery& p : Recover(vehicle, options).parameters) {
     if (p.full_name.rfind(GetParam() + ".", 0) != 0) continue;
-    EXPECT_EQ(p.coverage_3sigma, 1.0)
+    EXPECT_GE(p.coverage_3sigma, 5.0 / 6.0 - 1e-9)
         << p.full_name << " is off by " << p.median_error_over_sigma << " sigma";
     ++checked;
   }
@@ -245,7 +320,7 @@ TEST_P(Recovered, ComesBackWithinThreeSigma) {
 INSTANTIATE_TEST_SUITE_P(FastFlight, Recovered,
                          testing::Values("inflow_drag", "saturating_lift", "vortex_ring",
                                          "vertical_drag", "body_moment", "rotor_interference",
-                                         "blade_element"),
+                                         "directional_lift", "wake_moment", "blade_element"),
                          [](const auto& name) { return name.param; });
 
 }  // namespace

@@ -167,7 +167,9 @@ class Pipeline {
     smoother_.Add(intervals_, ToSeconds(to.stamp - FromSeconds(100.0)), dt, rotors->mean,
                   rotors->num_samples);
     smoother_.ForChanged([this](std::int64_t, const RotorRateSmoother::Rates&) { ++smoothed_; });
-    inertia_gate_.Add(dt, *from.w_WS_S, *to.w_WS_S, rotors->mean.speed_squared);
+    inertia_gate_.Add(dt, *from.w_WS_S, *to.w_WS_S,
+                      RotorTorqueDirection(vehicle_, rotors->mean.speed_squared),
+                      rotors->mean.speed_squared.sum());
     load_.Advance(MotionOf(from), MotionOf(to), dt, model_.InitialValues());
     LookAt(odometry_noise_.Noise());
     LookAt(rotor_noise_.Sigma());
@@ -213,7 +215,7 @@ class Pipeline {
   ProcessNoiseEstimator process_noise_{7.36, 0.145, 1.0};
   ChangeDetector change_detector_{7.36, vehicle_.inertia_kg_m2};
   PhaseWatch phases_{&model_, PhaseOptions(), false};
-  InertiaGate inertia_gate_{vehicle_};
+  InertiaGate inertia_gate_;
   LoadObserver load_{model_, true};
   Eigen::VectorXd score_ = Eigen::VectorXd::Ones(12);
   ParameterVector eta_ = ParameterVector::Ones(12);

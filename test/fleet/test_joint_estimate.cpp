@@ -154,7 +154,30 @@ TEST(FlightFactor, InflationWidensWithoutMoving) {
     return VectorXd(f.root.colPivHouseholderQr().solve(f.rhs));
   };
   EXPECT_LT((centre(plain) - centre(wide)).norm(), 1e-9);
-  EXPECT_NEAR(plain.root.norm() / wide.root.norm(), 3.0, 1e-9);
+  // 0.99 of the variance is the flight's, and all that makes it nine times as large.
+  EXPECT_NEAR(plain.root.norm() / wide.root.norm(), std::sqrt((9.0 - 0.01) / 0.99), 1e-9);
+}
+
+// Two flights know a + b well, and hardly either of them. What they say of it together lies
+// between what each says, however much worse than b a is known.
+TEST(FlightFactor, InflationLeavesWhatIsKnownOfASum) {
+  const VectorXd prior_value = VectorXd::Zero(2), prior_sigma = VectorXd::Ones(2);
+  VectorXd along(2), across(2), inflation(2);
+  along << 1.0, 1.0;
+  across << 1.0, -1.0;
+  inflation << 20.0, 1.0;
+  const MatrixXd covariance =
+      0.5 * (1e-6 * along * along.transpose() + 0.5 * across * across.transpose());
+  std::vector<FlightFactor> factors(2);
+  const double sums[] = {0.10, 0.12}, differences[] = {0.8, -0.6};
+  for (size_t i = 0; i < 2; ++i) {
+    factors[i].names = {"a", "b"};
+    SetLikelihood(0.5 * (sums[i] * along + differences[i] * across), covariance, inflation,
+                  prior_value, prior_sigma, &factors[i]);
+  }
+  const VectorXd no_scatter = VectorXd::Zero(2);
+  const RandomEffects fit = FitRandomEffects(factors, {}, &no_scatter);
+  EXPECT_NEAR(fit.beta.sum(), 0.11, 1e-3);
 }
 
 TEST(FlightFactor, RefusesACovarianceThatIsNone) {

@@ -51,6 +51,7 @@ class FactorBuilder {
   void AddImuFactors(const ImuInterval& imu, const DynamicsMeasurement& measurement,
                      const Eigen::Vector3d& force_sigma_N, const ModelNoise& model_noise,
                      std::int64_t id);
+  Eigen::Vector3d TorqueSeen(const KeyframeInterval& interval, const IntervalModel& k) const;
   DynamicsMeasurement MeasurementOf(const KeyframeInterval& interval, std::int64_t id,
                                     Stamp start) const;
   DynamicsNoise NoiseOf(const KeyframeInterval& interval, const ProcessNoiseEstimator& process,

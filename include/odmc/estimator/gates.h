@@ -8,7 +8,7 @@
 
 namespace odmc {
 
-/// Squared partial correlation of angular acceleration and rotor torque, rate and thrust taken out.
+/// Squared partial correlation of angular acceleration and torque, rate and thrust taken out.
 /// 0 where they go against each other.
 /// @param gram sum of z z^T, z = (acceleration, torque, rate, thrust) in any units
 double InertiaRSquared(const Eigen::Matrix4d& gram);
@@ -18,25 +18,27 @@ double InertiaRSquared(const Eigen::Matrix4d& gram);
 Eigen::Vector3d RotorTorqueDirection(const Vehicle& vehicle, const RotorVector& speed_squared);
 
 /// Tells per axis whether the flight shows the inertia at all. Regresses the angular acceleration
-/// on the rotor torque (differences over 50 ms, damping and a torque in proportion to thrust taken
-/// out): regressed the other way round it gives 1/r² times the inertia, so below r² = 0.5 two
-/// honest procedures differ by more than two (feedback in unsteady air does that:
-/// the rotors fight a disturbance, and their torque goes with minus the disturbance instead of the
-/// acceleration). The inertia then stays at its prior.
+/// on the torque (differences over 50 ms, damping and a torque in proportion to thrust taken out):
+/// regressed the other way round it gives 1/r² times the inertia, so below r² = 0.5 two honest
+/// procedures differ by more than two (feedback in unsteady air does that: the rotors fight a
+/// disturbance, and their torque goes with minus the disturbance instead of the acceleration). The
+/// inertia then stays at its prior. The torque is that of the whole model: what the rotors fight
+/// and an effect of the model explains is no disturbance.
 class InertiaGate {
  public:
-  explicit InertiaGate(const Vehicle& vehicle, double min_r_squared = 0.5);
+  explicit InertiaGate(double min_r_squared = 0.5);
 
-  /// One interval of dt seconds with rates before and after [rad/s, body axes] and mean squared
-  /// rotor speeds [rad²/s²].
+  /// One interval of dt seconds with rates before and after [rad/s, body axes].
+  /// @param torque in any unit per axis that stays the same over the flight
+  /// @param speed_squared sum of the rotors' squared speeds [rad²/s²]
   void Add(double dt, const Eigen::Vector3d& w0, const Eigen::Vector3d& w1,
-           const RotorVector& speed_squared);
+           const Eigen::Vector3d& torque, double speed_squared);
 
   /// Starts a new chain of intervals (after a gap).
   void Break();
 
   bool IsOpen(int axis) const { return seen_.open[axis]; }
-  /// Squared partial correlation of angular acceleration and rotor torque so far.
+  /// Squared partial correlation of angular acceleration and torque so far.
   double RSquared(int axis) const { return InertiaRSquared(seen_.gram[axis]); }
 
   /// What the flight has shown.
@@ -54,7 +56,6 @@ class InertiaGate {
  private:
   void CloseBlock();
 
-  Vehicle vehicle_;
   double min_r_squared_;
   Statistics seen_;
   // The block being filled.

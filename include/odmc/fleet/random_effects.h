@@ -35,8 +35,9 @@ struct RandomEffects {
   int iterations = 0;
 };
 
-/// Restricted maximum likelihood of the scatter, and of beta with it. Exact for linear problems:
-/// without scatter the result is that of all flights in one least-squares problem.
+/// Restricted maximum likelihood of the scatter times its prior (a half of the parameter's prior
+/// sigma is exceeded once in a hundred), and of beta with it. Exact for linear problems: without
+/// scatter the result is that of all flights in one least-squares problem.
 /// The updates of the scatter's variances are of MM type and never make the likelihood worse
 /// (Zhou, Hu, Zhou and Lange: MM algorithms for variance components models, JCGS 28, 2019).
 /// @param factors at least one, all with the same names; the priors of the first one hold
