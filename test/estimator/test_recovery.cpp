@@ -395,8 +395,16 @@ TEST(ActuatorFlight, ThrustCoefficientComesBackFromCommands) {
 // second the early keyframes left with guesses of both, and the estimate went from beside the truth
 // to a valley with the hub drag's sign turned around.
 TEST(Recovery, KeepsOutOfTheValleyBesideTheTruth) {
-  const UndeclaredFlight flight = MakeUndeclared(PlanUndeclared(121, 160)[152]);
-  ASSERT_EQ(flight.plan.effects, std::vector<std::string>{"rotor_drag"});
+  UndeclaredPlan plan;
+  plan.number = 152;
+  plan.kind = Undeclared::kOneEffect;
+  plan.effects = {"rotor_drag"};
+  plan.strength = "strong";
+  plan.share = 0.8;
+  plan.vehicle = 2;
+  plan.trajectory = "octo";
+  plan.seed = 121152;
+  const UndeclaredFlight flight = MakeUndeclared(plan);
   Vehicle vehicle = flight.declared;
   vehicle.effects.push_back("rotor_drag");
   const std::map<std::string, double> start = {{"thrust.k_f", 2.81757e-07},
