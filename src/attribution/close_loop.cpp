@@ -66,21 +66,27 @@ bool CanBlow(const Vehicle& vehicle, const std::vector<RankedEffect>& effects) {
   return !has && !HasEffect(effects, "gust");
 }
 
-/// Smallest ratio of errors, after over before, of any axis.
+/// Smallest and largest ratio of errors, after over before, of any axis; 1 where there is none.
+struct Ratios {
+  double least = 1.0, largest = 1.0;
+};
+
 /// @param felt true if the force that an accelerometer feels counts, too (a velocity's derivative
 /// may be mostly noise)
-double LeastRatio(const PredictionFigures& before, const PredictionFigures& after,
-                  bool felt = false) {
-  double least = 1.0;
+Ratios RatiosOf(const PredictionFigures& before, const PredictionFigures& after,
+                bool felt = false) {
+  Ratios ratios;
   for (const auto axes : {&PredictionFigures::force_rmse_N, &PredictionFigures::torque_rmse_Nm,
                           &PredictionFigures::accelerometer_force_rmse_N}) {
     if (axes == &PredictionFigures::accelerometer_force_rmse_N && !felt) continue;
     if (!(before.*axes) || !(after.*axes)) continue;
     for (int k = 0; k < 3; ++k) {
-      least = std::min(least, (*(after.*axes))[k] / std::max(1e-300, (*(before.*axes))[k]));
+      const double ratio = (*(after.*axes))[k] / std::max(1e-300, (*(before.*axes))[k]);
+      ratios.least = std::min(ratios.least, ratio);
+      ratios.largest = std::max(ratios.largest, ratio);
     }
   }
-  return least;
+  return ratios;
 }
 
 FlightFigures FlownFlight(const FlightLog& log, const ReplayResult& replay) {
@@ -328,7 +334,7 @@ void LoopSession::DropUnexplained() {
   if (effects_.empty() || unexplained <= options_.attribution.most_unexplained) return;
   gusts_.reset();  // they were looked for beside the effects
   after_ = RunWith(effects_, 1.0);
-  const double ratio = after_ ? LeastRatio(before_.held_out, after_->held_out) : 1.0;
+  const double ratio = after_ ? RatiosOf(before_.held_out, after_->held_out).least : 1.0;
   if (after_ && ratio <= options_.attribution.telling_ratio) return;
   DropAll(Rounded(100.0 * unexplained) + " % of the structure stays unexplained beside it");
 }
@@ -336,14 +342,20 @@ void LoopSession::DropUnexplained() {
 void LoopSession::DropIdle() {
   const Vehicle extended = VehicleWithEffects(effects_);
   const DynamicModel model(extended, extended.effects);
-  const bool predicts =
-      LeastRatio(before_.held_out, after_->held_out, true) < options_.attribution.least_ratio;
+  const Ratios ratios = RatiosOf(before_.held_out, after_->held_out, true);
+  const bool predicts = ratios.least < options_.attribution.least_ratio;
+  const bool ruins = ratios.largest > 1.0 / options_.attribution.telling_ratio;
+  // What speaks for it is the fit's; where the estimate contradicts the fit by more than that, it
+  // has to show a size, and must not ruin what it ought to predict.
   const auto idle = [&](const RankedEffect& effect) {
-    if (predicts || IsThere(effect, after_->parameters, model, options_.attribution)) return false;
     if (NatsAgainst(effect, after_->parameters, model) < effect.score) return false;
-    result_.warnings.push_back(effect.name + " gains " + Rounded(effect.score) +
-                               " nats, but the online estimate is zero within its sigma:" +
-                               EstimatesText(effect, after_->parameters, model));
+    const bool is_there = IsThere(effect, after_->parameters, model, options_.attribution);
+    if (!ruins && (predicts || is_there)) return false;
+    result_.warnings.push_back(
+        effect.name + " gains " + Rounded(effect.score) + " nats, but the online estimate " +
+        (is_there ? "contradicts that by more, and an axis is predicted twice as badly with it:"
+                  : "is zero within its sigma:") +
+        EstimatesText(effect, after_->parameters, model));
     return true;
   };
   const auto end = std::remove_if(effects_.begin(), effects_.end(), idle);

@@ -23,7 +23,7 @@ class DirectionalLift final : public Effect {
                 "beside hvt; nearly anisotropic_hvt over a narrow range of speeds. Quasi-steady; "
                 "not in the vortex ring state"},
                {{"k_w", "1", "share of thrust gained along body x and lost along body y, at most",
-                 0.0, 0.5, 0.1}},
+                 0.0, 0.2, 0.1}},
                {"thrust.k_f"}) {}
 
   std::vector<TellingPair> telling_pairs() const override {
