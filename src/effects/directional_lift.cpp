@@ -19,7 +19,8 @@ class DirectionalLift final : public Effect {
                {"directional_lift", "Lift by the direction of flight",
                 "f_j = k_w k_f Omega_j^2 cos(2 psi) tan(chi/2) e3 at hub j, psi direction of the "
                 "in-plane air velocity from body x, chi skew of the wake",
-                "Glauert 1926; Coleman et al. 1945; Pitt and Peters 1981; docs/effects.md",
+                "model.md 12.4 by the skew of the wake; Glauert 1926; Coleman et al. 1945; Pitt "
+                "and Peters 1981; docs/effects.md",
                 "beside hvt; nearly anisotropic_hvt over a narrow range of speeds. Quasi-steady; "
                 "not in the vortex ring state"},
                {{"k_w", "1", "share of thrust gained along body x and lost along body y, at most",

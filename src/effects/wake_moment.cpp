@@ -18,7 +18,8 @@ class WakeMoment final : public Effect {
                {"wake_moment", "Moment of the skewed wake",
                 "tau_j = k_f Omega_j^2 sin(chi) (l_x u_y, -l_y u_x, 0)/u_h, u_h in-plane air "
                 "velocity of hub j, chi skew of its wake",
-                "Glauert 1926; Coleman et al. 1945; Pitt and Peters 1981; docs/effects.md",
+                "model.md 12.5 by the skew of the wake; Glauert 1926; Coleman et al. 1945; Pitt "
+                "and Peters 1981; docs/effects.md",
                 "beside hub_moment; one with it while slow. Quasi-steady"},
                {Lever("l_x", "about body x", vehicle), Lever("l_y", "about body y", vehicle)},
                {"thrust.k_f"}) {}

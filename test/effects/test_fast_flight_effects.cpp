@@ -4,6 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
+#include <string>
+#include <vector>
 
 #include "odmc/attribution/candidates.h"
 #include "odmc/bench/recovery.h"
@@ -315,6 +318,31 @@ TEST_P(Recovered, ComesBackWithinThreeSigmaOnAllFlightsButOne) {
     ++checked;
   }
   EXPECT_EQ(checked, static_cast<int>(effect->parameters().size()));
+}
+
+// The rotors fight a moment that the model has: no reason to shut the gate on inertia, which had
+// let go of what ten seconds had shown without any noise.
+TEST(BodyMoment, LeavesTheInertiaToBeLearned) {
+  Vehicle vehicle = NominalVehicle();
+  vehicle.effects.emplace_back("body_moment");
+  const std::map<std::string, double> truth = {{"body_moment.p_x", 1e-3},
+                                               {"body_moment.q_x", -1.9e-3},
+                                               {"body_moment.p_y", 1e-3},
+                                               {"body_moment.q_y", -1.9e-3}};
+  for (const auto& [name, value] : truth) vehicle.parameters[name].value = value;
+  RecoveryOptions options;
+  options.simulation.trajectory = "aggressive";
+  options.simulation.duration_s = 20.0;
+  options.noise = SimulationNoise::None();
+  options.estimator.max_update_time_s = 10.0;
+  options.estimator.keyframe_rate_hz = 50.0;
+  options.seeds = 2;
+  options.jobs = 2;
+  for (const ParameterRecovery& p : Recover(RecoveryVehicle(vehicle), options).parameters) {
+    if (p.full_name.rfind("inertia.", 0) != 0) continue;
+    EXPECT_EQ(p.coverage_3sigma, 1.0) << p.full_name;
+    EXPECT_LT(p.median_relative_error.value_or(1.0), 0.01) << p.full_name;
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(FastFlight, Recovered,
