@@ -535,7 +535,7 @@ TEST(Undeclared, PlansHoldEveryEffectAndEnoughOfEachKind) {
     const auto effect = EffectRegistry::Default().Make(name, UndeclaredVehicles().front());
     EXPECT_EQ(acting.count(name), effect->shown_by().empty() ? 0u : 1u) << name;
   }
-  EXPECT_EQ(acting.size(), 20u);
+  EXPECT_EQ(acting.size(), 19u);
 }
 
 TEST(Undeclared, VehiclesReadBack) {
