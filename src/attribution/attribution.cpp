@@ -72,8 +72,8 @@ void BeginSpread(const std::vector<Eigen::Index>& settings, const Evidence& evid
 
 /// Another valley in which a fit may as well lie, with a load of the other sign at the other side.
 struct Valley {
-  double weight =
-      0.0;  ///< chance that it is the right one, times the square of the way there [sigma]
+  /// Chance that it is the right one, times the square of the way there [sigma].
+  double weight = 0.0;
   Eigen::MatrixXd spread;  ///< that chance times the square of the way, of RankedEffect::spread_of
 };
 

@@ -59,9 +59,8 @@ const std::vector<DecisionNumber>& DecisionNumbers() {
       {"most_unexplained", "1", &O::most_unexplained, 0.0, 1.0,
        "judgement: what explains less than half of the structure is not its cause"},
       {"telling_ratio", "1", &O::telling_ratio, 0.0, 1.0,
-       "judgement: unless it takes half of an axis' error on blocks held out; one that is doubled "
-       "is "
-       "ruined (by chance once in thirty, F test of eight errors)"},
+       "judgement: unless it takes half of an axis' error on blocks held out; one that is "
+       "doubled is ruined (by chance once in thirty, F test of eight errors)"},
       {"least_ratio", "1", &O::least_ratio, 0.0, 1.0,
        "judgement: the figures of two online runs differ by some 3 %"},
       {"gust_price", "nats", &O::gust_price, 0.0, 100.0,
