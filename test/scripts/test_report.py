@@ -232,6 +232,14 @@ class ReportTest(unittest.TestCase):
         for picture in self.pictures(reader):
             self.assertNotIn('<b>', picture)
 
+    def test_empty_cells_are_missing_values(self) -> None:
+        """At a row's start, within it, side by side and at its end; the line breaks there."""
+        cells = ((1.0, 2.0, 0.1), (None, 3.0, None), (2.0, None, None), (3.0, 4.0, None), (4.0, 5.0, 0.2))
+        write_csv(self.path('timing.csv'), ['t_s', 'wall_ms', 'cpu_ms'], [list(row) for row in cells])
+        svg, = self.pictures(self.render())
+        lines = re.findall(r'd="(M[^"]*)" fill="none" stroke="#(?:0b6fb8|d1495b)"', svg)
+        self.assertEqual([(line.count('M'), line.count('L')) for line in lines], [(2, 1), (2, 0)])
+
     def test_empty_torque_columns_leave_the_torque_out(self) -> None:
         self.write_all()
         write_prediction(self.path('prediction.csv'), 300, torque=False)
