@@ -99,7 +99,7 @@ struct IntervalResidual {
 /// The sizes in use follow in steps: all that was measured is weighed anew at each.
 class ProcessNoiseEstimator {
  public:
-  /// @param weight_N, arm_m, scale the floor and the start value to the vehicle
+  /// @param weight_N, arm_m  scale the floor and the start value to the vehicle
   ProcessNoiseEstimator(double weight_N, double arm_m, double floor_scale);
 
   /// Takes the post-fit residual of one interval.
