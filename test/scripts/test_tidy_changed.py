@@ -102,6 +102,10 @@ class TidyChangedTest(unittest.TestCase):
         lines = {'include/odmc/io/a.h': [[1, 1]], 'src/io/c.cpp': [[1, 1]]}
         self.assertEqual(TIDY.sources_for(lines, self.compiled), ['src/io/c.cpp'])
 
+    def test_what_changed_last_comes_first(self) -> None:
+        self.assertEqual(TIDY.newest_first(self.compiled, 'src/io/c.cpp\nsrc/io/b.h\n\nsrc/io/a.cpp\nsrc/io/c.cpp\n'),
+                         ['src/io/b.cpp', 'src/io/c.cpp', 'src/io/a.cpp'])
+
     @unittest.skipUnless(shutil.which('clang-tidy'), 'clang-tidy is not installed')
     def test_changed_lines_alone_are_judged_in_source_and_header(self) -> None:
         self.assertEqual(self.judge({'src/io/a.cpp': [[1, 2]]}).findings, '')
