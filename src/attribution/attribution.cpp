@@ -17,7 +17,9 @@ constexpr size_t kFittedSettings = 3;  // by either measure, and their refinemen
 constexpr int kPolishes = 8;           // linearizations of what is not linear, at most
 constexpr int kFirstPolishes = 3;      // of what gains nothing
 constexpr double kPolished = 0.2;      // sigmas: a smaller step ends them
-constexpr int kRefits = 5;             // at most
+// Motion is in proportion to the inverse of inertia: so far a change of inertia is in proportion.
+constexpr double kProportional = 0.1;
+constexpr int kRefits = 5;  // at most
 constexpr int kInertiaRefits = 2;
 constexpr int kSurrogates = 300;      // their 30 largest give the tail to 18 %
 constexpr size_t kMostFeatures = 10;  // that complete a set
@@ -30,6 +32,12 @@ bool IsUnphysical(const RankedEffect& effect) {
   return std::any_of(effect.remarks.begin(), effect.remarks.end(), [](const std::string& remark) {
     return remark.find(kUnphysical) != std::string::npos;
   });
+}
+
+/// Best first.
+void SortByScore(std::vector<RankedEffect>* effects) {
+  std::sort(effects->begin(), effects->end(),
+            [](const RankedEffect& a, const RankedEffect& b) { return a.score > b.score; });
 }
 
 std::vector<Instruments> InstrumentsOf(const std::vector<const ResidualModel*>& residuals) {
@@ -149,6 +157,7 @@ void Attribution::Screen(Evidence* evidence) const {
   for (const Candidate& candidate : candidates_) {
     const std::vector<std::string>& have = evidence->stage().vehicle.effects;
     if (std::find(have.begin(), have.end(), candidate.effect) != have.end()) continue;
+    if (hollow_.count(candidate.effect) > 0) continue;
     by_effect[candidate.effect].push_back(&candidate);
   }
   for (const auto& entry : by_effect) {
@@ -336,8 +345,7 @@ void Attribution::Rank(const Evidence& evidence) {
     if (it == best.end() || it->second.score < ranked.score) best[ranked.name] = ranked;
   }
   for (auto& entry : best) ranking_.push_back(std::move(entry.second));
-  std::sort(ranking_.begin(), ranking_.end(),
-            [](const auto& a, const auto& b) { return a.score > b.score; });
+  SortByScore(&ranking_);
 }
 
 double Attribution::ScoreOf(const Evidence& evidence, const VariantSet& set,
@@ -568,16 +576,78 @@ std::vector<ResidualModel::Wrenches> Attribution::Refit(Stage* stage) const {
   return residuals;
 }
 
+Evidence Attribution::EvidenceAtFit(const Stage& fitted, std::vector<Candidate> added) const {
+  Stage stage = fitted;
+  stage.vehicle = stage_.vehicle;
+  for (const char* const axis : {"inertia.x", "inertia.y", "inertia.z"}) {
+    const auto value = fitted.values.find(axis);
+    if (value == fitted.values.end()) continue;
+    ParameterSetting& setting = stage.vehicle.parameters[axis];
+    setting.value = value->second;
+    setting.sigma = std::min(setting.sigma.value_or(value->second), kProportional * value->second);
+  }
+  Evidence evidence(flights_, stage, jobs_);
+  for (Candidate& candidate : added) {
+    for (const std::string& name : candidate.fitted) {
+      candidate.settings[name] = fitted.values.at(name);
+    }
+    candidate.fitted.clear();
+    for (const auto& [name, value] : fitted.values) {
+      const bool is_own = name.rfind(candidate.effect + ".", 0) == 0;
+      if (is_own && candidate.settings.count(name) == 0) candidate.start[name] = value;
+    }
+    evidence.Add(candidate);
+  }
+  evidence.EstimateNoise();
+  return evidence;
+}
+
+bool Attribution::IsHollow(const Evidence& evidence, const VariantSet& set, const Stage& fitted) {
+  std::vector<Candidate> added;
+  for (const int v : set) added.push_back(evidence.variants()[v].candidate);
+  const Evidence at_fit = EvidenceAtFit(fitted, added);
+  VariantSet all;
+  for (size_t v = 0; v < at_fit.variants().size(); ++v) all.insert(static_cast<int>(v));
+  bool is_hollow = false;
+  for (const int v : all) {
+    const std::string& effect = at_fit.variants()[v].candidate.effect;
+    // What swings on each flight in its own way is not linearized about one start.
+    const bool swings = std::any_of(fitted.own.begin(), fitted.own.end(), [&](const auto& own) {
+      return std::any_of(own.begin(), own.end(), [&](const auto& value) {
+        return value.first.rfind(effect + ".", 0) == 0;
+      });
+    });
+    if (swings) continue;
+    VariantSet others = all;
+    others.erase(v);
+    const double score = ScoreOf(at_fit, all, others);
+    if (PValue(score) < options_.false_alarm_rate) continue;
+    refused_[effect] = "gains only " + Rounded(score) +
+                       " nats about what the fit with it has found, and chance as "
+                       "much in " +
+                       Rounded(100.0 * PValue(score)) + " % of such flights";
+    hollow_.insert(effect);
+    is_hollow = true;
+    for (RankedEffect& ranked : ranking_) {
+      if (ranked.name != effect || ranked.score < score) continue;
+      ranked.score = score;
+      ranked.p_value = PValue(score);
+    }
+  }
+  SortByScore(&ranking_);
+  return is_hollow;
+}
+
 void Attribution::Run() {
   before_ = Refit(&stage_);
   after_ = before_;
-  for (int round = 0; static_cast<int>(effects_.size()) < options_.most_effects; ++round) {
+  while (static_cast<int>(effects_.size()) < options_.most_effects) {
     Evidence evidence(flights_, stage_, jobs_);
     Screen(&evidence);
     Polish(&evidence);
     if (GivesUp() || evidence.variants().empty()) return;
     null_gains_ = evidence.SurrogateGains({}, kSurrogates, 1);
-    if (round == 0) Rank(evidence);
+    if (ranking_.empty()) Rank(evidence);
     const SearchResult found =
         SearchEffects(evidence, options_.log_prior_odds,
                       options_.most_effects - static_cast<int>(effects_.size()), give_up_);
@@ -590,8 +660,12 @@ void Attribution::Run() {
       if (!set.empty()) break;
     }
     if (set.empty()) return;
-    std::vector<RankedEffect> added;
     set = WithoutStrangers(evidence, Largest(evidence, set));
+    const EffectFit fit = evidence.Solve(set);
+    Stage fitted = evidence.Moved(set, fit);
+    std::vector<ResidualModel::Wrenches> left = Refit(&fitted);
+    if (IsHollow(evidence, set, fitted)) continue;
+    std::vector<RankedEffect> added;
     for (const int v : set) {
       added.push_back(Describe(evidence, v, set));
       added.back().probability = found.ProbabilityOf(added.back().name, evidence);
@@ -599,17 +673,15 @@ void Attribution::Run() {
       if (evidence.num_flights() > 1) added.back().by_flight = ByFlight(evidence, v, set);
     }
     const double gain = evidence.GainInNats(set);
-    const EffectFit fit = evidence.Solve(set);
     for (const int v : set) {
       const auto energy = evidence.EnergyOf(v, fit);
       for (int c = 0; c < kNumChannels; ++c) explained_[c] += energy[c];
     }
-    std::sort(added.begin(), added.end(),
-              [](const auto& a, const auto& b) { return a.score > b.score; });
+    SortByScore(&added);
     gain_ += gain;
     held_out_gain_ += evidence.HeldOutGain(set);
-    stage_ = evidence.Moved(set, fit);
-    after_ = Refit(&stage_);
+    stage_ = std::move(fitted);
+    after_ = std::move(left);
     for (RankedEffect& effect : added) {
       for (ParameterEstimate& p : effect.parameters) {
         const auto it = stage_.values.find(p.full_name);

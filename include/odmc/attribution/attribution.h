@@ -2,6 +2,7 @@
 
 #include <functional>
 #include <map>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -109,6 +110,13 @@ class Attribution {
   VariantSet WithoutStrangers(const Evidence& evidence, VariantSet set) const;
   /// Fits all values of the stage, linearized anew until they stay.
   std::vector<ResidualModel::Wrenches> Refit(Stage* stage) const;
+  /// The evidence for effects linearized about what the fit with them has found, inertia near that.
+  Evidence EvidenceAtFit(const Stage& fitted, std::vector<Candidate> added) const;
+  /// True if a fit from afar promised what is not there: the declared parameters went where they
+  /// do not act in proportion any more, and about what the fit with the effects has found one of
+  /// them gains no more than chance. Such an effect is not looked at again.
+  /// @param fitted the stage with the set, fitted
+  bool IsHollow(const Evidence& evidence, const VariantSet& set, const Stage& fitted);
   bool GivesUp() const { return give_up_ && give_up_(); }
 
   std::vector<Instruments> instruments_;  // by flight
@@ -123,6 +131,7 @@ class Attribution {
   std::vector<double> null_gains_;
   std::vector<RankedEffect> effects_, ranking_;
   std::map<std::string, std::string> refused_;
+  std::set<std::string> hollow_;
   std::array<double, kNumChannels> explained_{};  // by what was added, over the noise [nats]
   double gain_ = 0.0, held_out_gain_ = 0.0;
   std::vector<ResidualModel::Wrenches> before_, after_;  // by flight
