@@ -108,15 +108,18 @@ void WarnOfReaction(const TorqueBands& bands, std::vector<std::string>* warnings
   if (!warning.empty()) warnings->push_back(warning);
 }
 
+/// Brings a parameter's sigma to another, where that is larger.
+void WidenTo(double sigma, int index, Snapshot* snapshot) {
+  const double widening = std::max(1.0, sigma / snapshot->sigma[index]);
+  snapshot->sigma[index] *= widening;
+  snapshot->inflation[index] *= widening;
+  snapshot->covariance.row(index) *= widening;
+  snapshot->covariance.col(index) *= widening;
+}
+
 /// Brings the sigmas to what the thirds of the flight show.
 void WidenBy(const std::vector<ThirdsDifference>& thirds, Snapshot* snapshot) {
-  for (const ThirdsDifference& d : thirds) {
-    const double widening = std::max(1.0, d.spread / snapshot->sigma[d.index]);
-    snapshot->sigma[d.index] *= widening;
-    snapshot->inflation[d.index] *= widening;
-    snapshot->covariance.row(d.index) *= widening;
-    snapshot->covariance.col(d.index) *= widening;
-  }
+  for (const ThirdsDifference& d : thirds) WidenTo(d.spread, d.index, snapshot);
 }
 
 /// What the estimator makes of a flight.
@@ -144,35 +147,83 @@ TorqueBands BandsOf(const FlightLog& log, const DynamicModel& model, const Repla
                          replay.ground_spans);
 }
 
-/// The vehicle and the options with what bands know of its inertia.
-std::pair<Vehicle, EstimatorOptions> Told(const std::map<std::string, ParameterSetting>& by_bands,
-                                          const DynamicModel& model,
+/// What frequencies know, and the estimate does not.
+struct KnownByFrequency {
+  std::map<std::string, ParameterSetting> inertia;
+  TakenPoint taken;
+
+  bool empty() const { return inertia.empty() && taken.point.empty(); }
+};
+
+/// The vehicle and the options with what frequencies know.
+std::pair<Vehicle, EstimatorOptions> Told(const KnownByFrequency& known, const DynamicModel& model,
                                           const EstimatorOptions& options) {
+  // The estimator takes all errors for white noise, and would leave the point again.
+  constexpr double kHeld = 0.01;  // of the sigma by which it is known
   std::pair<Vehicle, EstimatorOptions> told(model.vehicle(), options);
   told.first.effects.clear();
   for (int i = 0; i < model.num_effects(); ++i) {
     told.first.effects.push_back(model.effect(i).name());
   }
-  for (const auto& [name, setting] : by_bands) {
-    ParameterSetting& own = told.first.parameters[name];
-    own.value = setting.value;
-    own.sigma = setting.sigma;
-    told.second.inertia_is_known[static_cast<size_t>(name.back() - 'x')] = true;
+  const auto tell = [&](const std::map<std::string, ParameterSetting>& settings, double share) {
+    for (const auto& [name, setting] : settings) {
+      told.first.parameters[name].value = setting.value;
+      told.first.parameters[name].sigma = share * *setting.sigma;
+    }
+  };
+  tell(known.inertia, 1.0);
+  for (const auto& entry : known.inertia) {
+    told.second.inertia_is_known[static_cast<size_t>(entry.first.back() - 'x')] = true;
   }
+  tell(known.taken.point, kHeld);
+  tell(known.taken.held, kHeld);
   return told;
 }
 
-/// The same flight once more, with the inertia that bands know better than the estimate.
+/// Gives what was held the sigma by which it is known. The force shows how far the point is from
+/// the centre of gravity: where that was held, too, both may be off by the same.
+void WidenHeld(const TakenPoint& taken, const DynamicModel& model, Snapshot* snapshot) {
+  Eigen::MatrixXd& C = snapshot->covariance;
+  for (const auto& [name, setting] : taken.point) {
+    const int k = model.IndexOf(name);
+    snapshot->inflation[k] = 1.0;
+    const double widening = *setting.sigma / std::sqrt(C(k, k));
+    C.row(k) *= widening;
+    C.col(k) *= widening;
+    const auto held = taken.held.find(std::string("centre_of_gravity.") + name.back());
+    Eigen::VectorXd shift = Eigen::VectorXd::Zero(C.rows());
+    if (held != taken.held.end()) {
+      const int c = model.IndexOf(held->first);
+      snapshot->inflation[c] = 1.0;
+      shift[k] = shift[c] = *held->second.sigma;
+    }
+    C += shift * shift.transpose();
+  }
+  for (const auto* some : {&taken.point, &taken.held}) {
+    for (const auto& entry : *some) {
+      const int k = model.IndexOf(entry.first);
+      snapshot->sigma[k] = std::sqrt(C(k, k));
+    }
+  }
+}
+
+/// The same flight once more, with what frequencies know better than the estimate: the inertia, and
+/// the recorded point.
 void LearnWithBands(const FlightLog& log, const DynamicModel& model,
                     const EstimatorOptions& options, const std::function<void(double)>& progress,
                     Learned* learned, Calibration* result) {
-  const auto by_bands = InertiaByBands(result->bands, model, learned->replay.last->sigma);
-  if (by_bands.empty()) return;
-  const auto [vehicle, told] = Told(by_bands, model, options);
+  const Snapshot& last = *learned->replay.last;
+  KnownByFrequency known;
+  if (!log.rotor_rms_only) known.inertia = InertiaByBands(result->bands, model, last.sigma);
+  known.taken = TakePoint(result->point, model, last.values, last.sigma);
+  if (known.empty()) return;
+  const auto [vehicle, told] = Told(known, model, options);
   Learned again = Learn(log, DynamicModel(vehicle, vehicle.effects), model, told, progress);
   if (!again.replay.last) return;
+  WidenHeld(known.taken, model, &*again.replay.last);
   *learned = std::move(again);
-  result->by_bands = by_bands;
+  result->by_bands = known.inertia;
+  result->taken_point = known.taken;
 }
 
 /// A result that rests on a few moments of flight, or shows no thrust.
@@ -300,17 +351,18 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
                       const std::function<void(double)>& progress,
                       const PredictionSink& predicted) {
   RefuseAllFrozen(model);
-  const bool has_torque = !log.rotor_rms_only;
   const auto part = [&](double from, double to) {
     return [&progress, from, to](double share) {
       if (progress) progress(from + share * (to - from));
     };
   };
   Calibration result;
-  Learned learned = Learn(log, model, model, options, part(0.0, has_torque ? 0.5 : 1.0));
+  Learned learned = Learn(log, model, model, options, part(0.0, 0.5));
   RefuseNeverAirborne(log, learned.replay, options);
   result.bands = BandsOf(recording, model, learned.replay);
-  if (has_torque) LearnWithBands(log, model, options, part(0.5, 1.0), &learned, &result);
+  result.point = FindRecordedPoint(recording, file_vehicle, model, learned.replay.last->values,
+                                   learned.replay.ground_spans);
+  LearnWithBands(log, model, options, part(0.5, 1.0), &learned, &result);
   if (progress) progress(1.0);
   result.replay = std::move(learned.replay);
   const Snapshot& last = *result.replay.last;
@@ -383,7 +435,8 @@ void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
                     Calibration* calibration) {
   const Snapshot& last = *calibration->replay.last;
   ParameterSet& set = calibration->parameters;
-  const auto [vehicle, told] = Told(calibration->by_bands, model, options);
+  const auto [vehicle, told] =
+      Told({calibration->by_bands, calibration->taken_point}, model, options);
   const DynamicModel told_model(vehicle, vehicle.effects);
   const Stamp from = last.stamp - FromSeconds(kLongestDoubt_s);
   for (const Eigen::VectorXd& change :

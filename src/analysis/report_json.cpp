@@ -61,6 +61,18 @@ Json PredictionCounts(const PredictionFigures& f) {
           {"prediction_on_ground", f.left_out_ground}};
 }
 
+Json RecordedPointJson(const RecordedPoint& point, const TakenPoint& taken) {
+  if (!point.p_m) return {{"value_m", nullptr}, {"why", point.why}};
+  Json names = Json::array();
+  for (const auto& entry : taken.point) names.push_back(entry.first);
+  return {{"value_m", JsonAxes(point.p_m)},
+          {"sigma_m", JsonAxes(Eigen::Vector3d(point.covariance.diagonal().cwiseSqrt()))},
+          {"low_Hz", point.low_Hz},
+          {"high_Hz", point.high_Hz},
+          {"flight_s", point.flight_s},
+          {"taken", names}};
+}
+
 }  // namespace
 
 std::string CalibrationReport(const Calibration& c, const DynamicModel& model) {
@@ -78,6 +90,7 @@ std::string CalibrationReport(const Calibration& c, const DynamicModel& model) {
   json["inertia_by_band"] = TorqueBandsJson(c.bands, c.nominal_inertia);
   json["taken_from_bands"] = Json::array();
   for (const auto& entry : c.by_bands) json["taken_from_bands"].push_back(entry.first);
+  json["recorded_point"] = RecordedPointJson(c.point, c.taken_point);
   if (c.left_out) {
     json["prediction_left_out"] = PredictionJson(c.left_out->figures);
     json["prediction_left_out"]["block_s"] = c.left_out->block_s;

@@ -104,6 +104,10 @@ std::string CalibrationTable(const Calibration& c) {
   text += "\n" + PredictionTable(c.prediction.figures);
   text += "\n" + TorqueBandsTable(c.bands, c.nominal_inertia);
   for (const auto& [name, setting] : c.by_bands) text += "taken from bands: " + name + "\n";
+  for (const auto& [name, setting] : c.taken_point.point) {
+    text += "taken from the force by frequency: " + name + " = " + Rounded(*setting.value) +
+            " +- " + Rounded(*setting.sigma) + " m\n";
+  }
   if (c.left_out) text += "\n" + LeftOutTable(*c.left_out);
   return text + "\n" + AlignColumns(timing, 1) + WarningLines(c.warnings) +
          TrustLines(c.findings, c.warnings);

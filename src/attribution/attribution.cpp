@@ -621,11 +621,8 @@ bool Attribution::IsHollow(const Evidence& evidence, const VariantSet& set, cons
     VariantSet others = all;
     others.erase(v);
     const double score = ScoreOf(at_fit, all, others);
-    if (PValue(score) < options_.false_alarm_rate) continue;
-    refused_[effect] = "gains only " + Rounded(score) +
-                       " nats about what the fit with it has found, and chance as "
-                       "much in " +
-                       Rounded(100.0 * PValue(score)) + " % of such flights";
+    if (score >= 0.0) continue;
+    refused_[effect] = "gains " + Rounded(score) + " nats about what the fit with it has found";
     hollow_.insert(effect);
     is_hollow = true;
     for (RankedEffect& ranked : ranking_) {

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "odmc/analysis/prediction.h"
+#include "odmc/analysis/recorded_point.h"
 #include "odmc/analysis/replay.h"
 #include "odmc/analysis/torque_bands.h"
 #include "odmc/inspection/stream_inspection.h"
@@ -44,6 +45,8 @@ struct Calibration {
   ReplayResult replay;
   Prediction prediction;
   TorqueBands bands;
+  RecordedPoint point;
+  TakenPoint taken_point;  ///< what was taken of it
   /// Inertia that was taken from bands, where they know it better than the estimator by itself.
   std::map<std::string, ParameterSetting> by_bands;
   Eigen::Vector3d nominal_inertia = Eigen::Vector3d::Ones();  ///< of the vehicle file [kg m²]

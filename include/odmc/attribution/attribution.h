@@ -113,8 +113,8 @@ class Attribution {
   /// The evidence for effects linearized about what the fit with them has found, inertia near that.
   Evidence EvidenceAtFit(const Stage& fitted, std::vector<Candidate> added) const;
   /// True if a fit from afar promised what is not there: the declared parameters went where they
-  /// do not act in proportion any more, and about what the fit with the effects has found one of
-  /// them gains no more than chance. Such an effect is not looked at again.
+  /// do not act in proportion any more, and about what the fit with the effects has found the
+  /// odds are against one of them. Such an effect is not looked at again.
   /// @param fitted the stage with the set, fitted
   bool IsHollow(const Evidence& evidence, const VariantSet& set, const Stage& fitted);
   bool GivesUp() const { return give_up_ && give_up_(); }

@@ -1,0 +1,396 @@
+#include "odmc/analysis/recorded_point.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <complex>
+#include <unsupported/Eigen/FFT>
+
+#include "odmc/analysis/prediction.h"
+#include "odmc/text/format.h"
+
+namespace odmc {
+namespace {
+
+using Eigen::Index;
+using Eigen::Matrix3d;
+using Eigen::MatrixXd;
+using Eigen::Vector3d;
+using Eigen::VectorXd;
+
+constexpr double kLongestSegment_s = 4.0, kShortestSegment_s = 1.0;
+constexpr int kFewestSegments = 8;      // one after the other
+constexpr int kSegmentsPerLength = 4;   // they overlap
+constexpr size_t kMostSegments = 256;   // of a longer flight, further apart
+constexpr double kHighest_Hz = 10.0;    // the filter of the motion takes what is above
+constexpr double kHighestShare = 0.2;   // of the odometry's rate
+constexpr double kLooked_Hz = 50.0;     // more samples a second say no more of that
+constexpr Index kLowestBin = 2;         // the window spreads a line over the bins below
+constexpr Index kSmoothedBins = 4;      // on either side
+constexpr double kHalfOctave = 1.4142;  // the highest frequency looked at is lowered by
+constexpr Index kFewestBins = 8;
+constexpr int kRounds = 4;      // of weights and fit
+constexpr double kStep = 1e-3;  // of a difference, in the parameter's scale
+
+/// What acts on the force at one time: the residual, and its derivatives by the parameters.
+using Rows = Eigen::Matrix<double, 3, Eigen::Dynamic>;
+
+/// Parameters of the model that are fitted: the point's three first.
+struct Unknowns {
+  std::vector<int> index;
+  VectorXd prior_mean, prior_sigma;  ///< of the change of their values
+};
+
+Vector3d ForceError(const FilteredMotion& motion, const Vector3d& pull_W, const Vehicle& vehicle,
+                    const DynamicModel& model, const ModelValues& values) {
+  const PredictionSample s = PredictSample(motion, pull_W, vehicle, model, values, false);
+  return s.measured_force - s.predicted_force;
+}
+
+double StepOf(const ModelParameter& p, double value) {
+  return kStep * std::max({std::abs(value), p.spec.scale, 1e-9});
+}
+
+/// Estimated parameters that may change the force. The centre of gravity is none of them: the point
+/// is seen from there.
+Unknowns UnknownsOf(const DynamicModel& model, const ModelValues& values) {
+  Unknowns unknowns;
+  const auto add = [&](int k) { unknowns.index.push_back(k); };
+  for (const char* const name : {"px", "py", "pz"}) {
+    add(model.IndexOf(std::string("odometry_extrinsics.") + name));
+  }
+  for (int k = 0; k < model.num_parameters(); ++k) {
+    const bool is_point = std::count(unknowns.index.begin(), unknowns.index.end(), k) > 0;
+    const ModelParameter& p = model.parameters()[k];
+    const bool is_body = p.effect == "inertia" || p.effect == "centre_of_gravity";
+    if (p.estimated && !is_point && !is_body) add(k);
+  }
+  const auto n = static_cast<Index>(unknowns.index.size());
+  unknowns.prior_mean.resize(n);
+  unknowns.prior_sigma.resize(n);
+  for (Index i = 0; i < n; ++i) {
+    const int k = unknowns.index[static_cast<size_t>(i)];
+    const ParameterSpec& spec = model.parameters()[k].spec;
+    unknowns.prior_mean[i] = spec.prior_value - values[k];
+    unknowns.prior_sigma[i] = spec.prior_sigma;
+  }
+  return unknowns;
+}
+
+/// Evenly sampled stretches of the flight without gaps.
+std::vector<std::vector<Rows>> RunsOf(const FlightMotion& flight, const Vehicle& vehicle,
+                                      const DynamicModel& model, const ModelValues& values,
+                                      const Unknowns& unknowns, int stride) {
+  const std::vector<Vector3d> pulls = LoadPulls(flight, model, values);
+  std::vector<std::vector<Rows>> runs;
+  int since = 0;
+  for (size_t i = 0; i < flight.samples.size(); ++i) {
+    const FilteredMotion& motion = flight.samples[i];
+    if (!motion.follows || runs.empty()) {
+      runs.emplace_back();
+      since = 0;
+    }
+    if (since++ % stride != 0) continue;
+    Rows rows(3, static_cast<Index>(unknowns.index.size()) + 1);
+    rows.col(0) = ForceError(motion, pulls[i], vehicle, model, values);
+    for (size_t j = 0; j < unknowns.index.size(); ++j) {
+      const int k = unknowns.index[j];
+      ModelValues changed = values;
+      const double step = StepOf(model.parameters()[k], values[k]);
+      changed[k] += step;
+      rows.col(static_cast<Index>(j) + 1) =
+          (rows.col(0) - ForceError(motion, pulls[i], vehicle, model, changed)) / step;
+    }
+    runs.back().push_back(std::move(rows));
+  }
+  return runs;
+}
+
+/// Sums over one segment at one frequency and axis.
+struct Bin {
+  MatrixXd XX;
+  VectorXd Xy;
+  double yy = 0.0;
+};
+
+/// A regression in the frequency domain.
+class SpectralFit {
+ public:
+  SpectralFit(const Unknowns& unknowns, Index length, Index bins)
+      : unknowns_(unknowns), length_(length), bins_(bins) {
+    for (Index i = 0; i < length; ++i) {
+      window_.push_back(0.5 - 0.5 * std::cos(2.0 * M_PI * (static_cast<double>(i) + 0.5) /
+                                             static_cast<double>(length)));
+    }
+  }
+
+  void AddSegment(const Rows* rows) {
+    std::vector<Bin>& segment = segments_.emplace_back();
+    const Index columns = rows->cols();
+    for (Index axis = 0; axis < 3; ++axis) {
+      Eigen::MatrixXcd spectra(bins_, columns);
+      for (Index c = 0; c < columns; ++c) spectra.col(c) = SpectrumOf(rows, axis, c);
+      for (Index f = 0; f < bins_; ++f) {
+        const Eigen::RowVectorXcd x = spectra.row(f).tail(columns - 1);
+        const std::complex<double> y = spectra(f, 0);
+        segment.push_back({(x.adjoint() * x).real(), (x.adjoint() * y).real(), std::norm(y)});
+      }
+    }
+  }
+  size_t num_segments() const { return segments_.size(); }
+
+  /// Weights each frequency and axis by what the fit leaves there, and fits again.
+  /// @param bins lowest ones that count
+  void Fit(Index bins) {
+    Eigen::ArrayXXd counts = Eigen::ArrayXXd::Zero(bins_, 3);
+    counts.topRows(bins) = 1.0;
+    weight_ = counts;
+    for (int round = 0; round < kRounds; ++round) {
+      x_ = SolveWith(weight_);
+      Eigen::ArrayXXd left = Eigen::ArrayXXd::Zero(bins_, 3);
+      for (const std::vector<Bin>& segment : segments_) {
+        for (Index axis = 0; axis < 3; ++axis) {
+          for (Index f = 0; f < bins_; ++f) {
+            const Bin& bin = segment[static_cast<size_t>(axis * bins_ + f)];
+            left(f, axis) += std::max(0.0, bin.yy - 2.0 * x_.dot(bin.Xy) + x_.dot(bin.XX * x_));
+          }
+        }
+      }
+      left /= static_cast<double>(segments_.size());
+      const double least = 1e-12 * std::max(left.maxCoeff(), 1e-300);
+      for (Index axis = 0; axis < 3; ++axis) {
+        for (Index f = 0; f < bins; ++f) {
+          const Index from = std::max<Index>(0, f - kSmoothedBins);
+          const Index to = std::min(bins - 1, f + kSmoothedBins);
+          const auto around = left.col(axis).segment(from, to - from + 1).max(least);
+          weight_(f, axis) = std::exp(-around.log().mean());
+        }
+      }
+    }
+    x_ = SolveWith(weight_);
+  }
+
+  Vector3d Point() const { return x_.head<3>(); }
+  /// By what the segments say, one after the other (Newey and West, Econometrica 1987).
+  Matrix3d Covariance() const { return CovarianceOf(x_, weight_); }
+
+  /// Chi-squared, of three degrees of freedom, of the difference between what the frequencies below
+  /// and above the one say that halves what they know of the point.
+  double HalvesChiSquared() const {
+    VectorXd known = VectorXd::Zero(bins_);
+    for (const std::vector<Bin>& segment : segments_) {
+      for (Index axis = 0; axis < 3; ++axis) {
+        for (Index f = 0; f < bins_; ++f) {
+          known[f] += weight_(f, axis) *
+                      segment[static_cast<size_t>(axis * bins_ + f)].XX.diagonal().head<3>().sum();
+        }
+      }
+    }
+    Index half = 0;
+    for (double sum = 0.0; half < bins_ && sum < 0.5 * known.sum(); ++half) sum += known[half];
+    if (half < 1 || half >= bins_) return 0.0;
+    Eigen::ArrayXXd low = weight_, high = weight_;
+    low.bottomRows(bins_ - half) = 0.0;
+    high.topRows(half) = 0.0;
+    const VectorXd x_low = SolveWith(low), x_high = SolveWith(high);
+    const Matrix3d C = CovarianceOf(x_low, low) + CovarianceOf(x_high, high);
+    const Vector3d d = x_low.head<3>() - x_high.head<3>();
+    return d.dot(C.ldlt().solve(d));
+  }
+
+ private:
+  Eigen::VectorXcd SpectrumOf(const Rows* rows, Index axis, Index column) {
+    std::vector<double> values(static_cast<size_t>(length_));
+    const double middle = 0.5 * static_cast<double>(length_ - 1);
+    double mean = 0.0, slope = 0.0, square = 0.0;
+    for (Index i = 0; i < length_; ++i) {
+      const double along = static_cast<double>(i) - middle;
+      const double value = rows[i](axis, column);
+      values[static_cast<size_t>(i)] = value;
+      mean += value / static_cast<double>(length_);
+      slope += along * value;
+      square += along * along;
+    }
+    for (Index i = 0; i < length_; ++i) {
+      double& value = values[static_cast<size_t>(i)];
+      const double line = mean + slope / square * (static_cast<double>(i) - middle);
+      value = window_[static_cast<size_t>(i)] * (value - line);
+    }
+    std::vector<std::complex<double>> spectrum;
+    fft_.fwd(spectrum, values);
+    return Eigen::Map<Eigen::VectorXcd>(spectrum.data() + kLowestBin, bins_);
+  }
+
+  /// Normal matrix and right-hand side of one segment.
+  std::pair<MatrixXd, VectorXd> SumOf(const std::vector<Bin>& segment,
+                                      const Eigen::ArrayXXd& weight) const {
+    const Index n = unknowns_.prior_mean.size();
+    std::pair<MatrixXd, VectorXd> sum(MatrixXd::Zero(n, n), VectorXd::Zero(n));
+    for (Index axis = 0; axis < 3; ++axis) {
+      for (Index f = 0; f < bins_; ++f) {
+        const Bin& bin = segment[static_cast<size_t>(axis * bins_ + f)];
+        sum.first += weight(f, axis) * bin.XX;
+        sum.second += weight(f, axis) * bin.Xy;
+      }
+    }
+    return sum;
+  }
+
+  /// The normal matrix of all, with the priors, in units of these.
+  MatrixXd Normal(const Eigen::ArrayXXd& weight, VectorXd* rhs) const {
+    const Index n = unknowns_.prior_mean.size();
+    MatrixXd H = MatrixXd::Zero(n, n);
+    VectorXd g = VectorXd::Zero(n);
+    for (const std::vector<Bin>& segment : segments_) {
+      const auto [XX, Xy] = SumOf(segment, weight);
+      H += XX;
+      g += Xy;
+    }
+    const auto S = unknowns_.prior_sigma.asDiagonal();
+    // Segments that overlap count a sample more than once, the prior as often.
+    const double times = kSegmentsPerLength;
+    H = (S * H * S).eval();
+    H.diagonal().array() += times;
+    *rhs = S * g + times * unknowns_.prior_mean.cwiseQuotient(unknowns_.prior_sigma);
+    return H;
+  }
+
+  VectorXd SolveWith(const Eigen::ArrayXXd& weight) const {
+    VectorXd rhs;
+    const MatrixXd H = Normal(weight, &rhs);
+    return unknowns_.prior_sigma.cwiseProduct(H.ldlt().solve(rhs));
+  }
+
+  Matrix3d CovarianceOf(const VectorXd& x, const Eigen::ArrayXXd& weight) const {
+    const Index n = x.size();
+    VectorXd rhs;
+    const MatrixXd H = Normal(weight, &rhs);
+    std::vector<VectorXd> scores;
+    for (const std::vector<Bin>& segment : segments_) {
+      const auto [XX, Xy] = SumOf(segment, weight);
+      scores.push_back(unknowns_.prior_sigma.cwiseProduct(Xy - XX * x));
+    }
+    MatrixXd B = MatrixXd::Zero(n, n);
+    for (size_t i = 0; i < scores.size(); ++i) {
+      B += scores[i] * scores[i].transpose();
+      for (size_t lag = 1; lag < kSegmentsPerLength && i + lag < scores.size(); ++lag) {
+        const double share = 1.0 - static_cast<double>(lag) / kSegmentsPerLength;
+        B += share *
+             (scores[i] * scores[i + lag].transpose() + scores[i + lag] * scores[i].transpose());
+      }
+    }
+    B.diagonal().array() += kSegmentsPerLength;  // the priors' share
+    const MatrixXd inverse = H.ldlt().solve(MatrixXd::Identity(n, n));
+    const MatrixXd C = inverse * B * inverse;
+    // Few segments fit what they are judged by.
+    const double independent = static_cast<double>(segments_.size()) / kSegmentsPerLength;
+    const double scale = independent / std::max(1.0, independent - 3.0);
+    const Vector3d S = unknowns_.prior_sigma.head<3>();
+    return scale * (S.asDiagonal() * C.topLeftCorner<3, 3>() * S.asDiagonal());
+  }
+
+  const Unknowns& unknowns_;
+  Index length_, bins_;
+  std::vector<double> window_;
+  std::vector<std::vector<Bin>> segments_;  // bins by axis, then frequency
+  Eigen::ArrayXXd weight_;                  // bins × 3
+  VectorXd x_;                              // change of the values
+  Eigen::FFT<double> fft_;
+};
+
+bool IsEstimated(const DynamicModel& model, const std::string& name) {
+  const int k = model.IndexOf(name);
+  return k >= 0 && model.parameters()[k].estimated;
+}
+
+}  // namespace
+
+RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicle,
+                                const DynamicModel& model, const ModelValues& values,
+                                const std::vector<std::pair<Stamp, Stamp>>& ground_spans) {
+  RecordedPoint point;
+  for (const char* const name : {"px", "py", "pz"}) {
+    if (IsEstimated(model, std::string("odometry_extrinsics.") + name)) continue;
+    point.why = "the model does not estimate odometry_extrinsics." + std::string(name);
+    return point;
+  }
+  const FlightMotion flight = FilterFlight(log, file_vehicle.num_rotors(), ground_spans);
+  if (flight.samples.empty()) {
+    point.why = "no flight without gaps";
+    return point;
+  }
+  const int stride = std::max(1, static_cast<int>(1.0 / (flight.step_s * kLooked_Hz)));
+  const double step_s = stride * flight.step_s;
+  const Unknowns unknowns = UnknownsOf(model, values);
+  const auto runs = RunsOf(flight, file_vehicle, model, values, unknowns, stride);
+  size_t samples = 0;
+  for (const auto& run : runs) samples += run.size();
+  point.flight_s = static_cast<double>(samples) * step_s;
+  const double segment_s = std::min(kLongestSegment_s, point.flight_s / kFewestSegments);
+  const auto length = static_cast<Index>(segment_s / step_s);
+  point.high_Hz = std::min(kHighest_Hz, kHighestShare / flight.step_s);
+  const Index bins = static_cast<Index>(point.high_Hz * segment_s) - kLowestBin + 1;
+  if (segment_s < kShortestSegment_s || bins < kFewestBins) {
+    point.why = "too little flight: " + Rounded(point.flight_s) + " s";
+    return point;
+  }
+  point.low_Hz = static_cast<double>(kLowestBin) / segment_s;
+  const size_t apart =
+      std::max(static_cast<size_t>(length) / kSegmentsPerLength, samples / kMostSegments + 1);
+  SpectralFit fit(unknowns, length, bins);
+  for (const auto& run : runs) {
+    for (size_t from = 0; from + static_cast<size_t>(length) <= run.size(); from += apart) {
+      fit.AddSegment(run.data() + from);
+    }
+  }
+  if (fit.num_segments() < static_cast<size_t>(kFewestSegments * kSegmentsPerLength / 2)) {
+    point.why = "too little flight without gaps";
+    return point;
+  }
+  Vector3d now;
+  for (Index i = 0; i < 3; ++i) now[i] = values[unknowns.index[static_cast<size_t>(i)]];
+  // Velocities are smoother than rates on some recordings, and the point seems nearer at high
+  // frequencies; at low ones it follows the air. Nobody knows the range: all count, by their
+  // variances, and the sigma knows how far they differ.
+  double ranges = 0.0;
+  Vector3d sum = Vector3d::Zero();
+  Matrix3d squares = Matrix3d::Zero(), noise = Matrix3d::Zero();
+  for (double share = 1.0; share * static_cast<double>(bins) >= kFewestBins; share /= kHalfOctave) {
+    fit.Fit(static_cast<Index>(share * static_cast<double>(bins)));
+    const Vector3d p = fit.Point();
+    const Matrix3d C = std::max(1.0, fit.HalvesChiSquared() / 3.0) * fit.Covariance();  // Birge
+    if (!C.allFinite() || !p.allFinite()) continue;
+    const double weight = 1.0 / C.trace();
+    ranges += weight;
+    sum += weight * p;
+    squares += weight * p * p.transpose();
+    noise += weight * C;
+  }
+  if (ranges > 0.0) {
+    const Vector3d mean = sum / ranges;
+    point.p_m = now + mean;
+    point.covariance = noise / ranges + squares / ranges - mean * mean.transpose();
+  }
+  if (!point.p_m) point.why = "the flight does not show it";
+  return point;
+}
+
+TakenPoint TakePoint(const RecordedPoint& point, const DynamicModel& model,
+                     const ModelValues& values, const VectorXd& sigma) {
+  constexpr double kShown = 0.5;  // of the prior's sigma
+  TakenPoint taken;
+  if (!point.p_m) return taken;
+  for (Index axis = 0; axis < 3; ++axis) {
+    const char letter = "xyz"[axis];
+    const int k = model.IndexOf(std::string("odometry_extrinsics.p") + letter);
+    const int c = model.IndexOf(std::string("centre_of_gravity.") + letter);
+    const double own = std::sqrt(point.covariance(axis, axis));
+    if (own > kShown * model.parameters()[k].spec.prior_sigma) continue;
+    taken.point[model.parameters()[k].full_name] = {(*point.p_m)[axis], own, true};
+    if (c < 0 || !model.parameters()[c].estimated || sigma[c] < own) continue;
+    taken.held[model.parameters()[c].full_name] = {values[c], sigma[c], true};
+  }
+  return taken;
+}
+
+}  // namespace odmc
