@@ -183,26 +183,24 @@ std::pair<Vehicle, EstimatorOptions> Told(const KnownByFrequency& known, const D
 /// Gives what was held the sigma by which it is known. The force shows how far the point is from
 /// the centre of gravity: where that was held, too, both may be off by the same.
 void WidenHeld(const TakenPoint& taken, const DynamicModel& model, Snapshot* snapshot) {
+  const Eigen::VectorXd sigma_held = snapshot->sigma;
   Eigen::MatrixXd& C = snapshot->covariance;
   for (const auto& [name, setting] : taken.point) {
     const int k = model.IndexOf(name);
-    snapshot->inflation[k] = 1.0;
     const double widening = *setting.sigma / std::sqrt(C(k, k));
     C.row(k) *= widening;
     C.col(k) *= widening;
     const auto held = taken.held.find(std::string("centre_of_gravity.") + name.back());
+    if (held == taken.held.end()) continue;
     Eigen::VectorXd shift = Eigen::VectorXd::Zero(C.rows());
-    if (held != taken.held.end()) {
-      const int c = model.IndexOf(held->first);
-      snapshot->inflation[c] = 1.0;
-      shift[k] = shift[c] = *held->second.sigma;
-    }
+    shift[k] = shift[model.IndexOf(held->first)] = *held->second.sigma;
     C += shift * shift.transpose();
   }
   for (const auto* some : {&taken.point, &taken.held}) {
     for (const auto& entry : *some) {
       const int k = model.IndexOf(entry.first);
       snapshot->sigma[k] = std::sqrt(C(k, k));
+      snapshot->inflation[k] *= snapshot->sigma[k] / sigma_held[k];
     }
   }
 }

@@ -62,8 +62,9 @@ TEST(MeasuredCrazyflie, HasAHubMomentOnFlightsOfSeconds) {
   }
 }
 
-// With k_f held a wind and a lift that is even in the air speed have a second valley, into which
-// the online estimate goes: 3.8 m/s from behind in a closed room, against 1.1 m/s of the fit.
+// With k_f held a wind and a lift that is even in the air speed have a second valley: 3.8 m/s from
+// behind in a closed room. A fit from afar gains by it, and an online estimate goes into it; either
+// has to be found out.
 TEST(MeasuredCrazyflie, NamesNothingThatRuinsAForce) {
   const std::string file = RecordedFile("imrc_cf21_brushless/eckart13.csv");
   if (file.empty()) GTEST_SKIP() << "no recorded data";
@@ -81,9 +82,15 @@ TEST(MeasuredCrazyflie, NamesNothingThatRuinsAForce) {
     EXPECT_LT((*loop.after.force_rmse_N)[axis], 2.0 * (*loop.before.force_rmse_N)[axis])
         << CloseLoopTable(loop);
   }
-  EXPECT_TRUE(std::any_of(loop.warnings.begin(), loop.warnings.end(), [](const std::string& w) {
-    return w.find("twice as badly") != std::string::npos;
-  })) << CloseLoopTable(loop);
+  EXPECT_EQ(std::count(loop.effect_names.begin(), loop.effect_names.end(), "wind"), 0)
+      << CloseLoopTable(loop);
+  const auto wind = std::find_if(loop.ranking.begin(), loop.ranking.end(),
+                                 [](const RankedEffect& ranked) { return ranked.name == "wind"; });
+  ASSERT_NE(wind, loop.ranking.end());
+  const bool is_said = !wind->remarks.empty() ||
+                       std::any_of(loop.warnings.begin(), loop.warnings.end(),
+                                   [](const auto& w) { return w.rfind("wind gains", 0) == 0; });
+  EXPECT_TRUE(is_said) << CloseLoopTable(loop);
 }
 
 }  // namespace

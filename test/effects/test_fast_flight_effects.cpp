@@ -106,21 +106,6 @@ TEST(VerticalDrag, NeverAddsEnergy) {
   EXPECT_EQ(effect.At(Vector3d::Zero()).force.norm(), 0.0);
 }
 
-TEST(LateralDrag, NeverAddsEnergyAndIsAnEllipse) {
-  const Alone effect("lateral_drag", {0.01, 0.03, 0.005});
-  Random random(4);
-  for (int i = 0; i < 100; ++i) {
-    const Vector3d air = random.Next3(15.0);
-    const Result r = effect.At(air);
-    EXPECT_LE(r.force.dot(air), 0.0);
-    EXPECT_EQ(r.force.z(), 0.0);
-    EXPECT_EQ(r.torque.norm(), 0.0);
-  }
-  EXPECT_LT((effect.At({10, 0, 0}).force - Vector3d(-1.0, -0.5, 0.0)).norm(), 1e-12);
-  EXPECT_LT((effect.At({0, 10, 0}).force - Vector3d(-0.5, -3.0, 0.0)).norm(), 1e-12);
-  EXPECT_EQ(effect.At(Vector3d::Zero()).force.norm(), 0.0);
-}
-
 TEST(VerticalDrag, ActsAtItsPlace) {
   // 1 cm ahead of the centre of mass and 2 cm to its left.
   const Alone effect("vertical_drag", {0.05, 5e-4, 1e-3});
@@ -260,8 +245,7 @@ INSTANTIATE_TEST_SUITE_P(FastFlight, Borrowing,
                          [](const auto& name) { return name.param; });
 
 const std::vector<std::string> kFast = {"inflow_drag", "saturating_lift",    "vertical_drag",
-                                        "body_moment", "rotor_interference", "wake_moment",
-                                        "lateral_drag"};
+                                        "body_moment", "rotor_interference", "wake_moment"};
 
 /// Level flight at one speed, sinking at another.
 FlightMotion Flight(double speed, double descent) {
@@ -364,8 +348,7 @@ TEST(BodyMoment, LeavesTheInertiaToBeLearned) {
 INSTANTIATE_TEST_SUITE_P(FastFlight, Recovered,
                          testing::Values("inflow_drag", "saturating_lift", "vortex_ring",
                                          "vertical_drag", "body_moment", "rotor_interference",
-                                         "directional_lift", "wake_moment", "blade_element",
-                                         "lateral_drag"),
+                                         "directional_lift", "wake_moment", "blade_element"),
                          [](const auto& name) { return name.param; });
 
 }  // namespace

@@ -51,7 +51,6 @@
   X(vortex_ring, MakeVortexRing)                      \
   X(directional_lift, MakeDirectionalLift)            \
   X(vertical_drag, MakeVerticalDrag)                  \
-  X(lateral_drag, MakeLateralDrag)                    \
   X(wake_moment, MakeWakeMoment)                      \
   X(body_moment, MakeBodyMoment)                      \
   X(rotor_interference, MakeRotorInterference)        \
