@@ -199,8 +199,12 @@ void WidenHeld(const TakenPoint& taken, const DynamicModel& model, Snapshot* sna
   for (const auto* some : {&taken.point, &taken.held}) {
     for (const auto& entry : *some) {
       const int k = model.IndexOf(entry.first);
+      const std::string centre = std::string("centre_of_gravity.") + entry.first.back();
       snapshot->sigma[k] = std::sqrt(C(k, k));
-      snapshot->inflation[k] *= snapshot->sigma[k] / sigma_held[k];
+      // Of a pair the sum and the difference are known, which no factor of either one tells.
+      snapshot->inflation[k] = taken.held.count(centre) > 0
+                                   ? 1.0
+                                   : snapshot->inflation[k] * snapshot->sigma[k] / sigma_held[k];
     }
   }
 }
