@@ -108,18 +108,15 @@ void WarnOfReaction(const TorqueBands& bands, std::vector<std::string>* warnings
   if (!warning.empty()) warnings->push_back(warning);
 }
 
-/// Brings a parameter's sigma to another, where that is larger.
-void WidenTo(double sigma, int index, Snapshot* snapshot) {
-  const double widening = std::max(1.0, sigma / snapshot->sigma[index]);
-  snapshot->sigma[index] *= widening;
-  snapshot->inflation[index] *= widening;
-  snapshot->covariance.row(index) *= widening;
-  snapshot->covariance.col(index) *= widening;
-}
-
 /// Brings the sigmas to what the thirds of the flight show.
 void WidenBy(const std::vector<ThirdsDifference>& thirds, Snapshot* snapshot) {
-  for (const ThirdsDifference& d : thirds) WidenTo(d.spread, d.index, snapshot);
+  for (const ThirdsDifference& d : thirds) {
+    const double widening = std::max(1.0, d.spread / snapshot->sigma[d.index]);
+    snapshot->sigma[d.index] *= widening;
+    snapshot->inflation[d.index] *= widening;
+    snapshot->covariance.row(d.index) *= widening;
+    snapshot->covariance.col(d.index) *= widening;
+  }
 }
 
 /// What the estimator makes of a flight.

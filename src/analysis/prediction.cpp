@@ -2,6 +2,7 @@
 
 #include <Eigen/LU>
 #include <algorithm>
+#include <cmath>
 
 namespace odmc {
 namespace {
@@ -34,6 +35,13 @@ FlightState FlightStateOf(const FilteredMotion& motion, const Vector3d& load_pul
 }
 
 }  // namespace
+
+double DifferenceStep(const ModelParameter& parameter, double value) {
+  constexpr double kStep = 1e-3;
+  return parameter.spec.transform == ParameterTransform::kLog
+             ? kStep * value
+             : kStep * std::max(std::abs(value), parameter.spec.scale);
+}
 
 PredictionSample PredictSample(const FilteredMotion& motion, const Vector3d& load_pull_W,
                                const Vehicle& vehicle, const DynamicModel& model,

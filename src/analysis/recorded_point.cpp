@@ -29,8 +29,7 @@ constexpr Index kLowestBin = 2;         // the window spreads a line over the bi
 constexpr Index kSmoothedBins = 4;      // on either side
 constexpr double kHalfOctave = 1.4142;  // the highest frequency looked at is lowered by
 constexpr Index kFewestBins = 8;
-constexpr int kRounds = 4;      // of weights and fit
-constexpr double kStep = 1e-3;  // of a difference, in the parameter's scale
+constexpr int kRounds = 4;  // of weights and fit
 
 /// What acts on the force at one time: the residual, and its derivatives by the parameters.
 using Rows = Eigen::Matrix<double, 3, Eigen::Dynamic>;
@@ -45,10 +44,6 @@ Vector3d ForceError(const FilteredMotion& motion, const Vector3d& pull_W, const 
                     const DynamicModel& model, const ModelValues& values) {
   const PredictionSample s = PredictSample(motion, pull_W, vehicle, model, values, false);
   return s.measured_force - s.predicted_force;
-}
-
-double StepOf(const ModelParameter& p, double value) {
-  return kStep * std::max({std::abs(value), p.spec.scale, 1e-9});
 }
 
 /// Estimated parameters that may change the force. The centre of gravity is none of them: the point
@@ -96,7 +91,7 @@ std::vector<std::vector<Rows>> RunsOf(const FlightMotion& flight, const Vehicle&
     for (size_t j = 0; j < unknowns.index.size(); ++j) {
       const int k = unknowns.index[j];
       ModelValues changed = values;
-      const double step = StepOf(model.parameters()[k], values[k]);
+      const double step = DifferenceStep(model.parameters()[k], values[k]);
       changed[k] += step;
       rows.col(static_cast<Index>(j) + 1) =
           (rows.col(0) - ForceError(motion, pulls[i], vehicle, model, changed)) / step;
@@ -303,6 +298,50 @@ bool IsEstimated(const DynamicModel& model, const std::string& name) {
   return k >= 0 && model.parameters()[k].estimated;
 }
 
+/// Which segments a flight is cut into.
+struct Cut {
+  double segment_s = 0.0;
+  Index length = 0, bins = 0;  ///< samples of a segment, frequencies that are looked at
+  size_t apart = 1;            ///< samples from one segment's start to the next one's
+};
+
+/// @param step_s between samples
+Cut CutOf(double flight_s, double high_Hz, double step_s) {
+  Cut cut;
+  cut.segment_s = std::min(kLongestSegment_s, flight_s / kFewestSegments);
+  cut.length = static_cast<Index>(cut.segment_s / step_s);
+  cut.bins = static_cast<Index>(high_Hz * cut.segment_s) - kLowestBin + 1;
+  cut.apart = std::max(static_cast<size_t>(cut.length) / kSegmentsPerLength,
+                       static_cast<size_t>(flight_s / step_s) / kMostSegments + 1);
+  return cut;
+}
+
+/// What all ranges say of the change of the point. Velocities are smoother than rates on some
+/// recordings, and the point seems nearer at high frequencies; at low ones it follows the air.
+/// Nobody knows the range: all count, by their variances, and the covariance holds how far they
+/// differ.
+/// @returns false if none says anything
+bool JoinRanges(SpectralFit* fit, Index bins, Vector3d* change, Matrix3d* covariance) {
+  double weights = 0.0;
+  Vector3d sum = Vector3d::Zero();
+  Matrix3d squares = Matrix3d::Zero(), noise = Matrix3d::Zero();
+  for (double share = 1.0; share * static_cast<double>(bins) >= kFewestBins; share /= kHalfOctave) {
+    fit->Fit(static_cast<Index>(share * static_cast<double>(bins)));
+    const Vector3d p = fit->Point();
+    const Matrix3d C = std::max(1.0, fit->HalvesChiSquared() / 3.0) * fit->Covariance();  // Birge
+    if (!C.allFinite() || !p.allFinite()) continue;
+    const double weight = 1.0 / C.trace();
+    weights += weight;
+    sum += weight * p;
+    squares += weight * p * p.transpose();
+    noise += weight * C;
+  }
+  if (!(weights > 0.0)) return false;
+  *change = sum / weights;
+  *covariance = noise / weights + squares / weights - *change * change->transpose();
+  return true;
+}
+
 }  // namespace
 
 RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicle,
@@ -323,23 +362,17 @@ RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicl
   const double step_s = stride * flight.step_s;
   const Unknowns unknowns = UnknownsOf(model, values);
   const auto runs = RunsOf(flight, file_vehicle, model, values, unknowns, stride);
-  size_t samples = 0;
-  for (const auto& run : runs) samples += run.size();
-  point.flight_s = static_cast<double>(samples) * step_s;
-  const double segment_s = std::min(kLongestSegment_s, point.flight_s / kFewestSegments);
-  const auto length = static_cast<Index>(segment_s / step_s);
+  for (const auto& run : runs) point.flight_s += static_cast<double>(run.size()) * step_s;
   point.high_Hz = std::min(kHighest_Hz, kHighestShare / flight.step_s);
-  const Index bins = static_cast<Index>(point.high_Hz * segment_s) - kLowestBin + 1;
-  if (segment_s < kShortestSegment_s || bins < kFewestBins) {
+  const Cut cut = CutOf(point.flight_s, point.high_Hz, step_s);
+  if (cut.segment_s < kShortestSegment_s || cut.bins < kFewestBins) {
     point.why = "too little flight: " + Rounded(point.flight_s) + " s";
     return point;
   }
-  point.low_Hz = static_cast<double>(kLowestBin) / segment_s;
-  const size_t apart =
-      std::max(static_cast<size_t>(length) / kSegmentsPerLength, samples / kMostSegments + 1);
-  SpectralFit fit(unknowns, length, bins);
+  point.low_Hz = static_cast<double>(kLowestBin) / cut.segment_s;
+  SpectralFit fit(unknowns, cut.length, cut.bins);
   for (const auto& run : runs) {
-    for (size_t from = 0; from + static_cast<size_t>(length) <= run.size(); from += apart) {
+    for (size_t from = 0; from + static_cast<size_t>(cut.length) <= run.size(); from += cut.apart) {
       fit.AddSegment(run.data() + from);
     }
   }
@@ -347,31 +380,13 @@ RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicl
     point.why = "too little flight without gaps";
     return point;
   }
-  Vector3d now;
-  for (Index i = 0; i < 3; ++i) now[i] = values[unknowns.index[static_cast<size_t>(i)]];
-  // Velocities are smoother than rates on some recordings, and the point seems nearer at high
-  // frequencies; at low ones it follows the air. Nobody knows the range: all count, by their
-  // variances, and the sigma knows how far they differ.
-  double ranges = 0.0;
-  Vector3d sum = Vector3d::Zero();
-  Matrix3d squares = Matrix3d::Zero(), noise = Matrix3d::Zero();
-  for (double share = 1.0; share * static_cast<double>(bins) >= kFewestBins; share /= kHalfOctave) {
-    fit.Fit(static_cast<Index>(share * static_cast<double>(bins)));
-    const Vector3d p = fit.Point();
-    const Matrix3d C = std::max(1.0, fit.HalvesChiSquared() / 3.0) * fit.Covariance();  // Birge
-    if (!C.allFinite() || !p.allFinite()) continue;
-    const double weight = 1.0 / C.trace();
-    ranges += weight;
-    sum += weight * p;
-    squares += weight * p * p.transpose();
-    noise += weight * C;
+  Vector3d change;
+  if (!JoinRanges(&fit, cut.bins, &change, &point.covariance)) {
+    point.why = "the flight does not show it";
+    return point;
   }
-  if (ranges > 0.0) {
-    const Vector3d mean = sum / ranges;
-    point.p_m = now + mean;
-    point.covariance = noise / ranges + squares / ranges - mean * mean.transpose();
-  }
-  if (!point.p_m) point.why = "the flight does not show it";
+  point.p_m = change;
+  for (Index i = 0; i < 3; ++i) (*point.p_m)[i] += values[unknowns.index[static_cast<size_t>(i)]];
   return point;
 }
 

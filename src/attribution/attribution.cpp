@@ -602,13 +602,14 @@ Evidence Attribution::EvidenceAtFit(const Stage& fitted, std::vector<Candidate> 
   return evidence;
 }
 
-bool Attribution::IsHollow(const Evidence& evidence, const VariantSet& set, const Stage& fitted) {
+bool Attribution::RefuseHollow(const Evidence& evidence, const VariantSet& set,
+                               const Stage& fitted) {
   std::vector<Candidate> added;
   for (const int v : set) added.push_back(evidence.variants()[v].candidate);
   const Evidence at_fit = EvidenceAtFit(fitted, added);
   VariantSet all;
   for (size_t v = 0; v < at_fit.variants().size(); ++v) all.insert(static_cast<int>(v));
-  bool is_hollow = false;
+  bool found = false;
   for (const int v : all) {
     const std::string& effect = at_fit.variants()[v].candidate.effect;
     // What swings on each flight in its own way is not linearized about one start.
@@ -624,7 +625,7 @@ bool Attribution::IsHollow(const Evidence& evidence, const VariantSet& set, cons
     if (score >= 0.0) continue;
     refused_[effect] = "gains " + Rounded(score) + " nats about what the fit with it has found";
     hollow_.insert(effect);
-    is_hollow = true;
+    found = true;
     for (RankedEffect& ranked : ranking_) {
       if (ranked.name != effect || ranked.score < score) continue;
       ranked.score = score;
@@ -632,7 +633,7 @@ bool Attribution::IsHollow(const Evidence& evidence, const VariantSet& set, cons
     }
   }
   SortByScore(&ranking_);
-  return is_hollow;
+  return found;
 }
 
 void Attribution::Run() {
@@ -661,7 +662,7 @@ void Attribution::Run() {
     const EffectFit fit = evidence.Solve(set);
     Stage fitted = evidence.Moved(set, fit);
     std::vector<ResidualModel::Wrenches> left = Refit(&fitted);
-    if (IsHollow(evidence, set, fitted)) continue;
+    if (RefuseHollow(evidence, set, fitted)) continue;
     std::vector<RankedEffect> added;
     for (const int v : set) {
       added.push_back(Describe(evidence, v, set));

@@ -115,17 +115,6 @@ ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
   return residual;
 }
 
-namespace {
-
-/// Step of a difference by a parameter.
-double StepOf(const ModelParameter& parameter, double value) {
-  return parameter.spec.transform == ParameterTransform::kLog
-             ? 1e-3 * value
-             : 1e-3 * std::max(std::abs(value), parameter.spec.scale);
-}
-
-}  // namespace
-
 ResidualModel::Wrenches ResidualModel::ResidualAt(const DynamicModel& model, ModelValues values,
                                                   int index, double step) const {
   values[index] += step;
@@ -134,7 +123,7 @@ ResidualModel::Wrenches ResidualModel::ResidualAt(const DynamicModel& model, Mod
 
 ResidualModel::Wrenches ResidualModel::Derivative(const DynamicModel& model,
                                                   const ModelValues& values, int index) const {
-  const double step = StepOf(model.parameters()[index], values[index]);
+  const double step = DifferenceStep(model.parameters()[index], values[index]);
   Wrenches derivative =
       (ResidualAt(model, values, index, -step) - ResidualAt(model, values, index, step)) /
       (2.0 * step);
@@ -145,7 +134,7 @@ ResidualModel::Wrenches ResidualModel::Derivative(const DynamicModel& model,
 ResidualModel::Wrenches ResidualModel::Derivative(const DynamicModel& model,
                                                   const ModelValues& values, int index,
                                                   const Wrenches& residual) const {
-  const double step = StepOf(model.parameters()[index], values[index]);
+  const double step = DifferenceStep(model.parameters()[index], values[index]);
   Wrenches derivative = (residual - ResidualAt(model, values, index, step)) / step;
   if (IsAnchoredByForce(model.parameters()[index].full_name)) derivative.rightCols<3>().setZero();
   return derivative;

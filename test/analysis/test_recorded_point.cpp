@@ -10,6 +10,7 @@
 #include "../support/test_vehicle.h"
 #include "odmc/analysis/calibration.h"
 #include "odmc/analysis/recorded_point.h"
+#include "odmc/fleet/flight_factor.h"
 #include "odmc/io/flight_csv.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/sim/simulator.h"
@@ -112,6 +113,27 @@ TEST(RecordedPoint, IsTakenWhereTheEstimateFollowsThoseErrors) {
     EXPECT_LT(std::abs(off), 0.006) << letter;
     EXPECT_GT(result.parameters.covariance(p, p), 0.0);
   }
+}
+
+// Where the point's height and the centre of gravity's are known worse than their difference, the
+// fleet must not lose that.
+TEST(RecordedPoint, GoesIntoTheFleetAsAPairWithTheCentreOfGravity) {
+  const Recorded flight = Record(7, Air);
+  const Calibration result =
+      Calibrate(flight.log, flight.log, flight.file, flight.model, EstimatorOptions());
+  ASSERT_EQ(result.taken_point.held.count("centre_of_gravity.z"), 1u);
+  const FlightFactor factor = FactorOf(flight.model, result.parameters, result.inflation, {});
+  Eigen::MatrixXd H = factor.root.transpose() * factor.root;
+  H.diagonal() += factor.prior_sigma.cwiseAbs2().cwiseInverse();
+  Eigen::VectorXd difference = Eigen::VectorXd::Zero(factor.size());
+  for (Eigen::Index k = 0; k < factor.size(); ++k) {
+    const std::string& name = factor.names[static_cast<size_t>(k)];
+    if (name == "odometry_extrinsics.pz") difference[k] = 1.0;
+    if (name == "centre_of_gravity.z") difference[k] = -1.0;
+  }
+  const double sigma = std::sqrt(difference.dot(H.ldlt().solve(difference)));
+  EXPECT_LT(sigma, 2.0 * Sigma(result.point).z());
+  EXPECT_GT(sigma, 0.5 * Sigma(result.point).z());
 }
 
 TEST(RecordedPoint, IsTakenWhereItIsShown) {

@@ -62,12 +62,7 @@ TEST(MeasuredCrazyflie, HasAHubMomentOnFlightsOfSeconds) {
   }
 }
 
-// With k_f held a wind and a lift that is even in the air speed have a second valley: 3.8 m/s from
-// behind in a closed room. A fit from afar gains by it, and an online estimate goes into it; either
-// has to be found out.
-TEST(MeasuredCrazyflie, NamesNothingThatRuinsAForce) {
-  const std::string file = RecordedFile("imrc_cf21_brushless/eckart13.csv");
-  if (file.empty()) GTEST_SKIP() << "no recorded data";
+ClosedLoop CrazyflieWithThrustHeld(const std::string& file) {
   Vehicle vehicle =
       LoadVehicle(std::string(ODMC_SOURCE_DIR) + "/config/vehicles/imrc_cf21_brushless.yaml");
   ParameterSetting& k_f = vehicle.parameters["thrust.k_f"];
@@ -77,7 +72,22 @@ TEST(MeasuredCrazyflie, NamesNothingThatRuinsAForce) {
   CloseLoopOptions options;
   options.estimator.keyframe_rate_hz = 50.0;
   options.estimator.max_update_time_s = 10.0;
-  const ClosedLoop loop = CloseLoop(log, vehicle, vehicle, options);
+  return CloseLoop(log, vehicle, vehicle, options);
+}
+
+bool Warns(const ClosedLoop& loop, const std::string& of) {
+  return std::any_of(loop.warnings.begin(), loop.warnings.end(), [&](const std::string& warning) {
+    return warning.find(of) != std::string::npos;
+  });
+}
+
+// With k_f held a wind and a lift that is even in the air speed have a second valley: 3.8 m/s from
+// behind in a closed room. A fit from afar gains by it, and an online estimate goes into it; either
+// has to be found out.
+TEST(MeasuredCrazyflie, NamesNoWindOfASecondValley) {
+  const std::string file = RecordedFile("imrc_cf21_brushless/eckart13.csv");
+  if (file.empty()) GTEST_SKIP() << "no recorded data";
+  const ClosedLoop loop = CrazyflieWithThrustHeld(file);
   for (int axis = 0; axis < 3; ++axis) {
     EXPECT_LT((*loop.after.force_rmse_N)[axis], 2.0 * (*loop.before.force_rmse_N)[axis])
         << CloseLoopTable(loop);
@@ -87,10 +97,7 @@ TEST(MeasuredCrazyflie, NamesNothingThatRuinsAForce) {
   const auto wind = std::find_if(loop.ranking.begin(), loop.ranking.end(),
                                  [](const RankedEffect& ranked) { return ranked.name == "wind"; });
   ASSERT_NE(wind, loop.ranking.end());
-  const bool is_said = !wind->remarks.empty() ||
-                       std::any_of(loop.warnings.begin(), loop.warnings.end(),
-                                   [](const auto& w) { return w.rfind("wind gains", 0) == 0; });
-  EXPECT_TRUE(is_said) << CloseLoopTable(loop);
+  EXPECT_TRUE(!wind->remarks.empty() || Warns(loop, "wind gains")) << CloseLoopTable(loop);
 }
 
 }  // namespace

@@ -441,6 +441,23 @@ class ToolsTest(unittest.TestCase):
                 difference = abs(parameter['value'] - results[1][name]['value'])
                 self.assertLess(difference, 0.1 * parameter['sigma'], name)
 
+    def test_close_loop_drops_what_ruins_a_prediction(self) -> None:
+        data = os.path.join(os.environ.get('ODMC_DATA_DIR') or os.path.join(ROOT, '..', 'shared', 'data'), 'imrc_cf21_brushless')
+        if not os.path.isdir(data):
+            self.skipTest('no recorded data')
+        vehicle = ['--vehicle', os.path.join(ROOT, 'config', 'vehicles', 'imrc_cf21_brushless.yaml'), '--no-report']
+        done = run('calibrate', os.path.join(data, 'eckart00.csv'), *vehicle, '--out', self.path('taught'))
+        self.assertEqual(done.returncode, 0, done.stderr)
+        done = run('close_loop', os.path.join(data, 'eckart15.csv'), *vehicle, '--out', self.path('loop'),
+                   '--parameters', os.path.join(self.path('taught'), 'parameters.yaml'))
+        self.assertEqual(done.returncode, 0, done.stderr)
+        # A wind of 2 m/s in a closed room, of which the fit knows nothing.
+        self.assertIn('an axis is predicted twice as badly with it: wind', done.stdout)
+        report = read_json(self.path('loop'), 'report.json')
+        self.assertNotIn('wind', [effect['name'] for effect in report['effects']])
+        for before, after in zip(report['force_rmse_before'], report['force_rmse_after']):
+            self.assertLess(after, 2.0 * before)
+
     def test_calibrate_leaves_blocks_out(self) -> None:
         out = self.path('left_out')
         done = run('calibrate', '--vehicle', VEHICLE, '--out', out, '--leave-out', '2.5',

@@ -85,6 +85,10 @@ PredictionFigures PredictEach(const FlightLog& log, const Vehicle& file_vehicle,
                               const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
                               const ValueVariation& vary, const PredictionSink& use);
 
+/// Step of a difference by a parameter: a thousandth of its value or, where that may be zero, of
+/// its natural size.
+double DifferenceStep(const ModelParameter& parameter, double value);
+
 /// Measured and predicted at one sample.
 /// @param with_effects also the wrench of every effect, and what the rotors alone do
 /// @param body the model's properties at `values`, where they are known; null: they are worked out

@@ -112,11 +112,12 @@ class Attribution {
   std::vector<ResidualModel::Wrenches> Refit(Stage* stage) const;
   /// The evidence for effects linearized about what the fit with them has found, inertia near that.
   Evidence EvidenceAtFit(const Stage& fitted, std::vector<Candidate> added) const;
-  /// True if a fit from afar promised what is not there: the declared parameters went where they
-  /// do not act in proportion any more, and about what the fit with the effects has found the
-  /// odds are against one of them. Such an effect is not looked at again.
+  /// Refuses effects that a fit from afar promised and that are not there: the declared parameters
+  /// went where they do not act in proportion any more, and about what the fit with the effects has
+  /// found the odds are against them. They are not looked at again.
   /// @param fitted the stage with the set, fitted
-  bool IsHollow(const Evidence& evidence, const VariantSet& set, const Stage& fitted);
+  /// @returns true if there are any
+  bool RefuseHollow(const Evidence& evidence, const VariantSet& set, const Stage& fitted);
   bool GivesUp() const { return give_up_ && give_up_(); }
 
   std::vector<Instruments> instruments_;  // by flight
@@ -131,7 +132,7 @@ class Attribution {
   std::vector<double> null_gains_;
   std::vector<RankedEffect> effects_, ranking_;
   std::map<std::string, std::string> refused_;
-  std::set<std::string> hollow_;
+  std::set<std::string> hollow_;                  // refused for good
   std::array<double, kNumChannels> explained_{};  // by what was added, over the noise [nats]
   double gain_ = 0.0, held_out_gain_ = 0.0;
   std::vector<ResidualModel::Wrenches> before_, after_;  // by flight
