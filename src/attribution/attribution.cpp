@@ -123,21 +123,30 @@ bool IsStructured(const ChannelStructure& channel, const AttributionOptions& opt
          channel.whiteness.structured_share > options.least_structured;
 }
 
+bool ActsIn(Eigen::Index channel, const ResidualModel::Wrenches& before,
+            const ResidualModel::Wrenches& after, const AttributionOptions& options) {
+  const double acts = (after.col(channel) - before.col(channel)).squaredNorm();
+  return acts >= options.least_structured * before.col(channel).squaredNorm();
+}
+
 double UnexplainedStructure(const ResidualModel::Wrenches& before,
                             const ResidualModel::Wrenches& after,
                             const std::vector<ChannelStructure>& of_before,
                             const std::vector<ChannelStructure>& of_after,
                             const AttributionOptions& options) {
   double was = 0.0, is = 0.0;
+  bool acts = false, structured = false;
   for (size_t c = 0; c < of_before.size(); ++c) {
-    const auto k = static_cast<Eigen::Index>(c);
-    const double acts = (after.col(k) - before.col(k)).squaredNorm();
-    if (acts < options.least_structured * before.col(k).squaredNorm()) continue;
-    if (!IsStructured(of_before[c], options)) continue;
+    const bool has_structure = IsStructured(of_before[c], options);
+    structured = structured || has_structure;
+    if (!ActsIn(static_cast<Eigen::Index>(c), before, after, options)) continue;
+    acts = true;
+    if (!has_structure) continue;
     was += of_before[c].whiteness.nats;
     is += of_after[c].whiteness.nats;
   }
-  return was > 0.0 ? is / was : 0.0;
+  if (was > 0.0) return is / was;
+  return structured && !acts ? 1.0 : 0.0;
 }
 
 Attribution::Attribution(const std::vector<const ResidualModel*>& residuals, Stage stage,

@@ -213,7 +213,8 @@ std::vector<std::string> OftenChanged(const DynamicModel& model) {
   return names;
 }
 
-void Combine(const JointOptions& given, FleetCalibration* fleet) {
+/// @param model with which the flights were calibrated
+void Combine(const DynamicModel& model, const JointOptions& given, FleetCalibration* fleet) {
   const std::vector<FlightFactor> factors = FactorsOf(*fleet);
   if (factors.empty()) {
     std::string why = "no flight can be used";
@@ -227,7 +228,7 @@ void Combine(const JointOptions& given, FleetCalibration* fleet) {
   }
   if (options.times.size() != factors.size()) options.times.clear();
   fleet->joint = EstimateJointly(factors, options);
-  fleet->parameters = ToParameterSet(fleet->joint, factors);
+  fleet->parameters = ToParameterSet(fleet->joint, factors, model);
 }
 
 /// Root mean square of what flights are predicted wrong by.
@@ -319,9 +320,10 @@ class FleetSession {
       : source_(source),
         file_vehicle_(file_vehicle),
         vehicle_(vehicle),
+        model_(vehicle, vehicle.effects),
         options_(options),
         joint_(options.joint) {
-    joint_.often_changed = OftenChanged(DynamicModel(vehicle, vehicle.effects));
+    joint_.often_changed = OftenChanged(model_);
     fleet_.false_alarm_rate = options.joint.false_alarm_rate;
   }
 
@@ -343,7 +345,7 @@ class FleetSession {
         },
         progress);
     Order(&fleet_.flights);
-    Combine(joint_, &fleet_);
+    Combine(model_, joint_, &fleet_);
   }
 
   /// Calibrates anew, from the joint estimate, the flights that were linearized far from it.
@@ -369,12 +371,12 @@ class FleetSession {
       flight.factor = std::move(anew.factor);
       ++flight.passes;
     });
-    Combine(joint_, &fleet_);
+    Combine(model_, joint_, &fleet_);
     return true;
   }
 
   void Doubt() {
-    if (WidenOutliers(source_, vehicle_, options_, &fleet_)) Combine(joint_, &fleet_);
+    if (WidenOutliers(source_, vehicle_, options_, &fleet_)) Combine(model_, joint_, &fleet_);
     AddSharedDoubts(source_, vehicle_, options_, &fleet_);
   }
 
@@ -403,6 +405,7 @@ class FleetSession {
   const FlightSource& source_;
   const Vehicle& file_vehicle_;
   const Vehicle& vehicle_;
+  const DynamicModel model_;
   const JointCalibrationOptions& options_;
   JointOptions joint_;
   FleetCalibration fleet_;

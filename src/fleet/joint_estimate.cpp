@@ -155,7 +155,8 @@ JointEstimate EstimateJointly(const std::vector<FlightFactor>& factors,
   return joint;
 }
 
-ParameterSet ToParameterSet(const JointEstimate& joint, const std::vector<FlightFactor>& factors) {
+ParameterSet ToParameterSet(const JointEstimate& joint, const std::vector<FlightFactor>& factors,
+                            const DynamicModel& model) {
   const FlightFactor& first = factors.front();
   ParameterSet set;
   set.effects = first.estimate.effects;
@@ -192,8 +193,14 @@ ParameterSet ToParameterSet(const JointEstimate& joint, const std::vector<Flight
       count += 1.0;
     }
     const double mean = sum / count;
-    p.value = mean;
-    p.sigma = SigmaOfNext(count, std::max(0.0, squares / count - mean * mean), noise / count);
+    const double variance = std::max(0.0, squares / count - mean * mean);
+    const double sigma = SigmaOfNext(count, variance, noise / count);
+    // The vehicle's prior is of any flight's value. What few flights scatter about says less.
+    const ParameterSpec& prior =
+        model.parameters()[static_cast<size_t>(model.IndexOf(p.full_name))].spec;
+    const double weight = 1.0 / (1.0 + std::pow(sigma / prior.prior_sigma, 2));
+    p.value = weight * mean + (1.0 - weight) * prior.prior_value;
+    p.sigma = std::sqrt(weight) * sigma;
     p.scatter = 0.0;
     const auto i = static_cast<Index>(j);
     set.covariance(i, i) = p.sigma * p.sigma;

@@ -195,18 +195,29 @@ std::vector<CoefficientSpread> SpreadsOf(const RankedEffect& effect,
   return spreads;
 }
 
-/// How much of the residual's structure is left, see UnexplainedStructure(); mean over flights.
+/// How much of the residual's structure is left, see UnexplainedStructure(); mean over the flights
+/// on which the effects act, or over all.
 double UnexplainedShare(const Attribution& attribution, const std::vector<Looked>& looked,
                         const AttributionOptions& options) {
-  double sum = 0.0;
+  double sum = 0.0, of_acting = 0.0;
+  int acting = 0;
   for (size_t f = 0; f < looked.size(); ++f) {
+    const int channels = looked[f].residual->num_channels();
     const auto structure = [&](const ResidualModel::Wrenches& of) {
-      return StructureByChannel(*looked[f].flight, of, looked[f].residual->num_channels());
+      return StructureByChannel(*looked[f].flight, of, channels);
     };
     const auto &before = attribution.residual_before(f), &after = attribution.residual_after(f);
-    sum += UnexplainedStructure(before, after, structure(before), structure(after), options);
+    const double left =
+        UnexplainedStructure(before, after, structure(before), structure(after), options);
+    sum += left;
+    for (int c = 0; c < channels; ++c) {
+      if (!ActsIn(c, before, after, options)) continue;
+      of_acting += left;
+      ++acting;
+      break;
+    }
   }
-  return sum / static_cast<double>(looked.size());
+  return acting > 0 ? of_acting / acting : sum / static_cast<double>(looked.size());
 }
 
 /// Number of flights on which each channel of what the declared model leaves is structured.

@@ -6,6 +6,7 @@
 #include <iostream>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <set>
 
 #include "model_arguments.h"
 #include "odmc/analysis/parallel.h"
@@ -55,7 +56,7 @@ class Score {
  private:
   /// @returns true if the class is right
   bool CountEffect(const Json& answer, const Json& report);
-  void CountTwo(const Json& answer, const std::vector<std::string>& found);
+  void CountTwo(const Json& answer, const Json& report);
   void GatherRatios(const Json& answer, const Json& report, Tally* tally) const;
   /// Coefficients of an effect that acts and is named, where the answers have them and the flight
   /// shows them.
@@ -64,7 +65,7 @@ class Score {
 
   std::map<std::string, Tally> tallies_;
   int flights_ = 0, null_flights_ = 0, false_alarms_ = 0;
-  int unknown_ = 0, called_unexplained_ = 0, two_ = 0, both_of_two_ = 0;
+  int unknown_ = 0, called_unexplained_ = 0, two_ = 0, both_of_two_ = 0, both_classes_ = 0;
   int coefficients_ = 0, within_three_sigma_ = 0;
   double squared_sigmas_ = 0.0;  // errors over their sigma
   Json mistakes_ = Json::array();
@@ -121,7 +122,7 @@ bool Score::CountEffect(const Json& answer, const Json& report) {
   tally.top1 += first;
   tally.top2 += in_two;
   tally.class_top1 += in_class;
-  CountTwo(answer, found);
+  CountTwo(answer, report);
   for (const Json& effect : report["effects"]) {
     if (Contains(effects, effect["name"])) CountCoefficients(answer, effect);
   }
@@ -129,13 +130,24 @@ bool Score::CountEffect(const Json& answer, const Json& report) {
   return in_class;
 }
 
-void Score::CountTwo(const Json& answer, const std::vector<std::string>& found) {
+void Score::CountTwo(const Json& answer, const Json& report) {
   if (answer["effects"].size() < 2) return;
-  const auto hits = std::count_if(found.begin(), found.end(), [&](const std::string& name) {
-    return Contains(answer["effects"], name);
-  });
+  const std::vector<std::string> found = NamesIn(report);
+  size_t named = 0, in_class = 0;
+  std::set<size_t> answers;  // each stands for one of the two
+  for (const Json& truth : answer["effects"]) {
+    const std::string name = truth;
+    named += std::count(found.begin(), found.end(), name);
+    for (size_t k = 0; k < found.size(); ++k) {
+      const Json& others = report["effects"][k]["alternatives"];
+      if ((found[k] != name && !Contains(others, name)) || !answers.insert(k).second) continue;
+      ++in_class;
+      break;
+    }
+  }
   ++two_;
-  both_of_two_ += hits >= 2;
+  both_of_two_ += named >= 2;
+  both_classes_ += in_class >= 2;
 }
 
 void Score::GatherRatios(const Json& answer, const Json& report, Tally* tally) const {
@@ -184,8 +196,10 @@ void Score::Print() {
                 100.0 * t.top1 / of, 100.0 * t.top2 / of, 100.0 * t.class_top1 / of,
                 odmc::Median(t.over_best));
   }
-  std::printf("false alarms %d of %d, unexplained %d of %d, both of two effects %d of %d\n",
-              false_alarms_, null_flights_, called_unexplained_, unknown_, both_of_two_, two_);
+  std::printf(
+      "false alarms %d of %d, unexplained %d of %d, both of two effects %d of %d (class: %d)\n",
+      false_alarms_, null_flights_, called_unexplained_, unknown_, both_of_two_, two_,
+      both_classes_);
   std::printf(
       "coefficients of effects named: %d of %d within three sigma, errors %.2f sigma (RMS)\n",
       within_three_sigma_, coefficients_, RmsOfSigmas());
@@ -211,6 +225,7 @@ Json Score::ToJson(const Json& seconds) {
   score["after_over_before_with_torque_rmse"] =
       of_each([&](const Tally& t) { return median(t.over_best_torque); });
   score["both_of_two"] = Share(both_of_two_, two_);
+  score["both_of_two_by_class"] = Share(both_classes_, two_);
   score["coefficients"] = {
       {"count", coefficients_},
       {"within_three_sigma", Share(within_three_sigma_, coefficients_)},

@@ -360,6 +360,31 @@ std::vector<std::string> DocumentedNumbers() {
   return rows;
 }
 
+TEST(UnexplainedStructure, CountsWhatActsAndWhatHardlyDoes) {
+  const AttributionOptions options;
+  ResidualModel::Wrenches before(200, kNumChannels);
+  for (Eigen::Index i = 0; i < before.rows(); ++i) {
+    before.row(i).setConstant(std::sin(0.1 * static_cast<double>(i)));
+  }
+  std::vector<ChannelStructure> structured(kNumChannels), left(kNumChannels);
+  structured[0].whiteness = {1e-12, 0.9, 100.0, 1.0};
+  left[0].whiteness = {1e-12, 0.5, 30.0, 1.0};
+  ResidualModel::Wrenches after = before;
+  after.col(0) *= 0.5;
+  EXPECT_DOUBLE_EQ(UnexplainedStructure(before, after, structured, left, options), 0.3);
+  // It acts on another channel, in which there is no structure: what it is the cause of is not
+  // seen.
+  after = before;
+  after.col(3) *= 0.5;
+  EXPECT_DOUBLE_EQ(UnexplainedStructure(before, after, structured, left, options), 0.0);
+  // It acts on none.
+  after = 0.99 * before;
+  EXPECT_DOUBLE_EQ(UnexplainedStructure(before, after, structured, structured, options), 1.0);
+  EXPECT_DOUBLE_EQ(UnexplainedStructure(before, after, left, left, options), 1.0);
+  const std::vector<ChannelStructure> none(kNumChannels);
+  EXPECT_DOUBLE_EQ(UnexplainedStructure(before, after, none, none, options), 0.0);
+}
+
 TEST(AttributionOptions, DocumentationListsEveryNumber) {
   std::vector<std::string> numbers;
   for (const DecisionNumber& n : DecisionNumbers()) numbers.push_back(n.name + " " + n.TextOf({}));

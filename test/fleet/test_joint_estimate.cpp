@@ -424,6 +424,58 @@ TEST(UnlikeHistory, NamesAVehicleThatIsAnotherAndFewThatAreNot) {
   EXPECT_TRUE(CompareWithHistory(history, model, values, sigma).empty());
 }
 
+/// Flights that say nothing but how the vertical stood in each: gravity.x, in prior sigmas.
+std::vector<FlightFactor> Leaning(const DynamicModel& model, const VectorXd& by) {
+  ParameterSet set;
+  set.effects = model.vehicle().effects;
+  for (const ModelParameter& p : model.parameters()) {
+    set.parameters.push_back({p.full_name, p.spec.unit, p.spec.prior_value,
+                              0.1 * p.spec.prior_sigma, p.estimated, p.estimated});
+  }
+  VectorXd sigma(model.num_parameters());
+  for (Index k = 0; k < sigma.size(); ++k) sigma[k] = set.parameters[static_cast<size_t>(k)].sigma;
+  set.covariance = sigma.cwiseAbs2().asDiagonal();
+  ParameterEstimate& x = set.parameters[static_cast<size_t>(model.IndexOf("gravity.x"))];
+  std::vector<FlightFactor> factors;
+  for (const double b : by) {
+    x.value = 10.0 * x.sigma * b;
+    factors.push_back(FactorOf(model, set, VectorXd::Ones(sigma.size())));
+  }
+  return factors;
+}
+
+TEST(JointEstimate, ForeseesWhatEveryFlightHasOfItsOwn) {
+  const Vehicle vehicle = NominalVehicle();
+  const DynamicModel model(vehicle, vehicle.effects);
+  const double prior =
+      model.parameters()[static_cast<size_t>(model.IndexOf("gravity.x"))].spec.prior_sigma;
+  Random random(12);
+  const auto foreseen = [&](const VectorXd& by) {
+    const std::vector<FlightFactor> factors = Leaning(model, by);
+    const ParameterSet set = ToParameterSet(EstimateJointly(factors), factors, model);
+    return *set.Find("gravity.x");
+  };
+  // Two flights as the vehicle file expects them: the third is not like their mean.
+  constexpr int kFleets = 300;
+  double squares = 0.0, of_mean = 0.0;
+  int inside = 0;
+  for (int fleet = 0; fleet < kFleets; ++fleet) {
+    const VectorXd by = random.Vector(2);
+    const double next = random.Normal();
+    const ParameterEstimate x = foreseen(by);
+    squares += std::pow(x.value / prior - next, 2);
+    of_mean += std::pow(by.mean() - next, 2);
+    inside += std::abs(x.value - prior * next) < 3.0 * x.sigma;
+    EXPECT_LE(x.sigma, prior) << "two flights do not make the vehicle file less true";
+  }
+  EXPECT_LT(squares, 0.9 * of_mean);
+  EXPECT_GE(inside, kFleets * 97 / 100);
+  // Many that lean alike say more than the file.
+  const ParameterEstimate x = foreseen((0.8 + 0.02 * random.Vector(12).array()).matrix());
+  EXPECT_NEAR(x.value, 0.8 * prior, 0.03 * prior);
+  EXPECT_LT(x.sigma, 0.3 * prior);
+}
+
 TEST(RandomEffects, RefusesFlightsOfOtherModels) {
   Random random(9);
   std::vector<FlightFactor> factors = Fleet(2, VectorXd::Zero(kParameters), 1.0, &random);

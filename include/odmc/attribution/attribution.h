@@ -17,9 +17,14 @@ namespace odmc {
 /// True if a channel of the residual is more than noise.
 bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options);
 
+/// True if effects change a channel of the residual by more than a share of its variance
+/// (`least_structured`).
+bool ActsIn(Eigen::Index channel, const ResidualModel::Wrenches& before,
+            const ResidualModel::Wrenches& after, const AttributionOptions& options);
+
 /// Share of the structure of a residual, in nats by which a flexible spectrum explains it beyond
-/// noise, that is still there after effects were added, of the channels in which they act. 0 where
-/// there was none.
+/// noise, that is still there after effects were added, of the channels in which they act. 1 where
+/// they act in none and one is structured, 0 where there is no structure.
 double UnexplainedStructure(const ResidualModel::Wrenches& before,
                             const ResidualModel::Wrenches& after,
                             const std::vector<ChannelStructure>& of_before,

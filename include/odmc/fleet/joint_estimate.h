@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "odmc/fleet/random_effects.h"
+#include "odmc/model/dynamic_model.h"
 
 namespace odmc {
 
@@ -59,8 +60,11 @@ struct JointEstimate {
 JointEstimate EstimateJointly(const std::vector<FlightFactor>& factors,
                               const JointOptions& options = {});
 
-/// What the fleet says as parameters.yaml: shared parameters with sigma and scatter, the flights'
-/// own ones with what they scatter by.
-ParameterSet ToParameterSet(const JointEstimate& joint, const std::vector<FlightFactor>& factors);
+/// What the fleet says as parameters.yaml: shared parameters with sigma and scatter. Those that
+/// every flight has its own of are predicted for a next one, from what the flights scatter about
+/// and from the vehicle's prior.
+/// @param model with which the flights were calibrated
+ParameterSet ToParameterSet(const JointEstimate& joint, const std::vector<FlightFactor>& factors,
+                            const DynamicModel& model);
 
 }  // namespace odmc
