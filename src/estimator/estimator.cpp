@@ -11,12 +11,11 @@
 namespace odmc {
 namespace {
 
-constexpr int kMostLeaving = 20;      // keyframes an update after learning
-constexpr double kSettled_s = 1.0;    // age at which an interval's residual is looked at
-constexpr double kMostHeld_s = 2.0;   // that the window grows while contact is suspected
-constexpr double kMostRoom = 1e5;     // keyframes
-constexpr double kWaiting = 1.1;      // of the window, at most, while it is weighed anew
-constexpr double kWalkEvery_s = 0.1;  // of flight that has left the window
+constexpr int kMostLeaving = 20;     // keyframes an update after learning
+constexpr double kSettled_s = 1.0;   // age at which an interval's residual is looked at
+constexpr double kMostHeld_s = 2.0;  // that the window grows while contact is suspected
+constexpr double kMostRoom = 1e5;    // keyframes
+constexpr double kWaiting = 1.1;     // of the window, at most, while it is weighed anew
 
 /// Newest keyframes whose factors change after they were added: averages of rotor accelerations
 /// take in later intervals (RotorRateSmoother).
@@ -71,7 +70,6 @@ std::vector<int> Walking(const EstimatorOptions& options, const DynamicModel& mo
 Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options, bool with_torque)
     : model_(model),
       options_(options),
-      with_torque_(with_torque),
       layout_(*model, model->InitialValues()),
       front_end_(model, &options_),
       window_(&layout_),
@@ -87,7 +85,7 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
   window_.keyframes().Reserve(static_cast<size_t>(MostKeyframes(options)));
   const int k_f = model->IndexOf("thrust.k_f");
   if (with_torque && k_f >= 0) window_.SetAnchorEntry(layout_.EntryOf(k_f));
-  uncertainty_.SetWalking(Walking(options, *model, layout_));
+  uncertainty_.SetWalking(Walking(options, *model, layout_), options.k_f_walk_rate);
 }
 
 Estimator::~Estimator() = default;
@@ -264,8 +262,7 @@ void Estimator::StartAnew() {
   window_.SetAnchorEntry(anchor_entry);
   solver_ = MakeSolver(options_, *model_);
   uncertainty_.Reset();
-  walk_owed_s_ = 0.0;
-  model_noise_ = MakeModelNoise(options_, model_->vehicle(), with_torque_);
+  model_noise_ = MakeModelNoise(options_, model_->vehicle(), model_noise_.with_torque());
   changes_ = ChangeWatch(model_->vehicle());
   schedule_.Reset();
   factors_.Reset();
@@ -340,12 +337,7 @@ void Estimator::MarginalizeOld() {
 }
 
 void Estimator::LetVary(double dt) {
-  walk_owed_s_ += dt;
-  if (options_.k_f_walk_rate > 0.0 && walk_owed_s_ >= kWalkEvery_s) {
-    const double rate = options_.k_f_walk_rate;
-    uncertainty_.LetWalk(rate * rate * walk_owed_s_, solver_.get(), &window_);
-    walk_owed_s_ = 0.0;
-  }
+  uncertainty_.LetWalk(dt, solver_.get(), &window_);
   if (model_->processes().empty()) return;
   const ModelValues values = window_.values();
   const ParameterVector chain = layout_.ChainFactors(values);

@@ -7,6 +7,7 @@
 namespace odmc {
 namespace {
 
+constexpr double kWalkEvery_s = 0.1;       // of flight that has left the window
 constexpr double kObservableShare = 0.5;   // of the prior's sigma
 constexpr double kSigmaAfterChange = 0.3;  // least sigma then, of the prior's
 
@@ -58,21 +59,25 @@ void Uncertainty::Reset() {
   force_information_.setZero();
   torque_information_.setZero();
   unobservable_.clear();
+  walk_owed_s_ = 0.0;
 }
 
-void Uncertainty::SetWalking(const std::vector<int>& entries) {
+void Uncertainty::SetWalking(const std::vector<int>& entries, double rate) {
   walking_ = entries;
+  walk_rate_ = rate;
   consistency_.SetWalking(entries);
 }
 
-void Uncertainty::LetWalk(double variance, WindowSolver* solver, Window* window) {
-  if (walking_.empty()) return;
+void Uncertainty::LetWalk(double dt, WindowSolver* solver, Window* window) {
+  walk_owed_s_ += dt;
+  if (walking_.empty() || walk_owed_s_ < kWalkEvery_s) return;
   const ModelValues values = window->values();
   const ParameterVector chain = layout_->ChainFactors(values);
   ParameterVector relative = ParameterVector::Zero(layout_->num_estimated());
   for (const int i : walking_) relative[i] = values[layout_->model_index(i)] / chain[i];
   before_walk_ = solver->PastInformation(*window);
-  solver->LetPastWalk(relative, variance, window);
+  solver->LetPastWalk(relative, walk_rate_ * walk_rate_ * walk_owed_s_, window);
+  walk_owed_s_ = 0.0;
   consistency_.Walked(before_walk_, solver->PastInformation(*window));
 }
 

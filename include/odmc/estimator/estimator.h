@@ -148,7 +148,6 @@ class Estimator {
 
   const DynamicModel* model_;
   EstimatorOptions options_;
-  bool with_torque_;
   ParameterLayout layout_;
   FrontEnd front_end_;
   Window window_;
@@ -165,7 +164,6 @@ class Estimator {
   std::function<void(const SolvedWindow&)> observe_;
   bool made_progress_ = false;
   bool last_in_window_ = false;  // the keyframe before the newest
-  double walk_owed_s_ = 0.0;     // of flight that has left since parameters last walked
 };
 
 }  // namespace odmc

@@ -18,6 +18,7 @@ class ModelNoise {
              bool with_torque);
 
   const ProcessNoiseEstimator& estimator() const { return estimator_; }
+  bool with_torque() const { return with_torque_; }
   /// Goes on with the sizes that another one has found.
   void CarryOn(const ModelNoise& before) { estimator_ = before.estimator_; }
 

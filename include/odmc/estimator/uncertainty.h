@@ -32,10 +32,11 @@ class Uncertainty {
 
   /// Entries of eta that walk together with the flight: what it said of them is judged about the
   /// value of its time.
-  void SetWalking(const std::vector<int>& entries);
-  /// What has left the window says less of them: they have walked on by a relative step of this
-  /// variance.
-  void LetWalk(double variance, WindowSolver* solver, Window* window);
+  /// @param rate relative [1/√s]
+  void SetWalking(const std::vector<int>& entries, double rate);
+  /// An interval of `dt` has left the window: what has left says less of them, as they have walked
+  /// on. Now and then, for all of it that is owed.
+  void LetWalk(double dt, WindowSolver* solver, Window* window);
 
   /// Of eta, after the last update, not widened (n).
   const Eigen::VectorXd& sigma_eta() const { return sigma_eta_; }
@@ -91,6 +92,8 @@ class Uncertainty {
   Eigen::MatrixXd covariance_;  // of eta, of the last update
   LeavingFactors leaving_;
   std::vector<int> walking_;     // entries of eta
+  double walk_rate_ = 0.0;       // [1/√s]
+  double walk_owed_s_ = 0.0;     // of flight that has left since they last walked
   Eigen::MatrixXd before_walk_;  // information of the past
 };
 
