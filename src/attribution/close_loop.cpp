@@ -89,6 +89,32 @@ Ratios RatiosOf(const PredictionFigures& before, const PredictionFigures& after,
   return ratios;
 }
 
+/// Mean logarithm of the errors of force and angular acceleration.
+double LogError(const PredictionFigures& figures) {
+  double sum = 0.0;
+  int axes = 0;
+  for (const auto of :
+       {&PredictionFigures::force_rmse_N, &PredictionFigures::angular_acceleration_rmse_rad_s2}) {
+    if (!(figures.*of)) continue;
+    for (const double error : *(figures.*of)) {
+      sum += std::log(std::max(1e-300, error));
+      ++axes;
+    }
+  }
+  return sum / std::max(1, axes);
+}
+
+/// True if the online estimate of an effect lies further from the fit than both sigmas explain.
+bool Strays(const RankedEffect& effect, const ParameterSet& online) {
+  constexpr double kSigmas = 3.0;
+  return std::any_of(
+      effect.parameters.begin(), effect.parameters.end(), [&](const ParameterEstimate& p) {
+        const ParameterEstimate* there = online.Find(p.full_name);
+        if (!p.estimated || !p.observable || there == nullptr || !there->estimated) return false;
+        return std::abs(there->value - p.value) > kSigmas * std::hypot(there->sigma, p.sigma);
+      });
+}
+
 FlightFigures FlownFlight(const FlightLog& log, const ReplayResult& replay) {
   FlightFigures figures;
   figures.file = log.file;
@@ -151,6 +177,9 @@ class LoopSession {
   void Confirm();
   /// Asks the online estimator for effects of which the regression is no judge.
   void AskOnline();
+  /// Runs once more, held near the fit, where the online estimate has left it. The run that
+  /// predicts blocks held out better counts.
+  void StayNearFit();
   /// The verdict, and the errors before and after.
   void Conclude();
 
@@ -424,6 +453,30 @@ void LoopSession::AskOnline() {
   }
 }
 
+// The window lets go of what was linearized where the estimate was at the time, and a product, such
+// as a mass times its place, may then be on its way to another valley.
+void LoopSession::StayNearFit() {
+  constexpr double kSigmas = 3.0;  // the flight counts twice, once with a ninth of its weight
+  const bool strays = std::any_of(effects_.begin(), effects_.end(), [&](const RankedEffect& e) {
+    return Strays(e, after_->parameters);
+  });
+  if (!strays) return;
+  const std::map<std::string, ParameterSetting> without = known_;
+  for (const RankedEffect& effect : effects_) {
+    for (const ParameterEstimate& p : effect.parameters) {
+      if (!p.estimated || !(p.sigma > 0.0)) continue;
+      known_[p.full_name].value = p.value;
+      known_[p.full_name].sigma = kSigmas * p.sigma;
+    }
+  }
+  std::optional<OnlinePass> near = RunWith(effects_, 1.0);
+  if (near && LogError(near->held_out) < LogError(after_->held_out)) {
+    after_ = std::move(near);
+  } else {
+    known_ = without;
+  }
+}
+
 AddedEffect LoopSession::Added(const RankedEffect& ranked, const DynamicModel& model) {
   const std::string other = Disagreement(ranked, after_->parameters, model, options_.attribution);
   if (!other.empty()) {
@@ -512,6 +565,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     session.WeighGusts();
     session.Confirm();
     session.AskOnline();
+    session.StayNearFit();
     session.Conclude();
   }
   return session.TakeResult();
