@@ -292,7 +292,7 @@ void TorqueSpectra::AddInertia(const Band& band, TorqueBands* result, Scatters* 
 TorqueBands TorqueSpectra::Bands(const Noise& noise) const {
   TorqueBands result;
   result.flight_s = Seconds();
-  if (2 * segments_ < kFewestSegments * kSegmentsPerLength) {
+  if (2 * segments_ < long{kFewestSegments} * kSegmentsPerLength) {
     result.Refuse("less than " + std::to_string(kFewestSegments) + " whole stretches of " +
                   Rounded(length_ / rate_Hz_) + " s");
     return result;
@@ -359,7 +359,7 @@ void TorqueSpectra::AddReaction(const Band& band, double delay_sigma_s, TorqueBa
     const double late = w * delay_sigma_s * x[other] * std::sqrt(G(other, other) / G(i, i));
     estimate.sigma = std::hypot(estimate.noise_sigma, std::hypot(loop, late));
     quantities[static_cast<size_t>(i)]->bands.push_back(estimate);
-    (*scatters)[static_cast<size_t>(2 + i)].Add(scatter, i, 1.0);
+    (*scatters)[2 + static_cast<size_t>(i)].Add(scatter, i, 1.0);
   }
 }
 

@@ -65,7 +65,8 @@ TorqueSpectra::TorqueSpectra(double rate_Hz, double segment_s, double highest_Hz
 }
 
 double TorqueSpectra::Seconds() const {
-  return static_cast<double>(segments_ * (length_ / kSegmentsPerLength)) / rate_Hz_;
+  const long apart = length_ / kSegmentsPerLength;  // samples
+  return static_cast<double>(segments_ * apart) / rate_Hz_;
 }
 
 void TorqueSpectra::Break() {

@@ -46,9 +46,7 @@ void AddFlights(const std::string& name, std::set<std::string>* seen,
                 std::vector<std::string>* files) {
   const FlightReaders readers = AllFlightReaders({});
   std::vector<std::string> found;
-  if (readers.IsFlightFolder(name)) {
-    found.push_back(name);
-  } else if (fs::is_directory(name)) {
+  if (fs::is_directory(name) && !readers.IsFlightFolder(name)) {
     for (fs::recursive_directory_iterator it(name), end; it != end; ++it) {
       const bool is_flight =
           it->is_directory() ? readers.IsFlightFolder(it->path()) : readers.IsFlight(it->path());

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cassert>
 #include <cmath>
+#include <cstddef>
 #include <cstring>
 
 namespace odmc {
@@ -45,6 +46,12 @@ static_assert(alignof(RowChunk) == alignof(double) && sizeof(RowChunk) == sizeof
 ODMC_INLINE RowChunk* At(double* p) { return reinterpret_cast<RowChunk*>(p); }
 ODMC_INLINE const RowChunk* At(const double* p) { return reinterpret_cast<const RowChunk*>(p); }
 
+/// A row of a matrix whose rows begin `stride` numbers apart.
+template <typename Number>
+ODMC_INLINE Number* RowOf(Number* matrix, int stride, int row) {
+  return matrix + static_cast<std::ptrdiff_t>(stride) * row;
+}
+
 /// Applies the reflection I - tau [1; v] [1; v]ᵀ to N chunks of `top` and of the rows of E, side by
 /// side: one sum would wait for itself.
 template <int N>
@@ -53,7 +60,7 @@ ODMC_INLINE void ReflectChunks(const double* v, double tau, double* top, double*
   Chunk w[N];
   for (int k = 0; k < N; ++k) w[k] = At(top)[k].numbers;
   for (int i = 0; i < rows; ++i) {
-    const RowChunk* row = At(E + i * e_stride);
+    const RowChunk* row = At(RowOf(E, e_stride, i));
     for (int k = 0; k < N; ++k) w[k] += v[i] * row[k].numbers;
   }
   for (int k = 0; k < N; ++k) {
@@ -61,7 +68,7 @@ ODMC_INLINE void ReflectChunks(const double* v, double tau, double* top, double*
     At(top)[k].numbers -= w[k];
   }
   for (int i = 0; i < rows; ++i) {
-    RowChunk* row = At(E + i * e_stride);
+    RowChunk* row = At(RowOf(E, e_stride, i));
     for (int k = 0; k < N; ++k) row[k].numbers -= v[i] * w[k];
   }
 }
@@ -133,10 +140,10 @@ ODMC_INLINE void AbsorbInto(double* U, int u_stride, double* E, int e_stride, in
   while (rows > 0) {
     const int some = std::min(rows, kMostRows);
     for (int j = 0; j < pivots; ++j) {
-      Eliminate<kMost>(U + j * u_stride, E, e_stride, some, j, columns, v);
+      Eliminate<kMost>(RowOf(U, u_stride, j), E, e_stride, some, j, columns, v);
     }
     rows -= some;
-    E += some * e_stride;
+    E = RowOf(E, e_stride, some);
   }
 }
 
@@ -147,10 +154,10 @@ ODMC_INLINE int TriangulariseInto(double* E, int e_stride, int rows, int pivots,
   double v[kMostRows];
   int taken = 0;
   for (int j = 0; j < pivots; ++j) {
-    double* row = U + j * u_stride;
+    double* row = RowOf(U, u_stride, j);
     std::memset(row, 0, sizeof(double) * static_cast<size_t>(columns + kRowPadding));
     if (taken == rows) continue;
-    double* top = E + taken * e_stride;
+    double* top = RowOf(E, e_stride, taken);
     if (!Eliminate<kMost>(top, top + e_stride, e_stride, rows - taken - 1, j, columns, v)) continue;
     std::memcpy(row + j, top + j, sizeof(double) * static_cast<size_t>(columns - j));
     ++taken;
@@ -173,7 +180,7 @@ ODMC_INLINE double ForwardSubstituteIn(double* U, int u_stride, int pivots, int 
   InvertPivots(U, u_stride, pivots, inverse);
   double squares = 0.0;
   for (int i = 0; i < pivots; ++i) {
-    double* row = U + i * u_stride;
+    double* row = RowOf(U, u_stride, i);
     if (g[i] == 0.0 || inverse[i] == 0.0) continue;
     const double y = std::clamp(g[i] * inverse[i], -most, most);
     squares += y * y;
@@ -195,7 +202,7 @@ ODMC_INLINE void BackSubstituteIn(const double* U, int u_stride, int pivots, int
   InvertPivots(U, u_stride, pivots, inverse);
   // What is known beforehand, for all rows; no row waits for another.
   for (int i = 0; i < pivots; ++i) {
-    const double* row = U + i * u_stride;
+    const double* row = RowOf(U, u_stride, i);
     Chunk sums = {};
     for (int j = pivots; j < columns; j += kChunk) {
       sums += At(row + j)->numbers * At(x + j)->numbers;
