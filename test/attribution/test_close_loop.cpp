@@ -329,7 +329,9 @@ TEST(CloseLoop, StaysInTheValleyOfTheFit) {
   ASSERT_EQ(plan.effects, std::vector<std::string>{"mass_change"});
   const UndeclaredFlight flight = MakeUndeclared(plan);
   const Vehicle declared = ParseVehicle(FormatVehicle(flight.declared), "vehicle.yaml");
-  const ClosedLoop loop = CloseLoop(flight.log, declared, declared, CloseLoopOptions());
+  CloseLoopOptions options;
+  options.estimator.keyframe_rate_hz = 50.0;  // as the tool
+  const ClosedLoop loop = CloseLoop(flight.log, declared, declared, options);
   ASSERT_EQ(loop.effects.size(), 1u) << CloseLoopTable(loop);
   ASSERT_EQ(loop.effects[0].effect.name, "mass_change");
   for (const std::string name : {"mass_change.mass", "mass_change.x", "mass_change.y"}) {
