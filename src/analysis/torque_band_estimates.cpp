@@ -76,9 +76,9 @@ struct TorqueSpectra::Band {
     /// Torque without what goes with the rate.
     double Own() const { return ww > 0.0 ? uu - uw * uw / ww : uu; }
     /// Of acceleration on torque and rate. Rate and acceleration are a quarter of a turn apart.
-    Regression AsRegression(double share) const {
+    Regression AsRegression(double share_of_flight) const {
       Regression r;
-      r.share = share;
+      r.share = share_of_flight;
       r.gram = Eigen::Matrix2d{{uu, uw}, {uw, ww}};
       r.noise = Eigen::Matrix2d{{noise, 0.0}, {0.0, 0.0}};
       r.right = Eigen::Vector2d(uy.real(), 0.0);
@@ -86,10 +86,10 @@ struct TorqueSpectra::Band {
       return r;
     }
     /// Of so few values it is not known to be closer to one.
-    double Coherence(double independent) const {
+    double Coherence(double independent_values) const {
       if (!(Own() > 0.0 && yy > 0.0)) return 0.0;
       const double shared = uy.real() * uy.real() / (Own() * yy);
-      return std::min(1.0 - 0.5 / independent, shared);
+      return std::min(1.0 - 0.5 / independent_values, shared);
     }
   };
   /// Adds the sums at one frequency.
