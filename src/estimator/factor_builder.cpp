@@ -172,8 +172,8 @@ void FactorBuilder::AddToInterval(Factor factor, std::int64_t id, bool bias, boo
   factor.state1 = id;
   factor.bias0 = bias ? window_->keyframe(id - 1).bias : -1;
   factor.parameters = parameters;
-  const bool is_dynamics = factor.kind == FactorKind::kDynamics;
-  if (is_dynamics || factor.kind == FactorKind::kAccelerometer) factor.loss = loss_.get();
+  const bool is_dynamics = factor.As<DynamicsFactor>() != nullptr;
+  if (is_dynamics || factor.As<AccelerometerFactor>() != nullptr) factor.loss = loss_.get();
   factor.anchored = is_dynamics && window_->anchor_entry() >= 0;
   window_->AddFactor(std::move(factor));
 }

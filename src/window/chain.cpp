@@ -106,18 +106,15 @@ void Chain::ObserveOldest(const Window& window, LeavingFactors* leaving) const {
         (kept.in_pair ? f.border() : kStateTangentSize) + BorderColumns::kParameters;
     std::array<double, kMostFactorRows> residual;
     f.LinearResidual(window, factor, kept, own.data(), next.data(), residual.data());
-    int torque_rows = 0;
-    if (factor.kind == FactorKind::kDynamics) {
-      const auto* dynamics = dynamic_cast<const DynamicsFactor*>(factor.cost.get());
-      torque_rows = dynamics != nullptr && dynamics->with_torque() ? 3 : 0;
-    }
+    const auto* const dynamics = factor.As<DynamicsFactor>();
+    const int torque_rows = dynamics != nullptr && dynamics->with_torque() ? 3 : 0;
     const double* corrected = f.corrected.row(static_cast<int>(k));
     leaving->score +=
         Eigen::Map<const Eigen::VectorXd>(corrected + f.border() + BorderColumns::kParameters, n);
     for (int i = 0; i < kept.rows; ++i) {
       const Eigen::Map<const Eigen::VectorXd> J(block.row(kept.row + i) + parameters, n);
       leaving->score += residual[static_cast<size_t>(i)] * J;
-      if (factor.kind != FactorKind::kDynamics) continue;
+      if (dynamics == nullptr) continue;
       (i < kept.rows - torque_rows ? leaving->force_information : leaving->torque_information) +=
           J.cwiseAbs2();
     }

@@ -53,10 +53,10 @@ void Observe(const Window& window, const Factor& factor, LeavingFactors* leaving
   LinearFactor linear;
   if (!factor.parameters || !Linearize(window, factor, false, &linear)) return;
   leaving->score += linear.J.rightCols(leaving->score.size()).transpose() * linear.r;
-  if (factor.kind != FactorKind::kDynamics) return;
-  const auto* dynamics = dynamic_cast<const DynamicsFactor*>(factor.cost.get());
+  const auto* const dynamics = factor.As<DynamicsFactor>();
+  if (dynamics == nullptr) return;
   const auto squares = linear.J.rightCols(leaving->score.size()).cwiseAbs2().eval();
-  const int torque_rows = dynamics != nullptr && dynamics->with_torque() ? 3 : 0;
+  const int torque_rows = dynamics->with_torque() ? 3 : 0;
   leaving->torque_information = squares.bottomRows(torque_rows).colwise().sum();
   leaving->force_information = squares.topRows(squares.rows() - torque_rows).colwise().sum();
 }

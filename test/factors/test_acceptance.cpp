@@ -268,7 +268,8 @@ Batch SolveBatch(const Flight& flight, double torque_scale, bool torque_units) {
     } else {
       cost = std::move(dynamics);
     }
-    add(FactorKind::kDynamics, std::move(cost), id - 1, id, true);
+    add(torque_units ? FactorKind::kOther : FactorKind::kDynamics, std::move(cost), id - 1, id,
+        true);
   }
   SolverOptions options;
   options.max_iterations = 12;

@@ -99,7 +99,7 @@ class LinearWindowMaker {
       bias_ = window_->AddBias(random_.NextVector(6, 0.2));
       if (walk_from >= 0) {
         // As in the estimator: it belongs to the last keyframe with the old bias.
-        AddLinear(FactorKind::kBiasWalk, 6, {}, {walk_from, bias_}, false);
+        AddLinear(6, {}, {walk_from, bias_}, false);
       }
     }
     State s;
@@ -108,20 +108,20 @@ class LinearWindowMaker {
     s.w_WS_S = random_.Next3();
     const std::int64_t id =
         window_->AddKeyframe(count_ * 10000000, s, linked, with_bias ? bias_ : -1);
-    if (new_bias && walk_from < 0) AddLinear(FactorKind::kBiasPrior, 6, {}, {bias_}, false);
-    AddLinear(FactorKind::kOdometry, 9, {id}, {}, false);
+    if (new_bias && walk_from < 0) AddLinear(6, {}, {bias_}, false);
+    AddLinear(9, {id}, {}, false);
     if (options_.with_rotation) AddRotationPrior(id);
     if (linked) {
       const std::vector<std::int64_t> biases =
           with_bias ? std::vector<std::int64_t>{window_->keyframe(id - 1).bias}
                     : std::vector<std::int64_t>{};
-      AddLinear(FactorKind::kDynamics, 9, {id - 1, id}, biases, true);
+      AddLinear(9, {id - 1, id}, biases, true);
     }
     ++count_;
   }
 
  private:
-  void AddLinear(FactorKind kind, int rows, const std::vector<std::int64_t>& states,
+  void AddLinear(int rows, const std::vector<std::int64_t>& states,
                  const std::vector<std::int64_t>& biases, bool parameters) {
     std::vector<Eigen::MatrixXd> M;
     for (size_t i = 0; i < states.size(); ++i) {
@@ -143,24 +143,21 @@ class LinearWindowMaker {
       M.push_back(m);
       if (options_.anchored) M.push_back(random_.NextMatrix(rows, 1, 0.3));
     }
-    Add(kind,
-        std::make_unique<LinearCost>(random_.NextVector(rows), M, static_cast<int>(states.size())),
+    Add(std::make_unique<LinearCost>(random_.NextVector(rows), M, static_cast<int>(states.size())),
         states, biases, parameters);
   }
 
   void AddRotationPrior(std::int64_t id) {
     Eigen::MatrixXd M = Eigen::MatrixXd::Zero(3, 12);
     M.middleCols<3>(3) = 2.0 * Eigen::Matrix3d::Identity() + random_.NextMatrix(3, 3, 0.5);
-    Add(FactorKind::kOdometry,
-        std::make_unique<LinearCost>(Eigen::VectorXd::Zero(3), std::vector<Eigen::MatrixXd>{M}, 1),
+    Add(std::make_unique<LinearCost>(Eigen::VectorXd::Zero(3), std::vector<Eigen::MatrixXd>{M}, 1),
         {id}, {}, false);
   }
 
-  void Add(FactorKind kind, std::unique_ptr<ceres::CostFunction> cost,
-           const std::vector<std::int64_t>& states, const std::vector<std::int64_t>& biases,
-           bool parameters) {
+  void Add(std::unique_ptr<ceres::CostFunction> cost, const std::vector<std::int64_t>& states,
+           const std::vector<std::int64_t>& biases, bool parameters) {
     Factor factor;
-    factor.kind = kind;
+    factor.kind = FactorKind::kOther;
     factor.cost = std::move(cost);
     if (!states.empty()) factor.state0 = states[0];
     if (states.size() > 1) factor.state1 = states[1];

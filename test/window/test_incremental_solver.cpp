@@ -300,7 +300,7 @@ TEST_F(IncrementalSolver, WrittenPriorLeavesACeresSolveNothingToDo) {
 Factor OwnFactor(std::int64_t id, double shift, int n) {
   Random random(77);
   Factor factor;
-  factor.kind = FactorKind::kDynamics;
+  factor.kind = FactorKind::kOther;
   MatrixXd of_state = random.NextMatrix(6, 12);
   of_state.middleCols<3>(3).setZero();
   factor.cost =

@@ -478,7 +478,7 @@ class FlightWindow : public testing::Test {
         // Attitude, velocity and rates only.
         Eigen::MatrixXd M = 100.0 * random.NextMatrix(9, 12);
         M.leftCols<3>().setZero();
-        Add(window, FactorKind::kOdometry,
+        Add(window, FactorKind::kOther,
             std::make_unique<LinearCost>(random.NextVector(9), std::vector<Eigen::MatrixXd>{M}, 1),
             id, -1, false);
       }

@@ -250,7 +250,7 @@ TEST_F(SolversTest, RefuseAndAcceptTheSameStepsOfACurvedValley) {
     options.keyframes = 3;
     LinearWindowMaker(window, options, 5).Fill();
     Factor factor;
-    factor.kind = FactorKind::kDynamics;
+    factor.kind = FactorKind::kOther;
     factor.cost = std::make_unique<Rosenbrock>(layout_.num_estimated());
     factor.loss = &loss;
     factor.state0 = window->keyframes().front().id;

@@ -36,9 +36,10 @@ enum class FactorKind {
   kGyro,
   kGyroPreintegration,
   kBiasPrior,
-  kBiasWalk
+  kBiasWalk,
+  kOther  ///< a cost function that nobody looks for
 };
-constexpr int kNumFactorKinds = static_cast<int>(FactorKind::kBiasWalk) + 1;
+constexpr int kNumFactorKinds = static_cast<int>(FactorKind::kOther) + 1;
 
 /// The kind of a type of cost function.
 template <typename T>
