@@ -25,15 +25,6 @@ constexpr int kSurrogates = 300;      // their 30 largest give the tail to 18 %
 constexpr size_t kMostFeatures = 10;  // that complete a set
 constexpr double kTail = 0.1;         // share of surrogates whose excess gives the tail
 
-constexpr const char* kUnphysical = " has an unphysical sign";
-
-/// True if a coefficient has a sign that it cannot have, beyond two sigma.
-bool IsUnphysical(const RankedEffect& effect) {
-  return std::any_of(effect.remarks.begin(), effect.remarks.end(), [](const std::string& remark) {
-    return remark.find(kUnphysical) != std::string::npos;
-  });
-}
-
 /// Best first.
 void SortByScore(std::vector<RankedEffect>* effects) {
   std::sort(effects->begin(), effects->end(),
@@ -295,7 +286,8 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
       own.push_back(at);
     }
     if (HasWrongSign(spec.sign, value, 2.0 * sigma)) {
-      ranked.remarks.push_back(column.name + " = " + Rounded(value) + kUnphysical);
+      ranked.is_unphysical = true;
+      ranked.remarks.push_back(column.name + " = " + Rounded(value) + " has an unphysical sign");
     } else if (std::abs(value - spec.prior_value) > 4.0 * spec.prior_sigma) {
       ranked.remarks.push_back(column.name + " = " + Rounded(value) + " is strangely large");
     }
@@ -536,7 +528,7 @@ VariantSet Attribution::Largest(const Evidence& evidence, const VariantSet& conf
 VariantSet Attribution::WithoutStrangers(const Evidence& evidence, VariantSet set) const {
   for (const int v : VariantSet(set)) {
     RankedEffect ranked = Describe(evidence, v, set);
-    if (!IsUnphysical(ranked)) continue;
+    if (!ranked.is_unphysical) continue;
     FindAlternatives(evidence, set, v, &ranked);
     VariantSet without = set;
     without.erase(v);
@@ -548,7 +540,7 @@ VariantSet Attribution::WithoutStrangers(const Evidence& evidence, VariantSet se
       VariantSet with = without;
       with.insert(a);
       const double gain = evidence.GainInNats(with);
-      if (IsUnphysical(Describe(evidence, a, with)) || (other && gain <= most)) continue;
+      if (Describe(evidence, a, with).is_unphysical || (other && gain <= most)) continue;
       other = a;
       most = gain;
     }

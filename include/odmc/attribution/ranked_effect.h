@@ -33,6 +33,7 @@ struct RankedEffect {
   std::vector<std::string> alternatives;   ///< that explain the same on this flight
   std::vector<std::string> remarks;        ///< what is strange about it
   std::vector<FlightSays> by_flight = {};  ///< of several flights, in their order
+  bool is_unphysical = false;  ///< a coefficient has a sign that it can't have, beyond two sigma
 
   /// nullptr if it has no such parameter
   const ParameterEstimate* Find(const std::string& full_name) const {
