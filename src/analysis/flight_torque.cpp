@@ -70,10 +70,10 @@ Streams StreamsOf(const FlightLog& log, const BodyProperties& body) {
 }
 
 template <typename Sample>
-class StreamReader {
+class StreamCursor {
  public:
   /// @param longest_s holes that are longer are not read across
-  StreamReader(const std::vector<Sample>& samples, double longest_s)
+  StreamCursor(const std::vector<Sample>& samples, double longest_s)
       : samples_(samples), longest_s_(longest_s) {}
 
   /// @returns false where there is a hole, or nothing around the stamp
@@ -176,8 +176,8 @@ class TorqueReader {
 
   DynamicModel model_;
   ModelValues values_;
-  StreamReader<OdometrySample> poses_;
-  StreamReader<RotorSample> rotors_;
+  StreamCursor<OdometrySample> poses_;
+  StreamCursor<RotorSample> rotors_;
   BodyProperties body_;
   Stamp first_;
   double speed_squares_ = 0.0;

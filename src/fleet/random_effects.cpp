@@ -70,7 +70,7 @@ MatrixXd TimesDesign(const MatrixXd& weight, const MatrixXd& design) {
 }
 
 /// All of one evaluation at given variances.
-struct Evaluation {
+struct LikelihoodAt {
   VectorXd beta;
   MatrixXd covariance;
   std::vector<MatrixXd> weight;  // n×n, Rᵀ V⁻¹ R
@@ -78,9 +78,9 @@ struct Evaluation {
   double log_likelihood = 0.0;
 };
 
-Evaluation Evaluate(const std::vector<Scaled>& flights, const VectorXd& variance) {
+LikelihoodAt Evaluate(const std::vector<Scaled>& flights, const VectorXd& variance) {
   const Index n = variance.size(), q = flights.front().design.cols();
-  Evaluation e;
+  LikelihoodAt e;
   MatrixXd information = MatrixXd::Identity(q, q);  // the prior's
   VectorXd b = VectorXd::Zero(q);
   double log_determinant = 0.0;
@@ -126,7 +126,7 @@ struct Balance {
   VectorXd squares, expected;
 };
 
-Balance BalanceOf(const std::vector<Scaled>& flights, const Evaluation& e, Index n) {
+Balance BalanceOf(const std::vector<Scaled>& flights, const LikelihoodAt& e, Index n) {
   Balance balance = {VectorXd::Zero(n), VectorXd::Zero(n)};
   for (size_t i = 0; i < flights.size(); ++i) {
     const MatrixXd seen = TimesDesign(e.weight[i], flights[i].design);
@@ -160,7 +160,7 @@ VectorXd FirstVariance(const std::vector<FlightFactor>& factors) {
   return variance;
 }
 
-VectorXd DegreesOfFreedom(const std::vector<Scaled>& flights, const Evaluation& e,
+VectorXd DegreesOfFreedom(const std::vector<Scaled>& flights, const LikelihoodAt& e,
                           const MatrixXd& variance_covariance) {
   const Index n = variance_covariance.rows(), q = e.beta.size();
   // How the covariance of beta follows each variance.
@@ -186,7 +186,7 @@ double LogPrior(const VectorXd& variance) { return -kScatterRate * variance.cwis
 /// tangent is taken: it bounds the root from above, so that no step makes it worse).
 /// @param e at `variance`, follows it
 /// @returns the number of steps
-int FitVariance(const std::vector<Scaled>& flights, VectorXd* variance, Evaluation* e) {
+int FitVariance(const std::vector<Scaled>& flights, VectorXd* variance, LikelihoodAt* e) {
   const Index n = variance->size();
   int iterations = 0;
   for (; iterations < kMostIterations; ++iterations) {
@@ -198,7 +198,7 @@ int FitVariance(const std::vector<Scaled>& flights, VectorXd* variance, Evaluati
       next[k] = std::clamp((*variance)[k] * std::sqrt(balance.squares[k] / expected),
                            kLeastVariance, 1.0);
     }
-    Evaluation better = Evaluate(flights, next);
+    LikelihoodAt better = Evaluate(flights, next);
     const double gained =
         better.log_likelihood + LogPrior(next) - e->log_likelihood - LogPrior(*variance);
     if (gained < 0.0 && iterations > 0) break;
@@ -210,7 +210,7 @@ int FitVariance(const std::vector<Scaled>& flights, VectorXd* variance, Evaluati
 }
 
 /// Fisher's information of the variances.
-MatrixXd VarianceInformation(const std::vector<Scaled>& flights, const Evaluation& e, Index n) {
+MatrixXd VarianceInformation(const std::vector<Scaled>& flights, const LikelihoodAt& e, Index n) {
   MatrixXd information = MatrixXd::Zero(n, n);
   for (size_t i = 0; i < flights.size(); ++i) {
     MatrixXd seen = e.weight[i] - e.weight[i] * flights[i].design * e.covariance *
@@ -233,7 +233,7 @@ double SigmaOfRoot(double square, double sigma) {
 }
 
 /// Fills in means with changes, from units of the priors' sigmas to the parameters' own.
-void SetMeans(const Evaluation& e, const FlightFactor& first, const FleetModel& model,
+void SetMeans(const LikelihoodAt& e, const FlightFactor& first, const FleetModel& model,
               RandomEffects* fit) {
   const Index n = first.size(), q = e.beta.size();
   VectorXd scale(q);
@@ -247,7 +247,7 @@ void SetMeans(const Evaluation& e, const FlightFactor& first, const FleetModel& 
 }
 
 /// The same of what each flight has for itself.
-void SetFlights(const std::vector<Scaled>& flights, const Evaluation& e, const VectorXd& variance,
+void SetFlights(const std::vector<Scaled>& flights, const LikelihoodAt& e, const VectorXd& variance,
                 const FlightFactor& first, RandomEffects* fit) {
   for (size_t i = 0; i < flights.size(); ++i) {
     const VectorXd own = (variance + flights[i].own_variance).cwiseProduct(e.pull[i]);
@@ -268,7 +268,7 @@ RandomEffects FitRandomEffects(const std::vector<FlightFactor>& factors, const F
                           ? known_scatter->cwiseQuotient(first.prior_sigma).cwiseAbs2().eval()
                           : FirstVariance(factors);
   if (factors.size() < 2) variance.setZero();
-  Evaluation e = Evaluate(flights, variance);
+  LikelihoodAt e = Evaluate(flights, variance);
   RandomEffects fit;
   const bool fits = known_scatter == nullptr && factors.size() > 1;
   if (fits) fit.iterations = FitVariance(flights, &variance, &e);

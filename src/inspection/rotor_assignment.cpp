@@ -58,27 +58,29 @@ double LogGainPrior(int i) {
 /// seen (or answered by the controller).
 double ErrorGain(double gain) { return std::max(gain, kLeastErrorGain); }
 
-struct Evidence {
+struct AssignmentEvidence {
   double log = 0.0;  // up to what all hypotheses share
   double chi = 0.0;  // squared misfit over the covariance of prior and data
 };
 
 /// Of coefficients ~ N(mean, covariance) seen through a regression.
-Evidence EvidenceOf(const BandRegression& seen, const VectorXd& mean, const MatrixXd& covariance) {
+AssignmentEvidence EvidenceOf(const BandRegression& seen, const VectorXd& mean,
+                              const MatrixXd& covariance) {
   const Eigen::Index p = mean.size();
   const MatrixXd jitter = 1e-12 * covariance.trace() * MatrixXd::Identity(p, p);
   const MatrixXd root = Eigen::LLT<MatrixXd>(covariance + jitter).matrixL();
   const MatrixXd inner = MatrixXd::Identity(p, p) + root.transpose() * seen.information * root;
   const Eigen::LLT<MatrixXd> factor(inner);
   const VectorXd off = seen.information * (seen.value - mean), pulled = root.transpose() * off;
-  Evidence e;
+  AssignmentEvidence e;
   e.chi = off.dot(seen.value - mean) - pulled.dot(factor.solve(pulled));
   e.log = -0.5 * e.chi - MatrixXd(factor.matrixL()).diagonal().array().log().sum();
   return e;
 }
 
 /// Of one axis, where column j has the lever `lever[j]`.
-Evidence LeverEvidence(const BandRegression& seen, const VectorXd& lever, double arm, double gain) {
+AssignmentEvidence LeverEvidence(const BandRegression& seen, const VectorXd& lever, double arm,
+                                 double gain) {
   const Eigen::Index n = lever.size();
   MatrixXd covariance = std::pow(kGainScatter * gain, 2) * lever * lever.transpose();
   covariance.array() += std::pow(kOffCentre * arm * gain, 2);
@@ -132,7 +134,7 @@ struct Levers {
 
 /// Evidence of hypotheses, by gain.
 template <typename Key>
-using Table = std::map<Key, Evidence>;
+using Table = std::map<Key, AssignmentEvidence>;
 
 double LogSum(const std::vector<double>& logs) {
   const double most = *std::max_element(logs.begin(), logs.end());
@@ -266,13 +268,13 @@ class OrderSearch {
     return Gain(best);
   }
 
-  Evidence Of(const Order& any) {
+  AssignmentEvidence Of(const Order& any) {
     const Order order = levers_.Canonical(any);
     const auto known = met_.find(order);
     if (known != met_.end()) return known->second;
-    Evidence sum;
+    AssignmentEvidence sum;
     for (int axis = 0; axis < 2; ++axis) {
-      const Evidence e =
+      const AssignmentEvidence e =
           LeverEvidence(Seen(axis), levers_.At(axis, order), levers_.arm[axis], gain_[axis]);
       sum.log += e.log;
       sum.chi += e.chi;
@@ -381,8 +383,8 @@ double ReactionLever(const Vehicle& vehicle) {
 }
 
 /// Coefficients of yaw with these spins, and how far vehicles differ from them.
-Evidence SpinEvidence(const BandRegression& seen, const VectorXd& sign, double reaction,
-                      const Levers& levers, double gain) {
+AssignmentEvidence SpinEvidence(const BandRegression& seen, const VectorXd& sign, double reaction,
+                                const Levers& levers, double gain) {
   const Eigen::Index n = sign.size();
   const double arm = std::hypot(levers.arm[0], levers.arm[1]);
   MatrixXd along = MatrixXd::Zero(n, n);

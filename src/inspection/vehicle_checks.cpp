@@ -38,13 +38,13 @@ constexpr double kLeastGravity = 9.7, kMostGravity = 9.9;  // 9.764 (Huascaran) 
 constexpr int kLeastWindows = 10 * kWindowsPerBlock;
 
 /// Specific force of the body in B, and the velocity in B.
-struct BodyMotion {
+struct MotionInBody {
   Matrix3Xd force, velocity;
 };
 
-BodyMotion MotionOf(const MotionWindows& w, const Vehicle& vehicle) {
+MotionInBody MotionOf(const MotionWindows& w, const Vehicle& vehicle) {
   const Eigen::Matrix3d R_BS = vehicle.odometry.q_BS.toRotationMatrix();
-  BodyMotion motion{Matrix3Xd(3, w.size()), Matrix3Xd(3, w.size())};
+  MotionInBody motion{Matrix3Xd(3, w.size()), Matrix3Xd(3, w.size())};
   for (int i = 0; i < w.size(); ++i) {
     const Eigen::Matrix3d R_BW = R_BS * w.q_WS[i].conjugate().toRotationMatrix();
     const Vector3d up_W = vehicle.gravity_m_s2 * Vector3d::UnitZ();
@@ -55,7 +55,7 @@ BodyMotion MotionOf(const MotionWindows& w, const Vehicle& vehicle) {
 }
 
 /// k_f that carries the mass; empty where rotor speeds are missing.
-std::optional<double> CarryingThrust(const MotionWindows& w, const BodyMotion& motion,
+std::optional<double> CarryingThrust(const MotionWindows& w, const MotionInBody& motion,
                                      const Vehicle& vehicle) {
   std::vector<double> ratios;
   for (int i = 0; i < w.rotors.cols(); ++i) {
@@ -90,7 +90,7 @@ struct Lean {
 };
 
 /// @param across 3×n: what a lean of one radian along x and y makes, as two 3×n
-Lean FitLean(const BodyMotion& motion, const Matrix3Xd& along_x, const Matrix3Xd& along_y) {
+Lean FitLean(const MotionInBody& motion, const Matrix3Xd& along_x, const Matrix3Xd& along_y) {
   const auto n = motion.force.cols();
   Matrix4d normal = 1e-9 * Matrix4d::Identity();
   Vector4d right = Vector4d::Zero();
@@ -133,13 +133,13 @@ std::string Degrees(const Eigen::Vector2d& angle) {
 
 /// What the accelerometer feels beyond what the pose says, as gravity that leans; the sensor's own
 /// bias and lean stay in the body. @returns true if it could tell
-bool CheckFeltGravity(const MotionWindows& w, const BodyMotion& motion, const Matrix3Xd& world_x,
+bool CheckFeltGravity(const MotionWindows& w, const MotionInBody& motion, const Matrix3Xd& world_x,
                       const Matrix3Xd& world_y, const Vehicle& vehicle,
                       StreamInspection* inspection) {
   if (w.accelerometer.cols() == 0) return false;
   const Eigen::Matrix3d R_BI =
       vehicle.imu ? vehicle.imu->q_BS.toRotationMatrix() : Eigen::Matrix3d::Identity();
-  BodyMotion felt = motion;
+  MotionInBody felt = motion;
   felt.force = R_BI * w.accelerometer - motion.force;
   felt.velocity.setOnes();
   const Lean lean = FitLean(felt, world_x, world_y);
@@ -153,7 +153,7 @@ bool CheckFeltGravity(const MotionWindows& w, const BodyMotion& motion, const Ma
   return true;
 }
 
-void CheckLean(const MotionWindows& w, const BodyMotion& motion, const Vehicle& vehicle,
+void CheckLean(const MotionWindows& w, const MotionInBody& motion, const Vehicle& vehicle,
                StreamInspection* inspection) {
   Matrix3Xd body_x = Matrix3Xd::Zero(3, w.size()), body_y = body_x, world_x = body_x,
             world_y = body_x;
@@ -237,7 +237,7 @@ void CheckThrust(const MotionSignals& signals, const Vehicle& vehicle,
   }
   const MotionWindows w = CalmOnes(all, kCalm_rad_s);
   if (w.size() < kLeastWindows) return;
-  const BodyMotion motion = MotionOf(w, vehicle);
+  const MotionInBody motion = MotionOf(w, vehicle);
   if (const auto k_f = CarryingThrust(w, motion, vehicle)) CheckWeight(*k_f, vehicle, inspection);
   CheckLean(w, motion, vehicle, inspection);
 }

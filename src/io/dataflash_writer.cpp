@@ -26,13 +26,13 @@ enum Kind : std::uint8_t {
   kBattery
 };
 
-struct Definition {
+struct MessageFormat {
   Kind kind;
   const char* name;
   const char* letters;  // Q 8, B 1, H 2, f 4, n 4, N 16, Z 64 bytes
   const char* columns;
 };
-constexpr Definition kDefinitions[] = {
+constexpr MessageFormat kDefinitions[] = {
     {kFormat, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns"},
     {kParameter, "PARM", "QNff", "TimeUS,Name,Value,Default"},
     {kFilter, "XKF1", "QBffffff", "TimeUS,C,VN,VE,VD,PN,PE,PD"},
@@ -60,7 +60,7 @@ class Writer {
   explicit Writer(const FlightLog& log) : shift_(LogClockShift(log)) {}
 
   void WriteDefinitions() {
-    for (const Definition& d : kDefinitions) {
+    for (const MessageFormat& d : kDefinitions) {
       out_.Text("\xa3\x95").Number(kFormat).Number(d.kind);
       out_.Number(static_cast<std::uint8_t>(LengthOf(d.letters)));
       out_.Padded(d.name, 4).Padded(d.letters, 16).Padded(d.columns, 64);
