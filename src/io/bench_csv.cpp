@@ -8,6 +8,7 @@
 #include <stdexcept>
 
 #include "csv_text.h"
+#include "odmc/text/refusal.h"
 #include "text_file.h"
 #include "yaml_reader.h"
 
@@ -24,9 +25,7 @@ struct Columns {
   long short_rows = 0;
 
   bool Has(const std::string& name) const { return values.count(name) > 0; }
-  [[noreturn]] void Fail(const std::string& what) const {
-    throw std::invalid_argument(file + ": " + what);
-  }
+  [[noreturn]] void Fail(const std::string& what) const { RefuseFile(file, what); }
 };
 
 Columns ReadColumns(const std::string& file) {
@@ -99,7 +98,7 @@ double SpeedFactor(const BenchColumns& columns, const std::string& file) {
   if (columns.speed_unit == SpeedUnit::kRadPerSecond) return 1.0;
   if (columns.speed_unit == SpeedUnit::kRpm) return kPerRpm;
   if (columns.pole_pairs <= 0)
-    throw std::invalid_argument(file + ": speeds in erpm need the motor's number of pole pairs");
+    RefuseFile(file, "speeds in erpm need the motor's number of pole pairs");
   return kPerRpm / columns.pole_pairs;
 }
 

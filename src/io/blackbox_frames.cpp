@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cstdlib>
-#include <stdexcept>
 
 #include "binary_file.h"
 #include "odmc/text/printable_text.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -54,9 +54,7 @@ std::vector<std::string> SplitAtCommas(const std::string& text) {
 
 // ---- Header ------------------------------------------------------------------------------------
 
-void BlackboxHeader::Fail(const std::string& what) const {
-  throw std::invalid_argument(file_ + ": " + what);
-}
+void BlackboxHeader::Fail(const std::string& what) const { RefuseFile(file_, what); }
 
 void BlackboxHeader::ReadLines(std::string_view log) {
   constexpr size_t kLongest = 1 << 16;

@@ -4,13 +4,13 @@
 #include <array>
 #include <cmath>
 #include <map>
-#include <stdexcept>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "odmc/sensing/flight_checks.h"
 #include "odmc/sensing/samples.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 
@@ -79,9 +79,7 @@ class CsvTable {
   /// Takes back the last row, whose time leapt ahead.
   void DropLast();
   void CheckSteps() const;
-  [[noreturn]] void Fail(const std::string& what) const {
-    throw std::invalid_argument(file_ + ": " + what);
-  }
+  [[noreturn]] void Fail(const std::string& what) const { RefuseFile(file_, what); }
 
   std::string file_;
   std::map<std::string, std::vector<double>> values_;

@@ -41,16 +41,6 @@ void KeepSound(const std::string& source, std::vector<Sample>* samples, Test is_
   KeepForward(source, samples, log);
 }
 
-bool IsFinite(const OdometrySample& s) {
-  return s.p_WS.allFinite() && s.q_WS.coeffs().allFinite() && (!s.v_WS || s.v_WS->allFinite()) &&
-         (!s.w_WS_S || s.w_WS_S->allFinite());
-}
-
-bool IsFinite(const ImuSample& s) {
-  return (s.gyro_I || s.specific_force_I) && (!s.gyro_I || s.gyro_I->allFinite()) &&
-         (!s.specific_force_I || s.specific_force_I->allFinite());
-}
-
 /// True if a reading is off by a factor from both of its neighbours, which agree: no rotor doubles
 /// its speed and is back one reading later, and an ESC that lost a pulse reads half or double.
 bool IsSpike(double before, double value, double after) {

@@ -9,6 +9,7 @@
 #include <stdexcept>
 
 #include "odmc/text/printable_text.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -267,7 +268,7 @@ class Walk {
   }
 
   [[noreturn]] void Fail(const std::string& what) const {
-    throw std::invalid_argument(types_.front().name + ": a message " + what);
+    RefuseFile(types_.front().name, "a message " + what);
   }
 
   struct Place {
@@ -307,9 +308,7 @@ MessageLayout::MessageLayout(const std::string& type, const std::string& definit
   Measure(0, &state, 0);
 }
 
-void MessageLayout::Fail(const std::string& what) const {
-  throw std::invalid_argument(type() + ": " + what);
-}
+void MessageLayout::Fail(const std::string& what) const { RefuseFile(type(), what); }
 
 // ---- Definitions -------------------------------------------------------------------------------
 

@@ -1,5 +1,6 @@
 #include "odmc/io/options_yaml.h"
 
+#include "odmc/io/yaml_text.h"
 #include "odmc/text/number_text.h"
 #include "text_file.h"
 #include "yaml_reader.h"
@@ -71,8 +72,7 @@ void OptionsYamlPrinter::Field(const std::string& key, const std::string* value)
 }
 
 void OptionsYamlPrinter::Field(const std::string& key, const Eigen::Vector3d* value) {
-  text_ += key + ": [" + FormatYamlNumber(value->x()) + ", " + FormatYamlNumber(value->y()) + ", " +
-           FormatYamlNumber(value->z()) + "]\n";
+  text_ += key + ": " + YamlList(*value) + "\n";
 }
 
 }  // namespace odmc::internal

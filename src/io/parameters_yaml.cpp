@@ -3,11 +3,11 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <fstream>
 #include <stdexcept>
 
 #include "known_parameters.h"
+#include "odmc/io/yaml_text.h"
 #include "odmc/model/effect.h"
 #include "odmc/text/number_text.h"
 #include "text_file.h"
@@ -124,25 +124,6 @@ Eigen::MatrixXd ReadCovariance(const YamlValue& value, const ParameterSet& set) 
 
 // ---- Writing -----------------------------------------------------------------------------------
 
-/// Text in double quotes, for any content.
-std::string Quoted(const std::string& text) {
-  std::string quoted = "\"";
-  for (const char c : text) {
-    if (c == '"' || c == '\\') {
-      quoted += std::string("\\") + c;
-    } else if (c == '\n') {
-      quoted += "\\n";
-    } else if (static_cast<unsigned char>(c) < 0x20) {
-      char escape[8];
-      std::snprintf(escape, sizeof escape, "\\x%02x", static_cast<unsigned>(c));
-      quoted += escape;
-    } else {
-      quoted += c;
-    }
-  }
-  return quoted + "\"";
-}
-
 std::string Finite(double value, const std::string& key) {
   if (!std::isfinite(value)) throw std::invalid_argument(key + " is not finite, will not be saved");
   return FormatYamlNumber(value);
@@ -152,7 +133,7 @@ std::string FormatEstimate(const ParameterEstimate& p) {
   return "  " + p.full_name + ": {value: " + Finite(p.value, p.full_name + ".value") +
          ", sigma: " + Finite(p.sigma, p.full_name + ".sigma") +
          (p.scatter > 0.0 ? ", scatter: " + Finite(p.scatter, p.full_name + ".scatter") : "") +
-         ", unit: " + Quoted(p.unit) + ", state: " + (p.estimated ? "estimated" : "frozen") +
+         ", unit: " + YamlQuoted(p.unit) + ", state: " + (p.estimated ? "estimated" : "frozen") +
          ", observable: " + (p.observable ? "true" : "false") + "}\n";
 }
 
@@ -203,7 +184,7 @@ std::string FormatParameters(const ParameterSet& set) {
   if (set.covariance.size() > 0) text += FormatCovariance(set);
   if (!set.provenance.empty()) text += "provenance:\n";
   for (const auto& [key, value] : set.provenance)
-    text += "  " + Quoted(key) + ": " + Quoted(value) + "\n";
+    text += "  " + YamlQuoted(key) + ": " + YamlQuoted(value) + "\n";
   return text;
 }
 

@@ -5,10 +5,10 @@
 #include <cstdlib>
 #include <limits>
 #include <optional>
-#include <stdexcept>
 
 #include "binary_file.h"
 #include "odmc/io/autopilot_logs.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -168,9 +168,7 @@ class Decoder {
     std::vector<std::pair<std::vector<double>*, Place>> columns;
   };
 
-  [[noreturn]] void Fail(const std::string& what) const {
-    throw std::invalid_argument(file_ + ": " + what);
-  }
+  [[noreturn]] void Fail(const std::string& what) const { RefuseFile(file_, what); }
   void ReadPart(size_t begin, size_t end);
   void ReadMessage(char type, std::string_view body);
   void ReadFlags(std::string_view body);

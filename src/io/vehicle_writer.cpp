@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <cstdlib>
 
+#include "odmc/io/yaml_text.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/printable_text.h"
 
@@ -13,15 +14,21 @@ namespace {
 constexpr size_t kColumns = 100;
 
 /// To six digits; what is below a nanometre is zero.
-std::string YamlNumber(double value) {
+double SixDigits(double value) {
   char text[40];
   std::snprintf(text, sizeof text, "%.6g", value);
   const double rounded = std::strtod(text, nullptr);
-  return FormatYamlNumber(std::abs(rounded) < 1e-12 ? 0.0 : rounded);
+  return std::abs(rounded) < 1e-12 ? 0.0 : rounded;
 }
 
-std::string List(const Eigen::Vector3d& v) {
-  return "[" + YamlNumber(v.x()) + ", " + YamlNumber(v.y()) + ", " + YamlNumber(v.z()) + "]";
+std::string NumberText(double value) { return FormatYamlNumber(SixDigits(value)); }
+
+std::string ListText(const Eigen::Vector3d& v) { return YamlList(v.unaryExpr(&SixDigits)); }
+
+std::string MountText(SensorMount mount) {
+  mount.p_BS = mount.p_BS.unaryExpr(&SixDigits).eval();
+  mount.q_BS.coeffs() = mount.q_BS.coeffs().unaryExpr(&SixDigits).eval();
+  return YamlMount(mount);
 }
 
 /// Broken at blanks, every line after `indent` and "# ".
@@ -40,26 +47,6 @@ std::string Comment(const std::string& text, const std::string& indent) {
     at = end + 1;
   }
   return lines + (line.empty() ? "" : indent + "# " + line + "\n");
-}
-
-/// A name in quotes.
-std::string Quoted(const std::string& name) {
-  std::string text;
-  for (const char c : Printable(name, 80)) {
-    if (c == '"' || c == '\\') text += '\\';
-    text += c;
-  }
-  return "\"" + text + "\"";
-}
-
-std::string MountText(const SensorMount& mount) {
-  const bool is_body =
-      mount.p_BS.isZero(0.0) && mount.q_BS.isApprox(Eigen::Quaterniond::Identity(), 1e-12);
-  if (is_body && !mount.estimate) return "{frame: body}";
-  const Eigen::Quaterniond& q = mount.q_BS;
-  return "{frame: sensor, p_BS_m: " + List(mount.p_BS) + ", q_BS_xyzw: [" + YamlNumber(q.x()) +
-         ", " + YamlNumber(q.y()) + ", " + YamlNumber(q.z()) + ", " + YamlNumber(q.w()) +
-         "], estimate: " + (mount.estimate ? "true" : "false") + "}";
 }
 
 class Writer {
@@ -82,9 +69,9 @@ class Writer {
   void Rotors(const std::vector<Rotor>& rotors) {
     Line("rotors", "");
     for (size_t j = 0; j < rotors.size(); ++j) {
-      text_ += "  - {position_m: " + List(rotors[j].p_BP) +
+      text_ += "  - {position_m: " + ListText(rotors[j].p_BP) +
                ", spin: " + (rotors[j].spin > 0.0 ? "cw" : "ccw") +
-               ", radius_m: " + YamlNumber(rotors[j].radius_m) + "}";
+               ", radius_m: " + NumberText(rotors[j].radius_m) + "}";
       if (j < comments_.rotor.size()) text_ += "  # " + Printable(comments_.rotor[j]);
       text_ += "\n";
     }
@@ -104,8 +91,8 @@ class Writer {
       const auto add = [&entry](const std::string& key, const std::string& value) {
         entry += (entry.empty() ? "" : ", ") + key + ": " + value;
       };
-      if (setting.value) add("value", YamlNumber(*setting.value));
-      if (setting.sigma) add("sigma", YamlNumber(*setting.sigma));
+      if (setting.value) add("value", NumberText(*setting.value));
+      if (setting.sigma) add("sigma", NumberText(*setting.sigma));
       if (setting.estimated) add("state", *setting.estimated ? "estimated" : "frozen");
       Line(name, "{" + entry + "}", "  ");
     }
@@ -123,10 +110,10 @@ class Writer {
 std::string VehicleText(const Vehicle& vehicle, const VehicleComments& comments) {
   Writer writer(comments);
   writer.Head();
-  writer.Line("name", Quoted(vehicle.name));
-  writer.Line("mass_kg", YamlNumber(vehicle.mass_kg));
-  writer.Line("gravity_m_s2", YamlNumber(vehicle.gravity_m_s2));
-  writer.Line("inertia_kg_m2", List(vehicle.inertia_kg_m2));
+  writer.Line("name", YamlQuoted(Printable(vehicle.name, 80)));
+  writer.Line("mass_kg", NumberText(vehicle.mass_kg));
+  writer.Line("gravity_m_s2", NumberText(vehicle.gravity_m_s2));
+  writer.Line("inertia_kg_m2", ListText(vehicle.inertia_kg_m2));
   writer.Rotors(vehicle.rotors);
   writer.Line("odometry", MountText(vehicle.odometry));
   if (vehicle.imu) writer.Line("imu", MountText(*vehicle.imu));

@@ -64,15 +64,11 @@ TwistFrame FindTwistFrame(const std::string& source, const RawOdometries& messag
   return frame;
 }
 
-bool IsFinite(const OdometrySample& s) {
-  return s.p_WS.allFinite() && s.q_WS.coeffs().allFinite() && (!s.v_WS || s.v_WS->allFinite()) &&
-         (!s.w_WS_S || s.w_WS_S->allFinite());
-}
-
 /// Puts samples in order and makes them sound.
 void FinishOdometry(const std::string& source, std::vector<OdometrySample>* samples,
                     FlightLog* log) {
-  KeepFinite(source, samples, IsFinite, log);
+  KeepFinite(
+      source, samples, [](const OdometrySample& s) { return IsFinite(s); }, log);
   KeepForward(source, samples, log);
   NormaliseAttitudes(source, samples, log);
   if (samples->empty()) RefuseFile(source, "no usable message");

@@ -26,11 +26,6 @@
 namespace odmc {
 namespace {
 
-bool IsFinite(const ImuSample& s) {
-  return (s.gyro_I || s.specific_force_I) && (!s.gyro_I || s.gyro_I->allFinite()) &&
-         (!s.specific_force_I || s.specific_force_I->allFinite());
-}
-
 void ReadImu(BagSource* bag, FlightLog* log) {
   const std::string topic = bag->TopicOf("imu");
   if (topic.empty()) return;

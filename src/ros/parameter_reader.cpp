@@ -33,7 +33,7 @@ std::optional<double> NumberOf(XmlRpcValue value) {
   }
 }
 
-std::string Quoted(const XmlRpcValue& value) {
+std::string AsGiven(const XmlRpcValue& value) {
   return value.getType() == XmlRpcValue::TypeString ? "'" + std::string(value) + "'"
                                                     : value.toXml();
 }
@@ -62,7 +62,7 @@ void ParameterReader::Field(const std::string& key, double* value) {
   XmlRpcValue raw;
   if (!node_.getParam(key, raw)) return;
   const std::optional<double> number = NumberOf(raw);
-  if (!number || !std::isfinite(*number)) Fail(key, "must be a number, not " + Quoted(raw));
+  if (!number || !std::isfinite(*number)) Fail(key, "must be a number, not " + AsGiven(raw));
   *value = *number;
 }
 
@@ -73,7 +73,7 @@ void ParameterReader::Field(const std::string& key, int* value) {
   const std::optional<double> number = NumberOf(raw);
   constexpr double kLargest = std::numeric_limits<int>::max();
   if (!number || std::floor(*number) != *number || std::abs(*number) > kLargest) {
-    Fail(key, "must be a whole number, not " + Quoted(raw));
+    Fail(key, "must be a whole number, not " + AsGiven(raw));
   }
   *value = static_cast<int>(*number);
 }
@@ -88,7 +88,7 @@ void ParameterReader::Field(const std::string& key, bool* value) {
              (std::string(raw) == "true" || std::string(raw) == "false")) {
     *value = std::string(raw) == "true";
   } else {
-    Fail(key, "must be true or false, not " + Quoted(raw));
+    Fail(key, "must be true or false, not " + AsGiven(raw));
   }
 }
 
@@ -96,7 +96,7 @@ void ParameterReader::Field(const std::string& key, std::string* value) {
   known_.push_back(key);
   XmlRpcValue raw;
   if (!node_.getParam(key, raw)) return;
-  if (raw.getType() != XmlRpcValue::TypeString) Fail(key, "must be text, not " + Quoted(raw));
+  if (raw.getType() != XmlRpcValue::TypeString) Fail(key, "must be text, not " + AsGiven(raw));
   *value = std::string(raw);
 }
 
@@ -109,10 +109,10 @@ void ParameterReader::Field(const std::string& key, std::vector<std::string>* va
     return;
   }
   value->clear();
-  if (raw.getType() != XmlRpcValue::TypeArray) Fail(key, "must be a list, not " + Quoted(raw));
+  if (raw.getType() != XmlRpcValue::TypeArray) Fail(key, "must be a list, not " + AsGiven(raw));
   for (int i = 0; i < raw.size(); ++i) {
     if (raw[i].getType() != XmlRpcValue::TypeString) {
-      Fail(key, "must be a list of text, not " + Quoted(raw));
+      Fail(key, "must be a list of text, not " + AsGiven(raw));
     }
     value->push_back(std::string(raw[i]));
   }
@@ -129,13 +129,13 @@ void ParameterReader::Field(const std::string& key, std::vector<int>* value) {
     for (int i = 0; i < raw.size(); ++i) raw[i] = items[i];
   }
   if (raw.getType() != XmlRpcValue::TypeArray) {
-    Fail(key, "must be a list of whole numbers, not " + Quoted(raw));
+    Fail(key, "must be a list of whole numbers, not " + AsGiven(raw));
   }
   value->clear();
   for (int i = 0; i < raw.size(); ++i) {
     const std::optional<double> number = NumberOf(raw[i]);
     if (!number || std::floor(*number) != *number || std::abs(*number) > 1e6) {
-      Fail(key, "must be a list of whole numbers, not " + Quoted(raw[i]));
+      Fail(key, "must be a list of whole numbers, not " + AsGiven(raw[i]));
     }
     value->push_back(static_cast<int>(*number));
   }
@@ -157,7 +157,7 @@ void ParameterReader::Field(const std::string& key, Eigen::Vector3d* value) {
   }
   for (int i = 0; i < 3; ++i) {
     const std::optional<double> number = NumberOf(raw[i]);
-    if (!number || !std::isfinite(*number)) Fail(key, "must hold numbers, not " + Quoted(raw[i]));
+    if (!number || !std::isfinite(*number)) Fail(key, "must hold numbers, not " + AsGiven(raw[i]));
     (*value)[i] = *number;
   }
 }

@@ -8,11 +8,12 @@
 #include <cmath>
 #include <map>
 #include <regex>
-#include <stdexcept>
 #include <vector>
 
 #include "odmc/io/vehicle_yaml.h"
+#include "odmc/io/yaml_text.h"
 #include "odmc/text/number_text.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -23,9 +24,7 @@ using Eigen::Vector3d;
 
 constexpr char kSource[] = "robot_description";
 
-[[noreturn]] void Fail(const std::string& what) {
-  throw std::invalid_argument(std::string(kSource) + ": " + what);
-}
+[[noreturn]] void Fail(const std::string& what) { RefuseFile(kSource, what); }
 
 Isometry3d ToEigen(const urdf::Pose& pose) {
   Isometry3d result = Isometry3d::Identity();
@@ -170,18 +169,6 @@ std::vector<Rotor> RotorsOf(const urdf::ModelInterface& model, const LinkPoses& 
 
 // ---- The vehicle file it amounts to ------------------------------------------------------------
 
-std::string List(const Vector3d& v) {
-  return "[" + FormatYamlNumber(v.x()) + ", " + FormatYamlNumber(v.y()) + ", " +
-         FormatYamlNumber(v.z()) + "]";
-}
-
-std::string MountText(const Isometry3d& X_BS) {
-  const Eigen::Quaterniond q(X_BS.linear());
-  return "{frame: sensor, p_BS_m: " + List(X_BS.translation()) + ", q_BS_xyzw: [" +
-         FormatYamlNumber(q.x()) + ", " + FormatYamlNumber(q.y()) + ", " + FormatYamlNumber(q.z()) +
-         ", " + FormatYamlNumber(q.w()) + "]}";
-}
-
 std::string CentreText(const Vector3d& p_BBcm) {
   std::string text = "parameters:\n";
   for (int i = 0; i < 3; ++i) {
@@ -201,12 +188,19 @@ Vehicle VehicleFromUrdf(const std::string& urdf, double radius_m) {
   const MassProperties mass = SumOfLinks(*model, poses);
 
   std::string text = "name: \"" + model->getName() + "\"\nmass_kg: " + FormatYamlNumber(mass.mass) +
-                     "\ninertia_kg_m2: " + List(mass.I_BBcm_B.diagonal()) + "\nrotors:\n";
+                     "\ninertia_kg_m2: " + YamlList(mass.I_BBcm_B.diagonal()) + "\nrotors:\n";
   for (const Rotor& rotor : RotorsOf(*model, poses, radius_m)) {
-    text += "  - {position_m: " + List(rotor.p_BP) + ", spin: " + (rotor.spin > 0 ? "cw" : "ccw") +
+    text += "  - {position_m: " + YamlList(rotor.p_BP) +
+            ", spin: " + (rotor.spin > 0 ? "cw" : "ccw") +
             ", radius_m: " + FormatYamlNumber(rotor.radius_m) + "}\n";
   }
-  if (poses.count("imu_link") > 0) text += "imu: " + MountText(poses.at("imu_link")) + "\n";
+  if (poses.count("imu_link") > 0) {
+    const Isometry3d& X_BI = poses.at("imu_link");
+    SensorMount imu;
+    imu.p_BS = X_BI.translation();
+    imu.q_BS = Eigen::Quaterniond(X_BI.linear());
+    text += "imu: " + YamlMount(imu) + "\n";
+  }
   text += CentreText(mass.p_BBcm);
   return ParseVehicle(text, kSource);  // with its checks and defaults
 }

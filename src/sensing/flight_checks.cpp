@@ -117,6 +117,16 @@ void WarnIfShare(const std::string& source, Eigen::Index j, long bad, long all,
 
 }  // namespace
 
+bool IsFinite(const OdometrySample& s) {
+  return s.p_WS.allFinite() && s.q_WS.coeffs().allFinite() && (!s.v_WS || s.v_WS->allFinite()) &&
+         (!s.w_WS_S || s.w_WS_S->allFinite());
+}
+
+bool IsFinite(const ImuSample& s) {
+  return (s.gyro_I || s.specific_force_I) && (!s.gyro_I || s.gyro_I->allFinite()) &&
+         (!s.specific_force_I || s.specific_force_I->allFinite());
+}
+
 void Refusals::Report(const std::string& source, const std::string& what, FlightLog* log) const {
   if (count == 0) return;
   log->dropped += count;

@@ -22,6 +22,10 @@ struct Refusals {
   void Report(const std::string& source, const std::string& what, FlightLog* log) const;
 };
 
+/// True if all numbers that the sample has are finite, and an IMU sample has any.
+bool IsFinite(const OdometrySample& sample);
+bool IsFinite(const ImuSample& sample);
+
 /// True if the last of `stamps` leapt ahead by more than a second and is alone with it: `next` goes
 /// on from the one before. One stamp is wrong then, not all that follow.
 bool IsLoneLeap(const std::vector<Stamp>& stamps, Stamp next);
