@@ -50,7 +50,8 @@ std::unique_ptr<WindowSolver> MakeSolver(const EstimatorOptions& options,
 
 ModelNoise MakeModelNoise(const EstimatorOptions& options, const Vehicle& vehicle,
                           bool with_torque) {
-  return {vehicle, options.process_noise_floor, options.accelerometer_noise_m_s2, with_torque};
+  return {vehicle, options.process_noise_floor, options.accelerometer_noise_m_s2, options.window_s,
+          with_torque};
 }
 
 /// Entries of eta that are to walk with the flight.
@@ -78,8 +79,7 @@ Estimator::Estimator(const DynamicModel* model, const EstimatorOptions& options,
       model_noise_(MakeModelNoise(options, model->vehicle(), with_torque)),
       factors_(model, &options_, with_torque, &layout_, &window_),
       changes_(model->vehicle()),
-      uncertainty_(model, &layout_),
-      residuals_(options.window_s, with_torque) {
+      uncertainty_(model, &layout_) {
   std::string error;
   if (!options.IsValid(&error)) throw std::invalid_argument(error);
   window_.keyframes().Reserve(static_cast<size_t>(MostKeyframes(options)));
@@ -102,7 +102,7 @@ const Snapshot* Estimator::Step() {
     ++counters_.ground_keyframes;
     BreakChain();
     if (verdict.take_back) snapshot = TakeBack(*verdict.take_back);
-  } else if (IsLeftOut(*sample)) {
+  } else if (front_end_.IsLeftOut(*sample)) {
     BreakChain();
   } else {
     snapshot = Update(*sample, &timer);
@@ -119,7 +119,7 @@ const Snapshot* Estimator::Update(const OdometrySample& sample, UpdateTimer* tim
   ++counters_.keyframes;
   if (!interval) ++counters_.chains;
   factors_.AddKeyframe(sample, interval, front_end_, model_noise_, counters_.keyframes, &schedule_);
-  last_in_window_ = true;
+  front_end_.ContinueChain();
   const SolverOptions solve = schedule_.ForUpdate(counters_.airborne_s, &window_);
   timing.build_ms = timer->EndStageMs();
 
@@ -178,12 +178,8 @@ void Estimator::CountTime(double dt, bool teaches) {
   }
 }
 
-bool Estimator::IsLeftOut(const OdometrySample& sample) const {
-  return (is_held_out_ && is_held_out_(sample.stamp)) || phases().IsNearGround(sample.p_WS.z());
-}
-
 std::optional<KeyframeInterval> Estimator::ReadInterval(const OdometrySample& sample) {
-  if (front_end_.last() == nullptr || !last_in_window_) return std::nullopt;
+  if (!front_end_.is_chained()) return std::nullopt;
   if (front_end_.is_gap()) {
     ++counters_.gaps;
   } else if (front_end_.is_jump()) {
@@ -193,7 +189,7 @@ std::optional<KeyframeInterval> Estimator::ReadInterval(const OdometrySample& sa
 }
 
 void Estimator::BreakChain() {
-  last_in_window_ = false;
+  front_end_.BreakChain();
   schedule_.BreakChain();
   changes_.Break();
 }
@@ -201,7 +197,6 @@ void Estimator::BreakChain() {
 void Estimator::RestartChain() {
   front_end_.Restart();
   schedule_.BreakChain();
-  last_in_window_ = false;
   EmptyWindow();
 }
 
@@ -221,7 +216,6 @@ void Estimator::CarryOn(const Estimator& before, const DynamicModel& declared) {
   schedule_.BreakChain();
   model_noise_.CarryOn(before.model_noise_);
   factors_.CarryOn(before.factors_);
-  residuals_.CarryOn(before.residuals_);
   counters_ = before.counters_;
 }
 
@@ -266,8 +260,7 @@ void Estimator::StartAnew() {
   changes_ = ChangeWatch(model_->vehicle());
   schedule_.Reset();
   factors_.Reset();
-  residuals_.Reset();
-  last_in_window_ = false;
+  front_end_.BreakChain();
   front_end_.phases().Forget();
   ++counters_.starts_anew;
   counters_.ground_keyframes += counters_.keyframes;
@@ -282,7 +275,7 @@ void Estimator::LearnAnew() {
   ++counters_.changes;
   front_end_.phases().ForgetThrust();
   EmptyWindow();
-  last_in_window_ = false;
+  front_end_.BreakChain();
   schedule_.LearnAnew();
   uncertainty_.Forget(solver_->ScalePast(uncertainty_.ScaleAfterChange(), &window_));
 }
@@ -300,7 +293,7 @@ void Estimator::TakeSnapshot(Stamp stamp, const SolveReport& report) {
       window_,
       {model_noise_.estimator().in_use(), counters_.airborne_s, factors_.rotor_scale_sigma()},
       solver_.get(), &snapshot_);
-  residuals_.Fill(window_, &snapshot_);
+  model_noise_.FillResiduals(window_, &snapshot_);
 }
 
 void Estimator::Describe(const SolveReport& report, UpdateTiming* timing) const {

@@ -55,6 +55,7 @@ void FrontEnd::Restart() {
   carrier_.reset();
   last_.reset();
   before_last_.reset();
+  is_chained_ = false;
   noise_ready_ = 0;
 }
 
@@ -148,6 +149,11 @@ void FrontEnd::Keep(const OdometrySample& newest) {
   before_last_ = last_;
   last_ = newest;
   synchroniser_.Trim(newest.stamp);
+}
+
+bool FrontEnd::IsLeftOut(const OdometrySample& newest) const {
+  return (is_held_out_ && is_held_out_(newest.stamp)) ||
+         phase_detector().IsNearGround(newest.p_WS.z());
 }
 
 /// A pose that moves without velocity is a relabelled marker or a loop closure, not flight.

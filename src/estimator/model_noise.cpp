@@ -9,11 +9,12 @@
 namespace odmc {
 
 ModelNoise::ModelNoise(const Vehicle& vehicle, double floor_scale, double accelerometer_m_s2,
-                       bool with_torque)
+                       double level_memory_s, bool with_torque)
     : mass_kg_(vehicle.mass_kg),
       accelerometer_m_s2_(accelerometer_m_s2),
       with_torque_(with_torque),
-      estimator_(vehicle.mass_kg * vehicle.gravity_m_s2, vehicle.ArmLength(), floor_scale) {}
+      estimator_(vehicle.mass_kg * vehicle.gravity_m_s2, vehicle.ArmLength(), floor_scale),
+      level_(level_memory_s, with_torque) {}
 
 Eigen::Vector3d ModelNoise::AccelerometerSigma(const Eigen::Vector3d& force_N) const {
   const double sensor = accelerometer_m_s2_;

@@ -12,7 +12,6 @@
 #include "odmc/estimator/learning_schedule.h"
 #include "odmc/estimator/model_noise.h"
 #include "odmc/estimator/options.h"
-#include "odmc/estimator/residual_level.h"
 #include "odmc/estimator/snapshot.h"
 #include "odmc/estimator/uncertainty.h"
 #include "odmc/model/parameter_set.h"
@@ -109,7 +108,9 @@ class Estimator {
   void JudgeBy(const DynamicModel& declared) { uncertainty_.JudgeBy(declared); }
   /// Keyframes for whose stamp this is true teach the estimate nothing: what is judged on them has
   /// not seen them.
-  void SetHeldOut(std::function<bool(Stamp)> is_held_out) { is_held_out_ = std::move(is_held_out); }
+  void SetHeldOut(std::function<bool(Stamp)> is_held_out) {
+    front_end_.SetHeldOut(std::move(is_held_out));
+  }
 
   /// Compares what the thirds of the flight so far say by themselves. @returns the parameters about
   /// which they disagree beyond sampling error (LastLookThreshold()), serial correlation included
@@ -130,7 +131,6 @@ class Estimator {
   const Snapshot* Update(const OdometrySample& sample, UpdateTimer* timer);
   PhaseVerdict FollowPhase(const OdometrySample& sample);
   void CountTime(double dt, bool teaches);
-  bool IsLeftOut(const OdometrySample& sample) const;
   std::optional<KeyframeInterval> ReadInterval(const OdometrySample& sample);
   /// The next keyframe does not follow on the last one.
   void BreakChain();
@@ -157,13 +157,10 @@ class Estimator {
   FactorBuilder factors_;
   ChangeWatch changes_;
   Uncertainty uncertainty_;
-  ResidualLevel residuals_;
   Snapshot snapshot_;  // the newest, filled in place
   EstimatorCounters counters_;
-  std::function<bool(Stamp)> is_held_out_;
   std::function<void(const SolvedWindow&)> observe_;
   bool made_progress_ = false;
-  bool last_in_window_ = false;  // the keyframe before the newest
 };
 
 }  // namespace odmc

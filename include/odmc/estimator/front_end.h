@@ -1,7 +1,9 @@
 #pragma once
 
+#include <functional>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include "odmc/estimator/load_observer.h"
 #include "odmc/estimator/noise_estimation.h"
@@ -61,6 +63,16 @@ class FrontEnd {
   /// The newest keyframe becomes the one before.
   void Keep(const OdometrySample& newest);
 
+  /// Keyframes for whose stamp this is true teach the estimate nothing.
+  void SetHeldOut(std::function<bool(Stamp)> is_held_out) { is_held_out_ = std::move(is_held_out); }
+  /// True if a keyframe in free flight is not to enter the window: held out, or near the ground.
+  bool IsLeftOut(const OdometrySample& newest) const;
+
+  /// Says whether the newest keyframe is in the window, so that the next one follows on it.
+  void ContinueChain() { is_chained_ = true; }
+  void BreakChain() { is_chained_ = false; }
+  bool is_chained() const { return last_ && is_chained_; }
+
   double dt() const { return step_.dt; }  ///< from the keyframe before to the newest [s]; 0: none
   bool is_gap() const { return step_.is_gap || !step_.rotors; }
   bool is_jump() const { return step_.is_jump; }
@@ -98,6 +110,8 @@ class FrontEnd {
   std::optional<OdometrySample> last_, before_last_;  // keyframes before the newest
   std::optional<Stamp> first_stamp_;
   Stamp noise_ready_ = 0;
+  bool is_chained_ = false;
+  std::function<bool(Stamp)> is_held_out_;
 };
 
 }  // namespace odmc

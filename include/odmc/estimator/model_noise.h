@@ -5,6 +5,7 @@
 #include <optional>
 
 #include "odmc/estimator/noise_estimation.h"
+#include "odmc/estimator/residual_level.h"
 #include "odmc/window/window.h"
 
 namespace odmc {
@@ -14,17 +15,25 @@ namespace odmc {
 class ModelNoise {
  public:
   /// @param accelerometer_m_s2 noise of the sensor itself, a keyframe's mean
+  /// @param level_memory_s of the running size of the residuals in a snapshot
   ModelNoise(const Vehicle& vehicle, double floor_scale, double accelerometer_m_s2,
-             bool with_torque);
+             double level_memory_s, bool with_torque);
 
   const ProcessNoiseEstimator& estimator() const { return estimator_; }
   bool with_torque() const { return with_torque_; }
   /// Goes on with the sizes that another one has found.
-  void CarryOn(const ModelNoise& before) { estimator_ = before.estimator_; }
+  void CarryOn(const ModelNoise& before) {
+    estimator_ = before.estimator_;
+    level_.CarryOn(before.level_);
+  }
 
   /// Of the mean specific force over an interval [m/s²], where a force of `force_N` is not
   /// modelled.
   Eigen::Vector3d AccelerometerSigma(const Eigen::Vector3d& force_N) const;
+
+  /// Fills what the newest interval leaves unexplained, and its running size. @pre the snapshot's
+  /// body is set
+  void FillResiduals(const Window& window, Snapshot* snapshot) { level_.Fill(window, snapshot); }
 
   /// Looks at what the newest settled intervals leave unexplained.
   /// @param settled_s their least age
@@ -48,6 +57,7 @@ class ModelNoise {
   double mass_kg_, accelerometer_m_s2_;
   bool with_torque_;
   ProcessNoiseEstimator estimator_;
+  ResidualLevel level_;
   std::int64_t seen_ = -1;  // newest keyframe whose interval it was given
   struct SizeStep {
     ProcessNoiseEstimator before;

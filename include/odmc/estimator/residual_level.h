@@ -19,7 +19,6 @@ class ResidualLevel {
     force_power_ = before.force_power_;
     torque_power_ = before.torque_power_;
   }
-  void Reset() { force_power_ = torque_power_ = 0.0; }
 
  private:
   double memory_s_;
