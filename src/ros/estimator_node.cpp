@@ -10,12 +10,10 @@
 #include <cstdio>
 #include <ctime>
 #include <filesystem>
-#include <functional>
 #include <stdexcept>
 #include <utility>
 
 #include "odmc/io/parameters_yaml.h"
-#include "odmc/model/plausibility.h"
 #include "odmc/ros/conversions.h"
 #include "odmc/ros/diagnostic_values.h"
 #include "odmc/ros/estimate_messages.h"
@@ -38,8 +36,8 @@ std::string Now() {
   return text;
 }
 
-/// Keeps the newest kTimedUpdates.
-void Keep(double ms, std::deque<double>* all) {
+/// No more than kTimedUpdates.
+void KeepNewest(double ms, std::deque<double>* all) {
   all->push_back(ms);
   if (all->size() > kTimedUpdates) all->pop_front();
 }
@@ -89,8 +87,6 @@ void AddTo(Sink* sink, const Sample& sample) {
 EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle& private_node,
                              EstimatorNodeSetup setup)
     : setup_(std::move(setup)),
-      declared_effects_(setup_.vehicle.effects),
-      declared_parameters_(setup_.vehicle.parameters),
       unexplained_publisher_(
           ros::NodeHandle(node).advertise<UnexplainedResidual>("unexplained", 10)),
       queue_(setup_.options.queue_size),
@@ -98,9 +94,8 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
       intake_(setup_.options.twist_frame, RotorIntakeOf(setup_)),
       rotors_(KnownActuator(setup_.vehicle), setup_.vehicle.num_rotors(),
               RotorIntakeOf(setup_).from_commands),
-      acceptance_(setup_.options.acceptance),
+      session_(&setup_),
       publisher_(node, private_node, &setup_.options, &mounts_.buffer()) {
-  if (setup_.history) history_watch_.emplace(*setup_.history);
   shared_.With([this](SharedStatus* s) {
     if (rotors_.is_on()) s->status.rotors = rotors_.Now(false);
     s->status.waiting_for = intake_.WaitingFor();
@@ -195,19 +190,14 @@ void EstimatorNode::OnLook(const ResidualLook& look) {
 // ---- Estimator thread: services ----------------------------------------------------------------
 
 EstimatorNode::Answer EstimatorNode::Reset() {
-  if (!estimator_) return {false, "nothing is estimated yet"};
-  setup_.vehicle.effects = declared_effects_;
-  setup_.vehicle.parameters = declared_parameters_;
-  MakeEstimator();
-  acceptance_.Reset();
-  last_.reset();
-  if (history_watch_) history_watch_->Reset();
-  added_effects_.clear();
-  update_ms_.clear();
-  publish_ms_.clear();
+  if (!session_.has_started()) return {false, "nothing is estimated yet"};
+  session_.Reset(!intake_.rms_only());
+  WatchResidual();
+  timing_.update_ms.clear();
+  timing_.publish_ms.clear();
   looks_->TakeProposal();
   shared_.With([this](SharedStatus* s) {
-    s->status.model = model_;
+    s->status.model = session_.model();
     s->status.observable.clear();
     s->status.unphysical.clear();
     s->status.unlike_history.clear();
@@ -221,53 +211,35 @@ EstimatorNode::Answer EstimatorNode::Reset() {
 }
 
 EstimatorNode::Answer EstimatorNode::Freeze(bool freeze) {
-  frozen_ = freeze;
-  HoldOut();
+  session_.Freeze(freeze);
   shared_.With([&](SharedStatus* s) { s->status.frozen = freeze; });
   return {true, freeze ? "nothing more is learned" : "learning goes on"};
 }
 
-void EstimatorNode::HoldOut() {
-  if (!estimator_) return;
-  estimator_->SetHeldOut(frozen_ ? [](Stamp) { return true; } : std::function<bool(Stamp)>());
-}
-
 EstimatorNode::Answer EstimatorNode::Accept() {
-  const Snapshot& usable = acceptance_.Usable();
-  if (!last_ || usable.values.size() != last_->values.size()) {
-    return {false, "nothing is estimated yet"};
-  }
-  const std::vector<std::string> reasons =
-      UnphysicalValues(*last_model_, usable.values, usable.sigma);
-  if (!reasons.empty()) return {false, JoinSentences(reasons)};
-  publisher_.PublishAccepted(*last_, ContextOfLast());
+  const std::string objection = session_.ObjectionToAccepting();
+  if (!objection.empty()) return {false, objection};
+  publisher_.PublishAccepted(*session_.last(), session_.Context());
   return {true, "the present estimate is published as accepted"};
 }
 
 EstimatorNode::Answer EstimatorNode::SaveNow() {
   if (setup_.options.output_dir.empty()) return {false, "output_dir is not set"};
-  if (!last_) return {false, "nothing is estimated yet"};
+  if (session_.last() == nullptr) return {false, "nothing is estimated yet"};
   return {true, Save()};
 }
 
 std::string EstimatorNode::Save() const {
-  ParameterSet set = Estimator::ToParameterSet(*last_model_, *last_);
+  ParameterSet set = session_.ToSave();
   set.provenance["tool"] = "estimator_node";
   set.provenance["version"] = ODMC_VERSION;
   set.provenance["date"] = Now();
-  set.provenance["vehicle"] = setup_.vehicle.name;
   set.provenance["vehicle_file"] =
       setup_.options.vehicle_file.empty() ? "robot_description" : setup_.options.vehicle_file;
-  set.provenance["airborne_s"] = std::to_string(estimator_->counters().airborne_s);
-  set.provenance["keyframes"] = std::to_string(estimator_->counters().keyframes);
-  set.provenance["newest_stamp_ns"] = std::to_string(last_->stamp);
-  if (!added_effects_.empty()) set.provenance["added_in_flight"] = added_effects_;
-  set.provenance["accepted"] = acceptance_.accepted() ? "true" : "false";
-  AddTrust(trust_.findings(), &set);
   const std::filesystem::path folder(setup_.options.output_dir);
   std::string file = (folder / "parameters.yaml").string();
   // A result that was fit for use is not given up for one that is not.
-  if (!acceptance_.accepted() && IsAcceptedFile(file)) {
+  if (!session_.is_accepted() && IsAcceptedFile(file)) {
     file = (folder / "parameters_not_accepted.yaml").string();
   }
   SaveParameters(set, file);
@@ -285,7 +257,9 @@ void EstimatorNode::RunEstimator() {
       Process(&batch);
       AddWhatWasFound();
       // What the throttle held back is still news once nothing more comes.
-      if (last_) publisher_.PublishParameters(*last_, ContextOfLast());
+      if (const Snapshot* const last = session_.last()) {
+        publisher_.PublishParameters(*last, session_.Context());
+      }
       ShareStatus();
     }
     Finish();
@@ -303,7 +277,7 @@ void EstimatorNode::Process(std::deque<InputSample>* batch) {
     if (intake_.phase() == IntakePhase::kHolding && intake_.decided()) StartIfMountsAreKnown();
   }
   batch->clear();
-  if (!estimator_ || stopped_by_clock_) return;
+  if (!session_.has_started() || stopped_by_clock_) return;
   const std::vector<Sample> samples = intake_.Take();
   rotors_.FindVoltage(samples);
   for (const Sample& sample : samples) {
@@ -321,10 +295,9 @@ void EstimatorNode::OnClockStepBack() {
     shared_.With([](SharedStatus* s) {
       s->status.fatal = "the clock stepped back and on_time_reset is stop";
     });
-  } else if (estimator_) {
-    estimator_->RestartChain();
+  } else if (session_.has_started()) {
+    session_.RestartChain();
     rotors_.Restart();
-    acceptance_.Reset();
     if (const auto watch = looks_->watch()) watch->Clear();
     if (streams_seen_) streams_seen_->Clear();
     publisher_.ClearPath();
@@ -336,15 +309,17 @@ void EstimatorNode::StartIfMountsAreKnown() {
   const std::string odometry_frame = FramesNow().sensor;
   std::optional<std::string> odometry, imu;
   if (!setup_.odometry_mount_known && !odometry_frame.empty()) odometry = odometry_frame;
-  if (!setup_.vehicle.imu) imu = intake_.imu_frame_id();
+  if (!session_.vehicle().imu) imu = intake_.imu_frame_id();
   const auto warn = [this](const std::string& sentence) { Warn(sentence); };
-  if (!mounts_.Complete(odometry, imu, warn, &setup_.vehicle)) return;
-  ignores_imu_ = !setup_.vehicle.imu && !intake_.imu_frame_id();
+  if (!mounts_.Complete(odometry, imu, warn, session_.mutable_vehicle())) return;
+  ignores_imu_ = !session_.vehicle().imu && !intake_.imu_frame_id();
   Start();
 }
 
 void EstimatorNode::Start() {
-  MakeEstimator();
+  session_.Start(!intake_.rms_only());
+  streams_seen_.emplace(session_.vehicle());
+  WatchResidual();
   if (intake_.rms_only()) {
     Warn("rotor speeds are root mean squares: force is estimated, torque is not");
   }
@@ -357,19 +332,12 @@ void EstimatorNode::Start() {
            rotors_.from_commands() ? ", rotor speeds from commands" : "");
 }
 
-void EstimatorNode::MakeEstimator() {
-  model_ = std::make_shared<DynamicModel>(setup_.vehicle, setup_.vehicle.effects);
-  estimator_ = std::make_unique<Estimator>(model_.get(), setup_.estimator, !intake_.rms_only());
-  reaction_watch_ = ReactionWatch();
-  starts_anew_ = 0;
-  HoldOut();
-  if (!streams_seen_) streams_seen_.emplace(setup_.vehicle);
-  if (setup_.options.residual_watch.residual_watch_period_s > 0.0) {
-    Vehicle filed = setup_.vehicle;
-    filed.parameters = setup_.file_parameters;
-    looks_->Watch(
-        std::make_shared<ResidualWatch>(filed, setup_.options.residual_watch, !intake_.rms_only()));
-  }
+void EstimatorNode::WatchResidual() {
+  if (setup_.options.residual_watch.residual_watch_period_s <= 0.0) return;
+  Vehicle filed = session_.vehicle();
+  filed.parameters = setup_.file_parameters;
+  looks_->Watch(
+      std::make_shared<ResidualWatch>(filed, setup_.options.residual_watch, !intake_.rms_only()));
 }
 
 void EstimatorNode::Feed(const Sample& sample) {
@@ -389,7 +357,7 @@ void EstimatorNode::Observe(const Sample& recorded) {
   // An IMU that came after the model was made: its mount is not known.
   if (std::holds_alternative<ImuSample>(recorded) && ignores_imu_) return;
   Sample sample = recorded;
-  trust_.Mend(&sample);
+  session_.Mend(&sample);
   std::visit(
       [this](const auto& s) {
         using Kind = std::decay_t<decltype(s)>;
@@ -397,7 +365,7 @@ void EstimatorNode::Observe(const Sample& recorded) {
           streams_seen_->Add(s);
       },
       recorded);
-  AddTo(estimator_.get(), sample);
+  AddTo(&session_.estimator(), sample);
   if (const auto watch = looks_->watch()) AddTo(watch.get(), sample);
   InspectStreams();
   StepWhileThereIsMore();
@@ -408,127 +376,65 @@ void EstimatorNode::InspectStreams() {
   if (streams_seen_->IsDue()) {
     FlightLog log = streams_seen_->TakeLook();
     log.rotor_rms_only = intake_.rms_only();
-    BackgroundLooks::StreamsSeen seen{std::move(log), setup_.vehicle, model_, {}, 0.0};
-    const int k_f = model_->IndexOf("thrust.k_f");
-    if (last_ && last_model_ == model_) {
-      seen.values = last_->values;
-      if (k_f >= 0) seen.k_f_sigma = last_->sigma[k_f];
-    }
-    looks_->Inspect(std::move(seen));
+    looks_->Inspect(session_.SeenIn(std::move(log)));
   }
   std::optional<BackgroundLooks::StreamsFound> found = looks_->TakeInspection();
-  if (!found) return;
-  LearnOfReaction(*found);
-  const bool is_new = trust_.Adopt(*std::move(found));
-  if (is_new && !frozen_) {
-    estimator_->StartAnew();
-    ForgetEstimate("the streams are mended from now on");
-  }
-}
-
-void EstimatorNode::LearnOfReaction(const BackgroundLooks::StreamsFound& found) {
-  if (found.model != model_) return;
-  const std::string before = reaction_watch_.sentence();
-  reaction_watch_.Add(found.bands);
-  const std::string& now = reaction_watch_.sentence();
-  if (!now.empty() && before.empty()) ROS_WARN("%s", now.c_str());
+  if (found) session_.Adopt(*std::move(found));
 }
 
 void EstimatorNode::StepWhileThereIsMore() {
+  const Estimator& estimator = session_.estimator();
   while (true) {
-    const Snapshot* const snapshot = estimator_->Step();
-    if (!estimator_->made_progress()) return;
-    if (estimator_->counters().starts_anew != starts_anew_) {
-      ForgetEstimate("the vehicle had stood on the ground");
-    }
-    publisher_.PublishPhase(Name(estimator_->phases().phase()));
+    const Snapshot* const snapshot = session_.Step();
+    if (!estimator.made_progress()) return;
+    publisher_.PublishPhase(Name(estimator.phases().phase()));
     if (const auto watch = looks_->watch()) {
-      watch->SetAirborne(estimator_->last_keyframe_stamp(), estimator_->airborne());
+      watch->SetAirborne(estimator.last_keyframe_stamp(), estimator.airborne());
     }
     if (snapshot) {
       OnSnapshot(*snapshot);
-    } else if (last_) {
+    } else if (const Snapshot* const last = session_.last()) {
       // What was learned in the air still stands, on the ground and while frozen.
-      last_->airborne = estimator_->airborne();
-      if (last_->airborne) last_->stamp = estimator_->last_keyframe_stamp();
-      publisher_.PublishParameters(*last_, ContextOfLast(), last_->airborne);
-      publisher_.PublishDisplays(*last_, ContextOfLast());
+      session_.KeepLast();
+      publisher_.PublishParameters(*last, session_.Context(), last->airborne);
+      publisher_.PublishDisplays(*last, session_.Context());
     }
     ShareStatus();
   }
 }
 
-// What was learned so far came from no flight, or from other streams.
-void EstimatorNode::ForgetEstimate(const char* why) {
-  starts_anew_ = estimator_->counters().starts_anew;
-  if (last_) ROS_WARN("%s: what was learned before is forgotten", why);
-  last_.reset();
-  if (history_watch_) history_watch_->Reset();
-  trust_.ForgetEstimate();
-  acceptance_.Reset();
-}
-
-void EstimatorNode::OnSnapshot(Snapshot snapshot) {
+void EstimatorNode::OnSnapshot(const Snapshot& snapshot) {
   if (!IsFinite(snapshot)) {
-    ++not_finite_;
+    ++timing_.not_finite;
     ROS_ERROR_THROTTLE(1.0, "the estimate is not finite and is not published");
     return;
   }
   const Clock::time_point start = Clock::now();
-  Keep(snapshot.timing.wall_ms, &update_ms_);
-  trust_.LookBack(last_ ? &last_->values : nullptr, setup_.estimator.detect_changes,
-                  estimator_.get());
-  trust_.Widen(model_, &snapshot);
-  acceptance_.Update(*model_, snapshot, trust_.findings());
-  if (history_watch_) {
-    unlike_history_ =
-        history_watch_->Look(snapshot.time_s, *model_, snapshot.values, snapshot.sigma);
-  }
+  KeepNewest(snapshot.timing.wall_ms, &timing_.update_ms);
+  session_.Take(snapshot);
+  const Snapshot& last = *session_.last();
   if (const auto watch = looks_->watch()) {
-    watch->SetEstimate(model_, snapshot.values, estimator_->start());
+    watch->SetEstimate(session_.model(), last.values, session_.estimator().start());
   }
   shared_.With([&](SharedStatus* s) {
-    if (s->status.model != model_) {
+    if (s->status.model != session_.model()) {
       // What is drawn belongs to one model.
-      s->status.model = model_;
-      s->status.observable = snapshot.observable;
+      s->status.model = session_.model();
+      s->status.observable = last.observable;
       s->history.Clear();
     }
-    s->history.Add(snapshot);
+    s->history.Add(last);
   });
-  last_model_ = model_;
-  last_ = std::move(snapshot);
   publisher_.SetFrames(FramesNow());
-  publisher_.Publish(*last_, ContextOfLast());
-  Keep(std::chrono::duration<double, std::milli>(Clock::now() - start).count(), &publish_ms_);
+  publisher_.Publish(last, session_.Context());
+  KeepNewest(std::chrono::duration<double, std::milli>(Clock::now() - start).count(),
+             &timing_.publish_ms);
 }
 
 void EstimatorNode::AddWhatWasFound() {
   const std::optional<ResidualLook> found = looks_->TakeProposal();
-  if (!found || found->model != model_ || last_model_ != model_ || frozen_) return;
-  const std::string& name = found->candidate->name;
-  try {
-    const Vehicle extended = VehicleWith(setup_.vehicle, *found->candidate);
-    const Vehicle warm =
-        WarmStarted(extended, Estimator::ToParameterSet(*last_model_, *last_), *found);
-    auto model = std::make_shared<DynamicModel>(warm, warm.effects);
-    auto estimator =
-        std::make_unique<Estimator>(model.get(), setup_.estimator, !intake_.rms_only());
-    estimator->CarryOn(*estimator_, DynamicModel(extended, extended.effects));
-    estimator_ = std::move(estimator);
-    model_ = std::move(model);
-    HoldOut();
-    setup_.vehicle.effects = extended.effects;
-    setup_.vehicle.parameters = extended.parameters;
-  } catch (const std::exception& e) {
-    ROS_ERROR("%s was found, but cannot be added: %s", name.c_str(), e.what());
-    return;
-  }
-  acceptance_.Reset();
-  added_effects_ += (added_effects_.empty() ? "" : ", ") + name;
-  ROS_WARN("added %s to the model in flight (add_effects): %.3g nats, found %d times in a row",
-           name.c_str(), found->candidate->score, found->in_a_row);
-  shared_.With([&](SharedStatus* s) { s->status.added_effects.push_back(name); });
+  if (!found || !session_.Extend(*found, !intake_.rms_only())) return;
+  shared_.With([&](SharedStatus* s) { s->status.added_effects.push_back(found->candidate->name); });
 }
 
 void EstimatorNode::Finish() {
@@ -540,12 +446,12 @@ void EstimatorNode::Finish() {
   }
   if (!is_all) {
     Tell("the newest samples may be missing: no time to work off all that was queued");
-  } else if (estimator_ && !stopped_by_clock_) {
-    estimator_->Finish();
+  } else if (session_.has_started() && !stopped_by_clock_) {
+    session_.estimator().Finish();
     StepWhileThereIsMore();
   }
   if (setup_.options.output_dir.empty()) return;
-  if (last_) {
+  if (session_.last() != nullptr) {
     Tell("wrote " + Save());
   } else {
     Tell("nothing was estimated, no parameters.yaml is written");
@@ -553,10 +459,6 @@ void EstimatorNode::Finish() {
 }
 
 // ---- Estimator thread: what others are told ----------------------------------------------------
-
-EstimatePublisher::Context EstimatorNode::ContextOfLast() const {
-  return {last_model_.get(), &acceptance_, &trust_.findings(), !progress_.interruption().empty()};
-}
 
 EstimatePublisher::Frames EstimatorNode::FramesNow() const {
   const EstimatorNodeOptions& options = setup_.options;
@@ -567,7 +469,7 @@ EstimatePublisher::Frames EstimatorNode::FramesNow() const {
 
 /// The stream the estimator waits for, by the name of its topic.
 std::string EstimatorNode::MissingStream() const {
-  const std::string& stream = estimator_->waiting_for();
+  const std::string& stream = session_.estimator().waiting_for();
   return rotors_.from_commands() && stream == NameOf(InputStream::kRotorSpeeds)
              ? NameOf(InputStream::kMotorCommands)
              : stream;
@@ -575,14 +477,12 @@ std::string EstimatorNode::MissingStream() const {
 
 void EstimatorNode::ShareStatus() {
   const Clock::time_point now = Clock::now();
-  if (now - status_shared_ < kStatusPeriod) return;
-  status_shared_ = now;
-  if (estimator_) progress_.Look(*estimator_, MissingStream(), last_ && !frozen_);
+  if (now - timing_.status_shared < kStatusPeriod) return;
+  timing_.status_shared = now;
+  if (session_.has_started()) session_.LookAtProgress(MissingStream());
   shared_.With([&](SharedStatus* s) {
     ShareIntake(&s->status);
-    if (!estimator_) return;
-    ShareEstimator(&s->status);
-    if (last_) ShareSnapshot(*last_, &s->status);
+    if (session_.has_started()) ShareEstimator(&s->status);
   });
 }
 
@@ -590,7 +490,7 @@ void EstimatorNode::ShareIntake(NodeStatus* s) const {
   s->clock_resets = intake_.resets();
   s->stale = intake_.stale();
   s->forgotten = intake_.forgotten();
-  s->not_finite = not_finite_;
+  s->not_finite = timing_.not_finite;
   if (rotors_.is_on()) s->rotors = rotors_.Now(intake_.rms_only());
   s->waiting_for = intake_.WaitingFor();
   if (setup_.options.uses_tf() && s->waiting_for == "odometry or pose") {
@@ -611,62 +511,22 @@ void EstimatorNode::ShareIntake(NodeStatus* s) const {
 }
 
 void EstimatorNode::ShareEstimator(NodeStatus* s) const {
-  if (!s->model) s->model = model_;
+  session_.Fill(s);
   s->waiting_for = MissingStream();
   // Between two poses it always waits for the next one.
-  if (progress_.comes_on() && s->waiting_for == NameOf(InputStream::kOdometry)) {
+  if (session_.comes_on() && s->waiting_for == NameOf(InputStream::kOdometry)) {
     s->waiting_for.clear();
   }
-  s->interrupted = progress_.interruption();
-  if (!last_ && !s->waiting_for.empty() && Clock::now() - started_ > kLongWait) {
+  if (!s->has_estimate && !s->waiting_for.empty() && Clock::now() - timing_.started > kLongWait) {
     ROS_WARN_THROTTLE(30.0, "still waiting for %s: see /diagnostics for what comes in",
                       s->waiting_for.c_str());
   }
-  s->airborne = estimator_->airborne();
   s->phase = publisher_.phase();
-  s->trust = Name(TrustOf(trust_.findings()));
-  s->findings.clear();
-  for (const Finding& finding : trust_.findings()) {
-    s->findings += (s->findings.empty() ? "" : " | ") + Sentence(finding);
-  }
-  s->rotor_speeds_late_s = trust_.OffsetOf("rotor_speeds");
-  s->imu_late_s = trust_.OffsetOf("gyro");
-  s->contradicted_k_m = reaction_watch_.sentence();
-  s->counters = estimator_->counters();
-  s->stream_counters = estimator_->stream_counters();
-  s->noise = estimator_->odometry_noise();
-  s->accepted = acceptance_.accepted();
-  s->not_accepted_because = acceptance_.reasons();
-  s->held_back = acceptance_.held_back();
-  s->has_estimate = last_.has_value();
-}
-
-void EstimatorNode::ShareSnapshot(const Snapshot& snapshot, NodeStatus* s) const {
-  s->unphysical = UnphysicalValues(*last_model_, snapshot.values, snapshot.sigma);
-  const std::string doubt = ThrustDoubt(*last_model_, snapshot.values);
-  if (!doubt.empty()) s->unphysical.push_back(doubt);
-  s->unlike_history = UnlikeHistorySentences();
-  s->unobservable = snapshot.unobservable;
-  s->observable = snapshot.observable;
-  s->time_s = snapshot.time_s;
-  s->states_in_window = snapshot.timing.states;
-  s->residual_force_rms_N = snapshot.residual_force_rms_N;
-  s->residual_torque_rms_Nm = snapshot.residual_torque_rms_Nm;
-  s->battery_voltage_V = snapshot.battery_voltage_V;
-  s->update_ms_median = Percentile(update_ms_, 0.5);
-  s->update_ms_p99 = Percentile(update_ms_, 0.99);
-  s->publish_ms_median = Percentile(publish_ms_, 0.5);
-  s->publish_ms_p99 = Percentile(publish_ms_, 0.99);
-}
-
-/// What earlier flights did not let expect.
-std::vector<std::string> EstimatorNode::UnlikeHistorySentences() const {
-  std::vector<std::string> sentences;
-  for (const UnlikeHistory& unlike : unlike_history_) {
-    const int k = last_model_->IndexOf(unlike.full_name);
-    if (k >= 0) sentences.push_back(unlike.Sentence(last_model_->parameters()[k].spec.unit));
-  }
-  return sentences;
+  if (!s->has_estimate) return;
+  s->update_ms_median = Percentile(timing_.update_ms, 0.5);
+  s->update_ms_p99 = Percentile(timing_.update_ms, 0.99);
+  s->publish_ms_median = Percentile(timing_.publish_ms, 0.5);
+  s->publish_ms_p99 = Percentile(timing_.publish_ms, 0.99);
 }
 
 }  // namespace odmc

@@ -6,24 +6,19 @@
 
 #include <chrono>
 #include <deque>
-#include <map>
 #include <memory>
 #include <optional>
 #include <string>
 #include <thread>
 #include <vector>
 
-#include "odmc/estimator/acceptance.h"
-#include "odmc/estimator/estimator.h"
-#include "odmc/fleet/unlike_history.h"
 #include "odmc/inspection/stream_watch.h"
 #include "odmc/ros/background_looks.h"
 #include "odmc/ros/estimate_publisher.h"
-#include "odmc/ros/estimate_trust.h"
+#include "odmc/ros/estimate_session.h"
 #include "odmc/ros/estimator_setup.h"
 #include "odmc/ros/guarded.h"
 #include "odmc/ros/input_queue.h"
-#include "odmc/ros/learning_progress.h"
 #include "odmc/ros/mount_lookup.h"
 #include "odmc/ros/node_reporter.h"
 #include "odmc/ros/rotor_supervision.h"
@@ -33,10 +28,10 @@
 namespace odmc {
 
 /// The estimator on ROS. Callbacks convert and push on a bounded queue, nothing else (TopicIntake,
-/// InputQueue); one thread owns the estimator and publishes what it finds (EstimatePublisher);
-/// another one reports once in a while (NodeReporter); a third one, of low priority, looks at what
-/// the model leaves unexplained (BackgroundLooks). Stop(), or the destructor, works off what is
-/// queued (for at most two seconds) and writes the result.
+/// InputQueue); one thread owns the estimate (EstimateSession) and publishes it
+/// (EstimatePublisher); another one reports once in a while (NodeReporter); a third one, of low
+/// priority, looks at what the model leaves unexplained (BackgroundLooks). Stop(), or the
+/// destructor, works off what is queued (for at most two seconds) and writes the result.
 class EstimatorNode {
  public:
   EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle& private_node,
@@ -72,33 +67,32 @@ class EstimatorNode {
   void OnClockStepBack();
   void StartIfMountsAreKnown();
   void Start();
-  void MakeEstimator();
-  void HoldOut();
+  void WatchResidual();
   void Feed(const Sample& sample);
   void Observe(const Sample& sample);
   void InspectStreams();
-  void LearnOfReaction(const BackgroundLooks::StreamsFound& found);
   void StepWhileThereIsMore();
   void AddWhatWasFound();
-  void ForgetEstimate(const char* why);
-  void OnSnapshot(Snapshot snapshot);
+  void OnSnapshot(const Snapshot& snapshot);
   void Finish();
 
   // Estimator thread: what others are told.
-  EstimatePublisher::Context ContextOfLast() const;
   EstimatePublisher::Frames FramesNow() const;
   void ShareStatus();
   void ShareIntake(NodeStatus* status) const;
   void ShareEstimator(NodeStatus* status) const;
-  void ShareSnapshot(const Snapshot& snapshot, NodeStatus* status) const;
   std::string MissingStream() const;
-  std::vector<std::string> UnlikeHistorySentences() const;
 
-  // Set once in the constructor. The estimator thread completes the mounts of setup_.vehicle and
-  // adds effects; of the vehicle the others read only name and rotors.
-  EstimatorNodeSetup setup_;
-  const std::vector<std::string> declared_effects_;  // of the vehicle file
-  const std::map<std::string, ParameterSetting> declared_parameters_;
+  /// Of the newest updates, and since when.
+  struct Timing {
+    std::deque<double> update_ms, publish_ms;
+    long not_finite = 0;  // estimates that were not published
+    const Clock::time_point started = Clock::now();
+    Clock::time_point status_shared;
+  };
+
+  // Set once in the constructor.
+  const EstimatorNodeSetup setup_;
   ros::Publisher unexplained_publisher_;  // of the thread of BackgroundLooks
   std::vector<ros::ServiceServer> services_;
 
@@ -110,25 +104,11 @@ class EstimatorNode {
   MountLookup mounts_;
   SampleIntake intake_;
   RotorSupervision rotors_;
-  std::optional<StreamWatch> streams_seen_;    // as they come, before they are mended
-  std::shared_ptr<const DynamicModel> model_;  // others get it by shared_
-  std::unique_ptr<Estimator> estimator_;
-  EstimateTrust trust_;
-  ReactionWatch reaction_watch_;
-  Acceptance acceptance_;
-  LearningProgress progress_;
+  std::optional<StreamWatch> streams_seen_;  // as they come, before they are mended
+  EstimateSession session_;
   EstimatePublisher publisher_;
-  std::optional<Snapshot> last_;
-  std::shared_ptr<const DynamicModel> last_model_;  // of last_
-  std::optional<HistoryWatch> history_watch_;       // where a fleet's flights were before
-  std::vector<UnlikeHistory> unlike_history_;
-  std::string added_effects_;
-  bool stopped_by_clock_ = false, ignores_imu_ = false, frozen_ = false;
-  long starts_anew_ = 0;  // of the estimator, as far as they are dealt with
-  const Clock::time_point started_ = Clock::now();
-  Clock::time_point status_shared_;
-  std::deque<double> update_ms_, publish_ms_;
-  long not_finite_ = 0;
+  bool stopped_by_clock_ = false, ignores_imu_ = false;
+  Timing timing_;
   std::string failure_;  // read by others once the thread has been joined
 
   // Threads, started last and ended first; they use all of the above.
