@@ -173,11 +173,8 @@ SimulatorNode::SimulatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
 }
 
 SimulatorNode::~SimulatorNode() {
-  {
-    const std::lock_guard<std::mutex> lock(command_mutex_);
-    stopping_ = true;
-  }
-  command_arrived_.notify_all();
+  told_.With([](Told* told) { told->stopping = true; });
+  told_changed_.notify_all();
   thread_.join();
 }
 
@@ -200,7 +197,7 @@ void SimulatorNode::Advertise() {
   diagnostics_publisher_ = node_.advertise<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10);
   command_subscriber_ = node_.subscribe("command/rotor_speeds", 10, &SimulatorNode::OnCommand, this,
                                         ros::TransportHints().tcpNoDelay());
-  if (world_.has_actuator()) {
+  if (world_.With([](World* world) { return world->has_actuator(); })) {
     motor_subscriber_ = node_.subscribe("motor_commands", 10, &SimulatorNode::OnMotorCommand, this,
                                         ros::TransportHints().tcpNoDelay());
   }
@@ -222,8 +219,7 @@ void SimulatorNode::AdvertiseFault(const std::string& service,
       [this, service, act](std_srvs::Trigger::Request&, std_srvs::Trigger::Response& answer) {
         try {
           const WorldOptions sizes = Sizes();
-          const std::lock_guard<std::mutex> lock(world_mutex_);
-          answer.message = act(sizes, &world_);
+          answer.message = world_.With([&](World* world) { return act(sizes, world); });
           answer.success = true;
           ROS_INFO("%s: %s", service.c_str(), answer.message.c_str());
         } catch (const std::exception& e) {
@@ -268,35 +264,27 @@ void SimulatorNode::OnMotorCommand(const MotorCommands::ConstPtr& message) {
 }
 
 void SimulatorNode::Obey(Stamp stamp, const RotorVector& values, bool is_throttle) {
-  {
-    const std::lock_guard<std::mutex> lock(command_mutex_);
-    ++commands_;
-    command_ = Told{stamp - epoch_, values, is_throttle};
-  }
-  command_arrived_.notify_one();
+  told_.With([&](Told* told) {
+    ++told->commands;
+    told->newest = Command{stamp - epoch_, values, is_throttle};
+  });
+  told_changed_.notify_one();
 }
 
 void SimulatorNode::Refuse(const std::string& what) {
-  {
-    const std::lock_guard<std::mutex> lock(command_mutex_);
-    ++commands_refused_;
-  }
+  told_.With([](Told* told) { ++told->refused; });
   ROS_WARN_THROTTLE(1.0,
                     "a command was refused: it must have a stamp and one finite %s for each of %d "
                     "rotors",
                     what.c_str(), model_.vehicle().num_rotors());
-  command_arrived_.notify_one();
+  told_changed_.notify_one();
 }
 
 // ---- Stepping thread ---------------------------------------------------------------------------
 
 void SimulatorNode::Run() {
   try {
-    while (true) {
-      {
-        const std::lock_guard<std::mutex> lock(command_mutex_);
-        if (stopping_) return;
-      }
+    while (!told_.With([](const Told* told) { return told->stopping; })) {
       if (ElapsedSeconds(reported_wall_) >= 1.0) PublishDiagnostics();
       if (!MayStep()) {
         PublishClock();  // who comes now learns what time it is
@@ -335,53 +323,54 @@ bool SimulatorNode::HasController() const {
 bool SimulatorNode::WaitForCommand() {
   const double lag_s = setup_.options.command_lag_s;
   if (lag_s == 0.0) return true;
-  std::unique_lock<std::mutex> lock(command_mutex_);
-  if (!command_) return true;
-  const auto is_near = [&] {
-    return stopping_ || ToSeconds(world_.now() - command_->stamp) <= lag_s;
+  if (!told_.With([](const Told* told) { return told->newest.has_value(); })) return true;
+  const auto is_near = [&](const Told* told) {
+    return told->stopping || ToSeconds(now_ - told->newest->stamp) <= lag_s;
   };
-  if (is_near()) {
+  if (told_.With(is_near)) {
     locked_ = true;
     return true;
   }
   if (!locked_) return true;
   ++slow_downs_;
-  locked_ = command_arrived_.wait_for(lock, kLongestWait, is_near);
+  locked_ = told_.WaitFor(&told_changed_, kLongestWait, is_near);
   if (!locked_) ROS_WARN("no command for %.0f ms: time goes on without", 1e3 * lag_s);
   return false;
 }
 
 void SimulatorNode::StepBatch() {
-  const std::lock_guard<std::mutex> lock(world_mutex_);
-  ObeyCommand();
-  const Stamp end = (batches_ + 1) * FromSeconds(kBatch_s);
-  while (world_.now() < end) world_.Step();
+  world_.With([this](World* world) {
+    ObeyCommand(world);
+    const Stamp end = (batches_ + 1) * FromSeconds(kBatch_s);
+    while (world->now() < end) world->Step();
+    now_ = world->now();
+  });
   ++batches_;
 }
 
-void SimulatorNode::ObeyCommand() {
-  const std::lock_guard<std::mutex> lock(command_mutex_);
-  if (!command_) return;
-  const bool is_old = ToSeconds(world_.now() - command_->stamp) > kOldCommand_s;
+void SimulatorNode::ObeyCommand(World* world) {
+  const std::optional<Command> command = told_.With([](const Told* told) { return told->newest; });
+  if (!command) return;
+  const bool is_old = ToSeconds(now_ - command->stamp) > kOldCommand_s;
   if (is_old) {
     if (rotors_stopped_) return;
-    world_.Command(RotorVector::Zero(command_->values.size()));
+    world->Command(RotorVector::Zero(command->values.size()));
     ROS_WARN("the newest command is older than %.2f s: rotors stop", kOldCommand_s);
-  } else if (command_->stamp != obeyed_ || rotors_stopped_) {
-    obeyed_ = command_->stamp;
-    command_->is_throttle ? world_.CommandThrottle(command_->values)
-                          : world_.Command(command_->values);
+  } else if (command->stamp != obeyed_ || rotors_stopped_) {
+    obeyed_ = command->stamp;
+    command->is_throttle ? world->CommandThrottle(command->values)
+                         : world->Command(command->values);
   }
   rotors_stopped_ = is_old;
 }
 
 void SimulatorNode::Pace() {
-  const double ahead_s = ToSeconds(world_.now() - pace_time_) / setup_.options.real_time_factor -
-                         ElapsedSeconds(pace_wall_);
+  const double ahead_s =
+      ToSeconds(now_ - pace_time_) / setup_.options.real_time_factor - ElapsedSeconds(pace_wall_);
   if (ahead_s > 0.0) std::this_thread::sleep_for(duration<double>(ahead_s));
   if (ahead_s > -duration<double>(kMostCatchingUp).count()) return;
   pace_wall_ = Clock::now();  // too slow: what was lost is not caught up
-  pace_time_ = world_.now();
+  pace_time_ = now_;
 }
 
 ros::Time SimulatorNode::At(Stamp world_stamp) const { return ToRos(world_stamp + epoch_); }
@@ -389,7 +378,7 @@ ros::Time SimulatorNode::At(Stamp world_stamp) const { return ToRos(world_stamp 
 void SimulatorNode::PublishClock() {
   if (!setup_.options.publishes_clock) return;
   rosgraph_msgs::Clock clock;
-  clock.clock = At(world_.now());
+  clock.clock = At(now_);
   clock_publisher_.publish(clock);
 }
 
@@ -397,17 +386,15 @@ void SimulatorNode::Publish() {
   std::vector<Sample> samples;
   std::optional<TruthSample> truth;
   Eigen::Vector3d wind_W;
-  {
-    const std::lock_guard<std::mutex> lock(world_mutex_);
-    samples = world_.TakeSamples();
-    if (batches_ % kTruthBatches == 0) truth = world_.Truth();
-    wind_W = world_.wind_W();
-  }
-  const Stamp now = world_.now();
+  world_.With([&](World* world) {
+    samples = world->TakeSamples();
+    if (batches_ % kTruthBatches == 0) truth = world->Truth();
+    wind_W = world->wind_W();
+  });
   PublishClock();
   if (truth) {
-    PublishReference(now);
-    PublishTruth(*truth, wind_W, now);
+    PublishReference(now_);
+    PublishTruth(*truth, wind_W, now_);
   }
   PublishSamples(samples);
 }
@@ -478,11 +465,11 @@ void SimulatorNode::PublishStart() {
 
 void SimulatorNode::PublishDiagnostics() {
   const double real_s = ElapsedSeconds(reported_wall_);
-  const double factor = ToSeconds(world_.now() - reported_time_) / real_s;
+  const double factor = ToSeconds(now_ - reported_time_) / real_s;
   reported_wall_ = Clock::now();
-  reported_time_ = world_.now();
+  reported_time_ = now_;
   diagnostic_msgs::DiagnosticArray message;
-  message.header.stamp = At(world_.now());
+  message.header.stamp = At(now_);
   message.status.push_back(Diagnostic(factor));
   if (ros::ok()) diagnostics_publisher_.publish(message);
 }
@@ -505,19 +492,19 @@ diagnostic_msgs::DiagnosticStatus SimulatorNode::Diagnostic(double factor) {
                                    : "running";
   PutValue("real_time_factor", factor, &status);
   PutValue("real_time_factor_asked", asked, &status);
-  PutValue("time_s", ToSeconds(world_.now()), &status);
+  PutValue("time_s", ToSeconds(now_), &status);
   PutValue("trajectory", trajectory_.name(), &status);
   PutValue("waits_for_commands", slow_downs_, &status);
-  {
-    const std::lock_guard<std::mutex> lock(world_mutex_);
-    PutValue("on_ground", world_.touches_ground(), &status);
-    PutValue("mass_kg", world_.mass(), &status);
-    PutValue("battery_voltage_V", world_.battery_voltage_V(), &status);
-  }
-  const std::lock_guard<std::mutex> lock(command_mutex_);
-  PutValue("commands", commands_, &status);
-  PutValue("commands_refused", commands_refused_, &status);
-  if (command_) PutValue("command_age_s", ToSeconds(world_.now() - command_->stamp), &status);
+  world_.With([&](World* world) {
+    PutValue("on_ground", world->touches_ground(), &status);
+    PutValue("mass_kg", world->mass(), &status);
+    PutValue("battery_voltage_V", world->battery_voltage_V(), &status);
+  });
+  told_.With([&](const Told* told) {
+    PutValue("commands", told->commands, &status);
+    PutValue("commands_refused", told->refused, &status);
+    if (told->newest) PutValue("command_age_s", ToSeconds(now_ - told->newest->stamp), &status);
+  });
   return status;
 }
 

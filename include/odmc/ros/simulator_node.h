@@ -14,7 +14,6 @@
 #include <chrono>
 #include <condition_variable>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <string>
 #include <thread>
@@ -23,6 +22,7 @@
 #include "odmc/MotorCommands.h"
 #include "odmc/RotorSpeeds.h"
 #include "odmc/model/dynamic_model.h"
+#include "odmc/ros/guarded.h"
 #include "odmc/sim/world.h"
 #include "odmc/trajectory/trajectory.h"
 
@@ -110,7 +110,7 @@ class SimulatorNode {
   bool HasController() const;
   bool WaitForCommand();
   void StepBatch();
-  void ObeyCommand();
+  void ObeyCommand(World* world);
   void Pace();
   void Publish();
   void PublishSamples(const std::vector<Sample>& samples);
@@ -139,25 +139,25 @@ class SimulatorNode {
   tf2_ros::TransformBroadcaster tf_broadcaster_;
   tf2_ros::StaticTransformBroadcaster static_tf_broadcaster_;
 
-  // Guarded by world_mutex_.
-  std::mutex world_mutex_;
-  World world_;
-
-  // Guarded by command_mutex_.
-  std::mutex command_mutex_;
-  std::condition_variable command_arrived_;
-  struct Told {
+  struct Command {
     Stamp stamp;         // in the world's time
     RotorVector values;  // throttles, or speeds [rad/s]
     bool is_throttle;
   };
-  std::optional<Told> command_;  // the newest
-  long commands_ = 0, commands_refused_ = 0;
-  bool stopping_ = false;
+  struct Told {
+    std::optional<Command> newest;
+    long commands = 0, refused = 0;
+    bool stopping = false;
+  };
 
+  // Shared by the threads. Where both are held, the world is locked first.
+  Guarded<World> world_;
+  Guarded<Told> told_;
+  std::condition_variable told_changed_;
   std::atomic<bool> paused_{false};
 
   // Owned by the stepping thread.
+  Stamp now_ = 0;  // the world's time
   bool started_ = false, locked_ = true, rotors_stopped_ = false;
   Stamp obeyed_ = 0;
   Clock::time_point pace_wall_, reported_wall_;
