@@ -555,7 +555,7 @@ ValueVariation FollowThrust(const FlightLog& log, const Vehicle& vehicle,
   };
 }
 
-std::vector<std::optional<double>> Convergence(const History& history,
+std::vector<std::optional<double>> Convergence(const EstimateHistory& history,
                                                const std::vector<bool>& observable) {
   std::vector<std::optional<double>> result(observable.size());
   if (history.empty()) return result;

@@ -10,12 +10,12 @@ constexpr size_t kBlockBytes = 1 << 20;
 
 }  // namespace
 
-size_t History::RowsPerBlock() const {
+size_t EstimateHistory::RowsPerBlock() const {
   const size_t row_bytes = (1 + 2 * static_cast<size_t>(parameters_)) * sizeof(double);
   return std::max<size_t>(1, kBlockBytes / row_bytes);
 }
 
-void History::push_back(const HistoryRow& row) {
+void EstimateHistory::push_back(const HistoryRow& row) {
   if (empty()) parameters_ = row.values.size();
   if (row.values.size() != parameters_ || row.sigma.size() != parameters_) {
     throw std::invalid_argument("rows of a history must be of one length");
@@ -31,7 +31,7 @@ void History::push_back(const HistoryRow& row) {
   ++size_;
 }
 
-void History::Spill(Block* block) {
+void EstimateHistory::Spill(Block* block) {
   if (file_ == nullptr) {
     std::FILE* const file = std::tmpfile();
     if (file == nullptr) return;
@@ -49,7 +49,7 @@ void History::Spill(Block* block) {
   block->numbers = {};
 }
 
-void History::Read(size_t block, std::vector<double>* numbers) const {
+void EstimateHistory::Read(size_t block, std::vector<double>* numbers) const {
   const Block& at = blocks_[block];
   if (at.offset < 0) {
     *numbers = at.numbers;
@@ -62,7 +62,7 @@ void History::Read(size_t block, std::vector<double>* numbers) const {
   if (!read) throw std::runtime_error("the history's temporary file cannot be read");
 }
 
-HistoryRow History::RowOf(const double* numbers) const {
+HistoryRow EstimateHistory::RowOf(const double* numbers) const {
   HistoryRow row;
   row.t_s = numbers[0];
   row.values = Eigen::Map<const Eigen::VectorXd>(numbers + 1, parameters_);
@@ -70,7 +70,7 @@ HistoryRow History::RowOf(const double* numbers) const {
   return row;
 }
 
-HistoryRow History::Iterator::operator*() const {
+HistoryRow EstimateHistory::Iterator::operator*() const {
   const size_t rows = history_->RowsPerBlock();
   if (index_ / rows != block_) {
     block_ = index_ / rows;
@@ -80,6 +80,6 @@ HistoryRow History::Iterator::operator*() const {
   return history_->RowOf(numbers_.data() + index_ % rows * width);
 }
 
-HistoryRow History::operator[](size_t index) const { return *Iterator(this, index); }
+HistoryRow EstimateHistory::operator[](size_t index) const { return *Iterator(this, index); }
 
 }  // namespace odmc

@@ -23,7 +23,7 @@ Json FindingsJson(const std::vector<Finding>& findings) {
 Json TimeOffsetsJson(const std::vector<TimeOffset>& offsets) {
   Json json = Json::object();
   for (const TimeOffset& offset : offsets) {
-    const Lag& lag = offset.lag;
+    const StreamLag& lag = offset.lag;
     Json entry = {{"value_s", nullptr}, {"sigma_s", nullptr}};
     if (lag.determined()) {
       entry["value_s"] = JsonNumber(lag.lag_s);

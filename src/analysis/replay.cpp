@@ -50,7 +50,7 @@ class Recorder {
   void StartAnew() {
     starts_anew_ = estimator_->counters().starts_anew;
     result_->last.reset();
-    result_->history = History();
+    result_->history = EstimateHistory();
     result_->timing.clear();
   }
 

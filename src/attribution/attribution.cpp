@@ -140,22 +140,22 @@ double UnexplainedStructure(const ResidualModel::Wrenches& before,
   return structured && !acts ? 1.0 : 0.0;
 }
 
-Attribution::Attribution(const std::vector<const ResidualModel*>& residuals, Stage stage,
-                         std::vector<Candidate> candidates, const AttributionOptions& options,
+Attribution::Attribution(const std::vector<const ResidualModel*>& residuals, ModelPoint point,
+                         std::vector<EffectCandidate> candidates, const AttributionOptions& options,
                          std::function<bool()> give_up, int jobs)
     : instruments_(InstrumentsOf(residuals)),
       flights_(Seen(residuals, instruments_)),
       features_(flights_),
-      stage_(std::move(stage)),
+      point_(std::move(point)),
       candidates_(std::move(candidates)),
       options_(options),
       give_up_(std::move(give_up)),
       jobs_(jobs) {}
 
 void Attribution::Screen(Evidence* evidence) const {
-  std::map<std::string, std::vector<const Candidate*>> by_effect;
-  for (const Candidate& candidate : candidates_) {
-    const std::vector<std::string>& have = evidence->stage().vehicle.effects;
+  std::map<std::string, std::vector<const EffectCandidate*>> by_effect;
+  for (const EffectCandidate& candidate : candidates_) {
+    const std::vector<std::string>& have = evidence->point().vehicle.effects;
     if (std::find(have.begin(), have.end(), candidate.effect) != have.end()) continue;
     if (hollow_.count(candidate.effect) > 0) continue;
     by_effect[candidate.effect].push_back(&candidate);
@@ -165,14 +165,14 @@ void Attribution::Screen(Evidence* evidence) const {
   }
   evidence->EstimateNoise();
   struct Chosen {
-    Candidate candidate;
+    EffectCandidate candidate;
     double log_prior;
   };
   std::vector<Chosen> all;
   for (const auto& [effect, settings] : by_effect) {
     if (settings.size() < 2 || GivesUp()) continue;
     std::vector<Evidence::GainBound> promises;
-    for (const Candidate* c : settings) promises.push_back(evidence->GainBoundOf(*c));
+    for (const EffectCandidate* c : settings) promises.push_back(evidence->GainBoundOf(*c));
     std::set<size_t> chosen;
     const auto choose = [&](double Evidence::GainBound::*by) {
       std::vector<size_t> order(promises.size());
@@ -184,16 +184,16 @@ void Attribution::Screen(Evidence* evidence) const {
     choose(&Evidence::GainBound::serial);
     choose(&Evidence::GainBound::white);
     std::set<std::map<std::string, double>> held;
-    for (const Candidate* c : settings) held.insert(c->settings);
+    for (const EffectCandidate* c : settings) held.insert(c->settings);
     const double log_prior = -std::log(static_cast<double>(held.size()));
     const auto most = static_cast<size_t>(
         std::max_element(promises.begin(), promises.end(),
                          [](const auto& a, const auto& b) { return a.white < b.white; }) -
         promises.begin());
     for (const size_t i : chosen) all.push_back({*settings[i], log_prior});
-    const Candidate refined = WithRefinedSettings(*settings[most], [&](const Candidate& other) {
-      return evidence->GainBoundOf(other).white;
-    });
+    const EffectCandidate refined = WithRefinedSettings(
+        *settings[most],
+        [&](const EffectCandidate& other) { return evidence->GainBoundOf(other).white; });
     if (refined.settings != settings[most]->settings || refined.start != settings[most]->start)
       all.push_back({refined, log_prior});
   }
@@ -266,7 +266,7 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
   const EffectFit posterior = evidence.Solve(set);
   ranked.score = ScoreOf(evidence, set, without);
   ranked.p_value = PValue(ranked.score);
-  const Vehicle extended = VehicleWith(evidence.stage().vehicle, v.candidate);
+  const Vehicle extended = VehicleWith(evidence.point().vehicle, v.candidate);
   const DynamicModel model(extended, extended.effects);
   std::vector<Eigen::Index> own, fitted;
   for (size_t k = 0; k < posterior.columns.size(); ++k) {
@@ -316,7 +316,7 @@ std::vector<FlightSays> Attribution::ByFlight(const Evidence& evidence, int vari
   without.erase(variant);
   const std::string& name = evidence.variants()[variant].candidate.effect;
   const Vehicle extended =
-      VehicleWith(evidence.stage().vehicle, evidence.variants()[variant].candidate);
+      VehicleWith(evidence.point().vehicle, evidence.variants()[variant].candidate);
   const DynamicModel model(extended, extended.effects);
   std::vector<FlightSays> by_flight;
   for (const double nats : evidence.GainByFlight(set, without)) {
@@ -551,10 +551,10 @@ VariantSet Attribution::WithoutStrangers(const Evidence& evidence, VariantSet se
   return set;
 }
 
-std::vector<ResidualModel::Wrenches> Attribution::Refit(Stage* stage) const {
+std::vector<ResidualModel::Wrenches> Attribution::Refit(ModelPoint* point) const {
   std::vector<ResidualModel::Wrenches> residuals;
   for (int round = 0; round < kRefits; ++round) {
-    Evidence evidence(flights_, *stage, jobs_);
+    Evidence evidence(flights_, *point, jobs_);
     evidence.EstimateNoise();
     const EffectFit posterior = evidence.Solve({});
     residuals = evidence.ResidualsOf({}, posterior);
@@ -564,31 +564,32 @@ std::vector<ResidualModel::Wrenches> Attribution::Refit(Stage* stage) const {
       moved = std::max(
           moved, std::abs(posterior.coefficients[at]) / std::sqrt(posterior.covariance(at, at)));
     }
-    Stage next = evidence.Moved({}, posterior);
-    for (const auto& [name, value] : stage->values) {
+    ModelPoint next = evidence.Moved({}, posterior);
+    for (const auto& [name, value] : point->values) {
       // Where little is foreseen of torque, the unforeseen rest grows as inertia gets smaller, and
       // the fit runs after it.
       if (round >= kInertiaRefits && name.rfind("inertia.", 0) == 0) next.values[name] = value;
     }
-    *stage = std::move(next);
+    *point = std::move(next);
     constexpr double kSettled = 0.1;  // sigmas
     if (moved < kSettled) break;
   }
   return residuals;
 }
 
-Evidence Attribution::EvidenceAtFit(const Stage& fitted, std::vector<Candidate> added) const {
-  Stage stage = fitted;
-  stage.vehicle = stage_.vehicle;
+Evidence Attribution::EvidenceAtFit(const ModelPoint& fitted,
+                                    std::vector<EffectCandidate> added) const {
+  ModelPoint point = fitted;
+  point.vehicle = point_.vehicle;
   for (const char* const axis : {"inertia.x", "inertia.y", "inertia.z"}) {
     const auto value = fitted.values.find(axis);
     if (value == fitted.values.end()) continue;
-    ParameterSetting& setting = stage.vehicle.parameters[axis];
+    ParameterSetting& setting = point.vehicle.parameters[axis];
     setting.value = value->second;
     setting.sigma = std::min(setting.sigma.value_or(value->second), kProportional * value->second);
   }
-  Evidence evidence(flights_, stage, jobs_);
-  for (Candidate& candidate : added) {
+  Evidence evidence(flights_, point, jobs_);
+  for (EffectCandidate& candidate : added) {
     for (const std::string& name : candidate.fitted) {
       candidate.settings[name] = fitted.values.at(name);
     }
@@ -604,8 +605,8 @@ Evidence Attribution::EvidenceAtFit(const Stage& fitted, std::vector<Candidate> 
 }
 
 bool Attribution::RefuseHollow(const Evidence& evidence, const VariantSet& set,
-                               const Stage& fitted) {
-  std::vector<Candidate> added;
+                               const ModelPoint& fitted) {
+  std::vector<EffectCandidate> added;
   for (const int v : set) added.push_back(evidence.variants()[v].candidate);
   const Evidence at_fit = EvidenceAtFit(fitted, added);
   VariantSet all;
@@ -638,10 +639,10 @@ bool Attribution::RefuseHollow(const Evidence& evidence, const VariantSet& set,
 }
 
 void Attribution::Run() {
-  before_ = Refit(&stage_);
+  before_ = Refit(&point_);
   after_ = before_;
   while (static_cast<int>(effects_.size()) < options_.most_effects) {
-    Evidence evidence(flights_, stage_, jobs_);
+    Evidence evidence(flights_, point_, jobs_);
     Screen(&evidence);
     Polish(&evidence);
     if (GivesUp() || evidence.variants().empty()) return;
@@ -661,7 +662,7 @@ void Attribution::Run() {
     if (set.empty()) return;
     set = WithoutStrangers(evidence, Largest(evidence, set));
     const EffectFit fit = evidence.Solve(set);
-    Stage fitted = evidence.Moved(set, fit);
+    ModelPoint fitted = evidence.Moved(set, fit);
     std::vector<ResidualModel::Wrenches> left = Refit(&fitted);
     if (RefuseHollow(evidence, set, fitted)) continue;
     std::vector<RankedEffect> added;
@@ -679,12 +680,12 @@ void Attribution::Run() {
     SortByScore(&added);
     gain_ += gain;
     held_out_gain_ += evidence.HeldOutGain(set);
-    stage_ = std::move(fitted);
+    point_ = std::move(fitted);
     after_ = std::move(left);
     for (RankedEffect& effect : added) {
       for (ParameterEstimate& p : effect.parameters) {
-        const auto it = stage_.values.find(p.full_name);
-        if (it != stage_.values.end()) p.value = it->second;
+        const auto it = point_.values.find(p.full_name);
+        if (it != point_.values.end()) p.value = it->second;
       }
       effects_.push_back(std::move(effect));
     }

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <memory>
 
-#include "odmc/attribution/stage.h"
+#include "odmc/attribution/model_point.h"
 #include "odmc/model/effect.h"
 
 namespace odmc {
@@ -93,14 +93,14 @@ std::map<std::string, double> Full(const std::string& effect,
 
 /// A setting where `score` is best, in steps that are halved; not more than half a step of the grid
 /// before where it was.
-Candidate RefinedByStep(const Candidate& candidate, const SettingRefinement& refinement,
-                        const std::function<double(const Candidate&)>& score) {
+EffectCandidate RefinedByStep(const EffectCandidate& candidate, const SettingRefinement& refinement,
+                              const std::function<double(const EffectCandidate&)>& score) {
   const std::string name = candidate.effect + "." + refinement.parameter;
-  Candidate best = candidate;
+  EffectCandidate best = candidate;
   double most = score(best);
   const double first = candidate.settings.at(name) - 0.5 * refinement.step;
   for (double step = refinement.step / 2.0; step > refinement.least_step; step /= 2.0) {
-    Candidate trial = best;
+    EffectCandidate trial = best;
     const double middle = best.settings.at(name);
     for (const double at : {std::max(first, middle - step), middle + step}) {
       trial.settings[name] = at;
@@ -114,12 +114,13 @@ Candidate RefinedByStep(const Candidate& candidate, const SettingRefinement& ref
 }
 
 /// A setting where `score` is best within a factor to either side.
-Candidate RefinedByRatio(const Candidate& candidate, const SettingRefinement& refinement,
-                         const std::function<double(const Candidate&)>& score) {
+EffectCandidate RefinedByRatio(const EffectCandidate& candidate,
+                               const SettingRefinement& refinement,
+                               const std::function<double(const EffectCandidate&)>& score) {
   const std::string name = candidate.effect + "." + refinement.parameter;
   const bool is_fitted = candidate.fitted.count(name) > 0;
   const double start = (is_fitted ? candidate.start : candidate.settings).at(name);
-  Candidate best = candidate, trial = candidate;
+  EffectCandidate best = candidate, trial = candidate;
   (is_fitted ? best.start : best.settings)[name] =
       BestBetween(start / refinement.ratio, start * refinement.ratio, [&](double value) {
         (is_fitted ? trial.start : trial.settings)[name] = value;
@@ -153,8 +154,8 @@ std::string OwnTellingManoeuvre(const Vehicle& vehicle, const std::string& effec
 
 }  // namespace
 
-std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion& flight) {
-  std::vector<Candidate> candidates;
+std::vector<EffectCandidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion& flight) {
+  std::vector<EffectCandidate> candidates;
   if (flight.samples.empty()) return candidates;
   const FlownRange flown = RangeOf(flight, vehicle);
   const bool fits_thrust = FitsThrust(vehicle);
@@ -164,7 +165,7 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
     for (const EffectTrial& trial : effect->Trials(flown, fits_thrust)) {
       const bool is_place = !effect->adds_wrench() && !trial.freed.empty();
       if (is_place && !SwingsPoints(flight, vehicle)) continue;
-      Candidate& candidate = candidates.emplace_back();
+      EffectCandidate& candidate = candidates.emplace_back();
       candidate.effect = name;
       candidate.settings = Full(name, trial.settings);
       candidate.start = Full(name, trial.start);
@@ -184,18 +185,18 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion&
   return candidates;
 }
 
-std::vector<Candidate> CandidatesFor(const Vehicle& vehicle,
-                                     const std::vector<const FlightMotion*>& flights) {
+std::vector<EffectCandidate> CandidatesFor(const Vehicle& vehicle,
+                                           const std::vector<const FlightMotion*>& flights) {
   if (flights.size() == 1) return CandidatesFor(vehicle, *flights.front());
-  std::vector<Candidate> all;
+  std::vector<EffectCandidate> all;
   for (const FlightMotion* flight : flights) {
-    for (Candidate& candidate : CandidatesFor(vehicle, *flight)) {
+    for (EffectCandidate& candidate : CandidatesFor(vehicle, *flight)) {
       const std::unique_ptr<Effect> effect =
           EffectRegistry::Default().Make(candidate.effect, vehicle);
       const std::string onset = candidate.effect + "." + effect->onset_parameter();
       const auto from = candidate.settings.find(onset);
       if (from != candidate.settings.end() && from->second > 0.0) continue;
-      const bool known = std::any_of(all.begin(), all.end(), [&](const Candidate& other) {
+      const bool known = std::any_of(all.begin(), all.end(), [&](const EffectCandidate& other) {
         return other.effect == candidate.effect && other.settings == candidate.settings &&
                other.start == candidate.start;
       });
@@ -205,15 +206,15 @@ std::vector<Candidate> CandidatesFor(const Vehicle& vehicle,
   return all;
 }
 
-std::set<std::string> EffectsOf(const std::vector<Candidate>& candidates) {
+std::set<std::string> EffectsOf(const std::vector<EffectCandidate>& candidates) {
   std::set<std::string> names;
-  for (const Candidate& candidate : candidates) names.insert(candidate.effect);
+  for (const EffectCandidate& candidate : candidates) names.insert(candidate.effect);
   return names;
 }
 
-Candidate WithRefinedSettings(const Candidate& candidate,
-                              const std::function<double(const Candidate&)>& score) {
-  Candidate best = candidate;
+EffectCandidate WithRefinedSettings(const EffectCandidate& candidate,
+                                    const std::function<double(const EffectCandidate&)>& score) {
+  EffectCandidate best = candidate;
   for (const SettingRefinement& refinement : candidate.refinements) {
     const std::string name = candidate.effect + "." + refinement.parameter;
     const auto setting = best.settings.find(name);

@@ -150,7 +150,7 @@ bool Summarise(const AttributionOptions& options, ClosedLoop* result) {
   bool structured = false;
   const auto n = static_cast<double>(result->structure.size());
   for (const ChannelStructure& channel : result->structure) {
-    const Whiteness& whiteness = channel.whiteness;
+    const WhitenessResult& whiteness = channel.whiteness;
     result->structured_share = std::max(result->structured_share, whiteness.structured_share);
     result->whiteness_p = std::min(result->whiteness_p, n * whiteness.p);
     structured = structured || IsStructured(channel, options);
@@ -217,7 +217,7 @@ class LoopSession {
   OnlinePass before_;
   std::unique_ptr<ThinnedFlight> flight_;
   std::unique_ptr<ResidualModel> residual_;
-  std::vector<Candidate> candidates_;
+  std::vector<EffectCandidate> candidates_;
   std::unique_ptr<Attribution> attribution_;
   std::optional<GustCase> gusts_;  ///< where they make their case
   bool structured_ = false;
@@ -247,7 +247,7 @@ std::function<void(double)> LoopSession::Part(double from, double to) const {
 }
 
 Vehicle LoopSession::VehicleWithEffects(const std::vector<RankedEffect>& effects) const {
-  return odmc::VehicleWithEffects(vehicle_, attribution_->stage(), effects, known_);
+  return odmc::VehicleWithEffects(vehicle_, attribution_->point(), effects, known_);
 }
 
 std::optional<OnlinePass> LoopSession::RunWith(const std::vector<RankedEffect>& effects,
@@ -289,7 +289,7 @@ void LoopSession::Attribute() {
   residual_ = std::make_unique<ResidualModel>(flight_.get(), &file_vehicle_, !log_.rotor_rms_only);
   candidates_ = CandidatesFor(vehicle_, flight_->motion());
   const ModelValues& values = before_.replay.last->values;
-  attribution_ = std::make_unique<Attribution>(residual_.get(), StageOf(declared_, values),
+  attribution_ = std::make_unique<Attribution>(residual_.get(), ModelPointOf(declared_, values),
                                                candidates_, options_.attribution);
   attribution_->Run();
   result_.ranking = attribution_->ranking();
@@ -329,7 +329,7 @@ void LoopSession::NoteRefused() {
 }
 
 void LoopSession::WeighGusts() {
-  GustCase gusts = RankGusts(*residual_, attribution_->stage(), attribution_->residual_after(),
+  GustCase gusts = RankGusts(*residual_, attribution_->point(), attribution_->residual_after(),
                              before_.parameters, options_.attribution);
   result_.ranking.push_back(gusts.ranked);
   if (IsGusty(gusts, options_.attribution) && CanBlow(vehicle_, effects_)) {

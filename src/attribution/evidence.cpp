@@ -61,12 +61,13 @@ VectorXd Combined(const MatrixXd& columns, const VectorXd& coefficients) {
 /// Settings stay in their bounds, and nothing goes beyond what was ever likely.
 /// @param before where the fit was linearized
 /// @param at what it found; changed
-void Rescale(const Candidate& candidate, const std::vector<Coefficient>& before,
+void Rescale(const EffectCandidate& candidate, const std::vector<ResidualCoefficient>& before,
              std::map<std::string, double>* at) {
   constexpr double kLikely = 3.0;  // prior sigmas
-  const auto size = std::find_if(before.begin(), before.end(),
-                                 [&](const Coefficient& c) { return c.name == candidate.size; });
-  for (const Coefficient& c : before) {
+  const auto size = std::find_if(before.begin(), before.end(), [&](const ResidualCoefficient& c) {
+    return c.name == candidate.size;
+  });
+  for (const ResidualCoefficient& c : before) {
     const auto value = at->find(c.name);
     if (value == at->end()) continue;
     if (size != before.end() && c.name != candidate.size && at->at(candidate.size) != 0.0) {
@@ -102,7 +103,7 @@ double MostGain(const MatrixXd& gram, const VectorXd& base_sigma, const VectorXd
 }
 
 /// A value as a coefficient moves it.
-double Changed(const Coefficient& coefficient, double value, double change) {
+double Changed(const ResidualCoefficient& coefficient, double value, double change) {
   // Motion is linear in the inverse of inertia.
   constexpr double kMostRatio = 4.0;
   if (coefficient.effect == "inertia" && value > 0.0) {
@@ -145,14 +146,14 @@ double LogSignOdds(PhysicalSign sign, bool is_certain, double value, double sigm
   return std::log(std::max(1e-300, (1.0 - wrong) * right + wrong * (1.0 - right)) / 0.5);
 }
 
-Evidence::Evidence(const std::vector<SeenFlight>& flights, const Stage& stage, int jobs)
-    : stage_(stage), jobs_(jobs) {
+Evidence::Evidence(const std::vector<SeenFlight>& flights, const ModelPoint& point, int jobs)
+    : point_(point), jobs_(jobs) {
   if (flights.empty()) throw std::invalid_argument("evidence needs a flight");
   std::vector<std::optional<FlightRegression>> made(flights.size());
   ForEachOf(static_cast<int>(flights.size()), jobs, [&](int f) {
     const SeenFlight& flight = flights[static_cast<size_t>(f)];
     made[static_cast<size_t>(f)].emplace(flight.residual, flight.instruments,
-                                         stage.OfFlight(static_cast<size_t>(f)));
+                                         point.OfFlight(static_cast<size_t>(f)));
   });
   for (auto& regression : made) flights_.push_back(std::move(*regression));
   num_channels_ = kNumChannels;
@@ -161,8 +162,8 @@ Evidence::Evidence(const std::vector<SeenFlight>& flights, const Stage& stage, i
   }
   place_.resize(flights_.size());
   added_.resize(flights_.size());
-  for (const auto& [name, value] : flights_.front().stage().values) {
-    if (stage.own.empty() || stage.own.front().count(name) == 0) stage_.values[name] = value;
+  for (const auto& [name, value] : flights_.front().point().values) {
+    if (point.own.empty() || point.own.front().count(name) == 0) point_.values[name] = value;
   }
   std::map<std::string, int> shared;
   std::vector<int> columns;
@@ -179,14 +180,14 @@ Evidence::Evidence(const std::vector<SeenFlight>& flights, const Stage& stage, i
   num_base_ = num_columns();
 }
 
-bool Evidence::IsOwn(const Coefficient& coefficient) const {
+bool Evidence::IsOwn(const ResidualCoefficient& coefficient) const {
   return flights_.size() > 1 && coefficient.belongs_to_flight;
 }
 
 void Evidence::Place(size_t f, const std::vector<int>& local, std::map<std::string, int>* shared,
                      std::vector<int>* columns) {
   for (const int k : local) {
-    const Coefficient& coefficient = flights_[f].column(k);
+    const ResidualCoefficient& coefficient = flights_[f].column(k);
     const bool is_own = IsOwn(coefficient);
     // Of a single flight nothing is shared.
     const auto known =
@@ -213,7 +214,7 @@ int Evidence::num_rows() const {
   return rows;
 }
 
-int Evidence::Add(const Candidate& candidate) {
+int Evidence::Add(const EffectCandidate& candidate) {
   std::vector<FlightRegression::Added> added(flights_.size());
   ForEachOf(num_flights(), jobs_, [&](int f) {
     added[static_cast<size_t>(f)] = flights_[static_cast<size_t>(f)].Add(candidate, {});
@@ -247,7 +248,7 @@ void Evidence::Relinearize(int v, const EffectFit& fit) {
       at[column.name] = fit.coefficients[static_cast<Index>(k)];
     }
     FlightRegression::Added& added = added_[f][static_cast<size_t>(v)];
-    std::vector<Coefficient> before_step;
+    std::vector<ResidualCoefficient> before_step;
     for (const int k : added.columns) before_step.push_back(flights_[f].column(k));
     Rescale(variant.candidate, before_step, &at);
     const int before = added.offset;
@@ -517,7 +518,7 @@ VectorXd Evidence::PriorSigmas(const std::vector<int>& columns) const {
   return sigmas;
 }
 
-Evidence::GainBound Evidence::GainBoundOf(const Candidate& candidate) const {
+Evidence::GainBound Evidence::GainBoundOf(const EffectCandidate& candidate) const {
   std::vector<FlightRegression::Glance> glances(flights_.size());
   ForEachOf(num_flights(), jobs_, [&](int f) {
     glances[static_cast<size_t>(f)] = flights_[static_cast<size_t>(f)].GlanceAt(candidate, {});
@@ -530,7 +531,7 @@ Evidence::GainBound Evidence::GainBoundOf(const Candidate& candidate) const {
     for (int k = 0; k < flights_[f].num_base(); ++k) {
       places[f].push_back(place_[f][static_cast<size_t>(k)]);
     }
-    for (const Coefficient& c : glances[f].columns) {
+    for (const ResidualCoefficient& c : glances[f].columns) {
       const auto known = IsOwn(c) ? shared.end() : shared.find(c.name);
       const int at =
           known != shared.end() ? known->second : num_base_ + static_cast<int>(sigmas.size());
@@ -800,8 +801,8 @@ bool Evidence::IsFitted(const VariantSet& set, const std::string& name) const {
   });
 }
 
-Stage Evidence::Moved(const VariantSet& set, const EffectFit& fit) const {
-  Stage next = stage_;
+ModelPoint Evidence::Moved(const VariantSet& set, const EffectFit& fit) const {
+  ModelPoint next = point_;
   next.own.resize(flights_.size() > 1 ? flights_.size() : 0);
   for (size_t k = 0; k < fit.columns.size(); ++k) {
     const Column& column = columns_[static_cast<size_t>(fit.columns[k])];
@@ -821,7 +822,7 @@ Stage Evidence::Moved(const VariantSet& set, const EffectFit& fit) const {
   }
   for (const int v : set) {
     // From now on what was fitted of its settings is held.
-    Candidate candidate = variants_[static_cast<size_t>(v)].candidate;
+    EffectCandidate candidate = variants_[static_cast<size_t>(v)].candidate;
     for (const std::string& name : candidate.fitted) {
       candidate.settings[name] = next.values.at(name);
     }

@@ -42,8 +42,8 @@ std::vector<int> RowsOf(const ThinnedFlight& flight, const Instruments& instrume
   return rows;
 }
 
-Coefficient CoefficientOf(const DynamicModel& model, const ModelParameter& p, double about,
-                          double prior_mean) {
+ResidualCoefficient CoefficientOf(const DynamicModel& model, const ModelParameter& p, double about,
+                                  double prior_mean) {
   return {p.full_name,
           p.effect,
           about,
@@ -56,7 +56,7 @@ Coefficient CoefficientOf(const DynamicModel& model, const ModelParameter& p, do
 }
 
 /// What candidates with an onset share, whatever that is: the effect, and where it is linearized.
-std::string KeyOf(const Candidate& candidate) {
+std::string KeyOf(const EffectCandidate& candidate) {
   std::string key = candidate.effect;
   for (const auto& [name, value] : candidate.start) key += ' ' + name + ' ' + std::to_string(value);
   return key;
@@ -79,12 +79,12 @@ MatrixXd GramOf(const MatrixXd& B, const MatrixXd& BB, const MatrixXd& X, const 
 }  // namespace
 
 FlightRegression::FlightRegression(const ResidualModel* residual, const Instruments* instruments,
-                                   const Stage& stage)
+                                   const ModelPoint& point)
     : residual_(residual),
       instruments_(instruments),
       likely_(&instruments->likely_flight(), &residual->file_vehicle(),
               residual->num_channels() == kNumChannels),
-      stage_(stage),
+      point_(point),
       num_channels_(residual->num_channels()) {
   rows_ = RowsOf(residual->flight(), *instruments, false, kOrder);
   held_out_rows_ = RowsOf(residual->flight(), *instruments, true, kOrder);
@@ -92,8 +92,8 @@ FlightRegression::FlightRegression(const ResidualModel* residual, const Instrume
 }
 
 void FlightRegression::AddBase() {
-  const DynamicModel model(stage_.vehicle, stage_.vehicle.effects);
-  const ModelValues values = ValuesOf(model, stage_.values);
+  const DynamicModel model(point_.vehicle, point_.vehicle.effects);
+  const ModelValues values = ValuesOf(model, point_.values);
   y_ = residual_->Residual(model, values);
   if (!model.pendulum()) likely_y_ = likely_.Residual(model, values);
   for (int c = 0; c < kNumChannels; ++c) {
@@ -101,7 +101,7 @@ void FlightRegression::AddBase() {
   }
   for (int k = 0; k < model.num_parameters(); ++k) {
     const ModelParameter& p = model.parameters()[k];
-    stage_.values[p.full_name] = values[k];
+    point_.values[p.full_name] = values[k];
     // Inertia that the file freezes may be wrong: whatever else moves with torque would make up for
     // it.
     if (!p.estimated && p.effect != "inertia") continue;
@@ -164,7 +164,7 @@ void FlightRegression::AddNuisances() {
     column.foreseen = column.likely = column.d_wrench = std::move(d_wrench);
     columns_.push_back(std::move(column));
   };
-  for (const auto& [name, scatter] : stage_.scatter) {
+  for (const auto& [name, scatter] : point_.scatter) {
     const auto own = std::find_if(columns_.begin(), columns_.end(),
                                   [&name = name](const Regressor& c) { return c.name == name; });
     if (own == columns_.end() || own->belongs_to_flight || !(scatter > 0.0)) continue;
@@ -181,18 +181,18 @@ void FlightRegression::AddNuisances() {
     for (int axis = 0; axis < 3; ++axis) {
       Wrenches ones = Wrenches::Zero(y_.rows(), kNumChannels);
       ones.col(axis).setOnes();
-      add(std::string("accelerometer bias ") + "xyz"[axis], kBias_m_s2 * stage_.vehicle.mass_kg,
+      add(std::string("accelerometer bias ") + "xyz"[axis], kBias_m_s2 * point_.vehicle.mass_kg,
           std::move(ones));
     }
   }
 }
 
-FlightRegression::Seen FlightRegression::See(const Candidate& candidate,
+FlightRegression::Seen FlightRegression::See(const EffectCandidate& candidate,
                                              const std::map<std::string, double>& at,
                                              What what) const {
-  const Vehicle extended = VehicleWith(stage_.vehicle, candidate);
+  const Vehicle extended = VehicleWith(point_.vehicle, candidate);
   const DynamicModel model(extended, extended.effects);
-  ModelValues values = ValuesOf(model, stage_.values);
+  ModelValues values = ValuesOf(model, point_.values);
   for (const auto* some : {&candidate.start, &at}) {
     for (const auto& [name, value] : *some) values[model.IndexOf(name)] = value;
   }
@@ -243,7 +243,7 @@ FlightRegression::Seen FlightRegression::See(const Candidate& candidate,
   return seen;
 }
 
-FlightRegression::Seen FlightRegression::SeeFully(const Candidate& candidate,
+FlightRegression::Seen FlightRegression::SeeFully(const EffectCandidate& candidate,
                                                   const DynamicModel& model,
                                                   const ModelValues& values, What what) const {
   Seen seen;
@@ -486,7 +486,7 @@ void FlightRegression::Project() {
   SumUp();
 }
 
-FlightRegression::Added FlightRegression::Add(const Candidate& candidate,
+FlightRegression::Added FlightRegression::Add(const EffectCandidate& candidate,
                                               const std::map<std::string, double>& at) {
   Seen seen = See(candidate, at, kActing);
   Added added;
@@ -504,7 +504,7 @@ FlightRegression::Added FlightRegression::Add(const Candidate& candidate,
   return added;
 }
 
-void FlightRegression::Relinearize(const Candidate& candidate,
+void FlightRegression::Relinearize(const EffectCandidate& candidate,
                                    const std::map<std::string, double>& at, Added* added) {
   if (added->columns.empty()) return;
   Seen seen = See(candidate, at, kAll);
@@ -537,7 +537,7 @@ VectorXd FlightRegression::Raw(const Wrenches& column) const {
   return stacked;
 }
 
-FlightRegression::Glance FlightRegression::GlanceAt(const Candidate& candidate,
+FlightRegression::Glance FlightRegression::GlanceAt(const EffectCandidate& candidate,
                                                     const std::map<std::string, double>& at) const {
   const Seen seen = See(candidate, at, kAtAGlance);
   Glance glance;

@@ -113,19 +113,19 @@ std::vector<std::string> RemarksOn(const GustTest& gust, const AttributionOption
 
 }  // namespace
 
-GustCase RankGusts(const ResidualModel& residual, const Stage& stage,
+GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
                    const ResidualModel::Wrenches& left, const ParameterSet& declared,
                    const AttributionOptions& options) {
-  Vehicle airy = stage.vehicle;
+  Vehicle airy = point.vehicle;
   const bool has_wind =
       std::find(airy.effects.begin(), airy.effects.end(), "wind") != airy.effects.end();
   if (!has_wind) airy.effects.push_back("wind");
   const DynamicModel model(airy, airy.effects);
-  const ModelValues values = ValuesOf(model, stage.values);
+  const ModelValues values = ValuesOf(model, point.values);
   const WindDerivatives d_wind = ByWind(residual, model, values, "wind");
   const std::vector<DragCoefficient> drag = DragOf(residual, model, values, d_wind);
   GustCase gusts;
-  gusts.test = TestGusts(residual.flight(), left, d_wind, drag, PriorOf(stage.vehicle));
+  gusts.test = TestGusts(residual.flight(), left, d_wind, drag, PriorOf(point.vehicle));
   const GustTest& gust = gusts.test;
   // The mean of gusts over a few correlation times is not zero, and looks like all that acts on the
   // force: the estimate without them says more of it.

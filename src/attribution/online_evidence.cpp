@@ -37,9 +37,9 @@ std::vector<Eigen::Index> EstimatesOf(const RankedEffect& effect, const Paramete
 }  // namespace
 
 std::vector<std::string> QuickEffects(const Vehicle& vehicle,
-                                      const std::vector<Candidate>& candidates) {
+                                      const std::vector<EffectCandidate>& candidates) {
   std::vector<std::string> names;
-  for (const Candidate& candidate : candidates) {
+  for (const EffectCandidate& candidate : candidates) {
     const auto effect = EffectRegistry::Default().Make(candidate.effect, vehicle);
     const std::vector<ParameterSpec>& parameters = effect->parameters();
     const bool is_signed = std::all_of(parameters.begin(), parameters.end(),

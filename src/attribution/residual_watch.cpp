@@ -59,7 +59,7 @@ bool IsFinite(const ResidualLook& r) {
 void Summarise(const std::vector<ChannelStructure>& channels, const AttributionOptions& decision,
                ResidualLook* found) {
   for (size_t c = 0; c < channels.size(); ++c) {
-    const Whiteness& whiteness = channels[c].whiteness;
+    const WhitenessResult& whiteness = channels[c].whiteness;
     (c < 3 ? found->force_rmse_N[c] : found->torque_rmse_Nm[c - 3]) = channels[c].rmse;
     if (whiteness.structured_share >= found->structured_share) {
       found->structured_share = whiteness.structured_share;
@@ -229,7 +229,8 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
   ResidualLook found;
   found.model = estimate.model;
   const Vehicle asked = WithPriorsOf(file_vehicle_, model.vehicle());
-  Attribution attribution(&residual, StageOf(DynamicModel(asked, asked.effects), estimate.values),
+  Attribution attribution(&residual,
+                          ModelPointOf(DynamicModel(asked, asked.effects), estimate.values),
                           CandidatesFor(asked, flight.motion()), decision_, give_up);
   attribution.Run();
   const std::vector<ChannelStructure> before =
@@ -249,7 +250,7 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
   found.candidate = effects.front();
   found.alternatives = effects.front().alternatives;
   for (size_t k = 1; k < effects.size(); ++k) found.beside.push_back(effects[k].name);
-  found.refitted = attribution.stage().values;
+  found.refitted = attribution.point().values;
   found.explained_share =
       ExplainedStructure(before, after, decision_.whiteness_p, decision_.noise_p);
   return found;

@@ -79,9 +79,9 @@ Fit FitSpectrum(const std::vector<Bin>& bins, const std::vector<std::vector<doub
 
 }  // namespace
 
-Whiteness TestWhiteness(const std::vector<std::vector<double>>& runs, double rate_Hz,
-                        double highest_Hz) {
-  Whiteness result;
+WhitenessResult TestWhiteness(const std::vector<std::vector<double>>& runs, double rate_Hz,
+                              double highest_Hz) {
+  WhitenessResult result;
   const std::vector<Bin> bins = Periodogram(runs, rate_Hz, highest_Hz);
   if (bins.size() < 20) return result;
   std::vector<double> white(bins.size(), 1.0), blue;

@@ -46,8 +46,9 @@ void NoChange(ControlledFlightSetup*) {}
 Variant Compensated() { return {"compensated", NoChange}; }
 
 Variant Uncompensated() {
-  return {"uncompensated",
-          [](ControlledFlightSetup* s) { s->controller.compensation = Compensation::None(); }};
+  return {"uncompensated", [](ControlledFlightSetup* s) {
+            s->controller.compensation = CompensatedEffects::None();
+          }};
 }
 
 void Fly(const std::string& trajectory, double top_speed_m_s, ControlledFlightSetup* setup) {

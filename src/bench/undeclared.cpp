@@ -331,7 +331,7 @@ UndeclaredPlan PlanOf(int seed, int i) {
 /// Makes one effect act, on a trajectory.
 void ActBy(const std::string& effect, const std::string& trajectory, const Level& level,
            UndeclaredPlan* plan) {
-  plan->kind = Undeclared::kOneEffect;
+  plan->kind = UndeclaredKind::kOneEffect;
   plan->effects = {effect};
   plan->trajectory = trajectory;
   plan->strength = level.name;
@@ -354,17 +354,17 @@ std::vector<UndeclaredPlan> PlanUndeclared(int seed, int flights) {
     }
     if (i < nothing + hidden) {
       const auto& [effect, trajectory] = kHidden[(i - nothing) % kHidden.size()];
-      plan.kind = Undeclared::kNotExcited;
+      plan.kind = UndeclaredKind::kNotExcited;
       plan.effects = {effect};
       plan.trajectory = trajectory;
     } else if (i < nothing + hidden + unknown) {
-      plan.kind = Undeclared::kUnknown;
+      plan.kind = UndeclaredKind::kUnknown;
       const int k = (i - nothing - hidden) % 2;
       plan.strength = kLevels[k].name;
       plan.share = kLevels[k].share;
     } else if (i < nothing + hidden + unknown + two) {
       const int k = i - nothing - hidden - unknown;
-      plan.kind = Undeclared::kTwoEffects;
+      plan.kind = UndeclaredKind::kTwoEffects;
       const Excited& a = catalogue[(5 * k + seed) % num];
       const Excited& b = catalogue[(5 * k + 7 + seed) % num];
       plan.effects = {a.effect, b.effect};
@@ -415,7 +415,7 @@ std::vector<UndeclaredPlan> PlanUnknown(int seed, int flights) {
   for (int i = 0; i < flights; ++i) {
     const Level& level = kLevels[i % 2];
     UndeclaredPlan plan = PlanOf(seed, i);
-    plan.kind = Undeclared::kUnknown;
+    plan.kind = UndeclaredKind::kUnknown;
     plan.strength = level.name;
     plan.share = level.share;
     plans.push_back(plan);
@@ -500,7 +500,7 @@ class PlannedFlight {
 
   UndeclaredFlight Make() {
     if (IsSized()) SizeEffects();
-    if (plan_.kind == Undeclared::kNotExcited) HideEffect();
+    if (plan_.kind == UndeclaredKind::kNotExcited) HideEffect();
     UndeclaredFlight flight;
     flight.plan = plan_;
     flight.declared = file_vehicle_;
@@ -530,7 +530,7 @@ class PlannedFlight {
   SimulatedFlight FlyAt(Recorded recorded, const std::vector<double>& scales,
                         double unknown_scale) const {
     Unmodelled extra;
-    if (plan_.kind == Undeclared::kUnknown && unknown_scale > 0.0) {
+    if (plan_.kind == UndeclaredKind::kUnknown && unknown_scale > 0.0) {
       extra = DrawUnknown(vehicle_, unknown_scale, plan_.seed);
     }
     const bool noisy = recorded == Recorded::kNoisy;
@@ -581,7 +581,7 @@ class PlannedFlight {
     std::vector<Sizing> sizings(std::max<size_t>(1, scales_.size()));
     for (int round = 0; round < kSizings; ++round) {
       double change = 0.0;
-      if (plan_.kind == Undeclared::kUnknown) {
+      if (plan_.kind == UndeclaredKind::kUnknown) {
         const double ratio = RatioIn(Fly().log);
         change = sizings[0].Resize(ratio, plan_.share / (1.0 - plan_.share), &unknown_scale_);
       }
@@ -627,11 +627,11 @@ class PlannedFlight {
           std::clamp(1.0 - without[c] / std::max(total[c], 1e-300), 0.0, 1.0));
     }
     flight->share = *std::max_element(flight->axis_share.begin(), flight->axis_share.end());
-    if (plan_.kind == Undeclared::kNothing) flight->share = 0.0;
-    if (plan_.kind == Undeclared::kNothing || flight->share < kNotExcited) {
+    if (plan_.kind == UndeclaredKind::kNothing) flight->share = 0.0;
+    if (plan_.kind == UndeclaredKind::kNothing || flight->share < kNotExcited) {
       flight->right_answer = "none";
     } else {
-      flight->right_answer = plan_.kind == Undeclared::kUnknown ? "unexplained" : "effect";
+      flight->right_answer = plan_.kind == UndeclaredKind::kUnknown ? "unexplained" : "effect";
     }
   }
 
@@ -655,7 +655,7 @@ class PlannedFlight {
 
 UndeclaredFlight MakeUndeclared(const UndeclaredPlan& plan) {
   UndeclaredFlight flight = PlannedFlight(plan).Make();
-  if (plan.kind != Undeclared::kOneEffect) return flight;
+  if (plan.kind != UndeclaredKind::kOneEffect) return flight;
   // Where no sensible size shows as much as planned, on another trajectory it may.
   for (const Excited& excited : Catalogue()) {
     if (plan.effects.front() != excited.effect) continue;

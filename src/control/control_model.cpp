@@ -15,7 +15,7 @@ bool IsNeeded(const std::string& effect) {
 
 }  // namespace
 
-bool Compensation::Has(const std::string& effect) const {
+bool CompensatedEffects::Has(const std::string& effect) const {
   if (effect == "drag") return drag;
   if (effect == "hvt") return hvt;
   if (effect == "viscous_torque") return viscous_torque;
@@ -25,7 +25,7 @@ bool Compensation::Has(const std::string& effect) const {
 }
 
 ControlModel::ControlModel(std::shared_ptr<const DynamicModel> model,
-                           const Compensation& compensation)
+                           const CompensatedEffects& compensation)
     : model_(std::move(model)) {
   for (const ModelParameter& p : model_->parameters()) {
     // A size that is positive by nature (a length, a time constant) can't be zero.

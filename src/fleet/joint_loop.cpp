@@ -13,7 +13,7 @@
 #include "odmc/analysis/parallel.h"
 #include "odmc/attribution/attribution.h"
 #include "odmc/attribution/candidates.h"
-#include "odmc/attribution/stage.h"
+#include "odmc/attribution/model_point.h"
 #include "odmc/model/plausibility.h"
 #include "odmc/text/format.h"
 
@@ -49,13 +49,13 @@ std::vector<Looked> LookAt(const FleetCalibration& fleet, const FlightSource& so
 }
 
 /// The declared model as all flights found it, and what each has of its own.
-Stage StageOfFleet(const FleetCalibration& fleet, const DynamicModel& model) {
+ModelPoint ModelPointOfFleet(const FleetCalibration& fleet, const DynamicModel& model) {
   ModelValues values = model.InitialValues();
   for (int k = 0; k < model.num_parameters(); ++k) {
     const ParameterEstimate* p = fleet.parameters.Find(model.parameters()[k].full_name);
     if (p != nullptr) values[k] = p->value;
   }
-  Stage stage = StageOf(model, values);
+  ModelPoint point = ModelPointOf(model, values);
   const std::vector<int> used = fleet.used();
   for (size_t f = 0; f < used.size(); ++f) {
     const FlightFactor& factor = fleet.flights[static_cast<size_t>(used[f])].factor;
@@ -64,7 +64,7 @@ Stage StageOfFleet(const FleetCalibration& fleet, const DynamicModel& model) {
       const ParameterEstimate* found = factor.estimate.Find(p.full_name);
       if (BelongsToFlight(model, p) && found != nullptr) own[p.full_name] = found->value;
     }
-    stage.own.push_back(std::move(own));
+    point.own.push_back(std::move(own));
   }
   // Where a parameter scatters, steps or was another one on some flight.
   const FlightFactor& first = fleet.flights[static_cast<size_t>(used.front())].factor;
@@ -78,9 +78,9 @@ Stage StageOfFleet(const FleetCalibration& fleet, const DynamicModel& model) {
         std::max(fleet.joint.fit.scatter[k], std::sqrt(squares / static_cast<double>(used.size())));
     // Beside what all flights together know of it less would not count.
     if (scatter * scatter * noise > 1.0)
-      stage.scatter[first.names[static_cast<size_t>(k)]] = scatter;
+      point.scatter[first.names[static_cast<size_t>(k)]] = scatter;
   }
-  return stage;
+  return point;
 }
 
 /// Indices of an effect's parameters among those shared.
@@ -274,14 +274,14 @@ class JointSession {
                           progress);
   }
   Vehicle With(const std::vector<RankedEffect>& effects) const {
-    return VehicleWithEffects(vehicle_, stage_, effects);
+    return VehicleWithEffects(vehicle_, point_, effects);
   }
   const FlightSource& source_;
   const Vehicle& file_vehicle_;
   const Vehicle vehicle_;
   const JointLoopOptions& options_;
   std::vector<std::string> files_;
-  Stage stage_;
+  ModelPoint point_;
   std::vector<RankedEffect> effects_;
   JointLoop loop_;
 };
@@ -296,10 +296,10 @@ void JointSession::Find(const Progress& progress) {
     motions.push_back(&look.flight->motion());
   }
   Attribution attribution(
-      residuals, StageOfFleet(loop_.before, DynamicModel(vehicle_, vehicle_.effects)),
+      residuals, ModelPointOfFleet(loop_.before, DynamicModel(vehicle_, vehicle_.effects)),
       CandidatesFor(vehicle_, motions), options_.attribution, {}, options_.calibration.jobs);
   attribution.Run();
-  stage_ = attribution.stage();
+  point_ = attribution.point();
   effects_ = attribution.effects();
   loop_.ranking = attribution.ranking();
   loop_.named_gain = attribution.gain();

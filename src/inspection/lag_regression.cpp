@@ -55,7 +55,7 @@ class Regression {
  public:
   explicit Regression(const LagProblem& problem);
 
-  std::optional<Lag> Solve();
+  std::optional<StreamLag> Solve();
 
  private:
   int channels() const { return static_cast<int>(p_.y.cols()); }
@@ -81,7 +81,7 @@ class Regression {
   }
   double BandShare(double lag_s, MatrixXd* gain) const;
   double StructuredShare(const MatrixXd& residual, double all) const;
-  Lag Judge(double lag_s) const;
+  StreamLag Judge(double lag_s) const;
 
   const LagProblem& p_;
   int n_, order_, reach_;
@@ -397,14 +397,14 @@ double Regression::StructuredShare(const MatrixXd& residual, double all) const {
 }
 
 // What the likelihood around its best lag says.
-Lag Regression::Judge(double lag_s) const {
+StreamLag Regression::Judge(double lag_s) const {
   const double step_s = kSlopeStep * p_.step_s, b = blocks_;
   const Fit here = AtLag(lag_s), before = AtLag(lag_s - step_s), after = AtLag(lag_s + step_s);
   const double bend = (before.sum() - 2.0 * here.sum() + after.sum()) / (step_s * step_s);
   const VectorXd slope = (after.nats - before.nats) / (2.0 * step_s);
   // The variance of the sum of slopes; few blocks tell it badly (mean of 1/chi²: (b - 1)/(b - 3)).
   const double scatter = (slope.array() - slope.mean()).square().sum() * b / (b - 3.0);
-  Lag lag;
+  StreamLag lag;
   lag.lag_s = lag_s;
   lag.blocks = blocks_;
   lag.scatter_s = bend < 0.0 ? std::sqrt(scatter) / -bend : std::numeric_limits<double>::infinity();
@@ -433,7 +433,7 @@ Lag Regression::Judge(double lag_s) const {
   return lag;
 }
 
-std::optional<Lag> Regression::Solve() {
+std::optional<StreamLag> Regression::Solve() {
   if (blocks_ < kLeastBlocks) return std::nullopt;
   Renew(0.0);  // at first all of y is noise
   Scan();
@@ -454,10 +454,14 @@ std::optional<Lag> Regression::Solve() {
 
 }  // namespace
 
-double Lag::sigma_s() const { return std::hypot(scatter_s, pull_s); }
+double StreamLag::sigma_s() const { return std::hypot(scatter_s, pull_s); }
 
-bool Lag::determined() const { return contrast >= kLeastContrast && std::isfinite(sigma_s()); }
+bool StreamLag::determined() const {
+  return contrast >= kLeastContrast && std::isfinite(sigma_s());
+}
 
-std::optional<Lag> EstimateLag(const LagProblem& problem) { return Regression(problem).Solve(); }
+std::optional<StreamLag> EstimateLag(const LagProblem& problem) {
+  return Regression(problem).Solve();
+}
 
 }  // namespace odmc

@@ -5,7 +5,7 @@
 #include <cmath>
 
 #include "motion_windows.h"
-#include "odmc/inspection/explanations.h"
+#include "odmc/inspection/stream_readings.h"
 #include "odmc/math/so3.h"
 #include "odmc/math/statistics.h"
 #include "odmc/math/units.h"
@@ -93,10 +93,10 @@ std::string TurnText(const Matrix3d& axes) {
 
 /// Readings of a stream `x` that should be `y`: turned by every rotation, of other units, confused
 /// axes.
-std::vector<Explanation> Readings(const Matrix3Xd& x, const Matrix3Xd& y,
-                                  const std::vector<Quaterniond>& q, bool world_is_right,
-                                  const std::vector<UnitMistake>& units) {
-  std::vector<Explanation> all = {{"as it is", x - y}};
+std::vector<StreamReading> Readings(const Matrix3Xd& x, const Matrix3Xd& y,
+                                    const std::vector<Quaterniond>& q, bool world_is_right,
+                                    const std::vector<UnitMistake>& units) {
+  std::vector<StreamReading> all = {{"as it is", x - y}};
   all.push_back({world_is_right ? "written in the body frame" : "written in the world frame",
                  Turned(q, x, !world_is_right) - y});
   for (const UnitMistake& unit : units) all.push_back({unit.name, unit.factor * x - y});
@@ -132,7 +132,7 @@ std::string StuckAxes(const Matrix3Xd& x, const Matrix3Xd& y) {
 }
 
 /// Adds the reading "of another point": v + R (w x r) with the r that fits.
-void AddOtherPoint(const MotionWindows& w, std::vector<Explanation>* readings) {
+void AddOtherPoint(const MotionWindows& w, std::vector<StreamReading>* readings) {
   const Matrix3Xd& rates = w.rates.cols() > 0 ? w.rates : w.gyro;
   if (rates.cols() == 0) return;
   Matrix3d normal = 1e-9 * Matrix3d::Identity();
@@ -190,10 +190,10 @@ void CheckVelocity(const MotionWindows& w, MotionSignals* s, StreamInspection* i
     return drop("its axis " + stuck + " does not change while the position does",
                 "record the whole velocity, or none");
   }
-  std::vector<Explanation> readings =
+  std::vector<StreamReading> readings =
       Readings(w.velocity, w.displacement_m_s, w.q_WS, true, kVelocityUnits);
   AddOtherPoint(w, &readings);
-  const BestExplanation verdict = CompareExplanations(readings, kWindowsPerBlock);
+  const BestReading verdict = CompareReadings(readings, kWindowsPerBlock);
   if (verdict.mistaken()) {
     return drop("it fits " + readings[verdict.best].name + " (" +
                     Rounded(verdict.best_error_rms, 2) + " m/s RMS left instead of " +
@@ -237,8 +237,8 @@ std::string WrongRates(const MotionWindows& w, const Matrix3Xd& x, const Matrix3
   Matrix3Xd turns = Turns(w);
   if (MedianSquare(turns) < kLeastMotion * kLeastMotion) return "";
   const Matrix3Xd in_S = R_SX * x;
-  const std::vector<Explanation> readings = Readings(in_S, turns, w.q_WS, false, kRateUnits);
-  const BestExplanation verdict = CompareExplanations(readings, kWindowsPerBlock);
+  const std::vector<StreamReading> readings = Readings(in_S, turns, w.q_WS, false, kRateUnits);
+  const BestReading verdict = CompareReadings(readings, kWindowsPerBlock);
   if (!verdict.mistaken()) return "";
   return "fits " + readings[verdict.best].name + " (" + Rounded(verdict.best_error_rms, 2) +
          " rad/s RMS left instead of " + Rounded(verdict.error_rms, 2) + ")";
@@ -389,10 +389,10 @@ Matrix3Xd OffThrust(const MotionWindows& w, const Vehicle& vehicle, const PoseMi
 /// beforehand.
 bool IsNearer(const Matrix3Xd& first, const Matrix3Xd& second) {
   constexpr double kSigmas = 3.0;
-  std::vector<Explanation> two(2);
+  std::vector<StreamReading> two(2);
   two[0].error = first;
   two[1].error = second;
-  const BestExplanation verdict = CompareExplanations(two, kWindowsPerBlock);
+  const BestReading verdict = CompareReadings(two, kWindowsPerBlock);
   return verdict.best != 0 && verdict.towards - kSigmas * verdict.towards_sigma > 0.5;
 }
 
@@ -401,7 +401,7 @@ bool IsNearer(const Matrix3Xd& first, const Matrix3Xd& second) {
 constexpr double kNearlyAsGood = 4.0;
 
 size_t BestPose(const MotionWindows& w, const Vehicle& vehicle,
-                const std::vector<Explanation>& readings, size_t best) {
+                const std::vector<StreamReading>& readings, size_t best) {
   const double least = MedianSquare(readings[best].error);
   const auto fits_better = [&](size_t i) {
     const PoseMistake &now = PoseMistakes()[best], &other = PoseMistakes()[i];
@@ -417,7 +417,7 @@ size_t BestPose(const MotionWindows& w, const Vehicle& vehicle,
 
 /// Where the thrust does not tell (a calm flight): the reading of the quaternion whose turn the
 /// rates show, if the thrust, too, fits it rather than the quaternion as it is; otherwise 0.
-size_t PoseByTurn(const MotionWindows& w, const std::vector<Explanation>& readings) {
+size_t PoseByTurn(const MotionWindows& w, const std::vector<StreamReading>& readings) {
   const Matrix3Xd as_is = OffTurn(w, PoseMistakes()[0]);
   if (as_is.cols() == 0) return 0;
   const Matrix3Xd& rates = w.rates.cols() > 0 ? w.rates : w.gyro;
@@ -427,9 +427,8 @@ size_t PoseByTurn(const MotionWindows& w, const std::vector<Explanation>& readin
   for (size_t i = 1; i <= kQuaternionMistakes; ++i) {
     const Matrix3Xd turn = OffTurn(w, PoseMistakes()[i]);
     if (!(MedianSquare(turn) < least)) continue;
-    if (!CompareExplanations({{"", as_is}, {"", turn}}, kWindowsPerBlock).mistaken()) continue;
-    const BestExplanation thrust =
-        CompareExplanations({readings[0], readings[i]}, kWindowsPerBlock);
+    if (!CompareReadings({{"", as_is}, {"", turn}}, kWindowsPerBlock).mistaken()) continue;
+    const BestReading thrust = CompareReadings({readings[0], readings[i]}, kWindowsPerBlock);
     if (thrust.best == 0 || thrust.towards - thrust.towards_sigma < 0.5) continue;
     best = i;
     least = MedianSquare(turn);
@@ -438,13 +437,13 @@ size_t PoseByTurn(const MotionWindows& w, const std::vector<Explanation>& readin
 }
 
 void CheckAttitude(const MotionWindows& w, const Vehicle& vehicle, StreamInspection* inspection) {
-  std::vector<Explanation> readings;
+  std::vector<StreamReading> readings;
   for (const PoseMistake& mistake : PoseMistakes()) {
     const bool is_possible = IsPossible(w, mistake);
     readings.push_back(
         {mistake.name, AcrossThrust(w, vehicle, is_possible ? mistake : PoseMistakes().front())});
   }
-  const BestExplanation verdict = CompareExplanations(readings, kWindowsPerBlock);
+  const BestReading verdict = CompareReadings(readings, kWindowsPerBlock);
   const size_t best = verdict.mistaken()
                           ? BestPose(w, vehicle, readings, static_cast<size_t>(verdict.best))
                           : PoseByTurn(w, readings);
@@ -484,7 +483,7 @@ void CheckAccelerometer(const MotionWindows& w, const Vehicle& vehicle, MotionSi
   const Matrix3Xd force_I = R_IS * Turned(w.q_WS, w.acceleration_W + up_W, true);
   const Matrix3Xd& x = w.accelerometer;
   const Matrix3Xd turned = R_IS * Turned(w.q_WS, x, true);
-  std::vector<Explanation> readings = {
+  std::vector<StreamReading> readings = {
       {"as it is", x - force_I},
       {"in g", g * x - force_I},
       {"in the world frame", turned - force_I},
@@ -495,7 +494,7 @@ void CheckAccelerometer(const MotionWindows& w, const Vehicle& vehicle, MotionSi
   for (const Matrix3d& axes : AxisMistakes()) {
     if (!axes.isIdentity()) readings.push_back({"with axes " + AxesText(axes), axes * x - force_I});
   }
-  const BestExplanation verdict = CompareExplanations(readings, kWindowsPerBlock);
+  const BestReading verdict = CompareReadings(readings, kWindowsPerBlock);
   if (!verdict.mistaken()) return;
   inspection->findings.push_back(
       Dropped("accelerometer",

@@ -18,9 +18,9 @@ constexpr double kSigmas = 3.0;
 // No filter and no controller makes a lag this long: two sigmas do. (An accelerometer feels what
 // the pose does not show, blows and vibration, and is left its three.)
 constexpr double kLaterThanFilters_s = 0.03, kSigmasOfLongOnes = 2.0;
-// What an observer's own lag is, Lag::pull_s says. A wrong stamp is besides a lag of the whole:
-// taking it off cures part of the disagreement. (An accelerometer shows a swinging load that the
-// pose does not; it must cure half.)
+// What an observer's own lag is, StreamLag::pull_s says. A wrong stamp is besides a lag of the
+// whole: taking it off cures part of the disagreement. (An accelerometer shows a swinging load that
+// the pose does not; it must cure half.)
 constexpr double kVelocityCured = 0.05, kRatesCured = 0.2, kAccelerometerCured = 0.5;
 constexpr double kWellKnown_s = 0.01;
 
@@ -49,7 +49,7 @@ double MustCure(const std::string& stream) {
 }
 
 bool IsWrong(const TimeOffset& offset) {
-  const Lag& lag = offset.lag;
+  const StreamLag& lag = offset.lag;
   const double size_s = std::abs(lag.lag_s);
   if (!lag.determined()) return false;
   const bool is_long = size_s > kLaterThanFilters_s && offset.stream != "accelerometer";
@@ -66,7 +66,7 @@ bool IsWrong(const TimeOffset& offset) {
 
 /// What is not known of an offset after it was taken off, or was not.
 void AddDoubt(const TimeOffset& offset, StreamInspection* inspection) {
-  const Lag& lag = offset.lag;
+  const StreamLag& lag = offset.lag;
   if (offset.stream == "accelerometer") return;
   double late_s = lag.sigma_s();
   if (!lag.determined()) {  // the flight does not show it: what is known beforehand
@@ -132,7 +132,7 @@ void InspectOffsets(const MotionSignals& signals, const Vehicle& vehicle,
 }  // namespace
 
 Finding OffsetFinding(const TimeOffset& offset, bool taken_off) {
-  const Lag& lag = offset.lag;
+  const StreamLag& lag = offset.lag;
   const bool sure = lag.sigma_s() < kWellKnown_s;
   Finding finding;
   finding.check = offset.stream + "_offset";

@@ -81,7 +81,7 @@ void ForSteps(const std::vector<const SampledSignal*>& streams, const std::vecto
 
 std::optional<TimeOffset> Offset(const LagProblem& problem, const std::string& stream,
                                  const std::string& against) {
-  const std::optional<Lag> lag = EstimateLag(problem);
+  const std::optional<StreamLag> lag = EstimateLag(problem);
   if (!lag) return std::nullopt;
   return TimeOffset{stream, against, *lag};
 }
@@ -202,10 +202,10 @@ std::optional<TimeOffset> CombinedOffset(const std::optional<TimeOffset>& a,
   const double apart_s = b->lag.lag_s - a->lag.lag_s;
   const double expected_s = std::hypot(a->lag.sigma_s(), b->lag.sigma_s());
   const double widen = std::max(1.0, std::abs(apart_s) / expected_s);
-  const auto mixed = [&](double Lag::*part) {
+  const auto mixed = [&](double StreamLag::*part) {
     return widen * std::hypot((1.0 - share) * a->lag.*part, share * b->lag.*part);
   };
-  const double scatter_s = mixed(&Lag::scatter_s), pull_s = mixed(&Lag::pull_s);
+  const double scatter_s = mixed(&StreamLag::scatter_s), pull_s = mixed(&StreamLag::pull_s);
   both.lag.scatter_s = scatter_s;
   both.lag.pull_s = pull_s;
   return both;

@@ -124,7 +124,7 @@ Vehicle InOrder(const Vehicle& nominal, const std::vector<int>& order) {
 
 /// Inertia about x or y by what the prediction-error method finds each column's torque to be.
 /// @param vehicle its rotors in the order of the columns
-std::optional<ShownInertia> InertiaOf(const Lag& lag, const Vehicle& vehicle, double k_f,
+std::optional<ShownInertia> InertiaOf(const StreamLag& lag, const Vehicle& vehicle, double k_f,
                                       int axis) {
   if (!lag.determined() || lag.explained < kLeastExplained) return std::nullopt;
   if (lag.gain.rows() < vehicle.num_rotors() || lag.gain.cols() != 2) return std::nullopt;

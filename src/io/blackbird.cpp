@@ -80,7 +80,7 @@ bool IsSound(const BlackbirdFlight::Command& command) {
 /// Drops what is not finite or not later than what is before it.
 template <typename Item>
 void KeepOrdered(const std::string& name, std::vector<Item>* items, FlightLog* log) {
-  Refusals refusals;
+  RefusedSamples refusals;
   std::vector<Item> kept;
   for (Item& item : *items) {
     if (!IsSound(item) || (!kept.empty() && item.stamp <= kept.back().stamp)) {
@@ -95,7 +95,7 @@ void KeepOrdered(const std::string& name, std::vector<Item>* items, FlightLog* l
 }
 
 void KeepUnit(std::vector<BlackbirdFlight::Pose>* poses, FlightLog* log) {
-  Refusals refusals;
+  RefusedSamples refusals;
   std::vector<BlackbirdFlight::Pose> kept;
   for (const auto& pose : *poses) {
     if (std::abs(pose.named_q.norm() - 1.0) > kUnitTolerance) {

@@ -140,7 +140,7 @@ class Export {
 
   void ForRows(const Strings& wanted, FlightLog* log, const std::function<void(const Row&)>& use) {
     const std::vector<size_t> columns = Find(wanted);
-    Refusals refusals;
+    RefusedSamples refusals;
     std::string_view line;
     while (lines_.Next(&line)) {
       if (line.find_first_not_of(" \t,") == std::string_view::npos) continue;
@@ -299,7 +299,7 @@ std::vector<size_t> PoseColumns(const std::string& file, const Strings& first) {
 void ReadGroundTruth(const std::string& file, FlightLog* log, BlackbirdFlight* flight) {
   LineReader lines(file);
   std::vector<size_t> columns;
-  Refusals refusals;
+  RefusedSamples refusals;
   std::string_view line;
   while (lines.Next(&line)) {
     const Strings cells = SplitQuoted(line);

@@ -89,7 +89,7 @@ class CsvTable {
   std::vector<std::vector<double>*> targets_;  // by column of the file, null where not wanted
   std::vector<double> row_;
   size_t time_column_ = 0;
-  Refusals short_rows_, no_time_, leaps_, out_of_order_;
+  RefusedSamples short_rows_, no_time_, leaps_, out_of_order_;
 };
 
 }  // namespace odmc

@@ -92,7 +92,7 @@ class OptionalVector {
   const CsvTable& table_;
   std::string name_;
   std::optional<CsvTable::Group<3>> columns_;
-  Refusals refusals_;
+  RefusedSamples refusals_;
 };
 
 /// Poses of a table, with the twist where `with_twist` and the table has it.
@@ -103,7 +103,7 @@ std::vector<OdometrySample> ReadOdometry(const CsvTable& table, bool with_twist,
   OptionalVector v(table, kVelocity), w(table, kBodyRates);
   std::vector<OdometrySample> samples;
   samples.reserve(table.size());
-  Refusals refusals;
+  RefusedSamples refusals;
   for (size_t i = 0; i < table.size(); ++i) {
     if (!p.IsFinite(i) || !q.IsFinite(i)) {
       refusals.Add(table.Where(i));
@@ -160,7 +160,7 @@ void ReadImu(const CsvTable& table, const std::vector<size_t>& rows, FlightLog* 
 void ReadBattery(const CsvTable& table, const std::vector<size_t>& rows, FlightLog* log) {
   if (!table.HasAll(kBattery)) return;
   const std::vector<double>& voltage = table.Column("vbat");
-  Refusals refusals;
+  RefusedSamples refusals;
   for (const size_t i : rows) {
     if (std::isfinite(voltage[i])) {
       log->battery.push_back({table.stamp(i), voltage[i]});
@@ -200,7 +200,7 @@ void ReadRotors(const CsvTable& table, const std::vector<size_t>& rows, int num_
     return;
   const auto columns = RotorData(table, num_rotors, log);
   log->rotors.reserve(rows.size());
-  Refusals refusals;
+  RefusedSamples refusals;
   for (const size_t i : rows) {
     RotorSample sample;
     sample.stamp = table.stamp(i);
@@ -222,7 +222,7 @@ void ReadCommands(const CsvTable& table, const std::vector<size_t>& rows, int nu
     const Strings names = CommandColumns(num_rotors, unit);
     if (!table.HasAll(names)) continue;
     log->command_unit = unit;
-    Refusals refusals;
+    RefusedSamples refusals;
     for (const size_t i : rows) {
       CommandSample sample{table.stamp(i), RotorVector(num_rotors)};
       for (int j = 0; j < num_rotors; ++j)

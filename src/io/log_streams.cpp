@@ -24,7 +24,7 @@ std::string Hertz(double rate) {
 template <typename Sample, typename Test>
 void KeepSound(const std::string& source, std::vector<Sample>* samples, Test is_finite,
                FlightLog* log) {
-  Refusals refusals;
+  RefusedSamples refusals;
   std::vector<Sample> kept;
   kept.reserve(samples->size());
   for (const Sample& sample : *samples) {
@@ -53,7 +53,7 @@ bool IsSpike(double before, double value, double after) {
 void DropSpikes(const std::string& source, FlightLog* log) {
   constexpr double kNeighbour_s = 0.05;
   const std::vector<RotorSample>& all = log->rotors;
-  Refusals refusals;
+  RefusedSamples refusals;
   std::vector<RotorSample> kept;
   kept.reserve(all.size());
   for (size_t i = 0; i < all.size(); ++i) {

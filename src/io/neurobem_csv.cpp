@@ -52,7 +52,7 @@ std::vector<size_t> SoundRows(const CsvTable& table, bool has_velocity, FlightLo
   const auto q = table.Columns<4>(kQuaternion), motors = table.Columns<4>(kMotors);
   const auto v = table.Columns<3>(has_velocity ? kVelocity : kPosition);
   std::vector<size_t> rows;
-  Refusals not_finite, not_unit;
+  RefusedSamples not_finite, not_unit;
   for (size_t i = 0; i < table.size(); ++i) {
     if (!p.IsFinite(i) || !q.IsFinite(i) || !w.IsFinite(i) || !motors.IsFinite(i) ||
         !v.IsFinite(i)) {

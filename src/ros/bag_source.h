@@ -74,7 +74,7 @@ template <typename Input, typename Use>
 void BagSource::Read(const std::string& topic, InputStream stream, int num_rotors, FlightLog* log,
                      Use use) {
   const std::string source = file_ + ": " + topic;
-  Refusals passed_over;
+  RefusedSamples passed_over;
   long number = 0;
   try {
     StreamReader reader(stream, options_, num_rotors);

@@ -6,7 +6,7 @@
 #include <functional>
 #include <utility>
 
-#include "odmc/attribution/stage.h"
+#include "odmc/attribution/model_point.h"
 #include "odmc/attribution/residual_watch.h"
 #include "odmc/model/plausibility.h"
 #include "odmc/ros/diagnostic_values.h"

@@ -13,7 +13,7 @@ namespace odmc {
 template <typename Sample, typename Test>
 void KeepFinite(const std::string& source, std::vector<Sample>* samples, Test is_finite,
                 FlightLog* log) {
-  Refusals not_finite, no_stamp;
+  RefusedSamples not_finite, no_stamp;
   std::vector<Sample> kept;
   kept.reserve(samples->size());
   for (const Sample& sample : *samples) {

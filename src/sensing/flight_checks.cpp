@@ -127,7 +127,8 @@ bool IsFinite(const ImuSample& s) {
          (!s.specific_force_I || s.specific_force_I->allFinite());
 }
 
-void Refusals::Report(const std::string& source, const std::string& what, FlightLog* log) const {
+void RefusedSamples::Report(const std::string& source, const std::string& what,
+                            FlightLog* log) const {
   if (count == 0) return;
   log->dropped += count;
   log->warnings.push_back(source + ": dropped " + std::to_string(count) + " " + what +
@@ -156,7 +157,7 @@ void KeepForward(const std::string& source, std::vector<Sample>* samples, Flight
   kept.reserve(samples->size());
   std::vector<Stamp> stamps;  // of those kept
   stamps.reserve(samples->size());
-  Refusals refusals, leaps;
+  RefusedSamples refusals, leaps;
   for (const Sample& sample : *samples) {
     if (IsLoneLeap(stamps, sample.stamp)) {
       leaps.Add(AtSeconds(stamps.back()));
@@ -190,7 +191,7 @@ void NormaliseAttitudes(const std::string& source, std::vector<OdometrySample>* 
                         FlightLog* log) {
   std::vector<OdometrySample> kept;
   kept.reserve(samples->size());
-  Refusals refusals;
+  RefusedSamples refusals;
   for (OdometrySample sample : *samples) {
     const double norm = sample.q_WS.norm();
     if (!(std::abs(norm - 1.0) <= kNormTolerance)) {

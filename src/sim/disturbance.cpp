@@ -30,10 +30,10 @@ const BodyWrench& Disturbance::At(double time_s) {
   return wrench_;
 }
 
-Variation::Variation(const DynamicModel& model, const ModelValues& values, int seed)
+VaryingParameters::VaryingParameters(const DynamicModel& model, const ModelValues& values, int seed)
     : model_(&model), values_(values), random_(seed, kProcessStream) {}
 
-void Variation::Apply(double time_s, RigidBody* body) {
+void VaryingParameters::Apply(double time_s, RigidBody* body) {
   const long period = PeriodAt(time_s);
   if (!model_->varies() || period == period_) return;
   for (; period_ < period; ++period_) {

@@ -22,15 +22,15 @@ std::string FlightName(int number) {
   return name;
 }
 
-const char* KindName(odmc::Undeclared kind) {
+const char* KindName(odmc::UndeclaredKind kind) {
   switch (kind) {
-    case odmc::Undeclared::kNothing:
+    case odmc::UndeclaredKind::kNothing:
       return "nothing";
-    case odmc::Undeclared::kNotExcited:
+    case odmc::UndeclaredKind::kNotExcited:
       return "not_excited";
-    case odmc::Undeclared::kOneEffect:
+    case odmc::UndeclaredKind::kOneEffect:
       return "one_effect";
-    case odmc::Undeclared::kTwoEffects:
+    case odmc::UndeclaredKind::kTwoEffects:
       return "two_effects";
     default:
       return "unknown";

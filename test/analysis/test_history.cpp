@@ -22,9 +22,9 @@ void ExpectSame(const HistoryRow& a, const HistoryRow& b) {
 }
 
 // Most of them go through the file.
-TEST(History, GivesEveryRowBackBitByBit) {
+TEST(EstimateHistory, GivesEveryRowBackBitByBit) {
   constexpr int kRows = 20000, kParameters = 24;  // 8 MB
-  History history;
+  EstimateHistory history;
   EXPECT_TRUE(history.empty());
   for (int i = 0; i < kRows; ++i) history.push_back(RowOf(i, kParameters));
   ASSERT_EQ(history.size(), static_cast<size_t>(kRows));
@@ -36,10 +36,10 @@ TEST(History, GivesEveryRowBackBitByBit) {
   EXPECT_EQ(next, kRows);
 }
 
-TEST(History, CopiesGrowApart) {
-  History one;
+TEST(EstimateHistory, CopiesGrowApart) {
+  EstimateHistory one;
   for (int i = 0; i < 9000; ++i) one.push_back(RowOf(i, 24));
-  History other = one;
+  EstimateHistory other = one;
   for (int i = 9000; i < 15000; ++i) one.push_back(RowOf(i, 24));
   for (int i = 9000; i < 15000; ++i) other.push_back(RowOf(-i, 24));
   for (const int i : {0, 8999, 9000, 14999}) {
@@ -48,8 +48,8 @@ TEST(History, CopiesGrowApart) {
   }
 }
 
-TEST(History, RowsMustBeOfOneLength) {
-  History history;
+TEST(EstimateHistory, RowsMustBeOfOneLength) {
+  EstimateHistory history;
   history.push_back(RowOf(0, 3));
   EXPECT_THROW(history.push_back(RowOf(1, 4)), std::invalid_argument);
 }

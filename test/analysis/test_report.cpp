@@ -14,8 +14,8 @@ namespace {
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 /// One parameter that steps through `values` a tenth of a second apart, with a constant sigma.
-History HistoryOf(const std::vector<double>& values, double sigma) {
-  History history;
+EstimateHistory HistoryOf(const std::vector<double>& values, double sigma) {
+  EstimateHistory history;
   for (size_t i = 0; i < values.size(); ++i) {
     HistoryRow row;
     row.t_s = 5.0 + 0.1 * static_cast<double>(i);

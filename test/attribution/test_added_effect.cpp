@@ -53,7 +53,7 @@ std::unique_ptr<Effect> MakeMagneticMoment(const Vehicle& vehicle) {
   return std::make_unique<MagneticMoment>(vehicle);
 }
 
-bool IsPlanned(const std::string& name, Undeclared kind) {
+bool IsPlanned(const std::string& name, UndeclaredKind kind) {
   const std::vector<UndeclaredPlan> plans = PlanUndeclared(1, 160);
   return std::any_of(plans.begin(), plans.end(), [&](const UndeclaredPlan& plan) {
     return plan.kind == kind && std::count(plan.effects.begin(), plan.effects.end(), name) > 0;
@@ -86,13 +86,13 @@ TEST_F(AddedEffect, TheCatalogueDescribesIt) {
 }
 
 TEST_F(AddedEffect, TestFlightsArePlannedWithIt) {
-  EXPECT_TRUE(IsPlanned(kName, Undeclared::kOneEffect));
-  EXPECT_FALSE(IsPlanned("rotor_level", Undeclared::kOneEffect));
+  EXPECT_TRUE(IsPlanned(kName, UndeclaredKind::kOneEffect));
+  EXPECT_FALSE(IsPlanned("rotor_level", UndeclaredKind::kOneEffect));
 }
 
 TEST_F(AddedEffect, AttributionFindsItOnASimulatedFlight) {
   UndeclaredPlan plan;
-  plan.kind = Undeclared::kOneEffect;
+  plan.kind = UndeclaredKind::kOneEffect;
   plan.effects = {kName};
   plan.strength = "strong";
   plan.share = 0.8;
@@ -103,9 +103,9 @@ TEST_F(AddedEffect, AttributionFindsItOnASimulatedFlight) {
   EXPECT_GT(flight.share, 0.5);
 
   const FlightMotion motion = FilterFlight(flight.log, flight.declared.num_rotors(), {});
-  const std::vector<Candidate> candidates = CandidatesFor(flight.declared, motion);
+  const std::vector<EffectCandidate> candidates = CandidatesFor(flight.declared, motion);
   EXPECT_EQ(std::count_if(candidates.begin(), candidates.end(),
-                          [](const Candidate& c) { return c.effect == kName; }),
+                          [](const EffectCandidate& c) { return c.effect == kName; }),
             1);
 
   CloseLoopOptions options;

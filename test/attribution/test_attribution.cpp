@@ -44,9 +44,9 @@ Flown Filtered(const UndeclaredFlight& flight) {
 UndeclaredFlight Make(const std::vector<std::string>& effects, double share,
                       const std::string& trajectory, int vehicle, int seed) {
   UndeclaredPlan plan;
-  plan.kind = effects.empty()       ? Undeclared::kNothing
-              : effects.size() == 1 ? Undeclared::kOneEffect
-                                    : Undeclared::kTwoEffects;
+  plan.kind = effects.empty()       ? UndeclaredKind::kNothing
+              : effects.size() == 1 ? UndeclaredKind::kOneEffect
+                                    : UndeclaredKind::kTwoEffects;
   plan.effects = effects;
   plan.share = share;
   plan.trajectory = trajectory;
@@ -56,14 +56,14 @@ UndeclaredFlight Make(const std::vector<std::string>& effects, double share,
 }
 
 /// The declared model as its file has it.
-Stage DeclaredStage(const Vehicle& vehicle) {
+ModelPoint DeclaredPoint(const Vehicle& vehicle) {
   const DynamicModel model(vehicle, vehicle.effects);
-  return StageOf(model, model.InitialValues());
+  return ModelPointOf(model, model.InitialValues());
 }
 
 /// All of attribution, without an online estimate.
 Attribution Attribute(const Flown& flown, const ResidualModel& residual) {
-  Attribution attribution(&residual, DeclaredStage(flown.vehicle),
+  Attribution attribution(&residual, DeclaredPoint(flown.vehicle),
                           CandidatesFor(flown.vehicle, flown.flight.motion()), {});
   attribution.Run();
   return attribution;
@@ -76,9 +76,9 @@ bool Has(const std::vector<RankedEffect>& effects, const std::string& name) {
 }
 
 bool IsCandidate(const Flown& flown, const std::string& effect) {
-  const std::vector<Candidate> all = CandidatesFor(flown.vehicle, flown.flight.motion());
+  const std::vector<EffectCandidate> all = CandidatesFor(flown.vehicle, flown.flight.motion());
   return std::any_of(all.begin(), all.end(),
-                     [&](const Candidate& c) { return c.effect == effect; });
+                     [&](const EffectCandidate& c) { return c.effect == effect; });
 }
 
 /// The same flight seen by sensors that are turned against the body.
@@ -251,7 +251,7 @@ TEST(Evidence, FindsInertiaThroughTheNoiseOfRotorSpeeds) {
     const Attribution attribution = Attribute(flown, residual);
     for (const char* name : {"inertia.x", "inertia.y"}) {
       const double truth = flown.truth.Find(name)->value;
-      EXPECT_NEAR(attribution.stage().values.at(name), truth, 0.12 * truth)
+      EXPECT_NEAR(attribution.point().values.at(name), truth, 0.12 * truth)
           << trajectory << " " << name;
     }
   }

@@ -21,7 +21,7 @@ namespace odmc {
 namespace test {
 namespace {
 
-UndeclaredPlan Plan(Undeclared kind, const std::vector<std::string>& effects, double share,
+UndeclaredPlan Plan(UndeclaredKind kind, const std::vector<std::string>& effects, double share,
                     const std::string& trajectory, int vehicle, int seed) {
   UndeclaredPlan plan;
   plan.kind = kind;
@@ -48,7 +48,8 @@ bool Names(const AddedEffect& added, const std::string& effect) {
 class Agreement : public testing::Test {
  protected:
   Agreement()
-      : model_(VehicleWith(NominalVehicle(), Candidate{"pressure_centre", {}, {}}), Effects()) {
+      : model_(VehicleWith(NominalVehicle(), EffectCandidate{"pressure_centre", {}, {}}),
+               Effects()) {
     online_.effects = Effects();
     for (const char* axis : {"x", "y", "z"}) {
       const std::string name = std::string("pressure_centre.") + axis;
@@ -111,7 +112,7 @@ TEST_F(Agreement, SaysNothingOfFrozenParameters) {
 TEST(CloseLoop, SaysNoneWhenTheModelIsTheTruth) {
   for (const char* trajectory : {"octo", "circle"}) {
     const ClosedLoop loop =
-        Close(MakeUndeclared(Plan(Undeclared::kNothing, {}, 0.0, trajectory, 0, 11)));
+        Close(MakeUndeclared(Plan(UndeclaredKind::kNothing, {}, 0.0, trajectory, 0, 11)));
     EXPECT_EQ(loop.verdict, Verdict::kNone) << trajectory << "\n" << CloseLoopTable(loop);
     EXPECT_TRUE(loop.effects.empty());
     EXPECT_EQ(*loop.before.force_rmse_N, *loop.after.force_rmse_N);
@@ -119,8 +120,8 @@ TEST(CloseLoop, SaysNoneWhenTheModelIsTheTruth) {
 }
 
 TEST(CloseLoop, FindsAddsAndMeasuresAMissingEffect) {
-  const UndeclaredFlight flight =
-      MakeUndeclared(Plan(Undeclared::kOneEffect, {"quadratic_drag"}, 0.8, "aggressive", 1, 12));
+  const UndeclaredFlight flight = MakeUndeclared(
+      Plan(UndeclaredKind::kOneEffect, {"quadratic_drag"}, 0.8, "aggressive", 1, 12));
   EXPECT_NEAR(flight.share, 0.8, 0.08);
   const ClosedLoop loop = Close(flight);
   ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
@@ -141,8 +142,8 @@ TEST(CloseLoop, FindsAddsAndMeasuresAMissingEffect) {
 // The earlier estimate is of the same incomplete model: its linear drag is what the quadratic one
 // does at that speed, known to a per cent.
 TEST(CloseLoop, NamesWhatAnEarlierEstimatesParametersStandInFor) {
-  const UndeclaredFlight flight =
-      MakeUndeclared(Plan(Undeclared::kOneEffect, {"quadratic_drag"}, 0.8, "aggressive", 1, 12));
+  const UndeclaredFlight flight = MakeUndeclared(
+      Plan(UndeclaredKind::kOneEffect, {"quadratic_drag"}, 0.8, "aggressive", 1, 12));
   Vehicle known = flight.declared;
   ApplyParameters(Close(flight).declared_parameters, &known);
   const ClosedLoop loop = CloseLoop(flight.log, flight.declared, known, CloseLoopOptions());
@@ -155,7 +156,7 @@ TEST(CloseLoop, NamesWhatAnEarlierEstimatesParametersStandInFor) {
 // The delay brings the noise of rotor accelerations into the prediction, which above 4 Hz is worse
 // with it than without.
 TEST(CloseLoop, ConfirmsADelayInSpiteOfTheNoiseItBrings) {
-  UndeclaredPlan plan = Plan(Undeclared::kOneEffect, {"rotor_delay"}, 0.3, "octo", 3, 31131);
+  UndeclaredPlan plan = Plan(UndeclaredKind::kOneEffect, {"rotor_delay"}, 0.3, "octo", 3, 31131);
   plan.strength = "medium";
   const UndeclaredFlight flight = MakeUndeclared(plan);
   const ClosedLoop loop = Close(flight);
@@ -170,7 +171,7 @@ TEST(CloseLoop, ConfirmsADelayInSpiteOfTheNoiseItBrings) {
 // there.
 TEST(CloseLoop, AsksTheEstimatorForWhatNoPastForesees) {
   const UndeclaredFlight flight =
-      MakeUndeclared(Plan(Undeclared::kOneEffect, {"rotor_reaction"}, 0.8, "octo", 3, 83));
+      MakeUndeclared(Plan(UndeclaredKind::kOneEffect, {"rotor_reaction"}, 0.8, "octo", 3, 83));
   const ClosedLoop loop = Close(flight);
   ASSERT_EQ(loop.verdict, Verdict::kEffect);
   ASSERT_EQ(loop.effects.size(), 1u);
@@ -185,7 +186,8 @@ TEST(CloseLoop, AsksTheEstimatorForWhatNoPastForesees) {
 // leans undo in large part. It is foreseen to one per cent: no tenth of it is noise.
 TEST(CloseLoop, NamesTiltedRotorsOnAVerticalFlight) {
   for (const int seed : {87, 88, 89}) {
-    UndeclaredPlan plan = Plan(Undeclared::kOneEffect, {"rotor_tilt"}, 0.8, "vertical", 3, seed);
+    UndeclaredPlan plan =
+        Plan(UndeclaredKind::kOneEffect, {"rotor_tilt"}, 0.8, "vertical", 3, seed);
     plan.recording = RecordingModel::kDrawn;
     const UndeclaredFlight flight = MakeUndeclared(plan);
     const ClosedLoop loop = Close(flight);
@@ -198,7 +200,7 @@ TEST(CloseLoop, NamesTiltedRotorsOnAVerticalFlight) {
 class OnlineEvidence : public testing::Test {
  protected:
   OnlineEvidence()
-      : vehicle_(VehicleWith(NominalVehicle(), Candidate{"rotor_reaction", {}, {}})),
+      : vehicle_(VehicleWith(NominalVehicle(), EffectCandidate{"rotor_reaction", {}, {}})),
         model_(vehicle_, vehicle_.effects) {}
 
   const ParameterSpec& spec() const {
@@ -234,15 +236,15 @@ TEST_F(OnlineEvidence, IsAgainstTheWrongSignAndWhatIsNotKnown) {
 }
 
 TEST(QuickEffects, FollowRotorAccelerationsWithASignThatPhysicsGives) {
-  const std::vector<Candidate> candidates = {{"rotor_delay", {}, {}},
-                                             {"rotor_reaction", {}, {}},
-                                             {"rotor_drag", {}, {}},
-                                             {"rotor_reaction", {}, {}}};
+  const std::vector<EffectCandidate> candidates = {{"rotor_delay", {}, {}},
+                                                   {"rotor_reaction", {}, {}},
+                                                   {"rotor_drag", {}, {}},
+                                                   {"rotor_reaction", {}, {}}};
   EXPECT_EQ(QuickEffects(NominalVehicle(), candidates), std::vector<std::string>{"rotor_reaction"});
 }
 
 TEST(CloseLoop, SaysWhereGapsLeaveNothingToJudgeBy) {
-  UndeclaredFlight flight = MakeUndeclared(Plan(Undeclared::kNothing, {}, 0.0, "octo", 0, 11));
+  UndeclaredFlight flight = MakeUndeclared(Plan(UndeclaredKind::kNothing, {}, 0.0, "octo", 0, 11));
   std::vector<OdometrySample>& odometry = flight.log.odometry;
   const Stamp first = odometry.front().stamp;
   odometry.erase(std::remove_if(odometry.begin(), odometry.end(),
@@ -259,8 +261,8 @@ TEST(CloseLoop, SaysWhereGapsLeaveNothingToJudgeBy) {
 }
 
 TEST(CloseLoop, CallsAnUnknownTorqueUnexplainedAndSaysWhere) {
-  const ClosedLoop loop =
-      Close(MakeUndeclared(Plan(Undeclared::kUnknown, {}, 0.8, "circle", 0, 606)));  // it shakes
+  const ClosedLoop loop = Close(
+      MakeUndeclared(Plan(UndeclaredKind::kUnknown, {}, 0.8, "circle", 0, 606)));  // it shakes
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
   EXPECT_FALSE(loop.where.empty());
   EXPECT_TRUE(loop.effects.empty());
@@ -296,7 +298,7 @@ ClosedLoop CloseWithLoad(double mass_share, const Swing& swing) {
 // A force that no effect makes, and a wind would explain part of.
 TEST(CloseLoop, BlamesNoWindForAForceThatNoEffectMakes) {
   const UndeclaredPlan plan = PlanUndeclared(81, 160)[75];
-  ASSERT_EQ(plan.kind, Undeclared::kUnknown);
+  ASSERT_EQ(plan.kind, UndeclaredKind::kUnknown);
   CloseLoopOptions options;
   options.estimator.keyframe_rate_hz = 50.0;
   options.estimator.max_update_time_s = 10.0;  // the same result on a loaded machine
@@ -374,7 +376,7 @@ TEST(CloseLoop, OutlivesEffectsWithWhichTheEstimatorNeverFlies) {
   // With the wind and the tilted rotors that stand in for its unknown force, the online estimator
   // takes the whole flight for contact.
   const UndeclaredPlan plan = PlanUndeclared(161, 160)[79];
-  ASSERT_EQ(plan.kind, Undeclared::kUnknown);
+  ASSERT_EQ(plan.kind, UndeclaredKind::kUnknown);
   const ClosedLoop loop = Close(MakeUndeclared(plan));
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained);
   EXPECT_TRUE(loop.effects.empty());
@@ -477,7 +479,7 @@ TEST(Candidates, NoPointIsAskedAboutThatWasMeasured) {
     sample.w_dot_S = Eigen::Vector3d(40.0, 0.0, 0.0);
   }
   const auto asks = [&](const Vehicle& vehicle) {
-    for (const Candidate& candidate : CandidatesFor(vehicle, motion)) {
+    for (const EffectCandidate& candidate : CandidatesFor(vehicle, motion)) {
       if (candidate.effect == "odometry_extrinsics") return candidate.freed;
     }
     return std::vector<std::string>();
@@ -496,11 +498,11 @@ TEST(Candidates, NoPointIsAskedAboutThatWasMeasured) {
 
 // The score is best at 0.47 m and a damping ratio of 0.03, off the grid.
 TEST(Candidates, ALengthIsRefinedBetweenTheGridsValues) {
-  const Candidate held = {"suspended_load",
-                          {{"suspended_load.length", 0.45}, {"suspended_load.damping", 0.02}},
-                          {},
-                          {{"length", 1.15}, {"damping", 4.0}}};
-  const Candidate best = WithRefinedSettings(held, [](const Candidate& c) {
+  const EffectCandidate held = {"suspended_load",
+                                {{"suspended_load.length", 0.45}, {"suspended_load.damping", 0.02}},
+                                {},
+                                {{"length", 1.15}, {"damping", 4.0}}};
+  const EffectCandidate best = WithRefinedSettings(held, [](const EffectCandidate& c) {
     return -std::pow(std::log(c.settings.at("suspended_load.length") / 0.47), 2) -
            std::pow(std::log(c.settings.at("suspended_load.damping") / 0.03), 2);
   });
@@ -511,9 +513,9 @@ TEST(Candidates, ALengthIsRefinedBetweenTheGridsValues) {
 // What the regression fits is refined where it starts.
 TEST(Candidates, AStartIsRefinedBetweenTheGridsValues) {
   const auto effect = EffectRegistry::Default().Make("suspended_load", NominalVehicle());
-  Candidate fitted = {
+  EffectCandidate fitted = {
       "suspended_load", {}, {{"suspended_load.length", 0.45}}, effect->refinements()};
-  const auto score = [](const Candidate& c) {
+  const auto score = [](const EffectCandidate& c) {
     return -std::pow(std::log(c.start.at("suspended_load.length") / 0.47), 2);
   };
   EXPECT_EQ(WithRefinedSettings(fitted, score).start, fitted.start) << "a start, and not fitted";
@@ -524,10 +526,10 @@ TEST(Candidates, AStartIsRefinedBetweenTheGridsValues) {
 // A load is dropped at 3.3 s; the grid has whole seconds.
 TEST(Candidates, ATimeIsRefinedInHalvedSteps) {
   const auto effect = EffectRegistry::Default().Make("mass_change", NominalVehicle());
-  Candidate other = {"mass_change", {{"mass_change.from", 3.0}}, {}, effect->refinements()};
-  EXPECT_EQ(WithRefinedSettings(other, [](const Candidate&) { return 0.0; }).settings,
+  EffectCandidate other = {"mass_change", {{"mass_change.from", 3.0}}, {}, effect->refinements()};
+  EXPECT_EQ(WithRefinedSettings(other, [](const EffectCandidate&) { return 0.0; }).settings,
             other.settings);
-  const auto score = [](const Candidate& c) {
+  const auto score = [](const EffectCandidate& c) {
     return -std::abs(c.settings.at("mass_change.from") - 3.3);
   };
   EXPECT_NEAR(WithRefinedSettings(other, score).settings.at("mass_change.from"), 3.3, 0.05);
@@ -541,11 +543,11 @@ TEST(Undeclared, PlansHoldEveryEffectAndEnoughOfEachKind) {
   int nothing = 0, hidden = 0, unknown = 0, two = 0;
   std::set<std::string> acting;
   for (const UndeclaredPlan& plan : plans) {
-    nothing += plan.kind == Undeclared::kNothing;
-    hidden += plan.kind == Undeclared::kNotExcited;
-    unknown += plan.kind == Undeclared::kUnknown;
-    two += plan.kind == Undeclared::kTwoEffects;
-    if (plan.kind == Undeclared::kOneEffect)
+    nothing += plan.kind == UndeclaredKind::kNothing;
+    hidden += plan.kind == UndeclaredKind::kNotExcited;
+    unknown += plan.kind == UndeclaredKind::kUnknown;
+    two += plan.kind == UndeclaredKind::kTwoEffects;
+    if (plan.kind == UndeclaredKind::kOneEffect)
       acting.insert(plan.effects.begin(), plan.effects.end());
   }
   EXPECT_GE(nothing, 50);

@@ -32,7 +32,7 @@ struct Flown {
   static UndeclaredFlight Make(const std::string& effect, double share,
                                const std::string& trajectory, int vehicle, int seed) {
     UndeclaredPlan plan;
-    plan.kind = Undeclared::kOneEffect;
+    plan.kind = UndeclaredKind::kOneEffect;
     plan.effects = {effect};
     plan.share = share;
     plan.trajectory = trajectory;
@@ -41,12 +41,12 @@ struct Flown {
     return MakeUndeclared(plan);
   }
 
-  Stage stage() const {
+  ModelPoint point() const {
     const DynamicModel model(made.declared, made.declared.effects);
-    return StageOf(model, model.InitialValues());
+    return ModelPointOf(model, model.InitialValues());
   }
   Attribution Attribute() const {
-    Attribution attribution(&residual, stage(), candidates, {});
+    Attribution attribution(&residual, point(), candidates, {});
     attribution.Run();
     return attribution;
   }
@@ -55,7 +55,7 @@ struct Flown {
   UndeclaredFlight made;
   ThinnedFlight flight;
   ResidualModel residual;
-  std::vector<Candidate> candidates;
+  std::vector<EffectCandidate> candidates;
 };
 
 /// The effect as attribution has it, if it is named.
@@ -135,8 +135,8 @@ TEST(FittedSettings, SigmaHoldsBothSidesOnWhichAMassMayBe) {
 TEST(Evidence, LinearizesAProductAgainWithoutOvershooting) {
   const Flown flown("suspended_load", 0.7, "octo", 2, 4401);
   const Instruments instruments(flown.flight, flown.made.declared);
-  Evidence evidence({{&flown.residual, &instruments}}, flown.stage());
-  Candidate candidate;
+  Evidence evidence({{&flown.residual, &instruments}}, flown.point());
+  EffectCandidate candidate;
   candidate.effect = "suspended_load";
   candidate.size = "suspended_load.mass";
   candidate.start = {{candidate.size, 0.05 * flown.made.declared.mass_kg}};

@@ -137,7 +137,7 @@ TEST(NullFlights, NameNothingOnShortStretches) {
 // What recurs with the few cycles of a manoeuvre is an effect, not noise of a narrow spectrum.
 TEST(ShortFlights, NameAStrongEffect) {
   UndeclaredPlan plan;
-  plan.kind = Undeclared::kOneEffect;
+  plan.kind = UndeclaredKind::kOneEffect;
   plan.strength = "strong";
   plan.share = 0.8;
   plan.trajectory = "octo";

@@ -18,7 +18,7 @@ namespace {
 UndeclaredFlight Fly(const std::vector<std::string>& effects, const std::string& trajectory,
                      int seed) {
   UndeclaredPlan plan;
-  plan.kind = effects.empty() ? Undeclared::kNothing : Undeclared::kOneEffect;
+  plan.kind = effects.empty() ? UndeclaredKind::kNothing : UndeclaredKind::kOneEffect;
   plan.effects = effects;
   plan.share = effects.empty() ? 0.0 : 0.8;
   plan.strength = "strong";
@@ -178,8 +178,8 @@ TEST(ResidualWatch, WarmStartWidensWhatTheEffectMoves) {
   present.parameters = {{"drag.d_x", "N s/m", -0.5, 0.03, true, true},
                         {"thrust.k_f", "N s^2", 1.5e-6, 2e-9, true, true},
                         {"rotor_torque.k_m", "N m s^2", 2e-8, 0.0, false, false}};
-  const Vehicle warm =
-      WarmStarted(VehicleWith(NominalVehicle(), Candidate{"quadratic_drag", {}}), present, look);
+  const Vehicle warm = WarmStarted(
+      VehicleWith(NominalVehicle(), EffectCandidate{"quadratic_drag", {}}), present, look);
   EXPECT_EQ(warm.effects.back(), "quadratic_drag");
   EXPECT_EQ(*warm.parameters.at("drag.d_x").value, -0.5) << "starts where it is";
   EXPECT_NEAR(*warm.parameters.at("drag.d_x").sigma, std::hypot(0.03, 0.3), 1e-12);

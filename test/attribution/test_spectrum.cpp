@@ -26,7 +26,7 @@ TEST(Whiteness, CallsWhiteAndDifferencedNoiseUnstructured) {
     if (seed % 2 == 1) {  // as the derivative of a measured velocity
       for (int i = kSamples - 1; i > 0; --i) run[i] -= run[i - 1];
     }
-    const Whiteness w = TestWhiteness({run}, kRate_Hz, kHighest_Hz);
+    const WhitenessResult w = TestWhiteness({run}, kRate_Hz, kHighest_Hz);
     small += w.p < 0.01 ? 1 : 0;
     EXPECT_GT(w.p, 1e-4) << "seed " << seed;
   }
@@ -42,7 +42,7 @@ TEST(Whiteness, FindsSlowStructureAndItsShare) {
     slow = decay * slow + std::sqrt(1.0 - decay * decay) * random.Next();
     run[i] += slow;
   }
-  const Whiteness w = TestWhiteness({run}, kRate_Hz, kHighest_Hz);
+  const WhitenessResult w = TestWhiteness({run}, kRate_Hz, kHighest_Hz);
   EXPECT_LT(w.p, 1e-8);
   EXPECT_GT(w.structured_share, 0.25);
   EXPECT_LT(w.peak_Hz, 1.0);
@@ -51,7 +51,7 @@ TEST(Whiteness, FindsSlowStructureAndItsShare) {
 TEST(Whiteness, FindsALine) {
   std::vector<double> run = White(5);
   for (int i = 0; i < kSamples; ++i) run[i] += 0.8 * std::sin(2.0 * 3.14159265 * 2.0 * 0.04 * i);
-  const Whiteness w = TestWhiteness({run}, kRate_Hz, kHighest_Hz);
+  const WhitenessResult w = TestWhiteness({run}, kRate_Hz, kHighest_Hz);
   EXPECT_LT(w.p, 1e-8);
   EXPECT_NEAR(w.peak_Hz, 2.0, 0.1);
   EXPECT_GT(w.structured_share, 0.1);

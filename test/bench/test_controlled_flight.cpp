@@ -77,7 +77,7 @@ TEST(ControlledFlight, HalvesTheErrorOfAnUncompensatedFlight) {
   ControlledFlightSetup setup = MakeSetup("octo", 25.0);
   setup.trajectory.top_speed_m_s = 5.0;
   const TrackingErrors with = ErrorsOf(FlyControlled(setup));
-  setup.controller.compensation = Compensation::None();
+  setup.controller.compensation = CompensatedEffects::None();
   const TrackingErrors without = ErrorsOf(FlyControlled(setup));
   EXPECT_LT(with.rmse_m.x(), 0.5 * without.rmse_m.x());
   EXPECT_LT(with.rmse_m.y(), 0.5 * without.rmse_m.y());

@@ -45,7 +45,7 @@ TEST(UndeclaredPlans, OfOneEffectHaveEveryStrengthOnEveryTrajectory) {
 
 TEST(UndeclaredPlans, OfUnknownEffectsNameNone) {
   for (const UndeclaredPlan& plan : PlanUnknown(kSeed, 4)) {
-    EXPECT_EQ(plan.kind, Undeclared::kUnknown);
+    EXPECT_EQ(plan.kind, UndeclaredKind::kUnknown);
     EXPECT_TRUE(plan.effects.empty());
     EXPECT_GT(plan.share, 0.0);
   }

@@ -37,7 +37,7 @@ TrajectoryOptions Octo(double top_speed_m_s) {
 
 // Largest distance from the reference over `duration_s` of flight without any feedback, from a
 // start that is exact.
-double OpenLoopError(const Known& known, const Compensation& compensation, double from_s,
+double OpenLoopError(const Known& known, const CompensatedEffects& compensation, double from_s,
                      double duration_s) {
   ControlModel control(known.model, compensation);
   control.SetValues(known.truth);
@@ -72,20 +72,20 @@ TEST(FlatInputs, TrackTheReferenceOpenLoop) {
   const Known known;
   const double with_all = OpenLoopError(known, {}, 5.0, 2.0);
   EXPECT_LT(with_all, 0.03);  // of 9 m flown
-  Compensation no_drag;
+  CompensatedEffects no_drag;
   no_drag.drag = false;
   EXPECT_GT(OpenLoopError(known, no_drag, 5.0, 2.0), 20.0 * with_all);
-  Compensation no_viscous;
+  CompensatedEffects no_viscous;
   no_viscous.viscous_torque = false;
   EXPECT_GT(OpenLoopError(known, no_viscous, 5.0, 2.0), 5.0 * with_all);
-  Compensation no_hvt;
+  CompensatedEffects no_hvt;
   no_hvt.hvt = false;
   EXPECT_GT(OpenLoopError(known, no_hvt, 5.0, 2.0), 5.0 * with_all);
 }
 
 TEST(ControlModel, SwitchesOffWhatIsNotCompensated) {
   const Known known;
-  ControlModel all(known.model, {}), none(known.model, Compensation::None());
+  ControlModel all(known.model, {}), none(known.model, CompensatedEffects::None());
   all.SetValues(known.truth);
   none.SetValues(known.truth);
   const RotorVector speeds = RotorVector::Constant(4, 1000.0);

@@ -263,8 +263,9 @@ FlightMotion Flight(double speed, double descent) {
 }
 
 bool IsCandidate(const std::string& name, const FlightMotion& flight) {
-  const std::vector<Candidate> all = CandidatesFor(NominalVehicle(), flight);
-  return std::any_of(all.begin(), all.end(), [&](const Candidate& c) { return c.effect == name; });
+  const std::vector<EffectCandidate> all = CandidatesFor(NominalVehicle(), flight);
+  return std::any_of(all.begin(), all.end(),
+                     [&](const EffectCandidate& c) { return c.effect == name; });
 }
 
 TEST(FastFlightEffects, AreAskedForOnFastFlightsOnly) {

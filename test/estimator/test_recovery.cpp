@@ -397,7 +397,7 @@ TEST(ActuatorFlight, ThrustCoefficientComesBackFromCommands) {
 TEST(Recovery, KeepsOutOfTheValleyBesideTheTruth) {
   UndeclaredPlan plan;
   plan.number = 152;
-  plan.kind = Undeclared::kOneEffect;
+  plan.kind = UndeclaredKind::kOneEffect;
   plan.effects = {"rotor_drag"};
   plan.strength = "strong";
   plan.share = 0.8;

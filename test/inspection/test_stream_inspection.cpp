@@ -101,7 +101,7 @@ TEST(StreamInspection, SaysNothingAboutSoundFlights) {
 TEST(StreamInspection, FindsShiftsOfRotorSpeedsOfEitherSign) {
   const StreamInspection sound = InspectStreams(Octo(), TestVehicle());
   ASSERT_NE(Find(sound, "rotor_speeds"), nullptr) << Checks(sound);
-  const Lag own = Find(sound, "rotor_speeds")->lag;
+  const StreamLag own = Find(sound, "rotor_speeds")->lag;
   for (const double late_s : {-0.06, -0.033, 0.02, 0.06}) {
     const StreamInspection found = Spoiled([late_s](FlightLog* log) { ShiftRotors(-late_s, log); });
     const TimeOffset* offset = Find(found, "rotor_speeds");
@@ -185,7 +185,7 @@ TEST(StreamInspection, TakesTheOffsetOff) {
   MendStreams(InspectStreams(log, TestVehicle()), &log);
   const StreamInspection mended = InspectStreams(log, TestVehicle());
   EXPECT_TRUE(mended.findings.empty()) << Checks(mended);
-  const Lag& left = Find(mended, "rotor_speeds")->lag;
+  const StreamLag& left = Find(mended, "rotor_speeds")->lag;
   EXPECT_NEAR(left.lag_s, 0.0, 3.0 * left.scatter_s);
   EXPECT_NEAR(Find(mended, "velocity")->lag.lag_s, 0.0, 0.002);
 }

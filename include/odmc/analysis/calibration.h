@@ -144,7 +144,7 @@ ValueVariation FollowThrust(const FlightLog& log, const Vehicle& vehicle,
 
 /// From the first airborne sample until the parameter stays within the larger of 5 % of its final
 /// value and its final sigma [s]; empty where not observable.
-std::vector<std::optional<double>> Convergence(const History& history,
+std::vector<std::optional<double>> Convergence(const EstimateHistory& history,
                                                const std::vector<bool>& observable);
 
 /// Every update of a flight is in one of two parts: its start, in which nothing leaves the window

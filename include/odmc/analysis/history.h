@@ -21,7 +21,7 @@ struct HistoryRow {
 /// Lines of a history, all of one length. A few megabytes are held; what is older waits in an
 /// unnamed file of the system's folder for temporary files (and is held, too, where there is no
 /// room for one). Rows are read back bit by bit as they were written. Thread-compatible.
-class History {
+class EstimateHistory {
  public:
   void push_back(const HistoryRow& row);
 
@@ -40,7 +40,7 @@ class History {
     using pointer = const HistoryRow*;
     using reference = HistoryRow;
 
-    Iterator(const History* history, size_t index) : history_(history), index_(index) {}
+    Iterator(const EstimateHistory* history, size_t index) : history_(history), index_(index) {}
     HistoryRow operator*() const;
     Iterator& operator++() {
       ++index_;
@@ -49,7 +49,7 @@ class History {
     bool operator!=(const Iterator& other) const { return index_ != other.index_; }
 
    private:
-    const History* history_;
+    const EstimateHistory* history_;
     size_t index_;
     mutable size_t block_ = static_cast<size_t>(-1);  // in numbers_
     mutable std::vector<double> numbers_;

@@ -12,7 +12,7 @@ namespace odmc {
 /// What one pass of the estimator over a flight left behind.
 struct ReplayResult {
   std::optional<Snapshot> last;                         ///< empty if the vehicle never flew
-  History history;                                      ///< one row per update
+  EstimateHistory history;                              ///< one row per update
   std::vector<std::pair<double, UpdateTiming>> timing;  ///< flight time [s], every update
   std::vector<PhaseSpan> phases;                        ///< all of the recording, oldest first
   std::vector<std::pair<Stamp, Stamp>> ground_spans;    ///< of these, what is not free flight

@@ -37,14 +37,15 @@ class Attribution {
  public:
   /// @param residual of the flight; outlives this
   /// @param give_up asked now and then; once true, nothing is found
-  Attribution(const ResidualModel* residual, Stage stage, std::vector<Candidate> candidates,
-              const AttributionOptions& options, std::function<bool()> give_up = {})
-      : Attribution(std::vector<const ResidualModel*>{residual}, std::move(stage),
+  Attribution(const ResidualModel* residual, ModelPoint point,
+              std::vector<EffectCandidate> candidates, const AttributionOptions& options,
+              std::function<bool()> give_up = {})
+      : Attribution(std::vector<const ResidualModel*>{residual}, std::move(point),
                     std::move(candidates), options, std::move(give_up)) {}
   /// @param residuals of the flights, at least one; outlive this
   /// @param jobs flights looked at at a time
-  Attribution(const std::vector<const ResidualModel*>& residuals, Stage stage,
-              std::vector<Candidate> candidates, const AttributionOptions& options,
+  Attribution(const std::vector<const ResidualModel*>& residuals, ModelPoint point,
+              std::vector<EffectCandidate> candidates, const AttributionOptions& options,
               std::function<bool()> give_up = {}, int jobs = 1);
   Attribution(Attribution&&) = default;  // what flights_ points to stays where it is
 
@@ -55,7 +56,7 @@ class Attribution {
   const std::vector<RankedEffect>& effects() const { return effects_; }
   const std::vector<RankedEffect>& ranking() const { return ranking_; }
   /// The model with the effects, and the values of the joint fit.
-  const Stage& stage() const { return stage_; }
+  const ModelPoint& point() const { return point_; }
   /// Why what gained more than chance is not among them, by effect.
   const std::map<std::string, std::string>& refused() const { return refused_; }
   double flexible_gain() const { return flexible_gain_; }
@@ -78,7 +79,7 @@ class Attribution {
   double SurrogatePValue(double gain) const;
 
  private:
-  /// One round about a stage: what more would be added.
+  /// One round about a point: what more would be added.
   struct Round {
     Evidence evidence;
     VariantSet chosen;
@@ -113,24 +114,24 @@ class Attribution {
   /// In the place of what has an unphysical sign, the most probable effect that the data do not
   /// tell from it and that has none, if there is one.
   VariantSet WithoutStrangers(const Evidence& evidence, VariantSet set) const;
-  /// Fits all values of the stage, linearized anew until they stay.
-  std::vector<ResidualModel::Wrenches> Refit(Stage* stage) const;
+  /// Fits all values of the point, linearized anew until they stay.
+  std::vector<ResidualModel::Wrenches> Refit(ModelPoint* point) const;
   /// The evidence for effects linearized about what the fit with them has found, inertia near that.
-  Evidence EvidenceAtFit(const Stage& fitted, std::vector<Candidate> added) const;
+  Evidence EvidenceAtFit(const ModelPoint& fitted, std::vector<EffectCandidate> added) const;
   /// Refuses effects that a fit from afar promised and that are not there: the declared parameters
   /// went where they do not act in proportion any more, and about what the fit with the effects has
   /// found the odds are against them. They are not looked at again.
-  /// @param fitted the stage with the set, fitted
+  /// @param fitted the point with the set, fitted
   /// @returns true if there are any
-  bool RefuseHollow(const Evidence& evidence, const VariantSet& set, const Stage& fitted);
+  bool RefuseHollow(const Evidence& evidence, const VariantSet& set, const ModelPoint& fitted);
   bool GivesUp() const { return give_up_ && give_up_(); }
 
   std::vector<Instruments> instruments_;  // by flight
   std::vector<SeenFlight> flights_;
   FlexibleFeatures features_;
   double flexible_gain_ = 0.0;
-  Stage stage_;
-  std::vector<Candidate> candidates_;
+  ModelPoint point_;
+  std::vector<EffectCandidate> candidates_;
   AttributionOptions options_;
   std::function<bool()> give_up_;
   int jobs_;

@@ -14,7 +14,7 @@
 namespace odmc {
 
 /// One way to try an effect: with these frozen parameters (full names).
-struct Candidate {
+struct EffectCandidate {
   std::string effect;
   std::map<std::string, double> settings;
   /// Where to linearize first, for parameters that do nothing at zero (a place of no mass).
@@ -35,21 +35,21 @@ struct Candidate {
 /// Every effect of the catalogue that `vehicle`'s model lacks and that may be added to it, with the
 /// values to try for what cannot be estimated (Effect::Trials): when a mass changed, how long a
 /// cable is, where the ground is.
-std::vector<Candidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion& flight);
+std::vector<EffectCandidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion& flight);
 
 /// The same for several flights of one vehicle: every way that one of them offers. What begins at
 /// some time of a flight is a candidate from each flight's start only.
-std::vector<Candidate> CandidatesFor(const Vehicle& vehicle,
-                                     const std::vector<const FlightMotion*>& flights);
+std::vector<EffectCandidate> CandidatesFor(const Vehicle& vehicle,
+                                           const std::vector<const FlightMotion*>& flights);
 
 /// The effects among candidates, each once.
-std::set<std::string> EffectsOf(const std::vector<Candidate>& candidates);
+std::set<std::string> EffectsOf(const std::vector<EffectCandidate>& candidates);
 
 /// The candidate with what its grid holds, or starts from, coarsely (a cable's length and damping,
 /// the time of a change) moved to where `score` is best between the grid's neighbours, one after
 /// the other.
-Candidate WithRefinedSettings(const Candidate& candidate,
-                              const std::function<double(const Candidate&)>& score);
+EffectCandidate WithRefinedSettings(const EffectCandidate& candidate,
+                                    const std::function<double(const EffectCandidate&)>& score);
 
 /// What follows from an effect's parameters and says more than these: the mass of the whole, all
 /// loads counted [kg], and Effect::DerivedFigures().

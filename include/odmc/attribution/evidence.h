@@ -10,13 +10,13 @@
 
 #include "odmc/attribution/flexible_features.h"
 #include "odmc/attribution/flight_regression.h"
-#include "odmc/attribution/stage.h"
+#include "odmc/attribution/model_point.h"
 
 namespace odmc {
 
 /// One way in which a candidate effect may act: its settings, linearized somewhere.
 struct EffectVariant {
-  Candidate candidate;
+  EffectCandidate candidate;
   /// Columns of its parameters, in the order of Evidence's columns. The coefficient of a column is
   /// the parameter itself, not a step.
   std::vector<int> columns;
@@ -63,9 +63,9 @@ class Evidence {
   static constexpr double kStrange = 0.05;
 
   /// @param flights at least one
-  /// @param stage the declared model and the values about which it is linearized
+  /// @param point the declared model and the values about which it is linearized
   /// @param jobs flights looked at at a time
-  Evidence(const std::vector<SeenFlight>& flights, const Stage& stage, int jobs = 1);
+  Evidence(const std::vector<SeenFlight>& flights, const ModelPoint& point, int jobs = 1);
 
   /// The function of FlexibleFeatures that gains most beside a set, in one channel.
   struct FlexibleGain {
@@ -78,7 +78,7 @@ class Evidence {
 
   /// Adds a way for an effect to act, linearized about zero or, for what must not be zero, the
   /// catalogue's value. @returns its number, -1 if it does nothing on these flights
-  int Add(const Candidate& candidate);
+  int Add(const EffectCandidate& candidate);
   /// Linearizes a variant anew, about what a fit finds of it.
   void Relinearize(int variant, const EffectFit& fit);
   /// How far what a fit finds of a variant is from where that is linearized, at most [sigma].
@@ -90,7 +90,7 @@ class Evidence {
   void EstimateNoise();
 
   const std::vector<EffectVariant>& variants() const { return variants_; }
-  const Stage& stage() const { return stage_; }
+  const ModelPoint& point() const { return point_; }
   int num_flights() const { return static_cast<int>(flights_.size()); }
   /// Number of samples (times channels) that count.
   int num_rows() const;
@@ -105,7 +105,7 @@ class Evidence {
   struct GainBound {
     double serial = 0.0, white = 0.0;
   };
-  GainBound GainBoundOf(const Candidate& candidate) const;
+  GainBound GainBoundOf(const EffectCandidate& candidate) const;
 
   /// What a variant of a fitted set does, by channel, over the noise [nats].
   std::array<double, kNumChannels> EnergyOf(int variant, const EffectFit& fit) const;
@@ -149,13 +149,13 @@ class Evidence {
   std::vector<double> SurrogateGains(const VariantSet& beside, int count, unsigned seed) const;
 
   /// The model with `set`, and the values of all parameters as a fit finds them.
-  Stage Moved(const VariantSet& set, const EffectFit& fit) const;
+  ModelPoint Moved(const VariantSet& set, const EffectFit& fit) const;
 
   /// Residual (N×6) of a set in the linear model, biases taken off; by flight.
   std::vector<ResidualModel::Wrenches> ResidualsOf(const VariantSet& set,
                                                    const EffectFit& fit) const;
 
-  struct Column : Coefficient {
+  struct Column : ResidualCoefficient {
     int flight = -1;  ///< whose own it is; -1: shared
   };
   const Column& column(int k) const { return columns_[static_cast<size_t>(k)]; }
@@ -164,7 +164,7 @@ class Evidence {
   /// Gives flight `f`'s new columns their places, shared ones among `shared` (by name).
   void Place(size_t f, const std::vector<int>& local, std::map<std::string, int>* shared,
              std::vector<int>* columns);
-  bool IsOwn(const Coefficient& coefficient) const;
+  bool IsOwn(const ResidualCoefficient& coefficient) const;
   /// True if a parameter is a setting that a variant of the set fits.
   bool IsFitted(const VariantSet& set, const std::string& name) const;
   void Assemble();
@@ -205,7 +205,7 @@ class Evidence {
   std::vector<std::vector<int>> place_;  // of each flight's columns among `columns_`
   // Of each flight's variants, its columns; by variant.
   std::vector<std::vector<FlightRegression::Added>> added_;
-  Stage stage_;
+  ModelPoint point_;
   int jobs_;
   int num_channels_;
   std::array<double, kNumChannels> plain_sigma_{};  // of the residual of all flights

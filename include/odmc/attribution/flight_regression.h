@@ -11,13 +11,13 @@
 
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/instruments.h"
+#include "odmc/attribution/model_point.h"
 #include "odmc/attribution/residual.h"
-#include "odmc/attribution/stage.h"
 
 namespace odmc {
 
 /// A coefficient of the residual's regression: a parameter's change from where it is linearized.
-struct Coefficient {
+struct ResidualCoefficient {
   std::string name;         ///< full name
   std::string effect;       ///< empty for a bias, and for what of a parameter is this flight's own
   double about = 0.0;       ///< value = about + coefficient
@@ -31,7 +31,7 @@ struct Coefficient {
 };
 
 /// What a coefficient does on a flight.
-struct Regressor : Coefficient {
+struct Regressor : ResidualCoefficient {
   ResidualModel::Wrenches d_wrench;  ///< N×6
   ResidualModel::Wrenches likely;    ///< N×6: as it would be in the likely motion
   ResidualModel::Wrenches foreseen;  ///< N×6: what of it was known before
@@ -53,15 +53,15 @@ class FlightRegression {
   };
 
   /// @param residual, instruments of the same flight; outlive this
-  /// @param stage the declared model and the values about which it is linearized
+  /// @param point the declared model and the values about which it is linearized
   FlightRegression(const ResidualModel* residual, const Instruments* instruments,
-                   const Stage& stage);
+                   const ModelPoint& point);
 
   /// Adds a way for an effect to act, linearized about `at` (full names; zero or, for what must not
   /// be zero, the catalogue's value where it has no entry). No columns where it does nothing.
-  Added Add(const Candidate& candidate, const std::map<std::string, double>& at);
+  Added Add(const EffectCandidate& candidate, const std::map<std::string, double>& at);
   /// Linearizes it anew. Parameters that do nothing there stay, without a derivative.
-  void Relinearize(const Candidate& candidate, const std::map<std::string, double>& at,
+  void Relinearize(const EffectCandidate& candidate, const std::map<std::string, double>& at,
                    Added* added);
 
   /// Estimates the noise from the residual of all that was added, and whitens with it. To be
@@ -72,7 +72,7 @@ class FlightRegression {
   const ResidualModel& residual() const { return *residual_; }
   const ThinnedFlight& flight() const { return residual_->flight(); }
   /// With every value of the model.
-  const Stage& stage() const { return stage_; }
+  const ModelPoint& point() const { return point_; }
   int num_base() const { return num_base_; }
   int num_channels() const { return num_channels_; }
   int num_columns() const { return static_cast<int>(columns_.size()); }
@@ -97,10 +97,10 @@ class FlightRegression {
   /// Sums of products of the declared model's columns, a candidate's, and the residual less what
   /// the candidate does beyond its linearization: by the noise, and as if that were white.
   struct Glance {
-    std::vector<Coefficient> columns;  ///< the candidate's; empty if it does nothing
+    std::vector<ResidualCoefficient> columns;  ///< the candidate's; empty if it does nothing
     Eigen::MatrixXd serial, white;
   };
-  Glance GlanceAt(const Candidate& candidate, const std::map<std::string, double>& at) const;
+  Glance GlanceAt(const EffectCandidate& candidate, const std::map<std::string, double>& at) const;
 
   /// A function of the flight's samples in one channel, whitened.
   /// @param scale its unit [N or N m]
@@ -130,9 +130,10 @@ class FlightRegression {
     kActing,     ///< those that do something
     kAtAGlance,  ///< of these not what moves by itself, and without noise
   };
-  Seen See(const Candidate& candidate, const std::map<std::string, double>& at, What what) const;
-  Seen SeeFully(const Candidate& candidate, const DynamicModel& model, const ModelValues& values,
-                What what) const;
+  Seen See(const EffectCandidate& candidate, const std::map<std::string, double>& at,
+           What what) const;
+  Seen SeeFully(const EffectCandidate& candidate, const DynamicModel& model,
+                const ModelValues& values, What what) const;
   void AddBase();
   void AddNuisances();
   /// Samples in use, each channel over the residual's size, one channel after the other.
@@ -165,7 +166,7 @@ class FlightRegression {
   const ResidualModel* residual_;
   const Instruments* instruments_;
   ResidualModel likely_;  // of the likely motion
-  Stage stage_;
+  ModelPoint point_;
   int num_channels_;
   ResidualModel::Wrenches y_, likely_y_;
   std::array<double, kNumChannels> plain_sigma_{};  // of y

@@ -8,8 +8,8 @@
 #include "odmc/analysis/prediction.h"
 #include "odmc/attribution/attribution_options.h"
 #include "odmc/attribution/gust_test.h"
+#include "odmc/attribution/model_point.h"
 #include "odmc/attribution/ranked_effect.h"
-#include "odmc/attribution/stage.h"
 #include "odmc/model/parameter_set.h"
 #include "odmc/sensing/samples.h"
 
@@ -25,7 +25,7 @@ struct GustCase {
 /// The case for gusts behind what a model leaves; they vary, so that no fixed regressor shows them.
 /// @param left what the model leaves of the wrench (N×6)
 /// @param declared the online estimate without effects added
-GustCase RankGusts(const ResidualModel& residual, const Stage& stage,
+GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
                    const ResidualModel::Wrenches& left, const ParameterSet& declared,
                    const AttributionOptions& options);
 

@@ -18,7 +18,7 @@ namespace odmc {
 /// so only effects whose sign physics gives are asked for this way.
 /// @returns their names, each once
 std::vector<std::string> QuickEffects(const Vehicle& vehicle,
-                                      const std::vector<Candidate>& candidates);
+                                      const std::vector<EffectCandidate>& candidates);
 
 /// The case for an effect by an online estimate of the model that has it: gain of log evidence is
 /// the density of its parameters at zero a priori over the same a posteriori (Savage's ratio;

@@ -8,7 +8,7 @@ namespace odmc {
 constexpr int kShortestRun = 50;
 
 /// What the spectrum of a residual says: how much of it is structured, and how surely.
-struct Whiteness {
+struct WhitenessResult {
   double p = 1.0;                 ///< chance of this much structure in unstructured noise
   double structured_share = 0.0;  ///< of the variance, 0 to 1
   double nats = 0.0;              ///< log-likelihood that structure explains beyond noise
@@ -21,8 +21,8 @@ struct Whiteness {
 /// @param runs equally spaced stretches of the residual; short ones (kShortestRun) are left out
 /// @param rate_Hz samples a second
 /// @param highest_Hz frequencies above it are not looked at (the filter's edge)
-Whiteness TestWhiteness(const std::vector<std::vector<double>>& runs, double rate_Hz,
-                        double highest_Hz);
+WhitenessResult TestWhiteness(const std::vector<std::vector<double>>& runs, double rate_Hz,
+                              double highest_Hz);
 
 /// Autocorrelation of a residual at lags 0, 1, ... count-1 samples, within the runs.
 std::vector<double> Autocorrelation(const std::vector<std::vector<double>>& runs, int count);

@@ -13,7 +13,7 @@ namespace odmc {
 struct ChannelStructure {
   std::string name, unit;
   double rmse = 0.0;
-  Whiteness whiteness;
+  WhitenessResult whiteness;
   std::vector<double> autocorrelation;       ///< at lags of 40 ms
   std::map<std::string, double> dependence;  ///< share of variance by a quadratic in each quantity
 };

@@ -12,7 +12,7 @@
 namespace odmc {
 
 /// What is wrong with the declared model of one test flight.
-enum class Undeclared {
+enum class UndeclaredKind {
   kNothing,     ///< the declared model is the truth
   kNotExcited,  ///< an effect acts whose regressor the flight hardly moves
   kOneEffect,
@@ -23,7 +23,7 @@ enum class Undeclared {
 /// One test flight to be made.
 struct UndeclaredPlan {
   int number = 0;
-  Undeclared kind = Undeclared::kNothing;
+  UndeclaredKind kind = UndeclaredKind::kNothing;
   std::vector<std::string> effects;  ///< undeclared ones, the larger first
   std::string strength;              ///< strong, medium, weak; empty without
   double share = 0.0;  ///< wanted share of the residual's variance on its largest axis

@@ -12,7 +12,7 @@ namespace odmc {
 
 /// Which parts of the model a controller makes up for. Thrust, rotor torque, mass and inertia it
 /// always uses; what is switched off counts as zero.
-struct Compensation {
+struct CompensatedEffects {
   bool drag = true;
   bool hvt = true;
   bool viscous_torque = true;
@@ -31,7 +31,7 @@ struct Compensation {
     v->Field("compensate_others", &others);
   }
 
-  static Compensation None() { return {false, false, false, false, false, false}; }
+  static CompensatedEffects None() { return {false, false, false, false, false, false}; }
 
   /// True if `effect` is to be made up for.
   bool Has(const std::string& effect) const;
@@ -41,7 +41,7 @@ struct Compensation {
 /// those zeroed that are not to be compensated.
 class ControlModel {
  public:
-  ControlModel(std::shared_ptr<const DynamicModel> model, const Compensation& compensation);
+  ControlModel(std::shared_ptr<const DynamicModel> model, const CompensatedEffects& compensation);
 
   /// Takes other values of the model's parameters (num_parameters()×1).
   void SetValues(const ModelValues& values);

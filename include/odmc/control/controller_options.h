@@ -39,7 +39,7 @@ struct ControllerOptions {
   double correction_time_s = 0.05;    ///< with which odometry corrects the prediction [s], > 0
   double max_odometry_age_s = 0.3;    ///< beyond it the vehicle levels and sinks [s], > 0
   double failsafe_sink_share = 0.05;  ///< of weight by which thrust is then below hover
-  Compensation compensation;
+  CompensatedEffects compensation;
 
   /// Shows every field, by key, to a reader or a printer.
   template <typename Visitor>

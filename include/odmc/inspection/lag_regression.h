@@ -31,7 +31,7 @@ struct LagProblem {
 };
 
 /// Lateness of a stream. `lag_s` > 0: its stamps are late.
-struct Lag {
+struct StreamLag {
   double lag_s = 0.0;
   double scatter_s = 0.0;  ///< sigma from the scatter of the likelihood's slope over blocks of time
   /// How far the controller's answers to disturbances may pull the lag: the more, the less of the
@@ -61,6 +61,6 @@ constexpr double kLeastContrast = 3.0;
 /// Lag by generalised least squares with the noise's colour and its size in each block of time
 /// estimated beside it; coarse steps over the reach, then parabolas. Empty where there are fewer
 /// than 6 blocks to judge by.
-std::optional<Lag> EstimateLag(const LagProblem& problem);
+std::optional<StreamLag> EstimateLag(const LagProblem& problem);
 
 }  // namespace odmc

@@ -13,7 +13,7 @@ namespace odmc {
 struct TimeOffset {
   std::string stream;   ///< "rotor_speeds", "body_rates", "velocity", "gyro", "accelerometer"
   std::string against;  ///< "body_rates", "gyro", "attitude", "position", "velocity"
-  Lag lag;              ///< lag_s > 0: late
+  StreamLag lag;        ///< lag_s > 0: late
   double compensated_s = 0.0;
 };
 

@@ -11,7 +11,7 @@ namespace odmc {
 /// What every reader of recorded flights does to the samples it read, whatever their format.
 
 /// Counts samples refused for one reason, and makes one warning of them.
-struct Refusals {
+struct RefusedSamples {
   long count = 0;
   std::string first;  ///< where the first one was
 

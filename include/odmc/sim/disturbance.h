@@ -31,9 +31,9 @@ class Disturbance {
 
 /// Parameters that vary in flight, as first-order Gauss-Markov processes, and the body that varies
 /// with them and with time; renewed every 10 ms. `model` must outlive it.
-class Variation {
+class VaryingParameters {
  public:
-  Variation(const DynamicModel& model, const ModelValues& values, int seed);
+  VaryingParameters(const DynamicModel& model, const ModelValues& values, int seed);
 
   /// Brings `body` to `time_s`; to be asked in the order of time.
   void Apply(double time_s, RigidBody* body);

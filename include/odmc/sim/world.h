@@ -133,7 +133,7 @@ class World {
   std::optional<MotorDrive> drive_;  // of a vehicle with an actuator
   Turbulence turbulence_;
   Disturbance disturbance_;
-  Variation variation_;
+  VaryingParameters variation_;
   HangingLoad load_;
   GroundContact ground_;
   SensorSuite sensors_;

@@ -1,4 +1,4 @@
-#include "odmc/attribution/stage.h"
+#include "odmc/attribution/model_point.h"
 
 #include <algorithm>
 #include <optional>
@@ -25,15 +25,15 @@ void HoldInitialState(const RankedEffect& effect, Vehicle* vehicle) {
 
 }  // namespace
 
-Stage Stage::OfFlight(size_t flight) const {
-  Stage one{vehicle, values, {}, scatter};
+ModelPoint ModelPoint::OfFlight(size_t flight) const {
+  ModelPoint one{vehicle, values, {}, scatter};
   if (flight < own.size()) {
     for (const auto& [name, value] : own[flight]) one.values[name] = value;
   }
   return one;
 }
 
-Vehicle VehicleWith(const Vehicle& vehicle, const Candidate& candidate) {
+Vehicle VehicleWith(const Vehicle& vehicle, const EffectCandidate& candidate) {
   Vehicle extended = vehicle;
   extended.effects.push_back(candidate.effect);
   for (const auto& [name, value] : candidate.settings) {
@@ -46,7 +46,7 @@ Vehicle VehicleWith(const Vehicle& vehicle, const Candidate& candidate) {
 }
 
 Vehicle VehicleWith(const Vehicle& vehicle, const RankedEffect& effect) {
-  Candidate candidate;
+  EffectCandidate candidate;
   candidate.effect = effect.name;
   candidate.settings = effect.settings;
   candidate.freed = effect.freed;
@@ -70,24 +70,24 @@ Vehicle WithPriorsOf(const Vehicle& file_vehicle, const Vehicle& vehicle) {
   return asked;
 }
 
-Stage StageOf(const DynamicModel& model, const ModelValues& values) {
-  Stage stage;
-  stage.vehicle = model.vehicle();
+ModelPoint ModelPointOf(const DynamicModel& model, const ModelValues& values) {
+  ModelPoint point;
+  point.vehicle = model.vehicle();
   for (int i = 0; i < model.num_parameters(); ++i) {
     const ModelParameter& p = model.parameters()[i];
-    stage.values[p.full_name] = p.effect == "inertia" ? p.spec.prior_value : values[i];
+    point.values[p.full_name] = p.effect == "inertia" ? p.spec.prior_value : values[i];
   }
-  return stage;
+  return point;
 }
 
-Vehicle VehicleWithEffects(const Vehicle& vehicle, const Stage& stage,
+Vehicle VehicleWithEffects(const Vehicle& vehicle, const ModelPoint& point,
                            const std::vector<RankedEffect>& effects,
                            const std::map<std::string, ParameterSetting>& known) {
   Vehicle extended = vehicle;
   const DynamicModel declared(vehicle, vehicle.effects);
   for (const ModelParameter& p : declared.parameters()) {
     if (!p.estimated || p.effect == "inertia") continue;
-    extended.parameters[p.full_name].value = stage.values.at(p.full_name);
+    extended.parameters[p.full_name].value = point.values.at(p.full_name);
     extended.parameters[p.full_name].sigma = p.spec.prior_sigma;
   }
   for (const RankedEffect& effect : effects) {

@@ -1,4 +1,4 @@
-#include "odmc/inspection/explanations.h"
+#include "odmc/inspection/stream_readings.h"
 
 #include <algorithm>
 #include <cmath>
@@ -19,7 +19,7 @@ std::vector<double> BlockSquares(const Eigen::Matrix3Xd& error, int windows) {
   return squares;
 }
 
-/// Of two explanations' mean squares, block by block.
+/// Of two readings' mean squares, block by block.
 struct LogRatio {
   double median = 0.0;
   double sigmas = 0.0;  ///< of the mean, in standard errors
@@ -42,7 +42,7 @@ LogRatio Ratio(const std::vector<double>& a, const std::vector<double>& b) {
 
 /// How far the truth lies from `first` towards `best`, and its sigma by blocks of windows.
 void Towards(const Eigen::Matrix3Xd& first, const Eigen::Matrix3Xd& best, int windows,
-             BestExplanation* verdict) {
+             BestReading* verdict) {
   std::vector<double> along, square;
   double sum = 0.0, weight = 0.0;
   for (Eigen::Index i = 0; i + windows <= first.cols(); i += windows) {
@@ -65,7 +65,7 @@ void Towards(const Eigen::Matrix3Xd& first, const Eigen::Matrix3Xd& best, int wi
 
 }  // namespace
 
-bool BestExplanation::mistaken() const {
+bool BestReading::mistaken() const {
   if (best == 0) return false;
   if (share < kMistakeShare && sigmas > kMistakeSigmas) return true;
   if (fitted || share > kTowardsShare) return false;
@@ -74,11 +74,10 @@ bool BestExplanation::mistaken() const {
   return nats > std::log((1.0 - kMistakesAre) / (kMistakesAre * kFalselyMistaken));
 }
 
-BestExplanation CompareExplanations(const std::vector<Explanation>& explanations,
-                                    int windows_per_block) {
-  BestExplanation verdict;
+BestReading CompareReadings(const std::vector<StreamReading>& readings, int windows_per_block) {
+  BestReading verdict;
   std::vector<std::vector<double>> squares;
-  for (const Explanation& e : explanations) {
+  for (const StreamReading& e : readings) {
     squares.push_back(BlockSquares(e.error, windows_per_block));
   }
   if (squares.empty() || squares.front().size() < kLeastBlocks) return verdict;
@@ -90,8 +89,8 @@ BestExplanation CompareExplanations(const std::vector<Explanation>& explanations
          Ratio(squares[static_cast<size_t>(verdict.best)], best_squares).sigmas > kAsGoodSigmas) {
     ++verdict.best;
   }
-  verdict.fitted = explanations[static_cast<size_t>(verdict.best)].fitted;
-  Towards(explanations.front().error, explanations[static_cast<size_t>(verdict.best)].error,
+  verdict.fitted = readings[static_cast<size_t>(verdict.best)].fitted;
+  Towards(readings.front().error, readings[static_cast<size_t>(verdict.best)].error,
           windows_per_block, &verdict);
   verdict.error_rms = std::sqrt(medians.front());
   verdict.best_error_rms = std::sqrt(medians[verdict.best]);

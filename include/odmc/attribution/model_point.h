@@ -11,7 +11,7 @@
 namespace odmc {
 
 /// A model with the values about which it is looked at.
-struct Stage {
+struct ModelPoint {
   Vehicle vehicle;
   std::map<std::string, double> values;  ///< by full name
   /// Of several flights, what each has in the place of these: direction of gravity, wind.
@@ -19,12 +19,12 @@ struct Stage {
   /// By how much a parameter of the vehicle differs from flight to flight (standard deviation).
   std::map<std::string, double> scatter = {};
 
-  /// The stage of one of them.
-  Stage OfFlight(size_t flight) const;
+  /// The point of one of them.
+  ModelPoint OfFlight(size_t flight) const;
 };
 
 /// The vehicle with a candidate added, its settings frozen, what it frees estimated.
-Vehicle VehicleWith(const Vehicle& vehicle, const Candidate& candidate);
+Vehicle VehicleWith(const Vehicle& vehicle, const EffectCandidate& candidate);
 /// The same with an effect that was found, and its settings.
 Vehicle VehicleWith(const Vehicle& vehicle, const RankedEffect& effect);
 
@@ -37,14 +37,14 @@ Vehicle WithPriorsOf(const Vehicle& file_vehicle, const Vehicle& vehicle);
 
 /// A model as the online estimator found it, inertia as the vehicle file has it: online it takes
 /// the noise of the rotor speeds, and what else acts, for its own.
-Stage StageOf(const DynamicModel& model, const ModelValues& values);
+ModelPoint ModelPointOf(const DynamicModel& model, const ModelValues& values);
 
 /// The vehicle with what was found. Everything starts where the fit (which has not seen what is
 /// held out) has brought it: what multiplies each other, as wind and drag, has more than one
 /// valley.
 /// @param vehicle with the declared effects
 /// @param known of other parameters, by full name: value and sigma
-Vehicle VehicleWithEffects(const Vehicle& vehicle, const Stage& stage,
+Vehicle VehicleWithEffects(const Vehicle& vehicle, const ModelPoint& point,
                            const std::vector<RankedEffect>& effects,
                            const std::map<std::string, ParameterSetting>& known = {});
 

@@ -7,15 +7,15 @@
 namespace odmc {
 
 /// One way to read a stream, and how far it then is from what it should be.
-struct Explanation {
+struct StreamReading {
   std::string name;          ///< "as it is", "in the body frame"
   Eigen::Matrix3Xd error{};  ///< of every window
   bool fitted = false;       ///< has a parameter that was fitted to these windows
 };
 
-/// What blocks of windows say about explanations of the same windows.
-struct BestExplanation {
-  int best = 0;            ///< index of the explanation with the least error
+/// What blocks of windows say about readings of the same windows.
+struct BestReading {
+  int best = 0;            ///< index of the reading with the least error
   double share = 1.0;      ///< its mean square over that of the first, median of the blocks
   double sigmas = 0.0;     ///< of the mean log ratio over blocks, in standard errors
   double error_rms = 0.0;  ///< of the first, median of the blocks
@@ -47,9 +47,8 @@ constexpr double kTowardsShare = 0.5;
 /// is taken. (Mean square over the least, median of the blocks; log ratio in standard errors.)
 constexpr double kAsGoodShare = 1.1, kAsGoodSigmas = 3.0;
 
-/// Compares explanations (the first: as it is; then the likeliest first). @param windows_per_block
+/// Compares readings (the first: as it is; then the likeliest first). @param windows_per_block
 /// > 0
-BestExplanation CompareExplanations(const std::vector<Explanation>& explanations,
-                                    int windows_per_block);
+BestReading CompareReadings(const std::vector<StreamReading>& readings, int windows_per_block);
 
 }  // namespace odmc
