@@ -35,8 +35,11 @@ FlightState RandomFlight(const Vehicle& vehicle, Random* random) {
   flight.p_WB = Vector3d(0.0, 0.0, 1.0) + random->Next3(0.5);
   flight.v_AB_B = random->Next3(6.0);
   flight.w_WB_B = random->Next3(6.0);
-  flight.load.pull_W += random->Next3(3.0);
-  for (int i = 0; i < 4; ++i) flight.load.d_swing.col(i) = random->Next3(8.0);
+  flight.load.cable_W = (flight.load.cable_W + random->Next3(0.4)).normalized();
+  flight.load.own_m_s2 = 2.0 + random->Next(2.0);
+  for (int i = 0; i < 4; ++i) {
+    flight.load.d_swing.col(i) << random->Next3(1.0), random->Next(4.0);
+  }
   flight.load.swing << random->Next(0.2), random->Next(0.2), random->Next(0.2), random->Next(0.2);
   RotorVector speed(vehicle.num_rotors());
   for (int j = 0; j < speed.size(); ++j) speed[j] = 1100.0 + random->Next(300.0);
@@ -217,8 +220,8 @@ TEST_P(EveryEffect, AnswersTheSameInATurnedScene) {
   const Eigen::Matrix3d turn = Exp(Vector3d(0.0, 0.0, 1.1)).toRotationMatrix();
   flight.R_WB = (turn * flight.R_WB).eval();
   flight.p_WB = (turn * flight.p_WB).eval();
-  flight.load.pull_W = (turn * flight.load.pull_W).eval();
-  flight.load.d_swing = (turn * flight.load.d_swing).eval();
+  flight.load.cable_W = (turn * flight.load.cable_W).eval();
+  flight.load.d_swing.topRows<3>() = (turn * flight.load.d_swing.topRows<3>()).eval();
   EXPECT_LT((WrenchAt(flight, values, Vector3d::Zero()) - before).norm(), 1e-12);
 }
 
