@@ -10,8 +10,6 @@ constexpr int kPlace = 3, kFirstSwing = 6;              // of the parameters
 constexpr double kShortest_m = 0.08, kLongest_m = 2.6;  // cables to try
 constexpr double kLengthRatio = 1.15;                   // from one length to the next
 constexpr double kLengthReach = 1.5;                    // how far from there it is fitted
-// Small, since the cable's pull is linear in the load only beside the vehicle's mass.
-constexpr double kTriedShare = 0.02;  // of the vehicle's mass
 constexpr double kLeastDamping = 0.002, kMostDamping = 0.4;
 
 /// A load on a cable: f = T R^T ζ at ξ, ζ the cable's direction, from a pendulum that the measured
@@ -62,13 +60,12 @@ class SuspendedLoad final : public Effect {
     const double arm = vehicle().ArmLength();
     for (double l = std::max(kShortest_m, arm); l < kLongest_m; l *= kLengthRatio) {
       for (const double damping : {0.02, 0.1}) {
-        trials.push_back(
-            {{},
-             {{"mass", kTriedShare * vehicle().mass_kg}, {"length", l}, {"damping", damping}},
-             {},
-             {"length", "damping"},
-             {{"length", {l / kLengthReach, l * kLengthReach}},
-              {"damping", {kLeastDamping, kMostDamping}}}});
+        trials.push_back({{},
+                          {{"mass", 0.05 * vehicle().mass_kg}, {"length", l}, {"damping", damping}},
+                          {},
+                          {"length", "damping"},
+                          {{"length", {l / kLengthReach, l * kLengthReach}},
+                           {"damping", {kLeastDamping, kMostDamping}}}});
       }
     }
     return trials;
