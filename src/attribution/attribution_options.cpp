@@ -36,7 +36,8 @@ const std::vector<DecisionNumber>& DecisionNumbers() {
       {"most_flight_s", "s", &O::most_flight_s, 30.0, 1e5,
        "judgement: bounds time and memory; of a longer flight, stretches spread over it"},
       {"least_share", "1", &O::least_share, 0.0, 1.0,
-       "judgement: formulas are good to some per cent, the rest is a strong effect's shadow"},
+       "judgement: formulas are good to some per cent, the rest of a strong effect can resemble a "
+       "weak one"},
       {"regressor_noise", "1", &O::regressor_noise, 0.0, 1.0,
        "judgement: share of a regressor that is noise, at most; less where less of it is "
        "unforeseen"},
@@ -69,12 +70,12 @@ const std::vector<DecisionNumber>& DecisionNumbers() {
       {"significant_sigmas", "sigma", &O::significant_sigmas, 0.0, 20.0,
        "normal: noise alone exceeds three sigma once in 370 times"},
       {"agree_share", "1", &O::agree_share, 0.0, 1.0,
-       "judgement: winds and drags bend each other; only a warning depends on it"},
+       "judgement: winds and drags bias each other; only a warning depends on it"},
       {"known_thrust_share", "1", &O::known_thrust_share, 0.0, 1.0,
-       "judgement: mass and k_f are one, and less than 5 % of mass is not sought"},
+       "judgement: mass and k_f cannot be told apart, and less than 5 % of mass is not sought"},
       {"opposite_share", "1", &O::opposite_share, 0.0, 0.5,
-       "of several flights: an effect that one flight in ten shows with the other sign is none of "
-       "the vehicle's"},
+       "of several flights: an effect with the other sign on one flight in ten is not a property "
+       "of the vehicle"},
   };
   return numbers;
 }
