@@ -10,7 +10,7 @@
 namespace odmc {
 namespace {
 
-// Gains in accelerations: closed-loop poles near 3 rad/s (position) and 12 rad/s (attitude).
+// Gains in accelerations: poles near 3 rad/s (position) and 12 rad/s (attitude).
 constexpr double kPosition = 9.0;    // [1/s²]
 constexpr double kVelocity = 5.0;    // [1/s]
 constexpr double kAttitude = 150.0;  // [1/s²]

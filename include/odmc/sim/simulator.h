@@ -100,7 +100,7 @@ using TruthSink = std::function<void(const TruthSample&)>;
 /// delay, its motors know no limits and its battery empties with time alone.
 WorldOptions WorldOf(const SimulationOptions& options, const SimulationNoise& noise);
 
-/// Flies `model` at the values `truth` along a trajectory in closed loop and records what the
+/// Flies `model` at the values `truth` along a trajectory with a pilot and records what the
 /// sensors of its World deliver, at their true places. The same arguments give the same flight, and
 /// the noise of one sensor does not change that of another. A vehicle with an actuator is flown by
 /// throttles at the voltage of its battery, which are recorded (at every control step, 2.5 ms or

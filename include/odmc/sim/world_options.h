@@ -5,7 +5,7 @@
 
 namespace odmc {
 
-/// The world of a closed-loop simulation: motors, battery, air, ground, sensors, and what happens
+/// The world of a flight simulation: motors, battery, air, ground, sensors, and what happens
 /// when. Times of events are since the start, 0: never. A rate of 0 switches a sensor off.
 struct WorldOptions {
   double step_s = 0.001;  ///< of the integration [s], > 0, <= 0.001; stamps are whole nanoseconds
