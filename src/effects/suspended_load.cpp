@@ -18,7 +18,7 @@ constexpr double kLeastDamping = 0.002, kMostDamping = 0.4;
 ///   T = m_L (l |dζ/dt|² - ζ·(a_P + g e3)),  m (a_Bcm + g e3) = F + T ζ
 ///
 /// and so T = m_L/(m + m_L) (m own - ζ·F), own as in LoadPull. The measured acceleration is not
-/// used: its noise is in the force as well, and would make the load light.    model.md 12.17
+/// used: its noise is in the force as well.               model.md 12.17, Eqs. (M27), (M46)
 class SuspendedLoad final : public Effect {
  public:
   explicit SuspendedLoad(const Vehicle& vehicle)

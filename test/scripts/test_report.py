@@ -275,11 +275,20 @@ class ReportTest(unittest.TestCase):
                 file.write(content)
         self.assertEqual(len(self.pictures(self.render())), 7)
 
+    def cpu_seconds(self) -> float:
+        """Of rendering once: one thread's CPU time, since the machine may be busy."""
+        before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+        self.render()
+        return resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
+
+    def test_is_drawn_at_once(self) -> None:
+        self.write_all(1850)  # 18.5 s, as the example of NeuroBEM
+        # 0.3 s; its bound is 0.5 s, here for a machine half as fast.
+        self.assertLess(min(self.cpu_seconds() for _ in range(3)), 1.0)
+
     def test_long_flight_takes_less_than_five_seconds(self) -> None:
         self.write_all(12000)
-        before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-        self.render()  # one thread: its CPU time, since the machine may be busy
-        self.assertLess(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before, 5.0)
+        self.assertLess(self.cpu_seconds(), 5.0)
         self.assertLess(len(self.page), 12e6)
 
     def test_table_prints_parameters_and_prediction(self) -> None:
