@@ -22,7 +22,7 @@ using Eigen::Vector3d;
 using Eigen::VectorXd;
 
 constexpr double kTimeConstants_s[] = {0.3, 0.7, 1.5, 3.0, 6.0};
-constexpr int kLeastSamples = 40;        // 4 s
+constexpr int kLeastSamples = 40;        // 3.2 s
 constexpr double kLeastCurvature = 1.0;  // the natural size alone
 constexpr double kSizes[] = {0.35, 0.6, 1.0, 1.6, 2.5};
 constexpr int kProcess = 7;                 // unknowns of Hypothesis beside the drag
