@@ -241,7 +241,7 @@ FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
   return flight;
 }
 
-LoadPull LoadPuller::PullAt(const FilteredMotion& now, const ModelValues& values) {
+Vector3d LoadPuller::PullAt(const FilteredMotion& now, const ModelValues& values) {
   // The filter takes its first half window; before that the vehicle stood still or was on course.
   const SensorMotion sensor{now.v_WS, now.R_WS, now.w_S};
   if (is_first_) {
@@ -250,16 +250,16 @@ LoadPull LoadPuller::PullAt(const FilteredMotion& now, const ModelValues& values
   }
   is_first_ = false;
   // Through gaps with their mean acceleration, which leaves the velocity right.
-  const LoadPull load = load_.Advance(last_, sensor, now.t_s - t_s_, values);
+  const Vector3d pull_W = load_.Advance(last_, sensor, now.t_s - t_s_, values).pull_W;
   last_ = sensor;
   t_s_ = now.t_s;
-  return load;
+  return pull_W;
 }
 
-std::vector<LoadPull> LoadPulls(const FlightMotion& flight, const DynamicModel& model,
-                                const ModelValues& values) {
+std::vector<Eigen::Vector3d> LoadPulls(const FlightMotion& flight, const DynamicModel& model,
+                                       const ModelValues& values) {
   LoadPuller load(model);
-  std::vector<LoadPull> pulls;
+  std::vector<Vector3d> pulls;
   pulls.reserve(flight.samples.size());
   for (const FilteredMotion& now : flight.samples) pulls.push_back(load.PullAt(now, values));
   return pulls;

@@ -20,7 +20,7 @@ Vector3d RotorTorque(const std::vector<EffectWrench>& effects) {
 }
 
 /// What the model sees of a sample.
-FlightState FlightStateOf(const FilteredMotion& motion, const LoadPull& load,
+FlightState FlightStateOf(const FilteredMotion& motion, const Vector3d& load_pull_W,
                           const BodyProperties& body) {
   FlightState flight;
   flight.time_s = motion.t_s;
@@ -30,7 +30,7 @@ FlightState FlightStateOf(const FilteredMotion& motion, const LoadPull& load,
   const Vector3d v_WB = motion.v_WS - flight.R_WB * flight.w_WB_B.cross(body.p_BS);
   flight.v_AB_B = flight.R_WB.transpose() * (v_WB - body.wind_W);
   flight.rotors = motion.rotors;
-  flight.load = load;
+  flight.load.pull_W = load_pull_W;
   return flight;
 }
 
@@ -43,7 +43,7 @@ double DifferenceStep(const ModelParameter& parameter, double value) {
              : kStep * std::max(std::abs(value), parameter.spec.scale);
 }
 
-PredictionSample PredictSample(const FilteredMotion& motion, const LoadPull& load,
+PredictionSample PredictSample(const FilteredMotion& motion, const Vector3d& load_pull_W,
                                const Vehicle& vehicle, const DynamicModel& model,
                                const ModelValues& values, bool with_effects,
                                const BodyProperties* known) {
@@ -66,7 +66,7 @@ PredictionSample PredictSample(const FilteredMotion& motion, const LoadPull& loa
   // Predicted: the model in its own body frame B, then taken to F.
   const BodyProperties body =
       known != nullptr ? *known : model.Properties(values, nullptr, motion.t_s);
-  const FlightState flight = FlightStateOf(motion, load, body);
+  const FlightState flight = FlightStateOf(motion, load_pull_W, body);
   const Matrix3d& R_WB = flight.R_WB;
   const Vector3d& w_B = flight.w_WB_B;
   out.height_m = flight.p_WB.z();
@@ -176,12 +176,13 @@ PredictionFigures PredictEach(const FlightLog& log, const Vehicle& file_vehicle,
                               const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
                               const ValueVariation& vary, const PredictionSink& use) {
   PredictionSummary summary;
-  LoadPuller puller(model);
+  LoadPuller load(model);
   const auto predict = [&](const FilteredMotion& motion) {
     ModelValues present = values;
     if (vary) vary(motion.t_s, &present);
-    const LoadPull load = puller.PullAt(motion, values);
-    const PredictionSample sample = PredictSample(motion, load, file_vehicle, model, present, true);
+    const Vector3d pull_W = load.PullAt(motion, values);
+    const PredictionSample sample =
+        PredictSample(motion, pull_W, file_vehicle, model, present, true);
     summary.Add(sample);
     use(sample);
   };

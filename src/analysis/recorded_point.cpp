@@ -40,9 +40,9 @@ struct Unknowns {
   VectorXd prior_mean, prior_sigma;  ///< of the change of their values
 };
 
-Vector3d ForceError(const FilteredMotion& motion, const LoadPull& load, const Vehicle& vehicle,
+Vector3d ForceError(const FilteredMotion& motion, const Vector3d& pull_W, const Vehicle& vehicle,
                     const DynamicModel& model, const ModelValues& values) {
-  const PredictionSample s = PredictSample(motion, load, vehicle, model, values, false);
+  const PredictionSample s = PredictSample(motion, pull_W, vehicle, model, values, false);
   return s.measured_force - s.predicted_force;
 }
 
@@ -76,7 +76,7 @@ Unknowns UnknownsOf(const DynamicModel& model, const ModelValues& values) {
 std::vector<std::vector<Rows>> RunsOf(const FlightMotion& flight, const Vehicle& vehicle,
                                       const DynamicModel& model, const ModelValues& values,
                                       const Unknowns& unknowns, int stride) {
-  const std::vector<LoadPull> pulls = LoadPulls(flight, model, values);
+  const std::vector<Vector3d> pulls = LoadPulls(flight, model, values);
   std::vector<std::vector<Rows>> runs;
   int since = 0;
   for (size_t i = 0; i < flight.samples.size(); ++i) {

@@ -76,17 +76,6 @@ MatrixXd GramOf(const MatrixXd& B, const MatrixXd& BB, const MatrixXd& X, const 
   return gram;
 }
 
-/// A load acts by m_L/(m + m_L): linear up to a factor. The secant from no load has the tangent's
-/// direction and, where a larger load is tried than there is, leaves nothing that has to be there.
-bool IsMassThatReacts(const DynamicModel& model, const ModelParameter& parameter) {
-  for (int i = 0; i < model.num_effects(); ++i) {
-    const Effect& effect = model.effect(i);
-    if (effect.name() != parameter.effect) continue;
-    return effect.reacts_to_force() && parameter.spec.name == effect.added_mass_parameter();
-  }
-  return false;
-}
-
 }  // namespace
 
 FlightRegression::FlightRegression(const ResidualModel* residual, const Instruments* instruments,
@@ -273,9 +262,7 @@ FlightRegression::Seen FlightRegression::SeeFully(const EffectCandidate& candida
       continue;
     }
     Regressor column{CoefficientOf(model, p, 0.0, p.spec.prior_value),
-                     IsMassThatReacts(model, p) && values[k] != 0.0
-                         ? Wrenches((y_ - residual) / values[k])
-                         : residual_->Derivative(model, values, k, residual),
+                     residual_->Derivative(model, values, k, residual),
                      is_likely ? likely_.Derivative(model, values, k, likely) : nothing,
                      {}};
     column.linearized_at = values[k];

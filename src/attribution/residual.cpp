@@ -92,16 +92,16 @@ ResidualModel::ResidualModel(const ThinnedFlight* flight, const Vehicle* file_ve
 ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
                                                 const ModelValues& values) const {
   Wrenches residual(flight_->size(), kNumChannels);
-  std::vector<LoadPull> pulls;
+  std::vector<Eigen::Vector3d> pulls;
   if (model.pendulum()) pulls = LoadPulls(flight_->motion(), model, values);
-  const LoadPull still;
+  const Eigen::Vector3d hanging(0.0, 0.0, -file_vehicle_->gravity_m_s2);
   const BodyProperties body = model.Properties(values);
   const Eigen::Matrix3d R_BI = file_vehicle_->imu ? file_vehicle_->imu->q_BS.toRotationMatrix()
                                                   : Eigen::Matrix3d::Identity();
   for (int i = 0; i < flight_->size(); ++i) {
-    const LoadPull& load = pulls.empty() ? still : pulls[flight_->index(i)];
+    const Eigen::Vector3d& pull = pulls.empty() ? hanging : pulls[flight_->index(i)];
     const FilteredMotion& motion = flight_->sample(i);
-    const PredictionSample s = PredictSample(motion, load, *file_vehicle_, model, values, false,
+    const PredictionSample s = PredictSample(motion, pull, *file_vehicle_, model, values, false,
                                              model.varies() ? nullptr : &body);
     residual.row(i).head<3>() = s.measured_force - s.predicted_force;
     if (from_accelerometer_) {

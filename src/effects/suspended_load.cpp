@@ -12,48 +12,41 @@ constexpr double kLengthRatio = 1.15;                   // from one length to th
 constexpr double kLengthReach = 1.5;                    // how far from there it is fitted
 constexpr double kLeastDamping = 0.002, kMostDamping = 0.4;
 
-/// A load on a cable: f = T R^T ζ at ξ, ζ the cable's direction, from a pendulum that the measured
-/// motion drives (Pendulum). Along its cable the load is carried as mass: with F all other forces,
-///
-///   T = m_L (l |dζ/dt|² - ζ·(a_P + g e3)),  m (a_Bcm + g e3) = F + T ζ
-///
-/// and so T = m_L/(m + m_L) (m own - ζ·F), own as in LoadPull. The measured acceleration is not
-/// used: its noise is in the force as well.               model.md 12.17, Eqs. (M27), (M46)
+/// A load on a cable: f = m_L R^T π at ξ, π the cable's pull per unit of load, from a pendulum that
+/// the measured motion drives (Pendulum).                              model.md 12.17
 class SuspendedLoad final : public Effect {
  public:
   explicit SuspendedLoad(const Vehicle& vehicle)
-      : Effect(
-            vehicle,
-            {"suspended_load", "Suspended load",
-             "f = T R_WB^T zeta at xi; T = m_L (l |dzeta/dt|^2 - zeta.(a + g e3)), with m (a + g "
-             "e3) the sum of all forces; zeta a pendulum of length l driven by the vehicle's "
-             "motion",
-             "model.md 12.17; Sreenath, Lee and Kumar 2013",
-             "taut cable; driven outside the window; first order in the swing at the start"},
-            {{"mass",
-              "kg",
-              "mass of the load",
-              0.0,
-              0.5 * vehicle.mass_kg,
-              0.1 * vehicle.mass_kg,
-              ParameterTransform::kLinear,
-              PhysicalSign::kPositive,
-              false,
-              {},
-              {},
-              false,
-              true},
-             {"length", "m", "length of the cable, to the load's centre", 0.5, 0.5, 0.5,
-              ParameterTransform::kLog, PhysicalSign::kPositive, true},
-             {"damping", "1", "damping ratio of the swing", 0.03, 0.03, 0.03,
-              ParameterTransform::kLog, PhysicalSign::kPositive, true},
-             Place("x", vehicle, true),
-             Place("y", vehicle, true),
-             Place("z", vehicle, false),
-             Start("swing_x", "zeta_x"),
-             Start("swing_y", "zeta_y"),
-             Start("swing_rate_x", "d zeta_x/dt over sqrt(g/l)"),
-             Start("swing_rate_y", "d zeta_y/dt over sqrt(g/l)")}) {}
+      : Effect(vehicle,
+               {"suspended_load", "Suspended load",
+                "f = m_L R_WB^T pull at xi; pull = (l |dzeta/dt|^2 - zeta.(a + g e3)) zeta, zeta a "
+                "pendulum of length l driven by the vehicle's motion",
+                "model.md 12.17; Sreenath, Lee and Kumar 2013",
+                "taut cable; driven outside the window; first order in the swing at the start"},
+               {{"mass",
+                 "kg",
+                 "mass of the load",
+                 0.0,
+                 0.5 * vehicle.mass_kg,
+                 0.1 * vehicle.mass_kg,
+                 ParameterTransform::kLinear,
+                 PhysicalSign::kPositive,
+                 false,
+                 {},
+                 {},
+                 false,
+                 true},
+                {"length", "m", "length of the cable, to the load's centre", 0.5, 0.5, 0.5,
+                 ParameterTransform::kLog, PhysicalSign::kPositive, true},
+                {"damping", "1", "damping ratio of the swing", 0.03, 0.03, 0.03,
+                 ParameterTransform::kLog, PhysicalSign::kPositive, true},
+                Place("x", vehicle, true),
+                Place("y", vehicle, true),
+                Place("z", vehicle, false),
+                Start("swing_x", "zeta_x"),
+                Start("swing_y", "zeta_y"),
+                Start("swing_rate_x", "d zeta_x/dt over sqrt(g/l)"),
+                Start("swing_rate_y", "d zeta_y/dt over sqrt(g/l)")}) {}
 
   std::vector<EffectTrial> Trials(const FlownRange&, bool) const override {
     std::vector<EffectTrial> trials;
@@ -80,7 +73,6 @@ class SuspendedLoad final : public Effect {
     constexpr double kTurn = 6.283185307179586;
     return {{"swing_frequency", "Hz", std::sqrt(vehicle().gravity_m_s2 / own[1]) / kTurn}};
   }
-  bool reacts_to_force() const override { return true; }
   std::optional<PendulumParameters> pendulum() const override {
     return PendulumParameters{1, 2, kPlace, kFirstSwing};
   }
@@ -123,28 +115,16 @@ class SuspendedLoad final : public Effect {
                    WrenchJacobians* J) const override {
     const Eigen::Vector3d p_BP = values.segment<3>(kPlace);
     const Eigen::Matrix3d R_BW = state.R_WB.transpose();
-    const LoadPull load = state.load.For(values.segment<4>(kFirstSwing));
-    const Eigen::Vector3d cable_B = R_BW * load.cable_W, others_B = wrench->f_B;
-    const double mass = vehicle().mass_kg, total = mass + values[0], share = values[0] / total;
-    const double pull = mass * load.own_m_s2 - cable_B.dot(others_B);
-    if (!(pull > 0.0)) return;  // slack
-    const double tension = share * pull;
-    wrench->AddForceAt(p_BP, tension * cable_B);
+    const Eigen::Vector3d pull_B = R_BW * state.load.For(values.segment<4>(kFirstSwing));
+    wrench->AddForceAt(p_BP, values[0] * pull_B);
     if (J == nullptr) return;
-    J->AddForceAtByForce(p_BP, -share * cable_B * cable_B.transpose());
-    // By a change of the cable's direction.
-    const Eigen::Matrix3d by_cable =
-        tension * Eigen::Matrix3d::Identity() - share * cable_B * others_B.transpose();
-    J->AddForceAt(p_BP, kColumnAttitude, by_cable * Hat(cable_B));
-    J->AddForceAtParameter(p_BP, 0, mass * pull / (total * total) * cable_B);
+    J->AddForceAt(p_BP, kColumnAttitude, values[0] * Hat(pull_B));
+    J->AddForceAtParameter(p_BP, 0, pull_B);
     for (int i = 0; i < 3; ++i) {
-      J->AddCoupleParameter(kPlace + i, tension * Eigen::Vector3d::Unit(i).cross(cable_B));
+      J->AddCoupleParameter(kPlace + i, values[0] * Eigen::Vector3d::Unit(i).cross(pull_B));
     }
     for (int i = 0; i < 4; ++i) {
-      const Eigen::Vector4d by_swing = load.d_swing.col(i);
-      J->AddForceAtParameter(
-          p_BP, kFirstSwing + i,
-          by_cable * (R_BW * by_swing.head<3>()) + share * mass * by_swing[3] * cable_B);
+      J->AddForceAtParameter(p_BP, kFirstSwing + i, values[0] * R_BW * state.load.d_swing.col(i));
     }
   }
 };

@@ -5,8 +5,8 @@
 namespace odmc {
 namespace {
 
-// Differences of measured rates are noisy. The swing integrates them and does not care; what the
-// cable's point accelerates by against the centre of mass is smoothed.
+// Differences of measured velocities are noisy. The swing integrates them and does not care; the
+// tension takes the vehicle's acceleration as it is and gets it smoothed.
 constexpr double kSmoothing_s = 0.05;
 constexpr double kNearby = 1e-4;       // of the swing
 constexpr double kForgotten_s = 20.0;  // a gap this long leaves nothing of the swing before it
@@ -22,6 +22,7 @@ LoadObserver::LoadObserver(const DynamicModel& model, bool with_derivatives)
 LoadPull LoadObserver::Advance(const SensorMotion& from, const SensorMotion& to, double dt,
                                const ModelValues& values) {
   LoadPull pull;
+  pull.pull_W = Eigen::Vector3d(0.0, 0.0, -gravity_);
   if (!parameters_ || !(dt > 0.0)) return pull;
   if (dt > kForgotten_s) {
     Reset();
@@ -31,23 +32,19 @@ LoadPull LoadObserver::Advance(const SensorMotion& from, const SensorMotion& to,
   const BodyProperties body = model_->Properties(values);
   const Eigen::Vector3d p_BP = values.segment<3>(parameters_->place);
   const Eigen::Vector3d p_SP_S = body.R_BS.transpose() * (p_BP - body.p_BS);
-  const Eigen::Vector3d p_CP_S = body.R_BS.transpose() * (p_BP - body.p_BBcm);
-  // Of a point of the body, as far as it turns about another one.
-  const auto turning_W = [](const SensorMotion& sensor, const Eigen::Vector3d& p_S) {
-    return Eigen::Vector3d(sensor.R_WS * sensor.w_S.cross(p_S));
+  const auto velocity_W = [&](const SensorMotion& sensor) {
+    return Eigen::Vector3d(sensor.v_WS + sensor.R_WS * sensor.w_S.cross(p_SP_S));
   };
-  const Eigen::Vector3d acceleration_W =
-      (to.v_WS + turning_W(to, p_SP_S) - from.v_WS - turning_W(from, p_SP_S)) / dt;
-  const Eigen::Vector3d of_turning_W = (turning_W(to, p_CP_S) - turning_W(from, p_CP_S)) / dt;
-  smooth_of_turning_W_ += std::min(1.0, dt / kSmoothing_s) * (of_turning_W - smooth_of_turning_W_);
+  const Eigen::Vector3d acceleration_W = (velocity_W(to) - velocity_W(from)) / dt;
+  smooth_acceleration_W_ +=
+      std::min(1.0, dt / kSmoothing_s) * (acceleration_W - smooth_acceleration_W_);
   AdvanceAll(acceleration_W, 0.5 * dt);
-  const Eigen::Vector4d hangs = HangsBy(*pendulum_);
-  pull.cable_W = hangs.head<3>();
-  pull.own_m_s2 = hangs[3];
+  pull.pull_W = pendulum_->Pull(smooth_acceleration_W_);
   pull.swing = start_;
   for (size_t i = 0; i < nearby_.size(); i += 2) {
     pull.d_swing.col(static_cast<int>(i) / 2) =
-        (HangsBy(nearby_[i]) - HangsBy(nearby_[i + 1])) / (2.0 * kNearby);
+        (nearby_[i].Pull(smooth_acceleration_W_) - nearby_[i + 1].Pull(smooth_acceleration_W_)) /
+        (2.0 * kNearby);
   }
   AdvanceAll(acceleration_W, 0.5 * dt);
   return pull;
@@ -59,14 +56,8 @@ void LoadObserver::Reset() {
   nearby_.clear();
 }
 
-Eigen::Vector4d LoadObserver::HangsBy(const Pendulum& pendulum) const {
-  Eigen::Vector4d hangs;
-  hangs << pendulum.direction_W(), pendulum.Tension(smooth_of_turning_W_);
-  return hangs;
-}
-
 void LoadObserver::Start(const ModelValues& values) {
-  smooth_of_turning_W_.setZero();
+  smooth_acceleration_W_.setZero();
   start_ =
       is_first_recording_ ? Swing(values.segment<4>(parameters_->swing)) : Swing(Swing::Zero());
   const auto with = [&](const Swing& swing) {

@@ -109,7 +109,6 @@ DynamicModel::DynamicModel(const Vehicle& vehicle, const std::vector<std::string
   }
   for (int i = 0; i < num_effects(); ++i) {
     if (effects_[i]->adds_wrench()) wrench_effects_.push_back(i);
-    reacts_ = reacts_ || effects_[i]->reacts_to_force();
     if (effects_[i]->description().from_rotor_rates) rate_effects_.push_back(i);
     if (effects_[i]->shapes_body()) {
       shaping_effects_.push_back(i);
@@ -242,14 +241,8 @@ void DynamicModel::EvaluateSome(const std::vector<int>& effects, const FlightSta
     WrenchJacobians own(p_BBcm, columns_[i], force, torque, J);
     AddEffect(i, state, at, sum, &own);
   };
-  const auto add_reacting = [&] {
-    for (const int i : effects) {
-      if (effects_[i]->reacts_to_force()) add(i, values, true, true, &wrench);
-    }
-  };
   const bool apart = anchor != nullptr && values[anchor->index] != anchor->value;
   for (const int i : effects) {
-    if (effects_[i]->reacts_to_force()) continue;
     if (!apart || !Takes(i, anchor->index)) {
       add(i, values, true, true, &wrench);
       continue;
@@ -264,14 +257,13 @@ void DynamicModel::EvaluateSome(const std::vector<int>& effects, const FlightSta
     wrench.f_points_B += for_torque.f_points_B;
     wrench.tau_Bo_B += for_torque.tau_Bo_B;
   }
-  if (J != nullptr && anchor != nullptr) {
-    J->d_anchor = J->d_values.block<3, 1>(3, anchor->index);
-    J->d_values.block<3, 1>(3, anchor->index).setZero();
-  }
-  if (reacts_) add_reacting();
   *f_B = wrench.f_B;
   *tau_Bcm_B = wrench.TorqueAbout(p_BBcm);
   if (J == nullptr) return;
+  if (anchor != nullptr) {
+    J->d_anchor = J->d_values.block<3, 1>(3, anchor->index);
+    J->d_values.block<3, 1>(3, anchor->index).setZero();
+  }
   J->d_p_BBcm.topRows<3>().setZero();
   J->d_p_BBcm.bottomRows<3>() = Hat(wrench.f_points_B);
 }
@@ -294,17 +286,10 @@ std::vector<EffectWrench> DynamicModel::EvaluateEffects(const FlightState& state
                                                         const ModelValues& values,
                                                         const Eigen::Vector3d& p_BBcm) const {
   std::vector<EffectWrench> result;
-  Eigen::Vector3d sum_B = Eigen::Vector3d::Zero();
-  for (const bool reacting : {false, true}) {
-    for (const int i : wrench_effects_) {
-      if (effects_[i]->reacts_to_force() != reacting) continue;
-      Wrench wrench;
-      if (reacting) wrench.f_B = sum_B;
-      AddEffect(i, state, values, &wrench, nullptr);
-      if (reacting) wrench.f_B -= sum_B;
-      sum_B += wrench.f_B;
-      result.push_back({effects_[i]->name(), wrench.f_B, wrench.TorqueAbout(p_BBcm)});
-    }
+  for (const int i : wrench_effects_) {
+    Wrench wrench;
+    AddEffect(i, state, values, &wrench, nullptr);
+    result.push_back({effects_[i]->name(), wrench.f_B, wrench.TorqueAbout(p_BBcm)});
   }
   return result;
 }

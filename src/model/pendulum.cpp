@@ -11,15 +11,6 @@ constexpr double kWidestSwing = 0.9;  // the load stays below the vehicle
 
 }  // namespace
 
-LoadPull LoadPull::For(const Swing& other) const {
-  const Eigen::Vector4d change = d_swing * (other - swing);
-  LoadPull result = *this;
-  result.cable_W += change.head<3>();
-  result.own_m_s2 += change[3];
-  result.swing = other;
-  return result;
-}
-
 Pendulum::Pendulum(double length_m, double damping_ratio, double gravity_m_s2, const Swing& swing)
     : length_(length_m), damping_(damping_ratio), gravity_(gravity_m_s2) {
   Eigen::Vector2d across = swing.head<2>();
@@ -42,8 +33,10 @@ void Pendulum::Advance(const Eigen::Vector3d& acceleration_W, double dt) {
   }
 }
 
-double Pendulum::Tension(const Eigen::Vector3d& acceleration_W) const {
-  return length_ * d_zeta_.squaredNorm() - zeta_.dot(acceleration_W);
+Eigen::Vector3d Pendulum::Pull(const Eigen::Vector3d& acceleration_W) const {
+  const double tension = length_ * d_zeta_.squaredNorm() -
+                         zeta_.dot(acceleration_W + gravity_ * Eigen::Vector3d::UnitZ());
+  return std::max(0.0, tension) * zeta_;
 }
 
 }  // namespace odmc

@@ -76,8 +76,7 @@ struct States {
   RowMatrix R_WB;                                                    ///< n×9, row by row
   RowMatrix p_WB, v_AB_B, w_WB_B;                                    ///< n×3
   RowMatrix speed, speed_squared, acceleration, speed_squared_rate;  ///< n×rotors
-  RowMatrix load_cable_W;                                            ///< n×3
-  Eigen::VectorXd load_own_m_s2;                                     ///< n
+  RowMatrix load_pull_W;                                             ///< n×3
 
   Eigen::Index size() const { return time_s.size(); }
   FlightState At(Eigen::Index i) const {
@@ -91,8 +90,7 @@ struct States {
     state.rotors.speed_squared = speed_squared.row(i).transpose();
     state.rotors.acceleration = acceleration.row(i).transpose();
     state.rotors.speed_squared_rate = speed_squared_rate.row(i).transpose();
-    state.load.cable_W = load_cable_W.row(i).transpose();
-    state.load.own_m_s2 = load_own_m_s2[i];
+    state.load.pull_W = load_pull_W.row(i).transpose();
     return state;
   }
 };
@@ -288,12 +286,11 @@ void BindModel(py::module_* m) {
       .def(py::init([](const Eigen::VectorXd& time_s, const RowMatrix& R_WB, const RowMatrix& p_WB,
                        const RowMatrix& v_AB_B, const RowMatrix& w_WB_B, const RowMatrix& speed,
                        const RowMatrix& speed_squared, const RowMatrix& acceleration,
-                       const RowMatrix& speed_squared_rate, const RowMatrix& load_cable_W,
-                       const Eigen::VectorXd& load_own_m_s2) {
+                       const RowMatrix& speed_squared_rate, const RowMatrix& load_pull_W) {
         return States{time_s,        R_WB,         p_WB,
                       v_AB_B,        w_WB_B,       speed,
                       speed_squared, acceleration, speed_squared_rate,
-                      load_cable_W,  load_own_m_s2};
+                      load_pull_W};
       }));
   py::class_<DynamicModel>(*m, "DynamicModel")
       .def(py::init([](const Vehicle& vehicle) {

@@ -21,7 +21,7 @@ RigidBodyState Along(const RigidBodyState& state, const RigidBodyRate& rate, dou
   moved.q_WB.coeffs() = state.q_WB.coeffs() + dt * rate.d_q_WB;
   moved.v_WB = state.v_WB + dt * rate.d_v_WB;
   moved.w_WB_B = state.w_WB_B + dt * rate.d_w_WB_B;
-  moved.load = state.load;
+  moved.load_pull_W = state.load_pull_W;
   return moved;
 }
 
@@ -109,7 +109,7 @@ FlightState RigidBody::FlightStateOf(double time_s, const RigidBodyState& state,
   flight.v_AB_B = flight.R_WB.transpose() * (state.v_WB - properties_.wind_W);
   flight.w_WB_B = state.w_WB_B;
   flight.rotors = motor_.At(state.rotor_speed, speed_cmd);
-  flight.load = state.load;
+  flight.load.pull_W = state.load_pull_W;
   return flight;
 }
 

@@ -116,12 +116,12 @@ void World::Put(const Eigen::Vector3d& p_WB, const Eigen::Quaterniond& q_WB,
   CheckCommand(rotor_speed, "speed");
   CheckFinite(p_WB, "the place of the vehicle");
   CheckFinite(q_WB.vec(), "the attitude of the vehicle");
-  const LoadPull load = state_.load;
+  const Eigen::Vector3d load_pull_W = state_.load_pull_W;
   state_ = RigidBodyState();
   state_.p_WB = p_WB;
   state_.q_WB = q_WB;
   state_.rotor_speed = asked_ = rotor_speed;
-  state_.load = load;
+  state_.load_pull_W = load_pull_W;
   if (drive_) drive_->Start(drive_->ThrottleFor(asked_, battery_.voltage_V()));
   LimitCommand();
   ground_.LetGo();

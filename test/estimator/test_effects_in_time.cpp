@@ -233,20 +233,17 @@ TEST(LoadObserver, KnowsWhatAnotherSwingAtTheStartWouldDo) {
     const LoadPull a = observer.Advance({v}, {next}, 0.01, here);
     const LoadPull b = other.Advance({v}, {next}, 0.01, there);
     const Swing started = there.segment<4>(first);
-    const LoadPull moved = a.For(started);
-    EXPECT_LT((moved.cable_W - b.cable_W).norm(), 1e-4) << t;
-    EXPECT_LT(std::abs(moved.own_m_s2 - b.own_m_s2), 0.001) << t;
-    largest = std::max(largest, (a.cable_W - b.cable_W).norm());
+    EXPECT_LT((a.For(started) - b.pull_W).norm(), 0.001) << t;
+    largest = std::max(largest, (a.pull_W - b.pull_W).norm());
     EXPECT_EQ(b.d_swing.norm(), 0.0);
     v = next;
   }
-  EXPECT_GT(largest, 0.002);
+  EXPECT_GT(largest, 0.02);
   // In a new recording nothing is known of the swing, and nothing is learned of the first one's.
   observer.Reset();
   const LoadPull fresh = observer.Advance({v}, {v}, 0.01, here);
   EXPECT_EQ(fresh.d_swing.norm(), 0.0);
-  EXPECT_LT((fresh.cable_W - Vector3d(0.0, 0.0, -1.0)).norm(), 1e-9);
-  EXPECT_NEAR(fresh.own_m_s2, 0.0, 1e-9);
+  EXPECT_LT((fresh.pull_W - Vector3d(0.0, 0.0, -9.81)).norm(), 1e-9);
 }
 
 // A vehicle that turns about the point where the cable is fixed does not make the load swing,
@@ -263,7 +260,7 @@ TEST(LoadObserver, IsDrivenByThePointWhereTheCableIsFixed) {
   LoadObserver observer(model, false);
   constexpr double kStep_s = 0.002;
   Matrix3d R_WB = Matrix3d::Identity();
-  LoadPull load;
+  Vector3d pull_W = Vector3d::Zero();
   SensorMotion before;
   for (int i = 0; i < 1000; ++i) {
     const Vector3d w_B(3.0 * std::sin(0.01 * i), 2.0 * std::cos(0.013 * i), 1.0);
@@ -272,10 +269,10 @@ TEST(LoadObserver, IsDrivenByThePointWhereTheCableIsFixed) {
     now.R_WS = R_WB * R_BS;
     now.w_S = R_BS.transpose() * w_B;
     now.v_WS = R_WB * w_B.cross(Vector3d(vehicle.odometry.p_BS - p_BP));
-    if (i > 0) load = observer.Advance(before, now, kStep_s, values);
+    if (i > 0) pull_W = observer.Advance(before, now, kStep_s, values).pull_W;
     before = now;
   }
-  EXPECT_LT((load.cable_W - Vector3d(0.0, 0.0, -1.0)).norm(), 1e-6);
+  EXPECT_LT((pull_W - Vector3d(0.0, 0.0, -9.81)).norm(), 1e-6);
 }
 
 TEST(Gust, FollowsAWindThatVaries) {

@@ -35,11 +35,8 @@ FlightState RandomFlight(const Vehicle& vehicle, Random* random) {
   flight.p_WB = Vector3d(0.0, 0.0, 1.0) + random->Next3(0.5);
   flight.v_AB_B = random->Next3(6.0);
   flight.w_WB_B = random->Next3(6.0);
-  flight.load.cable_W = (flight.load.cable_W + random->Next3(0.4)).normalized();
-  flight.load.own_m_s2 = 2.0 + random->Next(2.0);
-  for (int i = 0; i < 4; ++i) {
-    flight.load.d_swing.col(i) << random->Next3(1.0), random->Next(4.0);
-  }
+  flight.load.pull_W += random->Next3(3.0);
+  for (int i = 0; i < 4; ++i) flight.load.d_swing.col(i) = random->Next3(8.0);
   flight.load.swing << random->Next(0.2), random->Next(0.2), random->Next(0.2), random->Next(0.2);
   RotorVector speed(vehicle.num_rotors());
   for (int j = 0; j < speed.size(); ++j) speed[j] = 1100.0 + random->Next(300.0);
@@ -77,16 +74,10 @@ FlightState Moved(const FlightState& flight, int column, double step) {
   return moved;
 }
 
-/// The effect by itself; thrust and drag behind one that reacts to the force of others.
-std::vector<std::string> ModelOf(const std::string& effect, const Vehicle& vehicle) {
-  if (!EffectRegistry::Default().Make(effect, vehicle)->reacts_to_force()) return {effect};
-  return {effect, "thrust", "drag"};
-}
-
 /// Every registered effect in a model of its own (with its priors for what it borrows).
 class EveryEffect : public testing::TestWithParam<std::string> {
  protected:
-  EveryEffect() : vehicle_(VehicleWithImu()), model_(vehicle_, ModelOf(GetParam(), vehicle_)) {}
+  EveryEffect() : vehicle_(VehicleWithImu()), model_(vehicle_, {GetParam()}) {}
 
   Eigen::Matrix<double, 6, 1> WrenchAt(const FlightState& flight, const ModelValues& values,
                                        const Vector3d& c) const {
@@ -226,8 +217,8 @@ TEST_P(EveryEffect, AnswersTheSameInATurnedScene) {
   const Eigen::Matrix3d turn = Exp(Vector3d(0.0, 0.0, 1.1)).toRotationMatrix();
   flight.R_WB = (turn * flight.R_WB).eval();
   flight.p_WB = (turn * flight.p_WB).eval();
-  flight.load.cable_W = (turn * flight.load.cable_W).eval();
-  flight.load.d_swing.topRows<3>() = (turn * flight.load.d_swing.topRows<3>()).eval();
+  flight.load.pull_W = (turn * flight.load.pull_W).eval();
+  flight.load.d_swing = (turn * flight.load.d_swing).eval();
   EXPECT_LT((WrenchAt(flight, values, Vector3d::Zero()) - before).norm(), 1e-12);
 }
 
@@ -314,33 +305,6 @@ TEST(Thrust, FasterFrontLeftRotorRollsRightAndPitchesUp) {
 }
 
 // model.md section 13, test 4.
-// T = m_L (own - zeta.(a + g e3)) with m (a + g e3) the sum of all forces, its own among them.
-TEST(SuspendedLoad, PullsAsMuchAsItsMotionWithTheVehicleTakes) {
-  const Vehicle vehicle = NominalVehicle();
-  const DynamicModel model(vehicle, {"suspended_load", "thrust", "drag"});
-  ModelValues values = model.InitialValues();
-  const double load_kg = 0.3 * vehicle.mass_kg;
-  values[model.IndexOf("suspended_load.mass")] = load_kg;
-  Random random(31);
-  FlightState flight = RandomFlight(vehicle, &random);
-  flight.load.d_swing.setZero();
-  Vector3d f_B, tau_B;
-  model.EvaluateWrench(flight, values, Vector3d::Zero(), &f_B, &tau_B);
-  const Vector3d cable_B = flight.R_WB.transpose() * flight.load.cable_W;
-  const double tension = load_kg * (flight.load.own_m_s2 - cable_B.dot(f_B) / vehicle.mass_kg);
-  ASSERT_GT(tension, 0.1);
-  Vector3d others_B = Vector3d::Zero(), of_load_B = Vector3d::Zero();
-  for (const EffectWrench& e : model.EvaluateEffects(flight, values, Vector3d::Zero())) {
-    (e.effect == "suspended_load" ? of_load_B : others_B) += e.f_B;
-  }
-  EXPECT_LT((of_load_B - tension * cable_B).norm(), 1e-9);
-  EXPECT_LT((others_B + of_load_B - f_B).norm(), 1e-9);
-  // Falling faster than the load the cable is slack.
-  flight.load.own_m_s2 = cable_B.dot(others_B) / vehicle.mass_kg - 1.0;
-  model.EvaluateWrench(flight, values, Vector3d::Zero(), &f_B, &tau_B);
-  EXPECT_LT((f_B - others_B).norm(), 1e-9);
-}
-
 TEST(RotorTorque, FasterClockwiseRotorsTurnTheNoseLeft) {
   const Rest rest = AtRest(Speeds(1200, 1100, 1200, 1100), Vector3d::Zero());
   EXPECT_GT(rest.tau.z(), 0.0);

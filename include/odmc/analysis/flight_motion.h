@@ -46,13 +46,13 @@ MotionCounts FilterEach(const FlightLog& log, int num_rotors,
 FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
                           const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
 
-/// How a suspended load hangs, sample by sample of one flight.
+/// Pull of a suspended load per unit of load, sample by sample of one flight.
 class LoadPuller {
  public:
   explicit LoadPuller(const DynamicModel& model) : load_(model, false) {}
 
-  /// At the next sample.
-  LoadPull PullAt(const FilteredMotion& now, const ModelValues& values);
+  /// At the next sample, in W [m/s²].
+  Eigen::Vector3d PullAt(const FilteredMotion& now, const ModelValues& values);
 
  private:
   LoadObserver load_;
@@ -61,9 +61,9 @@ class LoadPuller {
   SensorMotion last_;
 };
 
-/// How a suspended load hangs at every sample; still without one. How it swings at the odometry's
-/// first sample is in the model's values.
-std::vector<LoadPull> LoadPulls(const FlightMotion& flight, const DynamicModel& model,
-                                const ModelValues& values);
+/// Pull of a suspended load per unit of load at every sample, in W [m/s²]; hanging still without
+/// one. How it swings at the odometry's first sample is in the model's values.
+std::vector<Eigen::Vector3d> LoadPulls(const FlightMotion& flight, const DynamicModel& model,
+                                       const ModelValues& values);
 
 }  // namespace odmc

@@ -92,7 +92,7 @@ double DifferenceStep(const ModelParameter& parameter, double value);
 /// Measured and predicted at one sample.
 /// @param with_effects also the wrench of every effect, and what the rotors alone do
 /// @param body the model's properties at `values`, where they are known; null: they are worked out
-PredictionSample PredictSample(const FilteredMotion& motion, const LoadPull& load,
+PredictionSample PredictSample(const FilteredMotion& motion, const Eigen::Vector3d& load_pull_W,
                                const Vehicle& file_vehicle, const DynamicModel& model,
                                const ModelValues& values, bool with_effects,
                                const BodyProperties* body = nullptr);

@@ -27,7 +27,7 @@ class LoadObserver {
 
   /// Over an interval of `dt` [s] in which the sensor's motion went from `from` to `to`. The
   /// pendulum is driven by the point where the cable is fixed.
-  /// @returns how the load hangs in the interval's middle
+  /// @returns the cable's pull in the interval's middle
   LoadPull Advance(const SensorMotion& from, const SensorMotion& to, double dt,
                    const ModelValues& values);
 
@@ -36,8 +36,6 @@ class LoadObserver {
 
  private:
   void Start(const ModelValues& values);
-  /// ζ in W, and what it pulls with of its own (LoadPull::own_m_s2).
-  Eigen::Vector4d HangsBy(const Pendulum& pendulum) const;
   void AdvanceAll(const Eigen::Vector3d& acceleration_W, double dt);
 
   const DynamicModel* model_;
@@ -48,8 +46,7 @@ class LoadObserver {
   Swing start_ = Swing::Zero();
   std::optional<Pendulum> pendulum_;
   std::vector<Pendulum> nearby_;  // started with a little more and a little less of each swing
-  /// Of the cable's point against the centre of mass.
-  Eigen::Vector3d smooth_of_turning_W_ = Eigen::Vector3d::Zero();
+  Eigen::Vector3d smooth_acceleration_W_ = Eigen::Vector3d::Zero();
 };
 
 }  // namespace odmc

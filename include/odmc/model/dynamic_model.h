@@ -141,7 +141,6 @@ class DynamicModel {
   std::vector<ProcessParameter> processes_;
   std::optional<PendulumParameters> pendulum_;
   bool varies_ = false;
-  bool reacts_ = false;  // an effect does to the force of the others
   // Of each effect: where its values are, own ones first; -1 where the lender is absent, and then
   // the value of the borrowed one.
   std::vector<std::vector<int>> columns_;

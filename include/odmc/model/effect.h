@@ -88,9 +88,6 @@ class Effect {
   /// What follows from its parameters and says more than these.
   /// @param own values of parameters()
   virtual std::vector<DerivedFigure> DerivedFigures(const Eigen::VectorXd& own) const;
-  /// True if its force follows from that of all other effects: it comes after them, and finds their
-  /// sum in the wrench that it adds to.
-  virtual bool reacts_to_force() const { return false; }
   /// Its internal state, where it is a pendulum: indices in parameters().
   virtual std::optional<PendulumParameters> pendulum() const { return std::nullopt; }
 

@@ -73,23 +73,6 @@ class WrenchJacobians {
     if (force_) J_->d_state.block<3, 3>(0, column) += d_force;
     J_->by_pose |= column >= kColumnAttitude;
   }
-  /// Derivative of AddForceAt() with respect to the sum of the forces before it (3×3), for an
-  /// effect that reacts to force: carried to all that this sum depends on.
-  void AddForceAtByForce(const Eigen::Vector3d& p_BP, const Eigen::Matrix3d& d_force) {
-    const Eigen::Matrix<double, 3, kNumFlightStateColumns> by_state =
-        d_force * J_->d_state.topRows<3>();
-    const Eigen::Matrix<double, 3, Eigen::Dynamic, 0, 3, kMaxModelParameters> by_values =
-        d_force * J_->d_values.topRows<3>();
-    const Eigen::Matrix3d lever = Hat(p_BP - p_BBcm_);
-    if (force_) {
-      J_->d_state.topRows<3>() += by_state;
-      J_->d_values.topRows<3>() += by_values;
-    }
-    if (torque_) {
-      J_->d_state.bottomRows<3>() += lever * by_state;
-      J_->d_values.bottomRows<3>() += lever * by_values;
-    }
-  }
   void AddCouple(int column, const Eigen::Matrix3d& d_couple) {
     if (torque_) J_->d_state.block<3, 3>(3, column) += d_couple;
     J_->by_pose |= column >= kColumnAttitude;

@@ -14,7 +14,7 @@ class HangingLoad {
  public:
   HangingLoad(const DynamicModel& model, const ModelValues& values);
 
-  /// Sets the load of `state` and swings on by `step_s`.
+  /// Sets the pull on `state` and swings on by `step_s`.
   /// @param external wrench on the vehicle that the model does not make
   void Swing(const RigidBody& body, double time_s, const RotorVector& speed_cmd,
              const BodyWrench& external, double step_s, RigidBodyState* state);
@@ -22,8 +22,6 @@ class HangingLoad {
  private:
   std::optional<Pendulum> pendulum_;
   Eigen::Vector3d p_BP_ = Eigen::Vector3d::Zero();  // where it hangs
-  odmc::Swing swing_ = odmc::Swing::Zero();         // at the start
-  double mass_ = 0.0;                               // of the vehicle
 };
 
 }  // namespace odmc

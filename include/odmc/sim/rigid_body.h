@@ -18,7 +18,7 @@ struct RigidBodyState {
   Eigen::Vector3d w_WB_B = Eigen::Vector3d::Zero();          ///< [rad/s]
   RotorVector rotor_speed;                                   ///< >= 0 [rad/s]
   /// Pull of a suspended load per unit of load, in W [m/s²]; its user moves it, see Pendulum.
-  LoadPull load;
+  Eigen::Vector3d load_pull_W = Eigen::Vector3d(0.0, 0.0, -9.81);
 };
 
 /// Sum of two wrenches about the same point.

@@ -70,9 +70,8 @@ class State:
     rotor_acceleration_rad_s2: Optional[np.ndarray] = None  #: rate of the speeds; None: steady
     rotor_speed_squared: Optional[np.ndarray] = None  #: mean of the squares [rad^2/s^2]; None: square of the speed
     rotor_speed_squared_rate: Optional[np.ndarray] = None  #: [rad^2/s^3]; None: 2 speed x acceleration
-    load_cable_W: np.ndarray = dataclasses.field(
-        default_factory=lambda: np.array([0.0, 0.0, -1.0]))  #: (3,), unit vector to a hanging load, in W
-    load_own_m_s2: Union[float, np.ndarray] = 0.0  #: its pull per kg where the vehicle falls freely (model.md 12.17)
+    load_pull_W: np.ndarray = dataclasses.field(
+        default_factory=lambda: np.array([0.0, 0.0, -9.81]))  #: of a hanging load, per kg of it, in W [m/s^2]
 
     def rows(self, rotors: int) -> Tuple[Optional[int], Dict[str, np.ndarray]]:
         """n (None: one state), and every field with n rows. Raises ValueError naming the field of another shape."""
@@ -84,8 +83,7 @@ class State:
             'time_s': (self.time_s, ()), 'R_WB': (self.R_WB, (3, 3)), 'p_WB': (self.p_WB, (3,)),
             'v_AB_B': (self.v_AB_B, (3,)), 'w_WB_B': (self.w_WB_B, (3,)), 'rotor_speed_rad_s': (speed, (rotors,)),
             'rotor_speed_squared': (squared, (rotors,)), 'rotor_acceleration_rad_s2': (acceleration, (rotors,)),
-            'rotor_speed_squared_rate': (rate, (rotors,)), 'load_cable_W': (self.load_cable_W, (3,)),
-            'load_own_m_s2': (self.load_own_m_s2, ())}
+            'rotor_speed_squared_rate': (rate, (rotors,)), 'load_pull_W': (self.load_pull_W, (3,))}
         arrays = {name: np.asarray(value, dtype=float) for name, (value, _) in fields.items()}
         count: Optional[int] = None
         for name, array in arrays.items():
@@ -222,7 +220,7 @@ class Model:
         motion = np.array([body['d_values'][1:4] for body in bodies])[places]
         states = _native.States(rows['time_s'][:, 0], rows['R_WB'], rows['p_WB'], rows['v_AB_B'], rows['w_WB_B'],
                                 rows['rotor_speed_rad_s'], rows['rotor_speed_squared'], rows['rotor_acceleration_rad_s2'],
-                                rows['rotor_speed_squared_rate'], rows['load_cable_W'], rows['load_own_m_s2'][:, 0])
+                                rows['rotor_speed_squared_rate'], rows['load_pull_W'])
         return count, states, chosen, centres, motion
 
     def __repr__(self) -> str:
