@@ -127,7 +127,7 @@ bool EstimateSession::Extend(const ResidualLook& found, bool with_torque) {
   try {
     const Vehicle extended = VehicleWith(vehicle_, *found.candidate);
     const Vehicle warm =
-        WarmStarted(extended, Estimator::ToParameterSet(*last_model_, *last_), found);
+        WarmStarted(extended, Estimator::ToParameterSet(*last_model_, last_.value()), found);
     auto model = std::make_shared<DynamicModel>(warm, warm.effects);
     auto estimator = std::make_unique<Estimator>(model.get(), setup_.estimator, with_torque);
     estimator->CarryOn(*estimator_, DynamicModel(extended, extended.effects));
