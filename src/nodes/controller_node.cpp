@@ -9,22 +9,49 @@
 
 namespace {
 
-constexpr char kHelp[] =
-    "controller_node: flies a vehicle along a reference, with accepted estimates of its model.\n"
-    "\n"
-    "  rosrun odmc controller_node _vehicle_file:=VEHICLE.yaml [_KEY:=VALUE ...]\n"
-    "  roslaunch odmc controller.launch vehicle:=NAME\n"
-    "\n"
-    "Subscribes odometry, imu, rotor_speeds, reference or command_trajectory,\n"
-    "           parameters_accepted.\n"
-    "Publishes  command/rotor_speeds, command/rate_thrust, controller_status, /diagnostics.\n"
-    "Services   ~reset_parameters, ~use_estimate.\n"
-    "Parameters: see launch/controller.launch and config/controller/default.yaml.\n";
+odmc::NodeHelp Help() {
+  odmc::NodeHelp help;
+  help.name = "controller_node";
+  help.purpose = "flies a vehicle along a reference, with accepted estimates of its model.";
+  help.commands = {"rosrun odmc controller_node _vehicle_file:=VEHICLE.yaml [_KEY:=VALUE ...]",
+                   "roslaunch odmc controller.launch vehicle:=NAME"};
+  help.subscribes = {
+      {"odometry", {"nav_msgs/Odometry"}, "with velocity"},
+      {"imu", {"sensor_msgs/Imu"}, ""},
+      {"rotor_speeds", {"odmc/RotorSpeeds"}, "measured"},
+      {"reference", {"odmc/FlatOutput"}, "position to snap, yaw"},
+      {"command_trajectory",
+       {"trajectory_msgs/MultiDOFJointTrajectory"},
+       "where there is no reference"},
+      {"parameters_accepted", {"odmc/DynamicParameters"}, "of the estimator"},
+      {"battery_state", {"sensor_msgs/BatteryState"}, "used where the vehicle has an actuator"},
+  };
+  help.publishes = {
+      {"command/rotor_speeds", {"odmc/RotorSpeeds"}, "rad/s"},
+      {"command/rate_thrust", {"odmc/RateThrust"}, "rad/s, N"},
+      {"motor_commands",
+       {"odmc/MotorCommands"},
+       "throttle 0 to 1, where the vehicle has an actuator"},
+      {"controller_status",
+       {"odmc/ControllerStatus"},
+       "mode, hand-over state, tracking error, last transition"},
+      {"/diagnostics", {"diagnostic_msgs/DiagnosticArray"}, ""},
+  };
+  help.services = {
+      {"~reset_parameters", {"std_srvs/Trigger"}, "back to the vehicle file's values"},
+      {"~use_estimate", {"std_srvs/SetBool"}, "follow accepted estimates or not"},
+  };
+  help.parameters = odmc::DefaultsOf<odmc::ControllerNodeOptions>();
+  help.config_parameter = "config";
+  help.config_example = "config/controller/default.yaml";
+  help.config = odmc::DefaultsOf<odmc::ControllerConfig>();
+  return help;
+}
 
 }  // namespace
 
 int main(int argc, char** argv) {
-  return odmc::RunNode(argc, argv, "controller_node", kHelp,
+  return odmc::RunNode(argc, argv, Help(),
                        [](const ros::NodeHandle& node, const ros::NodeHandle& private_node) {
                          const odmc::ControllerNode controller(
                              node, private_node, odmc::ReadControllerNodeSetup(private_node));

@@ -12,15 +12,14 @@
 
 namespace odmc {
 
-int RunNode(int argc, char** argv, const std::string& name, const char* help,
-            const NodeLife& life) {
+int RunNode(int argc, char** argv, const NodeHelp& help, const NodeLife& life) {
   for (int i = 1; i < argc; ++i) {
     if (std::strcmp(argv[i], "--help") == 0 || std::strcmp(argv[i], "-h") == 0) {
-      std::fputs(help, stdout);
+      std::fputs(help.Text().c_str(), stdout);
       return 0;
     }
   }
-  ros::init(argc, argv, name);
+  ros::init(argc, argv, help.name);
   // As SIGINT: services are stopped by it, and results must be saved.
   std::signal(SIGTERM, [](int) { ros::requestShutdown(); });
   // Outside of `try`: the last handle takes the log with it.
@@ -32,7 +31,7 @@ int RunNode(int argc, char** argv, const std::string& name, const char* help,
     if (ros::ok()) {
       ROS_FATAL("%s", what.c_str());
     } else {
-      std::fprintf(stderr, "%s: %s\n", name.c_str(), what.c_str());  // the log is gone
+      std::fprintf(stderr, "%s: %s\n", help.name.c_str(), what.c_str());  // the log is gone
     }
     return 1;
   }

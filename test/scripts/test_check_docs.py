@@ -1,6 +1,7 @@
 """scripts/check_docs finds what is wrong in a document, and nothing in one that is right."""
 
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -45,15 +46,29 @@ Two things:
 '''
 
 
-def check(text: str) -> List[str]:
+# Each mistake in docs/node.md: what stands there, what is put in its place, and what is said of it.
+NODE_MISTAKES = (
+    ('| `phase` | `std_msgs/String`', '| `phases` | `std_msgs/String`', 'estimator_node: publishes phases'),
+    ('| `state` | `nav_msgs/Odometry`', '| `state` | `nav_msgs/Path`', 'estimator_node: publishes state has no type nav_msgs/Path'),
+    ('| `~freeze` | `std_srvs/SetBool`', '| `~freeze` | `std_srvs/Trigger`', 'std_srvs/SetBool is not named'),
+    ('| `imu` | `sensor_msgs/Imu` | optional |\n', '', 'estimator_node: subscribes imu, which is not in the table'),
+    ('| `queue_size` |', '| `queue_length` |', 'estimator_node: has no parameter queue_length'),
+    ('| `command_lag_s` |', '| `publishes_clock` |', 'simulator_node: parameter command_lag_s is explained neither'),
+    ('| parameter | |\n| --- | --- |\n', '| parameter | |\n| --- | --- |\n| `config` | a file |\n',
+     'is explained in estimator.launch'),
+    ('`controller_node`, which links', 'It, which links', 'controller_node: no section begins with'),
+)
+
+
+def check(text: str, name: str = 'page.md') -> List[str]:
     """What check_docs says of one document: 'LINE: what' each."""
     with tempfile.TemporaryDirectory() as folder:
-        path = os.path.join(folder, 'page.md')
+        path = os.path.join(folder, name)
         with open(path, 'w', encoding='utf-8') as file:
             file.write(text)
         done = subprocess.run([sys.executable, os.path.join(ROOT, 'scripts', 'check_docs'), path], check=False, text=True,
                               stdout=subprocess.PIPE)
-    lines = [line.split('page.md:')[1] for line in done.stdout.splitlines() if 'page.md:' in line]
+    lines = [line.split(name + ':')[1] for line in done.stdout.splitlines() if name + ':' in line]
     assert bool(lines) == (done.returncode == 1), done
     return lines
 
@@ -82,6 +97,15 @@ class CheckDocsTest(unittest.TestCase):
             '12: roslaunch odmc estimater.launch: there is no such launch file',
             '13: build/devel/lib/odmc/calibrater: there is no such tool',
             '17: a list that no empty line parts from the paragraph']))
+
+    def test_the_tables_of_nodes_are_compared_with_their_help(self) -> None:
+        with open(os.path.join(ROOT, 'docs', 'node.md'), encoding='utf-8') as file:
+            document = re.sub(r'\[([^]]*)\]\([^)]*\)', r'\1', file.read())  # links lead nowhere from the copy
+        self.assertEqual(check(document, 'node.md'), [])
+        for right, wrong, said in NODE_MISTAKES:
+            self.assertEqual(document.count(right), 1 if '| ---' not in right else 2, right)
+            found = check(document.replace(right, wrong, 1), 'node.md')
+            self.assertTrue(any(said in line for line in found), f'{said}: {found}')
 
 
 if __name__ == '__main__':

@@ -3,7 +3,8 @@
 #include <ros/node_handle.h>
 
 #include <functional>
-#include <string>
+
+#include "odmc/ros/node_help.h"
 
 namespace odmc {
 
@@ -13,8 +14,8 @@ using NodeLife =
 
 /// The main() of a node. With --help or -h prints `help` and starts nothing. What `life` throws is
 /// logged as a fatal error, in its own words.
-/// @param name of the node, unless the command line remaps it
+/// @param help  its name is the node's, unless the command line remaps it
 /// @returns the exit status: 0, or 1 after an error
-int RunNode(int argc, char** argv, const std::string& name, const char* help, const NodeLife& life);
+int RunNode(int argc, char** argv, const NodeHelp& help, const NodeLife& life);
 
 }  // namespace odmc
