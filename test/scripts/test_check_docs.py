@@ -24,6 +24,11 @@ RIGHT = '''# A page
 roslaunch odmc estimator.launch odom_topic:=/odom
 cmake -S . -B build --fresh
 ```
+
+<!-- test/example_package/CMakeLists.txt [plain] -->
+```
+find_package(odmc 1.0 REQUIRED)
+```
 '''
 WRONG = '''# A page
 
@@ -43,6 +48,15 @@ build/devel/lib/odmc/calibrater f.bag
 Two things:
 - one
 - the other
+
+<!-- test/example_package/CMakeLists.txt [plain] -->
+```
+find_package(odmc 0.9 REQUIRED)
+```
+
+```cpp
+int i;
+```
 '''
 
 
@@ -96,6 +110,8 @@ class CheckDocsTest(unittest.TestCase):
             '11: estimator.launch has no argument odm_topic',
             '12: roslaunch odmc estimater.launch: there is no such launch file',
             '13: build/devel/lib/odmc/calibrater: there is no such tool',
+            '20: not what stands at [plain] in test/example_package/CMakeLists.txt',
+            '25: code that is no extract of a compiled file',
             '17: a list that no empty line parts from the paragraph']))
 
     def test_the_tables_of_nodes_are_compared_with_their_help(self) -> None:

@@ -1,9 +1,11 @@
 // Calibrates a recorded flight with the libraries of odmc:  odmc_example FLIGHT VEHICLE.yaml
+// [headers]
 #include <odmc/analysis/calibration.h>
 #include <odmc/estimator/options.h>
 #include <odmc/io/flight_reader.h>
 #include <odmc/io/vehicle_yaml.h>
 #include <odmc/model/dynamic_model.h>
+// [end headers]
 
 #include <cstdio>
 #include <exception>
@@ -11,6 +13,7 @@
 namespace {
 
 void Run(const char* flight_file, const char* vehicle_file) {
+  // [calibrate]
   const odmc::Vehicle vehicle = odmc::LoadVehicle(vehicle_file);
   const odmc::DynamicModel model(vehicle, vehicle.effects);
 
@@ -25,6 +28,7 @@ void Run(const char* flight_file, const char* vehicle_file) {
                 parameter.sigma, parameter.unit.c_str(),
                 parameter.observable ? "" : " (not shown by this flight)");
   }
+  // [end calibrate]
 }
 
 }  // namespace
