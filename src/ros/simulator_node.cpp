@@ -19,6 +19,7 @@
 #include "odmc/ros/diagnostic_values.h"
 #include "odmc/ros/parameter_reader.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/refusal.h"
 
@@ -68,7 +69,7 @@ std::string AttachPayload(const WorldOptions& sizes, World* world) {
                                 FormatNumber(kMostPayload_kg));
   }
   world->AttachPayload(sizes.payload_kg, sizes.payload_p_B_m);
-  return FormatNumber(sizes.payload_kg) + " kg hang at " + VectorText(sizes.payload_p_B_m);
+  return Rounded(sizes.payload_kg) + " kg hang at " + VectorText(sizes.payload_p_B_m);
 }
 
 std::string DropPayload(const WorldOptions&, World* world) {
@@ -91,7 +92,7 @@ std::string DamagePropeller(const WorldOptions& sizes, World* world) {
   }
   world->DamagePropeller(sizes.damage_rotor - 1, sizes.damage_share);
   return "rotor " + std::to_string(sizes.damage_rotor) + " lost a share of " +
-         FormatNumber(sizes.damage_share);
+         Rounded(sizes.damage_share);
 }
 
 std::string Repair(const WorldOptions&, World* world) {
