@@ -22,7 +22,7 @@ std::string Name(VehicleChange::Kind kind) {
   return kind == VehicleChange::Kind::kStep ? "step" : "trend";
 }
 
-/// By how many sigmas a flight's own estimate is off what the fleet lets expect: its own noise and
+/// By how many sigmas a flight's own estimate is off what the fleet predicts: its own noise and
 /// the scatter between flights.
 double ZScore(const FleetCalibration& fleet, size_t k, int parameter) {
   const FlightFactor& f = fleet.flights[static_cast<size_t>(fleet.used()[k])].factor;

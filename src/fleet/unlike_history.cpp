@@ -33,11 +33,10 @@ std::string Distance(const UnlikeHistory& u, const std::string& unit) {
 
 std::string UnlikeHistory::Sentence(const std::string& unit) const {
   char text[200];
-  std::snprintf(
-      text, sizeof text,
-      " is %.4g %s, %s %s what earlier flights let expect (%.4g +- %.2g; chance in %.1g %%)", value,
-      unit.c_str(), Distance(*this, unit).c_str(), value < expected ? "below" : "above", expected,
-      expected_sigma, 100.0 * p_value);
+  std::snprintf(text, sizeof text,
+                " is %.4g %s, %s %s what earlier flights suggest (%.4g +- %.2g; chance in %.1g %%)",
+                value, unit.c_str(), Distance(*this, unit).c_str(),
+                value < expected ? "below" : "above", expected, expected_sigma, 100.0 * p_value);
   return full_name + text;
 }
 

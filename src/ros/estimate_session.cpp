@@ -211,7 +211,7 @@ void EstimateSession::FillEstimate(NodeStatus* s) const {
   s->battery_voltage_V = last_->battery_voltage_V;
 }
 
-/// What earlier flights did not let expect.
+/// What differs from earlier flights.
 std::vector<std::string> EstimateSession::UnlikeHistorySentences() const {
   std::vector<std::string> sentences;
   for (const UnlikeHistory& unlike : unlike_history_) {

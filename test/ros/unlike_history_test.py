@@ -71,7 +71,7 @@ class UnlikeHistoryTest(node_harness.NodeTest):
         print("%s: after %s s in the air: %s" % (name, values["airborne_s"], message))
         self.assertEqual(level, 1)
         self.assertIn("thrust.k_f is ", message)
-        self.assertIn("% below what earlier flights let expect", message)
+        self.assertIn("% below what earlier flights suggest", message)
         self.assertIn("chance in ", message)
         self.assertNotIn("nan", message)
         self.assertLess(float(values["airborne_s"]), SOON_S)

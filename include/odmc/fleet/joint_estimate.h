@@ -23,7 +23,7 @@ struct VehicleChange {
 struct OutlierFlight {
   int flight = 0;
   int parameter = 0;
-  double by = 0.0, sigma = 0.0;  ///< away from what the others let expect
+  double by = 0.0, sigma = 0.0;  ///< away from what the others predict
   double p_value = 1.0;          ///< all flights and parameters accounted for
 };
 

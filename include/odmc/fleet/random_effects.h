@@ -46,7 +46,7 @@ struct RandomEffects {
 RandomEffects FitRandomEffects(const std::vector<FlightFactor>& factors, const FleetModel& model,
                                const Eigen::VectorXd* known_scatter = nullptr);
 
-/// What all flights but one let expect of that one, for each: D_i beta with beta of the others, at
+/// What all flights but one predict of that one, for each: D_i beta with beta of the others, at
 /// the fit's scatter. n×1 each.
 std::vector<Eigen::VectorXd> ExpectedOfLeftOut(const std::vector<FlightFactor>& factors,
                                                const FleetModel& model, const RandomEffects& fit);

@@ -10,7 +10,7 @@
 
 namespace odmc {
 
-/// A parameter that today's flight shows elsewhere than the flights before let expect.
+/// A parameter that today's flight shows elsewhere than the flights before suggest.
 struct UnlikeHistory {
   std::string full_name;
   double value = 0.0;           ///< today's
@@ -18,7 +18,7 @@ struct UnlikeHistory {
   double expected_sigma = 0.0;  ///< of one flight's value: the history's sigma and scatter
   double p_value = 1.0;         ///< all parameters that were looked at accounted for
 
-  /// "thrust.k_f is 1.57e-06 N s^2, 4.2 % above what earlier flights let expect (1.5e-06 +- 1e-08,
+  /// "thrust.k_f is 1.57e-06 N s^2, 4.2 % above what earlier flights suggest (1.5e-06 +- 1e-08,
   /// chance in 0.01 %)"
   std::string Sentence(const std::string& unit) const;
 };

@@ -48,7 +48,7 @@ struct NodeStatus {
   std::string interrupted;              ///< why nothing is learned in the air; empty if it is
   std::vector<std::string> warnings;    ///< of the set-up, they stay
   std::vector<std::string> unphysical;  ///< of the newest estimate
-  std::vector<std::string> unlike_history;  ///< sentences: what earlier flights did not let expect
+  std::vector<std::string> unlike_history;  ///< sentences: what differs from earlier flights
   std::string contradicted_k_m;  ///< a sentence if the flight contradicts the k_m held; else empty
   std::string phase;             ///< of the flight, Name(FlightPhase)
   std::string trust;             ///< in the newest estimate: good, doubtful or bad
