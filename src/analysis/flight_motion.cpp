@@ -14,6 +14,7 @@ using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
 constexpr double kFilterWidth_s = 0.1;
+constexpr double kLeastStand_s = 0.5;
 
 /// Rows of the matrix of filtered channels.
 enum Channel : int {
@@ -239,6 +240,29 @@ FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
       FilterEach(log, num_rotors, ground_spans,
                  [&](const FilteredMotion& motion) { flight.samples.push_back(motion); });
   return flight;
+}
+
+std::optional<double> StandingHeight(const FlightLog& log, const std::vector<PhaseSpan>& phases,
+                                     double within_m) {
+  std::vector<double> heights;
+  double stood_s = 0.0;
+  auto next = log.odometry.begin();
+  for (const PhaseSpan& span : phases) {
+    if (span.phase != FlightPhase::kOff && span.phase != FlightPhase::kIdling &&
+        span.phase != FlightPhase::kOnGround) {
+      continue;
+    }
+    stood_s += ToSeconds(span.to - span.from);
+    while (next != log.odometry.end() && next->stamp < span.from) ++next;
+    for (; next != log.odometry.end() && next->stamp <= span.to; ++next) {
+      heights.push_back(next->p_WS.z());
+    }
+  }
+  if (heights.empty() || stood_s < kLeastStand_s) return std::nullopt;
+  std::sort(heights.begin(), heights.end());
+  const size_t tail = heights.size() / 20;
+  if (heights[heights.size() - 1 - tail] - heights[tail] > within_m) return std::nullopt;
+  return heights[heights.size() / 2];
 }
 
 Vector3d LoadPuller::PullAt(const FilteredMotion& now, const ModelValues& values) {

@@ -65,7 +65,8 @@ FlownRange RangeOf(const FlightMotion& flight, const Vehicle& vehicle) {
           heights.front(),
           heights[high] - heights[tail],
           speeds[high],
-          std::max(0.0, descents[high])};
+          std::max(0.0, descents[high]),
+          flight.stood_z_m};
 }
 
 /// True if the motion would tell where a sensor sits: a point at a natural distance from the body's

@@ -273,9 +273,12 @@ void LoopSession::Calibrate() {
 }
 
 bool LoopSession::HasFlight() {
-  flight_ = std::make_unique<ThinnedFlight>(
-      FilterFlight(log_, file_vehicle_.num_rotors(), NotLookedAt(before_.replay)), options_.blocks,
-      file_vehicle_.odometry.q_BS.toRotationMatrix(), options_.attribution.most_flight_s);
+  FlightMotion motion = FilterFlight(log_, file_vehicle_.num_rotors(), NotLookedAt(before_.replay));
+  motion.stood_z_m =
+      StandingHeight(log_, before_.replay.phases, file_vehicle_.rotors.front().radius_m);
+  flight_ = std::make_unique<ThinnedFlight>(std::move(motion), options_.blocks,
+                                            file_vehicle_.odometry.q_BS.toRotationMatrix(),
+                                            options_.attribution.most_flight_s);
   int in_use = 0;
   for (int i = 0; i < flight_->size(); ++i) in_use += flight_->held_out(i) ? 0 : 1;
   if (in_use >= kLeastSamples) return true;

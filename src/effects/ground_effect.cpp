@@ -20,7 +20,7 @@ class GroundEffect final : public Effect {
              "model.md 12.13; Cheeseman and Bennett 1955; Sanchez-Cuevas et al. 2017",
              "hub heights above one radius; nothing is left of it above four radii"},
             {{"k_ge", "1", "size relative to a single rotor's theory", 0.0, 5.0, 1.0,
-              ParameterTransform::kLinear, PhysicalSign::kPositive},
+              ParameterTransform::kLinear, PhysicalSign::kPositive, false, "", "", false, true},
              {"z_0", "m", "height of the ground in the odometry's world", 0.0, 2.0, 0.1,
               ParameterTransform::kLinear, PhysicalSign::kAny, true}},
             {"thrust.k_f"}) {}
@@ -31,8 +31,12 @@ class GroundEffect final : public Effect {
     // anywhere only turns bank into torque.
     if (flown.height_range_m < radius) return {};
     // Where the ground lies is fitted, from several places: far from it, the effect has no slope.
+    // A vehicle that was seen to stand has shown the ground, up to the height of what it stands on.
+    std::vector<double> grounds = {0.0, flown.lowest_m - 1.5 * radius,
+                                   flown.lowest_m - 3.0 * radius};
+    if (flown.stood_m) grounds = {*flown.stood_m, *flown.stood_m - 2.0 * radius};
     std::vector<EffectTrial> trials;
-    for (const double z : {0.0, flown.lowest_m - 1.5 * radius, flown.lowest_m - 3.0 * radius}) {
+    for (const double z : grounds) {
       trials.push_back(
           {{}, {{"k_ge", 1.0}, {"z_0", z}}, {}, {"z_0"}, {{"z_0", {z - radius, z + radius}}}});
     }

@@ -278,6 +278,7 @@ FleetFlight FleetFlightOf(const Calibration& calibration, const DynamicModel& mo
   flight.factor.start_s = start_s > kSince2001_s ? start_s : 0.0;
   flight.own_fit = calibration.prediction.figures;
   flight.not_flown = NotLookedAt(calibration.replay);
+  flight.phases = calibration.replay.phases;
   flight.warnings = calibration.warnings;
   flight.passes = 1;
   return flight;

@@ -41,7 +41,9 @@ std::vector<Looked> LookAt(const FleetCalibration& fleet, const FlightSource& so
     BlockSplit all_in_use;
     all_in_use.hold_out_every = 0;
     Looked& look = looked[static_cast<size_t>(k)];
-    look.flight.emplace(FilterFlight(log, file_vehicle.num_rotors(), flight.not_flown), all_in_use,
+    FlightMotion motion = FilterFlight(log, file_vehicle.num_rotors(), flight.not_flown);
+    motion.stood_z_m = StandingHeight(log, flight.phases, file_vehicle.rotors.front().radius_m);
+    look.flight.emplace(std::move(motion), all_in_use,
                         file_vehicle.odometry.q_BS.toRotationMatrix(), most_s);
     look.residual.emplace(&*look.flight, &file_vehicle, !log.rotor_rms_only);
   });

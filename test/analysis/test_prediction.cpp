@@ -1,7 +1,10 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <stdexcept>
+#include <utility>
+#include <vector>
 
 #include "odmc/analysis/calibration.h"
 #include "odmc/analysis/ground_spans.h"
@@ -256,6 +259,39 @@ FlightLog HoverThenFly(const DynamicModel& model, const ModelValues& truth) {
   }
   log.imu.clear();
   return log;
+}
+
+/// A recording at heights [m], ten samples a second, and one phase over all of it.
+std::pair<FlightLog, std::vector<PhaseSpan>> At(const std::vector<double>& heights,
+                                                FlightPhase phase) {
+  FlightLog log;
+  for (size_t i = 0; i < heights.size(); ++i) {
+    OdometrySample& sample = log.odometry.emplace_back();
+    sample.stamp = FromSeconds(0.1 * static_cast<double>(i));
+    sample.p_WS = {0.0, 0.0, heights[i]};
+  }
+  PhaseSpan span;
+  span.phase = phase;
+  span.to = log.odometry.back().stamp;
+  return {log, {span}};
+}
+
+TEST(StandingHeight, IsTheHeightAtWhichTheVehicleStands) {
+  std::vector<double> heights(20, 0.25);
+  heights.back() = 0.9;  // it begins to rise
+  const auto [log, phases] = At(heights, FlightPhase::kIdling);
+  EXPECT_DOUBLE_EQ(*StandingHeight(log, phases, 0.05), 0.25);
+}
+
+TEST(StandingHeight, IsUnknownInFlightForAMomentAndAtTwoHeights) {
+  const auto [flying, in_flight] = At(std::vector<double>(20, 0.25), FlightPhase::kFlying);
+  EXPECT_FALSE(StandingHeight(flying, in_flight, 0.05));
+  const auto [moment, brief] = At(std::vector<double>(4, 0.25), FlightPhase::kOnGround);
+  EXPECT_FALSE(StandingHeight(moment, brief, 0.05));
+  std::vector<double> two(20, 0.25);
+  std::fill(two.begin() + 10, two.end(), 0.75);
+  const auto [table, on_table] = At(two, FlightPhase::kOnGround);
+  EXPECT_FALSE(StandingHeight(table, on_table, 0.05));
 }
 
 TEST(PredictLeftOut, PredictsABlockWithWhatTheOthersShow) {

@@ -114,6 +114,31 @@ double OtherSide(const RankedEffect& effect) {
 }
 
 // A load whose moment shows, and hardly its weight: more mass here is less mass there.
+TEST(FittedSettings, GroundIsWhereTheVehicleStood) {
+  const Flown flown("ground_effect", 0.3, "vertical", 0, 11);
+  const double radius = flown.made.declared.rotors.front().radius_m;
+  FlightMotion motion = flown.flight.motion();
+  const auto grounds = [&] {
+    std::vector<double> starts;
+    for (const EffectCandidate& c : CandidatesFor(flown.made.declared, motion)) {
+      if (c.effect == "ground_effect") starts.push_back(c.start.at("ground_effect.z_0"));
+    }
+    return starts;
+  };
+  EXPECT_EQ(grounds().size(), 3u);
+  motion.stood_z_m = 0.4;
+  EXPECT_EQ(grounds(), (std::vector<double>{0.4, 0.4 - 2.0 * radius}));
+}
+
+TEST(FittedSettings, GroundThatTakesThrustAwayLosesItsScore) {
+  const Flown flown("ground_effect", 0.3, "vertical", 0, 11);
+  const auto effect = EffectRegistry::Default().Make("ground_effect", flown.made.declared);
+  const ParameterSpec& k_ge = effect->parameters().front();
+  ASSERT_EQ(k_ge.name, "k_ge");
+  EXPECT_LT(LogSignOdds(k_ge.sign, k_ge.certain_sign, -5.0, 1.0), -12.0);
+  EXPECT_GT(LogSignOdds(k_ge.sign, k_ge.certain_sign, 5.0, 1.0), 0.0);
+}
+
 TEST(FittedSettings, SigmaHoldsBothSidesOnWhichAMassMayBe) {
   int named = 0, on_either_side = 0;
   for (const int seed : {4301, 4302, 4303, 4304}) {

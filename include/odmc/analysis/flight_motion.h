@@ -8,6 +8,7 @@
 
 #include "odmc/estimator/load_observer.h"
 #include "odmc/model/dynamic_model.h"
+#include "odmc/phases/flight_phase.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
@@ -36,6 +37,7 @@ struct MotionCounts {
 /// the ground or within one filter window of a gap are left out and counted.
 struct FlightMotion : MotionCounts {
   std::vector<FilteredMotion> samples;
+  std::optional<double> stood_z_m;  ///< StandingHeight(), where somebody has asked for it
 };
 
 /// Shows every sample of it to `use`, and holds no more of the flight than some blocks of it.
@@ -45,6 +47,13 @@ MotionCounts FilterEach(const FlightLog& log, int num_rotors,
 
 FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
                           const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
+
+/// Height of So in W while the vehicle stands on the ground [m]: the median over the phases in
+/// which it stands.
+/// @param within_m between the 5th and the 95th percentile at most; empty where it is more (it has
+///   stood here and there), or where the vehicle stands for less than half a second
+std::optional<double> StandingHeight(const FlightLog& log, const std::vector<PhaseSpan>& phases,
+                                     double within_m);
 
 /// Pull of a suspended load per unit of load, sample by sample of one flight.
 class LoadPuller {

@@ -29,6 +29,7 @@ struct FleetFlight {
   int passes = 0;              ///< of the estimator
   /// What of it is no flight; not among what flight.json holds.
   std::vector<std::pair<Stamp, Stamp>> not_flown;
+  std::vector<PhaseSpan> phases;  ///< all of the recording, oldest first
 };
 
 struct FleetCalibration {

@@ -3,6 +3,7 @@
 #include <functional>
 #include <limits>
 #include <map>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -15,10 +16,11 @@ namespace odmc {
 /// What a flight covers.
 struct FlownRange {
   double start_s = 0.0, end_s = 0.0;
-  double lowest_m = 0.0;        ///< in the odometry's world
-  double height_range_m = 0.0;  ///< from the 5th to the 95th percentile
-  double speed_m_s = 0.0;       ///< over ground, 95th percentile
-  double descent_m_s = 0.0;     ///< along the body's -z, 95th percentile; at least 0
+  double lowest_m = 0.0;               ///< in the odometry's world
+  double height_range_m = 0.0;         ///< from the 5th to the 95th percentile
+  double speed_m_s = 0.0;              ///< over ground, 95th percentile
+  double descent_m_s = 0.0;            ///< along the body's -z, 95th percentile; at least 0
+  std::optional<double> stood_m = {};  ///< height of the odometry on the standing vehicle
 };
 
 /// One way to try an effect.
