@@ -36,6 +36,7 @@ struct Rotation {
 /// What the residual is made of, besides the interval's model.
 struct Terms {
   Vector3d f, a_p;
+  double nominal_mass, per_mass;  ///< of the vehicle file [kg]; over that of the values
   /// With the inertia of the values, and with that of some axes held; those that no row takes are
   /// not set.
   Rotation free, held;
@@ -52,8 +53,9 @@ template <int N>
 Eigen::Matrix<double, N, 1> EvaluateRows(const DynamicsMeasurement& measurement,
                                          const IntervalModel& k, Terms* terms) {
   const double dt = measurement.dt;
-  const double m = k.body.mass;
   const Vector3d& g_W = k.body.g_W;
+  terms->nominal_mass = k.model->vehicle().mass_kg;
+  terms->per_mass = terms->nominal_mass / k.body.mass;
   terms->f = k.R_BW * (k.m1.v_WBcm - k.m0.v_WBcm - dt * g_W);
   terms->is_held = measurement.inertia_fixed;
   if (terms->any(false)) terms->free = Rotation(k.body.I_BBcm_B, k, dt);
@@ -69,10 +71,12 @@ Eigen::Matrix<double, N, 1> EvaluateRows(const DynamicsMeasurement& measurement,
     e.template head<3>().setZero();
     if (measurement.form == DynamicsForm::kEuler) {
       terms->a_p = k.R_BW * (k.m1.p_WBcm - k.m0.p_WBcm - dt * k.m0.v_WBcm - 0.5 * dt * dt * g_W);
-      e.template head<3>() = m * terms->a_p - 0.5 * dt * dt * k.F_B;
+      e.template head<3>() =
+          terms->nominal_mass * terms->a_p - 0.5 * dt * dt * terms->per_mass * k.F_B;
     }
   }
-  e.template segment<3>(kVelocityRow<N>) = m * terms->f - dt * k.F_B;
+  e.template segment<3>(kVelocityRow<N>) =
+      terms->nominal_mass * terms->f - dt * terms->per_mass * k.F_B;
   for (int i = 0; i < 3; ++i) e[kAngularRow<N> + i] = terms->of_row(i).e_alpha[i];
   return e;
 }
@@ -105,7 +109,7 @@ IntervalDerivatives<N> RowDerivatives(const DynamicsMeasurement& measurement,
                                       const IntervalModel& k, const Terms& terms) {
   constexpr int v = kVelocityRow<N>, a = kAngularRow<N>;
   const double dt = measurement.dt;
-  const double m = k.body.mass;
+  const double m = terms.nominal_mass, per_mass = terms.per_mass;
   using Columns = IntervalDerivatives<N>;
   IntervalDerivatives<N> D;
   auto d_wrench = D.d_wrench();
@@ -114,26 +118,26 @@ IntervalDerivatives<N> RowDerivatives(const DynamicsMeasurement& measurement,
   const auto set = [](int row, int column, double x, auto* d) {  // x times identity
     for (int i = 0; i < 3; ++i) (*d)(row + i, column + i) = x;
   };
-  set(v, 0, -dt, &d_wrench);
+  set(v, 0, -dt * per_mass, &d_wrench);
   D.d_theta().template middleRows<3>(v) = m * Hat(terms.f);
   set(v, Columns::kComVelocity, -m, &d_motion0);
   set(v, Columns::kComVelocity, m, &d_motion1);
   set(a, Columns::kRate, -1.0, &d_motion0);
   set(a, Columns::kRate, 1.0, &d_motion1);
-  d_body.template block<3, 1>(v, kRowMass) = terms.f;
+  d_body.template block<3, 1>(v, kRowMass) = (dt * per_mass / k.body.mass) * k.F_B;
   d_body.template block<3, 3>(v, kRowGravity) = -dt * m * k.R_BW;
   for (const bool held : {false, true}) {
     if (terms.any(held)) SetRotationRows(k, terms, held, dt, a, &D);
   }
   if constexpr (N == 9) {
     if (measurement.form == DynamicsForm::kEuler) {
-      set(0, 0, -0.5 * dt * dt, &d_wrench);
+      set(0, 0, -0.5 * dt * dt * per_mass, &d_wrench);
       D.d_theta().template middleRows<3>(0) = m * Hat(terms.a_p);
       set(0, Columns::kComPosition, -m, &d_motion0);
       set(0, Columns::kComPosition, m, &d_motion1);
       set(0, Columns::kComVelocity, -dt * m, &d_motion0);
       D.by_position = true;
-      d_body.template block<3, 1>(0, kRowMass) = terms.a_p;
+      d_body.template block<3, 1>(0, kRowMass) = (0.5 * dt * dt * per_mass / k.body.mass) * k.F_B;
       d_body.template block<3, 3>(0, kRowGravity) = -0.5 * dt * dt * m * k.R_BW;
     }
   }

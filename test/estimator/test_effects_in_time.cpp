@@ -172,6 +172,28 @@ TEST(MassChange, IsFoundFromItsInstantOn) {
   }
 }
 
+// The noise of the velocity is stated six times too small: what the states follow of it is in their
+// differences, and a mass that multiplied those would come out light.
+TEST(MassChange, IsNotShrunkByNoiseOfTheVelocity) {
+  const Vehicle vehicle = With("mass_change", {{"mass_change.from", 8.0}});
+  const DynamicModel model(vehicle, vehicle.effects);
+  const int mass = model.IndexOf("mass_change.mass");
+  const double added = 0.2 * vehicle.mass_kg;
+  SimulationOptions options = Octo(20.0);
+  options.log_rate_hz = 100.0;
+  SimulationNoise noise;
+  noise.velocity_m_s = 0.03;
+  const SimulatedFlight flight =
+      Simulate(model, Truth(model, {{"mass_change.mass", added}}), options, noise);
+  EstimatorOptions understated;
+  understated.velocity_noise_m_s = 0.005;
+  Estimator estimator(&model, understated, true);
+  const ReplayResult replay = Replay(flight.log, &estimator);
+  ASSERT_TRUE(replay.last);
+  EXPECT_NEAR(replay.last->values[mass], added, 0.03 * added);
+  EXPECT_NEAR(replay.last->values[mass], added, 3.0 * replay.last->sigma[mass]);
+}
+
 TEST(SuspendedLoad, IsWeighedWhileItSwings) {
   const std::map<std::string, double> cable = {{"suspended_load.length", 0.6},
                                                {"suspended_load.damping", 0.03}};

@@ -28,8 +28,12 @@ struct DynamicsJacobians {
 /// Residual of the equations of motion over one interval (9×1):
 ///
 ///   e_p      position, Form E only (zero for Form M, where KinematicFactor has it)     [N s²]
-///   e_v      m B_mᵀ (V_1 - V_0 - Δt g) - Δt F                                          [N s]
+///   e_v      m_0/m (m B_mᵀ (V_1 - V_0 - Δt g) - Δt F), normalised                      [N s]
 ///   e_alpha  I⁻¹ (I (w_1 - w_0) + Δt w_m × I w_m - Δt τ), normalised                   [rad/s]
+///
+/// Normalised: the unknown mass and inertia divide the force and the torque, which are clean, and
+/// do not multiply differences of noisy velocities; a fit would shrink them. m_0 is the vehicle
+/// file's mass.
 ///
 /// in B at the evaluation point. V is the velocity of the centre of mass, F and τ the model's force
 /// and torque about it.                   model.md 4.1, 4.2, 4.4 and 6; paper Eq. (19), corrected
