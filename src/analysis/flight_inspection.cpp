@@ -330,7 +330,11 @@ std::string InspectionText(const FlightInspection& inspection) {
   for (const TimeOffset& offset : inspection.inspection.offsets) {
     if (!offset.lag.determined() || offset.lag.sigma_s() > kVagueLag_s) continue;
     text += "  " + offset.stream + ": " + Rounded(1e3 * offset.lag.lag_s) + " +- " +
-            Rounded(1e3 * offset.lag.sigma_s(), 2) + " ms late against " + offset.against + "\n";
+            Rounded(1e3 * offset.lag.sigma_s(), 2) + " ms late against " + offset.against;
+    if (offset.compensated_s != 0.0) {
+      text += "; " + Rounded(1e3 * offset.compensated_s, 2) + " ms taken off";
+    }
+    text += "\n";
   }
   text += "findings\n";
   for (const Finding& f : inspection.inspection.findings) {

@@ -24,21 +24,27 @@ double LiveMender::OffsetOf(const std::string& stream) const {
   return found == offset_s_.end() ? 0.0 : found->second;
 }
 
-bool LiveMender::TakeOff(const TimeOffset& offset) {
+bool LiveMender::TakeOff(const TimeOffset& offset, double left_s) {
   double& taken_s = offset_s_[offset.stream == "rotor_speeds" ? "rotor_speeds" : "imu"];
-  const double change_s = std::abs(offset.compensated_s - taken_s);
-  if (change_s <= std::max(kAnotherOffset_s, kSigmas * offset.lag.sigma_s())) return false;
-  taken_s = offset.compensated_s;
+  const double offset_s = offset.compensated_s - left_s;
+  if (std::abs(offset_s - taken_s) <=
+      std::max(kAnotherOffset_s, kSigmas * offset.lag.sigma_s())) {
+    return false;
+  }
+  taken_s = offset_s;
   return true;
 }
 
 bool LiveMender::Adopt(const StreamInspection& inspection) {
   findings_ = inspection.findings;
   bool is_new = false;
+  double rates_s = 0.0;  // stays in rates that share the poses' stamps
   for (const TimeOffset& offset : inspection.offsets) {
-    if (offset.compensated_s == 0.0) continue;
+    if (offset.stream == "body_rates") rates_s = offset.compensated_s;
+    const double left_s = offset.against == "body_rates" ? rates_s : 0.0;
+    if (offset.compensated_s == 0.0 && left_s == 0.0) continue;
     if (HasOwnStamps(offset.stream)) {
-      is_new = TakeOff(offset) || is_new;
+      is_new = TakeOff(offset, left_s) || is_new;
       continue;
     }
     const std::string check = offset.stream + "_offset";

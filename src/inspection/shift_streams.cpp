@@ -19,17 +19,37 @@ void ShiftStamps(double late_s, std::vector<Sample>* samples) {
   for (Sample& sample : *samples) sample.stamp -= late;
 }
 
-/// Value of a member at `stamp`, on the line between the samples around it.
+/// Value of a member at `stamp`, on the cubic through the four samples around it (a line would take
+/// a fifth of what moves with a fifth of the rate), or on the line between two where four are not
+/// there.
 std::optional<Vector3d> Between(const std::vector<OdometrySample>& samples, Member member,
                                 Stamp stamp, size_t* at) {
   while (*at + 1 < samples.size() && samples[*at + 1].stamp <= stamp) ++*at;
-  const OdometrySample& before = samples[*at];
-  if (before.stamp > stamp || *at + 1 >= samples.size()) return std::nullopt;
-  const OdometrySample& after = samples[*at + 1];
-  const double span_s = ToSeconds(after.stamp - before.stamp);
-  if (!(before.*member) || !(after.*member) || span_s > kLongestLine_s) return std::nullopt;
-  const double share = ToSeconds(stamp - before.stamp) / span_s;
-  return Vector3d((1.0 - share) * *(before.*member) + share * *(after.*member));
+  if (samples[*at].stamp > stamp || *at + 1 >= samples.size()) return std::nullopt;
+  const auto whole = [&](size_t first, size_t last) {
+    for (size_t i = first; i <= last; ++i) {
+      if (!(samples[i].*member)) return false;
+      if (i > first && ToSeconds(samples[i].stamp - samples[i - 1].stamp) > kLongestLine_s)
+        return false;
+    }
+    return true;
+  };
+  size_t first = *at, last = *at + 1;
+  if (!whole(first, last)) return std::nullopt;
+  if (first > 0 && last + 1 < samples.size() && whole(first - 1, last + 1)) {
+    --first;
+    ++last;
+  }
+  Vector3d value = Vector3d::Zero();  // Lagrange's form
+  for (size_t i = first; i <= last; ++i) {
+    double weight = 1.0;
+    for (size_t j = first; j <= last; ++j) {
+      if (j == i) continue;
+      weight *= ToSeconds(stamp - samples[j].stamp) / ToSeconds(samples[i].stamp - samples[j].stamp);
+    }
+    value += weight * *(samples[i].*member);
+  }
+  return value;
 }
 
 /// A reading stamped t + late was taken at t: every pose gets what stands `late_s` after it.

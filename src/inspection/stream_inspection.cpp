@@ -10,9 +10,10 @@
 namespace odmc {
 namespace {
 
-// Beyond these a stream is taken to be stamped wrongly. Rotor speeds are read where they are used;
+// Beyond these a stream is said to be stamped wrongly. Rotor speeds are read where they are used;
 // what a rate, velocity or accelerometer went through before (filters at 20 to 100 Hz, an onboard
-// observer) makes it up to 10 ms late or early against the pose by itself.
+// observer) makes it up to 10 ms late or early against the pose by itself. That lag is taken off as
+// any other, without a word.
 constexpr double kLeastRotorOffset_s = 0.005, kLeastFilterOffset_s = 0.010;
 constexpr double kSigmas = 3.0;
 // No filter and no controller makes a lag this long: two sigmas do. (An accelerometer feels what
@@ -21,7 +22,7 @@ constexpr double kLaterThanFilters_s = 0.03, kSigmasOfLongOnes = 2.0;
 // What an observer's own lag is, StreamLag::pull_s says. A wrong stamp is besides a lag of the
 // whole: taking it off cures part of the disagreement. (An accelerometer shows a swinging load that
 // the pose does not; it must cure half.)
-constexpr double kVelocityCured = 0.05, kRatesCured = 0.2, kAccelerometerCured = 0.5;
+constexpr double kVelocityCured = 0.05, kAccelerometerCured = 0.5;
 constexpr double kWellKnown_s = 0.01;
 
 // Every second stream has an offset, of some 20 ms: of seven vehicles' recordings, in five rotor
@@ -45,23 +46,28 @@ std::string Called(const std::string& stream) {
 
 double MustCure(const std::string& stream) {
   if (stream == "accelerometer") return kAccelerometerCured;
-  return stream == "velocity" ? kVelocityCured : kRatesCured;
+  return stream == "velocity" ? kVelocityCured : 0.0;
 }
 
-bool IsWrong(const TimeOffset& offset) {
+/// True if the lag is there, and is one that a shift takes off.
+bool Stands(const TimeOffset& offset) {
   const StreamLag& lag = offset.lag;
   const double size_s = std::abs(lag.lag_s);
-  if (!lag.determined()) return false;
+  if (!lag.determined() || size_s < kNoOffset_s) return false;
   const bool is_long = size_s > kLaterThanFilters_s && offset.stream != "accelerometer";
   const double sigmas = is_long ? kSigmasOfLongOnes : kSigmas;
-  if (size_s < sigmas * lag.sigma_s()) return false;
-  if (offset.stream == "rotor_speeds") {
-    // Where answers of the controller are most of what the flight shows, their lag may be found in
-    // place of the stamps', 45 ms off. There the stamps as they are must explain less.
-    const bool explains_more = lag.sigma_s() < kWellKnown_s || lag.over_none >= kLeastContrast;
-    return size_s > kLeastRotorOffset_s && explains_more;
-  }
-  return size_s > kLeastFilterOffset_s && lag.cured > MustCure(offset.stream);
+  return size_s > sigmas * lag.sigma_s() && lag.cured > MustCure(offset.stream);
+}
+
+/// The same of rotor speeds, whose lag is judged from the clock that they are thought to keep.
+bool RotorsStand(const StreamLag& lag, double clock_s) {
+  const double size_s = std::abs(lag.lag_s - clock_s);
+  if (!lag.determined() || size_s < kLeastRotorOffset_s) return false;
+  const double sigmas = size_s > kLaterThanFilters_s ? kSigmasOfLongOnes : kSigmas;
+  // Where answers of the controller are most of what the flight shows, their lag may be found in
+  // place of the stamps', 45 ms off. There the stamps as they are must explain less.
+  return size_s > sigmas * lag.sigma_s() &&
+         (lag.sigma_s() < kWellKnown_s || lag.over_none >= kLeastContrast);
 }
 
 /// What is not known of an offset after it was taken off, or was not.
@@ -82,13 +88,32 @@ void AddDoubt(const TimeOffset& offset, StreamInspection* inspection) {
 /// Adds an offset, and what follows from it. @returns what was compensated [s]
 double Take(std::optional<TimeOffset> offset, StreamInspection* inspection) {
   if (!offset) return 0.0;
-  if (IsWrong(*offset)) {
+  if (Stands(*offset)) {
+    offset->compensated_s = offset->lag.lag_s;
+    if (std::abs(offset->lag.lag_s) > kLeastFilterOffset_s) {
+      inspection->findings.push_back(OffsetFinding(*offset, true));
+    }
+  }
+  AddDoubt(*offset, inspection);
+  inspection->offsets.push_back(*offset);
+  return offset->compensated_s;
+}
+
+/// Rotor speeds. No filter makes a turn rate early: where it is, the attitude is late, or the rates
+/// are stamped early. Rotor speeds with right stamps are early with them, or not: what they show.
+/// @param rates_s how late the rates are that they were compared with
+void TakeRotors(std::optional<TimeOffset> offset, double rates_s, StreamInspection* inspection) {
+  if (!offset) return;
+  const StreamLag& lag = offset->lag;
+  double clock_s = std::min(0.0, rates_s);
+  if (lag.determined() && std::abs(lag.lag_s) < std::abs(lag.lag_s - clock_s)) clock_s = 0.0;
+  offset->compensated_s = clock_s;
+  if (RotorsStand(offset->lag, clock_s)) {
     offset->compensated_s = offset->lag.lag_s;
     inspection->findings.push_back(OffsetFinding(*offset, true));
   }
   AddDoubt(*offset, inspection);
   inspection->offsets.push_back(*offset);
-  return offset->compensated_s;
 }
 
 /// The IMU's two sensors share their stamps, and the gyro shows them better.
@@ -107,26 +132,39 @@ double TakeImu(const MotionSignals& signals, const Vehicle& vehicle,
   return Take(accelerometer, inspection);
 }
 
-/// Relative to a stream that was late itself: its own filter's lag went with it, half of
-/// kLeastFilterOffset_s give or take.
-void Add(double late_s, TimeOffset* offset) {
-  if (late_s == 0.0) return;
-  offset->lag.lag_s += late_s;
-  offset->lag.pull_s = std::hypot(offset->lag.pull_s, 0.5 * kLeastFilterOffset_s);
+/// An offset against a stream that was late itself.
+void Add(const std::optional<TimeOffset>& reference, std::optional<TimeOffset>* offset) {
+  if (!reference || !*offset || (*offset)->against != reference->stream) return;
+  if (reference->compensated_s == 0.0) return;
+  StreamLag& lag = (*offset)->lag;
+  lag.lag_s += reference->compensated_s;
+  lag.pull_s = std::hypot(lag.pull_s, reference->lag.sigma_s());
+}
+
+/// What was found of a stream.
+std::optional<TimeOffset> Found(const std::string& stream, const StreamInspection& inspection) {
+  for (const TimeOffset& offset : inspection.offsets) {
+    if (offset.stream == stream) return offset;
+  }
+  return std::nullopt;
 }
 
 void InspectOffsets(const MotionSignals& signals, const Vehicle& vehicle,
                     const std::vector<bool>& flight, StreamInspection* inspection) {
-  const double velocity_s = Take(VelocityOffset(signals, flight), inspection);
-  const double rates_s = Take(RatesOffset(signals, flight), inspection);
-  const double imu_s = TakeImu(signals, vehicle, flight, inspection);
+  Take(VelocityOffset(signals, flight), inspection);
+  Take(RatesOffset(signals, flight), inspection);
+  TakeImu(signals, vehicle, flight, inspection);
   auto torque = RotorOffset(signals, vehicle, flight);
   auto thrust = ThrustOffset(signals, vehicle, flight);
-  if (torque && torque->against == "body_rates") Add(rates_s, &*torque);
-  if (torque && torque->against == "gyro") Add(imu_s, &*torque);
-  if (thrust && thrust->against == "velocity") Add(velocity_s, &*thrust);
+  double rates_s = 0.0;
+  for (const char* stream : {"velocity", "body_rates", "gyro"}) {
+    const auto reference = Found(stream, *inspection);
+    if (reference && torque && torque->against == stream) rates_s = reference->compensated_s;
+    Add(reference, &torque);
+    Add(reference, &thrust);
+  }
   if (torque) CheckInertia(signals, vehicle, flight, *torque, inspection);
-  Take(CombinedOffset(torque, thrust), inspection);
+  TakeRotors(CombinedOffset(torque, thrust), rates_s, inspection);
 }
 
 }  // namespace

@@ -178,6 +178,67 @@ TEST(StreamInspection, FindsShiftsOfVelocityRatesAndImu) {
   EXPECT_NE(Find(imu, "gyro")->compensated_s, 0.0);
 }
 
+/// What a filter of first order makes of the odometry's velocity and rates.
+void Filter(double lag_s, FlightLog* log) {
+  Vector3d v = *log->odometry.front().v_WS, w = *log->odometry.front().w_WS_S;
+  Stamp before = log->odometry.front().stamp;
+  for (OdometrySample& sample : log->odometry) {
+    const double share = 1.0 - std::exp(-ToSeconds(sample.stamp - before) / lag_s);
+    before = sample.stamp;
+    v += share * (*sample.v_WS - v);
+    w += share * (*sample.w_WS_S - w);
+    sample.v_WS = v;
+    sample.w_WS_S = w;
+  }
+}
+
+// A filter's lag is nobody's mistake, but left in it is put on the rotor speeds, which are then early.
+TEST(StreamInspection, LagOfAFilterIsTakenOffWithoutAWord) {
+  for (const int seed : {1, 2, 3}) {
+    FlightLog log = Fly("octo", seed);
+    Filter(0.008, &log);
+    const StreamInspection found = InspectStreams(log, TestVehicle());
+    EXPECT_TRUE(found.findings.empty()) << Checks(found);
+    // In discrete time the filter is late by half a step less.
+    EXPECT_NEAR(Find(found, "velocity")->compensated_s, 0.007, 0.0015);
+    EXPECT_NEAR(Find(found, "body_rates")->compensated_s, 0.007, 0.0015);
+    EXPECT_EQ(Find(found, "gyro")->compensated_s, 0.0);
+    EXPECT_EQ(Find(found, "rotor_speeds")->compensated_s, 0.0);
+  }
+}
+
+// Rates cannot be early by a filter: the attitude is late, and rotor speeds go with the rates.
+TEST(StreamInspection, RotorSpeedsGoWithTheRatesWhereTheAttitudeIsLate) {
+  const StreamInspection found = Spoiled([](FlightLog* log) {
+    ShiftRates(0.0045, log);
+    ShiftImu(0.0045, log);
+    ShiftRotors(0.0045, log);
+  });
+  EXPECT_TRUE(found.findings.empty()) << Checks(found);
+  EXPECT_NEAR(Find(found, "body_rates")->compensated_s, -0.0045, 0.0005);
+  EXPECT_NEAR(Find(found, "gyro")->compensated_s, -0.0045, 0.0005);
+  EXPECT_NEAR(Find(found, "rotor_speeds")->compensated_s, -0.0045, 0.0005);
+}
+
+TEST(ShiftStream, KeepsWhatIsFast) {
+  FlightLog log;
+  constexpr double kRate_Hz = 100.0, kTone_Hz = 20.0, kLate_s = 0.005;
+  for (int i = 0; i < 200; ++i) {
+    OdometrySample sample;
+    sample.stamp = FromSeconds(1.0 + i / kRate_Hz);
+    sample.w_WS_S = Vector3d::Constant(std::sin(2.0 * M_PI * kTone_Hz * i / kRate_Hz));
+    log.odometry.push_back(sample);
+  }
+  ShiftRates(kLate_s, &log);
+  double worst = 0.0;
+  for (const OdometrySample& sample : log.odometry) {
+    const double t = ToSeconds(sample.stamp) - 1.0 + kLate_s;
+    if (t < 0.02 || t > 1.96) continue;  // lines at both ends
+    worst = std::max(worst, std::abs(sample.w_WS_S->x() - std::sin(2.0 * M_PI * kTone_Hz * t)));
+  }
+  EXPECT_LT(worst, 0.06);  // half way along a line: 0.19
+}
+
 TEST(StreamInspection, TakesTheOffsetOff) {
   FlightLog log = Octo();
   ShiftRotors(-0.04, &log);

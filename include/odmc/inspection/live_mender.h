@@ -11,7 +11,8 @@ namespace odmc {
 
 /// Mends the streams of a running node, sample by sample, as one inspection after the other says:
 /// takes offsets off the stamps of rotor speeds and IMU, drops columns that are wrong. The stamps
-/// of velocity and rates are the poses'; their offsets are told and left. Thread-compatible.
+/// of velocity and rates are the poses'; their offsets are told and left, and rotor speeds are then
+/// brought to the time that the rates show. Thread-compatible.
 class LiveMender {
  public:
   /// Takes over what an inspection of the streams as they come says. An offset replaces the last
@@ -35,7 +36,8 @@ class LiveMender {
   struct Dropped {
     bool velocity = false, rates = false, gyro = false, accelerometer = false;
   };
-  bool TakeOff(const TimeOffset& offset);
+  /// @param left_s late of the reference of this offset, which stays
+  bool TakeOff(const TimeOffset& offset, double left_s);
 
   std::map<std::string, double> offset_s_;
   Dropped dropped_;

@@ -32,8 +32,8 @@ StreamInspection InspectStreams(const FlightLog& log, const Vehicle& vehicle);
 Finding OffsetFinding(const TimeOffset& offset, bool taken_off);
 
 /// Does to the log what the inspection says: takes the offsets off, drops broken columns. Rotor
-/// speeds and IMU get other stamps; velocity and rates, whose stamps are the poses', are put
-/// through lines between their samples, and poses that then lack them are dropped.
+/// speeds and IMU get other stamps; velocity and rates, whose stamps are the poses', are
+/// interpolated by cubics, and poses that then lack them are dropped.
 void MendStreams(const StreamInspection& inspection, FlightLog* log);
 
 /// Takes an offset off the stamps of a stream. @param late_s > 0: the stamps are too late
