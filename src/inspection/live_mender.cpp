@@ -27,8 +27,7 @@ double LiveMender::OffsetOf(const std::string& stream) const {
 bool LiveMender::TakeOff(const TimeOffset& offset, double left_s) {
   double& taken_s = offset_s_[offset.stream == "rotor_speeds" ? "rotor_speeds" : "imu"];
   const double offset_s = offset.compensated_s - left_s;
-  if (std::abs(offset_s - taken_s) <=
-      std::max(kAnotherOffset_s, kSigmas * offset.lag.sigma_s())) {
+  if (std::abs(offset_s - taken_s) <= std::max(kAnotherOffset_s, kSigmas * offset.lag.sigma_s())) {
     return false;
   }
   taken_s = offset_s;

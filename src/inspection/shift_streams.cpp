@@ -45,7 +45,8 @@ std::optional<Vector3d> Between(const std::vector<OdometrySample>& samples, Memb
     double weight = 1.0;
     for (size_t j = first; j <= last; ++j) {
       if (j == i) continue;
-      weight *= ToSeconds(stamp - samples[j].stamp) / ToSeconds(samples[i].stamp - samples[j].stamp);
+      weight *=
+          ToSeconds(stamp - samples[j].stamp) / ToSeconds(samples[i].stamp - samples[j].stamp);
     }
     value += weight * *(samples[i].*member);
   }

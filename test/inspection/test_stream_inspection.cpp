@@ -192,7 +192,8 @@ void Filter(double lag_s, FlightLog* log) {
   }
 }
 
-// A filter's lag is nobody's mistake, but left in it is put on the rotor speeds, which are then early.
+// A filter's lag is nobody's mistake, but left in it is put on the rotor speeds, which are then
+// early.
 TEST(StreamInspection, LagOfAFilterIsTakenOffWithoutAWord) {
   for (const int seed : {1, 2, 3}) {
     FlightLog log = Fly("octo", seed);
