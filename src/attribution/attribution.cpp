@@ -109,8 +109,15 @@ Valley ValleyOf(const EffectFit& other, const Evidence& evidence, const EffectFi
 
 }  // namespace
 
+bool IsSensorNoise(const ChannelStructure& channel, const AttributionOptions& options) {
+  if (!channel.shared) return false;
+  const double sigmas = options.significant_sigmas * channel.shared->sigma;
+  return channel.shared->share < sigmas &&
+         channel.shared->share + sigmas < 1.0 - options.most_unexplained;
+}
+
 bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options) {
-  return channel.whiteness.p < options.whiteness_p &&
+  return !IsSensorNoise(channel, options) && channel.whiteness.p < options.whiteness_p &&
          channel.whiteness.structured_share > options.least_structured;
 }
 

@@ -8,6 +8,7 @@
 #include <memory>
 #include <optional>
 #include <stdexcept>
+#include <tuple>
 
 #include "odmc/analysis/calibration.h"
 #include "odmc/attribution/candidates.h"
@@ -24,12 +25,14 @@ namespace {
 constexpr int kLeastSamples = 50;  // to look for effects in
 
 std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedFlight& flight,
-                  const ResidualModel::Wrenches& residual) {
+                  const ResidualModel::Wrenches& residual, const AttributionOptions& options) {
   if (structure.empty()) return "";
-  const auto worst = std::min_element(structure.begin(), structure.end(), [](auto& a, auto& b) {
-    return std::make_pair(a.whiteness.p, -a.whiteness.structured_share) <
-           std::make_pair(b.whiteness.p, -b.whiteness.structured_share);
-  });
+  const auto rank = [&](const ChannelStructure& channel) {
+    return std::make_tuple(IsSensorNoise(channel, options), channel.whiteness.p,
+                           -channel.whiteness.structured_share);
+  };
+  const auto worst = std::min_element(structure.begin(), structure.end(),
+                                      [&](auto& a, auto& b) { return rank(a) < rank(b); });
   const auto c = static_cast<Eigen::Index>(worst - structure.begin());
   std::map<int, std::pair<double, int>> power;
   for (int i = 0; i < flight.size(); ++i) {
@@ -151,6 +154,14 @@ bool Summarise(const AttributionOptions& options, ClosedLoop* result) {
   const auto n = static_cast<double>(result->structure.size());
   for (const ChannelStructure& channel : result->structure) {
     const WhitenessResult& whiteness = channel.whiteness;
+    if (IsSensorNoise(channel, options)) {
+      if (!(whiteness.p < options.whiteness_p)) continue;
+      result->warnings.push_back("structure in " + channel.name +
+                                 " is noise of the accelerometer, as of vibration: the " +
+                                 "motion shows " + Rounded(100.0 * channel.shared->share) + " +- " +
+                                 Rounded(100.0 * channel.shared->sigma) + " % of it");
+      continue;
+    }
     result->structured_share = std::max(result->structured_share, whiteness.structured_share);
     result->whiteness_p = std::min(result->whiteness_p, n * whiteness.p);
     structured = structured || IsStructured(channel, options);
@@ -217,6 +228,7 @@ class LoopSession {
   OnlinePass before_;
   std::unique_ptr<ThinnedFlight> flight_;
   std::unique_ptr<ResidualModel> residual_;
+  Eigen::MatrixX3d again_ = Eigen::MatrixX3d(0, 3);  ///< ResidualModel::ForceByMotion()
   std::vector<EffectCandidate> candidates_;
   std::unique_ptr<Attribution> attribution_;
   std::optional<GustCase> gusts_;  ///< where they make their case
@@ -299,10 +311,11 @@ void LoopSession::Attribute() {
   result_.named_gain = attribution_->gain();
   result_.flexible_gain = attribution_->flexible_gain();
   const ResidualModel::Wrenches& before = attribution_->residual_before();
-  result_.structure =
-      LessStructured(StructureByChannel(*flight_, before, residual_->num_channels()),
-                     StructureByChannel(*flight_, residual_->Residual(declared_, values),
-                                        residual_->num_channels()));
+  again_ = residual_->ForceByMotion(declared_, values);
+  const int channels = residual_->num_channels();
+  result_.structure = LessStructured(
+      StructureByChannel(*flight_, before, channels, again_),
+      StructureByChannel(*flight_, residual_->Residual(declared_, values), channels, again_));
   structured_ = Summarise(options_.attribution, &result_);
   const std::vector<std::vector<double>> runs = flight_->Runs(before.col(0));
   const bool judged = std::any_of(runs.begin(), runs.end(),
@@ -342,7 +355,7 @@ void LoopSession::WeighGusts() {
 
 std::vector<ChannelStructure> LoopSession::StructureInUse(
     const ResidualModel::Wrenches& residual) const {
-  return StructureByChannel(*flight_, residual, residual_->num_channels(), true);
+  return StructureByChannel(*flight_, residual, residual_->num_channels(), again_, true);
 }
 
 double LoopSession::Unexplained() const {
@@ -516,7 +529,8 @@ void LoopSession::Conclude() {
     for (const RankedEffect& ranked : effects_) result_.effects.push_back(Added(ranked, model));
   } else if (structured_) {
     result_.verdict = Verdict::kUnexplained;
-    result_.where = Where(result_.structure, *flight_, attribution_->residual_before());
+    result_.where =
+        Where(result_.structure, *flight_, attribution_->residual_before(), options_.attribution);
   }
   result_.nominal_inertia = file_vehicle_.inertia_kg_m2;
   result_.bands = BandsOf(model, effects_.empty() ? before_ : *after_);

@@ -73,13 +73,18 @@ void AddErrors(const ClosedLoop& loop, Json* json) {
 Json ChannelJson(const ChannelStructure& channel) {
   Json dependence = Json::object();
   for (const auto& [name, share] : channel.dependence) dependence[name] = JsonNumber(share);
-  return {{"rmse", JsonNumber(channel.rmse)},
-          {"unit", channel.unit},
-          {"structured_share", JsonNumber(channel.whiteness.structured_share)},
-          {"whiteness_p", JsonNumber(channel.whiteness.p)},
-          {"peak_Hz", JsonNumber(channel.whiteness.peak_Hz)},
-          {"autocorrelation_40ms", channel.autocorrelation},
-          {"dependence", dependence}};
+  Json json = {{"rmse", JsonNumber(channel.rmse)},
+               {"unit", channel.unit},
+               {"structured_share", JsonNumber(channel.whiteness.structured_share)},
+               {"whiteness_p", JsonNumber(channel.whiteness.p)},
+               {"peak_Hz", JsonNumber(channel.whiteness.peak_Hz)},
+               {"autocorrelation_40ms", channel.autocorrelation},
+               {"dependence", dependence}};
+  if (channel.shared) {
+    json["motion_shows"] = {{"share", JsonNumber(channel.shared->share)},
+                            {"sigma", JsonNumber(channel.shared->sigma)}};
+  }
+  return json;
 }
 
 Json ResidualJson(const ClosedLoop& loop) {

@@ -89,30 +89,53 @@ ResidualModel::ResidualModel(const ThinnedFlight* flight, const Vehicle* file_ve
   }
 }
 
-ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
-                                                const ModelValues& values) const {
-  Wrenches residual(flight_->size(), kNumChannels);
+std::vector<PredictionSample> ResidualModel::Predict(const DynamicModel& model,
+                                                     const ModelValues& values) const {
+  std::vector<PredictionSample> samples;
+  samples.reserve(static_cast<size_t>(flight_->size()));
   std::vector<Eigen::Vector3d> pulls;
   if (model.pendulum()) pulls = LoadPulls(flight_->motion(), model, values);
   const Eigen::Vector3d hanging(0.0, 0.0, -file_vehicle_->gravity_m_s2);
   const BodyProperties body = model.Properties(values);
+  for (int i = 0; i < flight_->size(); ++i) {
+    const Eigen::Vector3d& pull = pulls.empty() ? hanging : pulls[flight_->index(i)];
+    samples.push_back(PredictSample(flight_->sample(i), pull, *file_vehicle_, model, values, false,
+                                    model.varies() ? nullptr : &body));
+  }
+  return samples;
+}
+
+ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
+                                                const ModelValues& values) const {
+  Wrenches residual(flight_->size(), kNumChannels);
+  const std::vector<PredictionSample> samples = Predict(model, values);
   const Eigen::Matrix3d R_BI = file_vehicle_->imu ? file_vehicle_->imu->q_BS.toRotationMatrix()
                                                   : Eigen::Matrix3d::Identity();
   for (int i = 0; i < flight_->size(); ++i) {
-    const Eigen::Vector3d& pull = pulls.empty() ? hanging : pulls[flight_->index(i)];
-    const FilteredMotion& motion = flight_->sample(i);
-    const PredictionSample s = PredictSample(motion, pull, *file_vehicle_, model, values, false,
-                                             model.varies() ? nullptr : &body);
+    const PredictionSample& s = samples[static_cast<size_t>(i)];
     residual.row(i).head<3>() = s.measured_force - s.predicted_force;
     if (from_accelerometer_) {
       residual.row(i).head<3>() =
-          file_vehicle_->mass_kg * R_BI * (*motion.specific_force_I - s.predicted_specific_force);
+          file_vehicle_->mass_kg * R_BI *
+          (*flight_->sample(i).specific_force_I - s.predicted_specific_force);
     }
     residual.row(i).tail<3>() = file_vehicle_->inertia_kg_m2.cwiseProduct(
         s.measured_angular_acceleration - s.predicted_angular_acceleration);
   }
   if (!with_torque_) residual.rightCols<3>().setZero();
   return residual;
+}
+
+Eigen::MatrixX3d ResidualModel::ForceByMotion(const DynamicModel& model,
+                                              const ModelValues& values) const {
+  if (!from_accelerometer_) return Eigen::MatrixX3d(0, 3);
+  Eigen::MatrixX3d force(flight_->size(), 3);
+  const std::vector<PredictionSample> samples = Predict(model, values);
+  for (int i = 0; i < flight_->size(); ++i) {
+    const PredictionSample& s = samples[static_cast<size_t>(i)];
+    force.row(i) = s.measured_force - s.predicted_force;
+  }
+  return force;
 }
 
 ResidualModel::Wrenches ResidualModel::ResidualAt(const DynamicModel& model, ModelValues values,

@@ -61,6 +61,7 @@ void Summarise(const std::vector<ChannelStructure>& channels, const AttributionO
   for (size_t c = 0; c < channels.size(); ++c) {
     const WhitenessResult& whiteness = channels[c].whiteness;
     (c < 3 ? found->force_rmse_N[c] : found->torque_rmse_Nm[c - 3]) = channels[c].rmse;
+    if (IsSensorNoise(channels[c], decision)) continue;
     if (whiteness.structured_share >= found->structured_share) {
       found->structured_share = whiteness.structured_share;
       found->channel = channels[c].name;
@@ -233,16 +234,17 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
                           ModelPointOf(DynamicModel(asked, asked.effects), estimate.values),
                           CandidatesFor(asked, flight.motion()), decision_, give_up);
   attribution.Run();
+  const Eigen::MatrixX3d again = residual.ForceByMotion(model, estimate.values);
   const std::vector<ChannelStructure> before =
-      StructureByChannel(flight, attribution.residual_before(), channels);
+      StructureByChannel(flight, attribution.residual_before(), channels, again);
   Summarise(
-      LessStructured(
-          before, StructureByChannel(flight, residual.Residual(model, estimate.values), channels)),
+      LessStructured(before, StructureByChannel(flight, residual.Residual(model, estimate.values),
+                                                channels, again)),
       decision_, &found);
   const std::vector<RankedEffect>& effects = attribution.effects();
   if (effects.empty()) return found;
   const std::vector<ChannelStructure> after =
-      StructureByChannel(flight, attribution.residual_after(), channels);
+      StructureByChannel(flight, attribution.residual_after(), channels, again);
   const double unexplained = UnexplainedStructure(
       attribution.residual_before(), attribution.residual_after(), before, after, decision_);
   // As in CloseLoop(): a stand-in explains less than is left.

@@ -11,14 +11,48 @@ namespace {
 
 constexpr double kHighest_Hz = 7.0;   // edge of the filter
 constexpr int kCorrelationLags = 26;  // of 40 ms: one second
+constexpr int kLeastBlocks = 6;       // of time, to tell a scatter
 const char* const kChannelNames[] = {"force_x",  "force_y",  "force_z",
                                      "torque_x", "torque_y", "torque_z"};
+
+/// Without the mean: an accelerometer has a bias.
+Eigen::VectorXd Centred(const Eigen::VectorXd& x) { return x.array() - x.mean(); }
+
+/// @param structured variance of the channel
+std::optional<SharedStructure> Shared(const ThinnedFlight& flight, const Eigen::VectorXd& one,
+                                      const Eigen::VectorXd& other, double structured,
+                                      bool in_use_only) {
+  if (!(structured > 0.0)) return std::nullopt;
+  const Eigen::VectorXd product = Centred(one).cwiseProduct(Centred(other)) / structured;
+  std::map<int, std::pair<double, int>> blocks;
+  for (int i = 0; i < flight.size(); ++i) {
+    if (in_use_only && flight.held_out(i)) continue;
+    auto& [sum, count] = blocks[flight.block(i)];
+    sum += product[i];
+    ++count;
+  }
+  const auto n = static_cast<double>(blocks.size());
+  if (n < kLeastBlocks) return std::nullopt;
+  double samples = 0.0, sum = 0.0, square = 0.0;
+  for (const auto& entry : blocks) {
+    samples += entry.second.second;
+    sum += entry.second.first;
+  }
+  SharedStructure shared;
+  shared.share = sum / samples;
+  for (const auto& entry : blocks) {
+    square += std::pow(entry.second.first - shared.share * entry.second.second, 2);
+  }
+  shared.sigma = std::sqrt(square * n / (n - 1.0)) / samples;
+  return shared;
+}
 
 }  // namespace
 
 std::vector<ChannelStructure> StructureByChannel(const ThinnedFlight& flight,
                                                  const ResidualModel::Wrenches& residual,
-                                                 int num_channels, bool in_use_only) {
+                                                 int num_channels, const Eigen::MatrixX3d& again,
+                                                 bool in_use_only) {
   std::vector<ChannelStructure> all;
   const double rate_Hz = 1.0 / flight.step_s();
   for (int c = 0; c < num_channels; ++c) {
@@ -55,6 +89,11 @@ std::vector<ChannelStructure> StructureByChannel(const ThinnedFlight& flight,
         {"height", share([&](int i) { return flight.sample(i).p_WS.z(); })},
         {"time", share([&](int i) { return flight.sample(i).t_s; })},
     };
+    if (c < again.cols() && again.rows() == y.size()) {
+      const double variance = Centred(y).squaredNorm() / static_cast<double>(y.size());
+      channel.shared = Shared(flight, y, again.col(c),
+                              channel.whiteness.structured_share * variance, in_use_only);
+    }
     all.push_back(std::move(channel));
   }
   return all;

@@ -26,6 +26,7 @@ constexpr double kLeastOfAFlight_s = 60.0;  // looked at, however many there are
 struct Looked {
   std::optional<ThinnedFlight> flight;
   std::optional<ResidualModel> residual;
+  Eigen::MatrixX3d again;  ///< ResidualModel::ForceByMotion() as declared
 };
 
 /// Every flight that the joint estimate uses, thinned.
@@ -206,7 +207,7 @@ double UnexplainedShare(const Attribution& attribution, const std::vector<Looked
   for (size_t f = 0; f < looked.size(); ++f) {
     const int channels = looked[f].residual->num_channels();
     const auto structure = [&](const ResidualModel::Wrenches& of) {
-      return StructureByChannel(*looked[f].flight, of, channels);
+      return StructureByChannel(*looked[f].flight, of, channels, looked[f].again);
     };
     const auto &before = attribution.residual_before(f), &after = attribution.residual_after(f);
     const double left =
@@ -230,7 +231,7 @@ std::vector<std::pair<std::string, int>> StructuredChannels(const Attribution& a
   for (size_t f = 0; f < looked.size(); ++f) {
     for (const ChannelStructure& channel :
          StructureByChannel(*looked[f].flight, attribution.residual_before(f),
-                            looked[f].residual->num_channels())) {
+                            looked[f].residual->num_channels(), looked[f].again)) {
       const auto known = std::find_if(channels.begin(), channels.end(),
                                       [&](const auto& c) { return c.first == channel.name; });
       const int more = IsStructured(channel, options) ? 1 : 0;
@@ -289,17 +290,20 @@ class JointSession {
 };
 
 void JointSession::Find(const Progress& progress) {
-  const std::vector<Looked> looked = LookAt(loop_.before, source_, file_vehicle_, options_);
+  std::vector<Looked> looked = LookAt(loop_.before, source_, file_vehicle_, options_);
   if (progress) progress(0.1);
   std::vector<const ResidualModel*> residuals;
   std::vector<const FlightMotion*> motions;
-  for (const Looked& look : looked) {
-    residuals.push_back(&*look.residual);
-    motions.push_back(&look.flight->motion());
+  const DynamicModel declared(vehicle_, vehicle_.effects);
+  const ModelPoint point = ModelPointOfFleet(loop_.before, declared);
+  for (size_t f = 0; f < looked.size(); ++f) {
+    looked[f].again =
+        looked[f].residual->ForceByMotion(declared, ValuesOf(declared, point.OfFlight(f).values));
+    residuals.push_back(&*looked[f].residual);
+    motions.push_back(&looked[f].flight->motion());
   }
-  Attribution attribution(
-      residuals, ModelPointOfFleet(loop_.before, DynamicModel(vehicle_, vehicle_.effects)),
-      CandidatesFor(vehicle_, motions), options_.attribution, {}, options_.calibration.jobs);
+  Attribution attribution(residuals, point, CandidatesFor(vehicle_, motions), options_.attribution,
+                          {}, options_.calibration.jobs);
   attribution.Run();
   point_ = attribution.point();
   effects_ = attribution.effects();

@@ -14,6 +14,10 @@
 
 namespace odmc {
 
+/// True if a force's structure is one sensor's own: significantly less than half of it (1 -
+/// `most_unexplained`) is in the other measurement, and none significantly.
+bool IsSensorNoise(const ChannelStructure& channel, const AttributionOptions& options);
+
 /// True if a channel of the residual is more than noise.
 bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options);
 

@@ -90,6 +90,10 @@ class ResidualModel {
   /// Measured minus predicted (N×6).
   Wrenches Residual(const DynamicModel& model, const ModelValues& values) const;
 
+  /// A second measurement of the force's part, where from_accelerometer(): by the motion, mass
+  /// times the velocity's derivative, turned by the attitude (N×3) [N]. Else no rows.
+  Eigen::MatrixX3d ForceByMotion(const DynamicModel& model, const ModelValues& values) const;
+
   /// Derivative of the prediction by parameter `index` (N×6), by central differences,
   /// without torque where IsAnchoredByForce().
   Wrenches Derivative(const DynamicModel& model, const ModelValues& values, int index) const;
@@ -106,6 +110,8 @@ class ResidualModel {
   int num_channels() const { return with_torque_ ? kNumChannels : 3; }
 
  private:
+  /// Measured and predicted at every sample.
+  std::vector<PredictionSample> Predict(const DynamicModel& model, const ModelValues& values) const;
   /// Residual() with one value moved by `step`.
   Wrenches ResidualAt(const DynamicModel& model, ModelValues values, int index, double step) const;
 

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -9,6 +10,13 @@
 
 namespace odmc {
 
+/// What of a force's structure a second measurement shows, too. Accelerometer and pose err each for
+/// itself (vibration; slow errors of attitude and velocity), so what both show is a force.
+struct SharedStructure {
+  double share = 0.0;  ///< covariance of both over the structured variance: 0 noise, near 1 force
+  double sigma = 0.0;  ///< by the scatter over blocks of time
+};
+
 /// Structure of one channel of the residual.
 struct ChannelStructure {
   std::string name, unit;
@@ -16,13 +24,17 @@ struct ChannelStructure {
   WhitenessResult whiteness;
   std::vector<double> autocorrelation;       ///< at lags of 40 ms
   std::map<std::string, double> dependence;  ///< share of variance by a quadratic in each quantity
+  std::optional<SharedStructure> shared;     ///< where the force was measured twice
 };
 
 /// Structure of every channel of a residual.
+/// @param again a second measurement of the residual force, see ResidualModel::ForceByMotion(),
+/// of any fit that has the force; no rows where there is none
 /// @param in_use_only true if its spectrum shall not see the blocks held out
 std::vector<ChannelStructure> StructureByChannel(const ThinnedFlight& flight,
                                                  const ResidualModel::Wrenches& residual,
-                                                 int num_channels, bool in_use_only = false);
+                                                 int num_channels, const Eigen::MatrixX3d& again,
+                                                 bool in_use_only = false);
 
 /// Largest share of a structured channel's structured variance (p < whiteness_p) that a fit
 /// explains: all of it where noise accounts for what remains (p > noise_p). 1 if no channel is

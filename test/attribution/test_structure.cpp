@@ -1,0 +1,106 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <utility>
+
+#include "odmc/attribution/attribution.h"
+#include "odmc/attribution/structure.h"
+#include "odmc/math/gaussian.h"
+
+namespace odmc {
+namespace test {
+namespace {
+
+constexpr int kSamples = 1000;
+
+ThinnedFlight Hover() {
+  FlightMotion motion;
+  motion.step_s = ThinnedFlight::kStep_s;
+  for (int i = 0; i < kSamples; ++i) {
+    FilteredMotion sample;
+    sample.t_s = i * motion.step_s;
+    sample.R_WS.setIdentity();
+    sample.p_WS.setZero();
+    sample.v_WS.setZero();
+    sample.w_S.setZero();
+    sample.rotors.speed_squared = RotorVector::Ones(4);
+    sample.follows = i > 0;
+    motion.samples.push_back(sample);
+  }
+  return ThinnedFlight(std::move(motion), BlockSplit());
+}
+
+/// Standard deviation 1, correlation time 0.2 s: as a slow error of the attitude, or a gust.
+Eigen::VectorXd Slow(int n, int seed) {
+  Gaussian random(seed, 1);
+  const double decay = std::exp(-ThinnedFlight::kStep_s / 0.2);
+  Eigen::VectorXd x(n);
+  double value = 0.0;
+  for (int i = 0; i < n; ++i) {
+    value = decay * value + std::sqrt(1.0 - decay * decay) * random.Next();
+    x[i] = value;
+  }
+  return x;
+}
+
+Eigen::VectorXd White(int n, int seed) {
+  Gaussian random(seed, 2);
+  Eigen::VectorXd x(n);
+  for (int i = 0; i < n; ++i) x[i] = random.Next();
+  return x;
+}
+
+/// Structure of a force in x of which one sensor shows `one` of a slow force, the other `other`.
+ChannelStructure Measured(const ThinnedFlight& flight, int seed, const Eigen::VectorXd& one,
+                          const Eigen::VectorXd& other) {
+  const int n = flight.size();
+  ResidualModel::Wrenches residual = ResidualModel::Wrenches::Zero(n, kNumChannels);
+  Eigen::MatrixX3d again = Eigen::MatrixX3d::Zero(n, 3);
+  residual.col(0) = one + White(n, seed) + Eigen::VectorXd::Constant(n, 5.0);  // a bias
+  again.col(0) = other + 2.0 * White(n, seed + 1000);
+  return StructureByChannel(flight, residual, 3, again).front();
+}
+
+TEST(SharedStructure, ForcesAreInBothMeasurementsAndErrorsInOne) {
+  const ThinnedFlight flight = Hover();
+  const AttributionOptions options;
+  const int n = flight.size();
+  int forces = 0, errors = 0;
+  for (int seed = 0; seed < 20; ++seed) {
+    const Eigen::VectorXd force = Slow(n, seed);
+    const ChannelStructure felt = Measured(flight, seed, force, force);
+    ASSERT_LT(felt.whiteness.p, options.whiteness_p);
+    ASSERT_TRUE(felt.shared);
+    // Some of the white noise counts as structure, so 1 is not reached.
+    EXPECT_GT(felt.shared->share, 4.0 * felt.shared->sigma) << seed;
+    EXPECT_LT(felt.shared->share, 1.0 + 4.0 * felt.shared->sigma) << seed;
+    forces += IsStructured(felt, options) ? 1 : 0;
+    const ChannelStructure own = Measured(flight, seed, force, Slow(n, seed + 500));
+    ASSERT_LT(own.whiteness.p, options.whiteness_p);
+    EXPECT_NEAR(own.shared->share, 0.0, 4.0 * own.shared->sigma) << seed;
+    errors += IsSensorNoise(own, options) ? 1 : 0;
+  }
+  EXPECT_EQ(forces, 20);
+  EXPECT_GE(errors, 16);
+}
+
+TEST(SharedStructure, WhatTheMotionIsTooNoisyForIsAForce) {
+  const ThinnedFlight flight = Hover();
+  const Eigen::VectorXd force = Slow(flight.size(), 3);
+  const ChannelStructure felt = Measured(flight, 3, force, force + 30.0 * White(flight.size(), 77));
+  EXPECT_GT(felt.shared->sigma, 0.3);
+  EXPECT_TRUE(IsStructured(felt, AttributionOptions()));
+}
+
+TEST(SharedStructure, OneMeasurementSaysNothing) {
+  const ThinnedFlight flight = Hover();
+  ResidualModel::Wrenches residual = ResidualModel::Wrenches::Zero(flight.size(), kNumChannels);
+  residual.col(0) = Slow(flight.size(), 1);
+  const auto channels = StructureByChannel(flight, residual, 3, Eigen::MatrixX3d(0, 3));
+  EXPECT_FALSE(channels.front().shared);
+  EXPECT_TRUE(IsStructured(channels.front(), AttributionOptions()));
+}
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc
