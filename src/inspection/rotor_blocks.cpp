@@ -4,6 +4,7 @@
 #include <cmath>
 #include <complex>
 #include <functional>
+#include <limits>
 #include <optional>
 
 #include "odmc/inspection/motion_signals.h"
@@ -27,6 +28,11 @@ constexpr int kMostBlocks = 300;
 // Flight speeds: squared speeds sum up to more than this share of the typical block's. Standing or
 // carried vehicles turn their rotors slower, as a rule; what remains is outvoted block by block.
 constexpr double kFlightShare = 0.6, kTurnsShare = 0.3;
+
+// Bands of the samples' spectrum, each the mean of three frequencies, of which the median over
+// blocks of white noise is 0.891 of its mean (chi-square with six degrees of freedom).
+constexpr int kBands = 8, kBandBins = 3;
+constexpr double kMedianOfBand = 0.891;
 
 /// A stream of numbers: `at` writes sample i and returns its time, false if it has none.
 struct Series {
@@ -212,6 +218,68 @@ struct Transform {
   }
 };
 
+/// Power of the samples' spectrum in bands up to half of their rate, bands×n; empty for too few.
+MatrixXd SamplePower(const Stretch& speeds) {
+  const auto m = static_cast<Eigen::Index>(speeds.t_s.size());
+  const int n = speeds.channels / 2;
+  if (m < 2 * kBands) return {};
+  using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  const MatrixXd speed =
+      Eigen::Map<const Rows>(speeds.values.data(), m, speeds.channels).rightCols(n);
+  const MatrixXd moved = speed.rowwise() - speed.colwise().mean();
+  MatrixXd power = MatrixXd::Zero(kBands, n);
+  Eigen::VectorXcd wave(m);
+  for (int k = 0; k < kBands * kBandBins; ++k) {
+    const double turn = M_PI * (k + 0.5) / (kBands * kBandBins);  // per sample
+    for (Eigen::Index i = 0; i < m; ++i) {
+      const double window =
+          1.0 - std::cos(2.0 * M_PI * (static_cast<double>(i) + 0.5) / static_cast<double>(m));
+      wave[i] = std::polar(window, -turn * static_cast<double>(i));
+    }
+    const MatrixXcd sums = wave.transpose() * moved;
+    power.row(k / kBandBins) += sums.cwiseAbs2() / wave.squaredNorm() / kBandBins;
+  }
+  return power;
+}
+
+double Sinc(double x) { return x == 0.0 ? 1.0 : std::sin(M_PI * x) / (M_PI * x); }
+
+/// Power that white noise of variance one of samples `step_s` apart has in a bin: straight lines
+/// between samples, means over 10 ms, Hann window; what is beyond half of the grid's rate folds.
+double WhiteInBin(double frequency_hz, double step_s) {
+  double power = 0.0;
+  for (int fold = -3; fold <= 3; ++fold) {
+    const double f = frequency_hz + fold * kGrid_hz;
+    power += step_s * std::pow(Sinc(f / kGrid_hz), 2) * std::pow(Sinc(f * step_s), 4);
+  }
+  constexpr double kHannSquared = 0.375;  // mean of the squared window
+  return kHannSquared * kGrid * kGrid_hz * power;
+}
+
+/// @param step_s between rotor samples
+void FindNoise(double step_s, RotorBlocks* all) {
+  const auto bins = static_cast<Eigen::Index>(all->omega.size());
+  const Eigen::Index n = all->blocks.empty() ? 0 : all->blocks.front().mean_squared.size();
+  all->noise = MatrixXd::Zero(bins, n);
+  for (Eigen::Index j = 0; j < n; ++j) {
+    double variance = std::numeric_limits<double>::infinity();
+    for (int band = 0; band < kBands; ++band) {
+      std::vector<double> powers;
+      for (const RotorBlock& block : all->blocks) {
+        if (block.sample_power.size() > 0) powers.push_back(block.sample_power(band, j));
+      }
+      // The median over blocks: a crash must not be noise.
+      variance = std::min(variance, powers.empty() ? 0.0 : Median(powers) / kMedianOfBand);
+    }
+    std::vector<double> squared;
+    for (const RotorBlock& block : all->blocks) squared.push_back(block.mean_squared[j]);
+    for (Eigen::Index k = 0; k < bins; ++k) {
+      all->noise(k, j) = 4.0 * Median(squared) * variance *
+                         WhiteInBin(all->omega[static_cast<size_t>(k)] / (2.0 * M_PI), step_s);
+    }
+  }
+}
+
 MatrixXd WithoutMean(const MatrixXd& grid) { return grid.rowwise() - grid.colwise().mean(); }
 
 RotorBlock BlockOf(const Stretch& rates, const Stretch& speeds, double start_s,
@@ -225,6 +293,7 @@ RotorBlock BlockOf(const Stretch& rates, const Stretch& speeds, double start_s,
   block.squared = transform.Of(moved.leftCols(n));
   block.spin_up = transform.OfDerivative(moved.rightCols(n));
   block.mean_squared = speed.leftCols(n).colwise().mean().transpose();
+  block.sample_power = SamplePower(speeds);
   return block;
 }
 
@@ -271,6 +340,7 @@ RotorBlocks CutRotorBlocks(const FlightLog& log, const Vehicle& vehicle) {
     result.blocks.push_back(BlockOf(rate_stretch, speed_stretch, start_s, transform));
   }
   KeepFlying(&result.blocks);
+  FindNoise(StepOf(speeds), &result);
   return result;
 }
 

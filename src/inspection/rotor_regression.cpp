@@ -1,6 +1,7 @@
 #include "odmc/inspection/rotor_regression.h"
 
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <complex>
@@ -16,12 +17,22 @@ using Eigen::VectorXcd;
 using Eigen::VectorXd;
 using Complex = std::complex<double>;
 
-constexpr double kDegrees = 4.0;     // of Student's t over a block: a heavy tail
-constexpr double kOverlap = 0.5;     // of neighbouring blocks: each counts half
-constexpr int kFewestBlocks = 5;     // fewer scatter too little to say how sure they are
-constexpr double kMostLag_s = 0.15;  // what is searched, beyond 100 ms of late stamps
+constexpr double kDegrees = 4.0;  // of Student's t over a block: a heavy tail
+constexpr double kOverlap = 0.5;  // of neighbouring blocks: each counts half
+constexpr int kFewestBlocks = 5;  // fewer scatter too little to say how sure they are
+constexpr int kIterations = 8;    // of weights and noise: by two the likelihood is far off
 constexpr double kLagPrior_s = 0.05;
+// What is searched: 150 ms either way, beyond 100 ms of late stamps.
 constexpr double kCoarse_s = 0.015, kFine_s = 0.0025;
+constexpr int kMostCoarse = 10, kMostFine = 4;
+// Lags this far behind the likeliest, by free coefficients, are left out: an order has a share by
+// them only where at the likeliest all orders fit worse than free coefficients by e^30.
+constexpr double kLagNats = 30.0;
+constexpr int kMixed = 4;  // thrust, roll, pitch, yaw
+// Power over the noise's from which a direction moves for sure: the level found for a rotor is some
+// 20 % off, by a third where a little motion is in its weakest band. And what the directions used
+// and not used may be turned by: as levers are compared (kCoupling of rotor_assignment.cpp).
+constexpr double kStandsOut = 1.5, kMostTurned = 0.1;
 
 /// One block of a regression: bins×p regressors and bins×1 responses.
 struct Rows {
@@ -48,14 +59,13 @@ class Regression {
     noise_ = noise_.array() + 1e-30;
   }
 
-  BandRegression Run(int iterations) {
-    for (int i = 0; i < iterations; ++i) {
+  BandRegression Run() {
+    for (int i = 0; i < kIterations; ++i) {
       Solve();
       Weigh();
     }
-    BandRegression result{value_, normal_ / std::max(1.0, Scatter()), 0.0};
-    result.log_noise = static_cast<double>(rows_.size()) * noise_.array().log().sum();
-    return result;
+    const double scatter = std::max(1.0, Scatter());
+    return {value_, normal_ / scatter, -0.5 * Cost(), scatter};
   }
 
   /// What the regressors leave of block `s`.
@@ -97,11 +107,23 @@ class Regression {
       const Eigen::Index a = std::max<Eigen::Index>(k - 1, 0), b = std::min(k + 1, bins_ - 1);
       noise_[k] = std::exp((level[a] + level[k] + level[b]) / 3.0);
     }
-    const double degrees = 2.0 * kOverlap * static_cast<double>(bins_);
     for (size_t s = 0; s < rows_.size(); ++s) {
-      const double chi = 2.0 * kOverlap * (Residual(s).cwiseAbs2().array() / noise_.array()).sum();
-      weight_[static_cast<Eigen::Index>(s)] = (kDegrees + degrees) / (kDegrees + chi);
+      weight_[static_cast<Eigen::Index>(s)] = (kDegrees + Degrees()) / (kDegrees + Chi(s));
     }
+  }
+
+  double Degrees() const { return 2.0 * kOverlap * static_cast<double>(bins_); }
+  double Chi(size_t s) const {
+    return 2.0 * kOverlap * (Residual(s).cwiseAbs2().array() / noise_.array()).sum();
+  }
+
+  /// Twice the negative log likelihood of Student's t, up to what all regressions share.
+  double Cost() const {
+    double cost = 2.0 * kOverlap * static_cast<double>(rows_.size()) * noise_.array().log().sum();
+    for (size_t s = 0; s < rows_.size(); ++s) {
+      cost += (kDegrees + Degrees()) * std::log1p(Chi(s) / kDegrees);
+    }
+    return cost;
   }
 
   /// Mean ratio of the variance that the scatter of the blocks shows to the nominal one.
@@ -124,40 +146,146 @@ class Regression {
   MatrixXd normal_;
 };
 
+/// What the readings say about the true speeds, bin by bin: errors of the regressors would lower
+/// the coefficients, those of directions that move little more than those of others, and what is
+/// left of them would be the controller's answer to the motion. The best linear estimate of the
+/// true spectra takes the noise's share out of the regressors; the residual then has the rest of
+/// it.
+class Cleaner {
+ public:
+  explicit Cleaner(const RotorBlocks& blocks) : blocks_(blocks) {
+    const Eigen::Index bins = blocks.noise.rows(), n = blocks.noise.cols();
+    std::vector<MatrixXd> power;
+    MatrixXd all = MatrixXd::Zero(n, n);
+    for (Eigen::Index k = 0; k < bins; ++k) {
+      size_.push_back(NoiseSize(k));
+      power.push_back(Power(k));
+      all += power.back();
+    }
+    const Eigen::SelfAdjointEigenSolver<MatrixXd> found(all / static_cast<double>(bins));
+    const MatrixXd& directions = found.eigenvectors();
+    std::vector<MatrixXd> near;
+    VectorXd most = VectorXd::Zero(n);
+    for (Eigen::Index k = 0; k < bins; ++k) {
+      const Eigen::Index first = std::max<Eigen::Index>(k - 1, 0), last = std::min(k + 1, bins - 1);
+      MatrixXd sum = MatrixXd::Zero(n, n);
+      for (Eigen::Index i = first; i <= last; ++i) sum += power[static_cast<size_t>(i)];
+      near.emplace_back(directions.transpose() * sum * directions /
+                        static_cast<double>(last - first + 1));
+      most = most.cwiseMax(near.back().diagonal());
+    }
+    const Eigen::Index unmixed = Unmixed(found.eigenvalues());
+    // A direction that moves in no bin is left out. By a bin's covariance, which is noisy, it would
+    // move a little with what moves most, and the smallest torque that goes with that would be a
+    // large coefficient.
+    Eigen::Index still = unmixed;
+    while (unmixed == 0 && still < n && most[still] < kStandsOut) ++still;
+    for (const MatrixXd& seen : near) {
+      MatrixXd keep = MatrixXd::Zero(n, n);
+      keep.topLeftCorner(unmixed, unmixed).setIdentity();
+      const Eigen::Index moved = n - still;
+      keep.bottomRightCorner(moved, moved) = Shares(seen.bottomRightCorner(moved, moved));
+      keep_.emplace_back(directions * keep * directions.transpose());
+    }
+  }
+
+  /// @param squared of a block, bins×n
+  MatrixXcd Clean(MatrixXcd squared) const {
+    for (Eigen::Index k = 0; k < squared.rows(); ++k) {
+      const VectorXd& size = size_[static_cast<size_t>(k)];
+      const MatrixXcd row = squared.row(k) * size.cwiseInverse().asDiagonal();
+      squared.row(k) = row * keep_[static_cast<size_t>(k)] * size.asDiagonal();
+    }
+    return squared;
+  }
+
+ private:
+  VectorXd NoiseSize(Eigen::Index k) const {
+    double power = 0.0;
+    for (const RotorBlock& block : blocks_.blocks) power += block.squared.row(k).squaredNorm();
+    const double least = 1e-12 * power / static_cast<double>(blocks_.blocks.size());
+    return (blocks_.noise.row(k).transpose().array() + least + 1e-30).sqrt();
+  }
+
+  /// Power of the readings of one bin, in units of the noise, n×n.
+  MatrixXd Power(Eigen::Index k) const {
+    const VectorXd inverse = NoiseSize(k).cwiseInverse();
+    MatrixXd power = MatrixXd::Zero(inverse.size(), inverse.size());
+    for (const RotorBlock& block : blocks_.blocks) {
+      power += (block.squared.row(k).adjoint() * block.squared.row(k)).real();
+    }
+    return inverse.asDiagonal() * power * inverse.asDiagonal() /
+           static_cast<double>(blocks_.blocks.size());
+  }
+
+  /// Independent real numbers of each column in so many bins.
+  double Samples(double bins) const {
+    return 2.0 * kOverlap * bins * static_cast<double>(blocks_.blocks.size());
+  }
+
+  /// How many of the directions that move least a mixer does not use. It moves each rotor by its
+  /// lever, in four directions, so that levers have no part along the others: noise that stays
+  /// there shows it. None, where those four do not stand out.
+  Eigen::Index Unmixed(const VectorXd& rising) const {
+    const Eigen::Index unmixed = rising.size() - kMixed;
+    if (unmixed <= 0) return 0;
+    const double used = rising[unmixed], other = rising[unmixed - 1];
+    // Variance of the angle between the two.
+    const double turned =
+        used * other /
+        (Samples(static_cast<double>(blocks_.noise.rows())) * std::pow(used - other, 2));
+    return used > kStandsOut * other && turned < kMostTurned * kMostTurned ? unmixed : 0;
+  }
+
+  /// The share of the true speeds in readings of that power (in units of the noise, of three bins).
+  MatrixXd Shares(const MatrixXd& power) const {
+    if (power.size() == 0) return power;
+    const Eigen::SelfAdjointEigenSolver<MatrixXd> found(power);
+    // The largest that noise alone shows (Marchenko and Pastur).
+    const double edge =
+        std::pow(1.0 + std::sqrt(static_cast<double>(power.rows()) / Samples(3.0)), 2);
+    VectorXd share = found.eigenvalues();
+    for (double& of : share) of = of > edge ? 1.0 - 1.0 / of : 0.0;
+    return found.eigenvectors() * share.asDiagonal() * found.eigenvectors().transpose();
+  }
+
+  const RotorBlocks& blocks_;
+  std::vector<MatrixXd> keep_;  // n×n, in units of the noise
+  std::vector<VectorXd> size_;  // of the noise, n×1
+};
+
 /// Scales a flight's spectra to those of the nominal vehicle.
 class Scaled {
  public:
   Scaled(const RotorBlocks& blocks, const Vehicle& vehicle, double hover_squared)
       : blocks_(blocks), hover_squared_(hover_squared) {
+    const Cleaner cleaner(blocks);
+    for (const RotorBlock& block : blocks.blocks) {
+      squared_.push_back(cleaner.Clean(block.squared));
+    }
     const double hover_N = vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.num_rotors();
     lever_ = vehicle.inertia_kg_m2 / hover_N;
   }
 
   std::vector<Rows> On(int axis, double lag_s, bool with_spin_up) const {
     std::vector<Rows> rows;
-    for (const RotorBlock& block : blocks_.blocks) {
-      const Eigen::Index n = block.squared.cols();
-      MatrixXcd x(block.squared.rows(), with_spin_up ? 2 * n : n);
-      x.leftCols(n) = block.squared / hover_squared_;
-      if (with_spin_up) x.rightCols(n) = 2.0 / std::sqrt(hover_squared_) * block.spin_up;
+    for (size_t s = 0; s < squared_.size(); ++s) {
+      const Eigen::Index n = squared_[s].cols();
+      MatrixXcd x(squared_[s].rows(), with_spin_up ? 2 * n : n);
+      x.leftCols(n) = squared_[s] / hover_squared_;
+      // As read: these only take what is theirs from the squares, and noise keeps small what cannot
+      // be seen. Cleaned, they were large where thrust alone moves, and the spins wrong.
+      if (with_spin_up)
+        x.rightCols(n) = 2.0 / std::sqrt(hover_squared_) * blocks_.blocks[s].spin_up;
       rows.push_back({Delayed(std::move(x), blocks_.omega, lag_s),
-                      VectorXcd(lever_[axis] * block.turn.col(axis))});
+                      VectorXcd(lever_[axis] * blocks_.blocks[s].turn.col(axis))});
     }
     return rows;
   }
 
-  /// Twice the negative log likelihood of a lag, by roll and pitch.
-  double CostOf(double lag_s) const {
-    double cost = std::pow(lag_s / kLagPrior_s, 2);
-    for (int axis = 0; axis < 2; ++axis) {
-      const std::vector<Rows> rows = On(axis, lag_s, false);
-      cost += 2.0 * kOverlap * Regression(rows).Run(2).log_noise;
-    }
-    return cost;
-  }
-
  private:
   const RotorBlocks& blocks_;
+  std::vector<MatrixXcd> squared_;  // cleaned, per block
   double hover_squared_;
   Eigen::Vector3d lever_;
 };
@@ -181,24 +309,64 @@ BandRegression Marginal(const BandRegression& all, Eigen::Index p) {
   const MatrixXd beside = all.information.topRightCorner(p, rest);
   const MatrixXd own = all.information.bottomRightCorner(rest, rest);
   BandRegression result;
+  result.log_likelihood = all.log_likelihood;
+  result.scatter = all.scatter;
   result.value = all.value.head(p);
   result.information =
       all.information.topLeftCorner(p, p) - beside * own.ldlt().solve(MatrixXd(beside.transpose()));
   return result;
 }
 
-double BestLag(const Scaled& scaled, double centre_s, double reach_s, double step_s) {
-  double best_s = centre_s, least = scaled.CostOf(centre_s);
-  for (int i = 1; i * step_s <= reach_s + 1e-9; ++i) {
-    for (const double lag_s : {centre_s - i * step_s, centre_s + i * step_s}) {
-      const double cost = scaled.CostOf(lag_s);
-      if (cost < least) {
-        least = cost;
-        best_s = lag_s;
-      }
-    }
+RotorLag ResponseAt(const Scaled& scaled, double lag_s) {
+  RotorLag result;
+  result.lag_s = lag_s;
+  result.roll = Regression(scaled.On(0, lag_s, false)).Run();
+  result.pitch = Regression(scaled.On(1, lag_s, false)).Run();
+  return result;
+}
+
+double LagPrior(double lag_s) { return -0.5 * std::pow(lag_s / kLagPrior_s, 2); }
+
+/// The lags that the motion about roll and pitch leaves possible, the likeliest first.
+std::vector<RotorLag> PossibleLags(const Scaled& scaled) {
+  std::vector<RotorLag> tried;
+  for (int i = -kMostCoarse; i <= kMostCoarse; ++i) {
+    tried.push_back(ResponseAt(scaled, i * kCoarse_s));
   }
-  return best_s;
+  const auto likelier = [](const RotorLag& a, const RotorLag& b) {
+    const auto log = [](const RotorLag& lag) {
+      return lag.roll.log_likelihood + lag.pitch.log_likelihood + LagPrior(lag.lag_s);
+    };
+    return log(a) > log(b);
+  };
+  RotorLag best = *std::min_element(tried.begin(), tried.end(), likelier);
+  const double centre_s = best.lag_s;
+  for (int i = -kMostFine; i <= kMostFine; ++i) {
+    RotorLag fine = ResponseAt(scaled, centre_s + i * kFine_s);
+    if (likelier(fine, best)) best = std::move(fine);
+  }
+  std::vector<RotorLag> possible = {best};
+  for (RotorLag& lag : tried) {
+    lag.log_likelihood = LagPrior(lag.lag_s) - LagPrior(best.lag_s) + lag.roll.LogRatio(best.roll) +
+                         lag.pitch.LogRatio(best.pitch);
+    // Closer ones are what the best one stands for.
+    const bool is_beside = std::abs(lag.lag_s - best.lag_s) < 0.75 * kCoarse_s;
+    if (!is_beside && lag.log_likelihood > -kLagNats) possible.push_back(std::move(lag));
+  }
+  return possible;
+}
+
+/// Yaw beside what roll and pitch leave.
+BandRegression YawAt(const Scaled& scaled, double lag_s) {
+  std::vector<Rows> rows = scaled.On(2, lag_s, true);
+  const Eigen::Index p = rows.front().x.cols();
+  for (const int axis : {0, 1}) {
+    const std::vector<Rows> other_rows = scaled.On(axis, lag_s, false);
+    Regression other(other_rows);
+    other.Run();
+    AddResidual(other, &rows);
+  }
+  return Marginal(Regression(rows).Run(), p);
 }
 
 /// Mean share of each column, and how sure it is.
@@ -234,19 +402,8 @@ RotorResponse MeasureRotorResponse(const RotorBlocks& blocks, const Vehicle& veh
   for (const RotorBlock& block : blocks.blocks) typical.push_back(block.mean_squared.mean());
   response.hover_squared = Median(typical);
   const Scaled scaled(blocks, vehicle, response.hover_squared);
-  const double coarse_s = BestLag(scaled, 0.0, kMostLag_s, kCoarse_s);
-  response.lag_s = BestLag(scaled, coarse_s, 4.0 * kFine_s, kFine_s);
-  constexpr int kIterations = 8;
-  const std::vector<Rows> roll_rows = scaled.On(0, response.lag_s, false);
-  const std::vector<Rows> pitch_rows = scaled.On(1, response.lag_s, false);
-  Regression roll(roll_rows), pitch(pitch_rows);
-  response.roll = roll.Run(kIterations);
-  response.pitch = pitch.Run(kIterations);
-  std::vector<Rows> yaw_rows = scaled.On(2, response.lag_s, true);
-  const Eigen::Index p = yaw_rows.front().x.cols();
-  AddResidual(roll, &yaw_rows);
-  AddResidual(pitch, &yaw_rows);
-  response.yaw = Marginal(Regression(yaw_rows).Run(kIterations), p);
+  response.lags = PossibleLags(scaled);
+  for (RotorLag& lag : response.lags) lag.yaw = YawAt(scaled, lag.lag_s);
   Share(blocks, &response);
   return response;
 }

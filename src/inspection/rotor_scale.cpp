@@ -5,6 +5,7 @@
 #include <cmath>
 #include <string>
 
+#include "odmc/math/statistics.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -56,8 +57,8 @@ class Balance {
       pitch[j] = -rotor.p_BP.x();
       spin[j] = rotor.spin;
     }
-    AddAxis(0, response.roll, roll / roll.cwiseAbs().mean());
-    AddAxis(1, response.pitch, pitch / pitch.cwiseAbs().mean());
+    AddAxis(0, response.lags.front().roll, roll / roll.cwiseAbs().mean());
+    AddAxis(1, response.lags.front().pitch, pitch / pitch.cwiseAbs().mean());
     AddYaw(spin);
   }
 
@@ -99,15 +100,16 @@ class Balance {
   /// Effects and balance about one axis. @param lever in units of the arm
   void AddAxis(Eigen::Index axis, const BandRegression& seen, const VectorXd& lever) {
     const MatrixXd one = MatrixXd::Identity(n_, n_);
-    // The regression's unit of length is what the gain says: fitted with the scatter of the rotors.
+    // The regression's unit of length is what the gain says. Its median over the rotors: the one
+    // that is off must not shift it, the observations are linear about it.
+    std::vector<double> gains;
+    for (Eigen::Index j = 0; j < n_; ++j) {
+      constexpr double kFarOut = 0.5;  // of the arm: by the others the ratio says little
+      if (std::abs(lever[j]) > kFarOut) gains.push_back(seen.value[j] / lever[j]);
+    }
+    const double gain = Median(gains);
     const MatrixXd covariance =
         (seen.information + 1e-9 * seen.information.trace() * one).inverse();
-    double gain = 0.0;
-    for (int i = 0; i < 3; ++i) {
-      const double scatter = i == 0 ? 0.1 * seen.value.norm() / lever.norm() : 0.1 * gain;
-      const Eigen::LLT<MatrixXd> factor(covariance + scatter * scatter * one);
-      gain = lever.dot(factor.solve(seen.value)) / lever.dot(factor.solve(lever));
-    }
     if (gain > 0.0) {
       MatrixXd rows = MatrixXd::Zero(n_, 4 + n_);
       rows.col(axis) = lever;

@@ -97,6 +97,69 @@ TEST(RotorAssignment, AccusesNoRightFile) {
   }
 }
 
+/// A quiet flight whose rotor speeds are read with noise of `share` of the speed in hover.
+FlightLog QuietFlight(const Vehicle& truth, const char* trajectory, double share, int seed) {
+  const DynamicModel model(truth, truth.effects);
+  const double k_f = *truth.parameters.at("thrust.k_f").value;
+  const double hover = std::sqrt(truth.mass_kg * truth.gravity_m_s2 / truth.num_rotors() / k_f);
+  SimulationOptions options;
+  options.trajectory = trajectory;
+  options.duration_s = 40.0;
+  options.log_rate_hz = 200.0;
+  options.seed = seed;
+  SimulationNoise noise;
+  noise.feedback_rate_rad_s = 0.0;
+  noise.force_N = 0.02;
+  noise.position_m = 0.003;
+  noise.rotor_speed_rad_s = share * hover;
+  return Simulate(model, model.InitialValues(), options, noise).log;
+}
+
+// Rotor speeds move less than their readings' noise: coefficients shrink with it, and at some lag
+// what is left of them looks like another order (a hexarotor in vertical flight was refused).
+TEST(RotorAssignment, NoisyReadingsInGentleFlightAccuseNoRightFile) {
+  const Vehicle truth = HeavyHexa();
+  for (int seed = 1; seed <= 15; ++seed) {
+    EXPECT_TRUE(InspectRotors(QuietFlight(truth, "vertical", 0.02, seed), truth).findings.empty())
+        << seed;
+  }
+}
+
+TEST(RotorAssignment, NoisyReadingsInLivelyFlightNameTheOrder) {
+  const Vehicle truth = HeavyHexa();
+  const FlightLog log = QuietFlight(truth, "octo", 0.01, 1);
+  EXPECT_TRUE(InspectRotors(log, truth).findings.empty());
+  for (const std::vector<int>& order :
+       {std::vector<int>{1, 0, 2, 3, 4, 5}, {0, 1, 3, 2, 4, 5}, {3, 4, 5, 0, 1, 2}}) {
+    const Vehicle spoiled = Reordered(truth, order);
+    const RotorAssignment found = TestRotorAssignment(ResponseTo(log, spoiled), spoiled);
+    EXPECT_TRUE(found.places.Refutes() && found.places.Names());
+    EXPECT_TRUE(Mends(found, spoiled, truth)) << order[0];
+  }
+}
+
+// The level of white noise is found beside the motion, and what it makes of the spectra.
+TEST(RotorAssignment, FindsTheNoiseOfTheReadings) {
+  const Vehicle truth = HeavyHexa();
+  const FlightLog clean = QuietFlight(truth, "octo", 0.0, 1), noisy = [&] {
+    FlightLog log = clean;
+    std::mt19937 random(4);
+    std::normal_distribution<double> noise(0.0, 10.0);
+    for (RotorSample& sample : log.rotors) {
+      for (int j = 0; j < 6; ++j) sample.speed[j] += noise(random);
+    }
+    return log;
+  }();
+  const RotorBlocks a = CutRotorBlocks(clean, truth), b = CutRotorBlocks(noisy, truth);
+  ASSERT_EQ(a.blocks.size(), b.blocks.size());
+  double added = 0.0, found = 0.0;
+  for (size_t s = 0; s < a.blocks.size(); ++s) {
+    added += (b.blocks[s].squared - a.blocks[s].squared).squaredNorm();
+    found += b.noise.sum();
+  }
+  EXPECT_NEAR(found / added, 1.0, 0.2);
+}
+
 TEST(RotorAssignment, LateStampsAreNoOrder) {
   const Vehicle truth = NominalVehicle();
   for (const double late_s : {-0.1, -0.05, 0.05, 0.1}) {

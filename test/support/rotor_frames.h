@@ -26,6 +26,20 @@ inline Vehicle RoundVehicle(int n) {
   return vehicle;
 }
 
+/// A hexarotor of 3.5 kg and 0.7 m, whose rotors hardly differ from each other in gentle flight.
+inline Vehicle HeavyHexa() {
+  Vehicle vehicle = RoundVehicle(6);
+  vehicle.mass_kg = 3.5;
+  vehicle.inertia_kg_m2 = {0.082, 0.088, 0.150};
+  for (Rotor& rotor : vehicle.rotors) {
+    rotor.p_BP *= 0.35 / rotor.p_BP.norm();
+    rotor.radius_m = 0.14;
+  }
+  vehicle.parameters["thrust.k_f"].value = 2.5e-5;
+  vehicle.parameters["rotor_torque.k_m"].value = 5e-7;
+  return vehicle;
+}
+
 /// A flight of the vehicle with the default noise.
 inline FlightLog Flown(const Vehicle& vehicle, const std::string& trajectory, double duration_s,
                        int seed = 3, double ground_s = 0.0) {

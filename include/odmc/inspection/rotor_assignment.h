@@ -13,11 +13,14 @@ struct AssignmentTest {
   double nats = 0.0;        ///< log evidence of the best minus the file's, >= 0
   double lead = 0.0;        ///< log evidence of the best minus that of the next best, >= 0
   double best_share = 0.0;  ///< posterior probability of the best, 0 to 1
-  double file_share = 1.0;  ///< posterior probability of the file's
+  double file_share = 1.0;  ///< posterior probability of the file's, all alike before the flight
+  /// Evidence of the file's over the mean of the other orders', over the sum of other spins'.
+  double file_odds = 1.0;
 
-  /// The file's is wrong beyond doubt: it is right in one of ten thousand such cases.
+  /// The file's is wrong beyond doubt: odds like these meet a right one in one of ten thousand
+  /// flights at most.
   bool Refutes() const;
-  /// The file's may well be wrong: it is right in one of a thousand such cases.
+  /// The file's may well be wrong: they meet a right one in one of a thousand flights at most.
   bool Doubts() const;
   /// The best is sure enough to be named: it is right in 99 of a hundred such cases.
   bool Names() const;
@@ -44,8 +47,10 @@ struct RotorAssignment {
 /// beside the file's and an error of the regression (feedback, coupling of axes); for yaw, those
 /// of reaction torque and rotor inertia, with leaning rotors. These errors bound the evidence, so
 /// that a long flight does not make nats out of a slightly wrong model. Where nothing fits, all
-/// nats are lowered until the best one does. Coaxial rotors have the same levers: orders that
-/// differ by which of them is the upper one count once.
+/// nats are lowered until the best one does. The lag between the streams is unknown: each
+/// assignment has the evidence of all lags that the flight leaves possible, since in a gentle
+/// flight another order may fit at another lag as well. Coaxial rotors have the same levers: orders
+/// that differ by which of them is the upper one count once.
 RotorAssignment TestRotorAssignment(const RotorResponse& response, const Vehicle& vehicle);
 
 /// Spins in words, in the order given: "cw, ccw".

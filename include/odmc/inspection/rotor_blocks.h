@@ -15,6 +15,8 @@ struct RotorBlock {
   Eigen::MatrixXcd squared;      ///< squared rotor speeds, bins×n [rad²/s²]
   Eigen::MatrixXcd spin_up;      ///< rotor accelerations, bins×n [rad/s²]
   Eigen::VectorXd mean_squared;  ///< mean of the squared speeds, n×1 [rad²/s²]
+  Eigen::MatrixXd sample_power;  ///< of the samples of the speeds, bands×n: that of white noise is
+                                 ///< its variance in every band [rad²/s²]
 };
 
 /// Spectra of a flight between 2 and 15 Hz. Below, a controller answers disturbances, and the
@@ -23,6 +25,10 @@ struct RotorBlock {
 struct RotorBlocks {
   std::vector<double> omega;       ///< angular frequency of each bin [rad/s]
   std::vector<RotorBlock> blocks;  ///< those in which the rotors turn at flight speeds
+  /// Power of the readings' noise in `squared`, bins×n [rad⁴/s⁴]: of noise that is white from
+  /// sample to sample, as much as the band with the least power of the samples' whole spectrum
+  /// allows.
+  Eigen::MatrixXd noise;
 };
 
 /// Cuts a flight into blocks of a second, half overlapping, without gaps in rotor speeds or body
