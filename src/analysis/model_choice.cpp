@@ -56,6 +56,26 @@ Vehicle Configure(const Vehicle& file_vehicle, const ModelChoice& choice) {
   return vehicle;
 }
 
+std::string MassBesideThrust(const DynamicModel& model) {
+  const auto is_estimated = [&model](const std::string& name) {
+    const int i = model.IndexOf(name);
+    return i >= 0 && model.parameters()[i].estimated;
+  };
+  if (!is_estimated("thrust.k_f")) return "";
+  const ModelValues values = model.InitialValues();
+  for (int i = 0; i < model.num_effects(); ++i) {
+    const Effect& effect = model.effect(i);
+    if (effect.added_mass_parameter().empty() || effect.onset_parameter().empty()) continue;
+    const std::string mass = effect.name() + "." + effect.added_mass_parameter();
+    const std::string onset = effect.name() + "." + effect.onset_parameter();
+    if (!is_estimated(mass) || values[model.IndexOf(onset)] > 0.0) continue;
+    return mass + " and thrust.k_f cannot both be estimated where the mass holds over the whole " +
+           "flight, which shows their ratio: freeze one of them, or set " + onset +
+           " to when the mass changes";
+  }
+  return "";
+}
+
 ParameterSet ExactParameters(const DynamicModel& model, const ModelValues& values) {
   ParameterSet set;
   set.effects = model.effect_names();

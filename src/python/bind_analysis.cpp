@@ -111,18 +111,6 @@ Columns HistoryOf(const Calibration& calibration, const DynamicModel& model) {
   return columns;
 }
 
-void RefuseMassBesideThrust(const DynamicModel& model) {
-  const auto is_estimated = [&model](const char* name) {
-    const int i = model.IndexOf(name);
-    return i >= 0 && model.parameters()[i].estimated;
-  };
-  if (is_estimated("mass_change.mass") && is_estimated("thrust.k_f")) {
-    throw std::invalid_argument(
-        "mass_change.mass and thrust.k_f cannot both be estimated, a flight shows their ratio: "
-        "freeze one of them");
-  }
-}
-
 /// calibrate on one flight.
 Found CalibrateOne(const FlightLog& flight, const Vehicle& file_vehicle, const Vehicle& vehicle,
                    const std::optional<ParameterSet>& start, const EstimatorSettings& settings,
@@ -130,7 +118,8 @@ Found CalibrateOne(const FlightLog& flight, const Vehicle& file_vehicle, const V
                    const std::function<void(double)>& progress) {
   const EstimatorOptions options = settings.Over(tools::OfflineOptions());
   const DynamicModel model(vehicle, vehicle.effects);
-  RefuseMassBesideThrust(model);
+  const std::string refusal = MassBesideThrust(model);
+  if (!refusal.empty()) throw std::invalid_argument(refusal);
   FlightLog recording = flight;
   const StreamInspection inspection = Inspect(vehicle, force, &recording);
   FlightLog log = recording;

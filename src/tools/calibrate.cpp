@@ -28,18 +28,6 @@ struct Arguments {
   bool no_report = false, force = false, no_left_out = false, only_factor = false;
 };
 
-void RefuseMassBesideThrust(const DynamicModel& model) {
-  const auto is_estimated = [&model](const char* name) {
-    const int i = model.IndexOf(name);
-    return i >= 0 && model.parameters()[i].estimated;
-  };
-  if (is_estimated("mass_change.mass") && is_estimated("thrust.k_f")) {
-    throw tools::UsageError(
-        "mass_change.mass and thrust.k_f cannot both be estimated, a flight shows their ratio: "
-        "--freeze thrust.k_f or mass_change.mass");
-  }
-}
-
 void CalibrateOne(const Arguments& a, const std::string& file, const Vehicle& file_vehicle,
                   const Vehicle& vehicle) {
   const EstimatorOptions options = a.estimator.Read();
@@ -210,7 +198,8 @@ void CalibrateFlights(Arguments* a) {
   const Vehicle file_vehicle = LoadVehicle(a->vehicle_file);
   a->estimator.Read();
   const Vehicle vehicle = a->model.Configure(file_vehicle);
-  RefuseMassBesideThrust(DynamicModel(vehicle, vehicle.effects));
+  const std::string refusal = MassBesideThrust(DynamicModel(vehicle, vehicle.effects));
+  if (!refusal.empty()) throw tools::UsageError(refusal);
   const bool is_one =
       files.size() == 1 && std::filesystem::path(files.front()).extension() != ".json";
   if (a->only_factor && !is_one) throw tools::UsageError("--only-factor is for one flight");

@@ -185,6 +185,25 @@ TEST(Configure, FreesAndFreezesByEffectAndByName) {
   ODMC_EXPECT_ERROR(Configure(test::NominalVehicle(), choice), "imu_extrinsics");
 }
 
+// Mass and k_f of a whole flight are a ratio; before a change in flight k_f is seen alone.
+TEST(ModelChoice, RefusesAMassBesideThrustOnlyOverTheWholeFlight) {
+  const auto refusal = [](double from_s, bool mass, bool k_f) {
+    Vehicle vehicle = test::NominalVehicle();
+    vehicle.effects.emplace_back("mass_change");
+    vehicle.parameters["mass_change.from"].value = from_s;
+    vehicle.parameters["mass_change.mass"].estimated = mass;
+    vehicle.parameters["thrust.k_f"].estimated = k_f;
+    return MassBesideThrust(DynamicModel(vehicle, vehicle.effects));
+  };
+  EXPECT_NE(refusal(0.0, true, true).find("mass_change.mass and thrust.k_f cannot both"),
+            std::string::npos);
+  EXPECT_EQ(refusal(12.0, true, true), "");
+  EXPECT_EQ(refusal(0.0, false, true), "");
+  EXPECT_EQ(refusal(0.0, true, false), "");
+  const Vehicle without = test::NominalVehicle();
+  EXPECT_EQ(MassBesideThrust(DynamicModel(without, without.effects)), "");
+}
+
 TEST(Configure, LetsTheParameterFileSetEffectsValuesAndStates) {
   ModelChoice choice;
   choice.parameters.emplace();

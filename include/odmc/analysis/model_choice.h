@@ -28,6 +28,11 @@ Vehicle Configure(const Vehicle& file_vehicle, const ModelChoice& choice);
 /// True if `full_name` is `pattern`, or a parameter of the effect `pattern`.
 bool MatchesParameter(const std::string& full_name, const std::string& pattern);
 
+/// Why the model's mass and thrust coefficient cannot both be estimated, empty if they can: a
+/// flight shows their ratio, unless the mass changes within it, since k_f is seen before. A change
+/// from the recording's start on acts over the whole flight.
+std::string MassBesideThrust(const DynamicModel& model);
+
 /// A set that states the model at exact values: sigma 0, all frozen. The simulator's truth.
 ParameterSet ExactParameters(const DynamicModel& model, const ModelValues& values);
 
