@@ -233,6 +233,7 @@ Table<Key> OverLags(const std::vector<Table<Key>>& at_lags, double degrees) {
   Table<Key> result = best;
   for (auto& [key, evidence] : result) {
     std::vector<double> logs;
+    logs.reserve(at_lags.size());
     for (const Table<Key>& table : at_lags) logs.push_back(table.at(key).log / misfit);
     evidence.log = misfit * LogSum(logs);
   }
@@ -642,6 +643,7 @@ RotorAssignment TestRotorAssignment(const RotorResponse& response, const Vehicle
   result.misfit = MisfitOf(orders, 2.0 * n);
   result.places = Judge(orders, FileOrder(n), 2.0 * n, levers.Orders() - 1.0);
   std::vector<double> lag_logs;
+  lag_logs.reserve(orders_at.size());
   for (const Table<Order>& table : orders_at) lag_logs.push_back(Total(table) / result.misfit);
   const Table<Spins> spins = AllSpins(response, lag_logs, vehicle, levers);
   const Spins best = BestOf(spins);

@@ -222,7 +222,7 @@ struct Transform {
 MatrixXd SamplePower(const Stretch& speeds) {
   const auto m = static_cast<Eigen::Index>(speeds.t_s.size());
   const int n = speeds.channels / 2;
-  if (m < 2 * kBands) return {};
+  if (m < 2L * kBands) return {};
   using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   const MatrixXd speed =
       Eigen::Map<const Rows>(speeds.values.data(), m, speeds.channels).rightCols(n);

@@ -441,7 +441,7 @@ class ToolsTest(unittest.TestCase):
                 difference = abs(parameter['value'] - results[1][name]['value'])
                 self.assertLess(difference, 0.1 * parameter['sigma'], name)
 
-    def test_close_loop_drops_what_ruins_a_prediction(self) -> None:
+    def test_close_loop_names_nothing_that_ruins_a_prediction(self) -> None:
         data = os.path.join(os.environ.get('ODMC_DATA_DIR') or os.path.join(ROOT, '..', 'shared', 'data'), 'imrc_cf21_brushless')
         if not os.path.isdir(data):
             self.skipTest('no recorded data')
@@ -451,10 +451,13 @@ class ToolsTest(unittest.TestCase):
         done = run('close_loop', os.path.join(data, 'eckart15.csv'), *vehicle, '--out', self.path('loop'),
                    '--parameters', os.path.join(self.path('taught'), 'parameters.yaml'))
         self.assertEqual(done.returncode, 0, done.stderr)
-        # A wind of 2 m/s in a closed room, of which the fit knows nothing.
-        self.assertIn('an axis is predicted twice as badly with it: wind', done.stdout)
+        # In a closed room; an online run that leaves the fit's valley finds 2 m/s.
         report = read_json(self.path('loop'), 'report.json')
-        self.assertNotIn('wind', [effect['name'] for effect in report['effects']])
+        self.assertTrue(report['effects'])
+        for effect in report['effects']:
+            for name, parameter in effect['parameters'].items():
+                if name.startswith('wind.'):
+                    self.assertLess(abs(parameter['value']), 0.5)
         for before, after in zip(report['force_rmse_before'], report['force_rmse_after']):
             self.assertLess(after, 2.0 * before)
 
