@@ -48,6 +48,22 @@ TEST(LiveMender, AnOffsetThatItCannotTakeOffCostsTrust) {
   EXPECT_NE(mender.findings()[0].what.find("30.0 ms late"), std::string::npos);
 }
 
+// Rates share the poses' stamps and stay 9 ms late: rotor speeds, whose stamps are right, go with
+// them, so that cause and answer are at one time.
+TEST(LiveMender, RotorSpeedsAreBroughtToTheTimeOfRatesThatStayLate) {
+  StreamInspection inspection = Found("body_rates", 0.009, 0.001);
+  inspection.offsets.push_back(Found("rotor_speeds", 0.0, 0.001).offsets.front());
+  LiveMender mender;
+  EXPECT_TRUE(mender.Adopt(inspection));
+  EXPECT_DOUBLE_EQ(mender.OffsetOf("rotor_speeds"), -0.009);
+  RotorSample sample = Rotors(10.0);
+  mender.Mend(&sample);
+  EXPECT_EQ(sample.stamp, FromSeconds(10.009));
+  inspection.offsets.back().against = "velocity";  // its time was not that of the rates
+  LiveMender other;
+  EXPECT_FALSE(other.Adopt(inspection));
+}
+
 TEST(LiveMender, GyroAndAccelerometerShareTheirStamps) {
   LiveMender mender;
   EXPECT_TRUE(mender.Adopt(Found("gyro", -0.020, 0.001)));
