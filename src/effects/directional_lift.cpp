@@ -5,20 +5,21 @@
 namespace odmc {
 namespace {
 
-/// Lift by the direction of flight: f_j = k_w k_f Ω_j² cos(2ψ) tan(χ/2) e3 at hub j, ψ the
-/// direction of the in-plane air velocity from body x and χ the skew of the rotor's wake. What a
-/// rotor's wake does to its neighbours and to the body grows with the skew, as the gradient of the
-/// inflow does (Coleman 1945, Pitt and Peters 1981), and turns with the direction: cos(2ψ) is the
-/// first harmonic of a vehicle that is one with its mirror images about x and y. The part that is
-/// the same in all directions is the translational lift's to say.
+/// Lift by the direction of flight: f_j = k_w k_f Ω_j² cos(2ψ) tan(χ/2) v/v_h e3 at hub j, ψ the
+/// direction of the in-plane air velocity from body x, χ the skew of the rotor's wake, v its induced
+/// velocity and v_h that of hover. What a rotor's wake does to its neighbours and to the body goes
+/// with the gradient of the inflow (Coleman 1945, Pitt and Peters 1981) and turns with the
+/// direction: cos(2ψ) is the first harmonic of a vehicle that is one with its mirror images about x
+/// and y. The part that is the same in all directions is the translational lift's to say.
 ///                                                                         docs/effects.md
 class DirectionalLift final : public Effect {
  public:
   explicit DirectionalLift(const Vehicle& vehicle)
       : Effect(vehicle,
                {"directional_lift", "Lift by the direction of flight",
-                "f_j = k_w k_f Omega_j^2 cos(2 psi) tan(chi/2) e3 at hub j, psi direction of the "
-                "in-plane air velocity from body x, chi skew of the wake",
+                "f_j = k_w k_f Omega_j^2 cos(2 psi) tan(chi/2) v/v_h e3 at hub j, psi direction of "
+                "the in-plane air velocity from body x, chi skew of the wake, v induced velocity, "
+                "v_h that of hover",
                 "model.md 12.4 by the skew of the wake; Glauert 1926; Coleman et al. 1945; Pitt "
                 "and Peters 1981; docs/effects.md",
                 "beside hvt; nearly anisotropic_hvt over a narrow range of speeds. Quasi-steady; "
@@ -44,7 +45,7 @@ class DirectionalLift final : public Effect {
     const Number x = Number::Variable(air.x(), kAir), y = Number::Variable(air.y(), kAir + 1);
     const Number square = x * x + y * y;
     const auto wake = WakeOf(square, Number::Variable(air.z(), kAir + 2), hover_squared);
-    return (x * x - y * y) / sqrt(square + kSmooth) * wake.tan_half;
+    return (x * x - y * y) / sqrt(square + kSmooth) * wake.gradient;
   }
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,

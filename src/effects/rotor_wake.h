@@ -26,8 +26,10 @@ Dual<N> InducedVelocityWithSlope(const BladeFlow<Dual<N>>& flow) {
 /// vortex ring state (DiscSpeedSquared()).
 template <int N>
 struct RotorWake {
-  Dual<N> sine;      ///< sin(χ) over the in-plane air speed [s/m]: 1 / sqrt(u_h² + w²)
-  Dual<N> tan_half;  ///< tan(χ/2) over the in-plane air speed [s/m]
+  /// Gradient of the inflow along the flight, v tan(χ/2), over the induced velocity of hover and
+  /// over the in-plane air speed [s/m]. It is the first harmonic of the inflow by Coleman et al.
+  /// 1945 and Pitt and Peters 1981: it grows with the skew and fades as v falls with speed.
+  Dual<N> gradient;
 };
 
 /// @param in_plane_squared u_h² [m²/s²]
@@ -41,9 +43,9 @@ RotorWake<N> WakeOf(const Dual<N>& in_plane_squared, const Dual<N>& axial,
   flow.in_plane_squared = in_plane_squared;
   flow.axial = axial;
   flow.given = 2.0 * hover_squared;
-  const Dual<N> w = axial + InducedVelocityWithSlope(flow), through = w * w + kSmooth;
-  const Dual<N> speed = sqrt(in_plane_squared + through);
-  return {1.0 / speed, 1.0 / (speed + sqrt(through))};
+  const Dual<N> v = InducedVelocityWithSlope(flow), w = axial + v, through = w * w + kSmooth;
+  const Dual<N> tan_half = 1.0 / (sqrt(in_plane_squared + through) + sqrt(through));
+  return {v / sqrt(hover_squared) * tan_half};
 }
 
 }  // namespace odmc
