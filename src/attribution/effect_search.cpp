@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <stdexcept>
 #include <utility>
 
 namespace odmc {
@@ -16,7 +18,12 @@ class Search {
         log_odds_(log_odds),
         most_effects_(most_effects),
         give_up_(give_up),
-        declared_(evidence.Solve({}).log_evidence) {}
+        declared_(evidence.Solve({}).log_evidence) {
+    if (!std::isfinite(declared_)) {
+      throw std::runtime_error(
+          "attribution: the likelihood of the residual under the declared model is not finite");
+    }
+  }
 
   SearchResult Run() {
     VariantSet best;
@@ -43,7 +50,8 @@ class Search {
     if (it != seen_.end()) return it->second;
     const double log_posterior =
         evidence_.Solve(set).log_evidence - declared_ + static_cast<double>(set.size()) * log_odds_;
-    return seen_[set] = log_posterior;
+    return seen_[set] =
+               std::isnan(log_posterior) ? -std::numeric_limits<double>::infinity() : log_posterior;
   }
 
   const std::string& EffectOf(int variant) const {

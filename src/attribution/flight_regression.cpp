@@ -486,11 +486,18 @@ void FlightRegression::Project() {
   SumUp();
 }
 
+bool FlightRegression::Seen::IsFinite() const {
+  const auto is_finite = [](const Regressor& c) {
+    return c.d_wrench.allFinite() && c.likely.allFinite() && c.foreseen.allFinite();
+  };
+  return std::all_of(columns.begin(), columns.end(), is_finite) && (!offset || is_finite(*offset));
+}
+
 FlightRegression::Added FlightRegression::Add(const EffectCandidate& candidate,
                                               const std::map<std::string, double>& at) {
   Seen seen = See(candidate, at, kActing);
   Added added;
-  if (seen.columns.empty()) return added;
+  if (seen.columns.empty() || !seen.IsFinite()) return added;
   for (Regressor& column : seen.columns) {
     added.columns.push_back(num_columns());
     columns_.push_back(std::move(column));
@@ -508,6 +515,8 @@ void FlightRegression::Relinearize(const EffectCandidate& candidate,
                                    const std::map<std::string, double>& at, Added* added) {
   if (added->columns.empty()) return;
   Seen seen = See(candidate, at, kAll);
+  // Where the model has no value, the linearization before is the better one.
+  if (!seen.IsFinite()) return;
   for (const int k : added->columns) {
     for (Regressor& column : seen.columns) {
       if (column.name == columns_[k].name) columns_[k] = column;

@@ -55,6 +55,11 @@ UndeclaredFlight Make(const std::vector<std::string>& effects, double share,
   return MakeUndeclared(plan);
 }
 
+std::vector<std::string> WithEffect(std::vector<std::string> effects, const std::string& effect) {
+  effects.push_back(effect);
+  return effects;
+}
+
 /// The declared model as its file has it.
 ModelPoint DeclaredPoint(const Vehicle& vehicle) {
   const DynamicModel model(vehicle, vehicle.effects);
@@ -142,6 +147,27 @@ TEST(ThinnedFlight, TakesStretchesOfALongFlight) {
 TEST(Candidates, GroundEffectNeedsHeightThatVaries) {
   EXPECT_FALSE(IsCandidate(Filtered(Make({}, 0.0, "circle", 0, 31)), "ground_effect"));
   EXPECT_TRUE(IsCandidate(Filtered(Make({}, 0.0, "vertical", 0, 31)), "ground_effect"));
+}
+
+// With the whole mass lost a regressor was not a number, and the search for sets had no end.
+TEST(Candidates, AreModelsOfABodyAtTheEndsOfTheirBounds) {
+  const Flown flown = Filtered(Make({}, 0.0, "octo", 0, 31));
+  int bounded = 0;
+  for (const EffectCandidate& candidate : CandidatesFor(flown.vehicle, flown.flight.motion())) {
+    const DynamicModel model(flown.vehicle, WithEffect(flown.vehicle.effects, candidate.effect));
+    for (const auto& [name, bounds] : candidate.bounds) {
+      for (const double bound : {bounds.first, bounds.second}) {
+        if (!std::isfinite(bound)) continue;
+        ModelValues values = model.InitialValues();
+        values[model.IndexOf(name)] = bound;
+        const BodyProperties body = model.Properties(values);
+        EXPECT_GT(body.mass, 0.05 * flown.vehicle.mass_kg) << name << " " << bound;
+        EXPECT_TRUE(body.I_BBcm_B.allFinite() && body.p_BBcm.allFinite()) << name << " " << bound;
+        ++bounded;
+      }
+    }
+  }
+  EXPECT_GT(bounded, 10);
 }
 
 class OctoFlight : public ::testing::Test {

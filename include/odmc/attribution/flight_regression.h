@@ -124,6 +124,7 @@ class FlightRegression {
   struct Seen {
     std::vector<Regressor> columns;
     std::optional<Regressor> offset;
+    bool IsFinite() const;  ///< false where the model has no value, as with no mass left
   };
   enum What {
     kAll,        ///< every parameter
