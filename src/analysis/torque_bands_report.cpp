@@ -56,8 +56,8 @@ std::string Row(const char* name, const BandedQuantity& q, double scale, const c
 Json TorqueBandsJson(const TorqueBands& bands, const Eigen::Vector3d& nominal) {
   if (!bands.why.empty()) return {{"why", bands.why}};
   Json json = {{"flight_s", JsonNumber(bands.flight_s)},
-               {"rotor_lead_s", JsonNumber(bands.delay_s)},
-               {"rotor_lead_sigma_s", JsonNumber(bands.delay_sigma_s)}};
+               {"phase_delay_s", JsonNumber(bands.delay_s)},
+               {"phase_delay_sigma_s", JsonNumber(bands.delay_sigma_s)}};
   for (int axis = 0; axis < 2; ++axis) {
     const BandedQuantity& q = bands.inertia[static_cast<size_t>(axis)];
     Json entry = QuantityJson(q, "kg m^2");
@@ -82,8 +82,8 @@ Json TorqueBandsJson(const TorqueBands& bands, const Eigen::Vector3d& nominal) {
 
 std::string TorqueBandsTable(const TorqueBands& bands, const Eigen::Vector3d& nominal) {
   if (!bands.why.empty()) return "inertia by band: " + bands.why + "\n";
-  std::string text = Format("inertia by band; rotor speeds lead angular rates by %.1f +- %.1f ms\n",
-                            1e3 * bands.delay_s, 1e3 * bands.delay_sigma_s);
+  std::string text =
+      Format("inertia by band; phases as of a delay of %.1f ms\n", 1e3 * bands.delay_s);
   for (int axis = 0; axis < 2; ++axis) {
     const BandedQuantity& q = bands.inertia[static_cast<size_t>(axis)];
     text += Row(axis == 0 ? "  I_x" : "  I_y", q, 1.0, "kg m^2");

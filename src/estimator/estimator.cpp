@@ -321,11 +321,14 @@ void Estimator::MarginalizeOld() {
   };
   for (int i = 0; i < kMostLeaving && keyframes.size() > 2 && is_long(); ++i) {
     double dt = 0.0;
-    keyframes.front().ForEach<DynamicsFactor>(
-        [&](const Factor&, const DynamicsFactor& dynamics) { dt = dynamics.measurement().dt; });
+    bool yaw_inertia_held = false;
+    keyframes.front().ForEach<DynamicsFactor>([&](const Factor&, const DynamicsFactor& dynamics) {
+      dt = dynamics.measurement().dt;
+      yaw_inertia_held = dynamics.measurement().inertia_fixed[2];
+    });
     solver_->MarginalizeOldest(&window_, uncertainty_.sigma_eta(), uncertainty_.leaving());
     LetVary(dt > 0.0 ? dt : 1.0 / options_.keyframe_rate_hz);
-    if (dt > 0.0) uncertainty_.SeeLeaving(dt, window_.eta());
+    if (dt > 0.0) uncertainty_.SeeLeaving(dt, window_.eta(), yaw_inertia_held);
   }
 }
 

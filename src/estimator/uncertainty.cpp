@@ -58,6 +58,7 @@ void Uncertainty::Reset() {
   sigma_eta_ = PriorSigmas(*layout_);
   force_information_.setZero();
   torque_information_.setZero();
+  held_yaw_information_ = 0.0;
   unobservable_.clear();
   walk_owed_s_ = 0.0;
 }
@@ -105,6 +106,7 @@ void Uncertainty::Fill(const Window& window, const Conditions& conditions, Windo
   }
   FillParameters(snapshot);
   AddScaleError(conditions.rotor_scale_sigma, snapshot);
+  AddHeldInertiaError(snapshot);
   const ParameterVector chain = layout_->ChainFactors(snapshot->values);
   snapshot->inflation.setOnes(model_->num_parameters());
   for (int i = 0; i < layout_->num_estimated(); ++i) {
@@ -146,6 +148,39 @@ void Uncertainty::AddScaleError(double rotor_scale_sigma, Snapshot* snapshot) co
   snapshot->sigma = (snapshot->sigma.cwiseAbs2() + error.cwiseAbs2()).cwiseSqrt();
 }
 
+int Uncertainty::EstimatedEntry(const char* name) const {
+  const int k = model_->IndexOf(name);
+  return k >= 0 ? layout_->EntryOf(k) : -1;
+}
+
+/// Yaw shows the ratio of what turns the body to its inertia only. Where that was held at its
+/// start value, an error of it is one of the others, the same for all, as far as they come from
+/// such intervals; none is worse known than before the flight.
+void Uncertainty::AddHeldInertiaError(Snapshot* snapshot) const {
+  const int I_z = EstimatedEntry("inertia.z"), k_m = EstimatedEntry("rotor_torque.k_m");
+  if (I_z < 0 || k_m < 0 || !(held_yaw_information_ > 0.0)) return;
+  const ParameterVector chain = layout_->ChainFactors(snapshot->values);
+  const auto prior_share = [&](int entry) {
+    return prior_sigma_eta_[entry] *
+           std::abs(chain[entry] / snapshot->values[layout_->model_index(entry)]);
+  };
+  const double share = held_yaw_information_ / torque_information_[k_m] *
+                       std::min(prior_share(I_z), prior_share(k_m));
+  ModelValues error = ModelValues::Zero(model_->num_parameters());
+  for (const char* name : {"rotor_torque.k_m", "viscous_torque.b_z", "rotor_reaction.J_r"}) {
+    const int entry = EstimatedEntry(name);
+    if (entry < 0) continue;
+    const int k = layout_->model_index(entry);
+    error[k] = share * snapshot->values[k];
+  }
+  snapshot->covariance.noalias() += error * error.transpose();
+  snapshot->sigma = (snapshot->sigma.cwiseAbs2() + error.cwiseAbs2()).cwiseSqrt();
+  const int index = layout_->model_index(k_m);
+  snapshot->observable[index] =
+      snapshot->observable[index] &&
+      snapshot->sigma[index] < kObservableShare * prior_sigma_eta_[k_m] * std::abs(chain[k_m]);
+}
+
 void Uncertainty::RefreshInflation() {
   inflation_ = consistency_inflation_.cwiseProduct(noise_inflation_);
   // Of what varies, the flight's scores say nothing about the present value.
@@ -178,8 +213,10 @@ void Uncertainty::TellUnobservable() {
   }
 }
 
-void Uncertainty::SeeLeaving(double dt, const ParameterVector& eta) {
+void Uncertainty::SeeLeaving(double dt, const ParameterVector& eta, bool yaw_inertia_held) {
   consistency_.Add(dt, leaving_.score, eta);
+  const int k_m = EstimatedEntry("rotor_torque.k_m");
+  if (yaw_inertia_held && k_m >= 0) held_yaw_information_ += leaving_.torque_information[k_m];
   force_information_ += leaving_.force_information;
   torque_information_ += leaving_.torque_information;
 }
@@ -188,6 +225,7 @@ void Uncertainty::SeeLeaving(double dt, const ParameterVector& eta) {
 ParameterVector Uncertainty::ScaleOf(const ProcessNoiseEstimator::Change& change) {
   force_information_ *= change.force;
   torque_information_ *= change.torque;
+  held_yaw_information_ *= change.torque;
   const double log_force = std::log(change.force), log_torque = std::log(change.torque);
   ParameterVector scale(force_information_.size());
   for (int i = 0; i < scale.size(); ++i) {

@@ -55,7 +55,8 @@ class Uncertainty {
   /// Scratch of the keyframe that leaves.
   LeavingFactors* leaving() { return &leaving_; }
   /// An interval of `dt` has left with what leaving() says; `eta` is the estimate.
-  void SeeLeaving(double dt, const ParameterVector& eta);
+  /// @param yaw_inertia_held its torque about z was that of the file's inertia
+  void SeeLeaving(double dt, const ParameterVector& eta, bool yaw_inertia_held);
 
   /// By how much the information of each parameter changes with the sizes of what is not modelled.
   ParameterVector ScaleOf(const ProcessNoiseEstimator::Change& change);
@@ -75,6 +76,8 @@ class Uncertainty {
   void TellUnobservable();
   void FillParameters(Snapshot* snapshot) const;
   void AddScaleError(double rotor_scale_sigma, Snapshot* snapshot) const;
+  void AddHeldInertiaError(Snapshot* snapshot) const;
+  int EstimatedEntry(const char* name) const;  // of eta, -1 if there is none
 
   const DynamicModel* model_;
   const ParameterLayout* layout_;
@@ -84,6 +87,7 @@ class Uncertainty {
   Eigen::VectorXd prior_sigma_eta_;  // by which parameters count as observable
   Eigen::VectorXd sigma_eta_;        // of the last update, not inflated
   Eigen::VectorXd force_information_, torque_information_;  // what has informed each parameter
+  double held_yaw_information_ = 0.0;  // of k_m, from intervals whose yaw inertia was held
   std::vector<std::string> unobservable_;
   struct {
     Eigen::MatrixXd in_priors;  // covariance in units of the priors' sigmas
