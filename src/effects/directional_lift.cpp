@@ -6,11 +6,11 @@ namespace odmc {
 namespace {
 
 /// Lift by the direction of flight: f_j = k_w k_f Ω_j² cos(2ψ) tan(χ/2) v/v_h e3 at hub j, ψ the
-/// direction of the in-plane air velocity from body x, χ the skew of the rotor's wake, v its induced
-/// velocity and v_h that of hover. What a rotor's wake does to its neighbours and to the body goes
-/// with the gradient of the inflow (Coleman 1945, Pitt and Peters 1981) and turns with the
-/// direction: cos(2ψ) is the first harmonic of a vehicle that is one with its mirror images about x
-/// and y. The part that is the same in all directions is the translational lift's to say.
+/// direction of the in-plane air velocity from body x, χ the skew of the rotor's wake, v its
+/// induced velocity and v_h that of hover. What a rotor's wake does to its neighbours and to the
+/// body goes with the gradient of the inflow (Coleman 1945, Pitt and Peters 1981) and turns with
+/// the direction: cos(2ψ) is the first harmonic of a vehicle that is one with its mirror images
+/// about x and y. The part that is the same in all directions is the translational lift's to say.
 ///                                                                         docs/effects.md
 class DirectionalLift final : public Effect {
  public:

@@ -6,25 +6,26 @@
 namespace odmc {
 namespace {
 
-/// Moment of the skewed wake: τ_j = k_f Ω_j² tan(χ/2) v/v_h (l_x u_y, -l_y u_x, 0) / u_h. The inflow
-/// of a skewed wake grows towards the rear of the disc by v tan(χ/2) (Coleman 1945, Pitt and Peters
-/// 1981), and the thrust acts ahead of the hub: by l tan(χ/2) v/v_h. The moment grows with the
-/// skew and fades as the induced velocity v falls from v_h, that of hover, where that of flapping
-/// (hub_moment) goes on growing. Blade elements give l = σa/16 · 15π/32 · R V/(2 v_h) (C_P of
-/// blade_element), with the blades' tip speed V: 2 cm for a radius R of 6 cm and σa = 0.7.
+/// Moment of the skewed wake: τ_j = k_f Ω_j² tan(χ/2) v/v_h (l_x u_y, -l_y u_x, 0) / u_h. The
+/// inflow of a skewed wake grows towards the rear of the disc by v tan(χ/2) (Coleman 1945, Pitt and
+/// Peters 1981), and the thrust acts ahead of the hub: by l tan(χ/2) v/v_h. The moment grows with
+/// the skew and fades as the induced velocity v falls from v_h, that of hover, where that of
+/// flapping (hub_moment) goes on growing. Blade elements give l = σa/16 · 15π/32 · R V/(2 v_h) (C_P
+/// of blade_element), with the blades' tip speed V: 2 cm for a radius R of 6 cm and σa = 0.7.
 ///                                                                         docs/effects.md
 class WakeMoment final : public Effect {
  public:
   explicit WakeMoment(const Vehicle& vehicle)
-      : Effect(vehicle,
-               {"wake_moment", "Moment of the skewed wake",
-                "tau_j = k_f Omega_j^2 tan(chi/2) v/v_h (l_x u_y, -l_y u_x, 0)/u_h, u_h in-plane air "
-                "velocity of hub j, chi skew of its wake, v induced velocity, v_h that of hover",
-                "model.md 12.5 by the skew of the wake; Glauert 1926; Coleman et al. 1945; Pitt "
-                "and Peters 1981; docs/effects.md",
-                "beside hub_moment; one with it while slow. Quasi-steady"},
-               {Lever("l_x", "about body x", vehicle), Lever("l_y", "about body y", vehicle)},
-               {"thrust.k_f"}) {}
+      : Effect(
+            vehicle,
+            {"wake_moment", "Moment of the skewed wake",
+             "tau_j = k_f Omega_j^2 tan(chi/2) v/v_h (l_x u_y, -l_y u_x, 0)/u_h, u_h in-plane air "
+             "velocity of hub j, chi skew of its wake, v induced velocity, v_h that of hover",
+             "model.md 12.5 by the skew of the wake; Glauert 1926; Coleman et al. 1945; Pitt "
+             "and Peters 1981; docs/effects.md",
+             "beside hub_moment; one with it while slow. Quasi-steady"},
+            {Lever("l_x", "about body x", vehicle), Lever("l_y", "about body y", vehicle)},
+            {"thrust.k_f"}) {}
 
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool) const override {
     return FastTrials(vehicle(), flown);
@@ -48,8 +49,12 @@ class WakeMoment final : public Effect {
   static ParameterSpec Lever(const std::string& name, const std::string& about,
                              const Vehicle& vehicle) {
     const double radius = vehicle.rotors.empty() ? 0.1 : vehicle.rotors.front().radius_m;
-    return {name, "m",          "how far ahead of the hub the thrust acts over tan(chi/2) v/v_h, moment " + about,
-            0.0,  0.5 * radius, 0.1 * radius};
+    return {name,
+            "m",
+            "how far ahead of the hub the thrust acts over tan(chi/2) v/v_h, moment " + about,
+            0.0,
+            0.5 * radius,
+            0.1 * radius};
   }
 
   void DoAddWrench(const FlightState& state, const ParameterValues& values, Wrench* wrench,

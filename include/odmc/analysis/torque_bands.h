@@ -56,15 +56,15 @@ struct ReactionCheck {
 
 /// Everything the bands of one flight say.
 struct TorqueBands {
-  double flight_s = 0.0;                      ///< that was looked at
+  double flight_s = 0.0;  ///< that was looked at
   /// Delay of rates behind rotor torque that fits the phases best, with its noise. Torques of the
   /// air turn phases, too: it is no offset of streams (inspection/ finds those).
   double delay_s = 0.0, delay_sigma_s = 0.0;
-  std::array<BandedQuantity, 2> inertia;      ///< I_x, I_y [kg m²]
-  BandedQuantity k_m_over_I;                  ///< k_m / I_z [1/rad^2]
-  BandedQuantity J_r_over_I;                  ///< inertia of a rotor over I_z [-]
-  std::optional<ReactionCheck> k_m;           ///< where bands show it
-  std::string why;                            ///< nothing could be looked at; empty: it was
+  std::array<BandedQuantity, 2> inertia;  ///< I_x, I_y [kg m²]
+  BandedQuantity k_m_over_I;              ///< k_m / I_z [1/rad^2]
+  BandedQuantity J_r_over_I;              ///< inertia of a rotor over I_z [-]
+  std::optional<ReactionCheck> k_m;       ///< where bands show it
+  std::string why;                        ///< nothing could be looked at; empty: it was
 
   /// I_x, I_y, k_m / I_z, J_r / I_z.
   std::array<BandedQuantity*, 4> Quantities();
