@@ -203,7 +203,9 @@ class LoopSession {
   std::optional<OnlinePass> RunWith(const std::vector<RankedEffect>& effects, double to) const;
   std::vector<ChannelStructure> StructureInUse(const ResidualModel::Wrenches& residual) const;
   /// Share of the structure that stays beside the effects, in the channels in which they act.
+  ResidualModel::Wrenches Rest() const;
   double Unexplained() const;
+  void NoteRest();
   RankedEffect* RankedOf(const std::string& name);
   void NoteRefused();
   void DropAll(const std::string& why);
@@ -358,11 +360,34 @@ std::vector<ChannelStructure> LoopSession::StructureInUse(
   return StructureByChannel(*flight_, residual, residual_->num_channels(), again_, true);
 }
 
+ResidualModel::Wrenches LoopSession::Rest() const {
+  ResidualModel::Wrenches rest = attribution_->residual_after();
+  if (gusts_) rest -= gusts_->foreseen;
+  return rest;
+}
+
 double LoopSession::Unexplained() const {
   const ResidualModel::Wrenches& before = attribution_->residual_before();
-  const ResidualModel::Wrenches& after = attribution_->residual_after();
-  return UnexplainedStructure(before, after, StructureInUse(before), StructureInUse(after),
+  const ResidualModel::Wrenches rest = Rest();
+  return UnexplainedStructure(before, rest, StructureInUse(before), StructureInUse(rest),
                               options_.attribution);
+}
+
+/// An effect of the torque says nothing of what the force shows. Gusts may be all of the force:
+/// what of them cannot be foreseen is in the rest.
+void LoopSession::NoteRest() {
+  const std::vector<ChannelStructure> before = StructureInUse(attribution_->residual_before());
+  const std::vector<ChannelStructure> rest = StructureInUse(Rest());
+  std::string channels;
+  for (size_t c = HasEffect(effects_, "gust") ? 3 : 0; c < rest.size(); ++c) {
+    if (!IsStructured(rest[c], options_.attribution)) continue;
+    const double left = rest[c].whiteness.nats / before[c].whiteness.nats;
+    if (!(left > options_.attribution.most_unexplained)) continue;
+    channels += (channels.empty() ? "" : ", ") + rest[c].name;
+  }
+  if (channels.empty()) return;
+  result_.warnings.push_back("most of the structure of " + channels +
+                             " stays unexplained beside the effects named");
 }
 
 void LoopSession::DropAll(const std::string& why) {
@@ -527,6 +552,7 @@ void LoopSession::Conclude() {
     result_.effect_names = final_vehicle.effects;
     result_.samples = Samples(before_.errors, after_->errors, options_.blocks);
     for (const RankedEffect& ranked : effects_) result_.effects.push_back(Added(ranked, model));
+    NoteRest();
   } else if (structured_) {
     result_.verdict = Verdict::kUnexplained;
     result_.where =

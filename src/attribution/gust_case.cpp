@@ -12,6 +12,7 @@ namespace {
 
 constexpr double kSlightestGust_m_s = 0.1;  // slighter ones through much drag are a force, no wind
 constexpr double kTooLarge = 4.0;           // natural sizes
+constexpr int kAhead = 3;                   // samples of 40 ms that a prediction has not seen
 
 /// How the predicted wrench answers the wind of an effect.
 WindDerivatives ByWind(const ResidualModel& residual, const DynamicModel& model,
@@ -111,6 +112,29 @@ std::vector<std::string> RemarksOn(const GustTest& gust, const AttributionOption
   return remarks;
 }
 
+/// What gusts do to the wrench, as foreseen by the samples before.
+ResidualModel::Wrenches ForeseenWrench(const ThinnedFlight& flight, const GustTest& gust,
+                                       ResidualModel::Wrenches left, WindDerivatives d_wind,
+                                       const std::vector<DragCoefficient>& drag) {
+  for (Eigen::Index i = 0; i < gust.drag.size(); ++i) {
+    const DragCoefficient& c = drag[static_cast<size_t>(i)];
+    left -= gust.drag[i] * c.d_wrench;
+    for (size_t k = 0; k < 3; ++k) d_wind[k] += gust.drag[i] * c.d_wind[k];
+  }
+  const std::vector<Eigen::Vector3d> wind =
+      PredictGusts(flight, left, d_wind,
+                   {gust.sigma_m_s, gust.sigma_m_s, std::max(0.01, gust.vertical_sigma_m_s)},
+                   std::max(0.1, gust.time_constant_s), kAhead);
+  ResidualModel::Wrenches wrench = ResidualModel::Wrenches::Zero(flight.size(), kNumChannels);
+  for (int i = 0; i < flight.size(); ++i) {
+    for (size_t k = 0; k < 3; ++k) {
+      wrench.row(i) +=
+          wind[static_cast<size_t>(i)][static_cast<Eigen::Index>(k)] * d_wind[k].row(i);
+    }
+  }
+  return wrench;
+}
+
 }  // namespace
 
 GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
@@ -138,6 +162,9 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
     const DragCoefficient& c = drag[i];
     gusts.known[model.parameters()[c.index].full_name] = {
         values[c.index] + gust.drag[i] * c.natural_size, gust.drag_sigma[i] * c.natural_size, {}};
+  }
+  if (BeatNoise(gust, options)) {
+    gusts.foreseen = ForeseenWrench(residual.flight(), gust, left, d_wind, drag);
   }
   RankedEffect& ranked = gusts.ranked;
   ranked.name = "gust";
@@ -169,7 +196,6 @@ ValueVariation PredictedGusts(const FlightLog& log, const Vehicle& file_vehicle,
                               const DynamicModel& model, const ModelValues& estimate,
                               const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
                               bool with_torque) {
-  constexpr int kAhead = 3;  // samples of 40 ms
   const ThinnedFlight flight(FilterFlight(log, file_vehicle.num_rotors(), ground_spans), {2.5, 1},
                              file_vehicle.odometry.q_BS.toRotationMatrix());
   const ResidualModel residual(&flight, &file_vehicle, with_torque);

@@ -345,6 +345,47 @@ TEST(CloseLoop, StaysInTheValleyOfTheFit) {
   EXPECT_TRUE(loop.warnings.empty()) << loop.warnings.front();
 }
 
+// A moment says nothing of a force that nothing of the catalogue makes.
+TEST(CloseLoop, SaysWhereTheNamedEffectsLeaveMostOfTheStructure) {
+  const Vehicle vehicle = UndeclaredVehicles()[1];
+  Vehicle true_vehicle = vehicle;
+  true_vehicle.effects.emplace_back("hub_moment");
+  const DynamicModel model(true_vehicle, true_vehicle.effects);
+  ModelValues truth = DefaultTruth(model);
+  const int k_beta = model.IndexOf("hub_moment.k_beta");
+  truth[k_beta] = 2.0 * model.parameters()[k_beta].spec.prior_sigma;
+  SimulationOptions options;
+  options.trajectory = "octo";
+  options.log_rate_hz = 200.0;
+  const double force_N = 0.04 * vehicle.mass_kg * 9.81;
+  const Unmodelled hum = [&](const FlightState& s) {
+    BodyWrench wrench;
+    wrench.f_B.z() = force_N * std::sin(2.0 * M_PI * 0.9 * s.time_s);
+    return wrench;
+  };
+  for (const bool hums : {false, true}) {
+    const SimulatedFlight flight = Simulate(model, truth, options, {}, hums ? hum : Unmodelled());
+    const ClosedLoop loop = CloseLoop(flight.log, vehicle, vehicle, CloseLoopOptions());
+    ASSERT_EQ(loop.effects.size(), 1u) << CloseLoopTable(loop);
+    EXPECT_TRUE(Names(loop.effects[0], "hub_moment")) << CloseLoopTable(loop);
+    const bool says =
+        std::any_of(loop.warnings.begin(), loop.warnings.end(), [](const std::string& warning) {
+          return warning.find("structure of force_z stays unexplained") != std::string::npos;
+        });
+    EXPECT_EQ(says, hums) << CloseLoopTable(loop);
+  }
+}
+
+// The gusts act through the hub moment, too: most of the torque's structure is theirs. It stayed
+// when the moment alone was added, and both were refused.
+TEST(CloseLoop, NamesAMomentAndTheGustsThatActThroughIt) {
+  const ClosedLoop loop = Close(MakeUndeclared(
+      Plan(UndeclaredKind::kTwoEffects, {"hub_moment", "gust"}, 0.6, "aggressive", 0, 4)));
+  ASSERT_EQ(loop.effects.size(), 2u) << CloseLoopTable(loop);
+  EXPECT_TRUE(Names(loop.effects[0], "hub_moment")) << CloseLoopTable(loop);
+  EXPECT_EQ(loop.effects[1].effect.name, "gust");
+}
+
 // On these vehicles drag is nearly the same along all axes, and wind through it nearly a free
 // force.
 TEST(CloseLoop, NamesGustsOnEveryTrajectoryAndWithTheirSize) {

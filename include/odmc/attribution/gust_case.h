@@ -20,6 +20,8 @@ struct GustCase {
   RankedEffect ranked;
   GustTest test;
   std::map<std::string, ParameterSetting> known;  ///< what it is known of others, by full name
+  /// Their wrench at every sample as foreseen 0.12 s before (N×6); empty where gusts gain nothing.
+  ResidualModel::Wrenches foreseen;
 };
 
 /// The case for gusts behind what a model leaves; they vary, so that no fixed regressor shows them.
