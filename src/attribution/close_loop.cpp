@@ -11,6 +11,7 @@
 #include <tuple>
 
 #include "odmc/analysis/calibration.h"
+#include "odmc/analysis/phase_findings.h"
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/gust_case.h"
 #include "odmc/attribution/online_evidence.h"
@@ -23,6 +24,28 @@ namespace odmc {
 namespace {
 
 constexpr int kLeastSamples = 50;  // to look for effects in
+
+/// "a force acts that is not the model's from 3.43 to 3.74 s (0.15 of the weight): ...": the first
+/// contact between two stretches of flight; empty without one. Attribution does not look at it.
+std::string ContactInFlight(const ReplayResult& replay, const FlightLog& log) {
+  constexpr double kFlight_s = 1.0;
+  const auto is_flight = [](const PhaseSpan& span) {
+    return span.phase == FlightPhase::kFlying && ToSeconds(span.to - span.from) >= kFlight_s;
+  };
+  const auto& phases = replay.phases;
+  const auto first = std::find_if(phases.begin(), phases.end(), is_flight);
+  const auto contact = std::find_if(first, phases.end(), [](const PhaseSpan& span) {
+    return span.phase == FlightPhase::kInContact;
+  });
+  if (std::none_of(contact, phases.end(), is_flight)) return "";
+  for (const Finding& finding : PhaseFindings(replay, true, log.odometry.front().stamp)) {
+    const double from_s = ToSeconds(contact->from - log.odometry.front().stamp);
+    if (finding.check == "contact" && finding.span_s && finding.span_s->first >= from_s) {
+      return finding.what;
+    }
+  }
+  return "";
+}
 
 std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedFlight& flight,
                   const ResidualModel::Wrenches& residual, const AttributionOptions& options) {
@@ -557,6 +580,9 @@ void LoopSession::Conclude() {
     result_.verdict = Verdict::kUnexplained;
     result_.where =
         Where(result_.structure, *flight_, attribution_->residual_before(), options_.attribution);
+  } else if (const std::string contact = ContactInFlight(before_.replay, log_); !contact.empty()) {
+    result_.verdict = Verdict::kUnexplained;
+    result_.where = contact;
   }
   result_.nominal_inertia = file_vehicle_.inertia_kg_m2;
   result_.bands = BandsOf(model, effects_.empty() ? before_ : *after_);

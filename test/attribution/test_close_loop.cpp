@@ -345,6 +345,16 @@ TEST(CloseLoop, StaysInTheValleyOfTheFit) {
   EXPECT_TRUE(loop.warnings.empty()) << loop.warnings.front();
 }
 
+// Something pushes the vehicle with half of its weight, three times. The estimator takes that for
+// contact and leaves it out; what remains is noise.
+TEST(CloseLoop, CallsAPushInFlightUnexplained) {
+  const UndeclaredFlight flight = MakeUndeclared(PlanUnknown(81235, 20)[4]);
+  const ClosedLoop loop = Close(flight);
+  EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
+  EXPECT_NE(loop.where.find("a force acts that is not the model's from "), std::string::npos)
+      << loop.where;
+}
+
 // A moment says nothing of a force that nothing of the catalogue makes.
 TEST(CloseLoop, SaysWhereTheNamedEffectsLeaveMostOfTheStructure) {
   const Vehicle vehicle = UndeclaredVehicles()[1];
