@@ -348,8 +348,13 @@ TEST(CloseLoop, StaysInTheValleyOfTheFit) {
 // Something pushes the vehicle with half of its weight, three times. The estimator takes that for
 // contact and leaves it out; what remains is noise.
 TEST(CloseLoop, CallsAPushInFlightUnexplained) {
-  const UndeclaredFlight flight = MakeUndeclared(PlanUnknown(81235, 20)[4]);
-  const ClosedLoop loop = Close(flight);
+  UndeclaredPlan plan = PlanUnknown(81235, 20)[4];
+  plan.recording = RecordingModel::kDrawn;
+  const UndeclaredFlight flight = MakeUndeclared(plan);
+  CloseLoopOptions options;
+  options.estimator.keyframe_rate_hz = 50.0;  // as the tool
+  options.estimator.max_update_time_s = 10.0;
+  const ClosedLoop loop = CloseLoop(flight.log, flight.declared, flight.declared, options);
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
   EXPECT_NE(loop.where.find("a force acts that is not the model's from "), std::string::npos)
       << loop.where;
