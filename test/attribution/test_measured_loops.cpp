@@ -55,9 +55,12 @@ TEST(MeasuredCrazyflie, HasAHubMomentOnFlightsOfSeconds) {
     options.estimator.max_update_time_s = 10.0;
     const ClosedLoop loop = CloseLoop(log, vehicle, vehicle, options);
     ASSERT_EQ(loop.verdict, Verdict::kEffect) << name << "\n" << CloseLoopTable(loop);
-    const std::string& first = loop.effects.front().effect.name;
-    EXPECT_TRUE(first == "hub_moment" || first == "anisotropic_hub_moment")
-        << name << ": " << first;
+    // A lift by the direction of flight may gain more, in force.
+    const bool has_moment =
+        std::any_of(loop.effects.begin(), loop.effects.end(), [](const AddedEffect& added) {
+          return added.effect.name == "hub_moment" || added.effect.name == "anisotropic_hub_moment";
+        });
+    EXPECT_TRUE(has_moment) << name << "\n" << CloseLoopTable(loop);
     EXPECT_LT(loop.after.torque_rmse_Nm->y(), 0.6 * loop.before.torque_rmse_Nm->y()) << name;
   }
 }
