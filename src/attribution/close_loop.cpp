@@ -11,7 +11,6 @@
 #include <tuple>
 
 #include "odmc/analysis/calibration.h"
-#include "odmc/analysis/phase_findings.h"
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/gust_case.h"
 #include "odmc/attribution/online_evidence.h"
@@ -25,24 +24,44 @@ namespace {
 
 constexpr int kLeastSamples = 50;  // to look for effects in
 
-/// "a force acts that is not the model's from 3.43 to 3.74 s (0.15 of the weight): ...": the first
-/// contact between two stretches of flight; empty without one. Attribution does not look at it.
-std::string ContactInFlight(const ReplayResult& replay, const FlightLog& log) {
+/// Mean force that the model does not give over phases [from, to), over the weight.
+double MissingForce(std::vector<PhaseSpan>::const_iterator from,
+                    std::vector<PhaseSpan>::const_iterator to, bool flying_only) {
+  double sum = 0.0, duration_s = 0.0;
+  for (auto span = from; span != to; ++span) {
+    if (flying_only && span->phase != FlightPhase::kFlying) continue;
+    const double dt = ToSeconds(span->to - span->from);
+    sum += dt * span->missing_force;
+    duration_s += dt;
+  }
+  return duration_s > 0.0 ? sum / duration_s : 0.0;
+}
+
+/// "a force of 0.36 of the weight acts from 2.81 to 3.74 s ...": the first contact between two
+/// stretches of flight, at which attribution does not look; empty without one.
+std::string PushInFlight(const ReplayResult& replay, Stamp zero) {
   constexpr double kFlight_s = 1.0;
+  constexpr double kOverNoise = 3.0;  // a normal vector's norm is more once in 24,000 times
+  if (replay.counters.jumps > 0) return "";  // the odometry's, as likely
+  const auto& phases = replay.phases;
   const auto is_flight = [](const PhaseSpan& span) {
     return span.phase == FlightPhase::kFlying && ToSeconds(span.to - span.from) >= kFlight_s;
   };
-  const auto& phases = replay.phases;
-  const auto first = std::find_if(phases.begin(), phases.end(), is_flight);
-  const auto contact = std::find_if(first, phases.end(), [](const PhaseSpan& span) {
-    return span.phase == FlightPhase::kInContact;
-  });
-  if (std::none_of(contact, phases.end(), is_flight)) return "";
-  for (const Finding& finding : PhaseFindings(replay, true, log.odometry.front().stamp)) {
-    const double from_s = ToSeconds(contact->from - log.odometry.front().stamp);
-    if (finding.check == "contact" && finding.span_s && finding.span_s->first >= from_s) {
-      return finding.what;
+  const double noise = MissingForce(phases.begin(), phases.end(), true);
+  auto before = std::find_if(phases.begin(), phases.end(), is_flight);
+  while (before != phases.end()) {
+    const auto from = before + 1, after = std::find_if(from, phases.end(), is_flight);
+    if (after == phases.end()) break;
+    const bool touches = std::any_of(
+        from, after, [](const PhaseSpan& span) { return span.phase == FlightPhase::kInContact; });
+    const double missing = MissingForce(from, after, false);
+    if (touches && missing > kOverNoise * noise) {
+      return Format(
+          "a force of %.2f of the weight acts from %.2f to %.2f s, which the estimator "
+          "takes for contact: nothing was looked at there",
+          missing, ToSeconds(from->from - zero), ToSeconds(after->from - zero));
     }
+    before = after;
   }
   return "";
 }
@@ -580,9 +599,9 @@ void LoopSession::Conclude() {
     result_.verdict = Verdict::kUnexplained;
     result_.where =
         Where(result_.structure, *flight_, attribution_->residual_before(), options_.attribution);
-  } else if (const std::string contact = ContactInFlight(before_.replay, log_); !contact.empty()) {
-    result_.verdict = Verdict::kUnexplained;
-    result_.where = contact;
+  } else {
+    result_.where = PushInFlight(before_.replay, log_.odometry.front().stamp);
+    if (!result_.where.empty()) result_.verdict = Verdict::kUnexplained;
   }
   result_.nominal_inertia = file_vehicle_.inertia_kg_m2;
   result_.bands = BandsOf(model, effects_.empty() ? before_ : *after_);

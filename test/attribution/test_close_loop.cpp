@@ -356,8 +356,7 @@ TEST(CloseLoop, CallsAPushInFlightUnexplained) {
   options.estimator.max_update_time_s = 10.0;
   const ClosedLoop loop = CloseLoop(flight.log, flight.declared, flight.declared, options);
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
-  EXPECT_NE(loop.where.find("a force acts that is not the model's from "), std::string::npos)
-      << loop.where;
+  EXPECT_NE(loop.where.find("of the weight acts from "), std::string::npos) << loop.where;
 }
 
 // A moment says nothing of a force that nothing of the catalogue makes.
