@@ -41,7 +41,7 @@ double MissingForce(std::vector<PhaseSpan>::const_iterator from,
 /// stretches of flight, at which attribution does not look; empty without one.
 std::string PushInFlight(const ReplayResult& replay, Stamp zero) {
   constexpr double kFlight_s = 1.0;
-  constexpr double kOverNoise = 3.0;  // a normal vector's norm is more once in 24,000 times
+  constexpr double kOverNoise = 3.0;         // a normal vector's norm is more once in 24,000 times
   if (replay.counters.jumps > 0) return "";  // the odometry's, as likely
   const auto& phases = replay.phases;
   const auto is_flight = [](const PhaseSpan& span) {
