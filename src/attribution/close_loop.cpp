@@ -244,9 +244,11 @@ class LoopSession {
   Vehicle VehicleWithEffects(const std::vector<RankedEffect>& effects) const;
   std::optional<OnlinePass> RunWith(const std::vector<RankedEffect>& effects, double to) const;
   std::vector<ChannelStructure> StructureInUse(const ResidualModel::Wrenches& residual) const;
-  /// Share of the structure that stays beside the effects, in the channels in which they act.
+  /// What effects, and gusts that make their case, leave of the wrench.
   ResidualModel::Wrenches Rest() const;
+  /// Share of the structure that stays beside the effects, in the channels in which they act.
   double Unexplained() const;
+  /// Warns of channels of which the effects named leave most of the structure.
   void NoteRest();
   RankedEffect* RankedOf(const std::string& name);
   void NoteRefused();

@@ -170,6 +170,17 @@ TEST(Candidates, AreModelsOfABodyAtTheEndsOfTheirBounds) {
   EXPECT_GT(bounded, 10);
 }
 
+// Its column is not a number; it is no candidate then, and the search ends.
+TEST(Attribution, EndsWhereACandidateHasNoValue) {
+  const Flown flown = Filtered(Make({}, 0.0, "octo", 0, 31));
+  const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+  EffectCandidate lost{"mass_change", {{"mass_change.from", 8.0}}, {}};
+  lost.start = {{"mass_change.mass", -flown.vehicle.mass_kg}};
+  Attribution attribution(&residual, DeclaredPoint(flown.vehicle), {lost}, {});
+  attribution.Run();
+  EXPECT_TRUE(attribution.effects().empty());
+}
+
 class OctoFlight : public ::testing::Test {
  protected:
   static void SetUpTestSuite() { flown_ = new Flown(Filtered(Make({}, 0.0, "octo", 0, 31))); }

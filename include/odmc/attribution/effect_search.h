@@ -29,8 +29,8 @@ struct SearchResult {
 /// alone can show what only helps together, until nothing is better.
 /// @param log_odds a priori that one given effect acts, against that it does not
 /// @param most_effects in a set
-/// @throws std::runtime_error where the declared model's own evidence is not finite
 /// @param give_up asked now and then; once true, what was found so far comes back
+/// @throws std::runtime_error where the declared model's own evidence is not finite
 SearchResult SearchEffects(const Evidence& evidence, double log_odds, int most_effects,
                            const std::function<bool()>& give_up = {});
 
