@@ -392,7 +392,8 @@ VariantSet Attribution::Completed(Evidence* evidence, const VariantSet& set, siz
     if (best.nats < options_.clear_odds) break;
     *gain += best.nats;
     if (first != nullptr && first->empty()) {
-      *first = features_.names[static_cast<size_t>(best.feature)];
+      *first = std::string(ChannelName(best.channel)) + " by \"" +
+               features_.names[static_cast<size_t>(best.feature)] + "\"";
     }
     all.insert(evidence->AddFlexible(best, features_));
   }
@@ -411,7 +412,7 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
   Evidence evidence = with;
   while (true) {
     // What no effect explains, as far as a flexible function does.
-    const VariantSet all = Completed(&evidence, set, kMostFeatures, &flexible_gain_);
+    const VariantSet all = Completed(&evidence, set, kMostFeatures, &flexible_gain_, &flexible_);
     if (set.empty()) break;
     const EffectFit fit = evidence.Solve(set);
     std::optional<int> weakest;
@@ -435,16 +436,16 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
         for (int c = 0; c < kNumChannels; ++c) others[c] += energy[c];
       }
       const double gain = evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence;
-      const double margin =
-          (1.0 + options_.form_share) * gain + flexible_gain_ - instead - options_.clear_odds;
+      // Where both explain the same, the effect does it: it is known to act, a function is not.
+      const double margin = (1.0 + options_.form_share) * gain + flexible_gain_ - instead;
       const double shadow = ShadowOf(evidence.EnergyOf(v, fit), others);
       std::string objection;
       if (PValue(score) >= options_.false_alarm_rate) {
         objection =
             "chance may gain as much in " + Rounded(100.0 * PValue(score)) + " % of such flights";
       } else if (margin <= 0.0) {
-        objection = "what follows \"" + rival + "\" explains the same by " + Rounded(instead) +
-                    " nats, against " + Rounded(gain + flexible_gain_);
+        objection = "a function of the state (" + rival + ") explains the same by " +
+                    Rounded(instead) + " nats, against " + Rounded(gain + flexible_gain_);
       } else if (score <= shadow) {
         objection = "a slightly wrong formula of the other effects would leave " + Rounded(shadow);
       }

@@ -207,6 +207,13 @@ std::vector<EffectCandidate> CandidatesFor(const Vehicle& vehicle,
   return all;
 }
 
+std::vector<EffectCandidate> Without(std::vector<EffectCandidate> candidates,
+                                     const std::vector<std::string>& effects) {
+  const auto is_out = [&](const EffectCandidate& c) { return IsListed(effects, c.effect); };
+  candidates.erase(std::remove_if(candidates.begin(), candidates.end(), is_out), candidates.end());
+  return candidates;
+}
+
 std::set<std::string> EffectsOf(const std::vector<EffectCandidate>& candidates) {
   std::set<std::string> names;
   for (const EffectCandidate& candidate : candidates) names.insert(candidate.effect);

@@ -348,7 +348,7 @@ bool LoopSession::HasFlight() {
 
 void LoopSession::Attribute() {
   residual_ = std::make_unique<ResidualModel>(flight_.get(), &file_vehicle_, !log_.rotor_rms_only);
-  candidates_ = CandidatesFor(vehicle_, flight_->motion());
+  candidates_ = Without(CandidatesFor(vehicle_, flight_->motion()), options_.ruled_out);
   const ModelValues& values = before_.replay.last->values;
   attribution_ = std::make_unique<Attribution>(residual_.get(), ModelPointOf(declared_, values),
                                                candidates_, options_.attribution);
@@ -391,6 +391,7 @@ void LoopSession::NoteRefused() {
 }
 
 void LoopSession::WeighGusts() {
+  if (std::count(options_.ruled_out.begin(), options_.ruled_out.end(), "gust") > 0) return;
   GustCase gusts = RankGusts(*residual_, attribution_->point(), attribution_->residual_after(),
                              before_.parameters, options_.attribution);
   result_.ranking.push_back(gusts.ranked);
@@ -413,8 +414,13 @@ ResidualModel::Wrenches LoopSession::Rest() const {
 double LoopSession::Unexplained() const {
   const ResidualModel::Wrenches& before = attribution_->residual_before();
   const ResidualModel::Wrenches rest = Rest();
-  return UnexplainedStructure(before, rest, StructureInUse(before), StructureInUse(rest),
-                              options_.attribution);
+  const double left = UnexplainedStructure(before, rest, StructureInUse(before),
+                                           StructureInUse(rest), options_.attribution);
+  if (gusts_) return left;  // functions of the state would follow them
+  // What functions of the state gain beside the effects, of all that is gained.
+  const double functions = attribution_->flexible_gain();
+  const double gained = functions + attribution_->gain();
+  return gained > 0.0 ? std::max(left, functions / gained) : left;
 }
 
 /// An effect of the torque says nothing of what the force shows. Gusts may be all of the force:
@@ -601,6 +607,10 @@ void LoopSession::Conclude() {
     result_.verdict = Verdict::kUnexplained;
     result_.where =
         Where(result_.structure, *flight_, attribution_->residual_before(), options_.attribution);
+  } else if (attribution_ && attribution_->flexible_gain() > 0.0) {
+    result_.verdict = Verdict::kUnexplained;
+    result_.where = attribution_->flexible() + "; functions of the state gain " +
+                    Rounded(attribution_->flexible_gain()) + " nats";
   } else {
     result_.where = PushInFlight(before_.replay, log_.odometry.front().stamp);
     if (!result_.where.empty()) result_.verdict = Verdict::kUnexplained;

@@ -4,6 +4,8 @@
 #include <cmath>
 
 #include "odmc/estimator/gates.h"
+#include "odmc/math/farthest_rows.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -44,6 +46,51 @@ void Standardize(Index column, std::vector<MatrixXd>* all, std::vector<MatrixXd>
   }
 }
 
+constexpr Index kPlace = 15;  // the first of the three signals
+
+/// Nearness to places that cover where was flown: what stands in one place acts there.
+class Bumps {
+ public:
+  /// @param signals by flight, as they are
+  explicit Bumps(const std::vector<MatrixXd>& signals) {
+    Index n = 0;
+    for (const MatrixXd& of : signals) n += of.rows();
+    MatrixXd places(n, 3);
+    Index row = 0;
+    for (const MatrixXd& of : signals) {
+      places.middleRows(row, of.rows()) = of.middleCols<3>(kPlace);
+      row += of.rows();
+    }
+    const FarthestRows farthest(places, kMost, kLeastDistance);
+    width_ = kWidth * farthest.extent;
+    if (!(width_ > 0.0)) return;
+    for (const Index k : farthest.rows) centres_.emplace_back(places.row(k));
+  }
+
+  Index count() const { return static_cast<Index>(centres_.size()); }
+
+  MatrixXd At(const MatrixXd& signals) const {
+    MatrixXd near(signals.rows(), count());
+    for (Index k = 0; k < count(); ++k) {
+      const auto away = signals.middleCols<3>(kPlace).rowwise() - centres_[static_cast<size_t>(k)];
+      near.col(k) = (-0.5 / (width_ * width_) * away.rowwise().squaredNorm().array()).exp();
+    }
+    return near;
+  }
+
+  std::string NameOf(Index k) const {
+    const Eigen::RowVector3d& at = centres_[static_cast<size_t>(k)];
+    return "(" + Rounded(at.x()) + ", " + Rounded(at.y()) + ", " + Rounded(at.z()) + ") m";
+  }
+
+ private:
+  static constexpr size_t kMost = 24;
+  static constexpr double kLeastDistance = 0.1, kWidth = 0.15;  // of the extent
+
+  std::vector<Eigen::RowVector3d> centres_;
+  double width_ = 0.0;
+};
+
 }  // namespace
 
 FlexibleFeatures::FlexibleFeatures(const std::vector<SeenFlight>& flights) {
@@ -61,8 +108,15 @@ FlexibleFeatures::FlexibleFeatures(const std::vector<SeenFlight>& flights) {
       likely_signals[f].row(i) = SignalsOf(likely.sample(i), vehicle).transpose();
     }
   }
+  const Bumps bumps(signals);
+  std::vector<MatrixXd> near(num_flights), likely_near(num_flights);
+  for (size_t f = 0; f < num_flights; ++f) {
+    near[f] = bumps.At(signals[f]);
+    likely_near[f] = bumps.At(likely_signals[f]);
+  }
   for (Index k = 0; k < kSignals; ++k) Standardize(k, &signals, &likely_signals);
-  const Index num_features = 1 + kSignals + kSignals * (kSignals + 1) / 2;
+  const Index products = 1 + kSignals, places = products + kSignals * (kSignals + 1) / 2;
+  const Index num_features = places + bumps.count();
   std::vector<MatrixXd> all(num_flights), likely(num_flights);
   for (size_t f = 0; f < num_flights; ++f) {
     all[f].resize(signals[f].rows(), num_features);
@@ -74,7 +128,7 @@ FlexibleFeatures::FlexibleFeatures(const std::vector<SeenFlight>& flights) {
   }
   names.push_back("nothing (it is constant)");
   for (const char* name : kNames) names.emplace_back(name);
-  Index at = 1 + kSignals;
+  Index at = products;
   for (Index k = 0; k < kSignals; ++k) {
     for (Index l = k; l < kSignals; ++l, ++at) {
       for (size_t f = 0; f < num_flights; ++f) {
@@ -84,6 +138,14 @@ FlexibleFeatures::FlexibleFeatures(const std::vector<SeenFlight>& flights) {
       Standardize(at, &all, &likely);
       names.push_back(std::string(kNames[k]) + " times " + kNames[l]);
     }
+  }
+  for (size_t f = 0; f < num_flights; ++f) {
+    all[f].rightCols(bumps.count()) = near[f];
+    likely[f].rightCols(bumps.count()) = likely_near[f];
+  }
+  for (Index k = 0; k < bumps.count(); ++k) {
+    Standardize(places + k, &all, &likely);
+    names.push_back("nearness to " + bumps.NameOf(k));
   }
   for (size_t f = 0; f < num_flights; ++f) {
     foreseen.push_back(flights[f].instruments->Foreseen(all[f], likely[f]));

@@ -105,6 +105,12 @@ std::vector<std::string> RemarksOn(const GustTest& gust, const AttributionOption
   } else if (gust.over_others < options.clear_odds) {
     remarks.push_back("a force of its own that varies slowly explains the same about as well");
   }
+  if (gust.over_field <= options.clear_odds) {
+    remarks.push_back("not named: a force that follows the place explains the same " +
+                      (gust.over_field > -options.clear_odds
+                           ? std::string("about as well")
+                           : "better, by " + Rounded(-gust.over_field) + " nats"));
+  }
   if (gust.peakedness_p <= options.false_alarm_rate) {
     remarks.push_back("not named: it comes in knocks, which gusts do at a chance of " +
                       Rounded(gust.peakedness_p));
@@ -171,9 +177,11 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
   ranked.score = gust.gain;
   const double net = NetGain(gust, options);
   ranked.p_value = std::exp(-std::max(0.0, net));
-  // Wind is known to act on vehicles, a free force is not.
+  // Wind is known to act on vehicles, a free force is not; what stands in one place (an updraft, a
+  // tether) is, and the two predict very different forces.
   const double over_rival = gust.over_others + options.clear_odds;
-  ranked.probability = 1.0 / (1.0 + std::exp(-net) + std::exp(-over_rival));
+  ranked.probability =
+      1.0 / (1.0 + std::exp(-net) + std::exp(-over_rival) + std::exp(-gust.over_field));
   ranked.remarks = RemarksOn(gust, options);
   const auto state = [&](const std::string& name, const std::string& unit, double value,
                          double error) {
@@ -189,7 +197,7 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
 
 bool IsGusty(const GustCase& gusts, const AttributionOptions& options) {
   return BeatNoise(gusts.test, options) && gusts.test.over_others > -options.clear_odds &&
-         gusts.test.peakedness_p > options.false_alarm_rate;
+         gusts.test.over_field > options.clear_odds && gusts.test.peakedness_p > options.false_alarm_rate;
 }
 
 ValueVariation PredictedGusts(const FlightLog& log, const Vehicle& file_vehicle,

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "odmc/math/descent.h"
+#include "odmc/math/farthest_rows.h"
 #include "odmc/math/gaussian.h"
 
 namespace odmc {
@@ -461,61 +462,57 @@ double SteadySwing(const ThinnedFlight& flight, const std::vector<int>& used,
 }
 
 /// Log-likelihood of a force that depends on the place alone, fixed in the world, in white noise of
-/// a share of the variance `quick` [N²]: a Gaussian process over position with a
+/// a share of the variance `quick` [N², by body axis]: a Gaussian process over position with a
 /// squared-exponential kernel, in its approximation by few centres, the noise, its size and width
 /// those that make the force most likely.
 double FieldOverPosition(const ThinnedFlight& flight, const std::vector<int>& used,
                          const ResidualModel::Wrenches& residual,
                          const std::vector<DragCoefficient>& drag,
-                         const std::vector<Matrix3d>& steady, double quick, double natural) {
+                         const std::vector<Matrix3d>& steady, const Vector3d& quick,
+                         double natural) {
   constexpr size_t kCentres = 40;
   constexpr double kWidths[] = {0.15, 0.3, 0.6};  // of the flight's extent
   constexpr double kFieldSizes[] = {0.5, 1.0, 2.0, 4.0};
   const auto n = static_cast<Index>(used.size());
-  const auto position = [&](Index k) { return flight.sample(used[static_cast<size_t>(k)]).p_WS; };
-  // Each centre is the sample farthest from those before.
-  std::vector<Vector3d> centres = {position(0)};
-  VectorXd distance = VectorXd::Constant(n, std::numeric_limits<double>::infinity());
-  double extent = 0.0;
-  while (centres.size() < kCentres) {
-    for (Index k = 0; k < n; ++k) {
-      distance[k] = std::min(distance[k], (position(k) - centres.back()).norm());
-      if (centres.size() == 1) extent = std::max(extent, distance[k]);
-    }
-    Index farthest = 0;
-    if (!(distance.maxCoeff(&farthest) > 0.02 * extent)) break;
-    centres.push_back(position(farthest));
+  MatrixXd places(n, 3);
+  for (Index k = 0; k < n; ++k) {
+    places.row(k) = flight.sample(used[static_cast<size_t>(k)]).p_WS.transpose();
   }
+  const FarthestRows centres(places, kCentres, 0.02);
+  const double extent = centres.extent;
   if (!(extent > 0.0)) return -std::numeric_limits<double>::infinity();
-  const auto count = static_cast<Index>(centres.size());
+  const auto count = static_cast<Index>(centres.rows.size());
+  const auto centre = [&](Index a) { return places.row(centres.rows[static_cast<size_t>(a)]); };
   const auto num_drag = static_cast<Index>(drag.size()) + 3;  // the steady force's, too
+  // Rows in body axes, each over the standard deviation of that axis' quick part.
+  const Vector3d weight = quick.cwiseSqrt().cwiseInverse();
   VectorXd y(3 * n);
   for (Index k = 0; k < n; ++k) {
     const int i = used[static_cast<size_t>(k)];
-    y.segment<3>(3 * k) = flight.R_WB(i) * residual.row(i).head<3>().transpose();
+    y.segment<3>(3 * k) = weight.cwiseProduct(Vector3d(residual.row(i).head<3>().transpose()));
   }
   MatrixXd D(3 * n, num_drag);
   for (Index k = 0; k < n; ++k) {
     const int i = used[static_cast<size_t>(k)];
-    D.block<3, 3>(3 * k, num_drag - 3) = flight.R_WB(i) * steady[static_cast<size_t>(i)];
+    D.block<3, 3>(3 * k, num_drag - 3) = weight.asDiagonal() * steady[static_cast<size_t>(i)];
   }
   for (Index d = 0; d < num_drag - 3; ++d) {
     for (Index k = 0; k < n; ++k) {
       const int i = used[static_cast<size_t>(k)];
-      D.col(d).segment<3>(3 * k) =
-          flight.R_WB(i) * drag[static_cast<size_t>(d)].d_wrench.row(i).head<3>().transpose();
+      const Vector3d f = drag[static_cast<size_t>(d)].d_wrench.row(i).head<3>().transpose();
+      D.col(d).segment<3>(3 * k) = weight.cwiseProduct(f);
     }
   }
   double best = -std::numeric_limits<double>::infinity();
   for (const double width : kWidths) {
     const double w = width * extent;
-    const auto kernel = [w](const Vector3d& a, const Vector3d& b) {
+    const auto kernel = [w](const auto& a, const auto& b) {
       return std::exp(-0.5 * (a - b).squaredNorm() / (w * w));
     };
     MatrixXd K(count, count), phi(n, count);
     for (Index a = 0; a < count; ++a) {
-      for (Index b = 0; b < count; ++b) K(a, b) = kernel(centres[a], centres[b]);
-      for (Index k = 0; k < n; ++k) phi(k, a) = kernel(position(k), centres[a]);
+      for (Index b = 0; b < count; ++b) K(a, b) = kernel(centre(a), centre(b));
+      for (Index k = 0; k < n; ++k) phi(k, a) = kernel(places.row(k), centre(a));
     }
     K.diagonal().array() += 1e-6;
     // Features of unit prior variance.
@@ -523,17 +520,18 @@ double FieldOverPosition(const ThinnedFlight& flight, const std::vector<int>& us
         K.llt().matrixL().solve(phi.transpose()).transpose() * MatrixXd::Identity(count, count);
     const Index m = 3 * count + num_drag;
     MatrixXd X = MatrixXd::Zero(3 * n, m);
-    for (Index axis = 0; axis < 3; ++axis) {
-      for (Index k = 0; k < n; ++k) {
-        X.row(3 * k + axis).segment(axis * count, count) = features.row(k);
+    for (Index k = 0; k < n; ++k) {
+      const Matrix3d R_BW = flight.R_WB(used[static_cast<size_t>(k)]).transpose();
+      for (Index axis = 0; axis < 3; ++axis) {
+        X.block(3 * k, axis * count, 3, count) =
+            weight.cwiseProduct(R_BW.col(axis)) * features.row(k);
       }
     }
     X.rightCols(num_drag) = D;
     const MatrixXd gram = X.transpose() * X;
     const VectorXd Xy = X.transpose() * y;
     for (const double size : kFieldSizes) {
-      for (const double share : kNoiseShares) {
-        const double noise = share * quick;
+      for (const double noise : kNoiseShares) {
         VectorXd sigma = VectorXd::Constant(m, size * natural);
         sigma.tail(num_drag).setOnes();  // natural sizes
         MatrixXd H = gram / noise;
@@ -543,7 +541,8 @@ double FieldOverPosition(const ThinnedFlight& flight, const std::vector<int>& us
         const double log_det = 2.0 * MatrixXd(llt.matrixL()).diagonal().array().log().sum() +
                                2.0 * sigma.array().log().sum();
         const double likelihood = 0.5 * b.dot(llt.solve(b)) - 0.5 * y.squaredNorm() / noise -
-                                  0.5 * log_det - 1.5 * static_cast<double>(n) * std::log(noise);
+                                  0.5 * log_det - 1.5 * static_cast<double>(n) * std::log(noise) +
+                                  static_cast<double>(n) * weight.array().log().sum();
         best = std::max(best, likelihood);
       }
     }
@@ -601,8 +600,9 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
       gust.likelihood() -
       std::max({free_world.likelihood(), free_body.likelihood(),
                 SteadySwing(flight, apart, residual, true),
-                SteadySwing(flight, apart, residual, false),
-                FieldOverPosition(flight, apart, residual, drag, steady, quick.mean(), natural)});
+                SteadySwing(flight, apart, residual, false)});
+  test.over_field = gust.likelihood() -
+                    FieldOverPosition(flight, apart, residual, drag, steady, quick, natural);
   const std::vector<int> unrounded = SamplesApart(flight, kUnrounded_s);
   const Hypothesis unrounded_fit = gust.LookingAt(&unrounded);
   const std::vector<int> sparse = SamplesApartFor(flight, unrounded_fit.time_constant_s());

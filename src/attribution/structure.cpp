@@ -49,6 +49,8 @@ std::optional<SharedStructure> Shared(const ThinnedFlight& flight, const Eigen::
 
 }  // namespace
 
+const char* ChannelName(int channel) { return kChannelNames[channel]; }
+
 std::vector<ChannelStructure> StructureByChannel(const ThinnedFlight& flight,
                                                  const ResidualModel::Wrenches& residual,
                                                  int num_channels, const Eigen::MatrixX3d& again,
@@ -57,7 +59,7 @@ std::vector<ChannelStructure> StructureByChannel(const ThinnedFlight& flight,
   const double rate_Hz = 1.0 / flight.step_s();
   for (int c = 0; c < num_channels; ++c) {
     ChannelStructure channel;
-    channel.name = kChannelNames[c];
+    channel.name = ChannelName(c);
     channel.unit = c < 3 ? "N" : "N m";
     const Eigen::VectorXd y = residual.col(c);
     channel.rmse = std::sqrt(y.squaredNorm() / std::max<Eigen::Index>(1, y.size()));

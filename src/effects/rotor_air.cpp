@@ -40,6 +40,15 @@ std::vector<EffectTrial> FastTrials(const Vehicle& vehicle, const FlownRange& fl
   return {};
 }
 
+std::vector<EffectTrial> SkewedWakeTrials(const Vehicle& vehicle, const FlownRange& flown) {
+  const double thrust =
+      vehicle.mass_kg * vehicle.gravity_m_s2 / std::max(1, vehicle.num_rotors());
+  for (const Rotor& rotor : vehicle.rotors) {
+    if (flown.speed_m_s > std::sqrt(thrust * InflowSquaredPerThrust(rotor))) return {EffectTrial()};
+  }
+  return {};
+}
+
 Vector3d HubAirVelocity(const FlightState& state, const Rotor& rotor) {
   return state.v_AB_B + state.w_WB_B.cross(rotor.p_BP);
 }

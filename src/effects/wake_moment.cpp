@@ -28,7 +28,7 @@ class WakeMoment final : public Effect {
             {"thrust.k_f"}) {}
 
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool) const override {
-    return FastTrials(vehicle(), flown);
+    return SkewedWakeTrials(vehicle(), flown);
   }
   std::vector<TellingPair> telling_pairs() const override {
     const std::string course =

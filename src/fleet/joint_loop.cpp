@@ -302,8 +302,9 @@ void JointSession::Find(const Progress& progress) {
     residuals.push_back(&*looked[f].residual);
     motions.push_back(&looked[f].flight->motion());
   }
-  Attribution attribution(residuals, point, CandidatesFor(vehicle_, motions), options_.attribution,
-                          {}, options_.calibration.jobs);
+  Attribution attribution(residuals, point,
+                          Without(CandidatesFor(vehicle_, motions), options_.ruled_out),
+                          options_.attribution, {}, options_.calibration.jobs);
   attribution.Run();
   point_ = attribution.point();
   effects_ = attribution.effects();
@@ -440,9 +441,10 @@ JointLoop JointSession::Run(const std::vector<std::string>& files,
       std::any_of(loop_.structured.begin(), loop_.structured.end(), [&](const auto& channel) {
         return 2 * channel.second > static_cast<int>(loop_.flights.size());
       });
-  loop_.verdict = !effects_.empty() ? Verdict::kEffect
-                  : structured      ? Verdict::kUnexplained
-                                    : Verdict::kNone;
+  const bool follows = loop_.flexible_gain > 0.0;  // a function of the state
+  loop_.verdict = !effects_.empty()        ? Verdict::kEffect
+                  : structured || follows  ? Verdict::kUnexplained
+                                           : Verdict::kNone;
   if (progress) progress(1.0);
   return std::move(loop_);
 }

@@ -8,6 +8,7 @@
 #include "odmc/fleet/joint_loop.h"
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
+#include "odmc/model/effect.h"
 #include "tool_support.h"
 
 namespace odmc {
@@ -28,6 +29,11 @@ std::map<std::string, std::string> ProvenanceOf(const Arguments& a, const Vehicl
                                                 std::map<std::string, std::string> more) {
   more["estimator_options"] = tools::DescribeChanges(a.options.estimator);
   more["decision"] = DescribeChanges(a.options.attribution);
+  std::string ruled_out;
+  for (const std::string& name : a.options.ruled_out) {
+    ruled_out += (ruled_out.empty() ? "" : ", ") + name;
+  }
+  if (!ruled_out.empty()) more["ruled_out"] = ruled_out;
   return tools::Provenance("close_loop", vehicle, std::move(more));
 }
 
@@ -74,6 +80,7 @@ void CloseSeveral(const Arguments& a, const std::vector<std::string>& files,
   options.calibration.own = a.own;
   options.calibration.jobs = a.jobs;
   options.attribution = a.options.attribution;
+  options.ruled_out = a.options.ruled_out;
   tools::MakeFolder(a.folder);
   tools::ProgressBar bar(std::to_string(learned.size()) + " flights");
   JointLoop loop =
@@ -117,6 +124,12 @@ void AddOptions(CLI::App* app, Arguments* a) {
                   "add at most this many effects")
       ->capture_default_str()
       ->check(tools::NotNegative());
+  app->add_option("--rule-out", a->options.ruled_out,
+                  "effects that cannot act here, as wind,gust indoors")
+      ->delimiter(',')
+      ->allow_extra_args(false)
+      ->type_name("a,b")
+      ->check(CLI::IsMember(EffectRegistry::Default().names()).description(""));
   app->add_option("--decision", a->decision,
                   "NAME=VALUE: changes a number of the decision, see below")
       ->take_all()

@@ -295,6 +295,62 @@ ClosedLoop CloseWithLoad(double mass_share, const Swing& swing) {
   return CloseLoop(flight.log, vehicle, vehicle, CloseLoopOptions());
 }
 
+// Too weak to stand out of the noise's spectrum; as a function of the state it does.
+TEST(CloseLoop, CallsAForceThatFollowsTheStateUnexplained) {
+  UndeclaredPlan plan = PlanUnknown(81235, 20)[5];
+  plan.recording = RecordingModel::kDrawn;
+  CloseLoopOptions options;
+  options.estimator.keyframe_rate_hz = 50.0;
+  options.estimator.max_update_time_s = 10.0;
+  const UndeclaredFlight flight = MakeUndeclared(plan);
+  const ClosedLoop loop = CloseLoop(flight.log, flight.declared, flight.declared, options);
+  EXPECT_GT(loop.whiteness_p, options.attribution.whiteness_p);
+  EXPECT_GT(loop.flexible_gain, options.attribution.clear_odds);
+  EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
+  EXPECT_NE(loop.where.find("force_z by \""), std::string::npos) << loop.where;
+}
+
+/// A flight across a column of air that rises, with an eighth of the weight at its middle; the
+/// figures of such a flight without noise of the drag's formula.
+ClosedLoop CloseWithUpdraft(const std::vector<std::string>& ruled_out) {
+  const Vehicle vehicle = NominalVehicle();
+  const DynamicModel model(vehicle, vehicle.effects);
+  SimulationOptions options;
+  options.trajectory = "octo";
+  options.duration_s = 30.0;
+  options.log_rate_hz = 200.0;
+  const Unmodelled updraft = [&vehicle](const FlightState& s) {
+    constexpr double kShare = 0.12, kRadius_m = 0.5;
+    const Eigen::Vector2d away = s.p_WB.head<2>() - Eigen::Vector2d(1.0, 0.5);
+    const double force = kShare * vehicle.mass_kg * vehicle.gravity_m_s2 *
+                         std::exp(-0.5 * away.squaredNorm() / (kRadius_m * kRadius_m));
+    BodyWrench wrench;
+    wrench.f_B = s.R_WB.transpose() * Eigen::Vector3d(0.0, 0.0, force);
+    return wrench;
+  };
+  const SimulatedFlight flight =
+      Simulate(model, DefaultTruth(model), options, SimulationNoise(), updraft);
+  CloseLoopOptions loop;
+  loop.estimator.keyframe_rate_hz = 50.0;
+  loop.estimator.max_update_time_s = 10.0;
+  loop.ruled_out = ruled_out;
+  return CloseLoop(flight.log, vehicle, vehicle, loop);
+}
+
+TEST(CloseLoop, BlamesNoWindForAnUpdraft) {
+  const ClosedLoop loop = CloseWithUpdraft({});
+  EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
+}
+
+TEST(CloseLoop, DoesNotAskForWhatIsRuledOut) {
+  const ClosedLoop loop = CloseWithUpdraft({"wind", "gust"});
+  EXPECT_FALSE(loop.ranking.empty());
+  for (const RankedEffect& ranked : loop.ranking) {
+    EXPECT_NE(ranked.name, "wind");
+    EXPECT_NE(ranked.name, "gust");
+  }
+}
+
 // A force that no effect makes, and a wind would explain part of.
 TEST(CloseLoop, BlamesNoWindForAForceThatNoEffectMakes) {
   const UndeclaredPlan plan = PlanUndeclared(81, 160)[75];

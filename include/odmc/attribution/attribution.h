@@ -63,7 +63,10 @@ class Attribution {
   const ModelPoint& point() const { return point_; }
   /// Why what gained more than chance is not among them, by effect.
   const std::map<std::string, std::string>& refused() const { return refused_; }
+  /// What functions of the state gain beside the effects [nats], and which gains most, as
+  /// "force_z by \"sideways speed\"".
   double flexible_gain() const { return flexible_gain_; }
+  const std::string& flexible() const { return flexible_; }
   double gain() const { return gain_; }  ///< of all effects together [nats]
   double held_out_gain() const { return held_out_gain_; }
   size_t num_flights() const { return flights_.size(); }
@@ -99,7 +102,7 @@ class Attribution {
   /// What an effect must gain beside others whose form is known only so well, by channel.
   double ShadowOf(const std::array<double, kNumChannels>& energy,
                   const std::array<double, kNumChannels>& others) const;
-  /// @param first the function that is added first, if any
+  /// @param first the function that is added first, if any, as flexible() names it
   VariantSet Completed(Evidence* evidence, const VariantSet& set, size_t most, double* gain,
                        std::string* first = nullptr) const;
   static std::string NamesOf(const Evidence& evidence, const VariantSet& set);
@@ -134,6 +137,7 @@ class Attribution {
   std::vector<SeenFlight> flights_;
   FlexibleFeatures features_;
   double flexible_gain_ = 0.0;
+  std::string flexible_;
   ModelPoint point_;
   std::vector<EffectCandidate> candidates_;
   AttributionOptions options_;

@@ -42,6 +42,10 @@ std::vector<EffectCandidate> CandidatesFor(const Vehicle& vehicle, const FlightM
 std::vector<EffectCandidate> CandidatesFor(const Vehicle& vehicle,
                                            const std::vector<const FlightMotion*>& flights);
 
+/// The candidates without those of some effects.
+std::vector<EffectCandidate> Without(std::vector<EffectCandidate> candidates,
+                                     const std::vector<std::string>& effects);
+
 /// The effects among candidates, each once.
 std::set<std::string> EffectsOf(const std::vector<EffectCandidate>& candidates);
 

@@ -23,6 +23,7 @@ struct CloseLoopOptions {
   EstimatorOptions estimator;
   BlockSplit blocks;
   AttributionOptions attribution;
+  std::vector<std::string> ruled_out;  ///< effects that cannot act, as wind and gusts indoors
 };
 
 /// What is not looked at. Contact is left out like the ground, unless it is most of the flight: no

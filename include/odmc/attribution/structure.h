@@ -27,6 +27,9 @@ struct ChannelStructure {
   std::optional<SharedStructure> shared;     ///< where the force was measured twice
 };
 
+/// Name of a channel of the wrench, "force_x" to "torque_z". @param channel 0 to 5
+const char* ChannelName(int channel);
+
 /// Structure of every channel of a residual.
 /// @param again a second measurement of the residual force, see ResidualModel::ForceByMotion(),
 /// of any fit that has the force; no rows where there is none

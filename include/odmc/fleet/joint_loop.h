@@ -12,6 +12,7 @@ namespace odmc {
 struct JointLoopOptions {
   JointCalibrationOptions calibration;
   AttributionOptions attribution;
+  std::vector<std::string> ruled_out;  ///< effects that cannot act, as wind indoors
 };
 
 /// How a coefficient of an effect is spread over the flights (random effects, by REML).
