@@ -391,10 +391,7 @@ VariantSet Attribution::Completed(Evidence* evidence, const VariantSet& set, siz
     const Evidence::FlexibleGain best = evidence->BestFlexible(all, features_);
     if (best.nats < options_.clear_odds) break;
     *gain += best.nats;
-    if (first != nullptr && first->empty()) {
-      *first = std::string(ChannelName(best.channel)) + " by \"" +
-               features_.names[static_cast<size_t>(best.feature)] + "\"";
-    }
+    if (first != nullptr && first->empty()) *first = best.Text(features_);
     all.insert(evidence->AddFlexible(best, features_));
   }
   return all;

@@ -4,15 +4,17 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <optional>
 #include <random>
 #include <stdexcept>
 #include <utility>
 
 #include "odmc/analysis/parallel.h"
+#include "odmc/attribution/structure.h"
 
 namespace odmc {
 namespace {
+
+constexpr int kForceChannels = 3;
 
 using Eigen::Index;
 using Eigen::MatrixXd;
@@ -312,55 +314,103 @@ MatrixXd Evidence::GramWithout(int fold) const {
   return gram_ - of_fold;
 }
 
+std::string Evidence::FlexibleGain::Text(const FlexibleFeatures& features) const {
+  const auto k = static_cast<size_t>(feature);
+  return channel ? std::string(ChannelName(*channel)) + " by \"" + features.names[k] + "\""
+                 : "a force by \"" + features.world_names[k];
+}
+
+struct Evidence::FlexibleSums {
+  MatrixXd cross;  // fitted columns × features
+  VectorXd g, size;
+
+  FlexibleSums(Index columns, Index features)
+      : cross(MatrixXd::Zero(columns, features)),
+        g(VectorXd::Zero(features)),
+        size(VectorXd::Zero(features)) {}
+};
+
+void Evidence::AddTo(FlexibleSums* sums, size_t flight, int c, const MatrixXd& foreseen,
+                     double unit, const EffectFit& fit, const VectorXd& errors) const {
+  const FlightRegression& r = flights_[flight];
+  const auto n = static_cast<Index>(r.rows().size());
+  MatrixXd phi(n, foreseen.cols());
+  for (Index k = 0; k < phi.cols(); ++k) phi.col(k) = r.WhitenedFeature(c, foreseen.col(k), unit);
+  sums->g += phi.transpose() * errors.segment(c * n, n);
+  sums->size += phi.colwise().squaredNorm().transpose();
+  MatrixXd own = MatrixXd::Zero(n, sums->cross.rows());
+  for (size_t l = 0; l < place_[flight].size(); ++l) {
+    const auto at = std::find(fit.columns.begin(), fit.columns.end(), place_[flight][l]);
+    if (at == fit.columns.end()) continue;
+    own.col(at - fit.columns.begin()) = r.white().col(static_cast<Index>(l)).segment(c * n, n);
+  }
+  sums->cross.noalias() += own.transpose() * phi;
+}
+
 Evidence::FlexibleGain Evidence::BestFlexible(const VariantSet& set,
                                               const FlexibleFeatures& features) const {
   const EffectFit fit = Solve(set);
   const auto m = static_cast<Index>(fit.columns.size());
-  const auto num_features = static_cast<Index>(features.names.size());
-  const double tried = static_cast<double>(num_channels_) * static_cast<double>(num_features);
+  const auto along_body = static_cast<Index>(features.names.size());
+  const auto along_world = static_cast<Index>(features.world_names.size());
+  const double tried = static_cast<double>(num_channels_ * along_body + along_world);
   FlexibleGain best;
   best.nats = -std::numeric_limits<double>::infinity();
-  for (int c = 0; c < num_channels_; ++c) {
-    MatrixXd cross = MatrixXd::Zero(m, num_features);
-    VectorXd g = VectorXd::Zero(num_features), size = VectorXd::Zero(num_features);
-    for (size_t f = 0; f < flights_.size(); ++f) {
-      const FlightRegression& r = flights_[f];
-      const auto n = static_cast<Index>(r.rows().size());
-      const VectorXd e = ErrorsOf(f, set, fit).segment(c * n, n);
-      MatrixXd phi(n, num_features);
-      for (Index k = 0; k < num_features; ++k) {
-        phi.col(k) = r.WhitenedFeature(c, features.foreseen[f].col(k), plain_sigma_[c]);
-      }
-      g += phi.transpose() * e;
-      size += phi.colwise().squaredNorm().transpose();
-      MatrixXd own = MatrixXd::Zero(n, m);
-      for (size_t l = 0; l < place_[f].size(); ++l) {
-        const auto at = std::find(fit.columns.begin(), fit.columns.end(), place_[f][l]);
-        if (at == fit.columns.end()) continue;
-        own.col(at - fit.columns.begin()) = r.white().col(static_cast<Index>(l)).segment(c * n, n);
-      }
-      cross.noalias() += own.transpose() * phi;
-    }
-    const VectorXd taken = cross.cwiseProduct(fit.covariance * cross).colwise().sum();
-    for (Index k = 0; k < num_features; ++k) {
+  const auto look = [&](const FlexibleSums& sums, std::optional<int> channel) {
+    const VectorXd taken =
+        sums.cross.cwiseProduct(fit.covariance * sums.cross).colwise().sum().transpose();
+    for (Index k = 0; k < sums.g.size(); ++k) {
       // Its coefficient has a prior of the residual's size: one, in these units.
-      const double s = std::max(0.0, size[k] - taken[k]);
-      const double nats = 0.5 * (g[k] * g[k] / (1.0 + s) - std::log(1.0 + s)) - std::log(tried);
-      if (nats > best.nats) best = {c, static_cast<int>(k), nats};
+      const double s = std::max(0.0, sums.size[k] - taken[k]);
+      const double nats =
+          0.5 * (sums.g[k] * sums.g[k] / (1.0 + s) - std::log(1.0 + s)) - std::log(tried);
+      if (nats > best.nats) best = {channel, static_cast<int>(k), nats};
+    }
+  };
+  std::vector<VectorXd> errors;
+  for (size_t f = 0; f < flights_.size(); ++f) errors.push_back(ErrorsOf(f, set, fit));
+  for (int c = 0; c < num_channels_; ++c) {
+    FlexibleSums sums(m, along_body);
+    for (size_t f = 0; f < flights_.size(); ++f) {
+      AddTo(&sums, f, c, features.foreseen[f], plain_sigma_[c], fit, errors[f]);
+    }
+    look(sums, c);
+  }
+  FlexibleSums sums(m, along_world);
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    for (int c = 0; c < kForceChannels; ++c) {
+      AddTo(&sums, f, c, features.world_foreseen[f][c], ForceSigma(), fit, errors[f]);
     }
   }
+  look(sums, std::nullopt);
   return best;
+}
+
+double Evidence::ForceSigma() const {
+  double square = 0.0;
+  for (int c = 0; c < kForceChannels; ++c) square += plain_sigma_[c] * plain_sigma_[c];
+  return std::sqrt(square / kForceChannels);
 }
 
 int Evidence::AddFlexible(const FlexibleGain& gain, const FlexibleFeatures& features) {
   EffectVariant variant;
-  variant.candidate.effect =
-      features.names[static_cast<size_t>(gain.feature)] + " " + std::to_string(gain.channel);
+  variant.candidate.effect = gain.Text(features);
   std::map<std::string, int> shared;
   for (size_t f = 0; f < flights_.size(); ++f) {
-    const VectorXd whitened = flights_[f].WhitenedFeature(
-        gain.channel, features.foreseen[f].col(gain.feature), plain_sigma_[gain.channel]);
-    const int local = flights_[f].AddFeature(gain.channel, whitened, variant.candidate.effect);
+    const FlightRegression& r = flights_[f];
+    const auto n = static_cast<Index>(r.rows().size());
+    VectorXd whitened = VectorXd::Zero(num_channels_ * n);
+    if (gain.channel) {
+      const int c = *gain.channel;
+      whitened.segment(c * n, n) =
+          r.WhitenedFeature(c, features.foreseen[f].col(gain.feature), plain_sigma_[c]);
+    } else {
+      for (int c = 0; c < kForceChannels; ++c) {
+        whitened.segment(c * n, n) = r.WhitenedFeature(
+            c, features.world_foreseen[f][c].col(gain.feature), ForceSigma());
+      }
+    }
+    const int local = flights_[f].AddFeature(whitened, variant.candidate.effect);
     Place(f, {local}, &shared, &variant.columns);
     added_[f].push_back({{local}, -1});
   }

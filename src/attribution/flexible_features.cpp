@@ -47,12 +47,13 @@ void Standardize(Index column, std::vector<MatrixXd>* all, std::vector<MatrixXd>
 }
 
 constexpr Index kPlace = 15;  // the first of the three signals
+const char* const kConstant = "nothing (it is constant)";
 
-/// Nearness to places that cover where was flown: what stands in one place acts there.
-class Bumps {
+/// Places that cover where was flown: what stands in one of them acts near it.
+class Places {
  public:
   /// @param signals by flight, as they are
-  explicit Bumps(const std::vector<MatrixXd>& signals) {
+  explicit Places(const std::vector<MatrixXd>& signals) {
     Index n = 0;
     for (const MatrixXd& of : signals) n += of.rows();
     MatrixXd places(n, 3);
@@ -69,7 +70,8 @@ class Bumps {
 
   Index count() const { return static_cast<Index>(centres_.size()); }
 
-  MatrixXd At(const MatrixXd& signals) const {
+  /// Samples × places. @param signals as they are
+  MatrixXd NearnessTo(const MatrixXd& signals) const {
     MatrixXd near(signals.rows(), count());
     for (Index k = 0; k < count(); ++k) {
       const auto away = signals.middleCols<3>(kPlace).rowwise() - centres_[static_cast<size_t>(k)];
@@ -78,9 +80,13 @@ class Bumps {
     return near;
   }
 
-  std::string NameOf(Index k) const {
-    const Eigen::RowVector3d& at = centres_[static_cast<size_t>(k)];
-    return "(" + Rounded(at.x()) + ", " + Rounded(at.y()) + ", " + Rounded(at.z()) + ") m";
+  std::vector<std::string> names() const {
+    std::vector<std::string> names;
+    for (const Eigen::RowVector3d& at : centres_) {
+      names.push_back("nearness to (" + Rounded(at.x()) + ", " + Rounded(at.y()) + ", " +
+                      Rounded(at.z()) + ") m");
+    }
+    return names;
   }
 
  private:
@@ -108,30 +114,36 @@ FlexibleFeatures::FlexibleFeatures(const std::vector<SeenFlight>& flights) {
       likely_signals[f].row(i) = SignalsOf(likely.sample(i), vehicle).transpose();
     }
   }
-  const Bumps bumps(signals);
+  const Places places(signals);
   std::vector<MatrixXd> near(num_flights), likely_near(num_flights);
   for (size_t f = 0; f < num_flights; ++f) {
-    near[f] = bumps.At(signals[f]);
-    likely_near[f] = bumps.At(likely_signals[f]);
+    near[f] = places.NearnessTo(signals[f]);
+    likely_near[f] = places.NearnessTo(likely_signals[f]);
   }
   for (Index k = 0; k < kSignals; ++k) Standardize(k, &signals, &likely_signals);
-  const Index products = 1 + kSignals, places = products + kSignals * (kSignals + 1) / 2;
-  const Index num_features = places + bumps.count();
-  std::vector<MatrixXd> all(num_flights), likely(num_flights);
-  for (size_t f = 0; f < num_flights; ++f) {
-    all[f].resize(signals[f].rows(), num_features);
-    likely[f].resize(signals[f].rows(), num_features);
-    all[f].col(0).setOnes();
-    likely[f].col(0).setOnes();
-    all[f].middleCols(1, kSignals) = signals[f];
-    likely[f].middleCols(1, kSignals) = likely_signals[f];
+  for (Index k = 0; k < places.count(); ++k) Standardize(k, &near, &likely_near);
+  AddAlongBody(signals, likely_signals, flights);
+  AddAlongWorld(signals, likely_signals, near, likely_near, places.names(), flights);
+}
+
+void FlexibleFeatures::AddAlongBody(const std::vector<MatrixXd>& signals,
+                                    const std::vector<MatrixXd>& likely_signals,
+                                    const std::vector<SeenFlight>& flights) {
+  const Index products = 1 + kSignals;
+  std::vector<MatrixXd> all(signals.size()), likely(signals.size());
+  for (size_t f = 0; f < signals.size(); ++f) {
+    const Index n = signals[f].rows();
+    all[f].resize(n, products + kSignals * (kSignals + 1) / 2);
+    likely[f].resize(n, all[f].cols());
+    all[f].leftCols(products) << Eigen::VectorXd::Ones(n), signals[f];
+    likely[f].leftCols(products) << Eigen::VectorXd::Ones(n), likely_signals[f];
   }
-  names.push_back("nothing (it is constant)");
+  names.push_back(kConstant);
   for (const char* name : kNames) names.emplace_back(name);
   Index at = products;
   for (Index k = 0; k < kSignals; ++k) {
     for (Index l = k; l < kSignals; ++l, ++at) {
-      for (size_t f = 0; f < num_flights; ++f) {
+      for (size_t f = 0; f < signals.size(); ++f) {
         all[f].col(at) = signals[f].col(k).cwiseProduct(signals[f].col(l));
         likely[f].col(at) = likely_signals[f].col(k).cwiseProduct(likely_signals[f].col(l));
       }
@@ -139,16 +151,46 @@ FlexibleFeatures::FlexibleFeatures(const std::vector<SeenFlight>& flights) {
       names.push_back(std::string(kNames[k]) + " times " + kNames[l]);
     }
   }
-  for (size_t f = 0; f < num_flights; ++f) {
-    all[f].rightCols(bumps.count()) = near[f];
-    likely[f].rightCols(bumps.count()) = likely_near[f];
-  }
-  for (Index k = 0; k < bumps.count(); ++k) {
-    Standardize(places + k, &all, &likely);
-    names.push_back("nearness to " + bumps.NameOf(k));
-  }
-  for (size_t f = 0; f < num_flights; ++f) {
+  for (size_t f = 0; f < signals.size(); ++f) {
     foreseen.push_back(flights[f].instruments->Foreseen(all[f], likely[f]));
+  }
+}
+
+void FlexibleFeatures::AddAlongWorld(const std::vector<MatrixXd>& signals,
+                                     const std::vector<MatrixXd>& likely_signals,
+                                     const std::vector<MatrixXd>& near,
+                                     const std::vector<MatrixXd>& likely_near,
+                                     const std::vector<std::string>& names_of_places,
+                                     const std::vector<SeenFlight>& flights) {
+  std::vector<std::string> sizes = {kConstant};
+  for (Index k = kPlace; k < kPlace + 3; ++k) sizes.emplace_back(kNames[k]);
+  sizes.insert(sizes.end(), names_of_places.begin(), names_of_places.end());
+  for (const char* axis : {"x", "y", "z"}) {
+    for (const std::string& size : sizes) world_names.push_back(size + "\" along world " + axis);
+  }
+  const auto count = static_cast<Index>(sizes.size());
+  for (size_t f = 0; f < flights.size(); ++f) {
+    const Index n = signals[f].rows();
+    const Eigen::Matrix3d R_BS = flights[f].residual->file_vehicle().odometry.q_BS.toRotationMatrix();
+    MatrixXd all(n, count), likely(n, count);
+    all << Eigen::VectorXd::Ones(n), signals[f].middleCols<3>(kPlace), near[f];
+    likely << Eigen::VectorXd::Ones(n), likely_signals[f].middleCols<3>(kPlace), likely_near[f];
+    std::array<MatrixXd, 3> by_channel;
+    for (int c = 0; c < 3; ++c) {
+      MatrixXd turned(n, 3 * count), likely_turned(n, 3 * count);
+      const auto turn = [&](const ThinnedFlight& flight, const MatrixXd& size, MatrixXd* to) {
+        for (Index i = 0; i < n; ++i) {
+          const Eigen::RowVector3d axes =
+              R_BS.row(c) * flight.sample(static_cast<int>(i)).R_WS.transpose();
+          for (int k = 0; k < 3; ++k) to->row(i).segment(k * count, count) = axes[k] * size.row(i);
+        }
+      };
+      turn(flights[f].residual->flight(), all, &turned);
+      turn(flights[f].instruments->likely_flight(), likely, &likely_turned);
+      by_channel[static_cast<size_t>(c)] =
+          flights[f].instruments->Foreseen(turned, likely_turned);
+    }
+    world_foreseen.push_back(std::move(by_channel));
   }
 }
 

@@ -580,16 +580,15 @@ VectorXd FlightRegression::WhitenedFeature(int c, const VectorXd& foreseen, doub
   return white;
 }
 
-int FlightRegression::AddFeature(int channel, const VectorXd& whitened, const std::string& name) {
-  const Index y_at = white_.cols() - 1, n = static_cast<Index>(rows_.size());
+int FlightRegression::AddFeature(const VectorXd& whitened, const std::string& name) {
+  const Index y_at = white_.cols() - 1;
   Regressor column;
   column.name = column.effect = name;
   columns_.push_back(std::move(column));
   white_.conservativeResize(Eigen::NoChange, y_at + 2);
   white_.col(y_at + 1) = white_.col(y_at);
-  white_.col(y_at).setZero();
+  white_.col(y_at) = whitened;
   unforeseen_gram_.conservativeResizeLike(MatrixXd::Zero(y_at + 2, y_at + 2));
-  white_.col(y_at).segment(channel * n, n) = whitened;
   SumUp();
   return static_cast<int>(y_at);
 }

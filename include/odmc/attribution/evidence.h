@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <array>
 #include <map>
+#include <optional>
 #include <random>
 #include <set>
 #include <string>
@@ -67,10 +68,14 @@ class Evidence {
   /// @param jobs flights looked at at a time
   Evidence(const std::vector<SeenFlight>& flights, const ModelPoint& point, int jobs = 1);
 
-  /// The function of FlexibleFeatures that gains most beside a set, in one channel.
+  /// The function of FlexibleFeatures that gains most beside a set.
   struct FlexibleGain {
-    int channel = 0, feature = 0;
+    std::optional<int> channel;  ///< that follows it; none: a force fixed in the world
+    int feature = 0;
     double nats = 0.0;  ///< less the price of the choice among so many
+
+    /// As "force_z by "sideways speed"".
+    std::string Text(const FlexibleFeatures& features) const;
   };
   FlexibleGain BestFlexible(const VariantSet& set, const FlexibleFeatures& features) const;
   /// Adds it as a variant of an effect without name. @returns its number
@@ -200,6 +205,13 @@ class Evidence {
   double SignTerm(const std::vector<int>& columns, const Eigen::VectorXd& coefficients,
                   const Eigen::VectorXd& sigma) const;
   Eigen::VectorXd PriorSigmas(const std::vector<int>& columns) const;
+  /// What the gains of functions beside a fit come from.
+  struct FlexibleSums;
+  /// Adds what a channel of a flight says. @param foreseen samples × functions, of unit size
+  /// @param unit their natural size [N or N m]
+  void AddTo(FlexibleSums* sums, size_t flight, int channel, const Eigen::MatrixXd& foreseen,
+             double unit, const EffectFit& fit, const Eigen::VectorXd& errors) const;
+  double ForceSigma() const;  ///< of the residual force, by axis
 
   std::vector<FlightRegression> flights_;
   std::vector<std::vector<int>> place_;  // of each flight's columns among `columns_`

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <string>
 #include <vector>
 
@@ -15,16 +16,32 @@ struct SeenFlight {
   const Instruments* instruments;
 };
 
-/// What a force or torque might follow that nobody has a name for: the vehicle's state, place and
-/// time, and all products of two of them. A catalogue effect that such a function explains away is
-/// a stand-in for something else (double selection; Belloni, Chernozhukov and Hansen, Review of
-/// Economic Studies 2014).
+/// What a force or torque might follow that nobody has a name for. A channel of the wrench: the
+/// vehicle's state, place and time, and all products of two of them. A force fixed in the world:
+/// the place, and nearness to places that cover where was flown. A catalogue effect that such a
+/// function explains away is a stand-in for something else (double selection; Belloni, Chernozhukov
+/// and Hansen, Review of Economic Studies 2014).
 struct FlexibleFeatures {
   std::vector<std::string> names;
   /// By flight: samples × features, as its instruments see them; of unit size over all flights.
   std::vector<Eigen::MatrixXd> foreseen;
 
+  std::vector<std::string> world_names;
+  /// By flight, of each channel of the force: samples × features.
+  std::vector<std::array<Eigen::MatrixXd, 3>> world_foreseen;
+
   explicit FlexibleFeatures(const std::vector<SeenFlight>& flights);
+
+ private:
+  void AddAlongBody(const std::vector<Eigen::MatrixXd>& signals,
+                    const std::vector<Eigen::MatrixXd>& likely_signals,
+                    const std::vector<SeenFlight>& flights);
+  void AddAlongWorld(const std::vector<Eigen::MatrixXd>& signals,
+                     const std::vector<Eigen::MatrixXd>& likely_signals,
+                     const std::vector<Eigen::MatrixXd>& near,
+                     const std::vector<Eigen::MatrixXd>& likely_near,
+                     const std::vector<std::string>& names_of_places,
+                     const std::vector<SeenFlight>& flights);
 };
 
 }  // namespace odmc

@@ -105,8 +105,8 @@ class FlightRegression {
   /// A function of the flight's samples in one channel, whitened.
   /// @param scale its unit [N or N m]
   Eigen::VectorXd WhitenedFeature(int channel, const Eigen::VectorXd& foreseen, double scale) const;
-  /// Adds such a function as a column.
-  int AddFeature(int channel, const Eigen::VectorXd& whitened, const std::string& name);
+  /// Adds a function, whitened, as a column. @param whitened the channels after one another
+  int AddFeature(const Eigen::VectorXd& whitened, const std::string& name);
 
   /// The whitened residual of everything, as it may have been before the fit took a part of it.
   /// @param normal num_columns() standard normal numbers
