@@ -96,9 +96,14 @@ bool BeatNoise(const GustTest& gust, const AttributionOptions& options) {
 }
 
 /// What speaks against gusts that beat noise; of free forces that explain the same, too.
-std::vector<std::string> RemarksOn(const GustTest& gust, const AttributionOptions& options) {
+std::vector<std::string> RemarksOn(const GustTest& gust, double functions,
+                                   const AttributionOptions& options) {
   if (!BeatNoise(gust, options)) return {};
   std::vector<std::string> remarks;
+  if (NetGain(gust, options) <= functions) {
+    remarks.push_back("not named: functions of the state gain more, " + Rounded(functions) +
+                      " nats against " + Rounded(NetGain(gust, options)));
+  }
   if (gust.over_others <= -options.clear_odds) {
     remarks.push_back("not named: a force that no wind makes explains the same better, by " +
                       Rounded(-gust.over_others) + " nats");
@@ -145,7 +150,7 @@ ResidualModel::Wrenches ForeseenWrench(const ThinnedFlight& flight, const GustTe
 
 GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
                    const ResidualModel::Wrenches& left, const ParameterSet& declared,
-                   const AttributionOptions& options) {
+                   double functions, const AttributionOptions& options) {
   Vehicle airy = point.vehicle;
   const bool has_wind =
       std::find(airy.effects.begin(), airy.effects.end(), "wind") != airy.effects.end();
@@ -155,6 +160,7 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
   const WindDerivatives d_wind = ByWind(residual, model, values, "wind");
   const std::vector<DragCoefficient> drag = DragOf(residual, model, values, d_wind);
   GustCase gusts;
+  gusts.functions = functions;
   gusts.test = TestGusts(residual.flight(), left, d_wind, drag, PriorOf(point.vehicle));
   const GustTest& gust = gusts.test;
   // The mean of gusts over a few correlation times is not zero, and looks like all that acts on the
@@ -182,7 +188,7 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
   const double over_rival = gust.over_others + options.clear_odds;
   ranked.probability =
       1.0 / (1.0 + std::exp(-net) + std::exp(-over_rival) + std::exp(-gust.over_field));
-  ranked.remarks = RemarksOn(gust, options);
+  ranked.remarks = RemarksOn(gust, functions, options);
   const auto state = [&](const std::string& name, const std::string& unit, double value,
                          double error) {
     ranked.settings[name] = value;
@@ -196,7 +202,8 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
 }
 
 bool IsGusty(const GustCase& gusts, const AttributionOptions& options) {
-  return BeatNoise(gusts.test, options) && gusts.test.over_others > -options.clear_odds &&
+  return BeatNoise(gusts.test, options) && NetGain(gusts.test, options) > gusts.functions &&
+         gusts.test.over_others > -options.clear_odds &&
          gusts.test.over_field > options.clear_odds && gusts.test.peakedness_p > options.false_alarm_rate;
 }
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <nlohmann/json.hpp>
 #include <set>
 #include <stdexcept>
@@ -310,26 +311,23 @@ TEST(CloseLoop, CallsAForceThatFollowsTheStateUnexplained) {
   EXPECT_NE(loop.where.find("force_z by \""), std::string::npos) << loop.where;
 }
 
-/// A flight across a column of air that rises, with an eighth of the weight at its middle; the
-/// figures of such a flight without noise of the drag's formula.
-ClosedLoop CloseWithUpdraft(const std::vector<std::string>& ruled_out) {
+/// A flight along a lemniscate with a force of the world at each place, in units of the weight.
+ClosedLoop CloseInField(const std::function<Eigen::Vector3d(const Eigen::Vector3d& p_W)>& field_W,
+                        const std::vector<std::string>& ruled_out = {}) {
   const Vehicle vehicle = NominalVehicle();
   const DynamicModel model(vehicle, vehicle.effects);
   SimulationOptions options;
-  options.trajectory = "octo";
+  options.trajectory = "lemniscate";
   options.duration_s = 30.0;
   options.log_rate_hz = 200.0;
-  const Unmodelled updraft = [&vehicle](const FlightState& s) {
-    constexpr double kShare = 0.12, kRadius_m = 0.5;
-    const Eigen::Vector2d away = s.p_WB.head<2>() - Eigen::Vector2d(1.0, 0.5);
-    const double force = kShare * vehicle.mass_kg * vehicle.gravity_m_s2 *
-                         std::exp(-0.5 * away.squaredNorm() / (kRadius_m * kRadius_m));
+  const double weight = vehicle.mass_kg * vehicle.gravity_m_s2;
+  const Unmodelled field = [&](const FlightState& s) {
     BodyWrench wrench;
-    wrench.f_B = s.R_WB.transpose() * Eigen::Vector3d(0.0, 0.0, force);
+    wrench.f_B = s.R_WB.transpose() * (weight * field_W(s.p_WB));
     return wrench;
   };
   const SimulatedFlight flight =
-      Simulate(model, DefaultTruth(model), options, SimulationNoise(), updraft);
+      Simulate(model, DefaultTruth(model), options, SimulationNoise(), field);
   CloseLoopOptions loop;
   loop.estimator.keyframe_rate_hz = 50.0;
   loop.estimator.max_update_time_s = 10.0;
@@ -337,13 +335,31 @@ ClosedLoop CloseWithUpdraft(const std::vector<std::string>& ruled_out) {
   return CloseLoop(flight.log, vehicle, vehicle, loop);
 }
 
-TEST(CloseLoop, BlamesNoWindForAnUpdraft) {
-  const ClosedLoop loop = CloseWithUpdraft({});
+/// A column of air that rises.
+Eigen::Vector3d Updraft(const Eigen::Vector3d& p_W) {
+  constexpr double kRadius_m = 0.8;
+  const Eigen::Vector2d away = p_W.head<2>() - Eigen::Vector2d(1.0, 0.5);
+  return {0.0, 0.0, 0.15 * std::exp(-0.5 * away.squaredNorm() / (kRadius_m * kRadius_m))};
+}
+
+TEST(CloseLoop, BlamesNoGustsForAnUpdraft) {
+  const ClosedLoop loop = CloseInField(Updraft);
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
 }
 
+// Directional lift gains 24 nats; a force that grows with the place gains more beside it.
+TEST(CloseLoop, BlamesNoEffectForAnElasticTether) {
+  const ClosedLoop loop = CloseInField([](const Eigen::Vector3d& p_W) {
+    const Eigen::Vector3d away = p_W - Eigen::Vector3d(0.5, 0.3, 0.0);
+    const double length = away.norm();
+    return Eigen::Vector3d(-0.15 * std::max(0.0, length - 0.3) / length * away);
+  });
+  EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
+  EXPECT_GT(loop.flexible_gain, loop.named_gain);
+}
+
 TEST(CloseLoop, DoesNotAskForWhatIsRuledOut) {
-  const ClosedLoop loop = CloseWithUpdraft({"wind", "gust"});
+  const ClosedLoop loop = CloseInField(Updraft, {"wind", "gust"});
   EXPECT_FALSE(loop.ranking.empty());
   for (const RankedEffect& ranked : loop.ranking) {
     EXPECT_NE(ranked.name, "wind");

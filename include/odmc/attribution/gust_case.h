@@ -19,6 +19,7 @@ namespace odmc {
 struct GustCase {
   RankedEffect ranked;
   GustTest test;
+  double functions = 0.0;  ///< what functions of the state gain [nats]
   std::map<std::string, ParameterSetting> known;  ///< what it is known of others, by full name
   /// Their wrench at every sample as foreseen 0.12 s before (N×6); empty where gusts gain nothing.
   ResidualModel::Wrenches foreseen;
@@ -27,13 +28,15 @@ struct GustCase {
 /// The case for gusts behind what a model leaves; they vary, so that no fixed regressor shows them.
 /// @param left what the model leaves of the wrench (N×6)
 /// @param declared the online estimate without effects added
+/// @param functions what functions of the state gain beside that model [nats]
 GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
                    const ResidualModel::Wrenches& left, const ParameterSet& declared,
-                   const AttributionOptions& options);
+                   double functions, const AttributionOptions& options);
 
-/// True if gusts beat noise, and no other force explains the same clearly better: wind through
-/// nearly equal drag along all axes is nearly a free force, and of the two only wind is known to
-/// act on vehicles.
+/// True if gusts beat noise by more than functions of the state do, and no free force explains the
+/// same clearly better: wind through nearly equal drag along all axes is nearly a free force, and
+/// of the two only wind is known to act on vehicles. A force that follows the place is known to,
+/// too: gusts have to be clearly better.
 bool IsGusty(const GustCase& gusts, const AttributionOptions& options);
 
 /// Gusts as a Kalman filter predicts them, each from before the sample's own filter window. (The
