@@ -308,7 +308,7 @@ TEST(CloseLoop, CallsAForceThatFollowsTheStateUnexplained) {
   EXPECT_GT(loop.whiteness_p, options.attribution.whiteness_p);
   EXPECT_GT(loop.flexible_gain, options.attribution.clear_odds);
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
-  EXPECT_NE(loop.where.find("force_z by \""), std::string::npos) << loop.where;
+  EXPECT_NE(loop.where.find("functions of the state gain"), std::string::npos) << loop.where;
 }
 
 /// A flight along a lemniscate with a force of the world at each place, in units of the weight.
