@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <stdexcept>
 
 #include "odmc/attribution/model_point.h"
 #include "odmc/model/effect.h"
@@ -209,6 +210,11 @@ std::vector<EffectCandidate> CandidatesFor(const Vehicle& vehicle,
 
 std::vector<EffectCandidate> Without(std::vector<EffectCandidate> candidates,
                                      const std::vector<std::string>& effects) {
+  for (const std::string& name : effects) {
+    if (EffectRegistry::Default().Has(name)) continue;
+    throw std::invalid_argument("effects that are ruled out: '" + name +
+                                "' is none; list_effects shows all");
+  }
   const auto is_out = [&](const EffectCandidate& c) { return IsListed(effects, c.effect); };
   candidates.erase(std::remove_if(candidates.begin(), candidates.end(), is_out), candidates.end());
   return candidates;

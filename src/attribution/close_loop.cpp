@@ -279,6 +279,7 @@ class LoopSession {
   std::unique_ptr<Attribution> attribution_;
   std::optional<GustCase> gusts_;  ///< where they make their case
   bool structured_ = false;
+  bool judged_ = false;  ///< some stretch is long enough to tell structure from noise
   std::vector<RankedEffect> effects_;              ///< that are named so far
   std::map<std::string, ParameterSetting> known_;  ///< what else the last run is told
   std::optional<OnlinePass> after_;                ///< of the model with `effects_`
@@ -364,9 +365,9 @@ void LoopSession::Attribute() {
       StructureByChannel(*flight_, residual_->Residual(declared_, values), channels, again_));
   structured_ = Summarise(options_.attribution, &result_);
   const std::vector<std::vector<double>> runs = flight_->Runs(before.col(0));
-  const bool judged = std::any_of(runs.begin(), runs.end(),
-                                  [](const auto& run) { return run.size() >= kShortestRun; });
-  if (!judged) {
+  judged_ = std::any_of(runs.begin(), runs.end(),
+                        [](const auto& run) { return run.size() >= kShortestRun; });
+  if (!judged_) {
     result_.warnings.push_back(
         "no stretch without gaps is long enough to tell structure from noise: " +
         Rounded(kShortestRun * flight_->step_s()) + " s are needed");
@@ -608,7 +609,7 @@ void LoopSession::Conclude() {
     result_.verdict = Verdict::kUnexplained;
     result_.where =
         Where(result_.structure, *flight_, attribution_->residual_before(), options_.attribution);
-  } else if (attribution_ && attribution_->flexible_gain() > 0.0) {
+  } else if (judged_ && attribution_->flexible_gain() > 0.0) {
     result_.verdict = Verdict::kUnexplained;
     result_.where = attribution_->flexible() + "; functions of the state gain " +
                     Rounded(attribution_->flexible_gain()) + " nats";

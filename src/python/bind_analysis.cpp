@@ -13,6 +13,7 @@
 #include "odmc/io/options_yaml.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "odmc/text/format.h"
 #include "tool_support.h"
 
 namespace odmc::python {
@@ -190,9 +191,10 @@ Columns ResidualsOf(const ClosedLoop& loop) {
 Found CloseOne(const FlightLog& flight, const Vehicle& file_vehicle, const Vehicle& chosen,
                const std::optional<ParameterSet>& start, const EstimatorSettings& settings,
                double block_s, std::optional<int> most_effects,
-               const std::vector<std::string>& decision, bool force,
-               const std::function<void(double)>& progress) {
+               const std::vector<std::string>& rule_out, const std::vector<std::string>& decision,
+               bool force, const std::function<void(double)>& progress) {
   CloseLoopOptions options;
+  options.ruled_out = rule_out;
   options.estimator = settings.Over(tools::AttributionEstimatorOptions());
   if (block_s > 0.0) options.blocks.block_s = block_s;
   if (most_effects) options.attribution.most_effects = *most_effects;
@@ -208,7 +210,8 @@ Found CloseOne(const FlightLog& flight, const Vehicle& file_vehicle, const Vehic
       tools::Provenance("close_loop", vehicle,
                         {{"flight", log.file},
                          {"estimator_options", tools::DescribeChanges(options.estimator)},
-                         {"decision", DescribeChanges(options.attribution)}});
+                         {"decision", DescribeChanges(options.attribution)},
+                         {"ruled_out", Listed(rule_out, "nothing")}});
   return {
       CloseLoopReport(loop, vehicle), CloseLoopTable(loop), loop.parameters, ResidualsOf(loop), {}};
 }
@@ -270,16 +273,16 @@ void BindAnalysis(py::module_* m) {
       "close_loop",
       [](const FlightLog& flight, const Vehicle& file_vehicle, const Vehicle& vehicle,
          const std::optional<ParameterSet>& start, const EstimatorSettings& settings,
-         double block_s, std::optional<int> most_effects, const std::vector<std::string>& decision,
-         bool force, const py::object& progress) {
+         double block_s, std::optional<int> most_effects, const std::vector<std::string>& rule_out,
+         const std::vector<std::string>& decision, bool force, const py::object& progress) {
         const auto tell = Progress(progress);
         const Release release;
         return CloseOne(flight, file_vehicle, vehicle, start, settings, block_s, most_effects,
-                        decision, force, tell);
+                        rule_out, decision, force, tell);
       },
       py::arg("flight"), py::arg("file_vehicle"), py::arg("vehicle"), py::arg("start"),
-      py::arg("settings"), py::arg("block_s"), py::arg("most_effects"), py::arg("decision"),
-      py::arg("force"), py::arg("progress"));
+      py::arg("settings"), py::arg("block_s"), py::arg("most_effects"), py::arg("rule_out"),
+      py::arg("decision"), py::arg("force"), py::arg("progress"));
   m->def("simulate", &SimulateOne, py::arg("vehicle"), py::arg("trajectory"), py::arg("duration_s"),
          py::arg("seed"), py::arg("noise"), py::arg("ground_s"), py::arg("log_rate_hz"),
          py::call_guard<Release>());

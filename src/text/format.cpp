@@ -26,4 +26,10 @@ std::string Fixed(const std::optional<double>& value, int decimals) {
   return value && std::isfinite(*value) ? Format("%.*f", decimals, *value) : "-";
 }
 
+std::string Listed(const std::vector<std::string>& words, const std::string& none) {
+  std::string text;
+  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
+  return text.empty() ? none : text;
+}
+
 }  // namespace odmc

@@ -9,6 +9,7 @@
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/model/effect.h"
+#include "odmc/text/format.h"
 #include "tool_support.h"
 
 namespace odmc {
@@ -29,11 +30,7 @@ std::map<std::string, std::string> ProvenanceOf(const Arguments& a, const Vehicl
                                                 std::map<std::string, std::string> more) {
   more["estimator_options"] = tools::DescribeChanges(a.options.estimator);
   more["decision"] = DescribeChanges(a.options.attribution);
-  std::string ruled_out;
-  for (const std::string& name : a.options.ruled_out) {
-    ruled_out += (ruled_out.empty() ? "" : ", ") + name;
-  }
-  if (!ruled_out.empty()) more["ruled_out"] = ruled_out;
+  more["ruled_out"] = Listed(a.options.ruled_out, "nothing");
   return tools::Provenance("close_loop", vehicle, std::move(more));
 }
 

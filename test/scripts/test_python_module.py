@@ -106,9 +106,10 @@ class ToolsTest(ModuleCase):
     def test_close_loop(self) -> None:
         out = os.path.join(self.folder.name, 'close_loop')
         run('close_loop', self.csv, '--vehicle', VEHICLE, '--without', 'drag', '--block', '2', '--most-effects', '1',
-            '--decision', 'false_alarm_rate=0.02', '--out', out, '--no-report')
-        loop = odmc.close_loop(self.csv, VEHICLE, without=['drag'], block_s=2.0, most_effects=1,
+            '--rule-out', 'wind,gust', '--decision', 'false_alarm_rate=0.02', '--out', out, '--no-report')
+        loop = odmc.close_loop(self.csv, VEHICLE, without=['drag'], block_s=2.0, most_effects=1, rule_out=['wind', 'gust'],
                                decision={'false_alarm_rate': 0.02})
+        self.assertFalse({'wind', 'gust'} & {ranked['name'] for ranked in loop.report['ranking']})
         self.assertEqual(loop.report, read_json(out, 'report.json'))
         self.assertEqual((loop.verdict, [effect['name'] for effect in loop.effects]), ('effect', ['drag']))
         self.assertIn('drag.d_x', loop.parameters)
@@ -336,6 +337,7 @@ class SentencesTest(ModuleCase):
             (lambda: odmc.read_flight(self.csv, VEHICLE, start_s=3.0, end_s=2.0), 'end_s must lie after start_s'),
             (lambda: odmc.read_flight(self.csv, VEHICLE, pose='gps'), "pose is 'gps'; there are ekf, mocap"),
             (lambda: odmc.close_loop(self.csv, VEHICLE, decision={'alarm_rate': 1.0}), 'alarm_rate'),
+            (lambda: odmc.close_loop(self.csv, VEHICLE, rule_out=['winds']), "ruled out: 'winds' is none"),
             (lambda: odmc.simulate(VEHICLE, trajectory='loop'), 'loop'),
             (lambda: odmc.read_flight(self.csv, VEHICLE).write('flight.mat'), r'flight\.mat: a flight.s file ends in'),
         ]

@@ -42,7 +42,8 @@ std::vector<EffectCandidate> CandidatesFor(const Vehicle& vehicle, const FlightM
 std::vector<EffectCandidate> CandidatesFor(const Vehicle& vehicle,
                                            const std::vector<const FlightMotion*>& flights);
 
-/// The candidates without those of some effects.
+/// The candidates without those of some effects. @throws std::invalid_argument for a name that is
+/// none
 std::vector<EffectCandidate> Without(std::vector<EffectCandidate> candidates,
                                      const std::vector<std::string>& effects);
 

@@ -189,13 +189,14 @@ def close_loop(flight: FlightLike, vehicle: VehicleLike, *, effects: Sequence[st
                config: Union[str, 'os.PathLike[str]'] = '', keyframe_rate_hz: Optional[float] = None,
                window_s: Optional[float] = None, threads: Optional[int] = None,
                options: Optional[Mapping[str, Option]] = None, block_s: Optional[float] = None,
-               most_effects: Optional[int] = None, decision: Optional[Mapping[str, float]] = None, force: bool = False,
+               most_effects: Optional[int] = None, rule_out: Sequence[str] = (),
+               decision: Optional[Mapping[str, float]] = None, force: bool = False,
                progress: Progress = None) -> ClosedLoop:
     """Finds the effect that a model lacks on a flight, adds it, and says what it changed on blocks held out.
 
     As the tool `close_loop` on one flight (docs/closing_the_loop.md). With parameters a thrust coefficient known to 5 %
     is held, so that a change of mass shows. block_s: length of a block of time. most_effects: adds at most so many.
-    decision: numbers of the decision by name, as the tool's --decision. All else as calibrate().
+    rule_out: effects that cannot act, as wind and gust indoors. decision: numbers of the decision by name, as the tool's --decision. All else as calibrate().
     """
     if block_s is not None and not block_s > 0.0:
         raise ValueError(f'block_s is {block_s}; expected a time above zero')
@@ -205,7 +206,8 @@ def close_loop(flight: FlightLike, vehicle: VehicleLike, *, effects: Sequence[st
     settings = _settings(config, keyframe_rate_hz, window_s, threads, options)
     return ClosedLoop(_native.close_loop(
         _flight(flight, quad).native, quad.native_file, quad.native, None if quad.start is None else quad.start.native,
-        settings, block_s or 0.0, most_effects, [f'{name}={value}' for name, value in (decision or {}).items()], force, progress))
+        settings, block_s or 0.0, most_effects, list(rule_out),
+        [f'{name}={value}' for name, value in (decision or {}).items()], force, progress))
 
 
 def simulate(vehicle: VehicleLike, *, trajectory: str = 'octo', duration_s: float = 30.0, seed: int = 1,

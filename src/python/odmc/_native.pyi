@@ -108,7 +108,8 @@ def calibrate(flight: FlightLog, file_vehicle: Vehicle, vehicle: Vehicle, start:
 def evaluate(flight: FlightLog, file_vehicle: Vehicle, parameters: ParameterSet, k_f_walk_rate: Optional[float],
              force: bool) -> Found: ...
 def close_loop(flight: FlightLog, file_vehicle: Vehicle, vehicle: Vehicle, start: Optional[ParameterSet],
-               settings: EstimatorSettings, block_s: float, most_effects: Optional[int], decision: List[str], force: bool,
+               settings: EstimatorSettings, block_s: float, most_effects: Optional[int], rule_out: List[str],
+               decision: List[str], force: bool,
                progress: Optional[Callable[[float], None]]) -> Found: ...
 def simulate(vehicle: Vehicle, trajectory: str, duration_s: float, seed: int, noise: str, ground_s: float,
              log_rate_hz: float) -> Tuple[FlightLog, ParameterSet]: ...
