@@ -383,15 +383,14 @@ double Attribution::ShadowOf(const std::array<double, kNumChannels>& energy,
 }
 
 VariantSet Attribution::Completed(Evidence* evidence, const VariantSet& set, size_t most,
-                                  double* gain, std::string* first) const {
+                                  FlexibleRest* rest) const {
   VariantSet all = set;
-  *gain = 0.0;
-  if (first != nullptr) first->clear();
+  *rest = FlexibleRest();
   for (size_t k = 0; k < most; ++k) {
     const Evidence::FlexibleGain best = evidence->BestFlexible(all, features_);
     if (best.nats < options_.clear_odds) break;
-    *gain += best.nats;
-    if (first != nullptr && first->empty()) *first = best.Text(features_);
+    (best.channel && *best.channel >= 3 ? rest->of_torque : rest->of_force) += best.nats;
+    if (rest->first.empty()) rest->first = best.Text(features_);
     all.insert(evidence->AddFlexible(best, features_));
   }
   return all;
@@ -409,7 +408,7 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
   Evidence evidence = with;
   while (true) {
     // What no effect explains, as far as a flexible function does.
-    const VariantSet all = Completed(&evidence, set, kMostFeatures, &flexible_gain_, &flexible_);
+    const VariantSet all = Completed(&evidence, set, kMostFeatures, &flexible_);
     if (set.empty()) break;
     const EffectFit fit = evidence.Solve(set);
     std::optional<int> weakest;
@@ -419,13 +418,12 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
       VariantSet without = set;
       without.erase(v);
       const double score = ScoreOf(evidence, set, without);
-      double instead = 0.0;
       size_t coefficients = 0;
       for (const int k : evidence.variants()[v].columns) {
         coefficients += evidence.column(k).initial_state ? 0 : 1;
       }
-      std::string rival;
-      Completed(&evidence, without, all.size() - set.size() + coefficients, &instead, &rival);
+      FlexibleRest instead;
+      Completed(&evidence, without, all.size() - set.size() + coefficients, &instead);
       std::array<double, kNumChannels> others = explained_;
       for (const int other : set) {
         if (other == v) continue;
@@ -434,15 +432,15 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
       }
       const double gain = evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence;
       // Where both explain the same, the effect does it: it is known to act, a function is not.
-      const double margin = (1.0 + options_.form_share) * gain + flexible_gain_ - instead;
+      const double margin = (1.0 + options_.form_share) * gain + flexible_.nats() - instead.nats();
       const double shadow = ShadowOf(evidence.EnergyOf(v, fit), others);
       std::string objection;
       if (PValue(score) >= options_.false_alarm_rate) {
         objection =
             "chance may gain as much in " + Rounded(100.0 * PValue(score)) + " % of such flights";
       } else if (margin <= 0.0) {
-        objection = "a function of the state (" + rival + ") explains the same by " +
-                    Rounded(instead) + " nats, against " + Rounded(gain + flexible_gain_);
+        objection = "a function of the state (" + instead.first + ") explains the same by " +
+                    Rounded(instead.nats()) + " nats, against " + Rounded(gain + flexible_.nats());
       } else if (score <= shadow) {
         objection = "a slightly wrong formula of the other effects would leave " + Rounded(shadow);
       }

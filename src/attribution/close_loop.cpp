@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <map>
+#include <numeric>
 #include <memory>
 #include <optional>
 #include <stdexcept>
@@ -356,7 +357,7 @@ void LoopSession::Attribute() {
   attribution_->Run();
   result_.ranking = attribution_->ranking();
   result_.named_gain = attribution_->gain();
-  result_.flexible_gain = attribution_->flexible_gain();
+  result_.flexible_gain = attribution_->flexible().nats();
   const ResidualModel::Wrenches& before = attribution_->residual_before();
   again_ = residual_->ForceByMotion(declared_, values);
   const int channels = residual_->num_channels();
@@ -394,7 +395,7 @@ void LoopSession::NoteRefused() {
 void LoopSession::WeighGusts() {
   if (std::count(options_.ruled_out.begin(), options_.ruled_out.end(), "gust") > 0) return;
   GustCase gusts = RankGusts(*residual_, attribution_->point(), attribution_->residual_after(),
-                             before_.parameters, attribution_->flexible_gain(),
+                             before_.parameters, attribution_->flexible().nats(),
                              options_.attribution);
   result_.ranking.push_back(gusts.ranked);
   if (IsGusty(gusts, options_.attribution) && CanBlow(vehicle_, effects_)) {
@@ -419,8 +420,14 @@ double LoopSession::Unexplained() const {
   const double left = UnexplainedStructure(before, rest, StructureInUse(before),
                                            StructureInUse(rest), options_.attribution);
   if (gusts_) return left;  // functions of the state would follow them
-  // What functions of the state gain beside the effects, of all that is gained.
-  const double functions = attribution_->flexible_gain();
+  // What functions of the state gain beside the effects, of the force or torque on which these act.
+  const FlexibleRest& flexible = attribution_->flexible();
+  const auto& explained = attribution_->explained();
+  const double of_force = std::accumulate(explained.begin(), explained.begin() + 3, 0.0);
+  const double of_torque = std::accumulate(explained.begin() + 3, explained.end(), 0.0);
+  const double least = options_.attribution.least_structured * (of_force + of_torque);
+  const double functions = (of_force > least ? flexible.of_force : 0.0) +
+                           (of_torque > least ? flexible.of_torque : 0.0);
   const double gained = functions + attribution_->gain();
   return gained > 0.0 ? std::max(left, functions / gained) : left;
 }
@@ -609,10 +616,10 @@ void LoopSession::Conclude() {
     result_.verdict = Verdict::kUnexplained;
     result_.where =
         Where(result_.structure, *flight_, attribution_->residual_before(), options_.attribution);
-  } else if (judged_ && attribution_->flexible_gain() > 0.0) {
+  } else if (judged_ && attribution_->flexible().nats() > 0.0) {
     result_.verdict = Verdict::kUnexplained;
-    result_.where = attribution_->flexible() + "; functions of the state gain " +
-                    Rounded(attribution_->flexible_gain()) + " nats";
+    result_.where = attribution_->flexible().first + "; functions of the state gain " +
+                    Rounded(attribution_->flexible().nats()) + " nats";
   } else {
     result_.where = PushInFlight(before_.replay, log_.odometry.front().stamp);
     if (!result_.where.empty()) result_.verdict = Verdict::kUnexplained;

@@ -310,7 +310,7 @@ void JointSession::Find(const Progress& progress) {
   effects_ = attribution.effects();
   loop_.ranking = attribution.ranking();
   loop_.named_gain = attribution.gain();
-  loop_.flexible_gain = attribution.flexible_gain();
+  loop_.flexible_gain = attribution.flexible().nats();
   loop_.structured = StructuredChannels(attribution, looked, options_.attribution);
   for (RankedEffect& ranked : loop_.ranking) {
     const auto why = attribution.refused().find(ranked.name);

@@ -504,7 +504,10 @@ TEST(CloseLoop, OutlivesEffectsWithWhichTheEstimatorNeverFlies) {
   // takes the whole flight for contact.
   const UndeclaredPlan plan = PlanUndeclared(161, 160)[79];
   ASSERT_EQ(plan.kind, UndeclaredKind::kUnknown);
-  const ClosedLoop loop = Close(MakeUndeclared(plan));
+  const UndeclaredFlight flight = MakeUndeclared(plan);
+  CloseLoopOptions options;
+  options.attribution.form_share = 1.0;  // functions of the state would explain it better
+  const ClosedLoop loop = CloseLoop(flight.log, flight.declared, flight.declared, options);
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained);
   EXPECT_TRUE(loop.effects.empty());
   ASSERT_FALSE(loop.warnings.empty());

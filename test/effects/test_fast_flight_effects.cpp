@@ -242,7 +242,7 @@ INSTANTIATE_TEST_SUITE_P(FastFlight, Borrowing,
                          [](const auto& name) { return name.param; });
 
 const std::vector<std::string> kFast = {"inflow_drag", "saturating_lift",    "vertical_drag",
-                                        "body_moment", "rotor_interference", "wake_moment"};
+                                        "body_moment", "rotor_interference"};
 
 /// Level flight at one speed, sinking at another.
 FlightMotion Flight(double speed, double descent) {
@@ -272,6 +272,8 @@ TEST(FastFlightEffects, AreAskedForOnFastFlightsOnly) {
     EXPECT_TRUE(IsCandidate(name, Flight(10.7, 0.0))) << name;
   }
   // Induced velocity of hover 7.7 m/s.
+  EXPECT_FALSE(IsCandidate("wake_moment", Flight(7.6, 0.0)));
+  EXPECT_TRUE(IsCandidate("wake_moment", Flight(7.8, 0.0)));
   EXPECT_FALSE(IsCandidate("vortex_ring", Flight(12.0, 3.7)));
   EXPECT_TRUE(IsCandidate("vortex_ring", Flight(0.0, 4.0)));
   EXPECT_FALSE(IsCandidate("blade_element", Flight(15.0, 5.0)));

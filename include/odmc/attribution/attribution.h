@@ -35,6 +35,14 @@ double UnexplainedStructure(const ResidualModel::Wrenches& before,
                             const std::vector<ChannelStructure>& of_after,
                             const AttributionOptions& options);
 
+/// What functions of the state explain beside a set of effects.
+struct FlexibleRest {
+  double of_force = 0.0, of_torque = 0.0;  ///< gained by functions of them [nats]
+  std::string first;                       ///< that gains most, as "force_z by \"sideways speed\""
+
+  double nats() const { return of_force + of_torque; }
+};
+
 /// Traces the residual of a flight, or of several of one vehicle, to effects: screen, rank,
 /// confirm. One session for these.
 class Attribution {
@@ -63,10 +71,10 @@ class Attribution {
   const ModelPoint& point() const { return point_; }
   /// Why what gained more than chance is not among them, by effect.
   const std::map<std::string, std::string>& refused() const { return refused_; }
-  /// What functions of the state gain beside the effects [nats], and which gains most, as
-  /// "force_z by \"sideways speed\"".
-  double flexible_gain() const { return flexible_gain_; }
-  const std::string& flexible() const { return flexible_; }
+  /// What functions of the state gain beside the effects.
+  const FlexibleRest& flexible() const { return flexible_; }
+  /// What the effects do in each channel, over its noise [nats].
+  const std::array<double, kNumChannels>& explained() const { return explained_; }
   double gain() const { return gain_; }  ///< of all effects together [nats]
   double held_out_gain() const { return held_out_gain_; }
   size_t num_flights() const { return flights_.size(); }
@@ -102,9 +110,9 @@ class Attribution {
   /// What an effect must gain beside others whose form is known only so well, by channel.
   double ShadowOf(const std::array<double, kNumChannels>& energy,
                   const std::array<double, kNumChannels>& others) const;
-  /// @param first the function that is added first, if any, as flexible() names it
-  VariantSet Completed(Evidence* evidence, const VariantSet& set, size_t most, double* gain,
-                       std::string* first = nullptr) const;
+  /// A set with the functions that gain most beside it, `most` of them at most.
+  VariantSet Completed(Evidence* evidence, const VariantSet& set, size_t most,
+                       FlexibleRest* rest) const;
   static std::string NamesOf(const Evidence& evidence, const VariantSet& set);
   /// Variants that gain most on their own, of different effects.
   std::vector<int> BestAlone(const Evidence& evidence) const;
@@ -136,8 +144,7 @@ class Attribution {
   std::vector<Instruments> instruments_;  // by flight
   std::vector<SeenFlight> flights_;
   FlexibleFeatures features_;
-  double flexible_gain_ = 0.0;
-  std::string flexible_;
+  FlexibleRest flexible_;
   ModelPoint point_;
   std::vector<EffectCandidate> candidates_;
   AttributionOptions options_;
