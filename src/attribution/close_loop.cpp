@@ -5,8 +5,8 @@
 #include <cmath>
 #include <limits>
 #include <map>
-#include <numeric>
 #include <memory>
+#include <numeric>
 #include <optional>
 #include <stdexcept>
 #include <tuple>
@@ -280,8 +280,8 @@ class LoopSession {
   std::unique_ptr<Attribution> attribution_;
   std::optional<GustCase> gusts_;  ///< where they make their case
   bool structured_ = false;
-  bool judged_ = false;  ///< some stretch is long enough to tell structure from noise
-  std::vector<RankedEffect> effects_;              ///< that are named so far
+  bool judged_ = false;                ///< some stretch is long enough to tell structure from noise
+  std::vector<RankedEffect> effects_;  ///< that are named so far
   std::map<std::string, ParameterSetting> known_;  ///< what else the last run is told
   std::optional<OnlinePass> after_;                ///< of the model with `effects_`
   ClosedLoop result_;
@@ -394,9 +394,9 @@ void LoopSession::NoteRefused() {
 
 void LoopSession::WeighGusts() {
   if (std::count(options_.ruled_out.begin(), options_.ruled_out.end(), "gust") > 0) return;
-  GustCase gusts = RankGusts(*residual_, attribution_->point(), attribution_->residual_after(),
-                             before_.parameters, attribution_->flexible().nats(),
-                             options_.attribution);
+  GustCase gusts =
+      RankGusts(*residual_, attribution_->point(), attribution_->residual_after(),
+                before_.parameters, attribution_->flexible().nats(), options_.attribution);
   result_.ranking.push_back(gusts.ranked);
   if (IsGusty(gusts, options_.attribution) && CanBlow(vehicle_, effects_)) {
     gusts_ = std::move(gusts);
@@ -426,8 +426,8 @@ double LoopSession::Unexplained() const {
   const double of_force = std::accumulate(explained.begin(), explained.begin() + 3, 0.0);
   const double of_torque = std::accumulate(explained.begin() + 3, explained.end(), 0.0);
   const double least = options_.attribution.least_structured * (of_force + of_torque);
-  const double functions = (of_force > least ? flexible.of_force : 0.0) +
-                           (of_torque > least ? flexible.of_torque : 0.0);
+  const double functions =
+      (of_force > least ? flexible.of_force : 0.0) + (of_torque > least ? flexible.of_torque : 0.0);
   const double gained = functions + attribution_->gain();
   return gained > 0.0 ? std::max(left, functions / gained) : left;
 }

@@ -406,8 +406,8 @@ int Evidence::AddFlexible(const FlexibleGain& gain, const FlexibleFeatures& feat
           r.WhitenedFeature(c, features.foreseen[f].col(gain.feature), plain_sigma_[c]);
     } else {
       for (int c = 0; c < kForceChannels; ++c) {
-        whitened.segment(c * n, n) = r.WhitenedFeature(
-            c, features.world_foreseen[f][c].col(gain.feature), ForceSigma());
+        whitened.segment(c * n, n) =
+            r.WhitenedFeature(c, features.world_foreseen[f][c].col(gain.feature), ForceSigma());
       }
     }
     const int local = flights_[f].AddFeature(whitened, variant.candidate.effect);

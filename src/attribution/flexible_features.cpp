@@ -171,7 +171,8 @@ void FlexibleFeatures::AddAlongWorld(const std::vector<MatrixXd>& signals,
   const auto count = static_cast<Index>(sizes.size());
   for (size_t f = 0; f < flights.size(); ++f) {
     const Index n = signals[f].rows();
-    const Eigen::Matrix3d R_BS = flights[f].residual->file_vehicle().odometry.q_BS.toRotationMatrix();
+    const Eigen::Matrix3d R_BS =
+        flights[f].residual->file_vehicle().odometry.q_BS.toRotationMatrix();
     MatrixXd all(n, count), likely(n, count);
     all << Eigen::VectorXd::Ones(n), signals[f].middleCols<3>(kPlace), near[f];
     likely << Eigen::VectorXd::Ones(n), likely_signals[f].middleCols<3>(kPlace), likely_near[f];
@@ -187,8 +188,7 @@ void FlexibleFeatures::AddAlongWorld(const std::vector<MatrixXd>& signals,
       };
       turn(flights[f].residual->flight(), all, &turned);
       turn(flights[f].instruments->likely_flight(), likely, &likely_turned);
-      by_channel[static_cast<size_t>(c)] =
-          flights[f].instruments->Foreseen(turned, likely_turned);
+      by_channel[static_cast<size_t>(c)] = flights[f].instruments->Foreseen(turned, likely_turned);
     }
     world_foreseen.push_back(std::move(by_channel));
   }

@@ -204,7 +204,8 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
 bool IsGusty(const GustCase& gusts, const AttributionOptions& options) {
   return BeatNoise(gusts.test, options) && NetGain(gusts.test, options) > gusts.functions &&
          gusts.test.over_others > -options.clear_odds &&
-         gusts.test.over_field > options.clear_odds && gusts.test.peakedness_p > options.false_alarm_rate;
+         gusts.test.over_field > options.clear_odds &&
+         gusts.test.peakedness_p > options.false_alarm_rate;
 }
 
 ValueVariation PredictedGusts(const FlightLog& log, const Vehicle& file_vehicle,

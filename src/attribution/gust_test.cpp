@@ -596,13 +596,11 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   for (Hypothesis* hypothesis : {&gust, &free_world, &free_body, &none}) hypothesis->Fit();
   test.peakedness_p = gust.ChanceOfPeakedness(gust.Peakedness());
   test.gain = gust.likelihood() - none.likelihood();
-  test.over_others =
-      gust.likelihood() -
-      std::max({free_world.likelihood(), free_body.likelihood(),
-                SteadySwing(flight, apart, residual, true),
-                SteadySwing(flight, apart, residual, false)});
-  test.over_field = gust.likelihood() -
-                    FieldOverPosition(flight, apart, residual, drag, steady, quick, natural);
+  test.over_others = gust.likelihood() - std::max({free_world.likelihood(), free_body.likelihood(),
+                                                   SteadySwing(flight, apart, residual, true),
+                                                   SteadySwing(flight, apart, residual, false)});
+  test.over_field =
+      gust.likelihood() - FieldOverPosition(flight, apart, residual, drag, steady, quick, natural);
   const std::vector<int> unrounded = SamplesApart(flight, kUnrounded_s);
   const Hypothesis unrounded_fit = gust.LookingAt(&unrounded);
   const std::vector<int> sparse = SamplesApartFor(flight, unrounded_fit.time_constant_s());

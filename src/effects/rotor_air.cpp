@@ -41,8 +41,7 @@ std::vector<EffectTrial> FastTrials(const Vehicle& vehicle, const FlownRange& fl
 }
 
 std::vector<EffectTrial> SkewedWakeTrials(const Vehicle& vehicle, const FlownRange& flown) {
-  const double thrust =
-      vehicle.mass_kg * vehicle.gravity_m_s2 / std::max(1, vehicle.num_rotors());
+  const double thrust = vehicle.mass_kg * vehicle.gravity_m_s2 / std::max(1, vehicle.num_rotors());
   for (const Rotor& rotor : vehicle.rotors) {
     if (flown.speed_m_s > std::sqrt(thrust * InflowSquaredPerThrust(rotor))) return {EffectTrial()};
   }

@@ -27,9 +27,9 @@ double InflowSquaredPerThrust(const Rotor& rotor);
 /// calibrated model without them misses of the weight at 6 m/s (docs/effects.md).
 std::vector<EffectTrial> FastTrials(const Vehicle& vehicle, const FlownRange& flown);
 
-/// The trials of an effect of the skew of the rotors' wakes: one where the flight is faster than the
-/// induced velocity of hover, else none. In level flight at that speed tan(chi/2) v/v_h is 24 % less
-/// than in proportion to the speed; below, the effect is one with a linear one.
+/// The trials of an effect of the skew of the rotors' wakes: one where the flight is faster than
+/// the induced velocity of hover, else none. In level flight at that speed tan(chi/2) v/v_h is 24 %
+/// less than in proportion to the speed; below, the effect is one with a linear one.
 std::vector<EffectTrial> SkewedWakeTrials(const Vehicle& vehicle, const FlownRange& flown);
 
 /// Air velocity of a hub, u_j = v_AB_B + w × r_j [m/s].

@@ -442,9 +442,9 @@ JointLoop JointSession::Run(const std::vector<std::string>& files,
         return 2 * channel.second > static_cast<int>(loop_.flights.size());
       });
   const bool follows = loop_.flexible_gain > 0.0;  // a function of the state
-  loop_.verdict = !effects_.empty()        ? Verdict::kEffect
-                  : structured || follows  ? Verdict::kUnexplained
-                                           : Verdict::kNone;
+  loop_.verdict = !effects_.empty()       ? Verdict::kEffect
+                  : structured || follows ? Verdict::kUnexplained
+                                          : Verdict::kNone;
   if (progress) progress(1.0);
   return std::move(loop_);
 }

@@ -241,7 +241,7 @@ INSTANTIATE_TEST_SUITE_P(FastFlight, Borrowing,
                                          "directional_lift", "wake_moment"),
                          [](const auto& name) { return name.param; });
 
-const std::vector<std::string> kFast = {"inflow_drag", "saturating_lift",    "vertical_drag",
+const std::vector<std::string> kFast = {"inflow_drag", "saturating_lift", "vertical_drag",
                                         "body_moment", "rotor_interference"};
 
 /// Level flight at one speed, sinking at another.
