@@ -396,7 +396,7 @@ void LoopSession::WeighGusts() {
   if (std::count(options_.ruled_out.begin(), options_.ruled_out.end(), "gust") > 0) return;
   GustCase gusts =
       RankGusts(*residual_, attribution_->point(), attribution_->residual_after(),
-                before_.parameters, attribution_->flexible().nats(), options_.attribution);
+                before_.parameters, attribution_->flexible().of_force, options_.attribution);
   result_.ranking.push_back(gusts.ranked);
   if (IsGusty(gusts, options_.attribution) && CanBlow(vehicle_, effects_)) {
     gusts_ = std::move(gusts);

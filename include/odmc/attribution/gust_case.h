@@ -28,7 +28,7 @@ struct GustCase {
 /// The case for gusts behind what a model leaves; they vary, so that no fixed regressor shows them.
 /// @param left what the model leaves of the wrench (N×6)
 /// @param declared the online estimate without effects added
-/// @param functions what functions of the state gain beside that model [nats]
+/// @param functions what functions of the state gain of the force beside that model [nats]
 GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
                    const ResidualModel::Wrenches& left, const ParameterSet& declared,
                    double functions, const AttributionOptions& options);
