@@ -196,7 +196,8 @@ def close_loop(flight: FlightLike, vehicle: VehicleLike, *, effects: Sequence[st
 
     As the tool `close_loop` on one flight (docs/closing_the_loop.md). With parameters a thrust coefficient known to 5 %
     is held, so that a change of mass shows. block_s: length of a block of time. most_effects: adds at most so many.
-    rule_out: effects that cannot act, as wind and gust indoors. decision: numbers of the decision by name, as the tool's --decision. All else as calibrate().
+    rule_out: effects that cannot act, as wind and gust indoors. decision: numbers of the decision by name, as the tool's
+    --decision. All else as calibrate().
     """
     if block_s is not None and not block_s > 0.0:
         raise ValueError(f'block_s is {block_s}; expected a time above zero')
