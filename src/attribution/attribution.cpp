@@ -383,17 +383,33 @@ double Attribution::ShadowOf(const std::array<double, kNumChannels>& energy,
 }
 
 VariantSet Attribution::Completed(Evidence* evidence, const VariantSet& set, size_t most,
-                                  FlexibleRest* rest) const {
+                                  FlexibleRest* rest,
+                                  const Evidence::FlexibleChoice& choice) const {
   VariantSet all = set;
   *rest = FlexibleRest();
   for (size_t k = 0; k < most; ++k) {
-    const Evidence::FlexibleGain best = evidence->BestFlexible(all, features_);
+    const Evidence::FlexibleGain best = evidence->BestFlexible(all, features_, choice);
     if (best.nats < options_.clear_odds) break;
     (best.channel && *best.channel >= 3 ? rest->of_torque : rest->of_force) += best.nats;
     if (rest->first.empty()) rest->first = best.Text(features_);
     all.insert(evidence->AddFlexible(best, features_));
   }
   return all;
+}
+
+FlexibleRest Attribution::Rivals(Evidence* evidence, const VariantSet& set, int effect,
+                                 size_t most) const {
+  const std::vector<Eigen::VectorXd> does = evidence->DoneBy(effect, evidence->Solve(set));
+  VariantSet without = set;
+  without.erase(effect);
+  FlexibleRest best;
+  // The one that gains most at first need not begin the best few.
+  for (const bool with_world : {true, false}) {
+    FlexibleRest rest;
+    Completed(evidence, without, most, &rest, {with_world, &does});
+    if (rest.nats() > best.nats()) best = std::move(rest);
+  }
+  return best;
 }
 
 std::string Attribution::NamesOf(const Evidence& evidence, const VariantSet& set) {
@@ -422,8 +438,8 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
       for (const int k : evidence.variants()[v].columns) {
         coefficients += evidence.column(k).initial_state ? 0 : 1;
       }
-      FlexibleRest instead;
-      Completed(&evidence, without, all.size() - set.size() + coefficients, &instead);
+      const FlexibleRest instead =
+          Rivals(&evidence, set, v, all.size() - set.size() + coefficients);
       std::array<double, kNumChannels> others = explained_;
       for (const int other : set) {
         if (other == v) continue;
@@ -431,8 +447,8 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
         for (int c = 0; c < kNumChannels; ++c) others[c] += energy[c];
       }
       const double gain = evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence;
-      // Where both explain the same, the effect does it: it is known to act, a function is not.
-      const double margin = (1.0 + options_.form_share) * gain + flexible_.nats() - instead.nats();
+      const double margin = (1.0 + options_.form_share) * gain + flexible_.nats() - instead.nats() -
+                            options_.clear_odds;
       const double shadow = ShadowOf(evidence.EnergyOf(v, fit), others);
       std::string objection;
       if (PValue(score) >= options_.false_alarm_rate) {

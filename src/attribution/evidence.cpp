@@ -323,21 +323,25 @@ std::string Evidence::FlexibleGain::Text(const FlexibleFeatures& features) const
 struct Evidence::FlexibleSums {
   MatrixXd cross;  // fitted columns × features
   VectorXd g, size;
+  VectorXd along_effect;  // products with what an effect does
 
   FlexibleSums(Index columns, Index features)
       : cross(MatrixXd::Zero(columns, features)),
         g(VectorXd::Zero(features)),
-        size(VectorXd::Zero(features)) {}
+        size(VectorXd::Zero(features)),
+        along_effect(VectorXd::Zero(features)) {}
 };
 
 void Evidence::AddTo(FlexibleSums* sums, size_t flight, int c, const MatrixXd& foreseen,
-                     double unit, const EffectFit& fit, const VectorXd& errors) const {
+                     double unit, const EffectFit& fit, const VectorXd& errors,
+                     const VectorXd* effect) const {
   const FlightRegression& r = flights_[flight];
   const auto n = static_cast<Index>(r.rows().size());
   MatrixXd phi(n, foreseen.cols());
   for (Index k = 0; k < phi.cols(); ++k) phi.col(k) = r.WhitenedFeature(c, foreseen.col(k), unit);
   sums->g += phi.transpose() * errors.segment(c * n, n);
   sums->size += phi.colwise().squaredNorm().transpose();
+  if (effect != nullptr) sums->along_effect += phi.transpose() * effect->segment(c * n, n);
   MatrixXd own = MatrixXd::Zero(n, sums->cross.rows());
   for (size_t l = 0; l < place_[flight].size(); ++l) {
     const auto at = std::find(fit.columns.begin(), fit.columns.end(), place_[flight][l]);
@@ -347,8 +351,21 @@ void Evidence::AddTo(FlexibleSums* sums, size_t flight, int c, const MatrixXd& f
   sums->cross.noalias() += own.transpose() * phi;
 }
 
+VectorXd Evidence::Products(size_t flight, const EffectFit& fit, const VectorXd& white) const {
+  VectorXd products = VectorXd::Zero(static_cast<Index>(fit.columns.size()));
+  for (size_t l = 0; l < place_[flight].size(); ++l) {
+    const auto at = std::find(fit.columns.begin(), fit.columns.end(), place_[flight][l]);
+    if (at == fit.columns.end()) continue;
+    products[at - fit.columns.begin()] +=
+        flights_[flight].white().col(static_cast<Index>(l)).dot(white);
+  }
+  return products;
+}
+
 Evidence::FlexibleGain Evidence::BestFlexible(const VariantSet& set,
-                                              const FlexibleFeatures& features) const {
+                                              const FlexibleFeatures& features,
+                                              const FlexibleChoice& choice) const {
+  constexpr double kCopy = 0.9;  // squared correlation beside the fit's columns
   const EffectFit fit = Solve(set);
   const auto m = static_cast<Index>(fit.columns.size());
   const auto along_body = static_cast<Index>(features.names.size());
@@ -356,30 +373,46 @@ Evidence::FlexibleGain Evidence::BestFlexible(const VariantSet& set,
   const double tried = static_cast<double>(num_channels_ * along_body + along_world);
   FlexibleGain best;
   best.nats = -std::numeric_limits<double>::infinity();
+  VectorXd effect_cross = VectorXd::Zero(m);
+  double effect_size = 0.0;
+  for (size_t f = 0; choice.effect != nullptr && f < flights_.size(); ++f) {
+    effect_cross += Products(f, fit, (*choice.effect)[f]);
+    effect_size += (*choice.effect)[f].squaredNorm();
+  }
+  const VectorXd effect_taken = fit.covariance * effect_cross;
+  effect_size -= effect_cross.dot(effect_taken);
   const auto look = [&](const FlexibleSums& sums, std::optional<int> channel) {
     const VectorXd taken =
         sums.cross.cwiseProduct(fit.covariance * sums.cross).colwise().sum().transpose();
     for (Index k = 0; k < sums.g.size(); ++k) {
       // Its coefficient has a prior of the residual's size: one, in these units.
       const double s = std::max(0.0, sums.size[k] - taken[k]);
+      if (choice.effect != nullptr) {
+        const double along = sums.along_effect[k] - sums.cross.col(k).dot(effect_taken);
+        if (along * along > kCopy * effect_size * s) continue;
+      }
       const double nats =
           0.5 * (sums.g[k] * sums.g[k] / (1.0 + s) - std::log(1.0 + s)) - std::log(tried);
       if (nats > best.nats) best = {channel, static_cast<int>(k), nats};
     }
+  };
+  const auto effect_of = [&](size_t f) {
+    return choice.effect != nullptr ? &(*choice.effect)[f] : nullptr;
   };
   std::vector<VectorXd> errors;
   for (size_t f = 0; f < flights_.size(); ++f) errors.push_back(ErrorsOf(f, set, fit));
   for (int c = 0; c < num_channels_; ++c) {
     FlexibleSums sums(m, along_body);
     for (size_t f = 0; f < flights_.size(); ++f) {
-      AddTo(&sums, f, c, features.foreseen[f], plain_sigma_[c], fit, errors[f]);
+      AddTo(&sums, f, c, features.foreseen[f], plain_sigma_[c], fit, errors[f], effect_of(f));
     }
     look(sums, c);
   }
+  if (!choice.with_world) return best;
   FlexibleSums sums(m, along_world);
   for (size_t f = 0; f < flights_.size(); ++f) {
     for (int c = 0; c < kForceChannels; ++c) {
-      AddTo(&sums, f, c, features.world_foreseen[f][c], ForceSigma(), fit, errors[f]);
+      AddTo(&sums, f, c, features.world_foreseen[f][c], ForceSigma(), fit, errors[f], effect_of(f));
     }
   }
   look(sums, std::nullopt);
@@ -626,7 +659,7 @@ VectorXd Evidence::ErrorsOf(size_t f, const VariantSet& set, const EffectFit& fi
   return white.col(white.cols() - 1) - Combined(white, LocalCoefficients(f, fit, set));
 }
 
-std::array<double, kNumChannels> Evidence::EnergyOf(int variant, const EffectFit& fit) const {
+std::vector<VectorXd> Evidence::DoneBy(int variant, const EffectFit& fit) const {
   EffectFit own;
   own.coefficients = VectorXd::Zero(fit.coefficients.size());
   own.columns = fit.columns;
@@ -634,10 +667,18 @@ std::array<double, kNumChannels> Evidence::EnergyOf(int variant, const EffectFit
     if (column(fit.columns[k]).effect != variants_[variant].candidate.effect) continue;
     own.coefficients[static_cast<Index>(k)] = fit.coefficients[static_cast<Index>(k)];
   }
+  std::vector<VectorXd> done;
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    done.push_back(Combined(flights_[f].white(), LocalCoefficients(f, own, {variant})));
+  }
+  return done;
+}
+
+std::array<double, kNumChannels> Evidence::EnergyOf(int variant, const EffectFit& fit) const {
+  const std::vector<VectorXd> done = DoneBy(variant, fit);
   std::array<double, kNumChannels> energy{};
   for (size_t f = 0; f < flights_.size(); ++f) {
-    const MatrixXd& white = flights_[f].white();
-    const VectorXd does = Combined(white, LocalCoefficients(f, own, {variant}));
+    const VectorXd& does = done[f];
     const auto n = static_cast<Index>(flights_[f].rows().size());
     for (int c = 0; c < num_channels_; ++c) energy[c] += 0.5 * does.segment(c * n, n).squaredNorm();
   }

@@ -74,7 +74,8 @@ class Places {
   MatrixXd NearnessTo(const MatrixXd& signals) const {
     MatrixXd near(signals.rows(), count());
     for (Index k = 0; k < count(); ++k) {
-      const auto away = signals.middleCols<3>(kPlace).rowwise() - centres_[static_cast<size_t>(k)];
+      const MatrixXd away =
+          signals.middleCols<3>(kPlace).rowwise() - centres_[static_cast<size_t>(k)];
       near.col(k) = (-0.5 / (width_ * width_) * away.rowwise().squaredNorm().array()).exp();
     }
     return near;

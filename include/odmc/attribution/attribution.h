@@ -111,8 +111,11 @@ class Attribution {
   double ShadowOf(const std::array<double, kNumChannels>& energy,
                   const std::array<double, kNumChannels>& others) const;
   /// A set with the functions that gain most beside it, `most` of them at most.
-  VariantSet Completed(Evidence* evidence, const VariantSet& set, size_t most,
-                       FlexibleRest* rest) const;
+  VariantSet Completed(Evidence* evidence, const VariantSet& set, size_t most, FlexibleRest* rest,
+                       const Evidence::FlexibleChoice& choice = {}) const;
+  /// What functions of the state gain in the place of an effect of a set, none of them its copy.
+  /// @param most functions
+  FlexibleRest Rivals(Evidence* evidence, const VariantSet& set, int effect, size_t most) const;
   static std::string NamesOf(const Evidence& evidence, const VariantSet& set);
   /// Variants that gain most on their own, of different effects.
   std::vector<int> BestAlone(const Evidence& evidence) const;

@@ -77,7 +77,14 @@ class Evidence {
     /// As "force_z by "sideways speed"".
     std::string Text(const FlexibleFeatures& features) const;
   };
-  FlexibleGain BestFlexible(const VariantSet& set, const FlexibleFeatures& features) const;
+  /// Which functions are looked at.
+  struct FlexibleChoice {
+    bool with_world = true;  ///< forces fixed in the world, too
+    /// What an effect does to the whitened residual, by flight: no function that copies it.
+    const std::vector<Eigen::VectorXd>* effect = nullptr;
+  };
+  FlexibleGain BestFlexible(const VariantSet& set, const FlexibleFeatures& features,
+                            const FlexibleChoice& choice) const;
   /// Adds it as a variant of an effect without name. @returns its number
   int AddFlexible(const FlexibleGain& gain, const FlexibleFeatures& features);
 
@@ -114,6 +121,8 @@ class Evidence {
 
   /// What a variant of a fitted set does, by channel, over the noise [nats].
   std::array<double, kNumChannels> EnergyOf(int variant, const EffectFit& fit) const;
+  /// What a fit's variant does to the whitened residual, by flight.
+  std::vector<Eigen::VectorXd> DoneBy(int variant, const EffectFit& fit) const;
 
   /// What the parameters that two fits share do differently, over the noise [nats]: what an effect
   /// does and changes of the others cancel.
@@ -210,7 +219,10 @@ class Evidence {
   /// Adds what a channel of a flight says. @param foreseen samples × functions, of unit size
   /// @param unit their natural size [N or N m]
   void AddTo(FlexibleSums* sums, size_t flight, int channel, const Eigen::MatrixXd& foreseen,
-             double unit, const EffectFit& fit, const Eigen::VectorXd& errors) const;
+             double unit, const EffectFit& fit, const Eigen::VectorXd& errors,
+             const Eigen::VectorXd* effect) const;
+  /// Products of a flight's columns of a fit with a whitened vector.
+  Eigen::VectorXd Products(size_t flight, const EffectFit& fit, const Eigen::VectorXd& white) const;
   double ForceSigma() const;  ///< of the residual force, by axis
 
   std::vector<FlightRegression> flights_;
