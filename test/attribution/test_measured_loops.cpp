@@ -32,11 +32,9 @@ TEST(MeasuredNeuroBem, HalvesTheErrorOnBlocksHeldOut) {
   EXPECT_TRUE(has("hub_moment") || has("anisotropic_hub_moment") || has("pressure_centre") ||
               has("rotor_drag"));  // its couple is a hub moment
   const Eigen::Vector3d force = *loop.after.force_rmse_N, torque = *loop.after.torque_rmse_Nm;
-  // Gusts, which no hall has, took F_z to 0.13 N; without them skewed_inflow, which does so by hand
-  // (0.16 N), gains too little in 18 s to be named.
   EXPECT_LT(force.x(), 0.62 * loop.before.force_rmse_N->x()) << CloseLoopTable(loop);
   EXPECT_LT(force.y(), 0.62 * loop.before.force_rmse_N->y());
-  EXPECT_LT(force.z(), 0.45 * loop.before.force_rmse_N->z());
+  EXPECT_LT(force.z(), 0.35 * loop.before.force_rmse_N->z());  // with skewed_inflow
   EXPECT_LT(torque.x(), 0.85 * loop.before.torque_rmse_Nm->x());
   EXPECT_LT(torque.y(), 0.45 * loop.before.torque_rmse_Nm->y());
   EXPECT_FALSE(has("gust"));
