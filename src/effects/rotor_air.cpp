@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "odmc/effects/effects.h"
 #include "odmc/math/so3.h"
@@ -31,19 +32,20 @@ double InflowSquaredPerThrust(const Rotor& rotor) {
   return 1.0 / (2.0 * kAirDensity * M_PI * rotor.radius_m * rotor.radius_m);
 }
 
+double HoverInflow(const Vehicle& vehicle) {
+  const double thrust = vehicle.mass_kg * vehicle.gravity_m_s2 / std::max(1, vehicle.num_rotors());
+  double least = std::numeric_limits<double>::infinity();
+  for (const Rotor& rotor : vehicle.rotors) {
+    least = std::min(least, std::sqrt(InflowSquaredPerThrust(rotor) * thrust));
+  }
+  return least;
+}
+
 std::vector<EffectTrial> FastTrials(const Vehicle& vehicle, const FlownRange& flown) {
   constexpr double kSecondOrder = 0.15;
   const double speed = HoverSpeed(vehicle);
   for (const Rotor& rotor : vehicle.rotors) {
     if (flown.speed_m_s > kSecondOrder * speed * rotor.radius_m) return {EffectTrial()};
-  }
-  return {};
-}
-
-std::vector<EffectTrial> SkewedWakeTrials(const Vehicle& vehicle, const FlownRange& flown) {
-  const double thrust = vehicle.mass_kg * vehicle.gravity_m_s2 / std::max(1, vehicle.num_rotors());
-  for (const Rotor& rotor : vehicle.rotors) {
-    if (flown.speed_m_s > std::sqrt(thrust * InflowSquaredPerThrust(rotor))) return {EffectTrial()};
   }
   return {};
 }

@@ -21,16 +21,15 @@ double DiscArea(const Vehicle& vehicle);
 /// [m/kg].
 double InflowSquaredPerThrust(const Rotor& rotor);
 
+/// Induced velocity of hover by momentum theory, of the rotor where it is least [m/s]; infinite
+/// without a rotor.
+double HoverInflow(const Vehicle& vehicle);
+
 /// The trials of an effect of second order in the advance ratio (air speed over tip speed): one
 /// where the flight is fast enough to show it, else none. Such effects change thrust by the square
 /// of that ratio, or by an inflow ratio near 0.1 times it: at 0.15 by 2 %, which is what a
 /// calibrated model without them misses of the weight at 6 m/s (docs/effects.md).
 std::vector<EffectTrial> FastTrials(const Vehicle& vehicle, const FlownRange& flown);
-
-/// The trials of an effect of the skew of the rotors' wakes: one where the flight is faster than
-/// the induced velocity of hover, else none. In level flight at that speed tan(chi/2) v/v_h is 24 %
-/// less than in proportion to the speed; below, the effect is one with a linear one.
-std::vector<EffectTrial> SkewedWakeTrials(const Vehicle& vehicle, const FlownRange& flown);
 
 /// Air velocity of a hub, u_j = v_AB_B + w × r_j [m/s].
 Eigen::Vector3d HubAirVelocity(const FlightState& state, const Rotor& rotor);

@@ -30,12 +30,7 @@ class VortexRing final : public Effect {
   /// Needs descent along the rotors' axes at half the induced velocity of hover: there it takes
   /// 0.64 of what it takes at the most.
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool) const override {
-    const double thrust =
-        vehicle().mass_kg * vehicle().gravity_m_s2 / std::max(1, vehicle().num_rotors());
-    for (const Rotor& rotor : vehicle().rotors) {
-      const double inflow = std::sqrt(InflowSquaredPerThrust(rotor) * thrust);
-      if (flown.descent_m_s > 0.5 * inflow) return {EffectTrial()};
-    }
+    if (flown.descent_m_s > 0.5 * HoverInflow(vehicle())) return {EffectTrial()};
     return {};
   }
   std::vector<TellingPair> telling_pairs() const override {

@@ -27,8 +27,11 @@ class WakeMoment final : public Effect {
             {Lever("l_x", "about body x", vehicle), Lever("l_y", "about body y", vehicle)},
             {"thrust.k_f"}) {}
 
+  /// Needs the induced velocity of hover: in level flight at that speed tan(χ/2) v/v_h is 24 % less
+  /// than in proportion to the speed; below, the effect is one with hub_moment.
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool) const override {
-    return SkewedWakeTrials(vehicle(), flown);
+    if (flown.speed_m_s > HoverInflow(vehicle())) return {EffectTrial()};
+    return {};
   }
   std::vector<TellingPair> telling_pairs() const override {
     const std::string course =

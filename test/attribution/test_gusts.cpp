@@ -7,6 +7,7 @@
 #include <cmath>
 #include <vector>
 
+#include "odmc/attribution/gust_case.h"
 #include "odmc/attribution/gust_test.h"
 #include "odmc/math/gaussian.h"
 
@@ -224,6 +225,28 @@ TEST(GustTest, AForceThatDependsOnThePlaceIsNone) {
     field.push_back(1.5 * std::exp(-from.squaredNorm()) * Vector3d(1.0, -0.5, 0.2));
   }
   EXPECT_LT(Case(2.0, kTrueDrag, kTrueDrag, kNothing, field).Test().over_field, -20.0);
+}
+
+// Wind through drag is nearly a free force, and of the two wind is known to act; a force of the
+// place is known to, too.
+TEST(GustCase, MayTieWithAFreeForceButNotWithOneOfThePlace) {
+  const AttributionOptions options;
+  GustCase gusts;
+  gusts.test.gain = options.gust_price + 20.0;
+  gusts.test.sigma_m_s = 1.0;
+  gusts.test.peakedness_p = 0.5;
+  gusts.test.over_field = options.clear_odds + 1.0;
+  gusts.test.over_others = 1.0 - options.clear_odds;
+  EXPECT_TRUE(IsGusty(gusts, options));
+  GustCase others = gusts;
+  others.test.over_others = -1.0 - options.clear_odds;
+  EXPECT_FALSE(IsGusty(others, options));
+  others = gusts;
+  others.test.over_field = options.clear_odds - 1.0;
+  EXPECT_FALSE(IsGusty(others, options));
+  others = gusts;
+  others.functions = 21.0;
+  EXPECT_FALSE(IsGusty(others, options));
 }
 
 // Half sines of 0.8 s every 3.7 s, to all sides.

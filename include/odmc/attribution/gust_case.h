@@ -19,7 +19,7 @@ namespace odmc {
 struct GustCase {
   RankedEffect ranked;
   GustTest test;
-  double functions = 0.0;                         ///< what functions of the state gain [nats]
+  double functions = 0.0;  ///< what functions of the state gain of the force [nats]
   std::map<std::string, ParameterSetting> known;  ///< what it is known of others, by full name
   /// Their wrench at every sample as foreseen 0.12 s before (N×6); empty where gusts gain nothing.
   ResidualModel::Wrenches foreseen;
