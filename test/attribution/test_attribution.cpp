@@ -332,6 +332,35 @@ TEST(Evidence, TellsRotorDragFromDrag) {
   EXPECT_NEAR(found.Find("rotor_drag.k_d")->value, truth[k_d], 0.3 * truth[k_d]);
 }
 
+// Skewed inflow of one axis is a vertical force by sideways speed.
+TEST(Evidence, LooksAtNoFunctionThatCopiesAnEffect) {
+  const Vehicle vehicle = UndeclaredVehicles()[1];
+  Vehicle true_vehicle = vehicle;
+  true_vehicle.effects.emplace_back("skewed_inflow");
+  const DynamicModel model(true_vehicle, true_vehicle.effects);
+  ModelValues truth = DefaultTruth(model);
+  const int k_y = model.IndexOf("skewed_inflow.k_y");
+  truth[k_y] = 0.5 * model.parameters()[k_y].spec.prior_sigma;
+  truth[model.IndexOf("skewed_inflow.k_x")] = 0.0;
+  SimulationOptions options;
+  options.trajectory = "aggressive";
+  const FlightLog log = Simulate(model, truth, options, SimulationNoise()).log;
+  const Flown flown{vehicle, ThinnedFlight(FilterFlight(log, vehicle.num_rotors(), {}), {}), {}};
+  const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+  const Instruments instruments(flown.flight, flown.vehicle);
+  const std::vector<SeenFlight> flights = {{&residual, &instruments}};
+  Evidence evidence(flights, DeclaredPoint(vehicle));
+  const int inflow = evidence.Add({"skewed_inflow", {}, {}});
+  evidence.EstimateNoise();
+  const FlexibleFeatures features(flights);
+  const auto best = evidence.BestFlexible({}, features, {});
+  EXPECT_EQ(best.Text(features), "force_z by \"sideways speed\"");
+  const auto done = evidence.DoneBy(inflow, evidence.Solve({inflow}));
+  const auto other = evidence.BestFlexible({}, features, {true, &done});
+  EXPECT_NE(other.Text(features), best.Text(features));
+  EXPECT_LT(other.nats, best.nats);
+}
+
 TEST(Evidence, NamesBothOfTwoThatActOnDifferentAxes) {
   const UndeclaredFlight flight = Make({"quadratic_drag", "hub_moment"}, 0.5, "aggressive", 0, 7);
   const Flown flown = Filtered(flight);
