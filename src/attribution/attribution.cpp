@@ -107,6 +107,24 @@ Valley ValleyOf(const EffectFit& other, const Evidence& evidence, const EffectFi
   return {chance * distance, chance * way * way.transpose()};
 }
 
+/// Variants that are linear only near where they are linearized.
+std::vector<int> Nonlinear(const Evidence& evidence) {
+  std::vector<int> variants;
+  for (int v = 0; v < static_cast<int>(evidence.variants().size()); ++v) {
+    const EffectVariant& variant = evidence.variants()[v];
+    if (variant.offset >= 0 || !variant.candidate.start.empty()) variants.push_back(v);
+  }
+  return variants;
+}
+
+/// The mean of two sets of values.
+Evidence::VariantValues Halfway(Evidence::VariantValues from, const Evidence::VariantValues& to) {
+  for (size_t f = 0; f < from.size(); ++f) {
+    for (auto& [name, value] : from[f]) value = 0.5 * (value + to[f].at(name));
+  }
+  return from;
+}
+
 }  // namespace
 
 bool IsSensorNoise(const ChannelStructure& channel, const AttributionOptions& options) {
@@ -212,19 +230,36 @@ void Attribution::Screen(Evidence* evidence) const {
 }
 
 void Attribution::Polish(Evidence* evidence) const {
+  struct Best {
+    Evidence::VariantValues at;
+    double gain = 0.0;
+  };
+  std::map<int, Best> best;
   for (int round = 0; round < kPolishes && !GivesUp(); ++round) {
-    std::map<int, EffectFit> fits;
+    std::map<int, Evidence::VariantValues> steps;
     const double declared = evidence->Solve({}).log_evidence;
-    for (int v = 0; v < static_cast<int>(evidence->variants().size()); ++v) {
-      const EffectVariant& variant = evidence->variants()[v];
-      if (variant.offset < 0 && variant.candidate.start.empty()) continue;
-      EffectFit fit = evidence->Solve({v});
-      if (round >= kFirstPolishes && fit.log_evidence <= declared) continue;
-      if (round == 0 || evidence->StepInSigmas(v, fit) > kPolished) fits[v] = std::move(fit);
+    for (const int v : Nonlinear(*evidence)) {
+      const EffectFit fit = evidence->Solve({v});
+      const double claimed = fit.log_evidence - declared;
+      if (round >= kFirstPolishes && claimed <= 0.0) continue;
+      const double gain = evidence->LogEvidenceWhereLinearized(v) - declared;
+      if (round > 0 && gain < best[v].gain && gain < claimed) {
+        steps[v] = Halfway(evidence->LinearizedAt(v), best[v].at);
+        continue;
+      }
+      best[v] = {evidence->LinearizedAt(v), gain};
+      const bool moves = round == 0 || evidence->StepInSigmas(v, fit) > kPolished;
+      if (moves) steps[v] = evidence->FoundBy(fit, v);
     }
-    if (fits.empty()) return;
-    for (const auto& [v, fit] : fits) evidence->Relinearize(v, fit);
+    if (steps.empty()) break;
+    for (const auto& [v, at] : steps) evidence->Relinearize(v, at);
     evidence->EstimateNoise();
+  }
+  // What a fit claims beyond that relies on a model that is not linear so far away.
+  for (const int v : Nonlinear(*evidence)) {
+    const double most = evidence->LogEvidenceWhereLinearized(v);
+    const double beyond = std::max(0.0, evidence->Solve({v}).log_evidence - most);
+    evidence->SetLogPrior(v, evidence->variants()[v].log_prior - beyond);
   }
 }
 

@@ -237,24 +237,44 @@ int Evidence::Add(const EffectCandidate& candidate) {
   return static_cast<int>(variants_.size()) - 1;
 }
 
-void Evidence::Relinearize(int v, const EffectFit& fit) {
+Evidence::VariantValues Evidence::LinearizedAt(int v) const {
+  VariantValues at(flights_.size());
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    for (const int k : added_[f][static_cast<size_t>(v)].columns) {
+      const ResidualCoefficient& column = flights_[f].column(k);
+      at[f][column.name] = column.linearized_at;
+    }
+  }
+  return at;
+}
+
+Evidence::VariantValues Evidence::FoundBy(const EffectFit& fit, int v) const {
+  const EffectCandidate& candidate = variants_[static_cast<size_t>(v)].candidate;
+  VariantValues found(flights_.size());
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    for (size_t k = 0; k < fit.columns.size(); ++k) {
+      const Column& column = columns_[static_cast<size_t>(fit.columns[k])];
+      if (column.effect != candidate.effect) continue;
+      if (column.flight >= 0 && column.flight != static_cast<int>(f)) continue;
+      found[f][column.name] = fit.coefficients[static_cast<Index>(k)];
+    }
+    std::vector<ResidualCoefficient> before;
+    for (const int k : added_[f][static_cast<size_t>(v)].columns) {
+      before.push_back(flights_[f].column(k));
+    }
+    Rescale(candidate, before, &found[f]);
+  }
+  return found;
+}
+
+void Evidence::Relinearize(int v, const VariantValues& at) {
   EffectVariant& variant = variants_[static_cast<size_t>(v)];
   std::map<std::string, int> shared;
   if (variant.offset >= 0) shared["offset"] = variant.offset;
   for (size_t f = 0; f < flights_.size(); ++f) {
-    std::map<std::string, double> at;
-    for (size_t k = 0; k < fit.columns.size(); ++k) {
-      const Column& column = columns_[static_cast<size_t>(fit.columns[k])];
-      if (column.effect != variant.candidate.effect) continue;
-      if (column.flight >= 0 && column.flight != static_cast<int>(f)) continue;
-      at[column.name] = fit.coefficients[static_cast<Index>(k)];
-    }
     FlightRegression::Added& added = added_[f][static_cast<size_t>(v)];
-    std::vector<ResidualCoefficient> before_step;
-    for (const int k : added.columns) before_step.push_back(flights_[f].column(k));
-    Rescale(variant.candidate, before_step, &at);
     const int before = added.offset;
-    flights_[f].Relinearize(variant.candidate, at, &added);
+    flights_[f].Relinearize(variant.candidate, at[f], &added);
     for (const int k : added.columns) {
       columns_[static_cast<size_t>(place_[f][static_cast<size_t>(k)])].linearized_at =
           flights_[f].column(k).linearized_at;
@@ -587,6 +607,28 @@ EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& colu
 
 EffectFit Evidence::Solve(const VariantSet& set) const {
   return SolveWith(gram_, ColumnsOf(set), set);
+}
+
+double Evidence::LogEvidenceWhereLinearized(int variant) const {
+  const EffectVariant& v = variants_[static_cast<size_t>(variant)];
+  NormalEquations e = EquationsOf(gram_, ColumnsOf({}), {variant});
+  VectorXd at = VectorXd::Zero(gram_.rows());
+  double log_prior = v.log_prior;
+  for (const int k : v.columns) {
+    const Column& column = columns_[static_cast<size_t>(k)];
+    at[k] = column.linearized_at;
+    const double z = (column.linearized_at - column.prior_mean) / column.prior_sigma;
+    log_prior -= 0.5 * std::min(z * z, z * z / (kWide * kWide) - 2.0 * std::log(kStrange));
+  }
+  VectorXd u = VectorXd::Zero(gram_.rows());
+  u[num_columns()] = 1.0;
+  if (v.offset >= 0) u[v.offset] = -1.0;
+  const VectorXd gram_at = gram_ * at;
+  e.yy += at.dot(gram_at) - 2.0 * u.dot(gram_at);
+  for (size_t k = 0; k < e.columns.size(); ++k) {
+    e.Xy[static_cast<Index>(k)] -= gram_at[e.columns[k]];
+  }
+  return FitOf(e, e.sigma).log_evidence + log_prior;
 }
 
 double Evidence::GainInNats(const VariantSet& set) const {

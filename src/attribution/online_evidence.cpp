@@ -34,22 +34,34 @@ std::vector<Eigen::Index> EstimatesOf(const RankedEffect& effect, const Paramete
   return own;
 }
 
-}  // namespace
-
-std::vector<std::string> QuickEffects(const Vehicle& vehicle,
-                                      const std::vector<EffectCandidate>& candidates) {
+/// Candidates that act by the rotors' accelerations, whose signs physics gives or not.
+std::vector<std::string> FromRotorRates(const Vehicle& vehicle,
+                                        const std::vector<EffectCandidate>& candidates,
+                                        bool with_sign) {
   std::vector<std::string> names;
   for (const EffectCandidate& candidate : candidates) {
     const auto effect = EffectRegistry::Default().Make(candidate.effect, vehicle);
     const std::vector<ParameterSpec>& parameters = effect->parameters();
     const bool is_signed = std::all_of(parameters.begin(), parameters.end(),
                                        [](const auto& p) { return p.sign != PhysicalSign::kAny; });
-    if (!effect->description().from_rotor_rates || !is_signed) continue;
+    if (!effect->description().from_rotor_rates || is_signed != with_sign) continue;
     if (std::count(names.begin(), names.end(), candidate.effect) == 0) {
       names.push_back(candidate.effect);
     }
   }
   return names;
+}
+
+}  // namespace
+
+std::vector<std::string> QuickEffects(const Vehicle& vehicle,
+                                      const std::vector<EffectCandidate>& candidates) {
+  return FromRotorRates(vehicle, candidates, true);
+}
+
+std::vector<std::string> RotorTimingEffects(const Vehicle& vehicle,
+                                            const std::vector<EffectCandidate>& candidates) {
+  return FromRotorRates(vehicle, candidates, false);
 }
 
 RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& online,
@@ -86,6 +98,19 @@ RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& onl
   if (!std::isfinite(ranked.score)) ranked.score = -std::numeric_limits<double>::infinity();
   ranked.p_value = std::min(1.0, static_cast<double>(candidates) * std::exp(-ranked.score));
   return ranked;
+}
+
+void LeaveOpen(const RankedEffect& beside, RankedEffect* effect) {
+  const auto n = static_cast<Eigen::Index>(effect->parameters.size());
+  Eigen::VectorXd change(n);
+  effect->spread_of.clear();
+  for (Eigen::Index k = 0; k < n; ++k) {
+    const ParameterEstimate& p = effect->parameters[static_cast<size_t>(k)];
+    effect->spread_of.push_back(p.full_name);
+    const ParameterEstimate* other = beside.Find(p.full_name);
+    change[k] = other != nullptr ? other->value - p.value : 0.0;
+  }
+  effect->spread = change * change.transpose();
 }
 
 void AddSpread(const RankedEffect& effect, ParameterSet* online) {

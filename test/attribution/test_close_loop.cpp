@@ -181,6 +181,9 @@ TEST(CloseLoop, AsksTheEstimatorForWhatNoPastForesees) {
   EXPECT_LT(effect.p_value, 1e-6);
   const double truth = flight.truth.Find("rotor_reaction.J_r")->value;
   EXPECT_NEAR(effect.Find("rotor_reaction.J_r")->value, truth, 0.1 * truth);
+  // It was asked for beside errors of the rotors' stamps, which do nearly the same, too.
+  ASSERT_EQ(effect.spread_of, std::vector<std::string>{"rotor_reaction.J_r"});
+  EXPECT_GT(effect.spread(0, 0), 0.0);
 }
 
 // Thrust that hardly varies makes a torque that hardly varies, which the rotors' trim and other
@@ -242,6 +245,15 @@ TEST(QuickEffects, FollowRotorAccelerationsWithASignThatPhysicsGives) {
                                                    {"rotor_drag", {}, {}},
                                                    {"rotor_reaction", {}, {}}};
   EXPECT_EQ(QuickEffects(NominalVehicle(), candidates), std::vector<std::string>{"rotor_reaction"});
+  EXPECT_EQ(RotorTimingEffects(NominalVehicle(), candidates),
+            std::vector<std::string>{"rotor_delay"});
+}
+
+TEST_F(OnlineEvidence, LeavesOpenWhatErrorsOfStampsChange) {
+  RankedEffect alone = Ranked(1e-5, 1e-6), beside = Ranked(1.4e-5, 2e-6);
+  LeaveOpen(beside, &alone);
+  ASSERT_EQ(alone.spread_of, std::vector<std::string>{"rotor_reaction.J_r"});
+  EXPECT_NEAR(alone.spread(0, 0), 1.6e-11, 1e-20);
 }
 
 TEST(CloseLoop, SaysWhereGapsLeaveNothingToJudgeBy) {

@@ -45,6 +45,14 @@ struct Flown {
     const DynamicModel model(made.declared, made.declared.effects);
     return ModelPointOf(model, model.InitialValues());
   }
+  /// With the true values of what is declared.
+  ModelPoint TruePoint() const {
+    ModelPoint point = this->point();
+    for (auto& [name, value] : point.values) {
+      if (const ParameterEstimate* p = made.truth.Find(name)) value = p->value;
+    }
+    return point;
+  }
   Attribution Attribute() const {
     Attribution attribution(&residual, point(), candidates, {});
     attribution.Run();
@@ -172,7 +180,7 @@ TEST(Evidence, LinearizesAProductAgainWithoutOvershooting) {
   evidence.EstimateNoise();
   double gain = evidence.GainInNats({v});
   for (int round = 0; round < 4; ++round) {
-    evidence.Relinearize(v, evidence.Solve({v}));
+    evidence.Relinearize(v, evidence.FoundBy(evidence.Solve({v}), v));
     evidence.EstimateNoise();
     const double next = evidence.GainInNats({v});
     EXPECT_GT(next, 0.8 * gain) << round;
@@ -185,6 +193,77 @@ TEST(Evidence, LinearizesAProductAgainWithoutOvershooting) {
     const auto at = static_cast<Eigen::Index>(k);
     EXPECT_NEAR(fit.coefficients[at], flown.Truth(candidate.size),
                 4.0 * std::sqrt(fit.covariance(at, at)));
+  }
+}
+
+/// The evidence for one way to act, linearized at its start.
+struct Started {
+  Started(const Flown& flown, const EffectCandidate& candidate)
+      : instruments(flown.flight, flown.made.declared),
+        evidence({{&flown.residual, &instruments}}, flown.TruePoint()),
+        variant(evidence.Add(candidate)) {
+    evidence.EstimateNoise();
+    evidence.Relinearize(variant, {candidate.start});
+    evidence.EstimateNoise();
+  }
+  double Gain() const { return evidence.GainInNats({variant}); }
+  double GainWhereLinearized() const {
+    return evidence.LogEvidenceWhereLinearized(variant) - evidence.Solve({}).log_evidence;
+  }
+
+  Instruments instruments;
+  Evidence evidence;
+  int variant;
+};
+
+/// A small mass lost far outside: it turns the inertia over, and the wrench is no linear function
+/// of its place there.
+EffectCandidate MassLostFarOutside(const Vehicle& vehicle, double arms) {
+  EffectCandidate candidate;
+  candidate.effect = "mass_change";
+  candidate.size = "mass_change.mass";
+  candidate.settings = {{"mass_change.from", 0.0}};
+  candidate.bounds = {{candidate.size, {-0.9 * vehicle.mass_kg, -1e-3 * vehicle.mass_kg}}};
+  const double out = arms * vehicle.ArmLength();
+  candidate.start = {{candidate.size, -0.01 * vehicle.mass_kg},
+                     {"mass_change.x", out},
+                     {"mass_change.y", 0.0},
+                     {"mass_change.z", out}};
+  return candidate;
+}
+
+TEST(Evidence, KnowsWhatTheModelDoesWhereItIsLinearized) {
+  const Flown flown("products_of_inertia", 0.7, "aggressive", 2, 4501);
+  EffectCandidate candidate;
+  candidate.effect = "products_of_inertia";
+  for (const std::string axes : {"xy", "xz", "yz"}) {
+    const std::string name = candidate.effect + "." + axes;
+    candidate.start[name] = flown.Truth(name);
+  }
+  const Started right(flown, candidate);
+  EXPECT_GT(right.Gain(), 100.0);
+  EXPECT_GT(right.GainWhereLinearized(), right.Gain());  // nothing is unknown there
+  EXPECT_LT(right.GainWhereLinearized(), right.Gain() + 30.0);
+  for (auto& value : candidate.start) value.second *= -1.0;
+  const Started wrong(flown, candidate);
+  EXPECT_GT(wrong.Gain(), 100.0);
+  EXPECT_LT(wrong.GainWhereLinearized(), -100.0);
+}
+
+TEST(FittedSettings, StepsThatTheModelDoesNotBearOutAreTakenBack) {
+  const Flown flown("products_of_inertia", 0.7, "aggressive", 2, 4501);
+  for (const double arms : {1.0, 4.0}) {
+    const EffectCandidate candidate = MassLostFarOutside(flown.made.declared, arms);
+    const Started started(flown, candidate);
+    EXPECT_GT(started.Gain(), started.GainWhereLinearized() + 100.0) << arms;
+    Attribution attribution(&flown.residual, flown.point(),
+                            {candidate, {"products_of_inertia", {}, {}}}, {});
+    attribution.Run();
+    // As a load outside it turns the axes of inertia, too.
+    for (const RankedEffect& effect : attribution.ranking()) {
+      EXPECT_GT(effect.score, 50.0) << effect.name << " " << arms;
+    }
+    EXPECT_NE(Named(attribution, "products_of_inertia"), nullptr) << arms;
   }
 }
 

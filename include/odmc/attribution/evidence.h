@@ -91,10 +91,21 @@ class Evidence {
   /// Adds a way for an effect to act, linearized about zero or, for what must not be zero, the
   /// catalogue's value. @returns its number, -1 if it does nothing on these flights
   int Add(const EffectCandidate& candidate);
-  /// Linearizes a variant anew, about what a fit finds of it.
-  void Relinearize(int variant, const EffectFit& fit);
+  /// Values of a variant's coefficients by name, of each flight.
+  using VariantValues = std::vector<std::map<std::string, double>>;
+  /// Where a variant is linearized.
+  VariantValues LinearizedAt(int variant) const;
+  /// Where a fit finds a variant, within its bounds and what is likely.
+  VariantValues FoundBy(const EffectFit& fit, int variant) const;
+  /// Linearizes a variant anew.
+  void Relinearize(int variant, const VariantValues& at);
   /// How far what a fit finds of a variant is from where that is linearized, at most [sigma].
   double StepInSigmas(int variant, const EffectFit& fit) const;
+  /// Logarithm of the evidence for a variant with the coefficients, and their prior density, where
+  /// it is linearized: there the linearization is what the model does. About a maximum a fit's
+  /// evidence is less, by the volume that its coefficients leave open; if it is more, the fit relies
+  /// on a model that is not linear so far away.
+  double LogEvidenceWhereLinearized(int variant) const;
   void SetLogPrior(int variant, double log_prior) { variants_[variant].log_prior = log_prior; }
 
   /// Estimates each flight's noise, see FlightRegression::EstimateNoise(). To be called before

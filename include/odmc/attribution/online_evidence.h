@@ -20,6 +20,13 @@ namespace odmc {
 std::vector<std::string> QuickEffects(const Vehicle& vehicle,
                                       const std::vector<EffectCandidate>& candidates);
 
+/// Candidates of rotor accelerations whose sign physics does not give: errors of the time stamps of
+/// rotor speeds. About yaw, rotor speeds late by dt do what rotors of inertia 2 k_m Omega dt do, so
+/// what QuickEffects() names has to show beside them.
+/// @returns their names, each once
+std::vector<std::string> RotorTimingEffects(const Vehicle& vehicle,
+                                            const std::vector<EffectCandidate>& candidates);
+
 /// The case for an effect by an online estimate of the model that has it: gain of log evidence is
 /// the density of its parameters at zero a priori over the same a posteriori (Savage's ratio;
 /// Dickey, Ann. Math. Stat. 42, 1971), both normal, and what the signs say.
@@ -27,6 +34,11 @@ std::vector<std::string> QuickEffects(const Vehicle& vehicle,
 /// @returns minus infinity for a score where the estimate says nothing of it
 RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& online,
                               const DynamicModel& model, size_t candidates);
+
+/// Adds to what an effect's own coefficients leave open (RankedEffect::spread) how they change in a
+/// model that can do the same by other means.
+/// @param beside the effect in that model, with the same coefficients
+void LeaveOpen(const RankedEffect& beside, RankedEffect* effect);
 
 /// The online model holds an effect's settings, such as a cable's length, as if they were known,
 /// and knows one valley. Adds what the fit leaves open (RankedEffect::spread) to an online
