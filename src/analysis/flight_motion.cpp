@@ -15,6 +15,8 @@ using Eigen::Vector3d;
 
 constexpr double kFilterWidth_s = 0.1;
 constexpr double kLeastStand_s = 0.5;
+constexpr double kPositionError_m = 0.02;  // three sigma of what odometry or motion capture drifts
+constexpr double kFliesThere = 0.1;        // share of the flight
 
 /// Rows of the matrix of filtered channels.
 enum Channel : int {
@@ -263,6 +265,38 @@ std::optional<double> StandingHeight(const FlightLog& log, const std::vector<Pha
   const size_t tail = heights.size() / 20;
   if (heights[heights.size() - 1 - tail] - heights[tail] > within_m) return std::nullopt;
   return heights[heights.size() / 2];
+}
+
+void AddGroundTouches(const FlightLog& log, const std::vector<PhaseSpan>& phases,
+                      const Vehicle& vehicle, std::vector<std::pair<Stamp, Stamp>>* left_out) {
+  const auto stood_z = StandingHeight(log, phases, vehicle.rotors.front().radius_m);
+  if (!stood_z) return;
+  const Eigen::Quaterniond q_SB = vehicle.odometry.q_BS.conjugate();
+  const double reach = vehicle.ArmLength() + vehicle.odometry.p_BS.norm();
+  const Stamp window = FromSeconds(kFilterWidth_s);
+  std::vector<std::pair<Stamp, Stamp>> touches;
+  double low_s = 0.0, flown_s = 0.0;
+  auto next = log.odometry.begin();
+  for (const PhaseSpan& span : phases) {
+    if (!Teaches(span.phase)) continue;
+    flown_s += ToSeconds(span.to - span.from);
+    while (next != log.odometry.end() && next->stamp < span.from) ++next;
+    for (; next != log.odometry.end() && next->stamp <= span.to; ++next) {
+      const Vector3d up_B = (next->q_WS * q_SB).conjugate() * Vector3d::UnitZ();
+      const double lean = up_B.head<2>().norm();
+      if (std::abs(next->p_WS.z() - *stood_z) > kPositionError_m + reach * lean) continue;
+      const Stamp from = next->stamp - window, to = next->stamp + window;
+      if (!touches.empty() && from <= touches.back().second) {
+        low_s += ToSeconds(to - touches.back().second);
+        touches.back().second = to;
+      } else {
+        low_s += ToSeconds(to - from);
+        touches.emplace_back(from, to);
+      }
+    }
+  }
+  if (low_s > kFliesThere * flown_s) return;
+  left_out->insert(left_out->end(), touches.begin(), touches.end());
 }
 
 Vector3d LoadPuller::PullAt(const FilteredMotion& now, const ModelValues& values) {

@@ -339,7 +339,9 @@ void LoopSession::Calibrate() {
 }
 
 bool LoopSession::HasFlight() {
-  FlightMotion motion = FilterFlight(log_, file_vehicle_.num_rotors(), NotLookedAt(before_.replay));
+  std::vector<std::pair<Stamp, Stamp>> left_out = NotLookedAt(before_.replay);
+  AddGroundTouches(log_, before_.replay.phases, file_vehicle_, &left_out);
+  FlightMotion motion = FilterFlight(log_, file_vehicle_.num_rotors(), left_out);
   motion.stood_z_m =
       StandingHeight(log_, before_.replay.phases, file_vehicle_.rotors.front().radius_m);
   flight_ = std::make_unique<ThinnedFlight>(std::move(motion), options_.blocks,

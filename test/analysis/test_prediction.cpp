@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -292,6 +293,58 @@ TEST(StandingHeight, IsUnknownInFlightForAMomentAndAtTwoHeights) {
   std::fill(two.begin() + 10, two.end(), 0.75);
   const auto [table, on_table] = At(two, FlightPhase::kOnGround);
   EXPECT_FALSE(StandingHeight(table, on_table, 0.05));
+}
+
+/// Stands at 0.25 m for a second, and flies at 1 m for nine.
+class GroundTouches : public testing::Test {
+ protected:
+  GroundTouches() {
+    std::tie(log_, phases_) = At(std::vector<double>(100, 1.0), FlightPhase::kFlying);
+    for (int i = 0; i < 10; ++i) Height(i) = 0.25;
+    phases_.front().from = log_.odometry[10].stamp;
+    PhaseSpan stands;
+    stands.phase = FlightPhase::kIdling;
+    stands.to = log_.odometry[9].stamp;
+    phases_.insert(phases_.begin(), stands);
+  }
+
+  double& Height(size_t i) { return log_.odometry[i].p_WS.z(); }
+  std::vector<std::pair<Stamp, Stamp>> LeftOut() const {
+    std::vector<std::pair<Stamp, Stamp>> left_out;
+    AddGroundTouches(log_, phases_, vehicle_, &left_out);
+    return left_out;
+  }
+
+  const Vehicle vehicle_ = test::NominalVehicle();
+  FlightLog log_;
+  std::vector<PhaseSpan> phases_;
+};
+
+TEST_F(GroundTouches, AreWhereTheVehicleIsAsLowAsItStood) {
+  EXPECT_TRUE(LeftOut().empty());
+  Height(50) = Height(51) = 0.26;
+  const auto left_out = LeftOut();
+  ASSERT_EQ(left_out.size(), 1u);
+  EXPECT_EQ(left_out[0].first, FromSeconds(4.9));  // a filter window of 0.1 s before and after
+  EXPECT_EQ(left_out[0].second, FromSeconds(5.2));
+}
+
+TEST_F(GroundTouches, AreHigherForAVehicleThatLeans) {
+  const double reach = vehicle_.ArmLength() + vehicle_.odometry.p_BS.norm();
+  Height(50) = 0.25 + 0.5 * reach;
+  EXPECT_TRUE(LeftOut().empty());
+  log_.odometry[50].q_WS = Exp(Vector3d(0.0, 0.6, 0.0)) * vehicle_.odometry.q_BS;
+  EXPECT_EQ(LeftOut().size(), 1u);
+  // Far below the ground that it stood on is other ground.
+  Height(50) = 0.25 - 1.5 * reach;
+  EXPECT_TRUE(LeftOut().empty());
+}
+
+TEST_F(GroundTouches, AreNoneWhereTheVehicleFliesAtThatHeight) {
+  for (size_t i = 40; i < 60; ++i) Height(i) = 0.26;
+  EXPECT_TRUE(LeftOut().empty());
+  for (size_t i = 42; i < 60; ++i) Height(i) = 1.0;
+  EXPECT_EQ(LeftOut().size(), 1u);
 }
 
 TEST(PredictLeftOut, PredictsABlockWithWhatTheOthersShow) {
