@@ -1,15 +1,11 @@
 #include "odmc/attribution/close_loop.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
-#include <cmath>
-#include <limits>
 #include <map>
 #include <memory>
 #include <numeric>
 #include <optional>
 #include <stdexcept>
-#include <tuple>
 
 #include "odmc/analysis/calibration.h"
 #include "odmc/attribution/candidates.h"
@@ -17,6 +13,7 @@
 #include "odmc/attribution/online_evidence.h"
 #include "odmc/attribution/online_pass.h"
 #include "odmc/attribution/structure.h"
+#include "odmc/attribution/unexplained.h"
 #include "odmc/model/plausibility.h"
 #include "odmc/text/format.h"
 
@@ -24,81 +21,6 @@ namespace odmc {
 namespace {
 
 constexpr int kLeastSamples = 50;  // to look for effects in
-
-/// Mean force that the model does not give over phases [from, to), over the weight.
-double MissingForce(std::vector<PhaseSpan>::const_iterator from,
-                    std::vector<PhaseSpan>::const_iterator to, bool flying_only) {
-  double sum = 0.0, duration_s = 0.0;
-  for (auto span = from; span != to; ++span) {
-    if (flying_only && span->phase != FlightPhase::kFlying) continue;
-    const double dt = ToSeconds(span->to - span->from);
-    sum += dt * span->missing_force;
-    duration_s += dt;
-  }
-  return duration_s > 0.0 ? sum / duration_s : 0.0;
-}
-
-/// "a force of 0.36 of the weight acts from 2.81 to 3.74 s ...": the first contact between two
-/// stretches of flight, at which attribution does not look; empty without one.
-std::string PushInFlight(const ReplayResult& replay, Stamp zero) {
-  constexpr double kFlight_s = 1.0;
-  constexpr double kOverNoise = 3.0;         // a normal vector's norm is more once in 24,000 times
-  if (replay.counters.jumps > 0) return "";  // the odometry's, as likely
-  const auto& phases = replay.phases;
-  const auto is_flight = [](const PhaseSpan& span) {
-    return span.phase == FlightPhase::kFlying && ToSeconds(span.to - span.from) >= kFlight_s;
-  };
-  const double noise = MissingForce(phases.begin(), phases.end(), true);
-  auto before = std::find_if(phases.begin(), phases.end(), is_flight);
-  while (before != phases.end()) {
-    const auto from = before + 1, after = std::find_if(from, phases.end(), is_flight);
-    if (after == phases.end()) break;
-    const bool touches = std::any_of(
-        from, after, [](const PhaseSpan& span) { return span.phase == FlightPhase::kInContact; });
-    const double missing = MissingForce(from, after, false);
-    if (touches && missing > kOverNoise * noise) {
-      return Format(
-          "a force of %.2f of the weight acts from %.2f to %.2f s, which the estimator "
-          "takes for contact: nothing was looked at there",
-          missing, ToSeconds(from->from - zero), ToSeconds(after->from - zero));
-    }
-    before = after;
-  }
-  return "";
-}
-
-std::string Where(const std::vector<ChannelStructure>& structure, const ThinnedFlight& flight,
-                  const ResidualModel::Wrenches& residual, const AttributionOptions& options) {
-  if (structure.empty()) return "";
-  const auto rank = [&](const ChannelStructure& channel) {
-    return std::make_tuple(IsSensorNoise(channel, options), channel.whiteness.p,
-                           -channel.whiteness.structured_share);
-  };
-  const auto worst = std::min_element(structure.begin(), structure.end(),
-                                      [&](auto& a, auto& b) { return rank(a) < rank(b); });
-  const auto c = static_cast<Eigen::Index>(worst - structure.begin());
-  std::map<int, std::pair<double, int>> power;
-  for (int i = 0; i < flight.size(); ++i) {
-    power[flight.block(i)].first += residual(i, c) * residual(i, c);
-    ++power[flight.block(i)].second;
-  }
-  int block = 0;
-  double most = 0.0;
-  for (const auto& [b, sum] : power) {
-    if (sum.first / sum.second > most) {
-      most = sum.first / sum.second;
-      block = b;
-    }
-  }
-  const auto quantity = std::max_element(worst->dependence.begin(), worst->dependence.end(),
-                                         [](auto& a, auto& b) { return a.second < b.second; });
-  std::string text =
-      worst->name + ", strongest near " + Rounded(worst->whiteness.peak_Hz) + " Hz and in ";
-  text += "block " + std::to_string(block) + " (RMS " + Rounded(std::sqrt(most)) + " " +
-          worst->unit + ")";
-  return text + "; of the quantities it lines up best with " + quantity->first + " (" +
-         Rounded(100.0 * quantity->second) + " % of its variance)";
-}
 
 bool HasEffect(const std::vector<RankedEffect>& effects, const std::string& name) {
   return std::any_of(effects.begin(), effects.end(),
@@ -110,55 +32,6 @@ bool CanBlow(const Vehicle& vehicle, const std::vector<RankedEffect>& effects) {
   const bool has =
       std::find(vehicle.effects.begin(), vehicle.effects.end(), "gust") != vehicle.effects.end();
   return !has && !HasEffect(effects, "gust");
-}
-
-/// Smallest and largest ratio of errors, after over before, of any axis; 1 where there is none.
-struct Ratios {
-  double least = 1.0, largest = 1.0;
-};
-
-/// @param felt true if the force that an accelerometer feels counts, too (a velocity's derivative
-/// may be mostly noise)
-Ratios RatiosOf(const PredictionFigures& before, const PredictionFigures& after,
-                bool felt = false) {
-  Ratios ratios;
-  for (const auto axes : {&PredictionFigures::force_rmse_N, &PredictionFigures::torque_rmse_Nm,
-                          &PredictionFigures::accelerometer_force_rmse_N}) {
-    if (axes == &PredictionFigures::accelerometer_force_rmse_N && !felt) continue;
-    if (!(before.*axes) || !(after.*axes)) continue;
-    for (int k = 0; k < 3; ++k) {
-      const double ratio = (*(after.*axes))[k] / std::max(1e-300, (*(before.*axes))[k]);
-      ratios.least = std::min(ratios.least, ratio);
-      ratios.largest = std::max(ratios.largest, ratio);
-    }
-  }
-  return ratios;
-}
-
-/// Mean logarithm of the errors of force and angular acceleration.
-double LogError(const PredictionFigures& figures) {
-  double sum = 0.0;
-  int axes = 0;
-  for (const auto of :
-       {&PredictionFigures::force_rmse_N, &PredictionFigures::angular_acceleration_rmse_rad_s2}) {
-    if (!(figures.*of)) continue;
-    for (const double error : *(figures.*of)) {
-      sum += std::log(std::max(1e-300, error));
-      ++axes;
-    }
-  }
-  return sum / std::max(1, axes);
-}
-
-/// True if the online estimate of an effect lies further from the fit than both sigmas explain.
-bool Strays(const RankedEffect& effect, const ParameterSet& online) {
-  constexpr double kSigmas = 3.0;
-  return std::any_of(
-      effect.parameters.begin(), effect.parameters.end(), [&](const ParameterEstimate& p) {
-        const ParameterEstimate* there = online.Find(p.full_name);
-        if (!p.estimated || !p.observable || there == nullptr || !there->estimated) return false;
-        return std::abs(there->value - p.value) > kSigmas * std::hypot(there->sigma, p.sigma);
-      });
 }
 
 FlightFigures FlownFlight(const FlightLog& log, const ReplayResult& replay) {
@@ -479,7 +352,7 @@ void LoopSession::DropUnexplained() {
 void LoopSession::DropIdle() {
   const Vehicle extended = VehicleWithEffects(effects_);
   const DynamicModel model(extended, extended.effects);
-  const Ratios ratios = RatiosOf(before_.held_out, after_->held_out, true);
+  const ErrorRatios ratios = RatiosOf(before_.held_out, after_->held_out, true);
   const bool predicts = ratios.least < options_.attribution.least_ratio;
   const bool ruins = ratios.largest > 1.0 / options_.attribution.telling_ratio;
   // What speaks for it is the fit's; where the estimate contradicts the fit by more than that, it
@@ -570,9 +443,10 @@ void LoopSession::AskOnlineFor(const std::string& name) {
   if (const auto beside = BesideRotorTiming(with)) {
     if (!(beside->p_value < options_.attribution.false_alarm_rate)) {
       if (ranked == nullptr) return;
-      ranked->remarks.push_back("not named: rotor speeds stamped late or early do the same; beside "
-                                "that, chance may gain as much in " +
-                                Rounded(100.0 * beside->p_value) + " % of such flights");
+      ranked->remarks.push_back(
+          "not named: rotor speeds stamped late or early do the same; beside "
+          "that, chance may gain as much in " +
+          Rounded(100.0 * beside->p_value) + " % of such flights");
       return;
     }
     LeaveOpen(*beside, &asked);
@@ -652,8 +526,8 @@ void LoopSession::Conclude() {
     NoteRest();
   } else if (structured_) {
     result_.verdict = Verdict::kUnexplained;
-    result_.where =
-        Where(result_.structure, *flight_, attribution_->residual_before(), options_.attribution);
+    result_.where = WhereStructured(result_.structure, *flight_, attribution_->residual_before(),
+                                    options_.attribution);
   } else if (judged_ && attribution_->flexible().nats() > 0.0) {
     result_.verdict = Verdict::kUnexplained;
     result_.where = attribution_->flexible().first + "; functions of the state gain " +

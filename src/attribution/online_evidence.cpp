@@ -145,6 +145,16 @@ bool IsThere(const RankedEffect& effect, const ParameterSet& online, const Dynam
   return IsSignificant(estimate, online.covariance(own, own), options.significant_sigmas);
 }
 
+bool Strays(const RankedEffect& effect, const ParameterSet& online) {
+  constexpr double kSigmas = 3.0;
+  return std::any_of(
+      effect.parameters.begin(), effect.parameters.end(), [&](const ParameterEstimate& p) {
+        const ParameterEstimate* there = online.Find(p.full_name);
+        if (!p.estimated || !p.observable || there == nullptr || !there->estimated) return false;
+        return std::abs(there->value - p.value) > kSigmas * std::hypot(there->sigma, p.sigma);
+      });
+}
+
 std::string EstimatesText(const RankedEffect& effect, const ParameterSet& online,
                           const DynamicModel& model) {
   std::string text;

@@ -1,5 +1,8 @@
 #include "odmc/attribution/online_pass.h"
 
+#include <algorithm>
+#include <cmath>
+
 #include "odmc/attribution/gust_case.h"
 #include "odmc/estimator/estimator.h"
 
@@ -35,6 +38,35 @@ std::optional<OnlinePass> RunOnline(const FlightLog& log, const Vehicle& file_ve
               });
   pass.held_out = SummarisePrediction(unseen, with_torque, file_vehicle, model, values);
   return pass;
+}
+
+ErrorRatios RatiosOf(const PredictionFigures& before, const PredictionFigures& after, bool felt) {
+  ErrorRatios ratios;
+  for (const auto axes : {&PredictionFigures::force_rmse_N, &PredictionFigures::torque_rmse_Nm,
+                          &PredictionFigures::accelerometer_force_rmse_N}) {
+    if (axes == &PredictionFigures::accelerometer_force_rmse_N && !felt) continue;
+    if (!(before.*axes) || !(after.*axes)) continue;
+    for (int k = 0; k < 3; ++k) {
+      const double ratio = (*(after.*axes))[k] / std::max(1e-300, (*(before.*axes))[k]);
+      ratios.least = std::min(ratios.least, ratio);
+      ratios.largest = std::max(ratios.largest, ratio);
+    }
+  }
+  return ratios;
+}
+
+double LogError(const PredictionFigures& figures) {
+  double sum = 0.0;
+  int axes = 0;
+  for (const auto of :
+       {&PredictionFigures::force_rmse_N, &PredictionFigures::angular_acceleration_rmse_rad_s2}) {
+    if (!(figures.*of)) continue;
+    for (const double error : *(figures.*of)) {
+      sum += std::log(std::max(1e-300, error));
+      ++axes;
+    }
+  }
+  return sum / std::max(1, axes);
 }
 
 }  // namespace odmc

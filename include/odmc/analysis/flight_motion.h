@@ -55,10 +55,10 @@ FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
 std::optional<double> StandingHeight(const FlightLog& log, const std::vector<PhaseSpan>& phases,
                                      double within_m);
 
-/// Adds to what is left out the spans of flight in which a vehicle may touch the ground it stands on
-/// (StandingHeight()): no higher than its arms reach down as it leans, and 2 cm for errors of the
-/// position; a filter window more on either side. None where that is more than a tenth of the time
-/// in the air: what flies there for so long does not touch anything.
+/// Adds to what is left out the spans of flight in which a vehicle may touch the ground it stands
+/// on (StandingHeight()): no higher than its arms reach down as it leans, and 2 cm for errors of
+/// the position; a filter window more on either side. None where that is more than a tenth of the
+/// time in the air: what flies there for so long does not touch anything.
 void AddGroundTouches(const FlightLog& log, const std::vector<PhaseSpan>& phases,
                       const Vehicle& vehicle, std::vector<std::pair<Stamp, Stamp>>* left_out);
 

@@ -103,8 +103,8 @@ class Evidence {
   double StepInSigmas(int variant, const EffectFit& fit) const;
   /// Logarithm of the evidence for a variant with the coefficients, and their prior density, where
   /// it is linearized: there the linearization is what the model does. About a maximum a fit's
-  /// evidence is less, by the volume that its coefficients leave open; if it is more, the fit relies
-  /// on a model that is not linear so far away.
+  /// evidence is less, by the volume that its coefficients leave open; if it is more, the fit
+  /// relies on a model that is not linear so far away.
   double LogEvidenceWhereLinearized(int variant) const;
   void SetLogPrior(int variant, double log_prior) { variants_[variant].log_prior = log_prior; }
 

@@ -50,6 +50,9 @@ void AddSpread(const RankedEffect& effect, ParameterSet* online);
 bool IsThere(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model,
              const AttributionOptions& options);
 
+/// True if the online estimate of an effect lies further from the fit than both sigmas explain.
+bool Strays(const RankedEffect& effect, const ParameterSet& online);
+
 /// What the online run says of an effect, " name = value +- sigma, ...".
 std::string EstimatesText(const RankedEffect& effect, const ParameterSet& online,
                           const DynamicModel& model);

@@ -30,6 +30,19 @@ struct OnlinePass {
   PredictionFigures held_out;  ///< on blocks held out
 };
 
+/// Smallest and largest ratio of errors, after over before, of any axis; 1 where there is none.
+struct ErrorRatios {
+  double least = 1.0, largest = 1.0;
+};
+
+/// @param felt true if the force that an accelerometer feels counts, too (a velocity's derivative
+/// may be mostly noise)
+ErrorRatios RatiosOf(const PredictionFigures& before, const PredictionFigures& after,
+                     bool felt = false);
+
+/// Mean logarithm of the errors of force and angular acceleration.
+double LogError(const PredictionFigures& figures);
+
 /// @param file_vehicle the vehicle file as it is: measured forces and torques come from it
 /// @param progress gets the share done
 /// @returns nothing if the vehicle never flies as the model has it
