@@ -255,12 +255,7 @@ void Attribution::Polish(Evidence* evidence) const {
     for (const auto& [v, at] : steps) evidence->Relinearize(v, at);
     evidence->EstimateNoise();
   }
-  // What a fit claims beyond that relies on a model that is not linear so far away.
-  for (const int v : Nonlinear(*evidence)) {
-    const double most = evidence->LogEvidenceWhereLinearized(v);
-    const double beyond = std::max(0.0, evidence->Solve({v}).log_evidence - most);
-    evidence->SetLogPrior(v, evidence->variants()[v].log_prior - beyond);
-  }
+  for (const int v : Nonlinear(*evidence)) evidence->CountWhatIsBorneOut(v);
 }
 
 double Attribution::NullGain(double share) const {
@@ -333,6 +328,10 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
     } else if (std::abs(value - spec.prior_value) > 4.0 * spec.prior_sigma) {
       ranked.remarks.push_back(column.name + " = " + Rounded(value) + " is strangely large");
     }
+  }
+  if (v.not_borne_out > options_.clear_odds) {
+    ranked.remarks.push_back("a linear fit claims " + Rounded(v.not_borne_out) +
+                             " nats more, which the model does not bear out");
   }
   for (const auto& [name, value] : v.candidate.settings) {
     const int k = model.IndexOf(name);

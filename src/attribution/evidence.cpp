@@ -631,6 +631,14 @@ double Evidence::LogEvidenceWhereLinearized(int variant) const {
   return FitOf(e, e.sigma).log_evidence + log_prior;
 }
 
+void Evidence::CountWhatIsBorneOut(int variant) {
+  EffectVariant& v = variants_[static_cast<size_t>(variant)];
+  const double beyond = Solve({variant}).log_evidence - LogEvidenceWhereLinearized(variant);
+  if (!(beyond > 0.0)) return;
+  v.not_borne_out += beyond;
+  v.log_prior -= beyond;
+}
+
 double Evidence::GainInNats(const VariantSet& set) const {
   return Solve(set).log_evidence - Solve({}).log_evidence;
 }

@@ -98,7 +98,9 @@ TEST(MeasuredCrazyflie, NamesNoWindOfASecondValley) {
   const auto wind = std::find_if(loop.ranking.begin(), loop.ranking.end(),
                                  [](const RankedEffect& ranked) { return ranked.name == "wind"; });
   ASSERT_NE(wind, loop.ranking.end());
-  EXPECT_TRUE(!wind->remarks.empty() || Warns(loop, "wind gains")) << CloseLoopTable(loop);
+  const bool gains_nothing = wind->p_value > AttributionOptions().false_alarm_rate;
+  EXPECT_TRUE(gains_nothing || !wind->remarks.empty() || Warns(loop, "wind gains"))
+      << CloseLoopTable(loop);
 }
 
 }  // namespace

@@ -21,8 +21,9 @@ struct EffectVariant {
   /// Columns of its parameters, in the order of Evidence's columns. The coefficient of a column is
   /// the parameter itself, not a step.
   std::vector<int> columns;
-  int offset = -1;         ///< column of what it does beyond its linearization; -1: nothing
-  double log_prior = 0.0;  ///< of its settings among those of the effect's candidates
+  int offset = -1;             ///< column of what it does beyond its linearization; -1: nothing
+  double log_prior = 0.0;      ///< of its settings among those of the effect's candidates
+  double not_borne_out = 0.0;  ///< what of its evidence does not count, see Evidence [nats]
 };
 
 /// Variants that act together, by their numbers in Evidence; of an effect at most one.
@@ -106,6 +107,9 @@ class Evidence {
   /// evidence is less, by the volume that its coefficients leave open; if it is more, the fit
   /// relies on a model that is not linear so far away.
   double LogEvidenceWhereLinearized(int variant) const;
+  /// What a fit claims for a variant beyond LogEvidenceWhereLinearized() does not count from here
+  /// on.
+  void CountWhatIsBorneOut(int variant);
   void SetLogPrior(int variant, double log_prior) { variants_[variant].log_prior = log_prior; }
 
   /// Estimates each flight's noise, see FlightRegression::EstimateNoise(). To be called before
