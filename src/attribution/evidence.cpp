@@ -519,15 +519,19 @@ struct Evidence::NormalEquations {
   VectorXd mean, sigma;  // of the priors
 };
 
-Evidence::NormalEquations Evidence::EquationsOf(const MatrixXd& gram,
-                                                const std::vector<int>& columns,
-                                                const VariantSet& set) const {
-  // The residual without what the variants do beyond their linearization.
-  VectorXd u = VectorXd::Zero(gram.rows());
+VectorXd Evidence::WithoutOffsets(const VariantSet& set) const {
+  VectorXd u = VectorXd::Zero(num_columns() + 1);
   u[num_columns()] = 1.0;
   for (const int v : set) {
     if (variants_[v].offset >= 0) u[variants_[v].offset] = -1.0;
   }
+  return u;
+}
+
+Evidence::NormalEquations Evidence::EquationsOf(const MatrixXd& gram,
+                                                const std::vector<int>& columns,
+                                                const VariantSet& set) const {
+  const VectorXd u = WithoutOffsets(set);
   const VectorXd gram_u = gram * u;
   const auto n = static_cast<Index>(columns.size());
   NormalEquations e;
@@ -620,11 +624,8 @@ double Evidence::LogEvidenceWhereLinearized(int variant) const {
     const double z = (column.linearized_at - column.prior_mean) / column.prior_sigma;
     log_prior -= 0.5 * std::min(z * z, z * z / (kWide * kWide) - 2.0 * std::log(kStrange));
   }
-  VectorXd u = VectorXd::Zero(gram_.rows());
-  u[num_columns()] = 1.0;
-  if (v.offset >= 0) u[v.offset] = -1.0;
   const VectorXd gram_at = gram_ * at;
-  e.yy += at.dot(gram_at) - 2.0 * u.dot(gram_at);
+  e.yy += at.dot(gram_at) - 2.0 * WithoutOffsets({variant}).dot(gram_at);
   for (size_t k = 0; k < e.columns.size(); ++k) {
     e.Xy[static_cast<Index>(k)] -= gram_at[e.columns[k]];
   }

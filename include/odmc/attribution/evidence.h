@@ -23,7 +23,7 @@ struct EffectVariant {
   std::vector<int> columns;
   int offset = -1;             ///< column of what it does beyond its linearization; -1: nothing
   double log_prior = 0.0;      ///< of its settings among those of the effect's candidates
-  double not_borne_out = 0.0;  ///< what of its evidence does not count, see Evidence [nats]
+  double not_borne_out = 0.0;  ///< Evidence::CountWhatIsBorneOut() [nats]
 };
 
 /// Variants that act together, by their numbers in Evidence; of an effect at most one.
@@ -205,6 +205,9 @@ class Evidence {
   EffectFit SolveWith(const Eigen::MatrixXd& gram, const std::vector<int>& columns,
                       const VariantSet& set) const;
   struct NormalEquations;
+  /// Coefficients of all columns and of y that make the residual without what variants do beyond
+  /// their linearization.
+  Eigen::VectorXd WithoutOffsets(const VariantSet& set) const;
   NormalEquations EquationsOf(const Eigen::MatrixXd& gram, const std::vector<int>& columns,
                               const VariantSet& set) const;
   /// Its evidence without what is known of the set before.
