@@ -627,6 +627,9 @@ std::vector<ResidualModel::Wrenches> Attribution::Refit(ModelPoint* point) const
     constexpr double kSettled = 0.1;  // sigmas
     if (moved < kSettled) break;
   }
+  for (size_t f = 0; f < residuals.size(); ++f) {
+    residuals[f] = flights_[f].residual->AsFelt(std::move(residuals[f]));
+  }
   return residuals;
 }
 

@@ -233,6 +233,7 @@ void LoopSession::Attribute() {
   residual_ = std::make_unique<ResidualModel>(flight_.get(), &file_vehicle_, !log_.rotor_rms_only);
   candidates_ = Without(CandidatesFor(vehicle_, flight_->motion()), options_.ruled_out);
   const ModelValues& values = before_.replay.last->values;
+  residual_->BlendForces(declared_, values);
   attribution_ = std::make_unique<Attribution>(residual_.get(), ModelPointOf(declared_, values),
                                                candidates_, options_.attribution);
   attribution_->Run();
@@ -244,7 +245,8 @@ void LoopSession::Attribute() {
   const int channels = residual_->num_channels();
   result_.structure = LessStructured(
       StructureByChannel(*flight_, before, channels, again_),
-      StructureByChannel(*flight_, residual_->Residual(declared_, values), channels, again_));
+      StructureByChannel(*flight_, residual_->AsFelt(residual_->Residual(declared_, values)),
+                         channels, again_));
   structured_ = Summarise(options_.attribution, &result_);
   const std::vector<std::vector<double>> runs = flight_->Runs(before.col(0));
   judged_ = std::any_of(runs.begin(), runs.end(),

@@ -23,7 +23,6 @@ constexpr NoiseRounds kFirstNoise = {3, 3};
 constexpr NoiseRounds kMoreColumns = {1, 2};
 constexpr NoiseRounds kMovedColumns = {0, 1};
 constexpr Index kMostDraws = 32;     // of the fit, for an expectation: its sums to some per cent
-constexpr double kAveraged = 40.0;   // values of which a spectrum's ordinate is the mean: to 22 %
 constexpr double kWildSigmas = 5.0;  // innovations beyond count as this many
 constexpr double kBias_m_s2 = 0.3;   // of an accelerometer
 constexpr int kFolds = Instruments::kFolds;
@@ -86,8 +85,9 @@ FlightRegression::FlightRegression(const ResidualModel* residual, const Instrume
               residual->num_channels() == kNumChannels),
       point_(point),
       num_channels_(residual->num_channels()) {
-  rows_ = RowsOf(residual->flight(), *instruments, false, kOrder);
-  held_out_rows_ = RowsOf(residual->flight(), *instruments, true, kOrder);
+  likely_.BlendAs(*residual);
+  rows_ = RowsOf(residual->flight(), *instruments, false, SerialNoise::kOrder);
+  held_out_rows_ = RowsOf(residual->flight(), *instruments, true, SerialNoise::kOrder);
   AddBase();
 }
 
@@ -179,8 +179,10 @@ void FlightRegression::AddNuisances() {
   }
   if (residual_->from_accelerometer()) {
     for (int axis = 0; axis < 3; ++axis) {
+      const double share = residual_->felt_share_of_constant(axis);
+      if (share == 0.0) continue;
       Wrenches ones = Wrenches::Zero(y_.rows(), kNumChannels);
-      ones.col(axis).setOnes();
+      ones.col(axis).setConstant(share);
       add(std::string("accelerometer bias ") + "xyz"[axis], kBias_m_s2 * point_.vehicle.mass_kg,
           std::move(ones));
     }
@@ -284,15 +286,7 @@ VectorXd FlightRegression::Whitened(const Wrenches& column, const std::vector<in
   const auto n = static_cast<Index>(rows.size());
   VectorXd white(n * num_channels_);
   for (int c = 0; c < num_channels_; ++c) {
-    const double scale = 1.0 / std::sqrt(noise_[c].variance);
-    for (Index k = 0; k < n; ++k) {
-      const int i = rows[static_cast<size_t>(k)];
-      double value = column(i, c);
-      for (int lag = 0; lag < kOrder; ++lag) {
-        value -= noise_[c].coefficients[lag] * column(i - 1 - lag, c);
-      }
-      white[c * n + k] = scale * weight(k, c) * value;
-    }
+    white.segment(c * n, n) = weight.col(c).cwiseProduct(noise_[c].Whiten(column.col(c), rows));
   }
   return white;
 }
@@ -336,40 +330,11 @@ int FlightRegression::FoldOf(Index row) const {
   return Instruments::FoldAt(t_s);
 }
 
-FlightRegression::Noise FlightRegression::FitNoise(const MatrixXd& e) const {
-  using Moments = Eigen::Matrix<double, kOrder + 1, kOrder + 1>;
-  Moments S = Moments::Zero();  // of a sample, first, and its predecessors
-  const MatrixXd by_sample = e.transpose();
-  for (const int i : rows_) {
-    const auto past = by_sample.middleCols<kOrder + 1>(i - kOrder).rowwise().reverse();
-    S.noalias() += past.transpose().lazyProduct(past);
-  }
-  // A short flight's spectrum to a resolution at which an ordinate is the mean of many values. A
-  // finer one takes the few cycles of a manoeuvre, and with them all that follows it, for noise
-  // (Blackman and Tukey, The Measurement of Power Spectra, 1958; a Gaussian window).
-  const double step_s = residual_->flight().step_s();
-  const double bandwidth_Hz = 0.5 * kAveraged / (static_cast<double>(rows_.size()) * step_s);
-  const double sigma_rad = std::sqrt(M_PI) * bandwidth_Hz * step_s;
-  for (int i = 0; i <= kOrder; ++i) {
-    for (int k = 0; k <= kOrder; ++k) S(i, k) *= std::exp(-0.5 * std::pow(sigma_rad * (i - k), 2));
-  }
-  Moments A = S;
-  A.diagonal().array() += 1e-3 * A.diagonal().maxCoeff() + 1e-300;
-  Noise noise;
-  noise.coefficients =
-      A.bottomRightCorner<kOrder, kOrder>().ldlt().solve(S.bottomLeftCorner<kOrder, 1>());
-  Eigen::Matrix<double, kOrder + 1, 1> innovation;
-  innovation << 1.0, -noise.coefficients;
-  noise.variance =
-      std::max(innovation.dot(S * innovation) / static_cast<double>(rows_.size()), 1e-300);
-  return noise;
-}
-
 void FlightRegression::BeginWithWhiteNoise() {
   weight_ = MatrixXd::Ones(static_cast<Index>(rows_.size()), kNumChannels);
   for (int c = 0; c < num_channels_; ++c) {
-    noise_[c] = Noise();
-    noise_[c].variance = std::max(y_.col(c).squaredNorm() / double(y_.rows()), 1e-300);
+    noise_[c] =
+        SerialNoise(std::max(y_.col(c).squaredNorm() / static_cast<double>(y_.rows()), 1e-300));
   }
 }
 
@@ -409,14 +374,10 @@ void FlightRegression::ReestimateNoise(const VectorXd& x, const MatrixXd& draws)
     }
     MatrixXd likely = columns * fitted;
     likely.col(0) += y_.col(c);
-    noise_[c] = FitNoise(likely);
-    for (Index k = 0; k < static_cast<Index>(rows_.size()); ++k) {
-      const int i = rows_[static_cast<size_t>(k)];
-      double innovation = likely(i, 0);
-      for (int lag = 0; lag < kOrder; ++lag) {
-        innovation -= noise_[c].coefficients[lag] * likely(i - 1 - lag, 0);
-      }
-      const double sigmas = std::abs(innovation) / std::sqrt(noise_[c].variance);
+    noise_[c] = SerialNoise::Fit(likely, rows_, residual_->flight().step_s());
+    const VectorXd innovation = noise_[c].Whiten(likely.col(0), rows_);
+    for (Index k = 0; k < innovation.size(); ++k) {
+      const double sigmas = std::abs(innovation[k]);
       weight_(k, c) = sigmas > kWildSigmas ? std::sqrt(kWildSigmas / sigmas) : 1.0;
     }
   }
@@ -567,17 +528,7 @@ FlightRegression::Glance FlightRegression::GlanceAt(const EffectCandidate& candi
 }
 
 VectorXd FlightRegression::WhitenedFeature(int c, const VectorXd& foreseen, double unit) const {
-  const double scale = unit / std::sqrt(noise_[c].variance);
-  VectorXd white(static_cast<Index>(rows_.size()));
-  for (Index k = 0; k < white.size(); ++k) {
-    const int i = rows_[static_cast<size_t>(k)];
-    double value = foreseen[i];
-    for (int lag = 0; lag < kOrder; ++lag) {
-      value -= noise_[c].coefficients[lag] * foreseen[i - 1 - lag];
-    }
-    white[k] = scale * weight_(k, c) * value;
-  }
-  return white;
+  return unit * weight_.col(c).cwiseProduct(noise_[c].Whiten(foreseen, rows_));
 }
 
 int FlightRegression::AddFeature(const VectorXd& whitened, const std::string& name) {

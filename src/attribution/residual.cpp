@@ -105,20 +105,54 @@ std::vector<PredictionSample> ResidualModel::Predict(const DynamicModel& model,
   return samples;
 }
 
+Eigen::MatrixX3d ResidualModel::FeltForce(const std::vector<PredictionSample>& samples) const {
+  const Eigen::Matrix3d R_BI = file_vehicle_->imu ? file_vehicle_->imu->q_BS.toRotationMatrix()
+                                                  : Eigen::Matrix3d::Identity();
+  Eigen::MatrixX3d force(flight_->size(), 3);
+  for (int i = 0; i < flight_->size(); ++i) {
+    force.row(i) = file_vehicle_->mass_kg * R_BI *
+                   (*flight_->sample(i).specific_force_I -
+                    samples[static_cast<size_t>(i)].predicted_specific_force);
+  }
+  return force;
+}
+
+Eigen::MatrixX3d ResidualModel::MotionForce(const std::vector<PredictionSample>& samples) {
+  Eigen::MatrixX3d force(static_cast<Eigen::Index>(samples.size()), 3);
+  for (size_t i = 0; i < samples.size(); ++i) {
+    force.row(static_cast<Eigen::Index>(i)) =
+        samples[i].measured_force - samples[i].predicted_force;
+  }
+  return force;
+}
+
+void ResidualModel::BlendForces(const DynamicModel& model, const ModelValues& values) {
+  if (!from_accelerometer_) return;
+  const std::vector<PredictionSample> samples = Predict(model, values);
+  const Eigen::MatrixX3d felt = FeltForce(samples), by_motion = MotionForce(samples);
+  std::vector<bool> follows, counts;
+  for (int i = 0; i < flight_->size(); ++i) {
+    follows.push_back(flight_->next(i));
+    counts.push_back(!flight_->held_out(i));
+  }
+  blend_.emplace(follows, counts, felt, by_motion);
+  felt_less_blend_ = felt - blend_->Blend(felt, by_motion);
+  felt_less_blend_.rowwise() -= Eigen::RowVector3d(felt_less_blend_.colwise().mean());
+}
+
 ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
                                                 const ModelValues& values) const {
   Wrenches residual(flight_->size(), kNumChannels);
   const std::vector<PredictionSample> samples = Predict(model, values);
-  const Eigen::Matrix3d R_BI = file_vehicle_->imu ? file_vehicle_->imu->q_BS.toRotationMatrix()
-                                                  : Eigen::Matrix3d::Identity();
+  if (!from_accelerometer_) {
+    residual.leftCols<3>() = MotionForce(samples);
+  } else if (!blend_) {
+    residual.leftCols<3>() = FeltForce(samples);
+  } else {
+    residual.leftCols<3>() = blend_->Blend(FeltForce(samples), MotionForce(samples));
+  }
   for (int i = 0; i < flight_->size(); ++i) {
     const PredictionSample& s = samples[static_cast<size_t>(i)];
-    residual.row(i).head<3>() = s.measured_force - s.predicted_force;
-    if (from_accelerometer_) {
-      residual.row(i).head<3>() =
-          file_vehicle_->mass_kg * R_BI *
-          (*flight_->sample(i).specific_force_I - s.predicted_specific_force);
-    }
     residual.row(i).tail<3>() = file_vehicle_->inertia_kg_m2.cwiseProduct(
         s.measured_angular_acceleration - s.predicted_angular_acceleration);
   }
@@ -126,16 +160,15 @@ ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
   return residual;
 }
 
+ResidualModel::Wrenches ResidualModel::AsFelt(Wrenches residual) const {
+  if (blend_) residual.leftCols<3>() += felt_less_blend_;
+  return residual;
+}
+
 Eigen::MatrixX3d ResidualModel::ForceByMotion(const DynamicModel& model,
                                               const ModelValues& values) const {
   if (!from_accelerometer_) return Eigen::MatrixX3d(0, 3);
-  Eigen::MatrixX3d force(flight_->size(), 3);
-  const std::vector<PredictionSample> samples = Predict(model, values);
-  for (int i = 0; i < flight_->size(); ++i) {
-    const PredictionSample& s = samples[static_cast<size_t>(i)];
-    force.row(i) = s.measured_force - s.predicted_force;
-  }
-  return force;
+  return MotionForce(Predict(model, values));
 }
 
 ResidualModel::Wrenches ResidualModel::ResidualAt(const DynamicModel& model, ModelValues values,

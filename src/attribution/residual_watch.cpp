@@ -225,7 +225,8 @@ std::optional<ResidualLook> ResidualWatch::Look(const std::function<bool()>& giv
 ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate& estimate,
                                     const std::function<bool()>& give_up) {
   const DynamicModel& model = *estimate.model;
-  const ResidualModel residual(&flight, &file_vehicle_, with_torque_);
+  ResidualModel residual(&flight, &file_vehicle_, with_torque_);
+  residual.BlendForces(model, estimate.values);
   const int channels = residual.num_channels();
   ResidualLook found;
   found.model = estimate.model;
@@ -238,8 +239,9 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
   const std::vector<ChannelStructure> before =
       StructureByChannel(flight, attribution.residual_before(), channels, again);
   Summarise(
-      LessStructured(before, StructureByChannel(flight, residual.Residual(model, estimate.values),
-                                                channels, again)),
+      LessStructured(before, StructureByChannel(
+                                 flight, residual.AsFelt(residual.Residual(model, estimate.values)),
+                                 channels, again)),
       decision_, &found);
   const std::vector<RankedEffect>& effects = attribution.effects();
   if (effects.empty()) return found;

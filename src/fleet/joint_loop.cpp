@@ -299,8 +299,9 @@ void JointSession::Find(const Progress& progress) {
   const DynamicModel declared(vehicle_, vehicle_.effects);
   const ModelPoint point = ModelPointOfFleet(loop_.before, declared);
   for (size_t f = 0; f < looked.size(); ++f) {
-    looked[f].again =
-        looked[f].residual->ForceByMotion(declared, ValuesOf(declared, point.OfFlight(f).values));
+    const ModelValues values = ValuesOf(declared, point.OfFlight(f).values);
+    looked[f].residual->BlendForces(declared, values);
+    looked[f].again = looked[f].residual->ForceByMotion(declared, values);
     residuals.push_back(&*looked[f].residual);
     motions.push_back(&looked[f].flight->motion());
   }

@@ -13,6 +13,7 @@
 #include "odmc/attribution/instruments.h"
 #include "odmc/attribution/model_point.h"
 #include "odmc/attribution/residual.h"
+#include "odmc/attribution/serial_noise.h"
 
 namespace odmc {
 
@@ -40,12 +41,9 @@ struct Regressor : ResidualCoefficient {
 /// The residual wrench of one flight as a linear regression whitened by the noise of that flight:
 /// the sums of squares and products from which Evidence makes every decision. The noise is
 /// autoregressive in each channel, and one for all models: that of the residual of everything
-/// together, which holds no effect of the catalogue (its order of 8 at 25 Hz spans the filter's
-/// window three times over).
+/// together, which holds no effect of the catalogue.
 class FlightRegression {
  public:
-  static constexpr int kOrder = 8;
-
   /// Regressors of one way for an effect to act, by their numbers.
   struct Added {
     std::vector<int> columns;
@@ -115,11 +113,6 @@ class FlightRegression {
   int num_noise_columns() const { return static_cast<int>(fitted_root_.cols()); }
 
  private:
-  struct Noise {
-    Eigen::Matrix<double, kOrder, 1> coefficients = Eigen::Matrix<double, kOrder, 1>::Zero();
-    double variance = 1.0;
-  };
-
   /// A candidate's columns, not yet among the others.
   struct Seen {
     std::vector<Regressor> columns;
@@ -151,8 +144,6 @@ class FlightRegression {
   void WhitenAll();
   /// Puts what all foreseen columns say of each whole one in the place of its foreseen part.
   void Project();
-  /// @param e N×K: second moments are summed over the columns
-  Noise FitNoise(const Eigen::MatrixXd& e) const;
   void BeginWithWhiteNoise();
   /// Coefficients of all columns beside their priors, and the root of their covariance.
   Eigen::VectorXd FitColumns();
@@ -179,7 +170,7 @@ class FlightRegression {
   Eigen::MatrixXd raw_base_, raw_gram_;       // Raw() of what is foreseen of the base
   mutable std::map<std::string, Seen> seen_;  // of effects with an onset, by KeyOf()
   std::vector<int> rows_, held_out_rows_;     // samples whose predecessors are there
-  std::array<Noise, kNumChannels> noise_;
+  std::array<SerialNoise, kNumChannels> noise_;
   int noise_columns_ = -1;                    // for which it was estimated; -1: not yet
   Eigen::MatrixXd weight_, held_out_weight_;  // of samples, by channel: wild ones count less
   Eigen::MatrixXd white_, held_out_white_;    // rows × columns (X), y last

@@ -2,10 +2,12 @@
 
 #include <algorithm>
 #include <array>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "odmc/analysis/prediction.h"
+#include "odmc/attribution/force_blend.h"
 
 namespace odmc {
 
@@ -87,8 +89,23 @@ class ResidualModel {
 
   using Wrenches = Eigen::Matrix<double, Eigen::Dynamic, kNumChannels>;
 
+  /// From here on the force of Residual() and Derivative() is the blend of what the accelerometer
+  /// feels and what the motion says, weighed by their noise about this model. Nothing without an
+  /// accelerometer.
+  void BlendForces(const DynamicModel& model, const ModelValues& values);
+  /// By the weights of another, of the same samples.
+  void BlendAs(const ResidualModel& other) { blend_ = other.blend_; }
+
+  /// Weight of the accelerometer, and so of its bias, in a constant force.
+  double felt_share_of_constant(int axis) const {
+    return blend_ ? blend_->felt_weight()(ForceBlend::kOctaves, axis) : 1.0;
+  }
+
   /// Measured minus predicted (N×6).
   Wrenches Residual(const DynamicModel& model, const ModelValues& values) const;
+  /// What of a residual is the blend's is made the accelerometer's alone, without its bias: for
+  /// comparisons with ForceByMotion(), of which nothing may be in it.
+  Wrenches AsFelt(Wrenches residual) const;
 
   /// A second measurement of the force's part, where from_accelerometer(): by the motion, mass
   /// times the velocity's derivative, turned by the attitude (N×3) [N]. Else no rows.
@@ -112,12 +129,17 @@ class ResidualModel {
  private:
   /// Measured and predicted at every sample.
   std::vector<PredictionSample> Predict(const DynamicModel& model, const ModelValues& values) const;
+  /// Measured minus predicted force by the accelerometer, and by the motion (N×3).
+  Eigen::MatrixX3d FeltForce(const std::vector<PredictionSample>& samples) const;
+  static Eigen::MatrixX3d MotionForce(const std::vector<PredictionSample>& samples);
   /// Residual() with one value moved by `step`.
   Wrenches ResidualAt(const DynamicModel& model, ModelValues values, int index, double step) const;
 
   const ThinnedFlight* flight_;
   const Vehicle* file_vehicle_;
   bool with_torque_, from_accelerometer_;
+  std::optional<ForceBlend> blend_;
+  Eigen::MatrixX3d felt_less_blend_;  // without its mean
 };
 
 }  // namespace odmc

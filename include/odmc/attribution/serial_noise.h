@@ -1,0 +1,47 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+namespace odmc {
+
+/// Noise of one channel of a residual, sampled at equal steps: autoregressive of order 8, which
+/// holds the filter's window and vibration; times a factor with one pole and one zero near zero
+/// frequency, which holds errors that come and go over seconds, as a drifting velocity of odometry
+/// has them and no spectrum of a short flight resolves.
+class SerialNoise {
+ public:
+  static constexpr int kOrder = 8;
+
+  SerialNoise() = default;
+  /// White noise.
+  explicit SerialNoise(double variance) : variance_(variance) {}
+
+  /// Fits it to a residual.
+  /// @param e N×K: second moments are summed over the columns
+  /// @param rows samples that count, in order; each has kOrder predecessors
+  static SerialNoise Fit(const Eigen::MatrixXd& e, const std::vector<int>& rows, double step_s);
+
+  /// Innovations over their sigma, at `rows`: what of a signal (N) its past does not tell, were it
+  /// this noise. Where samples are missing, as much is known of it as is left.
+  Eigen::VectorXd Whiten(const Eigen::Ref<const Eigen::VectorXd>& x,
+                         const std::vector<int>& rows) const;
+
+ private:
+  /// Pole and zero of the factor (1 - zero L) / (1 - pole L), L being the lag by one sample.
+  struct Slow {
+    double pole = 0.0, zero = 0.0;
+  };
+
+  void FitOrder8(const Eigen::MatrixXd& e, const std::vector<int>& rows, double step_s);
+  void FitSlow(const Eigen::MatrixXd& e, const std::vector<int>& rows, double step_s);
+  /// What of signals (N×K, in rows) remains after the autoregression (rows × K).
+  Eigen::MatrixXd WithoutOrder8(const Eigen::Ref<const Eigen::MatrixXd>& e,
+                                const std::vector<int>& rows) const;
+
+  Eigen::Matrix<double, kOrder, 1> coefficients_ = Eigen::Matrix<double, kOrder, 1>::Zero();
+  Slow slow_;
+  double variance_ = 1.0;
+};
+
+}  // namespace odmc
