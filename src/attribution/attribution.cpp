@@ -627,8 +627,10 @@ std::vector<ResidualModel::Wrenches> Attribution::Refit(ModelPoint* point) const
     constexpr double kSettled = 0.1;  // sigmas
     if (moved < kSettled) break;
   }
+  const DynamicModel model(point->vehicle, point->vehicle.effects);
   for (size_t f = 0; f < residuals.size(); ++f) {
-    residuals[f] = flights_[f].residual->AsFelt(std::move(residuals[f]));
+    residuals[f] = flights_[f].residual->AsFelt(std::move(residuals[f]), model,
+                                                ValuesOf(model, point->OfFlight(f).values));
   }
   return residuals;
 }

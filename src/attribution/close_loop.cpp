@@ -245,8 +245,9 @@ void LoopSession::Attribute() {
   const int channels = residual_->num_channels();
   result_.structure = LessStructured(
       StructureByChannel(*flight_, before, channels, again_),
-      StructureByChannel(*flight_, residual_->AsFelt(residual_->Residual(declared_, values)),
-                         channels, again_));
+      StructureByChannel(
+          *flight_, residual_->AsFelt(residual_->Residual(declared_, values), declared_, values),
+          channels, again_));
   structured_ = Summarise(options_.attribution, &result_);
   const std::vector<std::vector<double>> runs = flight_->Runs(before.col(0));
   judged_ = std::any_of(runs.begin(), runs.end(),

@@ -129,27 +129,24 @@ Eigen::MatrixX3d ResidualModel::MotionForce(const std::vector<PredictionSample>&
 void ResidualModel::BlendForces(const DynamicModel& model, const ModelValues& values) {
   if (!from_accelerometer_) return;
   const std::vector<PredictionSample> samples = Predict(model, values);
-  const Eigen::MatrixX3d felt = FeltForce(samples), by_motion = MotionForce(samples);
+  const Eigen::VectorXd felt = FeltForce(samples).col(kBlended);
+  const Eigen::VectorXd by_motion = MotionForce(samples).col(kBlended);
   std::vector<bool> follows, counts;
   for (int i = 0; i < flight_->size(); ++i) {
     follows.push_back(flight_->next(i));
     counts.push_back(!flight_->held_out(i));
   }
   blend_.emplace(follows, counts, felt, by_motion);
-  felt_less_blend_ = felt - blend_->Blend(felt, by_motion);
-  felt_less_blend_.rowwise() -= Eigen::RowVector3d(felt_less_blend_.colwise().mean());
 }
 
 ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
                                                 const ModelValues& values) const {
   Wrenches residual(flight_->size(), kNumChannels);
   const std::vector<PredictionSample> samples = Predict(model, values);
-  if (!from_accelerometer_) {
-    residual.leftCols<3>() = MotionForce(samples);
-  } else if (!blend_) {
-    residual.leftCols<3>() = FeltForce(samples);
-  } else {
-    residual.leftCols<3>() = blend_->Blend(FeltForce(samples), MotionForce(samples));
+  residual.leftCols<3>() = from_accelerometer_ ? FeltForce(samples) : MotionForce(samples);
+  if (blend_) {
+    residual.col(kBlended) =
+        blend_->Blend(residual.col(kBlended), MotionForce(samples).col(kBlended));
   }
   for (int i = 0; i < flight_->size(); ++i) {
     const PredictionSample& s = samples[static_cast<size_t>(i)];
@@ -160,8 +157,14 @@ ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
   return residual;
 }
 
-ResidualModel::Wrenches ResidualModel::AsFelt(Wrenches residual) const {
-  if (blend_) residual.leftCols<3>() += felt_less_blend_;
+ResidualModel::Wrenches ResidualModel::AsFelt(Wrenches residual, const DynamicModel& model,
+                                              const ModelValues& values) const {
+  if (!blend_) return residual;
+  const std::vector<PredictionSample> samples = Predict(model, values);
+  const Eigen::VectorXd felt = FeltForce(samples).col(kBlended);
+  const Eigen::VectorXd by_motion = MotionForce(samples).col(kBlended);
+  const Eigen::VectorXd apart = felt - blend_->Blend(felt, by_motion);
+  residual.col(kBlended).array() += apart.array() - apart.mean();
   return residual;
 }
 

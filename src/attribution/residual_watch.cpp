@@ -238,11 +238,12 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
   const Eigen::MatrixX3d again = residual.ForceByMotion(model, estimate.values);
   const std::vector<ChannelStructure> before =
       StructureByChannel(flight, attribution.residual_before(), channels, again);
-  Summarise(
-      LessStructured(before, StructureByChannel(
-                                 flight, residual.AsFelt(residual.Residual(model, estimate.values)),
-                                 channels, again)),
-      decision_, &found);
+  Summarise(LessStructured(before, StructureByChannel(
+                                       flight,
+                                       residual.AsFelt(residual.Residual(model, estimate.values),
+                                                       model, estimate.values),
+                                       channels, again)),
+            decision_, &found);
   const std::vector<RankedEffect>& effects = attribution.effects();
   if (effects.empty()) return found;
   const std::vector<ChannelStructure> after =

@@ -89,23 +89,25 @@ class ResidualModel {
 
   using Wrenches = Eigen::Matrix<double, Eigen::Dynamic, kNumChannels>;
 
-  /// From here on the force of Residual() and Derivative() is the blend of what the accelerometer
-  /// feels and what the motion says, weighed by their noise about this model. Nothing without an
-  /// accelerometer.
+  /// From here on the force along the rotors' axes (body z) of Residual() and Derivative() is the
+  /// blend of what the accelerometer feels and what the motion says, weighed by their noise about
+  /// this model. Across them it stays the accelerometer's: by the motion it has errors of attitude
+  /// and of gravity's direction in it, times the weight, which look like wind and leaning rotors.
+  /// Nothing without an accelerometer.
   void BlendForces(const DynamicModel& model, const ModelValues& values);
   /// By the weights of another, of the same samples.
   void BlendAs(const ResidualModel& other) { blend_ = other.blend_; }
 
   /// Weight of the accelerometer, and so of its bias, in a constant force.
   double felt_share_of_constant(int axis) const {
-    return blend_ ? blend_->felt_weight()(ForceBlend::kOctaves, axis) : 1.0;
+    return blend_ && axis == kBlended ? blend_->felt_weight().back() : 1.0;
   }
 
   /// Measured minus predicted (N×6).
   Wrenches Residual(const DynamicModel& model, const ModelValues& values) const;
-  /// What of a residual is the blend's is made the accelerometer's alone, without its bias: for
-  /// comparisons with ForceByMotion(), of which nothing may be in it.
-  Wrenches AsFelt(Wrenches residual) const;
+  /// What of a residual of this model is the blend's is made the accelerometer's alone, without its
+  /// bias: for comparisons with ForceByMotion(), of which nothing may be in it.
+  Wrenches AsFelt(Wrenches residual, const DynamicModel& model, const ModelValues& values) const;
 
   /// A second measurement of the force's part, where from_accelerometer(): by the motion, mass
   /// times the velocity's derivative, turned by the attitude (N×3) [N]. Else no rows.
@@ -137,9 +139,10 @@ class ResidualModel {
 
   const ThinnedFlight* flight_;
   const Vehicle* file_vehicle_;
+  static constexpr int kBlended = 2;  // channel
+
   bool with_torque_, from_accelerometer_;
   std::optional<ForceBlend> blend_;
-  Eigen::MatrixX3d felt_less_blend_;  // without its mean
 };
 
 }  // namespace odmc
