@@ -117,6 +117,63 @@ TEST(ResidualModel, IsInTheBodysAxesHoweverTheSensorsAreMounted) {
   }
 }
 
+/// Of means over two seconds, in which an error of many samples shows.
+double SlowScatter(const Eigen::VectorXd& x) {
+  constexpr Eigen::Index kBlock = 50;
+  const Eigen::Index n = x.size() / kBlock;
+  Eigen::VectorXd means(n);
+  for (Eigen::Index k = 0; k < n; ++k) means[k] = x.segment(k * kBlock, kBlock).mean();
+  return std::sqrt((means.array() - means.mean()).square().mean());
+}
+
+double Scatter(const Eigen::VectorXd& x) {
+  return std::sqrt((x.array() - x.mean()).square().mean());
+}
+
+// Slow force by the motion, quick force by the accelerometer, and only along the rotors' axes.
+TEST(ResidualModel, BlendsBothSensors) {
+  const Vehicle vehicle = [] {
+    Vehicle v = UndeclaredVehicles().front();
+    v.imu = SensorMount();
+    return v;
+  }();
+  const DynamicModel model(vehicle, vehicle.effects);
+  const ModelValues values = DefaultTruth(model);
+  SimulationOptions options;
+  options.trajectory = "figure8";
+  options.duration_s = 40.0;
+  SimulationNoise noise = SimulationNoise::None();
+  noise.position_m = 0.01;
+  noise.velocity_m_s = 0.03;
+  noise.imu = true;
+  noise.accelerometer_noise_density = 0.05;
+  noise.accelerometer_bias = {0.1, 0.1, 0.1};
+  const SimulatedFlight flown = Simulate(model, values, options, noise);
+  const ThinnedFlight flight(FilterFlight(flown.log, vehicle.num_rotors(), {}), BlockSplit(),
+                             vehicle.odometry.q_BS.toRotationMatrix());
+  ResidualModel residual(&flight, &vehicle, true);
+  const ResidualModel::Wrenches felt = residual.Residual(model, values);
+  residual.BlendForces(model, values);
+  const ResidualModel::Wrenches blend = residual.Residual(model, values);
+  const Eigen::MatrixX3d by_motion = residual.ForceByMotion(model, values);
+  EXPECT_LT(SlowScatter(blend.col(2)), 0.5 * SlowScatter(felt.col(2)));
+  EXPECT_LT(Scatter(blend.col(2)), 1.05 * Scatter(felt.col(2)));
+  EXPECT_LT(Scatter(blend.col(2)), 0.7 * Scatter(by_motion.col(2)));
+  EXPECT_EQ((blend - felt).leftCols<2>().norm(), 0.0);
+  EXPECT_EQ((blend - felt).rightCols<3>().norm(), 0.0);
+  EXPECT_LT(residual.felt_share_of_constant(2), 0.2);
+  EXPECT_EQ(residual.felt_share_of_constant(0), 1.0);
+  // The accelerometer's alone again, whatever the model is.
+  ModelValues other = values;
+  other[model.IndexOf("thrust.k_f")] *= 0.9;
+  const Eigen::VectorXd again =
+      residual.AsFelt(residual.Residual(model, other), model, other).col(2);
+  const Eigen::VectorXd alone =
+      ResidualModel(&flight, &vehicle, true).Residual(model, other).col(2);
+  EXPECT_LT(((again.array() - again.mean()) - (alone.array() - alone.mean())).abs().maxCoeff(),
+            1e-9);
+}
+
 // A long flight is looked at in stretches that are spread over it, with the same share held out.
 TEST(ThinnedFlight, TakesStretchesOfALongFlight) {
   FlightMotion motion;
