@@ -65,10 +65,11 @@ class SlowFilter {
 
 }  // namespace
 
-SerialNoise SerialNoise::Fit(const MatrixXd& e, const std::vector<int>& rows, double step_s) {
+SerialNoise SerialNoise::Fit(const MatrixXd& e, const std::vector<int>& rows, double step_s,
+                             bool drifts) {
   SerialNoise noise;
   noise.FitOrder8(e, rows, step_s);
-  noise.FitSlow(e, rows, step_s);
+  if (drifts) noise.FitSlow(e, rows, step_s);
   return noise;
 }
 

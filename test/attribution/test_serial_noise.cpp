@@ -47,7 +47,7 @@ std::vector<int> Rows(bool with_gaps) {
 /// What whitening makes of a constant force, as its size: the mean over a minute is known to one
 /// over it.
 double SigmasOfMean(const VectorXd& e, const std::vector<int>& rows) {
-  const SerialNoise noise = SerialNoise::Fit(e, rows, kStep_s);
+  const SerialNoise noise = SerialNoise::Fit(e, rows, kStep_s, true);
   const VectorXd constant = noise.Whiten(VectorXd::Ones(kSamples), rows);
   return noise.Whiten(e, rows).dot(constant) / constant.norm();
 }
@@ -67,7 +67,7 @@ TEST(SerialNoise, WhitensQuickAndSlow) {
     const std::vector<int> rows = Rows(with_gaps);
     for (unsigned seed = 1; seed <= 5; ++seed) {
       const VectorXd e = Noise(seed, 1.0, 2.0);
-      const VectorXd white = SerialNoise::Fit(e, rows, kStep_s).Whiten(e, rows);
+      const VectorXd white = SerialNoise::Fit(e, rows, kStep_s, true).Whiten(e, rows);
       EXPECT_NEAR(white.squaredNorm() / static_cast<double>(rows.size()), 1.0, 0.02);
       const Index n = white.size();
       for (const Index lag : {1, 5, 25}) {
@@ -94,7 +94,7 @@ TEST(SerialNoise, KnowsHowWellAConstantIsKnown) {
 // A slow error is as uncertain after a gap as it was at the start.
 TEST(SerialNoise, KnowsLessAfterAGap) {
   const std::vector<int> rows = Rows(false);
-  const SerialNoise noise = SerialNoise::Fit(Noise(1, 1.0, 3.0), rows, kStep_s);
+  const SerialNoise noise = SerialNoise::Fit(Noise(1, 1.0, 3.0), rows, kStep_s, true);
   std::vector<int> gap(rows.begin(), rows.begin() + 400);
   gap.insert(gap.end(), rows.begin() + 900, rows.begin() + 1300);
   VectorXd knock = VectorXd::Zero(kSamples);

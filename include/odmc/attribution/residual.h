@@ -126,6 +126,10 @@ class ResidualModel {
   /// True if the force is the accelerometer's (it feels what an onboard filter's velocity smooths
   /// away); false if it is the velocity's derivative.
   bool from_accelerometer() const { return from_accelerometer_; }
+  /// True if a channel is a force that the motion has a part in.
+  bool by_motion(int channel) const {
+    return channel < 3 && (!from_accelerometer_ || (blend_ && channel == kBlended));
+  }
   int num_channels() const { return with_torque_ ? kNumChannels : 3; }
 
  private:

@@ -20,7 +20,9 @@ class SerialNoise {
   /// Fits it to a residual.
   /// @param e N×K: second moments are summed over the columns
   /// @param rows samples that count, in order; each has kOrder predecessors
-  static SerialNoise Fit(const Eigen::MatrixXd& e, const std::vector<int>& rows, double step_s);
+  /// @param drifts true if the sensor's error drifts, so that the slow factor is one to fit
+  static SerialNoise Fit(const Eigen::MatrixXd& e, const std::vector<int>& rows, double step_s,
+                         bool drifts);
 
   /// Innovations over their sigma, at `rows`: what of a signal (N) its past does not tell, were it
   /// this noise. Where samples are missing, as much is known of it as is left.
