@@ -140,13 +140,13 @@ TEST(ResidualModel, BlendsBothSensors) {
   const DynamicModel model(vehicle, vehicle.effects);
   const ModelValues values = DefaultTruth(model);
   SimulationOptions options;
-  options.trajectory = "figure8";
+  options.trajectory = "lemniscate";
   options.duration_s = 40.0;
   SimulationNoise noise = SimulationNoise::None();
   noise.position_m = 0.01;
   noise.velocity_m_s = 0.03;
   noise.imu = true;
-  noise.accelerometer_noise_density = 0.05;
+  noise.accelerometer_noise_density = 0.1;
   noise.accelerometer_bias = {0.1, 0.1, 0.1};
   const SimulatedFlight flown = Simulate(model, values, options, noise);
   const ThinnedFlight flight(FilterFlight(flown.log, vehicle.num_rotors(), {}), BlockSplit(),
