@@ -375,7 +375,7 @@ void FlightRegression::ReestimateNoise(const VectorXd& x, const MatrixXd& draws)
     MatrixXd likely = columns * fitted;
     likely.col(0) += y_.col(c);
     noise_[c] =
-        SerialNoise::Fit(likely, rows_, residual_->flight().step_s(), residual_->by_motion(c));
+        SerialNoise::Fit(likely, rows_, residual_->flight().step_s(), residual_->is_blend(c));
     const VectorXd innovation = noise_[c].Whiten(likely.col(0), rows_);
     for (Index k = 0; k < innovation.size(); ++k) {
       const double sigmas = std::abs(innovation[k]);

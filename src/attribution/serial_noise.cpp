@@ -66,10 +66,10 @@ class SlowFilter {
 }  // namespace
 
 SerialNoise SerialNoise::Fit(const MatrixXd& e, const std::vector<int>& rows, double step_s,
-                             bool drifts) {
+                             bool with_slow) {
   SerialNoise noise;
   noise.FitOrder8(e, rows, step_s);
-  if (drifts) noise.FitSlow(e, rows, step_s);
+  if (with_slow) noise.FitSlow(e, rows, step_s);
   return noise;
 }
 

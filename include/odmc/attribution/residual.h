@@ -100,7 +100,7 @@ class ResidualModel {
 
   /// Weight of the accelerometer, and so of its bias, in a constant force.
   double felt_share_of_constant(int axis) const {
-    return blend_ && axis == kBlended ? blend_->felt_weight().back() : 1.0;
+    return is_blend(axis) ? blend_->felt_weight().back() : 1.0;
   }
 
   /// Measured minus predicted (N×6).
@@ -126,10 +126,8 @@ class ResidualModel {
   /// True if the force is the accelerometer's (it feels what an onboard filter's velocity smooths
   /// away); false if it is the velocity's derivative.
   bool from_accelerometer() const { return from_accelerometer_; }
-  /// True if a channel is a force that the motion has a part in.
-  bool by_motion(int channel) const {
-    return channel < 3 && (!from_accelerometer_ || (blend_ && channel == kBlended));
-  }
+  /// True if the channel's force is a blend of two sensors.
+  bool is_blend(int channel) const { return blend_ && channel == kBlended; }
   int num_channels() const { return with_torque_ ? kNumChannels : 3; }
 
  private:

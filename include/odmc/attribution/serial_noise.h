@@ -6,9 +6,10 @@
 namespace odmc {
 
 /// Noise of one channel of a residual, sampled at equal steps: autoregressive of order 8, which
-/// holds the filter's window and vibration; times a factor with one pole and one zero near zero
-/// frequency, which holds errors that come and go over seconds, as a drifting velocity of odometry
-/// has them and no spectrum of a short flight resolves.
+/// holds the filter's window and vibration; and, where asked for, times a factor with one pole and
+/// one zero near zero frequency. That holds errors that come and go over seconds, as a drifting
+/// velocity of odometry has them, beside another sensor's quick noise: no spectrum of a short
+/// flight resolves the two.
 class SerialNoise {
  public:
   static constexpr int kOrder = 8;
@@ -20,9 +21,9 @@ class SerialNoise {
   /// Fits it to a residual.
   /// @param e N×K: second moments are summed over the columns
   /// @param rows samples that count, in order; each has kOrder predecessors
-  /// @param drifts true if the sensor's error drifts, so that the slow factor is one to fit
+  /// @param with_slow true to fit the slow factor, too
   static SerialNoise Fit(const Eigen::MatrixXd& e, const std::vector<int>& rows, double step_s,
-                         bool drifts);
+                         bool with_slow);
 
   /// Innovations over their sigma, at `rows`: what of a signal (N) its past does not tell, were it
   /// this noise. Where samples are missing, as much is known of it as is left.
