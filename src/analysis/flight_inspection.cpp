@@ -147,9 +147,8 @@ void Learn(FlightLog log, const Vehicle& vehicle, FlightInspection* result) {
                             std::to_string(static_cast<int>(kMostLook_s)) + " s");
   }
   const DynamicModel model(vehicle, vehicle.effects);
-  EstimatorOptions options;
+  EstimatorOptions options = OfflineOptions();
   options.keyframe_rate_hz = kKeyframeRate_Hz;
-  options.max_update_time_s = 10.0;  // no solve is cut short by the clock
   Estimator estimator(&model, options, !log.rotor_rms_only);
   const ReplayResult replay = Replay(log, &estimator);
   result->phases = replay.phases;

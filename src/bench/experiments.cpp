@@ -142,8 +142,8 @@ ControlledFlightSetup SetupOf(const Design& design, const Variant& variant, cons
   setup.trajectory.ground_s = kGround_s;
   setup.trajectory.from_origin = true;
   setup.trajectory.duration_s = options.duration_s;
+  setup.estimator = OfflineOptions();
   setup.estimator.keyframe_rate_hz = options.keyframe_rate_hz;
-  setup.estimator.max_update_time_s = 10.0;  // repeats exactly
   setup.estimator.detect_changes = true;
   setup.estimator.phases.near_ground_m = 0.3;
   setup.estimator_dies_at_s = options.estimator_dies_at_s;

@@ -65,4 +65,10 @@ bool EstimatorOptions::IsValid(std::string* error) const {
   return true;
 }
 
+EstimatorOptions OfflineOptions() {
+  EstimatorOptions options;
+  options.max_update_time_s = 10.0;  // its work is bounded, too, see LearningSchedule
+  return options;
+}
+
 }  // namespace odmc

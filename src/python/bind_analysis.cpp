@@ -117,7 +117,7 @@ Found CalibrateOne(const FlightLog& flight, const Vehicle& file_vehicle, const V
                    const std::optional<ParameterSet>& start, const EstimatorSettings& settings,
                    double leave_out_s, double position_noise_m, int seed, bool force,
                    const std::function<void(double)>& progress) {
-  const EstimatorOptions options = settings.Over(tools::OfflineOptions());
+  const EstimatorOptions options = settings.Over(OfflineOptions());
   const DynamicModel model(vehicle, vehicle.effects);
   const std::string refusal = MassBesideThrust(model);
   if (!refusal.empty()) throw std::invalid_argument(refusal);
@@ -286,7 +286,7 @@ void BindAnalysis(py::module_* m) {
   m->def("simulate", &SimulateOne, py::arg("vehicle"), py::arg("trajectory"), py::arg("duration_s"),
          py::arg("seed"), py::arg("noise"), py::arg("ground_s"), py::arg("log_rate_hz"),
          py::call_guard<Release>());
-  m->def("estimator_options", [] { return FormatOptions(tools::OfflineOptions()); });
+  m->def("estimator_options", [] { return FormatOptions(OfflineOptions()); });
 }
 
 }  // namespace odmc::python

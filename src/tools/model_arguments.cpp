@@ -128,12 +128,6 @@ void EstimatorArguments::AddTo(CLI::App* app, bool with_window) {
               FormatOptions(defaults) + "\n" + kExitStatus);
 }
 
-EstimatorOptions OfflineOptions() {
-  EstimatorOptions options;
-  options.max_update_time_s = 1.0;
-  return options;
-}
-
 EstimatorOptions AttributionEstimatorOptions() {
   EstimatorOptions options = OfflineOptions();
   options.keyframe_rate_hz = 50.0;

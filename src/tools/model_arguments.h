@@ -22,12 +22,8 @@ struct ModelArguments {
   Vehicle Configure(const Vehicle& file_vehicle);
 };
 
-/// The estimator's defaults for the tools: no solve is cut short by the clock, so that a flight
-/// gives the same numbers on any machine, loaded or not.
-EstimatorOptions OfflineOptions();
-
-/// The same for attribution: keyframes at 50 Hz, which give the same verdicts and figures as 100 Hz
-/// in two thirds of the time.
+/// OfflineOptions() for attribution: keyframes at 50 Hz, which give the same verdicts and figures
+/// as 100 Hz in two thirds of the time.
 EstimatorOptions AttributionEstimatorOptions();
 
 /// Options of the estimator.

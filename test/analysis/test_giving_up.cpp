@@ -20,12 +20,11 @@ class GivingUp : public ::testing::Test {
     simulation.log_rate_hz = 200.0;
     log_ = Simulate(model_, DefaultTruth(model_), simulation, SimulationNoise()).log;
     options_.keyframe_rate_hz = 50.0;
-    options_.max_update_time_s = 10.0;  // the wall clock decides nothing
   }
 
   DynamicModel model_;
   FlightLog log_;
-  EstimatorOptions options_;
+  EstimatorOptions options_ = OfflineOptions();
 };
 
 TEST_F(GivingUp, AReplayKeepsWhatItHasSeen) {

@@ -350,8 +350,7 @@ TEST_F(GroundTouches, AreNoneWhereTheVehicleFliesAtThatHeight) {
 TEST(PredictLeftOut, PredictsABlockWithWhatTheOthersShow) {
   const Vehicle vehicle = test::NominalVehicle();
   const DynamicModel model(vehicle, vehicle.effects);
-  EstimatorOptions options;
-  options.max_update_time_s = 10.0;
+  EstimatorOptions options = OfflineOptions();
   const FlightLog log = HoverThenFly(model, DefaultTruth(model));
   const Calibration seen = Calibrate(log, log, vehicle, model, options);
   const LeftOutPrediction halves = PredictLeftOut(log, log, vehicle, model, options, 10.0);

@@ -93,7 +93,7 @@ TEST(RecordedPoint, IsFoundBesideSlowErrorsOfTheModel) {
 TEST(RecordedPoint, IsTakenWhereTheEstimateFollowsThoseErrors) {
   const Recorded flight = Record(7, Air);
   const Calibration result =
-      Calibrate(flight.log, flight.log, flight.file, flight.model, EstimatorOptions());
+      Calibrate(flight.log, flight.log, flight.file, flight.model, OfflineOptions());
   ASSERT_TRUE(result.point.p_m) << result.point.why;
   ASSERT_FALSE(result.taken_point.point.empty());
   for (const auto& [name, setting] : result.taken_point.point) {
@@ -120,7 +120,7 @@ TEST(RecordedPoint, IsTakenWhereTheEstimateFollowsThoseErrors) {
 TEST(RecordedPoint, GoesIntoTheFleetAsAPairWithTheCentreOfGravity) {
   const Recorded flight = Record(7, Air);
   const Calibration result =
-      Calibrate(flight.log, flight.log, flight.file, flight.model, EstimatorOptions());
+      Calibrate(flight.log, flight.log, flight.file, flight.model, OfflineOptions());
   ASSERT_EQ(result.taken_point.held.count("centre_of_gravity.z"), 1u);
   const FlightFactor factor = FactorOf(flight.model, result.parameters, result.inflation, {});
   Eigen::MatrixXd H = factor.root.transpose() * factor.root;

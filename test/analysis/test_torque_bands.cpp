@@ -492,7 +492,7 @@ TEST(Calibrate, TakesTheInertiaFromBandsWhereTheEstimatorDoesNotKnowIt) {
     vehicle.parameters[name].value = 1.3 * truth[flown.IndexOf(name)];
   }
   const DynamicModel model(vehicle, vehicle.effects);
-  EstimatorOptions options;
+  EstimatorOptions options = OfflineOptions();
   options.inertia_gate_r_squared = 1.0;
   const Calibration calibration = Calibrate(log, log, vehicle, model, options);
   EXPECT_EQ(calibration.by_bands.size(), 2u);

@@ -314,7 +314,6 @@ TEST(CloseLoop, CallsAForceThatFollowsTheStateUnexplained) {
   plan.recording = RecordingModel::kDrawn;
   CloseLoopOptions options;
   options.estimator.keyframe_rate_hz = 50.0;
-  options.estimator.max_update_time_s = 10.0;
   const UndeclaredFlight flight = MakeUndeclared(plan);
   const ClosedLoop loop = CloseLoop(flight.log, flight.declared, flight.declared, options);
   EXPECT_GT(loop.whiteness_p, options.attribution.whiteness_p);
@@ -342,7 +341,6 @@ ClosedLoop CloseInField(const std::function<Eigen::Vector3d(const Eigen::Vector3
       Simulate(model, DefaultTruth(model), options, SimulationNoise(), field);
   CloseLoopOptions loop;
   loop.estimator.keyframe_rate_hz = 50.0;
-  loop.estimator.max_update_time_s = 10.0;
   loop.ruled_out = ruled_out;
   return CloseLoop(flight.log, vehicle, vehicle, loop);
 }
@@ -385,7 +383,6 @@ TEST(CloseLoop, BlamesNoWindForAForceThatNoEffectMakes) {
   ASSERT_EQ(plan.kind, UndeclaredKind::kUnknown);
   CloseLoopOptions options;
   options.estimator.keyframe_rate_hz = 50.0;
-  options.estimator.max_update_time_s = 10.0;  // the same result on a loaded machine
   const UndeclaredFlight flight = MakeUndeclared(plan);
   const ClosedLoop loop = CloseLoop(flight.log, flight.declared, flight.declared, options);
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
@@ -437,7 +434,6 @@ TEST(CloseLoop, CallsAPushInFlightUnexplained) {
   const UndeclaredFlight flight = MakeUndeclared(plan);
   CloseLoopOptions options;
   options.estimator.keyframe_rate_hz = 50.0;  // as the tool
-  options.estimator.max_update_time_s = 10.0;
   const ClosedLoop loop = CloseLoop(flight.log, flight.declared, flight.declared, options);
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained) << CloseLoopTable(loop);
   EXPECT_NE(loop.where.find("of the weight acts from "), std::string::npos) << loop.where;

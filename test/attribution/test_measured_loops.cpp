@@ -23,7 +23,6 @@ TEST(MeasuredNeuroBem, HalvesTheErrorOnBlocksHeldOut) {
       LoadVehicle(std::string(ODMC_SOURCE_DIR) + "/config/vehicles/neurobem.yaml");
   const FlightLog log = ReadFlightCsv(file, vehicle.num_rotors(), PoseSource::kEkf);
   CloseLoopOptions options;
-  options.estimator.max_update_time_s = 10.0;  // the same result on a loaded machine
   const ClosedLoop loop = CloseLoop(log, vehicle, vehicle, options);
   ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
   const auto has = [&loop](const char* name) {
@@ -50,7 +49,6 @@ TEST(MeasuredCrazyflie, HasAHubMomentOnFlightsOfSeconds) {
     const FlightLog log = ReadFlightCsv(file, vehicle.num_rotors(), PoseSource::kEkf);
     CloseLoopOptions options;
     options.estimator.keyframe_rate_hz = 50.0;
-    options.estimator.max_update_time_s = 10.0;
     const ClosedLoop loop = CloseLoop(log, vehicle, vehicle, options);
     ASSERT_EQ(loop.verdict, Verdict::kEffect) << name << "\n" << CloseLoopTable(loop);
     // A lift by the direction of flight may gain more, in force.
@@ -72,7 +70,6 @@ ClosedLoop CrazyflieWithThrustHeld(const std::string& file) {
   const FlightLog log = ReadFlightCsv(file, vehicle.num_rotors(), PoseSource::kEkf);
   CloseLoopOptions options;
   options.estimator.keyframe_rate_hz = 50.0;
-  options.estimator.max_update_time_s = 10.0;
   return CloseLoop(log, vehicle, vehicle, options);
 }
 

@@ -37,7 +37,6 @@ class Pilot {
         declared_(flight.declared),
         watch_(flight.declared, options, true) {
     estimator_options_.keyframe_rate_hz = 50.0;
-    estimator_options_.max_update_time_s = 1.0;
     model_ = std::make_shared<DynamicModel>(declared_, declared_.effects);
     estimator_ = std::make_unique<Estimator>(model_.get(), estimator_options_, true);
   }
@@ -90,7 +89,7 @@ class Pilot {
   const FlightLog& log_;
   testing_support::FlightFeed feed_;
   Vehicle declared_;
-  EstimatorOptions estimator_options_;
+  EstimatorOptions estimator_options_ = OfflineOptions();
   ResidualWatch watch_;
   std::shared_ptr<const DynamicModel> model_;
   std::unique_ptr<Estimator> estimator_;

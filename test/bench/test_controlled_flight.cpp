@@ -22,8 +22,8 @@ ControlledFlightSetup MakeSetup(const std::string& trajectory, double duration_s
   setup.trajectory.ground_s = 1.0;
   setup.trajectory.duration_s = duration_s;
   setup.trajectory.from_origin = true;
+  setup.estimator = OfflineOptions();
   setup.estimator.keyframe_rate_hz = 50.0;
-  setup.estimator.max_update_time_s = 10.0;
   setup.estimator.detect_changes = true;
   setup.estimator.phases.near_ground_m = 0.3;
   setup.seed = seed;

@@ -306,7 +306,6 @@ TEST_P(Recovered, ComesBackWithinThreeSigmaOnAllFlightsButOne) {
   options.simulation.trajectory = "aggressive";
   options.simulation.duration_s = 20.0;
   options.simulation.log_rate_hz = 200.0;
-  options.estimator.max_update_time_s = 10.0;
   options.estimator.keyframe_rate_hz = 50.0;
   options.seeds = 6;
   options.jobs = 2;
@@ -334,7 +333,6 @@ TEST(BodyMoment, LeavesTheInertiaToBeLearned) {
   options.simulation.trajectory = "aggressive";
   options.simulation.duration_s = 20.0;
   options.noise = SimulationNoise::None();
-  options.estimator.max_update_time_s = 10.0;
   options.estimator.keyframe_rate_hz = 50.0;
   options.seeds = 2;
   options.jobs = 2;

@@ -158,11 +158,10 @@ TEST_P(Alignment, EndsInTheMinimumOfTheWindow) {
   Vehicle vehicle = nominal;
   for (const std::string& effect : c.effects) vehicle.effects.push_back(effect);
   const DynamicModel model(vehicle, vehicle.effects);
-  EstimatorOptions options;
+  EstimatorOptions options = OfflineOptions();
   options.keyframe_rate_hz = 25.0;
   options.window_s = 1.0;
   options.k_f_walk_rate = c.walk_rate;
-  options.max_update_time_s = 10.0;
   Estimator estimator(&model, options, true);
 
   int update = 0, compared = 0, with_past = 0;

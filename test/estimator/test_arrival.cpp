@@ -49,7 +49,6 @@ class Arrivals : public ::testing::Test {
     noise.imu = true;
     log_ = Simulate(model_, DefaultTruth(model_), simulation, noise).log;
     options_.keyframe_rate_hz = 50.0;
-    options_.max_update_time_s = 10.0;  // the wall clock decides nothing
   }
 
   std::vector<Eigen::VectorXd> Fly(const Delay& odometry, const Delay& imu, const Delay& rotors) {
@@ -84,7 +83,7 @@ class Arrivals : public ::testing::Test {
 
   DynamicModel model_;
   FlightLog log_;
-  EstimatorOptions options_;
+  EstimatorOptions options_ = OfflineOptions();
 };
 
 TEST_F(Arrivals, AsStampedIsTheReplay) {

@@ -55,7 +55,7 @@ class HeldOut : public testing::Test {
       const double t = ToSeconds(sample.stamp - log.odometry.front().stamp);
       if (corrupted && t > kFrom_s + 0.2 && t < kTo_s - 0.2) sample.speed *= 1.05;
     }
-    Estimator estimator(&model_, EstimatorOptions(), true);
+    Estimator estimator(&model_, OfflineOptions(), true);
     if (held_out) {
       const Stamp first = log.odometry.front().stamp;
       estimator.SetHeldOut([=](Stamp stamp) {
@@ -101,10 +101,9 @@ class ThrustWalk : public testing::Test {
                    double end_s = 0.0) const {
     FlightLog log = flight_.log;
     CutFlight(0.0, end_s, &log);
-    EstimatorOptions options;
+    EstimatorOptions options = OfflineOptions();
     options.k_f_walk_rate = walk_rate;
     options.solver = solver;
-    options.max_update_time_s = 1.0;
     Estimator estimator(&model_, options, true);
     return Replay(log, &estimator);
   }
@@ -159,7 +158,7 @@ TEST(MassChange, IsFoundFromItsInstantOn) {
   const int mass = model.IndexOf("mass_change.mass");
   const ModelValues truth = Truth(model, {{"mass_change.mass", 0.09}, {"mass_change.z", -0.03}});
   const SimulatedFlight flight = Simulate(model, truth, Octo(20.0));
-  Estimator estimator(&model, EstimatorOptions(), true);
+  Estimator estimator(&model, OfflineOptions(), true);
   const ReplayResult replay = Replay(flight.log, &estimator);
   ASSERT_TRUE(replay.last);
   EXPECT_NEAR(replay.last->values[mass], 0.09, 0.002);
@@ -184,9 +183,8 @@ TEST(MassChange, IsNotShrunkByNoiseOfTheVelocity) {
   options.log_rate_hz = 100.0;
   SimulationNoise noise;
   noise.velocity_m_s = 0.03;
-  EstimatorOptions understated;
+  EstimatorOptions understated = OfflineOptions();
   understated.velocity_noise_m_s = 0.005;
-  understated.max_update_time_s = 10.0;  // the same result on a loaded machine
   constexpr int kFlights = 4;
   double mean = 0.0, variance = 0.0;
   for (options.seed = 1; options.seed <= kFlights; ++options.seed) {
@@ -211,7 +209,7 @@ TEST(SuspendedLoad, IsWeighedWhileItSwings) {
   const int mass = model.IndexOf("suspended_load.mass");
   const ModelValues truth = Truth(model, {{"suspended_load.mass", 0.08}});
   const SimulatedFlight flight = Simulate(model, truth, Octo(20.0));
-  Estimator estimator(&model, EstimatorOptions(), true);
+  Estimator estimator(&model, OfflineOptions(), true);
   const ReplayResult replay = Replay(flight.log, &estimator);
   ASSERT_TRUE(replay.last);
   EXPECT_NEAR(replay.last->values[mass], 0.08, 0.008);
@@ -233,7 +231,7 @@ TEST(SuspendedLoad, IsWeighedThoughItSwungBefore) {
   SimulationNoise noise;
   noise.velocity_m_s = 0.005;
   const SimulatedFlight flight = Simulate(model, Truth(model, load), Octo(10.0), noise);
-  Estimator estimator(&model, EstimatorOptions(), true);
+  Estimator estimator(&model, OfflineOptions(), true);
   const ReplayResult replay = Replay(flight.log, &estimator);
   ASSERT_TRUE(replay.last);
   EXPECT_NEAR(replay.last->values[model.IndexOf("suspended_load.mass")], 0.08, 0.008);
@@ -326,7 +324,7 @@ TEST(Gust, FollowsAWindThatVaries) {
   const Vehicle vehicle =
       With("gust", {{"gust.sigma", 1.5}, {"gust.time_constant", 2.0}, {"hvt.k_h", 0.0}});
   const DynamicModel model(vehicle, vehicle.effects);
-  Estimator estimator(&model, EstimatorOptions(), true);
+  Estimator estimator(&model, OfflineOptions(), true);
   const ReplayResult replay = Replay(flight.log, &estimator);
   ASSERT_TRUE(replay.last);
   const int w_x = model.IndexOf("gust.w_x");

@@ -40,8 +40,7 @@ class HeldInertia : public testing::Test {
     options.log_rate_hz = 200.0;
     SimulationNoise noise;
     noise.rate_rad_s = rate_noise;
-    EstimatorOptions estimator_options;
-    estimator_options.max_update_time_s = 10.0;  // the same result on a loaded machine
+    EstimatorOptions estimator_options = OfflineOptions();
     Estimator estimator(&model_, estimator_options, true);
     return *Replay(Simulate(model_, truth_, options, noise).log, &estimator).last;
   }

@@ -37,8 +37,7 @@ Result Calibrate(const std::string& file, const std::string& vehicle_name,
   CutFlight(0.0, end_s, &log);
   Result result;
   result.model.emplace(vehicle, effects);
-  EstimatorOptions options;
-  options.max_update_time_s = 10.0;  // the same result on a loaded machine
+  EstimatorOptions options = OfflineOptions();
   Estimator estimator(&*result.model, options, !log.rotor_rms_only);
   result.replay = Replay(log, &estimator);
   if (result.replay.last) {

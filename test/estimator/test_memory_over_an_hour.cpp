@@ -40,7 +40,7 @@ TEST(Memory, IsFlatOverAnHourOfFlight) {
   SimulationNoise noise;
   noise.imu = true;
   const FlightLog log = Simulate(model, DefaultTruth(model), simulation, noise).log;
-  EstimatorOptions options;
+  EstimatorOptions options = OfflineOptions();
   options.keyframe_rate_hz = kKeyframeRate_hz;
   Estimator estimator(&model, options, true);
   const Stamp minute = log.odometry.back().stamp - log.odometry.front().stamp + FromSeconds(0.01);

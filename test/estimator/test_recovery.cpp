@@ -21,12 +21,6 @@
 namespace odmc {
 namespace {
 
-EstimatorOptions Patient() {
-  EstimatorOptions options;
-  options.max_update_time_s = 10.0;  // the same result on a loaded machine
-  return options;
-}
-
 struct Flight {
   std::optional<DynamicModel> model;
   ModelValues truth;
@@ -45,7 +39,7 @@ Flight Fly(const Vehicle& vehicle, double duration_s, SimulationNoise noise = {}
   return flight;
 }
 
-ReplayResult Estimate(const Flight& flight, const EstimatorOptions& options = Patient()) {
+ReplayResult Estimate(const Flight& flight, const EstimatorOptions& options = OfflineOptions()) {
   Estimator estimator(&*flight.model, options, true);
   return Replay(flight.log, &estimator);
 }
@@ -63,7 +57,6 @@ Vehicle FreeVehicle() { return RecoveryVehicle(test::NominalVehicle()); }
 TEST(Recovery, TruthComesBackFromWrongStartsInThreeFlights) {
   RecoveryOptions options;
   options.simulation.duration_s = 20.0;
-  options.estimator = Patient();
   options.seeds = 3;
   options.jobs = 2;
   const Recovery recovery = Recover(FreeVehicle(), options);
@@ -97,7 +90,7 @@ TEST(Recovery, SigmasHoldWhereAFlightShowsLittle) {
     RecoveryOptions options;
     options.simulation.trajectory = trajectory;
     options.simulation.duration_s = 20.0;
-    options.estimator = Patient();
+    options.estimator = OfflineOptions();
     options.seeds = 3;
     options.jobs = 2;
     const Recovery recovery = Recover(FreeVehicle(), options);
@@ -147,7 +140,7 @@ TEST(Recovery, StartOfTheThrustCoefficientDoesNotMatter) {
   for (const double factor : {0.5, 2.0}) {
     RecoveryOptions options;
     options.simulation.duration_s = 6.0;
-    options.estimator = Patient();
+    options.estimator = OfflineOptions();
     options.seeds = 1;
     options.start_thrust_factor = factor;
     for (const ParameterRecovery& p : Recover(FreeVehicle(), options).parameters) {
@@ -169,7 +162,7 @@ TEST(Recovery, NoFlightDivergesAtFewKeyframes) {
     simulation.duration_s = 8.0;
     simulation.seed = seed;
     flight.log = Simulate(*flight.model, flight.truth, simulation, {}).log;
-    EstimatorOptions options = Patient();
+    EstimatorOptions options = OfflineOptions();
     options.keyframe_rate_hz = 40.0;
     const ReplayResult result = Estimate(flight, options);
     SCOPED_TRACE(seed);
@@ -287,7 +280,7 @@ TEST(Estimator, AHeldPoseIsOneMeasurement) {
 
 TEST(Estimator, KeyframesMayBeFartherApartThanAGapIsLong) {
   Flight flight = Fly(FreeVehicle(), 12.0);
-  EstimatorOptions options = Patient();
+  EstimatorOptions options = OfflineOptions();
   options.keyframe_rate_hz = 10.0;
   const ReplayResult result = Estimate(flight, options);
   EXPECT_EQ(result.counters.gaps, 0);
@@ -318,7 +311,7 @@ TEST(EstimatorOptions, NamesWhatIsOutOfRange) {
 
 TEST(Estimator, EulerFormIsCloseButWorseInDrag) {
   const Flight flight = Fly(FreeVehicle(), 10.0);
-  EstimatorOptions euler = Patient();
+  EstimatorOptions euler = OfflineOptions();
   euler.dynamics_form = "euler";
   const ReplayResult midpoint = Estimate(flight), other = Estimate(flight, euler);
   ExpectNear(flight, other, "thrust.k_f", 0.01);
@@ -421,7 +414,7 @@ TEST(Recovery, KeepsOutOfTheValleyBesideTheTruth) {
                                                {"gravity.x", 0.00605693},
                                                {"gravity.y", 0.00452253},
                                                {"rotor_drag.k_d", 5.0e-6}};
-  EstimatorOptions options = Patient();
+  EstimatorOptions options = OfflineOptions();
   options.keyframe_rate_hz = 50.0;
   for (const double scale : {0.9, 0.95, 0.98, 1.0, 1.02, 1.05, 1.1}) {
     for (const auto& [name, value] : start) vehicle.parameters[name].value = scale * value;
@@ -460,7 +453,7 @@ TEST(Recovery, RotorDragWithoutMomentIsFoundFromNothing) {
     noise.imu = false;
     FlightLog log = Simulate(model, truth, options, noise).log;
     Degrade(conditions, seed, &log);
-    EstimatorOptions patient = Patient();
+    EstimatorOptions patient = OfflineOptions();
     patient.keyframe_rate_hz = 50.0;
     Estimator estimator(&model, patient, true);
     const Snapshot last = *Replay(log, &estimator).last;

@@ -32,8 +32,7 @@ Counted CountUpdates(double duration_s, double from_s, bool imu, double walk_rat
   SimulationNoise noise;
   noise.imu = imu;
   const FlightLog log = Simulate(model, DefaultTruth(model), simulation, noise).log;
-  EstimatorOptions options;
-  options.max_update_time_s = 10.0;
+  EstimatorOptions options = OfflineOptions();
   options.k_f_walk_rate = walk_rate;
   Estimator estimator(&model, options, true);
   Counted counted;

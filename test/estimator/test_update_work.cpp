@@ -28,9 +28,8 @@ constexpr double kEliminationSeconds =
 /// The flight at a keyframe rate; nothing is stopped by the clock.
 void ExpectUpdatesWithinTheirPeriods(const FlightLog& log, const DynamicModel& model,
                                      double keyframe_rate_hz) {
-  EstimatorOptions options;
+  EstimatorOptions options = OfflineOptions();
   options.keyframe_rate_hz = keyframe_rate_hz;
-  options.max_update_time_s = 10.0;
   Estimator estimator(&model, options, true);
   const int bound = static_cast<int>(1.0 / (keyframe_rate_hz * kEliminationSeconds));
   int updates = 0, most = 0, longest_window = 0;

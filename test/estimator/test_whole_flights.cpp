@@ -38,7 +38,7 @@ class WholeFlight : public testing::Test {
 
   ReplayResult Learn(const FlightLog& log) const {
     const DynamicModel model(vehicle_, vehicle_.effects);
-    Estimator estimator(&model, EstimatorOptions(), true);
+    Estimator estimator(&model, OfflineOptions(), true);
     return Replay(log, &estimator);
   }
 
@@ -198,7 +198,7 @@ TEST_F(WholeFlight, ItFliesOnAfterALanding) {
 TEST_F(WholeFlight, TheThirdsTellWhatChangedInBetween) {
   const DynamicModel model(vehicle_, vehicle_.effects);
   const auto findings = [&](const FlightLog& log) {
-    Estimator estimator(&model, EstimatorOptions(), true);
+    Estimator estimator(&model, OfflineOptions(), true);
     const ReplayResult replay = Replay(log, &estimator);
     return LastLookFindings(model, replay.last->values, estimator.LastLook());
   };

@@ -56,7 +56,6 @@ class Hangar {
   JointLoop Close(const std::vector<std::string>& held_out = {}) const {
     JointLoopOptions options;
     options.calibration.estimator.keyframe_rate_hz = 50.0;
-    options.calibration.estimator.max_update_time_s = 10.0;
     options.calibration.doubted_flights = 1;
     options.calibration.jobs = 2;
     std::vector<std::string> learned;

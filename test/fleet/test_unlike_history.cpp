@@ -83,7 +83,7 @@ SimulatedFlight Fly(const Fleet& fleet, const ModelValues& today, const std::str
 
 Watched Watch(const Fleet& fleet, const FlightLog& log, double rate = 1e-3) {
   const DynamicModel model(fleet.prior, fleet.prior.effects);
-  Estimator estimator(&model, EstimatorOptions(), true);
+  Estimator estimator(&model, OfflineOptions(), true);
   const ReplayResult replay = Replay(log, &estimator);
   HistoryWatch watch(fleet.history);
   Watched watched;

@@ -112,8 +112,7 @@ Flown Calibrated(const std::string& file, const std::string& vehicle_name,
   SettleRotors(actuator, vehicle.num_rotors(), from_commands, &log);
   if (warnings != nullptr) *warnings = log.warnings;
   const DynamicModel model(vehicle, vehicle.effects);
-  EstimatorOptions options;
-  options.max_update_time_s = 10.0;
+  EstimatorOptions options = OfflineOptions();
   Estimator estimator(&model, options, true);
   const ReplayResult replay = Replay(log, &estimator);
   const auto value = [&](const char* name) { return replay.last->values[model.IndexOf(name)]; };

@@ -69,8 +69,7 @@ Actuator TestActuator() { return LoadActuator(kFolder + "/test/ros/test_actuator
 Json Offline(const std::string& bag, const std::string& kind, const BagOptions& reading = {}) {
   const Vehicle vehicle = LoadVehicle(kFolder + "/test/ros/test_quad.yaml");
   const DynamicModel model(vehicle, vehicle.effects);
-  EstimatorOptions options;
-  options.max_update_time_s = 1.0;
+  EstimatorOptions options = OfflineOptions();
   Estimator estimator(&model, options, true);
   FlightLog log = ReadFlightBag(bag, vehicle.num_rotors(), reading);
   if (IsCommanded(kind)) {

@@ -20,7 +20,7 @@ namespace odmc {
 
 /// How the loop is closed.
 struct CloseLoopOptions {
-  EstimatorOptions estimator;
+  EstimatorOptions estimator = OfflineOptions();
   BlockSplit blocks;
   AttributionOptions attribution;
   std::vector<std::string> ruled_out;  ///< effects that cannot act, as wind and gusts indoors

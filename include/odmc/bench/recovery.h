@@ -14,7 +14,7 @@ namespace odmc {
 struct RecoveryOptions {
   SimulationOptions simulation;  ///< seed is that of the first flight
   SimulationNoise noise;
-  EstimatorOptions estimator;
+  EstimatorOptions estimator = OfflineOptions();
   int seeds = 20;             ///< flights, >= 1
   int jobs = 1;               ///< at a time, >= 1
   double start_offset = 0.3;  ///< starts are off by up to this share of the truth

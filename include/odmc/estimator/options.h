@@ -91,4 +91,8 @@ struct EstimatorOptions {
   bool IsValid(std::string* error) const;
 };
 
+/// Options for a log that is read back: no solve is cut short by the clock, so that a flight gives
+/// the same numbers on any machine, loaded or not.
+EstimatorOptions OfflineOptions();
+
 }  // namespace odmc

@@ -46,7 +46,7 @@ struct FleetCalibration {
 };
 
 struct JointCalibrationOptions {
-  EstimatorOptions estimator;
+  EstimatorOptions estimator = OfflineOptions();
   JointOptions joint;
   std::vector<std::string> own;  ///< full names or effects that are each flight's own, too
   int jobs = 1;
