@@ -604,6 +604,21 @@ VariantSet Attribution::WithoutStrangers(const Evidence& evidence, VariantSet se
   return set;
 }
 
+std::map<int, SettingProfile> Attribution::HoldSettings(Evidence* evidence, VariantSet* set) {
+  std::map<int, SettingProfile> profiles;
+  for (const int v : VariantSet(*set)) {
+    std::optional<SettingProfile> profile = SettingProfile::Of(*evidence, v, *set);
+    if (!profile) continue;
+    const int held = evidence->Add(profile->Held());
+    if (held < 0) continue;
+    evidence->EstimateNoise();
+    set->erase(v);
+    set->insert(held);
+    profiles.emplace(held, std::move(*profile));
+  }
+  return profiles;
+}
+
 std::vector<ResidualModel::Wrenches> Attribution::Refit(ModelPoint* point) const {
   std::vector<ResidualModel::Wrenches> residuals;
   for (int round = 0; round < kRefits; ++round) {
@@ -719,6 +734,7 @@ void Attribution::Run() {
     }
     if (set.empty()) return;
     set = WithoutStrangers(evidence, Largest(evidence, set));
+    const std::map<int, SettingProfile> profiles = HoldSettings(&evidence, &set);
     const EffectFit fit = evidence.Solve(set);
     ModelPoint fitted = evidence.Moved(set, fit);
     std::vector<ResidualModel::Wrenches> left = Refit(&fitted);
@@ -726,6 +742,7 @@ void Attribution::Run() {
     std::vector<RankedEffect> added;
     for (const int v : set) {
       added.push_back(Describe(evidence, v, set));
+      if (profiles.count(v) > 0) profiles.at(v).AddTo(&added.back());
       added.back().probability = found.ProbabilityOf(added.back().name, evidence);
       FindAlternatives(evidence, set, v, &added.back());
       if (evidence.num_flights() > 1) added.back().by_flight = ByFlight(evidence, v, set);

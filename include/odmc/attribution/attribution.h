@@ -10,6 +10,7 @@
 #include "odmc/attribution/effect_search.h"
 #include "odmc/attribution/evidence.h"
 #include "odmc/attribution/ranked_effect.h"
+#include "odmc/attribution/setting_profile.h"
 #include "odmc/attribution/structure.h"
 
 namespace odmc {
@@ -94,12 +95,6 @@ class Attribution {
   double SurrogatePValue(double gain) const;
 
  private:
-  /// One round about a point: what more would be added.
-  struct Round {
-    Evidence evidence;
-    VariantSet chosen;
-  };
-
   void Screen(Evidence* evidence) const;
   void Polish(Evidence* evidence) const;
   void Rank(const Evidence& evidence);
@@ -132,6 +127,9 @@ class Attribution {
   /// In the place of what has an unphysical sign, the most probable effect that the data do not
   /// tell from it and that has none, if there is one.
   VariantSet WithoutStrangers(const Evidence& evidence, VariantSet set) const;
+  /// Holds the settings that a set's effects fit at what SettingProfile says of them.
+  /// @returns the profiles of the new set's variants
+  static std::map<int, SettingProfile> HoldSettings(Evidence* evidence, VariantSet* set);
   /// Fits all values of the point, linearized anew until they stay.
   std::vector<ResidualModel::Wrenches> Refit(ModelPoint* point) const;
   /// The evidence for effects linearized about what the fit with them has found, inertia near that.
