@@ -16,6 +16,7 @@
 #include "odmc/model/effect.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "support/fading_thrust.h"
 #include "support/test_vehicle.h"
 
 namespace odmc {
@@ -306,6 +307,22 @@ ClosedLoop CloseWithLoad(double mass_share, const Swing& swing) {
   noise.accelerometer_noise_density = 0.002;
   const SimulatedFlight flight = Simulate(model, truth, options, noise);
   return CloseLoop(flight.log, vehicle, vehicle, CloseLoopOptions());
+}
+
+// What odometry shows of a slow effect is not lost behind a noisy accelerometer.
+TEST(CloseLoop, SeesWhatIsSlowBehindANoisyAccelerometer) {
+  const auto gain = [](bool with_accelerometer) {
+    const Vehicle vehicle = VehicleWithImu();
+    const ClosedLoop loop = CloseLoop(FlightOfFadingThrust(with_accelerometer, 1), vehicle, vehicle,
+                                      CloseLoopOptions());
+    for (const RankedEffect& ranked : loop.ranking) {
+      if (ranked.name == "thrust_drift") return ranked.score;
+    }
+    return 0.0;
+  };
+  const double by_motion = gain(false);
+  EXPECT_GT(by_motion, 50.0);
+  EXPECT_GT(gain(true), 0.5 * by_motion);
 }
 
 // Too weak to stand out of the noise's spectrum; as a function of the state it does.

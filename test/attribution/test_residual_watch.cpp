@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
@@ -8,6 +9,7 @@
 #include "odmc/bench/undeclared.h"
 #include "odmc/estimator/estimator.h"
 #include "odmc/math/gaussian.h"
+#include "support/fading_thrust.h"
 #include "support/flight_feed.h"
 #include "support/test_vehicle.h"
 
@@ -32,10 +34,9 @@ UndeclaredFlight Fly(const std::vector<std::string>& effects, const std::string&
 class Pilot {
  public:
   Pilot(const UndeclaredFlight& flight, const ResidualWatchOptions& options)
-      : log_(flight.log),
-        feed_(log_),
-        declared_(flight.declared),
-        watch_(flight.declared, options, true) {
+      : Pilot(flight.log, flight.declared, options) {}
+  Pilot(const FlightLog& log, const Vehicle& declared, const ResidualWatchOptions& options)
+      : log_(log), feed_(log_), declared_(declared), watch_(declared, options, true) {
     estimator_options_.keyframe_rate_hz = 50.0;
     model_ = std::make_shared<DynamicModel>(declared_, declared_.effects);
     estimator_ = std::make_unique<Estimator>(model_.get(), estimator_options_, true);
@@ -151,6 +152,23 @@ TEST(ResidualWatch, NamesTheMissingEffectAndTheEstimatorCarriesOnWithIt) {
   EXPECT_EQ(after.model->effect_names().back(), "quadratic_drag");
   EXPECT_FALSE(after.candidate.has_value()) << Text(after);
   EXPECT_LT(after.force_rmse_N.norm(), 0.7 * look.force_rmse_N.norm());
+}
+
+// What odometry shows of a slow effect is not lost behind a noisy accelerometer.
+TEST(ResidualWatch, SeesWhatIsSlowBehindANoisyAccelerometer) {
+  const auto gain = [](bool with_accelerometer) {
+    const FlightLog log = FlightOfFadingThrust(with_accelerometer, 1);
+    Pilot pilot(log, VehicleWithImu(), ResidualWatchOptions());
+    pilot.FlyUntil(29.0);
+    double most = 0.0;
+    for (const ResidualLook& look : pilot.looks()) {
+      if (look.candidate) most = std::max(most, look.candidate->score);
+    }
+    return most;
+  };
+  const double by_motion = gain(false);
+  EXPECT_GT(by_motion, 50.0);
+  EXPECT_GT(gain(true), 0.5 * by_motion);
 }
 
 TEST(ResidualWatch, NamesNothingWhenTheModelIsTheTruth) {

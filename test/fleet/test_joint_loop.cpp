@@ -12,6 +12,7 @@
 #include "odmc/fleet/joint_loop.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "support/fading_thrust.h"
 #include "support/test_vehicle.h"
 
 namespace odmc {
@@ -118,6 +119,33 @@ TEST(JointLoop, NamesWhatTheVehicleLacksByTheEvidenceOfAllFlights) {
   EXPECT_EQ(report["close_loop"]["held_out"].size(), 1u);
   EXPECT_EQ(report["parameters"]["thrust.k_f"]["sign_unphysical"], false);
   EXPECT_NE(JointLoopCsv(loop).find("flight0," + found.effect.name), std::string::npos);
+}
+
+// What odometry shows of a slow effect is not lost behind a noisy accelerometer.
+TEST(JointLoop, SeesWhatIsSlowBehindNoisyAccelerometers) {
+  const auto gain = [](bool with_accelerometer) {
+    std::map<std::string, FlightLog> logs;
+    std::vector<std::string> files;
+    for (const int seed : {1, 2}) {
+      FlightLog log = FlightOfFadingThrust(with_accelerometer, seed);
+      files.push_back(log.file);
+      logs[log.file] = std::move(log);
+    }
+    JointLoopOptions options;
+    options.calibration.estimator.keyframe_rate_hz = 50.0;
+    const FlightSource source = [&](const std::string& file) {
+      return InspectedFlight{logs.at(file), {}};
+    };
+    const Vehicle vehicle = VehicleWithImu();
+    const JointLoop loop = CloseLoopOnSeveral(files, {}, source, vehicle, vehicle, options);
+    for (const RankedEffect& ranked : loop.ranking) {
+      if (ranked.name == "thrust_drift") return ranked.score;
+    }
+    return 0.0;
+  };
+  const double by_motion = gain(false);
+  EXPECT_GT(by_motion, 50.0);
+  EXPECT_GT(gain(true), 0.5 * by_motion);
 }
 
 // The same size, its sign another one from flight to flight: nothing of the vehicle's.
