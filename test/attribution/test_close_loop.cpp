@@ -313,8 +313,8 @@ ClosedLoop CloseWithLoad(double mass_share, const Swing& swing) {
 TEST(CloseLoop, SeesWhatIsSlowBehindANoisyAccelerometer) {
   const auto gain = [](bool with_accelerometer) {
     const Vehicle vehicle = VehicleWithImu();
-    const ClosedLoop loop = CloseLoop(FlightOfFadingThrust(with_accelerometer, 1), vehicle, vehicle,
-                                      CloseLoopOptions());
+    const ClosedLoop loop = CloseLoop(FlightOfFadingThrust(with_accelerometer, 1, 16.0), vehicle,
+                                      vehicle, CloseLoopOptions());
     for (const RankedEffect& ranked : loop.ranking) {
       if (ranked.name == "thrust_drift") return ranked.score;
     }

@@ -157,9 +157,9 @@ TEST(ResidualWatch, NamesTheMissingEffectAndTheEstimatorCarriesOnWithIt) {
 // What odometry shows of a slow effect is not lost behind a noisy accelerometer.
 TEST(ResidualWatch, SeesWhatIsSlowBehindANoisyAccelerometer) {
   const auto gain = [](bool with_accelerometer) {
-    const FlightLog log = FlightOfFadingThrust(with_accelerometer, 1);
+    const FlightLog log = FlightOfFadingThrust(with_accelerometer, 1, 23.0);
     Pilot pilot(log, VehicleWithImu(), ResidualWatchOptions());
-    pilot.FlyUntil(29.0);
+    pilot.FlyUntil(22.0);
     double most = 0.0;
     for (const ResidualLook& look : pilot.looks()) {
       if (look.candidate) most = std::max(most, look.candidate->score);

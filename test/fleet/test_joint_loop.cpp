@@ -127,7 +127,7 @@ TEST(JointLoop, SeesWhatIsSlowBehindNoisyAccelerometers) {
     std::map<std::string, FlightLog> logs;
     std::vector<std::string> files;
     for (const int seed : {1, 2}) {
-      FlightLog log = FlightOfFadingThrust(with_accelerometer, seed);
+      FlightLog log = FlightOfFadingThrust(with_accelerometer, seed, 16.0);
       files.push_back(log.file);
       logs[log.file] = std::move(log);
     }

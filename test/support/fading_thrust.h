@@ -15,17 +15,17 @@ inline Vehicle VehicleWithImu() {
   return vehicle;
 }
 
-/// A flight of VehicleWithImu() on which the thrust coefficient falls slowly, by 1 % in 10 s.
+/// A flight of VehicleWithImu() on which the thrust coefficient falls slowly, by 1 % in 5 s.
 /// Odometry shows it; an accelerometer is too noisy to.
-inline FlightLog FlightOfFadingThrust(bool with_accelerometer, int seed) {
+inline FlightLog FlightOfFadingThrust(bool with_accelerometer, int seed, double duration_s) {
   Vehicle flown = VehicleWithImu();
   flown.effects.emplace_back("thrust_drift");
   const DynamicModel model(flown, flown.effects);
   ModelValues truth = DefaultTruth(model);
-  truth[model.IndexOf("thrust_drift.rate")] = -1e-3;
+  truth[model.IndexOf("thrust_drift.rate")] = -2e-3;
   SimulationOptions options;
   options.trajectory = "octo";
-  options.duration_s = 30.0;
+  options.duration_s = duration_s;
   options.log_rate_hz = 100.0;
   options.seed = seed;
   SimulationNoise noise;
