@@ -650,8 +650,8 @@ std::vector<ResidualModel::Wrenches> Attribution::Refit(ModelPoint* point) const
   return residuals;
 }
 
-Evidence Attribution::EvidenceAtFit(const ModelPoint& fitted,
-                                    std::vector<EffectCandidate> added) const {
+Evidence Attribution::EvidenceAtFit(const ModelPoint& fitted, std::vector<EffectCandidate> added,
+                                    const std::vector<EffectCandidate>& beside) const {
   ModelPoint point = fitted;
   point.vehicle = point_.vehicle;
   for (const char* const axis : {"inertia.x", "inertia.y", "inertia.z"}) {
@@ -673,31 +673,61 @@ Evidence Attribution::EvidenceAtFit(const ModelPoint& fitted,
     }
     evidence.Add(candidate);
   }
+  for (const EffectCandidate& candidate : beside) evidence.Add(candidate);
   evidence.EstimateNoise();
   return evidence;
 }
 
+std::map<std::string, double> Attribution::ScoresAtFit(const Evidence& evidence,
+                                                       const VariantSet& set,
+                                                       const ModelPoint& fitted,
+                                                       bool with_all_columns) const {
+  std::vector<EffectCandidate> added, beside;
+  std::set<std::string> effects;
+  for (const int v : set) {
+    added.push_back(evidence.variants()[v].candidate);
+    effects.insert(added.back().effect);
+  }
+  for (const EffectVariant& v : evidence.variants()) {
+    if (with_all_columns && effects.count(v.candidate.effect) == 0) beside.push_back(v.candidate);
+  }
+  const Evidence at_fit = EvidenceAtFit(fitted, added, beside);
+  VariantSet all;
+  for (size_t v = 0; v < at_fit.variants().size(); ++v) {
+    if (effects.count(at_fit.variants()[v].candidate.effect) > 0) all.insert(static_cast<int>(v));
+  }
+  std::map<std::string, double> scores;
+  for (const int v : all) {
+    VariantSet others = all;
+    others.erase(v);
+    scores[at_fit.variants()[v].candidate.effect] = ScoreOf(at_fit, all, others);
+  }
+  return scores;
+}
+
 bool Attribution::RefuseHollow(const Evidence& evidence, const VariantSet& set,
                                const ModelPoint& fitted) {
-  std::vector<EffectCandidate> added;
-  for (const int v : set) added.push_back(evidence.variants()[v].candidate);
-  const Evidence at_fit = EvidenceAtFit(fitted, added);
-  VariantSet all;
-  for (size_t v = 0; v < at_fit.variants().size(); ++v) all.insert(static_cast<int>(v));
-  bool found = false;
-  for (const int v : all) {
-    const std::string& effect = at_fit.variants()[v].candidate.effect;
-    // What swings on each flight in its own way is not linearized about one start.
-    const bool swings = std::any_of(fitted.own.begin(), fitted.own.end(), [&](const auto& own) {
+  // What swings on each flight in its own way is not linearized about one start.
+  const auto swings = [&](const std::string& effect) {
+    return std::any_of(fitted.own.begin(), fitted.own.end(), [&](const auto& own) {
       return std::any_of(own.begin(), own.end(), [&](const auto& value) {
         return value.first.rfind(effect + ".", 0) == 0;
       });
     });
-    if (swings) continue;
-    VariantSet others = all;
-    others.erase(v);
-    const double score = ScoreOf(at_fit, all, others);
-    if (score >= 0.0) continue;
+  };
+  const auto is_hollow = [&](const std::pair<const std::string, double>& entry) {
+    return entry.second < 0.0 && !swings(entry.first);
+  };
+  std::map<std::string, double> scores = ScoresAtFit(evidence, set, fitted, false);
+  // The noise beside the set alone holds what else is missing. It is judged by the same noise as
+  // when it was chosen, beside the columns of all candidates.
+  if (std::any_of(scores.begin(), scores.end(), is_hollow)) {
+    scores = ScoresAtFit(evidence, set, fitted, true);
+  }
+  bool found = false;
+  for (const auto& entry : scores) {
+    if (!is_hollow(entry)) continue;
+    const auto& [effect, score] = entry;
     refused_[effect] = "gains " + Rounded(score) + " nats about what the fit with it has found";
     hollow_.insert(effect);
     found = true;

@@ -133,7 +133,13 @@ class Attribution {
   /// Fits all values of the point, linearized anew until they stay.
   std::vector<ResidualModel::Wrenches> Refit(ModelPoint* point) const;
   /// The evidence for effects linearized about what the fit with them has found, inertia near that.
-  Evidence EvidenceAtFit(const ModelPoint& fitted, std::vector<EffectCandidate> added) const;
+  /// @param beside what noise is estimated with, too
+  Evidence EvidenceAtFit(const ModelPoint& fitted, std::vector<EffectCandidate> added,
+                         const std::vector<EffectCandidate>& beside) const;
+  /// Scores of a set's effects there, by name.
+  /// @param with_all_columns noise is estimated beside the columns of all candidates
+  std::map<std::string, double> ScoresAtFit(const Evidence& evidence, const VariantSet& set,
+                                            const ModelPoint& fitted, bool with_all_columns) const;
   /// Refuses effects that a fit from afar promised and that are not there: the declared parameters
   /// went where they do not act in proportion any more, and about what the fit with the effects has
   /// found the odds are against them. They are not looked at again.
