@@ -8,6 +8,7 @@
 #include <set>
 #include <utility>
 
+#include "odmc/attribution/contained_effects.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -123,6 +124,23 @@ Evidence::VariantValues Halfway(Evidence::VariantValues from, const Evidence::Va
     for (auto& [name, value] : from[f]) value = 0.5 * (value + to[f].at(name));
   }
   return from;
+}
+
+/// A point without some effects.
+ModelPoint Without(ModelPoint point, const std::function<bool(const std::string&)>& is_dropped) {
+  std::vector<std::string>& effects = point.vehicle.effects;
+  effects.erase(std::remove_if(effects.begin(), effects.end(), is_dropped), effects.end());
+  const auto erase = [&](auto* by_name) {
+    for (auto it = by_name->begin(); it != by_name->end();) {
+      const bool gone = is_dropped(it->first.substr(0, it->first.find('.')));
+      it = gone ? by_name->erase(it) : std::next(it);
+    }
+  };
+  erase(&point.vehicle.parameters);
+  erase(&point.values);
+  erase(&point.scatter);
+  for (auto& own : point.own) erase(&own);
+  return point;
 }
 
 }  // namespace
@@ -741,6 +759,39 @@ bool Attribution::RefuseHollow(const Evidence& evidence, const VariantSet& set,
   return found;
 }
 
+void Attribution::UpdateValues(RankedEffect* effect) const {
+  for (ParameterEstimate& p : effect->parameters) {
+    const auto it = point_.values.find(p.full_name);
+    if (it != point_.values.end()) p.value = it->second;
+  }
+}
+
+void Attribution::DropContained(size_t newest) {
+  const auto split = static_cast<std::ptrdiff_t>(effects_.size() - newest);
+  std::vector<std::string> earlier;
+  std::for_each(effects_.begin(), effects_.begin() + split,
+                [&](const RankedEffect& effect) { earlier.push_back(effect.name); });
+  std::set<std::string> dropped;
+  for (size_t k = earlier.size(); k < effects_.size() && !earlier.empty(); ++k) {
+    for (const std::string& name : ContainedEffects(flights_, point_, earlier, effects_[k].name)) {
+      if (!dropped.insert(name).second) continue;
+      const auto it = std::find_if(effects_.begin(), effects_.end(),
+                                   [&](const RankedEffect& effect) { return effect.name == name; });
+      // Its own score was what it gains beside the other.
+      effects_[k].score += it->score;
+      effects_[k].p_value = std::min(effects_[k].p_value, it->p_value);
+    }
+  }
+  if (dropped.empty()) return;
+  const auto is_dropped = [&](const std::string& effect) { return dropped.count(effect) > 0; };
+  effects_.erase(std::remove_if(effects_.begin(), effects_.end(),
+                                [&](const RankedEffect& e) { return is_dropped(e.name); }),
+                 effects_.end());
+  point_ = Without(point_, is_dropped);
+  after_ = Refit(&point_);
+  for (RankedEffect& effect : effects_) UpdateValues(&effect);
+}
+
 void Attribution::Run() {
   before_ = Refit(&point_);
   after_ = before_;
@@ -788,12 +839,10 @@ void Attribution::Run() {
     point_ = std::move(fitted);
     after_ = std::move(left);
     for (RankedEffect& effect : added) {
-      for (ParameterEstimate& p : effect.parameters) {
-        const auto it = point_.values.find(p.full_name);
-        if (it != point_.values.end()) p.value = it->second;
-      }
+      UpdateValues(&effect);
       effects_.push_back(std::move(effect));
     }
+    DropContained(added.size());
   }
 }
 

@@ -146,6 +146,11 @@ class Attribution {
   /// @param fitted the point with the set, fitted
   /// @returns true if there are any
   bool RefuseHollow(const Evidence& evidence, const VariantSet& set, const ModelPoint& fitted);
+  /// Takes away effects found earlier that one of the newest contains (ContainedEffects()).
+  /// @param newest how many at the end of effects_ are
+  void DropContained(size_t newest);
+  /// An effect's parameters as the point has them.
+  void UpdateValues(RankedEffect* effect) const;
   bool GivesUp() const { return give_up_ && give_up_(); }
 
   std::vector<Instruments> instruments_;  // by flight
