@@ -733,19 +733,18 @@ bool Attribution::RefuseHollow(const Evidence& evidence, const VariantSet& set,
       });
     });
   };
-  const auto is_hollow = [&](const std::pair<const std::string, double>& entry) {
-    return entry.second < 0.0 && !swings(entry.first);
-  };
-  std::map<std::string, double> scores = ScoresAtFit(evidence, set, fitted, false);
-  // The noise beside the set alone holds what else is missing. It is judged by the same noise as
-  // when it was chosen, beside the columns of all candidates.
-  if (std::any_of(scores.begin(), scores.end(), is_hollow)) {
-    scores = ScoresAtFit(evidence, set, fitted, true);
-  }
+  const std::map<std::string, double> scores = ScoresAtFit(evidence, set, fitted, false);
+  std::map<std::string, double> by_first_noise;
   bool found = false;
-  for (const auto& entry : scores) {
-    if (!is_hollow(entry)) continue;
-    const auto& [effect, score] = entry;
+  for (const auto& [effect, score] : scores) {
+    if (score >= 0.0 || swings(effect)) continue;
+    // The noise beside the set alone holds what else is missing, and what is weak drowns in it. A
+    // coefficient of which nothing is known loses a few nats to its prior. Where no more speaks
+    // against it, the noise by which it was chosen decides, beside the columns of all candidates.
+    if (score > -options_.clear_odds) {
+      if (by_first_noise.empty()) by_first_noise = ScoresAtFit(evidence, set, fitted, true);
+      if (by_first_noise.at(effect) >= 0.0) continue;
+    }
     refused_[effect] = "gains " + Rounded(score) + " nats about what the fit with it has found";
     hollow_.insert(effect);
     found = true;

@@ -13,6 +13,7 @@
 #include "odmc/analysis/flight_motion.h"
 #include "odmc/attribution/attribution.h"
 #include "odmc/attribution/candidates.h"
+#include "odmc/attribution/contained_effects.h"
 #include "odmc/attribution/effect_search.h"
 #include "odmc/attribution/evidence.h"
 #include "odmc/attribution/flexible_features.h"
@@ -199,6 +200,24 @@ TEST(ThinnedFlight, TakesStretchesOfALongFlight) {
   EXPECT_NEAR(runs, 12, 1);
   EXPECT_NEAR(held_out, 0.25 * some.size(), 0.02 * some.size());
   EXPECT_EQ(ThinnedFlight(motion, BlockSplit(), {}, 1e5).size(), all.size());
+}
+
+// A hub moment is an anisotropic one with equal coefficients, and not the other way round.
+TEST(ContainedEffects, AreThoseThatAnotherOneMakesToo) {
+  const Flown flown = Filtered(Make({}, 0.0, "octo", 1, 31));
+  const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+  const Instruments instruments(flown.flight, flown.vehicle);
+  const std::vector<SeenFlight> flights = {{&residual, &instruments}};
+  ModelPoint point = DeclaredPoint(flown.vehicle);
+  const std::vector<std::string> asked = {"hub_moment", "rotor_gyroscopic", "quadratic_drag"};
+  for (const std::string& effect : asked) {
+    point.vehicle = VehicleWith(point.vehicle, EffectCandidate{effect, {}, {}});
+  }
+  point.vehicle = VehicleWith(point.vehicle, EffectCandidate{"anisotropic_hub_moment", {}, {}});
+  EXPECT_EQ(ContainedEffects(flights, point, asked, "anisotropic_hub_moment"),
+            std::vector<std::string>{"hub_moment"});
+  EXPECT_TRUE(ContainedEffects(flights, point, {"anisotropic_hub_moment"}, "hub_moment").empty());
+  EXPECT_TRUE(ContainedEffects(flights, point, asked, "thrust").empty());
 }
 
 TEST(Candidates, GroundEffectNeedsHeightThatVaries) {

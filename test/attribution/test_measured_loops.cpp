@@ -73,6 +73,28 @@ ClosedLoop CrazyflieWithThrustHeld(const std::string& file) {
   return CloseLoop(log, vehicle, vehicle, options);
 }
 
+// What is strong must not be refused for the noise that holds what else is missing, and of two
+// forms of one moment the wider is enough: beside each other their sigmas are thirty times as
+// large.
+TEST(MeasuredCrazyflie, HasOneHubMomentWithItsSigma) {
+  for (const char* name : {"eckart00", "eckart01", "eckart06"}) {
+    const std::string file = RecordedFile(std::string("imrc_cf21_brushless/") + name + ".csv");
+    if (file.empty()) GTEST_SKIP() << "no recorded data";
+    const ClosedLoop loop = CrazyflieWithThrustHeld(file);
+    int moments = 0;
+    for (const AddedEffect& added : loop.effects) {
+      const bool is_one =
+          added.effect.name == "hub_moment" || added.effect.name == "anisotropic_hub_moment";
+      if (!is_one) continue;
+      ++moments;
+      for (const ParameterEstimate& p : added.effect.parameters) {
+        EXPECT_LT(loop.parameters.Find(p.full_name)->sigma, 1e-8) << name << " " << p.full_name;
+      }
+    }
+    EXPECT_EQ(moments, 1) << name << "\n" << CloseLoopTable(loop);
+  }
+}
+
 bool Warns(const ClosedLoop& loop, const std::string& of) {
   return std::any_of(loop.warnings.begin(), loop.warnings.end(), [&](const std::string& warning) {
     return warning.find(of) != std::string::npos;
