@@ -8,7 +8,6 @@
 #include <set>
 #include <utility>
 
-#include "odmc/attribution/contained_effects.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -18,19 +17,9 @@ constexpr size_t kFittedSettings = 3;  // by either measure, and their refinemen
 constexpr int kPolishes = 8;           // linearizations of what is not linear, at most
 constexpr int kFirstPolishes = 3;      // of what gains nothing
 constexpr double kPolished = 0.2;      // sigmas: a smaller step ends them
-// Motion is in proportion to the inverse of inertia: so far a change of inertia is in proportion.
-constexpr double kProportional = 0.1;
-constexpr int kRefits = 5;  // at most
-constexpr int kInertiaRefits = 2;
-constexpr int kSurrogates = 300;      // their 30 largest give the tail to 18 %
-constexpr size_t kMostFeatures = 10;  // that complete a set
-constexpr double kTail = 0.1;         // share of surrogates whose excess gives the tail
-
-/// Best first.
-void SortByScore(std::vector<RankedEffect>* effects) {
-  std::sort(effects->begin(), effects->end(),
-            [](const RankedEffect& a, const RankedEffect& b) { return a.score > b.score; });
-}
+constexpr int kSurrogates = 300;       // their 30 largest give the tail to 18 %
+constexpr size_t kMostFeatures = 10;   // that complete a set
+constexpr double kTail = 0.1;          // share of surrogates whose excess gives the tail
 
 std::vector<Instruments> InstrumentsOf(const std::vector<const ResidualModel*>& residuals) {
   std::vector<Instruments> instruments;
@@ -124,23 +113,6 @@ Evidence::VariantValues Halfway(Evidence::VariantValues from, const Evidence::Va
     for (auto& [name, value] : from[f]) value = 0.5 * (value + to[f].at(name));
   }
   return from;
-}
-
-/// A point without some effects.
-ModelPoint Without(ModelPoint point, const std::function<bool(const std::string&)>& is_dropped) {
-  std::vector<std::string>& effects = point.vehicle.effects;
-  effects.erase(std::remove_if(effects.begin(), effects.end(), is_dropped), effects.end());
-  const auto erase = [&](auto* by_name) {
-    for (auto it = by_name->begin(); it != by_name->end();) {
-      const bool gone = is_dropped(it->first.substr(0, it->first.find('.')));
-      it = gone ? by_name->erase(it) : std::next(it);
-    }
-  };
-  erase(&point.vehicle.parameters);
-  erase(&point.values);
-  erase(&point.scatter);
-  for (auto& own : point.own) erase(&own);
-  return point;
 }
 
 }  // namespace
@@ -635,160 +607,6 @@ std::map<int, SettingProfile> Attribution::HoldSettings(Evidence* evidence, Vari
     profiles.emplace(held, std::move(*profile));
   }
   return profiles;
-}
-
-std::vector<ResidualModel::Wrenches> Attribution::Refit(ModelPoint* point) const {
-  std::vector<ResidualModel::Wrenches> residuals;
-  for (int round = 0; round < kRefits; ++round) {
-    Evidence evidence(flights_, *point, jobs_);
-    evidence.EstimateNoise();
-    const EffectFit posterior = evidence.Solve({});
-    residuals = evidence.ResidualsOf({}, posterior);
-    double moved = 0.0;
-    for (size_t k = 0; k < posterior.columns.size(); ++k) {
-      const auto at = static_cast<Eigen::Index>(k);
-      moved = std::max(
-          moved, std::abs(posterior.coefficients[at]) / std::sqrt(posterior.covariance(at, at)));
-    }
-    ModelPoint next = evidence.Moved({}, posterior);
-    for (const auto& [name, value] : point->values) {
-      // Where little is foreseen of torque, the unforeseen rest grows as inertia gets smaller, and
-      // the fit runs after it.
-      if (round >= kInertiaRefits && name.rfind("inertia.", 0) == 0) next.values[name] = value;
-    }
-    *point = std::move(next);
-    constexpr double kSettled = 0.1;  // sigmas
-    if (moved < kSettled) break;
-  }
-  const DynamicModel model(point->vehicle, point->vehicle.effects);
-  for (size_t f = 0; f < residuals.size(); ++f) {
-    residuals[f] = flights_[f].residual->AsFelt(std::move(residuals[f]), model,
-                                                ValuesOf(model, point->OfFlight(f).values));
-  }
-  return residuals;
-}
-
-Evidence Attribution::EvidenceAtFit(const ModelPoint& fitted, std::vector<EffectCandidate> added,
-                                    const std::vector<EffectCandidate>& beside) const {
-  ModelPoint point = fitted;
-  point.vehicle = point_.vehicle;
-  for (const char* const axis : {"inertia.x", "inertia.y", "inertia.z"}) {
-    const auto value = fitted.values.find(axis);
-    if (value == fitted.values.end()) continue;
-    ParameterSetting& setting = point.vehicle.parameters[axis];
-    setting.value = value->second;
-    setting.sigma = std::min(setting.sigma.value_or(value->second), kProportional * value->second);
-  }
-  Evidence evidence(flights_, point, jobs_);
-  for (EffectCandidate& candidate : added) {
-    for (const std::string& name : candidate.fitted) {
-      candidate.settings[name] = fitted.values.at(name);
-    }
-    candidate.fitted.clear();
-    for (const auto& [name, value] : fitted.values) {
-      const bool is_own = name.rfind(candidate.effect + ".", 0) == 0;
-      if (is_own && candidate.settings.count(name) == 0) candidate.start[name] = value;
-    }
-    evidence.Add(candidate);
-  }
-  for (const EffectCandidate& candidate : beside) evidence.Add(candidate);
-  evidence.EstimateNoise();
-  return evidence;
-}
-
-std::map<std::string, double> Attribution::ScoresAtFit(const Evidence& evidence,
-                                                       const VariantSet& set,
-                                                       const ModelPoint& fitted,
-                                                       bool with_all_columns) const {
-  std::vector<EffectCandidate> added, beside;
-  std::set<std::string> effects;
-  for (const int v : set) {
-    added.push_back(evidence.variants()[v].candidate);
-    effects.insert(added.back().effect);
-  }
-  for (const EffectVariant& v : evidence.variants()) {
-    if (with_all_columns && effects.count(v.candidate.effect) == 0) beside.push_back(v.candidate);
-  }
-  const Evidence at_fit = EvidenceAtFit(fitted, added, beside);
-  VariantSet all;
-  for (size_t v = 0; v < at_fit.variants().size(); ++v) {
-    if (effects.count(at_fit.variants()[v].candidate.effect) > 0) all.insert(static_cast<int>(v));
-  }
-  std::map<std::string, double> scores;
-  for (const int v : all) {
-    VariantSet others = all;
-    others.erase(v);
-    scores[at_fit.variants()[v].candidate.effect] = ScoreOf(at_fit, all, others);
-  }
-  return scores;
-}
-
-bool Attribution::RefuseHollow(const Evidence& evidence, const VariantSet& set,
-                               const ModelPoint& fitted) {
-  // What swings on each flight in its own way is not linearized about one start.
-  const auto swings = [&](const std::string& effect) {
-    return std::any_of(fitted.own.begin(), fitted.own.end(), [&](const auto& own) {
-      return std::any_of(own.begin(), own.end(), [&](const auto& value) {
-        return value.first.rfind(effect + ".", 0) == 0;
-      });
-    });
-  };
-  const std::map<std::string, double> scores = ScoresAtFit(evidence, set, fitted, false);
-  std::map<std::string, double> by_first_noise;
-  bool found = false;
-  for (const auto& [effect, score] : scores) {
-    if (score >= 0.0 || swings(effect)) continue;
-    // The noise beside the set alone holds what else is missing, and what is weak drowns in it. A
-    // coefficient of which nothing is known loses a few nats to its prior. Where no more speaks
-    // against it, the noise by which it was chosen decides, beside the columns of all candidates.
-    if (score > -options_.clear_odds) {
-      if (by_first_noise.empty()) by_first_noise = ScoresAtFit(evidence, set, fitted, true);
-      if (by_first_noise.at(effect) >= 0.0) continue;
-    }
-    refused_[effect] = "gains " + Rounded(score) + " nats about what the fit with it has found";
-    hollow_.insert(effect);
-    found = true;
-    for (RankedEffect& ranked : ranking_) {
-      if (ranked.name != effect || ranked.score < score) continue;
-      ranked.score = score;
-      ranked.p_value = PValue(score);
-    }
-  }
-  SortByScore(&ranking_);
-  return found;
-}
-
-void Attribution::UpdateValues(RankedEffect* effect) const {
-  for (ParameterEstimate& p : effect->parameters) {
-    const auto it = point_.values.find(p.full_name);
-    if (it != point_.values.end()) p.value = it->second;
-  }
-}
-
-void Attribution::DropContained(size_t newest) {
-  const auto split = static_cast<std::ptrdiff_t>(effects_.size() - newest);
-  std::vector<std::string> earlier;
-  std::for_each(effects_.begin(), effects_.begin() + split,
-                [&](const RankedEffect& effect) { earlier.push_back(effect.name); });
-  std::set<std::string> dropped;
-  for (size_t k = earlier.size(); k < effects_.size() && !earlier.empty(); ++k) {
-    for (const std::string& name : ContainedEffects(flights_, point_, earlier, effects_[k].name)) {
-      if (!dropped.insert(name).second) continue;
-      const auto it = std::find_if(effects_.begin(), effects_.end(),
-                                   [&](const RankedEffect& effect) { return effect.name == name; });
-      // Its own score was what it gains beside the other.
-      effects_[k].score += it->score;
-      effects_[k].p_value = std::min(effects_[k].p_value, it->p_value);
-    }
-  }
-  if (dropped.empty()) return;
-  const auto is_dropped = [&](const std::string& effect) { return dropped.count(effect) > 0; };
-  effects_.erase(std::remove_if(effects_.begin(), effects_.end(),
-                                [&](const RankedEffect& e) { return is_dropped(e.name); }),
-                 effects_.end());
-  point_ = Without(point_, is_dropped);
-  after_ = Refit(&point_);
-  for (RankedEffect& effect : effects_) UpdateValues(&effect);
 }
 
 void Attribution::Run() {

@@ -133,16 +133,11 @@ class Attribution {
   /// Fits all values of the point, linearized anew until they stay.
   std::vector<ResidualModel::Wrenches> Refit(ModelPoint* point) const;
   /// The evidence for effects linearized about what the fit with them has found, inertia near that.
-  /// @param beside what noise is estimated with, too
-  Evidence EvidenceAtFit(const ModelPoint& fitted, std::vector<EffectCandidate> added,
-                         const std::vector<EffectCandidate>& beside) const;
-  /// Scores of a set's effects there, by name.
-  /// @param with_all_columns noise is estimated beside the columns of all candidates
-  std::map<std::string, double> ScoresAtFit(const Evidence& evidence, const VariantSet& set,
-                                            const ModelPoint& fitted, bool with_all_columns) const;
+  Evidence EvidenceAtFit(const ModelPoint& fitted, std::vector<EffectCandidate> added) const;
   /// Refuses effects that a fit from afar promised and that are not there: the declared parameters
   /// went where they do not act in proportion any more, and about what the fit with the effects has
-  /// found the odds are against them. They are not looked at again.
+  /// found the odds are against them. They are not looked at again. (What is merely not seen there
+  /// is not refused where the blocks held out clearly speak for it.)
   /// @param fitted the point with the set, fitted
   /// @returns true if there are any
   bool RefuseHollow(const Evidence& evidence, const VariantSet& set, const ModelPoint& fitted);

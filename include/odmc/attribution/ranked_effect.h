@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <map>
 #include <string>
 #include <vector>
@@ -43,5 +44,11 @@ struct RankedEffect {
     return nullptr;
   }
 };
+
+/// Best first.
+inline void SortByScore(std::vector<RankedEffect>* effects) {
+  std::sort(effects->begin(), effects->end(),
+            [](const RankedEffect& a, const RankedEffect& b) { return a.score > b.score; });
+}
 
 }  // namespace odmc

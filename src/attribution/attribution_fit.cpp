@@ -1,0 +1,173 @@
+// What attribution does with the effects it has found: it fits the model with them, looks again
+// about the fit, and takes away what does not hold there.
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <iterator>
+#include <map>
+#include <set>
+#include <utility>
+
+#include "odmc/attribution/attribution.h"
+#include "odmc/attribution/contained_effects.h"
+#include "odmc/text/format.h"
+
+namespace odmc {
+namespace {
+
+// Motion is in proportion to the inverse of inertia: so far a change of inertia is in proportion.
+constexpr double kProportional = 0.1;
+constexpr int kRefits = 5;  // at most
+constexpr int kInertiaRefits = 2;
+
+/// A point without some effects.
+ModelPoint Without(ModelPoint point, const std::function<bool(const std::string&)>& is_dropped) {
+  std::vector<std::string>& effects = point.vehicle.effects;
+  effects.erase(std::remove_if(effects.begin(), effects.end(), is_dropped), effects.end());
+  const auto erase = [&](auto* by_name) {
+    for (auto it = by_name->begin(); it != by_name->end();) {
+      const bool gone = is_dropped(it->first.substr(0, it->first.find('.')));
+      it = gone ? by_name->erase(it) : std::next(it);
+    }
+  };
+  erase(&point.vehicle.parameters);
+  erase(&point.values);
+  erase(&point.scatter);
+  for (auto& own : point.own) erase(&own);
+  return point;
+}
+
+}  // namespace
+
+std::vector<ResidualModel::Wrenches> Attribution::Refit(ModelPoint* point) const {
+  std::vector<ResidualModel::Wrenches> residuals;
+  for (int round = 0; round < kRefits; ++round) {
+    Evidence evidence(flights_, *point, jobs_);
+    evidence.EstimateNoise();
+    const EffectFit posterior = evidence.Solve({});
+    residuals = evidence.ResidualsOf({}, posterior);
+    double moved = 0.0;
+    for (size_t k = 0; k < posterior.columns.size(); ++k) {
+      const auto at = static_cast<Eigen::Index>(k);
+      moved = std::max(
+          moved, std::abs(posterior.coefficients[at]) / std::sqrt(posterior.covariance(at, at)));
+    }
+    ModelPoint next = evidence.Moved({}, posterior);
+    for (const auto& [name, value] : point->values) {
+      // Where little is foreseen of torque, the unforeseen rest grows as inertia gets smaller, and
+      // the fit runs after it.
+      if (round >= kInertiaRefits && name.rfind("inertia.", 0) == 0) next.values[name] = value;
+    }
+    *point = std::move(next);
+    constexpr double kSettled = 0.1;  // sigmas
+    if (moved < kSettled) break;
+  }
+  const DynamicModel model(point->vehicle, point->vehicle.effects);
+  for (size_t f = 0; f < residuals.size(); ++f) {
+    residuals[f] = flights_[f].residual->AsFelt(std::move(residuals[f]), model,
+                                                ValuesOf(model, point->OfFlight(f).values));
+  }
+  return residuals;
+}
+
+Evidence Attribution::EvidenceAtFit(const ModelPoint& fitted,
+                                    std::vector<EffectCandidate> added) const {
+  ModelPoint point = fitted;
+  point.vehicle = point_.vehicle;
+  for (const char* const axis : {"inertia.x", "inertia.y", "inertia.z"}) {
+    const auto value = fitted.values.find(axis);
+    if (value == fitted.values.end()) continue;
+    ParameterSetting& setting = point.vehicle.parameters[axis];
+    setting.value = value->second;
+    setting.sigma = std::min(setting.sigma.value_or(value->second), kProportional * value->second);
+  }
+  Evidence evidence(flights_, point, jobs_);
+  for (EffectCandidate& candidate : added) {
+    for (const std::string& name : candidate.fitted) {
+      candidate.settings[name] = fitted.values.at(name);
+    }
+    candidate.fitted.clear();
+    for (const auto& [name, value] : fitted.values) {
+      const bool is_own = name.rfind(candidate.effect + ".", 0) == 0;
+      if (is_own && candidate.settings.count(name) == 0) candidate.start[name] = value;
+    }
+    evidence.Add(candidate);
+  }
+  evidence.EstimateNoise();
+  return evidence;
+}
+
+bool Attribution::RefuseHollow(const Evidence& evidence, const VariantSet& set,
+                               const ModelPoint& fitted) {
+  std::vector<EffectCandidate> added;
+  for (const int v : set) added.push_back(evidence.variants()[v].candidate);
+  const Evidence at_fit = EvidenceAtFit(fitted, added);
+  VariantSet all;
+  for (size_t v = 0; v < at_fit.variants().size(); ++v) all.insert(static_cast<int>(v));
+  bool found = false;
+  for (const int v : all) {
+    const std::string& effect = at_fit.variants()[v].candidate.effect;
+    // What swings on each flight in its own way is not linearized about one start.
+    const bool swings = std::any_of(fitted.own.begin(), fitted.own.end(), [&](const auto& own) {
+      return std::any_of(own.begin(), own.end(), [&](const auto& value) {
+        return value.first.rfind(effect + ".", 0) == 0;
+      });
+    });
+    if (swings) continue;
+    VariantSet others = all;
+    others.erase(v);
+    const double score = ScoreOf(at_fit, all, others);
+    if (score >= 0.0) continue;
+    // The noise holds what else is missing, and what is weak drowns in it: a coefficient of which
+    // nothing is known loses a few nats to its prior. Then the blocks held out decide.
+    const bool may_drown = score > -options_.clear_odds;
+    const double held_out = at_fit.HeldOutGain(all) - at_fit.HeldOutGain(others);
+    if (may_drown && held_out > options_.clear_odds) continue;
+    refused_[effect] = "gains " + Rounded(score) + " nats about what the fit with it has found";
+    hollow_.insert(effect);
+    found = true;
+    for (RankedEffect& ranked : ranking_) {
+      if (ranked.name != effect || ranked.score < score) continue;
+      ranked.score = score;
+      ranked.p_value = PValue(score);
+    }
+  }
+  SortByScore(&ranking_);
+  return found;
+}
+
+void Attribution::UpdateValues(RankedEffect* effect) const {
+  for (ParameterEstimate& p : effect->parameters) {
+    const auto it = point_.values.find(p.full_name);
+    if (it != point_.values.end()) p.value = it->second;
+  }
+}
+
+void Attribution::DropContained(size_t newest) {
+  const auto split = static_cast<std::ptrdiff_t>(effects_.size() - newest);
+  std::vector<std::string> earlier;
+  std::for_each(effects_.begin(), effects_.begin() + split,
+                [&](const RankedEffect& effect) { earlier.push_back(effect.name); });
+  std::set<std::string> dropped;
+  for (size_t k = earlier.size(); k < effects_.size() && !earlier.empty(); ++k) {
+    for (const std::string& name : ContainedEffects(flights_, point_, earlier, effects_[k].name)) {
+      if (!dropped.insert(name).second) continue;
+      const auto it = std::find_if(effects_.begin(), effects_.end(),
+                                   [&](const RankedEffect& effect) { return effect.name == name; });
+      // Its own score was what it gains beside the other.
+      effects_[k].score += it->score;
+      effects_[k].p_value = std::min(effects_[k].p_value, it->p_value);
+    }
+  }
+  if (dropped.empty()) return;
+  const auto is_dropped = [&](const std::string& effect) { return dropped.count(effect) > 0; };
+  effects_.erase(std::remove_if(effects_.begin(), effects_.end(),
+                                [&](const RankedEffect& e) { return is_dropped(e.name); }),
+                 effects_.end());
+  point_ = Without(point_, is_dropped);
+  after_ = Refit(&point_);
+  for (RankedEffect& effect : effects_) UpdateValues(&effect);
+}
+
+}  // namespace odmc
