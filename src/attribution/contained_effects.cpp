@@ -18,12 +18,15 @@ Eigen::MatrixXd ColumnsOf(const std::vector<SeenFlight>& flights, const ModelPoi
     if (p.effect == effect && p.estimated && !p.spec.initial_state) coefficients.push_back(i);
   }
   Eigen::Index rows = 0;
-  for (const SeenFlight& flight : flights) rows += kNumChannels * flight.residual->flight().size();
+  const auto rows_of = [](const SeenFlight& flight) {
+    return kNumChannels * static_cast<Eigen::Index>(flight.residual->flight().size());
+  };
+  for (const SeenFlight& flight : flights) rows += rows_of(flight);
   Eigen::MatrixXd columns(rows, static_cast<Eigen::Index>(coefficients.size()));
   Eigen::Index row = 0;
   for (size_t f = 0; f < flights.size(); ++f) {
     const ModelValues values = ValuesOf(model, point.OfFlight(f).values);
-    const Eigen::Index n = kNumChannels * flights[f].residual->flight().size();
+    const Eigen::Index n = rows_of(flights[f]);
     for (size_t k = 0; k < coefficients.size(); ++k) {
       const ResidualModel::Wrenches d =
           flights[f].residual->Derivative(model, values, coefficients[k]);

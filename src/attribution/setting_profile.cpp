@@ -80,8 +80,8 @@ bool SettingProfile::Find(const Evidence& evidence) {
   double from = from_, to = to_;
   for (int round = 0; round < kRounds; ++round) {
     const double step = (to - from) / (kPoints - 1);
-    std::vector<double> values;
-    for (int i = 0; i < kPoints; ++i) values.push_back(from + i * step);
+    std::vector<double> values(kPoints);
+    for (int i = 0; i < kPoints; ++i) values[static_cast<size_t>(i)] = from + i * step;
     points_ = PointsAt(values, evidence);
     if (points_.size() < 2) return false;
     Weigh(step);
