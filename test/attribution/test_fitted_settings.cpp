@@ -115,26 +115,6 @@ TEST(FittedSettings, GroundIsFoundWithItsSigma) {
   }
 }
 
-/// The evidence for one way to act, linearized at its start.
-struct Started {
-  Started(const Flown& flown, const EffectCandidate& candidate)
-      : instruments(flown.flight, flown.made.declared),
-        evidence({{&flown.residual, &instruments}}, flown.TruePoint()),
-        variant(evidence.Add(candidate)) {
-    evidence.EstimateNoise();
-    evidence.Relinearize(variant, {candidate.start});
-    evidence.EstimateNoise();
-  }
-  double Gain() const { return evidence.GainInNats({variant}); }
-  double GainWhereLinearized() const {
-    return evidence.LogEvidenceWhereLinearized(variant) - evidence.Solve({}).log_evidence;
-  }
-
-  Instruments instruments;
-  Evidence evidence;
-  int variant;
-};
-
 // From wherever a fit began: it stops in the nearest valley.
 TEST(FittedSettings, ProfileKnowsTheGroundFromAnyStart) {
   double squares = 0.0, flights = 0.0;
@@ -259,6 +239,26 @@ TEST(Evidence, LinearizesAProductAgainWithoutOvershooting) {
                 4.0 * std::sqrt(fit.covariance(at, at)));
   }
 }
+
+/// The evidence for one way to act, linearized at its start.
+struct Started {
+  Started(const Flown& flown, const EffectCandidate& candidate)
+      : instruments(flown.flight, flown.made.declared),
+        evidence({{&flown.residual, &instruments}}, flown.TruePoint()),
+        variant(evidence.Add(candidate)) {
+    evidence.EstimateNoise();
+    evidence.Relinearize(variant, {candidate.start});
+    evidence.EstimateNoise();
+  }
+  double Gain() const { return evidence.GainInNats({variant}); }
+  double GainWhereLinearized() const {
+    return evidence.LogEvidenceWhereLinearized(variant) - evidence.Solve({}).log_evidence;
+  }
+
+  Instruments instruments;
+  Evidence evidence;
+  int variant;
+};
 
 /// A small mass lost far outside: it turns the inertia over, and the wrench is no linear function
 /// of its place there.

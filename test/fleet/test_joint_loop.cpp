@@ -138,10 +138,7 @@ TEST(JointLoop, SeesWhatIsSlowBehindNoisyAccelerometers) {
     };
     const Vehicle vehicle = VehicleWithImu();
     const JointLoop loop = CloseLoopOnSeveral(files, {}, source, vehicle, vehicle, options);
-    for (const RankedEffect& ranked : loop.ranking) {
-      if (ranked.name == "thrust_drift") return ranked.score;
-    }
-    return 0.0;
+    return ScoreOfFadingThrust(loop.ranking);
   };
   const double by_motion = gain(false);
   EXPECT_GT(by_motion, 50.0);

@@ -1,5 +1,8 @@
 #pragma once
 
+#include <vector>
+
+#include "odmc/attribution/ranked_effect.h"
 #include "odmc/model/dynamic_model.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
@@ -38,6 +41,14 @@ inline FlightLog FlightOfFadingThrust(bool with_accelerometer, int seed, double 
   FlightLog log = Simulate(model, truth, options, noise).log;
   log.file = "fading" + std::to_string(seed);
   return log;
+}
+
+/// What a ranking says of that [nats].
+inline double ScoreOfFadingThrust(const std::vector<RankedEffect>& ranking) {
+  for (const RankedEffect& ranked : ranking) {
+    if (ranked.name == "thrust_drift") return ranked.score;
+  }
+  return 0.0;
 }
 
 }  // namespace test
