@@ -44,6 +44,7 @@ Json EffectJson(const AddedEffect& added, const DynamicModel& model) {
                {"parameters", ParametersJson(added.effect.parameters, model)}};
   if (!added.derived.empty()) json["derived"] = ParametersJson(added.derived);
   if (!added.manoeuvre.empty()) json["told_apart_by"] = added.manoeuvre;
+  if (added.taken_off) json["taken_off_the_recording"] = true;
   return json;
 }
 
@@ -138,7 +139,7 @@ std::string CloseLoopTable(const ClosedLoop& loop) {
     for (size_t i = 0; i < added.alternatives.size(); ++i) {
       text += (i == 0 ? ", not told from " : ", ") + added.alternatives[i];
     }
-    text += "\n";
+    text += added.taken_off ? ", taken off the recording\n" : "\n";
     std::vector<ParameterEstimate> rows = added.effect.parameters;
     rows.insert(rows.end(), added.derived.begin(), added.derived.end());
     for (const ParameterEstimate& p : rows) {

@@ -9,6 +9,7 @@
 #include "odmc/attribution/attribution_options.h"
 #include "odmc/attribution/close_loop.h"
 #include "odmc/attribution/close_loop_report.h"
+#include "odmc/attribution/stream_effects.h"
 #include "odmc/inspection/recording_inspection.h"
 #include "odmc/io/options_yaml.h"
 #include "odmc/sim/simulator.h"

@@ -5,6 +5,7 @@
 #include "model_arguments.h"
 #include "odmc/analysis/report.h"
 #include "odmc/attribution/close_loop_report.h"
+#include "odmc/attribution/stream_effects.h"
 #include "odmc/fleet/joint_loop.h"
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"

@@ -8,10 +8,12 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
+#include "flight_arguments.h"
 #include "model_arguments.h"
 #include "odmc/analysis/parallel.h"
 #include "odmc/analysis/report.h"
 #include "odmc/attribution/close_loop_report.h"
+#include "odmc/attribution/stream_effects.h"
 #include "odmc/io/flight_csv.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/math/statistics.h"
@@ -294,9 +296,11 @@ int main(int argc, char** argv) {
     const auto start = std::chrono::steady_clock::now();
     const auto close = [&](int i) {
       const Vehicle vehicle = LoadVehicle(tools::In(input, manifest[i]["vehicle"]));
-      const FlightLog log = ReadFlightCsv(tools::In(input, manifest[i]["file"]),
-                                          vehicle.num_rotors(), PoseSource::kEkf);
+      FlightLog log = ReadFlightCsv(tools::In(input, manifest[i]["file"]), vehicle.num_rotors(),
+                                    PoseSource::kEkf);
+      const StreamInspection inspection = tools::InspectFlight(vehicle, true, &log);
       ClosedLoop loop = CloseLoop(log, vehicle, vehicle, options);
+      AddInspection(inspection, &loop);
       loop.parameters.provenance["decision"] = DescribeChanges(options.attribution);
       WriteText(CloseLoopReport(loop, vehicle),
                 tools::In(results, std::string(manifest[i]["flight"]) + ".json"));

@@ -39,6 +39,8 @@ struct AddedEffect {
   std::vector<std::string> alternatives;        ///< that explain the same on this flight
   std::string manoeuvre;                        ///< what would tell them apart
   std::vector<ParameterEstimate> derived = {};  ///< DerivedFigures() of its online estimate
+  bool taken_off =
+      false;  ///< found by the streams and put right in the recording, not in the model
 };
 
 /// One sample for pictures: the residual before and after.

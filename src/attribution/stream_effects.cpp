@@ -1,0 +1,82 @@
+#include "odmc/attribution/stream_effects.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace odmc {
+namespace {
+
+constexpr double kUsualOffset_s =
+    0.02;  // standard deviation where stamps are wrong (docs/streams.md)
+
+/// The effect that an offset of a stream is.
+struct StreamEffect {
+  const char* stream;
+  const char* effect;
+  const char* parameter;
+};
+constexpr StreamEffect kStreamEffects[] = {{"rotor_speeds", "rotor_delay", "rotor_delay.delay"}};
+
+bool HasFinding(const StreamInspection& inspection, const std::string& check) {
+  return std::any_of(inspection.findings.begin(), inspection.findings.end(),
+                     [&](const Finding& finding) { return finding.check == check; });
+}
+
+/// Log likelihood ratio of an offset of the usual size to none [nats].
+double GainOf(double lag_s, double sigma_s) {
+  const double variance = sigma_s * sigma_s;
+  const double with_offset = variance + kUsualOffset_s * kUsualOffset_s;
+  return 0.5 *
+         (lag_s * lag_s * (1.0 / variance - 1.0 / with_offset) + std::log(variance / with_offset));
+}
+
+RankedEffect TakenOff(const TimeOffset& offset, const StreamEffect& kind) {
+  const double sigma_s = offset.lag.sigma_s();
+  RankedEffect effect;
+  effect.name = kind.effect;
+  effect.score = GainOf(offset.lag.lag_s, sigma_s);
+  effect.p_value = std::erfc(std::abs(offset.lag.lag_s) / sigma_s * std::sqrt(0.5));
+  effect.probability = 1.0 / (1.0 + std::exp(-effect.score));
+  effect.parameters = {{kind.parameter, "s", offset.compensated_s, sigma_s, true, true}};
+  return effect;
+}
+
+void Name(const RankedEffect& taken_off, ClosedLoop* loop) {
+  std::vector<AddedEffect>& effects = loop->effects;
+  const auto rest = std::find_if(effects.begin(), effects.end(), [&](const AddedEffect& added) {
+    return added.effect.name == taken_off.name;
+  });
+  if (loop->verdict == Verdict::kNone) loop->verdict = Verdict::kEffect;
+  if (rest == effects.end()) {
+    const auto weaker = std::find_if(effects.begin(), effects.end(), [&](const AddedEffect& added) {
+      return added.effect.score < taken_off.score;
+    });
+    AddedEffect named;
+    named.effect = taken_off;
+    named.taken_off = true;
+    effects.insert(weaker, named);
+    return;
+  }
+  rest->taken_off = true;
+  rest->effect.score += taken_off.score;
+  rest->effect.p_value = std::min(rest->effect.p_value, taken_off.p_value);
+  for (ParameterEstimate& p : rest->effect.parameters) {
+    if (p.full_name != taken_off.parameters.front().full_name) continue;
+    p.value += taken_off.parameters.front().value;  // sigma is that of the rest: it was seen last
+  }
+}
+
+}  // namespace
+
+void AddInspection(const StreamInspection& inspection, ClosedLoop* loop) {
+  AddInspection<ClosedLoop>(inspection, loop);
+  for (const TimeOffset& offset : inspection.offsets) {
+    for (const StreamEffect& kind : kStreamEffects) {
+      if (offset.stream != kind.stream || offset.compensated_s == 0.0) continue;
+      if (!HasFinding(inspection, offset.stream + "_offset")) continue;
+      Name(TakenOff(offset, kind), loop);
+    }
+  }
+}
+
+}  // namespace odmc

@@ -1,0 +1,137 @@
+// Offsets of streams that inspection takes off a recording, named by close_loop.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <string>
+
+#include "odmc/attribution/close_loop_report.h"
+#include "odmc/attribution/stream_effects.h"
+#include "odmc/inspection/recording_inspection.h"
+#include "odmc/sim/simulator.h"
+#include "odmc/sim/truth_vehicle.h"
+#include "support/test_vehicle.h"
+
+namespace odmc {
+namespace test {
+namespace {
+
+TimeOffset Offset(const std::string& stream, double lag_s, double sigma_s) {
+  TimeOffset offset;
+  offset.stream = stream;
+  offset.against = "body_rates";
+  offset.lag.lag_s = lag_s;
+  offset.lag.scatter_s = sigma_s;
+  offset.compensated_s = lag_s;
+  return offset;
+}
+
+/// @param reported with a finding
+StreamInspection Inspected(const TimeOffset& offset, bool reported) {
+  StreamInspection inspection;
+  inspection.offsets = {offset};
+  if (reported) inspection.findings = {OffsetFinding(offset, true)};
+  return inspection;
+}
+
+AddedEffect Effect(const std::string& name, double score, const std::string& parameter,
+                   double value) {
+  AddedEffect added;
+  added.effect.name = name;
+  added.effect.score = score;
+  added.effect.parameters = {{parameter, "s", value, 0.001, true, true}};
+  return added;
+}
+
+TEST(StreamEffects, LateRotorSpeedsAreAnEffect) {
+  for (const double lag_s : {0.035, -0.035}) {
+    ClosedLoop loop;
+    AddInspection(Inspected(Offset("rotor_speeds", lag_s, 0.001), true), &loop);
+    EXPECT_EQ(loop.verdict, Verdict::kEffect);
+    ASSERT_EQ(loop.effects.size(), 1u);
+    const RankedEffect& effect = loop.effects[0].effect;
+    EXPECT_TRUE(loop.effects[0].taken_off);
+    EXPECT_EQ(effect.name, "rotor_delay");
+    EXPECT_DOUBLE_EQ(effect.Find("rotor_delay.delay")->value, lag_s);
+    EXPECT_DOUBLE_EQ(effect.Find("rotor_delay.delay")->sigma, 0.001);
+    // 35 sigmas, less the logarithm of how much narrower the posterior is than the prior.
+    const double variance = 1e-6, prior = 4e-4 + variance;
+    EXPECT_NEAR(
+        effect.score,
+        0.5 * lag_s * lag_s * (1.0 / variance - 1.0 / prior) + 0.5 * std::log(variance / prior),
+        1e-9);
+    EXPECT_GT(effect.probability, 0.999);
+    EXPECT_EQ(loop.findings.size(), 1u);
+    EXPECT_EQ(loop.warnings.size(), 1u);
+  }
+}
+
+TEST(StreamEffects, AFiltersLagIsNone) {
+  ClosedLoop loop;
+  AddInspection(Inspected(Offset("rotor_speeds", -0.006, 0.001), false), &loop);
+  EXPECT_EQ(loop.verdict, Verdict::kNone);
+  EXPECT_TRUE(loop.effects.empty());
+  EXPECT_EQ(loop.time_offsets.size(), 1u);
+}
+
+TEST(StreamEffects, ALateVelocityIsAFindingOnly) {
+  ClosedLoop loop;
+  AddInspection(Inspected(Offset("velocity", 0.028, 0.0001), true), &loop);
+  EXPECT_EQ(loop.verdict, Verdict::kNone);
+  EXPECT_TRUE(loop.effects.empty());
+  EXPECT_EQ(loop.findings.size(), 1u);
+}
+
+TEST(StreamEffects, StandAmongTheOthersByTheirScore) {
+  ClosedLoop loop;
+  loop.verdict = Verdict::kEffect;
+  loop.effects = {Effect("quadratic_drag", 1e4, "quadratic_drag.c_q", 1.0),
+                  Effect("wind", 1.0, "wind.w_x", 1.0)};
+  AddInspection(Inspected(Offset("rotor_speeds", 0.02, 0.001), true), &loop);
+  ASSERT_EQ(loop.effects.size(), 3u);
+  EXPECT_EQ(loop.effects[1].effect.name, "rotor_delay");
+}
+
+TEST(StreamEffects, WhatIsLeftOfAnOffsetIsAdded) {
+  ClosedLoop loop;
+  loop.verdict = Verdict::kEffect;
+  loop.effects = {Effect("rotor_delay", 12.0, "rotor_delay.delay", 0.004)};
+  AddInspection(Inspected(Offset("rotor_speeds", 0.02, 0.003), true), &loop);
+  ASSERT_EQ(loop.effects.size(), 1u);
+  EXPECT_DOUBLE_EQ(loop.effects[0].effect.Find("rotor_delay.delay")->value, 0.024);
+  EXPECT_GT(loop.effects[0].effect.score, 12.0);
+}
+
+TEST(StreamEffects, WhatStaysUnexplainedStaysSo) {
+  ClosedLoop loop;
+  loop.verdict = Verdict::kUnexplained;
+  AddInspection(Inspected(Offset("rotor_speeds", 0.02, 0.001), true), &loop);
+  EXPECT_EQ(loop.verdict, Verdict::kUnexplained);
+  EXPECT_EQ(loop.effects.size(), 1u);
+}
+
+// From the recording to the report.
+TEST(StreamEffects, NamedInARecordingThatWasMended) {
+  const Vehicle vehicle = NominalVehicle();
+  const DynamicModel truth(vehicle, vehicle.effects);
+  SimulationOptions simulation;
+  simulation.trajectory = "aggressive";
+  simulation.duration_s = 25.0;
+  SimulationNoise noise;
+  noise.imu = true;
+  noise.rotor_delay_s = 0.03;
+  FlightLog log = Simulate(truth, DefaultTruth(truth), simulation, noise).log;
+  const StreamInspection inspection = InspectOrRefuse(vehicle, false, "", &log);
+  ClosedLoop loop = CloseLoop(log, vehicle, vehicle, CloseLoopOptions());
+  AddInspection(inspection, &loop);
+  ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
+  ASSERT_EQ(loop.effects.size(), 1u) << CloseLoopTable(loop);
+  const ParameterEstimate* delay = loop.effects[0].effect.Find("rotor_delay.delay");
+  ASSERT_NE(delay, nullptr);
+  EXPECT_NEAR(delay->value, 0.03, 3.0 * delay->sigma + 0.001);
+  const std::string report = CloseLoopReport(loop, vehicle);
+  EXPECT_NE(report.find("\"taken_off_the_recording\": true"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc
