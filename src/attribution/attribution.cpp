@@ -124,8 +124,16 @@ bool IsSensorNoise(const ChannelStructure& channel, const AttributionOptions& op
          channel.shared->share + sigmas < 1.0 - options.most_unexplained;
 }
 
+bool IsLean(const ChannelStructure& channel, const AttributionOptions& options) {
+  if (!channel.lean_rad || *channel.lean_rad > options.most_lean_rad) return false;
+  const bool is_felt =
+      channel.shared && channel.shared->share > options.significant_sigmas * channel.shared->sigma;
+  return !is_felt && !(channel.whiteness.quick_p < options.whiteness_p);
+}
+
 bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options) {
-  return !IsSensorNoise(channel, options) && channel.whiteness.p < options.whiteness_p &&
+  return !IsSensorNoise(channel, options) && !IsLean(channel, options) &&
+         channel.whiteness.p < options.whiteness_p &&
          channel.whiteness.structured_share > options.least_structured;
 }
 

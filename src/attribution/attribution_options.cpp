@@ -59,6 +59,8 @@ const std::vector<DecisionNumber>& DecisionNumbers() {
        "judgement: a smaller share of the variance changes the RMS by less than 3 %"},
       {"most_unexplained", "1", &O::most_unexplained, 0.0, 1.0,
        "judgement: what explains less than half of the structure is not its cause"},
+      {"most_lean_rad", "rad", &O::most_lean_rad, 0.0, 0.2,
+       "judgement: roll and pitch of an onboard filter err by a degree, over seconds"},
       {"telling_ratio", "1", &O::telling_ratio, 0.0, 1.0,
        "judgement: unless it takes half of an axis' error on blocks held out; one that is "
        "doubled is ruined (by chance once in thirty, F test of eight errors)"},

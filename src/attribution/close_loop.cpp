@@ -78,6 +78,12 @@ bool Summarise(const AttributionOptions& options, ClosedLoop* result) {
                                  Rounded(100.0 * channel.shared->sigma) + " % of it");
       continue;
     }
+    if (IsLean(channel, options)) {
+      if (!(whiteness.p < options.whiteness_p)) continue;
+      result->warnings.push_back("structure in " + channel.name + " is as of an odometry that " +
+                                 "leans by " + Rounded(*channel.lean_rad) + " rad, slowly");
+      continue;
+    }
     result->structured_share = std::max(result->structured_share, whiteness.structured_share);
     result->whiteness_p = std::min(result->whiteness_p, n * whiteness.p);
     structured = structured || IsStructured(channel, options);
@@ -244,10 +250,10 @@ void LoopSession::Attribute() {
   again_ = residual_->ForceByMotion(declared_, values);
   const int channels = residual_->num_channels();
   result_.structure = LessStructured(
-      StructureByChannel(*flight_, before, channels, again_),
+      StructureByChannel(*flight_, before, channels, again_, file_vehicle_),
       StructureByChannel(
           *flight_, residual_->AsFelt(residual_->Residual(declared_, values), declared_, values),
-          channels, again_));
+          channels, again_, file_vehicle_));
   structured_ = Summarise(options_.attribution, &result_);
   const std::vector<std::vector<double>> runs = flight_->Runs(before.col(0));
   judged_ = std::any_of(runs.begin(), runs.end(),
@@ -289,7 +295,8 @@ void LoopSession::WeighGusts() {
 
 std::vector<ChannelStructure> LoopSession::StructureInUse(
     const ResidualModel::Wrenches& residual) const {
-  return StructureByChannel(*flight_, residual, residual_->num_channels(), again_, true);
+  return StructureByChannel(*flight_, residual, residual_->num_channels(), again_, file_vehicle_,
+                            true);
 }
 
 ResidualModel::Wrenches LoopSession::Rest() const {

@@ -61,7 +61,7 @@ void Summarise(const std::vector<ChannelStructure>& channels, const AttributionO
   for (size_t c = 0; c < channels.size(); ++c) {
     const WhitenessResult& whiteness = channels[c].whiteness;
     (c < 3 ? found->force_rmse_N[c] : found->torque_rmse_Nm[c - 3]) = channels[c].rmse;
-    if (IsSensorNoise(channels[c], decision)) continue;
+    if (IsSensorNoise(channels[c], decision) || IsLean(channels[c], decision)) continue;
     if (whiteness.structured_share >= found->structured_share) {
       found->structured_share = whiteness.structured_share;
       found->channel = channels[c].name;
@@ -237,17 +237,17 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
   attribution.Run();
   const Eigen::MatrixX3d again = residual.ForceByMotion(model, estimate.values);
   const std::vector<ChannelStructure> before =
-      StructureByChannel(flight, attribution.residual_before(), channels, again);
+      StructureByChannel(flight, attribution.residual_before(), channels, again, file_vehicle_);
   Summarise(LessStructured(before, StructureByChannel(
                                        flight,
                                        residual.AsFelt(residual.Residual(model, estimate.values),
                                                        model, estimate.values),
-                                       channels, again)),
+                                       channels, again, file_vehicle_)),
             decision_, &found);
   const std::vector<RankedEffect>& effects = attribution.effects();
   if (effects.empty()) return found;
   const std::vector<ChannelStructure> after =
-      StructureByChannel(flight, attribution.residual_after(), channels, again);
+      StructureByChannel(flight, attribution.residual_after(), channels, again, file_vehicle_);
   const double unexplained = UnexplainedStructure(
       attribution.residual_before(), attribution.residual_after(), before, after, decision_);
   // As in CloseLoop(): a stand-in explains less than is left.

@@ -77,6 +77,17 @@ Fit FitSpectrum(const std::vector<Bin>& bins, const std::vector<std::vector<doub
   return fit;
 }
 
+/// Chance of a low-pass part that gains as much, or of a line that stands out as much, in noise.
+/// @param gain [nats]
+/// @param highest power of a bin over the noise's
+double ChanceOf(double gain, double highest, size_t bins) {
+  // Two degrees of freedom for a low-pass part; a line among this many bins.
+  const double p_low = std::exp(-gain);
+  const double p_line =
+      -std::expm1(static_cast<double>(bins) * std::log1p(-std::exp(-std::min(700.0, highest))));
+  return std::min(1.0, 2.0 * std::min(p_low, p_line));
+}
+
 }  // namespace
 
 WhitenessResult TestWhiteness(const std::vector<std::vector<double>>& runs, double rate_Hz,
@@ -88,6 +99,7 @@ WhitenessResult TestWhiteness(const std::vector<std::vector<double>>& runs, doub
   for (const Bin& bin : bins) blue.push_back(bin.frequency_Hz * bin.frequency_Hz);
   const Fit null = FitSpectrum(bins, {white, blue});
   std::vector<std::vector<double>> shapes = {white, blue};
+  size_t slow_end = shapes.size();
   for (const double corner : kCorners_Hz) {
     std::vector<double> red;
     for (const Bin& bin : bins) {
@@ -95,15 +107,22 @@ WhitenessResult TestWhiteness(const std::vector<std::vector<double>>& runs, doub
       red.push_back(1.0 / (1.0 + x * x));
     }
     shapes.push_back(red);
+    if (corner <= kSlowCorner_Hz) slow_end = shapes.size();
   }
+  const std::vector<std::vector<double>> slow_shapes(
+      shapes.begin(), shapes.begin() + static_cast<std::ptrdiff_t>(slow_end));
+  const Fit slow_null = FitSpectrum(bins, slow_shapes);
   const Fit full = FitSpectrum(bins, shapes);
   const double gain = std::max(0.0, full.log_likelihood - null.log_likelihood);
-  double structured = 0.0, all = 0.0, highest = 0.0, peak = 0.0;
+  double structured = 0.0, slow = 0.0, all = 0.0, highest = 0.0, peak = 0.0, quick_highest = 0.0;
   // A line stands out of all bins by more than chance allows once in ten thousand.
   const double line = std::log(1e4 * static_cast<double>(bins.size()));
   for (size_t i = 0; i < bins.size(); ++i) {
-    double red = 0.0;
+    double red = 0.0, slow_level = 1e-300;
     for (size_t j = 2; j < shapes.size(); ++j) red += full.weights[j] * shapes[j][i];
+    for (size_t j = 0; j < slow_end; ++j) slow_level += slow_null.weights[j] * shapes[j][i];
+    for (size_t j = 2; j < slow_end; ++j) slow += slow_null.weights[j] * shapes[j][i];
+    quick_highest = std::max(quick_highest, bins[i].power / slow_level);
     const double noise = full.weights[0] + full.weights[1] * blue[i];
     const double excess = bins[i].power - (red + noise);
     if (bins[i].power > line * (red + noise)) {
@@ -119,13 +138,12 @@ WhitenessResult TestWhiteness(const std::vector<std::vector<double>>& runs, doub
       peak = bins[i].frequency_Hz;
     }
   }
-  // Two degrees of freedom for a low-pass part; a line among this many bins.
-  const double p_low = std::exp(-gain);
-  const double p_line = -std::expm1(static_cast<double>(bins.size()) *
-                                    std::log1p(-std::exp(-std::min(700.0, highest))));
-  result.p = std::min(1.0, 2.0 * std::min(p_low, p_line));
+  const double quick_gain = std::max(0.0, full.log_likelihood - slow_null.log_likelihood);
+  result.p = ChanceOf(gain, highest, bins.size());
+  result.quick_p = ChanceOf(quick_gain, quick_highest, bins.size());
   result.nats += gain;
   result.structured_share = structured / all;
+  result.slow_share = slow / all;
   result.peak_Hz = peak;
   return result;
 }

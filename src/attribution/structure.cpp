@@ -54,7 +54,7 @@ const char* ChannelName(int channel) { return kChannelNames[channel]; }
 std::vector<ChannelStructure> StructureByChannel(const ThinnedFlight& flight,
                                                  const ResidualModel::Wrenches& residual,
                                                  int num_channels, const Eigen::MatrixX3d& again,
-                                                 bool in_use_only) {
+                                                 const Vehicle& vehicle, bool in_use_only) {
   std::vector<ChannelStructure> all;
   const double rate_Hz = 1.0 / flight.step_s();
   for (int c = 0; c < num_channels; ++c) {
@@ -91,8 +91,13 @@ std::vector<ChannelStructure> StructureByChannel(const ThinnedFlight& flight,
         {"height", share([&](int i) { return flight.sample(i).p_WS.z(); })},
         {"time", share([&](int i) { return flight.sample(i).t_s; })},
     };
+    const double variance =
+        Centred(y).squaredNorm() / static_cast<double>(std::max<Eigen::Index>(1, y.size()));
+    if (c < 2) {
+      channel.lean_rad = std::sqrt(channel.whiteness.slow_share * variance) /
+                         (vehicle.mass_kg * vehicle.gravity_m_s2);
+    }
     if (c < again.cols() && again.rows() == y.size()) {
-      const double variance = Centred(y).squaredNorm() / static_cast<double>(y.size());
       channel.shared = Shared(flight, y, again.col(c),
                               channel.whiteness.structured_share * variance, in_use_only);
     }

@@ -209,7 +209,8 @@ double UnexplainedShare(const Attribution& attribution, const std::vector<Looked
   for (size_t f = 0; f < looked.size(); ++f) {
     const int channels = looked[f].residual->num_channels();
     const auto structure = [&](const ResidualModel::Wrenches& of) {
-      return StructureByChannel(*looked[f].flight, of, channels, looked[f].again);
+      return StructureByChannel(*looked[f].flight, of, channels, looked[f].again,
+                                looked[f].residual->file_vehicle());
     };
     const auto &before = attribution.residual_before(f), &after = attribution.residual_after(f);
     const double left =
@@ -231,9 +232,9 @@ std::vector<std::pair<std::string, int>> StructuredChannels(const Attribution& a
                                                             const AttributionOptions& options) {
   std::vector<std::pair<std::string, int>> channels;
   for (size_t f = 0; f < looked.size(); ++f) {
-    for (const ChannelStructure& channel :
-         StructureByChannel(*looked[f].flight, attribution.residual_before(f),
-                            looked[f].residual->num_channels(), looked[f].again)) {
+    for (const ChannelStructure& channel : StructureByChannel(
+             *looked[f].flight, attribution.residual_before(f), looked[f].residual->num_channels(),
+             looked[f].again, looked[f].residual->file_vehicle())) {
       const auto known = std::find_if(channels.begin(), channels.end(),
                                       [&](const auto& c) { return c.first == channel.name; });
       const int more = IsStructured(channel, options) ? 1 : 0;

@@ -30,10 +30,10 @@ ThinnedFlight Hover() {
   return ThinnedFlight(std::move(motion), BlockSplit());
 }
 
-/// Standard deviation 1, correlation time 0.2 s: as a slow error of the attitude, or a gust.
-Eigen::VectorXd Slow(int n, int seed) {
+/// Standard deviation 1: as a slow error of the attitude, or a gust.
+Eigen::VectorXd Slow(int n, int seed, double correlation_s = 0.2) {
   Gaussian random(seed, 1);
-  const double decay = std::exp(-ThinnedFlight::kStep_s / 0.2);
+  const double decay = std::exp(-ThinnedFlight::kStep_s / correlation_s);
   Eigen::VectorXd x(n);
   double value = 0.0;
   for (int i = 0; i < n; ++i) {
@@ -50,6 +50,13 @@ Eigen::VectorXd White(int n, int seed) {
   return x;
 }
 
+/// Forces of 1 N are no lean of it.
+Vehicle Light() {
+  Vehicle vehicle;
+  vehicle.mass_kg = 0.1;
+  return vehicle;
+}
+
 /// Structure of a force in x of which one sensor shows `one` of a slow force, the other `other`.
 ChannelStructure Measured(const ThinnedFlight& flight, int seed, const Eigen::VectorXd& one,
                           const Eigen::VectorXd& other) {
@@ -58,7 +65,7 @@ ChannelStructure Measured(const ThinnedFlight& flight, int seed, const Eigen::Ve
   Eigen::MatrixX3d again = Eigen::MatrixX3d::Zero(n, 3);
   residual.col(0) = one + White(n, seed) + Eigen::VectorXd::Constant(n, 5.0);  // a bias
   again.col(0) = other + 2.0 * White(n, seed + 1000);
-  return StructureByChannel(flight, residual, 3, again).front();
+  return StructureByChannel(flight, residual, 3, again, Light()).front();
 }
 
 TEST(SharedStructure, ForcesAreInBothMeasurementsAndErrorsInOne) {
@@ -96,9 +103,37 @@ TEST(SharedStructure, OneMeasurementSaysNothing) {
   const ThinnedFlight flight = Hover();
   ResidualModel::Wrenches residual = ResidualModel::Wrenches::Zero(flight.size(), kNumChannels);
   residual.col(0) = Slow(flight.size(), 1);
-  const auto channels = StructureByChannel(flight, residual, 3, Eigen::MatrixX3d(0, 3));
+  const auto channels = StructureByChannel(flight, residual, 3, Eigen::MatrixX3d(0, 3), Light());
   EXPECT_FALSE(channels.front().shared);
   EXPECT_TRUE(IsStructured(channels.front(), AttributionOptions()));
+}
+
+/// Structure of a lateral force of slow and quick parts, measured by the motion alone, of a vehicle
+/// of 10 N.
+ChannelStructure Lateral(double slow_N, double quick_N, int seed) {
+  const ThinnedFlight flight = Hover();
+  const int n = flight.size();
+  ResidualModel::Wrenches residual = ResidualModel::Wrenches::Zero(n, kNumChannels);
+  residual.col(0) =
+      slow_N * Slow(n, seed, 4.0) + quick_N * Slow(n, seed + 100) + 0.1 * White(n, seed);
+  Vehicle vehicle;
+  vehicle.mass_kg = 10.0 / vehicle.gravity_m_s2;
+  return StructureByChannel(flight, residual, 3, Eigen::MatrixX3d(0, 3), vehicle).front();
+}
+
+TEST(Lean, ASlowForceOfADegreeMayBeTheOdometrys) {
+  const AttributionOptions options;
+  int leans = 0, forces = 0, quick = 0;
+  for (int seed = 0; seed < 20; ++seed) {
+    const ChannelStructure lean = Lateral(0.1, 0.0, seed);
+    ASSERT_LT(lean.whiteness.p, options.whiteness_p) << seed;
+    leans += IsStructured(lean, options) ? 0 : 1;
+    forces += IsStructured(Lateral(0.5, 0.0, seed), options) ? 1 : 0;  // three degrees
+    quick += IsStructured(Lateral(0.1, 0.2, seed), options) ? 1 : 0;   // no attitude errs so fast
+  }
+  EXPECT_GE(leans, 18);
+  EXPECT_GE(forces, 18);
+  EXPECT_EQ(quick, 20);
 }
 
 }  // namespace

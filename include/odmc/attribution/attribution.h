@@ -19,6 +19,10 @@ namespace odmc {
 /// `most_unexplained`) is in the other measurement, and none significantly.
 bool IsSensorNoise(const ChannelStructure& channel, const AttributionOptions& options);
 
+/// True if a lateral force's structure is no more than roll and pitch of the odometry may err:
+/// slow, up to `most_lean_rad` of the weight, and not felt by the accelerometer as well.
+bool IsLean(const ChannelStructure& channel, const AttributionOptions& options);
+
 /// True if a channel of the residual is more than noise.
 bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options);
 

@@ -24,6 +24,7 @@ struct AttributionOptions {
   double noise_p = 3e-3;
   double least_structured = 0.05;
   double most_unexplained = 0.5;
+  double most_lean_rad = 0.0175;
   double telling_ratio = 0.5;
   double least_ratio = 0.97;
   double gust_price = 16.0;

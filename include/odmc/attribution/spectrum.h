@@ -8,11 +8,16 @@ namespace odmc {
 constexpr int kShortestRun = 50;
 
 /// What the spectrum of a residual says: how much of it is structured, and how surely.
+/// What changes over a second and longer.
+constexpr double kSlowCorner_Hz = 0.15;
+
 struct WhitenessResult {
   double p = 1.0;                 ///< chance of this much structure in unstructured noise
   double structured_share = 0.0;  ///< of the variance, 0 to 1
   double nats = 0.0;              ///< log-likelihood that structure explains beyond noise
   double peak_Hz = 0.0;           ///< where the structure is strongest
+  double slow_share = 0.0;        ///< of the variance: structure with corners up to kSlowCorner_Hz
+  double quick_p = 1.0;           ///< as p, of structure beyond noise and that
 };
 
 /// Tests a residual against unstructured noise. Noise of a differentiated measurement has the

@@ -25,6 +25,9 @@ struct ChannelStructure {
   std::vector<double> autocorrelation;       ///< at lags of 40 ms
   std::map<std::string, double> dependence;  ///< share of variance by a quadratic in each quantity
   std::optional<SharedStructure> shared;     ///< where the force was measured twice
+  /// Of a lateral force, its slow structure as an error of roll or pitch of the odometry would make
+  /// it: RMS over the weight [rad].
+  std::optional<double> lean_rad;
 };
 
 /// Name of a channel of the wrench, "force_x" to "torque_z". @param channel 0 to 5
@@ -33,11 +36,12 @@ const char* ChannelName(int channel);
 /// Structure of every channel of a residual.
 /// @param again a second measurement of the residual force, see ResidualModel::ForceByMotion(),
 /// of any fit that has the force; no rows where there is none
+/// @param vehicle gives the weight
 /// @param in_use_only true if its spectrum shall not see the blocks held out
 std::vector<ChannelStructure> StructureByChannel(const ThinnedFlight& flight,
                                                  const ResidualModel::Wrenches& residual,
                                                  int num_channels, const Eigen::MatrixX3d& again,
-                                                 bool in_use_only = false);
+                                                 const Vehicle& vehicle, bool in_use_only = false);
 
 /// Largest share of a structured channel's structured variance (p < whiteness_p) that a fit
 /// explains: all of it where noise accounts for what remains (p > noise_p). 1 if no channel is
