@@ -7,10 +7,10 @@ namespace odmc {
 /// Samples without a gap that a stretch must have to be looked at.
 constexpr int kShortestRun = 50;
 
-/// What the spectrum of a residual says: how much of it is structured, and how surely.
-/// What changes over a second and longer.
+/// Structure with corner frequencies up to this is slow: it changes over a second and longer.
 constexpr double kSlowCorner_Hz = 0.15;
 
+/// What the spectrum of a residual says: how much of it is structured, and how surely.
 struct WhitenessResult {
   double p = 1.0;                 ///< chance of this much structure in unstructured noise
   double structured_share = 0.0;  ///< of the variance, 0 to 1
