@@ -128,6 +128,7 @@ class LoopSession {
   ResidualModel::Wrenches Rest() const;
   /// Share of the structure that stays beside the effects, in the channels in which they act.
   double Unexplained() const;
+  double GainOfFunctions() const;
   /// Warns of channels of which the effects named leave most of the structure.
   void NoteRest();
   RankedEffect* RankedOf(const std::string& name);
@@ -321,6 +322,18 @@ double LoopSession::Unexplained() const {
       (of_force > least ? flexible.of_force : 0.0) + (of_torque > least ? flexible.of_torque : 0.0);
   const double gained = functions + attribution_->gain();
   return gained > 0.0 ? std::max(left, functions / gained) : left;
+}
+
+/// What functions of the state gain where nothing acts [nats]. Those of a force would follow a lean
+/// of the odometry.
+double LoopSession::GainOfFunctions() const {
+  const AttributionOptions& options = options_.attribution;
+  const FlexibleRest& flexible = attribution_->flexible();
+  const bool leans = std::any_of(
+      result_.structure.begin(), result_.structure.end(), [&](const ChannelStructure& channel) {
+        return channel.whiteness.p < options.whiteness_p && IsLean(channel, options);
+      });
+  return leans ? flexible.of_torque : flexible.nats();
 }
 
 /// An effect of the torque says nothing of what the force shows. Gusts may be all of the force:
@@ -538,10 +551,10 @@ void LoopSession::Conclude() {
     result_.verdict = Verdict::kUnexplained;
     result_.where = WhereStructured(result_.structure, *flight_, attribution_->residual_before(),
                                     options_.attribution);
-  } else if (judged_ && attribution_->flexible().nats() > 0.0) {
+  } else if (judged_ && GainOfFunctions() > 0.0) {
     result_.verdict = Verdict::kUnexplained;
     result_.where = attribution_->flexible().first + "; functions of the state gain " +
-                    Rounded(attribution_->flexible().nats()) + " nats";
+                    Rounded(GainOfFunctions()) + " nats";
   } else {
     result_.where = PushInFlight(before_.replay, log_.odometry.front().stamp);
     if (!result_.where.empty()) result_.verdict = Verdict::kUnexplained;
