@@ -386,18 +386,13 @@ IncrementalWindowSolver::Outcome IncrementalWindowSolver::Follow(Window* window,
                                                                  const Allowance& allowance) {
   const bool is_new = !Follows(*window);
   bool sound = CatchUp(window);
-  bool soon_replaced = false;  // the chain in use: corrections of it would hardly be seen
   if (sound && sweep_.active) {
-    const bool is_fast = MayCost(kAllowedError, *window);
-    const bool is_short = corrections_.size() <= kSoonInTurn;
-    const int fast = is_short ? kFasterInShort : kFaster;
-    soon_replaced = is_fast && is_short;
-    sound = Sweep(window, (is_fast ? fast : sweep_.reweighs ? 2 : 1) * SweepSize(), !soon_replaced);
+    const int fast = corrections_.size() <= kSoonInTurn ? kFasterInShort : kFaster;
+    const int faster = MayCost(kAllowedError, *window) ? fast : sweep_.reweighs ? 2 : 1;
+    sound = Sweep(window, faster * SweepSize());
   }
   if (!sound) return Outcome::kRefused;
-  if (!SolveRoot(window)) return Outcome::kTooLong;
-  const bool corrects = !soon_replaced || sweep_.has_reweighed;
-  if (corrects && !Correct(window, allowance)) return Outcome::kTooLong;
+  if (!SolveRoot(window) || !Correct(window, allowance)) return Outcome::kTooLong;
   BackSubstitute(window, is_new);
   return Outcome::kDone;
 }

@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cstdio>
 #include <string>
-#include <vector>
 
 #include "odmc/estimator/estimator.h"
 #include "odmc/io/flight_csv.h"
@@ -51,24 +50,6 @@ void ExpectUpdatesWithinTheirPeriods(const FlightLog& log, const DynamicModel& m
   EXPECT_GT(most, bound / 4);
 }
 
-/// Work of each update of a window of 1 s, after the start.
-std::vector<int> SteadyWork(const FlightLog& log, const DynamicModel& model) {
-  EstimatorOptions options = OfflineOptions();
-  options.window_s = 1.0;
-  options.keyframe_rate_hz = 100.0;
-  Estimator estimator(&model, options, true);
-  std::vector<int> work;
-  for (FlightFeed feed(log); !feed.AtEnd();) {
-    feed.Next(&estimator);
-    Drain(&estimator, [&](const Snapshot& snapshot) {
-      const bool is_steady = snapshot.timing.states <= 100 && snapshot.time_s > 3.0;
-      if (is_steady) work.push_back(snapshot.solve.work);
-    });
-  }
-  std::sort(work.begin(), work.end());
-  return work;
-}
-
 class UpdateWork : public testing::TestWithParam<double> {};
 
 TEST_P(UpdateWork, OfAFlightFromWrongStartsIsBoundedFromTheFirstUpdateOn) {
@@ -97,21 +78,6 @@ TEST_P(UpdateWork, OfTheNeuroBemFlightIsBoundedFromTheFirstUpdateOn) {
       LoadVehicle(std::string(ODMC_SOURCE_DIR) + "/config/vehicles/neurobem.yaml");
   const FlightLog log = ReadFlightCsv(flight, vehicle.num_rotors(), PoseSource::kEkf);
   ExpectUpdatesWithinTheirPeriods(log, DynamicModel(vehicle, vehicle.effects), GetParam());
-}
-
-// A sweep that soon replaces the chain of a short window makes corrections of that chain needless.
-TEST(SteadyUpdates, OfAHundredStatesWorkLittleInAllButOneOfFifty) {
-  const std::string flight = RecordedFile("neurobem/test1_first18s.csv");
-  if (flight.empty()) GTEST_SKIP() << "no recorded data";
-  const Vehicle vehicle =
-      LoadVehicle(std::string(ODMC_SOURCE_DIR) + "/config/vehicles/neurobem.yaml");
-  const FlightLog log = ReadFlightCsv(flight, vehicle.num_rotors(), PoseSource::kEkf);
-  const std::vector<int> work = SteadyWork(log, DynamicModel(vehicle, vehicle.effects));
-  ASSERT_GT(work.size(), 1000u);
-  const int most = work[work.size() - 1 - work.size() / 50];
-  std::printf("median %d, all but 2 %% up to %d, most %d\n", work[work.size() / 2], most,
-              work.back());
-  EXPECT_LE(most, 33) << "of 100 keyframes' eliminations";
 }
 
 INSTANTIATE_TEST_SUITE_P(KeyframeRates, UpdateWork, testing::Values(100.0, 400.0),
