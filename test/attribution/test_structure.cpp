@@ -136,6 +136,28 @@ TEST(Lean, ASlowForceOfADegreeMayBeTheOdometrys) {
   EXPECT_EQ(quick, 20);
 }
 
+TEST(Lean, WhatBothSensorsShowIsAForce) {
+  const ThinnedFlight flight = Hover();
+  const int n = flight.size();
+  Vehicle vehicle;
+  vehicle.mass_kg = 100.0 / vehicle.gravity_m_s2;  // 1 N is 0.01 of it
+  int forces = 0, leans = 0;
+  for (int seed = 0; seed < 20; ++seed) {
+    const Eigen::VectorXd force = Slow(n, seed, 2.0);
+    for (const bool both : {true, false}) {
+      ResidualModel::Wrenches residual = ResidualModel::Wrenches::Zero(n, kNumChannels);
+      Eigen::MatrixX3d again = Eigen::MatrixX3d::Zero(n, 3);
+      residual.col(0) = force + White(n, seed);
+      again.col(0) = (both ? 1.0 : 0.0) * force + 2.0 * White(n, seed + 1000);
+      const ChannelStructure channel =
+          StructureByChannel(flight, residual, 3, again, vehicle).front();
+      (both ? forces : leans) += IsLean(channel, AttributionOptions()) != both ? 1 : 0;
+    }
+  }
+  EXPECT_GE(forces, 18);
+  EXPECT_GE(leans, 18);
+}
+
 }  // namespace
 }  // namespace test
 }  // namespace odmc
