@@ -17,7 +17,6 @@ namespace {
 
 constexpr double kConvergedShare = 0.05;  // of the final value
 constexpr double kLeastFlight_s = 3.0;    // what the window holds before anything may leave it
-constexpr double kLongestDoubt_s = 60.0;
 constexpr double kMostBlocks = 1000.0;  // to leave out in turn
 constexpr double kInertiaLow = 0.5, kInertiaHigh = 2.0;
 constexpr double kSignSigmas = 3.0;    // one-sided, by chance once in 740 parameters
@@ -429,26 +428,34 @@ std::vector<Eigen::VectorXd> ChangesWithout(const std::vector<StreamDoubt>& doub
   return changes;
 }
 
+Eigen::VectorXd Widen(const std::vector<Eigen::VectorXd>& changes, ParameterSet* set) {
+  const auto n = static_cast<Eigen::Index>(set->parameters.size());
+  Eigen::VectorXd grown = Eigen::VectorXd::Ones(n);
+  for (const Eigen::VectorXd& change : changes) {
+    for (Eigen::Index i = 0; i < n; ++i) {
+      ParameterEstimate& p = set->parameters[static_cast<size_t>(i)];
+      if (!p.estimated || !(p.sigma > 0.0)) continue;
+      const double sigma = std::hypot(p.sigma, change[i]);
+      grown[i] *= sigma / p.sigma;
+      p.sigma = sigma;
+    }
+    if (set->covariance.rows() == change.size()) set->covariance += change * change.transpose();
+  }
+  return grown;
+}
+
 void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
                     const EstimatorOptions& options, const std::vector<StreamDoubt>& doubts,
                     Calibration* calibration) {
   const Snapshot& last = *calibration->replay.last;
-  ParameterSet& set = calibration->parameters;
   const auto [vehicle, told] =
       Told({calibration->by_bands, calibration->taken_point}, model, options);
   const DynamicModel told_model(vehicle, vehicle.effects);
   const Stamp from = last.stamp - FromSeconds(kLongestDoubt_s);
-  for (const Eigen::VectorXd& change :
-       ChangesWithout(doubts, log, from, told_model, told, &last.values)) {
-    for (size_t i = 0; i < set.parameters.size(); ++i) {
-      ParameterEstimate& p = set.parameters[i];
-      if (!p.estimated || !(p.sigma > 0.0)) continue;
-      const double sigma = std::hypot(p.sigma, change[static_cast<Eigen::Index>(i)]);
-      calibration->inflation[static_cast<Eigen::Index>(i)] *= sigma / p.sigma;
-      p.sigma = sigma;
-    }
-    if (set.covariance.rows() == change.size()) set.covariance += change * change.transpose();
-  }
+  const Eigen::VectorXd grown =
+      Widen(ChangesWithout(doubts, log, from, told_model, told, &last.values),
+            &calibration->parameters);
+  calibration->inflation = calibration->inflation.cwiseProduct(grown);
 }
 
 LeftOutPrediction PredictLeftOut(const FlightLog& log, const FlightLog& recording,

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 
 #include "odmc/math/savitzky_golay.h"
 #include "odmc/math/so3.h"
@@ -197,6 +198,23 @@ FilteredMotion FilteredAt(const Collector& collector, const Channels& c,
   return motion;
 }
 
+// What an accelerometer feels and what the motion shows are two measurements, of other noise: one
+// flight is judged by one of them. Where the accelerometer misses but some samples, it stays.
+void LeaveOutUnfelt(FlightMotion* flight) {
+  const auto felt = [](const FilteredMotion& motion) { return motion.specific_force_I.has_value(); };
+  std::vector<FilteredMotion>& samples = flight->samples;
+  const auto num_felt = std::count_if(samples.begin(), samples.end(), felt);
+  const auto missed = static_cast<std::ptrdiff_t>(samples.size()) - num_felt;
+  if (missed == 0 || missed >= num_felt) return;
+  bool follows = true;
+  for (FilteredMotion& motion : samples) {
+    motion.follows = motion.follows && follows;
+    follows = felt(motion);
+  }
+  samples.erase(std::remove_if(samples.begin(), samples.end(), std::not_fn(felt)), samples.end());
+  flight->left_out_gaps += static_cast<int>(missed);
+}
+
 }  // namespace
 
 MotionCounts FilterEach(const FlightLog& log, int num_rotors,
@@ -241,6 +259,7 @@ FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
   static_cast<MotionCounts&>(flight) =
       FilterEach(log, num_rotors, ground_spans,
                  [&](const FilteredMotion& motion) { flight.samples.push_back(motion); });
+  LeaveOutUnfelt(&flight);
   return flight;
 }
 

@@ -115,6 +115,13 @@ Evidence::VariantValues Halfway(Evidence::VariantValues from, const Evidence::Va
   return from;
 }
 
+/// Nothing of it is quick, and the other measurement does not show it.
+bool IsSlowOfOneSensor(const ChannelStructure& channel, const AttributionOptions& options) {
+  const bool is_in_both =
+      channel.shared && channel.shared->share > options.significant_sigmas * channel.shared->sigma;
+  return !is_in_both && !(channel.whiteness.quick_p < options.whiteness_p);
+}
+
 }  // namespace
 
 bool IsSensorNoise(const ChannelStructure& channel, const AttributionOptions& options) {
@@ -125,14 +132,21 @@ bool IsSensorNoise(const ChannelStructure& channel, const AttributionOptions& op
 }
 
 bool IsLean(const ChannelStructure& channel, const AttributionOptions& options) {
-  if (!channel.lean_rad || *channel.lean_rad > options.most_lean_rad) return false;
-  const bool is_felt =
-      channel.shared && channel.shared->share > options.significant_sigmas * channel.shared->sigma;
-  return !is_felt && !(channel.whiteness.quick_p < options.whiteness_p);
+  return channel.lean_rad && *channel.lean_rad <= options.most_lean_rad &&
+         IsSlowOfOneSensor(channel, options);
+}
+
+bool IsBiasDrift(const ChannelStructure& channel, const AttributionOptions& options) {
+  return channel.bias_drift_m_s2 && *channel.bias_drift_m_s2 <= options.most_bias_drift_m_s2 &&
+         IsSlowOfOneSensor(channel, options);
+}
+
+bool IsSensorDrift(const ChannelStructure& channel, const AttributionOptions& options) {
+  return IsLean(channel, options) || IsBiasDrift(channel, options);
 }
 
 bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options) {
-  return !IsSensorNoise(channel, options) && !IsLean(channel, options) &&
+  return !IsSensorNoise(channel, options) && !IsSensorDrift(channel, options) &&
          channel.whiteness.p < options.whiteness_p &&
          channel.whiteness.structured_share > options.least_structured;
 }

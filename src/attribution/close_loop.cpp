@@ -78,10 +78,14 @@ bool Summarise(const AttributionOptions& options, ClosedLoop* result) {
                                  Rounded(100.0 * channel.shared->sigma) + " % of it");
       continue;
     }
-    if (IsLean(channel, options)) {
+    if (IsSensorDrift(channel, options)) {
       if (!(whiteness.p < options.whiteness_p)) continue;
-      result->warnings.push_back("structure in " + channel.name + " is as of an odometry that " +
-                                 "leans by " + Rounded(*channel.lean_rad) + " rad, slowly");
+      result->warnings.push_back(
+          "structure in " + channel.name + " is as of " +
+          (channel.lean_rad
+               ? "an odometry that leans by " + Rounded(*channel.lean_rad) + " rad, slowly"
+               : "an accelerometer whose bias drifts by " + Rounded(*channel.bias_drift_m_s2) +
+                     " m/s^2"));
       continue;
     }
     result->structured_share = std::max(result->structured_share, whiteness.structured_share);
@@ -113,6 +117,8 @@ class LoopSession {
   /// Runs once more, held near the fit, where the online estimate has left it. The run that
   /// predicts blocks held out better counts.
   void StayNearFit();
+  /// Adds what the streams may be wrong by to the sigmas.
+  void WidenForDoubts();
   /// The verdict, and the errors before and after.
   void Conclude();
 
@@ -324,16 +330,16 @@ double LoopSession::Unexplained() const {
   return gained > 0.0 ? std::max(left, functions / gained) : left;
 }
 
-/// What functions of the state gain where nothing acts [nats]. Those of a force would follow a lean
-/// of the odometry.
+/// What functions of the state gain where nothing acts [nats]. Those of a force would follow slow
+/// errors of the sensors.
 double LoopSession::GainOfFunctions() const {
   const AttributionOptions& options = options_.attribution;
   const FlexibleRest& flexible = attribution_->flexible();
-  const bool leans = std::any_of(
+  const bool drifts = std::any_of(
       result_.structure.begin(), result_.structure.end(), [&](const ChannelStructure& channel) {
-        return channel.whiteness.p < options.whiteness_p && IsLean(channel, options);
+        return channel.whiteness.p < options.whiteness_p && IsSensorDrift(channel, options);
       });
-  return leans ? flexible.of_torque : flexible.nats();
+  return drifts ? flexible.of_torque : flexible.nats();
 }
 
 /// An effect of the torque says nothing of what the force shows. Gusts may be all of the force:
@@ -532,6 +538,26 @@ AddedEffect LoopSession::Added(const RankedEffect& ranked, const DynamicModel& m
   return effect;
 }
 
+// What is left of a delay is that of the recording as it is: other stamps would move it, and be
+// no error of it.
+void LoopSession::WidenForDoubts() {
+  if (options_.doubts.empty()) return;
+  OnlinePass& pass = effects_.empty() ? before_ : *after_;
+  const Vehicle vehicle = effects_.empty() ? vehicle_ : VehicleWithEffects(effects_);
+  const DynamicModel model(vehicle, vehicle.effects);
+  const Stamp from = pass.replay.last->stamp - FromSeconds(kLongestDoubt_s);
+  std::vector<Eigen::VectorXd> changes =
+      ChangesWithout(options_.doubts, log_, from, model, options_.estimator);
+  for (const std::string& name : RotorTimingEffects(vehicle_, candidates_)) {
+    for (int k = 0; k < model.num_parameters(); ++k) {
+      if (model.parameters()[k].effect != name) continue;
+      for (Eigen::VectorXd& change : changes) change[k] = 0.0;
+    }
+  }
+  Widen(changes, &pass.parameters);
+  if (effects_.empty()) result_.parameters = before_.parameters;
+}
+
 void LoopSession::Conclude() {
   result_.accelerometer_before = result_.accelerometer_after =
       before_.held_out.accelerometer_force_rmse_N;
@@ -604,14 +630,16 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
                      const CloseLoopOptions& options, const std::function<void(double)>& progress) {
   LoopSession session(log, file_vehicle, configured, options, progress);
   session.Calibrate();
-  if (session.HasFlight()) {
+  const bool has_flight = session.HasFlight();
+  if (has_flight) {
     session.Attribute();
     session.WeighGusts();
     session.Confirm();
     session.AskOnline();
     session.StayNearFit();
-    session.Conclude();
   }
+  session.WidenForDoubts();
+  if (has_flight) session.Conclude();
   return session.TakeResult();
 }
 

@@ -1,6 +1,7 @@
 #include "odmc/attribution/flight_regression.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <functional>
 #include <random>
@@ -75,6 +76,15 @@ MatrixXd GramOf(const MatrixXd& B, const MatrixXd& BB, const MatrixXd& X, const 
   return gram;
 }
 
+// An inertia is told by the torque about its axis. Where nothing of that is foreseen, w x I w is
+// all that is left of the column, and whatever else acts about the other axes would move the
+// inertia to where its own axis cannot be.
+bool IsOfUnforeseenAxis(const Regressor& column) {
+  constexpr std::array<const char*, 3> kAxes = {"inertia.x", "inertia.y", "inertia.z"};
+  const auto axis = std::find(kAxes.begin(), kAxes.end(), column.name);
+  return axis != kAxes.end() && column.foreseen.col(3 + (axis - kAxes.begin())).isZero(0.0);
+}
+
 }  // namespace
 
 FlightRegression::FlightRegression(const ResidualModel* residual, const Instruments* instruments,
@@ -111,6 +121,7 @@ void FlightRegression::AddBase() {
                                       : likely_.Derivative(model, values, k),
                      {}};
     column.foreseen = instruments_->Foreseen(column.d_wrench, column.likely);
+    if (IsOfUnforeseenAxis(column)) column.foreseen.setZero();
     if (column.d_wrench.squaredNorm() > 0.0) columns_.push_back(std::move(column));
   }
   AddNuisances();

@@ -21,7 +21,7 @@ constexpr double kStartCounts_s = 0.25;  // flight time the start level counts f
 constexpr double kStartFades_s = 0.5;
 constexpr double kStep = 1.2;   // of a level before the one in use follows: a tenth in sigma
 constexpr int kLookEvery = 25;  // samples between two medians
-constexpr int kEnoughDifferences = 20;
+constexpr int kEnoughDifferences = 20, kMostDifferences = 200;
 
 struct Range {
   double low, high;
@@ -51,7 +51,7 @@ void DifferenceNoise::Add(double time_s, const Channels& sample) {
   differences_.Append() = run_[3] - 3.0 * run_[2] + 3.0 * run_[1] - run_[0];
   run_.pop_front();
   times_.pop_front();
-  if (static_cast<int>(differences_.size()) > capacity_) differences_.pop_front();
+  if (static_cast<int>(differences_.size()) > kMostDifferences) differences_.pop_front();
   ++since_look_;
 }
 
@@ -61,7 +61,8 @@ double DifferenceNoise::Sigma() const {
   since_look_ = 0;
   all_.clear();
   for (const Channels& d : differences_) all_.insert(all_.end(), d.begin(), d.end());
-  sigma_ = RobustSigmaInPlace(&all_) / std::sqrt(20.0);  // 1 + 9 + 9 + 1
+  sigma_ = in_steps_ ? HuberSigma(all_) : RobustSigmaInPlace(&all_);
+  sigma_ /= std::sqrt(20.0);  // 1 + 9 + 9 + 1
   return sigma_;
 }
 

@@ -32,6 +32,28 @@ double RobustSigmaInPlace(std::vector<double>* sample) {
   return 1.4826 * QuantileInPlace(sample, 0.5);
 }
 
+double HuberSigma(const std::vector<double>& sample) {
+  constexpr double kMost = 1.5;
+  constexpr double kMean = 0.77846;  // of min(z^2, kMost^2), z normal
+  constexpr int kRounds = 50;
+  constexpr double kSettled = 1e-4;
+  double square = 0.0;
+  for (const double x : sample) square += x * x;
+  if (!(square > 0.0)) return 0.0;
+  const auto n = static_cast<double>(sample.size());
+  double variance = square / n;
+  for (int round = 0; round < kRounds; ++round) {
+    const double most = kMost * kMost * variance;
+    double sum = 0.0;
+    for (const double x : sample) sum += std::min(x * x, most);
+    const double next = sum / (n * kMean);
+    const bool settled = std::abs(next - variance) < kSettled * variance;
+    variance = next;
+    if (settled) break;
+  }
+  return std::sqrt(variance);
+}
+
 double ChiSquaredTail(double x, int freedom) {
   if (!(x > 0.0)) return 1.0;
   // Q(a + 1, y) = Q(a, y) + y^a e^-y / Gamma(a + 1), from Q(1, y) = e^-y or Q(1/2, y) = erfc(sqrt

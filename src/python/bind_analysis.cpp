@@ -204,6 +204,7 @@ Found CloseOne(const FlightLog& flight, const Vehicle& file_vehicle, const Vehic
   if (start) HoldKnownThrust(options.attribution, &vehicle);
   FlightLog log = flight;
   const StreamInspection inspection = Inspect(vehicle, force, &log);
+  options.doubts = inspection.doubts;
   ClosedLoop loop = CloseLoop(log, file_vehicle, vehicle, options, progress);
   AddInspection(inspection, &loop);
   if (start) WarnOfOtherMass(*start, file_vehicle, &loop.warnings);

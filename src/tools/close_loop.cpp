@@ -41,7 +41,9 @@ void CloseOne(const Arguments& a, const std::string& file, const Vehicle& file_v
   const StreamInspection inspection = tools::InspectFlight(vehicle, a.force, &log);
   tools::MakeFolder(a.folder);
   tools::ProgressBar bar(log.file);
-  ClosedLoop loop = CloseLoop(log, file_vehicle, vehicle, a.options, bar.Callback());
+  CloseLoopOptions options = a.options;
+  options.doubts = inspection.doubts;
+  ClosedLoop loop = CloseLoop(log, file_vehicle, vehicle, options, bar.Callback());
   AddInspection(inspection, &loop);
   if (a.model.choice.parameters) {
     WarnOfOtherMass(*a.model.choice.parameters, file_vehicle, &loop.warnings);

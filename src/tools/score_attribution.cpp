@@ -299,7 +299,9 @@ int main(int argc, char** argv) {
       FlightLog log = ReadFlightCsv(tools::In(input, manifest[i]["file"]), vehicle.num_rotors(),
                                     PoseSource::kEkf);
       const StreamInspection inspection = tools::InspectFlight(vehicle, true, &log);
-      ClosedLoop loop = CloseLoop(log, vehicle, vehicle, options);
+      CloseLoopOptions of_flight = options;
+      of_flight.doubts = inspection.doubts;
+      ClosedLoop loop = CloseLoop(log, vehicle, vehicle, of_flight);
       AddInspection(inspection, &loop);
       loop.parameters.provenance["decision"] = DescribeChanges(options.attribution);
       WriteText(CloseLoopReport(loop, vehicle),

@@ -363,6 +363,35 @@ TEST(PredictLeftOut, PredictsABlockWithWhatTheOthersShow) {
   EXPECT_THROW(PredictLeftOut(log, log, vehicle, model, options, 15.0), std::invalid_argument);
 }
 
+int NumFelt(const FlightMotion& flight) {
+  return static_cast<int>(
+      std::count_if(flight.samples.begin(), flight.samples.end(),
+                    [](const FilteredMotion& s) { return s.specific_force_I.has_value(); }));
+}
+
+TEST(FilterFlight, LeavesOutWhatAnAccelerometerOfTheWholeFlightMisses) {
+  Flight flight = Fly({}, 0.0, true);
+  const FlightMotion whole = FilterFlight(flight.log, 4, {});
+  ASSERT_EQ(NumFelt(whole), static_cast<int>(whole.samples.size()));
+  ASSERT_EQ(whole.left_out_gaps, 0);
+  auto& imu = flight.log.imu;
+  const auto third = static_cast<std::ptrdiff_t>(imu.size() / 3);
+  const auto missing = static_cast<std::ptrdiff_t>(imu.size() / 40);
+  imu.erase(imu.begin() + third, imu.begin() + third + missing);  // 0.2 s
+  const FlightMotion gap = FilterFlight(flight.log, 4, {});
+  EXPECT_EQ(NumFelt(gap), static_cast<int>(gap.samples.size()));
+  EXPECT_GT(gap.left_out_gaps, 40);
+  EXPECT_LT(gap.left_out_gaps, 200);
+  EXPECT_EQ(gap.samples.size() + static_cast<size_t>(gap.left_out_gaps), whole.samples.size());
+  EXPECT_EQ(std::count_if(gap.samples.begin() + 1, gap.samples.end(),
+                          [](const FilteredMotion& s) { return !s.follows; }),
+            1);
+  // One that is there for a while is no reason to leave out the flight.
+  imu.erase(imu.begin() + third, imu.end());
+  const FlightMotion most = FilterFlight(flight.log, 4, {});
+  EXPECT_EQ(most.samples.size(), whole.samples.size());
+}
+
 // Where a rotor is braked from full speed the polynomial through the square of its speed may pass
 // through zero; what is divided by that is not its acceleration.
 TEST(FilterFlight, RotorAccelerationOfASteepFallIsThatOfTheSpeed) {

@@ -54,6 +54,32 @@ TEST(Statistics, RobustSigmaIgnoresATenthOfOutliers) {
   EXPECT_NEAR(RobustSigma(sample), 0.3, 0.06);
 }
 
+TEST(Statistics, HuberSigmaIsThatOfAGaussian) {
+  Random random(9);
+  std::vector<double> sample(20000);
+  for (double& x : sample) x = 0.3 * random.Normal();
+  EXPECT_NEAR(HuberSigma(sample), 0.3, 0.01);
+  EXPECT_EQ(HuberSigma({}), 0.0);
+  EXPECT_EQ(HuberSigma({0.0, 0.0, 0.0}), 0.0);
+}
+
+TEST(Statistics, HuberSigmaIgnoresATenthOfOutliers) {
+  Random random(9);
+  std::vector<double> sample(20000);
+  for (size_t i = 0; i < sample.size(); ++i)
+    sample[i] = (i % 10 == 0 ? 1e6 : 0.3) * random.Normal();
+  EXPECT_NEAR(HuberSigma(sample), 0.3, 0.06);
+}
+
+TEST(Statistics, HuberSigmaOfReadingsInStepsIsNoWholeStep) {
+  for (const double step : {0.1, 0.5, 1.0, 2.0, 3.0}) {
+    Random random(9);
+    std::vector<double> sample(20000);
+    for (double& x : sample) x = step * std::round(random.Normal() / step);
+    EXPECT_NEAR(HuberSigma(sample), std::sqrt(1.0 + step * step / 12.0), 0.1) << step;
+  }
+}
+
 }  // namespace
 }  // namespace test
 }  // namespace odmc

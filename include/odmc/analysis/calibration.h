@@ -98,6 +98,9 @@ void AddInspection(const StreamInspection& inspection, Result* result) {
   }
 }
 
+/// Of a longer flight its last minute shows what errors of its streams do to the estimate.
+constexpr double kLongestDoubt_s = 60.0;
+
 /// By how much the parameters would be others without each of the errors: replays the flight from
 /// `from` on with them, and once without each.
 /// @param values what the whole of `log` teaches with them, if known: saves a replay
@@ -109,6 +112,12 @@ std::vector<Eigen::VectorXd> ChangesWithout(const std::vector<StreamDoubt>& doub
                                             const EstimatorOptions& options,
                                             const ModelValues* values = nullptr,
                                             const std::function<bool()>& give_up = {});
+
+/// Adds what parameters may be wrong by, each change at once and independent of the others, to
+/// sigmas and covariance.
+/// @param changes num_parameters()×1 each
+/// @returns by what factor each sigma has grown
+Eigen::VectorXd Widen(const std::vector<Eigen::VectorXd>& changes, ParameterSet* set);
 
 /// Adds to sigmas and covariance what may be wrong with the streams: the flight (of a long one the
 /// last minute) is replayed once without each error, and the change of the parameters squared

@@ -23,6 +23,13 @@ bool IsSensorNoise(const ChannelStructure& channel, const AttributionOptions& op
 /// slow, up to `most_lean_rad` of the weight, and not felt by the accelerometer as well.
 bool IsLean(const ChannelStructure& channel, const AttributionOptions& options);
 
+/// True if the structure of the force along z is no more than the accelerometer's bias may drift:
+/// slow, up to `most_bias_drift_m_s2`, and not in the motion as well.
+bool IsBiasDrift(const ChannelStructure& channel, const AttributionOptions& options);
+
+/// True if a force's structure is one that slow errors of the sensors make: a lean or a drift.
+bool IsSensorDrift(const ChannelStructure& channel, const AttributionOptions& options);
+
 /// True if a channel of the residual is more than noise.
 bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options);
 

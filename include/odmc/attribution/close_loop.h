@@ -24,6 +24,8 @@ struct CloseLoopOptions {
   BlockSplit blocks;
   AttributionOptions attribution;
   std::vector<std::string> ruled_out;  ///< effects that cannot act, as wind and gusts indoors
+  /// What may be wrong with the streams (StreamInspection::doubts): sigmas say it, too.
+  std::vector<StreamDoubt> doubts;
 };
 
 /// What is not looked at. Contact is left out like the ground, unless it is most of the flight: no

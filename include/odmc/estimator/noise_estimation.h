@@ -12,14 +12,15 @@
 
 namespace odmc {
 
-/// White noise of a sampled signal from its third differences, which motion hardly enters: robust
-/// median over the newest samples. Smoothed sources come out small; callers set a floor.
+/// White noise of a sampled signal from its third differences, which motion hardly enters: a robust
+/// scale of the newest samples. Smoothed sources come out small; callers set a floor.
 class DifferenceNoise {
  public:
   /// One value a channel; never on the heap.
   using Channels = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxRotors, 1>;
 
-  explicit DifferenceNoise(int capacity = 200) : capacity_(capacity) {}
+  /// @param in_steps whether readings come in steps, as wide as the noise or wider
+  explicit DifferenceNoise(bool in_steps = false) : in_steps_(in_steps) {}
 
   /// Adds one sample (channels×1); a spacing far from the last one starts a new run of four.
   void Add(double time_s, const Channels& sample);
@@ -28,7 +29,7 @@ class DifferenceNoise {
   double Sigma() const;
 
  private:
-  int capacity_;
+  bool in_steps_;
   mutable double sigma_ = 0.0;  // of the last look, refreshed every few samples
   mutable int since_look_ = 1 << 20;
   mutable std::vector<double> all_;  // that look's scratch
@@ -75,7 +76,7 @@ class StreamNoise {
 
  private:
   OdometryNoiseEstimator odometry_;
-  DifferenceNoise rotors_;
+  DifferenceNoise rotors_{true};  // counts of pulses, or of time between them
   Ring<OdometrySample> waiting_odometry_;
   Ring<RotorSample> waiting_rotors_;
 };

@@ -16,6 +16,11 @@ double RobustSigma(std::vector<double> sample);
 /// The same without a copy: leaves the magnitudes in `sample`, in any order.
 double RobustSigmaInPlace(std::vector<double>* sample);
 
+/// Standard deviation of a zero-mean Gaussian by Huber's Proposal 2 (Robust Statistics, 2nd ed.,
+/// section 5.2): squares count up to those of 1.5 sigma. Up to a third of the sample may be
+/// outliers. Readings in steps have ties, of which a median takes the whole step; this one does not.
+double HuberSigma(const std::vector<double>& sample);
+
 /// Chance that a chi-squared of `freedom` degrees of freedom, >= 1, exceeds `x`.
 double ChiSquaredTail(double x, int freedom);
 
