@@ -115,11 +115,11 @@ Evidence::VariantValues Halfway(Evidence::VariantValues from, const Evidence::Va
   return from;
 }
 
-/// Nothing of it is quick, and the other measurement does not show it.
-bool IsSlowOfOneSensor(const ChannelStructure& channel, const AttributionOptions& options) {
-  const bool is_in_both =
-      channel.shared && channel.shared->share > options.significant_sigmas * channel.shared->sigma;
-  return !is_in_both && !(channel.whiteness.quick_p < options.whiteness_p);
+/// Change of a channel of the residual by effects, over its sum of squares.
+double ActingShare(Eigen::Index channel, const ResidualModel::Wrenches& before,
+                   const ResidualModel::Wrenches& after) {
+  const double all = before.col(channel).squaredNorm();
+  return all > 0.0 ? (after.col(channel) - before.col(channel)).squaredNorm() / all : 0.0;
 }
 
 }  // namespace
@@ -132,29 +132,30 @@ bool IsSensorNoise(const ChannelStructure& channel, const AttributionOptions& op
 }
 
 bool IsLean(const ChannelStructure& channel, const AttributionOptions& options) {
-  return channel.lean_rad && *channel.lean_rad <= options.most_lean_rad &&
-         IsSlowOfOneSensor(channel, options);
+  if (!channel.lean_rad || *channel.lean_rad > options.most_lean_rad) return false;
+  const bool is_felt =
+      channel.shared && channel.shared->share > options.significant_sigmas * channel.shared->sigma;
+  return !is_felt && !(channel.whiteness.quick_p < options.whiteness_p);
 }
 
-bool IsBiasDrift(const ChannelStructure& channel, const AttributionOptions& options) {
-  return channel.bias_drift_m_s2 && *channel.bias_drift_m_s2 <= options.most_bias_drift_m_s2 &&
-         IsSlowOfOneSensor(channel, options);
+bool IsThrustWander(const ChannelStructure& channel, const AttributionOptions& options) {
+  return channel.thrust_wander && *channel.thrust_wander <= options.most_thrust_wander &&
+         !(channel.whiteness.quick_p < options.whiteness_p);
 }
 
-bool IsSensorDrift(const ChannelStructure& channel, const AttributionOptions& options) {
-  return IsLean(channel, options) || IsBiasDrift(channel, options);
+bool IsSlowError(const ChannelStructure& channel, const AttributionOptions& options) {
+  return IsLean(channel, options) || IsThrustWander(channel, options);
 }
 
 bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options) {
-  return !IsSensorNoise(channel, options) && !IsSensorDrift(channel, options) &&
+  return !IsSensorNoise(channel, options) && !IsSlowError(channel, options) &&
          channel.whiteness.p < options.whiteness_p &&
          channel.whiteness.structured_share > options.least_structured;
 }
 
 bool ActsIn(Eigen::Index channel, const ResidualModel::Wrenches& before,
             const ResidualModel::Wrenches& after, const AttributionOptions& options) {
-  const double acts = (after.col(channel) - before.col(channel)).squaredNorm();
-  return acts >= options.least_structured * before.col(channel).squaredNorm();
+  return ActingShare(channel, before, after) >= options.least_structured;
 }
 
 double UnexplainedStructure(const ResidualModel::Wrenches& before,
@@ -162,19 +163,23 @@ double UnexplainedStructure(const ResidualModel::Wrenches& before,
                             const std::vector<ChannelStructure>& of_before,
                             const std::vector<ChannelStructure>& of_after,
                             const AttributionOptions& options) {
-  double was = 0.0, is = 0.0;
-  bool acts = false, structured = false;
+  std::vector<double> acting;
   for (size_t c = 0; c < of_before.size(); ++c) {
-    const bool has_structure = IsStructured(of_before[c], options);
-    structured = structured || has_structure;
-    if (!ActsIn(static_cast<Eigen::Index>(c), before, after, options)) continue;
-    acts = true;
-    if (!has_structure) continue;
+    acting.push_back(ActingShare(static_cast<Eigen::Index>(c), before, after));
+  }
+  const double most = acting.empty() ? 0.0 : *std::max_element(acting.begin(), acting.end());
+  const double least = std::min(most, options.least_structured);
+  double was = 0.0, is = 0.0;
+  bool structured = false;
+  for (size_t c = 0; c < of_before.size(); ++c) {
+    if (!IsStructured(of_before[c], options)) continue;
+    structured = true;
+    if (!(acting[c] >= least)) continue;
     was += of_before[c].whiteness.nats;
     is += of_after[c].whiteness.nats;
   }
   if (was > 0.0) return is / was;
-  return structured && !acts ? 1.0 : 0.0;
+  return structured && !(most > 0.0) ? 1.0 : 0.0;
 }
 
 Attribution::Attribution(const std::vector<const ResidualModel*>& residuals, ModelPoint point,

@@ -78,14 +78,14 @@ bool Summarise(const AttributionOptions& options, ClosedLoop* result) {
                                  Rounded(100.0 * channel.shared->sigma) + " % of it");
       continue;
     }
-    if (IsSensorDrift(channel, options)) {
+    if (IsSlowError(channel, options)) {
       if (!(whiteness.p < options.whiteness_p)) continue;
       result->warnings.push_back(
           "structure in " + channel.name + " is as of " +
           (channel.lean_rad
                ? "an odometry that leans by " + Rounded(*channel.lean_rad) + " rad, slowly"
-               : "an accelerometer whose bias drifts by " + Rounded(*channel.bias_drift_m_s2) +
-                     " m/s^2"));
+               : "a thrust that wanders by " + Rounded(100.0 * *channel.thrust_wander) +
+                     " % of the weight"));
       continue;
     }
     result->structured_share = std::max(result->structured_share, whiteness.structured_share);
@@ -246,7 +246,13 @@ void LoopSession::Attribute() {
   residual_ = std::make_unique<ResidualModel>(flight_.get(), &file_vehicle_, !log_.rotor_rms_only);
   candidates_ = Without(CandidatesFor(vehicle_, flight_->motion()), options_.ruled_out);
   const ModelValues& values = before_.replay.last->values;
+  const bool has_accelerometer = residual_->from_accelerometer();
   residual_->BlendForces(declared_, values);
+  if (has_accelerometer && !residual_->from_accelerometer()) {
+    result_.warnings.push_back(
+        "the accelerometer is not used to look for effects: across the rotors' axes it is noisier "
+        "than the motion, which shows all that it feels; vibration that it samples too slowly?");
+  }
   attribution_ = std::make_unique<Attribution>(residual_.get(), ModelPointOf(declared_, values),
                                                candidates_, options_.attribution);
   attribution_->Run();
@@ -330,14 +336,14 @@ double LoopSession::Unexplained() const {
   return gained > 0.0 ? std::max(left, functions / gained) : left;
 }
 
-/// What functions of the state gain where nothing acts [nats]. Those of a force would follow slow
-/// errors of the sensors.
+/// What functions of the state gain where nothing acts [nats]. Those of a force would follow such
+/// slow errors.
 double LoopSession::GainOfFunctions() const {
   const AttributionOptions& options = options_.attribution;
   const FlexibleRest& flexible = attribution_->flexible();
   const bool drifts = std::any_of(
       result_.structure.begin(), result_.structure.end(), [&](const ChannelStructure& channel) {
-        return channel.whiteness.p < options.whiteness_p && IsSensorDrift(channel, options);
+        return channel.whiteness.p < options.whiteness_p && IsSlowError(channel, options);
       });
   return drifts ? flexible.of_torque : flexible.nats();
 }

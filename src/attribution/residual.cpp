@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <numeric>
 #include <utility>
 
@@ -129,14 +130,49 @@ Eigen::MatrixX3d ResidualModel::MotionForce(const std::vector<PredictionSample>&
 void ResidualModel::BlendForces(const DynamicModel& model, const ModelValues& values) {
   if (!from_accelerometer_) return;
   const std::vector<PredictionSample> samples = Predict(model, values);
-  const Eigen::VectorXd felt = FeltForce(samples).col(kBlended);
-  const Eigen::VectorXd by_motion = MotionForce(samples).col(kBlended);
+  const Eigen::MatrixX3d felt = FeltForce(samples), by_motion = MotionForce(samples);
+  if (IsMotionBetter(felt, by_motion)) {
+    from_accelerometer_ = false;
+    return;
+  }
   std::vector<bool> follows, counts;
   for (int i = 0; i < flight_->size(); ++i) {
     follows.push_back(flight_->next(i));
     counts.push_back(!flight_->held_out(i));
   }
-  blend_.emplace(follows, counts, felt, by_motion);
+  blend_.emplace(follows, counts, felt.col(kBlended), by_motion.col(kBlended));
+}
+
+// Of two measurements of one force the one with less variance has less noise, unless an onboard
+// filter smooths part of the force away. What the accelerometer feels is then more than the motion
+// shows of it: the regression of the one on the other is steeper than one.
+bool ResidualModel::IsMotionBetter(const Eigen::MatrixX3d& felt,
+                                   const Eigen::MatrixX3d& by_motion) const {
+  constexpr int kLeastBlocks = 6;
+  constexpr double kSigmas = 3.0;
+  double felt_square = 0.0, square = 0.0, product = 0.0;
+  std::map<int, Eigen::Vector2d> blocks;  // product, square
+  for (const Eigen::Index c : {0, 1}) {
+    const Eigen::VectorXd f = felt.col(c).array() - felt.col(c).mean();
+    const Eigen::VectorXd m = by_motion.col(c).array() - by_motion.col(c).mean();
+    for (int i = 0; i < flight_->size(); ++i) {
+      if (flight_->held_out(i)) continue;
+      felt_square += f[i] * f[i];
+      square += m[i] * m[i];
+      product += f[i] * m[i];
+      const auto block = blocks.try_emplace(flight_->block(i), Eigen::Vector2d::Zero()).first;
+      block->second += Eigen::Vector2d(f[i] * m[i], m[i] * m[i]);
+    }
+  }
+  const auto n = static_cast<double>(blocks.size());
+  if (n < kLeastBlocks || !(square > 0.0) || square >= felt_square) return false;
+  const double slope = product / square;
+  double scatter = 0.0;
+  for (const auto& entry : blocks) {
+    scatter += std::pow(entry.second[0] - slope * entry.second[1], 2);
+  }
+  const double sigma = std::sqrt(scatter * n / (n - 1.0)) / square;
+  return slope - kSigmas * sigma <= 1.0;
 }
 
 ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,

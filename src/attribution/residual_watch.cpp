@@ -61,7 +61,7 @@ void Summarise(const std::vector<ChannelStructure>& channels, const AttributionO
   for (size_t c = 0; c < channels.size(); ++c) {
     const WhitenessResult& whiteness = channels[c].whiteness;
     (c < 3 ? found->force_rmse_N[c] : found->torque_rmse_Nm[c - 3]) = channels[c].rmse;
-    if (IsSensorNoise(channels[c], decision) || IsSensorDrift(channels[c], decision)) continue;
+    if (IsSensorNoise(channels[c], decision) || IsSlowError(channels[c], decision)) continue;
     if (whiteness.structured_share >= found->structured_share) {
       found->structured_share = whiteness.structured_share;
       found->channel = channels[c].name;

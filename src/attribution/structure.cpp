@@ -93,9 +93,10 @@ std::vector<ChannelStructure> StructureByChannel(const ThinnedFlight& flight,
     };
     const double variance =
         Centred(y).squaredNorm() / static_cast<double>(std::max<Eigen::Index>(1, y.size()));
-    const double slow_m_s2 = std::sqrt(channel.whiteness.slow_share * variance) / vehicle.mass_kg;
-    if (c < 2) channel.lean_rad = slow_m_s2 / vehicle.gravity_m_s2;
-    if (c == 2 && again.rows() == y.size()) channel.bias_drift_m_s2 = slow_m_s2;
+    const double slow_over_weight = std::sqrt(channel.whiteness.slow_share * variance) /
+                                    (vehicle.mass_kg * vehicle.gravity_m_s2);
+    if (c < 2) channel.lean_rad = slow_over_weight;
+    if (c == 2) channel.thrust_wander = slow_over_weight;
     if (c < again.cols() && again.rows() == y.size()) {
       channel.shared = Shared(flight, y, again.col(c),
                               channel.whiteness.structured_share * variance, in_use_only);

@@ -33,8 +33,8 @@ double RobustSigmaInPlace(std::vector<double>* sample) {
 }
 
 double HuberSigma(const std::vector<double>& sample) {
-  constexpr double kMost = 1.5;
-  constexpr double kMean = 0.77846;  // of min(z^2, kMost^2), z normal
+  constexpr double kMost = 2.0;
+  constexpr double kMean = 0.92054;  // of min(z^2, kMost^2), z normal
   constexpr int kRounds = 50;
   constexpr double kSettled = 1e-4;
   double square = 0.0;

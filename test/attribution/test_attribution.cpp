@@ -175,6 +175,58 @@ TEST(ResidualModel, BlendsBothSensors) {
             1e-9);
 }
 
+/// Whether attribution uses the accelerometer of a flight on which a force of the world acts that
+/// the model lacks, 1 m/s^2 along x at half a hertz.
+/// @param density noise of the accelerometer [m/s^2/sqrt(Hz)]
+/// @param shown share of that force that the velocity shows, the rest smoothed away on board
+bool UsesAccelerometer(double density, double shown) {
+  const Vehicle vehicle = [] {
+    Vehicle v = UndeclaredVehicles().front();
+    v.imu = SensorMount();
+    return v;
+  }();
+  const DynamicModel model(vehicle, vehicle.effects);
+  const ModelValues values = DefaultTruth(model);
+  SimulationOptions options;
+  options.trajectory = "lemniscate";
+  options.duration_s = 40.0;
+  SimulationNoise noise = SimulationNoise::None();
+  noise.velocity_m_s = 0.005;
+  noise.imu = true;
+  noise.accelerometer_noise_density = density;
+  FlightLog log = Simulate(model, values, options, noise).log;
+  constexpr double kTurn_rad_s = 3.14159;
+  for (OdometrySample& sample : log.odometry) {
+    sample.v_WS->x() -= shown / kTurn_rad_s * std::cos(kTurn_rad_s * ToSeconds(sample.stamp));
+  }
+  auto pose = log.odometry.begin();
+  for (ImuSample& sample : log.imu) {
+    while (pose + 1 != log.odometry.end() && pose->stamp < sample.stamp) ++pose;
+    *sample.specific_force_I += pose->q_WS.conjugate() * Eigen::Vector3d::UnitX() *
+                                std::sin(kTurn_rad_s * ToSeconds(sample.stamp));
+  }
+  const ThinnedFlight flight(FilterFlight(log, vehicle.num_rotors(), {}), BlockSplit(),
+                             vehicle.odometry.q_BS.toRotationMatrix());
+  ResidualModel residual(&flight, &vehicle, true);
+  residual.BlendForces(model, values);
+  if (!residual.from_accelerometer()) {
+    EXPECT_EQ(residual.ForceByMotion(model, values).rows(), 0);
+    EXPECT_EQ(residual.felt_share_of_constant(2), 1.0);
+    EXPECT_FALSE(residual.is_blend(2));
+  }
+  return residual.from_accelerometer();
+}
+
+TEST(ResidualModel, DoesWithoutAnAccelerometerThatIsNoisierThanTheMotion) {
+  EXPECT_TRUE(UsesAccelerometer(0.02, 1.0));
+  EXPECT_FALSE(UsesAccelerometer(1.0, 1.0));
+}
+
+TEST(ResidualModel, NeedsTheAccelerometerWhereAnOnboardFilterHidesAForce) {
+  EXPECT_TRUE(UsesAccelerometer(0.02, 0.3));
+  EXPECT_TRUE(UsesAccelerometer(0.2, 0.3));
+}
+
 // A long flight is looked at in stretches that are spread over it, with the same share held out.
 TEST(ThinnedFlight, TakesStretchesOfALongFlight) {
   FlightMotion motion;
@@ -487,6 +539,24 @@ TEST(MakeUndeclared, CallsWhatShowsLessThanPlannedByItsRealStrength) {
   EXPECT_EQ(flight.plan.share, 0.08);
 }
 
+// Noise of rotor speeds may be all there is of a torque about z. What coupling about the other axes
+// says of that inertia is then whatever else acts there.
+TEST(Attribution, HoldsAnInertiaOfWhoseTorqueNothingIsForeseen) {
+  UndeclaredFlight made = Make({"rotor_gyroscopic"}, 0.5, "lemniscate", 0, 7);
+  Gaussian random(7, 0);
+  for (RotorSample& sample : made.log.rotors) {
+    const double e = 0.05 * sample.speed.mean() * random.Next();
+    for (int j = 0; j < made.declared.num_rotors(); ++j) {
+      sample.speed[j] += made.declared.rotors[static_cast<size_t>(j)].spin * e;
+    }
+  }
+  const Flown flown = Filtered(made);
+  const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+  const double file = DeclaredPoint(flown.vehicle).values.at("inertia.z");
+  const Attribution attribution = Attribute(flown, residual);
+  EXPECT_NEAR(attribution.point().values.at("inertia.z"), file, 0.01 * file);
+}
+
 }  // namespace
 /// Rows of the table under a heading of docs/closing_the_loop.md, as "name value".
 std::vector<std::string> DocumentedNumbers() {
@@ -519,7 +589,12 @@ TEST(UnexplainedStructure, CountsWhatActsAndWhatHardlyDoes) {
   after = before;
   after.col(3) *= 0.5;
   EXPECT_DOUBLE_EQ(UnexplainedStructure(before, after, structured, left, options), 0.0);
-  // It acts on none.
+  after = before;
+  after.col(3) *= 0.99;
+  EXPECT_DOUBLE_EQ(UnexplainedStructure(before, after, structured, left, options), 0.0);
+  // It hardly acts anywhere.
+  after = before;
+  EXPECT_DOUBLE_EQ(UnexplainedStructure(before, after, structured, structured, options), 1.0);
   after = 0.99 * before;
   EXPECT_DOUBLE_EQ(UnexplainedStructure(before, after, structured, structured, options), 1.0);
   EXPECT_DOUBLE_EQ(UnexplainedStructure(before, after, left, left, options), 1.0);

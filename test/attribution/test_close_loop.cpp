@@ -729,6 +729,29 @@ TEST(Undeclared, VehiclesReadBack) {
   }
 }
 
+// Sigmas say what a doubtful stamp would do to the estimate; the estimate stays.
+TEST(CloseLoop, WidensForDoubtsOfTheStreams) {
+  const UndeclaredFlight flight =
+      MakeUndeclared(Plan(UndeclaredKind::kNothing, {}, 0.0, "aggressive", 0, 5));
+  const ClosedLoop sure = Close(flight);
+  CloseLoopOptions options;
+  options.doubts = {{"rotor_speeds", 0.015}};
+  const ClosedLoop doubtful =
+      CloseLoop(flight.log, flight.declared, flight.declared, options);
+  ASSERT_EQ(sure.parameters.parameters.size(), doubtful.parameters.parameters.size());
+  double most = 1.0;
+  for (size_t i = 0; i < sure.parameters.parameters.size(); ++i) {
+    const ParameterEstimate &a = sure.parameters.parameters[i],
+                            &b = doubtful.parameters.parameters[i];
+    EXPECT_EQ(a.value, b.value) << a.full_name;
+    EXPECT_GE(b.sigma, a.sigma) << a.full_name;
+    EXPECT_NEAR(b.sigma, std::sqrt(doubtful.parameters.covariance(i, i)), 1e-9 * b.sigma)
+        << a.full_name;
+    if (a.sigma > 0.0) most = std::max(most, b.sigma / a.sigma);
+  }
+  EXPECT_GT(most, 2.0);
+}
+
 }  // namespace
 }  // namespace test
 }  // namespace odmc

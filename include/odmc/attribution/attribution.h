@@ -23,12 +23,12 @@ bool IsSensorNoise(const ChannelStructure& channel, const AttributionOptions& op
 /// slow, up to `most_lean_rad` of the weight, and not felt by the accelerometer as well.
 bool IsLean(const ChannelStructure& channel, const AttributionOptions& options);
 
-/// True if the structure of the force along z is no more than the accelerometer's bias may drift:
-/// slow, up to `most_bias_drift_m_s2`, and not in the motion as well.
-bool IsBiasDrift(const ChannelStructure& channel, const AttributionOptions& options);
+/// True if the structure of the force along z is no more than a thrust coefficient may wander in a
+/// flight, or an accelerometer's bias: slow, up to `most_thrust_wander` of the weight.
+bool IsThrustWander(const ChannelStructure& channel, const AttributionOptions& options);
 
-/// True if a force's structure is one that slow errors of the sensors make: a lean or a drift.
-bool IsSensorDrift(const ChannelStructure& channel, const AttributionOptions& options);
+/// True if a force's structure is no effect that is missing: a lean or a wander.
+bool IsSlowError(const ChannelStructure& channel, const AttributionOptions& options);
 
 /// True if a channel of the residual is more than noise.
 bool IsStructured(const ChannelStructure& channel, const AttributionOptions& options);
@@ -39,8 +39,9 @@ bool ActsIn(Eigen::Index channel, const ResidualModel::Wrenches& before,
             const ResidualModel::Wrenches& after, const AttributionOptions& options);
 
 /// Share of the structure of a residual, in nats by which a flexible spectrum explains it beyond
-/// noise, that is still there after effects were added, of the channels in which they act. 1 where
-/// they act in none and one is structured, 0 where there is no structure.
+/// noise, that is still there after effects were added, of the channels in which they act, see
+/// ActsIn(), and of the one that they change most, however little that is. 0 where there is no
+/// structure, 1 where there is and they change nothing.
 double UnexplainedStructure(const ResidualModel::Wrenches& before,
                             const ResidualModel::Wrenches& after,
                             const std::vector<ChannelStructure>& of_before,

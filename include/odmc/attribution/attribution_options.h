@@ -25,7 +25,7 @@ struct AttributionOptions {
   double least_structured = 0.05;
   double most_unexplained = 0.5;
   double most_lean_rad = 0.0175;
-  double most_bias_drift_m_s2 = 0.05;
+  double most_thrust_wander = 0.005;
   double telling_ratio = 0.5;
   double least_ratio = 0.97;
   double gust_price = 16.0;

@@ -93,10 +93,15 @@ class ResidualModel {
   /// blend of what the accelerometer feels and what the motion says, weighed by their noise about
   /// this model. Across them it stays the accelerometer's: by the motion it has errors of attitude
   /// and of gravity's direction in it, times the weight, which look like wind and leaning rotors.
-  /// Nothing without an accelerometer.
+  /// Where the accelerometer is the noisier one across the rotors' axes, as by vibration that it
+  /// samples too slowly, and the motion shows all that it feels there, the force is the motion's
+  /// alone. Nothing without an accelerometer.
   void BlendForces(const DynamicModel& model, const ModelValues& values);
   /// By the weights of another, of the same samples.
-  void BlendAs(const ResidualModel& other) { blend_ = other.blend_; }
+  void BlendAs(const ResidualModel& other) {
+    blend_ = other.blend_;
+    from_accelerometer_ = from_accelerometer_ && other.from_accelerometer_;
+  }
 
   /// Weight of the accelerometer, and so of its bias, in a constant force.
   double felt_share_of_constant(int axis) const {
@@ -136,6 +141,8 @@ class ResidualModel {
   /// Measured minus predicted force by the accelerometer, and by the motion (N×3).
   Eigen::MatrixX3d FeltForce(const std::vector<PredictionSample>& samples) const;
   static Eigen::MatrixX3d MotionForce(const std::vector<PredictionSample>& samples);
+  /// True if the force by the motion is the better one across the rotors' axes.
+  bool IsMotionBetter(const Eigen::MatrixX3d& felt, const Eigen::MatrixX3d& by_motion) const;
   /// Residual() with one value moved by `step`.
   Wrenches ResidualAt(const DynamicModel& model, ModelValues values, int index, double step) const;
 

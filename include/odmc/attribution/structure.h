@@ -28,9 +28,9 @@ struct ChannelStructure {
   /// Of a lateral force, its slow structure as an error of roll or pitch of the odometry would make
   /// it: RMS over the weight [rad].
   std::optional<double> lean_rad;
-  /// Of the force along z that an accelerometer measures, its slow structure as a drift of the bias
-  /// would make it: RMS over the mass [m/s^2].
-  std::optional<double> bias_drift_m_s2;
+  /// Of the force along z, its slow structure as a thrust coefficient that wanders would make it:
+  /// RMS over the weight [1].
+  std::optional<double> thrust_wander;
 };
 
 /// Name of a channel of the wrench, "force_x" to "torque_z". @param channel 0 to 5

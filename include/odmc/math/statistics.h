@@ -17,8 +17,9 @@ double RobustSigma(std::vector<double> sample);
 double RobustSigmaInPlace(std::vector<double>* sample);
 
 /// Standard deviation of a zero-mean Gaussian by Huber's Proposal 2 (Robust Statistics, 2nd ed.,
-/// section 5.2): squares count up to those of 1.5 sigma. Up to a third of the sample may be
-/// outliers. Readings in steps have ties, of which a median takes the whole step; this one does not.
+/// section 5.2): squares count up to those of two sigma, so a fifth of the sample may be outliers.
+/// Readings in steps have ties, of which a median takes the whole step; this one does not. 0 where
+/// more than three quarters are zero.
 double HuberSigma(const std::vector<double>& sample);
 
 /// Chance that a chi-squared of `freedom` degrees of freedom, >= 1, exceeds `x`.
