@@ -246,12 +246,11 @@ void LoopSession::Attribute() {
   residual_ = std::make_unique<ResidualModel>(flight_.get(), &file_vehicle_, !log_.rotor_rms_only);
   candidates_ = Without(CandidatesFor(vehicle_, flight_->motion()), options_.ruled_out);
   const ModelValues& values = before_.replay.last->values;
-  const bool has_accelerometer = residual_->from_accelerometer();
   residual_->BlendForces(declared_, values);
-  if (has_accelerometer && !residual_->from_accelerometer()) {
+  if (residual_->across_by_motion()) {
     result_.warnings.push_back(
-        "the accelerometer is not used to look for effects: across the rotors' axes it is noisier "
-        "than the motion, which shows all that it feels; vibration that it samples too slowly?");
+        "across the rotors' axes the force is taken from the motion, which shows all that the "
+        "accelerometer feels, with less noise; vibration that it samples too slowly?");
   }
   attribution_ = std::make_unique<Attribution>(residual_.get(), ModelPointOf(declared_, values),
                                                candidates_, options_.attribution);

@@ -131,10 +131,7 @@ void ResidualModel::BlendForces(const DynamicModel& model, const ModelValues& va
   if (!from_accelerometer_) return;
   const std::vector<PredictionSample> samples = Predict(model, values);
   const Eigen::MatrixX3d felt = FeltForce(samples), by_motion = MotionForce(samples);
-  if (IsMotionBetter(felt, by_motion)) {
-    from_accelerometer_ = false;
-    return;
-  }
+  across_by_motion_ = IsMotionBetter(felt, by_motion);
   std::vector<bool> follows, counts;
   for (int i = 0; i < flight_->size(); ++i) {
     follows.push_back(flight_->next(i));
@@ -143,14 +140,15 @@ void ResidualModel::BlendForces(const DynamicModel& model, const ModelValues& va
   blend_.emplace(follows, counts, felt.col(kBlended), by_motion.col(kBlended));
 }
 
-// Of two measurements of one force the one with less variance has less noise, unless an onboard
+// Of two measurements of one force the one with less variance has less noise (half, or it is not
+// worth the motion's errors of attitude, which are slow), unless an onboard
 // filter smooths part of the force away. What the accelerometer feels is then more than the motion
 // shows of it: the regression of the one on the other is steeper than one.
 bool ResidualModel::IsMotionBetter(const Eigen::MatrixX3d& felt,
                                    const Eigen::MatrixX3d& by_motion) const {
   constexpr int kLeastBlocks = 6;
-  constexpr double kSigmas = 3.0;
-  double felt_square = 0.0, square = 0.0, product = 0.0;
+  constexpr double kSigmas = 3.0, kLess = 0.5;
+  double felt_square = 0.0, square = 0.0, product = 0.0, count = 0.0;
   std::map<int, Eigen::Vector2d> blocks;  // product, square
   for (const Eigen::Index c : {0, 1}) {
     const Eigen::VectorXd f = felt.col(c).array() - felt.col(c).mean();
@@ -160,18 +158,21 @@ bool ResidualModel::IsMotionBetter(const Eigen::MatrixX3d& felt,
       felt_square += f[i] * f[i];
       square += m[i] * m[i];
       product += f[i] * m[i];
+      count += 1.0;
       const auto block = blocks.try_emplace(flight_->block(i), Eigen::Vector2d::Zero()).first;
       block->second += Eigen::Vector2d(f[i] * m[i], m[i] * m[i]);
     }
   }
   const auto n = static_cast<double>(blocks.size());
-  if (n < kLeastBlocks || !(square > 0.0) || square >= felt_square) return false;
+  if (n < kLeastBlocks || !(square > 0.0) || square > kLess * felt_square) return false;
   const double slope = product / square;
   double scatter = 0.0;
   for (const auto& entry : blocks) {
     scatter += std::pow(entry.second[0] - slope * entry.second[1], 2);
   }
-  const double sigma = std::sqrt(scatter * n / (n - 1.0)) / square;
+  // Few blocks may agree by chance: noise of equal size at all samples is the least there is.
+  const double by_blocks = std::sqrt(scatter * n / (n - 1.0)) / square;
+  const double sigma = std::max(by_blocks, std::sqrt(felt_square / (square * count)));
   return slope - kSigmas * sigma <= 1.0;
 }
 
@@ -180,6 +181,7 @@ ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
   Wrenches residual(flight_->size(), kNumChannels);
   const std::vector<PredictionSample> samples = Predict(model, values);
   residual.leftCols<3>() = from_accelerometer_ ? FeltForce(samples) : MotionForce(samples);
+  if (across_by_motion_) residual.leftCols<2>() = MotionForce(samples).leftCols<2>();
   if (blend_) {
     residual.col(kBlended) =
         blend_->Blend(residual.col(kBlended), MotionForce(samples).col(kBlended));
@@ -207,7 +209,9 @@ ResidualModel::Wrenches ResidualModel::AsFelt(Wrenches residual, const DynamicMo
 Eigen::MatrixX3d ResidualModel::ForceByMotion(const DynamicModel& model,
                                               const ModelValues& values) const {
   if (!from_accelerometer_) return Eigen::MatrixX3d(0, 3);
-  return MotionForce(Predict(model, values));
+  Eigen::MatrixX3d force = MotionForce(Predict(model, values));
+  if (across_by_motion_) force.leftCols<2>().setZero();
+  return force;
 }
 
 ResidualModel::Wrenches ResidualModel::ResidualAt(const DynamicModel& model, ModelValues values,

@@ -22,7 +22,7 @@ Eigen::VectorXd Centred(const Eigen::VectorXd& x) { return x.array() - x.mean();
 std::optional<SharedStructure> Shared(const ThinnedFlight& flight, const Eigen::VectorXd& one,
                                       const Eigen::VectorXd& other, double structured,
                                       bool in_use_only) {
-  if (!(structured > 0.0)) return std::nullopt;
+  if (!(structured > 0.0) || other.isZero(0.0)) return std::nullopt;
   const Eigen::VectorXd product = Centred(one).cwiseProduct(Centred(other)) / structured;
   std::map<int, std::pair<double, int>> blocks;
   for (int i = 0; i < flight.size(); ++i) {

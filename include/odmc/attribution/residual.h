@@ -93,19 +93,20 @@ class ResidualModel {
   /// blend of what the accelerometer feels and what the motion says, weighed by their noise about
   /// this model. Across them it stays the accelerometer's: by the motion it has errors of attitude
   /// and of gravity's direction in it, times the weight, which look like wind and leaning rotors.
-  /// Where the accelerometer is the noisier one across the rotors' axes, as by vibration that it
-  /// samples too slowly, and the motion shows all that it feels there, the force is the motion's
-  /// alone. Nothing without an accelerometer.
+  /// But where the accelerometer is the noisier one there, as by vibration that it samples too
+  /// slowly, and the motion shows all that it feels, the force across the axes is the motion's.
+  /// Nothing without an accelerometer.
   void BlendForces(const DynamicModel& model, const ModelValues& values);
   /// By the weights of another, of the same samples.
   void BlendAs(const ResidualModel& other) {
     blend_ = other.blend_;
-    from_accelerometer_ = from_accelerometer_ && other.from_accelerometer_;
+    across_by_motion_ = other.across_by_motion_;
   }
 
   /// Weight of the accelerometer, and so of its bias, in a constant force.
   double felt_share_of_constant(int axis) const {
-    return is_blend(axis) ? blend_->felt_weight().back() : 1.0;
+    if (is_blend(axis)) return blend_->felt_weight().back();
+    return across_by_motion_ ? 0.0 : 1.0;
   }
 
   /// Measured minus predicted (N×6).
@@ -115,7 +116,8 @@ class ResidualModel {
   Wrenches AsFelt(Wrenches residual, const DynamicModel& model, const ModelValues& values) const;
 
   /// A second measurement of the force's part, where from_accelerometer(): by the motion, mass
-  /// times the velocity's derivative, turned by the attitude (N×3) [N]. Else no rows.
+  /// times the velocity's derivative, turned by the attitude (N×3) [N]; zero where it is the first.
+  /// Else no rows.
   Eigen::MatrixX3d ForceByMotion(const DynamicModel& model, const ModelValues& values) const;
 
   /// Derivative of the prediction by parameter `index` (N×6), by central differences,
@@ -131,6 +133,8 @@ class ResidualModel {
   /// True if the force is the accelerometer's (it feels what an onboard filter's velocity smooths
   /// away); false if it is the velocity's derivative.
   bool from_accelerometer() const { return from_accelerometer_; }
+  /// True if the force across the rotors' axes is the motion's all the same, see BlendForces().
+  bool across_by_motion() const { return across_by_motion_; }
   /// True if the channel's force is a blend of two sensors.
   bool is_blend(int channel) const { return blend_ && channel == kBlended; }
   int num_channels() const { return with_torque_ ? kNumChannels : 3; }
@@ -150,7 +154,7 @@ class ResidualModel {
   const Vehicle* file_vehicle_;
   static constexpr int kBlended = 2;  // channel
 
-  bool with_torque_, from_accelerometer_;
+  bool with_torque_, from_accelerometer_, across_by_motion_ = false;
   std::optional<ForceBlend> blend_;
 };
 
