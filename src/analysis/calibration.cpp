@@ -17,7 +17,7 @@ namespace {
 
 constexpr double kConvergedShare = 0.05;  // of the final value
 constexpr double kLeastFlight_s = 3.0;    // what the window holds before anything may leave it
-constexpr double kMostBlocks = 1000.0;  // to leave out in turn
+constexpr double kMostBlocks = 1000.0;    // to leave out in turn
 constexpr double kInertiaLow = 0.5, kInertiaHigh = 2.0;
 constexpr double kSignSigmas = 3.0;    // one-sided, by chance once in 740 parameters
 constexpr double kKnownInertia = 0.1;  // of the value: far below the vehicle file's 40 %
@@ -452,9 +452,8 @@ void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
       Told({calibration->by_bands, calibration->taken_point}, model, options);
   const DynamicModel told_model(vehicle, vehicle.effects);
   const Stamp from = last.stamp - FromSeconds(kLongestDoubt_s);
-  const Eigen::VectorXd grown =
-      Widen(ChangesWithout(doubts, log, from, told_model, told, &last.values),
-            &calibration->parameters);
+  const Eigen::VectorXd grown = Widen(
+      ChangesWithout(doubts, log, from, told_model, told, &last.values), &calibration->parameters);
   calibration->inflation = calibration->inflation.cwiseProduct(grown);
 }
 

@@ -201,7 +201,9 @@ FilteredMotion FilteredAt(const Collector& collector, const Channels& c,
 // What an accelerometer feels and what the motion shows are two measurements, of other noise: one
 // flight is judged by one of them. Where the accelerometer misses but some samples, it stays.
 void LeaveOutUnfelt(FlightMotion* flight) {
-  const auto felt = [](const FilteredMotion& motion) { return motion.specific_force_I.has_value(); };
+  const auto felt = [](const FilteredMotion& motion) {
+    return motion.specific_force_I.has_value();
+  };
   std::vector<FilteredMotion>& samples = flight->samples;
   const auto num_felt = std::count_if(samples.begin(), samples.end(), felt);
   const auto missed = static_cast<std::ptrdiff_t>(samples.size()) - num_felt;

@@ -62,7 +62,8 @@ const std::vector<DecisionNumber>& DecisionNumbers() {
       {"most_lean_rad", "rad", &O::most_lean_rad, 0.0, 0.2,
        "judgement: roll and pitch of an onboard filter err by a degree, over seconds"},
       {"most_thrust_wander", "1", &O::most_thrust_wander, 0.0, 0.2,
-       "judgement: of the weight; 5 mg, an accelerometer's bias over 10 to 20 K (0.25 to 0.5 mg/K), "
+       "judgement: of the weight; 5 mg, an accelerometer's bias over 10 to 20 K (0.25 to 0.5 "
+       "mg/K), "
        "and a k_f over the air's temperature (0.3 % per K)"},
       {"telling_ratio", "1", &O::telling_ratio, 0.0, 1.0,
        "judgement: unless it takes half of an axis' error on blocks held out; one that is "

@@ -140,10 +140,10 @@ void ResidualModel::BlendForces(const DynamicModel& model, const ModelValues& va
   blend_.emplace(follows, counts, felt.col(kBlended), by_motion.col(kBlended));
 }
 
-// Of two measurements of one force the one with less variance has less noise (half, or it is not
-// worth the motion's errors of attitude, which are slow), unless an onboard
+// Of two measurements of one force the one with less variance has less noise, unless an onboard
 // filter smooths part of the force away. What the accelerometer feels is then more than the motion
-// shows of it: the regression of the one on the other is steeper than one.
+// shows of it: the regression of the one on the other is steeper than one. With more than half of
+// the accelerometer's variance the motion is not worth its errors of attitude, which are slow.
 bool ResidualModel::IsMotionBetter(const Eigen::MatrixX3d& felt,
                                    const Eigen::MatrixX3d& by_motion) const {
   constexpr int kLeastBlocks = 6;

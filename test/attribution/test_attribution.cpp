@@ -175,8 +175,8 @@ TEST(ResidualModel, BlendsBothSensors) {
             1e-9);
 }
 
-/// Whether attribution uses the accelerometer across the rotors' axes of a flight on which a force of the world acts that
-/// the model lacks, 1 m/s^2 along x at half a hertz.
+/// Whether attribution uses the accelerometer across the rotors' axes of a flight on which a force
+/// of the world acts that the model lacks, 1 m/s^2 along x at half a hertz.
 /// @param density noise of the accelerometer [m/s^2/sqrt(Hz)]
 /// @param shown share of that force that the velocity shows, the rest smoothed away on board
 bool UsesAccelerometer(double density, double shown, unsigned seed) {

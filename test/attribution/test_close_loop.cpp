@@ -736,8 +736,7 @@ TEST(CloseLoop, WidensForDoubtsOfTheStreams) {
   const ClosedLoop sure = Close(flight);
   CloseLoopOptions options;
   options.doubts = {{"rotor_speeds", 0.015}};
-  const ClosedLoop doubtful =
-      CloseLoop(flight.log, flight.declared, flight.declared, options);
+  const ClosedLoop doubtful = CloseLoop(flight.log, flight.declared, flight.declared, options);
   ASSERT_EQ(sure.parameters.parameters.size(), doubtful.parameters.parameters.size());
   double most = 1.0;
   for (size_t i = 0; i < sure.parameters.parameters.size(); ++i) {
