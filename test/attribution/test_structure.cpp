@@ -129,7 +129,7 @@ TEST(Lean, ASlowForceOfADegreeMayBeTheOdometrys) {
     ASSERT_LT(lean.whiteness.p, options.whiteness_p) << seed;
     leans += IsStructured(lean, options) ? 0 : 1;
     forces += IsStructured(Lateral(0.5, 0.0, seed), options) ? 1 : 0;  // three degrees
-    quick += IsStructured(Lateral(0.1, 0.2, seed), options) ? 1 : 0;   // no attitude errs so fast
+    quick += IsStructured(Lateral(0.03, 0.15, seed), options) ? 1 : 0;  // no attitude errs so fast
   }
   EXPECT_GE(leans, 18);
   EXPECT_GE(forces, 18);
@@ -178,7 +178,7 @@ TEST(ThrustWander, ASlowForceOfHalfAPerCentOfTheWeightIsNoEffect) {
     ASSERT_LT(wander.whiteness.p, options.whiteness_p) << seed;
     wanders += IsStructured(wander, options) ? 0 : 1;
     forces += IsStructured(AlongZ(0.2, 0.0, seed), options) ? 1 : 0;  // two per cent
-    quick += IsStructured(AlongZ(0.03, 0.06, seed), options) ? 1 : 0;
+    quick += IsStructured(AlongZ(0.01, 0.045, seed), options) ? 1 : 0;
   }
   EXPECT_GE(wanders, 18);
   EXPECT_EQ(forces, 20);
