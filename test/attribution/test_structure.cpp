@@ -110,12 +110,12 @@ TEST(SharedStructure, OneMeasurementSaysNothing) {
 
 /// Structure of a lateral force of slow and quick parts, measured by the motion alone, of a vehicle
 /// of 10 N.
-ChannelStructure Lateral(double slow_N, double quick_N, int seed) {
+ChannelStructure Lateral(double slow_N, double quick_N, int seed, double white_N = 0.1) {
   const ThinnedFlight flight = Hover();
   const int n = flight.size();
   ResidualModel::Wrenches residual = ResidualModel::Wrenches::Zero(n, kNumChannels);
   residual.col(0) =
-      slow_N * Slow(n, seed, 4.0) + quick_N * Slow(n, seed + 100) + 0.1 * White(n, seed);
+      slow_N * Slow(n, seed, 4.0) + quick_N * Slow(n, seed + 100) + white_N * White(n, seed);
   Vehicle vehicle;
   vehicle.mass_kg = 10.0 / vehicle.gravity_m_s2;
   return StructureByChannel(flight, residual, 3, Eigen::MatrixX3d(0, 3), vehicle).front();
@@ -129,7 +129,8 @@ TEST(Lean, ASlowForceOfADegreeMayBeTheOdometrys) {
     ASSERT_LT(lean.whiteness.p, options.whiteness_p) << seed;
     leans += IsStructured(lean, options) ? 0 : 1;
     forces += IsStructured(Lateral(0.5, 0.0, seed), options) ? 1 : 0;  // three degrees
-    quick += IsStructured(Lateral(0.03, 0.15, seed), options) ? 1 : 0;  // no attitude errs so fast
+    quick +=
+        IsStructured(Lateral(0.02, 0.07, seed, 0.01), options) ? 1 : 0;  // no attitude errs so fast
   }
   EXPECT_GE(leans, 18);
   EXPECT_GE(forces, 18);
@@ -159,14 +160,14 @@ TEST(Lean, WhatBothSensorsShowIsAForce) {
 }
 
 /// Structure of the force along z of slow and quick parts, of a vehicle of 10 N.
-ChannelStructure AlongZ(double slow_N, double quick_N, int seed) {
+ChannelStructure AlongZ(double slow_N, double quick_N, int seed, double white_N = 0.03) {
   const ThinnedFlight flight = Hover();
   const int n = flight.size();
   Vehicle vehicle;
   vehicle.mass_kg = 10.0 / vehicle.gravity_m_s2;
   ResidualModel::Wrenches residual = ResidualModel::Wrenches::Zero(n, kNumChannels);
   residual.col(2) =
-      slow_N * Slow(n, seed, 4.0) + quick_N * Slow(n, seed + 100) + 0.03 * White(n, seed);
+      slow_N * Slow(n, seed, 4.0) + quick_N * Slow(n, seed + 100) + white_N * White(n, seed);
   return StructureByChannel(flight, residual, 3, Eigen::MatrixX3d(0, 3), vehicle)[2];
 }
 
@@ -178,7 +179,7 @@ TEST(ThrustWander, ASlowForceOfHalfAPerCentOfTheWeightIsNoEffect) {
     ASSERT_LT(wander.whiteness.p, options.whiteness_p) << seed;
     wanders += IsStructured(wander, options) ? 0 : 1;
     forces += IsStructured(AlongZ(0.2, 0.0, seed), options) ? 1 : 0;  // two per cent
-    quick += IsStructured(AlongZ(0.01, 0.045, seed), options) ? 1 : 0;
+    quick += IsStructured(AlongZ(0.005, 0.02, seed, 0.003), options) ? 1 : 0;
   }
   EXPECT_GE(wanders, 18);
   EXPECT_EQ(forces, 20);
