@@ -131,13 +131,15 @@ double Scatter(const Eigen::VectorXd& x) {
   return std::sqrt((x.array() - x.mean()).square().mean());
 }
 
+Vehicle WithImu() {
+  Vehicle vehicle = UndeclaredVehicles().front();
+  vehicle.imu = SensorMount();
+  return vehicle;
+}
+
 // Slow force by the motion, quick force by the accelerometer, and only along the rotors' axes.
 TEST(ResidualModel, BlendsBothSensors) {
-  const Vehicle vehicle = [] {
-    Vehicle v = UndeclaredVehicles().front();
-    v.imu = SensorMount();
-    return v;
-  }();
+  const Vehicle vehicle = WithImu();
   const DynamicModel model(vehicle, vehicle.effects);
   const ModelValues values = DefaultTruth(model);
   SimulationOptions options;
@@ -180,11 +182,7 @@ TEST(ResidualModel, BlendsBothSensors) {
 /// @param density noise of the accelerometer [m/s^2/sqrt(Hz)]
 /// @param shown share of that force that the velocity shows, the rest smoothed away on board
 bool UsesAccelerometer(double density, double shown, unsigned seed) {
-  const Vehicle vehicle = [] {
-    Vehicle v = UndeclaredVehicles().front();
-    v.imu = SensorMount();
-    return v;
-  }();
+  const Vehicle vehicle = WithImu();
   const DynamicModel model(vehicle, vehicle.effects);
   const ModelValues values = DefaultTruth(model);
   SimulationOptions options;

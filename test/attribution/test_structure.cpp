@@ -108,17 +108,27 @@ TEST(SharedStructure, OneMeasurementSaysNothing) {
   EXPECT_TRUE(IsStructured(channels.front(), AttributionOptions()));
 }
 
-/// Structure of a lateral force of slow and quick parts, measured by the motion alone, of a vehicle
-/// of 10 N.
-ChannelStructure Lateral(double slow_N, double quick_N, int seed, double white_N = 0.1) {
+/// Structure of a channel of the force, of slow and quick parts, measured by the motion alone, of a
+/// vehicle of 10 N.
+ChannelStructure OfForce(Eigen::Index channel, double slow_N, double quick_N, int seed,
+                         double white_N) {
   const ThinnedFlight flight = Hover();
   const int n = flight.size();
   ResidualModel::Wrenches residual = ResidualModel::Wrenches::Zero(n, kNumChannels);
-  residual.col(0) =
+  residual.col(channel) =
       slow_N * Slow(n, seed, 4.0) + quick_N * Slow(n, seed + 100) + white_N * White(n, seed);
   Vehicle vehicle;
   vehicle.mass_kg = 10.0 / vehicle.gravity_m_s2;
-  return StructureByChannel(flight, residual, 3, Eigen::MatrixX3d(0, 3), vehicle).front();
+  return StructureByChannel(flight, residual, 3, Eigen::MatrixX3d(0, 3),
+                            vehicle)[static_cast<size_t>(channel)];
+}
+
+ChannelStructure Lateral(double slow_N, double quick_N, int seed, double white_N = 0.1) {
+  return OfForce(0, slow_N, quick_N, seed, white_N);
+}
+
+ChannelStructure AlongZ(double slow_N, double quick_N, int seed, double white_N = 0.03) {
+  return OfForce(2, slow_N, quick_N, seed, white_N);
 }
 
 TEST(Lean, ASlowForceOfADegreeMayBeTheOdometrys) {
@@ -157,18 +167,6 @@ TEST(Lean, WhatBothSensorsShowIsAForce) {
   }
   EXPECT_GE(forces, 18);
   EXPECT_GE(leans, 18);
-}
-
-/// Structure of the force along z of slow and quick parts, of a vehicle of 10 N.
-ChannelStructure AlongZ(double slow_N, double quick_N, int seed, double white_N = 0.03) {
-  const ThinnedFlight flight = Hover();
-  const int n = flight.size();
-  Vehicle vehicle;
-  vehicle.mass_kg = 10.0 / vehicle.gravity_m_s2;
-  ResidualModel::Wrenches residual = ResidualModel::Wrenches::Zero(n, kNumChannels);
-  residual.col(2) =
-      slow_N * Slow(n, seed, 4.0) + quick_N * Slow(n, seed + 100) + white_N * White(n, seed);
-  return StructureByChannel(flight, residual, 3, Eigen::MatrixX3d(0, 3), vehicle)[2];
 }
 
 TEST(ThrustWander, ASlowForceOfHalfAPerCentOfTheWeightIsNoEffect) {
