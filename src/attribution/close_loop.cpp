@@ -117,7 +117,7 @@ class LoopSession {
   /// Runs once more, held near the fit, where the online estimate has left it. The run that
   /// predicts blocks held out better counts.
   void StayNearFit();
-  /// Adds what the streams may be wrong by to the sigmas.
+  /// Adds what the streams may be wrong by to the sigmas, and says which effect hangs on that.
   void WidenForDoubts();
   /// The verdict, and the errors before and after.
   void Conclude();
@@ -139,6 +139,9 @@ class LoopSession {
   void NoteRest();
   RankedEffect* RankedOf(const std::string& name);
   void NoteRefused();
+  /// Warns of effects that an error of one stream would explain as well.
+  /// @param changes what each of the doubts makes of the parameters of `model`
+  void NoteDoubtful(const std::vector<Eigen::VectorXd>& changes, const DynamicModel& model);
   void DropAll(const std::string& why);
   /// Drops all effects where a flexible disturbance explains more than they do. What predicts
   /// blocks held out so much better is its cause all the same.
@@ -543,6 +546,22 @@ AddedEffect LoopSession::Added(const RankedEffect& ranked, const DynamicModel& m
   return effect;
 }
 
+void LoopSession::NoteDoubtful(const std::vector<Eigen::VectorXd>& changes,
+                               const DynamicModel& model) {
+  if (changes.size() != options_.doubts.size()) return;  // an estimate failed
+  for (const RankedEffect& effect : effects_) {
+    if (!IsThere(effect, after_->parameters, model, options_.attribution)) continue;
+    std::string errors;
+    for (size_t k = 0; k < changes.size(); ++k) {
+      if (!MayBeZero(effect, after_->parameters, changes[k], model, options_.attribution)) continue;
+      errors += (errors.empty() ? "" : "; ") + Sentence(options_.doubts[k]);
+    }
+    if (errors.empty()) continue;
+    result_.warnings.push_back(effect.name + " may be an error of the recording (" + errors +
+                               "), which the flight does not exclude");
+  }
+}
+
 // What is left of a delay is that of the recording as it is: other stamps would move it, and be
 // no error of it.
 void LoopSession::WidenForDoubts() {
@@ -559,6 +578,7 @@ void LoopSession::WidenForDoubts() {
       for (Eigen::VectorXd& change : changes) change[k] = 0.0;
     }
   }
+  NoteDoubtful(changes, model);
   Widen(changes, &pass.parameters);
   if (effects_.empty()) result_.parameters = before_.parameters;
 }

@@ -34,6 +34,19 @@ std::vector<Eigen::Index> EstimatesOf(const RankedEffect& effect, const Paramete
   return own;
 }
 
+/// Those of them that tell an effect's size.
+std::vector<Eigen::Index> SizesOf(const RankedEffect& effect, const ParameterSet& online,
+                                  const DynamicModel& model) {
+  std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
+  own.erase(std::remove_if(own.begin(), own.end(),
+                           [&](Eigen::Index i) {
+                             const auto& p = online.parameters[static_cast<size_t>(i)];
+                             return !TellsSize(model.vehicle(), p.full_name);
+                           }),
+            own.end());
+  return own;
+}
+
 /// Candidates that act by the rotors' accelerations, whose signs physics gives or not.
 std::vector<std::string> FromRotorRates(const Vehicle& vehicle,
                                         const std::vector<EffectCandidate>& candidates,
@@ -50,6 +63,14 @@ std::vector<std::string> FromRotorRates(const Vehicle& vehicle,
     }
   }
   return names;
+}
+
+Eigen::VectorXd ValuesOf(const ParameterSet& set) {
+  Eigen::VectorXd values(static_cast<Eigen::Index>(set.parameters.size()));
+  for (size_t i = 0; i < set.parameters.size(); ++i) {
+    values[static_cast<Eigen::Index>(i)] = set.parameters[i].value;
+  }
+  return values;
 }
 
 }  // namespace
@@ -130,19 +151,22 @@ void AddSpread(const RankedEffect& effect, ParameterSet* online) {
 
 bool IsThere(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model,
              const AttributionOptions& options) {
-  std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
-  own.erase(std::remove_if(own.begin(), own.end(),
-                           [&](Eigen::Index i) {
-                             const auto& p = online.parameters[static_cast<size_t>(i)];
-                             return !TellsSize(model.vehicle(), p.full_name);
-                           }),
-            own.end());
-  if (own.empty()) return true;
-  Eigen::VectorXd estimate(static_cast<Eigen::Index>(own.size()));
-  for (size_t k = 0; k < own.size(); ++k) {
-    estimate[static_cast<Eigen::Index>(k)] = online.parameters[static_cast<size_t>(own[k])].value;
-  }
-  return IsSignificant(estimate, online.covariance(own, own), options.significant_sigmas);
+  const std::vector<Eigen::Index> own = SizesOf(effect, online, model);
+  return own.empty() || IsSignificant(ValuesOf(online)(own), online.covariance(own, own),
+                                      options.significant_sigmas);
+}
+
+bool MayBeZero(const RankedEffect& effect, const ParameterSet& online,
+               const Eigen::VectorXd& change, const DynamicModel& model,
+               const AttributionOptions& options) {
+  const std::vector<Eigen::Index> own = SizesOf(effect, online, model);
+  const Eigen::VectorXd changes = change(own);
+  if (own.empty() || changes.isZero(0.0)) return false;
+  const Eigen::VectorXd size = ValuesOf(online)(own);
+  const Eigen::MatrixXd covariance = online.covariance(own, own);
+  const Eigen::VectorXd weighted = covariance.ldlt().solve(changes);
+  const double nearest = std::clamp(-size.dot(weighted) / changes.dot(weighted), -1.0, 1.0);
+  return !IsSignificant(size + nearest * changes, covariance, options.significant_sigmas);
 }
 
 bool Strays(const RankedEffect& effect, const ParameterSet& online) {

@@ -186,6 +186,7 @@ void ResidualWatch::ForgetBefore(Stamp stamp) {
 }
 
 size_t ResidualWatch::size() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
   return inbox_.size() + log_.odometry.size() + log_.imu.size() + log_.rotors.size();
 }
 

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "odmc/inspection/stream_inspection.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 
@@ -16,6 +17,20 @@ RareError RareErrorPosterior(double value, double sigma, double prior, double si
       std::log(sigma / std::sqrt(all)) + 0.5 * value * value * (1.0 / (sigma * sigma) - 1.0 / all);
   const double odds = prior / (1.0 - prior) * std::exp(std::fmin(nats, 500.0));
   return {odds / (1.0 + odds), share * value, std::sqrt(share) * sigma};
+}
+
+std::string Sentence(const StreamDoubt& doubt) {
+  std::string text =
+      doubt.rotor < 0 ? doubt.stream : "speed of rotor " + std::to_string(doubt.rotor + 1);
+  if (doubt.late_s != 0.0) {
+    text += ": " + Rounded(1e3 * std::abs(doubt.late_s)) + " ms " +
+            (doubt.late_s > 0.0 ? "late" : "early");
+  }
+  if (doubt.factor != 1.0) {
+    text += ": " + Rounded(1e2 * std::abs(doubt.factor - 1.0)) + " % too " +
+            (doubt.factor > 1.0 ? "large" : "small");
+  }
+  return text;
 }
 
 void UndoDoubt(const StreamDoubt& doubt, FlightLog* log) {

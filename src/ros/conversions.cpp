@@ -99,10 +99,6 @@ std::optional<OdometryInput> ToInput(const nav_msgs::Odometry& message) {
   return AcceptedAs(InputOf(message));
 }
 
-std::optional<OdometryInput> ToInput(const geometry_msgs::PoseStamped& message) {
-  return AcceptedAs(InputOf(message));
-}
-
 std::optional<ImuInput> ToInput(const sensor_msgs::Imu& message) {
   return AcceptedAs(InputOf(message));
 }

@@ -106,18 +106,24 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
       setup_.estimator, [this](const ResidualLook& look) { OnLook(look); }, &queue_);
   reporter_ = std::make_unique<NodeReporter>(node, setup_.vehicle.name, setup_.options.live_image,
                                              &shared_, &queue_);
+  const bool supervises_rotors = rotors_.is_on();
   estimator_thread_ = std::thread(&EstimatorNode::RunEstimator, this);
-  topics_ = std::make_unique<TopicIntake>(node, setup_.options, setup_.vehicle.num_rotors(),
-                                          rotors_.is_on(), &queue_,
-                                          [this](const std::string& sentence) { Warn(sentence); });
-  AdvertiseServices(private_node);
+  try {
+    topics_ = std::make_unique<TopicIntake>(
+        node, setup_.options, setup_.vehicle.num_rotors(), supervises_rotors, &queue_,
+        [this](const std::string& sentence) { Warn(sentence); });
+    AdvertiseServices(private_node);
+  } catch (...) {
+    Stop();  // the threads wait for it
+    throw;
+  }
 }
 
 EstimatorNode::~EstimatorNode() { Stop(); }
 
 bool EstimatorNode::Stop() {
   if (!estimator_thread_.joinable()) return failure_.empty();
-  topics_->Stop();
+  if (topics_) topics_->Stop();
   queue_.Stop();
   estimator_thread_.join();
   reporter_->Join();

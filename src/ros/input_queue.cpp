@@ -7,7 +7,6 @@ namespace odmc {
 namespace {
 
 constexpr std::chrono::milliseconds kIdle(100);
-constexpr std::chrono::seconds kAnswerPatience(5);
 constexpr size_t kBatch = 300;  // samples taken from the queue at once
 
 }  // namespace
@@ -54,19 +53,31 @@ void InputQueue::NoteRefusal(InputStream stream, const std::string& refusal) {
 InputQueue::Answer InputQueue::Ask(std::function<Answer()> act) {
   std::packaged_task<Answer()> task(std::move(act));
   std::future<Answer> answer = task.get_future();
+  uint64_t number = 0;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    requests_.push_back(std::move(task));
+    number = ++requests_made_;
+    requests_.push_back({number, std::move(task)});
   }
   input_came_.notify_one();
-  if (answer.wait_for(kAnswerPatience) != std::future_status::ready) {
-    return {false, "the estimator does not answer"};
+  if (answer.wait_for(patience_) != std::future_status::ready) {
+    return {false, Withdraw(number) ? "the estimator does not answer; nothing was done"
+                                    : "the estimator is still at it"};
   }
   try {
     return answer.get();
   } catch (const std::exception& e) {
     return {false, e.what()};
   }
+}
+
+bool InputQueue::Withdraw(uint64_t number) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const auto at = std::find_if(requests_.begin(), requests_.end(),
+                               [number](const Request& r) { return r.number == number; });
+  if (at == requests_.end()) return false;
+  requests_.erase(at);
+  return true;
 }
 
 InputQueue::Look InputQueue::Snapshot() {
@@ -120,12 +131,16 @@ bool InputQueue::TakeBatch(std::deque<InputSample>* batch) {
 }
 
 void InputQueue::AnswerRequests() {
-  std::deque<std::packaged_task<Answer()>> requests;
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    requests.swap(requests_);
+  for (;;) {
+    std::packaged_task<Answer()> task;
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      if (requests_.empty()) return;
+      task = std::move(requests_.front().task);
+      requests_.pop_front();
+    }
+    task();
   }
-  for (auto& request : requests) request();
 }
 
 }  // namespace odmc

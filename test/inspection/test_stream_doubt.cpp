@@ -65,5 +65,12 @@ TEST(UndoDoubt, TakesTheErrorOutAgain) {
   EXPECT_DOUBLE_EQ(log.odometry[7].v_WS->y(), 1.0);
 }
 
+TEST(StreamDoubt, SaysWhatWouldBeWrong) {
+  EXPECT_EQ(Sentence({"rotor_speeds", 0.015}), "rotor_speeds: 15 ms late");
+  EXPECT_EQ(Sentence({"gyro", -0.004}), "gyro: 4 ms early");
+  EXPECT_EQ(Sentence({"velocity", 0.0, 0.96}), "velocity: 4 % too small");
+  EXPECT_EQ(Sentence({"rotor_speeds", 0.0, 1.03, 2}), "speed of rotor 3: 3 % too large");
+}
+
 }  // namespace
 }  // namespace odmc

@@ -3,7 +3,9 @@
 #include <chrono>
 #include <cmath>
 #include <cstdlib>
+#include <deque>
 #include <fstream>
+#include <future>
 #include <limits>
 #include <thread>
 
@@ -139,6 +141,37 @@ TEST(InputQueue, AnswersComeFromTheThreadThatTakesTheInput) {
   queue.Stop();
   estimator.join();
   EXPECT_TRUE(queue.SleepUnlessStopping(std::chrono::hours(1)));
+}
+
+TEST(InputQueue, DoesNotDoLaterWhatItWasAskedInVain) {
+  InputQueue queue(100, std::chrono::milliseconds(20));
+  bool done = false;
+  const InputQueue::Answer answer = queue.Ask([&] {
+    done = true;
+    return InputQueue::Answer(true, "done");
+  });
+  EXPECT_FALSE(answer.first);
+  EXPECT_EQ(answer.second, "the estimator does not answer; nothing was done");
+  queue.AnswerRequests();
+  EXPECT_FALSE(done);
+}
+
+TEST(InputQueue, SaysThatTheEstimatorIsStillAtIt) {
+  InputQueue queue(100, std::chrono::milliseconds(200));
+  std::promise<void> may_end;
+  std::thread estimator([&] {
+    std::deque<InputSample> batch;
+    while (queue.WaitForInput(&batch)) queue.AnswerRequests();
+  });
+  const InputQueue::Answer answer = queue.Ask([ends = may_end.get_future().share()] {
+    ends.wait();
+    return InputQueue::Answer(true, "done");
+  });
+  EXPECT_FALSE(answer.first);
+  EXPECT_EQ(answer.second, "the estimator is still at it");
+  may_end.set_value();
+  queue.Stop();
+  estimator.join();
 }
 
 TEST(InputQueue, TellsHowLongAgoItWasStopped) {

@@ -50,6 +50,13 @@ void AddSpread(const RankedEffect& effect, ParameterSet* online);
 bool IsThere(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model,
              const AttributionOptions& options);
 
+/// True if the size of an effect would be zero within `significant_sigmas` for something between
+/// minus and plus `change`.
+/// @param change num_parameters()×1, what an error of a stream may make of the estimate
+bool MayBeZero(const RankedEffect& effect, const ParameterSet& online,
+               const Eigen::VectorXd& change, const DynamicModel& model,
+               const AttributionOptions& options);
+
 /// True if the online estimate of an effect lies further from the fit than both sigmas explain.
 bool Strays(const RankedEffect& effect, const ParameterSet& online);
 

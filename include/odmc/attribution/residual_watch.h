@@ -114,7 +114,7 @@ class ResidualWatch {
   const AttributionOptions decision_;
 
   // Between the threads.
-  std::mutex mutex_;
+  mutable std::mutex mutex_;
   std::deque<Item> inbox_;
   std::optional<Estimate> newest_estimate_;
   std::optional<Stamp> next_look_;

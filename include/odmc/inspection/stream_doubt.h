@@ -30,6 +30,9 @@ struct StreamDoubt {
   int rotor = -1;       ///< only this rotor's readings, from 0; -1: the whole stream
 };
 
+/// What is wrong if it is: "rotor_speeds: 15 ms late", "speed of rotor 2: 4 % too large".
+std::string Sentence(const StreamDoubt& doubt);
+
 /// Turns the log into the one that would have been recorded without the error.
 void UndoDoubt(const StreamDoubt& doubt, FlightLog* log);
 

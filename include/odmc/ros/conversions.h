@@ -2,7 +2,6 @@
 
 #include <geometry_msgs/Point.h>
 #include <geometry_msgs/Pose.h>
-#include <geometry_msgs/PoseStamped.h>
 #include <geometry_msgs/Quaternion.h>
 #include <geometry_msgs/TransformStamped.h>
 #include <geometry_msgs/Vector3.h>
@@ -40,7 +39,6 @@ std::optional<InputSample> AcceptedInput(InputSample input);
 
 /// Messages to accepted inputs.
 std::optional<OdometryInput> ToInput(const nav_msgs::Odometry& message);
-std::optional<OdometryInput> ToInput(const geometry_msgs::PoseStamped& message);
 std::optional<ImuInput> ToInput(const sensor_msgs::Imu& message);
 std::optional<BatterySample> ToInput(const sensor_msgs::BatteryState& message);
 /// Nothing also where the message has not one speed per rotor. Speeds lose their sign.

@@ -3,6 +3,7 @@
 #include <array>
 #include <chrono>
 #include <condition_variable>
+#include <cstdint>
 #include <deque>
 #include <functional>
 #include <future>
@@ -29,7 +30,9 @@ class InputQueue {
   };
 
   /// @param capacity samples that wait, at most
-  explicit InputQueue(int capacity) : capacity_(static_cast<size_t>(capacity)) {}
+  /// @param patience how long Ask() waits for its answer
+  explicit InputQueue(int capacity, std::chrono::milliseconds patience = std::chrono::seconds(5))
+      : capacity_(static_cast<size_t>(capacity)), patience_(patience) {}
 
   /// Counts a message and queues what came of it.
   void Push(InputStream stream, std::vector<InputSample> inputs);
@@ -39,7 +42,9 @@ class InputQueue {
   void CountPassedOver(InputStream stream);
   void NoteStamps(InputStream stream, const std::string& stamps);
   void NoteRefusal(InputStream stream, const std::string& refusal);
-  /// Has the estimator thread do it, between two batches of samples. @returns what it answers
+  /// Has the estimator thread do it, between two batches of samples. What that thread has not begun
+  /// when patience ends is not done any more.
+  /// @returns what it answers; false, and whether it may still be done, where it does not in time
   Answer Ask(std::function<Answer()> act);
   Look Snapshot();
 
@@ -59,11 +64,21 @@ class InputQueue {
   void AnswerRequests();
 
  private:
+  struct Request {
+    uint64_t number;
+    std::packaged_task<Answer()> task;
+  };
+
+  /// @returns false if the estimator thread has it already
+  bool Withdraw(uint64_t number);
+
   const size_t capacity_;
+  const std::chrono::milliseconds patience_;
   std::mutex mutex_;
   std::condition_variable input_came_, stops_;
   std::deque<InputSample> queue_;
-  std::deque<std::packaged_task<Answer()>> requests_;
+  std::deque<Request> requests_;
+  uint64_t requests_made_ = 0;
   Streams streams_;
   bool stopping_ = false;
   std::chrono::steady_clock::time_point stopped_at_;

@@ -1,0 +1,82 @@
+// What an online estimate says of an effect, and what errors of the streams leave of it.
+#include <gtest/gtest.h>
+
+#include "odmc/attribution/online_evidence.h"
+#include "odmc/model/dynamic_model.h"
+#include "support/test_vehicle.h"
+
+namespace odmc {
+namespace test {
+namespace {
+
+/// An online estimate of quadratic drag (one size) and a change of mass (one size, a place).
+class OnlineEvidence : public ::testing::Test {
+ protected:
+  OnlineEvidence() : vehicle_(WithEffects()), model_(vehicle_, vehicle_.effects), changes_(Zero()) {
+    for (const ModelParameter& p : model_.parameters()) {
+      ParameterEstimate estimate;
+      estimate.full_name = p.full_name;
+      estimate.estimated = true;
+      estimate.sigma = 1.0;
+      online_.parameters.push_back(estimate);
+    }
+    online_.covariance =
+        Eigen::MatrixXd::Identity(model_.num_parameters(), model_.num_parameters());
+  }
+
+  static Vehicle WithEffects() {
+    Vehicle vehicle = NominalVehicle();
+    vehicle.effects.insert(vehicle.effects.end(), {"quadratic_drag", "mass_change"});
+    return vehicle;
+  }
+  Eigen::VectorXd Zero() const { return Eigen::VectorXd::Zero(model_.num_parameters()); }
+  RankedEffect Effect(const std::string& name) const {
+    RankedEffect effect;
+    effect.name = name;
+    for (const ParameterEstimate& p : online_.parameters) {
+      if (p.full_name.compare(0, name.size() + 1, name + ".") == 0) effect.parameters.push_back(p);
+    }
+    return effect;
+  }
+  void Set(const std::string& name, double value) {
+    online_.parameters[static_cast<size_t>(model_.IndexOf(name))].value = value;
+  }
+  bool MayBeZero(const std::string& effect) const {
+    return odmc::MayBeZero(Effect(effect), online_, changes_, model_, options_);
+  }
+
+  const Vehicle vehicle_;
+  const DynamicModel model_;
+  const AttributionOptions options_;
+  ParameterSet online_;
+  Eigen::VectorXd changes_;
+};
+
+TEST_F(OnlineEvidence, MayBeZeroWhereAnErrorOfEitherSignBringsItThere) {
+  const int c_q = model_.IndexOf("quadratic_drag.c_q");
+  Set("quadratic_drag.c_q", 10.0);
+  EXPECT_TRUE(IsThere(Effect("quadratic_drag"), online_, model_, options_));
+  EXPECT_FALSE(MayBeZero("quadratic_drag")) << "no error changes it";
+  for (const double error : {-9.0, 9.0, 40.0}) {
+    changes_[c_q] = error;
+    EXPECT_TRUE(MayBeZero("quadratic_drag")) << error;
+  }
+  changes_[c_q] = 5.0;
+  EXPECT_FALSE(MayBeZero("quadratic_drag")) << "five sigma are left";
+  changes_ = Zero();
+  changes_[model_.IndexOf("thrust.k_f")] = 100.0;
+  EXPECT_FALSE(MayBeZero("quadratic_drag")) << "another effect's";
+}
+
+TEST_F(OnlineEvidence, AMassMayBeZeroWhateverItsPlace) {
+  Set("mass_change.mass", 10.0);
+  Set("mass_change.z", -3.0);
+  changes_[model_.IndexOf("mass_change.z")] = 3.0;
+  EXPECT_FALSE(MayBeZero("mass_change"));
+  changes_[model_.IndexOf("mass_change.mass")] = -10.0;
+  EXPECT_TRUE(MayBeZero("mass_change"));
+}
+
+}  // namespace
+}  // namespace test
+}  // namespace odmc
