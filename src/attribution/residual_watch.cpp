@@ -251,7 +251,7 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
       StructureByChannel(flight, attribution.residual_after(), channels, again, file_vehicle_);
   const double unexplained = UnexplainedStructure(
       attribution.residual_before(), attribution.residual_after(), before, after, decision_);
-  // As in CloseLoop(): a stand-in explains less than is left.
+  // As in CloseLoop(): effects that leave most of the structure are not its cause.
   if (unexplained > decision_.most_unexplained) return found;
   found.candidate = effects.front();
   found.alternatives = effects.front().alternatives;

@@ -7,7 +7,8 @@ namespace odmc {
 namespace {
 
 /// Hub moment of forward flight that differs with the direction: rotors in line meet each other's
-/// wake, rotors abreast do not: τ = Σ Ω (k_bx u_y, -k_by u_x, 0).        model.md 12.5, per axis
+/// wake, rotors abreast do not: τ = Σ Ω (k_bx u_y, -k_by u_x, 0).
+///                                                         model.md 12.5, Eq. (M32) per axis
 class AnisotropicHubMoment final : public Effect {
  public:
   explicit AnisotropicHubMoment(const Vehicle& vehicle)

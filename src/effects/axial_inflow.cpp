@@ -4,7 +4,8 @@
 namespace odmc {
 namespace {
 
-/// Thrust lost to air that comes from above: f_j = -k_z Ω_j e3 (e3·u_j) at hub j.  model.md 12.3
+/// Thrust lost to air that comes from above: f_j = -k_z Ω_j e3 (e3·u_j) at hub j.
+///                                                                  model.md 12.3, Eq. (M30)
 class AxialInflow final : public Effect {
  public:
   explicit AxialInflow(const Vehicle& vehicle)

@@ -5,8 +5,8 @@
 namespace odmc {
 namespace {
 
-/// Moves the point torques are taken about: p_BBcm. Adds no force.  model.md section 2, paper
-/// (7-10)
+/// Moves the point torques are taken about: p_BBcm. Adds no force.
+///                                    model.md section 2, Eq. (M3); paper Eq. (7) to (10)
 class CentreOfGravity final : public Effect {
  public:
   explicit CentreOfGravity(const Vehicle& vehicle)

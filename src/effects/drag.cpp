@@ -6,7 +6,7 @@ namespace odmc {
 namespace {
 
 /// Drag linear in the air velocity: f = diag(d) v_AB_B at Bcm, d < 0 when dissipative.
-///                                                               model.md section 2, paper Eq. (1)
+///                                                    model.md section 2, Eq. (M2); paper Eq. (1)
 class Drag final : public Effect {
  public:
   explicit Drag(const Vehicle& vehicle)

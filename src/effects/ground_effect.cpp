@@ -9,7 +9,7 @@ namespace {
 constexpr double kDrawnBelow = 1.5;  // rotor radii below the lowest point flown
 
 /// More thrust near the ground: T_j -> T_j (1 + k_ge (R/4h_j)²), h_j the hub's height; held at its
-/// value at h = R below that.                                          model.md 12.13
+/// value at h = R below that.                                          model.md 12.13, Eq. (M40)
 class GroundEffect final : public Effect {
  public:
   explicit GroundEffect(const Vehicle& vehicle)

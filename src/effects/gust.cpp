@@ -9,7 +9,7 @@ namespace {
 
 /// Wind that comes and goes: the same, with W a first-order Gauss-Markov process of standard
 /// deviation `sigma` (`vertical_sigma` along world z) and correlation time `time_constant`.
-///                                                                       model.md 12.11
+///                                                                 model.md 12.11, Eq. (M39)
 class Gust final : public Effect {
  public:
   explicit Gust(const Vehicle& vehicle)

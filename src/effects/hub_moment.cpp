@@ -8,7 +8,8 @@ namespace odmc {
 namespace {
 
 /// Moments at the hubs from flapping and from the advancing blade's lift:
-/// τ = k_beta Σ Ω (u_h × e3) + k_rho Σ s Ω u_h, u_h the horizontal part of v_AB_B.  model.md 12.5
+/// τ = k_beta Σ Ω (u_h × e3) + k_rho Σ s Ω u_h, u_h the horizontal part of v_AB_B.
+///                                                           model.md 12.5, Eq. (M32), (M33)
 class HubMoment final : public Effect {
  public:
   explicit HubMoment(const Vehicle& vehicle)

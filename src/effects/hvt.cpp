@@ -6,7 +6,8 @@ namespace odmc {
 namespace {
 
 /// Horizontal-velocity thrust: f = k_h (u_x² + u_y²) e3 at Bcm, u = v_AB_B. A body-z force (the
-/// paper prints an acceleration along world z).                  model.md sections 2, 3 on Eq. (3)
+/// paper prints an acceleration along world z: model.md section 3).
+///                                                    model.md section 2, Eq. (M2); paper Eq. (3)
 class Hvt final : public Effect {
  public:
   explicit Hvt(const Vehicle& vehicle)

@@ -5,7 +5,8 @@
 namespace odmc {
 namespace {
 
-/// Principal inertia about Bcm, in body axes; always positive.   model.md section 2, paper Eq. (1)
+/// Principal inertia about Bcm, in body axes; always positive.
+///                                                     model.md section 2, Eq. (A); paper Eq. (1)
 class Inertia final : public Effect {
  public:
   explicit Inertia(const Vehicle& vehicle)

@@ -14,7 +14,7 @@ constexpr double kEdge_s = 2.0;       // no change is looked for closer to start
 
 /// A load m_L at ξ from the instant `from` on: mass, centre of mass and inertia of both together.
 /// With s = ξ - c and the reduced mass μ = m m_L/(m + m_L): c' = c + m_L/(m + m_L) s,
-/// I' = I + μ (|s|² 1 - s sᵀ).                                           model.md 12.15
+/// I' = I + μ (|s|² 1 - s sᵀ).                                           model.md 12.15, Eq. (M42)
 class MassChange final : public Effect {
  public:
   explicit MassChange(const Vehicle& vehicle)

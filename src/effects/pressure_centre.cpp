@@ -5,7 +5,7 @@ namespace odmc {
 namespace {
 
 /// The air's force acts away from the centre of mass: τ = ρ × F_a(u), with the F_a of drag and hvt.
-///                                                                      model.md 12.9
+///                                                                  model.md 12.9, Eq. (M37)
 class PressureCentre final : public Effect {
  public:
   explicit PressureCentre(const Vehicle& vehicle)

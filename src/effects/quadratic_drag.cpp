@@ -3,7 +3,7 @@
 namespace odmc {
 namespace {
 
-/// Drag of the body by the square of air speed: f = -c_q |u| u at Bcm.  model.md 12.2
+/// Drag of the body by the square of air speed: f = -c_q |u| u at Bcm.  model.md 12.2, Eq. (M29)
 class QuadraticDrag final : public Effect {
  public:
   explicit QuadraticDrag(const Vehicle& vehicle)

@@ -39,18 +39,18 @@ void AddHubForce(const Rotor& rotor, const Eigen::Vector3d& force, const Eigen::
                  Wrench* wrench, WrenchJacobians* J);
 
 /// Adds f_j = -k Ω_j P u_j at every hub, P a projection; the coefficient is parameter `index`.
-///                                                                      model.md 12.1 and 12.3
+///                                                 model.md 12.1 and 12.3, Eq. (M28), (M30)
 void AddHubDamping(const FlightState& state, const Vehicle& vehicle, double k,
                    const Eigen::Vector3d& projection, int index, Wrench* wrench,
                    WrenchJacobians* J);
 
 /// Adds f_j = ¼ k (u_jx² + u_jy²) e3 at every hub; the coefficient is parameter `index`.
-///                                                                      model.md 12.4
+///                                                                  model.md 12.4, Eq. (M31)
 void AddHubLift(const FlightState& state, const Vehicle& vehicle, double k, int index,
                 Wrench* wrench, WrenchJacobians* J);
 
 /// Adds the couples J_r Σ s_j Ω_j (w × e3) and J_r Σ s_j dΩ_j/dt e3, those asked for; the inertia
-/// of one rotor is parameter `index`.                                      model.md 12.6 and 12.7
+/// of one rotor is parameter `index`.               model.md 12.6 and 12.7, Eq. (M34), (M35)
 void AddRotorMomentum(const FlightState& state, const Vehicle& vehicle, double inertia, int index,
                       bool gyroscopic, bool reaction, Wrench* wrench, WrenchJacobians* J);
 

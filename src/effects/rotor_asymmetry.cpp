@@ -8,7 +8,7 @@ namespace {
 /// Rotors that differ, as from a damaged propeller: thrust f_j = k_f (δ_j - mean δ) Ω_j² e3 and
 /// reaction torque s_j k_m (δ_j - mean δ) Ω_j² e3 on top of the others'. A blade that lifts less
 /// drags less: both go with its area and its speed. The mean is k_f's own.
-///                                                                      model.md 12.8
+///                                      model.md 12.8, Eq. (M36) with ε_j = δ_j, less their mean
 class RotorAsymmetry final : public Effect {
  public:
   explicit RotorAsymmetry(const Vehicle& vehicle)

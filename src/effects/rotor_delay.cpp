@@ -3,7 +3,8 @@
 namespace odmc {
 namespace {
 
-/// Rotor speeds that are reported late: the model takes Ω²(t + delay), first order.  model.md 12.16
+/// Rotor speeds that are reported late: the model takes Ω²(t + delay), first order.
+///                                                                 model.md 12.16, Eq. (M43)
 class RotorDelay final : public Effect {
  public:
   explicit RotorDelay(const Vehicle& vehicle)

@@ -13,7 +13,7 @@ namespace {
 /// are no products of k_d. What nothing but this effect tells, times what it is, has a valley at
 /// zero: with the height of the centre of mass as its arm the online estimate, linearized anew as
 /// it moved, ended at k_d = 0 and was sure of it.)
-///                                                                       model.md 12.1
+///                                        model.md 12.1, Eq. (M28), with a moment of its own
 class RotorDrag final : public Effect {
  public:
   explicit RotorDrag(const Vehicle& vehicle)

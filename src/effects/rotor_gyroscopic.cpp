@@ -4,7 +4,8 @@
 namespace odmc {
 namespace {
 
-/// Angular momentum of the rotors, turned with the body: τ = J_r Σ s Ω (w × e3). model.md 12.6
+/// Angular momentum of the rotors, turned with the body: τ = J_r Σ s Ω (w × e3).
+///                                                                  model.md 12.6, Eq. (M34)
 class RotorGyroscopic final : public Effect {
  public:
   explicit RotorGyroscopic(const Vehicle& vehicle)

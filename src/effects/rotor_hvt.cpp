@@ -5,7 +5,7 @@ namespace odmc {
 namespace {
 
 /// Translational lift of each rotor by its own air speed: f_j = ¼ k_h (u_jx² + u_jy²) e3 at hub j.
-///                                                                      model.md 12.4
+///                                                                  model.md 12.4, Eq. (M31)
 class RotorHvt final : public Effect {
  public:
   explicit RotorHvt(const Vehicle& vehicle)

@@ -4,7 +4,7 @@
 namespace odmc {
 namespace {
 
-/// Rotors speeding up push back: τ = J_r Σ s dΩ/dt e3.                      model.md 12.7
+/// Rotors speeding up push back: τ = J_r Σ s dΩ/dt e3.              model.md 12.7, Eq. (M35)
 class RotorReaction final : public Effect {
  public:
   explicit RotorReaction(const Vehicle& vehicle)

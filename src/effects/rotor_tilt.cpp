@@ -4,7 +4,8 @@ namespace odmc {
 namespace {
 
 /// Rotor axes that lean: n_j = (α_jx, α_jy, 1), f_j = k_f Ω_j² n_j, couple s_j k_m Ω_j² n_j; only
-/// what the lean adds. Modes that other parameters make too are left to the priors. model.md 12.10
+/// what the lean adds. Modes that other parameters make too are left to the priors.
+///                                                                 model.md 12.10, Eq. (M38)
 class RotorTilt final : public Effect {
  public:
   explicit RotorTilt(const Vehicle& vehicle)

@@ -6,7 +6,7 @@ namespace odmc {
 namespace {
 
 /// Reaction torque of each rotor on the airframe: τ_j = s_j k_m Ω_j² e3, a couple; s_j = +1 for a
-/// rotor turning clockwise seen from above.                      model.md section 2, paper Eq. (5)
+/// rotor turning clockwise seen from above.            model.md section 2, Eq. (M3); paper Eq. (5)
 class RotorTorque final : public Effect {
  public:
   explicit RotorTorque(const Vehicle& vehicle)

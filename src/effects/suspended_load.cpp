@@ -13,7 +13,7 @@ constexpr double kLengthReach = 1.5;                    // how far from there it
 constexpr double kLeastDamping = 0.002, kMostDamping = 0.4;
 
 /// A load on a cable: f = m_L R^T π at ξ, π the cable's pull per unit of load, from a pendulum that
-/// the measured motion drives (Pendulum).                              model.md 12.17
+/// the measured motion drives (Pendulum).                     model.md 12.17, Eq. (M44), (M27)
 class SuspendedLoad final : public Effect {
  public:
   explicit SuspendedLoad(const Vehicle& vehicle)

@@ -5,7 +5,8 @@
 namespace odmc {
 namespace {
 
-/// Thrust of each rotor at its hub: f_j = k_f Ω_j² e3.           model.md section 2, paper Eq. (4)
+/// Thrust of each rotor at its hub: f_j = k_f Ω_j² e3.
+///                                                    model.md section 2, Eq. (M2); paper Eq. (4)
 class Thrust final : public Effect {
  public:
   explicit Thrust(const Vehicle& vehicle)

@@ -5,8 +5,8 @@ namespace {
 
 /// All rotor axes lean alike against the body axes the odometry states: f_j = k_f Ω_j² (α_x, α_y,
 /// 0) at hub j. A motion-capture body frame is set by hand, an airframe bends: a degree is common,
-/// and at hover it is 0.02 of the weight. The mean of model.md 12.10, with two coefficients instead
-/// of two a rotor. Found on recorded flights, docs/closing_the_loop.md.
+/// and at hover it is 0.02 of the weight. The force of model.md 12.10, Eq. (M38), with two
+/// coefficients instead of two a rotor. Found on recorded flights, docs/closing_the_loop.md.
 class ThrustLean final : public Effect {
  public:
   explicit ThrustLean(const Vehicle& vehicle)

@@ -8,7 +8,7 @@ namespace {
 /// is a plate (arms, battery, guards); from the front it is slender. It acts at the place (p_x,
 /// p_y) / c_z in the rotors' plane, seen from the centre of mass. (The moments have coefficients of
 /// their own and are no products of c_z, for the reason that rotor_drag has.)
-///                                                   model.md 12.2, along one axis; docs/effects.md
+///                                        model.md 12.2, Eq. (M29) along one axis; docs/effects.md
 class VerticalDrag final : public Effect {
  public:
   explicit VerticalDrag(const Vehicle& vehicle)

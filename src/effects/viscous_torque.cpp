@@ -5,7 +5,8 @@
 namespace odmc {
 namespace {
 
-/// Angular damping: τ = diag(b) w_WB_B, b < 0 when dissipative.  model.md section 2, paper Eq. (1)
+/// Angular damping: τ = diag(b) w_WB_B, b < 0 when dissipative.
+///                                                    model.md section 2, Eq. (M3); paper Eq. (1)
 class ViscousTorque final : public Effect {
  public:
   explicit ViscousTorque(const Vehicle& vehicle)

@@ -4,7 +4,8 @@
 namespace odmc {
 namespace {
 
-/// Constant wind: v_AB_B = R^T (v - W) in every effect that looks at the air.  model.md 12.11
+/// Constant wind: v_AB_B = R^T (v - W) in every effect that looks at the air.
+///                                                                 model.md 12.11, Eq. (M39)
 class Wind final : public Effect {
  public:
   explicit Wind(const Vehicle& vehicle)

@@ -8,7 +8,8 @@
 namespace odmc {
 namespace {
 
-/// d(q Exp(theta)) / d theta at theta = 0 for q = (x, y, z, w) (4×3).        model.md section 7
+/// d(q Exp(theta)) / d theta at theta = 0 for q = (x, y, z, w) (4×3).
+///                                                             model.md section 7, Eq. (M24)
 Eigen::Matrix<double, 4, 3> PlusDerivative(const double* q) {
   Eigen::Matrix<double, 4, 3> P;
   P << q[3], -q[2], q[1], q[2], q[3], -q[0], -q[1], q[0], q[3], -q[0], -q[1], -q[2];

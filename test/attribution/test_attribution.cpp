@@ -536,7 +536,7 @@ TEST(Evidence, PValuesFallWithTheGainAndAgreeWithSurrogates) {
   }
 }
 
-// Flight 99 of seed 41: no sensible size of it shows a third of the residual on any trajectory.
+// No allowed size of this vehicle's effect shows the planned 0.3 of the residual on any trajectory.
 TEST(MakeUndeclared, CallsWhatShowsLessThanPlannedByItsRealStrength) {
   const UndeclaredFlight flight = Make({"anisotropic_hvt"}, 0.3, "octo", 3, 41099);
   EXPECT_LT(flight.share, 0.1);

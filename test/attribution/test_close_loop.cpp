@@ -522,8 +522,8 @@ TEST(CloseLoop, NamesGustsOnEveryTrajectoryAndWithTheirSize) {
 }
 
 TEST(CloseLoop, OutlivesEffectsWithWhichTheEstimatorNeverFlies) {
-  // With the wind and the tilted rotors that stand in for its unknown force, the online estimator
-  // takes the whole flight for contact.
+  // Attribution finds wind and tilted rotors for the unknown force of this flight. With these, the
+  // online estimator takes the whole flight for contact.
   const UndeclaredPlan plan = PlanUndeclared(161, 160)[79];
   ASSERT_EQ(plan.kind, UndeclaredKind::kUnknown);
   const UndeclaredFlight flight = MakeUndeclared(plan);

@@ -14,8 +14,8 @@ namespace odmc {
 namespace test {
 namespace {
 
-// Several effects of the catalogue stand in for what its rotors do at speed: which of them are
-// named is no fact, what the extended model predicts is.
+// What these rotors do at speed resembles several effects of the catalogue. The test does not ask
+// which of them are named, but what the extended model predicts.
 TEST(MeasuredNeuroBem, HalvesTheErrorOnBlocksHeldOut) {
   const std::string file = RecordedFile("neurobem/test1_first18s.csv");
   if (file.empty()) GTEST_SKIP() << "no recorded data";

@@ -46,8 +46,8 @@ TEST(ControlledFlight, RepeatsExactly) {
 }
 
 // Take-off with nominal parameters, hand-over in flight, landing: the estimate is that of the
-// vehicle, and neither take-off nor touch-down has spoilt it. (Seed 2, here and below, is one that
-// ends with k_f off by a tenth or more where near_ground_m is 0.)
+// vehicle, and neither take-off nor touch-down has spoilt it. (With near_ground_m = 0 the second
+// vehicle's k_f would end a tenth or more off.)
 TEST(ControlledFlight, LearnsInFlightAndNotFromTheGround) {
   for (const int seed : {1, 2}) {
     const ControlledFlightSetup setup = MakeSetup("octo", 20.0, seed);

@@ -23,7 +23,7 @@ using testing_support::Drain;
 using testing_support::FlightFeed;
 
 constexpr double kEliminationSeconds =
-    12e-6;  // of a keyframe with an IMU, on the machine of README
+    12e-6;  // of a keyframe with an IMU, on the machine of docs/results.md
 
 /// The flight at a keyframe rate; nothing is stopped by the clock.
 void ExpectUpdatesWithinTheirPeriods(const FlightLog& log, const DynamicModel& model,

@@ -1,4 +1,5 @@
-// Recorded benches and flights. Bounds: targets of the issue; k_f of the data READMEs.
+// Recorded benches and flights. The k_f compared with are those of the data's READMEs; the bounds
+// are what a calibration should reach.
 
 #include <gtest/gtest.h>
 

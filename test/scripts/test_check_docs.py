@@ -114,6 +114,16 @@ class CheckDocsTest(unittest.TestCase):
             '25: code that is no extract of a compiled file',
             '17: a list that no empty line parts from the paragraph']))
 
+    def test_the_figures_of_the_readme_are_those_of_the_results(self) -> None:
+        with open(os.path.join(ROOT, 'README.md'), encoding='utf-8') as file:
+            document = re.sub(r'\[([^]]*)\]\([^)]*\)', r'\1', file.read())  # links lead nowhere from the copy
+        self.assertEqual(check(document, 'README.md'), [])
+        for figure, wrong in (('0.454 N', '0.4549 N'), ('0.185, ', '0.1851, '), ('99.4 %', '99.45 %')):
+            self.assertEqual(document.count(figure), 1, figure)
+            number = document[:document.index(figure)].count('\n') + 1
+            self.assertEqual(check(document.replace(figure, wrong), 'README.md'),
+                             [f'{number}: {wrong.split(" ")[0].rstrip(",")} is not in docs/results.md'])
+
     def test_the_tables_of_nodes_are_compared_with_their_help(self) -> None:
         with open(os.path.join(ROOT, 'docs', 'node.md'), encoding='utf-8') as file:
             document = re.sub(r'\[([^]]*)\]\([^)]*\)', r'\1', file.read())  # links lead nowhere from the copy

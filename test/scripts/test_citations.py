@@ -11,7 +11,9 @@ SECTION = r'\d{1,2}(?:\.\d{1,2})?'
 # "model.md section 4.2", "model.md sections 2, 4.4 and 9", "[model.md](model.md) section 11", "model.md 12.1".
 CITED = re.compile(r'model\.md(?:\]\([^)]*\))?,? (?:\(?sections? )?(' + SECTION + r'(?:(?:, | and |, and )' + SECTION +
                    r'(?!\w))*)(?:, test (\d+))?')
-EQUATION = re.compile(r'model\.md(?:\]\([^)]*\))?(?:,? sections? [\d., and]+)?,? Eq\. \(([A-Z]\w*)\)(?:, \(([A-Z]\w*)\))?')
+# "model.md Eq. (A), (B)", "model.md section 2, Eq. (M3)", "model.md 12.1 and 12.3, Eq. (M28), (M30)".
+EQUATION = re.compile(r'model\.md(?:\]\([^)]*\))?(?:,? (?:sections? )?([\d., and]+))?,? Eq\. '
+                      r'(\([A-Z]\w*\)(?:, \([A-Z]\w*\))*)')
 
 
 def texts() -> Iterator[Tuple[str, str]]:
@@ -38,8 +40,28 @@ def cited(text: str) -> List[Tuple[str, str]]:
         if match.group(2):
             found.append(('test', match.group(2)))
     for match in EQUATION.finditer(text):
-        found += [('equation', name) for name in match.groups() if name]
+        found += [('equation', name) for name in re.findall(r'\w+', match.group(2))]
     return found
+
+
+def misplaced(text: str) -> List[str]:
+    """Equations that a text cites with sections in none of which they stand."""
+    found = []
+    for match in EQUATION.finditer(text):
+        sections = re.findall(SECTION, match.group(1) or '')
+        for name in re.findall(r'\w+', match.group(2)) if sections else ():
+            at = section_of(name)
+            if at not in sections and at.split('.')[0] not in sections:
+                found.append(f'({name}) is in section {at}, not in {" or ".join(sections)}')
+    return found
+
+
+def section_of(equation: str) -> str:
+    """Section of docs/model.md with this equation, '' if there is none."""
+    with open(os.path.join(ROOT, 'docs', 'model.md'), encoding='utf-8') as file:
+        before, tag, _ = file.read().partition(f'\\tag{{{equation}}}')
+    headings = re.findall(r'^##+ (' + SECTION + r')\.? ', before, flags=re.MULTILINE)
+    return headings[-1] if tag and headings else ''
 
 
 def offered() -> Set[Tuple[str, str]]:
@@ -66,6 +88,10 @@ class CitationsTest(unittest.TestCase):
         self.assertEqual(missing, [])
         self.assertGreater(count, 150)
 
+    def test_equations_stand_in_the_sections_cited_with_them(self) -> None:
+        self.assertEqual([f'{name}: {what}' for name, text in texts() for what in misplaced(text)], [])
+        self.assertEqual(misplaced('model.md 12.3, Eq. (M28)'), ['(M28) is in section 12.1, not in 12.3'])
+
     def test_equations_have_one_number_each(self) -> None:
         with open(os.path.join(ROOT, 'docs', 'model.md'), encoding='utf-8') as file:
             text = file.read()
@@ -79,6 +105,9 @@ class CitationsTest(unittest.TestCase):
         self.assertEqual(cited('[model.md](model.md) section 11, the'), [('section', '11')])
         self.assertEqual(cited('model.md section 13, test 4.'), [('section', '13'), ('test', '4')])
         self.assertEqual(cited('model.md Eq. (A), (B)'), [('equation', 'A'), ('equation', 'B')])
+        self.assertEqual(cited('model.md 12.1 and 12.3, Eq. (M28), (M30); paper Eq. (1)'),
+                         [('section', '12.1'), ('section', '12.3'), ('equation', 'M28'), ('equation', 'M30')])
+        self.assertEqual(cited('model.md section 2, Eq. (M3)'), [('section', '2'), ('equation', 'M3')])
         self.assertEqual(cited('model.md 12.1, 12.3'), [('section', '12.1'), ('section', '12.3')])
 
 

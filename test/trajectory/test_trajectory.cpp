@@ -184,7 +184,8 @@ TEST_P(EveryTrajectory, IsWithinReachOfAnyQuadrotor) {
 INSTANTIATE_TEST_SUITE_P(All, EveryTrajectory, ::testing::ValuesIn(Trajectory::Names()),
                          [](const auto& instance) { return instance.param; });
 
-// Numbers from the code before there were durations and top speeds: recorded results rest on them.
+// The first six trajectories at their default durations and top speeds: recorded results depend on
+// these values.
 TEST(Trajectory, FliesTheFirstSixAsEver) {
   struct Golden {
     std::string name;

@@ -172,7 +172,7 @@ class Attribution {
   std::vector<double> null_gains_;
   std::vector<RankedEffect> effects_, ranking_;
   std::map<std::string, std::string> refused_;
-  std::set<std::string> hollow_;                  // refused for good
+  std::set<std::string> hollow_;                  // no candidates of later rounds
   std::array<double, kNumChannels> explained_{};  // by what was added, over the noise [nats]
   double gain_ = 0.0, held_out_gain_ = 0.0;
   std::vector<ResidualModel::Wrenches> before_, after_;  // by flight

@@ -18,9 +18,9 @@ struct SeenFlight {
 
 /// What a force or torque might follow that nobody has a name for. A channel of the wrench: the
 /// vehicle's state, place and time, and all products of two of them. A force fixed in the world:
-/// the place, and nearness to places that cover where was flown. A catalogue effect that such a
-/// function explains away is a stand-in for something else (double selection; Belloni, Chernozhukov
-/// and Hansen, Review of Economic Studies 2014).
+/// the place, and nearness to places that cover where was flown. Where such functions explain as
+/// much as a catalogue effect does, the effect is not taken for the cause (double selection;
+/// Belloni, Chernozhukov and Hansen, Review of Economic Studies 2014).
 struct FlexibleFeatures {
   std::vector<std::string> names;
   /// By flight: samples × features, as its instruments see them; of unit size over all flights.

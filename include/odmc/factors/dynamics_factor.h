@@ -36,7 +36,8 @@ struct DynamicsJacobians {
 /// file's mass.
 ///
 /// in B at the evaluation point. V is the velocity of the centre of mass, F and τ the model's force
-/// and torque about it.                   model.md 4.1, 4.2, 4.4 and 6; paper Eq. (19), corrected
+/// and torque about it; derivatives: model.md section 6.
+///      model.md 4.1, 4.2 and 4.4, Eq. (M6), (M8), (M10), (M47); paper Eq. (19), corrected
 /// @param inertia if given, the diagonal of the inertia used [kg m²]
 Eigen::Matrix<double, kNumDynamicsRows, 1> DynamicsResidual(
     const DynamicsMeasurement& measurement, const State& state0, const State& state1,
@@ -44,11 +45,11 @@ Eigen::Matrix<double, kNumDynamicsRows, 1> DynamicsResidual(
     DynamicsJacobians* J = nullptr);
 
 /// Covariance of (e_p, e_v) of Form E per axis and unit force variance (2×2): white force noise
-/// integrated over the interval.       model.md section 5 (the paper's 1/4 for 1/3 is singular)
+/// integrated over the interval (the paper's 1/4 for 1/3 is singular).
+///                                                             model.md section 5, Eq. (M13)
 Eigen::Matrix2d EulerTranslationCovariance(double dt);
 
-/// Errors of one interval, as means over it (one standard deviation).               model.md
-/// section 5
+/// Errors of one interval, as means over it (one standard deviation).    model.md section 5
 struct DynamicsNoise {
   Eigen::Vector3d force_N = Eigen::Vector3d::Constant(0.1);      ///< not in the model, body axes
   Eigen::Vector3d torque_Nm = Eigen::Vector3d::Constant(0.002);  ///< not in the model, body axes

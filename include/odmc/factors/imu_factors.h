@@ -21,7 +21,7 @@ struct ImuNoise {
 };
 
 /// e_theta by the gyro: Log(ΔR(b)ᵀ R_WI0ᵀ R_WI1), the rotation between two keyframes against the
-/// integrated gyro, in the IMU frame (3×1) [rad].                         model.md 4.2 (e_theta)
+/// integrated gyro, in the IMU frame (3×1) [rad].                         model.md 4.2, Eq. (M8)
 ///
 ///   blocks 0, 1: states (13); 2: bias (6); 3: the layout's eta
 class GyroPreintegrationFactor final : public ceres::CostFunction {

@@ -14,8 +14,8 @@ namespace odmc {
 
 /// How the equations of motion are discretised over one interval.
 enum class DynamicsForm {
-  kMidpoint,  ///< Form M, model.md 4.2: the default
-  kEuler,     ///< Form E, model.md 4.1: the paper's, corrected, for comparison
+  kMidpoint,  ///< Form M, model.md 4.2, Eq. (M7), (M8): the default
+  kEuler,     ///< Form E, model.md 4.1, Eq. (M6): the paper's, corrected, for comparison
 };
 
 /// What one interval between keyframes 0 and 1 measured besides the states.
@@ -79,7 +79,8 @@ struct IntervalModel {
   const DynamicModel* model;
   BodyPropertiesJacobian d_body;
   Eigen::Vector3d w0_S, w1_S;  ///< rates of the states, in S
-  Eigen::Matrix3d A0, A1;      ///< d theta at the point / d theta_B at either end (model.md 6.2)
+  /// d theta at the point / d theta_B at either end; model.md 6.2, Eq. (M21).
+  Eigen::Matrix3d A0, A1;
   ModelWrenchJacobians d_wrench;
 };
 
@@ -264,7 +265,8 @@ void WriteParameterJacobian(const ParameterLayout& layout, const ModelValues& va
   }
 }
 
-/// Derivative of I a with respect to (xx, yy, zz, xy, xz, yz) (3×6).                model.md 12.14
+/// Derivative of I a with respect to (xx, yy, zz, xy, xz, yz) (3×6). The last three columns are
+/// Λ(a) of model.md 12.14, Eq. (M26).
 Eigen::Matrix<double, 3, 6> InertiaProductDerivative(const Eigen::Vector3d& a);
 
 }  // namespace odmc

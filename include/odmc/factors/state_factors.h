@@ -47,9 +47,10 @@ class OdometryFactor final : public ceres::CostFunction {
 ///   e_k      p_1 - p_0 - Δt/2 (v_0 + v_1)                                  [m]
 ///   e_theta  Log(R_0ᵀ R_1) - Δt/2 (w_0 + w_1)                              [rad]
 ///
-/// of the sensor S (model.md 4.2 writes e_k at the centre of mass; at S it has no parameters, and
-/// the two differ by the trapezoid error of the lever arm's motion only). With Form::kEuler only
-/// e_theta with w_0 remains (3×1), since DynamicsFactor then has the position. model.md 4.1, 4.2
+/// of the sensor S (model.md 4.2, Eq. (M8), writes e_k at the centre of mass; at S it has no
+/// parameters, and the two differ by the trapezoid error of the lever arm's motion only). With
+/// Form::kEuler only e_theta with w_0 remains (3×1), since DynamicsFactor then has the position:
+/// model.md 4.1, Eq. (M6).
 ///
 ///   blocks 0, 1: states (13)
 class KinematicFactor final : public ceres::CostFunction {

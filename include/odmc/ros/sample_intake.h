@@ -27,10 +27,9 @@ enum class IntakePhase {
 
 /// Live counterpart of ReadFlightBag(): finds out what the streams mean before any sample reaches
 /// the estimator, and loses none meanwhile. Decides
-///  - which of `odometry` and `pose`, of `rotor_speeds` and `joint_states` to use (the first of
-///  each
-///    pair wins if it shows up within settle_s of the other); neither of the latter where rotor
-///    speeds come from commands,
+///  - which of `odometry` and `pose`, and which of `rotor_speeds` and `joint_states` to use: the
+///    first of a pair if it shows up within settle_s of the other; neither of the latter two where
+///    rotor speeds come from commands,
 ///  - whether the odometry has velocity and body rates at all (some sources leave zeros),
 ///  - in which frame the velocity is (twist_frame.h).
 /// Standing still says nothing about twist; samples then wait, the newest hold_s seconds of them.

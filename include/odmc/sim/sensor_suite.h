@@ -45,7 +45,7 @@ class RotorHistory {
   std::vector<RotorVector> ring_;
 };
 
-/// What of an odometry is wrong for good: drift and jumps.
+/// Errors of an odometry that stay: drift and jumps.
 struct OdometryOffset {
   Eigen::Vector3d p_W = Eigen::Vector3d::Zero();  ///< [m]
   double yaw = 0.0;                               ///< about the origin of W [rad]
