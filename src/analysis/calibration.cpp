@@ -36,12 +36,11 @@ bool IsIn(TimingPart part, double time_s, const ReplayResult& replay) {
 /// "x 0.4, z 1.2" of the axes where `wrong` holds; empty if none.
 template <typename Wrong>
 std::string Axes(const PredictionFigures::Axes& figure, Wrong wrong) {
-  std::string text;
+  std::vector<std::string> axes;
   for (int i = 0; figure && i < 3; ++i) {
-    if (!wrong(i)) continue;
-    text += (text.empty() ? "" : ", ") + std::string(1, "xyz"[i]) + " " + Rounded((*figure)[i]);
+    if (wrong(i)) axes.push_back(std::string(1, "xyz"[i]) + " " + Rounded((*figure)[i]));
   }
-  return text;
+  return Listed(axes);
 }
 
 void WarnOutside(const PredictionFigures::Axes& figure, double low, double high,

@@ -162,12 +162,6 @@ void Learn(FlightLog log, const Vehicle& vehicle, FlightInspection* result) {
   if (thrust && !has) result->inspection.findings.push_back(*thrust);
 }
 
-std::string Joined(const std::vector<std::string>& parts) {
-  std::string text;
-  for (const std::string& part : parts) text += (text.empty() ? "" : ", ") + part;
-  return text;
-}
-
 std::string StreamLine(const StreamFigures& s) {
   std::string line = "  " + s.name;
   line.resize(std::max<size_t>(line.size() + 1, 16), ' ');
@@ -181,7 +175,7 @@ std::string StreamLine(const StreamFigures& s) {
   }
   if (10 * s.repeated > s.samples)
     line += ", " + std::to_string(s.repeated) + " repeat the one before";
-  if (!s.holds.empty()) line += "; with " + Joined(s.holds);
+  if (!s.holds.empty()) line += "; with " + Listed(s.holds);
   return line + "\n";
 }
 
@@ -206,9 +200,9 @@ std::string Mark(bool told, double probability) {
 
 std::string RotorsText(const RotorGuess& rotors) {
   std::string text = "rotors that would fit, as a " + rotors.frame + "\n";
-  text += "  places: " + Joined(rotors.places) + " (" +
+  text += "  places: " + Listed(rotors.places) + " (" +
           Mark(rotors.places_told, rotors.places_probability) + ")\n";
-  text += "  spins: " + Joined(rotors.spins) + " (" +
+  text += "  spins: " + Listed(rotors.spins) + " (" +
           Mark(rotors.spins_told, rotors.spins_probability) + ")\n";
   if (rotors.hover_speed_rad_s) {
     text += "  each hovers at " + Rounded(*rotors.hover_speed_rad_s, 4) + " rad/s\n";

@@ -6,6 +6,8 @@
 #include <stdexcept>
 #include <type_traits>
 
+#include "odmc/text/format.h"
+
 namespace odmc {
 namespace {
 
@@ -89,9 +91,9 @@ const std::vector<DecisionNumber>& DecisionNumbers() {
 void SetDecision(const std::string& assignment, AttributionOptions* options) {
   const size_t equals = assignment.find('=');
   const std::string name = assignment.substr(0, equals);
-  std::string names;
+  std::vector<std::string> names;
   for (const DecisionNumber& number : DecisionNumbers()) {
-    names += (names.empty() ? "" : ", ") + number.name;
+    names.push_back(number.name);
     if (number.name != name || equals == std::string::npos) continue;
     const std::string text = assignment.substr(equals + 1);
     char* end = nullptr;
@@ -110,7 +112,7 @@ void SetDecision(const std::string& assignment, AttributionOptions* options) {
     return;
   }
   throw std::invalid_argument("--decision " + assignment + ": give NAME=VALUE, NAME one of " +
-                              names);
+                              Listed(names));
 }
 
 std::string DescribeDecision() {
@@ -125,12 +127,12 @@ std::string DescribeDecision() {
 }
 
 std::string DescribeChanges(const AttributionOptions& options) {
-  std::string text;
+  std::vector<std::string> changes;
   for (const DecisionNumber& number : DecisionNumbers()) {
     if (number.Of(options) == number.Of({})) continue;
-    text += (text.empty() ? "" : ", ") + number.name + " " + number.TextOf(options);
+    changes.push_back(number.name + " " + number.TextOf(options));
   }
-  return text.empty() ? "defaults" : text;
+  return Listed(changes, "defaults");
 }
 
 }  // namespace odmc

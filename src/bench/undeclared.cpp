@@ -16,6 +16,7 @@
 #include "odmc/math/gaussian.h"
 #include "odmc/math/so3.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -395,10 +396,10 @@ std::vector<UndeclaredPlan> PlanOneEffect(int seed, int flights, const std::stri
   const auto flown = std::find_if(catalogue.begin(), catalogue.end(),
                                   [&](const Excited& e) { return e.effect == effect; });
   if (flown == catalogue.end()) {
-    std::string names;
-    for (const Excited& e : catalogue) names += (names.empty() ? "" : ", ") + e.effect;
+    std::vector<std::string> names;
+    for (const Excited& e : catalogue) names.push_back(e.effect);
     throw std::invalid_argument("no test flights are made with '" + effect + "', only with " +
-                                names);
+                                Listed(names));
   }
   std::vector<UndeclaredPlan> plans;
   const int num = static_cast<int>(flown->trajectories.size());
@@ -722,9 +723,7 @@ std::string FormatVehicle(const Vehicle& v) {
                          v.odometry.q_BS.coeffs() != body.q_BS.coeffs();
   text += "odometry: " + (has_mount ? FormatMount(v.odometry) : "{frame: body}") + "\n";
   if (v.imu) text += "imu: " + FormatMount(*v.imu) + "\n";
-  text += "effects: [";
-  for (size_t i = 0; i < v.effects.size(); ++i) text += (i == 0 ? "" : ", ") + v.effects[i];
-  text += "]\nparameters:\n";
+  text += "effects: [" + Listed(v.effects) + "]\nparameters:\n";
   for (const auto& [name, p] : v.parameters) {
     std::snprintf(line, sizeof line, "  %s: {value: %.9e, sigma: %.9e, state: %s}\n", name.c_str(),
                   p.value.value_or(0.0), p.sigma.value_or(1.0),

@@ -8,9 +8,9 @@
 #include <stdexcept>
 
 #include "csv_text.h"
+#include "odmc/text/format.h"
 #include "odmc/text/refusal.h"
 #include "text_file.h"
-#include "yaml_reader.h"
 
 namespace odmc {
 namespace {
@@ -148,7 +148,7 @@ struct Roles {
   Strings InWords() const {
     Strings words;
     const auto say = [&words](const std::string& role, const Strings& names) {
-      words.push_back(role + ": " + (names.empty() ? "none" : JoinNames(names)));
+      words.push_back(role + ": " + Listed(names, "none"));
     };
     say("time", time);
     say("command", command);

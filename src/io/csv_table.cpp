@@ -3,10 +3,10 @@
 #include <filesystem>
 
 #include "csv_text.h"
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/printable_text.h"
 #include "text_file.h"
-#include "yaml_reader.h"
 
 namespace odmc {
 namespace {
@@ -182,7 +182,7 @@ void CsvTable::Require(const Strings& names) const {
     if (values_.count(name) == 0) missing.push_back(name);
   }
   if (missing.empty()) return;
-  Fail(std::string(missing.size() == 1 ? "column " : "columns ") + JoinNames(missing) +
+  Fail(std::string(missing.size() == 1 ? "column " : "columns ") + Listed(missing) +
        (missing.size() == 1 ? " is" : " are") + " missing; found are: " + ListNames(header_));
 }
 

@@ -19,10 +19,10 @@
 #include "csv_table.h"
 #include "csv_text.h"
 #include "odmc/sensing/flight_checks.h"
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/printable_text.h"
 #include "text_file.h"
-#include "yaml_reader.h"
 
 namespace odmc {
 namespace {
@@ -273,7 +273,7 @@ class TableWriter {
   void Write(const std::vector<Sample>& rows, const std::string& file) const {
     constexpr size_t kBuffer = 1 << 16;
     std::ofstream out(file, std::ios::binary);
-    std::string text = "t," + JoinNames(names_);
+    std::string text = "t," + Listed(names_);
     text.erase(std::remove(text.begin(), text.end(), ' '), text.end());
     Cells cells;
     for (size_t i = 0; i < rows.size(); ++i) {

@@ -5,6 +5,7 @@
 #include <cstdlib>
 
 #include "odmc/io/yaml_text.h"
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/printable_text.h"
 
@@ -78,23 +79,21 @@ class Writer {
   }
 
   void Effects(const std::vector<std::string>& effects) {
-    std::string list;
-    for (const std::string& effect : effects) list += (list.empty() ? "" : ", ") + effect;
-    Line("effects", "[" + list + "]");
+    Line("effects", "[" + Listed(effects) + "]");
   }
 
   void Parameters(const std::map<std::string, ParameterSetting>& parameters) {
     if (parameters.empty()) return;
     Line("parameters", "");
     for (const auto& [name, setting] : parameters) {
-      std::string entry;
-      const auto add = [&entry](const std::string& key, const std::string& value) {
-        entry += (entry.empty() ? "" : ", ") + key + ": " + value;
+      std::vector<std::string> entries;
+      const auto add = [&entries](const std::string& key, const std::string& value) {
+        entries.push_back(key + ": " + value);
       };
       if (setting.value) add("value", NumberText(*setting.value));
       if (setting.sigma) add("sigma", NumberText(*setting.sigma));
       if (setting.estimated) add("state", *setting.estimated ? "estimated" : "frozen");
-      Line(name, "{" + entry + "}", "  ");
+      Line(name, "{" + Listed(entries) + "}", "  ");
     }
   }
 

@@ -6,6 +6,7 @@
 #include <set>
 #include <stdexcept>
 
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/printable_text.h"
 
@@ -49,12 +50,6 @@ std::string ClosestName(const std::string& word, const std::vector<std::string>&
     if (Subject(name) == Subject(word)) return name;
   }
   return "";
-}
-
-std::string JoinNames(const std::vector<std::string>& names) {
-  std::string text;
-  for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
-  return text;
 }
 
 YamlValue YamlValue::Parse(const std::string& text, const std::string& file) {
@@ -101,9 +96,8 @@ void YamlValue::AllowKeys(const std::vector<std::string>& known) const {
   for (const auto& [key, value] : Entries()) {
     if (std::find(known.begin(), known.end(), key) != known.end()) continue;
     const std::string closest = ClosestName(key, known);
-    value.Fail(
-        "unknown key '" + key + "'; " +
-        (closest.empty() ? "known are: " + JoinNames(known) : "did you mean " + closest + "?"));
+    value.Fail("unknown key '" + key + "'; " +
+               (closest.empty() ? "known are: " + Listed(known) : "did you mean " + closest + "?"));
   }
 }
 
@@ -164,9 +158,9 @@ bool YamlValue::Bool() const {
 std::string YamlValue::Text() const { return Scalar("text"); }
 
 std::string YamlValue::OneOf(const std::vector<std::string>& words) const {
-  const std::string text = Scalar("one of " + JoinNames(words));
+  const std::string text = Scalar("one of " + Listed(words));
   if (std::find(words.begin(), words.end(), text) == words.end()) {
-    Fail("must be one of " + JoinNames(words) + ", not '" + text + "'");
+    Fail("must be one of " + Listed(words) + ", not '" + text + "'");
   }
   return text;
 }

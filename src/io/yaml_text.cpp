@@ -2,6 +2,7 @@
 
 #include <cstdio>
 
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 
 namespace odmc {
@@ -25,11 +26,9 @@ std::string YamlQuoted(const std::string& text) {
 }
 
 std::string YamlList(const Eigen::Ref<const Eigen::VectorXd>& numbers) {
-  std::string text;
-  for (Eigen::Index i = 0; i < numbers.size(); ++i) {
-    text += (i > 0 ? ", " : "") + FormatYamlNumber(numbers[i]);
-  }
-  return "[" + text + "]";
+  std::vector<std::string> texts;
+  for (const double number : numbers) texts.push_back(FormatYamlNumber(number));
+  return "[" + Listed(texts) + "]";
 }
 
 std::string YamlMount(const SensorMount& mount) {

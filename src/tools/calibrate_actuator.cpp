@@ -8,6 +8,7 @@
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/bench_csv.h"
 #include "odmc/math/units.h"
+#include "odmc/text/format.h"
 #include "tool_support.h"
 
 namespace {
@@ -184,9 +185,10 @@ int main(int argc, char** argv) {
       evaluations.push_back({run.file, EvaluateActuator(actuator, run)});
     }
     tools::MakeFolder(folder);
-    std::string names;
-    for (const BenchRun& run : runs) names += (names.empty() ? "" : ", ") + run.file;
-    SaveActuator(actuator, "calibrate_actuator " + std::string(ODMC_VERSION) + " from " + names,
+    std::vector<std::string> names;
+    for (const BenchRun& run : runs) names.push_back(run.file);
+    SaveActuator(actuator,
+                 "calibrate_actuator " + std::string(ODMC_VERSION) + " from " + Listed(names),
                  tools::In(folder, "actuator.yaml"));
     WriteText(ActuatorReport(calibration, runs, evaluations), tools::In(folder, "report.json"));
     WriteFreeRuns(calibration, runs, tools::In(folder, "free_run.csv"));

@@ -9,6 +9,7 @@
 #include "odmc/effects/effects.h"
 #include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "tool_support.h"
 
@@ -153,11 +154,12 @@ EstimatorOptions EstimatorArguments::Read() const {
 
 std::string DescribeChanges(const EstimatorOptions& options) {
   std::istringstream now(FormatOptions(options)), before(FormatOptions(OfflineOptions()));
-  std::string line, default_line, text;
+  std::string line, default_line;
+  std::vector<std::string> changes;
   while (std::getline(now, line) && std::getline(before, default_line)) {
-    if (line != default_line) text += (text.empty() ? "" : ", ") + line;
+    if (line != default_line) changes.push_back(line);
   }
-  return text.empty() ? "defaults" : text;
+  return Listed(changes, "defaults");
 }
 
 }  // namespace odmc::tools
