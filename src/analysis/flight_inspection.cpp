@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
 #include "odmc/analysis/inspection_json.h"
 #include "odmc/analysis/json.h"
@@ -180,14 +179,10 @@ std::string StreamLine(const StreamFigures& s) {
 }
 
 std::string LessonLine(const ParameterLesson& l, bool has_value) {
-  char line[240];
-  if (has_value) {
-    std::snprintf(line, sizeof line, "  %-24s %12.4g +- %-9.2g %-8s %s", l.full_name.c_str(),
-                  l.value, l.sigma, l.unit.c_str(), l.is_shown ? "" : "hardly shown");
-  } else {
-    std::snprintf(line, sizeof line, "  %-24s %s", l.full_name.c_str(),
-                  l.is_shown ? "shown" : "hardly shown");
-  }
+  const std::string line =
+      has_value ? Format("  %-24s %12.4g +- %-9.2g %-8s %s", l.full_name.c_str(), l.value, l.sigma,
+                         l.unit.c_str(), l.is_shown ? "" : "hardly shown")
+                : Format("  %-24s %s", l.full_name.c_str(), l.is_shown ? "shown" : "hardly shown");
   return line + (l.manoeuvre.empty() ? "" : ": fly " + l.manoeuvre) + "\n";
 }
 

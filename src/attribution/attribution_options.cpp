@@ -1,7 +1,6 @@
 #include "odmc/attribution/attribution_options.h"
 
 #include <cmath>
-#include <cstdio>
 #include <cstdlib>
 #include <stdexcept>
 #include <type_traits>
@@ -9,22 +8,13 @@
 #include "odmc/text/format.h"
 
 namespace odmc {
-namespace {
-
-std::string Number(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%g", value);
-  return text;
-}
-
-}  // namespace
 
 double DecisionNumber::Of(const AttributionOptions& options) const {
   return std::visit([&](auto m) { return static_cast<double>(options.*m); }, member);
 }
 
 std::string DecisionNumber::TextOf(const AttributionOptions& options) const {
-  return Number(Of(options));
+  return Format("%g", Of(options));
 }
 
 const std::vector<DecisionNumber>& DecisionNumbers() {
@@ -104,7 +94,7 @@ void SetDecision(const std::string& assignment, AttributionOptions* options) {
     if (!sound) {
       throw std::invalid_argument("--decision " + assignment + ": " + name + " must be " +
                                   (is_int ? "a whole number" : "a number") + " from " +
-                                  Number(number.least) + " to " + Number(number.most));
+                                  Format("%g", number.least) + " to " + Format("%g", number.most));
     }
     std::visit(
         [&](auto m) { options->*m = static_cast<std::decay_t<decltype(options->*m)>>(value); },
@@ -118,10 +108,8 @@ void SetDecision(const std::string& assignment, AttributionOptions* options) {
 std::string DescribeDecision() {
   std::string text = "Numbers of the decision (--decision NAME=VALUE):\n";
   for (const DecisionNumber& number : DecisionNumbers()) {
-    char line[64];
-    std::snprintf(line, sizeof line, "  %-18s %9s %-7s ", number.name.c_str(),
-                  number.TextOf({}).c_str(), number.unit.c_str());
-    text += line + number.why + "\n";
+    text += Format("  %-18s %9s %-7s %s\n", number.name.c_str(), number.TextOf({}).c_str(),
+                   number.unit.c_str(), number.why.c_str());
   }
   return text;
 }

@@ -2,13 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 #include <stdexcept>
 
 #include "odmc/actuator/rotor_source.h"
 #include "odmc/math/statistics.h"
 #include "odmc/sensing/flight_checks.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -29,10 +29,8 @@ double VoltageAt(const std::vector<BatterySample>& battery, Stamp stamp, size_t*
 }
 
 std::string At(Stamp stamp, const FlightLog& log) {
-  char text[40];
   const Stamp zero = log.odometry.empty() ? stamp : log.odometry.front().stamp;
-  std::snprintf(text, sizeof text, "%.2f s", ToSeconds(stamp - zero));
-  return text;
+  return Format("%.2f s", ToSeconds(stamp - zero));
 }
 
 // Feeds commands, battery and sensor in the order of stamps. Commands go first: they act later.

@@ -250,10 +250,8 @@ void WarnOfUnknown(const Strings& unknown, const std::string& file, FlightLog* l
 std::string FormatStamp(Stamp stamp) {
   const bool negative = stamp < 0;
   const auto magnitude = static_cast<unsigned long long>(negative ? -stamp : stamp);
-  char text[40];
-  std::snprintf(text, sizeof text, "%s%llu.%09llu", negative ? "-" : "", magnitude / 1000000000ULL,
+  return Format("%s%llu.%09llu", negative ? "-" : "", magnitude / 1000000000ULL,
                 magnitude % 1000000000ULL);
-  return text;
 }
 
 /// Cells of one row at a stamp; nan is an empty cell. Rows come in the order of their stamps.

@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <stdexcept>
 
 #include "odmc/sensing/flight_checks.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -14,11 +14,7 @@ constexpr double kLeastPoseRate_hz = 10.0;   // motion capture of the slowest ki
 constexpr double kLeastRotorRate_hz = 50.0;  // rotors follow in some 20 to 50 ms
 constexpr double kLeastImuRate_hz = 50.0;
 
-std::string Hertz(double rate) {
-  char text[32];
-  std::snprintf(text, sizeof text, rate < 10.0 ? "%.1f Hz" : "%.0f Hz", rate);
-  return text;
-}
+std::string Hertz(double rate) { return Format(rate < 10.0 ? "%.1f Hz" : "%.0f Hz", rate); }
 
 /// Drops what is not finite, and what does not step forward in time.
 template <typename Sample, typename Test>
@@ -31,9 +27,7 @@ void KeepSound(const std::string& source, std::vector<Sample>* samples, Test is_
     if (is_finite(sample)) {
       kept.push_back(sample);
     } else {
-      char where[40];
-      std::snprintf(where, sizeof where, "at %.3f s", ToSeconds(sample.stamp));
-      refusals.Add(where);
+      refusals.Add(Format("at %.3f s", ToSeconds(sample.stamp)));
     }
   }
   refusals.Report(source, "readings that are not finite", log);
@@ -65,9 +59,7 @@ void DropSpikes(const std::string& source, FlightLog* log) {
       is_spike = is_spike || IsSpike(all[i - 1].speed[j], all[i].speed[j], all[i + 1].speed[j]);
     }
     if (is_spike) {
-      char where[40];
-      std::snprintf(where, sizeof where, "at %.3f s", ToSeconds(all[i].stamp));
-      refusals.Add(where);
+      refusals.Add(Format("at %.3f s", ToSeconds(all[i].stamp)));
     } else {
       kept.push_back(all[i]);
     }

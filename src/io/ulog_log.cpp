@@ -1,12 +1,12 @@
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 
 #include "binary_file.h"
 #include "log_streams.h"
 #include "odmc/io/autopilot_logs.h"
 #include "odmc/math/units.h"
+#include "odmc/text/format.h"
 #include "odmc/text/printable_text.h"
 #include "odmc/text/refusal.h"
 #include "ulog_file.h"
@@ -320,9 +320,8 @@ void Report(const std::string& file, const ULogContent& log_file, size_t bytes, 
       bytes, log);
   if (log_file.topic_names.empty()) RefuseFile(file, "ULog: holds no topic: cut off or damaged");
   if (log_file.lost_s > 0.0) {
-    char text[80];
-    std::snprintf(text, sizeof text, ": the logger lost %.2f s (a slow SD card)", log_file.lost_s);
-    log->warnings.push_back(log->file + text);
+    log->warnings.push_back(log->file +
+                            Format(": the logger lost %.2f s (a slow SD card)", log_file.lost_s));
   }
 }
 

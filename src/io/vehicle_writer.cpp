@@ -1,7 +1,6 @@
 #include "odmc/io/vehicle_writer.h"
 
 #include <cmath>
-#include <cstdio>
 #include <cstdlib>
 
 #include "odmc/io/yaml_text.h"
@@ -16,9 +15,7 @@ constexpr size_t kColumns = 100;
 
 /// To six digits; what is below a nanometre is zero.
 double SixDigits(double value) {
-  char text[40];
-  std::snprintf(text, sizeof text, "%.6g", value);
-  const double rounded = std::strtod(text, nullptr);
+  const double rounded = std::strtod(Format("%.6g", value).c_str(), nullptr);
   return std::abs(rounded) < 1e-12 ? 0.0 : rounded;
 }
 

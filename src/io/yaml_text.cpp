@@ -1,7 +1,5 @@
 #include "odmc/io/yaml_text.h"
 
-#include <cstdio>
-
 #include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 
@@ -15,9 +13,7 @@ std::string YamlQuoted(const std::string& text) {
     } else if (c == '\n') {
       quoted += "\\n";
     } else if (static_cast<unsigned char>(c) < 0x20) {
-      char escape[8];
-      std::snprintf(escape, sizeof escape, "\\x%02x", static_cast<unsigned>(c));
-      quoted += escape;
+      quoted += Format("\\x%02x", static_cast<unsigned>(c));
     } else {
       quoted += c;
     }
