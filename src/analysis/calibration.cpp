@@ -11,6 +11,7 @@
 #include "odmc/model/plausibility.h"
 #include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -461,12 +462,12 @@ LeftOutPrediction PredictLeftOut(const FlightLog& log, const FlightLog& recordin
                                  const EstimatorOptions& options, double block_s) {
   const double duration_s = DurationOf(log);
   if (!(block_s > 0.0) || duration_s < 2.0 * block_s) {
-    throw std::invalid_argument(log.file + ": " + Rounded(duration_s) + " s are no two blocks of " +
-                                Rounded(block_s) + " s to leave out");
+    RefuseFile(log.file, Rounded(duration_s) + " s are no two blocks of " + Rounded(block_s) +
+                             " s to leave out");
   }
   if (duration_s > kMostBlocks * block_s) {
-    throw std::invalid_argument(log.file + ": blocks of " + Rounded(block_s) + " s are more than " +
-                                Rounded(kMostBlocks) + " in " + Rounded(duration_s) + " s");
+    RefuseFile(log.file, "blocks of " + Rounded(block_s) + " s are more than " +
+                             Rounded(kMostBlocks) + " in " + Rounded(duration_s) + " s");
   }
   const bool with_torque = !log.rotor_rms_only;
   const Stamp first = log.odometry.front().stamp;
@@ -478,8 +479,8 @@ LeftOutPrediction PredictLeftOut(const FlightLog& log, const FlightLog& recordin
     estimator.SetHeldOut([&](Stamp stamp) { return block_at(ToSeconds(stamp - first)) == block; });
     const ReplayResult replay = Replay(log, &estimator);
     if (!replay.last) {
-      throw std::invalid_argument(log.file + ": never airborne outside the block left out from " +
-                                  Rounded(block * block_s) + " s on");
+      RefuseFile(log.file, "never airborne outside the block left out from " +
+                               Rounded(block * block_s) + " s on");
     }
     values = replay.last->values;
     PredictEach(recording, file_vehicle, model, values, replay.ground_spans, {},

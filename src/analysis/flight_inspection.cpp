@@ -22,7 +22,8 @@ constexpr double kFast = 0.99;         // percentile that counts as the largest
 constexpr double kVagueLag_s = 0.02;   // sigma of a delay that says nothing
 constexpr double kMostLook_s = 120.0;  // of flight, for what it teaches
 
-double Quantile(std::vector<double> values, double share) {
+/// As Quantile() of math/statistics.h, but a value that occurs: the lower of two.
+double OccurringQuantile(std::vector<double> values, double share) {
   if (values.empty()) return 0.0;
   const auto at =
       values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
@@ -56,12 +57,12 @@ void AddStream(const std::string& name, const std::vector<Sample>& samples,
     if (IsSame(samples[i], samples[i - 1])) ++figures.repeated;
   }
   if (!steps.empty()) {
-    const double median = Quantile(steps, 0.5);
+    const double median = OccurringQuantile(steps, 0.5);
     figures.rate_Hz = median > 0.0 ? 1.0 / median : 0.0;
     figures.longest_gap_s = *std::max_element(steps.begin(), steps.end());
     figures.gaps = std::count_if(steps.begin(), steps.end(),
                                  [&](double step) { return step > kGap * median; });
-    figures.jitter_s = (Quantile(steps, 0.75) - Quantile(steps, 0.25)) / kIqr;
+    figures.jitter_s = (OccurringQuantile(steps, 0.75) - OccurringQuantile(steps, 0.25)) / kIqr;
   }
   streams->push_back(std::move(figures));
 }
@@ -82,10 +83,10 @@ FlownFigures FlownOf(const FlightLog& log, const ReplayResult& replay) {
       if (s.w_WS_S) rate.push_back(s.w_WS_S->norm());
     }
   }
-  flown.speed_m_s = Quantile(speed, kFast);
-  flown.climb_m_s = Quantile(climb, kFast);
-  flown.rate_rad_s = Quantile(rate, kFast);
-  flown.height_range_m = Quantile(height, 0.95) - Quantile(height, 0.05);
+  flown.speed_m_s = OccurringQuantile(speed, kFast);
+  flown.climb_m_s = OccurringQuantile(climb, kFast);
+  flown.rate_rad_s = OccurringQuantile(rate, kFast);
+  flown.height_range_m = OccurringQuantile(height, 0.95) - OccurringQuantile(height, 0.05);
   return flown;
 }
 

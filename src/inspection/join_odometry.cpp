@@ -14,6 +14,7 @@
 #include "odmc/math/so3.h"
 #include "odmc/sensing/flight_checks.h"
 #include "odmc/text/format.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -325,8 +326,8 @@ void JoinOdometry(const FlightLog& poses, std::optional<double> offset_s, Flight
                             [&](const auto& s) { return s.stamp < from || s.stamp > to; }),
              kept.end());
   if (kept.empty()) {
-    throw std::invalid_argument(log->file + ": with an offset of " + std::to_string(*offset_s) +
-                                " s no pose of " + poses.file + " is within the log");
+    RefuseFile(log->file, "with an offset of " + std::to_string(*offset_s) + " s no pose of " +
+                              poses.file + " is within the log");
   }
   log->dropped += poses.dropped;
   log->warnings.insert(log->warnings.end(), poses.warnings.begin(), poses.warnings.end());

@@ -22,6 +22,7 @@
 #include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/printable_text.h"
+#include "odmc/text/refusal.h"
 #include "text_file.h"
 
 namespace odmc {
@@ -515,7 +516,7 @@ FlightLog ReadFlightCsv(const std::string& file, const FlightReadOptions& option
 }
 
 void WriteFlightCsv(const FlightLog& log, const std::string& file) {
-  if (log.odometry.empty()) throw std::invalid_argument(file + ": the flight has no odometry");
+  if (log.odometry.empty()) RefuseFile(file, "the flight has no odometry");
   TableWriter table;
   AddOdometry(log, &table);
   AddImu(log, &table);

@@ -5,6 +5,7 @@
 #include <stdexcept>
 
 #include "odmc/math/so3.h"
+#include "odmc/math/statistics.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -26,9 +27,8 @@ size_t StrideOf(const std::vector<double>& t_s, double span_s) {
   std::vector<double> steps;
   for (size_t i = 1; i < t_s.size(); ++i) steps.push_back(t_s[i] - t_s[i - 1]);
   if (steps.empty()) return 1;
-  const auto middle = steps.begin() + static_cast<std::ptrdiff_t>(steps.size() / 2);
-  std::nth_element(steps.begin(), middle, steps.end());
-  return static_cast<size_t>(std::max(1.0, std::round(span_s / *middle)));
+  const double step = MiddleOf(std::move(steps));
+  return static_cast<size_t>(std::max(1.0, std::round(span_s / step)));
 }
 
 /// Integral of a signal from its first sample on.

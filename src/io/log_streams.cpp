@@ -2,10 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <stdexcept>
 
+#include "odmc/math/statistics.h"
 #include "odmc/sensing/flight_checks.h"
 #include "odmc/text/format.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -71,8 +72,8 @@ void DropSpikes(const std::string& source, FlightLog* log) {
 void RefuseSlow(const std::string& file, const std::string& what, double rate, double least,
                 const std::string& hint) {
   if (rate >= 0.95 * least) return;
-  throw std::invalid_argument(file + ": " + what + " are logged at " + Hertz(rate) + ", at least " +
-                              Hertz(least) + " are needed: " + hint);
+  RefuseFile(file, what + " are logged at " + Hertz(rate) + ", at least " + Hertz(least) +
+                       " are needed: " + hint);
 }
 
 void AddRate(const std::string& what, double rate, std::string* text) {
@@ -115,9 +116,8 @@ double UsualRate(std::vector<Stamp> stamps) {
   if (stamps.size() < 2) return 0.0;
   for (size_t i = 0; i + 1 < stamps.size(); ++i) stamps[i] = stamps[i + 1] - stamps[i];
   stamps.pop_back();
-  const auto middle = stamps.begin() + static_cast<std::ptrdiff_t>(stamps.size() / 2);
-  std::nth_element(stamps.begin(), middle, stamps.end());
-  return *middle > 0 ? 1.0 / ToSeconds(*middle) : 0.0;
+  const Stamp step = MiddleOf(std::move(stamps));
+  return step > 0 ? 1.0 / ToSeconds(step) : 0.0;
 }
 
 void RotorReadings::Add(Stamp stamp, double speed) {
@@ -215,7 +215,7 @@ void ReportDamage(const std::string& file, const DecodingDamage& damage, size_t 
                   FlightLog* log) {
   const std::string place = "byte " + std::to_string(damage.first);
   if (2 * damage.skipped > bytes) {
-    throw std::invalid_argument(file + ": most of it cannot be decoded, first at " + place);
+    RefuseFile(file, "most of it cannot be decoded, first at " + place);
   }
   if (damage.places > 0) {
     log->dropped += damage.places;
@@ -231,9 +231,9 @@ double PoleScale(const std::string& file, const std::map<std::string, double>& p
   if (!pole_pairs) return 1.0;
   const auto poles = parameters.find(parameter);
   if (poles == parameters.end() || !(poles->second >= 2.0)) {
-    throw std::invalid_argument(file + ": --pole-pairs: the log has no " + parameter +
-                                " that was used instead; without --pole-pairs its speeds are "
-                                "taken as they are");
+    RefuseFile(file, "--pole-pairs: the log has no " + parameter +
+                         " that was used instead; without --pole-pairs its speeds are "
+                         "taken as they are");
   }
   return 0.5 * poles->second / *pole_pairs;
 }
@@ -253,7 +253,7 @@ void FinishLog(const std::string& file, const RateHints& hints, FlightPart part,
       log->file + ": battery", &log->battery,
       [](const auto& s) { return std::isfinite(s.voltage_V); }, log);
   if (part != FlightPart::kOnboard) {
-    if (log->odometry.empty()) throw std::invalid_argument(file + ": has no usable pose");
+    if (log->odometry.empty()) RefuseFile(file, "has no usable pose");
     RefuseSlow(file, "poses", RateOf(log->odometry), kLeastPoseRate_hz, hints.pose);
   }
   if (!log->odometry.empty()) NormaliseAttitudes(file, &log->odometry, log);

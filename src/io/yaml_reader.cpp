@@ -4,11 +4,11 @@
 #include <cmath>
 #include <numeric>
 #include <set>
-#include <stdexcept>
 
 #include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/printable_text.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -59,13 +59,13 @@ YamlValue YamlValue::Parse(const std::string& text, const std::string& file) {
     if (!root.node_.IsMap()) root.Fail("must hold keys and values");
     return root;
   } catch (const YAML::Exception& e) {
-    throw std::invalid_argument(file + ": line " + std::to_string(e.mark.line + 1) +
-                                ": is not YAML: " + Printable(e.msg));
+    RefuseFile(file,
+               "line " + std::to_string(e.mark.line + 1) + ": is not YAML: " + Printable(e.msg));
   }
 }
 
 void YamlValue::Fail(const std::string& what) const {
-  throw std::invalid_argument(file_ + ": " + Printable((path_.empty() ? "" : path_ + ": ") + what));
+  RefuseFile(file_, Printable((path_.empty() ? "" : path_ + ": ") + what));
 }
 
 std::vector<std::pair<std::string, YamlValue>> YamlValue::Entries() const {

@@ -12,6 +12,7 @@
 #include "odmc/ros/flight_bag.h"
 #include "odmc/sensing/flight_checks.h"
 #include "odmc/sensing/plausible.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc::python {
 namespace {
@@ -173,7 +174,7 @@ FlightLog ReadAsTools(const std::string& file, const Vehicle& vehicle, double st
 void Write(const FlightLog& log, const std::string& file) {
   const bool bag = file.size() > 4 && file.substr(file.size() - 4) == ".bag";
   const bool csv = file.size() > 4 && file.substr(file.size() - 4) == ".csv";
-  if (!bag && !csv) throw std::invalid_argument(file + ": a flight's file ends in .bag or .csv");
+  if (!bag && !csv) RefuseFile(file, "a flight's file ends in .bag or .csv");
   bag ? WriteFlightBag(log, file) : WriteFlightCsv(log, file);
 }
 

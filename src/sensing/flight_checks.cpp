@@ -5,6 +5,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "odmc/math/statistics.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -27,8 +28,7 @@ double MedianOfOthers(const RotorVector& speed, Eigen::Index skip) {
   for (Eigen::Index j = 0; j < speed.size(); ++j) {
     if (j != skip) others.push_back(speed[j]);
   }
-  std::nth_element(others.begin(), others.begin() + others.size() / 2, others.end());
-  return others[others.size() / 2];
+  return MiddleOf(std::move(others));
 }
 
 bool OthersChanged(const RotorVector& a, const RotorVector& b, Eigen::Index skip) {

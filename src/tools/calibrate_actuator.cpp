@@ -9,6 +9,7 @@
 #include "odmc/io/bench_csv.h"
 #include "odmc/math/units.h"
 #include "odmc/text/format.h"
+#include "odmc/text/refusal.h"
 #include "tool_support.h"
 
 namespace {
@@ -79,7 +80,7 @@ BenchRun ReadLog(const std::string& file, const FlightReaders& readers,
   if (arguments.columns.pole_pairs > 0) read.pole_pairs = arguments.columns.pole_pairs;
   const FlightLog log = readers.Read(file, read);
   for (const std::string& warning : log.warnings) std::cerr << "warning: " << warning << "\n";
-  if (log.rotors.empty()) throw std::invalid_argument(file + ": no rotor speeds");
+  if (log.rotors.empty()) RefuseFile(file, "no rotor speeds");
   return BenchRunOf(log);
 }
 

@@ -11,6 +11,7 @@
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
+#include "odmc/text/refusal.h"
 #include "tool_support.h"
 
 namespace odmc::tools {
@@ -108,7 +109,7 @@ Vehicle ModelArguments::Configure(const Vehicle& file_vehicle) {
   try {
     return odmc::Configure(file_vehicle, choice);
   } catch (const std::invalid_argument& e) {
-    throw std::invalid_argument(parameters_file + ": " + e.what());
+    RefuseFile(parameters_file, e.what());
   }
 }
 

@@ -19,11 +19,6 @@ constexpr double kMostSamples = 200000.0;
 // A value this much above its limit, relatively, is rounding.
 constexpr double kRounding = 1e-9;
 
-bool IsFinite(const FlatReference& r) {
-  return r.p_WB.allFinite() && r.v_WB.allFinite() && r.a_WB.allFinite() && r.j_WB.allFinite() &&
-         r.s_WB.allFinite() && std::isfinite(r.yaw + r.d_yaw + r.dd_yaw);
-}
-
 void Raise(double value, double* most) { *most = std::max(*most, value); }
 
 void Include(const FlatReference& reference, double gravity, Feasibility* found) {
