@@ -493,6 +493,23 @@ LeftOutPrediction PredictLeftOut(const FlightLog& log, const FlightLog& recordin
   return left_out;
 }
 
+Calibration CalibrateInspected(const FlightLog& log, const FlightLog& recording,
+                               const StreamInspection& inspection, const Vehicle& file_vehicle,
+                               const DynamicModel& model, const CalibrateOptions& options,
+                               const std::function<void(double)>& progress,
+                               const PredictionSink& predicted) {
+  Calibration result =
+      Calibrate(log, recording, file_vehicle, model, options.estimator, progress, predicted);
+  AddInspection(inspection, &result);
+  WidenForDoubts(log, model, options.estimator, inspection.doubts, &result);
+  if (options.leave_out_s > 0.0) {
+    result.left_out =
+        PredictLeftOut(log, recording, file_vehicle, model, options.estimator, options.leave_out_s);
+  }
+  if (options.start) WarnOfOtherMass(*options.start, file_vehicle, &result.warnings);
+  return result;
+}
+
 Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
                     const ParameterSet& parameters, const PredictionSink& predicted,
                     const ValueVariation& thrust) {

@@ -163,4 +163,23 @@ std::string DescribeChanges(const EstimatorOptions& options) {
   return Listed(changes, "defaults");
 }
 
+void StateOrigin(const Vehicle& vehicle, double position_noise_m, const EstimatorOptions& options,
+                 Calibration* calibration) {
+  calibration->parameters.provenance =
+      Provenance("calibrate", vehicle,
+                 {{"flight", calibration->flight.file},
+                  {"position_noise_m", std::to_string(position_noise_m)},
+                  {"estimator_options", DescribeChanges(options)}});
+  AddTrust(calibration->findings, &calibration->parameters);
+}
+
+std::map<std::string, std::string> ProvenanceOf(const CloseLoopOptions& options,
+                                                const Vehicle& vehicle,
+                                                std::map<std::string, std::string> more) {
+  more["estimator_options"] = DescribeChanges(options.estimator);
+  more["decision"] = DescribeChanges(options.attribution);
+  more["ruled_out"] = Listed(options.ruled_out, "nothing");
+  return Provenance("close_loop", vehicle, std::move(more));
+}
+
 }  // namespace odmc::tools
