@@ -132,9 +132,7 @@ std::string CloseLoopTable(const ClosedLoop& loop) {
   std::string text = "verdict: " + ToString(loop.verdict) + "\n";
   for (const AddedEffect& added : loop.effects) {
     text += "  " + added.effect.name + Format(" (gain %.1f nats)", added.effect.score);
-    for (size_t i = 0; i < added.alternatives.size(); ++i) {
-      text += (i == 0 ? ", not told from " : ", ") + added.alternatives[i];
-    }
+    if (!added.alternatives.empty()) text += ", not told from " + Listed(added.alternatives);
     text += added.taken_off ? ", taken off the recording\n" : "\n";
     std::vector<ParameterEstimate> rows = added.effect.parameters;
     rows.insert(rows.end(), added.derived.begin(), added.derived.end());

@@ -76,18 +76,17 @@ void RefuseSlow(const std::string& file, const std::string& what, double rate, d
                        " are needed: " + hint);
 }
 
-void AddRate(const std::string& what, double rate, std::string* text) {
-  *text += (text->empty() ? "" : ", ") + (rate > 0.0 ? what + " " + Hertz(rate) : "no " + what);
+std::string RateText(const std::string& what, double rate) {
+  return rate > 0.0 ? what + " " + Hertz(rate) : "no " + what;
 }
 
 void Describe(FlightLog* log) {
-  std::string text;
-  AddRate("pose", RateOf(log->odometry), &text);
-  AddRate("IMU", RateOf(log->imu), &text);
-  AddRate("rotor speeds", RateOf(log->rotors), &text);
-  AddRate("commands", RateOf(log->commands), &text);
-  AddRate("battery voltage", RateOf(log->battery), &text);
-  log->warnings.push_back(log->file + ": read " + text);
+  log->warnings.push_back(
+      log->file + ": read " +
+      Listed({RateText("pose", RateOf(log->odometry)), RateText("IMU", RateOf(log->imu)),
+              RateText("rotor speeds", RateOf(log->rotors)),
+              RateText("commands", RateOf(log->commands)),
+              RateText("battery voltage", RateOf(log->battery))}));
 }
 
 /// Speed of a rotor at `stamp`, linear between readings; `next` is where the last search ended.

@@ -12,6 +12,7 @@
 #include "odmc/ros/flight_bag.h"
 #include "odmc/sensing/flight_checks.h"
 #include "odmc/sensing/plausible.h"
+#include "odmc/text/format.h"
 #include "odmc/text/refusal.h"
 
 namespace odmc::python {
@@ -123,7 +124,7 @@ class MessageOptionSetter {
 
   template <typename Value>
   void Field(const std::string& key, Value* value) {
-    known_ += (known_.empty() ? "" : ", ") + key;
+    known_.push_back(key);
     const auto entry = entries_.find(key);
     if (entry == entries_.end()) return;
     const auto* given = std::get_if<Value>(&entry->second);
@@ -136,12 +137,12 @@ class MessageOptionSetter {
   void RefuseRest() const {
     if (entries_.empty()) return;
     throw std::invalid_argument("messages: there is no '" + entries_.begin()->first +
-                                "'; there are " + known_);
+                                "'; there are " + Listed(known_));
   }
 
  private:
   std::map<std::string, MessageOption> entries_;
-  std::string known_;
+  std::vector<std::string> known_;
 };
 
 /// Reads a flight as the tools do.
