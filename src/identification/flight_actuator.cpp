@@ -181,7 +181,7 @@ std::vector<RotorFault> SettleRotors(const std::optional<Actuator>& actuator, in
   RotorSource source(*known, num_rotors, from_commands);
   std::vector<RotorSample> used = Run(*log, &source);
   if (from_commands && used.empty()) {
-    RefuseFile(log->file, "no rotor speed can be had from its commands" +
+    RefuseFile(log->file, std::string("no rotor speed can be had from its commands") +
                               (known->uses_voltage ? "; has it battery voltages?" : ""));
   }
   log->rotors = std::move(used);
