@@ -11,6 +11,7 @@
 #include "odmc/model/plausibility.h"
 #include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -36,12 +37,11 @@ bool IsIn(TimingPart part, double time_s, const ReplayResult& replay) {
 /// "x 0.4, z 1.2" of the axes where `wrong` holds; empty if none.
 template <typename Wrong>
 std::string Axes(const PredictionFigures::Axes& figure, Wrong wrong) {
-  std::string text;
+  std::vector<std::string> axes;
   for (int i = 0; figure && i < 3; ++i) {
-    if (!wrong(i)) continue;
-    text += (text.empty() ? "" : ", ") + std::string(1, "xyz"[i]) + " " + Rounded((*figure)[i]);
+    if (wrong(i)) axes.push_back(std::string(1, "xyz"[i]) + " " + Rounded((*figure)[i]));
   }
-  return text;
+  return Listed(axes);
 }
 
 void WarnOutside(const PredictionFigures::Axes& figure, double low, double high,
@@ -462,12 +462,12 @@ LeftOutPrediction PredictLeftOut(const FlightLog& log, const FlightLog& recordin
                                  const EstimatorOptions& options, double block_s) {
   const double duration_s = DurationOf(log);
   if (!(block_s > 0.0) || duration_s < 2.0 * block_s) {
-    throw std::invalid_argument(log.file + ": " + Rounded(duration_s) + " s are no two blocks of " +
-                                Rounded(block_s) + " s to leave out");
+    RefuseFile(log.file, Rounded(duration_s) + " s are no two blocks of " + Rounded(block_s) +
+                             " s to leave out");
   }
   if (duration_s > kMostBlocks * block_s) {
-    throw std::invalid_argument(log.file + ": blocks of " + Rounded(block_s) + " s are more than " +
-                                Rounded(kMostBlocks) + " in " + Rounded(duration_s) + " s");
+    RefuseFile(log.file, "blocks of " + Rounded(block_s) + " s are more than " +
+                             Rounded(kMostBlocks) + " in " + Rounded(duration_s) + " s");
   }
   const bool with_torque = !log.rotor_rms_only;
   const Stamp first = log.odometry.front().stamp;
@@ -479,8 +479,8 @@ LeftOutPrediction PredictLeftOut(const FlightLog& log, const FlightLog& recordin
     estimator.SetHeldOut([&](Stamp stamp) { return block_at(ToSeconds(stamp - first)) == block; });
     const ReplayResult replay = Replay(log, &estimator);
     if (!replay.last) {
-      throw std::invalid_argument(log.file + ": never airborne outside the block left out from " +
-                                  Rounded(block * block_s) + " s on");
+      RefuseFile(log.file, "never airborne outside the block left out from " +
+                               Rounded(block * block_s) + " s on");
     }
     values = replay.last->values;
     PredictEach(recording, file_vehicle, model, values, replay.ground_spans, {},
@@ -491,6 +491,23 @@ LeftOutPrediction PredictLeftOut(const FlightLog& log, const FlightLog& recordin
   LeftOutPrediction left_out{block_s, unseen.Figures(with_torque, file_vehicle, model, values)};
   left_out.figures.inertia_over_nominal.reset();
   return left_out;
+}
+
+Calibration CalibrateInspected(const FlightLog& log, const FlightLog& recording,
+                               const StreamInspection& inspection, const Vehicle& file_vehicle,
+                               const DynamicModel& model, const CalibrateOptions& options,
+                               const std::function<void(double)>& progress,
+                               const PredictionSink& predicted) {
+  Calibration result =
+      Calibrate(log, recording, file_vehicle, model, options.estimator, progress, predicted);
+  AddInspection(inspection, &result);
+  WidenForDoubts(log, model, options.estimator, inspection.doubts, &result);
+  if (options.leave_out_s > 0.0) {
+    result.left_out =
+        PredictLeftOut(log, recording, file_vehicle, model, options.estimator, options.leave_out_s);
+  }
+  if (options.start) WarnOfOtherMass(*options.start, file_vehicle, &result.warnings);
+  return result;
 }
 
 Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,

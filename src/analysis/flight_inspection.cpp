@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
 #include "odmc/analysis/inspection_json.h"
 #include "odmc/analysis/json.h"
@@ -23,7 +22,8 @@ constexpr double kFast = 0.99;         // percentile that counts as the largest
 constexpr double kVagueLag_s = 0.02;   // sigma of a delay that says nothing
 constexpr double kMostLook_s = 120.0;  // of flight, for what it teaches
 
-double Quantile(std::vector<double> values, double share) {
+/// As Quantile() of math/statistics.h, but a value that occurs: the lower of two.
+double OccurringQuantile(std::vector<double> values, double share) {
   if (values.empty()) return 0.0;
   const auto at =
       values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
@@ -57,12 +57,12 @@ void AddStream(const std::string& name, const std::vector<Sample>& samples,
     if (IsSame(samples[i], samples[i - 1])) ++figures.repeated;
   }
   if (!steps.empty()) {
-    const double median = Quantile(steps, 0.5);
+    const double median = OccurringQuantile(steps, 0.5);
     figures.rate_Hz = median > 0.0 ? 1.0 / median : 0.0;
     figures.longest_gap_s = *std::max_element(steps.begin(), steps.end());
     figures.gaps = std::count_if(steps.begin(), steps.end(),
                                  [&](double step) { return step > kGap * median; });
-    figures.jitter_s = (Quantile(steps, 0.75) - Quantile(steps, 0.25)) / kIqr;
+    figures.jitter_s = (OccurringQuantile(steps, 0.75) - OccurringQuantile(steps, 0.25)) / kIqr;
   }
   streams->push_back(std::move(figures));
 }
@@ -83,10 +83,10 @@ FlownFigures FlownOf(const FlightLog& log, const ReplayResult& replay) {
       if (s.w_WS_S) rate.push_back(s.w_WS_S->norm());
     }
   }
-  flown.speed_m_s = Quantile(speed, kFast);
-  flown.climb_m_s = Quantile(climb, kFast);
-  flown.rate_rad_s = Quantile(rate, kFast);
-  flown.height_range_m = Quantile(height, 0.95) - Quantile(height, 0.05);
+  flown.speed_m_s = OccurringQuantile(speed, kFast);
+  flown.climb_m_s = OccurringQuantile(climb, kFast);
+  flown.rate_rad_s = OccurringQuantile(rate, kFast);
+  flown.height_range_m = OccurringQuantile(height, 0.95) - OccurringQuantile(height, 0.05);
   return flown;
 }
 
@@ -162,12 +162,6 @@ void Learn(FlightLog log, const Vehicle& vehicle, FlightInspection* result) {
   if (thrust && !has) result->inspection.findings.push_back(*thrust);
 }
 
-std::string Joined(const std::vector<std::string>& parts) {
-  std::string text;
-  for (const std::string& part : parts) text += (text.empty() ? "" : ", ") + part;
-  return text;
-}
-
 std::string StreamLine(const StreamFigures& s) {
   std::string line = "  " + s.name;
   line.resize(std::max<size_t>(line.size() + 1, 16), ' ');
@@ -181,19 +175,15 @@ std::string StreamLine(const StreamFigures& s) {
   }
   if (10 * s.repeated > s.samples)
     line += ", " + std::to_string(s.repeated) + " repeat the one before";
-  if (!s.holds.empty()) line += "; with " + Joined(s.holds);
+  if (!s.holds.empty()) line += "; with " + Listed(s.holds);
   return line + "\n";
 }
 
 std::string LessonLine(const ParameterLesson& l, bool has_value) {
-  char line[240];
-  if (has_value) {
-    std::snprintf(line, sizeof line, "  %-24s %12.4g +- %-9.2g %-8s %s", l.full_name.c_str(),
-                  l.value, l.sigma, l.unit.c_str(), l.is_shown ? "" : "hardly shown");
-  } else {
-    std::snprintf(line, sizeof line, "  %-24s %s", l.full_name.c_str(),
-                  l.is_shown ? "shown" : "hardly shown");
-  }
+  const std::string line =
+      has_value ? Format("  %-24s %12.4g +- %-9.2g %-8s %s", l.full_name.c_str(), l.value, l.sigma,
+                         l.unit.c_str(), l.is_shown ? "" : "hardly shown")
+                : Format("  %-24s %s", l.full_name.c_str(), l.is_shown ? "shown" : "hardly shown");
   return line + (l.manoeuvre.empty() ? "" : ": fly " + l.manoeuvre) + "\n";
 }
 
@@ -206,9 +196,9 @@ std::string Mark(bool told, double probability) {
 
 std::string RotorsText(const RotorGuess& rotors) {
   std::string text = "rotors that would fit, as a " + rotors.frame + "\n";
-  text += "  places: " + Joined(rotors.places) + " (" +
+  text += "  places: " + Listed(rotors.places) + " (" +
           Mark(rotors.places_told, rotors.places_probability) + ")\n";
-  text += "  spins: " + Joined(rotors.spins) + " (" +
+  text += "  spins: " + Listed(rotors.spins) + " (" +
           Mark(rotors.spins_told, rotors.spins_probability) + ")\n";
   if (rotors.hover_speed_rad_s) {
     text += "  each hovers at " + Rounded(*rotors.hover_speed_rad_s, 4) + " rad/s\n";

@@ -28,12 +28,6 @@ constexpr double kBadScatter = 0.1;  // of k_f: the rotors hardly explain the mo
 /// To four digits: what is guessed or found has no more.
 double ToFourDigits(double value) { return std::strtod(Rounded(value, 4).c_str(), nullptr); }
 
-std::string Join(const std::vector<std::string>& words) {
-  std::string text;
-  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
-  return text;
-}
-
 void RefuseLength(size_t length, size_t rotors, const std::string& what) {
   if (length == 0 || length == rotors) return;
   throw std::invalid_argument(what + " has " + std::to_string(length) + " entries, the vehicle " +
@@ -132,7 +126,7 @@ class Maker {
   std::string NumbersOf(const std::vector<int>& order) const {
     std::vector<std::string> numbers;
     for (const int place : order) numbers.push_back(std::to_string(place + 1));
-    return Join(numbers);
+    return Listed(numbers);
   }
 
   void Order() {

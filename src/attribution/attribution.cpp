@@ -464,11 +464,9 @@ FlexibleRest Attribution::Rivals(Evidence* evidence, const VariantSet& set, int 
 }
 
 std::string Attribution::NamesOf(const Evidence& evidence, const VariantSet& set) {
-  std::string names;
-  for (const int v : set) {
-    names += (names.empty() ? "" : ", ") + evidence.variants()[v].candidate.effect;
-  }
-  return names;
+  std::vector<std::string> names;
+  for (const int v : set) names.push_back(evidence.variants()[v].candidate.effect);
+  return Listed(names);
 }
 
 VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {

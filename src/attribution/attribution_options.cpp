@@ -1,28 +1,20 @@
 #include "odmc/attribution/attribution_options.h"
 
 #include <cmath>
-#include <cstdio>
 #include <cstdlib>
 #include <stdexcept>
 #include <type_traits>
 
+#include "odmc/text/format.h"
+
 namespace odmc {
-namespace {
-
-std::string Number(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%g", value);
-  return text;
-}
-
-}  // namespace
 
 double DecisionNumber::Of(const AttributionOptions& options) const {
   return std::visit([&](auto m) { return static_cast<double>(options.*m); }, member);
 }
 
 std::string DecisionNumber::TextOf(const AttributionOptions& options) const {
-  return Number(Of(options));
+  return Format("%g", Of(options));
 }
 
 const std::vector<DecisionNumber>& DecisionNumbers() {
@@ -89,9 +81,9 @@ const std::vector<DecisionNumber>& DecisionNumbers() {
 void SetDecision(const std::string& assignment, AttributionOptions* options) {
   const size_t equals = assignment.find('=');
   const std::string name = assignment.substr(0, equals);
-  std::string names;
+  std::vector<std::string> names;
   for (const DecisionNumber& number : DecisionNumbers()) {
-    names += (names.empty() ? "" : ", ") + number.name;
+    names.push_back(number.name);
     if (number.name != name || equals == std::string::npos) continue;
     const std::string text = assignment.substr(equals + 1);
     char* end = nullptr;
@@ -102,7 +94,7 @@ void SetDecision(const std::string& assignment, AttributionOptions* options) {
     if (!sound) {
       throw std::invalid_argument("--decision " + assignment + ": " + name + " must be " +
                                   (is_int ? "a whole number" : "a number") + " from " +
-                                  Number(number.least) + " to " + Number(number.most));
+                                  Format("%g", number.least) + " to " + Format("%g", number.most));
     }
     std::visit(
         [&](auto m) { options->*m = static_cast<std::decay_t<decltype(options->*m)>>(value); },
@@ -110,27 +102,25 @@ void SetDecision(const std::string& assignment, AttributionOptions* options) {
     return;
   }
   throw std::invalid_argument("--decision " + assignment + ": give NAME=VALUE, NAME one of " +
-                              names);
+                              Listed(names));
 }
 
 std::string DescribeDecision() {
   std::string text = "Numbers of the decision (--decision NAME=VALUE):\n";
   for (const DecisionNumber& number : DecisionNumbers()) {
-    char line[64];
-    std::snprintf(line, sizeof line, "  %-18s %9s %-7s ", number.name.c_str(),
-                  number.TextOf({}).c_str(), number.unit.c_str());
-    text += line + number.why + "\n";
+    text += Format("  %-18s %9s %-7s %s\n", number.name.c_str(), number.TextOf({}).c_str(),
+                   number.unit.c_str(), number.why.c_str());
   }
   return text;
 }
 
 std::string DescribeChanges(const AttributionOptions& options) {
-  std::string text;
+  std::vector<std::string> changes;
   for (const DecisionNumber& number : DecisionNumbers()) {
     if (number.Of(options) == number.Of({})) continue;
-    text += (text.empty() ? "" : ", ") + number.name + " " + number.TextOf(options);
+    changes.push_back(number.name + " " + number.TextOf(options));
   }
-  return text.empty() ? "defaults" : text;
+  return Listed(changes, "defaults");
 }
 
 }  // namespace odmc

@@ -1,7 +1,6 @@
 #include "odmc/attribution/close_loop_report.h"
 
 #include <cmath>
-#include <cstdio>
 #include <fstream>
 #include <stdexcept>
 
@@ -9,6 +8,7 @@
 #include "odmc/analysis/json.h"
 #include "odmc/analysis/parameters_json.h"
 #include "odmc/analysis/torque_bands_report.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -18,12 +18,10 @@ using Json = nlohmann::ordered_json;
 std::string Row(const char* name, const PredictionFigures::Axes& before,
                 const PredictionFigures::Axes& after) {
   if (!before || !after) return "";
-  char line[160];
   std::string text;
   for (int i = 0; i < 3; ++i) {
-    std::snprintf(line, sizeof line, "%-12s %c %12.5f %12.5f %12.3f\n", i == 0 ? name : "",
-                  "xyz"[i], (*before)[i], (*after)[i], (*after)[i] / (*before)[i]);
-    text += line;
+    text += Format("%-12s %c %12.5f %12.5f %12.3f\n", i == 0 ? name : "", "xyz"[i], (*before)[i],
+                   (*after)[i], (*after)[i] / (*before)[i]);
   }
   return text;
 }
@@ -133,28 +131,20 @@ std::string CloseLoopReport(const ClosedLoop& loop, const Vehicle& vehicle) {
 std::string CloseLoopTable(const ClosedLoop& loop) {
   std::string text = "verdict: " + ToString(loop.verdict) + "\n";
   for (const AddedEffect& added : loop.effects) {
-    char score[32];
-    std::snprintf(score, sizeof score, "%.1f", added.effect.score);
-    text += "  " + added.effect.name + " (gain " + score + " nats)";
-    for (size_t i = 0; i < added.alternatives.size(); ++i) {
-      text += (i == 0 ? ", not told from " : ", ") + added.alternatives[i];
-    }
+    text += "  " + added.effect.name + Format(" (gain %.1f nats)", added.effect.score);
+    if (!added.alternatives.empty()) text += ", not told from " + Listed(added.alternatives);
     text += added.taken_off ? ", taken off the recording\n" : "\n";
     std::vector<ParameterEstimate> rows = added.effect.parameters;
     rows.insert(rows.end(), added.derived.begin(), added.derived.end());
     for (const ParameterEstimate& p : rows) {
-      char line[160];
-      std::snprintf(line, sizeof line, "    %-28s %12.5g +- %-10.3g %s\n", p.full_name.c_str(),
-                    p.value, p.sigma, p.unit.c_str());
-      text += line;
+      text += Format("    %-28s %12.5g +- %-10.3g %s\n", p.full_name.c_str(), p.value, p.sigma,
+                     p.unit.c_str());
     }
     if (!added.manoeuvre.empty()) text += "    would be told apart by: " + added.manoeuvre + "\n";
   }
   if (!loop.where.empty()) text += "  where: " + loop.where + "\n";
-  char line[160];
-  std::snprintf(line, sizeof line, "structured share of the residual %.2f, whiteness p %.2g\n",
-                loop.structured_share, loop.whiteness_p);
-  text += line;
+  text += Format("structured share of the residual %.2f, whiteness p %.2g\n", loop.structured_share,
+                 loop.whiteness_p);
   text += "RMSE on blocks held out     before        after  after/before\n";
   text += Row("force [N]", loop.before.force_rmse_N, loop.after.force_rmse_N);
   text += Row("torque [N m]", loop.before.torque_rmse_Nm, loop.after.torque_rmse_Nm);
@@ -174,10 +164,8 @@ void WriteLoopSamples(const ClosedLoop& loop, const std::string& file) {
     }
   }
   out << '\n';
-  char number[32];
   for (const LoopSample& s : loop.samples) {
-    std::snprintf(number, sizeof number, "%.6f", s.t_s);
-    out << number << ',' << (s.held_out ? 1 : 0) << ',' << s.speed_m_s;
+    out << Format("%.6f", s.t_s) << ',' << (s.held_out ? 1 : 0) << ',' << s.speed_m_s;
     for (const auto* values : {&s.before, &s.after}) {
       for (const double v : *values) {
         out << ',';

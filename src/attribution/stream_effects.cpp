@@ -79,4 +79,15 @@ void AddInspection(const StreamInspection& inspection, ClosedLoop* loop) {
   }
 }
 
+ClosedLoop CloseLoopInspected(const FlightLog& log, const StreamInspection& inspection,
+                              const Vehicle& file_vehicle, const Vehicle& vehicle,
+                              CloseLoopOptions options, const std::optional<ParameterSet>& start,
+                              const std::function<void(double)>& progress) {
+  options.doubts = inspection.doubts;
+  ClosedLoop loop = CloseLoop(log, file_vehicle, vehicle, options, progress);
+  AddInspection(inspection, &loop);
+  if (start) WarnOfOtherMass(*start, file_vehicle, &loop.warnings);
+  return loop;
+}
+
 }  // namespace odmc

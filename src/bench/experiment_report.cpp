@@ -1,7 +1,7 @@
-#include <cstdio>
 #include <nlohmann/json.hpp>
 
 #include "odmc/bench/experiments.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -49,20 +49,13 @@ std::string ExperimentTable(const std::vector<Experiment>& experiments) {
       const VariantFigures& f = experiment.figures.at(variant);
       const Eigen::Vector3d rmse = 100.0 * f.rmse_m, spread = 100.0 * f.spread_m,
                             max = 100.0 * f.max_m;
-      char line[320];
-      std::snprintf(line, sizeof line,
-                    "%-18s %-14s %6.2f %5.2f %5.2f     %6.2f %5.2f %5.2f      %5.1f %5.1f %5.1f"
-                    "    %3d/%-3d",
-                    experiment.name.c_str(), variant.c_str(), rmse.x(), rmse.y(), rmse.z(),
-                    spread.x(), spread.y(), spread.z(), max.x(), max.y(), max.z(), f.crashes,
-                    f.seeds);
-      table += line;
-      std::snprintf(line, sizeof line, "  %19.5f", f.torque_rmse_Nm.y());
-      table += f.has_torque ? std::string(line) : std::string(21, ' ');
-      if (f.recovery_s >= 0.0) {
-        std::snprintf(line, sizeof line, "  %12.1f", f.recovery_s);
-        table += line;
-      }
+      table += Format(
+          "%-18s %-14s %6.2f %5.2f %5.2f     %6.2f %5.2f %5.2f      %5.1f %5.1f %5.1f"
+          "    %3d/%-3d",
+          experiment.name.c_str(), variant.c_str(), rmse.x(), rmse.y(), rmse.z(), spread.x(),
+          spread.y(), spread.z(), max.x(), max.y(), max.z(), f.crashes, f.seeds);
+      table += f.has_torque ? Format("  %19.5f", f.torque_rmse_Nm.y()) : std::string(21, ' ');
+      if (f.recovery_s >= 0.0) table += Format("  %12.1f", f.recovery_s);
       table += "\n";
     }
   }
@@ -73,11 +66,9 @@ std::string TrackingCsv(const ControlledFlight& flight) {
   std::string csv =
       "t_s,counts,ref_x_m,ref_y_m,ref_z_m,p_x_m,p_y_m,p_z_m,v_x_m_s,v_y_m_s,v_z_m_s,handover\n";
   for (const TrackingSample& s : flight.samples) {
-    char line[256];
-    std::snprintf(line, sizeof line, "%.3f,%d,%.5f,%.5f,%.5f,%.5f,%.5f,%.5f,%.4f,%.4f,%.4f,%s\n",
-                  s.t_s, s.counts, s.p_WB_ref.x(), s.p_WB_ref.y(), s.p_WB_ref.z(), s.p_WB.x(),
-                  s.p_WB.y(), s.p_WB.z(), s.v_WB.x(), s.v_WB.y(), s.v_WB.z(), NameOf(s.handover));
-    csv += line;
+    csv += Format("%.3f,%d,%.5f,%.5f,%.5f,%.5f,%.5f,%.5f,%.4f,%.4f,%.4f,%s\n", s.t_s, s.counts,
+                  s.p_WB_ref.x(), s.p_WB_ref.y(), s.p_WB_ref.z(), s.p_WB.x(), s.p_WB.y(),
+                  s.p_WB.z(), s.v_WB.x(), s.v_WB.y(), s.v_WB.z(), NameOf(s.handover));
   }
   return csv;
 }

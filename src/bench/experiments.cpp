@@ -14,6 +14,7 @@
 #include "odmc/math/statistics.h"
 #include "odmc/model/parameter_set.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -123,9 +124,8 @@ const std::map<std::string, Design>& Designs() {
 const Design& DesignOf(const std::string& name) {
   const auto it = Designs().find(name);
   if (it != Designs().end()) return it->second;
-  std::string known;
-  for (const std::string& n : ExperimentNames()) known += (known.empty() ? "" : ", ") + n;
-  throw std::invalid_argument("there is no experiment '" + name + "'; known are: " + known);
+  throw std::invalid_argument("there is no experiment '" + name +
+                              "'; known are: " + Listed(ExperimentNames()));
 }
 
 // Flight time at which a path event happens: its ramp is over by then.

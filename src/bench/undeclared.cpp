@@ -3,7 +3,6 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <iterator>
 #include <limits>
 #include <memory>
@@ -16,6 +15,7 @@
 #include "odmc/math/gaussian.h"
 #include "odmc/math/so3.h"
 #include "odmc/sim/truth_vehicle.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -395,10 +395,10 @@ std::vector<UndeclaredPlan> PlanOneEffect(int seed, int flights, const std::stri
   const auto flown = std::find_if(catalogue.begin(), catalogue.end(),
                                   [&](const Excited& e) { return e.effect == effect; });
   if (flown == catalogue.end()) {
-    std::string names;
-    for (const Excited& e : catalogue) names += (names.empty() ? "" : ", ") + e.effect;
+    std::vector<std::string> names;
+    for (const Excited& e : catalogue) names.push_back(e.effect);
     throw std::invalid_argument("no test flights are made with '" + effect + "', only with " +
-                                names);
+                                Listed(names));
   }
   std::vector<UndeclaredPlan> plans;
   const int num = static_cast<int>(flown->trajectories.size());
@@ -683,53 +683,39 @@ namespace {
 std::string FormatMount(const SensorMount& mount) {
   const Vector3d& p = mount.p_BS;
   const Eigen::Quaterniond& q = mount.q_BS;
-  char text[256];
-  std::snprintf(text, sizeof text,
-                "{frame: sensor, p_BS_m: [%.9g, %.9g, %.9g], q_BS_xyzw: [%.12g, %.12g, %.12g, "
-                "%.12g], estimate: %s",
-                p.x(), p.y(), p.z(), q.x(), q.y(), q.z(), q.w(), mount.estimate ? "true" : "false");
-  std::string all = text;
-  const auto add = [&all](const char* key, const std::optional<double>& sigma) {
-    char pair[64];
-    if (!sigma) return;
-    std::snprintf(pair, sizeof pair, ", %s: %.9g", key, *sigma);
-    all += pair;
+  std::string text = Format(
+      "{frame: sensor, p_BS_m: [%.9g, %.9g, %.9g], q_BS_xyzw: [%.12g, %.12g, %.12g, "
+      "%.12g], estimate: %s",
+      p.x(), p.y(), p.z(), q.x(), q.y(), q.z(), q.w(), mount.estimate ? "true" : "false");
+  const auto add = [&text](const char* key, const std::optional<double>& sigma) {
+    if (sigma) text += Format(", %s: %.9g", key, *sigma);
   };
   add("p_BS_sigma_m", mount.p_BS_sigma_m);
   add("q_BS_sigma_rad", mount.q_BS_sigma_rad);
-  return all + "}";
+  return text + "}";
 }
 
 }  // namespace
 
 std::string FormatVehicle(const Vehicle& v) {
-  char line[256];
   std::string text = "name: " + v.name + "\n";
-  std::snprintf(line, sizeof line, "mass_kg: %.9g\ngravity_m_s2: %.9g\n", v.mass_kg,
-                v.gravity_m_s2);
-  text += line;
-  std::snprintf(line, sizeof line, "inertia_kg_m2: [%.9e, %.9e, %.9e]\nrotors:\n",
-                v.inertia_kg_m2.x(), v.inertia_kg_m2.y(), v.inertia_kg_m2.z());
-  text += line;
+  text += Format("mass_kg: %.9g\ngravity_m_s2: %.9g\n", v.mass_kg, v.gravity_m_s2);
+  text += Format("inertia_kg_m2: [%.9e, %.9e, %.9e]\nrotors:\n", v.inertia_kg_m2.x(),
+                 v.inertia_kg_m2.y(), v.inertia_kg_m2.z());
   for (const Rotor& r : v.rotors) {
-    std::snprintf(line, sizeof line,
-                  "  - {position_m: [%.9g, %.9g, %.9g], spin: %s, radius_m: %.9g}\n", r.p_BP.x(),
-                  r.p_BP.y(), r.p_BP.z(), r.spin > 0.0 ? "cw" : "ccw", r.radius_m);
-    text += line;
+    text += Format("  - {position_m: [%.9g, %.9g, %.9g], spin: %s, radius_m: %.9g}\n", r.p_BP.x(),
+                   r.p_BP.y(), r.p_BP.z(), r.spin > 0.0 ? "cw" : "ccw", r.radius_m);
   }
   const SensorMount body;
   const bool has_mount = v.odometry.p_BS != body.p_BS || v.odometry.estimate ||
                          v.odometry.q_BS.coeffs() != body.q_BS.coeffs();
   text += "odometry: " + (has_mount ? FormatMount(v.odometry) : "{frame: body}") + "\n";
   if (v.imu) text += "imu: " + FormatMount(*v.imu) + "\n";
-  text += "effects: [";
-  for (size_t i = 0; i < v.effects.size(); ++i) text += (i == 0 ? "" : ", ") + v.effects[i];
-  text += "]\nparameters:\n";
+  text += "effects: [" + Listed(v.effects) + "]\nparameters:\n";
   for (const auto& [name, p] : v.parameters) {
-    std::snprintf(line, sizeof line, "  %s: {value: %.9e, sigma: %.9e, state: %s}\n", name.c_str(),
-                  p.value.value_or(0.0), p.sigma.value_or(1.0),
-                  p.estimated.value_or(true) ? "estimated" : "frozen");
-    text += line;
+    text +=
+        Format("  %s: {value: %.9e, sigma: %.9e, state: %s}\n", name.c_str(), p.value.value_or(0.0),
+               p.sigma.value_or(1.0), p.estimated.value_or(true) ? "estimated" : "frozen");
   }
   return text;
 }

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "../effects/rotor_air.h"
 #include "odmc/math/gaussian.h"
 #include "odmc/math/so3.h"
 #include "odmc/math/units.h"
@@ -29,11 +30,6 @@ double OctavesBetween(double low, double high, Gaussian* random) {
 Vector3d BetweenEach(double size, Gaussian* random) {
   const double x = Between(-size, size, random), y = Between(-size, size, random);
   return {x, y, Between(-size, size, random)};
-}
-
-double HoverSpeed(const Vehicle& vehicle) {
-  return std::sqrt(vehicle.mass_kg * vehicle.gravity_m_s2 / 4.0 /
-                   *vehicle.parameters.at("thrust.k_f").value);
 }
 
 RecordingConditions White(int seed, const Vehicle& vehicle) {

@@ -2,7 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
+
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -41,14 +42,12 @@ std::vector<Finding> LastLookFindings(const DynamicModel& model, const ModelValu
   for (const ThirdsDifference& d : differences) {
     const ModelParameter& p = model.parameters()[d.index];
     if (Apart(d) < kNothing * std::abs(values[d.index])) continue;
-    char text[300];
-    std::snprintf(text, sizeof text,
-                  "%s is %.3g in the first third of the flight, %.3g in the second and %.3g in the "
-                  "last %s: more than chance makes of it",
-                  p.full_name.c_str(), d.values[0], d.values[1], d.values[2], p.spec.unit.c_str());
     Finding finding;
     finding.check = "last_look";
-    finding.what = text;
+    finding.what = Format(
+        "%s is %.3g in the first third of the flight, %.3g in the second and %.3g in the "
+        "last %s: more than chance makes of it",
+        p.full_name.c_str(), d.values[0], d.values[1], d.values[2], p.spec.unit.c_str());
     if (Apart(d) > MostApart(model, values, d.index)) {
       finding.leaves = Trust::kDoubtful;
       finding.mend = "look for what changed in between: a load, a contact, a sensor";

@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "odmc/io/parameters_yaml.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -122,7 +123,7 @@ FleetFlight ParseFleetFlight(const std::string& text, const std::string& file) {
     factor.estimate = ParseParameters(get("estimate").get<std::string>(), file);
     return flight;
   } catch (const std::exception& e) {
-    throw std::invalid_argument(file + ": " + at + e.what());
+    RefuseFile(file, at + e.what());
   }
 }
 
@@ -130,7 +131,7 @@ FleetFlight LoadFleetFlight(const std::string& file) {
   std::ifstream stream(file, std::ios::binary);
   std::ostringstream text;
   text << stream.rdbuf();
-  if (!stream) throw std::invalid_argument(file + ": cannot be read");
+  if (!stream) RefuseFile(file, "cannot be read");
   return ParseFleetFlight(text.str(), file);
 }
 

@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <cstdio>
 
 #include "odmc/analysis/json.h"
 #include "odmc/analysis/parameters_json.h"
@@ -80,10 +79,8 @@ std::string Rows(const char* name, const std::vector<FleetFlight>& before,
   a = (a / n).cwiseSqrt();
   std::string text;
   for (int i = 0; i < 3; ++i) {
-    char line[160];
-    std::snprintf(line, sizeof line, "%-12s %c %12.5f %12.5f %12.3f\n", i == 0 ? name : "",
-                  "xyz"[i], b[i], a[i], a[i] / b[i]);
-    text += line;
+    text += Format("%-12s %c %12.5f %12.5f %12.3f\n", i == 0 ? name : "", "xyz"[i], b[i], a[i],
+                   a[i] / b[i]);
   }
   return text;
 }
@@ -134,12 +131,9 @@ std::string JointLoopTable(const JointLoop& loop) {
     }
     text += "\n";
     for (const CoefficientSpread& s : joint.spreads) {
-      char line[200];
-      std::snprintf(
-          line, sizeof line,
+      text += Format(
           "    %-28s %12.5g +- %-10.3g %s, between flights %.2g, %d of %s within 2 sigma\n",
           s.full_name.c_str(), s.mean, s.sigma, s.unit.c_str(), s.scatter, s.agreeing, all.c_str());
-      text += line;
     }
     for (const std::string& remark : joint.effect.remarks) text += "    " + remark + "\n";
     if (!joint.manoeuvre.empty()) text += "    would be told apart by: " + joint.manoeuvre + "\n";

@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
 #include "odmc/fleet/flight_factor.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 
@@ -20,24 +20,19 @@ bool IsOfTheDay(const DynamicModel& model, const ModelParameter& p) {
 std::string Distance(const UnlikeHistory& u, const std::string& unit) {
   constexpr double kHasSize = 5.0;  // sigmas
   const double off = std::abs(u.value - u.expected);
-  char text[60];
   if (std::abs(u.expected) > kHasSize * u.expected_sigma) {
-    std::snprintf(text, sizeof text, "%.3g %%", 100.0 * off / std::abs(u.expected));
-  } else {
-    std::snprintf(text, sizeof text, "%.3g %s", off, unit.c_str());
+    return Format("%.3g %%", 100.0 * off / std::abs(u.expected));
   }
-  return text;
+  return Format("%.3g %s", off, unit.c_str());
 }
 
 }  // namespace
 
 std::string UnlikeHistory::Sentence(const std::string& unit) const {
-  char text[200];
-  std::snprintf(text, sizeof text,
-                " is %.4g %s, %s %s what earlier flights suggest (%.4g +- %.2g; chance in %.1g %%)",
+  return full_name +
+         Format(" is %.4g %s, %s %s what earlier flights suggest (%.4g +- %.2g; chance in %.1g %%)",
                 value, unit.c_str(), Distance(*this, unit).c_str(),
                 value < expected ? "below" : "above", expected, expected_sigma, 100.0 * p_value);
-  return full_name + text;
 }
 
 std::vector<UnlikeHistory> CompareWithHistory(const ParameterSet& history,

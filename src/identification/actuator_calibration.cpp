@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <stdexcept>
 
 #include "odmc/text/format.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -142,11 +142,11 @@ Actuator ActuatorOf(const ActuatorCalibration& c) {
 std::vector<FreeRunError> EvaluateActuator(const Actuator& actuator, const BenchRun& run) {
   const auto known = static_cast<int>(actuator.motors.size());
   if (known != 1 && known != run.num_motors()) {
-    throw std::invalid_argument(run.file + ": has " + std::to_string(run.num_motors()) +
-                                " motors, the fit has " + std::to_string(known));
+    RefuseFile(run.file, "has " + std::to_string(run.num_motors()) + " motors, the fit has " +
+                             std::to_string(known));
   }
   if (actuator.uses_voltage && run.voltage_V.empty())
-    throw std::invalid_argument(run.file + ": has no battery voltage, which the fit needs");
+    RefuseFile(run.file, "has no battery voltage, which the fit needs");
   std::vector<FreeRunError> errors;
   for (int j = 0; j < run.num_motors(); ++j) {
     MotorSignal signal = SignalOf(run, j, actuator.uses_voltage);

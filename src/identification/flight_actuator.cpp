@@ -2,13 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 #include <stdexcept>
 
 #include "odmc/actuator/rotor_source.h"
 #include "odmc/math/statistics.h"
 #include "odmc/sensing/flight_checks.h"
+#include "odmc/text/format.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -29,10 +30,8 @@ double VoltageAt(const std::vector<BatterySample>& battery, Stamp stamp, size_t*
 }
 
 std::string At(Stamp stamp, const FlightLog& log) {
-  char text[40];
   const Stamp zero = log.odometry.empty() ? stamp : log.odometry.front().stamp;
-  std::snprintf(text, sizeof text, "%.2f s", ToSeconds(stamp - zero));
-  return text;
+  return Format("%.2f s", ToSeconds(stamp - zero));
 }
 
 // Feeds commands, battery and sensor in the order of stamps. Commands go first: they act later.
@@ -65,7 +64,7 @@ std::vector<RotorSample> Run(const FlightLog& log, RotorSource* source) {
 }  // namespace
 
 BenchRun BenchRunOf(const FlightLog& log) {
-  if (log.commands.empty()) throw std::invalid_argument(log.file + ": has no commands");
+  if (log.commands.empty()) RefuseFile(log.file, "has no commands");
   BenchRun run;
   run.file = log.file;
   run.command_unit = log.command_unit;
@@ -148,8 +147,7 @@ Actuator ActuatorFromFlight(const FlightLog& log, const std::vector<int>& bad) {
     sound.throttle.push_back(all.throttle[static_cast<size_t>(j)]);
     sound.speed_rad_s.push_back(all.speed_rad_s[static_cast<size_t>(j)]);
   }
-  if (sound.num_motors() < 2)
-    throw std::invalid_argument(log.file + ": fewer than two rotor-speed sensors are sound");
+  if (sound.num_motors() < 2) RefuseFile(log.file, "fewer than two rotor-speed sensors are sound");
   const ActuatorFit fit = IdentifyActuator({sound});
   Actuator actuator;
   actuator.command_unit = fit.command_unit;
@@ -167,7 +165,7 @@ Actuator ActuatorFromFlight(const FlightLog& log, const std::vector<int>& bad) {
 std::vector<RotorFault> SettleRotors(const std::optional<Actuator>& actuator, int num_rotors,
                                      bool from_commands, FlightLog* log) {
   if (from_commands && log->commands.empty())
-    throw std::invalid_argument(log->file + ": has no commands to take rotor speeds from");
+    RefuseFile(log->file, "has no commands to take rotor speeds from");
   if (from_commands && !actuator) {
     throw std::invalid_argument(log->file +
                                 ": rotor speeds from commands need the vehicle's actuator (see "
@@ -183,8 +181,8 @@ std::vector<RotorFault> SettleRotors(const std::optional<Actuator>& actuator, in
   RotorSource source(*known, num_rotors, from_commands);
   std::vector<RotorSample> used = Run(*log, &source);
   if (from_commands && used.empty()) {
-    throw std::invalid_argument(log->file + ": no rotor speed can be had from its commands" +
-                                (known->uses_voltage ? "; has it battery voltages?" : ""));
+    RefuseFile(log->file, std::string("no rotor speed can be had from its commands") +
+                              (known->uses_voltage ? "; has it battery voltages?" : ""));
   }
   log->rotors = std::move(used);
   const std::vector<RotorFault> faults = source.TakeFaults();

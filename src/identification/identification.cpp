@@ -13,6 +13,7 @@
 
 #include "odmc/actuator/free_run.h"
 #include "odmc/math/statistics.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -535,18 +536,17 @@ void Check(const std::vector<BenchRun>& runs) {
   if (runs.empty()) throw std::invalid_argument("no run to identify actuators from");
   for (const BenchRun& run : runs) {
     if (run.num_motors() != runs.front().num_motors()) {
-      throw std::invalid_argument(run.file + ": has " + std::to_string(run.num_motors()) +
-                                  " motors, " + runs.front().file + " has " +
-                                  std::to_string(runs.front().num_motors()));
+      RefuseFile(run.file, "has " + std::to_string(run.num_motors()) + " motors, " +
+                               runs.front().file + " has " +
+                               std::to_string(runs.front().num_motors()));
     }
     for (int j = 0; j < run.num_motors(); ++j) {
       const auto& speed = run.speed_rad_s[static_cast<size_t>(j)];
       const long usable =
           std::count_if(speed.begin(), speed.end(), [](double s) { return std::isfinite(s); });
       if (usable < 10) {
-        throw std::invalid_argument(run.file + ": motor " + std::to_string(j + 1) + " has " +
-                                    std::to_string(usable) +
-                                    " usable speeds above 0, too few to fit anything");
+        RefuseFile(run.file, "motor " + std::to_string(j + 1) + " has " + std::to_string(usable) +
+                                 " usable speeds above 0, too few to fit anything");
       }
     }
   }

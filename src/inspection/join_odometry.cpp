@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <complex>
-#include <cstdio>
 #include <limits>
 #include <stdexcept>
 #include <unsupported/Eigen/FFT>
@@ -14,6 +13,8 @@
 #include "odmc/inspection/time_offsets.h"
 #include "odmc/math/so3.h"
 #include "odmc/sensing/flight_checks.h"
+#include "odmc/text/format.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -178,12 +179,10 @@ Match FindMatch(const GridRates& poses, const GridRates& gyro) {
   std::sort(matches.begin(), matches.end(),
             [](const Match& a, const Match& b) { return a.nats > b.nats; });
   if (matches.empty() || matches.front().explained < kLeastExplained) {
-    char text[200];
-    std::snprintf(text, sizeof text,
-                  "the gyro explains %.0f %% of the poses' rates at best: they are not of one "
-                  "flight, or hardly turn together",
-                  matches.empty() ? 0.0 : 100.0 * std::max(0.0, matches.front().explained));
-    throw std::invalid_argument(text);
+    throw std::invalid_argument(
+        Format("the gyro explains %.0f %% of the poses' rates at best: they are not of one "
+               "flight, or hardly turn together",
+               matches.empty() ? 0.0 : 100.0 * std::max(0.0, matches.front().explained)));
   }
   const auto apart = static_cast<Eigen::Index>(kApart_s / kStep_s);
   for (const Match& other : matches) {
@@ -327,23 +326,21 @@ void JoinOdometry(const FlightLog& poses, std::optional<double> offset_s, Flight
                             [&](const auto& s) { return s.stamp < from || s.stamp > to; }),
              kept.end());
   if (kept.empty()) {
-    throw std::invalid_argument(log->file + ": with an offset of " + std::to_string(*offset_s) +
-                                " s no pose of " + poses.file + " is within the log");
+    RefuseFile(log->file, "with an offset of " + std::to_string(*offset_s) + " s no pose of " +
+                              poses.file + " is within the log");
   }
   log->dropped += poses.dropped;
   log->warnings.insert(log->warnings.end(), poses.warnings.begin(), poses.warnings.end());
-  char text[240];
+  std::string text;
   if (found) {
-    std::snprintf(text, sizeof text,
-                  ": %zu of %zu poses, %s%.6f s added to their stamps (sigma %.2f ms; the gyro "
-                  "explains %.1f %% of their rates)",
-                  kept.size(), poses.odometry.size(),
-                  had_poses ? "in place of the log's own, " : "", *offset_s, 1e3 * found->sigma_s,
-                  100.0 * found->explained);
+    text = Format(
+        ": %zu of %zu poses, %s%.6f s added to their stamps (sigma %.2f ms; the gyro "
+        "explains %.1f %% of their rates)",
+        kept.size(), poses.odometry.size(), had_poses ? "in place of the log's own, " : "",
+        *offset_s, 1e3 * found->sigma_s, 100.0 * found->explained);
   } else {
-    std::snprintf(text, sizeof text, ": %zu of %zu poses, %s%.6f s added to their stamps as told",
-                  kept.size(), poses.odometry.size(),
-                  had_poses ? "in place of the log's own, " : "", *offset_s);
+    text = Format(": %zu of %zu poses, %s%.6f s added to their stamps as told", kept.size(),
+                  poses.odometry.size(), had_poses ? "in place of the log's own, " : "", *offset_s);
   }
   log->warnings.push_back(poses.file + text);
 }

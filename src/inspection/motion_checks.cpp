@@ -28,13 +28,13 @@ constexpr double kNothingAlike = 0.5;  // of a signal's mean square, by whicheve
 
 /// Axes as a reader names them: "x, -y, -z".
 std::string AxesText(const Matrix3d& axes) {
-  std::string text;
+  std::vector<std::string> names;
   for (int i = 0; i < 3; ++i) {
     int j = 0;
     axes.row(i).cwiseAbs().maxCoeff(&j);
-    text += (i > 0 ? ", " : "") + std::string(axes(i, j) < 0.0 ? "-" : "") + "xyz"[j];
+    names.push_back(std::string(axes(i, j) < 0.0 ? "-" : "") + "xyz"[j]);
   }
-  return text;
+  return Listed(names);
 }
 
 /// All 48 ways to confuse axes and signs: the right one, then y right and z down, all signs, turns
@@ -121,14 +121,14 @@ Finding Dropped(const std::string& check, const std::string& what, const std::st
 
 /// Axes whose numbers never change while the position moves along them.
 std::string StuckAxes(const Matrix3Xd& x, const Matrix3Xd& y) {
-  std::string text;
+  std::vector<std::string> stuck;
   for (int i = 0; i < 3; ++i) {
     const double moves = std::sqrt(y.row(i).squaredNorm() / static_cast<double>(y.cols()));
     const double spread = x.row(i).maxCoeff() - x.row(i).minCoeff();
     if (moves <= kLeastMotion || spread > 1e-6) continue;
-    text += (text.empty() ? "" : ", ") + std::string(1, "xyz"[i]);
+    stuck.emplace_back(1, "xyz"[i]);
   }
-  return text;
+  return Listed(stuck);
 }
 
 /// Adds the reading "of another point": v + R (w x r) with the r that fits.

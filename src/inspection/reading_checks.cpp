@@ -69,14 +69,14 @@ Holes HolesOf(const std::vector<Sample>& samples, const FlightLog& log) {
 
 void CheckHoles(const FlightLog& log, std::vector<Finding>* findings) {
   if (log.odometry.empty()) return;
-  std::string what;
+  std::vector<std::string> streams;
   double from_s = 0.0, to_s = 0.0, longest_s = 0.0;
   const auto add = [&](const std::string& stream, const Holes& holes) {
     if (holes.count == 0) return;
-    what += (what.empty() ? "" : ", ") + stream + " are missing " + std::to_string(holes.count) +
-            (holes.count == 1 ? " time, for " : " times, the longest for ") +
-            Format("%.2g", holes.longest_s) + " s at " + Format("%.4g", holes.at_s) + " s (" +
-            Format("%.3g", holes.missing_s) + " s in all)";
+    streams.push_back(
+        stream + " are missing " + std::to_string(holes.count) +
+        (holes.count == 1 ? " time, for " : " times, the longest for ") +
+        Format("%.2g s at %.4g s (%.3g s in all)", holes.longest_s, holes.at_s, holes.missing_s));
     if (holes.longest_s <= longest_s) return;
     longest_s = holes.longest_s;
     from_s = holes.at_s;
@@ -85,8 +85,8 @@ void CheckHoles(const FlightLog& log, std::vector<Finding>* findings) {
   add("poses", HolesOf(log.odometry, log));
   add("rotor speeds", HolesOf(log.rotors, log));
   add("IMU samples", HolesOf(log.imu, log));
-  if (what.empty()) return;
-  findings->push_back({"holes", Trust::kGood, what,
+  if (streams.empty()) return;
+  findings->push_back({"holes", Trust::kGood, Listed(streams),
                        "nothing is learned there: look at logger and radio",
                        std::make_pair(from_s, to_s)});
 }

@@ -1,11 +1,11 @@
 #include "odmc/inspection/recording_inspection.h"
 
 #include <algorithm>
-#include <stdexcept>
 
 #include "odmc/inspection/reading_checks.h"
 #include "odmc/inspection/rotor_inspection.h"
 #include "odmc/inspection/stamp_checks.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 
@@ -44,8 +44,7 @@ StreamInspection InspectOrRefuse(const Vehicle& vehicle, bool force, const std::
                                  FlightLog* log) {
   StreamInspection inspection = InspectRecording(vehicle, log);
   if (!inspection.refusal.empty() && !force) {
-    throw std::invalid_argument(log->file + ": " + inspection.refusal + " (" + option +
-                                " goes on all the same)");
+    RefuseFile(log->file, inspection.refusal + " (" + option + " goes on all the same)");
   }
   return inspection;
 }

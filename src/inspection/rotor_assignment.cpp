@@ -515,16 +515,10 @@ Table<Spins> AllSpins(const RotorResponse& response, const std::vector<double>& 
   return all;
 }
 
-std::string Join(const std::vector<std::string>& words) {
-  std::string text;
-  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
-  return text;
-}
-
 std::string OrderText(const Order& order) {
   std::vector<std::string> numbers;
   for (const int place : order) numbers.push_back(std::to_string(place + 1));
-  return Join(numbers);
+  return Listed(numbers);
 }
 
 /// True if turning (and mirroring) the file's places by `R` gives those of `order`.
@@ -577,7 +571,7 @@ std::string Lines(const RotorAssignment& assignment, const Vehicle& vehicle, boo
     lines.push_back("{position_m: [" + Rounded(p.x()) + ", " + Rounded(p.y()) + ", " +
                     Rounded(p.z()) + "], spin: " + (spin > 0.0 ? "cw" : "ccw") + "}");
   }
-  return "rotors would be " + Join(lines);
+  return "rotors would be " + Listed(lines);
 }
 
 Finding OrderFinding(const RotorAssignment& assignment, const Vehicle& vehicle) {
@@ -623,7 +617,7 @@ std::string SpinText(const std::vector<double>& spins) {
   std::vector<std::string> words;
   words.reserve(spins.size());
   for (const double s : spins) words.push_back(s > 0.0 ? "cw" : "ccw");
-  return Join(words);
+  return Listed(words);
 }
 
 bool AssignmentTest::Refutes() const { return file_odds < kRefuted; }

@@ -2,8 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <string>
+
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -86,12 +87,11 @@ void Check(const std::string& check, const std::string& called, std::vector<Samp
     (*stream)[i].stamp = std::max(before + 1, zero + FromSeconds(even[i]));
     before = (*stream)[i].stamp;
   }
-  char what[256];
-  std::snprintf(what, sizeof what,
-                "the stamps of %s jitter by %.1f ms (RMS; %.0f %% follow the one before within "
-                "half a period): times of arrival; they were evened out",
-                called.c_str(), 1e3 * std::sqrt(square / static_cast<double>(stream->size())),
-                100.0 * steps.close);
+  const std::string what = Format(
+      "the stamps of %s jitter by %.1f ms (RMS; %.0f %% follow the one before within "
+      "half a period): times of arrival; they were evened out",
+      called.c_str(), 1e3 * std::sqrt(square / static_cast<double>(stream->size())),
+      100.0 * steps.close);
   findings->push_back({check, Trust::kGood, what, "stamp samples when they are measured"});
 }
 

@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
 #include "odmc/inspection/motion_checks.h"
 #include "odmc/inspection/vehicle_checks.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -30,11 +30,7 @@ constexpr double kWellKnown_s = 0.01;
 constexpr double kOffsetsAre = 0.5, kOffsetSize_s = 0.02;
 constexpr double kNoOffset_s = 0.001;  // changes nothing worth a replay
 
-std::string Milliseconds(double seconds) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.1f ms", 1e3 * std::abs(seconds));
-  return text;
-}
+std::string Milliseconds(double seconds) { return Format("%.1f ms", 1e3 * std::abs(seconds)); }
 
 std::string Called(const std::string& stream) {
   if (stream == "rotor_speeds") return "rotor speeds are";

@@ -5,12 +5,11 @@
 #include <filesystem>
 #include <limits>
 #include <map>
-#include <stdexcept>
 
 #include "csv_text.h"
+#include "odmc/text/format.h"
 #include "odmc/text/refusal.h"
 #include "text_file.h"
-#include "yaml_reader.h"
 
 namespace odmc {
 namespace {
@@ -25,7 +24,6 @@ struct Columns {
   long short_rows = 0;
 
   bool Has(const std::string& name) const { return values.count(name) > 0; }
-  [[noreturn]] void Fail(const std::string& what) const { RefuseFile(file, what); }
 };
 
 Columns ReadColumns(const std::string& file) {
@@ -33,7 +31,7 @@ Columns ReadColumns(const std::string& file) {
   columns.file = file;
   LineReader lines(file);
   std::string_view line;
-  if (!lines.Next(&line)) columns.Fail("is empty");
+  if (!lines.Next(&line)) RefuseFile(columns.file, "is empty");
   columns.header = SplitHeader(line, file);
   const size_t width = columns.header.size();
   for (const std::string& name : columns.header) columns.values[name];
@@ -46,7 +44,8 @@ Columns ReadColumns(const std::string& file) {
     for (const std::string& name : columns.header)
       columns.values[name].push_back(CellNumber(NextCell(&line), file, lines.number(), name));
   }
-  if (columns.values.begin()->second.empty()) columns.Fail("has a header but no usable row");
+  if (columns.values.begin()->second.empty())
+    RefuseFile(columns.file, "has a header but no usable row");
   return columns;
 }
 
@@ -67,8 +66,8 @@ Strings Found(const Columns& columns, const Strings& declared, const Strings& us
               const std::string& role, const std::string& flag) {
   for (const std::string& name : declared) {
     if (!columns.Has(name)) {
-      columns.Fail("column " + name + " (" + role +
-                   ") is missing; found are: " + ListNames(columns.header));
+      RefuseFile(columns.file, "column " + name + " (" + role +
+                                   ") is missing; found are: " + ListNames(columns.header));
     }
   }
   if (!declared.empty()) return declared;
@@ -84,8 +83,8 @@ Strings Found(const Columns& columns, const Strings& declared, const Strings& us
     if (silent.empty()) silent = names;
   }
   if (!silent.empty() || flag.empty()) return silent;
-  columns.Fail("no column is known as " + role + "; declare it by " + flag +
-               ". Found are: " + ListNames(columns.header));
+  RefuseFile(columns.file, "no column is known as " + role + "; declare it by " + flag +
+                               ". Found are: " + ListNames(columns.header));
 }
 
 Strings FoundOne(const Columns& columns, const std::string& declared, const Strings& usual,
@@ -134,10 +133,10 @@ void CheckThrottle(const BenchRun& run, const std::string& file, const Strings& 
   for (size_t k = 0; k < names.size(); ++k) {
     const auto [least, most] = std::minmax_element(run.throttle[k].begin(), run.throttle[k].end());
     if (*least > -0.5 && *most < 1.5) continue;
-    throw std::invalid_argument(file + ": column " + names[k] + " goes from " +
-                                std::to_string(CommandOf(*least, run.command_unit)) + " to " +
-                                std::to_string(CommandOf(*most, run.command_unit)) +
-                                ", which is no command in " + NameOf(run.command_unit));
+    RefuseFile(file, "column " + names[k] + " goes from " +
+                         std::to_string(CommandOf(*least, run.command_unit)) + " to " +
+                         std::to_string(CommandOf(*most, run.command_unit)) +
+                         ", which is no command in " + NameOf(run.command_unit));
   }
 }
 
@@ -148,7 +147,7 @@ struct Roles {
   Strings InWords() const {
     Strings words;
     const auto say = [&words](const std::string& role, const Strings& names) {
-      words.push_back(role + ": " + (names.empty() ? "none" : JoinNames(names)));
+      words.push_back(role + ": " + Listed(names, "none"));
     };
     say("time", time);
     say("command", command);
@@ -170,9 +169,9 @@ Roles RolesOf(const Columns& columns, const BenchColumns& declared) {
                       {"rotor%", "rotor_speed", "rotor", "rotor_optical", "rotor_electrical"},
                       "the rotor speed", "--speed");
   if (roles.command.size() != 1 && roles.command.size() != roles.speed.size()) {
-    columns.Fail(std::to_string(roles.command.size()) + " commands for " +
-                 std::to_string(roles.speed.size()) +
-                 " rotor speeds; one for all or one each is wanted");
+    RefuseFile(columns.file, std::to_string(roles.command.size()) + " commands for " +
+                                 std::to_string(roles.speed.size()) +
+                                 " rotor speeds; one for all or one each is wanted");
   }
   if (!declared.steady_readings) roles.time = FoundOne(columns, declared.time, {"t"}, "the time");
   roles.voltage = FoundOne(columns, declared.voltage, {"vbat"}, "the voltage");
@@ -187,12 +186,14 @@ void CountRows(const Columns& columns, const Roles& roles, size_t usable, BenchR
   run->rows = static_cast<long>(all) + columns.short_rows;
   run->dropped = run->rows - static_cast<long>(usable);
   if (2 * usable < all)
-    columns.Fail("only " + std::to_string(usable) + " of " + std::to_string(all) +
-                 " rows have a command and a time that steps forward; is there a jump in " +
-                 (roles.time.empty() ? "the commands" : "column " + roles.time.front()) + "?");
+    RefuseFile(columns.file,
+               "only " + std::to_string(usable) + " of " + std::to_string(all) +
+                   " rows have a command and a time that steps forward; is there a jump in " +
+                   (roles.time.empty() ? "the commands" : "column " + roles.time.front()) + "?");
   if (usable < 10)
-    columns.Fail("only " + std::to_string(usable) + " usable rows of " + std::to_string(run->rows) +
-                 "; time must step forward and commands be numbers");
+    RefuseFile(columns.file, "only " + std::to_string(usable) + " usable rows of " +
+                                 std::to_string(run->rows) +
+                                 "; time must step forward and commands be numbers");
 }
 
 void ReadSpeeds(const Columns& columns, const Roles& roles, const std::vector<size_t>& rows,

@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <deque>
 #include <stdexcept>
 
@@ -9,6 +8,7 @@
 #include "odmc/io/data_sets.h"
 #include "odmc/math/units.h"
 #include "odmc/sensing/flight_checks.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -33,11 +33,7 @@ struct Findings {
   }
 };
 
-std::string AtTime(Stamp stamp) {
-  char text[40];
-  std::snprintf(text, sizeof text, "at %.6f s", ToSeconds(stamp));
-  return text;
-}
+std::string AtTime(Stamp stamp) { return Format("at %.6f s", ToSeconds(stamp)); }
 
 /// IMU to body: yawed about z down, then FRD to FLU.
 Vector3d FluFromImu(const Vector3d& v, int yaw_deg) {
@@ -176,13 +172,11 @@ void CheckGravity(const TimedTurns& turns, const TimedVectors& force, int yaw_de
   }
   const Vector3d mean = sum / std::max(count, 1.0);
   if (mean.z() > 8.0 && mean.z() < 12.0 && mean.head<2>().norm() <= 3.0) return;
-  char text[240];
-  std::snprintf(text, sizeof text,
-                "the mean accelerometer reading, turned into the world, is (%.2f, %.2f, %.2f) "
-                "m/s^2, not gravity upwards: the poses are not NED with z down, or the IMU is not "
-                "z down",
-                mean.x(), mean.y(), mean.z());
-  throw std::invalid_argument(text);
+  throw std::invalid_argument(
+      Format("the mean accelerometer reading, turned into the world, is (%.2f, %.2f, %.2f) "
+             "m/s^2, not gravity upwards: the poses are not NED with z down, or the IMU is not "
+             "z down",
+             mean.x(), mean.y(), mean.z()));
 }
 
 /// Order of the quaternion and yaw of the IMU by the rates; gravity by the accelerometer.

@@ -54,14 +54,13 @@ std::vector<std::string> SplitAtCommas(const std::string& text) {
 
 // ---- Header ------------------------------------------------------------------------------------
 
-void BlackboxHeader::Fail(const std::string& what) const { RefuseFile(file_, what); }
-
 void BlackboxHeader::ReadLines(std::string_view log) {
   constexpr size_t kLongest = 1 << 16;
   while (log.substr(bytes_, 2) == "H ") {
     const size_t end = log.substr(0, std::min(log.size(), bytes_ + kLongest)).find('\n', bytes_);
     if (end == std::string_view::npos) {
-      Fail("byte " + std::to_string(bytes_) + ": the blackbox header is cut off or damaged");
+      RefuseFile(file_,
+                 "byte " + std::to_string(bytes_) + ": the blackbox header is cut off or damaged");
     }
     const std::string_view line = log.substr(bytes_ + 2, end - bytes_ - 2);
     const size_t colon = line.find(':');
@@ -75,8 +74,8 @@ void BlackboxHeader::ReadLines(std::string_view log) {
 std::vector<int> BlackboxHeader::Codes(const std::string& name, size_t count) const {
   const std::vector<std::string> parts = SplitAtCommas(Text(name));
   if (parts.size() != count) {
-    Fail("blackbox header: line '" + name + "' has " + std::to_string(parts.size()) +
-         " entries for " + std::to_string(count) + " fields");
+    RefuseFile(file_, "blackbox header: line '" + name + "' has " + std::to_string(parts.size()) +
+                          " entries for " + std::to_string(count) + " fields");
   }
   std::vector<int> codes;
   for (const std::string& part : parts) codes.push_back(std::atoi(part.c_str()));
@@ -86,7 +85,8 @@ std::vector<int> BlackboxHeader::Codes(const std::string& name, size_t count) co
         is_encoding ? std::count(std::begin(kKnownEncodings), std::end(kKnownEncodings), code) > 0
                     : code >= 0 && code <= kMostPredictor;
     if (!is_known) {
-      Fail("blackbox header: line '" + name + "' has the unknown code " + std::to_string(code));
+      RefuseFile(file_, "blackbox header: line '" + name + "' has the unknown code " +
+                            std::to_string(code));
     }
   }
   return codes;
@@ -95,13 +95,15 @@ std::vector<int> BlackboxHeader::Codes(const std::string& name, size_t count) co
 BlackboxHeader::BlackboxHeader(const std::string& file, std::string_view log) : file_(file) {
   constexpr size_t kMostFields = 1000;
   ReadLines(log);
-  if (Text("Product").empty()) Fail("is no blackbox log: it does not start with 'H Product:'");
+  if (Text("Product").empty())
+    RefuseFile(file_, "is no blackbox log: it does not start with 'H Product:'");
   if (Text("Data version") != "2") {
-    Fail("blackbox data version " + Printable(Text("Data version")) + " is not read, only 2 is");
+    RefuseFile(file_, "blackbox data version " + Printable(Text("Data version")) +
+                          " is not read, only 2 is");
   }
   fields_ = SplitAtCommas(Text("Field I name"));
   if (fields_.empty() || fields_.size() > kMostFields) {
-    Fail("blackbox header: no usable line 'Field I name'");
+    RefuseFile(file_, "blackbox header: no usable line 'Field I name'");
   }
   for (const int code : Codes("Field I signed", fields_.size())) signed_.push_back(code != 0);
   intra_ = {Codes("Field I predictor", fields_.size()), Codes("Field I encoding", fields_.size())};
@@ -112,7 +114,8 @@ BlackboxHeader::BlackboxHeader(const std::string& file, std::string_view log) : 
     if (count > 0) others_[type] = Codes(start + " encoding", count);
   }
   for (const char* name : {"loopIteration", "time"}) {
-    if (!FieldNamed(name)) Fail(std::string("blackbox header: there is no field ") + name);
+    if (!FieldNamed(name))
+      RefuseFile(file_, std::string("blackbox header: there is no field ") + name);
   }
 }
 

@@ -43,7 +43,6 @@ class BlackboxHeader {
  private:
   void ReadLines(std::string_view log);
   std::vector<int> Codes(const std::string& name, size_t count) const;
-  [[noreturn]] void Fail(const std::string& what) const;
 
   std::string file_;
   std::map<std::string, std::string> lines_;

@@ -1,11 +1,11 @@
 #include <cmath>
 #include <cstdint>
-#include <stdexcept>
 
 #include "log_streams.h"
 #include "log_writing.h"
 #include "odmc/io/autopilot_log_writers.h"
 #include "odmc/math/units.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -242,7 +242,7 @@ void WriteBlackbox(const FlightLog& log, const std::string& file) {
   AddActuators(log, is_betaflight, &streams);
   const std::vector<Stamp> stamps = CoveredBy(streams, FrameStamps(log, imu));
   if (stamps.size() < 2) {
-    throw std::invalid_argument(file + ": the flight's streams are nowhere at the same time");
+    RefuseFile(file, "the flight's streams are nowhere at the same time");
   }
   Writer writer;
   DeclareColumns(streams, &writer);

@@ -3,10 +3,11 @@
 #include <filesystem>
 
 #include "csv_text.h"
+#include "odmc/math/statistics.h"
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/printable_text.h"
 #include "text_file.h"
-#include "yaml_reader.h"
 
 namespace odmc {
 namespace {
@@ -47,7 +48,7 @@ CsvTable::CsvTable(const std::string& file, const Strings& wanted,
   LineReader lines(file);
   std::string_view line;
   if (!lines.Next(&line) || line.find_first_not_of(" \t") == std::string_view::npos) {
-    Fail("is empty, or its first line is");
+    RefuseFile(file_, "is empty, or its first line is");
   }
   ReadHeader(line, wanted, whole);
   while (lines.Next(&line)) {
@@ -58,14 +59,15 @@ CsvTable::CsvTable(const std::string& file, const Strings& wanted,
   }
   const auto rows = static_cast<size_t>(out_of_order_.count) + size();
   if (static_cast<size_t>(no_time_.count) > rows) {
-    Fail("column t is no time in " + std::to_string(no_time_.count) + " of " +
-         std::to_string(rows + static_cast<size_t>(no_time_.count)) +
-         " rows (first: " + no_time_.first + ")");
+    RefuseFile(file_, "column t is no time in " + std::to_string(no_time_.count) + " of " +
+                          std::to_string(rows + static_cast<size_t>(no_time_.count)) +
+                          " rows (first: " + no_time_.first + ")");
   }
-  if (rows == 0) Fail("has a header but no usable row");
+  if (rows == 0) RefuseFile(file_, "has a header but no usable row");
   if (2 * size() < rows) {
-    Fail("column t steps back or repeats in " + std::to_string(out_of_order_.count) + " of " +
-         std::to_string(rows) + " rows (first: " + out_of_order_.first + ")");
+    RefuseFile(file_, "column t steps back or repeats in " + std::to_string(out_of_order_.count) +
+                          " of " + std::to_string(rows) + " rows (first: " + out_of_order_.first +
+                          ")");
   }
   CheckSteps();
   short_rows_.Report(name(), "rows that do not have as many cells as the header", log);
@@ -85,10 +87,10 @@ void CsvTable::ReadHeader(std::string_view line, Strings wanted,
     if (has_all) wanted.insert(wanted.end(), group.begin(), group.end());
   }
   if (header_.size() == 1 && header_[0].find_first_of(";\t") != std::string::npos) {
-    Fail("line 1: columns must be separated by commas");
+    RefuseFile(file_, "line 1: columns must be separated by commas");
   }
   if (std::find(header_.begin(), header_.end(), "t") == header_.end()) {
-    Fail("column t is missing; found are: " + ListNames(header_));
+    RefuseFile(file_, "column t is missing; found are: " + ListNames(header_));
   }
   for (size_t i = 0; i < header_.size(); ++i) {
     const std::string& name = header_[i];
@@ -164,11 +166,10 @@ void CsvTable::CheckSteps() const {
   if (size() < 3) return;
   std::vector<Stamp> steps;
   for (size_t i = 1; i < size(); ++i) steps.push_back(stamps_[i] - stamps_[i - 1]);
-  std::nth_element(steps.begin(), steps.begin() + steps.size() / 2, steps.end());
-  const double step = ToSeconds(steps[steps.size() / 2]);
+  const double step = ToSeconds(MiddleOf(std::move(steps)));
   if (step > 1.0) {
-    Fail("column t steps by " + FormatNumber(step) + " s; is it in seconds? It looks like " +
-         UnitOfSteps(step));
+    RefuseFile(file_, "column t steps by " + FormatNumber(step) +
+                          " s; is it in seconds? It looks like " + UnitOfSteps(step));
   }
 }
 
@@ -182,8 +183,9 @@ void CsvTable::Require(const Strings& names) const {
     if (values_.count(name) == 0) missing.push_back(name);
   }
   if (missing.empty()) return;
-  Fail(std::string(missing.size() == 1 ? "column " : "columns ") + JoinNames(missing) +
-       (missing.size() == 1 ? " is" : " are") + " missing; found are: " + ListNames(header_));
+  RefuseFile(file_, std::string(missing.size() == 1 ? "column " : "columns ") + Listed(missing) +
+                        (missing.size() == 1 ? " is" : " are") +
+                        " missing; found are: " + ListNames(header_));
 }
 
 }  // namespace odmc

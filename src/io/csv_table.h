@@ -79,7 +79,6 @@ class CsvTable {
   /// Takes back the last row, whose time leapt ahead.
   void DropLast();
   void CheckSteps() const;
-  [[noreturn]] void Fail(const std::string& what) const { RefuseFile(file_, what); }
 
   std::string file_;
   std::map<std::string, std::vector<double>> values_;

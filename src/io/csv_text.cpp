@@ -7,6 +7,7 @@
 
 #include "odmc/text/number_text.h"
 #include "odmc/text/printable_text.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -34,16 +35,15 @@ std::vector<std::string> SplitHeader(std::string_view line, const std::string& f
   constexpr size_t kMostColumns = 1000;  // autopilots log some hundred
   const size_t cells = 1 + static_cast<size_t>(std::count(line.begin(), line.end(), ','));
   if (cells > kMostColumns) {
-    throw std::invalid_argument(file + ": line 1: " + std::to_string(cells) + " columns; at most " +
-                                std::to_string(kMostColumns) + " are read");
+    RefuseFile(file, "line 1: " + std::to_string(cells) + " columns; at most " +
+                         std::to_string(kMostColumns) + " are read");
   }
   std::vector<std::string> names;
   std::set<std::string> seen;
   for (size_t i = 0; i < cells; ++i) {
     names.emplace_back(Unquoted(NextCell(&line)));
     if (!names.back().empty() && !seen.insert(names.back()).second) {
-      throw std::invalid_argument(file + ": line 1: column " + Excerpt(names.back()) +
-                                  " is there twice");
+      RefuseFile(file, "line 1: column " + Excerpt(names.back()) + " is there twice");
     }
   }
   return names;

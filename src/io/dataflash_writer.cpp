@@ -1,11 +1,11 @@
 #include <cmath>
 #include <map>
-#include <stdexcept>
 
 #include "log_streams.h"
 #include "log_writing.h"
 #include "odmc/io/autopilot_log_writers.h"
 #include "odmc/math/units.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -49,10 +49,6 @@ size_t LengthOf(std::string_view letters) {
   size_t length = 3;  // mark and kind
   for (const char letter : letters) length += sizes.at(letter);
   return length;
-}
-
-Vector3d OrNan(const std::optional<Vector3d>& v) {
-  return v.value_or(Vector3d::Constant(std::nan("")));
 }
 
 class Writer {
@@ -114,8 +110,7 @@ class Writer {
 
 void WriteDataflash(const FlightLog& log, const std::string& file) {
   if (RotorsOf(log, file) > kMostOutputs) {
-    throw std::invalid_argument(file + ": an ArduPilot log has at most " +
-                                std::to_string(kMostOutputs) + " outputs");
+    RefuseFile(file, "an ArduPilot log has at most " + std::to_string(kMostOutputs) + " outputs");
   }
   const std::vector<ImuSample> imu = ImuWithRates(log);
   Writer writer(log);

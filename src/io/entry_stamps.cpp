@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "odmc/math/statistics.h"
+
 namespace odmc {
 namespace {
 
@@ -18,9 +20,7 @@ Stamp UsualStep(const Readings& readings) {
   for (size_t i = 1; i < readings.size(); ++i) {
     steps.push_back(readings[i].stamp - readings[i - 1].stamp);
   }
-  const auto middle = steps.begin() + static_cast<std::ptrdiff_t>(steps.size() / 2);
-  std::nth_element(steps.begin(), middle, steps.end());
-  return *middle;
+  return MiddleOf(std::move(steps));
 }
 
 }  // namespace

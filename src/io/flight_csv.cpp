@@ -19,10 +19,11 @@
 #include "csv_table.h"
 #include "csv_text.h"
 #include "odmc/sensing/flight_checks.h"
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/printable_text.h"
+#include "odmc/text/refusal.h"
 #include "text_file.h"
-#include "yaml_reader.h"
 
 namespace odmc {
 namespace {
@@ -250,10 +251,8 @@ void WarnOfUnknown(const Strings& unknown, const std::string& file, FlightLog* l
 std::string FormatStamp(Stamp stamp) {
   const bool negative = stamp < 0;
   const auto magnitude = static_cast<unsigned long long>(negative ? -stamp : stamp);
-  char text[40];
-  std::snprintf(text, sizeof text, "%s%llu.%09llu", negative ? "-" : "", magnitude / 1000000000ULL,
+  return Format("%s%llu.%09llu", negative ? "-" : "", magnitude / 1000000000ULL,
                 magnitude % 1000000000ULL);
-  return text;
 }
 
 /// Cells of one row at a stamp; nan is an empty cell. Rows come in the order of their stamps.
@@ -273,7 +272,7 @@ class TableWriter {
   void Write(const std::vector<Sample>& rows, const std::string& file) const {
     constexpr size_t kBuffer = 1 << 16;
     std::ofstream out(file, std::ios::binary);
-    std::string text = "t," + JoinNames(names_);
+    std::string text = "t," + Listed(names_);
     text.erase(std::remove(text.begin(), text.end(), ' '), text.end());
     Cells cells;
     for (size_t i = 0; i < rows.size(); ++i) {
@@ -517,7 +516,7 @@ FlightLog ReadFlightCsv(const std::string& file, const FlightReadOptions& option
 }
 
 void WriteFlightCsv(const FlightLog& log, const std::string& file) {
-  if (log.odometry.empty()) throw std::invalid_argument(file + ": the flight has no odometry");
+  if (log.odometry.empty()) RefuseFile(file, "the flight has no odometry");
   TableWriter table;
   AddOdometry(log, &table);
   AddImu(log, &table);

@@ -3,13 +3,13 @@
 #include <algorithm>
 #include <cctype>
 #include <filesystem>
-#include <stdexcept>
 
 #include "binary_file.h"
 #include "csv_text.h"
 #include "odmc/io/autopilot_logs.h"
 #include "odmc/io/data_sets.h"
 #include "odmc/io/flight_csv.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -127,8 +127,7 @@ FlightLog FlightReaders::Read(const std::string& file, const FlightReadOptions& 
   if (reader == nullptr) {
     std::error_code ignored;
     const bool is_there = std::filesystem::exists(file, ignored);
-    throw std::invalid_argument(file + ": " + (is_there ? "" : "cannot be opened; ") +
-                                "a flight is " + Names());
+    RefuseFile(file, std::string(is_there ? "" : "cannot be opened; ") + "a flight is " + Names());
   }
   return reader->read(file, options);
 }

@@ -2,10 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <stdexcept>
 
 #include "odmc/math/so3.h"
+#include "odmc/math/statistics.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -17,12 +18,6 @@ constexpr double kSpan_s = 0.05, kForceSpan_s = 0.1;
 constexpr double kGravity_m_s2 = 9.81;
 constexpr double kLeastUpright = 0.7;  // of the mean specific force, along the body's z
 
-std::string Short(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.3g", value);
-  return text;
-}
-
 double Rms(const Matrix3Xd& x) {
   return x.cols() == 0 ? 0.0 : std::sqrt(x.squaredNorm() / static_cast<double>(x.cols()));
 }
@@ -32,9 +27,8 @@ size_t StrideOf(const std::vector<double>& t_s, double span_s) {
   std::vector<double> steps;
   for (size_t i = 1; i < t_s.size(); ++i) steps.push_back(t_s[i] - t_s[i - 1]);
   if (steps.empty()) return 1;
-  const auto middle = steps.begin() + static_cast<std::ptrdiff_t>(steps.size() / 2);
-  std::nth_element(steps.begin(), middle, steps.end());
-  return static_cast<size_t>(std::max(1.0, std::round(span_s / *middle)));
+  const double step = MiddleOf(std::move(steps));
+  return static_cast<size_t>(std::max(1.0, std::round(span_s / step)));
 }
 
 /// Integral of a signal from its first sample on.
@@ -155,10 +149,10 @@ std::vector<std::string> ReadingResiduals::Fitting(const std::string& documented
   if (!(best <= limit)) {
     std::string listing;
     for (const auto& [name, value] : rms_) {
-      listing += (listing.empty() ? "" : "; ") + name + ": " + Short(value);
+      listing += (listing.empty() ? "" : "; ") + name + ": " + Format("%.3g", value);
     }
     throw std::invalid_argument(what + ": nothing fits the data. Residual rms [" + unit_ +
-                                "], limit " + Short(limit) + ": " + listing);
+                                "], limit " + Format("%.3g", limit) + ": " + listing);
   }
   const double close = std::min(limit, 1.5 * best + 0.1 * absolute);
   std::vector<std::string> names;
@@ -200,13 +194,10 @@ void CheckThrustIsUp(const TimedVectors& position, const std::vector<Eigen::Quat
   }
   const Vector3d mean = sum / static_cast<double>(t.size() - 2 * stride);
   if (mean.z() >= kLeastUpright * mean.norm()) return;
-  char text[200];
-  std::snprintf(
-      text, sizeof text,
-      "the mean specific force in the body is (%.2f, %.2f, %.2f) m/s^2, not along +z: the "
-      "world is not z up or the body is not FLU",
-      mean.x(), mean.y(), mean.z());
-  throw std::invalid_argument(text);
+  throw std::invalid_argument(
+      Format("the mean specific force in the body is (%.2f, %.2f, %.2f) m/s^2, not along +z: the "
+             "world is not z up or the body is not FLU",
+             mean.x(), mean.y(), mean.z()));
 }
 
 }  // namespace odmc

@@ -30,6 +30,7 @@ struct TimedVectors {
   std::vector<double> t_s;
   Eigen::Matrix3Xd values;
 };
+/// The same of attitudes.
 struct TimedTurns {
   std::vector<double> t_s;
   std::vector<Eigen::Quaterniond> q;

@@ -2,10 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
-#include <stdexcept>
 
+#include "odmc/math/statistics.h"
 #include "odmc/sensing/flight_checks.h"
+#include "odmc/text/format.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -14,11 +15,7 @@ constexpr double kLeastPoseRate_hz = 10.0;   // motion capture of the slowest ki
 constexpr double kLeastRotorRate_hz = 50.0;  // rotors follow in some 20 to 50 ms
 constexpr double kLeastImuRate_hz = 50.0;
 
-std::string Hertz(double rate) {
-  char text[32];
-  std::snprintf(text, sizeof text, rate < 10.0 ? "%.1f Hz" : "%.0f Hz", rate);
-  return text;
-}
+std::string Hertz(double rate) { return Format(rate < 10.0 ? "%.1f Hz" : "%.0f Hz", rate); }
 
 /// Drops what is not finite, and what does not step forward in time.
 template <typename Sample, typename Test>
@@ -31,9 +28,7 @@ void KeepSound(const std::string& source, std::vector<Sample>* samples, Test is_
     if (is_finite(sample)) {
       kept.push_back(sample);
     } else {
-      char where[40];
-      std::snprintf(where, sizeof where, "at %.3f s", ToSeconds(sample.stamp));
-      refusals.Add(where);
+      refusals.Add(Format("at %.3f s", ToSeconds(sample.stamp)));
     }
   }
   refusals.Report(source, "readings that are not finite", log);
@@ -65,9 +60,7 @@ void DropSpikes(const std::string& source, FlightLog* log) {
       is_spike = is_spike || IsSpike(all[i - 1].speed[j], all[i].speed[j], all[i + 1].speed[j]);
     }
     if (is_spike) {
-      char where[40];
-      std::snprintf(where, sizeof where, "at %.3f s", ToSeconds(all[i].stamp));
-      refusals.Add(where);
+      refusals.Add(Format("at %.3f s", ToSeconds(all[i].stamp)));
     } else {
       kept.push_back(all[i]);
     }
@@ -79,22 +72,21 @@ void DropSpikes(const std::string& source, FlightLog* log) {
 void RefuseSlow(const std::string& file, const std::string& what, double rate, double least,
                 const std::string& hint) {
   if (rate >= 0.95 * least) return;
-  throw std::invalid_argument(file + ": " + what + " are logged at " + Hertz(rate) + ", at least " +
-                              Hertz(least) + " are needed: " + hint);
+  RefuseFile(file, what + " are logged at " + Hertz(rate) + ", at least " + Hertz(least) +
+                       " are needed: " + hint);
 }
 
-void AddRate(const std::string& what, double rate, std::string* text) {
-  *text += (text->empty() ? "" : ", ") + (rate > 0.0 ? what + " " + Hertz(rate) : "no " + what);
+std::string RateText(const std::string& what, double rate) {
+  return rate > 0.0 ? what + " " + Hertz(rate) : "no " + what;
 }
 
 void Describe(FlightLog* log) {
-  std::string text;
-  AddRate("pose", RateOf(log->odometry), &text);
-  AddRate("IMU", RateOf(log->imu), &text);
-  AddRate("rotor speeds", RateOf(log->rotors), &text);
-  AddRate("commands", RateOf(log->commands), &text);
-  AddRate("battery voltage", RateOf(log->battery), &text);
-  log->warnings.push_back(log->file + ": read " + text);
+  log->warnings.push_back(
+      log->file + ": read " +
+      Listed({RateText("pose", RateOf(log->odometry)), RateText("IMU", RateOf(log->imu)),
+              RateText("rotor speeds", RateOf(log->rotors)),
+              RateText("commands", RateOf(log->commands)),
+              RateText("battery voltage", RateOf(log->battery))}));
 }
 
 /// Speed of a rotor at `stamp`, linear between readings; `next` is where the last search ended.
@@ -123,9 +115,8 @@ double UsualRate(std::vector<Stamp> stamps) {
   if (stamps.size() < 2) return 0.0;
   for (size_t i = 0; i + 1 < stamps.size(); ++i) stamps[i] = stamps[i + 1] - stamps[i];
   stamps.pop_back();
-  const auto middle = stamps.begin() + static_cast<std::ptrdiff_t>(stamps.size() / 2);
-  std::nth_element(stamps.begin(), middle, stamps.end());
-  return *middle > 0 ? 1.0 / ToSeconds(*middle) : 0.0;
+  const Stamp step = MiddleOf(std::move(stamps));
+  return step > 0 ? 1.0 / ToSeconds(step) : 0.0;
 }
 
 void RotorReadings::Add(Stamp stamp, double speed) {
@@ -223,7 +214,7 @@ void ReportDamage(const std::string& file, const DecodingDamage& damage, size_t 
                   FlightLog* log) {
   const std::string place = "byte " + std::to_string(damage.first);
   if (2 * damage.skipped > bytes) {
-    throw std::invalid_argument(file + ": most of it cannot be decoded, first at " + place);
+    RefuseFile(file, "most of it cannot be decoded, first at " + place);
   }
   if (damage.places > 0) {
     log->dropped += damage.places;
@@ -239,9 +230,9 @@ double PoleScale(const std::string& file, const std::map<std::string, double>& p
   if (!pole_pairs) return 1.0;
   const auto poles = parameters.find(parameter);
   if (poles == parameters.end() || !(poles->second >= 2.0)) {
-    throw std::invalid_argument(file + ": --pole-pairs: the log has no " + parameter +
-                                " that was used instead; without --pole-pairs its speeds are "
-                                "taken as they are");
+    RefuseFile(file, "--pole-pairs: the log has no " + parameter +
+                         " that was used instead; without --pole-pairs its speeds are "
+                         "taken as they are");
   }
   return 0.5 * poles->second / *pole_pairs;
 }
@@ -261,7 +252,7 @@ void FinishLog(const std::string& file, const RateHints& hints, FlightPart part,
       log->file + ": battery", &log->battery,
       [](const auto& s) { return std::isfinite(s.voltage_V); }, log);
   if (part != FlightPart::kOnboard) {
-    if (log->odometry.empty()) throw std::invalid_argument(file + ": has no usable pose");
+    if (log->odometry.empty()) RefuseFile(file, "has no usable pose");
     RefuseSlow(file, "poses", RateOf(log->odometry), kLeastPoseRate_hz, hints.pose);
   }
   if (!log->odometry.empty()) NormaliseAttitudes(file, &log->odometry, log);

@@ -4,6 +4,8 @@
 #include <limits>
 #include <stdexcept>
 
+#include "odmc/text/refusal.h"
+
 namespace odmc {
 namespace {
 
@@ -28,10 +30,14 @@ Stamp LogClockShift(const FlightLog& log) {
   return (1 - whole) * kSecond;
 }
 
+Eigen::Vector3d OrNan(const std::optional<Eigen::Vector3d>& v) {
+  return v.value_or(Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN()));
+}
+
 int RotorsOf(const FlightLog& log, const std::string& file) {
   if (!log.rotors.empty()) return static_cast<int>(log.rotors.front().speed.size());
   if (!log.commands.empty()) return static_cast<int>(log.commands.front().throttle.size());
-  throw std::invalid_argument(file + ": the flight has neither rotor speeds nor commands to write");
+  RefuseFile(file, "the flight has neither rotor speeds nor commands to write");
 }
 
 std::vector<ImuSample> ImuWithRates(const FlightLog& log) {

@@ -58,6 +58,9 @@ inline std::uint64_t LogMicroseconds(Stamp stamp, Stamp shift) {
   return static_cast<std::uint64_t>((stamp + shift + 500) / 1000);
 }
 
+/// The vector; NaN where it was not measured.
+Eigen::Vector3d OrNan(const std::optional<Eigen::Vector3d>& v);
+
 /// Rotors of the flight, by its speeds or commands.
 /// @throws std::invalid_argument where it has neither
 int RotorsOf(const FlightLog& log, const std::string& file);

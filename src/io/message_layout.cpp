@@ -8,6 +8,7 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "odmc/text/format.h"
 #include "odmc/text/printable_text.h"
 #include "odmc/text/refusal.h"
 
@@ -290,12 +291,6 @@ void WalkMessage(const std::vector<MessageLayout::Type>& types, const FieldPath&
   Walk<Sink>(types, path, data, size, sink).Run();
 }
 
-std::string Join(const std::vector<std::string>& names) {
-  std::string text;
-  for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
-  return text;
-}
-
 }  // namespace
 
 MessageLayout::MessageLayout(const std::string& type, const std::string& definition) {
@@ -414,7 +409,7 @@ FieldPath MessageLayout::Find(const std::string& text) const {
                                     [&](const Field& f) { return f.name == wanted.name; });
     if (found == fields.end()) {
       refuse("there is no '" + Printable(wanted.name, 100) + "' in " + types_[type].name +
-             ", which has " + (fields.empty() ? "no fields" : Join(NamesIn(type))));
+             ", which has " + (fields.empty() ? "no fields" : Listed(NamesIn(type))));
     }
     const bool is_array = found->array != Array::kNone;
     if (found->length == 0) refuse("'" + wanted.name + "' never has an entry");
@@ -431,7 +426,7 @@ FieldPath MessageLayout::Find(const std::string& text) const {
     type = found->type;
   }
   if (path.steps.empty()) refuse("is empty");
-  if (!is_done) refuse("is a " + types_[type].name + "; choose of " + Join(NamesIn(type)));
+  if (!is_done) refuse("is a " + types_[type].name + "; choose of " + Listed(NamesIn(type)));
   path.text = text;
   return path;
 }

@@ -9,6 +9,7 @@
 #include "known_parameters.h"
 #include "odmc/io/yaml_text.h"
 #include "odmc/model/effect.h"
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "text_file.h"
 #include "yaml_reader.h"
@@ -144,13 +145,13 @@ std::string FormatCovariance(const ParameterSet& set) {
   }
   std::vector<std::string> names;
   for (const ParameterEstimate& p : set.parameters) names.push_back(p.full_name);
-  std::string text = "covariance:\n  order: [" + JoinNames(names) + "]\n  matrix:\n";
+  std::string text = "covariance:\n  order: [" + Listed(names) + "]\n  matrix:\n";
   for (Eigen::Index i = 0; i < n; ++i) {
     std::vector<std::string> row;
     for (Eigen::Index j = 0; j < n; ++j) {
       row.push_back(Finite(set.covariance(i, j), "covariance of " + names[i] + ", " + names[j]));
     }
-    text += "    - [" + JoinNames(row) + "]\n";
+    text += "    - [" + Listed(row) + "]\n";
   }
   return text;
 }
@@ -178,7 +179,7 @@ ParameterSet LoadParameters(const std::string& file) {
 
 std::string FormatParameters(const ParameterSet& set) {
   std::string text = "# Dynamic model of a vehicle: SI units, sigma is one standard deviation.\n";
-  text += "effects: [" + JoinNames(set.effects) + "]\n";
+  text += "effects: [" + Listed(set.effects) + "]\n";
   text += set.parameters.empty() ? "parameters: {}\n" : "parameters:\n";
   for (const ParameterEstimate& p : set.parameters) text += FormatEstimate(p);
   if (set.covariance.size() > 0) text += FormatCovariance(set);

@@ -168,7 +168,6 @@ class Decoder {
     std::vector<std::pair<std::vector<double>*, Place>> columns;
   };
 
-  [[noreturn]] void Fail(const std::string& what) const { RefuseFile(file_, what); }
   void ReadPart(size_t begin, size_t end);
   void ReadMessage(char type, std::string_view body);
   void ReadFlags(std::string_view body);
@@ -230,8 +229,8 @@ void Decoder::ReadFlags(std::string_view body) {
   const bool has_appended = !incompatible.empty() && (incompatible[0] & 1) != 0;
   for (size_t i = 0; i < incompatible.size(); ++i) {
     if ((incompatible[i] & (i == 0 ? ~1 : ~0)) != 0) {
-      Fail("is a ULog of a later version than is read (incompatible flag in byte " +
-           std::to_string(i) + ")");
+      RefuseFile(file_, "is a ULog of a later version than is read (incompatible flag in byte " +
+                            std::to_string(i) + ")");
     }
   }
   for (int i = 0; has_appended && i < 3; ++i) {
@@ -310,8 +309,8 @@ void Decoder::ReadMessage(char type, std::string_view body) {
 }
 
 ULogContent Decoder::Run() {
-  if (!IsULog(bytes_)) Fail("is no ULog: it does not start as one");
-  if (bytes_.size() < kFileHeader) Fail("byte 7: the ULog is cut off in its header");
+  if (!IsULog(bytes_)) RefuseFile(file_, "is no ULog: it does not start as one");
+  if (bytes_.size() < kFileHeader) RefuseFile(file_, "byte 7: the ULog is cut off in its header");
   size_t begin = kFileHeader;
   if (begin < bytes_.size() && IsPlausible(begin, bytes_.size(), 0) && bytes_[begin + 2] == 'B') {
     const size_t size = ByteReader(bytes_, begin).Number<std::uint16_t>();

@@ -1,12 +1,13 @@
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 
 #include "binary_file.h"
 #include "log_streams.h"
 #include "odmc/io/autopilot_logs.h"
+#include "odmc/math/statistics.h"
 #include "odmc/math/units.h"
+#include "odmc/text/format.h"
 #include "odmc/text/printable_text.h"
 #include "odmc/text/refusal.h"
 #include "ulog_file.h"
@@ -204,14 +205,11 @@ void ReadImu(const ULogContent& log_file, FlightLog* log) {
   }
 }
 
-/// The usual value of a column.
-double Median(std::vector<double> values) {
+/// The usual value of a column, one that occurs: it may be a code. 0 for an empty one.
+double UsualValue(std::vector<double> values) {
   values.erase(std::remove_if(values.begin(), values.end(), [](double v) { return std::isnan(v); }),
                values.end());
-  if (values.empty()) return 0.0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
+  return values.empty() ? 0.0 : MiddleOf(std::move(values));
 }
 
 /// Which entries of esc_status are the motors 1, 2, ...: by their function where the log says it,
@@ -223,7 +221,7 @@ std::vector<int> MotorOrder(const MessageColumns& table, int num_rotors) {
     const std::string field = "esc[" + std::to_string(i) + "].actuator_function";
     if (i < num_rotors) plain.push_back(i);
     if (!table.Has(field)) continue;
-    const int motor = static_cast<int>(Median(table.values.at(field))) - kMotor1;
+    const int motor = static_cast<int>(UsualValue(table.values.at(field))) - kMotor1;
     if (motor < 0 || motor >= num_rotors || order[static_cast<size_t>(motor)] >= 0) continue;
     order[static_cast<size_t>(motor)] = i;
     ++found;
@@ -251,7 +249,7 @@ void ReadRotors(const std::string& file, const ULogContent& log_file,
                 const FlightReadOptions& options, FlightLog* log) {
   const MessageColumns* table = log_file.Find("esc_status");
   if (table == nullptr) return;
-  const double count = table->Has("esc_count") ? Median(table->values.at("esc_count")) : 0.0;
+  const double count = table->Has("esc_count") ? UsualValue(table->values.at("esc_count")) : 0.0;
   if (count > 0.0 && static_cast<int>(count) != options.num_rotors) {
     RefuseFile(file, "esc_status has " + std::to_string(static_cast<int>(count)) +
                          " ESCs, the vehicle has " + std::to_string(options.num_rotors) +
@@ -299,7 +297,7 @@ void ReadCommands(const ULogContent& log_file, int num_rotors, FlightLog* log) {
     if (outputs == nullptr) continue;
     const FieldGroup fields(*outputs, Elements("output", num_rotors));
     if (!fields.present()) continue;
-    const double usual = Median(outputs->values.at("output[0]"));
+    const double usual = UsualValue(outputs->values.at("output[0]"));
     if (usual < 800.0 || usual > 2200.0) continue;  // no pulse lengths
     return AddCommands(*outputs, fields, num_rotors, CommandUnit::kMicroseconds, log);
   }
@@ -320,9 +318,8 @@ void Report(const std::string& file, const ULogContent& log_file, size_t bytes, 
       bytes, log);
   if (log_file.topic_names.empty()) RefuseFile(file, "ULog: holds no topic: cut off or damaged");
   if (log_file.lost_s > 0.0) {
-    char text[80];
-    std::snprintf(text, sizeof text, ": the logger lost %.2f s (a slow SD card)", log_file.lost_s);
-    log->warnings.push_back(log->file + text);
+    log->warnings.push_back(log->file +
+                            Format(": the logger lost %.2f s (a slow SD card)", log_file.lost_s));
   }
 }
 

@@ -19,10 +19,6 @@ constexpr std::uint8_t kNed = 1;
 /// Topics, by the number their messages carry.
 enum Topic : std::uint16_t { kOdometry, kImu, kEscs, kMotors, kBattery };
 
-Vector3d OrNan(const std::optional<Vector3d>& v) {
-  return v.value_or(Vector3d::Constant(std::numeric_limits<double>::quiet_NaN()));
-}
-
 class Writer {
  public:
   Writer(const FlightLog& log, int num_rotors)

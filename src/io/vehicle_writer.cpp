@@ -1,10 +1,10 @@
 #include "odmc/io/vehicle_writer.h"
 
 #include <cmath>
-#include <cstdio>
 #include <cstdlib>
 
 #include "odmc/io/yaml_text.h"
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/printable_text.h"
 
@@ -15,9 +15,7 @@ constexpr size_t kColumns = 100;
 
 /// To six digits; what is below a nanometre is zero.
 double SixDigits(double value) {
-  char text[40];
-  std::snprintf(text, sizeof text, "%.6g", value);
-  const double rounded = std::strtod(text, nullptr);
+  const double rounded = std::strtod(Format("%.6g", value).c_str(), nullptr);
   return std::abs(rounded) < 1e-12 ? 0.0 : rounded;
 }
 
@@ -78,23 +76,21 @@ class Writer {
   }
 
   void Effects(const std::vector<std::string>& effects) {
-    std::string list;
-    for (const std::string& effect : effects) list += (list.empty() ? "" : ", ") + effect;
-    Line("effects", "[" + list + "]");
+    Line("effects", "[" + Listed(effects) + "]");
   }
 
   void Parameters(const std::map<std::string, ParameterSetting>& parameters) {
     if (parameters.empty()) return;
     Line("parameters", "");
     for (const auto& [name, setting] : parameters) {
-      std::string entry;
-      const auto add = [&entry](const std::string& key, const std::string& value) {
-        entry += (entry.empty() ? "" : ", ") + key + ": " + value;
+      std::vector<std::string> entries;
+      const auto add = [&entries](const std::string& key, const std::string& value) {
+        entries.push_back(key + ": " + value);
       };
       if (setting.value) add("value", NumberText(*setting.value));
       if (setting.sigma) add("sigma", NumberText(*setting.sigma));
       if (setting.estimated) add("state", *setting.estimated ? "estimated" : "frozen");
-      Line(name, "{" + entry + "}", "  ");
+      Line(name, "{" + Listed(entries) + "}", "  ");
     }
   }
 

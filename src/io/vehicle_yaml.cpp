@@ -10,6 +10,7 @@
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/model/effect.h"
 #include "odmc/model/plausibility.h"
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/printable_text.h"
 #include "text_file.h"
@@ -121,7 +122,7 @@ std::string ReadEffectName(const YamlValue& value) {
     const std::string closest = ClosestName(name, known);
     value.Fail("unknown effect '" + name + "'; " +
                (closest.empty() ? "" : "did you mean " + closest + "? ") +
-               "Known are: " + JoinNames(known));
+               "Known are: " + Listed(known));
   }
   return name;
 }

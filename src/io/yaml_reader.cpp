@@ -4,10 +4,11 @@
 #include <cmath>
 #include <numeric>
 #include <set>
-#include <stdexcept>
 
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/printable_text.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
@@ -51,12 +52,6 @@ std::string ClosestName(const std::string& word, const std::vector<std::string>&
   return "";
 }
 
-std::string JoinNames(const std::vector<std::string>& names) {
-  std::string text;
-  for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
-  return text;
-}
-
 YamlValue YamlValue::Parse(const std::string& text, const std::string& file) {
   try {
     YamlValue root(YAML::Load(text), file, "");
@@ -64,13 +59,13 @@ YamlValue YamlValue::Parse(const std::string& text, const std::string& file) {
     if (!root.node_.IsMap()) root.Fail("must hold keys and values");
     return root;
   } catch (const YAML::Exception& e) {
-    throw std::invalid_argument(file + ": line " + std::to_string(e.mark.line + 1) +
-                                ": is not YAML: " + Printable(e.msg));
+    RefuseFile(file,
+               "line " + std::to_string(e.mark.line + 1) + ": is not YAML: " + Printable(e.msg));
   }
 }
 
 void YamlValue::Fail(const std::string& what) const {
-  throw std::invalid_argument(file_ + ": " + Printable((path_.empty() ? "" : path_ + ": ") + what));
+  RefuseFile(file_, Printable((path_.empty() ? "" : path_ + ": ") + what));
 }
 
 std::vector<std::pair<std::string, YamlValue>> YamlValue::Entries() const {
@@ -101,9 +96,8 @@ void YamlValue::AllowKeys(const std::vector<std::string>& known) const {
   for (const auto& [key, value] : Entries()) {
     if (std::find(known.begin(), known.end(), key) != known.end()) continue;
     const std::string closest = ClosestName(key, known);
-    value.Fail(
-        "unknown key '" + key + "'; " +
-        (closest.empty() ? "known are: " + JoinNames(known) : "did you mean " + closest + "?"));
+    value.Fail("unknown key '" + key + "'; " +
+               (closest.empty() ? "known are: " + Listed(known) : "did you mean " + closest + "?"));
   }
 }
 
@@ -164,9 +158,9 @@ bool YamlValue::Bool() const {
 std::string YamlValue::Text() const { return Scalar("text"); }
 
 std::string YamlValue::OneOf(const std::vector<std::string>& words) const {
-  const std::string text = Scalar("one of " + JoinNames(words));
+  const std::string text = Scalar("one of " + Listed(words));
   if (std::find(words.begin(), words.end(), text) == words.end()) {
-    Fail("must be one of " + JoinNames(words) + ", not '" + text + "'");
+    Fail("must be one of " + Listed(words) + ", not '" + text + "'");
   }
   return text;
 }

@@ -13,9 +13,6 @@ namespace odmc {
 /// Name of `known` that a user who wrote `word` most likely meant; empty where none is close.
 std::string ClosestName(const std::string& word, const std::vector<std::string>& known);
 
-/// "a, b, c".
-std::string JoinNames(const std::vector<std::string>& names);
-
 /// One value of a YAML file that knows where it stands. Every reader throws std::invalid_argument
 /// "FILE: key.path: what is wrong".
 class YamlValue {

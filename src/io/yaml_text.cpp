@@ -1,7 +1,6 @@
 #include "odmc/io/yaml_text.h"
 
-#include <cstdio>
-
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 
 namespace odmc {
@@ -14,9 +13,7 @@ std::string YamlQuoted(const std::string& text) {
     } else if (c == '\n') {
       quoted += "\\n";
     } else if (static_cast<unsigned char>(c) < 0x20) {
-      char escape[8];
-      std::snprintf(escape, sizeof escape, "\\x%02x", static_cast<unsigned>(c));
-      quoted += escape;
+      quoted += Format("\\x%02x", static_cast<unsigned>(c));
     } else {
       quoted += c;
     }
@@ -25,11 +22,9 @@ std::string YamlQuoted(const std::string& text) {
 }
 
 std::string YamlList(const Eigen::Ref<const Eigen::VectorXd>& numbers) {
-  std::string text;
-  for (Eigen::Index i = 0; i < numbers.size(); ++i) {
-    text += (i > 0 ? ", " : "") + FormatYamlNumber(numbers[i]);
-  }
-  return "[" + text + "]";
+  std::vector<std::string> texts;
+  for (const double number : numbers) texts.push_back(FormatYamlNumber(number));
+  return "[" + Listed(texts) + "]";
 }
 
 std::string YamlMount(const SensorMount& mount) {

@@ -6,6 +6,8 @@
 #include <stdexcept>
 #include <utility>
 
+#include "odmc/text/format.h"
+
 namespace odmc {
 
 RotorState RotorState::Steady(const RotorVector& speed_rad_s) {
@@ -108,9 +110,7 @@ std::unique_ptr<Effect> EffectRegistry::Make(const std::string& name,
                                              const Vehicle& vehicle) const {
   const auto it = std::find(names_.begin(), names_.end(), name);
   if (it == names_.end()) {
-    std::string known;
-    for (const std::string& n : names_) known += (known.empty() ? "" : ", ") + n;
-    throw std::invalid_argument("unknown effect '" + name + "'; known are: " + known);
+    throw std::invalid_argument("unknown effect '" + name + "'; known are: " + Listed(names_));
   }
   return factories_[it - names_.begin()](vehicle);
 }

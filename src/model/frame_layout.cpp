@@ -5,6 +5,7 @@
 #include <stdexcept>
 
 #include "odmc/math/units.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -126,7 +127,7 @@ const DrawnMotors& MotorsOf(const Frame& frame, Autopilot autopilot) {
 }
 
 /// Without what sin(pi) leaves; never -0.
-double Rounded(double value) { return std::round(1e9 * value) / 1e9 + 0.0; }
+double ToNineDecimals(double value) { return std::round(1e9 * value) / 1e9 + 0.0; }
 
 /// "front right", of octos with the side that is nearer: "right front".
 std::string PlaceName(const DrawnMotor& motor, bool is_octo_x) {
@@ -172,19 +173,20 @@ std::vector<std::string> FramesOf(int num_rotors) {
 }
 
 std::vector<FramePlace> FrameLayout(const std::string& frame, Autopilot autopilot) {
-  std::string known;
+  std::vector<std::string> known;
   for (const Frame& candidate : AllFrames()) {
-    known += (known.empty() ? "" : ", ") + candidate.name;
+    known.push_back(candidate.name);
     if (candidate.name != frame) continue;
     std::vector<FramePlace> places;
     for (const DrawnMotor& motor : MotorsOf(candidate, autopilot)) {
       const double angle = motor.angle_deg * kDegree;
-      const Eigen::Vector3d direction(Rounded(std::cos(angle)), Rounded(-std::sin(angle)), motor.z);
+      const Eigen::Vector3d direction(ToNineDecimals(std::cos(angle)),
+                                      ToNineDecimals(-std::sin(angle)), motor.z);
       places.push_back({PlaceName(motor, frame == "octo_x"), direction, motor.spin});
     }
     return places;
   }
-  throw std::invalid_argument("there is no frame '" + frame + "'; there are " + known);
+  throw std::invalid_argument("there is no frame '" + frame + "'; there are " + Listed(known));
 }
 
 std::vector<Rotor> RotorsAt(const std::vector<FramePlace>& places, double half_x_m, double half_y_m,

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
 #include "odmc/text/format.h"
 
@@ -68,26 +67,20 @@ void CheckGeometry(const DynamicModel& model, const BodyProperties& body,
 std::string ImplausibleThrust(double k_f, const Vehicle& vehicle) {
   constexpr char kHint[] =
       "is implausible; k_f is the thrust of one rotor in N/(rad/s)^2 (one in N/rpm^2 times 91.19)";
-  char text[240];
-  std::snprintf(text, sizeof text, "%.6g %s", k_f, kHint);
+  const std::string text = Format("%.6g ", k_f) + kHint;
   if (k_f < 1e-11 || k_f > 1e-2) return text;
   const double hover_speed =
       std::sqrt(vehicle.mass_kg * vehicle.gravity_m_s2 / (vehicle.num_rotors() * k_f));
   const double tip_speed = hover_speed * vehicle.rotors.front().radius_m;
   if (tip_speed >= 2.0 && tip_speed <= 500.0) return "";
-  std::snprintf(text, sizeof text, "%.6g %s: the propeller tips would hover at %.0f m/s", k_f,
-                kHint, tip_speed);
-  return text;
+  return text + Format(": the propeller tips would hover at %.0f m/s", tip_speed);
 }
 
 std::string ImplausibleInertia(int axis, double value, const Vehicle& vehicle) {
   const InertiaBounds bounds = InertiaBoundsOf(vehicle);
   if (value >= bounds.least[axis] && value <= bounds.most[axis]) return "";
-  char text[160];
-  std::snprintf(text, sizeof text,
-                "%.3g kg m^2 cannot be that of %.3g kg on these rotors (%.2g to %.2g)", value,
+  return Format("%.3g kg m^2 cannot be that of %.3g kg on these rotors (%.2g to %.2g)", value,
                 vehicle.mass_kg, bounds.least[axis], bounds.most[axis]);
-  return text;
 }
 
 /// Natural size of a parameter: what it starts from where that is positive by definition.
@@ -154,19 +147,16 @@ SettingDoubt DoubtOf(const std::string& full_name, const ParameterSpec& spec,
     if (!wrong.empty()) return {"value", wrong};
   }
   const double size = SizeOf(spec, value), own = SizeOf(spec, spec.prior_value);
-  char text[160];
   if (!(std::abs(value) <= kMostValue * own) || (is_log && !(value >= own / kMostValue))) {
-    std::snprintf(text, sizeof text, "%.3g %s is implausible; its natural size is %.2g", value,
-                  spec.unit.c_str(), own);
-    return {"value", text};
+    return {"value", Format("%.3g %s is implausible; its natural size is %.2g", value,
+                            spec.unit.c_str(), own)};
   }
   const double sigma = setting.sigma.value_or(size);
   if (!(sigma <= kMostSigma * size) || !(sigma >= size / kMostSigma)) {
-    std::snprintf(text, sizeof text,
-                  "%.3g %s is implausible beside a natural size of %.2g; freeze what is known "
-                  "exactly (state: frozen)",
-                  sigma, spec.unit.c_str(), size);
-    return {"sigma", text};
+    return {"sigma",
+            Format("%.3g %s is implausible beside a natural size of %.2g; freeze what is known "
+                   "exactly (state: frozen)",
+                   sigma, spec.unit.c_str(), size)};
   }
   return {};
 }
@@ -175,12 +165,10 @@ std::string InertiaDoubt(const Vehicle& vehicle) {
   constexpr double kRounding = 1e-6;  // of a flat body's own numbers
   const double ratio = OverOthers(vehicle.inertia_kg_m2);
   if (ratio <= 1.0 + kRounding) return "";
-  char text[240];
-  std::snprintf(text, sizeof text,
-                "the vehicle file's inertia breaks the triangle inequality of a rigid body by %.2g "
-                "%%: one moment is more than the other two together; it is used as it is",
-                100.0 * (ratio - 1.0));
-  return text;
+  return Format(
+      "the vehicle file's inertia breaks the triangle inequality of a rigid body by %.2g "
+      "%%: one moment is more than the other two together; it is used as it is",
+      100.0 * (ratio - 1.0));
 }
 
 std::string ThrustDoubt(const DynamicModel& model, const ModelValues& values) {
@@ -191,12 +179,10 @@ std::string ThrustDoubt(const DynamicModel& model, const ModelValues& values) {
   if (!(start > 0.0)) return "";
   const double ratio = value / start;
   if (ratio < kMostRatio && ratio > 1.0 / kMostRatio) return "";
-  char text[200];
-  std::snprintf(text, sizeof text,
-                "thrust.k_f = %.3g N s^2 is %.3g times what it started from: check the unit of the "
-                "rotor speeds, and mass_kg",
-                value, ratio);
-  return text;
+  return Format(
+      "thrust.k_f = %.3g N s^2 is %.3g times what it started from: check the unit of the "
+      "rotor speeds, and mass_kg",
+      value, ratio);
 }
 
 }  // namespace odmc

@@ -1,10 +1,10 @@
 #include "odmc/model/vehicle.h"
 
 #include <cmath>
-#include <cstdio>
 
 #include "odmc/model/plausibility.h"
 #include "odmc/model/vehicle_units.h"
+#include "odmc/text/format.h"
 #include "odmc/text/refusal.h"
 
 namespace odmc {
@@ -29,13 +29,12 @@ std::string ImpossibleInertia(const Vehicle& vehicle) {
   for (int i = 0; i < 3; ++i) {
     const double inertia = vehicle.inertia_kg_m2[i];
     if (inertia >= bounds.least[i] && inertia <= bounds.most[i]) continue;
-    char text[200];
-    std::snprintf(text, sizeof text,
-                  "inertia_kg_m2 is implausible: %.3g about %c cannot be that of %.3g kg on these "
-                  "rotors (%.2g to %.2g); is it in kg m^2 (1 g cm^2 is 1.0e-07 kg m^2)?",
-                  inertia, "xyz"[i], vehicle.mass_kg, bounds.least[i], bounds.most[i]);
+    const std::string text = Format(
+        "inertia_kg_m2 is implausible: %.3g about %c cannot be that of %.3g kg on these "
+        "rotors (%.2g to %.2g); is it in kg m^2 (1 g cm^2 is 1.0e-07 kg m^2)?",
+        inertia, "xyz"[i], vehicle.mass_kg, bounds.least[i], bounds.most[i]);
     const UnitSlip slip = FindUnitSlip(vehicle);
-    return slip.Refutes() ? std::string(text) + " It fits if " + slip.Sentence() : text;
+    return slip.Refutes() ? text + " It fits if " + slip.Sentence() : text;
   }
   return "";
 }

@@ -3,7 +3,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
+
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -96,9 +97,7 @@ struct Ratios {
 }  // namespace
 
 std::string UnitSlip::Sentence() const {
-  char text[40];
-  std::snprintf(text, sizeof text, " (probability %.3g); ", best_share);
-  return what + text + mend;
+  return what + Format(" (probability %.3g); ", best_share) + mend;
 }
 
 UnitSlip FindUnitSlip(const Vehicle& vehicle) {

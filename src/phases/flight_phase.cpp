@@ -1,6 +1,6 @@
 #include "odmc/phases/flight_phase.h"
 
-#include <cstdio>
+#include "odmc/text/format.h"
 
 namespace odmc {
 
@@ -33,11 +33,9 @@ const char* Name(FlightPhase phase) {
 }
 
 std::string PhaseSpan::Describe(Stamp zero) const {
-  char text[160];
-  std::snprintf(
-      text, sizeof text, "%s from %.2f to %.2f s: thrust %.2f of the weight, %.2f of it missing",
-      Name(phase), ToSeconds(from - zero), ToSeconds(to - zero), thrust_ratio, missing_force);
-  return text;
+  return Format("%s from %.2f to %.2f s: thrust %.2f of the weight, %.2f of it missing",
+                Name(phase), ToSeconds(from - zero), ToSeconds(to - zero), thrust_ratio,
+                missing_force);
 }
 
 std::vector<std::pair<Stamp, Stamp>> NotInFlight(const std::vector<PhaseSpan>& phases) {

@@ -14,7 +14,6 @@
 #include "odmc/io/options_yaml.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
-#include "odmc/text/format.h"
 #include "tool_support.h"
 
 namespace odmc::python {
@@ -118,7 +117,7 @@ Found CalibrateOne(const FlightLog& flight, const Vehicle& file_vehicle, const V
                    const std::optional<ParameterSet>& start, const EstimatorSettings& settings,
                    double leave_out_s, double position_noise_m, int seed, bool force,
                    const std::function<void(double)>& progress) {
-  const EstimatorOptions options = settings.Over(OfflineOptions());
+  const CalibrateOptions options{settings.Over(OfflineOptions()), leave_out_s, start};
   const DynamicModel model(vehicle, vehicle.effects);
   const std::string refusal = MassBesideThrust(model);
   if (!refusal.empty()) throw std::invalid_argument(refusal);
@@ -127,20 +126,9 @@ Found CalibrateOne(const FlightLog& flight, const Vehicle& file_vehicle, const V
   FlightLog log = recording;
   if (position_noise_m > 0.0) AddPositionNoise(position_noise_m, seed, &log);
   PredictionTable prediction(!log.rotor_rms_only);
-  Calibration result =
-      Calibrate(log, recording, file_vehicle, model, options, progress, prediction.Sink());
-  AddInspection(inspection, &result);
-  WidenForDoubts(log, model, options, inspection.doubts, &result);
-  if (leave_out_s > 0.0) {
-    result.left_out = PredictLeftOut(log, recording, file_vehicle, model, options, leave_out_s);
-  }
-  if (start) WarnOfOtherMass(*start, file_vehicle, &result.warnings);
-  result.parameters.provenance =
-      tools::Provenance("calibrate", vehicle,
-                        {{"flight", log.file},
-                         {"position_noise_m", std::to_string(position_noise_m)},
-                         {"estimator_options", tools::DescribeChanges(options)}});
-  AddTrust(result.findings, &result.parameters);
+  Calibration result = CalibrateInspected(log, recording, inspection, file_vehicle, model, options,
+                                          progress, prediction.Sink());
+  tools::StateOrigin(vehicle, position_noise_m, options.estimator, &result);
   return {CalibrationReport(result, model), CalibrationTable(result), result.parameters,
           prediction.columns(), HistoryOf(result, model)};
 }
@@ -204,16 +192,9 @@ Found CloseOne(const FlightLog& flight, const Vehicle& file_vehicle, const Vehic
   if (start) HoldKnownThrust(options.attribution, &vehicle);
   FlightLog log = flight;
   const StreamInspection inspection = Inspect(vehicle, force, &log);
-  options.doubts = inspection.doubts;
-  ClosedLoop loop = CloseLoop(log, file_vehicle, vehicle, options, progress);
-  AddInspection(inspection, &loop);
-  if (start) WarnOfOtherMass(*start, file_vehicle, &loop.warnings);
-  loop.parameters.provenance =
-      tools::Provenance("close_loop", vehicle,
-                        {{"flight", log.file},
-                         {"estimator_options", tools::DescribeChanges(options.estimator)},
-                         {"decision", DescribeChanges(options.attribution)},
-                         {"ruled_out", Listed(rule_out, "nothing")}});
+  ClosedLoop loop =
+      CloseLoopInspected(log, inspection, file_vehicle, vehicle, options, start, progress);
+  loop.parameters.provenance = tools::ProvenanceOf(options, vehicle, {{"flight", log.file}});
   return {
       CloseLoopReport(loop, vehicle), CloseLoopTable(loop), loop.parameters, ResidualsOf(loop), {}};
 }

@@ -12,6 +12,8 @@
 #include "odmc/ros/flight_bag.h"
 #include "odmc/sensing/flight_checks.h"
 #include "odmc/sensing/plausible.h"
+#include "odmc/text/format.h"
+#include "odmc/text/refusal.h"
 
 namespace odmc::python {
 namespace {
@@ -122,7 +124,7 @@ class MessageOptionSetter {
 
   template <typename Value>
   void Field(const std::string& key, Value* value) {
-    known_ += (known_.empty() ? "" : ", ") + key;
+    known_.push_back(key);
     const auto entry = entries_.find(key);
     if (entry == entries_.end()) return;
     const auto* given = std::get_if<Value>(&entry->second);
@@ -135,12 +137,12 @@ class MessageOptionSetter {
   void RefuseRest() const {
     if (entries_.empty()) return;
     throw std::invalid_argument("messages: there is no '" + entries_.begin()->first +
-                                "'; there are " + known_);
+                                "'; there are " + Listed(known_));
   }
 
  private:
   std::map<std::string, MessageOption> entries_;
-  std::string known_;
+  std::vector<std::string> known_;
 };
 
 /// Reads a flight as the tools do.
@@ -173,7 +175,7 @@ FlightLog ReadAsTools(const std::string& file, const Vehicle& vehicle, double st
 void Write(const FlightLog& log, const std::string& file) {
   const bool bag = file.size() > 4 && file.substr(file.size() - 4) == ".bag";
   const bool csv = file.size() > 4 && file.substr(file.size() - 4) == ".csv";
-  if (!bag && !csv) throw std::invalid_argument(file + ": a flight's file ends in .bag or .csv");
+  if (!bag && !csv) RefuseFile(file, "a flight's file ends in .bag or .csv");
   bag ? WriteFlightBag(log, file) : WriteFlightCsv(log, file);
 }
 

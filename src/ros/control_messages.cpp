@@ -5,18 +5,13 @@
 
 #include "odmc/ros/conversions.h"
 #include "odmc/text/finding.h"
+#include "odmc/trajectory/flat_reference.h"
 
 namespace odmc {
 namespace {
 
 constexpr double kMissing = -1.0;  // as a first variance
 constexpr char kJoint[] = "base_link";
-
-bool IsFinite(const FlatReference& r) {
-  return r.p_WB.allFinite() && r.v_WB.allFinite() && r.a_WB.allFinite() && r.j_WB.allFinite() &&
-         r.s_WB.allFinite() && std::isfinite(r.yaw) && std::isfinite(r.d_yaw) &&
-         std::isfinite(r.dd_yaw);
-}
 
 /// Turn about W z that is left when the shortest tilt of body z is taken off: the twist of the
 /// swing-twist decomposition.

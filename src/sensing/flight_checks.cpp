@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <stdexcept>
 #include <utility>
+
+#include "odmc/math/statistics.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -18,11 +20,7 @@ constexpr double kStandingThrottle = 0.02;  // below what turns a rotor
 constexpr double kSpoolUp_s = 0.2;          // until a rotor that is told to turn reads something
 constexpr double kDeadShare = 0.05;         // single missed readings are not worth a warning
 
-std::string AtSeconds(Stamp stamp) {
-  char text[40];
-  std::snprintf(text, sizeof text, "at %.3f s", ToSeconds(stamp));
-  return text;
-}
+std::string AtSeconds(Stamp stamp) { return Format("at %.3f s", ToSeconds(stamp)); }
 
 /// Median of all rotors but `skip`.
 double MedianOfOthers(const RotorVector& speed, Eigen::Index skip) {
@@ -30,8 +28,7 @@ double MedianOfOthers(const RotorVector& speed, Eigen::Index skip) {
   for (Eigen::Index j = 0; j < speed.size(); ++j) {
     if (j != skip) others.push_back(speed[j]);
   }
-  std::nth_element(others.begin(), others.begin() + others.size() / 2, others.end());
-  return others[others.size() / 2];
+  return MiddleOf(std::move(others));
 }
 
 bool OthersChanged(const RotorVector& a, const RotorVector& b, Eigen::Index skip) {
@@ -107,11 +104,10 @@ void WarnIfShare(const std::string& source, Eigen::Index j, long bad, long all,
                  const std::string& what, FlightLog* log) {
   const double share = all > 0 ? static_cast<double>(bad) / static_cast<double>(all) : 0.0;
   if (share < kDeadShare) return;
-  char text[200];
-  std::snprintf(text, sizeof text,
-                "rotor%d %s in %.0f %% of the samples while the others turn: its sensor or the "
-                "rotor is dead, and %s",
-                static_cast<int>(j) + 1, what.c_str(), 100.0 * share, kWrong);
+  const std::string text = Format(
+      "rotor%d %s in %.0f %% of the samples while the others turn: its sensor or the "
+      "rotor is dead, and %s",
+      static_cast<int>(j) + 1, what.c_str(), 100.0 * share, kWrong);
   log->warnings.push_back(source + ": " + text);
 }
 

@@ -2,13 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <string>
 #include <vector>
 
 #include "odmc/math/so3.h"
 #include "odmc/sensing/flight_checks.h"
 #include "odmc/sensing/rotor_dropout.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -143,10 +143,9 @@ void MendStream(std::vector<OdometrySample>* samples, Finds* finds) {
 
 std::string Found(const std::string& stream, long count, const std::string& what, Stamp first,
                   Stamp zero) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.3f", ToSeconds(first - zero));
   return std::to_string(count) + (count == 1 ? " sample" : " samples") + " of " + stream + " " +
-         what + (count == 1 ? ", " : ", the first ") + text + " s after the first pose";
+         what + (count == 1 ? ", " : ", the first ") + Format("%.3f", ToSeconds(first - zero)) +
+         " s after the first pose";
 }
 
 template <typename Sample>
@@ -183,9 +182,7 @@ void DropRatesOfOtherUnit(const std::string& check, Member rates, std::vector<Sa
   const double share = all > 0 ? static_cast<double>(beyond) / static_cast<double>(all) : 0.0;
   if (share < kOtherUnit) return;
   for (Sample& sample : *samples) (sample.*rates).reset();
-  char text[200];
-  std::snprintf(
-      text, sizeof text,
+  const std::string text = Format(
       ": %.0f %% are beyond what a sensor reads (%.0f rad/s): in degrees (deg/s)? They are "
       "not used",
       100.0 * share, kMostRate_rad_s);
@@ -216,9 +213,9 @@ std::string Sentence(const std::vector<RotorDropout>& dropouts, Stamp zero) {
     readings += dropout.readings;
     rotors |= dropout.rotors;
   }
-  char first[80];
-  std::snprintf(first, sizeof first, "%.3f to %.3f s after the first pose",
-                ToSeconds(dropouts.front().first - zero), ToSeconds(dropouts.front().last - zero));
+  const std::string first =
+      Format("%.3f to %.3f s after the first pose", ToSeconds(dropouts.front().first - zero),
+             ToSeconds(dropouts.front().last - zero));
   const std::string times = dropouts.size() == 1
                                 ? "once, from "
                                 : std::to_string(dropouts.size()) + " times, the first from ";

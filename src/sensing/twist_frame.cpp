@@ -2,7 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
+
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -21,12 +22,10 @@ constexpr double kClearMargin = 0.03;
 }  // namespace
 
 std::string TwistFrameDecision::Describe() const {
-  char text[200];
-  std::snprintf(text, sizeof text,
-                "d(position)/dt differs from the twist by %.3f m/s RMS if it is in the body frame "
-                "and by %.3f m/s if in the world, at %.3f m/s RMS speed over %.1f s of motion",
-                body_residual_m_s, world_residual_m_s, speed_m_s, moving_s);
-  return text;
+  return Format(
+      "d(position)/dt differs from the twist by %.3f m/s RMS if it is in the body frame "
+      "and by %.3f m/s if in the world, at %.3f m/s RMS speed over %.1f s of motion",
+      body_residual_m_s, world_residual_m_s, speed_m_s, moving_s);
 }
 
 bool TwistFrameDetector::fits_both() const {

@@ -1,7 +1,8 @@
 #include "odmc/text/printable_text.h"
 
 #include <cstdint>
-#include <cstdio>
+
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -48,9 +49,7 @@ std::string Printable(std::string_view text, size_t most) {
       continue;
     }
     for (size_t i = 0; i < (length > 0 ? length : 1); ++i) {
-      char escape[8];
-      std::snprintf(escape, sizeof escape, "\\x%02x", static_cast<unsigned char>(text[i]));
-      printable += escape;
+      printable += Format("\\x%02x", static_cast<unsigned char>(text[i]));
     }
     text.remove_prefix(length > 0 ? length : 1);
   }

@@ -30,7 +30,7 @@ struct Arguments {
 
 void CalibrateOne(const Arguments& a, const std::string& file, const Vehicle& file_vehicle,
                   const Vehicle& vehicle) {
-  const EstimatorOptions options = a.estimator.Read();
+  const CalibrateOptions options{a.estimator.Read(), a.left_out_s, a.model.choice.parameters};
   const DynamicModel model(vehicle, vehicle.effects);
   FlightLog recording = a.flight.Read(file, vehicle);
   const StreamInspection inspection = tools::InspectFlight(vehicle, a.force, &recording);
@@ -43,23 +43,11 @@ void CalibrateOne(const Arguments& a, const std::string& file, const Vehicle& fi
   tools::MakeFolder(a.folder);
   PredictionFile prediction(tools::In(a.folder, "prediction.csv"), !log.rotor_rms_only);
   tools::ProgressBar bar(log.file);
-  Calibration result = Calibrate(log, recording, file_vehicle, model, options, bar.Callback(),
-                                 [&](const PredictionSample& sample) { prediction.Add(sample); });
+  Calibration result =
+      CalibrateInspected(log, recording, inspection, file_vehicle, model, options, bar.Callback(),
+                         [&](const PredictionSample& sample) { prediction.Add(sample); });
   prediction.Close();
-  AddInspection(inspection, &result);
-  WidenForDoubts(log, model, options, inspection.doubts, &result);
-  if (a.left_out_s > 0.0) {
-    result.left_out = PredictLeftOut(log, recording, file_vehicle, model, options, a.left_out_s);
-  }
-  if (a.model.choice.parameters) {
-    WarnOfOtherMass(*a.model.choice.parameters, file_vehicle, &result.warnings);
-  }
-  result.parameters.provenance =
-      tools::Provenance("calibrate", vehicle,
-                        {{"flight", log.file},
-                         {"position_noise_m", std::to_string(a.noise_m)},
-                         {"estimator_options", tools::DescribeChanges(options)}});
-  AddTrust(result.findings, &result.parameters);
+  tools::StateOrigin(vehicle, a.noise_m, options.estimator, &result);
   tools::WriteCalibration(result, log, model, a.folder);
   WriteText(FormatFleetFlight(FleetFlightOf(result, model, a.own)),
             tools::In(a.folder, "flight.json"));

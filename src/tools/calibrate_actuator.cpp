@@ -8,6 +8,8 @@
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/io/bench_csv.h"
 #include "odmc/math/units.h"
+#include "odmc/text/format.h"
+#include "odmc/text/refusal.h"
 #include "tool_support.h"
 
 namespace {
@@ -78,7 +80,7 @@ BenchRun ReadLog(const std::string& file, const FlightReaders& readers,
   if (arguments.columns.pole_pairs > 0) read.pole_pairs = arguments.columns.pole_pairs;
   const FlightLog log = readers.Read(file, read);
   for (const std::string& warning : log.warnings) std::cerr << "warning: " << warning << "\n";
-  if (log.rotors.empty()) throw std::invalid_argument(file + ": no rotor speeds");
+  if (log.rotors.empty()) RefuseFile(file, "no rotor speeds");
   return BenchRunOf(log);
 }
 
@@ -184,9 +186,10 @@ int main(int argc, char** argv) {
       evaluations.push_back({run.file, EvaluateActuator(actuator, run)});
     }
     tools::MakeFolder(folder);
-    std::string names;
-    for (const BenchRun& run : runs) names += (names.empty() ? "" : ", ") + run.file;
-    SaveActuator(actuator, "calibrate_actuator " + std::string(ODMC_VERSION) + " from " + names,
+    std::vector<std::string> names;
+    for (const BenchRun& run : runs) names.push_back(run.file);
+    SaveActuator(actuator,
+                 "calibrate_actuator " + std::string(ODMC_VERSION) + " from " + Listed(names),
                  tools::In(folder, "actuator.yaml"));
     WriteText(ActuatorReport(calibration, runs, evaluations), tools::In(folder, "report.json"));
     WriteFreeRuns(calibration, runs, tools::In(folder, "free_run.csv"));

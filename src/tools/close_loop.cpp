@@ -10,7 +10,6 @@
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/model/effect.h"
-#include "odmc/text/format.h"
 #include "tool_support.h"
 
 namespace odmc {
@@ -27,28 +26,15 @@ struct Arguments {
   CloseLoopOptions options;
 };
 
-std::map<std::string, std::string> ProvenanceOf(const Arguments& a, const Vehicle& vehicle,
-                                                std::map<std::string, std::string> more) {
-  more["estimator_options"] = tools::DescribeChanges(a.options.estimator);
-  more["decision"] = DescribeChanges(a.options.attribution);
-  more["ruled_out"] = Listed(a.options.ruled_out, "nothing");
-  return tools::Provenance("close_loop", vehicle, std::move(more));
-}
-
 void CloseOne(const Arguments& a, const std::string& file, const Vehicle& file_vehicle,
               const Vehicle& vehicle) {
   FlightLog log = a.flight.Read(file, vehicle);
   const StreamInspection inspection = tools::InspectFlight(vehicle, a.force, &log);
   tools::MakeFolder(a.folder);
   tools::ProgressBar bar(log.file);
-  CloseLoopOptions options = a.options;
-  options.doubts = inspection.doubts;
-  ClosedLoop loop = CloseLoop(log, file_vehicle, vehicle, options, bar.Callback());
-  AddInspection(inspection, &loop);
-  if (a.model.choice.parameters) {
-    WarnOfOtherMass(*a.model.choice.parameters, file_vehicle, &loop.warnings);
-  }
-  loop.parameters.provenance = ProvenanceOf(a, vehicle, {{"flight", log.file}});
+  ClosedLoop loop = CloseLoopInspected(log, inspection, file_vehicle, vehicle, a.options,
+                                       a.model.choice.parameters, bar.Callback());
+  loop.parameters.provenance = tools::ProvenanceOf(a.options, vehicle, {{"flight", log.file}});
   WriteText(CloseLoopReport(loop, vehicle), tools::In(a.folder, "report.json"));
   WriteLoopSamples(loop, tools::In(a.folder, "residual.csv"));
   SaveParameters(loop.parameters, tools::In(a.folder, "parameters.yaml"));
@@ -88,7 +74,7 @@ void CloseSeveral(const Arguments& a, const std::vector<std::string>& files,
   Vehicle extended = vehicle;
   extended.effects = loop.effect_names;
   loop.after.parameters.provenance =
-      ProvenanceOf(a, extended, {{"flights", std::to_string(loop.flights.size())}});
+      tools::ProvenanceOf(a.options, extended, {{"flights", std::to_string(loop.flights.size())}});
   WriteText(JointLoopReport(loop, DynamicModel(extended, extended.effects)),
             tools::In(a.folder, "report.json"));
   WriteText(JointLoopCsv(loop), tools::In(a.folder, "effects.csv"));

@@ -1,7 +1,6 @@
 #include "flight_arguments.h"
 
 #include <algorithm>
-#include <cstdio>
 #include <filesystem>
 #include <map>
 #include <stdexcept>
@@ -15,6 +14,7 @@
 #include "odmc/inspection/rotor_units.h"
 #include "odmc/io/actuator_yaml.h"
 #include "odmc/sensing/plausible.h"
+#include "odmc/text/format.h"
 #include "tool_support.h"
 
 namespace odmc::tools {
@@ -31,12 +31,10 @@ void RefuseLeaps(const FlightLog& log, const std::string& file) {
     const Stamp before = log.odometry[i - 1].stamp, step = log.odometry[i].stamp - before;
     if (step <= kDay) continue;
     const double at_s = ToSeconds(before - log.odometry.front().stamp);
-    char text[160];
-    std::snprintf(text, sizeof text,
-                  ": time leaps by %.0f s, %.3f s after the first pose: the clock was set or "
-                  "recordings were joined; --start and --end cut the flight out",
-                  ToSeconds(step), at_s);
-    throw std::invalid_argument(file + text);
+    throw std::invalid_argument(
+        file + Format(": time leaps by %.0f s, %.3f s after the first pose: the clock was set or "
+                      "recordings were joined; --start and --end cut the flight out",
+                      ToSeconds(step), at_s));
   }
 }
 

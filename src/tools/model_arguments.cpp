@@ -9,7 +9,9 @@
 #include "odmc/effects/effects.h"
 #include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
+#include "odmc/text/refusal.h"
 #include "tool_support.h"
 
 namespace odmc::tools {
@@ -107,7 +109,7 @@ Vehicle ModelArguments::Configure(const Vehicle& file_vehicle) {
   try {
     return odmc::Configure(file_vehicle, choice);
   } catch (const std::invalid_argument& e) {
-    throw std::invalid_argument(parameters_file + ": " + e.what());
+    RefuseFile(parameters_file, e.what());
   }
 }
 
@@ -153,11 +155,31 @@ EstimatorOptions EstimatorArguments::Read() const {
 
 std::string DescribeChanges(const EstimatorOptions& options) {
   std::istringstream now(FormatOptions(options)), before(FormatOptions(OfflineOptions()));
-  std::string line, default_line, text;
+  std::string line, default_line;
+  std::vector<std::string> changes;
   while (std::getline(now, line) && std::getline(before, default_line)) {
-    if (line != default_line) text += (text.empty() ? "" : ", ") + line;
+    if (line != default_line) changes.push_back(line);
   }
-  return text.empty() ? "defaults" : text;
+  return Listed(changes, "defaults");
+}
+
+void StateOrigin(const Vehicle& vehicle, double position_noise_m, const EstimatorOptions& options,
+                 Calibration* calibration) {
+  calibration->parameters.provenance =
+      Provenance("calibrate", vehicle,
+                 {{"flight", calibration->flight.file},
+                  {"position_noise_m", std::to_string(position_noise_m)},
+                  {"estimator_options", DescribeChanges(options)}});
+  AddTrust(calibration->findings, &calibration->parameters);
+}
+
+std::map<std::string, std::string> ProvenanceOf(const CloseLoopOptions& options,
+                                                const Vehicle& vehicle,
+                                                std::map<std::string, std::string> more) {
+  more["estimator_options"] = DescribeChanges(options.estimator);
+  more["decision"] = DescribeChanges(options.attribution);
+  more["ruled_out"] = Listed(options.ruled_out, "nothing");
+  return Provenance("close_loop", vehicle, std::move(more));
 }
 
 }  // namespace odmc::tools

@@ -1,10 +1,13 @@
 #pragma once
 
 #include <CLI/CLI.hpp>
+#include <map>
 #include <string>
 #include <vector>
 
+#include "odmc/analysis/calibration.h"
 #include "odmc/analysis/model_choice.h"
+#include "odmc/attribution/close_loop.h"
 #include "odmc/estimator/options.h"
 
 namespace odmc::tools {
@@ -42,5 +45,16 @@ struct EstimatorArguments {
 
 /// Every option of the estimator that is not at its default, "key value, ..."; else "defaults".
 std::string DescribeChanges(const EstimatorOptions& options);
+
+/// Says in what calibrate finds on one flight where it comes from, and what it may be trusted for.
+/// @param position_noise_m that was added to the poses, sigma per axis [m]
+void StateOrigin(const Vehicle& vehicle, double position_noise_m, const EstimatorOptions& options,
+                 Calibration* calibration);
+
+/// Where the parameters of a closed loop come from.
+/// @param more the flight, or their number
+std::map<std::string, std::string> ProvenanceOf(const CloseLoopOptions& options,
+                                                const Vehicle& vehicle,
+                                                std::map<std::string, std::string> more);
 
 }  // namespace odmc::tools

@@ -13,6 +13,7 @@
 #include "odmc/ros/urdf_vehicle.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/printable_text.h"
+#include "odmc/text/refusal.h"
 #include "tool_support.h"
 
 namespace {
@@ -58,7 +59,7 @@ std::string ReadFile(const std::string& file) {
   std::ostringstream text;
   text << in.rdbuf();
   if (!in || !std::filesystem::is_regular_file(file)) {
-    throw std::invalid_argument(file + ": cannot be read");
+    RefuseFile(file, "cannot be read");
   }
   return text.str();
 }
@@ -179,8 +180,7 @@ int main(int argc, char** argv) {
       const FlightLog log = flight.Read(nominal);
       file = log.file;
       fit = FitVehicle(log, nominal);
-      if (!fit->streams.refusal.empty())
-        throw std::invalid_argument(file + ": " + fit->streams.refusal);
+      if (!fit->streams.refusal.empty()) RefuseFile(file, fit->streams.refusal);
       Warn(*fit);
     }
     const NewVehicle made = MakeVehicle(known, fit ? &*fit : nullptr, file);

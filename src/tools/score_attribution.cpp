@@ -260,6 +260,66 @@ Json Score::ToJson(const Json& seconds) {
   return score;
 }
 
+struct Arguments {
+  std::string folder;
+  int jobs = 1;
+  bool rescore = false;
+  odmc::tools::EstimatorArguments estimator;
+  std::vector<std::string> decision;
+};
+
+void AddOptions(CLI::App* app, Arguments* a) {
+  app->add_option("DIR", a->folder, "folder of the set")->required();
+  odmc::tools::AddJobs(app, &a->jobs);
+  app->add_flag("--rescore", a->rescore, "use the results that are there");
+  a->estimator.defaults = odmc::tools::AttributionEstimatorOptions();
+  a->estimator.AddTo(app);
+  app->add_option("--decision", a->decision,
+                  "NAME=VALUE: a number of the decision (close_loop --help)")
+      ->take_all()
+      ->allow_extra_args(false);
+}
+
+odmc::CloseLoopOptions OptionsOf(const Arguments& a) {
+  odmc::CloseLoopOptions options;
+  options.estimator = a.estimator.Read();
+  try {
+    for (const std::string& set : a.decision) odmc::SetDecision(set, &options.attribution);
+  } catch (const std::invalid_argument& error) {
+    throw odmc::tools::UsageError(error.what());
+  }
+  return options;
+}
+
+/// Closes the loop on one flight of the manifest in `input` and writes its report to `results`.
+void CloseOne(const Json& flight, const std::string& input, const std::string& results,
+              const odmc::CloseLoopOptions& options) {
+  using namespace odmc;
+  const Vehicle vehicle = LoadVehicle(tools::In(input, flight["vehicle"]));
+  FlightLog log =
+      ReadFlightCsv(tools::In(input, flight["file"]), vehicle.num_rotors(), PoseSource::kEkf);
+  const StreamInspection inspection = tools::InspectFlight(vehicle, true, &log);
+  ClosedLoop loop = CloseLoopInspected(log, inspection, vehicle, vehicle, options);
+  loop.parameters.provenance["decision"] = DescribeChanges(options.attribution);
+  WriteText(CloseLoopReport(loop, vehicle),
+            tools::In(results, std::string(flight["flight"]) + ".json"));
+}
+
+/// Closes the loop on every flight. @returns the time it took [s]
+double CloseAll(const Arguments& a, const std::string& results) {
+  const std::string input = odmc::tools::In(a.folder, "input");
+  const Json manifest = ReadJson(odmc::tools::In(input, "manifest.json"));
+  odmc::tools::MakeFolder(results);
+  const odmc::CloseLoopOptions options = OptionsOf(a);
+  odmc::tools::ProgressBar bar("close_loop");
+  const auto start = std::chrono::steady_clock::now();
+  const int flights = a.rescore ? 0 : static_cast<int>(manifest.size());
+  odmc::ForEachOf(
+      flights, a.jobs, [&](int i) { CloseOne(manifest[i], input, results, options); },
+      [&](double share) { bar.Show(share); });
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -268,58 +328,19 @@ int main(int argc, char** argv) {
       "Runs close_loop on every flight of a folder made by simulate_undeclared and scores it "
       "against\n"
       "the answer key. Writes DIR/results/flight_NNN.json, DIR/score.json.");
-  std::string folder;
-  int jobs = 1;
-  bool rescore = false;
-  tools::EstimatorArguments estimator;
-  app.add_option("DIR", folder, "folder of the set")->required();
-  tools::AddJobs(&app, &jobs);
-  app.add_flag("--rescore", rescore, "use the results that are there");
-  estimator.defaults = tools::AttributionEstimatorOptions();
-  estimator.AddTo(&app);
-  std::vector<std::string> decision;
-  app.add_option("--decision", decision, "NAME=VALUE: a number of the decision (close_loop --help)")
-      ->take_all()
-      ->allow_extra_args(false);
+  Arguments a;
+  AddOptions(&app, &a);
   return tools::Run(&app, argc, argv, [&] {
-    const std::string input = tools::In(folder, "input"), results = tools::In(folder, "results");
-    const Json manifest = ReadJson(tools::In(input, "manifest.json"));
-    tools::MakeFolder(results);
-    CloseLoopOptions options;
-    options.estimator = estimator.Read();
-    try {
-      for (const std::string& set : decision) SetDecision(set, &options.attribution);
-    } catch (const std::invalid_argument& error) {
-      throw tools::UsageError(error.what());
-    }
-    tools::ProgressBar bar("close_loop");
-    const auto start = std::chrono::steady_clock::now();
-    const auto close = [&](int i) {
-      const Vehicle vehicle = LoadVehicle(tools::In(input, manifest[i]["vehicle"]));
-      FlightLog log = ReadFlightCsv(tools::In(input, manifest[i]["file"]), vehicle.num_rotors(),
-                                    PoseSource::kEkf);
-      const StreamInspection inspection = tools::InspectFlight(vehicle, true, &log);
-      CloseLoopOptions of_flight = options;
-      of_flight.doubts = inspection.doubts;
-      ClosedLoop loop = CloseLoop(log, vehicle, vehicle, of_flight);
-      AddInspection(inspection, &loop);
-      loop.parameters.provenance["decision"] = DescribeChanges(options.attribution);
-      WriteText(CloseLoopReport(loop, vehicle),
-                tools::In(results, std::string(manifest[i]["flight"]) + ".json"));
-    };
-    const int flights = rescore ? 0 : static_cast<int>(manifest.size());
-    ForEachOf(flights, jobs, close, [&](double share) { bar.Show(share); });
-    const double seconds =
-        std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-
+    const std::string results = tools::In(a.folder, "results");
+    const double seconds = CloseAll(a, results);
     // Only from here on the answers are looked at.
     Score score;
-    for (const Json& answer : ReadJson(tools::In(folder, "truth.json"))) {
+    for (const Json& answer : ReadJson(tools::In(a.folder, "truth.json"))) {
       const std::string name = answer["flight"];
       score.Count(answer, ReadJson(tools::In(results, name + ".json")));
     }
     score.Print();
-    WriteText(score.ToJson(rescore ? Json(nullptr) : Json(seconds)).dump(2) + "\n",
-              tools::In(folder, "score.json"));
+    WriteText(score.ToJson(a.rescore ? Json(nullptr) : Json(seconds)).dump(2) + "\n",
+              tools::In(a.folder, "score.json"));
   });
 }

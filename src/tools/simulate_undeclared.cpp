@@ -10,17 +10,14 @@
 #include "odmc/bench/undeclared.h"
 #include "odmc/io/flight_csv.h"
 #include "odmc/io/parameters_yaml.h"
+#include "odmc/text/format.h"
 #include "tool_support.h"
 
 namespace {
 
 using Json = nlohmann::ordered_json;
 
-std::string FlightName(int number) {
-  char name[32];
-  std::snprintf(name, sizeof name, "flight_%03d", number);
-  return name;
-}
+std::string FlightName(int number) { return Format("flight_%03d", number); }
 
 const char* KindName(odmc::UndeclaredKind kind) {
   switch (kind) {

@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 #include <stdexcept>
 
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/refusal.h"
 #include "odmc/trajectory/flatness.h"
@@ -18,18 +18,6 @@ constexpr double kLeastSamples = 200.0;
 constexpr double kMostSamples = 200000.0;
 // A value this much above its limit, relatively, is rounding.
 constexpr double kRounding = 1e-9;
-
-bool IsFinite(const FlatReference& r) {
-  return r.p_WB.allFinite() && r.v_WB.allFinite() && r.a_WB.allFinite() && r.j_WB.allFinite() &&
-         r.s_WB.allFinite() && std::isfinite(r.yaw + r.d_yaw + r.dd_yaw);
-}
-
-// Six digits, enough for a sentence.
-std::string Short(double value) {
-  char text[32];
-  std::snprintf(text, sizeof(text), "%.6g", value);
-  return text;
-}
 
 void Raise(double value, double* most) { *most = std::max(*most, value); }
 
@@ -49,8 +37,8 @@ void Include(const FlatReference& reference, double gravity, Feasibility* found)
 void Compare(const std::string& what, double value, double limit, const std::string& unit,
              Feasibility* found) {
   if (value <= limit * (1.0 + kRounding)) return;
-  found->violations.push_back("the " + what + " reaches " + Short(value) + unit + ", at most " +
-                              FormatNumber(limit) + " is allowed");
+  found->violations.push_back("the " + what + " reaches " + Format("%.6g", value) + unit +
+                              ", at most " + FormatNumber(limit) + " is allowed");
 }
 
 void CompareAll(const FlightLimits& limits, Feasibility* found) {
@@ -61,7 +49,7 @@ void CompareAll(const FlightLimits& limits, Feasibility* found) {
   Compare("yaw rate", found->max_yaw_rate_rad_s, limits.max_yaw_rate_rad_s, " rad/s", found);
   if (found->min_thrust_over_weight < limits.min_thrust_over_weight * (1.0 - kRounding)) {
     found->violations.push_back("the thrust over weight falls to " +
-                                Short(found->min_thrust_over_weight) + ", at least " +
+                                Format("%.6g", found->min_thrust_over_weight) + ", at least " +
                                 FormatNumber(limits.min_thrust_over_weight) + " is needed");
   }
 }

@@ -5,6 +5,7 @@
 #include <limits>
 #include <stdexcept>
 
+#include "odmc/text/format.h"
 #include "odmc/text/number_text.h"
 #include "odmc/text/refusal.h"
 #include "path.h"
@@ -24,12 +25,6 @@ bool IsFile(const std::string& name) {
   const std::string ending = ".yaml";
   return name.size() > ending.size() &&
          name.compare(name.size() - ending.size(), ending.size(), ending) == 0;
-}
-
-std::string Listed(const std::vector<std::string>& names) {
-  std::string text;
-  for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
-  return text;
 }
 
 TrajectoryOptions Checked(const TrajectoryOptions& options) {

@@ -4,6 +4,7 @@
 #include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -185,6 +186,24 @@ void DirectionScales(const Eigen::MatrixXd& directions,
   }
 }
 
+std::optional<double> FadingGain(double square, double variance) {
+  if (!(square * variance > 0.0)) return std::nullopt;
+  return (1.0 - 1.0 / std::sqrt(1.0 + variance * square)) / square;
+}
+
+namespace {
+
+/// Lets rows [A b] fade, see FadingGain(). @param v what they have along the direction
+template <typename Rows, typename Right>
+void Fade(const Eigen::VectorXd& v, double variance, Rows&& A, Right&& b) {
+  const std::optional<double> gain = FadingGain(v.squaredNorm(), variance);
+  if (!gain) return;
+  A -= *gain * v * (v.transpose() * A).eval();
+  b -= *gain * v.dot(b) * v;
+}
+
+}  // namespace
+
 void LetPriorVary(int index, const ProcessStep& step, Prior* prior) {
   if (prior->b.size() == 0) return;
   // What it says about x as what it says about decay x, about the same point.
@@ -192,12 +211,7 @@ void LetPriorVary(int index, const ProcessStep& step, Prior* prior) {
   const Eigen::VectorXd v = prior->A.col(column) / step.decay;
   prior->A.col(column) = v;
   prior->b += (1.0 - step.decay) * prior->eta_lin[index] * v;
-  // Information (A^T A)^-1 + variance e e^T, inverted by Woodbury, as a factor on the left of A.
-  const double square = v.squaredNorm();
-  if (!(square * step.variance > 0.0)) return;
-  const double gain = (1.0 - 1.0 / std::sqrt(1.0 + step.variance * square)) / square;
-  prior->A -= gain * v * (v.transpose() * prior->A).eval();
-  prior->b -= gain * v.dot(prior->b) * v;
+  Fade(v, step.variance, prior->A, prior->b);
 }
 
 void LetPriorWalk(const Eigen::Ref<const Eigen::VectorXd>& direction, double variance,
@@ -208,14 +222,8 @@ void LetPriorWalk(const Eigen::Ref<const Eigen::VectorXd>& direction, double var
   if (rows == 0) return;
   const Eigen::Index first = SplitOffParameters(n, &prior);
   auto A = prior.A.bottomRightCorner(rows - first, n);
-  auto b = prior.b.tail(rows - first);
-  // As in LetPriorVary().
   const Eigen::VectorXd v = A * direction;
-  const double square = v.squaredNorm();
-  if (!(square * variance > 0.0)) return;
-  const double gain = (1.0 - 1.0 / std::sqrt(1.0 + variance * square)) / square;
-  A -= gain * v * (v.transpose() * A).eval();
-  b -= gain * v.dot(b) * v;
+  Fade(v, variance, A, prior.b.tail(rows - first));
 }
 
 namespace {

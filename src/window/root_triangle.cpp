@@ -3,6 +3,7 @@
 #include <Eigen/Jacobi>
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "odmc/window/householder.h"
 #include "odmc/window/marginalization.h"
@@ -191,11 +192,10 @@ void RootTriangle::LetWalk(const Eigen::Ref<const Eigen::VectorXd>& direction, d
                            Workspace* w) {
   GetParameterRows(&w->A, &w->B);
   w->roots.noalias() = w->A * direction;
-  const double square = w->roots.squaredNorm();
-  if (!(square * variance > 0.0)) return;
-  const double gain = (1.0 - 1.0 / std::sqrt(1.0 + variance * square)) / square;
-  w->along.noalias() = gain * w->roots.transpose() * w->A;
-  w->shares.noalias() = gain * w->roots.transpose() * w->B;
+  const std::optional<double> gain = FadingGain(w->roots.squaredNorm(), variance);
+  if (!gain) return;
+  w->along.noalias() = *gain * w->roots.transpose() * w->A;
+  w->shares.noalias() = *gain * w->roots.transpose() * w->B;
   w->A.noalias() -= w->roots * w->along;
   w->B.noalias() -= w->roots * w->shares;
   SetParameterRows(w->A, w->B);

@@ -16,6 +16,12 @@ TEST(Statistics, MedianOfAnEvenSampleIsTheMeanOfTheMiddleTwo) {
   EXPECT_EQ(Median({4.0, 1.0, 2.0, 100.0}), 3.0);
 }
 
+TEST(Statistics, TheMiddleOccursInTheSample) {
+  EXPECT_EQ(MiddleOf(std::vector<double>{5.0, -1.0, 3.0}), 3.0);
+  EXPECT_EQ(MiddleOf(std::vector<double>{4.0, 1.0, 2.0, 100.0}), 4.0);
+  EXPECT_EQ(MiddleOf(std::vector<long>{7}), 7);
+}
+
 TEST(Statistics, EmptySamplesGiveZero) {
   EXPECT_EQ(Median({}), 0.0);
   EXPECT_EQ(Quantile({}, 0.9), 0.0);

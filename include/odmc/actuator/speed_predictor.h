@@ -25,7 +25,6 @@ class SpeedPredictor {
   double Steady() const { return motor_.dynamics.SteadySpeed(drive_); }
   /// Time for which At() was last asked, or the start; minus infinity before.
   double time_s() const { return t_s_; }
-  bool has_command() const { return has_command_; }
   void Forget();
 
  private:

@@ -135,6 +135,25 @@ LeftOutPrediction PredictLeftOut(const FlightLog& log, const FlightLog& recordin
                                  const Vehicle& file_vehicle, const DynamicModel& model,
                                  const EstimatorOptions& options, double block_s);
 
+/// How CalibrateInspected() goes about it.
+struct CalibrateOptions {
+  EstimatorOptions estimator = OfflineOptions();
+  double leave_out_s = 0.0;           ///< of PredictLeftOut(); 0: nothing is left out
+  std::optional<ParameterSet> start;  ///< what the model's values and priors were taken from
+};
+
+/// All that is made of one flight: Calibrate(), with what its streams say about each other in
+/// findings and sigmas (of SI units, in the frames of the vehicle file), what is left out predicted
+/// where that is asked for, and a warning where the start is another mass's.
+/// @param log, recording, file_vehicle, progress, predicted as in Calibrate()
+/// @param inspection of the recording, which was mended by it
+/// @throws std::invalid_argument as Calibrate() and PredictLeftOut()
+Calibration CalibrateInspected(const FlightLog& log, const FlightLog& recording,
+                               const StreamInspection& inspection, const Vehicle& file_vehicle,
+                               const DynamicModel& model, const CalibrateOptions& options,
+                               const std::function<void(double)>& progress = {},
+                               const PredictionSink& predicted = {});
+
 /// Predicts a flight with `parameters` as they are; no fitting.
 /// @param predicted as in Calibrate()
 /// @param thrust where k_f follows the flight: FollowThrust()

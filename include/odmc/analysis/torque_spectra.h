@@ -15,6 +15,7 @@ class PooledScatter;
 /// Torque and angular acceleration, evenly sampled, summed up as spectra.
 class TorqueSpectra {
  public:
+  /// One sample of a flight.
   struct Sample {
     Eigen::Vector3d torque;  ///< of thrust about Bcm, in B, less w × I w [N m]
     Eigen::Vector3d rate;    ///< [rad/s]

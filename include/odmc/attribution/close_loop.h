@@ -32,6 +32,7 @@ struct CloseLoopOptions {
 /// hand holds a vehicle that long, and what acts so long is something the model lacks.
 std::vector<std::pair<Stamp, Stamp>> NotLookedAt(const ReplayResult& replay);
 
+/// What a closed loop found: an effect, nothing worth one, or something that no effect explains.
 enum class Verdict { kEffect, kNone, kUnexplained };
 std::string ToString(Verdict verdict);
 
@@ -53,6 +54,7 @@ struct LoopSample {
   std::array<double, 6> before, after;  ///< measured minus predicted [N, N m]
 };
 
+/// A flight on which the loop was closed, with everything its report shows.
 struct ClosedLoop {
   Verdict verdict = Verdict::kNone;
   FlightFigures flight;

@@ -184,6 +184,7 @@ class Evidence {
   std::vector<ResidualModel::Wrenches> ResidualsOf(const VariantSet& set,
                                                    const EffectFit& fit) const;
 
+  /// A column of the linear model of all flights.
   struct Column : ResidualCoefficient {
     int flight = -1;  ///< whose own it is; -1: shared
   };

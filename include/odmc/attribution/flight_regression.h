@@ -80,8 +80,6 @@ class FlightRegression {
 
   /// Measured residual (N×6) of the declared model.
   const ResidualModel::Wrenches& y() const { return y_; }
-  /// Its size by channel.
-  double plain_sigma(int channel) const { return plain_sigma_[channel]; }
 
   /// Whitened columns, the residual last; one channel's rows after the other's.
   const Eigen::MatrixXd& white() const { return white_; }

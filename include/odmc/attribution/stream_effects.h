@@ -1,5 +1,8 @@
 #pragma once
 
+#include <functional>
+#include <optional>
+
 #include "odmc/attribution/close_loop.h"
 #include "odmc/inspection/stream_inspection.h"
 
@@ -11,5 +14,17 @@ namespace odmc {
 /// not show it any more. Its score is the offset's likelihood against that of right stamps, with
 /// the usual size of an offset as prior; what attribution found of it beside that is added.
 void AddInspection(const StreamInspection& inspection, ClosedLoop* loop);
+
+/// CloseLoop() on a flight whose streams were compared: what may be wrong with them counts in the
+/// sigmas (SI units, frames of the vehicle file), what was found in findings and effects.
+/// @param log mended by the inspection
+/// @param options without doubts: those are the inspection's
+/// @param start what the vehicle's values were taken from: a warning where that is another mass's
+/// @throws std::invalid_argument as CloseLoop()
+ClosedLoop CloseLoopInspected(const FlightLog& log, const StreamInspection& inspection,
+                              const Vehicle& file_vehicle, const Vehicle& vehicle,
+                              CloseLoopOptions options,
+                              const std::optional<ParameterSet>& start = std::nullopt,
+                              const std::function<void(double)>& progress = {});
 
 }  // namespace odmc

@@ -33,6 +33,7 @@ struct ParameterRecovery {
   double observable_share = 0.0;  ///< of flights
 };
 
+/// How all parameters came back, over all flights.
 struct Recovery {
   std::vector<ParameterRecovery> parameters;  ///< the estimated ones
   double pooled_coverage_3sigma = 0.0;

@@ -121,7 +121,6 @@ class Estimator {
     observe_ = std::move(observe);
   }
 
-  const InertiaGate& inertia_gate() const { return schedule_.gate(); }
   OdometryNoise odometry_noise() const { return front_end_.noise().odometry(); }
 
   /// The estimate as a parameter set, for files and messages.

@@ -32,6 +32,7 @@ struct FleetFlight {
   std::vector<PhaseSpan> phases;  ///< all of the recording, oldest first
 };
 
+/// Several flights of a vehicle, calibrated each and combined.
 struct FleetCalibration {
   std::vector<FleetFlight> flights;  ///< in the order they were flown
   JointEstimate joint;               ///< of those used, see used()
@@ -45,6 +46,7 @@ struct FleetCalibration {
   std::vector<int> used() const;
 };
 
+/// How several flights are calibrated.
 struct JointCalibrationOptions {
   EstimatorOptions estimator = OfflineOptions();
   JointOptions joint;

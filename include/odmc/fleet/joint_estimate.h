@@ -10,6 +10,7 @@ namespace odmc {
 
 /// A parameter that steps at a flight and stays there, or drifts over all flights.
 struct VehicleChange {
+  /// At once, or by and by.
   enum class Kind { kStep, kTrend };
   Kind kind = Kind::kStep;
   int parameter = 0;  ///< index in the factors' names
@@ -27,6 +28,7 @@ struct OutlierFlight {
   double p_value = 1.0;          ///< all flights and parameters accounted for
 };
 
+/// How flights are combined.
 struct JointOptions {
   /// Share of histories without any in which a step, a trend or an outlier is seen all the same.
   double false_alarm_rate = 0.05;

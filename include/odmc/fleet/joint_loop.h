@@ -9,6 +9,7 @@
 
 namespace odmc {
 
+/// How the loop is closed on several flights.
 struct JointLoopOptions {
   JointCalibrationOptions calibration;
   AttributionOptions attribution;

@@ -21,6 +21,7 @@ struct FleetModel {
   std::vector<std::pair<int, int>> outliers;
 };
 
+/// A FleetModel fitted to its flights.
 struct RandomEffects {
   Eigen::VectorXd beta;           ///< (n + changes)×1
   Eigen::MatrixXd covariance;     ///< of beta, the scatter taken as known

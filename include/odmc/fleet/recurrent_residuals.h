@@ -27,6 +27,7 @@ extern const std::array<ResidualQuantity, kResidualQuantities> kResidualQuantity
 /// Residuals over time in bins [k w, (k + 1) w) of one quantity, w = step 2^level.
 class ResidualBins {
  public:
+  /// What falls into one bin.
   struct Sum {
     double seconds = 0.0;
     ResidualChannels residual = ResidualChannels::Zero();  ///< times seconds

@@ -13,6 +13,7 @@ struct ScalarHistory {
 
 /// Something that sets flights apart.
 struct HistoryFinding {
+  /// One flight apart, all from one on, or a drift over all.
   enum class Kind { kOutlier, kStep, kTrend };
   Kind kind = Kind::kOutlier;
   int flight = 0;  ///< that one; the first after a step

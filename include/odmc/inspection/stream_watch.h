@@ -13,6 +13,7 @@ namespace odmc {
 /// 0.1 s of CPU time, so ask for it in a thread of low priority. Thread-compatible.
 class StreamWatch {
  public:
+  /// What is kept, and how often it is looked at.
   struct Options {
     double keep_s = 60.0;       ///< newest seconds that are kept
     double every_s = 10.0;      ///< of time between two looks, by the samples' stamps

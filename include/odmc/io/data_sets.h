@@ -28,11 +28,13 @@ bool IsNeurobem(std::string_view head);
 /// One flight of MIT's Blackbird data set in its own terms.
 struct BlackbirdFlight {
   std::string path;  ///< for sentences
+  /// A pose in the axes of the source.
   struct Pose {
     Stamp stamp = 0;
     Eigen::Vector3d p_NED;
     Eigen::Vector4d named_q;  ///< what the source names w, x, y, z
   };
+  /// Speeds of all rotors, one message.
   struct RotorMessage {
     std::vector<Stamp> stamps;  ///< of each rotor
     std::vector<double> rpm;
@@ -40,6 +42,7 @@ struct BlackbirdFlight {
   std::vector<Pose> poses;
   std::vector<ImuSample> imu;  ///< in the IMU's axes
   std::vector<RotorMessage> rotors;
+  /// What the ESCs were told, by rotor.
   struct Command {
     Stamp stamp = 0;
     std::vector<double> pwm_us;

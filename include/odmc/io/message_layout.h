@@ -30,6 +30,7 @@ enum class FieldKind {
 
 /// A path to numbers, stamps or texts of a message: its steps in a MessageLayout.
 struct FieldPath {
+  /// From a message to one of its fields.
   struct Step {
     size_t field = 0;  ///< in the message it is in
     bool all = false;  ///< every entry of an array
@@ -73,8 +74,10 @@ class MessageLayout {
   std::vector<std::string> Texts(const FieldPath& path, const std::uint8_t* data,
                                  size_t size) const;
 
+  /// Whether a field is an array, and whether its definition says of what length.
   enum class Array { kNone, kFixed, kVariable };
 
+  /// One field of a message.
   struct Field {
     std::string name;
     FieldKind kind = FieldKind::kFloat64;
@@ -84,6 +87,7 @@ class MessageLayout {
     std::uint64_t length = 1;  ///< of a fixed array
   };
 
+  /// A type of messages: that of the layout, or one within it.
   struct Type {
     std::string name;
     std::vector<Field> fields;

@@ -23,7 +23,11 @@ struct CostAt {
 
 /// Minimum of a cost by steps that Newton's or Gauss and Newton's method proposes. Of each step the
 /// longest of the shares 1, `shorter`, `shorter`², ... is taken, cut off at the bounds, that lowers
-/// the cost; where none does, the descent ends.
+/// the cost; where none does, the descent ends. It is for few unknowns whose step is worth more
+/// than a cost; others differ: Attribution::Polish() halves the way back to the best point of an
+/// evidence that it linearizes anew each round, of many variants at once, and the segment times of
+/// a minimum-snap path follow the plain slope, whose step has no length of its own, by Armijo's
+/// rule.
 /// @param start N×1, with its cost
 /// @param step_from the whole step from a point, N×1
 /// @param cost of a point; infinite or NaN where none can be

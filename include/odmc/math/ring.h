@@ -13,6 +13,7 @@ namespace odmc {
 template <typename T>
 class Ring {
  public:
+  /// Walks from the front to the back.
   template <typename Owner, typename Value>
   class Iterator {
    public:

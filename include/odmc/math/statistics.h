@@ -1,5 +1,7 @@
 #pragma once
 
+#include <algorithm>
+#include <cstddef>
 #include <vector>
 
 namespace odmc {
@@ -9,6 +11,15 @@ double Median(std::vector<double> sample);
 
 /// Value below which a share `p` (0 to 1) of the sample lies, linearly interpolated; 0 where empty.
 double Quantile(std::vector<double> sample, double p);
+
+/// The value in the middle, of an even number the upper of the two: one that occurs in the sample,
+/// where Median() may lie between two. The sample must not be empty.
+template <typename Value>
+Value MiddleOf(std::vector<Value> sample) {
+  const auto middle = sample.begin() + static_cast<std::ptrdiff_t>(sample.size() / 2);
+  std::nth_element(sample.begin(), middle, sample.end());
+  return *middle;
+}
 
 /// Standard deviation of a zero-mean Gaussian with the sample's median of |x|: robust to outliers.
 double RobustSigma(std::vector<double> sample);

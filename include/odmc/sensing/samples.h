@@ -52,6 +52,7 @@ struct CommandSample {
   RotorVector throttle;  ///< 0 to 1
 };
 
+/// The battery's voltage at its terminals.
 struct BatterySample {
   Stamp stamp = 0;
   double voltage_V = 0.0;

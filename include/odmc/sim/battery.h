@@ -16,7 +16,6 @@ class Battery {
   void Draw(double power_W, double time_s, double dt);
 
   double voltage_V() const { return voltage_; }  ///< at the terminals
-  double current_A() const { return current_; }
 
  private:
   double full_, empty_, capacity_, resistance_, slope_;

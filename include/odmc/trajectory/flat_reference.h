@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cmath>
 
 namespace odmc {
 
@@ -16,5 +17,12 @@ struct FlatReference {
   double dd_yaw = 0.0;    ///< [rad/s²]
   bool standing = false;  ///< on the ground: rotors idle, nothing to track
 };
+
+/// True if every number of it is finite.
+inline bool IsFinite(const FlatReference& r) {
+  return r.p_WB.allFinite() && r.v_WB.allFinite() && r.a_WB.allFinite() && r.j_WB.allFinite() &&
+         r.s_WB.allFinite() && std::isfinite(r.yaw) && std::isfinite(r.d_yaw) &&
+         std::isfinite(r.dd_yaw);
+}
 
 }  // namespace odmc

@@ -16,6 +16,7 @@ namespace odmc {
 /// triangle and root hold what all say. The newest can be eliminated anew, from checkpoints.
 class Chain {
  public:
+  /// What is known before a keyframe is eliminated.
   struct Checkpoint {
     std::int64_t id = -1;
     RootTriangle root;  ///< before the keyframe's own factors

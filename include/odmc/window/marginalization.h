@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <optional>
 
 #include "odmc/window/window.h"
 
@@ -76,6 +77,13 @@ Eigen::MatrixXd RescalePrior(const Eigen::Ref<const Eigen::VectorXd>& scale, Win
 /// @param directions orthonormal columns (n×n)
 void DirectionScales(const Eigen::MatrixXd& directions,
                      const Eigen::Ref<const Eigen::VectorXd>& scale, Eigen::VectorXd* roots);
+
+/// How rows R about parameters fade along a direction d in which these have moved by a variance
+/// since: with v = R d, R - gain v vᵀ R is a root of the information ((RᵀR)⁻¹ + variance d dᵀ)⁻¹
+/// (by Woodbury's identity), so that the optimum stays.
+/// @param square |v|²
+/// @returns gain; nothing where the rows know nothing along d, or nothing has moved
+std::optional<double> FadingGain(double square, double variance);
 
 /// Lets the parameters have moved together since the prior was made, from eta to eta + n d with n
 /// of this variance (a step of a random walk): what the prior says about the parameters alone fades

@@ -45,6 +45,7 @@ class OptionsYamlPrinter {
   std::string text_;
 };
 
+/// True for options that have IsValid().
 template <typename Options, typename = void>
 struct CanJudgeItself : std::false_type {};
 template <typename Options>
