@@ -1,6 +1,7 @@
 #include "csv_table.h"
 
 #include <filesystem>
+#include <utility>
 
 #include "csv_text.h"
 #include "odmc/math/statistics.h"

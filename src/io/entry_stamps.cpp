@@ -1,6 +1,7 @@
 #include "odmc/io/entry_stamps.h"
 
 #include <algorithm>
+#include <utility>
 
 #include "odmc/math/statistics.h"
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
+#include <utility>
 
 #include "odmc/math/so3.h"
 #include "odmc/math/statistics.h"

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "odmc/math/statistics.h"
 #include "odmc/sensing/flight_checks.h"
