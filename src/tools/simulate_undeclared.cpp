@@ -17,7 +17,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-std::string FlightName(int number) { return Format("flight_%03d", number); }
+std::string FlightName(int number) { return odmc::Format("flight_%03d", number); }
 
 const char* KindName(odmc::UndeclaredKind kind) {
   switch (kind) {
