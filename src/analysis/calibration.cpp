@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <stdexcept>
+#include <utility>
 
 #include "odmc/analysis/ground_spans.h"
 #include "odmc/analysis/phase_findings.h"
@@ -444,6 +445,30 @@ Eigen::VectorXd Widen(const std::vector<Eigen::VectorXd>& changes, ParameterSet*
   return grown;
 }
 
+std::vector<Finding> DoubtRemarks(const std::vector<StreamDoubt>& doubts,
+                                  const std::vector<Eigen::VectorXd>& changes,
+                                  const ParameterSet& widened) {
+  std::vector<Finding> remarks;
+  if (changes.size() != doubts.size()) return remarks;  // an estimate failed
+  const auto n = static_cast<Eigen::Index>(widened.parameters.size());
+  Eigen::VectorXd doubted = Eigen::VectorXd::Zero(n);  // variance
+  for (const Eigen::VectorXd& change : changes) doubted += change.cwiseAbs2();
+  for (size_t k = 0; k < doubts.size(); ++k) {
+    std::vector<std::string> names;
+    for (Eigen::Index i = 0; i < n; ++i) {
+      const ParameterEstimate& p = widened.parameters[static_cast<size_t>(i)];
+      const double variance = p.sigma * p.sigma, own = changes[k][i] * changes[k][i];
+      if (!p.estimated || !p.observable || !(variance > 0.0)) continue;
+      if (doubted[i] > 0.5 * variance && own >= 0.25 * variance) names.push_back(p.full_name);
+    }
+    if (names.empty()) continue;
+    remarks.push_back({"stream_doubt", Trust::kGood,
+                       "the recording does not exclude an error (" + Sentence(doubts[k]) +
+                           "), which is a large part of sigma of " + Listed(names)});
+  }
+  return remarks;
+}
+
 void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
                     const EstimatorOptions& options, const std::vector<StreamDoubt>& doubts,
                     Calibration* calibration) {
@@ -452,9 +477,13 @@ void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
       Told({calibration->by_bands, calibration->taken_point}, model, options);
   const DynamicModel told_model(vehicle, vehicle.effects);
   const Stamp from = last.stamp - FromSeconds(kLongestDoubt_s);
-  const Eigen::VectorXd grown = Widen(
-      ChangesWithout(doubts, log, from, told_model, told, &last.values), &calibration->parameters);
+  const std::vector<Eigen::VectorXd> changes =
+      ChangesWithout(doubts, log, from, told_model, told, &last.values);
+  const Eigen::VectorXd grown = Widen(changes, &calibration->parameters);
   calibration->inflation = calibration->inflation.cwiseProduct(grown);
+  for (Finding& remark : DoubtRemarks(doubts, changes, calibration->parameters)) {
+    calibration->findings.push_back(std::move(remark));
+  }
 }
 
 LeftOutPrediction PredictLeftOut(const FlightLog& log, const FlightLog& recording,
@@ -512,7 +541,7 @@ Calibration CalibrateInspected(const FlightLog& log, const FlightLog& recording,
 
 Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
                     const ParameterSet& parameters, const PredictionSink& predicted,
-                    const ValueVariation& thrust) {
+                    const FollowedParameters& followed) {
   const ModelValues values = model.InitialValues();
   Eigen::VectorXd sigma = Eigen::VectorXd::Zero(model.num_parameters());
   for (int i = 0; i < model.num_parameters(); ++i) {
@@ -521,11 +550,13 @@ Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const Dyn
   }
   const GroundSpans ground = FindGroundSpans(log, model, values);
   Evaluation result;
+  result.followed = followed.names;
   result.flight = {log.file, DurationOf(log), ground.on_ground_s, ground.airborne_keyframes,
                    log.dropped};
   const auto keep = [&](const PredictionSample& s) { result.prediction.samples.push_back(s); };
-  result.prediction.figures = PredictEach(log, file_vehicle, model, values, ground.spans, thrust,
-                                          predicted ? predicted : PredictionSink(keep));
+  result.prediction.figures =
+      PredictEach(log, file_vehicle, model, values, ground.spans, followed.vary,
+                  predicted ? predicted : PredictionSink(keep));
   const int k_f = model.IndexOf("thrust.k_f");
   result.nominal_inertia = file_vehicle.inertia_kg_m2;
   result.bands = FindTorqueBands(log, model, values, k_f >= 0 ? sigma[k_f] : 0.0, ground.spans);
@@ -538,44 +569,6 @@ Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const Dyn
   }
   Append(ModelWarnings(model, values, sigma, result.prediction.figures), &result.warnings);
   return result;
-}
-
-ValueVariation FollowThrust(const FlightLog& log, const Vehicle& vehicle,
-                            const EstimatorOptions& options) {
-  constexpr double kBefore_s = 0.1;
-  const std::array<const char*, 2> names = {"thrust.k_f", "rotor_torque.k_m"};
-  Vehicle held = vehicle;
-  const DynamicModel full(vehicle, vehicle.effects);
-  for (const ModelParameter& p : full.parameters()) {
-    const bool follows = p.estimated && (p.full_name == names[0] || p.full_name == names[1]);
-    held.parameters[p.full_name].estimated = follows;
-  }
-  const DynamicModel model(held, held.effects);
-  const std::array<int, 2> index = {model.IndexOf(names[0]), model.IndexOf(names[1])};
-  if (index[0] < 0 || !model.parameters()[index[0]].estimated) {
-    throw std::invalid_argument("thrust.k_f cannot follow the flight: the parameters hold it");
-  }
-  Estimator estimator(&model, options, !log.rotor_rms_only);
-  struct Point {
-    double t_s;
-    std::array<double, 2> values;
-  };
-  std::vector<Point> points;
-  const ReplayResult replay = Replay(log, &estimator);
-  for (const HistoryRow& row : replay.history) {
-    points.push_back({row.t_s, {row.values[index[0]], index[1] < 0 ? 0.0 : row.values[index[1]]}});
-  }
-  const double start_s =
-      replay.last ? ToSeconds(replay.last->stamp - log.odometry.front().stamp) - replay.last->time_s
-                  : 0.0;
-  return [points, index, start_s](double t_s, ModelValues* values) {
-    const auto after = std::upper_bound(points.begin(), points.end(), t_s - start_s - kBefore_s,
-                                        [](double t, const Point& p) { return t < p.t_s; });
-    if (after == points.begin()) return;
-    for (size_t k = 0; k < 2; ++k) {
-      if (index[k] >= 0) (*values)[index[k]] = (after - 1)->values[k];
-    }
-  };
 }
 
 std::vector<std::optional<double>> Convergence(const EstimateHistory& history,

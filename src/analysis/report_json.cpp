@@ -128,6 +128,7 @@ std::string EvaluationReport(const Evaluation& e, const DynamicModel& model) {
   json["vehicle"] = model.vehicle().name;
   json["effects"] = model.effect_names();
   json["flight"] = FlightJson(e.flight);
+  json["followed"] = e.followed;
   json["prediction"] = PredictionJson(e.prediction.figures);
   json["inertia_by_band"] = TorqueBandsJson(e.bands, e.nominal_inertia);
   json["trust"] = Name(TrustOf(e.findings));

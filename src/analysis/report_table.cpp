@@ -114,7 +114,11 @@ std::string CalibrationTable(const Calibration& c) {
 }
 
 std::string EvaluationTable(const Evaluation& e) {
-  return FlightLine(e.flight) + "\n" + PredictionTable(e.prediction.figures) + "\n" +
+  const std::string followed =
+      e.followed.empty()
+          ? ""
+          : Listed(e.followed) + ": learned on this flight, each sample from what was before it\n";
+  return FlightLine(e.flight) + followed + "\n" + PredictionTable(e.prediction.figures) + "\n" +
          TorqueBandsTable(e.bands, e.nominal_inertia) + WarningLines(e.warnings) +
          TrustLines(e.findings, e.warnings);
 }

@@ -208,8 +208,8 @@ std::vector<EffectCandidate> CandidatesFor(const Vehicle& vehicle,
   return all;
 }
 
-std::vector<EffectCandidate> Without(std::vector<EffectCandidate> candidates,
-                                     const std::vector<std::string>& effects) {
+std::vector<EffectCandidate> WithoutEffects(std::vector<EffectCandidate> candidates,
+                                            const std::vector<std::string>& effects) {
   for (const std::string& name : effects) {
     if (EffectRegistry::Default().Has(name)) continue;
     throw std::invalid_argument("effects that are ruled out: '" + name +
@@ -264,7 +264,7 @@ std::vector<ParameterEstimate> DerivedFigures(const Vehicle& vehicle, const std:
   return derived;
 }
 
-bool TellsSize(const Vehicle& vehicle, const std::string& full_name) {
+bool IsSizeParameter(const Vehicle& vehicle, const std::string& full_name) {
   const size_t dot = full_name.find('.');
   const std::vector<std::string> sizes =
       EffectRegistry::Default().Make(full_name.substr(0, dot), vehicle)->size_parameters();

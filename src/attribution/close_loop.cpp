@@ -247,7 +247,7 @@ bool LoopSession::HasFlight() {
 
 void LoopSession::Attribute() {
   residual_ = std::make_unique<ResidualModel>(flight_.get(), &file_vehicle_, !log_.rotor_rms_only);
-  candidates_ = Without(CandidatesFor(vehicle_, flight_->motion()), options_.ruled_out);
+  candidates_ = WithoutEffects(CandidatesFor(vehicle_, flight_->motion()), options_.ruled_out);
   const ModelValues& values = before_.replay.last->values;
   residual_->BlendForces(declared_, values);
   if (residual_->across_by_motion()) {
@@ -396,7 +396,8 @@ void LoopSession::DropIdle() {
   // has to show a size, and must not ruin what it ought to predict.
   const auto idle = [&](const RankedEffect& effect) {
     if (NatsAgainst(effect, after_->parameters, model) < effect.score) return false;
-    const bool is_there = IsThere(effect, after_->parameters, model, options_.attribution);
+    const bool is_there =
+        SizeDiffersFromZero(effect, after_->parameters, model, options_.attribution);
     if (!ruins && (predicts || is_there)) return false;
     result_.warnings.push_back(
         effect.name + " gains " + Rounded(effect.score) + " nats, but the online estimate " +
@@ -486,7 +487,7 @@ void LoopSession::AskOnlineFor(const std::string& name) {
           Rounded(100.0 * beside->p_value) + " % of such flights");
       return;
     }
-    LeaveOpen(*beside, &asked);
+    AddAlternativeSpread(*beside, &asked);
   }
   if (ranked != nullptr) *ranked = asked;
   effects_ = std::move(with);
@@ -507,7 +508,7 @@ void LoopSession::AskOnline() {
 void LoopSession::StayNearFit() {
   constexpr double kSigmas = 3.0;  // the flight counts twice, once with a ninth of its weight
   const bool strays = std::any_of(effects_.begin(), effects_.end(), [&](const RankedEffect& e) {
-    return Strays(e, after_->parameters);
+    return ContradictsFit(e, after_->parameters);
   });
   if (!strays) return;
   const std::map<std::string, ParameterSetting> without = known_;
@@ -550,10 +551,11 @@ void LoopSession::NoteDoubtful(const std::vector<Eigen::VectorXd>& changes,
                                const DynamicModel& model) {
   if (changes.size() != options_.doubts.size()) return;  // an estimate failed
   for (const RankedEffect& effect : effects_) {
-    if (!IsThere(effect, after_->parameters, model, options_.attribution)) continue;
+    if (!SizeDiffersFromZero(effect, after_->parameters, model, options_.attribution)) continue;
     std::string errors;
     for (size_t k = 0; k < changes.size(); ++k) {
-      if (!MayBeZero(effect, after_->parameters, changes[k], model, options_.attribution)) continue;
+      if (!SizeMayBeZero(effect, after_->parameters, changes[k], model, options_.attribution))
+        continue;
       errors += (errors.empty() ? "" : "; ") + Sentence(options_.doubts[k]);
     }
     if (errors.empty()) continue;
@@ -633,7 +635,7 @@ std::vector<std::pair<Stamp, Stamp>> NotLookedAt(const ReplayResult& replay) {
   return contact > flying ? others : replay.ground_spans;
 }
 
-std::string ToString(Verdict verdict) {
+std::string NameOf(Verdict verdict) {
   switch (verdict) {
     case Verdict::kEffect:
       return "effect";

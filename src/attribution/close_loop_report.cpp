@@ -107,7 +107,7 @@ std::string CloseLoopReport(const ClosedLoop& loop, const Vehicle& vehicle) {
   Json json;
   json["flight"] = loop.flight.file;
   json["flight_info"] = FlightJson(loop.flight);
-  json["verdict"] = ToString(loop.verdict);
+  json["verdict"] = NameOf(loop.verdict);
   json["effects"] = Json::array();
   for (const AddedEffect& added : loop.effects) json["effects"].push_back(EffectJson(added, model));
   json["ranking"] = Json::array();
@@ -129,7 +129,7 @@ std::string CloseLoopReport(const ClosedLoop& loop, const Vehicle& vehicle) {
 }
 
 std::string CloseLoopTable(const ClosedLoop& loop) {
-  std::string text = "verdict: " + ToString(loop.verdict) + "\n";
+  std::string text = "verdict: " + NameOf(loop.verdict) + "\n";
   for (const AddedEffect& added : loop.effects) {
     text += "  " + added.effect.name + Format(" (gain %.1f nats)", added.effect.score);
     if (!added.alternatives.empty()) text += ", not told from " + Listed(added.alternatives);

@@ -41,7 +41,7 @@ std::vector<Eigen::Index> SizesOf(const RankedEffect& effect, const ParameterSet
   own.erase(std::remove_if(own.begin(), own.end(),
                            [&](Eigen::Index i) {
                              const auto& p = online.parameters[static_cast<size_t>(i)];
-                             return !TellsSize(model.vehicle(), p.full_name);
+                             return !IsSizeParameter(model.vehicle(), p.full_name);
                            }),
             own.end());
   return own;
@@ -121,7 +121,7 @@ RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& onl
   return ranked;
 }
 
-void LeaveOpen(const RankedEffect& beside, RankedEffect* effect) {
+void AddAlternativeSpread(const RankedEffect& beside, RankedEffect* effect) {
   const auto n = static_cast<Eigen::Index>(effect->parameters.size());
   Eigen::VectorXd change(n);
   effect->spread_of.clear();
@@ -149,16 +149,16 @@ void AddSpread(const RankedEffect& effect, ParameterSet* online) {
   }
 }
 
-bool IsThere(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model,
-             const AttributionOptions& options) {
+bool SizeDiffersFromZero(const RankedEffect& effect, const ParameterSet& online,
+                         const DynamicModel& model, const AttributionOptions& options) {
   const std::vector<Eigen::Index> own = SizesOf(effect, online, model);
   return own.empty() || IsSignificant(ValuesOf(online)(own), online.covariance(own, own),
                                       options.significant_sigmas);
 }
 
-bool MayBeZero(const RankedEffect& effect, const ParameterSet& online,
-               const Eigen::VectorXd& change, const DynamicModel& model,
-               const AttributionOptions& options) {
+bool SizeMayBeZero(const RankedEffect& effect, const ParameterSet& online,
+                   const Eigen::VectorXd& change, const DynamicModel& model,
+                   const AttributionOptions& options) {
   const std::vector<Eigen::Index> own = SizesOf(effect, online, model);
   const Eigen::VectorXd changes = change(own);
   if (own.empty() || changes.isZero(0.0)) return false;
@@ -169,7 +169,7 @@ bool MayBeZero(const RankedEffect& effect, const ParameterSet& online,
   return !IsSignificant(size + nearest * changes, covariance, options.significant_sigmas);
 }
 
-bool Strays(const RankedEffect& effect, const ParameterSet& online) {
+bool ContradictsFit(const RankedEffect& effect, const ParameterSet& online) {
   constexpr double kSigmas = 3.0;
   return std::any_of(
       effect.parameters.begin(), effect.parameters.end(), [&](const ParameterEstimate& p) {

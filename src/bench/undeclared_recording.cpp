@@ -141,7 +141,7 @@ void Jitter(const RecordingConditions& c, Gaussian* random, Samples* samples) {
 
 }  // namespace
 
-const char* ToString(RecordingModel model) {
+const char* NameOf(RecordingModel model) {
   switch (model) {
     case RecordingModel::kWhite:
       return "white";

@@ -15,7 +15,7 @@ using Eigen::Vector3d;
 enum Variable : int { kAir = 0, kOwn = 3, kThrust = 9, kNumVariables = 10 };
 using Number = Dual<kNumVariables>;
 
-/// Blades in numbers. docs/effects.md, "Blade elements and momentum".
+/// Blades in numbers. docs/effects.md, "Blade elements and momentum", Eq. (F9) to (F14).
 struct Blades {
   Number lift, twist, profile_drag, flapping, lag, wake;
   Number pitch, pitch_at_half;  ///< that give the static thrust k_f [rad]
@@ -45,7 +45,7 @@ class BladeElement final : public Effect {
              "at hub j: (T(u_j) - k_f Omega_j^2) e3 - (H + f T a_1) u_h/|u_h|, moments of the "
              "advancing blade and of the skewed wake, s_j (Q(u_j) - Q(0)) e3; T = 2 rho A v W",
              "model.md 12.1, 12.3, 12.4 and 12.5 from one rotor model; Glauert 1926; Leishman "
-             "2006, ch. 2 and 3; Johnson 1980; docs/effects.md",
+             "2006, ch. 2 and 3; Johnson 1980; docs/effects.md, Eq. (F9) to (F14)",
              "advance ratio below 0.4, attached flow; quasi-steady; in place of rotor_drag, drag "
              "along x and y, axial_inflow, hvt, hub_moment and vortex_ring"},
             Specs(), {"thrust.k_f"}) {}

@@ -7,14 +7,14 @@ namespace {
 /// Moment of the air on the body: τ = (-(p_x |u| + q_x u_z) u_y, (p_y |u| + q_y u_z) u_x, 0),
 /// u = v_AB_B. p is drag off the centre of mass, q the moment of a slender body or plate at an
 /// angle to the air (Munk 1924: it grows with the product of the axial and the transverse speed).
-///                                                   model.md 12.9; docs/effects.md
+///                                                   model.md 12.9; docs/effects.md, Eq. (F5)
 class BodyMoment final : public Effect {
  public:
   explicit BodyMoment(const Vehicle& vehicle)
       : Effect(vehicle,
                {"body_moment", "Moment of the air on the body",
                 "tau = (-(p_x |u| + q_x u_z) u_y, (p_y |u| + q_y u_z) u_x, 0), u = v_AB_B",
-                "model.md 12.9 for quadratic drag; Munk 1924; docs/effects.md",
+                "model.md 12.9 for quadratic drag; Munk 1924; docs/effects.md, Eq. (F5)",
                 "attached flow about the body; beside pressure_centre and hub_moment only what "
                 "grows faster than the speed is its own"},
                {Coefficient("p_x", "roll moment per speed and sideways speed", vehicle),

@@ -11,7 +11,7 @@ namespace {
 /// body goes with the gradient of the inflow (Coleman 1945, Pitt and Peters 1981) and turns with
 /// the direction: cos(2ψ) is the first harmonic of a vehicle that is one with its mirror images
 /// about x and y. The part that is the same in all directions is the translational lift's to say.
-///                                                                         docs/effects.md
+///                                                                     docs/effects.md, Eq. (F6)
 class DirectionalLift final : public Effect {
  public:
   explicit DirectionalLift(const Vehicle& vehicle)
@@ -21,7 +21,7 @@ class DirectionalLift final : public Effect {
                 "the in-plane air velocity from body x, chi skew of the wake, v induced velocity, "
                 "v_h that of hover",
                 "model.md 12.4 by the skew of the wake; Glauert 1926; Coleman et al. 1945; Pitt "
-                "and Peters 1981; docs/effects.md",
+                "and Peters 1981; docs/effects.md, Eq. (F6)",
                 "beside hvt; nearly anisotropic_hvt over a narrow range of speeds. Quasi-steady; "
                 "not in the vortex ring state"},
                {{"k_w", "1", "share of thrust gained along body x and lost along body y, at most",

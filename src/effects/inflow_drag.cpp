@@ -8,14 +8,14 @@ namespace {
 /// blade's lift leans back by the inflow angle, so the advancing side drags more the more air comes
 /// from above: rotor drag grows in climb and falls in descent. The product of axial and in-plane
 /// air speed in the H-force of blade-element theory, ρ A σa θ λ μ / 4.
-///                                                   model.md 12.1; docs/effects.md
+///                                                   model.md 12.1; docs/effects.md, Eq. (F1)
 class InflowDrag final : public Effect {
  public:
   explicit InflowDrag(const Vehicle& vehicle)
       : Effect(vehicle,
                {"inflow_drag", "Rotor drag with axial inflow",
                 "f = -c u_z (u_x, u_y, 0) at the centre of mass, u = v_AB_B",
-                "model.md 12.1 to the next order; Leishman 2006, ch. 3; docs/effects.md",
+                "model.md 12.1 to the next order; Leishman 2006, ch. 3; docs/effects.md, Eq. (F1)",
                 "beside rotor_drag or drag; above a tenth of the tip speed; not in the vortex ring "
                 "state"},
                {Coefficient(vehicle)}) {}

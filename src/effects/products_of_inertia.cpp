@@ -5,13 +5,13 @@
 namespace odmc {
 namespace {
 
-/// Off-diagonal inertia about Bcm, as it stands in the matrix.          model.md 12.14
+/// Off-diagonal inertia about Bcm, as it stands in the matrix.          model.md 12.14, Eq. (M41)
 class ProductsOfInertia final : public Effect {
  public:
   explicit ProductsOfInertia(const Vehicle& vehicle)
       : Effect(vehicle,
                {"products_of_inertia", "Products of inertia",
-                "I_xy, I_xz, I_yz in I dw/dt = tau - w x I w", "model.md 12.14",
+                "I_xy, I_xz, I_yz in I dw/dt = tau - w x I w", "model.md 12.14, Eq. (M41)",
                 "needs angular acceleration on two axes"},
                {Product("xy", 0, 1, vehicle), Product("xz", 0, 2, vehicle),
                 Product("yz", 1, 2, vehicle)}) {}

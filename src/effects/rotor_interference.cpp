@@ -9,7 +9,7 @@ namespace {
 /// velocity of the hub, a the arm length and v = Ω_j sqrt(k_f / (2 ρ A)) the induced velocity of
 /// hover. In hover the wakes go straight down and miss the neighbours; forward speed skews them,
 /// sin²(skew) = |u_h|² / (v² + |u_h|²) of a wake that moves at v. What the mean rotor loses is the
-/// translational lift's to say.                                           docs/effects.md
+/// translational lift's to say.                                           docs/effects.md, Eq. (F8)
 class RotorInterference final : public Effect {
  public:
   explicit RotorInterference(const Vehicle& vehicle)
@@ -17,7 +17,8 @@ class RotorInterference final : public Effect {
                {"rotor_interference", "Front against rear rotors",
                 "f_j = k_i k_f Omega_j^2 (r_j . u_h/a) |u_h|/(v^2 + |u_h|^2) e3 at hub j, u_h "
                 "in-plane air velocity, a arm length, v induced velocity of hover at Omega_j",
-                "model.md 12.4 per rotor; Luo et al. 2015; Russell et al. 2016; docs/effects.md",
+                "model.md 12.4 per rotor; Luo et al. 2015; Russell et al. 2016; docs/effects.md, "
+                "Eq. (F8)",
                 "level and climbing flight; its torque is nearly a hub moment until it saturates"},
                {{"k_i", "1", "share of thrust a rotor at the front gains, one at the rear loses",
                  0.0, 0.3, 0.1, ParameterTransform::kLinear, PhysicalSign::kPositive}},

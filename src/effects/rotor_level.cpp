@@ -5,7 +5,7 @@ namespace odmc {
 namespace {
 
 /// Everything a rotor does besides its static thrust and torque, at its hub. Meant in place of
-/// drag, viscous_torque and hvt.                                        model.md 12.19
+/// drag, viscous_torque and hvt.                                        model.md 12.19, Eq. (M48)
 class RotorLevel final : public Effect {
  public:
   explicit RotorLevel(const Vehicle& vehicle)
@@ -14,7 +14,7 @@ class RotorLevel final : public Effect {
             {"rotor_level", "Unified rotor-level aerodynamics",
              "f_j = -Omega_j diag(k_d, k_d, k_z) u_j + k_h/4 (u_jx^2 + u_jy^2) e3 at hub j; tau = "
              "J_r (sum(s Omega) (w x e3) + sum(s dOmega/dt) e3)",
-             "model.md 12.19",
+             "model.md 12.19, Eq. (M48)",
              "replaces drag, viscous_torque and hvt; lateral drag acts in the hub plane", true},
             {HubDampingSpec("k_d", "in-plane drag per rotor speed and air speed", vehicle),
              HubDampingSpec("k_z", "thrust loss per rotor speed and axial air speed", vehicle),

@@ -8,7 +8,8 @@ namespace {
 /// s_j = 1 / (1 + (|u_j| / (0.4 Ω_j R))²). Lift by the square of the in-plane speed holds while
 /// that is small against the blades' own speed; then the retreating blades stall and the wake is
 /// gone. 0.4 is the advance ratio about which helicopters meet retreating-blade stall (Leishman
-/// 2006, ch. 3); that it fits small propellers was found on recorded flights.       docs/effects.md
+/// 2006, ch. 3); that it fits small propellers was found on recorded flights.
+///                                                                     docs/effects.md, Eq. (F2)
 class SaturatingLift final : public Effect {
  public:
   explicit SaturatingLift(const Vehicle& vehicle)
@@ -17,7 +18,7 @@ class SaturatingLift final : public Effect {
             {"saturating_lift", "Saturating translational lift",
              "f_j = k_s/4 s_j (u_jx^2 + u_jy^2) e3 at hub j, s_j = 1/(1 + (|u_j|/(0.4 Omega_j "
              "R))^2)",
-             "model.md 12.4; Leishman 2006, ch. 3; docs/effects.md",
+             "model.md 12.4; Leishman 2006, ch. 3; docs/effects.md, Eq. (F2)",
              "in place of hvt, or beside it where hvt takes the loss at the highest speeds; one "
              "with hvt below a tenth of the tip speed"},
             {LiftSpec("k_s", "extra thrust per squared in-plane air speed while slow, all rotors",

@@ -15,7 +15,8 @@ class SkewedInflow final : public Effect {
       : Effect(vehicle,
                {"skewed_inflow", "Inflow along a leaning axis",
                 "f_j = -Omega_j (k_x u_jx + k_y u_jy) e3 at hub j",
-                "axial inflow (model.md 12.3) along a leaning axis; docs/closing_the_loop.md",
+                "axial inflow (model.md 12.3, Eq. (M30)) along a leaning axis; "
+                "docs/closing_the_loop.md",
                 "empirical: the cause of the lean is not modelled"},
                {Axis("k_x", vehicle), Axis("k_y", vehicle)}) {}
 

@@ -8,14 +8,15 @@ namespace {
 /// is a plate (arms, battery, guards); from the front it is slender. It acts at the place (p_x,
 /// p_y) / c_z in the rotors' plane, seen from the centre of mass. (The moments have coefficients of
 /// their own and are no products of c_z, for the reason that rotor_drag has.)
-///                                        model.md 12.2, Eq. (M29) along one axis; docs/effects.md
+///                                        model.md 12.2, Eq. (M29) along one axis; docs/effects.md,
+///                                        Eq. (F4)
 class VerticalDrag final : public Effect {
  public:
   explicit VerticalDrag(const Vehicle& vehicle)
       : Effect(vehicle,
                {"vertical_drag", "Body drag along z",
                 "f = -c_z |u| u_z e3, u = v_AB_B, at (p_x, p_y)/c_z from the centre of mass",
-                "model.md 12.2, along one axis; Hoerner 1965, ch. 3; docs/effects.md",
+                "model.md 12.2, along one axis; Hoerner 1965, ch. 3; docs/effects.md, Eq. (F4)",
                 "beside quadratic_drag only the difference of the axes is its own; holds the "
                 "download of the rotors' wake on the arms where that varies"},
                {{"c_z", "kg/m", "half air density times drag area seen along z", 0.0,

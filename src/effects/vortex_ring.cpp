@@ -13,7 +13,7 @@ namespace {
 /// hover. h is 1 at d = v, straight down; it vanishes in hover with its slope (what is linear in
 /// u_z is axial_inflow), in fast descent (windmill) and in forward flight, which leaves the wake
 /// behind.
-///                                                                       docs/effects.md
+///                                                                       docs/effects.md, Eq. (F3)
 class VortexRing final : public Effect {
  public:
   explicit VortexRing(const Vehicle& vehicle)
@@ -21,7 +21,8 @@ class VortexRing final : public Effect {
                {"vortex_ring", "Vortex ring state",
                 "f_j = -k_v k_f Omega_j^2 h e3 at hub j, h = 4 d^2 v^2/(v^2 + d^2 + u_jx^2 + "
                 "u_jy^2)^2, d = max(0, -u_jz), v induced velocity of hover at Omega_j",
-                "model.md 12.3 in descent; Leishman 2006, ch. 2; Johnson 2005; docs/effects.md",
+                "model.md 12.3 in descent; Leishman 2006, ch. 2; Johnson 2005; docs/effects.md, "
+                "Eq. (F3)",
                 "the mean loss: thrust in the vortex ring state also fluctuates by as much"},
                {{"k_v", "1", "share of thrust lost straight down at the induced velocity of hover",
                  0.0, 0.5, 0.2, ParameterTransform::kLinear, PhysicalSign::kPositive}},

@@ -12,7 +12,7 @@ namespace {
 /// the skew and fades as the induced velocity v falls from v_h, that of hover, where that of
 /// flapping (hub_moment) goes on growing. Blade elements give l = σa/16 · 15π/32 · R V/(2 v_h) (C_P
 /// of blade_element), with the blades' tip speed V: 2 cm for a radius R of 6 cm and σa = 0.7.
-///                                                                         docs/effects.md
+///                                                                     docs/effects.md, Eq. (F7)
 class WakeMoment final : public Effect {
  public:
   explicit WakeMoment(const Vehicle& vehicle)
@@ -22,7 +22,7 @@ class WakeMoment final : public Effect {
              "tau_j = k_f Omega_j^2 tan(chi/2) v/v_h (l_x u_y, -l_y u_x, 0)/u_h, u_h in-plane air "
              "velocity of hub j, chi skew of its wake, v induced velocity, v_h that of hover",
              "model.md 12.5 by the skew of the wake; Glauert 1926; Coleman et al. 1945; Pitt "
-             "and Peters 1981; docs/effects.md",
+             "and Peters 1981; docs/effects.md, Eq. (F7)",
              "beside hub_moment; one with it while slow. Quasi-steady"},
             {Lever("l_x", "about body x", vehicle), Lever("l_y", "about body y", vehicle)},
             {"thrust.k_f"}) {}

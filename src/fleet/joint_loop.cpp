@@ -103,7 +103,8 @@ std::vector<Eigen::Index> SizesOf(const std::string& effect, const FlightFactor&
   std::vector<Eigen::Index> sizes = SharedOf(effect, factor);
   sizes.erase(std::remove_if(sizes.begin(), sizes.end(),
                              [&](Eigen::Index k) {
-                               return !TellsSize(vehicle, factor.names[static_cast<size_t>(k)]);
+                               return !IsSizeParameter(vehicle,
+                                                       factor.names[static_cast<size_t>(k)]);
                              }),
               sizes.end());
   return sizes;
@@ -307,7 +308,7 @@ void JointSession::Find(const Progress& progress) {
     motions.push_back(&looked[f].flight->motion());
   }
   Attribution attribution(residuals, point,
-                          Without(CandidatesFor(vehicle_, motions), options_.ruled_out),
+                          WithoutEffects(CandidatesFor(vehicle_, motions), options_.ruled_out),
                           options_.attribution, {}, options_.calibration.jobs);
   attribution.Run();
   point_ = attribution.point();

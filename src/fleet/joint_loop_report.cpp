@@ -97,7 +97,7 @@ std::string ErrorTable(const std::vector<FleetFlight>& before,
 std::string JointLoopReport(const JointLoop& loop, const DynamicModel& model) {
   Json json = Json::parse(FleetReport(loop.after, model));
   Json found;
-  found["verdict"] = ToString(loop.verdict);
+  found["verdict"] = NameOf(loop.verdict);
   found["effects"] = Json::array();
   for (const JointEffect& e : loop.effects) found["effects"].push_back(EffectJson(e, loop.flights));
   found["ranking"] = Json::array();
@@ -121,7 +121,7 @@ std::string JointLoopReport(const JointLoop& loop, const DynamicModel& model) {
 
 std::string JointLoopTable(const JointLoop& loop) {
   const std::string all = std::to_string(loop.flights.size());
-  std::string text = "verdict of " + all + " flights: " + ToString(loop.verdict) + "\n";
+  std::string text = "verdict of " + all + " flights: " + NameOf(loop.verdict) + "\n";
   for (const JointEffect& joint : loop.effects) {
     text += "  " + joint.effect.name + " (gain " + Format("%.1f", joint.effect.score) + " nats; " +
             std::to_string(joint.speak_for) + " flights for it, " + std::to_string(joint.against) +

@@ -135,20 +135,18 @@ Found CalibrateOne(const FlightLog& flight, const Vehicle& file_vehicle, const V
 
 /// evaluate.
 Found EvaluateOne(const FlightLog& flight, const Vehicle& file_vehicle,
-                  const ParameterSet& parameters, std::optional<double> k_f_walk_rate, bool force) {
+                  const ParameterSet& parameters, double k_f_walk_rate,
+                  const std::vector<std::string>& follow, bool force) {
   Vehicle vehicle = file_vehicle;
   ApplyParameters(parameters, &vehicle);
   const DynamicModel model(vehicle, vehicle.effects);
   FlightLog log = flight;
   const StreamInspection inspection = Inspect(vehicle, force, &log);
-  ValueVariation thrust;
-  if (k_f_walk_rate) {
-    EstimatorOptions options = tools::AttributionEstimatorOptions();
-    options.k_f_walk_rate = *k_f_walk_rate;
-    thrust = FollowThrust(log, vehicle, options);
-  }
+  EstimatorOptions options = tools::AttributionEstimatorOptions();
+  options.k_f_walk_rate = k_f_walk_rate;
+  const FollowedParameters followed = FollowFlight(log, vehicle, follow, options);
   PredictionTable prediction(!log.rotor_rms_only);
-  Evaluation result = Evaluate(log, file_vehicle, model, parameters, prediction.Sink(), thrust);
+  Evaluation result = Evaluate(log, file_vehicle, model, parameters, prediction.Sink(), followed);
   AddInspection(inspection, &result);
   return {EvaluationReport(result, model),
           EvaluationTable(result),
@@ -250,7 +248,7 @@ void BindAnalysis(py::module_* m) {
       py::arg("settings"), py::arg("leave_out_s"), py::arg("position_noise_m"), py::arg("seed"),
       py::arg("force"), py::arg("progress"));
   m->def("evaluate", &EvaluateOne, py::arg("flight"), py::arg("file_vehicle"),
-         py::arg("parameters"), py::arg("k_f_walk_rate"), py::arg("force"),
+         py::arg("parameters"), py::arg("k_f_walk_rate"), py::arg("follow"), py::arg("force"),
          py::call_guard<Release>());
   m->def(
       "close_loop",

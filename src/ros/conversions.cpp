@@ -108,20 +108,13 @@ std::optional<BatterySample> ToInput(const sensor_msgs::BatteryState& message) {
 }
 
 std::optional<RotorInput> ToInput(const RotorSpeeds& message, int num_rotors) {
-  const std::vector<double>& speeds = message.angular_velocity_rad_s;
-  if (static_cast<int>(speeds.size()) != num_rotors) return std::nullopt;
-  RotorInput input;
-  input.sample.stamp = FromRos(message.header.stamp);
-  input.sample.speed = Eigen::Map<const Eigen::VectorXd>(speeds.data(), num_rotors);
-  input.rms_only = message.rms_only;
-  return AcceptedAs(std::move(input));
+  auto input = InputOf(message, {}, num_rotors);
+  return input ? AcceptedAs(*std::move(input)) : std::nullopt;
 }
 
 std::optional<CommandSample> ToInput(const MotorCommands& message, int num_rotors) {
-  if (static_cast<int>(message.throttle.size()) != num_rotors) return std::nullopt;
-  return AcceptedAs(
-      CommandSample{FromRos(message.header.stamp),
-                    Eigen::Map<const Eigen::VectorXd>(message.throttle.data(), num_rotors)});
+  auto input = InputOf(message, {}, num_rotors);
+  return input ? AcceptedAs(*std::move(input)) : std::nullopt;
 }
 
 geometry_msgs::TransformStamped ToTransform(Stamp stamp, const std::string& parent,

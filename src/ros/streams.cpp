@@ -4,15 +4,12 @@
 #include <geometry_msgs/TransformStamped.h>
 #include <geometry_msgs/TwistStamped.h>
 #include <geometry_msgs/TwistWithCovarianceStamped.h>
-#include <sensor_msgs/JointState.h>
 
 #include <algorithm>
 #include <set>
 #include <stdexcept>
 #include <utility>
 
-#include "odmc/MotorCommands.h"
-#include "odmc/RotorSpeeds.h"
 #include "odmc/model/motor.h"
 #include "odmc/ros/message_values.h"
 
@@ -76,6 +73,17 @@ void CheckOrder(const char* key, const std::vector<int>& order, int num_rotors) 
     throw std::invalid_argument(std::string(key) + " names " + std::to_string(order.size()) +
                                 " rotors, the vehicle has " + std::to_string(num_rotors));
   }
+}
+
+/// Nothing where there is not one entry per rotor. @param num_rotors  0: any number
+std::optional<RotorVector> InOrderOfRotors(const std::vector<double>& entries,
+                                           const std::vector<int>& order, int num_rotors) {
+  const std::optional<std::vector<double>> ordered = EntriesInOrder(entries, order);
+  const size_t size = ordered ? ordered->size() : 0;
+  const bool fits = num_rotors > 0 ? size == static_cast<size_t>(num_rotors)
+                                   : size >= 1 && size <= static_cast<size_t>(kMaxRotors);
+  if (!fits) return std::nullopt;
+  return Eigen::Map<const Eigen::VectorXd>(ordered->data(), static_cast<Eigen::Index>(size));
 }
 
 }  // namespace
@@ -171,6 +179,24 @@ BatterySample InputOf(const sensor_msgs::BatteryState& m) {
   return {FromRos(m.header.stamp), FromFloat(m.voltage)};
 }
 
+std::optional<RotorInput> InputOf(const RotorSpeeds& m, const std::vector<int>& order,
+                                  int num_rotors) {
+  const auto speeds = InOrderOfRotors(m.angular_velocity_rad_s, order, num_rotors);
+  if (!speeds) return std::nullopt;
+  RotorInput input;
+  input.sample.stamp = FromRos(m.header.stamp);
+  input.sample.speed = *speeds;
+  input.rms_only = m.rms_only;
+  return input;
+}
+
+std::optional<CommandSample> InputOf(const MotorCommands& m, const std::vector<int>& order,
+                                     int num_rotors) {
+  const auto throttle = InOrderOfRotors(m.throttle, order, num_rotors);
+  if (!throttle) return std::nullopt;
+  return CommandSample{FromRos(m.header.stamp), *throttle};
+}
+
 // ---- Messages of any type ----------------------------------------------------------------------
 
 StreamReader::StreamReader(InputStream stream, const StreamOptions& options, int num_rotors)
@@ -211,19 +237,20 @@ InputSample StreamReader::ReadOwn(const RawMessage& message) const {
       return InputOf(DecodeMessage<sensor_msgs::BatteryState>(message));
     case InputStream::kMotorCommands: {
       const auto m = DecodeMessage<MotorCommands>(message);
-      return CommandsOf(FromRos(m.header.stamp), m.throttle);
+      const auto input = InputOf(m, options_.command_order, num_rotors_);
+      if (!input) RefuseCount(m.throttle.size(), options_.command_order, "commands");
+      return *input;
     }
     default:
       break;
   }
   if (message.type() == kJointState) {
-    const auto m = DecodeMessage<sensor_msgs::JointState>(message);
-    return RotorsOf(FromRos(m.header.stamp), SpeedsOfJoints(m), joint_scale_);
+    return JointsOf(DecodeMessage<sensor_msgs::JointState>(message));
   }
   const auto m = DecodeMessage<RotorSpeeds>(message);
-  InputSample input = RotorsOf(FromRos(m.header.stamp), m.angular_velocity_rad_s, 1.0);
-  std::get<RotorInput>(input).rms_only = m.rms_only;
-  return input;
+  const auto input = InputOf(m, options_.rotor_order, num_rotors_);
+  if (!input) RefuseCount(m.angular_velocity_rad_s.size(), options_.rotor_order, "speeds");
+  return *input;
 }
 
 FieldOptions StreamReader::Fields() const {
@@ -273,33 +300,28 @@ std::optional<InputSample> StreamReader::ReadForeign(const RawMessage& message, 
 
 std::vector<std::string> StreamReader::TakeNotes() { return std::exchange(notes_, {}); }
 
-InputSample StreamReader::RotorsOf(Stamp stamp, const std::vector<double>& speeds,
-                                   double scale) const {
+RotorInput StreamReader::JointsOf(const sensor_msgs::JointState& m) const {
   RotorInput input;
-  input.sample.stamp = stamp;
-  input.sample.speed = scale * PerRotor(speeds, options_.rotor_order, "speeds");
+  input.sample.stamp = FromRos(m.header.stamp);
+  input.sample.speed = joint_scale_ * PerRotor(SpeedsOfJoints(m), options_.rotor_order, "speeds");
   input.from_joints = role_.stream == InputStream::kJointStates;
   return input;
 }
 
-InputSample StreamReader::CommandsOf(Stamp stamp, const std::vector<double>& throttle) const {
-  return CommandSample{stamp, PerRotor(throttle, options_.command_order, "commands")};
-}
-
 RotorVector StreamReader::PerRotor(const std::vector<double>& entries,
                                    const std::vector<int>& order, const char* what) const {
-  const std::optional<std::vector<double>> ordered = EntriesInOrder(entries, order);
-  const size_t size = ordered ? ordered->size() : 0;
-  const bool fits = num_rotors_ > 0 ? size == static_cast<size_t>(num_rotors_)
-                                    : size >= 1 && size <= static_cast<size_t>(kMaxRotors);
-  if (!fits) {
-    const std::string has = "has " + std::to_string(entries.size()) + " " + what;
-    throw std::invalid_argument(
-        !order.empty()    ? has + ", an order of " + std::to_string(order.size()) + " was given"
-        : num_rotors_ > 0 ? has + ", the vehicle has " + std::to_string(num_rotors_) + " rotors"
-                          : has);
-  }
-  return Eigen::Map<const Eigen::VectorXd>(ordered->data(), static_cast<Eigen::Index>(size));
+  const std::optional<RotorVector> ordered = InOrderOfRotors(entries, order, num_rotors_);
+  if (!ordered) RefuseCount(entries.size(), order, what);
+  return *ordered;
+}
+
+void StreamReader::RefuseCount(size_t count, const std::vector<int>& order,
+                               const char* what) const {
+  const std::string has = "has " + std::to_string(count) + " " + what;
+  throw std::invalid_argument(
+      !order.empty()    ? has + ", an order of " + std::to_string(order.size()) + " was given"
+      : num_rotors_ > 0 ? has + ", the vehicle has " + std::to_string(num_rotors_) + " rotors"
+                        : has);
 }
 
 }  // namespace odmc

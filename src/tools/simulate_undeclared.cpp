@@ -46,7 +46,7 @@ Json MountJson(const odmc::SensorMount& mount) {
 }
 
 Json RecordingJson(const odmc::RecordingConditions& c) {
-  Json json = {{"model", ToString(c.model)},
+  Json json = {{"model", NameOf(c.model)},
                {"log_rate_hz", c.log_rate_hz},
                {"pilot_bandwidth", c.pilot_bandwidth},
                {"odometry", MountJson(c.odometry)},

@@ -252,7 +252,7 @@ TEST(QuickEffects, FollowRotorAccelerationsWithASignThatPhysicsGives) {
 
 TEST_F(OnlineEvidence, LeavesOpenWhatErrorsOfStampsChange) {
   RankedEffect alone = Ranked(1e-5, 1e-6), beside = Ranked(1.4e-5, 2e-6);
-  LeaveOpen(beside, &alone);
+  AddAlternativeSpread(beside, &alone);
   ASSERT_EQ(alone.spread_of, std::vector<std::string>{"rotor_reaction.J_r"});
   EXPECT_NEAR(alone.spread(0, 0), 1.6e-11, 1e-20);
 }

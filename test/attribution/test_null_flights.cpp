@@ -34,8 +34,8 @@ TEST(NullFlights, NameNothingWhateverTheNoise) {
   });
   for (int i = 0; i < kFlights; ++i) {
     const double p = loops[i].ranking.empty() ? 1.0 : loops[i].ranking.front().p_value;
-    std::printf("%-11s %-10s %s, p %.3f\n", ToString(plans[i].recording),
-                plans[i].trajectory.c_str(), ToString(loops[i].verdict).c_str(), p);
+    std::printf("%-11s %-10s %s, p %.3f\n", NameOf(plans[i].recording), plans[i].trajectory.c_str(),
+                NameOf(loops[i].verdict).c_str(), p);
     EXPECT_EQ(flights[i].right_answer, "none");
     EXPECT_NE(loops[i].verdict, Verdict::kEffect) << i << ": " << loops[i].effects[0].effect.name;
     EXPECT_GT(p, 0.001) << i;
@@ -127,8 +127,8 @@ TEST(NullFlights, NameNothingOnShortStretches) {
   int named = 0;
   for (int i = 0; i < 2 * kFlights; ++i) {
     named += loops[i].verdict == Verdict::kEffect ? 1 : 0;
-    std::printf("%-11s %-10s %s%s\n", ToString(plans[i / 2].recording),
-                plans[i / 2].trajectory.c_str(), ToString(loops[i].verdict).c_str(),
+    std::printf("%-11s %-10s %s%s\n", NameOf(plans[i / 2].recording),
+                plans[i / 2].trajectory.c_str(), NameOf(loops[i].verdict).c_str(),
                 loops[i].effects.empty() ? "" : (": " + loops[i].effects[0].effect.name).c_str());
   }
   EXPECT_LE(named, 1);  // at the stated 1 % two or more are chance once in a hundred times

@@ -41,8 +41,8 @@ class OnlineEvidence : public ::testing::Test {
   void Set(const std::string& name, double value) {
     online_.parameters[static_cast<size_t>(model_.IndexOf(name))].value = value;
   }
-  bool MayBeZero(const std::string& effect) const {
-    return odmc::MayBeZero(Effect(effect), online_, changes_, model_, options_);
+  bool SizeMayBeZero(const std::string& effect) const {
+    return odmc::SizeMayBeZero(Effect(effect), online_, changes_, model_, options_);
   }
 
   const Vehicle vehicle_;
@@ -55,26 +55,26 @@ class OnlineEvidence : public ::testing::Test {
 TEST_F(OnlineEvidence, MayBeZeroWhereAnErrorOfEitherSignBringsItThere) {
   const int c_q = model_.IndexOf("quadratic_drag.c_q");
   Set("quadratic_drag.c_q", 10.0);
-  EXPECT_TRUE(IsThere(Effect("quadratic_drag"), online_, model_, options_));
-  EXPECT_FALSE(MayBeZero("quadratic_drag")) << "no error changes it";
+  EXPECT_TRUE(SizeDiffersFromZero(Effect("quadratic_drag"), online_, model_, options_));
+  EXPECT_FALSE(SizeMayBeZero("quadratic_drag")) << "no error changes it";
   for (const double error : {-9.0, 9.0, 40.0}) {
     changes_[c_q] = error;
-    EXPECT_TRUE(MayBeZero("quadratic_drag")) << error;
+    EXPECT_TRUE(SizeMayBeZero("quadratic_drag")) << error;
   }
   changes_[c_q] = 5.0;
-  EXPECT_FALSE(MayBeZero("quadratic_drag")) << "five sigma are left";
+  EXPECT_FALSE(SizeMayBeZero("quadratic_drag")) << "five sigma are left";
   changes_ = Zero();
   changes_[model_.IndexOf("thrust.k_f")] = 100.0;
-  EXPECT_FALSE(MayBeZero("quadratic_drag")) << "another effect's";
+  EXPECT_FALSE(SizeMayBeZero("quadratic_drag")) << "another effect's";
 }
 
 TEST_F(OnlineEvidence, AMassMayBeZeroWhateverItsPlace) {
   Set("mass_change.mass", 10.0);
   Set("mass_change.z", -3.0);
   changes_[model_.IndexOf("mass_change.z")] = 3.0;
-  EXPECT_FALSE(MayBeZero("mass_change"));
+  EXPECT_FALSE(SizeMayBeZero("mass_change"));
   changes_[model_.IndexOf("mass_change.mass")] = -10.0;
-  EXPECT_TRUE(MayBeZero("mass_change"));
+  EXPECT_TRUE(SizeMayBeZero("mass_change"));
 }
 
 }  // namespace

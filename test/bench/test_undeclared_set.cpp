@@ -26,7 +26,7 @@ bool Contains(const std::vector<std::string>& names, const std::string& name) {
 /// True if the verdict is right; of effects, if the first one found or one that it cannot be told
 /// from is among the true ones.
 bool IsRight(const UndeclaredFlight& flight, const ClosedLoop& loop) {
-  if (ToString(loop.verdict) != flight.right_answer) return false;
+  if (NameOf(loop.verdict) != flight.right_answer) return false;
   if (loop.effects.empty()) return true;
   const AddedEffect& first = loop.effects.front();
   return Contains(flight.plan.effects, first.effect.name) ||
@@ -83,7 +83,7 @@ TEST(UndeclaredSet, IsAnsweredAsMeasured) {
     for (const AddedEffect& effect : loops[i].effects) found += " " + effect.effect.name;
     std::printf("%s %2d %-6s %-10s right: %s%s, found: %s%s\n", right ? "  " : "no", i,
                 flight.plan.strength.c_str(), flight.plan.trajectory.c_str(),
-                flight.right_answer.c_str(), truth.c_str(), ToString(loops[i].verdict).c_str(),
+                flight.right_answer.c_str(), truth.c_str(), NameOf(loops[i].verdict).c_str(),
                 found.c_str());
   }
   std::printf("false alarms %d of %d, unexplained %d of %d, strong and medium named %d of %d\n",

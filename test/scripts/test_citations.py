@@ -1,4 +1,4 @@
-"""Every section, equation and test of docs/model.md that sources and documents cite exists."""
+"""Every section, equation and test of docs/model.md and every equation of docs/effects.md that is cited exists."""
 
 import os
 import re
@@ -14,6 +14,8 @@ CITED = re.compile(r'model\.md(?:\]\([^)]*\))?,? (?:\(?sections? )?(' + SECTION 
 # "model.md Eq. (A), (B)", "model.md section 2, Eq. (M3)", "model.md 12.1 and 12.3, Eq. (M28), (M30)".
 EQUATION = re.compile(r'model\.md(?:\]\([^)]*\))?(?:,? (?:sections? )?([\d., and]+))?,? Eq\. '
                       r'(\([A-Z]\w*\)(?:, \([A-Z]\w*\))*)')
+# "docs/effects.md, Eq. (F1)", "docs/effects.md, Eq. (F9) to (F14)".
+SERIES = re.compile(r'effects\.md(?:, "[^"]*")?, Eq\. \((F\d+)\)(?: to \((F\d+)\))?')
 
 
 def texts() -> Iterator[Tuple[str, str]]:
@@ -41,6 +43,8 @@ def cited(text: str) -> List[Tuple[str, str]]:
             found.append(('test', match.group(2)))
     for match in EQUATION.finditer(text):
         found += [('equation', name) for name in re.findall(r'\w+', match.group(2))]
+    for match in SERIES.finditer(text):
+        found += [('equation', name) for name in match.groups() if name]
     return found
 
 
@@ -70,6 +74,8 @@ def offered() -> Set[Tuple[str, str]]:
         text = file.read()
     found = {('section', number) for number in re.findall(r'^##+ (' + SECTION + r')\.? ', text, flags=re.MULTILINE)}
     found |= {('equation', name) for name in re.findall(r'\\tag\{(\w+)\}', text)}
+    with open(os.path.join(ROOT, 'docs', 'effects.md'), encoding='utf-8') as file:
+        found |= {('equation', name) for name in re.findall(r'\((F\d+)\)', file.read())}
     tests = text[text.index('\n## 13.'):text.index('\n## 14.')]
     return found | {('test', number) for number in re.findall(r'^(\d+)\. ', tests, flags=re.MULTILINE)}
 
@@ -108,6 +114,7 @@ class CitationsTest(unittest.TestCase):
         self.assertEqual(cited('model.md 12.1 and 12.3, Eq. (M28), (M30); paper Eq. (1)'),
                          [('section', '12.1'), ('section', '12.3'), ('equation', 'M28'), ('equation', 'M30')])
         self.assertEqual(cited('model.md section 2, Eq. (M3)'), [('section', '2'), ('equation', 'M3')])
+        self.assertEqual(cited('12.1, Leishman; docs/effects.md, Eq. (F9) to (F14)'), [('equation', 'F9'), ('equation', 'F14')])
         self.assertEqual(cited('model.md 12.1, 12.3'), [('section', '12.1'), ('section', '12.3')])
 
 

@@ -102,6 +102,8 @@ class ToolsTest(ModuleCase):
         self.assert_columns(result.prediction, os.path.join(out, 'prediction.csv'), 9)
         error = result.prediction.vectors('measured_force_', '_N') - result.prediction.vectors('predicted_force_', '_N')
         np.testing.assert_allclose(result.force_rmse_N, np.sqrt(np.mean(error ** 2, axis=0)), rtol=1e-9)
+        with self.assertRaisesRegex(ValueError, 'drag.d_q cannot follow the flight: the vehicle has no such parameter'):
+            odmc.evaluate(self.csv, VEHICLE, truth, follow=['drag.d_q'])
 
     def test_close_loop(self) -> None:
         out = os.path.join(self.folder.name, 'close_loop')

@@ -520,6 +520,21 @@ class ToolsTest(unittest.TestCase):
             for one, other in zip(values, again['prediction'][key]):
                 self.assertTrue(math.isclose(one, other, rel_tol=1e-9, abs_tol=1e-12), key)
         self.assertTrue(os.path.isfile(self.path('evaluated', 'report.html')))
+        self.assertEqual(again['followed'], [])
+        self.check_following(os.path.join(out, 'parameters.yaml'))
+
+    def check_following(self, parameters: str) -> None:
+        """What follows the flight is named, and cannot be what the model lacks."""
+        arguments = ('evaluate', self.flight(), '--vehicle', VEHICLE, '--parameters', parameters, '--no-report')
+        done = run(*arguments, '--out', self.path('followed'), '--follow', 'centre_of_gravity.x,centre_of_gravity.y',
+                   '--k-f-walk-rate', '0.004')
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn('centre_of_gravity.x, centre_of_gravity.y, thrust.k_f: learned on this flight', done.stdout)
+        self.assertEqual(read_json(self.path('followed'), 'report.json')['followed'],
+                         ['centre_of_gravity.x', 'centre_of_gravity.y', 'thrust.k_f'])
+        done = run(*arguments, '--out', self.path('followed'), '--follow', 'centre_of_gravity.q')
+        self.assertNotEqual(done.returncode, 0)
+        self.assertIn('centre_of_gravity.q cannot follow the flight: the vehicle has no such parameter', done.stderr)
 
     def test_simulation_has_its_truth_beside_it(self) -> None:
         truth = read_table(self.path('new/folder'), 'flight_truth.csv')

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "odmc/analysis/follow_flight.h"
 #include "odmc/analysis/prediction.h"
 #include "odmc/analysis/recorded_point.h"
 #include "odmc/analysis/replay.h"
@@ -63,9 +64,10 @@ struct Calibration {
   std::vector<std::string> warnings;     ///< the findings' sentences among them
 };
 
-/// A flight predicted with fixed parameters.
+/// A flight predicted with given parameters.
 struct Evaluation {
   FlightFigures flight;
+  std::vector<std::string> followed;  ///< parameters that are learned on the flight itself
   Prediction prediction;
   TorqueBands bands;
   Eigen::Vector3d nominal_inertia = Eigen::Vector3d::Ones();  ///< of the vehicle file [kg m²]
@@ -119,9 +121,17 @@ std::vector<Eigen::VectorXd> ChangesWithout(const std::vector<StreamDoubt>& doub
 /// @returns by what factor each sigma has grown
 Eigen::VectorXd Widen(const std::vector<Eigen::VectorXd>& changes, ParameterSet* set);
 
+/// One remark for each error that makes up a quarter or more of a parameter's variance, where such
+/// errors make up most of it.
+/// @param changes num_parameters()×1 each, one for each of `doubts`
+/// @param widened  sigmas with the changes in them
+std::vector<Finding> DoubtRemarks(const std::vector<StreamDoubt>& doubts,
+                                  const std::vector<Eigen::VectorXd>& changes,
+                                  const ParameterSet& widened);
+
 /// Adds to sigmas and covariance what may be wrong with the streams: the flight (of a long one the
 /// last minute) is replayed once without each error, and the change of the parameters squared
-/// counts on top.
+/// counts on top. A remark says where that is most of a sigma.
 void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
                     const EstimatorOptions& options, const std::vector<StreamDoubt>& doubts,
                     Calibration* calibration);
@@ -156,19 +166,10 @@ Calibration CalibrateInspected(const FlightLog& log, const FlightLog& recording,
 
 /// Predicts a flight with `parameters` as they are; no fitting.
 /// @param predicted as in Calibrate()
-/// @param thrust where k_f follows the flight: FollowThrust()
+/// @param followed parameters that are learned on the flight itself: FollowFlight()
 Evaluation Evaluate(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
                     const ParameterSet& parameters, const PredictionSink& predicted = {},
-                    const ValueVariation& thrust = {});
-
-/// k_f (and k_m, where the vehicle's parameters estimate it) as the online estimator follows them
-/// on a flight, everything else held. At each time the estimate is of 0.1 s before: it has seen
-/// nothing of what a sample there is filtered from.
-/// @param vehicle with the parameters in it; their sigma is how far the flight may lie from them
-/// @param options with k_f_walk_rate
-/// @throws std::invalid_argument if the vehicle's parameters hold k_f
-ValueVariation FollowThrust(const FlightLog& log, const Vehicle& vehicle,
-                            const EstimatorOptions& options);
+                    const FollowedParameters& followed = {});
 
 /// From the first airborne sample until the parameter stays within the larger of 5 % of its final
 /// value and its final sigma [s]; empty where not observable.

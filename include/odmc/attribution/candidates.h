@@ -44,8 +44,8 @@ std::vector<EffectCandidate> CandidatesFor(const Vehicle& vehicle,
 
 /// The candidates without those of some effects. @throws std::invalid_argument for a name that is
 /// none
-std::vector<EffectCandidate> Without(std::vector<EffectCandidate> candidates,
-                                     const std::vector<std::string>& effects);
+std::vector<EffectCandidate> WithoutEffects(std::vector<EffectCandidate> candidates,
+                                            const std::vector<std::string>& effects);
 
 /// The effects among candidates, each once.
 std::set<std::string> EffectsOf(const std::vector<EffectCandidate>& candidates);
@@ -64,7 +64,7 @@ std::vector<ParameterEstimate> DerivedFigures(const Vehicle& vehicle, const std:
 /// True if a parameter of an effect tells how large it is (Effect::size_parameters(); all of them
 /// do where it names none): without a load's mass, its cable's place says nothing.
 /// @param full_name "suspended_load.mass"
-bool TellsSize(const Vehicle& vehicle, const std::string& full_name);
+bool IsSizeParameter(const Vehicle& vehicle, const std::string& full_name);
 
 /// What manoeuvre tells two effects apart (Effect::telling_pairs() of either); empty where none is
 /// known.

@@ -34,7 +34,7 @@ std::vector<std::pair<Stamp, Stamp>> NotLookedAt(const ReplayResult& replay);
 
 /// What a closed loop found: an effect, nothing worth one, or something that no effect explains.
 enum class Verdict { kEffect, kNone, kUnexplained };
-std::string ToString(Verdict verdict);
+std::string NameOf(Verdict verdict);
 
 /// An effect that earned its place.
 struct AddedEffect {

@@ -38,7 +38,7 @@ RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& onl
 /// Adds to what an effect's own coefficients leave open (RankedEffect::spread) how they change in a
 /// model that can do the same by other means.
 /// @param beside the effect in that model, with the same coefficients
-void LeaveOpen(const RankedEffect& beside, RankedEffect* effect);
+void AddAlternativeSpread(const RankedEffect& beside, RankedEffect* effect);
 
 /// The online model holds an effect's settings, such as a cable's length, as if they were known,
 /// and knows one valley. Adds what the fit leaves open (RankedEffect::spread) to an online
@@ -47,18 +47,18 @@ void AddSpread(const RankedEffect& effect, ParameterSet* online);
 
 /// True if the online estimate of an effect's size differs from zero by more than
 /// `significant_sigmas` (Wald's test), or says nothing of it.
-bool IsThere(const RankedEffect& effect, const ParameterSet& online, const DynamicModel& model,
-             const AttributionOptions& options);
+bool SizeDiffersFromZero(const RankedEffect& effect, const ParameterSet& online,
+                         const DynamicModel& model, const AttributionOptions& options);
 
 /// True if the size of an effect would be zero within `significant_sigmas` for something between
 /// minus and plus `change`.
 /// @param change num_parameters()×1, what an error of a stream may make of the estimate
-bool MayBeZero(const RankedEffect& effect, const ParameterSet& online,
-               const Eigen::VectorXd& change, const DynamicModel& model,
-               const AttributionOptions& options);
+bool SizeMayBeZero(const RankedEffect& effect, const ParameterSet& online,
+                   const Eigen::VectorXd& change, const DynamicModel& model,
+                   const AttributionOptions& options);
 
 /// True if the online estimate of an effect lies further from the fit than both sigmas explain.
-bool Strays(const RankedEffect& effect, const ParameterSet& online);
+bool ContradictsFit(const RankedEffect& effect, const ParameterSet& online);
 
 /// What the online run says of an effect, " name = value +- sigma, ...".
 std::string EstimatesText(const RankedEffect& effect, const ParameterSet& online,

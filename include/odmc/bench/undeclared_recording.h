@@ -32,7 +32,7 @@ struct RecordingConditions {
   double stamp_jitter_s = 0.0;        ///< standard deviation, of every sample on its own
 };
 
-const char* ToString(RecordingModel model);
+const char* NameOf(RecordingModel model);
 
 /// The conditions of the flight with this seed.
 RecordingConditions DrawRecording(RecordingModel model, int seed, const Vehicle& vehicle);

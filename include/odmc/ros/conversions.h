@@ -15,8 +15,6 @@
 #include <string>
 
 #include "odmc/DynamicParameter.h"
-#include "odmc/MotorCommands.h"
-#include "odmc/RotorSpeeds.h"
 #include "odmc/model/parameter_set.h"
 #include "odmc/ros/message_values.h"
 #include "odmc/ros/streams.h"

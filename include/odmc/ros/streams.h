@@ -4,12 +4,15 @@
 #include <nav_msgs/Odometry.h>
 #include <sensor_msgs/BatteryState.h>
 #include <sensor_msgs/Imu.h>
+#include <sensor_msgs/JointState.h>
 
 #include <optional>
 #include <string>
 #include <variant>
 #include <vector>
 
+#include "odmc/MotorCommands.h"
+#include "odmc/RotorSpeeds.h"
 #include "odmc/io/foreign_messages.h"
 #include "odmc/ros/raw_message.h"
 #include "odmc/sensing/samples.h"
@@ -124,6 +127,14 @@ OdometryInput InputOf(const nav_msgs::Odometry& message);
 OdometryInput InputOf(const geometry_msgs::PoseStamped& message);
 ImuInput InputOf(const sensor_msgs::Imu& message);
 BatterySample InputOf(const sensor_msgs::BatteryState& message);
+/// @param order  entries, from 1, that are rotor 1, 2, ...; empty: in order
+/// @param num_rotors  0: as many as the message has
+/// @returns nothing where there is not one speed per rotor
+std::optional<RotorInput> InputOf(const RotorSpeeds& message, const std::vector<int>& order,
+                                  int num_rotors);
+/// As for rotor speeds, of throttles.
+std::optional<CommandSample> InputOf(const MotorCommands& message, const std::vector<int>& order,
+                                     int num_rotors);
 
 /// Reads the messages of one topic, as InputOf() does: nothing is said about whether their numbers
 /// are sound. Thread-compatible.
@@ -148,10 +159,11 @@ class StreamReader {
  private:
   InputSample ReadOwn(const RawMessage& message) const;
   std::optional<InputSample> ReadForeign(const RawMessage& message, Stamp arrival);
-  InputSample RotorsOf(Stamp stamp, const std::vector<double>& speeds, double scale) const;
-  InputSample CommandsOf(Stamp stamp, const std::vector<double>& throttle) const;
+  RotorInput JointsOf(const sensor_msgs::JointState& message) const;
   RotorVector PerRotor(const std::vector<double>& entries, const std::vector<int>& order,
                        const char* what) const;
+  [[noreturn]] void RefuseCount(size_t count, const std::vector<int>& order,
+                                const char* what) const;
   FieldOptions Fields() const;
 
   const StreamRole& role_;

@@ -171,17 +171,20 @@ def calibrate(flight: FlightLike, vehicle: VehicleLike, *, effects: Sequence[str
         settings, leave_out_s or 0.0, position_noise_m, seed, force, progress))
 
 
-def evaluate(flight: FlightLike, vehicle: VehicleLike, parameters: ParametersLike, *, k_f_walk_rate: Optional[float] = None,
-             force: bool = False) -> Evaluation:
-    """Predicts force and torque on a flight with fixed parameters; no fitting. As the tool `evaluate`.
+def evaluate(flight: FlightLike, vehicle: VehicleLike, parameters: ParametersLike, *, follow: Sequence[str] = (),
+             k_f_walk_rate: float = 0.0, force: bool = False) -> Evaluation:
+    """Predicts force and torque on a flight with given parameters. As the tool `evaluate`.
 
     parameters: an odmc.Parameters or a parameters.yaml; they bring the model's effects.
-    k_f_walk_rate: k_f follows the flight as the online estimator does, by this relative change [1/sqrt(s)].
+    follow: names of parameters that are learned on this flight, each sample from what was before it.
+    k_f_walk_rate: above 0 k_f, and k_m where it was estimated, follow too, as a random walk of this relative change
+        [1/sqrt(s)].
     """
-    if k_f_walk_rate is not None and not k_f_walk_rate >= 0.0:
+    if not k_f_walk_rate >= 0.0:
         raise ValueError(f'k_f_walk_rate is {k_f_walk_rate}; expected a number of zero or more')
     quad, given = as_vehicle(vehicle), as_parameters(parameters)
-    return Evaluation(_native.evaluate(_flight(flight, quad).native, quad.native_file, given.native, k_f_walk_rate, force))
+    return Evaluation(_native.evaluate(_flight(flight, quad).native, quad.native_file, given.native, k_f_walk_rate,
+                                       list(follow), force))
 
 
 def close_loop(flight: FlightLike, vehicle: VehicleLike, *, effects: Sequence[str] = (), without: Sequence[str] = (),

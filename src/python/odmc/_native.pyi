@@ -105,8 +105,8 @@ def flight_of(name: str, vehicle: Vehicle, odometry_ns: List[int], p_WS: Optiona
 def calibrate(flight: FlightLog, file_vehicle: Vehicle, vehicle: Vehicle, start: Optional[ParameterSet],
               settings: EstimatorSettings, leave_out_s: float, position_noise_m: float, seed: int, force: bool,
               progress: Optional[Callable[[float], None]]) -> Found: ...
-def evaluate(flight: FlightLog, file_vehicle: Vehicle, parameters: ParameterSet, k_f_walk_rate: Optional[float],
-             force: bool) -> Found: ...
+def evaluate(flight: FlightLog, file_vehicle: Vehicle, parameters: ParameterSet, k_f_walk_rate: float,
+             follow: List[str], force: bool) -> Found: ...
 def close_loop(flight: FlightLog, file_vehicle: Vehicle, vehicle: Vehicle, start: Optional[ParameterSet],
                settings: EstimatorSettings, block_s: float, most_effects: Optional[int], rule_out: List[str],
                decision: List[str], force: bool,
