@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <memory>
 
 #include "odmc/model/dynamic_model.h"
@@ -13,6 +14,7 @@ namespace {
 constexpr double kSlightestGust_m_s = 0.1;  // slighter ones through much drag are a force, no wind
 constexpr double kTooLarge = 4.0;           // natural sizes
 constexpr int kAhead = 3;                   // samples of 40 ms that a prediction has not seen
+constexpr int kLeastBlocks = 6;             // of time, to tell a scatter
 
 /// How the predicted wrench answers the wind of an effect.
 WindDerivatives ByWind(const ResidualModel& residual, const DynamicModel& model,
@@ -84,25 +86,37 @@ TimeConstantPrior PriorOf(const Vehicle& vehicle) {
   return {};
 }
 
-/// What gusts gain over noise once they have paid for what they fit [nats].
-double NetGain(const GustTest& gust, const AttributionOptions& options) {
-  return gust.gain - options.gust_price;
+/// What gusts gain over noise once they have paid for what they fit [nats]. A gain goes with the
+/// variance that it explains: what is an error of one sensor is none of theirs.
+double NetGain(const GustTest& gust, double acting_share, const AttributionOptions& options) {
+  return acting_share * gust.gain - options.gust_price;
 }
 
 /// Whether gusts beat noise by more than chance does.
-bool BeatNoise(const GustTest& gust, const AttributionOptions& options) {
-  return gust.sigma_m_s > kSlightestGust_m_s &&
-         NetGain(gust, options) > -std::log(options.false_alarm_rate);
+bool BeatNoise(const GustTest& gust, double acting_share, const AttributionOptions& options) {
+  return std::sqrt(acting_share) * gust.sigma_m_s > kSlightestGust_m_s &&
+         NetGain(gust, acting_share, options) > -std::log(options.false_alarm_rate);
 }
 
 /// What speaks against gusts that beat noise; of free forces that explain the same, too.
-std::vector<std::string> RemarksOn(const GustTest& gust, double functions,
-                                   const AttributionOptions& options) {
-  if (!BeatNoise(gust, options)) return {};
+/// @param again what a second sensor shows of them
+std::vector<std::string> RemarksOn(const GustCase& gusts, const std::optional<SeenAgain>& again,
+                                   bool by_motion, const AttributionOptions& options) {
+  const GustTest& gust = gusts.test;
+  if (!BeatNoise(gust, 1.0, options)) return {};
+  if (again && !BeatNoise(gust, gusts.acting_share, options)) {
+    const std::string shows =
+        Rounded(100.0 * again->share) + " +- " + Rounded(100.0 * again->sigma) + " % of it";
+    return {by_motion ? "not named: the accelerometer feels " + shows +
+                            "; an odometry that leans slowly shows all"
+                      : "not named: the motion shows " + shows +
+                            "; an accelerometer whose bias wanders shows all"};
+  }
+  const double net = NetGain(gust, gusts.acting_share, options);
   std::vector<std::string> remarks;
-  if (NetGain(gust, options) <= functions) {
-    remarks.push_back("not named: functions of the state gain more, " + Rounded(functions) +
-                      " nats against " + Rounded(NetGain(gust, options)));
+  if (net <= gusts.functions) {
+    remarks.push_back("not named: functions of the state gain more, " + Rounded(gusts.functions) +
+                      " nats against " + Rounded(net));
   }
   if (gust.over_others <= -options.clear_odds) {
     remarks.push_back("not named: a force that no wind makes explains the same better, by " +
@@ -146,7 +160,57 @@ ResidualModel::Wrenches ForeseenWrench(const ThinnedFlight& flight, const GustTe
   return wrench;
 }
 
+/// What the sensor that the test does not look at shows of the gusts that are foreseen.
+std::optional<SeenAgain> SeenByOther(const ResidualModel& residual, const DynamicModel& model,
+                                     const ModelValues& values, const GustCase& gusts,
+                                     const std::vector<DragCoefficient>& drag) {
+  if (gusts.foreseen.rows() == 0) return std::nullopt;
+  Eigen::MatrixX2d again = residual.AcrossByOther(model, values);
+  if (again.rows() == 0) return std::nullopt;
+  for (Eigen::Index i = 0; i < gusts.test.drag.size(); ++i) {
+    again -= gusts.test.drag[i] * drag[static_cast<size_t>(i)].d_wrench.leftCols<2>();
+  }
+  return ShareSeenAgain(residual.flight(), gusts.foreseen.leftCols<2>(), again);
+}
+
 }  // namespace
+
+// Of the uniform prior's part, mean and evidence are those of a normal density between 0 and 1.
+double SeenAgain::ActingShare() const {
+  const auto density = [](double z) { return std::exp(-0.5 * z * z) / std::sqrt(2.0 * M_PI); };
+  const auto below = [](double z) { return 0.5 * std::erfc(-z / std::sqrt(2.0)); };
+  const double none = -share / sigma, all = (1.0 - share) / sigma;
+  const double evidence_all = density(all) / sigma;
+  const double evidence_some = below(all) - below(none);
+  const double first_moment = share * evidence_some + sigma * (density(none) - density(all));
+  const double evidence = evidence_all + evidence_some;
+  // Far beyond either end all densities vanish.
+  if (!(evidence > 1e-300)) return share > 0.5 ? 1.0 : 0.0;
+  return std::clamp((evidence_all + first_moment) / evidence, 0.0, 1.0);
+}
+
+std::optional<SeenAgain> ShareSeenAgain(const ThinnedFlight& flight,
+                                        const Eigen::MatrixX2d& foreseen,
+                                        const Eigen::MatrixX2d& again) {
+  if (again.rows() == 0 || foreseen.isZero(0.0)) return std::nullopt;
+  const Eigen::MatrixX2d f = foreseen.rowwise() - foreseen.colwise().mean();
+  const Eigen::MatrixX2d a = again.rowwise() - again.colwise().mean();
+  const double square = f.squaredNorm();
+  SeenAgain seen;
+  seen.share = f.cwiseProduct(a).sum() / square;
+  const Eigen::MatrixX2d rest = a - seen.share * f;
+  std::map<int, double> blocks;
+  for (int i = 0; i < flight.size(); ++i) blocks[flight.block(i)] += f.row(i).dot(rest.row(i));
+  const auto n = static_cast<double>(blocks.size());
+  if (n < kLeastBlocks) return std::nullopt;
+  double scatter = 0.0;
+  for (const auto& entry : blocks) scatter += entry.second * entry.second;
+  // Few blocks may agree by chance: noise that is the same at all samples is the least there is.
+  const double samples = 2.0 * static_cast<double>(flight.size());
+  seen.sigma = std::max(std::sqrt(scatter * n / (n - 1.0)) / square,
+                        std::sqrt(rest.squaredNorm() / (square * samples)));
+  return seen;
+}
 
 GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
                    const ResidualModel::Wrenches& left, const ParameterSet& declared,
@@ -175,20 +239,22 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
     gusts.known[model.parameters()[c.index].full_name] = {
         values[c.index] + gust.drag[i] * c.natural_size, gust.drag_sigma[i] * c.natural_size, {}};
   }
-  if (BeatNoise(gust, options)) {
+  if (BeatNoise(gust, 1.0, options)) {
     gusts.foreseen = ForeseenWrench(residual.flight(), gust, left, d_wind, drag);
   }
+  const std::optional<SeenAgain> again = SeenByOther(residual, model, values, gusts, drag);
+  if (again) gusts.acting_share = again->ActingShare();
   RankedEffect& ranked = gusts.ranked;
   ranked.name = "gust";
   ranked.score = gust.gain;
-  const double net = NetGain(gust, options);
+  const double net = NetGain(gust, gusts.acting_share, options);
   ranked.p_value = std::exp(-std::max(0.0, net));
   // Wind is known to act on vehicles, a free force is not; what stands in one place (an updraft, a
   // tether) is, and the two predict very different forces.
   const double over_rival = gust.over_others + options.clear_odds;
   ranked.probability =
       1.0 / (1.0 + std::exp(-net) + std::exp(-over_rival) + std::exp(-gust.over_field));
-  ranked.remarks = RemarksOn(gust, functions, options);
+  ranked.remarks = RemarksOn(gusts, again, residual.across_by_motion(), options);
   const auto state = [&](const std::string& name, const std::string& unit, double value,
                          double error) {
     ranked.settings[name] = value;
@@ -202,7 +268,8 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
 }
 
 bool IsGusty(const GustCase& gusts, const AttributionOptions& options) {
-  return BeatNoise(gusts.test, options) && NetGain(gusts.test, options) > gusts.functions &&
+  return BeatNoise(gusts.test, gusts.acting_share, options) &&
+         NetGain(gusts.test, gusts.acting_share, options) > gusts.functions &&
          gusts.test.over_others > -options.clear_odds &&
          gusts.test.over_field > options.clear_odds &&
          gusts.test.peakedness_p > options.false_alarm_rate;

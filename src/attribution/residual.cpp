@@ -214,6 +214,13 @@ Eigen::MatrixX3d ResidualModel::ForceByMotion(const DynamicModel& model,
   return force;
 }
 
+Eigen::MatrixX2d ResidualModel::AcrossByOther(const DynamicModel& model,
+                                              const ModelValues& values) const {
+  if (!from_accelerometer_) return Eigen::MatrixX2d(0, 2);
+  const std::vector<PredictionSample> samples = Predict(model, values);
+  return (across_by_motion_ ? FeltForce(samples) : MotionForce(samples)).leftCols<2>();
+}
+
 ResidualModel::Wrenches ResidualModel::ResidualAt(const DynamicModel& model, ModelValues values,
                                                   int index, double step) const {
   values[index] += step;

@@ -250,6 +250,63 @@ TEST(GustCase, MayTieWithAFreeForceButNotWithOneOfThePlace) {
 }
 
 // Half sines of 0.8 s every 3.7 s, to all sides.
+/// What a second sensor measures where the first shows the force of gusts.
+/// @param share of that force it feels @param noise of each sample [N]
+SeenAgain Again(double share, double noise) {
+  const ThinnedFlight flight(Eight(3.0), BlockSplit());
+  Gaussian random(11, 0);
+  const std::vector<Vector3d> force = Wander(flight.size(), 0.1, 1.5, &random);
+  Eigen::MatrixX2d foreseen(flight.size(), 2), again(flight.size(), 2);
+  for (int i = 0; i < flight.size(); ++i) {
+    foreseen.row(i) = force[i].head<2>();
+    again.row(i) = share * force[i].head<2>() + noise * random.Next3().head<2>() +
+                   Eigen::Vector2d(0.3, -0.2);  // its bias
+  }
+  return ShareSeenAgain(flight, foreseen, again).value();
+}
+
+TEST(SeenAgain, ASecondSensorTellsAirFromAnErrorOfTheFirst) {
+  const SeenAgain air = Again(1.0, 0.3), error = Again(0.0, 0.3), half = Again(0.5, 0.3);
+  EXPECT_NEAR(air.share, 1.0, 3.0 * air.sigma);
+  EXPECT_NEAR(error.share, 0.0, 3.0 * error.sigma);
+  EXPECT_LT(air.sigma, 0.15);
+  EXPECT_GT(air.ActingShare(), 0.9);
+  EXPECT_LT(error.ActingShare(), 0.2);
+  EXPECT_NEAR(half.ActingShare(), 0.5, 3.0 * half.sigma);
+  // Noise that hides them says nothing: the mean of the prior.
+  EXPECT_NEAR(Again(1.0, 30.0).ActingShare(), 0.75, 0.03);
+  EXPECT_NEAR(Again(0.0, 30.0).ActingShare(), 0.75, 0.03);
+}
+
+TEST(SeenAgain, TheActingShareIsBayesRule) {
+  for (const double share : {-0.3, 0.0, 0.2, 0.5, 0.9, 1.0, 1.4}) {
+    for (const double sigma : {0.05, 0.2, 1.0}) {
+      const auto likelihood = [&](double s) {
+        return std::exp(-0.5 * std::pow((share - s) / sigma, 2));
+      };
+      double evidence = likelihood(1.0), mean = likelihood(1.0);
+      constexpr int kSteps = 20000;
+      for (int i = 0; i < kSteps; ++i) {
+        const double s = (i + 0.5) / kSteps;
+        evidence += likelihood(s) / kSteps;
+        mean += s * likelihood(s) / kSteps;
+      }
+      EXPECT_NEAR((SeenAgain{share, sigma}.ActingShare()), mean / evidence, 1e-6)
+          << share << " +- " << sigma;
+    }
+  }
+  EXPECT_EQ((SeenAgain{-3.0, 0.01}.ActingShare()), 0.0);
+  EXPECT_EQ((SeenAgain{4.0, 0.01}.ActingShare()), 1.0);
+}
+
+TEST(SeenAgain, NothingWithoutASecondSensorOrBlocks) {
+  const ThinnedFlight flight(Eight(3.0), BlockSplit());
+  EXPECT_FALSE(
+      ShareSeenAgain(flight, Eigen::MatrixX2d::Ones(flight.size(), 2), Eigen::MatrixX2d(0, 2)));
+  EXPECT_FALSE(ShareSeenAgain(flight, Eigen::MatrixX2d::Zero(flight.size(), 2),
+                              Eigen::MatrixX2d::Ones(flight.size(), 2)));
+}
+
 TEST(GustTest, KnocksArePeaked) {
   std::vector<Vector3d> knocks;
   Gaussian random(6, 0);

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <map>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -20,10 +21,31 @@ struct GustCase {
   RankedEffect ranked;
   GustTest test;
   double functions = 0.0;  ///< what functions of the state gain of the force [nats]
+  /// Of their variance, what is a force, by a second sensor; the rest is an error of the first, as
+  /// an attitude that leans slowly. 1 where there is no second one.
+  double acting_share = 1.0;
   std::map<std::string, ParameterSetting> known;  ///< what it is known of others, by full name
   /// Their wrench at every sample as foreseen 0.12 s before (N×6); empty where gusts gain nothing.
   ResidualModel::Wrenches foreseen;
 };
+
+/// How much of a force that one sensor shows another shows, too: the regression of `again` on
+/// `foreseen`, both without their means, over all rows and columns.
+struct SeenAgain {
+  double share = 0.0;  ///< 1: all of it
+  double sigma = 0.0;  ///< by blocks of the flight
+
+  /// What acts of the first sensor's force, its posterior mean: all of it or, as likely a priori,
+  /// any share between none and all.
+  double ActingShare() const;
+};
+
+/// @param foreseen force by the one sensor (N×2) [N]
+/// @param again  by the other
+/// @returns nothing for no rows, or a flight of fewer than six blocks
+std::optional<SeenAgain> ShareSeenAgain(const ThinnedFlight& flight,
+                                        const Eigen::MatrixX2d& foreseen,
+                                        const Eigen::MatrixX2d& again);
 
 /// The case for gusts behind what a model leaves; they vary, so that no fixed regressor shows them.
 /// @param left what the model leaves of the wrench (N×6)
@@ -36,7 +58,8 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
 /// True if gusts beat noise by more than functions of the state do, and no free force explains the
 /// same clearly better: wind through nearly equal drag along all axes is nearly a free force, and
 /// of the two only wind is known to act on vehicles. A force that follows the place is known to,
-/// too: gusts have to be clearly better.
+/// too: gusts have to be clearly better. Of what one sensor shows of them, what a second one does
+/// not show does not count.
 bool IsGusty(const GustCase& gusts, const AttributionOptions& options);
 
 /// Gusts as a Kalman filter predicts them, each from before the sample's own filter window. (The

@@ -120,6 +120,11 @@ class ResidualModel {
   /// Else no rows.
   Eigen::MatrixX3d ForceByMotion(const DynamicModel& model, const ModelValues& values) const;
 
+  /// The residual force across the rotors' axes (body x and y) by the sensor whose it is not in
+  /// Residual(): the motion or, where across_by_motion(), the accelerometer (N×2) [N]. No rows
+  /// where there is one sensor.
+  Eigen::MatrixX2d AcrossByOther(const DynamicModel& model, const ModelValues& values) const;
+
   /// Derivative of the prediction by parameter `index` (N×6), by central differences,
   /// without torque where IsAnchoredByForce().
   Wrenches Derivative(const DynamicModel& model, const ModelValues& values, int index) const;
