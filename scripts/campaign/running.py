@@ -1,6 +1,7 @@
 """Runs calibrate on faulty recordings, in temporary folders, with bounds on time and memory."""
 
 import concurrent.futures
+import contextlib
 import json
 import multiprocessing
 import os
@@ -125,15 +126,43 @@ def row(case: Case, score: Score, run: Run, span: Any) -> Dict[str, Any]:
             'span_s': list(span) if span else None}
 
 
-def run_all(setting: Setting, jobs: int) -> List[Dict[str, Any]]:
-    """Runs all cases in so many processes; results in the cases' order."""
+def run_all(setting: Setting, jobs: int, journal: Optional[str] = None) -> List[Dict[str, Any]]:
+    """Runs all cases in so many processes; results in the cases' order.
+
+    journal: a file that gets each result as it comes; cases that it has, of the same seed, are not run again.
+    """
     global SETTING
     SETTING = setting
-    count, rows = len(setting.cases), []
+    count = len(setting.cases)
+    rows = {name: row for name, row in earlier(journal, setting.seed).items()
+            if name in {case.name for case in setting.cases}}
+    left = [k for k, case in enumerate(setting.cases) if case.name not in rows]
+    if rows:
+        print(f'{len(rows)} of {count} are in {journal}', file=sys.stderr, flush=True)
     context = multiprocessing.get_context('fork')
-    with concurrent.futures.ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        for done in pool.map(one, range(count), chunksize=2):
-            rows.append(done)
+    with contextlib.ExitStack() as stack:
+        pool = stack.enter_context(concurrent.futures.ProcessPoolExecutor(jobs, mp_context=context))
+        file = stack.enter_context(open(journal, 'a', encoding='utf-8')) if journal else None
+        if file and file.tell() > 0:
+            file.write('\n')  # ends a line that was cut off
+        for done in pool.map(one, left, chunksize=2):
+            rows[done['case']] = done
+            if file:
+                file.write(json.dumps({'seed': setting.seed, **done}) + '\n')
+                file.flush()
             if len(rows) % 50 == 0:
                 print(f'{len(rows)} of {count}', file=sys.stderr, flush=True)
+    return [rows[case.name] for case in setting.cases]
+
+
+def earlier(journal: Optional[str], seed: int) -> Dict[str, Dict[str, Any]]:
+    """Results of a journal, by case; a last line that was cut off does not count."""
+    rows: Dict[str, Dict[str, Any]] = {}
+    if journal and os.path.isfile(journal):
+        with open(journal, encoding='utf-8') as file:
+            for line in file:
+                with contextlib.suppress(ValueError):
+                    row = json.loads(line)
+                    if row.pop('seed') == seed:
+                        rows[row['case']] = row
     return rows

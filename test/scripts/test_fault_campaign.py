@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import unittest
-from typing import Any, Dict, List, Optional
+from typing import Any, Dict, List, Optional, Tuple
 
 import numpy as np
 
@@ -396,6 +396,37 @@ class Running(unittest.TestCase):
         self.assertTrue(all(r['outcome'] == 'right' for r in rows if r['class'] in ('k_f',)))
         self.assertTrue(all(r['outcome'] == 'silent' for r in rows if r['class'] == 'mass'))
         self.assertEqual(len(os.listdir(kept)), len(cases) - 1)
+
+    def test_a_campaign_that_was_cut_off_goes_on(self) -> None:
+        """Cases that the journal has are not run again; those of another seed, or cut off, are."""
+        with open(os.path.join(self.folder, 'report.json'), 'w', encoding='utf-8') as file:
+            json.dump(report(), file)
+        ran = os.path.join(self.folder, 'ran')
+        command = self.program(f'echo once >>{ran}; mkdir -p $6; cp {self.folder}/report.json $6\n')
+        base = invented_base()
+        cases = [c for c in catalogue.cases(['invented'], {'invented': base}) if c.fault.name in ('k_f', 'mass')]
+        journal = os.path.join(self.folder, 'journal.jsonl')
+
+        def run(seed: int) -> Tuple[List[Dict[str, Any]], int]:
+            open(ran, 'w', encoding='utf-8').close()
+            setting = running.Setting(command, seed, None, {'invented': base}, {'invented': report()}, cases)
+            rows = running.run_all(setting, 2, journal)
+            with open(ran, encoding='utf-8') as file:
+                return rows, len(file.readlines())
+
+        rows, count = run(1)
+        self.assertEqual(count, len(cases))
+        with open(journal, encoding='utf-8') as file:
+            lines = file.readlines()
+        self.assertEqual(len(lines), len(cases))
+        with open(journal, 'w', encoding='utf-8') as file:
+            file.write(''.join(lines[:-1]) + lines[-1][:20])
+        again, count = run(1)
+        self.assertEqual(count, 1)
+        self.assertEqual([r['case'] for r in again], [c.name for c in cases])
+        self.assertEqual(again[:-1], rows[:-1])
+        self.assertEqual(run(1)[1], 0)
+        self.assertEqual(run(2)[1], len(cases))
 
 
 @unittest.skipUnless(os.path.isdir(os.path.join(DATA, 'neurobem')), 'no recordings')
