@@ -62,6 +62,7 @@ FollowedParameters FollowFlight(const FlightLog& log, const Vehicle& vehicle,
   if (names.empty()) return {};
   const DynamicModel model = Following(vehicle, names);
   std::vector<int> index;
+  index.reserve(names.size());
   for (const std::string& name : names) index.push_back(model.IndexOf(name));
   Estimator estimator(&model, options, !log.rotor_rms_only);
   const ReplayResult replay = Replay(log, &estimator);
