@@ -52,6 +52,7 @@ void ReadChainPrior(const Window& window, ChainFront* oldest, ChainPast* past) {
     taken = Triangularise(block.data.data(), block.stride, rows, kState, kState + border.size(),
                           message.data.data(), message.stride);
   }
+  if (taken == rows) return;  // of no rows there is no address
   past->Absorb(block.data.data() + taken * block.stride + kState, block.stride, rows - taken);
 }
 
