@@ -305,6 +305,12 @@ TEST(SeenAgain, NothingWithoutASecondSensorOrBlocks) {
       ShareSeenAgain(flight, Eigen::MatrixX2d::Ones(flight.size(), 2), Eigen::MatrixX2d(0, 2)));
   EXPECT_FALSE(ShareSeenAgain(flight, Eigen::MatrixX2d::Zero(flight.size(), 2),
                               Eigen::MatrixX2d::Ones(flight.size(), 2)));
+  BlockSplit long_blocks;
+  long_blocks.block_s = 10.0;  // three of them
+  const ThinnedFlight few(Eight(3.0), long_blocks);
+  const Eigen::MatrixX2d force = Eigen::MatrixX2d::Random(few.size(), 2);
+  EXPECT_FALSE(ShareSeenAgain(few, force, force));
+  EXPECT_TRUE(ShareSeenAgain(flight, force.topRows(flight.size()), force.topRows(flight.size())));
 }
 
 TEST(GustTest, KnocksArePeaked) {
