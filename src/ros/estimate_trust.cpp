@@ -5,6 +5,7 @@
 #include <cmath>
 #include <utility>
 
+#include "odmc/analysis/calibration.h"
 #include "odmc/analysis/phase_findings.h"
 
 namespace odmc {
@@ -21,7 +22,9 @@ void EstimateTrust::Mend(Sample* sample) {
 bool EstimateTrust::Adopt(BackgroundLooks::StreamsFound found) {
   const bool is_new = mender_.Adopt(found.inspection);
   doubted_ = found.model;
-  doubts_ = std::move(found.changes);
+  doubts_ = std::move(found.inspection.doubts);
+  changes_ = std::move(found.changes);
+  is_to_remark_ = true;
   for (const Finding& finding : mender_.findings()) {
     if (told_.insert(finding.check).second) ROS_WARN("%s", Sentence(finding).c_str());
   }
@@ -45,14 +48,15 @@ void EstimateTrust::LookBack(const ModelValues* values, bool detects_changes,
 
 void EstimateTrust::ForgetEstimate() {
   look_back_.clear();
+  remarks_.clear();
+  is_to_remark_ = true;
   last_look_s_ = 0.0;
   Renew();
 }
 
-void EstimateTrust::Widen(const std::shared_ptr<const DynamicModel>& model,
-                          Snapshot* snapshot) const {
+void EstimateTrust::Widen(const std::shared_ptr<const DynamicModel>& model, Snapshot* snapshot) {
   if (doubted_ != model) return;
-  for (const Eigen::VectorXd& change : doubts_) {
+  for (const Eigen::VectorXd& change : changes_) {
     for (Eigen::Index i = 0; i < change.size(); ++i) {
       if (snapshot->sigma[i] > 0.0) snapshot->sigma[i] = std::hypot(snapshot->sigma[i], change[i]);
     }
@@ -60,10 +64,18 @@ void EstimateTrust::Widen(const std::shared_ptr<const DynamicModel>& model,
       snapshot->covariance += change * change.transpose();
     }
   }
+  if (!is_to_remark_) return;
+  is_to_remark_ = false;
+  remarks_ = DoubtRemarks(doubts_, changes_, Estimator::ToParameterSet(*model, *snapshot));
+  for (const Finding& remark : remarks_) {
+    if (told_.insert(remark.check).second) ROS_INFO("%s", Sentence(remark).c_str());
+  }
+  Renew();
 }
 
 void EstimateTrust::Renew() {
   findings_ = mender_.findings();
+  findings_.insert(findings_.end(), remarks_.begin(), remarks_.end());
   findings_.insert(findings_.end(), look_back_.begin(), look_back_.end());
 }
 

@@ -12,7 +12,9 @@
 int main(int argc, char** argv) {
   using namespace odmc;
   CLI::App app(
-      "Predicts force and torque on a recorded flight with fixed parameters; no fitting.\n"
+      "Predicts force and torque on a recorded flight with the given parameters. Nothing is "
+      "fitted,\n"
+      "unless --follow or --k-f-walk-rate asks for it.\n"
       "Writes prediction.csv, report.json, report.html.");
   tools::FlightArguments flight;
   std::string vehicle_file, parameters_file, folder;

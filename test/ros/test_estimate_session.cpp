@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "odmc/ros/estimate_session.h"
+#include "odmc/ros/estimate_trust.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "support/test_vehicle.h"
@@ -114,6 +115,69 @@ TEST_F(EstimateSessionTest, AddsNothingToAnEstimateThatIsForgotten) {
   EXPECT_EQ(session_.last(), nullptr);
   EXPECT_FALSE(session_.Extend(Found(), true));
   EXPECT_FALSE(HasEffect());
+}
+
+/// An estimate of one parameter that is not known well, and a rotor whose reading may be off.
+class EstimateTrustTest : public testing::Test {
+ protected:
+  EstimateTrustTest() {
+    snapshot_.values = model_->InitialValues();
+    const auto n = snapshot_.values.size();
+    snapshot_.sigma = Eigen::VectorXd::Zero(n);
+    snapshot_.inflation = Eigen::VectorXd::Ones(n);
+    snapshot_.observable.assign(static_cast<size_t>(n), true);
+    snapshot_.covariance = Eigen::MatrixXd::Zero(n, n);
+    snapshot_.sigma[k_f_] = 3e-9;
+    snapshot_.covariance(k_f_, k_f_) = 9e-18;
+  }
+
+  /// @param change of k_f without the error
+  void Doubt(double change) {
+    BackgroundLooks::StreamsFound found;
+    found.model = model_;
+    found.inspection.doubts = {{"rotor_speeds", 0.0, 0.95, 1}};
+    found.changes = {Eigen::VectorXd::Unit(snapshot_.values.size(), k_f_) * change};
+    trust_.Adopt(std::move(found));
+  }
+
+  Snapshot Widened() {
+    Snapshot snapshot = snapshot_;
+    trust_.Widen(model_, &snapshot);
+    return snapshot;
+  }
+
+  const std::shared_ptr<const DynamicModel> model_ =
+      std::make_shared<DynamicModel>(test::NominalVehicle(), test::PaperEffects());
+  const int k_f_ = model_->IndexOf("thrust.k_f");
+  Snapshot snapshot_;
+  EstimateTrust trust_;
+};
+
+TEST_F(EstimateTrustTest, SaysWhatADoubtMakesOfASigma) {
+  Doubt(4e-9);
+  EXPECT_TRUE(trust_.findings().empty());  // no estimate yet
+  for (int i = 0; i < 2; ++i) {
+    EXPECT_NEAR(Widened().sigma[k_f_], 5e-9, 1e-15);
+    ASSERT_EQ(trust_.findings().size(), 1u);
+    EXPECT_EQ(trust_.findings()[0].what,
+              "the recording does not exclude an error (speed of rotor 2: 5 % too small), which is "
+              "a large part of sigma of thrust.k_f");
+    EXPECT_EQ(trust_.findings()[0].leaves, Trust::kGood);
+  }
+}
+
+TEST_F(EstimateTrustTest, ARemarkEndsWithItsDoubtAndWithItsEstimate) {
+  Doubt(4e-9);
+  Widened();
+  Doubt(1e-9);  // next look at the streams: a tenth of the variance
+  Widened();
+  EXPECT_TRUE(trust_.findings().empty());
+  Doubt(4e-9);
+  Widened();
+  trust_.ForgetEstimate();
+  EXPECT_TRUE(trust_.findings().empty());
+  Widened();  // the streams are as doubtful as before
+  EXPECT_EQ(trust_.findings().size(), 1u);
 }
 
 }  // namespace

@@ -8,6 +8,7 @@
 
 #include "odmc/estimator/estimator.h"
 #include "odmc/inspection/live_mender.h"
+#include "odmc/inspection/stream_doubt.h"
 #include "odmc/ros/background_looks.h"
 #include "odmc/text/finding.h"
 
@@ -31,8 +32,9 @@ class EstimateTrust {
   void ForgetEstimate();
 
   /// What may be wrong with the streams, and was not taken off, belongs to the estimate's sigma.
+  /// Where it is most of one, a finding says so (DoubtRemarks()).
   /// @param model of the snapshot
-  void Widen(const std::shared_ptr<const DynamicModel>& model, Snapshot* snapshot) const;
+  void Widen(const std::shared_ptr<const DynamicModel>& model, Snapshot* snapshot);
 
   const std::vector<Finding>& findings() const { return findings_; }
 
@@ -40,8 +42,11 @@ class EstimateTrust {
   void Renew();
 
   LiveMender mender_;
-  std::shared_ptr<const DynamicModel> doubted_;  // whose parameters doubts_ are of
-  std::vector<Eigen::VectorXd> doubts_;          // what each doubt may make of them
+  std::shared_ptr<const DynamicModel> doubted_;  // whose parameters changes_ are of
+  std::vector<StreamDoubt> doubts_;              // what may be wrong with the streams
+  std::vector<Eigen::VectorXd> changes_;         // what each doubt may make of the parameters
+  bool is_to_remark_ = false;                    // no estimate was widened by these doubts yet
+  std::vector<Finding> remarks_;                 // on what doubts make of sigmas
   std::set<std::string> told_;                   // checks that were written to the log
   std::vector<Finding> look_back_;               // by the thirds of the flight
   std::vector<Finding> findings_;                // all of them
