@@ -252,8 +252,9 @@ void Attribution::Polish(Evidence* evidence) const {
     double gain = 0.0;
   };
   std::map<int, Best> best;
+  std::map<int, Evidence::VariantValues> steps;
   for (int round = 0; round < kPolishes && !GivesUp(); ++round) {
-    std::map<int, Evidence::VariantValues> steps;
+    steps.clear();
     const double declared = evidence->Solve({}).log_evidence;
     for (const int v : Nonlinear(*evidence)) {
       const EffectFit fit = evidence->Solve({v});
@@ -272,6 +273,14 @@ void Attribution::Polish(Evidence* evidence) const {
     for (const auto& [v, at] : steps) evidence->Relinearize(v, at);
     evidence->EstimateNoise();
   }
+  // No round has looked at where the last steps went.
+  const double declared = evidence->Solve({}).log_evidence;
+  for (const auto& step : steps) {
+    const Best& before = best[step.first];
+    const bool is_worse = evidence->LogEvidenceWhereLinearized(step.first) - declared < before.gain;
+    if (is_worse) evidence->Relinearize(step.first, before.at);
+  }
+  if (!steps.empty()) evidence->EstimateNoise();
   for (const int v : Nonlinear(*evidence)) evidence->CountWhatIsBorneOut(v);
 }
 
@@ -441,8 +450,10 @@ VariantSet Attribution::Completed(Evidence* evidence, const VariantSet& set, siz
   for (size_t k = 0; k < most; ++k) {
     const Evidence::FlexibleGain best = evidence->BestFlexible(all, features_, choice);
     if (best.nats < options_.clear_odds) break;
-    (best.channel && *best.channel >= 3 ? rest->of_torque : rest->of_force) += best.nats;
+    const bool of_torque = best.channel && *best.channel >= 3;
+    (of_torque ? rest->of_torque : rest->of_force) += best.nats;
     if (rest->first.empty()) rest->first = best.Text(features_);
+    if (of_torque && rest->first_of_torque.empty()) rest->first_of_torque = best.Text(features_);
     all.insert(evidence->AddFlexible(best, features_));
   }
   return all;
@@ -568,7 +579,12 @@ void Attribution::FindAlternatives(const Evidence& evidence, const VariantSet& s
   std::vector<std::pair<double, std::string>> order;
   for (const auto& [name, gain] : close) order.emplace_back(-gain, name);
   std::sort(order.begin(), order.end());
-  for (const auto& entry : order) ranked->alternatives.push_back(entry.second);
+  double sum = 1.0;  // over the one that is named
+  for (const auto& entry : order) sum += std::exp(-entry.first - best);
+  for (const auto& [negative_gain, name] : order) {
+    ranked->alternatives.push_back(name);
+    ranked->alternative_shares.push_back(std::exp(-negative_gain - best) / sum);
+  }
 }
 
 VariantSet Attribution::Largest(const Evidence& evidence, const VariantSet& confirmed) const {
@@ -626,6 +642,7 @@ std::map<int, SettingProfile> Attribution::HoldSettings(Evidence* evidence, Vari
     if (!profile) continue;
     const int held = evidence->Add(profile->Held());
     if (held < 0) continue;
+    evidence->SetLogPrior(held, profile->log_occam());
     evidence->EstimateNoise();
     set->erase(v);
     set->insert(held);

@@ -134,7 +134,11 @@ class LoopSession {
   ResidualModel::Wrenches Rest() const;
   /// Share of the structure that stays beside the effects, in the channels in which they act.
   double Unexplained() const;
-  double GainOfFunctions() const;
+  struct Functions {
+    double nats = 0.0;
+    std::string first;  ///< that gains most
+  };
+  Functions FunctionsInNothing() const;
   /// Warns of channels of which the effects named leave most of the structure.
   void NoteRest();
   RankedEffect* RankedOf(const std::string& name);
@@ -338,16 +342,17 @@ double LoopSession::Unexplained() const {
   return gained > 0.0 ? std::max(left, functions / gained) : left;
 }
 
-/// What functions of the state gain where nothing acts [nats]. Those of a force would follow such
-/// slow errors.
-double LoopSession::GainOfFunctions() const {
+/// What functions of the state gain where nothing acts. Those of a force would follow slow errors
+/// of an attitude or a thrust.
+LoopSession::Functions LoopSession::FunctionsInNothing() const {
   const AttributionOptions& options = options_.attribution;
   const FlexibleRest& flexible = attribution_->flexible();
   const bool drifts = std::any_of(
       result_.structure.begin(), result_.structure.end(), [&](const ChannelStructure& channel) {
         return channel.whiteness.p < options.whiteness_p && IsSlowError(channel, options);
       });
-  return drifts ? flexible.of_torque : flexible.nats();
+  if (drifts) return {flexible.of_torque, flexible.first_of_torque};
+  return {flexible.nats(), flexible.first};
 }
 
 /// An effect of the torque says nothing of what the force shows. Gusts may be all of the force:
@@ -453,7 +458,8 @@ RankedEffect LoopSession::LastByEstimate(const std::vector<RankedEffect>& with,
                                          const OnlinePass& pass) const {
   const Vehicle extended = VehicleWithEffects(with);
   const DynamicModel model(extended, extended.effects);
-  return RankedByEstimate(with.back().name, pass.parameters, model, EffectsOf(candidates_).size());
+  return RankedByEstimate(with.back().name, pass.parameters, model, EffectsOf(candidates_).size(),
+                          options_.attribution.log_prior_odds);
 }
 
 std::optional<RankedEffect> LoopSession::BesideRotorTiming(std::vector<RankedEffect> with) const {
@@ -604,14 +610,15 @@ void LoopSession::Conclude() {
     result_.verdict = Verdict::kUnexplained;
     result_.where = WhereStructured(result_.structure, *flight_, attribution_->residual_before(),
                                     options_.attribution);
-  } else if (judged_ && GainOfFunctions() > 0.0) {
+  } else if (const Functions functions = FunctionsInNothing(); judged_ && functions.nats > 0.0) {
     result_.verdict = Verdict::kUnexplained;
-    result_.where = attribution_->flexible().first + "; functions of the state gain " +
-                    Rounded(GainOfFunctions()) + " nats";
+    result_.where =
+        functions.first + "; functions of the state gain " + Rounded(functions.nats) + " nats";
   } else {
     result_.where = PushInFlight(before_.replay, log_.odometry.front().stamp);
     if (!result_.where.empty()) result_.verdict = Verdict::kUnexplained;
   }
+  SortByScore(&result_.ranking);  // gusts, and what the estimator was asked for, came last
   result_.nominal_inertia = file_vehicle_.inertia_kg_m2;
   result_.bands = BandsOf(model, effects_.empty() ? before_ : *after_);
   const std::string reaction = ReactionWarning(result_.bands);

@@ -33,17 +33,32 @@ Json FlightJson(const FlightFigures& flight) {
           {"dropped", flight.dropped}};
 }
 
-Json EffectJson(const AddedEffect& added, const DynamicModel& model) {
+/// @param gain of all effects [nats]
+Json EffectJson(const AddedEffect& added, double gain, const DynamicModel& model) {
   Json json = {{"name", added.effect.name},
                {"score", JsonNumber(added.effect.score)},
                {"p_value", JsonNumber(added.effect.p_value)},
                {"probability", JsonNumber(added.effect.probability)},
                {"alternatives", added.alternatives},
                {"parameters", ParametersJson(added.effect.parameters, model)}};
+  json["gain_share"] = JsonNumber(added.effect.score / gain);
+  for (size_t k = 0; k < added.effect.alternative_shares.size(); ++k) {
+    json["alternative_shares"][added.alternatives[k]] =
+        JsonNumber(added.effect.alternative_shares[k]);
+  }
   if (!added.derived.empty()) json["derived"] = ParametersJson(added.derived);
   if (!added.manoeuvre.empty()) json["told_apart_by"] = added.manoeuvre;
   if (added.taken_off) json["taken_off_the_recording"] = true;
   return json;
+}
+
+/// "hub_moment (31 %)"
+std::vector<std::string> AlternativesOf(const AddedEffect& added) {
+  std::vector<std::string> texts = added.alternatives;
+  for (size_t k = 0; k < added.effect.alternative_shares.size(); ++k) {
+    texts[k] += " (" + Rounded(100.0 * added.effect.alternative_shares[k]) + " %)";
+  }
+  return texts;
 }
 
 Json RankedJson(const RankedEffect& ranked) {
@@ -109,7 +124,11 @@ std::string CloseLoopReport(const ClosedLoop& loop, const Vehicle& vehicle) {
   json["flight_info"] = FlightJson(loop.flight);
   json["verdict"] = NameOf(loop.verdict);
   json["effects"] = Json::array();
-  for (const AddedEffect& added : loop.effects) json["effects"].push_back(EffectJson(added, model));
+  double gain = 0.0;
+  for (const AddedEffect& added : loop.effects) gain += added.effect.score;
+  for (const AddedEffect& added : loop.effects) {
+    json["effects"].push_back(EffectJson(added, gain, model));
+  }
   json["ranking"] = Json::array();
   for (const RankedEffect& ranked : loop.ranking) json["ranking"].push_back(RankedJson(ranked));
   AddErrors(loop, &json);
@@ -132,7 +151,7 @@ std::string CloseLoopTable(const ClosedLoop& loop) {
   std::string text = "verdict: " + NameOf(loop.verdict) + "\n";
   for (const AddedEffect& added : loop.effects) {
     text += "  " + added.effect.name + Format(" (gain %.1f nats)", added.effect.score);
-    if (!added.alternatives.empty()) text += ", not told from " + Listed(added.alternatives);
+    if (!added.alternatives.empty()) text += ", not told from " + Listed(AlternativesOf(added));
     text += added.taken_off ? ", taken off the recording\n" : "\n";
     std::vector<ParameterEstimate> rows = added.effect.parameters;
     rows.insert(rows.end(), added.derived.begin(), added.derived.end());

@@ -452,7 +452,7 @@ int Evidence::AddFlexible(const FlexibleGain& gain, const FlexibleFeatures& feat
   for (size_t f = 0; f < flights_.size(); ++f) {
     const FlightRegression& r = flights_[f];
     const auto n = static_cast<Index>(r.rows().size());
-    VectorXd whitened = VectorXd::Zero(num_channels_ * n);
+    VectorXd whitened = VectorXd::Zero(r.num_channels() * n);  // torque, too, where it has one
     if (gain.channel) {
       const int c = *gain.channel;
       whitened.segment(c * n, n) =
@@ -687,7 +687,8 @@ Evidence::GainBound Evidence::GainBoundOf(const EffectCandidate& candidate) cons
       to.push_back(static_cast<int>(size) - 1);
       Scatter(glances[f].*of, to, &sum);
     }
-    return MostGain(sum, PriorSigmas(base), sigma);
+    const double most = MostGain(sum, PriorSigmas(base), sigma);
+    return std::isfinite(most) ? most : 0.0;
   };
   return {gain(&FlightRegression::Glance::serial), gain(&FlightRegression::Glance::white)};
 }

@@ -622,6 +622,7 @@ std::vector<Vector3d> PredictGusts(const ThinnedFlight& flight,
                                    const WindDerivatives& d_wind, const Vector3d& sigma_m_s,
                                    double time_constant_s, int ahead) {
   const int n = flight.size();
+  if (n == 0) return {};
   std::vector<Vector3d> states, predicted(n, Vector3d::Zero());
   Vector3d total;
   const Vector3d quick = QuickVariance(flight, residual, &total, time_constant_s);

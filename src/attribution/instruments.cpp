@@ -39,7 +39,10 @@ Eigen::Matrix<double, kSignals, 1> SignalsOf(const FilteredMotion& s, const Vehi
 
 }  // namespace
 
-int Instruments::FoldAt(double t_s) { return static_cast<int>(t_s / kFoldBlock_s) % kFolds; }
+int Instruments::FoldAt(double t_s) {
+  const int fold = static_cast<int>(std::fmod(std::floor(t_s / kFoldBlock_s), kFolds));
+  return fold < 0 ? fold + kFolds : fold;
+}
 
 Instruments::Instruments(const ThinnedFlight& flight, const Vehicle& file_vehicle)
     : likely_flight_(flight.Moving({})) {

@@ -86,7 +86,7 @@ std::vector<std::string> RotorTimingEffects(const Vehicle& vehicle,
 }
 
 RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& online,
-                              const DynamicModel& model, size_t candidates) {
+                              const DynamicModel& model, size_t candidates, double log_prior_odds) {
   RankedEffect ranked;
   ranked.name = effect;
   ranked.score = -std::numeric_limits<double>::infinity();
@@ -118,6 +118,7 @@ RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& onl
   for (Eigen::Index k = 0; k < n; ++k) ranked.score += std::log(llt.matrixLLT()(k, k));
   if (!std::isfinite(ranked.score)) ranked.score = -std::numeric_limits<double>::infinity();
   ranked.p_value = std::min(1.0, static_cast<double>(candidates) * std::exp(-ranked.score));
+  ranked.probability = 1.0 / (1.0 + std::exp(-ranked.score - log_prior_odds));
   return ranked;
 }
 

@@ -100,6 +100,7 @@ void SettingProfile::Weigh(double step) {
   for (const Point& p : points_) best = std::max(best, p.log_evidence);
   double sum = 0.0;
   for (Point& p : points_) sum += p.weight = std::exp(p.log_evidence - best);
+  log_occam_ = std::min(0.0, std::log(sum * step / (to_ - from_)));
   mean_ = 0.0;
   for (Point& p : points_) mean_ += (p.weight /= sum) * p.at;
   double variance = step * step / 12.0;  // between two of them

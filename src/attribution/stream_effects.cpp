@@ -30,24 +30,32 @@ double GainOf(double lag_s, double sigma_s) {
          (lag_s * lag_s * (1.0 / variance - 1.0 / with_offset) + std::log(variance / with_offset));
 }
 
-RankedEffect TakenOff(const TimeOffset& offset, const StreamEffect& kind) {
+/// @param tried effects that might have been named, by whose number p is corrected
+RankedEffect TakenOff(const TimeOffset& offset, const StreamEffect& kind, double tried,
+                      double log_prior_odds) {
   const double sigma_s = offset.lag.sigma_s();
   RankedEffect effect;
   effect.name = kind.effect;
   effect.score = GainOf(offset.lag.lag_s, sigma_s);
-  effect.p_value = std::erfc(std::abs(offset.lag.lag_s) / sigma_s * std::sqrt(0.5));
-  effect.probability = 1.0 / (1.0 + std::exp(-effect.score));
+  const double alone = std::erfc(std::abs(offset.lag.lag_s) / sigma_s * std::sqrt(0.5));
+  effect.p_value = std::min(1.0, tried * alone);
+  effect.probability = 1.0 / (1.0 + std::exp(-effect.score - log_prior_odds));
   effect.parameters = {{kind.parameter, "s", offset.compensated_s, sigma_s, true, true}};
   return effect;
 }
 
-void Name(const RankedEffect& taken_off, ClosedLoop* loop) {
+void Name(const RankedEffect& taken_off, const CloseLoopOptions& options, ClosedLoop* loop) {
   std::vector<AddedEffect>& effects = loop->effects;
   const auto rest = std::find_if(effects.begin(), effects.end(), [&](const AddedEffect& added) {
     return added.effect.name == taken_off.name;
   });
-  if (loop->verdict == Verdict::kNone) loop->verdict = Verdict::kEffect;
   if (rest == effects.end()) {
+    const bool is_ruled_out =
+        std::count(options.ruled_out.begin(), options.ruled_out.end(), taken_off.name) > 0;
+    const bool has_room = static_cast<int>(effects.size()) < options.attribution.most_effects;
+    const bool may_be_chance = taken_off.p_value >= options.attribution.false_alarm_rate;
+    if (is_ruled_out || !has_room || may_be_chance) return;
+    if (loop->verdict == Verdict::kNone) loop->verdict = Verdict::kEffect;
     const auto weaker = std::find_if(effects.begin(), effects.end(), [&](const AddedEffect& added) {
       return added.effect.score < taken_off.score;
     });
@@ -68,13 +76,15 @@ void Name(const RankedEffect& taken_off, ClosedLoop* loop) {
 
 }  // namespace
 
-void AddInspection(const StreamInspection& inspection, ClosedLoop* loop) {
+void AddInspection(const StreamInspection& inspection, const CloseLoopOptions& options,
+                   ClosedLoop* loop) {
   AddInspection<ClosedLoop>(inspection, loop);
+  const auto tried = static_cast<double>(std::max<size_t>(1, loop->ranking.size()));
   for (const TimeOffset& offset : inspection.offsets) {
     for (const StreamEffect& kind : kStreamEffects) {
       if (offset.stream != kind.stream || offset.compensated_s == 0.0) continue;
       if (!HasFinding(inspection, offset.stream + "_offset")) continue;
-      Name(TakenOff(offset, kind), loop);
+      Name(TakenOff(offset, kind, tried, options.attribution.log_prior_odds), options, loop);
     }
   }
 }
@@ -85,7 +95,7 @@ ClosedLoop CloseLoopInspected(const FlightLog& log, const StreamInspection& insp
                               const std::function<void(double)>& progress) {
   options.doubts = inspection.doubts;
   ClosedLoop loop = CloseLoop(log, file_vehicle, vehicle, options, progress);
-  AddInspection(inspection, &loop);
+  AddInspection(inspection, options, &loop);
   if (start) WarnOfOtherMass(*start, file_vehicle, &loop.warnings);
   return loop;
 }

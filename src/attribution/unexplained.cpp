@@ -32,8 +32,8 @@ std::string WhereStructured(const std::vector<ChannelStructure>& structure,
                             const AttributionOptions& options) {
   if (structure.empty()) return "";
   const auto rank = [&](const ChannelStructure& channel) {
-    return std::make_tuple(IsSensorNoise(channel, options), channel.whiteness.p,
-                           -channel.whiteness.structured_share);
+    return std::make_tuple(!IsStructured(channel, options), IsSensorNoise(channel, options),
+                           channel.whiteness.p, -channel.whiteness.structured_share);
   };
   const auto worst = std::min_element(structure.begin(), structure.end(),
                                       [&](auto& a, auto& b) { return rank(a) < rank(b); });

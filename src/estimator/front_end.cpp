@@ -56,6 +56,7 @@ void FrontEnd::Restart() {
   last_.reset();
   before_last_.reset();
   is_chained_ = false;
+  first_stamp_.reset();  // another flight, or another clock
   noise_ready_ = 0;
 }
 

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <fstream>
 #include <map>
+#include <set>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -385,6 +386,20 @@ TEST_F(OctoFlight, InstrumentsForeseeProductsThroughTheLikelyMotion) {
   EXPECT_LT(rest(product(instruments.likely_flight())), 0.7 * rest(0.0 * column));
 }
 
+// A clock that stepped back, or a start that is later than the window.
+TEST(Instruments, HaveAFoldForEveryTime) {
+  std::set<int> folds;
+  for (double t_s = -100.0; t_s < 100.0; t_s += 0.25) {
+    const int fold = Instruments::FoldAt(t_s);
+    ASSERT_GE(fold, 0) << t_s;
+    ASSERT_LT(fold, Instruments::kFolds) << t_s;
+    const int step = Instruments::FoldAt(t_s + 0.25) - fold;
+    EXPECT_TRUE(step == 0 || step == 1 || step == 1 - Instruments::kFolds) << t_s;  // in turn
+    folds.insert(fold);
+  }
+  EXPECT_EQ(folds.size(), static_cast<size_t>(Instruments::kFolds));
+}
+
 TEST_F(OctoFlight, InstrumentsNeedAPast) {
   const Instruments instruments(flown_->flight, flown_->vehicle);
   for (int i = 0; i < 8; ++i) EXPECT_FALSE(instruments.Sees(i));
@@ -494,6 +509,30 @@ TEST(Evidence, LooksAtNoFunctionThatCopiesAnEffect) {
   EXPECT_LT(other.nats, best.nats);
 }
 
+// Root mean squares of rotor speeds show no torque. Another flight of the vehicle does.
+TEST(Evidence, AddsFunctionsToFlightsWithAndWithoutTorque) {
+  const Flown flown = Filtered(Make({"quadratic_drag"}, 0.7, "aggressive", 0, 31));
+  const ResidualModel whole(&flown.flight, &flown.vehicle, true);
+  const ResidualModel force_only(&flown.flight, &flown.vehicle, false);
+  const Instruments instruments(flown.flight, flown.vehicle);
+  const std::vector<SeenFlight> flights = {{&whole, &instruments}, {&force_only, &instruments}};
+  Evidence evidence(flights, DeclaredPoint(flown.vehicle));
+  evidence.EstimateNoise();
+  const FlexibleFeatures features(flights);
+  const auto best = evidence.BestFlexible({}, features, {});
+  ASSERT_GT(best.nats, 20.0);
+  const int added = evidence.AddFlexible(best, features);
+  const auto done = evidence.DoneBy(added, evidence.Solve({added}));
+  ASSERT_EQ(done.size(), 2u);
+  const Eigen::Index n = done[1].size() / 3;
+  ASSERT_EQ(done[0].size(), 6 * n);
+  EXPECT_GT(done[1].squaredNorm(), 20.0);
+  EXPECT_EQ(done[0].tail(3 * n).squaredNorm(), 0.0);  // a force
+  // Each by the noise of its own fit.
+  EXPECT_NEAR(done[0].head(3 * n).squaredNorm(), done[1].squaredNorm(),
+              0.05 * done[1].squaredNorm());
+}
+
 TEST(Evidence, NamesBothOfTwoThatActOnDifferentAxes) {
   const UndeclaredFlight flight = Make({"quadratic_drag", "hub_moment"}, 0.5, "aggressive", 0, 7);
   const Flown flown = Filtered(flight);
@@ -501,6 +540,12 @@ TEST(Evidence, NamesBothOfTwoThatActOnDifferentAxes) {
   const Attribution attribution = Attribute(flown, residual);
   EXPECT_TRUE(Has(attribution.effects(), "quadratic_drag"));
   EXPECT_TRUE(Has(attribution.effects(), "hub_moment"));
+  for (const RankedEffect& effect : attribution.effects()) {
+    ASSERT_EQ(effect.alternative_shares.size(), effect.alternatives.size()) << effect.name;
+    double sum = 0.0;
+    for (const double share : effect.alternative_shares) sum += share;
+    EXPECT_LT(sum, 1.0) << effect.name;
+  }
 }
 
 // Our own simulator's feedback goes through noise and unsteady air: rotors answer both.

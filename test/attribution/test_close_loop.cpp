@@ -216,7 +216,7 @@ class OnlineEvidence : public testing::Test {
     online.parameters.push_back(
         {"rotor_reaction.J_r", "kg m^2", value, sigma, estimated, estimated});
     online.covariance = Eigen::MatrixXd::Constant(1, 1, sigma * sigma);
-    return RankedByEstimate("rotor_reaction", online, model_, 20);
+    return RankedByEstimate("rotor_reaction", online, model_, 20, -3.0);
   }
 
   Vehicle vehicle_;
@@ -230,6 +230,7 @@ TEST_F(OnlineEvidence, IsTheDensityAtZeroBeforeOverAfter) {
   ASSERT_TRUE(spec().certain_sign);
   EXPECT_NEAR(ranked.score, 12.5 - std::log(100.0) + std::log(2.0), 1e-6);
   EXPECT_NEAR(ranked.p_value, 20.0 * std::exp(-ranked.score), 1e-12);
+  EXPECT_NEAR(ranked.probability, 1.0 / (1.0 + std::exp(3.0 - ranked.score)), 1e-12);
   ASSERT_NE(ranked.Find("rotor_reaction.J_r"), nullptr);
 }
 

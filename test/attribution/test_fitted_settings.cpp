@@ -138,6 +138,16 @@ TEST(FittedSettings, ProfileKnowsTheGroundFromAnyStart) {
       flights += 1.0;
       const auto other = SettingProfile::Of(evidence, starts.back(), {starts.back()});
       EXPECT_NEAR(profile->mean(), other->mean(), 0.1 * profile->sigma()) << seed;
+      // As if normal, of all between the bounds.
+      double from = 1e9, to = -1e9;
+      for (const int v : starts) {
+        const auto& bounds =
+            evidence.variants()[static_cast<size_t>(v)].candidate.bounds.at(profile->setting());
+        from = std::min(from, bounds.first);
+        to = std::max(to, bounds.second);
+      }
+      EXPECT_LE(profile->log_occam(), 0.0);
+      EXPECT_NEAR(profile->log_occam(), std::log(2.5 * profile->sigma() / (to - from)), 1.0);
     }
   }
   // So lies the mean of 16 squared normal numbers in 99 of 100 cases.

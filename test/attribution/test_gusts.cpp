@@ -329,6 +329,13 @@ TEST(GustTest, KnocksArePeaked) {
   }
 }
 
+TEST(GustTest, PredictsNothingOfNoFlight) {
+  const ThinnedFlight none(FlightMotion{}, BlockSplit{});
+  EXPECT_TRUE(PredictGusts(none, ResidualModel::Wrenches::Zero(0, kNumChannels), {},
+                           Vector3d::Ones(), 1.0, 4)
+                  .empty());
+}
+
 TEST(GustTest, DoesNotLookAtBlocksHeldOut) {
   Case windy = Windy(3.0, kWrongDrag);
   const GustTest before = windy.Test();

@@ -45,7 +45,7 @@ AddedEffect Effect(const std::string& name, double score, const std::string& par
 TEST(StreamEffects, LateRotorSpeedsAreAnEffect) {
   for (const double lag_s : {0.035, -0.035}) {
     ClosedLoop loop;
-    AddInspection(Inspected(Offset("rotor_speeds", lag_s, 0.001), true), &loop);
+    AddInspection(Inspected(Offset("rotor_speeds", lag_s, 0.001), true), CloseLoopOptions(), &loop);
     EXPECT_EQ(loop.verdict, Verdict::kEffect);
     ASSERT_EQ(loop.effects.size(), 1u);
     const RankedEffect& effect = loop.effects[0].effect;
@@ -65,9 +65,31 @@ TEST(StreamEffects, LateRotorSpeedsAreAnEffect) {
   }
 }
 
+// 10 ms, 3.4 sigma: one offset in 1,500 by chance, and one effect of 22 in 67.
+TEST(StreamEffects, AreHeldToWhatHoldsForOthers) {
+  const auto named = [](double sigma_s, const CloseLoopOptions& options) {
+    ClosedLoop loop;
+    loop.ranking.resize(22);
+    AddInspection(Inspected(Offset("rotor_speeds", 0.01, sigma_s), true), options, &loop);
+    EXPECT_EQ(loop.findings.size(), 1u);
+    EXPECT_EQ(loop.verdict == Verdict::kEffect, !loop.effects.empty());
+    return loop.effects.size();
+  };
+  CloseLoopOptions options;
+  EXPECT_EQ(named(0.01 / 3.4, options), 0u);
+  EXPECT_EQ(named(0.01 / 4.0, options), 1u);
+  options.attribution.false_alarm_rate = 0.02;
+  EXPECT_EQ(named(0.01 / 3.4, options), 1u);
+  options.ruled_out = {"rotor_delay"};
+  EXPECT_EQ(named(0.001, options), 0u);
+  options.ruled_out.clear();
+  options.attribution.most_effects = 0;
+  EXPECT_EQ(named(0.001, options), 0u);
+}
+
 TEST(StreamEffects, AFiltersLagIsNone) {
   ClosedLoop loop;
-  AddInspection(Inspected(Offset("rotor_speeds", -0.006, 0.001), false), &loop);
+  AddInspection(Inspected(Offset("rotor_speeds", -0.006, 0.001), false), CloseLoopOptions(), &loop);
   EXPECT_EQ(loop.verdict, Verdict::kNone);
   EXPECT_TRUE(loop.effects.empty());
   EXPECT_EQ(loop.time_offsets.size(), 1u);
@@ -75,7 +97,7 @@ TEST(StreamEffects, AFiltersLagIsNone) {
 
 TEST(StreamEffects, ALateVelocityIsAFindingOnly) {
   ClosedLoop loop;
-  AddInspection(Inspected(Offset("velocity", 0.028, 0.0001), true), &loop);
+  AddInspection(Inspected(Offset("velocity", 0.028, 0.0001), true), CloseLoopOptions(), &loop);
   EXPECT_EQ(loop.verdict, Verdict::kNone);
   EXPECT_TRUE(loop.effects.empty());
   EXPECT_EQ(loop.findings.size(), 1u);
@@ -86,7 +108,7 @@ TEST(StreamEffects, StandAmongTheOthersByTheirScore) {
   loop.verdict = Verdict::kEffect;
   loop.effects = {Effect("quadratic_drag", 1e4, "quadratic_drag.c_q", 1.0),
                   Effect("wind", 1.0, "wind.w_x", 1.0)};
-  AddInspection(Inspected(Offset("rotor_speeds", 0.02, 0.001), true), &loop);
+  AddInspection(Inspected(Offset("rotor_speeds", 0.02, 0.001), true), CloseLoopOptions(), &loop);
   ASSERT_EQ(loop.effects.size(), 3u);
   EXPECT_EQ(loop.effects[1].effect.name, "rotor_delay");
 }
@@ -95,7 +117,7 @@ TEST(StreamEffects, WhatIsLeftOfAnOffsetIsAdded) {
   ClosedLoop loop;
   loop.verdict = Verdict::kEffect;
   loop.effects = {Effect("rotor_delay", 12.0, "rotor_delay.delay", 0.004)};
-  AddInspection(Inspected(Offset("rotor_speeds", 0.02, 0.003), true), &loop);
+  AddInspection(Inspected(Offset("rotor_speeds", 0.02, 0.003), true), CloseLoopOptions(), &loop);
   ASSERT_EQ(loop.effects.size(), 1u);
   EXPECT_DOUBLE_EQ(loop.effects[0].effect.Find("rotor_delay.delay")->value, 0.024);
   EXPECT_GT(loop.effects[0].effect.score, 12.0);
@@ -104,7 +126,7 @@ TEST(StreamEffects, WhatIsLeftOfAnOffsetIsAdded) {
 TEST(StreamEffects, WhatStaysUnexplainedStaysSo) {
   ClosedLoop loop;
   loop.verdict = Verdict::kUnexplained;
-  AddInspection(Inspected(Offset("rotor_speeds", 0.02, 0.001), true), &loop);
+  AddInspection(Inspected(Offset("rotor_speeds", 0.02, 0.001), true), CloseLoopOptions(), &loop);
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained);
   EXPECT_EQ(loop.effects.size(), 1u);
 }
@@ -122,7 +144,7 @@ TEST(StreamEffects, NamedInARecordingThatWasMended) {
   FlightLog log = Simulate(truth, DefaultTruth(truth), simulation, noise).log;
   const StreamInspection inspection = InspectOrRefuse(vehicle, false, "", &log);
   ClosedLoop loop = CloseLoop(log, vehicle, vehicle, CloseLoopOptions());
-  AddInspection(inspection, &loop);
+  AddInspection(inspection, CloseLoopOptions(), &loop);
   ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
   ASSERT_EQ(loop.effects.size(), 1u) << CloseLoopTable(loop);
   const ParameterEstimate* delay = loop.effects[0].effect.Find("rotor_delay.delay");

@@ -1,10 +1,12 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <string>
 #include <utility>
 
 #include "odmc/attribution/attribution.h"
 #include "odmc/attribution/structure.h"
+#include "odmc/attribution/unexplained.h"
 #include "odmc/math/gaussian.h"
 
 namespace odmc {
@@ -145,6 +147,24 @@ TEST(Lean, ASlowForceOfADegreeMayBeTheOdometrys) {
   EXPECT_GE(leans, 18);
   EXPECT_GE(forces, 18);
   EXPECT_EQ(quick, 20);
+}
+
+// The lean is far surer; it is no structure that asks for an effect.
+TEST(WhereStructured, NamesAChannelThatIsStructured) {
+  ChannelStructure lean = Lateral(0.1, 0.0, 3);
+  lean.whiteness.p = 1e-40;
+  ASSERT_FALSE(IsStructured(lean, AttributionOptions()));
+  ChannelStructure torque;
+  torque.name = "torque_z";
+  torque.dependence = {{"time", 0.1}};
+  torque.whiteness.p = 1e-8;
+  torque.whiteness.structured_share = 0.6;
+  ASSERT_TRUE(IsStructured(torque, AttributionOptions()));
+  const ThinnedFlight flight = Hover();
+  const ResidualModel::Wrenches residual =
+      ResidualModel::Wrenches::Ones(flight.size(), kNumChannels);
+  const std::string where = WhereStructured({lean, torque}, flight, residual, AttributionOptions());
+  EXPECT_EQ(where.substr(0, 8), "torque_z") << where;
 }
 
 TEST(Lean, WhatBothSensorsShowIsAForce) {

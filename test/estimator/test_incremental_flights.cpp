@@ -207,6 +207,37 @@ TEST(IncrementalFlights, GapsHeldOutBlocksAndRestarts) {
   EXPECT_GE(d.counters.chains, 4);
 }
 
+// As when a simulation begins again.
+TEST(IncrementalFlights, FlightTimeCountsFromAClockThatSteppedBack) {
+  const DynamicModel model(NominalVehicle(), NominalVehicle().effects);
+  SimulationOptions simulation;
+  simulation.duration_s = 4.0;
+  FlightLog log = Simulate(model, DefaultTruth(model), simulation, SimulationNoise()).log;
+  Estimator estimator(&model, Case().options, true);
+  double first_s = 1e9, last_s = 0.0;
+  const auto look = [&](const Snapshot& snapshot) {
+    first_s = std::min(first_s, snapshot.time_s);
+    last_s = snapshot.time_s;
+  };
+  for (const double shift_s : {0.0, -60.0}) {
+    const auto shift = [&](auto* samples) {
+      for (auto& sample : *samples) sample.stamp += FromSeconds(shift_s);
+    };
+    shift(&log.odometry);
+    shift(&log.rotors);
+    first_s = 1e9;
+    for (FlightFeed feed(log); !feed.AtEnd();) {
+      feed.Next(&estimator);
+      Drain(&estimator, look);
+    }
+    EXPECT_EQ(estimator.start() / 1000000000, log.odometry.front().stamp / 1000000000);
+    EXPECT_GE(first_s, 0.0);
+    EXPECT_GT(last_s, 3.0);
+    EXPECT_LT(last_s, 4.1);
+    estimator.RestartChain();
+  }
+}
+
 TEST(IncrementalFlights, RobustLossesAtWork) {
   Case c;
   c.spoil = [](FlightLog* log) {

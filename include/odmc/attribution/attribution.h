@@ -52,6 +52,7 @@ double UnexplainedStructure(const ResidualModel::Wrenches& before,
 struct FlexibleRest {
   double of_force = 0.0, of_torque = 0.0;  ///< gained by functions of them [nats]
   std::string first;                       ///< that gains most, as "force_z by \"sideways speed\""
+  std::string first_of_torque;             ///< the same of the torque; may be empty
 
   double nats() const { return of_force + of_torque; }
 };

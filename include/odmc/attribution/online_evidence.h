@@ -31,9 +31,10 @@ std::vector<std::string> RotorTimingEffects(const Vehicle& vehicle,
 /// the density of its parameters at zero a priori over the same a posteriori (Savage's ratio;
 /// Dickey, Ann. Math. Stat. 42, 1971), both normal, and what the signs say.
 /// @param candidates number of effects that were tried, by which the p-value is corrected
+/// @param log_prior_odds of the effect, for its probability
 /// @returns minus infinity for a score where the estimate says nothing of it
 RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& online,
-                              const DynamicModel& model, size_t candidates);
+                              const DynamicModel& model, size_t candidates, double log_prior_odds);
 
 /// Adds to what an effect's own coefficients leave open (RankedEffect::spread) how they change in a
 /// model that can do the same by other means.

@@ -31,7 +31,10 @@ struct RankedEffect {
   /// names).
   std::vector<std::string> spread_of = {};
   Eigen::MatrixXd spread = {};
-  std::vector<std::string> alternatives;   ///< that explain the same on this flight
+  std::vector<std::string> alternatives;  ///< that explain the same on this flight
+  /// Of each of them: probability a posteriori that it acts in this one's place, if one of all
+  /// does.
+  std::vector<double> alternative_shares = {};
   std::vector<std::string> remarks;        ///< what is strange about it
   std::vector<FlightSays> by_flight = {};  ///< of several flights, in their order
   bool is_unphysical = false;  ///< a coefficient has a sign that it can't have, beyond two sigma

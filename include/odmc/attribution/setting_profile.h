@@ -24,6 +24,9 @@ class SettingProfile {
   const std::string& setting() const { return setting_; }  ///< full name
   double mean() const { return mean_; }                    ///< a posteriori
   double sigma() const { return sigma_; }
+  /// What having looked for the setting costs, which is as likely anywhere between its bounds a
+  /// priori: log of the mean likelihood over the best [nats], at most 0.
+  double log_occam() const { return log_occam_; }
   /// The effect with its setting held at the mean.
   EffectCandidate Held() const { return HeldAt(mean_); }
 
@@ -55,6 +58,7 @@ class SettingProfile {
   double from_ = 0.0, to_ = 0.0;
   std::vector<Point> points_;
   double mean_ = 0.0, sigma_ = 0.0;
+  double log_occam_ = 0.0;
 };
 
 }  // namespace odmc
