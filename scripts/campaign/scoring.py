@@ -82,6 +82,8 @@ def numbers(text: str) -> List[float]:
 def names_cause(finding: Dict[str, Any], fault: Fault, span: Optional[Tuple[float, float]]) -> bool:
     """Whether a finding is about the fault: by its check or its words and, where both have a time,
     at that time."""
+    if finding['check'] == 'stream_doubt':  # what is not excluded, in a sigma: not what is wrong
+        return False
     words = f"{finding['what']} {finding.get('mend', '')}"
     if finding['check'] not in fault.checks and not re.search(fault.words, words, re.IGNORECASE):
         return False

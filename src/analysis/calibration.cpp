@@ -337,6 +337,9 @@ void Judge(const FlightLog& log, const DynamicModel& model, const EstimatorOptio
   WarnOfReaction(result->bands, &result->warnings);
   Append(LastLookFindings(model, last.values, learned.thirds), &result->findings);
   Append(LittleFlight(replay, model), &result->findings);
+  if (const auto remark = PointRemark(result->point, model, last.values, last.sigma)) {
+    result->findings.push_back(*remark);
+  }
   Append(PhaseFindings(replay, options.detect_changes, result->first_stamp), &result->findings);
   for (const Finding& finding : result->findings) {
     if (finding.leaves != Trust::kGood) result->warnings.push_back(Sentence(finding));
@@ -359,8 +362,8 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   Learned learned = Learn(log, model, model, options, part(0.0, 0.5));
   RefuseNeverAirborne(log, learned.replay, options);
   result.bands = BandsOf(recording, model, learned.replay);
-  result.point = FindRecordedPoint(recording, file_vehicle, model, learned.replay.last->values,
-                                   learned.replay.ground_spans);
+  result.point = AskForPoint(recording, file_vehicle, model, learned.replay.last->values,
+                             learned.replay.ground_spans);
   LearnWithBands(log, model, options, part(0.5, 1.0), &learned, &result);
   if (progress) progress(1.0);
   result.replay = std::move(learned.replay);

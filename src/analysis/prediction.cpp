@@ -101,6 +101,13 @@ PredictionSample PredictSample(const FilteredMotion& motion, const Vector3d& loa
   return out;
 }
 
+bool PredictionFigures::GivesAway() const {
+  constexpr double kShown = 0.01;  // of the error
+  if (!force_rmse_N || !predicted_swing_force_rmse_N) return false;
+  const Vector3d more = *predicted_swing_force_rmse_N - *force_rmse_N;
+  return (more.cwiseAbs().array() >= kShown * force_rmse_N->array()).any();
+}
+
 void PredictionSummary::AxisSums::Add(const Vector3d& measured, const Vector3d& predicted) {
   error2 += (measured - predicted).cwiseAbs2();
   value += measured;

@@ -7,6 +7,7 @@
 #include <unsupported/Eigen/FFT>
 
 #include "odmc/analysis/prediction.h"
+#include "odmc/math/statistics.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -298,6 +299,16 @@ bool IsEstimated(const DynamicModel& model, const std::string& name) {
   return k >= 0 && model.parameters()[k].estimated;
 }
 
+std::vector<std::string> PointNames() {
+  return {"odometry_extrinsics.px", "odometry_extrinsics.py", "odometry_extrinsics.pz"};
+}
+
+bool EstimatesPoint(const DynamicModel& model) {
+  const std::vector<std::string> names = PointNames();
+  return std::all_of(names.begin(), names.end(),
+                     [&](const std::string& name) { return IsEstimated(model, name); });
+}
+
 /// Which segments a flight is cut into.
 struct Cut {
   double segment_s = 0.0;
@@ -348,9 +359,9 @@ RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicl
                                 const DynamicModel& model, const ModelValues& values,
                                 const std::vector<std::pair<Stamp, Stamp>>& ground_spans) {
   RecordedPoint point;
-  for (const char* const name : {"px", "py", "pz"}) {
-    if (IsEstimated(model, std::string("odometry_extrinsics.") + name)) continue;
-    point.why = "the model does not estimate odometry_extrinsics." + std::string(name);
+  for (const std::string& name : PointNames()) {
+    if (IsEstimated(model, name)) continue;
+    point.why = "the model does not estimate " + name;
     return point;
   }
   const FlightMotion flight = FilterFlight(log, file_vehicle.num_rotors(), ground_spans);
@@ -390,11 +401,60 @@ RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicl
   return point;
 }
 
+RecordedPoint AskForPoint(const FlightLog& log, const Vehicle& file_vehicle,
+                          const DynamicModel& model, const ModelValues& values,
+                          const std::vector<std::pair<Stamp, Stamp>>& ground_spans) {
+  if (EstimatesPoint(model)) {
+    return FindRecordedPoint(log, file_vehicle, model, values, ground_spans);
+  }
+  Vehicle asked = model.vehicle();
+  asked.effects = model.effect_names();
+  if (std::count(asked.effects.begin(), asked.effects.end(), "odometry_extrinsics") == 0) {
+    asked.effects.emplace_back("odometry_extrinsics");
+  }
+  for (const std::string& name : PointNames()) asked.parameters[name].estimated = true;
+  const DynamicModel with(asked, asked.effects);
+  ModelValues all = with.InitialValues();
+  for (int k = 0; k < model.num_parameters(); ++k) {
+    all[with.IndexOf(model.parameters()[k].full_name)] = values[k];
+  }
+  return FindRecordedPoint(log, file_vehicle, with, all, ground_spans);
+}
+
+std::optional<Finding> PointRemark(const RecordedPoint& point, const DynamicModel& model,
+                                   const ModelValues& values, const VectorXd& sigma) {
+  constexpr double kErrorRate = 1e-3, kMeasured_m = 0.005, kUsual = 0.3;  // of an arm: the prior
+  if (!point.p_m || EstimatesPoint(model)) return std::nullopt;
+  const Vector3d off = *point.p_m - model.Properties(values).p_BS;
+  const double usual_m = kUsual * model.vehicle().ArmLength();
+  // Not on the vehicle: something else that goes with the angular acceleration, as a load.
+  if (ChiSquaredTail(off.squaredNorm() / (usual_m * usual_m), 3) < kErrorRate) return std::nullopt;
+  Matrix3d C = point.covariance;
+  for (Index axis = 0; axis < 3; ++axis) {
+    const int k = model.IndexOf(std::string("centre_of_gravity.") + "xyz"[axis]);
+    if (k >= 0) C(axis, axis) += sigma[k] * sigma[k];
+  }
+  const double chi_squared = off.dot(C.ldlt().solve(off));
+  if (ChiSquaredTail(chi_squared, 3) > kErrorRate || off.norm() < kMeasured_m) return std::nullopt;
+  const auto text = [](const Vector3d& cm) {
+    return "(" + Rounded(cm.x(), 2) + ", " + Rounded(cm.y(), 2) + ", " + Rounded(cm.z(), 2) + ")";
+  };
+  Finding remark;
+  remark.check = "recorded_point";
+  remark.what = "the odometry records a point that is " + text(1e2 * off) + " +- " +
+                text(1e2 * C.diagonal().cwiseSqrt()) +
+                " cm off the place where the model takes it to be, by the force as it turns";
+  remark.mend =
+      "measure it (odometry: {frame: sensor, p_BS_m: [..]} of the vehicle file), or estimate it "
+      "(odometry_extrinsics among the effects, with px, py, pz estimated)";
+  return remark;
+}
+
 TakenPoint TakePoint(const RecordedPoint& point, const DynamicModel& model,
                      const ModelValues& values, const VectorXd& sigma) {
   constexpr double kShown = 0.5;  // of the prior's sigma
   TakenPoint taken;
-  if (!point.p_m) return taken;
+  if (!point.p_m || !EstimatesPoint(model)) return taken;
   for (Index axis = 0; axis < 3; ++axis) {
     const char letter = "xyz"[axis];
     const int k = model.IndexOf(std::string("odometry_extrinsics.p") + letter);

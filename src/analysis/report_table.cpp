@@ -16,18 +16,15 @@ void AddAxes(const std::string& name, const std::string& unit, const PredictionF
   rows->push_back(row);
 }
 
-/// True if the measured angular acceleration tells a part of the force that is to be predicted.
-bool GivesAway(const PredictionFigures& f) {
-  constexpr double kShown = 0.01;  // of the error
-  if (!f.force_rmse_N || !f.predicted_swing_force_rmse_N) return false;
-  const Eigen::Vector3d more = *f.predicted_swing_force_rmse_N - *f.force_rmse_N;
-  return (more.cwiseAbs().array() > kShown * f.force_rmse_N->array()).any();
+/// Error of the force, and that without what its measured swing gives away.
+void AddForce(const PredictionFigures& f, std::vector<TableRow>* rows) {
+  AddAxes("force RMSE", "N", f.force_rmse_N, rows);
+  if (f.GivesAway()) AddAxes("  with predicted swing", "N", f.predicted_swing_force_rmse_N, rows);
 }
 
 std::string PredictionTable(const PredictionFigures& f) {
   std::vector<TableRow> rows = {{"prediction", "unit", "x", "y", "z"}};
-  AddAxes("force RMSE", "N", f.force_rmse_N, &rows);
-  if (GivesAway(f)) AddAxes("  with predicted swing", "N", f.predicted_swing_force_rmse_N, &rows);
+  AddForce(f, &rows);
   AddAxes("  predicting zero", "N", f.zero_force_rmse_N, &rows);
   AddAxes("  explained", "", f.force_explained, &rows);
   if (f.accelerometer_force_rmse_N) {
@@ -48,7 +45,7 @@ std::string LeftOutTable(const LeftOutPrediction& left_out) {
   const PredictionFigures& f = left_out.figures;
   std::vector<TableRow> rows = {
       {"blocks of " + Rounded(left_out.block_s, 4) + " s left out in turn", "unit", "x", "y", "z"}};
-  AddAxes("force RMSE", "N", f.force_rmse_N, &rows);
+  AddForce(f, &rows);
   AddAxes("torque RMSE", "N m", f.torque_rmse_Nm, &rows);
   AddAxes("  rotor torque gain", "", f.rotor_torque_gain, &rows);
   AddAxes("angular acceleration RMSE", "rad/s^2", f.angular_acceleration_rmse_rad_s2, &rows);

@@ -19,18 +19,18 @@ void TorqueBands::Refuse(const std::string& reason) {
 
 namespace {
 
-/// I_z by what the vehicle file says, as far as it does, and by the other two: a body has at most
-/// their sum, and a vehicle that is wider than high at least the larger.
+/// I_z by what the vehicle file says, with its sigma also where it is frozen or no parameter (a
+/// nominal inertia is a guess, or weighed), and by the other two: a body has at most their sum, and
+/// a vehicle that is wider than high at least the larger.
 void TakeInertiaZ(const DynamicModel& model, const ModelValues& values, const TorqueBands& bands,
                   ReactionCheck* check) {
   const int k = model.IndexOf("inertia.z");
-  double mean = std::log(model.vehicle().inertia_kg_m2.z()), variance = 0.0;
-  if (k >= 0) {
-    const ModelParameter& p = model.parameters()[k];
-    mean = std::log(p.estimated ? p.spec.prior_value : values[k]);
-    if (p.estimated) variance = std::pow(p.spec.prior_sigma / p.spec.prior_value, 2);
-  }
-  if (variance > 0.0 && bands.inertia[0].value && bands.inertia[1].value) {
+  const DynamicModel alone(model.vehicle(), {"inertia"});
+  const ModelParameter& p = alone.parameters()[alone.IndexOf("inertia.z")];
+  const bool is_frozen = k >= 0 && !model.parameters()[k].estimated;
+  double mean = std::log(is_frozen ? values[k] : p.spec.prior_value);
+  double variance = std::pow(p.spec.prior_sigma / p.spec.prior_value, 2);
+  if (bands.inertia[0].value && bands.inertia[1].value) {
     const double I_x = *bands.inertia[0].value, I_y = *bands.inertia[1].value;
     const double low = std::log(std::max(I_x, I_y)), high = std::log(I_x + I_y);
     const double relative = std::max(bands.inertia[0].sigma / I_x, bands.inertia[1].sigma / I_y);

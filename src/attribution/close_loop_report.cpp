@@ -75,6 +75,8 @@ void AddErrors(const ClosedLoop& loop, Json* json) {
   Json& to = *json;
   to["force_rmse_before"] = JsonAxes(loop.before.force_rmse_N);
   to["force_rmse_after"] = JsonAxes(loop.after.force_rmse_N);
+  to["predicted_swing_force_rmse_before"] = JsonAxes(loop.before.predicted_swing_force_rmse_N);
+  to["predicted_swing_force_rmse_after"] = JsonAxes(loop.after.predicted_swing_force_rmse_N);
   to["torque_rmse_before"] = JsonAxes(loop.before.torque_rmse_Nm);
   to["torque_rmse_after"] = JsonAxes(loop.after.torque_rmse_Nm);
   to["angular_acceleration_rmse_before"] = JsonAxes(loop.before.angular_acceleration_rmse_rad_s2);
@@ -166,6 +168,10 @@ std::string CloseLoopTable(const ClosedLoop& loop) {
                  loop.whiteness_p);
   text += "RMSE on blocks held out     before        after  after/before\n";
   text += Row("force [N]", loop.before.force_rmse_N, loop.after.force_rmse_N);
+  if (loop.before.GivesAway() || loop.after.GivesAway()) {
+    text += Row("  own swing", loop.before.predicted_swing_force_rmse_N,
+                loop.after.predicted_swing_force_rmse_N);
+  }
   text += Row("torque [N m]", loop.before.torque_rmse_Nm, loop.after.torque_rmse_Nm);
   text += Row("by IMU [N]", loop.accelerometer_before, loop.accelerometer_after);
   text += TorqueBandsTable(loop.bands, loop.nominal_inertia);

@@ -48,15 +48,18 @@ Json ErrorsJson(const std::vector<FleetFlight>& before, const std::vector<FleetF
   for (size_t f = 0; f < std::min(before.size(), after.size()); ++f) {
     if (!before[f].failure.empty() || !after[f].failure.empty()) continue;
     const PredictionFigures &b = before[f].left_out, &a = after[f].left_out;
-    json.push_back({{"file", before[f].file},
-                    {"force_rmse_before_N", JsonAxes(b.force_rmse_N)},
-                    {"force_rmse_after_N", JsonAxes(a.force_rmse_N)},
-                    {"torque_rmse_before_Nm", JsonAxes(b.torque_rmse_Nm)},
-                    {"torque_rmse_after_Nm", JsonAxes(a.torque_rmse_Nm)},
-                    {"accelerometer_force_rmse_before_N", JsonAxes(b.accelerometer_force_rmse_N)},
-                    {"accelerometer_force_rmse_after_N", JsonAxes(a.accelerometer_force_rmse_N)},
-                    {"own_fit_force_rmse_N", JsonAxes(after[f].own_fit.force_rmse_N)},
-                    {"own_fit_torque_rmse_Nm", JsonAxes(after[f].own_fit.torque_rmse_Nm)}});
+    json.push_back(
+        {{"file", before[f].file},
+         {"force_rmse_before_N", JsonAxes(b.force_rmse_N)},
+         {"force_rmse_after_N", JsonAxes(a.force_rmse_N)},
+         {"predicted_swing_force_rmse_before_N", JsonAxes(b.predicted_swing_force_rmse_N)},
+         {"predicted_swing_force_rmse_after_N", JsonAxes(a.predicted_swing_force_rmse_N)},
+         {"torque_rmse_before_Nm", JsonAxes(b.torque_rmse_Nm)},
+         {"torque_rmse_after_Nm", JsonAxes(a.torque_rmse_Nm)},
+         {"accelerometer_force_rmse_before_N", JsonAxes(b.accelerometer_force_rmse_N)},
+         {"accelerometer_force_rmse_after_N", JsonAxes(a.accelerometer_force_rmse_N)},
+         {"own_fit_force_rmse_N", JsonAxes(after[f].own_fit.force_rmse_N)},
+         {"own_fit_torque_rmse_Nm", JsonAxes(after[f].own_fit.torque_rmse_Nm)}});
   }
   return json;
 }
@@ -87,7 +90,15 @@ std::string Rows(const char* name, const std::vector<FleetFlight>& before,
 
 std::string ErrorTable(const std::vector<FleetFlight>& before,
                        const std::vector<FleetFlight>& after) {
+  const auto gives_away = [](const std::vector<FleetFlight>& flights) {
+    return std::any_of(flights.begin(), flights.end(),
+                       [](const FleetFlight& f) { return f.left_out.GivesAway(); });
+  };
   return Rows("force [N]", before, after, &PredictionFigures::force_rmse_N) +
+         (gives_away(before) || gives_away(after)
+              ? Rows("  own swing", before, after,
+                     &PredictionFigures::predicted_swing_force_rmse_N)
+              : "") +
          Rows("torque [N m]", before, after, &PredictionFigures::torque_rmse_Nm) +
          Rows("by IMU [N]", before, after, &PredictionFigures::accelerometer_force_rmse_N);
 }

@@ -13,6 +13,7 @@ using Json = nlohmann::ordered_json;
 
 Json FiguresJson(const PredictionFigures& f) {
   return {{"force_rmse_N", JsonAxes(f.force_rmse_N)},
+          {"predicted_swing_force_rmse_N", JsonAxes(f.predicted_swing_force_rmse_N)},
           {"torque_rmse_Nm", JsonAxes(f.torque_rmse_Nm)},
           {"accelerometer_force_rmse_N", JsonAxes(f.accelerometer_force_rmse_N)},
           {"samples", f.samples}};

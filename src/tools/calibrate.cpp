@@ -142,7 +142,8 @@ void CalibrateSeveral(const Arguments& a, const std::vector<std::string>& names,
 void AddOptionsOfOne(CLI::App* app, Arguments* a) {
   app->add_option("--leave-out", a->left_out_s,
                   "also leaves out every block of this many seconds in turn and predicts it with "
-                  "what the rest of the flight shows (one flight)")
+                  "what the estimator learns of the rest, without inertia and recorded point by "
+                  "frequency bands, which are of the whole flight (one flight)")
       ->check(tools::Positive());
   app->add_option("--position-noise", a->noise_m,
                   "adds white Gaussian noise to every odometry position the estimator sees, sigma "

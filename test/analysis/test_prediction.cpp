@@ -116,6 +116,12 @@ TEST(Predict, TellsWhatTheMeasuredSwingGivesAway) {
   const PredictionFigures told = figures(wrong);
   EXPECT_NEAR(told.force_rmse_N->x(), right.force_rmse_N->x(), 1e-9);
   EXPECT_GT(told.predicted_swing_force_rmse_N->x(), 3.0 * told.force_rmse_N->x());
+  EXPECT_TRUE(told.GivesAway());
+  PredictionFigures same = told;
+  same.predicted_swing_force_rmse_N = 1.009 * *told.force_rmse_N;
+  EXPECT_FALSE(same.GivesAway());
+  same.predicted_swing_force_rmse_N.reset();  // no torque
+  EXPECT_FALSE(same.GivesAway());
 }
 
 TEST(Predict, SaysHowWellTheAccelerometerIsFollowed) {

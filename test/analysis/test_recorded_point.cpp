@@ -21,6 +21,7 @@ namespace test {
 namespace {
 
 using Eigen::Vector3d;
+using Eigen::VectorXd;
 
 const Vector3d kPoint(-0.020, -0.033, 0.026);
 
@@ -188,6 +189,50 @@ TEST(MeasuredRecordedPoint, IsOneOnThreeFlights) {
       EXPECT_LT(d.dot(C.ldlt().solve(d)), 16.3) << i << " " << k;  // chance: once in a thousand
     }
   }
+}
+
+// What a plain vehicle file says: the odometry is of the body's origin.
+TEST(RecordedPoint, IsAskedForWhereTheModelTakesItToBeKnown) {
+  int right = 0;
+  for (int seed = 11; seed <= 16; ++seed) {
+    const Recorded flight = Record(seed, seed > 13 ? Unmodelled(Air) : Unmodelled());
+    for (const bool is_known : {false, true}) {
+      Vehicle file = NominalVehicle();
+      file.odometry = SensorMount();
+      if (is_known) file.odometry.p_BS = kPoint;
+      const DynamicModel model(file, file.effects);
+      ModelValues values = model.InitialValues();
+      for (int k = 0; k < model.num_parameters(); ++k) {
+        values[k] = flight.truth[flight.model.IndexOf(model.parameters()[k].full_name)];
+      }
+      const RecordedPoint point = AskForPoint(flight.log, file, model, values, {});
+      ASSERT_TRUE(point.p_m) << point.why;
+      EXPECT_LT((*point.p_m - kPoint).norm(), 0.01) << seed;
+      const VectorXd sigma = VectorXd::Zero(model.num_parameters());
+      const auto remark = PointRemark(point, model, values, sigma);
+      EXPECT_EQ(remark.has_value(), !is_known) << seed << (remark ? remark->what : "");
+      EXPECT_TRUE(TakePoint(point, model, values, sigma).point.empty());
+      if (remark) right += remark->leaves == Trust::kGood ? 1 : 0;
+      if (remark && seed == 11) std::printf("%s; %s\n", remark->what.c_str(), remark->mend.c_str());
+    }
+  }
+  EXPECT_EQ(right, 6);
+}
+
+TEST(RecordedPoint, IsOnTheVehicle) {
+  const DynamicModel model(NominalVehicle(), NominalVehicle().effects);
+  const ModelValues values = model.InitialValues();
+  const VectorXd sigma = VectorXd::Zero(values.size());
+  RecordedPoint point;
+  point.covariance = 1e-6 * Eigen::Matrix3d::Identity();
+  const auto remarks = [&](double z_m) {
+    point.p_m = model.Properties(values).p_BS + Vector3d(0.0, 0.0, z_m);
+    return PointRemark(point, model, values, sigma).has_value();
+  };
+  EXPECT_FALSE(remarks(0.004));
+  EXPECT_TRUE(remarks(0.006));
+  EXPECT_TRUE(remarks(1.1 * model.vehicle().ArmLength()));
+  EXPECT_FALSE(remarks(1.3 * model.vehicle().ArmLength()));
 }
 
 TEST(RecordedPoint, SaysWhyThereIsNone) {

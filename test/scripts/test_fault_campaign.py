@@ -285,6 +285,10 @@ class Scoring(unittest.TestCase):
         self.assertEqual(outcome(report(1.2, findings=[near])), 'named')
         self.assertEqual(outcome(report(1.2, findings=[far])), 'vague')
 
+    def test_a_doubt_names_nothing(self) -> None:
+        doubt = {'check': 'stream_doubt', 'leaves': 'good', 'what': 'standing is not excluded'}
+        self.assertEqual(outcome(report(1.2, findings=[doubt])), 'vague')
+
     def test_same_finding_with_other_figures_is_another(self) -> None:
         def late(ms: int) -> Dict[str, Any]:
             return report(1.2, findings=[{'check': 'on_ground', 'leaves': 'good',

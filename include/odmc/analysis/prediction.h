@@ -48,6 +48,10 @@ struct PredictionFigures {
   long samples = 0;          ///< that count
   long left_out_gaps = 0;    ///< within one filter window of a gap
   long left_out_ground = 0;  ///< on the ground
+
+  /// True if the measured angular acceleration tells a part of the force that is to be predicted:
+  /// with the predicted one the error is another by 1 % or more.
+  bool GivesAway() const;
 };
 
 /// Force and torque that `values` predict on a flight, against those its motion shows.

@@ -9,6 +9,7 @@
 
 #include "odmc/model/dynamic_model.h"
 #include "odmc/sensing/samples.h"
+#include "odmc/text/finding.h"
 
 namespace odmc {
 
@@ -34,6 +35,18 @@ struct RecordedPoint {
 RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicle,
                                 const DynamicModel& model, const ModelValues& values,
                                 const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
+
+/// The same of a flight whose model takes the point to be known, as the vehicle file has it.
+RecordedPoint AskForPoint(const FlightLog& log, const Vehicle& file_vehicle,
+                          const DynamicModel& model, const ModelValues& values,
+                          const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
+
+/// A remark where the point is another than the model takes to be known: by chance in less than one
+/// flight in a thousand, by more than vehicles are measured to (5 mm), and by no more than their
+/// size. Empty where the model estimates it.
+/// @param sigma of the estimate, by index in the model's parameters
+std::optional<Finding> PointRemark(const RecordedPoint& point, const DynamicModel& model,
+                                   const ModelValues& values, const Eigen::VectorXd& sigma);
 
 /// What is taken of a point: coordinates, and those of the centre of gravity that must be held with
 /// them, since the force shows only how far one is from the other. By full name.
