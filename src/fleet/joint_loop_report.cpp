@@ -96,8 +96,7 @@ std::string ErrorTable(const std::vector<FleetFlight>& before,
   };
   return Rows("force [N]", before, after, &PredictionFigures::force_rmse_N) +
          (gives_away(before) || gives_away(after)
-              ? Rows("  own swing", before, after,
-                     &PredictionFigures::predicted_swing_force_rmse_N)
+              ? Rows("  own swing", before, after, &PredictionFigures::predicted_swing_force_rmse_N)
               : "") +
          Rows("torque [N m]", before, after, &PredictionFigures::torque_rmse_Nm) +
          Rows("by IMU [N]", before, after, &PredictionFigures::accelerometer_force_rmse_N);
