@@ -252,9 +252,8 @@ void Attribution::Polish(Evidence* evidence) const {
     double gain = 0.0;
   };
   std::map<int, Best> best;
-  std::map<int, Evidence::VariantValues> steps;
   for (int round = 0; round < kPolishes && !GivesUp(); ++round) {
-    steps.clear();
+    std::map<int, Evidence::VariantValues> steps;
     const double declared = evidence->Solve({}).log_evidence;
     for (const int v : Nonlinear(*evidence)) {
       const EffectFit fit = evidence->Solve({v});
@@ -273,14 +272,6 @@ void Attribution::Polish(Evidence* evidence) const {
     for (const auto& [v, at] : steps) evidence->Relinearize(v, at);
     evidence->EstimateNoise();
   }
-  // No round has looked at where the last steps went.
-  const double declared = evidence->Solve({}).log_evidence;
-  for (const auto& step : steps) {
-    const Best& before = best[step.first];
-    const bool is_worse = evidence->LogEvidenceWhereLinearized(step.first) - declared < before.gain;
-    if (is_worse) evidence->Relinearize(step.first, before.at);
-  }
-  if (!steps.empty()) evidence->EstimateNoise();
   for (const int v : Nonlinear(*evidence)) evidence->CountWhatIsBorneOut(v);
 }
 
