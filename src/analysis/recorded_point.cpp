@@ -404,7 +404,8 @@ RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicl
 RecordedPoint AskForPoint(const FlightLog& log, const Vehicle& file_vehicle,
                           const DynamicModel& model, const ModelValues& values,
                           const std::vector<std::pair<Stamp, Stamp>>& ground_spans) {
-  if (EstimatesPoint(model)) {
+  constexpr double kLongestAsked_s = 60.0;  // memory does not grow with the flight
+  if (EstimatesPoint(model) || log.odometry.empty()) {
     return FindRecordedPoint(log, file_vehicle, model, values, ground_spans);
   }
   Vehicle asked = model.vehicle();
@@ -418,7 +419,11 @@ RecordedPoint AskForPoint(const FlightLog& log, const Vehicle& file_vehicle,
   for (int k = 0; k < model.num_parameters(); ++k) {
     all[with.IndexOf(model.parameters()[k].full_name)] = values[k];
   }
-  return FindRecordedPoint(log, file_vehicle, with, all, ground_spans);
+  std::vector<std::pair<Stamp, Stamp>> left_out = ground_spans;
+  const Stamp first = log.odometry.front().stamp;
+  const Stamp from = log.odometry.back().stamp - FromSeconds(kLongestAsked_s);
+  if (from > first) left_out.emplace_back(first, from);
+  return FindRecordedPoint(log, file_vehicle, with, all, left_out);
 }
 
 std::optional<Finding> PointRemark(const RecordedPoint& point, const DynamicModel& model,

@@ -36,7 +36,8 @@ RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicl
                                 const DynamicModel& model, const ModelValues& values,
                                 const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
 
-/// The same of a flight whose model takes the point to be known, as the vehicle file has it.
+/// The same of a flight whose model takes the point to be known, as the vehicle file has it; of a
+/// long one, of its last minute.
 RecordedPoint AskForPoint(const FlightLog& log, const Vehicle& file_vehicle,
                           const DynamicModel& model, const ModelValues& values,
                           const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
