@@ -570,11 +570,12 @@ void Attribution::FindAlternatives(const Evidence& evidence, const VariantSet& s
   std::vector<std::pair<double, std::string>> order;
   for (const auto& [name, gain] : close) order.emplace_back(-gain, name);
   std::sort(order.begin(), order.end());
-  double sum = 1.0;  // over the one that is named
-  for (const auto& entry : order) sum += std::exp(-entry.first - best);
+  const double most = order.empty() ? best : std::max(best, -order.front().first);
+  double sum = std::exp(best - most);
+  for (const auto& entry : order) sum += std::exp(-entry.first - most);
   for (const auto& [negative_gain, name] : order) {
     ranked->alternatives.push_back(name);
-    ranked->alternative_shares.push_back(std::exp(-negative_gain - best) / sum);
+    ranked->alternative_shares.push_back(std::exp(-negative_gain - most) / sum);
   }
 }
 
