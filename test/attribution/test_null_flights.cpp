@@ -84,6 +84,9 @@ TEST(NullFlights, NameNothingThatIsGoneWhereTheFitEnds) {
                      [](const RankedEffect& ranked) { return ranked.name == "ground_effect"; });
     ASSERT_NE(ground, loop.ranking.end()) << seed;
     EXPECT_GT(ground->p_value, 0.01) << seed << ": " << ground->score << " nats";
+    // Gusts, which are asked for last, stand where their score puts them.
+    EXPECT_TRUE(std::is_sorted(loop.ranking.begin(), loop.ranking.end(),
+                               [](const auto& x, const auto& y) { return x.score > y.score; }));
   }
 }
 
