@@ -133,7 +133,7 @@ Learned Learn(const FlightLog& log, const DynamicModel& model, const DynamicMode
   Learned learned;
   learned.replay = Replay(log, &estimator, progress);
   if (!learned.replay.last) return learned;
-  learned.thirds = estimator.LastLook();
+  learned.thirds = estimator.CompareThirds();
   WidenBy(learned.thirds, &*learned.replay.last);
   return learned;
 }
@@ -153,8 +153,9 @@ struct KnownByFrequency {
 };
 
 /// The vehicle and the options with what frequencies know.
-std::pair<Vehicle, EstimatorOptions> Told(const KnownByFrequency& known, const DynamicModel& model,
-                                          const EstimatorOptions& options) {
+std::pair<Vehicle, EstimatorOptions> WithKnown(const KnownByFrequency& known,
+                                               const DynamicModel& model,
+                                               const EstimatorOptions& options) {
   // The estimator takes all errors for white noise, and would leave the point again.
   constexpr double kHeld = 0.01;  // of the sigma by which it is known
   std::pair<Vehicle, EstimatorOptions> told(model.vehicle(), options);
@@ -216,7 +217,7 @@ void LearnWithBands(const FlightLog& log, const DynamicModel& model,
   if (!log.rotor_rms_only) known.inertia = InertiaByBands(result->bands, model, last.sigma);
   known.taken = TakePoint(result->point, model, last.values, last.sigma);
   if (known.empty()) return;
-  const auto [vehicle, told] = Told(known, model, options);
+  const auto [vehicle, told] = WithKnown(known, model, options);
   Learned again = Learn(log, DynamicModel(vehicle, vehicle.effects), model, told, progress);
   if (!again.replay.last) return;
   WidenHeld(known.taken, model, &*again.replay.last);
@@ -362,8 +363,8 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   Learned learned = Learn(log, model, model, options, part(0.0, 0.5));
   RefuseNeverAirborne(log, learned.replay, options);
   result.bands = BandsOf(recording, model, learned.replay);
-  result.point = AskForPoint(recording, file_vehicle, model, learned.replay.last->values,
-                             learned.replay.ground_spans);
+  result.point = FindPointOfKnownMount(recording, file_vehicle, model, learned.replay.last->values,
+                                       learned.replay.ground_spans);
   LearnWithBands(log, model, options, part(0.5, 1.0), &learned, &result);
   if (progress) progress(1.0);
   result.replay = std::move(learned.replay);
@@ -477,7 +478,7 @@ void WidenForDoubts(const FlightLog& log, const DynamicModel& model,
                     Calibration* calibration) {
   const Snapshot& last = *calibration->replay.last;
   const auto [vehicle, told] =
-      Told({calibration->by_bands, calibration->taken_point}, model, options);
+      WithKnown({calibration->by_bands, calibration->taken_point}, model, options);
   const DynamicModel told_model(vehicle, vehicle.effects);
   const Stamp from = last.stamp - FromSeconds(kLongestDoubt_s);
   const std::vector<Eigen::VectorXd> changes =

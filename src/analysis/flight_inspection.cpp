@@ -98,18 +98,18 @@ std::string ManoeuvreFor(const DynamicModel& model, int k) {
   return "";
 }
 
-std::vector<ParameterLesson> LessonsOf(const DynamicModel& model, const Snapshot& last) {
-  std::vector<ParameterLesson> lessons;
+std::vector<ParameterObservability> LessonsOf(const DynamicModel& model, const Snapshot& last) {
+  std::vector<ParameterObservability> lessons;
   for (int k = 0; k < model.num_parameters(); ++k) {
     const ModelParameter& p = model.parameters()[k];
     if (!p.estimated) continue;
-    ParameterLesson lesson{p.full_name,
-                           p.spec.unit,
-                           last.values[k],
-                           last.sigma[k],
-                           p.spec.prior_sigma,
-                           last.observable[static_cast<size_t>(k)],
-                           ""};
+    ParameterObservability lesson{p.full_name,
+                                  p.spec.unit,
+                                  last.values[k],
+                                  last.sigma[k],
+                                  p.spec.prior_sigma,
+                                  last.observable[static_cast<size_t>(k)],
+                                  ""};
     if (!lesson.is_shown) lesson.manoeuvre = ManoeuvreFor(model, k);
     lessons.push_back(std::move(lesson));
   }
@@ -117,11 +117,11 @@ std::vector<ParameterLesson> LessonsOf(const DynamicModel& model, const Snapshot
 }
 
 /// What fits of the thrust coefficient beside what the file says: mass and k_f are one in flight.
-std::optional<Finding> ThrustOffTheFile(const std::vector<ParameterLesson>& lessons,
+std::optional<Finding> ThrustOffTheFile(const std::vector<ParameterObservability>& lessons,
                                         const DynamicModel& model) {
   constexpr double kAbsurd = 3.0;
   constexpr double kShare = 0.1;  // a rough k_f, of a data sheet, is good to that
-  for (const ParameterLesson& l : lessons) {
+  for (const ParameterObservability& l : lessons) {
     if (l.full_name != "thrust.k_f") continue;
     const double file = model.InitialValues()[model.IndexOf(l.full_name)];
     const double ratio = l.value / file;
@@ -179,7 +179,7 @@ std::string StreamLine(const StreamFigures& s) {
   return line + "\n";
 }
 
-std::string LessonLine(const ParameterLesson& l, bool has_value) {
+std::string LessonLine(const ParameterObservability& l, bool has_value) {
   const std::string line =
       has_value ? Format("  %-24s %12.4g +- %-9.2g %-8s %s", l.full_name.c_str(), l.value, l.sigma,
                          l.unit.c_str(), l.is_shown ? "" : "hardly shown")
@@ -296,7 +296,7 @@ std::string InspectionReport(const FlightInspection& inspection) {
   }
   if (inspection.rotors) json["rotors"] = RotorsJson(*inspection.rotors);
   json["parameters"] = Json::object();
-  for (const ParameterLesson& l : inspection.lessons) {
+  for (const ParameterObservability& l : inspection.lessons) {
     Json entry = {{"unit", l.unit}, {"shown", l.is_shown}};
     if (!inspection.rotors) {
       entry["value"] = JsonNumber(l.value);
@@ -350,7 +350,7 @@ std::string InspectionText(const FlightInspection& inspection) {
           Rounded(f.climb_m_s) + " m/s, " + Rounded(f.rate_rad_s) + " rad/s, heights over " +
           Rounded(f.height_range_m) + " m\n";
   text += "what can be learned from it\n";
-  for (const ParameterLesson& l : inspection.lessons) {
+  for (const ParameterObservability& l : inspection.lessons) {
     text += LessonLine(l, !inspection.rotors);
   }
   for (const std::string& note : inspection.notes) text += "note: " + note + "\n";

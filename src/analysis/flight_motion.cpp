@@ -26,7 +26,8 @@ enum Channel : int {
   kVelocity = 7,
   kRate = 10,
   kForce = 13,
-  kRotors = 16  // speeds, then their squares
+  kGyro = 16,
+  kRotors = 19  // speeds, then their squares
 };
 
 /// A piece of the recording as one matrix at the odometry's stamps: one column a sample.
@@ -36,6 +37,7 @@ struct Channels {
   Eigen::MatrixXd data;
   std::vector<bool> covered;  // rotor speeds are there
   std::vector<bool> felt;     // the accelerometer is there
+  std::vector<bool> turned;   // the gyro is there
 };
 
 /// Takes the recording into channels, piece after piece.
@@ -59,6 +61,7 @@ class Collector {
     c.data = Eigen::MatrixXd::Zero(kRotors + 2 * num_rotors_, n);
     c.covered.assign(n, false);
     c.felt.assign(n, false);
+    c.turned.assign(n, false);
     const Stamp first = log_.odometry[begin].stamp;
     imu_ = LastAt(log_.imu, imu_, first);
     rotors_ = LastAt(log_.rotors, rotors_, first);
@@ -69,7 +72,11 @@ class Collector {
       c.t_s.push_back(ToSeconds(s.stamp - log_.odometry.front().stamp));
       TakeOdometry(s, i, &c);
       m = LastAt(log_.imu, m, s.stamp);
-      if (m < log_.imu.size()) TakeForce(m, s.stamp, i, &c);
+      if (m < log_.imu.size()) {
+        c.felt[i] =
+            TakeImu(m, s.stamp, &ImuSample::specific_force_I, c.data.block<3, 1>(kForce, i));
+        c.turned[i] = TakeImu(m, s.stamp, &ImuSample::gyro_I, c.data.block<3, 1>(kGyro, i));
+      }
       r = LastAt(log_.rotors, r, s.stamp);
       if (r < log_.rotors.size()) TakeRotors(r, s.stamp, i, &c);
     }
@@ -93,20 +100,23 @@ class Collector {
     if (s.w_WS_S) c->data.block<3, 1>(kRate, i) = *s.w_WS_S;
   }
 
-  /// The accelerometer, linearly between its samples.
-  void TakeForce(size_t m, Stamp stamp, int i, Channels* c) const {
+  /// A sensor of the IMU, linearly between its samples.
+  /// @param m the last sample that is not after `stamp`
+  /// @returns whether it is there
+  bool TakeImu(size_t m, Stamp stamp, std::optional<Vector3d> ImuSample::*sensor,
+               Eigen::Ref<Vector3d> to) const {
     const ImuSample& a = log_.imu[m];
-    if (a.stamp > stamp || !a.specific_force_I) return;
+    if (a.stamp > stamp || !(a.*sensor)) return false;
     if (a.stamp == stamp) {
-      c->data.block<3, 1>(kForce, i) = *a.specific_force_I;
-      c->felt[i] = true;
-    } else if (m + 1 < log_.imu.size() && log_.imu[m + 1].specific_force_I) {
-      const ImuSample& b = log_.imu[m + 1];
-      const double span = ToSeconds(b.stamp - a.stamp);
-      const double x = ToSeconds(stamp - a.stamp) / span;
-      c->felt[i] = span < 0.5 * kFilterWidth_s;
-      c->data.block<3, 1>(kForce, i) = (1.0 - x) * *a.specific_force_I + x * *b.specific_force_I;
+      to = *(a.*sensor);
+      return true;
     }
+    if (m + 1 >= log_.imu.size() || !(log_.imu[m + 1].*sensor)) return false;
+    const ImuSample& b = log_.imu[m + 1];
+    const double span = ToSeconds(b.stamp - a.stamp);
+    const double x = ToSeconds(stamp - a.stamp) / span;
+    to = (1.0 - x) * *(a.*sensor) + x * *(b.*sensor);
+    return span < 0.5 * kFilterWidth_s;
   }
 
   void TakeRotors(size_t r, Stamp stamp, int i, Channels* c) const {
@@ -192,9 +202,13 @@ FilteredMotion FilteredAt(const Collector& collector, const Channels& c,
   // Of the speed itself: where it falls steeply, the polynomial of its square passes through zero.
   motion.rotors.acceleration = fit.first.segment(kRotors, num_rotors);
   const int half = filter.count() / 2;
-  bool felt = true;
-  for (int k = i - half; k <= i + half; ++k) felt = felt && c.felt[k];
+  bool felt = true, turned = true;
+  for (int k = i - half; k <= i + half; ++k) {
+    felt = felt && c.felt[k];
+    turned = turned && c.turned[k];
+  }
   if (felt) motion.specific_force_I = fit.value.segment<3>(kForce);
+  if (turned) motion.gyro = {fit.value.segment<3>(kGyro), fit.first.segment<3>(kGyro)};
   return motion;
 }
 
@@ -320,7 +334,7 @@ void AddGroundTouches(const FlightLog& log, const std::vector<PhaseSpan>& phases
   left_out->insert(left_out->end(), touches.begin(), touches.end());
 }
 
-Vector3d LoadPuller::PullAt(const FilteredMotion& now, const ModelValues& values) {
+Vector3d LoadForceEvaluator::PullAt(const FilteredMotion& now, const ModelValues& values) {
   // The filter takes its first half window; before that the vehicle stood still or was on course.
   const SensorMotion sensor{now.v_WS, now.R_WS, now.w_S};
   if (is_first_) {
@@ -337,7 +351,7 @@ Vector3d LoadPuller::PullAt(const FilteredMotion& now, const ModelValues& values
 
 std::vector<Eigen::Vector3d> LoadPulls(const FlightMotion& flight, const DynamicModel& model,
                                        const ModelValues& values) {
-  LoadPuller load(model);
+  LoadForceEvaluator load(model);
   std::vector<Vector3d> pulls;
   pulls.reserve(flight.samples.size());
   for (const FilteredMotion& now : flight.samples) pulls.push_back(load.PullAt(now, values));

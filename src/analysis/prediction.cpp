@@ -183,7 +183,7 @@ PredictionFigures PredictEach(const FlightLog& log, const Vehicle& file_vehicle,
                               const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
                               const ValueVariation& vary, const PredictionSink& use) {
   PredictionSummary summary;
-  LoadPuller load(model);
+  LoadForceEvaluator load(model);
   const auto predict = [&](const FilteredMotion& motion) {
     ModelValues present = values;
     if (vary) vary(motion.t_s, &present);

@@ -401,9 +401,9 @@ RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicl
   return point;
 }
 
-RecordedPoint AskForPoint(const FlightLog& log, const Vehicle& file_vehicle,
-                          const DynamicModel& model, const ModelValues& values,
-                          const std::vector<std::pair<Stamp, Stamp>>& ground_spans) {
+RecordedPoint FindPointOfKnownMount(const FlightLog& log, const Vehicle& file_vehicle,
+                                    const DynamicModel& model, const ModelValues& values,
+                                    const std::vector<std::pair<Stamp, Stamp>>& ground_spans) {
   constexpr double kLongestAsked_s = 60.0;  // memory does not grow with the flight
   if (EstimatesPoint(model) || log.odometry.empty()) {
     return FindRecordedPoint(log, file_vehicle, model, values, ground_spans);

@@ -27,9 +27,9 @@ std::vector<Instruments> InstrumentsOf(const std::vector<const ResidualModel*>& 
   return instruments;
 }
 
-std::vector<SeenFlight> Seen(const std::vector<const ResidualModel*>& residuals,
-                             const std::vector<Instruments>& instruments) {
-  std::vector<SeenFlight> seen;
+std::vector<FlightWithInstruments> Seen(const std::vector<const ResidualModel*>& residuals,
+                                        const std::vector<Instruments>& instruments) {
+  std::vector<FlightWithInstruments> seen;
   for (size_t f = 0; f < residuals.size(); ++f) seen.push_back({residuals[f], &instruments[f]});
   return seen;
 }
@@ -346,8 +346,8 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
       ranked.remarks.push_back(column.name + " = " + Rounded(value) + " is strangely large");
     }
   }
-  if (v.not_borne_out > options_.clear_odds) {
-    ranked.remarks.push_back("a linear fit claims " + Rounded(v.not_borne_out) +
+  if (v.linearization_penalty > options_.clear_odds) {
+    ranked.remarks.push_back("a linear fit claims " + Rounded(v.linearization_penalty) +
                              " nats more, which the model does not bear out");
   }
   for (const auto& [name, value] : v.candidate.settings) {
@@ -368,18 +368,18 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
   return ranked;
 }
 
-std::vector<FlightSays> Attribution::ByFlight(const Evidence& evidence, int variant,
-                                              const VariantSet& set) const {
+std::vector<FlightEvidence> Attribution::ByFlight(const Evidence& evidence, int variant,
+                                                  const VariantSet& set) const {
   VariantSet without = set;
   without.erase(variant);
   const std::string& name = evidence.variants()[variant].candidate.effect;
   const Vehicle extended =
       VehicleWith(evidence.point().vehicle, evidence.variants()[variant].candidate);
   const DynamicModel model(extended, extended.effects);
-  std::vector<FlightSays> by_flight;
+  std::vector<FlightEvidence> by_flight;
   for (const double nats : evidence.GainByFlight(set, without)) {
     const int flight = static_cast<int>(by_flight.size());
-    FlightSays says;
+    FlightEvidence says;
     says.nats = nats;
     const EffectFit fit = evidence.SolveOfFlight(flight, set);
     for (size_t k = 0; k < fit.columns.size(); ++k) {
@@ -643,7 +643,15 @@ std::map<int, SettingProfile> Attribution::HoldSettings(Evidence* evidence, Vari
   return profiles;
 }
 
-void Attribution::Run() {
+void Attribution::PutOrdinaryAside() {
+  const auto first = std::stable_partition(
+      effects_.begin(), effects_.end(),
+      [this](const RankedEffect& effect) { return !IsOrdinary(point_.vehicle, effect); });
+  ordinary_.assign(first, effects_.end());
+  effects_.erase(first, effects_.end());
+}
+
+void Attribution::Search() {
   before_ = Refit(&point_);
   after_ = before_;
   while (static_cast<int>(effects_.size()) < options_.most_effects) {
@@ -670,7 +678,7 @@ void Attribution::Run() {
     const EffectFit fit = evidence.Solve(set);
     ModelPoint fitted = evidence.Moved(set, fit);
     std::vector<ResidualModel::Wrenches> left = Refit(&fitted);
-    if (RefuseHollow(evidence, set, fitted)) continue;
+    if (RejectByRescoring(evidence, set, fitted)) continue;
     std::vector<RankedEffect> added;
     for (const int v : set) {
       added.push_back(Describe(evidence, v, set));

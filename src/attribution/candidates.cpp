@@ -7,6 +7,7 @@
 
 #include "odmc/attribution/model_point.h"
 #include "odmc/model/effect.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -148,7 +149,8 @@ std::string OwnTellingManoeuvre(const Vehicle& vehicle, const std::string& effec
                                 const std::string& alternative) {
   const EffectRegistry& registry = EffectRegistry::Default();
   if (!registry.Has(effect)) return "";
-  for (const TellingPair& pair : registry.Make(effect, vehicle)->telling_pairs()) {
+  for (const DistinguishingManoeuvre& pair :
+       registry.Make(effect, vehicle)->distinguishing_manoeuvres()) {
     if (pair.other == alternative) return pair.manoeuvre;
   }
   return "";
@@ -218,6 +220,30 @@ std::vector<EffectCandidate> WithoutEffects(std::vector<EffectCandidate> candida
   const auto is_out = [&](const EffectCandidate& c) { return IsListed(effects, c.effect); };
   candidates.erase(std::remove_if(candidates.begin(), candidates.end(), is_out), candidates.end());
   return candidates;
+}
+
+bool IsOrdinary(const Vehicle& vehicle, const RankedEffect& ranked) {
+  const std::unique_ptr<Effect> effect = EffectRegistry::Default().Make(ranked.name, vehicle);
+  const double ordinary = effect->ordinary_sigma();
+  if (ordinary == 0.0) return false;
+  const ParameterSpec& own = effect->parameters().front();
+  const ParameterEstimate* found = ranked.Find(ranked.name + "." + own.name);
+  if (found == nullptr) return false;
+  const auto log_density = [&](double sigma) {
+    const double variance = sigma * sigma + found->sigma * found->sigma;
+    return -0.5 * (found->value * found->value / variance + std::log(variance));
+  };
+  return log_density(ordinary) >= log_density(own.prior_sigma);
+}
+
+std::string OrdinaryText(const Vehicle& vehicle, const RankedEffect& ranked) {
+  const std::unique_ptr<Effect> effect = EffectRegistry::Default().Make(ranked.name, vehicle);
+  const ParameterSpec& own = effect->parameters().front();
+  const ParameterEstimate* found = ranked.Find(ranked.name + "." + own.name);
+  return ranked.name + "." + own.name + " is " + Rounded(found->value) + " +- " +
+         Rounded(found->sigma) + " " + own.unit +
+         ", no more than on any recording (one sigma: " + Rounded(effect->ordinary_sigma()) + " " +
+         own.unit + "): not named an effect";
 }
 
 std::set<std::string> EffectsOf(const std::vector<EffectCandidate>& candidates) {

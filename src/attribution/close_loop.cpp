@@ -253,7 +253,7 @@ void LoopSession::Attribute() {
   residual_ = std::make_unique<ResidualModel>(flight_.get(), &file_vehicle_, !log_.rotor_rms_only);
   candidates_ = WithoutEffects(CandidatesFor(vehicle_, flight_->motion()), options_.ruled_out);
   const ModelValues& values = before_.replay.last->values;
-  residual_->BlendForces(declared_, values);
+  residual_->BlendSensors(declared_, values);
   if (residual_->across_by_motion()) {
     result_.warnings.push_back(
         "across the rotors' axes the force is taken from the motion, which shows all that the "
@@ -273,6 +273,11 @@ void LoopSession::Attribute() {
       StructureByChannel(
           *flight_, residual_->AsFelt(residual_->Residual(declared_, values), declared_, values),
           channels, again_, file_vehicle_));
+  if (!attribution_->ordinary().empty() && attribution_->effects().empty()) {
+    result_.structure = LessStructured(
+        result_.structure, StructureByChannel(*flight_, attribution_->residual_after(), channels,
+                                              again_, file_vehicle_));
+  }
   structured_ = Summarise(options_.attribution, &result_);
   const std::vector<std::vector<double>> runs = flight_->Runs(before.col(0));
   judged_ = std::any_of(runs.begin(), runs.end(),
@@ -284,6 +289,9 @@ void LoopSession::Attribute() {
   }
   if (progress_) progress_(0.6);
   effects_ = attribution_->effects();
+  for (const RankedEffect& ordinary : attribution_->ordinary()) {
+    result_.warnings.push_back(OrdinaryText(vehicle_, ordinary));
+  }
   NoteRefused();
 }
 
@@ -327,8 +335,14 @@ ResidualModel::Wrenches LoopSession::Rest() const {
 double LoopSession::Unexplained() const {
   const ResidualModel::Wrenches& before = attribution_->residual_before();
   const ResidualModel::Wrenches rest = Rest();
-  const double left = UnexplainedStructure(before, rest, StructureInUse(before),
-                                           StructureInUse(rest), options_.attribution);
+  // Structure that the estimate of the same model does not leave is an error of its fit, and
+  // nothing for effects to explain.
+  std::vector<ChannelStructure> of_before = StructureInUse(before);
+  for (size_t c = 0; c < of_before.size(); ++c) {
+    if (!IsStructured(result_.structure[c], options_.attribution)) of_before[c].whiteness.p = 1.0;
+  }
+  const double left =
+      UnexplainedStructure(before, rest, of_before, StructureInUse(rest), options_.attribution);
   if (gusts_) return left;  // functions of the state would follow them
   // What functions of the state gain beside the effects, of the force or torque on which these act.
   const FlexibleRest& flexible = attribution_->flexible();
@@ -426,6 +440,7 @@ void LoopSession::Confirm() {
   if (effects_.empty()) return;
   if (!after_) after_ = RunWith(effects_, 0.8);
   if (!after_) return DropAll(grounded);
+  StayNearFit();
   DropIdle();
   if (effects_.empty() || after_) return;
   after_ = RunWith(effects_, 1.0);

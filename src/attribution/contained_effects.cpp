@@ -9,8 +9,8 @@ namespace {
 constexpr double kContained = 1e-3;  // share of the amplitude that the other effect may leave
 
 /// What an effect's coefficients do to the wrench on all flights, one below the other (6N×n).
-Eigen::MatrixXd ColumnsOf(const std::vector<SeenFlight>& flights, const ModelPoint& point,
-                          const std::string& effect) {
+Eigen::MatrixXd ColumnsOf(const std::vector<FlightWithInstruments>& flights,
+                          const ModelPoint& point, const std::string& effect) {
   const DynamicModel model(point.vehicle, point.vehicle.effects);
   std::vector<int> coefficients;
   for (int i = 0; i < model.num_parameters(); ++i) {
@@ -18,10 +18,10 @@ Eigen::MatrixXd ColumnsOf(const std::vector<SeenFlight>& flights, const ModelPoi
     if (p.effect == effect && p.estimated && !p.spec.initial_state) coefficients.push_back(i);
   }
   Eigen::Index rows = 0;
-  const auto rows_of = [](const SeenFlight& flight) {
+  const auto rows_of = [](const FlightWithInstruments& flight) {
     return kNumChannels * static_cast<Eigen::Index>(flight.residual->flight().size());
   };
-  for (const SeenFlight& flight : flights) rows += rows_of(flight);
+  for (const FlightWithInstruments& flight : flights) rows += rows_of(flight);
   Eigen::MatrixXd columns(rows, static_cast<Eigen::Index>(coefficients.size()));
   Eigen::Index row = 0;
   for (size_t f = 0; f < flights.size(); ++f) {
@@ -39,7 +39,7 @@ Eigen::MatrixXd ColumnsOf(const std::vector<SeenFlight>& flights, const ModelPoi
 
 }  // namespace
 
-std::vector<std::string> ContainedEffects(const std::vector<SeenFlight>& flights,
+std::vector<std::string> ContainedEffects(const std::vector<FlightWithInstruments>& flights,
                                           const ModelPoint& point,
                                           const std::vector<std::string>& effects,
                                           const std::string& other) {

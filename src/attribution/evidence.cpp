@@ -144,16 +144,17 @@ double LogSignOdds(PhysicalSign sign, bool is_certain, double value, double sigm
   if (sign == PhysicalSign::kAny) return 0.0;
   const double towards = sign == PhysicalSign::kPositive ? 1.0 : -1.0;
   const double right = Phi(towards * value / std::max(sigma, 1e-300));
-  const double wrong = is_certain ? 0.0 : Evidence::kStrange;
+  const double wrong = is_certain ? 0.0 : Evidence::kOutlierPriorShare;
   return std::log(std::max(1e-300, (1.0 - wrong) * right + wrong * (1.0 - right)) / 0.5);
 }
 
-Evidence::Evidence(const std::vector<SeenFlight>& flights, const ModelPoint& point, int jobs)
+Evidence::Evidence(const std::vector<FlightWithInstruments>& flights, const ModelPoint& point,
+                   int jobs)
     : point_(point), jobs_(jobs) {
   if (flights.empty()) throw std::invalid_argument("evidence needs a flight");
   std::vector<std::optional<FlightRegression>> made(flights.size());
   ForEachOf(static_cast<int>(flights.size()), jobs, [&](int f) {
-    const SeenFlight& flight = flights[static_cast<size_t>(f)];
+    const FlightWithInstruments& flight = flights[static_cast<size_t>(f)];
     made[static_cast<size_t>(f)].emplace(flight.residual, flight.instruments,
                                          point.OfFlight(static_cast<size_t>(f)));
   });
@@ -594,7 +595,7 @@ EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& colu
   const NormalEquations equations = EquationsOf(gram, columns, set);
   double log_prior = 0.0;
   for (const int v : set) log_prior += variants_[v].log_prior;
-  const double usual = static_cast<double>(set.size()) * std::log(1.0 - kStrange);
+  const double usual = static_cast<double>(set.size()) * std::log(1.0 - kOutlierPriorShare);
   EffectFit best = FitOf(equations, equations.sigma);
   best.log_evidence += log_prior;
   best.log_evidence += usual;
@@ -603,7 +604,8 @@ EffectFit Evidence::SolveWith(const MatrixXd& gram, const std::vector<int>& colu
   if (wide > 0) {
     EffectFit other = FitOf(equations, widened);
     other.log_evidence +=
-        log_prior + usual + wide * (std::log(kStrange) - std::log(1.0 - kStrange));
+        log_prior + usual +
+        wide * (std::log(kOutlierPriorShare) - std::log(1.0 - kOutlierPriorShare));
     if (other.log_evidence > best.log_evidence) return other;
   }
   return best;
@@ -622,7 +624,8 @@ double Evidence::LogEvidenceWhereLinearized(int variant) const {
     const Column& column = columns_[static_cast<size_t>(k)];
     at[k] = column.linearized_at;
     const double z = (column.linearized_at - column.prior_mean) / column.prior_sigma;
-    log_prior -= 0.5 * std::min(z * z, z * z / (kWide * kWide) - 2.0 * std::log(kStrange));
+    log_prior -=
+        0.5 * std::min(z * z, z * z / (kWide * kWide) - 2.0 * std::log(kOutlierPriorShare));
   }
   const VectorXd gram_at = gram_ * at;
   e.yy += at.dot(gram_at) - 2.0 * WithoutOffsets({variant}).dot(gram_at);
@@ -636,7 +639,7 @@ void Evidence::CountWhatIsBorneOut(int variant) {
   EffectVariant& v = variants_[static_cast<size_t>(variant)];
   const double beyond = Solve({variant}).log_evidence - LogEvidenceWhereLinearized(variant);
   if (!(beyond > 0.0)) return;
-  v.not_borne_out += beyond;
+  v.linearization_penalty += beyond;
   v.log_prior -= beyond;
 }
 
@@ -653,9 +656,9 @@ VectorXd Evidence::PriorSigmas(const std::vector<int>& columns) const {
 }
 
 Evidence::GainBound Evidence::GainBoundOf(const EffectCandidate& candidate) const {
-  std::vector<FlightRegression::Glance> glances(flights_.size());
+  std::vector<FlightRegression::QuickSums> glances(flights_.size());
   ForEachOf(num_flights(), jobs_, [&](int f) {
-    glances[static_cast<size_t>(f)] = flights_[static_cast<size_t>(f)].GlanceAt(candidate, {});
+    glances[static_cast<size_t>(f)] = flights_[static_cast<size_t>(f)].QuickSumsOf(candidate, {});
   });
   // Places of the candidate's columns behind the base's.
   std::map<std::string, int> shared;
@@ -678,7 +681,7 @@ Evidence::GainBound Evidence::GainBoundOf(const EffectCandidate& candidate) cons
   const VectorXd sigma = VectorXd::Map(sigmas.data(), static_cast<Index>(sigmas.size()));
   std::vector<int> base(static_cast<size_t>(num_base_));
   for (int k = 0; k < num_base_; ++k) base[static_cast<size_t>(k)] = k;
-  const auto gain = [&](MatrixXd FlightRegression::Glance::*of) {
+  const auto gain = [&](MatrixXd FlightRegression::QuickSums::*of) {
     const Index size = num_base_ + sigma.size() + 1;
     MatrixXd sum = MatrixXd::Zero(size, size);
     for (size_t f = 0; f < flights_.size(); ++f) {
@@ -690,7 +693,7 @@ Evidence::GainBound Evidence::GainBoundOf(const EffectCandidate& candidate) cons
     const double most = MostGain(sum, PriorSigmas(base), sigma);
     return std::isfinite(most) ? most : 0.0;
   };
-  return {gain(&FlightRegression::Glance::serial), gain(&FlightRegression::Glance::white)};
+  return {gain(&FlightRegression::QuickSums::serial), gain(&FlightRegression::QuickSums::white)};
 }
 
 VectorXd Evidence::LocalCoefficients(size_t f, const EffectFit& fit, const VariantSet& set) const {
@@ -895,7 +898,8 @@ std::vector<Evidence::GainTest> Evidence::GainTests(const VariantSet& beside) co
     test.information = of_own.solve(MatrixXd::Identity(k, k));
     test.own_sigma = sigma.tail(k);
     test.sigma = test.own_sigma.cwiseProduct(covariance.diagonal().cwiseSqrt());
-    test.occam = 0.5 * LogDeterminant(of_own) + std::log(1.0 - kStrange) + variant.log_prior;
+    test.occam =
+        0.5 * LogDeterminant(of_own) + std::log(1.0 - kOutlierPriorShare) + variant.log_prior;
     tests.push_back(std::move(test));
   }
   return tests;

@@ -100,7 +100,7 @@ class Places {
 
 }  // namespace
 
-FlexibleFeatures::FlexibleFeatures(const std::vector<SeenFlight>& flights) {
+FlexibleFeatures::FlexibleFeatures(const std::vector<FlightWithInstruments>& flights) {
   const auto num_flights = flights.size();
   // As they are, and in the likely motion; standardized alike.
   std::vector<MatrixXd> signals(num_flights), likely_signals(num_flights);
@@ -129,7 +129,7 @@ FlexibleFeatures::FlexibleFeatures(const std::vector<SeenFlight>& flights) {
 
 void FlexibleFeatures::AddAlongBody(const std::vector<MatrixXd>& signals,
                                     const std::vector<MatrixXd>& likely_signals,
-                                    const std::vector<SeenFlight>& flights) {
+                                    const std::vector<FlightWithInstruments>& flights) {
   const Index products = 1 + kSignals;
   std::vector<MatrixXd> all(signals.size()), likely(signals.size());
   for (size_t f = 0; f < signals.size(); ++f) {
@@ -162,7 +162,7 @@ void FlexibleFeatures::AddAlongWorld(const std::vector<MatrixXd>& signals,
                                      const std::vector<MatrixXd>& near,
                                      const std::vector<MatrixXd>& likely_near,
                                      const std::vector<std::string>& names_of_places,
-                                     const std::vector<SeenFlight>& flights) {
+                                     const std::vector<FlightWithInstruments>& flights) {
   std::vector<std::string> sizes = {kConstant};
   for (Index k = kPlace; k < kPlace + 3; ++k) sizes.emplace_back(kNames[k]);
   sizes.insert(sizes.end(), names_of_places.begin(), names_of_places.end());

@@ -249,7 +249,7 @@ FlightRegression::Seen FlightRegression::See(const EffectCandidate& candidate,
     seen.columns.erase(std::remove_if(seen.columns.begin(), seen.columns.end(),
                                       [&](const Regressor& c) {
                                         return c.d_wrench.squaredNorm() == 0.0 ||
-                                               (what == kAtAGlance && c.initial_state);
+                                               (what == kQuick && c.initial_state);
                                       }),
                        seen.columns.end());
   }
@@ -271,7 +271,7 @@ FlightRegression::Seen FlightRegression::SeeFully(const EffectCandidate& candida
   for (int k = 0; k < model.num_parameters(); ++k) {
     const ModelParameter& p = model.parameters()[k];
     if (p.effect != candidate.effect || !p.estimated) continue;
-    if (what == kAtAGlance && (p.spec.initial_state || candidate.fitted.count(p.full_name) > 0)) {
+    if (what == kQuick && (p.spec.initial_state || candidate.fitted.count(p.full_name) > 0)) {
       continue;
     }
     Regressor column{CoefficientOf(model, p, 0.0, p.spec.prior_value),
@@ -385,8 +385,9 @@ void FlightRegression::ReestimateNoise(const VectorXd& x, const MatrixXd& draws)
     }
     MatrixXd likely = columns * fitted;
     likely.col(0) += y_.col(c);
-    noise_[c] =
-        SerialNoise::Fit(likely, rows_, residual_->flight().step_s(), residual_->is_blend(c));
+    const bool is_blended_force = c < 3 && residual_->is_blend(c);
+    noise_[c] = SerialNoise::Fit(likely, rows_, flight().step_s(), flight().takes_means(),
+                                 is_blended_force);
     const VectorXd innovation = noise_[c].Whiten(likely.col(0), rows_);
     for (Index k = 0; k < innovation.size(); ++k) {
       const double sigmas = std::abs(innovation[k]);
@@ -519,10 +520,10 @@ VectorXd FlightRegression::Raw(const Wrenches& column) const {
   return stacked;
 }
 
-FlightRegression::Glance FlightRegression::GlanceAt(const EffectCandidate& candidate,
-                                                    const std::map<std::string, double>& at) const {
-  const Seen seen = See(candidate, at, kAtAGlance);
-  Glance glance;
+FlightRegression::QuickSums FlightRegression::QuickSumsOf(
+    const EffectCandidate& candidate, const std::map<std::string, double>& at) const {
+  const Seen seen = See(candidate, at, kQuick);
+  QuickSums glance;
   glance.columns.assign(seen.columns.begin(), seen.columns.end());
   const auto k = static_cast<Index>(seen.columns.size());
   if (k == 0) return glance;

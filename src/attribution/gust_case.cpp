@@ -98,10 +98,17 @@ bool BeatNoise(const GustTest& gust, double acting_share, const AttributionOptio
          NetGain(gust, acting_share, options) > -std::log(options.false_alarm_rate);
 }
 
+/// What a free force has to lead by [nats]: how drag makes a force of wind is known but to some
+/// share, as the form of any effect is.
+double LeadOfFreeForce(const GustTest& gust, const AttributionOptions& options) {
+  return options.clear_odds + options.least_share * std::max(0.0, gust.gain);
+}
+
 /// What speaks against gusts that beat noise; of free forces that explain the same, too.
 /// @param again what a second sensor shows of them
-std::vector<std::string> RemarksOn(const GustCase& gusts, const std::optional<SeenAgain>& again,
-                                   bool by_motion, const AttributionOptions& options) {
+std::vector<std::string> RemarksOn(const GustCase& gusts,
+                                   const std::optional<SecondSensorShare>& again, bool by_motion,
+                                   const AttributionOptions& options) {
   const GustTest& gust = gusts.test;
   if (!BeatNoise(gust, 1.0, options)) return {};
   if (again && !BeatNoise(gust, gusts.acting_share, options)) {
@@ -118,7 +125,7 @@ std::vector<std::string> RemarksOn(const GustCase& gusts, const std::optional<Se
     remarks.push_back("not named: functions of the state gain more, " + Rounded(gusts.functions) +
                       " nats against " + Rounded(net));
   }
-  if (gust.over_others <= -options.clear_odds) {
+  if (gust.over_others <= -LeadOfFreeForce(gust, options)) {
     remarks.push_back("not named: a force that no wind makes explains the same better, by " +
                       Rounded(-gust.over_others) + " nats");
   } else if (gust.over_others < options.clear_odds) {
@@ -161,22 +168,23 @@ ResidualModel::Wrenches ForeseenWrench(const ThinnedFlight& flight, const GustTe
 }
 
 /// What the sensor that the test does not look at shows of the gusts that are foreseen.
-std::optional<SeenAgain> SeenByOther(const ResidualModel& residual, const DynamicModel& model,
-                                     const ModelValues& values, const GustCase& gusts,
-                                     const std::vector<DragCoefficient>& drag) {
+std::optional<SecondSensorShare> SeenByOther(const ResidualModel& residual,
+                                             const DynamicModel& model, const ModelValues& values,
+                                             const GustCase& gusts,
+                                             const std::vector<DragCoefficient>& drag) {
   if (gusts.foreseen.rows() == 0) return std::nullopt;
   Eigen::MatrixX2d again = residual.AcrossByOther(model, values);
   if (again.rows() == 0) return std::nullopt;
   for (Eigen::Index i = 0; i < gusts.test.drag.size(); ++i) {
     again -= gusts.test.drag[i] * drag[static_cast<size_t>(i)].d_wrench.leftCols<2>();
   }
-  return ShareSeenAgain(residual.flight(), gusts.foreseen.leftCols<2>(), again);
+  return ShareInSecondSensor(residual.flight(), gusts.foreseen.leftCols<2>(), again);
 }
 
 }  // namespace
 
 // Of the uniform prior's part, mean and evidence are those of a normal density between 0 and 1.
-double SeenAgain::ActingShare() const {
+double SecondSensorShare::ActingShare() const {
   const auto density = [](double z) { return std::exp(-0.5 * z * z) / std::sqrt(2.0 * M_PI); };
   const auto below = [](double z) { return 0.5 * std::erfc(-z / std::sqrt(2.0)); };
   const double none = -share / sigma, all = (1.0 - share) / sigma;
@@ -189,14 +197,14 @@ double SeenAgain::ActingShare() const {
   return std::clamp((evidence_all + first_moment) / evidence, 0.0, 1.0);
 }
 
-std::optional<SeenAgain> ShareSeenAgain(const ThinnedFlight& flight,
-                                        const Eigen::MatrixX2d& foreseen,
-                                        const Eigen::MatrixX2d& again) {
+std::optional<SecondSensorShare> ShareInSecondSensor(const ThinnedFlight& flight,
+                                                     const Eigen::MatrixX2d& foreseen,
+                                                     const Eigen::MatrixX2d& again) {
   if (again.rows() == 0 || foreseen.isZero(0.0)) return std::nullopt;
   const Eigen::MatrixX2d f = foreseen.rowwise() - foreseen.colwise().mean();
   const Eigen::MatrixX2d a = again.rowwise() - again.colwise().mean();
   const double square = f.squaredNorm();
-  SeenAgain seen;
+  SecondSensorShare seen;
   seen.share = f.cwiseProduct(a).sum() / square;
   const Eigen::MatrixX2d rest = a - seen.share * f;
   std::map<int, double> blocks;
@@ -242,7 +250,7 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
   if (BeatNoise(gust, 1.0, options)) {
     gusts.foreseen = ForeseenWrench(residual.flight(), gust, left, d_wind, drag);
   }
-  const std::optional<SeenAgain> again = SeenByOther(residual, model, values, gusts, drag);
+  const std::optional<SecondSensorShare> again = SeenByOther(residual, model, values, gusts, drag);
   if (again) gusts.acting_share = again->ActingShare();
   RankedEffect& ranked = gusts.ranked;
   ranked.name = "gust";
@@ -251,7 +259,7 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
   ranked.p_value = std::exp(-std::max(0.0, net));
   // Wind is known to act on vehicles, a free force is not; what stands in one place (an updraft, a
   // tether) is, and the two predict very different forces.
-  const double over_rival = gust.over_others + options.clear_odds;
+  const double over_rival = gust.over_others + LeadOfFreeForce(gust, options);
   ranked.probability =
       1.0 / (1.0 + std::exp(-net) + std::exp(-over_rival) + std::exp(-gust.over_field));
   ranked.remarks = RemarksOn(gusts, again, residual.across_by_motion(), options);
@@ -270,7 +278,7 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
 bool IsGusty(const GustCase& gusts, const AttributionOptions& options) {
   return BeatNoise(gusts.test, gusts.acting_share, options) &&
          NetGain(gusts.test, gusts.acting_share, options) > gusts.functions &&
-         gusts.test.over_others > -options.clear_odds &&
+         gusts.test.over_others > -LeadOfFreeForce(gusts.test, options) &&
          gusts.test.over_field > options.clear_odds &&
          gusts.test.peakedness_p > options.false_alarm_rate;
 }

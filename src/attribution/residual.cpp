@@ -1,5 +1,6 @@
 #include "odmc/attribution/residual.h"
 
+#include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -10,25 +11,86 @@ namespace odmc {
 namespace {
 
 constexpr double kStart_s = 1.0;
-constexpr int kBlocksOfAStretch = 2;  // held out, of a long flight
+constexpr int kBlocksOfAStretch = 2;         // held out, of a long flight
+constexpr double kGyroMountSigma_rad = 0.1;  // of what the vehicle file says of it
+
+/// The rotation nearest to a matrix.
+Eigen::Matrix3d RotationNearest(const Eigen::Matrix3d& M) {
+  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(M, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  Eigen::Vector3d d = Eigen::Vector3d::Ones();
+  d.z() = (svd.matrixU() * svd.matrixV().transpose()).determinant() < 0.0 ? -1.0 : 1.0;
+  return svd.matrixU() * d.asDiagonal() * svd.matrixV().transpose();
+}
+
+/// Mean of samples [first, first + count); what not all of them have is left out.
+FilteredMotion MeanOf(const std::vector<FilteredMotion>& samples, size_t first, size_t count) {
+  FilteredMotion mean = samples[first];
+  for (size_t i = first + 1; i < first + count; ++i) {
+    const FilteredMotion& s = samples[i];
+    mean.t_s += s.t_s;
+    mean.R_WS += s.R_WS;
+    mean.p_WS += s.p_WS;
+    mean.v_WS += s.v_WS;
+    mean.a_WS += s.a_WS;
+    mean.w_S += s.w_S;
+    mean.w_dot_S += s.w_dot_S;
+    mean.rotors.speed_squared += s.rotors.speed_squared;
+    mean.rotors.speed += s.rotors.speed;
+    mean.rotors.acceleration += s.rotors.acceleration;
+    mean.rotors.speed_squared_rate += s.rotors.speed_squared_rate;
+    if (s.specific_force_I && mean.specific_force_I) {
+      *mean.specific_force_I += *s.specific_force_I;
+    } else {
+      mean.specific_force_I.reset();
+    }
+    if (s.gyro && mean.gyro) {
+      mean.gyro->w_I += s.gyro->w_I;
+      mean.gyro->w_dot_I += s.gyro->w_dot_I;
+    } else {
+      mean.gyro.reset();
+    }
+  }
+  if (count == 1) return mean;
+  const double share = 1.0 / static_cast<double>(count);
+  mean.t_s *= share;
+  mean.R_WS = RotationNearest(mean.R_WS);
+  for (Eigen::Vector3d* v : {&mean.p_WS, &mean.v_WS, &mean.a_WS, &mean.w_S, &mean.w_dot_S}) {
+    *v *= share;
+  }
+  for (RotorVector* v : {&mean.rotors.speed_squared, &mean.rotors.speed, &mean.rotors.acceleration,
+                         &mean.rotors.speed_squared_rate}) {
+    *v *= share;
+  }
+  if (mean.specific_force_I) *mean.specific_force_I *= share;
+  if (mean.gyro) mean.gyro = {share * mean.gyro->w_I, share * mean.gyro->w_dot_I};
+  return mean;
+}
 
 }  // namespace
 
 ThinnedFlight::ThinnedFlight(FlightMotion flight, const BlockSplit& blocks,
-                             const Eigen::Matrix3d& R_BS, double most_s)
+                             const Eigen::Matrix3d& R_BS, double most_s, Thinning thinning)
     : flight_(std::move(flight)), blocks_(blocks), R_BS_(R_BS) {
-  const int stride = flight_.step_s > 0.0
-                         ? std::max(1, static_cast<int>(std::lround(kStep_s / flight_.step_s)))
-                         : 1;
-  step_s_ = stride * flight_.step_s;
-  int run = 0;
-  for (size_t i = 0; i < flight_.samples.size(); ++i) {
+  const size_t stride =
+      flight_.step_s > 0.0
+          ? static_cast<size_t>(std::max(1L, std::lround(kStep_s / flight_.step_s)))
+          : 1;
+  step_s_ = static_cast<double>(stride) * flight_.step_s;
+  const std::vector<FilteredMotion>& all = flight_.samples;
+  const double in_use_s =
+      blocks_.share_in_use() * (static_cast<double>(all.size()) * flight_.step_s - kStart_s);
+  takes_means_ = thinning == Thinning::kMean && in_use_s >= kLeastForMeans_s && stride > 1;
+  const size_t meant = takes_means_ ? stride : 1;
+  size_t run = 0;  // samples without a gap, with this one
+  for (size_t i = 0; i < all.size(); ++i) {
     // The start's transients are quicker than the filter.
-    if (flight_.samples[i].t_s < flight_.samples.front().t_s + kStart_s) continue;
-    run = flight_.samples[i].follows && !index_.empty() ? run + 1 : 0;
-    if (run % stride != 0) continue;
-    index_.push_back(i);
-    next_.push_back(run > 0);
+    if (all[i].t_s < all.front().t_s + kStart_s) continue;
+    run = all[i].follows ? run + 1 : 1;
+    if (run < meant || (run - meant) % stride != 0) continue;
+    const size_t first = i + 1 - meant;
+    samples_.push_back(MeanOf(all, first, meant));
+    index_.push_back(first + meant / 2);
+    next_.push_back(run > meant);
   }
   if (most_s > 0.0 && size() * step_s_ > most_s) TakeStretches(most_s);
 }
@@ -38,6 +100,7 @@ void ThinnedFlight::TakeStretches(double most_s) {
   const double stretch_s =
       kBlocksOfAStretch * std::max(1, blocks_.hold_out_every) * blocks_.block_s;
   const double period_s = stretch_s * size() * step_s_ / most_s;
+  std::vector<FilteredMotion> samples;
   std::vector<size_t> index;
   std::vector<bool> next;
   bool cut = false;
@@ -46,17 +109,20 @@ void ThinnedFlight::TakeStretches(double most_s) {
       cut = true;
       continue;
     }
+    samples.push_back(sample(i));
     index.push_back(index_[static_cast<size_t>(i)]);
     next.push_back(next_[static_cast<size_t>(i)] && !cut);
     cut = false;
   }
+  samples_ = std::move(samples);
   index_ = std::move(index);
   next_ = std::move(next);
 }
 
 ThinnedFlight ThinnedFlight::Moving(std::vector<FilteredMotion> samples) const {
   ThinnedFlight other = *this;
-  other.flight_.samples = std::move(samples);
+  other.flight_.samples = samples;
+  other.samples_ = std::move(samples);
   std::iota(other.index_.begin(), other.index_.end(), size_t{0});
   return other;
 }
@@ -85,8 +151,10 @@ ResidualModel::ResidualModel(const ThinnedFlight* flight, const Vehicle* file_ve
                              bool with_torque)
     : flight_(flight), file_vehicle_(file_vehicle), with_torque_(with_torque) {
   from_accelerometer_ = flight->size() > 0;
+  from_gyro_ = with_torque && flight->size() > 0;
   for (int i = 0; i < flight->size(); ++i) {
     from_accelerometer_ = from_accelerometer_ && flight->sample(i).specific_force_I.has_value();
+    from_gyro_ = from_gyro_ && flight->sample(i).gyro.has_value();
   }
 }
 
@@ -127,17 +195,88 @@ Eigen::MatrixX3d ResidualModel::MotionForce(const std::vector<PredictionSample>&
   return force;
 }
 
-void ResidualModel::BlendForces(const DynamicModel& model, const ModelValues& values) {
-  if (!from_accelerometer_) return;
-  const std::vector<PredictionSample> samples = Predict(model, values);
-  const Eigen::MatrixX3d felt = FeltForce(samples), by_motion = MotionForce(samples);
-  across_by_motion_ = IsMotionBetter(felt, by_motion);
+Eigen::MatrixX3d ResidualModel::MotionTorque(const std::vector<PredictionSample>& samples) const {
+  Eigen::MatrixX3d torque(static_cast<Eigen::Index>(samples.size()), 3);
+  for (size_t i = 0; i < samples.size(); ++i) {
+    const PredictionSample& s = samples[i];
+    torque.row(static_cast<Eigen::Index>(i)) = file_vehicle_->inertia_kg_m2.cwiseProduct(
+        s.measured_angular_acceleration - s.predicted_angular_acceleration);
+  }
+  return torque;
+}
+
+Eigen::MatrixX3d ResidualModel::GyroTorque(const std::vector<PredictionSample>& samples) const {
+  const Eigen::Matrix3d R_BI = file_vehicle_->odometry.q_BS.toRotationMatrix() * R_SI_;
+  Eigen::MatrixX3d torque(flight_->size(), 3);
+  for (int i = 0; i < flight_->size(); ++i) {
+    torque.row(i) = file_vehicle_->inertia_kg_m2.cwiseProduct(
+        R_BI * flight_->sample(i).gyro->w_dot_I -
+        samples[static_cast<size_t>(i)].predicted_angular_acceleration);
+  }
+  return torque;
+}
+
+// The rotation of greatest posterior density (Wahba's problem; Markley and Crassidis, Fundamentals
+// of Spacecraft Attitude Determination and Control, 2014, ch. 5), the vehicle file's as prior: a
+// flight that turns about one axis alone does not tell the rest.
+Eigen::Matrix3d ResidualModel::GyroInOdometry() const {
+  const Eigen::Matrix3d R_SB = file_vehicle_->odometry.q_BS.toRotationMatrix().transpose();
+  const Eigen::Matrix3d R_prior =
+      file_vehicle_->imu ? Eigen::Matrix3d(R_SB * file_vehicle_->imu->q_BS.toRotationMatrix())
+                         : R_SB;
+  const int n = flight_->size();
+  Eigen::Vector3d mean_S = Eigen::Vector3d::Zero(), mean_I = Eigen::Vector3d::Zero();
+  for (int i = 0; i < n; ++i) {
+    mean_S += flight_->sample(i).w_S / n;
+    mean_I += flight_->sample(i).gyro->w_I / n;
+  }
+  Eigen::Matrix3d R = R_prior;
+  for (int round = 0; round < 2; ++round) {
+    Eigen::Matrix3d products = Eigen::Matrix3d::Zero();
+    double square = 0.0;
+    for (int i = 0; i < n; ++i) {
+      const Eigen::Vector3d w_S = flight_->sample(i).w_S - mean_S;
+      const Eigen::Vector3d w_I = flight_->sample(i).gyro->w_I - mean_I;
+      products += w_S * w_I.transpose();
+      square += (w_S - R * w_I).squaredNorm();
+    }
+    const double variance = square / (3.0 * n);
+    R = RotationNearest(products +
+                        variance / (kGyroMountSigma_rad * kGyroMountSigma_rad) * R_prior);
+  }
+  return R;
+}
+
+ForceBlend ResidualModel::BlendOf(const Eigen::VectorXd& felt,
+                                  const Eigen::VectorXd& by_motion) const {
   std::vector<bool> follows, counts;
   for (int i = 0; i < flight_->size(); ++i) {
     follows.push_back(flight_->next(i));
     counts.push_back(!flight_->held_out(i));
   }
-  blend_.emplace(follows, counts, felt.col(kBlended), by_motion.col(kBlended));
+  return {follows, counts, felt, by_motion};
+}
+
+void ResidualModel::BlendForces(const std::vector<PredictionSample>& samples) {
+  const Eigen::MatrixX3d felt = FeltForce(samples), by_motion = MotionForce(samples);
+  across_by_motion_ = IsMotionBetter(felt, by_motion);
+  blend_[kAlongRotors] = BlendOf(felt.col(kAlongRotors), by_motion.col(kAlongRotors));
+}
+
+void ResidualModel::BlendTorques(const std::vector<PredictionSample>& samples) {
+  R_SI_ = GyroInOdometry();
+  const Eigen::MatrixX3d by_gyro = GyroTorque(samples), by_motion = MotionTorque(samples);
+  for (size_t axis = 0; axis < 3; ++axis) {
+    const auto c = static_cast<Eigen::Index>(axis);
+    blend_[3 + axis] = BlendOf(by_gyro.col(c), by_motion.col(c));
+  }
+}
+
+void ResidualModel::BlendSensors(const DynamicModel& model, const ModelValues& values) {
+  if (!from_accelerometer_ && !from_gyro_) return;
+  const std::vector<PredictionSample> samples = Predict(model, values);
+  if (from_accelerometer_) BlendForces(samples);
+  if (from_gyro_) BlendTorques(samples);
 }
 
 // Of two measurements of one force the one with less variance has less noise, unless an onboard
@@ -182,27 +321,31 @@ ResidualModel::Wrenches ResidualModel::Residual(const DynamicModel& model,
   const std::vector<PredictionSample> samples = Predict(model, values);
   residual.leftCols<3>() = from_accelerometer_ ? FeltForce(samples) : MotionForce(samples);
   if (across_by_motion_) residual.leftCols<2>() = MotionForce(samples).leftCols<2>();
-  if (blend_) {
-    residual.col(kBlended) =
-        blend_->Blend(residual.col(kBlended), MotionForce(samples).col(kBlended));
+  if (is_blend(kAlongRotors)) {
+    residual.col(kAlongRotors) = blend_[kAlongRotors]->Blend(
+        residual.col(kAlongRotors), MotionForce(samples).col(kAlongRotors));
   }
-  for (int i = 0; i < flight_->size(); ++i) {
-    const PredictionSample& s = samples[static_cast<size_t>(i)];
-    residual.row(i).tail<3>() = file_vehicle_->inertia_kg_m2.cwiseProduct(
-        s.measured_angular_acceleration - s.predicted_angular_acceleration);
+  if (!with_torque_) {
+    residual.rightCols<3>().setZero();
+    return residual;
   }
-  if (!with_torque_) residual.rightCols<3>().setZero();
+  residual.rightCols<3>() = MotionTorque(samples);
+  if (!is_blend(3)) return residual;
+  const Eigen::MatrixX3d by_gyro = GyroTorque(samples);
+  for (Eigen::Index c = 3; c < kNumChannels; ++c) {
+    residual.col(c) = blend_[static_cast<size_t>(c)]->Blend(by_gyro.col(c - 3), residual.col(c));
+  }
   return residual;
 }
 
 ResidualModel::Wrenches ResidualModel::AsFelt(Wrenches residual, const DynamicModel& model,
                                               const ModelValues& values) const {
-  if (!blend_) return residual;
+  if (!is_blend(kAlongRotors)) return residual;
   const std::vector<PredictionSample> samples = Predict(model, values);
-  const Eigen::VectorXd felt = FeltForce(samples).col(kBlended);
-  const Eigen::VectorXd by_motion = MotionForce(samples).col(kBlended);
-  const Eigen::VectorXd apart = felt - blend_->Blend(felt, by_motion);
-  residual.col(kBlended).array() += apart.array() - apart.mean();
+  const Eigen::VectorXd felt = FeltForce(samples).col(kAlongRotors);
+  const Eigen::VectorXd by_motion = MotionForce(samples).col(kAlongRotors);
+  const Eigen::VectorXd apart = felt - blend_[kAlongRotors]->Blend(felt, by_motion);
+  residual.col(kAlongRotors).array() += apart.array() - apart.mean();
   return residual;
 }
 

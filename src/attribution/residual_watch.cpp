@@ -43,7 +43,7 @@ void Append(const Sample& sample, std::vector<Sample>* kept) {
   if (IsSound(sample, *kept)) kept->push_back(sample);
 }
 
-bool IsFinite(const ResidualLook& r) {
+bool IsFinite(const ResidualAnalysis& r) {
   bool finite = std::isfinite(r.structured_share) && std::isfinite(r.whiteness_p) &&
                 r.force_rmse_N.allFinite() && r.torque_rmse_Nm.allFinite() &&
                 std::isfinite(r.explained_share);
@@ -57,7 +57,7 @@ bool IsFinite(const ResidualLook& r) {
 
 /// Sizes and structure of the residual's channels.
 void Summarise(const std::vector<ChannelStructure>& channels, const AttributionOptions& decision,
-               ResidualLook* found) {
+               ResidualAnalysis* found) {
   for (size_t c = 0; c < channels.size(); ++c) {
     const WhitenessResult& whiteness = channels[c].whiteness;
     (c < 3 ? found->force_rmse_N[c] : found->torque_rmse_Nm[c - 3]) = channels[c].rmse;
@@ -204,13 +204,13 @@ ThinnedFlight ResidualWatch::Flight(Stamp start) const {
   return ThinnedFlight(std::move(motion), blocks, file_vehicle_.odometry.q_BS.toRotationMatrix());
 }
 
-std::optional<ResidualLook> ResidualWatch::Look(const std::function<bool()>& give_up) {
+std::optional<ResidualAnalysis> ResidualWatch::Look(const std::function<bool()>& give_up) {
   const std::optional<Estimate> estimate = TakeIn();
   if (!estimate) return std::nullopt;
   const ThinnedFlight flight = Flight(estimate->start);
   const double flight_s = flight.size() * flight.step_s();
   if (flight_s < kEnoughShare * options_.residual_watch_window_s) return std::nullopt;
-  ResidualLook found = Examine(flight, *estimate, give_up);
+  ResidualAnalysis found = Examine(flight, *estimate, give_up);
   if (!IsFinite(found) || (give_up && give_up())) return std::nullopt;
   found.flight_s = flight_s;
   found.stamp = log_.odometry.back().stamp;
@@ -223,13 +223,13 @@ std::optional<ResidualLook> ResidualWatch::Look(const std::function<bool()>& giv
   return found;
 }
 
-ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate& estimate,
-                                    const std::function<bool()>& give_up) {
+ResidualAnalysis ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate& estimate,
+                                        const std::function<bool()>& give_up) {
   const DynamicModel& model = *estimate.model;
   ResidualModel residual(&flight, &file_vehicle_, with_torque_);
-  residual.BlendForces(model, estimate.values);
+  residual.BlendSensors(model, estimate.values);
   const int channels = residual.num_channels();
-  ResidualLook found;
+  ResidualAnalysis found;
   found.model = estimate.model;
   const Vehicle asked = WithPriorsOf(file_vehicle_, model.vehicle());
   Attribution attribution(&residual,
@@ -265,7 +265,7 @@ ResidualLook ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate&
 // ---- Adding what was found ---------------------------------------------------------------------
 
 Vehicle WarmStarted(const Vehicle& extended, const ParameterSet& present,
-                    const ResidualLook& found) {
+                    const ResidualAnalysis& found) {
   Vehicle warm = extended;
   for (const ParameterEstimate& p : present.parameters) {
     ParameterSetting& setting = warm.parameters[p.full_name];

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "odmc/attribution/candidates.h"
+
 namespace odmc {
 namespace {
 
@@ -44,7 +46,8 @@ RankedEffect TakenOff(const TimeOffset& offset, const StreamEffect& kind, double
   return effect;
 }
 
-void Name(const RankedEffect& taken_off, const CloseLoopOptions& options, ClosedLoop* loop) {
+void Name(const RankedEffect& taken_off, const CloseLoopOptions& options, const Vehicle& vehicle,
+          ClosedLoop* loop) {
   std::vector<AddedEffect>& effects = loop->effects;
   const auto rest = std::find_if(effects.begin(), effects.end(), [&](const AddedEffect& added) {
     return added.effect.name == taken_off.name;
@@ -55,6 +58,10 @@ void Name(const RankedEffect& taken_off, const CloseLoopOptions& options, Closed
     const bool has_room = static_cast<int>(effects.size()) < options.attribution.most_effects;
     const bool may_be_chance = taken_off.p_value >= options.attribution.false_alarm_rate;
     if (is_ruled_out || !has_room || may_be_chance) return;
+    if (IsOrdinary(vehicle, taken_off)) {
+      loop->warnings.push_back(OrdinaryText(vehicle, taken_off));
+      return;
+    }
     if (loop->verdict == Verdict::kNone) loop->verdict = Verdict::kEffect;
     const auto weaker = std::find_if(effects.begin(), effects.end(), [&](const AddedEffect& added) {
       return added.effect.score < taken_off.score;
@@ -77,14 +84,15 @@ void Name(const RankedEffect& taken_off, const CloseLoopOptions& options, Closed
 }  // namespace
 
 void AddInspection(const StreamInspection& inspection, const CloseLoopOptions& options,
-                   ClosedLoop* loop) {
+                   const Vehicle& vehicle, ClosedLoop* loop) {
   AddInspection<ClosedLoop>(inspection, loop);
   const auto tried = static_cast<double>(std::max<size_t>(1, loop->ranking.size()));
   for (const TimeOffset& offset : inspection.offsets) {
     for (const StreamEffect& kind : kStreamEffects) {
       if (offset.stream != kind.stream || offset.compensated_s == 0.0) continue;
       if (!HasFinding(inspection, offset.stream + "_offset")) continue;
-      Name(TakenOff(offset, kind, tried, options.attribution.log_prior_odds), options, loop);
+      Name(TakenOff(offset, kind, tried, options.attribution.log_prior_odds), options, vehicle,
+           loop);
     }
   }
 }
@@ -95,7 +103,7 @@ ClosedLoop CloseLoopInspected(const FlightLog& log, const StreamInspection& insp
                               const std::function<void(double)>& progress) {
   options.doubts = inspection.doubts;
   ClosedLoop loop = CloseLoop(log, file_vehicle, vehicle, options, progress);
-  AddInspection(inspection, options, &loop);
+  AddInspection(inspection, options, vehicle, &loop);
   if (start) WarnOfOtherMass(*start, file_vehicle, &loop.warnings);
   return loop;
 }

@@ -297,10 +297,17 @@ class DeclaredFit {
   std::vector<int> free_;
 };
 
+/// Samples of the recording, as they are: shares of variance are those up to the filter's
+/// bandwidth.
+ThinnedFlight Thinned(const FlightLog& log, const Vehicle& vehicle) {
+  return ThinnedFlight(FilterFlight(log, vehicle.num_rotors(), {}), {2.5, 1},
+                       Eigen::Matrix3d::Identity(), 0.0, Thinning::kPick);
+}
+
 ChannelVariance FittedVariance(const FlightLog& log, const Vehicle& vehicle,
                                const DynamicModel& model, const ModelValues& start,
                                const ChannelVariance& noise) {
-  const ThinnedFlight flight(FilterFlight(log, vehicle.num_rotors(), {}), {2.5, 1});
+  const ThinnedFlight flight = Thinned(log, vehicle);
   const ResidualModel residual(&flight, &vehicle, true);
   return DeclaredFit(&residual, &model, start, noise).Variance();
 }
@@ -563,7 +570,7 @@ class PlannedFlight {
 
   /// What the sensors' noise alone makes of the residual.
   ChannelVariance NoiseIn(const FlightLog& quiet) const {
-    const ThinnedFlight thinned(FilterFlight(quiet, vehicle_.num_rotors(), {}), {2.5, 1});
+    const ThinnedFlight thinned = Thinned(quiet, vehicle_);
     return VarianceOf(ResidualModel(&thinned, &vehicle_, true).Residual(declared_, base_));
   }
 

@@ -16,7 +16,7 @@ class AnisotropicHvt final : public Effect {
                 "next to hvt only the difference of the axes is its own"},
                {Axis("k_hx", "x", vehicle), Axis("k_hy", "y", vehicle)}) {}
 
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"hvt", "fast flight along both body axes"}};
   }
   std::vector<std::string> shown_by() const override { return {"octo", "aggressive"}; }

@@ -16,7 +16,7 @@ class AxialInflow final : public Effect {
              "climb and moderate descent; not in the vortex ring state"},
             {HubDampingSpec("k_z", "thrust loss per rotor speed and axial air speed", vehicle)}) {}
 
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"drag", "vertical oscillation with load changes, and roll rates"},
             {"rotor_delay", "slow climbs and descents"}};
   }

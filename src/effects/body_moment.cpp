@@ -25,7 +25,7 @@ class BodyMoment final : public Effect {
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool) const override {
     return FastTrials(vehicle(), flown);
   }
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     const std::string course =
         "the same course at half and at full speed, with climbs and descents";
     return {{"hub_moment", course},

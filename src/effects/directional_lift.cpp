@@ -28,7 +28,7 @@ class DirectionalLift final : public Effect {
                  0.0, 0.2, 0.1}},
                {"thrust.k_f"}) {}
 
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     const std::string course = "the same course along both body axes, at half and at full speed";
     return {{"anisotropic_hvt", course}, {"hvt", "fast flight along both body axes"}};
   }

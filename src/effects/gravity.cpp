@@ -22,7 +22,7 @@ class Gravity final : public Effect {
   bool belongs_to_flight() const override { return true; }
   BodyPropertyRows shaped_rows() const override { return {kRowGravity, 3}; }
 
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"rotor_tilt", "yaw by 90 degrees or more while flying"},
             {"thrust_lean", "yaw by 90 degrees or more while flying"}};
   }

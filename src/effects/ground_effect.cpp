@@ -42,7 +42,7 @@ class GroundEffect final : public Effect {
     }
     return trials;
   }
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"hvt", "hover at several heights"}};
   }
 

@@ -23,7 +23,7 @@ class HubMoment final : public Effect {
                {Coefficient("k_beta", "pitch-up moment per rotor speed and air speed", vehicle),
                 Coefficient("k_rho", "rolling moment of each rotor", vehicle)}) {}
 
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"pressure_centre", "fast flight at different rotor speeds (climbing turns)"},
             {"rotor_drag", "fast flight at different rotor speeds (climbing turns)"}};
   }

@@ -23,7 +23,7 @@ class InflowDrag final : public Effect {
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool) const override {
     return FastTrials(vehicle(), flown);
   }
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"rotor_drag", "fast climbs and descents"},
             {"quadratic_drag", "fast climbs and descents"}};
   }

@@ -13,7 +13,7 @@ class QuadraticDrag final : public Effect {
                {{"c_q", "kg/m", "half air density times drag area", 0.0, 0.1 * vehicle.mass_kg,
                  0.02 * vehicle.mass_kg, ParameterTransform::kLinear, PhysicalSign::kPositive}}) {}
 
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"drag", "the same course at half and at full speed"}};
   }
 

@@ -20,7 +20,7 @@ class RotorAsymmetry final : public Effect {
              "model.md 12.8", "in steady hover one with the centre of gravity; needs manoeuvres"},
             Deltas(vehicle), {"thrust.k_f", "rotor_torque.k_m"}) {}
 
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"centre_of_gravity", "strong differential thrust: rolls and pitches"},
             {"rotor_tilt", "strong differential thrust: rolls and pitches"}};
   }

@@ -17,6 +17,9 @@ class RotorDelay final : public Effect {
                  ParameterTransform::kLinear, PhysicalSign::kAny}},
                {"thrust.k_f", "rotor_torque.k_m"}) {}
 
+  /// Telemetry and a filter's group delay take some milliseconds of every recording.
+  double ordinary_sigma() const override { return 0.0025; }
+
   /// Speeds are reported late, never early.
   Eigen::VectorXd Draw(const NormalNumbers& normal) const override {
     return Effect::Draw(normal).cwiseAbs();

@@ -34,7 +34,7 @@ class RotorDrag final : public Effect {
     return {{{{"k_c", 0.0}, {"k_y", 0.0}}, {}}, {{{"k_y", 0.0}}, {}}, {}};
   }
 
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"drag", "climbs and high tilt, so that the sum of the rotor speeds varies"},
             {"quadratic_drag", "the same course at half and at full speed"}};
   }

@@ -15,7 +15,7 @@ class RotorGyroscopic final : public Effect {
                 "vanishes while the spins balance: needs rates together with a yaw torque"},
                {RotorInertiaSpec(vehicle)}) {}
 
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"rotor_reaction", "yaw acceleration without roll and pitch rates"}};
   }
 

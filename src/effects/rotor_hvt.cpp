@@ -17,7 +17,7 @@ class RotorHvt final : public Effect {
                {LiftSpec("k_h", "extra thrust per squared horizontal air speed, all rotors",
                          vehicle)}) {}
 
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"hvt", "fast yaw while flying fast"},
             {"anisotropic_hvt", "fast flight along both body axes"}};
   }

@@ -27,7 +27,7 @@ class RotorInterference final : public Effect {
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool) const override {
     return FastTrials(vehicle(), flown);
   }
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     const std::string course = "the same course at half and at full speed";
     return {
         {"hub_moment", course}, {"anisotropic_hub_moment", course}, {"pressure_centre", course}};

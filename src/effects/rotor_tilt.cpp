@@ -18,7 +18,7 @@ class RotorTilt final : public Effect {
                 "mostly a yaw torque by thrust"},
                Leans(vehicle), {"thrust.k_f", "rotor_torque.k_m"}) {}
 
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"thrust_lean", "strong differential thrust: rolls and pitches"}};
   }
   std::vector<std::string> shown_by() const override { return {"octo", "vertical", "aggressive"}; }

@@ -27,7 +27,7 @@ class SaturatingLift final : public Effect {
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool) const override {
     return FastTrials(vehicle(), flown);
   }
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"hvt", "the same course at half and at full speed"},
             {"rotor_hvt", "the same course at half and at full speed"},
             {"anisotropic_hvt", "the same course at half and at full speed, along both body axes"}};

@@ -64,7 +64,7 @@ class SuspendedLoad final : public Effect {
     return trials;
   }
   std::vector<SettingRefinement> refinements() const override { return {{"length", kLengthRatio}}; }
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"mass_change", "side steps, so that the load swings"},
             {"wind", "side steps, so that the load swings"}};
   }

@@ -16,7 +16,7 @@ class ThrustDrift final : public Effect {
                {{"rate", "1/s", "relative change of k_f per second", 0.0, 0.01, 0.001}},
                {"thrust.k_f"}) {}
 
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"mass_change", "hover at the start and at the end of the flight"}};
   }
   std::vector<std::string> shown_by() const override { return {"octo", "vertical", "circle"}; }

@@ -30,7 +30,7 @@ class VerticalDrag final : public Effect {
     if (FastTrials(vehicle(), flown).empty()) return {};
     return {{{{"p_x", 0.0}, {"p_y", 0.0}}, {}}, {}};
   }
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"quadratic_drag", "fast level flight, and fast climbs and descents"},
             {"axial_inflow", "climbs and descents at several forward speeds"},
             {"drag", "climbs and descents at several forward speeds"}};

@@ -34,7 +34,7 @@ class VortexRing final : public Effect {
     if (flown.descent_m_s > 0.5 * HoverInflow(vehicle())) return {EffectTrial()};
     return {};
   }
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"axial_inflow", "straight descents at several speeds, and climbs"},
             {"drag", "straight descents at several speeds, and climbs"},
             {"vertical_drag", "straight descents at several speeds, and climbs"}};

@@ -33,7 +33,7 @@ class WakeMoment final : public Effect {
     if (flown.speed_m_s > HoverInflow(vehicle())) return {EffectTrial()};
     return {};
   }
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     const std::string course =
         "the same course at half and at full speed, with climbs and descents";
     return {{"hub_moment", course},

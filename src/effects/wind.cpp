@@ -29,7 +29,7 @@ class Wind final : public Effect {
     }
     return trials;
   }
-  std::vector<TellingPair> telling_pairs() const override {
+  std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const override {
     return {{"gravity", "yaw by 90 degrees or more while flying"},
             {"rotor_tilt", "yaw by 90 degrees or more while flying"},
             {"thrust_lean", "yaw by 90 degrees or more while flying"}};

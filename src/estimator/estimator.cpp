@@ -328,7 +328,7 @@ void Estimator::MarginalizeOld() {
     });
     solver_->MarginalizeOldest(&window_, uncertainty_.sigma_eta(), uncertainty_.leaving());
     LetVary(dt > 0.0 ? dt : 1.0 / options_.keyframe_rate_hz);
-    if (dt > 0.0) uncertainty_.SeeLeaving(dt, window_.eta(), yaw_inertia_held);
+    if (dt > 0.0) uncertainty_.AccumulateMarginalized(dt, window_.eta(), yaw_inertia_held);
   }
 }
 

@@ -213,7 +213,8 @@ void Uncertainty::TellUnobservable() {
   }
 }
 
-void Uncertainty::SeeLeaving(double dt, const ParameterVector& eta, bool yaw_inertia_held) {
+void Uncertainty::AccumulateMarginalized(double dt, const ParameterVector& eta,
+                                         bool yaw_inertia_held) {
   consistency_.Add(dt, leaving_.score, eta);
   const int k_m = EstimatedEntry("rotor_torque.k_m");
   if (yaw_inertia_held && k_m >= 0) held_yaw_information_ += leaving_.torque_information[k_m];

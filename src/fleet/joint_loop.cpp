@@ -150,7 +150,7 @@ double OppositeShare(const FleetCalibration& fleet, const std::vector<Eigen::Ind
 /// Of the flights that say something of an effect, by clear odds, the share that speaks against it.
 double AgainstShare(const RankedEffect& effect, double nats) {
   double speak_for = 0.0, against = 0.0;
-  for (const FlightSays& says : effect.by_flight) {
+  for (const FlightEvidence& says : effect.by_flight) {
     speak_for += says.nats > nats ? 1.0 : 0.0;
     against += says.nats < -nats ? 1.0 : 0.0;
   }
@@ -302,7 +302,7 @@ void JointSession::Find(const Progress& progress) {
   const ModelPoint point = ModelPointOfFleet(loop_.before, declared);
   for (size_t f = 0; f < looked.size(); ++f) {
     const ModelValues values = ValuesOf(declared, point.OfFlight(f).values);
-    looked[f].residual->BlendForces(declared, values);
+    looked[f].residual->BlendSensors(declared, values);
     looked[f].again = looked[f].residual->ForceByMotion(declared, values);
     residuals.push_back(&*looked[f].residual);
     motions.push_back(&looked[f].flight->motion());
@@ -404,7 +404,7 @@ void JointSession::Add(const std::vector<std::string>& held_out) {
       if (online != nullptr) p = *online;
     }
     effect.spreads = SpreadsOf(ranked, loop_.after);
-    for (const FlightSays& says : ranked.by_flight) {
+    for (const FlightEvidence& says : ranked.by_flight) {
       if (says.nats > options_.attribution.even_odds) ++effect.speak_for;
       if (says.nats < -options_.attribution.even_odds) ++effect.against;
     }

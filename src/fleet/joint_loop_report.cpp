@@ -35,7 +35,7 @@ Json EffectJson(const JointEffect& joint, const std::vector<std::string>& flight
   json["between_flights"] = spreads;
   json["by_flight"] = Json::array();
   for (size_t f = 0; f < joint.effect.by_flight.size(); ++f) {
-    const FlightSays& says = joint.effect.by_flight[f];
+    const FlightEvidence& says = joint.effect.by_flight[f];
     json["by_flight"].push_back({{"file", flights[f]},
                                  {"gain_nats", JsonNumber(says.nats)},
                                  {"parameters", ParametersJson(says.parameters)}});
@@ -163,7 +163,7 @@ std::string JointLoopCsv(const JointLoop& loop) {
   std::string text = "flight,effect,gain_nats,parameter,unit,value,sigma\n";
   for (const JointEffect& joint : loop.effects) {
     for (size_t f = 0; f < joint.effect.by_flight.size(); ++f) {
-      const FlightSays& says = joint.effect.by_flight[f];
+      const FlightEvidence& says = joint.effect.by_flight[f];
       std::string file = loop.flights[f];
       std::replace(file.begin(), file.end(), ',', '_');
       const std::string start =

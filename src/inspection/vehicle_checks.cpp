@@ -187,7 +187,7 @@ void CheckLean(const MotionWindows& w, const MotionInBody& motion, const Vehicle
 }  // namespace
 
 void CheckVehicleUnits(const Vehicle& vehicle, StreamInspection* inspection) {
-  const UnitSlip slip = FindUnitSlip(vehicle);
+  const UnitError slip = FindUnitError(vehicle);
   if (!slip.Refutes()) return;
   const std::string what = slip.Sentence();
   const size_t mend = what.find("; ");

@@ -33,7 +33,7 @@ std::string ImpossibleInertia(const Vehicle& vehicle) {
         "inertia_kg_m2 is implausible: %.3g about %c cannot be that of %.3g kg on these "
         "rotors (%.2g to %.2g); is it in kg m^2 (1 g cm^2 is 1.0e-07 kg m^2)?",
         inertia, "xyz"[i], vehicle.mass_kg, bounds.least[i], bounds.most[i]);
-    const UnitSlip slip = FindUnitSlip(vehicle);
+    const UnitError slip = FindUnitError(vehicle);
     return slip.Refutes() ? text + " It fits if " + slip.Sentence() : text;
   }
   return "";

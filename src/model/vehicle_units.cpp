@@ -96,11 +96,11 @@ struct Ratios {
 
 }  // namespace
 
-std::string UnitSlip::Sentence() const {
+std::string UnitError::Sentence() const {
   return what + Format(" (probability %.3g); ", best_share) + mend;
 }
 
-UnitSlip FindUnitSlip(const Vehicle& vehicle) {
+UnitError FindUnitError(const Vehicle& vehicle) {
   const Ratios ratios(vehicle);
   const double log_right =
       std::log(1.0 - kSlipsAre) + ratios.LogDensityWithout({"", "", 1.0, 1.0, 1.0, 1.0});

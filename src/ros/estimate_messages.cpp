@@ -37,7 +37,7 @@ DynamicParameters ToMessage(const DynamicModel& model, const Snapshot& snapshot,
   return m;
 }
 
-UnexplainedResidual ToMessage(const ResidualLook& look, const std::string& body_frame,
+UnexplainedResidual ToMessage(const ResidualAnalysis& look, const std::string& body_frame,
                               const std::vector<std::string>& added) {
   UnexplainedResidual m;
   m.header = MakeHeader(look.stamp, body_frame);

@@ -94,8 +94,8 @@ void EstimateSession::KeepLast() {
 
 // ---- What is found in the background -----------------------------------------------------------
 
-BackgroundLooks::StreamsSeen EstimateSession::SeenIn(FlightLog log) const {
-  BackgroundLooks::StreamsSeen seen{std::move(log), vehicle_, model_, {}, 0.0};
+BackgroundAnalysis::StreamsSeen EstimateSession::SeenIn(FlightLog log) const {
+  BackgroundAnalysis::StreamsSeen seen{std::move(log), vehicle_, model_, {}, 0.0};
   const int k_f = model_->IndexOf("thrust.k_f");
   if (last_ && last_model_ == model_) {
     seen.values = last_->values;
@@ -104,7 +104,7 @@ BackgroundLooks::StreamsSeen EstimateSession::SeenIn(FlightLog log) const {
   return seen;
 }
 
-void EstimateSession::Adopt(BackgroundLooks::StreamsFound found) {
+void EstimateSession::Adopt(BackgroundAnalysis::StreamsFound found) {
   LearnOfReaction(found);
   const bool is_new = trust_.Adopt(std::move(found));
   if (is_new && !is_frozen_) {
@@ -113,7 +113,7 @@ void EstimateSession::Adopt(BackgroundLooks::StreamsFound found) {
   }
 }
 
-void EstimateSession::LearnOfReaction(const BackgroundLooks::StreamsFound& found) {
+void EstimateSession::LearnOfReaction(const BackgroundAnalysis::StreamsFound& found) {
   if (found.model != model_) return;
   const std::string before = reaction_watch_.sentence();
   reaction_watch_.Add(found.bands);
@@ -121,7 +121,7 @@ void EstimateSession::LearnOfReaction(const BackgroundLooks::StreamsFound& found
   if (!now.empty() && before.empty()) ROS_WARN("%s", now.c_str());
 }
 
-bool EstimateSession::Extend(const ResidualLook& found, bool with_torque) {
+bool EstimateSession::Extend(const ResidualAnalysis& found, bool with_torque) {
   if (!last_ || found.model != model_ || last_model_ != model_ || is_frozen_) return false;
   const std::string& name = found.candidate->name;
   try {

@@ -19,7 +19,7 @@ void EstimateTrust::Mend(Sample* sample) {
   std::visit([this](auto& s) { mender_.Mend(&s); }, *sample);
 }
 
-bool EstimateTrust::Adopt(BackgroundLooks::StreamsFound found) {
+bool EstimateTrust::Adopt(BackgroundAnalysis::StreamsFound found) {
   const bool is_new = mender_.Adopt(found.inspection);
   doubted_ = found.model;
   doubts_ = std::move(found.inspection.doubts);
@@ -37,7 +37,7 @@ void EstimateTrust::LookBack(const ModelValues* values, bool detects_changes,
   const EstimatorCounters& counters = estimator->counters();
   if (counters.airborne_s < last_look_s_ + kLookEvery_s) return;
   last_look_s_ = counters.airborne_s;
-  const std::vector<ThirdsDifference> thirds = estimator->LastLook();
+  const std::vector<ThirdsDifference> thirds = estimator->CompareThirds();
   look_back_.clear();
   if (values != nullptr) look_back_ = LastLookFindings(estimator->model(), *values, thirds);
   if (counters.changes > 0 && !detects_changes) {

@@ -102,8 +102,8 @@ EstimatorNode::EstimatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
     s->status.watches_residual = setup_.options.residual_watch.residual_watch_period_s > 0.0;
   });
   for (const std::string& sentence : setup_.warnings) Warn(sentence);
-  looks_ = std::make_unique<BackgroundLooks>(
-      setup_.estimator, [this](const ResidualLook& look) { OnLook(look); }, &queue_);
+  looks_ = std::make_unique<BackgroundAnalysis>(
+      setup_.estimator, [this](const ResidualAnalysis& look) { OnLook(look); }, &queue_);
   reporter_ = std::make_unique<NodeReporter>(node, setup_.vehicle.name, setup_.options.live_image,
                                              &shared_, &queue_);
   const bool supervises_rotors = rotors_.is_on();
@@ -174,7 +174,7 @@ void EstimatorNode::Tell(const std::string& sentence) const {
   }
 }
 
-void EstimatorNode::OnLook(const ResidualLook& look) {
+void EstimatorNode::OnLook(const ResidualAnalysis& look) {
   const EstimatorNodeOptions& options = setup_.options;
   const std::vector<std::string> added = shared_.With([&](SharedStatus* s) {
     s->status.unexplained = look;
@@ -384,7 +384,7 @@ void EstimatorNode::InspectStreams() {
     log.rotor_rms_only = intake_.rms_only();
     looks_->Inspect(session_.SeenIn(std::move(log)));
   }
-  std::optional<BackgroundLooks::StreamsFound> found = looks_->TakeInspection();
+  std::optional<BackgroundAnalysis::StreamsFound> found = looks_->TakeInspection();
   if (found) session_.Adopt(*std::move(found));
 }
 
@@ -438,7 +438,7 @@ void EstimatorNode::OnSnapshot(const Snapshot& snapshot) {
 }
 
 void EstimatorNode::AddWhatWasFound() {
-  const std::optional<ResidualLook> found = looks_->TakeProposal();
+  const std::optional<ResidualAnalysis> found = looks_->TakeProposal();
   if (!found || !session_.Extend(*found, !intake_.rms_only())) return;
   shared_.With([&](SharedStatus* s) { s->status.added_effects.push_back(found->candidate->name); });
 }

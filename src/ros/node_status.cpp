@@ -130,7 +130,7 @@ DiagnosticStatus UnexplainedDiagnostic(const NodeStatus& s, const std::string& n
     status.message = (s.watches_residual ? "too little flight yet" : "off") + tail;
     return status;
   }
-  const ResidualLook& r = *s.unexplained;
+  const ResidualAnalysis& r = *s.unexplained;
   status.message = (r.candidate    ? r.candidate->name + " would explain it"
                     : r.structured ? "structured, no effect of the catalogue explains it"
                                    : "nothing to explain") +

@@ -174,8 +174,8 @@ SimulatorNode::SimulatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
 }
 
 SimulatorNode::~SimulatorNode() {
-  told_.With([](Told* told) { told->stopping = true; });
-  told_changed_.notify_all();
+  command_state_.With([](CommandState* state) { state->stopping = true; });
+  command_changed_.notify_all();
   thread_.join();
 }
 
@@ -265,27 +265,27 @@ void SimulatorNode::OnMotorCommand(const MotorCommands::ConstPtr& message) {
 }
 
 void SimulatorNode::Obey(Stamp stamp, const RotorVector& values, bool is_throttle) {
-  told_.With([&](Told* told) {
-    ++told->commands;
-    told->newest = Command{stamp - epoch_, values, is_throttle};
+  command_state_.With([&](CommandState* state) {
+    ++state->commands;
+    state->newest = Command{stamp - epoch_, values, is_throttle};
   });
-  told_changed_.notify_one();
+  command_changed_.notify_one();
 }
 
 void SimulatorNode::Refuse(const std::string& what) {
-  told_.With([](Told* told) { ++told->refused; });
+  command_state_.With([](CommandState* state) { ++state->refused; });
   ROS_WARN_THROTTLE(1.0,
                     "a command was refused: it must have a stamp and one finite %s for each of %d "
                     "rotors",
                     what.c_str(), model_.vehicle().num_rotors());
-  told_changed_.notify_one();
+  command_changed_.notify_one();
 }
 
 // ---- Stepping thread ---------------------------------------------------------------------------
 
 void SimulatorNode::Run() {
   try {
-    while (!told_.With([](const Told* told) { return told->stopping; })) {
+    while (!command_state_.With([](const CommandState* state) { return state->stopping; })) {
       if (ElapsedSeconds(reported_wall_) >= 1.0) PublishDiagnostics();
       if (!MayStep()) {
         PublishClock();  // who comes now learns what time it is
@@ -324,17 +324,18 @@ bool SimulatorNode::HasController() const {
 bool SimulatorNode::WaitForCommand() {
   const double lag_s = setup_.options.command_lag_s;
   if (lag_s == 0.0) return true;
-  if (!told_.With([](const Told* told) { return told->newest.has_value(); })) return true;
-  const auto is_near = [&](const Told* told) {
-    return told->stopping || ToSeconds(now_ - told->newest->stamp) <= lag_s;
+  if (!command_state_.With([](const CommandState* state) { return state->newest.has_value(); }))
+    return true;
+  const auto is_near = [&](const CommandState* state) {
+    return state->stopping || ToSeconds(now_ - state->newest->stamp) <= lag_s;
   };
-  if (told_.With(is_near)) {
+  if (command_state_.With(is_near)) {
     locked_ = true;
     return true;
   }
   if (!locked_) return true;
   ++slow_downs_;
-  locked_ = told_.WaitFor(&told_changed_, kLongestWait, is_near);
+  locked_ = command_state_.WaitFor(&command_changed_, kLongestWait, is_near);
   if (!locked_) ROS_WARN("no command for %.0f ms: time goes on without", 1e3 * lag_s);
   return false;
 }
@@ -350,7 +351,8 @@ void SimulatorNode::StepBatch() {
 }
 
 void SimulatorNode::ObeyCommand(World* world) {
-  const std::optional<Command> command = told_.With([](const Told* told) { return told->newest; });
+  const std::optional<Command> command =
+      command_state_.With([](const CommandState* state) { return state->newest; });
   if (!command) return;
   const bool is_old = ToSeconds(now_ - command->stamp) > kOldCommand_s;
   if (is_old) {
@@ -501,10 +503,10 @@ diagnostic_msgs::DiagnosticStatus SimulatorNode::Diagnostic(double factor) {
     PutValue("mass_kg", world->mass(), &status);
     PutValue("battery_voltage_V", world->battery_voltage_V(), &status);
   });
-  told_.With([&](const Told* told) {
-    PutValue("commands", told->commands, &status);
-    PutValue("commands_refused", told->refused, &status);
-    if (told->newest) PutValue("command_age_s", ToSeconds(now_ - told->newest->stamp), &status);
+  command_state_.With([&](const CommandState* state) {
+    PutValue("commands", state->commands, &status);
+    PutValue("commands_refused", state->refused, &status);
+    if (state->newest) PutValue("command_age_s", ToSeconds(now_ - state->newest->stamp), &status);
   });
   return status;
 }

@@ -17,7 +17,7 @@ void ChainCorrections::Append(const Window& window, std::int64_t id) {
   ChainSegment& segment = segments_.Append();
   segment.first = id;
   segment.at = window.eta();
-  segment.bend = kFirstBend;
+  segment.sensitivity = kFirstBend;
 }
 
 void ChainCorrections::DropOldest() {
@@ -38,7 +38,7 @@ void ChainCorrections::NoteSwept(std::int64_t next) {
 double ChainCorrections::ExpectErrors(const Window& window) {
   double squares = 0.0;
   for (ChainSegment& segment : segments_) {
-    segment.expected = segment.bend * error_->Distance(window, segment.at);
+    segment.expected = segment.sensitivity * error_->Distance(window, segment.at);
     squares += segment.expected * segment.expected;
   }
   return std::sqrt(squares);
@@ -76,7 +76,7 @@ void ChainCorrections::Correct(const Window& window, ChainSegment* segment) {
   const double change = GiveFoundToRoots(window, end);
   const double distance = error_->Distance(window, segment->at);
   if (distance > kLeastDistance) {
-    segment->bend = std::max(change / distance, kBendMemory * segment->bend);
+    segment->sensitivity = std::max(change / distance, kBendMemory * segment->sensitivity);
   }
   segment->at = window.eta();
 }

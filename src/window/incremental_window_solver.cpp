@@ -420,8 +420,8 @@ bool IncrementalWindowSolver::SweepOn(Window* window, const Allowance& allowance
 
 /// Where old linearizations may cost too much, one sweep after the other, as far as the allowance
 /// goes; what a sweep weighed anew is corrected.
-IncrementalWindowSolver::Outcome IncrementalWindowSolver::Hurry(Window* window,
-                                                                const Allowance& allowance) {
+IncrementalWindowSolver::Outcome IncrementalWindowSolver::AdvanceSweepToBudget(
+    Window* window, const Allowance& allowance) {
   const bool had_reweighed = sweep_.has_reweighed;
   bool has_hurried = false, has_reweighed = had_reweighed;
   const bool may_hurry = sweep_.urgent || IsShort();
@@ -503,7 +503,7 @@ SolveReport IncrementalWindowSolver::SolveOnce(Window* window, const SolverOptio
   const ParameterVector eta = window->eta();
   Outcome outcome = Follow(window, allowance);
   if (outcome == Outcome::kDone) outcome = SettleRecent(window);
-  if (outcome == Outcome::kDone && followed) outcome = Hurry(window, allowance);
+  if (outcome == Outcome::kDone && followed) outcome = AdvanceSweepToBudget(window, allowance);
   if (outcome == Outcome::kDone) outcome = Iterate(window, options.max_iterations, allowance);
   if (outcome == Outcome::kTooLong) return Align(window, options);
   if (outcome == Outcome::kRefused) {

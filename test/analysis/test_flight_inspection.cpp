@@ -28,9 +28,10 @@ FlightLog Fly(const std::string& trajectory) {
   return log;
 }
 
-const ParameterLesson* Find(const FlightInspection& inspection, const std::string& name) {
-  const auto it = std::find_if(inspection.lessons.begin(), inspection.lessons.end(),
-                               [&](const ParameterLesson& l) { return l.full_name == name; });
+const ParameterObservability* Find(const FlightInspection& inspection, const std::string& name) {
+  const auto it =
+      std::find_if(inspection.lessons.begin(), inspection.lessons.end(),
+                   [&](const ParameterObservability& l) { return l.full_name == name; });
   return it != inspection.lessons.end() ? &*it : nullptr;
 }
 

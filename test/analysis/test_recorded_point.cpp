@@ -205,7 +205,7 @@ TEST(RecordedPoint, IsAskedForWhereTheModelTakesItToBeKnown) {
       for (int k = 0; k < model.num_parameters(); ++k) {
         values[k] = flight.truth[flight.model.IndexOf(model.parameters()[k].full_name)];
       }
-      const RecordedPoint point = AskForPoint(flight.log, file, model, values, {});
+      const RecordedPoint point = FindPointOfKnownMount(flight.log, file, model, values, {});
       ASSERT_TRUE(point.p_m) << point.why;
       EXPECT_LT((*point.p_m - kPoint).norm(), 0.01) << seed;
       const VectorXd sigma = VectorXd::Zero(model.num_parameters());

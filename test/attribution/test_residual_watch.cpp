@@ -56,7 +56,7 @@ class Pilot {
   }
 
   /// As the node adds an effect in flight.
-  void Add(const ResidualLook& found) {
+  void Add(const ResidualAnalysis& found) {
     declared_ = VehicleWith(declared_, *found.candidate);
     const DynamicModel declared(declared_, declared_.effects);
     const Vehicle warm = WarmStarted(declared_, Estimator::ToParameterSet(*model_, *last_), found);
@@ -68,7 +68,7 @@ class Pilot {
     last_.reset();
   }
 
-  const std::vector<ResidualLook>& looks() const { return looks_; }
+  const std::vector<ResidualAnalysis>& looks() const { return looks_; }
   const Snapshot& last() const { return *last_; }
   const DynamicModel& model() const { return *model_; }
   const Estimator& estimator() const { return *estimator_; }
@@ -95,7 +95,7 @@ class Pilot {
   std::shared_ptr<const DynamicModel> model_;
   std::unique_ptr<Estimator> estimator_;
   std::optional<Snapshot> last_;
-  std::vector<ResidualLook> looks_;
+  std::vector<ResidualAnalysis> looks_;
 };
 
 ResidualWatchOptions Often() {
@@ -104,7 +104,7 @@ ResidualWatchOptions Often() {
   return options;
 }
 
-std::string Text(const ResidualLook& look) {
+std::string Text(const ResidualAnalysis& look) {
   return "share " + std::to_string(look.structured_share) + " p " +
          std::to_string(look.whiteness_p) + " " + look.channel + " " +
          (look.candidate ? look.candidate->name + " " + std::to_string(look.candidate->score)
@@ -118,7 +118,7 @@ TEST(ResidualWatch, NamesTheMissingEffectAndTheEstimatorCarriesOnWithIt) {
   Pilot pilot(flight, Often());
   pilot.FlyUntil(19.0);  // of the first ten seconds a tilt of rotors tells as much
   ASSERT_GE(pilot.looks().size(), 3u);
-  const ResidualLook look = pilot.looks().back();
+  const ResidualAnalysis look = pilot.looks().back();
   ASSERT_TRUE(look.candidate.has_value()) << Text(look);
   EXPECT_EQ(look.candidate->name, "quadratic_drag") << Text(look);
   EXPECT_GE(look.in_a_row, 3) << Text(look);
@@ -148,7 +148,7 @@ TEST(ResidualWatch, NamesTheMissingEffectAndTheEstimatorCarriesOnWithIt) {
   EXPECT_NEAR(pilot.Value("quadratic_drag.c_q"), truth, 0.1 * truth);
   EXPECT_TRUE(pilot.last().observable[pilot.model().IndexOf("quadratic_drag.c_q")]);
   EXPECT_LT(std::abs(pilot.Value("drag.d_x") - d_x), 0.3 * was_wrong);
-  const ResidualLook& after = pilot.looks().back();
+  const ResidualAnalysis& after = pilot.looks().back();
   EXPECT_EQ(after.model->effect_names().back(), "quadratic_drag");
   EXPECT_FALSE(after.candidate.has_value()) << Text(after);
   EXPECT_LT(after.force_rmse_N.norm(), 0.7 * look.force_rmse_N.norm());
@@ -161,7 +161,7 @@ TEST(ResidualWatch, SeesWhatIsSlowBehindANoisyAccelerometer) {
     Pilot pilot(log, VehicleWithImu(), ResidualWatchOptions());
     pilot.FlyUntil(22.0);
     double most = 0.0;
-    for (const ResidualLook& look : pilot.looks()) {
+    for (const ResidualAnalysis& look : pilot.looks()) {
       if (look.candidate) most = std::max(most, look.candidate->score);
     }
     return most;
@@ -177,7 +177,7 @@ TEST(ResidualWatch, NamesNothingWhenTheModelIsTheTruth) {
     Pilot pilot(flight, Often());
     pilot.FlyUntil(24.0);
     EXPECT_GE(pilot.looks().size(), 5u);
-    for (const ResidualLook& look : pilot.looks()) {
+    for (const ResidualAnalysis& look : pilot.looks()) {
       EXPECT_FALSE(look.candidate.has_value()) << Text(look);
       EXPECT_FALSE(look.structured) << Text(look);
       EXPECT_EQ(look.in_a_row, 0);
@@ -186,7 +186,7 @@ TEST(ResidualWatch, NamesNothingWhenTheModelIsTheTruth) {
 }
 
 TEST(ResidualWatch, WarmStartWidensWhatTheEffectMoves) {
-  ResidualLook look;
+  ResidualAnalysis look;
   look.candidate = RankedEffect();
   look.candidate->name = "quadratic_drag";
   look.candidate->parameters = {{"quadratic_drag.c_q", "kg/m", 0.03, 0.001, true, true}};
@@ -257,7 +257,7 @@ TEST_F(ResidualWatchBuffer, LooksOncePerPeriodAndOnlyWhileFlying) {
   Feed(&watch, 0.0, 8.0);
   EXPECT_FALSE(watch.Look().has_value()) << "too little flight";
   Feed(&watch, 8.0, 14.0);
-  const std::optional<ResidualLook> look = watch.Look();
+  const std::optional<ResidualAnalysis> look = watch.Look();
   ASSERT_TRUE(look.has_value());
   EXPECT_NEAR(look->flight_s, 13.0, 0.3);  // less the first second
   EXPECT_NEAR(ToSeconds(look->stamp), 14.0, 0.02);
@@ -265,7 +265,7 @@ TEST_F(ResidualWatchBuffer, LooksOncePerPeriodAndOnlyWhileFlying) {
   Feed(&watch, 14.0, 20.0, false);
   EXPECT_FALSE(watch.Look().has_value()) << "it stands";
   Feed(&watch, 20.0, 28.0);
-  const std::optional<ResidualLook> again = watch.Look();
+  const std::optional<ResidualAnalysis> again = watch.Look();
   ASSERT_TRUE(again.has_value());
   EXPECT_NEAR(again->flight_s, 13.0, 0.5) << "6 of the 20 s it stood, one is the filter's";
 }
@@ -285,7 +285,7 @@ TEST_F(ResidualWatchBuffer, RefusesWhatIsNotSoundAndForgetsWhenTheClockStepsBack
   wild.stamp = FromSeconds(118.002);
   wild.speed = RotorVector::Constant(4, std::numeric_limits<double>::infinity());
   watch.Add(wild);
-  const std::optional<ResidualLook> look = watch.Look();
+  const std::optional<ResidualAnalysis> look = watch.Look();
   ASSERT_TRUE(look.has_value());
   EXPECT_LT(look->force_rmse_N.norm(), 20.0);
   watch.Clear();

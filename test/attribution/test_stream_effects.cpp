@@ -1,8 +1,10 @@
 // Offsets of streams that inspection takes off a recording, named by close_loop.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <string>
+#include <utility>
 
 #include "odmc/attribution/close_loop_report.h"
 #include "odmc/attribution/stream_effects.h"
@@ -45,7 +47,8 @@ AddedEffect Effect(const std::string& name, double score, const std::string& par
 TEST(StreamEffects, LateRotorSpeedsAreAnEffect) {
   for (const double lag_s : {0.035, -0.035}) {
     ClosedLoop loop;
-    AddInspection(Inspected(Offset("rotor_speeds", lag_s, 0.001), true), CloseLoopOptions(), &loop);
+    AddInspection(Inspected(Offset("rotor_speeds", lag_s, 0.001), true), CloseLoopOptions(),
+                  NominalVehicle(), &loop);
     EXPECT_EQ(loop.verdict, Verdict::kEffect);
     ASSERT_EQ(loop.effects.size(), 1u);
     const RankedEffect& effect = loop.effects[0].effect;
@@ -70,7 +73,8 @@ TEST(StreamEffects, AreHeldToWhatHoldsForOthers) {
   const auto named = [](double sigma_s, const CloseLoopOptions& options) {
     ClosedLoop loop;
     loop.ranking.resize(22);
-    AddInspection(Inspected(Offset("rotor_speeds", 0.01, sigma_s), true), options, &loop);
+    AddInspection(Inspected(Offset("rotor_speeds", 0.01, sigma_s), true), options, NominalVehicle(),
+                  &loop);
     EXPECT_EQ(loop.findings.size(), 1u);
     EXPECT_EQ(loop.verdict == Verdict::kEffect, !loop.effects.empty());
     return loop.effects.size();
@@ -87,9 +91,27 @@ TEST(StreamEffects, AreHeldToWhatHoldsForOthers) {
   EXPECT_EQ(named(0.001, options), 0u);
 }
 
+// Some milliseconds are on any recording, however surely they are seen.
+TEST(StreamEffects, AnOrdinaryDelayIsAWarning) {
+  for (const auto& [lag_s, num_named] :
+       {std::pair<double, size_t>{0.004, 0}, {-0.004, 0}, {0.008, 1}}) {
+    ClosedLoop loop;
+    AddInspection(Inspected(Offset("rotor_speeds", lag_s, 0.0004), true), CloseLoopOptions(),
+                  NominalVehicle(), &loop);
+    EXPECT_EQ(loop.effects.size(), num_named) << lag_s;
+    EXPECT_EQ(loop.verdict == Verdict::kEffect, num_named == 1) << lag_s;
+    const bool warned =
+        std::any_of(loop.warnings.begin(), loop.warnings.end(), [](const std::string& warning) {
+          return warning.find("rotor_delay.delay is ") != std::string::npos;
+        });
+    EXPECT_EQ(warned, num_named == 0) << lag_s;
+  }
+}
+
 TEST(StreamEffects, AFiltersLagIsNone) {
   ClosedLoop loop;
-  AddInspection(Inspected(Offset("rotor_speeds", -0.006, 0.001), false), CloseLoopOptions(), &loop);
+  AddInspection(Inspected(Offset("rotor_speeds", -0.006, 0.001), false), CloseLoopOptions(),
+                NominalVehicle(), &loop);
   EXPECT_EQ(loop.verdict, Verdict::kNone);
   EXPECT_TRUE(loop.effects.empty());
   EXPECT_EQ(loop.time_offsets.size(), 1u);
@@ -97,7 +119,8 @@ TEST(StreamEffects, AFiltersLagIsNone) {
 
 TEST(StreamEffects, ALateVelocityIsAFindingOnly) {
   ClosedLoop loop;
-  AddInspection(Inspected(Offset("velocity", 0.028, 0.0001), true), CloseLoopOptions(), &loop);
+  AddInspection(Inspected(Offset("velocity", 0.028, 0.0001), true), CloseLoopOptions(),
+                NominalVehicle(), &loop);
   EXPECT_EQ(loop.verdict, Verdict::kNone);
   EXPECT_TRUE(loop.effects.empty());
   EXPECT_EQ(loop.findings.size(), 1u);
@@ -108,7 +131,8 @@ TEST(StreamEffects, StandAmongTheOthersByTheirScore) {
   loop.verdict = Verdict::kEffect;
   loop.effects = {Effect("quadratic_drag", 1e4, "quadratic_drag.c_q", 1.0),
                   Effect("wind", 1.0, "wind.w_x", 1.0)};
-  AddInspection(Inspected(Offset("rotor_speeds", 0.02, 0.001), true), CloseLoopOptions(), &loop);
+  AddInspection(Inspected(Offset("rotor_speeds", 0.02, 0.001), true), CloseLoopOptions(),
+                NominalVehicle(), &loop);
   ASSERT_EQ(loop.effects.size(), 3u);
   EXPECT_EQ(loop.effects[1].effect.name, "rotor_delay");
 }
@@ -117,7 +141,8 @@ TEST(StreamEffects, WhatIsLeftOfAnOffsetIsAdded) {
   ClosedLoop loop;
   loop.verdict = Verdict::kEffect;
   loop.effects = {Effect("rotor_delay", 12.0, "rotor_delay.delay", 0.004)};
-  AddInspection(Inspected(Offset("rotor_speeds", 0.02, 0.003), true), CloseLoopOptions(), &loop);
+  AddInspection(Inspected(Offset("rotor_speeds", 0.02, 0.003), true), CloseLoopOptions(),
+                NominalVehicle(), &loop);
   ASSERT_EQ(loop.effects.size(), 1u);
   EXPECT_DOUBLE_EQ(loop.effects[0].effect.Find("rotor_delay.delay")->value, 0.024);
   EXPECT_GT(loop.effects[0].effect.score, 12.0);
@@ -126,7 +151,8 @@ TEST(StreamEffects, WhatIsLeftOfAnOffsetIsAdded) {
 TEST(StreamEffects, WhatStaysUnexplainedStaysSo) {
   ClosedLoop loop;
   loop.verdict = Verdict::kUnexplained;
-  AddInspection(Inspected(Offset("rotor_speeds", 0.02, 0.001), true), CloseLoopOptions(), &loop);
+  AddInspection(Inspected(Offset("rotor_speeds", 0.02, 0.001), true), CloseLoopOptions(),
+                NominalVehicle(), &loop);
   EXPECT_EQ(loop.verdict, Verdict::kUnexplained);
   EXPECT_EQ(loop.effects.size(), 1u);
 }
@@ -144,7 +170,7 @@ TEST(StreamEffects, NamedInARecordingThatWasMended) {
   FlightLog log = Simulate(truth, DefaultTruth(truth), simulation, noise).log;
   const StreamInspection inspection = InspectOrRefuse(vehicle, false, "", &log);
   ClosedLoop loop = CloseLoop(log, vehicle, vehicle, CloseLoopOptions());
-  AddInspection(inspection, CloseLoopOptions(), &loop);
+  AddInspection(inspection, CloseLoopOptions(), NominalVehicle(), &loop);
   ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
   ASSERT_EQ(loop.effects.size(), 1u) << CloseLoopTable(loop);
   const ParameterEstimate* delay = loop.effects[0].effect.Find("rotor_delay.delay");

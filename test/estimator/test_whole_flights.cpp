@@ -4,7 +4,7 @@
 #include <random>
 
 #include "odmc/analysis/replay.h"
-#include "odmc/estimator/last_look.h"
+#include "odmc/estimator/thirds_consistency.h"
 #include "odmc/math/so3.h"
 #include "odmc/sim/simulator.h"
 #include "odmc/sim/truth_vehicle.h"
@@ -200,7 +200,7 @@ TEST_F(WholeFlight, TheThirdsTellWhatChangedInBetween) {
   const auto findings = [&](const FlightLog& log) {
     Estimator estimator(&model, OfflineOptions(), true);
     const ReplayResult replay = Replay(log, &estimator);
-    return LastLookFindings(model, replay.last->values, estimator.LastLook());
+    return LastLookFindings(model, replay.last->values, estimator.CompareThirds());
   };
   EXPECT_EQ(TrustOf(findings(log_)), Trust::kGood);
   FlightLog log = log_;

@@ -246,7 +246,7 @@ TEST(JointLoop, RefusesWhatJumpsWhereFlightsContradictEachOther) {
   RankedEffect effect = Ranked("odometry_extrinsics", 270.0, names, Eigen::Vector2d(-0.017, -0.033),
                                Eigen::Vector2d(0.001, 0.001));
   const auto says = [](std::initializer_list<double> nats) {
-    std::vector<FlightSays> flights;
+    std::vector<FlightEvidence> flights;
     for (const double n : nats) flights.push_back({n, {}});
     return flights;
   };

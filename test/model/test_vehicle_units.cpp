@@ -26,7 +26,7 @@ void ScaleArms(double factor, Vehicle* vehicle) {
 
 TEST(VehicleUnits, VehiclesOfAnySizeAreRight) {
   for (const double size : {0.3, 0.5, 1.0, 2.0, 4.0}) {
-    const UnitSlip slip = FindUnitSlip(Sized(size));
+    const UnitError slip = FindUnitError(Sized(size));
     EXPECT_FALSE(slip.Refutes()) << size << ": " << slip.Sentence();
     EXPECT_GT(slip.file_share, 0.9) << size << ": " << slip.Sentence();
   }
@@ -36,16 +36,16 @@ TEST(VehicleUnits, GuessesWithinAFactorOfTwoAreNoSlip) {
   for (const double factor : {0.5, 2.0}) {
     Vehicle vehicle = test::NominalVehicle();
     vehicle.inertia_kg_m2 *= factor;
-    EXPECT_FALSE(FindUnitSlip(vehicle).Refutes()) << factor;
+    EXPECT_FALSE(FindUnitError(vehicle).Refutes()) << factor;
     vehicle = test::NominalVehicle();
     vehicle.mass_kg *= factor;
-    EXPECT_FALSE(FindUnitSlip(vehicle).Refutes()) << factor;
+    EXPECT_FALSE(FindUnitError(vehicle).Refutes()) << factor;
   }
 }
 
 TEST(VehicleUnits, NamesTheSlip) {
   const auto named = [](const Vehicle& vehicle, const std::string& text) {
-    const UnitSlip slip = FindUnitSlip(vehicle);
+    const UnitError slip = FindUnitError(vehicle);
     EXPECT_TRUE(slip.Refutes()) << slip.Sentence();
     EXPECT_GT(slip.best_share, 0.8) << slip.Sentence();
     EXPECT_NE(slip.Sentence().find(text), std::string::npos) << slip.Sentence();

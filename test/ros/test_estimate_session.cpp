@@ -60,8 +60,8 @@ class EstimateSessionTest : public testing::Test {
     }
   }
 
-  ResidualLook Found() const {
-    ResidualLook look;
+  ResidualAnalysis Found() const {
+    ResidualAnalysis look;
     look.model = session_.model();
     look.candidate = RankedEffect();
     look.candidate->name = kEffect;
@@ -95,7 +95,7 @@ TEST_F(EstimateSessionTest, LearnsNothingWhileItIsFrozen) {
 
 TEST_F(EstimateSessionTest, AddsWhatWasFoundUntilItIsReset) {
   ASSERT_GT(FlyUntil(3.0), 0);
-  const ResidualLook found = Found();
+  const ResidualAnalysis found = Found();
   ASSERT_TRUE(session_.Extend(found, true));
   EXPECT_TRUE(HasEffect());
   EXPECT_FALSE(session_.Extend(found, true)) << "was found about the model before";
@@ -133,7 +133,7 @@ class EstimateTrustTest : public testing::Test {
 
   /// @param change of k_f without the error
   void Doubt(double change) {
-    BackgroundLooks::StreamsFound found;
+    BackgroundAnalysis::StreamsFound found;
     found.model = model_;
     found.inspection.doubts = {{"rotor_speeds", 0.0, 0.95, 1}};
     found.changes = {Eigen::VectorXd::Unit(snapshot_.values.size(), k_f_) * change};

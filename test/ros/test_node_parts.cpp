@@ -10,7 +10,7 @@
 #include <thread>
 
 #include "odmc/estimator/acceptance.h"
-#include "odmc/ros/background_looks.h"
+#include "odmc/ros/background_analysis.h"
 #include "odmc/ros/conversions.h"
 #include "odmc/ros/estimate_messages.h"
 #include "odmc/ros/input_queue.h"
@@ -195,7 +195,7 @@ TEST(EstimatorDiagnostic, WarnsWhileNothingIsLearned) {
 }
 
 /// The newest seconds of a flight in which k_m is taken for `share` of the true one.
-BackgroundLooks::StreamsSeen SeenWith(double share, bool estimated) {
+BackgroundAnalysis::StreamsSeen SeenWith(double share, bool estimated) {
   Vehicle vehicle = test::NominalVehicle();
   const DynamicModel flown(vehicle, vehicle.effects);
   const ModelValues truth = DefaultTruth(flown);
@@ -204,7 +204,7 @@ BackgroundLooks::StreamsSeen SeenWith(double share, bool estimated) {
   options.log_rate_hz = 200.0;
   SimulationNoise noise;
   noise.rotor_speed_rad_s = 0.3;
-  BackgroundLooks::StreamsSeen seen;
+  BackgroundAnalysis::StreamsSeen seen;
   seen.log = Simulate(flown, truth, options, noise).log;
   const int k_m = flown.IndexOf("rotor_torque.k_m");
   vehicle.parameters["rotor_torque.k_m"].value = share * truth[k_m];
@@ -218,23 +218,23 @@ BackgroundLooks::StreamsSeen SeenWith(double share, bool estimated) {
   return seen;
 }
 
-TEST(BackgroundLooks, AskWhetherAReactionThatIsHeldIsRight) {
-  const TorqueBands right = BackgroundLooks::BandsOf(SeenWith(1.0, false));
+TEST(BackgroundAnalysis, AskWhetherAReactionThatIsHeldIsRight) {
+  const TorqueBands right = BackgroundAnalysis::BandsOf(SeenWith(1.0, false));
   ASSERT_TRUE(right.k_m);
   EXPECT_FALSE(right.k_m->contradicted);
   // The estimator learns it: nobody has to look. Nor can anybody without an estimate.
-  EXPECT_FALSE(BackgroundLooks::BandsOf(SeenWith(0.5, true)).k_m);
-  BackgroundLooks::StreamsSeen early = SeenWith(0.5, false);
+  EXPECT_FALSE(BackgroundAnalysis::BandsOf(SeenWith(0.5, true)).k_m);
+  BackgroundAnalysis::StreamsSeen early = SeenWith(0.5, false);
   early.values.reset();
-  EXPECT_FALSE(BackgroundLooks::BandsOf(early).k_m);
+  EXPECT_FALSE(BackgroundAnalysis::BandsOf(early).k_m);
 }
 
-TEST(BackgroundLooks, FindThatTheFlightContradictsAReaction) {
+TEST(BackgroundAnalysis, FindThatTheFlightContradictsAReaction) {
   InputQueue queue(10);
-  BackgroundLooks looks(
-      {}, [](const ResidualLook&) {}, &queue);
+  BackgroundAnalysis looks(
+      {}, [](const ResidualAnalysis&) {}, &queue);
   looks.Inspect(SeenWith(0.5, false));
-  std::optional<BackgroundLooks::StreamsFound> found;
+  std::optional<BackgroundAnalysis::StreamsFound> found;
   for (int i = 0; i < 1200 && !found; ++i) {  // of low priority, on a busy machine
     std::this_thread::sleep_for(std::chrono::milliseconds(100));
     found = looks.TakeInspection();
@@ -565,8 +565,8 @@ TEST(LiveImage, ShowsParametersAndResidualsAndStaysBounded) {
 
 // ---- What the model leaves unexplained ---------------------------------------------------------
 
-ResidualLook LookAtDrag() {
-  ResidualLook look;
+ResidualAnalysis LookAtDrag() {
+  ResidualAnalysis look;
   look.stamp = 1500000000;
   look.flight_s = 19.0;
   look.model = std::make_shared<DynamicModel>(test::NominalVehicle(), test::PaperEffects());
@@ -625,7 +625,7 @@ TEST(Unexplained, MessageHoldsTheLook) {
   ASSERT_EQ(m.parameters.size(), 1u);
   EXPECT_EQ(m.parameters.front().unit, "kg/m");
   EXPECT_EQ(m.added, std::vector<std::string>{"wind"});
-  ResidualLook nothing = LookAtDrag();
+  ResidualAnalysis nothing = LookAtDrag();
   nothing.candidate.reset();
   const UnexplainedResidual without = ToMessage(nothing, "base_link", {});
   EXPECT_TRUE(without.candidate.empty());

@@ -31,7 +31,7 @@ struct FlownFigures {
 };
 
 /// What a flight says about one parameter of the declared model.
-struct ParameterLesson {
+struct ParameterObservability {
   std::string full_name, unit;
   double value = 0.0, sigma = 0.0;
   double prior_sigma = 0.0;
@@ -58,9 +58,9 @@ struct FlightInspection {
   StreamInspection inspection;         ///< findings of streams and vehicle file, offsets, refusal
   std::vector<PhaseSpan> phases;
   Stamp first_stamp = 0;
-  std::optional<FlownFigures> flown;     ///< empty: never airborne
-  std::vector<ParameterLesson> lessons;  ///< empty where nothing can be learned
-  std::vector<std::string> notes;        ///< what the reader of the recording said
+  std::optional<FlownFigures> flown;            ///< empty: never airborne
+  std::vector<ParameterObservability> lessons;  ///< empty where nothing can be learned
+  std::vector<std::string> notes;               ///< what the reader of the recording said
   /// Without a vehicle file. The lessons then have no values: these scale with the mass.
   std::optional<RotorGuess> rotors;
 };

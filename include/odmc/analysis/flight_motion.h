@@ -13,6 +13,11 @@
 
 namespace odmc {
 
+/// What a gyro tells of the motion, smoothed, in the IMU's axes and with its bias.
+struct GyroMotion {
+  Eigen::Vector3d w_I, w_dot_I;  ///< angular rate and acceleration [rad/s, rad/s²]
+};
+
 /// Smoothed motion of the odometry sensor and of the rotors at one sample.
 struct FilteredMotion {
   double t_s = 0.0;  ///< since the first odometry sample
@@ -22,6 +27,7 @@ struct FilteredMotion {
   Eigen::Vector3d w_S, w_dot_S;  ///< angular rate and acceleration in S [rad/s, rad/s²]
   RotorState rotors;
   std::optional<Eigen::Vector3d> specific_force_I;  ///< of the accelerometer, if any [m/s²]
+  std::optional<GyroMotion> gyro;                   ///< if any
   bool follows = false;  ///< the sample before it is the recording's sample before it
 };
 
@@ -63,9 +69,9 @@ void AddGroundTouches(const FlightLog& log, const std::vector<PhaseSpan>& phases
                       const Vehicle& vehicle, std::vector<std::pair<Stamp, Stamp>>* left_out);
 
 /// Pull of a suspended load per unit of load, sample by sample of one flight.
-class LoadPuller {
+class LoadForceEvaluator {
  public:
-  explicit LoadPuller(const DynamicModel& model) : load_(model, false) {}
+  explicit LoadForceEvaluator(const DynamicModel& model) : load_(model, false) {}
 
   /// At the next sample, in W [m/s²].
   Eigen::Vector3d PullAt(const FilteredMotion& now, const ModelValues& values);

@@ -38,9 +38,9 @@ RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicl
 
 /// The same of a flight whose model takes the point to be known, as the vehicle file has it; of a
 /// long one, of its last minute.
-RecordedPoint AskForPoint(const FlightLog& log, const Vehicle& file_vehicle,
-                          const DynamicModel& model, const ModelValues& values,
-                          const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
+RecordedPoint FindPointOfKnownMount(const FlightLog& log, const Vehicle& file_vehicle,
+                                    const DynamicModel& model, const ModelValues& values,
+                                    const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
 
 /// A remark where the point is another than the model takes to be known: by chance in less than one
 /// flight in a thousand, by more than vehicles are measured to (5 mm), and by no more than their

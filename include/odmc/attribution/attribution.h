@@ -76,11 +76,16 @@ class Attribution {
   Attribution(Attribution&&) = default;  // what flights_ points to stays where it is
 
   /// Does all of it.
-  void Run();
+  void Run() {
+    Search();
+    PutOrdinaryAside();
+  }
 
   /// Effects that act, most telling first, and every candidate on its own, best first.
   const std::vector<RankedEffect>& effects() const { return effects_; }
   const std::vector<RankedEffect>& ranking() const { return ranking_; }
+  /// Effects that act, but no more than on any recording (IsOrdinary()); part of point().
+  const std::vector<RankedEffect>& ordinary() const { return ordinary_; }
   /// The model with the effects, and the values of the joint fit.
   const ModelPoint& point() const { return point_; }
   /// Why what gained more than chance is not among them, by effect.
@@ -108,6 +113,8 @@ class Attribution {
   double SurrogatePValue(double gain) const;
 
  private:
+  void Search();
+  void PutOrdinaryAside();
   void Screen(Evidence* evidence) const;
   void Polish(Evidence* evidence) const;
   void Rank(const Evidence& evidence);
@@ -130,8 +137,8 @@ class Attribution {
   VariantSet Confirmed(const Evidence& with, VariantSet set);
   RankedEffect Describe(const Evidence& evidence, int variant, const VariantSet& set) const;
   /// What each of several flights says of an effect of a set.
-  std::vector<FlightSays> ByFlight(const Evidence& evidence, int variant,
-                                   const VariantSet& set) const;
+  std::vector<FlightEvidence> ByFlight(const Evidence& evidence, int variant,
+                                       const VariantSet& set) const;
   void FindAlternatives(const Evidence& evidence, const VariantSet& set, int variant,
                         RankedEffect* ranked) const;
   /// The effects of a confirmed set that are looked at first. What is small beside the largest may
@@ -153,7 +160,7 @@ class Attribution {
   /// is not refused where the blocks held out clearly speak for it.)
   /// @param fitted the point with the set, fitted
   /// @returns true if there are any
-  bool RefuseHollow(const Evidence& evidence, const VariantSet& set, const ModelPoint& fitted);
+  bool RejectByRescoring(const Evidence& evidence, const VariantSet& set, const ModelPoint& fitted);
   /// Takes away effects found earlier that one of the newest contains (ContainedEffects()).
   /// @param newest how many at the end of effects_ are
   void DropContained(size_t newest);
@@ -162,7 +169,7 @@ class Attribution {
   bool GivesUp() const { return give_up_ && give_up_(); }
 
   std::vector<Instruments> instruments_;  // by flight
-  std::vector<SeenFlight> flights_;
+  std::vector<FlightWithInstruments> flights_;
   FlexibleFeatures features_;
   FlexibleRest flexible_;
   ModelPoint point_;
@@ -171,7 +178,7 @@ class Attribution {
   std::function<bool()> give_up_;
   int jobs_;
   std::vector<double> null_gains_;
-  std::vector<RankedEffect> effects_, ranking_;
+  std::vector<RankedEffect> effects_, ordinary_, ranking_;
   std::map<std::string, std::string> refused_;
   std::set<std::string> hollow_;                  // no candidates of later rounds
   std::array<double, kNumChannels> explained_{};  // by what was added, over the noise [nats]

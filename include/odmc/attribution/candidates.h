@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "odmc/analysis/flight_motion.h"
+#include "odmc/attribution/ranked_effect.h"
 #include "odmc/model/effect_traits.h"
 #include "odmc/model/parameter_set.h"
 #include "odmc/model/vehicle.h"
@@ -66,8 +67,15 @@ std::vector<ParameterEstimate> DerivedFigures(const Vehicle& vehicle, const std:
 /// @param full_name "suspended_load.mass"
 bool IsSizeParameter(const Vehicle& vehicle, const std::string& full_name);
 
-/// What manoeuvre tells two effects apart (Effect::telling_pairs() of either); empty where none is
-/// known.
+/// True if an effect's first parameter is better explained by Effect::ordinary_sigma() than by its
+/// own prior, its error counted with both.
+/// @param vehicle any of the effect's; @param effect with the parameters that were found
+bool IsOrdinary(const Vehicle& vehicle, const RankedEffect& effect);
+/// What to warn of then: "rotor_delay.delay: 0.003 +- 0.0005 s, no more than ...".
+std::string OrdinaryText(const Vehicle& vehicle, const RankedEffect& effect);
+
+/// What manoeuvre tells two effects apart (Effect::distinguishing_manoeuvres() of either); empty
+/// where none is known.
 std::string TellingManoeuvre(const Vehicle& vehicle, const std::string& effect,
                              const std::string& alternative);
 

@@ -15,7 +15,7 @@ namespace odmc {
 /// @param effects which are asked about
 /// @param other the effect that may contain them
 /// @returns names of those that it contains, in the order of `effects`
-std::vector<std::string> ContainedEffects(const std::vector<SeenFlight>& flights,
+std::vector<std::string> ContainedEffects(const std::vector<FlightWithInstruments>& flights,
                                           const ModelPoint& point,
                                           const std::vector<std::string>& effects,
                                           const std::string& other);

@@ -21,9 +21,9 @@ struct EffectVariant {
   /// Columns of its parameters, in the order of Evidence's columns. The coefficient of a column is
   /// the parameter itself, not a step.
   std::vector<int> columns;
-  int offset = -1;             ///< column of what it does beyond its linearization; -1: nothing
-  double log_prior = 0.0;      ///< of its settings among those of the effect's candidates
-  double not_borne_out = 0.0;  ///< Evidence::CountWhatIsBorneOut() [nats]
+  int offset = -1;         ///< column of what it does beyond its linearization; -1: nothing
+  double log_prior = 0.0;  ///< of its settings among those of the effect's candidates
+  double linearization_penalty = 0.0;  ///< Evidence::CountWhatIsBorneOut() [nats]
 };
 
 /// Variants that act together, by their numbers in Evidence; of an effect at most one.
@@ -39,7 +39,7 @@ struct EffectFit {
 
 /// What a physical sign says of a coefficient: log of its prior density over that of a symmetric
 /// one, integrated over what is known of it [nats]. The sign is right with probability 1 -
-/// `kStrange`, or for certain.
+/// `kOutlierPriorShare`, or for certain.
 double LogSignOdds(PhysicalSign sign, bool is_certain, double value, double sigma);
 
 /// The residual wrench of one flight, or of several of one vehicle, under the declared model as a
@@ -54,20 +54,21 @@ double LogSignOdds(PhysicalSign sign, bool is_certain, double value, double sigm
 /// them, W (W'W)^-1 W' X_all (two-stage least squares): each column is foreseen by instruments of
 /// its own, and what those of one say of another must not be left to its coefficient.
 /// Prior knowledge enters as densities. A coefficient whose physical sign is known has it with
-/// probability 1 - `kStrange`; its size is normal with the catalogue's sigma, or with
-/// probability `kStrange` with five times that. So what is strange costs some nats and is never
-/// ruled out.
+/// probability 1 - `kOutlierPriorShare`; its size is normal with the catalogue's sigma, or with
+/// probability `kOutlierPriorShare` with five times that. So what is strange costs some nats and is
+/// never ruled out.
 ///
 /// Of several flights the vehicle's parameters are shared, and each flight has its own of what
 /// BelongsToFlight(). Blocks held out enter nothing but HeldOutGain().
 class Evidence {
  public:
-  static constexpr double kStrange = 0.05;
+  static constexpr double kOutlierPriorShare = 0.05;
 
   /// @param flights at least one
   /// @param point the declared model and the values about which it is linearized
   /// @param jobs flights looked at at a time
-  Evidence(const std::vector<SeenFlight>& flights, const ModelPoint& point, int jobs = 1);
+  Evidence(const std::vector<FlightWithInstruments>& flights, const ModelPoint& point,
+           int jobs = 1);
 
   /// The function of FlexibleFeatures that gains most beside a set.
   struct FlexibleGain {

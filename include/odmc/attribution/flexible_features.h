@@ -11,7 +11,7 @@
 namespace odmc {
 
 /// A flight that evidence is taken from; both outlive that.
-struct SeenFlight {
+struct FlightWithInstruments {
   const ResidualModel* residual;
   const Instruments* instruments;
 };
@@ -30,18 +30,18 @@ struct FlexibleFeatures {
   /// By flight, of each channel of the force: samples × features.
   std::vector<std::array<Eigen::MatrixXd, 3>> world_foreseen;
 
-  explicit FlexibleFeatures(const std::vector<SeenFlight>& flights);
+  explicit FlexibleFeatures(const std::vector<FlightWithInstruments>& flights);
 
  private:
   void AddAlongBody(const std::vector<Eigen::MatrixXd>& signals,
                     const std::vector<Eigen::MatrixXd>& likely_signals,
-                    const std::vector<SeenFlight>& flights);
+                    const std::vector<FlightWithInstruments>& flights);
   void AddAlongWorld(const std::vector<Eigen::MatrixXd>& signals,
                      const std::vector<Eigen::MatrixXd>& likely_signals,
                      const std::vector<Eigen::MatrixXd>& near,
                      const std::vector<Eigen::MatrixXd>& likely_near,
                      const std::vector<std::string>& names_of_places,
-                     const std::vector<SeenFlight>& flights);
+                     const std::vector<FlightWithInstruments>& flights);
 };
 
 }  // namespace odmc

@@ -92,11 +92,12 @@ class FlightRegression {
 
   /// Sums of products of the declared model's columns, a candidate's, and the residual less what
   /// the candidate does beyond its linearization: by the noise, and as if that were white.
-  struct Glance {
+  struct QuickSums {
     std::vector<ResidualCoefficient> columns;  ///< the candidate's; empty if it does nothing
     Eigen::MatrixXd serial, white;
   };
-  Glance GlanceAt(const EffectCandidate& candidate, const std::map<std::string, double>& at) const;
+  QuickSums QuickSumsOf(const EffectCandidate& candidate,
+                        const std::map<std::string, double>& at) const;
 
   /// A function of the flight's samples in one channel, whitened.
   /// @param scale its unit [N or N m]
@@ -118,9 +119,9 @@ class FlightRegression {
     bool IsFinite() const;  ///< false where the model has no value, as with no mass left
   };
   enum What {
-    kAll,        ///< every parameter
-    kActing,     ///< those that do something
-    kAtAGlance,  ///< of these not what moves by itself, and without noise
+    kAll,     ///< every parameter
+    kActing,  ///< those that do something
+    kQuick,   ///< of these not what moves by itself, and without noise
   };
   Seen See(const EffectCandidate& candidate, const std::map<std::string, double>& at,
            What what) const;

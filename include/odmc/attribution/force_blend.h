@@ -6,9 +6,10 @@
 
 namespace odmc {
 
-/// Two measurements of a force as one: at each frequency each counts by how little noise it has. An
-/// accelerometer is the better one where the motion's derivative is noisy, odometry where the
-/// accelerometer drifts. What both feel passes as it is, so effects need no change.
+/// Two measurements of a force, or of a torque, as one: at each frequency each counts by how little
+/// noise it has. An accelerometer is the better one where the motion's derivative is noisy,
+/// odometry where the accelerometer drifts; of a torque a gyro or the odometry's rates, whichever
+/// is less noisy. What both feel passes as it is, so effects need no change.
 ///
 /// Frequencies are split into octaves by smoothing splines (the undecimated wavelet transform "a
 /// trous"; Shensa, IEEE Trans. Signal Processing 40, 1992), which know of gaps and ends.

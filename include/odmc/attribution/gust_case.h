@@ -31,7 +31,7 @@ struct GustCase {
 
 /// How much of a force that one sensor shows another shows, too: the regression of `again` on
 /// `foreseen`, both without their means, over all rows and columns.
-struct SeenAgain {
+struct SecondSensorShare {
   double share = 0.0;  ///< 1: all of it
   double sigma = 0.0;  ///< by blocks of the flight
 
@@ -43,9 +43,9 @@ struct SeenAgain {
 /// @param foreseen force by the one sensor (N×2) [N]
 /// @param again  by the other
 /// @returns nothing for no rows, or a flight of fewer than six blocks
-std::optional<SeenAgain> ShareSeenAgain(const ThinnedFlight& flight,
-                                        const Eigen::MatrixX2d& foreseen,
-                                        const Eigen::MatrixX2d& again);
+std::optional<SecondSensorShare> ShareInSecondSensor(const ThinnedFlight& flight,
+                                                     const Eigen::MatrixX2d& foreseen,
+                                                     const Eigen::MatrixX2d& again);
 
 /// The case for gusts behind what a model leaves; they vary, so that no fixed regressor shows them.
 /// @param left what the model leaves of the wrench (N×6)

@@ -11,7 +11,7 @@
 namespace odmc {
 
 /// What one flight of several says of an effect.
-struct FlightSays {
+struct FlightEvidence {
   double nats = 0.0;  ///< gain of its log-likelihood by the effect, all others known [nats]
   std::vector<ParameterEstimate> parameters;  ///< as this flight alone has them
 };
@@ -35,8 +35,8 @@ struct RankedEffect {
   /// Of each of them: probability a posteriori that it acts in this one's place, if one of all
   /// does.
   std::vector<double> alternative_shares = {};
-  std::vector<std::string> remarks;        ///< what is strange about it
-  std::vector<FlightSays> by_flight = {};  ///< of several flights, in their order
+  std::vector<std::string> remarks;            ///< what is strange about it
+  std::vector<FlightEvidence> by_flight = {};  ///< of several flights, in their order
   bool is_unphysical = false;  ///< a coefficient has a sign that it can't have, beyond two sigma
 
   /// nullptr if it has no such parameter

@@ -26,35 +26,55 @@ struct BlockSplit {
   }
 
   int BlockAt(double t_s) const { return static_cast<int>(t_s / block_s); }
+  double share_in_use() const { return hold_out_every > 1 ? 1.0 - 1.0 / hold_out_every : 1.0; }
   bool IsHeldOut(double t_s) const {
     return hold_out_every > 1 && BlockAt(t_s) % hold_out_every == hold_out_every - 2;
   }
 };
 
-/// A flight thinned to equally spaced samples near 25 Hz (the filter's bandwidth leaves nothing
-/// above), cut into blocks of time of which some are held out.
+/// How a flight is thinned to fewer samples.
+enum class Thinning {
+  /// Each is the mean over its step. A derivative's noise grows with frequency: what of it lies
+  /// above half the new rate averages out. Picked ones where less than kLeastForMeans_s are in use.
+  kMean,
+  /// Each is one of the recording's. Noise above half the new rate comes back as slow.
+  kPick,
+};
+
+/// A flight thinned to equally spaced samples near 25 Hz, cut into blocks of time of which some are
+/// held out.
 class ThinnedFlight {
  public:
   static constexpr double kStep_s = 0.04;
+  /// Of a shorter flight SerialNoise does not resolve a spectrum to 1 Hz, and so not how steeply
+  /// that of means falls towards zero: their slow noise would seem larger than that of picked
+  /// samples.
+  static constexpr double kLeastForMeans_s = 20.0;
 
   /// @param R_BS turns the odometry's axes into the body axes of the vehicle file
   /// @param most_s of a flight longer than this only stretches of that length together are taken,
   /// spread evenly over it; 0: all
   ThinnedFlight(FlightMotion flight, const BlockSplit& blocks,
-                const Eigen::Matrix3d& R_BS = Eigen::Matrix3d::Identity(), double most_s = 0.0);
+                const Eigen::Matrix3d& R_BS = Eigen::Matrix3d::Identity(), double most_s = 0.0,
+                Thinning thinning = Thinning::kMean);
 
-  int size() const { return static_cast<int>(index_.size()); }
+  int size() const { return static_cast<int>(samples_.size()); }
+  /// All of the recording's samples.
   const FlightMotion& motion() const { return flight_; }
-  const FilteredMotion& sample(int i) const { return flight_.samples[index_[i]]; }
+  const FilteredMotion& sample(int i) const { return samples_[static_cast<size_t>(i)]; }
+  /// Sample of motion() in the middle of sample(i).
   size_t index(int i) const { return index_[i]; }
   /// Attitude, velocity [m/s] and rate [rad/s] of the body axes of the vehicle file.
   Eigen::Matrix3d R_WB(int i) const { return sample(i).R_WS * R_BS_.transpose(); }
   Eigen::Vector3d v_B(int i) const { return R_WB(i).transpose() * sample(i).v_WS; }
   Eigen::Vector3d w_B(int i) const { return R_BS_ * sample(i).w_S; }
+  /// True if it follows sample i - 1 at an equal step.
   bool next(int i) const { return next_[i]; }
   int block(int i) const { return blocks_.BlockAt(sample(i).t_s); }
   bool held_out(int i) const { return blocks_.IsHeldOut(sample(i).t_s); }
   double step_s() const { return step_s_; }
+  /// True if samples are means (of more than one).
+  bool takes_means() const { return takes_means_; }
 
   /// The same samples moving otherwise.
   /// @param samples one for each of this flight's
@@ -72,6 +92,8 @@ class ThinnedFlight {
   BlockSplit blocks_;
   Eigen::Matrix3d R_BS_;
   double step_s_;
+  bool takes_means_ = false;
+  std::vector<FilteredMotion> samples_;
   std::vector<size_t> index_;
   std::vector<bool> next_;
 };
@@ -89,23 +111,25 @@ class ResidualModel {
 
   using Wrenches = Eigen::Matrix<double, Eigen::Dynamic, kNumChannels>;
 
-  /// From here on the force along the rotors' axes (body z) of Residual() and Derivative() is the
-  /// blend of what the accelerometer feels and what the motion says, weighed by their noise about
-  /// this model. Across them it stays the accelerometer's: by the motion it has errors of attitude
-  /// and of gravity's direction in it, times the weight, which look like wind and leaning rotors.
-  /// But where the accelerometer is the noisier one there, as by vibration that it samples too
-  /// slowly, and the motion shows all that it feels, the force across the axes is the motion's.
-  /// Nothing without an accelerometer.
-  void BlendForces(const DynamicModel& model, const ModelValues& values);
+  /// From here on Residual() and Derivative() blend the sensors there are, weighed by their noise
+  /// about this model. The torque is blended of the gyro and of the odometry's rates; how the one
+  /// is mounted on the other is fitted to the two rates. The force along the rotors' axes (body z)
+  /// is blended of what the accelerometer feels and what the motion says. Across them it stays the
+  /// accelerometer's: by the motion it has errors of attitude and of gravity's direction in it,
+  /// times the weight, which look like wind and leaning rotors. But where the accelerometer is the
+  /// noisier one there, as by vibration that it samples too slowly, and the motion shows all that
+  /// it feels, the force across the axes is the motion's. Nothing without an IMU.
+  void BlendSensors(const DynamicModel& model, const ModelValues& values);
   /// By the weights of another, of the same samples.
   void BlendAs(const ResidualModel& other) {
     blend_ = other.blend_;
+    R_SI_ = other.R_SI_;
     across_by_motion_ = other.across_by_motion_;
   }
 
   /// Weight of the accelerometer, and so of its bias, in a constant force.
   double felt_share_of_constant(int axis) const {
-    if (is_blend(axis)) return blend_->felt_weight().back();
+    if (is_blend(axis)) return blend_[static_cast<size_t>(axis)]->felt_weight().back();
     return across_by_motion_ ? 0.0 : 1.0;
   }
 
@@ -140,8 +164,12 @@ class ResidualModel {
   bool from_accelerometer() const { return from_accelerometer_; }
   /// True if the force across the rotors' axes is the motion's all the same, see BlendForces().
   bool across_by_motion() const { return across_by_motion_; }
-  /// True if the channel's force is a blend of two sensors.
-  bool is_blend(int channel) const { return blend_ && channel == kBlended; }
+  /// True if the gyro is there at every sample.
+  bool from_gyro() const { return from_gyro_; }
+  /// R_SI: axes of the IMU in those of the odometry, from the rates of both; where from_gyro().
+  Eigen::Matrix3d GyroInOdometry() const;
+  /// True if the channel is a blend of two sensors.
+  bool is_blend(int channel) const { return blend_[static_cast<size_t>(channel)].has_value(); }
   int num_channels() const { return with_torque_ ? kNumChannels : 3; }
 
  private:
@@ -150,6 +178,14 @@ class ResidualModel {
   /// Measured minus predicted force by the accelerometer, and by the motion (N×3).
   Eigen::MatrixX3d FeltForce(const std::vector<PredictionSample>& samples) const;
   static Eigen::MatrixX3d MotionForce(const std::vector<PredictionSample>& samples);
+  /// Measured minus predicted angular acceleration times the file's inertia, by the odometry and by
+  /// the gyro (N×3) [N m].
+  Eigen::MatrixX3d MotionTorque(const std::vector<PredictionSample>& samples) const;
+  Eigen::MatrixX3d GyroTorque(const std::vector<PredictionSample>& samples) const;
+  void BlendForces(const std::vector<PredictionSample>& samples);
+  void BlendTorques(const std::vector<PredictionSample>& samples);
+  /// @param felt, by_motion measured minus predicted by either sensor
+  ForceBlend BlendOf(const Eigen::VectorXd& felt, const Eigen::VectorXd& by_motion) const;
   /// True if the force by the motion is the better one across the rotors' axes.
   bool IsMotionBetter(const Eigen::MatrixX3d& felt, const Eigen::MatrixX3d& by_motion) const;
   /// Residual() with one value moved by `step`.
@@ -157,10 +193,11 @@ class ResidualModel {
 
   const ThinnedFlight* flight_;
   const Vehicle* file_vehicle_;
-  static constexpr int kBlended = 2;  // channel
+  static constexpr int kAlongRotors = 2;  // channel
 
-  bool with_torque_, from_accelerometer_, across_by_motion_ = false;
-  std::optional<ForceBlend> blend_;
+  bool with_torque_, from_accelerometer_, from_gyro_, across_by_motion_ = false;
+  std::array<std::optional<ForceBlend>, kNumChannels> blend_;  // channels of two sensors
+  Eigen::Matrix3d R_SI_ = Eigen::Matrix3d::Identity();
 };
 
 }  // namespace odmc

@@ -35,7 +35,7 @@ struct ResidualWatchOptions {
 };
 
 /// What the newest seconds of a flight leave unexplained. All numbers are finite.
-struct ResidualLook {
+struct ResidualAnalysis {
   Stamp stamp = 0;        ///< newest odometry looked at
   double flight_s = 0.0;  ///< airborne time looked at [s]
   std::shared_ptr<const DynamicModel> model;
@@ -83,7 +83,7 @@ class ResidualWatch {
   /// Looks if it is time to, the vehicle flies, and enough of the flight is there; else empty.
   /// Takes seconds.
   /// @param give_up asked now and then; true ends the look without a result
-  std::optional<ResidualLook> Look(const std::function<bool()>& give_up = {});
+  std::optional<ResidualAnalysis> Look(const std::function<bool()>& give_up = {});
   /// Samples that are kept. Not while another thread looks.
   size_t size() const;
 
@@ -105,8 +105,8 @@ class ResidualWatch {
   void Keep(const Keyframe& keyframe);
   void ForgetBefore(Stamp stamp);
   ThinnedFlight Flight(Stamp start) const;
-  ResidualLook Examine(const ThinnedFlight& flight, const Estimate& estimate,
-                       const std::function<bool()>& give_up);
+  ResidualAnalysis Examine(const ThinnedFlight& flight, const Estimate& estimate,
+                           const std::function<bool()>& give_up);
 
   const Vehicle file_vehicle_;
   const ResidualWatchOptions options_;
@@ -136,6 +136,6 @@ class ResidualWatch {
 /// @param extended the vehicle with the effect, see VehicleWith()
 /// @param present the newest estimate of `found.model`
 Vehicle WarmStarted(const Vehicle& extended, const ParameterSet& present,
-                    const ResidualLook& found);
+                    const ResidualAnalysis& found);
 
 }  // namespace odmc

@@ -13,11 +13,11 @@ namespace odmc {
 /// and was taken off the recording, with a finding, is named among the effects: the residual does
 /// not show it any more. Its score is the offset's likelihood against that of right stamps, with
 /// the usual size of an offset as prior; what attribution found of it beside that is added. It is
-/// held to what holds for other effects: the rate of false alarms, their number, and what is ruled
-/// out.
-/// @param options as given to CloseLoop()
+/// held to what holds for other effects: the rate of false alarms, their number, what is ruled out,
+/// and what is ordinary (IsOrdinary()), of which a warning is all.
+/// @param options, vehicle as given to CloseLoop()
 void AddInspection(const StreamInspection& inspection, const CloseLoopOptions& options,
-                   ClosedLoop* loop);
+                   const Vehicle& vehicle, ClosedLoop* loop);
 
 /// CloseLoop() on a flight whose streams were compared: what may be wrong with them counts in the
 /// sigmas (SI units, frames of the vehicle file), what was found in findings and effects.

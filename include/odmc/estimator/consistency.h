@@ -3,7 +3,7 @@
 #include <Eigen/Core>
 #include <vector>
 
-#include "odmc/estimator/last_look.h"
+#include "odmc/estimator/thirds_consistency.h"
 
 namespace odmc {
 

@@ -114,7 +114,7 @@ class Estimator {
 
   /// Compares what the thirds of the flight so far say by themselves. @returns the parameters about
   /// which they disagree beyond sampling error (LastLookThreshold()), serial correlation included
-  std::vector<ThirdsDifference> LastLook() { return uncertainty_.CompareThirds(window_); }
+  std::vector<ThirdsDifference> CompareThirds() { return uncertainty_.CompareThirds(window_); }
 
   /// Calls `observe` in every update between the solve and the marginalization, untimed.
   void SetObserver(std::function<void(const SolvedWindow&)> observe) {

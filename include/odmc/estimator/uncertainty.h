@@ -6,10 +6,10 @@
 #include <vector>
 
 #include "odmc/estimator/consistency.h"
-#include "odmc/estimator/last_look.h"
 #include "odmc/estimator/noise_estimation.h"
 #include "odmc/estimator/regressor_noise.h"
 #include "odmc/estimator/snapshot.h"
+#include "odmc/estimator/thirds_consistency.h"
 #include "odmc/window/marginalization.h"
 #include "odmc/window/window.h"
 #include "odmc/window/window_solver.h"
@@ -56,7 +56,7 @@ class Uncertainty {
   LeavingFactors* leaving() { return &leaving_; }
   /// An interval of `dt` has left with what leaving() says; `eta` is the estimate.
   /// @param yaw_inertia_held its torque about z was that of the file's inertia
-  void SeeLeaving(double dt, const ParameterVector& eta, bool yaw_inertia_held);
+  void AccumulateMarginalized(double dt, const ParameterVector& eta, bool yaw_inertia_held);
 
   /// By how much the information of each parameter changes with the sizes of what is not modelled.
   ParameterVector ScaleOf(const ProcessNoiseEstimator::Change& change);

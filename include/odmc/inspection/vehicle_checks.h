@@ -7,7 +7,7 @@
 
 namespace odmc {
 
-/// Is a quantity of the file in another unit, see FindUnitSlip()? Needs no flight. Check
+/// Is a quantity of the file in another unit, see FindUnitError()? Needs no flight. Check
 /// "vehicle_units".
 void CheckVehicleUnits(const Vehicle& vehicle, StreamInspection* inspection);
 

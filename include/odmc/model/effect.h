@@ -82,7 +82,7 @@ class Effect {
   /// How the settings of a trial are refined, one after the other.
   virtual std::vector<SettingRefinement> refinements() const { return {}; }
   /// What tells it from other effects. One of the two says it.
-  virtual std::vector<TellingPair> telling_pairs() const { return {}; }
+  virtual std::vector<DistinguishingManoeuvre> distinguishing_manoeuvres() const { return {}; }
   /// Name of the own parameter that is a mass carried along [kg]; empty: none.
   virtual std::string added_mass_parameter() const { return ""; }
   /// What follows from its parameters and says more than these.
@@ -90,6 +90,10 @@ class Effect {
   virtual std::vector<DerivedFigure> DerivedFigures(const Eigen::VectorXd& own) const;
   /// Its internal state, where it is a pendulum: indices in parameters().
   virtual std::optional<PendulumParameters> pendulum() const { return std::nullopt; }
+
+  /// Standard deviation of the first own parameter on recordings on which nothing is out of the
+  /// ordinary: so much of the effect is warned of, and not named. 0: any of it is named.
+  virtual double ordinary_sigma() const { return 0.0; }
 
   /// What to fly so that a flight shows own parameter `k`, after "fly": "forward and back at
   /// several speeds".

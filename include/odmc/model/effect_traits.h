@@ -46,7 +46,7 @@ struct SettingRefinement {
 };
 
 /// What manoeuvre tells an effect from another one.
-struct TellingPair {
+struct DistinguishingManoeuvre {
   std::string other;
   std::string manoeuvre;
 };

@@ -7,7 +7,7 @@
 namespace odmc {
 
 /// What Bayes' rule says about units in a vehicle file.
-struct UnitSlip {
+struct UnitError {
   double file_share = 1.0;  ///< probability that no quantity is in another unit
   double best_share = 0.0;  ///< probability of the likeliest slip
   std::string what;         ///< "rotor positions (position_m) are in mm"
@@ -23,6 +23,6 @@ struct UnitSlip {
 /// against a file that is right, by three ratios in which multirotors are alike whatever their
 /// size: propeller radius over arm, inertia over mass times arm², mass over propeller area.
 /// @pre mass, inertia, arms and radii are positive
-UnitSlip FindUnitSlip(const Vehicle& vehicle);
+UnitError FindUnitError(const Vehicle& vehicle);
 
 }  // namespace odmc

@@ -25,7 +25,7 @@ DynamicParameters ToMessage(const DynamicModel& model, const Snapshot& snapshot,
 
 /// A look at the residual as a message.
 /// @param added effects that were added in flight
-UnexplainedResidual ToMessage(const ResidualLook& look, const std::string& body_frame,
+UnexplainedResidual ToMessage(const ResidualAnalysis& look, const std::string& body_frame,
                               const std::vector<std::string>& added);
 
 /// Pose and twist of the body (not of the sensor), twist in the body frame.

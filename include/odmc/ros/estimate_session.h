@@ -9,7 +9,7 @@
 #include "odmc/estimator/estimator.h"
 #include "odmc/fleet/unlike_history.h"
 #include "odmc/model/parameter_set.h"
-#include "odmc/ros/background_looks.h"
+#include "odmc/ros/background_analysis.h"
 #include "odmc/ros/estimate_publisher.h"
 #include "odmc/ros/estimate_trust.h"
 #include "odmc/ros/estimator_setup.h"
@@ -55,12 +55,12 @@ class EstimateSession {
   void KeepLast();
 
   /// A look at the streams, for the background.
-  BackgroundLooks::StreamsSeen SeenIn(FlightLog log) const;
+  BackgroundAnalysis::StreamsSeen SeenIn(FlightLog log) const;
   /// What it has found. Where streams are mended otherwise from now on, all is learned anew.
-  void Adopt(BackgroundLooks::StreamsFound found);
+  void Adopt(BackgroundAnalysis::StreamsFound found);
   /// Adds an effect that was found to the model; the estimate goes on.
   /// @returns false if it does not fit the present estimate, or cannot be added (said in the log)
-  bool Extend(const ResidualLook& found, bool with_torque);
+  bool Extend(const ResidualAnalysis& found, bool with_torque);
 
   /// The newest estimate; null: none.
   const Snapshot* last() const { return last_ ? &*last_ : nullptr; }
@@ -81,7 +81,7 @@ class EstimateSession {
  private:
   void HoldOut();
   void Forget(const char* why);
-  void LearnOfReaction(const BackgroundLooks::StreamsFound& found);
+  void LearnOfReaction(const BackgroundAnalysis::StreamsFound& found);
   void FillEstimate(NodeStatus* status) const;
   std::vector<std::string> UnlikeHistorySentences() const;
 

@@ -7,9 +7,9 @@
 #include <vector>
 
 #include "odmc/estimator/estimator.h"
-#include "odmc/inspection/live_mender.h"
+#include "odmc/inspection/online_stream_corrector.h"
 #include "odmc/inspection/stream_doubt.h"
-#include "odmc/ros/background_looks.h"
+#include "odmc/ros/background_analysis.h"
 #include "odmc/text/finding.h"
 
 namespace odmc {
@@ -24,7 +24,7 @@ class EstimateTrust {
 
   /// What a comparison of the streams has found. @returns true if streams are mended otherwise from
   ///   now on: they are others
-  bool Adopt(BackgroundLooks::StreamsFound found);
+  bool Adopt(BackgroundAnalysis::StreamsFound found);
   /// Every ten seconds of flight: do its thirds agree?
   /// @param values of the estimate, null: none
   void LookBack(const ModelValues* values, bool detects_changes, Estimator* estimator);
@@ -41,7 +41,7 @@ class EstimateTrust {
  private:
   void Renew();
 
-  LiveMender mender_;
+  OnlineStreamCorrector mender_;
   std::shared_ptr<const DynamicModel> doubted_;  // whose parameters changes_ are of
   std::vector<StreamDoubt> doubts_;              // what may be wrong with the streams
   std::vector<Eigen::VectorXd> changes_;         // what each doubt may make of the parameters

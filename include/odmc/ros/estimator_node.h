@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "odmc/inspection/stream_watch.h"
-#include "odmc/ros/background_looks.h"
+#include "odmc/ros/background_analysis.h"
 #include "odmc/ros/estimate_publisher.h"
 #include "odmc/ros/estimate_session.h"
 #include "odmc/ros/estimator_setup.h"
@@ -30,7 +30,7 @@ namespace odmc {
 /// The estimator on ROS. Callbacks convert and push on a bounded queue, nothing else (TopicIntake,
 /// InputQueue); one thread owns the estimate (EstimateSession) and publishes it
 /// (EstimatePublisher); another one reports once in a while (NodeReporter); a third one, of low
-/// priority, looks at what the model leaves unexplained (BackgroundLooks). Stop(), or the
+/// priority, looks at what the model leaves unexplained (BackgroundAnalysis). Stop(), or the
 /// destructor, works off what is queued (for at most two seconds) and writes the result.
 class EstimatorNode {
  public:
@@ -51,8 +51,8 @@ class EstimatorNode {
   void Warn(const std::string& sentence);
   void Tell(const std::string& sentence) const;
 
-  // The thread of BackgroundLooks.
-  void OnLook(const ResidualLook& look);
+  // The thread of BackgroundAnalysis.
+  void OnLook(const ResidualAnalysis& look);
 
   // Estimator thread: services.
   Answer Reset();
@@ -93,7 +93,7 @@ class EstimatorNode {
 
   // Set once in the constructor.
   const EstimatorNodeSetup setup_;
-  ros::Publisher unexplained_publisher_;  // of the thread of BackgroundLooks
+  ros::Publisher unexplained_publisher_;  // of the thread of BackgroundAnalysis
   std::vector<ros::ServiceServer> services_;
 
   // Shared by the threads; each guards itself.
@@ -113,7 +113,7 @@ class EstimatorNode {
 
   // Threads, started last and ended first; they use all of the above.
   std::thread estimator_thread_;
-  std::unique_ptr<BackgroundLooks> looks_;
+  std::unique_ptr<BackgroundAnalysis> looks_;
   std::unique_ptr<NodeReporter> reporter_;
   std::unique_ptr<TopicIntake> topics_;
 };

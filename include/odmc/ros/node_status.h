@@ -73,8 +73,8 @@ struct NodeStatus {
   size_t queued = 0;
   std::optional<RotorStatus> rotors;  ///< with a known actuator only
   bool watches_residual = false;
-  std::optional<ResidualLook> unexplained;  ///< the newest look
-  std::vector<std::string> added_effects;   ///< to the model, in flight
+  std::optional<ResidualAnalysis> unexplained;  ///< the newest look
+  std::vector<std::string> added_effects;       ///< to the model, in flight
 };
 
 /// The estimator's diagnostic: level, one sentence, all numbers.

@@ -144,7 +144,7 @@ class SimulatorNode {
     RotorVector values;  // throttles, or speeds [rad/s]
     bool is_throttle;
   };
-  struct Told {
+  struct CommandState {
     std::optional<Command> newest;
     long commands = 0, refused = 0;
     bool stopping = false;
@@ -152,8 +152,8 @@ class SimulatorNode {
 
   // Shared by the threads. Where both are held, the world is locked first.
   Guarded<World> world_;
-  Guarded<Told> told_;
-  std::condition_variable told_changed_;
+  Guarded<CommandState> command_state_;
+  std::condition_variable command_changed_;
   std::atomic<bool> paused_{false};
 
   // Owned by the stepping thread.

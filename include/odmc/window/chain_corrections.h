@@ -15,10 +15,10 @@ namespace odmc {
 /// Fronts that are corrected together (ChainFront::Correct).
 struct ChainSegment {
   std::int64_t first = 0;
-  ParameterVector at;     ///< parameters when they were evaluated
-  double bend = 0.0;      ///< error [sigmas] they make where parameters are a sigma from there
-  double expected = 0.0;  ///< error they make now [sigmas]
-  std::int64_t turn = 0;  ///< when they were evaluated
+  ParameterVector at;        ///< parameters when they were evaluated
+  double sensitivity = 0.0;  ///< error [sigmas] they make where parameters are a sigma from there
+  double expected = 0.0;     ///< error they make now [sigmas]
+  std::int64_t turn = 0;     ///< when they were evaluated
 };
 
 /// Brings the gradients of older fronts to the present estimate, a segment at a time, and tells all

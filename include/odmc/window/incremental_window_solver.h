@@ -87,7 +87,7 @@ class IncrementalWindowSolver final : public WindowSolver {
   Outcome Follow(Window* window, const Allowance& allowance);
   Outcome SettleRecent(Window* window);
   bool SweepOn(Window* window, const Allowance& allowance);
-  Outcome Hurry(Window* window, const Allowance& allowance);
+  Outcome AdvanceSweepToBudget(Window* window, const Allowance& allowance);
   Outcome Iterate(Window* window, int max_iterations, const Allowance& allowance);
   void AskForAlignment(const Window& window);
   int Work() const;

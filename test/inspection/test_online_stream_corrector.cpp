@@ -1,6 +1,6 @@
 #include <gtest/gtest.h>
 
-#include "odmc/inspection/live_mender.h"
+#include "odmc/inspection/online_stream_corrector.h"
 
 namespace odmc {
 namespace {
@@ -23,8 +23,8 @@ RotorSample Rotors(double t_s) {
   return sample;
 }
 
-TEST(LiveMender, TakesAnOffsetOffRotorSpeedsAndLeavesItUntilItIsAnother) {
-  LiveMender mender;
+TEST(OnlineStreamCorrector, TakesAnOffsetOffRotorSpeedsAndLeavesItUntilItIsAnother) {
+  OnlineStreamCorrector mender;
   RotorSample sample = Rotors(10.0);
   mender.Mend(&sample);
   EXPECT_EQ(sample.stamp, FromSeconds(10.0));
@@ -39,8 +39,8 @@ TEST(LiveMender, TakesAnOffsetOffRotorSpeedsAndLeavesItUntilItIsAnother) {
   EXPECT_DOUBLE_EQ(mender.OffsetOf("rotor_speeds"), 0.045);
 }
 
-TEST(LiveMender, AnOffsetThatItCannotTakeOffCostsTrust) {
-  LiveMender mender;
+TEST(OnlineStreamCorrector, AnOffsetThatItCannotTakeOffCostsTrust) {
+  OnlineStreamCorrector mender;
   EXPECT_FALSE(mender.Adopt(Found("velocity", 0.030, 0.001)));
   ASSERT_EQ(mender.findings().size(), 1u);
   EXPECT_EQ(mender.findings()[0].leaves, Trust::kDoubtful);
@@ -50,22 +50,22 @@ TEST(LiveMender, AnOffsetThatItCannotTakeOffCostsTrust) {
 
 // Rates share the poses' stamps and stay 9 ms late: rotor speeds, whose stamps are right, go with
 // them, so that cause and answer are at one time.
-TEST(LiveMender, RotorSpeedsAreBroughtToTheTimeOfRatesThatStayLate) {
+TEST(OnlineStreamCorrector, RotorSpeedsAreBroughtToTheTimeOfRatesThatStayLate) {
   StreamInspection inspection = Found("body_rates", 0.009, 0.001);
   inspection.offsets.push_back(Found("rotor_speeds", 0.0, 0.001).offsets.front());
-  LiveMender mender;
+  OnlineStreamCorrector mender;
   EXPECT_TRUE(mender.Adopt(inspection));
   EXPECT_DOUBLE_EQ(mender.OffsetOf("rotor_speeds"), -0.009);
   RotorSample sample = Rotors(10.0);
   mender.Mend(&sample);
   EXPECT_EQ(sample.stamp, FromSeconds(10.009));
   inspection.offsets.back().against = "velocity";  // its time was not that of the rates
-  LiveMender other;
+  OnlineStreamCorrector other;
   EXPECT_FALSE(other.Adopt(inspection));
 }
 
-TEST(LiveMender, GyroAndAccelerometerShareTheirStamps) {
-  LiveMender mender;
+TEST(OnlineStreamCorrector, GyroAndAccelerometerShareTheirStamps) {
+  OnlineStreamCorrector mender;
   EXPECT_TRUE(mender.Adopt(Found("gyro", -0.020, 0.001)));
   ImuSample sample;
   sample.stamp = FromSeconds(1.0);
@@ -73,8 +73,8 @@ TEST(LiveMender, GyroAndAccelerometerShareTheirStamps) {
   EXPECT_EQ(sample.stamp, FromSeconds(1.020));
 }
 
-TEST(LiveMender, DropsWhatIsWrongAndKeepsItDropped) {
-  LiveMender mender;
+TEST(OnlineStreamCorrector, DropsWhatIsWrongAndKeepsItDropped) {
+  OnlineStreamCorrector mender;
   StreamInspection inspection;
   inspection.drop_velocity = inspection.drop_gyro = true;
   EXPECT_TRUE(mender.Adopt(inspection));

@@ -1,4 +1,4 @@
-#include "odmc/estimator/last_look.h"
+#include "odmc/estimator/thirds_consistency.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "odmc/ros/background_looks.h"
+#include "odmc/ros/background_analysis.h"
 
 #include <ros/console.h>
 #include <sys/resource.h>
@@ -25,52 +25,53 @@ bool HoldsReaction(const DynamicModel& model) {
 
 }  // namespace
 
-BackgroundLooks::BackgroundLooks(const EstimatorOptions& estimator,
-                                 std::function<void(const ResidualLook&)> on_look,
-                                 InputQueue* queue)
+BackgroundAnalysis::BackgroundAnalysis(const EstimatorOptions& estimator,
+                                       std::function<void(const ResidualAnalysis&)> on_look,
+                                       InputQueue* queue)
     : estimator_(estimator), on_look_(std::move(on_look)), queue_(queue) {
   estimator_.num_threads = 1;
-  thread_ = std::thread(&BackgroundLooks::Run, this);
+  thread_ = std::thread(&BackgroundAnalysis::Run, this);
 }
 
-void BackgroundLooks::Join() {
+void BackgroundAnalysis::Join() {
   if (thread_.joinable()) thread_.join();
 }
 
-void BackgroundLooks::Watch(std::shared_ptr<ResidualWatch> watch) {
+void BackgroundAnalysis::Watch(std::shared_ptr<ResidualWatch> watch) {
   shared_.With([&](Shared* s) { s->watch = std::move(watch); });
 }
 
-std::shared_ptr<ResidualWatch> BackgroundLooks::watch() {
+std::shared_ptr<ResidualWatch> BackgroundAnalysis::watch() {
   return shared_.With([](Shared* s) { return s->watch; });
 }
 
-void BackgroundLooks::Inspect(StreamsSeen seen) {
+void BackgroundAnalysis::Inspect(StreamsSeen seen) {
   shared_.With([&](Shared* s) { s->seen = std::move(seen); });
 }
 
-std::optional<BackgroundLooks::StreamsFound> BackgroundLooks::TakeInspection() {
+std::optional<BackgroundAnalysis::StreamsFound> BackgroundAnalysis::TakeInspection() {
   std::optional<StreamsFound> found;
   shared_.TryWith([&](Shared* s) { found.swap(s->found); });
   return found;
 }
 
-std::optional<ResidualLook> BackgroundLooks::TakeProposal() {
+std::optional<ResidualAnalysis> BackgroundAnalysis::TakeProposal() {
   return shared_.With([](Shared* s) { return std::exchange(s->proposal, std::nullopt); });
 }
 
-void BackgroundLooks::Propose(const ResidualLook& look) {
+void BackgroundAnalysis::Propose(const ResidualAnalysis& look) {
   shared_.With([&](Shared* s) { s->proposal = look; });
 }
 
-void BackgroundLooks::Run() {
+void BackgroundAnalysis::Run() {
   setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), kNiceness);
   while (!queue_->SleepUnlessStopping(kIdle)) {
     InspectIfDue();
     const std::shared_ptr<ResidualWatch> looking = watch();
     if (!looking) continue;
     try {
-      const std::optional<ResidualLook> look = looking->Look([this] { return queue_->stopping(); });
+      const std::optional<ResidualAnalysis> look =
+          looking->Look([this] { return queue_->stopping(); });
       if (look) on_look_(*look);
     } catch (const std::exception& e) {
       ROS_ERROR_THROTTLE(10.0, "the residual cannot be looked at: %s", e.what());
@@ -78,13 +79,13 @@ void BackgroundLooks::Run() {
   }
 }
 
-TorqueBands BackgroundLooks::BandsOf(const StreamsSeen& seen) {
+TorqueBands BackgroundAnalysis::BandsOf(const StreamsSeen& seen) {
   if (!seen.values || !HoldsReaction(*seen.model)) return {};
   const GroundSpans ground = FindGroundSpans(seen.log, *seen.model, *seen.values);
   return FindTorqueBands(seen.log, *seen.model, *seen.values, seen.k_f_sigma, ground.spans);
 }
 
-void BackgroundLooks::InspectIfDue() {
+void BackgroundAnalysis::InspectIfDue() {
   std::optional<StreamsSeen> seen =
       shared_.With([](Shared* s) { return std::exchange(s->seen, std::nullopt); });
   if (!seen) return;

@@ -19,7 +19,7 @@ namespace odmc {
 /// A thread of low priority that looks at what the model leaves unexplained, compares the streams
 /// with each other, and asks them whether a k_m that is held is right: a look takes a second or so
 /// and can wait, the estimator can't. What it shares with the estimator thread is under one lock.
-class BackgroundLooks {
+class BackgroundAnalysis {
  public:
   /// The newest minute of the streams as they come, and what they are inspected for.
   struct StreamsSeen {
@@ -38,9 +38,9 @@ class BackgroundLooks {
 
   /// @param on_look called by the thread
   /// @param queue tells when to stop; outlives this
-  BackgroundLooks(const EstimatorOptions& estimator,
-                  std::function<void(const ResidualLook&)> on_look, InputQueue* queue);
-  ~BackgroundLooks() { Join(); }
+  BackgroundAnalysis(const EstimatorOptions& estimator,
+                     std::function<void(const ResidualAnalysis&)> on_look, InputQueue* queue);
+  ~BackgroundAnalysis() { Join(); }
   void Join();
 
   /// What the bands of frequency say where k_m is held and there are values; else nothing. Takes
@@ -56,16 +56,16 @@ class BackgroundLooks {
   /// Never waits: nothing where the other thread holds the lock.
   std::optional<StreamsFound> TakeInspection();
   /// What on_look() has proposed to add to the model.
-  std::optional<ResidualLook> TakeProposal();
+  std::optional<ResidualAnalysis> TakeProposal();
 
   // Any thread.
 
-  void Propose(const ResidualLook& look);
+  void Propose(const ResidualAnalysis& look);
 
  private:
   struct Shared {
     std::shared_ptr<ResidualWatch> watch;
-    std::optional<ResidualLook> proposal;
+    std::optional<ResidualAnalysis> proposal;
     std::optional<StreamsSeen> seen;
     std::optional<StreamsFound> found;
   };
@@ -74,7 +74,7 @@ class BackgroundLooks {
   void InspectIfDue();
 
   EstimatorOptions estimator_;
-  const std::function<void(const ResidualLook&)> on_look_;
+  const std::function<void(const ResidualAnalysis&)> on_look_;
   InputQueue* const queue_;
   Guarded<Shared> shared_;
   std::thread thread_;  // started last

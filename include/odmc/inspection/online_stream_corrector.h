@@ -13,7 +13,7 @@ namespace odmc {
 /// takes offsets off the stamps of rotor speeds and IMU, drops columns that are wrong. The stamps
 /// of velocity and rates are the poses'; their offsets are told and left, and rotor speeds are then
 /// brought to the time that the rates show. Thread-compatible.
-class LiveMender {
+class OnlineStreamCorrector {
  public:
   /// Takes over what an inspection of the streams as they come says. An offset replaces the last
   /// one only where the two differ by more than 5 ms and three sigma.

@@ -1,4 +1,4 @@
-#include "odmc/inspection/live_mender.h"
+#include "odmc/inspection/online_stream_corrector.h"
 
 #include <algorithm>
 #include <cmath>
@@ -18,13 +18,13 @@ bool Raise(bool now, bool* flag) { return now && !std::exchange(*flag, true); }
 
 }  // namespace
 
-double LiveMender::OffsetOf(const std::string& stream) const {
+double OnlineStreamCorrector::OffsetOf(const std::string& stream) const {
   const auto found =
       offset_s_.find(HasOwnStamps(stream) && stream != "rotor_speeds" ? "imu" : stream);
   return found == offset_s_.end() ? 0.0 : found->second;
 }
 
-bool LiveMender::TakeOff(const TimeOffset& offset, double left_s) {
+bool OnlineStreamCorrector::TakeOff(const TimeOffset& offset, double left_s) {
   double& taken_s = offset_s_[offset.stream == "rotor_speeds" ? "rotor_speeds" : "imu"];
   const double offset_s = offset.compensated_s - left_s;
   if (std::abs(offset_s - taken_s) <= std::max(kAnotherOffset_s, kSigmas * offset.lag.sigma_s())) {
@@ -34,7 +34,7 @@ bool LiveMender::TakeOff(const TimeOffset& offset, double left_s) {
   return true;
 }
 
-bool LiveMender::Adopt(const StreamInspection& inspection) {
+bool OnlineStreamCorrector::Adopt(const StreamInspection& inspection) {
   findings_ = inspection.findings;
   bool is_new = false;
   double rates_s = 0.0;  // stays in rates that share the poses' stamps
@@ -57,18 +57,18 @@ bool LiveMender::Adopt(const StreamInspection& inspection) {
   return Raise(inspection.drop_accelerometer, &dropped_.accelerometer) || is_new;
 }
 
-void LiveMender::Mend(OdometrySample* sample) const {
+void OnlineStreamCorrector::Mend(OdometrySample* sample) const {
   if (dropped_.velocity) sample->v_WS.reset();
   if (dropped_.rates) sample->w_WS_S.reset();
 }
 
-void LiveMender::Mend(ImuSample* sample) const {
+void OnlineStreamCorrector::Mend(ImuSample* sample) const {
   sample->stamp -= FromSeconds(OffsetOf("gyro"));
   if (dropped_.gyro) sample->gyro_I.reset();
   if (dropped_.accelerometer) sample->specific_force_I.reset();
 }
 
-void LiveMender::Mend(RotorSample* sample) const {
+void OnlineStreamCorrector::Mend(RotorSample* sample) const {
   sample->stamp -= FromSeconds(OffsetOf("rotor_speeds"));
 }
 
