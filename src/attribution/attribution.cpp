@@ -684,6 +684,8 @@ void Attribution::Search() {
       added.push_back(Describe(evidence, v, set));
       if (profiles.count(v) > 0) profiles.at(v).AddTo(&added.back());
       added.back().probability = found.ProbabilityOf(added.back().name, evidence);
+      const auto second = second_scores_.find(added.back().name);
+      if (second != second_scores_.end()) added.back().second_score = second->second;
       FindAlternatives(evidence, set, v, &added.back());
       if (evidence.num_flights() > 1) added.back().by_flight = ByFlight(evidence, v, set);
     }

@@ -118,16 +118,14 @@ bool Attribution::RejectByRescoring(const Evidence& evidence, const VariantSet& 
     VariantSet others = all;
     others.erase(v);
     const double score = ScoreOf(at_fit, all, others);
-    if (score >= options_.clear_odds) continue;
+    second_scores_[effect] = score;
+    if (score >= 0.0) continue;
     // The noise holds what else is missing, and what is weak drowns in it: a coefficient of which
-    // nothing is known loses a few nats to its prior. Then the blocks held out decide. What
-    // gains too little to be clear must not make them less likely.
-    const double held_out = at_fit.HeldOutGain(all) - at_fit.HeldOutGain(others);
+    // nothing is known loses a few nats to its prior. Then the blocks held out decide.
     const bool may_drown = score > -options_.clear_odds;
-    const double least = score >= 0.0 ? 0.0 : options_.clear_odds;
-    if (may_drown && held_out > least) continue;
-    refused_[effect] = "gains " + Rounded(score) + " nats about what the fit with it has found" +
-                       (score >= 0.0 ? ", and blocks held out are less likely with it" : "");
+    const double held_out = at_fit.HeldOutGain(all) - at_fit.HeldOutGain(others);
+    if (may_drown && held_out > options_.clear_odds) continue;
+    refused_[effect] = "gains " + Rounded(score) + " nats about what the fit with it has found";
     hollow_.insert(effect);
     found = true;
     for (RankedEffect& ranked : ranking_) {

@@ -411,18 +411,27 @@ void LoopSession::DropIdle() {
   const ErrorRatios ratios = RatiosOf(before_.held_out, after_->held_out, true);
   const bool predicts = ratios.least < options_.attribution.least_ratio;
   const bool ruins = ratios.largest > 1.0 / options_.attribution.telling_ratio;
-  // What speaks for it is the fit's; where the estimate contradicts the fit by more than that, it
-  // has to show a size, and must not ruin what it ought to predict.
+  // What speaks for it is the fit's. Where the estimate contradicts the fit by more than that, or
+  // the fit's second score is no clear one, it has to show a size or predict better; and where it
+  // contradicts, it must not ruin what it ought to predict.
   const auto idle = [&](const RankedEffect& effect) {
-    if (NatsAgainst(effect, after_->parameters, model) < effect.score) return false;
+    const bool is_clear =
+        !effect.second_score || *effect.second_score >= options_.attribution.clear_odds;
+    const bool contradicts = NatsAgainst(effect, after_->parameters, model) >= effect.score;
+    if (is_clear && !contradicts) return false;
     const bool is_there =
         SizeDiffersFromZero(effect, after_->parameters, model, options_.attribution);
-    if (!ruins && (predicts || is_there)) return false;
+    if (!(contradicts && ruins) && (predicts || is_there)) return false;
     result_.warnings.push_back(
         effect.name + " gains " + Rounded(effect.score) + " nats, but the online estimate " +
         (is_there ? "contradicts that by more, and an axis is predicted twice as badly with it:"
                   : "is zero within its sigma:") +
         EstimatesText(effect, after_->parameters, model));
+    RankedEffect* ranked = RankedOf(effect.name);
+    if (!is_clear && ranked != nullptr && ranked->score > *effect.second_score) {
+      ranked->score = *effect.second_score;
+      ranked->p_value = attribution_->PValue(ranked->score);
+    }
     return true;
   };
   const auto end = std::remove_if(effects_.begin(), effects_.end(), idle);

@@ -180,6 +180,7 @@ class Attribution {
   std::vector<double> null_gains_;
   std::vector<RankedEffect> effects_, ordinary_, ranking_;
   std::map<std::string, std::string> refused_;
+  std::map<std::string, double> second_scores_;   // about what the fit with them has found [nats]
   std::set<std::string> hollow_;                  // no candidates of later rounds
   std::array<double, kNumChannels> explained_{};  // by what was added, over the noise [nats]
   double gain_ = 0.0, held_out_gain_ = 0.0;

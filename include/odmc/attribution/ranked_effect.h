@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -19,7 +20,9 @@ struct FlightEvidence {
 /// A candidate's case on a flight, or on several of one vehicle.
 struct RankedEffect {
   std::string name;
-  double score = 0.0;        ///< gain of log evidence, beside the other effects that act [nats]
+  double score = 0.0;  ///< gain of log evidence, beside the other effects that act [nats]
+  /// The same about what the fit with it has found; empty where it was not scored again.
+  std::optional<double> second_score = {};
   double p_value = 1.0;      ///< chance that any candidate gains as much where nothing acts
   double probability = 0.0;  ///< a posteriori that it acts, of the sets that were looked at
   std::map<std::string, double> settings;  ///< its frozen parameters, full names
