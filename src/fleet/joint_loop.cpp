@@ -313,6 +313,9 @@ void JointSession::Find(const Progress& progress) {
   attribution.Run();
   point_ = attribution.point();
   effects_ = attribution.effects();
+  for (const RankedEffect& ordinary : attribution.ordinary()) {
+    loop_.warnings.push_back(OrdinaryText(vehicle_, ordinary));
+  }
   loop_.ranking = attribution.ranking();
   loop_.named_gain = attribution.gain();
   loop_.flexible_gain = attribution.flexible().nats();

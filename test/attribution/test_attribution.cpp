@@ -240,6 +240,17 @@ TEST(ResidualModel, BlendsGyroAndRatesOfTheOdometry) {
         residual.GyroInOdometry() * vehicle.imu->q_BS.toRotationMatrix().transpose() *
         vehicle.odometry.q_BS.toRotationMatrix() * q_turn.toRotationMatrix();
     EXPECT_LT(Eigen::AngleAxisd(apart).angle(), 0.005) << gyro_density;
+    // A mount that is fitted leaves no more than one that was known.
+    const SimulatedFlight straight =
+        WithTurnedGyro(model, Eigen::Quaterniond::Identity(), rate_noise, gyro_density);
+    const ThinnedFlight known(FilterFlight(straight.log, vehicle.num_rotors(), {}), BlockSplit(),
+                              vehicle.odometry.q_BS.toRotationMatrix());
+    ResidualModel of_known(&known, &vehicle, true);
+    of_known.BlendSensors(model, values);
+    const ResidualModel::Wrenches least = of_known.Residual(model, values);
+    for (Eigen::Index c = 3; c < kNumChannels; ++c) {
+      EXPECT_LT(Scatter(blend.col(c)), 1.1 * Scatter(least.col(c))) << c << " " << gyro_density;
+    }
   }
 }
 
@@ -278,6 +289,14 @@ TEST(ThinnedFlight, TakesMeans) {
   EXPECT_EQ(gaps, 1);
   EXPECT_GT(of_pick, 0.9);
   EXPECT_LT(of_mean, 0.1);
+  EXPECT_TRUE(mean.takes_means());
+  EXPECT_FALSE(pick.takes_means());
+  // With a quarter held out 20 s are in use of 27.7 s.
+  for (const auto& [samples, is_mean] : {std::pair<size_t, bool>{2700, false}, {2800, true}}) {
+    FlightMotion some = motion;
+    some.samples.resize(samples);
+    EXPECT_EQ(ThinnedFlight(some, BlockSplit()).takes_means(), is_mean) << samples;
+  }
 }
 
 /// Whether attribution uses the accelerometer across the rotors' axes of a flight on which a force
