@@ -411,16 +411,24 @@ void LoopSession::DropIdle() {
   const ErrorRatios ratios = RatiosOf(before_.held_out, after_->held_out, true);
   const bool predicts = ratios.least < options_.attribution.least_ratio;
   const bool ruins = ratios.largest > 1.0 / options_.attribution.telling_ratio;
+  ParameterSet published = after_->parameters;
+  for (const RankedEffect& effect : effects_) AddSpread(effect, &published);
   // What speaks for it is the fit's. Where the estimate contradicts the fit by more than that, or
   // the fit's second score is no clear one, it has to show a size or predict better; and where it
   // contradicts, it must not ruin what it ought to predict.
   const auto idle = [&](const RankedEffect& effect) {
+    if (!SizeDiffersFromZero(effect, published, model, 1.0)) {
+      result_.warnings.push_back(effect.name + " gains " + Rounded(effect.score) +
+                                 " nats, but its size is zero within its standard deviation:" +
+                                 EstimatesText(effect, published, model));
+      return true;
+    }
     const bool is_clear =
         !effect.second_score || *effect.second_score >= options_.attribution.clear_odds;
     const bool contradicts = NatsAgainst(effect, after_->parameters, model) >= effect.score;
     if (is_clear && !contradicts) return false;
-    const bool is_there =
-        SizeDiffersFromZero(effect, after_->parameters, model, options_.attribution);
+    const bool is_there = SizeDiffersFromZero(effect, after_->parameters, model,
+                                              options_.attribution.significant_sigmas);
     if (!(contradicts && ruins) && (predicts || is_there)) return false;
     result_.warnings.push_back(
         effect.name + " gains " + Rounded(effect.score) + " nats, but the online estimate " +
@@ -581,7 +589,9 @@ void LoopSession::NoteDoubtful(const std::vector<Eigen::VectorXd>& changes,
                                const DynamicModel& model) {
   if (changes.size() != options_.doubts.size()) return;  // an estimate failed
   for (const RankedEffect& effect : effects_) {
-    if (!SizeDiffersFromZero(effect, after_->parameters, model, options_.attribution)) continue;
+    if (!SizeDiffersFromZero(effect, after_->parameters, model,
+                             options_.attribution.significant_sigmas))
+      continue;
     std::string errors;
     for (size_t k = 0; k < changes.size(); ++k) {
       if (!SizeMayBeZero(effect, after_->parameters, changes[k], model, options_.attribution))

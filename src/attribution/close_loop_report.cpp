@@ -46,6 +46,7 @@ Json EffectJson(const AddedEffect& added, double gain, const DynamicModel& model
     json["alternative_shares"][added.alternatives[k]] =
         JsonNumber(added.effect.alternative_shares[k]);
   }
+  if (added.effect.second_score) json["second_score"] = JsonNumber(*added.effect.second_score);
   if (!added.derived.empty()) json["derived"] = ParametersJson(added.derived);
   if (!added.manoeuvre.empty()) json["told_apart_by"] = added.manoeuvre;
   if (added.taken_off) json["taken_off_the_recording"] = true;
@@ -65,6 +66,7 @@ Json RankedJson(const RankedEffect& ranked) {
   Json json = {{"name", ranked.name},
                {"score", JsonNumber(ranked.score)},
                {"p_value", JsonNumber(ranked.p_value)}};
+  if (ranked.second_score) json["second_score"] = JsonNumber(*ranked.second_score);
   if (!ranked.remarks.empty()) json["remarks"] = ranked.remarks;
   json["parameters"] = ParametersJson(ranked.parameters);
   return json;

@@ -151,10 +151,9 @@ void AddSpread(const RankedEffect& effect, ParameterSet* online) {
 }
 
 bool SizeDiffersFromZero(const RankedEffect& effect, const ParameterSet& online,
-                         const DynamicModel& model, const AttributionOptions& options) {
+                         const DynamicModel& model, double sigmas) {
   const std::vector<Eigen::Index> own = SizesOf(effect, online, model);
-  return own.empty() || IsSignificant(ValuesOf(online)(own), online.covariance(own, own),
-                                      options.significant_sigmas);
+  return own.empty() || IsSignificant(ValuesOf(online)(own), online.covariance(own, own), sigmas);
 }
 
 bool SizeMayBeZero(const RankedEffect& effect, const ParameterSet& online,

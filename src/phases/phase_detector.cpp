@@ -23,10 +23,6 @@ constexpr double kStillWeight = 0.5;  // of a block in which the vehicle stands 
 constexpr double kFree_nats = 5.0;    // to fly again: odds of 150 to 1
 constexpr double kMostFreePerBlock = 2.0;
 constexpr double kScaleMemory_s = 10.0, kMostScale = 5.0;
-// A vehicle in the air moves: over half a second the attitude wanders by more than 1 mrad and the
-// position by more than 3 mm in every recording (99 % of stretches of nine vehicles), on the ground
-// by less than half of that. White noise of the sensors is allowed for.
-constexpr double kStillAngle_rad = 1.0e-3, kStillWay_m = 3.0e-3, kStillNoise = 2.5;
 constexpr double kStandVaries = 1.15;  // of thrust, while nothing moves: it does not carry
 constexpr double kGainDiffers = 0.05;  // thrust that carries so much better than before
 constexpr double kProof_s = 0.5;
@@ -41,7 +37,6 @@ constexpr double kImpact = 3.0;                          // felt, over g: harder
 constexpr double kSteady_s = 1.5;  // a missing force that goes with thrust: another vehicle
 constexpr double kSteadySpread = 0.1, kSteadySideways = 0.15;
 constexpr double kIdleThrust = 0.25, kOffThrust = 0.004;
-constexpr size_t kMostSpans = 1000;
 
 double Square(double x) { return x * x; }
 
@@ -52,55 +47,25 @@ PhaseDetector::PhaseDetector(const PhaseOptions& options, bool learns_changes)
 
 PhaseVerdict PhaseDetector::Update(const PhaseEvidence& e) {
   PhaseVerdict verdict;
-  if (!has_stamp_) first_ = e.stamp;
-  has_stamp_ = true;
-  if (e.dt <= 0.0) filling_ = Block();
-  AddToBlock(e);
-  if (!spans_.empty()) spans_.back().to = e.stamp;
+  if (!first_) first_ = e.stamp;
+  if (e.dt <= 0.0) filling_ = PhaseBlock();
+  filling_.Add(e);
+  record_.ExtendTo(e.stamp);
   if (filling_.duration_s >= kBlock_s) {
     block_ = filling_;
-    filling_ = Block();
+    filling_ = PhaseBlock();
     CloseBlock(&verdict);
   }
-  verdict.phase = phase_;
+  verdict.phase = phase();
   return verdict;
 }
 
-void PhaseDetector::AddToBlock(const PhaseEvidence& e) {
-  Block& b = filling_;
-  if (b.samples == 0) b.from = e.stamp - static_cast<Stamp>(1e9 * e.dt);
-  b.to = e.stamp;
-  ++b.samples;
-  b.duration_s += e.dt;
-  b.R_WS += e.q_WS.toRotationMatrix();
-  b.p_WS += e.p_WS;
-  b.speed += e.speed_m_s;
-  b.rate += e.rate_rad_s;
-  b.attitude_noise = e.attitude_noise_rad;
-  b.position_noise = e.position_noise_m;
-  b.velocity_noise = e.velocity_noise_m_s;
-  b.thrust_sigma = e.thrust_sigma;
-  if (!e.has_force) return;
-  b.forced_s += e.dt;
-  b.felt += e.dt * e.felt_force;
-  b.missing += e.dt * e.missing_force;
-  b.thrust += e.dt * e.thrust_ratio;
-}
-
 void PhaseDetector::CloseBlock(PhaseVerdict* verdict) {
-  Block& b = block_;
-  const double n = b.samples;
-  b.R_WS /= n;
-  b.p_WS /= n;
-  b.speed /= n;
-  b.rate /= n;
-  SeeStillness();
-  if (b.forced_s < 0.5 * b.duration_s) return SeeMotionAlone();
+  block_.Close();
+  stillness_.Add(block_);
+  if (!block_.has_force()) return SeeMotionAlone();
   unforced_still_s_ = 0.0;
-  b.felt /= b.forced_s;
-  b.missing /= b.forced_s;
-  b.thrust /= b.forced_s;
-  hardest_ = std::max(0.9 * hardest_, b.felt.norm());
+  hardest_ = std::max(0.9 * hardest_, block_.felt.norm());
   switch (mode_) {
     case Mode::kStart:
       Start(verdict);
@@ -118,41 +83,17 @@ void PhaseDetector::CloseBlock(PhaseVerdict* verdict) {
       Stand(verdict);
       break;
   }
-  ExtendSpan();
+  record_.Average(block_);
 }
 
 /// Without rotor speeds (an ESC that is switched off says nothing, or zero at once) only motion
 /// tells: what does not move is not in the air.
 void PhaseDetector::SeeMotionAlone() {
-  block_.felt = block_.missing = Eigen::Vector3d::Zero();
-  block_.thrust = 0.0;
-  unforced_still_s_ = is_still_ ? unforced_still_s_ + block_.duration_s : 0.0;
+  unforced_still_s_ = stillness_.is_still() ? unforced_still_s_ + block_.duration_s : 0.0;
   if (mode_ == Mode::kFlying && unforced_still_s_ >= kStandsAlone_s) {
     GoToGround(block_.to - FromSeconds(unforced_still_s_));
   }
   if (mode_ == Mode::kGrounded) SetPhase(PhaseOnGround(), block_.to);
-}
-
-/// Spread of the newest blocks' means about theirs, beside what white noise would leave.
-void PhaseDetector::SeeStillness() {
-  recent_[static_cast<size_t>(next_recent_)] = block_;
-  next_recent_ = (next_recent_ + 1) % static_cast<int>(recent_.size());
-  num_recent_ = std::min(num_recent_ + 1, static_cast<int>(recent_.size()));
-  is_still_ = false;
-  wander_ = 1.0;
-  if (num_recent_ < static_cast<int>(recent_.size())) return;
-  Eigen::Matrix3d R = Eigen::Matrix3d::Zero();
-  Eigen::Vector3d p = Eigen::Vector3d::Zero();
-  for (const Block& b : recent_) R += b.R_WS / num_recent_, p += b.p_WS / num_recent_;
-  double turn = 0.0, way = 0.0;
-  for (const Block& b : recent_) {
-    turn += 0.5 * (b.R_WS - R).squaredNorm() / num_recent_;
-    way += (b.p_WS - p).squaredNorm() / num_recent_;
-  }
-  const double share = kStillNoise * std::sqrt(3.0 / std::max(block_.samples, 1));
-  wander_ = std::max(std::sqrt(turn) / std::max(kStillAngle_rad, share * block_.attitude_noise),
-                     std::sqrt(way) / std::max(kStillWay_m, share * block_.position_noise));
-  is_still_ = wander_ < 1.0;
 }
 
 double PhaseDetector::ModelError() const {
@@ -172,7 +113,7 @@ double PhaseDetector::ContactNats() const {
   const double any = kBlockCounts * (0.5 * block_.missing.squaredNorm() *
                                          (1.0 / Square(sigma) - 1.0 / Square(sigma_contact)) -
                                      3.0 * std::log(sigma_contact / sigma));
-  if (!is_still_) return any;
+  if (!stillness_.is_still()) return any;
   // The ground carries any share of the weight, upward: uniform from 0 to 1.
   const double up = (block_.R_WS * block_.missing).z();
   const double carried =
@@ -182,71 +123,83 @@ double PhaseDetector::ContactNats() const {
 
 void PhaseDetector::Start(PhaseVerdict* verdict) {
   const double felt = block_.felt.norm();
-  start_p_WS_ = block_.p_WS;
-  start_R_WS_ = block_.R_WS;
+  StartHere();
   if (felt < kFallingForce || (knows_thrust_ && ContactNats() < 0.0)) {
     TakeOff();
-    SetPhase(FlightPhase::kFlying, first_);
+    SetPhase(FlightPhase::kFlying, *first_);
   } else if (block_.thrust < options_.landed_thrust_ratio) {
     if (felt < kSupported) return;  // neither carried nor falling: the next block tells
     verdict->start_anew = true;
-    GoToGround(first_);
-    if (block_.speed > options_.take_off_speed_m_s) Relabel(first_, FlightPhase::kInHand);
+    GoToGround(*first_);
+    if (block_.speed > options_.take_off_speed_m_s) Relabel(FlightPhase::kInHand, *first_);
   } else {
     mode_ = Mode::kWaiting;
-    least_thrust_ = most_thrust_ = block_.thrust;
-    SetPhase(FlightPhase::kFlying, first_);
+    first_stand_.least_thrust = first_stand_.most_thrust = block_.thrust;
+    SetPhase(FlightPhase::kFlying, *first_);
   }
 }
 
+void PhaseDetector::StartHere() { start_ = {block_.p_WS, block_.R_WS}; }
+
+double PhaseDetector::WayFromStart() const { return (block_.p_WS - start_.p_WS).norm(); }
+
+double PhaseDetector::TurnFromStart() const {
+  return std::sqrt(0.5) * (block_.R_WS - start_.R_WS).norm();
+}
+
 bool PhaseDetector::HasMoved() const {
-  const double turn = std::sqrt(0.5) * (block_.R_WS - start_R_WS_).norm();
-  return block_.speed > options_.take_off_speed_m_s || turn > kTurned_rad ||
-         (block_.p_WS - start_p_WS_).norm() > options_.take_off_height_m;
+  return block_.speed > options_.take_off_speed_m_s || TurnFromStart() > kTurned_rad ||
+         WayFromStart() > options_.take_off_height_m;
+}
+
+void PhaseDetector::FirstStand::Add(const PhaseBlock& block) {
+  duration_s += block.duration_s;
+  thrust_sum += block.duration_s * block.thrust;
+  missing_sum += block.duration_s * block.missing.norm();
+  gain_sum += block.duration_s * (1.0 + block.missing.z() / std::max(block.thrust, 1e-3));
+  least_thrust = std::min(least_thrust, block.thrust);
+  most_thrust = std::max(most_thrust, block.thrust);
 }
 
 // Not moved yet: flight or stand, by what comes.
 void PhaseDetector::Wait(PhaseVerdict* verdict) {
   if (block_.thrust < options_.landed_thrust_ratio && block_.felt.norm() > kSupported) {
     verdict->start_anew = true;
-    return GoToGround(first_);
+    return GoToGround(*first_);
   }
-  if (wander_ > kClearWander) wandered_s_ += block_.duration_s;
-  if (HasMoved() || wandered_s_ > kWandered_s) {
+  if (stillness_.wander() > kClearWander) first_stand_.wandered_s += block_.duration_s;
+  if (HasMoved() || first_stand_.wandered_s > kWandered_s) {
     mode_ = Mode::kProving;
-    moved_since_ = block_.from;
-    moved_s_ = moved_gain_ = 0.0;
+    first_flight_ = {block_.from, 0.0, 0.0};
     return Prove(verdict);
   }
-  stood_s_ += block_.duration_s;
-  stood_thrust_ += block_.duration_s * block_.thrust;
-  stood_missing_ += block_.duration_s * block_.missing.norm();
-  stood_gain_ += block_.duration_s * (1.0 + block_.missing.z() / std::max(block_.thrust, 1e-3));
-  least_thrust_ = std::min(least_thrust_, block_.thrust);
-  most_thrust_ = std::max(most_thrust_, block_.thrust);
-  if (!is_still_ || most_thrust_ < kStandVaries * least_thrust_) return;
+  first_stand_.Add(block_);
+  if (!stillness_.is_still() ||
+      first_stand_.most_thrust < kStandVaries * first_stand_.least_thrust) {
+    return;
+  }
   verdict->start_anew = true;
-  GoToGround(first_);
+  GoToGround(*first_);
 }
 
 // Moved: did thrust carry as well before?
 void PhaseDetector::Prove(PhaseVerdict* verdict) {
   if (block_.thrust > 0.5 * options_.landed_thrust_ratio) {
-    moved_s_ += block_.duration_s;
-    moved_gain_ += block_.duration_s * (1.0 + block_.missing.z() / block_.thrust);
+    first_flight_.duration_s += block_.duration_s;
+    first_flight_.gain_sum += block_.duration_s * (1.0 + block_.missing.z() / block_.thrust);
   }
-  if (ToSeconds(block_.to - moved_since_) < kProof_s - 0.5 * kBlock_s && stood_s_ > 0.0) return;
-  const bool stood = stood_s_ >= 3.0 * kBlock_s && moved_s_ > 0.0 &&
-                     stood_gain_ / stood_s_ > (1.0 + kGainDiffers) * moved_gain_ / moved_s_;
+  const double stand_s = first_stand_.duration_s, flight_s = first_flight_.duration_s;
+  const bool is_early = ToSeconds(block_.to - first_flight_.since) < kProof_s - 0.5 * kBlock_s;
+  if (is_early && stand_s > 0.0) return;
+  const bool stood = stand_s >= 3.0 * kBlock_s && flight_s > 0.0 &&
+                     first_stand_.gain() > (1.0 + kGainDiffers) * first_flight_.gain();
   TakeOff();
   if (!stood) return SetPhase(PhaseInAir(), block_.to);
   verdict->start_anew = true;
-  Relabel(first_, FlightPhase::kOnGround);
-  spans_.back().thrust_ratio = stood_thrust_ / stood_s_;
-  spans_.back().missing_force = stood_missing_ / stood_s_;
-  stood_ = true;
-  ground_height_ = start_p_WS_.z();
-  SetPhase(PhaseInAir(), moved_since_);
+  Relabel(FlightPhase::kOnGround, *first_);
+  record_.SetMeans(first_stand_.thrust_sum / stand_s, first_stand_.missing_sum / stand_s);
+  ground_ = {true, start_.p_WS.z()};
+  SetPhase(PhaseInAir(), first_flight_.since);
 }
 
 void PhaseDetector::TakeOff() {
@@ -273,7 +226,8 @@ void PhaseDetector::Fly(PhaseVerdict* verdict) {
     error_scale_ = std::max(error_scale_, 1.0);
   }
   if (contact_nats_ < kAlarm_nats) return;
-  if (learns_changes_ && !is_still_ && !(stood_ && block_.p_WS.z() < ground_height_ + 0.3)) {
+  if (learns_changes_ && !stillness_.is_still() &&
+      !(ground_.was_seen && block_.p_WS.z() < ground_.height_m + 0.3)) {
     verdict->has_changed = true;
     return ForgetThrust();
   }
@@ -284,54 +238,57 @@ void PhaseDetector::Fly(PhaseVerdict* verdict) {
 
 /// Mean of what carries over what the model's thrust carries.
 void PhaseDetector::SeeGain() {
-  if (block_.felt.z() < kSupported || is_still_) return;
-  carried_s_ += block_.duration_s;
-  model_carries_ += block_.duration_s * block_.thrust;
-  carries_ += block_.duration_s * (block_.thrust + block_.missing.z());
+  if (block_.felt.z() < kSupported || stillness_.is_still()) return;
+  carried_.duration_s += block_.duration_s;
+  carried_.model_carries += block_.duration_s * block_.thrust;
+  carried_.carries += block_.duration_s * (block_.thrust + block_.missing.z());
 }
 
 std::optional<double> PhaseDetector::ThrustGain() const {
-  if (carried_s_ < kKnown_s || !(model_carries_ > 0.0)) return std::nullopt;
-  return carries_ / model_carries_;
+  if (carried_.duration_s < kKnown_s || !(carried_.model_carries > 0.0)) return std::nullopt;
+  return carried_.carries / carried_.model_carries;
 }
 
 void PhaseDetector::GoToGround(Stamp since) {
   mode_ = Mode::kGrounded;
   contact_nats_ = free_nats_ = 0.0;
   bump_.reset();
-  steady_s_ = steady_sum_ = steady_squares_ = sideways_sum_ = 0.0;
-  start_p_WS_ = block_.p_WS;
-  start_R_WS_ = block_.R_WS;
-  Relabel(since, PhaseOnGround());
+  steady_ = {};
+  StartHere();
+  Relabel(PhaseOnGround(), since);
+}
+
+void PhaseDetector::SteadyForce::Add(const PhaseBlock& block) {
+  const double gain = block.missing.z() / block.thrust;
+  duration_s += block.duration_s;
+  gain_sum += block.duration_s * gain;
+  gain_squares += block.duration_s * gain * gain;
+  sideways_sum += block.duration_s * block.missing.head<2>().norm();
+}
+
+bool PhaseDetector::SteadyForce::IsInProportionToThrust() const {
+  const double mean = gain_sum / duration_s;
+  const double spread = std::sqrt(std::max(0.0, gain_squares / duration_s - mean * mean));
+  return spread < kSteadySpread && sideways_sum / duration_s < kSteadySideways;
 }
 
 /// True once a force goes on missing in proportion to thrust, in a vehicle that moves freely.
 bool PhaseDetector::HasChanged() {
-  if (is_still_ || block_.thrust < options_.landed_thrust_ratio) {
-    steady_s_ = steady_sum_ = steady_squares_ = sideways_sum_ = 0.0;
+  if (stillness_.is_still() || block_.thrust < options_.landed_thrust_ratio) {
+    steady_ = {};
     return false;
   }
-  const double gain = block_.missing.z() / block_.thrust;
-  steady_s_ += block_.duration_s;
-  steady_sum_ += block_.duration_s * gain;
-  steady_squares_ += block_.duration_s * gain * gain;
-  sideways_sum_ += block_.duration_s * block_.missing.head<2>().norm();
-  if (steady_s_ < kSteady_s) return false;
-  const double mean = steady_sum_ / steady_s_;
-  const double spread = std::sqrt(std::max(0.0, steady_squares_ / steady_s_ - mean * mean));
-  const double sideways = sideways_sum_ / steady_s_;
-  steady_s_ = steady_sum_ = steady_squares_ = sideways_sum_ = 0.0;
-  return spread < kSteadySpread && sideways < kSteadySideways &&
-         (block_.p_WS - start_p_WS_).norm() > options_.take_off_height_m;
+  steady_.Add(block_);
+  if (steady_.duration_s < kSteady_s) return false;
+  const SteadyForce seen = std::exchange(steady_, {});
+  return seen.IsInProportionToThrust() && WayFromStart() > options_.take_off_height_m;
 }
 
 void PhaseDetector::Stand(PhaseVerdict* verdict) {
-  const bool stands_still = is_still_;
+  const bool stands_still = stillness_.is_still();
   if (stands_still) {
-    stood_ = true;
-    ground_height_ = block_.p_WS.z();
-    start_p_WS_ = block_.p_WS;
-    start_R_WS_ = block_.R_WS;
+    ground_ = {true, block_.p_WS.z()};
+    StartHere();
   }
   bool is_free = false;
   if (knows_thrust_) {
@@ -363,10 +320,8 @@ FlightPhase PhaseDetector::PhaseInAir() {
 
 /// Moves by a hand or a wheel: farther than a vehicle rocks on its legs.
 bool PhaseDetector::IsCarried() const {
-  const double turn = std::sqrt(0.5) * (block_.R_WS - start_R_WS_).norm();
   return block_.speed > kCarried_m_s &&
-         (turn > 0.5 * kTurned_rad ||
-          (block_.p_WS - start_p_WS_).norm() > 0.5 * options_.take_off_height_m);
+         (TurnFromStart() > 0.5 * kTurned_rad || WayFromStart() > 0.5 * options_.take_off_height_m);
 }
 
 FlightPhase PhaseDetector::PhaseOnGround() const {
@@ -377,9 +332,9 @@ FlightPhase PhaseDetector::PhaseOnGround() const {
   }
   const double up = block_.R_WS(2, 2);
   if (up < -0.5) return FlightPhase::kUpsideDown;
-  if (hardest_ > kImpact || phase_ == FlightPhase::kCrashed) return FlightPhase::kCrashed;
-  if (!is_still_ && block_.thrust >= options_.landed_thrust_ratio) {
-    const bool lands = Teaches(phase_) || phase_ == FlightPhase::kTouchingDown;
+  if (hardest_ > kImpact || phase() == FlightPhase::kCrashed) return FlightPhase::kCrashed;
+  if (!stillness_.is_still() && block_.thrust >= options_.landed_thrust_ratio) {
+    const bool lands = Teaches(phase()) || phase() == FlightPhase::kTouchingDown;
     return lands ? FlightPhase::kTouchingDown : FlightPhase::kLiftingOff;
   }
   if (block_.thrust < kOffThrust) return FlightPhase::kOff;
@@ -387,53 +342,21 @@ FlightPhase PhaseDetector::PhaseOnGround() const {
 }
 
 bool PhaseDetector::IsNearGround(double z) const {
-  return options_.near_ground_m > 0.0 && stood_ && z - ground_height_ < options_.near_ground_m;
+  return options_.near_ground_m > 0.0 && ground_.was_seen &&
+         z - ground_.height_m < options_.near_ground_m;
 }
 
 void PhaseDetector::ForgetThrust() {
   knows_thrust_ = false;
-  carried_s_ = carries_ = model_carries_ = 0.0;
+  carried_ = {};
   contact_nats_ = 0.0;
 }
 
 void PhaseDetector::Restart() {
-  std::vector<PhaseSpan> spans = std::move(spans_);
+  PhaseRecord record = std::move(record_);
   *this = PhaseDetector(options_, learns_changes_);
-  spans_ = std::move(spans);
-}
-
-// ---- The record -------------------------------------------------------------------------------
-
-void PhaseDetector::SetPhase(FlightPhase phase, Stamp since) {
-  if (!spans_.empty() && spans_.back().phase == phase) {
-    phase_ = phase;
-    return;
-  }
-  Relabel(since, phase);
-}
-
-/// From `since` on the phase is `phase`.
-void PhaseDetector::Relabel(Stamp since, FlightPhase phase) {
-  phase_ = phase;
-  while (!spans_.empty() && spans_.back().from >= since) spans_.pop_back();
-  if (!spans_.empty() && spans_.back().phase == phase) {
-    spans_.back().to = block_.to;
-    return;
-  }
-  if (!spans_.empty()) spans_.back().to = std::min(spans_.back().to, since);
-  if (spans_.size() >= kMostSpans) spans_.erase(spans_.begin());
-  spans_.push_back({phase, since, std::max(since, block_.to), 0.0, 0.0});
-  span_s_ = 0.0;
-}
-
-/// Means over the span, block by block.
-void PhaseDetector::ExtendSpan() {
-  if (spans_.empty()) return;
-  PhaseSpan& span = spans_.back();
-  span_s_ += block_.duration_s;
-  const double gain = block_.duration_s / span_s_;
-  span.missing_force += gain * (block_.missing.norm() - span.missing_force);
-  span.thrust_ratio += gain * (block_.thrust - span.thrust_ratio);
+  record_ = std::move(record);
+  record_.Restart();
 }
 
 }  // namespace odmc

@@ -1,12 +1,8 @@
 #include "odmc/ros/simulator_node.h"
 
-#include <diagnostic_msgs/DiagnosticArray.h>
-#include <geometry_msgs/Vector3Stamped.h>
 #include <ros/console.h>
 #include <ros/init.h>
-#include <rosgraph_msgs/Clock.h>
 
-#include <cmath>
 #include <cstdio>
 #include <stdexcept>
 #include <utility>
@@ -30,8 +26,7 @@ constexpr double kBatch_s = 0.002;  // between two messages of the clock
 // Every so many batches:
 constexpr long kTruthBatches = 2, kPointBatches = 5, kTfBatches = 10;  // 250, 100, 50 Hz
 constexpr double kOldCommand_s = 0.25;                                 // rotors stop
-constexpr double kPathStep_s = 0.05;
-constexpr Stamp kStartOfClock = 1000000000;  // ROS takes 0 for "no stamp"
+constexpr Stamp kStartOfClock = 1000000000;                            // ROS takes 0 for "no stamp"
 constexpr std::chrono::milliseconds kIdle(20);
 constexpr std::chrono::milliseconds kLongestWait(500);  // for one command
 constexpr std::chrono::milliseconds kMostCatchingUp(20);
@@ -43,12 +38,12 @@ double ElapsedSeconds(std::chrono::steady_clock::time_point since) {
   return duration<double>(std::chrono::steady_clock::now() - since).count();
 }
 
-bool IsBody(const SensorMount& mount) {
-  return mount.p_BS.isZero(0.0) && mount.q_BS.isApprox(Eigen::Quaterniond::Identity(), 0.0);
-}
-
 ModelValues TruthOf(const DynamicModel& model, const SimulatorNodeOptions& options) {
   return options.truth_file.empty() ? DefaultTruth(model) : model.InitialValues();
+}
+
+Stamp EpochOf(const SimulatorNodeOptions& options) {
+  return options.publishes_clock ? kStartOfClock : FromRos(ros::Time(ros::WallTime::now().toSec()));
 }
 
 std::string VectorText(const Eigen::Vector3d& v) {
@@ -158,17 +153,17 @@ SimulatorNode::SimulatorNode(const ros::NodeHandle& node, const ros::NodeHandle&
       model_(setup_.vehicle, setup_.vehicle.effects),
       truth_(TruthOf(model_, setup_.options)),
       trajectory_(setup_.options.trajectory),
+      epoch_(EpochOf(setup_.options)),
       node_(node),
       private_node_(private_node),
-      world_(model_, truth_, setup_.world, setup_.options.seed) {
-  const std::string& body_frame = setup_.options.body_frame;
-  epoch_ = setup_.options.publishes_clock ? kStartOfClock
-                                          : FromRos(ros::Time(ros::WallTime::now().toSec()));
-  truth_frame_ = body_frame + "_truth";
-  odometry_frame_ = IsBody(setup_.vehicle.odometry) ? body_frame : "odometry_sensor";
-  imu_frame_ = setup_.vehicle.imu ? "imu_link" : body_frame;
-  Advertise();
-  PublishStart();
+      world_(model_, truth_, setup_.world, setup_.options.seed),
+      publisher_(node_,
+                 SimulatorFrames::Of(setup_.vehicle, setup_.options.world_frame,
+                                     setup_.options.body_frame),
+                 epoch_, setup_.options.publishes_clock) {
+  SubscribeAndServe();
+  publisher_.PublishStart(setup_.vehicle, model_, truth_, trajectory_,
+                          setup_.options.trajectory.ground_s);
   pace_wall_ = reported_wall_ = Clock::now();
   thread_ = std::thread(&SimulatorNode::Run, this);
 }
@@ -179,23 +174,7 @@ SimulatorNode::~SimulatorNode() {
   thread_.join();
 }
 
-void SimulatorNode::Advertise() {
-  if (setup_.options.publishes_clock) {
-    clock_publisher_ = node_.advertise<rosgraph_msgs::Clock>("/clock", 10);
-  }
-  odometry_publisher_ = node_.advertise<nav_msgs::Odometry>("odometry", 100);
-  imu_publisher_ = node_.advertise<sensor_msgs::Imu>("imu", 500);
-  rotor_publisher_ = node_.advertise<RotorSpeeds>("rotor_speeds", 500);
-  battery_publisher_ = node_.advertise<sensor_msgs::BatteryState>("battery_state", 10);
-  reference_publisher_ = node_.advertise<FlatOutput>("reference", 10);
-  using Points = trajectory_msgs::MultiDOFJointTrajectory;
-  point_publisher_ = node_.advertise<Points>("command_trajectory", 10);
-  path_publisher_ = node_.advertise<Points>("planned_trajectory", 1, true);
-  truth_odometry_publisher_ = node_.advertise<nav_msgs::Odometry>("truth/odometry", 100);
-  truth_wrench_publisher_ = node_.advertise<geometry_msgs::WrenchStamped>("truth/wrench", 100);
-  truth_wind_publisher_ = node_.advertise<geometry_msgs::Vector3Stamped>("truth/wind", 100);
-  truth_parameters_publisher_ = node_.advertise<DynamicParameters>("truth/parameters", 1, true);
-  diagnostics_publisher_ = node_.advertise<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10);
+void SimulatorNode::SubscribeAndServe() {
   command_subscriber_ = node_.subscribe("command/rotor_speeds", 10, &SimulatorNode::OnCommand, this,
                                         ros::TransportHints().tcpNoDelay());
   if (world_.With([](World* world) { return world->has_actuator(); })) {
@@ -288,7 +267,7 @@ void SimulatorNode::Run() {
     while (!command_state_.With([](const CommandState* state) { return state->stopping; })) {
       if (ElapsedSeconds(reported_wall_) >= 1.0) PublishDiagnostics();
       if (!MayStep()) {
-        PublishClock();  // who comes now learns what time it is
+        publisher_.PublishClock(now_);  // who comes now learns what time it is
         std::this_thread::sleep_for(kIdle);
         pace_wall_ = Clock::now();
         continue;
@@ -315,7 +294,7 @@ bool SimulatorNode::MayStep() {
 }
 
 bool SimulatorNode::HasController() const {
-  return odometry_publisher_.getNumSubscribers() > 0 &&
+  return publisher_.somebody_takes_odometry() &&
          (command_subscriber_.getNumPublishers() > 0 ||
           (motor_subscriber_ && motor_subscriber_.getNumPublishers() > 0));
 }
@@ -376,15 +355,6 @@ void SimulatorNode::Pace() {
   pace_time_ = now_;
 }
 
-ros::Time SimulatorNode::At(Stamp world_stamp) const { return ToRos(world_stamp + epoch_); }
-
-void SimulatorNode::PublishClock() {
-  if (!setup_.options.publishes_clock) return;
-  rosgraph_msgs::Clock clock;
-  clock.clock = At(now_);
-  clock_publisher_.publish(clock);
-}
-
 void SimulatorNode::Publish() {
   std::vector<Sample> samples;
   std::optional<TruthSample> truth;
@@ -394,76 +364,16 @@ void SimulatorNode::Publish() {
     if (batches_ % kTruthBatches == 0) truth = world->Truth();
     wind_W = world->wind_W();
   });
-  PublishClock();
+  publisher_.PublishClock(now_);
   if (truth) {
-    PublishReference(now_);
-    PublishTruth(*truth, wind_W, now_);
+    const FlatReference reference = trajectory_.At(ToSeconds(now_));
+    publisher_.PublishReference(reference, now_);
+    const bool points = batches_ % kPointBatches == 0 && !reference.standing;
+    if (points) publisher_.PublishPoint(reference, now_);
+    publisher_.PublishTruth(*truth, wind_W, now_);
+    if (batches_ % kTfBatches == 0) publisher_.PublishTruthTransform(*truth, now_);
   }
-  PublishSamples(samples);
-}
-
-void SimulatorNode::PublishSamples(const std::vector<Sample>& samples) {
-  const SimulatorNodeOptions& options = setup_.options;
-  // The IMU goes last: controllers step when it comes.
-  for (const bool imu_turn : {false, true}) {
-    for (Sample sample : samples) {
-      if (std::holds_alternative<ImuSample>(sample) != imu_turn) continue;
-      std::visit([this](auto& s) { s.stamp += epoch_; }, sample);
-      if (const auto* odometry = std::get_if<OdometrySample>(&sample)) {
-        odometry_publisher_.publish(ToMessage(*odometry, options.world_frame, odometry_frame_));
-      } else if (const auto* imu = std::get_if<ImuSample>(&sample)) {
-        imu_publisher_.publish(ToMessage(*imu, imu_frame_));
-      } else if (const auto* rotors = std::get_if<RotorSample>(&sample)) {
-        rotor_publisher_.publish(ToMessage(*rotors));
-      } else if (const auto* battery = std::get_if<BatterySample>(&sample)) {
-        battery_publisher_.publish(ToMessage(*battery));
-      }
-    }
-  }
-}
-
-void SimulatorNode::PublishReference(Stamp now) {
-  const SimulatorNodeOptions& options = setup_.options;
-  const FlatReference reference = trajectory_.At(ToSeconds(now));
-  reference_publisher_.publish(ToMessage(reference, now + epoch_, options.world_frame));
-  if (batches_ % kPointBatches != 0 || reference.standing) return;
-  point_publisher_.publish(
-      ToMessage({{now + epoch_, reference}}, options.world_frame, options.body_frame));
-}
-
-void SimulatorNode::PublishTruth(const TruthSample& truth, const Eigen::Vector3d& wind_W,
-                                 Stamp now) {
-  const Stamp stamp = now + epoch_;
-  const std::string& world_frame = setup_.options.world_frame;
-  truth_odometry_publisher_.publish(TruthOdometry(truth, stamp, world_frame, truth_frame_));
-  truth_wrench_publisher_.publish(TruthWrench(truth, stamp, truth_frame_));
-  geometry_msgs::Vector3Stamped wind;
-  wind.header = MakeHeader(stamp, world_frame);
-  wind.vector = ToVector3(wind_W);
-  truth_wind_publisher_.publish(wind);
-  if (batches_ % kTfBatches != 0) return;
-  tf_broadcaster_.sendTransform(
-      ToTransform(stamp, world_frame, truth_frame_, truth.p_WB, truth.q_WB.toRotationMatrix()));
-}
-
-// What is published once.
-void SimulatorNode::PublishStart() {
-  const SimulatorNodeOptions& options = setup_.options;
-  truth_parameters_publisher_.publish(TruthParameters(model_, truth_, epoch_, truth_frame_));
-  std::vector<geometry_msgs::TransformStamped> mounts;
-  const auto add = [&](const std::string& frame, const SensorMount& mount) {
-    mounts.push_back(
-        ToTransform(epoch_, options.body_frame, frame, mount.p_BS, mount.q_BS.toRotationMatrix()));
-  };
-  if (odometry_frame_ != options.body_frame) add(odometry_frame_, setup_.vehicle.odometry);
-  if (setup_.vehicle.imu) add(imu_frame_, *setup_.vehicle.imu);
-  if (!mounts.empty()) static_tf_broadcaster_.sendTransform(mounts);
-  if (!std::isfinite(trajectory_.end_s())) return;
-  std::vector<TimedReference> path;
-  for (double t = options.trajectory.ground_s; t < trajectory_.end_s(); t += kPathStep_s) {
-    path.push_back({FromSeconds(t) + epoch_, trajectory_.At(t)});
-  }
-  path_publisher_.publish(ToMessage(path, options.world_frame, options.body_frame));
+  publisher_.PublishSamples(samples);
 }
 
 void SimulatorNode::PublishDiagnostics() {
@@ -471,10 +381,8 @@ void SimulatorNode::PublishDiagnostics() {
   const double factor = ToSeconds(now_ - reported_time_) / real_s;
   reported_wall_ = Clock::now();
   reported_time_ = now_;
-  diagnostic_msgs::DiagnosticArray message;
-  message.header.stamp = At(now_);
-  message.status.push_back(Diagnostic(factor));
-  if (ros::ok()) diagnostics_publisher_.publish(message);
+  const diagnostic_msgs::DiagnosticStatus status = Diagnostic(factor);
+  if (ros::ok()) publisher_.PublishDiagnostics(status, now_);
 }
 
 diagnostic_msgs::DiagnosticStatus SimulatorNode::Diagnostic(double factor) {

@@ -55,7 +55,8 @@ class OnlineEvidence : public ::testing::Test {
 TEST_F(OnlineEvidence, MayBeZeroWhereAnErrorOfEitherSignBringsItThere) {
   const int c_q = model_.IndexOf("quadratic_drag.c_q");
   Set("quadratic_drag.c_q", 10.0);
-  EXPECT_TRUE(SizeDiffersFromZero(Effect("quadratic_drag"), online_, model_, options_));
+  const double sigmas = options_.significant_sigmas;
+  EXPECT_TRUE(SizeDiffersFromZero(Effect("quadratic_drag"), online_, model_, sigmas));
   EXPECT_FALSE(SizeMayBeZero("quadratic_drag")) << "no error changes it";
   for (const double error : {-9.0, 9.0, 40.0}) {
     changes_[c_q] = error;
@@ -66,6 +67,21 @@ TEST_F(OnlineEvidence, MayBeZeroWhereAnErrorOfEitherSignBringsItThere) {
   changes_ = Zero();
   changes_[model_.IndexOf("thrust.k_f")] = 100.0;
   EXPECT_FALSE(SizeMayBeZero("quadratic_drag")) << "another effect's";
+}
+
+TEST_F(OnlineEvidence, ASizeWithinOneSigmaIsNone) {
+  Set("mass_change.mass", -0.16);
+  Set("mass_change.x", 40.0);  // a place is no size
+  online_.covariance(model_.IndexOf("mass_change.mass"), model_.IndexOf("mass_change.mass")) = 0.13;
+  EXPECT_FALSE(SizeDiffersFromZero(Effect("mass_change"), online_, model_, 1.0));
+  // What the online estimator does not see is a part of sigma.
+  Set("mass_change.mass", 0.5);
+  EXPECT_TRUE(SizeDiffersFromZero(Effect("mass_change"), online_, model_, 1.0));
+  RankedEffect spread = Effect("mass_change");
+  spread.spread_of = {"mass_change.mass"};
+  spread.spread = Eigen::MatrixXd::Constant(1, 1, 0.25);
+  AddSpread(spread, &online_);
+  EXPECT_FALSE(SizeDiffersFromZero(Effect("mass_change"), online_, model_, 1.0));
 }
 
 TEST_F(OnlineEvidence, AMassMayBeZeroWhateverItsPlace) {

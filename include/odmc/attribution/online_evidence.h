@@ -46,10 +46,10 @@ void AddAlternativeSpread(const RankedEffect& beside, RankedEffect* effect);
 /// estimate.
 void AddSpread(const RankedEffect& effect, ParameterSet* online);
 
-/// True if the online estimate of an effect's size differs from zero by more than
-/// `significant_sigmas` (Wald's test), or says nothing of it.
+/// True if the online estimate of an effect's size differs from zero by more than `sigmas` (Wald's
+/// test), or says nothing of it.
 bool SizeDiffersFromZero(const RankedEffect& effect, const ParameterSet& online,
-                         const DynamicModel& model, const AttributionOptions& options);
+                         const DynamicModel& model, double sigmas);
 
 /// True if the size of an effect would be zero within `significant_sigmas` for something between
 /// minus and plus `change`.

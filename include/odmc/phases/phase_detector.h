@@ -1,12 +1,12 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <Eigen/Geometry>
-#include <array>
 #include <optional>
 #include <vector>
 
 #include "odmc/phases/flight_phase.h"
+#include "odmc/phases/phase_block.h"
+#include "odmc/phases/phase_record.h"
 
 namespace odmc {
 
@@ -25,24 +25,6 @@ struct PhaseOptions {
     v->Field("landed_thrust_ratio", &landed_thrust_ratio);
     v->Field("near_ground_m", &near_ground_m);
   }
-};
-
-/// What one interval between two keyframes says about the phase. Forces are over the weight, in B.
-struct PhaseEvidence {
-  Stamp stamp = 0;  ///< of the interval's end
-  double dt = 0.0;  ///< [s]; 0: the first keyframe, or one after a gap
-  Eigen::Vector3d p_WS = Eigen::Vector3d::Zero();
-  Eigen::Quaterniond q_WS = Eigen::Quaterniond::Identity();
-  double speed_m_s = 0.0;
-  double rate_rad_s = 0.0;
-  bool has_force = false;  ///< the interval has velocities and rotor speeds
-  Eigen::Vector3d felt_force = Eigen::Vector3d::Zero();     ///< measured specific force over g
-  Eigen::Vector3d missing_force = Eigen::Vector3d::Zero();  ///< of that, what the model lacks
-  double thrust_ratio = 0.0;                                ///< the model's thrust
-  double thrust_sigma = 0.0;                                ///< of the thrust coefficient, relative
-  double velocity_noise_m_s = 0.0;                          ///< of one keyframe's velocity
-  double attitude_noise_rad = 0.0;                          ///< of one keyframe's attitude
-  double position_noise_m = 0.0;                            ///< of one keyframe's position
 };
 
 /// What to do about the newest interval.
@@ -81,8 +63,8 @@ class PhaseDetector {
   PhaseVerdict Update(const PhaseEvidence& evidence);
 
   /// The present phase.
-  FlightPhase phase() const { return phase_; }
-  bool teaches() const { return Teaches(phase_); }
+  FlightPhase phase() const { return record_.phase(); }
+  bool teaches() const { return Teaches(phase()); }
   /// False in the first tenth of a second, in which anything may be the case.
   bool has_begun() const { return mode_ != Mode::kStart; }
   /// True while contact is not proved and not ruled out: what is young may have to be taken back.
@@ -106,7 +88,7 @@ class PhaseDetector {
 
   /// The flight so far, oldest first; times where a phase is too short to matter are in their
   /// neighbours. The oldest go when there are more than 1000.
-  const std::vector<PhaseSpan>& spans() const { return spans_; }
+  const std::vector<PhaseSpan>& spans() const { return record_.spans(); }
 
   /// Means over the newest whole block, for pictures.
   struct Seen {
@@ -123,22 +105,46 @@ class PhaseDetector {
 
  private:
   enum class Mode { kStart, kWaiting, kProving, kFlying, kGrounded };
-  /// Means over one block.
-  struct Block {
-    Stamp from = 0, to = 0;
-    double duration_s = 0.0, forced_s = 0.0;
-    int samples = 0;
-    Eigen::Vector3d felt = Eigen::Vector3d::Zero(), missing = Eigen::Vector3d::Zero();
-    double thrust = 0.0, thrust_sigma = 0.0, velocity_noise = 0.0;
-    double attitude_noise = 0.0, position_noise = 0.0;
-    double speed = 0.0, rate = 0.0;
-    Eigen::Matrix3d R_WS = Eigen::Matrix3d::Zero();
+  /// Before the first motion: how thrust carried, while it may have been the ground that did.
+  struct FirstStand {
+    double duration_s = 0.0;
+    double thrust_sum = 0.0, missing_sum = 0.0, gain_sum = 0.0;  // times [s]
+    double least_thrust = 0.0, most_thrust = 0.0;
+    double wandered_s = 0.0;
+
+    void Add(const PhaseBlock& block);
+    double gain() const { return gain_sum / duration_s; }
+  };
+  /// After it: the same, of a vehicle that flies.
+  struct FirstFlight {
+    Stamp since = 0;
+    double duration_s = 0.0, gain_sum = 0.0;
+    double gain() const { return gain_sum / duration_s; }
+  };
+  /// While the thrust coefficient is unknown: flight in which the rotors carry, what they do, and
+  /// the model's.
+  struct CarriedFlight {
+    double duration_s = 0.0, carries = 0.0, model_carries = 0.0;
+  };
+  /// In contact, while moving: mean and spread of the missing force over thrust.
+  struct SteadyForce {
+    double duration_s = 0.0, gain_sum = 0.0, gain_squares = 0.0, sideways_sum = 0.0;
+
+    void Add(const PhaseBlock& block);
+    bool IsInProportionToThrust() const;
+  };
+  /// The ground, where the vehicle was last seen to stand.
+  struct Ground {
+    bool was_seen = false;
+    double height_m = 0.0;
+  };
+  /// Where the present stand, or contact, began.
+  struct Place {
     Eigen::Vector3d p_WS = Eigen::Vector3d::Zero();
+    Eigen::Matrix3d R_WS = Eigen::Matrix3d::Identity();
   };
 
-  void AddToBlock(const PhaseEvidence& e);
   void CloseBlock(PhaseVerdict* verdict);
-  void SeeStillness();
   void SeeMotionAlone();
   double ModelError() const;
   double ForceSigma() const;
@@ -156,42 +162,33 @@ class PhaseDetector {
   FlightPhase PhaseOnGround() const;
   FlightPhase PhaseInAir();
   bool IsCarried() const;
-  void SetPhase(FlightPhase phase, Stamp since);
-  void Relabel(Stamp since, FlightPhase phase);
-  void ExtendSpan();
+  double WayFromStart() const;
+  double TurnFromStart() const;
+  void StartHere();
+  void SetPhase(FlightPhase phase, Stamp since) { record_.SetPhase(phase, since, block_.to); }
+  void Relabel(FlightPhase phase, Stamp since) { record_.Relabel(phase, since, block_.to); }
 
   PhaseOptions options_;
   bool learns_changes_;
   Mode mode_ = Mode::kStart;
-  FlightPhase phase_ = FlightPhase::kFlying;
   bool knows_thrust_ = false, has_flown_ = false;
-  Block filling_, block_;        // the one being filled, the last whole one
-  std::array<Block, 5> recent_;  // whole ones, for stillness
-  int num_recent_ = 0, next_recent_ = 0;
-  double wander_ = 1.0;  // over what a stand shows at most
-  bool is_still_ = false, is_light_ = false;
-  double unforced_still_s_ = 0.0;  // still, and no rotor speeds
+  PhaseBlock filling_, block_;  // the one being filled, the last whole one
+  Stillness stillness_;
+  PhaseRecord record_;
+  std::optional<Stamp> first_;
+  Place start_;
+  Ground ground_;
+  FirstStand first_stand_;
+  FirstFlight first_flight_;
+  CarriedFlight carried_;
+  SteadyForce steady_;
   double contact_nats_ = 0.0, free_nats_ = 0.0;
   Stamp suspected_since_ = 0;
-  std::optional<Stamp> bump_;  // begin of the last block that may have been a touch
-  double error_scale_ = 1.0;   // of the flight's own residual, over ModelError()'s
-  // While thrust is unknown: flight in which the rotors carry, what they do, and the model's.
-  double carried_s_ = 0.0, carries_ = 0.0, model_carries_ = 0.0;
-  double hardest_ = 0.0;  // force felt around the last contact, over g
-  // Before the first motion, and after: thrust that would carry, over the model's.
-  double stood_thrust_ = 0.0, stood_missing_ = 0.0;
-  double stood_s_ = 0.0, stood_gain_ = 0.0, moved_s_ = 0.0, moved_gain_ = 0.0, wandered_s_ = 0.0;
-  double least_thrust_ = 0.0, most_thrust_ = 0.0;
-  bool has_stamp_ = false;
-  Stamp first_ = 0, moved_since_ = 0;
-  Eigen::Vector3d start_p_WS_ = Eigen::Vector3d::Zero();
-  Eigen::Matrix3d start_R_WS_ = Eigen::Matrix3d::Identity();
-  // In contact, while moving: mean and spread of the missing force over thrust.
-  double steady_s_ = 0.0, steady_sum_ = 0.0, steady_squares_ = 0.0, sideways_sum_ = 0.0;
-  double ground_height_ = 0.0;
-  bool stood_ = false;
-  std::vector<PhaseSpan> spans_;
-  double span_s_ = 0.0;
+  std::optional<Stamp> bump_;      // begin of the last block that may have been a touch
+  double error_scale_ = 1.0;       // of the flight's own residual, over ModelError()'s
+  double hardest_ = 0.0;           // force felt around the last contact, over g
+  double unforced_still_s_ = 0.0;  // still, and no rotor speeds
+  bool is_light_ = false;          // the last block hardly felt a force
 };
 
 }  // namespace odmc

@@ -2,13 +2,10 @@
 
 #include <diagnostic_msgs/DiagnosticStatus.h>
 #include <ros/node_handle.h>
-#include <ros/publisher.h>
 #include <ros/service_server.h>
 #include <ros/subscriber.h>
 #include <std_srvs/SetBool.h>
 #include <std_srvs/Trigger.h>
-#include <tf2_ros/static_transform_broadcaster.h>
-#include <tf2_ros/transform_broadcaster.h>
 
 #include <atomic>
 #include <chrono>
@@ -23,6 +20,7 @@
 #include "odmc/RotorSpeeds.h"
 #include "odmc/model/dynamic_model.h"
 #include "odmc/ros/guarded.h"
+#include "odmc/ros/simulator_publisher.h"
 #include "odmc/sim/world.h"
 #include "odmc/trajectory/trajectory.h"
 
@@ -94,7 +92,7 @@ class SimulatorNode {
   using Clock = std::chrono::steady_clock;
 
   // ROS threads.
-  void Advertise();
+  void SubscribeAndServe();
   void AdvertiseFault(const std::string& service,
                       std::string (*act)(const WorldOptions& sizes, World* world));
   void OnCommand(const RotorSpeeds::ConstPtr& message);
@@ -113,14 +111,8 @@ class SimulatorNode {
   void ObeyCommand(World* world);
   void Pace();
   void Publish();
-  void PublishSamples(const std::vector<Sample>& samples);
-  void PublishTruth(const TruthSample& truth, const Eigen::Vector3d& wind_W, Stamp now);
-  void PublishReference(Stamp now);
-  void PublishStart();
-  void PublishClock();
   void PublishDiagnostics();
   diagnostic_msgs::DiagnosticStatus Diagnostic(double factor);
-  ros::Time At(Stamp world_stamp) const;
 
   // Set once in the constructor.
   SimulatorNodeSetup setup_;
@@ -128,16 +120,9 @@ class SimulatorNode {
   ModelValues truth_;
   Trajectory trajectory_;
   Stamp epoch_ = 0;  // of the world's time 0 on ROS
-  std::string truth_frame_, odometry_frame_, imu_frame_;
   ros::NodeHandle node_, private_node_;
-  ros::Publisher clock_publisher_, odometry_publisher_, imu_publisher_, rotor_publisher_,
-      battery_publisher_, reference_publisher_, point_publisher_, path_publisher_,
-      truth_odometry_publisher_, truth_wrench_publisher_, truth_wind_publisher_,
-      truth_parameters_publisher_, diagnostics_publisher_;
   ros::Subscriber command_subscriber_, motor_subscriber_;  // the second: with an actuator
   std::vector<ros::ServiceServer> services_;
-  tf2_ros::TransformBroadcaster tf_broadcaster_;
-  tf2_ros::StaticTransformBroadcaster static_tf_broadcaster_;
 
   struct Command {
     Stamp stamp;         // in the world's time
@@ -157,6 +142,7 @@ class SimulatorNode {
   std::atomic<bool> paused_{false};
 
   // Owned by the stepping thread.
+  SimulatorPublisher publisher_;
   Stamp now_ = 0;  // the world's time
   bool started_ = false, locked_ = true, rotors_stopped_ = false;
   Stamp obeyed_ = 0;
