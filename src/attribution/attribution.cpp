@@ -182,6 +182,13 @@ double UnexplainedStructure(const ResidualModel::Wrenches& before,
   return structured && !(most > 0.0) ? 1.0 : 0.0;
 }
 
+void DropErrorsOfFit(const std::vector<ChannelStructure>& of_estimate,
+                     const AttributionOptions& options, std::vector<ChannelStructure>* of_fit) {
+  for (size_t c = 0; c < of_fit->size(); ++c) {
+    if (!IsStructured(of_estimate[c], options)) (*of_fit)[c].whiteness.p = 1.0;
+  }
+}
+
 Attribution::Attribution(const std::vector<const ResidualModel*>& residuals, ModelPoint point,
                          std::vector<EffectCandidate> candidates, const AttributionOptions& options,
                          std::function<bool()> give_up, int jobs)

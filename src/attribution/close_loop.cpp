@@ -10,8 +10,10 @@
 #include "odmc/analysis/calibration.h"
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/gust_case.h"
+#include "odmc/attribution/instruments.h"
 #include "odmc/attribution/online_evidence.h"
 #include "odmc/attribution/online_pass.h"
+#include "odmc/attribution/serial_noise.h"
 #include "odmc/attribution/structure.h"
 #include "odmc/attribution/unexplained.h"
 #include "odmc/model/plausibility.h"
@@ -20,7 +22,8 @@
 namespace odmc {
 namespace {
 
-constexpr int kLeastSamples = 50;  // to look for effects in
+constexpr int kLeastSamples = 50;                                     // to look for effects in
+constexpr int kLeastRun = Instruments::kReach + SerialNoise::kOrder;  // before one that counts
 
 bool HasEffect(const std::vector<RankedEffect>& effects, const std::string& name) {
   return std::any_of(effects.begin(), effects.end(),
@@ -240,12 +243,20 @@ bool LoopSession::HasFlight() {
   flight_ = std::make_unique<ThinnedFlight>(std::move(motion), options_.blocks,
                                             file_vehicle_.odometry.q_BS.toRotationMatrix(),
                                             options_.attribution.most_flight_s);
-  int in_use = 0;
-  for (int i = 0; i < flight_->size(); ++i) in_use += flight_->held_out(i) ? 0 : 1;
-  if (in_use >= kLeastSamples) return true;
-  result_.warnings.push_back("too little flight to look for effects: " + std::to_string(in_use) +
-                             " samples of 40 ms, at least " + std::to_string(kLeastSamples) +
-                             " are needed");
+  int in_use = 0, run = 0, with_past = 0;
+  for (int i = 0; i < flight_->size(); ++i) {
+    run = flight_->next(i) ? run + 1 : 1;
+    if (flight_->held_out(i)) continue;
+    ++in_use;
+    with_past += run > kLeastRun ? 1 : 0;
+  }
+  if (in_use >= kLeastSamples && with_past > SerialNoise::kOrder) return true;
+  result_.warnings.push_back(
+      in_use < kLeastSamples
+          ? "too little flight to look for effects: " + std::to_string(in_use) +
+                " samples of 40 ms, at least " + std::to_string(kLeastSamples) + " are needed"
+          : "too many gaps to look for effects: only " + std::to_string(with_past) +
+                " samples have " + Rounded(0.04 * kLeastRun) + " s of flight before them");
   return false;
 }
 
@@ -335,12 +346,8 @@ ResidualModel::Wrenches LoopSession::Rest() const {
 double LoopSession::Unexplained() const {
   const ResidualModel::Wrenches& before = attribution_->residual_before();
   const ResidualModel::Wrenches rest = Rest();
-  // Structure that the estimate of the same model does not leave is an error of its fit, and
-  // nothing for effects to explain.
   std::vector<ChannelStructure> of_before = StructureInUse(before);
-  for (size_t c = 0; c < of_before.size(); ++c) {
-    if (!IsStructured(result_.structure[c], options_.attribution)) of_before[c].whiteness.p = 1.0;
-  }
+  DropErrorsOfFit(result_.structure, options_.attribution, &of_before);
   const double left =
       UnexplainedStructure(before, rest, of_before, StructureInUse(rest), options_.attribution);
   if (gusts_) return left;  // functions of the state would follow them

@@ -17,7 +17,6 @@ using Eigen::VectorXd;
 
 // Samples of 40 ms: beyond twice the filter's half window, and no further than a manoeuvre.
 constexpr std::array<int, 3> kLags = {3, 5, 8};
-constexpr int kReach = 8;
 constexpr int kSignals = 17;
 constexpr double kRidge = 1e-3;         // of a signal's sum of squares
 constexpr double kLeastForeseen = 0.2;  // of a column's sum of squares

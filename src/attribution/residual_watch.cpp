@@ -5,6 +5,8 @@
 #include <limits>
 #include <stdexcept>
 
+#include "odmc/sensing/flight_checks.h"
+#include "odmc/sensing/plausible.h"
 #include "odmc/text/refusal.h"
 
 namespace odmc {
@@ -21,26 +23,22 @@ void DropBefore(Stamp stamp, std::vector<Sample>* samples) {
   samples->erase(samples->begin(), first);
 }
 
-bool IsSound(const OdometrySample& s, const std::vector<OdometrySample>& kept) {
-  const bool finite = s.p_WS.allFinite() && s.q_WS.coeffs().allFinite() &&
-                      (!s.v_WS || s.v_WS->allFinite()) && (!s.w_WS_S || s.w_WS_S->allFinite());
-  // A pose that repeats is a source that stalls.
-  return finite && (kept.empty() || kept.back().p_WS != s.p_WS ||
-                    kept.back().q_WS.coeffs() != s.q_WS.coeffs());
+/// A pose that repeats is a source that stalls.
+bool Repeats(const OdometrySample& s, const OdometrySample& before) {
+  return before.p_WS == s.p_WS && before.q_WS.coeffs() == s.q_WS.coeffs();
 }
-
-bool IsSound(const ImuSample& s, const std::vector<ImuSample>&) {
-  return (!s.gyro_I || s.gyro_I->allFinite()) &&
-         (!s.specific_force_I || s.specific_force_I->allFinite());
+template <typename Sample>
+bool Repeats(const Sample&, const Sample&) {
+  return false;
 }
-
-bool IsSound(const RotorSample& s, const std::vector<RotorSample>&) { return s.speed.allFinite(); }
 
 /// Keeps a sample that is sound and newer than those kept.
 template <typename Sample>
 void Append(const Sample& sample, std::vector<Sample>* kept) {
-  if (!kept->empty() && sample.stamp <= kept->back().stamp) return;
-  if (IsSound(sample, *kept)) kept->push_back(sample);
+  if (!IsPlausible(sample)) return;
+  const bool follows =
+      kept->empty() || (sample.stamp > kept->back().stamp && !Repeats(sample, kept->back()));
+  if (follows) kept->push_back(sample);
 }
 
 bool IsFinite(const ResidualAnalysis& r) {
@@ -195,7 +193,9 @@ ThinnedFlight ResidualWatch::Flight(Stamp start) const {
   // Nothing is known yet of what came after the last keyframe.
   const Stamp known = last_keyframe_ ? last_keyframe_->stamp : 0;
   spans.emplace_back(known + 1, std::numeric_limits<Stamp>::max());
-  FlightMotion motion = FilterFlight(log_, file_vehicle_.num_rotors(), spans);
+  FlightLog mended = log_;  // of what the estimator mends: glitches, dropouts
+  MendFlight(&mended);
+  FlightMotion motion = FilterFlight(mended, file_vehicle_.num_rotors(), spans);
   const double offset_s =
       log_.odometry.empty() ? 0.0 : ToSeconds(log_.odometry.front().stamp - start);
   for (FilteredMotion& sample : motion.samples) sample.t_s += offset_s;

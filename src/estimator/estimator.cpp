@@ -196,7 +196,8 @@ void Estimator::BreakChain() {
 
 void Estimator::RestartChain() {
   front_end_.Restart();
-  schedule_.BreakChain();
+  schedule_.Restart();
+  changes_.Restart();
   EmptyWindow();
 }
 

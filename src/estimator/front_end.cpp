@@ -38,8 +38,7 @@ void FrontEnd::Add(const OdometrySample& sample) {
 }
 
 void FrontEnd::Add(const RotorSample& sample) {
-  synchroniser_.Add(sample);
-  stream_noise_.Add(sample);
+  if (synchroniser_.Add(sample)) stream_noise_.Add(sample);
 }
 
 void FrontEnd::Finish() {

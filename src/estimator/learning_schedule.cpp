@@ -40,6 +40,11 @@ void LearningSchedule::LearnAnew() {
   gate_.Break();
 }
 
+void LearningSchedule::Restart() {
+  gate_.Break();
+  gate_before_.clear();
+}
+
 void LearningSchedule::Reset() {
   gate_.Restore({});
   gate_before_.clear();

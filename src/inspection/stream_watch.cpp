@@ -4,6 +4,11 @@
 #include <stdexcept>
 
 namespace odmc {
+namespace {
+
+constexpr double kStepBack_s = 0.5;  // less is a late sample, and refused
+
+}  // namespace
 
 StreamWatch::StreamWatch(const Vehicle& vehicle, const Options& options)
     : vehicle_(vehicle), options_(options) {
@@ -15,7 +20,7 @@ StreamWatch::StreamWatch(const Vehicle& vehicle, const Options& options)
 template <typename Sample>
 void StreamWatch::Push(const Sample& sample, std::deque<Sample>* stream) {
   if (!stream->empty() && sample.stamp <= stream->back().stamp) {
-    if (sample.stamp == stream->back().stamp) return;
+    if (ToSeconds(stream->back().stamp - sample.stamp) <= kStepBack_s) return;
     Clear();
   }
   stream->push_back(sample);

@@ -21,7 +21,7 @@ bool ParsePlainSeconds(std::string_view text, Stamp* stamp) {
   const bool negative = !text.empty() && text.front() == '-';
   if (negative) text.remove_prefix(1);
   const size_t point = std::min(text.find('.'), text.size());
-  if (point == 0 || point > 10 || text.size() > point + 10) return false;
+  if (point == 0 || point > 9 || text.size() > point + 10) return false;
   Stamp value = 0;
   int decimals = 0;
   for (size_t i = 0; i < text.size(); ++i) {

@@ -277,7 +277,8 @@ std::vector<Stamp> ForeignStream::EntryStamps(const std::uint8_t* data, size_t s
   } else {
     for (const double number : layout_.Numbers(*entry_stamps_, data, size)) {
       const double stamp_ns = number * stamp_scale_ * 1e9;
-      const bool fits = std::abs(stamp_ns) < 9e18;  // else, or not a number: none
+      // Differences of stamps have to fit, too. Else, or where it is no number: none.
+      const bool fits = std::abs(stamp_ns) < 4e18;
       all.push_back(fits ? static_cast<Stamp>(std::llround(stamp_ns)) : 0);
     }
   }

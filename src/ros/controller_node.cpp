@@ -115,16 +115,29 @@ void ControllerNode::Advertise(ros::NodeHandle private_node) {
 
 // ---- Input -------------------------------------------------------------------------------------
 
-bool ControllerNode::Admit(Stamp stamp, Stamp* newest, ControlInput* input) {
+/// False for a stamp ahead of the clock, as what is left of a time it has stepped back from.
+bool ControllerNode::HasCome(Stamp stamp, ControlInput* input) {
   const Stamp now = Now();
   WatchClock(now);
-  // Also what is left of a time the clock has stepped back from.
-  if (ToSeconds(stamp - now) > kStepBack_s) {
-    if (now > 0) ++input->refused;
+  if (ToSeconds(stamp - now) <= kStepBack_s) return true;
+  if (now > 0) ++input->refused;
+  return false;
+}
+
+bool ControllerNode::Admit(Stamp stamp, TopicClock* clock, ControlInput* input) {
+  if (!HasCome(stamp, input)) return false;
+  const Stamp now = Now();
+  const StampVerdict verdict = clock->See(stamp, now);
+  if (verdict == StampVerdict::kLate) {
+    ++input->refused;
+    ROS_WARN_THROTTLE(5.0, "a sample was refused: its stamp is %.1f s behind its topic's newest",
+                      ToSeconds(clock->newest() - stamp));
     return false;
   }
-  if (ToSeconds(*newest - stamp) > kStepBack_s) OnClockStepBack();
-  *newest = std::max(*newest, stamp);
+  if (verdict == StampVerdict::kBack) {
+    OnClockStepBack();
+    clock->See(stamp, now);
+  }
   return true;
 }
 
@@ -139,7 +152,8 @@ void ControllerNode::OnClockStepBack() {
   controller_.Reset();
   references_.Reset();
   twist_.emplace();
-  newest_odometry_ = newest_imu_ = newest_rotors_ = newest_battery_ = newest_now_ = 0;
+  odometry_clock_ = imu_clock_ = rotor_clock_ = battery_clock_ = TopicClock();
+  newest_now_ = 0;
   last_step_.reset();
   last_status_.reset();
   report_.twist_warning.clear();
@@ -154,7 +168,7 @@ void ControllerNode::OnOdometry(const nav_msgs::Odometry::ConstPtr& message) {
     ROS_WARN_THROTTLE(5.0, "an odometry was refused: no stamp, not finite, or without velocity");
     return;
   }
-  if (!Admit(input->sample.stamp, &newest_odometry_, &report_.odometry)) return;
+  if (!Admit(input->sample.stamp, &odometry_clock_, &report_.odometry)) return;
   OdometrySample sample = input->sample;
   sample.v_WS = FrameOf(*input) == TwistFrame::kWorld
                     ? *input->linear
@@ -187,8 +201,8 @@ void ControllerNode::OnImu(const sensor_msgs::Imu::ConstPtr& message) {
     return;
   }
   const Stamp stamp = input->sample.stamp;
-  const Stamp before = newest_imu_;
-  if (!Admit(stamp, &newest_imu_, &report_.imu) || stamp == before) return;
+  const Stamp before = imu_clock_.newest();
+  if (!Admit(stamp, &imu_clock_, &report_.imu) || stamp == before) return;
   MeasureImuRate(stamp - before);
   controller_.Add(input->sample);
   const Stamp now = Now();
@@ -208,7 +222,7 @@ void ControllerNode::OnRotors(const RotorSpeeds::ConstPtr& message) {
     ++report_.rotors.refused;
     return;
   }
-  if (Admit(input->sample.stamp, &newest_rotors_, &report_.rotors)) controller_.Add(input->sample);
+  if (Admit(input->sample.stamp, &rotor_clock_, &report_.rotors)) controller_.Add(input->sample);
 }
 
 void ControllerNode::OnBattery(const sensor_msgs::BatteryState::ConstPtr& message) {
@@ -218,7 +232,7 @@ void ControllerNode::OnBattery(const sensor_msgs::BatteryState::ConstPtr& messag
     ++report_.battery.refused;
     return;
   }
-  if (Admit(sample->stamp, &newest_battery_, &report_.battery)) controller_.Add(*sample);
+  if (Admit(sample->stamp, &battery_clock_, &report_.battery)) controller_.Add(*sample);
 }
 
 void ControllerNode::OnReference(const FlatOutput::ConstPtr& message) {
@@ -229,8 +243,7 @@ void ControllerNode::OnReference(const FlatOutput::ConstPtr& message) {
     ROS_WARN_THROTTLE(5.0, "a reference was refused: no stamp or not finite");
     return;
   }
-  Stamp newest = 0;  // a reference says nothing about the clock
-  if (Admit(reference->stamp, &newest, &report_.references)) references_.Add(*reference);
+  if (HasCome(reference->stamp, &report_.references)) references_.Add(*reference);
 }
 
 void ControllerNode::OnTrajectory(
@@ -292,7 +305,7 @@ void ControllerNode::StepIfDue(Stamp now, bool on_imu) {
   const double period_s = 1.0 / setup_.options.control_rate_hz;
   const double since_s = last_step_ ? ToSeconds(now - *last_step_) : 1.0;
   const bool imu_drives =
-      imu_period_s_ < 1.25 * period_s && ToSeconds(now - newest_imu_) < kImuPatience_s;
+      imu_period_s_ < 1.25 * period_s && ToSeconds(now - imu_clock_.newest()) < kImuPatience_s;
   const bool is_due =
       since_s >= kDue * period_s && (on_imu || !imu_drives || since_s > kImuPatience_s);
   if (!is_due) return;

@@ -36,6 +36,8 @@ void EstimateSession::Reset(bool with_torque) {
   acceptance_.Reset();
   last_.reset();
   if (history_watch_) history_watch_->Reset();
+  unlike_history_.clear();
+  trust_.ForgetEstimate();
   added_effects_.clear();
 }
 
@@ -60,6 +62,7 @@ void EstimateSession::Forget(const char* why) {
   if (last_) ROS_WARN("%s: what was learned before is forgotten", why);
   last_.reset();
   if (history_watch_) history_watch_->Reset();
+  unlike_history_.clear();
   trust_.ForgetEstimate();
   acceptance_.Reset();
 }

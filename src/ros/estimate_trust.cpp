@@ -57,6 +57,7 @@ void EstimateTrust::ForgetEstimate() {
 void EstimateTrust::Widen(const std::shared_ptr<const DynamicModel>& model, Snapshot* snapshot) {
   if (doubted_ != model) return;
   for (const Eigen::VectorXd& change : changes_) {
+    if (!change.allFinite()) continue;
     for (Eigen::Index i = 0; i < change.size(); ++i) {
       if (snapshot->sigma[i] > 0.0) snapshot->sigma[i] = std::hypot(snapshot->sigma[i], change[i]);
     }

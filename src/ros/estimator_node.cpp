@@ -495,6 +495,7 @@ void EstimatorNode::ShareStatus() {
 void EstimatorNode::ShareIntake(NodeStatus* s) const {
   s->clock_resets = intake_.resets();
   s->stale = intake_.stale();
+  s->leaps = intake_.leaps();
   s->forgotten = intake_.forgotten();
   s->not_finite = timing_.not_finite;
   if (rotors_.is_on()) s->rotors = rotors_.Now(intake_.rms_only());

@@ -55,6 +55,7 @@ void PutCounters(const NodeStatus& s, DiagnosticStatus* status) {
   PutValue("uncovered_keyframes", s.stream_counters.uncovered, status);
   PutValue("clock_resets", s.clock_resets, status);
   PutValue("dropped_of_old_clock", s.stale, status);
+  PutValue("dropped_with_lone_leaps_of_stamps", s.leaps, status);
   PutValue("forgotten_while_standing", s.forgotten, status);
   PutValue("not_finite_estimates", s.not_finite, status);
   PutValue("queued", static_cast<long>(s.queued), status);

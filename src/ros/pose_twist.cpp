@@ -11,6 +11,7 @@ constexpr double kPatience_s = 0.1;  // a pose waits for the twist after it
 constexpr double kSettle_s = 0.5;    // for the first twist to come
 constexpr double kMostGap_s = 0.1;   // between the twists around a pose
 constexpr double kStepBack_s = 0.5;  // less is a late message
+constexpr double kKept_s = 1.0;      // of twists: longer than a pose waits, or is late
 
 }  // namespace
 
@@ -28,6 +29,8 @@ std::vector<OdometryInput> PoseTwistPairing::AddTwist(OdometryInput twist) {
   ForgetIfBack(twist.sample.stamp);
   mode_ = Mode::kPaired;
   twists_.push_back(std::move(twist));
+  // Where no poses come, nothing else lets go of them.
+  while (ToSeconds(*newest_ - twists_.front().sample.stamp) > kKept_s) twists_.pop_front();
   return Release(false);
 }
 

@@ -1,6 +1,7 @@
 #include "odmc/ros/sample_intake.h"
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 namespace odmc {
@@ -9,6 +10,7 @@ namespace {
 constexpr double kSettle_s = 1.0;    // for all streams to show up
 constexpr double kHold_s = 60.0;     // of samples at most while standing still
 constexpr double kStepBack_s = 0.5;  // less is a late sample
+constexpr double kLeap_s = 2.0;      // ahead of all streams; more than any of them lags behind
 constexpr double kMoved_m = 0.1;     // so far with a twist of zeros: the source has no twist
 constexpr double kTurned_rad = 0.1;
 constexpr double kHover_s = 3.0;  // of flight that may tell the frame of the twist
@@ -87,6 +89,10 @@ SampleIntake::Clock SampleIntake::CheckClock(int stream, Stamp stamp) {
       return Clock::kStale;
     }
   }
+  if (IsLoneLeap(stream, stamp)) {
+    ++leaps_;
+    return Clock::kStale;
+  }
   std::optional<Stamp>& last = last_[stream];
   if (last && ToSeconds(*last - stamp) > kStepBack_s) {
     middle_ = stamp + (*last - stamp) / 2;
@@ -94,6 +100,7 @@ SampleIntake::Clock SampleIntake::CheckClock(int stream, Stamp stamp) {
     ++resets_;
     first_.fill(std::nullopt);
     last_.fill(std::nullopt);
+    leap_.fill(std::nullopt);
     first_odometry_.reset();
     first_[stream] = last_[stream] = stamp;
     return Clock::kBack;
@@ -101,6 +108,19 @@ SampleIntake::Clock SampleIntake::CheckClock(int stream, Stamp stamp) {
   if (!first_[stream]) first_[stream] = stamp;
   last = std::max(stamp, last.value_or(stamp));
   return Clock::kForward;
+}
+
+/// A stamp far ahead of every stream is an error, until the next of its stream goes on from there
+/// (after a pause). Taken at its word, it would make a step back of the clock of all that follows.
+bool SampleIntake::IsLoneLeap(int stream, Stamp stamp) {
+  const std::optional<Stamp> newest = *std::max_element(last_.begin(), last_.end());
+  if (!newest || ToSeconds(stamp - *newest) <= kLeap_s) {
+    leap_[stream].reset();
+    return false;
+  }
+  const bool goes_on = leap_[stream] && std::abs(ToSeconds(stamp - *leap_[stream])) <= kLeap_s;
+  leap_[stream] = goes_on ? std::nullopt : std::optional<Stamp>(stamp);
+  return !goes_on;
 }
 
 // ---- Deciding ----------------------------------------------------------------------------------

@@ -15,19 +15,21 @@ bool IsSame(const OdometrySample& a, const OdometrySample& b) {
 }
 
 /// Appends in order; counts what steps back, and mends what leapt away and came back.
+/// @returns false if the sample is refused
 template <typename Sample>
-void Append(const Sample& sample, Ring<Sample>* queue, SynchroniserCounters* counters) {
+bool Append(const Sample& sample, Ring<Sample>* queue, SynchroniserCounters* counters) {
   if (!IsPlausible(sample)) {
     ++counters->not_finite;
-    return;
+    return false;
   }
   if (!queue->empty() && sample.stamp <= queue->back().stamp) {
     ++counters->out_of_order;
-    return;
+    return false;
   }
   PushNewest(sample, queue);
-  if (!MendGlitch(queue)) return;
+  if (!MendGlitch(queue)) return true;
   if (counters->glitches++ == 0) counters->first_glitch = (*queue)[queue->size() - 2].stamp;
+  return true;
 }
 
 /// How far a stream can be relied on: a newest sample that may be a glitch waits for the next one.
@@ -78,10 +80,11 @@ bool Synchroniser::Add(const OdometrySample& received) {
 
 void Synchroniser::Add(const ImuSample& sample) { Append(sample, &imu_, &counters_); }
 
-void Synchroniser::Add(const RotorSample& sample) {
-  Append(sample, &rotors_, &counters_);
+bool Synchroniser::Add(const RotorSample& sample) {
+  if (!Append(sample, &rotors_, &counters_)) return false;
   const std::optional<RotorDropout> ended = dropouts_.Sift(&rotors_);
   if (ended && counters_.rotor_dropouts++ == 0) counters_.first_dropout = *ended;
+  return true;
 }
 
 void Synchroniser::Add(const BatterySample& sample) {

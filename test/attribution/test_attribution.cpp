@@ -793,6 +793,24 @@ TEST(UnexplainedStructure, CountsWhatActsAndWhatHardlyDoes) {
   EXPECT_DOUBLE_EQ(UnexplainedStructure(before, after, none, none, options), 0.0);
 }
 
+TEST(UnexplainedStructure, ErrorsOfTheFitDoNotCount) {
+  const AttributionOptions options;
+  ResidualModel::Wrenches before(200, kNumChannels);
+  for (Eigen::Index i = 0; i < before.rows(); ++i) {
+    before.row(i).setConstant(std::sin(0.1 * static_cast<double>(i)));
+  }
+  ResidualModel::Wrenches after = before;
+  after.col(2) *= 0.5;  // the effect, of force z, explains all of it there
+  after.col(0) *= 0.5;
+  std::vector<ChannelStructure> of_estimate(kNumChannels), of_fit(kNumChannels), left(kNumChannels);
+  of_estimate[2].whiteness = of_fit[2].whiteness = {1e-12, 0.9, 100.0, 1.0};
+  of_fit[0].whiteness = left[0].whiteness = {1e-12, 0.9, 300.0, 1.0};  // left by the fit alone
+  EXPECT_DOUBLE_EQ(UnexplainedStructure(before, after, of_fit, left, options), 0.75);
+  DropErrorsOfFit(of_estimate, options, &of_fit);
+  EXPECT_DOUBLE_EQ(UnexplainedStructure(before, after, of_fit, left, options), 0.0);
+  EXPECT_DOUBLE_EQ(of_fit[2].whiteness.p, 1e-12) << "what both leave stays";
+}
+
 TEST(AttributionOptions, DocumentationListsEveryNumber) {
   std::vector<std::string> numbers;
   for (const DecisionNumber& n : DecisionNumbers()) numbers.push_back(n.name + " " + n.TextOf({}));

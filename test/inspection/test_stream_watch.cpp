@@ -63,6 +63,19 @@ TEST(StreamWatch, AClockThatStepsBackStartsAnew) {
   EXPECT_EQ(log.odometry.size(), 1u);
 }
 
+TEST(StreamWatch, ALateSampleIsLeftOut) {
+  StreamWatch::Options options;
+  options.every_s = 2.0;
+  StreamWatch watch(Vehicle(), options);
+  for (int i = 0; i <= 300; ++i) {
+    watch.Add(Pose(10.0 + 0.01 * i));
+    watch.Add(Rotors(10.0 + 0.01 * i));
+    if (i % 50 == 49) watch.Add(Rotors(10.0 + 0.01 * i - 0.001));
+  }
+  EXPECT_TRUE(watch.IsDue());
+  EXPECT_EQ(watch.TakeLook().rotors.size(), 301u);
+}
+
 TEST(StreamWatch, RefusesOptionsThatKeepNothing) {
   StreamWatch::Options options;
   options.keep_s = 0.0;

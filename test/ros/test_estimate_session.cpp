@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <limits>
 
 #include "odmc/ros/estimate_session.h"
 #include "odmc/ros/estimate_trust.h"
@@ -164,6 +165,11 @@ TEST_F(EstimateTrustTest, SaysWhatADoubtMakesOfASigma) {
               "a large part of sigma of thrust.k_f");
     EXPECT_EQ(trust_.findings()[0].leaves, Trust::kGood);
   }
+}
+
+TEST_F(EstimateTrustTest, ADoubtThatIsNotFiniteWidensNothing) {
+  Doubt(std::numeric_limits<double>::quiet_NaN());
+  EXPECT_EQ(Widened().sigma, snapshot_.sigma);
 }
 
 TEST_F(EstimateTrustTest, ARemarkEndsWithItsDoubtAndWithItsEstimate) {

@@ -16,6 +16,7 @@
 #include "odmc/ros/input_queue.h"
 #include "odmc/ros/live_image.h"
 #include "odmc/ros/node_status.h"
+#include "odmc/ros/pose_twist.h"
 #include "odmc/ros/sample_intake.h"
 #include "odmc/ros/urdf_vehicle.h"
 #include "odmc/sim/simulator.h"
@@ -354,6 +355,32 @@ TEST_F(Intake, SeesTheClockStepBackOnceForAllStreams) {
   EXPECT_EQ(intake_.stale(), 1);
   EXPECT_TRUE(intake_.Push(*ToInput(RotorsAt(1.0), 4)));
   EXPECT_EQ(intake_.resets(), 1);
+}
+
+TEST_F(Intake, ASingleStampFarAheadIsNoStepOfTheClock) {
+  Fly(10.0, 13.0, 1.0);
+  EXPECT_TRUE(intake_.Push(*ToInput(OdometryAt(99.0, x_, 1.0))));
+  EXPECT_EQ(intake_.leaps(), 1);
+  Fly(13.0, 14.0, 1.0);
+  EXPECT_EQ(intake_.resets(), 0);
+  // After a pause of all streams each of them loses one sample at most.
+  Fly(50.0, 51.0, 1.0);
+  EXPECT_EQ(intake_.leaps(), 3);
+  EXPECT_EQ(intake_.resets(), 0);
+  ASSERT_TRUE(intake_.decided());
+  intake_.Release();
+  EXPECT_EQ(intake_.Take().size(), static_cast<size_t>(2 * pushed_) - 2);
+}
+
+TEST(PoseTwistPairing, TwistsWithoutPosesDoNotPileUp) {
+  PoseTwistPairing pairing;
+  OdometryInput twist;
+  twist.linear = Eigen::Vector3d::UnitX();
+  for (int i = 0; i < 100000; ++i) {
+    twist.sample.stamp = FromSeconds(1.0 + 0.01 * i);
+    pairing.AddTwist(twist);
+  }
+  EXPECT_LT(pairing.num_twists(), 110u);
 }
 
 TEST_F(Intake, ForgetsTheOldestAfterAMinuteOfStanding) {

@@ -84,6 +84,27 @@ TEST(RotorDropout, ADeadSensorIsLeftToOthers) {
   EXPECT_EQ(log.rotors.size(), all);
 }
 
+TEST(RotorDropout, ARefusedSampleEndsNoDropout) {
+  FlightLog log = Turning(200.0);
+  Change(4.0, 5.0, 0b1111, kNone, &log);
+  Synchroniser synchroniser(50.0, 0.3);
+  double least = 1e9;
+  for (size_t i = 0; i < log.odometry.size(); ++i) {
+    synchroniser.Add(log.odometry[i]);
+    EXPECT_TRUE(synchroniser.Add(log.rotors[i]));
+    RotorSample wrong = log.rotors[i];
+    wrong.speed[1] = std::nan("");
+    EXPECT_FALSE(synchroniser.Add(wrong));
+    while (const auto keyframe = synchroniser.NextKeyframe()) {
+      for (const RotorSample& sample : synchroniser.rotors()) {
+        if (sample.stamp <= keyframe->stamp) least = std::min(least, sample.speed.minCoeff());
+      }
+    }
+  }
+  EXPECT_GT(least, 500.0);
+  EXPECT_EQ(synchroniser.counters().rotor_dropouts, 1);
+}
+
 TEST(RotorDropout, TheSynchroniserWaitsForReadings) {
   FlightLog log = Turning(200.0);
   Change(4.0, 5.0, 0b1111, kNone, &log);

@@ -48,6 +48,12 @@ double UnexplainedStructure(const ResidualModel::Wrenches& before,
                             const std::vector<ChannelStructure>& of_after,
                             const AttributionOptions& options);
 
+/// Structure that a fit of the declared model leaves and the estimate of the same model does not is
+/// an error of the fit, and nothing for effects to explain: in such channels `of_fit` becomes
+/// noise.
+void DropErrorsOfFit(const std::vector<ChannelStructure>& of_estimate,
+                     const AttributionOptions& options, std::vector<ChannelStructure>* of_fit);
+
 /// What functions of the state explain beside a set of effects.
 struct FlexibleRest {
   double of_force = 0.0, of_torque = 0.0;  ///< gained by functions of them [nats]

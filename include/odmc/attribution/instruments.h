@@ -25,6 +25,8 @@ namespace odmc {
 class Instruments {
  public:
   static constexpr int kFolds = 5;
+  /// Samples without a gap before one that has a past.
+  static constexpr int kReach = 8;
 
   Instruments(const ThinnedFlight& flight, const Vehicle& file_vehicle);
 

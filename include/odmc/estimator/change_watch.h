@@ -18,6 +18,11 @@ class ChangeWatch {
   bool Look(const Window& window);
   /// The chain of states ends.
   void Break() { detector_.Break(); }
+  /// The same, and the clock is another one.
+  void Restart() {
+    detector_.Break();
+    seen_ = 0;
+  }
   /// Keyframes after `newest` were taken back.
   void TakeBack(Stamp newest) { seen_ = std::min(seen_, newest); }
 

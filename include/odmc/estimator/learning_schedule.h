@@ -32,6 +32,8 @@ class LearningSchedule {
   void Reset();
   /// The next interval does not follow on the last one.
   void BreakChain() { gate_.Break(); }
+  /// The same, and the clock is another one.
+  void Restart();
 
   /// True while the whole flight stays in the window.
   bool IsLearning() const;

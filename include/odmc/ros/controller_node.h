@@ -26,6 +26,7 @@
 #include "odmc/ros/controller_report.h"
 #include "odmc/ros/conversions.h"
 #include "odmc/ros/reference_intake.h"
+#include "odmc/sensing/topic_clock.h"
 #include "odmc/sensing/twist_frame.h"
 
 namespace odmc {
@@ -110,8 +111,9 @@ class ControllerNode {
   bool OnResetParameters(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& answer);
   bool OnUseEstimate(std_srvs::SetBool::Request& request, std_srvs::SetBool::Response& answer);
 
+  bool HasCome(Stamp stamp, ControlInput* input);
   /// True if a sample of this stamp may be used. Sees the clock step back.
-  bool Admit(Stamp stamp, Stamp* newest, ControlInput* input);
+  bool Admit(Stamp stamp, TopicClock* clock, ControlInput* input);
   void WatchClock(Stamp now);
   void OnClockStepBack();
   TwistFrame FrameOf(const OdometryInput& input);
@@ -132,7 +134,7 @@ class ControllerNode {
   std::optional<TwistFrameDetector> twist_;  // always there; made anew where the clock steps back
   ControllerReport report_;
 
-  Stamp newest_odometry_ = 0, newest_imu_ = 0, newest_rotors_ = 0, newest_battery_ = 0;
+  TopicClock odometry_clock_, imu_clock_, rotor_clock_, battery_clock_;
   Stamp newest_now_ = 0;
   double imu_period_s_ = 1.0;  // of the newest samples
   std::optional<Stamp> last_step_, last_status_;

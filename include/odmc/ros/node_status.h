@@ -69,7 +69,7 @@ struct NodeStatus {
   double residual_force_rms_N = 0.0, residual_torque_rms_Nm = 0.0, battery_voltage_V = 0.0;
   double time_s = 0.0;
   int states_in_window = 0;
-  long forgotten = 0, stale = 0, clock_resets = 0, not_finite = 0;
+  long forgotten = 0, stale = 0, leaps = 0, clock_resets = 0, not_finite = 0;
   size_t queued = 0;
   std::optional<RotorStatus> rotors;  ///< with a known actuator only
   bool watches_residual = false;

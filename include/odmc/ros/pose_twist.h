@@ -28,6 +28,8 @@ class PoseTwistPairing {
 
   /// True if twists come and are not used.
   bool is_late() const { return is_late_; }
+  /// That wait for poses.
+  size_t num_twists() const { return twists_.size(); }
 
  private:
   enum class Mode { kWaiting, kPaired, kAlone };

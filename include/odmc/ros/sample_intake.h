@@ -73,6 +73,7 @@ class SampleIntake {
   const std::optional<std::string>& imu_frame_id() const { return imu_frame_id_; }
   long forgotten() const { return forgotten_; }  ///< held longer than hold_s, standing still
   long stale() const { return stale_; }          ///< from before a clock that stepped back
+  long leaps() const { return leaps_; }          ///< samples whose stamps were far ahead of all
   long resets() const { return resets_; }
 
  private:
@@ -81,6 +82,7 @@ class SampleIntake {
   enum class Clock { kForward, kStale, kBack };
 
   Clock CheckClock(int stream, Stamp stamp);
+  bool IsLoneLeap(int stream, Stamp stamp);
   void Observe(const InputSample& input);
   void ObserveOdometry(const OdometryInput& input);
   void Decide();
@@ -99,7 +101,7 @@ class SampleIntake {
   std::vector<Sample> ready_;
 
   // What was seen so far.
-  std::array<std::optional<Stamp>, kNumStreams> first_, last_;
+  std::array<std::optional<Stamp>, kNumStreams> first_, last_, leap_;
   TwistFrameDetector detector_;
   std::optional<OdometrySample> first_odometry_;
   std::string child_frame_id_;
@@ -118,7 +120,7 @@ class SampleIntake {
   // After the clock stepped back: the middle between old and new time, until the new passed it.
   std::optional<Stamp> middle_;
   int back_stream_ = 0;
-  long forgotten_ = 0, stale_ = 0, resets_ = 0;
+  long forgotten_ = 0, stale_ = 0, leaps_ = 0, resets_ = 0;
 };
 
 }  // namespace odmc

@@ -33,7 +33,8 @@ class Synchroniser {
   /// @returns false if the sample is dropped (and counted)
   bool Add(const OdometrySample& sample);
   void Add(const ImuSample& sample);
-  void Add(const RotorSample& sample);
+  /// @returns false if the sample is dropped (and counted)
+  bool Add(const RotorSample& sample);
   void Add(const BatterySample& sample);
 
   /// Says that no more samples will come: what is left is handed out without waiting.

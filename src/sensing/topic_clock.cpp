@@ -1,0 +1,25 @@
+#include "odmc/sensing/topic_clock.h"
+
+#include <algorithm>
+
+namespace odmc {
+namespace {
+
+constexpr double kOld_s = 0.5, kGoesOn_s = 0.5;
+
+}  // namespace
+
+StampVerdict TopicClock::See(Stamp stamp, Stamp arrival) {
+  if (ToSeconds(newest_ - stamp) <= kOld_s) {
+    old_since_ = 0;
+    newest_ = std::max(newest_, stamp);
+    return StampVerdict::kForward;
+  }
+  if (old_since_ == 0) old_since_ = arrival;
+  if (ToSeconds(arrival - old_since_) <= kGoesOn_s) return StampVerdict::kLate;
+  old_since_ = 0;
+  newest_ = stamp;
+  return StampVerdict::kBack;
+}
+
+}  // namespace odmc
