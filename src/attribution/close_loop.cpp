@@ -13,6 +13,7 @@
 #include "odmc/attribution/instruments.h"
 #include "odmc/attribution/online_evidence.h"
 #include "odmc/attribution/online_pass.h"
+#include "odmc/attribution/onset.h"
 #include "odmc/attribution/serial_noise.h"
 #include "odmc/attribution/structure.h"
 #include "odmc/attribution/unexplained.h"
@@ -145,6 +146,8 @@ class LoopSession {
   /// Warns of channels of which the effects named leave most of the structure.
   void NoteRest();
   RankedEffect* RankedOf(const std::string& name);
+  /// An onset within a block held out is placed by the whole flight.
+  void PlaceOnsets();
   void NoteRefused();
   /// Warns of effects that an error of one stream would explain as well.
   /// @param changes what each of the doubts makes of the parameters of `model`
@@ -300,10 +303,28 @@ void LoopSession::Attribute() {
   }
   if (progress_) progress_(0.6);
   effects_ = attribution_->effects();
+  PlaceOnsets();
   for (const RankedEffect& ordinary : attribution_->ordinary()) {
     result_.warnings.push_back(OrdinaryText(vehicle_, ordinary));
   }
   NoteRefused();
+}
+
+void LoopSession::PlaceOnsets() {
+  const ModelPoint& point = attribution_->point();
+  const DynamicModel model(point.vehicle, point.vehicle.effects);
+  const ModelValues values = ValuesOf(model, point.values);
+  for (RankedEffect& effect : effects_) {
+    const std::optional<double> onset_s = OnsetByWholeFlight(effect, *residual_, model, values);
+    if (!onset_s) continue;
+    const std::string name =
+        effect.name + "." +
+        EffectRegistry::Default().Make(effect.name, vehicle_)->onset_parameter();
+    effect.settings[name] = *onset_s;
+    for (ParameterEstimate& p : effect.parameters) {
+      if (p.full_name == name) p.value = *onset_s;
+    }
+  }
 }
 
 RankedEffect* LoopSession::RankedOf(const std::string& name) {

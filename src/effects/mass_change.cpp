@@ -10,6 +10,7 @@ constexpr double kStep_s = 1.0;       // from one time to try to the next
 constexpr double kShortest_s = 0.05;  // of its refinement
 constexpr double kLeast = 1e-3;       // of the vehicle's mass, on either side of none
 constexpr double kMostLost = 0.9;     // of it; with none left there is no motion to speak of
+constexpr double kStart = 0.1;        // of the arms' length, above and below: the natural size
 constexpr double kEdge_s = 2.0;       // no change is looked for closer to start and end
 
 /// A load m_L at ξ from the instant `from` on: mass, centre of mass and inertia of both together.
@@ -41,12 +42,18 @@ class MassChange final : public Effect {
 
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool fits_thrust) const override {
     std::vector<EffectTrial> trials;
-    // Its moment alone does not tell more mass here from less mass there: two valleys.
+    // Its moment alone does not tell more mass here from less mass there, nor its inertia more mass
+    // below from more mass above: four valleys.
     const auto try_from = [&](double t) {
       const double some = 0.05 * vehicle().mass_kg, least = kLeast * vehicle().mass_kg;
       const double most = vehicle().mass_kg, lost = kMostLost * vehicle().mass_kg;
-      trials.push_back({{{"from", t}}, {{"mass", some}}, {}, {}, {{"mass", {least, most}}}});
-      trials.push_back({{{"from", t}}, {{"mass", -some}}, {}, {}, {{"mass", {-lost, -least}}}});
+      for (const double z : {-kStart, kStart}) {
+        const double at = z * vehicle().ArmLength();
+        trials.push_back(
+            {{{"from", t}}, {{"mass", some}, {"z", at}}, {}, {}, {{"mass", {least, most}}}});
+        trials.push_back(
+            {{{"from", t}}, {{"mass", -some}, {"z", at}}, {}, {}, {{"mass", {-lost, -least}}}});
+      }
     };
     // Over the whole flight a mass is one with the thrust coefficient.
     if (!fits_thrust) try_from(0.0);

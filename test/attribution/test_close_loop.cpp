@@ -310,6 +310,38 @@ ClosedLoop CloseWithLoad(double mass_share, const Swing& swing) {
   return CloseLoop(flight.log, vehicle, vehicle, CloseLoopOptions());
 }
 
+// The fit does not see the moment, nor, at first, whether the load is above or below: its inertia
+// is the same on either side.
+TEST(CloseLoop, PlacesALoadInTimeAndHeight) {
+  Vehicle vehicle = VehicleWithImu();
+  Vehicle loaded = vehicle;
+  loaded.effects.push_back("mass_change");
+  const DynamicModel model(loaded, loaded.effects);
+  ModelValues truth = DefaultTruth(model);
+  constexpr double kFrom_s = 16.9;
+  ASSERT_TRUE(BlockSplit().IsHeldOut(kFrom_s));
+  truth[model.IndexOf("mass_change.mass")] = 0.11 * vehicle.mass_kg;
+  truth[model.IndexOf("mass_change.z")] = -0.4 * vehicle.ArmLength();
+  truth[model.IndexOf("mass_change.from")] = kFrom_s;
+  SimulationOptions options;
+  options.trajectory = "aggressive";
+  options.duration_s = 30.0;
+  options.log_rate_hz = 200.0;
+  SimulationNoise noise;
+  noise.velocity_m_s = 0.02;
+  noise.imu = true;
+  const FlightLog log = Simulate(model, truth, options, noise).log;
+  const ClosedLoop loop = CloseLoop(log, vehicle, vehicle, CloseLoopOptions());
+  ASSERT_EQ(loop.verdict, Verdict::kEffect) << CloseLoopTable(loop);
+  ASSERT_EQ(loop.effects.size(), 1u) << CloseLoopTable(loop);
+  ASSERT_EQ(loop.effects[0].effect.name, "mass_change");
+  EXPECT_NEAR(loop.effects[0].effect.settings.at("mass_change.from"), kFrom_s, 0.1);
+  for (const std::string name : {"mass_change.mass", "mass_change.z"}) {
+    const double value = truth[model.IndexOf(name)];
+    EXPECT_NEAR(loop.parameters.Find(name)->value, value, 0.1 * std::abs(value)) << name;
+  }
+}
+
 // What odometry shows of a slow effect is not lost behind a noisy accelerometer.
 TEST(CloseLoop, SeesWhatIsSlowBehindANoisyAccelerometer) {
   const auto gain = [](bool with_accelerometer) {
