@@ -37,6 +37,7 @@ void EstimateSession::Reset(bool with_torque) {
   last_.reset();
   if (history_watch_) history_watch_->Reset();
   unlike_history_.clear();
+  trust_.ReadmitStreams();
   trust_.ForgetEstimate();
   added_effects_.clear();
 }

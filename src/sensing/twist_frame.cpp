@@ -10,6 +10,9 @@ namespace {
 
 constexpr double kStretch_s = 0.3;  // long enough that position noise of 1 cm is 5 cm/s
 constexpr double kLongestGap_s = 0.25;
+// A step of the position so far beyond what the twist makes of it is a jump of the odometry, and no
+// motion in either frame.
+constexpr double kJump_m = 0.3, kJumpOverTwist = 3.0;
 constexpr double kMotion_m_s = 0.3;  // slower stretches say little about either frame
 constexpr double kEnoughToDecide_s = 1.0;
 constexpr double kEnoughToRefuse_s = 2.0;
@@ -40,6 +43,11 @@ void TwistFrameDetector::AddSample(Stamp stamp, const Eigen::Vector3d& p_WS,
   const Sample sample{stamp, p_WS, q_WS * twist_linear, twist_linear};
   const double step = last_ ? ToSeconds(stamp - last_->stamp) : -1.0;
   if (step <= 0.0 || step > kLongestGap_s) {
+    StartStretch(sample);
+    return;
+  }
+  const double twist_m_s = std::max(twist_linear.norm(), last_->v_if_world.norm());
+  if ((p_WS - last_->p).norm() > kJump_m + kJumpOverTwist * twist_m_s * step) {
     StartStretch(sample);
     return;
   }

@@ -39,6 +39,24 @@ TEST(OnlineStreamCorrector, TakesAnOffsetOffRotorSpeedsAndLeavesItUntilItIsAnoth
   EXPECT_DOUBLE_EQ(mender.OffsetOf("rotor_speeds"), 0.045);
 }
 
+TEST(OnlineStreamCorrector, WhatWasDroppedIsUsedAgainWhereItIsReadmitted) {
+  StreamInspection wrong;
+  wrong.drop_velocity = true;
+  OnlineStreamCorrector mender;
+  EXPECT_TRUE(mender.Adopt(wrong));
+  const auto has_velocity = [&] {
+    OdometrySample sample;
+    sample.v_WS = Eigen::Vector3d::UnitX();
+    mender.Mend(&sample);
+    return sample.v_WS.has_value();
+  };
+  EXPECT_FALSE(has_velocity());
+  EXPECT_FALSE(mender.Adopt({}));
+  EXPECT_FALSE(has_velocity());
+  mender.Readmit();
+  EXPECT_TRUE(has_velocity());
+}
+
 TEST(OnlineStreamCorrector, AnOffsetThatItCannotTakeOffCostsTrust) {
   OnlineStreamCorrector mender;
   EXPECT_FALSE(mender.Adopt(Found("velocity", 0.030, 0.001)));

@@ -66,6 +66,21 @@ TEST(TwistFrameDetector, BearsNoisyPositions) {
   EXPECT_EQ(Detect({}, Sent::kBody, 10.0, 0.05).frame, TwistFrame::kBody);
 }
 
+TEST(TwistFrameDetector, BearsAJumpOfTheOdometry) {
+  for (const Sent sent : {Sent::kBody, Sent::kWorld}) {
+    const Flight flight;
+    TwistFrameDetector detector;
+    for (double t = 0.0; t < 10.0; t += 0.01) {
+      const Eigen::Vector3d twist =
+          sent == Sent::kBody ? flight.q(t).conjugate() * flight.v(t) : flight.v(t);
+      const Eigen::Vector3d p = flight.p(t) + (t < 0.5 ? 0.0 : 3.0) * Eigen::Vector3d::UnitY();
+      detector.AddSample(FromSeconds(t), p, flight.q(t), twist);
+    }
+    const TwistFrame right = sent == Sent::kBody ? TwistFrame::kBody : TwistFrame::kWorld;
+    EXPECT_EQ(detector.decision().frame, right) << detector.decision().Describe();
+  }
+}
+
 TEST(TwistFrameDetector, RefusesWhatFitsNeither) {
   const TwistFrameDecision zero = Detect({}, Sent::kZero);
   EXPECT_EQ(zero.frame, TwistFrame::kNeither);

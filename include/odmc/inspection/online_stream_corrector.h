@@ -20,6 +20,9 @@ class OnlineStreamCorrector {
   /// @returns true if samples are mended otherwise from now on: what was learned is of others
   bool Adopt(const StreamInspection& inspection);
 
+  /// Columns that were dropped are used again, until an inspection says otherwise.
+  void Readmit() { dropped_ = Dropped(); }
+
   /// What the last inspection found, in words that say what was done about it.
   const std::vector<Finding>& findings() const { return findings_; }
 

@@ -28,6 +28,8 @@ class EstimateTrust {
   /// Every ten seconds of flight: do its thirds agree?
   /// @param values of the estimate, null: none
   void LookBack(const ModelValues* values, bool detects_changes, Estimator* estimator);
+  /// Streams that were left out get another chance.
+  void ReadmitStreams() { mender_.Readmit(); }
   /// What was learned is forgotten.
   void ForgetEstimate();
 
