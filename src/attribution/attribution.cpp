@@ -14,10 +14,8 @@ namespace odmc {
 namespace {
 
 constexpr size_t kFittedSettings = 3;  // by either measure, and their refinement
-constexpr size_t kFittedStarts = 4;    // the same, of different starts
 constexpr int kPolishes = 8;           // linearizations of what is not linear, at most
 constexpr int kFirstPolishes = 3;      // of what gains nothing
-constexpr int kHalvings = 4;           // of a step that leads downhill, at most
 constexpr double kPolished = 0.2;      // sigmas: a smaller step ends them
 constexpr int kSurrogates = 300;       // their 30 largest give the tail to 18 %
 constexpr size_t kMostFeatures = 10;   // that complete a set
@@ -231,12 +229,6 @@ void Attribution::Screen(Evidence* evidence) const {
       std::sort(order.begin(), order.end(),
                 [&](size_t a, size_t b) { return promises[a].*by > promises[b].*by; });
       chosen.insert(order.begin(), order.begin() + std::min(order.size(), kFittedSettings));
-      // Starts may lead to valleys of their own: not all of those chosen are to begin alike.
-      std::set<std::map<std::string, double>> starts;
-      for (size_t k = 0; k < order.size() && starts.size() < kFittedStarts; ++k) {
-        const size_t i = order[k];
-        if (starts.insert(settings[i]->start).second) chosen.insert(i);
-      }
     };
     choose(&Evidence::GainBound::serial);
     choose(&Evidence::GainBound::white);
@@ -262,38 +254,29 @@ void Attribution::Screen(Evidence* evidence) const {
 }
 
 void Attribution::Polish(Evidence* evidence) const {
-  struct Begin {
+  struct Best {
     Evidence::VariantValues at;
     double gain = 0.0;
   };
+  std::map<int, Best> best;
   for (int round = 0; round < kPolishes && !GivesUp(); ++round) {
-    std::map<int, Begin> steps;  // and where they begin
+    std::map<int, Evidence::VariantValues> steps;
     const double declared = evidence->Solve({}).log_evidence;
     for (const int v : Nonlinear(*evidence)) {
       const EffectFit fit = evidence->Solve({v});
-      if (round >= kFirstPolishes && fit.log_evidence <= declared) continue;
-      if (round > 0 && !(evidence->StepInSigmas(v, fit) > kPolished)) continue;
-      steps[v] = {evidence->LinearizedAt(v), evidence->LogEvidenceWhereLinearized(v)};
-      evidence->Relinearize(v, evidence->FoundBy(fit, v));
+      const double claimed = fit.log_evidence - declared;
+      if (round >= kFirstPolishes && claimed <= 0.0) continue;
+      const double gain = evidence->LogEvidenceWhereLinearized(v) - declared;
+      if (round > 0 && gain < best[v].gain && gain < claimed) {
+        steps[v] = Halfway(evidence->LinearizedAt(v), best[v].at);
+        continue;
+      }
+      best[v] = {evidence->LinearizedAt(v), gain};
+      const bool moves = round == 0 || evidence->StepInSigmas(v, fit) > kPolished;
+      if (moves) steps[v] = evidence->FoundBy(fit, v);
     }
     if (steps.empty()) break;
-    evidence->Reweigh();
-    // By the same noise, a step has to lead to more evidence, or to a fit that expects no more.
-    for (int halving = 0; halving < kHalvings && !steps.empty() && !GivesUp(); ++halving) {
-      for (auto it = steps.begin(); it != steps.end();) {
-        const auto& [v, begin] = *it;
-        const double gain = evidence->LogEvidenceWhereLinearized(v);
-        const bool is_worse = gain < begin.gain && gain < evidence->Solve({v}).log_evidence;
-        if (!is_worse) {
-          it = steps.erase(it);
-          continue;
-        }
-        const bool is_last = halving + 1 == kHalvings;
-        evidence->Relinearize(v, is_last ? begin.at : Halfway(evidence->LinearizedAt(v), begin.at));
-        ++it;
-      }
-      if (!steps.empty()) evidence->Reweigh();
-    }
+    for (const auto& [v, at] : steps) evidence->Relinearize(v, at);
     evidence->EstimateNoise();
   }
   for (const int v : Nonlinear(*evidence)) evidence->CountWhatIsBorneOut(v);

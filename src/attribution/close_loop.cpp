@@ -156,6 +156,11 @@ class LoopSession {
   /// Drops all effects where a flexible disturbance explains more than they do. What predicts
   /// blocks held out so much better is its cause all the same.
   void DropUnexplained();
+  /// What the online estimate says against an effect; empty: nothing.
+  /// @param published the estimate, with what the fit leaves open in its sigmas
+  std::string OnlineObjection(const RankedEffect& effect, const ParameterSet& published,
+                              const DynamicModel& model) const;
+  bool HasClearSecondScore(const RankedEffect& effect) const;
   /// Drops what is zero within its sigma online, and predicts nothing better.
   void DropIdle();
   /// Adds an effect of which the regression is no judge, where the online estimate shows it.
@@ -433,46 +438,54 @@ void LoopSession::DropUnexplained() {
   DropAll(Rounded(100.0 * unexplained) + " % of the structure stays unexplained beside it");
 }
 
-void LoopSession::DropIdle() {
-  const Vehicle extended = VehicleWithEffects(effects_);
-  const DynamicModel model(extended, extended.effects);
-  const ErrorRatios ratios = RatiosOf(before_.held_out, after_->held_out, true);
-  const bool predicts = ratios.least < options_.attribution.least_ratio;
-  const bool ruins = ratios.largest > 1.0 / options_.attribution.telling_ratio;
-  ParameterSet published = after_->parameters;
-  for (const RankedEffect& effect : effects_) AddSpread(effect, &published);
+std::string LoopSession::OnlineObjection(const RankedEffect& effect, const ParameterSet& published,
+                                         const DynamicModel& model) const {
+  if (!SizeDiffersFromZero(effect, published, model, 1.0)) {
+    return "its size is zero within its standard deviation:" +
+           EstimatesText(effect, published, model);
+  }
   // What speaks for it is the fit's. Where the estimate contradicts the fit by more than that, or
   // the fit's second score is no clear one, it has to show a size or predict better; and where it
   // contradicts, it must not ruin what it ought to predict.
-  const auto idle = [&](const RankedEffect& effect) {
-    if (!SizeDiffersFromZero(effect, published, model, 1.0)) {
-      result_.warnings.push_back(effect.name + " gains " + Rounded(effect.score) +
-                                 " nats, but its size is zero within its standard deviation:" +
-                                 EstimatesText(effect, published, model));
-      return true;
+  const bool contradicts = NatsAgainst(effect, after_->parameters, model) >= effect.score;
+  if (HasClearSecondScore(effect) && !contradicts) return "";
+  const ErrorRatios ratios = RatiosOf(before_.held_out, after_->held_out, true);
+  const bool predicts = ratios.least < options_.attribution.least_ratio;
+  const bool ruins = ratios.largest > 1.0 / options_.attribution.telling_ratio;
+  const bool is_there = SizeDiffersFromZero(effect, after_->parameters, model,
+                                            options_.attribution.significant_sigmas);
+  if (!(contradicts && ruins) && (predicts || is_there)) return "";
+  return std::string("the online estimate ") +
+         (is_there ? "contradicts that by more, and an axis is predicted twice as badly with it:"
+                   : "is zero within its sigma:") +
+         EstimatesText(effect, after_->parameters, model);
+}
+
+bool LoopSession::HasClearSecondScore(const RankedEffect& effect) const {
+  return !effect.second_score || *effect.second_score >= options_.attribution.clear_odds;
+}
+
+void LoopSession::DropIdle() {
+  const Vehicle extended = VehicleWithEffects(effects_);
+  const DynamicModel model(extended, extended.effects);
+  ParameterSet published = after_->parameters;
+  for (const RankedEffect& effect : effects_) AddSpread(effect, &published);
+  std::vector<RankedEffect> kept;
+  for (const RankedEffect& effect : effects_) {
+    const std::string objection = OnlineObjection(effect, published, model);
+    if (objection.empty()) {
+      kept.push_back(effect);
+      continue;
     }
-    const bool is_clear =
-        !effect.second_score || *effect.second_score >= options_.attribution.clear_odds;
-    const bool contradicts = NatsAgainst(effect, after_->parameters, model) >= effect.score;
-    if (is_clear && !contradicts) return false;
-    const bool is_there = SizeDiffersFromZero(effect, after_->parameters, model,
-                                              options_.attribution.significant_sigmas);
-    if (!(contradicts && ruins) && (predicts || is_there)) return false;
-    result_.warnings.push_back(
-        effect.name + " gains " + Rounded(effect.score) + " nats, but the online estimate " +
-        (is_there ? "contradicts that by more, and an axis is predicted twice as badly with it:"
-                  : "is zero within its sigma:") +
-        EstimatesText(effect, after_->parameters, model));
+    result_.warnings.push_back(effect.name + " gains " + Rounded(effect.score) + " nats, but " +
+                               objection);
     RankedEffect* ranked = RankedOf(effect.name);
-    if (!is_clear && ranked != nullptr && ranked->score > *effect.second_score) {
-      ranked->score = *effect.second_score;
-      ranked->p_value = attribution_->PValue(ranked->score);
-    }
-    return true;
-  };
-  const auto end = std::remove_if(effects_.begin(), effects_.end(), idle);
-  if (end != effects_.end()) after_.reset();
-  effects_.erase(end, effects_.end());
+    if (HasClearSecondScore(effect) || ranked == nullptr) continue;
+    ranked->score = std::min(ranked->score, *effect.second_score);
+    ranked->p_value = attribution_->PValue(ranked->score);
+  }
+  if (kept.size() != effects_.size()) after_.reset();
+  effects_ = std::move(kept);
 }
 
 void LoopSession::Confirm() {

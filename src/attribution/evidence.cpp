@@ -310,11 +310,6 @@ void Evidence::EstimateNoise() {
   Assemble();
 }
 
-void Evidence::Reweigh() {
-  ForEachOf(num_flights(), jobs_, [&](int f) { flights_[static_cast<size_t>(f)].Reweigh(); });
-  Assemble();
-}
-
 void Evidence::AddTo(const MatrixXd& local, size_t f, MatrixXd* gram) const {
   std::vector<int> to = place_[f];
   to.push_back(num_columns());

@@ -421,7 +421,8 @@ void FlightRegression::EstimateNoise() {
     WhitenAll();
     const VectorXd x = FitColumns();
     if (round == rounds.rough + rounds.expectation) {
-      TakeFit(x);
+      fitted_ = white_.leftCols(m);
+      innovation_ = white_.col(m) - fitted_ * x;
       break;
     }
     // The noise is not what is left: the fit has taken a part of it. Its second moments are those
@@ -432,18 +433,6 @@ void FlightRegression::EstimateNoise() {
     const bool is_rough = round < rounds.rough;
     ReestimateNoise(x, is_rough ? MatrixXd(MatrixXd::Zero(m, 0)) : DrawsOfFit(draw));
   }
-  WhitenHeldOut();
-  Project();
-}
-
-void FlightRegression::TakeFit(const VectorXd& x) {
-  fitted_ = white_.leftCols(x.size());
-  innovation_ = white_.col(x.size()) - fitted_ * x;
-}
-
-void FlightRegression::Reweigh() {
-  WhitenAll();
-  TakeFit(FitColumns());
   WhitenHeldOut();
   Project();
 }

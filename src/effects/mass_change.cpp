@@ -10,7 +10,7 @@ constexpr double kStep_s = 1.0;       // from one time to try to the next
 constexpr double kShortest_s = 0.05;  // of its refinement
 constexpr double kLeast = 1e-3;       // of the vehicle's mass, on either side of none
 constexpr double kMostLost = 0.9;     // of it; with none left there is no motion to speak of
-constexpr double kStart = 0.1;        // of the arms' length, above and below: the natural size
+constexpr double kBelow = 0.1;        // of the arms' length: where a fit begins
 constexpr double kEdge_s = 2.0;       // no change is looked for closer to start and end
 
 /// A load m_L at ξ from the instant `from` on: mass, centre of mass and inertia of both together.
@@ -42,18 +42,16 @@ class MassChange final : public Effect {
 
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool fits_thrust) const override {
     std::vector<EffectTrial> trials;
-    // Its moment alone does not tell more mass here from less mass there, nor its inertia more mass
-    // below from more mass above: four valleys.
+    // Its moment alone does not tell more mass here from less mass there: two valleys. Its inertia
+    // does not tell above from below either: loads hang, so begin below.
     const auto try_from = [&](double t) {
       const double some = 0.05 * vehicle().mass_kg, least = kLeast * vehicle().mass_kg;
       const double most = vehicle().mass_kg, lost = kMostLost * vehicle().mass_kg;
-      for (const double z : {-kStart, kStart}) {
-        const double at = z * vehicle().ArmLength();
-        trials.push_back(
-            {{{"from", t}}, {{"mass", some}, {"z", at}}, {}, {}, {{"mass", {least, most}}}});
-        trials.push_back(
-            {{{"from", t}}, {{"mass", -some}, {"z", at}}, {}, {}, {{"mass", {-lost, -least}}}});
-      }
+      const double below = -kBelow * vehicle().ArmLength();
+      trials.push_back(
+          {{{"from", t}}, {{"mass", some}, {"z", below}}, {}, {}, {{"mass", {least, most}}}});
+      trials.push_back(
+          {{{"from", t}}, {{"mass", -some}, {"z", below}}, {}, {}, {{"mass", {-lost, -least}}}});
     };
     // Over the whole flight a mass is one with the thrust coefficient.
     if (!fits_thrust) try_from(0.0);

@@ -116,8 +116,6 @@ class Evidence {
   /// Estimates each flight's noise, see FlightRegression::EstimateNoise(). To be called before
   /// anything below, and again after Add() and Relinearize().
   void EstimateNoise();
-  /// After Relinearize() with the noise as it is: log evidence before and after can be compared.
-  void Reweigh();
 
   const std::vector<EffectVariant>& variants() const { return variants_; }
   const ModelPoint& point() const { return point_; }

@@ -66,8 +66,6 @@ class FlightRegression {
   /// called before anything below, and again after Add() and Relinearize(), when it begins with the
   /// noise as it was.
   void EstimateNoise();
-  /// Whitens what was relinearized with the noise as it is.
-  void Reweigh();
 
   const ResidualModel& residual() const { return *residual_; }
   const ThinnedFlight& flight() const { return residual_->flight(); }
@@ -154,8 +152,6 @@ class FlightRegression {
   /// @param x coefficients
   void ReestimateNoise(const Eigen::VectorXd& x, const Eigen::MatrixXd& draws);
   void WhitenHeldOut();
-  /// @param x coefficients
-  void TakeFit(const Eigen::VectorXd& x);
   int FoldOf(Eigen::Index row) const;
 
   const ResidualModel* residual_;
