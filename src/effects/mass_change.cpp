@@ -10,7 +10,7 @@ constexpr double kStep_s = 1.0;       // from one time to try to the next
 constexpr double kShortest_s = 0.05;  // of its refinement
 constexpr double kLeast = 1e-3;       // of the vehicle's mass, on either side of none
 constexpr double kMostLost = 0.9;     // of it; with none left there is no motion to speak of
-constexpr double kBelow = 0.1;        // of the arms' length: where a fit begins
+constexpr double kBelow = 0.03;       // of the arms' length: where a fit begins
 constexpr double kEdge_s = 2.0;       // no change is looked for closer to start and end
 
 /// A load m_L at ξ from the instant `from` on: mass, centre of mass and inertia of both together.

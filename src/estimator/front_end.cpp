@@ -11,6 +11,13 @@ using Eigen::Vector3d;
 
 constexpr double kNoiseWarmUp_s = 0.3;  // of odometry before the first keyframe
 
+// A jump exceeds the sensors' noise by so many sigmas of it, and what interpolation leaves: a
+// position that velocities do not explain, or, without velocities, what no vehicle can accelerate.
+constexpr double kJumpSigmas = 8.0;
+constexpr double kUnexplainedWay_m = 0.01, kUnexplainedSpeed_m_s = 0.5;
+constexpr double kLeastStep_m = 0.002, kLeastTurn_rad = 0.01;
+constexpr double kMostAcceleration_m_s2 = 40.0, kMostAngularAcceleration_rad_s2 = 300.0;
+
 OdometryNoise Configured(const EstimatorOptions& options) {
   return {options.position_noise_m, options.attitude_noise_rad, options.velocity_noise_m_s,
           options.rate_noise_rad_s};
@@ -161,19 +168,21 @@ bool FrontEnd::IsJump(const OdometrySample& newest, double dt) const {
   const OdometryNoise noise = stream_noise_.odometry();
   if (newest.v_WS && last_->v_WS) {
     const Vector3d step = newest.p_WS - last_->p_WS - 0.5 * dt * (*newest.v_WS + *last_->v_WS);
-    return step.norm() > 0.01 + 8.0 * noise.position_m + dt * (0.5 + 8.0 * noise.velocity_m_s);
+    return step.norm() > kUnexplainedWay_m + kJumpSigmas * noise.position_m +
+                             dt * (kUnexplainedSpeed_m_s + kJumpSigmas * noise.velocity_m_s);
   }
   if (!before_last_) return false;
   const double dt0 = ToSeconds(last_->stamp - before_last_->stamp);
   if (!(dt0 > 0.0) || dt0 > options_->max_gap_s) return false;
-  // Without velocities: what no vehicle can accelerate, 40 m/s² and 300 rad/s².
   const double wider = dt * std::max(dt, dt0);
   const double share = dt / dt0;
   const Vector3d step = newest.p_WS - last_->p_WS - share * (last_->p_WS - before_last_->p_WS);
   const Vector3d turn = Log(last_->q_WS.conjugate() * newest.q_WS) -
                         share * Log(before_last_->q_WS.conjugate() * last_->q_WS);
-  return step.norm() > 0.002 + 8.0 * noise.position_m * (1.0 + share) + 40.0 * wider ||
-         turn.norm() > 0.01 + 8.0 * noise.attitude_rad * (1.0 + share) + 300.0 * wider;
+  const double sigmas = kJumpSigmas * (1.0 + share);
+  return step.norm() > kLeastStep_m + sigmas * noise.position_m + kMostAcceleration_m_s2 * wider ||
+         turn.norm() >
+             kLeastTurn_rad + sigmas * noise.attitude_rad + kMostAngularAcceleration_rad_s2 * wider;
 }
 
 /// Body rate in S that the gyro reads at `stamp`, its bias taken off; nothing without samples

@@ -1,6 +1,8 @@
 #include "csv_table.h"
 
+#include <cstdint>
 #include <filesystem>
+#include <limits>
 #include <utility>
 
 #include "csv_text.h"
@@ -21,17 +23,18 @@ bool ParsePlainSeconds(std::string_view text, Stamp* stamp) {
   const bool negative = !text.empty() && text.front() == '-';
   if (negative) text.remove_prefix(1);
   const size_t point = std::min(text.find('.'), text.size());
-  if (point == 0 || point > 9 || text.size() > point + 10) return false;
-  Stamp value = 0;
+  if (point == 0 || point > 10 || text.size() > point + 10) return false;
+  std::uint64_t value = 0;  // of 19 digits; a stamp holds most of them
   int decimals = 0;
   for (size_t i = 0; i < text.size(); ++i) {
     if (i == point) continue;
     if (text[i] < '0' || text[i] > '9') return false;
-    value = 10 * value + (text[i] - '0');
+    value = 10 * value + static_cast<std::uint64_t>(text[i] - '0');
     if (i > point) ++decimals;
   }
   for (; decimals < 9; ++decimals) value *= 10;
-  *stamp = negative ? -value : value;
+  if (value > static_cast<std::uint64_t>(std::numeric_limits<Stamp>::max())) return false;
+  *stamp = negative ? -static_cast<Stamp>(value) : static_cast<Stamp>(value);
   return true;
 }
 

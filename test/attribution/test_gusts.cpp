@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "odmc/attribution/gust_case.h"
-#include "odmc/attribution/gust_test.h"
+#include "odmc/attribution/gust_likelihood.h"
 #include "odmc/math/gaussian.h"
 
 namespace odmc {

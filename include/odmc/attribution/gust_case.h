@@ -8,7 +8,7 @@
 
 #include "odmc/analysis/prediction.h"
 #include "odmc/attribution/attribution_options.h"
-#include "odmc/attribution/gust_test.h"
+#include "odmc/attribution/gust_likelihood.h"
 #include "odmc/attribution/model_point.h"
 #include "odmc/attribution/ranked_effect.h"
 #include "odmc/model/parameter_set.h"

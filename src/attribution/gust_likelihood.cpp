@@ -1,4 +1,4 @@
-#include "odmc/attribution/gust_test.h"
+#include "odmc/attribution/gust_likelihood.h"
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
@@ -461,10 +461,69 @@ double SteadySwing(const ThinnedFlight& flight, const std::vector<int>& used,
   return best - kCoefficients - std::log(std::max(1, tried));
 }
 
+/// What the residual force at some samples may be made of, besides a force that depends on the
+/// place: drag and a steady force. Rows are samples by body axis, each over the standard deviation
+/// of that axis' quick part.
+struct WeighedForce {
+  Vector3d weight;
+  VectorXd y;       // 3N
+  MatrixXd shared;  // 3N × (drag coefficients + 3), in natural sizes
+};
+
+WeighedForce WeighForce(const std::vector<int>& used, const ResidualModel::Wrenches& residual,
+                        const std::vector<DragCoefficient>& drag,
+                        const std::vector<Matrix3d>& steady, const Vector3d& quick) {
+  const auto n = static_cast<Index>(used.size());
+  const auto num_drag = static_cast<Index>(drag.size());
+  WeighedForce f;
+  f.weight = quick.cwiseSqrt().cwiseInverse();
+  f.y.resize(3 * n);
+  f.shared.resize(3 * n, num_drag + 3);
+  for (Index k = 0; k < n; ++k) {
+    const int i = used[static_cast<size_t>(k)];
+    f.y.segment<3>(3 * k) = f.weight.cwiseProduct(Vector3d(residual.row(i).head<3>().transpose()));
+    f.shared.block<3, 3>(3 * k, num_drag) = f.weight.asDiagonal() * steady[static_cast<size_t>(i)];
+    for (Index d = 0; d < num_drag; ++d) {
+      const Vector3d by_drag = drag[static_cast<size_t>(d)].d_wrench.row(i).head<3>().transpose();
+      f.shared.col(d).segment<3>(3 * k) = f.weight.cwiseProduct(by_drag);
+    }
+  }
+  return f;
+}
+
+/// Features of a Gaussian process over position with a squared-exponential kernel of this width
+/// [m], in its approximation by few centres (N × centres), of unit prior variance.
+MatrixXd FieldFeatures(const MatrixXd& places, const std::vector<Index>& centres, double width_m) {
+  const auto kernel = [width_m](const auto& a, const auto& b) {
+    return std::exp(-0.5 * (a - b).squaredNorm() / (width_m * width_m));
+  };
+  const auto count = static_cast<Index>(centres.size());
+  const auto centre = [&](Index a) { return places.row(centres[static_cast<size_t>(a)]); };
+  MatrixXd K(count, count), phi(places.rows(), count);
+  for (Index a = 0; a < count; ++a) {
+    for (Index b = 0; b < count; ++b) K(a, b) = kernel(centre(a), centre(b));
+    for (Index k = 0; k < places.rows(); ++k) phi(k, a) = kernel(places.row(k), centre(a));
+  }
+  K.diagonal().array() += 1e-6;
+  return K.llt().matrixL().solve(phi.transpose()).transpose() * MatrixXd::Identity(count, count);
+}
+
+/// Log-likelihood of the linear model X with coefficients of these prior standard deviations, in
+/// white noise of variance `noise`, but for what all models share.
+double LogLikelihood(const MatrixXd& gram, const VectorXd& Xy, double yy, const VectorXd& sigma,
+                     double noise) {
+  MatrixXd H = gram / noise;
+  H.diagonal() += sigma.cwiseAbs2().cwiseInverse();
+  const Eigen::LLT<MatrixXd> llt(H);
+  const VectorXd b = Xy / noise;
+  const double log_det = 2.0 * MatrixXd(llt.matrixL()).diagonal().array().log().sum() +
+                         2.0 * sigma.array().log().sum();
+  return 0.5 * b.dot(llt.solve(b)) - 0.5 * yy / noise - 0.5 * log_det;
+}
+
 /// Log-likelihood of a force that depends on the place alone, fixed in the world, in white noise of
-/// a share of the variance `quick` [N², by body axis]: a Gaussian process over position with a
-/// squared-exponential kernel, in its approximation by few centres, the noise, its size and width
-/// those that make the force most likely.
+/// a share of the variance `quick` [N², by body axis]: the noise, its size and the width of its
+/// features those that make the force most likely.
 double FieldOverPosition(const ThinnedFlight& flight, const std::vector<int>& used,
                          const ResidualModel::Wrenches& residual,
                          const std::vector<DragCoefficient>& drag,
@@ -479,70 +538,31 @@ double FieldOverPosition(const ThinnedFlight& flight, const std::vector<int>& us
     places.row(k) = flight.sample(used[static_cast<size_t>(k)]).p_WS.transpose();
   }
   const FarthestRows centres(places, kCentres, 0.02);
-  const double extent = centres.extent;
-  if (!(extent > 0.0)) return -std::numeric_limits<double>::infinity();
+  if (!(centres.extent > 0.0)) return -std::numeric_limits<double>::infinity();
+  const WeighedForce force = WeighForce(used, residual, drag, steady, quick);
+  const Index num_shared = force.shared.cols();
   const auto count = static_cast<Index>(centres.rows.size());
-  const auto centre = [&](Index a) { return places.row(centres.rows[static_cast<size_t>(a)]); };
-  const auto num_drag = static_cast<Index>(drag.size()) + 3;  // the steady force's, too
-  // Rows in body axes, each over the standard deviation of that axis' quick part.
-  const Vector3d weight = quick.cwiseSqrt().cwiseInverse();
-  VectorXd y(3 * n);
-  for (Index k = 0; k < n; ++k) {
-    const int i = used[static_cast<size_t>(k)];
-    y.segment<3>(3 * k) = weight.cwiseProduct(Vector3d(residual.row(i).head<3>().transpose()));
-  }
-  MatrixXd D(3 * n, num_drag);
-  for (Index k = 0; k < n; ++k) {
-    const int i = used[static_cast<size_t>(k)];
-    D.block<3, 3>(3 * k, num_drag - 3) = weight.asDiagonal() * steady[static_cast<size_t>(i)];
-  }
-  for (Index d = 0; d < num_drag - 3; ++d) {
-    for (Index k = 0; k < n; ++k) {
-      const int i = used[static_cast<size_t>(k)];
-      const Vector3d f = drag[static_cast<size_t>(d)].d_wrench.row(i).head<3>().transpose();
-      D.col(d).segment<3>(3 * k) = weight.cwiseProduct(f);
-    }
-  }
   double best = -std::numeric_limits<double>::infinity();
   for (const double width : kWidths) {
-    const double w = width * extent;
-    const auto kernel = [w](const auto& a, const auto& b) {
-      return std::exp(-0.5 * (a - b).squaredNorm() / (w * w));
-    };
-    MatrixXd K(count, count), phi(n, count);
-    for (Index a = 0; a < count; ++a) {
-      for (Index b = 0; b < count; ++b) K(a, b) = kernel(centre(a), centre(b));
-      for (Index k = 0; k < n; ++k) phi(k, a) = kernel(places.row(k), centre(a));
-    }
-    K.diagonal().array() += 1e-6;
-    // Features of unit prior variance.
-    const MatrixXd features =
-        K.llt().matrixL().solve(phi.transpose()).transpose() * MatrixXd::Identity(count, count);
-    const Index m = 3 * count + num_drag;
-    MatrixXd X = MatrixXd::Zero(3 * n, m);
+    const MatrixXd features = FieldFeatures(places, centres.rows, width * centres.extent);
+    MatrixXd X = MatrixXd::Zero(3 * n, 3 * count + num_shared);
     for (Index k = 0; k < n; ++k) {
       const Matrix3d R_BW = flight.R_WB(used[static_cast<size_t>(k)]).transpose();
       for (Index axis = 0; axis < 3; ++axis) {
         X.block(3 * k, axis * count, 3, count) =
-            weight.cwiseProduct(R_BW.col(axis)) * features.row(k);
+            force.weight.cwiseProduct(R_BW.col(axis)) * features.row(k);
       }
     }
-    X.rightCols(num_drag) = D;
+    X.rightCols(num_shared) = force.shared;
     const MatrixXd gram = X.transpose() * X;
-    const VectorXd Xy = X.transpose() * y;
+    const VectorXd Xy = X.transpose() * force.y;
     for (const double size : kFieldSizes) {
+      VectorXd sigma = VectorXd::Constant(X.cols(), size * natural);
+      sigma.tail(num_shared).setOnes();
       for (const double noise : kNoiseShares) {
-        VectorXd sigma = VectorXd::Constant(m, size * natural);
-        sigma.tail(num_drag).setOnes();  // natural sizes
-        MatrixXd H = gram / noise;
-        H.diagonal() += sigma.cwiseAbs2().cwiseInverse();
-        const Eigen::LLT<MatrixXd> llt(H);
-        const VectorXd b = Xy / noise;
-        const double log_det = 2.0 * MatrixXd(llt.matrixL()).diagonal().array().log().sum() +
-                               2.0 * sigma.array().log().sum();
-        const double likelihood = 0.5 * b.dot(llt.solve(b)) - 0.5 * y.squaredNorm() / noise -
-                                  0.5 * log_det - 1.5 * static_cast<double>(n) * std::log(noise) +
-                                  static_cast<double>(n) * weight.array().log().sum();
+        const double likelihood = LogLikelihood(gram, Xy, force.y.squaredNorm(), sigma, noise) -
+                                  1.5 * static_cast<double>(n) * std::log(noise) +
+                                  static_cast<double>(n) * force.weight.array().log().sum();
         best = std::max(best, likelihood);
       }
     }
