@@ -334,7 +334,8 @@ void AddGroundTouches(const FlightLog& log, const std::vector<PhaseSpan>& phases
   left_out->insert(left_out->end(), touches.begin(), touches.end());
 }
 
-Vector3d LoadForceEvaluator::PullAt(const FilteredMotion& now, const ModelValues& values) {
+Vector3d LoadForceEvaluator::PullAt(const FilteredMotion& now, const ModelValues& values,
+                                    const BodyProperties* body) {
   // The filter takes its first half window; before that the vehicle stood still or was on course.
   const SensorMotion sensor{now.v_WS, now.R_WS, now.w_S};
   if (is_first_) {
@@ -343,7 +344,7 @@ Vector3d LoadForceEvaluator::PullAt(const FilteredMotion& now, const ModelValues
   }
   is_first_ = false;
   // Through gaps with their mean acceleration, which leaves the velocity right.
-  const Vector3d pull_W = load_.Advance(last_, sensor, now.t_s - t_s_, values).pull_W;
+  const Vector3d pull_W = load_.Advance(last_, sensor, now.t_s - t_s_, values, body).pull_W;
   last_ = sensor;
   t_s_ = now.t_s;
   return pull_W;
@@ -354,7 +355,11 @@ std::vector<Eigen::Vector3d> LoadPulls(const FlightMotion& flight, const Dynamic
   LoadForceEvaluator load(model);
   std::vector<Vector3d> pulls;
   pulls.reserve(flight.samples.size());
-  for (const FilteredMotion& now : flight.samples) pulls.push_back(load.PullAt(now, values));
+  std::optional<BodyProperties> body;
+  if (!model.varies()) body = model.Properties(values);
+  for (const FilteredMotion& now : flight.samples) {
+    pulls.push_back(load.PullAt(now, values, body ? &*body : nullptr));
+  }
   return pulls;
 }
 

@@ -33,17 +33,14 @@ void ForEachOf(int count, int jobs, const std::function<void(int)>& work,
       if (progress && !failure) progress(static_cast<double>(done) / count);
     }
   };
-  std::vector<std::thread> threads;
-  threads.reserve(static_cast<size_t>(std::max(0, std::min(jobs, count))));
-  for (int j = 0; j < std::min(jobs, count); ++j) {
-    try {
-      threads.emplace_back(run);
-    } catch (const std::system_error&) {
-      if (threads.empty()) run();  // no more threads to be had: those there are do the work
-      break;
-    }
+  std::vector<std::thread> helpers;
+  try {
+    for (int j = 1; j < std::min(jobs, count); ++j) helpers.emplace_back(run);
+  } catch (const std::system_error&) {
+    // No more threads to be had: those there are do the work.
   }
-  for (std::thread& thread : threads) thread.join();
+  run();
+  for (std::thread& helper : helpers) helper.join();
   if (failure) std::rethrow_exception(failure);
 }
 

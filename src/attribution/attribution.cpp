@@ -8,6 +8,7 @@
 #include <set>
 #include <utility>
 
+#include "odmc/analysis/parallel.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -209,9 +210,11 @@ void Attribution::Screen(Evidence* evidence) const {
     if (hollow_.count(candidate.effect) > 0) continue;
     by_effect[candidate.effect].push_back(&candidate);
   }
+  std::vector<EffectCandidate> single;
   for (const auto& entry : by_effect) {
-    if (entry.second.size() == 1) evidence->Add(*entry.second.front());
+    if (entry.second.size() == 1) single.push_back(*entry.second.front());
   }
+  evidence->AddAll(single);
   evidence->EstimateNoise();
   struct Chosen {
     EffectCandidate candidate;
@@ -220,8 +223,10 @@ void Attribution::Screen(Evidence* evidence) const {
   std::vector<Chosen> all;
   for (const auto& [effect, settings] : by_effect) {
     if (settings.size() < 2 || GivesUp()) continue;
-    std::vector<Evidence::GainBound> promises;
-    for (const EffectCandidate* c : settings) promises.push_back(evidence->GainBoundOf(*c));
+    std::vector<Evidence::GainBound> promises(settings.size());
+    ForEachOf(static_cast<int>(settings.size()), jobs_, [&, &settings = settings](int i) {
+      promises[static_cast<size_t>(i)] = evidence->GainBoundOf(*settings[static_cast<size_t>(i)]);
+    });
     std::set<size_t> chosen;
     const auto choose = [&](double Evidence::GainBound::*by) {
       std::vector<size_t> order(promises.size());
@@ -246,9 +251,11 @@ void Attribution::Screen(Evidence* evidence) const {
     if (refined.settings != settings[most]->settings || refined.start != settings[most]->start)
       all.push_back({refined, log_prior});
   }
-  for (const Chosen& c : all) {
-    const int added = evidence->Add(c.candidate);
-    if (added >= 0) evidence->SetLogPrior(added, c.log_prior);
+  std::vector<EffectCandidate> chosen;
+  for (const Chosen& c : all) chosen.push_back(c.candidate);
+  const std::vector<int> added = evidence->AddAll(chosen);
+  for (size_t k = 0; k < all.size(); ++k) {
+    if (added[k] >= 0) evidence->SetLogPrior(added[k], all[k].log_prior);
   }
   evidence->EstimateNoise();
 }
@@ -276,7 +283,7 @@ void Attribution::Polish(Evidence* evidence) const {
       if (moves) steps[v] = evidence->FoundBy(fit, v);
     }
     if (steps.empty()) break;
-    for (const auto& [v, at] : steps) evidence->Relinearize(v, at);
+    evidence->Relinearize(steps);
     evidence->EstimateNoise();
   }
   for (const int v : Nonlinear(*evidence)) evidence->CountWhatIsBorneOut(v);

@@ -26,7 +26,8 @@ const std::vector<DecisionNumber>& DecisionNumbers() {
        "ln(1/20): one of some 20 candidates acts"},
       {"most_effects", "effects", &O::most_effects, 0.0, 20.0, "judgement: bounds the time"},
       {"most_flight_s", "s", &O::most_flight_s, 30.0, 1e5,
-       "judgement: bounds time and memory; of a longer flight, stretches spread over it"},
+       "judgement: bounds time (ten minutes of flight in about one, on two processors) and memory; "
+       "of a longer flight, stretches spread over it"},
       {"least_share", "1", &O::least_share, 0.0, 1.0,
        "judgement: formulas are good to some per cent, the rest of a strong effect can resemble a "
        "weak one"},

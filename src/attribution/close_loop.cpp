@@ -279,7 +279,8 @@ void LoopSession::Attribute() {
         "accelerometer feels, with less noise; vibration that it samples too slowly?");
   }
   attribution_ = std::make_unique<Attribution>(residual_.get(), ModelPointOf(declared_, values),
-                                               candidates_, options_.attribution);
+                                               candidates_, options_.attribution, std::function<bool()>(),
+                                               options_.jobs);
   attribution_->Run();
   result_.ranking = attribution_->ranking();
   result_.named_gain = attribution_->gain();
@@ -350,7 +351,8 @@ void LoopSession::WeighGusts() {
   if (std::count(options_.ruled_out.begin(), options_.ruled_out.end(), "gust") > 0) return;
   GustCase gusts =
       RankGusts(*residual_, attribution_->point(), attribution_->residual_after(),
-                before_.parameters, attribution_->flexible().of_force, options_.attribution);
+                before_.parameters, attribution_->flexible().of_force, options_.attribution,
+                options_.jobs);
   result_.ranking.push_back(gusts.ranked);
   if (IsGusty(gusts, options_.attribution) && CanBlow(vehicle_, effects_)) {
     gusts_ = std::move(gusts);

@@ -156,7 +156,8 @@ Evidence::Evidence(const std::vector<FlightWithInstruments>& flights, const Mode
   ForEachOf(static_cast<int>(flights.size()), jobs, [&](int f) {
     const FlightWithInstruments& flight = flights[static_cast<size_t>(f)];
     made[static_cast<size_t>(f)].emplace(flight.residual, flight.instruments,
-                                         point.OfFlight(static_cast<size_t>(f)));
+                                         point.OfFlight(static_cast<size_t>(f)),
+                                         flights.size() == 1 ? jobs : 1);
   });
   for (auto& regression : made) flights_.push_back(std::move(*regression));
   num_channels_ = kNumChannels;
@@ -217,11 +218,27 @@ int Evidence::num_rows() const {
   return rows;
 }
 
-int Evidence::Add(const EffectCandidate& candidate) {
-  std::vector<FlightRegression::Added> added(flights_.size());
-  ForEachOf(num_flights(), jobs_, [&](int f) {
-    added[static_cast<size_t>(f)] = flights_[static_cast<size_t>(f)].Add(candidate, {});
+std::vector<int> Evidence::AddAll(const std::vector<EffectCandidate>& candidates) {
+  const size_t n = flights_.size();
+  std::vector<FlightRegression::Seen> seen(candidates.size() * n);
+  ForEachOf(static_cast<int>(seen.size()), jobs_, [&](int i) {
+    const auto at = static_cast<size_t>(i);
+    seen[at] = flights_[at % n].ActingColumns(candidates[at / n]);
   });
+  std::vector<int> variants;
+  auto next = std::make_move_iterator(seen.begin());
+  for (const EffectCandidate& candidate : candidates) {
+    variants.push_back(Append(candidate, {next, next + static_cast<Index>(n)}));
+    next += static_cast<Index>(n);
+  }
+  return variants;
+}
+
+int Evidence::Append(const EffectCandidate& candidate, std::vector<FlightRegression::Seen> seen) {
+  std::vector<FlightRegression::Added> added;
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    added.push_back(flights_[f].Append(candidate.effect, std::move(seen[f])));
+  }
   EffectVariant variant;
   variant.candidate = candidate;
   std::map<std::string, int> shared;
@@ -268,14 +285,38 @@ Evidence::VariantValues Evidence::FoundBy(const EffectFit& fit, int v) const {
   return found;
 }
 
-void Evidence::Relinearize(int v, const VariantValues& at) {
+void Evidence::Relinearize(const std::map<int, VariantValues>& at) {
+  struct Task {
+    int variant;
+    size_t flight;
+    const std::map<std::string, double>* at;
+    FlightRegression::Seen seen;
+  };
+  std::vector<Task> tasks;
+  for (const auto& [v, values] : at) {
+    for (size_t f = 0; f < flights_.size(); ++f) tasks.push_back({v, f, &values[f], {}});
+  }
+  ForEachOf(static_cast<int>(tasks.size()), jobs_, [&](int i) {
+    Task& task = tasks[static_cast<size_t>(i)];
+    task.seen = flights_[task.flight].LinearizedAt(
+        variants_[static_cast<size_t>(task.variant)].candidate, *task.at);
+  });
+  auto task = tasks.begin();
+  for (const auto& entry : at) {
+    std::vector<FlightRegression::Seen> seen;
+    for (size_t f = 0; f < flights_.size(); ++f, ++task) seen.push_back(std::move(task->seen));
+    Replace(entry.first, std::move(seen));
+  }
+}
+
+void Evidence::Replace(int v, std::vector<FlightRegression::Seen> seen) {
   EffectVariant& variant = variants_[static_cast<size_t>(v)];
   std::map<std::string, int> shared;
   if (variant.offset >= 0) shared["offset"] = variant.offset;
   for (size_t f = 0; f < flights_.size(); ++f) {
     FlightRegression::Added& added = added_[f][static_cast<size_t>(v)];
     const int before = added.offset;
-    flights_[f].Relinearize(variant.candidate, at[f], &added);
+    flights_[f].Replace(std::move(seen[f]), &added);
     for (const int k : added.columns) {
       columns_[static_cast<size_t>(place_[f][static_cast<size_t>(k)])].linearized_at =
           flights_[f].column(k).linearized_at;
@@ -422,13 +463,15 @@ Evidence::FlexibleGain Evidence::BestFlexible(const VariantSet& set,
   };
   std::vector<VectorXd> errors;
   for (size_t f = 0; f < flights_.size(); ++f) errors.push_back(ErrorsOf(f, set, fit));
-  for (int c = 0; c < num_channels_; ++c) {
-    FlexibleSums sums(m, along_body);
+  std::vector<FlexibleSums> by_channel(static_cast<size_t>(num_channels_),
+                                       FlexibleSums(m, along_body));
+  ForEachOf(num_channels_, jobs_, [&](int c) {
     for (size_t f = 0; f < flights_.size(); ++f) {
-      AddTo(&sums, f, c, features.foreseen[f], plain_sigma_[c], fit, errors[f], effect_of(f));
+      AddTo(&by_channel[static_cast<size_t>(c)], f, c, features.foreseen[f], plain_sigma_[c], fit,
+            errors[f], effect_of(f));
     }
-    look(sums, c);
-  }
+  });
+  for (int c = 0; c < num_channels_; ++c) look(by_channel[static_cast<size_t>(c)], c);
   if (!choice.with_world) return best;
   FlexibleSums sums(m, along_world);
   for (size_t f = 0; f < flights_.size(); ++f) {

@@ -7,6 +7,8 @@
 #include <random>
 #include <utility>
 
+#include "odmc/analysis/parallel.h"
+
 namespace odmc {
 namespace {
 
@@ -76,6 +78,16 @@ MatrixXd GramOf(const MatrixXd& B, const MatrixXd& BB, const MatrixXd& X, const 
   return gram;
 }
 
+/// A column more, before the last, in sums of products. @param products with all columns
+void InsertBeforeLast(const VectorXd& products, MatrixXd* gram) {
+  const Index at = gram->rows() - 1;
+  gram->conservativeResize(at + 2, at + 2);
+  gram->col(at + 1) = gram->col(at);
+  gram->row(at + 1) = gram->row(at);
+  gram->col(at) = products;
+  gram->row(at) = products.transpose();
+}
+
 // An inertia is told by the torque about its axis. Where nothing of that is foreseen, w x I w is
 // all that is left of the column, and whatever else acts about the other axes would move the
 // inertia to where its own axis cannot be.
@@ -88,12 +100,13 @@ bool IsOfUnforeseenAxis(const Regressor& column) {
 }  // namespace
 
 FlightRegression::FlightRegression(const ResidualModel* residual, const Instruments* instruments,
-                                   const ModelPoint& point)
+                                   const ModelPoint& point, int jobs)
     : residual_(residual),
       instruments_(instruments),
       likely_(&instruments->likely_flight(), &residual->file_vehicle(),
               residual->num_channels() == kNumChannels),
       point_(point),
+      jobs_(jobs),
       num_channels_(residual->num_channels()) {
   likely_.BlendAs(*residual);
   rows_ = RowsOf(residual->flight(), *instruments, false, SerialNoise::kOrder);
@@ -128,7 +141,16 @@ void FlightRegression::AddBase() {
   num_base_ = static_cast<int>(columns_.size());
   // What of other columns the base has, each channel in its own units.
   base_.resize(y_.size(), num_base_);
-  for (int k = 0; k < num_base_; ++k) base_.col(k) = Stacked(columns_[k].d_wrench);
+  for (MatrixXd* of : {&base_whole_, &base_likely_, &base_foreseen_}) {
+    of->resize(y_.size(), num_base_);
+  }
+  for (int k = 0; k < num_base_; ++k) {
+    const Regressor& column = columns_[static_cast<size_t>(k)];
+    base_.col(k) = Stacked(column.d_wrench);
+    base_whole_.col(k) = VectorXd::Map(column.d_wrench.data(), y_.size());
+    base_likely_.col(k) = VectorXd::Map(column.likely.data(), y_.size());
+    base_foreseen_.col(k) = VectorXd::Map(column.foreseen.data(), y_.size());
+  }
   base_size_ = base_.colwise().norm().transpose().array().max(1e-300);
   MatrixXd H = base_.transpose() * base_;
   H = base_size_.cwiseInverse().asDiagonal() * H * base_size_.cwiseInverse().asDiagonal();
@@ -155,14 +177,15 @@ VectorXd FlightRegression::Stacked(const Wrenches& column) const {
 Wrenches FlightRegression::Foreseen(const Regressor& column) const {
   const VectorXd share = base_size_.cwiseInverse().cwiseProduct(base_gram_.solve(
       base_size_.cwiseInverse().cwiseProduct(base_.transpose() * Stacked(column.d_wrench))));
-  Wrenches own = column.d_wrench, likely = column.likely;
-  Wrenches of_base = Wrenches::Zero(own.rows(), kNumChannels);
-  for (int k = 0; k < num_base_; ++k) {
-    own -= share[k] * columns_[k].d_wrench;
-    likely -= share[k] * columns_[k].likely;
-    of_base += share[k] * columns_[k].foreseen;
-  }
-  if (column.likely.isZero(0.0)) likely.setZero();
+  const auto of_base_by = [&](const MatrixXd& columns) {
+    Wrenches sum(y_.rows(), kNumChannels);
+    VectorXd::Map(sum.data(), sum.size()).noalias() = columns * share;
+    return sum;
+  };
+  const Wrenches of_base = of_base_by(base_foreseen_);
+  Wrenches own = column.d_wrench - of_base_by(base_whole_);
+  Wrenches likely = Wrenches::Zero(y_.rows(), kNumChannels);
+  if (!column.likely.isZero(0.0)) likely = column.likely - of_base_by(base_likely_);
   return of_base + instruments_->Foreseen(own, likely);
 }
 
@@ -221,10 +244,8 @@ FlightRegression::Seen FlightRegression::See(const EffectCandidate& candidate,
     setting = 0.0;
   }
   const std::string key = onset.empty() || !at.empty() ? "" : KeyOf(candidate);
-  const auto known = seen_.find(key);
-  Seen seen = known != seen_.end() ? known->second
-                                   : SeeFully(candidate, model, values, key.empty() ? what : kAll);
-  if (!key.empty() && known == seen_.end()) seen_[key] = seen;
+  Seen seen = key.empty() ? SeeFully(candidate, model, values, what)
+                          : SeenBeforeOr(key, [&] { return SeeFully(candidate, model, values, kAll); });
   if (!onset.empty()) {
     for (int i = 0; i < residual_->flight().size(); ++i) {
       if (residual_->flight().sample(i).t_s >= from_s) break;
@@ -253,6 +274,20 @@ FlightRegression::Seen FlightRegression::See(const EffectCandidate& candidate,
                                       }),
                        seen.columns.end());
   }
+  return seen;
+}
+
+FlightRegression::Seen FlightRegression::SeenBeforeOr(const std::string& key,
+                                                      const std::function<Seen()>& see) const {
+  const auto known = [&]() -> const Seen* {
+    const std::lock_guard<std::mutex> lock(seen_before_->mutex);
+    const auto found = seen_before_->by_key.find(key);
+    return found != seen_before_->by_key.end() ? &found->second : nullptr;
+  };
+  if (const Seen* before = known()) return *before;
+  Seen seen = see();
+  const std::lock_guard<std::mutex> lock(seen_before_->mutex);
+  seen_before_->by_key.emplace(key, seen);
   return seen;
 }
 
@@ -305,34 +340,41 @@ VectorXd FlightRegression::Whitened(const Wrenches& column, const std::vector<in
 void FlightRegression::WhitenAll() {
   const auto n = static_cast<Index>(columns_.size());
   white_.resize(static_cast<Index>(rows_.size()) * num_channels_, n + 1);
-  for (Index k = 0; k < n; ++k) {
-    white_.col(k) = Whitened(columns_[static_cast<size_t>(k)].foreseen, rows_, weight_);
-  }
-  white_.col(n) = Whitened(y_, rows_, weight_);
-  SumUp(false);
+  ForEachOf(static_cast<int>(n) + 1, jobs_, [&](int k) {
+    white_.col(k) =
+        Whitened(k < n ? columns_[static_cast<size_t>(k)].foreseen : y_, rows_, weight_);
+  });
+  SumUp();
 }
 
-void FlightRegression::SumUp(bool by_folds) {
-  const Index n = white_.cols() - 1;
-  gram_.setZero(n + 1, n + 1);
-  gram_.selfadjointView<Eigen::Lower>().rankUpdate(white_.transpose());
-  gram_.triangularView<Eigen::StrictlyUpper>() = gram_.transpose();
-  if (!by_folds) return;
-  // The same sums by folds of blocks of time.
-  fold_gram_.assign(kFolds, MatrixXd::Zero(n + 1, n + 1));
+void FlightRegression::ForEachStretch(int channel, const std::function<void(int, Index, Index)>& use) const {
   const auto rows = static_cast<Index>(rows_.size());
-  for (int c = 0; c < num_channels_; ++c) {
-    for (Index from = 0; from < rows;) {
-      Index to = from;
-      const int fold = FoldOf(from);
-      while (to < rows && FoldOf(to) == fold) ++to;
-      fold_gram_[fold].selfadjointView<Eigen::Lower>().rankUpdate(
-          white_.middleRows(c * rows + from, to - from).transpose());
-      from = to;
-    }
+  for (Index from = 0; from < rows;) {
+    Index to = from;
+    const int fold = FoldOf(from);
+    while (to < rows && FoldOf(to) == fold) ++to;
+    use(fold, channel * rows + from, to - from);
+    from = to;
   }
-  for (MatrixXd& gram : fold_gram_) {
-    gram.triangularView<Eigen::StrictlyUpper>() = gram.transpose();
+}
+
+void FlightRegression::SumUp() {
+  const Index n = white_.cols();
+  std::vector<std::vector<MatrixXd>> by_channel(static_cast<size_t>(num_channels_));
+  ForEachOf(num_channels_, jobs_, [&](int c) {
+    std::vector<MatrixXd>& grams = by_channel[static_cast<size_t>(c)];
+    grams.assign(kFolds, MatrixXd::Zero(n, n));
+    ForEachStretch(c, [&](int fold, Index from, Index count) {
+      grams[static_cast<size_t>(fold)].selfadjointView<Eigen::Lower>().rankUpdate(
+          white_.middleRows(from, count).transpose());
+    });
+  });
+  gram_.setZero(n, n);
+  fold_gram_.assign(kFolds, MatrixXd::Zero(n, n));
+  for (size_t fold = 0; fold < kFolds; ++fold) {
+    for (const auto& grams : by_channel) fold_gram_[fold] += grams[fold];
+    fold_gram_[fold].triangularView<Eigen::StrictlyUpper>() = fold_gram_[fold].transpose();
+    gram_ += fold_gram_[fold];
   }
 }
 
@@ -378,8 +420,8 @@ void FlightRegression::ReestimateNoise(const VectorXd& x, const MatrixXd& draws)
   const auto m = static_cast<Index>(columns_.size());
   MatrixXd fitted(m, 1 + draws.cols());
   fitted << -x, draws;
-  MatrixXd columns(y_.rows(), m);
-  for (int c = 0; c < num_channels_; ++c) {
+  ForEachOf(num_channels_, jobs_, [&](int c) {
+    MatrixXd columns(y_.rows(), m);
     for (Index k = 0; k < m; ++k) {
       columns.col(k) = columns_[static_cast<size_t>(k)].foreseen.col(c);
     }
@@ -393,17 +435,17 @@ void FlightRegression::ReestimateNoise(const VectorXd& x, const MatrixXd& draws)
       const double sigmas = std::abs(innovation[k]);
       weight_(k, c) = sigmas > kWildSigmas ? std::sqrt(kWildSigmas / sigmas) : 1.0;
     }
-  }
+  });
 }
 
 void FlightRegression::WhitenHeldOut() {
   const auto m = static_cast<Index>(columns_.size());
   held_out_weight_ = MatrixXd::Ones(static_cast<Index>(held_out_rows_.size()), kNumChannels);
   held_out_white_.resize(static_cast<Index>(held_out_rows_.size()) * num_channels_, m + 1);
-  for (Index k = 0; k <= m; ++k) {
+  ForEachOf(static_cast<int>(m) + 1, jobs_, [&](int k) {
     const Wrenches& column = k < m ? columns_[static_cast<size_t>(k)].foreseen : y_;
     held_out_white_.col(k) = Whitened(column, held_out_rows_, held_out_weight_);
-  }
+  });
 }
 
 void FlightRegression::EstimateNoise() {
@@ -440,9 +482,9 @@ void FlightRegression::EstimateNoise() {
 void FlightRegression::Project() {
   const auto n = static_cast<Index>(columns_.size());
   MatrixXd whole(white_.rows(), n);
-  for (Index k = 0; k < n; ++k) {
+  ForEachOf(static_cast<int>(n), jobs_, [&](int k) {
     whole.col(k) = Whitened(columns_[static_cast<size_t>(k)].d_wrench, rows_, weight_);
-  }
+  });
   const MatrixXd of_whole = white_.leftCols(n).transpose() * whole;
   MatrixXd gram = gram_.topLeftCorner(n, n);
   const VectorXd size = gram.diagonal().cwiseSqrt();
@@ -467,11 +509,14 @@ bool FlightRegression::Seen::IsFinite() const {
   return std::all_of(columns.begin(), columns.end(), is_finite) && (!offset || is_finite(*offset));
 }
 
-FlightRegression::Added FlightRegression::Add(const EffectCandidate& candidate,
-                                              const std::map<std::string, double>& at) {
-  Seen seen = See(candidate, at, kActing);
+FlightRegression::Seen FlightRegression::ActingColumns(const EffectCandidate& candidate) const {
+  Seen seen = See(candidate, {}, kActing);
+  return seen.IsFinite() ? seen : Seen();
+}
+
+FlightRegression::Added FlightRegression::Append(const std::string& effect, Seen seen) {
   Added added;
-  if (seen.columns.empty() || !seen.IsFinite()) return added;
+  if (seen.columns.empty()) return added;
   for (Regressor& column : seen.columns) {
     added.columns.push_back(num_columns());
     columns_.push_back(std::move(column));
@@ -479,16 +524,14 @@ FlightRegression::Added FlightRegression::Add(const EffectCandidate& candidate,
   if (seen.offset) {
     added.offset = num_columns();
     seen.offset->name = "offset";
-    seen.offset->effect = candidate.effect;
+    seen.offset->effect = effect;
     columns_.push_back(std::move(*seen.offset));
   }
   return added;
 }
 
-void FlightRegression::Relinearize(const EffectCandidate& candidate,
-                                   const std::map<std::string, double>& at, Added* added) {
-  if (added->columns.empty()) return;
-  Seen seen = See(candidate, at, kAll);
+void FlightRegression::Replace(Seen seen, Added* added) {
+  if (added->columns.empty() || seen.columns.empty()) return;
   // Where the model has no value, the linearization before is the better one.
   if (!seen.IsFinite()) return;
   for (const int k : added->columns) {
@@ -502,7 +545,7 @@ void FlightRegression::Relinearize(const EffectCandidate& candidate,
     seen.offset->d_wrench = seen.offset->likely = seen.offset->foreseen = nothing;
   }
   seen.offset->name = "offset";
-  seen.offset->effect = candidate.effect;
+  seen.offset->effect = seen.columns.front().effect;
   if (added->offset < 0) {
     added->offset = num_columns();
     columns_.emplace_back();
@@ -553,7 +596,19 @@ int FlightRegression::AddFeature(const VectorXd& whitened, const std::string& na
   white_.col(y_at + 1) = white_.col(y_at);
   white_.col(y_at) = whitened;
   unforeseen_gram_.conservativeResizeLike(MatrixXd::Zero(y_at + 2, y_at + 2));
-  SumUp();
+  std::vector<VectorXd> products(kFolds, VectorXd::Zero(y_at + 2));
+  for (int c = 0; c < num_channels_; ++c) {
+    ForEachStretch(c, [&](int fold, Index from, Index count) {
+      products[static_cast<size_t>(fold)] +=
+          white_.middleRows(from, count).transpose() * whitened.segment(from, count);
+    });
+  }
+  VectorXd all = VectorXd::Zero(y_at + 2);
+  for (size_t fold = 0; fold < kFolds; ++fold) {
+    InsertBeforeLast(products[fold], &fold_gram_[fold]);
+    all += products[fold];
+  }
+  InsertBeforeLast(all, &gram_);
   return static_cast<int>(y_at);
 }
 

@@ -222,7 +222,7 @@ std::optional<SecondSensorShare> ShareInSecondSensor(const ThinnedFlight& flight
 
 GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
                    const ResidualModel::Wrenches& left, const ParameterSet& declared,
-                   double functions, const AttributionOptions& options) {
+                   double functions, const AttributionOptions& options, int jobs) {
   Vehicle airy = point.vehicle;
   const bool has_wind =
       std::find(airy.effects.begin(), airy.effects.end(), "wind") != airy.effects.end();
@@ -233,7 +233,7 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
   const std::vector<DragCoefficient> drag = DragOf(residual, model, values, d_wind);
   GustCase gusts;
   gusts.functions = functions;
-  gusts.test = TestGusts(residual.flight(), left, d_wind, drag, PriorOf(point.vehicle));
+  gusts.test = TestGusts(residual.flight(), left, d_wind, drag, PriorOf(point.vehicle), jobs);
   const GustTest& gust = gusts.test;
   // The mean of gusts over a few correlation times is not zero, and looks like all that acts on the
   // force: the estimate without them says more of it.

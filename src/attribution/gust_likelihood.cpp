@@ -4,11 +4,13 @@
 #include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <iterator>
 #include <limits>
 #include <utility>
 
+#include "odmc/analysis/parallel.h"
 #include "odmc/math/descent.h"
 #include "odmc/math/farthest_rows.h"
 #include "odmc/math/gaussian.h"
@@ -586,7 +588,7 @@ std::vector<int> SamplesApartFor(const ThinnedFlight& flight, double time_consta
 
 GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
                    const WindDerivatives& d_wind, const std::vector<DragCoefficient>& drag,
-                   const TimeConstantPrior& prior) {
+                   const TimeConstantPrior& prior, int jobs) {
   GustTest test;
   const int n = flight.size();
   const std::vector<int> apart = SamplesApart(flight, kApart_s);
@@ -613,7 +615,9 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
                        natural, prior);
   Hypothesis none(&flight, &apart, &residual, std::vector<Matrix3d>(n, Matrix3d::Zero()), &steady,
                   &drag, false, total, natural, prior);
-  for (Hypothesis* hypothesis : {&gust, &free_world, &free_body, &none}) hypothesis->Fit();
+  const std::array<Hypothesis*, 4> hypotheses = {&gust, &free_world, &free_body, &none};
+  ForEachOf(static_cast<int>(hypotheses.size()), jobs,
+            [&](int i) { hypotheses[static_cast<size_t>(i)]->Fit(); });
   test.peakedness_p = gust.ChanceOfPeakedness(gust.Peakedness());
   test.gain = gust.likelihood() - none.likelihood();
   test.over_others = gust.likelihood() - std::max({free_world.likelihood(), free_body.likelihood(),

@@ -20,7 +20,7 @@ LoadObserver::LoadObserver(const DynamicModel& model, bool with_derivatives)
       with_derivatives_(with_derivatives) {}
 
 LoadPull LoadObserver::Advance(const SensorMotion& from, const SensorMotion& to, double dt,
-                               const ModelValues& values) {
+                               const ModelValues& values, const BodyProperties* body) {
   LoadPull pull;
   pull.pull_W = Eigen::Vector3d(0.0, 0.0, -gravity_);
   if (!parameters_ || !(dt > 0.0)) return pull;
@@ -29,9 +29,10 @@ LoadPull LoadObserver::Advance(const SensorMotion& from, const SensorMotion& to,
     return pull;
   }
   if (!pendulum_) Start(values);
-  const BodyProperties body = model_->Properties(values);
+  std::optional<BodyProperties> own;
+  if (body == nullptr) body = &own.emplace(model_->Properties(values));
   const Eigen::Vector3d p_BP = values.segment<3>(parameters_->place);
-  const Eigen::Vector3d p_SP_S = body.R_BS.transpose() * (p_BP - body.p_BS);
+  const Eigen::Vector3d p_SP_S = body->R_BS.transpose() * (p_BP - body->p_BS);
   const auto velocity_W = [&](const SensorMotion& sensor) {
     return Eigen::Vector3d(sensor.v_WS + sensor.R_WS * sensor.w_S.cross(p_SP_S));
   };

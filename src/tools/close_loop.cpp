@@ -1,5 +1,7 @@
 #include <algorithm>
 #include <iostream>
+#include <optional>
+#include <thread>
 
 #include "flight_arguments.h"
 #include "model_arguments.h"
@@ -21,7 +23,7 @@ struct Arguments {
   tools::EstimatorArguments estimator;
   std::string vehicle_file, folder;
   std::vector<std::string> held_out, own, decision;
-  int jobs = 1;
+  std::optional<int> jobs;
   bool no_report = false, force = false;
   CloseLoopOptions options;
 };
@@ -32,7 +34,9 @@ void CloseOne(const Arguments& a, const std::string& file, const Vehicle& file_v
   const StreamInspection inspection = tools::InspectFlight(vehicle, a.force, &log);
   tools::MakeFolder(a.folder);
   tools::ProgressBar bar(log.file);
-  ClosedLoop loop = CloseLoopInspected(log, inspection, file_vehicle, vehicle, a.options,
+  CloseLoopOptions options = a.options;
+  options.jobs = a.jobs.value_or(static_cast<int>(std::max(1U, std::thread::hardware_concurrency())));
+  ClosedLoop loop = CloseLoopInspected(log, inspection, file_vehicle, vehicle, options,
                                        a.model.choice.parameters, bar.Callback());
   loop.parameters.provenance = tools::ProvenanceOf(a.options, vehicle, {{"flight", log.file}});
   WriteText(CloseLoopReport(loop, vehicle), tools::In(a.folder, "report.json"));
@@ -64,7 +68,7 @@ void CloseSeveral(const Arguments& a, const std::vector<std::string>& files,
   JointLoopOptions options;
   options.calibration.estimator = a.options.estimator;
   options.calibration.own = a.own;
-  options.calibration.jobs = a.jobs;
+  options.calibration.jobs = a.jobs.value_or(1);
   options.attribution = a.options.attribution;
   options.ruled_out = a.options.ruled_out;
   tools::MakeFolder(a.folder);
@@ -105,7 +109,9 @@ void AddOptions(CLI::App* app, Arguments* a) {
       ->allow_extra_args(true)
       ->type_name("FLIGHT");
   tools::AddOwn(app, &a->own);
-  tools::AddJobs(app, &a->jobs);
+  app->add_option("--jobs", a->jobs,
+                  "flights at a time [1], or threads of one flight [all processors]")
+      ->check(tools::Positive());
   app->add_option("--most-effects", a->options.attribution.most_effects,
                   "add at most this many effects")
       ->capture_default_str()

@@ -141,6 +141,17 @@ TEST(CloseLoop, FindsAddsAndMeasuresAMissingEffect) {
             std::string::npos);
 }
 
+TEST(CloseLoop, FindsTheSameOnAnyNumberOfThreads) {
+  const UndeclaredFlight flight =
+      MakeUndeclared(Plan(UndeclaredKind::kOneEffect, {"rotor_drag"}, 0.5, "octo", 1, 13));
+  CloseLoopOptions options;
+  options.jobs = 3;
+  const ClosedLoop loop = CloseLoop(flight.log, flight.declared, flight.declared, options);
+  ASSERT_FALSE(loop.ranking.empty());
+  EXPECT_EQ(CloseLoopReport(loop, flight.declared),
+            CloseLoopReport(Close(flight), flight.declared));
+}
+
 // The earlier estimate is of the same incomplete model: its linear drag is what the quadratic one
 // does at that speed, known to a per cent.
 TEST(CloseLoop, NamesWhatAnEarlierEstimatesParametersStandInFor) {

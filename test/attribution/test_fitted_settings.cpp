@@ -234,7 +234,7 @@ TEST(Evidence, LinearizesAProductAgainWithoutOvershooting) {
   evidence.EstimateNoise();
   double gain = evidence.GainInNats({v});
   for (int round = 0; round < 4; ++round) {
-    evidence.Relinearize(v, evidence.FoundBy(evidence.Solve({v}), v));
+    evidence.Relinearize({{v, evidence.FoundBy(evidence.Solve({v}), v)}});
     evidence.EstimateNoise();
     const double next = evidence.GainInNats({v});
     EXPECT_GT(next, 0.8 * gain) << round;
@@ -257,7 +257,7 @@ struct Started {
         evidence({{&flown.residual, &instruments}}, flown.TruePoint()),
         variant(evidence.Add(candidate)) {
     evidence.EstimateNoise();
-    evidence.Relinearize(variant, {candidate.start});
+    evidence.Relinearize({{variant, {candidate.start}}});
     evidence.EstimateNoise();
   }
   double Gain() const { return evidence.GainInNats({variant}); }

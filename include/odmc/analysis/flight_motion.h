@@ -73,8 +73,9 @@ class LoadForceEvaluator {
  public:
   explicit LoadForceEvaluator(const DynamicModel& model) : load_(model, false) {}
 
-  /// At the next sample, in W [m/s²].
-  Eigen::Vector3d PullAt(const FilteredMotion& now, const ModelValues& values);
+  /// At the next sample, in W [m/s²]. @param body properties by `values`, where the caller has them
+  Eigen::Vector3d PullAt(const FilteredMotion& now, const ModelValues& values,
+                         const BodyProperties* body = nullptr);
 
  private:
   LoadObserver load_;

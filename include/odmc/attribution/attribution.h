@@ -69,11 +69,12 @@ class Attribution {
  public:
   /// @param residual of the flight; outlives this
   /// @param give_up asked now and then; once true, nothing is found
+  /// @param jobs threads
   Attribution(const ResidualModel* residual, ModelPoint point,
               std::vector<EffectCandidate> candidates, const AttributionOptions& options,
-              std::function<bool()> give_up = {})
+              std::function<bool()> give_up = {}, int jobs = 1)
       : Attribution(std::vector<const ResidualModel*>{residual}, std::move(point),
-                    std::move(candidates), options, std::move(give_up)) {}
+                    std::move(candidates), options, std::move(give_up), jobs) {}
   /// @param residuals of the flights, at least one; outlive this
   /// @param jobs flights looked at at a time
   Attribution(const std::vector<const ResidualModel*>& residuals, ModelPoint point,

@@ -12,7 +12,7 @@ struct AttributionOptions {
   double false_alarm_rate = 0.01;
   double log_prior_odds = -3.0;
   int most_effects = 6;
-  double most_flight_s = 240.0;
+  double most_flight_s = 150.0;
   double least_share = 0.03;
   double regressor_noise = 0.1;
   double clear_odds = 4.6;

@@ -26,6 +26,7 @@ struct CloseLoopOptions {
   std::vector<std::string> ruled_out;  ///< effects that cannot act, as wind and gusts indoors
   /// What may be wrong with the streams (StreamInspection::doubts): sigmas say it, too.
   std::vector<StreamDoubt> doubts;
+  int jobs = 1;  ///< threads that look at ways of effects to act; the result is the same
 };
 
 /// What is not looked at. Contact is left out like the ground, unless it is most of the flight: no

@@ -66,7 +66,7 @@ class Evidence {
 
   /// @param flights at least one
   /// @param point the declared model and the values about which it is linearized
-  /// @param jobs flights looked at at a time
+  /// @param jobs flights looked at at a time, or ways of effects to act
   Evidence(const std::vector<FlightWithInstruments>& flights, const ModelPoint& point,
            int jobs = 1);
 
@@ -92,15 +92,17 @@ class Evidence {
 
   /// Adds a way for an effect to act, linearized about zero or, for what must not be zero, the
   /// catalogue's value. @returns its number, -1 if it does nothing on these flights
-  int Add(const EffectCandidate& candidate);
+  int Add(const EffectCandidate& candidate) { return AddAll({candidate}).front(); }
+  /// The same of several. @returns a number for each
+  std::vector<int> AddAll(const std::vector<EffectCandidate>& candidates);
   /// Values of a variant's coefficients by name, of each flight.
   using VariantValues = std::vector<std::map<std::string, double>>;
   /// Where a variant is linearized.
   VariantValues LinearizedAt(int variant) const;
   /// Where a fit finds a variant, within its bounds and what is likely.
   VariantValues FoundBy(const EffectFit& fit, int variant) const;
-  /// Linearizes a variant anew.
-  void Relinearize(int variant, const VariantValues& at);
+  /// Linearizes variants anew. @param at by variant
+  void Relinearize(const std::map<int, VariantValues>& at);
   /// How far what a fit finds of a variant is from where that is linearized, at most [sigma].
   double StepInSigmas(int variant, const EffectFit& fit) const;
   /// Logarithm of the evidence for a variant with the coefficients, and their prior density, where
@@ -243,6 +245,9 @@ class Evidence {
              const Eigen::VectorXd* effect) const;
   /// Products of a flight's columns of a fit with a whitened vector.
   Eigen::VectorXd Products(size_t flight, const EffectFit& fit, const Eigen::VectorXd& white) const;
+  /// @param seen of each flight @returns the variant's number, -1 if it does nothing
+  int Append(const EffectCandidate& candidate, std::vector<FlightRegression::Seen> seen);
+  void Replace(int variant, std::vector<FlightRegression::Seen> seen);
   double ForceSigma() const;  ///< of the residual force, by axis
 
   std::vector<FlightRegression> flights_;

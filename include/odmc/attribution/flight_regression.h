@@ -5,6 +5,8 @@
 #include <array>
 #include <functional>
 #include <map>
+#include <memory>
+#include <mutex>
 #include <optional>
 #include <string>
 #include <vector>
@@ -52,18 +54,29 @@ class FlightRegression {
 
   /// @param residual, instruments of the same flight; outlive this
   /// @param point the declared model and the values about which it is linearized
+  /// @param jobs columns looked at at a time
   FlightRegression(const ResidualModel* residual, const Instruments* instruments,
-                   const ModelPoint& point);
+                   const ModelPoint& point, int jobs = 1);
 
-  /// Adds a way for an effect to act, linearized about `at` (full names; zero or, for what must not
-  /// be zero, the catalogue's value where it has no entry). No columns where it does nothing.
-  Added Add(const EffectCandidate& candidate, const std::map<std::string, double>& at);
-  /// Linearizes it anew. Parameters that do nothing there stay, without a derivative.
-  void Relinearize(const EffectCandidate& candidate, const std::map<std::string, double>& at,
-                   Added* added);
+  /// A candidate's columns, not yet among the others.
+  struct Seen {
+    std::vector<Regressor> columns;
+    std::optional<Regressor> offset;
+    bool IsFinite() const;  ///< false where the model has no value, as with no mass left
+  };
+  /// A way for an effect to act, linearized about zero or, for what must not be zero, the
+  /// catalogue's value. No columns where it does nothing.
+  Seen ActingColumns(const EffectCandidate& candidate) const;
+  Added Append(const std::string& effect, Seen seen);
+  /// The same linearized about `at` (full names; as above where it has no entry). Parameters that do nothing there stay, without a derivative.
+  Seen LinearizedAt(const EffectCandidate& candidate, const std::map<std::string, double>& at) const {
+    return See(candidate, at, kAll);
+  }
+  /// Puts what LinearizedAt() found in the place of what Append() made of the same candidate.
+  void Replace(Seen seen, Added* added);
 
   /// Estimates the noise from the residual of all that was added, and whitens with it. To be
-  /// called before anything below, and again after Add() and Relinearize(), when it begins with the
+  /// called before anything below, and again after Append() and Replace(), when it begins with the
   /// noise as it was.
   void EstimateNoise();
 
@@ -112,11 +125,10 @@ class FlightRegression {
   int num_noise_columns() const { return static_cast<int>(fitted_root_.cols()); }
 
  private:
-  /// A candidate's columns, not yet among the others.
-  struct Seen {
-    std::vector<Regressor> columns;
-    std::optional<Regressor> offset;
-    bool IsFinite() const;  ///< false where the model has no value, as with no mass left
+  /// Of effects with an onset, by KeyOf(). Copies of a regression share what they have seen.
+  struct SeenBefore {
+    std::mutex mutex;
+    std::map<std::string, Seen> by_key;  // guarded by the mutex
   };
   enum What {
     kAll,     ///< every parameter
@@ -125,6 +137,8 @@ class FlightRegression {
   };
   Seen See(const EffectCandidate& candidate, const std::map<std::string, double>& at,
            What what) const;
+  /// What was seen by a key before; else what `see` returns, kept for the next time.
+  Seen SeenBeforeOr(const std::string& key, const std::function<Seen()>& see) const;
   Seen SeeFully(const EffectCandidate& candidate, const DynamicModel& model,
                 const ModelValues& values, What what) const;
   void AddBase();
@@ -139,7 +153,10 @@ class FlightRegression {
                            const Eigen::MatrixXd& weight) const;
   /// Samples that count over the residual's size, not whitened.
   Eigen::VectorXd Raw(const ResidualModel::Wrenches& column) const;
-  void SumUp(bool by_folds = true);
+  /// Calls `use` with each stretch of a channel's rows of one fold: the fold, first row, number.
+  void ForEachStretch(int channel,
+                      const std::function<void(int, Eigen::Index, Eigen::Index)>& use) const;
+  void SumUp();
   void WhitenAll();
   /// Puts what all foreseen columns say of each whole one in the place of its foreseen part.
   void Project();
@@ -158,16 +175,19 @@ class FlightRegression {
   const Instruments* instruments_;
   ResidualModel likely_;  // of the likely motion
   ModelPoint point_;
+  int jobs_;
   int num_channels_;
+  std::shared_ptr<SeenBefore> seen_before_ = std::make_shared<SeenBefore>();
   ResidualModel::Wrenches y_, likely_y_;
   std::array<double, kNumChannels> plain_sigma_{};  // of y
   std::vector<Regressor> columns_;  // of the base, then of what was added; offsets among these
   int num_base_ = 0;
   Eigen::MatrixXd base_;  // 6N × base: Stacked()
+  // The same, its wrenches as they are, one channel after the other.
+  Eigen::MatrixXd base_whole_, base_likely_, base_foreseen_;
   Eigen::VectorXd base_size_;
   Eigen::LDLT<Eigen::MatrixXd> base_gram_;    // of base_ over its size
   Eigen::MatrixXd raw_base_, raw_gram_;       // Raw() of what is foreseen of the base
-  mutable std::map<std::string, Seen> seen_;  // of effects with an onset, by KeyOf()
   std::vector<int> rows_, held_out_rows_;     // samples whose predecessors are there
   std::array<SerialNoise, kNumChannels> noise_;
   int noise_columns_ = -1;                    // for which it was estimated; -1: not yet

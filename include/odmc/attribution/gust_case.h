@@ -51,9 +51,10 @@ std::optional<SecondSensorShare> ShareInSecondSensor(const ThinnedFlight& flight
 /// @param left what the model leaves of the wrench (N×6)
 /// @param declared the online estimate without effects added
 /// @param functions what functions of the state gain of the force beside that model [nats]
+/// @param jobs hypotheses fitted at a time
 GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
                    const ResidualModel::Wrenches& left, const ParameterSet& declared,
-                   double functions, const AttributionOptions& options);
+                   double functions, const AttributionOptions& options, int jobs = 1);
 
 /// True if gusts beat noise by more than functions of the state do, and no free force explains the
 /// same clearly better: wind through nearly equal drag along all axes is nearly a free force, and

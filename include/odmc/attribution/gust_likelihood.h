@@ -49,9 +49,10 @@ struct TimeConstantPrior {
 /// @param d_wind of the predicted force
 /// @param drag what all hypotheses may change
 /// @param prior of gusts and of the free forces alike
+/// @param jobs hypotheses fitted at a time
 GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& residual,
                    const WindDerivatives& d_wind, const std::vector<DragCoefficient>& drag,
-                   const TimeConstantPrior& prior);
+                   const TimeConstantPrior& prior, int jobs = 1);
 
 /// Wind in the world at each sample [m/s], by a Kalman filter that has seen all but the last
 /// `ahead` samples before it.

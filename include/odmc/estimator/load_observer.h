@@ -27,9 +27,10 @@ class LoadObserver {
 
   /// Over an interval of `dt` [s] in which the sensor's motion went from `from` to `to`. The
   /// pendulum is driven by the point where the cable is fixed.
+  /// @param body properties by `values`, where the caller has them
   /// @returns the cable's pull in the interval's middle
   LoadPull Advance(const SensorMotion& from, const SensorMotion& to, double dt,
-                   const ModelValues& values);
+                   const ModelValues& values, const BodyProperties* body = nullptr);
 
   /// A new recording: how the load swings is not known, and taken to be not at all.
   void Reset();
