@@ -717,7 +717,12 @@ void Attribution::Search() {
       UpdateValues(&effect);
       effects_.push_back(std::move(effect));
     }
+    for (const int v : set) {
+      const EffectCandidate& candidate = evidence.variants()[v].candidate;
+      named_[candidate.effect] = candidate;
+    }
     DropContained(added.size());
+    DropSuperseded(added.size());
   }
 }
 

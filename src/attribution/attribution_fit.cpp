@@ -6,6 +6,7 @@
 #include <functional>
 #include <iterator>
 #include <map>
+#include <optional>
 #include <set>
 #include <utility>
 
@@ -36,6 +37,21 @@ ModelPoint Without(ModelPoint point, const std::function<bool(const std::string&
   erase(&point.scatter);
   for (auto& own : point.own) erase(&own);
   return point;
+}
+
+/// True for what swings on each flight in its own way: it is not linearized about one start.
+bool SwingsByFlight(const std::string& effect, const ModelPoint& point) {
+  return std::any_of(point.own.begin(), point.own.end(), [&](const auto& own) {
+    return std::any_of(own.begin(), own.end(), [&](const auto& value) {
+      return value.first.rfind(effect + ".", 0) == 0;
+    });
+  });
+}
+
+VariantSet AllOf(const Evidence& evidence) {
+  VariantSet all;
+  for (size_t v = 0; v < evidence.variants().size(); ++v) all.insert(static_cast<int>(v));
+  return all;
 }
 
 }  // namespace
@@ -71,10 +87,10 @@ std::vector<ResidualModel::Wrenches> Attribution::Refit(ModelPoint* point) const
   return residuals;
 }
 
-Evidence Attribution::EvidenceAtFit(const ModelPoint& fitted,
+Evidence Attribution::EvidenceAtFit(const ModelPoint& fitted, const Vehicle& vehicle,
                                     std::vector<EffectCandidate> added) const {
   ModelPoint point = fitted;
-  point.vehicle = point_.vehicle;
+  point.vehicle = vehicle;
   for (const char* const axis : {"inertia.x", "inertia.y", "inertia.z"}) {
     const auto value = fitted.values.find(axis);
     if (value == fitted.values.end()) continue;
@@ -98,44 +114,105 @@ Evidence Attribution::EvidenceAtFit(const ModelPoint& fitted,
   return evidence;
 }
 
+double Attribution::HeldOutScore(const Evidence& evidence, const VariantSet& set, int variant) {
+  VariantSet others = set;
+  others.erase(variant);
+  return evidence.HeldOutGain(set) - evidence.HeldOutGain(others);
+}
+
+bool Attribution::IsHollow(double score, double held_out) const {
+  // The noise holds what else is missing, and what is weak drowns in it: a coefficient of which
+  // nothing is known loses a few nats to its prior. Then the blocks held out decide.
+  const bool may_drown = score > -options_.clear_odds;
+  return score < 0.0 && !(may_drown && held_out > options_.clear_odds);
+}
+
+void Attribution::Refuse(const std::string& effect, double score, const std::string& why) {
+  refused_[effect] = why;
+  hollow_.insert(effect);
+  for (RankedEffect& ranked : ranking_) {
+    if (ranked.name != effect || ranked.score < score) continue;
+    ranked.score = score;
+    ranked.p_value = PValue(score);
+  }
+  SortByScore(&ranking_);
+}
+
 bool Attribution::RejectByRescoring(const Evidence& evidence, const VariantSet& set,
                                     const ModelPoint& fitted) {
   std::vector<EffectCandidate> added;
-  for (const int v : set) added.push_back(evidence.variants()[v].candidate);
-  const Evidence at_fit = EvidenceAtFit(fitted, added);
-  VariantSet all;
-  for (size_t v = 0; v < at_fit.variants().size(); ++v) all.insert(static_cast<int>(v));
+  std::map<std::string, double> first_scores;
+  for (const int v : set) {
+    added.push_back(evidence.variants()[v].candidate);
+    VariantSet others = set;
+    others.erase(v);
+    first_scores[added.back().effect] = ScoreOf(evidence, set, others);
+  }
+  const Evidence at_fit = EvidenceAtFit(fitted, point_.vehicle, added);
+  const VariantSet all = AllOf(at_fit);
   bool found = false;
   for (const int v : all) {
     const std::string& effect = at_fit.variants()[v].candidate.effect;
-    // What swings on each flight in its own way is not linearized about one start.
-    const bool swings = std::any_of(fitted.own.begin(), fitted.own.end(), [&](const auto& own) {
-      return std::any_of(own.begin(), own.end(), [&](const auto& value) {
-        return value.first.rfind(effect + ".", 0) == 0;
-      });
-    });
-    if (swings) continue;
+    if (SwingsByFlight(effect, fitted)) continue;
     VariantSet others = all;
     others.erase(v);
     const double score = ScoreOf(at_fit, all, others);
     second_scores_[effect] = score;
-    if (score >= 0.0) continue;
-    // The noise holds what else is missing, and what is weak drowns in it: a coefficient of which
-    // nothing is known loses a few nats to its prior. Then the blocks held out decide.
-    const bool may_drown = score > -options_.clear_odds;
-    const double held_out = at_fit.HeldOutGain(all) - at_fit.HeldOutGain(others);
-    if (may_drown && held_out > options_.clear_odds) continue;
-    refused_[effect] = "gains " + Rounded(score) + " nats about what the fit with it has found";
-    hollow_.insert(effect);
-    found = true;
-    for (RankedEffect& ranked : ranking_) {
-      if (ranked.name != effect || ranked.score < score) continue;
-      ranked.score = score;
-      ranked.p_value = PValue(score);
+    const double held_out = HeldOutScore(at_fit, all, v);
+    // p(all) = p(in use) p(held out | in use): what blocks held out say weighs as much.
+    const double first = first_scores.at(effect), total = first + held_out;
+    if (IsHollow(score, held_out)) {
+      Refuse(effect, score, "gains " + Rounded(score) + " nats about what the fit with it has found");
+    } else if (total < 0.0) {
+      Refuse(effect, total,
+             "gains " + Rounded(first) + " nats, but loses " + Rounded(-held_out) +
+                 " on blocks held out");
+    } else {
+      continue;
     }
+    found = true;
   }
-  SortByScore(&ranking_);
   return found;
+}
+
+void Attribution::DropSuperseded(size_t newest) {
+  while (effects_.size() > newest) {
+    std::vector<EffectCandidate> candidates;
+    for (const RankedEffect& effect : effects_) candidates.push_back(named_.at(effect.name));
+    const auto is_named = [this](const std::string& effect) { return named_.count(effect) > 0; };
+    const Evidence at_fit = EvidenceAtFit(point_, Without(point_, is_named).vehicle, candidates);
+    const VariantSet all = AllOf(at_fit);
+    std::optional<std::string> weakest;
+    double least = 0.0;
+    for (const int v : all) {
+      const std::string& effect = at_fit.variants()[v].candidate.effect;
+      const auto earlier_end = effects_.end() - static_cast<std::ptrdiff_t>(newest);
+      const bool is_earlier =
+          std::any_of(effects_.begin(), earlier_end,
+                      [&](const RankedEffect& ranked) { return ranked.name == effect; });
+      if (!is_earlier || SwingsByFlight(effect, point_)) continue;
+      VariantSet others = all;
+      others.erase(v);
+      const double score = ScoreOf(at_fit, all, others);
+      if (!IsHollow(score, HeldOutScore(at_fit, all, v)) || (weakest && score >= least)) continue;
+      weakest = effect;
+      least = score;
+    }
+    if (!weakest) return;
+    Refuse(*weakest, least, "gains " + Rounded(least) + " nats beside what was found later");
+    Drop({*weakest});
+  }
+}
+
+void Attribution::Drop(const std::set<std::string>& names) {
+  const auto is_dropped = [&](const std::string& effect) { return names.count(effect) > 0; };
+  effects_.erase(std::remove_if(effects_.begin(), effects_.end(),
+                                [&](const RankedEffect& e) { return is_dropped(e.name); }),
+                 effects_.end());
+  for (const std::string& name : names) named_.erase(name);
+  point_ = Without(point_, is_dropped);
+  after_ = Refit(&point_);
+  for (RankedEffect& effect : effects_) UpdateValues(&effect);
 }
 
 void Attribution::UpdateValues(RankedEffect* effect) const {
@@ -162,13 +239,7 @@ void Attribution::DropContained(size_t newest) {
     }
   }
   if (dropped.empty()) return;
-  const auto is_dropped = [&](const std::string& effect) { return dropped.count(effect) > 0; };
-  effects_.erase(std::remove_if(effects_.begin(), effects_.end(),
-                                [&](const RankedEffect& e) { return is_dropped(e.name); }),
-                 effects_.end());
-  point_ = Without(point_, is_dropped);
-  after_ = Refit(&point_);
-  for (RankedEffect& effect : effects_) UpdateValues(&effect);
+  Drop(dropped);
 }
 
 }  // namespace odmc

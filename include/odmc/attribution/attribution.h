@@ -160,17 +160,30 @@ class Attribution {
   /// Fits all values of the point, linearized anew until they stay.
   std::vector<ResidualModel::Wrenches> Refit(ModelPoint* point) const;
   /// The evidence for effects linearized about what the fit with them has found, inertia near that.
-  Evidence EvidenceAtFit(const ModelPoint& fitted, std::vector<EffectCandidate> added) const;
+  /// @param vehicle without the effects
+  Evidence EvidenceAtFit(const ModelPoint& fitted, const Vehicle& vehicle,
+                         std::vector<EffectCandidate> added) const;
+  /// What an effect of a fitted set gains on the blocks held out [nats].
+  static double HeldOutScore(const Evidence& evidence, const VariantSet& set, int variant);
+  /// True where the odds about a fit are against an effect. (What is merely not seen there is none
+  /// where the blocks held out clearly speak for it.)
+  bool IsHollow(double score, double held_out) const;
+  /// Ranks an effect by `score` at most, and does not look at it again.
+  void Refuse(const std::string& effect, double score, const std::string& why);
   /// Refuses effects that a fit from afar promised and that are not there: the declared parameters
   /// went where they do not act in proportion any more, and about what the fit with the effects has
-  /// found the odds are against them. They are not looked at again. (What is merely not seen there
-  /// is not refused where the blocks held out clearly speak for it.)
+  /// found the odds are against them; or what they gain is less than they lose on blocks held out.
   /// @param fitted the point with the set, fitted
   /// @returns true if there are any
   bool RejectByRescoring(const Evidence& evidence, const VariantSet& set, const ModelPoint& fitted);
   /// Takes away effects found earlier that one of the newest contains (ContainedEffects()).
   /// @param newest how many at the end of effects_ are
   void DropContained(size_t newest);
+  /// Takes away effects found earlier of which nothing is left beside the newest (IsHollow()).
+  /// @param newest how many at the end of effects_ are
+  void DropSuperseded(size_t newest);
+  /// Takes effects away, and fits the rest.
+  void Drop(const std::set<std::string>& names);
   /// An effect's parameters as the point has them.
   void UpdateValues(RankedEffect* effect) const;
   bool GivesUp() const { return give_up_ && give_up_(); }
@@ -187,6 +200,7 @@ class Attribution {
   std::vector<double> null_gains_;
   std::vector<RankedEffect> effects_, ordinary_, ranking_;
   std::map<std::string, std::string> refused_;
+  std::map<std::string, EffectCandidate> named_;  // how effects_ were found
   std::map<std::string, double> second_scores_;   // about what the fit with them has found [nats]
   std::set<std::string> hollow_;                  // no candidates of later rounds
   std::array<double, kNumChannels> explained_{};  // by what was added, over the noise [nats]
