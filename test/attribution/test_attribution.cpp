@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "odmc/analysis/flight_motion.h"
+#include "odmc/analysis/prediction.h"
 #include "odmc/attribution/attribution.h"
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/contained_effects.h"
@@ -575,6 +576,46 @@ TEST(Evidence, NamesWhatActsWithItsCoefficient) {
   const double truth = flown.truth.Find("quadratic_drag.c_q")->value;
   EXPECT_NEAR(found.parameters.front().value, truth, 0.2 * truth);
   EXPECT_GT(attribution.held_out_gain(), 0.0);
+}
+
+/// Adds the force of quadratic drag at its true size, so many times, in blocks held out.
+FlightMotion WithMoreDragInBlocksHeldOut(FlightMotion motion, const Flown& flown, double times) {
+  const Vehicle with_effect =
+      VehicleWith(flown.vehicle, EffectCandidate{"quadratic_drag", {}, {}});
+  const DynamicModel truth(with_effect, with_effect.effects);
+  const DynamicModel declared(flown.vehicle, flown.vehicle.effects);
+  ModelValues values = truth.InitialValues(), without = declared.InitialValues();
+  for (const ParameterEstimate& p : flown.truth.parameters) {
+    if (truth.IndexOf(p.full_name) >= 0) values[truth.IndexOf(p.full_name)] = p.value;
+    if (declared.IndexOf(p.full_name) >= 0) without[declared.IndexOf(p.full_name)] = p.value;
+  }
+  const Eigen::Vector3d hanging(0.0, 0.0, -flown.vehicle.gravity_m_s2);
+  for (FilteredMotion& sample : motion.samples) {
+    sample.specific_force_I.reset();
+    if (!BlockSplit().IsHeldOut(sample.t_s)) continue;
+    const Eigen::Vector3d force =
+        PredictSample(sample, hanging, flown.vehicle, truth, values, false).predicted_force -
+        PredictSample(sample, hanging, flown.vehicle, declared, without, false).predicted_force;
+    sample.a_WS += times * (sample.R_WS * force) / flown.vehicle.mass_kg;
+  }
+  return motion;
+}
+
+// What acts in one part of a flight and the other way round in another is not there.
+TEST(Evidence, CountsWhatAnEffectLosesOnBlocksHeldOut) {
+  const UndeclaredFlight made = Make({"quadratic_drag"}, 0.2, "octo", 1, 12);
+  Flown flown = Filtered(made);
+  const FlightMotion motion = FilterFlight(made.log, flown.vehicle.num_rotors(), {});
+  for (const double times : {0.0, -12.0}) {
+    flown.flight = ThinnedFlight(WithMoreDragInBlocksHeldOut(motion, flown, times), BlockSplit());
+    const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+    const Attribution attribution = Attribute(flown, residual);
+    EXPECT_EQ(Has(attribution.effects(), "quadratic_drag"), times == 0.0) << times;
+    const auto refused = attribution.refused().find("quadratic_drag");
+    const bool for_its_loss = refused != attribution.refused().end() &&
+                              refused->second.find("on blocks held out") != std::string::npos;
+    EXPECT_EQ(for_its_loss, times < 0.0) << times;
+  }
 }
 
 // Drag that goes with the rotors' speed is one with the declared drag but for the little that this
