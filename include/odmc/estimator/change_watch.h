@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <limits>
 
 #include "odmc/estimator/change_detector.h"
 #include "odmc/model/vehicle.h"
@@ -21,14 +22,16 @@ class ChangeWatch {
   /// The same, and the clock is another one.
   void Restart() {
     detector_.Break();
-    seen_ = 0;
+    seen_ = kNothing;
   }
   /// Keyframes after `newest` were taken back.
   void TakeBack(Stamp newest) { seen_ = std::min(seen_, newest); }
 
  private:
+  static constexpr Stamp kNothing = std::numeric_limits<Stamp>::min();
+
   ChangeDetector detector_;
-  Stamp seen_ = 0;  // start of the newest interval it was given
+  Stamp seen_ = kNothing;  // start of the newest interval it was given
 };
 
 }  // namespace odmc
