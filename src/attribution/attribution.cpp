@@ -688,11 +688,13 @@ void Attribution::Search() {
     }
     if (set.empty()) return;
     set = WithoutStrangers(evidence, Largest(evidence, set));
+    const VariantSet with_settings = set;
     const std::map<int, SettingProfile> profiles = HoldSettings(&evidence, &set);
     const EffectFit fit = evidence.Solve(set);
     ModelPoint fitted = evidence.Moved(set, fit);
     std::vector<ResidualModel::Wrenches> left = Refit(&fitted);
     if (RejectByRescoring(evidence, set, fitted)) continue;
+    if (RejectForRivals(evidence, with_settings)) continue;
     std::vector<RankedEffect> added;
     for (const int v : set) {
       added.push_back(Describe(evidence, v, set));

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <functional>
 #include <iterator>
+#include <limits>
 #include <map>
 #include <optional>
 #include <set>
@@ -21,6 +22,8 @@ namespace {
 constexpr double kProportional = 0.1;
 constexpr int kRefits = 5;  // at most
 constexpr int kInertiaRefits = 2;
+constexpr double kBorneOut = 0.5;  // of what a fit from afar promises, at least
+constexpr size_t kRivals = 3;      // that are fitted, at most
 
 /// A point without some effects.
 ModelPoint Without(ModelPoint point, const std::function<bool(const std::string&)>& is_dropped) {
@@ -173,6 +176,65 @@ bool Attribution::RejectByRescoring(const Evidence& evidence, const VariantSet& 
     found = true;
   }
   return found;
+}
+
+double Attribution::SecondScore(Evidence evidence, VariantSet set) const {
+  HoldSettings(&evidence, &set);
+  ModelPoint fitted = evidence.Moved(set, evidence.Solve(set));
+  Refit(&fitted);
+  std::vector<EffectCandidate> added;
+  for (const int v : set) added.push_back(evidence.variants()[v].candidate);
+  const Evidence at_fit = EvidenceAtFit(fitted, point_.vehicle, added);
+  const VariantSet all = AllOf(at_fit);
+  double least = std::numeric_limits<double>::infinity();
+  for (const int v : all) {
+    VariantSet others = all;
+    others.erase(v);
+    least = std::min(least, ScoreOf(at_fit, all, others));
+  }
+  return all.empty() ? -least : least;
+}
+
+bool Attribution::RejectForRivals(const Evidence& evidence, const VariantSet& set) {
+  const double gain = evidence.GainInNats(set);
+  for (const int v : set) {
+    const std::string effect = evidence.variants()[v].candidate.effect;
+    const auto second = second_scores_.find(effect);
+    VariantSet others = set;
+    others.erase(v);
+    const double first = ScoreOf(evidence, set, others);
+    if (second == second_scores_.end() || second->second >= kBorneOut * first) continue;
+    std::map<std::string, std::pair<double, VariantSet>> rivals;
+    for (int other = 0; other < static_cast<int>(evidence.variants().size()); ++other) {
+      const std::string& name = evidence.variants()[other].candidate.effect;
+      const bool is_in = std::any_of(set.begin(), set.end(), [&](int in) {
+        return evidence.variants()[in].candidate.effect == name;
+      });
+      if (is_in) continue;
+      VariantSet rival = others;
+      rival.insert(other);
+      const double behind = gain - evidence.GainInNats(rival);
+      const auto known = rivals.find(name);
+      if (behind > options_.even_odds || (known != rivals.end() && known->second.first <= behind)) {
+        continue;
+      }
+      rivals[name] = {behind, rival};
+    }
+    std::vector<std::pair<double, std::string>> order;
+    for (const auto& [name, rival] : rivals) order.emplace_back(rival.first, name);
+    std::sort(order.begin(), order.end());
+    for (size_t k = 0; k < std::min(kRivals, order.size()); ++k) {
+      const std::string& name = order[k].second;
+      const double of_rival = SecondScore(evidence, rivals.at(name).second);
+      if (of_rival <= second->second + options_.even_odds) continue;
+      Refuse(effect, second->second,
+             "gains " + Rounded(first) + " nats, but " + Rounded(second->second) +
+                 " about what the fit with it has found, where " + name + " gains " +
+                 Rounded(of_rival));
+      return true;
+    }
+  }
+  return false;
 }
 
 void Attribution::DropSuperseded(size_t newest) {

@@ -24,6 +24,7 @@ namespace odmc {
 namespace {
 
 constexpr int kLeastSamples = 50;                                     // to look for effects in
+constexpr double kNoSize = 1.0;  // sigmas: a size nearer to zero is none
 constexpr int kLeastRun = Instruments::kReach + SerialNoise::kOrder;  // before one that counts
 
 bool HasEffect(const std::vector<RankedEffect>& effects, const std::string& name) {
@@ -442,7 +443,7 @@ void LoopSession::DropUnexplained() {
 
 std::string LoopSession::OnlineObjection(const RankedEffect& effect, const ParameterSet& published,
                                          const DynamicModel& model) const {
-  if (!SizeDiffersFromZero(effect, published, model, 1.0)) {
+  if (!SizeDiffersFromZero(effect, published, model, kNoSize)) {
     return "its size is zero within its standard deviation:" +
            EstimatesText(effect, published, model);
   }
@@ -588,8 +589,11 @@ void LoopSession::AskOnline() {
 // as a mass times its place, may then be on its way to another valley.
 void LoopSession::StayNearFit() {
   constexpr double kSigmas = 3.0;  // the flight counts twice, once with a ninth of its weight
+  const Vehicle extended = VehicleWithEffects(effects_);
+  const DynamicModel model(extended, extended.effects);
   const bool strays = std::any_of(effects_.begin(), effects_.end(), [&](const RankedEffect& e) {
-    return ContradictsFit(e, after_->parameters);
+    return ContradictsFit(e, after_->parameters) ||
+           !SizeDiffersFromZero(e, after_->parameters, model, kNoSize);
   });
   if (!strays) return;
   const std::map<std::string, ParameterSetting> without = known_;
