@@ -123,11 +123,11 @@ double Attribution::HeldOutScore(const Evidence& evidence, const VariantSet& set
   return evidence.HeldOutGain(set) - evidence.HeldOutGain(others);
 }
 
-bool Attribution::IsHollow(double score, double held_out) const {
+bool Attribution::IsHollow(double score, double other) const {
   // The noise holds what else is missing, and what is weak drowns in it: a coefficient of which
-  // nothing is known loses a few nats to its prior. Then the blocks held out decide.
+  // nothing is known loses a few nats to its prior. Then the other evidence decides.
   const bool may_drown = score > -options_.clear_odds;
-  return score < 0.0 && !(may_drown && held_out > options_.clear_odds);
+  return score < 0.0 && !(may_drown && other > options_.clear_odds);
 }
 
 void Attribution::Refuse(const std::string& effect, double score, const std::string& why) {
@@ -164,7 +164,7 @@ bool Attribution::RejectByRescoring(const Evidence& evidence, const VariantSet& 
     const double held_out = HeldOutScore(at_fit, all, v);
     // p(all) = p(in use) p(held out | in use): what blocks held out say weighs as much.
     const double first = first_scores.at(effect), total = first + held_out;
-    if (IsHollow(score, held_out)) {
+    if (IsHollow(score, total)) {
       Refuse(effect, score, "gains " + Rounded(score) + " nats about what the fit with it has found");
     } else if (total < 0.0) {
       Refuse(effect, total,

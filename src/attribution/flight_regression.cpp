@@ -443,7 +443,7 @@ void FlightRegression::WhitenHeldOut() {
   held_out_weight_ = MatrixXd::Ones(static_cast<Index>(held_out_rows_.size()), kNumChannels);
   held_out_white_.resize(static_cast<Index>(held_out_rows_.size()) * num_channels_, m + 1);
   ForEachOf(static_cast<int>(m) + 1, jobs_, [&](int k) {
-    const Wrenches& column = k < m ? columns_[static_cast<size_t>(k)].foreseen : y_;
+    const Wrenches& column = k < m ? columns_[static_cast<size_t>(k)].d_wrench : y_;
     held_out_white_.col(k) = Whitened(column, held_out_rows_, held_out_weight_);
   });
 }
@@ -498,7 +498,7 @@ void FlightRegression::Project() {
   unforeseen_gram_.topLeftCorner(n, n).selfadjointView<Eigen::Lower>().rankUpdate(
       whole.transpose());
   unforeseen_gram_.triangularView<Eigen::StrictlyUpper>() = unforeseen_gram_.transpose();
-  // Held-out columns stay as they were foreseen: how many of them combine was fitted elsewhere.
+  // (Those held out stay whole: they predict, and nothing is fitted to them.)
   SumUp();
 }
 

@@ -166,8 +166,8 @@ class Attribution {
   /// What an effect of a fitted set gains on the blocks held out [nats].
   static double HeldOutScore(const Evidence& evidence, const VariantSet& set, int variant);
   /// True where the odds about a fit are against an effect. (What is merely not seen there is none
-  /// where the blocks held out clearly speak for it.)
-  bool IsHollow(double score, double held_out) const;
+  /// where other evidence clearly speaks for it.)
+  bool IsHollow(double score, double other) const;
   /// Ranks an effect by `score` at most, and does not look at it again.
   void Refuse(const std::string& effect, double score, const std::string& why);
   /// Refuses effects that a fit from afar promised and that are not there: the declared parameters
