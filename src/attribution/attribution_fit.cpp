@@ -45,9 +45,8 @@ ModelPoint Without(ModelPoint point, const std::function<bool(const std::string&
 /// True for what swings on each flight in its own way: it is not linearized about one start.
 bool SwingsByFlight(const std::string& effect, const ModelPoint& point) {
   return std::any_of(point.own.begin(), point.own.end(), [&](const auto& own) {
-    return std::any_of(own.begin(), own.end(), [&](const auto& value) {
-      return value.first.rfind(effect + ".", 0) == 0;
-    });
+    return std::any_of(own.begin(), own.end(),
+                       [&](const auto& value) { return value.first.rfind(effect + ".", 0) == 0; });
   });
 }
 
@@ -165,7 +164,8 @@ bool Attribution::RejectByRescoring(const Evidence& evidence, const VariantSet& 
     // p(all) = p(in use) p(held out | in use): what blocks held out say weighs as much.
     const double first = first_scores.at(effect), total = first + held_out;
     if (IsHollow(score, total)) {
-      Refuse(effect, score, "gains " + Rounded(score) + " nats about what the fit with it has found");
+      Refuse(effect, score,
+             "gains " + Rounded(score) + " nats about what the fit with it has found");
     } else if (total < 0.0) {
       Refuse(effect, total,
              "gains " + Rounded(first) + " nats, but loses " + Rounded(-held_out) +

@@ -23,8 +23,8 @@
 namespace odmc {
 namespace {
 
-constexpr int kLeastSamples = 50;                                     // to look for effects in
-constexpr double kNoSize = 1.0;  // sigmas: a size nearer to zero is none
+constexpr int kLeastSamples = 50;  // to look for effects in
+constexpr double kNoSize = 1.0;    // sigmas: a size nearer to zero is none
 constexpr int kLeastRun = Instruments::kReach + SerialNoise::kOrder;  // before one that counts
 
 bool HasEffect(const std::vector<RankedEffect>& effects, const std::string& name) {
@@ -279,9 +279,9 @@ void LoopSession::Attribute() {
         "across the rotors' axes the force is taken from the motion, which shows all that the "
         "accelerometer feels, with less noise; vibration that it samples too slowly?");
   }
-  attribution_ = std::make_unique<Attribution>(residual_.get(), ModelPointOf(declared_, values),
-                                               candidates_, options_.attribution, std::function<bool()>(),
-                                               options_.jobs);
+  attribution_ =
+      std::make_unique<Attribution>(residual_.get(), ModelPointOf(declared_, values), candidates_,
+                                    options_.attribution, std::function<bool()>(), options_.jobs);
   attribution_->Run();
   result_.ranking = attribution_->ranking();
   result_.named_gain = attribution_->gain();
@@ -350,10 +350,9 @@ void LoopSession::NoteRefused() {
 
 void LoopSession::WeighGusts() {
   if (std::count(options_.ruled_out.begin(), options_.ruled_out.end(), "gust") > 0) return;
-  GustCase gusts =
-      RankGusts(*residual_, attribution_->point(), attribution_->residual_after(),
-                before_.parameters, attribution_->flexible().of_force, options_.attribution,
-                options_.jobs);
+  GustCase gusts = RankGusts(*residual_, attribution_->point(), attribution_->residual_after(),
+                             before_.parameters, attribution_->flexible().of_force,
+                             options_.attribution, options_.jobs);
   result_.ranking.push_back(gusts.ranked);
   if (IsGusty(gusts, options_.attribution) && CanBlow(vehicle_, effects_)) {
     gusts_ = std::move(gusts);

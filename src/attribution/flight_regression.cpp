@@ -244,8 +244,9 @@ FlightRegression::Seen FlightRegression::See(const EffectCandidate& candidate,
     setting = 0.0;
   }
   const std::string key = onset.empty() || !at.empty() ? "" : KeyOf(candidate);
-  Seen seen = key.empty() ? SeeFully(candidate, model, values, what)
-                          : SeenBeforeOr(key, [&] { return SeeFully(candidate, model, values, kAll); });
+  Seen seen = key.empty()
+                  ? SeeFully(candidate, model, values, what)
+                  : SeenBeforeOr(key, [&] { return SeeFully(candidate, model, values, kAll); });
   if (!onset.empty()) {
     for (int i = 0; i < residual_->flight().size(); ++i) {
       if (residual_->flight().sample(i).t_s >= from_s) break;
@@ -347,7 +348,8 @@ void FlightRegression::WhitenAll() {
   SumUp();
 }
 
-void FlightRegression::ForEachStretch(int channel, const std::function<void(int, Index, Index)>& use) const {
+void FlightRegression::ForEachStretch(int channel,
+                                      const std::function<void(int, Index, Index)>& use) const {
   const auto rows = static_cast<Index>(rows_.size());
   for (Index from = 0; from < rows;) {
     Index to = from;

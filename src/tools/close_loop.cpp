@@ -35,7 +35,8 @@ void CloseOne(const Arguments& a, const std::string& file, const Vehicle& file_v
   tools::MakeFolder(a.folder);
   tools::ProgressBar bar(log.file);
   CloseLoopOptions options = a.options;
-  options.jobs = a.jobs.value_or(static_cast<int>(std::max(1U, std::thread::hardware_concurrency())));
+  options.jobs =
+      a.jobs.value_or(static_cast<int>(std::max(1U, std::thread::hardware_concurrency())));
   ClosedLoop loop = CloseLoopInspected(log, inspection, file_vehicle, vehicle, options,
                                        a.model.choice.parameters, bar.Callback());
   loop.parameters.provenance = tools::ProvenanceOf(a.options, vehicle, {{"flight", log.file}});

@@ -1,5 +1,3 @@
-#include "odmc/analysis/parallel.h"
-
 #include <gtest/gtest.h>
 
 #include <atomic>
@@ -7,6 +5,8 @@
 #include <stdexcept>
 #include <thread>
 #include <vector>
+
+#include "odmc/analysis/parallel.h"
 
 namespace odmc {
 namespace test {

@@ -580,8 +580,7 @@ TEST(Evidence, NamesWhatActsWithItsCoefficient) {
 
 /// Adds the force of quadratic drag at its true size, so many times, in blocks held out.
 FlightMotion WithMoreDragInBlocksHeldOut(FlightMotion motion, const Flown& flown, double times) {
-  const Vehicle with_effect =
-      VehicleWith(flown.vehicle, EffectCandidate{"quadratic_drag", {}, {}});
+  const Vehicle with_effect = VehicleWith(flown.vehicle, EffectCandidate{"quadratic_drag", {}, {}});
   const DynamicModel truth(with_effect, with_effect.effects);
   const DynamicModel declared(flown.vehicle, flown.vehicle.effects);
   ModelValues values = truth.InitialValues(), without = declared.InitialValues();

@@ -101,14 +101,15 @@ TEST(MeasuredCrazyflie, HasOneHubMomentWithItsSigma) {
 // A centre of pressure that is found first stands for a lift that is found later; asymmetric rotors
 // gain nine nats and lose fifty on the block held out.
 TEST(MeasuredCrazyflie, DropsWhatIsNothingBesideTheRest) {
-  const std::vector<std::pair<std::string, std::string>> wrong = {
-      {"eckart09", "pressure_centre"}, {"eckart16", "rotor_asymmetry"}};
+  const std::vector<std::pair<std::string, std::string>> wrong = {{"eckart09", "pressure_centre"},
+                                                                  {"eckart16", "rotor_asymmetry"}};
   for (const auto& [name, effect] : wrong) {
     const std::string file = RecordedFile("imrc_cf21_brushless/" + name + ".csv");
     if (file.empty()) GTEST_SKIP() << "no recorded data";
     const ClosedLoop loop = CrazyflieWithThrustHeld(file);
     EXPECT_EQ(std::count(loop.effect_names.begin(), loop.effect_names.end(), effect), 0)
-        << name << "\n" << CloseLoopTable(loop);
+        << name << "\n"
+        << CloseLoopTable(loop);
     EXPECT_LT((*loop.after.force_rmse_N)[2], 1.5 * (*loop.before.force_rmse_N)[2]) << name;
   }
 }

@@ -68,8 +68,10 @@ class FlightRegression {
   /// catalogue's value. No columns where it does nothing.
   Seen ActingColumns(const EffectCandidate& candidate) const;
   Added Append(const std::string& effect, Seen seen);
-  /// The same linearized about `at` (full names; as above where it has no entry). Parameters that do nothing there stay, without a derivative.
-  Seen LinearizedAt(const EffectCandidate& candidate, const std::map<std::string, double>& at) const {
+  /// The same linearized about `at` (full names; as above where it has no entry). Parameters that
+  /// do nothing there stay, without a derivative.
+  Seen LinearizedAt(const EffectCandidate& candidate,
+                    const std::map<std::string, double>& at) const {
     return See(candidate, at, kAll);
   }
   /// Puts what LinearizedAt() found in the place of what Append() made of the same candidate.
@@ -186,9 +188,9 @@ class FlightRegression {
   // The same, its wrenches as they are, one channel after the other.
   Eigen::MatrixXd base_whole_, base_likely_, base_foreseen_;
   Eigen::VectorXd base_size_;
-  Eigen::LDLT<Eigen::MatrixXd> base_gram_;    // of base_ over its size
-  Eigen::MatrixXd raw_base_, raw_gram_;       // Raw() of what is foreseen of the base
-  std::vector<int> rows_, held_out_rows_;     // samples whose predecessors are there
+  Eigen::LDLT<Eigen::MatrixXd> base_gram_;  // of base_ over its size
+  Eigen::MatrixXd raw_base_, raw_gram_;     // Raw() of what is foreseen of the base
+  std::vector<int> rows_, held_out_rows_;   // samples whose predecessors are there
   std::array<SerialNoise, kNumChannels> noise_;
   int noise_columns_ = -1;                    // for which it was estimated; -1: not yet
   Eigen::MatrixXd weight_, held_out_weight_;  // of samples, by channel: wild ones count less
