@@ -688,13 +688,16 @@ void Attribution::Search() {
     }
     if (set.empty()) return;
     set = WithoutStrangers(evidence, Largest(evidence, set));
-    const VariantSet with_settings = set;
-    const std::map<int, SettingProfile> profiles = HoldSettings(&evidence, &set);
+    const VariantSet found_first = set;
+    FittedSet fitted = FitSet(&evidence, set);
+    if (RejectByRescoring(evidence, fitted.set, fitted.point)) continue;
+    if (const std::optional<VariantSet> rival = BetterRival(evidence, found_first)) {
+      fitted = FitSet(&evidence, *rival);
+      if (RejectByRescoring(evidence, fitted.set, fitted.point)) continue;
+    }
+    set = fitted.set;
+    const std::map<int, SettingProfile>& profiles = fitted.profiles;
     const EffectFit fit = evidence.Solve(set);
-    ModelPoint fitted = evidence.Moved(set, fit);
-    std::vector<ResidualModel::Wrenches> left = Refit(&fitted);
-    if (RejectByRescoring(evidence, set, fitted)) continue;
-    if (RejectForRivals(evidence, with_settings)) continue;
     std::vector<RankedEffect> added;
     for (const int v : set) {
       added.push_back(Describe(evidence, v, set));
@@ -713,8 +716,8 @@ void Attribution::Search() {
     SortByScore(&added);
     gain_ += gain;
     held_out_gain_ += evidence.HeldOutGain(set);
-    point_ = std::move(fitted);
-    after_ = std::move(left);
+    point_ = std::move(fitted.point);
+    after_ = std::move(fitted.left);
     for (RankedEffect& effect : added) {
       UpdateValues(&effect);
       effects_.push_back(std::move(effect));

@@ -178,13 +178,20 @@ bool Attribution::RejectByRescoring(const Evidence& evidence, const VariantSet& 
   return found;
 }
 
-double Attribution::SecondScore(Evidence evidence, VariantSet set) const {
-  HoldSettings(&evidence, &set);
-  ModelPoint fitted = evidence.Moved(set, evidence.Solve(set));
-  Refit(&fitted);
+Attribution::FittedSet Attribution::FitSet(Evidence* evidence, const VariantSet& set) const {
+  FittedSet fitted;
+  fitted.set = set;
+  fitted.profiles = HoldSettings(evidence, &fitted.set);
+  fitted.point = evidence->Moved(fitted.set, evidence->Solve(fitted.set));
+  fitted.left = Refit(&fitted.point);
+  return fitted;
+}
+
+double Attribution::SecondScore(Evidence evidence, const VariantSet& set) const {
+  const FittedSet fitted = FitSet(&evidence, set);
   std::vector<EffectCandidate> added;
-  for (const int v : set) added.push_back(evidence.variants()[v].candidate);
-  const Evidence at_fit = EvidenceAtFit(fitted, point_.vehicle, added);
+  for (const int v : fitted.set) added.push_back(evidence.variants()[v].candidate);
+  const Evidence at_fit = EvidenceAtFit(fitted.point, point_.vehicle, added);
   const VariantSet all = AllOf(at_fit);
   double least = std::numeric_limits<double>::infinity();
   for (const int v : all) {
@@ -195,7 +202,8 @@ double Attribution::SecondScore(Evidence evidence, VariantSet set) const {
   return all.empty() ? -least : least;
 }
 
-bool Attribution::RejectForRivals(const Evidence& evidence, const VariantSet& set) {
+std::optional<VariantSet> Attribution::BetterRival(const Evidence& evidence,
+                                                   const VariantSet& set) const {
   const double gain = evidence.GainInNats(set);
   for (const int v : set) {
     const std::string effect = evidence.variants()[v].candidate.effect;
@@ -224,17 +232,11 @@ bool Attribution::RejectForRivals(const Evidence& evidence, const VariantSet& se
     for (const auto& [name, rival] : rivals) order.emplace_back(rival.first, name);
     std::sort(order.begin(), order.end());
     for (size_t k = 0; k < std::min(kRivals, order.size()); ++k) {
-      const std::string& name = order[k].second;
-      const double of_rival = SecondScore(evidence, rivals.at(name).second);
-      if (of_rival <= second->second + options_.even_odds) continue;
-      Refuse(effect, second->second,
-             "gains " + Rounded(first) + " nats, but " + Rounded(second->second) +
-                 " about what the fit with it has found, where " + name + " gains " +
-                 Rounded(of_rival));
-      return true;
+      const VariantSet& rival = rivals.at(order[k].second).second;
+      if (SecondScore(evidence, rival) > second->second + options_.even_odds) return rival;
     }
   }
-  return false;
+  return std::nullopt;
 }
 
 void Attribution::DropSuperseded(size_t newest) {

@@ -176,12 +176,20 @@ class Attribution {
   /// @param fitted the point with the set, fitted
   /// @returns true if there are any
   bool RejectByRescoring(const Evidence& evidence, const VariantSet& set, const ModelPoint& fitted);
-  /// Refuses an effect of which the fit bears out less than half of what it promised, where another
-  /// promises as much and holds more of it.
-  /// @param set with the settings that its effects fit @returns true if there is one
-  bool RejectForRivals(const Evidence& evidence, const VariantSet& set);
+  /// A set with settings held, and the model fitted with it.
+  struct FittedSet {
+    VariantSet set;
+    std::map<int, SettingProfile> profiles;  ///< HoldSettings()
+    ModelPoint point;
+    std::vector<ResidualModel::Wrenches> left;  ///< what it leaves of the wrench, by flight
+  };
+  FittedSet FitSet(Evidence* evidence, const VariantSet& set) const;
+  /// The set with another effect in the place of one of which the fit bears out less than half of
+  /// what it promised, where the other promises as much and holds more of it.
+  /// @param set with the settings that its effects fit
+  std::optional<VariantSet> BetterRival(const Evidence& evidence, const VariantSet& set) const;
   /// The least score of a set's effects about what the fit with them finds [nats].
-  double SecondScore(Evidence evidence, VariantSet set) const;
+  double SecondScore(Evidence evidence, const VariantSet& set) const;
   /// Takes away effects found earlier that one of the newest contains (ContainedEffects()).
   /// @param newest how many at the end of effects_ are
   void DropContained(size_t newest);
