@@ -119,7 +119,7 @@ Evidence Attribution::EvidenceAtFit(const ModelPoint& fitted, const Vehicle& veh
 double Attribution::HeldOutScore(const Evidence& evidence, const VariantSet& set, int variant) {
   VariantSet others = set;
   others.erase(variant);
-  return evidence.HeldOutGain(set) - evidence.HeldOutGain(others);
+  return evidence.HeldOutGain(set, others);
 }
 
 bool Attribution::IsHollow(double score, double other) const {

@@ -863,12 +863,12 @@ EffectFit Evidence::SolveOfFlight(int f, const VariantSet& set) const {
   return SolveWith(gram, ColumnsOf(set), set);
 }
 
-double Evidence::HeldOutLoss(const VariantSet& set) const {
+double Evidence::HeldOutLoss(const VariantSet& set, FlightRegression::Part part) const {
   // Uncertain coefficients make a prediction's variance larger; 1 is the noise's.
   const EffectFit fit = Solve(set);
   double sum = 0.0;
   for (size_t f = 0; f < flights_.size(); ++f) {
-    const MatrixXd& white = flights_[f].held_out_white();
+    const MatrixXd& white = flights_[f].held_out_white(part);
     const Index n = white.cols() - 1;
     const VectorXd e = white.col(n) - Combined(white, LocalCoefficients(f, fit, set).head(n));
     MatrixXd X = MatrixXd::Zero(white.rows(), static_cast<Index>(fit.columns.size()));
@@ -883,8 +883,11 @@ double Evidence::HeldOutLoss(const VariantSet& set) const {
   return sum;
 }
 
-double Evidence::HeldOutGain(const VariantSet& set) const {
-  return HeldOutLoss({}) - HeldOutLoss(set);
+double Evidence::HeldOutGain(const VariantSet& set, const VariantSet& over) const {
+  const auto gain = [&](FlightRegression::Part part) {
+    return HeldOutLoss(over, part) - HeldOutLoss(set, part);
+  };
+  return std::max(gain(FlightRegression::kForeseen), gain(FlightRegression::kWhole));
 }
 
 Evidence::Lead Evidence::LeadOf(const VariantSet& a, const VariantSet& b) const {

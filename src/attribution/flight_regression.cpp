@@ -443,10 +443,17 @@ void FlightRegression::ReestimateNoise(const VectorXd& x, const MatrixXd& draws)
 void FlightRegression::WhitenHeldOut() {
   const auto m = static_cast<Index>(columns_.size());
   held_out_weight_ = MatrixXd::Ones(static_cast<Index>(held_out_rows_.size()), kNumChannels);
-  held_out_white_.resize(static_cast<Index>(held_out_rows_.size()) * num_channels_, m + 1);
+  const auto rows = static_cast<Index>(held_out_rows_.size()) * num_channels_;
+  for (MatrixXd& white : held_out_white_) white.resize(rows, m + 1);
   ForEachOf(static_cast<int>(m) + 1, jobs_, [&](int k) {
-    const Wrenches& column = k < m ? columns_[static_cast<size_t>(k)].d_wrench : y_;
-    held_out_white_.col(k) = Whitened(column, held_out_rows_, held_out_weight_);
+    for (const Part part : {kForeseen, kWhole}) {
+      const Wrenches* column = &y_;
+      if (k < m) {
+        const Regressor& of = columns_[static_cast<size_t>(k)];
+        column = part == kWhole ? &of.d_wrench : &of.foreseen;
+      }
+      held_out_white_[part].col(k) = Whitened(*column, held_out_rows_, held_out_weight_);
+    }
   });
 }
 
@@ -500,7 +507,7 @@ void FlightRegression::Project() {
   unforeseen_gram_.topLeftCorner(n, n).selfadjointView<Eigen::Lower>().rankUpdate(
       whole.transpose());
   unforeseen_gram_.triangularView<Eigen::StrictlyUpper>() = unforeseen_gram_.transpose();
-  // (Those held out stay whole: they predict, and nothing is fitted to them.)
+  // Held-out columns stay as they are: how many of them combine was fitted elsewhere.
   SumUp();
 }
 

@@ -163,8 +163,9 @@ class Evidence {
   EffectFit SolveOfFlight(int flight, const VariantSet& set) const;
 
   /// Log-likelihood of the samples held out under `set`, its coefficients as the others say, beyond
-  /// that of the declared model [nats].
-  double HeldOutGain(const VariantSet& set) const;
+  /// that under `over` [nats]. Predicted by whole regressors, whose noise costs some of it, and by
+  /// what of them was foreseen, which is a part of them: the larger of the two.
+  double HeldOutGain(const VariantSet& set, const VariantSet& over = {}) const;
 
   /// By how much `a` predicts the samples in use better than `b`, and the standard error of that as
   /// blocks of time tell it (Vuong, Econometrica 1989).
@@ -232,7 +233,7 @@ class Evidence {
   double GainOf(const GainTest& test, const Eigen::VectorXd& Xe) const;
   /// Products of all columns with surrogates of the noise, by column.
   Eigen::MatrixXd SurrogateProducts(std::mt19937* random) const;
-  double HeldOutLoss(const VariantSet& set) const;
+  double HeldOutLoss(const VariantSet& set, FlightRegression::Part part) const;
   double SignTerm(const std::vector<int>& columns, const Eigen::VectorXd& coefficients,
                   const Eigen::VectorXd& sigma) const;
   Eigen::VectorXd PriorSigmas(const std::vector<int>& columns) const;

@@ -98,7 +98,9 @@ class FlightRegression {
 
   /// Whitened columns, the residual last; one channel's rows after the other's.
   const Eigen::MatrixXd& white() const { return white_; }
-  const Eigen::MatrixXd& held_out_white() const { return held_out_white_; }
+  /// The same of the samples held out: by what of the columns was foreseen, or by whole columns.
+  enum Part { kForeseen, kWhole };
+  const Eigen::MatrixXd& held_out_white(Part part) const { return held_out_white_[part]; }
   /// Their sums of products; of folds of blocks of time.
   const Eigen::MatrixXd& gram() const { return gram_; }
   const Eigen::MatrixXd& fold_gram(int fold) const { return fold_gram_[fold]; }
@@ -192,9 +194,10 @@ class FlightRegression {
   Eigen::MatrixXd raw_base_, raw_gram_;     // Raw() of what is foreseen of the base
   std::vector<int> rows_, held_out_rows_;   // samples whose predecessors are there
   std::array<SerialNoise, kNumChannels> noise_;
-  int noise_columns_ = -1;                    // for which it was estimated; -1: not yet
-  Eigen::MatrixXd weight_, held_out_weight_;  // of samples, by channel: wild ones count less
-  Eigen::MatrixXd white_, held_out_white_;    // rows × columns (X), y last
+  int noise_columns_ = -1;                         // for which it was estimated; -1: not yet
+  Eigen::MatrixXd weight_, held_out_weight_;       // of samples, by channel: wild ones count less
+  Eigen::MatrixXd white_;                          // rows × columns (X), y last
+  std::array<Eigen::MatrixXd, 2> held_out_white_;  // of these, by Part
   Eigen::MatrixXd gram_, unforeseen_gram_;
   std::vector<Eigen::MatrixXd> fold_gram_;  // of folds of blocks of time
   Eigen::VectorXd innovation_;              // whitened residual of everything
