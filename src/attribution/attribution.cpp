@@ -252,6 +252,7 @@ void Attribution::Screen(Evidence* evidence) const {
       all.push_back({refined, log_prior});
   }
   std::vector<EffectCandidate> chosen;
+  chosen.reserve(all.size());
   for (const Chosen& c : all) chosen.push_back(c.candidate);
   const std::vector<int> added = evidence->AddAll(chosen);
   for (size_t k = 0; k < all.size(); ++k) {

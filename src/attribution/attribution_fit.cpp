@@ -229,6 +229,7 @@ std::optional<VariantSet> Attribution::BetterRival(const Evidence& evidence,
       rivals[name] = {behind, rival};
     }
     std::vector<std::pair<double, std::string>> order;
+    order.reserve(rivals.size());
     for (const auto& [name, rival] : rivals) order.emplace_back(rival.first, name);
     std::sort(order.begin(), order.end());
     for (size_t k = 0; k < std::min(kRivals, order.size()); ++k) {
