@@ -108,6 +108,14 @@ std::vector<int> Nonlinear(const Evidence& evidence) {
   return variants;
 }
 
+/// True if two ways to try an effect differ by the sign of its size alone.
+bool AreMirrored(const EffectCandidate& a, const EffectCandidate& b) {
+  if (a.size.empty() || a.settings != b.settings) return false;
+  std::map<std::string, double> mirrored = a.start;
+  mirrored.at(a.size) *= -1.0;
+  return mirrored == b.start;
+}
+
 /// The mean of two sets of values.
 Evidence::VariantValues Halfway(Evidence::VariantValues from, const Evidence::VariantValues& to) {
   for (size_t f = 0; f < from.size(); ++f) {
@@ -237,19 +245,30 @@ void Attribution::Screen(Evidence* evidence) const {
     };
     choose(&Evidence::GainBound::serial);
     choose(&Evidence::GainBound::white);
-    std::set<std::map<std::string, double>> held;
-    for (const EffectCandidate* c : settings) held.insert(c->settings);
-    const double log_prior = -std::log(static_cast<double>(held.size()));
     const auto most = static_cast<size_t>(
         std::max_element(promises.begin(), promises.end(),
                          [](const auto& a, const auto& b) { return a.white < b.white; }) -
         promises.begin());
+    std::set<size_t> refined = {most};
+    // What is linear says little of a size's sign: the fit has to.
+    for (size_t i = 0; i < settings.size(); ++i) {
+      const auto mirrors = [&, &settings = settings](size_t other) {
+        return AreMirrored(*settings[other], *settings[i]);
+      };
+      if (mirrors(most)) refined.insert(i);
+      if (std::any_of(chosen.begin(), chosen.end(), mirrors)) chosen.insert(i);
+    }
+    std::set<std::map<std::string, double>> held;
+    for (const EffectCandidate* c : settings) held.insert(c->settings);
+    const double log_prior = -std::log(static_cast<double>(held.size()));
     for (const size_t i : chosen) all.push_back({*settings[i], log_prior});
-    const EffectCandidate refined = WithRefinedSettings(
-        *settings[most],
-        [&](const EffectCandidate& other) { return evidence->GainBoundOf(other).white; });
-    if (refined.settings != settings[most]->settings || refined.start != settings[most]->start)
-      all.push_back({refined, log_prior});
+    for (const size_t i : refined) {
+      const EffectCandidate moved = WithRefinedSettings(*settings[i], [&](const auto& other) {
+        return evidence->GainBoundOf(other).white;
+      });
+      if (moved.settings == settings[i]->settings && moved.start == settings[i]->start) continue;
+      all.push_back({moved, log_prior});
+    }
   }
   std::vector<EffectCandidate> chosen;
   chosen.reserve(all.size());

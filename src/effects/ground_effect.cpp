@@ -28,8 +28,8 @@ class GroundEffect final : public Effect {
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool) const override {
     const double radius = vehicle().rotors.front().radius_m;
     // At one height the ground's share is one with the thrust coefficient, and ground that may lie
-    // anywhere only turns bank into torque.
-    if (flown.height_range_m < radius) return {};
+    // anywhere only turns bank into torque: then it must have been seen.
+    if (!flown.stood_m && flown.height_range_m < radius) return {};
     // Where the ground lies is fitted, from several places: far from it, the effect has no slope.
     // A vehicle that was seen to stand has shown the ground, up to the height of what it stands on.
     std::vector<double> grounds = {0.0, flown.lowest_m - 1.5 * radius,
