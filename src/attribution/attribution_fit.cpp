@@ -203,7 +203,7 @@ double Attribution::SecondScore(Evidence evidence, const VariantSet& set) const 
 }
 
 std::optional<VariantSet> Attribution::BetterRival(const Evidence& evidence,
-                                                   const VariantSet& set) const {
+                                                   const VariantSet& set) {
   const double gain = evidence.GainInNats(set);
   for (const int v : set) {
     const std::string effect = evidence.variants()[v].candidate.effect;
@@ -234,7 +234,12 @@ std::optional<VariantSet> Attribution::BetterRival(const Evidence& evidence,
     std::sort(order.begin(), order.end());
     for (size_t k = 0; k < std::min(kRivals, order.size()); ++k) {
       const VariantSet& rival = rivals.at(order[k].second).second;
-      if (SecondScore(evidence, rival) > second->second + options_.even_odds) return rival;
+      const double held = SecondScore(evidence, rival);
+      if (held <= second->second + options_.even_odds) continue;
+      refused_[effect] = "promises " + Rounded(first) + " nats, of which its fit bears out " +
+                         Rounded(second->second) + ", and that with " + order[k].second + " " +
+                         Rounded(held);
+      return rival;
     }
   }
   return std::nullopt;

@@ -8,6 +8,7 @@
 #include <stdexcept>
 
 #include "odmc/analysis/calibration.h"
+#include "odmc/analysis/parallel.h"
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/gust_case.h"
 #include "odmc/attribution/instruments.h"
@@ -26,6 +27,12 @@ namespace {
 constexpr int kLeastSamples = 50;  // to look for effects in
 constexpr double kNoSize = 1.0;    // sigmas: a size nearer to zero is none
 constexpr int kLeastRun = Instruments::kReach + SerialNoise::kOrder;  // before one that counts
+
+std::vector<std::string> NamesOf(const std::vector<RankedEffect>& effects) {
+  std::vector<std::string> names;
+  for (const RankedEffect& effect : effects) names.push_back(effect.name);
+  return names;
+}
 
 bool HasEffect(const std::vector<RankedEffect>& effects, const std::string& name) {
   return std::any_of(effects.begin(), effects.end(),
@@ -133,7 +140,10 @@ class LoopSession {
   /// Progress of a part of the whole.
   std::function<void(double)> Part(double from, double to) const;
   Vehicle VehicleWithEffects(const std::vector<RankedEffect>& effects) const;
-  std::optional<OnlinePass> RunWith(const std::vector<RankedEffect>& effects, double to) const;
+  std::optional<OnlinePass> RunWith(const std::vector<RankedEffect>& effects,
+                                    const std::function<void(double)>& progress) const;
+  /// Runs with the effects and, on processors to spare, with what AskOnline() asks for first.
+  void RunAndAskAhead(double to);
   std::vector<ChannelStructure> StructureInUse(const ResidualModel::Wrenches& residual) const;
   /// What effects, and gusts that make their case, leave of the wrench.
   ResidualModel::Wrenches Rest() const;
@@ -164,6 +174,8 @@ class LoopSession {
   bool HasClearSecondScore(const RankedEffect& effect) const;
   /// Drops what is zero within its sigma online, and predicts nothing better.
   void DropIdle();
+  /// Effects of which the regression is no judge, and that are not named yet.
+  std::vector<std::string> EffectsToAskFor() const;
   /// Adds an effect of which the regression is no judge, where the online estimate shows it.
   void AskOnlineFor(const std::string& name);
   /// The case for the last of `with` by the online estimate of a model with all of them.
@@ -195,6 +207,12 @@ class LoopSession {
   std::vector<RankedEffect> effects_;  ///< that are named so far
   std::map<std::string, ParameterSetting> known_;  ///< what else the last run is told
   std::optional<OnlinePass> after_;                ///< of the model with `effects_`
+  /// A run with effects, made before it is known whether it is asked for; with `known_`.
+  struct RunAhead {
+    std::vector<std::string> effects;
+    std::optional<OnlinePass> pass;
+  };
+  std::optional<RunAhead> ahead_;
   ClosedLoop result_;
 };
 
@@ -221,11 +239,27 @@ Vehicle LoopSession::VehicleWithEffects(const std::vector<RankedEffect>& effects
   return odmc::VehicleWithEffects(vehicle_, attribution_->point(), effects, known_);
 }
 
-std::optional<OnlinePass> LoopSession::RunWith(const std::vector<RankedEffect>& effects,
-                                               double to) const {
+std::optional<OnlinePass> LoopSession::RunWith(
+    const std::vector<RankedEffect>& effects, const std::function<void(double)>& progress) const {
   const Vehicle extended = VehicleWithEffects(effects);
   const DynamicModel model(extended, extended.effects);
-  return RunOnline(log_, file_vehicle_, model, options_.estimator, options_.blocks, Part(0.6, to));
+  return RunOnline(log_, file_vehicle_, model, options_.estimator, options_.blocks, progress);
+}
+
+void LoopSession::RunAndAskAhead(double to) {
+  std::vector<RankedEffect> with = effects_;
+  const std::vector<std::string> asked = EffectsToAskFor();
+  const bool ahead = options_.jobs > 1 && !asked.empty();
+  if (ahead) with.emplace_back().name = asked.front();
+  std::optional<OnlinePass> pass;
+  ForEachOf(ahead ? 2 : 1, options_.jobs, [&](int i) {
+    if (i == 0) {
+      after_ = RunWith(effects_, Part(0.6, to));
+    } else {
+      pass = RunWith(with, {});
+    }
+  });
+  if (ahead) ahead_ = RunAhead{NamesOf(with), std::move(pass)};
 }
 
 void LoopSession::Calibrate() {
@@ -434,7 +468,7 @@ void LoopSession::DropUnexplained() {
   const double unexplained = Unexplained();
   if (effects_.empty() || unexplained <= options_.attribution.most_unexplained) return;
   gusts_.reset();  // they were looked for beside the effects
-  after_ = RunWith(effects_, 1.0);
+  after_ = RunWith(effects_, Part(0.6, 1.0));
   const double ratio = after_ ? RatiosOf(before_.held_out, after_->held_out).least : 1.0;
   if (after_ && ratio <= options_.attribution.telling_ratio) return;
   DropAll(Rounded(100.0 * unexplained) + " % of the structure stays unexplained beside it");
@@ -498,12 +532,12 @@ void LoopSession::Confirm() {
     known_ = gusts_->known;
   }
   if (effects_.empty()) return;
-  if (!after_) after_ = RunWith(effects_, 0.8);
+  if (!after_) RunAndAskAhead(0.8);
   if (!after_) return DropAll(grounded);
   StayNearFit();
   DropIdle();
   if (effects_.empty() || after_) return;
-  after_ = RunWith(effects_, 1.0);
+  after_ = RunWith(effects_, Part(0.6, 1.0));
   if (!after_) DropAll(grounded);
 }
 
@@ -521,7 +555,7 @@ void LoopSession::RunWithBands(OnlinePass* pass) {
   if (by_bands.empty()) return;
   const std::map<std::string, ParameterSetting> without = known_;
   known_.insert(by_bands.begin(), by_bands.end());
-  std::optional<OnlinePass> better = RunWith(effects_, 1.0);
+  std::optional<OnlinePass> better = RunWith(effects_, Part(0.6, 1.0));
   if (better) {
     *pass = std::move(*better);
   } else {
@@ -545,7 +579,7 @@ std::optional<RankedEffect> LoopSession::BesideRotorTiming(std::vector<RankedEff
     is_beside = true;
   }
   if (!is_beside) return std::nullopt;
-  const std::optional<OnlinePass> pass = RunWith(with, 1.0);
+  const std::optional<OnlinePass> pass = RunWith(with, Part(0.6, 1.0));
   if (!pass) return std::nullopt;
   return LastByEstimate(with, *pass);
 }
@@ -553,7 +587,10 @@ std::optional<RankedEffect> LoopSession::BesideRotorTiming(std::vector<RankedEff
 void LoopSession::AskOnlineFor(const std::string& name) {
   std::vector<RankedEffect> with = effects_;
   with.emplace_back().name = name;
-  std::optional<OnlinePass> pass = RunWith(with, 1.0);
+  const bool is_known = ahead_ && ahead_->effects == NamesOf(with);
+  std::optional<OnlinePass> pass =
+      is_known ? std::move(ahead_->pass) : RunWith(with, Part(0.6, 1.0));
+  ahead_.reset();
   if (!pass) return;
   RankedEffect& asked = with.back();
   asked = LastByEstimate(with, *pass);
@@ -577,11 +614,17 @@ void LoopSession::AskOnlineFor(const std::string& name) {
 }
 
 void LoopSession::AskOnline() {
-  if (log_.rotor_rms_only) return;
-  for (const std::string& name : QuickEffects(vehicle_, candidates_)) {
-    const bool room = static_cast<int>(effects_.size()) < options_.attribution.most_effects;
-    if (room && !HasEffect(effects_, name)) AskOnlineFor(name);
+  for (const std::string& name : EffectsToAskFor()) {
+    if (static_cast<int>(effects_.size()) < options_.attribution.most_effects) AskOnlineFor(name);
   }
+}
+
+std::vector<std::string> LoopSession::EffectsToAskFor() const {
+  if (log_.rotor_rms_only) return {};
+  std::vector<std::string> names = QuickEffects(vehicle_, candidates_);
+  const auto is_named = [this](const std::string& name) { return HasEffect(effects_, name); };
+  names.erase(std::remove_if(names.begin(), names.end(), is_named), names.end());
+  return names;
 }
 
 // The window lets go of what was linearized where the estimate was at the time, and a product, such
@@ -603,9 +646,10 @@ void LoopSession::StayNearFit() {
       known_[p.full_name].sigma = kSigmas * p.sigma;
     }
   }
-  std::optional<OnlinePass> near = RunWith(effects_, 1.0);
+  std::optional<OnlinePass> near = RunWith(effects_, Part(0.6, 1.0));
   if (near && LogError(near->held_out) < LogError(after_->held_out)) {
     after_ = std::move(near);
+    ahead_.reset();
   } else {
     known_ = without;
   }

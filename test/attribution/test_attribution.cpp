@@ -405,6 +405,20 @@ TEST(Candidates, GroundEffectNeedsHeightThatVaries) {
   EXPECT_TRUE(IsCandidate(Filtered(Make({}, 0.0, "vertical", 0, 31)), "ground_effect"));
 }
 
+// Near ground that was seen, bank alone tells it; ground that may lie anywhere explains any bank.
+TEST(Candidates, GroundEffectAtOneHeightNeedsGroundThatWasSeen) {
+  const Vehicle vehicle = UndeclaredVehicles().front();
+  FlightMotion flight = Filtered(Make({}, 0.0, "circle", 0, 31)).flight.motion();
+  const auto is_asked_for = [&] {
+    const std::vector<EffectCandidate> all = CandidatesFor(vehicle, flight);
+    return std::any_of(all.begin(), all.end(),
+                       [](const EffectCandidate& c) { return c.effect == "ground_effect"; });
+  };
+  EXPECT_FALSE(is_asked_for());
+  flight.stood_z_m = 0.1;
+  EXPECT_TRUE(is_asked_for());
+}
+
 // With the whole mass lost a regressor was not a number, and the search for sets had no end.
 TEST(Candidates, AreModelsOfABodyAtTheEndsOfTheirBounds) {
   const Flown flown = Filtered(Make({}, 0.0, "octo", 0, 31));

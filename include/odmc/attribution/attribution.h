@@ -187,7 +187,7 @@ class Attribution {
   /// The set with another effect in the place of one of which the fit bears out less than half of
   /// what it promised, where the other promises as much and holds more of it.
   /// @param set with the settings that its effects fit
-  std::optional<VariantSet> BetterRival(const Evidence& evidence, const VariantSet& set) const;
+  std::optional<VariantSet> BetterRival(const Evidence& evidence, const VariantSet& set);
   /// The least score of a set's effects about what the fit with them finds [nats].
   double SecondScore(Evidence evidence, const VariantSet& set) const;
   /// Takes away effects found earlier that one of the newest contains (ContainedEffects()).
