@@ -22,8 +22,7 @@ namespace {
 constexpr double kProportional = 0.1;
 constexpr int kRefits = 5;  // at most
 constexpr int kInertiaRefits = 2;
-constexpr double kBorneOut = 0.5;  // of what a fit from afar promises, at least
-constexpr size_t kRivals = 3;      // that are fitted, at most
+constexpr size_t kRivals = 3;  // that are fitted, at most
 
 /// A point without some effects.
 ModelPoint Without(ModelPoint point, const std::function<bool(const std::string&)>& is_dropped) {
@@ -211,7 +210,8 @@ std::optional<VariantSet> Attribution::BetterRival(const Evidence& evidence,
     VariantSet others = set;
     others.erase(v);
     const double first = ScoreOf(evidence, set, others);
-    if (second == second_scores_.end() || second->second >= kBorneOut * first) continue;
+    const double least = (1.0 - options_.most_unexplained) * first;
+    if (second == second_scores_.end() || second->second >= least) continue;
     std::map<std::string, std::pair<double, VariantSet>> rivals;
     for (int other = 0; other < static_cast<int>(evidence.variants().size()); ++other) {
       const std::string& name = evidence.variants()[other].candidate.effect;

@@ -25,7 +25,6 @@ namespace odmc {
 namespace {
 
 constexpr int kLeastSamples = 50;  // to look for effects in
-constexpr double kNoSize = 1.0;    // sigmas: a size nearer to zero is none
 constexpr int kLeastRun = Instruments::kReach + SerialNoise::kOrder;  // before one that counts
 
 std::vector<std::string> NamesOf(const std::vector<RankedEffect>& effects) {
@@ -476,7 +475,8 @@ void LoopSession::DropUnexplained() {
 
 std::string LoopSession::OnlineObjection(const RankedEffect& effect, const ParameterSet& published,
                                          const DynamicModel& model) const {
-  if (!SizeDiffersFromZero(effect, published, model, kNoSize)) {
+  if (!SizeDiffersFromZero(effect, published, model,
+                           options_.attribution.least_size_sigmas)) {
     return "its size is zero within its standard deviation:" +
            EstimatesText(effect, published, model);
   }
@@ -635,7 +635,8 @@ void LoopSession::StayNearFit() {
   const DynamicModel model(extended, extended.effects);
   const bool strays = std::any_of(effects_.begin(), effects_.end(), [&](const RankedEffect& e) {
     return ContradictsFit(e, after_->parameters) ||
-           !SizeDiffersFromZero(e, after_->parameters, model, kNoSize);
+           !SizeDiffersFromZero(e, after_->parameters, model,
+                                options_.attribution.least_size_sigmas);
   });
   if (!strays) return;
   const std::map<std::string, ParameterSetting> without = known_;

@@ -11,6 +11,8 @@
 namespace odmc {
 namespace {
 
+constexpr double kAgreeShare = 1.0 / 3.0;  // winds and drags bias each other by so much
+
 /// True if parameters differ from zero together by `sigmas` (Wald's test; the limit
 /// grows with their number).
 bool IsSignificant(const Eigen::VectorXd& estimate, const Eigen::MatrixXd& covariance,
@@ -219,7 +221,7 @@ std::string Disagreement(const RankedEffect& effect, const ParameterSet& online,
     const ParameterEstimate& p = online.parameters[own[static_cast<size_t>(i)]];
     const double fitted = effect.Find(p.full_name)->value;
     difference[i] = p.value - fitted;
-    const double share = options.agree_share * std::max(std::abs(p.value), std::abs(fitted));
+    const double share = kAgreeShare * std::max(std::abs(p.value), std::abs(fitted));
     covariance(i, i) += share * share;
     const double sigmas = std::abs(difference[i]) / std::sqrt(covariance(i, i));
     if (sigmas < most) continue;

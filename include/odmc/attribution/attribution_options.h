@@ -30,7 +30,7 @@ struct AttributionOptions {
   double least_ratio = 0.97;
   double gust_price = 16.0;
   double significant_sigmas = 3.0;
-  double agree_share = 1.0 / 3.0;
+  double least_size_sigmas = 1.0;
   double known_thrust_share = 0.05;
   double opposite_share = 0.1;
 };
