@@ -58,7 +58,7 @@ v_x = np.interp(prediction['t_s'], flight.odometry.t_s, v_B[:, 0])
 print(f'error along x = {np.polyfit(v_x, error[:, 0], 1)[0]:.2f} N s/m times velocity,'
       f' correlation {np.corrcoef(v_x, error[:, 0])[0, 1]:.2f}')
 
-# %% close_loop() finds the effect by itself, on blocks of the flight that choice and fit have not seen
+# %% close_loop() finds the effect by itself; its errors are on blocks of the flight that the fit has not used
 loop = odmc.close_loop(flight, quad, without=['drag', 'hvt'])
 print('verdict:', loop.verdict)
 for effect in loop.effects:

@@ -51,8 +51,9 @@ const std::vector<DecisionNumber>& DecisionNumbers() {
       {"least_structured", "1", &O::least_structured, 0.0, 1.0,
        "judgement: a smaller share of the variance changes the RMS by less than 3 %"},
       {"most_unexplained", "1", &O::most_unexplained, 0.0, 1.0,
-       "judgement: what explains less than half of the structure is not its cause, nor what bears "
-       "out less than half of what it promised where another effect bears out more"},
+       "judgement: what explains less than half of the structure is not its cause; nor is an "
+       "effect whose second score is less than half of its first, if another effect has a larger "
+       "second score"},
       {"most_lean_rad", "rad", &O::most_lean_rad, 0.0, 0.2,
        "judgement: roll and pitch of an onboard filter err by a degree, over seconds"},
       {"most_thrust_wander", "1", &O::most_thrust_wander, 0.0, 0.2,
@@ -60,8 +61,9 @@ const std::vector<DecisionNumber>& DecisionNumbers() {
        "mg/K), "
        "and a k_f over the air's temperature (0.3 % per K)"},
       {"telling_ratio", "1", &O::telling_ratio, 0.0, 1.0,
-       "judgement: unless it takes half of an axis' error on blocks held out; one that is "
-       "doubled is ruined (by chance once in thirty, F test of eight errors)"},
+       "judgement: effects that leave most of the structure stay if they halve the error of some "
+       "axis on held-out blocks; an axis whose error doubles is ruined (chance does that once in "
+       "thirty times: F test of eight errors)"},
       {"least_ratio", "1", &O::least_ratio, 0.0, 1.0,
        "judgement: the figures of two online runs differ by some 3 %"},
       {"gust_price", "nats", &O::gust_price, 0.0, 100.0,

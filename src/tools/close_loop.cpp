@@ -157,7 +157,7 @@ int main(int argc, char** argv) {
   CLI::App app(
       "Closes the loop on a recorded flight: calibrates the declared model, traces what it leaves\n"
       "unexplained to a physical effect it lacks, adds that effect, and reports the error before\n"
-      "and after on blocks of time that neither the choice nor the fit has seen.\n"
+      "and after on blocks of time that the fit has not used.\n"
       "Writes report.json, residual.csv, parameters.yaml (of the extended model), report.html.\n"
       "Of several flights of one vehicle it weighs the evidence of all together: report.json with\n"
       "each flight's coefficients, effects.csv, parameters.yaml of the extended vehicle; errors "
