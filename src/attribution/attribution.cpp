@@ -263,9 +263,8 @@ void Attribution::Screen(Evidence* evidence) const {
     const double log_prior = -std::log(static_cast<double>(held.size()));
     for (const size_t i : chosen) all.push_back({*settings[i], log_prior});
     for (const size_t i : refined) {
-      const EffectCandidate moved = WithRefinedSettings(*settings[i], [&](const auto& other) {
-        return evidence->GainBoundOf(other).white;
-      });
+      const EffectCandidate moved = WithRefinedSettings(
+          *settings[i], [&](const auto& other) { return evidence->GainBoundOf(other).white; });
       if (moved.settings == settings[i]->settings && moved.start == settings[i]->start) continue;
       all.push_back({moved, log_prior});
     }

@@ -24,7 +24,7 @@
 namespace odmc {
 namespace {
 
-constexpr int kLeastSamples = 50;  // to look for effects in
+constexpr int kLeastSamples = 50;                                     // to look for effects in
 constexpr int kLeastRun = Instruments::kReach + SerialNoise::kOrder;  // before one that counts
 
 std::vector<std::string> NamesOf(const std::vector<RankedEffect>& effects) {
@@ -238,8 +238,8 @@ Vehicle LoopSession::VehicleWithEffects(const std::vector<RankedEffect>& effects
   return odmc::VehicleWithEffects(vehicle_, attribution_->point(), effects, known_);
 }
 
-std::optional<OnlinePass> LoopSession::RunWith(
-    const std::vector<RankedEffect>& effects, const std::function<void(double)>& progress) const {
+std::optional<OnlinePass> LoopSession::RunWith(const std::vector<RankedEffect>& effects,
+                                               const std::function<void(double)>& progress) const {
   const Vehicle extended = VehicleWithEffects(effects);
   const DynamicModel model(extended, extended.effects);
   return RunOnline(log_, file_vehicle_, model, options_.estimator, options_.blocks, progress);
@@ -475,8 +475,7 @@ void LoopSession::DropUnexplained() {
 
 std::string LoopSession::OnlineObjection(const RankedEffect& effect, const ParameterSet& published,
                                          const DynamicModel& model) const {
-  if (!SizeDiffersFromZero(effect, published, model,
-                           options_.attribution.least_size_sigmas)) {
+  if (!SizeDiffersFromZero(effect, published, model, options_.attribution.least_size_sigmas)) {
     return "its size is zero within its standard deviation:" +
            EstimatesText(effect, published, model);
   }
