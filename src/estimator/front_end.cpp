@@ -168,21 +168,31 @@ bool FrontEnd::IsJump(const OdometrySample& newest, double dt) const {
   const OdometryNoise noise = stream_noise_.odometry();
   if (newest.v_WS && last_->v_WS) {
     const Vector3d step = newest.p_WS - last_->p_WS - 0.5 * dt * (*newest.v_WS + *last_->v_WS);
-    return step.norm() > kUnexplainedWay_m + kJumpSigmas * noise.position_m +
-                             dt * (kUnexplainedSpeed_m_s + kJumpSigmas * noise.velocity_m_s);
+    if (step.norm() > kUnexplainedWay_m + kJumpSigmas * noise.position_m +
+                          dt * (kUnexplainedSpeed_m_s + kJumpSigmas * noise.velocity_m_s)) {
+      return true;
+    }
   }
   if (!before_last_) return false;
   const double dt0 = ToSeconds(last_->stamp - before_last_->stamp);
   if (!(dt0 > 0.0) || dt0 > options_->max_gap_s) return false;
   const double wider = dt * std::max(dt, dt0);
   const double share = dt / dt0;
-  const Vector3d step = newest.p_WS - last_->p_WS - share * (last_->p_WS - before_last_->p_WS);
-  const Vector3d turn = Log(last_->q_WS.conjugate() * newest.q_WS) -
-                        share * Log(before_last_->q_WS.conjugate() * last_->q_WS);
   const double sigmas = kJumpSigmas * (1.0 + share);
-  return step.norm() > kLeastStep_m + sigmas * noise.position_m + kMostAcceleration_m_s2 * wider ||
-         turn.norm() >
-             kLeastTurn_rad + sigmas * noise.attitude_rad + kMostAngularAcceleration_rad_s2 * wider;
+  const Vector3d turned = Log(last_->q_WS.conjugate() * newest.q_WS);
+  const auto is_turn = [&](const Vector3d& expected) {
+    return (turned - expected).norm() > kLeastTurn_rad + sigmas * noise.attitude_rad +
+                                            kMostAngularAcceleration_rad_s2 * wider;
+  };
+  // Rates that explain the turn are no jump; rates that do not may be wrong themselves.
+  const bool has_rates = newest.w_WS_S && last_->w_WS_S;
+  if (is_turn(share * Log(before_last_->q_WS.conjugate() * last_->q_WS)) &&
+      (!has_rates || is_turn(0.5 * dt * (*newest.w_WS_S + *last_->w_WS_S)))) {
+    return true;
+  }
+  if (newest.v_WS && last_->v_WS) return false;
+  const Vector3d step = newest.p_WS - last_->p_WS - share * (last_->p_WS - before_last_->p_WS);
+  return step.norm() > kLeastStep_m + sigmas * noise.position_m + kMostAcceleration_m_s2 * wider;
 }
 
 /// Body rate in S that the gyro reads at `stamp`, its bias taken off; nothing without samples

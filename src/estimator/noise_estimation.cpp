@@ -147,7 +147,8 @@ void ProcessNoiseEstimator::Add(const IntervalResidual& residual, bool with_torq
   const Vector6d level =
       (sum_.cwiseAbs2() - rotor_variance_).cwiseQuotient(floor_.cwiseAbs2()) / block_s_;
   const auto follow = [&](double seen, double* average) {
-    *average += gain * (std::min(seen, 25.0 * WithStart(*average)) - *average);
+    const double most = 25.0 * std::max(1.0, WithStart(*average));
+    *average += gain * (std::min(seen, most) - *average);
   };
   follow(level.head<3>().mean(), &force_level_);
   if (with_torque) follow(level.tail<3>().mean(), &torque_level_);

@@ -65,6 +65,7 @@ double PhaseWatch::PriorThrustSigma() const {
 void PhaseWatch::Learn(Stamp stamp, const ModelValues& values, double thrust_sigma) {
   if (detector_.suspects() || !detector_.teaches()) return;
   if (!waiting_.empty() && ToSeconds(stamp - waiting_.back().stamp) < kReferenceEvery_s) return;
+  if (!detector_.knows_thrust()) waiting_.clear();
   waiting_.push_back({stamp, values, thrust_sigma});
   if (!detector_.knows_thrust()) {
     const double off = Disagreement(values);

@@ -19,6 +19,7 @@ constexpr double kBlockCounts = 1.0 / 3.0, kMostPerBlock = 4.0, kBeyondDoubt_nat
 // A block of six sigmas (in flight once in 10^8) was a touch if contact follows soon: a landing
 // gear bounces.
 constexpr double kBump_nats = 3.0, kBumpKept_s = 0.8;
+constexpr double kStillSeen_s = 0.6;  // until stillness is seen, and the block before
 constexpr double kStillWeight = 0.5;  // of a block in which the vehicle stands still
 constexpr double kFree_nats = 5.0;    // to fly again: odds of 150 to 1
 constexpr double kMostFreePerBlock = 2.0;
@@ -129,7 +130,7 @@ void PhaseDetector::Start(PhaseVerdict* verdict) {
     SetPhase(FlightPhase::kFlying, *first_);
   } else if (block_.thrust < options_.landed_thrust_ratio) {
     if (felt < kSupported) return;  // neither carried nor falling: the next block tells
-    verdict->start_anew = true;
+    HasStood(verdict);
     GoToGround(*first_);
     if (block_.speed > options_.take_off_speed_m_s) Relabel(FlightPhase::kInHand, *first_);
   } else {
@@ -137,6 +138,20 @@ void PhaseDetector::Start(PhaseVerdict* verdict) {
     first_stand_.least_thrust = first_stand_.most_thrust = block_.thrust;
     SetPhase(FlightPhase::kFlying, *first_);
   }
+}
+
+/// What was learned from the start on was learned from a stand.
+void PhaseDetector::HasStood(PhaseVerdict* verdict) const {
+  if (goes_on_) {
+    verdict->take_back = *first_;
+  } else {
+    verdict->start_anew = true;
+  }
+}
+
+/// Felt, but not given by thrust that may be.
+bool PhaseDetector::IsCarriedByOther() const {
+  return block_.thrust < options_.landed_thrust_ratio && block_.felt.norm() > kSupported;
 }
 
 void PhaseDetector::StartHere() { start_ = {block_.p_WS, block_.R_WS}; }
@@ -163,8 +178,8 @@ void PhaseDetector::FirstStand::Add(const PhaseBlock& block) {
 
 // Not moved yet: flight or stand, by what comes.
 void PhaseDetector::Wait(PhaseVerdict* verdict) {
-  if (block_.thrust < options_.landed_thrust_ratio && block_.felt.norm() > kSupported) {
-    verdict->start_anew = true;
+  if (IsCarriedByOther()) {
+    HasStood(verdict);
     return GoToGround(*first_);
   }
   if (stillness_.wander() > kClearWander) first_stand_.wandered_s += block_.duration_s;
@@ -178,7 +193,7 @@ void PhaseDetector::Wait(PhaseVerdict* verdict) {
       first_stand_.most_thrust < kStandVaries * first_stand_.least_thrust) {
     return;
   }
-  verdict->start_anew = true;
+  HasStood(verdict);
   GoToGround(*first_);
 }
 
@@ -195,7 +210,7 @@ void PhaseDetector::Prove(PhaseVerdict* verdict) {
                      first_stand_.gain() > (1.0 + kGainDiffers) * first_flight_.gain();
   TakeOff();
   if (!stood) return SetPhase(PhaseInAir(), block_.to);
-  verdict->start_anew = true;
+  HasStood(verdict);
   Relabel(FlightPhase::kOnGround, *first_);
   record_.SetMeans(first_stand_.thrust_sum / stand_s, first_stand_.missing_sum / stand_s);
   ground_ = {true, start_.p_WS.z()};
@@ -211,7 +226,11 @@ void PhaseDetector::TakeOff() {
 
 void PhaseDetector::Fly(PhaseVerdict* verdict) {
   SetPhase(PhaseInAir(), block_.to);
-  if (!knows_thrust_) return SeeGain();
+  if (!knows_thrust_) {
+    SeeGain();
+    if (stillness_.is_still() && IsCarriedByOther()) LandUnproved(verdict);
+    return;
+  }
   if (contact_nats_ <= 0.0) suspected_since_ = block_.from;
   const double nats = ContactNats();
   if (nats > kBump_nats && !bump_) bump_ = block_.from;
@@ -226,7 +245,7 @@ void PhaseDetector::Fly(PhaseVerdict* verdict) {
     error_scale_ = std::max(error_scale_, 1.0);
   }
   if (contact_nats_ < kAlarm_nats) return;
-  if (learns_changes_ && !stillness_.is_still() &&
+  if (learns_changes_ && !stillness_.is_still() && !IsCarriedByOther() &&
       !(ground_.was_seen && block_.p_WS.z() < ground_.height_m + 0.3)) {
     verdict->has_changed = true;
     return ForgetThrust();
@@ -236,9 +255,21 @@ void PhaseDetector::Fly(PhaseVerdict* verdict) {
   GoToGround(*verdict->take_back);
 }
 
+/// It stands again, after flight too short to know the thrust coefficient.
+void PhaseDetector::LandUnproved(PhaseVerdict* verdict) {
+  const Stamp since = block_.to - FromSeconds(kStillSeen_s);
+  if (knew_thrust_ || goes_on_ || carried_.duration_s >= kKnown_s) {
+    verdict->take_back = since;
+  } else {
+    verdict->start_anew = true;
+  }
+  carried_ = {};
+  GoToGround(since);
+}
+
 /// Mean of what carries over what the model's thrust carries.
 void PhaseDetector::SeeGain() {
-  if (block_.felt.z() < kSupported || stillness_.is_still()) return;
+  if (block_.felt.z() < kSupported || stillness_.is_still() || IsCarriedByOther()) return;
   carried_.duration_s += block_.duration_s;
   carried_.model_carries += block_.duration_s * block_.thrust;
   carried_.carries += block_.duration_s * (block_.thrust + block_.missing.z());
@@ -354,7 +385,11 @@ void PhaseDetector::ForgetThrust() {
 
 void PhaseDetector::Restart() {
   PhaseRecord record = std::move(record_);
+  const bool knows_thrust = knows_thrust_, knew_thrust = knew_thrust_;
   *this = PhaseDetector(options_, learns_changes_);
+  knows_thrust_ = knows_thrust;
+  knew_thrust_ = knew_thrust;
+  goes_on_ = true;
   record_ = std::move(record);
   record_.Restart();
 }

@@ -16,23 +16,34 @@ namespace {
 /// Messages before the frame of their twist is known.
 using RawOdometries = std::vector<OdometryInput>;
 
+/// The first whose pose is a number.
+const OdometrySample& FirstWhole(const RawOdometries& messages) {
+  const auto is_whole = [](const OdometryInput& m) {
+    return m.sample.p_WS.allFinite() && m.sample.q_WS.coeffs().allFinite();
+  };
+  const auto first = std::find_if(messages.begin(), messages.end(), is_whole);
+  return first == messages.end() ? messages.front().sample : first->sample;
+}
+
 /// Sources that know no twist leave zeros, without a mark: a vehicle that moved shows it.
 bool IsLinearFilled(const RawOdometries& messages) {
   double path = 0.0;
+  const OdometrySample& first = FirstWhole(messages);
   for (const OdometryInput& m : messages) {
     if (!m.linear) continue;
     if (*m.linear != Eigen::Vector3d::Zero()) return true;
-    path = std::max(path, (m.sample.p_WS - messages.front().sample.p_WS).norm());
+    path = std::max(path, (m.sample.p_WS - first.p_WS).norm());
   }
   return path < 0.1;
 }
 
 bool IsAngularFilled(const RawOdometries& messages) {
   double turn = 0.0;
+  const OdometrySample& first = FirstWhole(messages);
   for (const OdometryInput& m : messages) {
     if (!m.sample.w_WS_S) continue;
     if (*m.sample.w_WS_S != Eigen::Vector3d::Zero()) return true;
-    turn = std::max(turn, m.sample.q_WS.angularDistance(messages.front().sample.q_WS));
+    turn = std::max(turn, m.sample.q_WS.angularDistance(first.q_WS));
   }
   return turn < 0.1;
 }

@@ -16,34 +16,41 @@ constexpr double kKept_s = 1.0;      // of twists: longer than a pose waits, or 
 }  // namespace
 
 std::vector<OdometryInput> PoseTwistPairing::AddPose(OdometryInput pose) {
-  ForgetIfBack(pose.sample.stamp);
+  Follow(pose.sample.stamp, &newest_pose_);
   poses_.push_back(std::move(pose));
   const Stamp first = poses_.front().sample.stamp;
-  if (mode_ == Mode::kWaiting && ToSeconds(*newest_ - first) > kSettle_s) mode_ = Mode::kAlone;
+  if (mode_ == Mode::kWaiting && ToSeconds(newest() - first) > kSettle_s) mode_ = Mode::kAlone;
   return Release(false);
 }
 
 std::vector<OdometryInput> PoseTwistPairing::AddTwist(OdometryInput twist) {
   is_late_ = is_late_ || mode_ == Mode::kAlone;
   if (is_late_ || !twist.linear) return {};
-  ForgetIfBack(twist.sample.stamp);
+  Follow(twist.sample.stamp, &newest_twist_);
   mode_ = Mode::kPaired;
   twists_.push_back(std::move(twist));
   // Where no poses come, nothing else lets go of them.
-  while (ToSeconds(*newest_ - twists_.front().sample.stamp) > kKept_s) twists_.pop_front();
+  while (ToSeconds(newest() - twists_.front().sample.stamp) > kKept_s) twists_.pop_front();
   return Release(false);
 }
 
 std::vector<OdometryInput> PoseTwistPairing::Flush() { return Release(true); }
 
-/// Where the clock stepped back, what waits is of the old time.
-void PoseTwistPairing::ForgetIfBack(Stamp stamp) {
-  if (newest_ && ToSeconds(*newest_ - stamp) > kStepBack_s) {
+/// Where a stream steps back behind itself, what waits is of the old time. (Behind the other one it
+/// may be all the time: two clocks.)
+void PoseTwistPairing::Follow(Stamp stamp, std::optional<Stamp>* newest) {
+  if (*newest && ToSeconds(**newest - stamp) > kStepBack_s) {
     poses_.clear();
     twists_.clear();
-    newest_ = stamp;
+    newest_pose_.reset();
+    newest_twist_.reset();
   }
-  newest_ = std::max(stamp, newest_.value_or(stamp));
+  *newest = std::max(stamp, newest->value_or(stamp));
+}
+
+Stamp PoseTwistPairing::newest() const {
+  if (!newest_pose_) return *newest_twist_;
+  return newest_twist_ ? std::max(*newest_pose_, *newest_twist_) : *newest_pose_;
 }
 
 std::vector<OdometryInput> PoseTwistPairing::Release(bool all) {
@@ -59,7 +66,7 @@ std::vector<OdometryInput> PoseTwistPairing::Release(bool all) {
     const Stamp stamp = pose.sample.stamp;
     while (twists_.size() > 1 && twists_[1].sample.stamp <= stamp) twists_.pop_front();
     const bool has_next = !twists_.empty() && twists_.back().sample.stamp >= stamp;
-    if (!has_next && !all && ToSeconds(*newest_ - stamp) <= kPatience_s) break;
+    if (!has_next && !all && ToSeconds(newest() - stamp) <= kPatience_s) break;
     SetVelocity(&pose);
     pose.is_pose = false;
     ready.push_back(std::move(pose));

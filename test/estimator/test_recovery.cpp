@@ -255,6 +255,23 @@ TEST(Estimator, OneBadReadingOfASensorChangesNothing) {
   ExpectNear(flight, other, "inertia.x", 0.03);
 }
 
+// A relabelled marker, a reset heading: the position goes on as if nothing had been.
+TEST(Estimator, AnAttitudeThatJumpsBreaksTheChain) {
+  for (const bool with_rates : {true, false}) {
+    Flight flight = Fly(FreeVehicle(), 12.0);
+    auto& odometry = flight.log.odometry;
+    if (!with_rates) {
+      for (OdometrySample& sample : odometry) sample.w_WS_S.reset();
+    }
+    ASSERT_EQ(Estimate(flight).counters.jumps, 0);
+    const Eigen::Quaterniond turn(Eigen::AngleAxisd(0.35, Eigen::Vector3d::UnitZ()));
+    const size_t at = odometry.size() / 2;
+    for (size_t i = at; i < odometry.size(); ++i) odometry[i].q_WS = turn * odometry[i].q_WS;
+    // Without rates the interval after it looks like one, too.
+    EXPECT_EQ(Estimate(flight).counters.jumps, with_rates ? 1 : 2);
+  }
+}
+
 TEST(Estimator, AHeldPoseIsOneMeasurement) {
   Flight flight = Fly(FreeVehicle(), 12.0);
   auto& odometry = flight.log.odometry;

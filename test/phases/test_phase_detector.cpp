@@ -189,6 +189,54 @@ TEST_F(PhaseDetectorTest, AForceThatGoesOnInFreeFlightIsAnotherVehicle) {
   EXPECT_FALSE(detector_.knows_thrust());
 }
 
+// A hop, a take-off that tips over: nothing else would ever end what is taken for flight.
+TEST_F(PhaseDetectorTest, AStandEndsAFlightTooShortToKnowTheThrust) {
+  Do(Stand(0.0), 1.0);
+  Doing hop = Hover();
+  hop.speed = 1.0;
+  ASSERT_TRUE(Teaches(Do(hop, 0.8).phase));
+  const PhaseVerdict verdict = Do(Stand(0.1), 10.0);
+  EXPECT_TRUE(verdict.start_anew);
+  EXPECT_FALSE(Teaches(verdict.phase));
+  EXPECT_TRUE(Teaches(Do(hop, 2.0).phase));
+}
+
+TEST_F(PhaseDetectorTest, AStandAfterAChangeTakesBackWhatItTaught) {
+  Fly();
+  detector_.ForgetThrust();
+  Doing flying = Hover();
+  flying.speed = 0.5;
+  Do(flying, 0.5);
+  const double touched_s = time_s_;
+  const PhaseVerdict verdict = Do(Stand(0.1), 2.0);
+  EXPECT_FALSE(verdict.start_anew);
+  ASSERT_TRUE(verdict.take_back);
+  EXPECT_NEAR(ToSeconds(*verdict.take_back), touched_s, 0.3);
+  EXPECT_FALSE(Teaches(verdict.phase));
+}
+
+TEST_F(PhaseDetectorTest, ATouchWithoutThrustIsNoChangeOfTheVehicle) {
+  detector_ = PhaseDetector(PhaseOptions(), true);
+  Fly();
+  Doing touching = Carried(0.3, 0.5);
+  touching.missing = {0.0, 0.0, 0.3};
+  const PhaseVerdict verdict = Do(touching, 1.0);
+  EXPECT_FALSE(verdict.has_changed);
+  EXPECT_TRUE(verdict.take_back);
+}
+
+TEST_F(PhaseDetectorTest, AStandAfterARestartTakesNothingFromBeforeIt) {
+  Fly();
+  detector_.Restart();
+  time_s_ -= 60.0;
+  const double from_s = time_s_;
+  const PhaseVerdict verdict = Do(Stand(0.0), 1.0);
+  EXPECT_FALSE(verdict.start_anew);
+  ASSERT_TRUE(verdict.take_back);
+  EXPECT_NEAR(ToSeconds(*verdict.take_back), from_s, 0.02);
+  EXPECT_TRUE(detector_.knows_thrust());
+}
+
 // Gaussian errors of the size the model allows for never raise the alarm in two hours.
 TEST_F(PhaseDetectorTest, ErrorsOfTheModelAreNoContact) {
   Fly();

@@ -420,6 +420,21 @@ TEST(PoseTwistPairing, WaitsForTheTwistAfterAPose) {
   EXPECT_FALSE(pairing.is_late());
 }
 
+// Motion capture and autopilot on two clocks.
+TEST(PoseTwistPairing, PosesComeOutWhereTheTwistsClockIsFarBehind) {
+  constexpr Stamp kMs = 1000000;
+  PoseTwistPairing pairing;
+  size_t released = 0;
+  OdometryInput pose, twist;
+  twist.linear = Eigen::Vector3d::Zero();
+  for (Stamp t = 1000 * kMs; t < 2000 * kMs; t += 10 * kMs) {
+    pose.sample.stamp = t;
+    twist.sample.stamp = t - 600 * kMs;
+    released += pairing.AddPose(pose).size() + pairing.AddTwist(twist).size();
+  }
+  EXPECT_GE(released, 88u);
+}
+
 TEST(PoseTwistPairing, TwistsThatBeginLateAreNotUsed) {
   PoseTwistPairing pairing;
   OdometryInput pose, twist;

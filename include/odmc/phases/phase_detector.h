@@ -82,8 +82,9 @@ class PhaseDetector {
   /// The vehicle was changed, or is another one: what is known of its thrust no longer holds.
   void ForgetThrust();
   /// The thrust coefficient by which evidence is made from now on can be relied on.
-  void KnowThrust() { knows_thrust_ = true; }
-  /// A clock that stepped back, another recording: everything but the spans is forgotten.
+  void KnowThrust() { knows_thrust_ = knew_thrust_ = true; }
+  /// A clock that stepped back, another recording: everything but the spans and what is known of
+  /// the thrust is forgotten. A stand then takes back what came after, not what came before.
   void Restart();
 
   /// The flight so far, oldest first; times where a phase is too short to matter are in their
@@ -153,6 +154,9 @@ class PhaseDetector {
   void Wait(PhaseVerdict* verdict);
   void Prove(PhaseVerdict* verdict);
   void Fly(PhaseVerdict* verdict);
+  void HasStood(PhaseVerdict* verdict) const;
+  bool IsCarriedByOther() const;
+  void LandUnproved(PhaseVerdict* verdict);
   void SeeGain();
   void Stand(PhaseVerdict* verdict);
   void TakeOff();
@@ -172,6 +176,8 @@ class PhaseDetector {
   bool learns_changes_;
   Mode mode_ = Mode::kStart;
   bool knows_thrust_ = false, has_flown_ = false;
+  bool knew_thrust_ = false;  // once, perhaps of the vehicle as it was
+  bool goes_on_ = false;      // after a restart: not all that was learned is from here
   PhaseBlock filling_, block_;  // the one being filled, the last whole one
   Stillness stillness_;
   PhaseRecord record_;

@@ -34,12 +34,14 @@ class PoseTwistPairing {
  private:
   enum class Mode { kWaiting, kPaired, kAlone };
 
-  void ForgetIfBack(Stamp stamp);
+  void Follow(Stamp stamp, std::optional<Stamp>* newest);
+  /// Of both streams, at least one of which has begun.
+  Stamp newest() const;
   std::vector<OdometryInput> Release(bool all);
   void SetVelocity(OdometryInput* pose) const;
 
   std::deque<OdometryInput> poses_, twists_;
-  std::optional<Stamp> newest_;
+  std::optional<Stamp> newest_pose_, newest_twist_;
   Mode mode_;
   bool is_late_ = false;
 };
