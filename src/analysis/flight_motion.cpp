@@ -35,7 +35,7 @@ struct Channels {
   std::vector<double> t_s;
   std::vector<Stamp> stamps;
   Eigen::MatrixXd data;
-  std::vector<bool> covered;  // rotor speeds are there
+  std::vector<bool> covered;  // all that most samples have: rotor speeds, velocity, body rates
   std::vector<bool> felt;     // the accelerometer is there
   std::vector<bool> turned;   // the gyro is there
 };
@@ -44,11 +44,14 @@ struct Channels {
 class Collector {
  public:
   Collector(const FlightLog& log, int num_rotors) : log_(log), num_rotors_(num_rotors) {
-    const auto& odometry = log.odometry;
-    has_velocity_ = std::all_of(odometry.begin(), odometry.end(),
-                                [](const OdometrySample& s) { return s.v_WS.has_value(); });
-    has_rate_ = std::all_of(odometry.begin(), odometry.end(),
-                            [](const OdometrySample& s) { return s.w_WS_S.has_value(); });
+    // Most count: a few samples without velocity are a gap, not a reason to differentiate twice.
+    const auto most_have = [&log](std::optional<Vector3d> OdometrySample::*what) {
+      const auto has = [what](const OdometrySample& s) { return (s.*what).has_value(); };
+      const auto count = std::count_if(log.odometry.begin(), log.odometry.end(), has);
+      return 2 * static_cast<size_t>(count) > log.odometry.size();
+    };
+    has_velocity_ = most_have(&OdometrySample::v_WS);
+    has_rate_ = most_have(&OdometrySample::w_WS_S);
   }
 
   bool has_velocity() const { return has_velocity_; }
@@ -79,6 +82,7 @@ class Collector {
       }
       r = LastAt(log_.rotors, r, s.stamp);
       if (r < log_.rotors.size()) TakeRotors(r, s.stamp, i, &c);
+      if ((has_velocity_ && !s.v_WS) || (has_rate_ && !s.w_WS_S)) c.covered[i] = false;
     }
     return c;
   }
@@ -213,11 +217,11 @@ FilteredMotion FilteredAt(const Collector& collector, const Channels& c,
 }
 
 // What an accelerometer feels and what the motion shows are two measurements, of other noise: one
-// flight is judged by one of them. Where the accelerometer misses but some samples, it stays.
-void LeaveOutUnfelt(FlightMotion* flight) {
-  const auto felt = [](const FilteredMotion& motion) {
-    return motion.specific_force_I.has_value();
-  };
+// flight is judged by one of them. Where the accelerometer misses but some samples, it stays; so
+// does the gyro.
+template <typename Reading>
+void LeaveOutWithout(std::optional<Reading> FilteredMotion::*sensor, FlightMotion* flight) {
+  const auto felt = [sensor](const FilteredMotion& motion) { return (motion.*sensor).has_value(); };
   std::vector<FilteredMotion>& samples = flight->samples;
   const auto num_felt = std::count_if(samples.begin(), samples.end(), felt);
   const auto missed = static_cast<std::ptrdiff_t>(samples.size()) - num_felt;
@@ -275,7 +279,8 @@ FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
   static_cast<MotionCounts&>(flight) =
       FilterEach(log, num_rotors, ground_spans,
                  [&](const FilteredMotion& motion) { flight.samples.push_back(motion); });
-  LeaveOutUnfelt(&flight);
+  LeaveOutWithout(&FilteredMotion::specific_force_I, &flight);
+  LeaveOutWithout(&FilteredMotion::gyro, &flight);
   return flight;
 }
 
@@ -340,7 +345,9 @@ Vector3d LoadForceEvaluator::PullAt(const FilteredMotion& now, const ModelValues
   const SensorMotion sensor{now.v_WS, now.R_WS, now.w_S};
   if (is_first_) {
     last_ = sensor;
-    last_.v_WS -= std::min(now.t_s, kFilterWidth_s) * now.a_WS;
+    // Of a swing so long ago nothing is left: it begins here.
+    if (now.t_s > LoadObserver::kForgotten_s) t_s_ = now.t_s - kFilterWidth_s;
+    last_.v_WS -= std::min(now.t_s - t_s_, kFilterWidth_s) * now.a_WS;
   }
   is_first_ = false;
   // Through gaps with their mean acceleration, which leaves the velocity right.

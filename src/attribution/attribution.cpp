@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <map>
 #include <numeric>
 #include <optional>
@@ -215,7 +216,7 @@ void Attribution::Screen(Evidence* evidence) const {
   for (const EffectCandidate& candidate : candidates_) {
     const std::vector<std::string>& have = evidence->point().vehicle.effects;
     if (std::find(have.begin(), have.end(), candidate.effect) != have.end()) continue;
-    if (hollow_.count(candidate.effect) > 0) continue;
+    if (IsHollowCandidate(candidate)) continue;
     by_effect[candidate.effect].push_back(&candidate);
   }
   std::vector<EffectCandidate> single;
@@ -291,9 +292,10 @@ void Attribution::Polish(Evidence* evidence) const {
     for (const int v : Nonlinear(*evidence)) {
       const EffectFit fit = evidence->Solve({v});
       const double claimed = fit.log_evidence - declared;
-      if (round >= kFirstPolishes && claimed <= 0.0) continue;
+      if (round >= kFirstPolishes && claimed <= 0.0 && !(best[v].gain > 0.0)) continue;
       const double gain = evidence->LogEvidenceWhereLinearized(v) - declared;
-      if (round > 0 && gain < best[v].gain && gain < claimed) {
+      const bool is_worse = gain < best[v].gain - options_.even_odds;
+      if (round > 0 && (is_worse || (gain < best[v].gain && gain < claimed))) {
         steps[v] = Halfway(evidence->LinearizedAt(v), best[v].at);
         continue;
       }
@@ -303,6 +305,15 @@ void Attribution::Polish(Evidence* evidence) const {
     }
     if (steps.empty()) break;
     evidence->Relinearize(steps);
+    evidence->EstimateNoise();
+  }
+  std::map<int, Evidence::VariantValues> back;
+  const double declared = evidence->Solve({}).log_evidence;
+  for (const auto& [v, known] : best) {
+    if (evidence->LogEvidenceWhereLinearized(v) - declared < known.gain) back[v] = known.at;
+  }
+  if (!back.empty()) {
+    evidence->Relinearize(back);
     evidence->EstimateNoise();
   }
   for (const int v : Nonlinear(*evidence)) evidence->CountWhatIsBorneOut(v);
@@ -448,12 +459,10 @@ double Attribution::ScoreOf(const Evidence& evidence, const VariantSet& set,
   const double relief = std::max(0.0, evidence.BeliefIn(with) - evidence.BeliefIn(other));
   const double predictive = evidence.PredictiveGain(set, without) + relief;
   const double gain = std::min(with.log_evidence - other.log_evidence, predictive);
-  // Of the regressors' noise, what the fit of all foreseen parts to so few samples keeps.
-  const double kept = evidence.num_columns() / static_cast<double>(evidence.num_rows());
-  const double noise =
-      std::min(evidence.UnforeseenChange(set, without),
-               std::pow(options_.regressor_noise, 2) * evidence.GivenUp(with, other));
-  return gain - kept * noise;
+  const Evidence::Unforeseen unforeseen = evidence.UnforeseenChange(set, without);
+  const double noise = std::min(
+      unforeseen.nats, std::pow(options_.regressor_noise, 2) * evidence.GivenUp(with, other));
+  return gain - unforeseen.kept_share * noise;
 }
 
 double Attribution::ShadowOf(const std::array<double, kNumChannels>& energy,
@@ -524,7 +533,7 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
       }
       const FlexibleRest instead =
           Rivals(&evidence, set, v, all.size() - set.size() + coefficients);
-      std::array<double, kNumChannels> others = explained_;
+      std::array<double, kNumChannels> others = explained();
       for (const int other : set) {
         if (other == v) continue;
         const auto energy = evidence.EnergyOf(other, fit);
@@ -676,6 +685,14 @@ std::map<int, SettingProfile> Attribution::HoldSettings(Evidence* evidence, Vari
   return profiles;
 }
 
+std::array<double, kNumChannels> Attribution::explained() const {
+  std::array<double, kNumChannels> all{};
+  for (const auto& [effect, energy] : energy_) {
+    for (int c = 0; c < kNumChannels; ++c) all[c] += energy[c];
+  }
+  return all;
+}
+
 void Attribution::PutOrdinaryAside() {
   const auto first = std::stable_partition(
       effects_.begin(), effects_.end(),
@@ -727,20 +744,16 @@ void Attribution::Search() {
       FindAlternatives(evidence, set, v, &added.back());
       if (evidence.num_flights() > 1) added.back().by_flight = ByFlight(evidence, v, set);
     }
-    const double gain = evidence.GainInNats(set);
+    gain_ += evidence.GainInNats(set);
+    held_out_gain_ += evidence.HeldOutGain(set);
     for (const int v : set) {
-      const auto energy = evidence.EnergyOf(v, fit);
-      for (int c = 0; c < kNumChannels; ++c) explained_[c] += energy[c];
+      energy_[evidence.variants()[v].candidate.effect] = evidence.EnergyOf(v, fit);
     }
     SortByScore(&added);
-    gain_ += gain;
-    held_out_gain_ += evidence.HeldOutGain(set);
     point_ = std::move(fitted.point);
     after_ = std::move(fitted.left);
-    for (RankedEffect& effect : added) {
-      UpdateValues(&effect);
-      effects_.push_back(std::move(effect));
-    }
+    std::move(added.begin(), added.end(), std::back_inserter(effects_));
+    for (RankedEffect& effect : effects_) UpdateValues(&effect);
     for (const int v : set) {
       const EffectCandidate& candidate = evidence.variants()[v].candidate;
       named_[candidate.effect] = candidate;

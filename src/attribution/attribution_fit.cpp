@@ -13,6 +13,7 @@
 
 #include "odmc/attribution/attribution.h"
 #include "odmc/attribution/contained_effects.h"
+#include "odmc/model/plausibility.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -47,6 +48,13 @@ bool SwingsByFlight(const std::string& effect, const ModelPoint& point) {
     return std::any_of(own.begin(), own.end(),
                        [&](const auto& value) { return value.first.rfind(effect + ".", 0) == 0; });
   });
+}
+
+/// What a fit can walk through: an effect, with the sign of its size where both are tried.
+std::string ValleyOf(const EffectCandidate& candidate) {
+  const auto size = candidate.start.find(candidate.size);
+  if (size == candidate.start.end()) return candidate.effect;
+  return candidate.effect + (size->second < 0.0 ? " < 0" : " > 0");
 }
 
 VariantSet AllOf(const Evidence& evidence) {
@@ -92,12 +100,15 @@ Evidence Attribution::EvidenceAtFit(const ModelPoint& fitted, const Vehicle& veh
                                     std::vector<EffectCandidate> added) const {
   ModelPoint point = fitted;
   point.vehicle = vehicle;
-  for (const char* const axis : {"inertia.x", "inertia.y", "inertia.z"}) {
-    const auto value = fitted.values.find(axis);
-    if (value == fitted.values.end()) continue;
+  const InertiaBounds bounds = InertiaBoundsOf(vehicle);
+  for (int i = 0; i < 3; ++i) {
+    const std::string axis = std::string("inertia.") + "xyz"[i];
+    const auto found = fitted.values.find(axis);
+    if (found == fitted.values.end()) continue;
+    const double value = std::clamp(found->second, bounds.least[i], bounds.most[i]);
     ParameterSetting& setting = point.vehicle.parameters[axis];
-    setting.value = value->second;
-    setting.sigma = std::min(setting.sigma.value_or(value->second), kProportional * value->second);
+    setting.value = value;
+    setting.sigma = std::min(setting.sigma.value_or(value), kProportional * value);
   }
   Evidence evidence(flights_, point, jobs_);
   for (EffectCandidate& candidate : added) {
@@ -130,7 +141,6 @@ bool Attribution::IsHollow(double score, double other) const {
 
 void Attribution::Refuse(const std::string& effect, double score, const std::string& why) {
   refused_[effect] = why;
-  hollow_.insert(effect);
   for (RankedEffect& ranked : ranking_) {
     if (ranked.name != effect || ranked.score < score) continue;
     ranked.score = score;
@@ -139,19 +149,28 @@ void Attribution::Refuse(const std::string& effect, double score, const std::str
   SortByScore(&ranking_);
 }
 
+bool Attribution::IsHollowCandidate(const EffectCandidate& candidate) const {
+  return hollow_.count(candidate.effect) > 0 || hollow_.count(ValleyOf(candidate)) > 0;
+}
+
+// What two effects do alike, each does for nothing beside the other: the weakest goes, and the next
+// round looks at the other again.
 bool Attribution::RejectByRescoring(const Evidence& evidence, const VariantSet& set,
                                     const ModelPoint& fitted) {
   std::vector<EffectCandidate> added;
   std::map<std::string, double> first_scores;
+  std::map<std::string, std::string> valleys;
   for (const int v : set) {
     added.push_back(evidence.variants()[v].candidate);
     VariantSet others = set;
     others.erase(v);
     first_scores[added.back().effect] = ScoreOf(evidence, set, others);
+    valleys[added.back().effect] = ValleyOf(added.back());
   }
   const Evidence at_fit = EvidenceAtFit(fitted, point_.vehicle, added);
   const VariantSet all = AllOf(at_fit);
-  bool found = false;
+  std::string weakest, why;
+  double least = 0.0;
   for (const int v : all) {
     const std::string& effect = at_fit.variants()[v].candidate.effect;
     if (SwingsByFlight(effect, fitted)) continue;
@@ -162,19 +181,20 @@ bool Attribution::RejectByRescoring(const Evidence& evidence, const VariantSet& 
     const double held_out = HeldOutScore(at_fit, all, v);
     // p(all) = p(in use) p(held out | in use): what blocks held out say weighs as much.
     const double first = first_scores.at(effect), total = first + held_out;
-    if (IsHollow(score, total)) {
-      Refuse(effect, score,
-             "gains " + Rounded(score) + " nats about what the fit with it has found");
-    } else if (total < 0.0) {
-      Refuse(effect, total,
-             "gains " + Rounded(first) + " nats, but loses " + Rounded(-held_out) +
-                 " on blocks held out");
-    } else {
-      continue;
-    }
-    found = true;
+    const bool is_hollow = IsHollow(score, total);
+    if (!is_hollow && total >= 0.0) continue;
+    const double stays = is_hollow ? score : total;
+    if (!weakest.empty() && stays >= least) continue;
+    weakest = effect;
+    least = stays;
+    why = is_hollow ? "gains " + Rounded(score) + " nats about what the fit with it has found"
+                    : "gains " + Rounded(first) + " nats, but loses " + Rounded(-held_out) +
+                          " on blocks held out";
   }
-  return found;
+  if (weakest.empty()) return false;
+  Refuse(weakest, least, why);
+  hollow_.insert(valleys.at(weakest));
+  return true;
 }
 
 Attribution::FittedSet Attribution::FitSet(Evidence* evidence, const VariantSet& set) const {
@@ -212,13 +232,15 @@ std::optional<VariantSet> Attribution::BetterRival(const Evidence& evidence,
     const double first = ScoreOf(evidence, set, others);
     const double least = (1.0 - options_.most_unexplained) * first;
     if (second == second_scores_.end() || second->second >= least) continue;
+    const std::string valley = ValleyOf(evidence.variants()[v].candidate);
     std::map<std::string, std::pair<double, VariantSet>> rivals;
     for (int other = 0; other < static_cast<int>(evidence.variants().size()); ++other) {
-      const std::string& name = evidence.variants()[other].candidate.effect;
-      const bool is_in = std::any_of(set.begin(), set.end(), [&](int in) {
-        return evidence.variants()[in].candidate.effect == name;
+      const EffectCandidate& candidate = evidence.variants()[other].candidate;
+      const std::string name = ValleyOf(candidate);
+      const bool is_in = std::any_of(others.begin(), others.end(), [&](int in) {
+        return evidence.variants()[in].candidate.effect == candidate.effect;
       });
-      if (is_in) continue;
+      if (is_in || name == valley) continue;
       VariantSet rival = others;
       rival.insert(other);
       const double behind = gain - evidence.GainInNats(rival);
@@ -268,8 +290,9 @@ void Attribution::DropSuperseded(size_t newest) {
       weakest = effect;
       least = score;
     }
-    if (!weakest) return;
+    if (!weakest) return UpdateSigmas(at_fit, newest);
     Refuse(*weakest, least, "gains " + Rounded(least) + " nats beside what was found later");
+    hollow_.insert(*weakest);
     Drop({*weakest});
   }
 }
@@ -279,7 +302,10 @@ void Attribution::Drop(const std::set<std::string>& names) {
   effects_.erase(std::remove_if(effects_.begin(), effects_.end(),
                                 [&](const RankedEffect& e) { return is_dropped(e.name); }),
                  effects_.end());
-  for (const std::string& name : names) named_.erase(name);
+  for (const std::string& name : names) {
+    named_.erase(name);
+    energy_.erase(name);
+  }
   point_ = Without(point_, is_dropped);
   after_ = Refit(&point_);
   for (RankedEffect& effect : effects_) UpdateValues(&effect);
@@ -289,6 +315,33 @@ void Attribution::UpdateValues(RankedEffect* effect) const {
   for (ParameterEstimate& p : effect->parameters) {
     const auto it = point_.values.find(p.full_name);
     if (it != point_.values.end()) p.value = it->second;
+  }
+}
+
+void Attribution::UpdateSigmas(const Evidence& at_fit, size_t newest) {
+  const EffectFit fit = at_fit.Solve(AllOf(at_fit));
+  for (size_t e = 0; e + newest < effects_.size(); ++e) {
+    RankedEffect& effect = effects_[e];
+    std::vector<Eigen::Index> own;
+    std::vector<double> sigmas;
+    for (const ParameterEstimate& p : effect.parameters) {
+      for (size_t k = 0; k < fit.columns.size(); ++k) {
+        const Evidence::Column& column = at_fit.column(fit.columns[k]);
+        if (!p.estimated || column.name != p.full_name || column.flight >= 0) continue;
+        own.push_back(static_cast<Eigen::Index>(k));
+        sigmas.push_back(std::sqrt(std::max(0.0, fit.covariance(own.back(), own.back()))));
+      }
+    }
+    const auto is_estimated = [](const ParameterEstimate& p) { return p.estimated; };
+    const auto estimated =
+        std::count_if(effect.parameters.begin(), effect.parameters.end(), is_estimated);
+    const auto n = static_cast<std::ptrdiff_t>(own.size());
+    if (n != estimated || effect.covariance.rows() != n) continue;
+    effect.covariance = fit.covariance(own, own);
+    size_t next = 0;
+    for (ParameterEstimate& p : effect.parameters) {
+      if (p.estimated) p.sigma = sigmas[next++];
+    }
   }
 }
 
@@ -305,6 +358,8 @@ void Attribution::DropContained(size_t newest) {
                                    [&](const RankedEffect& effect) { return effect.name == name; });
       // Its own score was what it gains beside the other.
       effects_[k].score += it->score;
+      std::array<double, kNumChannels>& energy = energy_[effects_[k].name];
+      for (int c = 0; c < kNumChannels; ++c) energy[c] += energy_[name][c];
       effects_[k].p_value = std::min(effects_[k].p_value, it->p_value);
     }
   }

@@ -61,7 +61,13 @@ FlownRange RangeOf(const FlightMotion& flight, const Vehicle& vehicle) {
   for (std::vector<double>* sorted : {&heights, &speeds, &descents}) {
     std::sort(sorted->begin(), sorted->end());
   }
-  const size_t tail = heights.size() / 20, high = heights.size() - 1 - tail;
+  // What a few samples show may be an error of theirs; of a long flight, two seconds are enough.
+  constexpr double kTail_s = 2.0;
+  const double mean_step_s = (flight.samples.back().t_s - flight.samples.front().t_s) /
+                             static_cast<double>(flight.samples.size());
+  const size_t tail = std::min(heights.size() / 20,
+                               static_cast<size_t>(kTail_s / std::max(1e-3, mean_step_s)));
+  const size_t high = heights.size() - 1 - tail;
   return {flight.samples.front().t_s,
           flight.samples.back().t_s,
           heights.front(),

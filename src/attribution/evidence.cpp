@@ -210,14 +210,6 @@ void Evidence::Place(size_t f, const std::vector<int>& local, std::map<std::stri
   }
 }
 
-int Evidence::num_rows() const {
-  int rows = 0;
-  for (const FlightRegression& r : flights_) {
-    rows += static_cast<int>(r.rows().size()) * r.num_channels();
-  }
-  return rows;
-}
-
 std::vector<int> Evidence::AddAll(const std::vector<EffectCandidate>& candidates) {
   const size_t n = flights_.size();
   std::vector<FlightRegression::Seen> seen(candidates.size() * n);
@@ -795,7 +787,8 @@ double Evidence::GivenUp(const EffectFit& with, const EffectFit& without) const 
   return 0.5 * change.dot(gram_ * change);
 }
 
-double Evidence::UnforeseenChange(const VariantSet& set, const VariantSet& without) const {
+Evidence::Unforeseen Evidence::UnforeseenChange(const VariantSet& set,
+                                                const VariantSet& without) const {
   VectorXd change = VectorXd::Zero(gram_.rows());
   const auto add = [&](const VariantSet& of, double sign) {
     const EffectFit fit = Solve(of);
@@ -808,14 +801,20 @@ double Evidence::UnforeseenChange(const VariantSet& set, const VariantSet& witho
   };
   add(set, 1.0);
   add(without, -1.0);
-  double sum = 0.0;
+  Unforeseen unforeseen;
+  double kept = 0.0;
   for (size_t f = 0; f < flights_.size(); ++f) {
-    VectorXd local = VectorXd::Zero(flights_[f].unforeseen_gram().rows());
+    const FlightRegression& flight = flights_[f];
+    VectorXd local = VectorXd::Zero(flight.unforeseen_gram().rows());
     for (size_t k = 0; k < place_[f].size(); ++k)
       local[static_cast<Index>(k)] = change[place_[f][k]];
-    sum += local.dot(flights_[f].unforeseen_gram() * local);
+    const double nats = 0.5 * local.dot(flight.unforeseen_gram() * local);
+    const double samples = static_cast<double>(flight.rows().size()) * flight.num_channels();
+    unforeseen.nats += nats;
+    kept += nats * flight.num_noise_columns() / samples;
   }
-  return 0.5 * sum;
+  unforeseen.kept_share = unforeseen.nats > 0.0 ? kept / unforeseen.nats : 0.0;
+  return unforeseen;
 }
 
 double Evidence::PredictiveGain(const VariantSet& set, const VariantSet& over) const {

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <optional>
 
+#include "odmc/model/plausibility.h"
+
 namespace odmc {
 namespace {
 
@@ -21,6 +23,15 @@ void HoldInitialState(const RankedEffect& effect, Vehicle* vehicle) {
     if (!moves || !p.estimated || spec(p).sign != PhysicalSign::kAny) continue;
     vehicle->parameters[p.full_name].sigma = std::min(kSigmas * p.sigma, spec(p).prior_sigma);
   }
+}
+
+/// What a linear fit finds may be what no vehicle of this geometry has: then the value stays.
+void SetPlausible(double value, const ModelParameter& parameter, const Vehicle& vehicle,
+                  ParameterSetting* setting) {
+  ParameterSetting fitted;
+  fitted.value = value;
+  if (!DoubtOf(parameter.full_name, parameter.spec, fitted, vehicle).key.empty()) return;
+  setting->value = value;
 }
 
 }  // namespace
@@ -87,7 +98,7 @@ Vehicle VehicleWithEffects(const Vehicle& vehicle, const ModelPoint& point,
   const DynamicModel declared(vehicle, vehicle.effects);
   for (const ModelParameter& p : declared.parameters()) {
     if (!p.estimated || p.effect == "inertia") continue;
-    extended.parameters[p.full_name].value = point.values.at(p.full_name);
+    SetPlausible(point.values.at(p.full_name), p, vehicle, &extended.parameters[p.full_name]);
     extended.parameters[p.full_name].sigma = p.spec.prior_sigma;
   }
   for (const RankedEffect& effect : effects) {
@@ -99,7 +110,12 @@ Vehicle VehicleWithEffects(const Vehicle& vehicle, const ModelPoint& point,
   }
   for (const auto& [name, setting] : known) {
     ParameterSetting& of = extended.parameters[name];
-    of.value = setting.value;
+    const int k = declared.IndexOf(name);
+    if (k >= 0 && setting.value) {
+      SetPlausible(*setting.value, declared.parameters()[k], vehicle, &of);
+    } else {
+      of.value = setting.value;
+    }
     of.sigma = of.sigma ? std::min(*of.sigma, *setting.sigma) : *setting.sigma;
   }
   return extended;

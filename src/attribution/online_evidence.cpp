@@ -196,7 +196,8 @@ double NatsAgainst(const RankedEffect& effect, const ParameterSet& online,
                    const DynamicModel& model) {
   const std::vector<Eigen::Index> own = EstimatesOf(effect, online, model);
   const auto n = static_cast<Eigen::Index>(own.size());
-  if (n == 0 || effect.covariance.rows() != n) return std::numeric_limits<double>::infinity();
+  if (n == 0) return 0.0;  // all of it is held: it has nothing to say
+  if (effect.covariance.rows() != n) return std::numeric_limits<double>::infinity();
   Eigen::VectorXd difference(n);
   for (Eigen::Index k = 0; k < n; ++k) {
     const ParameterEstimate& p =

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cmath>
 
 #include "odmc/effects/effects.h"
 #include "odmc/math/so3.h"
@@ -6,6 +7,7 @@
 namespace odmc {
 namespace {
 
+constexpr double kReach = 4.0;       // rotor radii: nothing is left of it above
 constexpr double kDrawnBelow = 1.5;  // rotor radii below the lowest point flown
 
 /// More thrust near the ground: T_j -> T_j (1 + k_ge (R/4h_j)²), h_j the hub's height; held at its
@@ -32,8 +34,8 @@ class GroundEffect final : public Effect {
     if (!flown.stood_m && flown.height_range_m < radius) return {};
     // Where the ground lies is fitted, from several places: far from it, the effect has no slope.
     // A vehicle that was seen to stand has shown the ground, up to the height of what it stands on.
-    std::vector<double> grounds = {0.0, flown.lowest_m - 1.5 * radius,
-                                   flown.lowest_m - 3.0 * radius};
+    std::vector<double> grounds = {flown.lowest_m - 1.5 * radius, flown.lowest_m - 3.0 * radius};
+    if (std::abs(flown.lowest_m) < kReach * radius) grounds.push_back(0.0);
     if (flown.stood_m) grounds = {*flown.stood_m, *flown.stood_m - 2.0 * radius};
     std::vector<EffectTrial> trials;
     for (const double z : grounds) {

@@ -8,6 +8,7 @@ namespace {
 
 constexpr int kPlace = 3, kFirstSwing = 6;              // of the parameters
 constexpr double kShortest_m = 0.08, kLongest_m = 2.6;  // cables to try
+constexpr double kLongestOverArm = 20.0;                // or longer, below a large vehicle
 constexpr double kLengthRatio = 1.15;                   // from one length to the next
 constexpr double kLengthReach = 1.5;                    // how far from there it is fitted
 constexpr double kLeastDamping = 0.002, kMostDamping = 0.4;
@@ -51,7 +52,8 @@ class SuspendedLoad final : public Effect {
   std::vector<EffectTrial> Trials(const FlownRange&, bool) const override {
     std::vector<EffectTrial> trials;
     const double arm = vehicle().ArmLength();
-    for (double l = std::max(kShortest_m, arm); l < kLongest_m; l *= kLengthRatio) {
+    const double longest_m = std::max(kLongest_m, kLongestOverArm * arm);
+    for (double l = std::max(kShortest_m, arm); l < longest_m; l *= kLengthRatio) {
       for (const double damping : {0.02, 0.1}) {
         trials.push_back({{},
                           {{"mass", 0.05 * vehicle().mass_kg}, {"length", l}, {"damping", damping}},

@@ -9,7 +9,6 @@ namespace {
 // tension takes the vehicle's acceleration as it is and gets it smoothed.
 constexpr double kSmoothing_s = 0.05;
 constexpr double kNearby = 1e-4;       // of the swing
-constexpr double kForgotten_s = 20.0;  // a gap this long leaves nothing of the swing before it
 
 }  // namespace
 

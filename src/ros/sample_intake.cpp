@@ -82,14 +82,15 @@ SampleIntake::Clock SampleIntake::CheckClock(int stream, Stamp stamp) {
   // Streams reach us at different moments: of those that did not step back yet, some samples of the
   // old time still come.
   if (middle_) {
-    if (stream == back_stream_ && stamp > *middle_) {
+    // A stream that has shown the new time since may end that, too.
+    if ((stream == back_stream_ || first_[stream]) && stamp > *middle_) {
       middle_.reset();
     } else if (stamp > *middle_) {
       ++stale_;
       return Clock::kStale;
     }
   }
-  if (IsLoneLeap(stream, stamp)) {
+  if (IsLoneLeap(stream, stamp) || IsLoneLate(stream, stamp)) {
     ++leaps_;
     return Clock::kStale;
   }
@@ -101,6 +102,7 @@ SampleIntake::Clock SampleIntake::CheckClock(int stream, Stamp stamp) {
     first_.fill(std::nullopt);
     last_.fill(std::nullopt);
     leap_.fill(std::nullopt);
+    late_.fill(std::nullopt);
     first_odometry_.reset();
     first_[stream] = last_[stream] = stamp;
     return Clock::kBack;
@@ -120,6 +122,19 @@ bool SampleIntake::IsLoneLeap(int stream, Stamp stamp) {
   }
   const bool goes_on = leap_[stream] && std::abs(ToSeconds(stamp - *leap_[stream])) <= kLeap_s;
   leap_[stream] = goes_on ? std::nullopt : std::optional<Stamp>(stamp);
+  return !goes_on;
+}
+
+/// A stamp far behind its stream is a late message (of two sources on one topic, one is always), until
+/// the next of its stream goes on from there.
+bool SampleIntake::IsLoneLate(int stream, Stamp stamp) {
+  const std::optional<Stamp>& last = last_[stream];
+  if (!last || ToSeconds(*last - stamp) <= kStepBack_s) {
+    late_[stream].reset();
+    return false;
+  }
+  const bool goes_on = late_[stream] && std::abs(ToSeconds(stamp - *late_[stream])) <= kLeap_s;
+  late_[stream] = goes_on ? std::nullopt : std::optional<Stamp>(stamp);
   return !goes_on;
 }
 

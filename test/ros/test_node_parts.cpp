@@ -350,11 +350,33 @@ TEST_F(Intake, TakesAMissingTwistForWhatItIs) {
 TEST_F(Intake, SeesTheClockStepBackOnceForAllStreams) {
   Fly(10.0, 13.0, 1.0);
   EXPECT_TRUE(intake_.Push(*ToInput(OdometryAt(12.8, 0.0, 1.0)))) << "0.2 s is only late";
-  EXPECT_FALSE(intake_.Push(*ToInput(OdometryAt(1.0, 0.0, 1.0))));
+  EXPECT_TRUE(intake_.Push(*ToInput(OdometryAt(1.0, 0.0, 1.0)))) << "one message tells nothing";
+  EXPECT_FALSE(intake_.Push(*ToInput(OdometryAt(1.01, 0.0, 1.0))));
   EXPECT_TRUE(intake_.Push(*ToInput(RotorsAt(13.01), 4)));  // still of the old time
   EXPECT_EQ(intake_.stale(), 1);
   EXPECT_TRUE(intake_.Push(*ToInput(RotorsAt(1.0), 4)));
   EXPECT_EQ(intake_.resets(), 1);
+}
+
+// The stream that showed the step may be slow, or die.
+TEST_F(Intake, AnyStreamThatHasSteppedBackEndsTheWaitForTheOldTime) {
+  Fly(10.0, 13.0, 1.0);
+  intake_.Push(BatterySample{FromSeconds(13.0), 16.0});
+  intake_.Push(BatterySample{FromSeconds(9.0), 16.0});
+  EXPECT_FALSE(intake_.Push(BatterySample{FromSeconds(9.01), 16.0}));
+  for (double t = 9.0; t < 12.9; t += 0.01) intake_.Push(*ToInput(RotorsAt(t), 4));
+  EXPECT_EQ(intake_.stale(), 0);
+}
+
+// Two monitors of one battery, one of which stamps late.
+TEST_F(Intake, LateMessagesAmongOthersAreNoStepOfTheClock) {
+  Fly(10.0, 13.0, 1.0);
+  for (int i = 0; i < 5; ++i) {
+    EXPECT_TRUE(intake_.Push(BatterySample{FromSeconds(13.0 + i), 16.0}));
+    EXPECT_TRUE(intake_.Push(BatterySample{FromSeconds(12.4 + i), 16.0}));
+  }
+  EXPECT_EQ(intake_.resets(), 0);
+  EXPECT_EQ(intake_.leaps(), 5);
 }
 
 TEST_F(Intake, ASingleStampFarAheadIsNoStepOfTheClock) {

@@ -100,7 +100,7 @@ class Attribution {
   /// What functions of the state gain beside the effects.
   const FlexibleRest& flexible() const { return flexible_; }
   /// What the effects do in each channel, over its noise [nats].
-  const std::array<double, kNumChannels>& explained() const { return explained_; }
+  std::array<double, kNumChannels> explained() const;
   double gain() const { return gain_; }  ///< of all effects together [nats]
   double held_out_gain() const { return held_out_gain_; }
   size_t num_flights() const { return flights_.size(); }
@@ -168,13 +168,15 @@ class Attribution {
   /// True where the odds about a fit are against an effect. (What is merely not seen there is none
   /// where other evidence clearly speaks for it.)
   bool IsHollow(double score, double other) const;
-  /// Ranks an effect by `score` at most, and does not look at it again.
+  /// Ranks an effect by `score` at most.
   void Refuse(const std::string& effect, double score, const std::string& why);
-  /// Refuses effects that a fit from afar promised and that are not there: the declared parameters
+  /// True for an effect, or one sign of its size, that is looked at no more.
+  bool IsHollowCandidate(const EffectCandidate& candidate) const;
+  /// Refuses the weakest of the effects that a fit from afar promised and that are not there: the declared parameters
   /// went where they do not act in proportion any more, and about what the fit with the effects has
   /// found the odds are against them; or what they gain is less than they lose on blocks held out.
   /// @param fitted the point with the set, fitted
-  /// @returns true if there are any
+  /// @returns true if there is one
   bool RejectByRescoring(const Evidence& evidence, const VariantSet& set, const ModelPoint& fitted);
   /// A set with settings held, and the model fitted with it.
   struct FittedSet {
@@ -184,7 +186,7 @@ class Attribution {
     std::vector<ResidualModel::Wrenches> left;  ///< what it leaves of the wrench, by flight
   };
   FittedSet FitSet(Evidence* evidence, const VariantSet& set) const;
-  /// The set with another effect in the place of one of which the fit bears out less than half of
+  /// The set with another effect, or with the other sign of the same, in the place of one of which the fit bears out less than half of
   /// what it promised, where the other promises as much and holds more of it.
   /// @param set with the settings that its effects fit
   std::optional<VariantSet> BetterRival(const Evidence& evidence, const VariantSet& set);
@@ -200,6 +202,10 @@ class Attribution {
   void Drop(const std::set<std::string>& names);
   /// An effect's parameters as the point has them.
   void UpdateValues(RankedEffect* effect) const;
+  /// Standard deviations of effects found earlier, beside the newest. Those with a setting that was
+  /// profiled keep theirs.
+  /// @param at_fit EvidenceAtFit() of all effects
+  void UpdateSigmas(const Evidence& at_fit, size_t newest);
   bool GivesUp() const { return give_up_ && give_up_(); }
 
   std::vector<Instruments> instruments_;  // by flight
@@ -216,8 +222,8 @@ class Attribution {
   std::map<std::string, std::string> refused_;
   std::map<std::string, EffectCandidate> named_;  // how effects_ were found
   std::map<std::string, double> second_scores_;   // about what the fit with them has found [nats]
-  std::set<std::string> hollow_;                  // no candidates of later rounds
-  std::array<double, kNumChannels> explained_{};  // by what was added, over the noise [nats]
+  std::set<std::string> hollow_;                  // ValleyOf() those that are looked at no more
+  std::map<std::string, std::array<double, kNumChannels>> energy_;  // of effects_ [nats]
   double gain_ = 0.0, held_out_gain_ = 0.0;
   std::vector<ResidualModel::Wrenches> before_, after_;  // by flight
 };

@@ -122,8 +122,6 @@ class Evidence {
   const std::vector<EffectVariant>& variants() const { return variants_; }
   const ModelPoint& point() const { return point_; }
   int num_flights() const { return static_cast<int>(flights_.size()); }
-  /// Number of samples (times channels) that count.
-  int num_rows() const;
   int num_columns() const { return static_cast<int>(columns_.size()); }
 
   EffectFit Solve(const VariantSet& set) const;
@@ -148,7 +146,13 @@ class Evidence {
   /// What two fits do differently by what of their regressors was not foreseen, over the noise
   /// [nats]. Where an effect and changes of other parameters cancel, this is what is left of the
   /// regressors' noise.
-  double UnforeseenChange(const VariantSet& set, const VariantSet& without) const;
+  struct Unforeseen {
+    double nats = 0.0;
+    /// Of it, what the fit of all foreseen parts to so few samples keeps: columns over samples of
+    /// each flight.
+    double kept_share = 0.0;
+  };
+  Unforeseen UnforeseenChange(const VariantSet& set, const VariantSet& without) const;
 
   /// What was known of the declared model's parameters before the flight says of what a fit finds
   /// of them: log of the prior's density over that at its middle [nats].

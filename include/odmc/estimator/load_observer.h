@@ -22,6 +22,9 @@ struct SensorMotion {
 /// `model` must outlive it.
 class LoadObserver {
  public:
+  /// A gap this long leaves nothing of the swing before it.
+  static constexpr double kForgotten_s = 20.0;
+
   /// @param with_derivatives also find how the pull depends on the swing at the start
   LoadObserver(const DynamicModel& model, bool with_derivatives);
 

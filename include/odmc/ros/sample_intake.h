@@ -83,6 +83,7 @@ class SampleIntake {
 
   Clock CheckClock(int stream, Stamp stamp);
   bool IsLoneLeap(int stream, Stamp stamp);
+  bool IsLoneLate(int stream, Stamp stamp);
   void Observe(const InputSample& input);
   void ObserveOdometry(const OdometryInput& input);
   void Decide();
@@ -101,7 +102,7 @@ class SampleIntake {
   std::vector<Sample> ready_;
 
   // What was seen so far.
-  std::array<std::optional<Stamp>, kNumStreams> first_, last_, leap_;
+  std::array<std::optional<Stamp>, kNumStreams> first_, last_, leap_, late_;
   TwistFrameDetector detector_;
   std::optional<OdometrySample> first_odometry_;
   std::string child_frame_id_;
