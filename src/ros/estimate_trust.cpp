@@ -21,9 +21,14 @@ void EstimateTrust::Mend(Sample* sample) {
 
 bool EstimateTrust::Adopt(BackgroundAnalysis::StreamsFound found) {
   const bool is_new = mender_.Adopt(found.inspection);
+  // A look at a stand finds doubts, but not what they change: what is known of that holds.
+  const bool is_blind =
+      !found.inspection.doubts.empty() && found.changes.empty() && doubted_ == found.model;
   doubted_ = found.model;
-  doubts_ = std::move(found.inspection.doubts);
-  changes_ = std::move(found.changes);
+  if (!is_blind) {
+    doubts_ = std::move(found.inspection.doubts);
+    changes_ = std::move(found.changes);
+  }
   is_to_remark_ = true;
   for (const Finding& finding : mender_.findings()) {
     if (told_.insert(finding.check).second) ROS_WARN("%s", Sentence(finding).c_str());

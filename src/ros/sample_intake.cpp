@@ -7,11 +7,12 @@
 namespace odmc {
 namespace {
 
-constexpr double kSettle_s = 1.0;    // for all streams to show up
-constexpr double kHold_s = 60.0;     // of samples at most while standing still
-constexpr double kStepBack_s = 0.5;  // less is a late sample
-constexpr double kLeap_s = 2.0;      // ahead of all streams; more than any of them lags behind
-constexpr double kMoved_m = 0.1;     // so far with a twist of zeros: the source has no twist
+constexpr double kSettle_s = 1.0;     // for all streams to show up
+constexpr double kHold_s = 60.0;      // of samples at most while standing still
+constexpr size_t kMostHeld = 100000;  // a minute of 1 kHz and all else; of faster streams less
+constexpr double kStepBack_s = 0.5;   // less is a late sample
+constexpr double kLeap_s = 2.0;       // ahead of all streams; more than any of them lags behind
+constexpr double kMoved_m = 0.1;      // so far with a twist of zeros: the source has no twist
 constexpr double kTurned_rad = 0.1;
 constexpr double kHover_s = 3.0;  // of flight that may tell the frame of the twist
 
@@ -125,8 +126,8 @@ bool SampleIntake::IsLoneLeap(int stream, Stamp stamp) {
   return !goes_on;
 }
 
-/// A stamp far behind its stream is a late message (of two sources on one topic, one is always), until
-/// the next of its stream goes on from there.
+/// A stamp far behind its stream is a late message (of two sources on one topic, one is always),
+/// until the next of its stream goes on from there.
 bool SampleIntake::IsLoneLate(int stream, Stamp stamp) {
   const std::optional<Stamp>& last = last_[stream];
   if (!last || ToSeconds(*last - stamp) <= kStepBack_s) {
@@ -245,7 +246,7 @@ std::string SampleIntake::WaitingFor() const {
 
 void SampleIntake::Forget() {
   const Stamp newest = StampOf(held_.back());
-  while (ToSeconds(newest - StampOf(held_.front())) > kHold_s) {
+  while (ToSeconds(newest - StampOf(held_.front())) > kHold_s || held_.size() > kMostHeld) {
     held_.pop_front();
     ++forgotten_;
   }

@@ -405,6 +405,15 @@ TEST(PoseTwistPairing, TwistsWithoutPosesDoNotPileUp) {
   EXPECT_LT(pairing.num_twists(), 110u);
 }
 
+TEST_F(Intake, HoldsNoMoreOfAFastImuThanOfASlowOne) {
+  ImuInput imu;
+  for (int i = 0; i < 150000; ++i) {
+    imu.sample.stamp = FromSeconds(1.0 + i / 8000.0);
+    intake_.Push(imu);
+  }
+  EXPECT_EQ(intake_.forgotten(), 50000);
+}
+
 TEST_F(Intake, ForgetsTheOldestAfterAMinuteOfStanding) {
   Fly(1.0, 63.0, 0.0);
   EXPECT_NEAR(static_cast<double>(intake_.forgotten()), 2.0 * 200.0, 250.0);
