@@ -109,12 +109,14 @@ std::vector<int> Nonlinear(const Evidence& evidence) {
   return variants;
 }
 
-/// True if two ways to try an effect differ by the sign of its size alone.
+/// True if two ways to try an effect differ by signs alone, in valleys of their own.
 bool AreMirrored(const EffectCandidate& a, const EffectCandidate& b) {
-  if (a.size.empty() || a.settings != b.settings) return false;
-  std::map<std::string, double> mirrored = a.start;
-  mirrored.at(a.size) *= -1.0;
-  return mirrored == b.start;
+  if (a.settings != b.settings || a.start.size() != b.start.size()) return false;
+  if (ValleyNameOf(a) == ValleyNameOf(b)) return false;
+  return std::equal(
+      a.start.begin(), a.start.end(), b.start.begin(), [](const auto& one, const auto& other) {
+        return one.first == other.first && std::abs(one.second) == std::abs(other.second);
+      });
 }
 
 /// The mean of two sets of values.
@@ -294,8 +296,7 @@ void Attribution::Polish(Evidence* evidence) const {
       const double claimed = fit.log_evidence - declared;
       if (round >= kFirstPolishes && claimed <= 0.0 && !(best[v].gain > 0.0)) continue;
       const double gain = evidence->LogEvidenceWhereLinearized(v) - declared;
-      const bool is_worse = gain < best[v].gain - options_.even_odds;
-      if (round > 0 && (is_worse || (gain < best[v].gain && gain < claimed))) {
+      if (round > 0 && gain < best[v].gain && gain < claimed) {
         steps[v] = Halfway(evidence->LinearizedAt(v), best[v].at);
         continue;
       }
@@ -402,7 +403,10 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
   BeginSpread(fitted, evidence, posterior, &ranked);
   Valley most;  // many starts end in one: the largest counts, not each
   for (int other = 0; other < static_cast<int>(evidence.variants().size()); ++other) {
-    if (other == variant || evidence.variants()[other].candidate.effect != ranked.name) continue;
+    const EffectCandidate& candidate = evidence.variants()[other].candidate;
+    if (other == variant || candidate.effect != ranked.name) continue;
+    const std::string valley_name = ValleyNameOf(candidate);
+    if (refuted_.count(valley_name) > 0 && valley_name != ValleyNameOf(v.candidate)) continue;
     VariantSet instead = without;
     instead.insert(other);
     Valley valley = ValleyOf(evidence.Solve(instead), evidence, posterior, own, ranked);

@@ -50,13 +50,6 @@ bool SwingsByFlight(const std::string& effect, const ModelPoint& point) {
   });
 }
 
-/// What a fit can walk through: an effect, with the sign of its size where both are tried.
-std::string ValleyOf(const EffectCandidate& candidate) {
-  const auto size = candidate.start.find(candidate.size);
-  if (size == candidate.start.end()) return candidate.effect;
-  return candidate.effect + (size->second < 0.0 ? " < 0" : " > 0");
-}
-
 VariantSet AllOf(const Evidence& evidence) {
   VariantSet all;
   for (size_t v = 0; v < evidence.variants().size(); ++v) all.insert(static_cast<int>(v));
@@ -150,7 +143,7 @@ void Attribution::Refuse(const std::string& effect, double score, const std::str
 }
 
 bool Attribution::IsHollowCandidate(const EffectCandidate& candidate) const {
-  return hollow_.count(candidate.effect) > 0 || hollow_.count(ValleyOf(candidate)) > 0;
+  return hollow_.count(candidate.effect) > 0 || hollow_.count(ValleyNameOf(candidate)) > 0;
 }
 
 // What two effects do alike, each does for nothing beside the other: the weakest goes, and the next
@@ -165,7 +158,7 @@ bool Attribution::RejectByRescoring(const Evidence& evidence, const VariantSet& 
     VariantSet others = set;
     others.erase(v);
     first_scores[added.back().effect] = ScoreOf(evidence, set, others);
-    valleys[added.back().effect] = ValleyOf(added.back());
+    valleys[added.back().effect] = ValleyNameOf(added.back());
   }
   const Evidence at_fit = EvidenceAtFit(fitted, point_.vehicle, added);
   const VariantSet all = AllOf(at_fit);
@@ -206,62 +199,85 @@ Attribution::FittedSet Attribution::FitSet(Evidence* evidence, const VariantSet&
   return fitted;
 }
 
-double Attribution::SecondScore(Evidence evidence, const VariantSet& set) const {
+double Attribution::SecondScore(Evidence evidence, const VariantSet& set,
+                                const std::string& effect) const {
   const FittedSet fitted = FitSet(&evidence, set);
   std::vector<EffectCandidate> added;
   for (const int v : fitted.set) added.push_back(evidence.variants()[v].candidate);
   const Evidence at_fit = EvidenceAtFit(fitted.point, point_.vehicle, added);
   const VariantSet all = AllOf(at_fit);
-  double least = std::numeric_limits<double>::infinity();
   for (const int v : all) {
+    if (at_fit.variants()[v].candidate.effect != effect) continue;
     VariantSet others = all;
     others.erase(v);
-    least = std::min(least, ScoreOf(at_fit, all, others));
+    return ScoreOf(at_fit, all, others);
   }
-  return all.empty() ? -least : least;
+  return -std::numeric_limits<double>::infinity();
+}
+
+std::vector<Attribution::Rival> Attribution::RivalsOf(const Evidence& evidence,
+                                                      const VariantSet& set, int variant) const {
+  const double gain = evidence.GainInNats(set);
+  const EffectCandidate& own = evidence.variants()[variant].candidate;
+  VariantSet others = set;
+  others.erase(variant);
+  std::map<std::string, Rival> best;
+  for (int other = 0; other < static_cast<int>(evidence.variants().size()); ++other) {
+    const EffectCandidate& candidate = evidence.variants()[other].candidate;
+    const bool is_in = std::any_of(others.begin(), others.end(), [&](int in) {
+      return evidence.variants()[in].candidate.effect == candidate.effect;
+    });
+    const std::string valley = ValleyNameOf(candidate);
+    if (is_in || valley == ValleyNameOf(own)) continue;
+    Rival rival{candidate.effect, valley, others, 0.0};
+    rival.set.insert(other);
+    rival.behind = gain - evidence.GainInNats(rival.set);
+    const double most =
+        candidate.effect == own.effect ? options_.most_unexplained * gain : options_.even_odds;
+    const auto known = best.find(valley);
+    if (rival.behind > most || (known != best.end() && known->second.behind <= rival.behind)) {
+      continue;
+    }
+    best[valley] = std::move(rival);
+  }
+  std::vector<Rival> rivals;
+  rivals.reserve(best.size());
+  for (auto& entry : best) rivals.push_back(std::move(entry.second));
+  std::sort(rivals.begin(), rivals.end(),
+            [](const Rival& a, const Rival& b) { return a.behind < b.behind; });
+  if (rivals.size() > kRivals) rivals.resize(kRivals);
+  return rivals;
+}
+
+bool Attribution::IsConfirmed(const Evidence& evidence, const VariantSet& set) {
+  const FlexibleRest flexible = flexible_;
+  const std::map<std::string, std::string> refused = refused_;
+  const bool is_confirmed = Confirmed(evidence, set) == set;
+  flexible_ = flexible;
+  refused_ = refused;
+  return is_confirmed;
 }
 
 std::optional<VariantSet> Attribution::BetterRival(const Evidence& evidence,
                                                    const VariantSet& set) {
-  const double gain = evidence.GainInNats(set);
   for (const int v : set) {
-    const std::string effect = evidence.variants()[v].candidate.effect;
-    const auto second = second_scores_.find(effect);
-    VariantSet others = set;
-    others.erase(v);
-    const double first = ScoreOf(evidence, set, others);
-    const double least = (1.0 - options_.most_unexplained) * first;
-    if (second == second_scores_.end() || second->second >= least) continue;
-    const std::string valley = ValleyOf(evidence.variants()[v].candidate);
-    std::map<std::string, std::pair<double, VariantSet>> rivals;
-    for (int other = 0; other < static_cast<int>(evidence.variants().size()); ++other) {
-      const EffectCandidate& candidate = evidence.variants()[other].candidate;
-      const std::string name = ValleyOf(candidate);
-      const bool is_in = std::any_of(others.begin(), others.end(), [&](int in) {
-        return evidence.variants()[in].candidate.effect == candidate.effect;
-      });
-      if (is_in || name == valley) continue;
-      VariantSet rival = others;
-      rival.insert(other);
-      const double behind = gain - evidence.GainInNats(rival);
-      const auto known = rivals.find(name);
-      if (behind > options_.even_odds || (known != rivals.end() && known->second.first <= behind)) {
-        continue;
-      }
-      rivals[name] = {behind, rival};
-    }
-    std::vector<std::pair<double, std::string>> order;
-    order.reserve(rivals.size());
-    for (const auto& [name, rival] : rivals) order.emplace_back(rival.first, name);
-    std::sort(order.begin(), order.end());
-    for (size_t k = 0; k < std::min(kRivals, order.size()); ++k) {
-      const VariantSet& rival = rivals.at(order[k].second).second;
-      const double held = SecondScore(evidence, rival);
+    const EffectCandidate& own = evidence.variants()[v].candidate;
+    const auto second = second_scores_.find(own.effect);
+    if (second == second_scores_.end()) continue;
+    for (const Rival& rival : RivalsOf(evidence, set, v)) {
+      const bool is_same = rival.effect == own.effect;
+      if (!is_same && !IsConfirmed(evidence, rival.set)) continue;
+      const double held = SecondScore(evidence, rival.set, rival.effect);
+      if (is_same && held + options_.even_odds < second->second) refuted_.insert(rival.valley);
       if (held <= second->second + options_.even_odds) continue;
-      refused_[effect] = "promises " + Rounded(first) + " nats, of which its fit bears out " +
-                         Rounded(second->second) + ", and that with " + order[k].second + " " +
-                         Rounded(held);
-      return rival;
+      if (is_same) {
+        refuted_.insert(ValleyNameOf(own));
+      } else {
+        refused_[own.effect] = "promises as much as " + rival.effect +
+                               ", of which its fit bears out " + Rounded(held) +
+                               " nats, and that with it " + Rounded(second->second);
+      }
+      return rival.set;
     }
   }
   return std::nullopt;

@@ -65,8 +65,8 @@ FlownRange RangeOf(const FlightMotion& flight, const Vehicle& vehicle) {
   constexpr double kTail_s = 2.0;
   const double mean_step_s = (flight.samples.back().t_s - flight.samples.front().t_s) /
                              static_cast<double>(flight.samples.size());
-  const size_t tail = std::min(heights.size() / 20,
-                               static_cast<size_t>(kTail_s / std::max(1e-3, mean_step_s)));
+  const size_t tail =
+      std::min(heights.size() / 20, static_cast<size_t>(kTail_s / std::max(1e-3, mean_step_s)));
   const size_t high = heights.size() - 1 - tail;
   return {flight.samples.front().t_s,
           flight.samples.back().t_s,
@@ -163,6 +163,17 @@ std::string OwnTellingManoeuvre(const Vehicle& vehicle, const std::string& effec
 }
 
 }  // namespace
+
+std::string ValleyNameOf(const EffectCandidate& candidate) {
+  std::string name = candidate.effect;
+  for (const auto& [parameter, bounds] : candidate.bounds) {
+    if (candidate.start.count(parameter) == 0) continue;
+    const bool is_one_sided = bounds.first * bounds.second >= 0.0;
+    const bool has_mirror = candidate.fitted.count(parameter) == 0;
+    if (is_one_sided && has_mirror) name += bounds.second > 0.0 ? " +" : " -";
+  }
+  return name;
+}
 
 std::vector<EffectCandidate> CandidatesFor(const Vehicle& vehicle, const FlightMotion& flight) {
   std::vector<EffectCandidate> candidates;

@@ -1,5 +1,8 @@
 #include <algorithm>
 #include <cmath>
+#include <map>
+#include <string>
+#include <utility>
 
 #include "odmc/effects/effects.h"
 
@@ -10,7 +13,8 @@ constexpr double kStep_s = 1.0;       // from one time to try to the next
 constexpr double kShortest_s = 0.05;  // of its refinement
 constexpr double kLeast = 1e-3;       // of the vehicle's mass, on either side of none
 constexpr double kMostLost = 0.9;     // of it; with none left there is no motion to speak of
-constexpr double kBelow = 0.03;       // of the arms' length: where a fit begins
+constexpr double kOff = 0.03;         // of the arms' length, above and below: where a fit begins
+constexpr double kFar = 3.0;          // the same: ten sigmas of its place
 constexpr double kEdge_s = 2.0;       // no change is looked for closer to start and end
 
 /// A load m_L at ξ from the instant `from` on: mass, centre of mass and inertia of both together.
@@ -42,16 +46,22 @@ class MassChange final : public Effect {
 
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool fits_thrust) const override {
     std::vector<EffectTrial> trials;
-    // Its moment alone does not tell more mass here from less mass there: two valleys. Its inertia
-    // does not tell above from below either: loads hang, so begin below.
+    // Its moment alone does not tell more mass here from less mass there, nor its inertia above
+    // from below: four valleys, and no step leads from one to another.
     const auto try_from = [&](double t) {
       const double some = 0.05 * vehicle().mass_kg, least = kLeast * vehicle().mass_kg;
       const double most = vehicle().mass_kg, lost = kMostLost * vehicle().mass_kg;
-      const double below = -kBelow * vehicle().ArmLength();
-      trials.push_back(
-          {{{"from", t}}, {{"mass", some}, {"z", below}}, {}, {}, {{"mass", {least, most}}}});
-      trials.push_back(
-          {{{"from", t}}, {{"mass", -some}, {"z", below}}, {}, {}, {{"mass", {-lost, -least}}}});
+      const double off = kOff * vehicle().ArmLength(), far = kFar * vehicle().ArmLength();
+      for (const double z : {-off, off}) {
+        const std::pair<double, double> side = z < 0.0 ? std::pair(-far, 0.0) : std::pair(0.0, far);
+        const auto start = [&](double mass) {
+          return std::map<std::string, double>{{"mass", mass}, {"z", z}};
+        };
+        trials.push_back(
+            {{{"from", t}}, start(some), {}, {}, {{"mass", {least, most}}, {"z", side}}});
+        trials.push_back(
+            {{{"from", t}}, start(-some), {}, {}, {{"mass", {-lost, -least}}, {"z", side}}});
+      }
     };
     // Over the whole flight a mass is one with the thrust coefficient.
     if (!fits_thrust) try_from(0.0);

@@ -172,9 +172,10 @@ class Attribution {
   void Refuse(const std::string& effect, double score, const std::string& why);
   /// True for an effect, or one sign of its size, that is looked at no more.
   bool IsHollowCandidate(const EffectCandidate& candidate) const;
-  /// Refuses the weakest of the effects that a fit from afar promised and that are not there: the declared parameters
-  /// went where they do not act in proportion any more, and about what the fit with the effects has
-  /// found the odds are against them; or what they gain is less than they lose on blocks held out.
+  /// Refuses the weakest of the effects that a fit from afar promised and that are not there: the
+  /// declared parameters went where they do not act in proportion any more, and about what the fit
+  /// with the effects has found the odds are against them; or what they gain is less than they lose
+  /// on blocks held out.
   /// @param fitted the point with the set, fitted
   /// @returns true if there is one
   bool RejectByRescoring(const Evidence& evidence, const VariantSet& set, const ModelPoint& fitted);
@@ -186,12 +187,21 @@ class Attribution {
     std::vector<ResidualModel::Wrenches> left;  ///< what it leaves of the wrench, by flight
   };
   FittedSet FitSet(Evidence* evidence, const VariantSet& set) const;
-  /// The set with another effect, or with the other sign of the same, in the place of one of which the fit bears out less than half of
-  /// what it promised, where the other promises as much and holds more of it.
+  /// An effect, or the other sign of the same, that promises as much in the place of another.
+  struct Rival {
+    std::string effect, valley;  ///< ValleyNameOf()
+    VariantSet set;              ///< with it
+    double behind = 0.0;         ///< the set with the other [nats]
+  };
+  std::vector<Rival> RivalsOf(const Evidence& evidence, const VariantSet& set, int variant) const;
+  /// True if Confirmed() would keep all of a set; changes nothing.
+  bool IsConfirmed(const Evidence& evidence, const VariantSet& set);
+  /// The set with a rival in the place of one of its effects, where the rival's second score is
+  /// clearly the larger one.
   /// @param set with the settings that its effects fit
   std::optional<VariantSet> BetterRival(const Evidence& evidence, const VariantSet& set);
-  /// The least score of a set's effects about what the fit with them finds [nats].
-  double SecondScore(Evidence evidence, const VariantSet& set) const;
+  /// The score of one of a set's effects about what the fit with the set finds [nats].
+  double SecondScore(Evidence evidence, const VariantSet& set, const std::string& effect) const;
   /// Takes away effects found earlier that one of the newest contains (ContainedEffects()).
   /// @param newest how many at the end of effects_ are
   void DropContained(size_t newest);
@@ -222,7 +232,8 @@ class Attribution {
   std::map<std::string, std::string> refused_;
   std::map<std::string, EffectCandidate> named_;  // how effects_ were found
   std::map<std::string, double> second_scores_;   // about what the fit with them has found [nats]
-  std::set<std::string> hollow_;                  // ValleyOf() those that are looked at no more
+  std::set<std::string> hollow_;                  // ValleyNameOf() those that are looked at no more
+  std::set<std::string> refuted_;  // the same of signs of which the fit bears out less
   std::map<std::string, std::array<double, kNumChannels>> energy_;  // of effects_ [nats]
   double gain_ = 0.0, held_out_gain_ = 0.0;
   std::vector<ResidualModel::Wrenches> before_, after_;  // by flight

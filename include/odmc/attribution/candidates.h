@@ -33,6 +33,10 @@ struct EffectCandidate {
   std::string size = {};
 };
 
+/// What a fit can walk through: the effect's name, with the signs to which bounds keep it
+/// ("mass_change - +": less mass, above).
+std::string ValleyNameOf(const EffectCandidate& candidate);
+
 /// Every effect of the catalogue that `vehicle`'s model lacks and that may be added to it, with the
 /// values to try for what cannot be estimated (Effect::Trials): when a mass changed, how long a
 /// cable is, where the ground is.
