@@ -51,9 +51,8 @@ const std::vector<DecisionNumber>& DecisionNumbers() {
       {"least_structured", "1", &O::least_structured, 0.0, 1.0,
        "judgement: a smaller share of the variance changes the RMS by less than 3 %"},
       {"most_unexplained", "1", &O::most_unexplained, 0.0, 1.0,
-       "judgement: what explains less than half of the structure is not its cause; nor is an "
-       "effect whose second score is less than half of its first, if another effect has a larger "
-       "second score"},
+       "judgement: what explains less than half of the structure is not its cause; a valley of the "
+       "same effect that promises less than half is not fitted"},
       {"most_lean_rad", "rad", &O::most_lean_rad, 0.0, 0.2,
        "judgement: roll and pitch of an onboard filter err by a degree, over seconds"},
       {"most_thrust_wander", "1", &O::most_thrust_wander, 0.0, 0.2,
