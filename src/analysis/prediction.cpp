@@ -38,9 +38,9 @@ FlightState FlightStateOf(const FilteredMotion& motion, const Vector3d& load_pul
 
 double DifferenceStep(const ModelParameter& parameter, double value) {
   constexpr double kStep = 1e-3;
-  if (parameter.spec.transform == ParameterTransform::kLog) return kStep * value;
-  // By the scale alone: a height above the sea is no reason for a long step.
-  return kStep * (parameter.spec.scale > 0.0 ? parameter.spec.scale : std::max(1e-9, std::abs(value)));
+  const ParameterSpec& spec = parameter.spec;
+  if (spec.transform == ParameterTransform::kLog) return kStep * value;
+  return kStep * (spec.in_world ? spec.scale : std::max(std::abs(value), spec.scale));
 }
 
 PredictionSample PredictSample(const FilteredMotion& motion, const Vector3d& load_pull_W,

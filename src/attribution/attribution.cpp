@@ -287,20 +287,21 @@ void Attribution::Polish(Evidence* evidence) const {
     Evidence::VariantValues at;
     double gain = 0.0;
   };
-  std::map<int, Best> best;
+  std::map<int, Best> best, highest;
   for (int round = 0; round < kPolishes && !GivesUp(); ++round) {
     std::map<int, Evidence::VariantValues> steps;
     const double declared = evidence->Solve({}).log_evidence;
     for (const int v : Nonlinear(*evidence)) {
       const EffectFit fit = evidence->Solve({v});
       const double claimed = fit.log_evidence - declared;
-      if (round >= kFirstPolishes && claimed <= 0.0 && !(best[v].gain > 0.0)) continue;
+      if (round >= kFirstPolishes && claimed <= 0.0) continue;
       const double gain = evidence->LogEvidenceWhereLinearized(v) - declared;
       if (round > 0 && gain < best[v].gain && gain < claimed) {
         steps[v] = Halfway(evidence->LinearizedAt(v), best[v].at);
         continue;
       }
       best[v] = {evidence->LinearizedAt(v), gain};
+      if (round == 0 || gain > highest[v].gain) highest[v] = best[v];
       const bool moves = round == 0 || evidence->StepInSigmas(v, fit) > kPolished;
       if (moves) steps[v] = evidence->FoundBy(fit, v);
     }
@@ -308,13 +309,22 @@ void Attribution::Polish(Evidence* evidence) const {
     evidence->Relinearize(steps);
     evidence->EstimateNoise();
   }
-  std::map<int, Evidence::VariantValues> back;
-  const double declared = evidence->Solve({}).log_evidence;
-  for (const auto& [v, known] : best) {
-    if (evidence->LogEvidenceWhereLinearized(v) - declared < known.gain) back[v] = known.at;
+  // The last step was not looked at, and the noise has changed since: both places once more.
+  std::map<int, Evidence::VariantValues> last, back;
+  std::map<int, double> gains;
+  for (const auto& [v, known] : highest) {
+    gains[v] = evidence->LogEvidenceWhereLinearized(v);
+    if (gains[v] - evidence->Solve({}).log_evidence >= known.gain - options_.even_odds) continue;
+    last[v] = evidence->LinearizedAt(v);
+    back[v] = known.at;
   }
   if (!back.empty()) {
     evidence->Relinearize(back);
+    std::map<int, Evidence::VariantValues> stay;
+    for (const auto& [v, at] : last) {
+      if (evidence->LogEvidenceWhereLinearized(v) < gains[v]) stay[v] = at;
+    }
+    if (!stay.empty()) evidence->Relinearize(stay);
     evidence->EstimateNoise();
   }
   for (const int v : Nonlinear(*evidence)) evidence->CountWhatIsBorneOut(v);

@@ -172,6 +172,7 @@ bool Attribution::RejectByRescoring(const Evidence& evidence, const VariantSet& 
     const double score = ScoreOf(at_fit, all, others);
     second_scores_[effect] = score;
     const double held_out = HeldOutScore(at_fit, all, v);
+    second_totals_[effect] = score + held_out;
     // p(all) = p(in use) p(held out | in use): what blocks held out say weighs as much.
     const double first = first_scores.at(effect), total = first + held_out;
     const bool is_hollow = IsHollow(score, total);
@@ -199,7 +200,7 @@ Attribution::FittedSet Attribution::FitSet(Evidence* evidence, const VariantSet&
   return fitted;
 }
 
-double Attribution::SecondScore(Evidence evidence, const VariantSet& set,
+double Attribution::SecondTotal(Evidence evidence, const VariantSet& set,
                                 const std::string& effect) const {
   const FittedSet fitted = FitSet(&evidence, set);
   std::vector<EffectCandidate> added;
@@ -210,7 +211,7 @@ double Attribution::SecondScore(Evidence evidence, const VariantSet& set,
     if (at_fit.variants()[v].candidate.effect != effect) continue;
     VariantSet others = all;
     others.erase(v);
-    return ScoreOf(at_fit, all, others);
+    return ScoreOf(at_fit, all, others) + HeldOutScore(at_fit, all, v);
   }
   return -std::numeric_limits<double>::infinity();
 }
@@ -262,12 +263,12 @@ std::optional<VariantSet> Attribution::BetterRival(const Evidence& evidence,
                                                    const VariantSet& set) {
   for (const int v : set) {
     const EffectCandidate& own = evidence.variants()[v].candidate;
-    const auto second = second_scores_.find(own.effect);
-    if (second == second_scores_.end()) continue;
+    const auto second = second_totals_.find(own.effect);
+    if (second == second_totals_.end()) continue;
     for (const Rival& rival : RivalsOf(evidence, set, v)) {
       const bool is_same = rival.effect == own.effect;
       if (!is_same && !IsConfirmed(evidence, rival.set)) continue;
-      const double held = SecondScore(evidence, rival.set, rival.effect);
+      const double held = SecondTotal(evidence, rival.set, rival.effect);
       if (is_same && held + options_.even_odds < second->second) refuted_.insert(rival.valley);
       if (held <= second->second + options_.even_odds) continue;
       if (is_same) {

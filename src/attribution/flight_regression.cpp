@@ -310,11 +310,9 @@ FlightRegression::Seen FlightRegression::SeeFully(const EffectCandidate& candida
     if (what == kQuick && (p.spec.initial_state || candidate.fitted.count(p.full_name) > 0)) {
       continue;
     }
-    // A place that is fitted from several starts is likely about each: the world's origin is none.
+    // A place in the world is as likely about each start: the origin is none.
     const auto start = candidate.start.find(p.full_name);
-    const bool is_about_start = candidate.fitted.count(p.full_name) > 0 &&
-                                start != candidate.start.end() &&
-                                p.spec.transform == ParameterTransform::kLinear;
+    const bool is_about_start = p.spec.in_world && start != candidate.start.end();
     const double prior_mean = is_about_start ? start->second : p.spec.prior_value;
     Regressor column{CoefficientOf(model, p, 0.0, prior_mean),
                      residual_->Derivative(model, values, k, residual),

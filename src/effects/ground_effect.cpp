@@ -24,7 +24,7 @@ class GroundEffect final : public Effect {
             {{"k_ge", "1", "size relative to a single rotor's theory", 0.0, 5.0, 1.0,
               ParameterTransform::kLinear, PhysicalSign::kPositive, false, "", "", false, true},
              {"z_0", "m", "height of the ground in the odometry's world", 0.0, 2.0, 0.1,
-              ParameterTransform::kLinear, PhysicalSign::kAny, true}},
+              ParameterTransform::kLinear, PhysicalSign::kAny, true, "", "", false, false, true}},
             {"thrust.k_f"}) {}
 
   std::vector<EffectTrial> Trials(const FlownRange& flown, bool) const override {

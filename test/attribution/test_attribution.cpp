@@ -419,6 +419,42 @@ TEST(Candidates, GroundEffectAtOneHeightNeedsGroundThatWasSeen) {
   EXPECT_TRUE(is_asked_for());
 }
 
+// More or less mass, above or below: no fit walks from one to another.
+TEST(Candidates, AChangeOfMassIsTriedInFourValleysAtEachTime) {
+  const Flown flown = Filtered(Make({}, 0.0, "octo", 0, 31));
+  std::map<double, std::set<std::string>> valleys;
+  std::set<std::string> of_loads;
+  for (const EffectCandidate& c : CandidatesFor(flown.vehicle, flown.flight.motion())) {
+    if (c.effect == "mass_change") {
+      valleys[c.settings.at("mass_change.from")].insert(ValleyNameOf(c));
+    }
+    if (c.effect == "suspended_load") of_loads.insert(ValleyNameOf(c));
+  }
+  EXPECT_GT(valleys.size(), 10u);
+  for (const auto& [from_s, names] : valleys) EXPECT_EQ(names.size(), 4u) << from_s;
+  EXPECT_EQ(of_loads, std::set<std::string>{"suspended_load"});  // lengths are walked through
+}
+
+// World frames have their origin anywhere: at sea level, on another floor.
+TEST(Candidates, TheGroundIsLookedForBelowTheFlightWhereverThatIs) {
+  const Vehicle vehicle = UndeclaredVehicles().front();
+  for (const double z : {-300.0, 0.0, 450.0}) {
+    FlightMotion flight = Filtered(Make({}, 0.0, "vertical", 0, 31)).flight.motion();
+    double lowest = 1e9;
+    for (FilteredMotion& m : flight.samples) {
+      m.p_WS.z() += z;
+      lowest = std::min(lowest, m.p_WS.z());
+    }
+    int grounds = 0;
+    for (const EffectCandidate& c : CandidatesFor(vehicle, flight)) {
+      if (c.effect != "ground_effect") continue;
+      EXPECT_NEAR(c.start.at("ground_effect.z_0"), lowest, 5.0 * vehicle.rotors[0].radius_m) << z;
+      ++grounds;
+    }
+    EXPECT_GE(grounds, 2);
+  }
+}
+
 // With the whole mass lost a regressor was not a number, and the search for sets had no end.
 TEST(Candidates, AreModelsOfABodyAtTheEndsOfTheirBounds) {
   const Flown flown = Filtered(Make({}, 0.0, "octo", 0, 31));

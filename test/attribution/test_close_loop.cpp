@@ -321,9 +321,16 @@ ClosedLoop CloseWithLoad(double mass_share, const Swing& swing) {
   return CloseLoop(flight.log, vehicle, vehicle, CloseLoopOptions());
 }
 
-// The fit does not see the moment, nor, at first, whether the load is above or below: its inertia
-// is the same on either side.
-TEST(CloseLoop, PlacesALoadInTimeAndHeight) {
+/// A load, over the vehicle's mass, and its height, over the arms' length.
+struct Load {
+  double mass, height;
+};
+
+class LoadOfEitherSign : public testing::TestWithParam<Load> {};
+
+// The fit does not see the moment of the change, nor, at first, whether the load is above or below:
+// its inertia is the same on either side. More mass here looks like less mass there.
+TEST_P(LoadOfEitherSign, IsPlacedInTimeAndHeight) {
   Vehicle vehicle = VehicleWithImu();
   Vehicle loaded = vehicle;
   loaded.effects.push_back("mass_change");
@@ -331,8 +338,8 @@ TEST(CloseLoop, PlacesALoadInTimeAndHeight) {
   ModelValues truth = DefaultTruth(model);
   constexpr double kFrom_s = 16.9;
   ASSERT_TRUE(BlockSplit().IsHeldOut(kFrom_s));
-  truth[model.IndexOf("mass_change.mass")] = 0.11 * vehicle.mass_kg;
-  truth[model.IndexOf("mass_change.z")] = -0.4 * vehicle.ArmLength();
+  truth[model.IndexOf("mass_change.mass")] = GetParam().mass * vehicle.mass_kg;
+  truth[model.IndexOf("mass_change.z")] = GetParam().height * vehicle.ArmLength();
   truth[model.IndexOf("mass_change.from")] = kFrom_s;
   SimulationOptions options;
   options.trajectory = "aggressive";
@@ -349,9 +356,15 @@ TEST(CloseLoop, PlacesALoadInTimeAndHeight) {
   EXPECT_NEAR(loop.effects[0].effect.settings.at("mass_change.from"), kFrom_s, 0.1);
   for (const std::string name : {"mass_change.mass", "mass_change.z"}) {
     const double value = truth[model.IndexOf(name)];
-    EXPECT_NEAR(loop.parameters.Find(name)->value, value, 0.1 * std::abs(value)) << name;
+    const ParameterEstimate* found = loop.parameters.Find(name);
+    EXPECT_NEAR(found->value, value, std::max(0.1 * std::abs(value), 3.0 * found->sigma)) << name;
+    EXPECT_GT(std::abs(value), 3.0 * found->sigma) << name;
   }
 }
+
+INSTANTIATE_TEST_SUITE_P(CloseLoop, LoadOfEitherSign,
+                         testing::Values(Load{0.11, -0.4}, Load{0.11, 0.4}, Load{-0.1, -0.3},
+                                         Load{-0.1, 0.3}));
 
 // What odometry shows of a slow effect is not lost behind a noisy accelerometer.
 TEST(CloseLoop, SeesWhatIsSlowBehindANoisyAccelerometer) {

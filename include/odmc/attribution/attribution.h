@@ -197,11 +197,12 @@ class Attribution {
   /// True if Confirmed() would keep all of a set; changes nothing.
   bool IsConfirmed(const Evidence& evidence, const VariantSet& set);
   /// The set with a rival in the place of one of its effects, where the rival's second score is
-  /// clearly the larger one.
+  /// clearly the larger one, blocks held out included.
   /// @param set with the settings that its effects fit
   std::optional<VariantSet> BetterRival(const Evidence& evidence, const VariantSet& set);
-  /// The score of one of a set's effects about what the fit with the set finds [nats].
-  double SecondScore(Evidence evidence, const VariantSet& set, const std::string& effect) const;
+  /// The score of one of a set's effects about what the fit with the set finds, and what it gains
+  /// on blocks held out [nats].
+  double SecondTotal(Evidence evidence, const VariantSet& set, const std::string& effect) const;
   /// Takes away effects found earlier that one of the newest contains (ContainedEffects()).
   /// @param newest how many at the end of effects_ are
   void DropContained(size_t newest);
@@ -232,6 +233,7 @@ class Attribution {
   std::map<std::string, std::string> refused_;
   std::map<std::string, EffectCandidate> named_;  // how effects_ were found
   std::map<std::string, double> second_scores_;   // about what the fit with them has found [nats]
+  std::map<std::string, double> second_totals_;   // and what they gain on blocks held out
   std::set<std::string> hollow_;                  // ValleyNameOf() those that are looked at no more
   std::set<std::string> refuted_;  // the same of signs of which the fit bears out less
   std::map<std::string, std::array<double, kNumChannels>> energy_;  // of effects_ [nats]

@@ -40,6 +40,9 @@ struct ParameterSpec {
   bool initial_state = false;
   /// Set where nothing in nature has the other sign (a mass), rather than nothing that is known.
   bool certain_sign = false;
+  /// Set for a place in the odometry's world, whose origin is anywhere: how far it is from there is
+  /// no size of it.
+  bool in_world = false;
 };
 
 }  // namespace odmc
