@@ -238,13 +238,18 @@ void Attribution::Screen(Evidence* evidence) const {
     ForEachOf(static_cast<int>(settings.size()), jobs_, [&, &settings = settings](int i) {
       promises[static_cast<size_t>(i)] = evidence->GainBoundOf(*settings[static_cast<size_t>(i)]);
     });
+    // Each column that is fitted takes some of the noise with it: of what is fitted in every
+    // valley, the best.
+    std::set<std::string> valleys;
+    for (const EffectCandidate* c : settings) valleys.insert(ValleyNameOf(*c));
+    const size_t most_settings = valleys.size() > 1 ? 1 : kFittedSettings;
     std::set<size_t> chosen;
     const auto choose = [&](double Evidence::GainBound::*by) {
       std::vector<size_t> order(promises.size());
       std::iota(order.begin(), order.end(), size_t{0});
       std::sort(order.begin(), order.end(),
                 [&](size_t a, size_t b) { return promises[a].*by > promises[b].*by; });
-      chosen.insert(order.begin(), order.begin() + std::min(order.size(), kFittedSettings));
+      chosen.insert(order.begin(), order.begin() + std::min(order.size(), most_settings));
     };
     choose(&Evidence::GainBound::serial);
     choose(&Evidence::GainBound::white);

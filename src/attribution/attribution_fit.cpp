@@ -50,6 +50,16 @@ bool SwingsByFlight(const std::string& effect, const ModelPoint& point) {
   });
 }
 
+/// False where a fit that began in a candidate's valley has ended in another one.
+bool StaysIn(const EffectCandidate& candidate, const ModelPoint& fit) {
+  return std::all_of(candidate.bounds.begin(), candidate.bounds.end(), [&](const auto& bounded) {
+    const auto& [name, bounds] = bounded;
+    const auto value = fit.values.find(name);
+    if (value == fit.values.end() || bounds.first * bounds.second < 0.0) return true;
+    return value->second >= bounds.first && value->second <= bounds.second;
+  });
+}
+
 VariantSet AllOf(const Evidence& evidence) {
   VariantSet all;
   for (size_t v = 0; v < evidence.variants().size(); ++v) all.insert(static_cast<int>(v));
@@ -200,11 +210,12 @@ Attribution::FittedSet Attribution::FitSet(Evidence* evidence, const VariantSet&
   return fitted;
 }
 
-double Attribution::SecondTotal(Evidence evidence, const VariantSet& set,
-                                const std::string& effect) const {
+double Attribution::SecondTotal(Evidence evidence, const VariantSet& set, const std::string& effect,
+                                ModelPoint* fit) const {
   const FittedSet fitted = FitSet(&evidence, set);
   std::vector<EffectCandidate> added;
   for (const int v : fitted.set) added.push_back(evidence.variants()[v].candidate);
+  *fit = fitted.point;
   const Evidence at_fit = EvidenceAtFit(fitted.point, point_.vehicle, added);
   const VariantSet all = AllOf(at_fit);
   for (const int v : all) {
@@ -230,7 +241,7 @@ std::vector<Attribution::Rival> Attribution::RivalsOf(const Evidence& evidence,
     });
     const std::string valley = ValleyNameOf(candidate);
     if (is_in || valley == ValleyNameOf(own)) continue;
-    Rival rival{candidate.effect, valley, others, 0.0};
+    Rival rival{candidate.effect, valley, other, others, 0.0};
     rival.set.insert(other);
     rival.behind = gain - evidence.GainInNats(rival.set);
     const double most =
@@ -268,7 +279,12 @@ std::optional<VariantSet> Attribution::BetterRival(const Evidence& evidence,
     for (const Rival& rival : RivalsOf(evidence, set, v)) {
       const bool is_same = rival.effect == own.effect;
       if (!is_same && !IsConfirmed(evidence, rival.set)) continue;
-      const double held = SecondTotal(evidence, rival.set, rival.effect);
+      ModelPoint fit;
+      const double held = SecondTotal(evidence, rival.set, rival.effect, &fit);
+      if (is_same && !StaysIn(evidence.variants()[rival.variant].candidate, fit)) {
+        refuted_.insert(rival.valley);
+        continue;
+      }
       if (is_same && held + options_.even_odds < second->second) refuted_.insert(rival.valley);
       if (held <= second->second + options_.even_odds) continue;
       if (is_same) {

@@ -190,8 +190,9 @@ class Attribution {
   /// An effect, or the other sign of the same, that promises as much in the place of another.
   struct Rival {
     std::string effect, valley;  ///< ValleyNameOf()
-    VariantSet set;              ///< with it
-    double behind = 0.0;         ///< the set with the other [nats]
+    int variant;
+    VariantSet set;       ///< with it
+    double behind = 0.0;  ///< the set with the other [nats]
   };
   std::vector<Rival> RivalsOf(const Evidence& evidence, const VariantSet& set, int variant) const;
   /// True if Confirmed() would keep all of a set; changes nothing.
@@ -202,7 +203,9 @@ class Attribution {
   std::optional<VariantSet> BetterRival(const Evidence& evidence, const VariantSet& set);
   /// The score of one of a set's effects about what the fit with the set finds, and what it gains
   /// on blocks held out [nats].
-  double SecondTotal(Evidence evidence, const VariantSet& set, const std::string& effect) const;
+  /// @param fit what the fit finds
+  double SecondTotal(Evidence evidence, const VariantSet& set, const std::string& effect,
+                     ModelPoint* fit) const;
   /// Takes away effects found earlier that one of the newest contains (ContainedEffects()).
   /// @param newest how many at the end of effects_ are
   void DropContained(size_t newest);
