@@ -181,8 +181,8 @@ bool FrontEnd::IsJump(const OdometrySample& newest, double dt) const {
   const double sigmas = kJumpSigmas * (1.0 + share);
   const Vector3d turned = Log(last_->q_WS.conjugate() * newest.q_WS);
   const auto is_turn = [&](const Vector3d& expected) {
-    return (turned - expected).norm() > kLeastTurn_rad + sigmas * noise.attitude_rad +
-                                            kMostAngularAcceleration_rad_s2 * wider;
+    return (turned - expected).norm() >
+           kLeastTurn_rad + sigmas * noise.attitude_rad + kMostAngularAcceleration_rad_s2 * wider;
   };
   // Rates that explain the turn are no jump; rates that do not may be wrong themselves.
   const bool has_rates = newest.w_WS_S && last_->w_WS_S;

@@ -8,7 +8,7 @@ namespace {
 // Differences of measured velocities are noisy. The swing integrates them and does not care; the
 // tension takes the vehicle's acceleration as it is and gets it smoothed.
 constexpr double kSmoothing_s = 0.05;
-constexpr double kNearby = 1e-4;       // of the swing
+constexpr double kNearby = 1e-4;  // of the swing
 
 }  // namespace
 

@@ -176,8 +176,8 @@ class PhaseDetector {
   bool learns_changes_;
   Mode mode_ = Mode::kStart;
   bool knows_thrust_ = false, has_flown_ = false;
-  bool knew_thrust_ = false;  // once, perhaps of the vehicle as it was
-  bool goes_on_ = false;      // after a restart: not all that was learned is from here
+  bool knew_thrust_ = false;    // once, perhaps of the vehicle as it was
+  bool goes_on_ = false;        // after a restart: not all that was learned is from here
   PhaseBlock filling_, block_;  // the one being filled, the last whole one
   Stillness stillness_;
   PhaseRecord record_;
