@@ -23,7 +23,8 @@ namespace {
 constexpr double kProportional = 0.1;
 constexpr int kRefits = 5;  // at most
 constexpr int kInertiaRefits = 2;
-constexpr size_t kRivals = 3;  // that are fitted, at most
+constexpr double kDecides = 3.0;  // times clear_odds, a million to one: a valley is none
+constexpr size_t kRivals = 3;     // that are fitted, at most
 
 /// A point without some effects.
 ModelPoint Without(ModelPoint point, const std::function<bool(const std::string&)>& is_dropped) {
@@ -281,15 +282,13 @@ std::optional<VariantSet> Attribution::BetterRival(const Evidence& evidence,
       if (!is_same && !IsConfirmed(evidence, rival.set)) continue;
       ModelPoint fit;
       const double held = SecondTotal(evidence, rival.set, rival.effect, &fit);
-      if (is_same && !StaysIn(evidence.variants()[rival.variant].candidate, fit)) {
-        refuted_.insert(rival.valley);
-        continue;
-      }
-      if (is_same && held + options_.even_odds < second->second) refuted_.insert(rival.valley);
+      if (is_same && !StaysIn(evidence.variants()[rival.variant].candidate, fit)) continue;
+      // What is merely less likely stays in the sigmas.
+      const double decides = kDecides * options_.clear_odds;
+      if (is_same && held + decides < second->second) refuted_.insert(rival.valley);
       if (held <= second->second + options_.even_odds) continue;
-      if (is_same) {
-        refuted_.insert(ValleyNameOf(own));
-      } else {
+      if (is_same && second->second + decides < held) refuted_.insert(ValleyNameOf(own));
+      if (!is_same) {
         refused_[own.effect] = "promises as much as " + rival.effect +
                                ", of which its fit bears out " + Rounded(held) +
                                " nats, and that with it " + Rounded(second->second);
