@@ -29,6 +29,7 @@ constexpr int kLeastRun = Instruments::kReach + SerialNoise::kOrder;  // before 
 
 std::vector<std::string> NamesOf(const std::vector<RankedEffect>& effects) {
   std::vector<std::string> names;
+  names.reserve(effects.size());
   for (const RankedEffect& effect : effects) names.push_back(effect.name);
   return names;
 }
