@@ -109,6 +109,29 @@ std::vector<int> Nonlinear(const Evidence& evidence) {
   return variants;
 }
 
+/// Of each valley of each effect, all variants but the one of the highest value.
+VariantSet AllButBest(const Evidence& evidence, const std::function<double(int)>& value) {
+  std::map<std::pair<std::string, std::string>, std::pair<double, int>> best;
+  VariantSet others;
+  for (int v = 0; v < static_cast<int>(evidence.variants().size()); ++v) {
+    const EffectCandidate& candidate = evidence.variants()[v].candidate;
+    const std::pair<double, int> own = {value(v), v};
+    const auto [known, is_first] =
+        best.try_emplace({candidate.effect, ValleyNameOf(candidate)}, own);
+    if (is_first) continue;
+    others.insert(std::min(own, known->second).second);
+    known->second = std::max(own, known->second);
+  }
+  return others;
+}
+
+/// The noise, beside the best variant of each valley of each effect.
+void EstimateNoiseBesideBest(Evidence* evidence) {
+  evidence->SetAside(
+      AllButBest(*evidence, [&](int v) { return evidence->Solve({v}).log_evidence; }));
+  evidence->EstimateNoise();
+}
+
 /// True if two ways to try an effect differ by signs alone, in valleys of their own.
 bool AreMirrored(const EffectCandidate& a, const EffectCandidate& b) {
   if (a.settings != b.settings || a.start.size() != b.start.size()) return false;
@@ -229,7 +252,7 @@ void Attribution::Screen(Evidence* evidence) const {
   evidence->EstimateNoise();
   struct Chosen {
     EffectCandidate candidate;
-    double log_prior;
+    double log_prior, promise;
   };
   std::vector<Chosen> all;
   for (const auto& [effect, settings] : by_effect) {
@@ -238,18 +261,13 @@ void Attribution::Screen(Evidence* evidence) const {
     ForEachOf(static_cast<int>(settings.size()), jobs_, [&, &settings = settings](int i) {
       promises[static_cast<size_t>(i)] = evidence->GainBoundOf(*settings[static_cast<size_t>(i)]);
     });
-    // Each column that is fitted takes some of the noise with it: of what is fitted in every
-    // valley, the best.
-    std::set<std::string> valleys;
-    for (const EffectCandidate* c : settings) valleys.insert(ValleyNameOf(*c));
-    const size_t most_settings = valleys.size() > 1 ? 1 : kFittedSettings;
     std::set<size_t> chosen;
     const auto choose = [&](double Evidence::GainBound::*by) {
       std::vector<size_t> order(promises.size());
       std::iota(order.begin(), order.end(), size_t{0});
       std::sort(order.begin(), order.end(),
                 [&](size_t a, size_t b) { return promises[a].*by > promises[b].*by; });
-      chosen.insert(order.begin(), order.begin() + std::min(order.size(), most_settings));
+      chosen.insert(order.begin(), order.begin() + std::min(order.size(), kFittedSettings));
     };
     choose(&Evidence::GainBound::serial);
     choose(&Evidence::GainBound::white);
@@ -269,21 +287,25 @@ void Attribution::Screen(Evidence* evidence) const {
     std::set<std::map<std::string, double>> held;
     for (const EffectCandidate* c : settings) held.insert(c->settings);
     const double log_prior = -std::log(static_cast<double>(held.size()));
-    for (const size_t i : chosen) all.push_back({*settings[i], log_prior});
+    for (const size_t i : chosen) all.push_back({*settings[i], log_prior, promises[i].white});
     for (const size_t i : refined) {
       const EffectCandidate moved = WithRefinedSettings(
           *settings[i], [&](const auto& other) { return evidence->GainBoundOf(other).white; });
       if (moved.settings == settings[i]->settings && moved.start == settings[i]->start) continue;
-      all.push_back({moved, log_prior});
+      all.push_back({moved, log_prior, evidence->GainBoundOf(moved).white});
     }
   }
   std::vector<EffectCandidate> chosen;
   chosen.reserve(all.size());
   for (const Chosen& c : all) chosen.push_back(c.candidate);
   const std::vector<int> added = evidence->AddAll(chosen);
+  std::map<int, double> promise;
   for (size_t k = 0; k < all.size(); ++k) {
-    if (added[k] >= 0) evidence->SetLogPrior(added[k], all[k].log_prior);
+    if (added[k] < 0) continue;
+    evidence->SetLogPrior(added[k], all[k].log_prior);
+    promise[added[k]] = all[k].promise;
   }
+  evidence->SetAside(AllButBest(*evidence, [&](int v) { return promise[v]; }));
   evidence->EstimateNoise();
 }
 
@@ -312,7 +334,7 @@ void Attribution::Polish(Evidence* evidence) const {
     }
     if (steps.empty()) break;
     evidence->Relinearize(steps);
-    evidence->EstimateNoise();
+    EstimateNoiseBesideBest(evidence);
   }
   // The last step was not looked at, and the noise has changed since: both places once more.
   std::map<int, Evidence::VariantValues> last, back;
@@ -330,7 +352,7 @@ void Attribution::Polish(Evidence* evidence) const {
       if (evidence->LogEvidenceWhereLinearized(v) < gains[v]) stay[v] = at;
     }
     if (!stay.empty()) evidence->Relinearize(stay);
-    evidence->EstimateNoise();
+    EstimateNoiseBesideBest(evidence);
   }
   for (const int v : Nonlinear(*evidence)) evidence->CountWhatIsBorneOut(v);
 }

@@ -338,6 +338,13 @@ double Evidence::StepInSigmas(int v, const EffectFit& fit) const {
   return most;
 }
 
+void Evidence::SetAside(const VariantSet& variants) {
+  for (size_t f = 0; f < flights_.size(); ++f) {
+    flights_[f].SetNothingAside();
+    for (const int v : variants) flights_[f].SetAside(added_[f][static_cast<size_t>(v)]);
+  }
+}
+
 void Evidence::EstimateNoise() {
   ForEachOf(num_flights(), jobs_, [&](int f) { flights_[static_cast<size_t>(f)].EstimateNoise(); });
   Assemble();

@@ -399,11 +399,12 @@ void FlightRegression::BeginWithWhiteNoise() {
 
 VectorXd FlightRegression::FitColumns() {
   const auto m = static_cast<Index>(columns_.size());
-  VectorXd sigma(m), mean(m);
+  VectorXd sigma(m), mean_in_sigmas(m);
   for (Index k = 0; k < m; ++k) {
     const Regressor& column = columns_[static_cast<size_t>(k)];
-    sigma[k] = column.prior_sigma;
-    mean[k] = column.prior_mean;
+    const bool is_aside = aside_.count(static_cast<int>(k)) > 0;
+    sigma[k] = is_aside ? 0.0 : column.prior_sigma;
+    mean_in_sigmas[k] = is_aside ? 0.0 : column.prior_mean / column.prior_sigma;
   }
   MatrixXd H = sigma.asDiagonal() * gram_.topLeftCorner(m, m) * sigma.asDiagonal();
   H.diagonal().array() += 1.0;
@@ -411,15 +412,19 @@ VectorXd FlightRegression::FitColumns() {
   const Eigen::LLT<MatrixXd> llt(H);
   // Root of the covariance of what was fitted.
   fitted_root_ = sigma.asDiagonal() * MatrixXd(llt.matrixU().solve(MatrixXd::Identity(m, m)));
-  return sigma.cwiseProduct(llt.solve(b + mean.cwiseQuotient(sigma)));
+  return sigma.cwiseProduct(llt.solve(b + mean_in_sigmas));
 }
 
 MatrixXd FlightRegression::DrawsOfFit(const std::function<double()>& normal) const {
-  const Index m = fitted_root_.cols();
-  if (m <= kMostDraws) return fitted_root_;
-  MatrixXd z(m, kMostDraws);
+  std::vector<Index> in_use;
+  for (Index k = 0; k < fitted_root_.cols(); ++k) {
+    if (aside_.count(static_cast<int>(k)) == 0) in_use.push_back(k);
+  }
+  const MatrixXd root = fitted_root_(Eigen::all, in_use);
+  if (root.cols() <= kMostDraws) return root;
+  MatrixXd z(root.cols(), kMostDraws);
   for (Index k = 0; k < z.size(); ++k) z.data()[k] = normal();
-  return fitted_root_ * z / std::sqrt(static_cast<double>(kMostDraws));
+  return root * z / std::sqrt(static_cast<double>(kMostDraws));
 }
 
 void FlightRegression::ReestimateNoise(const VectorXd& x, const MatrixXd& draws) {
@@ -461,14 +466,21 @@ void FlightRegression::WhitenHeldOut() {
   });
 }
 
+void FlightRegression::SetAside(const Added& added) {
+  aside_.insert(added.columns.begin(), added.columns.end());
+  if (added.offset >= 0) aside_.insert(added.offset);
+}
+
 void FlightRegression::EstimateNoise() {
   const auto m = static_cast<Index>(columns_.size());
-  NoiseRounds rounds = noise_columns_ == m ? kMovedColumns : kMoreColumns;
+  const bool is_same = noise_columns_ == m && noise_aside_ == aside_;
+  NoiseRounds rounds = is_same ? kMovedColumns : kMoreColumns;
   if (noise_columns_ < 0) {
     rounds = kFirstNoise;
     BeginWithWhiteNoise();
   }
   noise_columns_ = static_cast<int>(m);
+  noise_aside_ = aside_;
   std::mt19937 random(1);
   std::normal_distribution<double> normal;
   const auto draw = [&] { return normal(random); };

@@ -650,6 +650,32 @@ FlightMotion WithMoreDragInBlocksHeldOut(FlightMotion motion, const Flown& flown
   return motion;
 }
 
+// Every way in which an effect is tried takes some of the noise with it, and the ways together what
+// is no effect's.
+TEST(Evidence, WaysThatAreSetAsideLeaveTheNoiseAsItIs) {
+  const Flown flown = Filtered(Make({}, 0.0, "octo", 0, 31));
+  const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+  const Instruments instruments(flown.flight, flown.vehicle);
+  std::vector<EffectCandidate> ways;
+  for (const EffectCandidate& c : CandidatesFor(flown.vehicle, flown.flight.motion())) {
+    if (c.effect == "mass_change") ways.push_back(c);
+  }
+  ASSERT_GT(ways.size(), 20u);
+  const auto whitened = [&](size_t count, bool sets_aside) {
+    FlightRegression flight(&residual, &instruments, DeclaredPoint(flown.vehicle));
+    for (size_t k = 0; k < count; ++k) {
+      const auto added = flight.Append(ways[k].effect, flight.ActingColumns(ways[k]));
+      if (sets_aside && k > 0) flight.SetAside(added);
+    }
+    flight.EstimateNoise();
+    const Eigen::Index y = flight.num_columns();
+    return flight.gram()(y, y);
+  };
+  const double alone = whitened(1, false);
+  EXPECT_NEAR(whitened(20, true), alone, 1e-3 * alone);
+  EXPECT_GT(whitened(20, false), 1.02 * alone);
+}
+
 // What acts in one part of a flight and the other way round in another is not there.
 TEST(Evidence, CountsWhatAnEffectLosesOnBlocksHeldOut) {
   const UndeclaredFlight made = Make({"quadratic_drag"}, 0.2, "octo", 1, 12);

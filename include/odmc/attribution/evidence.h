@@ -115,6 +115,9 @@ class Evidence {
   void CountWhatIsBorneOut(int variant);
   void SetLogPrior(int variant, double log_prior) { variants_[variant].log_prior = log_prior; }
 
+  /// Variants without a part in the noise's estimate, instead of those before. An effect that is
+  /// tried in several ways would else take some of the noise with it in each.
+  void SetAside(const VariantSet& variants);
   /// Estimates each flight's noise, see FlightRegression::EstimateNoise(). To be called before
   /// anything below, and again after Add() and Relinearize().
   void EstimateNoise();

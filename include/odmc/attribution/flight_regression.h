@@ -8,6 +8,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -43,7 +44,7 @@ struct Regressor : ResidualCoefficient {
 /// The residual wrench of one flight as a linear regression whitened by the noise of that flight:
 /// the sums of squares and products from which Evidence makes every decision. The noise is
 /// autoregressive in each channel, and one for all models: that of the residual of everything
-/// together, which holds no effect of the catalogue.
+/// together that is not SetAside(), which holds no effect of the catalogue.
 class FlightRegression {
  public:
   /// Regressors of one way for an effect to act, by their numbers.
@@ -77,6 +78,10 @@ class FlightRegression {
   /// Puts what LinearizedAt() found in the place of what Append() made of the same candidate.
   void Replace(Seen seen, Added* added);
 
+  /// Columns without a part in the noise's estimate, as what is tried in several ways would else
+  /// take its share of it in each. New ones have a part.
+  void SetAside(const Added& added);
+  void SetNothingAside() { aside_.clear(); }
   /// Estimates the noise from the residual of all that was added, and whitens with it. To be
   /// called before anything below, and again after Append() and Replace(), when it begins with the
   /// noise as it was.
@@ -194,7 +199,10 @@ class FlightRegression {
   Eigen::MatrixXd raw_base_, raw_gram_;     // Raw() of what is foreseen of the base
   std::vector<int> rows_, held_out_rows_;   // samples whose predecessors are there
   std::array<SerialNoise, kNumChannels> noise_;
-  int noise_columns_ = -1;                         // for which it was estimated; -1: not yet
+  std::set<int> aside_;  // columns without a part in it
+  // For which it was estimated, and what was aside; -1: not yet.
+  int noise_columns_ = -1;
+  std::set<int> noise_aside_;
   Eigen::MatrixXd weight_, held_out_weight_;       // of samples, by channel: wild ones count less
   Eigen::MatrixXd white_;                          // rows × columns (X), y last
   std::array<Eigen::MatrixXd, 2> held_out_white_;  // of these, by Part
