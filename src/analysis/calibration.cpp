@@ -298,9 +298,26 @@ void RefuseAllFrozen(const DynamicModel& model) {
   }
 }
 
+/// Whether rotors that turn push the vehicle up.
+bool MakesThrust(const DynamicModel& model) {
+  constexpr double kTurning_rad_s = 100.0;
+  FlightState hover;
+  hover.rotors =
+      RotorState::Steady(RotorVector::Constant(model.vehicle().num_rotors(), kTurning_rad_s));
+  const ModelValues values = model.InitialValues();
+  Eigen::Vector3d f_B, tau_B;
+  model.EvaluateWrench(hover, values, model.Properties(values).p_BBcm, &f_B, &tau_B);
+  return f_B.z() > 0.0;
+}
+
 void RefuseNeverAirborne(const FlightLog& log, const ReplayResult& replay,
-                         const EstimatorOptions& options) {
+                         const DynamicModel& model, const EstimatorOptions& options) {
   if (replay.last) return;
+  if (!MakesThrust(model)) {
+    throw std::invalid_argument("the model makes no thrust: its effects (" +
+                                Listed(model.effect_names()) +
+                                ") lack 'thrust'; --effects replaces the vehicle file's list");
+  }
   throw std::invalid_argument(
       log.file + ": never airborne: thrust stays below " +
       Rounded(options.phases.landed_thrust_ratio) +
@@ -361,7 +378,7 @@ Calibration Calibrate(const FlightLog& log, const FlightLog& recording, const Ve
   };
   Calibration result;
   Learned learned = Learn(log, model, model, options, part(0.0, 0.5));
-  RefuseNeverAirborne(log, learned.replay, options);
+  RefuseNeverAirborne(log, learned.replay, model, options);
   result.bands = BandsOf(recording, model, learned.replay);
   result.point = FindPointOfKnownMount(recording, file_vehicle, model, learned.replay.last->values,
                                        learned.replay.ground_spans);

@@ -163,6 +163,8 @@ class ToolsTest(unittest.TestCase):
         flight = self.write('standing.csv', '\n'.join(rows) + '\n')
         self.expect(1, 'never airborne', 'calibrate', flight, '--vehicle', VEHICLE, '--out',
                     self.path('out'))
+        self.expect(1, "lack 'thrust'", 'calibrate', self.flight(), '--vehicle', VEHICLE, '--effects',
+                    'drag,gravity', '--out', self.path('out'))
         done = run('evaluate', flight, '--vehicle', VEHICLE, '--parameters',
                    self.path('new/folder/flight_truth.yaml'), '--out', self.path('standing'),
                    '--no-report')
