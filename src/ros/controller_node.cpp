@@ -20,7 +20,6 @@
 namespace odmc {
 namespace {
 
-constexpr double kStepBack_s = 0.5;   // less is a late sample
 constexpr double kSameClock_s = 0.1;  // stamps this near to now are taken for now
 constexpr double kDue = 0.75;         // of the control period
 constexpr double kLate = 3.0;         // control periods
@@ -119,7 +118,7 @@ void ControllerNode::Advertise(ros::NodeHandle private_node) {
 bool ControllerNode::HasCome(Stamp stamp, ControlInput* input) {
   const Stamp now = Now();
   WatchClock(now);
-  if (ToSeconds(stamp - now) <= kStepBack_s) return true;
+  if (!IsStepBack(stamp, now)) return true;
   if (now > 0) ++input->refused;
   return false;
 }
@@ -128,7 +127,7 @@ bool ControllerNode::Admit(Stamp stamp, TopicClock* clock, ControlInput* input) 
   if (!HasCome(stamp, input)) return false;
   const Stamp now = Now();
   const StampVerdict verdict = clock->See(stamp, now);
-  if (verdict == StampVerdict::kLate) {
+  if (verdict == StampVerdict::kRefused) {
     ++input->refused;
     ROS_WARN_THROTTLE(5.0, "a sample was refused: its stamp is %.1f s behind its topic's newest",
                       ToSeconds(clock->newest() - stamp));
@@ -142,7 +141,7 @@ bool ControllerNode::Admit(Stamp stamp, TopicClock* clock, ControlInput* input) 
 }
 
 void ControllerNode::WatchClock(Stamp now) {
-  if (ToSeconds(newest_now_ - now) > kStepBack_s) OnClockStepBack();
+  if (IsStepBack(newest_now_, now)) OnClockStepBack();
   newest_now_ = std::max(newest_now_, now);
 }
 

@@ -8,6 +8,7 @@
 
 #include "odmc/ros/conversions.h"
 #include "odmc/sensing/samples.h"
+#include "odmc/sensing/topic_clock.h"
 #include "odmc/sensing/twist_frame.h"
 
 namespace odmc {
@@ -79,9 +80,8 @@ class SampleIntake {
  private:
   static constexpr int kNumStreams = 7;
   static int StreamOf(const InputSample& input);
-  enum class Clock { kForward, kStale, kBack };
 
-  Clock CheckClock(int stream, Stamp stamp);
+  StampVerdict CheckClock(int stream, Stamp stamp);
   bool IsLoneLeap(int stream, Stamp stamp);
   bool IsLoneLate(int stream, Stamp stamp);
   void Observe(const InputSample& input);
