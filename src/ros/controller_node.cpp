@@ -10,11 +10,10 @@
 #include <stdexcept>
 #include <utility>
 
-#include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/ros/control_messages.h"
-#include "odmc/ros/parameter_reader.h"
+#include "odmc/ros/node_options.h"
 #include "odmc/text/refusal.h"
 
 namespace odmc {
@@ -47,11 +46,7 @@ bool ControllerNodeOptions::IsValid(std::string* error) const {
 
 ControllerNodeSetup ReadControllerNodeSetup(const ros::NodeHandle& private_node) {
   ControllerNodeSetup setup;
-  ParameterReader reader(private_node);
-  setup.options.Visit(&reader);
-  if (!setup.options.config.empty()) LoadOptions(setup.options.config, &setup.config);
-  setup.config.Visit(&reader);
-  reader.CheckAllRead();
+  ReadNodeOptions(private_node, &ControllerNodeOptions::config, &setup.options, &setup.config);
   std::string error;
   if (!setup.options.IsValid(&error) || !setup.config.IsValid(&error)) {
     throw std::invalid_argument(private_node.getNamespace() + ": " + error);
