@@ -36,7 +36,7 @@ bool ControllerNodeOptions::IsValid(std::string* error) const {
   if (!(control_rate_hz >= 50.0 && control_rate_hz <= 2000.0)) {
     return Invalid(error, "control_rate_hz must be 50 to 2000");
   }
-  if (twist_frame != "auto" && twist_frame != "body" && twist_frame != "world") {
+  if (!TwistFrameStated(twist_frame)) {
     return Invalid(error, "twist_frame must be body, world or auto, not '" + twist_frame + "'");
   }
   if (!(reference_timeout_s > 0.0)) return Invalid(error, "reference_timeout_s must be positive");
@@ -164,9 +164,7 @@ void ControllerNode::OnOdometry(const nav_msgs::Odometry::ConstPtr& message) {
   }
   if (!Admit(input->sample.stamp, &odometry_clock_, &report_.odometry)) return;
   OdometrySample sample = input->sample;
-  sample.v_WS = FrameOf(*input) == TwistFrame::kWorld
-                    ? *input->linear
-                    : Eigen::Vector3d(sample.q_WS * *input->linear);
+  sample.v_WS = TwistInWorld(FrameOf(*input), sample.q_WS, *input->linear);
   controller_.Add(sample);
 }
 
@@ -174,13 +172,12 @@ TwistFrame ControllerNode::FrameOf(const OdometryInput& input) {
   const OdometrySample& sample = input.sample;
   twist_->AddSample(sample.stamp, sample.p_WS, sample.q_WS, *input.linear);
   const TwistFrame verdict = twist_->decision().frame;
-  const std::string& stated = setup_.options.twist_frame;
-  const TwistFrame used = stated == "world" ? TwistFrame::kWorld
-                          : stated == "body"
-                              ? TwistFrame::kBody
-                              : ResolveTwistFrame(verdict, input.frame_id, input.child_frame_id);
+  const std::string& setting = setup_.options.twist_frame;
+  const TwistFrame stated = *TwistFrameStated(setting);
+  const TwistFrame used = ResolveTwistFrame(stated != TwistFrame::kUndecided ? stated : verdict,
+                                            input.frame_id, input.child_frame_id);
   if (twist_->decided() && verdict != used && report_.twist_warning.empty()) {
-    report_.twist_warning = "the odometry's twist does not fit twist_frame " + stated + ": " +
+    report_.twist_warning = "the odometry's twist does not fit twist_frame " + setting + ": " +
                             twist_->decision().Describe();
     ROS_WARN("%s", report_.twist_warning.c_str());
   }

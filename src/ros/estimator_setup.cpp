@@ -14,6 +14,7 @@
 #include "odmc/model/plausibility.h"
 #include "odmc/ros/node_options.h"
 #include "odmc/ros/urdf_vehicle.h"
+#include "odmc/sensing/twist_frame.h"
 #include "odmc/text/refusal.h"
 
 namespace odmc {
@@ -65,7 +66,7 @@ void SettleActuator(const EstimatorNodeOptions& options, Vehicle* vehicle) {
 }  // namespace
 
 bool EstimatorNodeOptions::IsValid(std::string* error) const {
-  if (twist_frame != "auto" && twist_frame != "body" && twist_frame != "world") {
+  if (!TwistFrameStated(twist_frame)) {
     return Invalid(error, "twist_frame must be auto, body or world, not '" + twist_frame + "'");
   }
   if (rotor_speed_from != "sensor" && rotor_speed_from != "commands") {

@@ -198,8 +198,8 @@ bool SampleIntake::TwistIsKnown() {
   has_linear_ = has_nonzero_linear_;
   has_angular_ = has_nonzero_angular_;
   if (!has_linear_) return true;
-  if (twist_frame_ != "auto") {
-    frame_ = twist_frame_ == "world" ? TwistFrame::kWorld : TwistFrame::kBody;
+  if (stated_frame_ != TwistFrame::kUndecided) {
+    frame_ = stated_frame_;
     return true;
   }
   frame_ = detector_.decision().frame;
@@ -236,8 +236,8 @@ std::string SampleIntake::WaitingFor() const {
     return "rotor_speeds or joint_states";
   }
   if (rotors_.needs_voltage && !first_[kBattery]) return "battery_state";
-  if (first_[kOdometry] && saw_linear_ && has_nonzero_linear_ && twist_frame_ == "auto" &&
-      !detector_.decided()) {
+  if (first_[kOdometry] && saw_linear_ && has_nonzero_linear_ &&
+      stated_frame_ == TwistFrame::kUndecided && !detector_.decided()) {
     return "motion that tells the frame of the twist (or say so: twist_frame)";
   }
   return "the first second of samples and motion";
@@ -264,8 +264,7 @@ void SampleIntake::Pass(const InputSample& input) {
     if (odometry->is_pose != use_pose_) return;
     OdometrySample sample = odometry->sample;
     if (odometry->linear && has_linear_ && KnowsFrame()) {
-      sample.v_WS = frame_ == TwistFrame::kWorld ? *odometry->linear
-                                                 : Eigen::Vector3d(sample.q_WS * *odometry->linear);
+      sample.v_WS = TwistInWorld(frame_, sample.q_WS, *odometry->linear);
     }
     if (!has_angular_) sample.w_WS_S.reset();
     ready_.emplace_back(sample);

@@ -41,7 +41,7 @@ class SampleIntake {
  public:
   /// @param twist_frame auto | body | world
   explicit SampleIntake(const std::string& twist_frame, const RotorIntake& rotors = {})
-      : twist_frame_(twist_frame), rotors_(rotors) {}
+      : stated_frame_(TwistFrameStated(twist_frame).value()), rotors_(rotors) {}
 
   /// @returns false if the clock stepped back at this sample: what was held is gone, and the chain
   /// of
@@ -94,7 +94,7 @@ class SampleIntake {
   void Forget();
   void Pass(const InputSample& input);
 
-  const std::string twist_frame_;
+  const TwistFrame stated_frame_;
   const RotorIntake rotors_;
   IntakePhase phase_ = IntakePhase::kHolding;
   bool decided_ = false;
