@@ -348,7 +348,7 @@ bool JoinRanges(SpectralFit* fit, Index bins, Vector3d* change, Matrix3d* covari
 
 RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicle,
                                 const DynamicModel& model, const ModelValues& values,
-                                const std::vector<std::pair<Stamp, Stamp>>& ground_spans) {
+                                const StampSpans& ground_spans) {
   RecordedPoint point;
   for (const std::string& name : PointNames()) {
     if (IsEstimated(model, name)) continue;
@@ -394,7 +394,7 @@ RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicl
 
 RecordedPoint FindPointOfKnownMount(const FlightLog& log, const Vehicle& file_vehicle,
                                     const DynamicModel& model, const ModelValues& values,
-                                    const std::vector<std::pair<Stamp, Stamp>>& ground_spans) {
+                                    const StampSpans& ground_spans) {
   constexpr double kLongestAsked_s = 60.0;  // memory does not grow with the flight
   if (EstimatesPoint(model) || log.odometry.empty()) {
     return FindRecordedPoint(log, file_vehicle, model, values, ground_spans);
@@ -410,7 +410,7 @@ RecordedPoint FindPointOfKnownMount(const FlightLog& log, const Vehicle& file_ve
   for (int k = 0; k < model.num_parameters(); ++k) {
     all[with.IndexOf(model.parameters()[k].full_name)] = values[k];
   }
-  std::vector<std::pair<Stamp, Stamp>> left_out = ground_spans;
+  StampSpans left_out = ground_spans;
   const Stamp first = log.odometry.front().stamp;
   const Stamp from = log.odometry.back().stamp - FromSeconds(kLongestAsked_s);
   if (from > first) left_out.emplace_back(first, from);
