@@ -4,6 +4,7 @@
 #include <cmath>
 #include <functional>
 
+#include "odmc/inspection/sampled_signal.h"
 #include "odmc/math/savitzky_golay.h"
 #include "odmc/math/so3.h"
 #include "odmc/math/statistics.h"
@@ -184,7 +185,7 @@ bool IsWhole(const Channels& c, int i, int half, double longest_s, double step_s
   bool whole = c.t_s[i + half] - c.t_s[i - half] < longest_s;
   for (int k = i - half; whole && k <= i + half; ++k) whole = c.covered[k];
   for (int k = i - half; whole && k < i + half; ++k) {
-    whole = c.t_s[k + 1] - c.t_s[k] < std::max(3.5 * step_s, 0.02);
+    whole = c.t_s[k + 1] - c.t_s[k] < LongestStep(step_s);
   }
   return whole;
 }
