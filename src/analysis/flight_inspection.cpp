@@ -8,6 +8,7 @@
 #include "odmc/inspection/recording_inspection.h"
 #include "odmc/model/dynamic_model.h"
 #include "odmc/model/effect.h"
+#include "odmc/sensing/flight_checks.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -31,9 +32,7 @@ double OccurringQuantile(std::vector<double> values, double share) {
   return *at;
 }
 
-bool IsSame(const OdometrySample& a, const OdometrySample& b) {
-  return a.p_WS == b.p_WS && a.q_WS.coeffs() == b.q_WS.coeffs();
-}
+bool IsSame(const OdometrySample& a, const OdometrySample& b) { return IsSamePose(a, b); }
 bool IsSame(const ImuSample& a, const ImuSample& b) {
   return a.gyro_I == b.gyro_I && a.specific_force_I == b.specific_force_I;
 }

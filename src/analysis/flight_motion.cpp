@@ -4,6 +4,7 @@
 #include <cmath>
 #include <functional>
 
+#include "odmc/inspection/sampled_signal.h"
 #include "odmc/math/savitzky_golay.h"
 #include "odmc/math/so3.h"
 #include "odmc/math/statistics.h"
@@ -168,12 +169,6 @@ FilteredMotion MotionAt(const Collector& c, const LocalPolynomial& fit) {
   return motion;
 }
 
-bool OnGround(Stamp stamp, const std::vector<std::pair<Stamp, Stamp>>& spans) {
-  return std::any_of(spans.begin(), spans.end(), [stamp](const auto& span) {
-    return stamp >= span.first && stamp <= span.second;
-  });
-}
-
 double MedianStep(const FlightLog& log) {
   std::vector<double> steps;
   steps.reserve(log.odometry.size());
@@ -190,7 +185,7 @@ bool IsWhole(const Channels& c, int i, int half, double longest_s, double step_s
   bool whole = c.t_s[i + half] - c.t_s[i - half] < longest_s;
   for (int k = i - half; whole && k <= i + half; ++k) whole = c.covered[k];
   for (int k = i - half; whole && k < i + half; ++k) {
-    whole = c.t_s[k + 1] - c.t_s[k] < std::max(3.5 * step_s, 0.02);
+    whole = c.t_s[k + 1] - c.t_s[k] < LongestStep(step_s);
   }
   return whole;
 }
@@ -237,8 +232,7 @@ void LeaveOutWithout(std::optional<Reading> FilteredMotion::*sensor, FlightMotio
 
 }  // namespace
 
-MotionCounts FilterEach(const FlightLog& log, int num_rotors,
-                        const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
+MotionCounts FilterEach(const FlightLog& log, int num_rotors, const StampSpans& ground_spans,
                         const std::function<void(const FilteredMotion&)>& use) {
   constexpr int kPiece = 4096;
   MotionCounts counts;
@@ -255,7 +249,7 @@ MotionCounts FilterEach(const FlightLog& log, int num_rotors,
     const Channels piece = collector.Piece(begin - half, end + half);
     for (int i = begin; i < end; ++i) {
       const int k = i - begin + half;
-      if (OnGround(piece.stamps[k], ground_spans)) {
+      if (IsInside(piece.stamps[k], ground_spans)) {
         ++counts.left_out_ground;
         continue;
       }
@@ -272,8 +266,7 @@ MotionCounts FilterEach(const FlightLog& log, int num_rotors,
   return counts;
 }
 
-FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
-                          const std::vector<std::pair<Stamp, Stamp>>& ground_spans) {
+FlightMotion FilterFlight(const FlightLog& log, int num_rotors, const StampSpans& ground_spans) {
   FlightMotion flight;
   flight.samples.reserve(log.odometry.size());
   static_cast<MotionCounts&>(flight) =
@@ -308,13 +301,13 @@ std::optional<double> StandingHeight(const FlightLog& log, const std::vector<Pha
 }
 
 void AddGroundTouches(const FlightLog& log, const std::vector<PhaseSpan>& phases,
-                      const Vehicle& vehicle, std::vector<std::pair<Stamp, Stamp>>* left_out) {
+                      const Vehicle& vehicle, StampSpans* left_out) {
   const auto stood_z = StandingHeight(log, phases, vehicle.rotors.front().radius_m);
   if (!stood_z) return;
   const Eigen::Quaterniond q_SB = vehicle.odometry.q_BS.conjugate();
   const double reach = vehicle.ArmLength() + vehicle.odometry.p_BS.norm();
   const Stamp window = FromSeconds(kFilterWidth_s);
-  std::vector<std::pair<Stamp, Stamp>> touches;
+  StampSpans touches;
   double low_s = 0.0, flown_s = 0.0;
   auto next = log.odometry.begin();
   for (const PhaseSpan& span : phases) {

@@ -212,12 +212,6 @@ TorqueSpectra::Noise NoiseOf(const FlightLog& log, const DynamicModel& model,
   return noise;
 }
 
-bool IsInside(Stamp stamp, const StampSpans& spans) {
-  return std::any_of(spans.begin(), spans.end(), [stamp](const auto& span) {
-    return stamp >= span.first && stamp <= span.second;
-  });
-}
-
 /// Adds a stretch without holes, at even steps from the rate `first` on.
 /// @returns the rate at which it ends
 size_t AddStretch(const Streams& streams, size_t first, const StampSpans& ground_spans,

@@ -2,16 +2,14 @@
 
 #include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "odmc/analysis/torque_spectra.h"
 #include "odmc/model/dynamic_model.h"
+#include "odmc/phases/flight_phase.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
-
-using StampSpans = std::vector<std::pair<Stamp, Stamp>>;
 
 /// Torque of the rotors' thrust and angular acceleration over a recorded flight.
 struct FlightSpectra {

@@ -180,8 +180,8 @@ PredictionFigures SummarisePrediction(const std::vector<PredictionSample>& sampl
 
 PredictionFigures PredictEach(const FlightLog& log, const Vehicle& file_vehicle,
                               const DynamicModel& model, const ModelValues& values,
-                              const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
-                              const ValueVariation& vary, const PredictionSink& use) {
+                              const StampSpans& ground_spans, const ValueVariation& vary,
+                              const PredictionSink& use) {
   PredictionSummary summary;
   LoadForceEvaluator load(model);
   const auto predict = [&](const FilteredMotion& motion) {
@@ -201,8 +201,7 @@ PredictionFigures PredictEach(const FlightLog& log, const Vehicle& file_vehicle,
 }
 
 Prediction Predict(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
-                   const ModelValues& values,
-                   const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
+                   const ModelValues& values, const StampSpans& ground_spans,
                    const ValueVariation& vary) {
   Prediction prediction;
   prediction.figures =

@@ -7,6 +7,7 @@
 #include <unsupported/Eigen/FFT>
 
 #include "odmc/analysis/prediction.h"
+#include "odmc/math/line.h"
 #include "odmc/math/statistics.h"
 #include "odmc/text/format.h"
 
@@ -197,20 +198,10 @@ class SpectralFit {
  private:
   Eigen::VectorXcd SpectrumOf(const Rows* rows, Index axis, Index column) {
     std::vector<double> values(static_cast<size_t>(length_));
-    const double middle = 0.5 * static_cast<double>(length_ - 1);
-    double mean = 0.0, slope = 0.0, square = 0.0;
-    for (Index i = 0; i < length_; ++i) {
-      const double along = static_cast<double>(i) - middle;
-      const double value = rows[i](axis, column);
-      values[static_cast<size_t>(i)] = value;
-      mean += value / static_cast<double>(length_);
-      slope += along * value;
-      square += along * along;
-    }
-    for (Index i = 0; i < length_; ++i) {
-      double& value = values[static_cast<size_t>(i)];
-      const double line = mean + slope / square * (static_cast<double>(i) - middle);
-      value = window_[static_cast<size_t>(i)] * (value - line);
+    for (Index i = 0; i < length_; ++i) values[static_cast<size_t>(i)] = rows[i](axis, column);
+    const StraightLine line = LineThrough(values.data(), values.size());
+    for (size_t i = 0; i < values.size(); ++i) {
+      values[i] = window_[i] * (values[i] - line.At(static_cast<double>(i)));
     }
     std::vector<std::complex<double>> spectrum;
     fft_.fwd(spectrum, values);
@@ -357,7 +348,7 @@ bool JoinRanges(SpectralFit* fit, Index bins, Vector3d* change, Matrix3d* covari
 
 RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicle,
                                 const DynamicModel& model, const ModelValues& values,
-                                const std::vector<std::pair<Stamp, Stamp>>& ground_spans) {
+                                const StampSpans& ground_spans) {
   RecordedPoint point;
   for (const std::string& name : PointNames()) {
     if (IsEstimated(model, name)) continue;
@@ -403,7 +394,7 @@ RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicl
 
 RecordedPoint FindPointOfKnownMount(const FlightLog& log, const Vehicle& file_vehicle,
                                     const DynamicModel& model, const ModelValues& values,
-                                    const std::vector<std::pair<Stamp, Stamp>>& ground_spans) {
+                                    const StampSpans& ground_spans) {
   constexpr double kLongestAsked_s = 60.0;  // memory does not grow with the flight
   if (EstimatesPoint(model) || log.odometry.empty()) {
     return FindRecordedPoint(log, file_vehicle, model, values, ground_spans);
@@ -419,7 +410,7 @@ RecordedPoint FindPointOfKnownMount(const FlightLog& log, const Vehicle& file_ve
   for (int k = 0; k < model.num_parameters(); ++k) {
     all[with.IndexOf(model.parameters()[k].full_name)] = values[k];
   }
-  std::vector<std::pair<Stamp, Stamp>> left_out = ground_spans;
+  StampSpans left_out = ground_spans;
   const Stamp first = log.odometry.front().stamp;
   const Stamp from = log.odometry.back().stamp - FromSeconds(kLongestAsked_s);
   if (from > first) left_out.emplace_back(first, from);

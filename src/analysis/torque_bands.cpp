@@ -77,7 +77,7 @@ std::optional<ReactionCheck> CheckReaction(const DynamicModel& model, const Mode
 
 TorqueBands FindTorqueBands(const FlightLog& log, const DynamicModel& model,
                             const ModelValues& values, double k_f_sigma,
-                            const std::vector<std::pair<Stamp, Stamp>>& ground_spans) {
+                            const StampSpans& ground_spans) {
   TorqueBands bands;
   std::string why;
   const auto flight = SpectraOfFlight(log, model, values, ground_spans, &why);

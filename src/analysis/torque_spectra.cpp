@@ -4,6 +4,8 @@
 #include <cmath>
 #include <unsupported/Eigen/FFT>
 
+#include "odmc/math/line.h"
+
 namespace odmc {
 namespace {
 
@@ -15,18 +17,10 @@ constexpr size_t kMostBlocks = 128;  // even
 
 /// The line through a channel leaks into all frequencies: out with it.
 void TakeOffLine(std::vector<double>* channel) {
-  std::vector<double>& x = *channel;
-  const int length = static_cast<int>(x.size());
-  const double middle = 0.5 * (length - 1);
-  double mean = 0.0, slope = 0.0, square = 0.0;
-  for (int i = 0; i < length; ++i) {
-    mean += x[static_cast<size_t>(i)] / length;
-    slope += (i - middle) * x[static_cast<size_t>(i)];
-    square += (i - middle) * (i - middle);
-  }
-  for (int i = 0; i < length; ++i) {
-    double& value = x[static_cast<size_t>(i)];
-    value = value - mean - slope / square * (i - middle);
+  const StraightLine line = LineThrough(channel->data(), channel->size());
+  for (size_t i = 0; i < channel->size(); ++i) {
+    double& value = (*channel)[i];
+    value = value - line.mean - line.slope * (static_cast<double>(i) - line.middle);
   }
 }
 

@@ -42,7 +42,7 @@ std::vector<Looked> LookAt(const FleetCalibration& fleet, const FlightSource& so
     BlockSplit all_in_use;
     all_in_use.hold_out_every = 0;
     Looked& look = looked[static_cast<size_t>(k)];
-    std::vector<std::pair<Stamp, Stamp>> left_out = flight.not_flown;
+    StampSpans left_out = flight.not_flown;
     AddGroundTouches(log, flight.phases, file_vehicle, &left_out);
     FlightMotion motion = FilterFlight(log, file_vehicle.num_rotors(), left_out);
     motion.stood_z_m = StandingHeight(log, flight.phases, file_vehicle.rotors.front().radius_m);

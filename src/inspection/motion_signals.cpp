@@ -6,6 +6,7 @@
 
 #include "odmc/math/so3.h"
 #include "odmc/math/statistics.h"
+#include "odmc/sensing/flight_checks.h"
 
 namespace odmc {
 namespace {
@@ -74,10 +75,9 @@ PoseSignals GatherPoses(const FlightLog& log, const Excerpt& excerpt) {
   const OdometrySample* last = nullptr;
   Eigen::Vector4d q(0.0, 0.0, 0.0, 1.0);
   for (const OdometrySample& s : log.odometry) {
-    const double t_s = ToSeconds(s.stamp - log.odometry.front().stamp);
+    const double t_s = FlightSeconds(s.stamp, log);
     if (!excerpt.Has(t_s)) continue;
-    const bool repeated =
-        last != nullptr && s.p_WS == last->p_WS && s.q_WS.coeffs() == last->q_WS.coeffs();
+    const bool repeated = last != nullptr && IsSamePose(s, *last);
     last = &s;
     if (repeated) continue;
     q = Nearer(s.q_WS.coeffs(), q);
@@ -95,22 +95,25 @@ Quaterniond MotionSignals::q_WS(double t_s) const {
   return Quaterniond(Eigen::Vector4d(attitude.At(t_s).normalized()));
 }
 
+double FlightSeconds(Stamp stamp, const FlightLog& log) {
+  return ToSeconds(stamp - log.odometry.front().stamp);
+}
+
 std::optional<MotionSignals> SignalsOf(const FlightLog& log) {
   if (log.odometry.size() < 5) return std::nullopt;
-  const Stamp zero = log.odometry.front().stamp;
-  const Excerpt excerpt(ToSeconds(log.odometry.back().stamp - zero));
+  const Excerpt excerpt(FlightSeconds(log.odometry.back().stamp, log));
   PoseSignals poses = GatherPoses(log, excerpt);
   if (!poses.position) return std::nullopt;
   Gatherer gyro(3), accelerometer(3);
   for (const ImuSample& s : log.imu) {
-    const double t_s = ToSeconds(s.stamp - zero);
+    const double t_s = FlightSeconds(s.stamp, log);
     if (!excerpt.Has(t_s)) continue;
     if (s.gyro_I) gyro.Add(t_s, *s.gyro_I);
     if (s.specific_force_I) accelerometer.Add(t_s, *s.specific_force_I);
   }
   Gatherer rotors(log.rotors.empty() ? 0 : static_cast<int>(log.rotors.front().speed.size()));
   for (const RotorSample& s : log.rotors) {
-    const double t_s = ToSeconds(s.stamp - zero);
+    const double t_s = FlightSeconds(s.stamp, log);
     if (excerpt.Has(t_s)) rotors.Add(t_s, s.speed.cwiseAbs2().eval());
   }
   return MotionSignals{*poses.position, *poses.attitude,        poses.velocity, poses.rates,
@@ -163,6 +166,11 @@ std::vector<bool> FindFlight(const MotionSignals& s) {
   const double least = kLeastThrust * Quantile(flown, 0.9);
   for (int i = 0; i < n; ++i) moves[i] = moves[i] && (!s.rotors || thrust[i] > least);
   return moves;
+}
+
+bool IsInFlight(const std::vector<bool>& flight, double t_s) {
+  const auto i = static_cast<size_t>(std::max(0.0, t_s / kFlightStep_s));
+  return i < flight.size() && flight[i];
 }
 
 }  // namespace odmc

@@ -1,6 +1,5 @@
 #include "motion_windows.h"
 
-#include <algorithm>
 #include <cmath>
 
 namespace odmc {
@@ -19,16 +18,11 @@ std::vector<const SampledSignal*> Streams(const MotionSignals& s) {
   return all;
 }
 
-bool InFlight(const std::vector<bool>& flight, double t_s) {
-  const auto i = static_cast<size_t>(std::max(0.0, t_s / kFlightStep_s));
-  return i < flight.size() && flight[i];
-}
-
 std::vector<double> Middles(const MotionSignals& s, const std::vector<bool>& flight) {
   std::vector<double> middles;
   const std::vector<const SampledSignal*> streams = Streams(s);
   for (double t = 1.5 * kWindow_s; t + 1.5 * kWindow_s < s.position.last_s(); t += kWindow_s) {
-    bool covered = InFlight(flight, t);
+    bool covered = IsInFlight(flight, t);
     for (const SampledSignal* stream : streams) {
       covered = covered && stream->Covers(t - 1.5 * kWindow_s, t + 1.5 * kWindow_s);
     }

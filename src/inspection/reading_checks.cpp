@@ -8,15 +8,13 @@
 #include <string>
 #include <utility>
 
+#include "odmc/inspection/motion_signals.h"
 #include "odmc/math/statistics.h"
+#include "odmc/sensing/flight_checks.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
-
-double Since(Stamp stamp, const FlightLog& log) {
-  return ToSeconds(stamp - log.odometry.front().stamp);
-}
 
 // ---- Clocks
 // --------------------------------------------------------------------------------------
@@ -24,9 +22,9 @@ double Since(Stamp stamp, const FlightLog& log) {
 /// Streams that have no time in common were stamped by different clocks.
 std::optional<Finding> CheckClocks(const FlightLog& log) {
   if (log.odometry.empty() || log.rotors.empty()) return std::nullopt;
-  const double from_s = Since(log.rotors.front().stamp, log);
-  const double to_s = Since(log.rotors.back().stamp, log);
-  const double end_s = Since(log.odometry.back().stamp, log);
+  const double from_s = FlightSeconds(log.rotors.front().stamp, log);
+  const double to_s = FlightSeconds(log.rotors.back().stamp, log);
+  const double end_s = FlightSeconds(log.odometry.back().stamp, log);
   if (to_s > 0.0 && from_s < end_s) return std::nullopt;
   return Finding{"clocks", Trust::kBad,
                  "rotor speeds and poses have no time in common: poses last " +
@@ -62,7 +60,7 @@ Holes HolesOf(const std::vector<Sample>& samples, const FlightLog& log) {
     holes.missing_s += steps_s[i];
     if (steps_s[i] <= holes.longest_s) continue;
     holes.longest_s = steps_s[i];
-    holes.at_s = Since(samples[i].stamp, log);
+    holes.at_s = FlightSeconds(samples[i].stamp, log);
   }
   return holes;
 }
@@ -124,7 +122,7 @@ std::optional<Finding> CheckJumps(const FlightLog& log) {
       const double a_step_m = (b->p_WS - a->p_WS).norm() * std::max(1.0, step_s / before_s);
       off_m.push_back((poses[i].p_WS - on).norm() - 0.5 * kMostAcceleration_m_s2 * span_s -
                       std::min(a_step_m, kFastest_m_s * step_s));
-      times_s.push_back(Since(poses[i].stamp, log));
+      times_s.push_back(FlightSeconds(poses[i].stamp, log));
     }
     a = b;
     b = &poses[i];
@@ -149,10 +147,6 @@ std::optional<Finding> CheckJumps(const FlightLog& log) {
                      Format("%.4g", first_s) + " s), which no vehicle can",
                  "markers exchanged, or a filter that was corrected: look at the pose's source",
                  std::make_pair(first_s, first_s)};
-}
-
-bool IsSamePose(const OdometrySample& a, const OdometrySample& b) {
-  return a.p_WS == b.p_WS && a.q_WS.coeffs() == b.q_WS.coeffs();
 }
 
 /// Mean sum of squared speeds of a span; 0 without readings.
@@ -181,7 +175,7 @@ std::optional<Finding> CheckFrozen(const FlightLog& log) {
     first = i;
     const double long_s = ToSeconds(to - from);
     if (long_s <= kFrozen_s || !(SquaresIn(from, to, log) > kCarried * usual)) continue;
-    const double zero_s = Since(from, log);
+    const double zero_s = FlightSeconds(from, log);
     return Finding{
         "frozen_pose", Trust::kGood,
         "the pose stays to the last digit for " + Format("%.3g", long_s) + " s in flight",

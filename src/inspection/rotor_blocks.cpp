@@ -48,10 +48,6 @@ struct Stretch {
   int channels = 0;
 };
 
-double Since(Stamp stamp, const FlightLog& log) {
-  return ToSeconds(stamp - log.odometry.front().stamp);
-}
-
 void Write(const Eigen::Vector3d& v, double* out) { Eigen::Map<Eigen::Vector3d>{out} = v; }
 
 Series GyroSeries(const FlightLog& log, const Vehicle& vehicle) {
@@ -59,7 +55,7 @@ Series GyroSeries(const FlightLog& log, const Vehicle& vehicle) {
       vehicle.imu ? vehicle.imu->q_BS.toRotationMatrix() : Eigen::Matrix3d::Identity();
   return {log.imu.size(), 3, [&log, R_BI](size_t i, double* t_s, double* out) {
             if (!log.imu[i].gyro_I) return false;
-            *t_s = Since(log.imu[i].stamp, log);
+            *t_s = FlightSeconds(log.imu[i].stamp, log);
             Write(R_BI * *log.imu[i].gyro_I, out);
             return true;
           }};
@@ -69,7 +65,7 @@ Series TwistSeries(const FlightLog& log, const Vehicle& vehicle) {
   const Eigen::Matrix3d R_BS = vehicle.odometry.q_BS.toRotationMatrix();
   return {log.odometry.size(), 3, [&log, R_BS](size_t i, double* t_s, double* out) {
             if (!log.odometry[i].w_WS_S) return false;
-            *t_s = Since(log.odometry[i].stamp, log);
+            *t_s = FlightSeconds(log.odometry[i].stamp, log);
             Write(R_BS * *log.odometry[i].w_WS_S, out);
             return true;
           }};
@@ -81,7 +77,7 @@ Series AttitudeSeries(const FlightLog& log, const Vehicle& vehicle) {
   return {log.odometry.size() - 1, 3, [&log, R_BS](size_t i, double* t_s, double* out) {
             const OdometrySample &a = log.odometry[i], &b = log.odometry[i + 1];
             const double step_s = ToSeconds(b.stamp - a.stamp);
-            *t_s = 0.5 * (Since(a.stamp, log) + Since(b.stamp, log));
+            *t_s = 0.5 * (FlightSeconds(a.stamp, log) + FlightSeconds(b.stamp, log));
             Write(R_BS * Log(a.q_WS.conjugate() * b.q_WS) / step_s, out);
             return step_s > 0.0 && a.q_WS.coeffs() != b.q_WS.coeffs();
           }};
@@ -102,7 +98,7 @@ Series SpeedSeries(const FlightLog& log, int n) {
   return {log.rotors.size(), 2 * n, [&log, n](size_t i, double* t_s, double* out) {
             const RotorVector& speed = log.rotors[i].speed;
             if (speed.size() != n || !speed.allFinite()) return false;
-            *t_s = Since(log.rotors[i].stamp, log);
+            *t_s = FlightSeconds(log.rotors[i].stamp, log);
             Eigen::Map<VectorXd>(out, n) = speed.array().square();
             Eigen::Map<VectorXd>(out + n, n) = speed;
             return true;
@@ -322,9 +318,9 @@ RotorBlocks CutRotorBlocks(const FlightLog& log, const Vehicle& vehicle) {
   const Transform transform(last_bin);
   result.omega = transform.omega;
   const double length_s = kGrid / kGrid_hz, hop_s = 0.5 * length_s;
-  const double begin_s = std::max(0.0, Since(log.rotors.front().stamp, log));
-  const double end_s =
-      std::min(Since(log.odometry.back().stamp, log), Since(log.rotors.back().stamp, log));
+  const double begin_s = std::max(0.0, FlightSeconds(log.rotors.front().stamp, log));
+  const double end_s = std::min(FlightSeconds(log.odometry.back().stamp, log),
+                                FlightSeconds(log.rotors.back().stamp, log));
   const double stride_s = hop_s * std::max(1.0, std::ceil((end_s - begin_s) / hop_s / kMostBlocks));
   // A minute on the ground must not outvote ten seconds of flight.
   const std::optional<MotionSignals> signals = SignalsOf(log);
@@ -334,8 +330,7 @@ RotorBlocks CutRotorBlocks(const FlightLog& log, const Vehicle& vehicle) {
   Stretch rate_stretch, speed_stretch;
   for (double start_s = begin_s; start_s + length_s <= end_s; start_s += stride_s) {
     const bool whole = Take(rates, start_s, start_s + length_s, &rate, &rate_stretch);
-    const auto middle = static_cast<size_t>((start_s + 0.5 * length_s) / kFlightStep_s);
-    if (middle >= flight.size() || !flight[middle]) continue;
+    if (!IsInFlight(flight, start_s + 0.5 * length_s)) continue;
     if (!Take(speeds, start_s, start_s + length_s, &speed, &speed_stretch) || !whole) continue;
     result.blocks.push_back(BlockOf(rate_stretch, speed_stretch, start_s, transform));
   }

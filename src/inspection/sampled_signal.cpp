@@ -6,11 +6,8 @@
 #include "odmc/math/statistics.h"
 
 namespace odmc {
-namespace {
 
-constexpr double kGapSteps = 3.5, kLeastGap_s = 0.02;  // as in analysis/flight_motion.cpp
-
-}  // namespace
+double LongestStep(double usual_s) { return std::max(3.5 * usual_s, 0.02); }
 
 SampledSignal::SampledSignal(std::vector<double> times_s, Eigen::MatrixXd values)
     : times_s_(std::move(times_s)), values_(std::move(values)) {
@@ -20,7 +17,7 @@ SampledSignal::SampledSignal(std::vector<double> times_s, Eigen::MatrixXd values
   std::vector<double> steps;
   for (int i = 1; i < n; ++i) steps.push_back(times_s_[i] - times_s_[i - 1]);
   step_s_ = Median(steps);
-  const double longest_s = std::max(kGapSteps * step_s_, kLeastGap_s);
+  const double longest_s = LongestStep(step_s_);
   for (int i = 1; i < n; ++i) {
     const double step = times_s_[i] - times_s_[i - 1];
     integral_.col(i) = integral_.col(i - 1) + 0.5 * step * (values_.col(i - 1) + values_.col(i));

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <string>
 
+#include "odmc/math/line.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -43,17 +44,8 @@ void EvenOut(size_t begin, size_t end, size_t half, const std::vector<double>& t
              std::vector<double>* even) {
   for (size_t i = begin; i < end; ++i) {
     const size_t from = std::max(begin + half, i) - half, to = std::min(end, i + half + 1);
-    const auto n = static_cast<double>(to - from);
-    const double middle = 0.5 * static_cast<double>(from + to - 1);
-    double mean = 0.0, slope = 0.0, spread = 0.0;
-    for (size_t k = from; k < to; ++k) {
-      const double x = static_cast<double>(k) - middle;
-      mean += t_s[k] / n;
-      slope += x * t_s[k];
-      spread += x * x;
-    }
-    const double x = static_cast<double>(i) - middle;
-    (*even)[i] = spread > 0.0 ? mean + slope / spread * x : t_s[i];
+    const StraightLine line = LineThrough(t_s.data() + from, to - from);
+    (*even)[i] = line.At(static_cast<double>(i - from));
   }
 }
 

@@ -3,12 +3,9 @@
 #include <algorithm>
 #include <stdexcept>
 
+#include "odmc/sensing/topic_clock.h"
+
 namespace odmc {
-namespace {
-
-constexpr double kStepBack_s = 0.5;  // less is a late sample, and refused
-
-}  // namespace
 
 StreamWatch::StreamWatch(const Vehicle& vehicle, const Options& options)
     : vehicle_(vehicle), options_(options) {
@@ -20,7 +17,7 @@ StreamWatch::StreamWatch(const Vehicle& vehicle, const Options& options)
 template <typename Sample>
 void StreamWatch::Push(const Sample& sample, std::deque<Sample>* stream) {
   if (!stream->empty() && sample.stamp <= stream->back().stamp) {
-    if (ToSeconds(stream->back().stamp - sample.stamp) <= kStepBack_s) return;
+    if (!IsStepBack(stream->back().stamp, sample.stamp)) return;  // late: refused
     Clear();
   }
   stream->push_back(sample);

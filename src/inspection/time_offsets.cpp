@@ -56,11 +56,6 @@ LagProblem SlowGrid(const SampledSignal& still, const SampledSignal& moving, int
   return p;
 }
 
-bool Flies(const std::vector<bool>& flight, double t_s) {
-  const auto i = static_cast<size_t>(std::max(0.0, t_s / kFlightStep_s));
-  return i < flight.size() && flight[i];
-}
-
 /// Calls `fill(i, from_s, to_s)`, which says if the step can be used, for every step in flight that
 /// all of `streams` cover.
 template <typename Fill>
@@ -70,7 +65,7 @@ void ForSteps(const std::vector<const SampledSignal*>& streams, const std::vecto
     const double t = p->first_s + i * p->step_s;
     const double span_s = p->memory_s > 0.0 ? p->step_s : p->width_s;
     const double from = t - 0.5 * span_s, to = t + 0.5 * span_s;
-    if (!Flies(flight, t)) continue;
+    if (!IsInFlight(flight, t)) continue;
     if (!std::all_of(streams.begin(), streams.end(),
                      [&](const SampledSignal* s) { return s->Covers(from, to); })) {
       continue;

@@ -580,8 +580,8 @@ Decoder::Outcome Decoder::ReadFrame() {
 }
 
 void Decoder::NoteDamage(size_t at) {
-  if (has_history_ || frames_.damaged == 0) {
-    if (frames_.damaged++ == 0) frames_.first_damaged = at;
+  if (has_history_ || frames_.damage.places == 0) {
+    if (frames_.damage.places++ == 0) frames_.damage.first = at;
   }
   has_history_ = false;
 }
@@ -593,15 +593,15 @@ BlackboxFrames Decoder::Run() {
     if (outcome == Outcome::kEnd) return std::move(frames_);
     if (outcome == Outcome::kGood) continue;
     if (in_.ended() && has_history_ && IsFrameType(log_[start])) {
-      frames_.is_cut_off = true;
+      frames_.damage.is_cut_off = true;
       return std::move(frames_);
     }
     NoteDamage(start);
     in_.MoveTo(start + 1);
     while (in_.left() > 0 && log_[in_.position()] != 'I') in_.Byte();
-    frames_.skipped_bytes += in_.position() - start;
+    frames_.damage.skipped += in_.position() - start;
   }
-  frames_.is_cut_off = true;
+  frames_.damage.is_cut_off = true;
   return std::move(frames_);
 }
 

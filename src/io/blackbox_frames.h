@@ -7,6 +7,7 @@
 #include <string_view>
 #include <vector>
 
+#include "decoding_damage.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
@@ -57,10 +58,7 @@ class BlackboxHeader {
 struct BlackboxFrames {
   std::vector<Stamp> stamps;                          ///< since the flight controller's start [ns]
   std::map<std::string, std::vector<double>> values;  ///< by field, one per stamp
-  long damaged = 0;                                   ///< places where decoding had to start anew
-  size_t first_damaged = 0;                           ///< byte of the first one, in the log
-  size_t skipped_bytes = 0;
-  bool is_cut_off = false;  ///< ends within a frame
+  DecodingDamage damage;                              ///< bytes count from the log's first
 };
 
 /// Decodes the frames after the header. A damaged place costs the frames up to the next full one.

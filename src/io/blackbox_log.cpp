@@ -99,7 +99,7 @@ Decoded DecodeLongest(const std::string& file, std::string_view bytes, int num_r
       BlackboxFrames frames = DecodeBlackbox(header, part, WantedFields(num_rotors));
       if (longest && longest->frames.stamps.size() >= frames.stamps.size()) continue;
       longest = Decoded{std::move(header), std::move(frames)};
-      longest->frames.first_damaged += starts[i];
+      longest->frames.damage.first += starts[i];
       number = i + 1;
     } catch (const std::invalid_argument& e) {
       if (error.empty()) error = e.what();
@@ -115,14 +115,13 @@ Decoded DecodeLongest(const std::string& file, std::string_view bytes, int num_r
 
 void Report(const std::string& file, const BlackboxFrames& frames, size_t bytes, FlightLog* log) {
   if (frames.stamps.size() < 2) {
-    RefuseFile(file, "blackbox log: no frame can be decoded after the header" +
-                         (frames.damaged > 0 ? " (damaged from byte " +
-                                                   std::to_string(frames.first_damaged) + " on)"
-                                             : std::string()));
+    RefuseFile(file,
+               "blackbox log: no frame can be decoded after the header" +
+                   (frames.damage.places > 0
+                        ? " (damaged from byte " + std::to_string(frames.damage.first) + " on)"
+                        : std::string()));
   }
-  ReportDamage(file,
-               {frames.damaged, frames.first_damaged, frames.skipped_bytes, frames.is_cut_off},
-               bytes, log);
+  ReportDamage(file, frames.damage, bytes, log);
 }
 
 void ReadPoses(const std::string& file, const Decoded& decoded, FlightPart part, FlightLog* log) {

@@ -259,12 +259,11 @@ DataflashContent Decoder::Run() {
     while (next != std::string_view::npos && LengthAt(next) == 0)
       next = bytes_.find(kMark, next + 1);
     if (next == std::string_view::npos) {
-      content_.is_cut_off = true;
+      content_.damage.is_cut_off = true;
       next = bytes_.size();
       if (next - at <= 256) break;  // the message it was cut off in
     }
-    if (content_.damaged++ == 0) content_.first_damaged = at;
-    content_.skipped_bytes += next - at;
+    content_.damage.Note(at, next);
     at = next;
   }
   // A column that a second definition brought may be shorter or longer.

@@ -6,6 +6,7 @@
 #include <string_view>
 #include <utility>
 
+#include "decoding_damage.h"
 #include "message_columns.h"
 
 namespace odmc {
@@ -16,10 +17,7 @@ struct DataflashContent {
   std::map<std::pair<std::string, int>, MessageColumns> messages;  ///< by name and instance
   std::map<std::string, double> parameters;
   std::set<std::string> names;  ///< of all messages the log defines
-  long damaged = 0;             ///< places where decoding had to start anew
-  size_t first_damaged = 0;     ///< byte of the first one
-  size_t skipped_bytes = 0;
-  bool is_cut_off = false;  ///< ends within a message
+  DecodingDamage damage;
 
   /// The message's first instance that the log has; null for none.
   const MessageColumns* First(const std::string& name) const;

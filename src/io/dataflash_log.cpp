@@ -196,9 +196,7 @@ FlightLog ReadDataflash(const std::string& file, const FlightReadOptions& option
   log.file = Printable(std::filesystem::path(file).filename().string());
   const DataflashContent content = DecodeDataflash(
       bytes, {"XKF1", "NKF1", "POS", "XKQ", "NKQ", "ATT", "AHR2", "IMU", "ESC", "RCOU", "BAT"});
-  ReportDamage(file,
-               {content.damaged, content.first_damaged, content.skipped_bytes, content.is_cut_off},
-               bytes.size(), &log);
+  ReportDamage(file, content.damage, bytes.size(), &log);
   ReadPoses(file, content, options.part, &log);
   if (options.part != FlightPart::kPoses) {
     ReadImu(content, &log);

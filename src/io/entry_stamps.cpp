@@ -4,13 +4,13 @@
 #include <utility>
 
 #include "odmc/math/statistics.h"
+#include "odmc/sensing/topic_clock.h"
 
 namespace odmc {
 namespace {
 
 constexpr size_t kKept = 16;             // readings of an entry, for its usual interval
 constexpr Stamp kMostIntervals = 4;      // of silence
-constexpr double kStepBack_s = 0.5;      // a clock that starts again; less is out of order
 constexpr double kAnotherClock_s = 1.0;  // no link is so slow for long: the messages' clock was set
 constexpr int kMostFarOff = 100;         // messages that are
 constexpr double kDrift = 1e-4;          // of one clock against the other, at most
@@ -36,7 +36,7 @@ std::optional<ForeignReading> EntryAligner::Add(const std::vector<double>& value
     Readings* readings = &entries_[i];
     const bool is_first = readings->empty();
     if (stamps[i] == 0) continue;
-    if (!is_first && ToSeconds(readings->back().stamp - stamps[i]) > kStepBack_s) {
+    if (!is_first && IsStepBack(readings->back().stamp, stamps[i])) {
       for (Readings& all : entries_) all.clear();
       last_ = 0;
     } else if (!is_first && stamps[i] <= readings->back().stamp) {
@@ -78,7 +78,7 @@ Stamp OwnClock::Follow(Stamp own, Stamp message) {
   const Stamp offset = message - own;
   const bool is_off = offset_ && ToSeconds(offset - *offset_) > kAnotherClock_s;
   far_off_ = is_off ? far_off_ + 1 : 0;
-  const bool has_restarted = offset_ && ToSeconds(last_own_ - own) > kStepBack_s;
+  const bool has_restarted = offset_ && IsStepBack(last_own_, own);
   if (!offset_ || has_restarted || far_off_ > kMostFarOff) {
     offset_ = offset;
     far_off_ = 0;

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "decoding_damage.h"
 #include "odmc/io/flight_read_options.h"
 #include "odmc/sensing/samples.h"
 
@@ -60,14 +61,6 @@ void JoinAttitudes(const std::vector<AttitudeReading>& readings,
 /// Adds what an IMU in FRD read; the part that is not finite is left out.
 void AddImuReading(Stamp stamp, const Eigen::Vector3d& gyro, const Eigen::Vector3d& acc,
                    FlightLog* log);
-
-/// How well a log's bytes could be decoded.
-struct DecodingDamage {
-  long places = 0;     ///< where decoding had to start anew
-  size_t first = 0;    ///< byte of the first one
-  size_t skipped = 0;  ///< bytes
-  bool is_cut_off = false;
-};
 
 /// Tells the user in the log's warnings.
 /// @throws std::invalid_argument where most of the `bytes` could not be decoded

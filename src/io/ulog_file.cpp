@@ -176,7 +176,6 @@ class Decoder {
   void ReadData(std::string_view body);
   /// True if a message may start there, and the `more` after it.
   bool IsPlausible(size_t at, size_t end, int more) const;
-  void NoteDamage(size_t from, size_t to);
 
   std::string file_;
   std::string_view bytes_;
@@ -196,11 +195,6 @@ bool Decoder::IsPlausible(size_t at, size_t end, int more) const {
   return next <= end && (more == 0 || IsPlausible(next, end, more - 1));
 }
 
-void Decoder::NoteDamage(size_t from, size_t to) {
-  if (content_.damaged++ == 0) content_.first_damaged = from;
-  content_.skipped_bytes += to - from;
-}
-
 void Decoder::ReadPart(size_t begin, size_t end) {
   constexpr int kMessagesThatTell = 3;
   for (size_t at = begin; at < end;) {
@@ -213,11 +207,11 @@ void Decoder::ReadPart(size_t begin, size_t end) {
     size_t next = at + 1;
     while (next < end && !IsPlausible(next, end, kMessagesThatTell)) ++next;
     if (next == end) {
-      content_.is_cut_off = true;
-      if (end - at > size_t{1} << 16) NoteDamage(at, next);
+      content_.damage.is_cut_off = true;
+      if (end - at > size_t{1} << 16) content_.damage.Note(at, next);
       return;
     }
-    NoteDamage(at, next);
+    content_.damage.Note(at, next);
     at = next;
   }
 }

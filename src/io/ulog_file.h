@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "decoding_damage.h"
 #include "message_columns.h"
 
 namespace odmc {
@@ -19,11 +20,8 @@ struct ULogContent {
   std::map<std::pair<std::string, int>, MessageColumns> topics;  ///< by name and instance
   std::map<std::string, double> parameters;
   std::set<std::string> topic_names;  ///< all that the log has
-  long damaged = 0;                   ///< places where decoding had to start anew
-  size_t first_damaged = 0;           ///< byte of the first one
-  size_t skipped_bytes = 0;
-  bool is_cut_off = false;  ///< ends within a message
-  double lost_s = 0.0;      ///< that the logger says it could not write [s]
+  DecodingDamage damage;
+  double lost_s = 0.0;  ///< that the logger says it could not write [s]
 
   /// Null where the log has no message of it.
   const MessageColumns* Find(const std::string& topic, int instance = 0) const;

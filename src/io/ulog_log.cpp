@@ -314,9 +314,7 @@ void ReadBattery(const ULogContent& log_file, FlightLog* log) {
 }
 
 void Report(const std::string& file, const ULogContent& log_file, size_t bytes, FlightLog* log) {
-  ReportDamage(
-      file, {log_file.damaged, log_file.first_damaged, log_file.skipped_bytes, log_file.is_cut_off},
-      bytes, log);
+  ReportDamage(file, log_file.damage, bytes, log);
   if (log_file.topic_names.empty()) RefuseFile(file, "ULog: holds no topic: cut off or damaged");
   if (log_file.lost_s > 0.0) {
     log->warnings.push_back(log->file +

@@ -1,5 +1,7 @@
 #include "odmc/phases/flight_phase.h"
 
+#include <algorithm>
+
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -38,8 +40,14 @@ std::string PhaseSpan::Describe(Stamp zero) const {
                 missing_force);
 }
 
-std::vector<std::pair<Stamp, Stamp>> NotInFlight(const std::vector<PhaseSpan>& phases) {
-  std::vector<std::pair<Stamp, Stamp>> spans;
+bool IsInside(Stamp stamp, const StampSpans& spans) {
+  return std::any_of(spans.begin(), spans.end(), [stamp](const auto& span) {
+    return stamp >= span.first && stamp <= span.second;
+  });
+}
+
+StampSpans NotInFlight(const std::vector<PhaseSpan>& phases) {
+  StampSpans spans;
   bool follows = false;
   for (const PhaseSpan& phase : phases) {
     if (Teaches(phase.phase)) {

@@ -50,9 +50,8 @@ bool IsAngularFilled(const RawOdometries& messages) {
 
 /// The frame of the linear twist: as told, or found from the motion.
 TwistFrame FindTwistFrame(const std::string& source, const RawOdometries& messages,
-                          const std::string& wanted, FlightLog* log) {
-  if (wanted == "body") return TwistFrame::kBody;
-  if (wanted == "world") return TwistFrame::kWorld;
+                          TwistFrame stated, FlightLog* log) {
+  if (stated != TwistFrame::kUndecided) return stated;
   TwistFrameDetector detector;
   for (const OdometryInput& m : messages) {
     if (!m.linear) continue;
@@ -91,15 +90,15 @@ std::vector<OdometrySample> SamplesOf(const std::string& source, const RawOdomet
   const bool has_linear = IsLinearFilled(messages), has_angular = IsAngularFilled(messages);
   if (!has_linear) log->warnings.push_back(source + ": linear twist is all zero, not used");
   if (!has_angular) log->warnings.push_back(source + ": angular twist is all zero, not used");
+  const TwistFrame stated = *TwistFrameStated(options.twist_frame);
   const TwistFrame frame =
-      has_linear ? FindTwistFrame(source, messages, options.twist_frame, log) : TwistFrame::kBody;
+      has_linear ? FindTwistFrame(source, messages, stated, log) : TwistFrame::kBody;
   std::vector<OdometrySample> samples;
   samples.reserve(messages.size());
   for (const OdometryInput& m : messages) {
     OdometrySample sample = m.sample;
     if (has_linear && m.linear) {
-      const bool is_world = frame == TwistFrame::kWorld;
-      sample.v_WS = is_world ? *m.linear : sample.q_WS.normalized() * *m.linear;
+      sample.v_WS = TwistInWorld(frame, sample.q_WS.normalized(), *m.linear);
     }
     if (!has_angular) sample.w_WS_S.reset();
     samples.push_back(sample);

@@ -10,17 +10,15 @@
 #include <stdexcept>
 #include <utility>
 
-#include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/ros/control_messages.h"
-#include "odmc/ros/parameter_reader.h"
+#include "odmc/ros/node_options.h"
 #include "odmc/text/refusal.h"
 
 namespace odmc {
 namespace {
 
-constexpr double kStepBack_s = 0.5;   // less is a late sample
 constexpr double kSameClock_s = 0.1;  // stamps this near to now are taken for now
 constexpr double kDue = 0.75;         // of the control period
 constexpr double kLate = 3.0;         // control periods
@@ -38,7 +36,7 @@ bool ControllerNodeOptions::IsValid(std::string* error) const {
   if (!(control_rate_hz >= 50.0 && control_rate_hz <= 2000.0)) {
     return Invalid(error, "control_rate_hz must be 50 to 2000");
   }
-  if (twist_frame != "auto" && twist_frame != "body" && twist_frame != "world") {
+  if (!TwistFrameStated(twist_frame)) {
     return Invalid(error, "twist_frame must be body, world or auto, not '" + twist_frame + "'");
   }
   if (!(reference_timeout_s > 0.0)) return Invalid(error, "reference_timeout_s must be positive");
@@ -48,11 +46,7 @@ bool ControllerNodeOptions::IsValid(std::string* error) const {
 
 ControllerNodeSetup ReadControllerNodeSetup(const ros::NodeHandle& private_node) {
   ControllerNodeSetup setup;
-  ParameterReader reader(private_node);
-  setup.options.Visit(&reader);
-  if (!setup.options.config.empty()) LoadOptions(setup.options.config, &setup.config);
-  setup.config.Visit(&reader);
-  reader.CheckAllRead();
+  ReadNodeOptions(private_node, &ControllerNodeOptions::config, &setup.options, &setup.config);
   std::string error;
   if (!setup.options.IsValid(&error) || !setup.config.IsValid(&error)) {
     throw std::invalid_argument(private_node.getNamespace() + ": " + error);
@@ -119,7 +113,7 @@ void ControllerNode::Advertise(ros::NodeHandle private_node) {
 bool ControllerNode::HasCome(Stamp stamp, ControlInput* input) {
   const Stamp now = Now();
   WatchClock(now);
-  if (ToSeconds(stamp - now) <= kStepBack_s) return true;
+  if (!IsStepBack(stamp, now)) return true;
   if (now > 0) ++input->refused;
   return false;
 }
@@ -128,7 +122,7 @@ bool ControllerNode::Admit(Stamp stamp, TopicClock* clock, ControlInput* input) 
   if (!HasCome(stamp, input)) return false;
   const Stamp now = Now();
   const StampVerdict verdict = clock->See(stamp, now);
-  if (verdict == StampVerdict::kLate) {
+  if (verdict == StampVerdict::kRefused) {
     ++input->refused;
     ROS_WARN_THROTTLE(5.0, "a sample was refused: its stamp is %.1f s behind its topic's newest",
                       ToSeconds(clock->newest() - stamp));
@@ -142,7 +136,7 @@ bool ControllerNode::Admit(Stamp stamp, TopicClock* clock, ControlInput* input) 
 }
 
 void ControllerNode::WatchClock(Stamp now) {
-  if (ToSeconds(newest_now_ - now) > kStepBack_s) OnClockStepBack();
+  if (IsStepBack(newest_now_, now)) OnClockStepBack();
   newest_now_ = std::max(newest_now_, now);
 }
 
@@ -170,9 +164,7 @@ void ControllerNode::OnOdometry(const nav_msgs::Odometry::ConstPtr& message) {
   }
   if (!Admit(input->sample.stamp, &odometry_clock_, &report_.odometry)) return;
   OdometrySample sample = input->sample;
-  sample.v_WS = FrameOf(*input) == TwistFrame::kWorld
-                    ? *input->linear
-                    : Eigen::Vector3d(sample.q_WS * *input->linear);
+  sample.v_WS = TwistInWorld(FrameOf(*input), sample.q_WS, *input->linear);
   controller_.Add(sample);
 }
 
@@ -180,13 +172,12 @@ TwistFrame ControllerNode::FrameOf(const OdometryInput& input) {
   const OdometrySample& sample = input.sample;
   twist_->AddSample(sample.stamp, sample.p_WS, sample.q_WS, *input.linear);
   const TwistFrame verdict = twist_->decision().frame;
-  const std::string& stated = setup_.options.twist_frame;
-  const TwistFrame used = stated == "world" ? TwistFrame::kWorld
-                          : stated == "body"
-                              ? TwistFrame::kBody
-                              : ResolveTwistFrame(verdict, input.frame_id, input.child_frame_id);
+  const std::string& setting = setup_.options.twist_frame;
+  const TwistFrame stated = *TwistFrameStated(setting);
+  const TwistFrame used = ResolveTwistFrame(stated != TwistFrame::kUndecided ? stated : verdict,
+                                            input.frame_id, input.child_frame_id);
   if (twist_->decided() && verdict != used && report_.twist_warning.empty()) {
-    report_.twist_warning = "the odometry's twist does not fit twist_frame " + stated + ": " +
+    report_.twist_warning = "the odometry's twist does not fit twist_frame " + setting + ": " +
                             twist_->decision().Describe();
     ROS_WARN("%s", report_.twist_warning.c_str());
   }

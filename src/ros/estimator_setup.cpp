@@ -8,13 +8,13 @@
 
 #include "odmc/actuator/rotor_source.h"
 #include "odmc/io/actuator_yaml.h"
-#include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/model/effect.h"
 #include "odmc/model/plausibility.h"
-#include "odmc/ros/parameter_reader.h"
+#include "odmc/ros/node_options.h"
 #include "odmc/ros/urdf_vehicle.h"
+#include "odmc/sensing/twist_frame.h"
 #include "odmc/text/refusal.h"
 
 namespace odmc {
@@ -66,7 +66,7 @@ void SettleActuator(const EstimatorNodeOptions& options, Vehicle* vehicle) {
 }  // namespace
 
 bool EstimatorNodeOptions::IsValid(std::string* error) const {
-  if (twist_frame != "auto" && twist_frame != "body" && twist_frame != "world") {
+  if (!TwistFrameStated(twist_frame)) {
     return Invalid(error, "twist_frame must be auto, body or world, not '" + twist_frame + "'");
   }
   if (rotor_speed_from != "sensor" && rotor_speed_from != "commands") {
@@ -96,11 +96,7 @@ bool EstimatorNodeOptions::IsValid(std::string* error) const {
 EstimatorNodeSetup ReadEstimatorNodeSetup(const ros::NodeHandle& public_node,
                                           const ros::NodeHandle& private_node) {
   EstimatorNodeSetup setup;
-  ParameterReader reader(private_node);
-  setup.options.Visit(&reader);
-  if (!setup.options.config.empty()) LoadOptions(setup.options.config, &setup.estimator);
-  setup.estimator.Visit(&reader);
-  reader.CheckAllRead();
+  ReadNodeOptions(private_node, &EstimatorNodeOptions::config, &setup.options, &setup.estimator);
   std::string error;
   if (!setup.options.IsValid(&error) || !setup.estimator.IsValid(&error)) {
     throw std::invalid_argument(private_node.getNamespace() + ": " + error);

@@ -19,6 +19,7 @@
 #include "child_reader.h"
 #include "finite_samples.h"
 #include "odmc/sensing/flight_checks.h"
+#include "odmc/sensing/twist_frame.h"
 #include "odmc/text/printable_text.h"
 #include "odmc/text/refusal.h"
 #include "stamp_shift.h"
@@ -211,8 +212,7 @@ FlightLog WithOpenBag(const std::string& file, const BagOptions& options, const 
 
 FlightLog ReadBag(const std::string& file, const FlightReadOptions& read,
                   const BagOptions& options) {
-  if (options.twist_frame != "auto" && options.twist_frame != "body" &&
-      options.twist_frame != "world") {
+  if (!TwistFrameStated(options.twist_frame)) {
     RefuseFile(file, "twist_frame must be auto, body or world, not '" + options.twist_frame + "'");
   }
   return WithOpenBag(file, options,

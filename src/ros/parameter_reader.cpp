@@ -16,6 +16,8 @@ namespace {
 
 using XmlRpc::XmlRpcValue;
 
+constexpr double kMostInList = 1e6;
+
 /// A number however it is spelled; text counts if all of it is a number.
 std::optional<double> NumberOf(XmlRpcValue value) {
   switch (value.getType()) {
@@ -38,17 +40,27 @@ std::string AsGiven(const XmlRpcValue& value) {
                                                     : value.toXml();
 }
 
-/// "[a, b]" or "a, b" as items: a node's own command line hands lists over as text.
-std::vector<std::string> Items(const std::string& text) {
-  std::vector<std::string> items;
-  std::istringstream stream(text);
+/// Of a value up to `most` either way.
+std::optional<int> WholeNumberOf(const XmlRpcValue& value, double most) {
+  const std::optional<double> number = NumberOf(value);
+  if (!number || std::floor(*number) != *number || std::abs(*number) > most) return std::nullopt;
+  return static_cast<int>(*number);
+}
+
+/// A text "[a, b]" or "a, b" as the list it means, anything else as it is: a node's own command
+/// line hands lists over as text.
+XmlRpcValue AsList(const XmlRpcValue& value) {
+  if (value.getType() != XmlRpcValue::TypeString) return value;
+  XmlRpcValue list;
+  list.setSize(0);
+  std::istringstream stream{std::string(value)};
   for (std::string item; std::getline(stream, item, ',');) {
     const size_t first = item.find_first_not_of(" [");
     const size_t last = item.find_last_not_of(" ]");
     if (first == std::string::npos || last == std::string::npos || last < first) continue;
-    items.push_back(item.substr(first, last - first + 1));
+    list[list.size()] = item.substr(first, last - first + 1);
   }
-  return items;
+  return list;
 }
 
 }  // namespace
@@ -57,31 +69,30 @@ void ParameterReader::Fail(const std::string& key, const std::string& what) cons
   throw std::invalid_argument("parameter " + node_.resolveName(key) + " " + what);
 }
 
-void ParameterReader::Field(const std::string& key, double* value) {
+bool ParameterReader::Get(const std::string& key, XmlRpcValue* raw) {
   known_.push_back(key);
+  return node_.getParam(key, *raw);
+}
+
+void ParameterReader::Field(const std::string& key, double* value) {
   XmlRpcValue raw;
-  if (!node_.getParam(key, raw)) return;
+  if (!Get(key, &raw)) return;
   const std::optional<double> number = NumberOf(raw);
   if (!number || !std::isfinite(*number)) Fail(key, "must be a number, not " + AsGiven(raw));
   *value = *number;
 }
 
 void ParameterReader::Field(const std::string& key, int* value) {
-  known_.push_back(key);
   XmlRpcValue raw;
-  if (!node_.getParam(key, raw)) return;
-  const std::optional<double> number = NumberOf(raw);
-  constexpr double kLargest = std::numeric_limits<int>::max();
-  if (!number || std::floor(*number) != *number || std::abs(*number) > kLargest) {
-    Fail(key, "must be a whole number, not " + AsGiven(raw));
-  }
-  *value = static_cast<int>(*number);
+  if (!Get(key, &raw)) return;
+  const std::optional<int> number = WholeNumberOf(raw, std::numeric_limits<int>::max());
+  if (!number) Fail(key, "must be a whole number, not " + AsGiven(raw));
+  *value = *number;
 }
 
 void ParameterReader::Field(const std::string& key, bool* value) {
-  known_.push_back(key);
   XmlRpcValue raw;
-  if (!node_.getParam(key, raw)) return;
+  if (!Get(key, &raw)) return;
   if (raw.getType() == XmlRpcValue::TypeBoolean) {
     *value = static_cast<bool>(raw);
   } else if (raw.getType() == XmlRpcValue::TypeString &&
@@ -93,21 +104,16 @@ void ParameterReader::Field(const std::string& key, bool* value) {
 }
 
 void ParameterReader::Field(const std::string& key, std::string* value) {
-  known_.push_back(key);
   XmlRpcValue raw;
-  if (!node_.getParam(key, raw)) return;
+  if (!Get(key, &raw)) return;
   if (raw.getType() != XmlRpcValue::TypeString) Fail(key, "must be text, not " + AsGiven(raw));
   *value = std::string(raw);
 }
 
 void ParameterReader::Field(const std::string& key, std::vector<std::string>* value) {
-  known_.push_back(key);
   XmlRpcValue raw;
-  if (!node_.getParam(key, raw)) return;
-  if (raw.getType() == XmlRpcValue::TypeString) {
-    *value = Items(std::string(raw));
-    return;
-  }
+  if (!Get(key, &raw)) return;
+  raw = AsList(raw);
   value->clear();
   if (raw.getType() != XmlRpcValue::TypeArray) Fail(key, "must be a list, not " + AsGiven(raw));
   for (int i = 0; i < raw.size(); ++i) {
@@ -119,39 +125,24 @@ void ParameterReader::Field(const std::string& key, std::vector<std::string>* va
 }
 
 void ParameterReader::Field(const std::string& key, std::vector<int>* value) {
-  known_.push_back(key);
   XmlRpcValue raw;
-  if (!node_.getParam(key, raw)) return;
-  if (raw.getType() == XmlRpcValue::TypeString) {
-    const std::vector<std::string> items = Items(std::string(raw));
-    raw = XmlRpcValue();
-    raw.setSize(static_cast<int>(items.size()));
-    for (int i = 0; i < raw.size(); ++i) raw[i] = items[i];
-  }
+  if (!Get(key, &raw)) return;
+  raw = AsList(raw);
   if (raw.getType() != XmlRpcValue::TypeArray) {
     Fail(key, "must be a list of whole numbers, not " + AsGiven(raw));
   }
   value->clear();
   for (int i = 0; i < raw.size(); ++i) {
-    const std::optional<double> number = NumberOf(raw[i]);
-    if (!number || std::floor(*number) != *number || std::abs(*number) > 1e6) {
-      Fail(key, "must be a list of whole numbers, not " + AsGiven(raw[i]));
-    }
-    value->push_back(static_cast<int>(*number));
+    const std::optional<int> number = WholeNumberOf(raw[i], kMostInList);
+    if (!number) Fail(key, "must be a list of whole numbers, not " + AsGiven(raw[i]));
+    value->push_back(*number);
   }
 }
 
 void ParameterReader::Field(const std::string& key, Eigen::Vector3d* value) {
-  known_.push_back(key);
   XmlRpcValue raw;
-  if (!node_.getParam(key, raw)) return;
-  if (raw.getType() == XmlRpcValue::TypeString) {
-    const std::vector<std::string> items = Items(std::string(raw));
-    XmlRpcValue list;
-    list.setSize(static_cast<int>(items.size()));
-    for (int i = 0; i < list.size(); ++i) list[i] = items[i];
-    raw = list;
-  }
+  if (!Get(key, &raw)) return;
+  raw = AsList(raw);
   if (raw.getType() != XmlRpcValue::TypeArray || raw.size() != 3) {
     Fail(key, "must be a list of three numbers");
   }

@@ -4,13 +4,14 @@
 #include <iterator>
 #include <utility>
 
+#include "odmc/sensing/topic_clock.h"
+
 namespace odmc {
 namespace {
 
 constexpr double kPatience_s = 0.1;  // a pose waits for the twist after it
 constexpr double kSettle_s = 0.5;    // for the first twist to come
 constexpr double kMostGap_s = 0.1;   // between the twists around a pose
-constexpr double kStepBack_s = 0.5;  // less is a late message
 constexpr double kKept_s = 1.0;      // of twists: longer than a pose waits, or is late
 
 }  // namespace
@@ -39,7 +40,7 @@ std::vector<OdometryInput> PoseTwistPairing::Flush() { return Release(true); }
 /// Where a stream steps back behind itself, what waits is of the old time. (Behind the other one it
 /// may be all the time: two clocks.)
 void PoseTwistPairing::Follow(Stamp stamp, std::optional<Stamp>* newest) {
-  if (*newest && ToSeconds(**newest - stamp) > kStepBack_s) {
+  if (*newest && IsStepBack(**newest, stamp)) {
     poses_.clear();
     twists_.clear();
     newest_pose_.reset();

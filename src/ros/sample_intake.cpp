@@ -10,7 +10,6 @@ namespace {
 constexpr double kSettle_s = 1.0;     // for all streams to show up
 constexpr double kHold_s = 60.0;      // of samples at most while standing still
 constexpr size_t kMostHeld = 100000;  // a minute of 1 kHz and all else; of faster streams less
-constexpr double kStepBack_s = 0.5;   // less is a late sample
 constexpr double kLeap_s = 2.0;       // ahead of all streams; more than any of them lags behind
 constexpr double kMoved_m = 0.1;      // so far with a twist of zeros: the source has no twist
 constexpr double kTurned_rad = 0.1;
@@ -54,9 +53,9 @@ int SampleIntake::StreamOf(const InputSample& input) {
 
 bool SampleIntake::Push(InputSample input) {
   if (phase_ == IntakePhase::kRefused) return true;
-  const Clock clock = CheckClock(StreamOf(input), StampOf(input));
-  if (clock == Clock::kStale) return true;
-  if (clock == Clock::kBack) {
+  const StampVerdict verdict = CheckClock(StreamOf(input), StampOf(input));
+  if (verdict == StampVerdict::kRefused) return true;
+  if (verdict == StampVerdict::kBack) {
     held_.clear();
     ready_.clear();
   }
@@ -69,7 +68,7 @@ bool SampleIntake::Push(InputSample input) {
     Forget();
     Decide();
   }
-  return clock != Clock::kBack;
+  return verdict != StampVerdict::kBack;
 }
 
 std::vector<Sample> SampleIntake::Take() {
@@ -79,7 +78,7 @@ std::vector<Sample> SampleIntake::Take() {
 
 // ---- The clock ---------------------------------------------------------------------------------
 
-SampleIntake::Clock SampleIntake::CheckClock(int stream, Stamp stamp) {
+StampVerdict SampleIntake::CheckClock(int stream, Stamp stamp) {
   // Streams reach us at different moments: of those that did not step back yet, some samples of the
   // old time still come.
   if (middle_) {
@@ -88,15 +87,15 @@ SampleIntake::Clock SampleIntake::CheckClock(int stream, Stamp stamp) {
       middle_.reset();
     } else if (stamp > *middle_) {
       ++stale_;
-      return Clock::kStale;
+      return StampVerdict::kRefused;
     }
   }
   if (IsLoneLeap(stream, stamp) || IsLoneLate(stream, stamp)) {
     ++leaps_;
-    return Clock::kStale;
+    return StampVerdict::kRefused;
   }
   std::optional<Stamp>& last = last_[stream];
-  if (last && ToSeconds(*last - stamp) > kStepBack_s) {
+  if (last && IsStepBack(*last, stamp)) {
     middle_ = stamp + (*last - stamp) / 2;
     back_stream_ = stream;
     ++resets_;
@@ -106,11 +105,11 @@ SampleIntake::Clock SampleIntake::CheckClock(int stream, Stamp stamp) {
     late_.fill(std::nullopt);
     first_odometry_.reset();
     first_[stream] = last_[stream] = stamp;
-    return Clock::kBack;
+    return StampVerdict::kBack;
   }
   if (!first_[stream]) first_[stream] = stamp;
   last = std::max(stamp, last.value_or(stamp));
-  return Clock::kForward;
+  return StampVerdict::kForward;
 }
 
 /// A stamp far ahead of every stream is an error, until the next of its stream goes on from there
@@ -130,7 +129,7 @@ bool SampleIntake::IsLoneLeap(int stream, Stamp stamp) {
 /// until the next of its stream goes on from there.
 bool SampleIntake::IsLoneLate(int stream, Stamp stamp) {
   const std::optional<Stamp>& last = last_[stream];
-  if (!last || ToSeconds(*last - stamp) <= kStepBack_s) {
+  if (!last || !IsStepBack(*last, stamp)) {
     late_[stream].reset();
     return false;
   }
@@ -199,8 +198,8 @@ bool SampleIntake::TwistIsKnown() {
   has_linear_ = has_nonzero_linear_;
   has_angular_ = has_nonzero_angular_;
   if (!has_linear_) return true;
-  if (twist_frame_ != "auto") {
-    frame_ = twist_frame_ == "world" ? TwistFrame::kWorld : TwistFrame::kBody;
+  if (stated_frame_ != TwistFrame::kUndecided) {
+    frame_ = stated_frame_;
     return true;
   }
   frame_ = detector_.decision().frame;
@@ -237,8 +236,8 @@ std::string SampleIntake::WaitingFor() const {
     return "rotor_speeds or joint_states";
   }
   if (rotors_.needs_voltage && !first_[kBattery]) return "battery_state";
-  if (first_[kOdometry] && saw_linear_ && has_nonzero_linear_ && twist_frame_ == "auto" &&
-      !detector_.decided()) {
+  if (first_[kOdometry] && saw_linear_ && has_nonzero_linear_ &&
+      stated_frame_ == TwistFrame::kUndecided && !detector_.decided()) {
     return "motion that tells the frame of the twist (or say so: twist_frame)";
   }
   return "the first second of samples and motion";
@@ -265,8 +264,7 @@ void SampleIntake::Pass(const InputSample& input) {
     if (odometry->is_pose != use_pose_) return;
     OdometrySample sample = odometry->sample;
     if (odometry->linear && has_linear_ && KnowsFrame()) {
-      sample.v_WS = frame_ == TwistFrame::kWorld ? *odometry->linear
-                                                 : Eigen::Vector3d(sample.q_WS * *odometry->linear);
+      sample.v_WS = TwistInWorld(frame_, sample.q_WS, *odometry->linear);
     }
     if (!has_angular_) sample.w_WS_S.reset();
     ready_.emplace_back(sample);

@@ -7,12 +7,12 @@
 #include <stdexcept>
 #include <utility>
 
-#include "odmc/io/options_yaml.h"
 #include "odmc/io/parameters_yaml.h"
 #include "odmc/io/vehicle_yaml.h"
 #include "odmc/ros/control_messages.h"
 #include "odmc/ros/conversions.h"
 #include "odmc/ros/diagnostic_values.h"
+#include "odmc/ros/node_options.h"
 #include "odmc/ros/parameter_reader.h"
 #include "odmc/sim/truth_vehicle.h"
 #include "odmc/text/format.h"
@@ -119,11 +119,7 @@ bool SimulatorNodeOptions::IsValid(std::string* error) const {
 
 SimulatorNodeSetup ReadSimulatorNodeSetup(const ros::NodeHandle& private_node) {
   SimulatorNodeSetup setup;
-  ParameterReader reader(private_node);
-  setup.options.Visit(&reader);
-  if (!setup.options.world_file.empty()) LoadOptions(setup.options.world_file, &setup.world);
-  setup.world.Visit(&reader);
-  reader.CheckAllRead();
+  ReadNodeOptions(private_node, &SimulatorNodeOptions::world_file, &setup.options, &setup.world);
   std::string error;
   const auto fail = [&] {
     throw std::invalid_argument(private_node.getNamespace() + ": " + error);

@@ -9,12 +9,12 @@
 #include <utility>
 
 #include "odmc/ros/message_values.h"
+#include "odmc/sensing/topic_clock.h"
 
 namespace odmc {
 namespace {
 
 constexpr double kPatience_s = 0.5;  // of stamps, for the links above
-constexpr double kStepBack_s = 0.5;  // of a clock that starts again; less is a late transform
 constexpr double kCache_s = 10.0;    // more than any patience
 constexpr size_t kMostFrames = 100;  // a chain that is longer is a ring
 
@@ -73,7 +73,7 @@ bool TfOdometry::Insert(const geometry_msgs::TransformStamped& transform, bool i
   const auto known = links_.find(child);
   const bool is_known = known != links_.end() && !known->second.is_static;
   if (!is_static && is_known) {
-    if (ToSeconds(known->second.newest - stamp) > kStepBack_s) {
+    if (IsStepBack(known->second.newest, stamp)) {
       ForgetMoving();
     } else if (stamp <= known->second.newest) {
       ++repeated_;

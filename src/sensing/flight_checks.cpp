@@ -123,6 +123,10 @@ bool IsFinite(const ImuSample& s) {
          (!s.specific_force_I || s.specific_force_I->allFinite());
 }
 
+bool IsSamePose(const OdometrySample& a, const OdometrySample& b) {
+  return a.p_WS == b.p_WS && a.q_WS.coeffs() == b.q_WS.coeffs();
+}
+
 void RefusedSamples::Report(const std::string& source, const std::string& what,
                             FlightLog* log) const {
   if (count == 0) return;

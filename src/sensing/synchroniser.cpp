@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "odmc/sensing/flight_checks.h"
 #include "odmc/sensing/plausible.h"
 #include "odmc/sensing/push_newest.h"
 
@@ -10,8 +11,7 @@ namespace odmc {
 namespace {
 
 bool IsSame(const OdometrySample& a, const OdometrySample& b) {
-  return a.p_WS == b.p_WS && a.q_WS.coeffs() == b.q_WS.coeffs() && a.v_WS == b.v_WS &&
-         a.w_WS_S == b.w_WS_S;
+  return IsSamePose(a, b) && a.v_WS == b.v_WS && a.w_WS_S == b.w_WS_S;
 }
 
 /// Appends in order; counts what steps back, and mends what leapt away and came back.

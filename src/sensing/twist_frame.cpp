@@ -24,6 +24,18 @@ constexpr double kClearMargin = 0.03;
 
 }  // namespace
 
+std::optional<TwistFrame> TwistFrameStated(const std::string& setting) {
+  if (setting == "auto") return TwistFrame::kUndecided;
+  if (setting == "body") return TwistFrame::kBody;
+  if (setting == "world") return TwistFrame::kWorld;
+  return std::nullopt;
+}
+
+Eigen::Vector3d TwistInWorld(TwistFrame frame, const Eigen::Quaterniond& q_WS,
+                             const Eigen::Vector3d& twist_linear) {
+  return frame == TwistFrame::kWorld ? twist_linear : Eigen::Vector3d(q_WS * twist_linear);
+}
+
 std::string TwistFrameDecision::Describe() const {
   return Format(
       "d(position)/dt differs from the twist by %.3f m/s RMS if it is in the body frame "

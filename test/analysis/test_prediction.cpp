@@ -315,8 +315,8 @@ class GroundTouches : public testing::Test {
   }
 
   double& Height(size_t i) { return log_.odometry[i].p_WS.z(); }
-  std::vector<std::pair<Stamp, Stamp>> LeftOut() const {
-    std::vector<std::pair<Stamp, Stamp>> left_out;
+  StampSpans LeftOut() const {
+    StampSpans left_out;
     AddGroundTouches(log_, phases_, vehicle_, &left_out);
     return left_out;
   }

@@ -14,12 +14,12 @@ TEST(TopicClock, ALateMessageIsNoStepOfTheClock) {
     EXPECT_EQ(clock.See(At(t), At(t)), StampVerdict::kForward);
   }
   EXPECT_EQ(clock.See(At(100.7), At(101.0)), StampVerdict::kForward) << "hardly late";
-  EXPECT_EQ(clock.See(At(20.0), At(101.01)), StampVerdict::kLate);
+  EXPECT_EQ(clock.See(At(20.0), At(101.01)), StampVerdict::kRefused);
   EXPECT_GT(clock.newest(), At(100.9)) << "a late one moves nothing";
   // Late ones come among good ones for as long as they like.
   for (double t = 101.02; t < 105.0; t += 0.02) {
     EXPECT_EQ(clock.See(At(t), At(t)), StampVerdict::kForward);
-    EXPECT_EQ(clock.See(At(t - 1.0), At(t + 0.01)), StampVerdict::kLate);
+    EXPECT_EQ(clock.See(At(t - 1.0), At(t + 0.01)), StampVerdict::kRefused);
   }
 }
 
@@ -31,7 +31,7 @@ TEST(TopicClock, OldMessagesAloneAreAStep) {
   for (; t < 1.0; t += 0.01) {
     const StampVerdict verdict = clock.See(At(5.0 + t), At(100.01 + t));
     if (verdict == StampVerdict::kBack) break;
-    EXPECT_EQ(verdict, StampVerdict::kLate);
+    EXPECT_EQ(verdict, StampVerdict::kRefused);
     ++late;
   }
   EXPECT_NEAR(late, 51, 1) << "for half a second they may be late";

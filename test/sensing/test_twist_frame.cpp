@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <optional>
 #include <random>
 
 #include "odmc/sensing/twist_frame.h"
@@ -120,6 +121,13 @@ TEST(ResolveTwistFrame, TheVerdictComesBeforeTheHeader) {
   EXPECT_EQ(ResolveTwistFrame(TwistFrame::kUndecided, "world", "base_link"), TwistFrame::kBody);
   EXPECT_EQ(ResolveTwistFrame(TwistFrame::kUndecided, "", ""), TwistFrame::kBody);
   EXPECT_EQ(ResolveTwistFrame(TwistFrame::kNeither, "world", "world"), TwistFrame::kNeither);
+}
+
+TEST(TwistFrameStated, KnowsThreeSettings) {
+  EXPECT_EQ(TwistFrameStated("auto"), TwistFrame::kUndecided);
+  EXPECT_EQ(TwistFrameStated("body"), TwistFrame::kBody);
+  EXPECT_EQ(TwistFrameStated("world"), TwistFrame::kWorld);
+  EXPECT_EQ(TwistFrameStated("ned"), std::nullopt);
 }
 
 }  // namespace

@@ -3,7 +3,6 @@
 #include <Eigen/Core>
 #include <functional>
 #include <optional>
-#include <utility>
 #include <vector>
 
 #include "odmc/estimator/load_observer.h"
@@ -47,12 +46,10 @@ struct FlightMotion : MotionCounts {
 };
 
 /// Shows every sample of it to `use`, and holds no more of the flight than some blocks of it.
-MotionCounts FilterEach(const FlightLog& log, int num_rotors,
-                        const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
+MotionCounts FilterEach(const FlightLog& log, int num_rotors, const StampSpans& ground_spans,
                         const std::function<void(const FilteredMotion&)>& use);
 
-FlightMotion FilterFlight(const FlightLog& log, int num_rotors,
-                          const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
+FlightMotion FilterFlight(const FlightLog& log, int num_rotors, const StampSpans& ground_spans);
 
 /// Height of So in W while the vehicle stands on the ground [m]: the median over the phases in
 /// which it stands.
@@ -66,7 +63,7 @@ std::optional<double> StandingHeight(const FlightLog& log, const std::vector<Pha
 /// the position; a filter window more on either side. None where that is more than a tenth of the
 /// time in the air: what flies there for so long does not touch anything.
 void AddGroundTouches(const FlightLog& log, const std::vector<PhaseSpan>& phases,
-                      const Vehicle& vehicle, std::vector<std::pair<Stamp, Stamp>>* left_out);
+                      const Vehicle& vehicle, StampSpans* left_out);
 
 /// Pull of a suspended load per unit of load, sample by sample of one flight.
 class LoadForceEvaluator {

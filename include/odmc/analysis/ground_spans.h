@@ -1,9 +1,9 @@
 #pragma once
 
-#include <utility>
 #include <vector>
 
 #include "odmc/model/dynamic_model.h"
+#include "odmc/phases/flight_phase.h"
 #include "odmc/phases/phase_detector.h"
 #include "odmc/sensing/samples.h"
 
@@ -11,7 +11,7 @@ namespace odmc {
 
 /// Where a recording is not in free flight.
 struct GroundSpans {
-  std::vector<std::pair<Stamp, Stamp>> spans;  ///< first and last keyframe of each
+  StampSpans spans;  ///< first and last keyframe of each
   double on_ground_s = 0.0;
   long airborne_keyframes = 0;
 };

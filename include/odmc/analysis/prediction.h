@@ -8,6 +8,7 @@
 
 #include "odmc/analysis/flight_motion.h"
 #include "odmc/model/dynamic_model.h"
+#include "odmc/phases/flight_phase.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
@@ -77,8 +78,7 @@ using ValueVariation = std::function<void(double t_s, ModelValues* values)>;
 /// @param ground_spans stamps that do not count
 /// @param vary for models with parameters that vary; empty: all values hold throughout
 Prediction Predict(const FlightLog& log, const Vehicle& file_vehicle, const DynamicModel& model,
-                   const ModelValues& values,
-                   const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
+                   const ModelValues& values, const StampSpans& ground_spans,
                    const ValueVariation& vary = {});
 
 /// The same, sample by sample: holds no more of the flight than a filter's window.
@@ -86,8 +86,8 @@ Prediction Predict(const FlightLog& log, const Vehicle& file_vehicle, const Dyna
 /// @returns figures of all of them
 PredictionFigures PredictEach(const FlightLog& log, const Vehicle& file_vehicle,
                               const DynamicModel& model, const ModelValues& values,
-                              const std::vector<std::pair<Stamp, Stamp>>& ground_spans,
-                              const ValueVariation& vary, const PredictionSink& use);
+                              const StampSpans& ground_spans, const ValueVariation& vary,
+                              const PredictionSink& use);
 
 /// Step of a difference by a parameter: a thousandth of its value or, where that may be zero, of
 /// its natural size.

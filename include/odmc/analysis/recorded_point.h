@@ -4,10 +4,10 @@
 #include <map>
 #include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "odmc/model/dynamic_model.h"
+#include "odmc/phases/flight_phase.h"
 #include "odmc/sensing/samples.h"
 #include "odmc/text/finding.h"
 
@@ -34,13 +34,13 @@ struct RecordedPoint {
 /// @param ground_spans stamps that do not count
 RecordedPoint FindRecordedPoint(const FlightLog& log, const Vehicle& file_vehicle,
                                 const DynamicModel& model, const ModelValues& values,
-                                const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
+                                const StampSpans& ground_spans);
 
 /// The same of a flight whose model takes the point to be known, as the vehicle file has it; of a
 /// long one, of its last minute.
 RecordedPoint FindPointOfKnownMount(const FlightLog& log, const Vehicle& file_vehicle,
                                     const DynamicModel& model, const ModelValues& values,
-                                    const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
+                                    const StampSpans& ground_spans);
 
 /// A remark where the point is another than the model takes to be known: by chance in less than one
 /// flight in a thousand, by more than vehicles are measured to (5 mm), and by no more than their

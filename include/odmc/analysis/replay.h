@@ -6,6 +6,7 @@
 
 #include "odmc/analysis/history.h"
 #include "odmc/estimator/estimator.h"
+#include "odmc/phases/flight_phase.h"
 
 namespace odmc {
 
@@ -15,7 +16,7 @@ struct ReplayResult {
   EstimateHistory history;                              ///< one row per update
   std::vector<std::pair<double, UpdateTiming>> timing;  ///< flight time [s], every update
   std::vector<PhaseSpan> phases;                        ///< all of the recording, oldest first
-  std::vector<std::pair<Stamp, Stamp>> ground_spans;    ///< of these, what is not free flight
+  StampSpans ground_spans;                              ///< of these, what is not free flight
   std::vector<PhaseDetector::Seen> seen;                ///< ten a second, what tells the phases
   bool has_flown = false;         ///< the vehicle was seen to move by its own thrust
   double first_airborne_s = 0.0;  ///< flight time of the first update

@@ -5,10 +5,10 @@
 #include <map>
 #include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "odmc/model/dynamic_model.h"
+#include "odmc/phases/flight_phase.h"
 #include "odmc/sensing/samples.h"
 
 namespace odmc {
@@ -77,7 +77,7 @@ struct TorqueBands {
 /// @param ground_spans stamps that do not count
 TorqueBands FindTorqueBands(const FlightLog& log, const DynamicModel& model,
                             const ModelValues& values, double k_f_sigma,
-                            const std::vector<std::pair<Stamp, Stamp>>& ground_spans);
+                            const StampSpans& ground_spans);
 
 /// What bands know of parameters that the estimator sees at all frequencies: the inertia of a
 /// rotor, as a share of the I_z in `values`; by full name. Empty where they show it not, or the

@@ -4,13 +4,13 @@
 #include <memory>
 #include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "odmc/control/flatness_controller.h"
 #include "odmc/control/parameter_handover.h"
 #include "odmc/estimator/acceptance.h"
 #include "odmc/estimator/estimator.h"
+#include "odmc/phases/flight_phase.h"
 #include "odmc/sim/world.h"
 #include "odmc/trajectory/trajectory.h"
 
@@ -62,7 +62,7 @@ struct ControlledFlight {
   std::optional<ParameterSet> accepted;  ///< the newest estimate that was accepted
   double first_accepted_s = 0.0;         ///< 0: never
   FlightLog log;                         ///< what the sensors said
-  std::vector<std::pair<Stamp, Stamp>> ground_spans;
+  StampSpans ground_spans;
   std::string crash;  ///< what happened; empty: it flew
   double take_off_s = 0.0;
   double largest_tilt_rad = 0.0;

@@ -7,6 +7,7 @@
 #include "odmc/analysis/calibration.h"
 #include "odmc/fleet/joint_estimate.h"
 #include "odmc/fleet/recurrent_residuals.h"
+#include "odmc/phases/flight_phase.h"
 
 namespace odmc {
 
@@ -28,7 +29,7 @@ struct FleetFlight {
   FlightResiduals residuals;   ///< of that prediction
   int passes = 0;              ///< of the estimator
   /// What of it is no flight; not among what flight.json holds.
-  std::vector<std::pair<Stamp, Stamp>> not_flown;
+  StampSpans not_flown;
   std::vector<PhaseSpan> phases;  ///< all of the recording, oldest first
 };
 

@@ -26,6 +26,9 @@ struct MotionSignals {
 
 constexpr double kLongestLook_s = 120.0;
 
+/// Seconds from the first pose on, which the flight must have.
+double FlightSeconds(Stamp stamp, const FlightLog& log);
+
 /// Empty where there are fewer than 5 different poses.
 std::optional<MotionSignals> SignalsOf(const FlightLog& log);
 
@@ -42,5 +45,8 @@ SampledSignal TurnsOf(const SampledSignal& attitude);
 std::vector<bool> FindFlight(const MotionSignals& signals);
 
 constexpr double kFlightStep_s = 0.25;
+
+/// True if FindFlight() found flight at the time `t_s`, from the first pose on.
+bool IsInFlight(const std::vector<bool>& flight, double t_s);
 
 }  // namespace odmc

@@ -5,6 +5,10 @@
 
 namespace odmc {
 
+/// What is longer than this between two samples is a gap of their stream, whose usual step is
+/// `usual_s`: 3.5 of these or 20 ms, whichever is more.
+double LongestStep(double usual_s);
+
 /// Channels over time, linear between samples on their own stamps. Means over spans are exact
 /// integrals of these lines, so signals of different rates meet in the same band without delay.
 class SampledSignal {
@@ -22,8 +26,7 @@ class SampledSignal {
   const std::vector<double>& times_s() const { return times_s_; }
   const Eigen::MatrixXd& values() const { return values_; }
 
-  /// True if [from_s, to_s] lies within the samples and touches no gap: none longer than 3.5 usual
-  /// steps or 20 ms, whichever is more.
+  /// True if [from_s, to_s] lies within the samples and touches no gap.
   bool Covers(double from_s, double to_s) const;
 
   /// Value at `t_s`; held at the ends.

@@ -47,7 +47,13 @@ struct PhaseSpan {
   std::string Describe(Stamp zero) const;
 };
 
+/// First and last stamp of each of several spans.
+using StampSpans = std::vector<std::pair<Stamp, Stamp>>;
+
+/// True within a span, its ends counted.
+bool IsInside(Stamp stamp, const StampSpans& spans);
+
 /// The spans that teach nothing, neighbours joined.
-std::vector<std::pair<Stamp, Stamp>> NotInFlight(const std::vector<PhaseSpan>& phases);
+StampSpans NotInFlight(const std::vector<PhaseSpan>& phases);
 
 }  // namespace odmc

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <XmlRpcValue.h>
 #include <ros/node_handle.h>
 
 #include <Eigen/Core>
@@ -34,6 +35,8 @@ class ParameterReader {
   void CheckAllRead() const;
 
  private:
+  /// False for a parameter that is not set. Either way its key is known from now on.
+  bool Get(const std::string& key, XmlRpc::XmlRpcValue* raw);
   [[noreturn]] void Fail(const std::string& key, const std::string& what) const;
 
   ros::NodeHandle node_;

@@ -8,6 +8,7 @@
 
 #include "odmc/ros/conversions.h"
 #include "odmc/sensing/samples.h"
+#include "odmc/sensing/topic_clock.h"
 #include "odmc/sensing/twist_frame.h"
 
 namespace odmc {
@@ -40,7 +41,7 @@ class SampleIntake {
  public:
   /// @param twist_frame auto | body | world
   explicit SampleIntake(const std::string& twist_frame, const RotorIntake& rotors = {})
-      : twist_frame_(twist_frame), rotors_(rotors) {}
+      : stated_frame_(TwistFrameStated(twist_frame).value()), rotors_(rotors) {}
 
   /// @returns false if the clock stepped back at this sample: what was held is gone, and the chain
   /// of
@@ -79,9 +80,8 @@ class SampleIntake {
  private:
   static constexpr int kNumStreams = 7;
   static int StreamOf(const InputSample& input);
-  enum class Clock { kForward, kStale, kBack };
 
-  Clock CheckClock(int stream, Stamp stamp);
+  StampVerdict CheckClock(int stream, Stamp stamp);
   bool IsLoneLeap(int stream, Stamp stamp);
   bool IsLoneLate(int stream, Stamp stamp);
   void Observe(const InputSample& input);
@@ -94,7 +94,7 @@ class SampleIntake {
   void Forget();
   void Pass(const InputSample& input);
 
-  const std::string twist_frame_;
+  const TwistFrame stated_frame_;
   const RotorIntake rotors_;
   IntakePhase phase_ = IntakePhase::kHolding;
   bool decided_ = false;

@@ -26,6 +26,9 @@ struct RefusedSamples {
 bool IsFinite(const OdometrySample& sample);
 bool IsFinite(const ImuSample& sample);
 
+/// True if a pose repeats the other to the last digit.
+bool IsSamePose(const OdometrySample& a, const OdometrySample& b);
+
 /// True if the last of `stamps` leapt ahead by more than a second and is alone with it: `next` goes
 /// on from the one before. One stamp is wrong then, not all that follow.
 bool IsLoneLeap(const std::vector<Stamp>& stamps, Stamp next);

@@ -4,16 +4,20 @@
 
 namespace odmc {
 
+/// True if a stamp lies further behind the newest of its clock than late messages do (0.5 s): an
+/// error, or a clock that started again.
+bool IsStepBack(Stamp newest, Stamp stamp);
+
 /// What a message's stamp says about the clock of its topic.
 enum class StampVerdict {
   kForward,  ///< newer than what came before, or hardly older
-  kLate,     ///< much older: refused
-  kBack,     ///< one of many that are: the topic has another clock now
+  kRefused,  ///< of another time than its neighbours
+  kBack,     ///< a clock that stepped back: what comes now is of the new time
 };
 
 /// Tells a late message from a clock that stepped back: late ones come singly, after a step all are
-/// old. A message counts as old 0.5 s behind the newest stamp, and old ones that go on for 0.5 s
-/// of arrival times as a step.
+/// old. A message counts as old as IsStepBack() says, and old ones that go on for 0.5 s of arrival
+/// times as a step.
 class TopicClock {
  public:
   /// @param arrival when the message came, by the receiver's clock

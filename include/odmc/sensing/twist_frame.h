@@ -18,6 +18,15 @@ enum class TwistFrame {
   kNeither,    ///< the twist is not the derivative of the position in either
 };
 
+/// The frame that a setting states: body | world, or kUndecided for auto, which leaves it to the
+/// motion. Nothing for any other text.
+std::optional<TwistFrame> TwistFrameStated(const std::string& setting);
+
+/// A linear twist in W.
+/// @param frame  in which it is written; what is not decided counts as the body's
+Eigen::Vector3d TwistInWorld(TwistFrame frame, const Eigen::Quaterniond& q_WS,
+                             const Eigen::Vector3d& twist_linear);
+
 /// What a TwistFrameDetector found so far.
 struct TwistFrameDecision {
   TwistFrame frame = TwistFrame::kUndecided;
