@@ -633,12 +633,16 @@ void LoopSession::StayNearFit() {
   constexpr double kSigmas = 3.0;  // the flight counts twice, once with a ninth of its weight
   const Vehicle extended = VehicleWithEffects(effects_);
   const DynamicModel model(extended, extended.effects);
-  const bool strays = std::any_of(effects_.begin(), effects_.end(), [&](const RankedEffect& e) {
-    return ContradictsFit(e, after_->parameters) ||
-           !SizeDiffersFromZero(e, after_->parameters, model,
+  const auto any = [this](const auto& is) {
+    return std::any_of(effects_.begin(), effects_.end(), is);
+  };
+  const bool contradicts = any(
+      [this](const RankedEffect& effect) { return ContradictsFit(effect, after_->parameters); });
+  const bool is_nothing = any([&](const RankedEffect& effect) {
+    return !SizeDiffersFromZero(effect, after_->parameters, model,
                                 options_.attribution.least_size_sigmas);
   });
-  if (!strays) return;
+  if (!contradicts && !is_nothing) return;
   const std::map<std::string, ParameterSetting> without = known_;
   for (const RankedEffect& effect : effects_) {
     for (const ParameterEstimate& p : effect.parameters) {
@@ -648,7 +652,7 @@ void LoopSession::StayNearFit() {
     }
   }
   std::optional<OnlinePass> near = RunWith(effects_, Part(0.6, 1.0));
-  if (near && LogError(near->held_out) < LogError(after_->held_out)) {
+  if (near && TakesPlace(near->held_out, after_->held_out, contradicts, options_.attribution)) {
     after_ = std::move(near);
     ahead_.reset();
   } else {

@@ -69,4 +69,10 @@ double LogError(const PredictionFigures& figures) {
   return sum / std::max(1, axes);
 }
 
+bool TakesPlace(const PredictionFigures& near_fit, const PredictionFigures& free, bool contradicts,
+                const AttributionOptions& options) {
+  const double most = contradicts ? 0.0 : -std::log(options.least_ratio);
+  return LogError(near_fit) - LogError(free) < most;
+}
+
 }  // namespace odmc

@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include "odmc/attribution/online_evidence.h"
+#include "odmc/attribution/online_pass.h"
 #include "odmc/model/dynamic_model.h"
 #include "support/test_vehicle.h"
 
@@ -91,6 +92,26 @@ TEST_F(OnlineEvidence, AMassMayBeZeroWhateverItsPlace) {
   EXPECT_FALSE(SizeMayBeZero("mass_change"));
   changes_[model_.IndexOf("mass_change.mass")] = -10.0;
   EXPECT_TRUE(SizeMayBeZero("mass_change"));
+}
+
+// An estimate that only says little gives way to the fit; one that says something else has to
+// predict worse for that.
+TEST(OnlinePass, KeepsToTheFitUnlessThatPredictsWorse) {
+  const AttributionOptions options;
+  const auto errors = [](double factor) {
+    PredictionFigures figures;
+    figures.force_rmse_N = factor * Eigen::Vector3d(0.1, 0.2, 0.3);
+    figures.angular_acceleration_rmse_rad_s2 = factor * Eigen::Vector3d(1.0, 2.0, 3.0);
+    return figures;
+  };
+  const auto takes = [&](double factor, bool contradicts) {
+    return TakesPlace(errors(factor), errors(1.0), contradicts, options);
+  };
+  const double as_good = 1.0 + 0.5 * (1.0 - options.least_ratio);
+  EXPECT_TRUE(takes(as_good, false));
+  EXPECT_FALSE(takes(as_good, true));
+  EXPECT_TRUE(takes(0.999, true));
+  EXPECT_FALSE(takes(1.01 / options.least_ratio, false));
 }
 
 }  // namespace

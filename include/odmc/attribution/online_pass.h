@@ -6,6 +6,7 @@
 
 #include "odmc/analysis/prediction.h"
 #include "odmc/analysis/replay.h"
+#include "odmc/attribution/attribution_options.h"
 #include "odmc/attribution/residual.h"
 #include "odmc/estimator/options.h"
 #include "odmc/model/dynamic_model.h"
@@ -42,6 +43,12 @@ ErrorRatios RatiosOf(const PredictionFigures& before, const PredictionFigures& a
 
 /// Mean logarithm of the errors of force and angular acceleration.
 double LogError(const PredictionFigures& figures);
+
+/// True if a run that stays near the fit takes the place of one that does not. Where the two
+/// contradict each other, the one that predicts worse is wrong. Else the free run only says less,
+/// and the other has to predict as well: their figures differ by `least_ratio` without a cause.
+bool TakesPlace(const PredictionFigures& near_fit, const PredictionFigures& free, bool contradicts,
+                const AttributionOptions& options);
 
 /// @param file_vehicle the vehicle file as it is: measured forces and torques come from it
 /// @param progress gets the share done
