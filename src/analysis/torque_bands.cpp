@@ -129,6 +129,16 @@ std::string ReactionWarning(const TorqueBands& bands) {
          Rounded(c.inertia_z) + " +- " + Rounded(c.inertia_z_sigma) + " kg m^2)";
 }
 
+std::string RotorInertiaWarning(const TorqueBands& bands) {
+  const BandedQuantity& shown = bands.J_r_over_I;
+  if (!shown.value || !(*shown.value > 0.0) || !(shown.sigma > 0.0)) return "";
+  const double sigmas = *shown.value / shown.sigma;
+  if (std::erfc(sigmas / std::sqrt(2.0)) >= ReactionCheck::kErrorRate) return "";
+  return "bands of frequency show that a rotor's inertia is " + Rounded(*shown.value) + " +- " +
+         Rounded(shown.sigma) + " of I_z (" + Rounded(sigmas) +
+         " sigma); the model has none: rotor_reaction is probable";
+}
+
 void ReactionWatch::Add(const TorqueBands& bands) {
   if (!bands.k_m) return;
   ++looks_;

@@ -752,6 +752,10 @@ void LoopSession::Conclude() {
   result_.bands = BandsOf(model, effects_.empty() ? before_ : *after_);
   const std::string reaction = ReactionWarning(result_.bands);
   if (!reaction.empty()) result_.warnings.push_back(reaction);
+  const std::string rotors = RotorInertiaWarning(result_.bands);
+  if (model.IndexOf("rotor_reaction.J_r") < 0 && !rotors.empty()) {
+    result_.warnings.push_back(rotors);
+  }
 }
 
 }  // namespace

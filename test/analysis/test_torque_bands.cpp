@@ -414,6 +414,17 @@ TEST(ReactionWatch, CountsItsLooks) {
   EXPECT_TRUE(watch.sentence().empty());
 }
 
+TEST(RotorInertiaWarning, IsOfWhatIsBeyondChance) {
+  TorqueBands bands;
+  EXPECT_EQ(RotorInertiaWarning(bands), "");
+  bands.J_r_over_I.sigma = 1e-4;
+  for (const auto& [sigmas, warns] : {std::pair(17.0, true), std::pair(3.5, true),
+                                      std::pair(3.0, false), std::pair(-17.0, false)}) {
+    bands.J_r_over_I.value = sigmas * bands.J_r_over_I.sigma;
+    EXPECT_EQ(!RotorInertiaWarning(bands).empty(), warns) << sigmas;
+  }
+}
+
 /// Bands of half octaves from 1 Hz on, each with this value and a sigma of 3 %.
 BandedQuantity Joined(const std::vector<double>& values) {
   BandedQuantity quantity;

@@ -96,6 +96,10 @@ std::map<std::string, ParameterSetting> InertiaByBands(const TorqueBands& bands,
 /// One sentence where the bands contradict the k_m in use; else empty.
 std::string ReactionWarning(const TorqueBands& bands);
 
+/// One sentence where bands show a rotor's inertia beyond chance (ReactionCheck::kErrorRate), for a
+/// model that has none; else empty.
+std::string RotorInertiaWarning(const TorqueBands& bands);
+
 /// Whether a flight contradicts the k_m that is held, look after look at its newest seconds. That
 /// any of the looks does so by chance is ReactionCheck::kErrorRate: a look's p counts times the
 /// number of looks so far.
