@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "odmc/attribution/candidates.h"
+#include "odmc/inspection/lag_regression.h"
 
 namespace odmc {
 namespace {
@@ -46,8 +47,13 @@ RankedEffect TakenOff(const TimeOffset& offset, const StreamEffect& kind, double
   return effect;
 }
 
-void Name(const RankedEffect& taken_off, const CloseLoopOptions& options, const Vehicle& vehicle,
-          ClosedLoop* loop) {
+/// True if the lag explains more than the stamps as they are, beyond chance between blocks of time.
+/// (A position controller that answers noise of the velocity makes rotors lead it by up to 15 ms,
+/// five of the lag's sigmas, and the stamps as they are explain the flight as well.)
+bool ExplainsMore(const TimeOffset& offset) { return offset.lag.over_none >= kLeastContrast; }
+
+void Name(const RankedEffect& taken_off, bool explains_more, const CloseLoopOptions& options,
+          const Vehicle& vehicle, ClosedLoop* loop) {
   std::vector<AddedEffect>& effects = loop->effects;
   const auto rest = std::find_if(effects.begin(), effects.end(), [&](const AddedEffect& added) {
     return added.effect.name == taken_off.name;
@@ -57,7 +63,7 @@ void Name(const RankedEffect& taken_off, const CloseLoopOptions& options, const 
         std::count(options.ruled_out.begin(), options.ruled_out.end(), taken_off.name) > 0;
     const bool has_room = static_cast<int>(effects.size()) < options.attribution.most_effects;
     const bool may_be_chance = taken_off.p_value >= options.attribution.false_alarm_rate;
-    if (is_ruled_out || !has_room || may_be_chance) return;
+    if (is_ruled_out || !has_room || may_be_chance || !explains_more) return;
     if (IsOrdinary(vehicle, taken_off)) {
       loop->warnings.push_back(OrdinaryText(vehicle, taken_off));
       return;
@@ -91,8 +97,8 @@ void AddInspection(const StreamInspection& inspection, const CloseLoopOptions& o
     for (const StreamEffect& kind : kStreamEffects) {
       if (offset.stream != kind.stream || offset.compensated_s == 0.0) continue;
       if (!HasFinding(inspection, offset.stream + "_offset")) continue;
-      Name(TakenOff(offset, kind, tried, options.attribution.log_prior_odds), options, vehicle,
-           loop);
+      Name(TakenOff(offset, kind, tried, options.attribution.log_prior_odds), ExplainsMore(offset),
+           options, vehicle, loop);
     }
   }
 }

@@ -23,6 +23,7 @@ TimeOffset Offset(const std::string& stream, double lag_s, double sigma_s) {
   offset.against = "body_rates";
   offset.lag.lag_s = lag_s;
   offset.lag.scatter_s = sigma_s;
+  offset.lag.over_none = 2.0 * kLeastContrast;
   offset.compensated_s = lag_s;
   return offset;
 }
@@ -65,6 +66,19 @@ TEST(StreamEffects, LateRotorSpeedsAreAnEffect) {
     EXPECT_GT(effect.probability, 0.999);
     EXPECT_EQ(loop.findings.size(), 1u);
     EXPECT_EQ(loop.warnings.size(), 1u);
+  }
+}
+
+// A controller that answers noise makes rotors lead; the stamps as they are explain that as well.
+TEST(StreamEffects, WhatTheStampsAsTheyAreExplainAsWellIsNoEffect) {
+  for (const bool explains_more : {true, false}) {
+    TimeOffset offset = Offset("rotor_speeds", -0.015, 0.003);
+    offset.lag.over_none = (explains_more ? 1.01 : 0.99) * kLeastContrast;
+    ClosedLoop loop;
+    AddInspection(Inspected(offset, true), CloseLoopOptions(), NominalVehicle(), &loop);
+    EXPECT_EQ(loop.verdict, explains_more ? Verdict::kEffect : Verdict::kNone);
+    EXPECT_EQ(loop.effects.size(), explains_more ? 1u : 0u);
+    EXPECT_EQ(loop.warnings.size(), 1u) << "that it was taken off is said in either case";
   }
 }
 
