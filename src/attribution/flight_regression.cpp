@@ -420,7 +420,7 @@ MatrixXd FlightRegression::DrawsOfFit(const std::function<double()>& normal) con
   for (Index k = 0; k < fitted_root_.cols(); ++k) {
     if (aside_.count(static_cast<int>(k)) == 0) in_use.push_back(k);
   }
-  const MatrixXd root = fitted_root_(Eigen::all, in_use);
+  MatrixXd root = fitted_root_(Eigen::all, in_use);
   if (root.cols() <= kMostDraws) return root;
   MatrixXd z(root.cols(), kMostDraws);
   for (Index k = 0; k < z.size(); ++k) z.data()[k] = normal();
