@@ -125,11 +125,9 @@ VariantSet AllButBest(const Evidence& evidence, const std::function<double(int)>
   return others;
 }
 
-/// The noise, beside the best variant of each valley of each effect.
-void EstimateNoiseBesideBest(Evidence* evidence) {
-  evidence->SetAside(
-      AllButBest(*evidence, [&](int v) { return evidence->Solve({v}).log_evidence; }));
-  evidence->EstimateNoise();
+/// The same by the evidence. Not between Evidence::Relinearize() and EstimateNoise().
+VariantSet AllButBest(const Evidence& evidence) {
+  return AllButBest(evidence, [&](int v) { return evidence.Solve({v}).log_evidence; });
 }
 
 /// True if two ways to try an effect differ by signs alone, in valleys of their own.
@@ -333,8 +331,10 @@ void Attribution::Polish(Evidence* evidence) const {
       if (moves) steps[v] = evidence->FoundBy(fit, v);
     }
     if (steps.empty()) break;
+    const VariantSet others = AllButBest(*evidence);
     evidence->Relinearize(steps);
-    EstimateNoiseBesideBest(evidence);
+    evidence->SetAside(others);
+    evidence->EstimateNoise();
   }
   // The last step was not looked at, and the noise has changed since: both places once more.
   std::map<int, Evidence::VariantValues> last, back;
@@ -346,13 +346,15 @@ void Attribution::Polish(Evidence* evidence) const {
     back[v] = known.at;
   }
   if (!back.empty()) {
+    const VariantSet others = AllButBest(*evidence);
     evidence->Relinearize(back);
     std::map<int, Evidence::VariantValues> stay;
     for (const auto& [v, at] : last) {
       if (evidence->LogEvidenceWhereLinearized(v) < gains[v]) stay[v] = at;
     }
     if (!stay.empty()) evidence->Relinearize(stay);
-    EstimateNoiseBesideBest(evidence);
+    evidence->SetAside(others);
+    evidence->EstimateNoise();
   }
   for (const int v : Nonlinear(*evidence)) evidence->CountWhatIsBorneOut(v);
 }
