@@ -74,6 +74,8 @@ class Regression {
   VectorXd Nats(const MatrixXd& residual, const MatrixXd& moving_gain) const;
   void Scan();
   double Refine(double lag_s) const;
+  double PeakOf(const VectorXd& nats) const;
+  double Jackknifed() const;
   void Renew(double lag_s);
   double Contrast(const Fit& best, double lag_s) const;
   Fit Without() const {
@@ -396,6 +398,27 @@ double Regression::StructuredShare(const MatrixXd& residual, double all) const {
   return all > 0.0 ? std::clamp((same + 2.0 * later) / (3.0 * all), 0.0, 1.0) : 0.0;
 }
 
+// Where the likelihood of blocks (sums over them, by lag) is largest: a parabola through three.
+double Regression::PeakOf(const VectorXd& nats) const {
+  Eigen::Index best = 0;
+  nats.maxCoeff(&best);
+  const double lag_s = LagOf(static_cast<int>(best));
+  if (best == 0 || best + 1 == nats.size()) return lag_s;
+  const double bend = nats[best - 1] - 2.0 * nats[best] + nats[best + 1];
+  if (!(bend < 0.0)) return lag_s;
+  return lag_s - 0.5 * (nats[best + 1] - nats[best - 1]) / bend * p_.step_s;
+}
+
+// Standard deviation of the best lag by leaving out one block after the other. A single block may
+// hold the lag against what all others show, and slopes about the best lag do not tell.
+double Regression::Jackknifed() const {
+  const VectorXd all = scanned_.colwise().sum().transpose();
+  VectorXd without(blocks_);
+  for (int b = 0; b < blocks_; ++b) without[b] = PeakOf(all - scanned_.row(b).transpose());
+  const double n = blocks_;
+  return std::sqrt((n - 1.0) / n * (without.array() - without.mean()).square().sum());
+}
+
 // What the likelihood around its best lag says.
 StreamLag Regression::Judge(double lag_s) const {
   const double step_s = kSlopeStep * p_.step_s, b = blocks_;
@@ -408,6 +431,7 @@ StreamLag Regression::Judge(double lag_s) const {
   lag.lag_s = lag_s;
   lag.blocks = blocks_;
   lag.scatter_s = bend < 0.0 ? std::sqrt(scatter) / -bend : std::numeric_limits<double>::infinity();
+  lag.scatter_s = std::max(lag.scatter_s, Jackknifed());
   lag.contrast = bend < 0.0 && std::abs(lag_s) < p_.reach_s ? Contrast(here, lag_s) : 0.0;
   lag.gain = here.gain.topRows(moving());
   const double all = (weights_.transpose() * Without().residual.cwiseAbs2()).sum();

@@ -5,6 +5,17 @@
 #include "odmc/text/format.h"
 
 namespace odmc {
+namespace {
+
+// A foot touches, and may bounce, before the ground's force lasts and shows a landing.
+constexpr double kFirstTouch_s = 0.3;
+
+/// True if it may follow flight because the vehicle has landed.
+bool IsLanding(FlightPhase phase) {
+  return !Teaches(phase) && phase != FlightPhase::kInHand && phase != FlightPhase::kInContact;
+}
+
+}  // namespace
 
 const char* Name(FlightPhase phase) {
   switch (phase) {
@@ -48,14 +59,20 @@ bool IsInside(Stamp stamp, const StampSpans& spans) {
 
 StampSpans NotInFlight(const std::vector<PhaseSpan>& phases) {
   StampSpans spans;
+  const PhaseSpan* flight = nullptr;
   bool follows = false;
   for (const PhaseSpan& phase : phases) {
     if (Teaches(phase.phase)) {
+      flight = &phase;
       follows = false;
     } else if (follows) {
       spans.back().second = phase.to;
     } else {
-      spans.emplace_back(phase.from, phase.to);
+      Stamp from = phase.from;
+      if (flight != nullptr && IsLanding(phase.phase)) {
+        from = std::max(flight->from, from - FromSeconds(kFirstTouch_s));
+      }
+      spans.emplace_back(from, phase.to);
       follows = true;
     }
   }

@@ -162,6 +162,27 @@ TEST_F(PhaseDetectorTest, TakesOffAgain) {
   EXPECT_EQ(NotInFlight(detector_.spans()).size(), 1u);
 }
 
+TEST(NotInFlight, BeginsBeforeALandingIsSeen) {
+  const auto span = [](FlightPhase phase, double from_s, double to_s) {
+    PhaseSpan s;
+    s.phase = phase;
+    s.from = FromSeconds(from_s);
+    s.to = FromSeconds(to_s);
+    return s;
+  };
+  using P = FlightPhase;
+  const StampSpans spans = NotInFlight(
+      {span(P::kOff, 0.0, 2.0), span(P::kLiftingOff, 2.0, 3.0), span(P::kFlying, 3.0, 20.0),
+       span(P::kInContact, 20.0, 21.0), span(P::kFlying, 21.0, 30.0),
+       span(P::kTouchingDown, 30.0, 30.5), span(P::kIdling, 30.5, 31.0),
+       span(P::kFlying, 31.0, 31.1), span(P::kTouchingDown, 31.1, 32.0)});
+  ASSERT_EQ(spans.size(), 4u);
+  EXPECT_EQ(spans[0], std::make_pair(FromSeconds(0.0), FromSeconds(3.0)));
+  EXPECT_EQ(spans[1], std::make_pair(FromSeconds(20.0), FromSeconds(21.0)));
+  EXPECT_EQ(spans[2], std::make_pair(FromSeconds(29.7), FromSeconds(31.0)));
+  EXPECT_EQ(spans[3], std::make_pair(FromSeconds(31.0), FromSeconds(32.0)));  // no further than it
+}
+
 TEST_F(PhaseDetectorTest, CarriedByHandIsNoFlight) {
   Fly();
   Do(Stand(0.05), 1.0);
