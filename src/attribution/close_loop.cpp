@@ -174,6 +174,8 @@ class LoopSession {
   bool HasClearSecondScore(const RankedEffect& effect) const;
   /// Drops what is zero within its sigma online, and predicts nothing better.
   void DropIdle();
+  /// Drops the least of the effects as long as the model with them is ruined.
+  void DropRuinous();
   /// Effects of which the regression is no judge, and that are not named yet.
   std::vector<std::string> EffectsToAskFor() const;
   /// Adds an effect of which the regression is no judge, where the online estimate shows it.
@@ -536,9 +538,25 @@ void LoopSession::Confirm() {
   if (!after_) return DropAll(grounded);
   StayNearFit();
   DropIdle();
-  if (effects_.empty() || after_) return;
-  after_ = RunWith(effects_, Part(0.6, 1.0));
-  if (!after_) DropAll(grounded);
+  if (effects_.empty()) return;
+  if (!after_) after_ = RunWith(effects_, Part(0.6, 1.0));
+  if (!after_) return DropAll(grounded);
+  DropRuinous();
+  if (!effects_.empty() && !after_) DropAll(grounded);
+}
+
+void LoopSession::DropRuinous() {
+  while (after_ && Ruins(before_.held_out, after_->held_out, options_.attribution)) {
+    const auto least =
+        std::min_element(effects_.begin(), effects_.end(),
+                         [](const auto& a, const auto& b) { return a.score < b.score; });
+    result_.warnings.push_back(least->name + " gains " + Rounded(least->score) +
+                               " nats, but with it the model predicts an axis twice as badly, and "
+                               "all of them together worse than without");
+    effects_.erase(least);
+    after_.reset();
+    if (!effects_.empty()) after_ = RunWith(effects_, Part(0.6, 1.0));
+  }
 }
 
 TorqueBands LoopSession::BandsOf(const DynamicModel& model, const OnlinePass& pass) const {
@@ -636,8 +654,10 @@ void LoopSession::StayNearFit() {
   const auto any = [this](const auto& is) {
     return std::any_of(effects_.begin(), effects_.end(), is);
   };
-  const bool contradicts = any(
-      [this](const RankedEffect& effect) { return ContradictsFit(effect, after_->parameters); });
+  const bool contradicts = Ruins(before_.held_out, after_->held_out, options_.attribution) ||
+                           any([this](const RankedEffect& effect) {
+                             return ContradictsFit(effect, after_->parameters);
+                           });
   const bool is_nothing = any([&](const RankedEffect& effect) {
     return !SizeDiffersFromZero(effect, after_->parameters, model,
                                 options_.attribution.least_size_sigmas);

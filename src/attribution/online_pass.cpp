@@ -75,4 +75,10 @@ bool TakesPlace(const PredictionFigures& near_fit, const PredictionFigures& free
   return LogError(near_fit) - LogError(free) < most;
 }
 
+bool Ruins(const PredictionFigures& without, const PredictionFigures& with,
+           const AttributionOptions& options) {
+  return RatiosOf(without, with, true).largest > 1.0 / options.telling_ratio &&
+         LogError(with) > LogError(without);
+}
+
 }  // namespace odmc

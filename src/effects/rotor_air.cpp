@@ -128,7 +128,10 @@ ParameterSpec LiftSpec(const std::string& name, const std::string& description,
 }
 
 ParameterSpec WindSpec(const std::string& axis) {
-  return {"w_" + axis, "m/s", "wind velocity, world " + axis, 0.0, 4.0, 1.0};
+  // The ground stops a vertical wind, which would also take the place of thrust: a constant force
+  // upwards, whatever the rotors do.
+  const double sigma_m_s = axis == "z" ? 1.0 : 4.0;
+  return {"w_" + axis, "m/s", "wind velocity, world " + axis, 0.0, sigma_m_s, 1.0};
 }
 
 ParameterSpec RotorInertiaSpec(const Vehicle& vehicle) {

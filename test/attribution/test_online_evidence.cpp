@@ -114,6 +114,23 @@ TEST(OnlinePass, KeepsToTheFitUnlessThatPredictsWorse) {
   EXPECT_FALSE(takes(1.01 / options.least_ratio, false));
 }
 
+TEST(OnlinePass, IsRuinedByAnAxisOnlyIfAllTogetherAreWorse) {
+  const AttributionOptions options;
+  const auto errors = [](double force, double yaw) {
+    PredictionFigures figures;
+    figures.force_rmse_N = force * Eigen::Vector3d(0.1, 0.2, 0.3);
+    figures.torque_rmse_Nm = Eigen::Vector3d(0.01, 0.02, 0.03 * yaw);
+    figures.angular_acceleration_rmse_rad_s2 = Eigen::Vector3d(1.0, 2.0, 3.0 * yaw);
+    return figures;
+  };
+  const PredictionFigures without = errors(1.0, 1.0);
+  EXPECT_FALSE(Ruins(without, without, options));
+  EXPECT_FALSE(Ruins(without, errors(1.0, 1.9), options));
+  EXPECT_TRUE(Ruins(without, errors(1.0, 2.1), options));
+  EXPECT_TRUE(Ruins(without, errors(0.8, 2.1), options));   // 3 ln 0.8 + ln 2.1 > 0
+  EXPECT_FALSE(Ruins(without, errors(0.7, 2.1), options));  // < 0
+}
+
 }  // namespace
 }  // namespace test
 }  // namespace odmc

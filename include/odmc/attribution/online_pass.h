@@ -50,6 +50,11 @@ double LogError(const PredictionFigures& figures);
 bool TakesPlace(const PredictionFigures& near_fit, const PredictionFigures& free, bool contradicts,
                 const AttributionOptions& options);
 
+/// True if effects make the model worse as a whole, and some axis beyond chance: its error doubles
+/// (1 / `telling_ratio`).
+bool Ruins(const PredictionFigures& without, const PredictionFigures& with,
+           const AttributionOptions& options);
+
 /// @param file_vehicle the vehicle file as it is: measured forces and torques come from it
 /// @param progress gets the share done
 /// @returns nothing if the vehicle never flies as the model has it
