@@ -5,6 +5,7 @@
 
 #include "odmc/attribution/candidates.h"
 #include "odmc/inspection/lag_regression.h"
+#include "odmc/text/format.h"
 
 namespace odmc {
 namespace {
@@ -19,6 +20,37 @@ struct StreamEffect {
   const char* parameter;
 };
 constexpr StreamEffect kStreamEffects[] = {{"rotor_speeds", "rotor_delay", "rotor_delay.delay"}};
+
+constexpr double kSigmasOfNone = 3.0;  // of the model's estimate: none is within these
+
+std::string Milliseconds(double seconds) { return Format("%.1f ms", 1e3 * seconds); }
+
+/// What the loop named of an offset that was taken off; null where it named nothing.
+const ParameterEstimate* RestOf(const TimeOffset& offset, const ClosedLoop& loop) {
+  if (offset.compensated_s == 0.0) return nullptr;
+  for (const StreamEffect& kind : kStreamEffects) {
+    if (offset.stream != kind.stream) continue;
+    for (const AddedEffect& added : loop.effects) {
+      if (added.effect.name == kind.effect) return added.effect.Find(kind.parameter);
+    }
+  }
+  return nullptr;
+}
+
+/// Takes out what inspection said of a stream's stamps.
+void Forget(const std::string& stream, StreamInspection* inspection) {
+  auto& findings = inspection->findings;
+  findings.erase(
+      std::remove_if(findings.begin(), findings.end(),
+                     [&](const Finding& finding) { return finding.check == stream + "_offset"; }),
+      findings.end());
+  auto& doubts = inspection->doubts;
+  doubts.erase(std::remove_if(doubts.begin(), doubts.end(),
+                              [&](const StreamDoubt& doubt) {
+                                return doubt.stream == stream && doubt.late_s != 0.0;
+                              }),
+               doubts.end());
+}
 
 bool HasFinding(const StreamInspection& inspection, const std::string& check) {
   return std::any_of(inspection.findings.begin(), inspection.findings.end(),
@@ -103,12 +135,39 @@ void AddInspection(const StreamInspection& inspection, const CloseLoopOptions& o
   }
 }
 
-ClosedLoop CloseLoopInspected(const FlightLog& log, const StreamInspection& inspection,
+std::string PutBack(const ClosedLoop& loop, StreamInspection* inspection, FlightLog* log) {
+  std::string said;
+  for (TimeOffset& offset : inspection->offsets) {
+    const ParameterEstimate* rest = RestOf(offset, loop);
+    if (rest == nullptr) continue;
+    const double total_s = offset.compensated_s + rest->value;
+    if (std::abs(total_s) > kSigmasOfNone * rest->sigma) continue;
+    said += offset.stream + ": " + Milliseconds(offset.compensated_s) + " (sigma " +
+            Milliseconds(offset.lag.sigma_s()) + ") would come off the stamps by comparison with " +
+            offset.against + ", but the model as a whole finds " + Milliseconds(total_s) +
+            " (sigma " + Milliseconds(rest->sigma) + "); the stamps are left as they are. ";
+    ShiftStream(offset.stream, -offset.compensated_s, log);
+    Forget(offset.stream, inspection);
+    offset.compensated_s = 0.0;
+  }
+  if (!said.empty()) said.pop_back();
+  return said;
+}
+
+ClosedLoop CloseLoopInspected(const FlightLog& log, const StreamInspection& inspected,
                               const Vehicle& file_vehicle, const Vehicle& vehicle,
                               CloseLoopOptions options, const std::optional<ParameterSet>& start,
                               const std::function<void(double)>& progress) {
+  StreamInspection inspection = inspected;
   options.doubts = inspection.doubts;
   ClosedLoop loop = CloseLoop(log, file_vehicle, vehicle, options, progress);
+  FlightLog as_recorded = log;
+  const std::string put_back = PutBack(loop, &inspection, &as_recorded);
+  if (!put_back.empty()) {
+    options.doubts = inspection.doubts;
+    loop = CloseLoop(as_recorded, file_vehicle, vehicle, options, progress);
+    loop.warnings.push_back(put_back);
+  }
   AddInspection(inspection, options, vehicle, &loop);
   if (start) WarnOfOtherMass(*start, file_vehicle, &loop.warnings);
   return loop;

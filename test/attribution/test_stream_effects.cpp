@@ -171,6 +171,51 @@ TEST(StreamEffects, WhatStaysUnexplainedStaysSo) {
   EXPECT_EQ(loop.effects.size(), 1u);
 }
 
+TEST(StreamEffects, AShiftThatTheModelTakesBackIsPutBack) {
+  for (const auto& [left_s, is_none] :
+       {std::pair<double, bool>{0.0085, true}, {0.0052, true}, {0.004, false}, {-0.008, false}}) {
+    const TimeOffset offset = Offset("rotor_speeds", -0.008, 0.002);
+    StreamInspection inspection = Inspected(offset, true);
+    inspection.doubts = {{"rotor_speeds", 0.002}, {"rotor_speeds", 0.0, 1.04, 2}};
+    FlightLog log;
+    log.rotors.resize(1);
+    ClosedLoop loop;
+    loop.effects = {Effect("rotor_delay", 250.0, "rotor_delay.delay", left_s)};  // +- 1 ms
+    EXPECT_EQ(!PutBack(loop, &inspection, &log).empty(), is_none) << left_s;
+    EXPECT_EQ(inspection.offsets[0].compensated_s, is_none ? 0.0 : -0.008);
+    EXPECT_EQ(inspection.findings.size(), is_none ? 0u : 1u);
+    EXPECT_EQ(inspection.doubts.size(), is_none ? 1u : 2u);
+    FlightLog shifted;
+    shifted.rotors.resize(1);
+    ShiftRotors(0.008, &shifted);
+    EXPECT_EQ(log.rotors[0].stamp, is_none ? shifted.rotors[0].stamp : 0);
+  }
+}
+
+// The flight is looked at as it was recorded, and nothing is named.
+TEST(StreamEffects, NothingIsNamedWhereTheInspectionAloneErred) {
+  const Vehicle vehicle = NominalVehicle();
+  const DynamicModel truth(vehicle, vehicle.effects);
+  SimulationOptions simulation;
+  simulation.trajectory = "aggressive";
+  simulation.duration_s = 25.0;
+  FlightLog log = Simulate(truth, DefaultTruth(truth), simulation, SimulationNoise()).log;
+  const ClosedLoop as_recorded = CloseLoop(log, vehicle, vehicle, CloseLoopOptions());
+  ShiftRotors(-0.015, &log);
+  const ClosedLoop loop =
+      CloseLoopInspected(log, Inspected(Offset("rotor_speeds", -0.015, 0.003), true), vehicle,
+                         vehicle, CloseLoopOptions());
+  EXPECT_TRUE(loop.effects.empty()) << CloseLoopTable(loop);
+  EXPECT_EQ(loop.verdict, as_recorded.verdict);
+  EXPECT_EQ(loop.parameters.Find("thrust.k_f")->value,
+            as_recorded.parameters.Find("thrust.k_f")->value);
+  ASSERT_EQ(loop.time_offsets.size(), 1u);
+  EXPECT_EQ(loop.time_offsets[0].compensated_s, 0.0);
+  EXPECT_TRUE(loop.findings.empty());
+  ASSERT_FALSE(loop.warnings.empty());
+  EXPECT_NE(loop.warnings.back().find("left as they are"), std::string::npos);
+}
+
 // From the recording to the report.
 TEST(StreamEffects, NamedInARecordingThatWasMended) {
   const Vehicle vehicle = NominalVehicle();
