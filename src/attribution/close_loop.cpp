@@ -102,7 +102,8 @@ bool Summarise(const AttributionOptions& options, ClosedLoop* result) {
     }
     result->structured_share = std::max(result->structured_share, whiteness.structured_share);
     result->whiteness_p = std::min(result->whiteness_p, n * whiteness.p);
-    structured = structured || IsStructured(channel, options);
+    const bool is_chance = n * whiteness.p >= options.whiteness_p;  // one of n channels
+    structured = structured || (IsStructured(channel, options) && !is_chance);
   }
   return structured;
 }
@@ -167,6 +168,8 @@ class LoopSession {
   /// Drops all effects where a flexible disturbance explains more than they do. What predicts
   /// blocks held out so much better is its cause all the same.
   void DropUnexplained();
+  /// Errors on blocks held out with all effects but this one.
+  PredictionFigures FiguresWithout(const RankedEffect& effect) const;
   /// What the online estimate says against an effect; empty: nothing.
   /// @param published the estimate, with what the fit leaves open in its sigmas
   std::string OnlineObjection(const RankedEffect& effect, const ParameterSet& published,
@@ -476,6 +479,16 @@ void LoopSession::DropUnexplained() {
   DropAll(Rounded(100.0 * unexplained) + " % of the structure stays unexplained beside it");
 }
 
+PredictionFigures LoopSession::FiguresWithout(const RankedEffect& effect) const {
+  std::vector<RankedEffect> others;
+  for (const RankedEffect& other : effects_) {
+    if (other.name != effect.name) others.push_back(other);
+  }
+  if (others.empty()) return before_.held_out;
+  const std::optional<OnlinePass> without = RunWith(others, Part(0.6, 1.0));
+  return without ? without->held_out : before_.held_out;
+}
+
 std::string LoopSession::OnlineObjection(const RankedEffect& effect, const ParameterSet& published,
                                          const DynamicModel& model) const {
   if (!SizeDiffersFromZero(effect, published, model, options_.attribution.least_size_sigmas)) {
@@ -487,15 +500,18 @@ std::string LoopSession::OnlineObjection(const RankedEffect& effect, const Param
   // contradicts, it must not ruin what it ought to predict.
   const bool contradicts = NatsAgainst(effect, after_->parameters, model) >= effect.score;
   if (HasClearSecondScore(effect) && !contradicts) return "";
-  const ErrorRatios ratios = RatiosOf(before_.held_out, after_->held_out, true);
-  const bool predicts = ratios.least < options_.attribution.least_ratio;
-  const bool ruins = ratios.largest > 1.0 / options_.attribution.telling_ratio;
   const bool is_there = SizeDiffersFromZero(effect, after_->parameters, model,
                                             options_.attribution.significant_sigmas);
+  if (is_there && !contradicts) return "";
+  const PredictionFigures without = FiguresWithout(effect);
+  const ErrorRatios ratios = RatiosOf(without, after_->held_out, true);
+  const bool predicts = ratios.least < options_.attribution.least_ratio &&
+                        LogError(after_->held_out) < LogError(without);
+  const bool ruins = ratios.largest > 1.0 / options_.attribution.telling_ratio;
   if (!(contradicts && ruins) && (predicts || is_there)) return "";
   return std::string("the online estimate ") +
          (is_there ? "contradicts that by more, and an axis is predicted twice as badly with it:"
-                   : "is zero within its sigma:") +
+                   : "is zero within its sigma, and predicts nothing better:") +
          EstimatesText(effect, after_->parameters, model);
 }
 

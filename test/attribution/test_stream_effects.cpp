@@ -198,7 +198,7 @@ TEST(StreamEffects, NothingIsNamedWhereTheInspectionAloneErred) {
   const DynamicModel truth(vehicle, vehicle.effects);
   SimulationOptions simulation;
   simulation.trajectory = "aggressive";
-  simulation.duration_s = 25.0;
+  simulation.duration_s = 12.0;
   FlightLog log = Simulate(truth, DefaultTruth(truth), simulation, SimulationNoise()).log;
   const ClosedLoop as_recorded = CloseLoop(log, vehicle, vehicle, CloseLoopOptions());
   ShiftRotors(-0.015, &log);
