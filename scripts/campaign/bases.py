@@ -143,8 +143,6 @@ def independent_vehicle(source: Dict[str, Any], known: Dict[str, Any]) -> Dict[s
     return {'name': source['name'], 'mass_kg': source['mass'], 'gravity_m_s2': source['gravity'],
             'inertia_kg_m2': source['inertia'], 'rotors': rotors, 'odometry': {'frame': 'body'},
             'imu': imu,
-            'effects': ['thrust', 'rotor_torque', 'drag', 'viscous_torque', 'hvt',
-                        'centre_of_gravity', 'inertia', 'gravity'],
             'parameters': {
                 'thrust.k_f': {'value': k_f, 'sigma': 0.3 * k_f, 'state': 'estimated'},
                 'rotor_torque.k_m': {'value': k_m, 'sigma': 0.3 * k_m, 'state': 'frozen'}}}
