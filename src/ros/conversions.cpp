@@ -48,30 +48,6 @@ std::optional<CommandSample> AcceptedAs(CommandSample sample) {
 
 }  // namespace
 
-geometry_msgs::Point ToPoint(const Eigen::Vector3d& p) {
-  geometry_msgs::Point m;
-  m.x = p.x();
-  m.y = p.y();
-  m.z = p.z();
-  return m;
-}
-
-geometry_msgs::Quaternion ToQuaternion(const Eigen::Quaterniond& q) {
-  geometry_msgs::Quaternion m;
-  m.x = q.x();
-  m.y = q.y();
-  m.z = q.z();
-  m.w = q.w();
-  return m;
-}
-
-std_msgs::Header MakeHeader(Stamp stamp, const std::string& frame) {
-  std_msgs::Header header;
-  header.stamp = ToRos(stamp);
-  header.frame_id = frame;
-  return header;
-}
-
 DynamicParameter ToMessage(const ParameterEstimate& p) {
   DynamicParameter m;
   m.name = p.full_name;

@@ -53,6 +53,30 @@ geometry_msgs::Vector3 ToVector3(const Eigen::Vector3d& v) {
   return m;
 }
 
+geometry_msgs::Point ToPoint(const Eigen::Vector3d& p) {
+  geometry_msgs::Point m;
+  m.x = p.x();
+  m.y = p.y();
+  m.z = p.z();
+  return m;
+}
+
+geometry_msgs::Quaternion ToQuaternion(const Eigen::Quaterniond& q) {
+  geometry_msgs::Quaternion m;
+  m.x = q.x();
+  m.y = q.y();
+  m.z = q.z();
+  m.w = q.w();
+  return m;
+}
+
+std_msgs::Header MakeHeader(Stamp stamp, const std::string& frame) {
+  std_msgs::Header header;
+  header.stamp = ToRos(stamp);
+  header.frame_id = frame;
+  return header;
+}
+
 double FromFloat(float value) {
   std::array<char, 32> text;
   const auto end = std::to_chars(text.data(), text.data() + text.size(), value).ptr;

@@ -2,8 +2,6 @@
 
 #include <geometry_msgs/WrenchStamped.h>
 #include <nav_msgs/Odometry.h>
-#include <sensor_msgs/BatteryState.h>
-#include <sensor_msgs/Imu.h>
 #include <trajectory_msgs/MultiDOFJointTrajectory.h>
 
 #include <optional>
@@ -18,6 +16,7 @@
 #include "odmc/control/flatness_controller.h"
 #include "odmc/model/parameter_set.h"
 #include "odmc/ros/reference_intake.h"
+#include "odmc/ros/sample_messages.h"
 #include "odmc/sensing/samples.h"
 #include "odmc/sim/truth_sample.h"
 
@@ -54,21 +53,12 @@ trajectory_msgs::MultiDOFJointTrajectory ToMessage(const std::vector<TimedRefere
                                                    const std::string& world_frame,
                                                    const std::string& body_frame);
 
-RotorSpeeds ToMessage(const RotorSample& sample);
-MotorCommands ToMessage(const CommandSample& sample);
 RotorSpeeds RotorCommand(const ControlCommand& command);
 /// @pre the command has throttles
 MotorCommands MotorCommand(const ControlCommand& command);
 RateThrust RateThrustCommand(const ControlCommand& command, const std::string& body_frame);
 /// False if anything that is published of a command is not a finite number.
 bool IsFinite(const ControlCommand& command);
-
-/// Twist in the sensor's frame, as nav_msgs/Odometry defines it.
-nav_msgs::Odometry ToMessage(const OdometrySample& sample, const std::string& world_frame,
-                             const std::string& sensor_frame);
-sensor_msgs::Imu ToMessage(const ImuSample& sample, const std::string& imu_frame);
-/// What is not known is not a number, as the message asks for.
-sensor_msgs::BatteryState ToMessage(const BatterySample& sample);
 
 /// Pose and twist of the body, twist in the body frame.
 nav_msgs::Odometry TruthOdometry(const TruthSample& truth, Stamp stamp,

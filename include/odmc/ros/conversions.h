@@ -25,9 +25,6 @@ namespace odmc {
 /// \file
 /// Messages to the core's samples and back.
 
-geometry_msgs::Point ToPoint(const Eigen::Vector3d& p);
-geometry_msgs::Quaternion ToQuaternion(const Eigen::Quaterniond& q);
-std_msgs::Header MakeHeader(Stamp stamp, const std::string& frame);
 DynamicParameter ToMessage(const ParameterEstimate& p);
 
 /// The input if a sensor can have measured it, its attitude made unit, its rotor speeds without

@@ -5,9 +5,11 @@
 #include <geometry_msgs/Vector3.h>
 #include <ros/time.h>
 #include <sensor_msgs/JointState.h>
+#include <std_msgs/Header.h>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <string>
 #include <vector>
 
 #include "odmc/sensing/samples.h"
@@ -24,6 +26,10 @@ Eigen::Vector3d ToEigen(const geometry_msgs::Vector3& v);
 Eigen::Vector3d ToEigen(const geometry_msgs::Point& p);
 Eigen::Quaterniond ToEigen(const geometry_msgs::Quaternion& q);  ///< as it is, not normalised
 geometry_msgs::Vector3 ToVector3(const Eigen::Vector3d& v);
+geometry_msgs::Point ToPoint(const Eigen::Vector3d& p);
+geometry_msgs::Quaternion ToQuaternion(const Eigen::Quaterniond& q);
+/// @throws std::invalid_argument as ToRos()
+std_msgs::Header MakeHeader(Stamp stamp, const std::string& frame);
 
 /// A speed per joint, in the order of the numbers in their names (rotor_0, rotor_1, ...), whatever
 /// the message's order is; in that order where names are missing, have no number, or two the same.
