@@ -234,74 +234,82 @@ Attribution::Attribution(const std::vector<const ResidualModel*>& residuals, Mod
       give_up_(std::move(give_up)),
       jobs_(jobs) {}
 
-void Attribution::Screen(Evidence* evidence) const {
+std::map<std::string, std::vector<const EffectCandidate*>> Attribution::OpenCandidates(
+    const Evidence& evidence) const {
   std::map<std::string, std::vector<const EffectCandidate*>> by_effect;
   for (const EffectCandidate& candidate : candidates_) {
-    const std::vector<std::string>& have = evidence->point().vehicle.effects;
+    const std::vector<std::string>& have = evidence.point().vehicle.effects;
     if (std::find(have.begin(), have.end(), candidate.effect) != have.end()) continue;
     if (IsHollowCandidate(candidate)) continue;
     by_effect[candidate.effect].push_back(&candidate);
   }
+  return by_effect;
+}
+
+std::vector<Attribution::ScreenedWay> Attribution::MostPromising(
+    const std::vector<const EffectCandidate*>& settings, const Evidence& evidence) const {
+  std::vector<Evidence::GainBound> promises(settings.size());
+  ForEachOf(static_cast<int>(settings.size()), jobs_, [&](int i) {
+    promises[static_cast<size_t>(i)] = evidence.GainBoundOf(*settings[static_cast<size_t>(i)]);
+  });
+  std::set<size_t> chosen;
+  const auto choose = [&](double Evidence::GainBound::*by) {
+    std::vector<size_t> order(promises.size());
+    std::iota(order.begin(), order.end(), size_t{0});
+    std::sort(order.begin(), order.end(),
+              [&](size_t a, size_t b) { return promises[a].*by > promises[b].*by; });
+    chosen.insert(order.begin(), order.begin() + std::min(order.size(), kFittedSettings));
+  };
+  choose(&Evidence::GainBound::serial);
+  choose(&Evidence::GainBound::white);
+  const auto most = static_cast<size_t>(
+      std::max_element(promises.begin(), promises.end(),
+                       [](const auto& a, const auto& b) { return a.white < b.white; }) -
+      promises.begin());
+  std::set<size_t> refined = {most};
+  // What is linear says little of a size's sign: the fit has to.
+  for (size_t i = 0; i < settings.size(); ++i) {
+    const auto mirrors = [&](size_t other) { return AreMirrored(*settings[other], *settings[i]); };
+    if (mirrors(most)) refined.insert(i);
+    if (std::any_of(chosen.begin(), chosen.end(), mirrors)) chosen.insert(i);
+  }
+  std::set<std::map<std::string, double>> held;
+  for (const EffectCandidate* c : settings) held.insert(c->settings);
+  const double log_prior = -std::log(static_cast<double>(held.size()));
+  std::vector<ScreenedWay> ways;
+  for (const size_t i : chosen) ways.push_back({*settings[i], log_prior, promises[i].white});
+  for (const size_t i : refined) {
+    const EffectCandidate moved = WithRefinedSettings(
+        *settings[i], [&](const auto& other) { return evidence.GainBoundOf(other).white; });
+    if (moved.settings == settings[i]->settings && moved.start == settings[i]->start) continue;
+    ways.push_back({moved, log_prior, evidence.GainBoundOf(moved).white});
+  }
+  return ways;
+}
+
+void Attribution::Screen(Evidence* evidence) const {
+  const auto by_effect = OpenCandidates(*evidence);
   std::vector<EffectCandidate> single;
   for (const auto& entry : by_effect) {
     if (entry.second.size() == 1) single.push_back(*entry.second.front());
   }
   evidence->AddAll(single);
   evidence->EstimateNoise();
-  struct Chosen {
-    EffectCandidate candidate;
-    double log_prior, promise;
-  };
-  std::vector<Chosen> all;
-  for (const auto& [effect, settings] : by_effect) {
-    if (settings.size() < 2 || GivesUp()) continue;
-    std::vector<Evidence::GainBound> promises(settings.size());
-    ForEachOf(static_cast<int>(settings.size()), jobs_, [&, &settings = settings](int i) {
-      promises[static_cast<size_t>(i)] = evidence->GainBoundOf(*settings[static_cast<size_t>(i)]);
-    });
-    std::set<size_t> chosen;
-    const auto choose = [&](double Evidence::GainBound::*by) {
-      std::vector<size_t> order(promises.size());
-      std::iota(order.begin(), order.end(), size_t{0});
-      std::sort(order.begin(), order.end(),
-                [&](size_t a, size_t b) { return promises[a].*by > promises[b].*by; });
-      chosen.insert(order.begin(), order.begin() + std::min(order.size(), kFittedSettings));
-    };
-    choose(&Evidence::GainBound::serial);
-    choose(&Evidence::GainBound::white);
-    const auto most = static_cast<size_t>(
-        std::max_element(promises.begin(), promises.end(),
-                         [](const auto& a, const auto& b) { return a.white < b.white; }) -
-        promises.begin());
-    std::set<size_t> refined = {most};
-    // What is linear says little of a size's sign: the fit has to.
-    for (size_t i = 0; i < settings.size(); ++i) {
-      const auto mirrors = [&, &settings = settings](size_t other) {
-        return AreMirrored(*settings[other], *settings[i]);
-      };
-      if (mirrors(most)) refined.insert(i);
-      if (std::any_of(chosen.begin(), chosen.end(), mirrors)) chosen.insert(i);
-    }
-    std::set<std::map<std::string, double>> held;
-    for (const EffectCandidate* c : settings) held.insert(c->settings);
-    const double log_prior = -std::log(static_cast<double>(held.size()));
-    for (const size_t i : chosen) all.push_back({*settings[i], log_prior, promises[i].white});
-    for (const size_t i : refined) {
-      const EffectCandidate moved = WithRefinedSettings(
-          *settings[i], [&](const auto& other) { return evidence->GainBoundOf(other).white; });
-      if (moved.settings == settings[i]->settings && moved.start == settings[i]->start) continue;
-      all.push_back({moved, log_prior, evidence->GainBoundOf(moved).white});
-    }
+  std::vector<ScreenedWay> ways;
+  for (const auto& entry : by_effect) {
+    if (entry.second.size() < 2 || GivesUp()) continue;
+    const std::vector<ScreenedWay> of_effect = MostPromising(entry.second, *evidence);
+    ways.insert(ways.end(), of_effect.begin(), of_effect.end());
   }
   std::vector<EffectCandidate> chosen;
-  chosen.reserve(all.size());
-  for (const Chosen& c : all) chosen.push_back(c.candidate);
+  chosen.reserve(ways.size());
+  for (const ScreenedWay& way : ways) chosen.push_back(way.candidate);
   const std::vector<int> added = evidence->AddAll(chosen);
   std::map<int, double> promise;
-  for (size_t k = 0; k < all.size(); ++k) {
+  for (size_t k = 0; k < ways.size(); ++k) {
     if (added[k] < 0) continue;
-    evidence->SetLogPrior(added[k], all[k].log_prior);
-    promise[added[k]] = all[k].promise;
+    evidence->SetLogPrior(added[k], ways[k].log_prior);
+    promise[added[k]] = ways[k].promise;
   }
   evidence->SetAside(AllButBest(*evidence, [&](int v) { return promise[v]; }));
   evidence->EstimateNoise();
@@ -392,6 +400,27 @@ double Attribution::SurrogatePValue(double gain) const {
                              static_cast<double>(null_gains_.size()));
 }
 
+void Attribution::AddOtherValleys(const Evidence& evidence, int variant, const VariantSet& set,
+                                  const std::vector<Eigen::Index>& own,
+                                  RankedEffect* ranked) const {
+  const EffectFit posterior = evidence.Solve(set);
+  VariantSet without = set;
+  without.erase(variant);
+  const std::string own_valley = ValleyNameOf(evidence.variants()[variant].candidate);
+  Valley most;  // many starts end in one: the largest counts, not each
+  for (int other = 0; other < static_cast<int>(evidence.variants().size()); ++other) {
+    const EffectCandidate& candidate = evidence.variants()[other].candidate;
+    if (other == variant || candidate.effect != ranked->name) continue;
+    const std::string valley_name = ValleyNameOf(candidate);
+    if (refuted_.count(valley_name) > 0 && valley_name != own_valley) continue;
+    VariantSet instead = without;
+    instead.insert(other);
+    Valley valley = ValleyOf(evidence.Solve(instead), evidence, posterior, own, *ranked);
+    if (valley.weight > most.weight) most = std::move(valley);
+  }
+  if (most.weight > 0.0) ranked->spread += most.spread;
+}
+
 RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
                                    const VariantSet& set) const {
   RankedEffect ranked;
@@ -440,18 +469,7 @@ RankedEffect Attribution::Describe(const Evidence& evidence, int variant,
   }
   ranked.covariance = posterior.covariance(own, own);
   BeginSpread(fitted, evidence, posterior, &ranked);
-  Valley most;  // many starts end in one: the largest counts, not each
-  for (int other = 0; other < static_cast<int>(evidence.variants().size()); ++other) {
-    const EffectCandidate& candidate = evidence.variants()[other].candidate;
-    if (other == variant || candidate.effect != ranked.name) continue;
-    const std::string valley_name = ValleyNameOf(candidate);
-    if (refuted_.count(valley_name) > 0 && valley_name != ValleyNameOf(v.candidate)) continue;
-    VariantSet instead = without;
-    instead.insert(other);
-    Valley valley = ValleyOf(evidence.Solve(instead), evidence, posterior, own, ranked);
-    if (valley.weight > most.weight) most = std::move(valley);
-  }
-  if (most.weight > 0.0) ranked.spread += most.spread;
+  AddOtherValleys(evidence, variant, set, own, &ranked);
   return ranked;
 }
 
@@ -744,6 +762,18 @@ void Attribution::PutOrdinaryAside() {
   effects_.erase(first, effects_.end());
 }
 
+VariantSet Attribution::MostConfirmed(const Evidence& evidence, const VariantSet& found) {
+  VariantSet set = Confirmed(evidence, found);
+  // Members of a set may hide each other's case: one alone may say more.
+  for (const int v : BestAlone(evidence)) {
+    if (set.count(v) > 0) break;
+    const VariantSet alone = Confirmed(evidence, {v});
+    if (!alone.empty() && evidence.GainInNats(alone) > evidence.GainInNats(set)) set = alone;
+    if (!set.empty()) break;
+  }
+  return set;
+}
+
 void Attribution::Search() {
   before_ = Refit(&point_);
   after_ = before_;
@@ -757,14 +787,7 @@ void Attribution::Search() {
     const SearchResult found =
         SearchEffects(evidence, options_.log_prior_odds,
                       options_.most_effects - static_cast<int>(effects_.size()), give_up_);
-    VariantSet set = Confirmed(evidence, found.best.variants);
-    // Members of a set may hide each other's case: one alone may say more.
-    for (const int v : BestAlone(evidence)) {
-      if (set.count(v) > 0) break;
-      const VariantSet alone = Confirmed(evidence, {v});
-      if (!alone.empty() && evidence.GainInNats(alone) > evidence.GainInNats(set)) set = alone;
-      if (!set.empty()) break;
-    }
+    VariantSet set = MostConfirmed(evidence, found.best.variants);
     if (set.empty()) return;
     set = WithoutStrangers(evidence, Largest(evidence, set));
     const VariantSet found_first = set;

@@ -122,6 +122,17 @@ class Attribution {
  private:
   void Search();
   void PutOrdinaryAside();
+  /// One way to try an effect that was looked at closer, and what it promised [nats].
+  struct ScreenedWay {
+    EffectCandidate candidate;
+    double log_prior, promise;
+  };
+  /// Candidates that the model lacks and that were not refuted, by effect.
+  std::map<std::string, std::vector<const EffectCandidate*>> OpenCandidates(
+      const Evidence& evidence) const;
+  /// Of the settings of one effect those that promise most, with their mirrors, and between them.
+  std::vector<ScreenedWay> MostPromising(const std::vector<const EffectCandidate*>& settings,
+                                         const Evidence& evidence) const;
   void Screen(Evidence* evidence) const;
   void Polish(Evidence* evidence) const;
   void Rank(const Evidence& evidence);
@@ -142,7 +153,13 @@ class Attribution {
   /// Variants that gain most on their own, of different effects.
   std::vector<int> BestAlone(const Evidence& evidence) const;
   VariantSet Confirmed(const Evidence& with, VariantSet set);
+  /// The best set's members that are confirmed, or the best effect alone where that says more.
+  VariantSet MostConfirmed(const Evidence& evidence, const VariantSet& found);
   RankedEffect Describe(const Evidence& evidence, int variant, const VariantSet& set) const;
+  /// Adds what else the effect could be, in its other local minima, to its spread.
+  /// @param own columns of its coefficients in the posterior
+  void AddOtherValleys(const Evidence& evidence, int variant, const VariantSet& set,
+                       const std::vector<Eigen::Index>& own, RankedEffect* ranked) const;
   /// What each of several flights says of an effect of a set.
   std::vector<FlightEvidence> ByFlight(const Evidence& evidence, int variant,
                                        const VariantSet& set) const;
