@@ -111,7 +111,7 @@ void WriteHistory(const Calibration& c, const FlightLog& log, const DynamicModel
     sigma[i] = p.estimated ? p.spec.prior_sigma : 0.0;
   }
   std::vector<double> ground;
-  for (const auto& [first, last] : c.replay.ground_spans) {
+  for (const auto& [first, last] : NotInFlight(c.replay.phases, 0.0)) {
     ground.push_back(ToSeconds(first - log.odometry.front().stamp));
     if (last > first) ground.push_back(ToSeconds(last - log.odometry.front().stamp));
   }

@@ -108,6 +108,8 @@ bool Summarise(const AttributionOptions& options, ClosedLoop* result) {
   return structured;
 }
 
+constexpr char kGrounded[] = "with it the online estimator takes the flight for contact";
+
 /// A flight's way through the loop: calibrated as declared, attributed, confirmed by the online
 /// estimator with what was named, concluded. The steps are called in this order.
 class LoopSession {
@@ -130,6 +132,8 @@ class LoopSession {
   /// Runs once more, held near the fit, where the online estimate has left it. The run that
   /// predicts blocks held out better counts.
   void StayNearFit();
+  /// Drops the least of the effects as long as the model with them is ruined.
+  void DropRuinous();
   /// Adds what the streams may be wrong by to the sigmas, and says which effect hangs on that.
   void WidenForDoubts();
   /// The verdict, and the errors before and after.
@@ -165,6 +169,10 @@ class LoopSession {
   /// @param changes what each of the doubts makes of the parameters of `model`
   void NoteDoubtful(const std::vector<Eigen::VectorXd>& changes, const DynamicModel& model);
   void DropAll(const std::string& why);
+  /// Takes an effect out, with what is known for its sake only.
+  void Erase(const std::string& name);
+  /// The effects, the one with the least score first.
+  std::vector<RankedEffect> LeastFirst() const;
   /// Drops all effects where a flexible disturbance explains more than they do. What predicts
   /// blocks held out so much better is its cause all the same.
   void DropUnexplained();
@@ -177,8 +185,9 @@ class LoopSession {
   bool HasClearSecondScore(const RankedEffect& effect) const;
   /// Drops what is zero within its sigma online, and predicts nothing better.
   void DropIdle();
-  /// Drops the least of the effects as long as the model with them is ruined.
-  void DropRuinous();
+  bool DropOneIdle();
+  /// The online estimate with the effects left; drops them where it never flies with them.
+  void RunAgain();
   /// Effects of which the regression is no judge, and that are not named yet.
   std::vector<std::string> EffectsToAskFor() const;
   /// Adds an effect of which the regression is no judge, where the online estimate shows it.
@@ -467,6 +476,8 @@ void LoopSession::DropAll(const std::string& why) {
   }
   effects_.clear();
   after_.reset();
+  known_.clear();
+  gusts_.reset();
 }
 
 void LoopSession::DropUnexplained() {
@@ -510,8 +521,9 @@ std::string LoopSession::OnlineObjection(const RankedEffect& effect, const Param
   const bool ruins = ratios.largest > 1.0 / options_.attribution.telling_ratio;
   if (!(contradicts && ruins) && (predicts || is_there)) return "";
   return std::string("the online estimate ") +
-         (is_there ? "contradicts that by more, and an axis is predicted twice as badly with it:"
-                   : "is zero within its sigma, and predicts nothing better:") +
+         (contradicts && ruins
+              ? "contradicts that by more, and an axis is predicted twice as badly with it:"
+              : "is zero within three sigma, and predicts nothing better:") +
          EstimatesText(effect, after_->parameters, model);
 }
 
@@ -519,31 +531,66 @@ bool LoopSession::HasClearSecondScore(const RankedEffect& effect) const {
   return !effect.second_score || *effect.second_score >= options_.attribution.clear_odds;
 }
 
-void LoopSession::DropIdle() {
+void LoopSession::Erase(const std::string& name) {
+  const auto is_it = [&](const RankedEffect& effect) { return effect.name == name; };
+  effects_.erase(std::remove_if(effects_.begin(), effects_.end(), is_it), effects_.end());
+  after_.reset();
+  if (name != "gust" || !gusts_) return;
+  for (const auto& entry : gusts_->known) known_.erase(entry.first);
+  gusts_.reset();
+}
+
+std::vector<RankedEffect> LoopSession::LeastFirst() const {
+  std::vector<RankedEffect> effects = effects_;
+  std::sort(effects.begin(), effects.end(),
+            [](const auto& a, const auto& b) { return a.score < b.score; });
+  return effects;
+}
+
+bool LoopSession::DropOneIdle() {
   const Vehicle extended = VehicleWithEffects(effects_);
   const DynamicModel model(extended, extended.effects);
   ParameterSet published = after_->parameters;
   for (const RankedEffect& effect : effects_) AddSpread(effect, &published);
-  std::vector<RankedEffect> kept;
-  for (const RankedEffect& effect : effects_) {
+  for (const RankedEffect& effect : LeastFirst()) {
     const std::string objection = OnlineObjection(effect, published, model);
-    if (objection.empty()) {
-      kept.push_back(effect);
-      continue;
-    }
+    if (objection.empty()) continue;
     result_.warnings.push_back(effect.name + " gains " + Rounded(effect.score) + " nats, but " +
                                objection);
     RankedEffect* ranked = RankedOf(effect.name);
-    if (HasClearSecondScore(effect) || ranked == nullptr) continue;
-    ranked->score = std::min(ranked->score, *effect.second_score);
-    ranked->p_value = attribution_->PValue(ranked->score);
+    if (!HasClearSecondScore(effect) && ranked != nullptr) {
+      ranked->score = std::min(ranked->score, *effect.second_score);
+      ranked->p_value = attribution_->PValue(ranked->score);
+    }
+    Erase(effect.name);
+    return true;
   }
-  if (kept.size() != effects_.size()) after_.reset();
-  effects_ = std::move(kept);
+  return false;
+}
+
+// One after the other: of two that stand in for each other the larger is left.
+void LoopSession::DropIdle() {
+  while (!effects_.empty() && DropOneIdle()) RunAgain();
+}
+
+void LoopSession::DropRuinous() {
+  while (!effects_.empty() && Ruins(before_.held_out, after_->held_out, options_.attribution)) {
+    const RankedEffect least = LeastFirst().front();
+    result_.warnings.push_back(least.name + " gains " + Rounded(least.score) +
+                               " nats, but with the effects the model predicts an axis twice as "
+                               "badly, and all axes together worse");
+    Erase(least.name);
+    RunAgain();
+  }
+}
+
+void LoopSession::RunAgain() {
+  if (effects_.empty()) return;
+  after_ = RunWith(effects_, Part(0.6, 1.0));
+  if (!after_) DropAll(kGrounded);
 }
 
 void LoopSession::Confirm() {
-  const char* const grounded = "with it the online estimator takes the flight for contact";
   DropUnexplained();
   if (gusts_) {
     effects_.push_back(gusts_->ranked);
@@ -551,28 +598,10 @@ void LoopSession::Confirm() {
   }
   if (effects_.empty()) return;
   if (!after_) RunAndAskAhead(0.8);
-  if (!after_) return DropAll(grounded);
+  if (!after_) return DropAll(kGrounded);
   StayNearFit();
   DropIdle();
-  if (effects_.empty()) return;
-  if (!after_) after_ = RunWith(effects_, Part(0.6, 1.0));
-  if (!after_) return DropAll(grounded);
   DropRuinous();
-  if (!effects_.empty() && !after_) DropAll(grounded);
-}
-
-void LoopSession::DropRuinous() {
-  while (after_ && Ruins(before_.held_out, after_->held_out, options_.attribution)) {
-    const auto least =
-        std::min_element(effects_.begin(), effects_.end(),
-                         [](const auto& a, const auto& b) { return a.score < b.score; });
-    result_.warnings.push_back(least->name + " gains " + Rounded(least->score) +
-                               " nats, but with it the model predicts an axis twice as badly, and "
-                               "all of them together worse than without");
-    effects_.erase(least);
-    after_.reset();
-    if (!effects_.empty()) after_ = RunWith(effects_, Part(0.6, 1.0));
-  }
 }
 
 TorqueBands LoopSession::BandsOf(const DynamicModel& model, const OnlinePass& pass) const {
@@ -665,6 +694,7 @@ std::vector<std::string> LoopSession::EffectsToAskFor() const {
 // as a mass times its place, may then be on its way to another valley.
 void LoopSession::StayNearFit() {
   constexpr double kSigmas = 3.0;  // the flight counts twice, once with a ninth of its weight
+  if (!after_) return;
   const Vehicle extended = VehicleWithEffects(effects_);
   const DynamicModel model(extended, extended.effects);
   const auto any = [this](const auto& is) {
@@ -840,6 +870,7 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
     session.Confirm();
     session.AskOnline();
     session.StayNearFit();
+    session.DropRuinous();
   }
   session.WidenForDoubts();
   if (has_flight) session.Conclude();

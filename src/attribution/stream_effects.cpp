@@ -21,17 +21,29 @@ struct StreamEffect {
 };
 constexpr StreamEffect kStreamEffects[] = {{"rotor_speeds", "rotor_delay", "rotor_delay.delay"}};
 
-constexpr double kSigmasOfNone = 3.0;  // of the model's estimate: none is within these
+constexpr double kSigmasOfNone = 3.0;  // an offset within so many of its sigmas is none
 
 std::string Milliseconds(double seconds) { return Format("%.1f ms", 1e3 * seconds); }
 
-/// What the loop named of an offset that was taken off; null where it named nothing.
-const ParameterEstimate* RestOf(const TimeOffset& offset, const ClosedLoop& loop) {
-  if (offset.compensated_s == 0.0) return nullptr;
+bool HasFinding(const StreamInspection& inspection, const std::string& check) {
+  return std::any_of(inspection.findings.begin(), inspection.findings.end(),
+                     [&](const Finding& finding) { return finding.check == check; });
+}
+
+/// What the loop found of an offset that was taken off, with a finding, where that takes the stamps
+/// back to where they were; else null.
+const ParameterEstimate* TakenBackBy(const TimeOffset& offset, const StreamInspection& inspection,
+                                     const ClosedLoop& loop) {
+  if (offset.compensated_s == 0.0 || !HasFinding(inspection, offset.stream + "_offset")) {
+    return nullptr;
+  }
   for (const StreamEffect& kind : kStreamEffects) {
     if (offset.stream != kind.stream) continue;
     for (const AddedEffect& added : loop.effects) {
-      if (added.effect.name == kind.effect) return added.effect.Find(kind.parameter);
+      if (added.effect.name != kind.effect) continue;
+      const ParameterEstimate* rest = added.effect.Find(kind.parameter);
+      const double total_s = offset.compensated_s + rest->value;
+      return std::abs(total_s) <= kSigmasOfNone * rest->sigma ? rest : nullptr;
     }
   }
   return nullptr;
@@ -50,11 +62,6 @@ void Forget(const std::string& stream, StreamInspection* inspection) {
                                 return doubt.stream == stream && doubt.late_s != 0.0;
                               }),
                doubts.end());
-}
-
-bool HasFinding(const StreamInspection& inspection, const std::string& check) {
-  return std::any_of(inspection.findings.begin(), inspection.findings.end(),
-                     [&](const Finding& finding) { return finding.check == check; });
 }
 
 /// Log likelihood ratio of an offset of the usual size to none [nats].
@@ -135,22 +142,27 @@ void AddInspection(const StreamInspection& inspection, const CloseLoopOptions& o
   }
 }
 
+bool TakesBack(const ClosedLoop& loop, const StreamInspection& inspection) {
+  return std::any_of(
+      inspection.offsets.begin(), inspection.offsets.end(),
+      [&](const TimeOffset& offset) { return TakenBackBy(offset, inspection, loop) != nullptr; });
+}
+
 std::string PutBack(const ClosedLoop& loop, StreamInspection* inspection, FlightLog* log) {
   std::string said;
   for (TimeOffset& offset : inspection->offsets) {
-    const ParameterEstimate* rest = RestOf(offset, loop);
+    const ParameterEstimate* rest = TakenBackBy(offset, *inspection, loop);
     if (rest == nullptr) continue;
-    const double total_s = offset.compensated_s + rest->value;
-    if (std::abs(total_s) > kSigmasOfNone * rest->sigma) continue;
-    said += offset.stream + ": " + Milliseconds(offset.compensated_s) + " (sigma " +
-            Milliseconds(offset.lag.sigma_s()) + ") would come off the stamps by comparison with " +
-            offset.against + ", but the model as a whole finds " + Milliseconds(total_s) +
-            " (sigma " + Milliseconds(rest->sigma) + "); the stamps are left as they are. ";
+    said += (said.empty() ? "" : "; ") + offset.stream + ": inspection took " +
+            Milliseconds(offset.compensated_s) + " (sigma " + Milliseconds(offset.lag.sigma_s()) +
+            ") off the stamps by comparison with " + offset.against +
+            ", but the model as a whole finds " + Milliseconds(offset.compensated_s + rest->value) +
+            " (sigma " + Milliseconds(rest->sigma) + "): the stamps are left as they are";
     ShiftStream(offset.stream, -offset.compensated_s, log);
     Forget(offset.stream, inspection);
+    inspection->doubts.push_back({offset.stream, rest->sigma});
     offset.compensated_s = 0.0;
   }
-  if (!said.empty()) said.pop_back();
   return said;
 }
 
@@ -161,12 +173,12 @@ ClosedLoop CloseLoopInspected(const FlightLog& log, const StreamInspection& insp
   StreamInspection inspection = inspected;
   options.doubts = inspection.doubts;
   ClosedLoop loop = CloseLoop(log, file_vehicle, vehicle, options, progress);
-  FlightLog as_recorded = log;
-  const std::string put_back = PutBack(loop, &inspection, &as_recorded);
-  if (!put_back.empty()) {
+  if (TakesBack(loop, inspection)) {
+    FlightLog with_stamps_back = log;
+    const std::string said = PutBack(loop, &inspection, &with_stamps_back);
     options.doubts = inspection.doubts;
-    loop = CloseLoop(as_recorded, file_vehicle, vehicle, options, progress);
-    loop.warnings.push_back(put_back);
+    loop = CloseLoop(with_stamps_back, file_vehicle, vehicle, options, {});
+    loop.warnings.push_back(said);
   }
   AddInspection(inspection, options, vehicle, &loop);
   if (start) WarnOfOtherMass(*start, file_vehicle, &loop.warnings);

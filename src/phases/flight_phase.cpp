@@ -7,9 +7,6 @@
 namespace odmc {
 namespace {
 
-// A foot touches, and may bounce, before the ground's force lasts and shows a landing.
-constexpr double kFirstTouch_s = 0.3;
-
 /// True if it may follow flight because the vehicle has landed.
 bool IsLanding(FlightPhase phase) {
   return !Teaches(phase) && phase != FlightPhase::kInHand && phase != FlightPhase::kInContact;
@@ -57,7 +54,7 @@ bool IsInside(Stamp stamp, const StampSpans& spans) {
   });
 }
 
-StampSpans NotInFlight(const std::vector<PhaseSpan>& phases) {
+StampSpans NotInFlight(const std::vector<PhaseSpan>& phases, double before_landing_s) {
   StampSpans spans;
   const PhaseSpan* flight = nullptr;
   bool follows = false;
@@ -70,7 +67,7 @@ StampSpans NotInFlight(const std::vector<PhaseSpan>& phases) {
     } else {
       Stamp from = phase.from;
       if (flight != nullptr && IsLanding(phase.phase)) {
-        from = std::max(flight->from, from - FromSeconds(kFirstTouch_s));
+        from = std::max(flight->from, from - FromSeconds(before_landing_s));
       }
       spans.emplace_back(from, phase.to);
       follows = true;

@@ -1,7 +1,6 @@
 #include "odmc/ros/control_messages.h"
 
 #include <cmath>
-#include <limits>
 
 #include "odmc/ros/conversions.h"
 #include "odmc/text/finding.h"

@@ -1,6 +1,7 @@
 #include "odmc/ros/sample_messages.h"
 
 #include <limits>
+#include <vector>
 
 #include "odmc/ros/message_values.h"
 
@@ -8,7 +9,7 @@ namespace odmc {
 namespace {
 
 constexpr double kMissing = -1.0;  // as a first variance
-constexpr char kJoint[] = "base_link";
+constexpr char kBodyFrame[] = "base_link";
 
 std::vector<double> ToVector(const RotorVector& v) { return {v.data(), v.data() + v.size()}; }
 
@@ -54,7 +55,7 @@ sensor_msgs::Imu ToMessage(const ImuSample& sample, const std::string& imu_frame
 
 RotorSpeeds ToMessage(const RotorSample& sample, bool rms_only) {
   RotorSpeeds m;
-  m.header = MakeHeader(sample.stamp, kJoint);
+  m.header = MakeHeader(sample.stamp, kBodyFrame);
   m.angular_velocity_rad_s = ToVector(sample.speed);
   m.rms_only = rms_only;
   return m;
@@ -62,7 +63,7 @@ RotorSpeeds ToMessage(const RotorSample& sample, bool rms_only) {
 
 MotorCommands ToMessage(const CommandSample& sample) {
   MotorCommands m;
-  m.header = MakeHeader(sample.stamp, kJoint);
+  m.header = MakeHeader(sample.stamp, kBodyFrame);
   m.throttle = ToVector(sample.throttle);
   return m;
 }
@@ -70,7 +71,7 @@ MotorCommands ToMessage(const CommandSample& sample) {
 sensor_msgs::BatteryState ToMessage(const BatterySample& sample) {
   constexpr float kUnknown = std::numeric_limits<float>::quiet_NaN();
   sensor_msgs::BatteryState m;
-  m.header = MakeHeader(sample.stamp, kJoint);
+  m.header = MakeHeader(sample.stamp, kBodyFrame);
   m.voltage = static_cast<float>(sample.voltage_V);
   m.current = m.charge = m.capacity = m.design_capacity = m.percentage = kUnknown;
   m.present = true;

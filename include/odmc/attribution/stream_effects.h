@@ -19,16 +19,19 @@ namespace odmc {
 void AddInspection(const StreamInspection& inspection, const CloseLoopOptions& options,
                    const Vehicle& vehicle, ClosedLoop* loop);
 
-/// Puts stamps back that inspection shifted and that the loop's named effect shifts to where they
-/// were: within three of its sigmas the model as a whole finds no offset.
-/// @param inspection without what it said of these stamps, afterwards
-/// @param log with the stamps as recorded, afterwards
+/// True if inspection shifted a stream's stamps, with a finding, and an effect that the loop named
+/// shifts them to where they were: within three of its sigmas the model as a whole finds no offset.
+bool TakesBack(const ClosedLoop& loop, const StreamInspection& inspection);
+
+/// Puts such stamps back.
+/// @param inspection afterwards without what it said of these stamps; what the model leaves open of
+///   them is a doubt
 /// @returns a sentence for each, or nothing
 std::string PutBack(const ClosedLoop& loop, StreamInspection* inspection, FlightLog* log);
 
 /// CloseLoop() on a flight whose streams were compared: what may be wrong with them counts in the
 /// sigmas (SI units, frames of the vehicle file), what was found in findings and effects. Where
-/// PutBack() finds stamps that should not have been shifted, the flight as recorded is looked at.
+/// TakesBack() says so, the flight is looked at again with these stamps as they were.
 /// @param log mended by the inspection
 /// @param options without doubts: those are the inspection's
 /// @param start what the vehicle's values were taken from: a warning where that is another mass's

@@ -33,7 +33,9 @@ struct LagProblem {
 /// Lateness of a stream. `lag_s` > 0: its stamps are late.
 struct StreamLag {
   double lag_s = 0.0;
-  double scatter_s = 0.0;  ///< sigma from the scatter of the likelihood's slope over blocks of time
+  /// Sigma from blocks of time: by the scatter of the likelihood's slope over them, or by leaving
+  /// out one after the other, whichever is larger.
+  double scatter_s = 0.0;
   /// How far the controller's answers to disturbances may pull the lag: the more, the less of the
   /// signal the moving stream explains where rotors lead (3 to 20 Hz). Without a controller 0.
   double pull_s = 0.0;

@@ -53,8 +53,12 @@ using StampSpans = std::vector<std::pair<Stamp, Stamp>>;
 /// True within a span, its ends counted.
 bool IsInside(Stamp stamp, const StampSpans& spans);
 
-/// The spans that teach nothing, neighbours joined. What follows flight on the ground begins 0.3 s
-/// before its phase: a foot touches, and may bounce, before the ground's force lasts.
-StampSpans NotInFlight(const std::vector<PhaseSpan>& phases);
+/// A foot touches, and may bounce, so long before the ground's force lasts and shows a landing.
+constexpr double kFirstTouch_s = 0.3;
+
+/// The spans that are not to be looked at, neighbours joined: all phases that teach nothing.
+/// @param before_landing_s so much of the flight before a stretch on the ground belongs to it
+StampSpans NotInFlight(const std::vector<PhaseSpan>& phases,
+                       double before_landing_s = kFirstTouch_s);
 
 }  // namespace odmc
