@@ -128,10 +128,7 @@ ParameterSpec LiftSpec(const std::string& name, const std::string& description,
 }
 
 ParameterSpec WindSpec(const std::string& axis) {
-  // Near the ground wind is horizontal. And a vertical one acts as a constant force, which can take
-  // the place of thrust.
-  const double sigma_m_s = axis == "z" ? 1.0 : 4.0;
-  return {"w_" + axis, "m/s", "wind velocity, world " + axis, 0.0, sigma_m_s, 1.0};
+  return {"w_" + axis, "m/s", "wind velocity, world " + axis, 0.0, 4.0, 1.0};
 }
 
 ParameterSpec RotorInertiaSpec(const Vehicle& vehicle) {
