@@ -409,9 +409,9 @@ double Regression::PeakOf(const VectorXd& nats) const {
   return lag_s - 0.5 * (nats[best + 1] - nats[best - 1]) / bend * p_.step_s;
 }
 
-// Standard deviation of the best lag by leaving out one block after the other (with gain, colour and
-// weights of all). A single block may hold the lag against what all others show, and slopes about
-// the best lag do not tell.
+// Standard deviation of the best lag by leaving out one block after the other (with gain, colour
+// and weights of all). A single block may hold the lag against what all others show, and slopes
+// about the best lag do not tell.
 double Regression::Jackknifed() const {
   const VectorXd all = scanned_.colwise().sum().transpose();
   VectorXd without(blocks_);
