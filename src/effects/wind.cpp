@@ -14,7 +14,7 @@ class Wind final : public Effect {
             {"wind", "Constant wind", "v_AB_B = R_WB^T (v_WB - W), W constant",
              "model.md 12.11; Shastry and Paley 2021",
              "one with a tilt of gravity unless drag depends on attitude or speed; indoors zero"},
-            {WindSpec("x"), WindSpec("y"), Vertical()}) {}
+            {WindSpec("x"), WindSpec("y"), WindSpec("z")}) {}
 
   bool adds_wrench() const override { return false; }
   bool belongs_to_flight() const override { return true; }
@@ -42,14 +42,6 @@ class Wind final : public Effect {
   }
 
  private:
-  /// Near the ground a steady wind is horizontal. And a vertical one acts as a constant force,
-  /// which can take the place of thrust.
-  static ParameterSpec Vertical() {
-    ParameterSpec spec = WindSpec("z");
-    spec.prior_sigma = 1.0;
-    return spec;
-  }
-
   void DoShape(const ParameterValues& values, BodyProperties* body,
                BodyPropertyJacobian* J) const override {
     body->wind_W += values.head<3>();
