@@ -277,6 +277,7 @@ std::vector<Attribution::ScreenedWay> Attribution::MostPromising(
   for (const EffectCandidate* c : settings) held.insert(c->settings);
   const double log_prior = -std::log(static_cast<double>(held.size()));
   std::vector<ScreenedWay> ways;
+  ways.reserve(chosen.size() + refined.size());
   for (const size_t i : chosen) ways.push_back({*settings[i], log_prior, promises[i].white});
   for (const size_t i : refined) {
     const EffectCandidate moved = WithRefinedSettings(
