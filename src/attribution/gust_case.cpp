@@ -131,11 +131,9 @@ std::vector<std::string> RemarksOn(const GustCase& gusts,
   } else if (gust.over_others < options.clear_odds) {
     remarks.push_back("a force of its own that varies slowly explains the same about as well");
   }
-  if (gust.over_field <= options.clear_odds) {
-    remarks.push_back("not named: a force that follows the place explains the same " +
-                      (gust.over_field > -options.clear_odds
-                           ? std::string("about as well")
-                           : "better, by " + Rounded(-gust.over_field) + " nats"));
+  if (gust.over_place <= -LeadOfFreeForce(gust, options)) {
+    remarks.push_back("not named: a force that follows the place explains the same better, by " +
+                      Rounded(-gust.over_place) + " nats");
   }
   if (gust.peakedness_p <= options.false_alarm_rate) {
     remarks.push_back("not named: it comes in knocks, which gusts do at a chance of " +
@@ -257,11 +255,10 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
   ranked.score = gust.gain;
   const double net = NetGain(gust, gusts.acting_share, options);
   ranked.p_value = std::exp(-std::max(0.0, net));
-  // Wind is known to act on vehicles, a free force is not; what stands in one place (an updraft, a
-  // tether) is, and the two predict very different forces.
-  const double over_rival = gust.over_others + LeadOfFreeForce(gust, options);
-  ranked.probability =
-      1.0 / (1.0 + std::exp(-net) + std::exp(-over_rival) + std::exp(-gust.over_field));
+  // Wind is known to act on vehicles, a free force is not.
+  const double over_rival =
+      std::min(gust.over_others, gust.over_place) + LeadOfFreeForce(gust, options);
+  ranked.probability = 1.0 / (1.0 + std::exp(-net) + std::exp(-over_rival));
   ranked.remarks = RemarksOn(gusts, again, residual.across_by_motion(), options);
   const auto state = [&](const std::string& name, const std::string& unit, double value,
                          double error) {
@@ -279,7 +276,7 @@ bool IsGusty(const GustCase& gusts, const AttributionOptions& options) {
   return BeatNoise(gusts.test, gusts.acting_share, options) &&
          NetGain(gusts.test, gusts.acting_share, options) > gusts.functions &&
          gusts.test.over_others > -LeadOfFreeForce(gusts.test, options) &&
-         gusts.test.over_field > options.clear_odds &&
+         gusts.test.over_place > -LeadOfFreeForce(gusts.test, options) &&
          gusts.test.peakedness_p > options.false_alarm_rate;
 }
 

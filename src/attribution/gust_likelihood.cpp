@@ -114,6 +114,39 @@ double Follow(const ThinnedFlight& flight, const std::vector<int>& looked_at,
   return sum;
 }
 
+/// Columns of a linear model, each by the filter of such a process: what each row brings that the
+/// rows before do not foresee, over its standard deviation. So noise and process become white.
+/// @param columns force in the body at the samples looked at (3 rows a sample)
+/// @param log_det sum of the logarithms of those standard deviations
+MatrixXd Whitened(const ThinnedFlight& flight, const std::vector<int>& looked_at,
+                  const MatrixXd& columns, const std::vector<Matrix3d>& H,
+                  const Vector3d& noise_variance, const Vector3d& sigma, double time_constant_s,
+                  double* log_det) {
+  MatrixXd white(columns.rows(), columns.cols());
+  MatrixXd w = MatrixXd::Zero(3, columns.cols());
+  const Matrix3d noise = noise_variance.asDiagonal();
+  const Matrix3d wide = sigma.cwiseAbs2().asDiagonal();
+  Matrix3d P = wide;
+  double last_s = flight.sample(looked_at.front()).t_s;
+  Index row = 0;
+  *log_det = 0.0;
+  for (const int i : looked_at) {
+    const double decay = std::exp((last_s - flight.sample(i).t_s) / time_constant_s);
+    last_s = flight.sample(i).t_s;
+    w *= decay;
+    P = decay * decay * P + (1.0 - decay * decay) * wide;
+    const Matrix3d seen_P = H[i] * P;
+    const Eigen::LLT<Matrix3d> S(Matrix3d(seen_P * H[i].transpose() + noise));
+    const Matrix3d gain = S.matrixL().solve(seen_P);
+    white.middleRows<3>(row) = S.matrixL().solve(columns.middleRows<3>(row) - H[i] * w);
+    *log_det += S.matrixLLT().diagonal().array().log().sum();
+    w += gain.transpose() * white.middleRows<3>(row);
+    P -= gain.transpose() * gain;
+    row += 3;
+  }
+  return white;
+}
+
 /// How the force answers wind, at every sample.
 std::vector<Matrix3d> Response(int n, const WindDerivatives& d_wind) {
   std::vector<Matrix3d> H(n);
@@ -229,6 +262,8 @@ class Hypothesis {
   double sigma() const { return size_ * std::exp(x_[num_drag_]); }
   double vertical_sigma() const { return SizeOf(x_).z(); }
   double time_constant_s() const { return std::exp(x_[num_drag_ + 1]); }
+  Vector3d size() const { return SizeOf(x_); }
+  Vector3d noise_variance() const { return NoiseOf(x_); }
   VectorXd drag_change() const { return x_.head(num_drag_); }
 
   /// Standard errors of what was fitted, from the likelihood's curvature; each at most 1.
@@ -463,36 +498,6 @@ double SteadySwing(const ThinnedFlight& flight, const std::vector<int>& used,
   return best - kCoefficients - std::log(std::max(1, tried));
 }
 
-/// What the residual force at some samples may be made of, besides a force that depends on the
-/// place: drag and a steady force. Rows are samples by body axis, each over the standard deviation
-/// of that axis' quick part.
-struct WeighedForce {
-  Vector3d weight;
-  VectorXd y;       // 3N
-  MatrixXd shared;  // 3N × (drag coefficients + 3), in natural sizes
-};
-
-WeighedForce WeighForce(const std::vector<int>& used, const ResidualModel::Wrenches& residual,
-                        const std::vector<DragCoefficient>& drag,
-                        const std::vector<Matrix3d>& steady, const Vector3d& quick) {
-  const auto n = static_cast<Index>(used.size());
-  const auto num_drag = static_cast<Index>(drag.size());
-  WeighedForce f;
-  f.weight = quick.cwiseSqrt().cwiseInverse();
-  f.y.resize(3 * n);
-  f.shared.resize(3 * n, num_drag + 3);
-  for (Index k = 0; k < n; ++k) {
-    const int i = used[static_cast<size_t>(k)];
-    f.y.segment<3>(3 * k) = f.weight.cwiseProduct(Vector3d(residual.row(i).head<3>().transpose()));
-    f.shared.block<3, 3>(3 * k, num_drag) = f.weight.asDiagonal() * steady[static_cast<size_t>(i)];
-    for (Index d = 0; d < num_drag; ++d) {
-      const Vector3d by_drag = drag[static_cast<size_t>(d)].d_wrench.row(i).head<3>().transpose();
-      f.shared.col(d).segment<3>(3 * k) = f.weight.cwiseProduct(by_drag);
-    }
-  }
-  return f;
-}
-
 /// Features of a Gaussian process over position with a squared-exponential kernel of this width
 /// [m], in its approximation by few centres (N × centres), of unit prior variance.
 MatrixXd FieldFeatures(const MatrixXd& places, const std::vector<Index>& centres, double width_m) {
@@ -510,68 +515,115 @@ MatrixXd FieldFeatures(const MatrixXd& places, const std::vector<Index>& centres
   return K.llt().matrixL().solve(phi.transpose()).transpose() * MatrixXd::Identity(count, count);
 }
 
-/// Log-likelihood of the linear model X with coefficients of these prior standard deviations, in
-/// white noise of variance `noise`, but for what all models share.
-double LogLikelihood(const MatrixXd& gram, const VectorXd& Xy, double yy, const VectorXd& sigma,
-                     double noise) {
-  MatrixXd H = gram / noise;
+/// Log-likelihood of a linear model in white noise of variance 1 whose coefficients have these
+/// prior standard deviations, but for what all such models share.
+double LogLikelihood(const MatrixXd& gram, const VectorXd& Xy, double yy, const VectorXd& sigma) {
+  MatrixXd H = gram;
   H.diagonal() += sigma.cwiseAbs2().cwiseInverse();
   const Eigen::LLT<MatrixXd> llt(H);
-  const VectorXd b = Xy / noise;
   const double log_det = 2.0 * MatrixXd(llt.matrixL()).diagonal().array().log().sum() +
                          2.0 * sigma.array().log().sum();
-  return 0.5 * b.dot(llt.solve(b)) - 0.5 * yy / noise - 0.5 * log_det;
+  return 0.5 * Xy.dot(llt.solve(Xy)) - 0.5 * yy - 0.5 * log_det;
 }
 
-/// Log-likelihood of a force that depends on the place alone, fixed in the world, in white noise of
-/// a share of the variance `quick` [N², by body axis]: the noise, its size and the width of its
-/// features those that make the force most likely.
-double FieldOverPosition(const ThinnedFlight& flight, const std::vector<int>& used,
-                         const ResidualModel::Wrenches& residual,
-                         const std::vector<DragCoefficient>& drag,
-                         const std::vector<Matrix3d>& steady, const Vector3d& quick,
-                         double natural) {
-  constexpr size_t kCentres = 40;
-  constexpr double kWidths[] = {0.15, 0.3, 0.6};  // of the flight's extent
-  constexpr double kFieldSizes[] = {0.5, 1.0, 2.0, 4.0};
-  const auto n = static_cast<Index>(used.size());
-  MatrixXd places(n, 3);
-  for (Index k = 0; k < n; ++k) {
-    places.row(k) = flight.sample(used[static_cast<size_t>(k)]).p_WS.transpose();
-  }
-  const FarthestRows centres(places, kCentres, 0.02);
-  if (!(centres.extent > 0.0)) return -std::numeric_limits<double>::infinity();
-  const WeighedForce force = WeighForce(used, residual, drag, steady, quick);
-  const Index num_shared = force.shared.cols();
-  const auto count = static_cast<Index>(centres.rows.size());
-  double best = -std::numeric_limits<double>::infinity();
-  for (const double width : kWidths) {
-    const MatrixXd features = FieldFeatures(places, centres.rows, width * centres.extent);
-    MatrixXd X = MatrixXd::Zero(3 * n, 3 * count + num_shared);
+/// A force that follows the place, fixed in the world, beside one that varies by itself: what the
+/// place makes the residual more likely. A tether or an updraft gains some tens of nats and more,
+/// also where it has a part that no smooth function of the place has. Gusts gain next to nothing.
+class PlaceTest {
+ public:
+  /// @param by_itself the hypothesis of the other force alone, fitted; H how it acts
+  /// @param natural standard deviation of what varies slowly [N]
+  PlaceTest(const ThinnedFlight& flight, const std::vector<int>& used,
+            const ResidualModel::Wrenches& residual, const std::vector<DragCoefficient>& drag,
+            const std::vector<Matrix3d>& steady, const std::vector<Matrix3d>& H,
+            const Hypothesis& by_itself, double natural)
+      : flight_(&flight), used_(&used), H_(&H), by_itself_(&by_itself), natural_(natural) {
+    const auto n = static_cast<Index>(used.size());
+    const auto num_drag = static_cast<Index>(drag.size());
+    places_.resize(n, 3);
+    shared_.resize(3 * n, num_drag + 4);
     for (Index k = 0; k < n; ++k) {
-      const Matrix3d R_BW = flight.R_WB(used[static_cast<size_t>(k)]).transpose();
-      for (Index axis = 0; axis < 3; ++axis) {
-        X.block(3 * k, axis * count, 3, count) =
-            force.weight.cwiseProduct(R_BW.col(axis)) * features.row(k);
+      const int i = used[static_cast<size_t>(k)];
+      places_.row(k) = flight.sample(i).p_WS.transpose();
+      for (Index d = 0; d < num_drag; ++d) {
+        shared_.block<3, 1>(3 * k, d) =
+            drag[static_cast<size_t>(d)].d_wrench.row(i).head<3>().transpose();
       }
-    }
-    X.rightCols(num_shared) = force.shared;
-    const MatrixXd gram = X.transpose() * X;
-    const VectorXd Xy = X.transpose() * force.y;
-    for (const double size : kFieldSizes) {
-      VectorXd sigma = VectorXd::Constant(X.cols(), size * natural);
-      sigma.tail(num_shared).setOnes();
-      for (const double noise : kNoiseShares) {
-        const double likelihood = LogLikelihood(gram, Xy, force.y.squaredNorm(), sigma, noise) -
-                                  1.5 * static_cast<double>(n) * std::log(noise) +
-                                  static_cast<double>(n) * force.weight.array().log().sum();
-        best = std::max(best, likelihood);
-      }
+      shared_.block<3, 3>(3 * k, num_drag) = steady[static_cast<size_t>(i)];
+      shared_.block<3, 1>(3 * k, num_drag + 3) = residual.row(i).head<3>().transpose();
     }
   }
-  return best - std::log(static_cast<double>(std::size(kWidths) * std::size(kFieldSizes) *
-                                             std::size(kNoiseShares)));
-}
+
+  /// Nats by which the place makes it more likely, the choice of its force's size and width paid.
+  double Gain(int jobs) const {
+    const FarthestRows centres(places_, kCentres, 0.02);
+    if (!(centres.extent > 0.0)) return 0.0;
+    std::array<Found, std::size(kWidths)> found;
+    ForEachOf(static_cast<int>(found.size()), jobs, [&](int i) {
+      found[static_cast<size_t>(i)] = Try(centres, kWidths[i] * centres.extent);
+    });
+    Found best = found.front();
+    for (const Found& f : found) {
+      best = {std::max(best.with, f.with), std::max(best.without, f.without)};
+    }
+    return best.with - best.without -
+           std::log(static_cast<double>(std::size(kWidths) * std::size(kSizes)));
+  }
+
+ private:
+  static constexpr size_t kCentres = 40;
+  static constexpr double kWidths[] = {0.1, 0.2, 0.4, 0.8, 1.6};  // of the flight's extent
+  static constexpr double kSizes[] = {0.3, 1.0, 3.0};             // of the natural one
+  static constexpr double kForceShares[] = {0.1, 0.3, 0.6, 1.0};  // of the other force's size
+
+  /// Log-likelihoods with a force that follows the place and without one.
+  struct Found {
+    double with = -std::numeric_limits<double>::infinity();
+    double without = -std::numeric_limits<double>::infinity();
+  };
+
+  Found Try(const FarthestRows& centres, double width_m) const {
+    const MatrixXd features = FieldFeatures(places_, centres.rows, width_m);
+    const Index field = 3 * features.cols(), all = field + shared_.cols() - 1;
+    MatrixXd X(shared_.rows(), all + 1);
+    for (Index k = 0; k < features.rows(); ++k) {
+      const Matrix3d R_BW = flight_->R_WB((*used_)[static_cast<size_t>(k)]).transpose();
+      for (Index axis = 0; axis < 3; ++axis) {
+        X.block(3 * k, axis * features.cols(), 3, features.cols()) =
+            R_BW.col(axis) * features.row(k);
+      }
+    }
+    X.rightCols(shared_.cols()) = shared_;
+    Found found;
+    for (const double share : kForceShares) {
+      double log_det = 0.0;
+      const MatrixXd white =
+          Whitened(*flight_, *used_, X, *H_, by_itself_->noise_variance(),
+                   share * by_itself_->size(), by_itself_->time_constant_s(), &log_det);
+      const MatrixXd gram = white.leftCols(all).transpose() * white.leftCols(all);
+      const VectorXd Xy = white.leftCols(all).transpose() * white.col(all);
+      const double yy = white.col(all).squaredNorm();
+      const Index rest = all - field;
+      found.without =
+          std::max(found.without, LogLikelihood(gram.bottomRightCorner(rest, rest), Xy.tail(rest),
+                                                yy, VectorXd::Ones(rest)) -
+                                      log_det);
+      for (const double size : kSizes) {
+        VectorXd sigma = VectorXd::Constant(all, size * natural_);
+        sigma.tail(rest).setOnes();
+        found.with = std::max(found.with, LogLikelihood(gram, Xy, yy, sigma) - log_det);
+      }
+    }
+    return found;
+  }
+
+  const ThinnedFlight* flight_;
+  const std::vector<int>* used_;
+  const std::vector<Matrix3d>* H_;
+  const Hypothesis* by_itself_;
+  double natural_;
+  MatrixXd places_, shared_;  ///< shared_: drag, the steady force, last the residual
+};
 
 /// Samples far enough apart for a process of this correlation time, but some tens of them.
 std::vector<int> SamplesApartFor(const ThinnedFlight& flight, double time_constant_s) {
@@ -609,8 +661,8 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   for (Matrix3d& axes : steady) axes *= natural;
   Hypothesis gust(&flight, &apart, &residual, std::move(wind), &steady, &drag, true, quick,
                   natural / response, prior);
-  Hypothesis free_world(&flight, &apart, &residual, std::move(world), &steady, &drag, false, quick,
-                        natural, prior);
+  Hypothesis free_world(&flight, &apart, &residual, world, &steady, &drag, false, quick, natural,
+                        prior);
   Hypothesis free_body(&flight, &apart, &residual, std::move(body), &steady, &drag, false, quick,
                        natural, prior);
   Hypothesis none(&flight, &apart, &residual, std::vector<Matrix3d>(n, Matrix3d::Zero()), &steady,
@@ -623,8 +675,10 @@ GustTest TestGusts(const ThinnedFlight& flight, const ResidualModel::Wrenches& r
   test.over_others = gust.likelihood() - std::max({free_world.likelihood(), free_body.likelihood(),
                                                    SteadySwing(flight, apart, residual, true),
                                                    SteadySwing(flight, apart, residual, false)});
-  test.over_field =
-      gust.likelihood() - FieldOverPosition(flight, apart, residual, drag, steady, quick, natural);
+  if (test.gain > 0.0) {
+    const PlaceTest place(flight, apart, residual, drag, steady, world, free_world, natural);
+    test.over_place = gust.likelihood() - free_world.likelihood() - place.Gain(jobs);
+  }
   const std::vector<int> unrounded = SamplesApart(flight, kUnrounded_s);
   const Hypothesis unrounded_fit = gust.LookingAt(&unrounded);
   const std::vector<int> sparse = SamplesApartFor(flight, unrounded_fit.time_constant_s());

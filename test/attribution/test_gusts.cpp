@@ -115,7 +115,7 @@ TEST(GustTest, FitsTheDragBesideTheWind) {
     EXPECT_LT(windy.TestWithoutDrag().over_others, -20.0);
     const GustTest test = windy.Test();
     EXPECT_GT(test.over_others, 0.0);
-    EXPECT_GT(test.over_field, 20.0);  // wind follows no place
+    EXPECT_GT(test.over_place, -5.0);  // wind follows no place
     EXPECT_GT(test.gain, 300.0);
     EXPECT_NEAR(std::log(test.sigma_m_s / 2.0), 0.0, 3.0 * test.sigma_error);
     EXPECT_NEAR(std::log(test.time_constant_s / 1.5), 0.0, 3.0 * test.time_constant_error);
@@ -224,18 +224,33 @@ TEST(GustTest, AForceThatDependsOnThePlaceIsNone) {
     const Vector3d from = eight.sample(i).p_WS - Vector3d(1.0, 0.5, 0.3);
     field.push_back(1.5 * std::exp(-from.squaredNorm()) * Vector3d(1.0, -0.5, 0.2));
   }
-  EXPECT_LT(Case(2.0, kTrueDrag, kTrueDrag, kNothing, field).Test().over_field, -20.0);
+  EXPECT_LT(Case(2.0, kTrueDrag, kTrueDrag, kNothing, field).Test().over_place, -20.0);
 }
 
-// Wind through drag is nearly a free force, and of the two wind is known to act; a force of the
-// place is known to, too.
-TEST(GustCase, MayTieWithAFreeForceButNotWithOneOfThePlace) {
+// A tether is slack near its anchor, and drags: part of its force has nothing to do with the place.
+TEST(GustTest, ATetherIsNone) {
+  const ThinnedFlight eight(Eight(2.0), BlockSplit());
+  Gaussian random(5, 0);
+  std::vector<Vector3d> pull = Wander(kSamples, 0.1, 1.5, &random);
+  pull.resize(static_cast<size_t>(eight.size()), Vector3d::Zero());
+  for (int i = 0; i < eight.size(); ++i) {
+    const Vector3d from = eight.sample(i).p_WS - Vector3d(0.0, 0.0, -1.0);
+    const double taut = std::max(0.0, from.norm() - 1.5);
+    pull[static_cast<size_t>(i)] -= 0.8 * taut * from.normalized();
+  }
+  const GustTest test = Case(2.0, kTrueDrag, kTrueDrag, kNothing, pull).Test();
+  EXPECT_GT(test.gain, 100.0);
+  EXPECT_LT(test.over_place, -20.0);
+}
+
+// Wind through drag is nearly a free force, and of the two wind is known to act.
+TEST(GustCase, MayTieWithAForceThatNoWindMakes) {
   const AttributionOptions options;
   GustCase gusts;
   gusts.test.gain = options.gust_price + 20.0;
   gusts.test.sigma_m_s = 1.0;
   gusts.test.peakedness_p = 0.5;
-  gusts.test.over_field = options.clear_odds + 1.0;
+  gusts.test.over_place = 1.0 - options.clear_odds;
   gusts.test.over_others = 1.0 - options.clear_odds;
   EXPECT_TRUE(IsGusty(gusts, options));
   GustCase others = gusts;
@@ -247,7 +262,7 @@ TEST(GustCase, MayTieWithAFreeForceButNotWithOneOfThePlace) {
   others.test.over_others = -16.0 - options.clear_odds;
   EXPECT_FALSE(IsGusty(others, options));
   others = gusts;
-  others.test.over_field = options.clear_odds - 1.0;
+  others.test.over_place = -2.5 - options.clear_odds;
   EXPECT_FALSE(IsGusty(others, options));
   others = gusts;
   others.functions = 21.0;

@@ -11,7 +11,8 @@ namespace odmc {
 struct GustTest {
   double gain = 0.0;                ///< of gusts over noise alone, fitted with the same drag [nats]
   double over_others = 0.0;         ///< of gusts over the best of the free forces [nats]
-  double over_field = 0.0;          ///< of gusts over a force that follows the place [nats]
+  /// Of gusts over a force fixed in the world of which a part follows the place [nats].
+  double over_place = 0.0;
   double sigma_m_s = 0.0;           ///< best standard deviation of the gusts along world x and y
   double vertical_sigma_m_s = 0.0;  ///< along world z
   double time_constant_s = 0.0;     ///< best correlation time
