@@ -98,10 +98,18 @@ bool BeatNoise(const GustTest& gust, double acting_share, const AttributionOptio
          NetGain(gust, acting_share, options) > -std::log(options.false_alarm_rate);
 }
 
-/// What a free force has to lead by [nats]: how drag makes a force of wind is known but to some
-/// share, as the form of any effect is.
-double LeadOfFreeForce(const GustTest& gust, const AttributionOptions& options) {
+/// What a rival has to lead by [nats]: how drag makes a force of wind is known but to some share,
+/// as the form of any effect is.
+double LeadOfRival(const GustTest& gust, const AttributionOptions& options) {
   return options.clear_odds + options.least_share * std::max(0.0, gust.gain);
+}
+
+/// Log-likelihood ratio of gusts to knocks, at most: knocks that are sure to look as peaked.
+double OverKnocks(const GustTest& gust) { return std::log(gust.peakedness_p); }
+
+/// Of gusts over the best of their rivals [nats].
+double OverRivals(const GustTest& gust) {
+  return std::min({gust.over_others, gust.over_place, OverKnocks(gust)});
 }
 
 /// What speaks against gusts that beat noise; of free forces that explain the same, too.
@@ -125,17 +133,17 @@ std::vector<std::string> RemarksOn(const GustCase& gusts,
     remarks.push_back("not named: functions of the state gain more, " + Rounded(gusts.functions) +
                       " nats against " + Rounded(net));
   }
-  if (gust.over_others <= -LeadOfFreeForce(gust, options)) {
+  if (gust.over_others <= -LeadOfRival(gust, options)) {
     remarks.push_back("not named: a force that no wind makes explains the same better, by " +
                       Rounded(-gust.over_others) + " nats");
   } else if (gust.over_others < options.clear_odds) {
     remarks.push_back("a force of its own that varies slowly explains the same about as well");
   }
-  if (gust.over_place <= -LeadOfFreeForce(gust, options)) {
+  if (gust.over_place <= -LeadOfRival(gust, options)) {
     remarks.push_back("not named: a force that follows the place explains the same better, by " +
                       Rounded(-gust.over_place) + " nats");
   }
-  if (gust.peakedness_p <= options.false_alarm_rate) {
+  if (OverKnocks(gust) <= -LeadOfRival(gust, options)) {
     remarks.push_back("not named: it comes in knocks, which gusts do at a chance of " +
                       Rounded(gust.peakedness_p));
   }
@@ -256,8 +264,7 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
   const double net = NetGain(gust, gusts.acting_share, options);
   ranked.p_value = std::exp(-std::max(0.0, net));
   // Wind is known to act on vehicles, a free force is not.
-  const double over_rival =
-      std::min(gust.over_others, gust.over_place) + LeadOfFreeForce(gust, options);
+  const double over_rival = OverRivals(gust) + LeadOfRival(gust, options);
   ranked.probability = 1.0 / (1.0 + std::exp(-net) + std::exp(-over_rival));
   ranked.remarks = RemarksOn(gusts, again, residual.across_by_motion(), options);
   const auto state = [&](const std::string& name, const std::string& unit, double value,
@@ -275,9 +282,7 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
 bool IsGusty(const GustCase& gusts, const AttributionOptions& options) {
   return BeatNoise(gusts.test, gusts.acting_share, options) &&
          NetGain(gusts.test, gusts.acting_share, options) > gusts.functions &&
-         gusts.test.over_others > -LeadOfFreeForce(gusts.test, options) &&
-         gusts.test.over_place > -LeadOfFreeForce(gusts.test, options) &&
-         gusts.test.peakedness_p > options.false_alarm_rate;
+         OverRivals(gusts.test) > -LeadOfRival(gusts.test, options);
 }
 
 ValueVariation PredictedGusts(const FlightLog& log, const Vehicle& file_vehicle,

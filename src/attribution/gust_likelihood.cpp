@@ -288,14 +288,15 @@ class Hypothesis {
   /// Mean fourth power of w over its mean square squared, as the filter sees w.
   double Peakedness() const { return PeakednessOf(SeenAt(x_)); }
 
-  /// Chance that such a process, which is normal, looks as peaked: by drawing it anew.
+  /// Chance that such a process, which is normal, looks as peaked: by drawing it anew. The
+  /// logarithm of such a mean is close to normal.
   double ChanceOfPeakedness(double peakedness) const {
     constexpr int kDraws = 299;
     Gaussian random(kDraws, 0);
     Seen drawn = SeenAt(x_);
     const Vector3d size = SizeOf(x_), noise = NoiseOf(x_).cwiseSqrt();
-    int peakier = 0;
-    for (int draw = 0; draw < kDraws; ++draw) {
+    VectorXd logs(kDraws);
+    for (double& log : logs) {
       Vector3d w = size.cwiseProduct(random.Next3());
       double last_s = flight_->sample(0).t_s;
       for (const int i : *looked_at_) {
@@ -304,9 +305,15 @@ class Hypothesis {
         w = decay * w + std::sqrt(1.0 - decay * decay) * size.cwiseProduct(random.Next3());
         drawn.y.row(i).head<3>() = drawn.H[i] * w + noise.cwiseProduct(random.Next3());
       }
-      peakier += PeakednessOf(drawn) >= peakedness ? 1 : 0;
+      log = std::log(PeakednessOf(drawn));
     }
-    return (1.0 + peakier) / (1.0 + kDraws);
+    const double log_peakedness = std::log(peakedness);
+    const auto peakier = (logs.array() >= log_peakedness).count();
+    const double by_draws = static_cast<double>(1 + peakier) / (1 + kDraws);
+    if (peakier > 0) return by_draws;
+    const double variance = (logs.array() - logs.mean()).square().sum() / (kDraws - 1);
+    const double z = (log_peakedness - logs.mean()) / std::sqrt(variance);
+    return std::clamp(0.5 * std::erfc(z / std::sqrt(2.0)), 1e-300, by_draws);
   }
 
  private:

@@ -265,6 +265,11 @@ TEST(GustCase, MayTieWithAForceThatNoWindMakes) {
   others.test.over_place = -2.5 - options.clear_odds;
   EXPECT_FALSE(IsGusty(others, options));
   others = gusts;
+  others.test.peakedness_p = 0.8 * std::exp(-options.clear_odds);
+  EXPECT_TRUE(IsGusty(others, options));
+  others.test.peakedness_p = std::exp(-2.5 - options.clear_odds);
+  EXPECT_FALSE(IsGusty(others, options));
+  others = gusts;
   others.functions = 21.0;
   EXPECT_FALSE(IsGusty(others, options));
 }
@@ -344,7 +349,7 @@ TEST(GustTest, KnocksArePeaked) {
     knocks.push_back(at_s < 0.8 ? Vector3d(std::sin(at_s / 0.8 * EIGEN_PI) * direction)
                                 : Vector3d(Vector3d::Zero()));
   }
-  EXPECT_LT(Case(0.2, kTrueDrag, kTrueDrag, kNothing, knocks).Test().peakedness_p, 0.01);
+  EXPECT_LT(Case(0.2, kTrueDrag, kTrueDrag, kNothing, knocks).Test().peakedness_p, 1e-9);
   for (int seed = 3; seed < 9; ++seed) {
     EXPECT_GT(Windy(3.0, kWrongDrag, seed).Test().peakedness_p, 0.01) << seed;
   }
