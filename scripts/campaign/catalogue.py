@@ -108,7 +108,7 @@ def file(do: Callable[[Dict[str, Any]], None]) -> Make:
     return made
 
 
-GROUND = ('on_ground', 'contact', 'unexplained_force')
+GROUND = ('contact',)
 GROUND_WORDS = r'on the ground|standing|stood|landed|landing|touch|idl(?:e|ing)|ground phase'
 
 
@@ -144,7 +144,7 @@ def ground_faults() -> List[Fault]:
 
 def hand_faults() -> List[Fault]:
     """In the hand, thrown."""
-    hand = ('in_hand', 'contact', 'unexplained_force')
+    hand = ('contact',)
     words = r'\bhand\b|carried|\bheld\b|contact'
     carried = Fault('carried', 'carried by hand', hand + ('on_ground',), words, per_base=4)
     for level in (0.0, 0.08, 0.2, 0.4):
@@ -168,7 +168,7 @@ def contact_faults() -> List[Fault]:
     crash = Fault('crash', 'crash', checks, words)
     crash.add('ground', scene(scenes.crash_ground))
     crash.add('wall', scene(scenes.crash_wall, 2.0))
-    motors = Fault('motor_stop', 'motor stop in flight, then fall', checks + ('rotor_reads_zero',),
+    motors = Fault('motor_stop', 'motor stop in flight, then fall', checks + ('rotor_scale',),
                    words)
     motors.add('all', scene(scenes.motor_stop, 'all'))
     motors.add('one', scene(scenes.motor_stop, 'one'))
@@ -212,25 +212,24 @@ def rotor_faults() -> List[Fault]:
     """Readings of rotor speeds."""
     words = r'rotor.*(?:zero|reads? 0|dead|stuck|frozen|missing|drop|silent|sensor)'
     everything = Fault('rotors_zero', 'all rotors read 0 for a while',
-                       ('rotor_reads_zero', 'rotor_dropout'), words, per_base=4)
+                       ('rotor_scale',), words, per_base=4)
     for s in (0.1, 0.3, 1.0, 2.0, 3.0):
         everything.add(f'{s:g}s', zero_for(0, s))
-    one = Fault('rotor_zero', 'one rotor reads 0', ('rotor_reads_zero', 'rotor_dropout'), words,
+    one = Fault('rotor_zero', 'one rotor reads 0', ('rotor_scale',), words,
                 per_base=2)
     for s in (0.2, 2.0, 1e6):
         one.add(f'{s:g}s' if s < 1e5 else 'always', zero_for(1, s))
     scale = Fault('rotor_scale', 'one sensor high or low',
-                  ('rotor_scale', 'thrust_scale'), r'rotor \d.*(?:high|low|much|little|scale|%)',
+                  ('rotor_scale', 'weight'), r'rotor \d.*(?:high|low|much|little|scale|%)',
                   per_base=3)
     for percent in (-20, -10, -5, 5, 10, 20):
         scale.add(f'{percent:+d}%', change(lambda rec, rng, f=1.0 + percent / 100.0:
                                           signals.rotor_scale(rec, int(rng.integers(4)), f)))
-    stuck = Fault('rotor_frozen', 'frozen rotor reading', ('rotor_dropout', 'rotor_scale',
-                                                           'rotor_frozen'), words, per_base=1)
+    stuck = Fault('rotor_frozen', 'frozen rotor reading', ('rotor_scale',), words, per_base=1)
     stuck.add('10%', frozen_for(0.1))
     stuck.add('50%', frozen_for(0.5))
     drop = Fault('rotor_dropouts', 'single rotor readings drop out',
-                 ('rotor_dropout', 'rotor_reads_zero'), words + '|not finite|leap|beyond',
+                 ('rotor_scale',), words + '|not finite|leap|beyond',
                  per_base=2)
     for share, value in ((0.01, 0.0), (0.1, 0.0), (0.05, np.nan)):
         drop.add(f'{100 * share:g}%_{value:g}', change(
@@ -240,7 +239,7 @@ def rotor_faults() -> List[Fault]:
 
 def odometry_faults() -> List[Fault]:
     """Velocity, attitude, rates."""
-    velocity = ('velocity_offset', 'velocity_scale', 'velocity_frame', 'velocity_stuck')
+    velocity = ('velocity_offset', 'velocity')
     words = r'velocit'
     late = Fault('velocity_late', 'velocity late', velocity, words, needs=has_velocity, per_base=3)
     for ms in (-50, 20, 50, 100):
@@ -273,7 +272,7 @@ def has_rate(rec: Recording) -> bool:
 
 def attitude_faults() -> List[Fault]:
     """Attitude against rates and rotors."""
-    checks = ('attitude_against_rates', 'velocity_frame', 'gravity_leans')
+    checks = ('attitude', 'velocity', 'gravity_lean')
     words = r'attitude|quaternion|xyzw|conjugat'
     convention = Fault('attitude_convention', 'attitude conjugated or xyzw', checks, words)
     convention.add('conjugated', change(lambda rec, rng: signals.conjugated(rec)))
@@ -283,13 +282,13 @@ def attitude_faults() -> List[Fault]:
     for degrees in (3.0, 8.0):
         lean.add(f'{degrees:g}deg', change(lambda rec, rng, a=np.radians(degrees):
                                            signals.body_leans(rec, a, rng.uniform(0.0, 6.28))))
-    late = Fault('attitude_late', 'attitude late', checks + ('rate_offset', 'imu_offset'),
+    late = Fault('attitude_late', 'attitude late', checks + ('body_rates_offset', 'gyro_offset', 'accelerometer_offset'),
                  words + r'|pose.*\b(?:late|ms)\b', per_base=1)
     for ms in (20, 60):
         late.add(f'{ms}ms', change(lambda rec, rng, s=ms / 1000.0:
                                    signals.late(rec, ATTITUDE, s)))
     rates = Fault('rates', 'rates of another sign, frame or unit',
-                  ('attitude_against_rates', 'rate_offset', 'imu_offset'),
+                  ('attitude', 'body_rates_offset', 'gyro_offset', 'accelerometer_offset'),
                   words + r'|\brates?\b|gyro|deg/s|beyond', needs=has_rates, per_base=2)
     rates.add('sign_x', change(lambda rec, rng: [signals.scaled(rec, n[:1], -1.0)
                                                  for n in signals.each_rate(rec)] and None))
@@ -307,11 +306,11 @@ def swap_rates(rec: Recording) -> None:
 
 def time_faults() -> List[Fault]:
     """Streams against each other, stamps."""
-    late = Fault('rotors_late', 'rotor speeds late or early', ('rotor_offset',),
+    late = Fault('rotors_late', 'rotor speeds late or early', ('rotor_speeds_offset',),
                  r'rotor.*\b(?:ms|late|early)\b', per_base=4)
     for ms in (-100, -50, -20, 10, 20, 50, 100):
         late.add(f'{ms}ms', change(lambda rec, rng, s=ms / 1000.0: signals.rotors_late(rec, s)))
-    checks = ('rotor_jitter', 'rotor_offset', 'velocity_offset', 'imu_offset', 'rate_offset')
+    checks = ('rotor_jitter', 'rotor_speeds_offset', 'velocity_offset', 'gyro_offset', 'accelerometer_offset', 'body_rates_offset')
     words = r'stamp|jitter|burst|arriv'
     jitter = Fault('jitter', 'stamps that jitter', checks, words, per_base=2)
     for ms in (2, 5, 10):
@@ -322,7 +321,7 @@ def time_faults() -> List[Fault]:
     burst = Fault('bursts', 'stamps of arrival, in bursts', checks, words)
     burst.add('rotors_40ms', change(lambda rec, rng: signals.bursts(
         signals.own_rotor_file(rec), 0.04)))
-    imu = Fault('imu_late', 'IMU late', ('imu_offset', 'rate_offset', 'attitude_against_rates'),
+    imu = Fault('imu_late', 'IMU late', ('gyro_offset', 'accelerometer_offset', 'body_rates_offset', 'attitude'),
                 r'(?:IMU|rates|gyro).*\b(?:ms|late)\b', needs=has_rates, per_base=1)
     for ms in (20, 60):
         imu.add(f'{ms}ms', change(lambda rec, rng, s=ms / 1000.0: imu_late(rec, s)))
@@ -344,18 +343,18 @@ def imu_late(rec: Recording, by: float) -> None:
 def frame_faults() -> List[Fault]:
     """Accelerometer, gravity, world."""
     force = Fault('accelerometer', 'accelerometer in g, of another frame, without gravity',
-                  ('accelerometer_unit', 'accelerometer_frame'), r'accelerom|specific force|in g\b',
+                  ('accelerometer',), r'accelerom|specific force|in g\b',
                   needs=has_force)
     force.add('in_g', change(lambda rec, rng: signals.scaled(rec, FORCE, 1.0 / 9.81)))
     force.add('world', change(lambda rec, rng: signals.force_in_world(rec)))
     force.add('no_gravity', change(lambda rec, rng: signals.force_without_gravity(rec)))
     force.add('sign', change(lambda rec, rng: signals.scaled(rec, FORCE, -1.0)))
-    lean = Fault('gravity_leans', 'gravity leans in the world frame', ('gravity_leans',),
+    lean = Fault('gravity_leans', 'gravity leans in the world frame', ('gravity_lean',),
                  r'gravity|level|lean', right='the estimate of gravity may take it up', per_base=2)
     for degrees in (2.0, 5.0, 10.0):
         lean.add(f'{degrees:g}deg', change(lambda rec, rng, a=np.radians(degrees): lean_world(
             rec, a, rng)))
-    world = Fault('world_ned', 'world north, east, down', ('gravity_leans',),
+    world = Fault('world_ned', 'world north, east, down', ('gravity_lean',),
                   r'\bNED\b|\bdown\b|upside|z up|gravity|FRD', per_base=1)
     world.add('world', change(lambda rec, rng: signals.world_ned(rec, False)))
     world.add('world_and_body', change(lambda rec, rng: signals.world_ned(rec, True)))
@@ -383,7 +382,7 @@ def vehicle_faults() -> List[Fault]:
     for s in ((0, 1, 2, 3), (0,), (1, 2), (2, 3)):
         spin.add('flip_' + ''.join(str(i + 1) for i in s),
                  file(lambda v, s=s: signals.respin(v, s)))
-    arm = Fault('arm', 'wrong rotor positions', ('inertia_scale', 'geometry', 'rotor_order'),
+    arm = Fault('arm', 'wrong rotor positions', ('inertia', 'inertia_bounds', 'vehicle_units', 'rotor_order'),
                 r'inertia|arm|position|geometr',
                 right='arm and inertia cannot be told apart: only k_f and drag count', per_base=2)
     for factor in (0.5, 2.0, 1000.0):
@@ -393,24 +392,24 @@ def vehicle_faults() -> List[Fault]:
 
 def scale_faults() -> List[Fault]:
     """Mass, k_f, inertia, gravity."""
-    mass = Fault('mass', 'wrong mass', ('mass_or_k_f', 'thrust_scale'),
+    mass = Fault('mass', 'wrong mass', ('weight',),
                  r'mass|k_f|prior|for [\d.]+ kg',
                  right='mass sets the scale of force: k_f and drag times the factor are right',
                  per_base=2)
     for factor in (1.2, 0.5, 1000.0):
         mass.add(f'{factor:g}', file(lambda v, f=factor: v.update(
             mass_kg=f * float(v['mass_kg']))), factor)
-    k_f = Fault('k_f', 'wrong start of k_f', ('mass_or_k_f', 'thrust_scale'), r'mass|k_f|prior',
+    k_f = Fault('k_f', 'wrong start of k_f', ('weight',), r'mass|k_f|prior',
                 right='the estimate corrects it', per_base=2)
     for factor in (0.5, 2.0, 10.0, 1e-3):
         k_f.add(f'{factor:g}', file(lambda v, f=factor: signals.scale_parameter(
             v, 'thrust.k_f', f)))
-    inertia = Fault('inertia', 'wrong nominal inertia', ('inertia_scale',), r'inertia',
+    inertia = Fault('inertia', 'wrong nominal inertia', ('inertia', 'inertia_bounds'), r'inertia',
                     right='named, or the estimate corrects it (inertia within 3 sigma, too, '
                           'where observable)', also=TORQUE[:3], per_base=2)
     for factor in (0.1, 10.0, 1000.0):
         inertia.add(f'{factor:g}', file(lambda v, f=factor: signals.scale_inertia(v, f)))
-    gravity = Fault('gravity', 'wrong gravity', ('mass_or_k_f', 'thrust_scale', 'gravity_leans'),
+    gravity = Fault('gravity', 'wrong gravity', ('gravity', 'weight', 'gravity_lean'),
                     r'gravity|mass|k_f')
     for g in (1.0, -9.81):
         gravity.add(f'{g:g}', file(lambda v, g=g: v.update(gravity_m_s2=g)))

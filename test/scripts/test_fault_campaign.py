@@ -4,6 +4,7 @@ Faults are put into an invented flight, so that no recording is needed."""
 
 import json
 import os
+import re
 import stat
 import subprocess
 import sys
@@ -67,6 +68,18 @@ def invented_base(name: str = 'invented') -> bases.Base:
 def blocks(x: np.ndarray, count: int = 25) -> np.ndarray:
     """Means of blocks of rows (0.1 s)."""
     return x[:len(x) // count * count].reshape(-1, count, x.shape[1]).mean(axis=1)
+
+
+class Catalogue(unittest.TestCase):
+    """What may name a cause."""
+
+    def test_checks_are_those_that_the_tools_have(self) -> None:
+        with open(os.path.join(ROOT, 'docs', 'inspect.md'), encoding='utf-8') as file:
+            rows = [line.split('|')[1] for line in file if line.startswith('| `')]
+        known = {name for row in rows for name in re.findall(r'`([a-z_]+)`', row)}
+        self.assertGreater(len(known), 20)
+        for fault in catalogue.faults():
+            self.assertLessEqual(set(fault.checks) - {'contact', 'crash'}, known, fault.name)
 
 
 class Physics(unittest.TestCase):

@@ -56,11 +56,10 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
                    const ResidualModel::Wrenches& left, const ParameterSet& declared,
                    double functions, const AttributionOptions& options, int jobs = 1);
 
-/// True if gusts beat noise by more than functions of the state do, and no free force explains the
-/// same clearly better: wind through nearly equal drag along all axes is nearly a free force, and
-/// of the two only wind is known to act on vehicles. A force that follows the place is known to,
-/// too: gusts have to be clearly better. Of what one sensor shows of them, what a second one does
-/// not show does not count.
+/// True if gusts beat noise by more than functions of the state do, and no rival explains the same
+/// clearly better: a free force (wind through nearly equal drag along all axes is nearly one, and
+/// of the two only wind is known to act on vehicles), one of which a part follows the place, or
+/// knocks. Of what one sensor shows of them, what a second one does not show does not count.
 bool IsGusty(const GustCase& gusts, const AttributionOptions& options);
 
 /// Gusts as a Kalman filter predicts them, each from before the sample's own filter window. (The
