@@ -562,6 +562,7 @@ bool LoopSession::DropOneIdle() {
       ranked->score = std::min(ranked->score, *effect.second_score);
       ranked->p_value = attribution_->PValue(ranked->score);
     }
+    result_.denied.push_back(effect.name);
     Erase(effect.name);
     return true;
   }
@@ -859,8 +860,10 @@ void HoldKnownThrust(const AttributionOptions& options, Vehicle* vehicle) {
   if (*it->second.sigma < limit) it->second.estimated = false;
 }
 
-ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& configured,
-                     const CloseLoopOptions& options, const std::function<void(double)>& progress) {
+namespace {
+
+ClosedLoop LookOnce(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& configured,
+                    const CloseLoopOptions& options, const std::function<void(double)>& progress) {
   LoopSession session(log, file_vehicle, configured, options, progress);
   session.Calibrate();
   const bool has_flight = session.HasFlight();
@@ -875,6 +878,25 @@ ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Ve
   session.WidenForDoubts();
   if (has_flight) session.Conclude();
   return session.TakeResult();
+}
+
+}  // namespace
+
+ClosedLoop BetterLook(ClosedLoop first, ClosedLoop again) {
+  if (again.effects.empty() || !(LogError(again.after) < LogError(first.after))) return first;
+  again.warnings.push_back("an effect that the fit chose first is denied by the online estimate (" +
+                           Listed(first.denied) +
+                           "); without it others explain the flight, and predict it better");
+  return again;
+}
+
+ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& configured,
+                     const CloseLoopOptions& options, const std::function<void(double)>& progress) {
+  ClosedLoop loop = LookOnce(log, file_vehicle, configured, options, progress);
+  if (loop.denied.empty()) return loop;
+  CloseLoopOptions without = options;
+  without.ruled_out.insert(without.ruled_out.end(), loop.denied.begin(), loop.denied.end());
+  return BetterLook(std::move(loop), LookOnce(log, file_vehicle, configured, without, {}));
 }
 
 }  // namespace odmc

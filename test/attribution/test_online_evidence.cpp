@@ -1,6 +1,7 @@
 // What an online estimate says of an effect, and what errors of the streams leave of it.
 #include <gtest/gtest.h>
 
+#include "odmc/attribution/close_loop.h"
 #include "odmc/attribution/online_evidence.h"
 #include "odmc/attribution/online_pass.h"
 #include "odmc/model/dynamic_model.h"
@@ -112,6 +113,25 @@ TEST(OnlinePass, KeepsToTheFitUnlessThatPredictsWorse) {
   EXPECT_FALSE(takes(as_good, true));
   EXPECT_TRUE(takes(0.999, true));
   EXPECT_FALSE(takes(1.01 / options.least_ratio, false));
+}
+
+TEST(SecondLook, CountsWhereItNamesAnEffectAndPredictsBetter) {
+  const auto look = [](const std::string& effect, double error) {
+    ClosedLoop loop;
+    if (!effect.empty()) loop.effects.emplace_back().effect.name = effect;
+    loop.after.force_rmse_N = error * Eigen::Vector3d(0.1, 0.2, 0.3);
+    return loop;
+  };
+  ClosedLoop first = look("rotor_tilt", 1.0);
+  first.denied = {"mass_change"};
+  const ClosedLoop better = BetterLook(first, look("products_of_inertia", 0.9));
+  ASSERT_EQ(better.effects.size(), 1U);
+  EXPECT_EQ(better.effects.front().effect.name, "products_of_inertia");
+  ASSERT_EQ(better.warnings.size(), 1U);
+  EXPECT_NE(better.warnings.front().find("mass_change"), std::string::npos);
+  EXPECT_EQ(BetterLook(first, look("wind", 1.1)).effects.front().effect.name, "rotor_tilt");
+  EXPECT_TRUE(BetterLook(first, look("wind", 1.1)).warnings.empty());
+  EXPECT_EQ(BetterLook(first, look("", 0.9)).effects.front().effect.name, "rotor_tilt");
 }
 
 TEST(OnlinePass, IsRuinedByAnAxisOnlyIfAllTogetherAreWorse) {

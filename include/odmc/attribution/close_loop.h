@@ -80,6 +80,7 @@ struct ClosedLoop {
   std::vector<Finding> findings;          ///< about the recording
   std::vector<TimeOffset> time_offsets;   ///< of its streams, as recorded
   std::vector<std::string> warnings;      ///< the findings' sentences among them
+  std::vector<std::string> denied;        ///< effects that the fit chose and the estimator denies
 };
 
 /// Holds a thrust coefficient that is known to 5 % (from an earlier, unloaded flight) as it is:
@@ -87,7 +88,9 @@ struct ClosedLoop {
 void HoldKnownThrust(const AttributionOptions& options, Vehicle* vehicle);
 
 /// Calibrates `vehicle`'s model on a flight, finds what it leaves unexplained, traces it to an
-/// effect of the catalogue, adds that and says what it changed. `progress` gets the share done.
+/// effect of the catalogue, adds that and says what it changed. An effect that the fit chooses and
+/// the online estimate denies stood for another: the flight is looked at once more without it, and
+/// what predicts blocks held out better counts. `progress` gets the share done.
 /// @param file_vehicle the vehicle file as it is: measured forces and torques come from it
 /// @param vehicle with the configured effects and parameters; the sigmas of an earlier estimate are
 ///   no priors here, see WithPriorsOf()
@@ -95,5 +98,9 @@ void HoldKnownThrust(const AttributionOptions& options, Vehicle* vehicle);
 ClosedLoop CloseLoop(const FlightLog& log, const Vehicle& file_vehicle, const Vehicle& vehicle,
                      const CloseLoopOptions& options,
                      const std::function<void(double)>& progress = {});
+
+/// Which of two looks at a flight counts, the second without what the online estimate denied at the
+/// first: the second where it names an effect and predicts blocks held out better, with a warning.
+ClosedLoop BetterLook(ClosedLoop first, ClosedLoop again);
 
 }  // namespace odmc
