@@ -146,7 +146,7 @@ def hand_faults() -> List[Fault]:
     """In the hand, thrown."""
     hand = ('contact',)
     words = r'\bhand\b|carried|\bheld\b|contact'
-    carried = Fault('carried', 'carried by hand', hand + ('on_ground',), words, per_base=4)
+    carried = Fault('carried', 'carried by hand', hand, words, per_base=4)
     for level in (0.0, 0.08, 0.2, 0.4):
         for s in (5.0, 12.0):
             carried.add(f'after_{level:g}_for_{s:g}s', scene(scenes.carried_after, level, s))
@@ -154,7 +154,7 @@ def hand_faults() -> List[Fault]:
     start = Fault('hand_start', 'hand-held start', hand, words, per_base=2)
     for level, s in ((0.3, 2.0), (0.5, 1.0), (0.6, 3.0), (0.8, 1.0), (0.9, 2.0)):
         start.add(f'{level:g}_for_{s:g}s', scene(scenes.hand_start, level, s))
-    throw = Fault('thrown', 'thrown start', hand + ('on_ground',), words + '|thr[eo]wn?|fall',
+    throw = Fault('thrown', 'thrown start', hand, words + '|thr[eo]wn?|fall',
                   per_base=2)
     for speed in (2.5, 3.5, 4.5):
         throw.add(f'{speed:g}m_s', scene(scenes.thrown, speed))

@@ -9,8 +9,8 @@ namespace odmc {
 /// of the same kind fixed in the world and one fixed in the body, of any size along each axis, with
 /// one that swings steadily, with one that follows the place, and with noise alone.
 struct GustTest {
-  double gain = 0.0;                ///< of gusts over noise alone, fitted with the same drag [nats]
-  double over_others = 0.0;         ///< of gusts over the best of the free forces [nats]
+  double gain = 0.0;         ///< of gusts over noise alone, fitted with the same drag [nats]
+  double over_others = 0.0;  ///< of gusts over the best of the free forces [nats]
   /// Of gusts over a force fixed in the world of which a part follows the place [nats].
   double over_place = 0.0;
   double sigma_m_s = 0.0;           ///< best standard deviation of the gusts along world x and y
