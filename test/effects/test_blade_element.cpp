@@ -329,6 +329,9 @@ TEST(BladeElement, StaysFiniteWithRotorsAtRest) {
 
 // With derivatives. The best of many batches: other work on the machine only adds.
 TEST(BladeElement, TakesLessThanThreeMicrosecondsARotor) {
+#ifdef ODMC_SANITIZED
+  GTEST_SKIP() << "a sanitizer takes its own time";
+#endif
   const Vehicle vehicle = NominalVehicle();
   const DynamicModel model(vehicle, {"thrust", "blade_element"});
   const ModelValues values = model.InitialValues();
