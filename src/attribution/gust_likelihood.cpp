@@ -288,8 +288,8 @@ class Hypothesis {
   /// Mean fourth power of w over its mean square squared, as the filter sees w.
   double Peakedness() const { return PeakednessOf(SeenAt(x_)); }
 
-  /// Chance that such a process, which is normal, looks as peaked: by drawing it anew. The
-  /// logarithm of such a mean is close to normal.
+  /// Chance that such a process, which is normal, looks as peaked: by drawing it anew. Beyond all
+  /// draws the logarithm of the peakedness is taken as normal.
   double ChanceOfPeakedness(double peakedness) const {
     constexpr int kDraws = 299;
     Gaussian random(kDraws, 0);
