@@ -194,10 +194,17 @@ class LoopSession {
   void AskOnlineFor(const std::string& name);
   /// The case for the last of `with` by the online estimate of a model with all of them.
   RankedEffect LastByEstimate(const std::vector<RankedEffect>& with, const OnlinePass& pass) const;
+  /// The same by bands of frequency; nothing where they do not know its parameters.
+  std::optional<RankedEffect> LastByBands(const std::vector<RankedEffect>& with,
+                                          const OnlinePass& pass) const;
   /// Runs once more beside errors of the rotors' time stamps.
   /// @param with effects, the last of which is asked for
   /// @returns the case for it there; nothing where there is no such error to ask for
   std::optional<RankedEffect> BesideRotorTiming(std::vector<RankedEffect> with) const;
+  bool IsShown(const RankedEffect& effect) const;
+  /// Why the online estimate alone does not show the last of `with`; empty: it does.
+  /// @param asked its case there; the spread of the run beside rotor timing is added
+  std::string OnlineDoubt(const std::vector<RankedEffect>& with, RankedEffect* asked) const;
   /// Runs once more with what bands of frequency know, where they know something.
   void RunWithBands(OnlinePass* pass);
   TorqueBands BandsOf(const DynamicModel& model, const OnlinePass& pass) const;
@@ -620,10 +627,16 @@ void LoopSession::RunWithBands(OnlinePass* pass) {
   const std::map<std::string, ParameterSetting> without = known_;
   known_.insert(by_bands.begin(), by_bands.end());
   std::optional<OnlinePass> better = RunWith(effects_, Part(0.6, 1.0));
-  if (better) {
-    *pass = std::move(*better);
-  } else {
+  if (!better) {
     known_ = without;
+    return;
+  }
+  *pass = std::move(*better);
+  // Bands know shares of I_z.
+  const ParameterEstimate* inertia = pass->parameters.Find("inertia.z");
+  if (inertia == nullptr || !inertia->estimated || !(inertia->value > 0.0)) return;
+  for (RankedEffect& effect : effects_) {
+    AddScaleSpread(by_bands, inertia->sigma / inertia->value, &effect);
   }
 }
 
@@ -633,6 +646,15 @@ RankedEffect LoopSession::LastByEstimate(const std::vector<RankedEffect>& with,
   const DynamicModel model(extended, extended.effects);
   return RankedByEstimate(with.back().name, pass.parameters, model, EffectsOf(candidates_).size(),
                           options_.attribution.log_prior_odds);
+}
+
+std::optional<RankedEffect> LoopSession::LastByBands(const std::vector<RankedEffect>& with,
+                                                     const OnlinePass& pass) const {
+  const Vehicle extended = VehicleWithEffects(with);
+  const DynamicModel model(extended, extended.effects);
+  const auto known = KnownByBands(BandsOf(model, pass), model, pass.replay.last->values);
+  return RankedByBands(with.back().name, known, pass.parameters, model,
+                       EffectsOf(candidates_).size(), options_.attribution.log_prior_odds);
 }
 
 std::optional<RankedEffect> LoopSession::BesideRotorTiming(std::vector<RankedEffect> with) const {
@@ -648,6 +670,26 @@ std::optional<RankedEffect> LoopSession::BesideRotorTiming(std::vector<RankedEff
   return LastByEstimate(with, *pass);
 }
 
+bool LoopSession::IsShown(const RankedEffect& effect) const {
+  return effect.p_value < options_.attribution.false_alarm_rate;
+}
+
+std::string LoopSession::OnlineDoubt(const std::vector<RankedEffect>& with,
+                                     RankedEffect* asked) const {
+  if (!IsShown(*asked)) {
+    return "the online estimator, which weighs all frequencies, does not show it by itself";
+  }
+  const std::optional<RankedEffect> beside = BesideRotorTiming(with);
+  if (!beside) return "";
+  if (IsShown(*beside)) {
+    AddAlternativeSpread(*beside, asked);
+    return "";
+  }
+  return "rotor speeds stamped late or early do the same; beside that, chance may gain as much "
+         "in " +
+         Rounded(100.0 * beside->p_value) + " % of such flights";
+}
+
 void LoopSession::AskOnlineFor(const std::string& name) {
   std::vector<RankedEffect> with = effects_;
   with.emplace_back().name = name;
@@ -658,18 +700,18 @@ void LoopSession::AskOnlineFor(const std::string& name) {
   if (!pass) return;
   RankedEffect& asked = with.back();
   asked = LastByEstimate(with, *pass);
-  if (!(asked.p_value < options_.attribution.false_alarm_rate)) return;
   RankedEffect* ranked = RankedOf(name);
-  if (const auto beside = BesideRotorTiming(with)) {
-    if (!(beside->p_value < options_.attribution.false_alarm_rate)) {
-      if (ranked == nullptr) return;
-      ranked->remarks.push_back(
-          "not named: rotor speeds stamped late or early do the same; beside "
-          "that, chance may gain as much in " +
-          Rounded(100.0 * beside->p_value) + " % of such flights");
+  const std::string objection = OnlineDoubt(with, &asked);
+  if (!objection.empty()) {
+    const std::optional<RankedEffect> banded = LastByBands(with, *pass);
+    if (!banded || !IsShown(*banded)) {
+      if (IsShown(asked) && ranked != nullptr) {
+        ranked->remarks.push_back("not named: " + objection);
+      }
       return;
     }
-    AddAlternativeSpread(*beside, &asked);
+    asked = *banded;
+    asked.remarks.push_back("bands of frequency show it where rotor torque leads; " + objection);
   }
   if (ranked != nullptr) *ranked = asked;
   effects_ = std::move(with);

@@ -124,6 +124,30 @@ RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& onl
   return ranked;
 }
 
+std::optional<RankedEffect> RankedByBands(const std::string& effect,
+                                          const std::map<std::string, ParameterSetting>& known,
+                                          const ParameterSet& online, const DynamicModel& model,
+                                          size_t candidates, double log_prior_odds) {
+  ParameterSet banded;
+  for (const ParameterEstimate& p : online.parameters) {
+    const int k = model.IndexOf(p.full_name);
+    if (k < 0 || model.parameters()[k].effect != effect) continue;
+    const auto found = known.find(p.full_name);
+    if (found == known.end() || !found->second.value || !found->second.sigma) return std::nullopt;
+    banded.parameters.push_back(p);
+    banded.parameters.back().value = *found->second.value;
+    banded.parameters.back().sigma = *found->second.sigma;
+  }
+  if (banded.parameters.empty()) return std::nullopt;
+  const auto n = static_cast<Eigen::Index>(banded.parameters.size());
+  banded.covariance = Eigen::MatrixXd::Zero(n, n);
+  for (Eigen::Index k = 0; k < n; ++k) {
+    const double sigma = banded.parameters[static_cast<size_t>(k)].sigma;
+    banded.covariance(k, k) = sigma * sigma;
+  }
+  return RankedByEstimate(effect, banded, model, candidates, log_prior_odds);
+}
+
 void AddAlternativeSpread(const RankedEffect& beside, RankedEffect* effect) {
   const auto n = static_cast<Eigen::Index>(effect->parameters.size());
   Eigen::VectorXd change(n);
@@ -135,6 +159,24 @@ void AddAlternativeSpread(const RankedEffect& beside, RankedEffect* effect) {
     change[k] = other != nullptr ? other->value - p.value : 0.0;
   }
   effect->spread = change * change.transpose();
+}
+
+void AddScaleSpread(const std::map<std::string, ParameterSetting>& names, double sigma,
+                    RankedEffect* effect) {
+  const auto n = static_cast<Eigen::Index>(effect->parameters.size());
+  Eigen::VectorXd change = Eigen::VectorXd::Zero(n);
+  std::vector<std::string> all;
+  for (Eigen::Index k = 0; k < n; ++k) {
+    all.push_back(effect->parameters[static_cast<size_t>(k)].full_name);
+    const auto known = names.find(all.back());
+    if (known != names.end() && known->second.value) change[k] = sigma * *known->second.value;
+  }
+  if (change.isZero(0.0)) return;
+  if (effect->spread_of != all) {
+    effect->spread = Eigen::MatrixXd::Zero(n, n);
+    effect->spread_of = all;
+  }
+  effect->spread += change * change.transpose();
 }
 
 void AddSpread(const RankedEffect& effect, ParameterSet* online) {

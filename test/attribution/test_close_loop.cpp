@@ -252,6 +252,26 @@ TEST_F(OnlineEvidence, IsAgainstTheWrongSignAndWhatIsNotKnown) {
   EXPECT_EQ(Ranked(sigma, 0.0, false).p_value, 1.0);
 }
 
+TEST_F(OnlineEvidence, IsAsWellThatOfBandsWhereTheyKnowTheParameters) {
+  ParameterSet online;
+  online.parameters.push_back({"rotor_reaction.J_r", "kg m^2", 0.0, 1.0, true, true});
+  const auto by_bands = [&](double value, double sigma) {
+    ParameterSetting setting;
+    setting.value = value;
+    setting.sigma = sigma;
+    return RankedByBands("rotor_reaction", {{"rotor_reaction.J_r", setting}}, online, model_, 20,
+                         -3.0);
+  };
+  const double sigma = 0.01 * spec().prior_sigma;
+  ASSERT_TRUE(by_bands(9.0 * sigma, sigma).has_value());
+  EXPECT_DOUBLE_EQ(by_bands(9.0 * sigma, sigma)->score, Ranked(9.0 * sigma, sigma).score);
+  EXPECT_LT(by_bands(9.0 * sigma, sigma)->p_value, 1e-10);
+  EXPECT_GT(by_bands(2.0 * sigma, sigma)->p_value, 0.01);
+  EXPECT_GT(by_bands(-9.0 * sigma, sigma)->p_value, by_bands(9.0 * sigma, sigma)->p_value);
+  EXPECT_FALSE(RankedByBands("rotor_reaction", {}, online, model_, 20, -3.0).has_value());
+  EXPECT_FALSE(RankedByBands("rotor_reaction", {}, ParameterSet(), model_, 20, -3.0).has_value());
+}
+
 TEST(QuickEffects, FollowRotorAccelerationsWithASignThatPhysicsGives) {
   const std::vector<EffectCandidate> candidates = {{"rotor_delay", {}, {}},
                                                    {"rotor_reaction", {}, {}},
@@ -267,6 +287,20 @@ TEST_F(OnlineEvidence, LeavesOpenWhatErrorsOfStampsChange) {
   AddAlternativeSpread(beside, &alone);
   ASSERT_EQ(alone.spread_of, std::vector<std::string>{"rotor_reaction.J_r"});
   EXPECT_NEAR(alone.spread(0, 0), 1.6e-11, 1e-20);
+}
+
+TEST_F(OnlineEvidence, LeavesOpenWhatScaleAShareIsKnownOf) {
+  RankedEffect effect = Ranked(1e-5, 1e-6);
+  ParameterSetting share;
+  share.value = 2e-5;
+  AddScaleSpread({{"rotor_torque.k_m", share}}, 0.2, &effect);
+  EXPECT_EQ(effect.spread.size(), 0);
+  AddScaleSpread({{"rotor_reaction.J_r", share}}, 0.2, &effect);
+  ASSERT_EQ(effect.spread_of, std::vector<std::string>{"rotor_reaction.J_r"});
+  EXPECT_NEAR(effect.spread(0, 0), 1.6e-11, 1e-20);
+  AddAlternativeSpread(Ranked(1.4e-5, 1e-6), &effect);
+  AddScaleSpread({{"rotor_reaction.J_r", share}}, 0.2, &effect);
+  EXPECT_NEAR(effect.spread(0, 0), 3.2e-11, 1e-20);
 }
 
 TEST(CloseLoop, SaysWhereGapsLeaveNothingToJudgeBy) {

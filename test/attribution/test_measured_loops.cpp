@@ -141,6 +141,27 @@ TEST(MeasuredCrazyflie, NamesNoWindOfASecondValley) {
       << CloseLoopTable(loop);
 }
 
+// Thrown and caught: all that shows the rotors' inertia are the seconds after the throw. The
+// estimator, which weighs all frequencies, does not show it by itself; bands of frequency do.
+TEST(MeasuredIndiflight, HasRotorsWithAnInertiaOfTheirOwn) {
+  const std::string vehicle_file = RecordedFile("indiflight/vehicle.yaml");
+  for (const char* const name : {"LOG00260", "LOG00269"}) {
+    const std::string file = RecordedFile(std::string("indiflight/") + name + ".csv");
+    if (file.empty()) GTEST_SKIP() << "no recorded data";
+    const Vehicle vehicle = LoadVehicle(vehicle_file);
+    const ClosedLoop loop = CloseLoop(ReadFlightCsv(file, vehicle.num_rotors(), PoseSource::kEkf), vehicle, vehicle, {});
+    const auto reaction =
+        std::find_if(loop.effects.begin(), loop.effects.end(),
+                     [](const AddedEffect& e) { return e.effect.name == "rotor_reaction"; });
+    ASSERT_NE(reaction, loop.effects.end()) << name << CloseLoopTable(loop);
+    const ParameterEstimate* J_r = reaction->effect.Find("rotor_reaction.J_r");
+    ASSERT_NE(J_r, nullptr);
+    constexpr double kDocumented = 8.7e-7;  // kg m^2, the source's own, to 2 %
+    EXPECT_NEAR(J_r->value, kDocumented, 3.0 * J_r->sigma) << name;
+    EXPECT_LT(J_r->sigma, 0.6 * kDocumented) << name;
+  }
+}
+
 }  // namespace
 }  // namespace test
 }  // namespace odmc

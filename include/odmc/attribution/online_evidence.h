@@ -1,5 +1,7 @@
 #pragma once
 
+#include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -36,10 +38,27 @@ std::vector<std::string> RotorTimingEffects(const Vehicle& vehicle,
 RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& online,
                               const DynamicModel& model, size_t candidates, double log_prior_odds);
 
+/// The case for an effect by what bands of frequency know of its parameters: RankedByEstimate() with
+/// their values and sigmas. The estimator weighs all frequencies, also those at which rotors answer
+/// disturbances and noise; bands leave these out, and take off a delay common to all axes.
+/// @param known KnownByBands(), by full name
+/// @returns nothing where bands do not know each of the parameters
+std::optional<RankedEffect> RankedByBands(const std::string& effect,
+                                          const std::map<std::string, ParameterSetting>& known,
+                                          const ParameterSet& online, const DynamicModel& model,
+                                          size_t candidates, double log_prior_odds);
+
 /// Adds to what an effect's own coefficients leave open (RankedEffect::spread) how they change in a
 /// model that can do the same by other means.
 /// @param beside the effect in that model, with the same coefficients
 void AddAlternativeSpread(const RankedEffect& beside, RankedEffect* effect);
+
+/// Adds to what an effect's own coefficients leave open that some are known as shares of another
+/// quantity, as a rotor's inertia of I_z, and go with it.
+/// @param names full names of those coefficients, with their values
+/// @param sigma of the other quantity, over its value [1]
+void AddScaleSpread(const std::map<std::string, ParameterSetting>& names, double sigma,
+                    RankedEffect* effect);
 
 /// The online model holds an effect's settings, such as a cable's length, as if they were known,
 /// and knows one valley. Adds what the fit leaves open (RankedEffect::spread) to an online
