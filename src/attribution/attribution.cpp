@@ -778,6 +778,7 @@ VariantSet Attribution::MostConfirmed(const Evidence& evidence, const VariantSet
 void Attribution::Search() {
   before_ = Refit(&point_);
   after_ = before_;
+  const ModelPoint declared = point_;
   while (static_cast<int>(effects_.size()) < options_.most_effects) {
     Evidence evidence(flights_, point_, jobs_);
     Screen(&evidence);
@@ -826,7 +827,8 @@ void Attribution::Search() {
       named_[candidate.effect] = candidate;
     }
     DropContained(added.size());
-    DropSuperseded(added.size());
+    // What was found beside an effect that stood for another may stand for the rest of it.
+    if (DropSuperseded(added.size())) StartAgain(declared);
   }
 }
 

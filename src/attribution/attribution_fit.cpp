@@ -299,7 +299,8 @@ std::optional<VariantSet> Attribution::BetterRival(const Evidence& evidence,
   return std::nullopt;
 }
 
-void Attribution::DropSuperseded(size_t newest) {
+bool Attribution::DropSuperseded(size_t newest) {
+  bool dropped = false;
   while (effects_.size() > newest) {
     std::vector<EffectCandidate> candidates;
     for (const RankedEffect& effect : effects_) candidates.push_back(named_.at(effect.name));
@@ -322,11 +323,29 @@ void Attribution::DropSuperseded(size_t newest) {
       weakest = effect;
       least = score;
     }
-    if (!weakest) return UpdateSigmas(at_fit, newest);
+    if (!weakest) {
+      UpdateSigmas(at_fit, newest);
+      return dropped;
+    }
     Refuse(*weakest, least, "gains " + Rounded(least) + " nats beside what was found later");
-    hollow_.insert(*weakest);
+    superseded_.insert(*weakest);
     Drop({*weakest});
+    dropped = true;
   }
+  return dropped;
+}
+
+void Attribution::StartAgain(const ModelPoint& declared) {
+  effects_.clear();
+  named_.clear();
+  energy_.clear();
+  second_scores_.clear();
+  second_totals_.clear();
+  refuted_.clear();
+  hollow_ = superseded_;
+  gain_ = held_out_gain_ = 0.0;
+  point_ = declared;
+  after_ = before_;
 }
 
 void Attribution::Drop(const std::set<std::string>& names) {

@@ -228,7 +228,11 @@ class Attribution {
   void DropContained(size_t newest);
   /// Takes away effects found earlier of which nothing is left beside the newest (IsHollow()).
   /// @param newest how many at the end of effects_ are
-  void DropSuperseded(size_t newest);
+  /// @returns true if there were any
+  bool DropSuperseded(size_t newest);
+  /// Forgets what was found, but for superseded_, which is looked at no more.
+  /// @param declared the model without effects, fitted
+  void StartAgain(const ModelPoint& declared);
   /// Takes effects away, and fits the rest.
   void Drop(const std::set<std::string>& names);
   /// An effect's parameters as the point has them.
@@ -255,6 +259,7 @@ class Attribution {
   std::map<std::string, double> second_scores_;   // about what the fit with them has found [nats]
   std::map<std::string, double> second_totals_;   // and what they gain on blocks held out
   std::set<std::string> hollow_;                  // ValleyNameOf() those that are looked at no more
+  std::set<std::string> superseded_;              // by effects found later: the same
   std::set<std::string> refuted_;  // the same of signs of which the fit bears out less
   std::map<std::string, std::array<double, kNumChannels>> energy_;  // of effects_ [nats]
   double gain_ = 0.0, held_out_gain_ = 0.0;
