@@ -194,7 +194,8 @@ class LoopSession {
   void AskOnlineFor(const std::string& name);
   /// The case for the last of `with` by the online estimate of a model with all of them.
   RankedEffect LastByEstimate(const std::vector<RankedEffect>& with, const OnlinePass& pass) const;
-  /// The same by bands of frequency; nothing where they do not know its parameters.
+  /// The same by bands of frequency; nothing where they do not know its parameters, or the online
+  /// estimate does not show it at all.
   std::optional<RankedEffect> LastByBands(const std::vector<RankedEffect>& with,
                                           const OnlinePass& pass) const;
   /// Runs once more beside errors of the rotors' time stamps.
@@ -652,6 +653,10 @@ std::optional<RankedEffect> LoopSession::LastByBands(const std::vector<RankedEff
                                                      const OnlinePass& pass) const {
   const Vehicle extended = VehicleWithEffects(with);
   const DynamicModel model(extended, extended.effects);
+  if (!SizeDiffersFromZero(with.back(), pass.parameters, model,
+                           options_.attribution.significant_sigmas)) {
+    return std::nullopt;
+  }
   const auto known = KnownByBands(BandsOf(model, pass), model, pass.replay.last->values);
   return RankedByBands(with.back().name, known, pass.parameters, model,
                        EffectsOf(candidates_).size(), options_.attribution.log_prior_odds);
@@ -677,7 +682,7 @@ bool LoopSession::IsShown(const RankedEffect& effect) const {
 std::string LoopSession::OnlineDoubt(const std::vector<RankedEffect>& with,
                                      RankedEffect* asked) const {
   if (!IsShown(*asked)) {
-    return "the online estimator, which weighs all frequencies, does not show it by itself";
+    return "the online estimate, which weighs all frequencies, is too uncertain by itself";
   }
   const std::optional<RankedEffect> beside = BesideRotorTiming(with);
   if (!beside) return "";

@@ -38,9 +38,9 @@ std::vector<std::string> RotorTimingEffects(const Vehicle& vehicle,
 RankedEffect RankedByEstimate(const std::string& effect, const ParameterSet& online,
                               const DynamicModel& model, size_t candidates, double log_prior_odds);
 
-/// The case for an effect by what bands of frequency know of its parameters: RankedByEstimate() with
-/// their values and sigmas. The estimator weighs all frequencies, also those at which rotors answer
-/// disturbances and noise; bands leave these out, and take off a delay common to all axes.
+/// The case for an effect by what bands of frequency know of its parameters: RankedByEstimate()
+/// with their values and sigmas. The estimator weighs all frequencies, also those at which rotors
+/// answer disturbances and noise; bands leave these out, and take off a delay common to all axes.
 /// @param known KnownByBands(), by full name
 /// @returns nothing where bands do not know each of the parameters
 std::optional<RankedEffect> RankedByBands(const std::string& effect,
