@@ -187,6 +187,13 @@ std::optional<SecondSensorShare> SeenByOther(const ResidualModel& residual,
   return ShareInSecondSensor(residual.flight(), gusts.foreseen.leftCols<2>(), again);
 }
 
+/// Standard deviation over the median of a quantity whose logarithm is normal.
+/// @param error standard deviation of the logarithm
+double LogNormalDeviation(double error) {
+  const double spread = std::exp(error * error);
+  return std::sqrt(spread * (spread - 1.0));
+}
+
 }  // namespace
 
 // Of the uniform prior's part, mean and evidence are those of a normal density between 0 and 1.
@@ -270,7 +277,8 @@ GustCase RankGusts(const ResidualModel& residual, const ModelPoint& point,
   const auto state = [&](const std::string& name, const std::string& unit, double value,
                          double error) {
     ranked.settings[name] = value;
-    ranked.parameters.push_back({name, unit, value, error * value, true, error < 1.0});
+    ranked.parameters.push_back(
+        {name, unit, value, value * LogNormalDeviation(error), true, error < 1.0});
   };
   state("gust.sigma", "m/s", std::max(kSlightestGust_m_s, gust.sigma_m_s), gust.sigma_error);
   state("gust.vertical_sigma", "m/s", std::max(0.01, gust.vertical_sigma_m_s),
