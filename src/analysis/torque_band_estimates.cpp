@@ -1,13 +1,10 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
-#include <utility>
-#include <vector>
 
 #include "block_scatter.h"
 #include "odmc/analysis/band_join.h"
 #include "odmc/analysis/torque_spectra.h"
-#include "odmc/math/statistics.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -324,16 +321,7 @@ TorqueBands TorqueSpectra::Bands(const Noise& noise) const {
       JoinBands(quantities[i]);
     }
   }
-  WidenByDelay(result.delay_s, &result.J_r_over_I);
   return result;
-}
-
-void TorqueSpectra::WidenByDelay(double delay_s, BandedQuantity* J_r_over_I) {
-  std::vector<double> per_delay;
-  for (const BandEstimate& band : J_r_over_I->bands) per_delay.push_back(band.per_delay);
-  if (!J_r_over_I->value || per_delay.empty()) return;
-  const double turned = Median(std::move(per_delay)) * delay_s / std::sqrt(3.0);
-  J_r_over_I->sigma = std::hypot(J_r_over_I->sigma, turned);
 }
 
 void TorqueSpectra::AddReaction(const Band& band, double delay_sigma_s, TorqueBands* result,
@@ -368,8 +356,7 @@ void TorqueSpectra::AddReaction(const Band& band, double delay_sigma_s, TorqueBa
     const double loop = kLoop * rest * std::sqrt(fitted / G(i, i));
     // A delay turns one of the two into the other: they are a quarter of a turn apart.
     const int other = 1 - i;
-    estimate.per_delay = w * x[other] * std::sqrt(G(other, other) / G(i, i));
-    const double late = delay_sigma_s * estimate.per_delay;
+    const double late = w * delay_sigma_s * x[other] * std::sqrt(G(other, other) / G(i, i));
     estimate.sigma = std::hypot(estimate.noise_sigma, std::hypot(loop, late));
     quantities[static_cast<size_t>(i)]->bands.push_back(estimate);
     (*scatters)[2 + static_cast<size_t>(i)].Add(scatter, i, 1.0);

@@ -166,8 +166,12 @@ TEST(TorqueSpectra, TakeOffWhatNoiseOfRotorSpeedsAdds) {
   }
 }
 
-TEST(TorqueSpectra, TellReactionOfTheBladesFromThatOfTheRotors) {
-  constexpr double kKmOverI = 2e-8 / kInertiaZ, kJrOverI = 1e-6 / kInertiaZ, kHover = 1000.0;
+constexpr double kKmOverI = 2e-8 / kInertiaZ, kJrOverI = 1e-6 / kInertiaZ;
+
+/// Bands of a flight with blades that drag and rotors that have an inertia.
+/// @param lag samples by which torque about x and y leads the motion, and that about z does not
+TorqueBands BandsWithReaction(int lag) {
+  constexpr double kHover = 1000.0;
   constexpr double kPerRate = -20.0;
   TorqueSpectra spectra(kRate_Hz, 2.0, 40.0, kInertiaZ);
   Coloured speed(10.0, 5);
@@ -175,6 +179,7 @@ TEST(TorqueSpectra, TellReactionOfTheBladesFromThatOfTheRotors) {
   double rate = 0.0, last_drag = 0.0, last_spin = 0.0;
   Coloured torque(10.0, 7), tumbling(5.0, 8);
   double other_rate = 0.0, last_torque = 0.0;
+  std::vector<double> about_x;
   for (int i = 0; i < 20000; ++i) {
     const double delta = 20.0 * speed.Next();
     const double drag = 4.0 * 2.0 * kHover * delta, spin = 4.0 * delta;
@@ -186,20 +191,34 @@ TEST(TorqueSpectra, TellReactionOfTheBladesFromThatOfTheRotors) {
     last_drag = drag;
     last_spin = spin;
     TorqueSpectra::Sample sample;
-    const double about_x = 0.01 * torque.Next();
-    other_rate += 0.5 * (about_x + last_torque) / kInertia / kRate_Hz;
-    last_torque = about_x;
-    sample.torque = Vector3d(about_x, about_x, known);
+    about_x.push_back(0.01 * torque.Next());
+    const double acting = i < lag ? 0.0 : about_x[static_cast<size_t>(i - lag)];
+    other_rate += 0.5 * (acting + last_torque) / kInertia / kRate_Hz;
+    last_torque = acting;
+    sample.torque = Vector3d(about_x.back(), about_x.back(), known);
     sample.rate = Vector3d(other_rate, other_rate, rate + 1e-3 * random.Normal());
     sample.drag = drag;
     sample.spin = spin;
     spectra.Add(sample);
   }
-  const TorqueBands bands = spectra.Bands({});
+  return spectra.Bands({});
+}
+
+TEST(TorqueSpectra, TellReactionOfTheBladesFromThatOfTheRotors) {
+  const TorqueBands bands = BandsWithReaction(0);
   ASSERT_TRUE(bands.k_m_over_I.value) << bands.k_m_over_I.why;
   ASSERT_TRUE(bands.J_r_over_I.value) << bands.J_r_over_I.why;
   EXPECT_NEAR(*bands.k_m_over_I.value / kKmOverI, 1.0, 0.05);
   EXPECT_NEAR(*bands.J_r_over_I.value / kJrOverI, 1.0, 0.05);
+}
+
+// What a delay about x and y that is none about z does, the coefficient of the rate takes on within
+// a band: drag of the blades does not pass for inertia of the rotors (it would be 40 % here).
+TEST(TorqueSpectra, KnowTheRotorsInertiaWhereADelayIsThatOfOtherAxes) {
+  const TorqueBands bands = BandsWithReaction(5);
+  EXPECT_NEAR(bands.delay_s, 5.0 / kRate_Hz, 0.1 / kRate_Hz);
+  ASSERT_TRUE(bands.J_r_over_I.value) << bands.J_r_over_I.why;
+  EXPECT_NEAR(*bands.J_r_over_I.value / kJrOverI, 1.0, 0.1);
 }
 
 /// Share of bands, and RMS, of what lies outside of three noise_sigma over many flights, where

@@ -26,7 +26,6 @@ struct BandEstimate {
   double noise_sigma = 0.0;  ///< of it, what more flight would make smaller; it knows of bursts
   double coherence = 0.0;  ///< of torque and angular acceleration, noise of rotor speeds taken off
   bool used = false;       ///< of the range that is most likely
-  double per_delay = 0.0;  ///< change of `value` by a delay of one second (k_m / I_z, J_r / I_z)
 };
 
 /// What all bands say together.

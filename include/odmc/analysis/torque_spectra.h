@@ -100,9 +100,6 @@ class TorqueSpectra {
   static void AddInertia(const Band& band, TorqueBands* result, Scatters* scatters);
   static void AddReaction(const Band& band, double delay_sigma_s, TorqueBands* result,
                           Scatters* scatters);
-  /// How much of the delay is one of streams is not known, anything from none to all: the rest are
-  /// phases of the air's torque about the other axes. Turns k_m into J_r the same in all bands.
-  static void WidenByDelay(double delay_s, BandedQuantity* J_r_over_I);
   void FindDelay(const Block& flight, const std::vector<std::pair<double, double>>& edges,
                  const Noise& noise, TorqueBands* bands) const;
 
