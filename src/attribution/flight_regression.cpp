@@ -243,30 +243,22 @@ FlightRegression::Seen FlightRegression::See(const EffectCandidate& candidate,
     from_s = setting;
     setting = 0.0;
   }
-  const std::string key = onset.empty() || !at.empty() ? "" : KeyOf(candidate);
-  Seen seen = key.empty()
-                  ? SeeFully(candidate, model, values, what)
-                  : SeenBeforeOr(key, [&] { return SeeFully(candidate, model, values, kAll); });
-  if (!onset.empty()) {
-    for (int i = 0; i < residual_->flight().size(); ++i) {
-      if (residual_->flight().sample(i).t_s >= from_s) break;
-      for (Regressor& column : seen.columns) {
-        column.d_wrench.row(i).setZero();
-        column.likely.row(i).setZero();
-      }
-      if (!seen.offset) continue;
-      seen.offset->d_wrench.row(i).setZero();
-      seen.offset->likely.row(i).setZero();
-    }
-  }
   // What follows from the motion alone needs no instruments: no rotor answers to it, and noise of
   // the motion makes it seem less than it is, not more.
   const auto foresee = [&](const Regressor& column) -> Wrenches {
     return effect.is_kinematic() && !residual_->from_accelerometer() ? column.d_wrench
                                                                      : Foreseen(column);
   };
-  for (Regressor& column : seen.columns) column.foreseen = foresee(column);
-  if (seen.offset) seen.offset->foreseen = foresee(*seen.offset);
+  const auto see = [&](What of) {
+    Seen seen = SeeFully(candidate, model, values, of);
+    for (Regressor& column : seen.columns) column.foreseen = foresee(column);
+    if (seen.offset) seen.offset->foreseen = foresee(*seen.offset);
+    return seen;
+  };
+  const std::string key = onset.empty() || !at.empty() ? "" : KeyOf(candidate);
+  Seen seen = key.empty() ? see(what) : SeenBeforeOr(key, [&] { return see(kAll); });
+  // When it begins is the candidate's, and not for the past to foresee.
+  if (!onset.empty()) BeginAt(from_s, &seen);
   if (what != kAll) {
     seen.columns.erase(std::remove_if(seen.columns.begin(), seen.columns.end(),
                                       [&](const Regressor& c) {
@@ -276,6 +268,19 @@ FlightRegression::Seen FlightRegression::See(const EffectCandidate& candidate,
                        seen.columns.end());
   }
   return seen;
+}
+
+void FlightRegression::BeginAt(double from_s, Seen* seen) const {
+  const ThinnedFlight& flight = residual_->flight();
+  int before = 0;
+  while (before < flight.size() && flight.sample(before).t_s < from_s) ++before;
+  const auto begin = [&](Regressor* column) {
+    for (Wrenches* of : {&column->d_wrench, &column->likely, &column->foreseen}) {
+      of->topRows(before).setZero();
+    }
+  };
+  for (Regressor& column : seen->columns) begin(&column);
+  if (seen->offset) begin(&*seen->offset);
 }
 
 FlightRegression::Seen FlightRegression::SeenBeforeOr(const std::string& key,

@@ -146,6 +146,8 @@ class FlightRegression {
   };
   Seen See(const EffectCandidate& candidate, const std::map<std::string, double>& at,
            What what) const;
+  /// Takes from columns what they do before an instant.
+  void BeginAt(double from_s, Seen* seen) const;
   /// What was seen by a key before; else what `see` returns, kept for the next time.
   Seen SeenBeforeOr(const std::string& key, const std::function<Seen()>& see) const;
   Seen SeeFully(const EffectCandidate& candidate, const DynamicModel& model,
