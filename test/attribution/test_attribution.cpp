@@ -676,6 +676,37 @@ TEST(Evidence, WaysThatAreSetAsideLeaveTheNoiseAsItIs) {
   EXPECT_GT(whitened(20, false), 1.02 * alone);
 }
 
+// A load is all there from one sample to the next: the past, which does not foresee that, would
+// make a slow change of it, and place it later.
+TEST(Evidence, AnEffectBeginsAtItsOnsetAndNotLater) {
+  const Flown flown = Filtered(Make({}, 0.0, "octo", 0, 31));
+  const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+  const Instruments instruments(flown.flight, flown.vehicle);
+  const FlightRegression flight(&residual, &instruments, DeclaredPoint(flown.vehicle));
+  std::vector<EffectCandidate> loads = CandidatesFor(flown.vehicle, flown.flight.motion());
+  loads.erase(std::remove_if(loads.begin(), loads.end(),
+                             [](const auto& c) { return c.effect != "mass_change"; }),
+              loads.end());
+  ASSERT_GT(loads.size(), 20u);
+  const double from_s = flown.flight.sample(flown.flight.size() / 2).t_s;
+  loads.front().settings.at("mass_change.from") = from_s;
+  const FlightRegression::Seen seen = flight.ActingColumns(loads.front());
+  ASSERT_FALSE(seen.columns.empty());
+  const Regressor& mass = seen.columns.front();
+  ASSERT_EQ(mass.name, "mass_change.mass");
+  const double weight = flown.vehicle.gravity_m_s2;
+  int after = 0;
+  for (int i = 0; i < flown.flight.size(); ++i) {
+    if (!instruments.Sees(i)) continue;
+    if (flown.flight.sample(i).t_s < from_s) {
+      EXPECT_EQ(mass.foreseen.row(i).norm(), 0.0) << i;
+    } else if (++after <= Instruments::kReach) {
+      EXPECT_GT(mass.foreseen.row(i).head<3>().norm(), 0.5 * weight) << after;
+    }
+  }
+  EXPECT_GT(after, Instruments::kReach);
+}
+
 // What acts in one part of a flight and the other way round in another is not there.
 TEST(Evidence, CountsWhatAnEffectLosesOnBlocksHeldOut) {
   const UndeclaredFlight made = Make({"quadratic_drag"}, 0.2, "octo", 1, 12);
