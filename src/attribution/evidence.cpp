@@ -777,7 +777,9 @@ std::array<double, kNumChannels> Evidence::EnergyOf(int variant, const EffectFit
   for (size_t f = 0; f < flights_.size(); ++f) {
     const VectorXd& does = done[f];
     const auto n = static_cast<Index>(flights_[f].rows().size());
-    for (int c = 0; c < num_channels_; ++c) energy[c] += 0.5 * does.segment(c * n, n).squaredNorm();
+    for (int c = 0; c < num_channels_; ++c) {
+      for (const double x : does.segment(c * n, n)) energy[c] += 0.5 * WildShare(x) * x * x;
+    }
   }
   return energy;
 }

@@ -26,7 +26,6 @@ constexpr NoiseRounds kFirstNoise = {3, 3};
 constexpr NoiseRounds kMoreColumns = {1, 2};
 constexpr NoiseRounds kMovedColumns = {0, 1};
 constexpr Index kMostDraws = 32;     // of the fit, for an expectation: its sums to some per cent
-constexpr double kWildSigmas = 5.0;  // innovations beyond count as this many
 constexpr double kBias_m_s2 = 0.3;   // of an accelerometer
 constexpr int kFolds = Instruments::kFolds;
 constexpr double kCollinear = 1e-6;  // of a column's sum of squares, for columns that are one
@@ -98,6 +97,11 @@ bool IsOfUnforeseenAxis(const Regressor& column) {
 }
 
 }  // namespace
+
+double WildShare(double innovation) {
+  constexpr double kWildSigmas = 5.0;
+  return kWildSigmas / std::max(std::abs(innovation), kWildSigmas);
+}
 
 FlightRegression::FlightRegression(const ResidualModel* residual, const Instruments* instruments,
                                    const ModelPoint& point, int jobs)
@@ -448,8 +452,7 @@ void FlightRegression::ReestimateNoise(const VectorXd& x, const MatrixXd& draws)
                                  is_blended_force);
     const VectorXd innovation = noise_[c].Whiten(likely.col(0), rows_);
     for (Index k = 0; k < innovation.size(); ++k) {
-      const double sigmas = std::abs(innovation[k]);
-      weight_(k, c) = sigmas > kWildSigmas ? std::sqrt(kWildSigmas / sigmas) : 1.0;
+      weight_(k, c) = std::sqrt(WildShare(innovation[k]));
     }
   });
 }

@@ -817,6 +817,18 @@ TEST(Evidence, NamesBothOfTwoThatActOnDifferentAxes) {
   }
 }
 
+// A load that is dropped is wild for an instant. What a slightly wrong formula would leave of that
+// does not stand for all that acts beside it.
+TEST(Evidence, NamesWhatActsBesideALoadThatIsDropped) {
+  const Flown flown = Filtered(Make({"mass_change", "quadratic_drag"}, 0.5, "octo", 0, 7));
+  const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+  const Attribution attribution = Attribute(flown, residual);
+  EXPECT_TRUE(Has(attribution.effects(), "mass_change"));
+  EXPECT_TRUE(Has(attribution.effects(), "quadratic_drag"));
+  EXPECT_EQ(WildShare(-3.0), 1.0);
+  EXPECT_EQ(WildShare(-50.0), 0.1);
+}
+
 // Our own simulator's feedback goes through noise and unsteady air: rotors answer both.
 TEST(Evidence, NamesNothingOnFlightsWithoutEffects) {
   const char* const trajectories[] = {"hover", "vertical", "yaw", "circle", "octo", "aggressive"};

@@ -41,6 +41,11 @@ struct Regressor : ResidualCoefficient {
   ResidualModel::Wrenches foreseen;  ///< N×6: what of it was known before
 };
 
+/// What of an innovation's square counts (Huber, Robust Statistics, 1981): all up to five sigma,
+/// beyond as if it grew in proportion.
+/// @param innovation [sigma]
+double WildShare(double innovation);
+
 /// The residual wrench of one flight as a linear regression whitened by the noise of that flight:
 /// the sums of squares and products from which Evidence makes every decision. The noise is
 /// autoregressive in each channel, and one for all models: that of the residual of everything
