@@ -25,8 +25,8 @@ struct NoiseRounds {
 constexpr NoiseRounds kFirstNoise = {3, 3};
 constexpr NoiseRounds kMoreColumns = {1, 2};
 constexpr NoiseRounds kMovedColumns = {0, 1};
-constexpr Index kMostDraws = 32;     // of the fit, for an expectation: its sums to some per cent
-constexpr double kBias_m_s2 = 0.3;   // of an accelerometer
+constexpr Index kMostDraws = 32;    // of the fit, for an expectation: its sums to some per cent
+constexpr double kBias_m_s2 = 0.3;  // of an accelerometer
 constexpr int kFolds = Instruments::kFolds;
 constexpr double kCollinear = 1e-6;  // of a column's sum of squares, for columns that are one
 

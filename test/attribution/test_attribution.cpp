@@ -819,12 +819,38 @@ TEST(Evidence, NamesBothOfTwoThatActOnDifferentAxes) {
 
 // A load that is dropped is wild for an instant. What a slightly wrong formula would leave of that
 // does not stand for all that acts beside it.
-TEST(Evidence, NamesWhatActsBesideALoadThatIsDropped) {
-  const Flown flown = Filtered(Make({"mass_change", "quadratic_drag"}, 0.5, "octo", 0, 7));
+TEST(Evidence, CountsALoadThatIsDroppedAsNoMoreThanWild) {
+  const Vehicle vehicle = UndeclaredVehicles().front();
+  Vehicle loaded = vehicle;
+  loaded.effects.emplace_back("mass_change");
+  const DynamicModel model(loaded, loaded.effects);
+  ModelValues truth = DefaultTruth(model);
+  truth[model.IndexOf("mass_change.mass")] = -0.3 * vehicle.mass_kg;
+  truth[model.IndexOf("mass_change.from")] = 8.0;
+  SimulationOptions options;
+  options.trajectory = "hover";
+  SimulationNoise noise = SimulationNoise::None();
+  noise.imu = true;
+  const FlightLog log = Simulate(model, truth, options, noise).log;
+  const Flown flown{vehicle, ThinnedFlight(FilterFlight(log, vehicle.num_rotors(), {}), {}), {}};
   const ResidualModel residual(&flown.flight, &flown.vehicle, true);
-  const Attribution attribution = Attribute(flown, residual);
-  EXPECT_TRUE(Has(attribution.effects(), "mass_change"));
-  EXPECT_TRUE(Has(attribution.effects(), "quadratic_drag"));
+  const Instruments instruments(flown.flight, flown.vehicle);
+  Evidence evidence({{&residual, &instruments}}, DeclaredPoint(flown.vehicle));
+  const std::vector<EffectCandidate> all = CandidatesFor(flown.vehicle, flown.flight.motion());
+  const auto load = std::find_if(all.begin(), all.end(), [](const EffectCandidate& c) {
+    return c.effect == "mass_change" && c.start.at("mass_change.mass") < 0.0;
+  });
+  ASSERT_NE(load, all.end());
+  EffectCandidate dropped = *load;
+  dropped.settings.at("mass_change.from") = 8.0;
+  const int variant = evidence.Add(dropped);
+  evidence.EstimateNoise();
+  const EffectFit fit = evidence.Solve({variant});
+  double energy = 0.0;
+  for (const double of_channel : evidence.EnergyOf(variant, fit)) energy += of_channel;
+  const VectorXd done = evidence.DoneBy(variant, fit).front();
+  EXPECT_GT(energy, 20.0);
+  EXPECT_LT(energy, 0.75 * 0.5 * done.squaredNorm());
   EXPECT_EQ(WildShare(-3.0), 1.0);
   EXPECT_EQ(WildShare(-50.0), 0.1);
 }

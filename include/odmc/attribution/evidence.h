@@ -138,8 +138,8 @@ class Evidence {
   };
   GainBound GainBoundOf(const EffectCandidate& candidate) const;
 
-  /// What a variant of a fitted set does, by channel, over the noise [nats]; of instants at which it
-  /// is wild, as a load that is dropped, as much as counts of such noise.
+  /// What a variant of a fitted set does, by channel, over the noise [nats]; of instants at which
+  /// it is wild, as a load that is dropped, as much as counts of such noise.
   std::array<double, kNumChannels> EnergyOf(int variant, const EffectFit& fit) const;
   /// What a fit's variant does to the whitened residual, by flight.
   std::vector<Eigen::VectorXd> DoneBy(int variant, const EffectFit& fit) const;
