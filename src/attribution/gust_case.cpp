@@ -5,6 +5,7 @@
 #include <map>
 #include <memory>
 
+#include "odmc/math/statistics.h"
 #include "odmc/model/dynamic_model.h"
 #include "odmc/text/format.h"
 
@@ -185,13 +186,6 @@ std::optional<SecondSensorShare> SeenByOther(const ResidualModel& residual,
     again -= gusts.test.drag[i] * drag[static_cast<size_t>(i)].d_wrench.leftCols<2>();
   }
   return ShareInSecondSensor(residual.flight(), gusts.foreseen.leftCols<2>(), again);
-}
-
-/// Standard deviation over the median of a quantity whose logarithm is normal.
-/// @param error standard deviation of the logarithm
-double LogNormalDeviation(double error) {
-  const double spread = std::exp(error * error);
-  return std::sqrt(spread * (spread - 1.0));
 }
 
 }  // namespace

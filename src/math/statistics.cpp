@@ -67,4 +67,9 @@ double ChiSquaredTail(double x, int freedom) {
   return std::min(tail, 1.0);
 }
 
+double LogNormalDeviation(double sigma) {
+  const double spread = std::exp(sigma * sigma);
+  return std::sqrt(spread * (spread - 1.0));
+}
+
 }  // namespace odmc

@@ -87,6 +87,20 @@ TEST(Statistics, HuberSigmaOfReadingsInStepsIsNoWholeStep) {
   }
 }
 
+TEST(Statistics, LogNormalDeviationIsThatOfExponentials) {
+  Random random(9);
+  double sum = 0.0, square = 0.0;
+  constexpr int kDraws = 200000;
+  for (int i = 0; i < kDraws; ++i) {
+    const double x = std::exp(0.5 * random.Normal());
+    sum += x;
+    square += x * x;
+  }
+  const double mean = sum / kDraws;
+  EXPECT_NEAR(LogNormalDeviation(0.5), std::sqrt(square / kDraws - mean * mean), 0.01);
+  EXPECT_NEAR(LogNormalDeviation(1e-3), 1e-3, 1e-8);
+}
+
 }  // namespace
 }  // namespace test
 }  // namespace odmc

@@ -36,4 +36,8 @@ double HuberSigma(const std::vector<double>& sample);
 /// Chance that a chi-squared of `freedom` degrees of freedom, >= 1, exceeds `x`.
 double ChiSquaredTail(double x, int freedom);
 
+/// Standard deviation over the median of a quantity whose logarithm is normal.
+/// @param sigma standard deviation of the logarithm
+double LogNormalDeviation(double sigma);
+
 }  // namespace odmc
