@@ -53,11 +53,15 @@ Json EffectJson(const AddedEffect& added, double gain, const DynamicModel& model
   return json;
 }
 
-/// "hub_moment (31 %)"
+/// "hub_moment (31 %)". What is far less likely is an alternative where a few moments of the flight
+/// make the difference.
 std::vector<std::string> AlternativesOf(const AddedEffect& added) {
+  constexpr double kSmall = 0.01;
   std::vector<std::string> texts = added.alternatives;
   for (size_t k = 0; k < added.effect.alternative_shares.size(); ++k) {
-    texts[k] += " (" + Rounded(100.0 * added.effect.alternative_shares[k]) + " %)";
+    const double share = added.effect.alternative_shares[k];
+    texts[k] +=
+        share < kSmall ? " (below 1 %, by a few moments)" : " (" + Rounded(100.0 * share) + " %)";
   }
   return texts;
 }
