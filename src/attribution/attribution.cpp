@@ -109,6 +109,17 @@ std::vector<int> Nonlinear(const Evidence& evidence) {
   return variants;
 }
 
+/// True if a way for an effect to act has a time from which on it does. The best of many times
+/// takes more of slow noise with it than its coefficients do: beside what is not there the noise
+/// would come out too small.
+bool BeginsInFlight(const EffectCandidate& candidate) {
+  return std::any_of(
+      candidate.refinements.begin(), candidate.refinements.end(), [&](const SettingRefinement& r) {
+        const auto at = candidate.settings.find(candidate.effect + "." + r.parameter);
+        return r.step > 0.0 && at != candidate.settings.end() && at->second > r.above;
+      });
+}
+
 /// Of each valley of each effect, all variants but the one of the highest value.
 VariantSet AllButBest(const Evidence& evidence, const std::function<double(int)>& value) {
   std::map<std::pair<std::string, std::string>, std::pair<double, int>> best;
@@ -125,9 +136,16 @@ VariantSet AllButBest(const Evidence& evidence, const std::function<double(int)>
   return others;
 }
 
-/// The same by the evidence. Not between Evidence::Relinearize() and EstimateNoise().
+/// The same by the evidence, and what begins in flight and gains nothing. Not between
+/// Evidence::Relinearize() and EstimateNoise().
 VariantSet AllButBest(const Evidence& evidence) {
-  return AllButBest(evidence, [&](int v) { return evidence.Solve({v}).log_evidence; });
+  VariantSet aside = AllButBest(evidence, [&](int v) { return evidence.Solve({v}).log_evidence; });
+  for (int v = 0; v < static_cast<int>(evidence.variants().size()); ++v) {
+    if (BeginsInFlight(evidence.variants()[v].candidate) && !(evidence.GainInNats({v}) > 0.0)) {
+      aside.insert(v);
+    }
+  }
+  return aside;
 }
 
 /// True if two ways to try an effect differ by signs alone, in valleys of their own.
@@ -278,12 +296,12 @@ std::vector<Attribution::ScreenedWay> Attribution::MostPromising(
   const double log_prior = -std::log(static_cast<double>(held.size()));
   std::vector<ScreenedWay> ways;
   ways.reserve(chosen.size() + refined.size());
-  for (const size_t i : chosen) ways.push_back({*settings[i], log_prior, promises[i].white});
+  for (const size_t i : chosen) ways.push_back({*settings[i], log_prior, promises[i]});
   for (const size_t i : refined) {
     const EffectCandidate moved = WithRefinedSettings(
         *settings[i], [&](const auto& other) { return evidence.GainBoundOf(other).white; });
     if (moved.settings == settings[i]->settings && moved.start == settings[i]->start) continue;
-    ways.push_back({moved, log_prior, evidence.GainBoundOf(moved).white});
+    ways.push_back({moved, log_prior, evidence.GainBoundOf(moved)});
   }
   return ways;
 }
@@ -307,12 +325,17 @@ void Attribution::Screen(Evidence* evidence) const {
   for (const ScreenedWay& way : ways) chosen.push_back(way.candidate);
   const std::vector<int> added = evidence->AddAll(chosen);
   std::map<int, double> promise;
+  VariantSet unseen;
   for (size_t k = 0; k < ways.size(); ++k) {
     if (added[k] < 0) continue;
     evidence->SetLogPrior(added[k], ways[k].log_prior);
-    promise[added[k]] = ways[k].promise;
+    promise[added[k]] = ways[k].promise.white;
+    const bool is_seen = ways[k].promise.serial > options_.clear_odds - ways[k].log_prior;
+    if (!is_seen && BeginsInFlight(ways[k].candidate)) unseen.insert(added[k]);
   }
-  evidence->SetAside(AllButBest(*evidence, [&](int v) { return promise[v]; }));
+  VariantSet aside = AllButBest(*evidence, [&](int v) { return promise[v]; });
+  aside.insert(unseen.begin(), unseen.end());
+  evidence->SetAside(aside);
   evidence->EstimateNoise();
 }
 

@@ -125,7 +125,8 @@ class Attribution {
   /// One way to try an effect that was looked at closer, and what it promised [nats].
   struct ScreenedWay {
     EffectCandidate candidate;
-    double log_prior, promise;
+    double log_prior;
+    Evidence::GainBound promise;
   };
   /// Candidates that the model lacks and that were not refuted, by effect.
   std::map<std::string, std::vector<const EffectCandidate*>> OpenCandidates(
