@@ -4,6 +4,8 @@
 #include <array>
 #include <cmath>
 #include <functional>
+#include <iterator>
+#include <numeric>
 #include <random>
 #include <utility>
 
@@ -27,6 +29,7 @@ constexpr NoiseRounds kMoreColumns = {1, 2};
 constexpr NoiseRounds kMovedColumns = {0, 1};
 constexpr Index kMostDraws = 32;    // of the fit, for an expectation: its sums to some per cent
 constexpr double kBias_m_s2 = 0.3;  // of an accelerometer
+constexpr int kForceChannels = 3;
 constexpr int kFolds = Instruments::kFolds;
 constexpr double kCollinear = 1e-6;  // of a column's sum of squares, for columns that are one
 
@@ -94,6 +97,22 @@ bool IsOfUnforeseenAxis(const Regressor& column) {
   constexpr std::array<const char*, 3> kAxes = {"inertia.x", "inertia.y", "inertia.z"};
   const auto axis = std::find(kAxes.begin(), kAxes.end(), column.name);
   return axis != kAxes.end() && column.foreseen.col(3 + (axis - kAxes.begin())).isZero(0.0);
+}
+
+/// Where between two residuals, both whitened, the smallest is: 0 at the first, 1 at the second.
+double SmallestBetween(const VectorXd& first, const VectorXd& second) {
+  const VectorXd way = first - second;
+  const double size = way.squaredNorm();
+  return size > 0.0 ? std::clamp(way.dot(first) / size, 0.0, 1.0) : 0.0;
+}
+
+/// Errors that coefficients may have, a few of them as columns; all second moments where there are
+/// few coefficients. @param root of their covariance
+MatrixXd DrawsOf(const MatrixXd& root, const std::function<double()>& normal) {
+  if (root.cols() <= kMostDraws) return root;
+  MatrixXd z(root.cols(), kMostDraws);
+  for (Index k = 0; k < z.size(); ++k) z.data()[k] = normal();
+  return root * z / std::sqrt(static_cast<double>(kMostDraws));
 }
 
 }  // namespace
@@ -351,14 +370,26 @@ VectorXd FlightRegression::Whitened(const Wrenches& column, const std::vector<in
   return white;
 }
 
-void FlightRegression::WhitenAll() {
-  const auto n = static_cast<Index>(columns_.size());
-  white_.resize(static_cast<Index>(rows_.size()) * num_channels_, n + 1);
-  ForEachOf(static_cast<int>(n) + 1, jobs_, [&](int k) {
-    white_.col(k) =
-        Whitened(k < n ? columns_[static_cast<size_t>(k)].foreseen : y_, rows_, weight_);
+FlightRegression::WhiteColumns FlightRegression::WhitenedOf(const std::vector<int>& which) const {
+  const auto k = static_cast<Index>(which.size());
+  const Index rows = static_cast<Index>(rows_.size()) * num_channels_;
+  WhiteColumns white{MatrixXd(rows, k), MatrixXd(rows, k), {}};
+  ForEachOf(static_cast<int>(k), jobs_, [&](int i) {
+    const Regressor& column = columns_[static_cast<size_t>(which[static_cast<size_t>(i)])];
+    white.foreseen.col(i) = Whitened(column.foreseen, rows_, weight_);
+    white.whole.col(i) = Whitened(column.d_wrench, rows_, weight_);
   });
-  SumUp();
+  const MatrixXd of_whole = white.foreseen.transpose() * white.whole;
+  MatrixXd gram = MatrixXd::Zero(k, k);
+  gram.selfadjointView<Eigen::Lower>().rankUpdate(white.foreseen.transpose());
+  gram.triangularView<Eigen::StrictlyUpper>() = gram.transpose();
+  const VectorXd size = gram.diagonal().cwiseSqrt();
+  const VectorXd unit = (size.array() > 0.0).select(size.cwiseInverse(), 0.0);  // 0: unforeseen
+  gram = unit.asDiagonal() * gram * unit.asDiagonal();
+  gram.diagonal().array() = 1.0 + kCollinear;
+  white.projected.noalias() =
+      white.foreseen * (unit.asDiagonal() * gram.ldlt().solve(unit.asDiagonal() * of_whole));
+  return white;
 }
 
 void FlightRegression::ForEachStretch(int channel,
@@ -406,53 +437,60 @@ void FlightRegression::BeginWithWhiteNoise() {
   }
 }
 
-VectorXd FlightRegression::FitColumns() {
-  const auto m = static_cast<Index>(columns_.size());
-  VectorXd sigma(m), mean_in_sigmas(m);
-  for (Index k = 0; k < m; ++k) {
-    const Regressor& column = columns_[static_cast<size_t>(k)];
-    const bool is_aside = aside_.count(static_cast<int>(k)) > 0;
-    sigma[k] = is_aside ? 0.0 : column.prior_sigma;
-    mean_in_sigmas[k] = is_aside ? 0.0 : column.prior_mean / column.prior_sigma;
+FlightRegression::ColumnFit FlightRegression::FitOf(const std::vector<int>& which,
+                                                    const MatrixXd& white,
+                                                    const VectorXd& white_y) const {
+  const auto k = static_cast<Index>(which.size());
+  VectorXd sigma(k), mean_in_sigmas(k);
+  for (Index i = 0; i < k; ++i) {
+    const Regressor& column = columns_[static_cast<size_t>(which[static_cast<size_t>(i)])];
+    sigma[i] = column.prior_sigma;
+    mean_in_sigmas[i] = column.prior_mean / column.prior_sigma;
   }
-  MatrixXd H = sigma.asDiagonal() * gram_.topLeftCorner(m, m) * sigma.asDiagonal();
+  MatrixXd H = MatrixXd::Zero(k, k);
+  H.selfadjointView<Eigen::Lower>().rankUpdate((white * sigma.asDiagonal()).transpose());
   H.diagonal().array() += 1.0;
-  const VectorXd b = sigma.cwiseProduct(gram_.col(m).head(m));
+  const VectorXd b = sigma.cwiseProduct(white.transpose() * white_y);
   const Eigen::LLT<MatrixXd> llt(H);
-  // Root of the covariance of what was fitted.
-  fitted_root_ = sigma.asDiagonal() * MatrixXd(llt.matrixU().solve(MatrixXd::Identity(m, m)));
-  return sigma.cwiseProduct(llt.solve(b + mean_in_sigmas));
+  ColumnFit fit;
+  fit.root = sigma.asDiagonal() * MatrixXd(llt.matrixU().solve(MatrixXd::Identity(k, k)));
+  fit.x = sigma.cwiseProduct(llt.solve(b + mean_in_sigmas));
+  return fit;
 }
 
-MatrixXd FlightRegression::DrawsOfFit(const std::function<double()>& normal) const {
-  std::vector<Index> in_use;
-  for (Index k = 0; k < fitted_root_.cols(); ++k) {
-    if (aside_.count(static_cast<int>(k)) == 0) in_use.push_back(k);
-  }
-  MatrixXd root = fitted_root_(Eigen::all, in_use);
-  if (root.cols() <= kMostDraws) return root;
-  MatrixXd z(root.cols(), kMostDraws);
-  for (Index k = 0; k < z.size(); ++k) z.data()[k] = normal();
-  return root * z / std::sqrt(static_cast<double>(kMostDraws));
-}
-
-void FlightRegression::ReestimateNoise(const VectorXd& x, const MatrixXd& draws) {
-  const auto m = static_cast<Index>(columns_.size());
-  MatrixXd fitted(m, 1 + draws.cols());
-  fitted << -x, draws;
+// What foreseen columns leave of a force is its noise and what was not foreseen of each effect. Whole
+// columns, with the coefficients of two-stage least squares, leave the noise alone (Wooldridge,
+// Econometric Analysis of Cross Section and Panel Data, 2010, sec. 5.2.2), but for the errors of
+// these: large columns of what is not there add to it. So it is the smallest residual between both.
+// Not so of a torque: the rates' controller answers it within the time by which columns are foreseen,
+// and whole columns, angular acceleration and rotor torque among them, could explain all of it away.
+void FlightRegression::ReestimateNoise(const std::vector<int>& which, const ColumnFit& fit,
+                                       const VectorXd& of_whole, const MatrixXd& draws) {
+  const auto k = static_cast<Index>(which.size());
   ForEachOf(num_channels_, jobs_, [&](int c) {
-    MatrixXd columns(y_.rows(), m);
-    for (Index k = 0; k < m; ++k) {
-      columns.col(k) = columns_[static_cast<size_t>(k)].foreseen.col(c);
+    VectorXd left = y_.col(c), whole_left = y_.col(c);
+    MatrixXd foreseen(y_.rows(), draws.cols() > 0 ? k : 0);
+    for (Index i = 0; i < k; ++i) {
+      const Regressor& column = columns_[static_cast<size_t>(which[static_cast<size_t>(i)])];
+      left -= fit.x[i] * column.foreseen.col(c);
+      whole_left -= of_whole[i] * column.d_wrench.col(c);
+      if (draws.cols() > 0) foreseen.col(i) = column.foreseen.col(c);
     }
-    MatrixXd likely = columns * fitted;
-    likely.col(0) += y_.col(c);
-    const bool is_blended_force = c < 3 && residual_->is_blend(c);
+    if (c < kForceChannels) {
+      const VectorXd weight = weight_.col(c);
+      const double share = SmallestBetween(weight.cwiseProduct(noise_[c].Whiten(left, rows_)),
+                                           weight.cwiseProduct(noise_[c].Whiten(whole_left, rows_)));
+      left += share * (whole_left - left);
+    }
+    MatrixXd likely(y_.rows(), 1 + draws.cols());
+    likely.col(0) = left;
+    if (draws.cols() > 0) likely.rightCols(draws.cols()).noalias() = foreseen * draws;
+    const bool is_blended_force = c < kForceChannels && residual_->is_blend(c);
     noise_[c] = SerialNoise::Fit(likely, rows_, flight().step_s(), flight().takes_means(),
                                  is_blended_force);
-    const VectorXd innovation = noise_[c].Whiten(likely.col(0), rows_);
-    for (Index k = 0; k < innovation.size(); ++k) {
-      weight_(k, c) = std::sqrt(WildShare(innovation[k]));
+    const VectorXd innovation = noise_[c].Whiten(left, rows_);
+    for (Index i = 0; i < innovation.size(); ++i) {
+      weight_(i, c) = std::sqrt(WildShare(innovation[i]));
     }
   });
 }
@@ -489,47 +527,54 @@ void FlightRegression::EstimateNoise() {
   }
   noise_columns_ = static_cast<int>(m);
   noise_aside_ = aside_;
+  std::vector<int> all(columns_.size()), in_use;
+  std::iota(all.begin(), all.end(), 0);
+  std::copy_if(all.begin(), all.end(), std::back_inserter(in_use),
+               [this](int k) { return aside_.count(k) == 0; });
   std::mt19937 random(1);
   std::normal_distribution<double> normal;
   const auto draw = [&] { return normal(random); };
-  for (int round = 0;; ++round) {
-    WhitenAll();
-    const VectorXd x = FitColumns();
-    if (round == rounds.rough + rounds.expectation) {
-      fitted_ = white_.leftCols(m);
-      innovation_ = white_.col(m) - fitted_ * x;
-      break;
-    }
+  for (int round = 0; round < rounds.rough + rounds.expectation; ++round) {
+    const WhiteColumns white = WhitenedOf(in_use);
+    const VectorXd white_y = Whitened(y_, rows_, weight_);
+    const ColumnFit fit = FitOf(in_use, white.foreseen, white_y);
     // The noise is not what is left: the fit has taken a part of it. Its second moments are those
     // of the rest and of what the fit may as well have been (expectation step; Dempster, Laird and
     // Rubin, J. R. Stat. Soc. B 39, 1977), by a few draws of that.
     // (Not before the residual's size is the noise's: what the fit may have taken would be of the
     // size of the effects.)
     const bool is_rough = round < rounds.rough;
-    ReestimateNoise(x, is_rough ? MatrixXd(MatrixXd::Zero(m, 0)) : DrawsOfFit(draw));
+    const MatrixXd none(static_cast<Index>(in_use.size()), 0);
+    ReestimateNoise(in_use, fit, FitOf(in_use, white.projected, white_y).x,
+                    is_rough ? none : DrawsOf(fit.root, draw));
   }
+  WhitenAll(all, in_use);
   WhitenHeldOut();
-  Project();
 }
 
-void FlightRegression::Project() {
-  const auto n = static_cast<Index>(columns_.size());
-  MatrixXd whole(white_.rows(), n);
-  ForEachOf(static_cast<int>(n), jobs_, [&](int k) {
-    whole.col(k) = Whitened(columns_[static_cast<size_t>(k)].d_wrench, rows_, weight_);
-  });
-  const MatrixXd of_whole = white_.leftCols(n).transpose() * whole;
-  MatrixXd gram = gram_.topLeftCorner(n, n);
-  const VectorXd size = gram.diagonal().cwiseSqrt();
-  const VectorXd unit = (size.array() > 0.0).select(size.cwiseInverse(), 0.0);  // 0: unforeseen
-  gram = unit.asDiagonal() * gram * unit.asDiagonal();
-  gram.diagonal().array() = 1.0 + kCollinear;
-  const MatrixXd share = unit.asDiagonal() * gram.ldlt().solve(unit.asDiagonal() * of_whole);
-  white_.leftCols(n) = (white_.leftCols(n) * share).eval();
-  whole -= white_.leftCols(n);
-  unforeseen_gram_.setZero(n + 1, n + 1);
-  unforeseen_gram_.topLeftCorner(n, n).selfadjointView<Eigen::Lower>().rankUpdate(
-      whole.transpose());
+void FlightRegression::WhitenAll(const std::vector<int>& all, const std::vector<int>& in_use) {
+  const auto m = static_cast<Index>(all.size());
+  WhiteColumns white = WhitenedOf(all);
+  const VectorXd white_y = Whitened(y_, rows_, weight_);
+  fitted_ = white.foreseen(Eigen::all, in_use);
+  const ColumnFit fit = FitOf(in_use, fitted_, white_y);
+  fitted_root_ = fit.root;
+  innovation_ = white_y - fitted_ * fit.x;
+  const VectorXd whole_left =
+      white_y - white.whole(Eigen::all, in_use) *
+                    FitOf(in_use, white.projected(Eigen::all, in_use), white_y).x;
+  const auto rows = static_cast<Index>(rows_.size());
+  for (int c = 0; c < kForceChannels; ++c) {
+    auto left = innovation_.segment(c * rows, rows);
+    const auto whole = whole_left.segment(c * rows, rows);
+    left += SmallestBetween(left, whole) * (whole - left);
+  }
+  white_.resize(white.foreseen.rows(), m + 1);
+  white_ << white.projected, white_y;
+  white.whole -= white.projected;
+  unforeseen_gram_.setZero(m + 1, m + 1);
+  unforeseen_gram_.topLeftCorner(m, m).selfadjointView<Eigen::Lower>().rankUpdate(
+      white.whole.transpose());
   unforeseen_gram_.triangularView<Eigen::StrictlyUpper>() = unforeseen_gram_.transpose();
   // Held-out columns stay as they are: how many of them combine was fitted elsewhere.
   SumUp();

@@ -628,8 +628,9 @@ TEST(Evidence, NamesWhatActsWithItsCoefficient) {
   EXPECT_GT(attribution.held_out_gain(), 0.0);
 }
 
-/// Adds the force of quadratic drag at its true size, so many times, in blocks held out.
-FlightMotion WithMoreDragInBlocksHeldOut(FlightMotion motion, const Flown& flown, double times) {
+/// Adds the force of quadratic drag at its true size, so many times.
+/// @param in_all blocks, or only in those held out
+FlightMotion WithMoreDrag(FlightMotion motion, const Flown& flown, double times, bool in_all) {
   const Vehicle with_effect = VehicleWith(flown.vehicle, EffectCandidate{"quadratic_drag", {}, {}});
   const DynamicModel truth(with_effect, with_effect.effects);
   const DynamicModel declared(flown.vehicle, flown.vehicle.effects);
@@ -641,7 +642,7 @@ FlightMotion WithMoreDragInBlocksHeldOut(FlightMotion motion, const Flown& flown
   const Eigen::Vector3d hanging(0.0, 0.0, -flown.vehicle.gravity_m_s2);
   for (FilteredMotion& sample : motion.samples) {
     sample.specific_force_I.reset();
-    if (!BlockSplit().IsHeldOut(sample.t_s)) continue;
+    if (!in_all && !BlockSplit().IsHeldOut(sample.t_s)) continue;
     const Eigen::Vector3d force =
         PredictSample(sample, hanging, flown.vehicle, truth, values, false).predicted_force -
         PredictSample(sample, hanging, flown.vehicle, declared, without, false).predicted_force;
@@ -707,13 +708,34 @@ TEST(Evidence, AnEffectBeginsAtItsOnsetAndNotLater) {
   EXPECT_GT(after, Instruments::kReach);
 }
 
+// What of a strong force the past did not foresee is no noise.
+TEST(Evidence, NoiseOfForcesDoesNotGrowWithWhatActs) {
+  const UndeclaredFlight made = Make({"quadratic_drag"}, 0.2, "octo", 1, 12);
+  Flown flown = Filtered(made);
+  const FlightMotion motion = FilterFlight(made.log, flown.vehicle.num_rotors(), {});
+  const auto sigma = [&](double times) {
+    flown.flight = ThinnedFlight(WithMoreDrag(motion, flown, times, true), BlockSplit());
+    const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+    const Instruments instruments(flown.flight, flown.vehicle);
+    Evidence evidence({{&residual, &instruments}}, DeclaredPoint(flown.vehicle));
+    const int drag = evidence.Add({"quadratic_drag", {}, {}});
+    evidence.EstimateNoise();
+    const EffectFit fit = evidence.Solve({drag});
+    const auto last = static_cast<Eigen::Index>(fit.columns.size()) - 1;
+    EXPECT_EQ(evidence.column(fit.columns.back()).name, "quadratic_drag.c_q");
+    return std::sqrt(fit.covariance(last, last));
+  };
+  const double as_it_was = sigma(0.0);
+  EXPECT_NEAR(sigma(10.0), as_it_was, 0.05 * as_it_was);
+}
+
 // What acts in one part of a flight and the other way round in another is not there.
 TEST(Evidence, CountsWhatAnEffectLosesOnBlocksHeldOut) {
   const UndeclaredFlight made = Make({"quadratic_drag"}, 0.2, "octo", 1, 12);
   Flown flown = Filtered(made);
   const FlightMotion motion = FilterFlight(made.log, flown.vehicle.num_rotors(), {});
   for (const double times : {0.0, -12.0}) {
-    flown.flight = ThinnedFlight(WithMoreDragInBlocksHeldOut(motion, flown, times), BlockSplit());
+    flown.flight = ThinnedFlight(WithMoreDrag(motion, flown, times, false), BlockSplit());
     const ResidualModel residual(&flown.flight, &flown.vehicle, true);
     const Attribution attribution = Attribute(flown, residual);
     EXPECT_EQ(Has(attribution.effects(), "quadratic_drag"), times == 0.0) << times;

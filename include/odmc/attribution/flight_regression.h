@@ -133,9 +133,9 @@ class FlightRegression {
   int AddFeature(const Eigen::VectorXd& whitened, const std::string& name);
 
   /// The whitened residual of everything, as it may have been before the fit took a part of it.
-  /// @param normal num_columns() standard normal numbers
+  /// @param normal num_noise_columns() standard normal numbers
   Eigen::VectorXd NoiseDraw(const Eigen::VectorXd& normal) const;
-  /// Number of columns when the noise was estimated.
+  /// Number of columns that had a part in the noise's estimate.
   int num_noise_columns() const { return static_cast<int>(fitted_root_.cols()); }
 
  private:
@@ -173,17 +173,28 @@ class FlightRegression {
   void ForEachStretch(int channel,
                       const std::function<void(int, Eigen::Index, Eigen::Index)>& use) const;
   void SumUp();
-  void WhitenAll();
-  /// Puts what all foreseen columns say of each whole one in the place of its foreseen part.
-  void Project();
+  /// Columns, whitened.
+  struct WhiteColumns {
+    Eigen::MatrixXd foreseen, whole;
+    Eigen::MatrixXd projected;  ///< what all foreseen ones say of each whole one
+  };
+  WhiteColumns WhitenedOf(const std::vector<int>& which) const;
+  /// Coefficients beside their priors, and the root of their covariance.
+  struct ColumnFit {
+    Eigen::VectorXd x;
+    Eigen::MatrixXd root;
+  };
+  /// @param white the columns, whitened
+  ColumnFit FitOf(const std::vector<int>& which, const Eigen::MatrixXd& white,
+                  const Eigen::VectorXd& white_y) const;
   void BeginWithWhiteNoise();
-  /// Coefficients of all columns beside their priors, and the root of their covariance.
-  Eigen::VectorXd FitColumns();
-  /// Errors that the coefficients may have, a few of them as columns; all second moments where
-  /// there are few coefficients.
-  Eigen::MatrixXd DrawsOfFit(const std::function<double()>& normal) const;
-  /// @param x coefficients
-  void ReestimateNoise(const Eigen::VectorXd& x, const Eigen::MatrixXd& draws);
+  /// @param fit of what of `which` is foreseen
+  /// @param of_whole coefficients of the whole columns
+  /// @param draws errors that those of the fit may have
+  void ReestimateNoise(const std::vector<int>& which, const ColumnFit& fit,
+                       const Eigen::VectorXd& of_whole, const Eigen::MatrixXd& draws);
+  /// Whitens all columns. @param in_use those with a part in the noise's estimate
+  void WhitenAll(const std::vector<int>& all, const std::vector<int>& in_use);
   void WhitenHeldOut();
   int FoldOf(Eigen::Index row) const;
 
@@ -216,8 +227,8 @@ class FlightRegression {
   Eigen::MatrixXd gram_, unforeseen_gram_;
   std::vector<Eigen::MatrixXd> fold_gram_;  // of folds of blocks of time
   Eigen::VectorXd innovation_;              // whitened residual of everything
-  // How much of it the fit of everything may have taken: whitened columns, and the root of the
-  // covariance of their coefficients.
+  // How much of it the fit of everything may have taken: whitened columns in use, and the root of
+  // the covariance of their coefficients.
   Eigen::MatrixXd fitted_, fitted_root_;
 };
 
