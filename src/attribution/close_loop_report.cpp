@@ -53,17 +53,26 @@ Json EffectJson(const AddedEffect& added, double gain, const DynamicModel& model
   return json;
 }
 
-/// "hub_moment (31 %)". What is far less likely is an alternative where a few moments of the flight
-/// make the difference.
-std::vector<std::string> AlternativesOf(const AddedEffect& added) {
+/// ", not told from hub_moment (31 %)", and what is far less likely, where a few moments of the
+/// flight make the difference.
+std::string AlternativesText(const AddedEffect& added) {
   constexpr double kSmall = 0.01;
-  std::vector<std::string> texts = added.alternatives;
-  for (size_t k = 0; k < added.effect.alternative_shares.size(); ++k) {
-    const double share = added.effect.alternative_shares[k];
-    texts[k] +=
-        share < kSmall ? " (below 1 %, by a few moments)" : " (" + Rounded(100.0 * share) + " %)";
+  std::vector<std::string> likely, by_moments;
+  for (size_t k = 0; k < added.alternatives.size(); ++k) {
+    const std::string& name = added.alternatives[k];
+    const std::vector<double>& shares = added.effect.alternative_shares;
+    if (k >= shares.size()) {
+      likely.push_back(name);
+    } else if (shares[k] < kSmall) {
+      by_moments.push_back(name);
+    } else {
+      likely.push_back(name + " (" + Rounded(100.0 * shares[k]) + " %)");
+    }
   }
-  return texts;
+  std::string text;
+  if (!likely.empty()) text += ", not told from " + Listed(likely);
+  if (!by_moments.empty()) text += ", ahead of " + Listed(by_moments) + " in a few moments only";
+  return text;
 }
 
 Json RankedJson(const RankedEffect& ranked) {
@@ -159,7 +168,7 @@ std::string CloseLoopTable(const ClosedLoop& loop) {
   std::string text = "verdict: " + NameOf(loop.verdict) + "\n";
   for (const AddedEffect& added : loop.effects) {
     text += "  " + added.effect.name + Format(" (gain %.1f nats)", added.effect.score);
-    if (!added.alternatives.empty()) text += ", not told from " + Listed(AlternativesOf(added));
+    text += AlternativesText(added);
     text += added.taken_off ? ", taken off the recording\n" : "\n";
     std::vector<ParameterEstimate> rows = added.effect.parameters;
     rows.insert(rows.end(), added.derived.begin(), added.derived.end());

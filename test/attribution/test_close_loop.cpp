@@ -844,6 +844,21 @@ TEST(CloseLoop, WidensForDoubtsOfTheStreams) {
   EXPECT_GT(most, 2.0);
 }
 
+TEST(CloseLoop, SaysWhichAlternativesAreLikely) {
+  ClosedLoop loop;
+  loop.verdict = Verdict::kEffect;
+  AddedEffect added;
+  added.effect.name = "hub_moment";
+  added.alternatives = {"rotor_drag", "wind", "gust"};
+  added.effect.alternative_shares = {0.31, 0.004, 1e-30};
+  loop.effects.push_back(added);
+  const std::string text = CloseLoopTable(loop);
+  EXPECT_NE(text.find(", not told from rotor_drag (31 %), ahead of wind, gust in a few moments "
+                      "only\n"),
+            std::string::npos)
+      << text;
+}
+
 }  // namespace
 }  // namespace test
 }  // namespace odmc
