@@ -458,12 +458,13 @@ FlightRegression::ColumnFit FlightRegression::FitOf(const std::vector<int>& whic
   return fit;
 }
 
-// What foreseen columns leave of a force is its noise and what was not foreseen of each effect. Whole
-// columns, with the coefficients of two-stage least squares, leave the noise alone (Wooldridge,
-// Econometric Analysis of Cross Section and Panel Data, 2010, sec. 5.2.2), but for the errors of
-// these: large columns of what is not there add to it. So it is the smallest residual between both.
-// Not so of a torque: the rates' controller answers it within the time by which columns are foreseen,
-// and whole columns, angular acceleration and rotor torque among them, could explain all of it away.
+// What foreseen columns leave of a force is its noise and what was not foreseen of each effect.
+// Whole columns, with the coefficients of two-stage least squares, leave the noise alone
+// (Wooldridge, Econometric Analysis of Cross Section and Panel Data, 2010, sec. 5.2.2), but for the
+// errors of these: large columns of what is not there add to it. So it is the smallest residual
+// between both. Not so of a torque: the rates' controller answers it within the time by which
+// columns are foreseen, and whole columns, angular acceleration and rotor torque among them, could
+// explain all of it away.
 void FlightRegression::ReestimateNoise(const std::vector<int>& which, const ColumnFit& fit,
                                        const VectorXd& of_whole, const MatrixXd& draws) {
   const auto k = static_cast<Index>(which.size());
@@ -478,8 +479,9 @@ void FlightRegression::ReestimateNoise(const std::vector<int>& which, const Colu
     }
     if (c < kForceChannels) {
       const VectorXd weight = weight_.col(c);
-      const double share = SmallestBetween(weight.cwiseProduct(noise_[c].Whiten(left, rows_)),
-                                           weight.cwiseProduct(noise_[c].Whiten(whole_left, rows_)));
+      const double share =
+          SmallestBetween(weight.cwiseProduct(noise_[c].Whiten(left, rows_)),
+                          weight.cwiseProduct(noise_[c].Whiten(whole_left, rows_)));
       left += share * (whole_left - left);
     }
     MatrixXd likely(y_.rows(), 1 + draws.cols());
