@@ -136,10 +136,15 @@ VariantSet AllButBest(const Evidence& evidence, const std::function<double(int)>
   return others;
 }
 
-/// The same by the evidence, and what begins in flight and gains nothing. Not between
+/// The same by the evidence, what begins in flight and gains nothing, and what makes the flight less
+/// likely where it is linearized: its derivatives there are none of an effect that acts. Not between
 /// Evidence::Relinearize() and EstimateNoise().
 VariantSet AllButBest(const Evidence& evidence) {
   VariantSet aside = AllButBest(evidence, [&](int v) { return evidence.Solve({v}).log_evidence; });
+  const double declared = evidence.Solve({}).log_evidence;
+  for (const int v : Nonlinear(evidence)) {
+    if (!(evidence.LogEvidenceWhereLinearized(v) > declared)) aside.insert(v);
+  }
   for (int v = 0; v < static_cast<int>(evidence.variants().size()); ++v) {
     if (BeginsInFlight(evidence.variants()[v].candidate) && !(evidence.GainInNats({v}) > 0.0)) {
       aside.insert(v);
