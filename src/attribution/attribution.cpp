@@ -136,13 +136,13 @@ VariantSet AllButBest(const Evidence& evidence, const std::function<double(int)>
   return others;
 }
 
-/// The same by the evidence, what begins in flight and gains nothing, and what makes the flight less
-/// likely where it is linearized: its derivatives there are none of an effect that acts. Not between
-/// Evidence::Relinearize() and EstimateNoise().
-VariantSet AllButBest(const Evidence& evidence) {
+/// The same by the evidence, what begins in flight and gains nothing, and of what was fitted
+/// already what makes the flight less likely where it is linearized: its derivatives there are none
+/// of an effect that acts. Not between Evidence::Relinearize() and EstimateNoise().
+VariantSet AllButBest(const Evidence& evidence, bool fitted) {
   VariantSet aside = AllButBest(evidence, [&](int v) { return evidence.Solve({v}).log_evidence; });
   const double declared = evidence.Solve({}).log_evidence;
-  for (const int v : Nonlinear(evidence)) {
+  for (const int v : fitted ? Nonlinear(evidence) : std::vector<int>()) {
     if (!(evidence.LogEvidenceWhereLinearized(v) > declared)) aside.insert(v);
   }
   for (int v = 0; v < static_cast<int>(evidence.variants().size()); ++v) {
@@ -368,7 +368,7 @@ void Attribution::Polish(Evidence* evidence) const {
       if (moves) steps[v] = evidence->FoundBy(fit, v);
     }
     if (steps.empty()) break;
-    const VariantSet others = AllButBest(*evidence);
+    const VariantSet others = AllButBest(*evidence, round > 0);
     evidence->Relinearize(steps);
     evidence->SetAside(others);
     evidence->EstimateNoise();
@@ -383,7 +383,7 @@ void Attribution::Polish(Evidence* evidence) const {
     back[v] = known.at;
   }
   if (!back.empty()) {
-    const VariantSet others = AllButBest(*evidence);
+    const VariantSet others = AllButBest(*evidence, true);
     evidence->Relinearize(back);
     std::map<int, Evidence::VariantValues> stay;
     for (const auto& [v, at] : last) {
