@@ -99,6 +99,11 @@ bool IsOfUnforeseenAxis(const Regressor& column) {
   return axis != kAxes.end() && column.foreseen.col(3 + (axis - kAxes.begin())).isZero(0.0);
 }
 
+// Rotors push a multicopter into a roll or a pitch at once, and its controller does so within the
+// time by which columns are foreseen. Forces it answers by a tilt, which takes longer, and about z
+// by the drag torque of rotors, which is weak.
+bool IsAnsweredSlowly(int channel) { return channel < kForceChannels || channel == 5; }
+
 /// Where between two residuals, both whitened, the smallest is: 0 at the first, 1 at the second.
 double SmallestBetween(const VectorXd& first, const VectorXd& second) {
   const VectorXd way = first - second;
@@ -477,7 +482,7 @@ void FlightRegression::ReestimateNoise(const std::vector<int>& which, const Colu
       whole_left -= of_whole[i] * column.d_wrench.col(c);
       if (draws.cols() > 0) foreseen.col(i) = column.foreseen.col(c);
     }
-    if (c < kForceChannels) {
+    if (IsAnsweredSlowly(c)) {
       const VectorXd weight = weight_.col(c);
       const double share =
           SmallestBetween(weight.cwiseProduct(noise_[c].Whiten(left, rows_)),
@@ -566,7 +571,8 @@ void FlightRegression::WhitenAll(const std::vector<int>& all, const std::vector<
       white_y - white.whole(Eigen::all, in_use) *
                     FitOf(in_use, white.projected(Eigen::all, in_use), white_y).x;
   const auto rows = static_cast<Index>(rows_.size());
-  for (int c = 0; c < kForceChannels; ++c) {
+  for (int c = 0; c < kNumChannels; ++c) {
+    if (!IsAnsweredSlowly(c)) continue;
     auto left = innovation_.segment(c * rows, rows);
     const auto whole = whole_left.segment(c * rows, rows);
     left += SmallestBetween(left, whole) * (whole - left);
