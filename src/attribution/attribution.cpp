@@ -603,12 +603,23 @@ std::string Attribution::NamesOf(const Evidence& evidence, const VariantSet& set
   return Listed(names);
 }
 
+void Attribution::NoteThePlace(const Evidence& evidence) {
+  if (flexible_.nats() > 0.0) return;
+  const double nats = evidence.GainOfThePlace({});
+  if (nats < options_.clear_odds) return;
+  flexible_.of_force = nats;
+  flexible_.first = "a force that follows the place";
+}
+
 VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
   Evidence evidence = with;
   while (true) {
     // What no effect explains, as far as a flexible function does.
     const VariantSet all = Completed(&evidence, set, kMostFeatures, &flexible_);
-    if (set.empty()) break;
+    if (set.empty()) {
+      NoteThePlace(evidence);
+      break;
+    }
     const EffectFit fit = evidence.Solve(set);
     std::optional<int> weakest;
     double least = 0.0;

@@ -381,21 +381,9 @@ std::string Evidence::FlexibleGain::Text(const FlexibleFeatures& features) const
                  : "a force by \"" + features.world_names[k];
 }
 
-struct Evidence::FlexibleSums {
-  MatrixXd cross;  // fitted columns × features
-  VectorXd g, size;
-  VectorXd along_effect;  // products with what an effect does
-
-  FlexibleSums(Index columns, Index features)
-      : cross(MatrixXd::Zero(columns, features)),
-        g(VectorXd::Zero(features)),
-        size(VectorXd::Zero(features)),
-        along_effect(VectorXd::Zero(features)) {}
-};
-
-void Evidence::AddTo(FlexibleSums* sums, size_t flight, int c, const MatrixXd& foreseen,
-                     double unit, const EffectFit& fit, const VectorXd& errors,
-                     const VectorXd* effect) const {
+MatrixXd Evidence::AddTo(FlexibleSums* sums, size_t flight, int c, const MatrixXd& foreseen,
+                         double unit, const EffectFit& fit, const VectorXd& errors,
+                         const VectorXd* effect) const {
   const FlightRegression& r = flights_[flight];
   const auto n = static_cast<Index>(r.rows().size());
   MatrixXd phi(n, foreseen.cols());
@@ -410,6 +398,7 @@ void Evidence::AddTo(FlexibleSums* sums, size_t flight, int c, const MatrixXd& f
     own.col(at - fit.columns.begin()) = r.white().col(static_cast<Index>(l)).segment(c * n, n);
   }
   sums->cross.noalias() += own.transpose() * phi;
+  return phi;
 }
 
 VectorXd Evidence::Products(size_t flight, const EffectFit& fit, const VectorXd& white) const {

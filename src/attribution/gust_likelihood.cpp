@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "odmc/analysis/parallel.h"
+#include "odmc/attribution/place_field.h"
 #include "odmc/math/descent.h"
 #include "odmc/math/farthest_rows.h"
 #include "odmc/math/gaussian.h"
@@ -505,23 +506,6 @@ double SteadySwing(const ThinnedFlight& flight, const std::vector<int>& used,
   return best - kCoefficients - std::log(std::max(1, tried));
 }
 
-/// Features of a Gaussian process over position with a squared-exponential kernel of this width
-/// [m], in its approximation by few centres (N × centres), of unit prior variance.
-MatrixXd FieldFeatures(const MatrixXd& places, const std::vector<Index>& centres, double width_m) {
-  const auto kernel = [width_m](const auto& a, const auto& b) {
-    return std::exp(-0.5 * (a - b).squaredNorm() / (width_m * width_m));
-  };
-  const auto count = static_cast<Index>(centres.size());
-  const auto centre = [&](Index a) { return places.row(centres[static_cast<size_t>(a)]); };
-  MatrixXd K(count, count), phi(places.rows(), count);
-  for (Index a = 0; a < count; ++a) {
-    for (Index b = 0; b < count; ++b) K(a, b) = kernel(centre(a), centre(b));
-    for (Index k = 0; k < places.rows(); ++k) phi(k, a) = kernel(places.row(k), centre(a));
-  }
-  K.diagonal().array() += 1e-6;
-  return K.llt().matrixL().solve(phi.transpose()).transpose() * MatrixXd::Identity(count, count);
-}
-
 /// Log-likelihood of a linear model in white noise of variance 1 whose coefficients have these
 /// prior standard deviations, but for what all such models share.
 double LogLikelihood(const MatrixXd& gram, const VectorXd& Xy, double yy, const VectorXd& sigma) {
@@ -590,7 +574,7 @@ class PlaceTest {
   };
 
   Found Try(const FarthestRows& centres, double width_m) const {
-    const MatrixXd features = FieldFeatures(places_, centres.rows, width_m);
+    const MatrixXd features = FieldFeatures(places_, places_(centres.rows, Eigen::all), width_m);
     const Index field = 3 * features.cols(), all = field + shared_.cols() - 1;
     MatrixXd X(shared_.rows(), all + 1);
     for (Index k = 0; k < features.rows(); ++k) {

@@ -154,6 +154,8 @@ class Attribution {
   /// Variants that gain most on their own, of different effects.
   std::vector<int> BestAlone(const Evidence& evidence) const;
   VariantSet Confirmed(const Evidence& with, VariantSet set);
+  /// Counts a force that follows the place where nothing else is found.
+  void NoteThePlace(const Evidence& evidence);
   /// The best set's members that are confirmed, or the best effect alone where that says more.
   VariantSet MostConfirmed(const Evidence& evidence, const VariantSet& found);
   RankedEffect Describe(const Evidence& evidence, int variant, const VariantSet& set) const;

@@ -87,6 +87,11 @@ class Evidence {
   };
   FlexibleGain BestFlexible(const VariantSet& set, const FlexibleFeatures& features,
                             const FlexibleChoice& choice) const;
+  /// What a force gains beside a set that is fixed in the world and follows the place in any way: a
+  /// Gaussian process over position with squared-exponential kernels, its widths and sizes of
+  /// octaves that are as likely as one another. Chance gains as much with a probability of
+  /// exp(-nats) at most. Position answers no force within a sample: it needs no instruments.
+  double GainOfThePlace(const VariantSet& set) const;
   /// Adds it as a variant of an effect without name. @returns its number
   int AddFlexible(const FlexibleGain& gain, const FlexibleFeatures& features);
 
@@ -246,12 +251,22 @@ class Evidence {
                   const Eigen::VectorXd& sigma) const;
   Eigen::VectorXd PriorSigmas(const std::vector<int>& columns) const;
   /// What the gains of functions beside a fit come from.
-  struct FlexibleSums;
+  struct FlexibleSums {
+    FlexibleSums(Eigen::Index columns, Eigen::Index functions)
+        : cross(Eigen::MatrixXd::Zero(columns, functions)),
+          g(Eigen::VectorXd::Zero(functions)),
+          size(Eigen::VectorXd::Zero(functions)),
+          along_effect(Eigen::VectorXd::Zero(functions)) {}
+
+    Eigen::MatrixXd cross;         ///< fitted columns × functions
+    Eigen::VectorXd g, size;       ///< products with the errors, and with themselves
+    Eigen::VectorXd along_effect;  ///< products with what an effect does
+  };
   /// Adds what a channel of a flight says. @param foreseen samples × functions, of unit size
-  /// @param unit their natural size [N or N m]
-  void AddTo(FlexibleSums* sums, size_t flight, int channel, const Eigen::MatrixXd& foreseen,
-             double unit, const EffectFit& fit, const Eigen::VectorXd& errors,
-             const Eigen::VectorXd* effect) const;
+  /// @param unit their natural size [N or N m] @returns the functions, whitened
+  Eigen::MatrixXd AddTo(FlexibleSums* sums, size_t flight, int channel,
+                        const Eigen::MatrixXd& foreseen, double unit, const EffectFit& fit,
+                        const Eigen::VectorXd& errors, const Eigen::VectorXd* effect) const;
   /// Products of a flight's columns of a fit with a whitened vector.
   Eigen::VectorXd Products(size_t flight, const EffectFit& fit, const Eigen::VectorXd& white) const;
   /// @param seen of each flight @returns the variant's number, -1 if it does nothing
