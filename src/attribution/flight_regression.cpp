@@ -571,7 +571,7 @@ void FlightRegression::WhitenAll(const std::vector<int>& all, const std::vector<
       white_y - white.whole(Eigen::all, in_use) *
                     FitOf(in_use, white.projected(Eigen::all, in_use), white_y).x;
   const auto rows = static_cast<Index>(rows_.size());
-  for (int c = 0; c < kNumChannels; ++c) {
+  for (int c = 0; c < num_channels_; ++c) {
     if (!IsAnsweredSlowly(c)) continue;
     auto left = innovation_.segment(c * rows, rows);
     const auto whole = whole_left.segment(c * rows, rows);

@@ -33,6 +33,64 @@ double LogMeanExp(const std::vector<double>& logs) {
   return most + std::log(sum / static_cast<double>(logs.size()));
 }
 
+/// Columns of a constant and the field's features, axis by axis: those of the constant.
+std::vector<Index> SteadyOf(Index count) { return {0, count, 2 * count}; }
+
+/// Those of a force along any axis of the world, and along all.
+std::vector<std::vector<Index>> FieldsOf(Index count) {
+  std::vector<std::vector<Index>> fields(kAxes + 1);
+  for (Index axis = 0; axis < kAxes; ++axis) {
+    for (Index k = 1; k < count; ++k) {
+      fields[static_cast<size_t>(axis)].push_back(axis * count + k);
+      fields.back().push_back(axis * count + k);
+    }
+  }
+  return fields;
+}
+
+MatrixXd PlacesOf(const ThinnedFlight& flight) {
+  MatrixXd places(flight.size(), kAxes);
+  for (int i = 0; i < flight.size(); ++i) places.row(i) = flight.sample(i).p_WS.transpose();
+  return places;
+}
+
+/// Forces of these sizes along each axis of the world, as one channel of the body has them.
+/// @param sizes samples × functions @returns samples × 3 functions, axis by axis
+MatrixXd AlongWorld(const ThinnedFlight& flight, int channel, const MatrixXd& sizes) {
+  MatrixXd turned(sizes.rows(), kAxes * sizes.cols());
+  for (Index i = 0; i < sizes.rows(); ++i) {
+    const Eigen::RowVector3d axes = flight.R_WB(static_cast<int>(i)).col(channel).transpose();
+    for (Index k = 0; k < kAxes; ++k) {
+      turned.row(i).segment(k * sizes.cols(), sizes.cols()) = axes[k] * sizes.row(i);
+    }
+  }
+  return turned;
+}
+
+/// Gains of a field beside a force that is the same everywhere, which is none.
+class Beside {
+ public:
+  Beside(const MatrixXd& A, const VectorXd& b, const std::vector<Index>& steady)
+      : A_(A), b_(b), steady_(steady) {
+    MatrixXd of_steady = A(steady, steady);
+    of_steady.diagonal().array() += 1.0;
+    llt_.compute(of_steady);
+  }
+
+  double Gain(const std::vector<Index>& field) const {
+    const MatrixXd between = A_(steady_, field);
+    return GainOfRandomCoefficients(
+        MatrixXd(A_(field, field)) - between.transpose() * llt_.solve(between),
+        VectorXd(b_(field)) - between.transpose() * llt_.solve(VectorXd(b_(steady_))), kSizes);
+  }
+
+ private:
+  const MatrixXd& A_;
+  const VectorXd& b_;
+  std::vector<Index> steady_;
+  Eigen::LLT<MatrixXd> llt_;
+};
+
 }  // namespace
 
 MatrixXd FieldFeatures(const MatrixXd& places, const MatrixXd& centres, double width_m) {
@@ -66,25 +124,18 @@ double Evidence::GainOfThePlace(const VariantSet& set) const {
   const EffectFit fit = Solve(set);
   std::vector<MatrixXd> places;
   std::vector<VectorXd> errors;
-  Index samples = 0;
+  MatrixXd all(0, kAxes);
   for (size_t f = 0; f < flights_.size(); ++f) {
-    const ThinnedFlight& flight = flights_[f].flight();
-    places.emplace_back(flight.size(), kAxes);
-    for (int i = 0; i < flight.size(); ++i) places[f].row(i) = flight.sample(i).p_WS.transpose();
-    samples += flight.size();
+    places.push_back(PlacesOf(flights_[f].flight()));
     errors.push_back(ErrorsOf(f, set, fit));
-  }
-  MatrixXd all(samples, kAxes);
-  Index at = 0;
-  for (const MatrixXd& of : places) {
-    all.middleRows(at, of.rows()) = of;
-    at += of.rows();
+    all.conservativeResize(all.rows() + places[f].rows(), Eigen::NoChange);
+    all.bottomRows(places[f].rows()) = places[f];
   }
   const FarthestRows farthest(all, kCentres, kLeastDistance);
   if (!(farthest.extent > 0.0)) return 0.0;
   const MatrixXd centres = all(farthest.rows, Eigen::all);
   const double unit = ForceSigma();
-  std::vector<double> nats(kWidths.size());
+  std::vector<std::vector<double>> nats(kWidths.size());
   ForEachOf(static_cast<int>(kWidths.size()), jobs_, [&](int w) {
     const Index count = centres.rows() + 1, columns = kAxes * count;
     MatrixXd A = MatrixXd::Zero(columns, columns);
@@ -93,33 +144,24 @@ double Evidence::GainOfThePlace(const VariantSet& set) const {
       MatrixXd size(places[f].rows(), count);
       size << VectorXd::Ones(size.rows()),
           FieldFeatures(places[f], centres, kWidths[static_cast<size_t>(w)] * farthest.extent);
-      const ThinnedFlight& flight = flights_[f].flight();
       for (int c = 0; c < static_cast<int>(kAxes); ++c) {
-        MatrixXd turned(size.rows(), columns);
-        for (Index i = 0; i < size.rows(); ++i) {
-          const Eigen::RowVector3d axes = flight.R_WB(static_cast<int>(i)).col(c).transpose();
-          for (Index k = 0; k < kAxes; ++k) {
-            turned.row(i).segment(k * count, count) = axes[k] * size.row(i);
-          }
-        }
+        const MatrixXd turned = AlongWorld(flights_[f].flight(), c, size);
         A.selfadjointView<Eigen::Lower>().rankUpdate(
             AddTo(&sums, f, c, turned, unit, fit, errors[f], nullptr).transpose());
       }
     }
     A.triangularView<Eigen::StrictlyUpper>() = A.transpose();
     A -= sums.cross.transpose() * fit.covariance * sums.cross;
-    // A force that is the same everywhere is no field.
-    std::vector<Index> steady, field;
-    for (Index k = 0; k < columns; ++k) (k % count == 0 ? steady : field).push_back(k);
-    const MatrixXd of_steady = MatrixXd(A(steady, steady)) + MatrixXd::Identity(kAxes, kAxes);
-    const Eigen::LLT<MatrixXd> llt(of_steady);
-    const MatrixXd between = A(steady, field);
-    nats[static_cast<size_t>(w)] = GainOfRandomCoefficients(
-        MatrixXd(A(field, field)) - between.transpose() * llt.solve(between),
-        VectorXd(sums.g(field)) - between.transpose() * llt.solve(VectorXd(sums.g(steady))),
-        kSizes);
+    const Beside beside(A, sums.g, SteadyOf(count));
+    for (const std::vector<Index>& field : FieldsOf(count)) {
+      nats[static_cast<size_t>(w)].push_back(beside.Gain(field));
+    }
   });
-  return LogMeanExp(nats);
+  std::vector<double> each;
+  for (const std::vector<double>& of_width : nats) {
+    each.insert(each.end(), of_width.begin(), of_width.end());
+  }
+  return LogMeanExp(each);
 }
 
 }  // namespace odmc

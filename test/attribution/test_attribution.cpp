@@ -6,6 +6,7 @@
 #include <cmath>
 #include <fstream>
 #include <map>
+#include <random>
 #include <set>
 #include <stdexcept>
 #include <string>
@@ -20,6 +21,7 @@
 #include "odmc/attribution/evidence.h"
 #include "odmc/attribution/flexible_features.h"
 #include "odmc/attribution/instruments.h"
+#include "odmc/attribution/place_field.h"
 #include "odmc/bench/undeclared.h"
 #include "odmc/estimator/gates.h"
 #include "odmc/math/gaussian.h"
@@ -741,6 +743,61 @@ TEST(Evidence, NoiseOfTheYawTorqueDoesNotGrowWithWhatActs) {
   const UndeclaredFlight made = Make({"rotor_reaction"}, 0.3, "aggressive", 1, 12);
   const double as_it_was = SigmaWithMoreOf("rotor_reaction", made, 0.0);
   EXPECT_NEAR(SigmaWithMoreOf("rotor_reaction", made, 10.0), as_it_was, 0.05 * as_it_was);
+}
+
+// Jets of air, magnets: no function of a few places explains all of them, a field does.
+TEST(Attribution, FindsAForceThatFollowsThePlace) {
+  const UndeclaredFlight made = Make({}, 0.0, "aggressive", 1, 31);
+  Flown flown = Filtered(made);
+  const FlightMotion as_it_was = FilterFlight(made.log, flown.vehicle.num_rotors(), {});
+  const auto look = [&](double size_m_s2) {
+    FlightMotion motion = as_it_was;
+    for (FilteredMotion& s : motion.samples) {
+      s.specific_force_I.reset();
+      s.a_WS.x() += size_m_s2 * std::sin(4.0 * s.p_WS.x()) * std::cos(5.0 * s.p_WS.y());
+    }
+    flown.flight = ThinnedFlight(motion, BlockSplit());
+    const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+    return Attribute(flown, residual).flexible();
+  };
+  EXPECT_EQ(look(0.0).nats(), 0.0);
+  const FlexibleRest found = look(0.5);
+  EXPECT_GT(found.of_force, 3.0 * AttributionOptions().clear_odds);
+  EXPECT_EQ(found.first, "a force that follows the place");
+}
+
+// By a dense normal density of the same.
+TEST(PlaceField, GainIsThatOfItsCovariance) {
+  constexpr int kSamples = 30;
+  std::mt19937 random(3);
+  std::normal_distribution<double> normal;
+  const auto drawn = [&](int rows, int cols) {
+    Eigen::MatrixXd m(rows, cols);
+    for (Eigen::Index k = 0; k < m.size(); ++k) m.data()[k] = normal(random);
+    return m;
+  };
+  const Eigen::MatrixXd places = drawn(kSamples, 3);
+  const Eigen::MatrixXd phi = FieldFeatures(places, places, 0.7);
+  const Eigen::VectorXd y = drawn(kSamples, 1);
+  const auto log_density = [&](double size) {
+    Eigen::MatrixXd K = Eigen::MatrixXd::Identity(kSamples, kSamples);
+    for (int i = 0; i < kSamples; ++i) {
+      for (int k = 0; k < kSamples; ++k) {
+        K(i, k) += size * size *
+                   std::exp(-0.5 * (places.row(i) - places.row(k)).squaredNorm() / (0.7 * 0.7));
+      }
+    }
+    const Eigen::LLT<Eigen::MatrixXd> llt(K);
+    return -0.5 * y.dot(llt.solve(y)) -
+           Eigen::MatrixXd(llt.matrixL()).diagonal().array().log().sum();
+  };
+  for (const double size : {0.3, 2.0}) {
+    EXPECT_NEAR(GainOfRandomCoefficients(phi.transpose() * phi, phi.transpose() * y, {size}),
+                log_density(size) - log_density(0.0), 1e-3);
+  }
+  const double mean = std::log(0.5 * (std::exp(log_density(0.3)) + std::exp(log_density(2.0))));
+  EXPECT_NEAR(GainOfRandomCoefficients(phi.transpose() * phi, phi.transpose() * y, {0.3, 2.0}),
+              mean - log_density(0.0), 1e-3);
 }
 
 // What acts in one part of a flight and the other way round in another is not there.

@@ -14,7 +14,7 @@ Eigen::MatrixXd FieldFeatures(const Eigen::MatrixXd& places, const Eigen::Matrix
                               double width_m);
 
 /// Log-likelihood ratio [nats] of noise of variance 1 with coefficients of an unknown common size
-/// to noise alone; the mean likelihood over `sizes`, by 1e-300 at least.
+/// to noise alone; the mean likelihood over `sizes` counts.
 /// @param A Gram matrix of their columns @param b products of these with the residual
 /// @param sizes standard deviations of a coefficient
 double GainOfRandomCoefficients(const Eigen::MatrixXd& A, const Eigen::VectorXd& b,
