@@ -641,7 +641,8 @@ VariantSet Attribution::Confirmed(const Evidence& with, VariantSet set) {
         for (int c = 0; c < kNumChannels; ++c) others[c] += energy[c];
       }
       const double gain = evidence.Solve(set).log_evidence - evidence.Solve(without).log_evidence;
-      const double margin = (1.0 + options_.form_share) * gain + flexible_.nats() - instead.nats();
+      const double margin = (1.0 + options_.form_share) * gain + flexible_.nats() - instead.nats() -
+                            options_.clear_odds;
       const double shadow = ShadowOf(evidence.EnergyOf(v, fit), others);
       std::string objection;
       if (PValue(score) >= options_.false_alarm_rate) {
