@@ -99,16 +99,6 @@ bool IsOfUnforeseenAxis(const Regressor& column) {
   return axis != kAxes.end() && column.foreseen.col(3 + (axis - kAxes.begin())).isZero(0.0);
 }
 
-// Rotors push a multicopter into a roll or a pitch at once, and its controller does so within the
-// time by which columns are foreseen. Forces it answers by a tilt, which takes longer, and about z
-// by the drag torque of rotors, which is weak.
-bool IsAnsweredSlowly(int channel) { return channel < kForceChannels || channel == 5; }
-
-// Fitted columns may be linearized at absurd values, where all of a torque moves with them.
-bool IsTakenWhole(const Regressor& column, int channel) {
-  return channel < kForceChannels || !column.is_fitted;
-}
-
 /// Where between two residuals, both whitened, the smallest is: 0 at the first, 1 at the second.
 double SmallestBetween(const VectorXd& first, const VectorXd& second) {
   const VectorXd way = first - second;
@@ -484,11 +474,10 @@ void FlightRegression::ReestimateNoise(const std::vector<int>& which, const Colu
     for (Index i = 0; i < k; ++i) {
       const Regressor& column = columns_[static_cast<size_t>(which[static_cast<size_t>(i)])];
       left -= fit.x[i] * column.foreseen.col(c);
-      whole_left -=
-          of_whole[i] * (IsTakenWhole(column, c) ? column.d_wrench : column.foreseen).col(c);
+      whole_left -= of_whole[i] * column.d_wrench.col(c);
       if (draws.cols() > 0) foreseen.col(i) = column.foreseen.col(c);
     }
-    if (IsAnsweredSlowly(c)) {
+    if (c < kForceChannels) {
       const VectorXd weight = weight_.col(c);
       const double share =
           SmallestBetween(weight.cwiseProduct(noise_[c].Whiten(left, rows_)),
@@ -573,16 +562,13 @@ void FlightRegression::WhitenAll(const std::vector<int>& all, const std::vector<
   const ColumnFit fit = FitOf(in_use, fitted_, white_y);
   fitted_root_ = fit.root;
   innovation_ = white_y - fitted_ * fit.x;
-  const VectorXd of_whole = FitOf(in_use, white.projected(Eigen::all, in_use), white_y).x;
+  const VectorXd whole_left =
+      white_y - white.whole(Eigen::all, in_use) *
+                    FitOf(in_use, white.projected(Eigen::all, in_use), white_y).x;
   const auto rows = static_cast<Index>(rows_.size());
-  for (int c = 0; c < num_channels_; ++c) {
-    if (!IsAnsweredSlowly(c)) continue;
-    VectorXd whole = white_y.segment(c * rows, rows);
-    for (size_t i = 0; i < in_use.size(); ++i) {
-      const MatrixXd& of = IsTakenWhole(column(in_use[i]), c) ? white.whole : white.foreseen;
-      whole -= of_whole[static_cast<Index>(i)] * of.col(in_use[i]).segment(c * rows, rows);
-    }
+  for (int c = 0; c < kForceChannels; ++c) {
     auto left = innovation_.segment(c * rows, rows);
+    const auto whole = whole_left.segment(c * rows, rows);
     left += SmallestBetween(left, whole) * (whole - left);
   }
   white_.resize(white.foreseen.rows(), m + 1);
@@ -630,7 +616,6 @@ void FlightRegression::Replace(Seen seen, Added* added) {
   if (!seen.IsFinite()) return;
   for (const int k : added->columns) {
     for (Regressor& column : seen.columns) {
-      column.is_fitted = true;
       if (column.name == columns_[k].name) columns_[k] = column;
     }
   }
@@ -641,7 +626,6 @@ void FlightRegression::Replace(Seen seen, Added* added) {
   }
   seen.offset->name = "offset";
   seen.offset->effect = seen.columns.front().effect;
-  seen.offset->is_fitted = true;
   if (added->offset < 0) {
     added->offset = num_columns();
     columns_.emplace_back();

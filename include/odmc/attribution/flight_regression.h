@@ -39,7 +39,6 @@ struct Regressor : ResidualCoefficient {
   ResidualModel::Wrenches d_wrench;  ///< N×6
   ResidualModel::Wrenches likely;    ///< N×6: as it would be in the likely motion
   ResidualModel::Wrenches foreseen;  ///< N×6: what of it was known before
-  bool is_fitted = false;            ///< linearized where a fit has been, and not for certain right
 };
 
 /// What of an innovation's square counts (Huber, Robust Statistics, 1981): all up to five sigma,
