@@ -2,7 +2,6 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
-#include <array>
 #include <cmath>
 #include <iterator>
 #include <limits>
@@ -21,8 +20,9 @@ using Eigen::VectorXd;
 
 constexpr size_t kCentres = 120;
 constexpr double kLeastDistance = 0.02;  // of the extent, between centres
-constexpr std::array<double, 5> kWidths = {0.03, 0.06, 0.12, 0.25, 0.5};  // of the extent
-const std::vector<double> kSizes = {0.06, 0.12, 0.25, 0.5, 1.0, 2.0};     // of the residual force
+constexpr size_t kWidths = 5;            // octaves
+constexpr double kMostWidth = 0.5;       // of the extent
+const std::vector<double> kSizes = {0.06, 0.12, 0.25, 0.5, 1.0, 2.0};  // of the residual force
 constexpr Index kAxes = 3;
 
 /// Logarithm of a mean of exponentials.
@@ -31,6 +31,17 @@ double LogMeanExp(const std::vector<double>& logs) {
   for (const double x : logs) most = std::max(most, x);
   for (const double x : logs) sum += std::exp(x - most);
   return most + std::log(sum / static_cast<double>(logs.size()));
+}
+
+/// What changes within less than the vehicle averages out over it. And so near, place would be
+/// where the force itself has moved a vehicle that hovers.
+std::vector<double> WidthsOf(double vehicle_m, double extent_m) {
+  std::vector<double> widths_m;
+  for (double width_m = vehicle_m; width_m <= kMostWidth * extent_m; width_m *= 2.0) {
+    widths_m.push_back(width_m);
+    if (widths_m.size() == kWidths) break;
+  }
+  return widths_m;
 }
 
 /// Columns of a constant and the field's features, axis by axis: those of the constant.
@@ -132,18 +143,20 @@ double Evidence::GainOfThePlace(const VariantSet& set) const {
     all.bottomRows(places[f].rows()) = places[f];
   }
   const FarthestRows farthest(all, kCentres, kLeastDistance);
-  if (!(farthest.extent > 0.0)) return 0.0;
+  const double vehicle_m = 2.0 * flights_.front().residual().file_vehicle().ArmLength();
+  const std::vector<double> widths_m = WidthsOf(vehicle_m, farthest.extent);
+  if (widths_m.empty()) return 0.0;
   const MatrixXd centres = all(farthest.rows, Eigen::all);
   const double unit = ForceSigma();
-  std::vector<std::vector<double>> nats(kWidths.size());
-  ForEachOf(static_cast<int>(kWidths.size()), jobs_, [&](int w) {
+  std::vector<std::vector<double>> nats(widths_m.size());
+  ForEachOf(static_cast<int>(widths_m.size()), jobs_, [&](int w) {
     const Index count = centres.rows() + 1, columns = kAxes * count;
     MatrixXd A = MatrixXd::Zero(columns, columns);
     FlexibleSums sums(static_cast<Index>(fit.columns.size()), columns);
     for (size_t f = 0; f < flights_.size(); ++f) {
       MatrixXd size(places[f].rows(), count);
       size << VectorXd::Ones(size.rows()),
-          FieldFeatures(places[f], centres, kWidths[static_cast<size_t>(w)] * farthest.extent);
+          FieldFeatures(places[f], centres, widths_m[static_cast<size_t>(w)]);
       for (int c = 0; c < static_cast<int>(kAxes); ++c) {
         const MatrixXd turned = AlongWorld(flights_[f].flight(), c, size);
         A.selfadjointView<Eigen::Lower>().rankUpdate(
