@@ -2,8 +2,8 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
+#include <algorithm>
 #include <cmath>
-#include <iterator>
 #include <limits>
 #include <vector>
 
@@ -37,6 +37,7 @@ double LogMeanExp(const std::vector<double>& logs) {
 /// where the force itself has moved a vehicle that hovers.
 std::vector<double> WidthsOf(double vehicle_m, double extent_m) {
   std::vector<double> widths_m;
+  if (!(vehicle_m > 0.0)) return widths_m;
   for (double width_m = vehicle_m; width_m <= kMostWidth * extent_m; width_m *= 2.0) {
     widths_m.push_back(width_m);
     if (widths_m.size() == kWidths) break;
