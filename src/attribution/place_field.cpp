@@ -48,13 +48,14 @@ std::vector<double> WidthsOf(double vehicle_m, double extent_m) {
 /// Columns of a constant and the field's features, axis by axis: those of the constant.
 std::vector<Index> SteadyOf(Index count) { return {0, count, 2 * count}; }
 
-/// Those of a force along any axis of the world, and along all.
+/// Those of a force along some axes of the world, for any choice of these.
 std::vector<std::vector<Index>> FieldsOf(Index count) {
-  std::vector<std::vector<Index>> fields(kAxes + 1);
-  for (Index axis = 0; axis < kAxes; ++axis) {
-    for (Index k = 1; k < count; ++k) {
-      fields[static_cast<size_t>(axis)].push_back(axis * count + k);
-      fields.back().push_back(axis * count + k);
+  std::vector<std::vector<Index>> fields;
+  for (unsigned choice = 1; choice < 1u << kAxes; ++choice) {
+    fields.emplace_back();
+    for (Index axis = 0; axis < kAxes; ++axis) {
+      if ((choice >> axis & 1u) == 0) continue;
+      for (Index k = 1; k < count; ++k) fields.back().push_back(axis * count + k);
     }
   }
   return fields;
