@@ -752,6 +752,19 @@ TEST(Attribution, FindsAForceThatFollowsThePlace) {
   EXPECT_EQ(found.first, "a force that follows the place");
 }
 
+// A vehicle that hovers is where forces have moved it: its place is their trace, not their cause.
+TEST(Evidence, AsksNoHoverWhetherAForceFollowsThePlace) {
+  for (const char* trajectory : {"yaw", "aggressive"}) {
+    const Flown flown = Filtered(Make({}, 0.0, trajectory, 1, 31));
+    const ResidualModel residual(&flown.flight, &flown.vehicle, true);
+    const Instruments instruments(flown.flight, flown.vehicle);
+    Evidence evidence({{&residual, &instruments}}, DeclaredPoint(flown.vehicle));
+    evidence.EstimateNoise();
+    const bool hovers = trajectory == std::string("yaw");
+    EXPECT_EQ(evidence.GainOfThePlace({}) == 0.0, hovers) << trajectory;
+  }
+}
+
 // By a dense normal density of the same.
 TEST(PlaceField, GainIsThatOfItsCovariance) {
   constexpr int kSamples = 30;
