@@ -215,7 +215,7 @@ bool SampleIntake::KnowsFrame() const {
 }
 
 bool SampleIntake::HoverTellsNoMore() const {
-  return detector_.fits_both() && moves_since_ &&
+  return detector_.contradicts_none() && moves_since_ &&
          ToSeconds(*last_[kOdometry] - *moves_since_) > kHover_s;
 }
 

@@ -16,7 +16,6 @@ constexpr double kJump_m = 0.3, kJumpOverTwist = 3.0;
 constexpr double kMotion_m_s = 0.3;  // slower stretches say little about either frame
 constexpr double kEnoughToDecide_s = 1.0;
 constexpr double kEnoughToRefuse_s = 2.0;
-constexpr double kEnoughToFit_s = 0.5;
 // Residuals over the RMS speed: a right frame leaves a few per cent, a wrong one about 1.
 constexpr double kFits = 0.4;
 constexpr double kClearlyBetter = 0.6;  // best over other
@@ -43,9 +42,9 @@ std::string TwistFrameDecision::Describe() const {
       body_residual_m_s, world_residual_m_s, speed_m_s, moving_s);
 }
 
-bool TwistFrameDetector::fits_both() const {
+bool TwistFrameDetector::contradicts_none() const {
   const double worst = std::max(decision_.body_residual_m_s, decision_.world_residual_m_s);
-  return decision_.moving_s >= kEnoughToFit_s && worst < kFits * decision_.speed_m_s;
+  return decision_.moving_s == 0.0 || worst < kFits * decision_.speed_m_s;
 }
 
 void TwistFrameDetector::AddSample(Stamp stamp, const Eigen::Vector3d& p_WS,

@@ -333,6 +333,25 @@ TEST_F(Intake, LetsHoverFlowWithoutVelocityUntilItsFrameIsKnown) {
   EXPECT_GT(velocities(), 100);
 }
 
+// Whichever part of the climb falls into one of the stretches in which motion is judged.
+TEST_F(Intake, LetsHoverFlowAfterAnyClimb) {
+  for (const double climb_m_s : {0.15, 0.8}) {
+    for (const double first_s : {1.0, 1.1, 1.2}) {
+      SampleIntake intake("auto");
+      for (double t = first_s; t < 8.0; t += 0.01) {
+        const double along = std::min(std::max(t - 2.0, 0.0), 0.8);
+        nav_msgs::Odometry m = OdometryAt(t, 0.0, 0.0);
+        m.pose.pose.position.z = climb_m_s * along;
+        m.twist.twist.linear.z = along > 0.0 && along < 0.8 ? climb_m_s : 0.01;
+        intake.Push(*ToInput(m));
+        intake.Push(*ToInput(RotorsAt(t), 4));
+      }
+      EXPECT_TRUE(intake.decided()) << climb_m_s << " m/s from " << first_s << " s";
+      EXPECT_EQ(intake.frame(), TwistFrame::kUndecided);
+    }
+  }
+}
+
 TEST_F(Intake, TakesAMissingTwistForWhatItIs) {
   for (double t = 1.0; t < 4.0; t += 0.01) {
     nav_msgs::Odometry m = OdometryAt(t, t, 0.0);

@@ -51,8 +51,9 @@ class TwistFrameDetector {
 
   const TwistFrameDecision& decision() const { return decision_; }
   bool decided() const { return decision_.frame != TwistFrame::kUndecided; }
-  /// The twist goes with the motion so far in either frame, as it does on the way up to hover.
-  bool fits_both() const;
+  /// No motion so far speaks against either frame, as on the way up to hover. Of a slow or short
+  /// climb no stretch may have been fast enough to say anything: that counts, too.
+  bool contradicts_none() const;
 
  private:
   struct Sample {
