@@ -2,6 +2,7 @@
 
 #include <ros/console.h>
 
+#include <chrono>
 #include <exception>
 #include <functional>
 #include <utility>
@@ -13,6 +14,13 @@
 #include "odmc/ros/estimate_messages.h"
 
 namespace odmc {
+namespace {
+
+double SteadySeconds() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+}  // namespace
 
 EstimateSession::EstimateSession(const EstimatorNodeSetup* setup)
     : setup_(*setup), vehicle_(setup->vehicle), acceptance_(setup->options.acceptance) {
@@ -24,6 +32,7 @@ EstimateSession::EstimateSession(const EstimatorNodeSetup* setup)
 void EstimateSession::Start(bool with_torque) {
   model_ = std::make_shared<DynamicModel>(vehicle_, vehicle_.effects);
   estimator_ = std::make_unique<Estimator>(model_.get(), setup_.estimator, with_torque);
+  estimator_->SetArrivalClock(SteadySeconds);
   reaction_watch_ = ReactionWatch();
   starts_anew_ = 0;
   HoldOut();

@@ -74,7 +74,7 @@ bool Synchroniser::Add(const OdometrySample& received) {
     spacing_s_ += 0.05 * (std::min(dt, 2.0 * spacing_s_) - spacing_s_);
   }
   last_odometry_ = sample;
-  odometry_.push_back({sample, spacing_s_});
+  odometry_.push_back({sample, spacing_s_, now_s_ ? now_s_() : 0.0});
   return true;
 }
 
@@ -103,7 +103,16 @@ std::string Synchroniser::Lagging(Stamp stamp) const {
 }
 
 bool Synchroniser::IsPatient(Stamp stamp) const {
-  return !finished_ && ToSeconds(newest_odometry() - stamp) < patience_s_;
+  if (finished_) return false;
+  return ToSeconds(newest_odometry() - stamp) < patience_s_ || HasJustArrived(stamp);
+}
+
+bool Synchroniser::HasJustArrived(Stamp stamp) const {
+  if (!now_s_) return false;
+  for (size_t i = 0; i < odometry_.size(); ++i) {
+    if (odometry_[i].sample.stamp >= stamp) return now_s_() - odometry_[i].arrived_s < patience_s_;
+  }
+  return false;
 }
 
 bool Synchroniser::HasReached(Stamp stamp) const {

@@ -105,9 +105,9 @@ class NodeTest(unittest.TestCase):
 
         self.assertTrue(wait_until(is_published, 20.0), topic + " never came up")
 
-    def play(self, bag, rate=1.0, delay=1.0, wait=True):
+    def play(self, bag, rate=1.0, delay=1.0, wait=True, queue=100):
         process = self.start("rosbag", "play", "--quiet", "--clock", "--delay", str(delay),
-                             "--rate", str(rate), bag)
+                             "--rate", str(rate), "--queue", str(queue), bag)
         if wait:
             self.assertEqual(process.wait(timeout=120), 0)
         return process

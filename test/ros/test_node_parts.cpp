@@ -339,10 +339,10 @@ TEST_F(Intake, LetsHoverFlowAfterAnyClimb) {
     for (const double first_s : {1.0, 1.1, 1.2}) {
       SampleIntake intake("auto");
       for (double t = first_s; t < 8.0; t += 0.01) {
-        const double along = std::min(std::max(t - 2.0, 0.0), 0.8);
+        const double along = std::min(std::max(t - 2.0, 0.0), 0.55);
         nav_msgs::Odometry m = OdometryAt(t, 0.0, 0.0);
         m.pose.pose.position.z = climb_m_s * along;
-        m.twist.twist.linear.z = along > 0.0 && along < 0.8 ? climb_m_s : 0.01;
+        m.twist.twist.linear.z = along > 0.0 && along < 0.55 ? climb_m_s : 0.01;
         intake.Push(*ToInput(m));
         intake.Push(*ToInput(RotorsAt(t), 4));
       }

@@ -66,7 +66,8 @@ class UnlikeHistoryTest(node_harness.NodeTest):
 
     def check_named(self, diagnostics, name):
         told = [s for s in self.every_status(diagnostics, name) if s[2]["unlike_history"]]
-        self.assertGreater(len(told), 0, "nothing was said")
+        self.assertGreater(len(told), 0, "%s said nothing; its last status: %s" %
+                           (name, node_harness.last_status(diagnostics, name)))
         level, message, values = told[0]
         print("%s: after %s s in the air: %s" % (name, values["airborne_s"], message))
         self.assertEqual(level, 1)

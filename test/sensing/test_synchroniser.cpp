@@ -75,6 +75,24 @@ TEST(Synchroniser, GoesOnWithoutAStreamThatStaysSilentAndCountsIt) {
   EXPECT_EQ(synchroniser.counters().uncovered, 1);
 }
 
+// A program that stood still for a second reads all of one topic before it reads the next.
+TEST(Synchroniser, WaitsForTheBacklogOfTheOtherStream) {
+  double now_s = 50.0;
+  Synchroniser synchroniser(100.0, 0.3);
+  synchroniser.SetArrivalClock([&now_s] { return now_s; });
+  synchroniser.Add(Rotors(1.0));
+  for (int i = 0; i <= 100; ++i) synchroniser.Add(Odometry(1.01 + 0.01 * i));
+  EXPECT_FALSE(synchroniser.NextKeyframe()) << "the rotor speeds are only read later";
+  now_s += 0.05;
+  for (int i = 0; i <= 50; ++i) synchroniser.Add(Rotors(1.01 + 0.01 * i));
+  for (int i = 0; i <= 50; ++i) EXPECT_TRUE(synchroniser.NextKeyframe());
+  EXPECT_FALSE(synchroniser.NextKeyframe());
+  EXPECT_EQ(synchroniser.counters().uncovered, 0);
+  now_s += 0.3;
+  EXPECT_TRUE(synchroniser.NextKeyframe()) << "half a second of them never came";
+  EXPECT_EQ(synchroniser.counters().uncovered, 1);
+}
+
 TEST(Synchroniser, HandsOutWhatIsLeftOnceFinished) {
   Synchroniser synchroniser(100.0, 0.3);
   synchroniser.Add(Odometry(1.0));

@@ -4,6 +4,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "odmc/estimator/change_watch.h"
@@ -67,6 +68,10 @@ class Estimator {
   void Add(const BatterySample& sample) { front_end_.Add(sample); }
   /// No sample follows.
   void Finish() { front_end_.Finish(); }
+  /// For samples that come as they are taken: see Synchroniser::SetArrivalClock().
+  void SetArrivalClock(std::function<double()> now_s) {
+    front_end_.SetArrivalClock(std::move(now_s));
+  }
 
   /// Processes at most one keyframe. @returns a snapshot, good until the next call, if one was
   /// processed in free flight, or if something that was learned had to be taken back; else null

@@ -38,6 +38,10 @@ class FrontEnd {
   void Add(const BatterySample& sample) { synchroniser_.Add(sample); }
   /// No sample follows.
   void Finish();
+  /// See Synchroniser::SetArrivalClock().
+  void SetArrivalClock(std::function<double()> now_s) {
+    synchroniser_.SetArrivalClock(std::move(now_s));
+  }
 
   /// Forgets samples (a new flight, or a clock that stepped back).
   void Restart();

@@ -1,7 +1,9 @@
 #pragma once
 
+#include <functional>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include "odmc/math/ring.h"
 #include "odmc/sensing/rotor_dropout.h"
@@ -40,6 +42,12 @@ class Synchroniser {
   /// Says that no more samples will come: what is left is handed out without waiting.
   void Finish() { finished_ = true; }
 
+  /// Makes streams be waited for in the time of arrival, too. A program that stood still, or a link
+  /// that stalled, hands out the backlog of one stream before that of the next: stamps alone would
+  /// take the second for silent.
+  /// @param now_s a clock that never steps, in seconds; without one, stamps alone decide
+  void SetArrivalClock(std::function<double()> now_s) { now_s_ = std::move(now_s); }
+
   /// The next keyframe's odometry, once every stream has reached it; empty while waiting.
   std::optional<OdometrySample> NextKeyframe();
 
@@ -65,14 +73,18 @@ class Synchroniser {
   struct Waiting {
     OdometrySample sample;
     double spacing_s = 0.0;  // of the odometry up to it, whatever has come since
+    double arrived_s = 0.0;
   };
   /// The stream that has not reached `stamp`, empty if none.
   std::string Lagging(Stamp stamp) const;
   bool IsPatient(Stamp stamp) const;
+  /// The odometry that reached `stamp` came just now: what belongs to it may be on its way.
+  bool HasJustArrived(Stamp stamp) const;
   bool Covered(Stamp stamp);
   bool IsDue(const Waiting& next) const;
 
   double period_s_, patience_s_;
+  std::function<double()> now_s_;
   Ring<Waiting> odometry_;
   Ring<RotorSample> rotors_;
   RotorDropoutWatch dropouts_;
