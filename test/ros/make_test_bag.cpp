@@ -5,15 +5,13 @@
 //   make_test_bag OUT.bag SECONDS hover    as plain, take-off to hover after 2 s
 //   make_test_bag OUT.bag SECONDS undeclared  as plain, with a quadratic drag no vehicle file has
 //   make_test_bag OUT.bag SECONDS commands     motor commands, no rotor speeds
-//   make_test_bag OUT.bag SECONDS late_rotors  an aggressive flight, rotor speeds stamped 40 ms
-//   late make_test_bag OUT.bag SECONDS actuators|esc_status|made_up|made_up_stamped  as plain,
-//   rotor speeds in
-//                           messages of packages that are not installed (support/foreign_bag.h)
+//   make_test_bag OUT.bag SECONDS late_rotors  aggressive, rotor speeds stamped 40 ms late
+//   make_test_bag OUT.bag SECONDS KIND     as plain, rotor speeds in messages of packages that are
+//       not installed (support/foreign_bag.h): actuators, esc_status, made_up, made_up_stamped
 //   make_test_bag OUT.bag SECONDS pose_twist   odometry as TransformStamped and TwistStamped
-//   make_test_bag OUT.bag SECONDS tf           odometry as tf: map -> odom (static) -> base_link,
-//   each twice make_test_bag OUT.bag SECONDS esc_stamps   rotor speeds as an own type, each with
-//   its own stamp make_test_bag OUT.bag SECONDS dead_sensor  motor commands, and rotor 2 reads 0
-//   from the middle on
+//   make_test_bag OUT.bag SECONDS tf           odometry as tf: map -> odom (static) -> base_link
+//   make_test_bag OUT.bag SECONDS esc_stamps   each rotor speed with a stamp of its own
+//   make_test_bag OUT.bag SECONDS dead_sensor  motor commands; rotor 2 reads 0 from the middle on
 
 #include <geometry_msgs/TransformStamped.h>
 #include <geometry_msgs/TwistStamped.h>

@@ -20,7 +20,8 @@ class StalledTest(node_harness.NodeTest):
     def test_loses_nothing(self):
         bag, expected = self.make_bag(15)
         diagnostics = node_harness.diagnostics()
-        node = self.start_node("estimator", "_output_dir:=" + self.folder, "_config:=" + node_harness.CONFIG)
+        node = self.start_node("estimator", "_output_dir:=" + self.folder,
+                               "_max_update_time_s:=1.0")
         self.wait_for_node("/parameters")
         play = self.play(bag, wait=False, queue=ALL_MESSAGES)
         time.sleep(BEFORE_S)
