@@ -93,6 +93,7 @@ void PhaseDetector::SeeMotionAlone() {
   unforced_still_s_ = stillness_.is_still() ? unforced_still_s_ + block_.duration_s : 0.0;
   if (mode_ == Mode::kFlying && unforced_still_s_ >= kStandsAlone_s) {
     GoToGround(block_.to - FromSeconds(unforced_still_s_));
+    only_still_ = true;
   }
   if (mode_ == Mode::kGrounded) SetPhase(PhaseOnGround(), block_.to);
 }
@@ -283,6 +284,7 @@ std::optional<double> PhaseDetector::ThrustGain() const {
 void PhaseDetector::GoToGround(Stamp since) {
   mode_ = Mode::kGrounded;
   contact_nats_ = free_nats_ = 0.0;
+  only_still_ = false;
   bump_.reset();
   steady_ = {};
   StartHere();
@@ -316,14 +318,16 @@ bool PhaseDetector::HasChanged() {
 }
 
 void PhaseDetector::Stand(PhaseVerdict* verdict) {
-  const bool stands_still = stillness_.is_still();
+  const double contact_nats = ContactNats();
+  only_still_ = only_still_ && knows_thrust_ && contact_nats < 0.0;
+  const bool stands_still = stillness_.is_still() && !only_still_;
   if (stands_still) {
     ground_ = {true, block_.p_WS.z()};
     StartHere();
   }
   bool is_free = false;
   if (knows_thrust_) {
-    free_nats_ += std::min(-ContactNats(), kMostFreePerBlock);
+    free_nats_ += std::min(-contact_nats, kMostFreePerBlock);
     free_nats_ = std::max(free_nats_, 0.0);
     is_free = free_nats_ > kFree_nats && !stands_still;
   } else {

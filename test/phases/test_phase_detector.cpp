@@ -22,6 +22,7 @@ class PhaseDetectorTest : public testing::Test {
     double speed = 0.0;                  // forward [m/s]
     double wobble = 0.01;                // of the attitude [rad]
     Quaterniond q = Quaterniond::Identity();
+    bool has_rotor_speeds = true;
   };
 
   static Doing Hover() { return Doing(); }
@@ -52,7 +53,7 @@ class PhaseDetectorTest : public testing::Test {
     e.q_WS = doing.q * AngleAxisd(tilt + 0.0005 * gaussian_(engine_), Vector3d::UnitX());
     e.speed_m_s = doing.speed;
     e.rate_rad_s = 5.0 * doing.wobble;
-    e.has_force = true;
+    e.has_force = doing.has_rotor_speeds;
     e.missing_force = doing.missing + Noise(0.05);
     e.felt_force = Vector3d(0.0, 0.0, doing.thrust) + e.missing_force;
     e.thrust_ratio = doing.thrust;
@@ -151,6 +152,34 @@ TEST_F(PhaseDetectorTest, TakesBackWhatALandingTaught) {
 TEST_F(PhaseDetectorTest, SeesItWithinAThirdOfASecond) {
   Fly();
   EXPECT_TRUE(Do(Stand(0.5), 0.4).take_back);
+}
+
+// Telemetry that fails for a moment in a hover too still to be told from a stand.
+TEST_F(PhaseDetectorTest, FliesOnceRotorSpeedsAreBackAndCarry) {
+  PhaseOptions options;
+  options.near_ground_m = 0.3;
+  detector_ = PhaseDetector(options);
+  Fly();
+  Doing still = Hover();
+  still.wobble = 0.0;
+  still.has_rotor_speeds = false;
+  EXPECT_FALSE(Teaches(Do(still, 2.0).phase));
+  still.has_rotor_speeds = true;
+  EXPECT_EQ(Do(still, 1.0).phase, FlightPhase::kFlying);
+  EXPECT_FALSE(detector_.IsNearGround(1.0)) << "there was no ground";
+}
+
+TEST_F(PhaseDetectorTest, StandsOnceRotorSpeedsAreBackAndIdle) {
+  Fly();
+  Doing still = Stand(0.0);
+  still.wobble = 0.0;
+  still.has_rotor_speeds = false;
+  Do(still, 2.0);
+  for (const double thrust : {0.0, 0.2, 0.6, 0.9, 1.0}) {
+    Doing stand = Stand(thrust);
+    stand.wobble = 0.0;
+    EXPECT_FALSE(Teaches(Do(stand, 1.0).phase)) << thrust;
+  }
 }
 
 TEST_F(PhaseDetectorTest, TakesOffAgain) {

@@ -46,7 +46,8 @@ struct PhaseVerdict {
 /// thrust_sigma and the sensors' noise) and contact (any force up to about the weight; for a
 /// vehicle that stands still, an upward one). Their log-likelihood ratio accumulates (Page's
 /// CUSUM); beyond kAlarm_nats the vehicle is in contact, from where the sum left zero. It flies
-/// again once the opposite sum has grown and it does not stand still.
+/// again once the opposite sum has grown and it does not stand still. Without rotor speeds, a
+/// vehicle that stands still is taken to be on the ground; if they come back and carry it, it flies.
 ///
 /// *It is not known* (start of a recording). A vehicle that has not moved yet may stand. It is
 /// taken to fly if its thrust may carry it, until it has moved: if thrust then carries much better
@@ -194,6 +195,7 @@ class PhaseDetector {
   double error_scale_ = 1.0;       // of the flight's own residual, over ModelError()'s
   double hardest_ = 0.0;           // force felt around the last contact, over g
   double unforced_still_s_ = 0.0;  // still, and no rotor speeds
+  bool only_still_ = false;        // on the ground for no other reason so far
   bool is_light_ = false;          // the last block hardly felt a force
 };
 
