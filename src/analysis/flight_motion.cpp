@@ -8,6 +8,7 @@
 #include "odmc/math/savitzky_golay.h"
 #include "odmc/math/so3.h"
 #include "odmc/math/statistics.h"
+#include "odmc/sensing/stream_pace.h"
 
 namespace odmc {
 namespace {
@@ -44,7 +45,10 @@ struct Channels {
 /// Takes the recording into channels, piece after piece.
 class Collector {
  public:
-  Collector(const FlightLog& log, int num_rotors) : log_(log), num_rotors_(num_rotors) {
+  Collector(const FlightLog& log, int num_rotors)
+      : log_(log),
+        num_rotors_(num_rotors),
+        rotor_hole_s_(PaceOf(log.rotors).Hole_s(0.5 * kFilterWidth_s)) {
     // Most count: a few samples without velocity are a gap, not a reason to differentiate twice.
     const auto most_have = [&log](std::optional<Vector3d> OdometrySample::*what) {
       const auto has = [what](const OdometrySample& s) { return (s.*what).has_value(); };
@@ -132,7 +136,7 @@ class Collector {
       if (r + 1 >= log_.rotors.size()) return;
       const RotorSample& b = log_.rotors[r + 1];
       const double span = ToSeconds(b.stamp - a.stamp);
-      if (span > 0.5 * kFilterWidth_s) return;
+      if (span > rotor_hole_s_) return;
       const double x = ToSeconds(stamp - a.stamp) / span;
       speed = (1.0 - x) * a.speed + x * b.speed;
     }
@@ -143,6 +147,7 @@ class Collector {
 
   const FlightLog& log_;
   int num_rotors_;
+  double rotor_hole_s_;
   bool has_velocity_, has_rate_;
   size_t imu_ = 0, rotors_ = 0;  // where the last piece began
 };

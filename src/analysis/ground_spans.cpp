@@ -4,6 +4,7 @@
 
 #include "odmc/estimator/phase_watch.h"
 #include "odmc/math/ring.h"
+#include "odmc/sensing/stream_pace.h"
 
 namespace odmc {
 namespace {
@@ -16,18 +17,20 @@ constexpr double kKept_s = 10.0;        // of rotor speeds, the longest interval
 /// Rotor speeds of one interval after the other.
 class RotorReader {
  public:
-  explicit RotorReader(const std::vector<RotorSample>& samples) : samples_(samples) {}
+  explicit RotorReader(const std::vector<RotorSample>& samples)
+      : samples_(samples), hole_s_(PaceOf(samples).Hole_s(kMaxGap_s)) {}
 
   std::optional<RotorInterval> Read(Stamp from, Stamp to) {
     while (next_ < samples_.size() && (queue_.empty() || queue_.back().stamp < to)) {
       queue_.push_back(samples_[next_++]);
     }
     while (queue_.size() > 2 && queue_[1].stamp < from - FromSeconds(kKept_s)) queue_.pop_front();
-    return ReduceRotors(queue_, from, to, kMaxGap_s);
+    return ReduceRotors(queue_, from, to, hole_s_);
   }
 
  private:
   const std::vector<RotorSample>& samples_;
+  const double hole_s_;
   size_t next_ = 0;
   Ring<RotorSample> queue_;
 };
@@ -46,12 +49,14 @@ GroundSpans FindGroundSpans(const FlightLog& log, const DynamicModel& model,
   const OdometrySample* last = nullptr;
   double seen_s = 0.0;
   const double least_step_s = kShareOfPeriod / keyframe_rate_hz;
+  const double hole_s =
+      std::max(PaceOf(log.odometry).Hole_s(kMaxGap_s), 1.5 / keyframe_rate_hz);
   // Poses that repeat count here: a vehicle that stands may well have the same one all the time.
   for (const OdometrySample& sample : log.odometry) {
     noise.Add(sample);
     const double dt = last != nullptr ? ToSeconds(sample.stamp - last->stamp) : 0.0;
     if (last != nullptr && dt < least_step_s) continue;
-    const bool is_first = last == nullptr || dt > std::max(kMaxGap_s, 1.5 / keyframe_rate_hz);
+    const bool is_first = last == nullptr || dt > hole_s;
     phases.Update(sample, is_first ? std::nullopt : rotors.Read(last->stamp, sample.stamp),
                   noise.Noise(), is_first);
     last = &sample;

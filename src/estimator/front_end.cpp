@@ -90,11 +90,11 @@ PhaseVerdict FrontEnd::FollowPhase(const OdometrySample& newest) {
   step_.dt = last_ ? ToSeconds(newest.stamp - last_->stamp) : 0.0;
   step_.rotors.reset();
   // Keyframes may be meant to be farther apart than a gap is long.
-  step_.is_gap = step_.dt > std::max(options_->max_gap_s, 1.5 / options_->keyframe_rate_hz);
+  step_.is_gap = step_.dt > std::max(OdometryHole_s(), 1.5 / options_->keyframe_rate_hz);
   step_.is_jump = last_ && !step_.is_gap && IsJump(newest, step_.dt);
   if (last_ && !step_.is_gap) {
-    step_.rotors =
-        ReduceRotors(synchroniser_.rotors(), last_->stamp, newest.stamp, options_->max_gap_s);
+    step_.rotors = ReduceRotors(synchroniser_.rotors(), last_->stamp, newest.stamp,
+                                synchroniser_.rotor_pace().Hole_s(options_->max_gap_s));
   }
   const bool is_first = !last_ || step_.is_gap || step_.is_jump;
   return phases_.Update(newest, step_.rotors, stream_noise_.odometry(), is_first);
@@ -175,7 +175,7 @@ bool FrontEnd::IsJump(const OdometrySample& newest, double dt) const {
   }
   if (!before_last_) return false;
   const double dt0 = ToSeconds(last_->stamp - before_last_->stamp);
-  if (!(dt0 > 0.0) || dt0 > options_->max_gap_s) return false;
+  if (!(dt0 > 0.0) || dt0 > OdometryHole_s()) return false;
   const double wider = dt * std::max(dt, dt0);
   const double share = dt / dt0;
   const double sigmas = kJumpSigmas * (1.0 + share);

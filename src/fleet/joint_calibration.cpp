@@ -60,18 +60,6 @@ bool IsFar(const FlightFactor& factor, const Eigen::VectorXd& at, double share) 
   return false;
 }
 
-/// The flight with every other reading of the rotor speeds; empty where that leaves gaps.
-std::optional<FlightLog> WithSparseRotors(const FlightLog& log, const EstimatorOptions& options) {
-  const auto n = static_cast<double>(log.rotors.size());
-  if (n < 3.0) return std::nullopt;
-  const double span_s = ToSeconds(log.rotors.back().stamp - log.rotors.front().stamp);
-  if (2.0 * span_s / (n - 1.0) > 0.9 * options.max_gap_s) return std::nullopt;
-  FlightLog sparse = log;
-  sparse.rotors.clear();
-  for (size_t i = 0; i < log.rotors.size(); i += 2) sparse.rotors.push_back(log.rotors[i]);
-  return sparse;
-}
-
 std::optional<ModelValues> ValuesOf(const FlightLog& log, const DynamicModel& model,
                                     const EstimatorOptions& options) {
   Estimator estimator(&model, options, !log.rotor_rms_only);
@@ -86,9 +74,9 @@ std::optional<ModelValues> ValuesOf(const FlightLog& log, const DynamicModel& mo
 std::optional<Eigen::VectorXd> ErrorOfRotorReadings(const FlightLog& log, const ModelValues& with,
                                                     const DynamicModel& model,
                                                     const EstimatorOptions& options) {
-  const std::optional<FlightLog> sparse = WithSparseRotors(log, options);
-  if (!sparse) return std::nullopt;
-  const auto coarser = ValuesOf(*sparse, model, options);
+  FlightLog sparse = log;
+  LeaveOutEverySecond("rotor_speeds", &sparse);
+  const auto coarser = ValuesOf(sparse, model, options);
   if (!coarser) return std::nullopt;
   return Eigen::VectorXd(*coarser - with);
 }
@@ -107,6 +95,11 @@ std::vector<Eigen::VectorXd> ErrorsOf(const InspectedFlight& flight, const Dynam
   if (const auto at_half = ValuesOf(flight.log, model, finer)) {
     errors.emplace_back(4.0 / 3.0 * (*at_half - *with));
   }
+  const auto is_counted = [](const StreamDoubt& doubt) {
+    return doubt.stream == "rotor_speeds" && doubt.sparse_s > 0.0;
+  };
+  const std::vector<StreamDoubt>& doubts = flight.inspection.doubts;
+  if (std::any_of(doubts.begin(), doubts.end(), is_counted)) return errors;
   if (const auto error = ErrorOfRotorReadings(flight.log, *with, model, options)) {
     errors.push_back(*error);
   }

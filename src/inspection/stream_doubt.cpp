@@ -1,11 +1,22 @@
 #include "odmc/inspection/stream_doubt.h"
 
 #include <cmath>
+#include <vector>
 
 #include "odmc/inspection/stream_inspection.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
+namespace {
+
+template <typename Sample>
+void KeepEverySecond(std::vector<Sample>* samples) {
+  size_t kept = 0;
+  for (size_t i = 0; i < samples->size(); i += 2) (*samples)[kept++] = (*samples)[i];
+  samples->erase(samples->begin() + static_cast<std::ptrdiff_t>(kept), samples->end());
+}
+
+}  // namespace
 
 double RareError::rms() const { return std::sqrt(probability) * std::hypot(mean, sigma); }
 
@@ -26,6 +37,9 @@ std::string Sentence(const StreamDoubt& doubt) {
     text += ": " + Rounded(1e3 * std::abs(doubt.late_s)) + " ms " +
             (doubt.late_s > 0.0 ? "late" : "early");
   }
+  if (doubt.sparse_s > 0.0) {
+    text += ": one sample in " + Rounded(1e3 * doubt.sparse_s) + " ms, nothing known between";
+  }
   if (doubt.factor != 1.0) {
     text += ": " + Rounded(1e2 * std::abs(doubt.factor - 1.0)) + " % too " +
             (doubt.factor > 1.0 ? "large" : "small");
@@ -33,7 +47,13 @@ std::string Sentence(const StreamDoubt& doubt) {
   return text;
 }
 
+void LeaveOutEverySecond(const std::string& stream, FlightLog* log) {
+  if (stream == "rotor_speeds") KeepEverySecond(&log->rotors);
+  if (stream == "odometry") KeepEverySecond(&log->odometry);
+}
+
 void UndoDoubt(const StreamDoubt& doubt, FlightLog* log) {
+  if (doubt.sparse_s > 0.0) LeaveOutEverySecond(doubt.stream, log);
   if (doubt.late_s != 0.0) ShiftStream(doubt.stream, doubt.late_s, log);
   if (doubt.factor == 1.0) return;
   if (doubt.stream == "rotor_speeds") {

@@ -5,6 +5,7 @@
 
 #include "odmc/inspection/motion_checks.h"
 #include "odmc/inspection/vehicle_checks.h"
+#include "odmc/sensing/stream_pace.h"
 #include "odmc/text/format.h"
 
 namespace odmc {
@@ -29,6 +30,10 @@ constexpr double kWellKnown_s = 0.01;
 // speeds and poses are 8 to 40 ms apart (docs/fault_campaign.md).
 constexpr double kOffsetsAre = 0.5, kOffsetSize_s = 0.02;
 constexpr double kNoOffset_s = 0.001;  // changes nothing worth a replay
+
+// A line between samples errs by (step / time constant)^2 / 8 of a change. Samples closer together
+// than this leave 2 % of what rotors (20 ms) and the vehicle's attitude (50 ms) do at their fastest.
+constexpr double kDenseRotors_s = 0.008, kDensePoses_s = 0.0205;
 
 std::string Milliseconds(double seconds) { return Format("%.1f ms", 1e3 * std::abs(seconds)); }
 
@@ -163,6 +168,16 @@ void InspectOffsets(const MotionSignals& signals, const Vehicle& vehicle,
   TakeRotors(CombinedOffset(torque, thrust), rates_s, inspection);
 }
 
+/// What happens between samples that are far apart.
+void DoubtSparse(const std::string& stream, const StreamPace& pace, double dense_s,
+                 StreamInspection* inspection) {
+  if (pace.step_s() <= dense_s) return;
+  StreamDoubt doubt;
+  doubt.stream = stream;
+  doubt.sparse_s = pace.step_s();
+  inspection->doubts.push_back(doubt);
+}
+
 }  // namespace
 
 Finding OffsetFinding(const TimeOffset& offset, bool taken_off) {
@@ -194,6 +209,8 @@ StreamInspection InspectStreams(const FlightLog& log, const Vehicle& vehicle) {
   CheckThrust(*signals, vehicle, flight, &inspection);
   if (!inspection.refusal.empty()) return inspection;
   InspectOffsets(*signals, vehicle, flight, &inspection);
+  DoubtSparse("odometry", PaceOf(log.odometry), kDensePoses_s, &inspection);
+  DoubtSparse("rotor_speeds", PaceOf(log.rotors), kDenseRotors_s, &inspection);
   return inspection;
 }
 

@@ -68,13 +68,10 @@ bool Synchroniser::Add(const OdometrySample& received) {
       ++counters_.repeated_pose;
       return false;
     }
-    const double dt = ToSeconds(sample.stamp - last_odometry_->stamp);
-    // A slow mean that ignores holes: it only says how fine keyframes can be picked.
-    if (spacing_s_ == 0.0) spacing_s_ = dt;
-    spacing_s_ += 0.05 * (std::min(dt, 2.0 * spacing_s_) - spacing_s_);
   }
+  odometry_pace_.Add(sample.stamp);
   last_odometry_ = sample;
-  odometry_.push_back({sample, spacing_s_, now_s_ ? now_s_() : 0.0});
+  odometry_.push_back({sample, odometry_pace_.step_s(), now_s_ ? now_s_() : 0.0});
   return true;
 }
 
@@ -82,6 +79,7 @@ void Synchroniser::Add(const ImuSample& sample) { Append(sample, &imu_, &counter
 
 bool Synchroniser::Add(const RotorSample& sample) {
   if (!Append(sample, &rotors_, &counters_)) return false;
+  rotor_pace_.Add(sample.stamp);
   const std::optional<RotorDropout> ended = dropouts_.Sift(&rotors_);
   if (ended && counters_.rotor_dropouts++ == 0) counters_.first_dropout = *ended;
   return true;
@@ -155,7 +153,7 @@ void Synchroniser::Clear() {
   imu_.clear();
   last_odometry_.reset();
   last_keyframe_.reset();
-  spacing_s_ = 0.0;
+  odometry_pace_ = rotor_pace_ = StreamPace();
   finished_ = false;
   waiting_for_.clear();
 }

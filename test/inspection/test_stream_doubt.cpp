@@ -65,6 +65,22 @@ TEST(UndoDoubt, TakesTheErrorOutAgain) {
   EXPECT_DOUBLE_EQ(log.odometry[7].v_WS->y(), 1.0);
 }
 
+TEST(UndoDoubt, LeavesOutEverySecondSampleOfASparseStream) {
+  FlightLog log;
+  for (int i = 0; i < 5; ++i) {
+    log.rotors.push_back({FromSeconds(0.1 * i), RotorVector::Constant(4, 500.0)});
+    log.odometry.emplace_back();
+  }
+  StreamDoubt doubt;
+  doubt.stream = "rotor_speeds";
+  doubt.sparse_s = 0.1;
+  UndoDoubt(doubt, &log);
+  ASSERT_EQ(log.rotors.size(), 3u);
+  EXPECT_EQ(log.rotors[2].stamp, FromSeconds(0.4));
+  EXPECT_EQ(log.odometry.size(), 5u);
+  EXPECT_EQ(Sentence(doubt), "rotor_speeds: one sample in 100 ms, nothing known between");
+}
+
 TEST(StreamDoubt, SaysWhatWouldBeWrong) {
   EXPECT_EQ(Sentence({"rotor_speeds", 0.015}), "rotor_speeds: 15 ms late");
   EXPECT_EQ(Sentence({"gyro", -0.004}), "gyro: 4 ms early");

@@ -91,6 +91,9 @@ class FrontEnd {
   const PhaseDetector& phase_detector() const { return phases_.detector(); }
 
  private:
+  double OdometryHole_s() const {
+    return synchroniser_.odometry_pace().Hole_s(options_->max_gap_s);
+  }
   bool IsJump(const OdometrySample& newest, double dt) const;
   std::optional<Eigen::Vector3d> GyroRate(Stamp stamp, const Window& window) const;
 

@@ -24,16 +24,23 @@ RareError RareErrorPosterior(double value, double sigma, double prior, double si
 /// What may be wrong with a stream, but not so surely that it was mended: the estimate says by how
 /// much it would be another one.
 struct StreamDoubt {
-  std::string stream;   ///< "rotor_speeds", "body_rates", "velocity" or "gyro"
+  std::string stream;   ///< "rotor_speeds", "odometry", "body_rates", "velocity", "gyro"
   double late_s = 0.0;  ///< its stamps may be late by this
   double factor = 1.0;  ///< its readings may be too large by this
   int rotor = -1;       ///< only this rotor's readings, from 0; -1: the whole stream
+  double sparse_s = 0.0;  ///< its samples are this far apart, and what lies between is not known
 };
 
 /// What is wrong if it is: "rotor_speeds: 15 ms late", "speed of rotor 2: 4 % too large".
 std::string Sentence(const StreamDoubt& doubt);
 
-/// Turns the log into the one that would have been recorded without the error.
+/// Turns the log into the one that would have been recorded without the error. What lies between
+/// samples cannot be had back: there every second sample is left out. The error of lines between
+/// samples grows with their distance, or its square, so that twice the distance adds as much again,
+/// or more.
 void UndoDoubt(const StreamDoubt& doubt, FlightLog* log);
+
+/// Leaves out every second sample of "rotor_speeds" or "odometry" ("" or another: nothing).
+void LeaveOutEverySecond(const std::string& stream, FlightLog* log);
 
 }  // namespace odmc

@@ -8,6 +8,7 @@
 #include "odmc/math/ring.h"
 #include "odmc/sensing/rotor_dropout.h"
 #include "odmc/sensing/samples.h"
+#include "odmc/sensing/stream_pace.h"
 
 namespace odmc {
 
@@ -59,6 +60,8 @@ class Synchroniser {
 
   const Ring<RotorSample>& rotors() const { return rotors_; }
   const Ring<ImuSample>& imu() const { return imu_; }
+  const StreamPace& odometry_pace() const { return odometry_pace_; }
+  const StreamPace& rotor_pace() const { return rotor_pace_; }
   double battery_voltage_V() const { return battery_voltage_V_; }
   const SynchroniserCounters& counters() const { return counters_; }
   Stamp newest_odometry() const { return last_odometry_ ? last_odometry_->stamp : 0; }
@@ -92,7 +95,7 @@ class Synchroniser {
   double battery_voltage_V_ = 0.0;
   std::optional<OdometrySample> last_odometry_;
   std::optional<Stamp> last_keyframe_;
-  double spacing_s_ = 0.0;  // running odometry period
+  StreamPace odometry_pace_, rotor_pace_;
   bool finished_ = false;
   std::string waiting_for_;
   SynchroniserCounters counters_;
