@@ -21,9 +21,24 @@ struct StreamEffect {
 };
 constexpr StreamEffect kStreamEffects[] = {{"rotor_speeds", "rotor_delay", "rotor_delay.delay"}};
 
+// Within this a vehicle's attitude and its rotors do more than a line between two samples shows.
+constexpr double kSparse_s = 0.0205;
+
 constexpr double kSigmasOfNone = 3.0;  // an offset within so many of its sigmas is none
 
 std::string Milliseconds(double seconds) { return Format("%.1f ms", 1e3 * seconds); }
+
+/// What happens between samples far apart is in the residual, and is no lack of the model.
+void WarnOfSparseStreams(const StreamInspection& inspection, ClosedLoop* loop) {
+  if (loop->verdict == Verdict::kNone) return;
+  for (const StreamDoubt& doubt : inspection.doubts) {
+    if (doubt.sparse_s < kSparse_s) continue;
+    loop->warnings.push_back(
+        "of " + doubt.stream + " there is one sample in " + Rounded(1e3 * doubt.sparse_s) +
+        " ms: what happens between them may " +
+        (loop->verdict == Verdict::kEffect ? "pass for an effect" : "be what stays unexplained"));
+  }
+}
 
 bool HasFinding(const StreamInspection& inspection, const std::string& check) {
   return std::any_of(inspection.findings.begin(), inspection.findings.end(),
@@ -131,6 +146,7 @@ void Name(const RankedEffect& taken_off, bool explains_more, const CloseLoopOpti
 void AddInspection(const StreamInspection& inspection, const CloseLoopOptions& options,
                    const Vehicle& vehicle, ClosedLoop* loop) {
   AddInspection<ClosedLoop>(inspection, loop);
+  WarnOfSparseStreams(inspection, loop);
   const auto tried = static_cast<double>(std::max<size_t>(1, loop->ranking.size()));
   for (const TimeOffset& offset : inspection.offsets) {
     for (const StreamEffect& kind : kStreamEffects) {

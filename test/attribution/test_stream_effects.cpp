@@ -171,6 +171,28 @@ TEST(StreamEffects, WhatStaysUnexplainedStaysSo) {
   EXPECT_EQ(loop.effects.size(), 1u);
 }
 
+TEST(StreamEffects, WhatLiesBetweenSamplesFarApartIsWarnedOf) {
+  StreamDoubt doubt;
+  doubt.stream = "rotor_speeds";
+  StreamInspection inspection;
+  for (const double sparse_s : {0.01, 0.1}) {
+    doubt.sparse_s = sparse_s;
+    inspection.doubts = {doubt};
+    for (const Verdict verdict : {Verdict::kNone, Verdict::kUnexplained}) {
+      ClosedLoop loop;
+      loop.verdict = verdict;
+      AddInspection(inspection, CloseLoopOptions(), NominalVehicle(), &loop);
+      const bool warns = sparse_s > 0.05 && verdict != Verdict::kNone;
+      ASSERT_EQ(loop.warnings.size(), warns ? 1u : 0u) << sparse_s;
+      if (warns) {
+        EXPECT_EQ(loop.warnings[0],
+                  "of rotor_speeds there is one sample in 100 ms: what happens between them may be what "
+                  "stays unexplained");
+      }
+    }
+  }
+}
+
 TEST(StreamEffects, AShiftThatTheModelTakesBackIsPutBack) {
   for (const auto& [left_s, is_none] :
        {std::pair<double, bool>{0.0085, true}, {0.0052, true}, {0.004, false}, {-0.008, false}}) {

@@ -15,6 +15,7 @@ namespace odmc {
 /// the usual size of an offset as prior; what attribution found of it beside that is added. It is
 /// held to what holds for other effects: the rate of false alarms, their number, what is ruled out,
 /// and what is ordinary (IsOrdinary()), of which a warning is all.
+/// A warning says where samples are so far apart that what lies between may be what was found.
 /// @param options, vehicle as given to CloseLoop()
 void AddInspection(const StreamInspection& inspection, const CloseLoopOptions& options,
                    const Vehicle& vehicle, ClosedLoop* loop);
