@@ -49,8 +49,7 @@ GroundSpans FindGroundSpans(const FlightLog& log, const DynamicModel& model,
   const OdometrySample* last = nullptr;
   double seen_s = 0.0;
   const double least_step_s = kShareOfPeriod / keyframe_rate_hz;
-  const double hole_s =
-      std::max(PaceOf(log.odometry).Hole_s(kMaxGap_s), 1.5 / keyframe_rate_hz);
+  const double hole_s = std::max(PaceOf(log.odometry).Hole_s(kMaxGap_s), 1.5 / keyframe_rate_hz);
   // Poses that repeat count here: a vehicle that stands may well have the same one all the time.
   for (const OdometrySample& sample : log.odometry) {
     noise.Add(sample);

@@ -32,7 +32,8 @@ constexpr double kOffsetsAre = 0.5, kOffsetSize_s = 0.02;
 constexpr double kNoOffset_s = 0.001;  // changes nothing worth a replay
 
 // A line between samples errs by (step / time constant)^2 / 8 of a change. Samples closer together
-// than this leave 2 % of what rotors (20 ms) and the vehicle's attitude (50 ms) do at their fastest.
+// than this leave 2 % of what rotors (20 ms) and the vehicle's attitude (50 ms) do at their
+// fastest.
 constexpr double kDenseRotors_s = 0.008, kDensePoses_s = 0.0205;
 
 std::string Milliseconds(double seconds) { return Format("%.1f ms", 1e3 * std::abs(seconds)); }

@@ -185,9 +185,10 @@ TEST(StreamEffects, WhatLiesBetweenSamplesFarApartIsWarnedOf) {
       const bool warns = sparse_s > 0.05 && verdict != Verdict::kNone;
       ASSERT_EQ(loop.warnings.size(), warns ? 1u : 0u) << sparse_s;
       if (warns) {
-        EXPECT_EQ(loop.warnings[0],
-                  "of rotor_speeds there is one sample in 100 ms: what happens between them may be what "
-                  "stays unexplained");
+        EXPECT_EQ(
+            loop.warnings[0],
+            "of rotor_speeds there is one sample in 100 ms: what happens between them may be what "
+            "stays unexplained");
       }
     }
   }

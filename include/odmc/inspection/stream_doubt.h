@@ -24,10 +24,10 @@ RareError RareErrorPosterior(double value, double sigma, double prior, double si
 /// What may be wrong with a stream, but not so surely that it was mended: the estimate says by how
 /// much it would be another one.
 struct StreamDoubt {
-  std::string stream;   ///< "rotor_speeds", "odometry", "body_rates", "velocity", "gyro"
-  double late_s = 0.0;  ///< its stamps may be late by this
-  double factor = 1.0;  ///< its readings may be too large by this
-  int rotor = -1;       ///< only this rotor's readings, from 0; -1: the whole stream
+  std::string stream;     ///< "rotor_speeds", "odometry", "body_rates", "velocity", "gyro"
+  double late_s = 0.0;    ///< its stamps may be late by this
+  double factor = 1.0;    ///< its readings may be too large by this
+  int rotor = -1;         ///< only this rotor's readings, from 0; -1: the whole stream
   double sparse_s = 0.0;  ///< its samples are this far apart, and what lies between is not known
 };
 

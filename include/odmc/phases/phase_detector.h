@@ -47,7 +47,8 @@ struct PhaseVerdict {
 /// vehicle that stands still, an upward one). Their log-likelihood ratio accumulates (Page's
 /// CUSUM); beyond kAlarm_nats the vehicle is in contact, from where the sum left zero. It flies
 /// again once the opposite sum has grown and it does not stand still. Without rotor speeds, a
-/// vehicle that stands still is taken to be on the ground; if they come back and carry it, it flies.
+/// vehicle that stands still is taken to be on the ground; if they come back and carry it, it
+/// flies.
 ///
 /// *It is not known* (start of a recording). A vehicle that has not moved yet may stand. It is
 /// taken to fly if its thrust may carry it, until it has moved: if thrust then carries much better
