@@ -14,8 +14,10 @@ struct EstimatorOptions {
   double keyframe_rate_hz = 100.0;         ///< at most this many keyframes a second, > 0
   std::string dynamics_form = "midpoint";  ///< midpoint | euler (the paper's, corrected)
   double huber_width = 6.0;  ///< of the whitened dynamics residual [-]; 0: no robust loss
-  double max_gap_s = 0.06;   ///< a longer hole in a stream starts a new chain of states [s]
-  double patience_s = 0.3;   ///< how long a silent stream is waited for [s]
+  /// A longer hole in a stream starts a new chain of states [s]; of a slow stream one longer than
+  /// StreamPace::Hole_s().
+  double max_gap_s = 0.06;
+  double patience_s = 0.3;  ///< how long a silent stream is waited for [s]
 
   /// incremental | ceres (the reference).
   std::string solver = "incremental";
