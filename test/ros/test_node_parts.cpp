@@ -335,14 +335,16 @@ TEST_F(Intake, LetsHoverFlowWithoutVelocityUntilItsFrameIsKnown) {
 
 // Whichever part of the climb falls into one of the stretches in which motion is judged.
 TEST_F(Intake, LetsHoverFlowAfterAnyClimb) {
-  for (const double climb_m_s : {0.15, 0.8}) {
+  const std::pair<double, double> climbs[] = {{0.15, 2.0}, {0.8, 0.55}};
+  for (const auto& [climb_m_s, climb_s] : climbs) {
     for (const double first_s : {1.0, 1.1, 1.2}) {
       SampleIntake intake("auto");
-      for (double t = first_s; t < 8.0; t += 0.01) {
-        const double along = std::min(std::max(t - 2.0, 0.0), 0.55);
+      for (double t = first_s; t < 9.0; t += 0.01) {
+        const double along_s = std::min(std::max(t - 2.0, 0.0), climb_s);
+        const bool climbs_now = along_s > 0.0 && along_s < climb_s;
         nav_msgs::Odometry m = OdometryAt(t, 0.0, 0.0);
-        m.pose.pose.position.z = climb_m_s * along;
-        m.twist.twist.linear.z = along > 0.0 && along < 0.55 ? climb_m_s : 0.01;
+        m.pose.pose.position.z = climb_m_s * along_s;
+        m.twist.twist.linear.z = climbs_now ? climb_m_s : 0.01;
         intake.Push(*ToInput(m));
         intake.Push(*ToInput(RotorsAt(t), 4));
       }
