@@ -21,9 +21,6 @@ struct StreamEffect {
 };
 constexpr StreamEffect kStreamEffects[] = {{"rotor_speeds", "rotor_delay", "rotor_delay.delay"}};
 
-// Within this a vehicle's attitude and its rotors do more than a line between two samples shows.
-constexpr double kSparse_s = 0.0205;
-
 constexpr double kSigmasOfNone = 3.0;  // an offset within so many of its sigmas is none
 
 std::string Milliseconds(double seconds) { return Format("%.1f ms", 1e3 * seconds); }

@@ -10,6 +10,7 @@
 
 #include "odmc/analysis/parallel.h"
 #include "odmc/attribution/close_loop.h"
+#include "odmc/inspection/stream_doubt.h"
 
 namespace odmc {
 namespace {

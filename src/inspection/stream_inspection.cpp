@@ -31,10 +31,8 @@ constexpr double kWellKnown_s = 0.01;
 constexpr double kOffsetsAre = 0.5, kOffsetSize_s = 0.02;
 constexpr double kNoOffset_s = 0.001;  // changes nothing worth a replay
 
-// A line between samples errs by (step / time constant)^2 / 8 of a change. Samples closer together
-// than this leave 2 % of what rotors (20 ms) and the vehicle's attitude (50 ms) do at their
-// fastest.
-constexpr double kDenseRotors_s = 0.008, kDensePoses_s = 0.0205;
+// As kSparse_s, of rotors (time constant 20 ms).
+constexpr double kSparseRotors_s = 0.008;
 
 std::string Milliseconds(double seconds) { return Format("%.1f ms", 1e3 * std::abs(seconds)); }
 
@@ -170,9 +168,9 @@ void InspectOffsets(const MotionSignals& signals, const Vehicle& vehicle,
 }
 
 /// What happens between samples that are far apart.
-void DoubtSparse(const std::string& stream, const StreamPace& pace, double dense_s,
+void DoubtSparse(const std::string& stream, const StreamPace& pace, double sparse_s,
                  StreamInspection* inspection) {
-  if (pace.step_s() <= dense_s) return;
+  if (pace.step_s() <= sparse_s) return;
   StreamDoubt doubt;
   doubt.stream = stream;
   doubt.sparse_s = pace.step_s();
@@ -210,8 +208,8 @@ StreamInspection InspectStreams(const FlightLog& log, const Vehicle& vehicle) {
   CheckThrust(*signals, vehicle, flight, &inspection);
   if (!inspection.refusal.empty()) return inspection;
   InspectOffsets(*signals, vehicle, flight, &inspection);
-  DoubtSparse("odometry", PaceOf(log.odometry), kDensePoses_s, &inspection);
-  DoubtSparse("rotor_speeds", PaceOf(log.rotors), kDenseRotors_s, &inspection);
+  DoubtSparse("odometry", PaceOf(log.odometry), kSparse_s, &inspection);
+  DoubtSparse("rotor_speeds", PaceOf(log.rotors), kSparseRotors_s, &inspection);
   return inspection;
 }
 

@@ -22,6 +22,15 @@ TEST(StreamPace, OfASlowStreamOneSampleMayBeMissing) {
   EXPECT_LT(hole_s, 0.3);
 }
 
+TEST(StreamPace, CountsFromAnyStampOn) {
+  for (const double first_s : {-0.1, 0.0, 1.0}) {
+    StreamPace pace;
+    pace.Add(FromSeconds(first_s));
+    pace.Add(FromSeconds(first_s + 0.1));
+    EXPECT_NEAR(pace.step_s(), 0.1, 1e-9) << first_s;
+  }
+}
+
 TEST(StreamPace, HolesAndStampsThatStepBackHardlyCount) {
   StreamPace pace = Of(0.01, 200);
   pace.Add(FromSeconds(60.0));

@@ -21,6 +21,10 @@ struct RareError {
 /// @param size standard deviation of those that there are
 RareError RareErrorPosterior(double value, double sigma, double prior, double size);
 
+/// Between samples farther apart than this a vehicle's attitude (time constant 50 ms) does more
+/// than the line between them shows: that errs by (step / time constant)^2 / 8, 2 %, of a change.
+constexpr double kSparse_s = 0.0205;
+
 /// What may be wrong with a stream, but not so surely that it was mended: the estimate says by how
 /// much it would be another one.
 struct StreamDoubt {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <optional>
 #include <vector>
 
 #include "odmc/sensing/samples.h"
@@ -13,12 +14,13 @@ class StreamPace {
  public:
   /// Stamps step forward; others are left out.
   void Add(Stamp stamp) {
-    if (last_ > 0 && stamp > last_) {
-      const double dt = ToSeconds(stamp - last_);
+    if (last_ && stamp <= *last_) return;
+    if (last_) {
+      const double dt = ToSeconds(stamp - *last_);
       if (step_s_ == 0.0) step_s_ = dt;
       step_s_ += kNews * (std::min(dt, 2.0 * step_s_) - step_s_);  // holes hardly count
     }
-    last_ = std::max(last_, stamp);
+    last_ = stamp;
   }
 
   /// Usual time between two samples [s]; 0 before the second one.
@@ -36,7 +38,7 @@ class StreamPace {
   /// Between samples farther apart than this a vehicle may have done anything.
   static constexpr double kSlowest_s = 0.4;
 
-  Stamp last_ = 0;
+  std::optional<Stamp> last_;
   double step_s_ = 0.0;
 };
 
