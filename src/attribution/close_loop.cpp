@@ -15,6 +15,7 @@
 #include "odmc/attribution/online_evidence.h"
 #include "odmc/attribution/online_pass.h"
 #include "odmc/attribution/onset.h"
+#include "odmc/attribution/sampling_change.h"
 #include "odmc/attribution/serial_noise.h"
 #include "odmc/attribution/structure.h"
 #include "odmc/attribution/unexplained.h"
@@ -220,7 +221,7 @@ class LoopSession {
   OnlinePass before_;
   std::unique_ptr<ThinnedFlight> flight_;
   std::unique_ptr<ResidualModel> residual_;
-  Eigen::MatrixX3d again_ = Eigen::MatrixX3d(0, 3);  ///< ResidualModel::ForceByMotion()
+  ResidualContext context_;
   std::vector<EffectCandidate> candidates_;
   std::unique_ptr<Attribution> attribution_;
   std::optional<GustCase> gusts_;  ///< where they make their case
@@ -343,17 +344,20 @@ void LoopSession::Attribute() {
   result_.named_gain = attribution_->gain();
   result_.flexible_gain = attribution_->flexible().nats();
   const ResidualModel::Wrenches& before = attribution_->residual_before();
-  again_ = residual_->ForceByMotion(declared_, values);
+  context_.again = residual_->ForceByMotion(declared_, values);
+  if (const auto halved = WithEverySecondRotorSample(log_, *flight_)) {
+    context_.by_sampling = ChangeBySampling(*residual_, *halved, declared_, values);
+  }
   const int channels = residual_->num_channels();
   result_.structure = LessStructured(
-      StructureByChannel(*flight_, before, channels, again_, file_vehicle_),
+      StructureByChannel(*flight_, before, channels, context_, file_vehicle_),
       StructureByChannel(
           *flight_, residual_->AsFelt(residual_->Residual(declared_, values), declared_, values),
-          channels, again_, file_vehicle_));
+          channels, context_, file_vehicle_));
   if (!attribution_->ordinary().empty() && attribution_->effects().empty()) {
     result_.structure = LessStructured(
         result_.structure, StructureByChannel(*flight_, attribution_->residual_after(), channels,
-                                              again_, file_vehicle_));
+                                              context_, file_vehicle_));
   }
   structured_ = Summarise(options_.attribution, &result_);
   const std::vector<std::vector<double>> runs = flight_->Runs(before.col(0));
@@ -417,7 +421,7 @@ void LoopSession::WeighGusts() {
 
 std::vector<ChannelStructure> LoopSession::StructureInUse(
     const ResidualModel::Wrenches& residual) const {
-  return StructureByChannel(*flight_, residual, residual_->num_channels(), again_, file_vehicle_,
+  return StructureByChannel(*flight_, residual, residual_->num_channels(), context_, file_vehicle_,
                             true);
 }
 

@@ -108,6 +108,7 @@ Json ChannelJson(const ChannelStructure& channel) {
                {"unit", channel.unit},
                {"structured_share", JsonNumber(channel.whiteness.structured_share)},
                {"whiteness_p", JsonNumber(channel.whiteness.p)},
+               {"sampling_share", JsonNumber(channel.whiteness.sampling_share)},
                {"peak_Hz", JsonNumber(channel.whiteness.peak_Hz)},
                {"autocorrelation_40ms", channel.autocorrelation},
                {"dependence", dependence}};

@@ -127,6 +127,12 @@ ThinnedFlight ThinnedFlight::Moving(std::vector<FilteredMotion> samples) const {
   return other;
 }
 
+ThinnedFlight ThinnedFlight::WithRotors(const std::vector<RotorState>& rotors) const {
+  ThinnedFlight other = *this;
+  for (size_t i = 0; i < rotors.size(); ++i) other.samples_[i].rotors = rotors[i];
+  return other;
+}
+
 std::vector<std::vector<double>> ThinnedFlight::Runs(const Eigen::VectorXd& channel,
                                                      bool in_use_only) const {
   std::vector<std::vector<double>> runs;

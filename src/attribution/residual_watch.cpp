@@ -5,6 +5,7 @@
 #include <limits>
 #include <stdexcept>
 
+#include "odmc/attribution/sampling_change.h"
 #include "odmc/sensing/flight_checks.h"
 #include "odmc/sensing/plausible.h"
 #include "odmc/text/refusal.h"
@@ -188,16 +189,23 @@ size_t ResidualWatch::size() const {
   return inbox_.size() + log_.odometry.size() + log_.imu.size() + log_.rotors.size();
 }
 
-ThinnedFlight ResidualWatch::Flight(Stamp start) const {
+FlightLog ResidualWatch::MendedLog() const {
+  FlightLog mended = log_;
+  MendFlight(&mended);
+  return mended;
+}
+
+double ResidualWatch::OffsetTo(Stamp start) const {
+  return log_.odometry.empty() ? 0.0 : ToSeconds(log_.odometry.front().stamp - start);
+}
+
+ThinnedFlight ResidualWatch::Flight(const FlightLog& mended, Stamp start) const {
   auto spans = ground_spans_;
   // Nothing is known yet of what came after the last keyframe.
   const Stamp known = last_keyframe_ ? last_keyframe_->stamp : 0;
   spans.emplace_back(known + 1, std::numeric_limits<Stamp>::max());
-  FlightLog mended = log_;  // of what the estimator mends: glitches, dropouts
-  MendFlight(&mended);
   FlightMotion motion = FilterFlight(mended, file_vehicle_.num_rotors(), spans);
-  const double offset_s =
-      log_.odometry.empty() ? 0.0 : ToSeconds(log_.odometry.front().stamp - start);
+  const double offset_s = OffsetTo(start);
   for (FilteredMotion& sample : motion.samples) sample.t_s += offset_s;
   BlockSplit blocks;
   blocks.hold_out_every = 0;
@@ -207,10 +215,13 @@ ThinnedFlight ResidualWatch::Flight(Stamp start) const {
 std::optional<ResidualAnalysis> ResidualWatch::Look(const std::function<bool()>& give_up) {
   const std::optional<Estimate> estimate = TakeIn();
   if (!estimate) return std::nullopt;
-  const ThinnedFlight flight = Flight(estimate->start);
+  const FlightLog mended = MendedLog();
+  const ThinnedFlight flight = Flight(mended, estimate->start);
   const double flight_s = flight.size() * flight.step_s();
   if (flight_s < kEnoughShare * options_.residual_watch_window_s) return std::nullopt;
-  ResidualAnalysis found = Examine(flight, *estimate, give_up);
+  const std::optional<ThinnedFlight> halved =
+      WithEverySecondRotorSample(mended, flight, OffsetTo(estimate->start));
+  ResidualAnalysis found = Examine(flight, halved, *estimate, give_up);
   if (!IsFinite(found) || (give_up && give_up())) return std::nullopt;
   found.flight_s = flight_s;
   found.stamp = log_.odometry.back().stamp;
@@ -223,7 +234,9 @@ std::optional<ResidualAnalysis> ResidualWatch::Look(const std::function<bool()>&
   return found;
 }
 
-ResidualAnalysis ResidualWatch::Examine(const ThinnedFlight& flight, const Estimate& estimate,
+ResidualAnalysis ResidualWatch::Examine(const ThinnedFlight& flight,
+                                        const std::optional<ThinnedFlight>& halved,
+                                        const Estimate& estimate,
                                         const std::function<bool()>& give_up) {
   const DynamicModel& model = *estimate.model;
   ResidualModel residual(&flight, &file_vehicle_, with_torque_);
@@ -236,19 +249,21 @@ ResidualAnalysis ResidualWatch::Examine(const ThinnedFlight& flight, const Estim
                           ModelPointOf(DynamicModel(asked, asked.effects), estimate.values),
                           CandidatesFor(asked, flight.motion()), decision_, give_up);
   attribution.Run();
-  const Eigen::MatrixX3d again = residual.ForceByMotion(model, estimate.values);
+  ResidualContext context;
+  context.again = residual.ForceByMotion(model, estimate.values);
+  if (halved) context.by_sampling = ChangeBySampling(residual, *halved, model, estimate.values);
   const std::vector<ChannelStructure> before =
-      StructureByChannel(flight, attribution.residual_before(), channels, again, file_vehicle_);
+      StructureByChannel(flight, attribution.residual_before(), channels, context, file_vehicle_);
   Summarise(LessStructured(before, StructureByChannel(
                                        flight,
                                        residual.AsFelt(residual.Residual(model, estimate.values),
                                                        model, estimate.values),
-                                       channels, again, file_vehicle_)),
+                                       channels, context, file_vehicle_)),
             decision_, &found);
   const std::vector<RankedEffect>& effects = attribution.effects();
   if (effects.empty()) return found;
   const std::vector<ChannelStructure> after =
-      StructureByChannel(flight, attribution.residual_after(), channels, again, file_vehicle_);
+      StructureByChannel(flight, attribution.residual_after(), channels, context, file_vehicle_);
   const double unexplained = UnexplainedStructure(
       attribution.residual_before(), attribution.residual_after(), before, after, decision_);
   // As in CloseLoop(): effects that leave most of the structure are not its cause.

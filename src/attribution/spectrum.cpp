@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace odmc {
 namespace {
@@ -42,7 +43,9 @@ struct Fit {
   double log_likelihood = 0.0;
 };
 
-Fit FitSpectrum(const std::vector<Bin>& bins, const std::vector<std::vector<double>>& shapes) {
+/// @param most of the weights, of the first shapes
+Fit FitSpectrum(const std::vector<Bin>& bins, const std::vector<std::vector<double>>& shapes,
+                const std::vector<double>& most) {
   const size_t count = shapes.size();
   double mean = 0.0;
   for (const Bin& bin : bins) mean += bin.power / static_cast<double>(bins.size());
@@ -68,6 +71,7 @@ Fit FitSpectrum(const std::vector<Bin>& bins, const std::vector<std::vector<doub
         down += shapes[j][i] / total[i];
       }
       fit.weights[j] *= std::sqrt(up / down);  // never increases the divergence
+      if (j < most.size()) fit.weights[j] = std::min(fit.weights[j], most[j]);
     }
   }
   evaluate();
@@ -75,6 +79,54 @@ Fit FitSpectrum(const std::vector<Bin>& bins, const std::vector<std::vector<doub
     fit.log_likelihood -= std::log(total[i]) + bins[i].power / total[i];
   }
   return fit;
+}
+
+/// Spectra of what is no structure, and how much of each there may be.
+struct NoiseShapes {
+  std::vector<std::vector<double>> shapes;
+  std::vector<double> most;
+
+  /// Where the weights of a fit say how much of it there is in bin `i`.
+  double Level(const Fit& fit, size_t i) const {
+    double level = 0.0;
+    for (size_t j = 0; j < shapes.size(); ++j) level += fit.weights[j] * shapes[j][i];
+    return level;
+  }
+};
+
+/// Means over bins of nearly the same frequency: a periodogram's own bins are as scattered as what
+/// they are to explain.
+std::vector<double> Smooth(const std::vector<Bin>& bins) {
+  constexpr double kWithin = 1.25;
+  std::vector<double> smooth;
+  for (const Bin& at : bins) {
+    double sum = 0.0, count = 0.0;
+    for (const Bin& bin : bins) {
+      if (bin.frequency_Hz * kWithin < at.frequency_Hz) continue;
+      if (bin.frequency_Hz > at.frequency_Hz * kWithin) continue;
+      sum += bin.power;
+      count += 1.0;
+    }
+    smooth.push_back(sum / count);
+  }
+  return smooth;
+}
+
+/// @param by_sampling of the same frequencies, or none
+NoiseShapes NoiseShapesOf(const std::vector<Bin>& bins, const std::vector<Bin>& by_sampling) {
+  constexpr double kAny = std::numeric_limits<double>::infinity();
+  NoiseShapes noise;
+  noise.shapes.emplace_back(bins.size(), 1.0);
+  noise.shapes.emplace_back();
+  for (const Bin& bin : bins) {
+    noise.shapes.back().push_back(bin.frequency_Hz * bin.frequency_Hz);
+  }
+  const bool changes = std::any_of(by_sampling.begin(), by_sampling.end(),
+                                   [](const Bin& bin) { return bin.power > 0.0; });
+  if (!changes || by_sampling.size() != bins.size()) return noise;
+  noise.shapes.push_back(Smooth(by_sampling));
+  noise.most = {kAny, kAny, kMostOfSampling};
+  return noise;
 }
 
 /// Chance of a low-pass part that gains as much, or of a line that stands out as much, in noise.
@@ -91,14 +143,15 @@ double ChanceOf(double gain, double highest, size_t bins) {
 }  // namespace
 
 WhitenessResult TestWhiteness(const std::vector<std::vector<double>>& runs, double rate_Hz,
-                              double highest_Hz) {
+                              double highest_Hz,
+                              const std::vector<std::vector<double>>& by_sampling) {
   WhitenessResult result;
   const std::vector<Bin> bins = Periodogram(runs, rate_Hz, highest_Hz);
   if (bins.size() < 20) return result;
-  std::vector<double> white(bins.size(), 1.0), blue;
-  for (const Bin& bin : bins) blue.push_back(bin.frequency_Hz * bin.frequency_Hz);
-  const Fit null = FitSpectrum(bins, {white, blue});
-  std::vector<std::vector<double>> shapes = {white, blue};
+  const NoiseShapes noise = NoiseShapesOf(bins, Periodogram(by_sampling, rate_Hz, highest_Hz));
+  const size_t noise_end = noise.shapes.size();
+  const Fit null = FitSpectrum(bins, noise.shapes, noise.most);
+  std::vector<std::vector<double>> shapes = noise.shapes;
   size_t slow_end = shapes.size();
   for (const double corner : kCorners_Hz) {
     std::vector<double> red;
@@ -111,28 +164,30 @@ WhitenessResult TestWhiteness(const std::vector<std::vector<double>>& runs, doub
   }
   const std::vector<std::vector<double>> slow_shapes(
       shapes.begin(), shapes.begin() + static_cast<std::ptrdiff_t>(slow_end));
-  const Fit slow_null = FitSpectrum(bins, slow_shapes);
-  const Fit full = FitSpectrum(bins, shapes);
+  const Fit slow_null = FitSpectrum(bins, slow_shapes, noise.most);
+  const Fit full = FitSpectrum(bins, shapes, noise.most);
   const double gain = std::max(0.0, full.log_likelihood - null.log_likelihood);
   double structured = 0.0, slow = 0.0, all = 0.0, highest = 0.0, peak = 0.0, quick_highest = 0.0;
+  double sampling = 0.0;
   // A line stands out of all bins by more than chance allows once in ten thousand.
   const double line = std::log(1e4 * static_cast<double>(bins.size()));
   for (size_t i = 0; i < bins.size(); ++i) {
     double red = 0.0, slow_level = 1e-300;
-    for (size_t j = 2; j < shapes.size(); ++j) red += full.weights[j] * shapes[j][i];
+    for (size_t j = noise_end; j < shapes.size(); ++j) red += full.weights[j] * shapes[j][i];
     for (size_t j = 0; j < slow_end; ++j) slow_level += slow_null.weights[j] * shapes[j][i];
-    for (size_t j = 2; j < slow_end; ++j) slow += slow_null.weights[j] * shapes[j][i];
+    for (size_t j = noise_end; j < slow_end; ++j) slow += slow_null.weights[j] * shapes[j][i];
+    for (size_t j = 2; j < noise_end; ++j) sampling += full.weights[j] * shapes[j][i];
     quick_highest = std::max(quick_highest, bins[i].power / slow_level);
-    const double noise = full.weights[0] + full.weights[1] * blue[i];
-    const double excess = bins[i].power - (red + noise);
-    if (bins[i].power > line * (red + noise)) {
-      const double ratio = bins[i].power / (red + noise);
+    const double rest = noise.Level(full, i);
+    const double excess = bins[i].power - (red + rest);
+    if (bins[i].power > line * (red + rest)) {
+      const double ratio = bins[i].power / (red + rest);
       result.nats += ratio - 1.0 - std::log(ratio);
       red += excess;
     }
     structured += red;
-    all += red + noise;
-    const double level = null.weights[0] + null.weights[1] * blue[i] + 1e-300;
+    all += red + rest;
+    const double level = noise.Level(null, i) + 1e-300;
     if (bins[i].power / level > highest) {
       highest = bins[i].power / level;
       peak = bins[i].frequency_Hz;
@@ -144,6 +199,7 @@ WhitenessResult TestWhiteness(const std::vector<std::vector<double>>& runs, doub
   result.nats += gain;
   result.structured_share = structured / all;
   result.slow_share = slow / all;
+  result.sampling_share = sampling / all;
   result.peak_Hz = peak;
   return result;
 }

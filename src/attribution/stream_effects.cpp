@@ -25,15 +25,35 @@ constexpr double kSigmasOfNone = 3.0;  // an offset within so many of its sigmas
 
 std::string Milliseconds(double seconds) { return Format("%.1f ms", 1e3 * seconds); }
 
+/// The channel of which slow rotor speeds leave out most.
+const ChannelStructure* MostSampled(const ClosedLoop& loop) {
+  const auto most = std::max_element(
+      loop.structure.begin(), loop.structure.end(), [](const auto& one, const auto& other) {
+        return one.whiteness.sampling_share < other.whiteness.sampling_share;
+      });
+  return most == loop.structure.end() ? nullptr : &*most;
+}
+
 /// What happens between samples far apart is in the residual, and is no lack of the model.
-void WarnOfSparseStreams(const StreamInspection& inspection, ClosedLoop* loop) {
-  if (loop->verdict == Verdict::kNone) return;
+void WarnOfSparseStreams(const StreamInspection& inspection, const AttributionOptions& options,
+                         ClosedLoop* loop) {
+  const ChannelStructure* most = MostSampled(*loop);
   for (const StreamDoubt& doubt : inspection.doubts) {
     if (doubt.sparse_s < kSparse_s) continue;
-    loop->warnings.push_back(
-        "of " + doubt.stream + " there is one sample in " + Rounded(1e3 * doubt.sparse_s) +
-        " ms: what happens between them may " +
-        (loop->verdict == Verdict::kEffect ? "pass for an effect" : "be what stays unexplained"));
+    std::string does;
+    if (loop->verdict == Verdict::kEffect) {
+      does = "may pass for an effect";
+    } else if (loop->verdict == Verdict::kUnexplained) {
+      does = "may be what stays unexplained";
+    } else if (doubt.stream == "rotor_speeds" && most != nullptr &&
+               most->whiteness.sampling_share > options.least_structured) {
+      does = "may be " + Rounded(100.0 * most->whiteness.sampling_share) +
+             " % of the residual's variance (" + most->name + "), and hide an effect";
+    }
+    if (does.empty()) continue;
+    loop->warnings.push_back("of " + doubt.stream + " there is one sample in " +
+                             Rounded(1e3 * doubt.sparse_s) +
+                             " ms: what happens between them " + does);
   }
 }
 
@@ -143,7 +163,7 @@ void Name(const RankedEffect& taken_off, bool explains_more, const CloseLoopOpti
 void AddInspection(const StreamInspection& inspection, const CloseLoopOptions& options,
                    const Vehicle& vehicle, ClosedLoop* loop) {
   AddInspection<ClosedLoop>(inspection, loop);
-  WarnOfSparseStreams(inspection, loop);
+  WarnOfSparseStreams(inspection, options.attribution, loop);
   const auto tried = static_cast<double>(std::max<size_t>(1, loop->ranking.size()));
   for (const TimeOffset& offset : inspection.offsets) {
     for (const StreamEffect& kind : kStreamEffects) {

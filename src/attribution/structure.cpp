@@ -47,13 +47,20 @@ std::optional<SharedStructure> Shared(const ThinnedFlight& flight, const Eigen::
   return shared;
 }
 
+/// Of what slow streams leave out, where they do.
+std::vector<std::vector<double>> RunsOf(const ResidualModel::Wrenches& by_sampling, int channel,
+                                        const ThinnedFlight& flight, bool in_use_only) {
+  if (by_sampling.rows() != flight.size()) return {};
+  return flight.Runs(by_sampling.col(channel), in_use_only);
+}
+
 }  // namespace
 
 const char* ChannelName(int channel) { return kChannelNames[channel]; }
 
 std::vector<ChannelStructure> StructureByChannel(const ThinnedFlight& flight,
                                                  const ResidualModel::Wrenches& residual,
-                                                 int num_channels, const Eigen::MatrixX3d& again,
+                                                 int num_channels, const ResidualContext& context,
                                                  const Vehicle& vehicle, bool in_use_only) {
   std::vector<ChannelStructure> all;
   const double rate_Hz = 1.0 / flight.step_s();
@@ -64,7 +71,8 @@ std::vector<ChannelStructure> StructureByChannel(const ThinnedFlight& flight,
     const Eigen::VectorXd y = residual.col(c);
     channel.rmse = std::sqrt(y.squaredNorm() / std::max<Eigen::Index>(1, y.size()));
     const auto runs = flight.Runs(y, in_use_only);
-    channel.whiteness = TestWhiteness(runs, rate_Hz, std::min(kHighest_Hz, 0.4 * rate_Hz));
+    channel.whiteness = TestWhiteness(runs, rate_Hz, std::min(kHighest_Hz, 0.4 * rate_Hz),
+                                      RunsOf(context.by_sampling, c, flight, in_use_only));
     channel.autocorrelation = Autocorrelation(runs, kCorrelationLags);
     const auto share = [&](auto quantity) {
       Eigen::MatrixXd A(y.size(), 3);
@@ -97,8 +105,8 @@ std::vector<ChannelStructure> StructureByChannel(const ThinnedFlight& flight,
                                     (vehicle.mass_kg * vehicle.gravity_m_s2);
     if (c < 2) channel.lean_rad = slow_over_weight;
     if (c == 2) channel.thrust_wander = slow_over_weight;
-    if (c < again.cols() && again.rows() == y.size()) {
-      channel.shared = Shared(flight, y, again.col(c),
+    if (c < context.again.cols() && context.again.rows() == y.size()) {
+      channel.shared = Shared(flight, y, context.again.col(c),
                               channel.whiteness.structured_share * variance, in_use_only);
     }
     all.push_back(std::move(channel));

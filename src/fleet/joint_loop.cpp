@@ -14,6 +14,7 @@
 #include "odmc/attribution/attribution.h"
 #include "odmc/attribution/candidates.h"
 #include "odmc/attribution/model_point.h"
+#include "odmc/attribution/sampling_change.h"
 #include "odmc/model/plausibility.h"
 #include "odmc/text/format.h"
 
@@ -26,7 +27,8 @@ constexpr double kLeastOfAFlight_s = 60.0;  // looked at, however many there are
 struct Looked {
   std::optional<ThinnedFlight> flight;
   std::optional<ResidualModel> residual;
-  Eigen::MatrixX3d again;  ///< ResidualModel::ForceByMotion() as declared
+  std::optional<ThinnedFlight> halved;  ///< WithEverySecondRotorSample()
+  ResidualContext context;              ///< as declared
 };
 
 /// Every flight that the joint estimate uses, thinned.
@@ -49,6 +51,7 @@ std::vector<Looked> LookAt(const FleetCalibration& fleet, const FlightSource& so
     look.flight.emplace(std::move(motion), all_in_use,
                         file_vehicle.odometry.q_BS.toRotationMatrix(), most_s);
     look.residual.emplace(&*look.flight, &file_vehicle, !log.rotor_rms_only);
+    look.halved = WithEverySecondRotorSample(log, *look.flight);
   });
   return looked;
 }
@@ -210,7 +213,7 @@ double UnexplainedShare(const Attribution& attribution, const std::vector<Looked
   for (size_t f = 0; f < looked.size(); ++f) {
     const int channels = looked[f].residual->num_channels();
     const auto structure = [&](const ResidualModel::Wrenches& of) {
-      return StructureByChannel(*looked[f].flight, of, channels, looked[f].again,
+      return StructureByChannel(*looked[f].flight, of, channels, looked[f].context,
                                 looked[f].residual->file_vehicle());
     };
     const auto &before = attribution.residual_before(f), &after = attribution.residual_after(f);
@@ -235,7 +238,7 @@ std::vector<std::pair<std::string, int>> StructuredChannels(const Attribution& a
   for (size_t f = 0; f < looked.size(); ++f) {
     for (const ChannelStructure& channel : StructureByChannel(
              *looked[f].flight, attribution.residual_before(f), looked[f].residual->num_channels(),
-             looked[f].again, looked[f].residual->file_vehicle())) {
+             looked[f].context, looked[f].residual->file_vehicle())) {
       const auto known = std::find_if(channels.begin(), channels.end(),
                                       [&](const auto& c) { return c.first == channel.name; });
       const int more = IsStructured(channel, options) ? 1 : 0;
@@ -303,7 +306,11 @@ void JointSession::Find(const Progress& progress) {
   for (size_t f = 0; f < looked.size(); ++f) {
     const ModelValues values = ValuesOf(declared, point.OfFlight(f).values);
     looked[f].residual->BlendSensors(declared, values);
-    looked[f].again = looked[f].residual->ForceByMotion(declared, values);
+    looked[f].context.again = looked[f].residual->ForceByMotion(declared, values);
+    if (looked[f].halved) {
+      looked[f].context.by_sampling =
+          ChangeBySampling(*looked[f].residual, *looked[f].halved, declared, values);
+    }
     residuals.push_back(&*looked[f].residual);
     motions.push_back(&looked[f].flight->motion());
   }

@@ -31,9 +31,6 @@ constexpr double kWellKnown_s = 0.01;
 constexpr double kOffsetsAre = 0.5, kOffsetSize_s = 0.02;
 constexpr double kNoOffset_s = 0.001;  // changes nothing worth a replay
 
-// As kSparse_s, of rotors (time constant 20 ms).
-constexpr double kSparseRotors_s = 0.008;
-
 std::string Milliseconds(double seconds) { return Format("%.1f ms", 1e3 * std::abs(seconds)); }
 
 std::string Called(const std::string& stream) {

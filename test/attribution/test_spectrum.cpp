@@ -57,6 +57,38 @@ TEST(Whiteness, FindsALine) {
   EXPECT_GT(w.structured_share, 0.1);
 }
 
+/// Standard deviation 1, correlation time 0.1 s: as of lines between samples.
+std::vector<double> BetweenSamples(int seed) {
+  Gaussian random(seed, 3);
+  const double decay = std::exp(-0.04 / 0.1);
+  std::vector<double> run;
+  double value = 0.0;
+  for (int i = 0; i < kSamples; ++i) {
+    value = decay * value + std::sqrt(1.0 - decay * decay) * random.Next();
+    run.push_back(value);
+  }
+  return run;
+}
+
+TEST(Whiteness, WhatSlowStreamsLeaveOutIsNoStructure) {
+  for (int seed = 0; seed < 20; ++seed) {
+    const std::vector<double> change = BetweenSamples(seed), error = BetweenSamples(100 + seed);
+    const auto test = [&](double size, const std::vector<std::vector<double>>& by_sampling) {
+      std::vector<double> run = White(seed);
+      for (int i = 0; i < kSamples; ++i) run[i] = 0.3 * run[i] + size * error[i];
+      return TestWhiteness({run}, kRate_Hz, kHighest_Hz, by_sampling);
+    };
+    EXPECT_LT(test(1.5, {}).p, 1e-8) << "else there is no need";
+    const WhitenessResult sampled = test(1.5, {change});
+    EXPECT_GT(sampled.p, 1e-4) << "seed " << seed;
+    EXPECT_GT(sampled.sampling_share, 0.5) << "seed " << seed;
+    EXPECT_LT(sampled.structured_share, 0.3) << "seed " << seed;
+    // More than streams can leave out is structure.
+    EXPECT_LT(test(4.0, {change}).p, 1e-8) << "seed " << seed;
+    EXPECT_LT(test(1.5, {std::vector<double>(kSamples, 0.0)}).p, 1e-8) << "nothing changes";
+  }
+}
+
 TEST(Whiteness, LooksAtNothingTooShort) {
   EXPECT_EQ(TestWhiteness({std::vector<double>(20, 1.0)}, kRate_Hz, kHighest_Hz).p, 1.0);
   EXPECT_EQ(TestWhiteness({}, kRate_Hz, kHighest_Hz).structured_share, 0.0);

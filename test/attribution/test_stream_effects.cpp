@@ -194,6 +194,27 @@ TEST(StreamEffects, WhatLiesBetweenSamplesFarApartIsWarnedOf) {
   }
 }
 
+TEST(StreamEffects, WhatMayHideBetweenSamplesIsWarnedOf) {
+  StreamDoubt doubt;
+  doubt.stream = "rotor_speeds";
+  doubt.sparse_s = 0.1;
+  StreamInspection inspection;
+  inspection.doubts = {doubt};
+  for (const double share : {0.02, 0.9}) {
+    ClosedLoop loop;
+    loop.structure.resize(2);
+    loop.structure[0].name = "force_z";
+    loop.structure[1].name = "torque_x";
+    loop.structure[1].whiteness.sampling_share = share;
+    AddInspection(inspection, CloseLoopOptions(), NominalVehicle(), &loop);
+    ASSERT_EQ(loop.warnings.size(), share > 0.05 ? 1u : 0u);
+    if (share < 0.05) continue;
+    EXPECT_EQ(loop.warnings[0],
+              "of rotor_speeds there is one sample in 100 ms: what happens between them may be 90 % "
+              "of the residual's variance (torque_x), and hide an effect");
+  }
+}
+
 TEST(StreamEffects, AShiftThatTheModelTakesBackIsPutBack) {
   for (const auto& [left_s, is_none] :
        {std::pair<double, bool>{0.0085, true}, {0.0052, true}, {0.004, false}, {-0.008, false}}) {

@@ -67,7 +67,7 @@ ChannelStructure Measured(const ThinnedFlight& flight, int seed, const Eigen::Ve
   Eigen::MatrixX3d again = Eigen::MatrixX3d::Zero(n, 3);
   residual.col(0) = one + White(n, seed) + Eigen::VectorXd::Constant(n, 5.0);  // a bias
   again.col(0) = other + 2.0 * White(n, seed + 1000);
-  return StructureByChannel(flight, residual, 3, again, Light()).front();
+  return StructureByChannel(flight, residual, 3, {again}, Light()).front();
 }
 
 TEST(SharedStructure, ForcesAreInBothMeasurementsAndErrorsInOne) {
@@ -105,7 +105,7 @@ TEST(SharedStructure, OneMeasurementSaysNothing) {
   const ThinnedFlight flight = Hover();
   ResidualModel::Wrenches residual = ResidualModel::Wrenches::Zero(flight.size(), kNumChannels);
   residual.col(0) = Slow(flight.size(), 1);
-  const auto channels = StructureByChannel(flight, residual, 3, Eigen::MatrixX3d(0, 3), Light());
+  const auto channels = StructureByChannel(flight, residual, 3, ResidualContext(), Light());
   EXPECT_FALSE(channels.front().shared);
   EXPECT_TRUE(IsStructured(channels.front(), AttributionOptions()));
 }
@@ -121,7 +121,7 @@ ChannelStructure OfForce(Eigen::Index channel, double slow_N, double quick_N, in
       slow_N * Slow(n, seed, 4.0) + quick_N * Slow(n, seed + 100) + white_N * White(n, seed);
   Vehicle vehicle;
   vehicle.mass_kg = 10.0 / vehicle.gravity_m_s2;
-  return StructureByChannel(flight, residual, 3, Eigen::MatrixX3d(0, 3),
+  return StructureByChannel(flight, residual, 3, ResidualContext(),
                             vehicle)[static_cast<size_t>(channel)];
 }
 
@@ -181,7 +181,7 @@ TEST(Lean, WhatBothSensorsShowIsAForce) {
       residual.col(0) = force + White(n, seed);
       again.col(0) = (both ? 1.0 : 0.0) * force + 2.0 * White(n, seed + 1000);
       const ChannelStructure channel =
-          StructureByChannel(flight, residual, 3, again, vehicle).front();
+          StructureByChannel(flight, residual, 3, {again}, vehicle).front();
       (both ? forces : leans) += IsLean(channel, AttributionOptions()) != both ? 1 : 0;
     }
   }

@@ -79,6 +79,9 @@ class ThinnedFlight {
   /// The same samples moving otherwise.
   /// @param samples one for each of this flight's
   ThinnedFlight Moving(std::vector<FilteredMotion> samples) const;
+  /// The same motion with other rotor speeds, those of motion() as they are.
+  /// @param rotors one for each sample
+  ThinnedFlight WithRotors(const std::vector<RotorState>& rotors) const;
 
   /// A channel of a residual as runs without gaps.
   /// @param in_use_only true to cut out the blocks held out

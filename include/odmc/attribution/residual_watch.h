@@ -104,9 +104,14 @@ class ResidualWatch {
   std::optional<Estimate> TakeIn();
   void Keep(const Keyframe& keyframe);
   void ForgetBefore(Stamp stamp);
-  ThinnedFlight Flight(Stamp start) const;
-  ResidualAnalysis Examine(const ThinnedFlight& flight, const Estimate& estimate,
-                           const std::function<bool()>& give_up);
+  /// As the estimator mends it: glitches, dropouts.
+  FlightLog MendedLog() const;
+  /// Of the log's first odometry sample on the estimate's clock [s].
+  double OffsetTo(Stamp start) const;
+  ThinnedFlight Flight(const FlightLog& mended, Stamp start) const;
+  /// @param halved WithEverySecondRotorSample()
+  ResidualAnalysis Examine(const ThinnedFlight& flight, const std::optional<ThinnedFlight>& halved,
+                           const Estimate& estimate, const std::function<bool()>& give_up);
 
   const Vehicle file_vehicle_;
   const ResidualWatchOptions options_;

@@ -33,17 +33,24 @@ struct ChannelStructure {
   std::optional<double> thrust_wander;
 };
 
+/// What is known of a residual besides itself.
+struct ResidualContext {
+  /// A second measurement of the residual force, see ResidualModel::ForceByMotion(), of any fit that
+  /// has the force; no rows where there is none.
+  Eigen::MatrixX3d again = Eigen::MatrixX3d(0, 3);
+  /// What ChangeBySampling() changes of it; no rows where streams are fast.
+  ResidualModel::Wrenches by_sampling = ResidualModel::Wrenches(0, kNumChannels);
+};
+
 /// Name of a channel of the wrench, "force_x" to "torque_z". @param channel 0 to 5
 const char* ChannelName(int channel);
 
 /// Structure of every channel of a residual.
-/// @param again a second measurement of the residual force, see ResidualModel::ForceByMotion(),
-/// of any fit that has the force; no rows where there is none
 /// @param vehicle gives the weight
 /// @param in_use_only true if its spectrum shall not see the blocks held out
 std::vector<ChannelStructure> StructureByChannel(const ThinnedFlight& flight,
                                                  const ResidualModel::Wrenches& residual,
-                                                 int num_channels, const Eigen::MatrixX3d& again,
+                                                 int num_channels, const ResidualContext& context,
                                                  const Vehicle& vehicle, bool in_use_only = false);
 
 /// Largest share of a structured channel's structured variance (p < whiteness_p) that a fit

@@ -24,6 +24,8 @@ RareError RareErrorPosterior(double value, double sigma, double prior, double si
 /// Between samples farther apart than this a vehicle's attitude (time constant 50 ms) does more
 /// than the line between them shows: that errs by (step / time constant)^2 / 8, 2 %, of a change.
 constexpr double kSparse_s = 0.0205;
+/// The same of rotors (time constant 20 ms).
+constexpr double kSparseRotors_s = 0.008;
 
 /// What may be wrong with a stream, but not so surely that it was mended: the estimate says by how
 /// much it would be another one.
