@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
+#include <utility>
 
 namespace odmc {
 namespace {
@@ -94,20 +96,26 @@ struct NoiseShapes {
   }
 };
 
-/// Means over bins of nearly the same frequency: a periodogram's own bins are as scattered as what
-/// they are to explain.
-std::vector<double> Smooth(const std::vector<Bin>& bins) {
-  constexpr double kWithin = 1.25;
-  std::vector<double> smooth;
-  for (const Bin& at : bins) {
-    double sum = 0.0, count = 0.0;
+std::vector<std::vector<double>> StructureShapes(const std::vector<Bin>& bins) {
+  std::vector<std::vector<double>> shapes;
+  for (const double corner : kCorners_Hz) {
+    shapes.emplace_back();
     for (const Bin& bin : bins) {
-      if (bin.frequency_Hz * kWithin < at.frequency_Hz) continue;
-      if (bin.frequency_Hz > at.frequency_Hz * kWithin) continue;
-      sum += bin.power;
-      count += 1.0;
+      const double x = bin.frequency_Hz / corner;
+      shapes.back().push_back(1.0 / (1.0 + x * x));
     }
-    smooth.push_back(sum / count);
+  }
+  return shapes;
+}
+
+/// Of noise and structure together: a periodogram itself is as scattered as what it is to explain.
+std::vector<double> SmoothSpectrum(const std::vector<Bin>& bins,
+                                   std::vector<std::vector<double>> shapes) {
+  for (std::vector<double>& red : StructureShapes(bins)) shapes.push_back(std::move(red));
+  const Fit fit = FitSpectrum(bins, shapes, {});
+  std::vector<double> smooth(bins.size(), 0.0);
+  for (size_t j = 0; j < shapes.size(); ++j) {
+    for (size_t i = 0; i < bins.size(); ++i) smooth[i] += fit.weights[j] * shapes[j][i];
   }
   return smooth;
 }
@@ -124,7 +132,7 @@ NoiseShapes NoiseShapesOf(const std::vector<Bin>& bins, const std::vector<Bin>& 
   const bool changes = std::any_of(by_sampling.begin(), by_sampling.end(),
                                    [](const Bin& bin) { return bin.power > 0.0; });
   if (!changes || by_sampling.size() != bins.size()) return noise;
-  noise.shapes.push_back(Smooth(by_sampling));
+  noise.shapes.push_back(SmoothSpectrum(by_sampling, noise.shapes));
   noise.most = {kAny, kAny, kMostOfSampling};
   return noise;
 }
@@ -152,16 +160,11 @@ WhitenessResult TestWhiteness(const std::vector<std::vector<double>>& runs, doub
   const size_t noise_end = noise.shapes.size();
   const Fit null = FitSpectrum(bins, noise.shapes, noise.most);
   std::vector<std::vector<double>> shapes = noise.shapes;
-  size_t slow_end = shapes.size();
-  for (const double corner : kCorners_Hz) {
-    std::vector<double> red;
-    for (const Bin& bin : bins) {
-      const double x = bin.frequency_Hz / corner;
-      red.push_back(1.0 / (1.0 + x * x));
-    }
-    shapes.push_back(red);
-    if (corner <= kSlowCorner_Hz) slow_end = shapes.size();
-  }
+  for (std::vector<double>& red : StructureShapes(bins)) shapes.push_back(std::move(red));
+  const size_t slow_end =
+      noise_end + static_cast<size_t>(std::count_if(
+                      std::begin(kCorners_Hz), std::end(kCorners_Hz),
+                      [](double corner_Hz) { return corner_Hz <= kSlowCorner_Hz; }));
   const std::vector<std::vector<double>> slow_shapes(
       shapes.begin(), shapes.begin() + static_cast<std::ptrdiff_t>(slow_end));
   const Fit slow_null = FitSpectrum(bins, slow_shapes, noise.most);
@@ -176,7 +179,7 @@ WhitenessResult TestWhiteness(const std::vector<std::vector<double>>& runs, doub
     for (size_t j = noise_end; j < shapes.size(); ++j) red += full.weights[j] * shapes[j][i];
     for (size_t j = 0; j < slow_end; ++j) slow_level += slow_null.weights[j] * shapes[j][i];
     for (size_t j = noise_end; j < slow_end; ++j) slow += slow_null.weights[j] * shapes[j][i];
-    for (size_t j = 2; j < noise_end; ++j) sampling += full.weights[j] * shapes[j][i];
+    for (size_t j = 2; j < noise_end; ++j) sampling += null.weights[j] * shapes[j][i];
     quick_highest = std::max(quick_highest, bins[i].power / slow_level);
     const double rest = noise.Level(full, i);
     const double excess = bins[i].power - (red + rest);

@@ -24,7 +24,7 @@ struct WhitenessResult {
   double peak_Hz = 0.0;           ///< where the structure is strongest
   double slow_share = 0.0;        ///< of the variance: structure with corners up to kSlowCorner_Hz
   double quick_p = 1.0;           ///< as p, of structure beyond noise and that
-  double sampling_share = 0.0;    ///< of the variance: what slow streams leave out
+  double sampling_share = 0.0;    ///< of the variance, at most: what slow streams leave out
 };
 
 /// Tests a residual against unstructured noise. Noise of a differentiated measurement has the
