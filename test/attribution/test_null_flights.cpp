@@ -211,6 +211,37 @@ TEST(Degrade, AddsWhatItSaysAndKeepsTheOrderOfStamps) {
   EXPECT_EQ(log.rotors[5].speed[2], 500.0);
 }
 
+/// One rotor speed in 0.1 s, as the telemetry of an ESC has it.
+void KeepTenHertz(std::vector<RotorSample>* rotors) {
+  std::vector<RotorSample> kept;
+  for (const RotorSample& sample : *rotors) {
+    if (kept.empty() || sample.stamp - kept.back().stamp >= FromSeconds(0.1)) {
+      kept.push_back(sample);
+    }
+  }
+  *rotors = kept;
+}
+
+// Lines between samples leave structure in the torque, which is no lack of the model.
+TEST(NullFlights, AreNoneWithRotorSpeedsAtTenHertz) {
+  constexpr int kSeed = 41, kFlights = 4;
+  const std::vector<UndeclaredPlan> plans = PlanNothing(kSeed, kFlights);
+  CloseLoopOptions options;
+  options.estimator.keyframe_rate_hz = 50.0;
+  for (const UndeclaredPlan& plan : plans) {
+    UndeclaredFlight flight = MakeUndeclared(plan);
+    KeepTenHertz(&flight.log.rotors);
+    const Vehicle declared = ParseVehicle(FormatVehicle(flight.declared), "vehicle.yaml");
+    const ClosedLoop loop = CloseLoop(flight.log, declared, declared, options);
+    EXPECT_EQ(loop.verdict, Verdict::kNone) << plan.trajectory;
+    double most = 0.0;
+    for (const ChannelStructure& channel : loop.structure) {
+      most = std::max(most, channel.whiteness.sampling_share);
+    }
+    EXPECT_GT(most, 0.3) << plan.trajectory << ": else there is no need";
+  }
+}
+
 }  // namespace
 }  // namespace test
 }  // namespace odmc
