@@ -162,9 +162,9 @@ WhitenessResult TestWhiteness(const std::vector<std::vector<double>>& runs, doub
   std::vector<std::vector<double>> shapes = noise.shapes;
   for (std::vector<double>& red : StructureShapes(bins)) shapes.push_back(std::move(red));
   const size_t slow_end =
-      noise_end + static_cast<size_t>(std::count_if(
-                      std::begin(kCorners_Hz), std::end(kCorners_Hz),
-                      [](double corner_Hz) { return corner_Hz <= kSlowCorner_Hz; }));
+      noise_end + static_cast<size_t>(
+                      std::count_if(std::begin(kCorners_Hz), std::end(kCorners_Hz),
+                                    [](double corner_Hz) { return corner_Hz <= kSlowCorner_Hz; }));
   const std::vector<std::vector<double>> slow_shapes(
       shapes.begin(), shapes.begin() + static_cast<std::ptrdiff_t>(slow_end));
   const Fit slow_null = FitSpectrum(bins, slow_shapes, noise.most);

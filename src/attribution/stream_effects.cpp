@@ -52,8 +52,8 @@ void WarnOfSparseStreams(const StreamInspection& inspection, const AttributionOp
     }
     if (does.empty()) continue;
     loop->warnings.push_back("of " + doubt.stream + " there is one sample in " +
-                             Rounded(1e3 * doubt.sparse_s) +
-                             " ms: what happens between them " + does);
+                             Rounded(1e3 * doubt.sparse_s) + " ms: what happens between them " +
+                             does);
   }
 }
 

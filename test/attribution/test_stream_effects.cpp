@@ -209,9 +209,10 @@ TEST(StreamEffects, WhatMayHideBetweenSamplesIsWarnedOf) {
     AddInspection(inspection, CloseLoopOptions(), NominalVehicle(), &loop);
     ASSERT_EQ(loop.warnings.size(), share > 0.05 ? 1u : 0u);
     if (share < 0.05) continue;
-    EXPECT_EQ(loop.warnings[0],
-              "of rotor_speeds there is one sample in 100 ms: what happens between them may be 90 % "
-              "of the residual's variance (torque_x), and hide an effect");
+    EXPECT_EQ(
+        loop.warnings[0],
+        "of rotor_speeds there is one sample in 100 ms: what happens between them may be 90 % "
+        "of the residual's variance (torque_x), and hide an effect");
   }
 }
 

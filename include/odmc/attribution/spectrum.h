@@ -30,8 +30,8 @@ struct WhitenessResult {
 /// Tests a residual against unstructured noise. Noise of a differentiated measurement has the
 /// spectrum a + b f² (a: white force or torque, b: white noise of the velocity or rate); structure
 /// is what a low-pass spectrum c/(1 + (f/f_c)²) or a line explains on top, by Whittle's likelihood.
-/// What a stream leaves out between its samples is no structure, either: it has the spectrum of what
-/// changes where every second sample is left out, up to kMostOfSampling times as large.
+/// What a stream leaves out between its samples is no structure, either: it has the spectrum of
+/// what changes where every second sample is left out, up to kMostOfSampling times as large.
 /// @param runs equally spaced stretches of the residual; short ones (kShortestRun) are left out
 /// @param rate_Hz samples a second
 /// @param highest_Hz frequencies above it are not looked at (the filter's edge)

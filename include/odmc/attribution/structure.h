@@ -35,8 +35,8 @@ struct ChannelStructure {
 
 /// What is known of a residual besides itself.
 struct ResidualContext {
-  /// A second measurement of the residual force, see ResidualModel::ForceByMotion(), of any fit that
-  /// has the force; no rows where there is none.
+  /// A second measurement of the residual force, see ResidualModel::ForceByMotion(), of any fit
+  /// that has the force; no rows where there is none.
   Eigen::MatrixX3d again = Eigen::MatrixX3d(0, 3);
   /// What ChangeBySampling() changes of it; no rows where streams are fast.
   ResidualModel::Wrenches by_sampling = ResidualModel::Wrenches(0, kNumChannels);
