@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "odmc/attribution/candidates.h"
 #include "odmc/inspection/lag_regression.h"
@@ -62,23 +63,33 @@ bool HasFinding(const StreamInspection& inspection, const std::string& check) {
                      [&](const Finding& finding) { return finding.check == check; });
 }
 
+/// True if an offset as a whole is none, or no more than any recording has.
+bool IsNoOffset(const RankedEffect& whole, const Vehicle& vehicle) {
+  const ParameterEstimate& offset = whole.parameters.front();
+  return std::abs(offset.value) <= kSigmasOfNone * offset.sigma || IsOrdinary(vehicle, whole);
+}
+
 /// What the loop found of an offset that was taken off, with a finding, where that takes the stamps
-/// back to where they were; else null.
-const ParameterEstimate* TakenBackBy(const TimeOffset& offset, const StreamInspection& inspection,
-                                     const ClosedLoop& loop) {
+/// back to where they were, as a whole; else nothing.
+std::optional<ParameterEstimate> TakenBackBy(const TimeOffset& offset,
+                                             const StreamInspection& inspection,
+                                             const Vehicle& vehicle, const ClosedLoop& loop) {
   if (offset.compensated_s == 0.0 || !HasFinding(inspection, offset.stream + "_offset")) {
-    return nullptr;
+    return std::nullopt;
   }
   for (const StreamEffect& kind : kStreamEffects) {
     if (offset.stream != kind.stream) continue;
     for (const AddedEffect& added : loop.effects) {
       if (added.effect.name != kind.effect) continue;
-      const ParameterEstimate* rest = added.effect.Find(kind.parameter);
-      const double total_s = offset.compensated_s + rest->value;
-      return std::abs(total_s) <= kSigmasOfNone * rest->sigma ? rest : nullptr;
+      RankedEffect whole;
+      whole.name = kind.effect;
+      whole.parameters = {*added.effect.Find(kind.parameter)};
+      whole.parameters.front().value += offset.compensated_s;
+      if (IsNoOffset(whole, vehicle)) return whole.parameters.front();
+      return std::nullopt;
     }
   }
-  return nullptr;
+  return std::nullopt;
 }
 
 /// Takes out what inspection said of a stream's stamps.
@@ -175,25 +186,27 @@ void AddInspection(const StreamInspection& inspection, const CloseLoopOptions& o
   }
 }
 
-bool TakesBack(const ClosedLoop& loop, const StreamInspection& inspection) {
-  return std::any_of(
-      inspection.offsets.begin(), inspection.offsets.end(),
-      [&](const TimeOffset& offset) { return TakenBackBy(offset, inspection, loop) != nullptr; });
+bool TakesBack(const ClosedLoop& loop, const StreamInspection& inspection, const Vehicle& vehicle) {
+  return std::any_of(inspection.offsets.begin(), inspection.offsets.end(),
+                     [&](const TimeOffset& offset) {
+                       return TakenBackBy(offset, inspection, vehicle, loop).has_value();
+                     });
 }
 
-std::string PutBack(const ClosedLoop& loop, StreamInspection* inspection, FlightLog* log) {
+std::string PutBack(const ClosedLoop& loop, const Vehicle& vehicle, StreamInspection* inspection,
+                    FlightLog* log) {
   std::string said;
   for (TimeOffset& offset : inspection->offsets) {
-    const ParameterEstimate* rest = TakenBackBy(offset, *inspection, loop);
-    if (rest == nullptr) continue;
+    const std::optional<ParameterEstimate> whole = TakenBackBy(offset, *inspection, vehicle, loop);
+    if (!whole) continue;
     said += (said.empty() ? "" : "; ") + offset.stream + ": inspection took " +
             Milliseconds(offset.compensated_s) + " (sigma " + Milliseconds(offset.lag.sigma_s()) +
             ") off the stamps by comparison with " + offset.against +
-            ", but the model as a whole finds " + Milliseconds(offset.compensated_s + rest->value) +
-            " (sigma " + Milliseconds(rest->sigma) + "): the stamps are left as they are";
+            ", but the model as a whole finds " + Milliseconds(whole->value) +
+            " (sigma " + Milliseconds(whole->sigma) + "): the stamps are left as they are";
     ShiftStream(offset.stream, -offset.compensated_s, log);
     Forget(offset.stream, inspection);
-    inspection->doubts.push_back({offset.stream, rest->sigma});
+    inspection->doubts.push_back({offset.stream, std::hypot(whole->value, whole->sigma)});
     offset.compensated_s = 0.0;
   }
   return said;
@@ -206,9 +219,9 @@ ClosedLoop CloseLoopInspected(const FlightLog& log, const StreamInspection& insp
   StreamInspection inspection = inspected;
   options.doubts = inspection.doubts;
   ClosedLoop loop = CloseLoop(log, file_vehicle, vehicle, options, progress);
-  if (TakesBack(loop, inspection)) {
+  if (TakesBack(loop, inspection, vehicle)) {
     FlightLog with_stamps_back = log;
-    const std::string said = PutBack(loop, &inspection, &with_stamps_back);
+    const std::string said = PutBack(loop, vehicle, &inspection, &with_stamps_back);
     options.doubts = inspection.doubts;
     loop = CloseLoop(with_stamps_back, file_vehicle, vehicle, options, {});
     loop.warnings.push_back(said);

@@ -21,14 +21,16 @@ void AddInspection(const StreamInspection& inspection, const CloseLoopOptions& o
                    const Vehicle& vehicle, ClosedLoop* loop);
 
 /// True if inspection shifted a stream's stamps, with a finding, and an effect that the loop named
-/// shifts them to where they were: within three of its sigmas the model as a whole finds no offset.
-bool TakesBack(const ClosedLoop& loop, const StreamInspection& inspection);
+/// shifts them to where they were: the model as a whole finds no offset, within three of its sigmas,
+/// or one that any recording has (IsOrdinary()).
+bool TakesBack(const ClosedLoop& loop, const StreamInspection& inspection, const Vehicle& vehicle);
 
 /// Puts such stamps back.
 /// @param inspection afterwards without what it said of these stamps; what the model leaves open of
 ///   them is a doubt
 /// @returns a sentence for each, or nothing
-std::string PutBack(const ClosedLoop& loop, StreamInspection* inspection, FlightLog* log);
+std::string PutBack(const ClosedLoop& loop, const Vehicle& vehicle, StreamInspection* inspection,
+                    FlightLog* log);
 
 /// CloseLoop() on a flight whose streams were compared: what may be wrong with them counts in the
 /// sigmas (SI units, frames of the vehicle file), what was found in findings and effects. Where
