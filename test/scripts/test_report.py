@@ -155,7 +155,7 @@ class ReportTest(unittest.TestCase):
         write_prediction(self.path('prediction.csv'), count)
         write_timing(self.path('timing.csv'), count)
         with open(self.path('parameters.yaml'), 'w', encoding='utf-8') as file:
-            file.write('effects: [thrust, drag, hvt]\nprovenance: {tool: odmc 0.1.0}\n')
+            file.write('effects: [thrust, drag, hvt]\nprovenance: {tool: odmc 0.1.0, flight: a.csv, trust: good}\n')
 
     def run_tool(self, *arguments: str) -> subprocess.CompletedProcess:
         """Runs the tool without a display or a home."""
@@ -177,6 +177,13 @@ class ReportTest(unittest.TestCase):
         for address in reader.addresses:
             self.assertTrue(address.startswith('data:image/svg+xml;base64,'), address[:60])
         return [base64.b64decode(a.split(',', 1)[1]).decode('utf-8') for a in reader.addresses]
+
+    def test_summary_says_everything_once(self) -> None:
+        self.write_all()
+        summary = self.render().text.split('Parameters')[0]
+        self.assertEqual(summary.count('Flight'), 1, summary)
+        self.assertEqual(summary.count('odmc 0.1.0'), 1, summary)
+        self.assertNotIn('a.csv', summary)
 
     def test_full_report_has_all_sections_and_needs_no_network(self) -> None:
         self.write_all()
