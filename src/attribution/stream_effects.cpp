@@ -202,8 +202,8 @@ std::string PutBack(const ClosedLoop& loop, const Vehicle& vehicle, StreamInspec
     said += (said.empty() ? "" : "; ") + offset.stream + ": inspection took " +
             Milliseconds(offset.compensated_s) + " (sigma " + Milliseconds(offset.lag.sigma_s()) +
             ") off the stamps by comparison with " + offset.against +
-            ", but the model as a whole finds " + Milliseconds(whole->value) +
-            " (sigma " + Milliseconds(whole->sigma) + "): the stamps are left as they are";
+            ", but the model as a whole finds " + Milliseconds(whole->value) + " (sigma " +
+            Milliseconds(whole->sigma) + "): the stamps are left as they are";
     ShiftStream(offset.stream, -offset.compensated_s, log);
     Forget(offset.stream, inspection);
     inspection->doubts.push_back({offset.stream, std::hypot(whole->value, whole->sigma)});

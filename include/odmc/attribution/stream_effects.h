@@ -21,8 +21,8 @@ void AddInspection(const StreamInspection& inspection, const CloseLoopOptions& o
                    const Vehicle& vehicle, ClosedLoop* loop);
 
 /// True if inspection shifted a stream's stamps, with a finding, and an effect that the loop named
-/// shifts them to where they were: the model as a whole finds no offset, within three of its sigmas,
-/// or one that any recording has (IsOrdinary()).
+/// shifts them to where they were: the model as a whole finds no offset, within three of its
+/// sigmas, or one that any recording has (IsOrdinary()).
 bool TakesBack(const ClosedLoop& loop, const StreamInspection& inspection, const Vehicle& vehicle);
 
 /// Puts such stamps back.
