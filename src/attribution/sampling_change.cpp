@@ -22,7 +22,9 @@ std::optional<ThinnedFlight> WithEverySecondRotorSample(const FlightLog& log,
                                                         const ThinnedFlight& flight,
                                                         double start_s) {
   if (flight.size() == 0 || PaceOf(log.rotors).step_s() <= kSparseRotors_s) return std::nullopt;
-  FlightLog half = log;
+  FlightLog half;  // what the motion takes of the log, but the IMU
+  half.odometry = log.odometry;
+  half.rotors = log.rotors;
   LeaveOutEverySecond("rotor_speeds", &half);
   const auto num_rotors = static_cast<int>(flight.sample(0).rotors.speed.size());
   const std::vector<FilteredMotion> halved = FilterFlight(half, num_rotors, {}).samples;

@@ -202,7 +202,7 @@ WhitenessResult TestWhiteness(const std::vector<std::vector<double>>& runs, doub
   result.nats += gain;
   result.structured_share = structured / all;
   result.slow_share = slow / all;
-  result.sampling_share = sampling / all;
+  result.sampling_share = std::min(1.0, sampling / all);
   result.peak_Hz = peak;
   return result;
 }
